@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
+import pytest
 
 from tests.opengl import needs_opengl
 from uavaccel.sim.chase import ChaseView
 from uavaccel.sim.lane.layout import draw_layout
+from uavaccel.sim.lane.scene import SUN_ELEVATION_RAD
 
 
 def drone(picture: np.ndarray) -> np.ndarray:
@@ -41,4 +45,20 @@ def test_the_drone_is_seen_from_behind_along_its_heading() -> None:
     for other_view in (further, east, views[1](0)):
         assert (np.abs(other_view.astype(int) - start) > 20).mean() > 0.1
     for view in views:
+        view.close()
+
+
+@needs_opengl
+def test_the_drones_shadow_falls_away_from_the_sun() -> None:
+    """The drone's shadow lies as far to its side as the sun is low and the drone high."""
+    position_m = np.array([[3.0, 0.0, -2.0], [3.0, 0.0, -1.0]])
+    level = np.tile([1.0, 0.0, 0.0, 0.0], (2, 1))
+    for azimuth_rad in (np.pi / 2, -np.pi / 2):  # the light comes across the lane
+        layout = replace(draw_layout(3), sun_azimuth_rad=azimuth_rad)
+        view = ChaseView(layout, position_m, level, (256, 144))
+        for number, height_m in enumerate((2.0, 1.0)):
+            view(number)
+            north, west, _ = view._data.mocap_pos[0]
+            assert north == pytest.approx(3.0)
+            assert -west == pytest.approx(height_m * np.sign(np.sin(azimuth_rad)) / np.tan(SUN_ELEVATION_RAD))
         view.close()

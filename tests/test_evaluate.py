@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import re
 from pathlib import Path
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 import torch as th
 
+from tests.drawing import record_figures
 from tests.lanes import free_distance_m
 from tests.learning import tiny_config, train_into
 from tests.opengl import needs_opengl
@@ -19,6 +21,7 @@ from uavaccel.cli.evaluate import evaluate_agent
 from uavaccel.cli.result_commands import report
 from uavaccel.cli.run import RunRequest
 from uavaccel.cli.view import view_game
+from uavaccel.config import validate
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.errors import UsageError, UserError
 from uavaccel.files import file_sha256
@@ -30,11 +33,14 @@ from uavaccel.rl.lanes import make_lanes
 from uavaccel.rl.learner import make_learner
 from uavaccel.rl.policy import MANIFEST, WEIGHTS, export_policy, load_policy, trained_with
 from uavaccel.sim.lane.layout import draw_layout, lane_seed
+from uavaccel.suites.evaluation.config import EvaluateConfig
 from uavaccel.suites.evaluation.film import film_lane
 from uavaccel.suites.evaluation.flights import fly_game
+from uavaccel.suites.evaluation.lost import plot_lost
 from uavaccel.suites.evaluation.report import compare, summarise
 from uavaccel.suites.evaluation.suite import Evaluation
 from uavaccel.suites.report import Summary
+from uavaccel.wire.image_api import lane_layout
 
 LANES = 4
 FIGURE, COMPARISON = "figures/figure8_survival.png", "figures/figure8_survival_compared.png"
@@ -145,6 +151,38 @@ def test_films_of_the_best_and_the_worst(tmp_path: Path) -> None:
     evaluate_agent(request("straight", tmp_path / "run", "task.max_commands=4", games=2), None, True)
     made = sorted(path.name for path in (tmp_path / "run/films").iterdir())
     assert made == ["best.mp4", "best.png", "worst.mp4", "worst.png"]
+    html = (tmp_path / "run/report.html").read_text()
+    films = re.findall(r'<video [^>]*src="data:video/mp4;base64,([^"]*)"', html)
+    assert [base64.b64decode(film) for film in films] == [
+        (tmp_path / f"run/films/{name}.mp4").read_bytes() for name in ("best", "worst")
+    ]
+
+
+def test_lost_lanes_are_named_and_their_paths_drawn_over_the_obstacles(
+    tmp_path: Path, straight: RunDirectory, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn = record_figures(monkeypatch)
+    rows = [row for row in straight.rows() if not row["is_success"]]
+    config = validate(EvaluateConfig, straight.config(), "test")
+    for row in rows:
+        assert row["path_m"][-1][0] == row["distance_m"]
+        assert len(row["path_m"]) == row["commands"]
+    many: list[Any] = [
+        {**row, "distance_m": row["distance_m"] + number} for row in rows for number in range(10)
+    ]
+    picture = plot_lost(config, many, tmp_path / "lost.png", "modelled")
+    assert picture is not None
+    assert f"{len(many) - 9} more are in the table" in picture.caption
+    panels = drawn["lost"].axes
+    assert len(panels) == 9
+    shortest = min(rows, key=lambda row: row["distance_m"])
+    path = np.asarray(panels[0].lines[-2].get_xydata())
+    np.testing.assert_array_equal(path, [[0.0, 0.0], *shortest["path_m"]])
+    layout = lane_layout(config.task.wire_lane(shortest["lane"]))
+    assert len(panels[0].patches) == len(layout)
+    assert plot_lost(config, [], tmp_path / "none.png", "modelled") is None
+    without: list[Any] = [{key: value for key, value in row.items() if key != "path_m"} for row in rows]
+    assert plot_lost(config, without, tmp_path / "none.png", "modelled") is None
 
 
 @pytest.mark.slow

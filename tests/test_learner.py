@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import nullcontext
 from copy import deepcopy
@@ -27,6 +28,7 @@ from uavaccel.rl.lanes import BatchVecEnv
 from uavaccel.rl.learner import Game, learning_rhythm
 from uavaccel.rl.network import contrast
 from uavaccel.rl.replay import Batch
+from uavaccel.rl.statistics import StepStatistics
 from uavaccel.suites.training.config import TrainConfig
 
 TASK = {"observation": "state", "headings_deg": [-30.0, 30.0]}
@@ -527,6 +529,7 @@ def on_a_device(host_kernels: None) -> Any:  # noqa: F811
     learner.AT = AT
     learner.lanes = SimpleNamespace(count=4, ended=th.zeros((4, AT.columns), dtype=th.float64))
     learner._turned = th.tensor([1, 0])
+    learner.statistics = StepStatistics(th.device("cpu"))
     return learner
 
 
@@ -572,6 +575,7 @@ def test_on_a_device_a_step_moves_the_weights_down_the_gradient_worked_out_by_ha
     before, rated = weights_of(online), weights_of(target)
     learner._descend(batch)
     ring, total = learner.replay.observations.numpy(), np.zeros((2, 3))
+    losses, chosen = [], []
     for at in range(4):
         turn = -1 if batch.mirrored[at] else 1
         seen = np.append(ring[at, at][::turn], 1.0)
@@ -579,10 +583,36 @@ def test_on_a_device_a_step_moves_the_weights_down_the_gradient_worked_out_by_ha
         action = int(batch.actions[at]) if turn == 1 else 1 - int(batch.actions[at])
         best = int((before @ after).argmax())
         goal = float(batch.rewards[at] + batch.discounts[at] * (rated @ after)[best])
-        total[action] += weights[at] * np.clip((before @ seen)[action] - goal, -1.0, 1.0) * seen / 4
+        error = (before @ seen)[action] - goal
+        total[action] += weights[at] * np.clip(error, -1.0, 1.0) * seen / 4
+        losses.append(weights[at] * (error**2 / 2 if abs(error) < 1.0 else abs(error) - 0.5))
+        chosen.append((before @ seen)[action])
     share: float = min(1.0, limit / float(np.linalg.norm(total)))
     np.testing.assert_allclose(weights_of(online), before - 0.1 * total * share, atol=1e-6)
     np.testing.assert_array_equal(weights_of(target), rated)
+    learner.statistics.read(learner.statistics.sums)
+    assert learner.statistics.loss == pytest.approx(np.mean(losses), abs=1e-6)
+    assert learner.statistics.mean_q == pytest.approx(np.mean(chosen), abs=1e-6)
+
+
+def test_statistics_are_means_over_the_gradient_steps_between_two_reads() -> None:
+    statistics = StepStatistics(th.device("cpu"))
+    statistics.read(statistics.sums)
+    assert (statistics.loss, statistics.mean_q) == (None, None)
+    for loss, chosen in ((1.0, [2.0, 4.0]), (2.0, [5.0, 7.0])):
+        statistics.add(th.tensor(loss), th.tensor(chosen))
+    for _ in range(2):  # without steps in between the means stay
+        statistics.read(statistics.sums)
+        assert (statistics.loss, statistics.mean_q) == (1.5, 4.5)
+    statistics.add(th.tensor(8.0), th.tensor([1.0]))
+    resumed = StepStatistics(th.device("cpu"))
+    resumed.set_state(json.loads(json.dumps(statistics.get_state())))
+    assert (resumed.loss, resumed.mean_q) == (1.5, 4.5)
+    resumed.read(resumed.sums)
+    assert (resumed.loss, resumed.mean_q) == (8.0, 1.0)
+    resumed.add(th.tensor(float("inf")), th.tensor([3.0]))
+    resumed.read(resumed.sums)
+    assert (resumed.loss, resumed.mean_q) == (None, 3.0)
 
 
 def test_on_a_device_rounds_are_of_their_kind(on_a_device: Any) -> None:

@@ -233,18 +233,30 @@ def test_progress_shows_each_game_and_the_mean_of_the_last_100(
     tmp_path: Path, drawn: dict[str, Figure]
 ) -> None:
     rows: list[Any] = [
-        {"return": float(n), "commands": 2 * n, "exploration": 1 - n / 200} for n in range(150)
+        {
+            "return": float(n),
+            "commands": 2 * n,
+            "exploration": 1 - n / 200,
+            "mean_q": 3.0 * n,
+            "loss": None if n < 10 else 1.0 / n,
+        }
+        for n in range(150)
     ]
     plot_progress(rows, tmp_path / "progress.png", "modelled")
-    returns, lengths, explored = drawn["progress"].axes
+    returns, lengths, losses, mean_q, explored = drawn["progress"].axes
     assert points(labelled(returns)["a game"])[-1] == (150.0, 149.0)
     mean = points(labelled(returns)["mean of the last 100"])
     assert (mean[0], mean[9], mean[-1]) == ((1.0, 0.0), (10.0, 4.5), (150.0, 99.5))
     assert points(labelled(lengths)["mean of the last 100"])[-1] == (150.0, 199.0)
+    assert points(labelled(losses)["mean of the last 100"])[0] == (11.0, 0.1)  # after the first step
+    assert points(labelled(mean_q)["a game"])[-1] == (150.0, 447.0)
     assert np.asarray(explored.lines[0].get_ydata())[-1] == 1 - 149 / 200
-    ppo: list[Any] = [{**row, "exploration": None} for row in rows]
+    ppo: list[Any] = [{**row, "exploration": None, "mean_q": None} for row in rows]
+    for row in ppo[:5]:
+        del row["loss"]  # as in the rows of earlier versions
     plot_progress(ppo, tmp_path / "progress.png", "modelled")
-    assert not drawn["progress"].axes[2].lines
+    shown = [axes.get_ylabel() for axes in drawn["progress"].axes]
+    assert shown == ["return", "length, commands", "loss"]
 
 
 def test_a_moving_mean_has_a_value_for_every_game() -> None:
@@ -384,7 +396,7 @@ def test_curves_of_games_count_from_this_start_and_leave_out_evaluations(
     first = rows.finished(Game(40, 1, info, -2.5, 0.25), stopwatch)
     with rows.clock_stopped():
         pass
-    rows.finished(Game(41, 0, info, 1.0, None), stopwatch)
+    rows.finished(Game(41, 0, info, 1.0, None, 0.5, 2.0), stopwatch)
     rows.close()
     point = {
         "games/distance_m": 7.0, "games/return": -2.5, "games/commands": 16, "games/real_time_factor": 8.0 / 4.0,
@@ -397,6 +409,8 @@ def test_curves_of_games_count_from_this_start_and_leave_out_evaluations(
                 **point,
                 "games/success_recent": 1 / 3,
                 "games/return": 1.0,
+                "games/loss": 0.5,
+                "games/mean_q": 2.0,
                 "games/real_time_factor": 16.0 / 15.0,
             },
         ),

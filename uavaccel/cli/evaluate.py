@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from uavaccel.cli.progress import working
 from uavaccel.cli.run import RunRequest, configure, run_experiment
 from uavaccel.cli.terminal import console
 from uavaccel.config import parse_override
@@ -76,7 +77,8 @@ def _check_first(request: RunRequest, other: RunDirectory | None, films: bool) -
 
 def film_extremes(run: RunDirectory) -> None:
     """Write films and contact sheets of the best game and the worst."""
-    from uavaccel.draw.film import write_contact_sheet, write_video
+    from uavaccel.cli.view import film_with_bar
+    from uavaccel.draw.film import write_contact_sheet
     from uavaccel.envs.simulators import EXACT
     from uavaccel.suites.evaluation.film import best_first
     from uavaccel.suites.evaluation.suite import Evaluation
@@ -85,9 +87,12 @@ def film_extremes(run: RunDirectory) -> None:
     if run.config().get("simulator", EXACT) != EXACT:
         console.print("films: both games once more in the exact simulator, where they may end otherwise")
     for name, row in {"best": order[0], "worst": order[-1]}.items():
-        _, film = Evaluation().film(run, row["case"])
+        with working(f"{name} game, flown again", console):
+            _, film = Evaluation().film(run, row["case"])
         for path in (
-            write_video(film, run.file(f"films/{name}.mp4")),
+            film_with_bar(film, run.file(f"films/{name}.mp4")),
             write_contact_sheet(film, run.file(f"films/{name}.png")),
         ):
             console.print(str(path))
+    with working("report", console):
+        Evaluation().report(run).write()  # with the films in it

@@ -1,8 +1,9 @@
-"""The progress of a run: finished games, the suite's status, speed, time left."""
+"""The progress of a run: finished games, the suite's status, speed, time left; and of what follows it."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from types import TracebackType
 from typing import Self
 
@@ -75,3 +76,15 @@ class Progress:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._bar.stop()
+
+
+@contextmanager
+def working(name: str, console: Console, steps: int | None = None) -> Iterator[Callable[[], object]]:
+    """Show on a terminal what is worked on, and yield the function that counts a step of it.
+
+    Without `steps` the bar only moves. Elsewhere than on a terminal nothing is shown.
+    """
+    columns = BarColumn(), TextColumn("{task.description}", markup=False)
+    with Bar(*columns, console=console, disable=not console.is_terminal, transient=True) as bar:
+        task = bar.add_task(name, total=steps)
+        yield lambda: bar.advance(task)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+from uavaccel.cli.progress import working
 from uavaccel.cli.terminal import console
 from uavaccel.config import validate
 from uavaccel.draw.film import Film, write_contact_sheet, write_video
@@ -33,13 +34,21 @@ def view_game(source: str, case: str | None, out: Path | None) -> None:
     describe_renderer()  # where nothing can draw, this says so
     if (policy_folder(source) / MANIFEST).is_file():
         folder = Path("runs") if source == DEFAULT else Path(source)
-        name, film = _fly_policy(source, case or lane_case(0))
+        with working("the game", console):
+            name, film = _fly_policy(source, case or lane_case(0))
     else:
         run = RunDirectory(source)
-        folder, (name, film) = run.path, suite_of(run).film(run, case)
+        with working("the game", console):
+            folder, (name, film) = run.path, suite_of(run).film(run, case)
     folder = out or folder / "view"
-    console.print(str(write_video(film, folder / f"{name}.mp4")))
+    console.print(str(film_with_bar(film, folder / f"{name}.mp4")))
     console.print(str(write_contact_sheet(film, folder / f"{name}.png")))
+
+
+def film_with_bar(film: Film, path: Path) -> Path:
+    """Write a film as `write_video` does, with a bar of its frames on a terminal."""
+    with working(path.name, console, len(film)) as written:
+        return write_video(film, path, written=written)
 
 
 def view_events(source: str, case: str | None, events: Path, rate_hz: float) -> None:

@@ -12,7 +12,8 @@ from typing import TypeVar
 STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; max-width: 70rem; margin: 2rem auto; padding: 0 1rem; color: #222;
   background: #FFF; overflow-wrap: break-word }
-h1, h2 { line-height: 1.2 } figure { margin: 1.5rem 0 } img { max-width: 100%; height: auto }
+h1, h2 { line-height: 1.2 } figure { margin: 1.5rem 0 } img, video { max-width: 100%; height: auto }
+.paper { display: none }
 figcaption { color: #555; font-size: 90% } summary { cursor: pointer; color: #0072B2 }
 table { border-collapse: collapse; font-size: 13px; font-variant-numeric: tabular-nums }
 th, td { padding: .2rem .6rem; text-align: right; border-bottom: 1px solid #E3E3E3; vertical-align: top }
@@ -30,10 +31,11 @@ dialog button { font: inherit; align-self: end; margin: .4rem; padding: .2rem .8
 @media (max-width: 40rem) { body { margin: 1rem auto; padding: 0 .8rem } h1 { font-size: 1.4rem } }
 @media print {
   body { font-size: 10pt; max-width: none; margin: 0 } h2, thead { break-after: avoid }
-  figure, tr { break-inside: avoid } figure { margin: .8rem 0 } figure img { max-height: 45vh; width: auto }
+  figure, tr { break-inside: avoid } figure { margin: .8rem 0 } figure img { max-height: 38vh; width: auto }
+  h2:has(+ details:not([open])) { display: none }
   .scrolls, pre { overflow: visible } tbody td, tbody th, pre { white-space: pre-wrap }
   table { font-size: 8pt } th, td { padding: .1rem .3rem } tbody .long { min-width: 0 }
-  details:not([open]) { display: none }
+  details:not([open]), video { display: none } .paper { display: block }
 }
 """
 
@@ -46,7 +48,7 @@ dialog.ariaLabel = "Figure, enlarged";
 dialog.append(close, pane);
 dialog.addEventListener("click", () => dialog.close());  // Esc closes it too, and focus returns to the picture
 document.body.append(dialog);
-for (const image of document.querySelectorAll("figure img")) {
+for (const image of document.querySelectorAll("figure img:not(.paper)")) {
   const button = document.createElement("button");
   button.className = "enlarge";
   button.ariaLabel = "Enlarge: " + image.alt;
@@ -103,6 +105,15 @@ class Picture:
 
 
 @dataclass(frozen=True)
+class Movie:
+    """An MP4 file, the PNG that stands for it on paper and in Markdown, and the caption below it."""
+
+    path: Path
+    sheet: Path
+    caption: str
+
+
+@dataclass(frozen=True)
 class Listing:
     """Preformatted text, such as YAML. In HTML it is collapsed behind the name `folded`, if that is given."""
 
@@ -112,7 +123,7 @@ class Listing:
 
 LONG, LONG_CLASS = 32, ' class="long"'  # characters above which a table's cell is broken into lines
 
-Block = Heading | Paragraph | Table | Picture | Listing
+Block = Heading | Paragraph | Table | Picture | Movie | Listing
 Known = TypeVar("Known")
 
 
@@ -150,6 +161,9 @@ def _markdown(block: Block, folder: Path) -> str:
             return "\n".join("| " + " | ".join(map(_escape_markdown, line)) + " |" for line in lines)
         case Picture(path, caption):
             return f"![{path.stem}]({path.relative_to(folder).as_posix()})\n\n{_escape_markdown(caption)}"
+        case Movie(path, sheet, caption):
+            film = path.relative_to(folder).as_posix()
+            return f"{_markdown(Picture(sheet, caption), folder)}\n\n[{path.name}]({film})"
         case Listing(text, _):
             return f"```\n{text.rstrip()}\n```"
 
@@ -163,11 +177,18 @@ def _html(block: Block) -> str:
         case Table():
             return _html_table(block)
         case Picture(path, caption):
-            data = base64.b64encode(path.read_bytes()).decode("ascii")
-            image = f'<img alt="{escape(caption)}" src="data:image/png;base64,{data}">'
+            image = f'<img alt="{escape(caption)}" src="{_data_url(path, "image/png")}">'
             return f"<figure>{image}<figcaption>{escape(caption)}</figcaption></figure>"
+        case Movie(path, sheet, caption):
+            film = f'<video controls aria-label="{escape(caption)}" src="{_data_url(path, "video/mp4")}"></video>'
+            image = f'<img class="paper" alt="{escape(caption)}" src="{_data_url(sheet, "image/png")}">'
+            return f"<figure>{film}{image}<figcaption>{escape(caption)}</figcaption></figure>"
         case Listing(text, folded):
             return _folded(f'<pre tabindex="0">{escape(text)}</pre>', folded)
+
+
+def _data_url(path: Path, kind: str) -> str:
+    return f"data:{kind};base64,{base64.b64encode(path.read_bytes()).decode('ascii')}"
 
 
 def _html_table(table: Table) -> str:

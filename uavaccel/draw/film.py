@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import lru_cache, partial
 from pathlib import Path
 
 import cv2
@@ -21,10 +22,10 @@ from uavaccel.draw.panels import (
     BLUE,
     FAINT,
     INK,
-    PAPER,
     VERMILION,
     Bgr,
     Decisions,
+    blank,
     draw_given,
     draw_impact,
     draw_lane,
@@ -79,11 +80,20 @@ class Film:
         return len(self.time_s)
 
 
-def write_video(film: Film, path: Path, frames_per_s: int = FRAMES_PER_S) -> Path:
-    """Write an MP4 of the film's frames, whole or not at all, and return `path`. Raises UserError if that fails."""
+def write_video(
+    film: Film,
+    path: Path,
+    frames_per_s: int = FRAMES_PER_S,
+    written: Callable[[], object] = lambda: None,
+) -> Path:
+    """Write an MP4 of the film's frames, whole or not at all, and return `path`; `written` is called after each frame.
+
+    Raises UserError if it cannot be written.
+    """
     with movie(path, (WIDTH, HEIGHT + _lower(film)), frames_per_s) as add:
         for picture in frames(film, frames_per_s):
             add(picture)
+            written()
     return path
 
 
@@ -93,6 +103,7 @@ def frames(film: Film, frames_per_s: int = FRAMES_PER_S) -> Iterator[Bgr]:
     lane_view = whole_lane(LANE_SIZE)
     lane = draw_lane(film.layout, lane_view)
     playback = _playback(film, frames_per_s)
+    decided = lru_cache(maxsize=1)(partial(_decision, film.decisions))  # a command has several samples
     for i in range(len(film)):
         picture, track = page.copy(), film.position_m[: i + 1, :2]
         hit = film.hit if i == len(film) - 1 else ""
@@ -103,7 +114,10 @@ def frames(film: Film, frames_per_s: int = FRAMES_PER_S) -> Iterator[Bgr]:
         near_view = follow(track[-1], NEAR_SIZE)
         near = draw_track(draw_lane(film.layout, near_view), near_view, track)
         whole = draw_track(lane.copy(), lane_view, track)
-        _second_row(film, i, picture)
+        if film.chase is not None:
+            paste(picture, to_bgr(film.chase(i), PANEL), _below(CAMERA_AT))
+        for panel, at in decided(0 if film.decisions is None else int(film.decisions.of_sample[i])):
+            paste(picture, panel, at)
         if hit:
             near, whole = (draw_impact(near, near_view, track[-1]), draw_impact(whole, lane_view, track[-1]))
         paste(picture, near, NEAR_AT)
@@ -120,7 +134,7 @@ def _lower(film: Film) -> int:
 def _page(film: Film) -> Bgr:
     """Return what all frames share: the title, and the panels' captions."""
     lower = _lower(film)
-    page = np.full((HEIGHT + lower, WIDTH, 3), PAPER, np.uint8)
+    page = blank((WIDTH, HEIGHT + lower))
     write(page, film.title, (12, 26), 0.62)
     names = [("camera", CAMERA_AT), ("DVS: ON blue, OFF red", DVS_AT), ("map", NEAR_AT)]
     names.append(("the whole lane, start on the left", (LANE_AT[0], LANE_AT[1] + lower)))
@@ -137,14 +151,14 @@ def _page(film: Film) -> Bgr:
     return page
 
 
-def _second_row(film: Film, i: int, picture: Bgr) -> None:
-    if film.chase is not None:
-        paste(picture, to_bgr(film.chase(i), PANEL), _below(CAMERA_AT))
-    if film.decisions is not None:
-        command = int(film.decisions.of_sample[i])
-        if film.decisions.given is not None:
-            paste(picture, draw_given(film.decisions.given[command], PANEL), _below(DVS_AT))
-        paste(picture, draw_ratings(film.decisions, command, NEAR_SIZE), _below(NEAR_AT))
+def _decision(decisions: Decisions | None, command: int) -> list[tuple[Bgr, tuple[int, int]]]:
+    """Return the panels of a command's decision with their places."""
+    if decisions is None:
+        return []
+    panels = [(draw_ratings(decisions, command, NEAR_SIZE), _below(NEAR_AT))]
+    if decisions.given is not None:
+        panels.append((draw_given(decisions.given[command], PANEL), _below(DVS_AT)))
+    return panels
 
 
 def _below(at: tuple[int, int]) -> tuple[int, int]:
@@ -163,8 +177,7 @@ def write_contact_sheet(film: Film, path: Path) -> Path:
     chosen = np.unique(np.linspace(min(1, len(film) - 1), len(film) - 1, count).round().astype(int))
     cell_width, cell_height = THUMB[0] + SHEET_GAP, 2 * THUMB[1] + SHEET_CAPTION + SHEET_GAP
     rows = -(-len(chosen) // SHEET_COLUMNS)
-    shape = (44 + rows * cell_height, SHEET_GAP + SHEET_COLUMNS * cell_width, 3)
-    sheet = np.full(shape, PAPER, np.uint8)
+    sheet = blank((SHEET_GAP + SHEET_COLUMNS * cell_width, 44 + rows * cell_height))
     write(sheet, film.title, (SHEET_GAP, 28), 0.62)
     for place, i in enumerate(chosen):
         x = SHEET_GAP + place % SHEET_COLUMNS * cell_width
@@ -187,12 +200,20 @@ def write_contact_sheet(film: Film, path: Path) -> Path:
 
 def dvs_picture(on: NDArray[np.integer], off: NDArray[np.integer], size: tuple[int, int]) -> Bgr:
     """Return event counts (H, W) as an image of `size` (width, height): the more events, the deeper the colour."""
-    picture = np.full((*on.shape, 3), NO_EVENT, np.float32)
-    for counts, colour in ((on, ON), (off, OFF)):
-        depth = np.minimum(counts / FULL_COLOUR_FROM, 1.0)[..., None]
-        picture += depth * (np.array(colour, np.float32) - NO_EVENT)
-    small = np.clip(picture, 0, 255).astype(np.uint8)
+    shade = np.minimum(on, FULL_COLOUR_FROM) * (FULL_COLOUR_FROM + 1) + np.minimum(off, FULL_COLOUR_FROM)
+    small = np.take(_SHADES, shade, axis=0)
     return np.asarray(cv2.resize(small, size, interpolation=cv2.INTER_NEAREST), np.uint8)
+
+
+def _shades() -> Bgr:
+    """Return the colour of each pair of counts up to FULL_COLOUR_FROM, OFF varying fastest; (16, 3)."""
+    depth = np.linspace(0.0, 1.0, FULL_COLOUR_FROM + 1)[:, None]
+    on, off = (depth * (np.array(colour) - NO_EVENT) for colour in (ON, OFF))
+    shades = (NO_EVENT + on[:, None] + off[None]).reshape(-1, 3)
+    return np.clip(shades, 0, 255).astype(np.uint8)
+
+
+_SHADES = _shades()
 
 
 def _moment(film: Film, i: int) -> str:

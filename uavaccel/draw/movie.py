@@ -6,14 +6,17 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import cv2
+import numpy as np
+
 from uavaccel.draw.panels import Bgr
 from uavaccel.errors import UserError, naming
 from uavaccel.files import replacing
 
 # x264's options for images half of text and edges: bits go where the error is, so that counting numbers stay legible.
-# A game of 165 s takes 1.7 MB, and the event of a single pixel is still visible.
-X264 = {"crf": "36", "preset": "medium", "aq-mode": "0", "psy": "0"}
-BT709, LIMITED_RANGE = 1, 1  # as FFmpeg and H.264 number them: players need not guess
+# The event of a single pixel is still visible. The preset medium halves the file and takes five times as long.
+X264 = {"crf": "38", "preset": "ultrafast", "aq-mode": "0", "psy": "0", "x264-params": "cabac=1"}
+BT709, BT601, LIMITED_RANGE = 1, 6, 1  # as FFmpeg and H.264 number them: players need not guess
 
 
 @contextmanager
@@ -43,7 +46,8 @@ def _encoding(name: str, size: tuple[int, int], frames_per_s: int) -> Iterator[C
         stream.width, stream.height, stream.pix_fmt = *size, "yuv420p"
         context = stream.codec_context
         context.thread_count = 1
-        context.color_primaries = context.color_trc = context.colorspace = BT709
+        context.color_primaries = context.color_trc = BT709
+        context.colorspace = BT601  # the luma of OpenCV, which converts five times as fast as FFmpeg
         context.color_range = LIMITED_RANGE
 
         refused: list[str] = []
@@ -59,8 +63,8 @@ def _encoding(name: str, size: tuple[int, int], frames_per_s: int) -> Iterator[C
                 raise
 
         def add(picture: Bgr) -> None:
-            frame = av.VideoFrame.from_ndarray(picture, format="bgr24")
-            encode(frame.reformat(format="yuv420p", dst_colorspace=BT709))
+            planes = np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2YUV_I420), np.uint8)
+            encode(av.VideoFrame.from_ndarray(planes, format="yuv420p"))
 
         yield add
         encode(None)

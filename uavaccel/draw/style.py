@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -17,7 +17,11 @@ from matplotlib.figure import Figure
 from numpy.typing import ArrayLike, NDArray
 
 from uavaccel.draw.document import Picture
-from uavaccel.files import Plain, replacing
+from uavaccel.draw.labels import clock_label as clock_label
+from uavaccel.draw.labels import command_at_clock as command_at_clock
+from uavaccel.draw.labels import command_name as command_name
+from uavaccel.draw.labels import rounds_label as rounds_label
+from uavaccel.files import replacing
 
 # Okabe and Ito's palette, which the common colour-vision deficiencies keep apart.
 BLUE, ORANGE, GREEN, VERMILION = "#0072B2", "#E69F00", "#009E73", "#D55E00"
@@ -95,26 +99,6 @@ def shared_legend(figure: Figure, axes: Iterable[Axes]) -> None:
         lines, labels = each.get_legend_handles_labels()
         handles |= dict(zip(labels, lines, strict=True))
     figure.legend(list(handles.values()), list(handles), loc="outside right upper")
-
-
-def command_name(command: str) -> str:
-    """Return a command as figures and tables write it: ADSC, TCSC."""
-    return command.upper()
-
-
-def rounds_label(rounds: int) -> str:
-    """Return a number of rounds with its noun: 1 round, 24 rounds."""
-    return f"{rounds} round" if rounds == 1 else f"{rounds} rounds"
-
-
-def clock_label(clock_speed: float) -> str:
-    """Return a ClockSpeed as figures and tables write it: 1x, 1.5x, 100x."""
-    return f"{clock_speed:g}x"
-
-
-def command_at_clock(game: Mapping[str, Plain]) -> str:
-    """Return command and ClockSpeed of a row or a task, as in "TCSC at 5x"."""
-    return f"{command_name(game['command'])} at {clock_label(game['clock_speed'])}"
 
 
 def error_bars(values: Sequence[float], intervals: Sequence[tuple[float, float]]) -> NDArray[np.float64]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -60,6 +61,12 @@ class Baseline:
     def exploration_rate(self) -> float | None:
         """Share of random actions; None for an algorithm that explores differently."""
         return getattr(self.algorithm, "exploration_rate", None)
+
+    @property
+    def loss(self) -> float | None:
+        """The last update's loss as the algorithm logs it; None before it, and where it has several losses."""
+        logged = self.algorithm.logger.name_to_value.get("train/loss")
+        return None if logged is None else float(logged)
 
     @property
     def at_rest(self) -> bool:
@@ -181,6 +188,7 @@ class _Games(BaseCallback):
 
     def _on_step(self) -> bool:
         learner, now = self.learner, self.locals
-        self.finished += finished_games(learner, now["rewards"], now["dones"], now["infos"])
+        games = finished_games(learner, now["rewards"], now["dones"], now["infos"])
+        self.finished += [replace(game, loss=learner.loss) for game in games]
         charge_inference(learner.lanes, learner.config)
         return learner.games < learner.config.games

@@ -24,6 +24,7 @@ from torch.nn import functional
 from uavaccel.clock import MonotonicClock
 from uavaccel.envs.cuda_lanes import AT, CudaLanes
 from uavaccel.envs.stopwatch import PHASES, Stopwatch
+from uavaccel.files import Plain
 from uavaccel.kernels.cuda import Recorded, SideStream
 from uavaccel.rl.agents import first_policy
 from uavaccel.rl.config import DqnOptions, LearnerConfig
@@ -31,6 +32,7 @@ from uavaccel.rl.device_network import rate
 from uavaccel.rl.device_replay import Cutter, DeviceReplay, Windows
 from uavaccel.rl.learner import Game, LearnerState, falling, learning_rhythm
 from uavaccel.rl.network import turned_actions
+from uavaccel.rl.statistics import StepStatistics
 from uavaccel.units import NS_PER_S
 
 CHUNK = 8  # rounds that the host launches at once
@@ -55,6 +57,7 @@ class DeviceDQN:
         self.games = self.rounds = self.updates = 0
         self.returns: list[float] = []
         self.holding = False
+        self.statistics = StepStatistics(self.device)
         self.stopwatch = Stopwatch(MonotonicClock())
         self._recorded: dict[tuple[bool, bool, bool], Recorded] = {}
         self._learning_stream = SideStream(
@@ -116,9 +119,10 @@ class DeviceDQN:
             self._round(self._kind())
         log = self._log.to("cpu", non_blocking=True, copy=True)
         begun = self.lanes.games.begun.to("cpu", non_blocking=True, copy=True)
+        sums = self.statistics.sums.to("cpu", non_blocking=True, copy=True)
         read = th.cuda.Event()
         read.record()
-        self._unread.append((read, log, begun, begun_ns))
+        self._unread.append((read, log, begun, sums, begun_ns))
 
     def _kind(self) -> tuple[bool, bool, bool]:
         """Return whether the next round acts at random, takes gradient steps, and updates the target network."""
@@ -192,6 +196,7 @@ class DeviceDQN:
         actions = th.where(batch.mirrored, self._turned[batch.actions], batch.actions)
         chosen = self._rate(self.policy.q_net, seen).gather(1, actions[:, None])[:, 0]
         loss = (functional.smooth_l1_loss(chosen, targets, reduction="none") * batch.weights).mean()
+        self.statistics.add(loss, chosen)
         self.policy.optimizer.zero_grad(set_to_none=False)
         loss.backward()
         th.nn.utils.clip_grad_norm_(self.policy.parameters(), self.options.max_grad_norm)
@@ -228,8 +233,9 @@ class DeviceDQN:
 
     def _read_chunk(self) -> list[Game]:
         """Wait for the oldest chunk, sample new games, and return those that ended, up to the configured number."""
-        read, log, begun, begun_ns = self._unread.popleft()
+        read, log, begun, sums, begun_ns = self._unread.popleft()
         read.synchronize()
+        self.statistics.read(sums)
         over = log[..., AT.over].numpy()
         games = []
         spent_s = (self._clock.now_ns() - begun_ns) / NS_PER_S
@@ -238,7 +244,8 @@ class DeviceDQN:
                 break
             outcome = log[line, lane].tolist()
             info = self.lanes.info(lane, outcome) | {"host_phase_s": dict.fromkeys(PHASES, 0.0)}
-            games.append(Game(self.games, lane, info, outcome[AT.reward], self.exploration_rate))
+            learned = self.statistics.loss, self.statistics.mean_q
+            games.append(Game(self.games, lane, info, outcome[AT.reward], self.exploration_rate, *learned))
             self.games += 1
         if games:
             share_s = spent_s / len(games)
@@ -257,9 +264,9 @@ class DeviceDQN:
             "torch": th.get_rng_state(),
             "schedule": {"done": self._done, "epsilon": self._epsilon},
         }
-        return LearnerState(
-            tensors, self.replay.get_state(), {name: getattr(self, name) for name in COUNTERS}
-        )
+        counters: dict[str, Plain] = {name: getattr(self, name) for name in COUNTERS}
+        counters["statistics"] = self.statistics.get_state()
+        return LearnerState(tensors, self.replay.get_state(), counters)
 
     def set_state(self, state: LearnerState, observations: NDArray[Any]) -> None:
         """Restore a state that `get_state` returned; `observations` are restored with the lanes."""
@@ -270,5 +277,6 @@ class DeviceDQN:
         self._done.copy_(state.tensors["schedule"]["done"])
         self._epsilon.copy_(state.tensors["schedule"]["epsilon"])
         self.replay.set_state(state.arrays)
+        self.statistics.set_state(state.counters.get("statistics"))
         for name in COUNTERS:
             setattr(self, name, state.counters[name])

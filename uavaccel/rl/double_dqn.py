@@ -12,6 +12,7 @@ import math
 import random
 from collections import deque
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -43,6 +44,7 @@ from uavaccel.rl.learner import (
 )
 from uavaccel.rl.network import ratings, turned_actions
 from uavaccel.rl.replay import Batch, ReplayBuffer, Row
+from uavaccel.rl.statistics import StepStatistics
 
 COUNTERS = ("returns", "games", "commands", "steps", "updates", "owed", "exploration_rate", "rate")
 
@@ -78,6 +80,7 @@ class DoubleDQN:
         self.games = self.commands = self.steps = self.updates = self.owed = 0
         self.exploration_rate = 0.0
         self._graph: GraphedStep | None = None
+        self.statistics = StepStatistics(self.device)
         self.stopwatch = Stopwatch(MonotonicClock())
         self._rhythm = learning_rhythm(config.commands_per_gradient_step, lanes.num_envs)
         self._parts: deque[Callable[[], None]] = deque()
@@ -125,6 +128,11 @@ class DoubleDQN:
         seen = np.asarray(after)
         self.commands += len(lanes)
         games = finished_games(self, rewards.tolist(), dones.tolist(), infos, lanes.tolist())
+        if games:
+            self.statistics.read(self.statistics.sums)
+            games = [
+                replace(game, loss=self.statistics.loss, mean_q=self.statistics.mean_q) for game in games
+            ]
         charge_inference(self.lanes, self.config, lanes)
         self._keep(lanes, rewards, seen, dones, infos)
         if group == len(self.groups) - 1 and self.games < self.config.games:
@@ -186,7 +194,9 @@ class DoubleDQN:
         if self._graph is None:
             for group in self.policy.optimizer.param_groups:
                 group["lr"] = th.tensor(self.rate, device=self.device)
+            sums = self.statistics.sums.clone()
             self._graph = GraphedStep(self._learn_from, self.policy, self.policy.optimizer, batches[0])
+            self.statistics.sums.copy_(sums)  # recording takes steps that do not count
         for group in self.policy.optimizer.param_groups:
             group["lr"].fill_(self.rate)
         for batch in batches:
@@ -206,6 +216,7 @@ class DoubleDQN:
         """Take one gradient step of the online network on the Huber loss to the targets."""
         chosen = self.policy.q_net(batch.observations).gather(1, batch.actions)
         loss = functional.smooth_l1_loss(chosen, targets)
+        self.statistics.add(loss, chosen)
         self.policy.optimizer.zero_grad()
         loss.backward()
         th.nn.utils.clip_grad_norm_(self._learned, self.options.max_grad_norm)
@@ -273,7 +284,7 @@ class DoubleDQN:
             "torch": th.get_rng_state(),
         }
         counters: dict[str, Plain] = {name: getattr(self, name) for name in COUNTERS}
-        counters["random"] = plain_generator(self.random)
+        counters |= {"random": plain_generator(self.random), "statistics": self.statistics.get_state()}
         return LearnerState(tensors, self.buffer.get_state(), counters)
 
     def set_state(self, state: LearnerState, observations: Frame) -> None:
@@ -285,6 +296,7 @@ class DoubleDQN:
         for name in COUNTERS:
             setattr(self, name, state.counters[name])
         set_generator(self.random, state.counters["random"])
+        self.statistics.set_state(state.counters.get("statistics"))
         self.observations = observations
         self._row = Row.like(observations)
         self._charges = [self.owed] * len(self.groups)

@@ -20,13 +20,18 @@ from uavaccel.rl.lanes import AnyLanes, Lanes
 
 @dataclass(frozen=True)
 class Game:
-    """A finished game: its number, the lane that flew it, its last info, and its return, the sum of its rewards."""
+    """A finished game: its number, the lane that flew it, its last info, and its return, the sum of its rewards.
+
+    `loss` and `mean_q` are means over the gradient steps since games ended before; see `StepStatistics`.
+    """
 
     number: int
     lane: int
     info: Info
     reward: float
     exploration_rate: float | None
+    loss: float | None = None
+    mean_q: float | None = None
 
 
 @dataclass(frozen=True)

@@ -1,22 +1,37 @@
-"""A chase view: a flight through a lane, rendered afterwards from behind and above its poses."""
+"""A chase view: a flight through a lane, rendered afterwards from behind and above its poses.
+
+It is drawn for the eye, and nothing flies in it: in full daylight whatever the lane's light, antialiased, with the
+shadows that the sun throws on the ground, and with a drone that stands out from walls and ground.
+"""
 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import cv2
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from uavaccel.sim.camera.mounted import Lens
+from uavaccel.sim.camera.mounted import Lens, MountedCamera
 from uavaccel.sim.lane.layout import LaneLayout
+from uavaccel.sim.lane.scene import OBSTACLE_HALF_HEIGHT_M, apply_layout, sunlight
 from uavaccel.sim.poses import Pose, from_degrees
-from uavaccel.sim.profile import PROFILES
-from uavaccel.sim.world import World
+from uavaccel.sim.scene.model import DRONE_GROUP, QUADROTOR, scene_path
+from uavaccel.units import euler_from_quaternion, ned_to_mujoco, quaternion_ned_to_mujoco
 
-EYE = Pose((-2.2, 0.0, -0.9), from_degrees(0.0, -14.0, 0.0))  # relative to the vehicle's position and heading
-FOV_DEG = 80.0
-FINER = 2  # supersampling factor, in place of MuJoCo's antialiasing
+EYE = Pose(
+    (-2.4, 0.0, -1.15), from_degrees(0.0, -20.0, 0.0)
+)  # relative to the vehicle's position and heading
+FOV_DEG = 85.0
+FINER = 1.25  # supersampling factor: in software MuJoCo's antialiasing takes twice as long
+
+ARM_M, ROTOR_RADIUS_M = 0.16087, 0.1143  # quadrotor.xml's
+SHELL, ARMS, DARK = (0.93, 0.94, 0.96, 1.0), (0.75, 0.77, 0.8, 1.0), (0.1, 0.1, 0.11, 1.0)
+FRONT_ROTOR, REAR_ROTOR = (1.0, 0.38, 0.05, 0.85), (0.85, 0.88, 0.92, 0.7)
+SHADOW = (0.0, 0.0, 0.0, 0.4)
+POST_SHADOW_M, DRONE_SHADOW_M = 0.01, 0.03  # heights above the ground, so that neither hides the other
 
 
 class ChaseView:
@@ -30,24 +45,94 @@ class ChaseView:
         size: tuple[int, int],
     ) -> None:
         self._position_m, self._orientation_wxyz = position_m, orientation_wxyz
-        self._width, self._height = size
-        self._world = World("lane", PROFILES["native"])
-        self._world.set_lane(layout)
-        self._lens = Lens(FINER * self._width, FINER * self._height, FOV_DEG)
+        shown = replace(layout, light=1.0)
+        sun = sunlight(shown)[0]
+        self._slope = sun[:2] / -sun[2]  # how far a shadow falls beside what throws it, per metre of height
+        self._model = _model(shown, self._slope)
+        self._data = mujoco.MjData(self._model)
+        apply_layout(self._model, self._data, shown)
+        self._size = size
+        width, height = (round(FINER * pixels) for pixels in size)
+        self._lens = Lens(width, height, FOV_DEG)
+        self._camera = MountedCamera(self._model, width, height)
 
     def __call__(self, number: int) -> NDArray[np.uint8]:
         """Render pose `number`: (height, width, 3) red, green, blue."""
         north, east, down = self._position_m[number].tolist()
-        w, x, y, z = self._orientation_wxyz[number].tolist()
-        self._world.teleport(self._world.lead, (north, east, down), (w, x, y, z))
-        heading = math.degrees(math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
-        camera = self._world.mounted_camera(self._lens.width, self._lens.height)
-        camera.point(Pose((north, east, down), from_degrees(0.0, 0.0, heading)).of(EYE), self._lens)
-        drawn = camera.colour(self._world.data)
-        return np.asarray(
-            cv2.resize(drawn, (self._width, self._height), interpolation=cv2.INTER_AREA), np.uint8
-        )
+        yaw = euler_from_quaternion(self._orientation_wxyz[number])[2]
+        place = ned_to_mujoco((north, east, down))
+        self._data.qpos[:3] = place
+        self._data.qpos[3:7] = quaternion_ned_to_mujoco(self._orientation_wxyz[number])
+        self._data.mocap_pos[0] = (*(place[:2] + place[2] * self._slope), DRONE_SHADOW_M)
+        self._data.mocap_quat[0] = (math.cos(yaw / 2), 0.0, 0.0, -math.sin(yaw / 2))
+        level = Pose((north, east, down), from_degrees(0.0, 0.0, math.degrees(yaw)))
+        self._camera.point(level.of(EYE), self._lens)
+        drawn = self._camera.colour(self._data)
+        return np.asarray(cv2.resize(drawn, self._size, interpolation=cv2.INTER_LINEAR), np.uint8)
 
     def close(self) -> None:
         """Free what OpenGL holds."""
-        self._world.close()
+        self._camera.close()
+
+
+def _model(layout: LaneLayout, slope: NDArray[np.float64]) -> mujoco.MjModel:
+    """Compile the lane's scene with the shadows, and with the drone as this view shows it."""
+    spec = mujoco.MjSpec.from_file(str(scene_path("lane", layout.scenery)))
+    spec.visual.quality.numslices = 16  # round rotors
+    _dress(spec.body(QUADROTOR))
+    _add_drone_shadow(spec.worldbody.add_body(name="drone_shadow", mocap=True))
+    _add_post_shadows(spec.worldbody, layout, slope)
+    return spec.compile()
+
+
+def _dress(drone: mujoco.MjsBody) -> None:
+    """Give the drone a pale shell, orange rotors in front, motors and skids."""
+    for geom in drone.geoms:
+        if geom.group != DRONE_GROUP:
+            continue
+        if geom.type == mujoco.mjtGeom.mjGEOM_CYLINDER:
+            geom.rgba = FRONT_ROTOR if geom.pos[0] > 0 else REAR_ROTOR
+        else:
+            geom.rgba = ARMS if geom.type == mujoco.mjtGeom.mjGEOM_CAPSULE else SHELL
+    for ahead in (ARM_M, -ARM_M):
+        for left in (ARM_M, -ARM_M):
+            _add(drone, mujoco.mjtGeom.mjGEOM_CYLINDER, (0.022, 0.02, 0.0), (ahead, left, 0.008), DARK)
+    _add(drone, mujoco.mjtGeom.mjGEOM_ELLIPSOID, (0.1, 0.06, 0.035), (0.0, 0.0, 0.02), SHELL)
+    _add(drone, mujoco.mjtGeom.mjGEOM_BOX, (0.03, 0.03, 0.02), (0.09, 0.0, -0.02), DARK)
+    for left in (0.075, -0.075):
+        _add(drone, mujoco.mjtGeom.mjGEOM_BOX, (0.11, 0.007, 0.007), (0.0, left, -0.1), DARK)
+        for ahead in (0.05, -0.05):
+            _add(drone, mujoco.mjtGeom.mjGEOM_BOX, (0.006, 0.006, 0.045), (ahead, left, -0.055), DARK)
+
+
+def _add_drone_shadow(body: mujoco.MjsBody) -> None:
+    for ahead in (ARM_M, -ARM_M):
+        for left in (ARM_M, -ARM_M):
+            size = ROTOR_RADIUS_M, 0.001, 0.0
+            _add(body, mujoco.mjtGeom.mjGEOM_CYLINDER, size, (ahead, left, 0.0), SHADOW)
+    _add(body, mujoco.mjtGeom.mjGEOM_BOX, (0.12, 0.07, 0.001), (0.0, 0.0, 0.0), SHADOW)
+
+
+def _add_post_shadows(world: mujoco.MjsBody, layout: LaneLayout, slope: NDArray[np.float64]) -> None:
+    """Lay a strip from the foot of each obstacle to where the shadow of its top falls."""
+    reach = 2 * OBSTACLE_HALF_HEIGHT_M * slope
+    half_length, turn = float(np.hypot(*reach)) / 2, math.atan2(reach[1], reach[0]) / 2
+    feet = ned_to_mujoco(np.stack([layout.x_m, layout.y_m, np.zeros(len(layout))], axis=1))
+    for foot, half_width in zip(feet, layout.half_width_m, strict=True):
+        middle = (*(foot[:2] + reach / 2), POST_SHADOW_M)
+        size = half_length, float(half_width), 0.001
+        strip = _add(world, mujoco.mjtGeom.mjGEOM_BOX, size, middle, SHADOW)
+        strip.quat = (math.cos(turn), 0.0, 0.0, math.sin(turn))
+
+
+def _add(
+    body: mujoco.MjsBody,
+    kind: mujoco.mjtGeom,
+    size: tuple[float, float, float],
+    place_m: tuple[float, ...],
+    rgba: tuple[float, float, float, float],
+) -> mujoco.MjsGeom:
+    """Add a geom that is only seen; sizes are halves, and a cylinder's are its radius and half its height."""
+    return body.add_geom(
+        type=kind, size=size, pos=place_m, rgba=rgba, group=DRONE_GROUP, contype=0, conaffinity=0, mass=0.0
+    )

@@ -13,7 +13,7 @@ import numpy as np
 from uavaccel.commands.paths import PATHS, velocities
 from uavaccel.commands.slices import samples_due
 from uavaccel.config import validate
-from uavaccel.draw.style import clock_label, command_name
+from uavaccel.draw.labels import clock_label, command_name
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.envs.simulators import EXACT
 from uavaccel.errors import UsageError, UserError

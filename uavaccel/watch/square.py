@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from uavaccel.commands import COMMANDS, VelocityGoal
 from uavaccel.commands.paths import velocities
-from uavaccel.draw.style import command_name
+from uavaccel.draw.labels import command_name
 from uavaccel.units import NS_PER_S, seconds_to_ns
 from uavaccel.watch.track import Track, track_of
 from uavaccel.wire.latency import shipped_latency

@@ -23,7 +23,7 @@ from uavaccel.records import RunDirectory
 from uavaccel.suites.evaluation.config import EvaluateConfig
 from uavaccel.suites.evaluation.flights import EvaluateRow, game_seed, row_of
 
-KEPT_ONLY_BY_THE_RUN = ("arrays", "arrays_sha256")
+KEPT_ONLY_BY_THE_RUN = ("arrays", "arrays_sha256", "path_m")
 
 
 class Step(NamedTuple):

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.draw.film import PANEL, Film
+from uavaccel.draw.labels import clock_label, command_name
 from uavaccel.draw.panels import Decisions
-from uavaccel.draw.style import clock_label, command_name
 from uavaccel.envs.camera_client import FlightSample
 from uavaccel.envs.observer import Game, Observer
 from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane

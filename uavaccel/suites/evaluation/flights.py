@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import NotRequired
 
 import numpy as np
 
@@ -28,18 +29,27 @@ class EvaluateRow(LaneRow):
 
     wall_s: float
     actions: list[int]
+    path_m: NotRequired[list[list[float]]]
+    """Of a lane lost in the exact simulator: positions north and east at the ends of the commands."""
 
 
 def fly_game(config: EvaluateConfig, environment: ObstacleLane, agent: Agent, lane: int) -> EvaluateRow:
     """Fly a game on a lane, and return its row."""
     infos = list(fly_lane(config, environment, agent, lane))
-    return row_of(config, lane, infos[-1], [info["action"] for info in infos])
+    ended = infos[-1] | {"path_m": [info["position_m"][:2] for info in infos]}
+    return row_of(config, lane, ended, [info["action"] for info in infos])
 
 
 def row_of(config: EvaluateConfig, lane: int, ended: Info, actions: list[int]) -> EvaluateRow:
-    """Return a game's row from the info of its last step."""
+    """Return a game's row from the info of its last step, to which its path may have been added."""
     shared = lane_row("evaluate", lane_case(lane), ended, config.task.t_move_s)
-    row: EvaluateRow = {**shared, "wall_s": ended["wall_s"], "actions": actions}
+    row: EvaluateRow = {
+        **shared,  # type: ignore[typeddict-item] # which has no key that is not required here
+        "wall_s": ended["wall_s"],
+        "actions": actions,
+    }
+    if not row["is_success"] and "path_m" in ended:
+        row["path_m"] = ended["path_m"]
     if config.simulator != EXACT:
         row["simulator"] = config.simulator
     return row

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from uavaccel.config import validate
 from uavaccel.draw import style
-from uavaccel.draw.document import Block, Heading, Paragraph, Picture, Table
+from uavaccel.draw.document import Block, Heading, Movie, Paragraph, Picture, Table
 from uavaccel.draw.style import command_name
 from uavaccel.envs.simulators import EXACT, flown_by
 from uavaccel.errors import UserError
@@ -21,6 +21,7 @@ from uavaccel.sim.lane.layout import LENGTH_M
 from uavaccel.suites import paper_results
 from uavaccel.suites.evaluation.config import EvaluateConfig
 from uavaccel.suites.evaluation.flights import EvaluateRow
+from uavaccel.suites.evaluation.lost import MOST_PANELS, ended_by, lost_rows, lost_table, plot_lost
 from uavaccel.suites.host_time import pace
 from uavaccel.suites.provenance import disturbed_words
 from uavaccel.suites.report import Report, Summary, Values, listed, summary_table
@@ -151,32 +152,42 @@ class EvaluationReport(Report):
         return pace(self.run)
 
     def figures(self) -> list[Picture]:
-        return [plot_evaluations([self.run], self.run.file("figures/figure8_survival.png"))]
+        config = validate(EvaluateConfig, self.config, str(self.run.path / "config.yaml"))
+        survival = plot_evaluations([self.run], self.run.file("figures/figure8_survival.png"))
+        paths = plot_lost(config, self.rows, self.run.file("figures/lost_lanes.png"), _source([self.run]))
+        return [survival, *([paths] if paths else [])]
 
     def blocks(self, figures: Sequence[Picture]) -> list[Block]:
         beside = _beside_the_papers(self.summary)
-        return [beside, *figures, *_lost_lanes(self.rows), summary_table(self.summary)]
+        survival, *paths = figures
+        lost = _lost_lanes(self.rows, paths)
+        return [beside, survival, *lost, *_films(self.run), summary_table(self.summary)]
 
 
-def _lost_lanes(rows: Sequence[EvaluateRow]) -> list[Block]:
-    """Return the lanes that were not won with what ended them, the shortest flight on top."""
-    lost = sorted((row for row in rows if not row["is_success"]), key=lambda row: row["distance_m"])
+def _lost_lanes(rows: Sequence[EvaluateRow], paths: Sequence[Picture]) -> list[Block]:
+    """Return the lanes that were not won with what ended them, the shortest flight first."""
+    lost = lost_rows(rows)
     if not lost:
         return []
-    table = Table.of(
-        lost,
-        ("lane", lambda row: str(row["lane"])),
-        ("distance, m", lambda row: f"{row['distance_m']:.1f}"),
-        (
-            "ended by",
-            lambda row: f"hitting {row['collision']}" if row["collision"] else "running out of commands",
-        ),
-        ("commands", lambda row: str(row["commands"])),
-        ("seen with", lambda row: f"--case {row['case']}"),
-        folded=f"{len(lost)} lost lanes",
+    named = [f"{row['lane']} ({row['distance_m']:.1f} m, {ended_by(row)})" for row in lost[:MOST_PANELS]]
+    more = [f"and {len(lost) - len(named)} more"] if len(lost) > len(named) else []
+    said = (
+        f"Lost, the shortest flight first: lanes {', '.join([*named, *more])}. Each is flown again and filmed by "
+        "`uavaccel view RUN` with the option in its line of the table."
     )
-    seen = "Each is flown again and filmed by `uavaccel view RUN` with the option in its line."
-    return [Heading("Lost lanes"), Paragraph(seen), table]
+    return [Heading("Lost lanes"), Paragraph(said), *paths, lost_table(lost)]
+
+
+def _films(run: RunDirectory) -> list[Block]:
+    """Return the films of the best and the worst game that `uavaccel evaluate` has made."""
+    named = {"best": "The best game", "worst": "The worst game"}
+    found = {run.path / "films" / f"{name}.mp4": caption for name, caption in named.items()}
+    films: list[Block] = [
+        Movie(path, path.with_suffix(".png"), f"{caption}. On paper: moments of it, camera above events.")
+        for path, caption in found.items()
+        if path.is_file() and path.with_suffix(".png").is_file()
+    ]
+    return [Heading("Films"), *films] if films else []
 
 
 def _beside_the_papers(summary: Summary) -> Table:

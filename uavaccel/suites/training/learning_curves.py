@@ -12,7 +12,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from uavaccel.draw import style
 from uavaccel.draw.style import clock_label, command_name
@@ -30,6 +30,15 @@ PAPER_S = {
     "paper: 5 000 games in real time, 182 h": paper_results.REAL_TIME_S
 }  # section IV-D: a week, 14 hours
 FAR = 30.0  # times the longest training: marks beyond it would squeeze the curves
+SCHEDULED = "random actions (ε)"
+PROGRESS = {
+    "return": "return",
+    "length, commands": "commands",
+    "loss": "loss",
+    "mean Q": "mean_q",
+    SCHEDULED: "exploration",
+}
+"""The panels of `plot_progress`: label, and key of the rows."""
 TICKS_S = {
     "10 ms": 0.01,
     "100 ms": 0.1,
@@ -160,37 +169,45 @@ def plot_learning_games(curves: Sequence[LearningCurve], source: str) -> Figure:
 
 
 def plot_progress(rows: Sequence[TrainRow], path: Path, source: str) -> Path:
-    """Plot return, game length and the share of random actions over the games of a training.
+    """Plot return, game length, loss, mean Q and the share of random actions over the games of a training.
 
-    Points are single games, lines means of the last 100. Algorithms that explore otherwise have no share to show.
+    Points are single games, lines means of the last 100. What an algorithm does not have is left out.
     """
     games = np.arange(1, len(rows) + 1)
-    panels: dict[str, list[float]] = {
-        "return": [row["return"] for row in rows],
-        "game length, commands": [row["commands"] for row in rows],
-    }
-    explored = [row["exploration"] for row in rows]
+    panels: dict[str, NDArray[np.float64]] = {}
+    for label, key in PROGRESS.items():
+        values = np.array([row.get(key) for row in rows], np.float64)  # None becomes NaN
+        if np.isfinite(values).any():
+            panels[label] = values
     with style.project_style():
-        figure = style.new_figure(8.0, 6.4, "Progress of the training", source)
-        *upper, last = figure.subplots(len(panels) + 1, 1, sharex=True)
-        for axes, (name, values) in zip(upper, panels.items(), strict=True):
-            axes.plot(games, values, ".", color=style.SKY, markersize=2, label="a game")
-            axes.plot(games, recent_mean(values), color=style.BLUE, label=f"mean of the last {RECENT}")
+        lines = -(-len(panels) // 2)
+        figure = style.new_figure(8.0, 1.0 + 1.6 * lines, "Progress of the training", source)
+        grid = figure.subplots(lines, 2, sharex=True, squeeze=False).ravel()
+        all_axes = grid[: len(panels)]
+        for unused in grid[len(panels) :]:
+            unused.remove()
+        for axes, (name, values) in zip(all_axes, panels.items(), strict=True):
+            known = np.isfinite(values)
+            if name == SCHEDULED:
+                axes.plot(games, values, color=style.BLUE)
+                axes.set_ylim(-0.02, 1.02)
+            else:
+                axes.plot(games, values, ".", color=style.SKY, markersize=2, label="a game")
+                mean = recent_mean(values[known])
+                axes.plot(games[known], mean, color=style.BLUE, label=f"mean of the last {RECENT}")
             axes.set_ylabel(name)
-        if None in explored:
-            style.note(last, "no share of random actions: the algorithm explores otherwise")
-        else:
-            last.plot(games, explored, color=style.BLUE)
-            last.set_ylim(-0.02, 1.02)
-        last.set(ylabel="random actions (ε)", xlabel="games")
-        figure.legend(*upper[0].get_legend_handles_labels(), loc="outside upper right", ncols=2)
+        for axes in all_axes[-2:]:  # the lowest of each column
+            axes.set_xlabel("games")
+            axes.tick_params(labelbottom=True)
+        figure.align_ylabels()
+        figure.legend(*all_axes[0].get_legend_handles_labels(), loc="outside upper right", ncols=2)
     return style.save(figure, path)
 
 
-def recent_mean(values: Sequence[float]) -> NDArray[np.float64]:
+def recent_mean(values: ArrayLike) -> NDArray[np.float64]:
     """Return, after each of n games, the mean of a value (n,) over the last 100 of them, or all so far, (n,)."""
     so_far = np.concatenate([[0.0], np.cumsum(values)])
-    games = np.arange(1, len(values) + 1)
+    games = np.arange(1, len(so_far))
     before = np.maximum(games - RECENT, 0)
     return np.asarray((so_far[games] - so_far[before]) / (games - before), np.float64)
 

@@ -117,7 +117,10 @@ def _curves(run: RunDirectory) -> list[Picture]:
     ]
     source = f"{timing_provenance(run.config()['task']['timing'])} · seed {run.config()['seed']}"
     progress = plot_progress(run.rows(), run.file("figures/progress.png"), source)
-    caption = "Return, length and share of random actions of each game, with the means of the last 100."
+    caption = (
+        "Return and length of each game, loss and mean Q of the gradient steps before its end, and the share of "
+        "random actions; lines are means of the last 100 games."
+    )
     pictures.append(Picture(progress, f"{caption} Source: {source}."))
     if wall_s(run):
         over_time = plot_over_time([run], [run.path.name], run.file("figures/learning_curve.png"))

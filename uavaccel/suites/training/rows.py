@@ -58,6 +58,8 @@ class TrainRow(LaneRow, _Return):
     game: int
     environment: int
     exploration: float | None
+    loss: float | None
+    mean_q: float | None
 
 
 class GameRows:
@@ -93,6 +95,8 @@ class GameRows:
             "environment": game.lane,
             "return": game.reward,
             "exploration": game.exploration_rate,
+            "loss": game.loss,
+            "mean_q": game.mean_q,
         }
         self._add_to_curves(row, wall_s)
         host = {
@@ -112,6 +116,6 @@ class GameRows:
             "games/commands": row["commands"],
             "games/real_time_factor": self._simulated_s / wall_s,
         }
-        if row["exploration"] is not None:
-            values["games/exploration"] = row["exploration"]
+        learned = {name: row[name] for name in ("exploration", "loss", "mean_q")}
+        values |= {f"games/{name}": value for name, value in learned.items() if value is not None}
         self._curves.add(row["game"] + 1, values)

@@ -1,0 +1,27 @@
+"""The words of figures, tables and films: commands, ClockSpeeds, rounds. Loads nothing that draws."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from uavaccel.files import Plain
+
+
+def command_name(command: str) -> str:
+    """Return a command as figures and tables write it: ADSC, TCSC."""
+    return command.upper()
+
+
+def rounds_label(rounds: int) -> str:
+    """Return a number of rounds with its noun: 1 round, 24 rounds."""
+    return f"{rounds} round" if rounds == 1 else f"{rounds} rounds"
+
+
+def clock_label(clock_speed: float) -> str:
+    """Return a ClockSpeed as figures and tables write it: 1x, 1.5x, 100x."""
+    return f"{clock_speed:g}x"
+
+
+def command_at_clock(game: Mapping[str, Plain]) -> str:
+    """Return command and ClockSpeed of a row or a task, as in "TCSC at 5x"."""
+    return f"{command_name(game['command'])} at {clock_label(game['clock_speed'])}"
