@@ -59,6 +59,8 @@ def test_success_over_the_gap_has_its_points_where_the_gaps_are() -> None:
     ratio, *seeds = [each for each in axes.lines if each.get_marker() in ("o", ".")]
     assert points(ratio) == [(0.0, 0.5), (0.9, 0.25)]
     assert [point for each in seeds for point in points(each)] == [(0.0, 0.4), (0.0, 0.6), (0.9, 0.25)]
+    bars = [bar[:, 1].tolist() for bar in axes.collections[0].get_segments()]
+    assert bars == [pytest.approx([0.5, 0.5]), pytest.approx([0.2, 0.3])]  # none over two seeds
 
 
 def test_distances_fall_at_the_rows_and_their_ends_are_counted() -> None:

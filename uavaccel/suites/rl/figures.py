@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import cycle
 from typing import Any
 
@@ -211,12 +211,15 @@ def plot_success(lines: Sequence[SuccessLine], title: str, source: str) -> Figur
 
 
 def plot_success_over_gap(lines: Sequence[SuccessLine], title: str, source: str) -> Figure:
-    """Plot success over the gap between two commands, linear up to .1 s and logarithmic beyond; dots are seeds."""
+    """Plot success over the gap between two commands, linear up to .1 s and logarithmic beyond; dots are seeds.
+
+    Where there are two seeds only their dots are drawn: an interval over two spans nearly everything.
+    """
     with style.project_style():
         figure = style.new_figure(8.0, 4.6, title, source)
         axes = figure.subplots()
         for line in lines:
-            _plot_line(axes, line, line.at, line.at)
+            _plot_line(axes, _without_intervals_over_two(line), line.at, line.at)
         axes.set_xscale("symlog", linthresh=0.1)
         axes.xaxis.set_major_formatter("{x:g}")
         axes.set(
@@ -227,13 +230,24 @@ def plot_success_over_gap(lines: Sequence[SuccessLine], title: str, source: str)
         return figure
 
 
+def _without_intervals_over_two(line: SuccessLine) -> SuccessLine:
+    if not line.by_seed:
+        return line
+    shown = [
+        (ratio, ratio) if len(seeds) == 2 else interval
+        for ratio, interval, seeds in zip(line.success, line.intervals, line.by_seed, strict=True)
+    ]
+    return replace(line, intervals=shown)
+
+
 def _plot_line(axes: Axes, line: SuccessLine, places: Sequence[float], dots: Sequence[float]) -> None:
     """Plot a line through `places`, with its intervals, and a dot for each seed at `dots`."""
     colour = line.colour or style.COMMAND_COLOUR.get(line.command, style.GREEN)
+    linestyle = "none" if len(set(places)) == 1 else ":" if line.dashed else "-"
     axes.errorbar(
         places, line.success, style.error_bars(line.success, line.intervals),
         label=line.label, color=colour, marker="o", markersize=4, capsize=3,
-        linestyle=":" if line.dashed else "-", alpha=0.5 if line.dashed else 1.0,
+        linestyle=linestyle, alpha=0.5 if line.dashed else 1.0,
     )  # fmt: skip
     for place, seeds in zip(dots, line.by_seed, strict=False):
         axes.plot([place] * len(seeds), seeds, ".", color=colour, markersize=4, alpha=0.6)
