@@ -63,6 +63,13 @@ def test_success_over_the_gap_has_its_points_where_the_gaps_are() -> None:
     assert bars == [pytest.approx([0.5, 0.5]), pytest.approx([0.2, 0.3])]  # none over two seeds
 
 
+def test_cells_at_one_gap_have_points_without_intervals() -> None:
+    line = SuccessLine("TCSC", "tcsc", [0.0, 0.0], [0.5, 0.25], [(0.3, 0.7), (0.2, 0.3)], [[0.5], [0.25]])
+    axes: Any = plot_success_over_gap([line], "Success", "modelled").axes[0]
+    bars = [bar[:, 1].tolist() for bar in axes.collections[0].get_segments()]
+    assert bars == [pytest.approx([0.5, 0.5]), pytest.approx([0.25, 0.25])]
+
+
 def test_distances_fall_at_the_rows_and_their_ends_are_counted() -> None:
     panels = {"ADSC": {1.0: [9.0, 150.0, 29.0, 29.5]}, "TCSC": {1.0: [150.0, 150.0]}}
     figure = plot_distances(panels, [10.0, 30.0], "modelled")

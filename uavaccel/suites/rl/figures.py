@@ -213,13 +213,14 @@ def plot_success(lines: Sequence[SuccessLine], title: str, source: str) -> Figur
 def plot_success_over_gap(lines: Sequence[SuccessLine], title: str, source: str) -> Figure:
     """Plot success over the gap between two commands, linear up to .1 s and logarithmic beyond; dots are seeds.
 
-    Where there are two seeds only their dots are drawn: an interval over two spans nearly everything.
+    Only the dots of two seeds are drawn, since an interval over two spans nearly everything, and only the points of
+    cells that share a gap, as all of TCSC do: their intervals would hide one another.
     """
     with style.project_style():
         figure = style.new_figure(8.0, 4.6, title, source)
         axes = figure.subplots()
         for line in lines:
-            _plot_line(axes, _without_intervals_over_two(line), line.at, line.at)
+            _plot_line(axes, _with_readable_intervals(line), line.at, line.at)
         axes.set_xscale("symlog", linthresh=0.1)
         axes.xaxis.set_major_formatter("{x:g}")
         axes.set(
@@ -230,12 +231,11 @@ def plot_success_over_gap(lines: Sequence[SuccessLine], title: str, source: str)
         return figure
 
 
-def _without_intervals_over_two(line: SuccessLine) -> SuccessLine:
-    if not line.by_seed:
-        return line
+def _with_readable_intervals(line: SuccessLine) -> SuccessLine:
+    seeds = [len(each) for each in line.by_seed] or [0] * len(line.at)
     shown = [
-        (ratio, ratio) if len(seeds) == 2 else interval
-        for ratio, interval, seeds in zip(line.success, line.intervals, line.by_seed, strict=True)
+        (ratio, ratio) if trained == 2 or list(line.at).count(gap) > 1 else interval
+        for gap, ratio, interval, trained in zip(line.at, line.success, line.intervals, seeds, strict=True)
     ]
     return replace(line, intervals=shown)
 
