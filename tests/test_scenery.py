@@ -18,7 +18,7 @@ from uavaccel.sim.lane.file import layout_from
 from uavaccel.sim.lane.layout import Difficulty, draw_layout
 from uavaccel.sim.lane.scene import named
 from uavaccel.sim.profile import NATIVE
-from uavaccel.sim.saved import of_physics
+from uavaccel.sim.state import physics_state
 from uavaccel.sim.vehicle.goal import of_velocity
 from uavaccel.sim.world import World
 from uavaccel.units import mujoco_to_ned
@@ -109,7 +109,7 @@ def test_a_vehicle_flies_on_and_hits_the_same_when_the_scenery_changes() -> None
         world.advance(20_000)
         flown.append(
             (
-                of_physics(world.model, world.data).tobytes(),
+                physics_state(world.model, world.data).tobytes(),
                 world.lead.collision_tick,
                 getattr(world.lead.contact_log.first, "object", ""),
             )

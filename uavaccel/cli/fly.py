@@ -13,8 +13,8 @@ import typer
 from uavaccel.errors import UsageError, UserError
 from uavaccel.fly.options import SCRATCH, THINK_S, FlightOptions, FlightSummary, found_settings
 from uavaccel.fly.runs import FlightResult, check, fly
-from uavaccel.leftovers import clear_leftovers
 from uavaccel.limits import CLOCK_SPEEDS, MOST_SECONDS, MOST_SEEDS
+from uavaccel.processes.cleanup import remove_orphaned_files
 from uavaccel.resources import asset
 from uavaccel.watch.beside import PageAddress, page_beside
 
@@ -48,7 +48,7 @@ def parse_clocks(text: str | None) -> tuple[float, ...]:
 def fly_script(request: FlyRequest) -> None:
     """Fly, compare and report. Raises typer.Exit with the script's exit status, UserError with one line."""
     _check_request(request)
-    clear_leftovers(Path(tempfile.gettempdir()), re.compile(rf"{SCRATCH}(\d+)-"))
+    remove_orphaned_files(Path(tempfile.gettempdir()), re.compile(rf"{SCRATCH}(\d+)-"))
     with tempfile.TemporaryDirectory(
         prefix=f"{SCRATCH}{os.getpid()}-", ignore_cleanup_errors=True
     ) as scratch:

@@ -15,7 +15,7 @@ from uavaccel.envs.sensors import from_arrays
 from uavaccel.envs.stopwatch import Stopwatch
 from uavaccel.kinematics import FlightGoal, Kinematics
 from uavaccel.sim.camera.view import AnyImage
-from uavaccel.sim.saved import SavedState, State
+from uavaccel.sim.state import SavedState, State
 from uavaccel.vision.guard import GuardSettings, GuardState, acquire
 from uavaccel.vision.image_noise import ImageNoise
 from uavaccel.vision.perturb import AutoExposure, PerturbationSettings, perturb_share

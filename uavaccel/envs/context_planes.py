@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from uavaccel.envs.sensors import SIZE
 from uavaccel.envs.values import Number
-from uavaccel.sim.saved import SavedState, State
+from uavaccel.sim.state import SavedState, State
 from uavaccel.units import NS_PER_S
 from uavaccel.vision.observation import NEUTRAL_LEVEL
 

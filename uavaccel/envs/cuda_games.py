@@ -16,7 +16,7 @@ from uavaccel.envs.kernel_games import Drawn, GameMaker
 from uavaccel.envs.task import Task
 from uavaccel.kernels import cuda as kernels
 from uavaccel.kernels import lanes
-from uavaccel.sim.saved import State
+from uavaccel.sim.state import State
 
 AHEAD = 4  # games per lane: the one being flown, and those sampled ahead
 

@@ -27,7 +27,7 @@ from uavaccel.kernels import cuda as kernels
 from uavaccel.kernels import lanes
 from uavaccel.kernels.fields import COLUMNS, DVS, STATE
 from uavaccel.kernels.flight import TOUCHED
-from uavaccel.sim.saved import State
+from uavaccel.sim.state import State
 from uavaccel.sim.vehicle.quadrotor import FLIGHT_DTYPE, NEVER
 from uavaccel.vision.observation import BLOCK_SIDE
 

@@ -26,7 +26,7 @@ from uavaccel.envs.environment_processes import ProcessOptions, SharedObservatio
 from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.values import Action, Frame, Info
 from uavaccel.errors import UserError
-from uavaccel.parent import end_with_parent
+from uavaccel.processes.lifetime import end_with_parent
 from uavaccel.sim.camera.camera import make_cameras_with
 from uavaccel.sim.camera.view import HEIGHT, WIDTH
 from uavaccel.sim.rendering.camera import RemoteCamera

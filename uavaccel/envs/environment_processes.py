@@ -14,14 +14,14 @@ from typing import TypedDict
 
 import numpy as np
 
-from uavaccel.child import single_core_drawing, start_python
 from uavaccel.clock import MonotonicClock
 from uavaccel.envs.values import Answer, Frame
 from uavaccel.errors import UserError
+from uavaccel.processes.child import single_core_drawing, start_python
+from uavaccel.processes.stalls import FIRST_LOOKS, LOOK_S, LOOKS, StallDetector, is_stopped
 from uavaccel.sim.rendering.camera import RendererGoneError
 from uavaccel.sim.rendering.service import RenderService, stop
 from uavaccel.sim.rendering.slots import anonymous_memory
-from uavaccel.standstill import FIRST_LOOKS, LOOK_S, LOOKS, Standstill, is_stopped
 from uavaccel.units import NS_PER_S
 
 
@@ -103,7 +103,7 @@ class EnvironmentProcesses:
             theirs.append(other.detach())
         self._polls = [_poll_of(connection) for connection in self._connections]
         self._answered_once = False
-        self._standstill, self._clock = Standstill(), MonotonicClock()
+        self._stalls, self._clock = StallDetector(), MonotonicClock()
         self._looked_ns = self._clock.now_ns()
         self._processes: list[subprocess.Popen[bytes]] = []
         self._process_of = [slot % processes for slot in range(slots)]
@@ -177,7 +177,7 @@ class EnvironmentProcesses:
         pids = {self._processes[number].pid: number for number in waiting}
         renderer = self._service.process if self._service is not None else None
         looks = LOOKS if self._answered_once else FIRST_LOOKS
-        standing = self._standstill.look(pids, None if renderer is None else renderer.pid, looks)
+        standing = self._stalls.look(pids, None if renderer is None else renderer.pid, looks)
         if not standing:
             return
         if renderer is not None and is_stopped(renderer.pid):

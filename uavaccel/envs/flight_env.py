@@ -23,7 +23,7 @@ from uavaccel.envs.values import Action, Course, Frame, Info, Number
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Kinematics
 from uavaccel.sim.camera import gl
-from uavaccel.sim.saved import SavedState, State, prefixed, without_prefix
+from uavaccel.sim.state import SavedState, State, prefixed, without_prefix
 from uavaccel.units import NS_PER_S
 
 if TYPE_CHECKING:  # a task can be made without what flies it

@@ -43,7 +43,7 @@ from uavaccel.kernels import lanes as rows
 from uavaccel.kernels.fields import COLUMNS, DVS, NO_LOOKS, ROWS, STATE
 from uavaccel.kernels.flight import TOUCHED
 from uavaccel.machine import usable_cores
-from uavaccel.sim.saved import SavedState, State
+from uavaccel.sim.state import SavedState, State
 from uavaccel.sim.vehicle.quadrotor import NEVER
 from uavaccel.units import NS_PER_S
 from uavaccel.vision.dvs_sensor import draw_pixels

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from uavaccel.envs.values import Course, Frame, Number
 from uavaccel.kinematics import Kinematics
 from uavaccel.sim.camera.view import HEIGHT, WIDTH, AnyImage
-from uavaccel.sim.saved import SavedState, State
+from uavaccel.sim.state import SavedState, State
 from uavaccel.vision.dvs_sensor import DvsParameters, make_sensor
 from uavaccel.vision.observation import BLOCK_SIDE, NEUTRAL_LEVEL, dvs_observation
 

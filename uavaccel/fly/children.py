@@ -18,7 +18,7 @@ from uavaccel.errors import UserError
 from uavaccel.fly.modules import ModuleFinder, client_modules
 from uavaccel.fly.patches import Patches
 from uavaccel.fly.script import hide_frames_everywhere
-from uavaccel.parent import end_with_parent
+from uavaccel.processes.lifetime import end_with_parent
 
 if TYPE_CHECKING:
     from uavaccel.airsim.connection import SocketConnection

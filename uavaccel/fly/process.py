@@ -22,7 +22,7 @@ from uavaccel.fly.messages import DifferenceError, MessageLog
 from uavaccel.fly.options import DIFFERENCE, INTERRUPT_SEEN, SUMMARY, FlightOptions
 from uavaccel.fly.patches import Patches
 from uavaccel.fly.script import INTERRUPTED, compiled, flush_output, unraisable
-from uavaccel.parent import end_with_parent
+from uavaccel.processes.lifetime import end_with_parent
 
 if TYPE_CHECKING:
     from uavaccel.fly.simulated import SimulatedFlight

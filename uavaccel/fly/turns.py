@@ -14,7 +14,7 @@ from weakref import WeakSet
 from uavaccel.clock import WallClock
 from uavaccel.errors import UserError
 from uavaccel.fly.script import FlightOver
-from uavaccel.parent import END_WITH_PARENT
+from uavaccel.processes.lifetime import END_WITH_PARENT
 from uavaccel.units import NS_PER_S
 
 FOREIGN_S = 1e-3  # the machine's time between two checks of what threads outside of the turns have done

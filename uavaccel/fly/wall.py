@@ -21,7 +21,6 @@ from typing import NamedTuple
 import numpy as np
 
 from uavaccel.airsim.connection import Future, SocketConnection, as_sent
-from uavaccel.child import Watch, end_within, start_python
 from uavaccel.clock import MonotonicClock, counted_time_module
 from uavaccel.errors import UserError
 from uavaccel.fly.messages import MessageLog
@@ -29,6 +28,7 @@ from uavaccel.fly.options import FlightOptions, FlightSummary
 from uavaccel.fly.script import FlightOver, ScriptResult, run_script
 from uavaccel.fly.shims import script_environment
 from uavaccel.fly.trajectory import write_trajectory
+from uavaccel.processes.child import Watch, end_within, start_python
 from uavaccel.units import NS_PER_S
 from uavaccel.wire.rpc import LOOPBACK, Received
 from uavaccel.wire.settings import Settings
@@ -36,7 +36,7 @@ from uavaccel.wire.settings import Settings
 RECORDINGS = "recordings"
 ANSWER_S = 60.0
 _END_S = 3
-_SERVE = """from uavaccel.parent import end_with_parent
+_SERVE = """from uavaccel.processes.lifetime import end_with_parent
 end_with_parent({parent})
 from uavaccel.cli.main import main
 main()

@@ -23,7 +23,7 @@ from uavaccel.errors import UserError, naming
 from uavaccel.files import Plain, replacing
 from uavaccel.rl.lanes import Lanes
 from uavaccel.rl.learner import Learner, LearnerState
-from uavaccel.sim.saved import State, prefixed, without_prefix
+from uavaccel.sim.state import State, prefixed, without_prefix
 
 _COMPLETE = "state.json"
 DAMAGE = (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile, zlib.error, UnpicklingError)

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 
 import mujoco
 
-from uavaccel.sim.saved import SavedState, State
+from uavaccel.sim.state import SavedState, State
 from uavaccel.units import ceil_div
 
 

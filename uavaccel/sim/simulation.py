@@ -20,7 +20,7 @@ from uavaccel.sim.frames import Frames
 from uavaccel.sim.poses import LEVEL
 from uavaccel.sim.profile import UNBOUND, Executor, Profile
 from uavaccel.sim.recording import Recording
-from uavaccel.sim.saved import SavedState, State, number_or_none, optional, prefixed, without_prefix
+from uavaccel.sim.state import SavedState, State, load_optional, prefixed, store_optional, without_prefix
 from uavaccel.sim.vehicle.vehicle import AddedVehicle
 from uavaccel.sim.world import FlightError, World
 from uavaccel.units import NS_PER_S, exact
@@ -335,8 +335,8 @@ class Simulation:
         state |= {"paused": self.paused, "api_control": self.lead.api_control}
         state |= {"failure": self.failure or "", "speed": list(vars(self.speed).values())}
         period = self.period
-        state |= {"running.period_end_tick": optional(period.end_tick if period else None)}
-        state |= {"running.period_end_wall_ns": optional(period.end_wall_ns if period else None)}
+        state |= {"running.period_end_tick": store_optional(period.end_tick if period else None)}
+        state |= {"running.period_end_wall_ns": store_optional(period.end_wall_ns if period else None)}
         state |= prefixed("running", self.lead.get_state()) | prefixed("commands", self.lead.log.get_state())
         for pilot in self.pilots[1:]:
             kept = pilot.get_state() | {"api_control": pilot.api_control}
@@ -355,7 +355,7 @@ class Simulation:
         self.speed = Speed(*(int(number) for number in state["speed"]))
         self.frames.set_state(without_prefix("frames", state), self.world.data)
         running = without_prefix("running", state)
-        ends = [number_or_none(running[f"period_end_{unit}"]) for unit in ("tick", "wall_ns")]
+        ends = [load_optional(running[f"period_end_{unit}"]) for unit in ("tick", "wall_ns")]
         self.period = None if ends == [None, None] else ContinueFor(DeferredReply(), *ends)
         self.lead.set_state(running)
         self.lead.log.set_state(without_prefix("commands", state))

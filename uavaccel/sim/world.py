@@ -15,10 +15,10 @@ from uavaccel.kinematics import Quaternion, Vector
 from uavaccel.sim.lane.layout import PLAIN, LaneLayout, layout_of
 from uavaccel.sim.lane.scene import apply_layout, object_name
 from uavaccel.sim.profile import Profile
-from uavaccel.sim.saved import SavedState, State, into_physics, of_physics, prefixed, without_prefix
 from uavaccel.sim.scene.bounds import DEEPEST_M, check_apart, check_bounds, check_name, check_wind
 from uavaccel.sim.scene.model import load_scene, scene_path
 from uavaccel.sim.scene.objects import take_over
+from uavaccel.sim.state import SavedState, State, physics_state, prefixed, restore_physics, without_prefix
 from uavaccel.sim.vehicle import hotloop
 from uavaccel.sim.vehicle.clearance import Clearance
 from uavaccel.sim.vehicle.samples import Samples
@@ -130,11 +130,11 @@ class World:
 
     def _change_scenery(self, scenery: str) -> None:
         scene_path(self.scene, scenery)  # raises UserError before anything changes
-        physics, carried = of_physics(self.model, self.data), self.lead.carry()
+        physics, carried = physics_state(self.model, self.data), self.lead.carry()
         self.close()
         self.scenery = scenery
         self._adopt(*self._build(self.vehicles))
-        into_physics(self.model, self.data, physics)
+        restore_physics(self.model, self.data, physics)
         self.lead.take_over(carried)
 
     def surroundings_changed(self) -> None:
@@ -364,7 +364,7 @@ class World:
         lane's layout and the recorded samples are included.
         """
         state: State = {"scene": self.scene, "profile": self.profile.name, "failed": self.failed}
-        state |= {"physics": of_physics(self.model, self.data), "warnings": self.warnings.copy()}
+        state |= {"physics": physics_state(self.model, self.data), "warnings": self.warnings.copy()}
         state |= self.lead.get_state() | prefixed("samples", self.recorder.get_state())
         state |= prefixed("contacts", self.clearance.get_state())
         for vehicle in self.vehicles[1:]:
@@ -384,7 +384,7 @@ class World:
         self.failed = bool(state["failed"])
         if lane := without_prefix("lane", state):
             self.set_lane(layout_of(lane))
-        into_physics(self.model, self.data, state["physics"])
+        restore_physics(self.model, self.data, state["physics"])
         self.warnings[:] = state["warnings"]
         self.lead.set_state(state)
         for vehicle in self.vehicles[1:]:

@@ -13,9 +13,9 @@ from pathlib import Path
 
 from uavaccel.errors import UsageError, UserError
 from uavaccel.files import to_json
-from uavaccel.leftovers import clear_leftovers
 from uavaccel.limits import MOST_PROCESSES
-from uavaccel.parent import work_for_parent
+from uavaccel.processes.cleanup import remove_orphaned_files
+from uavaccel.processes.lifetime import work_for_parent
 from uavaccel.records import RunDirectory
 from uavaccel.suites.engines import LOKY, on_cluster
 from uavaccel.suites.experiment import Experiment, timing_of
@@ -92,7 +92,7 @@ def run_suite(
     as `check_jobs` does.
     """
     check_jobs(suite, config, jobs)
-    clear_leftovers()
+    remove_orphaned_files()
     work, restarts = _Work(suite, config, run, jobs, engine), Counter[str]()
     while True:
         try:

@@ -15,8 +15,8 @@ from pathlib import Path
 from select import select
 from typing import IO
 
-from uavaccel.child import end_within, start_python
 from uavaccel.errors import UsageError, UserError
+from uavaccel.processes.child import end_within, start_python
 from uavaccel.watch.server import check_viser
 from uavaccel.wire.page_protocol import PAGE
 

@@ -14,7 +14,7 @@ import signal
 import sys
 from pathlib import Path
 
-from uavaccel.parent import end_with_parent
+from uavaccel.processes.lifetime import end_with_parent
 
 NICENESS = 5  # the flight goes first
 

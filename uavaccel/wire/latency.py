@@ -23,7 +23,7 @@ from uavaccel.config import Config, validate
 from uavaccel.errors import UserError, suggestion
 from uavaccel.limits import MOST_LATENCY_US, MOST_SCALE
 from uavaccel.resources import experiment
-from uavaccel.sim.saved import SavedState, State, number_or_none, optional, prefixed, without_prefix
+from uavaccel.sim.state import SavedState, State, load_optional, prefixed, store_optional, without_prefix
 from uavaccel.wire.platform import FaultConfig, PlatformConfig, delays_ns
 from uavaccel.yaml_io import load_yaml
 
@@ -296,7 +296,7 @@ class Latency:
     def get_state(self) -> State:
         """Return the state of all generators, and the quantiles from which they draw."""
         entropy = np.atleast_1d(np.asarray(self._seed.entropy, object))
-        state: State = {"config": self._config.model_dump_json(), "wait_ns": optional(self._wait_ns)}
+        state: State = {"config": self._config.model_dump_json(), "wait_ns": store_optional(self._wait_ns)}
         state |= {"entropy": [str(number) for number in entropy], "spawn_key": list(self._seed.spawn_key)}
         return state | prefixed("drawn", {" ".join(key): count for key, count in self._drawn.items()})
 
@@ -307,7 +307,7 @@ class Latency:
         entropy = [int(number) for number in state["entropy"]]
         spawn_key = tuple(int(number) for number in state["spawn_key"])
         self._seed = np.random.SeedSequence(entropy if len(entropy) > 1 else entropy[0], spawn_key=spawn_key)
-        self._wait_ns = number_or_none(state["wait_ns"])
+        self._wait_ns = load_optional(state["wait_ns"])
         self._streams.clear()
         drawn = {key.partition(" "): int(count) for key, count in without_prefix("drawn", state).items()}
         self._drawn = {(kind, name): count for (kind, _, name), count in drawn.items()}

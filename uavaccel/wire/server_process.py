@@ -14,7 +14,7 @@ import os
 import sys
 
 from uavaccel.clock import MonotonicClock
-from uavaccel.parent import end_with_parent
+from uavaccel.processes.lifetime import end_with_parent
 from uavaccel.sim.profile import PROFILES, Profile
 from uavaccel.sim.simulation import Simulation
 from uavaccel.sim.world import World

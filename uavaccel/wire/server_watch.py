@@ -9,9 +9,9 @@ import subprocess
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from uavaccel.child import end_within, single_core_drawing, start_python
 from uavaccel.clock import MonotonicClock
-from uavaccel.standstill import cpu_time_s
+from uavaccel.processes.child import end_within, single_core_drawing, start_python
+from uavaccel.processes.stalls import cpu_time_s
 from uavaccel.units import NS_PER_S
 
 START_S, IDLE_START_S = 600.0, 60.0  # to compile the hot loop; of that without using any CPU

@@ -15,8 +15,8 @@ from uavaccel.errors import UserError
 from uavaccel.resources import asset
 from uavaccel.sim.camera.view import HEIGHT, WIDTH
 from uavaccel.sim.profile import PROFILES, Profile
-from uavaccel.sim.saved import SavedState, State
 from uavaccel.sim.simulation import Simulation
+from uavaccel.sim.state import SavedState, State
 from uavaccel.sim.world import World
 from uavaccel.wire.api import Api
 from uavaccel.wire.client import START_HEIGHT_M, Client

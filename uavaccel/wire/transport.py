@@ -13,8 +13,8 @@ from uavaccel.clock import MonotonicClock, VirtualClock, WallClock, wait_for_soc
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Kinematics
 from uavaccel.sim.deferred_reply import DeferredReply
-from uavaccel.sim.saved import SavedState, State, prefixed, without_prefix
 from uavaccel.sim.simulation import Simulation
+from uavaccel.sim.state import SavedState, State, prefixed, without_prefix
 from uavaccel.sim.world import World
 from uavaccel.units import NS_PER_S
 from uavaccel.wire import rpc

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.kinematics import Kinematics, Quaternion, Vector
-from uavaccel.sim.saved import SavedState, SavedValue, State, prefixed, without_prefix
+from uavaccel.sim.state import SavedState, SavedValue, State, prefixed, without_prefix
 from uavaccel.sim.vehicle import goal as goals
 from uavaccel.sim.vehicle.goal import PITCH, ROLL, STRAIGHT_ON, THROTTLE, VALID, YAW, Goal, Sticks, Yaw
 from uavaccel.sim.vehicle.quadrotor import world_to_body

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, field_validator, model_validator
 
 from uavaccel.config import Config
-from uavaccel.sim.saved import SavedState, State
+from uavaccel.sim.state import SavedState, State
 
 FloatArray = NDArray[np.float64]
 Split = Literal["training", "evaluation"]

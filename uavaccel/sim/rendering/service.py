@@ -7,15 +7,15 @@ import os
 import select
 import subprocess
 
-from uavaccel.child import start_python
 from uavaccel.clock import MonotonicClock
 from uavaccel.errors import UserError
+from uavaccel.processes.child import start_python
+from uavaccel.processes.stalls import FIRST_LOOKS, LOOK_S, StallDetector
 from uavaccel.sim.camera.gl import GlRenderer
 from uavaccel.sim.lane.layout import PLAIN
 from uavaccel.sim.rendering.camera import RendererGoneError
 from uavaccel.sim.rendering.slots import anonymous_memory, slot_dtype
 from uavaccel.sim.scene.model import load_scene
-from uavaccel.standstill import FIRST_LOOKS, LOOK_S, Standstill
 from uavaccel.units import NS_PER_S
 
 STOP_S = 3.0
@@ -50,9 +50,9 @@ class RenderService:
     def ready(self) -> GlRenderer:
         """Wait for the start and return the renderer. Raises UserError without OpenGL, RendererGoneError on failure."""
         assert self.process.stdout is not None
-        standstill = Standstill()
+        stalls = StallDetector()
         while not select.select([self.process.stdout], [], [], LOOK_S)[0]:
-            if standstill.look([self.process.pid], looks=FIRST_LOOKS):
+            if stalls.look([self.process.pid], looks=FIRST_LOOKS):
                 self.process.kill()
                 raise RendererGoneError("the renderer stands still, and did not get to drawing")
         line = self.process.stdout.readline()

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.parts import njit, part
-from uavaccel.sim.saved import SavedState, State
+from uavaccel.sim.state import SavedState, State
 from uavaccel.sim.vehicle.quadrotor import Record
 
 PLANE = int(mujoco.mjtGeom.mjGEOM_PLANE)

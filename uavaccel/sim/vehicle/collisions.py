@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.kinematics import Vector
-from uavaccel.sim.saved import SavedState, State
+from uavaccel.sim.state import SavedState, State
 from uavaccel.units import mujoco_to_ned
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from uavaccel.sim.saved import SavedState, State, into_record, of_record
+from uavaccel.sim.state import SavedState, State, record_fields, set_record_fields
 from uavaccel.sim.vehicle import hotloop
 from uavaccel.sim.vehicle.quadrotor import NEVER
 
@@ -50,9 +50,9 @@ class Samples:
         return rows
 
     def get_state(self) -> State:
-        return of_record(self.record) | {"rows": self.rows()}
+        return record_fields(self.record) | {"rows": self.rows()}
 
     def set_state(self, state: SavedState) -> None:
-        into_record(self.record, state)
+        set_record_fields(self.record, state)
         rows = np.asarray(state["rows"], float).reshape(-1, hotloop.SAMPLE_COLUMNS)
         self.buffer[: len(rows)] = rows

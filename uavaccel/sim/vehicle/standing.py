@@ -9,8 +9,8 @@ from __future__ import annotations
 import mujoco
 
 from uavaccel.kinematics import Quaternion, Vector
-from uavaccel.sim.saved import into_physics, of_physics
 from uavaccel.sim.scene.bounds import DEEPEST_M
+from uavaccel.sim.state import physics_state, restore_physics
 from uavaccel.sim.vehicle.clearance import PLANE
 from uavaccel.sim.vehicle.collisions import deepest_contact
 from uavaccel.sim.vehicle.vehicle import HERE, Vehicle
@@ -31,14 +31,14 @@ def stand(vehicle: Vehicle) -> None:
         mujoco.mj_forward(vehicle.model, vehicle.data)
         return vehicle.rises
 
-    before, low, high = of_physics(vehicle.model, vehicle.data), z + GIVE_M, z - DEEPEST_M
+    before, low, high = physics_state(vehicle.model, vehicle.data), z + GIVE_M, z - DEEPEST_M
     stands = borne(low) and not borne(high)
     for _ in range(HALVINGS if stands else 0):
         middle = (low + high) / 2
         low, high = (middle, high) if borne(middle) else (low, middle)
     if stands:
         borne(low)  # leaves the contact forces of that height
-    into_physics(vehicle.model, vehicle.data, before)
+    restore_physics(vehicle.model, vehicle.data, before)
     if stands:
         vehicle.set_pose((x, y, low), attitude)
         if vehicle.origin_m is not HERE:
@@ -58,10 +58,10 @@ def on_the_ground(vehicle: Vehicle, position_m: Vector, attitude: Quaternion) ->
 
 def depth(vehicle: Vehicle, position_m: Vector, attitude: Quaternion) -> tuple[float, int]:
     """Return the penetration, m, that a vehicle would have at a pose, and the geom; (0, -1) without any."""
-    before = of_physics(vehicle.model, vehicle.data)
+    before = physics_state(vehicle.model, vehicle.data)
     vehicle.set_pose(position_m, attitude)
     mujoco.mj_kinematics(vehicle.model, vehicle.data)
     mujoco.mj_collision(vehicle.model, vehicle.data)
     found = deepest_contact(vehicle.model, vehicle.data, vehicle.body_id)
-    into_physics(vehicle.model, vehicle.data, before)
+    restore_physics(vehicle.model, vehicle.data, before)
     return found

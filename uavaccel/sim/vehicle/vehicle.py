@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from uavaccel.kinematics import Kinematics, Quaternion, Vector
 from uavaccel.sim.profile import Profile
-from uavaccel.sim.saved import SavedState, State, into_record, of_record, prefixed, without_prefix
+from uavaccel.sim.state import SavedState, State, prefixed, record_fields, set_record_fields, without_prefix
 from uavaccel.sim.vehicle import autopilot, hotloop
 from uavaccel.sim.vehicle.collisions import ContactLog
 from uavaccel.sim.vehicle.goal import IDLE, Goal
@@ -334,13 +334,13 @@ class Vehicle:
 
     def get_state(self) -> State:
         """Return flight state, contacts and gains; the pose is part of MuJoCo's state."""
-        state = prefixed("flight", of_record(self._flight)) | prefixed(
+        state = prefixed("flight", record_fields(self._flight)) | prefixed(
             "touches", self.contact_log.get_state()
         )
         return state | prefixed("gains", {name: self.parameters[name].copy() for name in GAINS})
 
     def set_state(self, state: SavedState) -> None:
-        into_record(self._flight, without_prefix("flight", state))
+        set_record_fields(self._flight, without_prefix("flight", state))
         self.contact_log.set_state(without_prefix("touches", state))
         for name, gains in without_prefix("gains", state).items():
             self.parameters[name] = gains

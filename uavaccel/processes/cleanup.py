@@ -12,7 +12,7 @@ SHARED_MEMORY = Path("/dev/shm")
 OF_JOBLIB = re.compile(r"(?:sem\.loky-|joblib_memmapping_folder_)(\d+)[-_]")
 
 
-def clear_leftovers(folder: Path = SHARED_MEMORY, named_by: re.Pattern[str] = OF_JOBLIB) -> None:
+def remove_orphaned_files(folder: Path = SHARED_MEMORY, named_by: re.Pattern[str] = OF_JOBLIB) -> None:
     """Remove this user's files in `folder` whose process has ended; nothing happens without such a folder.
 
     `named_by` matches the names of such files; its first group is the id of the process.

@@ -12,7 +12,7 @@ from contextlib import ExitStack
 import pytest
 
 from tests.processes import descendants, state_of
-from uavaccel.standstill import LOOKS, STOPPED_LOOKS, Standstill, cpu_time_s
+from uavaccel.processes.stalls import LOOKS, STOPPED_LOOKS, StallDetector, cpu_time_s
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
 WORKS, WAITS = "while True: pass", "import signal; print(flush=True); signal.pause()"
@@ -55,39 +55,39 @@ def work_a_little(pid: int) -> None:
 
 
 def test_one_that_waits_for_ever_stands_still_after_some_looks(start: Start) -> None:
-    pid, standstill = start(WAITS), Standstill()
-    found = [standstill.look([pid]) for _ in range(LOOKS + 1)]  # before the first, it may have worked
+    pid, stalls = start(WAITS), StallDetector()
+    found = [stalls.look([pid]) for _ in range(LOOKS + 1)]  # before the first, it may have worked
     assert found == [[]] * LOOKS + [[pid]]
 
 
 def test_one_that_works_does_not_until_it_is_stopped(start: Start) -> None:
-    pid, standstill = start(WORKS), Standstill()
+    pid, stalls = start(WORKS), StallDetector()
     for _ in range(2 * LOOKS):
         work_a_little(pid)
-        assert standstill.look([pid]) == []
+        assert stalls.look([pid]) == []
     os.kill(pid, signal.SIGSTOP)
     while state_of(pid) != "T":
         pass
-    found = [standstill.look([pid]) for _ in range(STOPPED_LOOKS)]
+    found = [stalls.look([pid]) for _ in range(STOPPED_LOOKS)]
     assert found == [[]] * (STOPPED_LOOKS - 1) + [[pid]]
 
 
 def test_the_work_of_a_helper_and_of_a_child_counts(start: Start) -> None:
-    waiting, helper, standstill = start(WAITS), start(WORKS), Standstill()
+    waiting, helper, stalls = start(WAITS), start(WORKS), StallDetector()
     for _ in range(2 * LOOKS):
         work_a_little(helper)
-        assert standstill.look([waiting], helper) == []
-    assert standstill.look([waiting], start(WAITS), looks=3) == []
+        assert stalls.look([waiting], helper) == []
+    assert stalls.look([waiting], start(WAITS), looks=3) == []
     parent = start(PARENT)
     (child,) = descendants(parent)
     for _ in range(2 * LOOKS):
         work_a_little(child)
-        assert standstill.look([parent]) == []
+        assert stalls.look([parent]) == []
 
 
 def test_who_is_not_waited_for_any_more_begins_anew(start: Start) -> None:
-    pid, standstill = start(WAITS), Standstill()
+    pid, stalls = start(WAITS), StallDetector()
     for _ in range(LOOKS):
-        assert standstill.look([pid]) == []
-    assert standstill.look([]) == []
-    assert standstill.look([pid]) == []
+        assert stalls.look([pid]) == []
+    assert stalls.look([]) == []
+    assert stalls.look([pid]) == []

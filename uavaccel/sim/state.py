@@ -30,37 +30,37 @@ def without_prefix(name: str, state: SavedState) -> State:
     return {key[len(prefix) :]: value for key, value in state.items() if key.startswith(prefix)}
 
 
-def of_record(record: NDArray[np.void]) -> State:
+def record_fields(record: NDArray[np.void]) -> State:
     """Return the fields of a structured record (1,)."""
     return {name: record[name][0].copy() for name in record.dtype.names or ()}
 
 
-def into_record(record: NDArray[np.void], state: SavedState) -> None:
+def set_record_fields(record: NDArray[np.void], state: SavedState) -> None:
     """Set the fields of a structured record (1,) in place; fields that an older state lacks stay as they are."""
     for name in record.dtype.names or ():
         if name in state:
             record[name][0] = state[name]
 
 
-def optional(number: int | None) -> NDArray[np.int64]:
+def store_optional(number: int | None) -> NDArray[np.int64]:
     """Store a number that may be None, as an array of one element or none."""
     return np.array([] if number is None else [number], np.int64)
 
 
-def number_or_none(array: ArrayLike) -> int | None:
-    """Read what `optional` stored, or a plain number."""
+def load_optional(array: ArrayLike) -> int | None:
+    """Read what `store_optional` stored, or a plain number."""
     found = np.ravel(array)
     return int(found[0]) if len(found) else None
 
 
-def of_physics(model: mujoco.MjModel, data: mujoco.MjData) -> NDArray[np.float64]:
+def physics_state(model: mujoco.MjModel, data: mujoco.MjData) -> NDArray[np.float64]:
     """Return MuJoCo's integration state."""
     values = np.empty(mujoco.mj_stateSize(model, PHYSICS))
     mujoco.mj_getState(model, data, values, PHYSICS)
     return values
 
 
-def into_physics(model: mujoco.MjModel, data: mujoco.MjData, values: ArrayLike) -> None:
-    """Restore what `of_physics` returned, and update the positions of all bodies."""
+def restore_physics(model: mujoco.MjModel, data: mujoco.MjData, values: ArrayLike) -> None:
+    """Restore what `physics_state` returned, and update the positions of all bodies."""
     mujoco.mj_setState(model, data, np.asarray(values, float), PHYSICS)
     mujoco.mj_kinematics(model, data)

@@ -15,7 +15,7 @@ pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="elsewhere nothi
 
 CHILD = """
 import signal, sys
-from uavaccel.parent import work_for_parent
+from uavaccel.processes.lifetime import work_for_parent
 work_for_parent(int(sys.argv[1]))
 work_for_parent(int(sys.argv[1]))
 print("bound", flush=True)

@@ -44,7 +44,7 @@ def _with_children(pid: int) -> list[int]:
     return found
 
 
-class Standstill:
+class StallDetector:
     """Decides whether processes whose reply is overdue are stalled.
 
     Looks are counted, not seconds, since a process that was stopped together with its client has not kept it waiting.

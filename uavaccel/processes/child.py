@@ -1,4 +1,4 @@
-"""Child processes that run this Python: starts, watches and ends them. `uavaccel.parent` is the child's side."""
+"""Child processes that run this Python: starts, watches and ends them. Their own side is in `processes.lifetime`."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import sys
 import threading
 from collections.abc import Callable, Mapping, Sequence
 
-from uavaccel.standstill import is_stopped
+from uavaccel.processes.stalls import is_stopped
 
 Process = subprocess.Popen[bytes]
 LOOK_S = 0.25
