@@ -230,7 +230,9 @@ def settle(parameters_of: NDArray[np.void], flight: NDArray[np.void]) -> None:
     """
     state, gains = flight[0], parameters_of[0]
     weight = gains["mass_kg"] * gains["gravity_m_s2"]
-    thrust = gains["max_thrust_n"] * density_ratio(gains, state["position"][2])
+    # the Python function has equal results, and no compilation in every process that begins
+    density = density_ratio.py_func(parameters_of.view(np.recarray)[0], state["position"][2])
+    thrust = gains["max_thrust_n"] * density
     hover = weight / (4 * thrust)
     for name in ("rotor_input", "rotor_lagged", "rotor_output"):
         state[name] = hover
