@@ -13,9 +13,8 @@ from typing import Any, Literal
 import numpy as np
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space, iterate
-from numpy.typing import NDArray
 
-from uavaccel.envs.checks import make_task, seeds_of
+from uavaccel.envs.checks import make_task
 from uavaccel.envs.environment_processes import (
     BatchError,
     BatchOptions,
@@ -24,7 +23,8 @@ from uavaccel.envs.environment_processes import (
 )
 from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.task import Task
-from uavaccel.envs.values import Actions, Answer, Batch, Frame, Info, Steps
+from uavaccel.envs.turn_batch import TurnBatch
+from uavaccel.envs.values import Actions, Answer, Frame, Info, Steps
 from uavaccel.errors import UserError
 from uavaccel.machine import usable_cores
 from uavaccel.sim.camera.gl import known_renderer
@@ -36,7 +36,7 @@ RENDERERS = ("auto", "shared", "own")
 MOST_TILES = 64
 
 
-class EnvironmentBatch(Batch):
+class EnvironmentBatch(TurnBatch):
     """`num_envs` environments of the class `environment`, a FlightEnv, with that class's keywords.
 
     They fly in `processes` processes, by default at most two per core. The `renderer` is "shared", or each process has
@@ -80,21 +80,6 @@ class EnvironmentBatch(Batch):
 
     # --- Gymnasium --------------------------------------------------------------------------------
 
-    def reset(
-        self, *, seed: int | Sequence[int | None] | None = None, options: Mapping[str, object] | None = None
-    ) -> tuple[Frame, Info]:
-        """Begin a game in every environment; environment i gets `seed` + i, or the i-th of several seeds."""
-        infos = self.reset_each(seeds_of(seed, self.num_envs), [options] * self.num_envs)
-        return self.observations(), self._merged(infos)
-
-    def step(
-        self, actions: Actions
-    ) -> tuple[Frame, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], Info]:
-        """Fly one command in every environment."""
-        self.step_async(actions)
-        observations, rewards, terminated, truncated, infos = self.step_wait()
-        return observations, rewards, terminated, truncated, self._merged(infos)
-
     def render(self) -> tuple[Answer, ...] | None:
         """Return each front camera's picture; None without a render mode."""
         return self.call("render") if self.render_mode is not None else None
@@ -137,11 +122,7 @@ class EnvironmentBatch(Batch):
             self._slots.ask(slot, "step", action)
 
     def step_wait(self, slots: Sequence[int] | None = None) -> Steps:
-        """Wait for what `step_async` started in the same `slots`.
-
-        Returns observations, rewards, terminations, truncations and infos. With autoreset SAME_STEP the last info of a
-        finished game is in `final_info` and its last observation in `final_obs`.
-        """
+        """As `TurnBatch` has it; raises BatchError where an environment has failed or its process has ended."""
         which = list(self._all(slots))
         rewards, terminated, truncated, infos, lasts = zip(*self._slots.answers(which), strict=True)
         for slot, info, last in zip(which, infos, lasts, strict=True):
@@ -181,13 +162,6 @@ class EnvironmentBatch(Batch):
 
     def _all(self, slots: Sequence[int] | None) -> Sequence[int]:
         return range(self.num_envs) if slots is None else slots
-
-    def _merged(self, infos: Sequence[Info]) -> Info:
-        """Merge infos in the form of Gymnasium's vector environments: an array per key, and one mask per key."""
-        merged: Info = {}
-        for slot, info in enumerate(infos):
-            merged = self._add_info(merged, info, slot)
-        return merged
 
 
 def _check(num_envs: int, processes: int | None, renderer: str, tiles: int | None, timing: str) -> None:

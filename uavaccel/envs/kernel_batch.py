@@ -17,7 +17,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from uavaccel.clock import MonotonicClock
-from uavaccel.envs.checks import make_task, seeds_of, within
+from uavaccel.envs.checks import make_task, within
 from uavaccel.envs.context_planes import NO_ACTION, age_levels
 from uavaccel.envs.flight_env import CONDITIONS, FlightEnv
 from uavaccel.envs.flyable import CPU, check_flyable, kind_of
@@ -36,7 +36,8 @@ from uavaccel.envs.kernel_games import (
 from uavaccel.envs.kernel_plan import plan_of
 from uavaccel.envs.stopwatch import PHASES
 from uavaccel.envs.task import Moment, Moments, Task
-from uavaccel.envs.values import Action, Actions, Answer, Batch, Frame, Info, Number, Steps
+from uavaccel.envs.turn_batch import TurnBatch
+from uavaccel.envs.values import Action, Actions, Answer, Frame, Info, Number, Steps
 from uavaccel.errors import UserError
 from uavaccel.kernels import cpu, events, timeline
 from uavaccel.kernels import lanes as rows
@@ -49,7 +50,7 @@ from uavaccel.units import NS_PER_S
 from uavaccel.vision.dvs_sensor import draw_pixels
 
 
-class KernelBatch(Batch):
+class KernelBatch(TurnBatch):
     """`num_envs` environments of `environment`, a subclass of FlightEnv, with its keywords.
 
     They fly in `threads` threads, by default one per core. Raises UserError for keywords that do not fit, and for tasks
@@ -115,23 +116,6 @@ class KernelBatch(Batch):
         self._over = np.zeros(count, bool)
         self._context = task.context_planes()
 
-    # --- Gymnasium --------------------------------------------------------------------------------
-
-    def reset(
-        self, *, seed: int | Sequence[int | None] | None = None, options: Mapping[str, object] | None = None
-    ) -> tuple[Frame, Info]:
-        """Begin a game in every environment; environment i gets `seed` + i, or the i-th of several seeds."""
-        infos = self.reset_each(seeds_of(seed, self.num_envs), [options] * self.num_envs)
-        return self.observations(), self._merged(infos)
-
-    def step(
-        self, actions: Actions
-    ) -> tuple[Frame, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], Info]:
-        """Fly one command in every environment."""
-        self.step_async(actions)
-        observations, rewards, terminated, truncated, infos = self.step_wait()
-        return observations, rewards, terminated, truncated, self._merged(infos)
-
     def close_extras(self, **_: object) -> None:
         """End the threads."""
         if hasattr(self, "_pool"):
@@ -151,11 +135,11 @@ class KernelBatch(Batch):
         self._drawn, self._course = drawn, stacked([each.course for each in drawn])
         return self._begin(np.arange(self.num_envs))
 
-    def step_async(self, actions: Actions, lanes: Sequence[int] | None = None) -> None:
-        """Start a command in each of the environments `lanes`, by default all, and return at once."""
+    def step_async(self, actions: Actions, slots: Sequence[int] | None = None) -> None:
+        """As `TurnBatch` has it. Raises UserError before the first reset."""
         if not self._drawn:
             raise UserError("reset the environments before their first step")
-        which = np.arange(self.num_envs) if lanes is None else np.asarray(lanes)
+        which = np.arange(self.num_envs) if slots is None else np.asarray(slots)
         for lane, action in zip(which, actions, strict=True):
             self._set_direction(int(lane), within(self.single_action_space, action))
         self._frames[which] = self._blank
@@ -164,12 +148,9 @@ class KernelBatch(Batch):
         parts = [part for part in np.array_split(going, self._threads) if len(part)]
         self._flying[int(which[0])] = [self._pool.submit(self._fly, part) for part in parts]
 
-    def step_wait(self, lanes: Sequence[int] | None = None) -> Steps:
-        """Wait for commands that `step_async` started; return observations, rewards, ends, truncations and infos.
-
-        With autoreset SAME_STEP, `final_info` and `final_obs` in the infos are those of the game that ended.
-        """
-        which = np.arange(self.num_envs) if lanes is None else np.asarray(lanes)
+    def step_wait(self, slots: Sequence[int] | None = None) -> Steps:
+        """As `TurnBatch` has it."""
+        which = np.arange(self.num_envs) if slots is None else np.asarray(slots)
         for part in self._flying.pop(int(which[0])):
             part.result()
         self._host_s[which] += (self._clock.now_ns() - self._begun_ns) / NS_PER_S / len(which)
@@ -215,13 +196,13 @@ class KernelBatch(Batch):
         return self._observations.copy()
 
     def call_each(
-        self, name: str, arguments: Sequence[tuple[Any, ...]], lanes: Sequence[int] | None = None
+        self, name: str, arguments: Sequence[tuple[Any, ...]], slots: Sequence[int] | None = None
     ) -> list[Answer]:
         """Call `charge`, `get_state` or `set_state` of the environments `lanes`, by default all. Raises UserError."""
         methods = {"charge": self.charge, "get_state": self._get_state, "set_state": self._set_state}
         if name not in methods:
             raise UserError(f"simulator = kernels: {name} is not available; use simulator = mujoco")
-        which = range(self.num_envs) if lanes is None else lanes
+        which = range(self.num_envs) if slots is None else slots
         return [methods[name](lane, *each) for lane, each in zip(which, arguments, strict=True)]  # type: ignore[operator]
 
     # --- saving -----------------------------------------------------------------------------------
@@ -434,10 +415,3 @@ class KernelBatch(Batch):
         if self.task.report_host_times:
             info["host_phase_s"] = {**dict.fromkeys(PHASES, 0.0), "simulation": float(self._host_s[lane])}
         return info
-
-    def _merged(self, infos: Sequence[Info]) -> Info:
-        """Merge infos as Gymnasium's VectorEnv does: for each key an array of values, and a mask."""
-        merged: Info = {}
-        for lane, info in enumerate(infos):
-            merged = self._add_info(merged, info, lane)
-        return merged

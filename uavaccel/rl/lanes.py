@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any, TypeAlias
 
 import gymnasium
 import numpy as np
@@ -15,16 +15,14 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepR
 from uavaccel.envs.batch import EnvironmentBatch
 from uavaccel.envs.flyable import Simulator
 from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
+from uavaccel.envs.turn_batch import TurnBatch
 from uavaccel.envs.values import Action, Answer, Frame
-
-if TYPE_CHECKING:
-    from uavaccel.envs.kernel_batch import KernelBatch
 
 
 class BatchVecEnv(VecEnv):
     """Adapts a batch with autoreset SAME_STEP to stable-baselines3's VecEnv; methods may address some lanes only."""
 
-    def __init__(self, batch: EnvironmentBatch | KernelBatch) -> None:
+    def __init__(self, batch: TurnBatch) -> None:
         self.batch = batch
         super().__init__(batch.num_envs, batch.single_observation_space, batch.single_action_space)
 
