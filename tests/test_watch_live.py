@@ -137,12 +137,15 @@ def test_a_flight_goes_on_when_the_page_has_gone(feed: Feed) -> None:
 
 def test_a_lanes_obstacles_and_a_further_game_are_told(feed: Feed) -> None:
     keys: dict[str, Any] = {"observation": "state", "timing": "lockstep"}
+    shown = threading.Event()
 
     def fly_lanes() -> None:
         with contextlib.closing(ObstacleLane(**keys)) as environment:
             for lane in (3, 4):
                 environment.reset(seed=lane, options={"lane": lane})
                 environment.step(2)
+                shown.wait(60.0)  # both scenes at once would be one to a page that listens late
+                shown.clear()
 
     thread = threading.Thread(target=fly_lanes)
     thread.start()
@@ -154,6 +157,7 @@ def test_a_lanes_obstacles_and_a_further_game_are_told(feed: Feed) -> None:
             flights |= {moment.flight for moment in source.moments}
             if source.scene is not None and source.scene not in scenes:
                 scenes.append(source.scene)
+                shown.set()
     thread.join()
     assert len(flights) == 2
     places = {scene.data.geom_xpos.tobytes() for scene in scenes}
