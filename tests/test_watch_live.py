@@ -18,7 +18,7 @@ import pytest
 
 from tests.learning import tiny_config, train_into
 from tests.running import configured, run_into
-from tests.test_watch import CHROMIUM, FLAGS, simulated_s
+from tests.test_watch import CHROMIUM, FLAGS, SCALE, simulated_s
 from uavaccel.cli.run import RunRequest, run_experiment
 from uavaccel.commands import COMMANDS, VelocityGoal
 from uavaccel.envs.obstacle_lane import ObstacleLane
@@ -187,7 +187,7 @@ def test_a_trainings_lanes_are_heard_from_their_processes(feed: Feed, tmp_path: 
     thread.start()
     speaking = set()
     while thread.is_alive():
-        feed.listen(0.0)
+        feed.listen(0.05)
         speaking |= {id(source) for source in feed.sources if source.moments}
     thread.join()
     assert len(speaking) >= 2
@@ -325,7 +325,7 @@ def test_a_browser_holds_a_flight_of_a_simulated_clock_and_looks_on_at_one_of_th
     served = ("serve", "--port", "0", "--watch-at", ":18092")
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
-        page = browser.new_page(viewport={"width": 1280, "height": 720})
+        page = browser.new_page(viewport={"width": 1280, "height": 720}, device_scale_factor=SCALE)
         page.set_default_timeout(120_000)
         clocks = page.locator(".clocks")
         with commanded(tmp_path, *scripted) as (address, process):
