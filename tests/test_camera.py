@@ -211,6 +211,25 @@ def test_a_later_picture_does_not_overwrite_an_earlier_one(lane: Scene) -> None:
 
 
 @needs_opengl
+def test_worlds_that_look_alike_share_a_context_and_others_do_not(lane: Scene) -> None:
+    """Each draws what it draws alone, and goes on when another one is closed."""
+    model, data = lane
+    other = mujoco.MjModel.from_xml_path(str(asset("mjcf/lane.xml")))
+    scene = mujoco.MjData(other)
+    apply_layout(other, scene, draw_layout(2))
+    with Camera(other) as alone:
+        expected = alone.colour(scene)
+    textured = mujoco.MjModel.from_xml_path(str(asset("mjcf/lane.xml")))
+    textured.tex_data[:] = 255
+    with Camera(model) as first, Camera(textured) as third:
+        with Camera(other) as second:
+            assert second._canvas is first._canvas is not third._canvas
+            before = first.colour(data)
+            np.testing.assert_array_equal(second.colour(scene), expected)
+        np.testing.assert_array_equal(first.colour(data), before)
+
+
+@needs_opengl
 def test_a_camera_that_is_not_there(posts: mujoco.MjModel) -> None:
     with pytest.raises(UserError, match="no camera 'tail' in the scene; there is front_center"):
         Camera(posts, camera="tail")

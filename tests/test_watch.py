@@ -35,7 +35,9 @@ FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "-
 FLAGS += ["--disable-background-networking", "--disable-component-update"]
 FLAGS += ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 SCREENSHOTS = "UAVACCEL_SCREENSHOTS"  # a folder that keeps those of this test, as those of docs/watch.md
-SCALE = 1.0 if SCREENSHOTS in os.environ else 0.25  # software WebGL draws a sixteenth of the pixels in a quarter of the time
+SCALE = (
+    1.0 if SCREENSHOTS in os.environ else 0.25
+)  # software WebGL draws a sixteenth of the pixels in a quarter of the time
 
 
 @pytest.fixture(scope="module")

@@ -20,6 +20,7 @@ import mujoco
 import numpy as np
 
 from uavaccel.sim.camera import gl
+from uavaccel.sim.camera.canvas import Canvas
 from uavaccel.sim.camera.view import (
     FOV_DEG,
     HEIGHT,
@@ -31,7 +32,6 @@ from uavaccel.sim.camera.view import (
     View,
     far_m,
     ray_lengths,
-    set_quality,
     to_metres,
 )
 
@@ -99,7 +99,7 @@ def make_camera(model: mujoco.MjModel, width: int, height: int) -> FrontCamera:
 
 
 class Camera(FrontCamera):
-    """Renders a camera of the model, in any MjData of it, with an OpenGL context of its own.
+    """Renders a camera of the model, in any MjData of it, with its thread's OpenGL context for such models.
 
     A camera belongs to the thread that made it. `fov_deg` is horizontal at any width, as in AirSim. Raises UserError if
     OpenGL is missing or the model has no such camera.
@@ -118,21 +118,15 @@ class Camera(FrontCamera):
         self._rectangle = mujoco.MjrRect(0, 0, width, height)
         self._pixels: Image = np.empty((height, width, 4), np.uint8)  # as the driver has them: read unchanged
         self._address = self._pixels.ctypes.data_as(ctypes.c_void_p)
-        self._open()
-
-    def _open(self) -> None:
-        self._gl, self.renderer = gl.make_context(self.width, self.height)
-        self._turns = gl.turns(self.renderer)
-        set_quality(self.model, self.width, self.height)
-        with self._turns:
-            self._context = mujoco.MjrContext(self.model, mujoco.mjtFontScale.mjFONTSCALE_50)
-            gl.sample_textures_fast(self._context)
-            if self.renderer.software:
-                gl.drop_stencil(self._context, self.width, self.height)
-            mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)
-            self._read_pixels = gl.pixel_reader()
-        self._context.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR
+        self._canvas = Canvas.open(model, width, height)
+        self._context, self._turns = self._canvas.context, self._canvas.turns
+        self._is_open = True
         _close_at_exit(self)
+
+    @property
+    def renderer(self) -> gl.GlRenderer:
+        """The renderer that draws its pictures."""
+        return self._canvas.renderer
 
     def colour(self, data: mujoco.MjData) -> Image:
         self._draw(data)
@@ -173,23 +167,19 @@ class Camera(FrontCamera):
     def _read_colours(self) -> None:
         """Read red, green, blue, alpha: with three bytes per pixel the driver takes five times as long."""
         with self._turns:
-            self._read_pixels(0, 0, self.width, self.height, _GL_RGBA, _GL_UNSIGNED_BYTE, self._address)
+            self._canvas.read_pixels(
+                0, 0, self.width, self.height, _GL_RGBA, _GL_UNSIGNED_BYTE, self._address
+            )
 
     def _bind(self) -> None:
-        if self._gl is None:
+        if not self._is_open:
             raise ValueError("this camera is closed")
-        gl.check_process()
-        with self._turns:
-            gl.bind(self._gl)
+        self._canvas.bind()
 
     def close(self) -> None:
-        if getattr(self, "_gl", None) is None or not gl.survives():
-            return
-        self._bind()
-        with self._turns:
-            self._context.free()  # before its GL context, or it would free what is another's
-            gl.release(self._gl)
-        self._context = self._gl = None
+        if getattr(self, "_is_open", False):
+            self._is_open = False
+            self._canvas.leave()
 
     def __enter__(self) -> Self:
         return self

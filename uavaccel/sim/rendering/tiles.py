@@ -16,8 +16,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from uavaccel.sim.camera import gl
-from uavaccel.sim.camera.view import HEIGHT, WIDTH, set_quality
+from uavaccel.sim.camera.canvas import Canvas
+from uavaccel.sim.camera.gl import GlRenderer
+from uavaccel.sim.camera.view import HEIGHT, WIDTH
 
 TILE_BYTES = WIDTH * HEIGHT * 4  # four bytes of colour per pixel, or a float of depth
 BUFFERS = 2
@@ -31,16 +32,10 @@ class Tiles:
 
     def __init__(self, model: mujoco.MjModel, count: int) -> None:
         self.count = count
-        self._gl, self.renderer = gl.make_context(WIDTH, HEIGHT)
-        set_quality(model, WIDTH, HEIGHT)
-        self._context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_50)
-        gl.sample_textures_fast(self._context)
-        if self.renderer.software:
-            gl.drop_stencil(self._context, WIDTH, HEIGHT)
-        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)
+        self._canvas = Canvas(model, WIDTH, HEIGHT)  # no one else's: a buffer stays bound in it
+        self._context = self._canvas.context
         self._rectangle = mujoco.MjrRect(0, 0, WIDTH, HEIGHT)
         self._offsets = [ctypes.c_void_p(TILE_BYTES * place) for place in range(count)]
-        self._read_pixels = gl.pixel_reader()
         from OpenGL import GL  # takes the platform of the first context, so not before there is one
 
         self._api: ModuleType = GL
@@ -62,7 +57,7 @@ class Tiles:
         mujoco.mjr_render(self._rectangle, scene, self._context)
         api = self._api
         kind = (api.GL_DEPTH_COMPONENT, api.GL_FLOAT) if depth else (api.GL_RGBA, api.GL_UNSIGNED_BYTE)
-        self._read_pixels(0, 0, WIDTH, HEIGHT, *kind, self._offsets[place])
+        self._canvas.read_pixels(0, 0, WIDTH, HEIGHT, *kind, self._offsets[place])
 
     @contextmanager
     def read(
@@ -79,8 +74,12 @@ class Tiles:
         finally:
             api.glUnmapBuffer(api.GL_PIXEL_PACK_BUFFER)
 
+    @property
+    def renderer(self) -> GlRenderer:
+        """The renderer that draws."""
+        return self._canvas.renderer
+
     def close(self) -> None:
         """Free what OpenGL holds."""
         self._api.glDeleteBuffers(BUFFERS, self._buffers)
-        self._context.free()  # before its GL context, or it would free what is another's
-        gl.release(self._gl)
+        self._canvas.leave()
