@@ -316,7 +316,7 @@ def judged(
     if plan.flies:
         shown.append(f"flew {path_m:.1f} m, to " + " ".join(f"{value:.1f}" for value in position_m))
     if images >= 0 and plan.images:
-        shown.append(f"{images} calls for images answered")
+        shown.append(f"{images} {'call' if images == 1 else 'calls'} for images answered")
     if end and not plan.endless:
         return Result(False, ", ".join(["did not end", *shown]))
     happened = (not plan.flies or path_m >= FLOWN_M) and (not plan.images or images != 0)

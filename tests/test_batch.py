@@ -181,7 +181,7 @@ def test_what_a_batch_cannot_be_is_one_clear_line(keys: dict[str, Any], message:
 @pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
 @pytest.mark.parametrize(("end", "how"), [
     (signal.SIGKILL, "ended with status -9"),
-    (signal.SIGSTOP, "stands still: it was stopped"),
+    (signal.SIGSTOP, "hangs: it was stopped"),
 ])  # fmt: skip
 def test_a_renderer_that_draws_no_more_is_said_in_one_line(
     end: signal.Signals, how: str, monkeypatch: pytest.MonkeyPatch
@@ -211,7 +211,7 @@ def test_the_first_answer_is_not_waited_for_while_a_lane_stands_still(
         batch.call_async(0, "get_state")
         batch.call_async(1, "get_state")
         assert batch.call_wait()[0] == 1
-        with pytest.raises(BatchError, match=r"^the process of environment 0 stands still: it was stopped$"):
+        with pytest.raises(BatchError, match=r"^the process of environment 0 hangs: it was stopped$"):
             batch.call_wait()
     assert not left_after(pids, 0.0)
 

@@ -109,7 +109,7 @@ def test_tcsc_takes_three_samples_a_command_as_in_the_paper() -> None:
 
 
 def test_tcsc_gathers_before_it_goes_on() -> None:
-    """A generator: who thinks between two samples thinks while the clock stands."""
+    """A generator: who thinks between two samples thinks while the clock is paused."""
     client = ScriptedClient()
     flight = tcsc(client, NORTH, 1.0, 0.5)
     next(flight)

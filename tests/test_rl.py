@@ -505,7 +505,7 @@ def test_the_gap_is_what_passes_beyond_t_move_while_the_clock_runs(
     assert gap_s(rows) == pytest.approx(gap)
     (cell,) = summarise({"seed": 0, "games": 10, "evaluation_clock_speed": 1.0}, rows, load)["pooled"]
     assert cell["gap_s"] == gap_s(rows)
-    assert gap_s(made("tcsc", clock_speed, [[0]], wall_s)) == 0.0  # its clock stands
+    assert gap_s(made("tcsc", clock_speed, [[0]], wall_s)) == 0.0  # its clock is paused
 
 
 def thought(command: str, variant: str, gap: float, won: int) -> dict[str, Any]:

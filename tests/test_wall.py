@@ -86,7 +86,7 @@ def test_a_continue_for_is_exact_and_never_early(session: Session, duration_ns: 
     assert client.now_ns() - called_ns >= duration_ns // 10
     assert state.time_ns - start.time_ns == duration_ns
     assert client.call("simIsPaused") is True
-    assert client.kinematics() == state, "the clock stands"
+    assert client.kinematics() == state, "the clock is paused"
 
 
 def test_a_join_is_never_early_and_a_cancelled_command_answers_false(session: Session) -> None:

@@ -133,7 +133,7 @@ def drone_arrays() -> dict[str, np.ndarray]:
 def test_the_page_shows_a_drone_its_path_its_command_and_what_goes_on(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """MuJoCo's frame is north, west, up. Of the 0.2 s in which the client thinks the clock stands in the first half."""
+    """MuJoCo's frame is north, west, up. Of 0.2 s in which the client thinks the clock is paused in the first half."""
     made: dict[str, Any] = {}
 
     def add(name: str, *arguments: Any, **options: Any) -> Any:
@@ -157,7 +157,7 @@ def test_the_page_shows_a_drone_its_path_its_command_and_what_goes_on(
         said[wall_s] = made["/TCSC/name"].text, arrow.points.round(9).tolist() if arrow.visible else None
     assert said == {
         0.05: ("TCSC: flies its command", [[[0.5, -3.0, 10.0], [1.2, -3.0, 10.0]]]),
-        0.15: ("TCSC: client thinks, clock stands", None),
+        0.15: ("TCSC: client thinks, clock paused", None),
         0.25: ("TCSC: client thinks, drone flies on", None),
         0.35: ("TCSC: flies its command", [[[2.0, -3.5, 10.0], [2.0, -4.2, 10.0]]]),
         0.4: ("TCSC: done", None),

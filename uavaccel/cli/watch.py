@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 TITLE = (
     "One square under both commands. Before each command the client thinks for {think:g} ms. "
-    "Under **ADSC** the drone flies on meanwhile (vermilion); under **TCSC** the clock stands."
+    "Under **ADSC** the drone flies on meanwhile (vermilion); under **TCSC** the simulation is paused."
 )
 
 

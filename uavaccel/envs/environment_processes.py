@@ -182,14 +182,14 @@ class EnvironmentProcesses:
             return
         if renderer is not None and is_stopped(renderer.pid):
             renderer.kill()
-            raise BatchError("the renderer of all environments stands still: it was stopped")
+            raise BatchError("the renderer of all environments hangs: it was stopped")
         slots = [
             slot for slot, number in enumerate(self._process_of) if self._processes[number].pid in standing
         ]
         how = "was stopped" if is_stopped(standing[0]) else "waits for what does not come"
         for pid in standing:
             self._processes[pids[pid]].kill()
-        raise BatchError(f"the process of environment {slots[0]} stands still: it {how}")
+        raise BatchError(f"the process of environment {slots[0]} hangs: it {how}")
 
     def ask_all(
         self, method: str, arguments: Sequence[tuple[object, ...]], slots: Sequence[int]

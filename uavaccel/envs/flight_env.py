@@ -280,7 +280,9 @@ class FlightEnv(gymnasium.Env[Frame, Action], Generic[TaskT]):
             missing -= 1
         self._frames.extend([self.sensor.blank] * missing)
         if self._context is not None:
-            since_ns = client.now_ns() - gathered_ns if task.command == "adsc" else 0  # TCSC's clock stands
+            since_ns = (
+                client.now_ns() - gathered_ns if task.command == "adsc" else 0
+            )  # TCSC's clock is paused
             present_ns = now.state.time_ns + round(since_ns * task.clock_speed)
             self._context.update(action, taken_ns, missing, present_ns)
         return now._replace(commands=now.commands + 1)

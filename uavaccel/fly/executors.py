@@ -27,7 +27,9 @@ from uavaccel.units import NS_PER_S
 if TYPE_CHECKING:
     import asyncio
 
-FREE_TURNS = 100  # of a loop while the clock stands; each further one reads the clock, so that polling ends
+FREE_TURNS = (
+    100  # of a loop while the clock is paused; each further one reads the clock, so that polling ends
+)
 POOLS = ("concurrent.futures._base", "concurrent.futures.thread")
 
 

@@ -25,7 +25,7 @@ class LoopOptions:
     """How an agent and its environment take turns. Raises UserError for values that do not fit.
 
     Under "adsc" the environment goes on while the agent thinks, at `clock_speed` simulated seconds per second of wall
-    time; under "tcsc" it stands still. An action is a `chunk` of so many, a control period each, of which `execute`
+    time; under "tcsc" it is paused. An action is a `chunk` of so many, a control period each, of which `execute`
     are applied before the next observation; what is left of the chunk goes on while the agent thinks, and after it
     `meanwhile`: the action applied last ("hold"), or the `default_action`, which is zero in a Box. With `overlap` the
     agent observes `execute` periods after its last observation, or as soon as its actions are on their way if its

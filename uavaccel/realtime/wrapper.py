@@ -33,7 +33,7 @@ class RealTime(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
     Between an observation and the action that follows it `latency_s` of wall time pass: seconds, a list of seconds to
     draw from, the name of a calibration file, "measured" (the time that the agent really takes; the one source that
     does not repeat), or any `ThinkingTime`. Under `command="adsc"` the environment goes on meanwhile, at `clock_speed`
-    simulated seconds per second; under "tcsc" it stands still, as the paper's command makes it. See `LoopOptions` for
+    simulated seconds per second; under "tcsc" it is paused, as the paper's command makes it. See `LoopOptions` for
     `meanwhile`, `default_action`, `chunk`, `execute` and `overlap`.
 
     One tick is a physics step of Gymnasium's MuJoCo environments, elsewhere a control period: `period_s`, or what the

@@ -19,7 +19,7 @@ IDEAL, IDEAL_WIDTH = (245, 245, 245), 2.0
 SHORT_S, STANDS = (
     1e-6,
     0.1,
-)  # wall seconds in which the clock stands if it runs at less than this share of ClockSpeed
+)  # wall seconds in which the clock counts as paused if it runs at less than this share of ClockSpeed
 
 
 class Drone:
@@ -89,7 +89,7 @@ class Drone:
         passes_s = self.track.simulated_s(wall_s + SHORT_S) - time_s
         # a script's messages tell the times of its calls, so that a pause seems to begin a little before its end
         stands = passes_s < STANDS * SHORT_S * self.track.clock_speed
-        return "client thinks, clock stands" if stands else "client thinks, drone flies on"
+        return "client thinks, clock paused" if stands else "client thinks, drone flies on"
 
     def _velocity(self, time_s: float) -> Vector | None:
         number = self.track.command(time_s)

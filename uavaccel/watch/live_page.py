@@ -203,7 +203,7 @@ class LivePage:
             if not silent
             else "Paused."
             if self._held and moment.may_hold
-            else "Its clock stands, or its flight is over."
+            else "Its clock is paused, or its flight is over."
         )
         lines = [
             Line(name, moment.time_s, height, state_of(commanded))

@@ -39,7 +39,7 @@ class Eyes:
     def _see(self, frame: NDArray[np.uint8], time_s: float) -> None:
         passed_s = time_s - self._seen_s
         if self._state is not None and passed_s == 0.0:
-            return  # the clock stands: nothing changes, and nothing is seen
+            return  # the clock is paused: nothing changes, and nothing is seen
         if self._state is not None and 0.0 < passed_s < LONGEST_S:
             self._state, on, off = step(self._sensor, self._state, frame, time_s - self._began_s)
             self._events = np.ascontiguousarray(dvs_picture(on, off, (WIDTH, HEIGHT))[..., ::-1])

@@ -2,7 +2,7 @@
 
 The page (uavaccel.watch.live) listens on a Unix socket whose path is in the environment variable PAGE, which every
 process of a command inherits. Nothing here is a message of a client: no wall time of a simulated clock passes, and no
-flight changes. A flight on a simulated clock can be held, as that clock stands meanwhile; one on the machine's cannot.
+flight changes. A flight on a simulated clock can be held, since that clock is paused too; one on the machine's cannot.
 """
 
 from __future__ import annotations
@@ -165,7 +165,7 @@ class Broadcast:
     # --- the page's orders ------------------------------------------------------------------------
 
     def _keep_pace(self) -> None:
-        """Let the machine's time pass until the next look is due, in which the simulated clock stands."""
+        """Let the machine's time pass until the next look is due, in which the simulated clock is paused."""
         while self._open:
             if self._orders["held"]:
                 if self._orders["looks"] > 0:

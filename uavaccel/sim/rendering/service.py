@@ -54,7 +54,7 @@ class RenderService:
         while not select.select([self.process.stdout], [], [], LOOK_S)[0]:
             if stalls.look([self.process.pid], looks=FIRST_LOOKS):
                 self.process.kill()
-                raise RendererGoneError("the renderer stands still, and did not get to drawing")
+                raise RendererGoneError("the renderer hangs, and never drew")
         line = self.process.stdout.readline()
         if not line:
             raise RendererGoneError(

@@ -214,7 +214,7 @@ def _range(counts: set[int]) -> str:
 
 _READING = (
     "Between an observation and its action an agent thinks for the latency, on a wall clock that runs ClockSpeed times "
-    "slower than the simulation: the environment goes on for their product (ADSC) or stands still (TCSC). Two agents "
+    "slower than the simulation: the environment goes on for their product (ADSC) or is paused (TCSC). Two agents "
     "change places where one is ahead of the other at the slowest ClockSpeed and behind it here, and their 95 % "
     "intervals are apart both times; Kendall's tau compares the order of the means alone."
 )

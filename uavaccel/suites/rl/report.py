@@ -272,7 +272,7 @@ _WHAT_N_TELLS = (
 _WHAT_A_GAP_IS = (
     "The gap is the mean simulated time between the end of a command and the next one in the training, worked out from "
     "the modelled wall time of its commands without that of images, which ADSC takes in a pause. With TCSC the clock "
-    "stands still while an agent decides: its gap is 0 at every ClockSpeed."
+    "is paused while an agent decides: its gap is 0 at every ClockSpeed."
 )
 _HOW_TIME_IS_MODELLED = (
     "Hours are of the simulated wall clock, summed over the lanes flown side by side, each charged as if alone; "

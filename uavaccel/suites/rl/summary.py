@@ -204,7 +204,7 @@ def per_command(members: Sequence[RlRow], phases: Sequence[str]) -> float:
 def gap_s(members: Sequence[RlRow]) -> float:
     """Return the mean simulated time between the end of a command and the next one in the trainings of one cell.
 
-    With TCSC the clock stands still meanwhile: 0. With ADSC it is the simulated time from command to command less
+    With TCSC the clock is paused meanwhile: 0. With ADSC it is the simulated time from command to command less
     T_move: all of the wall time but that of images, at the speed that the profile's platform reaches. A few calls of a
     millisecond that ADSC makes in its pauses are counted too, and a command that a collision ends early counts as a
     whole one.
