@@ -18,6 +18,7 @@ from uavaccel.config import (
     validate,
 )
 from uavaccel.errors import UsageError, UserError
+from uavaccel.resources import experiment, experiment_names
 from uavaccel.yaml_io import dump_yaml, parse_yaml
 
 
@@ -216,3 +217,10 @@ def test_an_override_that_is_not_key_and_value_is_wrong_usage(override: str) -> 
 def test_an_override_that_cannot_be_applied_is_refused(override: str, line: str) -> None:
     with pytest.raises(UserError, match=line):
         apply_overrides({"games": 2, "speeds": [1, 5]}, [override])
+
+
+@pytest.mark.parametrize("name", experiment_names())
+def test_what_ships_is_the_same_to_both_parsers(name: str) -> None:
+    """Down to the types: 1 is no 1.0."""
+    path = experiment(f"{name}.yaml")
+    assert repr(load_yaml(path, shipped=True)) == repr(load_yaml(path))

@@ -135,7 +135,7 @@ ZERO_LATENCY = LatencyConfig()
 @cache
 def shipped_latency(profile: str = "native") -> LatencyConfig:
     """Return a profile's shipped model: measured by `uavaccel calibrate`, or AirSim's by experiments/fit_airsim.py."""
-    return read_latency(experiment(SHIPPED[profile]))
+    return read_latency(experiment(SHIPPED[profile]), shipped=True)
 
 
 def of_the_profile(fields: Mapping[str, object]) -> LatencyConfig:
@@ -143,9 +143,9 @@ def of_the_profile(fields: Mapping[str, object]) -> LatencyConfig:
     return shipped_latency(str(fields.get("profile", "native")))
 
 
-def read_latency(path: Path) -> LatencyConfig:
+def read_latency(path: Path, shipped: bool = False) -> LatencyConfig:
     """Return the model under the key `latency` of a YAML file. Raises UserError that names the file and the key."""
-    block = load_yaml(path)
+    block = load_yaml(path, shipped)
     if "latency" not in block:
         raise UserError(f"{path}: has no key 'latency'; `uavaccel calibrate --out {path}` writes one")
     return validate(_LatencyFile, {"latency": block["latency"]}, str(path)).latency
