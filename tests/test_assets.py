@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import mujoco
 import pytest
 
+from uavaccel.errors import UserError
 from uavaccel.resources import asset
+from uavaccel.sim.scene.model import load_scene
 
 SCENES = sorted(path.name for path in asset("mjcf").glob("*.xml"))
 
@@ -25,6 +29,34 @@ def test_a_scene_holds_the_drone_and_its_camera(name: str) -> None:
     assert model.body("quadrotor").mass[0] == 1.0
     assert model.camera("front_center").pos.tolist() == [0.46, 0.0, 0.0]
     assert model.sensor("collision").dim[0] == 1
+
+
+INCLUDED = '<include file="quadrotor.xml"/>'
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "empty file"),
+        (f"<mujoco>{INCLUDED}", "XML parse error"),
+        (
+            f'<mujoco>{INCLUDED}<worldbody><geom type="bax"/></worldbody></mujoco>',
+            "invalid keyword: 'bax'.*line 1",
+        ),
+        ('<mujoco><include file="nowhere.xml"/></mujoco>', "nowhere.xml"),
+        ("<mujoco/>", "has no quadrotor: needs <include"),
+    ],
+)
+@pytest.mark.parametrize("airsim", [False, True])
+def test_a_scene_that_cannot_be_flown_is_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str, said: str, airsim: bool
+) -> None:
+    (tmp_path / "quadrotor.xml").write_bytes(asset("mjcf/quadrotor.xml").read_bytes())
+    (tmp_path / "mine.xml").write_text(text)
+    monkeypatch.setattr("uavaccel.sim.scene.model.asset", lambda name: tmp_path / Path(name).name)
+    with pytest.raises(UserError, match=rf"^{tmp_path / 'mine.xml'}: .*{said}") as caught:
+        load_scene("mine", airsim=airsim)
+    assert "\n" not in str(caught.value)
 
 
 def test_the_scenes_numbers_have_their_sources() -> None:

@@ -267,6 +267,11 @@ def test_what_was_measured_is_replayed_as_a_distribution(tmp_path: Path) -> None
         (lambda: RealTime(Counting(), 0.1, chunk=2, execute=3), "execute: must be at most chunk = 2, not 3"),
         (lambda: RealTime(Counting(), 0.1, chunk=0), "chunk: must be a count of actions, 1 or more, not 0"),
         (lambda: RealTime(Counting(), 0.1, default_action=[3.0]), "default_action: .* is not in Box"),
+        (lambda: RealTime(Counting(), 0.1, default_action="up"), "default_action: 'up' is not in Box"),
+        (
+            lambda: RealTime(Counting(), np.array([0.1, np.nan])),
+            "latency_s: must be 0 to 3600 seconds, not nan",
+        ),
         (
             lambda: RealTime(Counting(), 0.1, period_s=0),
             "period_s: must be a number of seconds above 0, not 0",

@@ -345,6 +345,14 @@ def test_on_the_machines_clock_it_flies_what_the_simulated_one_models(
             "environments.x: Nowhere-v0 cannot be made: Environment `Nowhere`",
         ),
         ("environments={x: {id: CartPole-v1}}", "environments.x, agents.naive: default_action: a Discrete"),
+        (
+            "environments={x: {id: CartPole-v1, default_action: 0}}",
+            "agents.look_ahead: look_ahead: looks into",
+        ),
+        (
+            "environments.hover.keys={timing: lockstep}",
+            "environments.hover.keys: a drone has timing of each cell",
+        ),
         ("agents={a: {training_delay_s: [0.2, 0.1]}}", "training_delay_s must rise"),
         ("agents={a/b: {}}", "'a/b' names files: letters, digits and _ alone"),
         ("latency_s=[0.1, 0.1]", "latency_s has a latency twice"),

@@ -224,12 +224,20 @@ def test_a_writer_that_fails_leaves_the_old_file(run: RunDirectory) -> None:
     assert list(run.load_arrays(row)) == ["time_s"]
 
 
-@pytest.mark.parametrize("damage", [b"\x00\x00\n", b"3\n"])
-def test_a_damaged_line_is_named(run: RunDirectory, damage: bytes) -> None:
+@pytest.mark.parametrize(
+    ("damage", "said"),
+    [
+        (b"\x00\x00\n", "not JSON"),
+        (b"3\n", "not a JSON object"),
+        (b"{}\n", "no name"),
+        (b'{"case": 3}\n', "no name"),
+    ],
+)
+def test_a_damaged_line_is_named(run: RunDirectory, damage: bytes, said: str) -> None:
     run.append_row({"case": "a"})
     with (run.path / "rows.jsonl").open("ab") as file:
         file.write(damage)
-    with pytest.raises(UserError, match=r"rows\.jsonl: line 2: not"):
+    with pytest.raises(UserError, match=rf"rows\.jsonl: line 2: .*{said}"):
         RunDirectory(run.path)
 
 
@@ -348,6 +356,9 @@ def test_missing_and_damaged_json_is_named(run: RunDirectory) -> None:
     run.write_text("summary.json", "{")
     with pytest.raises(UserError, match=r"summary\.json: not JSON"):
         run.read_json("summary.json")
+    run.write_text("manifest.json", "[]")
+    with pytest.raises(UserError, match=r"manifest\.json: must be a mapping, not a list"):
+        resume(run)
 
 
 def test_a_path_of_the_run_has_its_folder(run: RunDirectory) -> None:

@@ -122,8 +122,8 @@ def test_a_file_without_end_is_not_read_to_it() -> None:
     ({"CameraDefaults": {"CaptureSettings": [{"FOV_Degrees": 1e-9}]}}, "CaptureSettings.0.FOV_Degrees = 1e-09"),
     ({"CameraDefaults": {"CaptureSettings": [{"ImageType": 99}]}}, "CaptureSettings.0.ImageType = 99"),
     ({"DefaultSensors": {"D": {"SensorType": 5, "MinDistance": 9, "MaxDistance": 8}}}, "MinDistance must be at most"),
-    ({"DefaultSensors": {"L": {"SensorType": 7}}}, "DefaultSensors.L"),
-    ({"DefaultSensors": {"L": {"Range": 7}}}, "DefaultSensors.L"),
+    ({"DefaultSensors": {"L": {"SensorType": 7}}}, "DefaultSensors.L.SensorType = 7: should be one of 1, 2, 3"),
+    ({"DefaultSensors": {"L": {"Range": 7}}}, "key 'DefaultSensors.L.SensorType' is missing"),
     ({"OriginGeopoint": {"Latitude": 91}}, "OriginGeopoint.Latitude = 91"),
 ])  # fmt: skip
 def test_what_is_wrong_with_cameras_and_sensors_is_named(tmp_path: Path, content: Any, text: str) -> None:

@@ -11,7 +11,7 @@ from tests.learning import tiny_config, train_into
 from tests.running import configured, run_into
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.errors import UsageError, UserError
-from uavaccel.files import read_arrays, to_json
+from uavaccel.files import read_arrays, to_json, write_arrays
 from uavaccel.fly.options import FlightOptions
 from uavaccel.fly.runs import fly
 from uavaccel.records import RunDirectory
@@ -67,8 +67,19 @@ def test_a_scripts_flight_has_both_clocks_and_its_commands(script: Path) -> None
 def test_a_script_that_flew_nothing_has_no_path(tmp_path: Path, script: Path) -> None:
     for name in ("flight.json", "messages.jsonl"):
         (tmp_path / name).write_bytes((script / name).read_bytes())
-    np.savez(tmp_path / "trajectory.npz", time_ns=np.zeros(0, np.int64))
+    kept = read_arrays(script / "trajectory.npz")
+    write_arrays(tmp_path / "trajectory.npz", {name: array[:1] for name, array in kept.items()})
     with pytest.raises(UserError, match=r"trajectory.npz: has no path"):
+        recorded(tmp_path)
+    for damage in ({"position_m": kept["position_m"]}, {**kept, "time_ns": kept["time_ns"][1:]}):
+        write_arrays(tmp_path / "trajectory.npz", damage)
+        with pytest.raises(UserError, match=r"trajectory.npz: is no trajectory: needs time_ns, position_m"):
+            recorded(tmp_path)
+    write_arrays(tmp_path / "trajectory.npz", kept)
+    (tmp_path / "messages.jsonl").write_text("")  # a script that only looked on
+    assert recorded(tmp_path).track.velocities == []
+    (tmp_path / "flight.json").write_text("[]")
+    with pytest.raises(UserError, match=r"flight.json: is no summary of a flight"):
         recorded(tmp_path)
     (tmp_path / "flight.json").unlink()
     with pytest.raises(UserError, match=r"flight.json: is missing or damaged"):

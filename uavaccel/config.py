@@ -131,10 +131,20 @@ def _explain(cls: type[Config], mapping: Mapping[str, object], error: Validation
         return f"unknown key {key!r}; {suggestion(str(unknown), _keys_below(cls, above))}"
     if first["type"] == "missing":
         return f"key {key!r} is missing"
+    if first["type"].startswith("union_tag_"):
+        return _explain_kind(key, first["ctx"])
     wanted = _YAML_WORDS.get(first["type"]) or first["msg"].removeprefix("Value error, ").removeprefix(
         "Input "
     )
     return f"{key} = {reprlib.repr(first['input'])}: {wanted}" if key else wanted
+
+
+def _explain_kind(key: str, kind: Mapping[str, str]) -> str:
+    """Return what is wrong with the key that says which of several mappings this one is."""
+    *_, name, _ = kind["discriminator"].split("'")  # its alias is the last one in quotes
+    if "tag" not in kind:
+        return f"key '{key}.{name}' is missing"
+    return f"{key}.{name} = {kind['tag']}: should be one of {kind['expected_tags']}"
 
 
 def _dotted(mapping: Mapping[str, object], error: ErrorDetails) -> str:

@@ -34,7 +34,7 @@ from uavaccel.yaml_io import load_yaml, parse_yaml
 
 
 class RunDirectory:
-    """The run directory at `path`. Raises UserError if there is none, or if a case has two rows."""
+    """The run directory at `path`. Raises UserError if there is none, or if a row has no case or another row's."""
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
@@ -164,18 +164,28 @@ class RunDirectory:
         return load_yaml(self.path / "config.yaml")
 
     def manifest(self) -> dict[str, Plain]:
-        """Return the manifest with which the run was started; "resumed" lists those with which it was continued."""
-        manifest: dict[str, Plain] = self.read_json("manifest.json")
+        """Return the manifest with which the run was started; "resumed" lists those with which it was continued.
+
+        Raises UserError if it is missing or damaged.
+        """
+        manifest = self.read_json("manifest.json")
+        if not isinstance(manifest, dict):
+            raise UserError(
+                f"{self.path / 'manifest.json'}: must be a mapping, not a {type(manifest).__name__}"
+            )
         return manifest
 
     def _cases_of_rows(self) -> set[str]:
         done: set[str] = set()
         for number, row in enumerate(self.rows(), start=1):
-            case = str(row.get("case"))
+            case, where = row.get("case"), f"{self.path / 'rows.jsonl'}: line {number}"
+            if not isinstance(case, str):
+                raise UserError(
+                    f"{where}: has no name of a game under 'case'; delete the line and --resume the run"
+                )
             if case in done:
                 raise UserError(
-                    f"{self.path / 'rows.jsonl'}: line {number}: {case} has a row already; "
-                    "delete the line that does not belong here"
+                    f"{where}: {case} has a row already; delete the line that does not belong here"
                 )
             done.add(case)
         return done
@@ -248,6 +258,10 @@ def _refuse_other_config(path: Path, config: Config, may_grow: Collection[str]) 
             parse_yaml(to_yaml(config), source="configuration"),
         )
     )
+    if there.get("suite") != here.get("suite"):
+        raise UserError(
+            f"{path}: is a run of {there.get('suite')}, not of {here['suite']}; take another --out"
+        )
     other = [key for key in sorted(there.keys() | here.keys()) if there.get(key) != here.get(key)]
     grown = [key for key in other if key in may_grow and key in there and int(there[key]) < int(here[key])]
     differing = [

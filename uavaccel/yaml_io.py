@@ -1,7 +1,7 @@
 """YAML as plain data, read and written by the same rules.
 
-They differ from PyYAML's own in three points: 1e-3 is a number, as in YAML 1.2; a date is text; a duplicate key in a
-mapping is refused.
+They differ from PyYAML's own in four points: 1e-3 is a number, as in YAML 1.2; a date is text; a duplicate key in a
+mapping and tags such as !!binary, which no JSON has, are refused.
 """
 
 import re
@@ -18,6 +18,7 @@ from uavaccel.files import Plain
 
 _FLOAT = "tag:yaml.org,2002:float"
 _TIMESTAMP = "tag:yaml.org,2002:timestamp"
+_NOT_PLAIN = {_TIMESTAMP, *(f"tag:yaml.org,2002:{kind}" for kind in ("binary", "omap", "pairs", "set"))}
 _EXPONENT_ALONE = re.compile(r"[-+]?[0-9]+[eE][-+]?[0-9]+$")
 
 
@@ -36,6 +37,11 @@ MOST_VALUES = 1_000_000
 
 class _Rules(SafeConstructor):
     yaml_implicit_resolvers = _resolvers()
+    yaml_constructors = {  # noqa: RUF012  as PyYAML has it
+        tag: construct
+        for tag, construct in yaml.SafeLoader.yaml_constructors.items()
+        if tag not in _NOT_PLAIN
+    }
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Plain]:
         seen: set[str] = set()

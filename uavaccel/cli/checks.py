@@ -14,6 +14,8 @@ def check_out(folder: Path, resume: bool = False) -> None:
     if folder.exists():
         if not resume:
             raise UserError(f"{folder}: exists; take another --out, or --resume to go on with it")
+        if not folder.is_dir():
+            raise UserError(f"--out {folder}: is no folder, so no run to go on with")
         return
     above = next(each for each in folder.absolute().parents if each.exists())
     if not above.is_dir():
@@ -45,6 +47,12 @@ def check_number(option: str, value: float, least: float, most: float) -> None:
     if not least <= value <= most:
         form = "g" if isinstance(value, float) else "d"
         raise UserError(f"{option} {value:{form}}: must be {least:{form}} to {most:{form}}")
+
+
+def check_host(host: str) -> None:
+    """Raise UsageError for an empty address, which sockets take for all addresses of this machine."""
+    if not host.strip():
+        raise UsageError("--host: is empty; name an address, as in --host 127.0.0.1")
 
 
 def check_profile(profile: str) -> None:

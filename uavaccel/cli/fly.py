@@ -42,6 +42,9 @@ def parse_clocks(text: str | None) -> tuple[float, ...]:
     if any(not CLOCK_SPEEDS[0] <= clock <= CLOCK_SPEEDS[1] for clock in clocks):
         least, most = CLOCK_SPEEDS
         raise UsageError(f"--clock {text}: every ClockSpeed must be above 0, from {least:g} to {most:g}")
+    names = [f"{clock:g}" for clock in clocks]  # of the flights' folders
+    if twice := [name for name in names if names.count(name) > 1]:
+        raise UsageError(f"--clock {text}: has {twice[0]} twice")
     return clocks
 
 

@@ -35,6 +35,7 @@ from uavaccel.suites.report import Summary
 from uavaccel.suites.runner import begin_run, check_cases, check_jobs, run_suite
 from uavaccel.suites.suite import AnySuite, Case, configuration
 from uavaccel.watch.beside import PageAddress, page_beside
+from uavaccel.watch.server import free_port
 
 COLUMN_GAP = 2  # characters between the columns of a table, as wide as rich pads them
 TABLE_WIDTH = 170  # where the output is no terminal
@@ -113,6 +114,7 @@ def run_experiment(request: RunRequest) -> RunDirectory | None:
     check_engine(request.engine)
     if request.page is not None:
         check_watchable(getattr(config, "simulator", None), request.engine)
+        free_port(request.page.host, request.page.port)
     if request.out is not None and not request.dry_run:
         check_out(request.out, request.resume)
     name = Path(request.experiment or suite.name).stem
@@ -236,20 +238,24 @@ def fly(
 
 @contextmanager
 def resumable(out: Path) -> Iterator[None]:
-    """Turn Ctrl-C, and errors of the system such as a full disk, into a line that says how to resume."""
-    how = f"go on with: uavaccel run --out {shlex.quote(str(out))} --resume"
+    """Turn Ctrl-C, and errors of the system such as a full disk, into a line that says how to resume what was begun."""
     try:
         yield
     except KeyboardInterrupt:
-        raise Interrupted(f"interrupted; {how}") from None
+        raise Interrupted(f"interrupted{_going_on(out)}") from None
     except (OSError, MemoryError) as error:
         if (refused := mistake_of(error)) is None:
             raise
-        raise UserError(f"{refused}; {how}") from error
+        raise UserError(f"{refused}{_going_on(out)}") from error
     except UserError as error:
         if not isinstance(error.__cause__, OSError):
             raise
-        raise UserError(f"{error}; {how}") from error
+        raise UserError(f"{error}{_going_on(out)}") from error
+
+
+def _going_on(out: Path) -> str:
+    begun = (out / "config.yaml").is_file()
+    return f"; go on with: uavaccel run --out {shlex.quote(str(out))} --resume" if begun else ""
 
 
 def report_run(run: RunDirectory) -> Summary:

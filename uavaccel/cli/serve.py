@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+from uavaccel.cli.checks import check_host
 from uavaccel.clock import MonotonicClock
 from uavaccel.errors import UserError
 from uavaccel.sim.profile import PROFILES
@@ -64,6 +65,7 @@ def serve(options: ServeOptions) -> None:
 def address_of(options: ServeOptions, settings: Settings) -> str:
     """Return the address to listen on: beyond this machine only if the command line names it. Raises UserError."""
     if options.host is not None:
+        check_host(options.host)
         return options.host
     if not is_loopback(settings.address):
         raise UserError(
@@ -111,15 +113,20 @@ def draw_once(api: Api) -> None:
 
 
 def recordings_of(options: ServeOptions, settings: Settings) -> Path:
+    """Return the folder of recordings. Raises UserError where a file has its name."""
     given = options.recordings or (Path(settings.recording.folder) if settings.recording.folder else None)
-    return given or Path.home() / "Documents" / "AirSim"
+    folder = given or Path.home() / "Documents" / "AirSim"
+    if folder.exists() and not folder.is_dir():
+        where = "--recordings" if options.recordings else f"{options.settings}: Recording.Folder ="
+        raise UserError(f"{where} {folder}: is no folder")
+    return folder
 
 
 def start_recording(api: Api) -> None:
     """Record from the start, as Recording.Enabled requests. Raises UserError if that cannot be written."""
     try:
         api.recorder.start(MonotonicClock().now_ns())
-    except OSError as error:
+    except (OSError, ValueError) as error:  # the latter for a name with a zero byte
         raise UserError(f"the recording cannot be written: {error}") from None
 
 

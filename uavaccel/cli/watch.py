@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from uavaccel.cli.checks import check_host
 from uavaccel.errors import UsageError
 from uavaccel.suites.dp1.flights import SCENE
 from uavaccel.watch.page import Page
@@ -40,6 +41,7 @@ class WatchRequest:
 def watch(request: WatchRequest) -> None:
     """Open the page and say where; until Ctrl-C. Raises UserError for a run without such a game."""
     check_viser()
+    check_host(request.host)
     show = _of_run(request) if request.run is not None else _of_square(request)
     server = open_server(request.host, request.port)
     try:

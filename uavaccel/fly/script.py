@@ -143,7 +143,7 @@ def compiled(path: Path) -> CodeType:
     try:
         return compile(source, str(path), "exec")
     except (SyntaxError, ValueError) as error:
-        line = f":{error.lineno}" if isinstance(error, SyntaxError) else ""
+        line = f":{error.lineno}" if isinstance(error, SyntaxError) and error.lineno else ""
         raise UserError(f"{path}{line}: not Python: {error.args[0]}") from None
 
 

@@ -75,13 +75,21 @@ class LoopOptions:
         if self.default_action is not None:
             action = self.default_action
             if isinstance(single, spaces.Box):
-                action = np.asarray(action, single.dtype)
-            if not single.contains(action):
+                action = _as_array(action, single)
+            if action is None or not single.contains(action):
                 raise UserError(f"default_action: {self.default_action!r} is not in {single}")
             return action
         if isinstance(single, spaces.Box):
             return np.clip(np.zeros(single.shape, single.dtype), single.low, single.high)
         raise UserError(f"default_action: a {type(single).__name__} has no neutral action; name one")
+
+
+def _as_array(action: Action, space: AnyBox) -> Action:
+    """Return the action as an array of the space's type; None for what is no array of numbers."""
+    try:
+        return np.asarray(action, space.dtype)
+    except (TypeError, ValueError):
+        return None
 
 
 class ControlLoop:

@@ -109,6 +109,11 @@ class MujocoPlant(PeriodicPlant):
             self._inside.frame_skip = self.period_ticks  # type: ignore[attr-defined]
 
 
+def is_of_mujoco(env: gymnasium.Env[Any, Any]) -> bool:
+    """Return whether it is one of Gymnasium's MuJoCo environments, or is built as they are."""
+    return all(hasattr(env.unwrapped, name) for name in ("frame_skip", "model", "do_simulation"))
+
+
 def plant_of(env: gymnasium.Env[Any, Any], period_s: float | None) -> Plant:
     """Return the plant of an environment: by physics steps or, with `period_s` or without MuJoCo, by control periods.
 
@@ -117,7 +122,7 @@ def plant_of(env: gymnasium.Env[Any, Any], period_s: float | None) -> Plant:
     inside: Any = env.unwrapped
     if period_s is not None:
         return PeriodicPlant(env, period_s)
-    if hasattr(inside, "frame_skip") and hasattr(inside, "model") and hasattr(inside, "do_simulation"):
+    if is_of_mujoco(env):
         return MujocoPlant(env)
     of_dm_control = getattr(getattr(inside, "_env", None), "control_timestep", None)  # inside shimmy's
     if callable(of_dm_control):

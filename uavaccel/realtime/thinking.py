@@ -150,10 +150,8 @@ def thinking_time(latency_s: object) -> ThinkingTime:
         raise UserError(f"latency_s: {_MEANT}, not {latency_s}")
     if isinstance(latency_s, int | float):
         return _Constant(_checked(float(latency_s)))
-    if latency_s == MEASURED:
-        return Measured()
     if isinstance(latency_s, str | Path):
-        return calibrated(latency_s)
+        return Measured() if latency_s == MEASURED else calibrated(latency_s)
     if isinstance(latency_s, Sequence | np.ndarray):
         return samples(list(latency_s))
     if hasattr(latency_s, "draw_ns") and hasattr(latency_s, "observed"):

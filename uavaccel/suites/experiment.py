@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import reprlib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Literal, TypeVar
@@ -27,7 +28,7 @@ def within(values: tuple[float, ...], least: float, most: float) -> tuple[float,
         if value <= 0:
             raise ValueError(f"must be above 0, not {value}")
         if not least <= value <= most:
-            raise ValueError(f"must be {least:g} to {most:g}, not {float(value):g}")
+            raise ValueError(f"must be {least:g} to {most:g}, not {reprlib.repr(value)}")
     return distinct(values)
 
 

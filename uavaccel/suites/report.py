@@ -103,7 +103,11 @@ class Report(ABC):
 
 def _provenance(run: RunDirectory) -> list[Block]:
     files = [run.path / "config.yaml", run.path / "manifest.json"]
-    return [Listing(path.read_text(encoding="utf-8"), folded=path.name) for path in files if path.is_file()]
+    return [
+        Listing(path.read_text(encoding="utf-8", errors="replace"), folded=path.name)
+        for path in files
+        if path.is_file()
+    ]
 
 
 def summary_table(summary: Summary) -> Table:

@@ -17,7 +17,7 @@ from typing import IO
 
 from uavaccel.errors import UsageError, UserError
 from uavaccel.processes.child import end_within, start_python
-from uavaccel.watch.server import check_viser
+from uavaccel.watch.server import check_viser, free_port
 from uavaccel.wire.page_protocol import PAGE
 
 LOOPBACK = "127.0.0.1"
@@ -55,6 +55,7 @@ def page_beside(address: PageAddress | None, waits: bool = True) -> Iterator[Non
         yield
         return
     check_viser()
+    free_port(address.host, address.port)
     with tempfile.TemporaryDirectory(prefix="uavaccel-watch-", ignore_cleanup_errors=True) as folder:
         socket = Path(folder, "page")
         options = {

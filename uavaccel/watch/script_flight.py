@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
 
 from uavaccel.errors import UserError
-from uavaccel.files import Plain, read_arrays, read_lines
+from uavaccel.files import Plain, parse_json, read_arrays, read_lines
 from uavaccel.fly.messages import FILE_NAME as MESSAGES
 from uavaccel.fly.options import SUMMARY
 from uavaccel.fly.trajectory import FILE_NAME as FLIGHT
@@ -18,11 +17,13 @@ from uavaccel.units import NS_PER_S
 from uavaccel.watch.track import Track
 from uavaccel.wire.api import CALLS
 
+SAMPLES = ("time_ns", "position_m", "orientation_wxyz")
+
 
 def script_track(folder: Path) -> tuple[Track, str]:
     """The flight's track, and its scene. Raises UserError for a flight that is not whole."""
     summary, messages = _summary(folder / SUMMARY), read_lines(folder / MESSAGES)
-    arrays = read_arrays(folder / FLIGHT)
+    arrays = _arrays(folder / FLIGHT)
     if len(arrays["time_ns"]) < 2:
         raise UserError(f"{folder / FLIGHT}: has no path: no client connected, or it flew no time")
     time_s, speed = arrays["time_ns"] / NS_PER_S, float(summary["clock_speed"])
@@ -45,9 +46,20 @@ def script_track(folder: Path) -> tuple[Track, str]:
 
 def _summary(path: Path) -> Plain:
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
+        summary = parse_json(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise UserError(f"{path}: is missing or damaged, so that the flight is not whole: {error}") from None
+    if not (isinstance(summary, dict) and isinstance(summary.get("clock_speed"), int | float)):
+        raise UserError(f"{path}: is no summary of a flight: no number under 'clock_speed'")
+    return summary
+
+
+def _arrays(path: Path) -> dict[str, np.ndarray]:
+    arrays = read_arrays(path)
+    lengths = {len(arrays[name]) if name in arrays else None for name in SAMPLES}
+    if None in lengths or len(lengths) > 1:
+        raise UserError(f"{path}: is no trajectory: needs {', '.join(SAMPLES)}, of equal length")
+    return arrays
 
 
 def _marks(calls: Iterable[Plain], time_s: np.ndarray, speed: float, script_s: float | None) -> np.ndarray:
@@ -80,7 +92,7 @@ def _commands(
         return float(np.interp(wall_ns / NS_PER_S, marks[:, 0], marks[:, 1]))
 
     starts = [at(row["wall_ns"]) for row in moves]
-    following = [*starts[1:], float(marks[-1, 1])]
+    following = [*starts[1:], *([float(marks[-1, 1])] if starts else [])]
     ends = [
         min(at(answered[row["call"]]), after) if row["call"] in answered else after
         for row, after in zip(moves, following, strict=True)

@@ -41,9 +41,21 @@ def load_scene(
 ) -> mujoco.MjModel:
     """Load a scene of assets/mjcf with its quadrotor, and one more for each prefix in `others`.
 
-    `airsim` prepares it for AirSim's clients. Raises UserError for an unknown scene.
+    `airsim` prepares it for AirSim's clients. Raises UserError for an unknown scene, for one that MuJoCo refuses, and
+    for one without a quadrotor.
     """
     path = scene_path(scene, scenery)
+    try:
+        model = _compiled(path, others, airsim)
+    except ValueError as error:
+        raise UserError(f"{path}: {' '.join(str(error).split())}") from error
+    if mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, QUADROTOR) < 0:
+        raise UserError(f'{path}: has no quadrotor: needs <include file="{QUADROTOR}.xml"/>')
+    return model
+
+
+def _compiled(path: Path, others: Sequence[str], airsim: bool) -> mujoco.MjModel:
+    """Return the model of a scene's file. Raises ValueError where it is no MJCF that MuJoCo compiles."""
     if not others:
         return airsim_model(path) if airsim else mujoco.MjModel.from_xml_path(str(path))
     spec = airsim_spec(path) if airsim else mujoco.MjSpec.from_file(str(path))

@@ -14,6 +14,7 @@ from uavaccel.limits import Games, Seconds
 from uavaccel.suites.experiment import ClockSpeeds, CommandNames, Experiment
 
 DRONES = "uavaccel/"
+OF_THE_CASES = {"timing", "command", "clock_speed"}  # keys of a drone's environment
 Delay = Annotated[float, Field(ge=0.0, le=60.0)]
 Layers = tuple[Annotated[int, Field(ge=1, le=4096)], ...]
 
@@ -94,6 +95,11 @@ class RealtimeConfig(Experiment):
             raise ValueError(
                 f"environments of {DRONES[:-1]} keep their own wall clock: their tasks' timing is wall"
             )
+        for name, block in self.environments.items():
+            if block.id.startswith(DRONES) and (own := sorted(OF_THE_CASES & block.keys.keys())):
+                raise ValueError(
+                    f"environments.{name}.keys: a drone has {own[0]} of each cell, not of its own"
+                )
         if len(set(self.latency_s)) < len(self.latency_s):
             raise ValueError(f"latency_s has a latency twice: {list(self.latency_s)}")
         return self

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from contextlib import nullcontext
+from contextlib import closing, nullcontext
 from itertools import product
 from pathlib import Path
 
@@ -33,6 +33,7 @@ class Realtime(Suite[RealtimeConfig, AnyCase]):
 
     def check(self, config: RealtimeConfig) -> None:
         """Raise UserError for an environment that cannot be made, and for an agent that cannot act in it."""
+        from uavaccel.realtime.plant import is_of_mujoco
         from uavaccel.suites.realtime.environments import timed
 
         for name, agent in product(config.environments, config.agents):
@@ -40,7 +41,9 @@ class Realtime(Suite[RealtimeConfig, AnyCase]):
                 continue
             block = config.environments[name]
             try:
-                timed(block, config.agents[agent], 0.0, "adsc", 1.0).close()
+                with closing(timed(block, config.agents[agent], 0.0, "adsc", 1.0)) as env:
+                    if config.agents[agent].look_ahead and not is_of_mujoco(env):
+                        raise UserError("look_ahead: looks into Gymnasium's MuJoCo environments alone")
             except UserError as error:
                 raise UserError(f"environments.{name}, agents.{agent}: {error}") from error
             except Exception as error:  # whatever an environment of anybody's raises
