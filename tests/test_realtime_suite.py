@@ -350,8 +350,8 @@ def test_on_the_machines_clock_it_flies_what_the_simulated_one_models(
             "agents.look_ahead: look_ahead: looks into",
         ),
         (
-            "environments.hover.keys={timing: lockstep}",
-            "environments.hover.keys: a drone has timing of each cell",
+            "environments={x: {id: uavaccel/Hover-v0, keys: {timing: wall}}}",
+            "environments.x.keys: a drone has timing of each cell",
         ),
         ("agents={a: {training_delay_s: [0.2, 0.1]}}", "training_delay_s must rise"),
         ("agents={a/b: {}}", "'a/b' names files: letters, digits and _ alone"),
