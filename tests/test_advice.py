@@ -26,7 +26,8 @@ def row(clock_speed: float, adsc_m: float, tcsc_m: float) -> Advice:
 
 
 def test_the_sentence_names_the_fastest_within_the_error() -> None:
-    told = [row(1, 0.0, 0.0), row(10, 0.05, 0.0), row(50, 0.2, 0.01)]
+    saturated = Advice(20, 0.05, 1.9, 8.0, 0.0, 2.0, 18.0)  # ADSC is slower there than at ClockSpeed 10
+    told = [row(1, 0.0, 0.0), row(10, 0.05, 0.0), saturated, row(50, 0.2, 0.01)]
     said = sentence(told, 0.1, 1.0)
     assert said.startswith(
         "With commands of 1 s ADSC stays within 0.1 m up to ClockSpeed 10, 9.0x real time;"

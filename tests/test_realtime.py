@@ -49,6 +49,19 @@ class Counting(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         return np.full(1, count, np.float32), float(action[0]), count >= 50, False, {}
 
 
+class InTurn:
+    """Thinking times, one after the other."""
+
+    def __init__(self, *times_ns: int) -> None:
+        self._left = iter(times_ns)
+
+    def observed(self) -> None:
+        pass
+
+    def draw_ns(self, generator: np.random.Generator) -> int:
+        return next(self._left)
+
+
 def one(value: float) -> NDArray[np.float32]:
     return np.full(1, value, np.float32)
 
@@ -91,6 +104,12 @@ def cheetah() -> Env:
             {"overlap": True, "latency_s": 0.02, "chunk": 2},
             [[[0.1], [0.2]], [[0.3], [0.4]]],
             [0, 0.1, 0.2, 0.3],
+        ),
+        # The first action comes after its period and waits; one that needs no thinking comes before it, in its place.
+        (
+            {"overlap": True, "latency_s": InTurn(50_000_000, 0, 50_000_000)},
+            [[0.1], [0.2], [0.3]],
+            [0, 0, 0, 0.2, 0.2, 0.2, 0.2],
         ),
     ],
 )
@@ -214,6 +233,15 @@ def test_gymnasiums_checker_and_vectors_take_it() -> None:
     assert kwargs["command"] == "tcsc"
 
 
+def test_the_age_has_no_limit_and_the_latest_actions_begin_anew() -> None:
+    env = RealTime(Counting(), 2.0, period_s=0.1, observe_age=True, observe_actions=2)
+    env.reset(seed=0)
+    observed = env.step(one(0.5))[0]
+    assert observed.tolist() == [21.0, 2.0, 0.0, 0.5]
+    assert env.observation_space.contains(observed)
+    assert env.reset()[0].tolist() == [0.0, 0.0, 0.0, 0.0]
+
+
 # --- thinking times -------------------------------------------------------------------------------
 
 
@@ -246,9 +274,12 @@ def test_what_was_measured_is_replayed_as_a_distribution(tmp_path: Path) -> None
     assert len(measured.taken_ns) == 1
     for taken_ns in range(10_000_000, 30_000_000, 100_000):
         measured.add_ns(taken_ns)
-    replayed = drawn_s(thinking_time(str(measured.save(tmp_path / "thinking.yaml"))))
+    kept = measured.save(tmp_path / "thinking.yaml")
+    replayed = drawn_s(thinking_time(str(kept)))
     assert np.median(replayed) == pytest.approx(0.02, rel=0.05)
     assert np.quantile(replayed, 0.9) == pytest.approx(0.028, rel=0.05)
+    kept.write_text(kept.read_text().replace("latency:\n", "latency:\n  scale: 2.0\n"))
+    np.testing.assert_allclose(drawn_s(thinking_time(kept)), 2 * replayed, atol=2e-9)
 
 
 @pytest.mark.parametrize(

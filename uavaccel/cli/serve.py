@@ -44,8 +44,9 @@ def serve(options: ServeOptions) -> None:
     """Listen, print the address, and serve until SIGINT or SIGTERM. Raises UserError with one line."""
     settings = read_settings(options.settings) if options.settings else Settings()
     host, simulation = address_of(options, settings), simulation_of(options, settings)
+    recordings = recordings_of(options, settings)
     try:
-        api = Api(simulation, settings, recordings=recordings_of(options, settings), say=say)
+        api = Api(simulation, settings, recordings=recordings, say=say)
     except UserError as error:
         raise UserError(f"{options.settings}: {error}") from None
     draw_once(api)

@@ -93,8 +93,6 @@ class MujocoPlant(PeriodicPlant):
         self._ticks = 0
 
     def step(self, action: Action) -> Period:
-        if self._ticks % self.period_ticks:
-            return self._part(action, self.period_ticks)
         self._ticks += self.period_ticks
         return self._env.step(action)
 
