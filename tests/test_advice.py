@@ -12,7 +12,7 @@ from uavaccel.bench import advice, agreement, calibration
 from uavaccel.bench.advice import Advice, advise, sentence
 from uavaccel.bench.agreement import Agreement
 from uavaccel.bench.calibration import Latencies, _gather
-from uavaccel.bench.square import SquareGame
+from uavaccel.bench.square import SquareGame, fly_square
 from uavaccel.bench.traces import ClientEvent
 from uavaccel.cli.advise import show_advice
 from uavaccel.errors import UserError
@@ -40,6 +40,8 @@ def test_without_latency_both_fly_alike_and_with_it_adsc_alone_is_off() -> None:
     ideal = list(advise(ZERO_LATENCY, "native", 0.2, 1))
     assert {(each.adsc_error_m, each.tcsc_error_m) for each in ideal} == {(0.0, 0.0)}
     assert [each.tcsc_speedup for each in ideal] == pytest.approx([each.clock_speed for each in ideal])
+    with VirtualSession("blocks", "native") as lockstep:
+        assert fly_square(lockstep, "tcsc", 10.0, 0.2, 1, 0).wall_s == pytest.approx(4 * 0.2 / 10)
     slow = LatencyConfig(reply_us={"call": (5_000.0,) * 12})
     late = list(advise(slow, "native", 0.2, 1))
     assert {each.tcsc_error_m for each in late} == {0.0}
