@@ -188,10 +188,13 @@ def test_the_first_image_makes_no_events() -> None:
     assert [id(each) for each in counts_of(counted, "clean", 0)] == [id(on), id(off)]
 
 
-def test_noise_is_of_the_sensors_seed() -> None:
-    still, noisy = np.full((3, 20, 20), 90, np.uint8), DvsParameters(shot_noise_rate_hz=5.0)
+@pytest.mark.parametrize(
+    "uneven", [DvsParameters(shot_noise_rate_hz=5.0), DvsParameters(threshold_sigma=0.1)]
+)
+def test_noise_and_thresholds_are_of_the_sensors_seed(uneven: DvsParameters) -> None:
+    brighter = np.stack([np.full((20, 20), level, np.uint8) for level in (90, 130, 170)])
     once, again, other = (
-        np.array(count_events(still, np.array([0.0, 0.3, 0.6]), noisy, seed)) for seed in (1, 1, 2)
+        np.array(count_events(brighter, np.array([0.0, 0.3, 0.6]), uneven, seed)) for seed in (1, 1, 2)
     )
     np.testing.assert_array_equal(once, again)
     assert (once != other).any()
