@@ -236,6 +236,11 @@ def test_a_factor_varies_one_channel_of_the_model_that_ships() -> None:
     assert both.reply_us == {**shipped.reply_us, "pause": tuple(2 * x for x in shipped.reply_us["call"])}
     assert both.request_us["call"] == tuple(0.5 * each for each in shipped.request_us["call"])
     assert both.scale == 3
+    once, thrice = (
+        Latency(each, np.random.SeedSequence(0)) for each in (both.model_copy(update={"scale": 1.0}), both)
+    )
+    assert thrice.request_ns("call") == 3 * once.request_ns("call") > 0
+    assert thrice.reply_ns("pause") == 3 * once.reply_ns("pause") > 0
     assert changed_latency("airsim", reply_us={"pause": 1}) == shipped
     measured = shipped_latency("native").reply_us
     waited = changed_latency("native", reply_us={"move": 2, "pause@5ms": 3}).reply_us

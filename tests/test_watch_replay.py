@@ -141,6 +141,28 @@ def test_a_game_of_dp1_has_its_commands(tmp_path: Path) -> None:
         recorded(run.path, rows[0]["case"], 0)
 
 
+def test_a_game_of_dp2_has_its_commands_and_its_lane(tmp_path: Path) -> None:
+    """Two commands of two samples each, after that of the start."""
+    config = configured("dp2", "path=[[1, 0], [0, 2]]", "t_move_s=0.66", "t_sample_s=0.33")
+    run = RunDirectory.create(tmp_path / "run", config, {})
+    arrays = {
+        "time_s": np.array([0.0, 0.33, 0.7, 1.1, 1.5]),
+        "sample_index": np.arange(5),
+        "position_m": np.arange(15.0).reshape(5, 3),
+        "orientation_wxyz": np.tile([1.0, 0.0, 0.0, 0.0], (5, 1)),
+        "command_velocity_m_s": np.array([[1.0, 0.0], [0.0, 2.0]]),
+    }
+    row = {"suite": "dp2", "case": "adsc-k10", "role": "game", "command": "adsc", "clock_speed": 10.0}
+    run.append_row(row | run.save_arrays("adsc-k10", arrays))
+    replay = recorded(run.path)
+    assert replay.track.velocities == [(1.0, 0.0, 0.0), (0.0, 2.0, 0.0)]
+    assert replay.track.command_start_s.tolist() == [0.0, 0.7]
+    assert replay.track.command_end_s.tolist() == [0.66, pytest.approx(1.36)]
+    assert (replay.scene, replay.track.wall_s) == ("lane", 0.15)
+    assert replay.lane is not None
+    np.testing.assert_array_equal(replay.lane.x_m, config.layout().x_m)
+
+
 def test_what_keeps_no_path_says_what_does(tmp_path: Path, script: Path) -> None:
     train_into(tmp_path / "training", tiny_config())
     with pytest.raises(UserError, match=r"a training keeps no paths.*uavaccel evaluate"):
