@@ -261,6 +261,17 @@ def test_until_ends_what_has_no_end(flight_in: FlightMaker, tmp_path: Path) -> N
     assert flight.summary()["simulated_s"] == 8.0
 
 
+def test_of_the_calls_since_a_wait_so_many_are_free(flight_in: FlightMaker, tmp_path: Path) -> None:
+    flight = flight_in(tmp_path)
+    client = client_of(flight)
+    client.moveByVelocityAsync(1, 0, 0, 1).join()
+    begun_s = flight.summary()["script_s"]
+    for free, calls in ((True, FREE_CALLS), (False, 1)):
+        for _ in range(calls):
+            client.ping()
+        assert (flight.summary()["script_s"] == begun_s) == free
+
+
 def test_a_flight_in_virtual_time_is_charged_latencies(flight_in: FlightMaker, tmp_path: Path) -> None:
     flight = flight_in(tmp_path, timing="virtual")
     client = client_of(flight)
