@@ -20,47 +20,54 @@ LINES = 10  # printed lines of progress without a terminal
 
 
 class Progress:
-    """A bar on a terminal, a few plain lines elsewhere; the time left is estimated from simulated seconds.
+    """A bar on a terminal, a few plain lines elsewhere.
 
+    `expected_s` are the wall seconds that each case adds to the run by its suite's estimate. The time left is that of
+    the cases to come, corrected by what the finished ones have taken once there are `jobs` of them, which fly at once.
     `rows` are those of games finished before the run was resumed; `status` summarises rows in a few words.
     """
 
     def __init__(
         self,
         cases: Sequence[Case],
+        expected_s: Sequence[float],
+        jobs: int,
         rows: Sequence[Row],
         status: Callable[[Sequence[Row]], str],
         console: Console,
     ) -> None:
-        self._rows, self._status, self._console = list(rows), status, console
+        self._rows, self._status, self._console, self._jobs = list(rows), status, console, jobs
         done = {row["case"] for row in rows}
-        self._games, self._total_s = len(cases), sum(case.simulated_s() for case in cases)
-        self._skipped_s = sum(case.simulated_s() for case in cases if case.id in done)
-        self._done_s = self._skipped_s
-        self._flown_s = 0.0
+        self._expected_s = {case.id: each for case, each in zip(cases, expected_s, strict=True)}
+        self._games, self._left_s = len(cases), sum(expected_s)
+        self._skipped = len(rows)
+        self._passed_s = self._flown_s = 0.0
+        for case in done & self._expected_s.keys():
+            self._left_s -= self._expected_s[case]
         self._clock = MonotonicClock()
         self._start_ns = self._clock.now_ns()
         self._printed = len(done) * LINES // max(self._games, 1)
         columns = (BarColumn(), TextColumn("{task.description}", markup=False))
         self._bar = Bar(*columns, console=console, disable=not console.is_terminal)
-        self._task = self._bar.add_task("", total=self._total_s, completed=int(self._done_s))
+        self._task = self._bar.add_task("", total=self._games, completed=self._skipped)
 
     def flown(self, case: Case, row: Row) -> None:
         """Count a finished game; the runner's callback."""
         self._rows.append(row)
-        self._done_s += case.simulated_s()
+        self._passed_s += self._expected_s[case.id]
+        self._left_s -= self._expected_s[case.id]
         self._flown_s += row.get("sim_time_s", case.simulated_s())
         share = len(self._rows) * LINES // self._games
         if self._console.is_terminal:
-            self._bar.update(self._task, completed=self._done_s, description=self._text())
+            self._bar.update(self._task, completed=len(self._rows), description=self._text())
         elif share > self._printed:
             self._printed = share
             self._console.print(self._text(), markup=False)
 
     def _text(self) -> str:
         wall_s = max((self._clock.now_ns() - self._start_ns) / NS_PER_S, 1e-9)
-        new_s = self._done_s - self._skipped_s
-        left_s = wall_s * (self._total_s - self._done_s) / new_s if new_s else 0.0
+        measured = len(self._rows) - self._skipped >= self._jobs and self._passed_s > 0.0
+        left_s = self._left_s * (wall_s / self._passed_s if measured else 1.0)
         left = "under a minute left" if left_s < 60 else f"{left_s / 60:.0f} min left"
         status = self._status(self._rows)
         return (

@@ -18,7 +18,7 @@ from rich.console import Console
 
 from uavaccel.bench.machine import check_machine
 from uavaccel.cli.checks import check_out, check_watchable
-from uavaccel.cli.progress import Progress
+from uavaccel.cli.progress import Progress, working
 from uavaccel.cli.terminal import console
 from uavaccel.clock import calendar_time
 from uavaccel.draw.document import Table
@@ -33,7 +33,7 @@ from uavaccel.suites.experiment import Experiment, is_file, merged, read_mapping
 from uavaccel.suites.registry import find_suite, suite_of
 from uavaccel.suites.report import Summary
 from uavaccel.suites.runner import begin_run, check_cases, check_jobs, run_suite
-from uavaccel.suites.suite import AnySuite, Case, configuration
+from uavaccel.suites.suite import AnySuite, Case, Cost, configuration
 from uavaccel.watch.beside import PageAddress, page_beside
 from uavaccel.watch.server import free_port
 
@@ -206,8 +206,7 @@ def manifest_of(suite: AnySuite, config: Experiment) -> dict[str, Plain]:
 def plan(suite: AnySuite, config: Experiment, cases: Sequence[Case], jobs: int, out: Path) -> str:
     """Return the planned run in a line: games by clock, simulated seconds, estimated wall time and disk space."""
     costs = [suite.cost(config, case) for case in cases]
-    parallel = (1 if case.timing == "wall" else jobs for case in cases)
-    wall_s = sum(cost.wall_s / each for cost, each in zip(costs, parallel, strict=True))
+    wall_s = sum(expected_wall_s(case, cost, jobs) for case, cost in zip(cases, costs, strict=True))
     clocks = Counter(case.timing for case in cases)
     by_clock = ", ".join(f"{count} {timing}" for timing, count in clocks.items())
     simulated_s = sum(case.simulated_s() for case in cases)
@@ -221,6 +220,11 @@ def plan(suite: AnySuite, config: Experiment, cases: Sequence[Case], jobs: int, 
     )
 
 
+def expected_wall_s(case: Case, cost: Cost, jobs: int) -> float:
+    """Return the wall seconds that a game adds to a run of so many jobs; those on the wall clock fly alone."""
+    return cost.wall_s / (1 if case.timing == "wall" else jobs)
+
+
 def duration(seconds: float) -> str:
     """Return a duration in words, in the unit that suits it."""
     if seconds < 60:
@@ -232,7 +236,8 @@ def fly(
     suite: AnySuite, config: Experiment, cases: Sequence[Case], run: RunDirectory, jobs: int, engine: str
 ) -> None:
     """Fly the cases that have no row yet."""
-    with Progress(cases, run.rows(), suite.status, console) as progress:
+    expected_s = [expected_wall_s(case, suite.cost(config, case), jobs) for case in cases]
+    with Progress(cases, expected_s, jobs, run.rows(), suite.status, console) as progress:
         run_suite(suite, config, run, jobs, progress.flown, engine)
 
 
@@ -261,7 +266,8 @@ def _going_on(out: Path) -> str:
 def report_run(run: RunDirectory) -> Summary:
     """Write a run's report, and print its result and the paths of its figures."""
     report = suite_of(run).report(run)
-    summary = report.write()
+    with working("the report", console):
+        summary = report.write()
     if headline := report.headline():
         console.print(headline)
     if pace := report.pace():

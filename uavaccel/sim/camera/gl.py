@@ -14,10 +14,12 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from functools import cache
-
-import mujoco
+from typing import TYPE_CHECKING
 
 from uavaccel.errors import UserError
+
+if TYPE_CHECKING:
+    import mujoco  # a third of a second, which who only asks for the renderer need not wait
 
 HEADLESS = ("egl", "osmesa")
 PROBE_TIMEOUT_S = 60.0  # drivers that hang were reported (google-deepmind/mujoco#3444)
@@ -97,6 +99,7 @@ def sample_textures_fast(context: mujoco.MjrContext) -> None:
 
     It is the nearest texel of the nearest mipmap; with at most one pixel per texel the picture is only crisper.
     """
+    import mujoco
     from OpenGL import GL
 
     for texture, kind in zip(context.texture[: context.ntexture], context.textureType, strict=False):
