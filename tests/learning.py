@@ -11,6 +11,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 from tests.running import run_into
 from uavaccel.config import validate
 from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
+from uavaccel.rl import exact_lanes
 from uavaccel.rl.lanes import Lanes
 from uavaccel.suites.evaluation.report import EvaluationReport
 from uavaccel.suites.report import Summary
@@ -42,6 +43,7 @@ def side_by_side(task: LaneTask, count: int, *_: Any) -> Lanes:
 def fly_here(put: Callable[[Any, str, Any], None] = setattr) -> None:
     """Trainings fly their lanes in this process and nobody draws them: both take longer than a small one itself."""
     put(flights, "make_lanes", side_by_side)
+    put(exact_lanes, "begin_exact_lanes", lambda *_: None)
     for report in (TrainingReport, EvaluationReport):
         put(report, "figures", lambda _: [])
     put(TrainingReport, "blocks", lambda *_: [])

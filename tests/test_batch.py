@@ -216,6 +216,23 @@ def test_the_first_answer_is_not_waited_for_while_a_lane_stands_still(
     assert not left_after(pids, 0.0)
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere each process loads for itself")
+def test_processes_are_forks_of_one_that_loads_for_all() -> None:
+    """Killed while it loads, it is missed like any of them; once they fly, they need it no more."""
+    with closing(EnvironmentBatch(ObstacleLane, 2, 2, observation="state")) as batch:
+        (loading,) = set(batch.process_ids)
+        os.kill(loading, signal.SIGKILL)
+        with pytest.raises(BatchError, match=r"^the process of environment 0 ended with status -9$"):
+            batch.reset(seed=0)
+    with closing(EnvironmentBatch(ObstacleLane, 2, 2, observation="state")) as batch:
+        batch.reset(seed=0)
+        pids = batch.process_ids
+        (loaded,) = {each for each in descendants(os.getpid()) if descendants(each) >= set(pids)}
+        os.kill(loaded, signal.SIGKILL)
+        batch.step([2, 2])
+    assert not left_after([loaded, *pids], 1.0)
+
+
 @needs_opengl
 def test_a_renderer_that_is_killed_before_it_draws_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     start = RenderService.__init__

@@ -33,8 +33,8 @@ from uavaccel.suites.evaluation.flights import fly_game
 from uavaccel.suites.runner import begin_run, run_suite
 from uavaccel.suites.suite import GameResult
 from uavaccel.suites.training import flights as training
+from uavaccel.suites.training.config import CHECKPOINTS
 from uavaccel.suites.training.evaluations import FILE, evaluation_of, evaluations
-from uavaccel.suites.training.flights import CHECKPOINTS
 from uavaccel.suites.training.suite import Training
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("trainings_here")]
@@ -49,7 +49,7 @@ import os, signal, sys
 from pathlib import Path
 from uavaccel.config import validate
 from uavaccel.suites.runner import begin_run, run_suite
-from uavaccel.suites.training.config import TrainConfig
+from uavaccel.suites.training.config import CHECKPOINTS, TrainConfig
 from uavaccel.suites.training.suite import Training
 from uavaccel.yaml_io import load_yaml
 from tests.learning import fly_here

@@ -1,8 +1,9 @@
-"""A process in which some environments of a batch fly, each in a thread, so that one flies while another waits.
+"""The processes in which the environments of a batch fly, each in a thread, so that one flies while another waits.
 
     python -m uavaccel.envs.environment_process '{"environment": "uavaccel.envs.obstacle_lane:ObstacleLane", ...}'
 
-Started by uavaccel.envs.environment_processes; it ends when its last connection to it is closed.
+Started by uavaccel.envs.environment_processes for one process, or for all: then it loads what each of them needs, and
+forks them. A process ends when its last connection to the batch is closed.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import threading
 import traceback
 from collections.abc import Mapping
 from functools import partial
+from itertools import chain
 from multiprocessing.connection import Connection
 from typing import Any
 
@@ -22,14 +24,17 @@ import cv2
 import mujoco
 from gymnasium.vector import AutoresetMode
 
-from uavaccel.envs.environment_processes import ProcessOptions, SharedObservations, SlotOptions
+from uavaccel.envs.environment_processes import ProgramOptions, SharedObservations, SlotOptions
 from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.values import Action, Frame, Info
 from uavaccel.errors import UserError
-from uavaccel.processes.lifetime import end_with_parent
+from uavaccel.processes.forks import fork_each
+from uavaccel.processes.lifetime import descriptor_of_parent, end_with_process
 from uavaccel.sim.camera.camera import make_cameras_with
 from uavaccel.sim.camera.view import HEIGHT, WIDTH
+from uavaccel.sim.profile import NATIVE
 from uavaccel.sim.rendering.camera import RemoteCamera
+from uavaccel.sim.world import World
 
 NICENESS = 5  # the renderer and the learner, for whom all environments wait, go first
 
@@ -78,7 +83,7 @@ class Slot:
         self._environment.close()
 
 
-def fly(options: ProcessOptions, place: SlotOptions) -> None:
+def fly(options: ProgramOptions, place: SlotOptions) -> None:
     """Serve one slot until its connection ends. Answers are (True, result) or, for errors, (False, kind, text)."""
     if place["renderer"] is not None:
         make_cameras_with(partial(_remote_camera, place["renderer"]))
@@ -117,10 +122,41 @@ def _remote_camera(renderer: dict[str, int], model: mujoco.MjModel, width: int, 
 
 def main() -> None:
     options = json.loads(sys.argv[1])
-    end_with_parent(options["parent"])
     os.nice(NICENESS)
+    parent = descriptor_of_parent(options["parent"])
+    if options["reports"] is None:
+        fly_together(options, options["processes"][0], parent)
+        return
+    load(options["environment"])
+    processes = options["processes"]
+    descriptors = [{options["memory"], *chain.from_iterable(map(_descriptors, each))} for each in processes]
+    fork_each(
+        descriptors, options["reports"], lambda number: fly_together(options, processes[number], parent)
+    )
+
+
+def _descriptors(place: SlotOptions) -> list[int]:
+    """Return the file descriptors of an environment's connection and of its camera."""
+    renderer = place["renderer"] or {}
+    return [
+        place["connection"],
+        *(renderer[name] for name in ("memory", "requests", "replies") if name in renderer),
+    ]
+
+
+def load(environment: str) -> None:
+    """Load what every process needs: modules, if they are this package's own, and the machine code of a flight."""
+    module, _, _ = environment.partition(":")
+    if module.startswith("uavaccel."):  # another's may start threads, and what has threads cannot be forked
+        importlib.import_module(module)
+    World("blocks", NATIVE).advance(1)
+
+
+def fly_together(options: ProgramOptions, places: list[SlotOptions], parent: int | None) -> None:
+    """Fly the environments of one process until their connections end, or the parent does."""
+    end_with_process(parent)
     cv2.setNumThreads(0)  # its pictures are small, and its neighbours many
-    threads = [threading.Thread(target=fly, args=(options, place)) for place in options["slots"]]
+    threads = [threading.Thread(target=fly, args=(options, place)) for place in places]
     for thread in threads:
         thread.start()
     for thread in threads:

@@ -7,8 +7,8 @@ import mmap
 import os
 import select
 import socket
-import subprocess
 from collections.abc import Sequence
+from itertools import chain
 from multiprocessing.connection import Connection, wait
 from typing import TypedDict
 
@@ -17,7 +17,8 @@ import numpy as np
 from uavaccel.clock import MonotonicClock
 from uavaccel.envs.values import Answer, Frame
 from uavaccel.errors import UserError
-from uavaccel.processes.child import single_core_drawing, start_python
+from uavaccel.processes.child import Process, single_core_drawing, start_python
+from uavaccel.processes.forks import CAN_FORK, WITHOUT_THREADS, Fork, Forks
 from uavaccel.processes.stalls import FIRST_LOOKS, LOOK_S, LOOKS, StallDetector, is_stopped
 from uavaccel.sim.rendering.camera import RendererGoneError
 from uavaccel.sim.rendering.service import RenderService, stop
@@ -76,11 +77,13 @@ class BatchOptions(TypedDict):
     autoreset: str
 
 
-class ProcessOptions(BatchOptions):
-    """Options of one process."""
+class ProgramOptions(BatchOptions):
+    """Options of the program that flies the environments of one process, or forks a process for each of several."""
 
-    slots: list[SlotOptions]
+    processes: list[list[SlotOptions]]
     parent: int
+    reports: int | None
+    """Pipe in which it reports about the processes that it forks."""
 
 
 class BatchError(RuntimeError):
@@ -105,28 +108,44 @@ class EnvironmentProcesses:
         self._answered_once = False
         self._stalls, self._clock = StallDetector(), MonotonicClock()
         self._looked_ns = self._clock.now_ns()
-        self._processes: list[subprocess.Popen[bytes]] = []
         self._process_of = [slot % processes for slot in range(slots)]
-        for process in range(processes):
-            flown = [slot for slot in range(slots) if self._process_of[slot] == process]
-            self._processes.append(self._start(options, {slot: theirs[slot] for slot in flown}))
+        places = [self._slot_options(slot, connection) for slot, connection in enumerate(theirs)]
+        flown = [places[process::processes] for process in range(processes)]
+        self._processes: list[Process | Fork] = []
+        self._forks: Forks | None = None
+        if CAN_FORK and processes > 1:
+            self._forks = self._start_forks(options, flown)
+            self._processes += self._forks.each()
+        else:
+            self._processes += [self._start(options, [each]) for each in flown]
         for descriptor in theirs:
             os.close(descriptor)
 
-    def _start(self, options: BatchOptions, flown: dict[int, int]) -> subprocess.Popen[bytes]:
-        service, inherited = self._service, {options["memory"], *flown.values()}
-        places: list[SlotOptions] = []
-        for slot, connection in flown.items():
-            renderer = None
-            if service is not None:
-                descriptors = service.descriptors(slot)
-                inherited |= set(descriptors.values())
-                renderer = {"number": slot, "count": service.cameras, **descriptors}
-            places.append({"slot": slot, "connection": connection, "renderer": renderer})
-        all_options: ProcessOptions = {**options, "slots": places, "parent": os.getpid()}
+    def _slot_options(self, slot: int, connection: int) -> SlotOptions:
+        renderer = None
+        if self._service is not None:
+            renderer = {"number": slot, "count": self._service.cameras, **self._service.descriptors(slot)}
+        return {"slot": slot, "connection": connection, "renderer": renderer}
+
+    def _start_forks(self, options: BatchOptions, flown: list[list[SlotOptions]]) -> Forks:
+        """Start the processes as forks of one, which loads for all of them."""
+        reports, theirs = os.pipe()
+        template = self._start(options, flown, theirs)
+        os.close(theirs)
+        return Forks(template, len(flown), reports)
+
+    def _start(
+        self, options: BatchOptions, flown: list[list[SlotOptions]], reports: int | None = None
+    ) -> Process:
+        program: ProgramOptions = {**options, "processes": flown, "parent": os.getpid(), "reports": reports}
+        inherited = {options["memory"]} | ({reports} if reports is not None else set())
+        for place in chain.from_iterable(flown):
+            inherited.add(place["connection"])
+            if self._service is not None:
+                inherited |= set(self._service.descriptors(place["slot"]).values())
         return start_python(
-            *("-m", "uavaccel.envs.environment_process", json.dumps(all_options)),
-            environment=single_core_drawing(),
+            *("-m", "uavaccel.envs.environment_process", json.dumps(program)),
+            environment={**WITHOUT_THREADS, **single_core_drawing()},
             pass_fds=sorted(inherited),
         )
 
@@ -239,4 +258,6 @@ class EnvironmentProcesses:
             for process in self._processes:
                 process.terminate()
         stop(*self._processes)
-        self._processes = []
+        if self._forks is not None:
+            self._forks.close()
+        self._processes, self._forks = [], None

@@ -29,17 +29,28 @@ def end_with_parent(parent: int, last: Callable[[], object] = lambda: None) -> N
     It is killed, as its work is no longer needed, and no handler may delay it; `last` is called before. `parent` is the
     id of the process that started it, which may have ended by now, so that `os.getppid` would tell another one.
     """
+    end_with_process(descriptor_of_parent(parent, last), last)
+
+
+def descriptor_of_parent(parent: int, last: Callable[[], object] = lambda: None) -> int | None:
+    """Return a descriptor of the parent, for forks too; None on systems without. It ends as `end_with_parent` does."""
     if not hasattr(os, "pidfd_open"):
-        return
+        return None
     try:
         descriptor = os.pidfd_open(parent)
     except OSError:  # it has gone already
         _end(last)
-        return
+        return None
     if os.getppid() != parent:
         _end(last)
-    threading.Thread(target=_wait_and_end, args=(descriptor, last), daemon=True, name=END_WITH_PARENT).start()
-    return
+    return descriptor
+
+
+def end_with_process(descriptor: int | None, last: Callable[[], object] = lambda: None) -> None:
+    """From now on, kill this process as soon as the process of the descriptor has ended; `last` is called before."""
+    if descriptor is not None:
+        arguments = descriptor, last
+        threading.Thread(target=_wait_and_end, args=arguments, daemon=True, name=END_WITH_PARENT).start()
 
 
 def _wait_and_end(parent: int, last: Callable[[], object]) -> None:

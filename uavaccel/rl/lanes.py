@@ -15,8 +15,10 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepR
 from uavaccel.envs.batch import EnvironmentBatch
 from uavaccel.envs.flyable import Simulator
 from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
+from uavaccel.envs.simulators import EXACT
 from uavaccel.envs.turn_batch import TurnBatch
 from uavaccel.envs.values import Action, Answer, Frame
+from uavaccel.rl.exact_lanes import begin_exact_lanes, training_keywords
 
 
 class BatchVecEnv(VecEnv):
@@ -90,20 +92,27 @@ Lanes = VecEnv
 AnyLanes: TypeAlias = Any  # Lanes, or CudaLanes
 
 
-def make_lanes(task: LaneTask, count: int, simulator: Simulator = "mujoco", device: str = "cpu") -> AnyLanes:
-    """Make the environments of a training, whose infos include host times.
+def make_lanes(
+    task: LaneTask,
+    count: int,
+    simulator: Simulator = EXACT,
+    device: str = "cpu",
+    begun: EnvironmentBatch | None = None,
+) -> AnyLanes:
+    """Make the environments of a training, of a batch of exact lanes that has `begun` already if there is one.
 
     In timing `wall` the one lane is flown in this process, so that nothing learns meanwhile and disturbs its clock.
     """
-    keywords = {**task.model_dump(mode="json"), "report_host_times": True}
     if task.timing == "wall":
-        return DummyVecEnv([partial(ObstacleLane, **keywords)])
-    if simulator == "mujoco":
-        return BatchVecEnv(EnvironmentBatch(ObstacleLane, count, autoreset_mode="SameStep", **keywords))
+        return DummyVecEnv([partial(ObstacleLane, **training_keywords(task))])
+    if simulator == EXACT:
+        return BatchVecEnv(begun or begin_exact_lanes(task, count))
     if not device.startswith("cuda"):
         from uavaccel.envs.kernel_batch import KernelBatch  # its machine code is loaded where it flies
 
-        return BatchVecEnv(KernelBatch(ObstacleLane, count, autoreset_mode="SameStep", **keywords))
+        return BatchVecEnv(
+            KernelBatch(ObstacleLane, count, autoreset_mode="SameStep", **training_keywords(task))
+        )
     from uavaccel.envs.cuda_lanes import CudaLanes  # needs numba-cuda and a GPU
 
     return CudaLanes(task, count, th.device(device))

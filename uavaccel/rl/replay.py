@@ -57,8 +57,10 @@ class ReplayBuffer:
     ) -> None:
         self.rows, self.lanes, self.device = max(capacity // lanes, 1), lanes, device
         kind = th.uint8 if dtype == np.uint8 else th.float32
-        self.observations = th.zeros((self.rows, lanes, *shape), dtype=kind, device=device)
-        self.next_observations = th.zeros_like(self.observations)
+        # Uninitialised: gigabytes that are taken as they fill, and written before they are read.
+        self.observations, self.next_observations = (
+            th.empty((self.rows, lanes, *shape), dtype=kind, device=device) for _ in range(2)
+        )
         self.actions = np.zeros((self.rows, lanes), np.int64)
         self.rewards, self.dones, self.truncated = (
             np.zeros((self.rows, lanes), np.float32) for _ in range(3)

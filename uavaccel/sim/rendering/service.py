@@ -9,7 +9,8 @@ import subprocess
 
 from uavaccel.clock import MonotonicClock
 from uavaccel.errors import UserError
-from uavaccel.processes.child import start_python
+from uavaccel.processes.child import Process, start_python
+from uavaccel.processes.forks import Fork
 from uavaccel.processes.stalls import FIRST_LOOKS, LOOK_S, StallDetector
 from uavaccel.sim.camera.gl import GlRenderer
 from uavaccel.sim.lane.layout import PLAIN
@@ -93,7 +94,7 @@ class RenderService:
         stop(self.process)
 
 
-def stop(*processes: subprocess.Popen[bytes]) -> None:
+def stop(*processes: Process | Fork) -> None:
     """Wait for processes that are about to end, and kill those that have not after STOP_S in total."""
     clock = MonotonicClock()
     end_ns = clock.now_ns() + round(STOP_S * NS_PER_S)

@@ -40,7 +40,7 @@ from uavaccel.suites.rl.config import RlConfig
 from uavaccel.suites.rl.report import RlReport
 from uavaccel.suites.rows import Row
 from uavaccel.suites.suite import Cost, GameResult, Suite
-from uavaccel.suites.training.flights import CHECKPOINTS
+from uavaccel.suites.training.config import CHECKPOINTS
 
 FOLDER = "merged"
 MAY_DIFFER = ("cells", "command", "clock_speed", "profile", "timing", "seed", "seeds")

@@ -10,6 +10,8 @@ from uavaccel.limits import MOST_GAMES, Games
 from uavaccel.rl.config import LearnerConfig
 from uavaccel.suites.experiment import Experiment
 
+CHECKPOINTS = "checkpoints"  # the folder from which a training is resumed
+
 
 class TrainConfig(LearnerConfig, Experiment):
     """`suite: train`."""

@@ -12,6 +12,7 @@ from types import FrameType
 
 import torch as th
 
+from uavaccel.envs.batch import EnvironmentBatch
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
 from uavaccel.rl.checkpoint import find_checkpoint, games_of, load_checkpoint, save_checkpoint
@@ -19,22 +20,20 @@ from uavaccel.rl.lanes import make_lanes, seed_lanes
 from uavaccel.rl.learner import make_learner
 from uavaccel.rl.policy import export_policy, weights_sha256
 from uavaccel.suites.suite import GameResult
-from uavaccel.suites.training.config import TrainConfig
+from uavaccel.suites.training.config import CHECKPOINTS, TrainConfig
 from uavaccel.suites.training.evaluations import Evaluations, drop_evaluations_after
 from uavaccel.suites.training.rows import GameRows
-
-CHECKPOINTS = "checkpoints"
 
 
 class Trainer:
     """A learner and its lanes; resumed from a checkpoint, it reaches the weights that it would have had."""
 
-    def __init__(self, config: TrainConfig, run: RunDirectory) -> None:
+    def __init__(self, config: TrainConfig, run: RunDirectory, begun: EnvironmentBatch | None) -> None:
         th.set_num_threads(config.torch_threads)
         self._config, self._run = config, run
         self._interrupted = False
         self._finished: deque[GameResult] = deque()
-        self._lanes = make_lanes(config.task, config.environments, config.simulator, config.device)
+        self._lanes = make_lanes(config.task, config.environments, config.simulator, config.device, begun)
         try:
             self._learner = make_learner(config, self._lanes)
             seed_lanes(self._lanes, config.seed)
@@ -97,9 +96,14 @@ class Trainer:
 
 
 @contextmanager
-def open_trainer(config: TrainConfig, run: RunDirectory) -> Iterator[Trainer]:
-    """Yield a trainer that saves a checkpoint on Ctrl-C or SIGTERM, unless another process handles these signals."""
-    trainer = Trainer(config, run)
+def open_trainer(
+    config: TrainConfig, run: RunDirectory, begun: EnvironmentBatch | None = None
+) -> Iterator[Trainer]:
+    """Yield a trainer that saves a checkpoint on Ctrl-C or SIGTERM, unless another process handles these signals.
+
+    Its lanes are those of the batch `begun`, or new ones.
+    """
+    trainer = Trainer(config, run, begun)
     heeded = {
         kind: before for kind in (signal.SIGINT, signal.SIGTERM) if callable(before := signal.getsignal(kind))
     }

@@ -7,7 +7,7 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from uavaccel.envs.simulators import KERNELS
+from uavaccel.envs.simulators import EXACT, KERNELS
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
 from uavaccel.rl.agents import first_policy, policy_sha256
@@ -16,10 +16,19 @@ from uavaccel.rl.policy import trained_with
 from uavaccel.suites.report import Report
 from uavaccel.suites.rows import Row
 from uavaccel.suites.suite import ROW_BYTES, Cost, GameResult, SimpleCase, Suite, flying_s, kernels_s
-from uavaccel.suites.training.config import TrainConfig
+from uavaccel.suites.training.config import CHECKPOINTS, TrainConfig
 
 if TYPE_CHECKING:
     from uavaccel.suites.training.flights import Trainer
+
+
+def _check_device(device: str) -> None:
+    import torch as th
+
+    try:
+        th.zeros(1, device=device)
+    except (RuntimeError, AssertionError) as error:
+        raise UserError(f"device = {device!r}: {str(error).splitlines()[0]}") from error
 
 
 LEARNING_S = 3e-3  # approximate wall time of learning per command
@@ -49,22 +58,30 @@ class Training(Suite[TrainConfig, SimpleCase]):
 
     def may_grow(self, folder: Path) -> tuple[str, ...]:
         """More games can be flown where there is a checkpoint to resume from."""
+        if not (folder / CHECKPOINTS).is_dir():
+            return ()
         from uavaccel.rl.checkpoint import find_checkpoint
-        from uavaccel.suites.training.flights import CHECKPOINTS
 
         return ("games",) if find_checkpoint(folder / CHECKPOINTS) else ()
 
     def prepare(self, config: TrainConfig, run: RunDirectory) -> None:
         """Bring an unfinished training back to its last checkpoint."""
+        if {each.name for each in run.path.iterdir()} <= {"config.yaml", "manifest.json"}:
+            return  # it begins: PyTorch need not be there yet
         from uavaccel.suites.training.flights import drop_games_after_checkpoint
 
         if trained_with(run.path).get("games") != config.games or len(run.rows()) < config.games:
             drop_games_after_checkpoint(run)
 
     def open(self, config: TrainConfig, timing: str, run: RunDirectory) -> AbstractContextManager[Trainer]:
-        from uavaccel.suites.training.flights import open_trainer
+        lanes = None
+        if config.simulator == EXACT and timing != "wall":
+            from uavaccel.rl.exact_lanes import begin_exact_lanes
 
-        return open_trainer(config, run)
+            lanes = begin_exact_lanes(config.task, config.environments)
+        from uavaccel.suites.training.flights import open_trainer  # loads PyTorch, as they load
+
+        return open_trainer(config, run, lanes)
 
     def fly(self, config: TrainConfig, case: SimpleCase, opened: Trainer) -> GameResult:
         return opened.next_game()
@@ -79,12 +96,8 @@ class Training(Suite[TrainConfig, SimpleCase]):
 
     def provenance(self, config: TrainConfig) -> Mapping[str, object]:
         """Return threads and initial weights. Raises UserError for a device that this machine does not have."""
-        import torch as th
-
-        try:
-            th.zeros(1, device=config.device)
-        except (RuntimeError, AssertionError) as error:
-            raise UserError(f"device = {config.device!r}: {str(error).splitlines()[0]}") from error
+        if config.device != "cpu":
+            _check_device(config.device)
         started = {} if config.start_from is None else {"start_from_sha256": policy_sha256(config.start_from)}
         return {"torch_threads": config.torch_threads, **started}
 
