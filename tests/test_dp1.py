@@ -130,9 +130,9 @@ def interrupt_after(games: int, monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.slow
 @pytest.mark.usefixtures("without_figures")
 def test_the_same_bytes_whatever_jobs_and_interruptions(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Once in one go; once in two processes, stopped, with a row cut short, and resumed in one."""
+    """Once in one go; once in two processes, stopped, a row cut short, and resumed in one, which plans what is left."""
     whole, broken = tmp_path / "whole", tmp_path / "broken"
     run_experiment(request(whole))
     with monkeypatch.context() as patch:
@@ -145,11 +145,14 @@ def test_the_same_bytes_whatever_jobs_and_interruptions(
     assert rows.count(b"\n") == 7
     (broken / "rows.jsonl").write_bytes(rows + b'{"case": "adsc-k10')
     (broken / "arrays" / "tcsc-k100-t0.2-r1-g01.npz").write_bytes(b"cut short")
+    capsys.readouterr()
     run_experiment(request(broken, resume=True))
     assert contents(broken) == contents(whole)
-    assert [row["case"] for row in RunDirectory(whole).rows()] == [
-        case.id for case in cases_of(paper_config(**SMALL, reference_games=2, timing="virtual"))
-    ]
+    cases = [case.id for case in cases_of(paper_config(**SMALL, reference_games=2, timing="virtual"))]
+    assert [row["case"] for row in RunDirectory(whole).rows()] == cases
+    assert capsys.readouterr().out.startswith(f"{len(cases) - 7} games (")
+    run_experiment(request(broken, resume=True, dry_run=True))
+    assert capsys.readouterr().out.startswith("no game is left to be flown in ")
 
 
 @pytest.mark.usefixtures("without_figures")

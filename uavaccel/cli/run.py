@@ -119,7 +119,9 @@ def run_experiment(request: RunRequest) -> RunDirectory | None:
         check_out(request.out, request.resume)
     name = Path(request.experiment or suite.name).stem
     out = request.out or Path("runs") / f"{name}-{calendar_time()[:19].replace(':', '')}"
-    console.print(plan(suite, config, cases, request.jobs, out))
+    flown = flown_cases(out) if request.resume else set()
+    left = [case for case in cases if case.id not in flown]
+    console.print(plan(suite, config, left, request.jobs, out))
     alone = sum(case.timing == "wall" for case in cases)
     if alone and (request.jobs > 1 or request.engine != LOKY):
         console.print(f"{alone} games on the wall clock fly alone, in this process, one by one")
@@ -135,6 +137,11 @@ def run_experiment(request: RunRequest) -> RunDirectory | None:
             fly(suite, config, cases, run, request.jobs, request.engine)
         report_run(run)
     return run
+
+
+def flown_cases(out: Path) -> set[str]:
+    """Return the cases of the run in `out` that need not be flown again; none where no run has begun."""
+    return RunDirectory(out).done_cases() if (out / "config.yaml").is_file() else set()
 
 
 def configure(request: RunRequest) -> tuple[AnySuite, Experiment]:
@@ -205,6 +212,8 @@ def manifest_of(suite: AnySuite, config: Experiment) -> dict[str, Plain]:
 
 def plan(suite: AnySuite, config: Experiment, cases: Sequence[Case], jobs: int, out: Path) -> str:
     """Return the planned run in a line: games by clock, simulated seconds, estimated wall time and disk space."""
+    if not cases:
+        return f"no game is left to be flown in {out}"
     costs = [suite.cost(config, case) for case in cases]
     wall_s = sum(expected_wall_s(case, cost, jobs) for case, cost in zip(cases, costs, strict=True))
     clocks = Counter(case.timing for case in cases)
