@@ -7,16 +7,25 @@ from typing import Any
 
 from tests.web_pages import assert_sound
 from uavaccel.cli.run import RunRequest, configure
+from uavaccel.records import RunDirectory
 from uavaccel.suites.experiment import Experiment
 from uavaccel.suites.report import Summary
 from uavaccel.suites.runner import begin_run, run_suite
 from uavaccel.suites.suite import AnySuite
 
 
-def run_into(out: Path, suite: AnySuite, config: Experiment, resume: bool = False, jobs: int = 1) -> Summary:
-    """Fly and report; the summary. Each suite's page is looked at on the way."""
+def fly_into(
+    out: Path, suite: AnySuite, config: Experiment, resume: bool = False, jobs: int = 1
+) -> RunDirectory:
+    """Fly without a report, whose figures would take longer than most tests' flights."""
     run = begin_run(suite, config, out, {}, resume)
     run_suite(suite, config, run, jobs)
+    return run
+
+
+def run_into(out: Path, suite: AnySuite, config: Experiment, resume: bool = False, jobs: int = 1) -> Summary:
+    """Fly and report; the summary. Each suite's page is looked at on the way."""
+    run = fly_into(out, suite, config, resume, jobs)
     summary = suite.report(run).write()
     assert_sound((out / "report.html").read_text(encoding="utf-8"))
     return summary

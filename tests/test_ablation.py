@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.running import run_into
+from tests.running import fly_into, run_into
 from uavaccel.config import validate
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
@@ -63,11 +63,11 @@ def test_variants_fly_the_games_of_dp1_with_its_seeds(tmp_path: Path) -> None:
     """The variant that changes nothing flies DP1's own rows; one without latency is ADSC without its error."""
     config = config_of({"name": "as it is"}, {"name": "0", "changes": {"latency.scale": 0.0}})
     summary = run_into(tmp_path / "ablation", Ablation(), config)
-    run_into(tmp_path / "dp1", Dp1(), config.experiment(config.variants[0]))
+    alone = fly_into(tmp_path / "dp1", Dp1(), config.experiment(config.variants[0]))
     walls: dict[str, list[float]] = {"as it is": [], "0": []}
     for row in RunDirectory(tmp_path / "ablation").rows():
         walls[row["variant"]].append(row["wall_s"])
-    own = [row["wall_s"] for row in RunDirectory(tmp_path / "dp1").rows() if row["role"] != "figure2"]
+    own = [row["wall_s"] for row in alone.rows() if row["role"] != "figure2"]
     assert walls["as it is"] == own
     at_10x = {entry["variant"]: entry for entry in summary["entries"] if entry["clock_speed"] == 10}
     assert at_10x["0"]["stlc_quartiles"] == [2.0, 2.0, 2.0]

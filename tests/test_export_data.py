@@ -15,7 +15,7 @@ import torch as th
 from scipy.spatial.transform import Rotation
 
 from tests.opengl import needs_opengl
-from tests.running import configured, run_into
+from tests.running import configured, fly_into
 from uavaccel.cli.export import export
 from uavaccel.config import Config
 from uavaccel.errors import UsageError, UserError
@@ -46,22 +46,22 @@ def dp1(tmp_path_factory: pytest.TempPathFactory) -> RunDirectory:
         clock_speed=[1.0],
         command=["tcsc", "adsc"],
         games=1,
+        timing="virtual",
     )
-    run_into(out, Dp1(), config)
-    return RunDirectory(out)
+    return fly_into(out, Dp1(), config)
 
 
 @pytest.fixture(scope="module")
 def dp2(tmp_path_factory: pytest.TempPathFactory) -> RunDirectory:
     out = tmp_path_factory.mktemp("dp2") / "run"
-    run_into(out, Dp2(), configured("dp2", SHORT_PATH, clock_speed=[1.0], command=["tcsc"]))
-    return RunDirectory(out)
+    return fly_into(
+        out, Dp2(), configured("dp2", SHORT_PATH, clock_speed=[1.0], command=["tcsc"], timing="virtual")
+    )
 
 
 def evaluated(out: Path, *overrides: str, **options: Any) -> RunDirectory:
     config = configured("evaluate", *overrides, **{"agent": "straight", "games": 2, **options})
-    run_into(out, Evaluation(), config)
-    return RunDirectory(out)
+    return fly_into(out, Evaluation(), config)
 
 
 @pytest.fixture(scope="module")
@@ -224,7 +224,8 @@ def test_pictures_and_events_of_dp2(dp2: RunDirectory, tmp_path: Path) -> None:
 @needs_opengl
 @pytest.mark.slow
 def test_an_evaluation_is_flown_again_and_logged_with_its_collision(tmp_path: Path) -> None:
-    run = evaluated(tmp_path / "run", "task.max_commands=12")
+    run = evaluated(tmp_path / "run", "task.max_commands=12", "first_lane=2", games=1)
+    assert run.rows()[0]["collision"] == "obstacle_01"
     export(str(run.path), mcap=tmp_path / "logs")
     export(str(run.path), mcap=tmp_path / "again")
     for row in run.rows():

@@ -11,7 +11,7 @@ import pytest
 import torch as th
 
 from tests.host_kernels import host_kernels  # noqa: F401 - a fixture
-from tests.running import configured, run_into
+from tests.running import configured, fly_into
 from uavaccel.cli.result_commands import report
 from uavaccel.config import to_yaml
 from uavaccel.errors import UsageError, UserError
@@ -26,8 +26,7 @@ SHORT = "task.max_commands=14"
 
 def evaluated(out: Path, *overrides: str, resume: bool = False, **options: Any) -> RunDirectory:
     config = configured("evaluate", LOCKSTEP, *overrides, **{"agent": "offset:1.5", "games": 5, **options})
-    run_into(out, Evaluation(), config, resume)
-    return RunDirectory(out)
+    return fly_into(out, Evaluation(), config, resume)
 
 
 def flown(run: RunDirectory) -> list[dict[str, Any]]:
@@ -50,6 +49,8 @@ def test_rows_are_the_exact_simulators_and_reports_say_who_flew(
     assert flown(other) == flown(exact)
     assert {row["simulator"] for row in other.rows()} == {"kernels"}
     assert "simulator" not in exact.rows()[0]
+    for run in (exact, other):
+        Evaluation().report(run).write()
     summary = other.read_json("summary.json")
     assert (summary["simulator"], summary["device"]) == ("kernels", "cpu")
     said = "modelled, simulator kernels on the CPU"
@@ -76,7 +77,7 @@ def test_a_policys_games_are_the_same_whoever_flies_beside_them(
     grown = evaluated(tmp_path / "grown", KERNELS, SHORT, "first_lane=30", games=2, **keys)
     monkeypatch.setattr(lanes, "MOST_LANES", 3)
     config = configured("evaluate", LOCKSTEP, KERNELS, SHORT, "first_lane=30", games=6, **keys)
-    run_into(grown.path, Evaluation(), config, resume=True)
+    fly_into(grown.path, Evaluation(), config, resume=True)
     assert rows_of(grown) == rows_of(whole)
 
 

@@ -6,8 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from tests.running import configured, run_into
+from tests.running import configured, fly_into
 from uavaccel.records import RunDirectory
+from uavaccel.rl.policy import trained_with
 from uavaccel.suites.training.suite import Training
 
 TINY = (
@@ -17,8 +18,8 @@ TINY = (
 
 
 def weights(out: Path, *overrides: str) -> str:
-    run_into(out, Training(), configured("train", *TINY, *overrides, games=9))
-    return str(RunDirectory(out).read_json("summary.json")["weights_sha256"])
+    fly_into(out, Training(), configured("train", *TINY, *overrides, games=9))
+    return str(trained_with(out)["weights_sha256"])
 
 
 @pytest.mark.slow

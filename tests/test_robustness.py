@@ -9,7 +9,7 @@ import pytest
 from scipy.stats import binomtest
 
 from tests.drawing import texts, tick_texts
-from tests.running import configured, run_into
+from tests.running import configured, fly_into, run_into
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
 from uavaccel.suites.evaluation.suite import Evaluation
@@ -55,10 +55,9 @@ def test_a_cell_is_an_evaluation_under_its_latency(tmp_path: Path, monkeypatch: 
     ]
     keys = ("task.max_commands=6", "task.profile=airsim", "task.command=adsc", "task.latency.scale=0")
     alone = configured("evaluate", *keys, clock_speed=50.0, games=2, agent="straight")
-    run_into(tmp_path / "alone", Evaluation(), alone)
+    flown = fly_into(tmp_path / "alone", Evaluation(), alone).rows()
     row_of = {row["case"]: row for row in run.rows()}
     arrays = run.load_arrays(row_of["latency0-adsc-50x"])
-    flown = RunDirectory(tmp_path / "alone").rows()
     assert arrays["distance_m"].tolist() == [row["distance_m"] for row in flown]
     assert arrays["lane"].tolist() == [0, 1]
     assert (

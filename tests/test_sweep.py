@@ -10,7 +10,7 @@ import pytest
 from scipy.stats import binomtest
 
 from tests.drawing import texts, tick_texts
-from tests.running import configured, run_into
+from tests.running import configured, fly_into, run_into
 from uavaccel.cli.evaluate import sweep_agent
 from uavaccel.cli.run import RunRequest
 from uavaccel.envs.conditions import CONDITIONS
@@ -44,8 +44,8 @@ def test_a_condition_is_an_evaluation_with_one_key_changed_and_none_is_flown_twi
     alone = configured(
         "evaluate", "agent=straight", "games=3", "task.max_commands=4", "task.difficulty.wind_m_s=8"
     )
-    run_into(tmp_path / "alone", Evaluation(), alone)
-    assert [row["distance_m"] for row in RunDirectory(tmp_path / "alone").rows()] == list(distances["wind-8"])
+    flown = fly_into(tmp_path / "alone", Evaluation(), alone).rows()
+    assert [row["distance_m"] for row in flown] == list(distances["wind-8"])
     assert (distances["speed-2"] > distances["as-trained"] + 2.0).all()
     assert summary["cells"][1]["distance_m_median"] == summary["cells"][0]["distance_m_median"]
     report: Any = Sweep().report(run)

@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.learning import tiny_config, train_into
-from tests.running import configured, run_into
+from tests.learning import tiny_config
+from tests.running import configured, fly_into
 from tests.test_watch import CHROMIUM, FLAGS, SCALE, simulated_s
 from uavaccel.cli.run import RunRequest, run_experiment
 from uavaccel.commands import COMMANDS, VelocityGoal
@@ -25,8 +25,10 @@ from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.errors import UsageError
 from uavaccel.fly.options import FlightOptions
 from uavaccel.fly.runs import fly
+from uavaccel.records import RunDirectory
 from uavaccel.suites.dp1.suite import Dp1
 from uavaccel.suites.evaluation.suite import Evaluation
+from uavaccel.suites.training.suite import Training
 from uavaccel.watch import beside
 from uavaccel.watch.beside import PageAddress, page_beside, parse_address
 from uavaccel.watch.feed import Feed, Source
@@ -183,7 +185,7 @@ def test_a_server_on_the_machines_clock_is_heard_and_cannot_be_held(feed: Feed) 
 @pytest.mark.slow
 def test_a_trainings_lanes_are_heard_from_their_processes(feed: Feed, tmp_path: Path) -> None:
     config = tiny_config({"observation": "state"}, environments=2, mirror=False)
-    thread = threading.Thread(target=lambda: train_into(tmp_path / "run", config))
+    thread = threading.Thread(target=lambda: fly_into(tmp_path / "run", Training(), config))
     thread.start()
     speaking = set()
     while thread.is_alive():
@@ -191,7 +193,7 @@ def test_a_trainings_lanes_are_heard_from_their_processes(feed: Feed, tmp_path: 
         speaking |= {id(source) for source in feed.sources if source.moments}
     thread.join()
     assert len(speaking) >= 2
-    assert (tmp_path / "run" / "summary.json").exists()
+    assert len(RunDirectory(tmp_path / "run").rows()) == config.games
 
 
 class Speaker:
@@ -247,11 +249,11 @@ def test_watching_changes_no_byte_of_runs_and_scripts(
 
     def all_bytes(name: str, jobs: int) -> dict[str, bytes]:
         out = tmp_path / name
-        run_into(out / "dp1", Dp1(), squares, jobs=jobs)
-        run_into(out / "evaluate", Evaluation(), lanes)
+        fly_into(out / "dp1", Dp1(), squares, jobs=jobs)
+        fly_into(out / "evaluate", Evaluation(), lanes)
         flight = FlightOptions(**{**vars(options), "folder": out / "fly"})
         assert fly(flight, quiet=True).status == 0
-        kept = ("rows.jsonl", "summary.json", "*.npz", "messages.jsonl", "trajectory.csv")
+        kept = ("rows.jsonl", "*.npz", "messages.jsonl", "trajectory.csv")
         files = [file for pattern in kept for file in sorted(out.rglob(pattern))]
         return {str(file.relative_to(out)): file.read_bytes() for file in files}
 

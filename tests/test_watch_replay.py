@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.learning import tiny_config, train_into
-from tests.running import configured, run_into
+from tests.running import configured, fly_into
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.errors import UsageError, UserError
 from uavaccel.files import read_arrays, to_json, write_arrays
@@ -46,8 +46,9 @@ def script(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def lanes(tmp_path_factory: pytest.TempPathFactory) -> RunDirectory:
     out = tmp_path_factory.mktemp("lanes") / "run"
-    run_into(out, Evaluation(), configured("evaluate", "task.observation=state", agent="straight", games=3))
-    return RunDirectory(out)
+    return fly_into(
+        out, Evaluation(), configured("evaluate", "task.observation=state", agent="straight", games=3)
+    )
 
 
 def test_a_scripts_flight_has_both_clocks_and_its_commands(script: Path) -> None:
@@ -125,8 +126,7 @@ def test_an_evaluation_whose_row_does_not_repeat_is_not_shown(lanes: RunDirector
 
 def test_a_game_of_dp1_has_its_commands(tmp_path: Path) -> None:
     keys = ("rounds=[1]", "t_move_s=[0.5]", "reference_games=1")
-    run_into(tmp_path / "run", Dp1(), configured("dp1", *keys, clock_speed=[1.0, 50.0], games=1))
-    run = RunDirectory(tmp_path / "run")
+    run = fly_into(tmp_path / "run", Dp1(), configured("dp1", *keys, clock_speed=[1.0, 50.0], games=1))
     rows = run.rows()
     replay = recorded(run.path)
     assert replay.track.clock_speed == 50.0  # the fastest
