@@ -19,7 +19,7 @@ from uavaccel.errors import UserError
 from uavaccel.kernels import fields as at
 from uavaccel.kernels import rays
 from uavaccel.kernels.fields import Looks, Scenes
-from uavaccel.kernels.looks import empty_scenes, fill_scene, fill_scenes, mipmaps, read_looks
+from uavaccel.kernels.looks import fill_scene, fill_scenes, mipmaps, read_looks
 from uavaccel.kernels.pictures import draw_colour, draw_depth, draw_gray
 from uavaccel.kernels.project import project
 from uavaccel.resources import asset
@@ -41,6 +41,12 @@ View = tuple[LaneLayout, Floats, Floats]  # lane, position, quaternion; NED
 # leave room for renderers that round elsewhere.
 MEAN_LEVELS, SHARE_ABOVE_10 = 0.05, 1e-3
 EVENTS_SHARE = 0.005
+
+
+def empty_scenes(lanes: int) -> Scenes:
+    """Allocate scenes for `lanes` lanes, to be filled by `fill_scenes` before they are rendered."""
+    solids = np.zeros((lanes, at.SOLIDS, 8), np.float32)
+    return Scenes(solids, np.zeros(lanes, np.int32), np.zeros((lanes, 9), np.float32))
 
 
 @pytest.fixture(scope="module")
@@ -170,6 +176,23 @@ def events(pictures: NDArray[np.uint8]) -> NDArray[np.int64]:
     return np.array(counts, np.int64)
 
 
+@njit(error_model="numpy")
+def luma_at(faces: Any, texels: Any, textures: Any, row: int, column: int) -> Any:
+    """Return the luma of a pixel."""
+    red, green, blue = rays.colour_of(
+        faces, rays.nearest_face(faces, row, column), texels, textures, row, column
+    )
+    return rays.luma(red, green, blue)
+
+
+@njit(error_model="numpy")
+def depth_at(faces: Any, row: int, column: int) -> Any:
+    """Return the depth of a pixel, metres along the optical axis."""
+    face = rays.nearest_face(faces, row, column)
+    w = rays.linear(faces, face, at.W, np.float32(column), np.float32(row)) if face else faces[0, at.FAR_W]
+    return rays.ONE / w
+
+
 @njit
 def one_by_one(looks: Any, scenes: Any, lane: int, place: Floats, quaternion: Floats, faces: Any) -> Any:
     """Column 100 of a picture, and row 70 of its depths."""
@@ -177,10 +200,10 @@ def one_by_one(looks: Any, scenes: Any, lane: int, place: Floats, quaternion: Fl
     depths, texels, textures = np.zeros(at.COLUMNS, np.float32), looks.texels, looks.textures
     project(looks, scenes, lane, place, quaternion, True, faces)
     for row in range(at.ROWS):
-        alone[row] = rays.luma_at(faces, texels, textures, row, 100)
+        alone[row] = luma_at(faces, texels, textures, row, 100)
     project(looks, scenes, lane, place, quaternion, False, faces)
     for column in range(at.COLUMNS):
-        depths[column] = rays.depth_at(faces, 70, column)
+        depths[column] = depth_at(faces, 70, column)
     return alone, depths
 
 

@@ -205,18 +205,3 @@ def colour_of(
     return face_colour(
         faces, face, quad_level(faces, face, textures, row, column), texels, textures, row, column
     )
-
-
-@part(error_model="numpy")
-def luma_at(faces: Faces, texels: Texels, textures: Textures, row: int, column: int) -> Integer:
-    """Return the luma of a pixel."""
-    red, green, blue = colour_of(faces, nearest_face(faces, row, column), texels, textures, row, column)
-    return luma(red, green, blue)
-
-
-@part(error_model="numpy")
-def depth_at(faces: Faces, row: int, column: int) -> Float:
-    """Return the depth of a pixel, metres along the optical axis."""
-    face = nearest_face(faces, row, column)
-    w = linear(faces, face, at.W, np.float32(column), np.float32(row)) if face else faces[0, at.FAR_W]
-    return ONE / w

@@ -12,7 +12,6 @@ The host launches rounds in chunks; while a chunk is flown, it reads the log of 
 from __future__ import annotations
 
 import os
-import random
 from collections import deque
 from typing import Any
 
@@ -49,7 +48,6 @@ class DeviceDQN:
         th.backends.cudnn.deterministic, th.backends.cudnn.benchmark = True, False
         self.config, self.lanes, self.options = config, lanes, DqnOptions.of(config)
         self.device = lanes.device
-        random.seed(config.seed)
         th.manual_seed(config.seed)
         self.policy: Any = first_policy(config, lambda _: self.options.learning_rate).to(self.device)
         self._make_rates_tensors()

@@ -9,7 +9,6 @@ schedule   lower exploration and learning rate with the games done, update the t
 from __future__ import annotations
 
 import math
-import random
 from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
@@ -57,7 +56,6 @@ class DoubleDQN:
         self.rate = falling(self.options.learning_rate, config.final_learning_rate_share, 1.0)
         self.device = th.device(config.device)
         self.random = np.random.RandomState(config.seed)
-        random.seed(config.seed)
         th.manual_seed(config.seed)
         lanes.action_space.seed(config.seed)
         policy: Any = first_policy(config, lambda _: self.rate).to(self.device)
