@@ -33,6 +33,7 @@ class Flight(Config):
     command: Literal["adsc", "tcsc"] = "tcsc"
     path: Literal["square"] | list[list[float]] = "square"
     camera: Camera = Camera()
+    wind_m_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
     games: int
 
     @field_validator("games")
@@ -86,6 +87,10 @@ def test_a_valid_mapping_becomes_a_frozen_configuration() -> None:
         ({"games": 2, "command": "tsc"}, "my.yaml: command = 'tsc': should be 'adsc' or 'tcsc'"),
         ({"games": 2, "clock_speeds": 5}, "my.yaml: clock_speeds = 5: should be a list"),
         ({"games": 2, "clock_speeds": [1, "x"]}, "my.yaml: clock_speeds.1 = 'x': should be a valid number"),
+        ({"games": 2, "wind_m_s": 2}, "my.yaml: wind_m_s = 2: should be a list of 3"),
+        ({"games": 2, "wind_m_s": [0, 2]}, "my.yaml: wind_m_s = [0, 2]: should be a list of 3"),
+        ({"games": 2, "wind_m_s": [0, 2, 0, 0]}, "my.yaml: wind_m_s = [0, 2, 0, 0]: should be a list of 3"),
+        ({"games": 2, "wind_m_s": [0, "x", 0]}, "my.yaml: wind_m_s.1 = 'x': should be a valid number"),
         ({"games": "2"}, "my.yaml: games = '2': should be a valid integer"),
         ({"games": True}, "my.yaml: games = True: should be a valid integer"),
         ({"games": 3}, "my.yaml: games = 3: should be even"),
@@ -161,7 +166,7 @@ def test_to_yaml_is_stable_readable_and_reads_back() -> None:
     flight = Flight(games=2, camera=Camera(rate_hz=1e-3))
     assert to_yaml(flight) == (
         "suite: flight\nclock_speeds: [1.0, 50.0]\ncommand: tcsc\npath: square\n"
-        "camera:\n  rate_hz: 0.001\ngames: 2\n"
+        "camera:\n  rate_hz: 0.001\nwind_m_s: [0.0, 0.0, 0.0]\ngames: 2\n"
     )
     assert validate(Flight, parse_yaml(to_yaml(flight), source="text"), source="text") == flight
 

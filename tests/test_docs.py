@@ -145,13 +145,13 @@ def make_run(folder: Path, suite: str) -> None:
 def reading(home: Callable[[str], Path], block: Block, monkeypatch: pytest.MonkeyPatch) -> None:
     """In the block's folder, with nothing left of the modules that it makes."""
     monkeypatch.chdir(home(block.page) / block.folder)
-    monkeypatch.setattr(sys, "path", [*sys.path])
+    monkeypatch.setattr(sys, "path", [str(Path.cwd()), *sys.path])
     for title in {Path(block.title).stem for block in BLOCKS if block.title}:
         monkeypatch.delitem(sys.modules, title, raising=False)
 
 
 def test_every_fence_is_a_block_of_a_known_kind() -> None:
-    kinds = {"sh", "python", "yaml", "text", "mermaid", "console"}
+    kinds = {"sh", "python", "yaml", "json", "text", "mermaid", "console"}
     assert {block.language for block in BLOCKS} == kinds
     for page in PAGES:
         fences = re.findall("^```", page.read_text(encoding="utf-8"), re.MULTILINE)

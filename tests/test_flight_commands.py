@@ -278,6 +278,19 @@ def test_from_the_ground_up_and_down_again(grounded: Api) -> None:
     assert grounded.simulation.world.lead.state["rotor_output"] == pytest.approx(0.1 / 1.5, abs=1e-3)
 
 
+@PROFILES
+@pytest.mark.parametrize("x_m", [3.0, 4.0, 6.0])
+def test_a_landing_out_of_a_hover_that_has_settled_level_ends_on_the_ground(
+    x_m: float, profile: Profile
+) -> None:
+    """MuJoCo's contact of a cylinder with a plane throws it up where it is upright but for rounding errors."""
+    api = hovering(profile)
+    fly(api, "moveToPosition", x_m, 0.0, -5.0, 2.0, FOR_EVER, MAX_DOF, STRAIGHT, AUTO, ADAPTIVE)
+    assert fly(api, "land", 60.0)[0] is True
+    assert call(api, "getMultirotorState")["landed_state"] == 0
+    assert place(api)[2] == pytest.approx(-0.045, abs=2e-3)
+
+
 STARTS = {"on the ground": 0.0, "in the ground": 0.03, "on a block": -6.0}
 
 

@@ -21,7 +21,9 @@ from uavaccel.suites.registry import find_suite, own_folder
 
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs" / "own-suite.md").read_text(encoding="utf-8")
-BLOCKS = dict(re.findall(r"^```(\w+)[^\n]*\n(.*?)^```$", PAGE, re.DOTALL | re.MULTILINE))
+FOUND = re.findall(r"^```(\w+)[^\n]*\n(.*?)^```$", PAGE, re.DOTALL | re.MULTILINE)
+BLOCKS = dict(reversed(FOUND))
+[DRAWN] = [text for language, text in FOUND if language == "python" and text != BLOCKS["python"]]
 RUN, REPORT = (line.split()[1:] for line in BLOCKS["sh"].splitlines())
 COMMAND = [sys.executable, "-m", "uavaccel"]
 MADE = ("rows.jsonl", "summary.json", "config.yaml")
@@ -75,6 +77,28 @@ def test_a_report_finds_the_suite_from_any_folder(home: Path, tmp_path: Path) ->
     (run / "summary.json").unlink()
     uavaccel(tmp_path, REPORT[0], str(run))
     assert (run / "summary.json").read_bytes() == before
+
+
+@pytest.mark.slow
+def test_a_report_shows_a_figure(home: Path) -> None:
+    """Flown by a suite that another one extends, which --set names."""
+    (home / "drawn.py").write_text(DRAWN)
+    uavaccel(home, "run", "toy.yaml", "--set", "suite=drawn:Drawn", "--out", "runs/drawn")
+    report = (home / "runs/drawn/report.md").read_text()
+    assert "![north](figures/north.png)" in report
+    assert "| speed-0.5 |" in report
+
+
+@pytest.mark.slow
+def test_what_is_no_block_of_a_page_is_named(home: Path, tmp_path: Path) -> None:
+    source = (home / "toy.py").read_text().replace("return [Table(", 'return ["figure", Table(')
+    (tmp_path / "toy.py").write_text(source)
+    (tmp_path / "toy.yaml").write_text(BLOCKS["yaml"])
+    command = [*COMMAND, *RUN]
+    ended = subprocess.run(
+        command, cwd=tmp_path, env={"PYTHONPATH": str(ROOT)}, capture_output=True, text=True, check=False
+    )
+    assert "TypeError: ToyReport.blocks: 'figure' is no block of a page: Heading, " in ended.stderr
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ import copy
 import json
 import reprlib
 from collections.abc import Iterable, Mapping
-from typing import TypeVar, get_args
+from typing import TypeVar, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic_core import ErrorDetails
@@ -129,7 +129,14 @@ def _explain(cls: type[Config], mapping: Mapping[str, object], error: Validation
     if first["type"] == "extra_forbidden":
         *above, unknown = first["loc"]
         return f"unknown key {key!r}; {suggestion(str(unknown), _keys_below(cls, above))}"
+    if length := _tuple_length(cls, first):
+        return f"{first['loc'][0]} = {reprlib.repr(first['input'])}: should be a list of {length}"
     if first["type"] == "missing":
+        if isinstance(
+            first["input"], list
+        ):  # too short for a tuple; the key is that of the first value it lacks
+            whole = key.rpartition(".")[0]
+            return f"{whole} = {reprlib.repr(first['input'])}: should have more values"
         return f"key {key!r} is missing"
     if first["type"].startswith("union_tag_"):
         return _explain_kind(key, first["ctx"])
@@ -174,6 +181,16 @@ def _keys_below(cls: type[BaseModel], path: Iterable[str | int]) -> list[str]:
         below = [each for model in models for each in _models_in(model, str(part))]
         models = below or models
     return [key for model in models for key in model.model_fields]
+
+
+def _tuple_length(cls: type[BaseModel], error: ErrorDetails) -> int | None:
+    """Return the length of the tuple in a field of `cls` that was given another number of values, or no list."""
+    depth = 2 if error["type"] == "missing" else 1
+    field = cls.model_fields.get(str(error["loc"][0])) if len(error["loc"]) == depth else None
+    if field is None or error["type"] not in ("tuple_type", "too_long", "missing"):
+        return None
+    members = get_args(field.annotation) if get_origin(field.annotation) is tuple else ()
+    return len(members) if members and Ellipsis not in members else None
 
 
 def _models_in(model: type[BaseModel], field: str) -> list[type[BaseModel]]:

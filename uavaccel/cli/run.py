@@ -21,6 +21,7 @@ from uavaccel.cli.checks import check_out, check_watchable
 from uavaccel.cli.progress import Progress, working
 from uavaccel.cli.terminal import console
 from uavaccel.clock import calendar_time
+from uavaccel.config import apply_overrides
 from uavaccel.draw.document import Table
 from uavaccel.errors import Interrupted, UsageError, UserError, mistake_of
 from uavaccel.files import Plain
@@ -155,6 +156,10 @@ def configure(request: RunRequest) -> tuple[AnySuite, Experiment]:
         source = str(request.out)
     else:
         mapping, source = read_mapping(request.experiment)
+        of_suite = [
+            override for override in request.overrides if override.partition("=")[0].strip() == "suite"
+        ]
+        mapping = apply_overrides(mapping, of_suite)
         suite = find_suite(mapping.get("suite"), source, Path(source).resolve().parent if own_file else None)
         if request.suite not in (None, suite.name):
             raise UsageError(

@@ -28,7 +28,7 @@ def init(folder: Annotated[str, typer.Argument(help="A new or empty folder.")]) 
         (path / SCHEMA).write_text(schema_text("train"), encoding="utf-8")
     except OSError as error:
         raise UserError(f"{folder}: {error.strerror}") from error
-    console.print(f"{folder}: begin with its README.md")
+    console.print(f"{folder}: start with its README.md")
 
 
 def schema(

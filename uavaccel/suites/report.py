@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
-from typing import Any
+from typing import Any, get_args
 
 from numpy.typing import NDArray
 
@@ -95,10 +95,18 @@ class Report(ABC):
         """Write summary.json, figures/, report.md and report.html. Raises UserError for damaged files."""
         self.write_summary()
         verdict = [Paragraph(f"{said}.")] if (said := self.headline()) else []
-        blocks = [*verdict, *self.blocks(self.figures()), Heading("Provenance"), *_provenance(self.run)]
+        blocks = [*verdict, *self._own_blocks(), Heading("Provenance"), *_provenance(self.run)]
         self.run.write_text("report.md", to_markdown(self.title(), blocks, self.run.path))
         self.run.write_text("report.html", to_html(self.title(), blocks))
         return self.summary
+
+    def _own_blocks(self) -> list[Block]:
+        blocks: list[Any] = list(self.blocks(self.figures()))
+        for block in blocks:
+            if not isinstance(block, Block):
+                kinds = ", ".join(kind.__name__ for kind in get_args(Block))
+                raise TypeError(f"{type(self).__name__}.blocks: {block!r} is no block of a page: {kinds}")
+        return blocks
 
 
 def _provenance(run: RunDirectory) -> list[Block]:

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import ast
 import ctypes
+import math
 import sys
 import zlib
 from pathlib import Path
@@ -103,6 +104,25 @@ def read_pose(state: Record, qpos: NDArray[np.float64]) -> None:
     state.position[0], state.position[1], state.position[2] = qpos[0], -qpos[1], -qpos[2]
     state.quaternion[0], state.quaternion[1] = qpos[3], qpos[4]
     state.quaternion[2], state.quaternion[3] = -qpos[5], -qpos[6]
+
+
+LOW_M = 0.5  # below it, the quadrotor's hull may touch the ground
+LEVEL = 1e-10  # of a quaternion's component; half the angle in radians
+
+
+@part
+def level_out(parameters: Record, qpos: NDArray[np.float64]) -> None:
+    """Make an attitude near the ground exactly level that is so but for rounding errors.
+
+    Where a cylinder is upright to the last bits, MuJoCo 4.0 takes rounding errors for the way to its rim, finds it up
+    to a radius deep in the plane below, and throws it up. An attitude that is exactly level has no such errors.
+    """
+    if parameters.contacts_act == 0 or qpos[2] > LOW_M or abs(qpos[4]) + abs(qpos[5]) > LEVEL:
+        return
+    norm = math.sqrt(qpos[3] * qpos[3] + qpos[6] * qpos[6])
+    qpos[3] /= norm
+    qpos[4] = qpos[5] = 0.0
+    qpos[6] /= norm
 
 
 @part(inline=False)
@@ -220,6 +240,7 @@ def arrive(
 ) -> None:
     """Update the rotors at the tick that ends, then pose, autopilot and recorder at the next one."""
     turn_rotors(parameters, state)
+    level_out(parameters, qpos)
     read_pose(state, qpos)
     state.tick += 1
     control(parameters, state)
