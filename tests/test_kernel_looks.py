@@ -19,7 +19,7 @@ from uavaccel.errors import UserError
 from uavaccel.kernels import fields as at
 from uavaccel.kernels import rays
 from uavaccel.kernels.fields import Looks, Scenes
-from uavaccel.kernels.looks import fill_scene, fill_scenes, mipmaps, read_looks
+from uavaccel.kernels.looks import empty_scenes, fill_scene, fill_scenes, mipmaps, read_looks
 from uavaccel.kernels.pictures import draw_colour, draw_depth, draw_gray
 from uavaccel.kernels.project import project
 from uavaccel.resources import asset
@@ -41,12 +41,6 @@ View = tuple[LaneLayout, Floats, Floats]  # lane, position, quaternion; NED
 # leave room for renderers that round elsewhere.
 MEAN_LEVELS, SHARE_ABOVE_10 = 0.05, 1e-3
 EVENTS_SHARE = 0.005
-
-
-def empty_scenes(lanes: int) -> Scenes:
-    """Allocate scenes for `lanes` lanes, to be filled by `fill_scenes` before they are rendered."""
-    solids = np.zeros((lanes, at.SOLIDS, 8), np.float32)
-    return Scenes(solids, np.zeros(lanes, np.int32), np.zeros((lanes, 9), np.float32))
 
 
 @pytest.fixture(scope="module")

@@ -45,6 +45,12 @@ def read_looks(model: mujoco.MjModel, camera: str = "front_center") -> Looks:
     return Looks(texels, textures, materials, _camera(model, camera), np.array(fixed, np.float32), wearing)
 
 
+def empty_scenes(lanes: int) -> Scenes:
+    """Allocate scenes for `lanes` lanes, to be filled by `fill_scenes` before they are rendered."""
+    solids = np.zeros((lanes, at.SOLIDS, 8), np.float32)
+    return Scenes(solids, np.zeros(lanes, np.int32), np.zeros((lanes, 9), np.float32))
+
+
 def fill_scene(looks: Looks, scenes: Scenes, lane: int, layout: LaneLayout) -> None:
     """Write the geometry and light of one lane. Raises UserError for a scenery other than the plain one."""
     fill_scenes(looks, scenes, [lane], [layout])
