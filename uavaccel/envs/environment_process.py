@@ -1,6 +1,6 @@
 """The processes in which the environments of a batch fly, each in a thread, so that one flies while another waits.
 
-    python -m uavaccel.envs.environment_process '{"environment": "uavaccel.envs.obstacle_lane:ObstacleLane", ...}'
+    python -m uavaccel.envs.environment_process <<< '{"environment": "uavaccel.envs.obstacle_lane:ObstacleLane", ...}'
 
 Started by uavaccel.envs.environment_processes for one process, or for all: then it loads what each of them needs, and
 forks them. A process ends when its last connection to the batch is closed.
@@ -121,7 +121,7 @@ def _remote_camera(renderer: dict[str, int], model: mujoco.MjModel, width: int, 
 
 
 def main() -> None:
-    options = json.loads(sys.argv[1])
+    options = json.load(sys.stdin)
     os.nice(NICENESS)
     parent = descriptor_of_parent(options["parent"])
     if options["reports"] is None:

@@ -7,7 +7,9 @@ import mmap
 import os
 import select
 import socket
+import subprocess
 from collections.abc import Sequence
+from contextlib import suppress
 from itertools import chain
 from multiprocessing.connection import Connection, wait
 from typing import TypedDict
@@ -143,11 +145,16 @@ class EnvironmentProcesses:
             inherited.add(place["connection"])
             if self._service is not None:
                 inherited |= set(self._service.descriptors(place["slot"]).values())
-        return start_python(
-            *("-m", "uavaccel.envs.environment_process", json.dumps(program)),
+        process = start_python(
+            *("-m", "uavaccel.envs.environment_process"),
             environment={**WITHOUT_THREADS, **single_core_drawing()},
+            stdin=subprocess.PIPE,  # a thousand environments' options are too long for an argument
             pass_fds=sorted(inherited),
         )
+        assert process.stdin is not None
+        with suppress(BrokenPipeError), process.stdin:  # where it has ended, its connections will say so
+            process.stdin.write(json.dumps(program).encode())
+        return process
 
     def ask(self, slot: int, method: str, *arguments: object) -> None:
         """Send a request; its `answer` has to be taken before the next one."""

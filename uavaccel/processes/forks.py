@@ -100,11 +100,15 @@ class Fork:
 
     def _send(self, number: signal.Signals) -> None:
         if self.poll() is None:  # its id is its own until the template, which has not waited for it, ends
-            os.kill(self.pid, number)
+            with suppress(ProcessLookupError):
+                os.kill(self.pid, number)
 
 
 def _ends_within(pid: int, seconds: float) -> bool:
-    descriptor = os.pidfd_open(pid)
+    try:
+        descriptor = os.pidfd_open(pid)
+    except ProcessLookupError:
+        return True
     try:
         return _is_readable(descriptor, seconds)
     finally:
