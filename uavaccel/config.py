@@ -132,9 +132,7 @@ def _explain(cls: type[Config], mapping: Mapping[str, object], error: Validation
     if length := _tuple_length(cls, first):
         return f"{first['loc'][0]} = {reprlib.repr(first['input'])}: should be a list of {length}"
     if first["type"] == "missing":
-        if isinstance(
-            first["input"], list
-        ):  # too short for a tuple; the key is that of the first value it lacks
+        if isinstance(first["input"], list):  # whose key is that of the first value it lacks
             whole = key.rpartition(".")[0]
             return f"{whole} = {reprlib.repr(first['input'])}: should have more values"
         return f"key {key!r} is missing"

@@ -88,6 +88,10 @@ class RunDirectory:
         append_line(self.path / "rows.jsonl", row, on_disk)
         self._done.add(str(row["case"]))
 
+    def is_new(self) -> bool:
+        """Return whether the run's folder holds nothing but what every run begins with."""
+        return {entry.name for entry in self.path.iterdir()} <= {"config.yaml", "manifest.json"}
+
     def rows(self) -> list[Plain]:
         """Return every whole row, in the order in which they were appended."""
         return read_lines(self.path / "rows.jsonl")

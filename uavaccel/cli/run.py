@@ -156,11 +156,8 @@ def configure(request: RunRequest) -> tuple[AnySuite, Experiment]:
         source = str(request.out)
     else:
         mapping, source = read_mapping(request.experiment)
-        of_suite = [
-            override for override in request.overrides if override.partition("=")[0].strip() == "suite"
-        ]
-        mapping = apply_overrides(mapping, of_suite)
-        suite = find_suite(mapping.get("suite"), source, Path(source).resolve().parent if own_file else None)
+        name = apply_overrides(mapping, request.overrides).get("suite")
+        suite = find_suite(name, source, Path(source).resolve().parent if own_file else None)
         if request.suite not in (None, suite.name):
             raise UsageError(
                 f"{request.experiment}: is of {suite.name}, not of {request.suite}; `uavaccel run` flies it"

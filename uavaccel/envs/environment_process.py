@@ -24,7 +24,12 @@ import cv2
 import mujoco
 from gymnasium.vector import AutoresetMode
 
-from uavaccel.envs.environment_processes import ProgramOptions, SharedObservations, SlotOptions
+from uavaccel.envs.environment_processes import (
+    ProgramOptions,
+    SharedObservations,
+    SlotOptions,
+    descriptors_of,
+)
 from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.values import Action, Frame, Info
 from uavaccel.errors import UserError
@@ -129,19 +134,10 @@ def main() -> None:
         return
     load(options["environment"])
     processes = options["processes"]
-    descriptors = [{options["memory"], *chain.from_iterable(map(_descriptors, each))} for each in processes]
+    descriptors = [{options["memory"], *chain.from_iterable(map(descriptors_of, each))} for each in processes]
     fork_each(
         descriptors, options["reports"], lambda number: fly_together(options, processes[number], parent)
     )
-
-
-def _descriptors(place: SlotOptions) -> list[int]:
-    """Return the file descriptors of an environment's connection and of its camera."""
-    renderer = place["renderer"] or {}
-    return [
-        place["connection"],
-        *(renderer[name] for name in ("memory", "requests", "replies") if name in renderer),
-    ]
 
 
 def load(environment: str) -> None:

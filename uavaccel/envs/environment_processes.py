@@ -67,6 +67,15 @@ class SlotOptions(TypedDict):
     renderer: dict[str, int] | None
 
 
+def descriptors_of(place: SlotOptions) -> list[int]:
+    """Return the file descriptors of an environment's connection and of its camera."""
+    renderer = place["renderer"] or {}
+    return [
+        place["connection"],
+        *(renderer[name] for name in ("memory", "requests", "replies") if name in renderer),
+    ]
+
+
 class BatchOptions(TypedDict):
     """Options of all processes of a batch."""
 
@@ -140,11 +149,9 @@ class EnvironmentProcesses:
         self, options: BatchOptions, flown: list[list[SlotOptions]], reports: int | None = None
     ) -> Process:
         program: ProgramOptions = {**options, "processes": flown, "parent": os.getpid(), "reports": reports}
-        inherited = {options["memory"]} | ({reports} if reports is not None else set())
-        for place in chain.from_iterable(flown):
-            inherited.add(place["connection"])
-            if self._service is not None:
-                inherited |= set(self._service.descriptors(place["slot"]).values())
+        inherited = {options["memory"], *chain.from_iterable(map(descriptors_of, chain.from_iterable(flown)))}
+        if reports is not None:
+            inherited.add(reports)
         process = start_python(
             *("-m", "uavaccel.envs.environment_process"),
             environment={**WITHOUT_THREADS, **single_core_drawing()},

@@ -22,15 +22,6 @@ if TYPE_CHECKING:
     from uavaccel.suites.training.flights import Trainer
 
 
-def _check_device(device: str) -> None:
-    import torch as th
-
-    try:
-        th.zeros(1, device=device)
-    except (RuntimeError, AssertionError) as error:
-        raise UserError(f"device = {device!r}: {str(error).splitlines()[0]}") from error
-
-
 LEARNING_S = 3e-3  # approximate wall time of learning per command
 
 
@@ -66,8 +57,8 @@ class Training(Suite[TrainConfig, SimpleCase]):
 
     def prepare(self, config: TrainConfig, run: RunDirectory) -> None:
         """Bring an unfinished training back to its last checkpoint."""
-        if {each.name for each in run.path.iterdir()} <= {"config.yaml", "manifest.json"}:
-            return  # it begins: PyTorch need not be there yet
+        if run.is_new():
+            return  # PyTorch need not be there yet
         from uavaccel.suites.training.flights import drop_games_after_checkpoint
 
         if trained_with(run.path).get("games") != config.games or len(run.rows()) < config.games:
@@ -121,3 +112,12 @@ class Training(Suite[TrainConfig, SimpleCase]):
         from uavaccel.suites.training.report import compare_trainings
 
         return compare_trainings(runs)
+
+
+def _check_device(device: str) -> None:
+    import torch as th
+
+    try:
+        th.zeros(1, device=device)
+    except (RuntimeError, AssertionError) as error:
+        raise UserError(f"device = {device!r}: {str(error).splitlines()[0]}") from error
