@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import os
 import re
 import signal
 from collections.abc import Iterator
+from pathlib import Path
 
 import mujoco
 import pytest
 from hypothesis import HealthCheck, settings
+from xdist.remote import Producer
+from xdist.scheduler import LoadScopeScheduling
 
 from tests.scenes import Scene
 from uavaccel.errors import UserError
@@ -53,16 +57,31 @@ FIRST = (
 )
 
 
-def group_of(item: pytest.Item) -> str:
-    """Whose tests one process runs: a file's, but for the kernels."""
-    return "kernels" if KERNELS.search(item.nodeid) else item.path.stem
+def pytest_xdist_auto_num_workers() -> int:
+    """One process more than cores: some tests wait for a browser, a timer or another process."""
+    return (os.cpu_count() or 1) + 1
+
+
+def group_of(test: str) -> str:
+    """Whose tests one process runs: a file's, since they share what they fly in, but for the kernels."""
+    return "kernels" if KERNELS.search(test) else Path(test.partition("::")[0]).stem
+
+
+class ByGroup(LoadScopeScheduling):
+    """Give each process the tests of a group at a time, in the order of their collection."""
+
+    def _split_scope(self, nodeid: str) -> str:
+        return group_of(nodeid)
+
+
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> ByGroup:
+    return ByGroup(config, log)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Give each test its group, the longest first, and skip what draws where OpenGL is missing."""
-    for item in items:
-        item.add_marker(pytest.mark.xdist_group(group_of(item)))
-    items.sort(key=lambda item: FIRST.index(group_of(item)) if group_of(item) in FIRST else len(FIRST))
+    """Put the longest groups first, and skip what draws where OpenGL is missing."""
+    order = {group: place for place, group in enumerate(FIRST)}
+    items.sort(key=lambda item: order.get(group_of(item.nodeid), len(FIRST)))
     skip_what_cannot_draw(items)
 
 

@@ -18,7 +18,7 @@ import pytest
 
 from tests.learning import tiny_config
 from tests.running import configured, fly_into
-from tests.test_watch import CHROMIUM, FLAGS, SCALE, simulated_s
+from tests.test_watch import CHROMIUM, FLAGS, new_page, simulated_s
 from uavaccel.cli.run import RunRequest, run_experiment
 from uavaccel.commands import COMMANDS, VelocityGoal
 from uavaccel.envs.obstacle_lane import ObstacleLane
@@ -327,8 +327,7 @@ def test_a_browser_holds_a_flight_of_a_simulated_clock_and_looks_on_at_one_of_th
     served = ("serve", "--port", "0", "--watch-at", ":18092")
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
-        page = browser.new_page(viewport={"width": 1280, "height": 720}, device_scale_factor=SCALE)
-        page.set_default_timeout(120_000)
+        page = new_page(browser, viewport={"width": 1280, "height": 720})
         clocks = page.locator(".clocks")
         with commanded(tmp_path, *scripted) as (address, process):
             page.goto(address)
