@@ -3,30 +3,36 @@
 from __future__ import annotations
 
 import json
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import nullcontext
 from copy import deepcopy
 from functools import partial
 from itertools import pairwise
 from types import SimpleNamespace
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
+import gymnasium
 import numpy as np
 import pytest
 import torch as th
 from gymnasium import spaces
+from stable_baselines3.common.vec_env import DummyVecEnv
 
 from tests.host_kernels import host_kernels  # noqa: F401 - a fixture
 from tests.learning import tiny_config
 from uavaccel.config import validate
+from uavaccel.envs.stopwatch import PHASES
 from uavaccel.rl import device_network, double_dqn
 from uavaccel.rl.agents import first_policy
 from uavaccel.rl.algorithms import Adam
+from uavaccel.rl.baseline import Baseline
 from uavaccel.rl.config import DqnOptions
 from uavaccel.rl.double_dqn import DoubleDQN
 from uavaccel.rl.lanes import BatchVecEnv
 from uavaccel.rl.learner import Game, learning_rhythm
 from uavaccel.rl.network import contrast
+from uavaccel.rl.policy import weights_sha256
 from uavaccel.rl.replay import Batch
 from uavaccel.rl.statistics import StepStatistics
 from uavaccel.suites.training.config import TrainConfig
@@ -234,7 +240,7 @@ def test_learning_goes_on_while_the_lanes_fly() -> None:
     assert said == [*alone * 12, *beside * 2, *alone * 2]
 
 
-def say_and(said: list[str], word: str, work: Callable[..., Any], *told: Any) -> Any:
+def say_and(said: list[Any], word: Any, work: Callable[..., Any], *told: Any) -> Any:
     said.append(word)
     return work(*told)
 
@@ -508,6 +514,89 @@ def test_a_learner_goes_on_from_its_state() -> None:
     assert [log[0] for log in lanes.log] == [("learning", share_s)] * 2, "what was due is still paid for"
 
 
+# --- stable-baselines3's algorithms --------------------------------------------------------------------------------
+
+
+class ThreeCommands(gymnasium.Env[Any, Any]):
+    """Games of three commands, without anything to learn."""
+
+    observation_space = spaces.Box(-1.0, 1.0, SHAPE, np.float32)
+    action_space = spaces.Discrete(2)
+    charged: ClassVar[list[tuple[float, str]]] = []
+
+    def reset(self, **_: Any) -> Any:
+        self.commands = 0
+        return self.observation_space.sample(), {}
+
+    def step(self, action: Any) -> Any:
+        self.commands += 1
+        return self.observation_space.sample(), 1.0 + action, self.commands == 3, False, {}
+
+    def charge(self, seconds: float, phase: str) -> None:
+        self.charged.append((seconds, phase))
+
+
+def baseline(algorithm: str, options: dict[str, Any], lanes: int = 2, **keys: Any) -> Any:
+    config = config_of(lanes, {}, **keys).model_copy(update={"algorithm": algorithm, "options": options})
+    ThreeCommands.charged.clear()
+    learner = Baseline(config, DummyVecEnv([ThreeCommands] * lanes))
+    learner.lanes.seed(config.seed)
+    return learner
+
+
+DQN = {"learning_rate": 2e-3, "learning_starts": 0, "batch_size": 4, "buffer_size": 40}
+
+
+def test_a_baselines_learning_rate_falls_with_games_and_its_weights_are_of_the_seed() -> None:
+    """To the share of the initial one that the training names, as that of this project's own algorithm."""
+    options = {"learning_rate": 2e-3, "n_steps": 3, "batch_size": 3, "n_epochs": 1}
+    learner = baseline("ppo", options, games=9, final_learning_rate_share=0.1)
+    rates = []
+    while learner.games < 8:
+        assert len(learner.advance()) == 2
+        rates.append(learner.policy.optimizer.param_groups[0]["lr"])
+    assert rates == pytest.approx([2e-3 * (0.1 + 0.9 * (1 - games / 9)) for games in (2, 4, 6, 8)])
+    assert [game.number for game in learner.advance()] == [8]
+    first, again, other = (weights_sha256(baseline("ppo", options, seed=seed).policy) for seed in (3, 3, 4))
+    assert first == again != other
+
+
+def test_a_baseline_with_a_replay_buffer_learns_as_often_as_it_is_to_and_pays() -> None:
+    """Two lanes and a gradient step every six commands: after every third command of both."""
+    keys: dict[str, Any] = {"task": {"timing": "virtual"}, "learning_s": 0.5, "inference_s": 0.125}
+    learner = baseline("dqn", DQN, games=100, commands_per_gradient_step=6, **keys)
+    for rollouts in range(1, 4):
+        learner.advance()
+        assert (learner.algorithm.num_timesteps, learner.algorithm._n_updates) == (6 * rollouts, rollouts)
+    assert (
+        learner.lanes.envs[0].unwrapped.charged
+        == [*[(0.125, "inference")] * 6, *[(0.25, "learning")] * 2] * 3
+    )
+
+
+def test_a_baseline_goes_on_from_its_state() -> None:
+    """Two that were one learn the same weights from then on, on the same batches."""
+    first, second = (
+        baseline("dqn", DQN, games=100, commands_per_gradient_step=2, seed=seed) for seed in (0, 1)
+    )
+    for _ in range(25):  # the buffer of twenty rows has been filled once
+        first.advance()
+    state = deepcopy(first.get_state())
+    second.set_state(state, first.algorithm._last_obs)
+    told = second.get_state()
+    assert told.counters == state.counters
+    assert {name: each.tolist() for name, each in told.arrays.items()} == {
+        name: each.tolist() for name, each in state.arrays.items()
+    }
+    assert (second.games, second.returns) == (first.games, first.returns)
+    hashes = []
+    for each in (first, second):
+        each.set_state(deepcopy(state), first.algorithm._last_obs)
+        each.algorithm.train(4, 4)
+        hashes.append(weights_sha256(each.policy))
+    assert hashes[0] == hashes[1] != weights_sha256(baseline("dqn", DQN).policy)
+
+
 # --- the learner beside lanes on a GPU, on tensors of the CPU -----------------------------------------------------
 
 
@@ -638,6 +727,130 @@ def test_on_a_device_lanes_pay_for_their_decisions_and_their_share_of_learning(o
         learner._charge("flown", learns)
     decided = ("flown", 0.5, "inference")
     assert charged == [decided, decided, ("flown", 0.0625, "learning")]
+
+
+def test_on_a_device_lanes_explore_as_often_as_they_are_to(
+    on_a_device: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A lane that sees n rates action n highest, which a random action is in a third of the cases too."""
+    from uavaccel.rl import device_dqn
+
+    class Cut:
+        down = across = 1
+
+        def __call__(
+            self, ring: th.Tensor, row: th.Tensor, lane: th.Tensor, mirrored: th.Tensor
+        ) -> th.Tensor:
+            assert not mirrored.any()
+            return ring[row, lane]
+
+    lanes, learner = 3_000, on_a_device
+    learner.device, learner.lanes.count, learner._turned = th.device("cpu"), lanes, th.arange(3)
+    learner.lanes.observations = th.arange(lanes) % 3
+    learner._zeros, learner._lane_numbers = th.zeros(lanes, dtype=th.int64), th.arange(lanes)
+    learner._cut, learner.policy = Cut(), SimpleNamespace(q_net=lambda seen: th.eye(3)[seen])
+    monkeypatch.setattr(device_dqn, "rate", lambda network, seen, down, across: network(seen))
+    th.manual_seed(0)
+    for exploration, at_random, greedy in (
+        (0.0, False, 1.0),
+        (0.4, False, 0.6 + 0.4 / 3),
+        (0.0, True, 1 / 3),
+    ):
+        learner._epsilon = th.tensor(exploration)
+        actions = learner._decide(at_random)
+        assert (actions == learner.lanes.observations).double().mean() == pytest.approx(greedy, abs=0.03)
+        assert actions.bincount(minlength=3).tolist() == pytest.approx([lanes / 3] * 3, abs=0.03 * lanes)
+
+
+def test_on_a_device_each_gradient_step_has_a_batch_of_its_own(on_a_device: Any) -> None:
+    """Sixteen lanes and a step every eight commands: two steps a round, on windows that are drawn together."""
+    from uavaccel.rl.device_replay import Windows
+
+    learner, drawn, batches = on_a_device, [], []
+    learner.lanes.count = 16
+    learner.options = learner.options.model_copy(update={"batch_size": 3, "gamma": 0.25})
+    windows = Windows(*(th.arange(6) + 10 * column for column in range(8)))
+    learner.replay = SimpleNamespace(draw=lambda *told: say_and(drawn, told, lambda: windows))
+    learner._descend = batches.append
+    for mirror in (True, False):
+        learner.config = learner.config.model_copy(update={"mirror": mirror})
+        learner._learn()
+    assert drawn == [(6, 2, 0.25, True), (6, 2, 0.25, False)]
+    expected = [[[10 * column + at for at in part] for column in range(8)] for part in ((0, 1, 2), (3, 4, 5))]
+    assert [[each.tolist() for each in batch] for batch in batches] == expected * 2
+
+
+def test_on_a_device_a_round_keeps_and_charges_what_was_going_when_it_began(on_a_device: Any) -> None:
+    """Its last lane flies no more, and with this command the first one's game is over."""
+    learner, said = on_a_device, []
+    online, target = th.nn.Linear(1, 1), th.nn.Linear(1, 1)
+    learner.policy = SimpleNamespace(q_net=online, q_net_target=target)
+    before = [each.detach().clone() for each in (*online.parameters(), *target.parameters())]
+    results = {
+        name: th.tensor([number, 0.0]) for number, name in enumerate(("rewards", "terminated", "truncated"))
+    }
+
+    def fly(actions: Any) -> None:
+        said.append(("flies", actions))
+        vars(learner.lanes).update(results)
+        learner.lanes.going.copy_(th.tensor([False, False]))
+
+    learner.lanes = SimpleNamespace(going=th.tensor([True, False]), observations="seen", fly=fly)
+    learner.replay = SimpleNamespace(
+        begin_round=lambda *told: said.append(("begins", *told)),
+        end_round=lambda *told: said.append(("ends", *told[:3], told[3].tolist())),
+    )
+    learner._decide = lambda at_random: f"at random: {at_random}"
+    learner._learning_stream = SimpleNamespace(following=nullcontext, join=lambda: said.append(("joins",)))
+    learner._learn = lambda: said.append(("learns",))
+    learner._charge = lambda flown, learns: said.append(("charges", flown.tolist(), learns))
+    learner._schedule = lambda: said.append(("schedules",))
+    learner._work(True, False, False)
+    flown = [True, False]
+    ends = ("ends", *results.values(), flown)
+    assert said == [
+        *(("begins", "seen", "at random: True"), ("flies", "at random: True"), ("charges", flown, False)),
+        *(ends, ("schedules",)),
+    ]
+    assert all(th.equal(*each) for each in zip(before[2:], target.parameters(), strict=True))
+    said.clear()
+    learner._work(False, True, True)
+    assert [each[0] for each in said] == [
+        "begins",
+        "learns",
+        "flies",
+        "joins",
+        "charges",
+        "ends",
+        "schedules",
+    ]
+    for network in (online, target):
+        assert all(th.equal(*each) for each in zip(before[:2], network.parameters(), strict=True))
+
+
+def test_on_a_device_games_are_read_from_the_log_up_to_the_last_one_of_the_training(on_a_device: Any) -> None:
+    """Three are over in a chunk of two rounds, of which the training still needs two; they share its four seconds."""
+    learner, at, refilled = on_a_device, on_a_device.AT, []
+    log = th.zeros((2, 4, at.columns), dtype=th.float64)
+    for line, lane, reward in ((0, 2, 1.5), (1, 0, -2.5), (1, 3, 9.0)):
+        log[line, lane, at.over], log[line, lane, at.reward] = 1.0, reward
+    learner.lanes.info = lambda lane, outcome: {"reward": outcome[at.reward]}
+    learner.lanes.games = SimpleNamespace(refill=refilled.append)
+    learner._clock, read = (
+        SimpleNamespace(now_ns=lambda: 5_000_000_000),
+        SimpleNamespace(synchronize=lambda: None),
+    )
+    sums = th.tensor([6.0, 8.0, 4.0], dtype=th.float64)
+    learner._unread, learner.games = deque([(read, log, th.tensor([3, 1, 4, 1]), sums, 1_000_000_000)]), 6
+    games = learner._read_chunk()
+    assert [(each.number, each.lane, each.reward, each.loss, each.mean_q) for each in games] == [
+        *((6, 2, 1.5, 1.5, 2.0), (7, 0, -2.5, 1.5, 2.0))
+    ]
+    for game in games:
+        assert game.info["reward"] == game.reward
+        assert game.info["host_phase_s"] == {**dict.fromkeys(PHASES, 0.0), "simulation": 2.0}
+        assert game.exploration_rate == 0.2
+    assert (learner.games, refilled, learner.at_rest) == (8, [[3, 1, 4, 1]], True)
 
 
 def test_on_a_device_learning_rate_and_exploration_fall_with_games(on_a_device: Any) -> None:

@@ -171,12 +171,12 @@ def test_more_games_are_learned_from_after_the_last_checkpoint(tmp_path: Path) -
 
 
 def test_a_checkpoint_without_its_last_file_does_not_count(tmp_path: Path) -> None:
-    for name, whole in (("0000002", True), ("0000004", False)):
+    for name, whole in (("0000002", True), ("0000003", True), ("0000004", False)):
         (tmp_path / name).mkdir()
         (tmp_path / name / "learner.pt").touch()
         if whole:
             (tmp_path / name / "state.json").touch()
-    assert find_checkpoint(tmp_path) == tmp_path / "0000002"
+    assert find_checkpoint(tmp_path) == tmp_path / "0000003"
     assert find_checkpoint(tmp_path / "elsewhere") is None
 
 
