@@ -22,13 +22,15 @@ from uavaccel.cli.result_commands import report
 from uavaccel.cli.run import RunRequest
 from uavaccel.cli.view import view_game
 from uavaccel.config import validate
-from uavaccel.envs.obstacle_lane import ObstacleLane
+from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
 from uavaccel.errors import UsageError, UserError
 from uavaccel.files import file_sha256
 from uavaccel.metrics.intervals import Proportion, mcnemar_exact
 from uavaccel.records import RunDirectory
 from uavaccel.resources import asset
-from uavaccel.rl.agents import OffsetAgent, make_agent
+from uavaccel.rl import agents
+from uavaccel.rl.agents import OffsetAgent, make_agent, trained_keys
+from uavaccel.rl.config import LearnerConfig
 from uavaccel.rl.lanes import make_lanes
 from uavaccel.rl.learner import make_learner
 from uavaccel.rl.policy import MANIFEST, WEIGHTS, export_policy, load_policy, trained_with
@@ -247,16 +249,19 @@ def test_view_films_an_evaluated_game(tmp_path: Path, capsys: pytest.CaptureFixt
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "keys",
+    ("task", "keys"),
     [
-        {},
-        {"algorithm": "dqn", "mirror": False, "task": {"observation": "state", "history": 2}},
-        {"algorithm": "ppo", "mirror": False, "options": {}},
+        ({}, {}),
+        ({"observation": "state", "history": 2}, {"algorithm": "dqn", "mirror": False}),
+        ({}, {"algorithm": "ppo", "mirror": False, "options": {}}),
     ],
     ids=["double_dqn", "dqn-state", "ppo"],
 )
-def test_an_exported_policy_acts_as_the_model(tmp_path: Path, keys: dict[str, Any]) -> None:
-    config = tiny_config(**keys)
+def test_an_exported_policy_acts_as_the_model(
+    tmp_path: Path, task: dict[str, Any], keys: dict[str, Any]
+) -> None:
+    headings = [30.0, -60.0, 0.0, 60.0, -30.0]  # the policy's actions, in this order
+    config = tiny_config(task | {"headings_deg": headings}, **keys)
     environment = make_lanes(config.task, 1)
     learner = make_learner(config, environment)
     export_policy(tmp_path, learner.policy, config, {"games": 0})
@@ -271,6 +276,7 @@ def test_an_exported_policy_acts_as_the_model(tmp_path: Path, keys: dict[str, An
     chances = rated_as == "probabilities of the actions"
     assert chances == (config.algorithm == "ppo") == bool(np.allclose(ratings.sum(axis=1), 1.0, atol=1e-5))
     assert policy.config.task == config.task
+    assert policy.manifest["actions_heading_deg"] == headings
     environment.close()
 
 
@@ -378,6 +384,29 @@ def test_an_agent_flies_with_what_it_was_trained_with_unless_told_otherwise() ->
     assert (task.dvs_preset, task.speed_m_s) == ("noisy", 1.5)
     kept = ("observation", "history", "dvs_seed", "t_move_s", "t_sample_s", "headings_deg", "altitude_m")
     assert {key: getattr(task, key) for key in kept} == {key: getattr(trained, key) for key in kept}
+
+
+def test_senses_and_flight_are_those_of_the_training_and_nothing_else_is(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Each of them another than where nothing is said; what a policy is tried under stays the evaluation's."""
+    like_trained: dict[str, Any] = {
+        "observation": "dvs", "history": 2, "knows": ["frame_age"], "blank_images": True, "dvs_preset": "noisy",
+        "dvs_seed": 5, "dvs_threshold_ratio": 1.5, "dvs_spread_ratio": 2.0, "dvs_shot_noise_hz": 3.0,
+        "dvs_leak_hz": 0.5, "dvs_hot_pixels": 0.01, "image_noise": 4.0, "dvs_rate_hz": 100.0, "t_move_s": 0.8,
+        "t_sample_s": 0.2, "speed_m_s": 1.5, "headings_deg": [-20.0, 20.0], "altitude_m": 3.0,
+    }  # fmt: skip
+    others = {
+        "timing": "virtual",
+        "command": "adsc",
+        "clock_speed": 5.0,
+        "max_commands": 9,
+        "goal_reward": 2.0,
+    }
+    task = LaneTask(**{**like_trained, **others, "observation": "dvs"})
+    monkeypatch.setattr(agents, "read_manifest", lambda folder: ({}, LearnerConfig(task=task)))
+    assert trained_keys("a/policy") == like_trained
+    assert trained_keys("straight") == {"observation": "state", "history": 1}
 
 
 @needs_opengl

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import nullcontext
@@ -23,13 +24,14 @@ from tests.host_kernels import host_kernels  # noqa: F401 - a fixture
 from tests.learning import tiny_config
 from uavaccel.config import validate
 from uavaccel.envs.stopwatch import PHASES
+from uavaccel.errors import UserError
 from uavaccel.rl import device_network, double_dqn
 from uavaccel.rl.agents import first_policy
 from uavaccel.rl.algorithms import Adam
 from uavaccel.rl.baseline import Baseline
-from uavaccel.rl.config import DqnOptions
+from uavaccel.rl.config import DqnOptions, LearnerConfig, check_algorithm
 from uavaccel.rl.double_dqn import DoubleDQN
-from uavaccel.rl.lanes import BatchVecEnv
+from uavaccel.rl.lanes import BatchVecEnv, seed_lanes
 from uavaccel.rl.learner import Game, learning_rhythm
 from uavaccel.rl.network import contrast
 from uavaccel.rl.policy import weights_sha256
@@ -469,6 +471,47 @@ def test_options_that_are_left_out_are_those_of_the_shipped_policy() -> None:
         "n_steps": 3, "target_update_interval": 2_000, "exploration_initial_eps": 1.0, "exploration_fraction": 0.3,
         "exploration_final_eps": 0.01, "max_grad_norm": 10.0,
     }  # fmt: skip
+    assert LearnerConfig().model_dump(exclude={"task"}) == {
+        "seed": 0, "games": 5000, "simulator": "mujoco", "environments": 1, "turns": 1, "algorithm": "double_dqn",
+        "options": {}, "final_learning_rate_share": 0.02, "commands_per_gradient_step": 4, "mirror": True,
+        "mirrored_decisions": False, "start_from": None, "channels": (16, 32), "hidden": (256,), "device": "cpu",
+        "torch_threads": 1, "checkpoint_games": 250, "inference_s": 0.0005, "learning_s": 0.01,
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "fits", "too_large"),
+    [
+        ("double_dqn", {"buffer_size": 100}, {"buffer_size": 101}),
+        ("dqn", {"buffer_size": 100}, {"buffer_size": 101}),
+        ("ppo", {"n_steps": 50}, {"n_steps": 51}),  # of each of two lanes
+    ],
+)
+def test_what_takes_more_memory_than_there_is_is_refused_beforehand(
+    algorithm: str, fits: dict[str, int], too_large: dict[str, int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("uavaccel.rl.config.memory_bytes", lambda: 100 * math.prod(SHAPE) * 4)  # of float32
+    config = config_of(2, {}).model_copy(update={"algorithm": algorithm, "options": fits})
+    check_algorithm(config)
+    check_algorithm(
+        config.model_copy(update={"options": too_large, "device": "cuda"})
+    )  # whose memory is another
+    (name,) = fits
+    with pytest.raises(
+        UserError, match=rf"^options of {algorithm}: {name}: 10[12] observations take 1\.5\d+e-05 GB"
+    ):
+        check_algorithm(config.model_copy(update={"options": too_large}))
+
+
+def test_trainings_of_neighbouring_seeds_fly_lanes_far_apart() -> None:
+    """Lane n of a training has its seed plus n, so these have to be farther apart than there are lanes."""
+    seeds: list[int] = []
+    for _ in range(2):
+        for seed in range(20):
+            seed_lanes(SimpleNamespace(seed=seeds.append), seed)
+    assert seeds[:20] == seeds[20:]
+    assert min(after - before for before, after in pairwise(sorted(seeds[:20]))) > 10_000
+    assert all(0 <= seed < 2**31 for seed in seeds)
 
 
 def test_the_target_network_follows_now_and_then() -> None:
