@@ -2,9 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 
+from uavaccel.envs.camera_client import CameraClient
+from uavaccel.envs.task import AT_REST
+from uavaccel.vision.guard import GuardSettings
 from uavaccel.vision.perturb import AutoExposure
 
 S = 1_000_000_000
@@ -53,3 +60,15 @@ def test_bright_pixels_saturate_and_colours_keep_their_order() -> None:
     image = exposure.expose(np.array([[[20, 40, 60], [20, 40, 200]]], np.uint8), 10 * S)
     assert image[0, 1, 2] == 255
     assert image[0, 0, 0] < image[0, 0, 1] < image[0, 0, 2]
+
+
+def test_a_camera_is_exposed_for_the_wall_time_that_its_simulation_ran() -> None:
+    """At 10x a simulated second is a tenth of one: three tenths of a stop up, as the picture is half as bright."""
+    images = iter((grey(80), grey(40)))
+    client: Any = SimpleNamespace(clock_speed=10.0, image=lambda kind: next(images))
+    exposure = AutoExposure()
+    camera = CameraClient(client, guard=GuardSettings(max_retries=0), exposure=exposure)
+    for time_ns in (0, S):
+        sample = camera.take(replace(AT_REST, time_ns=time_ns))
+    assert exposure.stops == pytest.approx(0.3)
+    assert (sample.image == round(40 * 2**0.3)).all()

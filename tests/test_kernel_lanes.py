@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from contextlib import closing
+from itertools import count
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -73,3 +75,34 @@ def test_a_lane_flies_as_in_the_exact_simulator(kind: type[FlightEnv], task: dic
         for environment in alone:
             environment.close()
     assert ends >= count
+
+
+def test_the_machines_time_of_a_batch_is_shared_by_the_lanes_that_flew(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """On a clock that goes on by a second whenever it is looked at, of two lanes and then of three."""
+    seconds = count(0)
+    clock = SimpleNamespace(now_ns=lambda: next(seconds) * 1_000_000_000)
+    monkeypatch.setattr("uavaccel.envs.kernel_batch.MonotonicClock", lambda: clock)
+    with closing(KernelBatch(ObstacleLane, 5, observation="state", report_host_times=True)) as batch:
+        batch.reset(seed=0)
+        for lanes in ([0, 3], [1, 2, 4]):
+            batch.step_async([2] * len(lanes), lanes)
+            infos = batch.step_wait(lanes)[4]
+            spent_s = [info["host_phase_s"].pop("simulation") for info in infos]
+            assert spent_s == pytest.approx([1.0 / len(lanes)] * len(lanes))
+            assert all(set(info["host_phase_s"].values()) == {0.0} for info in infos)
+
+
+def test_ages_are_those_at_the_collision_which_leaves_nothing_to_process() -> None:
+    """ADSC in front of a post: pictures at 330 and 660 ms of a second, in levels of 20 ms, and one that is missing."""
+    lane = {"obstacles": [{"x_m": 1.0, "y_m": 0.0, "half_side_m": 0.4}]}
+    still: dict[str, Any] = {"quantiles": [0, 1], "issue_us": [0, 0], "timer_us": [0, 0]}
+    still |= {"request_us": {"call": [0, 0]}, "reply_us": {"call": [0, 0]}}
+    task = {"command": "adsc", "timing": "virtual", "image_processing_s": 0.05, "latency": still}
+    with closing(KernelBatch(ObstacleLane, 1, lane=lane, knows=["frame_age"], **task)) as batch:
+        batch.reset(seed=0)
+        seen, _, over, _, infos = batch.step([2])
+        assert (over.tolist(), infos["collision"].tolist()) == ([True], ["obstacle_00"])
+        bands = seen[0, -1].reshape(3, 12, 64)
+        assert [np.unique(band).tolist() for band in bands] == [[128 + 33], [128 + 17], [128]]

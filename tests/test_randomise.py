@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from hypothesis import strategies as st
 from tests.learning import tiny_config, train_into
 from uavaccel.envs.batch import EnvironmentBatch
 from uavaccel.envs.conditions import Ranges
+from uavaccel.envs.kernel_batch import KernelBatch
 from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
 from uavaccel.errors import UserError
 from uavaccel.kinematics import VelocityGoal
@@ -173,6 +175,23 @@ def test_a_condition_may_have_a_share_of_its_own() -> None:
 def test_evaluation_lanes_have_the_whole_ranges_at_once() -> None:
     environment = lane(split="evaluation", randomise={"wind_m_s": [5, 6], "widen_over_games": 100})
     assert environment.reset(seed=0)[1]["conditions"]["wind_m_s"] >= 5
+
+
+def test_a_seed_begins_the_widening_anew_alone_and_in_a_batch_over_arrays() -> None:
+    """Of an environment's games: the first has the usual wind, and each is drawn from wider ranges than the last."""
+    keys: dict[str, Any] = {
+        "observation": "state", "max_commands": 1, "randomise": {"wind_m_s": [8, 8], "widen_over_games": 4},
+    }  # fmt: skip
+    alone, widening = lane(**keys), [0.0, 2.0, 4.0, 6.0, 8.0, 8.0]
+    for _ in range(2):
+        seeds = (3, *[None] * 5)
+        assert [alone.reset(seed=seed)[1]["conditions"]["wind_m_s"] for seed in seeds] == widening
+    with closing(KernelBatch(ObstacleLane, 2, autoreset_mode="SameStep", **keys)) as batch:
+        for _ in range(2):
+            infos = [batch.reset(seed=3)[1], *(batch.step([2, 2])[4] for _ in range(5))]
+            assert [info["conditions"]["wind_m_s"].tolist() for info in infos] == [
+                [wind] * 2 for wind in widening
+            ]
 
 
 def test_a_batch_draws_what_single_environments_draw() -> None:

@@ -28,6 +28,7 @@ from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.gates import GatesTask
 from uavaccel.envs.hover import HoverTask
 from uavaccel.envs.obstacle_lane import LaneTask
+from uavaccel.envs.sensors import DepthCamera, blank_frame
 from uavaccel.envs.stopwatch import Stopwatch
 from uavaccel.envs.task import AT_REST, Moment, Task
 from uavaccel.envs.values import Course
@@ -83,6 +84,32 @@ def test_headings_are_from_north_to_the_east() -> None:
     assert west.velocity_m_s == pytest.approx((0.0, -2.0, 0.0))
     assert north_east.velocity_m_s == pytest.approx((math.sqrt(3), 1.0, 0.0))
     assert west.height_m == north_east.height_m == -3.0
+
+
+def test_keys_that_are_left_out_are_those_of_the_published_lane() -> None:
+    """T_move, T_sample and speed are the paper's."""
+    keys = LaneTask().model_dump(exclude={"difficulty", "latency"})
+    assert keys == {
+        "observation": "dvs", "history": 1, "blank_images": False, "dvs_preset": "clean", "dvs_seed": 0,
+        "dvs_threshold_ratio": 1.0, "dvs_spread_ratio": 1.0, "dvs_shot_noise_hz": 0.0, "dvs_leak_hz": 0.0,
+        "dvs_hot_pixels": 0.0, "image_noise": 0.0, "dvs_rate_hz": None, "list_events": False, "command": "tcsc",
+        "t_move_s": 1.0, "t_sample_s": 0.33, "action": "velocity", "speed_m_s": 1.0, "tilt_deg": 30.0,
+        "rate_deg_s": 180.0, "altitude_m": 2.0, "max_commands": 300, "timing": "lockstep", "clock_speed": 1.0,
+        "profile": "native", "t_th_wall_s": 0.001, "image_processing_s": 0.0003, "report_host_times": False,
+        "split": "training", "lane": None, "knows": (), "randomise": None,
+        "headings_deg": (-60.0, -30.0, 0.0, 30.0, 60.0), "progress_reward": 0.1, "collision_reward": -1.0,
+        "goal_reward": 0.0, "wall_reward": 0.0,
+    }  # fmt: skip
+
+
+def test_depths_are_shown_up_to_50_m() -> None:
+    camera = DepthCamera(blank_frame("depth"))
+    depth_m = np.repeat(
+        np.repeat(np.array([[0.0, 10.0], [50.0, 400.0]], np.float32), 72, axis=0), 128, axis=1
+    )
+    levels = camera.frame(AT_REST, depth_m, {})
+    assert (levels.shape, levels.dtype) == ((1, 36, 64), np.uint8)
+    assert levels[0, [9, 9, 27, 27], [16, 48, 16, 48]].tolist() == [0, 51, 255, 255]
 
 
 # --- hover ----------------------------------------------------------------------------------------------------------
