@@ -142,6 +142,23 @@ def test_what_a_camera_leaves_out_of_its_lens_is_of_the_defaults() -> None:
         assert Cameras(common, {"0": given}).named("front_center").lens(0) == lens
 
 
+def test_a_camera_is_turned_where_it_is_and_moved_as_it_is_turned() -> None:
+    wire, unknown = AirSimWire(), float("nan")
+    wire.call("simSetCameraPose", "0", Pose((0.2, 1.0, -0.3), (0.0, 0.0, 0.0)).message(), "", False)
+    turned, moved = (Pose((2.0, 3.0, -4.0), (0.0, 0.0, 90.0)).message() for _ in range(2))
+    turned["position"] = dict.fromkeys(turned["position"], unknown)
+    moved["orientation"] = dict.fromkeys(moved["orientation"], unknown)
+    for pose, place in ((turned, [0.2, 1.0, -10.3]), (moved, [2.0, 3.0, -14.0])):
+        wire.call("simSetCameraPose", "0", pose, "", False)
+        told = wire.call("simGetCameraInfo", "0", "", False)["pose"]
+        assert [told["position"][axis] for axis in ("x_val", "y_val", "z_val")] == pytest.approx(
+            place, abs=1e-3
+        )
+        assert [told["orientation"][axis] for axis in ("w_val", "z_val")] == pytest.approx(
+            [0.5**0.5] * 2, abs=1e-3
+        )
+
+
 def test_a_camera_is_moved_and_zoomed_for_all_types_and_nan_leaves_its_part() -> None:
     wire = AirSimWire()
     wire.call("simSetVehiclePose", VEHICLE.message(), True, "")

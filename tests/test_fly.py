@@ -3,6 +3,7 @@
 import contextlib
 import datetime
 import json
+import random
 import re
 import subprocess
 import sys
@@ -29,7 +30,8 @@ from uavaccel.fly.script import FlightOver, run_script
 from uavaccel.fly.simulated import FREE_CALLS, READING_NS, SimulatedFlight
 from uavaccel.fly.trajectory import FILE_NAME as TRAJECTORY
 from uavaccel.fly.trajectory import TABLE_NAME as TABLE
-from uavaccel.fly.trajectory import largest_difference_m, write_trajectory
+from uavaccel.fly.trajectory import Trajectory, equal, largest_difference_m, write_trajectory
+from uavaccel.kinematics import Kinematics
 from uavaccel.units import NS_PER_S
 from uavaccel.wire.rpc import RpcError
 from uavaccel.wire.settings import Settings
@@ -77,7 +79,7 @@ def fly(*arguments: str | Path) -> "subprocess.CompletedProcess[str]":
 PACED = """
     import setup_path
     import airsim
-    import queue, sys, threading, time
+    import numpy, queue, random, sys, threading, time
     from datetime import datetime
 
     client = airsim.MultirotorClient()
@@ -103,6 +105,7 @@ PACED = """
     over.set()
     watcher.join()
     print("watched", watched.qsize())
+    print("drawn", random.random(), numpy.random.rand())
     print(sys.argv[1:], datetime.now().year, __name__, airsim.wait_key("key?") == chr(10), input() == "")
     sys.exit(3)
 """
@@ -128,6 +131,7 @@ def test_a_script_flies_twice_to_the_same_bytes(tmp_path: Path) -> None:
     ]
     assert "['-a', '--clock', '7'] 2020 __main__ True True" in lines
     assert "watched 50" in lines
+    assert f"drawn {random.Random(3).random()} {np.random.RandomState(3).rand()}" in lines
     assert lines[-1].startswith("checked: flown twice, ")
     assert done.stderr.count("warning: moveNowhere is not known here") == 2  # once a flight
     summary = json.loads((out / "flight.json").read_text())
@@ -213,6 +217,21 @@ def test_a_sleep_between_unpause_and_pause_flies_exactly_that(
     assert flown == round(0.6 * clock_speed * NS_PER_S)
 
 
+def test_only_sleeps_in_which_the_simulation_runs_count_as_slept(
+    flight_in: FlightMaker, tmp_path: Path
+) -> None:
+    """From those alone flights at several ClockSpeeds part."""
+    flight = flight_in(tmp_path, 2.0)
+    flight.pass_time(0.25)  # before a client has connected nothing flies, but nothing is paused either
+    client = client_of(flight)
+    client.simPause(True)
+    flight.pass_time(1.0)
+    assert flight.summary()["slept_s"] == 0.25
+    client.simPause(False)
+    flight.pass_time(0.5)
+    assert flight.summary()["slept_s"] == 0.75
+
+
 def test_declared_thinking_is_flown_through(flight_in: FlightMaker, tmp_path: Path) -> None:
     flight = flight_in(tmp_path, clock_speed=2.0, think_s=0.05)
     client = client_of(flight)
@@ -277,6 +296,12 @@ def test_a_flight_in_virtual_time_is_charged_latencies(flight_in: FlightMaker, t
     client = client_of(flight)
     times = [client.getMultirotorState().timestamp for _ in range(200)]
     assert times[-1] > times[0] + 10_000_000
+    seeded = [
+        client_of(flight_in(tmp_path / name, timing="virtual", seed=seed))
+        for name, seed in (("a", 1), ("b", 1), ("c", 2))
+    ]
+    one, same, other = ([each.getMultirotorState().timestamp for _ in range(50)] for each in seeded)
+    assert one == same != other
 
 
 # --- nothing fails silently ----------------------------------------------------------------------------------------
@@ -414,6 +439,15 @@ def test_a_trajectory_has_places_attitudes_and_velocities_as_arrays_and_as_a_tab
         assert kept["time_ns"].tolist() == time_ns.tolist()
         found = [kept[name].tolist() for name in ("position_m", "orientation_wxyz", "velocity_m_s")]
     assert found == [rows[:, columns].tolist() for columns in (slice(3), slice(3, 7), slice(7, 10))]
+    trajectory = Trajectory()
+    for at_ns, row in zip(time_ns.tolist(), rows, strict=True):
+        place, attitude, velocity = (
+            tuple(row[part].tolist()) for part in (slice(3), slice(3, 7), slice(7, 10))
+        )
+        trajectory.add(Kinematics(at_ns, place, attitude, velocity, (0.5, 0.5, 0.5)))
+    (tmp_path / "added").mkdir()
+    trajectory.write(tmp_path / "added")
+    assert equal(tmp_path / "added", tmp_path)
     header, _, last = (tmp_path / "trajectory.csv").read_text().splitlines()
     assert dict(zip(header.split(","), map(float, last.split(",")), strict=True))["q_w"] == 13.0
     assert last.startswith("0.05,10,11,12,")

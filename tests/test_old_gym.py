@@ -1,7 +1,10 @@
 """Environments of gym 0.21's interface, as AirSim's samples have them, between a script and libraries of today."""
 
+import sys
 import sysconfig
 from collections.abc import Iterator
+from importlib.util import find_spec
+from pathlib import Path
 from types import ModuleType
 from typing import Any, ClassVar
 
@@ -10,6 +13,7 @@ import pytest
 from gymnasium import spaces
 
 from uavaccel.fly import old_gym, shims
+from uavaccel.fly.keys import key_modules
 
 pytestmark = pytest.mark.skipif("gym" not in shims.old_modules(), reason="a gym is installed")
 
@@ -102,6 +106,57 @@ def test_a_library_is_told_apart_what_is_over_and_what_is_cut_short_and_seeds_wh
     called = [eval(call, library) for call in ("env.reset(seed=4)", "env.step(1)", "env.step(1)")]
     assert (called[0][0].tolist(), called[0][1], Cut.seeds) == ([0], {}, [4])
     assert [each[2:4] for each in called[1:]] == [(False, True), (True, False)]
+
+
+def test_a_module_named_before_the_id_is_imported_and_registers_it(
+    gym: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lines = "from uavaccel.fly import old_gym", "from tests.test_old_gym import Walk"
+    text = "\n".join([*lines, "old_gym.register(id='far-v0', entry_point=Walk, kwargs={'start': -2})"])
+    (tmp_path / "walks_of_a_script.py").write_text(text)
+    monkeypatch.syspath_prepend(tmp_path)
+    assert gym.make("walks_of_a_script:far-v0").reset().tolist() == [-2]
+    del sys.modules["walks_of_a_script"]
+
+
+def test_options_of_a_reset_reach_the_environment_through_its_wrappers(gym: ModuleType) -> None:
+    class Placed(Walk):
+        def reset(self, place: int = 0) -> Any:  # type: ignore[override]
+            self.place = place
+            return np.array([place], np.float32)
+
+    wrapped = gym.ObservationWrapper(gym.ActionWrapper(Placed()))
+    wrapped.observation = lambda observation: observation + 0.5
+    assert wrapped.reset(place=2).tolist() == [2.5]
+
+
+# --- keys and frames of a script without a keyboard -----------------------------------------------------------------
+
+
+@pytest.mark.skipif(
+    any(find_spec(name) for name in ("pygame", "keyboard", "msvcrt")), reason="what reads keys is installed"
+)
+def test_frames_and_keys_take_the_scripts_time(capsys: pytest.CaptureFixture[str]) -> None:
+    """A frame of 50 ms lasts so long whatever is done in it, a longer one as long as that; a key takes 100 ms."""
+    text = """
+import pygame, keyboard, msvcrt
+clock = pygame.time.Clock()
+work(0.02)
+told = [clock.tick(20)]
+work(0.07)
+told += [clock.tick(20), pygame.time.wait(250), pygame.time.get_ticks()]
+told += [msvcrt.getch(), keyboard.read_key(), pygame.time.get_ticks()]
+"""
+    passed = [0.0]
+
+    def sleep(seconds: float) -> None:
+        passed[0] += seconds
+
+    names: dict[str, Any] = {"work": sleep, "__file__": "/somewhere/script.py", "__name__": "__main__"}
+    with key_modules(sleep, lambda: passed[0]):
+        exec(compile(text, "/somewhere/script.py", "exec"), names)
+    assert names["told"] == [50, 70, None, 370, b"\r", "enter", 570]
+    assert "no key is ever pressed" in capsys.readouterr().err
 
 
 def test_an_environment_that_nobody_registered(gym: ModuleType) -> None:
