@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -13,9 +14,17 @@ from uavaccel.config import validate
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
 from uavaccel.resources import experiment
-from uavaccel.suites.ablation.report import VariantCurve, curves, plot_variants, table
+from uavaccel.suites.ablation.report import (
+    AblationReport,
+    VariantCurve,
+    curves,
+    plot_variants,
+    summarise,
+    table,
+)
 from uavaccel.suites.ablation.suite import Ablation, AblationConfig, Variant
 from uavaccel.suites.dp1.config import Dp1Config
+from uavaccel.suites.dp1.scores import Cell, CellKey, CellScores
 from uavaccel.suites.dp1.suite import Dp1
 from uavaccel.yaml_io import load_yaml
 
@@ -104,6 +113,71 @@ def test_what_is_tabulated_and_drawn() -> None:
     lines = [panel.get_lines()[0] for panel in figure.axes]
     assert [np.asarray(line.get_xdata())[1] for line in lines] == [30.0] * 3
     assert [np.asarray(line.get_ydata())[1] for line in lines] == [1.5, 0.125, 7.5]
+
+
+def scored(t_move_s: float, rounds: int, timing: str, *values: list[float]) -> CellScores:
+    """Of ADSC at 10x: STLC, position errors, gaps."""
+    stlc, rmse_m, gap_s = map(np.array, values)
+    cell = Cell(CellKey("adsc", 10.0, t_move_s, rounds, timing), (), 1, (), None, False)
+    return CellScores(cell, stlc, rmse_m, rmse_m, gap_s, 1)
+
+
+def test_a_variants_games_are_pooled_and_its_speed_up_is_that_of_the_longest_paths() -> None:
+    """Games without latency are not the variant's, and gaps up to the 63 ms of the goal timeout are within it."""
+    scores = [
+        scored(0.5, 2, "virtual", [1.0, 2.0], [0.5, 0.25], [0.063, 0.064]),
+        scored(1.0, 24, "virtual", [1.5, 1.75, 1.25], [0.0, 1.0, 2.0], [0.1, 0.01, 0.02, 0.03]),
+        scored(1.0, 24, "lockstep", [9.0], [9.0], [9.0]),
+    ]
+    cells: list[Any] = [
+        {
+            "command": command,
+            "clock_speed": k,
+            "rounds": rounds,
+            "timing": timing,
+            "effective_speedup": speedup,
+        }
+        for command, k, rounds, timing, speedup in (
+            *(("adsc", 10.0, 2, "virtual", 100.0), ("adsc", 10.0, 24, "virtual", 4.0)),
+            *(("adsc", 10.0, 24, "virtual", 7.0), ("adsc", 10.0, 24, "lockstep", 200.0)),
+            *(("adsc", 5.0, 24, "virtual", 300.0), ("tcsc", 10.0, 24, "virtual", 400.0)),
+        )
+    ]
+    assert summarise("late", scores, cells) == [
+        {
+            "variant": "late", "command": "adsc", "clock_speed": 10.0, "games": 5, "failed_games": 2,
+            "stlc_quartiles": [1.25, 1.5, 1.75], "position_rmse_m_median": 0.5, "effective_speedup": 5.5,
+            "share_beyond_goal_timeout": 2 / 6,
+        }
+    ]  # fmt: skip
+
+
+def test_the_headline_names_the_least_and_the_most_accurate_variant_at_the_fastest_clock() -> None:
+    def entry(command: str, clock_speed: float, variant: str, median: float | None) -> dict[str, Any]:
+        quartiles = None if median is None else [0.0, median, 2.0]
+        return {
+            "command": command,
+            "clock_speed": clock_speed,
+            "variant": variant,
+            "stlc_quartiles": quartiles,
+        }
+
+    entries = [
+        *(
+            entry("tcsc", 50.0, "plain", 1.9),
+            entry("adsc", 50.0, "plain", 1.25),
+            entry("adsc", 5.0, "plain", 0.5),
+        ),
+        *(
+            entry("adsc", 50.0, "calm", 1.75),
+            entry("adsc", 50.0, "late", 1.0),
+            entry("adsc", 100.0, "late", None),
+        ),
+    ]
+    told: Any = SimpleNamespace(summary={"entries": entries})
+    assert AblationReport.headline(told) == (
+        "ADSC at 50x: STLC from 1.000 with late to 1.750 with calm; TCSC at 50x: STLC 1.900 with plain"
+    )
 
 
 def test_named_variants_stand_side_by_side() -> None:

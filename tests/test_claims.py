@@ -147,6 +147,18 @@ def policies(
     return Policies(cells, [{"flown_with": flown}], ended_m)
 
 
+def test_the_gap_between_commands_is_the_median_of_the_cells() -> None:
+    gaps_s = iter([0.1, 0.2, 0.4, 9.0])
+    flown = trajectories(
+        lambda cell: (
+            cell.update(command_gap_median_s=next(gaps_s))
+            if (cell["command"], cell["clock_speed"]) == ("adsc", 5.0)
+            else None
+        )
+    )
+    assert flown.gap_s("adsc", 5.0) == pytest.approx(0.3)
+
+
 def evidence(
     dp1: Change | None = None, dp2: dict[str, Any] | None = None, rl: dict[str, Any] | None = None
 ) -> dict[str, Any]:
@@ -248,7 +260,7 @@ TABLE: dict[str, tuple[list[dict[str, Any]], list[dict[str, Any]]]] = {
         [{"rl": {"adsc50": 0.15}}],
         [{"rl": {"adsc50": 0.07}}, {"rl": NOBODY_FLIES}],
     ),
-    "lines_peak_at_obstacles": ([{"rl": {"off_rows_m": 5.0}}], []),
+    "lines_peak_at_obstacles": ([{"rl": {"off_rows_m": 5.0}}, {"rl": {"off_rows_m": 1.01}}], []),
     "training_speedup_5x": ([{"rl": {"speed5": 3.0}}, {"rl": {"speed5": 40.0}}], []),
     "training_speedup_10x": ([{"rl": {"speed10": 9.0}}], []),
     "training_speedup_50x": ([{"rl": {"speed50": 20.0}}], []),

@@ -10,7 +10,7 @@ import pytest
 
 from tests.dp1_games import line_arrays, line_row, quantile, synthetic_games
 from uavaccel.suites.dp1 import scores
-from uavaccel.suites.dp1.report import overview, table
+from uavaccel.suites.dp1.report import overview, table, verdict
 from uavaccel.suites.report import LoadArrays
 
 Row = Any
@@ -252,3 +252,39 @@ def test_the_overview_has_the_worst_of_each_command_and_clock_speed() -> None:
     assert others[0][:4] == ("TCSC", "50x", "19", "1.9154")
     assert others[0][6] == "2.35 (mixed)"
     assert others[1] == ("ADSC", "50x", "19", "-", "-", "-", "-", "2.50", "measured")
+
+
+# --- the sentence above a report --------------------------------------------------------------------------------
+
+
+def flown(
+    command: str,
+    clock_speed: float,
+    stlc: float | None,
+    error_m: float,
+    speedup: float,
+    timing: str = "virtual",
+) -> dict[str, Any]:
+    return {
+        "command": command, "clock_speed": clock_speed, "timing": timing, "stlc_median": stlc, "games": 4,
+        "position_rmse_m": error_m, "effective_speedup": speedup, "provenance": "modelled",
+    }  # fmt: skip
+
+
+def test_the_verdict_is_of_each_commands_worst_cells_beyond_real_time() -> None:
+    """As in real time up to the last ClockSpeed before a cell that is not; error and speed-up are at the fastest."""
+    adsc = [
+        *(flown("adsc", 1.0, 1.0, 5.0, 1.0), flown("adsc", 2.0, 1.9, 0.1, 2.0)),
+        *(flown("adsc", 5.0, 1.81, 0.2, 4.0), flown("adsc", 5.0, 1.95, 0.2, 4.5)),
+        *(flown("adsc", 10.0, 1.99, 0.9, 8.0), flown("adsc", 10.0, 1.8, 0.9, 8.0)),
+        *(flown("adsc", 50.0, 1.9, 0.25, 30.0), flown("adsc", 50.0, 1.9, 0.125, 20.0)),
+        flown("adsc", 100.0, 0.1, 9.0, 99.0, "lockstep"),
+    ]
+    tcsc = [flown("tcsc", 5.0, 1.5, 0.3, 4.0), flown("tcsc", 10.0, 1.9, 0.004, 8.0)]
+    assert verdict({"cells": [*tcsc, *adsc]}) == (
+        "ADSC flies as in real time up to 5x (STLC above 1.8); at 50x it is up to 0.250 m off (RMSE) and 20.00 to "
+        "30.00 times as fast; TCSC no longer flies as in real time at 5x (STLC above 1.8); at 10x it is up to 4.0e-03 "
+        "m off (RMSE) and 8.00 times as fast (modelled)"
+    )
+    nothing = [flown("adsc", 1.0, 2.0, 0.0, 1.0), flown("adsc", 5.0, None, 0.0, 1.0)]
+    assert verdict({"cells": nothing}) == ("8 games, none of them accelerated and comparable with real time")

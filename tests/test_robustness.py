@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -16,6 +17,7 @@ from uavaccel.suites.evaluation.suite import Evaluation
 from uavaccel.suites.robustness.suite import (
     Robustness,
     RobustnessConfig,
+    RobustnessReport,
     collapse,
     maps,
     plot_success_maps,
@@ -103,6 +105,21 @@ def test_success_collapses_below_half_of_that_in_real_time(
     assert (
         collapse(cells(k5=line), "adsc", 5.0)["above"] is None
     )  # without real time there is nothing to fall below
+
+
+def test_the_headline_goes_from_the_worst_cell_to_the_best() -> None:
+    cells = [
+        {"command": command, "clock_speed": k, "latency_scale": scale, "success_ratio": ratio, "games": games}
+        for command, k, scale, ratio, games in (
+            *(("tcsc", 5.0, 1.0, 0.5, 40), ("adsc", 20.0, 2.5, 0.125, 30)),
+            *(("tcsc", 1.0, 0.0, 0.975, 20), ("adsc", 1.0, 1.0, 0.75, 10)),
+        )
+    ]
+    told: Any = SimpleNamespace(summary={"cells": cells, "agent": "straight", "profile": "airsim"})
+    assert RobustnessReport.headline(told) == (
+        "straight wins from 12.5% with ADSC at 20x and latency ×2.5 to 97.5% with TCSC at 1x and latency ×0: "
+        "100 games over 4 points of latency and ClockSpeed, all of it modelled under airsim"
+    )
 
 
 def test_the_map_shows_ratio_and_interval_of_every_cell() -> None:
