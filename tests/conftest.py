@@ -54,6 +54,10 @@ FIRST = (
     "test_docs",
     "test_killed_at_random",
     "test_evaluate",
+    "test_watch_live",
+    "test_env",
+    "test_server_faults",
+    "test_fly_deaths",
 )
 
 
