@@ -216,3 +216,46 @@ def test_a_coalesced_command_has_no_latency_of_its_own() -> None:
     assert latencies.issue == [30]
     assert latencies.counts() == "3 requests, 3 replies, 1 issues, 1 wall timers"
     assert calibration.quantiles_us([40_000]) == [40.0] * len(QUANTILES)
+
+
+@pytest.mark.parametrize(("answered_ns", "wait"), [(7_000_000, "5ms"), (7_100_000, "10ms")])
+@pytest.mark.parametrize(
+    ("method", "channel", "ended"),
+    [("moveByVelocity", "move", "end"), ("uavaccelContinueFor", "continue_for", "pause")],
+)
+def test_a_wait_lasts_until_the_answer_and_not_until_it_has_arrived(
+    method: str, channel: str, ended: str, answered_ns: int, wait: str
+) -> None:
+    """What follows it is counted as after a wait of that length: 7.07 ms are between 5 and 10."""
+
+    class Traced:
+        events = (
+            ClientEvent("call", method, channel, 0),
+            ClientEvent("return", method, channel, 7_300_000),
+            ClientEvent("call", "simPause", "pause", 7_300_100),
+            ClientEvent("return", "simPause", "pause", 7_301_000),
+        )
+
+    server = [
+        (f"handle {method}", 200, 0),
+        (ended, 200 + answered_ns, 5),
+        ("handle simPause", 7_300_400, 5),
+    ]
+    latencies = Latencies()
+    _gather(Traced(), server, latencies)  # type: ignore[arg-type]
+    took_ns = 7_300_000 - 200 - answered_ns
+    of_both = {channel: [took_ns], f"{channel}@{wait}": [took_ns], "pause": [600], f"pause@{wait}": [600]}
+    assert latencies.reply == of_both
+    assert latencies.request == {"pause": [400], f"pause@{wait}": [400]}
+    assert (latencies.issue, latencies.timer) == ([], [])
+
+
+@pytest.mark.parametrize(
+    ("t_th_ns", "command_s"), [(0, 0.0103), (999_999, 0.0103), (1_000_000, 0.01), (2_000_000, 0.01)]
+)
+def test_a_square_is_flown_without_the_rests_that_it_is_told_to_leave(t_th_ns: int, command_s: float) -> None:
+    """0.1 s at 10x are 33 of AirSim's ticks of 3 ms and a rest of 1 ms, for which another tick would be flown."""
+    with VirtualSession("blocks", "airsim") as session:
+        game = fly_square(session, "tcsc", 10.0, 0.1, 2, 0, t_th_ns)
+    assert game.wall_s == pytest.approx(2 * 4 * command_s)
+    assert game.gap_s == pytest.approx([0.0] * 7)

@@ -93,6 +93,53 @@ def test_a_change_of_speed_keeps_what_a_tick_costs() -> None:
     assert go_to(simulation, 10) == 600 * US
 
 
+@pytest.mark.parametrize(
+    ("period_ns", "stale", "from_ns", "to_ns", "expected"),
+    [
+        (10, True, 0, 9, []),
+        (10, True, 0, 10, [10]),
+        (10, True, 10, 20, [20]),  # the one at 10 has been
+        (10, True, 9, 30, [10, 20, 30]),
+        (10, True, 11, 19, []),
+        (10, False, 0, 30, []),
+        (0, True, 0, 30, []),
+    ],
+)
+def test_the_game_ticks_once_at_each_frame(
+    period_ns: int, stale: bool, from_ns: int, to_ns: int, expected: list[int]
+) -> None:
+    assert list(Frames(period_ns, stale).ticks(from_ns, to_ns)) == expected
+
+
+@pytest.mark.parametrize(
+    ("period_ns", "after_continue", "image_ns", "continued_ns"),
+    [(10, True, 107, 107), (10, False, 107, 100), (0, True, 100, 100)],
+)
+def test_an_image_waits_for_a_frame_and_a_continue_for_where_it_shall(
+    period_ns: int, after_continue: bool, image_ns: int, continued_ns: int
+) -> None:
+    frames = Frames(period_ns, after_continue=after_continue, wait_ns=lambda: 7)
+    assert (frames.ready_ns(100), frames.continued(100)) == (image_ns, continued_ns)
+
+
+def test_the_pose_shown_is_a_copy_is_saved_and_is_forgotten() -> None:
+    data = world_of(NATIVE).data
+    here, frames = data.qpos.copy(), Frames(10, stale_pose=True)
+    before = frames.get_state()
+    assert frames.scene(data) is data
+    frames.show(data)
+    data.qpos[0] += 5.0
+    after, other = frames.get_state(), Frames(10, stale_pose=True)
+    other.set_state(after, data)
+    for each in (frames, other):
+        assert each.scene(data).qpos.tolist() == here.tolist()
+    other.set_state(before, data)
+    frames.forget()
+    for each in (frames, other):
+        assert each.scene(data) is data, "nothing is shown"
+    data.qpos[:] = here
+
+
 # --- the client's connection --------------------------------------------------------------------------------
 
 

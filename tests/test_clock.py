@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import datetime
 import selectors
 import socket
+import time
+from collections.abc import Iterator
 from fractions import Fraction
 
 import numpy as np
@@ -16,7 +19,9 @@ from uavaccel.clock import (
     Pacer,
     VirtualClock,
     calendar_time,
+    datetime_module,
     positive_clock_speed,
+    time_module,
     timer_grain_ns,
     wait_for_sockets,
 )
@@ -136,3 +141,51 @@ def test_grain_and_calendar() -> None:
     assert grain == sorted(grain)
     assert len(grain) == 5
     assert calendar_time()[4] == "-"
+
+
+NOW_NS = 79_200_500_000_000  # 22:00:00.5 on 1 January 1970
+
+
+@pytest.fixture
+def east(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """The machine's local time is five and a half hours ahead of UTC."""
+    with monkeypatch.context() as patch:
+        patch.setenv("TZ", "EAST-5:30")
+        time.tzset()
+        yield
+    time.tzset()
+
+
+@pytest.mark.usefixtures("east")
+def test_another_clocks_time_is_told_in_utc_and_where_the_machine_is() -> None:
+    slept: list[float] = []
+    module = time_module(lambda: NOW_NS, slept.append)
+    for name in ("time", "monotonic", "perf_counter", "process_time", "thread_time"):
+        assert (getattr(module, name)(), getattr(module, f"{name}_ns")()) == (79_200.5, NOW_NS)
+    assert (module.clock_gettime(1), module.clock_gettime_ns(1)) == (79_200.5, NOW_NS)
+    module.sleep(0.25)
+    assert slept == [0.25]
+    assert module.gmtime()[:6] == (1970, 1, 1, 22, 0, 0)
+    assert module.gmtime(60)[:6] == (1970, 1, 1, 0, 1, 0)
+    assert module.localtime()[:6] == (1970, 1, 2, 3, 30, 0)
+    assert module.localtime(60)[:6] == (1970, 1, 1, 5, 31, 0)
+    assert (module.ctime(), module.ctime(60)) == ("Fri Jan  2 03:30:00 1970", "Thu Jan  1 05:31:00 1970")
+    assert (module.asctime(), module.asctime(module.gmtime(60))) == (
+        module.ctime(),
+        "Thu Jan  1 00:01:00 1970",
+    )
+    assert (module.strftime("%d %H:%M"), module.strftime("%H:%M", module.gmtime(60))) == ("02 03:30", "00:01")
+    assert module.mktime(module.localtime()) == 79_200.0, "what tells no present is the machine's own"
+
+
+@pytest.mark.usefixtures("east")
+def test_another_clocks_dates_are_told_in_utc_and_where_the_machine_is() -> None:
+    module = datetime_module(lambda: NOW_NS)
+    there = module.datetime(1970, 1, 2, 3, 30, 0, 500_000)
+    assert module.datetime.now() == module.datetime.today() == there
+    assert module.datetime.utcnow() == module.datetime(1970, 1, 1, 22, 0, 0, 500_000)
+    west = datetime.timezone(datetime.timedelta(hours=-3))
+    assert module.datetime.now(west).isoformat() == "1970-01-01T19:00:00.500000-03:00"
+    assert module.date.today() == module.date(1970, 1, 2)
+    assert isinstance(there, datetime.datetime)
+    assert module.timedelta is datetime.timedelta

@@ -28,7 +28,8 @@ from uavaccel.suites.dp2.scores import counts_of
 from uavaccel.suites.evaluation.config import EvaluateConfig
 from uavaccel.suites.evaluation.film import lane_events
 from uavaccel.suites.experiment import read_mapping, resolve
-from uavaccel.vision.dvs import PRESETS, make_sensor
+from uavaccel.vision.dvs import PRESETS, make_sensor, sensor_from_maps
+from uavaccel.vision.event_counter import EventCounter
 from uavaccel.vision.event_files import first_of_each_ms, write_events
 from uavaccel.wire.session import open_session
 
@@ -138,6 +139,72 @@ def test_what_rate_cannot_be(keys: dict[str, Any], message: str) -> None:
 def test_events_are_listed_only_on_request() -> None:
     with closing(ObstacleLane()) as environment, pytest.raises(UserError, match="list_events must be true"):
         environment.take_events()
+
+
+LEVELS = (100, 170, 110, 170)  # of which a threshold of 0.2 makes 2 ON, 1 OFF and 1 ON
+
+
+def even(level: int) -> NDArray[np.uint8]:
+    return np.full((2, 3), level, np.uint8)
+
+
+def counter_after(looks: int, listed: bool = True) -> EventCounter:
+    """A counter that began 5 s into a flight, and looked every 0.1 s."""
+    thresholds = np.full((2, 3), 0.2)
+    counter = EventCounter(sensor_from_maps(PRESETS["clean"], thresholds, thresholds), listed)
+    counter.start(even(LEVELS[0]), 5_000_000_000)
+    for number in range(1, looks + 1):
+        counter.look(even(LEVELS[number]), 5_000_000_000 + number * 100_000_000)
+    return counter
+
+
+def counted(counter: EventCounter) -> tuple[list[int], ...]:
+    """The ON and the OFF counts, each of all pixels."""
+    return tuple(np.unique(counts).tolist() for counts in counter.take())
+
+
+@pytest.mark.parametrize(
+    ("looks", "expected"), [(0, ([0], [0])), (1, ([2], [0])), (2, ([2], [1])), (3, ([3], [1]))]
+)
+def test_a_counter_adds_up_what_it_has_seen_since_it_was_asked(
+    looks: int, expected: tuple[list[int], ...]
+) -> None:
+    counter = counter_after(looks)
+    seen_ns = 5_000_000_000 + looks * 100_000_000
+    assert (counter.frames, counter.has_seen(seen_ns)) == (looks, looks > 0)
+    assert not counter.has_seen(seen_ns - 100_000_000)
+    assert counted(counter) == expected
+    assert not counter.has_seen(seen_ns), "not since it was asked"
+    assert counted(counter) == ([0], [0])
+    events = counter.take_events()
+    stamps_s = [0.05, 0.1, 0.2, 0.3]  # from its beginning; of the two ON events one is halfway
+    assert np.unique(events[:, 0]) == pytest.approx(stamps_s[: looks + 1 if looks else 0])
+    assert events[:, 3].sum() == 6 * (expected[0][0] - expected[1][0])
+    assert len(counter.take_events()) == 0
+
+
+def test_a_counter_begins_anew_with_nothing_seen() -> None:
+    counter = counter_after(2)
+    counter.start(even(170), 7_000_000_000)
+    assert not counter.has_seen(5_200_000_000)
+    assert (counted(counter), len(counter.take_events())) == (([0], [0]), 0)
+    counter.look(even(170), 7_100_000_000)
+    assert (counted(counter), counter.frames) == (([0], [0]), 3)
+
+
+@pytest.mark.parametrize("taken", [False, True])
+@pytest.mark.parametrize("other_looks", [0, 3])
+def test_a_saved_counter_goes_on_whatever_the_other_had_seen(taken: bool, other_looks: int) -> None:
+    counter, other = counter_after(1), counter_after(other_looks)
+    if taken:
+        counter.take()
+    file = {name: np.asarray(value) for name, value in counter.get_state().items()}
+    other.set_state({name: value if value.ndim else value.item() for name, value in file.items()})
+    assert other.has_seen(5_100_000_000) is not taken
+    assert len(other.take_events()) == 0
+    other.look(even(LEVELS[2]), 5_200_000_000)
+    assert counted(other) == ([0 if taken else 2], [1])
+    assert other.take_events()[:, [0, 3]] == pytest.approx(np.array([[0.2, -1.0]] * 6))
 
 
 EVENTS = np.array(

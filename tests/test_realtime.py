@@ -195,14 +195,16 @@ def test_delays_are_exact_to_the_physics_step() -> None:
 
 @given(delay_ms=st.integers(0, 300), speed=st.sampled_from([1, 2.5, 10]))
 def test_a_time_limit_is_one_of_simulated_time(delay_ms: int, speed: float) -> None:
+    """Of each episode's own."""
     env = RealTime(gymnasium.make("HalfCheetah-v5", max_episode_steps=8), delay_ms / 1000, clock_speed=speed)
-    env.reset(seed=0)
-    truncated = False
-    while not truncated:
-        _, _, terminated, truncated, info = env.step(np.zeros(6, np.float32))
-        assert not terminated
-        assert truncated == (info["simulated_s"] >= 0.4 - 1e-9)
-    assert info["simulated_s"] < 0.4 + 0.05
+    for _ in range(2):
+        env.reset(seed=0)
+        truncated = False
+        while not truncated:
+            _, _, terminated, truncated, info = env.step(np.zeros(6, np.float32))
+            assert not terminated
+            assert truncated == (info["simulated_s"] >= 0.4 - 1e-9)
+        assert info["simulated_s"] < 0.4 + 0.05
 
 
 def test_the_same_seed_draws_the_same_delays_and_flies_to_the_same_bytes() -> None:
@@ -240,6 +242,38 @@ def test_the_age_has_no_limit_and_the_latest_actions_begin_anew() -> None:
     assert observed.tolist() == [21.0, 2.0, 0.0, 0.5]
     assert env.observation_space.contains(observed)
     assert env.reset()[0].tolist() == [0.0, 0.0, 0.0, 0.0]
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "bounds"), [(1.0, 2.0, (0.0, 2.0)), (-3.0, -2.0, (-3.0, 0.0)), (-1.0, 1.0, (-1.0, 1.0))]
+)
+def test_an_observation_fits_before_any_action_too(
+    low: float, high: float, bounds: tuple[float, float]
+) -> None:
+    """Of the latest actions there are none at first: zeros, which need not be actions."""
+
+    class Biased(Counting):
+        action_space = spaces.Box(low, high, (1,), np.float32)
+
+    env = RealTime(Biased(), 0.05, observe_age=True, observe_actions=2)
+    space: Any = env.observation_space
+    assert space.low.tolist() == [-np.inf, 0.0, bounds[0], bounds[0]]
+    assert space.high.tolist() == [np.inf, np.inf, bounds[1], bounds[1]]
+    assert space.contains(env.reset(seed=0)[0])
+    assert space.contains(env.step(one(high))[0])
+
+
+def test_each_episode_begins_as_the_first_did() -> None:
+    """Without what was planned in the last one, its last action, its time, its latest actions or its time limit."""
+    keys: dict[str, Any] = {"chunk": 3, "execute": 1, "observe_actions": 1}
+    env = RealTime(Counting(), 0.05, **keys)
+    plan = [[0.1], [0.2], [0.3]]
+    times = [applied(env, [plan]), applied(env, [plan])]
+    assert times == [[0.0, 0.0, 0.0, 0.1]] * 2
+    env.reset(seed=0)
+    observed, *_, info = env.step(np.array(plan, np.float32))
+    assert observed.tolist() == pytest.approx([4.0, 0.1, 0.2, 0.3])
+    assert (info["wall_s"], info["simulated_s"]) == (0.08, 0.08)
 
 
 # --- thinking times -------------------------------------------------------------------------------
@@ -348,15 +382,18 @@ def test_the_lane_through_the_wrapper_is_the_lane_under_that_command(command: st
         "observation": "state",
     }
     own, inside = (gymnasium.make("uavaccel/ObstacleLane-v0", **keys) for _ in range(2))
-    wrapped = RealTime(inside, 0.2, command, 5.0)  # type: ignore[arg-type]
+    wrapped = RealTime(inside, 0.2, command, 5.0, observe_age=True, observe_actions=1)  # type: ignore[arg-type]
+    age_s = 1.0 if command == "adsc" else 0.0  # of 0.2 s of wall time, at five times real time or at none
     first, _ = own.reset(seed=1)
-    np.testing.assert_array_equal(first, wrapped.reset(seed=1)[0])
+    np.testing.assert_array_equal([*first.ravel(), *[0] * 6], wrapped.reset(seed=1)[0])
     for action in (2, 1, 3, 2):
         own.unwrapped.charge(0.2)  # type: ignore[attr-defined]
         expected, got = own.step(action), wrapped.step(action)
-        np.testing.assert_array_equal(expected[0], got[0])
+        latest = np.arange(5) == action
+        np.testing.assert_allclose([*expected[0].ravel(), age_s, *latest], got[0], rtol=1e-6)
         assert expected[1:4] == got[1:4]
         assert expected[4]["wall_s"] == got[4]["wall_s"]
+        assert (got[4]["thinking_s"], got[4]["meanwhile_s"]) == (0.2, age_s)
     own.close()
     wrapped.close()
 

@@ -181,18 +181,23 @@ def test_timings_are_kept_apart(run: RunDirectory) -> None:
 
 @pytest.mark.parametrize("kept", range(len('{"case": "c", "wall_s": 1.5}')))
 def test_a_row_cut_short_anywhere_is_flown_again(run: RunDirectory, kept: int) -> None:
+    """Its times too, which are written beside it."""
     rows = [{"case": case, "wall_s": 1.5} for case in ("a", "b", "c")]
     for row in rows:
         run.append_row(row)
+        run.append_timing(row)
     whole = (run.path / "rows.jsonl").read_bytes()
     last = whole.rindex(b"\n", 0, -1) + 1
-    (run.path / "rows.jsonl").write_bytes(whole[: last + kept])
+    for name in ("rows.jsonl", "timing.jsonl"):
+        (run.path / name).write_bytes(whole[: last + kept])
 
     assert RunDirectory(run.path).done_cases() == {"a", "b"}
     again = resume(run)
     assert again.done_cases() == {"a", "b"}
     again.append_row(rows[2])
-    assert (run.path / "rows.jsonl").read_bytes() == whole
+    again.append_timing(rows[2])
+    for name in ("rows.jsonl", "timing.jsonl"):
+        assert (run.path / name).read_bytes() == whole
 
 
 def test_a_crash_between_arrays_and_row_leaves_the_case_to_be_flown(run: RunDirectory) -> None:

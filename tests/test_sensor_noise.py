@@ -80,8 +80,13 @@ def test_image_noise_is_of_its_seed_and_moment() -> None:
     noise = ImageNoise(3.0, noise_seed(game))
     np.testing.assert_array_equal(noise.add(grey, 7), ImageNoise(3.0, noise_seed(game)).add(grey, 7))
     assert (noise.add(grey, 8) != noise.add(grey, 7)).mean() > 0.5
-    other = ImageNoise(3.0, noise_seed(np.random.SeedSequence(6)))
-    assert (other.add(grey, 7) != noise.add(grey, 7)).mean() > 0.5
+    child, sister = np.random.SeedSequence(5).spawn(2)  # as the games of a suite are
+    for another in (np.random.SeedSequence(6), child, sister, *child.spawn(1)):
+        other = ImageNoise(3.0, noise_seed(another))
+        assert (other.add(grey, 7) != noise.add(grey, 7)).mean() > 0.5
+    assert len({noise_seed(each) for each in (game, child, sister)}) == 3
+    late = ImageNoise(3.0, noise_seed(game), start_ns=1_000)  # which is the same game, begun later
+    np.testing.assert_array_equal(late.add(grey, 1_007), noise.add(grey, 7))
     assert ImageNoise(0.0, 1).add(grey, 7) is grey
 
 

@@ -14,7 +14,10 @@ from uavaccel.errors import UserError
 from uavaccel.sim.profile import AIRSIM, NATIVE, Profile
 from uavaccel.sim.scene.model import DRONE_GROUP, OTHERS_GROUP
 from uavaccel.sim.simulation import Simulation
-from uavaccel.sim.vehicle.vehicle import AddedVehicle, Start
+from uavaccel.sim.vehicle import autopilot, goal
+from uavaccel.sim.vehicle.goal import Yaw
+from uavaccel.sim.vehicle.samples import Samples
+from uavaccel.sim.vehicle.vehicle import AddedVehicle, Start, Vehicle
 from uavaccel.sim.world import START_M, World
 from uavaccel.wire import rpc
 from uavaccel.wire.api import Api
@@ -138,6 +141,55 @@ def test_one_loses_control_or_its_command_and_the_other_goes_on() -> None:
         1,
         0,
     )
+
+
+@pytest.mark.parametrize("origin_m", [(5.0, -4.0, -2.0), (0.0, 0.0, 0.0)])
+@pytest.mark.parametrize(
+    ("of", "held"),
+    [
+        (goal.velocity((1.0, 2.0, 3.0), Yaw(0.5)), (0, 0, 0)),
+        (goal.velocity_z(1.0, 2.0, 3.0, Yaw(0.5)), (0, 0, 1)),
+        (goal.position((1.0, 2.0, 3.0), Yaw(0.5)), (1, 1, 1)),
+        (goal.attitude(1.0, 2.0, Yaw(0.5), 3.0, autopilot.POSITION), (0, 0, 1)),
+        (goal.attitude(1.0, 2.0, Yaw(0.5), 3.0, autopilot.THROTTLE), (0, 0, 0)),
+        (goal.body_rates(1.0, 2.0, 0.5, 3.0, autopilot.POSITION), (0, 0, 1)),
+        (goal.motors(1.0, 2.0, 3.0, 0.5), (0, 0, 0)),
+    ],
+)
+def test_of_a_goal_positions_alone_are_in_the_vehicles_own_frame(
+    of: goal.Goal, held: tuple[int, int, int], origin_m: tuple[float, float, float]
+) -> None:
+    vehicle = Vehicle("B", NATIVE, Start(START_M), Samples(25, 0), "B/", origin_m)
+    vehicle.set_goal(of)
+    places = [value + held * origin for value, held, origin in zip((1, 2, 3), held, origin_m, strict=True)]
+    assert vehicle.state["goal"].tolist() == [*places, 0.5]
+    modes = [int(vehicle.state[name]) for name in ("xy_mode", "z_mode", "yaw_mode")]
+    assert modes == [of.xy_mode, of.z_mode, of.yaw_mode]
+
+
+def test_all_fly_in_the_same_air() -> None:
+    """At 3 km its density is 0.909 kg/m^3, at AirSim's 122 m 1.211: rotors of the same speed lift less."""
+    lifts_m_s2 = []
+    for above_sea_m in (3000, 122):
+        settings = Settings.model_validate({
+            "OriginGeopoint": {"Latitude": 47, "Longitude": -122, "Altitude": above_sea_m},
+            "Wind": {"X": 3, "Y": -1},
+            "Vehicles": {"A": {}, "B": ASIDE},
+        })  # fmt: skip
+        world = World("blocks", NATIVE)
+        settings.prepare(world)
+        api = Api(Simulation(world), settings, render=False)
+        assert call(api, "simAddVehicle", "C", "simpleflight", pose(-5.0, -5.0, 0.0), "") is True
+        for name in "ABC":
+            call(api, "enableApiControl", True, name)
+            call(api, "moveByMotorPWMs", *[0.9] * 4, 1.0, name)
+        go_on(api, 0.2)
+        states = [call(api, "simGetGroundTruthKinematics", name) for name in "ABC"]
+        lifts_m_s2.append([9.80665 - state["linear_acceleration"]["z_val"] for state in states])
+        winds = [vehicle.state["wind"].tolist() for vehicle in world.vehicles]
+        assert winds == [[3.0, -1.0, 0.0]] * 3
+        assert lifts_m_s2[-1] == pytest.approx([lifts_m_s2[-1][0]] * 3, rel=3e-3)
+    assert np.array(lifts_m_s2[0]) / lifts_m_s2[1] == pytest.approx([0.909 / 1.211] * 3, rel=0.02)
 
 
 def test_an_unknown_vehicle_is_refused_in_every_call_with_the_known_ones() -> None:
