@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import nullcontext
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -176,6 +177,19 @@ def test_as_many_commands_of_each_kind_are_timed_as_were_asked_for(monkeypatch: 
     commands = 3 * 8 * calibration.BATCH  # three batches at each of two ClockSpeeds and four T_move
     calibration.calibrate("native", commands, images=False)
     assert sorted(batches) == [("ask", "ping")] * 48 + [("fly", "adsc")] * 24 + [("fly", "tcsc")] * 24
+
+
+@pytest.mark.parametrize(("images", "batches"), [(1, 1), (24, 1), (47, 1), (72, 3)])
+def test_as_many_images_are_timed_as_were_asked_for_after_one_that_is_not(
+    images: int, batches: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In whole batches of 24; the first image of all is the one that loads OpenGL."""
+    asked: list[str] = []
+    game = SimpleNamespace(start_game=lambda *_, lane: SimpleNamespace(image=asked.append))
+    monkeypatch.setattr(calibration, "WallSession", lambda scene, profile: nullcontext(game))
+    monkeypatch.setattr(calibration, "_request", lambda client, what, _: asked.append(f"24 of {what}"))
+    calibration._take_images("native", images, Latencies())
+    assert asked == ["gray", *["24 of image"] * batches]
 
 
 def test_a_coalesced_command_has_no_latency_of_its_own() -> None:

@@ -45,7 +45,17 @@ def test_a_commands_speed_is_simulated_time_over_wall_time(monkeypatch: pytest.M
     monkeypatch.setattr(speed, "REPEATS", 1)
     monkeypatch.setattr(speed, "PINGS", 1)
     monkeypatch.setattr(speed, "elapsed_s", lambda work: (work(), 1.0)[1])
+    asked: list[tuple[Any, ...]] = []
+    measure = speed._speedup
+
+    def measure_and_tell(session: Any, *how: Any) -> float:
+        asked.append(how)
+        return measure(session, *how)
+
+    monkeypatch.setattr(speed, "_speedup", measure_and_tell)
     found = {each.name: each for each in speed.bench_tcsc()}
+    both = [(command, t_move_s, t_move_s) for t_move_s in (1.0, 0.1) for command in ("tcsc", "adsc")]
+    assert asked == [*both, ("tcsc", 1.0, 0.05)]
     assert found["round trip of a call"].value == 1e6
     for t_move_s in (1.0, 0.1):
         tcsc, over, adsc = (

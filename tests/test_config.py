@@ -215,6 +215,7 @@ def test_an_override_that_is_not_key_and_value_is_wrong_usage(override: str) -> 
     [
         ("games.count=3", r"--set games\.count=3: no 'count' in games, which holds 2"),
         ("speeds.7=3", r"--set speeds\.7=3: no '7' in speeds, which holds elements 0 to 1"),
+        ("speeds.2=3", r"--set speeds\.2=3: no '2' in speeds, which holds elements 0 to 1"),
         ("speeds.x.y=3", "no 'x' in speeds"),
         ("games=[1", r"--set games=\[1: line 1"),
     ],

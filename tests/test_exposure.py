@@ -35,6 +35,7 @@ def test_the_first_image_is_taken_as_it_is_and_sets_the_aim() -> None:
         (160, 0.1, -0.1),  # down at 1 stop per second
         (160, 0.0, 0.0),  # a pause holds it
         (5, 60.0, 2.0),  # 4 stops are more than there are
+        (0, 0.1, 0.3),  # night too
     ],
 )
 def test_it_follows_by_so_many_stops_per_second(level: int, ran_s: float, stops: float) -> None:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from tests.airsim_wire import AirSimWire
 from tests.scenes import BLOCKS, COLUMNS, ROWS, Pose, cast_rays
-from uavaccel.sim.camera.mounted import MOST_LENSES
+from uavaccel.sim.camera.mounted import MOST_LENSES, Lens, MountedCamera
 from uavaccel.sim.deferred_reply import DeferredReply
 from uavaccel.sim.profile import NATIVE
 from uavaccel.sim.simulation import Simulation
@@ -313,3 +313,19 @@ def test_rays_of_a_camera_are_kept_for_a_few_lenses(blocks: Wire) -> None:
         blocks.response(2, as_float=True)
     camera = blocks.world.mounted_camera(1, 1)
     assert len(camera._rays) <= MOST_LENSES
+
+
+@pytest.mark.opengl
+def test_rays_are_those_of_the_lens_that_it_is_pointed_through() -> None:
+    """Of one size, and of another size or field of view in turn: in the corner a ray is as long as its slopes say."""
+    world = World("blocks", NATIVE)
+    with MountedCamera(world.model, 64, 48) as camera:
+        for lens in (Lens(64, 48, 90.0), Lens(64, 48, 60.0), Lens(32, 48, 60.0), Lens(64, 48, 90.0)):
+            camera.point(None, lens)
+            depth, length = camera.depth(world.data), camera.depth_perspective(world.data)
+            slope = np.tan(np.radians(lens.fov_deg) / 2) / lens.width
+            ray = np.sqrt(1 + ((lens.width - 1) * slope) ** 2 + ((lens.height - 1) * slope) ** 2)
+            assert length.shape == (lens.height, lens.width)
+            assert length[-1, -1] / depth[-1, -1] == pytest.approx(ray, rel=1e-5)
+            assert length[-1, 0] / depth[-1, 0] == pytest.approx(ray, rel=1e-5)
+    world.close()

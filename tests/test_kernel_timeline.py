@@ -55,6 +55,7 @@ def actions_of(environment: Any, count: int, commands: int) -> Any:
 
 
 SLOW = {"t_move_s": 0.5, "t_sample_s": 0.2}
+STALLED = constant({"stall_us": 40_000.0})
 STEADY: list[tuple[type[FlightEnv], dict[str, Any]]] = [
     (kind, {"command": command, "profile": profile, "observation": "state", **keys})
     for command in ("adsc", "tcsc")
@@ -66,7 +67,14 @@ STEADY: list[tuple[type[FlightEnv], dict[str, Any]]] = [
         (Hover, {"timing": "lockstep", "clock_speed": 3.0, "max_commands": 20}),
     )
 ] + [
-    (Gates, {"command": "adsc", "timing": "virtual", "latency": constant({"stall_us": 40_000.0}), **SLOW}),
+    *(
+        (Gates, {"command": "adsc", "timing": "virtual", "latency": STALLED, **SLOW, **keys})
+        for keys in (
+            {"clock_speed": 1.0},
+            {"clock_speed": 30.0},
+            {"clock_speed": 30.0, "t_sample_s": 0.5},  # whose end comes before the stall's, and is waited for
+        )
+    ),
     (
         Hover,
         {
@@ -133,6 +141,7 @@ def walls_s(kind: type[FlightEnv], task: dict[str, Any], lanes: int, commands: i
     return np.concatenate(spent), np.array(alone)
 
 
+FAULTY = {"platform": {"faults": {"dropped": 0.01, "stalled": 0.03, "late": 0.1, "late_us": 7000.0}}}
 # At 10x a tick of AirSim's takes 3 ms of wall time here and not 0.3: a timer that ends before it waits for it.
 COSTLY = {**constant({"tick_us": 3000.0}), "timer_us": [0.0, 6000.0]}
 
@@ -142,6 +151,8 @@ COSTLY = {**constant({"tick_us": 3000.0}), "timer_us": [0.0, 6000.0]}
     [
         *((command, profile, {}) for command in ("adsc", "tcsc") for profile in ("native", "airsim")),
         ("tcsc", "airsim", {"latency": COSTLY}),
+        ("adsc", "native", {"latency": FAULTY}),
+        ("tcsc", "native", {"latency": FAULTY}),
     ],
 )
 def test_latencies_are_those_of_the_exact_simulator_in_distribution(

@@ -21,6 +21,8 @@ from numpy.typing import NDArray
 
 from uavaccel.errors import UserError
 from uavaccel.realtime import Measured, RealTime, RealTimeProcess, ThinkingTime, lognormal, samples
+from uavaccel.realtime.control_loop import ControlLoop, LoopOptions
+from uavaccel.realtime.plant import Passed
 from uavaccel.realtime.thinking import thinking_time
 from uavaccel.wire.latency import read_latency
 
@@ -142,6 +144,8 @@ def test_an_episode_may_end_while_the_agent_thinks() -> None:
     results = [env.step(one(1.0)) for _ in range(3)]
     assert [result[2] for result in results] == [False, False, True]
     assert results[-1][0] == 50
+    times = [(info["meanwhile_s"], info["simulated_s"], info["wall_s"]) for *_, info in results]
+    assert times == [(0.4, 0.42, 0.42), (0.4, 0.84, 0.84), (0.16, 1.0, 1.0)]
     assert env.reset()[0] == 0
 
 
@@ -261,6 +265,48 @@ def test_an_observation_fits_before_any_action_too(
     assert space.high.tolist() == [np.inf, np.inf, bounds[1], bounds[1]]
     assert space.contains(env.reset(seed=0)[0])
     assert space.contains(env.step(one(high))[0])
+
+
+class Told:
+    """A plant of five ticks of 10 ms a period, which notes what it is told; each tick earns one."""
+
+    tick_ns, period_ticks = 10_000_000, 5
+
+    def __init__(self) -> None:
+        self.told: list[tuple[str, int]] = []
+
+    def reset(self) -> None:
+        self.told.clear()
+
+    def step(self, action: Any) -> Any:
+        raise AssertionError
+
+    def advance(self, action: Any, ticks: int) -> Passed:
+        self.told.append((action if isinstance(action, str) else "idle", ticks))
+        return Passed(None, float(ticks), False, False, {}, ticks)
+
+
+@pytest.mark.parametrize(
+    ("keys", "thinking_ms", "expected", "ticks"),
+    [
+        ({}, (15, 60), "idle 2, a 5, b 5, c 5, c 1, A 5, B 5", 16),
+        ({"meanwhile": "default"}, (15, 60), "idle 2, a 5, b 5, c 5, idle 1, A 5, B 5", 16),
+        ({"overlap": True}, (20, 60), "idle 2, a 5, b 3, b 2, c 4, A 4", 10),
+        ({"overlap": True}, (120, 90), "idle 12, a 5, b 4, A 1", 10),
+    ],
+)
+def test_what_is_left_of_a_chunk_goes_on_to_the_tick(
+    keys: dict[str, Any], thinking_ms: tuple[int, int], expected: str, ticks: int
+) -> None:
+    """Two of three actions are applied before the next observation; with overlap, less what thinking took."""
+    plant = Told()
+    options = LoopOptions(chunk=3, execute=2, **keys)
+    loop = ControlLoop(plant, options, spaces.Box(-1.0, 1.0, (1,), np.float32))
+    for chunk, took_ms in zip(("abc", "ABC"), thinking_ms, strict=True):
+        passed = loop.advance(loop.ticks_within(took_ms * 1_000_000))
+        passed = loop.act(list(chunk), loop.act_ticks(passed.ticks), passed)
+    assert ", ".join(f"{action} {ticks}" for action, ticks in plant.told) == expected
+    assert (passed.reward, passed.ticks) == (ticks, ticks), "of thinking and acting together"
 
 
 def test_each_episode_begins_as_the_first_did() -> None:

@@ -176,6 +176,18 @@ def test_timings_are_kept_apart(run: RunDirectory) -> None:
     assert run.rows() == []
 
 
+@pytest.mark.parametrize("count", [0, 1, 2, 5])
+def test_the_first_rows_can_be_kept_with_their_times_alone(run: RunDirectory, count: int) -> None:
+    for case in "abc":
+        run.append_row({"case": case})
+        run.append_timing({"case": case, "load": 0.5})
+    run.keep_first(count)
+    for again in (run, RunDirectory(run.path)):
+        assert [row["case"] for row in again.rows()] == list("abc"[:count])
+        assert [entry["case"] for entry in again.timings()] == list("abc"[:count])
+        assert again.done_cases() == {*"abc"[:count]}
+
+
 # --- crashes ------------------------------------------------------------------------------------------------
 
 
@@ -400,6 +412,7 @@ def test_the_manifest_names_the_commit_and_whether_files_differ(
     (tmp_path / "file").write_text("one")
     git("add", "file")
     git("commit", "--message", "one")
+    (tmp_path / "run").write_text("which git does not know")
     assert describe_run([], 0, "")["git"] == {"commit": git("rev-parse", "HEAD"), "dirty": False}
     (tmp_path / "file").write_text("two")
     assert describe_run([], 0, "")["git"]["dirty"] is True

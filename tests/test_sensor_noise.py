@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
 from uavaccel.errors import UserError
+from uavaccel.vision import noise as numbers
 from uavaccel.vision.dvs import init_state, make_sensor, step
 from uavaccel.vision.image_noise import ImageNoise, noise_seed
 
@@ -28,6 +29,42 @@ def events_per_s(grey: int, frames_per_s: int, duration_s: float = 1.0, **keys: 
         state, on, off = step(sensor, state, frame, index / frames_per_s)
         total += on, off
     return total / duration_s
+
+
+# --- from which numbers -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("counter", "key", "expected"),
+    [
+        ("00000000 00000000 00000000 00000000", "00000000 00000000", "6627e8d5 e169c58d bc57ac4c 9b00dbd8"),
+        ("ffffffff ffffffff ffffffff ffffffff", "ffffffff ffffffff", "408f276d 41c83b0e a20bc7c6 6d5451fd"),
+        ("243f6a88 85a308d3 13198a2e 03707344", "a4093822 299f31d0", "d16cfe09 94fdcceb 5001e420 24126ea1"),
+    ],
+)
+def test_random_numbers_are_those_of_philox(counter: str, key: str, expected: str) -> None:
+    """Known answers of Random123 (kat_vectors, philox4x32 of 10 rounds); a frame and a seed have two words each."""
+    block, low, high, stream = (int(word, 16) for word in counter.split())
+    seed, seed_high = (int(word, 16) for word in key.split())
+    drawn = numbers.words.py_func(
+        np.uint64(seed_high << 32 | seed), np.uint64(high << 32 | low), stream, block
+    )
+    assert [f"{int(word):08x}" for word in drawn] == expected.split()
+
+
+def test_each_use_has_a_stream_of_its_own() -> None:
+    streams = (numbers.LEAK_JITTER, numbers.SHOT_NOISE, numbers.READ_NOISE, numbers.LATENCY)
+    drawn = {numbers.uniform((5,), 1, 2, stream).tobytes() for stream in streams}
+    assert len(drawn) == len(streams)
+
+
+def test_a_row_of_noise_begins_as_a_longer_one_does() -> None:
+    """By fours of one block, of which the last may be used in part."""
+    for draw in (numbers.uniform, numbers.normal):
+        long = draw((11,), 1, 2, 3)
+        assert len({*long.tolist()}) == 11
+        for length in range(1, 11):
+            np.testing.assert_array_equal(draw((length,), 1, 2, 3), long[:length])
 
 
 # --- how much -----------------------------------------------------------------------------------------------------

@@ -221,3 +221,40 @@ def test_air_gets_thinner_and_never_ends() -> None:
     assert np.isfinite(densities).all()
     assert (densities > 0).all()
     assert (np.diff(densities) < 0).all()
+
+
+@pytest.mark.parametrize(
+    ("contacts", "speed_m_s", "landed"),
+    [(1, 0.0, True), (1, 0.049, True), (1, 0.051, False), (0, 0.0, False)],
+)
+def test_what_touches_something_and_rests_has_landed(contacts: int, speed_m_s: float, landed: bool) -> None:
+    """In whichever direction it moves."""
+    vehicle = simulate().world.lead
+    vehicle.state["contacts"] = contacts
+    for direction in np.eye(3):
+        vehicle.state["velocity"] = speed_m_s * direction
+        assert vehicle.landed is landed
+
+
+def test_a_vehicle_that_is_placed_has_touched_nothing() -> None:
+    simulation, _ = dropped(NATIVE, 0.5)
+    world = simulation.world
+    go_to(simulation, 500)
+    assert (world.lead.collision_tick is not None, world.lead.contact_log.count > 0) == (True, True)
+    world.place((0.0, 0.0, -5.0))
+    assert (world.lead.collision_tick, world.lead.contact_log.count) == (None, 0)
+    assert (world.lead.contact_log.first, world.lead.contact_log.read()) == (None, False)
+
+
+def test_gains_are_restored_whichever_were_set() -> None:
+    """Four levels, and what their integral and derivative parts are made of."""
+    vehicle = simulate().world.lead
+    names = [f"{level}_gain" for level in ("position", "velocity", "angle", "rate", "integral", "derivative")]
+    names += ["z_integral_gain", "full_pid"]
+    before = {name: vehicle.parameters[name].copy() for name in names}
+    for level in ("position", "velocity", "angle", "rate"):
+        vehicle.set_gains(level, (0.1, 0.2, 0.3), (0.4, 0.5, 0.6), (0.7, 0.8, 0.9))
+        assert vehicle.parameters[f"{level}_gain"].tolist() == [0.1, 0.2, 0.3]
+    assert all((vehicle.parameters[name] != before[name]).any() for name in names)
+    vehicle.restore_gains()
+    assert all(np.array_equal(vehicle.parameters[name], before[name]) for name in names)

@@ -186,8 +186,9 @@ def test_all_fly_in_the_same_air() -> None:
         go_on(api, 0.2)
         states = [call(api, "simGetGroundTruthKinematics", name) for name in "ABC"]
         lifts_m_s2.append([9.80665 - state["linear_acceleration"]["z_val"] for state in states])
-        winds = [vehicle.state["wind"].tolist() for vehicle in world.vehicles]
-        assert winds == [[3.0, -1.0, 0.0]] * 3
+        for wind in ([3.0, -1.0, 0.0], [0.0, 2.0, -0.5]):
+            assert [vehicle.state["wind"].tolist() for vehicle in world.vehicles] == [wind] * 3
+            call(api, "simSetWind", point(0.0, 2.0, -0.5))
         assert lifts_m_s2[-1] == pytest.approx([lifts_m_s2[-1][0]] * 3, rel=3e-3)
     assert np.array(lifts_m_s2[0]) / lifts_m_s2[1] == pytest.approx([0.909 / 1.211] * 3, rel=0.02)
 
@@ -322,9 +323,11 @@ def test_a_saved_game_holds_them_all() -> None:
     call(api, "takeoff", 20.0, "B")
     go_on(api, 1.0)
     state = {key: np.array(value) for key, value in api.simulation.get_state().items()}
-    ends = []
-    for again in (api, fleet(A={}, B=ASIDE)):
+    ends, other = [], fleet(A={}, B=ASIDE)
+    call(other, "enableApiControl", False, "B")
+    for again in (api, other):
         again.simulation.set_state(state)
+        assert [call(again, "isApiControlEnabled", name) for name in "AB"] == [True, True]
         go_on(again, 3.0)
         ends.append([*place(again, "A"), *place(again, "B")])
     assert ends[0] == ends[1]
