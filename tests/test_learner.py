@@ -25,12 +25,13 @@ from tests.learning import tiny_config
 from uavaccel.config import validate
 from uavaccel.envs.stopwatch import PHASES
 from uavaccel.errors import UserError
-from uavaccel.rl import device_network, double_dqn
+from uavaccel.rl import device_network, double_dqn, graph
 from uavaccel.rl.agents import first_policy
 from uavaccel.rl.algorithms import Adam
 from uavaccel.rl.baseline import Baseline
 from uavaccel.rl.config import DqnOptions, LearnerConfig, check_algorithm
 from uavaccel.rl.double_dqn import DoubleDQN
+from uavaccel.rl.graph import GraphedStep
 from uavaccel.rl.lanes import BatchVecEnv, seed_lanes
 from uavaccel.rl.learner import Game, learning_rhythm
 from uavaccel.rl.network import contrast
@@ -359,6 +360,63 @@ def test_steps_at_once_are_steps_of_a_batch_each(monkeypatch: pytest.MonkeyPatch
     assert [part.args[0] for part in one._parts_of(5, 3)] == [2, 1, 2]
 
 
+class OnCpu:
+    """A linear network, its optimizer, and the batches that it has learned from."""
+
+    def __init__(self, net: th.nn.Module) -> None:
+        self.net, self.optimizer = net, th.optim.Adam(net.parameters(), lr=0.1)
+        self.at: list[Batch] = []
+        self.addresses: list[int] = []
+
+    def held(self) -> list[tuple[str, th.Tensor]]:
+        """Weights and moments."""
+        moments = [each for of in self.optimizer.state.values() for each in of.items()]
+        return [*self.net.named_parameters(), *moments]
+
+    def learn(self, batch: Batch) -> None:
+        self.optimizer.zero_grad(set_to_none=False)
+        th.nn.functional.mse_loss(self.net(batch.observations.flatten(1)), batch.rewards).backward()
+        self.optimizer.step()
+        self.at.append(batch)
+        self.addresses = [each.data_ptr() for _, each in self.held()]
+
+
+@pytest.mark.parametrize("before", [0, 2])
+def test_recording_a_step_leaves_weights_and_moments_as_they_were(
+    before: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It takes steps of its own, of which nothing stays; a launch is then a plain step on the batch that it is given.
+
+    A graph knows addresses alone, so that what it is recorded on has to stay where it is.
+    """
+    stream = SimpleNamespace(wait_stream=lambda _: None)
+    for name in ("Stream", "current_stream"):
+        monkeypatch.setattr(th.cuda, name, lambda: stream)
+    monkeypatch.setattr(th.cuda, "stream", nullcontext)
+    one = OnCpu(th.nn.Linear(math.prod(SHAPE), 1))
+    plain = OnCpu(deepcopy(one.net))
+    launched = SimpleNamespace(replay=lambda: one.learn(one.at[-1]))
+    monkeypatch.setattr(th.cuda, "CUDAGraph", lambda: launched)
+    monkeypatch.setattr(graph, "recording", nullcontext)
+    batches = [random_batch(4)._replace(rewards=th.full((4, 1), float(n))) for n in range(before + 3)]
+    for batch in batches[:before]:
+        one.learn(batch)
+        plain.learn(batch)
+    recorded = GraphedStep(one.learn, one.net, one.optimizer, batches[before])
+    assert one.addresses == [each.data_ptr() for _, each in one.held()]
+    unmoved = [(name, th.zeros_like(each)) for name, each in one.held()[2:]]
+    for (name, ours), (_, theirs) in zip(
+        one.held(), [*plain.held(), *unmoved][: len(one.held())], strict=True
+    ):
+        assert th.equal(ours, theirs), name
+    for batch in batches[before + 1 :]:
+        recorded(batch)
+        plain.learn(batch)
+    for (name, ours), (_, theirs) in zip(one.held(), plain.held(), strict=True):
+        np.testing.assert_allclose(ours.detach(), theirs.detach(), atol=1e-7, err_msg=name)
+    assert (batches[before].rewards == before).all(), "it has a batch of its own"
+
+
 class Rated(th.nn.Module):
     """A network whose ratings of the actions are known: one row an observation."""
 
@@ -561,19 +619,21 @@ def test_a_learner_goes_on_from_its_state() -> None:
 
 
 class ThreeCommands(gymnasium.Env[Any, Any]):
-    """Games of three commands, without anything to learn."""
+    """Games of three commands, every second one cut short, without anything to learn."""
 
     observation_space = spaces.Box(-1.0, 1.0, SHAPE, np.float32)
     action_space = spaces.Discrete(2)
     charged: ClassVar[list[tuple[float, str]]] = []
+    games = 0
 
     def reset(self, **_: Any) -> Any:
-        self.commands = 0
+        self.commands, self.games = 0, self.games + 1
         return self.observation_space.sample(), {}
 
     def step(self, action: Any) -> Any:
         self.commands += 1
-        return self.observation_space.sample(), 1.0 + action, self.commands == 3, False, {}
+        over, cut_short = self.commands == 3, self.games % 2 == 0
+        return self.observation_space.sample(), 1.0 + action, over and not cut_short, over and cut_short, {}
 
     def charge(self, seconds: float, phase: str) -> None:
         self.charged.append((seconds, phase))
@@ -626,11 +686,30 @@ def test_a_baseline_goes_on_from_its_state() -> None:
         first.advance()
     state = deepcopy(first.get_state())
     second.set_state(state, first.algorithm._last_obs)
-    told = second.get_state()
-    assert told.counters == state.counters
-    assert {name: each.tolist() for name, each in told.arrays.items()} == {
-        name: each.tolist() for name, each in state.arrays.items()
-    }
+    there, here = first.algorithm, second.algorithm
+    assert there.replay_buffer.timeouts.any()
+    for name in (
+        "observations",
+        "next_observations",
+        "actions",
+        "rewards",
+        "dones",
+        "timeouts",
+        "pos",
+        "full",
+    ):
+        kept, back = (getattr(each.replay_buffer, name) for each in (there, here))
+        np.testing.assert_array_equal(back, kept, err_msg=name)
+    for name in (
+        "num_timesteps",
+        "_n_calls",
+        "_n_updates",
+        "exploration_rate",
+        "_current_progress_remaining",
+    ):
+        assert getattr(here, name) == getattr(there, name) != getattr(baseline("dqn", DQN).algorithm, name), (
+            name
+        )
     assert (second.games, second.returns) == (first.games, first.returns)
     hashes = []
     for each in (first, second):

@@ -20,12 +20,17 @@ from uavaccel.envs.obstacle_lane import LaneTask
 from uavaccel.envs.stopwatch import PHASES
 from uavaccel.errors import UserError
 from uavaccel.files import append_line
+from uavaccel.metrics.intervals import Proportion
 from uavaccel.records import RunDirectory
 from uavaccel.rl.learner import Game
 from uavaccel.suites.evaluation.config import EvaluateConfig
 from uavaccel.suites.evaluation.report import plot_evaluations, summarise
+from uavaccel.suites.training import real_time
 from uavaccel.suites.training import rows as training_rows
 from uavaccel.suites.training.learning_curves import (
+    Evaluated,
+    evaluated,
+    plot_evaluated,
     plot_over_games,
     plot_over_time,
     plot_progress,
@@ -169,6 +174,50 @@ def test_real_time_has_flight_pictures_decisions_and_learning() -> None:
     assert model_real_time(tiny_config(state, **working))["command_s"] == pytest.approx(blind + 0.25 + 0.5)
     on_policy = {**working, "algorithm": "ppo", "options": {}}
     assert model_real_time(tiny_config(state, **on_policy))["command_s"] == pytest.approx(blind + 0.25)
+
+
+def test_real_time_is_modelled_with_the_trainings_flight_and_senses(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Twenty commands straight ahead in an empty lane; all else is AirSim's: its profile, ClockSpeed and latencies."""
+    made: list[Any] = []
+
+    class Lane:
+        def __init__(self, **keys: Any) -> None:
+            self.task, self.commands = LaneTask(**keys), 0
+            made.append(keys)
+
+        def reset(self, seed: int) -> Any:
+            return None, self._info()
+
+        def charge(self, seconds: float, phase: str) -> None:
+            made.append((phase, seconds))
+
+        def step(self, action: int) -> Any:
+            made.append(action)
+            self.commands += 1
+            return None, 0.0, False, False, self._info()
+
+        def _info(self) -> dict[str, Any]:
+            return {"commands": self.commands, "wall_s": 1.0 + 3.0 * self.commands}
+
+        def close(self) -> None:
+            made.append("closed")
+
+    monkeypatch.setattr(real_time, "ObstacleLane", Lane)
+    trained: dict[str, Any] = {
+        "command": "adsc", "observation": "depth", "history": 2, "image_processing_s": 0.01, "t_move_s": 0.8,
+        "t_sample_s": 0.2, "speed_m_s": 1.5, "headings_deg": [-40.0, -20.0, 5.0, 30.0], "altitude_m": 3.0,
+    }  # fmt: skip
+    elsewhere = {
+        "clock_speed": 50.0,
+        "timing": "lockstep",
+        "profile": "native",
+        "difficulty": {"wind_m_s": 3.0},
+    }
+    config = tiny_config(trained | elsewhere, mirror=False, inference_s=0.25, learning_s=2.0)
+    assert model_real_time(config)["command_s"] == 61.0 / 20
+    modelled = {"timing": "virtual", "profile": "airsim", "clock_speed": 1.0, "lane": {"obstacles": []}}
+    assert made[0] == trained | modelled
+    assert made[1:] == [*[("inference", 0.25), ("learning", 2.0 / 4), 2] * 20, "closed"]
 
 
 @needs_opengl
@@ -344,6 +393,34 @@ def test_seeds_of_one_training_are_a_line_in_a_band(tmp_path: Path, drawn: dict[
     assert headline(drawn["learning_games"])[1] == "modelled · seed 0, 1"
 
 
+def test_seeds_are_averaged_where_all_of_them_have_a_value(tmp_path: Path, drawn: dict[str, Figure]) -> None:
+    """A training of 100 games has a share from its first one on, a longer one from its 100th."""
+    task = {"command": "tcsc", "clock_speed": 1.0, "timing": "lockstep"}
+    runs = [
+        run_of(tmp_path / name, Flown(seed=number, task=task), [{"is_success": each} for each in won])
+        for number, (name, won) in enumerate(
+            {"short": [True] * 100, "long": [False] * 75 + [True] * 25 + [False] * 4}.items()
+        )
+    ]
+    plot_over_games(runs, tmp_path / "learning_games.png")
+    (line,) = labelled(drawn["learning_games"].axes[0]).values()
+    assert points(line) == [(100.0, 0.625)]
+    axes = Figure().subplots()
+    seeds = [
+        Evaluated([4.0, 8.0], [Proportion(0, 4), Proportion(4, 4)]),
+        Evaluated([6.0, 10.0], [Proportion(2, 4), Proportion(4, 4)]),
+    ]
+    plot_evaluated(axes, seeds, "black")
+    assert points(axes.lines[0]) == [(6.0, 0.5), (8.0, 0.875)]
+    band = {tuple(each) for each in np.asarray(axes.collections[0].get_paths()[0].vertices).tolist()}
+    assert band == {(6.0, 0.5), (8.0, 0.75), (8.0, 1.0)}
+    for line_of in (3, 4, 5):
+        append_line(runs[0].path / "evaluations.jsonl", {"games": line_of, "successes": 1, "lanes": [0, 1]})
+    found = evaluated(runs[0], np.array([10.0, 20.0, 30.0, 40.0]))
+    assert found is not None
+    assert (found.at, found.ratio.tolist()) == ([30.0, 40.0], [0.5, 0.5]), "no later than the games"
+
+
 def test_figure_9_tells_trainings_apart_and_says_what_was_measured(
     tmp_path: Path, drawn: dict[str, Figure]
 ) -> None:
@@ -379,14 +456,15 @@ def test_figure_9_tells_trainings_apart_and_says_what_was_measured(
 def test_curves_of_games_count_from_this_start_and_leave_out_evaluations(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Success of the last games, an earlier start's among them; simulated over wall time of this start's."""
+    """Success of the last 100, an earlier start's among them; simulated over wall time of this start's."""
     # It is made; a game ends; an evaluation is flown from 110 to 115 s; another game ends.
     now_s = iter([100.0, 104.0, 110.0, 115.0, 120.0])
     clock = SimpleNamespace(now_ns=lambda: int(next(now_s) * NS_PER_S))
     monkeypatch.setattr(training_rows, "MonotonicClock", lambda: clock)
     drawn: list[tuple[int, dict[str, float]]] = []
     monkeypatch.setattr(training_rows.CurvesFile, "add", lambda _, *point: drawn.append(point))
-    earlier: Any = [{"is_success": True}]
+    won = [*[False] * 50, *[True] * 3, *[False] * 90, *[True] * 7]  # of the last 100 ten
+    earlier: Any = [{"is_success": each} for each in won]
     rows = training_rows.GameRows(tiny_config({"t_move_s": 0.5}), tmp_path, earlier)
     stopwatch: Any = SimpleNamespace(spent_s=dict)
     info: dict[str, Any] = {
@@ -402,12 +480,12 @@ def test_curves_of_games_count_from_this_start_and_leave_out_evaluations(
         "games/distance_m": 7.0, "games/return": -2.5, "games/commands": 16, "games/real_time_factor": 8.0 / 4.0,
     }  # fmt: skip
     assert drawn == [
-        (41, {"games/success_recent": 0.5, "games/exploration": 0.25, **point}),
+        (41, {"games/success_recent": 0.09, "games/exploration": 0.25, **point}),
         (
             42,
             {
                 **point,
-                "games/success_recent": 1 / 3,
+                "games/success_recent": 0.08,
                 "games/return": 1.0,
                 "games/loss": 0.5,
                 "games/mean_q": 2.0,

@@ -8,6 +8,7 @@ import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from tests.running import configured
 from uavaccel.config import to_yaml
 from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
 from uavaccel.errors import UserError
+from uavaccel.files import append_line
 from uavaccel.records import RunDirectory
 from uavaccel.rl.agents import make_agent
 from uavaccel.rl.algorithms import greedy
@@ -34,7 +36,13 @@ from uavaccel.suites.runner import begin_run, run_suite
 from uavaccel.suites.suite import GameResult
 from uavaccel.suites.training import flights as training
 from uavaccel.suites.training.config import CHECKPOINTS
-from uavaccel.suites.training.evaluations import FILE, evaluation_of, evaluations
+from uavaccel.suites.training.evaluations import (
+    FILE,
+    Evaluations,
+    drop_evaluations_after,
+    evaluation_of,
+    evaluations,
+)
 from uavaccel.suites.training.suite import Training
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("trainings_here")]
@@ -203,6 +211,51 @@ def test_evaluations_leave_the_training_as_it_is_and_are_those_of_evaluate(
     assert min(lines[-1]["lanes"]) >= 500_000
     with pytest.raises(UserError, match="evaluate_every_games must be 0 with timing wall"):
         tiny_config({**STATE, "timing": "wall"}, mirror=False, **EVALUATED)
+
+
+def test_an_evaluation_flies_the_trainings_task_on_lanes_that_no_training_has(tmp_path: Path) -> None:
+    """In the exact simulator; a decision takes the simulated time that it takes in the training."""
+    task = {**STATE, "timing": "virtual", "command": "adsc", "clock_speed": 7.0, "altitude_m": 3.0}
+    keys = {"seed": 6, "environments": 3, "inference_s": 0.125, "simulator": "kernels"}
+    config = tiny_config(task, mirror=False, **keys, evaluation_games=2)
+    flown = evaluation_of(config, tmp_path)
+    assert flown.task == config.task.model_copy(update={"split": "evaluation"})
+    assert {name: getattr(flown, name) for name in flown.model_fields_set - {"task"}} == {
+        "agent": str(tmp_path), "seed": 6, "games": 2, "first_lane": 500_000, "environments": 2, "inference_s": 0.125,
+    }  # fmt: skip
+    assert flown.simulator == "mujoco"
+
+
+@pytest.mark.parametrize(
+    ("every", "due"),
+    [
+        (0, {0: [], 6: []}),
+        (3, {0: [3, 4, 5, 6, 7, 8], 3: [6, 7, 8], 4: [6, 7, 8], 6: [8], 7: [8], 8: []}),
+        (5, {0: [5, 6, 7, 8], 5: [8], 6: [8]}),
+    ],
+)
+def test_evaluations_are_due_after_every_so_many_games_and_the_last_one(
+    every: int, due: dict[int, list[int]], tmp_path: Path
+) -> None:
+    """By the games of the latest one, of which a resumed training reads; several games may end at once."""
+    config = tiny_config(STATE, mirror=False, games=8, evaluate_every_games=every)
+    for done, games in due.items():
+        run: Any = SimpleNamespace(path=tmp_path / f"{done}")
+        run.path.mkdir()
+        for earlier in sorted({1, done}) if done else []:
+            append_line(run.path / FILE, {"games": earlier})
+        waiting = Evaluations(config, run)
+        assert [each for each in range(9) if waiting.due(each)] == games, done
+
+
+def test_evaluations_up_to_a_checkpoint_stay(tmp_path: Path) -> None:
+    run = RunDirectory.create(tmp_path / "run", tiny_config(STATE, mirror=False), {})
+    drop_evaluations_after(run, 4)  # where there are none
+    lines: list[Any] = [{"games": games, "successes": games, "lanes": [games]} for games in (3, 4, 6)]
+    for line in lines:
+        append_line(run.path / FILE, line)
+    drop_evaluations_after(run, 4)
+    assert evaluations(run) == lines[:2]
 
 
 class GamesHere:
