@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
+from copy import deepcopy
 from typing import Any
 
 import gymnasium
@@ -94,7 +95,10 @@ def assert_equal_infos(ours: dict[str, Any], theirs: dict[str, Any]) -> None:
             np.testing.assert_array_equal(value, theirs[key])
 
 
-@pytest.mark.parametrize("keys", [{"timing": "lockstep"}, {"timing": "virtual", "command": "adsc"}])
+WIDENING = {"randomise": {"wind_m_s": [4.0, 6.0], "widen_over_games": 12}}
+
+
+@pytest.mark.parametrize("keys", [{"timing": "lockstep"}, {"timing": "virtual", "command": "adsc"}, WIDENING])
 @pytest.mark.usefixtures("host_kernels")
 def test_saved_lanes_go_on_elsewhere_to_the_same_bytes(keys: dict[str, Any]) -> None:
     """In the middle of games, some drawn ahead, some begun at other times than their neighbours'."""
@@ -181,7 +185,7 @@ def test_what_no_simulator_flies_is_one_clear_line(
 
 LEARNING_LANES = 2
 LEARNING = {
-    "games": 24,
+    "games": 8,
     "environments": LEARNING_LANES,
     "simulator": "kernels",
     "channels": [4, 4],
@@ -194,7 +198,7 @@ LEARNING = {
         "target_update_interval": 8,
         "n_steps": 1,
     },
-    "task": {"timing": "virtual", "command": "adsc", "clock_speed": 20.0, "max_commands": 2},
+    "task": {"timing": "virtual", "command": "adsc", "clock_speed": 20.0, "max_commands": 6},
 }
 
 
@@ -257,26 +261,29 @@ def test_a_learner_goes_on_from_a_checkpoint_to_the_same_weights() -> None:
     config = validate(TrainConfig, LEARNING, "test")
     learner = learner_of(config)
     first = weights_sha256(learner.policy)
-    games = learn(learner, 10)
+    games = learn(learner, 1)
+    assert learner.lanes.going.any(), "in the middle of games"
     saved = (
-        learner.get_state(),
+        deepcopy(learner.get_state()),  # whose tensors are the learner's own
         [
             {name: np.array(value) for name, value in state.items()}
             for state in learner.lanes.env_method("get_state")
         ],
     )
-    games += learn(learner, 24)
-    assert [game.number for game in games] == list(range(24))
+    games += learn(learner, 8)
+    assert [game.number for game in games] == list(range(8))
     assert all(game.info["phase_s"]["inference"] > 0 for game in games)
     assert max(game.info["phase_s"]["learning"] for game in games) > 0
     assert weights_sha256(learner.policy) != first
 
-    other = learner_of(config)
+    other = learner_of(config.model_copy(update={"seed": 1}))
+    other.config = config
     seen = [
         other.lanes.env_method("set_state", state, indices=[lane])[0] for lane, state in enumerate(saved[1])
     ]
     other.set_state(saved[0], np.stack(seen))
-    again = learn(other, 24)
+    again = learn(other, 8)
+    assert len(again) > 1
     assert [(game.number, game.lane, game.reward) for game in again] == [
         (game.number, game.lane, game.reward) for game in games[-len(again) :]
     ]

@@ -6,6 +6,7 @@ import base64
 import json
 import re
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -36,10 +37,11 @@ from uavaccel.rl.learner import make_learner
 from uavaccel.rl.policy import MANIFEST, WEIGHTS, export_policy, load_policy, trained_with
 from uavaccel.sim.lane.layout import draw_layout, lane_seed
 from uavaccel.suites.evaluation.config import EvaluateConfig
-from uavaccel.suites.evaluation.film import film_lane
+from uavaccel.suites.evaluation.film import SecondEventCamera, film_lane
 from uavaccel.suites.evaluation.flights import fly_game
 from uavaccel.suites.evaluation.lost import plot_lost
 from uavaccel.suites.evaluation.report import compare, summarise
+from uavaccel.suites.evaluation.side_by_side import write_simulators
 from uavaccel.suites.evaluation.suite import Evaluation
 from uavaccel.suites.report import Summary
 from uavaccel.wire.image_api import lane_layout
@@ -185,6 +187,127 @@ def test_lost_lanes_are_named_and_their_paths_drawn_over_the_obstacles(
     assert plot_lost(config, [], tmp_path / "none.png", "modelled") is None
     without: list[Any] = [{key: value for key, value in row.items() if key != "path_m"} for row in rows]
     assert plot_lost(config, without, tmp_path / "none.png", "modelled") is None
+
+
+@pytest.mark.parametrize(("farthest_m", "shown_m"), [(30.0, 40.0), (146.0, 152.0), (-1.0, 10.0)])
+def test_lost_lanes_are_seen_from_above_with_the_west_on_top(
+    farthest_m: float, shown_m: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As a pilot who looks north sees them, turned to the right: obstacles, walls, the end, the path and its end."""
+    obstacles = [
+        {"x_m": 12.0, "y_m": -2.0, "radius_m": 0.5},
+        {"x_m": 20.0, "y_m": 3.0, "half_side_m": 0.25},
+    ]
+    task = LaneTask(lane={"obstacles": obstacles}, split="evaluation")
+    drawn = record_figures(monkeypatch)
+    ends: list[tuple[int, float, str | None]] = [(4, farthest_m, None), (7, -3.0, "wall_west")]
+    rows: list[Any] = [
+        {
+            "lane": lane,
+            "is_success": False,
+            "collision": hit,
+            "distance_m": end_m,
+            "path_m": [[1.0, 0.5], [end_m, -2.0]],
+        }
+        for lane, end_m, hit in ends
+    ]
+    won: Any = {**rows[0], "is_success": True, "distance_m": 150.0}
+    picture = plot_lost(
+        EvaluateConfig(agent="straight", task=task), [*rows, won], tmp_path / "lost.png", "here"
+    )
+    assert picture is not None
+    panels: Any = drawn["lost"].axes
+    assert [axes.get_title(loc="left") for axes in panels] == [
+        "lane 7: -3.0 m, hitting wall_west",
+        f"lane 4: {farthest_m:.1f} m, running out of commands",
+    ]
+    for axes, end_m in zip(panels, (-3.0, farthest_m), strict=True):
+        assert axes.get_ylim() == (5.0, -5.0)
+        assert axes.get_xlim() == (-2.0, shown_m)
+        west, east, goal, path, end = axes.lines
+        assert [line.get_ydata()[0] for line in (west, east)] == [-5.0, 5.0]
+        assert goal.get_xdata()[0] == 150.0
+        assert np.asarray(path.get_xydata()).tolist() == [[0.0, 0.0], [1.0, 0.5], [end_m, -2.0]]
+        assert np.asarray(end.get_xydata()).tolist() == [[end_m, -2.0]]
+        post, box = axes.patches
+        assert (post.center, post.radius) == ((12.0, -2.0), 0.5)
+        assert box.get_bbox().bounds == (19.75, 2.75, 0.5, 0.5)
+
+
+def test_a_second_event_camera_has_the_noise_of_the_game_it_watches() -> None:
+    """With its own seed where there is noise, from its start, and at its own pace until the next game."""
+    done: list[Any] = []
+    camera: Any = SecondEventCamera(LaneTask(), 5)
+    camera.events = SimpleNamespace(
+        start=lambda *told: done.append(told), look=lambda *told: done.append(told)
+    )
+
+    def game(seed: int, start_ns: int, **keys: Any) -> Any:
+        def watch(every: int, look: Any) -> Any:
+            done.append(every)
+            look(start_ns + 30)
+            return lambda: done.append(f"stopped {seed}")
+
+        return SimpleNamespace(
+            start=SimpleNamespace(time_ns=start_ns),
+            task=LaneTask(**keys),
+            noise=SimpleNamespace(seed=seed),
+            picture=lambda time_ns: f"{seed} at {time_ns}",
+            session=SimpleNamespace(watch=watch),
+        )
+
+    camera.game_begun(game(77, 1000, dvs_shot_noise_hz=1.0))
+    assert done == [("77 at 1000", 1000, 77), 5, ("77 at 1030", 1030)]
+    done.clear()
+    camera.game_begun(game(78, 2000))
+    assert done == ["stopped 77", ("78 at 2000", 2000, 0), 5, ("78 at 2030", 2030)]
+
+
+def test_two_simulators_are_compared_on_the_lanes_that_both_flew(tmp_path: Path) -> None:
+    """Each line has its own simulator's games; runs of another agent, or of the same simulator, are left out."""
+
+    def run_of(
+        name: str, simulator: str, policy: str, rows: dict[int, tuple[float, list[int]]]
+    ) -> RunDirectory:
+        task = LaneTask(split="evaluation", timing="lockstep", observation="state")
+        config = EvaluateConfig(agent=f"runs/{name}", simulator=simulator, task=task)
+        run = RunDirectory.create(tmp_path / name, config, {"policy_sha256": policy})
+        for lane, (distance_m, actions) in rows.items():
+            case = {"case": f"lane-{lane}", "suite": "evaluate", "lane": lane, "actions": actions}
+            time = {"sim_time_s": 10.0 * lane, "wall_s": 1.0}
+            run.append_row({**case, **time, "is_success": distance_m == 150.0, "distance_m": distance_m})
+        return run
+
+    exact = run_of(
+        "exact", "mujoco", "a", {n: (d, [n]) for n, d in enumerate((9.0, 20.0, 150.0, 40.0, 10.0, 50.0))}
+    )
+    others = {
+        1: (150.0, [1]),
+        2: (30.0, [2, 2]),
+        3: (40.0, [3]),
+        4: (150.0, []),
+        5: (150.0, []),
+        8: (1.0, []),
+    }
+    kernels = run_of("kernels", "kernels", "a", others)
+    for alone in (
+        (exact, exact),
+        (kernels, kernels),
+        (exact, run_of("another", "kernels", "b", others)),
+        (exact, run_of("elsewhere", "kernels", "a", {7: (1.0, [])})),
+    ):
+        assert write_simulators(alone) == []
+    assert write_simulators([kernels, exact]) == [kernels.path / "simulators.md"]
+    page = (kernels.path / "simulators.md").read_text()
+    # Lane 3 alone ends alike; one was won here only and three there only: 2 * (1 + 4) / 2**4.
+    said = "on the 5 lanes that both flew: 1 end alike, won or lost, 2 with the same actions throughout"
+    assert f"runs/exact {said}; exact McNemar p = 0.625." in page
+    lines = [
+        [cell.strip() for cell in line.split("|")[1:-1]] for line in page.splitlines() if line.startswith("|")
+    ]
+    assert lines[0] == ["simulator", "run", "won", "of", "median distance m", "simulated s"]
+    assert [line[2:] for line in lines[2:]] == [["1", "5", "40.0", "150"], ["3", "5", "150.0", "150"]]
+    assert [line[0].split(" ")[0] for line in lines[2:]] == ["mujoco", "kernels"]
 
 
 @pytest.mark.slow

@@ -77,6 +77,69 @@ def test_a_lane_flies_as_in_the_exact_simulator(kind: type[FlightEnv], task: dic
     assert ends >= count
 
 
+SAVED: list[tuple[type[FlightEnv], dict[str, Any]]] = [
+    (
+        ObstacleLane,
+        {"history": 2, "knows": ["last_action", "frame_age"], "dvs_shot_noise_hz": 2.0, "max_commands": 3},
+    ),
+    (
+        ObstacleLane,
+        {
+            "observation": "state",
+            "history": 2,
+            "max_commands": 3,
+            "timing": "virtual",
+            "command": "adsc",
+            "randomise": {"wind_m_s": [4, 6], "latency_scale": [1, 3], "widen_over_games": 9},
+        },
+    ),
+    (Hover, {"hold_s": 0.4, "radius_m": 2.5, "max_commands": 3}),
+    (Gates, {"max_commands": 3, "t_move_s": 1.0, "t_sample_s": 1.0, "half_width_m": 2.5, "spacing_m": 1.0}),
+]
+
+
+@pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
+@pytest.mark.parametrize(("kind", "task"), SAVED)
+def test_saved_lanes_go_on_in_another_batch_to_the_same_bytes(
+    kind: type[FlightEnv], task: dict[str, Any], mode: str
+) -> None:
+    """One after its first command, one after its second, one whose game is over, each in its second game or later."""
+    lanes = 3
+    one, other = (KernelBatch(kind, lanes, threads=1, autoreset_mode=mode, **task) for _ in range(2))
+    with closing(one), closing(other):
+        one.reset(seed=4)
+        actions = actions_of(one, lanes, 20)
+        for number in range(5 if mode == "NextStep" else 4):
+            one.step(actions[number])
+        for which in ([1, 2], [2]):
+            one.step_async(actions[5][which], which)
+            one.step_wait(which)
+        for lane, state in enumerate(one.call_each("get_state", [()] * lanes)):
+            copied = {name: np.array(value) for name, value in state.items()}
+            (seen,) = other.call_each("set_state", [(copied,)], [lane])
+            assert seen.tobytes() == one.observations()[lane].tobytes()
+        for number in range(6, 14):
+            for each in (one, other):
+                each.call_each("charge", [(0.01 * number, "learning")] * lanes)
+                each.step_async(actions[number])
+            kept, back = one.step_wait(), other.step_wait()
+            assert [part.tobytes() for part in kept[:4]] == [part.tobytes() for part in back[:4]]
+            assert_equal(kept[4], back[4])
+
+
+def assert_equal(ours: Any, theirs: Any) -> None:
+    """Infos, in which there may be arrays."""
+    assert type(ours) is type(theirs)
+    if isinstance(ours, dict):
+        assert list(ours) == list(theirs)
+        ours, theirs = list(ours.values()), list(theirs.values())
+    if isinstance(ours, list):
+        for each, other in zip(ours, theirs, strict=True):
+            assert_equal(each, other)
+    else:
+        np.testing.assert_array_equal(ours, theirs)
+
+
 def test_the_machines_time_of_a_batch_is_shared_by_the_lanes_that_flew(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
