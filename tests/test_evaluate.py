@@ -485,7 +485,13 @@ def test_weights_of_another_network_are_one_clear_line(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("agent", "said"),
-    [("nowhere", "nowhere: holds no policy"), ("offset:left", "offset:left: must be offset:METRES")],
+    [
+        ("nowhere", "nowhere: holds no policy"),
+        *(
+            (f"offset:{wrong}", f"offset:{wrong}: must be offset:METRES, .* within the lane of 10 m")
+            for wrong in ("left", "", "nan", "-10.1", "10.1", "-inf")
+        ),
+    ],
 )
 def test_an_agent_that_is_none_is_one_clear_line(tmp_path: Path, agent: str, said: str) -> None:
     with pytest.raises(UserError, match=said) as caught:

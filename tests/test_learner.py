@@ -269,6 +269,35 @@ def test_a_game_that_is_over_at_its_time_limit_is_over_and_not_cut_short() -> No
     assert lanes.reset_infos == [{"next": True}] * 3
 
 
+def test_what_a_reset_brings_and_was_given_is_of_each_lane_and_of_that_reset() -> None:
+    """Seeds and options hold for one reset; the infos of a game that begins by itself are its own lane's."""
+    asked: list[Any] = []
+    begun: list[dict[str, Any]] = [{"begun": lane} for lane in range(3)]
+    batch: Any = SimpleNamespace(
+        num_envs=3,
+        single_observation_space=spaces.Box(0, 1, (1,)),
+        single_action_space=spaces.Discrete(2),
+        render_mode=None,
+        reset_each=lambda seeds, options: say_and(asked, (list(seeds), options), lambda: begun[:]),
+        observations=lambda: np.zeros((3, 1)),
+    )
+    lanes = BatchVecEnv(batch)
+    lanes.seed(5)
+    lanes.set_options([{}, {"lane": 4}, {}])
+    for expected in (([5, 6, 7], [None, {"lane": 4}, None]), ([None] * 3, [None] * 3)):
+        lanes.reset()
+        assert asked.pop() == expected
+        assert lanes.reset_infos == begun
+    infos = [{"now": 0}, {"final_info": {"last": 1}, "final_obs": 9, "now": 2}]
+    batch.step_wait = lambda which: (np.zeros((2, 1)), np.ones(2), *np.zeros((2, 2), bool), infos)
+    told = lanes.step_wait([0, 2])[3]
+    assert told == [
+        {"now": 0, "TimeLimit.truncated": False},
+        {"last": 1, "terminal_observation": 9, "TimeLimit.truncated": False},
+    ]
+    assert lanes.reset_infos == [*begun[:2], {"now": 2}]
+
+
 # --- a gradient step --------------------------------------------------------------------------------------------
 
 
@@ -491,6 +520,23 @@ def test_it_explores_as_often_as_it_is_to() -> None:
     assert share(100, 1.0) == pytest.approx(0.5, abs=0.05)
 
 
+def test_a_hash_is_of_every_weights_name_shape_and_bytes() -> None:
+    weights = {name: th.arange(6.0).reshape(2, 3) + number for number, name in enumerate("cab")}
+
+    def hash_of(changed: dict[str, th.Tensor], without: str = "") -> str:
+        now = {name: each for name, each in {**weights, **changed}.items() if name != without}
+        policy: Any = SimpleNamespace(state_dict=lambda: now)
+        return weights_sha256(policy)
+
+    assert hash_of({}) == hash_of(dict(reversed(weights.items())))
+    others = [hash_of({}, without="c"), hash_of({"d": weights["c"]}, without="c")]
+    for name, each in weights.items():
+        nudged = each.clone()
+        nudged[1, 2] += 1e-5
+        others += [hash_of({name: other}) for other in (nudged, each.reshape(3, 2), each.double(), each.T)]
+    assert len({hash_of({}), *others}) == 1 + len(others)
+
+
 def test_its_seed_draws_the_weights_the_actions_and_the_batches() -> None:
     def drawn(seed: int) -> tuple[Any, ...]:
         learner, lanes = learning(1, games=20, seed=seed)
@@ -675,6 +721,24 @@ def test_a_baseline_with_a_replay_buffer_learns_as_often_as_it_is_to_and_pays() 
         learner.lanes.envs[0].unwrapped.charged
         == [*[(0.125, "inference")] * 6, *[(0.25, "learning")] * 2] * 3
     )
+
+
+def test_a_baseline_learns_from_no_game_beyond_the_last_one() -> None:
+    """Its third game is over in the middle of a rollout, which is then left unfinished."""
+    learner = baseline("ppo", {"n_steps": 12, "batch_size": 4}, games=3)
+    assert [game.number for game in learner.advance()] == [0, 1, 2]
+    assert (learner.algorithm.num_timesteps, learner.algorithm._n_updates) == (2 * 6, 0)
+
+
+def test_a_baselines_phases_are_timed_and_its_games_have_the_loss_before_them() -> None:
+    learner = baseline("dqn", DQN, games=100, commands_per_gradient_step=6)
+    phases: list[str] = []
+    learner.stopwatch = SimpleNamespace(phase=lambda name: say_and(phases, name, nullcontext))
+    assert [game.loss for game in learner.advance()] == [None, None]
+    assert phases == ["inference"] * 3 + ["learning"]
+    for name, value in (("loss", 0.125), ("value_loss", 7.0), ("learning_rate", 9.0)):
+        learner.algorithm.logger.record(f"train/{name}", value)
+    assert [game.loss for game in learner.advance()] == [0.125, 0.125]
 
 
 def test_a_baseline_goes_on_from_its_state() -> None:

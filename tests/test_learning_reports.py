@@ -38,6 +38,8 @@ from uavaccel.suites.training.learning_curves import (
 )
 from uavaccel.suites.training.phases import phase_times, plot_stacked, plot_trainings, unit_of
 from uavaccel.suites.training.real_time import model_real_time
+from uavaccel.suites.training.report import TrainingReport, summarise_evaluations
+from uavaccel.suites.training.suite import Training
 from uavaccel.units import NS_PER_S
 from uavaccel.wire.latency import shipped_latency
 
@@ -142,6 +144,11 @@ def test_every_number_of_a_training(tmp_path: Path) -> None:
     summary = dict(train_into(tmp_path / "run", config))
     run = RunDirectory(tmp_path / "run")
     assert summary == run.read_json("summary.json")
+    page = (run.path / "report.md").read_text()
+    beside = [line.split(" | ") for line in page.splitlines() if line.startswith(("| games |", "| in real"))]
+    assert beside[0] == ["| games", "3", "5000", "counted |"]
+    assert beside[1][2] == "182.0 h", "a week and fourteen hours"
+    assert beside[1][1] == f"{summary['modelled_real_time_s']:.1f} s"
     assert len(summary.pop("weights_sha256")) == 64
     commands = [row["commands"] for row in run.rows()]
     assert 1.0 < summary.pop("modelled_real_time_s") / sum(commands) < 1.1  # of 1 s each
@@ -218,6 +225,55 @@ def test_real_time_is_modelled_with_the_trainings_flight_and_senses(monkeypatch:
     modelled = {"timing": "virtual", "profile": "airsim", "clock_speed": 1.0, "lane": {"obstacles": []}}
     assert made[0] == trained | modelled
     assert made[1:] == [*[("inference", 0.25), ("learning", 2.0 / 4), 2] * 20, "closed"]
+
+
+@pytest.mark.parametrize("learned", [2, 3])
+def test_weights_and_real_time_are_those_of_a_training_that_is_over(learned: int, tmp_path: Path) -> None:
+    """The policy of a checkpoint is not that of its last game."""
+    run = RunDirectory.create(tmp_path / "run", tiny_config({"observation": "state"}, mirror=False), {})
+    for number in range(3):
+        row = {"is_success": number == 1, "commands": 7, "sim_time_s": 7.0, "phase_s": phases(1, 0, 0, 0, 0)}
+        run.append_row({"case": f"game-{number}", "suite": "train", **row})
+    trained = {"games": learned, "weights_sha256": "0123456789abcdef"}
+    run.write_json("policy.json", {"trained": trained})
+    run.write_json("real_time.json", {"command_s": 60.0, "how": "by hand"})
+    report = TrainingReport(run, "train")
+    won = "1 of 3 training games succeeded, "
+    if learned == 3:
+        assert report.headline() == f"{won}weights 0123456789ab; in real time 21 min (modelled)"
+        assert report.summary["weights_sha256"] == "0123456789abcdef"
+    else:
+        assert report.headline() == f"{won}the training is not over"
+        assert report.summary["weights_sha256"] is None
+
+
+def test_evaluations_of_a_training_are_summarised_line_by_line() -> None:
+    lines: Any = [
+        {"games": 40, "successes": 1, "lanes": [7, 8, 9], "distance_m": [150.0, 10.0, 20.0]},
+        {"games": 90, "successes": 2, "lanes": [7, 8], "distance_m": [150.0, 151.0]},
+    ]
+    keys = ("games", "lanes", "successes", "success_ratio", "distance_m_median")
+    found = [[each[key] for key in keys] for each in summarise_evaluations(lines)]
+    assert found == [[40, 3, 1, 1 / 3, 20.0], [90, 2, 2, 1.0, 150.5]]
+
+
+def test_a_training_tells_its_latest_success_and_what_its_evaluations_will_take() -> None:
+    suite, won = Training(), [*[True] * 150, *[False] * 75, *[True] * 25]
+    rows: list[Any] = [{"is_success": each} for each in won]
+    assert suite.status(rows) == "success of the last 100: 25%"
+    assert suite.status(rows[148:152]) == "success of the last 4: 50%"
+
+    def seconds(every: int, lanes: int) -> float:
+        config = tiny_config(
+            {"observation": "state"}, mirror=False, evaluate_every_games=every, evaluation_games=lanes
+        )
+        return suite.cost(config, next(iter(suite.cases(config)))).wall_s
+
+    alone = seconds(0, 10)
+    of_a_game = seconds(10, 10) - alone  # ten lanes after ten games: one more for each
+    assert 0 < of_a_game < alone
+    for every, lanes, more in ((5, 10, 2.0), (20, 10, 0.5), (10, 30, 3.0)):
+        assert seconds(every, lanes) - alone == pytest.approx(more * of_a_game)
 
 
 @needs_opengl

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import signal
 import subprocess
 import sys
@@ -23,6 +24,7 @@ from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
 from uavaccel.errors import UserError
 from uavaccel.files import append_line
 from uavaccel.records import RunDirectory
+from uavaccel.resources import asset
 from uavaccel.rl.agents import make_agent
 from uavaccel.rl.algorithms import greedy
 from uavaccel.rl.checkpoint import find_checkpoint
@@ -153,6 +155,25 @@ def test_a_training_that_a_batch_system_ends_takes_a_checkpoint_and_says_how_to_
     kept = find_checkpoint(tmp_path / "run" / CHECKPOINTS)
     assert kept is not None
     assert int(kept.name) == len(rows.read_text().splitlines())
+
+
+def test_a_second_interruption_does_not_wait_for_the_checkpoint() -> None:
+    trainer = training.Trainer.__new__(training.Trainer)
+    trainer._interrupted = False
+    trainer.interrupt(signal.SIGTERM, None)
+    assert trainer._due()
+    with pytest.raises(KeyboardInterrupt):
+        trainer.interrupt(signal.SIGTERM, None)
+
+
+def test_a_training_names_the_weights_that_it_starts_from() -> None:
+    config = tiny_config(torch_threads=3)
+    assert Training().provenance(config) == {"torch_threads": 3}
+    weights = (asset("policies/default") / "policy.pt").read_bytes()
+    assert Training().provenance(config.model_copy(update={"start_from": "default"})) == {
+        "torch_threads": 3,
+        "start_from_sha256": hashlib.sha256(weights).hexdigest(),
+    }
 
 
 def test_a_training_that_is_over_stays_as_it_is(tmp_path: Path) -> None:
