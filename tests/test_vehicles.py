@@ -13,6 +13,7 @@ from tests.flying import FOR_EVER, STRAIGHT, call, fly, go_on, hovering, place, 
 from uavaccel.errors import UserError
 from uavaccel.sim.profile import AIRSIM, NATIVE, Profile
 from uavaccel.sim.scene.model import DRONE_GROUP, OTHERS_GROUP
+from uavaccel.sim.sensors.earth import geographic
 from uavaccel.sim.simulation import Simulation
 from uavaccel.sim.vehicle import autopilot, goal
 from uavaccel.sim.vehicle.goal import Yaw
@@ -129,6 +130,48 @@ def test_each_has_its_frame_and_its_command() -> None:
     assert gps[1]["latitude"] > gps[0]["latitude"]
 
 
+QUARTER = math.pi / 2
+GOALS: dict[
+    str, tuple[list[Any], tuple[float, ...]]
+] = {  # as B's autopilot gets it: NED in the world, and yaw
+    "moveToZ": ([-9.0, 1.0, 9.0, STRAIGHT, -1, 1], (0.0, 0.0, -1.0, 0.0)),
+    "moveToPosition": ([5.0, 1.0, -4.0, 1.5, 9.0, 0, STRAIGHT, -1, 1], (1.5, 0.0, 0.0, 0.0)),
+    "moveOnPath": ([[point(2, -8, -4)], 1.5, 9.0, 1, {"is_rate": False}, -1, 1], (0.0, -1.5, 0.0, -QUARTER)),
+    "goHome": ([9.0], (0.5 * -2 / 21**0.5, 0.5 * -1 / 21**0.5, 0.5 * 4 / 21**0.5, 0.0)),
+    "takeoff": ([9.0], (0.0, 0.0, -0.5, 0.0)),
+    "land": ([9.0], (0.0, 0.0, 0.2, 0.0)),
+    "rotateByYawRate": ([90.0, 1.0], (22.0, 11.0, -5.045, QUARTER)),
+    "rotateToYaw": ([-90.0, 9.0, 5.0], (22.0, 11.0, -5.045, -QUARTER)),
+    "moveByVelocity": ([3.0, 1.0, 0.5, 1.0, 0, STRAIGHT], (3.0, 1.0, 0.5, 0.0)),
+    "moveByVelocityZ": ([3.0, 1.0, -7.0, 1.0, 0, STRAIGHT], (3.0, 1.0, -8.045, 0.0)),
+    "moveByVelocityBodyFrame": ([3.0, 1.0, 0.5, 1.0, 0, STRAIGHT], (-1.0, 3.0, 0.5, 0.0)),
+    "moveByVelocityZBodyFrame": ([3.0, 1.0, -7.0, 1.0, 0, STRAIGHT], (-1.0, 3.0, -8.045, 0.0)),
+    "moveByManual": ([2.0, 3.0, -4.0, 1.0, 0, STRAIGHT], (1.0, -3.0, -6.045, 0.0)),
+    "moveByRollPitchYawZ": ([0.1, 0.2, 0.3, -7.0, 1.0], (0.1, 0.2, -8.045, 0.3)),
+    "moveByRollPitchYawrateZ": ([0.1, 0.2, 0.3, -7.0, 1.0], (0.1, 0.2, -8.045, 0.3)),
+    "moveByRollPitchYawThrottle": ([0.1, 0.2, 0.3, 0.6, 1.0], (0.1, 0.2, 0.6, 0.3)),
+    "moveByRollPitchYawrateThrottle": ([0.1, 0.2, 0.3, 0.6, 1.0], (0.1, 0.2, 0.6, 0.3)),
+    "moveByAngleRatesZ": ([0.1, 0.2, 0.3, -7.0, 1.0], (0.1, 0.2, -8.045, 0.3)),
+    "moveByAngleRatesThrottle": ([0.1, 0.2, 0.3, 0.6, 1.0], (0.1, 0.2, 0.6, 0.3)),
+    "moveByMotorPWMs": ([0.1, 0.2, 0.3, 0.4, 1.0], (0.1, 0.2, 0.3, 0.4)),
+}
+
+
+@pytest.mark.parametrize("method", GOALS)
+def test_a_command_begins_where_its_own_vehicle_is_and_as_that_is_turned(method: str) -> None:
+    """B faces east, 2 m north, 1 m east of and 4 m above its origin; A is elsewhere, faces north, and stays."""
+    api = fleet(A={"X": -6, "Y": 2, "Z": -3}, B={"X": 20, "Y": 10, "Z": -1})
+    call(api, "simSetVehiclePose", pose(2.0, 1.0, -4.0, w_val=0.5**0.5, z_val=0.5**0.5), True, "B")
+    leads = api.simulation.world.lead.state["goal"].tolist()
+    params, expected = GOALS[method]
+    call(api, "moveByRC", {"pitch": 10_000, "roll": 5000, "throttle": 2500, "is_valid": True}, "B")
+    call(api, method, *params, "B")
+    assert api.scenery.vehicle("B").state["goal"].tolist() == pytest.approx(expected, abs=1e-9)
+    assert api.simulation.world.lead.state["goal"].tolist() == leads
+    running = [pilot.command is not None for pilot in api.simulation.pilots]
+    assert running == [False, True]
+
+
 def test_one_loses_control_or_its_command_and_the_other_goes_on() -> None:
     api = fleet(A={}, B=ASIDE)
     first, second = dash(api, "A", 1.0, 0.0), dash(api, "B", 0.0, 1.0)
@@ -227,6 +270,20 @@ def test_one_may_be_added_while_others_fly() -> None:
         with pytest.raises(rpc.RpcError, match=text):
             call(api, "simAddVehicle", *bad)
     assert call(api, "listVehicles") == ["New", "SimpleFlight"]
+
+
+def test_a_newcomer_stands_level_where_its_pose_is_and_faces_as_it_does() -> None:
+    """A quarter turn to the right and on its side: of the latter nothing is left; its own frame is not turned."""
+    api, half = hovering_alone(), 0.5**0.5
+    tilted = {"w_val": half * half, "x_val": half * half, "y_val": half * half, "z_val": half * half}
+    call(api, "simAddVehicle", "New", "SimpleFlight", pose(3.0, -6.0, -1.0, **tilted))
+    vehicle = api.scenery.vehicle("New")
+    assert vehicle.place_m == pytest.approx((3.0, -6.0, -1.045))
+    told = call(api, "simGetVehiclePose", "New")
+    assert list(told["position"].values()) == pytest.approx([0.0, 0.0, 0.0])
+    assert list(told["orientation"].values()) == pytest.approx([half, 0.0, 0.0, half])
+    call(api, "simSetVehiclePose", pose(2.0, 0.0, -3.0), True, "New")
+    assert vehicle.place_m == pytest.approx((5.0, -6.0, -4.045))
 
 
 @pytest.mark.parametrize("name", ["\0", "A\0B", "\n", "A\tB", "\udcff", "A" * 257, "", "A/B"])
@@ -491,6 +548,72 @@ def test_a_lidar_sees_other_vehicles_and_not_the_one_that_carries_it() -> None:
     assert down["A"] == pytest.approx(0.345, abs=1e-3)
     assert down["B"] == pytest.approx(4.3, abs=0.1), "A's upper side"
     assert down["B"] < 4.3
+
+
+def test_a_distance_is_measured_from_the_vehicle_that_carries_the_sensor_and_through_it() -> None:
+    """From its middle: down to the ground, up into nothing, and from above down to the other vehicle's upper side."""
+    quiet = {"SensorType": 5, "UncorrelatedNoiseSigma": 0.0}
+    sensors = {"Sensors": {"Down": quiet | {"Pitch": -90}, "Up": quiet | {"Pitch": 90, "MaxDistance": 30}}}
+    api = fleet(A={"X": 0, "Y": 0} | sensors, B=ASIDE | sensors)
+
+    def told(sensor: str, vehicle: str) -> float:
+        return float(call(api, "getDistanceSensorData", sensor, vehicle)["distance"])
+
+    for name in ("A", "B"):
+        call(api, "simSetVehiclePose", pose(0.0, 0.0, -6.0), True, name)
+        assert [told(sensor, name) for sensor in ("Down", "Up")] == pytest.approx([6.045, 30.0], abs=1e-3)
+    call(api, "simSetVehiclePose", pose(-5.0, -5.0, -10.0), True, "B")  # 4 m above A
+    assert told("Down", "B") == told("Up", "A") == pytest.approx(4.0, abs=0.1)
+
+
+def test_a_vehicle_sees_past_itself_and_not_past_others() -> None:
+    api = fleet(A={}, B=ASIDE)
+
+    def sees(vehicle: str, north: float, east: float, height_m: float) -> bool:
+        point = geographic((north, east, -height_m), api.scenery.settings.home)
+        return bool(call(api, "simTestLineOfSightToPoint", point._asdict(), vehicle))
+
+    call(api, "simSetVehiclePose", pose(5.0, 5.0, -6.0), True, "A")
+    call(api, "simSetVehiclePose", pose(0.0, 0.0, -10.0), True, "B")
+    for vehicle in ("A", "B"):
+        assert sees(vehicle, 10.0, 12.0, 8.0)
+        assert not sees(vehicle, 60.0, 5.0, 5.0), "behind block_north"
+    assert not sees("B", 5.0, 5.0, 2.0), "A is below it"
+    assert not sees("A", 5.0, 5.0, 14.0), "B is above it"
+    call(api, "simSetVehiclePose", pose(0.0, 9.0, -10.0), True, "B")
+    assert sees("A", 5.0, 5.0, 14.0)
+
+
+def test_a_camera_within_its_vehicle_sees_out_of_it_and_one_outside_sees_the_vehicle() -> None:
+    """By rays: what is detected, and the normals of surfaces, of which the sky has none."""
+    mast = {"X": 5, "Y": 5, "Z": -30, "Pitch": -90}
+    small = [{"ImageType": 6, "Width": 33, "Height": 33, "FOV_Degrees": 20}]
+    settings = {"CameraDefaults": {"CaptureSettings": small}, "ExternalCameras": {"mast": mast}}
+    vehicles = {"A": {"X": -30, "Y": -30}, "B": ASIDE}
+    api = Api(Simulation(World("blocks", NATIVE)), Settings.model_validate(settings | {"Vehicles": vehicles}))
+
+    def normals(camera: str, vehicle: str, external: bool) -> NDArray[np.uint8]:
+        request = {"camera_name": camera, "image_type": 6, "compress": False}
+        (picture,) = call(api, "simGetImages", [request], vehicle, external)
+        return np.frombuffer(picture["image_data_uint8"], np.uint8).reshape(33, 33, 3)
+
+    for vehicle in ("A", "B"):
+        call(api, "simSetVehiclePose", pose(0.0, 0.0, -6.0), True, vehicle)
+        call(api, "simSetCameraPose", "0", pose(0.0, 0.0, 0.0), vehicle)
+        assert call(api, "simAddDetectionFilterMeshName", "0", 0, "block_north", vehicle) is None
+        assert [each["name"] for each in call(api, "simGetDetections", "0", 0, vehicle)] == ["block_north"]
+        call(api, "simSetCameraPose", "0", pose(0.0, 0.0, 0.0, w_val=0.5**0.5, y_val=-(0.5**0.5)), vehicle)
+        ground = normals("0", vehicle, False)
+        assert (ground == np.array([255, 128, 128], np.uint8)).all(), (
+            "blue, which is up, and nothing of itself"
+        )
+        for other in ("A", "B"):  # below the mast, one after the other
+            call(api, "simSetVehiclePose", pose(0.0, 90.0, -6.0), True, other)
+        local = {"A": (35.0, 35.0), "B": (0.0, 0.0)}[vehicle]
+        call(api, "simSetVehiclePose", pose(*local, -28.0, w_val=0.9, x_val=0.436), True, vehicle)
+        seen = normals("mast", "", True)
+        assert not (seen[16, 16] == [255, 128, 128]).all(), "a side of the tilted vehicle"
+        assert (seen[0, 0] == [255, 128, 128]).all()
 
 
 def test_noise_is_each_vehicles_own_and_each_axis_own() -> None:

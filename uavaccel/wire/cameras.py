@@ -5,7 +5,7 @@ Sources: AirSim v1.8.1, AirSimSettings.hpp (keys and defaults), FlyingPawn.cpp (
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Annotated
 
@@ -14,6 +14,7 @@ from pydantic import Field
 from uavaccel.sim.camera.mounted import FRONT_CENTER, Lens
 from uavaccel.sim.poses import Pose, from_degrees
 from uavaccel.sim.sensors.base import AirSimKeys
+from uavaccel.sim.vehicle.vehicle import BODY, Vehicle
 
 SCENE = 0
 MOUNTS = {
@@ -91,6 +92,10 @@ class CameraMount:
     def eye(self, vehicle: Pose) -> Pose:
         """Return the camera's pose in the world, NED, for a pose of the vehicle."""
         return self.mount if self.external else vehicle.of(self.mount)
+
+    def body(self, vehicles: Sequence[Vehicle]) -> str | None:
+        """Return the name of the body that carries it, through which its rays pass; None for an external camera."""
+        return None if self.external else vehicles[self.carrier].prefix + BODY
 
     def lens(self, image_type: int) -> Lens:
         return self.lenses.get(image_type, Lens())

@@ -173,7 +173,7 @@ class DetectionApi(Calls, title="Objects"):
         kinematics = self.scenery.truth(vehicle)
         eye = mounted.eye(Pose(kinematics.position_m, kinematics.orientation_wxyz))
         names = [name for name in self.scenery.objects.names() if found.matches(name)]
-        seen = (self._detection(name, eye, mounted.lens(image_type), found.radius_m) for name in names)
+        seen = (self._detection(name, eye, mounted, image_type, found.radius_m) for name in names)
         return [one for one in seen if one is not None]
 
     def _filter(
@@ -183,14 +183,16 @@ class DetectionApi(Calls, title="Objects"):
         kind = known_type(image_type)
         return mounted, self._filters[mounted.name, mounted.external, mounted.carrier, kind]
 
-    def _detection(self, name: str, eye: Pose, lens: Lens, radius_m: float) -> dict[str, object] | None:
+    def _detection(
+        self, name: str, eye: Pose, camera: CameraMount, image_type: int, radius_m: float
+    ) -> dict[str, object] | None:
         objects = self.scenery.objects
         pose = objects.pose(name) or Pose()
         corners = objects.corners(name)
         if np.linalg.norm(np.array(pose.position_m) - eye.position_m) > radius_m:
             return None
-        box = picture_box(eye.inwards(corners), lens)
-        if box is None or not self._is_visible(name, corners, eye):
+        box = picture_box(eye.inwards(corners), camera.lens(image_type))
+        if box is None or not self._is_visible(name, corners, eye, camera):
             return None
         (left, top), (right, bottom) = box
         inside = eye.inwards(corners)
@@ -206,7 +208,7 @@ class DetectionApi(Calls, title="Objects"):
             "relative_pose": types.pose_map(eye.inwards_pose(pose)),
         }
 
-    def _is_visible(self, name: str, corners: NDArray[np.float64], eye: Pose) -> bool:
+    def _is_visible(self, name: str, corners: NDArray[np.float64], eye: Pose, camera: CameraMount) -> bool:
         world = self.simulation.world
         middle = corners.mean(axis=0)
         points = np.vstack(
@@ -215,7 +217,8 @@ class DetectionApi(Calls, title="Objects"):
         ways = points - np.array(eye.position_m)
         lengths = np.linalg.norm(ways, axis=1)
         far = lengths > 0
-        hits = cast(world.model, world.data, eye.position_m, ways[far] / lengths[far, None])
+        rays, carrier = ways[far] / lengths[far, None], camera.body(world.vehicles)
+        hits = cast(world.model, world.data, eye.position_m, rays, exclude=carrier)
         return bool((hits.geoms == self.scenery.objects.geom(name)).any())
 
 

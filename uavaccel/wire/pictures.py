@@ -121,11 +121,12 @@ class Pictures:
         """Draw surface normals: north, east and up as red, green and blue, -1 as 0 and 1 as 255; the sky is black."""
         lens = camera.lens(ImageType.SURFACE_NORMALS)
         self._check_drawable(lens)
-        eye = camera.eye(vehicle_pose(scene, camera.carrier))
+        eye, world = camera.eye(vehicle_pose(scene, camera.carrier)), self._simulation.world
+        carrier = camera.body(world.vehicles)
         picture, rows = np.empty((lens.height, lens.width, 3), np.uint8), max(RAYS_AT_ONCE // lens.width, 1)
         for top in range(0, lens.height, rows):  # casting takes a hundred bytes per ray
             directions = pixel_rays(lens, range(top, min(top + rows, lens.height))) @ eye.matrix().T
-            hits = cast(self._simulation.world.model, scene, eye.position_m, directions.reshape(-1, 3))
+            hits = cast(world.model, scene, eye.position_m, directions.reshape(-1, 3), exclude=carrier)
             rgb = np.rint((hits.normals * (1.0, 1.0, -1.0) + 1.0) * 127.5).astype(np.uint8)
             rgb[hits.geoms < 0] = 0
             picture[top : top + rows] = rgb.reshape(-1, lens.width, 3)[..., ::-1]

@@ -10,6 +10,7 @@ import numpy as np
 from uavaccel.kinematics import Vector
 from uavaccel.sim.scene.rays import sees
 from uavaccel.sim.sensors.earth import GRAVITY_M_S2, GeoPoint, atmosphere, geographic, local
+from uavaccel.sim.vehicle.vehicle import BODY
 from uavaccel.wire import types
 from uavaccel.wire.arguments import Point, VehicleName, Wind, coordinate
 from uavaccel.wire.calls import Calls, call, without_effect
@@ -44,15 +45,16 @@ class WorldApi(Calls, title="World"):
     @call("simTestLineOfSightToPoint")
     def sees_point(self, point: Point, vehicle: VehicleName = "") -> bool:
         """Return whether the line of sight from the vehicle to a point is free."""
-        return self._sees(self.scenery.truth(vehicle).position_m, self._local(point))
+        own = self.scenery.vehicle(vehicle).prefix + BODY
+        return self._sees(self.scenery.truth(vehicle).position_m, self._local(point), own)
 
     @call("simTestLineOfSightBetweenPoints")
     def sees_between(self, point1: Point, point2: Point) -> bool:
         return self._sees(self._local(point1), self._local(point2))
 
-    def _sees(self, start_m: Vector, end_m: Vector) -> bool:
+    def _sees(self, start_m: Vector, end_m: Vector, exclude: str = BODY) -> bool:
         world = self.simulation.world
-        return sees(world.model, world.data, start_m, end_m)
+        return sees(world.model, world.data, start_m, end_m, exclude)
 
     def _local(self, point: GeoPoint) -> Vector:
         north, east, down = local(point, self.scenery.settings.home)

@@ -29,9 +29,9 @@ def cast(
     start_m: ArrayLike,
     directions: NDArray[np.float64],
     longest_m: float = np.inf,
-    exclude: str = "quadrotor",
+    exclude: str | None = "quadrotor",
 ) -> Hits:
-    """Cast rays from a position along unit vectors (n, 3), through the body `exclude`."""
+    """Cast rays from a position along unit vectors (n, 3), through the body `exclude`, if any."""
     mujoco.mj_kinematics(model, data)  # mj_step leaves the positions of the step's beginning
     count = len(directions)
     geoms, distance_m, normals = np.full(count, -1, np.int32), np.full(count, -1.0), np.zeros((count, 3))
@@ -43,7 +43,7 @@ def cast(
         ned_to_mujoco(directions).ravel(),
         _GROUPS,
         True,
-        model.body(exclude).id,
+        -1 if exclude is None else model.body(exclude).id,
         geoms,
         distance_m,
         normals.reshape(-1),
@@ -55,11 +55,17 @@ def cast(
     return Hits(distance_m, geoms, mujoco_to_ned(normals))
 
 
-def sees(model: mujoco.MjModel, data: mujoco.MjData, start_m: ArrayLike, end_m: ArrayLike) -> bool:
-    """Return whether only the vehicle is between two positions, except for what touches the second."""
+def sees(
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    start_m: ArrayLike,
+    end_m: ArrayLike,
+    exclude: str = "quadrotor",
+) -> bool:
+    """Return whether only the body `exclude` is between two positions, except for what touches the second."""
     way = np.asarray(end_m, float) - np.asarray(start_m, float)
     length_m = float(np.linalg.norm(way))
     if length_m <= NEAR_END_M:
         return True
-    hits = cast(model, data, start_m, (way / length_m)[None], length_m - NEAR_END_M)
+    hits = cast(model, data, start_m, (way / length_m)[None], length_m - NEAR_END_M, exclude)
     return bool(np.isinf(hits.distance_m[0]))
