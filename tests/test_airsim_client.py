@@ -8,6 +8,7 @@ import sys
 import threading
 from collections.abc import Iterator
 from enum import IntEnum
+from pathlib import Path
 from typing import Any
 
 import msgpack
@@ -141,10 +142,26 @@ def test_angles_and_quaternions_are_inverse(pitch: float, roll: float, yaw: floa
     assert airsim.to_eularian_angles(turned) == pytest.approx((pitch, roll, yaw), abs=1e-9)
 
 
-def test_a_quarter_turn_by_yaw_turns_north_to_east() -> None:
-    turn = airsim.to_quaternion(0, 0, math.pi / 2)
-    north = airsim.Vector3r(1, 0, 0).to_Quaternionr()
-    assert [*north.rotate(turn)] == pytest.approx([0, 1, 0, 0], abs=1e-12)
+@pytest.mark.parametrize(
+    ("angles", "turned"),
+    [  # pitch, roll, yaw of a quarter turn: where forward, right and down point then
+        ((0, 0, 1), ((0, 1, 0), (-1, 0, 0), (0, 0, 1))),
+        ((1, 0, 0), ((0, 0, -1), (0, 1, 0), (1, 0, 0))),
+        ((0, 1, 0), ((1, 0, 0), (0, 0, 1), (0, -1, 0))),
+        ((0, 1, 1), ((0, 1, 0), (0, 0, 1), (1, 0, 0))),  # by yaw first
+    ],
+)
+def test_a_quarter_turn_turns_the_nose_east_or_up_or_the_right_wing_down(angles: Any, turned: Any) -> None:
+    turn = airsim.to_quaternion(*(each * math.pi / 2 for each in angles))
+    for axis, expected in zip(np.eye(3).tolist(), turned, strict=True):
+        rotated = airsim.Vector3r(*axis).to_Quaternionr().rotate(turn)
+        assert [*rotated] == pytest.approx([*expected, 0], abs=1e-12)
+
+
+def test_only_a_rotation_rotates() -> None:
+    for other in (LONG, airsim.Quaternionr(0, 0, 0, 0.999), airsim.Quaternionr(0, 0, 0, 1.001)):
+        with pytest.raises(ValueError, match="length of the other Quaternionr must be 1"):
+            UNIT_X.rotate(other)
 
 
 UNIT_X, UNIT_Y = airsim.Quaternionr(1, 0, 0, 0), airsim.Quaternionr(0, 1, 0, 0)
@@ -165,6 +182,10 @@ LONG = airsim.Quaternionr(0.0, 3.0, 0.0, 4.0)  # of length 5
         (LONG.sgn(), (0, 0.6, 0, 0.8)),
         (airsim.Quaternionr(1, 2, 3, 4).cross(airsim.Quaternionr(5, 6, 7, 8)), (-4, 8, -4, 0)),
         (UNIT_X.outer_product(UNIT_Y), (0, 0, -1, 0)),
+        (UNIT_X.outer_product(LONG), (-52 / 25, 0, -39 / 25, 0)),
+        (LONG.star(), (0, -3, 0, 4)),
+        (airsim.Vector3r(1, 2, 3) * 2, (2, 4, 6)),
+        (airsim.Quaternionr(1, 2, 3, 4) * airsim.Quaternionr(5, 6, 7, 8), (24, 48, 48, -6)),
         (airsim.Vector3r(1, 2, 3).to_Quaternionr(), (1, 2, 3, 0)),
         (airsim.Vector3r(1, 2, 3) + airsim.Vector3r(4, 4, 4), (5, 6, 7)),
         (airsim.Vector3r(1, 2, 3) - airsim.Vector3r(4, 4, 4), (-3, -2, -1)),
@@ -227,6 +248,9 @@ def test_pfm_files_are_read_as_written(shape: tuple[int, ...], order: str, tmp_p
     read, scale = airsim.read_pfm(f"{tmp_path}/depth.pfm")
     np.testing.assert_array_equal(read, image[..., 0] if shape[2:] == (1,) else image)
     assert scale == 2
+    written = Path(tmp_path, "depth.pfm").read_bytes()
+    kind, sign = "PF" if shape[2:] == (3,) else "Pf", "-" if order == "<" else ""
+    assert written == f"{kind}\n4 3\n{sign}2.000000\n".encode() + image.tobytes()
     with pytest.raises(ValueError, match="float32"):
         airsim.write_pfm(f"{tmp_path}/depth.pfm", image.astype(float))
     with pytest.raises(ValueError, match="H x W"):

@@ -260,6 +260,21 @@ def test_answers_are_airsims_types(
         assert (plain(getattr(found, key)) if isinstance(value, dict) else getattr(found, key)) == value
 
 
+def test_an_answer_is_taken_whole_whatever_its_order_and_what_it_lacks_has_its_default() -> None:
+    """Fields that AirSim's own types do not have stay; vectors are in the order of x, y, z all the same."""
+    backwards = dict(reversed(TURN.items()))
+    told = {"extra": 7, "has_collided": True, "normal": {"z_val": 3.0, "y_val": 2.0, "x_val": 1.0}}
+    collision = airsim.CollisionInfo.from_msgpack(told)
+    assert (collision.extra, collision.has_collided, collision.object_id) == (7, True, -1)  # type: ignore[attr-defined]
+    assert [*collision.normal] == [1.0, 2.0, 3.0]
+    pose = airsim.Pose.from_msgpack({"orientation": backwards, "position": {"y_val": 4.0}})
+    assert [[*part] for part in pose] == [[0.0, 4.0, 0.0], [0.1, 0.2, 0.3, 0.5]]
+    state = airsim.MultirotorState.from_msgpack({"kinematics_estimated": {"position": POINT}})
+    assert [*state.kinematics_estimated.position] == [1.0, 2.0, 3.0]
+    assert [*state.kinematics_estimated.orientation] == [0.0, 0.0, 0.0, 1.0]
+    assert airsim.CollisionInfo().normal is not airsim.CollisionInfo().normal
+
+
 def test_lists_of_answers_are_airsims_types(client: Any, recorder: Recorder) -> None:
     recorder.answer = [{"width": 3}, {"width": 4}]
     images = client.simGetImages([airsim.ImageRequest("0", 0)])
@@ -302,6 +317,7 @@ def test_what_the_client_does_with_several_calls_or_none(
     recorder.answer = 0
     client.confirmConnection()
     said = capsys.readouterr()
+    assert said.out.startswith("Ping returned false!\n")
     assert "AirSim server is too old" in said.out
     assert said.err == "Client Ver:1 (Min Req: 0), Server Ver:0 (Min Req: 1)\n"
     monkeypatch.setattr(client, "getServerVersion", lambda: 9)
@@ -349,6 +365,20 @@ HOW = (FREE, STILL, -1, 1, "")
         ("simSetPose", (7, True), ("simSetVehiclePose", 7, True, "")),
         ("simGetPose", (), ("simGetVehiclePose", "")),
         ("setRCData", (7,), ("moveByRC", 7, "")),
+        ("takeoff", (7,), ("takeoff", 7, "")),
+        ("land", (7,), ("land", 7, "")),
+        ("moveByVelocity", (1, 2, 3, 4, 1, 6, "B"), ("moveByVelocity", 1, 2, 3, 4, 1, 6, "B")),
+        ("moveByVelocityZ", (1, 2, 3, 4, 1, 6, "B"), ("moveByVelocityZ", 1, 2, 3, 4, 1, 6, "B")),
+        ("moveByManual", (1, 2, 3, 4, 1, 6, "B"), ("moveByManual", 1, 2, 3, 4, 1, 6, "B")),
+        ("rotateByYawRate", (9, 2, "B"), ("rotateByYawRate", 9, 2, "B")),
+        ("moveOnPath", ([1], 2, 3, 4, 5, 6, 7), ("moveOnPath", [1], 2, 3, 4, 5, 6, 7, "")),
+        ("moveToPosition", (*range(1, 10),), ("moveToPosition", *range(1, 10), "")),
+        ("moveToZ", (*range(1, 7),), ("moveToZ", *range(1, 7), "")),
+        ("rotateToYaw", (1, 2, 3), ("rotateToYaw", 1, 2, 3, "")),
+        ("moveOnPath", ([1], 2, 0), ("moveOnPath", [1], 2, 3e38, *HOW)),
+        ("moveToPosition", (1, 2, 3, 4, 0), ("moveToPosition", 1, 2, 3, 4, 3e38, *HOW)),
+        ("moveToZ", (1, 2, 0), ("moveToZ", 1, 2, 3e38, *HOW[1:])),
+        ("rotateToYaw", (9, 0), ("rotateToYaw", 9, 3e38, 5, "")),
     ],
 )
 def test_the_client_before_1_2_sends_the_same_calls(
@@ -359,13 +389,34 @@ def test_the_client_before_1_2_sends_the_same_calls(
     assert recorder.sent == [sent]
 
 
+HELPERS = {  # AirSim's names before 1.2, and since
+    "stringToUint8Array": "string_to_uint8_array",
+    "stringToFloatArray": "string_to_float_array",
+    "listTo2DFloatArray": "list_to_2d_float_array",
+    "getPfmArray": "get_pfm_array",
+    "toEulerianAngle": "to_eularian_angles",
+    "toQuaternion": "to_quaternion",
+    **{name: name for name in ("to_dict", "to_str", "get_public_fields")},
+    **{name: name for name in ("write_file", "write_png", "write_pfm", "read_pfm")},
+}
+
+
+@pytest.mark.parametrize("name", HELPERS)
+def test_the_client_before_1_2_has_the_helpers_of_the_module(name: str) -> None:
+    assert getattr(old_client.AirSimClientBase, name) is getattr(airsim, HELPERS[name])
+
+
 def test_the_client_before_1_2_waits_for_the_end_of_what_has_a_time_limit(recorder: Recorder) -> None:
     client = old_client.MultirotorClient()
     recorder.answer = False
     for command in (lambda: client.takeoff(0), lambda: client.moveByVelocity(1, 0, 0, 1)):
         assert command() is True
         assert not recorder.future.done
-    for waits in (lambda: client.moveToZ(-3, 1), client.hover):
+    for waits in (
+        *(lambda: client.moveToZ(-3, 1), lambda: client.moveToPosition(1, 2, -3, 4), client.hover),
+        *(lambda: client.moveOnPath([], 1), lambda: client.rotateToYaw(9), lambda: client.moveToZ(-3, 1)),
+        *(client.takeoff, client.land, client.goHome),
+    ):
         recorder.future.done = False
         assert waits() is False
         assert recorder.future.done
@@ -376,7 +427,9 @@ def test_the_client_before_1_2_reads_parts_of_the_state(recorder: Recorder) -> N
     flown = {"position": POINT, "linear_velocity": {**POINT, "x_val": 9.0}, "orientation": TURN}
     recorder.answer = {
         "kinematics_estimated": flown, "gps_location": PLACE, "landed_state": 1, "timestamp": 5,
+        "rc_data": {"yaw": 0.25},
     }  # fmt: skip
+    assert (client.getRCData().yaw, client.getRCData().roll) == (0.25, 0.0)
     assert plain(client.getPosition()) == POINT
     assert client.getVelocity().x_val == 9.0
     assert client.getGpsLocation().altitude == 99.0

@@ -306,3 +306,20 @@ def test_a_scaled_model_scales_requests_and_replies() -> None:
         2_500_000,
         50_000,
     ]
+
+
+def test_a_scale_is_of_messages_and_of_nothing_that_the_platform_adds() -> None:
+    """1 ms there and 2 ms back, half as long, and 3 ms late; frames of 8 ms, of which a wait is two at most."""
+    platform = {"faults": {"late": 1.0, "late_us": 3000.0}, "frames": {"hz": 125.0}, "stall_us": 700.0}
+    config = LatencyConfig(
+        request_us={"call": always(1000.0)},
+        reply_us={"call": always(2000.0)},
+        timer_us=always(90.0),
+        scale=0.5,
+        platform=PlatformConfig.model_validate(platform),
+    )
+    draws = Latency(config, np.random.SeedSequence(0))
+    assert [draws.request_ns("move"), draws.reply_ns("move")] == [3500 * US, 4000 * US]
+    assert (draws.timer_ns(), draws.stall_ns) == (90 * US, 700 * US)
+    waits_ns = [draws.frame_ns() for _ in range(400)]
+    assert 15.5 * MS < max(waits_ns) <= 16 * MS

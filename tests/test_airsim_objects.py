@@ -10,12 +10,18 @@ import numpy as np
 import pytest
 
 from tests.airsim_wire import AirSimWire, level_pose, vector, xyz
+from tests.simulating import simulate
 from uavaccel.resources import asset
+from uavaccel.sim.profile import NATIVE
 from uavaccel.sim.scene.model import SPARES, airsim_spec, put_spares_by
-from uavaccel.sim.scene.objects import take_over
+from uavaccel.sim.scene.objects import SceneObjects, take_over
 from uavaccel.sim.scene.rays import cast
+from uavaccel.sim.simulation import Simulation
+from uavaccel.sim.world import World
 from uavaccel.wire import rpc
+from uavaccel.wire.api import Api
 from uavaccel.wire.segmentation import colours
+from uavaccel.wire.settings import Settings
 
 NORTH = np.array([[1.0, 0.0, 0.0]])
 ONE = vector(1.0, 1.0, 1.0)
@@ -206,12 +212,44 @@ def test_detections_are_boxes_of_what_is_seen_within_the_radius(wire: AirSimWire
     assert wire.call("simGetDetections", "0", 0, "", False) == []
 
 
+FILTERS: dict[str, tuple[str, int, str, bool]] = {  # camera, type of image, vehicle, external
+    "front camera": ("front_center", 0, "A", False),
+    "another type": ("front_center", 1, "A", False),
+    "another camera": ("front_right", 0, "A", False),
+    "another vehicle": ("front_center", 0, "B", False),
+    "external of that name": ("front_center", 0, "A", True),
+}
+
+
+@pytest.mark.parametrize("chosen", FILTERS)
+def test_a_filter_is_of_one_type_of_image_of_one_camera_of_one_vehicle(chosen: str) -> None:
+    """Names, radius and their removal; all look at block_north, whose middle is more than 30 m away."""
+    settings = {
+        "Vehicles": {"A": {"X": 0, "Y": 0, "Z": -6}, "B": {"X": 0, "Y": 5, "Z": -6}},
+        "ExternalCameras": {"front_center": {"X": 0, "Y": -5, "Z": -6}},
+    }
+    api = Api(Simulation(World("blocks", NATIVE)), Settings.model_validate(settings), render=False)
+
+    def call(method: str, which: str, *value: object) -> Any:
+        camera, image_type, *whose = FILTERS[which]
+        return api.call(method, [camera, image_type, *value, *whose], 0)
+
+    def detecting() -> list[str]:
+        return [name for name in FILTERS if call("simGetDetections", name)]
+
+    call("simAddDetectionFilterMeshName", chosen, "block_north")
+    assert detecting() == [chosen]
+    for name in FILTERS:
+        call("simAddDetectionFilterMeshName", name, "block_north")
+    call("simSetDetectionFilterRadius", chosen, 3000.0)
+    assert detecting() == [name for name in FILTERS if name != chosen]
+    call("simSetDetectionFilterRadius", chosen, 6000.0)
+    call("simClearDetectionMeshNames", chosen)
+    assert detecting() == [name for name in FILTERS if name != chosen]
+
+
 def test_the_scene_of_airsims_scripts_leaves_their_path_free_and_has_what_they_name() -> None:
     """path.py flies 125 m north, 130 m west, and back, 5 m up; objects.py and detection.py name objects of Blocks."""
-    from uavaccel.sim.profile import NATIVE
-    from uavaccel.sim.scene.objects import SceneObjects
-    from uavaccel.sim.world import World
-
     world = World("blocks", NATIVE, airsim=True)
     corners = np.array([(0.0, 0.0, -5.0), (125.0, 0.0, -5.0), (125.0, -130.0, -5.0), (0.0, -130.0, -5.0)])
     for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
@@ -227,9 +265,6 @@ def test_the_scene_of_airsims_scripts_leaves_their_path_free_and_has_what_they_n
 
 
 def test_a_plain_scene_can_be_moved_but_has_no_room() -> None:
-    from tests.simulating import simulate
-    from uavaccel.wire.api import Api
-
     api = Api(simulate())
     with pytest.raises(rpc.RpcError, match="no room for another object"):
         api.call("simSpawnObject", ["box", "Cube", level_pose(0, 0, -50), ONE, False, False], 0)

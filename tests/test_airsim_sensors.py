@@ -16,6 +16,7 @@ from uavaccel.sim.poses import Pose as ScenePose
 from uavaccel.sim.profile import AIRSIM
 from uavaccel.sim.sensors.base import Truth
 from uavaccel.sim.sensors.earth import GeoPoint, atmosphere, geographic, local, magnetic_field_gauss
+from uavaccel.sim.sensors.field import Magnetometer, MagnetometerSettings
 from uavaccel.sim.sensors.inertial import Imu, ImuSettings
 from uavaccel.sim.sensors.noise import Drift
 from uavaccel.sim.sensors.ranging import LidarSettings, directions
@@ -329,16 +330,16 @@ def test_a_barometer_drifts_from_nothing_as_airsims_gauss_markov_process() -> No
 
 
 def test_an_imus_biases_walk_as_far_as_their_settings_say() -> None:
-    """Settings of a degree per second and of 1 g over two root seconds: half of each after a second, as a deviation."""
+    """After a second a deviation of the settings, a degree per second and 1 g, over the roots of their own times."""
     silent = {"AngularRandomWalk": 0.0, "VelocityRandomWalk": 0.0}
-    taus = {"GyroBiasStabilityTau": 4.0, "AccelBiasStabilityTau": 4.0}
+    taus = {"GyroBiasStabilityTau": 4.0, "AccelBiasStabilityTau": 16.0}
     settings = ImuSettings(**silent, **taus, GyroBiasStability=3600.0, AccelBiasStability=1e6)
     hover = Kinematics(10**9, (0, 0, 0), (1, 0, 0, 0), *[(0.0, 0.0, 0.0)] * 4)
     truth = Truth(hover, 0.002, 1.0, GeoPoint(*HOME.values()))
     read = [Imu(settings, seed, "imu").read(truth) for seed in range(400)]
     rate, force = (np.array(each) for each in zip(*read, strict=True))
     np.testing.assert_allclose(rate.std(axis=0), math.radians(0.5), rtol=0.12)
-    np.testing.assert_allclose((force + np.array([0.0, 0.0, 9.80665])).std(axis=0), 9.80665 / 2, rtol=0.12)
+    np.testing.assert_allclose((force + np.array([0.0, 0.0, 9.80665])).std(axis=0), 9.80665 / 4, rtol=0.12)
 
 
 def test_an_imus_biases_walk_in_small_steps() -> None:
@@ -439,3 +440,37 @@ def test_magnetometers_of_one_vehicle_have_biases_of_their_own() -> None:
         for name in ("Tail", "Mast")
     }
     assert all(0.0 < abs(tail - mast) <= 0.6 for tail, mast in zip(read["Tail"], read["Mast"], strict=True))
+
+
+def test_a_magnetometers_bias_is_anything_within_its_bound_in_either_direction_and_not_scaled() -> None:
+    level = Kinematics(0, (0, 0, 0), (1, 0, 0, 0), *[(0.0, 0.0, 0.0)] * 4)
+    truth = Truth(level, 0.002, 0.0, GeoPoint(*HOME.values()))
+    keys = {"NoiseSigma": 0.0, "ScaleFactor": 3.0, "NoiseBias": 0.3}
+    read = [Magnetometer(MagnetometerSettings(**keys), seed, "field").read(truth) for seed in range(400)]
+    bias = np.array(read) - 3.0 * np.array(magnetic_field_gauss(truth.home))
+    assert (np.abs(bias) <= 0.3).all()
+    np.testing.assert_allclose(bias.mean(axis=0), 0.0, atol=0.03)
+    np.testing.assert_allclose(bias.std(axis=0), 0.3 / math.sqrt(3), rtol=0.1)
+
+
+def test_what_sensors_add_to_the_truth_is_of_the_size_of_their_own_setting() -> None:
+    """Each by itself: pascals, gauss and metres; the others are switched off."""
+    wire = with_sensors(
+        Air={"SensorType": 1, "PressureFactorSigma": 0.0, "UncorrelatedNoiseSigma": 50.0},
+        Field={"SensorType": 4, "NoiseSigma": 0.02},
+        Down={"SensorType": 5, "Pitch": -90, "UncorrelatedNoiseSigma": 0.5},
+    )
+    pressure = wire.call("simGetGroundTruthEnvironment", "")["air_pressure"]
+    field = np.array(
+        magnetic_field_gauss(GeoPoint(**wire.call("simGetGroundTruthEnvironment", "")["geo_point"]))
+    )
+    errors: list[list[float]] = []
+    for _ in range(150):
+        wire.fly(0.002)
+        air, magnet = wire.call("getBarometerData", "", ""), wire.call("getMagnetometerData", "", "")
+        distance = wire.call("getDistanceSensorData", "", "")["distance"]
+        turned = np.array(xyz(magnet["magnetic_field_body"])) - field
+        errors.append([air["pressure"] - pressure, *turned, distance - 10.0])
+    sizes = np.array([50.0, 0.02, 0.02, 0.02, 0.5])
+    np.testing.assert_allclose(np.std(errors, axis=0), sizes, rtol=0.2)
+    np.testing.assert_allclose(np.mean(errors, axis=0) / sizes, 0.0, atol=0.3)

@@ -10,12 +10,13 @@ import pytest
 
 from tests.flying import FOR_EVER, STRAIGHT, call, fly, go_on, hovering, place, point, wait
 from tests.simulating import simulate, world_of
-from uavaccel.kinematics import VelocityGoal
+from uavaccel.kinematics import Kinematics, VelocityGoal
+from uavaccel.sim.flight.tasks import MoveByManual
 from uavaccel.sim.profile import AIRSIM, NATIVE, Profile
 from uavaccel.sim.sensors.earth import GeoPoint, geographic, ned_of
 from uavaccel.sim.simulation import Simulation
 from uavaccel.sim.vehicle import autopilot
-from uavaccel.sim.vehicle.goal import of_velocity
+from uavaccel.sim.vehicle.goal import Yaw, of_velocity
 from uavaccel.sim.vehicle.quadrotor import density_ratio
 from uavaccel.sim.world import World
 from uavaccel.units import NS_PER_S, euler_from_quaternion
@@ -556,6 +557,60 @@ def test_manual_flight_follows_the_sticks() -> None:
     fly(straight, "moveByVelocityZ", 3.0, 0.0, -10.0, 3.0, MAX_DOF, STRAIGHT)
     assert north == pytest.approx(place(straight)[0], rel=0.05)
     assert abs(east) < 0.01
+
+
+@pytest.mark.parametrize("valid", [True, False])
+@pytest.mark.parametrize("controlled", [True, False])
+def test_sticks_move_nothing_unless_they_are_valid_and_no_program_has_control(
+    valid: bool, controlled: bool
+) -> None:
+    api = hovering()
+    call(api, "enableApiControl", controlled)
+    call(api, "moveByRC", {"roll": 0.25, "throttle": 0.6, "is_valid": valid})
+    go_on(api, 1.0)
+    flown = valid and not controlled
+    assert attitude(api)[0] == pytest.approx(0.25 * math.pi / 5.5 if flown else 0.0, abs=0.01)
+    told = call(api, "getMultirotorState")["rc_data"]
+    assert (told["roll"], told["is_valid"], told["is_initialized"]) == (0.25, valid, valid)
+
+
+def turned_by(degrees: float) -> tuple[float, float, float, float]:
+    half = math.radians(degrees) / 2
+    return math.cos(half), 0.0, 0.0, math.sin(half)
+
+
+FREE, AT_THIRTY = Yaw(), Yaw(math.radians(30.0), False)
+
+
+@pytest.mark.parametrize(
+    ("sticks", "begun_deg", "forward_only", "yaw", "expected"),
+    [  # pitch, roll, throttle and yaw out of 10 000; north, east, NED z, yaw in rad or rad/s
+        ((5000, 0, 0, 0), 0, False, FREE, (1.5, 0.0, -7.0, 0.0)),
+        ((0, 5000, 0, 0), 0, False, FREE, (0.0, 1.0, -7.0, 0.0)),
+        ((10_000, -5000, 0, 0), 90, False, FREE, (-1.0, -3.0, -7.0, 0.0)),
+        ((0, 0, 2500, 0), 0, False, FREE, (0.0, 0.0, -8.0, 0.0)),
+        ((0, 0, 0, 10_000), 0, False, FREE, (0.0, 0.0, -7.0, math.radians(100))),
+        ((0, 0, 0, -5000), 0, False, AT_THIRTY, (0.0, 0.0, -7.0, math.radians(-20))),
+        ((0, 10_000, 0, 0), 0, True, AT_THIRTY, (0.0, 2.0, -7.0, math.radians(120))),
+        ((0, 10_000, 0, 0), 0, True, FREE, (0.0, 2.0, -7.0, 0.0)),
+    ],
+)
+def test_a_stick_is_a_share_of_its_own_greatest_speed_in_the_frame_at_the_beginning(
+    sticks: tuple[float, ...], begun_deg: float, forward_only: bool, yaw: Yaw, expected: tuple[float, ...]
+) -> None:
+    """AirSim's: 3 m/s by pitch, which is its vy_max, 2 m/s by roll, 4 m up by throttle, 100 degrees by yaw."""
+    pitch, roll, throttle, turn = sticks
+    now = Kinematics(0, (5.0, 6.0, -7.0), turned_by(-50.0), (0, 0, 0), (0, 0, 0))
+    positions = np.array([roll, pitch, throttle, turn, 0.0, 1.0])
+    begun = turned_by(begun_deg)
+    task = MoveByManual(positions, 2.0, 3.0, -4.0, 1.0, forward_only, yaw.value, yaw.is_rate, begun)
+    goal, result = task.turn(now, 0.9)
+    assert goal is not None
+    assert goal.values == pytest.approx(expected)
+    assert (goal.xy_mode, goal.z_mode) == (autopilot.VELOCITY, autopilot.POSITION)
+    assert goal.yaw_mode == (autopilot.RATE if yaw.is_rate else autopilot.ANGLE)
+    assert result is None
+    assert task.turn(now, 1.0).result is True
 
 
 def test_gains_act_until_the_next_simulation() -> None:

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.flying import STRAIGHT, call, hovering, point
 from tests.learning import tiny_config
 from tests.running import configured, fly_into
 from tests.test_watch import CHROMIUM, FLAGS, new_page, simulated_s
@@ -32,7 +33,7 @@ from uavaccel.suites.training.suite import Training
 from uavaccel.watch import beside
 from uavaccel.watch.beside import PageAddress, page_beside, parse_address
 from uavaccel.watch.feed import Feed, Source
-from uavaccel.wire.broadcast import LOOK_NS
+from uavaccel.wire.broadcast import LOOK_NS, heading
 from uavaccel.wire.page_protocol import FREE, PAGE, Orders
 from uavaccel.wire.session import open_session
 
@@ -128,6 +129,27 @@ def test_a_look_tells_clocks_pose_and_command(feed: Feed) -> None:
     assert (moment.commanded, moment.towards) == ((True,), ((2.0, 0.0, 0.0),))
     assert flight.source.scene is not None
     assert list(flight.source.scene.bodies) == ["SimpleFlight"]
+
+
+@pytest.mark.parametrize(
+    ("method", "params", "towards"),
+    [  # at 2 m north and 1 m east of where the command found it, and 10 m up
+        ("moveByVelocity", [1.0, -2.0, 0.5, 9.0, 0, STRAIGHT], (1.0, -2.0, 0.5)),
+        ("moveByVelocityZ", [1.0, -2.0, -14.0, 9.0, 0, STRAIGHT], (1.0, -2.0, -4.0)),
+        ("rotateByYawRate", [10.0, 9.0], (-2.0, -1.0, 0.0)),
+        ("moveByRollPitchYawZ", [0.1, 0.0, 0.0, -14.0, 9.0], None),
+        ("moveByAngleRatesThrottle", [0.1, 0.0, 0.0, 0.6, 9.0], None),
+        ("moveByMotorPWMs", [0.6, 0.6, 0.6, 0.6, 9.0], None),
+    ],
+)
+def test_a_command_leads_by_its_velocity_or_to_its_place(
+    method: str, params: list[Any], towards: tuple[float, ...] | None
+) -> None:
+    api = hovering()
+    call(api, method, *params)
+    level = {"w_val": 1.0, "x_val": 0.0, "y_val": 0.0, "z_val": 0.0}
+    call(api, "simSetVehiclePose", {"position": point(2.0, 1.0, -10.0), "orientation": level}, True)
+    assert heading(api.simulation.world.lead) == (None if towards is None else pytest.approx(towards))
 
 
 def test_a_flight_goes_on_when_the_page_has_gone(feed: Feed) -> None:
