@@ -16,7 +16,7 @@ from uavaccel.sim.poses import Pose as ScenePose
 from uavaccel.sim.profile import AIRSIM
 from uavaccel.sim.sensors.base import Truth
 from uavaccel.sim.sensors.earth import GeoPoint, atmosphere, geographic, local, magnetic_field_gauss
-from uavaccel.sim.sensors.field import Magnetometer, MagnetometerSettings
+from uavaccel.sim.sensors.field import Gps, GpsSettings, Magnetometer, MagnetometerSettings
 from uavaccel.sim.sensors.inertial import Imu, ImuSettings
 from uavaccel.sim.sensors.noise import Drift
 from uavaccel.sim.sensors.ranging import LidarSettings, directions
@@ -474,3 +474,61 @@ def test_what_sensors_add_to_the_truth_is_of_the_size_of_their_own_setting() -> 
     sizes = np.array([50.0, 0.02, 0.02, 0.02, 0.5])
     np.testing.assert_allclose(np.std(errors, axis=0), sizes, rtol=0.2)
     np.testing.assert_allclose(np.mean(errors, axis=0) / sizes, 0.0, atol=0.3)
+
+
+def hover_at(time_s: float, tick_s: float = 0.002, since_reset_s: float = 0.0) -> Truth:
+    hover = Kinematics(round(time_s * 1e9), (0, 0, 0), (1, 0, 0, 0), *[(0.0, 0.0, 0.0)] * 4)
+    return Truth(hover, tick_s, since_reset_s, GeoPoint(*HOME.values()))
+
+
+@pytest.mark.parametrize("tick_s", [0.001, 0.002, 0.003])
+def test_an_imus_white_noise_is_greater_at_a_shorter_step(tick_s: float) -> None:
+    """Settings of 6 degrees per root hour, 0.1 per root second, and of 1 g per root hertz, over the step's root."""
+    settings = ImuSettings(
+        AngularRandomWalk=6.0, VelocityRandomWalk=1000.0, GyroBiasStability=0.0, AccelBiasStability=0.0
+    )
+    imu = Imu(settings, 0, "imu")
+    read = [imu.read(hover_at(number * tick_s, tick_s)) for number in range(1000)]
+    rate, force = (np.array(each) for each in zip(*read, strict=True))
+    np.testing.assert_allclose(rate.std(axis=0), math.radians(0.1) / tick_s**0.5, rtol=0.1)
+    np.testing.assert_allclose(force.std(axis=0), 9.80665 / tick_s**0.5, rtol=0.1)
+
+
+@pytest.mark.parametrize(
+    ("shares", "fix"),
+    [  # of 64 m, halved each second: horizontal and vertical; 3 m for a fix in space, 4 m for one in the plane
+        ((1.0, 0.0), 0),
+        ((4.1 / 64, 0.01), 0),
+        ((3.9 / 64, 0.01), 2),
+        ((3.9 / 64, 1.0), 2),
+        ((3.1 / 64, 0.01), 2),
+        ((2.9 / 64, 1.0), 3),
+    ],
+)
+def test_a_fix_follows_from_the_horizontal_dilution_alone(shares: tuple[float, float], fix: int) -> None:
+    """After ten seconds; the vertical one is given what it takes to be that share by then."""
+    fallen = 2.0**-10
+    horizontal, vertical = (64.0 * share / fallen for share in shares)
+    settings = GpsSettings(
+        EPH_TimeConstant=1 / math.log(2), EPV_TimeConstant=1 / math.log(2), EphInitial=horizontal,
+        EpvInitial=vertical, EphFinal=0.0, EpvFinal=0.0,
+    )  # fmt: skip
+    read = Gps(settings, 0, "gps").read(hover_at(30.0, since_reset_s=10.0))
+    assert (read.eph_m, read.epv_m) == pytest.approx((64.0 * shares[0], 64.0 * shares[1]))
+    assert read.fix == fix
+
+
+@pytest.mark.parametrize(
+    ("seconds", "first_deg"), [(0.0, 0), (0.1, 72), (0.19, 72), (0.3, 216), (0.5, 0), (0.7, 144)]
+)
+def test_a_lidar_that_turns_slower_than_it_scans_goes_on_where_its_last_scan_ended(
+    seconds: float, first_deg: float
+) -> None:
+    """Two turns and ten scans a second, each of a fifth of a circle: 200 rays of 0.36 degrees in a channel."""
+    keys = {"RotationsPerSecond": 2, "PointsPerSecond": 4000, "NumberOfChannels": 2, "HorizontalFOVEnd": 360}
+    wire = with_sensors(Slow=LIDAR | keys | {"DataFrame": "SensorLocalFrame"})
+    wire.fly(seconds)
+    points = np.array(wire.call("getLidarData", "Slow", "")["point_cloud"]).reshape(-1, 3)
+    bearing = np.degrees(np.arctan2(points[:, 1], points[:, 0]))
+    expected = np.tile(first_deg + 0.36 * np.arange(200), 2)
+    np.testing.assert_allclose((bearing - expected + 180) % 360 - 180, 0.0, atol=1e-3)

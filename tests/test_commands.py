@@ -212,6 +212,9 @@ def test_adsc_lets_the_clock_run_and_tcsc_stops_it() -> None:
         (0.1, 0.05, [50, 100]),
         (1.0, 0.4, [400, 800, 1000]),
         (0.2, 0.06, [60, 120, 180, 200]),
+        (1.049, 1.0, [1049]),
+        (1.05, 1.0, [1000, 1050]),  # a twentieth of a sample is no stub
+        (1.02, 0.5, [500, 1020]),
     ],
 )
 def test_a_command_is_cut_into_samples(t_move_s: float, t_sample_s: float, due_ms: Sequence[int]) -> None:

@@ -11,7 +11,7 @@ import pytest
 from tests.flying import FOR_EVER, STRAIGHT, call, fly, go_on, hovering, place, point, wait
 from tests.simulating import simulate, world_of
 from uavaccel.kinematics import Kinematics, VelocityGoal
-from uavaccel.sim.flight.tasks import MoveByManual
+from uavaccel.sim.flight.tasks import FollowPath, MoveByManual, check_lookahead
 from uavaccel.sim.profile import AIRSIM, NATIVE, Profile
 from uavaccel.sim.sensors.earth import GeoPoint, geographic, ned_of
 from uavaccel.sim.simulation import Simulation
@@ -232,6 +232,39 @@ def test_a_path_that_cannot_be_followed_is_refused_in_airsims_words(
 ) -> None:
     with pytest.raises(rpc.RpcError, match=text):
         call(hovering(), "moveOnPath", [point(1, 1, -9)], 2.0, 60.0, drivetrain, yaw, *ahead)
+
+
+@pytest.mark.parametrize(
+    ("given_m", "velocity_m_s", "adaptive", "ahead_m"),
+    [  # AirSim's own: 30 or 40 periods of 20 ms, and 0.75 m at least
+        (-1.0, 10.0, 1.0, 6.0),
+        (-1.0, 10.0, 0.0, 8.0),
+        (-1.0, 10.0, -1.0, 8.0),
+        (-1.0, 1.0, 1.0, 0.75),
+        (-1.0, 1.0, 0.0, 0.8),
+        (3.0, 10.0, 1.0, 3.0),
+        (0.5, 25.0, 1.0, 0.5),
+    ],
+)
+def test_a_path_looks_as_far_ahead_as_it_is_told_or_as_airsim_does(
+    given_m: float, velocity_m_s: float, adaptive: float, ahead_m: float
+) -> None:
+    assert check_lookahead(given_m, velocity_m_s, adaptive) == pytest.approx(ahead_m)
+
+
+@pytest.mark.parametrize(("velocity_m_s", "back_m_s"), [(5.0, 1.0), (3.1, 1.0), (3.0, 3.0), (0.8, 0.8)])
+def test_who_flies_faster_than_3_m_s_past_the_end_turns_back_at_1_m_s(
+    velocity_m_s: float, back_m_s: float
+) -> None:
+    """10 m north, and 15 m after the first turn; a place on the way is left at the speed that was asked for."""
+    points = np.array([(0.0, 0.0, -9.0), (10.0, 0.0, -9.0)])
+    task = FollowPath(points, velocity_m_s, 99.0, False, 0.0, True, 3.0, 1.0)
+    for north_m, speed_m_s in ((0.0, velocity_m_s), (2.0, velocity_m_s), (15.0, -back_m_s)):
+        now = Kinematics(0, (north_m, 0.0, -9.0), (1.0, 0.0, 0.0, 0.0), (0, 0, 0), (0, 0, 0))
+        goal, result = task.turn(now, 0.02)
+        assert goal is not None
+        assert goal.values == pytest.approx((speed_m_s, 0.0, 0.0, 0.0))
+        assert result is None
 
 
 def test_a_path_of_no_points_is_followed_at_once() -> None:
@@ -574,6 +607,33 @@ def test_sticks_move_nothing_unless_they_are_valid_and_no_program_has_control(
     assert (told["roll"], told["is_valid"], told["is_initialized"]) == (0.25, valid, valid)
 
 
+def test_sticks_fly_on_through_commands_without_control_and_until_a_reset() -> None:
+    api = hovering()
+    call(api, "enableApiControl", False)
+    call(api, "moveByRC", {"roll": 0.25, "throttle": 0.6, "is_valid": True})
+    assert fly(api, "moveByVelocity", 0.0, 0.0, 0.0, 0.5, MAX_DOF, STRAIGHT) == (True, 0.5)
+    go_on(api, 0.5)
+    assert attitude(api)[0] == pytest.approx(0.25 * math.pi / 5.5, abs=0.01)
+    call(api, "reset")
+    told = call(api, "getMultirotorState")["rc_data"]
+    assert (told["roll"], told["throttle"], told["is_valid"]) == (0.0, 0.0, False)
+    go_on(api, 1.0)
+    assert attitude(api) == pytest.approx((0.0, 0.0, 0.0), abs=1e-3)
+
+
+def test_arming_what_is_armed_changes_nothing_and_what_was_not_idles() -> None:
+    api = hovering()
+    call(api, "moveByVelocity", 2.0, -1.0, 0.5, 9.0, MAX_DOF, STRAIGHT)
+    state = api.simulation.world.lead.state
+    assert call(api, "armDisarm", True) is True
+    assert state["goal"].tolist() == [2.0, -1.0, 0.5, 0.0]
+    assert call(api, "armDisarm", False) is True
+    assert (state["goal"].tolist(), int(state["armed"])) == ([2.0, -1.0, 0.5, 0.0], 0)
+    assert call(api, "armDisarm", False) is False
+    assert call(api, "armDisarm", True) is True
+    assert (state["goal"].tolist(), int(state["armed"])) == ([0.0, 0.0, pytest.approx(0.1 / 1.5), 0.0], 1)
+
+
 def turned_by(degrees: float) -> tuple[float, float, float, float]:
     half = math.radians(degrees) / 2
     return math.cos(half), 0.0, 0.0, math.sin(half)
@@ -710,13 +770,14 @@ def test_a_saved_flight_goes_on_to_the_same_bytes(method: str, params: Any, prof
     assert ends[0] == ends[1]
 
 
-def test_frames_are_sixtieths_of_a_second() -> None:
-    api = hovering()
+@pytest.mark.parametrize("clock_speed", [1.0, 4.0])
+def test_frames_are_sixtieths_of_a_second_on_the_wall(clock_speed: float) -> None:
+    api = Api(simulate(clock_speed), render=False)
     call(api, "simPause", True)
     reply = call(api, "simContinueForFrames", 30)
     begun_ns = api.simulation.time_ns
     assert wait(api, reply) is not None
-    assert (api.simulation.time_ns - begun_ns) / NS_PER_S == 0.5
+    assert (api.simulation.time_ns - begun_ns) / NS_PER_S == 0.5 * clock_speed
     assert api.simulation.paused
     with pytest.raises(rpc.RpcError, match="frames must be a whole number"):
         call(api, "simContinueForFrames", 1.5)
