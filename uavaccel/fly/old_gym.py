@@ -67,7 +67,7 @@ class Adapted(gymnasium.Env[object, object]):
     def __init__(self, env: Env) -> None:
         self.env = env
         self.action_space, self.observation_space = env.action_space, env.observation_space
-        self.metadata = {"render_modes": [*env.metadata.get("render.modes", ())]}
+        self.metadata = {**env.metadata, "render_modes": [*env.metadata.get("render.modes", ())]}
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
         if of_a_script(sys._getframe(1).f_globals):
