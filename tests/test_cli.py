@@ -105,6 +105,10 @@ def test_a_table_shows_the_columns_that_fit_uncut(width: int, columns: int) -> N
 
 
 def test_words_of_options_and_experiments_are_completed() -> None:
-    assert one_of("wall", "virtual", "lockstep")("v") == ["virtual"]
+    words = one_of("wall", "virtual", "lockstep")  # each of which has an l
+    assert [words(typed) for typed in ("l", "v", "lockstep", "")] == [
+        ["lockstep"], ["virtual"], ["lockstep"], ["wall", "virtual", "lockstep"],
+    ]  # fmt: skip
+    assert words("k") == []
     assert experiments("dp") == ["dp1", "dp2", "dp2_airsim"]
     assert "claims" not in experiments("")

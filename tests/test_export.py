@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import importlib.util
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -189,3 +190,25 @@ def test_export_says_what_it_can_write_and_refuses_what_is_no_source(tmp_path: P
     for source, to, said in refused:
         with pytest.raises(UserError, match=said):
             export(source, **to)
+
+
+def test_each_format_is_written_where_it_was_asked_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A data set of 25 games tells ten times how far it is, and where it is when it is done."""
+    RunDirectory.create(tmp_path / "run", Config(), {})
+
+    def tables(run: RunDirectory, folder: Path, kind: str) -> list[str]:
+        return [f"{run.path.name}: {folder.name} as {kind}"]
+
+    def dataset(run: RunDirectory, folder: Path) -> Iterator[tuple[int, int]]:
+        return ((done, 25) for done in range(1, 26))
+
+    monkeypatch.setattr("uavaccel.suites.tables.write_tables", tables)
+    monkeypatch.setattr("uavaccel.export.minari_dataset.write_minari", dataset)
+    export(str(tmp_path / "run"), csv=tmp_path / "a", parquet=tmp_path / "b")
+    assert capsys.readouterr().out.splitlines() == ["run: a as csv", "run: b as parquet"]
+    monkeypatch.chdir(tmp_path)
+    export("run", minari=Path("lane-v0"))
+    told = [f"{done}/25 games" for done in (3, 5, 8, 10, 13, 15, 18, 20, 23, 25)]
+    assert capsys.readouterr().out.splitlines() == [*told, "lane-v0"]

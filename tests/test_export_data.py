@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import base64
+import hashlib
 import json
 import sys
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import cv2
+import h5py
 import numpy as np
 import pytest
 import torch as th
@@ -19,13 +21,17 @@ from tests.running import configured, fly_into
 from uavaccel.cli.export import export
 from uavaccel.config import Config
 from uavaccel.errors import UsageError, UserError
+from uavaccel.export import foxglove
 from uavaccel.export.foxglove import NED_IN_ENU, OPTICAL_IN_BODY
-from uavaccel.export.game import Window, _windows
-from uavaccel.export.mcap_file import TOPICS
+from uavaccel.export.game import GameLog, Window, _windows, read_game
+from uavaccel.export.mcap_file import TOPICS, _entries
+from uavaccel.export.provenance import provenance_of
 from uavaccel.files import file_sha256
 from uavaccel.records import RunDirectory
 from uavaccel.suites.dp1.suite import Dp1
 from uavaccel.suites.dp2.suite import Dp2
+from uavaccel.suites.evaluation.again import evaluation_of
+from uavaccel.suites.evaluation.flights import game_seed
 from uavaccel.suites.evaluation.suite import Evaluation
 
 mcap_reader = pytest.importorskip("mcap.reader")
@@ -91,6 +97,7 @@ def read(path: Path) -> Log:
         for schema, channel, message in reader.iter_messages(log_time_order=False):
             assert message.log_time >= last_ns, "written in the order of time"
             last_ns = message.log_time
+            assert message.publish_time == message.log_time
             assert schema.encoding == "jsonschema"
             schemas[channel.topic] = schema.name
             messages.setdefault(channel.topic, []).append((message.log_time, json.loads(message.data)))
@@ -140,9 +147,10 @@ def test_a_game_of_dp1_is_logged_as_its_arrays_have_it(dp1: RunDirectory, tmp_pa
 
 
 def test_the_same_game_is_the_same_bytes(dp1: RunDirectory, tmp_path: Path) -> None:
-    case = dp1.rows()[0]["case"]
+    case = dp1.rows()[-1]["case"]
     for name in ("a.mcap", "b.mcap"):
         export(str(dp1.path), mcap=tmp_path / name, case=case)
+        assert read(tmp_path / name).metadata["case"] == case
     assert (tmp_path / "a.mcap").read_bytes() == (tmp_path / "b.mcap").read_bytes()
 
 
@@ -174,6 +182,147 @@ def test_events_are_of_the_window_that_ends_with_them_and_counted_by_pixel_and_s
     on, off = windows[0].per_pixel()
     assert (on[2, 3], on.sum(), off[2, 4], off.sum()) == (2, 2, 1, 1)
     assert Window(0, None, (off, on)).per_pixel()[0] is off
+
+
+def test_messages_have_time_frame_and_numbers_where_foxglove_looks_for_them() -> None:
+    at_ns, stamp = 3_000_000_007, {"sec": 3, "nsec": 7}
+    place, wxyz = (1.0, 2.0, 3.0), (0.5, -0.5, 0.5, 0.1)
+    position, turn = {"x": 1.0, "y": 2.0, "z": 3.0}, {"w": 0.5, "x": -0.5, "y": 0.5, "z": 0.1}
+    about = {"timestamp": stamp, "frame_id": "ned"}
+    assert foxglove.pose(at_ns, place, wxyz) == {**about, "pose": {"position": position, "orientation": turn}}
+    assert foxglove.velocity(at_ns, place) == {**about, "velocity_m_s": position}
+    said = {"level": 3, "message": "hit a wall", "name": "uavaccel", "file": "", "line": 0}
+    assert foxglove.log(at_ns, foxglove.WARNING, "hit a wall") == {"timestamp": stamp, **said}
+    assert foxglove.INFO == 2
+    message: Any = foxglove.transforms(at_ns, place, wxyz)
+    upright, camera, drone = message["transforms"]
+    assert drone == {
+        "timestamp": stamp,
+        "parent_frame_id": "ned",
+        "child_frame_id": "drone",
+        "translation": position,
+        "rotation": turn,
+    }
+    assert upright["translation"] == {"x": 0.0, "y": 0.0, "z": 0.0}
+    assert camera["translation"] == {"x": 0.46, "y": 0.0, "z": 0.0}  # ahead of the body's middle
+    assert {each["timestamp"]["nsec"] for each in (upright, camera)} == {7}
+    assert [upright["rotation"][axis] for axis in "wxyz"] == list(NED_IN_ENU)
+    assert [camera["rotation"][axis] for axis in "wxyz"] == list(OPTICAL_IN_BODY)
+
+
+def test_events_are_columns_of_pixels_microseconds_and_signs() -> None:
+    rows = np.array([[0.25, 300, 2, 1], [0.125, 4, 100, -1]])
+    message: Any = foxglove.events(500_000_000, rows, height=144, width=256)
+    about = {name: message[name] for name in ("frame_id", "width", "height", "count")}
+    assert about == {"frame_id": "front_center", "width": 256, "height": 144, "count": 2}
+    columns = {name: values.tolist() for name, values in columns_of(message).items()}
+    assert columns == {"t": [125_000, 250_000], "x": [4, 300], "y": [100, 2], "p": [0, 1]}
+
+
+def test_a_game_is_told_in_the_order_of_its_time_and_in_its_own_colours() -> None:
+    """Two poses; a command and a picture at the second one; events in between, a collision at the end."""
+    picture = np.zeros((1, 144, 256, 3), np.uint8)
+    picture[..., 0], picture[..., 1] = 200, 50  # more red than green
+    blank = np.zeros((144, 256), np.int32)
+    on = blank.copy()
+    on[3, 7] = 9
+    game = GameLog(
+        np.array([0, 50], np.int64),
+        np.array([[0.0, 0.0, -9.0], [1.0, 2.0, -8.0]]),
+        np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0]]),
+        np.array([50], np.int64),
+        np.array([[3.0, 4.0, 0.0]]),
+        np.array([[5.0, 0.0, 0.0], [6.0, 0.0, 0.0]]),
+        np.array([50], np.int64),
+        picture,
+        (Window(20, np.array([[1e-8, 7, 3, 1.0]])), Window(60, None, (on, blank))),
+        (70, "wall"),
+    )
+    told = list(_entries({"case": "a"}, game))
+    assert [(each.time_ns, each.topic) for each in told] == [
+        (0, "/tf"), (0, "/drone/pose"), (0, "/drone/velocity"), (0, "/log"),
+        (20, "/dvs/events"), (20, "/dvs/image"),
+        (50, "/tf"), (50, "/drone/pose"), (50, "/drone/velocity"), (50, "/drone/command"),
+        (50, "/camera/front_center"), (60, "/dvs/image"), (70, "/log"),
+    ]  # fmt: skip
+    assert all(
+        each.message["timestamp"] == {"sec": 0, "nsec": each.time_ns} for each in told if each.topic != "/tf"
+    )
+    second: list[Any] = [each.message for each in told[6:11]]
+    assert second[1]["pose"]["position"] == {"x": 1.0, "y": 2.0, "z": -8.0}
+    assert second[0]["transforms"][-1]["rotation"] == {"w": 0.0, "x": 1.0, "y": 0.0, "z": 0.0}
+    assert second[2]["velocity_m_s"]["x"] == 6.0
+    assert second[3]["velocity_m_s"] == {"x": 3.0, "y": 4.0, "z": 0.0}
+    assert second[4]["frame_id"] == told[5].message["frame_id"] == "front_center"
+    assert picture_of(second[4])[0, 0].tolist() == [0, 50, 200]  # as OpenCV reads it: blue first
+    begun, hit = told[3].message, told[-1].message
+    assert [(each["level"], each["message"]) for each in (begun, hit)] == [(2, "a begins"), (3, "hit wall")]
+    few, many = (picture_of(told[number].message) for number in (5, 11))
+    for shown in (few, many):
+        assert np.argwhere((shown != shown[0, 0]).any(axis=2)).tolist() == [[3, 7]]
+    assert (few[3, 7] != many[3, 7]).any()  # one event, and nine
+
+
+@pytest.mark.parametrize("counted", [False, True])
+def test_a_game_of_dp2_is_read_from_its_samples(tmp_path: Path, counted: bool) -> None:
+    """Two commands of two samples each, after that of the start, and a collision on the way."""
+    run = RunDirectory.create(
+        tmp_path / "run", configured("dp2", "path=[[1, 0], [0, 2]]", "t_move_s=0.66", "t_sample_s=0.33"), {}
+    )
+    image = np.full((5, 144, 256), 100, np.uint8)
+    image[2:, 8, 9] = 250
+    arrays = {
+        "time_s": np.array([0.0, 0.33, 0.7, 1.1, 1.5]),
+        "sample_index": np.arange(5),
+        "position_m": np.arange(15.0).reshape(5, 3),
+        "orientation_wxyz": np.tile([1.0, 0.0, 0.0, 0.0], (5, 1)),
+        "command_velocity_m_s": np.array([[1.0, 0.0], [0.0, 2.0]]),
+        "image": image,
+    }
+    if counted:
+        arrays["dvs_on"] = np.arange(5)[:, None, None] * np.ones((1, 144, 256), np.int64)
+        arrays["dvs_off"] = 2 * arrays["dvs_on"]
+        arrays["colour"] = np.stack([image, image // 2, image // 4], axis=3)
+    hit = {"time_s": 1.25, "object": "wall"}
+    row: Any = {"suite": "dp2", "case": "a", "collision": None if counted else hit}
+    run.append_row(row | run.save_arrays("a", arrays))
+    game = read_game(run, run.rows()[0])
+    assert game.time_ns.tolist() == [0, 330_000_000, 700_000_000, 1_100_000_000, 1_500_000_000]
+    assert game.command_ns.tolist() == [0, 700_000_000]
+    assert game.command_m_s.tolist() == [[1.0, 0.0, 0.0], [0.0, 2.0, 0.0]]
+    assert game.collision == (None if counted else (1_250_000_000, "wall"))
+    assert game.image_ns.tolist() == game.time_ns.tolist()
+    np.testing.assert_array_equal(game.images, arrays["colour" if counted else "image"])
+    ends = [each.time_ns for each in game.windows]
+    if counted:
+        assert ends == game.time_ns.tolist()
+        assert [each.per_pixel()[0][0, 0] for each in game.windows] == [0, 1, 2, 3, 4]
+        assert [each.per_pixel()[1][0, 0] for each in game.windows] == [0, 2, 4, 6, 8]
+    else:
+        assert ends == game.time_ns.tolist()[1:]
+        counts = [each.per_pixel() for each in game.windows]
+        assert [bool(on[8, 9]) for on, _ in counts] == [False, True, False, False]
+        assert not any(off[8, 9] for _, off in counts)
+
+
+@pytest.mark.parametrize(
+    ("config", "timing", "told"),
+    [
+        ("suite: dp1\nseed: 4\ntiming: wall\n", None, ("dp1", 4, "wall", "measured")),
+        ("suite: dp1\ntiming: wall\n", "virtual", ("dp1", 0, "virtual", "modelled")),
+        ("suite: train\ntask: {timing: lockstep}\n", None, ("train", 0, "lockstep", "modelled")),
+        ("suite: train\ntiming: virtual\ntask: {timing: wall}\n", None, ("train", 0, "wall", "measured")),
+    ],
+)
+def test_numbers_come_with_the_clock_that_they_are_of(
+    tmp_path: Path, config: str, timing: str | None, told: tuple[Any, ...]
+) -> None:
+    RunDirectory.create(tmp_path / "run", Config(), {"versions": {"uavaccel": "9.8"}})
+    (tmp_path / "run" / "config.yaml").write_text(config)
+    about = provenance_of(RunDirectory(tmp_path / "run"), timing)
+    assert tuple(about[name] for name in ("suite", "seed", "timing", "numbers")) == told
+    assert about["uavaccel"] == "9.8"
+    assert about["config_sha256"] == hashlib.sha256(config.encode()).hexdigest()
 
 
 def picture_of(message: Any) -> np.ndarray:
@@ -288,6 +437,39 @@ def test_a_dataset_says_what_the_environment_says(
                 episode.truncations[i],
             )
     environment.close()
+
+
+def test_a_dataset_says_of_each_episode_and_of_itself_what_it_is(
+    straight: RunDirectory, tmp_path: Path
+) -> None:
+    """As another agent's games of the same actions, so that its name is the configuration's."""
+    config = (straight.path / "config.yaml").read_text()
+    renamed = other_run(
+        tmp_path / "run",
+        config.replace("agent: straight", "agent: offset:0.5"),
+        (straight.path / "rows.jsonl").read_text(),
+    )
+    export(renamed, minari=tmp_path / "lane-v3")
+    data, rows = tmp_path / "lane-v3" / "data", straight.rows()
+    with h5py.File(data / "main_data.hdf5") as file:
+        assert list(file) == ["episode_0", "episode_1"]
+        for number, row in enumerate(rows):
+            about = file[f"episode_{number}"].attrs
+            assert about["id"] == number
+            assert about["options/lane"] == row["lane"] == number
+            assert about["seed"] == game_seed(evaluation_of(straight, ""), number)
+            assert about["total_steps"] == row["commands"]
+        assert file["episode_0"].attrs["seed"] != file["episode_1"].attrs["seed"]
+    told = json.loads((data / "metadata.json").read_text())
+    assert (told["dataset_id"], told["algorithm_name"], told["total_episodes"]) == (
+        "lane-v3",
+        "offset:0.5",
+        2,
+    )
+    assert told["dataset_size"] == round((data / "main_data.hdf5").stat().st_size / 1e6, 1)
+    assert told["uavaccel"]["timing"] == straight.config()["task"]["timing"]
+    assert json.loads(told["action_space"]) == {"type": "Discrete", "dtype": "int64", "start": 0, "n": 5}
+    assert json.loads(told["env_spec"])["kwargs"]["clock_speed"] == 20.0
 
 
 def test_the_same_run_is_the_same_dataset(straight: RunDirectory, tmp_path: Path) -> None:

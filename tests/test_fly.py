@@ -2,6 +2,7 @@
 
 import contextlib
 import datetime
+import hashlib
 import json
 import random
 import re
@@ -23,11 +24,12 @@ from uavaccel.errors import UserError
 from uavaccel.files import UNFINISHED
 from uavaccel.fly import runs, simulated, wall
 from uavaccel.fly.messages import FILE_NAME as MESSAGES
-from uavaccel.fly.messages import DifferenceError, MessageLog
+from uavaccel.fly.messages import DifferenceError, MessageLog, brief
 from uavaccel.fly.modules import client_modules, importing
 from uavaccel.fly.options import SUMMARY, FlightOptions
 from uavaccel.fly.script import FlightOver, run_script
 from uavaccel.fly.simulated import FREE_CALLS, READING_NS, SimulatedFlight
+from uavaccel.fly.threads import ThreadClasses
 from uavaccel.fly.trajectory import FILE_NAME as TRAJECTORY
 from uavaccel.fly.trajectory import TABLE_NAME as TABLE
 from uavaccel.fly.trajectory import Trajectory, equal, largest_difference_m, write_trajectory
@@ -243,6 +245,31 @@ def test_declared_thinking_is_flown_through(flight_in: FlightMaker, tmp_path: Pa
         assert kept["time_ns"].tolist() == [*range(0, 450_000_000, 50_000_000)]  # two thoughts and a sleep
 
 
+def test_no_sleep_is_shorter_than_none(flight_in: FlightMaker, tmp_path: Path) -> None:
+    flight = flight_in(tmp_path)
+    flight.pass_time(0.0)
+    with pytest.raises(ValueError, match="must be non-negative"):
+        flight.pass_time(-0.1)
+    assert flight.summary()["script_s"] == flight.summary()["slept_s"] == 0.0
+
+
+def test_the_end_keeps_a_recording_and_refuses_what_comes_after(
+    flight_in: FlightMaker, tmp_path: Path
+) -> None:
+    flight = flight_in(tmp_path)
+    client = client_of(flight)
+    client.startRecording()
+    flight.pass_time(0.5)
+    flight.end()
+    [kept] = (tmp_path / "recordings").rglob("airsim_rec.txt")
+    times = [line.split("\t")[1] for line in kept.read_text().splitlines()[1:]]
+    assert int(times[-1]) - int(times[0]) >= 400  # milliseconds
+    calls = flight._log.calls
+    with pytest.raises(FlightOver):
+        client.ping()
+    assert flight._log.calls == calls
+
+
 def test_the_scripts_clock_starts_at_a_date_and_moves_by_reading(
     flight_in: FlightMaker, tmp_path: Path
 ) -> None:
@@ -338,6 +365,28 @@ def test_flights_that_differ_stop_at_the_first_message_that_does(
         client.moveByVelocityAsync(speed, 0, 0, 1)
 
 
+@pytest.mark.parametrize("more", [[], ["ping"]])
+def test_a_flight_that_ends_before_its_reference_differs(tmp_path: Path, more: list[str]) -> None:
+    for name in ("first", "second"):
+        (tmp_path / name).mkdir()
+    for name, calls in (("first", ["ping", *more]), ("second", ["ping"])):
+        log = MessageLog(tmp_path / name, tmp_path / "first" if name == "second" else None)
+        for method in calls:
+            log.answer(log.call(5, 7, method, ()), 6, None, True)
+        differs = pytest.raises(
+            DifferenceError, match=r"at call 1\n  first: .*ping.*\n  second: \(has ended\)"
+        )
+        with differs if name == "second" and more else contextlib.nullcontext():
+            log.close()
+
+
+def test_a_value_of_more_than_200_bytes_is_logged_by_its_length_and_digest() -> None:
+    """On the wire a text of that length has a head of two bytes: its kind, and its length."""
+    assert brief("a" * 198) == "a" * 198
+    digest = hashlib.sha256(b"\xd9\xc7" + b"a" * 199).hexdigest()
+    assert brief("a" * 199) == {"bytes": 201, "sha256": digest[:32]}
+
+
 def test_images_are_logged_as_digests(tmp_path: Path) -> None:
     log = MessageLog(tmp_path)
     log.answer(1, 0, None, [{"image_data_uint8": b"abc", "image_data_float": [0.5] * 1000}])
@@ -350,7 +399,8 @@ def test_images_are_logged_as_digests(tmp_path: Path) -> None:
 def test_refused_commands_are_told_once(
     flight_in: FlightMaker, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    client = client_of(flight_in(tmp_path))
+    flight = flight_in(tmp_path)
+    client = client_of(flight)
     for _ in range(3):
         client.moveByVelocityAsync(float("nan"), 0, 0, 1).join()
         with pytest.raises(RpcError):
@@ -358,6 +408,8 @@ def test_refused_commands_are_told_once(
     said = capsys.readouterr().err
     assert said.count("moveByVelocity was refused: vx must be finite") == 1
     assert said.count("simNothing is not known here") == 1
+    refused = flight.summary()["refused"]
+    assert [line.partition(" x ")[0] for line in refused] == ["3", "3"]
 
 
 # --- imports -------------------------------------------------------------------------------------------------------
@@ -432,6 +484,18 @@ def test_flights_are_compared_at_equal_simulated_times(tmp_path: Path) -> None:
     assert largest_difference_m(tmp_path / "a", tmp_path / "b") == 3.0
 
 
+def test_flights_that_share_only_some_times_are_compared_at_those(tmp_path: Path) -> None:
+    """East at 0, 50, 100 ms and at 50, 100, 150 ms: 1 and 2 m against 1.5 and 4.5 m."""
+    for name, first, easts in (("a", 0, [9.0, 1.0, 2.0]), ("b", 1, [1.5, 4.5, 99.0]), ("late", 7, [0.0])):
+        (tmp_path / name).mkdir()
+        rows = np.zeros((len(easts), 10))
+        rows[:, 1] = easts
+        write_trajectory(tmp_path / name, (first + np.arange(len(easts))) * 50_000_000, rows)
+    assert largest_difference_m(tmp_path / "a", tmp_path / "b") == 2.5
+    assert largest_difference_m(tmp_path / "b", tmp_path / "a") == 2.5
+    assert largest_difference_m(tmp_path / "a", tmp_path / "late") == 0.0
+
+
 def test_a_trajectory_has_places_attitudes_and_velocities_as_arrays_and_as_a_table(tmp_path: Path) -> None:
     rows, time_ns = np.arange(20.0).reshape(2, 10), np.array([0, 50_000_000])
     write_trajectory(tmp_path, time_ns, rows)
@@ -457,10 +521,10 @@ def test_in_wall_time_the_trajectory_is_the_servers_recording(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Whole milliseconds, and places to which velocities belong; the flight ends by the machine's clock."""
-    made = tmp_path / "recordings" / "2020"
-    made.mkdir(parents=True)
     rows = [f"A\t{1000 + 50 * n}\t{0.1 * n}\t0\t-1\t1\t0\t0\t0\t" for n in range(3)]
-    (made / "airsim_rec.txt").write_text("\n".join(["header", *rows]) + "\n")
+    for name, part in (("2021", rows[2:]), ("2020", rows[:2])):  # a script has begun another one
+        (made := tmp_path / "recordings" / name).mkdir(parents=True)
+        (made / "airsim_rec.txt").write_text("\n".join(["header", *part]) + "\n")
     options = FlightOptions(tmp_path / "script.py", (), tmp_path, "wall")
     log = MessageLog(tmp_path)
     log.close()
@@ -483,20 +547,42 @@ def test_answers_are_those_that_a_wire_carries() -> None:
     assert as_received({"time_stamp": 3, "pose": {"x_val": 0.1}}) == {"time_stamp": 3, "pose": {"x_val": 0.1}}
 
 
+@pytest.mark.parametrize(
+    ("clock_speed", "until_s", "lines"), [(1.0, 30.0, 1), (4.0, 30.0, 1), (4.0, 19.0, 0)]
+)
 def test_a_wait_without_an_end_is_worth_a_line(
     flight_in: FlightMaker,
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
+    clock_speed: float,
+    until_s: float,
+    lines: int,
 ) -> None:
+    """After 20 simulated seconds, whatever the ClockSpeed."""
     monkeypatch.setattr(simulated, "PATIENCE_NS", 20 * NS_PER_S)
-    flight = flight_in(tmp_path, until_s=30.0)
+    flight = flight_in(tmp_path, clock_speed, until_s=until_s)
     client = client_of(flight)
     client.enableApiControl(True)
     with pytest.raises(FlightOver):
         client.moveByVelocityAsync(0, 0, 0, 3e38).join()
     line = "the script has waited 20 simulated s for moveByVelocity; the vehicle is at 0.0 0.0 "
-    assert capsys.readouterr().err.count(line) == 1
+    assert capsys.readouterr().err.count(line) == lines
+
+
+def test_a_flight_waits_for_the_scripts_threads_but_not_for_its_daemons(
+    flight_in: FlightMaker, tmp_path: Path
+) -> None:
+    flight = flight_in(tmp_path)
+    kinds = ThreadClasses(flight._turns)
+    make = kinds.modules()["threading"].Thread
+    make(target=lambda: flight.pass_time(9.0), daemon=True).start()
+    make(target=lambda: flight.pass_time(2.0)).start()
+    flight._outlive(kinds)
+    assert flight.summary()["script_s"] == 2.0
+    make(target=lambda: flight.pass_time(8.0)).start()  # in which the daemon ends too
+    flight._outlive(kinds)
+    assert (flight.summary()["script_s"], kinds.running) == (10.0, [])
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals")

@@ -8,12 +8,14 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, ClassVar
 
+import cv2
 import numpy as np
 import pytest
 from gymnasium import spaces
 
 from uavaccel.fly import old_gym, shims
 from uavaccel.fly.keys import key_modules
+from uavaccel.fly.patches import Patches
 
 pytestmark = pytest.mark.skipif("gym" not in shims.old_modules(), reason="a gym is installed")
 
@@ -121,7 +123,7 @@ def test_a_module_named_before_the_id_is_imported_and_registers_it(
 
 def test_options_of_a_reset_reach_the_environment_through_its_wrappers(gym: ModuleType) -> None:
     class Placed(Walk):
-        def reset(self, place: int = 0) -> Any:  # type: ignore[override]
+        def reset(self, place: int = 0) -> Any:
             self.place = place
             return np.array([place], np.float32)
 
@@ -130,12 +132,58 @@ def test_options_of_a_reset_reach_the_environment_through_its_wrappers(gym: Modu
     assert wrapped.reset(place=2).tolist() == [2.5]
 
 
+def test_a_wrapper_has_what_its_environment_has_and_passes_on_what_it_is_told(gym: ModuleType) -> None:
+    class Drawn(Walk):
+        told: ClassVar[list[Any]] = []
+
+        def render(self, mode: str = "human", **options: Any) -> Any:
+            self.told.append((mode, options))
+            return mode
+
+        def close(self) -> None:
+            self.told.append("closed")
+
+    inner = Drawn()
+    wrapped = gym.Wrapper(gym.Wrapper(old_gym.Adapted(inner)))
+    assert wrapped.metadata["render.modes"] == ["rgb_array"]
+    assert (wrapped.action_space, wrapped.observation_space) == (Walk.action_space, Walk.observation_space)
+    assert (wrapped.render("rgb_array", width=3), wrapped.render()) == ("rgb_array", "human")
+    with wrapped:
+        wrapped.reset()
+        wrapped.step(0)
+    wrapped.close()
+    assert Drawn.told[:2] == [("rgb_array", {"width": 3}), ("human", {})]
+    assert Drawn.told[-1] == "closed"
+    assert (wrapped.place, wrapped.unwrapped, wrapped.seed(5)) == (-1, inner, [5])
+
+
+def test_an_environment_that_nobody_registered(gym: ModuleType) -> None:
+    with pytest.raises(ValueError, match=r"'run-v0' is registered; there are walk-v0"):
+        gym.make("run-v0")
+
+
 # --- keys and frames of a script without a keyboard -----------------------------------------------------------------
 
-
-@pytest.mark.skipif(
+WITHOUT_KEYS = pytest.mark.skipif(
     any(find_spec(name) for name in ("pygame", "keyboard", "msvcrt")), reason="what reads keys is installed"
 )
+
+
+def run_as_a_script(text: str, begun_s: float = 0.0) -> dict[str, Any]:
+    """The names of a script that has run; `work` passes its time, which `now` tells."""
+    passed = [begun_s]
+
+    def sleep(seconds: float) -> None:
+        passed[0] += seconds
+
+    names: dict[str, Any] = {"__file__": "/somewhere/script.py", "__name__": "__main__"}
+    names |= {"work": sleep, "now": lambda: round(passed[0], 6)}
+    with key_modules(sleep, lambda: passed[0]):
+        exec(compile(text, "/somewhere/script.py", "exec"), names)
+    return names
+
+
+@WITHOUT_KEYS
 def test_frames_and_keys_take_the_scripts_time(capsys: pytest.CaptureFixture[str]) -> None:
     """A frame of 50 ms lasts so long whatever is done in it, a longer one as long as that; a key takes 100 ms."""
     text = """
@@ -146,19 +194,116 @@ told = [clock.tick(20)]
 work(0.07)
 told += [clock.tick(20), pygame.time.wait(250), pygame.time.get_ticks()]
 told += [msvcrt.getch(), keyboard.read_key(), pygame.time.get_ticks()]
+work(0.02)
+told += [clock.tick(), clock.tick_busy_loop(50), clock.get_fps()]
 """
-    passed = [0.0]
-
-    def sleep(seconds: float) -> None:
-        passed[0] += seconds
-
-    names: dict[str, Any] = {"work": sleep, "__file__": "/somewhere/script.py", "__name__": "__main__"}
-    with key_modules(sleep, lambda: passed[0]):
-        exec(compile(text, "/somewhere/script.py", "exec"), names)
-    assert names["told"] == [50, 70, None, 370, b"\r", "enter", 570]
+    names = run_as_a_script(text, begun_s=7.0)
+    assert names["told"] == [50, 70, None, 370, b"\r", "enter", 570, 470, 20, 0.0]
     assert "no key is ever pressed" in capsys.readouterr().err
 
 
-def test_an_environment_that_nobody_registered(gym: ModuleType) -> None:
-    with pytest.raises(ValueError, match=r"'run-v0' is registered; there are walk-v0"):
-        gym.make("run-v0")
+@WITHOUT_KEYS
+@pytest.mark.parametrize(
+    ("module", "call", "answer", "takes_s"),
+    [
+        ("keyboard", "is_pressed('w')", False, 0.0),
+        ("keyboard", "wait('esc')", None, 0.1),
+        ("keyboard", "read_key(suppress=True)", "enter", 0.1),
+        ("keyboard", "record(until='esc')", [], 0.1),
+        ("msvcrt", "kbhit()", False, 0.0),
+        ("msvcrt", "getch()", b"\r", 0.1),
+        ("msvcrt", "getche()", b"\r", 0.1),
+        ("msvcrt", "getwch()", "\r", 0.1),
+        ("pygame", "init()", (0, 0), 0.0),
+        ("pygame", "event.get()", [], 0.0),
+        ("pygame", "event.wait().key[3]", False, 0.1),
+        ("pygame", "key.get_pressed()[3]", False, 0.0),
+        ("pygame", "key.get_mods()", 0, 0.0),
+        ("pygame", "joystick.get_count()", 0, 0.0),
+        ("pygame", "joystick.get_init()", False, 0.0),
+        ("pygame", "time.wait(40)", None, 0.04),
+        ("pygame", "time.delay(40)", None, 0.04),
+        ("pygame", "time.get_ticks()", 0, 0.0),
+        ("pygame", "mouse.get_pos() and 1", 0, 0.0),
+    ],
+)
+def test_nobody_presses_a_key_and_who_waits_for_one_waits_a_moment(
+    module: str, call: str, answer: Any, takes_s: float
+) -> None:
+    names = run_as_a_script(f"import {module}\nanswer = {module}.{call}\nthen = now()", begun_s=7.0)
+    got = names["answer"]
+    assert (type(got), got) == (type(answer), answer) or (answer == 0 and len(got) == 0)
+    assert names["then"] == round(7.0 + takes_s, 6)
+
+
+@WITHOUT_KEYS
+def test_keys_have_the_same_numbers_by_each_of_their_names_and_no_two_the_same() -> None:
+    text = """
+import pygame
+from pygame.locals import *
+same = [K_w == pygame.K_w, QUIT == pygame.QUIT, K_UP == pygame.locals.K_UP]
+numbers = [value for value in vars(pygame.locals).values() if type(value) is int] + [pygame.K_F1]
+"""
+    names = run_as_a_script(text)
+    assert names["same"] == [True] * 3
+    assert len(set(names["numbers"])) == len(names["numbers"]) > 50
+    assert "pygame" not in sys.modules
+
+
+# --- windows, images and names of old libraries ---------------------------------------------------------------------
+
+
+def test_a_window_is_shown_nowhere_and_waits_as_long_as_it_is_told() -> None:
+    slept: list[float] = []
+    window = cv2.imshow
+    with Patches() as patches:
+        shims.supply_windows(patches, cv2, slept.append)
+        assert cv2.imshow("camera", np.zeros((2, 2))) is None
+        assert [cv2.waitKey(250), cv2.waitKeyEx(1500), cv2.waitKey(0), cv2.waitKey(-1)] == [-1] * 4
+        assert slept == [0.25, 1.5, 0.0, 0.0]
+    assert cv2.imshow is window
+
+
+def test_images_of_old_scipy_are_red_first_and_reach_from_black_to_white(tmp_path: Path) -> None:
+    misc = shims.old_modules()["scipy.misc"]()
+    red = np.zeros((2, 3, 3), np.uint8)
+    red[..., 0] = 200
+    misc.imsave(tmp_path / "red.png", red)
+    np.testing.assert_array_equal(misc.imread(tmp_path / "red.png"), red)
+    pixels: Any = cv2.imread(str(tmp_path / "red.png"))
+    assert pixels[0, 0].tolist() == [0, 0, 200]
+    for name, values, kept in (
+        ("bytes", np.array([[3, 9]], np.uint8), [3, 9]),
+        ("numbers", np.array([[-1.0, 0.0, 1.0, 3.0]]), [0, 63, 127, 255]),
+        ("flat", np.full((1, 2), 0.5), [0, 0]),
+    ):
+        misc.imsave(tmp_path / f"{name}.png", values)
+        assert misc.imread(tmp_path / f"{name}.png")[0, :, 0].tolist() == kept
+    with pytest.raises(FileNotFoundError, match=r"none\.png"):
+        misc.imread(tmp_path / "none.png")
+
+
+def test_old_names_of_numpy_mean_what_they_meant() -> None:
+    """A NumPy without them; `fromstring` of bytes gives an array of its own that can be written."""
+    numpy = ModuleType("numpy")
+    there = ("frombuffer", "fromstring", "inf", "nan", "bool_", "float64", "complex128", "str_", "bytes_")
+    vars(numpy).update(
+        {name: getattr(np, name) for name in (*there, "prod", "cumprod", "any", "all", "isin")}
+    )
+    with Patches() as patches:
+        shims.supply_numpy(patches, numpy)
+        assert (numpy.float, numpy.int, numpy.bool, numpy.object) == (float, int, bool, object)
+        assert (numpy.bool8, numpy.float_, numpy.product, numpy.in1d) == (
+            np.bool_,
+            np.float64,
+            np.prod,
+            np.isin,
+        )
+        assert (numpy.sometrue, numpy.alltrue, numpy.Inf, numpy.NINF) == (np.any, np.all, np.inf, -np.inf)
+        bytes_of = numpy.fromstring(b"\x01\x02\x03", np.uint8)
+        bytes_of[0] = 9
+        assert bytes_of.tolist() == [9, 2, 3]
+        assert numpy.fromstring(b"\x01\x00\x02\x00", "<u2", 1).tolist() == [1]
+        assert numpy.fromstring("\xff\x01", np.uint8).tolist() == [255, 1]
+        assert numpy.fromstring("1 2.5", sep=" ").tolist() == [1.0, 2.5]
+    assert not hasattr(numpy, "float")

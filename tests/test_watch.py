@@ -124,6 +124,9 @@ def test_the_playhead_pauses_steps_and_begins_anew() -> None:
     head.step()
     head.replay()
     assert (head.at_s, head.playing) == (0.0, True)
+    for at_s, there_s in ((-0.1, 0.0), (0.15, 0.15), (0.3, 0.2)):
+        head.seek(at_s)
+        assert (head.at_s, head.playing) == (there_s, True)
 
 
 def test_a_game_without_marks_took_its_simulated_time_over_its_clock_speed() -> None:
@@ -189,6 +192,14 @@ def test_the_page_shows_a_drone_its_path_its_command_and_what_goes_on(
     assert made["/TCSC shadow"].position.tolist() == foot
     np.testing.assert_allclose(made["/TCSC plumb line"].points, [[[2.0, -4.0, 10.0], foot]], rtol=1e-6)
     np.testing.assert_allclose(made["/TCSC"].wxyz, [np.sqrt(0.5), 0.0, 0.0, -np.sqrt(0.5)])
+    for ground_m, lines in ((9.84, (True, True)), (9.86, (True, False)), (None, (False, False))):
+        monkeypatch.setattr(figure, "ground_below", lambda *_, ground_m=ground_m: ground_m)
+        shown.show(0.4)
+        assert (
+            made["/TCSC shadow"].visible,
+            made["/TCSC plumb line"].visible,
+        ) == lines  # none where it stands
+        assert shown.height_m == (None if ground_m is None else pytest.approx(10.0 - ground_m))
     shown.show(0.05)  # half of the first second again
     assert line.points.tolist() == [[[0.0, -3.0, 10.0], [0.5, -3.0, 10.0]]]
     assert made["/TCSC ideal"].arguments[0].tolist() == [[[0, -3, 0]] * 2] * 2
@@ -269,6 +280,11 @@ def test_a_trail_sends_its_last_block_and_forgets_its_oldest(monkeypatch: pytest
     assert there["/a path 2"].colors[:, 0].tolist() == [[*THINKING], [*THINKING]]
     way.clear()
     assert not there
+    for north in (9.0, 10.0):
+        way.add(np.array([north, 0.0, 0.0]), commanded=True)
+    way.draw()
+    [begun] = there.values()
+    assert begun.points[:, :, 0].tolist() == [[9, 10]]  # not from where it was
 
 
 @contextmanager

@@ -294,6 +294,8 @@ def test_watching_changes_no_byte_of_runs_and_scripts(
         (True, None, PageAddress("127.0.0.1", 8080)),
         (False, "0.0.0.0", PageAddress("0.0.0.0", 8080)),
         (False, ":9000", PageAddress("127.0.0.1", 9000)),
+        (False, ":1", PageAddress("127.0.0.1", 1)),
+        (False, "host:65535", PageAddress("host", 65535)),
         (True, "10.0.0.2:9000", PageAddress("10.0.0.2", 9000)),
     ],
 )

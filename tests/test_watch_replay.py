@@ -104,6 +104,8 @@ def test_an_evaluations_game_is_flown_again_from_its_actions(lanes: RunDirectory
     assert replay.scene == "lane"
     assert replay.lane is not None
     assert row["case"] in replay.title
+    hit = f"hit {row['collision']}" if row["collision"] else "did not arrive"
+    assert replay.title.endswith(f"; it {'reached the end' if row['is_success'] else hit}.")
     assert (
         recorded(lanes.path, case=row["case"]).track.position_m.tobytes() == samples["position_m"].tobytes()
     )
@@ -141,12 +143,26 @@ def test_a_game_of_dp1_has_its_commands(tmp_path: Path) -> None:
         recorded(run.path, rows[0]["case"], 0)
 
 
-def test_a_game_of_dp2_has_its_commands_and_its_lane(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("time_s", "starts", "ends", "wall_s"),
+    [
+        ([0.0, 0.33, 0.7, 1.1, 1.5], [0.0, 0.7], [0.66, 1.36], 0.15),
+        (
+            [0.0, 0.33, 0.5, 0.8, 1.0],
+            [0.0, 0.5],
+            [0.5, 1.0],
+            0.1,
+        ),  # the next one, and the flight's end, come before
+    ],
+)
+def test_a_game_of_dp2_has_its_commands_and_its_lane(
+    tmp_path: Path, time_s: list[float], starts: list[float], ends: list[float], wall_s: float
+) -> None:
     """Two commands of two samples each, after that of the start."""
     config = configured("dp2", "path=[[1, 0], [0, 2]]", "t_move_s=0.66", "t_sample_s=0.33")
     run = RunDirectory.create(tmp_path / "run", config, {})
     arrays = {
-        "time_s": np.array([0.0, 0.33, 0.7, 1.1, 1.5]),
+        "time_s": np.array(time_s),
         "sample_index": np.arange(5),
         "position_m": np.arange(15.0).reshape(5, 3),
         "orientation_wxyz": np.tile([1.0, 0.0, 0.0, 0.0], (5, 1)),
@@ -156,9 +172,9 @@ def test_a_game_of_dp2_has_its_commands_and_its_lane(tmp_path: Path) -> None:
     run.append_row(row | run.save_arrays("adsc-k10", arrays))
     replay = recorded(run.path)
     assert replay.track.velocities == [(1.0, 0.0, 0.0), (0.0, 2.0, 0.0)]
-    assert replay.track.command_start_s.tolist() == [0.0, 0.7]
-    assert replay.track.command_end_s.tolist() == [0.66, pytest.approx(1.36)]
-    assert (replay.scene, replay.track.wall_s) == ("lane", 0.15)
+    assert replay.track.command_start_s.tolist() == starts
+    assert replay.track.command_end_s.tolist() == pytest.approx(ends)
+    assert (replay.scene, replay.track.wall_s) == ("lane", wall_s)
     assert replay.lane is not None
     np.testing.assert_array_equal(replay.lane.x_m, config.layout().x_m)
 
