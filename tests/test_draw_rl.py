@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from scipy.stats import binomtest
 
 from tests.drawing import headline, labelled, points
 from uavaccel.suites.rl.figures import (
     SuccessLine,
+    distances_m,
     plot_distances,
     plot_success,
     plot_success_over_gap,
     plot_training_time,
+    success_lines,
 )
 
 PHASES = {
@@ -49,6 +53,75 @@ def test_success_has_a_place_per_clock_speed_an_interval_and_a_dot_per_seed() ->
     assert [y for each in seeds for _, y in points(each)] == [0.4, 0.6, 0.25]
     bars = axes.collections[0].get_segments()
     assert [bar[:, 1].tolist() for bar in bars] == [pytest.approx(each) for each in intervals]
+
+
+def condition(clock_speed: float, papers: int | None, won: list[int], **keys: Any) -> dict[str, Any]:
+    """A cell of seeds that won so many of 40 games each; its two intervals differ."""
+    games = 40 * len(won)
+    ratio = sum(won) / games
+    return {
+        "variant": "",
+        "profile": "airsim",
+        "timing": "virtual",
+        "command": "tcsc",
+        "clock_speed": clock_speed,
+        "seeds": list(range(len(won))),
+        "successes_by_seed": won,
+        "successes": sum(won),
+        "games": games,
+        "success_ratio": ratio,
+        "seeds_low": ratio / 2,
+        "seeds_high": (1 + ratio) / 2,
+        "wilson_low": 0.9 * ratio,
+        "wilson_high": 1.1 * ratio,
+        "paper_successes": papers,
+    } | keys
+
+
+def test_a_line_has_its_seeds_and_the_papers_has_the_clock_speeds_that_the_paper_gives() -> None:
+    native = condition(5.0, None, [20, 20], profile="native")
+    cells = [
+        condition(50.0, 14, [0, 10]),
+        condition(1.0, None, [40, 20, 30]),
+        condition(5.0, 30, [4]),
+        native,
+    ]
+    ours, papers, other = success_lines(cells)
+    assert (ours.label, ours.command, ours.at, ours.colour) == (
+        "TCSC, airsim",
+        "tcsc",
+        [1.0, 5.0, 50.0],
+        None,
+    )
+    assert ours.success == [0.75, 0.1, 0.125]
+    assert ours.by_seed == [[1.0, 0.5, 0.75], [0.1], [0.0, 0.25]]
+    assert ours.intervals == [(0.375, 0.875), (0.05, 0.55), (0.0625, 0.5625)]
+    assert (papers.label, papers.at, papers.success) == ("TCSC, the paper's", [5.0, 50.0], [0.3, 0.14])
+    wilson = [binomtest(won, 100).proportion_ci(method="wilson") for won in (30, 14)]
+    assert papers.intervals == [(each.low, each.high) for each in wilson]
+    assert (ours.dashed, papers.dashed) == (False, True)
+    assert (other.label, other.by_seed) == ("TCSC, native", [[0.5, 0.5]])
+    assert other.colour is not None
+
+
+def test_distances_are_those_of_a_cells_own_trainings_with_their_own_command() -> None:
+    cell = condition(5.0, None, [1, 1])
+    trained = [{**cell, "training": {}, "name": name} for name in ("seed 0", "seed 1")]
+    rows: Any = [
+        trained[0],
+        {**cell, "name": "exact"},
+        {**trained[0], "clock_speed": 1.0, "name": "slow"},
+        {**trained[0], "variant": "told", "name": "told"},
+        trained[1],
+    ]
+    ends_m = {"seed 0": [9.0, 150.0], "exact": [1.0], "slow": [2.0], "told": [3.0], "seed 1": [40.0, 30.0]}
+    run: Any = SimpleNamespace(
+        load_arrays=lambda row: {
+            "adsc_distance_m": np.zeros(2),
+            "tcsc_distance_m": np.array(ends_m[row["name"]]),
+        }
+    )
+    assert distances_m(run, rows, cell).tolist() == [9.0, 150.0, 40.0, 30.0]
 
 
 def test_success_over_the_gap_has_its_points_where_the_gaps_are() -> None:

@@ -124,6 +124,22 @@ def test_trajectories_are_read_as_they_were_written(judged: Report) -> None:
         dp1.stlc("tcsc", 7.0)
 
 
+def test_speed_ups_are_those_of_the_longest_path() -> None:
+    """On the shorter one they are out of all proportion."""
+
+    def faster_on_one_round(cell: dict[str, Any]) -> None:
+        if cell["rounds"] == 1:
+            cell.update(effective_speedup=999.0, effective_speedup_interval=[998.0, 1000.0])
+
+    dp1 = trajectories(faster_on_one_round)
+    beyond_s = {"tcsc": 0.007, "adsc": 0.020}
+    for command, lost_s in beyond_s.items():
+        expected = [t_move_s / (t_move_s / 50 + lost_s) for t_move_s in (0.5, 1.0)]
+        assert [each.value for each in dp1.speedups(command, 50.0)] == pytest.approx(expected)
+        longest = dp1.longest(command, 50.0, 1.0)
+        assert longest == pytest.approx((expected[1], 0.995 * expected[1], 1.005 * expected[1]))
+
+
 def test_images_are_those_of_tcsc(judged: Report) -> None:
     clouds = Images.of(RunDirectory(judged.run.path / "parts/dp2-airsim")).clouds
     assert {k: cloud.position_error_m.max() for k, cloud in clouds.items()} == dict.fromkeys(

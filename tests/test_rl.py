@@ -7,7 +7,7 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any, TextIO, cast
+from typing import Any, TextIO, cast, get_type_hints
 
 import numpy as np
 import pytest
@@ -24,12 +24,21 @@ from uavaccel.suites import gpu, runner
 from uavaccel.suites.paper import policy_claims
 from uavaccel.suites.paper.evidence import NoEvidence, Policies, Undecided
 from uavaccel.suites.parts import Part, part_suite
-from uavaccel.suites.rl.cases import EXACT, cases, evaluation_part, flights, training_part
+from uavaccel.suites.rl import suite as rl_suite
+from uavaccel.suites.rl.cases import (
+    EXACT,
+    EvaluationResult,
+    TrainingResult,
+    cases,
+    evaluation_part,
+    flights,
+    training_part,
+)
 from uavaccel.suites.rl.config import RlConfig
 from uavaccel.suites.rl.figures import plot_training_time
 from uavaccel.suites.rl.gaps import GapLine, collapse, over_gaps
 from uavaccel.suites.rl.report import RlReport
-from uavaccel.suites.rl.suite import Rl
+from uavaccel.suites.rl.suite import Rl, merge_runs
 from uavaccel.suites.rl.summary import KEY, gap_s, summarise
 
 pytestmark = pytest.mark.usefixtures("trainings_here")
@@ -210,14 +219,50 @@ def test_exact_flights_are_of_the_trained_policy_on_the_same_lanes(whole: RunDir
 
 
 def test_exact_flights_are_of_the_kernels_lanes() -> None:
-    with pytest.raises(
-        UserError, match=r"exact\.keys: games and first_lane must be those of evaluation\.keys"
-    ):
-        small("exact.keys.games=3")
+    for other in ("games", "first_lane"):
+        with pytest.raises(
+            UserError, match=r"exact\.keys: games and first_lane must be those of evaluation\.keys"
+        ):
+            small(f"exact.keys.{other}=3")
     with pytest.raises(
         UserError, match=r"exact_seeds: needs .* beside an evaluation by the kernels, not by mujoco"
     ):
         small("evaluation.keys.simulator=mujoco")
+
+
+def test_each_seed_trains_a_policy_of_its_own_which_flies_the_lanes_of_seed_0(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    flown: list[tuple[str, int, str]] = []
+
+    def fly_at_once(run: RunDirectory, name: str, part: Part, seed: int, pages: bool) -> dict[str, Any]:
+        policy = str(part.keys.get("agent", ""))
+        flown.append((name.removeprefix("native-virtual-tcsc-100x-"), seed, policy[-14:]))
+        folder = run.path / "parts" / name
+        folder.mkdir(parents=True)
+        (folder / "config.yaml").write_text("suite: any\n")
+        names = (*get_type_hints(TrainingResult), *get_type_hints(EvaluationResult))
+        return dict.fromkeys(names)
+
+    monkeypatch.setattr(rl_suite, "fly_part", fly_at_once)
+    monkeypatch.setattr(rl_suite, "outcomes", lambda _: {})
+    config = small("interchange=false", "exact_seeds=2", clock_speed=[100.0], seed=4, seeds=2)
+    run = RunDirectory.create(tmp_path / "run", config, {})
+    rows = [Rl().fly(config, case, run).row for case in Rl().cases(config)]
+    assert flown == [
+        ("seed4/training", 4, ""),
+        ("seed4/evaluation-tcsc", 0, "seed4/training"),
+        ("seed5/training", 5, ""),
+        ("seed5/evaluation-tcsc", 0, "seed5/training"),
+        ("seed4/evaluation-exact", 0, "seed4/training"),
+        ("seed5/evaluation-exact", 0, "seed5/training"),
+    ]
+    assert [(row["seed"], "training" in row) for row in rows] == [
+        (4, True),
+        (5, True),
+        (4, False),
+        (5, False),
+    ]
 
 
 def test_a_run_grows_by_seeds_and_what_builds_on_trainings_waits_for_all_of_them() -> None:
@@ -602,6 +647,145 @@ def test_the_report_tells_each_number_in_its_column(tmp_path: Path) -> None:
     assert f"These trainings' 50 games would have taken {hours:.3g} hours in real time" in page
     assert f"{3600 * hours / 50:.0f} s per game" in page
     assert f"took 0.25 hours of training, measured, one after another: {hours * 4:.0f} times less" in page
+
+
+def variant_and_plain() -> tuple[list[Any], dict[str, dict[str, np.ndarray]]]:
+    """Two seeds of TCSC at 5x with a variant and without, and the exact flights of the variant's first seed.
+
+    Rows, and the arrays of each: the lanes that are won with either command, in real time and at 5x.
+    """
+    flights_of_each = (("tcsc", 1.0), ("adsc", 1.0), ("tcsc", 5.0), ("adsc", 5.0))
+    won: dict[tuple[str, int], tuple[range, ...]] = {
+        ("told", 0): (range(30), range(10, 34), range(12), range(8, 14)),
+        ("told", 1): (range(20), range(20), range(10), range(4)),
+        ("", 0): (range(10), range(10), range(12), range(12)),
+        ("", 1): (range(5), range(5), range(10), range(10)),
+    }
+    rows, arrays = [], {}
+    for (variant, seed), lanes in won.items():
+        row = made("tcsc", 5.0, [[], []], 0.25)[seed] | {"variant": variant, "case": f"{variant}{seed}"}
+        row["evaluations"] = [
+            flight(*each, len(some)) for each, some in zip(flights_of_each, lanes, strict=True)
+        ]
+        row["training"] |= {"successes": 3 + seed, "weights_sha256": f"{variant}{seed}"}
+        rows.append(row)
+        arrays[row["case"]] = outcomes_of(
+            dict(zip(("tcsc", "adsc", "tcsc-5x", "adsc-5x"), lanes, strict=True))
+        )
+    exact = {key: value for key, value in rows[0].items() if key != "training"}
+    rows.append(exact | {"case": "told0-exact", "evaluations": [flight("tcsc", 1.0, 28)]})
+    arrays["told0-exact"] = outcomes_of({"exact": range(4, 32)})
+    return rows, arrays
+
+
+def outcomes_of(won: dict[str, Any]) -> dict[str, np.ndarray]:
+    loaded = (load({"command": name, "lanes": lanes}) for name, lanes in won.items())
+    return {name: each for flown in loaded for name, each in flown.items()}
+
+
+def page_of(path: Path, rows: list[Any], arrays: dict[str, dict[str, np.ndarray]]) -> str:
+    run = RunDirectory.create(path, small(), {})
+    for row in rows:
+        run.append_row({"suite": "rl"} | row | run.save_arrays(row["case"], arrays[row["case"]]))
+    Rl().report(run).write()
+    return (path / "report.md").read_text(encoding="utf-8")
+
+
+def of_wilson(successes: int, games: int) -> str:
+    interval = binomtest(successes, games).proportion_ci(method="wilson")
+    ends = f"[{100 * interval.low:.1f}, {100 * interval.high:.1f}]"
+    return f"{successes} of {games}: {successes / games:.1%} {ends}"
+
+
+@pytest.mark.usefixtures("without_figures")
+def test_each_flight_of_a_policy_is_told_in_its_line_and_column(tmp_path: Path) -> None:
+    """Student's t of two trainings is 12.7 at 95 %: of 30 % and 25 % that makes 27.5 % and up to 31.8 % more."""
+    page = page_of(tmp_path / "run", *variant_and_plain())
+    real_time, fast = "62.5% [0.0, 100.0]", "27.5% [0.0, 59.3]"
+    slow_p, fast_p = f"{binomtest(4, 14).pvalue:.2g}", f"{binomtest(2, 16).pvalue:.2g}"
+    told = ("TCSC, airsim, told 5x", "0, 1")
+    shown = [tuple(line.values()) for line in table_below(page, "Commands interchanged")]
+    assert [line for line in shown if line[0] == told[0]] == [
+        (*told, "TCSC 1x", real_time, "10", "1", slow_p),
+        (*told, "ADSC 1x", "55.0% [0.0, 100.0]", "4", "1", slow_p),
+        (*told, "TCSC 5x", fast, "14", "0.5", fast_p),
+        (*told, "ADSC 5x", "12.5% [0.0, 44.3]", "2", "0.5", fast_p),
+    ]
+    told = ("TCSC, airsim, told", "5x")
+    variant, plain = (
+        tuple(line.values()) for line in table_below(page, "Flown at the ClockSpeed of the training")
+    )
+    assert variant == (*told, "0, 1", real_time, "0.33", fast, "1", "0.5")
+    assert (plain[0], plain[4], plain[6]) == ("TCSC, airsim", "-", "-")
+    exact = table_below(page, "The same policies in the exact simulator")
+    assert [tuple(line.values()) for line in exact] == [
+        (*told, "0", of_wilson(30, 40), of_wilson(28, 40), "34 of 40", f"{binomtest(2, 6).pvalue:.2g}"),
+    ]
+    assert "Of 40 flights of a policy over a lane in real time 34 end alike in both" in page
+    assert [tuple(line.values()) for line in table_below(page, "Each training")] == [
+        (*told, "0", "3 of 10", of_wilson(30, 40), "told0"),
+        (*told, "1", "4 of 10", of_wilson(20, 40), "told1"),
+        ("TCSC, airsim", "5x", "0", "3 of 10", of_wilson(10, 40), "0"),
+        ("TCSC, airsim", "5x", "1", "4 of 10", of_wilson(5, 40), "1"),
+    ]
+
+
+@pytest.mark.usefixtures("without_figures")
+def test_the_report_counts_the_seeds_that_learned_the_same_weights(tmp_path: Path) -> None:
+    rows = made("tcsc", 1.0, [[]] * 3, 1.0) + made("tcsc", 5.0, [[]] * 3, 1.0)
+    for row in rows[4:]:
+        row["training"]["weights_sha256"] = "other"
+    page = page_of(tmp_path / "run", rows, {row["case"]: load(row) for row in rows})
+    assert "TCSC, airsim: of 3 seeds 1 learned the same weights at 1x, 5x: 2 learned others." in page
+
+
+def test_merged_runs_have_the_seeds_from_the_first_to_the_last_of_all(tmp_path: Path) -> None:
+    options: dict[str, Any] = {
+        "early": {"seed": 2, "seeds": 2, "command": ["tcsc"]},
+        "late": {"seed": 7, "seeds": 3, "command": ["adsc"]},
+    }
+    runs = [RunDirectory.create(tmp_path / name, small(**each), {}) for name, each in options.items()]
+    rows = made("tcsc", 1.0, [[3]], 1.0) + made("adsc", 1.0, [[5, 6]], 1.0)
+    for run, row, took_s in zip(runs, rows, (4.0, 9.0), strict=True):
+        run.append_row(row | run.save_arrays(row["case"], load(row)))
+        run.append_timing({"case": row["case"], "training_s": took_s})
+    for first, second in (runs, runs[::-1]):
+        merged = merge_runs([first, second])
+        config = merged.config()
+        assert (config["seed"], config["seeds"], config["command"]) == (2, 8, [])
+        won = {row["case"]: merged.load_arrays(row)[f"{row['command']}_is_success"] for row in merged.rows()}
+        assert {case: int(each.sum()) for case, each in won.items()} == {"tcsc-1-0": 1, "adsc-1-0": 2}
+        took = {entry["case"]: entry["training_s"] for entry in merged.timings()}
+        assert took == {"tcsc-1-0": 4.0, "adsc-1-0": 9.0}
+
+
+def test_claims_take_the_plain_trainings_of_their_profile_on_the_virtual_clock(tmp_path: Path) -> None:
+    """Games that were lost ended on the way: at 10 m in the first lane, and a metre further in each."""
+    rows = made("tcsc", 1.0, [[*range(39)], [*range(38)]], 1.0)
+    rows += made("tcsc", 5.0, [[]], 1.0) + made("adsc", 1.0, [[]], 1.0)
+    others: list[dict[str, Any]] = [{"variant": "told"}, {"profile": "native"}, {"timing": "lockstep"}]
+    rows += [made("tcsc", 1.0, [[]], 1.0)[0] | other for other in others]
+    run = RunDirectory.create(tmp_path / "run", small(), {})
+    for number, row in enumerate(rows):
+        other = "adsc" if row["command"] == "tcsc" else "tcsc"
+        row["evaluations"].append(flight(other, 1.0, len(row["lanes"]) // 2))
+        row["case"] = f"case{number}"
+        run.append_row(
+            row | run.save_arrays(row["case"], outcomes_of(dict.fromkeys(("tcsc", "adsc"), row["lanes"])))
+        )
+    config = {"seed": 0, "games": 10, "evaluation_clock_speed": 1.0}
+    run.write_json("summary.json", summarise(config, cast(Any, run.rows()), run.load_arrays))
+    found = Policies.of(run, "airsim")
+    kinds = [(cell["command"], cell["clock_speed"], cell["seed"], cell["successes"]) for cell in found.cells]
+    assert kinds == [("tcsc", 1.0, 0, 39), ("tcsc", 1.0, 1, 38), ("tcsc", 5.0, 0, 0), ("adsc", 1.0, 0, 0)]
+    (flown,) = found.interchange
+    assert [(each["command"], each["successes"]) for each in flown["flown_with"]] == [
+        ("tcsc", 77),
+        ("adsc", 38),
+    ]
+    lost_m = {key: each.tolist() for key, each in found.ended_m.items()}
+    assert lost_m["tcsc", 1.0] == [49.0, 48.0, 49.0]
+    assert lost_m["tcsc", 5.0] == lost_m["adsc", 1.0] == [10.0 + lane for lane in range(LANES)]
 
 
 def test_what_a_decision_takes_it_takes_in_evaluations_too() -> None:
