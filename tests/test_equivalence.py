@@ -88,6 +88,25 @@ def test_ends_of_a_ratio_solve_movers_equation() -> None:
     assert ratio.low < 0.62 < 1 < ratio.high, "the paper's 21 to 13 of 100 may be no loss at all"
 
 
+@pytest.mark.parametrize(
+    ("p", "q", "low", "high"),
+    [
+        # 2 - r = sqrt(1 + r^2), whose squares cancel; 2 - r = -sqrt(1 + r^2 / 4)
+        ((2, 1, 3), (1, 0.5, 2), 0.75, (4 + np.sqrt(7)) / 1.5),
+        # r = sqrt(1 + r^2 / 4)
+        ((0, 0, 1), (1, 0.5, 2), 0.0, 2 / np.sqrt(3)),
+        # 2 - r = r; q may be 0
+        ((2, 2, 2), (1, 0, 2), 1.0, np.inf),
+        # 1 - r = -sqrt(1 + r^2 / 4)
+        ((1, 0, 2), (1, 0.5, 1.5), 0.0, 8 / 3),
+    ],
+)
+def test_ends_of_a_ratio_solve_movers_equation_on_its_edges_too(
+    p: tuple[float, ...], q: tuple[float, ...], low: float, high: float
+) -> None:
+    assert ratio_estimate(Estimate(*p), Estimate(*q)) == pytest.approx((p[0] / q[0], low, high))
+
+
 def test_none_won_of_many_has_an_upper_end() -> None:
     none, all_but = (
         Estimate(each.ratio, *each.interval) for each in (Proportion(0, 300), Proportion(290, 300))

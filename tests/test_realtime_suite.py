@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -11,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.drawing import labelled, points, record_figures
 from tests.running import configured
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
@@ -162,6 +164,41 @@ def test_a_runs_seed_moves_every_trainings_and_every_episodes(monkeypatch: pytes
     assert begun == [1_000_000, 1_000_001, 1_000_010, 1_000_011]
 
 
+def test_an_agent_thinks_so_many_times_a_cells_latency(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On the simulated clock the environment waits for it, on the machine's own it sleeps."""
+    met: list[Any] = []
+
+    def noting(name: str, *at: int) -> Any:
+        def note(*given: Any) -> Any:
+            met.append((name, *(given[place] for place in at)))
+            return SimpleNamespace(close=lambda: None)
+
+        return note
+
+    def end_at_once(env: Any, actor: Any, seed: int, thinks_s: float) -> Any:
+        met.append(("thinks", thinks_s))
+        return 1.0, 0.0, 0.0
+
+    monkeypatch.setattr(flights, "timed", noting("timed", 2, 3, 4))
+    monkeypatch.setattr(flights, "measured", noting("measured", 2, 3))
+    monkeypatch.setattr(flights, "LookAhead", noting("looks ahead", 3, 4))
+    monkeypatch.setattr(flights, "Policy", lambda *_: None)
+    monkeypatch.setattr(flights, "_episode", end_at_once)
+    slow = "agents={slow: {latency_factor: 3, look_ahead: true}}"
+    keys = slow, "latency_s=[0.05]", "clock_speed=[4]", "seeds=1", "episodes=1"
+    config: Any = configured("realtime_smoke", *TINY, *keys)
+    weights: Any = {}
+    adsc, tcsc = (case for case in cases(config) if isinstance(case, EvaluationCase))
+    for case in (adsc, tcsc, replace(tcsc, timing="wall")):
+        assert flights.fly_evaluation(config, case, weights)["latency_s"] == 0.05
+    slowly_s = pytest.approx(0.15)
+    assert met == [
+        *(("timed", slowly_s, "adsc", 4.0), ("looks ahead", slowly_s, 4.0), ("thinks", 0.0)),
+        *(("timed", slowly_s, "tcsc", 4.0), ("thinks", 0.0)),
+        *(("measured", "tcsc", 4.0), ("thinks", slowly_s)),
+    ]
+
+
 # --- agents ---------------------------------------------------------------------------------------
 
 
@@ -286,6 +323,114 @@ def test_a_ranking_holds_until_two_agents_change_places_for_sure() -> None:
         {"clock_speed": 20, "ahead": "c", "behind": "a"},
         {"clock_speed": 20, "ahead": "c", "behind": "b"},
     ]
+
+
+@pytest.mark.parametrize(
+    ("reversed_at", "holds_to"), [((), 50), ((5, 20), 1), ((20, 50), 5), ((5,), 1), ((5, 50), 1)]
+)
+def test_a_ranking_holds_up_to_the_last_clock_speed_before_the_first_change(
+    reversed_at: tuple[float, ...], holds_to: float
+) -> None:
+    cells = [
+        cell(agent, speed, 9 if (agent == "a") != (speed in reversed_at) else 2)
+        for speed in (50, 1, 20, 5)
+        for agent in ("a", "b")
+    ]
+    (ranking,) = rankings_of(cells)
+    assert ranking["clock_speeds"] == [1, 5, 20, 50]
+    assert ranking["holds_to"] == holds_to
+    assert ranking["reversals"] == [
+        {"clock_speed": speed, "ahead": "b", "behind": "a"} for speed in reversed_at
+    ]
+
+
+def row_of(agent: str, command: str, latency_s: float, clock_speed: float, mean: float, **keys: Any) -> Any:
+    """An evaluation of two episodes that return 2 less and 2 more than the mean."""
+    return {
+        "suite": "realtime",
+        "kind": "evaluation",
+        "case": f"{agent}-{command}-{latency_s:g}-{clock_speed:g}",
+        "timing": "virtual",
+        "environment": "pendulum",
+        "agent": agent,
+        "seed": 0,
+        "command": command,
+        "latency_s": latency_s,
+        "clock_speed": clock_speed,
+        "returns": [mean - 2.0, mean + 2.0],
+        "delays_s": [latency_s * clock_speed] * 2,
+        "late_s": 0.0,
+    } | keys
+
+
+def test_the_page_tells_each_return_and_ranking_in_its_column(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of two agents the naive one is ahead in real time, and behind at 4x where latency is 50 ms."""
+    drawn = record_figures(monkeypatch)
+    run = RunDirectory.create(tmp_path / "run", configured("realtime_smoke", *TINY), {})
+    for latency_s in (0.3, 0.0, 0.05):
+        for speed in (1.0, 4.0):
+            mean = 3 if (latency_s, speed) == (0.05, 4.0) else 20
+            run.append_row(row_of("naive", "adsc", latency_s, speed, mean))
+            run.append_row(row_of("chunk", "adsc", latency_s, speed, 10, late_s=0.004))
+    run.append_row(row_of("naive", "tcsc", 0.3, 1.0, 20, delays_s=[0.0, 0.0]))
+    run.append_row(row_of("naive", "tcsc", 0.3, 4.0, 21, delays_s=[0.0, 0.0]))
+    report = Realtime().report(run)
+    report.write()
+    page = (run.path / "report.md").read_text(encoding="utf-8")
+    change = "at 4x chunk is ahead of naive, which beats it at 1x"
+    assert report.headline() == (
+        f"pendulum, 50 ms: the ranking holds up to 1x; {change}; under TCSC all returns DIFFER at every ClockSpeed"
+    )
+    shown = report.overview()
+    assert shown is not None
+    ahead, late = ("20", "18 to 22", "-"), ("10", "8 to 12", "0.004")
+    assert shown.rows == [
+        ("pendulum", "naive", "ADSC", "0", "1x", "0", *ahead),
+        ("pendulum", "chunk", "ADSC", "0", "1x", "0", *late),
+        ("pendulum", "naive", "ADSC", "50", "1x", "0.05", *ahead),
+        ("pendulum", "chunk", "ADSC", "50", "1x", "0.05", *late),
+    ]
+    lines = [line for line in page.splitlines() if line.startswith("| pendulum | ")]
+    told = {tuple(each.strip() for each in line.strip("| ").split("|")) for line in lines}
+    assert {line for line in told if len(line) == 5} == {
+        ("pendulum", "0", "4x", "1.00", "none"),
+        ("pendulum", "50", "1x", "-1.00", change),
+        ("pendulum", "300", "4x", "1.00", "none"),
+    }
+    assert ("pendulum", "naive", "TCSC", "300", "4x", "0", "21", "19 to 23", "-") in told
+    lines_of = labelled(drawn["rankings"].axes[0])
+    assert {label: points(line) for label, line in lines_of.items()} == {
+        "0 ms": [(1.0, 1.0), (4.0, 1.0)],
+        "50 ms": [(1.0, 1.0), (4.0, -1.0)],
+        "300 ms": [(1.0, 1.0), (4.0, 1.0)],
+    }
+    naive = labelled(drawn["returns"].axes[0])["naive"]
+    assert points(naive) == [(0.0, 20.0), (0.05, 20.0), (0.2, 3.0), (0.3, 20.0), (1.2, 20.0)]
+
+
+def test_the_machines_clock_is_held_against_the_simulated_one_in_either_order(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn = record_figures(monkeypatch)
+    keys = "agents={naive: {}, chunk: {chunk: 2}}"
+    runs = [
+        RunDirectory.create(tmp_path / timing, configured("realtime_smoke", *TINY, keys, timing=timing), {})
+        for timing in ("virtual", "wall")
+    ]
+    for run, naive, late_s in zip(runs, (10.0, 8.0), (0.0, 0.03), strict=True):
+        run.append_row(row_of("naive", "adsc", 0.05, 1.0, naive, late_s=late_s))
+        run.append_row(row_of("chunk", "adsc", 0.05, 1.0, 4.0))
+    runs[0].append_row(row_of("naive", "adsc", 0.05, 4.0, 99.0))  # which the machine's clock has not
+    for given in (runs, runs[::-1]):
+        assert Realtime().compare(given) == [tmp_path / "wall/figures/agreement.png"]
+        axes: Any = drawn["agreement"].axes[0]
+        shown = {label: points(line) for label, line in labelled(axes).items()}
+        assert shown == {"naive": [(10.0, 8.0)], "chunk": [(4.0, 4.0)]}
+        said = runs[1].read_json("agreement.json")
+        assert (said["cells"], said["late_s"]) == (2, 0.03)
+        assert said["return_difference_median"] == pytest.approx(0.1)  # of 0.2 and 0
 
 
 def test_an_interval_is_over_trainings_and_episodes() -> None:

@@ -88,5 +88,22 @@ def test_beyond_what_can_be_counted_ways_are_drawn() -> None:
     expected = permutation_test((same, other), lambda a, b: abs(np.mean(a) - np.mean(b)), n_resamples=20_000,
                                 alternative="greater", rng=np.random.default_rng(1)).pvalue  # fmt: skip
     assert p == pytest.approx(expected, abs=0.02)
-    assert permutation_p(np.zeros(12), np.ones(12)) < 1e-4  # type: ignore[operator]
-    assert sign_flip_p(np.ones(20)) == pytest.approx(2 / 2**20, abs=5e-5)
+    assert sign_flip_p([1.0] * 15 + [-1.0] * 5) == pytest.approx(2 * stats.binom(20, 0.5).cdf(5), abs=0.002)
+
+
+def test_what_was_seen_is_one_of_the_ways_that_are_drawn() -> None:
+    """200 000 draws meet nothing as rare: p is never 0."""
+    assert permutation_p(np.arange(20), 100 + np.arange(20)) == 1 / 200_001
+    assert sign_flip_p(np.ones(40)) == 1 / 200_001
+
+
+def test_another_seed_draws_other_ways_and_none_where_all_are_counted() -> None:
+    values = np.random.default_rng(0).random(24)
+    for test in (
+        lambda seed: permutation_p(values[:12], values[12:], seed),
+        lambda seed: sign_flip_p(values - 0.4, seed),
+    ):
+        assert test(1) != test(2) == pytest.approx(test(1), abs=0.01)
+        assert test(1) == test(1)
+    assert permutation_p(values[:5], values[5:10], 1) == permutation_p(values[:5], values[5:10], 2)
+    assert sign_flip_p(values[:5], 1) == sign_flip_p(values[:5], 2)
