@@ -6,7 +6,8 @@ import sys
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -14,12 +15,14 @@ import pytest
 from uavaccel.cli import main as cli
 from uavaccel.cli.progress import Progress
 from uavaccel.cli.run import RunRequest, run_experiment
+from uavaccel.commands import COMMANDS, SynchronousCommand
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
 from uavaccel.suites.dp1.config import Dp1Config
-from uavaccel.suites.dp1.flights import SCENE, Case, fly_game
+from uavaccel.suites.dp1.flights import SCENE, Case, fly_game, fly_path
 from uavaccel.suites.dp1.flights import cases as cases_of
 from uavaccel.suites.dp1.report import Dp1Report
+from uavaccel.suites.dp1.suite import Dp1
 from uavaccel.suites.experiment import read_mapping, resolve
 from uavaccel.wire.session import VirtualSession, open_session
 
@@ -76,6 +79,28 @@ def test_a_single_clock_brings_references_of_its_own() -> None:
     assert {case.timing for case in cases if case.role == "game"} == {"wall"}
     assert {case.timing for case in cases if case.role == "reference"} == {"virtual"}
     assert {case.clock_speed for case in cases if case.role == "reference"} == {1.0}
+
+
+def test_figure_2_is_of_the_longest_commands_in_real_time_and_at_the_fastest_clock() -> None:
+    config = paper_config(
+        clock_speed=[5.0, 50.0, 10.0], t_move_s=[0.2, 1.0, 0.5], rounds=[4, 8], timing="wall"
+    )
+    first, second = (case for case in cases_of(config) if case.role == "figure2")
+    assert first.id == "figure2-adsc-k1-t1-r1-g00"
+    assert second.id == "figure2-adsc-k50-t1-r1-g01"
+    assert (first.timing, second.timing) == ("virtual", "wall")
+    assert first.path == second.path == "two_forward_one_back"
+
+
+def test_figure_4_is_of_the_longest_command_at_the_fastest_clock(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config = paper_config(clock_speed=[5.0, 50.0, 10.0], t_move_s=[0.2, 1.0, 0.5])
+    monkeypatch.setattr("uavaccel.bench.traces.record_trace", lambda _, *asked: list(asked))
+    run = RunDirectory.create(tmp_path / "run", config, {})
+    Dp1().finish(config, run)
+    traces = {command: run.read_json(f"traces/{command}.json") for command in ("adsc", "tcsc")}
+    assert traces == {command: [command, 50.0, 1.0] for command in traces}
 
 
 def test_seeds_belong_to_games_alone() -> None:
@@ -232,6 +257,39 @@ def test_sampling_through_the_client_costs_time_and_no_accuracy() -> None:
     sampled_row, sampled = game(paper_config(**base, t_sample_s=0.05), "tcsc")
     assert same_arrays(arrays, sampled)
     assert sampled_row["wall_s"] > row["wall_s"]
+
+
+@pytest.mark.parametrize(
+    ("profile", "clock_speed", "t_sample_s", "t_th_ms"),
+    [
+        ("airsim", 20.0, None, 20),  # the client's millisecond, 20 times as fast
+        ("airsim", 100.0, None, 50),  # a tenth of T_sample, which is T_move
+        ("airsim", 20.0, 0.1, 10),
+        ("airsim", 1.0, None, 3),  # a tick
+        ("native", 20.0, None, 0),  # whose continue-for is exact
+    ],
+)
+def test_tcsc_allows_for_the_clients_latency_at_the_clock_speed(
+    profile: str, clock_speed: float, t_sample_s: float | None, t_th_ms: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    flown: list[Any] = []
+
+    def fly(*asked: Any) -> tuple[()]:
+        flown.append(asked)
+        return ()
+
+    monkeypatch.setitem(COMMANDS, "tcsc", SynchronousCommand(lambda _: None, cast(Any, fly)))
+    keys: dict[str, Any] = {
+        "clock_speed": [clock_speed],
+        "t_move_s": [0.5],
+        "rounds": [1],
+        "profile": profile,
+    }
+    config = paper_config(**keys, t_sample_s=t_sample_s, t_th_wall_s=0.001)
+    case = next(case for case in cases_of(config) if (case.role, case.command) == ("game", "tcsc"))
+    client: Any = SimpleNamespace(now_ns=lambda: 0)
+    fly_path(config, case, client)
+    assert [asked[2:] for asked in flown] == [(0.5, t_sample_s or 0.5, t_th_ms * 1_000_000)] * 4
 
 
 def test_airsims_profile_flies_both_commands() -> None:

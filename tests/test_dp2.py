@@ -6,7 +6,8 @@ import json
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import cv2
 import numpy as np
@@ -15,12 +16,14 @@ import pytest
 from tests.opengl import needs_opengl
 from uavaccel.cli.run import RunRequest, report_run, run_experiment
 from uavaccel.cli.view import view_game
+from uavaccel.commands import COMMANDS, SynchronousCommand
 from uavaccel.errors import UsageError, UserError
 from uavaccel.files import read_arrays, write_arrays
 from uavaccel.records import RunDirectory
 from uavaccel.sim.lane.layout import LENGTH_M
+from uavaccel.suites.dp2 import flights
 from uavaccel.suites.dp2.config import Dp2Config
-from uavaccel.suites.dp2.flights import SCENE, Case, fly_game, velocities
+from uavaccel.suites.dp2.flights import SCENE, Case, fly_game, fly_path, velocities
 from uavaccel.suites.dp2.flights import cases as cases_of
 from uavaccel.suites.experiment import read_mapping, resolve
 from uavaccel.suites.rows import subset
@@ -93,6 +96,91 @@ def test_perturbed_games_are_compared_with_a_clean_one() -> None:
 
 
 # --- flights ------------------------------------------------------------------------------------------------
+
+
+class Asked(Exception):
+    """Ends a flight at once: the camera that it asks for is known."""
+
+
+def cameras(monkeypatch: pytest.MonkeyPatch, *overrides: str, **options: Any) -> dict[str, tuple[Any, ...]]:
+    """What each game's camera is made with, by its case: kind of images, guard, perturbation, exposure."""
+
+    def ask(client: Any, *settings: Any) -> Any:
+        raise Asked(*settings)
+
+    monkeypatch.setattr(flights, "CameraClient", ask)
+    session: Any = SimpleNamespace(start_game=lambda *_: None)
+    config, found = config_of(SHORT_PATH, *overrides, command=["tcsc"], **options), {}
+    for case in cases_of(config):
+        with pytest.raises(Asked) as asked:
+            fly_game(config, case, session)
+        found[case.id] = asked.value.args
+    return found
+
+
+def test_games_alone_are_perturbed_the_more_the_faster_the_clock(monkeypatch: pytest.MonkeyPatch) -> None:
+    """At 26x half of the share, at 76x three quarters of it; each game draws its own images."""
+    keys = "perturbation={share: 0.08, half_excess: 25, kinds: [empty]}", "clock_speed=[26, 76]"
+    found = cameras(monkeypatch, *keys, "guard.max_retries=1")
+    assert {case: settings[0] for case, settings in found.items()} == {
+        "reference-tcsc-k1": "gray",
+        "lockstep-tcsc-k1": "colour",
+        "tcsc-k26": "colour",
+        "tcsc-k76": "colour",
+    }
+    assert [settings[1].max_retries for settings in found.values()] == [1] * 4
+    *clean, half, most = (settings[2] for settings in found.values())
+    assert clean == [None, None]
+    assert (half.share, most.share) == pytest.approx((0.04, 0.06))
+    assert half.kinds == most.kinds == ("empty",)
+    other = cameras(monkeypatch, *keys, seed=1)["tcsc-k26"][2]
+    assert len({half.seed, most.seed, other.seed}) == 3
+    assert cameras(monkeypatch, *keys)["tcsc-k26"][2] == half
+    always = cameras(monkeypatch, "perturbation.share=0.08", "clock_speed=[26]")["tcsc-k26"][2]
+    assert always.share == 0.08
+
+
+def test_without_perturbation_images_are_gray_and_exposure_is_of_every_game(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    for exposed in (False, True):
+        found = cameras(monkeypatch, f"auto_exposure={str(exposed).lower()}", "clock_speed=[1, 50]")
+        assert [settings[0] for settings in found.values()] == ["colour", "gray", "gray"]
+        assert {settings[2] for settings in found.values()} == {None}
+        assert [settings[3] is not None for settings in found.values()] == [exposed] * 3
+
+
+@pytest.mark.parametrize(
+    ("profile", "clock_speed", "t_th_ms"),
+    [("airsim", 20.0, 20), ("airsim", 100.0, 33), ("airsim", 1.0, 3), ("native", 20.0, 0)],
+)
+def test_tcsc_allows_for_the_clients_latency_at_the_clock_speed(
+    profile: str, clock_speed: float, t_th_ms: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """At most a tenth of T_sample, .33 s, and at least a tick of 3 ms."""
+    flown: list[Any] = []
+
+    def fly(*asked: Any) -> list[Any]:
+        flown.append(asked)
+        return [camera.gather(None)]
+
+    def gather(_: Any) -> Any:
+        return SimpleNamespace(state=SimpleNamespace(position_m=(len(flown), 0.0, 0.0), time_ns=0))
+
+    camera: Any = SimpleNamespace(
+        gather=gather,
+        kinematics=lambda: None,
+        now_ns=lambda: 0,
+        client=SimpleNamespace(collision=lambda: None),
+    )
+    monkeypatch.setitem(COMMANDS, "tcsc", SynchronousCommand(lambda _: None, cast(Any, fly)))
+    options: dict[str, Any] = {"clock_speed": [clock_speed], "profile": profile, "command": ["tcsc"]}
+    config = config_of(SHORT_PATH, "t_th_wall_s=0.001", **options)
+    case = next(
+        case for case in cases_of(config) if case.clock_speed == clock_speed and case.role != "lockstep"
+    )
+    assert fly_path(config, case, camera).indices == [0, 3, 6, 9, 12]
+    assert [asked[2:] for asked in flown] == [(1.0, 0.33, t_th_ms * 1_000_000)] * 4
 
 
 @needs_opengl

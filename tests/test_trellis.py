@@ -54,6 +54,27 @@ def test_an_answer_without_work_leaves_where_its_call_was_handled() -> None:
     assert messages(trace) == [Message(0, 1), Message(1, 2), Message(3, 4), Message(4, 5)]
 
 
+def test_an_answer_leaves_from_the_last_work_before_it_returns() -> None:
+    """A command in two slices, each waited for; then a question that nothing is done for."""
+    slice_of_a_command = [
+        *(("client", "call continue"), ("server", "handle continue"), ("server", "run")),
+        *(("server", "end continue"), ("server", "pause"), ("client", "return continue")),
+    ]
+    events = [
+        *(("client", "call move"), ("server", "handle move")),
+        *slice_of_a_command,  # from 2 on
+        *slice_of_a_command,  # from 8 on
+        ("client", "return move"),
+        *(("client", "call ask"), ("server", "handle ask"), ("client", "return ask")),
+    ]
+    trace = [{"source": s, "event": e, "wall_s": 0.0, "sim_s": 0.0} for s, e in events]
+    assert messages(trace) == [
+        *(Message(0, 1), Message(2, 3), Message(5, 7), Message(8, 9), Message(11, 13), Message(11, 14)),
+        *(Message(15, 16), Message(16, 17)),
+    ]
+    assert running_spans(trace) == [(4, 6), (10, 12)]
+
+
 def test_simulated_time_runs_between_run_and_pause() -> None:
     trace = recorded_trace()
     assert running_spans(trace) == [(4, 6)]
