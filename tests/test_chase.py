@@ -36,6 +36,10 @@ def test_the_drone_is_seen_from_behind_along_its_heading() -> None:
     rows, columns = places.T
     assert abs(np.median(columns) - 128) < 6
     assert np.ptp(rows) < 20  # in one piece
+    # of the front rotors, 0.16 m ahead: from 2.4 m behind and 1.15 m above, looking 20 degrees down at 140 pixels
+    # per tangent; those behind would be 7 rows lower
+    below = np.arctan((1.15 - 0.025) / (2.4 + 0.16)) - np.radians(20.0)
+    assert np.median(rows) == pytest.approx(72 + 140 * np.tan(below), abs=2.0)
     west, other = columns[columns < 128], columns[columns >= 128]
     assert min(len(west), len(other)) > 8  # both front rotors
     by_roll = drone(rolled)

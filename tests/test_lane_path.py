@@ -75,6 +75,18 @@ def test_a_path_is_straight_where_nothing_is_near_and_keeps_off_where_there_is_r
     assert nearest > 0.5  # of 0.36 straight ahead
 
 
+@pytest.mark.parametrize("gap_m", [1.4, 2.0])
+def test_a_gap_is_taken_up_to_the_margin_and_no_further(gap_m: float) -> None:
+    """Straight ahead the hull, of 0.3418 m, has the rest of half a gap to either side, which is the most there is."""
+    there_is_m = gap_m / 2 - 0.3418
+    posts = [{"x_m": 20.0, "y_m": side * (gap_m / 2 + 2.0), "half_side_m": 2.0} for side in (-1, 1)]
+    layout = layout_from({"obstacles": posts}, "test")
+    places = fly(plan_path(layout, margin_m=there_is_m - 0.01), 10.0, 1.0)
+    assert clearance_m(layout, places).min() == pytest.approx(there_is_m, abs=0.02)
+    with pytest.raises(UserError, match="no path through this lane keeps"):
+        plan_path(layout, margin_m=there_is_m + 0.01)
+
+
 def test_the_simulator_flies_a_planned_path_to_the_end(lane_world: World) -> None:
     layout = evaluation_lane(0)
     lane_world.set_lane(layout)

@@ -19,10 +19,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from uavaccel.clock import VirtualClock
 from uavaccel.errors import UserError
 from uavaccel.realtime import Measured, RealTime, RealTimeProcess, ThinkingTime, lognormal, samples
 from uavaccel.realtime.control_loop import ControlLoop, LoopOptions
-from uavaccel.realtime.plant import Passed
+from uavaccel.realtime.plant import Passed, plant_of
+from uavaccel.realtime.process import _Server
 from uavaccel.realtime.thinking import thinking_time
 from uavaccel.wire.latency import read_latency
 
@@ -442,6 +444,101 @@ def test_the_lane_through_the_wrapper_is_the_lane_under_that_command(command: st
         assert (got[4]["thinking_s"], got[4]["meanwhile_s"]) == (0.2, age_s)
     own.close()
     wrapped.close()
+
+
+class Messages:
+    """An agent's end of a connection: each message comes at its time, in ms, on a simulated clock."""
+
+    def __init__(self, clock: VirtualClock, *messages: tuple[float, Any]) -> None:
+        self._clock, self._left = clock, list(messages)
+
+    def poll(self, timeout_s: float) -> bool:
+        until_ns = self._clock.now_ns() + round(timeout_s * 1e9)
+        here = self._left[0][0] * MS <= until_ns
+        self._clock.sleep_until(round(self._left[0][0] * MS) if here else until_ns)
+        return here
+
+    def recv(self) -> Any:
+        time_ms, message = self._left.pop(0)
+        self._clock.sleep_until(round(time_ms * MS))
+        return message
+
+
+class Working(Counting):
+    """Each of its steps takes the machine so many ms."""
+
+    def __init__(self, clock: VirtualClock, works_ms: int) -> None:
+        self._clock, self._works_ms = clock, works_ms
+
+    def step(self, action: Any) -> Any:
+        assert len(self.applied) < 50, "no step follows the end of an episode"
+        self._clock.charge(self._works_ms * MS)
+        return super().step(action)
+
+
+RESET = ("reset", 0, None)
+MS = 1_000_000
+
+
+def chosen(values: float | list[float]) -> NDArray[np.float32]:
+    """One action, or a chunk of them."""
+    return np.array([[each] for each in values], np.float32) if isinstance(values, list) else one(values)
+
+
+@pytest.mark.parametrize(
+    ("keys", "works_ms", "messages", "applied", "answers", "until_ms"),
+    [
+        # 50 ms are two and a half periods, and 5 ms a part of one, to whose end an action waits
+        ({}, 0, [(50, 0.1), (85, 0.2)], [0, 0, 0, 0.1, 0.1, 0.2], [(4, 50, 3, 0), (2, 5, 1, 0)], 120),
+        ({"meanwhile": "default"}, 0, [(50, 0.1), (85, 0.2)], [0, 0, 0, 0.1, 0, 0.2],
+         [(4, 50, 3, 0), (2, 5, 1, 0)], 120),
+        ({"clock_speed": 2.0}, 0, [(50, 0.1), (60, 0.2)], [0, 0, 0, 0, 0, 0.1, 0.2],
+         [(6, 50, 5, 0), (1, 0, 0, 0)], 70),
+        ({"command": "tcsc"}, 0, [(50, 0.1), (85, 0.2)], [0.1, 0.2], [(1, 50, 0, 0), (1, 15, 0, 0)], 105),
+        ({"command": "tcsc", "clock_speed": 4.0}, 0, [(50, 0.1), (85, 0.2)], [0.1, 0.2],
+         [(1, 50, 0, 0), (1, 30, 0, 0)], 90),
+        # the second of a chunk goes on while the agent thinks, but not in the next episode
+        ({"chunk": 2, "execute": 1}, 0, [(20, [0.1, 0.2]), (60, [0.3, 0.4])], [0, 0.1, 0.2, 0.3],
+         [(2, 20, 1, 0), (2, 20, 1, 0)], 80),
+        ({"chunk": 2, "execute": 1}, 0, [(20, [0.1, 0.2]), (60, RESET), (80, [0.3, 0.4])], [0, 0.3],
+         [(2, 20, 1, 0), (2, 20, 1, 0)], 100),
+        ({}, 0, [(20, 0.1), (60, RESET), (80, 0.3)], [0, 0.3], [(2, 20, 1, 0), (2, 20, 1, 0)], 100),
+        ({"chunk": 3, "execute": 2, "overlap": True}, 0, [(20, [0.1, 0.2, 0.3]), (60, [0.4, 0.5, 0.6])],
+         [0, 0.1, 0.2, 0.4], [(2, 20, 1, 0), (2, 20, 1, 0)], 80),
+        # steps of 30 ms are 10 ms late each; the agent thinks from when it has its observation
+        ({"command": "tcsc"}, 30, [(0, 0.1), (35, 0.2)], [0.1, 0.2], [(1, 0, 0, 10), (1, 5, 0, 10)], 65),
+        ({}, 30, [(0, 0.1), (30, 0.2)], [0.1, 0.2], [(1, 0, 0, 10), (1, 0, 0, 10)], 60),
+        # an episode of 50 periods ends with an action, or before it comes, and it is applied no more
+        ({}, 0, [(980, 0.1), (1200, RESET), (1220, 0.3)], [0, 0.3], [(50, 980, 49, 0), (2, 20, 1, 0)], 1240),
+        ({}, 0, [(1100, 0.1), (1200, RESET), (1220, 0.3)], [0, 0.3], [(50, 1100, 50, 100), (2, 20, 1, 0)], 1240),
+    ],
+)  # fmt: skip
+def test_the_environments_process_steps_when_its_clock_says_so(
+    keys: dict[str, Any],
+    works_ms: int,
+    messages: list[tuple[float, Any]],
+    applied: list[float],
+    answers: list[tuple[int, int, int, int]],
+    until_ms: float,
+) -> None:
+    """An answer has the periods that passed, the thinking time in ms and periods, and the lateness in ms."""
+    clock = VirtualClock()
+    env = Working(clock, works_ms)
+    sent = [(time_ms, each if each is RESET else ("step", chosen(each))) for time_ms, each in messages]
+    connection: Any = Messages(clock, (0, RESET), *sent)
+    server = _Server(connection, ControlLoop(plant_of(env, None), LoopOptions(**keys), env.action_space), env)
+    server._clock = clock  # type: ignore[assignment]
+    told = []
+    for _ in range(len(messages) + 1):
+        name, *arguments = server.wait()
+        answer = getattr(server, name)(*arguments)
+        if name == "step":
+            passed, thinking_ns, thought, late_ns = answer
+            told.append((passed.ticks, thinking_ns / MS, thought, late_ns / MS))
+            assert passed.observation == len(env.applied)
+    assert told == answers
+    assert [round(each, 3) for each in env.applied] == applied
+    assert clock.now_ns() == until_ms * MS
 
 
 @pytest.mark.wall_clock

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from contextlib import closing
+from dataclasses import astuple
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
 from uavaccel.errors import UserError
 from uavaccel.vision import noise as numbers
-from uavaccel.vision.dvs import init_state, make_sensor, step
+from uavaccel.vision.dvs import PRESETS, DvsParameters, init_state, make_sensor, step
 from uavaccel.vision.image_noise import ImageNoise, noise_seed
 
 SHAPE = (144, 256)
@@ -92,6 +93,25 @@ def test_hot_pixels_fire_whatever_they_see_and_others_do_not() -> None:
         assert (on > 0).mean() == pytest.approx(0.03, abs=0.003)
         assert on[on > 0].mean() == pytest.approx(10.0, abs=0.15)
     assert not events_per_s(0, 3).any()
+
+
+@pytest.mark.parametrize(
+    ("preset", "expected"),
+    [
+        ("clean", DvsParameters(0.4, 0.4, 0.06, 0.0, 0.5, 0.0, 0.0, 1.5, 0.0, 0.01)),
+        ("constructor", DvsParameters(0.4, 0.4, 0.09, 0.0, 0.6, 0.1, 0.1, 1.5, 0.0, 0.01)),
+        ("command_line", DvsParameters(0.4, 0.4, 0.09, 300.0, 0.51, 0.1, 0.1, 1.501, 0.0005, 0.01)),
+        ("noisy", DvsParameters(0.4, 0.4, 0.15, 30.0, 0.6, 0.1, 0.1, 6.5, 0.0, 0.01)),
+    ],
+)
+def test_noise_is_added_to_the_presets_own(preset: Any, expected: DvsParameters) -> None:
+    """Rates are added to the preset's, thresholds and their spread multiplied; the rest stays the preset's."""
+    task = LaneTask(
+        dvs_preset=preset, dvs_threshold_ratio=2.0, dvs_spread_ratio=3.0, dvs_shot_noise_hz=1.5,
+        dvs_leak_hz=0.5, dvs_hot_pixels=0.01,
+    )  # fmt: skip
+    assert astuple(task.dvs_parameters) == pytest.approx(astuple(expected))
+    assert LaneTask(dvs_preset=preset).dvs_parameters == PRESETS[preset]
 
 
 def test_the_spread_of_thresholds_is_a_multiple_of_the_presets() -> None:

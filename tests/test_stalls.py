@@ -8,10 +8,12 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
+from typing import Any
 
 import pytest
 
 from tests.processes import descendants, state_of
+from uavaccel.processes import child
 from uavaccel.processes.stalls import LOOKS, STOPPED_LOOKS, StallDetector, cpu_time_s
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
@@ -91,3 +93,65 @@ def test_who_is_not_waited_for_any_more_begins_anew(start: Start) -> None:
         assert stalls.look([pid]) == []
     assert stalls.look([]) == []
     assert stalls.look([pid]) == []
+
+
+class Found:
+    """A process that successive looks find so: "T" stopped, "S" not, or ended with a status."""
+
+    def __init__(self, *found: str | int) -> None:
+        self.pid, self.killed = 7, False
+        self._found = list(found)
+
+    def poll(self) -> int | None:
+        return self._found[0] if isinstance(self._found[0], int) else None
+
+    def is_stopped(self, pid: int) -> bool:
+        assert pid == self.pid
+        return self._found.pop(0) == "T"
+
+    def kill(self) -> None:
+        self.killed = True
+
+
+@pytest.mark.parametrize(
+    ("found", "over"),
+    [
+        ("T" * 16, 0),
+        ("T" * 17, 1),
+        ("T" * 16 + "S" + "T" * 16, 0),
+        ("T" * 3 + "S" + "T" * 17, 1),
+        ("TS" * 20, 0),
+    ],
+)
+def test_patience_is_over_after_more_than_four_seconds_without_a_break(
+    found: str, over: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Looks are a quarter of a second apart; whoever is stopped now and then is waited for."""
+    process: Any = Found(*found)
+    monkeypatch.setattr(child, "is_stopped", process.is_stopped)
+    patience = child.Patience(process)
+    answers = [patience.is_over() for _ in found]
+    assert answers == [False] * (len(found) - over) + [True] * over
+
+
+@pytest.mark.parametrize(
+    ("found", "lost"),
+    [
+        (["S", "S", 3], "the server ended with status 3"),
+        (["S", 0], "the server ended with status 0"),
+        (["T", "S", -9], "the server was ended by SIGKILL"),
+        (["S", *"T" * 17], "the server was stopped"),
+    ],
+)
+def test_a_watch_kills_what_stays_stopped_and_tells_once_who_is_gone(
+    found: list[str | int], lost: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    process: Any = Found(*found)
+    told: list[str] = []
+    monkeypatch.setattr(child, "is_stopped", process.is_stopped)
+    monkeypatch.setattr(child, "LOOK_S", 1 / 1024)
+    monkeypatch.setattr(child, "STOPPED_S", 16 / 1024)
+    watch = child.Watch(process, "the server", lambda: told.append("gone"))
+    watch._thread.join()
+    assert (watch.lost, told, process.killed) == (lost, ["gone"], True)
+    assert watch.is_lost_soon()
