@@ -28,7 +28,7 @@ from uavaccel.kernels.pictures import draw_gray
 from uavaccel.kernels.project import project
 from uavaccel.kernels.quads import quad_lumas, quick_count, see_plainly
 from uavaccel.resources import asset
-from uavaccel.vision.dvs import PRESETS
+from uavaccel.vision.dvs import PRESETS, DvsParameters
 from uavaccel.vision.dvs_kernels import count_single_pixel
 from uavaccel.vision.dvs_sensor import draw_pixels
 
@@ -113,10 +113,34 @@ def see_both(levels: Any, camera: Any, sensor: Any, plain: Any, full: Any) -> tu
     return quick, slow
 
 
-@pytest.mark.parametrize("sigma", [0.0, 0.05])
-def test_quads_without_noise_see_what_pixels_see(sigma: float) -> None:
+def test_a_lanes_camera_has_each_parameter_under_its_name() -> None:
+    parameters = DvsParameters(0.1, 0.3, 0.02, 50.0, 0.4, 0.05, 0.9, 6.0, 0.007, 0.08)
+    camera = events.camera_row(parameters, 2.5)
+    expected = {
+        events.POSITIVE: 0.1, events.NEGATIVE: 0.3, events.SIGMA: 0.02, events.TAU: 1 / (100 * np.pi),
+        events.LEAK: 0.4, events.JITTER: 0.05, events.SHOT: 6.0, events.REFRACTORY: 0.007, events.HOT: 0.08,
+        events.READ: 2.5,
+    }  # fmt: skip
+    assert dict(enumerate(camera.tolist())) == pytest.approx(expected)
+
+
+def test_a_pixel_rises_by_the_one_threshold_and_falls_by_the_other() -> None:
+    """Of 0.25 and 0.5 without a spread, from 50 to 100, by 0.693, and back: two whole steps up, one down."""
+    parameters, shape = DvsParameters(0.25, 0.5, threshold_sigma=0.0), (at.ROWS, at.COLUMNS)
+    sensor, row = events.sensor_of(draw_pixels(parameters, shape, 3)), events.camera_row(parameters, 0.0)
+    full = np.full(shape, np.log(50), np.float32)
+    plain = full[None].copy()
+    for level, events_each, after in ((100, 2, 0.5), (50, -1, 0.0), (50, 0, 0.0)):
+        both = see_both(np.full(shape, level), tuple(row), sensor, plain, full)
+        assert both == (events_each * full.size, events_each * full.size)
+        np.testing.assert_allclose(full, np.log(50) + after, atol=1e-6)
+        np.testing.assert_array_equal(plain[0], full)
+
+
+@pytest.mark.parametrize(("sigma", "negative"), [(0.0, 0.2), (0.05, 0.2), (0.05, 0.3)])
+def test_quads_without_noise_see_what_pixels_see(sigma: float, negative: float) -> None:
     rng, shape = np.random.default_rng(0), (at.ROWS, at.COLUMNS)
-    parameters = replace(PRESETS["clean"], threshold_sigma=sigma)
+    parameters = replace(PRESETS["clean"], threshold_sigma=sigma, negative_threshold=negative)
     sensor, row = events.sensor_of(draw_pixels(parameters, shape, 3)), events.camera_row(parameters, 0.0)
     full = sensor.logs[rng.integers(0, 256, shape)]
     plain = full[None].copy()
