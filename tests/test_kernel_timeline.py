@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import closing
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,9 @@ from uavaccel.envs.hover import Hover
 from uavaccel.envs.kernel_batch import KernelBatch
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.errors import UserError
+from uavaccel.kernels import cpu, lane_clocks, timeline
 from uavaccel.kernels import latencies as wire
+from uavaccel.kernels.fields import COLOUR, COLUMNS, DVS, ROWS
 from uavaccel.wire.latency import Latency
 
 CHANNELS_US = {
@@ -223,3 +226,38 @@ def test_pictures_are_of_the_frame_shown_and_cost_what_they_cost(
 def test_a_clock_that_does_not_fit_is_refused() -> None:
     with pytest.raises(UserError, match=r"simulator = kernels: clock_speed = 1\.23456789 has more digits"):
         KernelBatch(Hover, 1, clock_speed=1.23456789)
+
+
+@pytest.mark.parametrize(
+    ("kind", "levels", "last", "brightness", "suspect"),
+    [
+        (DVS, (18, -1, -1), np.nan, 18.0, False),  # the first one has nothing to differ from
+        (DVS, (18, -1, -1), 16.0, 18.0, True),  # by an eighth
+        (DVS, (18, -1, -1), 17.0, 18.0, False),
+        (DVS, (9, -1, -1), np.nan, 9.0, True),  # too dark
+        (DVS, (10, -1, -1), np.nan, 10.0, False),
+        (COLOUR, (100, 0, 0), 29.0, 29.9, False),
+        (COLOUR, (0, 100, 0), 50.0, 58.7, True),
+        (COLOUR, (0, 0, 100), 11.0, 11.4, False),
+        (COLOUR, (10, 20, 30), 18.0, 18.15, False),
+        (COLOUR, (30, 20, 10), 18.0, 21.85, True),
+    ],
+)
+def test_the_guard_weighs_colours_and_remembers_the_last_pictures_brightness(
+    kind: int, levels: tuple[int, int, int], last: float, brightness: float, suspect: bool
+) -> None:
+    """On both devices alike, by 0.299 of red, 0.587 of green and 0.114 of blue; of one lane alone."""
+    sums = np.array([[0, 0, 0], [each * ROWS * COLUMNS if each >= 0 else -1 for each in levels]])
+    channels: Any = np.maximum(levels, 0)[:, None, None] * np.ones((1, COLUMNS, ROWS), int)
+    timing: Any = SimpleNamespace(rules=np.zeros(timeline.RULES, np.int64))
+    view: Any = SimpleNamespace(kind=kind)
+    on_cpu, on_gpu = timeline.clocks(2, 1), timeline.clocks(2, 1)
+    for clocks in (on_cpu, on_gpu):
+        clocks.brightness[1] = last
+    assert not lane_clocks.guard.py_func(1, sums, timing, on_gpu)
+    np.testing.assert_array_equal(on_gpu.brightness, [0.0, last])
+    timing.rules[timeline.GUARDED] = 1
+    assert lane_clocks.guard.py_func(1, sums, timing, on_gpu) == suspect
+    assert cpu.guard.py_func(1, view, on_cpu, SimpleNamespace(channels=channels)) == suspect
+    for clocks in (on_cpu, on_gpu):
+        np.testing.assert_allclose(clocks.brightness, [0.0, brightness])
