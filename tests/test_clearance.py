@@ -266,3 +266,17 @@ def lane_world() -> World:
 
 
 _as_made: list[NDArray[np.void]] = []
+
+
+def test_a_reset_hovers_where_and_as_it_is_told(lane_world: World) -> None:
+    """Half a turn to the right of north is south; without a place it starts anew, looking north."""
+    south = (0.0, 0.0, 0.0, 1.0)
+    lane_world.reset((3.0, -1.0, -5.0), south)
+    for _ in range(2):
+        state = lane_world.lead.kinematics()
+        assert state.position_m == pytest.approx((3.0, -1.0, -5.0), abs=1e-6)
+        assert np.abs(state.orientation_wxyz) == pytest.approx(south, abs=1e-6)
+        lane_world.advance(100)
+    lane_world.reset()
+    state = lane_world.lead.kinematics()
+    assert (state.position_m, state.orientation_wxyz) == ((0.0, 0.0, -10.0), (1.0, 0.0, 0.0, 0.0))
