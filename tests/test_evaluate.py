@@ -31,6 +31,7 @@ from uavaccel.records import RunDirectory
 from uavaccel.resources import asset
 from uavaccel.rl import agents
 from uavaccel.rl.agents import OffsetAgent, make_agent, trained_keys
+from uavaccel.rl.algorithms import make_policy
 from uavaccel.rl.config import LearnerConfig
 from uavaccel.rl.lanes import make_lanes
 from uavaccel.rl.learner import make_learner
@@ -401,6 +402,35 @@ def test_an_exported_policy_acts_as_the_model(
     assert policy.config.task == config.task
     assert policy.manifest["actions_heading_deg"] == headings
     environment.close()
+
+
+@pytest.mark.parametrize(
+    ("observation", "shape", "said"),
+    [
+        ("dvs", (4, 36, 64), "a frame every T_sample of a command"),
+        ("colour", (12, 36, 64), "colour"),
+        ("depth", (4, 36, 64), "depth"),
+        ("state", (4, 13), "state"),
+    ],
+)
+def test_a_manifest_describes_what_is_observed_done_and_was_trained(
+    observation: str, shape: tuple[int, ...], said: str, tmp_path: Path
+) -> None:
+    """Two frames of a command, of the last two commands; the file has the online network alone."""
+    flight = {"t_move_s": 1.0, "t_sample_s": 0.5, "history": 2, "headings_deg": [20.0, 0.0, -20.0]}
+    config = tiny_config({"observation": observation, **flight}, mirror=False)
+    network = make_policy(config, lambda _: 0.0)
+    export_policy(tmp_path, network, config, {"games": 7})
+    manifest = json.loads((tmp_path / MANIFEST).read_text())
+    assert manifest["preprocessing"].startswith(said)
+    assert (manifest["observation_shape"], manifest["actions_heading_deg"]) == ([*shape], [20.0, 0.0, -20.0])
+    assert (manifest["weights"], manifest["trained"]) == ("policy.pt", {"games": 7})
+    assert manifest["weights_file_sha256"] == file_sha256(tmp_path / "policy.pt")
+    assert "latency" not in manifest["config"]["task"]
+    kept = th.load(tmp_path / "policy.pt", weights_only=True)
+    online = {name: each for name, each in network.state_dict().items() if name.startswith("q_net.")}
+    assert kept.keys() == online.keys()
+    assert all(th.equal(kept[name], each) for name, each in online.items())
 
 
 class Trap:
