@@ -190,6 +190,9 @@ def test_a_distance_is_that_of_the_first_thing_ahead() -> None:
     assert list(told["relative_pose"]["orientation"].values()) == pytest.approx([0.5**0.5, 0, -(0.5**0.5), 0])
     wire.call("simSetVehiclePose", level_pose(22.0, 0.0, -5.0), True, "")
     assert wire.call("getDistanceSensorData", "Ahead", "")["distance"] == pytest.approx(20.0)
+    wire.call("simSetVehiclePose", level_pose(22.0, 0.0, -0.1), True, "")
+    near = wire.call("getDistanceSensorData", "Down", "")["distance"]
+    assert near == pytest.approx(0.1), "AirSim's tells what is nearer than its least distance too"
     for name in ("Off", "Sideways"):
         with pytest.raises(
             rpc.RpcError, match=f"No distance sensor with name {name} exist on vehicle; there is Down"
@@ -384,6 +387,11 @@ def test_lines_of_sight_and_extents_are_geographic() -> None:
 
     assert wire.call("simTestLineOfSightToPoint", point(40.0, 0.0, -5.0), "")
     assert not wire.call("simTestLineOfSightToPoint", point(60.0, 0.0, -5.0), "")
+    around_a_face = {41.99: True, 42.0: True, 42.01: False}  # what touches it is seen
+    for north, free in around_a_face.items():
+        assert wire.call("simTestLineOfSightToPoint", point(north, 0.0, -5.0), "") is free
+        ends = point(30.0, 0.0, -5.0), point(north, 0.0, -5.0)
+        assert wire.call("simTestLineOfSightBetweenPoints", *ends) is free
     assert wire.call("simTestLineOfSightBetweenPoints", point(60.0, 0.0, -5.0), point(60.0, 30.0, -5.0))
     assert not wire.call("simTestLineOfSightBetweenPoints", point(0.0, 0.0, -5.0), point(0.0, 0.0, 5.0))
     low, high = (local(GeoPoint(**end), home) for end in wire.call("simGetWorldExtents"))
@@ -492,6 +500,8 @@ def test_an_imus_white_noise_is_greater_at_a_shorter_step(tick_s: float) -> None
     rate, force = (np.array(each) for each in zip(*read, strict=True))
     np.testing.assert_allclose(rate.std(axis=0), math.radians(0.1) / tick_s**0.5, rtol=0.1)
     np.testing.assert_allclose(force.std(axis=0), 9.80665 / tick_s**0.5, rtol=0.1)
+    correlations = np.corrcoef(np.hstack([rate, force]).T)
+    np.testing.assert_allclose(correlations, np.eye(6), atol=0.15, err_msg="each axis has noise of its own")
 
 
 @pytest.mark.parametrize(

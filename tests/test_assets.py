@@ -59,6 +59,28 @@ def test_a_scene_that_cannot_be_flown_is_one_line(
     assert "\n" not in str(caught.value)
 
 
+def test_for_airsims_clients_the_ground_reaches_the_horizon_in_squares_of_the_same_size(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Stretched 50 times over 200 m, a texture is 5000 times over 20 km; a uniform one counts per metre anyway."""
+    plane = """
+      <mujoco><include file="quadrotor.xml"/><asset><texture name="t" type="2d" builtin="checker" width="8" height="8"/>
+      <material name="stretched" texture="t" texrepeat="50 20"/>
+      <material name="uniform" texture="t" texrepeat="2 3" texuniform="true"/></asset><worldbody>
+      <geom name="ground" type="plane" size="100 50 1" material="stretched"/>
+      <geom name="beside" type="plane" size="100 50 1" material="uniform"/></worldbody></mujoco>"""
+    (tmp_path / "quadrotor.xml").write_bytes(asset("mjcf/quadrotor.xml").read_bytes())
+    (tmp_path / "mine.xml").write_text(plane)
+    monkeypatch.setattr("uavaccel.sim.scene.model.asset", lambda name: tmp_path / Path(name).name)
+    plain, wide = (load_scene("mine", airsim=airsim) for airsim in (False, True))
+    for name in ("ground", "beside"):
+        assert plain.geom(name).size[:2].tolist() == [100.0, 50.0]
+        assert wide.geom(name).size[:2].tolist() == [10_000.0, 5_000.0]
+    assert plain.material("stretched").texrepeat.tolist() == [50.0, 20.0]
+    assert wide.material("stretched").texrepeat.tolist() == [5_000.0, 2_000.0]
+    assert wide.material("uniform").texrepeat.tolist() == [2.0, 3.0]
+
+
 def test_the_scenes_numbers_have_their_sources() -> None:
     readme = asset("mjcf/README.md").read_text(encoding="utf-8")
     assert all(name in readme for name in SCENES)

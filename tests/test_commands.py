@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from uavaccel.commands import COMMANDS, VelocityGoal, adsc, tcsc
 from uavaccel.commands.paths import PATHS, velocities
-from uavaccel.commands.slices import samples_due, slice_of
+from uavaccel.commands.slices import check_times, samples_due, slice_of
 from uavaccel.kinematics import FlightGoal, Kinematics
 
 MS = 1_000_000
@@ -230,6 +230,24 @@ def test_slices_fill_the_command_and_none_is_a_stub(t_move_ms: int, t_sample_ms:
     assert len(slices) == 1 or slices[-1] >= 0.05 * t_sample_ms * MS
     assert slices[-1] < 1.05 * t_sample_ms * MS
     assert slice_of(t_move_ms * MS, t_sample_ms * MS) == slices[0]
+
+
+@pytest.mark.parametrize(
+    ("t_move_s", "t_sample_s", "flown_s"),
+    [
+        (1.0, 0.5, {0.5}),
+        (1.0, 0.33, {0.33, 0.34}),
+        (1.0, 0.3, {0.3, 0.1}),
+        (0.5, 0.5, {0.5}),
+        (0.5, 2.0, {0.5}),
+    ],
+)
+def test_what_is_flown_is_what_has_to_fit(t_move_s: float, t_sample_s: float, flown_s: set[float]) -> None:
+    """A sampling time beyond the command's end is never flown, so that any will do."""
+    asked: list[tuple[str, float]] = []
+    check_times(t_move_s, t_sample_s, lambda seconds, name: asked.append((name, seconds)))
+    assert {seconds for name, seconds in asked if name == "t_move_s"} == {t_move_s}
+    assert {seconds for name, seconds in asked if name == "t_sample_s"} == flown_s
 
 
 def test_paths_are_lists_of_velocities() -> None:

@@ -11,7 +11,7 @@ import pytest
 from tests.flying import FOR_EVER, STRAIGHT, call, fly, go_on, hovering, place, point, wait
 from tests.simulating import simulate, world_of
 from uavaccel.kinematics import Kinematics, VelocityGoal
-from uavaccel.sim.flight.tasks import FollowPath, MoveByManual, check_lookahead
+from uavaccel.sim.flight.tasks import FollowPath, Land, MoveByManual, RotateToYaw, check_lookahead
 from uavaccel.sim.profile import AIRSIM, NATIVE, Profile
 from uavaccel.sim.sensors.earth import GeoPoint, geographic, ned_of
 from uavaccel.sim.simulation import Simulation
@@ -70,7 +70,9 @@ def carrot(path: list[Any], travelled: float, ahead: float) -> tuple[float, Any]
     return along, np.array([np.interp(along, reached, corners[:, axis]) for axis in range(3)])
 
 
-def followed(simulation: Simulation, path: list[Any], speed: float, ahead: float) -> tuple[Any, float]:
+def followed(
+    simulation: Simulation, path: list[Any], speed: float, ahead: float, adaptive: float = 1.0
+) -> tuple[Any, float]:
     """The same flight by a loop of this test's, on arc lengths: where it ends, and after how long."""
     begun, period = simulation.world.tick, math.ceil(0.02 / simulation.profile.tick_s)
     path = [simulation.world.lead.state["position"].copy(), *path]
@@ -89,7 +91,7 @@ def followed(simulation: Simulation, path: list[Any], speed: float, ahead: float
         if not chord.any():
             break
         gained = float(moved @ chord / np.linalg.norm(chord))
-        error = float(np.linalg.norm(moved - gained * chord / np.linalg.norm(chord)))
+        error = adaptive * float(np.linalg.norm(moved - gained * chord / np.linalg.norm(chord)))
         travelled = carrot(path, travelled, max(gained, 0.0))[0]
     took = (simulation.world.tick - begun) * simulation.profile.tick_s
     return simulation.world.lead.state["position"].copy(), took
@@ -113,6 +115,38 @@ def test_paths_are_followed_as_airsim_does(path: list[Any], speed: float, profil
         api, "moveOnPath", [point(*corner) for corner in path], speed, 60.0, MAX_DOF, STRAIGHT, AUTO, ADAPTIVE
     )
     assert isinstance(result, bool)
+    assert seconds == pytest.approx(took_s, abs=1e-9)
+    np.testing.assert_allclose(place(api), where, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("given_m", "adaptive", "ahead_m"),
+    [(2.0, 2.0, 2.0), (2.0, 0.5, 2.0), (3.0, 0.0, 3.0), (AUTO, 0.5, 0.6 * 3.0), (AUTO, 0.0, 0.8 * 3.0)],
+)
+@pytest.mark.parametrize("method", ["moveOnPath", "moveToPosition", "moveToZ"])
+def test_the_lookahead_grows_by_the_share_of_the_distance_from_the_path_that_was_asked_for(
+    method: str, given_m: float, adaptive: float, ahead_m: float
+) -> None:
+    """Around corners, and in a wind from the west that pushes the vehicle off a straight way."""
+    path: list[Any] = {
+        "moveOnPath": [(10.0, 0.0, -10.0), (10.0, 10.0, -9.0), (0.0, 0.0, -10.0)],
+        "moveToPosition": [(12.0, -5.0, -13.0)],
+        "moveToZ": [(0.0, 0.0, -14.0)],
+    }[method]
+    towards: dict[str, Any] = {
+        "moveOnPath": ([point(*corner) for corner in path],),
+        "moveToPosition": path[0],
+        "moveToZ": path[0][2:],
+    }
+    turn = (STRAIGHT,) if method == "moveToZ" else (MAX_DOF, STRAIGHT)
+    api = hovering()
+    api.simulation.world.set_wind((0.0, 10.0, 0.0))
+    where, took_s = followed(api.simulation, path, 3.0, ahead_m, adaptive)
+    api.simulation.world.set_wind((0.0, 0.0, 0.0))  # which a new simulation of the world would keep
+    api = hovering()
+    api.simulation.world.set_wind((0.0, 10.0, 0.0))
+    _, seconds = fly(api, method, *towards[method], 3.0, 60.0, *turn, given_m, adaptive)
+    api.simulation.world.set_wind((0.0, 0.0, 0.0))
     assert seconds == pytest.approx(took_s, abs=1e-9)
     np.testing.assert_allclose(place(api), where, atol=1e-6)
 
@@ -673,6 +707,72 @@ def test_a_stick_is_a_share_of_its_own_greatest_speed_in_the_frame_at_the_beginn
     assert task.turn(now, 1.0).result is True
 
 
+def moving(yaw_deg: float = 0.0, down_m_s: float = 0.0, turning_rad_s: float = 0.0) -> Kinematics:
+    return Kinematics(
+        0, (1.0, 2.0, -3.0), turned_by(yaw_deg), (0.4, 0.0, down_m_s), (0.0, 0.0, turning_rad_s)
+    )
+
+
+@pytest.mark.parametrize(
+    ("down_m_s", "ends"),
+    [
+        ([0.0] * 20, 11),
+        ([0.05] * 20, 11),
+        ([-0.3] * 20, 11),
+        ([0.2] * 7 + [0.0] * 20, 18),
+        ([0.0] * 10 + [0.06] + [0.0] * 20, 22),
+        ([0.0] * 6 + [0.2] + [0.0] * 6 + [0.2] + [0.0] * 20, 25),
+    ],
+)
+def test_a_landing_is_over_after_eleven_turns_in_a_row_without_a_descent(
+    down_m_s: list[float], ends: int
+) -> None:
+    """Of more than 0.05 m/s; what was counted before a descent does not count after it."""
+    land = Land(60.0)
+    for number, speed in enumerate(down_m_s, start=1):
+        goal, result = land.turn(moving(down_m_s=speed), 0.02 * number)
+        assert goal is not None
+        assert goal.values == (0.0, 0.0, 0.2, 0.0)
+        assert result is (True if number == ends else None)
+        if result:
+            return
+    pytest.fail("it did not end")
+
+
+@pytest.mark.parametrize(("timeout_s", "results"), [(1.0, [None, False, False]), (0.0, [False] * 3)])
+def test_a_landing_that_descends_ends_at_its_timeout(timeout_s: float, results: list[bool | None]) -> None:
+    land = Land(timeout_s)
+    assert [land.turn(moving(down_m_s=0.2), at_s).result for at_s in (0.98, 1.0, 1.02)] == results
+
+
+@pytest.mark.parametrize(
+    ("yaw_deg", "turning_rad_s", "to_deg", "expected", "result"),
+    [  # within 5 degrees it turns no further, and it has arrived once it turns by less than 0.01 rad/s
+        (24.0, 0.0, 30.0, (False, 30.0), None),
+        (36.0, 0.0, 30.0, (False, 30.0), None),
+        (26.0, 0.009, 30.0, (True, 0.0), True),
+        (34.0, -0.009, 30.0, (True, 0.0), True),
+        (30.0, 0.011, 30.0, (True, 0.0), None),
+        (30.0, -0.011, 30.0, (True, 0.0), None),
+        (178.0, 0.0, -178.0, (True, 0.0), True),
+        (-174.0, 0.0, 178.0, (False, 178.0), None),
+        (0.0, 0.0, 180.0, (False, 180.0), None),
+    ],
+)
+def test_a_turn_arrives_within_its_margin_and_no_longer_turning_either_way(
+    yaw_deg: float, turning_rad_s: float, to_deg: float, expected: tuple[bool, float], result: bool | None
+) -> None:
+    task = RotateToYaw((7.0, 8.0, -9.0), math.radians(to_deg), math.radians(5.0), 2.0)
+    now = moving(yaw_deg, turning_rad_s=turning_rad_s)
+    goal, ended = task.turn(now, 1.98)
+    assert goal is not None
+    is_rate, to = expected
+    assert goal.yaw_mode == (autopilot.RATE if is_rate else autopilot.ANGLE)
+    assert goal.values == pytest.approx((7.0, 8.0, -9.0, math.radians(to)))
+    assert ended is result
+    assert task.turn(now, 2.0).result is bool(result)
+
+
 def test_gains_act_until_the_next_simulation() -> None:
     tilts = []
     for gains in ([0.2, 0.2, 2.0], [0.1, 0.2, 2.0]):
@@ -768,6 +868,47 @@ def test_a_saved_flight_goes_on_to_the_same_bytes(method: str, params: Any, prof
         again.set_state(state)
         api = Api(again, render=False)
     assert ends[0] == ends[1]
+
+
+def test_the_log_says_when_each_command_began_and_ended() -> None:
+    """One that completes its way, one with a duration, one that the next interrupts, and one that is cancelled."""
+    api, expected = hovering(), []
+    simulation = api.simulation
+    for method, params, most_s in (
+        ("moveToPosition", (2.0, 0.0, -10.0, 2.0, FOR_EVER, MAX_DOF, STRAIGHT, AUTO, ADAPTIVE), FOR_EVER),
+        ("moveByVelocity", (0.0, 1.0, 0.0, 0.5, MAX_DOF, STRAIGHT), FOR_EVER),
+        ("land", (60.0,), 0.3),
+        ("moveByVelocity", (0.0, 1.0, 0.0, 0.5, MAX_DOF, STRAIGHT), 0.2),
+    ):
+        begun = simulation.world.tick
+        reply = call(api, method, *params)
+        if most_s == FOR_EVER:
+            wait(api, reply)
+        else:
+            go_on(api, most_s)
+        expected.append((begun, simulation.world.tick))
+    call(api, "cancelLastTask")
+    assert list(simulation.lead.log) == expected
+    lasted_s = [round((end - begun) * NATIVE.tick_s, 9) for begun, end in expected[1:]]
+    assert lasted_s == [0.5, 0.3, 0.2]
+
+
+def test_position_hold_sets_in_after_the_last_goal_of_a_saved_command_too() -> None:
+    """The sticks end the goals, and the game is saved before the command's next turn, which finds none."""
+    api = hovering()
+    call(api, "moveByRC", {"pitch": 10_000.0, "is_valid": True})
+    call(api, "moveByManual", 3.0, 3.0, -10.0, 3.0, MAX_DOF, STRAIGHT)
+    go_on(api, 1.0)
+    call(api, "moveByRC", {"is_valid": False})
+    go_on(api, 0.01)
+    state = {key: np.array(value) for key, value in api.simulation.get_state().items()}
+    again = simulate()
+    again.set_state(state)
+    api = Api(again, render=False)
+    go_on(api, 0.048)
+    assert api.simulation.world.lead.state["xy_mode"] == autopilot.VELOCITY
+    go_on(api, 0.004)
+    assert api.simulation.world.lead.state["xy_mode"] == autopilot.POSITION
 
 
 @pytest.mark.parametrize("clock_speed", [1.0, 4.0])
