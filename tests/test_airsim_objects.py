@@ -268,3 +268,12 @@ def test_a_plain_scene_can_be_moved_but_has_no_room() -> None:
     api = Api(simulate())
     with pytest.raises(rpc.RpcError, match="no room for another object"):
         api.call("simSpawnObject", ["box", "Cube", level_pose(0, 0, -50), ONE, False, False], 0)
+
+
+def test_a_pattern_gives_its_segmentation_id_to_all_that_match() -> None:
+    wire = AirSimWire()
+    blocks = wire.call("simListSceneObjects", "block_.*")
+    assert len(blocks) > 1
+    assert wire.call("simSetSegmentationObjectID", "block_.*", 77, True) is True
+    assert {wire.call("simGetSegmentationObjectID", name) for name in blocks} == {77}
+    assert wire.call("simGetSegmentationObjectID", "ground") != 77
