@@ -113,6 +113,31 @@ def test_figure_3_shows_the_best_and_the_worst_replica(tmp_path: Path, drawn: di
     assert source in picture.caption
 
 
+@pytest.mark.parametrize(
+    ("shown", "others"),
+    [
+        (("ADSC", 2.0, 0.5, 24), [("TCSC", 100.0, 1.0, 4), ("ADSC", 1.0, 1.0, 4)]),
+        (("ADSC", 50.0, 0.5, 24), [("ADSC", 10.0, 1.0, 4), ("ADSC", 20.0, 0.5, 4)]),
+        (("ADSC", 50.0, 1.0, 24), [("ADSC", 50.0, 0.5, 4), ("ADSC", 50.0, 0.1, 24)]),
+        (("ADSC", 50.0, 1.0, 2), [("ADSC", 50.0, 1.0, 1), ("ADSC", 50.0, 1.0, 24)]),
+        (("TCSC", 5.0, 0.5, 2), [("ADSC", 1.0, 1.0, 4), ("TCSC", 2.0, 1.0, 4)]),
+    ],
+)
+def test_figure_3_is_of_the_fastest_cell_of_adsc_then_of_the_longest_t_move_then_near_four_rounds(
+    shown: Any, others: list[Any], tmp_path: Path, drawn: dict[str, Figure]
+) -> None:
+    """The run flew no other cells; a game that failed is none."""
+    rows = [
+        line_row("game", command.lower(), clock_speed, 0, 0.0, t_move_s=t_move_s, rounds=rounds)
+        for command, clock_speed, t_move_s, rounds in (others[0], shown, others[1])
+    ]
+    rows.append(line_row("game", "adsc", 90.0, 0, 0.0, error="crashed"))
+    trajectory_figure(scored(rows), line_arrays, tmp_path / "three.png")
+    command, clock_speed, t_move_s, rounds = shown
+    assert headline(drawn["three"])[0] == f"Trajectories, {rounds} rounds, T_move {t_move_s:g} s"
+    assert f"{command} at {clock_speed:g}x, one game: STLC unknown" in labelled(drawn["three"].axes[0])
+
+
 def test_figure_3_of_identical_lone_or_no_replicas(tmp_path: Path, drawn: dict[str, Figure]) -> None:
     reference = line_row("reference", "adsc", 1.0, 0, 0.0)
     alike = [line_row("game", "tcsc", 50.0, game, 0.1) for game in range(3)]

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from tests.drawing import headline, record_figures
+from uavaccel.draw.document import Paragraph
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
 from uavaccel.suites.dp2.config import Dp2Config
@@ -225,6 +227,69 @@ def test_a_line_of_the_table() -> None:
     assert lines[1][1:7] == ("1x (reference)", "4", "0, 0", "0", "0, 0", "2")
     assert (lines[1][8], lines[1][10]) == ("12.3", "modelled")
     assert (lines[2][4], lines[2][7]) == ("-", "-, differ")
+
+
+def test_the_headline_is_of_each_commands_fastest_game_that_can_be_compared() -> None:
+    def cell(
+        command: str, clock_speed: float, error_m: float | None, percent: float | None, **keys: Any
+    ) -> Any:
+        errors = {"position_error_m_max": error_m, "dvs_ed_percent_max": percent}
+        return {"command": command, "clock_speed": clock_speed, "timing": "virtual", **errors} | keys
+
+    cells = [
+        *(cell("tcsc", 1.0, 0.0, 0.0), cell("tcsc", 20.0, 0.0, 0.0), cell("tcsc", 5.0, 0.125, 7.5)),
+        *(cell("adsc", 50.0, 0.25, 12.5), cell("adsc", 100.0, None, None), cell("adsc", 9.0, 0.75, 1.5)),
+        cell("tcsc", 90.0, 3.0, 50.0, timing="lockstep"),
+    ]
+    told: Any = SimpleNamespace(summary={"cells": cells}, rows=[None] * 8)
+    assert Dp2Report.headline(told) == (
+        "ADSC at 50x takes its images up to 0.250 m from those of 1x, with a DVS-ED of up to 12.50 %; "
+        "TCSC at 20x takes the images of 1x, each at the same place with as many events"
+    )
+    told.summary = {"cells": [cell("adsc", 1.0, 0.0, 0.0), cell("adsc", 5.0, None, None), cells[-1]]}
+    assert Dp2Report.headline(told) == "8 games, none of them accelerated and comparable with 1x"
+    for error_m, percent, said in ((0.0, 2.5, "0 m from"), (0.5, 0.0, "of up to 0 %")):
+        told.summary = {"cells": [cell("adsc", 5.0, error_m, percent)]}
+        assert said in Dp2Report.headline(told)
+
+
+HIT = {"collision": {"object": "post"}, "distance_m": 3.25}
+NO_DRAWING = "The modelled wall times leave out drawing the images"
+SHARE = "Modelled: 10.0% of the images of the games were perturbed on their way"
+
+
+@pytest.mark.parametrize(
+    ("changes", "options", "begin"),
+    [
+        ([], {}, []),
+        ([HIT], {}, ["tcsc-k5 hit post after 3.2 m and stood still from there"]),
+        ([{"error": "crashed"}], {}, ["Warning: tcsc-k5 failed and are left out"]),
+        ([{"lost_wall_s": 0.5}, {"lost_wall_s": 0.25}], {}, [
+            "Warning: the machine could not keep up and lost 0.750 s of wall time."]),
+        ([{"disturbed": True}, {}], {}, ["Warning: tcsc-k5 lost wall time, or the server stalled"]),
+        ([{}, {"disturbed": True}, {"disturbed": True}], {}, ["Warning: tcsc-k6, tcsc-k7 lost wall time"]),
+        ([{}], {"share": 0.1}, [f"{SHARE}; those of the runs at 1x"]),
+        ([{}], {"share": 0.1, "half_excess": 9.0}, [f"{SHARE}, fewer where the ClockSpeed is low; those"]),
+        ([{}], {"channels": ["state"]}, [NO_DRAWING]),
+        ([{"timing": "wall"}, {}], {"channels": []}, [NO_DRAWING]),
+        ([{"timing": "wall"}, {"timing": "lockstep"}], {"channels": []}, []),
+    ],
+)  # fmt: skip
+def test_the_page_warns_of_what_a_reader_has_to_know(
+    changes: list[dict[str, Any]], options: dict[str, Any], begin: list[str]
+) -> None:
+    """Game by game: the first flew at 5x, and each at 1x more than the one before."""
+    rows = [row_of("game", clock_speed=5.0 + n, **change) for n, change in enumerate(changes)]
+    share, channels = options.get("share", 0.0), options.get("channels", ["state", "image"])
+    perturbation = {"half_excess": options.get("half_excess"), "share": share}
+    told: Any = SimpleNamespace(
+        rows=rows,
+        summary={"perturbed_share": share, "guard_study": None},
+        config={"perturbation": perturbation, "latency": {"reply_us": dict.fromkeys(channels, 1.0)}},
+        overview=lambda: None,
+    )
+    said = [block.text for block in Dp2Report.blocks(told, ()) if isinstance(block, Paragraph)][1:-1]
+    assert [text[: len(start)] for text, start in zip(said, begin, strict=True)] == begin
 
 
 # --- the written report -------------------------------------------------------------------------------------

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.test_claims import only, trajectories
+from tests.running import configured
+from tests.test_claims import only, policies, trajectories
 from uavaccel.config import validate
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
@@ -56,6 +57,25 @@ def flown_dp2(run: RunDirectory, name: str, error_m: float, percent: float) -> N
         for k in (5.0, 10.0, 50.0, 100.0)
     ]
     part(run, name, {"guard_study": None}, scores)
+
+
+def trained(path: Path, **profiles: dict[str, Any]) -> RunDirectory:
+    """A run of the suite rl as its report leaves it: the paper's Table I, changed in each profile."""
+    run = RunDirectory.create(path, configured("rl_smoke"), {})
+    summary: dict[str, list[Any]] = {"cells": [], "interchange": []}
+    for profile, changes in profiles.items():
+        kind, made = {"profile": profile, "timing": "virtual", "variant": ""}, policies(**changes)
+        summary["cells"] += [cell | kind for cell in made.cells]
+        at_1x = {"command": "tcsc", "clock_speed": 1.0}
+        summary["interchange"] += [{**kind, **at_1x, **each} for each in made.interchange]
+        for (command, clock_speed), ended_m in made.ended_m.items():
+            row = {"suite": "rl", "case": f"{profile}-{clock_speed:g}", "training": {}, **kind}
+            row |= {"command": command, "clock_speed": clock_speed}
+            lost = np.zeros(len(ended_m), bool)
+            arrays = {f"{command}_distance_m": ended_m, f"{command}_is_success": lost}
+            run.append_row(row | run.save_arrays(row["case"], arrays))
+    run.write_json("summary.json", summary)
+    return run
 
 
 @pytest.fixture
@@ -150,3 +170,33 @@ def test_images_are_those_of_tcsc(judged: Report) -> None:
 def test_policies_come_from_a_run_of_rl_alone(judged: Report) -> None:
     with pytest.raises(UserError, match="is a run of paper, not of rl"):
         Paper().check(config("dp1-airsim", with_run=str(judged.run.path)))
+
+
+def test_trainings_are_judged_by_profile_and_airsims_hours_are_told(tmp_path: Path) -> None:
+    """Native's policies keep their success with ADSC at 5x, end far from obstacles, and are trained 3x as fast."""
+    native = {"adsc5": 0.23, "with_adsc": 0.1, "off_rows_m": 5.0, "speed5": 3.0}
+    rl = trained(tmp_path / "rl", airsim={}, native=native)
+    run = RunDirectory.create(tmp_path / "run", config("dp1-airsim", with_run=str(rl.path)), {})
+    run.append_row({"suite": "paper", "case": "dp1-airsim", "cells": 1})
+    flown_dp1(run, "dp1-airsim")
+    report = Paper().report(run)
+    summary = report.write()
+    claims = {row["claim"]: row for row in summary["claims"]}
+    for claim in (
+        *("adsc_collapses_at_5x", "policy_flies_with_both", "lines_peak_at_obstacles"),
+        *("training_speedup_5x", "week_to_two_days"),
+    ):
+        told = claims[claim]
+        assert (told["airsim"]["verdict"], told["native"]["verdict"]) == ("holds", "fails"), claim
+    assert claims["training_speedup_10x"]["native"] == {"value": "6.4x", "verdict": "holds"}
+    assert (
+        claims["rendering_costs_scalability"]["native"]["verdict"] == "pending"
+    )  # native's DP1 was not flown
+    # ADSC at 1x takes 1.0435 s a command, which are the paper's 182 hours; TCSC at 5x a fourth of its 1 s.
+    at_5x = next(row for row in summary["phases"] if row["clock_speed"] == 5.0)
+    assert at_5x["simulation_h"] == pytest.approx(182 * 0.25 / 1.0435)
+    assert at_5x["image_processing_h"] == pytest.approx(182 * 0.0435 / 1.0435)
+    line = next(
+        line for line in (run.path / "report.md").read_text().splitlines() if line.startswith("| 5x | 43.6 |")
+    )
+    assert line.split(" | ")[3] == "7.6"

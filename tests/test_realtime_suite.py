@@ -17,7 +17,7 @@ from tests.running import configured
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
 from uavaccel.resources import experiment
-from uavaccel.suites.realtime import agents, flights
+from uavaccel.suites.realtime import agents, environments, flights
 from uavaccel.suites.realtime.agents import LookAhead, Policy, train
 from uavaccel.suites.realtime.config import (
     AgentBlock,
@@ -27,7 +27,7 @@ from uavaccel.suites.realtime.config import (
     cases,
     flies,
 )
-from uavaccel.suites.realtime.environments import timed, training
+from uavaccel.suites.realtime.environments import measured, timed, training
 from uavaccel.suites.realtime.report import agreement
 from uavaccel.suites.realtime.suite import Realtime
 from uavaccel.suites.realtime.summary import Cell, cells_of, rankings_of, tcsc_equal
@@ -278,6 +278,71 @@ def test_a_training_meets_one_delay_an_episode_from_its_range() -> None:
     assert all(first == second for first, second in delays)
     assert len({first for first, _ in delays}) == 8
     assert all(0.02 <= first <= 0.2 for first, _ in delays)
+
+
+@pytest.mark.parametrize(
+    ("agent", "numbers", "planned"),
+    [
+        (AgentBlock(), 4, (1,)),
+        (AgentBlock(observe_age=True), 4 + 1, (1,)),
+        (AgentBlock(observe_actions=3), 4 + 3, (1,)),
+        (AgentBlock(chunk=3), 4, (3, 1)),
+        (AgentBlock(chunk=2, observe_age=True, observe_actions=2), 4 + 1 + 2 * 2, (2, 1)),
+    ],
+)
+def test_an_agent_sees_and_plans_in_its_training_and_its_evaluation_what_its_block_says(
+    agent: AgentBlock, numbers: int, planned: tuple[int, ...]
+) -> None:
+    """Of the actions that it plans one is applied, for 40 ms, before it observes again."""
+    for env in (timed(PENDULUM, agent, 0.0, "adsc", 1.0), training(PENDULUM, agent, seed=0)):
+        observation, _ = env.reset(seed=0)
+        assert (observation.shape, env.action_space.shape) == ((numbers,), planned)
+        assert env.step(np.zeros(planned, np.float32))[-1]["simulated_s"] == pytest.approx(0.04)
+        env.close()
+
+
+def test_on_the_machines_clock_an_agent_has_the_same_options(monkeypatch: pytest.MonkeyPatch) -> None:
+    met: list[Any] = []
+    monkeypatch.setattr(environments, "RealTimeProcess", lambda make, *at, **keys: met.append((at, keys)))
+    block = EnvironmentBlock(id="CartPole-v1", default_action=1, period_s=0.5)
+    measured(block, AgentBlock(chunk=3, observe_age=True, observe_actions=2), "tcsc", 4.0)
+    measured(block, AgentBlock(), "adsc", 2.0)
+    of_both = {"period_s": 0.5, "default_action": 1}
+    assert met == [
+        (("tcsc", 4.0), {"chunk": 3, "execute": 1, "observe_age": True, "observe_actions": 2, **of_both}),
+        (("adsc", 2.0), {"observe_age": False, "observe_actions": 0, **of_both}),
+    ]
+
+
+def test_an_environment_has_the_default_action_and_the_period_of_its_block() -> None:
+    """The pushes of 40 ms before the first action move the cart; a step of the other cart is said to take 0.5 s."""
+    moved_m = []
+    for push in ((2.0,), (-2.0,)):
+        env = timed(PENDULUM.model_copy(update={"default_action": push}), AgentBlock(), 0.04, "adsc", 1.0)
+        env.reset(seed=0)
+        moved_m.append(env.step(np.zeros(1, np.float32))[0][0])
+    assert moved_m[0] > 0.03 > -0.03 > moved_m[1]
+    slow = EnvironmentBlock(id="CartPole-v1", default_action=1, period_s=0.5)
+    env = timed(slow, AgentBlock(), 0.5, "adsc", 1.0)
+    env.reset(seed=0)
+    info = env.step(0)[-1]
+    assert (info["meanwhile_s"], info["simulated_s"]) == (0.5, 1.0)
+
+
+@pytest.mark.parametrize(("command", "clock_speed"), [("adsc", 5.0), ("tcsc", 2.0)])
+def test_a_drone_flies_with_the_command_and_the_clock_speed_of_the_case(
+    command: str, clock_speed: float
+) -> None:
+    """In training always with ADSC in real time, whose delays are of simulated time."""
+    drone = EnvironmentBlock(id="uavaccel/Hover-v0", train_steps=2048)
+    flown = timed(drone, AgentBlock(), 0.0, command, clock_speed), training(drone, AgentBlock(), seed=0)
+    tasks: Any = [getattr(env.unwrapped, "task") for env in flown]  # noqa: B009  it has no type
+    assert [(task.timing, task.command, task.clock_speed) for task in tasks] == [
+        ("virtual", command, clock_speed),
+        ("virtual", "adsc", 1.0),
+    ]
+    for env in flown:
+        env.close()
 
 
 # --- rankings -------------------------------------------------------------------------------------
