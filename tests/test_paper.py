@@ -65,11 +65,16 @@ def trained(path: Path, **profiles: dict[str, Any]) -> RunDirectory:
     summary: dict[str, list[Any]] = {"cells": [], "interchange": []}
     for profile, changes in profiles.items():
         kind, made = {"profile": profile, "timing": "virtual", "variant": ""}, policies(**changes)
-        summary["cells"] += [cell | kind for cell in made.cells]
+        summary["cells"] += [{**cell, **kind} for cell in made.cells]
         at_1x = {"command": "tcsc", "clock_speed": 1.0}
         summary["interchange"] += [{**kind, **at_1x, **each} for each in made.interchange]
         for (command, clock_speed), ended_m in made.ended_m.items():
-            row = {"suite": "rl", "case": f"{profile}-{clock_speed:g}", "training": {}, **kind}
+            row: dict[str, Any] = {
+                "suite": "rl",
+                "case": f"{profile}-{clock_speed:g}",
+                "training": {},
+                **kind,
+            }
             row |= {"command": command, "clock_speed": clock_speed}
             lost = np.zeros(len(ended_m), bool)
             arrays = {f"{command}_distance_m": ended_m, f"{command}_is_success": lost}
@@ -200,3 +205,11 @@ def test_trainings_are_judged_by_profile_and_airsims_hours_are_told(tmp_path: Pa
         line for line in (run.path / "report.md").read_text().splitlines() if line.startswith("| 5x | 43.6 |")
     )
     assert line.split(" | ")[3] == "7.6"
+
+
+@pytest.mark.parametrize(
+    ("parts", "draws"),
+    [(["dp1-airsim", "dp1-native"], False), (["dp1-airsim", "dp2-native"], True), (["dp2-airsim"], True)],
+)
+def test_opengl_is_needed_where_a_part_draws(parts: list[str], draws: bool) -> None:
+    assert Paper().renders(config(*parts)) is draws

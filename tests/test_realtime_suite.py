@@ -219,6 +219,47 @@ def test_an_agent_is_what_its_weights_are() -> None:
     )
 
 
+def test_a_network_has_the_layers_of_its_block(monkeypatch: pytest.MonkeyPatch) -> None:
+    for key, value in {"n_steps": 2, "batch_size": 16, "n_epochs": 1}.items():
+        monkeypatch.setitem(agents.LEARNER, key, value)
+    agent, block = AgentBlock(hidden=(8, 5)), PENDULUM.model_copy(update={"train_steps": 16})
+    weights = train(block, agent, seed=0).weights
+    assert [weights[f"mlp_extractor.policy_net.{layer}.weight"].shape for layer in (0, 2)] == [(8, 4), (5, 8)]
+    env = timed(PENDULUM, agent, 0.0, "adsc", 1.0)
+    assert Policy(env, agent, weights).act(np.zeros(4)).shape == (1,)
+
+
+def test_an_episode_has_its_return_its_median_delay_and_its_worst_lateness() -> None:
+    """On a simulated clock nothing is late, and no environment says so."""
+    met: list[Any] = []
+
+    class Scripted:
+        ends = "lost"
+
+        def reset(self, seed: int) -> Any:
+            self.left = list(script)
+            return seed, {}
+
+        def step(self, action: Any) -> Any:
+            met.append(action)
+            reward, info = self.left.pop(0)
+            lost, out = (self.ends == each and not self.left for each in ("lost", "out"))
+            return action + 1, reward, lost, out, info
+
+    env: Any = Scripted()
+    actor: Any = SimpleNamespace(act=lambda observation: 10 * observation)
+    rewards, delays_s, late_s = (1.0, 2.0, 4.0, -0.5), (0.1, 0.9, 0.3, 0.2), (0.0, 0.75, 0.25, 0.5)
+    script = [
+        (reward, {"meanwhile_s": delay, "late_s": late})
+        for reward, delay, late in zip(rewards, delays_s, late_s, strict=True)
+    ]
+    for env.ends in ("lost", "out"):
+        assert flights._episode(env, actor, 7, 0.0) == (6.5, 0.25, 0.75)
+    assert met == [70, 710, 7110, 71110] * 2  # each acts on what the one before made of the environment
+    script = [(1.0, {"meanwhile_s": 0.5})]
+    assert flights._episode(env, actor, 0, 0.0) == (1.0, 0.5, 0.0)
+
+
 class Echo(Policy):
     """Acts by the pole's angle, and keeps what it has been shown."""
 

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, TextIO, cast, get_type_hints
 
 import numpy as np
@@ -600,6 +601,51 @@ def test_the_shipped_maps_of_gaps_can_be_trained_and_flown(experiment: str, cell
     config = configured(experiment, "seeds=1")
     Rl().check(config)
     assert len(list(cases(config))) == cells
+
+
+def test_the_headline_tells_success_after_the_slowest_and_the_fastest_training() -> None:
+    """Of trainings without a variant; where there are none, the gap at which policies fail."""
+    plain = [
+        thought(command, "", gap, won) | {"clock_speed": clock_speed}
+        for command, clock_speed, gap, won in (
+            *(
+                ("tcsc", 1.0, 0.0, 21),
+                ("adsc", 100.0, 9.0, 0),
+                ("adsc", 5.0, 0.4, 64),
+                ("adsc", 1.0, 0.1, 23),
+            ),
+        )
+    ]
+    told_of = [thought("adsc", f"think_{n}ms", n / 10, 96 >> n) for n in range(3)]
+    summary = {
+        "cells": [{"games": 200}, {"games": 100}, {"games": 100}],
+        "training_games": 5000,
+        "evaluation_clock_speed": 2.0,
+    }
+    rest = (
+        "3 trainings of 5000 games, each policy flown on 100, 200 lanes at 2x; "
+        "all times are modelled but those of this machine"
+    )
+    told: Any = SimpleNamespace(summary={**summary, "pooled": [*plain, *told_of]})
+    assert RlReport.headline(told) == (
+        "TCSC, airsim: 21.0% after training at 1x; "
+        f"ADSC, airsim: 23.0% after training at 1x, 0.0% after training at 100x; {rest}"
+    )
+    told.summary["pooled"] = told_of
+    assert RlReport.headline(told) == (
+        "ADSC, airsim: success in real time stays below half of the best cell's 96.0% from a gap of 0.20 simulated "
+        f"seconds on; {rest}"
+    )
+    told.summary["pooled"] = told_of[:1]
+    assert RlReport.headline(told) == rest
+
+
+def test_the_display_tells_the_last_trainings_games_in_real_time() -> None:
+    first, last = (
+        {"case": case, "evaluations": [flight("tcsc", 1.0, won), flight("adsc", 1.0, won + 1)]}
+        for case, won in (("one", 30), ("two", 20))
+    )
+    assert Rl().status([first, last]) == "two won 20 of 40"
 
 
 def table_below(page: str, heading: str) -> list[dict[str, str]]:
