@@ -30,6 +30,7 @@ from uavaccel.suites.dp1.flight_figures import trajectory_figure, velocity_figur
 from uavaccel.suites.dp1.report import Dp1Report, table
 from uavaccel.suites.dp1.scores import CellScores, cells_of, score_cells, summarise
 from uavaccel.suites.dp1.trellis import trellis_figure
+from uavaccel.suites.rows import disturbances
 
 FIGURES = (
     "figure2_velocity",
@@ -263,14 +264,39 @@ def test_the_report_warns(tmp_path: Path, drawn: dict[str, Figure]) -> None:
     for (row, _), lost_s in zip(flown, (0.25, 0.125, 0.0), strict=True):
         row["lost_wall_s"] = lost_s
     flown[2][0]["error"] = "the drone crashed"
+    flown[1][0]["disturbed"] = True
     run_dir = write_run(tmp_path / "run", flown)
-    Dp1Report(RunDirectory(run_dir), "dp1").write()
-    said = [line for line in (run_dir / "report.md").read_text().splitlines() if "Warning" in line]
+    report = Dp1Report(RunDirectory(run_dir), "dp1")
+    report.write()
+    page = (run_dir / "report.md").read_text()
+    assert "Games: measured (wall clock): 3 games · native profile · seed 0 · 1 of 3 games disturbed." in page
+    assert report.overview().rows[0][2] == "2 (1 disturbed)"
+    assert table(report.summary).rows[0][4] == "2 (1 failed) (1 disturbed)"
+    said = [line for line in page.splitlines() if "Warning" in line]
     assert said == [
         "Warning: 1 games failed and are left out; rows.jsonl says why.",
         "Warning: the machine could not keep up and lost 0.375 s of wall time.",
+        "Warning: 1 games were disturbed: they lost wall time, or their server stalled or was started again; "
+        "rows.jsonl says which.",
         "Warning: some cells have no real-time ADSC games to compare with.",
     ]
+
+
+@pytest.mark.parametrize(
+    ("row", "restarts", "marks"),
+    [
+        ({}, 0, {}),
+        ({"lost_wall_s": 0.0, "restarts": 0}, 0, {}),
+        ({"lost_wall_s": 0.25}, 0, {"disturbed": True}),
+        ({"stalled_wall_s": 0.5}, 0, {"disturbed": True}),
+        ({"restarts": 1}, 0, {"disturbed": True}),  # of an environment's own server
+        ({"lost_wall_s": 0.0}, 2, {"restarts": 2, "disturbed": True}),
+    ],
+)
+def test_a_measured_game_is_marked_by_what_disturbed_it(
+    row: dict[str, Any], restarts: int, marks: dict[str, Any]
+) -> None:
+    assert disturbances(row, restarts) == marks
 
 
 SPARSE_RUNS: dict[str, Callable[[], list[tuple[Row, Arrays]]]] = {

@@ -1,0 +1,89 @@
+"""How long a run took on this machine, over all of its starts, in numbers and in words."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.dp1_games import SyntheticConfig
+from uavaccel.records import RunDirectory
+from uavaccel.suites import host_time
+from uavaccel.suites.host_time import cumulative_wall_s, in_words, over_all_starts, pace, timed, wall_s
+
+
+def timed_run(path: Path, *readings_s: float | None, simulated_s: tuple[float, ...] = ()) -> RunDirectory:
+    """A run with these readings of its stopwatch, none where it was not read, and games of these lengths."""
+    run = RunDirectory.create(path, SyntheticConfig(), {})
+    for number, length_s in enumerate(simulated_s):
+        run.append_row({"suite": "dp1", "case": str(number), "sim_time_s": length_s})
+    for reading_s in readings_s:
+        run.append_timing(
+            {"case": "game", "host_wall_s": 99.0} | ({} if reading_s is None else {"wall_s": reading_s})
+        )
+    return run
+
+
+@pytest.mark.parametrize(
+    ("readings_s", "over_all_s"),
+    [
+        ([], []),
+        ([None], []),
+        ([1.0, 3.0], [1.0, 3.0]),
+        ([1.0, 3.0, 3.0], [1.0, 3.0, 3.0]),
+        ([1.0, None, 3.0, 2.0, 5.0, 0.5], [1.0, 3.0, 5.0, 8.0, 8.5]),  # it was resumed twice
+    ],
+)
+def test_the_wall_time_of_a_run_goes_on_where_its_stopwatch_starts_again(
+    readings_s: list[float | None], over_all_s: list[float], tmp_path: Path
+) -> None:
+    run = timed_run(tmp_path / "run", *readings_s)
+    assert cumulative_wall_s(run) == over_all_s
+    assert wall_s(run) == (over_all_s[-1] if over_all_s else 0.0)
+
+
+def test_phases_of_all_starts_are_summed() -> None:
+    """Before its second start the run had simulated for 2 s and learned for 4 s."""
+    readings = [{"simulation": 1.0, "learning": 2.0}, {"simulation": 2.0, "learning": 4.0}]
+    assert over_all_starts([]) == {}
+    assert over_all_starts(readings) == readings[-1]
+    again = [{"simulation": 0.5, "learning": 1.0}, {"simulation": 1.0, "learning": 4.5}]
+    assert over_all_starts([*readings, *again]) == {"simulation": 3.0, "learning": 8.5}
+
+
+def test_a_runs_pace_is_simulated_time_over_wall_time(tmp_path: Path) -> None:
+    run = timed_run(tmp_path / "run", 6.0, 2.0, simulated_s=(300.0, 100.0))
+    assert pace(run) == "8.0 s of wall clock, start-up not counted: 50 simulated s per wall s"
+    assert pace(timed_run(tmp_path / "unread", None, simulated_s=(300.0,))) == ""
+
+
+@pytest.mark.parametrize(
+    ("seconds", "said"),
+    [
+        (0.04, "0.0 s"), (59.96, "60.0 s"), (599.9, "599.9 s"), (600.0, "10 min"), (5399.0, "90 min"),
+        (5400.0, "1.5 h"), (182 * 3600.0, "182.0 h"),
+    ],
+)  # fmt: skip
+def test_a_duration_is_told_in_seconds_minutes_or_hours(seconds: float, said: str) -> None:
+    assert in_words(seconds) == said
+
+
+def test_work_is_timed_by_the_machines_clock_from_its_start_to_its_end(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    class Clock:
+        read_ns = 5_000_000_000
+
+        def now_ns(self) -> int:
+            return self.read_ns
+
+    clock: Any = Clock()
+
+    def work() -> str:
+        clock.read_ns += 1_750_000_000
+        return "done"
+
+    monkeypatch.setattr(host_time, "MonotonicClock", lambda: clock)
+    monkeypatch.setattr("os.getloadavg", lambda: (0.5, 7.0, 8.0))
+    assert timed(work) == ("done", {"host_wall_s": 1.75, "load": 0.5})
