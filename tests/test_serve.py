@@ -185,9 +185,12 @@ def test_speeds_are_added_up_over_resets(capsys: pytest.CaptureFixture[str]) -> 
     server.simulation.set_clock_speed(20, server.clock.now_ns())
     server.pass_time(300_000_000)
     report.each_turn()
+    server.simulation.reset(server.clock.now_ns())
+    report.each_turn()
+    server.pass_time(400_000_000)
     assert capsys.readouterr().out == "", "no period is over"
     report.finish()
-    assert capsys.readouterr().out == "stopped; requested 20x, achieved 17.50x over 0.4 s\n"
+    assert capsys.readouterr().out == "stopped; requested 20x, achieved 18.75x over 0.8 s\n"
 
 
 def test_lost_time_is_told_when_it_has_doubled_and_a_failure_once(capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,0 +1,402 @@
+"""The parts of `uavaccel fly` one by one: its process, its server, what a script's programs inherit, its threads."""
+
+from __future__ import annotations
+
+import io
+import json
+import logging
+import os
+import queue
+import random
+import sys
+import sysconfig
+import threading
+from contextlib import nullcontext
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from uavaccel.clock import VirtualClock
+from uavaccel.fly import children, executors, process, wall
+from uavaccel.fly.messages import FILE_NAME as MESSAGES
+from uavaccel.fly.messages import DifferenceError, MessageLog
+from uavaccel.fly.modules import named_module, of_a_script
+from uavaccel.fly.options import SUMMARY, FlightOptions, found_settings
+from uavaccel.fly.patches import Patches
+from uavaccel.fly.script import FlightOver, ScriptResult, run_script
+from uavaccel.fly.threads import Condition, ThreadClasses, bound
+from uavaccel.fly.turns import Turns
+
+# --- the process -----------------------------------------------------------------------------------------------------
+
+
+class Flight:
+    """Draws what a script could draw, and ends as it is told."""
+
+    def __init__(self, outcome: ScriptResult) -> None:
+        self._outcome = outcome
+        self.drawn: tuple[float, float] | None = None
+        self.ended = False
+
+    def run(self) -> ScriptResult:
+        self.drawn = random.random(), float(np.random.random())  # noqa: NPY002  what scripts use
+        return self._outcome
+
+    def end(self) -> None:
+        self.ended = True
+
+    def summary(self) -> Any:
+        return {"simulated_s": 4.0, "position_m": None}
+
+
+@pytest.fixture
+def fly(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Any:
+    """Flies such a script; returns the flight, what its process made of it, and its summary."""
+
+    def flown(outcome: ScriptResult, **options: Any) -> tuple[Flight, Any, dict[str, Any]]:
+        flight, made = Flight(outcome), []
+
+        def make(*how: Any) -> Flight:
+            made.append(how)
+            return flight
+
+        monkeypatch.setattr(process, "_flight", make)
+        monkeypatch.setattr("signal.signal", lambda *_: None)
+        (tmp_path / "script.py").write_text("")
+        status = process.fly(FlightOptions(tmp_path / "script.py", (), tmp_path, **options))
+        assert status == outcome.status
+        assert flight.ended
+        return flight, made[0], json.loads((tmp_path / SUMMARY).read_text())
+
+    return flown
+
+
+@pytest.mark.parametrize("seed", [0, 7, None])
+def test_a_seed_is_that_of_both_global_generators_and_nought_is_one(fly: Any, seed: int | None) -> None:
+    before = random.getstate(), np.random.get_state()  # noqa: NPY002
+    random.seed(3)
+    np.random.seed(3)  # noqa: NPY002
+    try:
+        flight, *_ = fly(ScriptResult(0, True, 0.5), seed=seed)
+    finally:
+        random.setstate(before[0])
+        np.random.set_state(before[1])  # noqa: NPY002
+    given = 3 if seed is None else seed
+    assert flight.drawn == (random.Random(given).random(), np.random.RandomState(given).random_sample())
+
+
+@pytest.mark.parametrize(
+    ("in_settings", "asked", "flown"),
+    [(None, None, 1.0), (None, 20.0, 20.0), (5.0, None, 5.0), (5.0, 20.0, 20.0), (5.0, 0.5, 0.5)],
+)
+def test_the_clock_speed_that_is_asked_for_comes_before_that_of_the_settings(
+    fly: Any, tmp_path: Path, in_settings: float | None, asked: float | None, flown: float
+) -> None:
+    (tmp_path / "settings.json").write_text(
+        json.dumps({"SettingsVersion": 1.2, "ClockSpeed": in_settings or 1.0})
+    )
+    settings = None if in_settings is None else tmp_path / "settings.json"
+    _, (_, read, clock_speed, _), kept = fly(
+        ScriptResult(0, True, 0.5), settings=settings, clock_speed=asked, scene="lane"
+    )
+    assert (clock_speed, kept["clock_speed"], kept["scene"]) == (flown, flown, "lane")
+    assert (read is None) == (in_settings is None)
+    expected = {
+        "status": 0,
+        "finished": True,
+        "wall_s": 0.5,
+        "simulated_s": 4.0,
+        "position_m": None,
+        "calls": 0,
+    }
+    assert {name: kept[name] for name in expected} == expected
+
+
+@pytest.mark.parametrize(
+    ("outcome", "differs"),
+    [
+        (ScriptResult(0, True, 0.5), True),
+        (ScriptResult(0, False, 0.5), True),  # stopped by --until
+        (ScriptResult(130, True, 0.5), True),  # its own status
+        (ScriptResult(130, False, 0.5), False),
+    ],
+)
+def test_only_an_interrupted_flight_may_end_before_its_reference(
+    fly: Any, tmp_path: Path, outcome: ScriptResult, differs: bool
+) -> None:
+    (reference := tmp_path / "first").mkdir()
+    (reference / MESSAGES).write_text("{}\n")
+    if differs:
+        with pytest.raises(DifferenceError, match="has ended"):
+            fly(outcome, reference=reference)
+    else:
+        *_, kept = fly(outcome, reference=reference)
+        assert (kept["status"], kept["finished"]) == (130, False)
+
+
+def test_a_call_is_logged_with_the_wall_time_before_the_simulated_and_an_answer_with_its_own(
+    tmp_path: Path,
+) -> None:
+    log = MessageLog(tmp_path)
+    assert [log.call(30, 10, "ping", []), log.call(60, None, "move", [1.5, "x"])] == [1, 2]
+    log.answer(1, 40, None, True)
+    log.answer(2, 70, "refused", None)
+    log.close()
+    assert [json.loads(line) for line in (tmp_path / MESSAGES).read_text().splitlines()] == [
+        {"call": 1, "wall_ns": 30, "time_ns": 10, "method": "ping", "params": []},
+        {"call": 2, "wall_ns": 60, "time_ns": None, "method": "move", "params": [1.5, "x"]},
+        {"answer": 1, "wall_ns": 40, "result": True},
+        {"answer": 2, "wall_ns": 70, "error": "refused"},
+    ]
+    assert log.calls == 2
+
+
+@pytest.mark.parametrize(
+    ("text", "status", "said"),
+    [
+        ("import sys\nsys.exit()", 0, ""),
+        ("import sys\nsys.exit(0)", 0, ""),
+        ("import sys\nsys.exit(7)", 7, ""),
+        ("import sys\nsys.exit('no more')", 1, "no more\n"),
+        ("raise SystemExit(True)", 1, ""),
+        ("import beside\nassert beside.HERE", 0, ""),
+        ("import sys\nassert __name__ == '__main__'\nassert sys.argv[1:] == ['a', 'b c']", 0, ""),
+    ],
+)
+def test_a_script_runs_as_python_runs_it(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    text: str,
+    status: int,
+    said: str,
+) -> None:
+    """With its own folder first among those of modules, wherever it is started from."""
+    (tmp_path / "beside.py").write_text("HERE = True\n")
+    script = tmp_path / "script.py"
+    script.write_text(text)
+    (elsewhere := tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(elsewhere)
+    monkeypatch.setattr(sys, "argv", ["pytest"])
+    monkeypatch.setattr(sys, "path", ["", *sys.path])
+    monkeypatch.setitem(sys.modules, "__main__", sys.modules["__main__"])
+    monkeypatch.delitem(sys.modules, "beside", raising=False)
+    outlived: list[bool] = []
+    try:
+        result = run_script(script, ("a", "b c"), lambda: outlived.append(True))
+    finally:
+        sys.modules.pop("beside", None)
+    assert result[:2] == (status, True)
+    assert (sys.path[0], sys.argv) == (str(tmp_path), [str(script), "a", "b c"])
+    assert (outlived, capsys.readouterr().err) == ([True], said)
+
+
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ('{"SettingsVersion": 1.2}', True),
+        ('{"ClockSpeed": 5, "theme": "dark"}', True),
+        ('{"SimMode": "Multirotor"}', True),
+        ('{"Vehicles": {}}', True),
+        ('{"theme": "dark"}', False),  # another program's
+        ("{}", False),
+        ('["ClockSpeed"]', False),
+        ("{", False),
+    ],
+)
+def test_settings_are_airsims_by_one_of_their_keys(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str, found: bool
+) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    (tmp_path / "settings.json").write_text(text)
+    assert found_settings(tmp_path / "script.py") == (tmp_path / "settings.json" if found else None)
+
+
+# --- a server of its own ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("settings", [None, Path("own.json")])
+def test_a_flight_in_wall_time_has_a_server_of_its_kind_and_passes_its_warnings_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], settings: Path | None
+) -> None:
+    said = b"listening on 127.0.0.1:8123: scene lane, profile airsim, ClockSpeed 2.5\nSimpleFlight hovers\n"
+    said += b"warning: the machine does not keep up\nrequested 2.5x\nstopped; achieved 2.4x\n  moveOnPath: refused\n"
+    started: list[Any] = []
+    server = SimpleNamespace(stdout=io.BytesIO(said), send_signal=lambda number: started.append(number.name))
+    watch = SimpleNamespace(end=lambda: started.append("no longer watched"))
+
+    def start(*command: str, **options: Any) -> Any:
+        started.append(command)
+        return nullcontext(server)
+
+    monkeypatch.setattr(wall, "start_python", start)
+    monkeypatch.setattr(wall, "Watch", lambda *_: watch)
+    monkeypatch.setattr(wall, "end_within", lambda *_: started.append("ended"))
+    options = FlightOptions(
+        Path("script.py"), (), tmp_path, "wall", profile="airsim", scene="lane", clock_speed=9.0
+    )
+    with wall.serving(options, 2.5, settings=settings) as served:
+        assert served.port == 8123
+    (_, _, *arguments), *ends = started
+    assert ends == ["no longer watched", "SIGINT", "ended"]
+    asked = ["serve", "--port", "0", "--clock", "2.5", "--profile", "airsim", "--scene", "lane"]
+    asked += ["--recordings", str(tmp_path / "recordings")]
+    assert arguments == [*asked, *(["--settings", "own.json"] if settings else [])]
+    assert capsys.readouterr().err.splitlines() == [
+        "uavaccel: warning: the machine does not keep up",
+        "uavaccel: stopped; achieved 2.4x",
+        "uavaccel:   moveOnPath: refused",
+    ]
+
+
+# --- a script's programs ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("own", [None, "mine", os.pathsep.join(["mine", "yours"])])
+@pytest.mark.parametrize("port", [None, 8123])
+def test_a_scripts_programs_find_our_client_before_what_they_found_already(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, own: str | None, port: int | None
+) -> None:
+    monkeypatch.delenv(children.PORT, raising=False)
+    if own is None:
+        monkeypatch.delenv("PYTHONPATH", raising=False)
+    else:
+        monkeypatch.setenv("PYTHONPATH", own)
+    before, path = dict(os.environ), list(sys.path)
+    with children.client_for_children(tmp_path, port):
+        first, *others = os.environ["PYTHONPATH"].split(os.pathsep)
+        assert others == (own.split(os.pathsep) if own else [])
+        assert {"airsim.py", "cosysairsim.py", "AirSimClient.py"} <= {
+            file.name for file in Path(first).iterdir()
+        }
+        assert os.environ[children.PORT] == ("" if port is None else "8123")
+        assert sys.path == [path[0], first, *path[1:]]
+    assert (dict(os.environ), sys.path) == (before, path)
+    with children.client_for_children(None, port):
+        assert (dict(os.environ), sys.path) == (before, path)
+
+
+# --- modules and patches ---------------------------------------------------------------------------------------------
+
+
+def test_a_script_is_what_no_library_is() -> None:
+    installed = Path(sysconfig.get_path("purelib"))
+    for file, mine in (
+        ("/home/somebody/script.py", True),
+        ("script.py", True),
+        (str(Path(threading.__file__)), False),
+        (str(installed / "numpy" / "__init__.py"), False),
+        ("/home/somebody/.local/lib/python3.12/site-packages/numpy/__init__.py", False),  # the user's own
+        (str(Path(wall.__file__)), False),
+        (None, False),
+    ):
+        assert of_a_script({"__file__": file} if file else {}) is mine, file
+    assert not of_a_script(None)
+
+
+def test_patches_leave_everything_as_they_found_it() -> None:
+    """Also what was not there, what a class inherits, and what has been replaced twice."""
+
+    class Base:
+        def named(self) -> str:
+            return "base"
+
+    class Derived(Base):
+        pass
+
+    module = named_module("some", there=1)
+    with Patches() as patches:
+        undone: list[str] = []
+        patches.undo(lambda: undone.append("undone"))
+        for value in (2, 3):
+            patches.set(module, "there", value)
+            patches.set(module, "missing", value)
+        patches.set(Derived, "named", lambda self: "patched")
+        assert (module.there, module.missing, Derived().named(), undone) == (3, 3, "patched", [])
+    assert (module.there, hasattr(module, "missing"), Derived().named()) == (1, False, "base")
+    assert undone == ["undone"]
+
+
+def test_a_module_is_changed_when_it_is_imported_and_at_once_where_it_has_been(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "imported_later.py").write_text("value = 1\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    changed: list[str] = []
+
+    def change(module: ModuleType) -> None:
+        changed.append(f"{module.__name__}: {getattr(module, 'value', None)}")
+
+    with Patches() as patches:
+        patches.when_imported("json", change)
+        for _ in range(2):
+            patches.when_imported("imported_later", change)
+        assert changed == ["json: None"]
+        import imported_later  # type: ignore[import-not-found]
+
+        assert imported_later.value == 1
+        assert changed[1:] == ["imported_later: 1"] * 2
+    sys.modules.pop("imported_later")
+
+
+# --- threads ---------------------------------------------------------------------------------------------------------
+
+
+def test_who_no_longer_waits_takes_no_ones_notification() -> None:
+    """One has given up waiting; the next notification is another's."""
+    turns = Turns(VirtualClock())
+    condition = bound(Condition, turns)()
+    woken: list[str] = []
+
+    def sleeper() -> None:
+        turns.begin(turn)
+        with condition:
+            woken.append(f"second: {condition.wait(5.0)}")
+        turns.end()
+
+    with condition:
+        assert not condition.wait(1.0)
+    turn = turns.announce()
+    thread = threading.Thread(target=sleeper)
+    thread.start()
+    turns.wait_until(turns.now_ns() + 1_000_000_000)
+    with condition:
+        condition.notify()
+    turns.wait_until(turns.now_ns() + 1_000_000_000)
+    thread.join(5.0)
+    assert woken == ["second: True"]
+
+
+@pytest.mark.parametrize(("end", "lines"), [(FlightOver(), 0), (ValueError("no"), 1), (None, 1)])
+def test_a_pool_says_nothing_of_the_flights_end_and_everything_else(
+    capsys: pytest.CaptureFixture[str], end: BaseException | None, lines: int
+) -> None:
+    logger = logging.Logger("of a pool")
+    said: list[logging.LogRecord] = []
+    handler = logging.Handler()
+    handler.emit = said.append  # type: ignore[assignment,method-assign]
+    logger.addHandler(handler)
+    with Patches() as patches:
+        executors._leave_ends_unsaid(named_module("pools", LOGGER=logger), patches)
+        logger.error("a worker has ended", exc_info=end)
+        assert len(said) == lines
+    logger.error("a worker has ended", exc_info=end)
+    assert len(said) == lines + 1  # after the flight it is as before
+
+
+def test_a_queue_is_full_or_empty_by_its_size() -> None:
+    turns = Turns(VirtualClock())
+    made: Any = ThreadClasses(turns).modules()["queue"].Queue(2)
+    for item in "ab":
+        made.put(item)
+    for block in (False, True):
+        with pytest.raises(queue.Full):
+            made.put("c", block, 0.5)
+    assert [made.get(), made.get(), made.unfinished_tasks] == ["a", "b", 2]
+    for block in (False, True):
+        with pytest.raises(queue.Empty):
+            made.get(block, 0.5)
+    assert turns.now_ns() == 1_000_000_000  # half a second for each that would wait
