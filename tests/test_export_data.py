@@ -7,6 +7,7 @@ import hashlib
 import json
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import cv2
@@ -393,6 +394,81 @@ def test_an_evaluation_is_flown_again_and_logged_with_its_collision(tmp_path: Pa
         assert said[0] == f"{row['case']} begins"
         assert said[1:] == ([f"hit {row['collision']}"] if row["collision"] else [])
         assert sum(message["count"] for _, message in log.messages["/dvs/events"]) > 0
+
+
+@pytest.mark.parametrize("hit", [True, False])
+def test_an_evaluations_times_are_since_the_start_of_its_game(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, hit: bool
+) -> None:
+    """Two commands of two samples each, the last one at an impact; the simulation had run for 7 s before the game."""
+
+    def state(after_ms: int) -> Any:
+        at_ns = 7_000_000_000 + 1_000_000 * after_ms
+        return SimpleNamespace(
+            time_ns=at_ns, position_m=(after_ms / 1000, 0.0, -10.0), orientation_wxyz=(1.0, 0.0, 0.0, 0.0)
+        )
+
+    class Lane:
+        episode_task = SimpleNamespace(
+            velocity_goal=lambda action: SimpleNamespace(velocity_m_s=(float(action), 0.0, 0.0))
+        )
+
+        def __init__(self, **task: Any) -> None:
+            self.observers: list[Any] = []
+
+        def add_observer(self, observer: Any) -> None:
+            self.observers.append(observer)
+
+        def close(self) -> None: ...
+
+    def flown(run: Any, config: Any, lane: Lane, row: Any) -> Any:
+        onlooker = lane.observers[0]
+        picture = np.zeros((2, 3), np.uint8)
+        task, session = SimpleNamespace(observation="dvs"), SimpleNamespace(picture=lambda: picture)
+        onlooker.game_begun(
+            SimpleNamespace(start=state(0), picture=lambda _: picture, task=task, session=session)
+        )
+        for command, ends in enumerate([(330, 660), (1000, 1320)]):
+            for after_ms in ends:
+                at = state(after_ms)
+                struck = {
+                    "time_ns": at.time_ns - 20_000_000,
+                    "object": "a tree",
+                    "position_m": (1.3, 0.5, -9.0),
+                }
+                collision = struck if hit and after_ms == 1320 else None
+                onlooker.sample_taken(SimpleNamespace(state=at, image=picture, collision=collision), command)
+            yield SimpleNamespace(action=command + 3)
+
+    class Camera:
+        def __init__(self, task: Any, ticks: int) -> None:
+            assert ticks == 5  # of 2 ms, in the 10 ms of a frame
+            rows = np.array([[0.05, 1, 1, 1], [0.06, 2, 1, -1], [1.25, 0, 0, 1]])
+            self.events = SimpleNamespace(take_events=lambda: rows)
+
+    task = SimpleNamespace(profile="native", model_dump=lambda mode: {})
+    config = SimpleNamespace(simulator="mujoco", task=task)
+    for name, value in (
+        ("evaluation_of", lambda *_: config), ("ObstacleLane", Lane), ("SecondEventCamera", Camera),
+        ("fly_again", flown),
+    ):  # fmt: skip
+        monkeypatch.setattr(f"uavaccel.export.game.{name}", value)
+    (tmp_path / "config.yaml").write_text("suite: evaluate\n")
+    log = read_game(RunDirectory(tmp_path), {})
+    last_ms = 1300 if hit else 1320
+    assert (log.time_ns // 1_000_000).tolist() == [0, 330, 660, 1000, last_ms]
+    assert log.position_m[-1].tolist() == ([1.3, 0.5, -9.0] if hit else [1.32, 0.0, -10.0])
+    assert (log.command_ns // 1_000_000).tolist() == [0, 660]  # the sample that each was decided on
+    assert log.command_m_s.tolist() == [[3.0, 0.0, 0.0], [4.0, 0.0, 0.0]]
+    assert log.collision == ((1_300_000_000, "a tree") if hit else None)
+    assert log.images.shape == (5, 2, 3)
+    filled = {
+        each.time_ns // 1_000_000: len(each.rows)
+        for each in log.windows
+        if each.rows is not None and len(each.rows)
+    }
+    assert filled == {50: 1, 100: 1, 1250: 1}
+    assert log.windows[-1].time_ns == last_ms * 1_000_000
 
 
 # --- Minari -----------------------------------------------------------------------------------------------------
