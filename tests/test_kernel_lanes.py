@@ -162,7 +162,12 @@ def test_ages_are_those_at_the_collision_which_leaves_nothing_to_process() -> No
     lane = {"obstacles": [{"x_m": 1.0, "y_m": 0.0, "half_side_m": 0.4}]}
     still: dict[str, Any] = {"quantiles": [0, 1], "issue_us": [0, 0], "timer_us": [0, 0]}
     still |= {"request_us": {"call": [0, 0]}, "reply_us": {"call": [0, 0]}}
-    task = {"command": "adsc", "timing": "virtual", "image_processing_s": 0.05, "latency": still}
+    task: dict[str, Any] = {
+        "command": "adsc",
+        "timing": "virtual",
+        "image_processing_s": 0.05,
+        "latency": still,
+    }
     with closing(KernelBatch(ObstacleLane, 1, lane=lane, knows=["frame_age"], **task)) as batch:
         batch.reset(seed=0)
         seen, _, over, _, infos = batch.step([2])

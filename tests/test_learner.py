@@ -952,7 +952,9 @@ def test_on_a_device_each_gradient_step_has_a_batch_of_its_own(on_a_device: Any)
     """Sixteen lanes and a step every eight commands: two steps a round, on windows that are drawn together."""
     from uavaccel.rl.device_replay import Windows
 
-    learner, drawn, batches = on_a_device, [], []
+    learner = on_a_device
+    drawn: list[Any] = []
+    batches: list[Any] = []
     learner.lanes.count = 16
     learner.options = learner.options.model_copy(update={"batch_size": 3, "gamma": 0.25})
     windows = Windows(*(th.arange(6) + 10 * column for column in range(8)))
@@ -968,7 +970,8 @@ def test_on_a_device_each_gradient_step_has_a_batch_of_its_own(on_a_device: Any)
 
 def test_on_a_device_a_round_keeps_and_charges_what_was_going_when_it_began(on_a_device: Any) -> None:
     """Its last lane flies no more, and with this command the first one's game is over."""
-    learner, said = on_a_device, []
+    learner = on_a_device
+    said: list[tuple[Any, ...]] = []
     online, target = th.nn.Linear(1, 1), th.nn.Linear(1, 1)
     learner.policy = SimpleNamespace(q_net=online, q_net_target=target)
     before = [each.detach().clone() for each in (*online.parameters(), *target.parameters())]
@@ -1016,7 +1019,8 @@ def test_on_a_device_a_round_keeps_and_charges_what_was_going_when_it_began(on_a
 
 def test_on_a_device_games_are_read_from_the_log_up_to_the_last_one_of_the_training(on_a_device: Any) -> None:
     """Three are over in a chunk of two rounds, of which the training still needs two; they share its four seconds."""
-    learner, at, refilled = on_a_device, on_a_device.AT, []
+    learner, at = on_a_device, on_a_device.AT
+    refilled: list[Any] = []
     log = th.zeros((2, 4, at.columns), dtype=th.float64)
     for line, lane, reward in ((0, 2, 1.5), (1, 0, -2.5), (1, 3, 9.0)):
         log[line, lane, at.over], log[line, lane, at.reward] = 1.0, reward

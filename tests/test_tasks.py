@@ -108,7 +108,8 @@ def test_depths_are_shown_up_to_50_m() -> None:
         np.repeat(np.array([[0.0, 10.0], [50.0, 400.0]], np.float32), 72, axis=0), 128, axis=1
     )
     levels = camera.frame(AT_REST, depth_m, {})
-    assert (levels.shape, levels.dtype) == ((1, 36, 64), np.uint8)
+    assert levels.shape == (1, 36, 64)
+    assert levels.dtype == np.uint8
     assert levels[0, [9, 9, 27, 27], [16, 48, 16, 48]].tolist() == [0, 51, 255, 255]
 
 
