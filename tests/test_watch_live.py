@@ -174,7 +174,7 @@ def test_a_lanes_obstacles_and_a_further_game_are_told(feed: Feed) -> None:
     thread = threading.Thread(target=fly_lanes)
     thread.start()
     flights, scenes = set(), []
-    while thread.is_alive() or feed.sources[0].moments:
+    while thread.is_alive() or len(flights) < 2:  # the last moments may come after the flights' end
         feed.listen(0.0)
         for source in feed.sources:
             source.order({**HELD, "held": False, "pace": 20.0})
