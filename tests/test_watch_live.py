@@ -173,7 +173,8 @@ def test_a_lanes_obstacles_and_a_further_game_are_told(feed: Feed) -> None:
 
     thread = threading.Thread(target=fly_lanes)
     thread.start()
-    flights, scenes = set(), []
+    flights: set[Any] = set()
+    scenes: list[Any] = []
     while thread.is_alive() or len(flights) < 2:  # the last moments may come after the flights' end
         feed.listen(0.0)
         for source in feed.sources:
