@@ -17,6 +17,7 @@ from uavaccel.sim.scene.model import SPARES, airsim_spec, put_spares_by
 from uavaccel.sim.scene.objects import SceneObjects, take_over
 from uavaccel.sim.scene.rays import cast
 from uavaccel.sim.simulation import Simulation
+from uavaccel.sim.vehicle.vehicle import BODY
 from uavaccel.sim.world import World
 from uavaccel.wire import rpc
 from uavaccel.wire.api import Api
@@ -47,7 +48,7 @@ def wire() -> Iterator[AirSimWire]:
 def ahead_m(wire: AirSimWire) -> float:
     """How far the first thing north of the vehicle's middle is."""
     place = wire.simulation.kinematics().position_m
-    return float(cast(wire.world.model, wire.world.data, place, NORTH).distance_m[0])
+    return float(cast(wire.world.model, wire.world.data, place, NORTH, exclude=BODY).distance_m[0])
 
 
 def spawn(wire: AirSimWire, name: str, asset: str, at: tuple[float, float, float], scale: Any = ONE) -> str:
@@ -175,7 +176,7 @@ def test_objects_stay_what_they_are_in_a_model_with_more_vehicles(wire: AirSimWi
     put_spares_by(new)
     take_over(wire.world.model, new)
     data = mujoco.MjData(new)
-    assert cast(new, data, (0.0, 0.0, -10.0), NORTH).distance_m[0] == pytest.approx(9.5)
+    assert cast(new, data, (0.0, 0.0, -10.0), NORTH, exclude=BODY).distance_m[0] == pytest.approx(9.5)
     data.qpos[:3] = 9.4, 0.0, 10.0
     mujoco.mj_forward(new, data)
     assert data.ncon > 0
@@ -258,7 +259,8 @@ def test_the_scene_of_airsims_scripts_leaves_their_path_free_and_has_what_they_n
         beside = np.array([-way[1], way[0], 0.0]) / length_m
         for aside_m in (-5.0, 0.0, 5.0):
             place = start + aside_m * beside
-            assert cast(world.model, world.data, place, way[None] / length_m, length_m).geoms[0] == -1
+            hits = cast(world.model, world.data, place, way[None] / length_m, length_m, exclude=BODY)
+            assert hits.geoms[0] == -1
     assert {"OrangeBall", "PulsingCone", "Cylinder5_2"} < set(SceneObjects(world).names())
     low = SceneObjects(world).corners("PulsingCone")[:, 2].max()
     assert low == pytest.approx(0.0, abs=1e-6), "it stands on the ground"

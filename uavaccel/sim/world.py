@@ -23,7 +23,7 @@ from uavaccel.sim.vehicle import hotloop
 from uavaccel.sim.vehicle.clearance import Clearance
 from uavaccel.sim.vehicle.samples import Samples
 from uavaccel.sim.vehicle.standing import depth, on_the_ground, stand
-from uavaccel.sim.vehicle.vehicle import BODY, HERE, LEVEL, AddedVehicle, Start, Vehicle
+from uavaccel.sim.vehicle.vehicle import HERE, LEVEL, AddedVehicle, Start, Vehicle
 
 if TYPE_CHECKING:
     from uavaccel.sim.camera.camera import FrontCamera
@@ -74,7 +74,7 @@ class World:
         model.opt.timestep = self.profile.tick_s
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
         for vehicle in vehicles:
-            model.body(vehicle.prefix + BODY)  # raises KeyError where MuJoCo has made another name of it
+            model.body(vehicle.body)  # raises KeyError where MuJoCo has made another name of it
         return model, mujoco.MjData(model)
 
     def _adopt(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:

@@ -14,7 +14,7 @@ from pydantic import Field
 from uavaccel.sim.camera.mounted import FRONT_CENTER, Lens
 from uavaccel.sim.poses import Pose, from_degrees
 from uavaccel.sim.sensors.base import AirSimKeys
-from uavaccel.sim.vehicle.vehicle import BODY, Vehicle
+from uavaccel.sim.vehicle.vehicle import Vehicle
 
 SCENE = 0
 MOUNTS = {
@@ -95,7 +95,7 @@ class CameraMount:
 
     def body(self, vehicles: Sequence[Vehicle]) -> str | None:
         """Return the name of the body that carries it, through which its rays pass; None for an external camera."""
-        return None if self.external else vehicles[self.carrier].prefix + BODY
+        return None if self.external else vehicles[self.carrier].body
 
     def lens(self, image_type: int) -> Lens:
         return self.lenses.get(image_type, Lens())

@@ -17,7 +17,6 @@ from uavaccel.sim.camera.view import GeomImage
 from uavaccel.sim.scene.objects import SceneObjects
 from uavaccel.sim.world import World
 
-BODY = "quadrotor"
 NOT_DRAWN, NO_OBJECT = -1, 0
 HIGHEST_ID = 255
 

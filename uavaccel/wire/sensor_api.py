@@ -21,7 +21,6 @@ from uavaccel.sim.sensors.field import (
 )
 from uavaccel.sim.sensors.inertial import Imu, ImuSettings
 from uavaccel.sim.sensors.ranging import DistanceSensor, Lidar
-from uavaccel.sim.vehicle.vehicle import BODY
 from uavaccel.wire import types
 from uavaccel.wire.arguments import VehicleName
 from uavaccel.wire.calls import CallContext, Calls, call
@@ -90,7 +89,7 @@ class SensorApi(Calls, title="Sensors"):
             profile.tick_s,
             world.tick * profile.tick_s,
             self.scenery.settings.home,
-            self.scenery.vehicle(vehicle).prefix + BODY,
+            self.scenery.vehicle(vehicle).body,
         )
 
     def _stamp(self) -> int:

@@ -45,16 +45,16 @@ class WorldApi(Calls, title="World"):
     @call("simTestLineOfSightToPoint")
     def sees_point(self, point: Point, vehicle: VehicleName = "") -> bool:
         """Return whether the line of sight from the vehicle to a point is free."""
-        own = self.scenery.vehicle(vehicle).prefix + BODY
+        own = self.scenery.vehicle(vehicle).body
         return self._sees(self.scenery.truth(vehicle).position_m, self._local(point), own)
 
     @call("simTestLineOfSightBetweenPoints")
     def sees_between(self, point1: Point, point2: Point) -> bool:
-        return self._sees(self._local(point1), self._local(point2))
+        return self._sees(self._local(point1), self._local(point2), BODY)
 
-    def _sees(self, start_m: Vector, end_m: Vector, exclude: str = BODY) -> bool:
+    def _sees(self, start_m: Vector, end_m: Vector, exclude: str) -> bool:
         world = self.simulation.world
-        return sees(world.model, world.data, start_m, end_m, exclude)
+        return sees(world.model, world.data, start_m, end_m, exclude=exclude)
 
     def _local(self, point: GeoPoint) -> Vector:
         north, east, down = local(point, self.scenery.settings.home)

@@ -29,7 +29,8 @@ def cast(
     start_m: ArrayLike,
     directions: NDArray[np.float64],
     longest_m: float = np.inf,
-    exclude: str | None = "quadrotor",
+    *,
+    exclude: str | None,
 ) -> Hits:
     """Cast rays from a position along unit vectors (n, 3), through the body `exclude`, if any."""
     mujoco.mj_kinematics(model, data)  # mj_step leaves the positions of the step's beginning
@@ -60,12 +61,13 @@ def sees(
     data: mujoco.MjData,
     start_m: ArrayLike,
     end_m: ArrayLike,
-    exclude: str = "quadrotor",
+    *,
+    exclude: str,
 ) -> bool:
     """Return whether only the body `exclude` is between two positions, except for what touches the second."""
     way = np.asarray(end_m, float) - np.asarray(start_m, float)
     length_m = float(np.linalg.norm(way))
     if length_m <= NEAR_END_M:
         return True
-    hits = cast(model, data, start_m, (way / length_m)[None], length_m - NEAR_END_M, exclude)
+    hits = cast(model, data, start_m, (way / length_m)[None], length_m - NEAR_END_M, exclude=exclude)
     return bool(np.isinf(hits.distance_m[0]))

@@ -69,7 +69,7 @@ class DistanceSensor:
     def read(self, truth: Truth, model: mujoco.MjModel, data: mujoco.MjData) -> float:
         """Return the distance in metres, with AirSim's noise."""
         eye, longest_m = truth.pose.of(self.settings.mount), self.settings.max_distance
-        hits = cast(model, data, eye.position_m, eye.matrix()[:, :1].T, longest_m, truth.body)
+        hits = cast(model, data, eye.position_m, eye.matrix()[:, :1].T, longest_m, exclude=truth.body)
         true_m = min(float(hits.distance_m[0]), longest_m)
         return true_m + float(self._white.at(truth.sample)[0]) * self.settings.uncorrelated_noise_sigma
 
@@ -109,7 +109,7 @@ class Lidar:
         own, eye = self.settings, truth.pose.of(self.settings.mount)
         scan = int(truth.time_s * own.update_frequency)
         seen = directions(own, scan * 360.0 * own.rotations_per_second / own.update_frequency)
-        hits = cast(model, data, eye.position_m, seen @ eye.matrix().T, own.range, truth.body)
+        hits = cast(model, data, eye.position_m, seen @ eye.matrix().T, own.range, exclude=truth.body)
         met = hits.geoms >= 0
         points_m = seen[met] * hits.distance_m[met, None]
         if own.data_frame == "VehicleInertialFrame":

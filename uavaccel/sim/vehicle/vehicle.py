@@ -88,9 +88,14 @@ class Vehicle:
         self._parameters = np.zeros(1, PARAMETERS_DTYPE)
         self._time_s = np.zeros(1)
 
+    @property
+    def body(self) -> str:
+        """The name of its body in the model."""
+        return self.prefix + BODY
+
     def bind(self, model: mujoco.MjModel, data: mujoco.MjData, name_of: Callable[[int], str]) -> None:
         """Fly in this model instead of any previous one; `name_of` returns the name of what a geom belongs to."""
-        body = model.body(self.prefix + BODY)
+        body = model.body(self.body)
         if not self.parameters["mass_kg"]:
             inertia, ticks = model.body_inertia[body.id], self.profile.hover_after_ticks
             mass = model.body_mass[body.id]
@@ -363,7 +368,7 @@ def set_airframe(
         parameters[name] = mass_ratio * own[name]
     for name in ("max_thrust_n", "max_torque_n_m"):
         parameters[name] = thrust_ratio * own[name]
-    body = model.body("quadrotor").id
+    body = model.body(BODY).id
     mass_kg, inertia = parameters["mass_kg"][0], parameters["inertia_kg_m2"][0]
     if model.body_mass[body] == mass_kg:
         return
