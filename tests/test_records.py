@@ -2,6 +2,7 @@
 
 import json
 import math
+import os
 import shutil
 import subprocess
 import sys
@@ -17,10 +18,25 @@ from hypothesis.extra import numpy as hnp
 
 from uavaccel.config import Config
 from uavaccel.errors import UserError
-from uavaccel.files import read_arrays, to_json, write_arrays
+from uavaccel.files import (
+    ARRAYS_BYTES,
+    LINES_BYTES,
+    TEXT_BYTES,
+    append_line,
+    file_sha256,
+    inside,
+    read_arrays,
+    read_lines,
+    replacing,
+    to_json,
+    write_arrays,
+)
+from uavaccel.fly.script import compiled
 from uavaccel.lock import hold
 from uavaccel.manifest import describe_run
 from uavaccel.records import RunDirectory
+from uavaccel.wire.settings import LARGEST_BYTES, read_settings
+from uavaccel.yaml_io import load_yaml
 
 
 class Clock(Config):
@@ -418,3 +434,77 @@ def test_the_manifest_names_the_commit_and_whether_files_differ(
     assert describe_run([], 0, "")["git"]["dirty"] is True
     monkeypatch.setattr("uavaccel.manifest.source_tree", lambda: None)
     assert describe_run([], 0, "")["git"] is None
+
+
+# --- folders and files from elsewhere -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("read", "most"),
+    [
+        (load_yaml, TEXT_BYTES),
+        (compiled, TEXT_BYTES),
+        (read_settings, LARGEST_BYTES),
+        (read_lines, LINES_BYTES),
+        (read_arrays, ARRAYS_BYTES),
+        (file_sha256, ARRAYS_BYTES),
+    ],
+)
+def test_what_is_no_file_or_a_huge_one_is_not_read(read: Any, most: int, tmp_path: Path) -> None:
+    pipe, huge = tmp_path / "pipe", tmp_path / "huge"
+    os.mkfifo(pipe)
+    with huge.open("wb") as file:
+        file.truncate(most + 1)
+    for path, said in (
+        (pipe, "no regular file"),
+        (Path("/dev/zero"), "no regular file"),
+        (huge, f"has {most + 1:,} bytes, where at most {most:,} are read"),
+    ):
+        with pytest.raises(UserError, match=f"^{path}: {said}$"):
+            read(path)
+
+
+def test_an_archive_that_unpacks_to_too_much_is_not_unpacked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_arrays(tmp_path / "a.npz", {"a": np.zeros(100_000, np.uint8)})
+    monkeypatch.setattr("uavaccel.files.ARRAYS_BYTES", 10_000)
+    with pytest.raises(UserError, match="unpacks to more than 10,000 bytes"):
+        read_arrays(tmp_path / "a.npz")
+
+
+@pytest.mark.parametrize("name", ["../x", "/tmp/x", "..", ".", "", "a/../../x", "link/x", "circle/x", "a\0b"])
+def test_a_file_outside_of_its_folder_is_refused(name: str, tmp_path: Path) -> None:
+    folder = tmp_path / "folder"
+    folder.mkdir()
+    (folder / "link").symlink_to(tmp_path)
+    (folder / "circle").symlink_to("circle")
+    with pytest.raises(UserError, match="would be a file outside of"):
+        inside(folder, name)
+    assert inside(folder, "a/../b") == folder / "a/../b"
+
+
+@pytest.mark.parametrize("case", ["../../x", "/tmp/x", "a/b", "..", "", "a\n", "a\0"])
+def test_a_row_whose_case_is_no_name_of_a_file_is_refused(run: RunDirectory, case: str) -> None:
+    append_line(run.path / "rows.jsonl", {"case": case})
+    with pytest.raises(UserError, match=r"line 1: no game can be called .*: its name is that of a file"):
+        RunDirectory(run.path)
+
+
+def test_nothing_is_written_through_a_link(run: RunDirectory, tmp_path: Path) -> None:
+    """A folder from elsewhere may have one in the place of any of its files."""
+    outside = tmp_path / "outside"
+    (run.path / "rows.jsonl").symlink_to(outside)
+    (run.path / "summary.json.unfinished").symlink_to(outside)
+    (run.path / "figures").symlink_to(tmp_path)
+    for write in (
+        lambda: run.append_row({"case": "a"}),
+        lambda: run.write_json("summary.json", {}),
+        lambda: run.write_text("figures/outside", ""),
+    ):
+        with pytest.raises(UserError):
+            write()
+    (run.path / "report.md").symlink_to(outside)
+    with replacing(run.path / "report.md") as file:  # a link to a file is replaced itself
+        file.write(b"x")
+    assert not outside.exists()

@@ -1,12 +1,18 @@
-"""Files that survive a crash whole, in which equal values are equal bytes."""
+"""Files that survive a crash whole, in which equal values are equal bytes; and the bounds of those that are read.
+
+What a user names, or a folder from elsewhere holds, is opened by `open_bounded`: devices, pipes and files beyond any
+reasonable size are refused before they are read. Names that come from such a folder become paths by `inside`.
+"""
 
 import hashlib
 import json
 import math
 import os
+import stat
 import zipfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from io import BufferedReader
 from pathlib import Path
 from typing import Any, BinaryIO, TypeAlias
 
@@ -16,6 +22,56 @@ from uavaccel.errors import UserError, naming
 
 UNFINISHED = ".unfinished"
 """The suffix of a file that is being written; a crash may leave one behind."""
+TEXT_BYTES = 16 << 20
+"""The largest YAML or JSON document, script or scene that is read."""
+LINES_BYTES, MOST_LINES, LINE_BYTES = 512 << 20, 10_000_000, 16 << 20
+"""The same of a file of rows, their most, and the longest."""
+ARRAYS_BYTES = 8 << 30
+"""The same of the arrays in an .npz, unpacked, and of a policy's weights."""
+
+
+def open_bounded(path: Path, most_bytes: int = TEXT_BYTES) -> BufferedReader:
+    """Open a file to be read. Raises UserError for a device, a pipe and a larger file, OSError where there is none."""
+    file = open(path, "rb", opener=_without_waiting)  # noqa: SIM115  the caller closes it
+    status = os.fstat(file.fileno())
+    why = "" if stat.S_ISREG(status.st_mode) else "no regular file"
+    if status.st_size > most_bytes:
+        why = f"has {status.st_size:,} bytes, where at most {most_bytes:,} are read"
+    if why:
+        file.close()
+        raise UserError(f"{path}: {why}")
+    return file
+
+
+def _without_waiting(path: str, flags: int) -> int:
+    """Open a file to be read; opening a pipe would wait for a writer."""
+    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
+
+
+def read_bounded(path: Path, most_bytes: int = TEXT_BYTES) -> bytes:
+    """Return a file's bytes. Raises as `open_bounded` does, also for a file that tells another size than it has."""
+    with open_bounded(path, most_bytes) as file:
+        content = file.read(most_bytes + 1)
+    if len(content) > most_bytes:
+        raise UserError(f"{path}: is longer than {most_bytes:,} bytes")
+    return content
+
+
+def is_file_name(name: object) -> bool:
+    """Return whether a name can be that of a file in a folder: of a case, say."""
+    return isinstance(name, str) and "/" not in name and name.isprintable() and bool(name.strip("."))
+
+
+def inside(folder: Path, name: str) -> Path:
+    """Return the path of a file in a folder. Raises UserError if it would be elsewhere, also by a link."""
+    path = folder / name
+    try:
+        is_inside = folder.resolve() in path.resolve().parents
+    except (OSError, RuntimeError, ValueError):  # links in a circle, a zero byte
+        is_inside = False
+    if not is_inside:
+        raise UserError(f"{name!r} would be a file outside of {folder}")
+    return path
 
 
 @contextmanager
@@ -23,7 +79,7 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
     """Yield a file to write, which replaces `path` once it is whole and on disk."""
     unfinished = path.with_name(path.name + UNFINISHED)
     try:
-        with naming(path), unfinished.open("wb") as file:
+        with naming(path), open(unfinished, "wb", opener=_without_links) as file:
             yield file
             file.flush()
             os.fsync(file.fileno())
@@ -31,6 +87,11 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
     except BaseException:  # a full disk needs the room that a half file takes
         unfinished.unlink(missing_ok=True)
         raise
+
+
+def _without_links(path: str, flags: int) -> int:
+    """Open a file to be written; a folder from elsewhere may have a link in its place, to any file."""
+    return os.open(path, flags | getattr(os, "O_NOFOLLOW", 0), 0o666)
 
 
 def write_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
@@ -48,18 +109,20 @@ def write_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
 
 
 def read_arrays(path: Path) -> dict[str, np.ndarray]:
-    """Return the arrays of an .npz. Raises UserError if it is missing or damaged."""
+    """Return the arrays of an .npz. Raises UserError if it is missing or damaged, or unpacks beyond ARRAYS_BYTES."""
     try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
+        with open_bounded(path, ARRAYS_BYTES) as file, np.load(file, allow_pickle=False) as arrays:
+            if sum(member.file_size for member in arrays.zip.infolist()) > ARRAYS_BYTES:
+                raise UserError(f"{path}: unpacks to more than {ARRAYS_BYTES:,} bytes")
             return dict(arrays)
-    except (OSError, EOFError, ValueError, zipfile.BadZipFile) as error:
+    except (OSError, EOFError, MemoryError, TypeError, ValueError, zipfile.BadZipFile) as error:
         raise UserError(f"{path}: cannot be read: {error}") from error
 
 
 def file_sha256(path: Path) -> str:
     """Return the hash of a file's bytes, in hex. Raises UserError if it cannot be read."""
     try:
-        with path.open("rb") as file:
+        with open_bounded(path, ARRAYS_BYTES) as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
     except OSError as error:
         raise UserError(f"{path}: cannot be read: {error.strerror}") from error
@@ -108,7 +171,7 @@ def _plain(value: object) -> object:
 def append_line(path: Path, entry: Mapping[str, object], on_disk: bool = True) -> None:
     """Append a line of JSON; with `on_disk` it is on disk on return, with all lines before it."""
     line = to_json(entry).encode() + b"\n"
-    with naming(path), path.open("ab") as file:
+    with naming(path), open(path, "ab", opener=_without_links) as file:
         file.write(line)
         if on_disk:
             file.flush()
@@ -120,10 +183,23 @@ def read_lines(path: Path) -> list[Plain]:
 
     Raises UserError, naming the line, if one is not a JSON object.
     """
-    if not path.exists():
+    try:
+        with open_bounded(path, LINES_BYTES) as file:
+            return [_parse_line(line, f"{path}: line {number}") for number, line in _whole_lines(path, file)]
+    except FileNotFoundError:
         return []
-    whole = path.read_bytes().split(b"\n")[:-1]
-    return [_parse_line(line, f"{path}: line {number}") for number, line in enumerate(whole, start=1)]
+
+
+def _whole_lines(path: Path, file: BinaryIO) -> Iterator[tuple[int, bytes]]:
+    for number in range(1, MOST_LINES + 2):
+        line = file.readline(LINE_BYTES)
+        if number > MOST_LINES or len(line) == LINE_BYTES:
+            raise UserError(
+                f"{path}: line {number}: at most {MOST_LINES:,} lines are read, of {LINE_BYTES:,} bytes each"
+            )
+        if not line.endswith(b"\n"):
+            return
+        yield number, line
 
 
 def _parse_line(line: bytes, where: str) -> dict[str, Plain]:
@@ -139,5 +215,5 @@ def _parse_line(line: bytes, where: str) -> dict[str, Plain]:
 def drop_cut_line(path: Path) -> None:
     """Remove a last line that a crash truncated."""
     if path.exists():
-        whole, newline, _ = path.read_bytes().rpartition(b"\n")
+        whole, newline, _ = read_bounded(path, LINES_BYTES).rpartition(b"\n")
         os.truncate(path, len(whole + newline))

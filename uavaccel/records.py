@@ -22,8 +22,11 @@ from uavaccel.files import (
     append_line,
     drop_cut_line,
     file_sha256,
+    inside,
+    is_file_name,
     parse_json,
     read_arrays,
+    read_bounded,
     read_lines,
     replacing,
     to_json,
@@ -130,10 +133,11 @@ class RunDirectory:
     def file(self, name: str) -> Path:
         """Return the path of a file of the run, e.g. "figures/figure5.png", in a folder that exists.
 
-        Raises UserError if the run's own folder no longer exists, rather than starting a new one.
+        Raises UserError if the run's own folder no longer exists, rather than starting a new one, and if the file
+        would be outside of it.
         """
         self._refuse_gone()
-        path = self.path / name
+        path = inside(self.path, name)
         with naming(path):
             path.parent.mkdir(parents=True, exist_ok=True)
         return path
@@ -157,7 +161,7 @@ class RunDirectory:
         """Return the value in a JSON file of the run. Raises UserError if it is missing or damaged."""
         path = self.path / name
         try:
-            return parse_json(path.read_text(encoding="utf-8"))
+            return parse_json(read_bounded(path).decode("utf-8"))
         except OSError as error:
             raise UserError(f"{path}: {error.strerror}") from error
         except ValueError as error:
@@ -187,6 +191,8 @@ class RunDirectory:
                 raise UserError(
                     f"{where}: has no name of a game under 'case'; delete the line and --resume the run"
                 )
+            if not is_file_name(case):
+                raise UserError(f"{where}: no game can be called {case!r}: its name is that of a file")
             if case in done:
                 raise UserError(
                     f"{where}: {case} has a row already; delete the line that does not belong here"

@@ -14,7 +14,7 @@ import yaml
 from yaml.constructor import ConstructorError, SafeConstructor
 
 from uavaccel.errors import UserError
-from uavaccel.files import Plain
+from uavaccel.files import Plain, read_bounded
 
 _FLOAT = "tag:yaml.org,2002:float"
 _TIMESTAMP = "tag:yaml.org,2002:timestamp"
@@ -84,7 +84,7 @@ def load_yaml(path: str | Path, shipped: bool = False) -> dict[str, Plain]:
     key or is not a mapping.
     """
     try:
-        text = Path(path).read_text(encoding="utf-8")
+        text = read_bounded(Path(path)).decode("utf-8")
     except OSError as error:
         raise UserError(f"{path}: {error.strerror}") from error
     except UnicodeDecodeError as error:

@@ -10,6 +10,7 @@ from uavaccel.cli.terminal import console
 from uavaccel.config import validate
 from uavaccel.draw.film import Film, write_contact_sheet, write_video
 from uavaccel.errors import UserError
+from uavaccel.files import inside
 from uavaccel.records import RunDirectory
 from uavaccel.rl.agents import DEFAULT, policy_folder
 from uavaccel.rl.policy import MANIFEST
@@ -40,9 +41,11 @@ def view_game(source: str, case: str | None, out: Path | None) -> None:
         run = RunDirectory(source)
         with working("the game", console):
             folder, (name, film) = run.path, suite_of(run).film(run, case)
-    folder = out or folder / "view"
-    console.print(str(film_with_bar(film, folder / f"{name}.mp4")))
-    console.print(str(write_contact_sheet(film, folder / f"{name}.png")))
+    movie, sheet = (
+        inside(out, f"{name}.{kind}") if out else inside(folder, f"view/{name}.{kind}") for kind in ("mp4", "png")
+    )
+    console.print(str(film_with_bar(film, movie)))
+    console.print(str(write_contact_sheet(film, sheet)))
 
 
 def film_with_bar(film: Film, path: Path) -> Path:

@@ -18,7 +18,7 @@ from uavaccel.errors import UserError
 from uavaccel.export import foxglove
 from uavaccel.export.game import GameLog, read_game
 from uavaccel.export.provenance import provenance_of
-from uavaccel.files import replacing, to_json
+from uavaccel.files import inside, read_bounded, replacing, to_json
 from uavaccel.records import RunDirectory
 from uavaccel.sim.camera.view import HEIGHT, WIDTH
 from uavaccel.suites.rows import Row
@@ -76,7 +76,7 @@ def _files(run: RunDirectory, path: Path, rows: list[Row]) -> list[Path]:
         raise UserError(
             f"--mcap {path}: {run.path} holds {len(rows)} games; take a folder, or one game by --case"
         )
-    files = [path] if path.suffix == ".mcap" else [path / f"{row['case']}.mcap" for row in rows]
+    files = [path] if path.suffix == ".mcap" else [inside(path, f"{row['case']}.mcap") for row in rows]
     there = next((file for file in files if file.exists()), None)
     if there is not None:
         raise UserError(f"{there}: exists; take another --mcap")
@@ -90,7 +90,7 @@ def _write_game(run: RunDirectory, row: Row, game: GameLog, path: Path) -> None:
         writer = Writer(file)
         writer.start(library="uavaccel")
         writer.add_metadata("uavaccel", _metadata(run, row))
-        config = (run.path / "config.yaml").read_bytes()
+        config = read_bounded(run.path / "config.yaml")
         writer.add_attachment(0, 0, "config.yaml", "application/yaml", config)
         schemas = {
             name: writer.register_schema(name, "jsonschema", to_json(schema).encode())

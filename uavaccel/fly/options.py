@@ -94,8 +94,11 @@ def found_settings(script: Path) -> Path | None:
 
 def _is_airsims(path: Path) -> bool:
     """Return whether a file exists and has one of AirSim's keys: other programs use this file name too."""
+    from uavaccel.errors import UserError  # here, as a script's process needs neither at its start
+    from uavaccel.files import parse_json, read_bounded
+
     try:
-        mapping = json.loads(path.read_text(encoding="utf-8-sig"))
-    except (OSError, ValueError, RecursionError):
+        mapping = parse_json(read_bounded(path).decode("utf-8-sig"))
+    except (OSError, UserError, ValueError):
         return False
     return isinstance(mapping, dict) and bool(_KEYS & mapping.keys())

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 from uavaccel.clock import MonotonicClock
 from uavaccel.errors import UserError
+from uavaccel.files import read_bounded
 from uavaccel.fly.patches import Patches
 from uavaccel.units import NS_PER_S
 
@@ -137,7 +138,7 @@ def _run(code: CodeType, path: Path, arguments: tuple[str, ...]) -> int:
 def compiled(path: Path) -> CodeType:
     """Compile the script. Raises UserError if it cannot be read or is not Python."""
     try:
-        source = path.read_bytes()
+        source = read_bounded(path)
     except OSError as error:
         raise UserError(f"{path}: cannot be read: {error.strerror}") from None
     try:

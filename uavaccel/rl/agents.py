@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
@@ -13,6 +12,7 @@ from uavaccel.envs.conditions import OF_SENSOR
 from uavaccel.envs.obstacle_lane import LaneTask
 from uavaccel.envs.values import Frame, Info
 from uavaccel.errors import UserError
+from uavaccel.files import file_sha256
 from uavaccel.resources import asset
 from uavaccel.rl.config import LearnerConfig
 from uavaccel.rl.policy import MANIFEST, WEIGHTS, Policy, load_policy, observed_frames, read_manifest
@@ -134,7 +134,7 @@ def policy_sha256(name: str) -> str | None:
     """SHA-256 of the agent's file of weights; None for a baseline."""
     if is_baseline(name):
         return None
-    return hashlib.sha256((policy_folder(name) / WEIGHTS).read_bytes()).hexdigest()
+    return file_sha256(policy_folder(name) / WEIGHTS)
 
 
 def first_policy(config: LearnerConfig, learning_rate: Schedule) -> BasePolicy:

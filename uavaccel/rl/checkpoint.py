@@ -20,12 +20,13 @@ from numpy.typing import NDArray
 
 from uavaccel.envs.values import Frame
 from uavaccel.errors import UserError, naming
-from uavaccel.files import Plain, replacing
+from uavaccel.files import Plain, open_bounded, parse_json, read_bounded, replacing
 from uavaccel.rl.lanes import Lanes
 from uavaccel.rl.learner import Learner, LearnerState
 from uavaccel.sim.state import State, prefixed, without_prefix
 
 _COMPLETE = "state.json"
+MOST_BYTES = 1 << 40  # of a replay buffer
 DAMAGE = (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile, zlib.error, UnpicklingError)
 """Exceptions that reading a damaged file of tensors or arrays raises."""
 
@@ -87,7 +88,8 @@ def load_checkpoint(checkpoint: Path, learner: Learner) -> None:
 def _put_back(checkpoint: Path, learner: Learner) -> None:
     plain = _plain(checkpoint)
     observations = _load_games(checkpoint / "games.npz", learner.lanes)
-    tensors = th.load(checkpoint / "learner.pt", weights_only=True, map_location="cpu")
+    with open_bounded(checkpoint / "learner.pt", MOST_BYTES) as file:
+        tensors = th.load(file, weights_only=True, map_location="cpu")
     arrays = _read_arrays(checkpoint / "buffer.npz")
     learner.set_state(LearnerState(tensors, arrays, plain["counters"]), observations)
     version, words, gauss = plain["random"]
@@ -99,7 +101,7 @@ def _put_back(checkpoint: Path, learner: Learner) -> None:
 
 def _plain(checkpoint: Path) -> dict[str, Plain]:
     try:
-        plain: dict[str, Plain] = json.loads((checkpoint / _COMPLETE).read_text(encoding="utf-8"))
+        plain: dict[str, Plain] = parse_json(read_bounded(checkpoint / _COMPLETE).decode("utf-8"))
     except (OSError, ValueError) as error:
         raise _damaged(checkpoint, error) from error
     return plain
@@ -114,7 +116,7 @@ def _damaged(checkpoint: Path, error: Exception) -> UserError:
 
 
 def _read_arrays(path: Path) -> dict[str, NDArray[np.generic]]:
-    with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
+    with open_bounded(path, MOST_BYTES) as file, np.load(file, allow_pickle=False) as arrays:
         return dict(arrays)
 
 

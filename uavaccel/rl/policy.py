@@ -17,7 +17,16 @@ from uavaccel.config import validate
 from uavaccel.envs.task import Task
 from uavaccel.envs.values import Frame
 from uavaccel.errors import UserError
-from uavaccel.files import Plain, file_sha256, parse_json, replacing, to_json
+from uavaccel.files import (
+    ARRAYS_BYTES,
+    Plain,
+    file_sha256,
+    open_bounded,
+    parse_json,
+    read_bounded,
+    replacing,
+    to_json,
+)
 from uavaccel.rl.config import OWN, LearnerConfig
 
 if TYPE_CHECKING:  # a manifest is read without PyTorch
@@ -84,7 +93,7 @@ def export_policy(
         th.save(weights, file)
     manifest = {
         "weights": WEIGHTS,
-        "weights_file_sha256": hashlib.sha256((folder / WEIGHTS).read_bytes()).hexdigest(),
+        "weights_file_sha256": file_sha256(folder / WEIGHTS),
         "preprocessing": PREPROCESSING if config.task.observation == "dvs" else config.task.observation,
         "observation_shape": list(policy.observation_space.shape or ()),
         "actions_heading_deg": list(config.task.headings_deg),
@@ -98,8 +107,8 @@ def export_policy(
 def trained_with(folder: Path) -> Mapping[str, Plain]:
     """Return what the manifest in a folder says about the training; empty if there is no policy."""
     try:
-        trained: Mapping[str, Plain] = parse_json((folder / MANIFEST).read_text(encoding="utf-8"))["trained"]
-    except (OSError, ValueError, KeyError, TypeError):
+        trained: Mapping[str, Plain] = parse_json(read_bounded(folder / MANIFEST).decode("utf-8"))["trained"]
+    except (OSError, UserError, ValueError, KeyError, TypeError):
         return {}
     return trained
 
@@ -165,7 +174,7 @@ def _read_manifest(path: Path, *stamps: tuple[int, int] | None) -> tuple[Mapping
 
 def _parsed_manifest(path: Path) -> Mapping[str, Plain]:
     try:
-        manifest = parse_json((path / MANIFEST).read_text(encoding="utf-8"))
+        manifest = parse_json(read_bounded(path / MANIFEST).decode("utf-8"))
     except FileNotFoundError:
         why = f"no {MANIFEST} in it" if path.is_dir() else "no such folder"
         raise UserError(f"{path}: holds no policy: {why}; name the folder of a training that ended") from None
@@ -187,7 +196,8 @@ def _read_weights(path: Path) -> Mapping[str, th.Tensor]:
     import torch as th
 
     try:
-        weights = th.load(path, weights_only=True, map_location="cpu")
+        with open_bounded(path, ARRAYS_BYTES) as file:
+            weights = th.load(file, weights_only=True, map_location="cpu")
     except UnpicklingError as error:
         raise UserError(f"{path}: is no state dict of tensors alone") from error
     except (OSError, EOFError, ValueError, KeyError, RuntimeError) as error:

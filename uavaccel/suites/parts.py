@@ -7,7 +7,7 @@ from pathlib import Path
 from pydantic import Field
 
 from uavaccel.config import Config
-from uavaccel.files import Plain
+from uavaccel.files import Plain, inside
 from uavaccel.records import RunDirectory
 from uavaccel.suites.experiment import Experiment, merged, read_mapping
 from uavaccel.suites.registry import find_suite
@@ -47,7 +47,7 @@ def fly_part(run: RunDirectory, name: str, part: Part, seed: int, pages: bool = 
 
 def part_folder(run: RunDirectory, name: str) -> Path:
     """Return the folder of a part, which need not exist."""
-    return run.path / "parts" / name
+    return inside(run.path, f"parts/{name}")
 
 
 def part_cost(part: Part, seed: int) -> tuple[float, Cost]:

@@ -21,7 +21,7 @@ from uavaccel.draw.document import (
     to_markdown,
 )
 from uavaccel.errors import UserError
-from uavaccel.files import Plain
+from uavaccel.files import Plain, read_bounded
 from uavaccel.records import RunDirectory
 from uavaccel.suites.rows import Row
 
@@ -112,7 +112,7 @@ class Report(ABC):
 def _provenance(run: RunDirectory) -> list[Block]:
     files = [run.path / "config.yaml", run.path / "manifest.json"]
     return [
-        Listing(path.read_text(encoding="utf-8", errors="replace"), folded=path.name)
+        Listing(read_bounded(path).decode("utf-8", errors="replace"), folded=path.name)
         for path in files
         if path.is_file()
     ]

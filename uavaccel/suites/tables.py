@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from uavaccel.config import dotted_keys
 from uavaccel.errors import UserError
-from uavaccel.files import replacing
+from uavaccel.files import inside, replacing
 from uavaccel.records import RunDirectory
 from uavaccel.suites.report import Arrays
 from uavaccel.suites.rows import Row
@@ -43,7 +43,7 @@ def write_tables(run: RunDirectory, folder: Path, kind: str) -> Iterator[Path]:
         yield _written(folder / f"rows.{kind}", row_table(rows), write)
         for row in rows:
             for length, table in sample_tables(run.load_arrays(row) if "arrays" in row else {}):
-                path = folder / "samples" / f"{row['case']}-{length}.{kind}"
+                path = inside(folder, f"samples/{row['case']}-{length}.{kind}")
                 path.parent.mkdir(parents=True, exist_ok=True)
                 yield _written(path, table, write)
     except OSError as error:

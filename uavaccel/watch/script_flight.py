@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from uavaccel.errors import UserError
-from uavaccel.files import Plain, parse_json, read_arrays, read_lines
+from uavaccel.files import Plain, parse_json, read_arrays, read_bounded, read_lines
 from uavaccel.fly.messages import FILE_NAME as MESSAGES
 from uavaccel.fly.options import SUMMARY
 from uavaccel.fly.trajectory import FILE_NAME as FLIGHT
@@ -46,7 +46,7 @@ def script_track(folder: Path) -> tuple[Track, str]:
 
 def _summary(path: Path) -> Plain:
     try:
-        summary = parse_json(path.read_text(encoding="utf-8"))
+        summary = parse_json(read_bounded(path).decode("utf-8"))
     except (OSError, ValueError) as error:
         raise UserError(f"{path}: is missing or damaged, so that the flight is not whole: {error}") from None
     if not (isinstance(summary, dict) and isinstance(summary.get("clock_speed"), int | float)):

@@ -17,7 +17,7 @@ from pydantic.alias_generators import to_pascal
 
 from uavaccel.config import validate
 from uavaccel.errors import UserError
-from uavaccel.files import parse_json
+from uavaccel.files import parse_json, read_bounded
 from uavaccel.sim.profile import Profile
 from uavaccel.sim.scene.bounds import STRONGEST_WIND_M_S
 from uavaccel.sim.sensors.base import AirSimKeys, sensors
@@ -178,11 +178,7 @@ class Settings(AirSimKeys):
 def read_settings(path: Path) -> Settings:
     """Read the settings in a file. Raises UserError: one line that names the file, the key and what would be right."""
     try:
-        with path.open("rb") as file:
-            text = file.read(LARGEST_BYTES + 1)
-        if len(text) > LARGEST_BYTES:
-            raise UserError(f"{path}: longer than {LARGEST_BYTES >> 20} MiB, so no settings")
-        mapping = parse_json(text.decode("utf-8-sig"))
+        mapping = parse_json(read_bounded(path, LARGEST_BYTES).decode("utf-8-sig"))
     except OSError as error:
         raise UserError(f"{path}: cannot be read: {error.strerror}") from None
     except ValueError as error:

@@ -164,7 +164,7 @@ class Dp1Report(Report):
 
     def figures(self) -> list[Picture]:
         rows, scores, load = self.rows, self.scores, self.run.load_arrays
-        folder = self.run.path / "figures"
+        folder = self.run.file("figures")
         return [
             velocity_figure(rows, load, folder / "figure2_velocity.png"),
             trajectory_figure(scores, load, folder / "figure3_trajectories.png"),

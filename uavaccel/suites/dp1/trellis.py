@@ -7,7 +7,6 @@ A trace is a list of events in time order, each with the keys "source" ("client"
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -19,7 +18,7 @@ from matplotlib.lines import Line2D
 from uavaccel.draw import style
 from uavaccel.draw.document import Picture
 from uavaccel.errors import UserError
-from uavaccel.files import Plain
+from uavaccel.files import Plain, parse_json, read_bounded
 from uavaccel.suites.dp1.flights import Dp1Row
 from uavaccel.suites.provenance import clock_words, profiles_and_seeds
 
@@ -63,7 +62,7 @@ def _read_traces(run_dir: Path) -> dict[str, Trace]:
         if not path.is_file():
             continue
         try:
-            found[style.command_name(command)] = json.loads(path.read_text(encoding="utf-8"))
+            found[style.command_name(command)] = parse_json(read_bounded(path).decode("utf-8"))
         except ValueError as error:
             raise UserError(f"{path}: not JSON: {error}") from error
     return found

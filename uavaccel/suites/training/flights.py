@@ -40,7 +40,7 @@ class Trainer:
             if (checkpoint := find_checkpoint(run.path / CHECKPOINTS)) is not None:
                 load_checkpoint(checkpoint, self._learner)
             self._learner.begin()
-            self._rows = GameRows(config, run.path / "tensorboard", run.rows())
+            self._rows = GameRows(config, run.file("tensorboard"), run.rows())
             self._evaluations = Evaluations(config, run)
         except BaseException:
             self._lanes.close()
@@ -69,7 +69,7 @@ class Trainer:
     def _save_if_due(self) -> None:
         games = self._learner.games
         if self._due():
-            save_checkpoint(self._run.path / CHECKPOINTS, self._learner)
+            save_checkpoint(self._run.file(CHECKPOINTS), self._learner)
             self._export()
             self._saved = games
         if self._interrupted:
