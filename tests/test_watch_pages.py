@@ -199,7 +199,7 @@ def test_a_flight_obeys_the_page_that_shows_it_while_somebody_looks(live: Live) 
     live.hear(MOMENT)
     shown = {"seen": True, "held": False, "pace": 1.0, "looks": 0}
     assert (source.orders, other.orders) == ([shown], [FREE])
-    for pace, pace_of in (("0.25x", 0.25), ("20x", 20.0), (FLAT_OUT, None)):
+    for pace, pace_of in (("0.25x", 0.25), ("20x", 20.0), ("1e-9x", 1.0), (FLAT_OUT, None)):
         controls["Shown at"].choose(pace)
         live.hear(MOMENT)
         assert source.orders[-1] == {**shown, "pace": pace_of}
@@ -394,7 +394,10 @@ def test_another_clock_speed_is_flown_and_shown_from_its_beginning(shown: Any) -
         return [straight("a", clock_speed, 4.0)]
 
     opened, server = shown(straight("a", 20.0, 4.0), fly_at=fly_at)
-    server.controls["Shown at"].choose("2x")
+    for pace in ("2000x", "2x"):
+        server.controls["Shown at"].choose(pace)
+    server.controls["ClockSpeed"].choose("999999999x")  # which the menu does not offer
+    assert (opened._wanted, server.controls["ClockSpeed"].value) == (20.0, "20x")
     opened.playhead.seek(0.1)
     sleeps = iter([0, 0])
 

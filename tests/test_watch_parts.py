@@ -6,6 +6,7 @@ import contextlib
 import json
 import os
 import socket
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
@@ -20,7 +21,7 @@ from uavaccel.cli.watch import WatchRequest
 from uavaccel.errors import UsageError, UserError
 from uavaccel.files import to_json, write_arrays
 from uavaccel.records import RunDirectory
-from uavaccel.watch import beside, scene
+from uavaccel.watch import beside, scene, server
 from uavaccel.watch.beside import PageAddress, page_beside
 from uavaccel.watch.clocks import Line, clock_table
 from uavaccel.watch.feed import Source
@@ -517,3 +518,84 @@ def test_a_flight_on_the_machines_clock_took_its_time_over_its_clock_speed(tmp_p
     track, where = script_track(script_flight(tmp_path / "flight", ping))
     assert track.marks.tolist() == [[0.0, 0.0], [2.0, 4.0]]
     assert (where, track.command_start_s.tolist(), track.velocities) == ("blocks", [], [])
+
+
+# --- who may look ----------------------------------------------------------------------------------------------------
+
+OWN = "127.0.0.1:8080"
+
+
+@pytest.mark.parametrize(
+    ("host", "origin", "answered"),
+    [
+        (OWN, None, True),
+        (OWN, f"http://{OWN}", True),
+        ("localhost:9000", "http://localhost:9000", True),
+        ("[::1]:8080", "https://[::1]:8080", True),
+        ("192.168.0.7:8080", "http://192.168.0.7:8080", True),
+        ("lab:8080", "http://LAB:8080", True),
+        (OWN, "http://127.0.0.1:8081", False),
+        (OWN, "https://example.org", False),
+        (OWN, "null", False),
+        (OWN, f"ftp://{OWN}", False),
+        ("example.org:8080", None, False),
+        ("example.org:8080", "http://example.org:8080", False),
+        ("127.0.0.1.example.org", None, False),
+        ("localhost@example.org", None, False),
+        ("[", None, False),
+        ("", None, False),
+        (None, None, False),
+    ],
+)
+def test_the_page_answers_its_own_alone(host: str | None, origin: str | None, answered: bool) -> None:
+    """Neither another website's page, nor one whose name leads to this machine."""
+    headers = pytest.importorskip("websockets").Headers()
+    for name, value in (("Host", host), ("Origin", origin)):
+        if value is not None:
+            headers[name] = value
+    assert server.is_ours(headers, "lab") is answered
+    if host is not None:
+        headers["Host"] = OWN  # a second one
+        assert not server.is_ours(headers, "lab")
+
+
+def asked(port: int, *more: str, host: str = "") -> tuple[socket.socket, bytes]:
+    """A connection, and the status of the answer."""
+    connection = socket.socket()
+    connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+    connection.connect(("127.0.0.1", port))
+    lines = ["GET / HTTP/1.1", f"Host: {host or f'127.0.0.1:{port}'}", *more, "", ""]
+    connection.sendall("\r\n".join(lines).encode())
+    return connection, connection.recv(12)[-3:]
+
+
+@pytest.mark.filterwarnings("ignore:.control_layout:DeprecationWarning")  # of viser's newer versions
+def test_a_foreign_page_gets_nothing_and_one_that_does_not_read_is_dropped(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    viser = pytest.importorskip("viser")
+    monkeypatch.setattr(server, "UNREAD_MS", 100)
+    page = server.open_server("127.0.0.1", 18180)
+    try:
+        port = page.get_port()
+        socket_of = (
+            *("Upgrade: websocket", "Connection: Upgrade", "Sec-WebSocket-Version: 13"),
+            *("Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==", f"Sec-WebSocket-Protocol: viser-v{viser.__version__}"),
+        )
+        statuses = []
+        for more in ((), socket_of):
+            for host, origin in (("", "http://example.org"), ("example.org", "http://example.org")):
+                connection, status = asked(port, f"Origin: {origin}", *more, host=host)
+                connection.close()
+                statuses.append(status)
+        assert statuses == [b"403"] * 4
+        deaf, status = asked(port, f"Origin: http://127.0.0.1:{port}", *socket_of)
+        assert status == b"101"
+        dropped = threading.Event()
+        page._websock_server.on_client_disconnect(lambda _: dropped.set())
+        for number in range(32):  # more than the system keeps for it
+            page.scene.add_point_cloud(f"/{number}", np.zeros((50_000, 3), np.float32), np.zeros((50_000, 3)))
+        assert dropped.wait(30.0)
+        deaf.close()
+    finally:
+        page.stop()

@@ -14,7 +14,7 @@ from uavaccel.watch.feed import Feed, Moment, Scene, Source
 from uavaccel.watch.figure import Figure
 from uavaccel.watch.pictures import BLANK, Eyes, camera_of
 from uavaccel.watch.scene import light_up, pose_of, show_surroundings
-from uavaccel.watch.server import PICTURES_EVERY, UPDATES_PER_S
+from uavaccel.watch.server import PICTURES_EVERY, UPDATES_PER_S, chosen
 from uavaccel.watch.trail import Trail
 from uavaccel.watch.view import Views
 from uavaccel.wire.page_protocol import FREE, Orders
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 FLAT_OUT = "as fast as it flies"
 PACES = {f"{pace:g}x": pace for pace in (0.25, 0.5, 1.0, 2.0, 5.0, 20.0)}  # and FLAT_OUT
+PACE = "1x"
 WITHOUT_PAUSE = (
     "Cannot be paused here: this flight is on the machine's clock, and its client would go on. "
     "`--timing virtual` or `lockstep` can."
@@ -64,7 +65,7 @@ class LivePage:
             "Step", hint="to the next look, 0.033 simulated seconds on, and pause there"
         )
         self._pace = gui.add_dropdown(
-            "Shown at", [*PACES, FLAT_OUT], initial_value="1x", hint="simulated s per second"
+            "Shown at", [*PACES, FLAT_OUT], initial_value=PACE, hint="simulated s per second"
         )
         self._why_not = gui.add_markdown(WITHOUT_PAUSE, visible=False)
         self._follow = gui.add_checkbox(
@@ -114,12 +115,15 @@ class LivePage:
 
     def _give_orders(self, looked_at: bool) -> None:
         """The shown flight obeys the page while somebody looks; the others fly as fast as they can."""
-        orders: Orders = {"seen": True, "held": self._held, "pace": PACES.get(self._pace.value), "looks": 0}
+        orders: Orders = {"seen": True, "held": self._held, "pace": self._pace_now(), "looks": 0}
         for source in self._feed.sources:
             source.order(orders if looked_at and source is self._feed.shown else FREE)
         if self._looks and self._feed.shown is not None:
             self._feed.shown.let_pass(self._looks)
             self._looks = 0
+
+    def _pace_now(self) -> float | None:
+        return PACES.get(chosen(self._pace, (*PACES, FLAT_OUT), PACE))
 
     # --- the flight -------------------------------------------------------------------------------
 

@@ -19,7 +19,7 @@ from uavaccel.watch.figure import Figure
 from uavaccel.watch.pictures import BLANK, Eyes, camera_of
 from uavaccel.watch.playhead import Playhead
 from uavaccel.watch.scene import light_up, pose_of, show_surroundings
-from uavaccel.watch.server import PICTURES_EVERY, UPDATES_PER_S
+from uavaccel.watch.server import PICTURES_EVERY, UPDATES_PER_S, chosen
 from uavaccel.watch.track import Track
 from uavaccel.watch.view import Views
 
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
 STEP_S = 0.05  # simulated
 PACES = {"0.25x": 0.25, "0.5x": 0.5, "1x": 1.0, "2x": 2.0, "5x": 5.0}
+PACE = "1x"
 CLOCK_SPEEDS = ("1x", "5x", "10x", "50x", "100x")
 APART_M = 4.6
 FARTHEST_M = 10.0  # of a flight that is seen whole; the view goes along with a longer one
@@ -71,7 +72,7 @@ class Page:
         """Show these tracks, from their beginning."""
         self.speed = tracks[0].clock_speed
         end_s = max(track.wall_s for track in tracks)
-        self.playhead = Playhead(end_s, self.speed / PACES[self._pace.value], STEP_S / self.speed)
+        self.playhead = Playhead(end_s, self.speed / PACES[chosen(self._pace, PACES, PACE)], STEP_S / self.speed)
         middle = (len(tracks) - 1) / 2
         ideal = tracks[-1]
         self.drones = [
@@ -109,15 +110,14 @@ class Page:
         gui.add_markdown(title)
         if self._fly_at is not None:
             own = f"{self.speed:g}x"
-            chosen = gui.add_dropdown(
-                "ClockSpeed", sorted({*CLOCK_SPEEDS, own}, key=_speed), initial_value=own
-            )
-            chosen.on_update(lambda _: self._want(_speed(chosen.value)))
+            known = sorted({*CLOCK_SPEEDS, own}, key=_speed)
+            speeds = gui.add_dropdown("ClockSpeed", known, initial_value=own)
+            speeds.on_update(lambda _: self._want(_speed(chosen(speeds, known, own))))
         self._play = gui.add_button("Pause")
         self._step = gui.add_button("Step", hint=f"{STEP_S:g} simulated seconds, and pause there")
         self._replay = gui.add_button("Replay")
         self._pace = gui.add_dropdown(
-            "Shown at", list(PACES), initial_value="1x", hint="simulated s per second"
+            "Shown at", list(PACES), initial_value=PACE, hint="simulated s per second"
         )
         self._play.on_click(lambda _: self.playhead.toggle())
         self._step.on_click(lambda _: self.playhead.step())
@@ -125,7 +125,7 @@ class Page:
         self._pace.on_update(lambda _: self._set_pace())
 
     def _set_pace(self) -> None:
-        self.playhead.slowness = self.speed / PACES[self._pace.value]
+        self.playhead.slowness = self.speed / PACES[chosen(self._pace, PACES, PACE)]
 
     def _want(self, clock_speed: float) -> None:
         self._wanted = clock_speed
