@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -17,6 +18,7 @@ from tests.running import configured
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
 from uavaccel.resources import experiment
+from uavaccel.suites.own_code import told
 from uavaccel.suites.realtime import agents, environments, flights
 from uavaccel.suites.realtime.agents import LookAhead, Policy, train
 from uavaccel.suites.realtime.config import (
@@ -595,6 +597,7 @@ def test_on_the_machines_clock_it_flies_what_the_simulated_one_models(
             "environments={x: {id: Nowhere-v0}}",
             "environments.x: Nowhere-v0 cannot be made: Environment `Nowhere`",
         ),
+        ("environments={x: {id: 'os:Nowhere-v0'}}", "environments.x.id: no module 'os' in "),
         ("environments={x: {id: CartPole-v1}}", "environments.x, agents.naive: default_action: a Discrete"),
         (
             "environments={x: {id: CartPole-v1, default_action: 0}}",
@@ -614,6 +617,21 @@ def test_what_does_not_fit_is_one_line(override: str, said: str) -> None:
     with pytest.raises(UserError, match=said) as caught:
         Realtime().check(configured("realtime_smoke", *TINY, override))
     assert "\n" not in str(caught.value)
+
+
+def test_a_module_with_environments_is_the_projects_and_runs_when_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    own = "import gymnasium\ngymnasium.register('Own-v0', 'gymnasium.envs.classic_control:CartPoleEnv')\n"
+    (tmp_path / "own_environments.py").write_text(own)
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    monkeypatch.chdir(tmp_path)
+    keys = ("environments={x: {id: 'own_environments:Own-v0', default_action: 0}}", "agents={a: {}}")
+    with pytest.raises(UserError, match=r"environments.x.id: .*own_environments.py is code that nobody has trusted"):
+        configured("realtime_smoke", *TINY, *keys)
+    with told():
+        configured("realtime_smoke", *TINY, *keys)
+    configured("realtime_smoke", *TINY, *keys)
 
 
 def test_what_ships_can_be_flown_within_two_hours() -> None:

@@ -25,6 +25,7 @@ from uavaccel.cli.options import (
     Resume,
     Seed,
     Timing,
+    Trust,
     Watch,
     WatchAt,
 )
@@ -56,6 +57,7 @@ def run(
     engine: Engine = "loky",
     out: Out = None,
     resume: Resume = False,
+    trust: Trust = False,
     dry_run: DryRun = False,
     overrides: Overrides = None,
     watch: Watch = False,
@@ -79,7 +81,7 @@ def run(
     }
     page = parse_address(watch, watch_at)
     request = RunRequest(
-        experiment, options, overrides or [], jobs, out, resume, dry_run, engine=engine, page=page
+        experiment, options, overrides or [], jobs, out, resume, dry_run, engine=engine, page=page, trust=trust
     )
     run_experiment(request)
 
@@ -96,6 +98,7 @@ def train(
     seed: Seed = None,
     out: Out = None,
     resume: Resume = False,
+    trust: Trust = False,
     dry_run: DryRun = False,
     overrides: Overrides = None,
     watch: Watch = False,
@@ -108,7 +111,10 @@ def train(
     options = _task_options(clock, command, timing, profile) | {"games": games, "seed": seed}
     named = experiment or (None if resume else "train")
     page = parse_address(watch, watch_at)
-    run_experiment(RunRequest(named, options, overrides or [], 1, out, resume, dry_run, "train", page=page))
+    request = RunRequest(
+        named, options, overrides or [], 1, out, resume, dry_run, "train", page=page, trust=trust
+    )
+    run_experiment(request)
 
 
 def evaluate(
@@ -136,6 +142,7 @@ def evaluate(
     ] = None,
     out: Out = None,
     resume: Resume = False,
+    trust: Trust = False,
     dry_run: DryRun = False,
     overrides: Overrides = None,
     watch: Watch = False,
@@ -150,7 +157,7 @@ def evaluate(
     named = None if agent is None and resume else "evaluate"
     page = parse_address(watch, watch_at)
     request = RunRequest(
-        named, options, overrides or [], jobs, out, resume, dry_run, "evaluate", engine, page
+        named, options, overrides or [], jobs, out, resume, dry_run, "evaluate", engine, page, trust
     )
     if sweep:
         sweep_agent(request, sweep, against)

@@ -29,6 +29,10 @@ Profile = Annotated[
 Seed = Annotated[int | None, typer.Option(help="Seed of every drawn number.")]
 Out = Annotated[Path | None, typer.Option(help="New run directory; by default one in runs/.")]
 Resume = Annotated[bool, typer.Option("--resume", help="Resume the run in --out with its own configuration.")]
+Trust = Annotated[
+    bool,
+    typer.Option("--trust", help="Run the own code that a run's folder names, and remember that it may run."),
+]
 OneClock = Annotated[float | None, typer.Option("--clock", help="ClockSpeed.")]
 OneCommand = Annotated[str | None, typer.Option("--command", help="adsc or tcsc.", autocompletion=_COMMANDS)]
 Jobs = Annotated[int, typer.Option(help="Number of processes; more than 1 not in wall.")]

@@ -7,9 +7,12 @@ from typing import Annotated
 
 import typer
 
+from uavaccel.cli.options import Trust
+
 
 def report(
     run_dirs: Annotated[list[Path], typer.Argument(help="Run directories.")],
+    trust: Trust = False,
 ) -> None:
     """Compute the metrics and draw the figures of finished runs again; fly nothing.
 
@@ -18,16 +21,18 @@ def report(
     from uavaccel.cli.run import report_run
     from uavaccel.cli.terminal import console
     from uavaccel.records import RunDirectory
+    from uavaccel.suites.own_code import told
     from uavaccel.suites.registry import suite_of
 
     by_suite: dict[str, list[RunDirectory]] = {}
-    for run_dir in run_dirs:
-        run = RunDirectory(run_dir)
-        report_run(run)
-        by_suite.setdefault(str(run.config()["suite"]), []).append(run)
-    for runs in by_suite.values():
-        for path in suite_of(runs[0]).compare(runs) if len(runs) > 1 else ():
-            console.print(str(path))
+    with told(trust):
+        for run_dir in run_dirs:
+            run = RunDirectory(run_dir)
+            report_run(run)
+            by_suite.setdefault(str(run.config()["suite"]), []).append(run)
+        for runs in by_suite.values():
+            for path in suite_of(runs[0]).compare(runs) if len(runs) > 1 else ():
+                console.print(str(path))
 
 
 def view(
@@ -46,13 +51,16 @@ def view(
         float,
         typer.Option(min=0.1, help="Frames per simulated second of the camera that produces the events."),
     ] = 100.0,
+    trust: Trust = False,
 ) -> None:
     """Show a game: an MP4 of camera, DVS, map, the view from behind and a policy's decisions, and a contact sheet."""
     from uavaccel.cli.view import view_events, view_game
+    from uavaccel.suites.own_code import told
 
     if events is not None:
         view_events(source, case, events, events_rate_hz)
-    else:
+        return
+    with told(trust):
         view_game(source, case, out)
 
 

@@ -6,7 +6,7 @@ import shlex
 import sys
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
 from itertools import accumulate, islice
 from pathlib import Path
@@ -31,6 +31,7 @@ from uavaccel.metrics.speedup import timing_provenance
 from uavaccel.records import RunDirectory
 from uavaccel.suites.engines import LOKY, check_engine
 from uavaccel.suites.experiment import Experiment, is_file, merged, read_mapping, timing_of
+from uavaccel.suites.own_code import told
 from uavaccel.suites.registry import find_suite, suite_of
 from uavaccel.suites.report import Summary
 from uavaccel.suites.runner import begin_run, check_cases, check_jobs, run_suite
@@ -100,10 +101,24 @@ class RunRequest:
     engine: str = LOKY
     page: PageAddress | None = None
     """Where a page in the browser shows the flights, if anywhere."""
+    trust: bool = False
+    """Whether code that a resumed run names may run; that of an experiment which is named here may."""
+
+    def told(self) -> AbstractContextManager[None]:
+        """Return the context in which own code runs as far as it was asked for."""
+        file = self.experiment if self.experiment is not None and is_file(self.experiment) else None
+        return told(
+            self.trust or self.experiment is not None, None if file is None else Path(file).resolve().parent
+        )
 
 
 def run_experiment(request: RunRequest) -> RunDirectory | None:
     """Fly and report an experiment; returns the run, or None for a dry run. Raises UserError with one line."""
+    with request.told():
+        return _run_experiment(request)
+
+
+def _run_experiment(request: RunRequest) -> RunDirectory | None:
     if request.resume and request.out is None and request.experiment is not None:
         raise UsageError("--resume: say which run to go on with: --out FOLDER")
     suite, config = configure(request)
@@ -150,6 +165,11 @@ def configure(request: RunRequest) -> tuple[AnySuite, Experiment]:
 
     A shipped experiment with a single --clock is shortened, and measured on the wall clock.
     """
+    with request.told():
+        return _configure(request)
+
+
+def _configure(request: RunRequest) -> tuple[AnySuite, Experiment]:
     own_file = request.experiment is None or is_file(request.experiment)
     if request.experiment is None:
         suite, mapping = resumed_config(request.out, request.resume, request.suite)
@@ -157,7 +177,7 @@ def configure(request: RunRequest) -> tuple[AnySuite, Experiment]:
     else:
         mapping, source = read_mapping(request.experiment)
         name = apply_overrides(mapping, request.overrides).get("suite")
-        suite = find_suite(name, source, Path(source).resolve().parent if own_file else None)
+        suite = find_suite(name, source)
         if request.suite not in (None, suite.name):
             raise UsageError(
                 f"{request.experiment}: is of {suite.name}, not of {request.suite}; `uavaccel run` flies it"

@@ -43,6 +43,8 @@ def schema_text(suite: str) -> str:
     import json
 
     from uavaccel.config import schema as schema_of
+    from uavaccel.suites.own_code import told
     from uavaccel.suites.registry import find_suite
 
-    return json.dumps(schema_of(find_suite(suite, "schema").config), indent=2, sort_keys=True) + "\n"
+    with told():
+        return json.dumps(schema_of(find_suite(suite, "schema").config), indent=2, sort_keys=True) + "\n"

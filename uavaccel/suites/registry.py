@@ -1,4 +1,4 @@
-"""The registry of suites by the key `suite` of their YAML; custom ones are named "module:name"."""
+"""The registry of suites by the key `suite` of their YAML; custom ones are named "module:name" (own_code.py)."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from pathlib import Path
 from uavaccel.errors import UserError, suggestion
 from uavaccel.records import RunDirectory
 from uavaccel.suites.experiment import Experiment
+from uavaccel.suites.own_code import own_module
 from uavaccel.suites.report import Report
 from uavaccel.suites.suite import AnySuite, Suite
 
@@ -28,25 +29,26 @@ SUITES = {
 }
 
 
-def find_suite(name: object, source: str, folder: Path | None = None) -> AnySuite:
-    """Return the suite of a name; a custom one, "module:name", is searched in `folder` and the working directory.
+def find_suite(name: object, source: str, remembered_in: Path | None = None) -> AnySuite:
+    """Return the suite of a name; a custom one, "module:name", as `own_module` finds it.
 
-    Raises UserError, which names `source`, if there is none.
+    Raises UserError, which names `source`, if there is none, and if nobody has told to run its code.
     """
     if isinstance(name, str) and ":" in name:
-        return _own_suite(name, source, folder)
+        return _own_suite(name, source, remembered_in)
     if not isinstance(name, str) or name not in SUITES:
         found = "key 'suite' is missing" if name is None else f"suite = {name!r} is unknown"
         raise UserError(f"{source}: {found}; {suggestion(str(name), [*SUITES, 'module:name'])}")
-    return _load(SUITES[name])
+    module, _, name = SUITES[name].partition(":")
+    return _checked(getattr(import_module(module), name)())
 
 
 def suite_of(run: RunDirectory) -> AnySuite:
-    """Return the suite of a run; a custom one is searched where the run found it. Raises UserError."""
+    """Return the suite of a run; a custom one also where the run found it, if trusted there. Raises UserError."""
     name = run.config().get("suite")
     own = isinstance(name, str) and ":" in name
     folder = run.manifest().get("suite_folder") if own else None
-    return find_suite(name, str(run.path / "config.yaml"), None if folder is None else Path(folder))
+    return find_suite(name, str(run.path / "config.yaml"), Path(folder) if isinstance(folder, str) else None)
 
 
 def own_folder(suite: AnySuite) -> Path | None:
@@ -59,25 +61,24 @@ def own_folder(suite: AnySuite) -> Path | None:
     return file.parents[module.__name__.count(".") + (file.name == "__init__.py")]
 
 
-def _own_suite(name: str, source: str, folder: Path | None) -> AnySuite:
-    for path in (Path.cwd(), folder):
-        if path is not None and str(path.resolve()) not in sys.path:
-            sys.path.insert(0, str(path.resolve()))
-    try:
-        return _load(name)
-    except (ImportError, ValueError, SyntaxError) as error:
-        raise UserError(f"{source}: suite = {name!r}: {error}") from error
-    except (AttributeError, TypeError) as error:
-        raise UserError(
-            f"{source}: suite = {name!r}: names no uavaccel.suites.suite.Suite: {error}"
-        ) from error
-
-
-def _load(place: str) -> AnySuite:
+def _own_suite(place: str, source: str, remembered_in: Path | None) -> AnySuite:
     module, _, name = place.partition(":")
-    suite = getattr(import_module(module), name)()
-    if not isinstance(suite, Suite):
-        raise TypeError(f"{name} is a {type(suite).__name__}")
+    where = f"{source}: suite = {place!r}"
+    named = vars(own_module(module, where, remembered_in))
+    suite, none = named.get(name), f"{where}: names no uavaccel.suites.suite.Suite"
+    if name not in named:
+        raise UserError(f"{none}: {module} has no {name}")
+    if not (isinstance(suite, type) and issubclass(suite, Suite)):  # before anything is called
+        raise UserError(f"{none}: {name} is none")
+    try:
+        return _checked(suite())
+    except (AttributeError, TypeError) as error:
+        raise UserError(f"{none}: {error}") from error
+
+
+def _checked(suite: AnySuite) -> AnySuite:
+    """Return a suite. Raises TypeError if it lacks what every suite has."""
+    name = type(suite).__name__
     config = getattr(suite, "config", None)
     if not (isinstance(config, type) and issubclass(config, Experiment)):
         raise TypeError(f"{name}.config has to be a subclass of uavaccel.suites.experiment.Experiment")

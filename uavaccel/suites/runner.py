@@ -12,7 +12,7 @@ from itertools import groupby
 from pathlib import Path
 
 from uavaccel.errors import UsageError, UserError
-from uavaccel.files import to_json
+from uavaccel.files import is_file_name, to_json
 from uavaccel.limits import MOST_PROCESSES
 from uavaccel.processes.cleanup import remove_orphaned_files
 from uavaccel.processes.lifetime import work_for_parent
@@ -20,6 +20,7 @@ from uavaccel.records import RunDirectory
 from uavaccel.suites.engines import LOKY, on_cluster
 from uavaccel.suites.experiment import Experiment, timing_of
 from uavaccel.suites.host_time import timed
+from uavaccel.suites.own_code import told, told_folder
 from uavaccel.suites.registry import own_folder, suite_of
 from uavaccel.suites.rows import disturbances
 from uavaccel.suites.suite import AnySuite, Case, GameResult, OnGame, Opened
@@ -45,7 +46,7 @@ def check_cases(suite: AnySuite, cases: Iterable[Case]) -> None:
     seen: set[str] = set()
     for case in cases:
         name = case.id
-        if not isinstance(name, str) or "/" in name or not name.isprintable() or not name.strip("."):
+        if not is_file_name(name):
             raise UserError(f"{suite.name}: a case cannot be called {name!r}: its name is that of a file")
         if name in seen:
             raise UserError(f"{suite.name}: two cases are called {name!r}")
@@ -167,7 +168,8 @@ def _fly_in_parallel(work: _Work, cases: Sequence[Case]) -> Iterator[GameResult]
             f"{work.suite.batch}*n_jobs",
         )  # a longer queue would delay an interruption
         parallel = Parallel(work.jobs, return_as="generator", pre_dispatch=ahead, batch_size=batch)
-        games = parallel(delayed(_fly_in_worker)(work.config, case, work.run.path) for case in cases)
+        place = own_folder(work.suite) or told_folder()
+        games = parallel(delayed(_fly_in_worker)(work.config, case, work.run.path, place) for case in cases)
         try:
             yield from _check_workers(games)
         finally:
@@ -180,7 +182,8 @@ def _fly_on_cluster(work: _Work, cases: Sequence[Case]) -> Iterator[GameResult]:
     from joblib import delayed
 
     folder = work.run.path.resolve()  # workers may have another working directory
-    calls = [delayed(_fly_in_worker)(work.config, case, folder) for case in cases]
+    place = own_folder(work.suite) or told_folder()
+    calls = [delayed(_fly_in_worker)(work.config, case, folder, place) for case in cases]
     yield from on_cluster(work.engine, work.jobs, work.suite.batch, calls)
 
 
@@ -200,8 +203,17 @@ def _check_workers(games: Iterator[GameResult]) -> Iterator[GameResult]:
 _OPENED: dict[tuple[str, str], tuple[AnySuite, Opened]] = {}
 
 
-def _fly_in_worker(config: Experiment, case: Case, folder: Path) -> GameResult:
-    """Fly a case in this worker process, which keeps what it opened; the parent handles Ctrl-C."""
+def _fly_in_worker(config: Experiment, case: Case, folder: Path, place: Path | None) -> GameResult:
+    """Fly a case in this worker process, which keeps what it opened; the parent handles Ctrl-C.
+
+    Own code runs, of the parent's working directory and of `place`: the parent has refused what it should not.
+    """
+    with told(beside=place):
+        suite, opened = _opened_in_worker(config, case, folder)
+        return fly_case(suite, config, case, opened)
+
+
+def _opened_in_worker(config: Experiment, case: Case, folder: Path) -> tuple[AnySuite, Opened]:
     key = (str(folder), case.timing)
     if key not in _OPENED:
         if threading.current_thread() is threading.main_thread():  # Dask's workers fly in another one
@@ -211,8 +223,7 @@ def _fly_in_worker(config: Experiment, case: Case, folder: Path) -> GameResult:
         run = RunDirectory(folder)
         suite = suite_of(run)
         _OPENED[key] = suite, suite.open(config, case.timing, run).__enter__()
-    suite, opened = _OPENED[key]
-    return fly_case(suite, config, case, opened)
+    return _OPENED[key]
 
 
 def fly_case(suite: AnySuite, config: Experiment, case: Case, opened: Opened) -> GameResult:

@@ -23,7 +23,8 @@ class EnvironmentBlock(Config):
     """A Gymnasium environment, and how long each of its agents is trained."""
 
     id: str
-    """As for gymnasium.make; those of this package keep their own clocks."""
+    """As for gymnasium.make; of "module:Name-v0" the module is one of your own, in the working directory or beside the
+    YAML file. Those of this package keep their own clocks."""
     keys: dict[str, Any] = Field(default_factory=dict)
     """Further keywords of gymnasium.make."""
     train_steps: Annotated[int, Field(ge=1, le=1_000_000_000)] = 300_000

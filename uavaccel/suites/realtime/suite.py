@@ -9,6 +9,7 @@ from pathlib import Path
 
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
+from uavaccel.suites.own_code import own_module
 from uavaccel.suites.realtime.config import EvaluationCase, RealtimeConfig, TrainingCase, cases, flies
 from uavaccel.suites.report import Report
 from uavaccel.suites.rows import Row
@@ -36,6 +37,7 @@ class Realtime(Suite[RealtimeConfig, AnyCase]):
         from uavaccel.realtime.plant import is_of_mujoco
         from uavaccel.suites.realtime.environments import timed
 
+        _import_modules(config)
         for name, agent in product(config.environments, config.agents):
             if not flies(config, name, agent):
                 continue
@@ -70,6 +72,7 @@ class Realtime(Suite[RealtimeConfig, AnyCase]):
         return case.episodes if isinstance(case, EvaluationCase) else 1
 
     def open(self, config: RealtimeConfig, timing: str, run: RunDirectory) -> nullcontext[RunDirectory]:
+        _import_modules(config)  # in this worker
         return nullcontext(run)
 
     def fly(self, config: RealtimeConfig, case: AnyCase, opened: RunDirectory) -> GameResult:
@@ -91,3 +94,11 @@ class Realtime(Suite[RealtimeConfig, AnyCase]):
 
     def status(self, rows: Sequence[Row]) -> str:
         return str(rows[-1]["case"])
+
+
+def _import_modules(config: RealtimeConfig) -> None:
+    """Import the modules that register environments, as in "module:Name-v0". Raises UserError as `own_module` does."""
+    for name, block in config.environments.items():
+        module, named, _ = block.id.partition(":")
+        if named:
+            own_module(module, f"environments.{name}.id")
