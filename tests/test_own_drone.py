@@ -1,13 +1,23 @@
-"""The scene that docs/own-drone.md shows: put among the assets it is found by its name, flown in and touched."""
+"""The scene that docs/own-drone.md shows is flown in; drones of one's own fly as in MuJoCo or are refused."""
 
 from __future__ import annotations
 
+import re
 import shutil
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from uavaccel import VelocityGoal, open_session, resources, tcsc
+from uavaccel.errors import UserError
+from uavaccel.sim.profile import NATIVE
+from uavaccel.sim.vehicle import autopilot
+from uavaccel.sim.vehicle import goal as goals
+from uavaccel.sim.vehicle.goal import Yaw
+from uavaccel.sim.world import World
 
 PAGE = Path(__file__).parents[1] / "docs" / "own-drone.md"
 
@@ -34,3 +44,91 @@ def test_a_scene_of_ones_own_is_flown_in_and_touched(warehouse: str) -> None:
         assert touched["has_collided"]
         assert touched["object_name"] == "shelf"
         assert 11.0 < end.position_m[0] < 11.5  # its near side less the hull's radius
+
+
+SHIPPED = '<inertial pos="0 0 0" mass="1" diaginertia="0.0067211874 0.0080406871 0.014278876"/>'
+JOINT = '<freejoint name="quadrotor"/>'
+
+
+@pytest.fixture
+def drone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., World]:
+    """Makes the world of a drone whose quadrotor.xml has one text in place of another."""
+    shutil.copytree(resources.asset("mjcf"), tmp_path / "assets" / "mjcf")
+    file = tmp_path / "assets" / "mjcf" / "quadrotor.xml"
+    shipped = file.read_text()
+    monkeypatch.setattr(resources, "_PACKAGE", tmp_path)
+
+    def make(new: str, old: str = SHIPPED) -> World:
+        assert old in shipped
+        file.write_text(shipped.replace(old, new))
+        return World("blocks", NATIVE)
+
+    return make
+
+
+def inertials(count: int) -> Iterator[str]:
+    """Random inertials: centres of mass, attitudes, full inertias, and child bodies, each now and then."""
+    rng = np.random.default_rng(34)
+    for _ in range(count):
+        a, b, c = rng.permutation(rng.uniform(0.9, 1.1, 3) * (0.007, 0.008, 0.012))
+        mass, products = rng.uniform(0.7, 1.2), rng.normal(size=3) * 3e-4 * rng.integers(0, 2)
+        x, y, z = rng.normal(size=3) * 0.03 * (rng.random() < 0.2)
+        quat = rng.choice(["", 'quat="0.5 0.5 0.5 0.5"', 'quat="0.9 0.1 0.2 0.3"'], p=[0.6, 0.2, 0.2])
+        full = rng.random() < 0.5 and not quat
+        moments = f'diaginertia="{a} {b} {c}"'
+        if full:
+            moments = f'fullinertia="{a} {b} {c} ' + " ".join(map(str, products)) + '"'
+        heavy = rng.choice(["", "0", "0.1"], p=[0.6, 0.2, 0.2])
+        child = f'<body name="pod"><geom size=".01" pos="0.1 0 0" mass="{heavy}"/></body>' if heavy else ""
+        yield f'<inertial pos="{x} {y} {z}" mass="{mass}" {quat} {moments}/>{child}'
+
+
+def manoeuvre(world: World, fly: Callable[[int], int]) -> NDArray[np.float64]:
+    """Fly 3 s of turns; returns the poses, of which the accelerations are those of MuJoCo's last step."""
+    poses = []
+    for part in range(30):
+        roll, pitch = 0.3 * np.sin(part), 0.2 * np.cos(part)
+        world.lead.set_goal(goals.attitude(roll, pitch, Yaw(1.0, True), 0.65, autopilot.THROTTLE))
+        assert fly(33) == 33
+        poses.append(world.lead.qpos.copy())
+    return np.array(poses)
+
+
+def test_a_drone_of_ones_own_flies_as_in_mujoco_or_is_refused(drone: Callable[..., World]) -> None:
+    flown, refused = 0, list[str]()
+    for inertial in inertials(20):
+        try:
+            world = drone(inertial)
+        except UserError as error:
+            refused.append(str(error))
+            continue
+        flown += 1
+        fast = manoeuvre(world, world.lead.fly_free)
+        expected = world.lead.state["angular_acceleration"].copy()
+        again = drone(inertial)
+        np.testing.assert_allclose(fast, manoeuvre(again, again.lead.fly), rtol=0, atol=1e-9)
+        again.lead.fly(1)  # MuJoCo's acceleration of the kick that was computed before
+        np.testing.assert_allclose(again.lead._gained[3:] * (1, -1, -1), expected, rtol=0, atol=1e-8)
+    assert 5 < flown < 15
+    assert all('blocks.xml: body "quadrotor": ' in line and "\n" not in line for line in refused)
+
+
+@pytest.mark.parametrize(
+    ("new", "old", "expected"),
+    [
+        ("", SHIPPED, "inertial is missing"),
+        (SHIPPED.replace("0 0 0", "0.05 0 0"), SHIPPED, 'inertial pos="0.05 0 0"'),
+        (SHIPPED.replace("mass", 'quat="0.9 0.1 0.2 0.3" mass'), SHIPPED, "inertial quat or fullinertia"),
+        (SHIPPED + '<body name="pod"><geom size=".01"/></body>', SHIPPED, 'child body "pod" has a mass'),
+        ('<joint type="free" name="quadrotor" damping="0.1"/>', JOINT, "damping"),
+        ('<body name="quadrotor" gravcomp="1"', '<body name="quadrotor"', "gravcomp"),
+        ('gravity="0 0 -3.7"', 'gravity="0 0 -9.80665"', 'under gravity="0 0 -9.80665"'),
+        ('density="1.2"', 'timestep="0.002"', "a fluid"),
+    ],
+)
+def test_what_the_flight_would_ignore_is_refused(
+    drone: Callable[..., World], new: str, old: str, expected: str
+) -> None:
+    with pytest.raises(UserError, match=re.escape(expected)) as raised:
+        drone(new, old)
+    assert "\n" not in str(raised.value)

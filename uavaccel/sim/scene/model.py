@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from uavaccel.errors import UserError
 from uavaccel.resources import asset
 from uavaccel.sim.lane.layout import PLAIN
+from uavaccel.sim.scene.airframe import check_airframes
 
 QUADROTOR = "quadrotor"
 DRONE_GROUP = 1  # of quadrotor.xml's visible geoms, which its own camera does not render
@@ -42,15 +43,17 @@ def load_scene(
     """Load a scene of assets/mjcf with its quadrotor, and one more for each prefix in `others`.
 
     `airsim` prepares it for AirSim's clients. Raises UserError for an unknown scene, for one that MuJoCo refuses, and
-    for one without a quadrotor.
+    for one without a quadrotor or with one that cannot be flown exactly.
     """
     path = scene_path(scene, scenery)
     try:
         model = _compiled(path, others, airsim)
+        if mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, QUADROTOR) < 0:
+            raise ValueError(f'has no quadrotor: needs <include file="{QUADROTOR}.xml"/>')
+        names = [QUADROTOR, *(prefix + QUADROTOR for prefix in others)]
+        check_airframes(model, mujoco.MjSpec.from_file(str(path)), names)
     except ValueError as error:
         raise UserError(f"{path}: {' '.join(str(error).split())}") from error
-    if mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, QUADROTOR) < 0:
-        raise UserError(f'{path}: has no quadrotor: needs <include file="{QUADROTOR}.xml"/>')
     return model
 
 
