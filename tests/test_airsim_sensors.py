@@ -394,6 +394,9 @@ def test_lines_of_sight_and_extents_are_geographic() -> None:
         assert wire.call("simTestLineOfSightBetweenPoints", *ends) is free
     assert wire.call("simTestLineOfSightBetweenPoints", point(60.0, 0.0, -5.0), point(60.0, 30.0, -5.0))
     assert not wire.call("simTestLineOfSightBetweenPoints", point(0.0, 0.0, -5.0), point(0.0, 0.0, 5.0))
+    above, below = ({"x_val": 60.0, "y_val": 0.0, "z_val": z} for z in (-5.0, 5.0))
+    assert wire.call("simTestLineOfSightBetweenPoints", above, {**above, "y_val": 30.0})
+    assert not wire.call("simTestLineOfSightBetweenPoints", above, below)
     low, high = (local(GeoPoint(**end), home) for end in wire.call("simGetWorldExtents"))
     assert low == pytest.approx((-1e4, -1e4, 0.0), abs=1e-3)
     assert high == pytest.approx((1e4, 1e4, -16.0), abs=1e-3)

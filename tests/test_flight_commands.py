@@ -306,12 +306,15 @@ def test_a_path_of_no_points_is_followed_at_once() -> None:
 
 
 def test_geographic_places() -> None:
-    """A second of arc along the meridian, and along the parallel, of the WGS 84 ellipsoid at 45 degrees north."""
+    """A second of arc along the meridian, and along the parallel, of the WGS 84 ellipsoid at 45 degrees north.
+
+    The figures are those of EarthUtils.hpp's single precision; in doubles they are 30.870, 0, 0 and 0, 21.902, 10.
+    """
     home, second = GeoPoint(45.0, 7.0, 100.0), 1 / 3600
     north = ned_of(GeoPoint(45.0 + second, 7.0, 100.0), home)
     east = ned_of(GeoPoint(45.0, 7.0 + second, 90.0), home)
-    assert north == pytest.approx((30.870, 0.0, 0.0), abs=2e-3)
-    assert east == pytest.approx((0.0, 21.902, 10.0), abs=2e-3)
+    assert north == pytest.approx((30.8720341, 0.0147571564, -0.240663528), abs=1e-6)
+    assert east == pytest.approx((-0.0865855217, 21.9391937, 9.81291008), abs=1e-6)
     api = hovering()
     goal = (47.641468 + 1e-4, -122.140165, 132.0, 4.0, FOR_EVER, MAX_DOF, STRAIGHT, AUTO, ADAPTIVE)
     assert fly(api, "moveToGPS", *goal)[0] is True

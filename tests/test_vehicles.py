@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -393,7 +395,6 @@ def test_a_saved_game_holds_them_all() -> None:
 
 
 @pytest.mark.parametrize(("vehicles", "text"), [
-    ({"A": {}, "B": {}}, "Vehicles: B would start less than 0.75 m from A"),
     ({"A": {"X": 45, "Z": -3}}, "Vehicles.A: position: .* inside block_north"),
     ({"A": {"Z": 3}}, "Vehicles.A: position: NED z has to be"),
     ({"A": {"X": 2e4}}, "Vehicles.A: position: north and east have to be within 10000 m"),
@@ -402,6 +403,64 @@ def test_a_saved_game_holds_them_all() -> None:
 def test_places_that_cannot_be_are_named(vehicles: Any, text: str) -> None:
     with pytest.raises(UserError, match=text):
         fleet(**vehicles)
+
+
+def test_a_swarm_that_starts_at_one_place_starts_side_by_side() -> None:
+    """As Unreal spawns what would touch; each vehicle's own frame begins where it does."""
+    names = [f"D{number:02}" for number in range(20)]
+    swarm: dict[str, Any] = {name: {"X": 1.0, "Y": -2.0, "Z": 0.0} for name in names}
+    api = fleet(**swarm)
+    places = [in_world(api, name) for name in names]
+    assert min(np.linalg.norm(a - b) for a, b in pairwise(places)) == pytest.approx(0.75)
+    assert [place(api, name).tolist() for name in names] == [[0.0, 0.0, 0.0]] * 20
+    hovering = fleet(A={}, B={})
+    assert place(hovering, "A").tolist() == place(hovering, "B").tolist() == list(START_M)
+    assert in_world(hovering, "B").tolist() == [START_M[0], START_M[1] + 0.75, START_M[2]]
+
+
+@pytest.mark.parametrize("profile", [NATIVE, AIRSIM])
+def test_vehicles_that_start_in_the_air_are_handed_over_at_rest(profile: Profile) -> None:
+    """AirSim's have fallen by the time that a script connects; their frames begin where they started."""
+    settings = Settings.model_validate({"Vehicles": {"A": {"Z": -2.0}, "B": {"X": 4.0, "Z": -0.1}}})
+    api = Api(Simulation(World("blocks", profile)), settings, render=False)
+    api.simulation.settle(0)
+    assert api.simulation.time_ns == 0
+    for name, high_m in (("A", 2.0), ("B", 0.1)):
+        assert place(api, name) == pytest.approx((0.0, 0.0, high_m), abs=2e-3)
+        call(api, "enableApiControl", True, name)
+        call(api, "takeoff", 20.0, name)  # refused while a vehicle moves
+    go_on(api, 5.0)
+    assert call(api, "simGetCollisionInfo", "A")["time_stamp"] == EPOCH_NS
+    assert in_world(api, "A")[2] == pytest.approx(-2.0, abs=0.55)
+
+
+def test_a_pose_inside_an_object_is_beside_it_where_collisions_are_ignored() -> None:
+    api, inside = hovering_alone(), pose(45.0, 0.0, -6.0)
+    with pytest.raises(rpc.RpcError, match="inside block_north"):
+        call(api, "simSetVehiclePose", inside, False)
+    call(api, "simSetVehiclePose", inside, True)
+    put = place(api)
+    assert 0.5 < np.linalg.norm(put - (45.0, 0.0, -6.0)) < 8.0
+    go_on(api, 0.1)
+    assert np.linalg.norm(place(api) - put) < 0.1, "nothing throws it"
+
+
+def test_a_penetration_is_that_of_the_moment() -> None:
+    """Fast against a face: the depth at each reading while the contact lasts."""
+    api = hovering_alone()
+    world = api.simulation.world
+    motion = {"linear_velocity": point(15, 0, 0), "angular_velocity": STILL}
+    call(api, "simSetKinematics", pose(41.0, 0.0, -6.0) | motion, True)
+    deepest_m, own = 0.0, mujoco.MjData(world.model)
+    for _ in range(100):
+        go_on(api, 0.002)
+        own.qpos[:] = world.data.qpos
+        mujoco.mj_fwdPosition(world.model, own)
+        told_m = call(api, "simGetCollisionInfo")["penetration_depth"]
+        if own.ncon and world.lead.field["contacts"][0]:
+            assert told_m == pytest.approx(-own.contact.dist[: own.ncon].min(), abs=1e-9)
+            deepest_m = max(deepest_m, told_m)
+    assert deepest_m > 0.02
 
 
 def test_who_leads() -> None:

@@ -104,13 +104,14 @@ def simulation_of(options: ServeOptions, settings: Settings) -> Simulation:
 
 
 def draw_once(api: Api) -> None:
-    """Draw once, so that no client's first image delays the clock; warn if nothing can draw."""
+    """Draw once, so that no client's first image delays the clock, which starts then; warn if nothing can draw."""
     try:
         api.scenery.pictures.warm_up()
     except UserError as error:
         say(f"warning: there are no images: {error}")
     gc.freeze()  # OpenGL's modules stay too: collecting them again and again would delay the clock
-    api.simulation.reset(MonotonicClock().now_ns())  # the clock starts now
+    api.simulation.reset(MonotonicClock().now_ns())
+    api.simulation.settle(MonotonicClock().now_ns())  # the clock starts now
 
 
 def recordings_of(options: ServeOptions, settings: Settings) -> Path:

@@ -297,6 +297,14 @@ class Simulation:
         if recording:
             self.world.start_recording()
 
+    def settle(self, wall_ns: int) -> None:
+        """Begin once the vehicles that start in the air have fallen to rest, as AirSim's have when a client comes."""
+        try:
+            self.world.settle()
+        except FlightError:
+            self.world.reset()
+        self._restart(wall_ns)
+
     def _restart(self, wall_ns: int) -> None:
         self.period = None
         for pilot in self.pilots:

@@ -22,8 +22,9 @@ from uavaccel.sim.state import SavedState, State, physics_state, prefixed, resto
 from uavaccel.sim.vehicle import hotloop
 from uavaccel.sim.vehicle.clearance import Clearance
 from uavaccel.sim.vehicle.samples import Samples
-from uavaccel.sim.vehicle.standing import depth, on_the_ground, stand
+from uavaccel.sim.vehicle.standing import beside_objects, depth, on_the_ground, stand
 from uavaccel.sim.vehicle.vehicle import HERE, LEVEL, AddedVehicle, Start, Vehicle
+from uavaccel.units import NS_PER_S
 
 if TYPE_CHECKING:
     from uavaccel.sim.camera.camera import FrontCamera
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
 START_M = (0.0, 0.0, -10.0)  # a game starts from a settled hover 10 m up
 VEHICLE = "SimpleFlight"
 MOST_VEHICLES = 100
+SETTLING_S, LOOKS_PER_S = 300, 10  # a vehicle has settled that rests for a second
 
 
 class FlightError(RuntimeError):
@@ -242,15 +244,18 @@ class World:
         orientation_wxyz: Quaternion,
         velocity_m_s: Vector | None = None,
         rate_rad_s: Vector = HERE,
+        anywhere: bool = False,
     ) -> None:
         """Put a vehicle at a pose (NED of the world, wxyz), with its present velocity or the given one.
 
-        A position below the ground is moved up to it. Earlier contacts stay in the log (MultirotorPawnSimApi::setPose).
-        Raises UserError as `place` does.
+        A position below the ground is moved up to it, with `anywhere` one inside an object to the nearest outside.
+        Earlier contacts stay in the log (MultirotorPawnSimApi::setPose). Raises UserError as `place` does.
         """
         if not self.still:
             self.clearance.look_anew()
             position_m = on_the_ground(vehicle, position_m, orientation_wxyz)
+            if anywhere and not self.freeze_on_collision:
+                position_m = beside_objects(vehicle, position_m, orientation_wxyz)
         self.check_place(position_m, orientation_wxyz, vehicle)
         if self.failed:  # its velocity is not finite
             self.warnings[:] = 0
@@ -275,6 +280,30 @@ class World:
         depth_m, geom = depth(vehicle, position_m, orientation_wxyz)
         if depth_m > DEEPEST_M:
             raise UserError(f"position: {position_m} m is {depth_m:.2g} m inside {self.name_of(geom)}")
+
+    def penetration(self, vehicle: Vehicle) -> tuple[float, str]:
+        """Return how deep, in m, a vehicle is in what it now touches, and the name of that; (0, "") without any."""
+        if not vehicle.field["contacts"][0]:
+            return 0.0, ""
+        depth_m, geom = depth(vehicle, vehicle.place_m, vehicle.kinematics().orientation_wxyz)
+        return (depth_m, self.name_of(geom)) if geom >= 0 else (0.0, "")
+
+    def settle(self) -> None:
+        """Let idle vehicles that start in the air fall until they rest, for SETTLING_S at most; tick 0 is then."""
+        idle = [vehicle for vehicle in self.vehicles if vehicle.start.idle]
+        if self.still or self.freeze_on_collision or all(vehicle.landed for vehicle in idle):
+            return
+        a_second, rested = NS_PER_S // self.profile.tick_ns, 0
+        while rested < LOOKS_PER_S and self.tick < SETTLING_S * a_second:
+            self._advance(a_second // LOOKS_PER_S)
+            rested = rested + 1 if all(vehicle.landed for vehicle in idle) else 0
+        for vehicle in self.vehicles:
+            touches = vehicle.state["contacts"]
+            vehicle.state["tick"] = 0
+            vehicle.clear_contacts()
+            if touches:
+                vehicle.stand()
+        self._moved()
 
     @property
     def tick(self) -> int:

@@ -149,6 +149,11 @@ def geo_point(value: Received, name: str) -> GeoPoint:
     return GeoPoint(latitude, longitude, altitude)
 
 
+def geo_point_or_place(value: Received, name: str) -> GeoPoint | Vector:
+    """A GeoPoint, or a Vector3r in metres of the world, which scripts send in its place."""
+    return place(value, name) if isinstance(value, Mapping) and "x_val" in value else geo_point(value, name)
+
+
 def wind(value: object, name: str) -> Vector:
     """A Vector3r in m/s, no stronger than the physics can simulate."""
     speeds = vector(value, name)
@@ -180,5 +185,5 @@ Vector3r = Annotated[Vector, vector]
 Wind = Annotated[Vector, wind]
 AnyPose = Annotated[Pose, pose]
 FinitePose = Annotated[Pose, finite_pose]
-Point = Annotated[GeoPoint, geo_point]
+Point = Annotated[GeoPoint | Vector, geo_point_or_place]
 YawMode = Annotated[Yaw, yaw_mode]

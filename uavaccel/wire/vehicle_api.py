@@ -92,9 +92,13 @@ class VehicleApi(Calls, title="Vehicles"):
 
     @call("simSetVehiclePose")
     def set_pose(self, pose: AnyPose, ignore_collision: object, vehicle: VehicleName = "") -> None:
-        """Set the pose; velocity, rotors, goal, and parts of the pose that are NaN stay as they are."""
+        """Set the pose; velocity, rotors, goal, and parts of the pose that are NaN stay as they are.
+
+        With `ignore_collision` a place inside an object becomes the nearest one outside; without it, it is refused.
+        """
         pilot = self.scenery.pilot(vehicle)
-        self.simulation.world.teleport(pilot.vehicle, *put_at(pilot, pose))
+        place = put_at(pilot, pose)
+        self.simulation.world.teleport(pilot.vehicle, *place, anywhere=bool(ignore_collision))
 
     @call("simGetGroundTruthKinematics")
     def kinematics(self, vehicle: VehicleName = "") -> dict[str, dict[str, float]]:
@@ -109,8 +113,9 @@ class VehicleApi(Calls, title="Vehicles"):
     ) -> None:
         """Set pose and velocities; the accelerations follow from them here."""
         pilot = self.scenery.pilot(vehicle)
+        motion, anywhere = (state.velocity_m_s, state.rate_rad_s), bool(ignore_collision)
         place = put_at(pilot, state.pose)
-        self.simulation.world.teleport(pilot.vehicle, *place, state.velocity_m_s, state.rate_rad_s)
+        self.simulation.world.teleport(pilot.vehicle, *place, *motion, anywhere)
 
     @call("getMultirotorState")
     def multirotor_state(self, vehicle: VehicleName = "") -> dict[str, object]:
@@ -143,14 +148,19 @@ class VehicleApi(Calls, title="Vehicles"):
 
     @call("simGetCollisionInfo")
     def collision_info(self, vehicle: VehicleName = "") -> dict[str, object]:
-        """Return the latest collision; reading it resets has_collided, as in AirSim."""
+        """Return the latest collision; reading it resets has_collided, as in AirSim.
+
+        The penetration is the present one while the contact lasts, then that at its beginning.
+        """
         flown = self.scenery.vehicle(vehicle)
         touches = flown.contact_log
         info = types.no_collision_map() | {"has_collided": touches.read(), "collision_count": touches.count}
         if touch := touches.latest:
             info |= {"time_stamp": types.stamp(self.simulation.time_of(touch.tick))}
             info |= {"object_name": self.scenery.objects.name_of(touch.object)}
-            info |= {"penetration_depth": touch.penetration_m, "normal": types.vector_map(touch.normal)}
+            depth_m, touched = self.simulation.world.penetration(flown)
+            depth_m = depth_m if touched == touch.object else touch.penetration_m
+            info |= {"penetration_depth": depth_m, "normal": types.vector_map(touch.normal)}
             info |= {"position": types.vector_map(flown.local(touch.position_m))}
             info |= {"impact_point": types.vector_map(flown.local(touch.impact_point_m))}
         return info

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Quaternion, Vector
@@ -25,17 +26,22 @@ STANDING_M = -0.045  # NED z of a vehicle that stands on the ground, where the p
 def populate(simulation: Simulation, settings: Settings) -> None:
     """Name and place the first vehicle, and add the others. Raises UserError that names the vehicle.
 
-    A vehicle without X, Y and Z hovers at 10 m, ready to be flown; one with them starts there, idle, as in AirSim.
+    A vehicle without X, Y and Z hovers at 10 m, ready to be flown; one with them starts there, idle, as in AirSim. One
+    that would start at another one starts beside it, as Unreal spawns it.
     """
     world = simulation.world
     _check_names(settings)
     world.lead.name, world.still = settings.vehicle, settings.flightless
     there = [vehicle.name for vehicle in world.vehicles]
-    added, key = [], ""
+    added, key, taken_m = [], "", list[Vector]()
     try:
         for name, vehicle in settings.created():
             key = f".{name}"
             start, origin_m = starting(vehicle)
+            if aside_m := room_m(start.position_m, taken_m):
+                start = replace(start, position_m=east_of(start.position_m, aside_m))
+                origin_m = east_of(origin_m, aside_m)
+            taken_m.append(start.position_m)
             world.check_place(start.position_m, start.orientation_wxyz)
             if name == settings.vehicle and vehicle.placed:
                 world.lead.start, world.lead.origin_m = start, origin_m
@@ -76,9 +82,20 @@ def free_place(place_m: Vector, taken_m: Sequence[Vector]) -> Vector:
     NED from the player's start; `taken_m` are the vehicles' places in the world.
     """
     north, east, down = place_m[0], place_m[1], min(place_m[2], 0.0)
-    while any(math.dist((north, east, down + STANDING_M), other) < APART_M for other in taken_m):
-        east += APART_M
-    return north, east, down
+    return north, east + room_m((north, east, down + STANDING_M), taken_m), down
+
+
+def room_m(position_m: Vector, taken_m: Sequence[Vector]) -> float:
+    """Return how far to the east of a position in the world, in m, the next one is that is free of vehicles."""
+    aside_m = 0.0
+    while any(math.dist(east_of(position_m, aside_m), other) < APART_M for other in taken_m):
+        aside_m += APART_M
+    return aside_m
+
+
+def east_of(position_m: Vector, metres: float) -> Vector:
+    """Return the position so many metres to the east."""
+    return position_m[0], position_m[1] + metres, position_m[2]
 
 
 def put_at(pilot: Pilot, pose: Pose) -> tuple[Vector, Quaternion]:

@@ -56,7 +56,10 @@ class WorldApi(Calls, title="World"):
         world = self.simulation.world
         return sees(world.model, world.data, start_m, end_m, exclude=exclude)
 
-    def _local(self, point: GeoPoint) -> Vector:
+    def _local(self, point: GeoPoint | Vector) -> Vector:
+        """Return a point in the world's frame, which a Vector3r is in already: AirSim reads that as 0 degrees."""
+        if not isinstance(point, GeoPoint):
+            return point
         north, east, down = local(point, self.scenery.settings.home)
         return coordinate(north, "point"), coordinate(east, "point"), coordinate(down, "point")
 

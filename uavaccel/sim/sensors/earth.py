@@ -70,23 +70,28 @@ def local(point: GeoPoint, home: GeoPoint) -> Vector:
 def ned_of(point: GeoPoint, home: GeoPoint) -> Vector:
     """Return the point in metres NED from `home` on the WGS 84 ellipsoid, as moveToGPS takes it (GeodeticToNed).
 
-    In doubles here: AirSim's single precision resolves half a metre.
+    In AirSim's single precision, whose Earth-centred coordinates resolve half a metre.
     """
-    x, y, z = _earth_centred(point) - _earth_centred(home)
     latitude, longitude = math.radians(home.latitude), math.radians(home.longitude)
-    outwards = x * math.cos(longitude) + y * math.sin(longitude)
-    north = z * math.cos(latitude) - outwards * math.sin(latitude)
-    east = y * math.cos(longitude) - x * math.sin(longitude)
-    up = outwards * math.cos(latitude) + z * math.sin(latitude)
-    return float(north), float(east), float(-up)
+    level, rise = math.cos(latitude), math.sin(latitude)
+    ahead, aside = math.cos(longitude), math.sin(longitude)
+    axes = np.array(
+        [(-rise * ahead, -rise * aside, level), (-aside, ahead, 0.0), (level * ahead, level * aside, rise)],
+        np.float32,
+    )
+    asked = GeoPoint(*(float(np.float32(number)) for number in point))
+    parts = axes * (_earth_centred(asked) - _earth_centred(home))
+    north, east, up = (parts[:, 0] + parts[:, 1] + parts[:, 2]).tolist()
+    return north, east, -up
 
 
-def _earth_centred(point: GeoPoint) -> NDArray[np.float64]:
+def _earth_centred(point: GeoPoint) -> NDArray[np.float32]:
     latitude, longitude = math.radians(point.latitude), math.radians(point.longitude)
     curvature_m = RADIUS_M / math.sqrt(1 - ECCENTRICITY_SQUARED * math.sin(latitude) ** 2)
-    across = (curvature_m + point.altitude) * math.cos(latitude)
-    along = (curvature_m * (1 - ECCENTRICITY_SQUARED) + point.altitude) * math.sin(latitude)
-    return np.array([across * math.cos(longitude), across * math.sin(longitude), along])
+    altitude_m = float(np.float32(point.altitude))
+    across = (curvature_m + altitude_m) * math.cos(latitude)
+    along = (curvature_m * (1 - ECCENTRICITY_SQUARED) + altitude_m) * math.sin(latitude)
+    return np.array([across * math.cos(longitude), across * math.sin(longitude), along], np.float32)
 
 
 def atmosphere(altitude_m: float) -> Atmosphere:

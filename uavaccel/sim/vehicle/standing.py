@@ -17,6 +17,7 @@ from uavaccel.sim.vehicle.vehicle import HERE, Vehicle
 
 GIVE_M = 1e-3  # more than contacts give under a vehicle, and less than a noticeable fall
 HALVINGS = 60
+STEP_M, FARTHEST_STEPS = 0.25, 400  # in which a place outside an object is looked for
 
 
 def stand(vehicle: Vehicle) -> None:
@@ -54,6 +55,17 @@ def on_the_ground(vehicle: Vehicle, position_m: Vector, attitude: Quaternion) ->
     if depth_m > GIVE_M and vehicle.model.geom_type[geom] == PLANE:
         highest_m -= depth_m
     return x, y, highest_m
+
+
+def beside_objects(vehicle: Vehicle, position_m: Vector, attitude: Quaternion) -> Vector:
+    """Return the position or, if it is inside an object, the nearest one outside: above, or to a side."""
+    x, y, z = position_m
+    for step in range(FARTHEST_STEPS):
+        for north, east, up in ((0, 0, 1), (1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0)):
+            near = (x + north * step * STEP_M, y + east * step * STEP_M, z - up * step * STEP_M)
+            if depth(vehicle, near, attitude)[0] <= GIVE_M:
+                return near
+    return position_m
 
 
 def depth(vehicle: Vehicle, position_m: Vector, attitude: Quaternion) -> tuple[float, int]:
