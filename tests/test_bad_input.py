@@ -35,7 +35,7 @@ CONFIGURATIONS = [
     *keys(DP1, "t_move_s", "[0]", "[-1]", "[1e308]", "[1e-9]", "[0.0033]", "[]", "[.nan]", "[1e9]", "long"),
     *keys(DP1, "t_sample_s", "0", "-0.1", "1e-9", "0.0033", ".inf", "[1]"),
     *keys(DP1, "speed_m_s", "0", "-1", HUGE, "1e6", ".nan", "[1]"),
-    *keys(DP1, "height_m", HUGE, "-1e9", ".inf", "up"),
+    *keys(DP1, "height_m", HUGE, "-1e9", ".inf", "up", "1000", "0", "-9000"),
     *keys(DP1, "path", "[]", "circle", "[[1,2]]", "[[1e308,0,0]]", "[[1,2,.nan]]", "3"),
     *keys(DP1, "t_th_wall_s", "-1", HUGE, ".nan", "1e9"),
     *keys(DP1, "seed", "-1", "1.5", "zero", "true"),

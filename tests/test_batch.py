@@ -161,7 +161,9 @@ def test_lanes_answer_by_themselves_until_one_dies() -> None:
 @pytest.mark.parametrize(
     ("keys", "message"),
     [
-        ({"num_envs": 0}, "num_envs = 0: must be at least 1"),
+        ({"num_envs": 0}, "num_envs = 0: must be a whole number, at least 1"),
+        ({"num_envs": 1, "tiles": 1.5}, r"tiles = 1\.5: must be a whole number, at least 1"),
+        ({"num_envs": 1, "render_mode": "x"}, "render_mode = 'x' is unknown; there are None, rgb_array"),
         ({"num_envs": 2, "renderer": "mine"}, "renderer = 'mine' is unknown; there are auto, shared, own"),
         ({"num_envs": 2, "timing": "wall"}, "a batch flies in virtual or lockstep"),
         ({"num_envs": 2, "speed": 3.0}, "speed"),

@@ -21,6 +21,7 @@ from uavaccel.sim.world import World
 from uavaccel.wire import rpc
 from uavaccel.wire.api import Api
 from uavaccel.wire.image_api import decode_image
+from uavaccel.wire.pictures import can_draw
 from uavaccel.wire.segmentation import colours, id_of_name
 from uavaccel.wire.types import EPOCH_NS
 
@@ -286,12 +287,16 @@ HUGE = {
 }
 
 
+def test_airsims_high_resolution_camera_can_be_drawn() -> None:
+    assert can_draw(Lens(4320, 2160))
+
+
 @pytest.mark.parametrize("kind", range(8))
 @pytest.mark.parametrize("as_float", [False, True])
 def test_a_picture_that_is_too_large_is_refused_before_it_is_drawn(kind: int, as_float: bool) -> None:
     wire = AirSimWire(HUGE)
     with pytest.raises(
-        rpc.RpcError, match="a picture of 8192 x 8192 is too large: it may have 8,388,608 pixels"
+        rpc.RpcError, match="a picture of 8192 x 8192 is too large: it may have 16,777,216 pixels"
     ):
         wire.images(("0", kind, as_float))
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from tests.lanes import free_distance_m
 from uavaccel.config import validate
+from uavaccel.envs.obstacle_lane import LaneTask
 from uavaccel.errors import UserError
 from uavaccel.sim.lane.file import LaneFile, layout_from, parse_lane
 from uavaccel.sim.lane.layout import (
@@ -208,6 +209,15 @@ def test_a_lane_is_a_seed_a_seed_with_a_difficulty_or_a_mapping() -> None:
         lane_layout({"seed": 5, "difficulty": {"wind_m_s": -1.0}})
 
 
+def test_a_lane_that_obstacles_close_from_wall_to_wall_is_no_task() -> None:
+    """Square posts and a column, before and beside one another; it is open once the column stands aside."""
+    posts = [{"x_m": 30.0, "y_m": y, "half_side_m": 0.7} for y in (-4.2, -2.2, 2.2, 4.2)]
+    closed, open_ = ({"obstacles": [*posts, {"x_m": x, "y_m": 0.0, "radius_m": 0.9}]} for x in (30.5, 33.0))
+    with pytest.raises(UserError, match=r"lane: obstacles close it from wall to wall; .* gap above 0\.6836 m"):
+        validate(LaneTask, {"lane": closed}, "task")
+    validate(LaneTask, {"lane": open_}, "task")
+
+
 @pytest.mark.parametrize(
     ("mapping", "said"),
     [
@@ -218,6 +228,7 @@ def test_a_lane_is_a_seed_a_seed_with_a_difficulty_or_a_mapping() -> None:
         ({"obstacles": [{"x_m": 9, "y_m": "left", "radius_m": 1}]}, "obstacles.0.y_m"),
         ({"obstacles": [{"x_m": 151, "y_m": 0, "radius_m": 1}]}, "obstacles.0.x_m"),
         ({"obstacles": [{"x_m": 9, "y_m": -5.1, "radius_m": 1}]}, "obstacles.0.y_m"),
+        ({"obstacles": [], "sun_azimuth_rad": 1e300}, "sun_azimuth_rad"),
         ({"obstacles": [{"x_m": 0.7, "y_m": 0, "radius_m": 0.4}]}, "within 0.3418 m of the start"),
         ({"obstacles": [{"x_m": 9, "y_m": 0, "radius_m": 1}] * (MAX_OBSTACLES + 1)}, "at most 64"),
     ],

@@ -128,6 +128,7 @@ def test_a_machine_that_does_not_keep_up_says_so() -> None:
 @pytest.mark.parametrize(("options", "text"), [
     (ServeOptions(port=65536), "port must be 0 to 65535, not 65536"),
     (ServeOptions(clock_speed=0.0), "clock_speed must be a finite number above 0"),
+    (ServeOptions(clock_speed=1e-300), "clock_speed must be a finite number above 0"),
     (ServeOptions(clock_speed=1e9), "ClockSpeed must be at most 10000"),
     (ServeOptions(profile="unreal"), "--profile unreal: there are native, airsim"),
     (ServeOptions(scene="city"), "no 'mjcf/city.xml' among the assets"),

@@ -107,3 +107,8 @@ def test_a_lane_is_laid_out_before_the_game() -> None:
 def test_an_unknown_name_is_one_line(options: dict[str, Any], text: str) -> None:
     with pytest.raises(UserError, match=f"^{text}"):
         open_session(**options)
+
+
+def test_a_clock_speed_is_a_number() -> None:
+    with open_session("lockstep") as session, pytest.raises(UserError, match=r"^clock_speed must be a finite"):
+        session.start_game("2")  # type: ignore[arg-type]

@@ -21,6 +21,7 @@ from uavaccel.errors import UserError
 from uavaccel.units import NS_PER_S, ceil_div, exact
 
 SPIN_NS = 100_000  # a sleep ends this much early and spins: the kernel wakes a process late
+SLOWEST = Fraction(1, 1_000_000)  # ClockSpeed: a simulated second in eleven days
 _PR_SET_TIMERSLACK = 29
 
 
@@ -112,14 +113,15 @@ class Pacer:
 
 
 def positive_clock_speed(clock_speed: float | Fraction) -> Fraction:
-    """Return the exact decimal that was written. Raises UserError unless it is a finite number above 0."""
+    """Return the exact decimal that was written. Raises UserError unless it is a finite number of SLOWEST or more."""
     try:
-        speed = exact(clock_speed)
+        speed = Fraction(0) if isinstance(clock_speed, str | bool) else exact(clock_speed)
     except ValueError:
         speed = Fraction(0)
-    if speed <= 0:
+    if speed < SLOWEST:
         raise UserError(
-            f"clock_speed must be a finite number above 0, for example 1, 1.5 or 100; not {clock_speed}"
+            f"clock_speed must be a finite number above 0, for example 1, 1.5 or 100, and at least "
+            f"{float(SLOWEST):g}; not {clock_speed!r}"
         )
     return speed
 

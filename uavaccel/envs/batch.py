@@ -14,7 +14,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space, iterate
 
-from uavaccel.envs.checks import make_task
+from uavaccel.envs.checks import check_render_mode, make_task
 from uavaccel.envs.environment_processes import (
     BatchError,
     BatchOptions,
@@ -54,7 +54,7 @@ class EnvironmentBatch(TurnBatch):
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         **keys: Any,
     ) -> None:
-        self.render_mode = keys.pop("render_mode", None)
+        self.render_mode = check_render_mode(keys.pop("render_mode", None))
         task = make_task(environment.task_class, keys, environment.__name__)
         _check(num_envs, processes, renderer, tiles, task.timing)
         self.num_envs, self.tiles = num_envs, min(tiles or num_envs, MOST_TILES)
@@ -166,8 +166,8 @@ class EnvironmentBatch(TurnBatch):
 
 def _check(num_envs: int, processes: int | None, renderer: str, tiles: int | None, timing: str) -> None:
     for name, value in (("num_envs", num_envs), ("processes", processes), ("tiles", tiles)):
-        if value is not None and value < 1:
-            raise UserError(f"{name} = {value}: must be at least 1")
+        if value is not None and (type(value) is not int or value < 1):
+            raise UserError(f"{name} = {value!r}: must be a whole number, at least 1")
     if renderer not in RENDERERS:
         raise UserError(f"renderer = {renderer!r} is unknown; there are {', '.join(RENDERERS)}")
     if timing == "wall" and num_envs > 1:

@@ -14,6 +14,7 @@ from uavaccel.envs.values import Action
 from uavaccel.errors import UserError
 
 TaskT = TypeVar("TaskT", bound=Task)
+RENDER_MODES = ["rgb_array"]
 ROUNDING = 1e-6  # by which an action may exceed its bounds
 
 
@@ -30,6 +31,13 @@ def make_task(task_class: type[TaskT], keys: Mapping[str, object], name: str) ->
         if unknown:
             raise UnexpectedKeyword(f"{error} (got an unexpected keyword argument {unknown[0]!r})") from error
         raise
+
+
+def check_render_mode(render_mode: object) -> str | None:
+    """Return a render mode, or None. Raises UserError for any other."""
+    if render_mode is None or render_mode in RENDER_MODES:
+        return None if render_mode is None else str(render_mode)
+    raise UserError(f"render_mode = {render_mode!r} is unknown; there are None, {', '.join(RENDER_MODES)}")
 
 
 def within(space: spaces.Space[Action], action: Action) -> Action:

@@ -15,7 +15,14 @@ from numpy.typing import NDArray
 
 from uavaccel.clock import MonotonicClock
 from uavaccel.commands import COMMANDS
-from uavaccel.envs.checks import TaskT, known_options, make_task, within
+from uavaccel.envs.checks import (
+    RENDER_MODES,
+    TaskT,
+    check_render_mode,
+    known_options,
+    make_task,
+    within,
+)
 from uavaccel.envs.sensors import EventCamera
 from uavaccel.envs.stopwatch import Stopwatch
 from uavaccel.envs.task import Moment
@@ -44,7 +51,7 @@ class FlightEnv(gymnasium.Env[Frame, Action], Generic[TaskT]):
     phase), and the task's own items. Raises UserError for keywords that do not fit.
     """
 
-    metadata: Info = {"render_modes": ["rgb_array"], "render_fps": 10}  # noqa: RUF012 - Gymnasium's own
+    metadata: Info = {"render_modes": RENDER_MODES, "render_fps": 10}  # noqa: RUF012 - Gymnasium's own
     task_class: type[TaskT]
 
     def __init__(self, render_mode: str | None = None, **keys: object) -> None:
@@ -54,7 +61,7 @@ class FlightEnv(gymnasium.Env[Frame, Action], Generic[TaskT]):
         self.episode_task: TaskT = self.task
         """The task under the running game's conditions."""
         self._games = 0
-        self.render_mode = render_mode
+        self.render_mode = check_render_mode(render_mode)
         self.observation_space = self.task.observation_space()
         self.action_space = self.task.action_space()
         self.sensor = self.task.sensor()

@@ -26,12 +26,14 @@ from uavaccel.limits import Height, Seconds
 from uavaccel.sim.lane.file import LaneFile, parse_lane
 from uavaccel.sim.lane.layout import (
     EVALUATION_SEEDS,
+    HULL_RADIUS_M,
     LENGTH_M,
     WIDTH_M,
     Difficulty,
     LaneLayout,
     Split,
     draw_layout,
+    is_walled_off,
     lane_seed,
 )
 
@@ -96,6 +98,14 @@ class LaneTask(Task):
         if len(set(headings)) < len(headings):
             raise ValueError("must not have one heading twice")
         return headings
+
+    @model_validator(mode="after")
+    def _leads_through(self) -> LaneTask:
+        if self.lane is not None and is_walled_off(self.lane.layout()):
+            raise ValueError(
+                f"lane: obstacles close it from wall to wall; the drone needs a gap above {2 * HULL_RADIUS_M:g} m"
+            )
+        return self
 
     @model_validator(mode="after")
     def _tells_beside_pictures(self) -> LaneTask:

@@ -40,7 +40,7 @@ class ImageType(IntEnum):
 
 Scene: TypeAlias = NDArray[np.float64] | None
 """The positions of everything at an earlier moment, from `Pictures.kept`; None is the present."""
-MOST_PIXELS = 1 << 23  # of one picture: more than 3840 x 2160
+MOST_PIXELS = 1 << 24  # of one picture, so that its bytes fit into an answer: more than 4320 x 2160
 RAYS_AT_ONCE = 1 << 16
 DEPTH_VIS_FAR_M = 100.0
 BASELINE_M = 0.25  # between AirSim's front_left and front_right

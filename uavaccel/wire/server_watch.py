@@ -11,7 +11,7 @@ from pathlib import Path
 
 from uavaccel.clock import MonotonicClock
 from uavaccel.processes.child import end_within, single_core_drawing, start_python
-from uavaccel.processes.stalls import cpu_time_s
+from uavaccel.processes.stalls import STOPPED_LOOKS, cpu_time_s, is_stopped
 from uavaccel.units import NS_PER_S
 
 START_S, IDLE_START_S = 600.0, 60.0  # to compile the hot loop; of that without using any CPU
@@ -54,13 +54,15 @@ class WatchedServer:
 
     def answered(self) -> None:
         """Count its silence from now on."""
+        self._stopped_looks = 0
         self._heard_ns = self._worked_ns = self._clock.now_ns()
         self._cpu_s = cpu_time_s(self._process.pid)
 
     def check(self, idle_s: float = IDLE_S, busy_s: float = BUSY_S) -> None:
         """Raise ServerGoneError if it has ended, or has been silent for `busy_s`, or for `idle_s` without using CPU.
 
-        To be called about once a second while an answer is overdue.
+        So it does, whatever these are, for one that a signal has stopped at more than STOPPED_LOOKS calls in a row. To
+        be called about once a second while an answer is overdue.
         """
         status = self._process.poll()
         if status is not None:
@@ -68,8 +70,10 @@ class WatchedServer:
         now_ns, cpu_s = self._clock.now_ns(), cpu_time_s(self._process.pid)
         if cpu_s != self._cpu_s:
             self._cpu_s, self._worked_ns = cpu_s, now_ns
+        self._stopped_looks = self._stopped_looks + 1 if is_stopped(self._process.pid) else 0
         idle, silent = (now_ns - since for since in (self._worked_ns, self._heard_ns))
-        if idle > idle_s * NS_PER_S or silent > busy_s * NS_PER_S:
+        stopped = self._stopped_looks > STOPPED_LOOKS
+        if stopped or idle > idle_s * NS_PER_S or silent > busy_s * NS_PER_S:
             self._process.kill()  # it would not end by itself
             raise ServerGoneError(f"the server's process did not answer for {silent / NS_PER_S:.1f} s")
 

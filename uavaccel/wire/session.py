@@ -10,7 +10,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from uavaccel.clock import VirtualClock
+from uavaccel.clock import VirtualClock, positive_clock_speed
 from uavaccel.errors import UserError
 from uavaccel.resources import asset
 from uavaccel.sim.camera.view import HEIGHT, WIDTH
@@ -44,6 +44,7 @@ class Session(ABC):
         The latencies of a simulated wall clock are drawn from `seed`. In the lane's scene `lane` is laid out first: a
         seed or anything else that Client.set_lane takes.
         """
+        positive_clock_speed(clock_speed)
         client = self._connect(clock_speed, seed or np.random.SeedSequence(0))
         if lane is not None:
             client.set_lane(lane)

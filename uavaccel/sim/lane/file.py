@@ -8,6 +8,7 @@ light: 0.8
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Literal, Self
@@ -67,7 +68,7 @@ class LaneFile(Config):
     """Texture of the ground."""
     light: Share = 1.0
     """Light level, 0 to 1, which is full daylight."""
-    sun_azimuth_rad: float = 0.5
+    sun_azimuth_rad: Annotated[float, Field(ge=-2 * math.pi, le=2 * math.pi)] = 0.5
     """Direction in which the sun shines, radians; 0 is north, the way the drone faces."""
     wind_m_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Wind velocity, NED, m/s."""

@@ -196,6 +196,21 @@ def clearance_m(layout: LaneLayout, position_m: ArrayLike) -> FloatArray:
     return nearest
 
 
+def is_walled_off(layout: LaneLayout) -> bool:
+    """Return whether obstacles with gaps that are too narrow for the hull reach from one wall to the other."""
+    flat = np.where(layout.round, 0.0, layout.half_width_m)
+    radius = layout.half_width_m - flat
+    north, east = (
+        np.maximum(np.abs(at[:, None] - at) - (flat[:, None] + flat), 0.0) for at in (layout.x_m, layout.y_m)
+    )
+    closed = np.hypot(north, east) - (radius[:, None] + radius) < 2 * HULL_RADIUS_M
+    to_wall = WIDTH_M / 2 - layout.half_width_m - 2 * HULL_RADIUS_M
+    reached = layout.y_m < -to_wall  # joined to the western wall, directly or through others
+    for _ in range(len(layout)):
+        reached = reached | closed[reached].any(axis=0)
+    return bool((reached & (layout.y_m > to_wall)).any())
+
+
 _NONE = np.zeros(0)
 _NO_LANE = LaneLayout(_NONE, _NONE, _NONE, _NONE.astype(bool), _NONE.astype(int))
 

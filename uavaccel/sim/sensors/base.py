@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias, TypeVar
 
-from pydantic import ConfigDict
+from pydantic import ConfigDict, field_validator
 from pydantic.alias_generators import to_pascal
 
 from uavaccel.config import Config
@@ -19,14 +19,26 @@ from uavaccel.units import NS_PER_S
 
 
 class AirSimKeys(Config):
-    """Settings with AirSim's PascalCase keys; unknown keys are kept."""
+    """Settings with AirSim's PascalCase keys; unknown keys are kept.
+
+    Every number is 0, or between LEAST and MOST in size: what is computed from it stays finite.
+    """
 
     model_config = ConfigDict(extra="allow", alias_generator=to_pascal)
+
+    @field_validator("*")
+    @classmethod
+    def _in_range(cls, value: Checked) -> Checked:
+        if isinstance(value, int | float) and value and not LEAST <= abs(value) <= MOST:
+            raise ValueError(f"must be 0, or between {LEAST:g} and {MOST:g} in size")
+        return value
 
 
 Settings: TypeAlias = Any  # an AirSimKeys of its own for each class of sensors
 MakeSensor = Callable[[Settings, int, str], object]
 Made = TypeVar("Made", bound=MakeSensor)
+Checked = TypeVar("Checked")
+LEAST, MOST = 1e-12, 1e12
 _sensors: dict[type[AirSimKeys], MakeSensor] = {}
 
 

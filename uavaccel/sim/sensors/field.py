@@ -63,6 +63,7 @@ class Barometer:
         pressure = atmosphere(truth.place.altitude).pressure_pa
         pressure *= 1.0 + float(self._drift.at(truth.since_reset_s)[0])
         pressure += float(self._white.at(truth.sample)[0]) * self._sigma_pa
+        pressure = max(pressure, 0.0)  # whatever the noise
         return BarometerReading(pressure_altitude_m(pressure), pressure)
 
 

@@ -28,7 +28,7 @@ class Dp1Config(FlightExperiment):
     """A named path, or a list of velocities, one command each, NED in m/s."""
     speed_m_s: Speed = 1.0
     """Speed on a named path."""
-    height_m: Annotated[float, Field(ge=-MOST_HEIGHT_M, le=MOST_HEIGHT_M)] | None = None
+    height_m: Annotated[float, Field(lt=0.0, ge=-MOST_HEIGHT_M)] | None = None
     """NED z to hold, as moveByVelocityZ does; without it plain moveByVelocity is called, as in the paper."""
     rounds: Rounds = (1, 2, 4, 8, 16, 24)
     """How often the square path is flown in a game; each value is flown."""
