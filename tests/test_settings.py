@@ -69,7 +69,7 @@ def test_defaults_are_airsims(tmp_path: Path) -> None:
     ({"Vehicles": {"A": {"VehicleType": "PX4Multirotor"}}}, "Vehicles.A.VehicleType = 'PX4Multirotor'"),
     ({"Vehicles": {"A": {"X": "near"}}}, "Vehicles.A.X = 'near'"),
     ({"Recording": {"RecordInterval": 1e300}}, "Recording.RecordInterval = 1e+300: must be 0, or between 1e-12"),
-    ({"DefaultSensors": {"eye": {"SensorType": 6, "UpdateFrequency": 1e308}}}, "DefaultSensors.eye.UpdateFrequency = 1e+308: must be"),
+    ({"DefaultSensors": {"eye": {"SensorType": 6, "UpdateFrequency": 1e308}}}, "DefaultSensors.eye.UpdateFrequency"),
     ({"ClockSpeed": 1e-300}, "ClockSpeed = 1e-300: must be 0, or between 1e-12 and 1e+12 in size"),
     ({"SensorSeed": 10**400}, "SensorSeed = "),
     ({"Recording": {"RecordInterval": -1}}, "Recording.RecordInterval = -1"),
