@@ -23,6 +23,7 @@ from uavaccel.envs import environment_processes
 from uavaccel.envs.batch import EnvironmentBatch
 from uavaccel.envs.environment_processes import BatchError
 from uavaccel.envs.obstacle_lane import ObstacleLane
+from uavaccel.envs.simulators import make_batch
 from uavaccel.errors import UserError
 from uavaccel.sim.rendering.service import RenderService
 
@@ -162,7 +163,13 @@ def test_lanes_answer_by_themselves_until_one_dies() -> None:
     ("keys", "message"),
     [
         ({"num_envs": 0}, "num_envs = 0: must be a whole number, at least 1"),
-        ({"num_envs": 1, "tiles": 1.5}, r"tiles = 1\.5: must be a whole number, at least 1"),
+        ({"num_envs": "2"}, "num_envs = '2': must be a whole number"),
+        ({"num_envs": "2", "simulator": "kernels"}, "num_envs = '2': must be a whole number"),
+        ({"num_envs": 2, "processes": "x"}, "processes = 'x': must be a whole number"),
+        ({"num_envs": 2, "tiles": 1.5}, "tiles = 1.5: must be a whole number"),
+        ({"num_envs": 2, "simulator": "kernels", "threads": 0}, "threads = 0: must be a whole number, at least 1"),
+        ({"num_envs": 2, "autoreset_mode": "x"}, "autoreset_mode = 'x' is unknown; there are NextStep, SameStep"),
+        ({"num_envs": 2, "autoreset_mode": "x", "simulator": "kernels"}, "autoreset_mode = 'x' is unknown"),
         ({"num_envs": 1, "render_mode": "x"}, "render_mode = 'x' is unknown; there are None, rgb_array"),
         ({"num_envs": 2, "renderer": "mine"}, "renderer = 'mine' is unknown; there are auto, shared, own"),
         ({"num_envs": 2, "timing": "wall"}, "a batch flies in virtual or lockstep"),
@@ -173,6 +180,28 @@ def test_what_a_batch_cannot_be_is_one_clear_line(keys: dict[str, Any], message:
     with pytest.raises(UserError, match=message) as raised:
         gymnasium.make_vec(NAME, **keys)
     assert "\n" not in str(raised.value)
+
+
+@pytest.mark.parametrize("simulator", ["mujoco", "kernels"])
+def test_what_a_batch_is_asked_wrongly_is_one_clear_line(simulator: Any) -> None:
+    """None of it flies a part of the environments, or waits for what does not come."""
+    batch: Any = make_batch(ObstacleLane, 2, simulator, observation="state")
+    with closing(batch):
+        with pytest.raises((UserError, BatchError), match=r"no command was started|was not asked for anything"):
+            batch.step_wait()
+        before = batch.reset(seed=0)[0]
+        wrong: list[Any] = [[0], [0, 1, 2], [[0, 1]], 3, None, [[1], [2, 3]]]
+        for actions in wrong:
+            with pytest.raises(UserError, match=r"^actions: must be of shape \(2,\), an action for each"):
+                batch.step(actions)
+        with pytest.raises(UserError, match=r"^action .*99.* is not in the action space"):
+            batch.step([0, 99])
+        for seed in (-1, [1, -1], "ab", 1.5, [1], True):
+            with pytest.raises(UserError, match=r"^reset: seed"):
+                batch.reset(seed=seed)
+        with pytest.raises(UserError, match=r"^reset: options = 3: must be a mapping, of lane$"):
+            batch.reset(options=3)
+        np.testing.assert_array_equal(batch.reset(seed=0)[0], before)
 
 
 # --- ends -------------------------------------------------------------------------------------------------------
@@ -232,6 +261,22 @@ def test_processes_are_forks_of_one_that_loads_for_all() -> None:
         (loaded,) = {each for each in descendants(os.getpid()) if descendants(each) >= set(pids)}
         os.kill(loaded, signal.SIGKILL)
         batch.step([2, 2])
+    assert not left_after([loaded, *pids], 1.0)
+
+
+@pytest.mark.wall_clock
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere each process loads for itself")
+@pytest.mark.parametrize("gone", [False, True])
+def test_a_batch_closes_though_its_processes_are_stopped(gone: bool) -> None:
+    """The one that has forked them is stopped; or it has gone, and they are."""
+    with closing(EnvironmentBatch(ObstacleLane, 2, 2, observation="state")) as batch:
+        batch.reset(seed=0)
+        pids = batch.process_ids
+        (loaded,) = {each for each in descendants(os.getpid()) if descendants(each) >= set(pids)}
+        for pid in pids if gone else [loaded, pids[0]]:
+            os.kill(pid, signal.SIGSTOP)
+        if gone:
+            os.kill(loaded, signal.SIGKILL)
     assert not left_after([loaded, *pids], 1.0)
 
 

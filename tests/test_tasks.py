@@ -426,14 +426,34 @@ def test_seeds_draw_the_course_once() -> None:
         ("Hover", {"waypoint_m": [1, 2]}, "must be [north, east, down]"),
         ("Hover", {"waypoint_m": [1, 2, float("nan")]}, "must be [north, east, down]"),
         ("Gates", {"gates_m": [1, 2, 3]}, "must be [[north, east, down], ...]"),
+        ("Gates", {"gates_m": [[1000, 0, -2]]}, "lane: obstacles.0.x_m = 1000.0: should be less than or equal to 150"),
+        ("Gates", {"gates_m": [[9, 0, -2]] * 1000}, "lane: obstacles = "),
+        ("Gates", 3, "reset: options = 3: must be a mapping, of gates_m"),
     ],
 )
-def test_a_wrong_option_of_reset_is_one_clear_line(name: str, options: dict[str, Any], said: str) -> None:
+def test_a_wrong_option_of_reset_is_one_clear_line(name: str, options: Any, said: str) -> None:
     environment = gymnasium.make(f"uavaccel/{name}-v0", observation="state").unwrapped
     with pytest.raises(UserError) as caught:
         environment.reset(options=options)
     assert said in str(caught.value)
     assert "\n" not in str(caught.value)
+    with pytest.raises(UserError, match=r"^reset: seed = -1: must be a whole number, at least 0$"):
+        environment.reset(seed=-1)
+
+
+@pytest.mark.parametrize(
+    ("keys", "said"),
+    [
+        ({"gates": 10**6}, "gates = 1000000: should be less than or equal to 32"),
+        ({"gates": 26}, "gates = 26 with spacing_m = 6 need 156 m; the lane is 150 m long"),
+        ({"spacing_m": 0.2}, "spacing_m = 0.2: should be greater than 0.5418"),
+        ({"spread_m": 4.0}, "spread_m = 4 with half_width_m = 1 need 10.4 m; the lane is 10 m wide"),
+        ({"altitude_m": 1e5}, "altitude_m = 100000.0: should be less than or equal to 10000"),
+    ],
+)
+def test_gates_out_of_reach_are_refused_when_they_are_made(keys: dict[str, Any], said: str) -> None:
+    with pytest.raises(UserError, match=f"^Gates: {said}$"):
+        gymnasium.make("uavaccel/Gates-v0", **keys)
 
 
 def test_a_lane_may_be_a_number_of_numpys() -> None:

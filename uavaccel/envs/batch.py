@@ -12,9 +12,9 @@ from typing import Any, Literal
 
 import numpy as np
 from gymnasium.vector import AutoresetMode
-from gymnasium.vector.utils import batch_space, iterate
+from gymnasium.vector.utils import batch_space
 
-from uavaccel.envs.checks import check_render_mode, make_task
+from uavaccel.envs.checks import actions_of, autoreset_of, check_render_mode, make_task, whole_number
 from uavaccel.envs.environment_processes import (
     BatchError,
     BatchOptions,
@@ -26,6 +26,7 @@ from uavaccel.envs.task import Task
 from uavaccel.envs.turn_batch import TurnBatch
 from uavaccel.envs.values import Actions, Answer, Frame, Info, Steps
 from uavaccel.errors import UserError
+from uavaccel.limits import MOST_GAMES, MOST_PROCESSES
 from uavaccel.machine import usable_cores
 from uavaccel.sim.camera.gl import known_renderer
 from uavaccel.sim.rendering.camera import RendererGoneError
@@ -58,7 +59,7 @@ class EnvironmentBatch(TurnBatch):
         task = make_task(environment.task_class, keys, environment.__name__)
         _check(num_envs, processes, renderer, tiles, task.timing)
         self.num_envs, self.tiles = num_envs, min(tiles or num_envs, MOST_TILES)
-        self.metadata = {**environment.metadata, "autoreset_mode": AutoresetMode(autoreset_mode)}
+        self.metadata = {**environment.metadata, "autoreset_mode": autoreset_of(autoreset_mode)}
         self.single_observation_space = task.observation_space()
         self.single_action_space = task.action_space()
         self.observation_space = batch_space(self.single_observation_space, num_envs)
@@ -118,7 +119,8 @@ class EnvironmentBatch(TurnBatch):
 
     def step_async(self, actions: Actions, slots: Sequence[int] | None = None) -> None:
         """Start one command in each of `slots`, by default all, and return while they fly."""
-        for slot, action in zip(self._all(slots), iterate(self.action_space, actions), strict=False):
+        which = self._all(slots)
+        for slot, action in zip(which, actions_of(self.single_action_space, actions, len(which)), strict=True):
             self._slots.ask(slot, "step", action)
 
     def step_wait(self, slots: Sequence[int] | None = None) -> Steps:
@@ -165,9 +167,10 @@ class EnvironmentBatch(TurnBatch):
 
 
 def _check(num_envs: int, processes: int | None, renderer: str, tiles: int | None, timing: str) -> None:
-    for name, value in (("num_envs", num_envs), ("processes", processes), ("tiles", tiles)):
-        if value is not None and (type(value) is not int or value < 1):
-            raise UserError(f"{name} = {value!r}: must be a whole number, at least 1")
+    whole_number("num_envs", num_envs, MOST_GAMES)
+    for name, value in (("processes", processes), ("tiles", tiles)):
+        if value is not None:
+            whole_number(name, value, MOST_PROCESSES)
     if renderer not in RENDERERS:
         raise UserError(f"renderer = {renderer!r} is unknown; there are {', '.join(RENDERERS)}")
     if timing == "wall" and num_envs > 1:

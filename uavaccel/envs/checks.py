@@ -1,4 +1,4 @@
-"""Checks of what callers of an environment pass: keywords of its task, actions, reset options and seeds."""
+"""Checks of what callers of an environment, or of a batch, pass: keywords, actions, reset options and seeds."""
 
 from __future__ import annotations
 
@@ -7,10 +7,11 @@ from typing import TypeVar
 
 import numpy as np
 from gymnasium import spaces
+from gymnasium.vector import AutoresetMode
 
 from uavaccel.config import validate
 from uavaccel.envs.task import Task
-from uavaccel.envs.values import Action
+from uavaccel.envs.values import Action, Actions
 from uavaccel.errors import UserError
 
 TaskT = TypeVar("TaskT", bound=Task)
@@ -53,20 +54,59 @@ def within(space: spaces.Space[Action], action: Action) -> Action:
     raise UserError(f"action {action!r} is not in the action space: {space}")
 
 
-def known_options(options: Mapping[str, object], known: Sequence[str]) -> Mapping[str, object]:
-    """Return the options of a reset. Raises UserError for one that is not among the `known`."""
+def actions_of(space: spaces.Space[Action], actions: Actions, count: int) -> list[Action]:
+    """Return an action for each of `count` environments, as `within` does. Raises UserError for another number."""
+    try:
+        given = np.asarray(actions)
+    except ValueError:  # rows of different lengths
+        given = np.empty(0)
+    if given.shape != (shape := (count, *(space.shape or ()))):
+        raise UserError(f"actions: must be of shape {shape}, an action for each environment, not {given.shape}")
+    return [within(space, action) for action in given]
+
+
+def whole_number(name: str, value: object, most: int) -> int:
+    """Return a count. Raises UserError, naming it, unless it is a whole number from 1 to `most`."""
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or not 1 <= value <= most:
+        raise UserError(f"{name} = {value!r}: must be a whole number, at least 1 and at most {most}")
+    return int(value)
+
+
+def autoreset_of(mode: AutoresetMode | str) -> AutoresetMode:
+    """Return the mode of that name. Raises UserError for an unknown one."""
+    try:
+        return AutoresetMode(mode)
+    except ValueError:
+        known = ", ".join(each.value for each in AutoresetMode)
+        raise UserError(f"autoreset_mode = {mode!r} is unknown; there are {known}") from None
+
+
+def known_options(options: Mapping[str, object] | None, known: Sequence[str]) -> Mapping[str, object]:
+    """Return the options of a reset. Raises UserError for no mapping, and for one that is not among the `known`."""
+    if options is None:
+        return {}
+    if not isinstance(options, Mapping):
+        raise UserError(f"reset: options = {options!r}: must be a mapping, of {', '.join(known) or 'no keys'}")
     unknown = [str(key) for key in options if key not in known]
     if unknown:
         raise UserError(f"reset: unknown option {unknown[0]!r}; known: {', '.join(known) or 'none'}")
     return options
 
 
-def seeds_of(seed: int | Sequence[int | None] | None, count: int) -> list[int | None]:
-    """Return a seed for each environment: counted up from one seed, or the given ones."""
+def seed_of(seed: object) -> int | None:
+    """Return a seed, or None without one. Raises UserError unless it is a whole number, at least 0."""
     if seed is None:
-        return [None] * count
-    if isinstance(seed, (int, np.integer)):
-        return [int(seed) + index for index in range(count)]
+        return None
+    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
+        raise UserError(f"reset: seed = {seed!r}: must be a whole number, at least 0")
+    return int(seed)
+
+
+def seeds_of(seed: int | Sequence[int | None] | None, count: int) -> list[int | None]:
+    """Return a seed for each environment: counted up from one seed, or the given ones. Raises UserError."""
+    if isinstance(seed, str) or not isinstance(seed, Sequence | np.ndarray):
+        first = seed_of(seed)
+        return [None if first is None else first + index for index in range(count)]
     if len(seed) != count:
-        raise UserError(f"seed: {len(seed)} seeds for {count} environments")
-    return [None if each is None else int(each) for each in seed]
+        raise UserError(f"reset: seed: {len(seed)} seeds for {count} environments")
+    return [seed_of(each) for each in seed]

@@ -13,7 +13,7 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from uavaccel.envs.checks import ROUNDING, make_task, seeds_of
+from uavaccel.envs.checks import ROUNDING, autoreset_of, make_task, seeds_of
 from uavaccel.envs.cuda_lanes import AT, CudaLanes
 from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.flyable import CUDA, check_flyable
@@ -42,7 +42,7 @@ class CudaBatch(VectorEnv[Any, Any, Any]):
     ) -> None:
         self.task: Any = make_task(environment.task_class, keys, environment.__name__)
         check_flyable(self.task, num_envs, CUDA)
-        if AutoresetMode(autoreset_mode) != AutoresetMode.SAME_STEP:
+        if autoreset_of(autoreset_mode) != AutoresetMode.SAME_STEP:
             raise UserError("autoreset_mode: with device = cuda it is SameStep")
         self.num_envs, self.render_mode, self.device = num_envs, None, th.device(DEVICE)
         self.metadata = {**environment.metadata, "autoreset_mode": AutoresetMode.SAME_STEP}

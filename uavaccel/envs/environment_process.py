@@ -11,6 +11,7 @@ from __future__ import annotations
 import importlib
 import json
 import os
+import signal
 import sys
 import threading
 import traceback
@@ -128,6 +129,7 @@ def _remote_camera(renderer: dict[str, int], model: mujoco.MjModel, width: int, 
 def main() -> None:
     options = json.load(sys.stdin)
     os.nice(NICENESS)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's
     parent = descriptor_of_parent(options["parent"])
     if options["reports"] is None:
         fly_together(options, options["processes"][0], parent)

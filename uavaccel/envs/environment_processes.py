@@ -178,7 +178,9 @@ class EnvironmentProcesses:
         self._asked[slot] = True
 
     def answer(self, slot: int) -> Answer:
-        """Wait for the answer to the last request. Raises UserError or BatchError for an error there."""
+        """Wait for the answer to the last request. Raises UserError or BatchError for an error there, or no request."""
+        if self._connections and not self._asked[slot]:
+            raise BatchError(f"environment {slot} was not asked for anything: there is no answer to wait for")
         try:
             while self._connections and not self._polls[slot].poll(LOOK_S * 1e3):
                 self._look()

@@ -21,6 +21,7 @@ from uavaccel.envs.checks import (
     check_render_mode,
     known_options,
     make_task,
+    seed_of,
     within,
 )
 from uavaccel.envs.sensors import EventCamera
@@ -81,10 +82,10 @@ class FlightEnv(gymnasium.Env[Frame, Action], Generic[TaskT]):
     ) -> tuple[Frame, Info]:
         """Begin a game in a settled hover; all frames of the first observation show the start, or are blank.
 
-        Raises UserError for options that the task does not know.
+        Raises UserError for options that the task does not know, and for a lane that cannot be built.
         """
-        super().reset(seed=seed)
-        course = self.task.sample(self.np_random, known_options(options or {}, self.task.reset_options))
+        super().reset(seed=seed_of(seed))
+        course = self.task.sample(self.np_random, known_options(options, self.task.reset_options))
         latencies = np.random.SeedSequence(int(self.np_random.integers(2**63)))
         self._games = self._games + 1 if seed is None else 1
         conditions = self.task.sample_conditions(self.np_random, self._games - 1)
@@ -247,12 +248,17 @@ class FlightEnv(gymnasium.Env[Frame, Action], Generic[TaskT]):
     def _start_game(self, course: Course, latencies: np.random.SeedSequence) -> None:
         from uavaccel.envs.observer import Game
         from uavaccel.vision.image_noise import noise_seed
+        from uavaccel.wire.rpc import RpcError
 
         session = self._opened()
         self._apply_conditions(course)
         task = self.episode_task
         lane, height_m = task.layout(course), -task.altitude_m
-        started = session.start_game(task.clock_speed, latencies, lane=lane, height_m=height_m)
+        try:
+            started = session.start_game(task.clock_speed, latencies, lane=lane, height_m=height_m)
+        except RpcError:
+            task.lane_layout(course)  # raises UserError for what the server refused
+            raise
         client = self._connect(started, started.now_ns())
         self._seed_noise(client, noise_seed(latencies), (start := client.kinematics()).time_ns)
         first = client.gather(start)

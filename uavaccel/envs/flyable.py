@@ -5,9 +5,11 @@ from __future__ import annotations
 from fractions import Fraction
 from typing import Literal, get_args
 
+from uavaccel.envs.checks import whole_number
 from uavaccel.envs.task import Task
 from uavaccel.errors import UserError
 from uavaccel.kernels.fields import COLOUR, DEPTH, DVS, STATE
+from uavaccel.limits import MOST_GAMES
 from uavaccel.sim.profile import Profile
 from uavaccel.units import exact
 from uavaccel.wire.latency import ZERO_LATENCY, LatencyConfig
@@ -26,8 +28,7 @@ CPU, CUDA = get_args(Device)
 
 def check_flyable(task: Task, lanes: int, device: str) -> None:
     """Raise UserError for a task that only the exact simulator flies, or on "cuda" only the CPU."""
-    if lanes < 1:
-        raise UserError(f"num_envs = {lanes}: must be at least 1")
+    whole_number("num_envs", lanes, MOST_GAMES)
     if why := _why_not(task) or _why_no_clock(task):
         raise UserError(f"simulator = kernels: {why}; use simulator = mujoco")
     if device.startswith(CUDA) and (why := _why_not_on_gpu(task)):

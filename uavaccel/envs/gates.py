@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import ClassVar
+from typing import Annotated, ClassVar, Self
 
 import numpy as np
+from pydantic import Field, model_validator
 
 from uavaccel.envs.flight_env import FlightEnv
-from uavaccel.envs.task import AnyMoment, Count, NotNegative, Positive, Task, distance, position_option
+from uavaccel.envs.task import AnyMoment, NotNegative, Positive, Task, distance, position_option
 from uavaccel.envs.values import Course, Number
 from uavaccel.kinematics import Kinematics
+from uavaccel.limits import Height, Speed
+from uavaccel.sim.lane.layout import HULL_RADIUS_M, LENGTH_M, MAX_OBSTACLES, WIDTH_M
 
 POST_M = 0.2  # half the side of a post
+NEAREST_M = round(HULL_RADIUS_M + POST_M, 4)  # where a post would touch the vehicle at the start
 
 
 class GatesTask(Task):
@@ -21,13 +25,13 @@ class GatesTask(Task):
     scene: ClassVar[str] = "lane"
     flat_state: ClassVar[bool] = True
     reset_options: ClassVar[tuple[str, ...]] = ("gates_m",)
-    speed_m_s: Positive = 3.0
+    speed_m_s: Speed = 3.0
     """Speed of a command at full deflection, m/s."""
-    altitude_m: Positive = 2.0
+    altitude_m: Height = 2.0
     """Height of the start and of the gates' centres, metres."""
-    gates: Count = 5
+    gates: Annotated[int, Field(ge=1, le=MAX_OBSTACLES // 2)] = 5
     """Number of gates."""
-    spacing_m: Positive = 6.0
+    spacing_m: Annotated[float, Field(gt=NEAREST_M, le=LENGTH_M)] = 6.0
     """Metres between two gates."""
     spread_m: NotNegative = 2.0
     """Largest distance of a gate east or west of the centre line, metres."""
@@ -35,6 +39,20 @@ class GatesTask(Task):
     """Half the width of a gate, metres."""
     half_height_m: Positive = 1.0
     """Half the height of a gate, metres."""
+
+    @model_validator(mode="after")
+    def _stand_in_the_lane(self) -> Self:
+        if (long_m := self.gates * self.spacing_m) > LENGTH_M:
+            raise ValueError(
+                f"gates = {self.gates} with spacing_m = {self.spacing_m:g} need {long_m:g} m; "
+                f"the lane is {LENGTH_M:g} m long"
+            )
+        if (wide_m := 2 * (self.spread_m + self.half_width_m + POST_M)) > WIDTH_M:
+            raise ValueError(
+                f"spread_m = {self.spread_m:g} with half_width_m = {self.half_width_m:g} need {wide_m:g} m; "
+                f"the lane is {WIDTH_M:g} m wide"
+            )
+        return self
 
     def sample(self, random: np.random.Generator, options: Mapping[str, object]) -> Course:
         north = self.spacing_m * np.arange(1, self.gates + 1)

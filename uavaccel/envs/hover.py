@@ -11,6 +11,7 @@ from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.task import AnyMoment, Count, Moment, Positive, Task, distance, position_option
 from uavaccel.envs.values import Course, Info, Number
 from uavaccel.kinematics import Kinematics
+from uavaccel.limits import Speed
 
 
 class HoverTask(Task):
@@ -20,7 +21,7 @@ class HoverTask(Task):
     reset_options: ClassVar[tuple[str, ...]] = ("waypoint_m",)
     observation: Literal["state"] = "state"
     """What the agent observes: the state as numbers."""
-    speed_m_s: Positive = 2.0
+    speed_m_s: Speed = 2.0
     """Speed of a command at full deflection, m/s."""
     reach_m: Positive = 3.0
     """Half the side, in metres, of the cube around the start from which waypoints are sampled."""

@@ -17,7 +17,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from uavaccel.clock import MonotonicClock
-from uavaccel.envs.checks import make_task, within
+from uavaccel.envs.checks import actions_of, autoreset_of, make_task, whole_number
 from uavaccel.envs.context_planes import NO_ACTION, age_levels
 from uavaccel.envs.flight_env import CONDITIONS, FlightEnv
 from uavaccel.envs.flyable import CPU, check_flyable, kind_of
@@ -43,6 +43,7 @@ from uavaccel.kernels import cpu, events, timeline
 from uavaccel.kernels import lanes as rows
 from uavaccel.kernels.fields import COLUMNS, DVS, NO_LOOKS, ROWS, STATE
 from uavaccel.kernels.flight import TOUCHED
+from uavaccel.limits import MOST_PROCESSES
 from uavaccel.machine import usable_cores
 from uavaccel.sim.state import SavedState, State
 from uavaccel.sim.vehicle.quadrotor import NEVER
@@ -67,8 +68,10 @@ class KernelBatch(TurnBatch):
     ) -> None:
         self.task: Task = make_task(environment.task_class, keys, environment.__name__)
         check_flyable(self.task, num_envs, CPU)
+        if threads is not None:
+            whole_number("threads", threads, MOST_PROCESSES)
         self.num_envs, self.render_mode = num_envs, None
-        self.metadata = {**environment.metadata, "autoreset_mode": AutoresetMode(autoreset_mode)}
+        self.metadata = {**environment.metadata, "autoreset_mode": autoreset_of(autoreset_mode)}
         self._same_step = self.metadata["autoreset_mode"] == AutoresetMode.SAME_STEP
         self._next_step = self.metadata["autoreset_mode"] == AutoresetMode.NEXT_STEP
         self.single_observation_space = self.task.observation_space()
@@ -78,7 +81,7 @@ class KernelBatch(TurnBatch):
         self._maker = GameMaker(self.task)
         self._allocate()
         self._plan = plan_of(self.task, self._maker.surroundings.hull, self._view.kind != STATE)
-        self._threads = min(threads or usable_cores(), num_envs)
+        self._threads = min(usable_cores() if threads is None else threads, num_envs)
         self._pool = ThreadPoolExecutor(self._threads)
         self._flying: dict[int, list[Future[None]]] = {}
         self._clock = MonotonicClock()
@@ -140,8 +143,8 @@ class KernelBatch(TurnBatch):
         if not self._drawn:
             raise UserError("reset the environments before their first step")
         which = np.arange(self.num_envs) if slots is None else np.asarray(slots)
-        for lane, action in zip(which, actions, strict=True):
-            self._set_direction(int(lane), within(self.single_action_space, action))
+        for lane, action in zip(which, actions_of(self.single_action_space, actions, len(which)), strict=True):
+            self._set_direction(int(lane), action)
         self._frames[which] = self._blank
         self._begun_ns = self._clock.now_ns()
         going = which[~self._over[which]]
@@ -149,9 +152,12 @@ class KernelBatch(TurnBatch):
         self._flying[int(which[0])] = [self._pool.submit(self._fly, part) for part in parts]
 
     def step_wait(self, slots: Sequence[int] | None = None) -> Steps:
-        """As `TurnBatch` has it."""
+        """As `TurnBatch` has it. Raises UserError where no command was started."""
         which = np.arange(self.num_envs) if slots is None else np.asarray(slots)
-        for part in self._flying.pop(int(which[0])):
+        flown = self._flying.pop(int(which[0]), None)
+        if flown is None:
+            raise UserError("no command was started in these environments: step_async comes before step_wait")
+        for part in flown:
             part.result()
         self._host_s[which] += (self._clock.now_ns() - self._begun_ns) / NS_PER_S / len(which)
         going = which[~self._over[which]]

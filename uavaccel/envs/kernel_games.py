@@ -52,7 +52,7 @@ class GameMaker:
         self, random: np.random.Generator, games: int, options: Mapping[str, object] | None = None
     ) -> Drawn:
         """Sample the next game of an environment that has had `games` before. Raises UserError for wrong options."""
-        course = self.task.sample(random, known_options(options or {}, self.task.reset_options))
+        course = self.task.sample(random, known_options(options, self.task.reset_options))
         latencies = np.random.SeedSequence(int(random.integers(2**63)))
         conditions = self.task.sample_conditions(random, games)
         task = self.task.with_conditions(conditions)
