@@ -201,6 +201,8 @@ OPTIONS = [
     ("run dp1 --jobs 0", "--jobs"),
     ("run dp1 --jobs -1", "--jobs"),
     ("run dp1 --jobs 1000000000", "--jobs"),
+    ("run dp1 --jobs 1000 --timing virtual", "--jobs"),
+    ("evaluate straight --jobs 1000", "--jobs"),
     ("run dp1 --jobs 2 --timing wall", "--jobs"),
     ("run train --jobs 2", "--jobs"),
     ("run dp1 --jobs two", "--jobs"),
@@ -377,3 +379,15 @@ def test_bad_input_is_one_line_and_nothing_is_written(
     assert key.lower() in complaint.lower()
     assert len(complaint) < 1000
     assert sorted(tmp_path.rglob("*")) == before
+
+
+@pytest.mark.parametrize("number", ["-1", "0"])
+def test_threads_with_which_numba_cannot_be_imported_are_one_line(
+    number: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("NUMBA_NUM_THREADS", number)
+    monkeypatch.setattr(sys, "argv", ["uavaccel", "doctor"])
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    assert ended.value.code == 1
+    assert capsys.readouterr().err.startswith(f"uavaccel: error: NUMBA_NUM_THREADS={number}: must be at least 1;")

@@ -9,7 +9,7 @@ import sys
 
 import pytest
 
-from tests.processes import left_after
+from tests.processes import left_after, state_of
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="elsewhere nothing happens")
 
@@ -47,3 +47,42 @@ def test_one_whose_parent_was_killed_before_it_could_look_ends_at_once() -> None
         command = [sys.executable, "-c", CHILD, str(started_by)]
         done = subprocess.run(command, stdout=subprocess.PIPE, check=False, timeout=60)
         assert (done.returncode, done.stdout) == (-signal.SIGKILL, b"")
+
+
+GUARDED = """
+import signal, subprocess, sys, threading
+from uavaccel.processes import guard
+guard.LOOK_S = 1 / 64
+if sys.argv[1] == "waits":
+    guard.STOPPED_LOOKS = 1 << 30
+stopped = subprocess.Popen([sys.executable, "-c", "import os, signal; os.kill(os.getpid(), signal.SIGSTOP)"])
+guard.guard_children(lambda line: print(line, flush=True))
+guard.guard_children(lambda line: print("twice", flush=True))
+print(stopped.pid, flush=True)
+if sys.argv[1] != "ends":
+    stopped.wait()
+else:
+    while not guard.is_stopped(stopped.pid):
+        pass
+"""
+
+
+@pytest.mark.wall_clock
+@pytest.mark.parametrize("how", ["looks", "waits", "ends"])
+def test_a_stopped_child_is_ended_after_some_looks_at_ctrl_c_and_at_the_end(how: str) -> None:
+    """Only the first is worth a line: otherwise the command ends as well."""
+    command = [sys.executable, "-c", GUARDED, how]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as program:
+        assert program.stdout is not None
+        child = int(program.stdout.readline())
+        if how == "waits":
+            while state_of(child) != "T":
+                pass
+            program.send_signal(signal.SIGINT)
+        said = program.stdout.read()
+    assert not left_after([child], 1.0)
+    assert program.returncode == (-signal.SIGINT if how == "waits" else 0)
+    if how == "looks":
+        assert said.startswith(f"process {child} (")
+        assert said.endswith(") was stopped, and was ended since it did not go on\n")
+    assert said.count("\n") == (how == "looks")

@@ -6,6 +6,7 @@ import contextlib
 import json
 import os
 import socket
+import tempfile
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -20,6 +21,7 @@ from uavaccel.cli import watch as command
 from uavaccel.cli.watch import WatchRequest
 from uavaccel.errors import UsageError, UserError
 from uavaccel.files import to_json, write_arrays
+from uavaccel.processes import child
 from uavaccel.records import RunDirectory
 from uavaccel.watch import beside, scene, server
 from uavaccel.watch.beside import PageAddress, page_beside
@@ -334,7 +336,9 @@ def test_a_page_beside_a_command_is_there_for_as_long_as_it_flies(
     reading, writing = (os.fdopen(end, mode, 0) for end, mode in zip(os.pipe(), ("rb", "wb"), strict=True))
     writing.write(b'{"port": 8123}\n' + (b'{"opened": true}\n' if opened else b""))
     asked: list[Any] = []
-    process = SimpleNamespace(stdout=reading, terminate=lambda: asked.append("ended"))
+    process = SimpleNamespace(
+        pid=os.getpid(), stdout=reading, poll=lambda: None, terminate=lambda: asked.append("ended")
+    )
 
     def start(*command: str, **options: Any) -> Any:
         asked.append(command)
@@ -367,6 +371,39 @@ def test_a_page_beside_a_command_is_there_for_as_long_as_it_flies(
     }
     begins = "the flight begins when it is opened, or in 0.01 s" if waits else "Ctrl-C ends"
     assert capsys.readouterr().out == f"watch at http://127.0.0.9:8123; {begins}\n"
+
+
+@pytest.mark.wall_clock
+@pytest.mark.parametrize(("end", "said"), [
+    ("signal.SIGKILL", ["warning: the page's process was ended by SIGKILL; the flight goes on, unwatched"]),
+    ("signal.SIGINT", []),
+])  # fmt: skip
+def test_a_page_that_dies_is_said_in_one_line(
+    end: str, said: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """And a killed command's folder is gone with the next one; at Ctrl-C the page has every reason to end."""
+    dies = (
+        "import os, signal; signal.signal(signal.SIGINT, signal.SIG_DFL);"
+        f"print('{{\"port\": 1}}', flush=True); os.kill(os.getpid(), {end})"
+    )
+    monkeypatch.setattr(
+        beside, "start_python", lambda *_, **options: child.start_python("-c", dies, **options)
+    )
+    monkeypatch.setattr(beside, "check_viser", lambda: None)
+    monkeypatch.setattr(child, "LOOK_S", 1 / 64)
+    watches: list[child.Watch] = []
+
+    def watched(*arguments: Any) -> child.Watch:
+        watches.append(child.Watch(*arguments))
+        return watches[0]
+
+    monkeypatch.setattr(beside, "Watch", watched)
+    left = Path(tempfile.gettempdir(), f"uavaccel-watch-{2**22 + 1}-left")  # no process has that id
+    left.mkdir()
+    with page_beside(PageAddress(port=18093), waits=False):
+        assert not left.exists()
+        watches[0]._thread.join()
+    assert capsys.readouterr().out.splitlines()[1:] == said
 
 
 def test_a_page_that_does_not_open_is_said(monkeypatch: pytest.MonkeyPatch) -> None:

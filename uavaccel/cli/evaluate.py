@@ -61,7 +61,7 @@ def sweep_agent(request: RunRequest, sweep: Sequence[str], against: Path | None)
 def _check_first(request: RunRequest, other: RunDirectory | None, films: bool) -> None:
     """Raise UserError for a comparison without a common lane, and for films where nothing can draw."""
     suite, config = configure(request)
-    check_jobs(suite, config, request.jobs)
+    check_jobs(suite, config, request.jobs, request.engine)
     if other is not None:
         theirs = {row["lane"] for row in other.rows() if row.get("suite") == suite.name}
         if not theirs & {case.lane for case in suite.cases(config)}:

@@ -20,7 +20,8 @@ from uavaccel.cli.experiment_commands import evaluate, run, train
 from uavaccel.cli.machine_commands import advise, bench, calibrate, doctor
 from uavaccel.cli.result_commands import export, report, view, watch
 from uavaccel.cli.starter import init, schema
-from uavaccel.errors import mistake_of
+from uavaccel.errors import UserError, mistake_of
+from uavaccel.processes.guard import guard_children
 
 COMMANDS: list[Callable[..., None]] = [
     *(run, report, view, watch, calibrate, advise, train, evaluate),
@@ -42,7 +43,9 @@ def main() -> None:
     """Run the command line; a user's mistake is printed as one line, never as a traceback."""
     _open_closed_streams()
     signal.signal(signal.SIGTERM, _as_ctrl_c)
+    guard_children(lambda line: _print(f"warning: {line}"))
     try:
+        _check_threads()
         status = app(sys.argv[1:] or ["--help"], prog_name="uavaccel", standalone_mode=False)
         sys.stdout.flush()
     except (KeyboardInterrupt, typer.Abort):
@@ -77,9 +80,20 @@ def _status_of(error: Exception) -> int:
 
 def _complain(message: str, status: int) -> int:
     line = " ".join(message.split("\n"))
-    with contextlib.suppress(OSError):
-        print(f"uavaccel: error: {line}" if status != 130 else f"uavaccel: {line}", file=sys.stderr)
+    _print(f"error: {line}" if status != 130 else line)
     return status
+
+
+def _print(line: str) -> None:
+    with contextlib.suppress(OSError):
+        print(f"uavaccel: {line}", file=sys.stderr, flush=True)
+
+
+def _check_threads() -> None:
+    """Raise UserError for a number of threads at which numba could not be imported."""
+    with contextlib.suppress(ValueError):  # numba leaves alone what is no number
+        if int(given := os.environ.get("NUMBA_NUM_THREADS", "1")) < 1:
+            raise UserError(f"NUMBA_NUM_THREADS={given}: must be at least 1; leave it unset for one per core")
 
 
 def _open_closed_streams() -> None:

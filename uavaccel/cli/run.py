@@ -122,7 +122,7 @@ def _run_experiment(request: RunRequest) -> RunDirectory | None:
     if request.resume and request.out is None and request.experiment is not None:
         raise UsageError("--resume: say which run to go on with: --out FOLDER")
     suite, config = configure(request)
-    check_jobs(suite, config, request.jobs)
+    check_jobs(suite, config, request.jobs, request.engine)
     cases = list(islice(suite.cases(config), MOST_GAMES + 1))
     if len(cases) > MOST_GAMES:
         raise UserError(f"more than {MOST_GAMES} games in all: fewer games, or fewer values to combine")

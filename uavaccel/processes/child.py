@@ -44,7 +44,9 @@ def single_core_drawing() -> dict[str, str]:
 
 
 def end_within(process: Process, seconds: float) -> None:
-    """Wait for a process that is about to end; kill it after `seconds`, which a stopped one cannot escape."""
+    """Wait for a process that is about to end; kill it after `seconds`, and at once where it is stopped."""
+    if is_stopped(process.pid):
+        process.kill()
     try:
         process.wait(seconds)
     except subprocess.TimeoutExpired:

@@ -18,10 +18,12 @@ from contextlib import suppress
 from typing import NoReturn
 
 from uavaccel.processes.child import Process
+from uavaccel.processes.stalls import is_stopped
 
 CAN_FORK = sys.platform == "linux" and hasattr(os, "pidfd_open")
 # A process with threads cannot be forked safely, and those of OpenBLAS begin when NumPy is imported.
 WITHOUT_THREADS = {"OPENBLAS_NUM_THREADS": "1"}
+REPORT_S = 3.0  # by when a fork's end has been reported
 
 
 class Forks:
@@ -54,15 +56,26 @@ class Forks:
 
     def close(self) -> None:
         """Wait for the end of the template, which ends with the last fork."""
-        while self.read_reports(None):
-            pass
+        while self._reports >= 0:
+            self.expect_report()
+
+    def expect_report(self) -> None:
+        """Wait for a report that is due; end a template that does not send it, such as one that was stopped."""
+        if is_stopped(self.template.pid) or not self.read_reports(REPORT_S):
+            self.template.kill()
+            self.read_reports(None)
+
+    def status(self, number: int) -> int | None:
+        """Return how a fork ended, as far as it has been reported; None while it runs."""
+        if self._reports < 0 and self.statuses[number] is None and _ends_within(self.pids[number], 0.0):
+            self.statuses[number] = self.template.wait()
+        return self.statuses[number]
 
     def _end(self) -> None:
         """The template has ended: before its time if a fork's status is missing, which is then that of the template."""
         os.close(self._reports)
         self._reports = -1
-        status = self.template.wait()
-        self.statuses = [status if each is None else each for each in self.statuses]
+        self.template.wait()
 
 
 class Fork:
@@ -82,14 +95,16 @@ class Fork:
         """Return the status with which it ended, negative for a signal; None while it runs."""
         while self._forks.read_reports():
             pass
-        return self._forks.statuses[self._number]
+        return self._forks.status(self._number)
 
     def wait(self, timeout: float | None = None) -> int:
         """Wait for its end and return the status. Raises subprocess.TimeoutExpired after `timeout` seconds."""
-        if self.poll() is None and timeout is not None and not _ends_within(self.pid, timeout):
-            raise subprocess.TimeoutExpired("fork", timeout)
+        pid = self.pid
+        known = timeout is not None or pid != self._forks.template.pid
+        if self.poll() is None and known and not _ends_within(pid, timeout):
+            raise subprocess.TimeoutExpired("fork", timeout or 0.0)
         while (status := self.poll()) is None:
-            self._forks.read_reports(None)
+            self._forks.expect_report()
         return status
 
     def kill(self) -> None:
@@ -104,7 +119,7 @@ class Fork:
                 os.kill(self.pid, number)
 
 
-def _ends_within(pid: int, seconds: float) -> bool:
+def _ends_within(pid: int, seconds: float | None) -> bool:
     try:
         descriptor = os.pidfd_open(pid)
     except ProcessLookupError:

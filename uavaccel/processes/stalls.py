@@ -33,14 +33,27 @@ def _stat(pid: int) -> list[str] | None:
         return None
 
 
-def _with_children(pid: int) -> list[int]:
-    found = [pid]
+def command_of(pid: int) -> str:
+    """Return the command line of a process; empty where there is none."""
+    try:
+        return Path(f"/proc/{pid}/cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace").strip()
+    except OSError:
+        return ""
+
+
+def with_children(pid: int, levels: int | None = None) -> list[int]:
+    """Return a process and those that it has started, and they in turn, so many `levels` below it, by default all."""
+    found, below = [pid], {pid: 0}
     for each in found:
+        if below[each] == levels:
+            break
         try:
             lists = [(task / "children").read_text() for task in Path(f"/proc/{each}/task").iterdir()]
         except OSError:  # it has ended
             continue
-        found += [int(child) for children in lists for child in children.split()]
+        started = [int(child) for children in lists for child in children.split()]
+        below |= dict.fromkeys(started, below[each] + 1)
+        found += started
     return found
 
 
@@ -71,6 +84,6 @@ class StallDetector:
 
     def _worked(self, pid: int) -> bool:
         """Return whether a process has worked since the last look, or may have."""
-        now, before = [cpu_time_s(each) for each in _with_children(pid)], self._cpu_s.get(pid)
+        now, before = [cpu_time_s(each) for each in with_children(pid)], self._cpu_s.get(pid)
         self._cpu_s[pid] = now
         return now != before or now[0] is None

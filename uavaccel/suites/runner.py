@@ -14,6 +14,7 @@ from pathlib import Path
 from uavaccel.errors import UsageError, UserError
 from uavaccel.files import is_file_name, to_json
 from uavaccel.limits import MOST_PROCESSES
+from uavaccel.machine import usable_cores
 from uavaccel.processes.cleanup import remove_orphaned_files
 from uavaccel.processes.lifetime import work_for_parent
 from uavaccel.records import RunDirectory
@@ -26,15 +27,17 @@ from uavaccel.suites.rows import disturbances
 from uavaccel.suites.suite import AnySuite, Case, GameResult, OnGame, Opened
 from uavaccel.wire.server_watch import ServerGoneError
 
+MOST_JOBS_PER_CORE = 8  # where more would take memory, and wait for each other
 MOST_RESTARTS = 3  # of the server in a game
 
 
-def check_jobs(suite: AnySuite, config: Experiment, jobs: int) -> None:
+def check_jobs(suite: AnySuite, config: Experiment, jobs: int, engine: str = LOKY) -> None:
     """Raise UsageError for a number of processes that is out of range or that the suite or its timing excludes."""
     if jobs < 1:
         raise UsageError(f"--jobs {jobs}: must be 1 or more")
-    if jobs > MOST_PROCESSES:
-        raise UsageError(f"--jobs {jobs}: must be at most {MOST_PROCESSES}")
+    most = MOST_JOBS_PER_CORE * usable_cores() if engine == LOKY else MOST_PROCESSES
+    if jobs > most:
+        raise UsageError(f"--jobs {jobs}: must be at most {most} on this machine's {usable_cores()} cores")
     if jobs > 1 and timing_of(config) == "wall":
         raise UsageError("--jobs must be 1 with timing wall: neighbours would spoil the measurement")
     if jobs > 1 and (why := suite.why_serial(config)):
@@ -92,7 +95,7 @@ def run_suite(
     how often. `engine` is one of engines.ENGINES. `on_game` is called after each game. Raises UserError, and UsageError
     as `check_jobs` does.
     """
-    check_jobs(suite, config, jobs)
+    check_jobs(suite, config, jobs, engine)
     remove_orphaned_files()
     work, restarts = _Work(suite, config, run, jobs, engine), Counter[str]()
     while True:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shlex
+import signal
 import subprocess
 import sys
 import tempfile
@@ -16,12 +18,14 @@ from select import select
 from typing import IO
 
 from uavaccel.errors import UsageError, UserError
-from uavaccel.processes.child import end_within, start_python
+from uavaccel.processes.child import Watch, end_within, start_python
+from uavaccel.processes.cleanup import remove_orphaned_files
 from uavaccel.watch.server import check_viser, free_port
 from uavaccel.wire.page_protocol import PAGE
 
 LOOPBACK = "127.0.0.1"
 PORT = 8080
+SCRATCH = "uavaccel-watch-"  # and the id of the process whose folder it is
 FIRST_LOOK_S = 30.0  # for so long a flight waits for its first spectator
 START_S, END_S = 60.0, 3.0
 
@@ -56,7 +60,8 @@ def page_beside(address: PageAddress | None, waits: bool = True) -> Iterator[Non
         return
     check_viser()
     free_port(address.host, address.port)
-    with tempfile.TemporaryDirectory(prefix="uavaccel-watch-", ignore_cleanup_errors=True) as folder:
+    remove_orphaned_files(Path(tempfile.gettempdir()), re.compile(rf"{SCRATCH}(\d+)-"))
+    with tempfile.TemporaryDirectory(prefix=f"{SCRATCH}{os.getpid()}-", ignore_cleanup_errors=True) as folder:
         socket = Path(folder, "page")
         options = {
             "host": address.host,
@@ -68,6 +73,7 @@ def page_beside(address: PageAddress | None, waits: bool = True) -> Iterator[Non
         command = ("-m", "uavaccel.watch.live", json.dumps(options))
         with start_python(*command, stdout=subprocess.PIPE, own_session=False) as process:
             assert process.stdout is not None
+            watch = Watch(process, "the page's process", lambda: _say_lost(process, watch))
             try:
                 _greet(address.host, _port_of(process.stdout), waits)
                 if waits and _within(process.stdout, FIRST_LOOK_S):
@@ -75,9 +81,16 @@ def page_beside(address: PageAddress | None, waits: bool = True) -> Iterator[Non
                 os.environ[PAGE] = str(socket)
                 yield
             finally:
+                watch.end()
                 os.environ.pop(PAGE, None)
                 process.terminate()
                 end_within(process, END_S)
+
+
+def _say_lost(process: subprocess.Popen[bytes], watch: Watch) -> None:
+    """Say that the page has gone; at Ctrl-C it has every reason to."""
+    if process.poll() != -signal.SIGINT:
+        print(f"warning: {watch.lost}; the flight goes on, unwatched", flush=True)
 
 
 def _within(stream: IO[bytes], seconds: float) -> bool:

@@ -12,6 +12,7 @@ import copy
 import json
 import os
 import select
+import signal
 import sys
 from collections import deque
 from collections.abc import Iterator
@@ -135,6 +136,7 @@ def _hand_over(tiles: Tiles, batch: Batch) -> None:
 def main() -> None:
     """Render with the options in the first argument, JSON."""
     options = json.loads(sys.argv[1])
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's
     cv2.setNumThreads(0)
     model = load_scene(options["scene"], scenery=options["scenery"])
     try:

@@ -11,7 +11,7 @@ from uavaccel.clock import MonotonicClock
 from uavaccel.errors import UserError
 from uavaccel.processes.child import Process, start_python
 from uavaccel.processes.forks import Fork
-from uavaccel.processes.stalls import FIRST_LOOKS, LOOK_S, StallDetector
+from uavaccel.processes.stalls import FIRST_LOOKS, LOOK_S, StallDetector, is_stopped
 from uavaccel.sim.camera.gl import GlRenderer
 from uavaccel.sim.lane.layout import PLAIN
 from uavaccel.sim.rendering.camera import RendererGoneError
@@ -95,10 +95,12 @@ class RenderService:
 
 
 def stop(*processes: Process | Fork) -> None:
-    """Wait for processes that are about to end, and kill those that have not after STOP_S in total."""
+    """Wait for processes that are about to end; kill those that are stopped, and those left after STOP_S in total."""
     clock = MonotonicClock()
     end_ns = clock.now_ns() + round(STOP_S * NS_PER_S)
     for process in processes:
+        if is_stopped(process.pid):
+            process.kill()
         try:
             process.wait(max(end_ns - clock.now_ns(), 0) / NS_PER_S)
         except subprocess.TimeoutExpired:
