@@ -21,9 +21,9 @@ _GUARDING: set[int] = set()
 
 
 def guard_children(say: Callable[[str], object]) -> None:
-    """From now on end children of this process that stay stopped, and `say` a line about each; on Linux only.
+    """From now on end processes below this one that stay stopped, and `say` a line about each; on Linux only.
 
-    At Ctrl-C, and at the end of this process, whatever is stopped below it is ended at once. Call it in the main
+    At Ctrl-C, and at the end of this process, those that are stopped are ended at once. Call it in the main
     thread; a second call does nothing.
     """
     if os.getpid() in _GUARDING:
@@ -37,9 +37,12 @@ def guard_children(say: Callable[[str], object]) -> None:
 
 def end_stopped() -> None:
     """End every process below this one that is stopped."""
-    for pid in with_children(os.getpid())[1:]:
-        if is_stopped(pid):
-            _kill(pid)
+    for pid in _stopped():
+        _kill(pid)
+
+
+def _stopped() -> list[int]:
+    return [pid for pid in with_children(os.getpid())[1:] if is_stopped(pid)]
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
@@ -50,9 +53,8 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
 def _look(say: Callable[[str], object]) -> None:
     looks: dict[int, int] = {}
     while not threading.Event().wait(LOOK_S):
-        stopped = [pid for pid in with_children(os.getpid(), 1)[1:] if is_stopped(pid)]
-        looks = {pid: looks.get(pid, 0) + 1 for pid in stopped}
-        for pid in (each for each in stopped if looks[each] == STOPPED_LOOKS):
+        looks = {pid: looks.get(pid, 0) + 1 for pid in _stopped()}
+        for pid in (each for each, count in looks.items() if count == STOPPED_LOOKS):
             command = shorten(command_of(pid), 100, placeholder=" ...")
             _kill(pid)
             say(f"process {pid} ({command}) was stopped, and was ended since it did not go on")

@@ -41,19 +41,15 @@ def command_of(pid: int) -> str:
         return ""
 
 
-def with_children(pid: int, levels: int | None = None) -> list[int]:
-    """Return a process and those that it has started, and they in turn, so many `levels` below it, by default all."""
-    found, below = [pid], {pid: 0}
+def with_children(pid: int) -> list[int]:
+    """Return a process and all below it: those that it has started, those that they have, and so on."""
+    found = [pid]
     for each in found:
-        if below[each] == levels:
-            break
         try:
             lists = [(task / "children").read_text() for task in Path(f"/proc/{each}/task").iterdir()]
         except OSError:  # it has ended
             continue
-        started = [int(child) for children in lists for child in children.split()]
-        below |= dict.fromkeys(started, below[each] + 1)
-        found += started
+        found += [int(child) for children in lists for child in children.split()]
     return found
 
 

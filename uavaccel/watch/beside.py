@@ -18,7 +18,7 @@ from select import select
 from typing import IO
 
 from uavaccel.errors import UsageError, UserError
-from uavaccel.processes.child import Watch, end_within, start_python
+from uavaccel.processes.child import Process, Watch, end_within, start_python
 from uavaccel.processes.cleanup import remove_orphaned_files
 from uavaccel.watch.server import check_viser, free_port
 from uavaccel.wire.page_protocol import PAGE
@@ -73,24 +73,33 @@ def page_beside(address: PageAddress | None, waits: bool = True) -> Iterator[Non
         command = ("-m", "uavaccel.watch.live", json.dumps(options))
         with start_python(*command, stdout=subprocess.PIPE, own_session=False) as process:
             assert process.stdout is not None
-            watch = Watch(process, "the page's process", lambda: _say_lost(process, watch))
             try:
-                _greet(address.host, _port_of(process.stdout), waits)
-                if waits and _within(process.stdout, FIRST_LOOK_S):
-                    process.stdout.readline()
-                os.environ[PAGE] = str(socket)
-                yield
+                port = _port_of(process.stdout)
+                with _missed(process):
+                    _greet(address.host, port, waits)
+                    if waits and _within(process.stdout, FIRST_LOOK_S):
+                        process.stdout.readline()
+                    os.environ[PAGE] = str(socket)
+                    yield
             finally:
-                watch.end()
                 os.environ.pop(PAGE, None)
                 process.terminate()
                 end_within(process, END_S)
 
 
-def _say_lost(process: subprocess.Popen[bytes], watch: Watch) -> None:
-    """Say that the page has gone; at Ctrl-C it has every reason to."""
-    if process.poll() != -signal.SIGINT:
-        print(f"warning: {watch.lost}; the flight goes on, unwatched", flush=True)
+@contextmanager
+def _missed(process: Process) -> Iterator[None]:
+    """Say so where the page's process goes before the flight does, except at Ctrl-C, which both receive."""
+
+    def tell() -> None:
+        if process.poll() != -signal.SIGINT:
+            print(f"warning: {watch.lost}; the flight goes on, unwatched", flush=True)
+
+    watch = Watch(process, "the page's process", tell)
+    try:
+        yield
+    finally:
+        watch.end()
 
 
 def _within(stream: IO[bytes], seconds: float) -> bool:
