@@ -16,7 +16,7 @@ from types import FrameType
 
 from uavaccel.processes.stalls import LOOK_S, command_of, is_stopped, with_children
 
-STOPPED_LOOKS = 7  # more than those have patience for who wait for an answer, and can say more about it
+STOPPED_LOOKS = 8  # more than those have patience for who wait for an answer, and can say more about it
 _GUARDING: set[int] = set()
 
 

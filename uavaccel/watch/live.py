@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import shutil
 import signal
 import sys
 from pathlib import Path
@@ -22,7 +23,8 @@ NICENESS = 5  # the flight goes first
 def main() -> None:
     options = json.loads(sys.argv[1])
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # it ends at Ctrl-C, which releases a flight that it holds
-    end_with_parent(options["parent"])
+    folder = Path(options["socket"]).parent  # the parent's, and for this alone
+    end_with_parent(options["parent"], lambda: shutil.rmtree(folder, ignore_errors=True))
     os.nice(NICENESS)
     from uavaccel.watch.feed import Feed
     from uavaccel.watch.live_page import LivePage

@@ -41,6 +41,7 @@ class WatchedServer:
         try:
             self.port: int = json.loads(self._first_line())["port"]
         except BaseException:
+            self._process.kill()  # it does not heed the end of its standard input before it listens
             self.end()
             raise
 
