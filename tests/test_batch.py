@@ -249,7 +249,7 @@ def test_the_first_answer_is_not_waited_for_while_a_lane_stands_still(
 
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere each process loads for itself")
 def test_processes_are_forks_of_one_that_loads_for_all() -> None:
-    """Killed while it loads, it is missed like any of them; once they fly, they need it no more."""
+    """Killed while it loads, it is missed like any of them; once they fly, they need it no more, nor heed Ctrl-C."""
     with closing(EnvironmentBatch(ObstacleLane, 2, 2, observation="state")) as batch:
         (loading,) = set(batch.process_ids)
         os.kill(loading, signal.SIGKILL)
@@ -259,6 +259,9 @@ def test_processes_are_forks_of_one_that_loads_for_all() -> None:
         batch.reset(seed=0)
         pids = batch.process_ids
         (loaded,) = {each for each in descendants(os.getpid()) if descendants(each) >= set(pids)}
+        for pid in (loaded, *pids):
+            os.kill(pid, signal.SIGINT)
+        batch.step([2, 2])
         os.kill(loaded, signal.SIGKILL)
         batch.step([2, 2])
     assert not left_after([loaded, *pids], 1.0)
