@@ -244,6 +244,8 @@ def under_fly(plan: Plan, folder: Path, scratch: Path, timing: str, profile: str
     summary = json.loads(summary_file.read_text())
     if summary["status"] != 0:
         return Result(False, last_line(done[1]))
+    if summary["position_m"] is None:
+        return Result(False, "did not connect")
     path_m = path_length_m(np.load(out / TRAJECTORY)["position_m"])
     images = images_in(out / MESSAGES)
     end = "" if summary["finished"] else f"stopped after {plan.until_s:g} s"

@@ -70,7 +70,13 @@ def fly(
             f"by default {THINK_S['virtual']:g} in virtual, {THINK_S['lockstep']:g} in lockstep.",
         ),
     ] = None,
-    seed: Annotated[int | None, typer.Option(help="Seed of Python's and NumPy's global generators.")] = None,
+    seed: Annotated[
+        int | None, typer.Option(help="Seed of Python's, NumPy's, PyTorch's and Gymnasium's generators.")
+    ] = None,
+    keys: Annotated[
+        str | None,
+        typer.Option(help="Keys that are pressed one after the other: w,w,space,q; by default none."),
+    ] = None,
     settings: Annotated[
         Path | None,
         typer.Option(
@@ -92,6 +98,7 @@ def fly(
     Options come before the script, the script's own arguments after it.
     """
     from uavaccel.cli.fly import FlyRequest, fly_script, parse_clocks
+    from uavaccel.fly.keyboard import parse_keys
     from uavaccel.fly.options import FlightOptions
     from uavaccel.watch.beside import parse_address
 
@@ -106,6 +113,7 @@ def fly(
         think_s=think,
         seed=seed,
         until_s=until,
+        keys=parse_keys(keys),
         film=film,
     )
     page = parse_address(watch, watch_at)

@@ -103,6 +103,7 @@ def _open_closed_streams() -> None:
             descriptor = os.open(os.devnull, os.O_RDWR)
             if descriptor != number:
                 os.dup2(descriptor, number)
+            os.set_inheritable(number, True)  # to this program's processes
             setattr(sys, name, os.fdopen(number, "r" if number == 0 else "w"))
 
 

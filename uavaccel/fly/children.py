@@ -1,23 +1,27 @@
 """Processes that a script starts: in `wall` they share the flight's server; they cannot share a simulated clock.
 
-Programs find AirSim's client through a folder of modules on PYTHONPATH; forked processes have it already.
+Programs find what a script finds by a `sitecustomize` in a folder on PYTHONPATH; forked processes have it already.
 """
 
 from __future__ import annotations
 
+import atexit
+import contextlib
 import os
 import signal
 import sys
+import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from types import TracebackType
+from types import FrameType, TracebackType
 from typing import TYPE_CHECKING
 
+from uavaccel.clock import counted_time_module
 from uavaccel.errors import UserError
-from uavaccel.fly.modules import ModuleFinder, client_modules
-from uavaccel.fly.patches import Patches
-from uavaccel.fly.script import hide_frames_everywhere
+from uavaccel.fly.keyboard import Keyboard
+from uavaccel.fly.keys import LIBRARIES as KEYS
+from uavaccel.fly.modules import client_modules
 from uavaccel.processes.lifetime import end_with_parent
 
 if TYPE_CHECKING:
@@ -28,55 +32,78 @@ REFUSAL = (
     "a process that the script has started calls the simulation; it cannot share a simulated clock: "
     "fly the script with --timing wall"
 )
+FLIGHT = "UAVACCEL_FLY_PROCESS"  # the process of a flight on a simulated clock, which is told of refusals
+PATIENT_LOOKS, LOOK_S = 4, 1.0  # a script that has not moved for so long after a refusal waits for what was refused
 _FOLDER = "client"
-_MODULE = """import importlib.util, sys
-if importlib.util.find_spec("uavaccel") is None:
-    sys.path.append({root!r})
-from uavaccel.fly.children import enter
-enter(__name__)
+_MODULE = """import sys
+from importlib.machinery import PathFinder
+from importlib.util import find_spec, module_from_spec
+
+__name__ = "uavaccel.fly.sitecustomize"  # which is no script's
+
+class Finder:
+    @classmethod
+    def find_spec(cls, name, path=None, target=None):
+        if name not in {names!r} or cls not in sys.meta_path:
+            return None
+        sys.meta_path.remove(cls)
+        if find_spec("uavaccel") is None:
+            sys.path.append({root!r})
+        try:
+            from uavaccel.fly.children import enter
+        except Exception:  # another Python, or one without the packages
+            return None
+        enter()
+        found = (finder.find_spec(name, path, target) for finder in list(sys.meta_path))
+        return next(filter(None, found), None)
+
+sys.meta_path.insert(0, Finder)
+own = PathFinder.find_spec("sitecustomize", [place for place in sys.path if place != {folder!r}])
+if own is not None:
+    own.loader.exec_module(module_from_spec(own))
 """
 
 _in_child: list[Callable[[], None]] = []
+_supplied = ExitStack()  # of a program, until its end
 
 
 @contextmanager
 def client_for_children(scratch: Path | None, port: int | None) -> Iterator[None]:
-    """Let Python programs that the `with` block starts find our client, which connects to the server on `port`.
+    """Let Python programs that the `with` block starts find what a script finds; our client uses the server on `port`.
 
-    Without a port the client refuses to connect. `scratch` is a folder for the modules; without it nothing is changed.
+    Without a port the client refuses to connect. `scratch` is a folder for the module that Python imports when it
+    starts; without it nothing is changed.
     """
     if scratch is None:
         yield
         return
     folder = scratch / _FOLDER
     folder.mkdir(exist_ok=True)
-    for name in {name.partition(".")[0] for name in client_modules()}:
-        text = _MODULE.format(root=str(Path(__file__).parents[2]))
-        (folder / f"{name}.py").write_text(text, encoding="utf-8")
+    names = {name.partition(".")[0] for name in client_modules()} | {*KEYS, "cv2", "gym", "matplotlib"}
+    text = _MODULE.format(root=str(Path(__file__).parents[2]), folder=str(folder), names=names)
+    (folder / "sitecustomize.py").write_text(text, encoding="utf-8")
     before = {name: os.environ.get(name) for name in ("PYTHONPATH", PORT)}
     path = before["PYTHONPATH"]
     os.environ["PYTHONPATH"] = os.pathsep.join([str(folder), *([path] if path else [])])
     os.environ[PORT] = "" if port is None else str(port)
-    sys.path.insert(1, str(folder))  # multiprocessing passes it on to processes that it spawns
     try:
         yield
     finally:
-        sys.path.remove(str(folder))
         for name, value in before.items():
             os.environ.pop(name)
             if value is not None:
                 os.environ[name] = value
 
 
-def enter(name: str) -> None:
-    """In such a program, replace all of AirSim's modules by ours; `name` is the one that is being imported."""
-    sys.excepthook = _show
-    hide_frames_everywhere(Patches())
-    sys.meta_path.insert(0, ModuleFinder(client_modules()))
-    from uavaccel.airsim import connection
+def enter() -> None:
+    """In such a program, which imports what a script may lack, supply it."""
+    from uavaccel.fly.shims import answering, supplied
 
-    connection._connect = _connect
-    sys.modules[name] = client_modules()[name]()
+    sys.excepthook = _show
+    clock = counted_time_module(lambda seconds: None)
+    keyboard = Keyboard(clock.sleep, clock.monotonic)
+    _supplied.enter_context(supplied(_connect, keyboard, answering(), {}))
+    atexit.register(_supplied.close)
 
 
 def _connect(host: str, port: int, timeout_s: float) -> SocketConnection:
@@ -84,8 +111,56 @@ def _connect(host: str, port: int, timeout_s: float) -> SocketConnection:
     from uavaccel.wire.rpc import LOOPBACK
 
     if not (served := os.environ.get(PORT)):
-        raise UserError(REFUSAL)
+        raise refusal()
     return SocketConnection(LOOPBACK, int(served), timeout_s)
+
+
+# --- refusals --------------------------------------------------------------------------------------------------
+
+
+def refusal() -> UserError:
+    """Return the error for a process that cannot share the clock, and tell the flight's process."""
+    with contextlib.suppress(KeyError, ValueError, OSError):
+        os.kill(int(os.environ[FLIGHT]), signal.SIGUSR2)
+    return UserError(REFUSAL)
+
+
+@contextmanager
+def ended_by_refusals(progress: Callable[[], int]) -> Iterator[None]:
+    """End the `with` block by a UserError if a process was refused and the script waits for it.
+
+    It waits if for some seconds it has stood at one place of Python's own modules, and has made no `progress`.
+    """
+    places: list[object] = []
+
+    def look(number: int, frame: FrameType | None) -> None:
+        waits = frame is not None and frame.f_globals.get("__name__", "").partition(".")[0] in sys.stdlib_module_names
+        place = frame and (id(frame), frame.f_lasti, progress())
+        places[:] = [*(places if place in places else []), place] if waits else []
+        if len(places) > PATIENT_LOOKS:
+            places.clear()
+            if (processes := sys.modules.get("multiprocessing")) is not None:
+                for child in processes.active_children():
+                    child.terminate()
+            raise UserError(f"{REFUSAL}; the script waits for it")
+
+    def begin(number: int, frame: FrameType | None) -> None:
+        if signal.getitimer(signal.ITIMER_REAL) == (0.0, 0.0):
+            signal.setitimer(signal.ITIMER_REAL, LOOK_S, LOOK_S)
+
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    os.environ[FLIGHT] = str(os.getpid())
+    handlers = {signal.SIGUSR2: begin, signal.SIGALRM: look}
+    before = {number: signal.signal(number, handler) for number, handler in handlers.items()}
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        del os.environ[FLIGHT]
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def _show(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:

@@ -56,7 +56,7 @@ def _msgpackrpc() -> ModuleType:
     error = named_module(
         "msgpackrpc.error", RPCError=RpcError, TransportError=ConnectionError, TimeoutError=TimeoutError
     )
-    return named_module("msgpackrpc", error=error, __path__=[])
+    return named_module("msgpackrpc", error=error)
 
 
 def named_module(name: str, **attributes: object) -> ModuleType:
@@ -76,13 +76,13 @@ class ModuleFinder(Loader, MetaPathFinder):
     def find_spec(
         self, name: str, path: Sequence[str] | None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        if name not in self._modules:
-            return None
-        return ModuleSpec(name, self, is_package=name in (*CLIENTS, "gym"))
+        return ModuleSpec(name, self) if name in self._modules else None
 
     def exec_module(self, module: ModuleType) -> None:
-        begun_ns = self._clock.now_ns()
-        sys.modules[module.__name__] = self._modules[module.__name__]()
+        begun_ns, name = self._clock.now_ns(), module.__name__
+        sys.modules[name] = made = self._modules[name]()
+        if any(other.startswith(f"{name}.") for other in self._modules):
+            vars(made).setdefault("__path__", [])  # a package, whose modules can be imported
         self.spent_s += (self._clock.now_ns() - begun_ns) / NS_PER_S
 
 
@@ -105,7 +105,8 @@ def importing(everywhere: Modules, in_scripts: Mapping[str, ModuleType]) -> Iter
             return in_scripts[name]
         return original(name, globals, locals, fromlist, level)
 
-    builtins.__import__ = import_for
+    if in_scripts:
+        builtins.__import__ = import_for
     try:
         yield finder
     finally:

@@ -14,7 +14,7 @@ from types import ModuleType
 from typing import Any, TypeAlias
 
 import gymnasium
-from gymnasium import spaces
+from gymnasium import error, logger, spaces
 from gymnasium.utils import seeding
 
 from uavaccel.fly.modules import named_module, of_a_script
@@ -190,25 +190,14 @@ def make(id: str, **arguments: object) -> Adapted:
 
 def modules() -> dict[str, ModuleType]:
     """Return the modules of gym, and shimmy, through which stable-baselines3 accepts old environments."""
+    wrappers = {kind.__name__: kind for kind in (Wrapper, ObservationWrapper, ActionWrapper, RewardWrapper)}
     registration = named_module("gym.envs.registration", register=register, make=make)
     envs = named_module("gym.envs", registration=registration)
-    core = named_module("gym.core", Env=Env, Wrapper=Wrapper, ObservationWrapper=ObservationWrapper)
+    core = named_module("gym.core", Env=Env, **wrappers)
     utils = named_module("gym.utils", seeding=seeding)
-    wrappers = (Wrapper, ObservationWrapper, ActionWrapper, RewardWrapper)
-    gym = named_module(
-        "gym",
-        Env=Env,
-        spaces=spaces,
-        envs=envs,
-        core=core,
-        utils=utils,
-        make=make,
-        register=register,
-    )
-    vars(gym).update({wrapper.__name__: wrapper for wrapper in wrappers}, __path__=[], __version__="0.21.0")
+    parts = {"spaces": spaces, "envs": envs, "core": core, "utils": utils, "error": error, "logger": logger}
+    gym = named_module("gym", Env=Env, make=make, register=register, __version__="0.21.0", **wrappers, **parts)
     shimmy = named_module("shimmy", GymV21CompatibilityV0=lambda env: Adapted(env))
-    found = (gym, envs, registration, core, utils, shimmy)
-    return {module.__name__: module for module in found} | {
-        "gym.spaces": spaces,
-        "gym.utils.seeding": seeding,
-    }
+    found = {f"gym.{name}": module for name, module in parts.items()}
+    found |= {"gym": gym, "gym.envs.registration": registration, "gym.utils.seeding": seeding}
+    return found | {"shimmy": shimmy}

@@ -17,6 +17,7 @@ loop would otherwise do so as fast as messages travel, which no script does.
 SUMMARY = "flight.json"
 DIFFERENCE = "difference.txt"  # says how a flight differs from its reference; missing if it does not
 INTERRUPT_SEEN = "interrupted"  # a file in the temporary folder: the script has received an interruption
+ANSWERS = "answers.txt"  # a file in the temporary folder: what the first flight's script has read by `input`
 SCRATCH = "uavaccel-fly-"  # prefix of a temporary folder, before the number of its process
 NAME = "settings.json"
 AIRSIM = Path("Documents", "AirSim", NAME)  # in the user's home
@@ -46,8 +47,9 @@ class FlightOptions:
     """One flight of one script.
 
     `think_s` is the wall time that the script takes before each call, by default the timing's. `until_s` ends the
-    flight when its wall time times ClockSpeed reaches it. `reference` is the folder of a finished flight whose messages
-    this one's must equal. `scratch` is a temporary folder. `settings_found`: the settings were found, not named.
+    flight when its wall time times ClockSpeed reaches it. `keys` are pressed one after the other. `reference` is the
+    folder of a finished flight whose messages this one's must equal. `scratch` is a temporary folder.
+    `settings_found`: the settings were found, not named.
     """
 
     script: Path
@@ -61,6 +63,7 @@ class FlightOptions:
     think_s: float | None = None
     seed: int | None = None
     until_s: float | None = None
+    keys: tuple[str, ...] = ()
     film: bool = False
     reference: Path | None = None
     scratch: Path | None = None
@@ -83,7 +86,7 @@ class FlightOptions:
         for field in fields(cls):
             if "Path" in str(field.type) and values[field.name] is not None:
                 values[field.name] = Path(values[field.name])
-        return cls(**values | {"arguments": tuple(values["arguments"])})
+        return cls(**values | {name: tuple(values[name]) for name in ("arguments", "keys")})
 
 
 def found_settings(script: Path) -> Path | None:

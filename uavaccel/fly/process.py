@@ -13,15 +13,16 @@ import random
 import shutil
 import signal
 import sys
+from collections.abc import Callable
 from pathlib import Path
-from types import FrameType
+from types import FrameType, ModuleType
 from typing import TYPE_CHECKING
 
 from uavaccel.errors import UserError, mistake_of
 from uavaccel.fly.messages import DifferenceError, MessageLog
 from uavaccel.fly.options import DIFFERENCE, INTERRUPT_SEEN, SUMMARY, FlightOptions
 from uavaccel.fly.patches import Patches
-from uavaccel.fly.script import INTERRUPTED, compiled, flush_output, unraisable
+from uavaccel.fly.script import INTERRUPTED, checked_output, compiled, flush_output, unraisable
 from uavaccel.processes.lifetime import end_with_parent
 
 if TYPE_CHECKING:
@@ -37,7 +38,8 @@ def main() -> None:
         signal.signal(kind, lambda number, frame: _interrupt(options, frame))
     sys.unraisablehook = unraisable
     try:
-        status = _fly_or_differ(options)
+        with checked_output():
+            status = _fly_or_differ(options)
     except Exception as error:
         if (mistake := mistake_of(error)) is None:
             raise
@@ -85,9 +87,8 @@ def fly(options: FlightOptions) -> int:
     log = MessageLog(options.folder, options.reference)
     flight = _flight(options, settings, clock_speed, log)
     with Patches() as patches:
-        if (seed := options.seed) is not None:
-            random.seed(seed)
-            patches.when_imported("numpy", lambda numpy: numpy.random.seed(seed))  # which scripts use
+        if options.seed is not None:
+            _seed(options.seed, patches)
         outcome = flight.run()
     for kind in (signal.SIGINT, signal.SIGTERM):  # nothing interrupts writing what was flown
         signal.signal(kind, signal.SIG_IGN)
@@ -103,6 +104,26 @@ def fly(options: FlightOptions) -> int:
 
     _write(options.folder / SUMMARY, to_json(summary, indent=2) + "\n")
     return outcome.status
+
+
+def _seed(seed: int, patches: Patches) -> None:
+    """Seed the global generators, and every generator that is made without a seed."""
+    random.seed(seed)
+    seeds = random.Random(seed)
+
+    def seed_numpy(numpy: ModuleType) -> None:
+        numpy.random.seed(seed)  # which scripts use
+        seed_made(numpy.random, "default_rng")
+
+    def seed_made(module: ModuleType, name: str) -> None:
+        make: Callable[..., object] = getattr(module, name)
+        patches.set(
+            module, name, lambda seed=None, *rest: make(seeds.getrandbits(63) if seed is None else seed, *rest)
+        )
+
+    patches.when_imported("numpy", seed_numpy)
+    patches.when_imported("torch", lambda torch: torch.manual_seed(seed))
+    patches.when_imported("gymnasium.utils.seeding", lambda module: seed_made(module, "np_random"))
 
 
 def _write(path: Path, text: str) -> None:

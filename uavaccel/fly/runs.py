@@ -8,11 +8,12 @@ import os
 import signal
 import subprocess
 import sys
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from uavaccel.fly.messages import DifferenceError
-from uavaccel.fly.options import DIFFERENCE, INTERRUPT_SEEN, SUMMARY, FlightOptions, FlightSummary
+from uavaccel.fly.options import ANSWERS, DIFFERENCE, INTERRUPT_SEEN, SUMMARY, FlightOptions, FlightSummary
 from uavaccel.fly.script import INTERRUPTED
 from uavaccel.processes.child import LOOK_S, Patience, describe_end, start_python
 
@@ -43,12 +44,16 @@ def fly(options: FlightOptions, quiet: bool = False) -> FlightResult:
     seen = None if options.scratch is None else options.scratch / INTERRUPT_SEEN
     if seen is not None:
         seen.unlink(missing_ok=True)
-    with start_python(
-        *("-m", "uavaccel.fly.process", options.to_json(), str(os.getpid())),
-        environment={"PYTHONHASHSEED": "0"},  # otherwise the order of sets differs from run to run
-        stdout=subprocess.DEVNULL if quiet else None,
-        own_session=False,  # a script may handle the terminal's Ctrl-C
-    ) as process:
+    with (
+        _answers(options) as answers,
+        start_python(
+            *("-m", "uavaccel.fly.process", options.to_json(), str(os.getpid())),
+            environment={"PYTHONHASHSEED": "0"},  # otherwise the order of sets differs from run to run
+            stdin=answers,
+            stdout=subprocess.DEVNULL if quiet else None,
+            own_session=False,  # a script may handle the terminal's Ctrl-C
+        ) as process,
+    ):
         try:
             status = _wait(process, seen)
         finally:
@@ -58,6 +63,17 @@ def fly(options: FlightOptions, quiet: bool = False) -> FlightResult:
     if status == 0 and done is None:
         _say("the script ended its process by itself; its flight was not kept")
     return FlightResult(status, done, (options.folder / DIFFERENCE).exists())
+
+
+@contextlib.contextmanager
+def _answers(options: FlightOptions) -> Iterator[int | None]:
+    """Open what the script of a first flight has read; None, which is this process's own input, before."""
+    path = None if options.scratch is None else options.scratch / ANSWERS
+    if path is None or not path.exists():
+        yield None
+        return
+    with path.open("rb") as file:
+        yield file.fileno()
 
 
 def _wait(process: subprocess.Popen[bytes], seen: Path | None) -> int:
@@ -108,9 +124,11 @@ def check(options: FlightOptions, first: Path) -> FlightResult:
 
     The flight stops at the first message that differs. Raises DifferenceError where only the trajectories do.
     """
+    from uavaccel.fly.trajectory import FILE_NAME as TRAJECTORY
     from uavaccel.fly.trajectory import equal
 
     result = fly(replace(options, reference=first), quiet=True)
-    if result.summary is not None and not result.interrupted and not equal(options.folder, first):
+    has_flown = (first / TRAJECTORY).exists() and result.summary is not None and not result.interrupted
+    if has_flown and not equal(options.folder, first):
         raise DifferenceError("the messages of both flights are equal, but the trajectories are not")
     return result

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import io
 import os
 import sys
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from types import CodeType, ModuleType, TracebackType
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from uavaccel.clock import MonotonicClock
 from uavaccel.errors import UserError
@@ -16,8 +18,13 @@ from uavaccel.files import read_bounded
 from uavaccel.fly.patches import Patches
 from uavaccel.units import NS_PER_S
 
+if TYPE_CHECKING:
+    from typing_extensions import Buffer
+
 _OURS = str(Path(__file__).parent)
 INTERRUPTED = 130  # exit status
+ARRAY_AS_NUMBER = "only 0-dimensional arrays can be converted"  # since NumPy 2.4
+ADVICE = "NumPy before 2.4 still takes an array of one element for a number: pip install 'numpy<2.4'"
 
 
 def hide_ours(error: BaseException | None) -> None:
@@ -131,6 +138,8 @@ def _run(code: CodeType, path: Path, arguments: tuple[str, ...]) -> int:
         error.__traceback__ = _of_the_script(error.__traceback__, code.co_filename)
         hide_ours(error)
         traceback.print_exception(error)
+        if isinstance(error, TypeError) and ARRAY_AS_NUMBER in str(error):
+            print(f"uavaccel: {ADVICE}", file=sys.stderr)
         return 1
     return 0
 
@@ -163,10 +172,37 @@ def _status_of(end: SystemExit) -> int:
     return 1
 
 
+class _Output(io.FileIO):
+    """Standard output for a script: a full disk is a UserError, and nobody who reads it any more the flight's end."""
+
+    def write(self, data: Buffer, /) -> int:
+        try:
+            return super().write(data)
+        except BrokenPipeError:
+            raise FlightOver from None
+        except OSError as error:
+            raise UserError(f"standard output: {error.strerror}") from None
+
+
+@contextmanager
+def checked_output() -> Iterator[None]:
+    """Let what the `with` block prints go through such an output."""
+    before = sys.stdout
+    raw = io.BufferedWriter(_Output(before.fileno(), "wb", closefd=False))
+    sys.stdout = io.TextIOWrapper(
+        raw, before.encoding, before.errors, line_buffering=True, write_through="PYTHONUNBUFFERED" in os.environ
+    )
+    try:
+        yield
+    finally:
+        flush_output()
+        sys.stdout = before
+
+
 def flush_output() -> None:
     """Flush what the script has printed before anything is printed about it."""
     for stream in (sys.stdout, sys.stderr):
         try:
             stream.flush()
-        except OSError:
+        except (OSError, UserError, FlightOver):
             os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())

@@ -10,16 +10,21 @@ import builtins
 import functools
 import importlib.util
 import os
+import sys
+import threading
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
+from math import inf
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING
 
 from uavaccel.fly.children import client_for_children, forked_children
+from uavaccel.fly.keyboard import KEY_S, NAMED, Keyboard
 from uavaccel.fly.keys import key_modules
 from uavaccel.fly.modules import ModuleFinder, Modules, client_modules, importing, named_module
+from uavaccel.fly.options import ANSWERS, FlightOptions
 from uavaccel.fly.patches import Patches
 from uavaccel.fly.script import hide_frames_everywhere
 
@@ -51,7 +56,10 @@ OLD_NAMES = {  # NumPy's names that 1.24 and 2.0 removed, and what they mean: Py
     "alltrue": "all",
     "in1d": "isin",
 }
-GYM = ("gym", "gym.envs", "gym.envs.registration", "gym.core", "gym.utils", "gym.spaces", "gym.utils.seeding")
+GYM = (
+    *("gym", "gym.core", "gym.envs", "gym.envs.registration", "gym.error", "gym.logger", "gym.spaces"),
+    *("gym.utils", "gym.utils.seeding", "shimmy"),
+)
 NO_KEY = -1  # of cv2.waitKey
 WINDOWS = ("destroyAllWindows", "destroyWindow", "imshow", "moveWindow", "namedWindow", "resizeWindow")
 
@@ -60,43 +68,69 @@ WINDOWS = ("destroyAllWindows", "destroyWindow", "imshow", "moveWindow", "namedW
 def script_environment(
     connect: Connect,
     in_scripts: Mapping[str, ModuleType],
-    scratch: Path | None,
+    options: FlightOptions,
     port: int | None,
     forked: Callable[[], None],
 ) -> Iterator[tuple[Patches, ModuleFinder]]:
     """Let the script in the `with` block find our client, which connects by `connect`, and everything that it lacks.
 
-    Its own files import the modules `in_scripts`, `time` among them. Its child processes use the server on `port`,
-    through modules in the folder `scratch`; a forked process first calls `forked`. Yields the patches, which are undone
-    at the end of the block, and the finder of the client's modules.
+    Its own files import the modules `in_scripts`, `time` among them. Its child processes find the same, and use the
+    server on `port`; a forked process first calls `forked`. Yields the patches, which are undone at the end of the
+    block, and the finder of the client's modules.
     """
-    clock = in_scripts["time"]
-    sleep, now_s = (getattr(clock, name) for name in ("sleep", "monotonic"))
+    clock, threads = in_scripts["time"], in_scripts.get("threading", threading)
+    keyboard = Keyboard(clock.sleep, clock.monotonic, options.keys, threads.Thread)
+    answer = answering(None if options.scratch is None else options.scratch / ANSWERS)
+    with (
+        supplied(connect, keyboard, answer, in_scripts) as environment,
+        client_for_children(options.scratch, port),
+        forked_children(forked),
+    ):
+        yield environment
+
+
+@contextmanager
+def supplied(
+    connect: Connect,
+    keyboard: Keyboard,
+    answer: Callable[[object], str],
+    in_scripts: Mapping[str, ModuleType],
+) -> Iterator[tuple[Patches, ModuleFinder]]:
+    """Let this process find our client and all that a script lacks, in the `with` block; `answer` replaces `input`."""
     with ExitStack() as stack:
         patches = stack.enter_context(Patches())
-        _supply_old_interfaces(patches, sleep)
+        patches.set(builtins, "input", answer)
+        _supply_old_interfaces(patches, keyboard)
         hide_frames_everywhere(patches)
         patches.when_imported(
             "uavaccel.airsim.connection", lambda module: patches.set(module, "_connect", connect)
         )
         finder = stack.enter_context(importing(client_modules() | old_modules(), in_scripts))
-        stack.enter_context(key_modules(sleep, now_s))
-        stack.enter_context(client_for_children(scratch, port))
-        stack.enter_context(forked_children(forked))
+        stack.enter_context(key_modules(keyboard))
         yield patches, finder
 
 
-def _supply_old_interfaces(patches: Patches, sleep: Callable[[float], None]) -> None:
-    """Supply what old scripts expect; waiting for a key in a window uses `sleep`."""
+def _supply_old_interfaces(patches: Patches, keyboard: Keyboard) -> None:
+    """Supply what old scripts expect; a window's keys are those of `keyboard`."""
     os.environ["MPLBACKEND"] = "Agg"
-    patches.set(builtins, "input", _no_input)
     patches.when_imported("numpy", lambda module: supply_numpy(patches, module))
-    patches.when_imported("cv2", lambda module: supply_windows(patches, module, sleep))
-    patches.when_imported(
-        "matplotlib.pyplot", lambda module: patches.set(module, "pause", lambda interval: sleep(interval))
-    )
+    patches.when_imported("cv2", lambda module: supply_windows(patches, module, keyboard))
+    patches.when_imported("matplotlib", lambda module: patches.set(module, "use", _nothing))
+    patches.when_imported("matplotlib.pyplot", lambda module: supply_plots(patches, module, keyboard))
     for name in ("uavaccel.airsim", "uavaccel.airsim.utils"):
         patches.when_imported(name, lambda module: patches.set(module, "wait_key", no_key))
+
+
+def supply_plots(patches: Patches, pyplot: ModuleType, keyboard: Keyboard) -> None:
+    """Let figures be shown nowhere."""
+    patches.set(pyplot, "pause", lambda interval: keyboard.sleep(interval))
+    patches.set(pyplot, "show", _nothing)
+    switch_backend: Callable[[str], None] = pyplot.switch_backend
+    patches.set(pyplot, "switch_backend", lambda newbackend: switch_backend("agg"))
+
+
+def _nothing(*arguments: object, **options: object) -> None:
+    """Replaces what would open a window, or choose how."""
 
 
 def supply_numpy(patches: Patches, numpy: ModuleType) -> None:
@@ -123,17 +157,20 @@ def supply_numpy(patches: Patches, numpy: ModuleType) -> None:
     patches.set(numpy, "fromstring", fromstring)
 
 
-def supply_windows(patches: Patches, cv2: ModuleType, sleep: Callable[[float], None]) -> None:
-    """Replace OpenCV's windows by ones that are shown nowhere; no key is ever pressed."""
+def supply_windows(patches: Patches, cv2: ModuleType, keyboard: Keyboard) -> None:
+    """Replace OpenCV's windows by ones that are shown nowhere."""
 
     def wait_key(delay: int = 0) -> int:
-        sleep(max(delay, 0) / 1000)
-        return NO_KEY
+        """Wait for a key: for `delay` ms, or, if that is 0, for ever where one comes."""
+        key = keyboard.next(delay / 1000 if delay > 0 else KEY_S if not keyboard.keys else inf)
+        if key is None:
+            return NO_KEY
+        return NAMED.get(key) or ord(key)
 
     for name in WINDOWS:
-        patches.set(cv2, name, lambda *arguments, **options: None)
-    for name in ("waitKey", "waitKeyEx"):
-        patches.set(cv2, name, wait_key)
+        patches.set(cv2, name, _nothing)
+    for name, wait in (("waitKey", wait_key), ("waitKeyEx", wait_key), ("pollKey", lambda: wait_key(1))):
+        patches.set(cv2, name, wait)
 
 
 def old_modules() -> Modules:
@@ -142,7 +179,7 @@ def old_modules() -> Modules:
         "scipy.misc": lambda: named_module("scipy.misc", imsave=_save_image, imread=_read_image)
     }
     if importlib.util.find_spec("gym") is None:
-        found |= {name: lambda name=name: _gym()[name] for name in (*GYM, "shimmy")}  # type: ignore[misc]
+        found |= {name: lambda name=name: _gym()[name] for name in GYM}  # type: ignore[misc]
     return found
 
 
@@ -175,10 +212,23 @@ def _save_image(name: str, image: ArrayLike) -> None:
     cv2.imwrite(str(name), pixels[..., ::-1] if pixels.ndim == 3 else pixels)
 
 
-def _no_input(prompt: object = "") -> str:
-    """Replaces `input`: answers as if Enter were pressed."""
-    print(prompt)
-    return ""
+def answering(kept: Path | None = None) -> Callable[[object], str]:
+    """Return what replaces `input`: it reads lines of standard input, if that is no terminal; without one, Enter.
+
+    The lines are kept in a file, unless it exists already, for flights that are compared with this one.
+    """
+    keeps = kept is not None and not kept.exists()
+
+    def answer(prompt: object = "") -> str:
+        line = "" if sys.stdin is None or sys.stdin.isatty() else sys.stdin.readline()
+        if keeps and kept is not None:
+            with kept.open("a", encoding="utf-8") as file:
+                file.write(line)
+        line = line.removesuffix("\n")
+        print(f"{prompt}{line}")
+        return line
+
+    return answer
 
 
 def no_key(message: str = "") -> str:

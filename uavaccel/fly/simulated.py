@@ -8,8 +8,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 from uavaccel.clock import MonotonicClock, VirtualClock, WallClock, datetime_module, time_module
-from uavaccel.errors import UserError
-from uavaccel.fly.children import REFUSAL
+from uavaccel.fly.children import ended_by_refusals, refusal
 from uavaccel.fly.executors import end_pools, let_executors_take_turns
 from uavaccel.fly.messages import MessageLog
 from uavaccel.fly.options import THINK_S, FlightOptions, FlightSummary
@@ -79,8 +78,9 @@ class SimulatedFlight:
         clock = time_module(self.epoch_now_ns, self.pass_time)
         in_scripts = {"time": clock, "datetime": datetime_module(self.epoch_now_ns)} | kinds.modules()
         with contextlib.ExitStack() as stack:
-            environment = script_environment(self._connect, in_scripts, options.scratch, None, self._forked)
+            environment = script_environment(self._connect, in_scripts, options, None, self._forked)
             patches, client = stack.enter_context(environment)
+            stack.enter_context(ended_by_refusals(lambda: self._log.calls))
             let_executors_take_turns(patches, self._turns, kinds, clock)
             if options.film:
                 from uavaccel.fly.film import filming
@@ -240,7 +240,7 @@ class SimulatedFlight:
 
     def _check_process(self) -> None:
         if self._is_child:
-            raise UserError(REFUSAL)
+            raise refusal()
 
 
 def earliest(*times_ns: int | None) -> int | None:

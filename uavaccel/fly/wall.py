@@ -128,7 +128,7 @@ class WallFlight:
 
             clock = {"time": counted_time_module(self._slept)}
             with (
-                script_environment(connect, clock, options.scratch, served.port, self._log.abandon),
+                script_environment(connect, clock, options, served.port, self._log.abandon),
                 stopping_after(options.until_s, self._clock_speed),
             ):
                 outcome = run_script(options.script, options.arguments)
