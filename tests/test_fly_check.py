@@ -50,6 +50,11 @@ def test_the_second_flight_is_held_against_the_first(
     assert flown == [(replace(asked, reference=first), True)]
 
 
+def test_flights_that_flew_nothing_are_equal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(runs, "fly", lambda options, quiet: FlightResult(0, {"finished": True}))
+    assert check(FlightOptions(Path("script.py"), (), tmp_path / "again"), tmp_path / "first").status == 0
+
+
 def test_trajectories_are_equal_to_the_byte_and_far_apart_in_metres(tmp_path: Path) -> None:
     one, same, other = (write(tmp_path / name, north) for name, north in (("1", 1.0), ("2", 1.0), ("3", 3.5)))
     assert equal(one, same)

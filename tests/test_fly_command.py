@@ -190,8 +190,8 @@ def test_settings_beside_the_script_come_before_those_of_the_home(
 
 def test_a_request_of_a_flight_travels_whole(tmp_path: Path) -> None:
     options = FlightOptions(
-        Path("a.py"), ("-x", "1"), tmp_path, "lockstep", "airsim", "lane", 2.5, Path("s.json"), 0.25, 7, 9.5, True,
-        Path("first"), Path("scratch"), True,
+        Path("a.py"), ("-x", "1"), tmp_path, "lockstep", "airsim", "lane", 2.5, Path("s.json"), 0.25, 7, 9.5,
+        ("w", "esc"), True, Path("first"), Path("scratch"), True,
     )  # fmt: skip
     assert FlightOptions.from_json(options.to_json()) == options
     few = FlightOptions(Path("a.py"), (), tmp_path)

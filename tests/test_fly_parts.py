@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from gymnasium import spaces
 
 from uavaccel.clock import VirtualClock
 from uavaccel.fly import children, executors, process, wall
@@ -86,6 +87,28 @@ def test_a_seed_is_that_of_both_global_generators_and_nought_is_one(fly: Any, se
         np.random.set_state(before[1])  # noqa: NPY002
     given = 3 if seed is None else seed
     assert flight.drawn == (random.Random(given).random(), np.random.RandomState(given).random_sample())
+
+
+def test_a_seed_is_that_of_generators_that_are_made_without_one() -> None:
+    import torch
+
+    def drawn() -> list[float]:
+        with Patches() as patches:
+            process._seed(7, patches)
+            own = [float(np.random.default_rng().random()), float(np.random.default_rng(3).random())]
+            space = spaces.Box(0.0, 1.0, (2,), np.float64)
+            return [*own, *space.sample().tolist(), float(torch.rand(1)), random.random()]
+
+    kept = random.getstate(), np.random.get_state(), torch.get_rng_state()  # noqa: NPY002
+    try:
+        first, second = drawn(), drawn()
+    finally:
+        random.setstate(kept[0])
+        np.random.set_state(kept[1])  # noqa: NPY002
+        torch.set_rng_state(kept[2])
+    assert first == second
+    assert first[1] == np.random.default_rng(3).random()
+    assert len({*first}) == len(first)
 
 
 @pytest.mark.parametrize(
@@ -269,11 +292,9 @@ def test_a_scripts_programs_find_our_client_before_what_they_found_already(
     with children.client_for_children(tmp_path, port):
         first, *others = os.environ["PYTHONPATH"].split(os.pathsep)
         assert others == (own.split(os.pathsep) if own else [])
-        assert {"airsim.py", "cosysairsim.py", "AirSimClient.py"} <= {
-            file.name for file in Path(first).iterdir()
-        }
+        assert [file.name for file in Path(first).iterdir()] == ["sitecustomize.py"]
         assert os.environ[children.PORT] == ("" if port is None else "8123")
-        assert sys.path == [path[0], first, *path[1:]]
+        assert sys.path == path
     assert (dict(os.environ), sys.path) == (before, path)
     with children.client_for_children(None, port):
         assert (dict(os.environ), sys.path) == (before, path)

@@ -30,14 +30,14 @@ class Folder:
         (self.path / name).write_text(textwrap.dedent(text))
         return self.path / name
 
-    def fly(self, text: str, *options: str) -> subprocess.CompletedProcess[str]:
+    def fly(self, text: str, *options: str, answers: str = "") -> subprocess.CompletedProcess[str]:
         """Fly a script's text; `options` before it, and "--" between them and its own arguments."""
         own = options.index("--") if "--" in options else len(options)
         script = self.write(text)
         command = [sys.executable, "-m", "uavaccel", "fly", *options[:own], str(script), *options[own + 1 :]]
         environment = {**os.environ, "HOME": str(self.home)}
         return subprocess.run(
-            command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=300, check=False
+            command, cwd=ROOT, env=environment, input=answers, capture_output=True, text=True, timeout=300
         )
 
 
@@ -180,6 +180,100 @@ def test_processes_of_a_script_share_no_simulated_clock(folder: Folder, kind: st
     lines = done.stderr.splitlines()
     assert sum(line.endswith(REFUSED) for line in lines) == 2  # of the process, and of the pool's
     assert "Traceback" not in done.stderr
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("how", ["pool", "queue"])
+def test_a_script_does_not_wait_for_a_process_that_was_refused(folder: Folder, how: str) -> None:
+    """A pool starts its processes again and again; a queue's reader does not hear that nobody writes any more."""
+    text = """
+        import airsim, multiprocessing, sys
+
+        def flies(*queues):
+            airsim.MultirotorClient()
+
+        kind = multiprocessing.get_context("fork")
+        if sys.argv[1] == "pool":
+            kind.Pool(1, flies).map(abs, [1])
+        else:
+            queue = kind.Queue()
+            kind.Process(target=flies, args=(queue,)).start()
+            queue.get()
+    """
+    done = folder.fly(text, "--", how)
+    assert done.returncode == 1
+    assert done.stderr.splitlines()[-1].endswith(f"{REFUSED}; the script waits for it")
+
+
+def test_programs_of_a_script_find_what_it_finds_and_others_nothing(folder: Folder) -> None:
+    folder.write("import sys\nprint('uavaccel' in str(sys.modules.keys()))\n", "other.py")
+    folder.write(
+        """
+        import keyboard, airsim, numpy
+        from gym.envs.registration import register
+        import matplotlib
+        matplotlib.use("TkAgg")
+        print(numpy.fromstring(b"ab", numpy.uint8), numpy.float, keyboard.is_pressed("w"), repr(input()))
+        """,
+        "child.py",
+    )
+    text = """
+        import pathlib, subprocess, sys
+        for name in ("child.py", "other.py"):
+            subprocess.run([sys.executable, pathlib.Path(__file__).with_name(name)], stdin=subprocess.DEVNULL)
+    """
+    done = folder.fly(text)
+    assert done.stdout.splitlines()[:3] == ["", "[97 98] <class 'float'> False ''", "False"], done.stderr
+
+
+# --- answers and keys ----------------------------------------------------------------------------------------------
+
+
+def test_answers_come_from_standard_input_for_both_flights_of_a_check(folder: Folder) -> None:
+    text = """
+        import airsim
+        client = airsim.MultirotorClient()
+        for _ in range(3):
+            client.simPrintLogMessage("read ", input("name? "))
+    """
+    done = folder.fly(text, "--check", answers="one\ntwo\n")
+    assert done.stdout.splitlines()[:3] == ["name? one", "name? two", "name? "], done.stderr
+    assert done.stdout.splitlines()[-1].startswith("checked: flown twice")
+
+
+@pytest.mark.parametrize(("options", "ends"), [(["--keys", "c,c,x"], "c c"), (["--until", "2"], "stopped by")])
+def test_a_loop_that_polls_a_key_takes_time_and_ends(folder: Folder, options: list[str], ends: str) -> None:
+    text = """
+        import keyboard
+        was, count = False, 0
+        while not keyboard.is_pressed("x"):
+            now = keyboard.is_pressed("c")
+            count, was = count + (now and not was), now
+        print(" ".join("c" * count))
+    """
+    done = folder.fly(text, *options)
+    assert done.stdout.startswith(ends), done.stderr
+
+
+# --- what scripts print --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="Linux has it")
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+def test_output_that_nobody_takes_is_one_line_and_none_for_nobody(folder: Folder, unbuffered: str) -> None:
+    path = folder.write("import airsim\nairsim.MultirotorClient().confirmConnection()\n")
+    fly = f"{sys.executable} -m uavaccel fly {path}"
+    environment = {**os.environ, "HOME": str(folder.home), "PYTHONUNBUFFERED": unbuffered}
+    for to, status, lines in ((">/dev/full", 1, 1), (">&-", 0, 0), ("| true", 0, 0)):
+        done = subprocess.run(
+            f"{fly} {to}", shell=True, cwd=ROOT, env=environment, stderr=subprocess.PIPE, text=True, check=False
+        )
+        assert (done.returncode, len(done.stderr.splitlines())) == (status, lines), (to, done.stderr)
+
+
+def test_a_numpy_that_takes_no_array_for_a_number_is_told_of(folder: Folder) -> None:
+    done = folder.fly("raise TypeError('only 0-dimensional arrays can be converted to Python scalars')\n")
+    assert done.stderr.splitlines()[-1].endswith("pip install 'numpy<2.4'")
 
 
 # --- how a flight ends ---------------------------------------------------------------------------------------------

@@ -13,8 +13,11 @@ import numpy as np
 import pytest
 from gymnasium import spaces
 
+from uavaccel.errors import UsageError
 from uavaccel.fly import old_gym, shims
+from uavaccel.fly.keyboard import Keyboard, parse_keys
 from uavaccel.fly.keys import key_modules
+from uavaccel.fly.modules import importing
 from uavaccel.fly.patches import Patches
 
 pytestmark = pytest.mark.skipif("gym" not in shims.old_modules(), reason="a gym is installed")
@@ -45,6 +48,22 @@ def gym() -> Iterator[ModuleType]:
     gym.envs.registration.register(id="walk-v0", entry_point=Walk, kwargs={"start": 1})
     yield gym
     old_gym._registered.clear()
+
+
+def test_parts_of_gym_are_imported_by_their_names() -> None:
+    text = """
+from gym import error, logger, spaces, utils
+from gym.envs.registration import register
+from gym.spaces import Box
+from gym.utils import seeding
+import gym.envs.registration as again
+found = again.register is register and gym.envs.registration is again
+"""
+    names: dict[str, Any] = {}
+    with importing(shims.old_modules(), {}):
+        exec("import gym\n" + text, names)
+    assert names["found"]
+    assert names["Box"] is spaces.Box
 
 
 def test_a_script_steps_through_the_old_interface(gym: ModuleType) -> None:
@@ -169,7 +188,17 @@ WITHOUT_KEYS = pytest.mark.skipif(
 )
 
 
-def run_as_a_script(text: str, begun_s: float = 0.0) -> dict[str, Any]:
+class AtOnce:
+    """A thread that has run when it has begun."""
+
+    def __init__(self, target: Any, daemon: bool) -> None:
+        self.start = target
+
+    def join(self, timeout: float | None = None) -> None:
+        pass
+
+
+def run_as_a_script(text: str, begun_s: float = 0.0, keys: str = "") -> dict[str, Any]:
     """The names of a script that has run; `work` passes its time, which `now` tells."""
     passed = [begun_s]
 
@@ -178,7 +207,8 @@ def run_as_a_script(text: str, begun_s: float = 0.0) -> dict[str, Any]:
 
     names: dict[str, Any] = {"__file__": "/somewhere/script.py", "__name__": "__main__"}
     names |= {"work": sleep, "now": lambda: round(passed[0], 6)}
-    with key_modules(sleep, lambda: passed[0]):
+    thread: Any = AtOnce
+    with key_modules(Keyboard(sleep, lambda: passed[0], parse_keys(keys), thread)):
         exec(compile(text, "/somewhere/script.py", "exec"), names)
     return names
 
@@ -206,18 +236,18 @@ told += [clock.tick(), clock.tick_busy_loop(50), clock.get_fps()]
 @pytest.mark.parametrize(
     ("module", "call", "answer", "takes_s"),
     [
-        ("keyboard", "is_pressed('w')", False, 0.0),
+        ("keyboard", "is_pressed('w')", False, 0.001),
         ("keyboard", "wait('esc')", None, 0.1),
         ("keyboard", "read_key(suppress=True)", "enter", 0.1),
         ("keyboard", "record(until='esc')", [], 0.1),
-        ("msvcrt", "kbhit()", False, 0.0),
+        ("msvcrt", "kbhit()", False, 0.001),
         ("msvcrt", "getch()", b"\r", 0.1),
         ("msvcrt", "getche()", b"\r", 0.1),
         ("msvcrt", "getwch()", "\r", 0.1),
         ("pygame", "init()", (0, 0), 0.0),
-        ("pygame", "event.get()", [], 0.0),
+        ("pygame", "event.get()", [], 0.001),
         ("pygame", "event.wait().key[3]", False, 0.1),
-        ("pygame", "key.get_pressed()[3]", False, 0.0),
+        ("pygame", "key.get_pressed()[3]", False, 0.001),
         ("pygame", "key.get_mods()", 0, 0.0),
         ("pygame", "joystick.get_count()", 0, 0.0),
         ("pygame", "joystick.get_init()", False, 0.0),
@@ -234,6 +264,48 @@ def test_nobody_presses_a_key_and_who_waits_for_one_waits_a_moment(
     got = names["answer"]
     assert (type(got), got) == (type(answer), answer) or (answer == 0 and len(got) == 0)
     assert names["then"] == round(7.0 + takes_s, 6)
+
+
+READ_KEYS = """
+import keyboard, msvcrt, pygame
+from pynput import keyboard as keys
+told = []
+while not keyboard.is_pressed("x"):
+    told += ["c"] if keyboard.is_pressed("c") and (not told or told[-1] != now()) else []
+polled = now()
+work(1)
+read = [msvcrt.getch(), msvcrt.getwch(), keyboard.read_key(), msvcrt.getch(), msvcrt.getch()]
+work(1)
+events = [(event.type == pygame.KEYDOWN, event.key) for event in pygame.event.get()]
+held = pygame.key.get_pressed()
+held = [held[pygame.K_UP], held[pygame.K_DOWN]]
+work(0.15)
+events += [(event.type == pygame.KEYUP, event.key) for event in pygame.event.get()]
+heard = []
+with keys.Listener(on_press=lambda key: heard.append(key), on_release=lambda key: key != keys.Key.esc) as listener:
+    listener.join()
+hooked = []
+keyboard.on_press_key("z", lambda event: hooked.append(event.name))
+"""
+
+
+@WITHOUT_KEYS
+def test_keys_are_pressed_in_turn_each_until_it_is_noticed() -> None:
+    """Each is down for 100 ms from then on, and the next one comes after 100 ms more."""
+    names = run_as_a_script(READ_KEYS, keys="c,x,a,enter,space,left,up,b,esc,y,z,Z")
+    assert 0.2 <= names["polled"] < 0.21
+    assert names["read"] == [b"a", "\r", "space", b"\xe0", b"K"]
+    up = names["pygame"].K_UP
+    assert (names["events"], names["held"]) == ([(True, up), (True, up)], [True, False])
+    assert [str(key) for key in names["heard"]] == ["'b'", "Key.esc"]
+    assert names["heard"][0] == names["keys"].KeyCode.from_char("b")
+    assert names["hooked"] == ["z"]
+
+
+@pytest.mark.parametrize("text", ["c,,x", "c, x", "home", ","])
+def test_what_is_no_key_is_one_line(text: str) -> None:
+    with pytest.raises(UsageError, match=r"--keys .*is no key; there are single characters, enter, esc"):
+        parse_keys(text)
 
 
 @WITHOUT_KEYS
@@ -257,11 +329,30 @@ def test_a_window_is_shown_nowhere_and_waits_as_long_as_it_is_told() -> None:
     slept: list[float] = []
     window = cv2.imshow
     with Patches() as patches:
-        shims.supply_windows(patches, cv2, slept.append)
+        shims.supply_windows(patches, cv2, Keyboard(slept.append, lambda: sum(slept)))
         assert cv2.imshow("camera", np.zeros((2, 2))) is None
         assert [cv2.waitKey(250), cv2.waitKeyEx(1500), cv2.waitKey(0), cv2.waitKey(-1)] == [-1] * 4
-        assert slept == [0.25, 1.5, 0.0, 0.0]
+        assert slept == [0.25, 1.5, 0.1, 0.1]
+        shims.supply_windows(patches, cv2, Keyboard(slept.append, lambda: sum(slept), ("q", "esc", "left")))
+        assert [cv2.waitKey(1), cv2.waitKey(0), cv2.waitKey(1), cv2.waitKey(0)] == [ord("q"), 27, -1, 81]
+        assert cv2.waitKey(0) == -1
     assert cv2.imshow is window
+
+
+def test_a_backend_that_draws_on_a_screen_is_not_chosen() -> None:
+    import matplotlib as mpl
+    import matplotlib.pyplot as plt
+
+    before = mpl.get_backend()
+    with Patches() as patches:
+        shims._supply_old_interfaces(patches, Keyboard(lambda seconds: None, lambda: 0.0))
+        mpl.use("TkAgg")
+        plt.switch_backend("Qt5Agg")
+        plt.plot([1, 2])
+        plt.show()
+        assert mpl.get_backend().lower() == "agg"
+    plt.close("all")
+    mpl.use(before)
 
 
 def test_images_of_old_scipy_are_red_first_and_reach_from_black_to_white(tmp_path: Path) -> None:
