@@ -150,7 +150,7 @@ PLANS = (
         endless=True,
         settings={"Vehicles": vehicles(Drone1={"Sensors": LIDARS})},
     ),
-    Plan("multirotor/set_fog.py", flies=True),
+    Plan("multirotor/set_fog.py", flies=True, settings={"Vehicles": vehicles(Drone={"X": 0, "Y": 0, "Z": 0})}),
     Plan("multirotor/set_trace_line.py", flies=True),
     Plan("multirotor/set_wind.py", flies=True),
     Plan("multirotor/stability_test.py", flies=True, until_s=2000, not_by_wire="sleeps for 20 minutes"),

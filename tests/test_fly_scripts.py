@@ -399,6 +399,21 @@ def test_a_script_of_airsim_1_1_flies(folder: Folder) -> None:
     assert done.stdout.splitlines()[-5:-1] == ["True True", "(144, 256) 1 256", "True False", "True True"]
 
 
+def test_a_copy_of_airsims_client_flies(folder: Folder) -> None:
+    text = """
+        import msgpackrpc
+        client = msgpackrpc.Client(msgpackrpc.Address("127.0.0.1", 41451), timeout=9, pack_encoding="utf-8")
+        print(client.call("ping"), client.call_async("enableApiControl", True, "").get())
+        print(client.call("simGetVehiclePose", "")["position"]["z_val"])
+        try:
+            client.call("noSuchCall")
+        except msgpackrpc.error.RPCError as error:
+            print("refused")
+    """
+    done = folder.fly(text)
+    assert done.stdout.splitlines()[:3] == ["True None", "-10.0", "refused"], done.stderr
+
+
 # --- settings ------------------------------------------------------------------------------------------------------
 
 

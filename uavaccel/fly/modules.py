@@ -50,13 +50,17 @@ def client_modules() -> Modules:
 
 
 def _msgpackrpc() -> ModuleType:
-    """Return a module msgpackrpc with the errors that scripts catch."""
+    """Return a module msgpackrpc with the errors that scripts catch, and the client of copies of AirSim's."""
+    from uavaccel.airsim import connection
     from uavaccel.wire.rpc import RpcError
+
+    def client(address: tuple[str, int], timeout: float = 10, **options: object) -> object:
+        return connection.connect(address[0], address[1], timeout)
 
     error = named_module(
         "msgpackrpc.error", RPCError=RpcError, TransportError=ConnectionError, TimeoutError=TimeoutError
     )
-    return named_module("msgpackrpc", error=error)
+    return named_module("msgpackrpc", error=error, Client=client, Address=lambda host, port: (host, port))
 
 
 def named_module(name: str, **attributes: object) -> ModuleType:
