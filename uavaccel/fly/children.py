@@ -101,7 +101,7 @@ def enter() -> None:
 
     sys.excepthook = _show
     clock = counted_time_module(lambda seconds: None)
-    keyboard = Keyboard(clock.sleep, clock.monotonic)
+    keyboard = Keyboard(*(getattr(clock, name) for name in ("sleep", "monotonic")))
     _supplied.enter_context(supplied(_connect, keyboard, answering(), {}))
     atexit.register(_supplied.close)
 

@@ -35,16 +35,16 @@ def parse_keys(text: str | None) -> tuple[str, ...]:
 
 
 class Keyboard:
-    """Presses `keys`; a script waits by `sleep`, and `now_s` is its time. `thread` makes the script's threads."""
+    """Presses `keys`; a script waits by `pass_time`, and `now_s` is its time. `thread` makes the script's threads."""
 
     def __init__(
         self,
-        sleep: Callable[[float], object],
+        pass_time: Callable[[float], object],
         now_s: Callable[[], float],
         keys: Sequence[str] = (),
         thread: type[threading.Thread] = threading.Thread,
     ) -> None:
-        self.sleep, self.now_s, self.keys = sleep, now_s, keys
+        self.pass_time, self.now_s, self.keys = pass_time, now_s, keys
         self._thread = thread
         self._place, self._noticed_s, self._told = 0, inf, False
 
@@ -75,12 +75,12 @@ class Keyboard:
         while not self.has_next():
             if self._place == len(self.keys):
                 if timeout_s < inf:
-                    self.sleep(timeout_s)
+                    self.pass_time(timeout_s)
                 return None
             if timeout_s <= 0:
                 return None
             pause_s = min(timeout_s, max(POLL_S, self._noticed_s + 2 * HELD_S - self.now_s()))
-            self.sleep(pause_s)
+            self.pass_time(pause_s)
             timeout_s -= pause_s
         key = self.down()
         self._told = self.is_down(key)
@@ -89,7 +89,7 @@ class Keyboard:
     def read(self) -> str:
         """Wait for a key; Enter where no more keys come."""
         if (key := self.next()) is None:
-            self.sleep(KEY_S)
+            self.pass_time(KEY_S)
         return key or "enter"
 
     def listen(self, press: Callable[[str], object], release: Callable[[str], object]) -> threading.Thread:
@@ -97,7 +97,7 @@ class Keyboard:
 
         def tell() -> None:
             while (key := self.next()) is not None and press(key) is not False:
-                self.sleep(HELD_S)
+                self.pass_time(HELD_S)
                 if release(key) is False:
                     return
 

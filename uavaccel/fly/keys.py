@@ -105,7 +105,7 @@ class Clock:
     """pygame.time.Clock: `tick` waits for the end of a frame."""
 
     def __init__(self, keyboard: Keyboard) -> None:
-        self._sleep, self._now_s, self._ticked_s = keyboard.sleep, keyboard.now_s, keyboard.now_s()
+        self._sleep, self._now_s, self._ticked_s = keyboard.pass_time, keyboard.now_s, keyboard.now_s()
 
     def tick(self, framerate: float = 0) -> int:
         """Wait until 1 / `framerate` seconds after the last tick; returns the milliseconds since then."""
@@ -199,7 +199,7 @@ class _Hooks:
         self._thread: threading.Thread | None = None
 
     def is_pressed(self, key: object) -> bool:
-        self._keyboard.sleep(POLL_S)
+        self._keyboard.pass_time(POLL_S)
         return self._keyboard.is_down(key)
 
     def wait(self, key: object = None, *_: object, **options: object) -> None:
@@ -209,7 +209,7 @@ class _Hooks:
         while (pressed := self._keyboard.next()) is not None:
             if pressed == key_of(key):
                 return
-        self._keyboard.sleep(KEY_S)
+        self._keyboard.pass_time(KEY_S)
 
     def record(self, until: object = "esc", *_: object, **options: object) -> list[object]:
         self.wait(until)
@@ -264,7 +264,7 @@ class _Console:
         self._rest = ""  # the second character of an arrow
 
     def kbhit(self) -> bool:
-        self._keyboard.sleep(POLL_S)
+        self._keyboard.pass_time(POLL_S)
         return bool(self._rest) or self._keyboard.has_next()
 
     def getwch(self) -> str:
@@ -289,7 +289,7 @@ class _Events:
         self._held = ""
 
     def get(self, *kinds: object, **options: object) -> list[object]:
-        self._keyboard.sleep(POLL_S)
+        self._keyboard.pass_time(POLL_S)
         events: list[object] = []
         if self._held and self._keyboard.down() != self._held:
             events.append(self._event("KEYUP", self._held))
@@ -305,11 +305,11 @@ class _Events:
     def wait(self, *arguments: object) -> object:
         if (key := self._keyboard.next()) is not None:
             return self._event("KEYDOWN", key)
-        self._keyboard.sleep(KEY_S)
+        self._keyboard.pass_time(KEY_S)
         return StubObject()
 
     def get_pressed(self) -> object:
-        self._keyboard.sleep(POLL_S)
+        self._keyboard.pass_time(POLL_S)
         return _Pressed(self._keyboard)
 
     def get_mods(self) -> int:
@@ -340,7 +340,7 @@ class _Time:
         return round(1000 * (self._keyboard.now_s() - self._begun_s))
 
     def wait(self, milliseconds: float) -> None:
-        self._keyboard.sleep(milliseconds / 1000)
+        self._keyboard.pass_time(milliseconds / 1000)
 
     delay = wait
 

@@ -79,7 +79,8 @@ def script_environment(
     block, and the finder of the client's modules.
     """
     clock, threads = in_scripts["time"], in_scripts.get("threading", threading)
-    keyboard = Keyboard(clock.sleep, clock.monotonic, options.keys, threads.Thread)
+    wait, now_s = (getattr(clock, name) for name in ("sleep", "monotonic"))
+    keyboard = Keyboard(wait, now_s, options.keys, threads.Thread)
     answer = answering(None if options.scratch is None else options.scratch / ANSWERS)
     with (
         supplied(connect, keyboard, answer, in_scripts) as environment,
@@ -123,7 +124,7 @@ def _supply_old_interfaces(patches: Patches, keyboard: Keyboard) -> None:
 
 def supply_plots(patches: Patches, pyplot: ModuleType, keyboard: Keyboard) -> None:
     """Let figures be shown nowhere."""
-    patches.set(pyplot, "pause", lambda interval: keyboard.sleep(interval))
+    patches.set(pyplot, "pause", lambda interval: keyboard.pass_time(interval))
     patches.set(pyplot, "show", _nothing)
     switch_backend: Callable[[str], None] = pyplot.switch_backend
     patches.set(pyplot, "switch_backend", lambda newbackend: switch_backend("agg"))
