@@ -399,6 +399,11 @@ def test_a_script_of_airsim_1_1_flies(folder: Folder) -> None:
     assert done.stdout.splitlines()[-5:-1] == ["True True", "(144, 256) 1 256", "True False", "True True"]
 
 
+def test_airsims_client_exports_modules_with_the_scripts_time(folder: Folder) -> None:
+    done = folder.fly("import airsim, time\nairsim.time.sleep(7)\nprint(airsim.time is time, airsim.math.pi > 3)\n")
+    assert done.stdout.splitlines()[:1] == ["True True"], done.stderr
+
+
 def test_a_copy_of_airsims_client_flies(folder: Folder) -> None:
     text = """
         import msgpackrpc

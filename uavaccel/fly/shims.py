@@ -106,6 +106,11 @@ def supplied(
         patches.when_imported(
             "uavaccel.airsim.connection", lambda module: patches.set(module, "_connect", connect)
         )
+        exported = {**sys.modules, **in_scripts}
+        for name in ("math", "os", "sys", "time"):  # AirSim's client exports the modules that it imports
+            patches.when_imported(
+                "uavaccel.airsim", lambda module, name=name: patches.set(module, name, exported[name])  # type: ignore[misc]
+            )
         finder = stack.enter_context(importing(client_modules() | old_modules(), in_scripts))
         stack.enter_context(key_modules(keyboard))
         yield patches, finder
