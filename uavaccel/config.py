@@ -131,17 +131,22 @@ def _explain(cls: type[Config], mapping: Mapping[str, object], error: Validation
         return f"unknown key {key!r}; {suggestion(str(unknown), _keys_below(cls, above))}"
     if length := _tuple_length(cls, first):
         return f"{first['loc'][0]} = {reprlib.repr(first['input'])}: should be a list of {length}"
-    if first["type"] == "missing":
-        if isinstance(first["input"], list):  # whose key is that of the first value it lacks
-            whole = key.rpartition(".")[0]
-            return f"{whole} = {reprlib.repr(first['input'])}: should have more values"
-        return f"key {key!r} is missing"
+    if first["type"] == "missing" and isinstance(first["input"], list):
+        whole = key.rpartition(".")[0]  # the key is that of the first value it lacks
+        return f"{whole} = {reprlib.repr(first['input'])}: should have more values"
     if first["type"].startswith("union_tag_"):
         return _explain_kind(key, first["ctx"])
-    wanted = _YAML_WORDS.get(first["type"]) or first["msg"].removeprefix("Value error, ").removeprefix(
-        "Input "
-    )
-    return f"{key} = {reprlib.repr(first['input'])}: {wanted}" if key else wanted
+    return explain_value(mapping, first)
+
+
+def explain_value(mapping: object, error: ErrorDetails) -> str:
+    """Return the dotted key of an error in plain data, the value, and what would be right."""
+    key = _dotted(mapping, error)
+    if error["type"] == "missing":
+        return f"key {key!r} is missing"
+    said = error["msg"].removeprefix("Value error, ").removeprefix("Input ")
+    wanted = _YAML_WORDS.get(error["type"], said)
+    return f"{key} = {reprlib.repr(error['input'])}: {wanted}" if key else wanted
 
 
 def _explain_kind(key: str, kind: Mapping[str, str]) -> str:
@@ -152,7 +157,7 @@ def _explain_kind(key: str, kind: Mapping[str, str]) -> str:
     return f"{key}.{name} = {kind['tag']}: should be one of {kind['expected_tags']}"
 
 
-def _dotted(mapping: Mapping[str, object], error: ErrorDetails) -> str:
+def _dotted(mapping: object, error: ErrorDetails) -> str:
     """Return the key of an error as `apply_overrides` takes it, without pydantic's names of a union's members."""
     parts: list[str] = []
     value: Plain = mapping

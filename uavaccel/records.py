@@ -32,12 +32,18 @@ from uavaccel.files import (
     to_json,
     write_arrays,
 )
+from uavaccel.forms import HostTimes, Manifest, RowForm, check, check_all
 from uavaccel.lock import FolderLock, hold
 from uavaccel.yaml_io import load_yaml, parse_yaml
 
 
 class RunDirectory:
-    """The run directory at `path`. Raises UserError if there is none, or if a row has no case or another row's."""
+    """The run directory at `path`. Raises UserError if there is none, or if a row has no case or another row's.
+
+    With a `form`, that of its suite, rows and arrays are checked against it whenever they are read.
+    """
+
+    form: RowForm | None = None
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
@@ -96,8 +102,14 @@ class RunDirectory:
         return {entry.name for entry in self.path.iterdir()} <= {"config.yaml", "manifest.json"}
 
     def rows(self) -> list[Plain]:
-        """Return every whole row, in the order in which they were appended."""
-        return read_lines(self.path / "rows.jsonl")
+        """Return every whole row, in the order in which they were appended.
+
+        Raises UserError, naming line, game and key, for one that has not the form of its suite's rows.
+        """
+        rows = read_lines(self.path / "rows.jsonl")
+        if self.form is not None:
+            self.form.check_rows(rows, self.path / "rows.jsonl")
+        return rows
 
     def done_cases(self) -> set[str]:
         """Return the ids of the cases that have a row."""
@@ -108,8 +120,10 @@ class RunDirectory:
         append_line(self.path / "timing.jsonl", entry, on_disk)
 
     def timings(self) -> list[dict[str, Plain]]:
-        """Return every whole entry of timing.jsonl."""
-        return read_lines(self.path / "timing.jsonl")
+        """Return every whole entry of timing.jsonl. Raises UserError for times that are no numbers."""
+        entries = read_lines(self.path / "timing.jsonl")
+        check_all(HostTimes, entries, self.path / "timing.jsonl")
+        return entries
 
     def keep_first(self, count: int) -> None:
         """Drop all rows but the first `count`, and their entries in timing.jsonl."""
@@ -128,7 +142,7 @@ class RunDirectory:
 
     def load_arrays(self, row: Mapping[str, object]) -> dict[str, np.ndarray]:
         """Return the arrays of a row. Raises UserError as `arrays_of` does."""
-        return arrays_of(self.path, row)
+        return arrays_of(self.path, row, self.form)
 
     def file(self, name: str) -> Path:
         """Return the path of a file of the run, e.g. "figures/figure5.png", in a folder that exists.
@@ -176,11 +190,8 @@ class RunDirectory:
 
         Raises UserError if it is missing or damaged.
         """
-        manifest = self.read_json("manifest.json")
-        if not isinstance(manifest, dict):
-            raise UserError(
-                f"{self.path / 'manifest.json'}: must be a mapping, not a {type(manifest).__name__}"
-            )
+        manifest: dict[str, Plain] = self.read_json("manifest.json")
+        check(Manifest, manifest, str(self.path / "manifest.json"))
         return manifest
 
     def _cases_of_rows(self) -> set[str]:
@@ -213,11 +224,13 @@ class RunDirectory:
         self.write_json("manifest.json", manifest)
 
 
-def arrays_of(folder: Path, row: Mapping[str, object]) -> dict[str, np.ndarray]:
+def arrays_of(
+    folder: Path, row: Mapping[str, object], form: RowForm | None = None
+) -> dict[str, np.ndarray]:
     """Return the arrays of a row of the run in `folder`.
 
-    Raises UserError if the file is missing or damaged, is named after another case, or has another hash than the row
-    says; rows of older versions have no hash.
+    Raises UserError if the file is missing or damaged, is named after another case, has another hash than the row
+    says, or if the arrays have not the `form` of their suite's; rows of older versions have no hash.
     """
     name, wanted = str(row.get("arrays")), row.get("arrays_sha256")
     if name != _arrays_name(str(row["case"])):
@@ -227,6 +240,8 @@ def arrays_of(folder: Path, row: Mapping[str, object]) -> dict[str, np.ndarray]:
         raise UserError(
             f"{folder / name}: is not the file of its row: another hash; delete the row's line and --resume the run"
         )
+    if form is not None:
+        form.check_arrays(arrays, row, folder / name)
     return arrays
 
 

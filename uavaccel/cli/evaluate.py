@@ -12,13 +12,14 @@ from uavaccel.cli.terminal import console
 from uavaccel.config import parse_override
 from uavaccel.errors import UsageError, UserError
 from uavaccel.records import RunDirectory
+from uavaccel.suites.registry import open_run
 from uavaccel.suites.runner import check_jobs
 from uavaccel.suites.sweep.config import parse_sweep
 
 
 def evaluate_agent(request: RunRequest, against: Path | None, films: bool) -> None:
     """Evaluate an agent, compare it with another evaluation of the same lanes, and film. Raises UserError."""
-    other = None if against is None else RunDirectory(against)
+    other = None if against is None else open_run(against)
     if not request.dry_run:
         _check_first(request, other, films)
     run = run_experiment(request)

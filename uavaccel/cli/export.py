@@ -7,7 +7,7 @@ from pathlib import Path
 from uavaccel.cli.progress import LINES
 from uavaccel.cli.terminal import console
 from uavaccel.errors import UsageError
-from uavaccel.records import RunDirectory
+from uavaccel.suites.registry import open_run
 
 
 def export(
@@ -38,12 +38,12 @@ def export(
         if folder is not None:
             from uavaccel.suites.tables import write_tables
 
-            for path in write_tables(RunDirectory(source), folder, kind):
+            for path in write_tables(open_run(source), folder, kind):
                 console.print(str(path))
     if mcap is not None:
         from uavaccel.export.mcap_file import write_mcap
 
-        for path in write_mcap(RunDirectory(source), mcap, case):
+        for path in write_mcap(open_run(source), mcap, case):
             console.print(str(path))
     if minari is not None:
         _export_dataset(source, minari)
@@ -52,7 +52,7 @@ def export(
 def _export_dataset(source: str, folder: Path) -> None:
     from uavaccel.export.minari_dataset import write_minari
 
-    for done, games in write_minari(RunDirectory(source), folder):
+    for done, games in write_minari(open_run(source), folder):
         if done * LINES // games > (done - 1) * LINES // games:
             console.print(f"{done}/{games} games")
     console.print(str(folder))

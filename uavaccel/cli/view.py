@@ -11,7 +11,6 @@ from uavaccel.config import validate
 from uavaccel.draw.film import Film, write_contact_sheet, write_video
 from uavaccel.errors import UserError
 from uavaccel.files import inside
-from uavaccel.records import RunDirectory
 from uavaccel.rl.agents import DEFAULT, policy_folder
 from uavaccel.rl.policy import MANIFEST
 from uavaccel.sim.camera.gl import describe_renderer
@@ -20,7 +19,7 @@ from uavaccel.suites.evaluation.config import EvaluateConfig, completed
 from uavaccel.suites.evaluation.film import best_first, film_lane, lane_events
 from uavaccel.suites.evaluation.flights import lane_case
 from uavaccel.suites.experiment import resolve
-from uavaccel.suites.registry import suite_of
+from uavaccel.suites.registry import open_run, suite_of
 from uavaccel.suites.suite import choose_row
 from uavaccel.vision.event_files import check_format, write_events
 
@@ -38,7 +37,7 @@ def view_game(source: str, case: str | None, out: Path | None) -> None:
         with working("the game", console):
             name, film = _fly_policy(source, case or lane_case(0))
     else:
-        run = RunDirectory(source)
+        run = open_run(source)
         with working("the game", console):
             folder, (name, film) = run.path, suite_of(run).film(run, case)
     movie, sheet = (
@@ -63,7 +62,7 @@ def view_events(source: str, case: str | None, events: Path, rate_hz: float) -> 
     if (policy_folder(source) / MANIFEST).is_file():
         config, lane = _policy_game(source, case or lane_case(0))
     else:
-        run = RunDirectory(source)
+        run = open_run(source)
         if run.config().get("suite") != "evaluate":
             raise UserError(f"--events: {source} must be a policy or a run of evaluate")
         row = choose_row(run, case, best_first(run.rows()))

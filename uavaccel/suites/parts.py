@@ -10,7 +10,7 @@ from uavaccel.config import Config
 from uavaccel.files import Plain, inside
 from uavaccel.records import RunDirectory
 from uavaccel.suites.experiment import Experiment, merged, read_mapping
-from uavaccel.suites.registry import find_suite
+from uavaccel.suites.registry import find_suite, open_run
 from uavaccel.suites.report import Summary
 from uavaccel.suites.runner import begin_run, run_suite
 from uavaccel.suites.suite import AnySuite, Cost, configuration
@@ -61,4 +61,4 @@ def part_cost(part: Part, seed: int) -> tuple[float, Cost]:
 
 def part_run(run: RunDirectory, name: str) -> RunDirectory:
     """Return a part's run directory. Raises UserError if it was not flown."""
-    return RunDirectory(part_folder(run, name))
+    return open_run(part_folder(run, name))

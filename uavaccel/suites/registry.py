@@ -8,10 +8,12 @@ from inspect import getattr_static
 from pathlib import Path
 
 from uavaccel.errors import UserError, suggestion
+from uavaccel.forms import RowForm
 from uavaccel.records import RunDirectory
 from uavaccel.suites.experiment import Experiment
 from uavaccel.suites.own_code import own_module
 from uavaccel.suites.report import Report
+from uavaccel.suites.rows import GameRow
 from uavaccel.suites.suite import AnySuite, Suite
 
 # A line per suite; its module is imported on demand.
@@ -48,7 +50,22 @@ def suite_of(run: RunDirectory) -> AnySuite:
     name = run.config().get("suite")
     own = isinstance(name, str) and ":" in name
     folder = run.manifest().get("suite_folder") if own else None
-    return find_suite(name, str(run.path / "config.yaml"), Path(folder) if isinstance(folder, str) else None)
+    suite = find_suite(name, str(run.path / "config.yaml"), Path(folder) if isinstance(folder, str) else None)
+    run.form = suite.form
+    return suite
+
+
+def open_run(path: str | Path) -> RunDirectory:
+    """Return the run at `path`; its rows and arrays are checked as its suite declares them, whenever they are read.
+
+    Those of a custom suite are checked for the keys of every suite: its code is not loaded. Raises UserError.
+    """
+    run = RunDirectory(path)
+    if ":" in str(run.config().get("suite")):
+        run.form = RowForm(GameRow)
+    else:
+        suite_of(run)
+    return run
 
 
 def own_folder(suite: AnySuite) -> Path | None:

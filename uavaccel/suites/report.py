@@ -47,10 +47,11 @@ class Report(ABC):
     """The report of one run, with a method for each step: rows -> summary -> figures -> blocks of a page."""
 
     def __init__(self, run: RunDirectory, suite: str) -> None:
-        """Read the rows. Raises UserError if the run has no finished game of that suite."""
+        """Read the rows. Raises UserError if the run has no manifest, no finished game, or one of another suite."""
         self.run = run
         self.config = run.config()
-        self.rows: list[Plain] = [row for row in run.rows() if row.get("suite") == suite]
+        run.manifest()
+        self.rows: list[Plain] = run.rows()
         if not self.rows:
             raise UserError(f"{run.path / 'rows.jsonl'}: holds no finished game of {suite}")
 

@@ -5,12 +5,16 @@ from __future__ import annotations
 import zlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, NotRequired, TypedDict, TypeVar, cast
+from typing import TYPE_CHECKING, Annotated, Literal, NotRequired, TypeVar, cast
 
 import numpy as np
+from pydantic import AfterValidator
+from typing_extensions import TypedDict
 
 from uavaccel.files import Plain
-from uavaccel.suites.experiment import CommandName, FlightExperiment, Timing
+from uavaccel.forms import Count, NotNegative, Number, Positive
+from uavaccel.limits import Seed
+from uavaccel.suites.experiment import CommandName, FlightExperiment, ProfileName, Timing
 from uavaccel.units import NS_PER_S
 
 if TYPE_CHECKING:  # environments load Gymnasium, a client the simulation
@@ -30,11 +34,11 @@ Key = TypeVar("Key")
 class Disturbances(TypedDict, total=False):
     """What disturbed a game on the machine's own clock; the keys are absent from the rows of undisturbed games."""
 
-    lost_wall_s: float
+    lost_wall_s: NotNegative
     """Wall time that the simulation could not make good."""
-    stalled_wall_s: float
+    stalled_wall_s: NotNegative
     """Wall time during which the server did not answer."""
-    restarts: int
+    restarts: Count
     """How often the server was started again."""
     disturbed: bool
 
@@ -48,44 +52,59 @@ class GameRow(Disturbances):
     arrays_sha256: NotRequired[str]
 
 
+def _all_phases(spent_s: dict[str, float]) -> dict[str, float]:
+    from uavaccel.envs.stopwatch import PHASES
+
+    if missing := [phase for phase in PHASES if phase not in spent_s]:
+        raise ValueError(f"should have the phase {missing[0]!r}")
+    return spent_s
+
+
+Phases = Annotated[dict[str, NotNegative], AfterValidator(_all_phases)]
+"""Seconds of a game or a training by phase."""
+
+
 class LaneRow(GameRow):
     """The row of a game in the obstacle lane, in a training as in an evaluation."""
 
     is_success: bool
-    distance_m: float
+    distance_m: Number
     collision: str | None
-    lane: int
-    commands: int
-    phase_s: dict[str, float]
-    sim_time_s: float
-    conditions: NotRequired[Mapping[str, float]]
+    lane: Count
+    commands: Count
+    phase_s: Phases
+    sim_time_s: NotNegative
+    conditions: NotRequired[Mapping[str, Number]]
     simulator: NotRequired[str]
     """The simulator of an evaluation, unless that is the exact one."""
+
+
+Role = Literal["reference", "lockstep", "game", "figure2"]
 
 
 class FlightRow(GameRow):
     """The row of a path that is flown with commands over the wire (DP1, DP2)."""
 
-    role: str
+    role: Role
     command: CommandName
-    clock_speed: float
+    clock_speed: Positive
     timing: Timing
-    profile: str
-    seed: int
-    wall_s: float
-    sim_time_s: float
-    duration_s: float
+    profile: ProfileName
+    seed: Seed
+    wall_s: Positive
+    sim_time_s: Positive
+    duration_s: Positive
     """Simulated seconds from the start of the first command to the end of the last one."""
-    real_time_factor: float
+    real_time_factor: Positive
     error: str | None
     """What ended the flight early, if anything did."""
 
 
 @dataclass(frozen=True)
 class FlightCase:
-    """The conditions of a flight. `role` is "reference", "lockstep" or "game", or what a suite has beside these."""
+    """The conditions of a flight; the role "figure2" is DP1's alone."""
 
-    role: str
+    role: Role
     command: CommandName
     clock_speed: float
     timing: Timing

@@ -76,6 +76,7 @@ def begin_run(
     folder = own_folder(suite)  # from which `report` imports a custom suite
     found = {} if folder is None else {"suite_folder": str(folder)}
     run = RunDirectory.create(out, config, {**manifest, **found}, resume, suite.may_grow(out))
+    run.form = suite.form
     suite.prepare(config, run)
     return run
 

@@ -15,13 +15,15 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, NamedTuple, Protocol, 
 
 import numpy as np
 
+from uavaccel.config import validate
 from uavaccel.errors import UserError, suggestion
 from uavaccel.files import Plain
+from uavaccel.forms import ArrayForm, RowForm
 from uavaccel.machine import usable_cores
 from uavaccel.records import RunDirectory
 from uavaccel.suites.experiment import Experiment, resolve
 from uavaccel.suites.report import Report
-from uavaccel.suites.rows import Row
+from uavaccel.suites.rows import GameRow, Row
 
 if TYPE_CHECKING:
     from uavaccel.draw.film import Film
@@ -88,6 +90,10 @@ class Suite(ABC, Generic[ConfigType, CaseType]):
     name: ClassVar[str]
     """The key `suite` of its YAML."""
     config: type[ConfigType]
+    row: ClassVar[Any] = GameRow
+    """The TypedDict of its rows, or a union of such: rows are checked against it whenever they are read."""
+    arrays: ClassVar[Mapping[str, ArrayForm]] = {}
+    """The forms of its arrays."""
     serial: ClassVar[str] = ""
     """The reason why its games must be flown one after another in one process; empty if there is none."""
     batch: ClassVar[int] = 4
@@ -114,7 +120,14 @@ class Suite(ABC, Generic[ConfigType, CaseType]):
 
     def report(self, run: RunDirectory) -> Report:
         """Return the report of a run, which is yet to be written. Raises UserError for a run without finished games."""
+        validate(self.config, run.config(), str(run.path / "config.yaml"))
+        run.form = self.form
         return self.report_class(run, self.name)
+
+    @property
+    def form(self) -> RowForm:
+        """The form of what its runs hold."""
+        return RowForm(self.row, self.name, self.arrays)
 
     def why_serial(self, config: ConfigType) -> str:
         """Return `serial`; overridden where it depends on the configuration."""

@@ -90,6 +90,12 @@ class Case:
         return self.game.simulated_s()
 
 
+class AblationRow(dp1.Dp1Row):
+    """The row of a game of DP1 under a variant."""
+
+    variant: str
+
+
 class Sessions:
     """A session per variant, opened when its first game is flown."""
 
@@ -112,6 +118,8 @@ class Ablation(Suite[AblationConfig, Case]):
     name = "ablation"
     config = AblationConfig
     report_class = AblationReport
+    row = AblationRow
+    arrays = dp1.ARRAYS
 
     def cases(self, config: AblationConfig) -> Iterator[Case]:
         for index, variant in enumerate(config.variants):

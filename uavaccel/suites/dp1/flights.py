@@ -11,6 +11,7 @@ import numpy as np
 
 from uavaccel.commands import COMMANDS
 from uavaccel.commands.paths import velocities
+from uavaccel.forms import ArrayForm, Count, Positive
 from uavaccel.kinematics import Vector, VelocityGoal
 from uavaccel.suites.dp1.config import Dp1Config, Path
 from uavaccel.suites.experiment import t_th_ns
@@ -50,11 +51,23 @@ class Case(FlightCase):
 class Dp1Row(FlightRow):
     """The row of a game of DP1."""
 
-    t_move_s: float
-    rounds: int
-    game: int
-    commands: int
-    samples_dropped: int
+    t_move_s: Positive
+    rounds: Count
+    game: Count
+    commands: Count
+    samples_dropped: Count
+
+
+ARRAYS = {
+    "time_s": ArrayForm("f", ("samples",), ascends=True),
+    "position_m": ArrayForm("f", ("samples", 3)),
+    "orientation_wxyz": ArrayForm("f", ("samples", 4)),
+    "linear_velocity_m_s": ArrayForm("f", ("samples", 3)),
+    "angular_velocity_rad_s": ArrayForm("f", ("samples", 3)),
+    "command_start_s": ArrayForm("f", ("commands",), ascends=True),
+    "command_end_s": ArrayForm("f", ("commands",), ascends=True),
+}
+"""What `fly_game` records, as `Recording.arrays` makes it."""
 
 
 def cases(config: Dp1Config) -> Iterator[Case]:

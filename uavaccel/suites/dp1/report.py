@@ -149,7 +149,7 @@ class Dp1Report(Report):
 
     @cached_property
     def scores(self) -> list[CellScores]:
-        return score_cells(cells_of(self.rows), partial(arrays_of, self.run.path), self.jobs)
+        return score_cells(cells_of(self.rows), partial(arrays_of, self.run.path, form=self.run.form), self.jobs)
 
     def summarise(self) -> Summary:
         by_cell = [

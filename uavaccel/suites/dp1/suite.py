@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 from uavaccel.records import RunDirectory
 from uavaccel.suites.dp1.config import Dp1Config
-from uavaccel.suites.dp1.flights import SCENE, Case, cases, fly_game
+from uavaccel.suites.dp1.flights import ARRAYS, SCENE, Case, Dp1Row, cases, fly_game
 from uavaccel.suites.report import Report
 from uavaccel.suites.suite import Cost, GameResult, Suite, flying_s
 
@@ -25,6 +25,8 @@ class Dp1(Suite[Dp1Config, Case]):
 
     name = "dp1"
     config = Dp1Config
+    row = Dp1Row
+    arrays = ARRAYS
     quick: ClassVar[Mapping[str, object]] = {"games": 3, "reference_games": 3}
 
     @property

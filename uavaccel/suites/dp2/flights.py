@@ -4,21 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Self, TypedDict
+from typing import Annotated, Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
+from typing_extensions import TypedDict
 
 from uavaccel.commands import COMMANDS
 from uavaccel.commands.slices import samples_due
 from uavaccel.envs.camera_client import CameraClient, Sample
 from uavaccel.envs.task import rate_ticks
+from uavaccel.forms import ArrayForm, Count, NotNegative, Number, Positive
 from uavaccel.kinematics import Kinematics, VelocityGoal
 from uavaccel.sim.camera.view import HEIGHT, WIDTH
 from uavaccel.sim.lane.path import plan_path
 from uavaccel.suites.dp2.config import Dp2Config, Velocity
 from uavaccel.suites.experiment import t_th_ns
-from uavaccel.suites.rows import FlightCase, FlightRow, flight_row, named_seed
+from uavaccel.suites.rows import FlightCase, FlightRow, Role, flight_row, named_seed
 from uavaccel.units import NS_PER_S
 from uavaccel.vision.dvs import PRESETS, luma, make_sensor
 from uavaccel.vision.event_counter import EventCounter
@@ -48,21 +51,37 @@ class Dp2Collision(TypedDict):
     """What a flight collided with: the object, simulated seconds since the start, and the place in NED metres."""
 
     object: str
-    time_s: float
-    position_m: list[float]
+    time_s: NotNegative
+    position_m: Annotated[list[Number], Field(min_length=3, max_length=3)]
 
 
 class Dp2Row(FlightRow):
     """The row of a game of DP2."""
 
-    t_move_s: float
-    t_sample_s: float
-    commands: int
-    planned_commands: int
-    samples: int
-    distance_m: float
+    t_move_s: Positive
+    t_sample_s: Positive
+    commands: Count
+    planned_commands: Count
+    samples: Count
+    distance_m: Number
     collision: Dp2Collision | None
-    guard_retries: int
+    guard_retries: Count
+
+
+_PICTURES = ("samples", HEIGHT, WIDTH)
+ARRAYS = {
+    "sample_index": ArrayForm("iu", ("samples",), ascends=True),
+    "time_s": ArrayForm("f", ("samples",), ascends=True),
+    "position_m": ArrayForm("f", ("samples", 3)),
+    "orientation_wxyz": ArrayForm("f", ("samples", 4)),
+    "image": ArrayForm("u1", _PICTURES),
+    "colour": ArrayForm("u1", (*_PICTURES, 3), optional=True),
+    "retries": ArrayForm("iu", ("samples",)),
+    "command_velocity_m_s": ArrayForm("f", ("commands", 2)),
+    "dvs_on": ArrayForm("u", _PICTURES, optional=True),
+    "dvs_off": ArrayForm("u", _PICTURES, optional=True),
+}
+"""What `fly_game` records, as `arrays_of` makes it."""
 
 
 def cases(config: Dp2Config) -> Iterator[Case]:
@@ -78,7 +97,7 @@ def cases(config: Dp2Config) -> Iterator[Case]:
             yield Case("reference", command, 1.0, config.reference_timing, planned_s)
     yield Case("lockstep", "tcsc", 1.0, "lockstep", planned_s)
     for command, clock_speed in grid:
-        role = "reference" if clock_speed == 1.0 and command in flown_anyway else "game"
+        role: Role = "reference" if clock_speed == 1.0 and command in flown_anyway else "game"
         yield Case(role, command, clock_speed, config.timing, planned_s)
 
 

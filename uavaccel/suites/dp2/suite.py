@@ -13,7 +13,7 @@ from uavaccel.metrics.speedup import timing_provenance
 from uavaccel.records import RunDirectory
 from uavaccel.sim.chase import ChaseView
 from uavaccel.suites.dp2.config import Dp2Config
-from uavaccel.suites.dp2.flights import SCENE, Case, Dp2Row, cases, fly_game
+from uavaccel.suites.dp2.flights import ARRAYS, SCENE, Case, Dp2Row, cases, fly_game
 from uavaccel.suites.dp2.report import Dp2Report
 from uavaccel.suites.dp2.scores import counts_of
 from uavaccel.suites.suite import Cost, GameResult, Suite, choose_row, flying_s
@@ -42,6 +42,8 @@ class Dp2(Suite[Dp2Config, Case]):
 
     name = "dp2"
     config = Dp2Config
+    row = Dp2Row
+    arrays = ARRAYS
     report_class = Dp2Report
     quick: ClassVar[Mapping[str, object]] = {}
 

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import NotRequired
+from typing import Annotated, NotRequired
 
 import numpy as np
+from pydantic import Field
 
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.envs.simulators import EXACT
 from uavaccel.envs.values import Info
+from uavaccel.forms import Count, NotNegative, Number
 from uavaccel.rl.agents import Agent
 from uavaccel.suites.evaluation.config import EvaluateConfig
 from uavaccel.suites.rows import LaneRow, lane_row
@@ -27,9 +29,9 @@ class Case(SimpleCase):
 class EvaluateRow(LaneRow):
     """The row of a game of an evaluation."""
 
-    wall_s: float
-    actions: list[int]
-    path_m: NotRequired[list[list[float]]]
+    wall_s: NotNegative
+    actions: list[Count]
+    path_m: NotRequired[list[Annotated[list[Number], Field(min_length=2, max_length=2)]]]
     """Of a lane lost in the exact simulator: positions north and east at the ends of the commands."""
 
 

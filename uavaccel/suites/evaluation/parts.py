@@ -10,6 +10,7 @@ from typing import ClassVar, TypeVar
 import numpy as np
 
 from uavaccel.errors import UserError
+from uavaccel.forms import ArrayForm, Count, NotNegative, Number
 from uavaccel.limits import Games
 from uavaccel.records import RunDirectory
 from uavaccel.rl.agents import DEFAULT, policy_sha256
@@ -44,11 +45,18 @@ class EvaluationCase(SimpleCase):
 class PolicyRow(GameRow):
     """The row of an evaluation; suites add the keys of their conditions."""
 
-    games: int
-    successes: int
-    distance_m_median: float
-    sim_time_s: float
+    games: Games
+    successes: Count
+    distance_m_median: Number
+    sim_time_s: NotNegative
 
+
+OUTCOMES = {
+    "lane": ArrayForm("iu", ("games",)),
+    "is_success": ArrayForm("b", ("games",)),
+    "distance_m": ArrayForm("f", ("games",)),
+}
+"""The arrays of an evaluation, as `outcomes` makes them."""
 
 PolicyConfig = TypeVar("PolicyConfig", bound=PolicyExperiment)
 
@@ -57,6 +65,7 @@ class PolicySuite(Suite[PolicyConfig, EvaluationCase]):
     """One policy, evaluated on the same lanes in every case."""
 
     batch = 1
+    arrays = OUTCOMES
     kept: ClassVar[Sequence[str]] = ("games", "successes", "distance_m_median", "sim_time_s")
     """Keys of the evaluation's summary that its row keeps."""
 

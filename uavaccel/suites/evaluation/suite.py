@@ -16,7 +16,7 @@ from uavaccel.machine import usable_cores
 from uavaccel.records import RunDirectory
 from uavaccel.rl.agents import check_agent, make_agent, policy_sha256
 from uavaccel.suites.evaluation.config import EvaluateConfig, completed
-from uavaccel.suites.evaluation.flights import Case, fly_game, lane_case
+from uavaccel.suites.evaluation.flights import Case, EvaluateRow, fly_game, lane_case
 from uavaccel.suites.report import Report
 from uavaccel.suites.rows import Row
 from uavaccel.suites.suite import ROW_BYTES, Cost, GameResult, Suite, choose_row, flying_s, kernels_s
@@ -32,6 +32,7 @@ class Evaluation(Suite[EvaluateConfig, Case]):
 
     name = "evaluate"
     config = EvaluateConfig
+    row = EvaluateRow
 
     @property
     def report_class(self) -> type[Report]:

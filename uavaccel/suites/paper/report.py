@@ -26,6 +26,7 @@ from uavaccel.suites.paper.evidence import (
     Undecided,
 )
 from uavaccel.suites.parts import part_run
+from uavaccel.suites.registry import open_run
 from uavaccel.suites.report import Report, Summary, SummaryCell, number
 
 
@@ -149,7 +150,7 @@ def evidence_of(config: PaperConfig, run: RunDirectory, profile: str) -> dict[st
 
 def training_run(path: str) -> RunDirectory:
     """Return the run of the suite `rl` at a path. Raises UserError if it is none."""
-    run = RunDirectory(path)
+    run = open_run(path)
     if run.config().get("suite") != "rl":
         raise UserError(f"--with {path}: is a run of {run.config().get('suite')}, not of rl")
     return run

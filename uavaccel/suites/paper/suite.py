@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, nullcontext
 
+from uavaccel.forms import Count
 from uavaccel.records import RunDirectory
 from uavaccel.suites.paper.config import PaperConfig, read_claims
 from uavaccel.suites.paper.report import PaperReport, training_run
@@ -16,7 +17,7 @@ from uavaccel.suites.suite import Cost, GameResult, SimpleCase, Suite
 class PaperRow(GameRow):
     """The row of a part: a run of another suite."""
 
-    cells: int
+    cells: Count
     """Number of entries in its summary."""
 
 
@@ -26,6 +27,7 @@ class Paper(Suite[PaperConfig, SimpleCase]):
     name = "paper"
     config = PaperConfig
     report_class = PaperReport
+    row = PaperRow
     batch = 1
 
     def check(self, config: PaperConfig) -> None:

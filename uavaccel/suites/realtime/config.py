@@ -11,7 +11,7 @@ from pydantic import Field, model_validator
 
 from uavaccel.config import Config
 from uavaccel.limits import Games, Seconds
-from uavaccel.suites.experiment import ClockSpeeds, CommandNames, Experiment
+from uavaccel.suites.experiment import ClockSpeeds, CommandName, CommandNames, Experiment, Timing
 
 DRONES = "uavaccel/"
 OF_THE_CASES = {"timing", "command", "clock_speed"}  # keys of a drone's environment
@@ -146,8 +146,8 @@ class EvaluationCase:
     """Agents whose trainings do not differ share the one of the first of them."""
     latency_s: float
     clock_speed: float
-    command: str
-    timing: str
+    command: CommandName
+    timing: Timing
     episodes: int
 
     @property

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
+from pydantic import Discriminator, Field
 
 from uavaccel.clock import MonotonicClock
+from uavaccel.forms import ArrayForm, Count, NotNegative, Number, Positive
+from uavaccel.limits import Seed
+from uavaccel.suites.experiment import CommandName, Timing
 from uavaccel.suites.realtime.agents import LookAhead, Policy, Weights, train
 from uavaccel.suites.realtime.config import EvaluationCase, RealtimeConfig, TrainingCase
 from uavaccel.suites.realtime.environments import Env, measured, timed
@@ -24,9 +28,9 @@ class TrainingRow(GameRow):
     kind: Literal["training"]
     environment: str
     agent: str
-    seed: int
-    steps: int
-    last_return: float
+    seed: Seed
+    steps: Count
+    last_return: Number
     weights_sha256: str
 
 
@@ -34,18 +38,23 @@ class EvaluationRow(GameRow):
     """The row of the episodes of one trained agent under one latency, ClockSpeed and command."""
 
     kind: Literal["evaluation"]
-    timing: str
+    timing: Timing
     environment: str
     agent: str
-    seed: int
-    latency_s: float
-    clock_speed: float
-    command: str
-    returns: list[float]
-    delays_s: list[float]
+    seed: Seed
+    latency_s: NotNegative
+    clock_speed: Positive
+    command: CommandName
+    returns: Annotated[list[Number], Field(min_length=1)]
+    delays_s: Annotated[list[NotNegative], Field(min_length=1)]
     """Simulated seconds from an observation to its action: the median of each episode."""
-    late_s: float
+    late_s: NotNegative
     """How late the environment was at most, behind the machine's clock; 0 where the clock is simulated."""
+
+
+RealtimeRow = Annotated[TrainingRow | EvaluationRow, Discriminator("kind")]
+WEIGHTS = {"*": ArrayForm("f")}
+"""The arrays of a training: what its agent needs."""
 
 
 def fly_training(config: RealtimeConfig, case: TrainingCase) -> tuple[TrainingRow, Weights]:

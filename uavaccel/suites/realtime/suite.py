@@ -8,6 +8,7 @@ from itertools import product
 from pathlib import Path
 
 from uavaccel.errors import UserError
+from uavaccel.forms import RowForm
 from uavaccel.records import RunDirectory
 from uavaccel.suites.own_code import own_module
 from uavaccel.suites.realtime.config import EvaluationCase, RealtimeConfig, TrainingCase, cases, flies
@@ -31,6 +32,12 @@ class Realtime(Suite[RealtimeConfig, AnyCase]):
         from uavaccel.suites.realtime.report import RealtimeReport
 
         return RealtimeReport
+
+    @property
+    def form(self) -> RowForm:
+        from uavaccel.suites.realtime.flights import WEIGHTS, RealtimeRow  # loads PyTorch
+
+        return RowForm(RealtimeRow, self.name, WEIGHTS)
 
     def check(self, config: RealtimeConfig) -> None:
         """Raise UserError for an environment that cannot be made, and for an agent that cannot act in it."""

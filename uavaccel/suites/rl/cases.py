@@ -5,17 +5,21 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple, NotRequired, TypedDict
+from typing import Any, NamedTuple, NotRequired
 
 import numpy as np
+from typing_extensions import TypedDict
 
 from uavaccel.envs.simulators import EXACT as EXACT_SIMULATOR
+from uavaccel.forms import ArrayForm, Count, NotNegative, Positive
+from uavaccel.limits import Games, Seed
 from uavaccel.rl.agents import DEFAULT, FLIGHT, SENSES
 from uavaccel.rl.config import OWN, DqnOptions
-from uavaccel.suites.experiment import CommandName, ProfileName
+from uavaccel.suites.evaluation.parts import OUTCOMES
+from uavaccel.suites.experiment import CommandName, ProfileName, Timing
 from uavaccel.suites.parts import Part, part_cost, part_suite
 from uavaccel.suites.rl.config import RlConfig, SimulatedTiming, pairs
-from uavaccel.suites.rows import GameRow
+from uavaccel.suites.rows import GameRow, Phases
 
 OF_DECISIONS = ("inference_s",)  # keys of a training that also apply to its evaluations
 EVALUATION_SEED = 0  # the same lanes and latencies for every policy
@@ -25,11 +29,11 @@ EXACT = "exact"  # name of an evaluation in the exact simulator
 class TrainingResult(TypedDict):
     """What a row keeps of the summary of its training."""
 
-    games: int
-    successes: int
-    commands: int
-    sim_time_s: float
-    phase_s: dict[str, float]
+    games: Games
+    successes: Count
+    commands: Count
+    sim_time_s: NotNegative
+    phase_s: Phases
     weights_sha256: str
 
 
@@ -37,11 +41,11 @@ class EvaluationResult(TypedDict):
     """What a row keeps of the summary of one evaluation."""
 
     command: CommandName
-    clock_speed: float
-    timing: str
+    clock_speed: Positive
+    timing: Timing
     simulator: str
-    games: int
-    successes: int
+    games: Games
+    successes: Count
 
 
 class RlRow(GameRow):
@@ -51,10 +55,14 @@ class RlRow(GameRow):
     profile: ProfileName
     timing: SimulatedTiming
     command: CommandName
-    clock_speed: float
-    seed: int
+    clock_speed: Positive
+    seed: Seed
     training: NotRequired[TrainingResult]
     evaluations: list[EvaluationResult]
+
+
+ARRAYS = {f"*_{name}": ArrayForm(form.kinds, ("n",)) for name, form in OUTCOMES.items()}
+"""The outcomes of each evaluation's lanes, under the name of the flight."""
 
 
 class Size(NamedTuple):

@@ -22,6 +22,7 @@ from uavaccel.suites.host_time import timed, wall_s
 from uavaccel.suites.parts import fly_part, part_folder, part_run, part_suite
 from uavaccel.suites.report import Summary
 from uavaccel.suites.rl.cases import (
+    ARRAYS,
     EVALUATION_SEED,
     EvaluationResult,
     RlRow,
@@ -98,6 +99,8 @@ class Rl(Suite[RlConfig, TrainingCase]):
     name = "rl"
     config = RlConfig
     report_class = RlReport
+    row = RlRow
+    arrays = ARRAYS
     batch = 1
 
     def check(self, config: RlConfig) -> None:

@@ -17,6 +17,7 @@ from pydantic import field_validator
 from uavaccel.draw import style
 from uavaccel.draw.document import Block, Heading, Paragraph, Picture, Table, or_dash
 from uavaccel.draw.style import clock_label, command_at_clock, command_name
+from uavaccel.forms import NotNegative, Positive
 from uavaccel.limits import MOST_SCALE, Games
 from uavaccel.metrics.intervals import Proportion
 from uavaccel.suites.evaluation.parts import (
@@ -155,8 +156,8 @@ class RobustnessRow(PolicyRow):
     """The row of an evaluation with one command at one latency and ClockSpeed."""
 
     command: CommandName
-    clock_speed: float
-    latency_scale: float
+    clock_speed: Positive
+    latency_scale: NotNegative
 
 
 def summarise(config: Row, rows: Sequence[RobustnessRow]) -> Summary:
@@ -256,6 +257,7 @@ class Robustness(PolicySuite[RobustnessConfig]):
     name = "robustness"
     config = RobustnessConfig
     report_class = RobustnessReport
+    row = RobustnessRow
 
     def evaluations(self, config: RobustnessConfig) -> Iterator[EvaluationCase]:
         """Yield the cells latency by latency, so that an interrupted run has complete rows of the map."""

@@ -18,7 +18,7 @@ from uavaccel.files import Plain
 from uavaccel.metrics.intervals import Proportion, mcnemar_exact
 from uavaccel.metrics.speedup import timing_provenance
 from uavaccel.suites.evaluation.parts import EvaluationCase, PolicyRow, PolicySuite, agent_name
-from uavaccel.suites.experiment import timing_of
+from uavaccel.suites.experiment import Timing, timing_of
 from uavaccel.suites.parts import part_cost, part_suite
 from uavaccel.suites.report import Report, Summary
 from uavaccel.suites.rows import Row, grouped, subset
@@ -108,7 +108,7 @@ class SweepRow(PolicyRow):
     value: Plain
     same: list[str]
     """In the row as trained, the cases that change nothing and are not flown again."""
-    timing: str
+    timing: Timing
 
 
 def summarise(config: Row, rows: Sequence[SweepRow], won: Won) -> Summary:
@@ -197,6 +197,7 @@ class Sweep(PolicySuite[SweepConfig]):
     name = "sweep"
     config = SweepConfig
     report_class = SweepReport
+    row = SweepRow
     kept = (*PolicySuite.kept, "timing")
 
     def evaluations(self, config: SweepConfig) -> Iterator[EvaluationCase]:

@@ -7,10 +7,12 @@ policy that is stored below policies/, so that the weights are those of a traini
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TypedDict
+
+from typing_extensions import TypedDict
 
 from uavaccel.config import validate
 from uavaccel.files import append_line, read_lines, to_json
+from uavaccel.forms import Count, Number, check_all
 from uavaccel.records import RunDirectory
 from uavaccel.rl.learner import Learner
 from uavaccel.rl.policy import export_policy, weights_sha256
@@ -26,14 +28,14 @@ FIRST_LANE = 500_000  # beyond those of `uavaccel evaluate`, so that policies ma
 class EvaluationLine(TypedDict):
     """A line of evaluations.jsonl: an evaluation of the current policy."""
 
-    games: int
+    games: Count
     """Games learned from so far."""
     weights_sha256: str
-    successes: int
-    lanes: list[int]
+    successes: Count
+    lanes: list[Count]
     is_success: list[bool]
     """By lane, as is `distance_m`, in metres north."""
-    distance_m: list[float]
+    distance_m: list[Number]
 
 
 class Evaluations:
@@ -101,8 +103,9 @@ def evaluation_of(config: TrainConfig, folder: Path) -> EvaluateConfig:
 
 
 def evaluations(run: RunDirectory) -> list[EvaluationLine]:
-    """Return the lines of evaluations.jsonl."""
+    """Return the lines of evaluations.jsonl. Raises UserError, naming the line, for one of another form."""
     lines: list[EvaluationLine] = read_lines(run.path / FILE)
+    check_all(EvaluationLine, lines, run.path / FILE)
     return lines
 
 

@@ -7,14 +7,15 @@ from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TypedDict
 
 from tensorboard.compat.proto.event_pb2 import Event
 from tensorboard.compat.proto.summary_pb2 import Summary
 from tensorboard.summary.writer.record_writer import RecordWriter
+from typing_extensions import TypedDict
 
 from uavaccel.clock import MonotonicClock, epoch_s
 from uavaccel.envs.stopwatch import Stopwatch
+from uavaccel.forms import Count, NotNegative, Number
 from uavaccel.rl.learner import Game
 from uavaccel.suites.rows import LaneRow, lane_row
 from uavaccel.suites.suite import GameResult
@@ -49,17 +50,17 @@ class CurvesFile:
 
 RECENT = 100  # games of the moving average of success
 
-_Return = TypedDict("_Return", {"return": float})  # a keyword of Python's
+_Return = TypedDict("_Return", {"return": Number})  # a keyword of Python's
 
 
 class TrainRow(LaneRow, _Return):
     """The row of a game of a training."""
 
-    game: int
-    environment: int
-    exploration: float | None
-    loss: float | None
-    mean_q: float | None
+    game: Count
+    environment: Count
+    exploration: NotNegative | None
+    loss: Number | None
+    mean_q: Number | None
 
 
 class GameRows:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from uavaccel.envs.simulators import EXACT, KERNELS
 from uavaccel.errors import UserError
+from uavaccel.forms import RowForm
 from uavaccel.records import RunDirectory
 from uavaccel.rl.agents import first_policy, policy_sha256
 from uavaccel.rl.config import check_algorithm
@@ -37,6 +38,12 @@ class Training(Suite[TrainConfig, SimpleCase]):
         from uavaccel.suites.training.report import TrainingReport  # loads what draws
 
         return TrainingReport
+
+    @property
+    def form(self) -> RowForm:
+        from uavaccel.suites.training.rows import TrainRow  # loads TensorBoard
+
+        return RowForm(TrainRow, self.name)
 
     def check(self, config: TrainConfig) -> None:
         check_algorithm(config)
