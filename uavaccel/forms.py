@@ -7,7 +7,7 @@ finds the keys that it needs, with finite numbers of the declared types.
 from __future__ import annotations
 
 import reprlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from functools import cache
@@ -74,6 +74,8 @@ class RowForm:
     row: Any
     """A TypedDict, or a union of such."""
     suite: str | None = None
+    case_of: Callable[[Plain], str] | None = None
+    """Returns the name of a row's case by its other keys."""
     arrays: Mapping[str, ArrayForm] = field(default_factory=dict)
 
     def check_rows(self, rows: Sequence[Plain], source: object) -> None:
@@ -85,6 +87,8 @@ class RowForm:
                     f"{where}: suite = {reprlib.repr(suite)}: this is a run of {self.suite}; {MEND}"
                 )
             check(self.row, row, where, MEND)
+            if self.case_of is not None and row["case"] != (name := self.case_of(row)):
+                raise UserError(f"{where}: by its other keys it is the row of {name}; {MEND}")
 
     def check_arrays(self, arrays: Mapping[str, np.ndarray], row: Mapping[str, Plain], source: object) -> None:
         """Raise UserError, naming file and array, unless a row's arrays have this form."""

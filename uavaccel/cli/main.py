@@ -20,7 +20,7 @@ from uavaccel.cli.experiment_commands import evaluate, run, train
 from uavaccel.cli.machine_commands import advise, bench, calibrate, doctor
 from uavaccel.cli.result_commands import export, report, view, watch
 from uavaccel.cli.starter import init, schema
-from uavaccel.errors import UserError, mistake_of
+from uavaccel.errors import UsageError, UserError, mistake_of
 from uavaccel.processes.guard import guard_children
 
 COMMANDS: list[Callable[..., None]] = [
@@ -46,6 +46,7 @@ def main() -> None:
     guard_children(lambda line: _print(f"warning: {line}"))
     try:
         _check_threads()
+        _refuse_empty(sys.argv[1:])
         status = app(sys.argv[1:] or ["--help"], prog_name="uavaccel", standalone_mode=False)
         sys.stdout.flush()
     except (KeyboardInterrupt, typer.Abort):
@@ -60,6 +61,16 @@ def main() -> None:
         status = _status_of(error)
     _leave_unread_output()
     sys.exit(status if isinstance(status, int) else 0)
+
+
+def _refuse_empty(words: list[str]) -> None:
+    """Raise UsageError for an empty word, which would be taken for the working directory; a script has its own."""
+    for before, word in zip(["", *words], words, strict=False):
+        if before.endswith(".py"):
+            return
+        option = before if not word else word[:-1]
+        if not word or (word.startswith("--") and word.endswith("=")):
+            raise UsageError(f"{option or 'the command'}: is followed by an empty text; leave it out, or say what")
 
 
 def _as_ctrl_c(number: int, frame: FrameType | None) -> None:

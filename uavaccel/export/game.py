@@ -17,6 +17,7 @@ from uavaccel.envs.observer import Game, Observer
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.envs.simulators import EXACT
 from uavaccel.errors import UserError
+from uavaccel.forms import MEND
 from uavaccel.records import RunDirectory
 from uavaccel.sim.camera.view import HEIGHT, WIDTH
 from uavaccel.sim.profile import PROFILES
@@ -99,7 +100,9 @@ def _ns(seconds: NDArray[np.float64]) -> Times:
 
 def _of_dp1(run: RunDirectory, row: Row) -> GameLog:
     config = validate(Dp1Config, run.config(), str(run.path / "config.yaml"))
-    case = next(each for each in Dp1().cases(config) if each.id == row["case"])
+    case = next((each for each in Dp1().cases(config) if each.id == row["case"]), None)
+    if case is None:
+        raise UserError(f"{run.path / 'rows.jsonl'}: {row['case']}: is no game of config.yaml; {MEND}")
     arrays = run.load_arrays(row)
     began = _ns(arrays["command_start_s"])
     asked = np.array(velocities(case.path, case.rounds, config.speed_m_s), np.float64)

@@ -96,10 +96,10 @@ def _write_game(run: RunDirectory, row: Row, game: GameLog, path: Path) -> None:
             name: writer.register_schema(name, "jsonschema", to_json(schema).encode())
             for name, schema in foxglove.SCHEMAS.items()
         }
-        channels = {
-            topic: writer.register_channel(topic, "json", schemas[name]) for topic, name in TOPICS.items()
-        }
+        channels: dict[str, int] = {}  # of what this game has
         for number, (time_ns, topic, message) in enumerate(_entries(row, game)):
+            if topic not in channels:
+                channels[topic] = writer.register_channel(topic, "json", schemas[TOPICS[topic]])
             writer.add_message(channels[topic], time_ns, to_json(message).encode(), time_ns, number)
         writer.finish()
 

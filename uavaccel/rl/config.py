@@ -166,7 +166,7 @@ class DqnOptions(Config):
     def exploration_rate(self, remaining: float) -> float:
         """Share of random actions while `remaining`, a share of the games from 1 to 0, is still to be flown."""
         done = 1.0 - remaining
-        if done > self.exploration_fraction:
+        if done > self.exploration_fraction or not self.exploration_fraction:
             return self.exploration_final_eps
         fall = self.exploration_final_eps - self.exploration_initial_eps
         return self.exploration_initial_eps + done * fall / self.exploration_fraction
@@ -178,12 +178,7 @@ def check_algorithm(config: LearnerConfig) -> None:
     Raises UserError for an unknown algorithm, one for continuous actions, an unknown option, and a replay buffer that
     does not fit into this machine's memory.
     """
-    if config.algorithm == OWN:
-        stored = DqnOptions.of(config).buffer_size
-    else:
-        from uavaccel.rl.algorithms import baseline_class  # loads PyTorch
-
-        stored = _check_keywords(config, baseline_class(config.algorithm))
+    stored = check_options(config)
     space, memory = config.task.observation_space(), memory_bytes()
     needed = stored * math.prod(space.shape) * space.dtype.itemsize
     if memory is not None and needed > memory and config.device == "cpu":
@@ -191,6 +186,15 @@ def check_algorithm(config: LearnerConfig) -> None:
             f"options of {config.algorithm}: {'buffer_size' if 'n_steps' not in config.options else 'n_steps'}: "
             f"{stored} observations take {needed / 1e9:.3g} GB; this machine has {memory / 1e9:.3g} GB"
         )
+
+
+def check_options(config: LearnerConfig) -> int:
+    """Return how many observations the algorithm stores. Raises UserError for an unknown algorithm or option."""
+    if config.algorithm == OWN:
+        return DqnOptions.of(config).buffer_size
+    from uavaccel.rl.algorithms import baseline_class  # loads PyTorch
+
+    return _check_keywords(config, baseline_class(config.algorithm))
 
 
 def _check_keywords(config: LearnerConfig, algorithm: type[BaseAlgorithm]) -> int:

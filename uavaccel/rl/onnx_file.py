@@ -33,6 +33,10 @@ INPUTS = {
     "colour": "red, green and blue, 0 to 255, (n, 3 x frames, 144, 256), the oldest frame first",
     "state": "the observation as the environment gives it",
 }
+TOLD = (
+    "a context plane of each thing that `knows` names, in that order, (n, planes, 36, 64), 0 to 255, 128 where there "
+    "is nothing to show"
+)
 
 
 class OnnxPolicy(nn.Module):
@@ -113,8 +117,10 @@ def described(policy: Policy) -> dict[str, str]:
     flight = ("headings_deg", "speed_m_s", "altitude_m", "t_move_s", "t_sample_s")
     keys = (*flight, "command", "dvs_preset", "knows")
     about = {key: json.dumps(task.model_dump(mode="json")[key]) for key in keys}
+    told = {"told": TOLD} if task.knows else {}
     return {
         "seen": INPUTS[task.observation],
+        **told,
         **about,
         "trained": json.dumps(dict(policy.manifest.get("trained", {})), sort_keys=True),
         "weights_file_sha256": str(policy.manifest["weights_file_sha256"]),

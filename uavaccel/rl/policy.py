@@ -27,7 +27,7 @@ from uavaccel.files import (
     replacing,
     to_json,
 )
-from uavaccel.rl.config import OWN, LearnerConfig
+from uavaccel.rl.config import LearnerConfig, check_options
 
 if TYPE_CHECKING:  # a manifest is read without PyTorch
     import torch as th
@@ -132,12 +132,10 @@ def _stamp(file: Path) -> tuple[int, int] | None:
 
 @lru_cache(maxsize=4)  # a sweep asks for the same policy in each of its cases
 def _read_policy(path: Path, *stamps: tuple[int, int] | None) -> Policy:
-    from uavaccel.rl.algorithms import baseline_class, make_policy
+    from uavaccel.rl.algorithms import make_policy
 
     manifest, config = _read_manifest(path, *stamps)
     weights = _read_weights(path / WEIGHTS)
-    if config.algorithm != OWN:
-        baseline_class(config.algorithm)
     network = make_policy(config, lambda _: 0.0, learns=False)
     network.set_training_mode(False)
     target = {
@@ -145,6 +143,10 @@ def _read_policy(path: Path, *stamps: tuple[int, int] | None) -> Policy:
         for name, tensor in weights.items()
         if name.startswith("q_net.")
     }
+    kinds = {name: tensor.dtype for name, tensor in network.state_dict().items()}
+    for name, tensor in weights.items():
+        if tensor.dtype != kinds.get(name, tensor.dtype):
+            raise UserError(f"{path / WEIGHTS}: {name} is of {tensor.dtype}; it should be of {kinds[name]}")
     try:
         network.load_state_dict({**weights, **target})
     except RuntimeError as error:
@@ -169,7 +171,12 @@ def _read_manifest(path: Path, *stamps: tuple[int, int] | None) -> tuple[Mapping
             f"{path / WEIGHTS}: is not the file that {MANIFEST} describes: another hash; train or copy both files anew"
         )
     described = {key: value for key, value in manifest["config"].items() if key in LearnerConfig.model_fields}
-    return manifest, validate(LearnerConfig, described, str(path / MANIFEST))
+    config = validate(LearnerConfig, described, str(path / MANIFEST))
+    try:
+        check_options(config)
+    except UserError as error:
+        raise UserError(f"{path / MANIFEST}: {error}") from error
+    return manifest, config
 
 
 def _parsed_manifest(path: Path) -> Mapping[str, Plain]:

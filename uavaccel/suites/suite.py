@@ -127,7 +127,11 @@ class Suite(ABC, Generic[ConfigType, CaseType]):
     @property
     def form(self) -> RowForm:
         """The form of what its runs hold."""
-        return RowForm(self.row, self.name, self.arrays)
+        return RowForm(self.row, self.name, self.case_of, self.arrays)
+
+    def case_of(self, row: Plain) -> str:
+        """Return the name of a row's case by its other keys; overridden where these say it."""
+        return str(row["case"])
 
     def why_serial(self, config: ConfigType) -> str:
         """Return `serial`; overridden where it depends on the configuration."""

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from typing import Annotated
 
 import numpy as np
-from pydantic import Field, field_validator
+from pydantic import Field, field_validator, model_validator
 
 from uavaccel.config import Config
 from uavaccel.limits import LatencyUs
@@ -49,6 +49,12 @@ class FaultConfig(Config):
     """Late by `late_us`."""
     late_us: LatencyUs = 10_000.0
     """Microseconds by which a late message comes later."""
+
+    @model_validator(mode="after")
+    def _at_most_all(self) -> FaultConfig:
+        if self.dropped + self.stalled + self.late > 1.0:
+            raise ValueError("dropped, stalled and late are fractions of all messages: together at most 1")
+        return self
 
 
 class PlatformConfig(Config):

@@ -219,7 +219,7 @@ def _speed(cell: Cell, seed: int) -> Values:
         "effective_speedup_interval": None,
         "effective_speedup_provenance": None,
         "real_time_factor": float(np.mean(_column(rows, "real_time_factor"))) if rows else None,
-        "lost_wall_s": float(np.sum(_column(rows, "lost_wall_s"))) if rows else None,
+        "lost_wall_s": float(np.sum([row.get("lost_wall_s", 0.0) for row in rows])) if rows else None,
     }
     if rows and cell.reference_rows:
         baseline, wall_s = _column(cell.reference_rows, "wall_s"), _column(rows, "wall_s")

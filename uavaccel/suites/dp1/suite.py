@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
+from uavaccel.files import Plain
 from uavaccel.records import RunDirectory
 from uavaccel.suites.dp1.config import Dp1Config
 from uavaccel.suites.dp1.flights import ARRAYS, SCENE, Case, Dp1Row, cases, fly_game
@@ -37,6 +38,10 @@ class Dp1(Suite[Dp1Config, Case]):
 
     def cases(self, config: Dp1Config) -> Iterator[Case]:
         return cases(config)
+
+    def case_of(self, row: Plain) -> str:
+        flown = row["role"], row["command"], row["clock_speed"], row["timing"]
+        return Case(*flown, row["t_move_s"], row["rounds"], row["game"], ()).id
 
     def may_grow(self, folder: Path) -> tuple[str, ...]:
         return ("games",)

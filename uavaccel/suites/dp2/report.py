@@ -185,7 +185,7 @@ def _warnings(rows: Sequence[Dp2Row], summary: Summary, config: Row) -> list[str
     ]
     if failed := [row["case"] for row in rows if row["error"] is not None]:
         warnings.append(f"Warning: {', '.join(failed)} failed and are left out; rows.jsonl says why.")
-    if lost_s := sum(row["lost_wall_s"] for row in rows):
+    if lost_s := sum(row.get("lost_wall_s", 0.0) for row in rows):
         warnings.append(f"Warning: the machine could not keep up and lost {lost_s:.3f} s of wall time.")
     if disturbed := [row["case"] for row in rows if row.get("disturbed")]:
         warnings.append(

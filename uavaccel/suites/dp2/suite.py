@@ -9,6 +9,7 @@ from uavaccel.config import validate
 from uavaccel.draw.film import PANEL, Film
 from uavaccel.draw.style import clock_label, command_name
 from uavaccel.errors import UserError
+from uavaccel.files import Plain
 from uavaccel.metrics.speedup import timing_provenance
 from uavaccel.records import RunDirectory
 from uavaccel.sim.chase import ChaseView
@@ -46,6 +47,9 @@ class Dp2(Suite[Dp2Config, Case]):
     arrays = ARRAYS
     report_class = Dp2Report
     quick: ClassVar[Mapping[str, object]] = {}
+
+    def case_of(self, row: Plain) -> str:
+        return Case(row["role"], row["command"], row["clock_speed"], row["timing"], 0.0).id
 
     def cases(self, config: Dp2Config) -> Iterator[Case]:
         return cases(config)

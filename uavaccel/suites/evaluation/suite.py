@@ -53,6 +53,9 @@ class Evaluation(Suite[EvaluateConfig, Case]):
         for lane in range(config.first_lane, config.first_lane + config.games):
             yield Case(lane_case(lane), config.task.timing, config.task.typical_s, lane)
 
+    def case_of(self, row: Plain) -> str:
+        return lane_case(row["lane"])
+
     def may_grow(self, folder: Path) -> tuple[str, ...]:
         return ("games",)
 

@@ -37,7 +37,7 @@ class Realtime(Suite[RealtimeConfig, AnyCase]):
     def form(self) -> RowForm:
         from uavaccel.suites.realtime.flights import WEIGHTS, RealtimeRow  # loads PyTorch
 
-        return RowForm(RealtimeRow, self.name, WEIGHTS)
+        return RowForm(RealtimeRow, self.name, arrays=WEIGHTS)
 
     def check(self, config: RealtimeConfig) -> None:
         """Raise UserError for an environment that cannot be made, and for an agent that cannot act in it."""

@@ -17,6 +17,7 @@ from pydantic import field_validator
 from uavaccel.draw import style
 from uavaccel.draw.document import Block, Heading, Paragraph, Picture, Table, or_dash
 from uavaccel.draw.style import clock_label, command_at_clock, command_name
+from uavaccel.files import Plain
 from uavaccel.forms import NotNegative, Positive
 from uavaccel.limits import MOST_SCALE, Games
 from uavaccel.metrics.intervals import Proportion
@@ -265,8 +266,11 @@ class Robustness(PolicySuite[RobustnessConfig]):
             point = {"profile": config.profile, "command": command, "clock": clock_speed, "latency": scale}
             keys = {key_of(name): value for name, value in point.items()}
             labels = {"command": command, "clock_speed": clock_speed, "latency_scale": scale}
-            case_id = f"latency{scale:g}-{command}-{clock_speed:g}x"
-            yield EvaluationCase(case_id, "virtual", 0.0, {**keys, "task.timing": "virtual"}, labels)
+            case = self.case_of(labels)
+            yield EvaluationCase(case, "virtual", 0.0, {**keys, "task.timing": "virtual"}, labels)
+
+    def case_of(self, row: Plain) -> str:
+        return f"latency{row['latency_scale']:g}-{row['command']}-{row['clock_speed']:g}x"
 
     def cases(self, config: RobustnessConfig) -> Iterator[EvaluationCase]:
         evaluations = list(self.evaluations(config))

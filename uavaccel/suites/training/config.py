@@ -13,6 +13,11 @@ from uavaccel.suites.experiment import Experiment
 CHECKPOINTS = "checkpoints"  # the folder from which a training is resumed
 
 
+def game_case(game: int) -> str:
+    """Return the name of a game, counted from 0."""
+    return f"game-{game:07d}"
+
+
 class TrainConfig(LearnerConfig, Experiment):
     """`suite: train`."""
 

@@ -19,7 +19,7 @@ from uavaccel.forms import Count, NotNegative, Number
 from uavaccel.rl.learner import Game
 from uavaccel.suites.rows import LaneRow, lane_row
 from uavaccel.suites.suite import GameResult
-from uavaccel.suites.training.config import TrainConfig
+from uavaccel.suites.training.config import TrainConfig, game_case
 from uavaccel.units import NS_PER_S
 
 VERSION = "brain.Event:2"  # the first record of each such file
@@ -91,7 +91,7 @@ class GameRows:
         """Return a finished game's row, and times since this start of the training: wall, the lane's, the learner's."""
         wall_s = (self._clock.now_ns() - self._start_ns) / NS_PER_S
         row: TrainRow = {
-            **lane_row("train", f"game-{game.number:07d}", game.info, self._t_move_s),
+            **lane_row("train", game_case(game.number), game.info, self._t_move_s),
             "game": game.number,
             "environment": game.lane,
             "return": game.reward,

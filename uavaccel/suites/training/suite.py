@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from uavaccel.envs.simulators import EXACT, KERNELS
 from uavaccel.errors import UserError
+from uavaccel.files import Plain
 from uavaccel.forms import RowForm
 from uavaccel.records import RunDirectory
 from uavaccel.rl.agents import first_policy, policy_sha256
@@ -17,7 +18,7 @@ from uavaccel.rl.policy import trained_with
 from uavaccel.suites.report import Report
 from uavaccel.suites.rows import Row
 from uavaccel.suites.suite import ROW_BYTES, Cost, GameResult, SimpleCase, Suite, flying_s, kernels_s
-from uavaccel.suites.training.config import CHECKPOINTS, TrainConfig
+from uavaccel.suites.training.config import CHECKPOINTS, TrainConfig, game_case
 
 if TYPE_CHECKING:
     from uavaccel.suites.training.flights import Trainer
@@ -43,7 +44,10 @@ class Training(Suite[TrainConfig, SimpleCase]):
     def form(self) -> RowForm:
         from uavaccel.suites.training.rows import TrainRow  # loads TensorBoard
 
-        return RowForm(TrainRow, self.name)
+        return RowForm(TrainRow, self.name, self.case_of)
+
+    def case_of(self, row: Plain) -> str:
+        return game_case(row["game"])
 
     def check(self, config: TrainConfig) -> None:
         check_algorithm(config)
@@ -52,7 +56,7 @@ class Training(Suite[TrainConfig, SimpleCase]):
 
     def cases(self, config: TrainConfig) -> Iterator[SimpleCase]:
         for game in range(config.games):  # lane and environment of each come out of the training
-            yield SimpleCase(f"game-{game:07d}", config.task.timing, config.task.typical_s)
+            yield SimpleCase(game_case(game), config.task.timing, config.task.typical_s)
 
     def may_grow(self, folder: Path) -> tuple[str, ...]:
         """More games can be flown where there is a checkpoint to resume from."""
