@@ -134,14 +134,14 @@ def _explain(cls: type[Config], mapping: Mapping[str, object], error: Validation
     if first["type"] == "missing" and isinstance(first["input"], list):
         whole = key.rpartition(".")[0]  # the key is that of the first value it lacks
         return f"{whole} = {reprlib.repr(first['input'])}: should have more values"
-    if first["type"].startswith("union_tag_"):
-        return _explain_kind(key, first["ctx"])
     return explain_value(mapping, first)
 
 
 def explain_value(mapping: object, error: ErrorDetails) -> str:
     """Return the dotted key of an error in plain data, the value, and what would be right."""
     key = _dotted(mapping, error)
+    if error["type"].startswith("union_tag_"):
+        return _explain_kind(key, error["ctx"])
     if error["type"] == "missing":
         return f"key {key!r} is missing"
     said = error["msg"].removeprefix("Value error, ").removeprefix("Input ")
@@ -152,9 +152,10 @@ def explain_value(mapping: object, error: ErrorDetails) -> str:
 def _explain_kind(key: str, kind: Mapping[str, str]) -> str:
     """Return what is wrong with the key that says which of several mappings this one is."""
     *_, name, _ = kind["discriminator"].split("'")  # its alias is the last one in quotes
+    inner = f"{key}.{name}" if key else name
     if "tag" not in kind:
-        return f"key '{key}.{name}' is missing"
-    return f"{key}.{name} = {kind['tag']}: should be one of {kind['expected_tags']}"
+        return f"key '{inner}' is missing"
+    return f"{inner} = {kind['tag']}: should be one of {kind['expected_tags']}"
 
 
 def _dotted(mapping: object, error: ErrorDetails) -> str:

@@ -115,7 +115,9 @@ def read_arrays(path: Path) -> dict[str, np.ndarray]:
             if sum(member.file_size for member in arrays.zip.infolist()) > ARRAYS_BYTES:
                 raise UserError(f"{path}: unpacks to more than {ARRAYS_BYTES:,} bytes")
             return dict(arrays)
-    except (OSError, EOFError, MemoryError, TypeError, ValueError, zipfile.BadZipFile) as error:
+    except TypeError as error:  # a single array
+        raise UserError(f"{path}: cannot be read: is no .npz") from error
+    except (OSError, EOFError, MemoryError, ValueError, zipfile.BadZipFile) as error:
         raise UserError(f"{path}: cannot be read: {error}") from error
 
 

@@ -26,6 +26,7 @@ Number = Annotated[float, Field(ge=-FAR, le=FAR)]
 NotNegative = Annotated[float, Field(ge=0.0, le=FAR)]
 Positive = Annotated[float, Field(gt=0.0, le=FAR)]
 Count = Annotated[int, Field(ge=0, le=MANY)]
+LONGEST = 1e9  # seconds, which nanoseconds can hold
 
 MEND = "delete the line and --resume the run"
 
@@ -139,8 +140,11 @@ def _fault(array: np.ndarray, form: ArrayForm) -> str | None:
         return "has numbers that are not finite"
     if array.dtype.kind == "f" and array.size and np.abs(array).max() > FAR:
         return f"has numbers beyond {FAR:g}"
-    if form.ascends and array.ndim == 1 and np.any(array[1:] < array[:-1]):
-        return "has to ascend"
+    if form.ascends and array.ndim == 1 and array.size:
+        if np.any(array[1:] < array[:-1]):
+            return "has to ascend"
+        if array[0] < 0 or array[-1] > LONGEST:
+            return f"has to begin at 0 or later and to end below {LONGEST:g}"
     return None
 
 

@@ -123,5 +123,5 @@ def described(policy: Policy) -> dict[str, str]:
         **told,
         **about,
         "trained": json.dumps(dict(policy.manifest.get("trained", {})), sort_keys=True),
-        "weights_file_sha256": str(policy.manifest["weights_file_sha256"]),
+        "weights_file_sha256": str(policy.manifest.get("weights_file_sha256", "")),
     }

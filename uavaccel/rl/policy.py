@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import TypedDict
 
 from uavaccel.config import validate
 from uavaccel.envs.task import Task
@@ -27,6 +28,7 @@ from uavaccel.files import (
     replacing,
     to_json,
 )
+from uavaccel.forms import check
 from uavaccel.rl.config import LearnerConfig, check_options
 
 if TYPE_CHECKING:  # a manifest is read without PyTorch
@@ -39,6 +41,13 @@ PREPROCESSING = (
     "a frame every T_sample of a command, rendered at 256 x 144, gray (BT.601), counted by the DVS model, ON - OFF "
     "summed over 4 x 4 pixels, plus 128, clipped to 0..255: uint8 (frames, 36, 64), oldest first"
 )
+
+
+class PolicyManifest(TypedDict, total=False):
+    """What is read of a policy's manifest beside the configuration of its training."""
+
+    weights_file_sha256: str
+    trained: dict[str, Plain]
 
 
 @dataclass(frozen=True)
@@ -195,6 +204,7 @@ def _parsed_manifest(path: Path) -> Mapping[str, Plain]:
         raise UserError(
             f"{path / MANIFEST}: describes no policy: no mapping under 'config'; train or copy it anew"
         )
+    check(PolicyManifest, manifest, str(path / MANIFEST))
     return manifest
 
 
@@ -217,6 +227,8 @@ def _read_weights(path: Path) -> Mapping[str, th.Tensor]:
     ):
         raise UserError(f"{path}: is no state dict of tensors alone")
     for name, tensor in weights.items():
+        if tensor.is_meta or tensor.is_quantized or tensor.layout != th.strided:
+            raise UserError(f"{path}: {name} is no plain tensor; train or copy the policy anew")
         if not tensor.isfinite().all():
             raise UserError(f"{path}: {name} is not finite: a training that diverged; train it anew")
     return weights

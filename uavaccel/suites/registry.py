@@ -58,9 +58,11 @@ def suite_of(run: RunDirectory) -> AnySuite:
 def open_run(path: str | Path) -> RunDirectory:
     """Return the run at `path`; its rows and arrays are checked as its suite declares them, whenever they are read.
 
-    Those of a custom suite are checked for the keys of every suite: its code is not loaded. Raises UserError.
+    Those of a custom suite are checked for the keys of every suite: its code is not loaded. Raises UserError,
+    also where there is no manifest.
     """
     run = RunDirectory(path)
+    run.manifest()
     if ":" in str(run.config().get("suite")):
         run.form = RowForm(GameRow)
     else:

@@ -59,13 +59,13 @@ class Dp1Row(FlightRow):
 
 
 ARRAYS = {
-    "time_s": ArrayForm("f", ("samples",), ascends=True),
-    "position_m": ArrayForm("f", ("samples", 3)),
-    "orientation_wxyz": ArrayForm("f", ("samples", 4)),
-    "linear_velocity_m_s": ArrayForm("f", ("samples", 3)),
-    "angular_velocity_rad_s": ArrayForm("f", ("samples", 3)),
-    "command_start_s": ArrayForm("f", ("commands",), ascends=True),
-    "command_end_s": ArrayForm("f", ("commands",), ascends=True),
+    "time_s": ArrayForm("f8", ("samples",), ascends=True),
+    "position_m": ArrayForm("f8", ("samples", 3)),
+    "orientation_wxyz": ArrayForm("f8", ("samples", 4)),
+    "linear_velocity_m_s": ArrayForm("f8", ("samples", 3)),
+    "angular_velocity_rad_s": ArrayForm("f8", ("samples", 3)),
+    "command_start_s": ArrayForm("f8", ("commands",), ascends=True),
+    "command_end_s": ArrayForm("f8", ("commands",), ascends=True),
 }
 """What `fly_game` records, as `Recording.arrays` makes it."""
 

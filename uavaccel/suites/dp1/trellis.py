@@ -9,18 +9,30 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from typing_extensions import TypedDict
 
 from uavaccel.draw import style
 from uavaccel.draw.document import Picture
 from uavaccel.errors import UserError
 from uavaccel.files import Plain, parse_json, read_bounded
+from uavaccel.forms import Number, check
 from uavaccel.suites.dp1.flights import Dp1Row
 from uavaccel.suites.provenance import clock_words, profiles_and_seeds
+
+
+class TraceEvent(TypedDict):
+    """An event of a trace as it is recorded."""
+
+    source: Literal["client", "server"]
+    event: str
+    wall_s: Number
+    sim_s: Number
+
 
 Event = Mapping[str, Plain]
 Trace = Sequence[Event]
@@ -62,9 +74,13 @@ def _read_traces(run_dir: Path) -> dict[str, Trace]:
         if not path.is_file():
             continue
         try:
-            found[style.command_name(command)] = parse_json(read_bounded(path).decode("utf-8"))
+            trace = parse_json(read_bounded(path).decode("utf-8"))
         except ValueError as error:
             raise UserError(f"{path}: not JSON: {error}") from error
+        check(list[TraceEvent], trace, str(path))
+        if not trace:
+            raise UserError(f"{path}: holds no event")
+        found[style.command_name(command)] = trace
     return found
 
 

@@ -71,13 +71,13 @@ class Dp2Row(FlightRow):
 _PICTURES = ("samples", HEIGHT, WIDTH)
 ARRAYS = {
     "sample_index": ArrayForm("iu", ("samples",), ascends=True),
-    "time_s": ArrayForm("f", ("samples",), ascends=True),
-    "position_m": ArrayForm("f", ("samples", 3)),
-    "orientation_wxyz": ArrayForm("f", ("samples", 4)),
+    "time_s": ArrayForm("f8", ("samples",), ascends=True),
+    "position_m": ArrayForm("f8", ("samples", 3)),
+    "orientation_wxyz": ArrayForm("f8", ("samples", 4)),
     "image": ArrayForm("u1", _PICTURES),
     "colour": ArrayForm("u1", (*_PICTURES, 3), optional=True),
     "retries": ArrayForm("iu", ("samples",)),
-    "command_velocity_m_s": ArrayForm("f", ("commands", 2)),
+    "command_velocity_m_s": ArrayForm("f8", ("commands", 2)),
     "dvs_on": ArrayForm("u", _PICTURES, optional=True),
     "dvs_off": ArrayForm("u", _PICTURES, optional=True),
 }

@@ -54,7 +54,7 @@ class PolicyRow(GameRow):
 OUTCOMES = {
     "lane": ArrayForm("iu", ("games",)),
     "is_success": ArrayForm("b", ("games",)),
-    "distance_m": ArrayForm("f", ("games",)),
+    "distance_m": ArrayForm("f8", ("games",)),
 }
 """The arrays of an evaluation, as `outcomes` makes them."""
 

@@ -7,7 +7,9 @@ policy that is stored below policies/, so that the weights are those of a traini
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Annotated
 
+from pydantic import AfterValidator
 from typing_extensions import TypedDict
 
 from uavaccel.config import validate
@@ -36,6 +38,15 @@ class EvaluationLine(TypedDict):
     is_success: list[bool]
     """By lane, as is `distance_m`, in metres north."""
     distance_m: list[Number]
+
+
+def _of_its_lanes(line: EvaluationLine) -> EvaluationLine:
+    lanes = len(line["lanes"])
+    if not lanes or {len(line["is_success"]), len(line["distance_m"])} != {lanes}:
+        raise ValueError("lanes, is_success and distance_m should have one entry for each lane")
+    if line["successes"] != sum(line["is_success"]):
+        raise ValueError("successes should be the number of lanes won")
+    return line
 
 
 class Evaluations:
@@ -105,7 +116,7 @@ def evaluation_of(config: TrainConfig, folder: Path) -> EvaluateConfig:
 def evaluations(run: RunDirectory) -> list[EvaluationLine]:
     """Return the lines of evaluations.jsonl. Raises UserError, naming the line, for one of another form."""
     lines: list[EvaluationLine] = read_lines(run.path / FILE)
-    check_all(EvaluationLine, lines, run.path / FILE)
+    check_all(Annotated[EvaluationLine, AfterValidator(_of_its_lanes)], lines, run.path / FILE)
     return lines
 
 

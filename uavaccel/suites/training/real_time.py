@@ -7,14 +7,16 @@ from functools import lru_cache
 
 import numpy as np
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
+from typing_extensions import TypedDict
 
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.files import to_json
+from uavaccel.forms import Positive, check
+from uavaccel.records import RunDirectory
 from uavaccel.rl.agents import FLIGHT
 from uavaccel.rl.algorithms import baseline_class
 from uavaccel.rl.config import OWN
 from uavaccel.suites.report import Values
-from uavaccel.suites.rows import Row
 from uavaccel.suites.training.config import TrainConfig
 
 COMMANDS = 20  # in the modelled game, after which their mean changes by less than 1 %
@@ -63,8 +65,17 @@ def _command_s(keys: str, inference_s: float, learning_s: float) -> float:
     return float(info["wall_s"] / info["commands"])
 
 
-def in_real_time(commands: int, modelled: Row) -> Values:
-    """Return the keys of a summary for the real time of so many commands."""
+class RealTime(TypedDict):
+    """What real_time.json holds, as `model_real_time` returns it."""
+
+    command_s: Positive
+    how: str
+
+
+def in_real_time(commands: int, run: RunDirectory) -> Values:
+    """Return the keys of a summary for the real time of so many commands. Raises UserError for a damaged file."""
+    modelled = run.read_json(REAL_TIME)
+    check(RealTime, modelled, str(run.path / REAL_TIME))
     return {
         "modelled_real_time_s": commands * modelled["command_s"],
         "modelled_real_time_how": modelled["how"],

@@ -74,7 +74,7 @@ class TrainingReport(Report):
         over = trained.get("games") == len(self.rows)
         summary = summarise(config, self.rows, trained["weights_sha256"] if over else None)
         if over and (self.run.path / REAL_TIME).is_file():
-            summary |= in_real_time(summary["commands"], self.run.read_json(REAL_TIME))
+            summary |= in_real_time(summary["commands"], self.run)
         if evaluated := summarise_evaluations(evaluations(self.run)):
             summary["evaluations"] = evaluated
         return summary
