@@ -103,6 +103,11 @@ def edit_manifest(folder: Path, **keys: Any) -> None:
     (folder / MANIFEST).write_text(json.dumps({**manifest, **keys}))
 
 
+def edit_config(folder: Path, **keys: Any) -> None:
+    config = json.loads((folder / MANIFEST).read_text())["config"]
+    edit_manifest(folder, config={**config, **keys})
+
+
 def write_weights(folder: Path, weights: Any) -> None:
     """Weights whose manifest agrees."""
     th.save(weights, folder / WEIGHTS)
@@ -113,6 +118,21 @@ def diverged(folder: Path) -> None:
     weights = th.load(folder / WEIGHTS, weights_only=True)
     name = next(iter(weights))
     write_weights(folder, {**weights, name: weights[name] * float("nan")})
+
+
+def of_kind(kind: th.dtype) -> Callable[[Path], None]:
+    """Weights that are finite, and fit in all but their kind of number."""
+
+    def damage(folder: Path) -> None:
+        weights = th.load(folder / WEIGHTS, weights_only=True)
+        write_weights(folder, {name: tensor.to(kind) for name, tensor in weights.items()})
+
+    return damage
+
+
+def sparse(folder: Path) -> None:
+    weights = th.load(folder / WEIGHTS, weights_only=True)
+    write_weights(folder, {name: tensor.to_sparse() for name, tensor in weights.items()})
 
 
 def cut_and_agreed(folder: Path) -> None:
@@ -129,6 +149,19 @@ def cut_and_agreed(folder: Path) -> None:
         (lambda folder: (folder / WEIGHTS).unlink(), r"policy\.pt: cannot be read: No such file"),
         (lambda folder: write_weights(folder, [1, 2]), r"policy\.pt: is no state dict of tensors alone"),
         (lambda folder: write_weights(folder, {}), r"policy\.pt: does not fit the network"),
+        (of_kind(th.int64), r"policy\.pt: .* is of torch\.int64; it should be of torch\.float32"),
+        (of_kind(th.complex64), r"policy\.pt: .* is of torch\.complex64; it should be of torch\.float32"),
+        (of_kind(th.float64), r"policy\.pt: .* is of torch\.float64"),
+        (sparse, r"policy\.pt: .* is no plain tensor"),
+        (lambda folder: edit_manifest(folder, trained=3), r"policy\.json: trained = 3: should be a mapping"),
+        (
+            lambda folder: edit_config(folder, options={"learning_tempo": 1}),
+            r"policy\.json: .*unknown key 'learning_tempo'",
+        ),
+        (
+            lambda folder: edit_config(folder, algorithm="ppo", options={"tempo": 1}),
+            r"policy\.json: options of ppo: unknown key 'tempo'",
+        ),
         (lambda folder: cut(folder / MANIFEST), r"policy\.json: a damaged policy, not JSON"),
         (lambda folder: empty_json(folder / MANIFEST), r"policy\.json: describes no policy"),
         (lambda folder: edit_manifest(folder, config={"algorithm": "rl"}), r"algorithm = 'rl' is unknown"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import importlib.util
+import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,7 @@ from uavaccel.envs.task import AT_REST
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
 from uavaccel.rl.algorithms import make_policy
-from uavaccel.rl.onnx_file import OnnxPolicy, example, reduced, write_onnx
+from uavaccel.rl.onnx_file import OnnxPolicy, described, example, reduced, write_onnx
 from uavaccel.rl.policy import Policy
 from uavaccel.suites.tables import row_table, sample_tables, write_tables
 from uavaccel.vision.observation import dvs_observation
@@ -111,6 +112,14 @@ def _runs_alike(trained: Policy, inputs: list[th.Tensor], action: th.Tensor, pat
     _, flown = session.run(None, {name: each.numpy() for name, each in given.items()})
     assert flown.tolist() == action.tolist()
     assert session.get_modelmeta().custom_metadata_map == about
+
+
+@pytest.mark.parametrize("knows", [[], ["last_action"], ["last_action", "frame_age"]])
+def test_the_metadata_describes_each_input(knows: list[str]) -> None:
+    trained = policy(knows=knows)
+    about, inputs = described(trained), ["seen", "told"][: len(example(trained))]
+    assert {"seen", "told"} & about.keys() == set(inputs)
+    assert json.loads(about["knows"]) == knows
 
 
 @pytest.mark.skipif(importlib.util.find_spec("onnxscript") is not None, reason="it is installed")

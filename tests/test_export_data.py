@@ -102,6 +102,9 @@ def read(path: Path) -> Log:
             assert schema.encoding == "jsonschema"
             schemas[channel.topic] = schema.name
             messages.setdefault(channel.topic, []).append((message.log_time, json.loads(message.data)))
+        summary = reader.get_summary()
+        assert summary
+        assert {each.topic for each in summary.channels.values()} == messages.keys()
     return Log(messages, metadata.metadata, schemas)
 
 

@@ -569,6 +569,11 @@ def test_learning_rate_and_exploration_fall_with_games() -> None:
     assert learner.policy.optimizer.param_groups[0]["lr"] == pytest.approx(6e-6)
 
 
+def test_exploration_that_falls_over_no_games_is_the_final_one_from_the_first() -> None:
+    options = DqnOptions(exploration_fraction=0.0, exploration_final_eps=0.2)
+    assert [options.exploration_rate(remaining) for remaining in (1.0, 0.5, 0.0)] == [0.2, 0.2, 0.2]
+
+
 def test_options_that_are_left_out_are_those_of_the_shipped_policy() -> None:
     assert DqnOptions().model_dump() == {
         "learning_rate": 3e-4, "buffer_size": 150_000, "learning_starts": 2_000, "batch_size": 32, "gamma": 0.95,

@@ -120,9 +120,11 @@ class Suite(ABC, Generic[ConfigType, CaseType]):
 
     def report(self, run: RunDirectory) -> Report:
         """Return the report of a run, which is yet to be written. Raises UserError for a run without finished games."""
-        validate(self.config, run.config(), str(run.path / "config.yaml"))
+        config = validate(self.config, run.config(), str(run.path / "config.yaml"))
         run.form = self.form
-        return self.report_class(run, self.name)
+        report = self.report_class(run, self.name)
+        report.config = config.model_dump(mode="json")  # with the keys that the file omits
+        return report
 
     @property
     def form(self) -> RowForm:

@@ -16,6 +16,7 @@ from uavaccel.draw import style
 from uavaccel.draw.document import Picture
 from uavaccel.draw.style import clock_label, command_name
 from uavaccel.envs.stopwatch import PHASES
+from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
 from uavaccel.suites.host_time import over_all_starts, wall_s
 from uavaccel.suites.provenance import disturbed_words
@@ -72,6 +73,8 @@ def phase_times(run: RunDirectory) -> PhaseTimes:
         phase_s = {phase: sum(row["phase_s"][phase] for row in rows) for phase in PHASES}
         return PhaseTimes(label, phase_s, sim_time_s / (sum(phase_s.values()) / config["environments"]))
     timings = run.timings()
+    if not wall_s(run) or any(not {"learner_s", "host_phase_s"} <= entry.keys() for entry in timings):
+        raise UserError(f"{run.path / 'timing.jsonl'}: has not the times of every game of a training")
     flown, learned = Counter[str](), over_all_starts([entry["learner_s"] for entry in timings])
     for entry in timings:
         flown.update(entry["host_phase_s"])
