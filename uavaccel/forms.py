@@ -39,11 +39,18 @@ class HostTimes(TypedDict, total=False):
     learner_s: dict[str, NotNegative]
 
 
+class Source(TypedDict, total=False):
+    """The source tree that flew."""
+
+    commit: str
+    dirty: bool
+
+
 class Start(TypedDict, total=False):
     """What describes a start of a run: the manifest of the first one, and those under `resumed`."""
 
     versions: dict[str, str | None]
-    git: dict[str, Any] | None
+    git: Source | None
     policy_sha256: str | None
     suite_folder: str
 
