@@ -136,6 +136,7 @@ def make_run(folder: Path, suite: str) -> None:
     """What looks like a run before it is opened, with the policy that ships."""
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "config.yaml").write_text(f"suite: {suite.partition('_')[0]}")
+    (folder / "manifest.json").write_text("{}")
     for file in asset("policies/default").iterdir():
         with contextlib.suppress(FileExistsError):
             (folder / file.name).symlink_to(file)
