@@ -14,6 +14,7 @@ MOST_LATENCY_US = 60e6
 MOST_SCALE = 1_000.0
 MOST_PROCESSES = 1_024
 MOST_SEEDS = 1 << 32
+MOST_ACTIONS = 4_096  # of a chunk, or observed
 
 Seed = Annotated[int, Field(ge=0, lt=MOST_SEEDS)]
 """A seed that NumPy's and torch's generators accept."""

@@ -7,8 +7,10 @@ Simulated time is an integer count of nanoseconds or of physics steps ("ticks").
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Callable
 from fractions import Fraction
+from numbers import Real
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -60,6 +62,27 @@ def attitude_difference_rad(a: ArrayLike, b: ArrayLike) -> NDArray[np.float64]:
 def exact(number: float | int | str | Fraction) -> Fraction:
     """Return a number as its decimal notation says, without binary rounding: 0.1 is 1/10."""
     return number if isinstance(number, Fraction) else Fraction(str(number))
+
+
+def real(value: object) -> float | None:
+    """Return a real number, NumPy's included, as the decimal that it prints: np.float32(0.1) is 0.1; else None."""
+    value = value[()] if isinstance(value, np.ndarray) else value
+    if isinstance(value, np.floating):
+        return float(str(value))
+    if isinstance(value, bool) or not isinstance(value, Real):
+        return None
+    try:
+        return float(value)
+    except OverflowError:
+        return float("inf")
+
+
+def whole(value: object) -> int | None:
+    """Return an integer, NumPy's included, as Python's; None for anything else, truth values among it."""
+    try:
+        return None if isinstance(value, bool) else operator.index(value)  # type: ignore[arg-type]
+    except TypeError:
+        return None
 
 
 def seconds_to_ns(seconds: float) -> int:

@@ -12,8 +12,9 @@ from gymnasium import spaces
 
 from uavaccel.clock import positive_clock_speed
 from uavaccel.errors import UserError
-from uavaccel.realtime.plant import Action, Passed, Period, Plant
-from uavaccel.units import ceil_div
+from uavaccel.limits import CLOCK_SPEEDS, MOST_ACTIONS
+from uavaccel.realtime.plant import Action, Passed, Period, Plant, copied
+from uavaccel.units import ceil_div, real, whole
 
 Command = Literal["adsc", "tcsc"]
 Meanwhile = Literal["hold", "default"]
@@ -47,12 +48,14 @@ class LoopOptions:
                 known = " or ".join(repr(each) for each in get_args(kind))
                 raise UserError(f"{name}: must be {known}, not {getattr(self, name)!r}")
         for name in ("chunk", "execute"):
-            value = getattr(self, name)
-            if not (value is None or (type(value) is int and value >= 1)):
-                raise UserError(f"{name}: must be a count of actions, 1 or more, not {value!r}")
+            if (name, self.execute) != ("execute", None):
+                object.__setattr__(self, name, _count(name, getattr(self, name), 1))
         if self.execute is not None and self.execute > self.chunk:
             raise UserError(f"execute: must be at most chunk = {self.chunk}, not {self.execute}")
-        object.__setattr__(self, "speed", positive_clock_speed(self.clock_speed))
+        speed, (least, most) = real(self.clock_speed), CLOCK_SPEEDS
+        object.__setattr__(self, "speed", positive_clock_speed(float("nan") if speed is None else speed))
+        if not least <= self.speed <= most:
+            raise UserError(f"clock_speed must be {least:g} to {most:g}, not {self.clock_speed}")
 
     @property
     def executed(self) -> int:
@@ -73,7 +76,7 @@ class LoopOptions:
     def idle_action(self, single: spaces.Space[Any]) -> Action:
         """Return the action before an agent's first one. Raises UserError without a default in a space but Box."""
         if self.default_action is not None:
-            action = self.default_action
+            action = copied(self.default_action)
             if isinstance(single, spaces.Box):
                 action = _as_array(action, single)
             if action is None or not single.contains(action):
@@ -82,6 +85,14 @@ class LoopOptions:
         if isinstance(single, spaces.Box):
             return np.clip(np.zeros(single.shape, single.dtype), single.low, single.high)
         raise UserError(f"default_action: a {type(single).__name__} has no neutral action; name one")
+
+
+def _count(name: str, value: object, least: int) -> int:
+    """Return a count of actions. Raises UserError unless it is an integer from `least` to MOST_ACTIONS."""
+    count = whole(value)
+    if count is None or not least <= count <= MOST_ACTIONS:
+        raise UserError(f"{name}: must be a count of actions, {least} to {MOST_ACTIONS}, not {value!r}")
+    return count
 
 
 def _as_array(action: Action, space: AnyBox) -> Action:
@@ -93,7 +104,10 @@ def _as_array(action: Action, space: AnyBox) -> Action:
 
 
 class ControlLoop:
-    """The loop that applies an agent's actions to a plant, and the planned or idle ones while the agent thinks."""
+    """The loop that applies an agent's actions to a plant, and the planned or idle ones while the agent thinks.
+
+    It keeps copies: an agent may reuse the array of its last action.
+    """
 
     def __init__(self, plant: Plant, options: LoopOptions, action_space: spaces.Space[Any]) -> None:
         self.plant, self.options = plant, options
@@ -131,13 +145,18 @@ class ControlLoop:
         if self._planned:
             self._planned.clear()
         if self._holds:
-            self._idle = action
+            self._idle = copied(action)
         return self.plant.step(action)
 
     def act(self, action: Action, ticks: int, before: Passed | None = None) -> Passed:
-        """Apply the agent's actions, which have just arrived, for a number of ticks; 0 if thinking outlasted them."""
-        actions = [action] if self.options.chunk == 1 else action
-        self._planned = deque((each, self.plant.period_ticks) for each in actions)
+        """Apply the agent's actions, which have just arrived, for a number of ticks; 0 if thinking outlasted them.
+
+        Raises UserError for a chunk of another length than the options say.
+        """
+        chunk, action = self.options.chunk, copied(action)
+        if chunk > 1 and np.shape(action)[:1] != (chunk,):
+            raise UserError(f"action: must be a chunk of {chunk}, not of shape {np.shape(action)}")
+        self._planned = deque((each, self.plant.period_ticks) for each in (action if chunk > 1 else [action]))
         if ticks == 0 and before is not None:
             return before
         return self.advance(ticks, before)
@@ -171,9 +190,7 @@ class Extras:
     def __init__(
         self, observation: spaces.Space[Any], action: spaces.Space[Any], age: bool, actions: int
     ) -> None:
-        if not isinstance(actions, int) or isinstance(actions, bool) or actions < 0:
-            raise UserError(f"observe_actions: must be a count of actions, 0 or more, not {actions!r}")
-        self._age, self._count = age, actions
+        self._age, self._count = age, (actions := _count("observe_actions", actions, 0))
         self.space, self._size = observation, 0
         if not age and not actions:
             return

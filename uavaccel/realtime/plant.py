@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple, Protocol, SupportsFloat
+from collections.abc import Iterator
+from copy import deepcopy
+from typing import Any, NamedTuple, Protocol, SupportsFloat, cast, runtime_checkable
 
 import gymnasium
+import numpy as np
 from gymnasium.wrappers import TimeLimit
 
 from uavaccel.errors import UserError
-from uavaccel.units import NS_PER_S, exact
+from uavaccel.units import NS_PER_S, exact, real, whole
 
 Observation = Any
 Action = Any
 Period = tuple[Observation, SupportsFloat, bool, bool, dict[str, Any]]
 """The result of a control period, as Gymnasium's `step` returns it."""
+
+
+def copied(action: Action) -> Action:
+    """Return a copy of an action of any space."""
+    return action.copy() if type(action) is np.ndarray else deepcopy(action)
 
 
 class Passed(NamedTuple):
@@ -25,6 +33,15 @@ class Passed(NamedTuple):
     truncated: bool
     info: dict[str, Any]
     ticks: int
+
+
+@runtime_checkable
+class HasWallClock(Protocol):
+    """An environment that models the wall clock itself, as this package's drones do."""
+
+    task: Any
+
+    def charge(self, duration_s: float, phase: str = ...) -> None: ...
 
 
 class Plant(Protocol):
@@ -44,27 +61,54 @@ class Plant(Protocol):
         ...
 
     def advance(self, action: Action, ticks: int) -> Passed:
-        """Apply an action for at least one tick, and stop where the episode ends."""
+        """Apply an action, which stays as it is, for at least one tick, and stop where the episode ends."""
         ...
 
 
 class PeriodicPlant:
-    """An environment of any kind: a tick is a control period, one call of `step`."""
+    """An environment of any kind: a tick is a control period, one call of `step`.
 
-    def __init__(self, env: gymnasium.Env[Any, Any], period_s: float) -> None:
-        self._env, self.tick_ns, self.period_ticks = env, _period_ns(period_s), 1
+    The period is `period_s`, the user's, or what the environment inside says of its own steps: then a wrapper that
+    makes several steps of one is refused, in the first step, with a UserError.
+    """
+
+    def __init__(self, env: gymnasium.Env[Any, Any], period_s: object, of: str = "") -> None:
+        """`of` is the attribute of the environment inside that `period_s` is from, if any."""
+        self._env, self.period_ticks = env, 1
+        self._inside = cast(Any, env.unwrapped)
+        self.tick_ns = _period_ns(period_s, f"{type(self._inside).__name__}.{of}" if of else "period_s")
+        self._counts = bool(of) and env is not self._inside
 
     def reset(self) -> None:
         pass
 
     def step(self, action: Action) -> Period:
-        return self._env.step(action)
+        if not self._counts:
+            return self._env.step(action)
+        inside, calls = self._inside, 0
+        own, step = vars(inside).get("step"), inside.step
+
+        def counted(action: Action) -> Any:
+            nonlocal calls
+            calls += 1
+            return step(action)
+
+        inside.step = counted
+        try:
+            result: Period = self._env.step(action)
+        finally:
+            del inside.step
+            if own is not None:
+                inside.step = own
+        if calls > 1:
+            raise _of_another_length(self._env, f"{calls} steps of {type(inside).__name__}", "1")
+        return result
 
     def advance(self, action: Action, ticks: int) -> Passed:
         total, passed = 0.0, 0
         while True:
             count = min(ticks - passed, self.period_ticks)
-            observation, reward, terminated, truncated, info = self._part(action, count)
+            observation, reward, terminated, truncated, info = self._part(copied(action), count)
             total, passed = total + float(reward) * count / self.period_ticks, passed + count
             if passed == ticks or terminated or truncated:
                 return Passed(observation, total, terminated, truncated, info, passed)
@@ -78,33 +122,51 @@ class MujocoPlant(PeriodicPlant):
     """One of Gymnasium's MuJoCo environments: a tick is one physics step, of which `frame_skip` are a control period.
 
     Part of a period is one `step` with a smaller `frame_skip`, so that velocities, and what they earn, are those over
-    the time that passed; its reward counts for the share of a period that it is. A time limit counts whole periods of
-    simulated time.
+    the time that passed; its reward counts for the share of a period that it is. Time limits count whole periods of
+    simulated time. Where MuJoCo's own clock says that not as many physics steps were made as `frame_skip` says, in an
+    episode's first step or a part of a period, a UserError is raised.
     """
 
     def __init__(self, env: gymnasium.Env[Any, Any]) -> None:
-        self._env, self._inside = env, env.unwrapped
-        self.period_ticks = int(self._inside.frame_skip)  # type: ignore[attr-defined]
-        timestep_s = float(self._inside.model.opt.timestep)  # type: ignore[attr-defined]
-        self.tick_ns = _period_ns(timestep_s)
-        self._limit, self._ticks = _time_limit(env), 0
+        self._env = env
+        self._inside = cast(Any, env.unwrapped)
+        name, ticks = type(self._inside).__name__, whole(self._inside.frame_skip)
+        if ticks is None or ticks < 1:
+            given = self._inside.frame_skip
+            raise UserError(f"{name}.frame_skip: must be a count of physics steps, 1 or more, not {given!r}")
+        self.period_ticks = ticks
+        self._timestep_s = self._inside.model.opt.timestep
+        self._has_clock = hasattr(getattr(self._inside, "data", None), "time")
+        self.tick_ns = _period_ns(self._timestep_s, f"{name}.model.opt.timestep")
+        self._limits: list[Any] = [each for each in _layers(env) if isinstance(each, TimeLimit)]
+        self._ticks = 0
 
     def reset(self) -> None:
         self._ticks = 0
 
     def step(self, action: Action) -> Period:
-        self._ticks += self.period_ticks
-        return self._env.step(action)
+        first, self._ticks = self._ticks == 0, self._ticks + self.period_ticks
+        return self._stepped(action, self.period_ticks) if first else self._env.step(action)
 
     def _part(self, action: Action, ticks: int) -> Period:
         self._ticks += ticks
-        if self._limit is not None:
-            self._limit._elapsed_steps = self._ticks // self.period_ticks - 1  # its step adds one
-        self._inside.frame_skip = ticks  # type: ignore[attr-defined]
+        for limit in self._limits:
+            limit._elapsed_steps = self._ticks // self.period_ticks - 1  # its step adds one
+        self._inside.frame_skip = ticks
         try:
-            return self._env.step(action)
+            return self._stepped(action, ticks)
         finally:
-            self._inside.frame_skip = self.period_ticks  # type: ignore[attr-defined]
+            self._inside.frame_skip = self.period_ticks
+
+    def _stepped(self, action: Action, ticks: int) -> Period:
+        if not self._has_clock:
+            return self._env.step(action)
+        before_s = self._inside.data.time
+        result = self._env.step(action)
+        made = (self._inside.data.time - before_s) / self._timestep_s
+        if abs(made - ticks) > 0.5 and made > -0.5:  # MuJoCo sets it back where a simulation becomes unstable
+            raise _of_another_length(self._env, f"{made:.0f} physics steps", str(ticks))
+        return result
 
 
 def is_of_mujoco(env: gymnasium.Env[Any, Any]) -> bool:
@@ -115,36 +177,53 @@ def is_of_mujoco(env: gymnasium.Env[Any, Any]) -> bool:
 def plant_of(env: gymnasium.Env[Any, Any], period_s: float | None) -> Plant:
     """Return the plant of an environment: by physics steps or, with `period_s` or without MuJoCo, by control periods.
 
-    Raises UserError where the duration of a step is not known.
+    Raises UserError where the duration of a step is not known, or where the environment keeps real time itself.
     """
+    refuse_real_time_in(env)
     inside: Any = env.unwrapped
+    if isinstance(inside, HasWallClock):
+        raise UserError(f"{type(inside).__name__} keeps its own wall clock: fly it as it is, made with timing='wall'")
     if period_s is not None:
         return PeriodicPlant(env, period_s)
     if is_of_mujoco(env):
         return MujocoPlant(env)
     of_dm_control = getattr(getattr(inside, "_env", None), "control_timestep", None)  # inside shimmy's
     if callable(of_dm_control):
-        return PeriodicPlant(env, float(of_dm_control()))
+        return PeriodicPlant(env, of_dm_control(), "control_timestep")
     for name in ("dt", "tau"):
-        value = getattr(inside, name, None)
-        if isinstance(value, int | float) and value > 0:
-            return PeriodicPlant(env, float(value))
+        if (seconds := real(getattr(inside, name, None))) is not None and seconds > 0:
+            return PeriodicPlant(env, seconds, name)
     raise UserError(
         f"period_s: {type(inside).__name__} does not say how long a step is; "
         "give the simulated seconds of one, as in period_s=0.02"
     )
 
 
-def _time_limit(env: gymnasium.Env[Any, Any]) -> Any:
+def refuse_real_time_in(env: gymnasium.Env[Any, Any]) -> None:
+    """Raise UserError for an environment that is in real time already: a second thinking time would hide the first."""
+    for each in _layers(env):
+        if getattr(each, "keeps_real_time", False):
+            raise UserError(f"{type(each).__name__} is in real time already; give one wrapper the whole latency_s")
+
+
+def _layers(env: gymnasium.Env[Any, Any]) -> Iterator[Any]:
+    """Yield an environment's wrappers, the outer one first, and what they wrap."""
+    yield env
     while isinstance(env, gymnasium.Wrapper):
-        if isinstance(env, TimeLimit):
-            return env
         env = env.env
-    return None
+        yield env
 
 
-def _period_ns(period_s: float) -> int:
+def _of_another_length(env: gymnasium.Env[Any, Any], made: str, asked: str) -> UserError:
+    return UserError(
+        f"period_s: a step of {env} has made {made} where {asked} had been asked for; "
+        "give the simulated seconds of one, as in period_s=0.02"
+    )
+
+
+def _period_ns(period_s: object, name: str) -> int:
     """Return a period in nanoseconds. Raises UserError for anything else than 1 ns to 1e6 s."""
-    if not isinstance(period_s, int | float) or not 1e-9 <= period_s <= 1e6:
-        raise UserError(f"period_s: must be a number of seconds above 0, not {period_s!r}")
-    return max(round(exact(period_s) * NS_PER_S), 1)
+    seconds = real(period_s)
+    if seconds is None or not 1e-9 <= seconds <= 1e6:
+        raise UserError(f"{name}: must be a number of seconds, 1e-9 to 1e6, not {period_s!r}")
+    return max(round(exact(seconds) * NS_PER_S), 1)

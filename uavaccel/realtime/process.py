@@ -29,6 +29,8 @@ class RealTimeProcess(gymnasium.Env[Any, Any]):
     ClockSpeed is known. Raises UserError for arguments that do not fit, and where the process has ended.
     """
 
+    keeps_real_time = True
+
     def __init__(
         self,
         make_env: MakeEnv,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Final, Protocol
 
@@ -11,12 +11,13 @@ import numpy as np
 
 from uavaccel.clock import MonotonicClock
 from uavaccel.errors import UserError
-from uavaccel.units import NS_PER_S, seconds_to_ns
+from uavaccel.units import NS_PER_S, real, seconds_to_ns
 from uavaccel.wire.latency import DEFAULT, QUANTILES, LatencyConfig, Numbers, read_latency
 from uavaccel.yaml_io import dump_yaml
 
 MEASURED: Final = "measured"
 MOST_S = 3600.0
+_MOST_NS = MOST_S * NS_PER_S
 
 
 class ThinkingTime(Protocol):
@@ -31,8 +32,8 @@ class ThinkingTime(Protocol):
         ...
 
 
-class _Drawn:
-    """The inverse of a distribution's cumulative function, interpolated between tables of quantiles that add up."""
+class _Quantiles:
+    """A calibration's distributions: sums of times that are interpolated between the quantiles of each table."""
 
     def __init__(self, quantiles: Sequence[float], *tables_s: Sequence[float]) -> None:
         self._quantiles = np.asarray(quantiles, float)
@@ -45,15 +46,18 @@ class _Drawn:
         return sum(round(np.interp(generator.random(), self._quantiles, table)) for table in self._tables_ns)
 
 
-class _Constant:
-    def __init__(self, seconds: float) -> None:
-        self._taken_ns = seconds_to_ns(seconds)
+class _Listed:
+    """One of the times in a list, each of them as likely; nothing is drawn where there is one alone."""
+
+    def __init__(self, times_s: Sequence[float]) -> None:
+        self._times_ns = [seconds_to_ns(seconds) for seconds in times_s]
 
     def observed(self) -> None:
         pass
 
     def draw_ns(self, generator: np.random.Generator) -> int:
-        return self._taken_ns
+        count = len(self._times_ns)
+        return self._times_ns[0 if count == 1 else int(generator.integers(count))]
 
 
 class _Lognormal:
@@ -103,17 +107,16 @@ class Measured:
         return written
 
 
-def samples(times_s: Sequence[float]) -> ThinkingTime:
-    """Return thinking times distributed as a sample, in seconds. Raises UserError if one is negative or not finite."""
-    try:
-        taken = np.sort(np.asarray(times_s, float))
-    except (TypeError, ValueError):
-        taken = np.array(())
-    if taken.ndim != 1 or not len(taken):
+def samples(times_s: Iterable[float]) -> ThinkingTime:
+    """Return thinking times that are drawn from a list of seconds, each as likely as the others.
+
+    Raises UserError for anything else than numbers of seconds that a thinking time may take.
+    """
+    found = list(times_s) if isinstance(times_s, Iterable) else []
+    taken = [seconds for each in found if (seconds := real(each)) is not None]
+    if not taken or len(taken) < len(found):
         raise UserError(f"latency_s: a sample is a list of seconds, not {times_s!r}")
-    for each in (taken[0], taken[-1]):
-        _checked(float(each))
-    return _Drawn(np.linspace(0.0, 1.0, len(taken)).tolist(), taken.tolist())
+    return _Listed([_checked(seconds) for seconds in taken])
 
 
 def lognormal(median_s: float, p99_s: float) -> ThinkingTime:
@@ -121,24 +124,25 @@ def lognormal(median_s: float, p99_s: float) -> ThinkingTime:
 
     Raises UserError unless 0 < median_s <= p99_s.
     """
-    if not 0 < median_s <= p99_s <= MOST_S:
-        raise UserError(f"lognormal: needs 0 < median_s <= p99_s <= {MOST_S:g}, not {median_s} and {p99_s}")
+    median, p99 = real(median_s), real(p99_s)
+    if median is None or p99 is None or not 0 < median <= p99 <= MOST_S:
+        raise UserError(f"lognormal: needs 0 < median_s <= p99_s <= {MOST_S:g}, not {median_s!r} and {p99_s!r}")
     ninety_nine = 2.3263478740408408  # standard deviations
-    return _Lognormal(median_s, math.log(p99_s / median_s) / ninety_nine)
+    return _Lognormal(median, math.log(p99 / median) / ninety_nine)
 
 
 def calibrated(path: str | Path) -> ThinkingTime:
     """Return the thinking times of a calibration file: a message with the action and one with the observation.
 
-    The channels are `move` on the way out and `image` on the way back, or "call" where the file has neither. Raises
-    UserError that names the file and the key.
+    Each is drawn by its quantiles, between which times are interpolated. The channels are `move` on the way out and
+    `image` on the way back, or "call" where the file has neither. Raises UserError that names the file and the key.
     """
     model = read_latency(Path(path))
 
     def table_s(tables: dict[str, Numbers], channel: str) -> list[float]:
         return [model.scale * each / 1e6 for each in tables.get(channel, tables[DEFAULT])]
 
-    return _Drawn(model.quantiles, table_s(model.request_us, "move"), table_s(model.reply_us, "image"))
+    return _Quantiles(model.quantiles, table_s(model.request_us, "move"), table_s(model.reply_us, "image"))
 
 
 def thinking_time(latency_s: object) -> ThinkingTime:
@@ -146,14 +150,12 @@ def thinking_time(latency_s: object) -> ThinkingTime:
 
     Raises UserError, one line, for anything else.
     """
-    if isinstance(latency_s, bool):
-        raise UserError(f"latency_s: {_MEANT}, not {latency_s}")
-    if isinstance(latency_s, int | float):
-        return _Constant(_checked(float(latency_s)))
+    if (seconds := real(latency_s)) is not None:
+        return _Listed([_checked(seconds)])
     if isinstance(latency_s, str | Path):
         return Measured() if latency_s == MEASURED else calibrated(latency_s)
     if isinstance(latency_s, Sequence | np.ndarray):
-        return samples(list(latency_s))
+        return samples(latency_s)
     if hasattr(latency_s, "draw_ns") and hasattr(latency_s, "observed"):
         return latency_s
     raise UserError(f"latency_s: {_MEANT}, not {latency_s!r}")
@@ -166,3 +168,12 @@ def _checked(seconds: float) -> float:
     if not 0 <= seconds <= MOST_S:
         raise UserError(f"latency_s: must be 0 to {MOST_S:g} seconds, not {seconds:g}")
     return seconds
+
+
+def drawn_ns(source: ThinkingTime, generator: np.random.Generator) -> int:
+    """Return a thinking time in ns. Raises UserError where anybody's source draws what is none: -1 s, or NaN."""
+    drawn = source.draw_ns(generator)
+    taken_ns = drawn if type(drawn) is int else real(drawn)
+    if taken_ns is not None and 0 <= taken_ns <= _MOST_NS:
+        return round(taken_ns)
+    raise UserError(f"{type(source).__name__}.draw_ns: must be 0 to {_MOST_NS:g} nanoseconds, not {drawn!r}")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -11,20 +11,11 @@ from gymnasium.utils import RecordConstructorArgs
 
 from uavaccel.errors import UserError
 from uavaccel.realtime.control_loop import Command, ControlLoop, Extras, LoopOptions, Meanwhile
-from uavaccel.realtime.plant import plant_of
-from uavaccel.realtime.thinking import thinking_time
+from uavaccel.realtime.plant import HasWallClock, plant_of, refuse_real_time_in
+from uavaccel.realtime.thinking import drawn_ns, thinking_time
 from uavaccel.units import NS_PER_S
 
 _STREAM = 0x7EA1  # of the generator of thinking times, which leaves the environment's draws as they are
-
-
-@runtime_checkable
-class HasWallClock(Protocol):
-    """An environment that models the wall clock itself, as this package's drones do."""
-
-    task: Any
-
-    def charge(self, duration_s: float, phase: str = ...) -> None: ...
 
 
 class RealTime(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
@@ -46,8 +37,11 @@ class RealTime(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
     `simulated_s` of the episode.
     A wrapper inside counts ticks, not decisions: put episode statistics outside.
 
-    Raises UserError for arguments that do not fit.
+    Raises UserError for arguments that do not fit, for an environment that is in real time already, and, in a step,
+    where that has not the length that the environment says.
     """
+
+    keeps_real_time = True
 
     def __init__(
         self,
@@ -70,7 +64,7 @@ class RealTime(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         gymnasium.Wrapper.__init__(self, env)
         options = LoopOptions(command, clock_speed, meanwhile, default_action, chunk, execute, overlap)
         self.thinking = thinking_time(latency_s)
-        self._drone = _drone(env, options)
+        self._drone = _drone(env, options, period_s)
         self._loop = None
         if self._drone is None:
             self._loop = ControlLoop(plant_of(env, period_s), options, env.action_space)
@@ -99,7 +93,9 @@ class RealTime(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Let the thinking time pass, then apply the action; the reward is the sum of both."""
-        thinking_ns, loop = self.thinking.draw_ns(self._generator), self._loop
+        thinking_ns, loop = drawn_ns(self.thinking, self._generator), self._loop
+        if self._adds:
+            self._extras.note(action)  # the environment may change it
         if loop is None:
             return self._command(action, thinking_ns)
         undelayed = thinking_ns == 0 or not loop.goes_on
@@ -119,7 +115,6 @@ class RealTime(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         info["thinking_s"], info["meanwhile_s"] = thinking_ns / NS_PER_S, age_s
         info["wall_s"], info["simulated_s"] = self._wall_ns / NS_PER_S, self._ticks * self._tick_s
         if self._adds:
-            self._extras.note(action)
             observation = self._extras.added(observation, age_s)
         self.thinking.observed()
         return observation, float(reward), terminated, truncated, info
@@ -129,7 +124,6 @@ class RealTime(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         assert self._drone is not None
         self._drone.charge(thinking_ns / NS_PER_S)
         observation, reward, terminated, truncated, info = self.env.step(action)
-        self._extras.note(action)
         age_s = thinking_ns / NS_PER_S * self._drone.task.clock_speed * (self._drone.task.command == "adsc")
         info = {**info, "thinking_s": thinking_ns / NS_PER_S, "meanwhile_s": age_s}
         observation = self._extras.added(observation, age_s)
@@ -137,11 +131,14 @@ class RealTime(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         return observation, float(reward), terminated, truncated, info
 
 
-def _drone(env: gymnasium.Env[Any, Any], options: LoopOptions) -> HasWallClock | None:
+def _drone(
+    env: gymnasium.Env[Any, Any], options: LoopOptions, period_s: float | None
+) -> HasWallClock | None:
     """Return the environment that keeps its own clocks, if it is one. Raises UserError where these differ from ours."""
     inside = env.unwrapped
     if not isinstance(inside, HasWallClock):
         return None
+    refuse_real_time_in(env)
     task, name = inside.task, type(inside).__name__
     if task.timing != "virtual":
         raise UserError(
@@ -151,6 +148,15 @@ def _drone(env: gymnasium.Env[Any, Any], options: LoopOptions) -> HasWallClock |
         if getattr(task, key) != getattr(options, key):
             here, there = getattr(options, key), getattr(task, key)
             raise UserError(f"{key}: {here!r} here, but {there!r} in {name}; give both the same")
-    if options.chunk != 1 or options.overlap or options.default_action is not None:
-        raise UserError(f"chunk, overlap, default_action: {name} holds its position while its agent thinks")
+    given = {
+        "meanwhile": options.meanwhile != "hold",
+        "default_action": options.default_action is not None,
+        "chunk": options.chunk != 1,
+        "overlap": options.overlap,
+        "period_s": period_s is not None,
+    }
+    for key in (key for key, is_given in given.items() if is_given):
+        raise UserError(
+            f"{key}: leave it out: {name}'s own task says how long a step is, and it holds its position meanwhile"
+        )
     return inside
