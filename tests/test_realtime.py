@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 from collections.abc import Callable
@@ -19,12 +20,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from tests.processes import left_after, state_of
 from uavaccel.clock import VirtualClock
 from uavaccel.errors import UserError
+from uavaccel.processes import child
 from uavaccel.realtime import Measured, RealTime, RealTimeProcess, ThinkingTime, lognormal, samples
 from uavaccel.realtime.control_loop import ControlLoop, LoopOptions
 from uavaccel.realtime.plant import Passed, plant_of
-from uavaccel.realtime.process import _Server
+from uavaccel.realtime.process import _portable, _Server
 from uavaccel.realtime.thinking import thinking_time
 from uavaccel.wire.latency import read_latency
 
@@ -608,7 +611,7 @@ def test_a_process_of_its_own_goes_on_by_the_machines_clock() -> None:
         assert info["meanwhile_s"] >= info["thinking_s"] - 1e-9
         assert len(process.thinking.taken_ns) == thinking_ticks + 1
     process.close()
-    with pytest.raises(UserError, match="the process of the environment has ended with status 0"):
+    with pytest.raises(UserError, match=r"the process of the environment (was ended by SIGKILL|ended with status 0)"):
         process.step(one(0.1))
 
 
@@ -621,6 +624,96 @@ def test_in_a_process_too_tcsc_stops_the_clock_and_errors_are_one_line() -> None
     process.close()
     with pytest.raises(UserError, match=r"^period_s: FrozenLakeEnv does not say how long a step is"):
         RealTimeProcess(partial(gymnasium.make, "FrozenLake-v1"))
+
+
+class Failing(Counting):
+    """It fails in a step: with an exception, in a process of its own too."""
+
+    def __init__(self, error: BaseException) -> None:
+        self._error = error
+
+    def step(self, action: Any) -> Any:
+        raise self._error
+
+
+class OwnError(Exception):
+    """It cannot be unpickled."""
+
+    def __init__(self, one: int, two: int) -> None:
+        super().__init__(f"{one} and {two}")
+
+
+@pytest.mark.wall_clock
+@pytest.mark.slow
+def test_in_a_process_of_its_own_an_environments_exception_arrives_whole() -> None:
+    """Whether it comes in a step, while the agent thinks, or as the environment is made; then the process is over."""
+    process = RealTimeProcess(partial(Failing, ValueError("too low")), "tcsc")
+    process.reset(seed=0)
+    with pytest.raises(ValueError, match="too low") as caught:
+        process.step(one(0.1))
+    assert "in step" in caught.value.__notes__[0]
+    with pytest.raises(UserError, match=r"the process of the environment (was ended by SIGKILL|ended with status 0)"):
+        process.step(one(0.1))
+    process = RealTimeProcess(partial(Failing, ZeroDivisionError("while it thinks")))
+    process.reset(seed=0)
+    process._process.join()
+    with pytest.raises(ZeroDivisionError, match="while it thinks"):
+        process.step(one(0.1))
+    with pytest.raises(TypeError, match="argument"):
+        RealTimeProcess(partial(Counting, 1))  # type: ignore[call-arg]
+
+
+@pytest.mark.parametrize(
+    ("error", "sent"),
+    [
+        (ValueError("low"), "ValueError('low')"),
+        (UserError("one line"), "UserError('one line')"),
+        (OwnError(1, 2), "RuntimeError('OwnError: 1 and 2')"),
+        (ValueError(lambda: 0), "RuntimeError('ValueError: <function"),
+    ],
+)
+def test_an_exception_that_cannot_be_sent_is_told(error: Exception, sent: str) -> None:
+    assert repr(_portable(error)).startswith(sent)
+
+
+@pytest.mark.wall_clock
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
+def test_a_process_that_was_stopped_is_noticed_and_ended(monkeypatch: pytest.MonkeyPatch) -> None:
+    """By the agent that waits for it, or by `close`."""
+    monkeypatch.setattr(child, "STOPPED_S", 0.0)
+    for closed in (False, True):
+        env = RealTimeProcess(Counting, "tcsc")
+        env.reset(seed=0)
+        pid = env._process.pid
+        assert pid is not None
+        os.kill(pid, signal.SIGSTOP)
+        while state_of(pid) != "T":
+            pass
+        if closed:
+            env.close()
+        with pytest.raises(UserError, match=rf"was {'ended by SIGKILL' if closed else 'stopped'}$"):
+            env.step(one(0.1))
+        assert not left_after([pid], 0.0)
+
+
+@pytest.mark.wall_clock
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
+def test_an_interrupted_program_ends_though_its_environment_was_stopped() -> None:
+    """An interruption while it waits, and nobody closes what it made."""
+    program = (
+        "import os, signal; from tests.test_realtime import *; env = RealTimeProcess(Counting, 'tcsc'); env.reset();"
+        "os.kill(env._process.pid, signal.SIGSTOP); print(env._process.pid, flush=True); env.step(one(0.1))"
+    )
+    asked = [sys.executable, "-c", program]
+    with subprocess.Popen(asked, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        pid = int(process.stdout.readline())
+        process.send_signal(signal.SIGINT)
+        _, said = process.communicate(timeout=60)
+    assert said.splitlines()[-1] == "KeyboardInterrupt"
+    assert not left_after([pid], 0.0)
 
 
 def test_it_loads_neither_pytorch_nor_opengl() -> None:

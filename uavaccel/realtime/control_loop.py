@@ -53,7 +53,7 @@ class LoopOptions:
         if self.execute is not None and self.execute > self.chunk:
             raise UserError(f"execute: must be at most chunk = {self.chunk}, not {self.execute}")
         speed, (least, most) = real(self.clock_speed), CLOCK_SPEEDS
-        object.__setattr__(self, "speed", positive_clock_speed(float("nan") if speed is None else speed))
+        object.__setattr__(self, "speed", positive_clock_speed(self.clock_speed if speed is None else speed))
         if not least <= self.speed <= most:
             raise UserError(f"clock_speed must be {least:g} to {most:g}, not {self.clock_speed}")
 

@@ -3,19 +3,29 @@
 from __future__ import annotations
 
 import multiprocessing
+import os
+import pickle
+import traceback
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from multiprocessing.connection import Connection
+from multiprocessing.context import SpawnProcess
+from multiprocessing.util import Finalize
 from typing import Any
 
 import gymnasium
 
 from uavaccel.clock import MonotonicClock, Pacer
 from uavaccel.errors import UserError
+from uavaccel.processes.child import LOOK_S, Patience, describe_end
+from uavaccel.processes.lifetime import work_for_parent
+from uavaccel.processes.stalls import is_stopped
 from uavaccel.realtime.control_loop import Command, ControlLoop, Extras, LoopOptions, Meanwhile
 from uavaccel.realtime.plant import Passed, plant_of
 from uavaccel.realtime.thinking import Measured
 from uavaccel.units import NS_PER_S
 
+END_S = 1.0  # for which a process that shall end is waited for
 MakeEnv = Callable[[], "gymnasium.Env[Any, Any]"]
 
 
@@ -26,7 +36,8 @@ class RealTimeProcess(gymnasium.Env[Any, Any]):
     script that calls this needs `if __name__ == "__main__"`. The other arguments are `RealTime`'s; what the agent
     really takes to think is in `thinking`, whose `save` writes the calibration file that `RealTime` replays. Infos
     have `late_s` too: how much later than its clock the environment was, by which a machine too slow for the
-    ClockSpeed is known. Raises UserError for arguments that do not fit, and where the process has ended.
+    ClockSpeed is known. Raises UserError for arguments that do not fit, and where the process has ended or stays
+    stopped; what the environment raises is raised here, with its traceback there as a note.
     """
 
     keeps_real_time = True
@@ -50,10 +61,15 @@ class RealTimeProcess(gymnasium.Env[Any, Any]):
         context = multiprocessing.get_context("spawn")
         self._connection, theirs = context.Pipe()
         self._process = context.Process(
-            target=_serve, args=(theirs, make_env, options, period_s), daemon=True, name="uavaccel-realtime"
+            target=_serve,
+            args=(theirs, make_env, options, period_s, os.getpid()),
+            daemon=True,
+            name="uavaccel-realtime",
         )
         self._process.start()
         theirs.close()
+        # before multiprocessing waits at this program's end, for a stopped one for ever
+        self._end = Finalize(self, _end, (self._connection, self._process), exitpriority=0)
         observation, single, self.metadata, self._tick_ns = self._answer()
         self.action_space = options.action_space(single)
         self._extras = Extras(observation, self.action_space, observe_age, observe_actions)
@@ -81,20 +97,20 @@ class RealTimeProcess(gymnasium.Env[Any, Any]):
         return observation, passed.reward, passed.terminated, passed.truncated, info
 
     def close(self) -> None:
-        self._connection.close()
-        self._process.join(5)
-        if self._process.is_alive():
-            self._process.kill()
+        self._end()
 
     def _ask(self, *question: Any) -> Any:
-        try:
+        with suppress(OSError):  # where it has ended, its last answer may say why
             self._connection.send(question)
-        except OSError:
-            raise self._ended() from None
         return self._answer()
 
     def _answer(self) -> Any:
+        patience = Patience(self._process)  # type: ignore[arg-type]  # its id is all that is asked for
         try:
+            while not self._connection.poll(LOOK_S):
+                if patience.is_over():
+                    self._end()
+                    raise UserError("the process of the environment was stopped")
             answer = self._connection.recv()
         except (EOFError, OSError):
             raise self._ended() from None
@@ -103,8 +119,18 @@ class RealTimeProcess(gymnasium.Env[Any, Any]):
         return answer
 
     def _ended(self) -> UserError:
-        self._process.join(1)
-        return UserError(f"the process of the environment has ended with status {self._process.exitcode}")
+        self._end()
+        assert self._process.exitcode is not None
+        return UserError(f"the process of the environment {describe_end(self._process.exitcode)}")
+
+
+def _end(connection: Connection, process: SpawnProcess) -> None:
+    """End the environment's process, which may be stopped or work on."""
+    connection.close()
+    if process.pid is not None and not is_stopped(process.pid):
+        process.join(END_S)
+    process.kill()
+    process.join()
 
 
 class _Server:
@@ -173,8 +199,11 @@ class _Server:
         self._thought = self._meanwhile.ticks
 
 
-def _serve(connection: Connection, make_env: MakeEnv, options: LoopOptions, period_s: float | None) -> None:
+def _serve(
+    connection: Connection, make_env: MakeEnv, options: LoopOptions, period_s: float | None, parent: int
+) -> None:
     """Run the environment's process until the agent's end of the connection is closed."""
+    work_for_parent(parent)
     try:
         env = make_env()
         loop = ControlLoop(plant_of(env, period_s), options, env.action_space)
@@ -185,5 +214,18 @@ def _serve(connection: Connection, make_env: MakeEnv, options: LoopOptions, peri
             connection.send(getattr(server, name)(*arguments))
     except EOFError:
         return
-    except UserError as error:
-        connection.send(error)
+    except Exception as error:  # whatever an environment of anybody's raises
+        with suppress(OSError):  # nobody listens any more
+            connection.send(_portable(error))
+
+
+def _portable(error: Exception) -> Exception:
+    """Return an exception as it is, or one with its type and message where it cannot be sent to another process."""
+    if not isinstance(error, UserError):
+        error.add_note("".join(traceback.format_exception(error)))
+    try:
+        if type(pickle.loads(pickle.dumps(error))) is type(error):
+            return error
+    except Exception:
+        pass
+    return RuntimeError(f"{type(error).__name__}: {error}")
