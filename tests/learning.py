@@ -14,7 +14,7 @@ from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
 from uavaccel.rl import exact_lanes
 from uavaccel.rl.lanes import Lanes
 from uavaccel.suites.evaluation.report import EvaluationReport
-from uavaccel.suites.report import Summary
+from uavaccel.suites.old_report import Summary
 from uavaccel.suites.training import flights
 from uavaccel.suites.training.config import TrainConfig
 from uavaccel.suites.training.report import TrainingReport

@@ -9,7 +9,7 @@ from tests.web_pages import assert_sound
 from uavaccel.cli.run import RunRequest, configure
 from uavaccel.records import RunDirectory
 from uavaccel.suites.experiment import Experiment
-from uavaccel.suites.report import Summary
+from uavaccel.suites.old_report import Summary
 from uavaccel.suites.runner import begin_run, run_suite
 from uavaccel.suites.suite import AnySuite
 

@@ -23,9 +23,9 @@ from uavaccel.suites.ablation.report import (
     table,
 )
 from uavaccel.suites.ablation.suite import Ablation, AblationConfig, Variant
-from uavaccel.suites.dp1.config import Dp1Config
-from uavaccel.suites.dp1.scores import Cell, CellKey, CellScores
-from uavaccel.suites.dp1.suite import Dp1
+from uavaccel.suites.old_dp1.config import Dp1Config
+from uavaccel.suites.old_dp1.scores import Cell, CellKey, CellScores
+from uavaccel.suites.old_dp1.suite import Dp1
 from uavaccel.yaml_io import load_yaml
 
 BASE: dict[str, Any] = {

@@ -18,11 +18,11 @@ from uavaccel.cli.run import RunRequest, run_experiment
 from uavaccel.commands import COMMANDS, SynchronousCommand
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
-from uavaccel.suites.dp1.config import Dp1Config
-from uavaccel.suites.dp1.flights import SCENE, Case, fly_game, fly_path
-from uavaccel.suites.dp1.flights import cases as cases_of
-from uavaccel.suites.dp1.report import Dp1Report
-from uavaccel.suites.dp1.suite import Dp1
+from uavaccel.suites.old_dp1.config import Dp1Config
+from uavaccel.suites.old_dp1.flights import SCENE, Case, fly_game, fly_path
+from uavaccel.suites.old_dp1.flights import cases as cases_of
+from uavaccel.suites.old_dp1.report import Dp1Report
+from uavaccel.suites.old_dp1.suite import Dp1
 from uavaccel.suites.experiment import read_mapping, resolve
 from uavaccel.wire.session import VirtualSession, open_session
 

@@ -25,11 +25,11 @@ from tests.dp1_games import (
 from tests.drawing import boxes, headline, labelled, points, record_figures, texts
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
-from uavaccel.suites.dp1.cell_figures import accuracy_figure, speedup_figure
-from uavaccel.suites.dp1.flight_figures import trajectory_figure, velocity_figure
-from uavaccel.suites.dp1.report import Dp1Report, table
-from uavaccel.suites.dp1.scores import CellScores, cells_of, score_cells, summarise
-from uavaccel.suites.dp1.trellis import trellis_figure
+from uavaccel.suites.old_dp1.cell_figures import accuracy_figure, speedup_figure
+from uavaccel.suites.old_dp1.flight_figures import trajectory_figure, velocity_figure
+from uavaccel.suites.old_dp1.report import Dp1Report, table
+from uavaccel.suites.old_dp1.scores import CellScores, cells_of, score_cells, summarise
+from uavaccel.suites.old_dp1.trellis import trellis_figure
 from uavaccel.suites.rows import disturbances
 
 FIGURES = (

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from tests.dp1_games import line_arrays, line_row, quantile, synthetic_games
-from uavaccel.suites.dp1 import scores
-from uavaccel.suites.dp1.report import overview, table, verdict
-from uavaccel.suites.report import LoadArrays
+from uavaccel.suites.old_dp1 import scores
+from uavaccel.suites.old_dp1.report import overview, table, verdict
+from uavaccel.suites.old_report import LoadArrays
 
 Row = Any
 

@@ -44,7 +44,7 @@ from uavaccel.suites.evaluation.lost import plot_lost
 from uavaccel.suites.evaluation.report import compare, summarise
 from uavaccel.suites.evaluation.side_by_side import write_simulators
 from uavaccel.suites.evaluation.suite import Evaluation
-from uavaccel.suites.report import Summary
+from uavaccel.suites.old_report import Summary
 from uavaccel.wire.image_api import lane_layout
 
 LANES = 4

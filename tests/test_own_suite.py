@@ -239,7 +239,7 @@ WRONG = """
 from dataclasses import dataclass
 from contextlib import nullcontext
 from uavaccel.suites.experiment import Experiment, Timing
-from uavaccel.suites.report import Report
+from uavaccel.suites.old_report import Report
 from uavaccel.suites.suite import GameResult, Suite
 
 class Config(Experiment):

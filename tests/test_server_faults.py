@@ -16,7 +16,7 @@ from tests.running import configured
 from uavaccel.clock import VirtualClock
 from uavaccel.errors import UserError
 from uavaccel.processes.child import start_python
-from uavaccel.suites.dp1.suite import Dp1
+from uavaccel.suites.dp1 import Dp1
 from uavaccel.suites.runner import MOST_RESTARTS, begin_run, run_suite
 from uavaccel.suites.suite import GameResult
 from uavaccel.wire import server_watch

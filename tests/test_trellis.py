@@ -8,7 +8,7 @@ import pytest
 
 from tests.drawing import headline, legend_texts, points, texts
 from uavaccel.bench.traces import ClientEvent, _merge
-from uavaccel.suites.dp1.trellis import MOST_EVENTS, Message, messages, plot_trellis, running_spans
+from uavaccel.suites.old_dp1.trellis import MOST_EVENTS, Message, messages, plot_trellis, running_spans
 
 Trace = list[dict[str, Any]]
 

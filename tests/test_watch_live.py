@@ -27,7 +27,7 @@ from uavaccel.errors import UsageError
 from uavaccel.fly.options import FlightOptions
 from uavaccel.fly.runs import fly
 from uavaccel.records import RunDirectory
-from uavaccel.suites.dp1.suite import Dp1
+from uavaccel.suites.old_dp1.suite import Dp1
 from uavaccel.suites.evaluation.suite import Evaluation
 from uavaccel.suites.training.suite import Training
 from uavaccel.watch import beside

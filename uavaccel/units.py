@@ -114,3 +114,8 @@ def ceil_div(numerator: int, denominator: int) -> int:
 def plain(value: object) -> object:
     """Return NumPy scalars and arrays as plain Python numbers and lists, for JSON and msgpack."""
     return value.tolist() if isinstance(value, np.ndarray | np.generic) else value
+
+
+def to_ns(seconds: ArrayLike) -> NDArray[np.int64]:
+    """Return times in seconds (...) in whole nanoseconds."""
+    return np.rint(np.asarray(seconds, np.float64) * NS_PER_S).astype(np.int64)

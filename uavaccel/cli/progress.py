@@ -12,6 +12,7 @@ from rich.progress import BarColumn, TextColumn
 from rich.progress import Progress as Bar
 
 from uavaccel.clock import MonotonicClock
+from uavaccel.draw.labels import in_words
 from uavaccel.suites.rows import Row
 from uavaccel.suites.suite import Case
 from uavaccel.units import NS_PER_S
@@ -22,15 +23,14 @@ LINES = 10  # printed lines of progress without a terminal
 class Progress:
     """A bar on a terminal, a few plain lines elsewhere.
 
-    `expected_s` are the wall seconds that each case adds to the run by its suite's estimate. The time left is that of
-    the cases to come, corrected by what the finished ones have taken once there are `jobs` of them, which fly at once.
-    `rows` are those of games finished before the run was resumed; `status` summarises rows in a few words.
+    The time left is that of the cases to come at the pace of the finished ones, by their simulated time, once there
+    are `jobs` of them, which fly at once. `rows` are those of games finished before the run was resumed; `status`
+    summarises rows in a few words.
     """
 
     def __init__(
         self,
         cases: Sequence[Case],
-        expected_s: Sequence[float],
         jobs: int,
         rows: Sequence[Row],
         status: Callable[[Sequence[Row]], str],
@@ -38,12 +38,9 @@ class Progress:
     ) -> None:
         self._rows, self._status, self._console, self._jobs = list(rows), status, console, jobs
         done = {row["case"] for row in rows}
-        self._expected_s = {case.id: each for case, each in zip(cases, expected_s, strict=True)}
-        self._games, self._left_s = len(cases), sum(expected_s)
+        self._games, self._left_s = len(cases), sum(case.simulated_s() for case in cases if case.id not in done)
         self._skipped = len(rows)
         self._passed_s = self._flown_s = 0.0
-        for case in done & self._expected_s.keys():
-            self._left_s -= self._expected_s[case]
         self._clock = MonotonicClock()
         self._start_ns = self._clock.now_ns()
         self._printed = len(done) * LINES // max(self._games, 1)
@@ -54,8 +51,8 @@ class Progress:
     def flown(self, case: Case, row: Row) -> None:
         """Count a finished game; the runner's callback."""
         self._rows.append(row)
-        self._passed_s += self._expected_s[case.id]
-        self._left_s -= self._expected_s[case.id]
+        self._passed_s += case.simulated_s()
+        self._left_s -= case.simulated_s()
         self._flown_s += row.get("sim_time_s", case.simulated_s())
         share = len(self._rows) * LINES // self._games
         if self._console.is_terminal:
@@ -67,8 +64,7 @@ class Progress:
     def _text(self) -> str:
         wall_s = max((self._clock.now_ns() - self._start_ns) / NS_PER_S, 1e-9)
         measured = len(self._rows) - self._skipped >= self._jobs and self._passed_s > 0.0
-        left_s = self._left_s * (wall_s / self._passed_s if measured else 1.0)
-        left = "under a minute left" if left_s < 60 else f"{left_s / 60:.0f} min left"
+        left = f"{in_words(self._left_s * wall_s / self._passed_s)} left" if measured else "time left unknown"
         status = self._status(self._rows)
         return (
             f"{len(self._rows)}/{self._games} games, {status + ', ' if status else ''}"

@@ -22,7 +22,7 @@ from uavaccel.cli.progress import Progress, working
 from uavaccel.cli.terminal import console
 from uavaccel.clock import calendar_time
 from uavaccel.config import apply_overrides
-from uavaccel.draw.document import Table
+from uavaccel.draw.page import Table
 from uavaccel.errors import Interrupted, UsageError, UserError, mistake_of
 from uavaccel.files import Plain
 from uavaccel.limits import MOST_GAMES
@@ -31,11 +31,11 @@ from uavaccel.metrics.speedup import timing_provenance
 from uavaccel.records import RunDirectory
 from uavaccel.suites.engines import LOKY, check_engine
 from uavaccel.suites.experiment import Experiment, is_file, merged, read_mapping, timing_of
+from uavaccel.suites.old_report import Summary
 from uavaccel.suites.own_code import told
 from uavaccel.suites.registry import find_suite, suite_of
-from uavaccel.suites.report import Summary
 from uavaccel.suites.runner import begin_run, check_cases, check_jobs, run_suite
-from uavaccel.suites.suite import AnySuite, Case, Cost, configuration
+from uavaccel.suites.suite import AnySuite, Case, configuration
 from uavaccel.watch.beside import PageAddress, page_beside
 from uavaccel.watch.server import free_port
 
@@ -137,7 +137,7 @@ def _run_experiment(request: RunRequest) -> RunDirectory | None:
     out = request.out or Path("runs") / f"{name}-{calendar_time()[:19].replace(':', '')}"
     flown = flown_cases(out) if request.resume else set()
     left = [case for case in cases if case.id not in flown]
-    console.print(plan(suite, config, left, request.jobs, out))
+    console.print(plan(suite, config, left, out))
     alone = sum(case.timing == "wall" for case in cases)
     if alone and (request.jobs > 1 or request.engine != LOKY):
         console.print(f"{alone} games on the wall clock fly alone, in this process, one by one")
@@ -232,43 +232,26 @@ def manifest_of(suite: AnySuite, config: Experiment) -> dict[str, Plain]:
     return manifest
 
 
-def plan(suite: AnySuite, config: Experiment, cases: Sequence[Case], jobs: int, out: Path) -> str:
-    """Return the planned run in a line: games by clock, simulated seconds, estimated wall time and disk space."""
+def plan(suite: AnySuite, config: Experiment, cases: Sequence[Case], out: Path) -> str:
+    """Return the planned run in a line: games by clock, and simulated seconds; the first game tells what they take."""
     if not cases:
         return f"no game is left to be flown in {out}"
-    costs = [suite.cost(config, case) for case in cases]
-    wall_s = sum(expected_wall_s(case, cost, jobs) for case, cost in zip(cases, costs, strict=True))
     clocks = Counter(case.timing for case in cases)
     by_clock = ", ".join(f"{count} {timing}" for timing, count in clocks.items())
     simulated_s = sum(case.simulated_s() for case in cases)
-    disk_mb = sum(cost.disk_bytes for cost in costs) / 1e6
     games = sum(suite.games(config, case) for case in cases)
     what = f"{games} games" if games == len(cases) else f"{games:,} games in {len(cases)} cells"
     sources = " and ".join(sorted({timing_provenance(timing) for timing in clocks}))
     return (
-        f"{what} ({by_clock}: {sources}), {simulated_s:,.0f} simulated s: "
-        f"estimated {duration(wall_s)} and {max(disk_mb, 1):.0f} MB, into {out}"
+        f"{what} ({by_clock}: {sources}), {simulated_s:,.0f} simulated s, wall time known after the first, into {out}"
     )
-
-
-def expected_wall_s(case: Case, cost: Cost, jobs: int) -> float:
-    """Return the wall seconds that a game adds to a run of so many jobs; those on the wall clock fly alone."""
-    return cost.wall_s / (1 if case.timing == "wall" else jobs)
-
-
-def duration(seconds: float) -> str:
-    """Return a duration in words, in the unit that suits it."""
-    if seconds < 60:
-        return "under a minute"
-    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
 
 
 def fly(
     suite: AnySuite, config: Experiment, cases: Sequence[Case], run: RunDirectory, jobs: int, engine: str
 ) -> None:
     """Fly the cases that have no row yet."""
-    expected_s = [expected_wall_s(case, suite.cost(config, case), jobs) for case in cases]
-    with Progress(cases, expected_s, jobs, run.rows(), suite.status, console) as progress:
+    with Progress(cases, jobs, run.rows(), suite.status, console) as progress:
         run_suite(suite, config, run, jobs, progress.flown, engine)
 
 

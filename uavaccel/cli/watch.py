@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from uavaccel.cli.checks import check_host
 from uavaccel.errors import UsageError
-from uavaccel.suites.dp1.flights import SCENE
+from uavaccel.suites.old_dp1.flights import SCENE
 from uavaccel.watch.page import Page
 from uavaccel.watch.server import check_viser, open_server
 from uavaccel.watch.square import fly_side_by_side

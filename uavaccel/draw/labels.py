@@ -25,3 +25,17 @@ def clock_label(clock_speed: float) -> str:
 def command_at_clock(game: Mapping[str, Plain]) -> str:
     """Return command and ClockSpeed of a row or a task, as in "TCSC at 5x"."""
     return f"{command_name(game['command'])} at {clock_label(game['clock_speed'])}"
+
+
+def metres(value: float) -> str:
+    """Format with a few significant digits, as errors range from micrometres to metres; only an exact 0 is "0"."""
+    if value == 0:
+        return "0"
+    return f"{value:.3f}" if value >= 0.01 else f"{value:.1e}"
+
+
+def in_words(seconds: float) -> str:
+    """Return a duration in seconds, minutes or hours."""
+    if seconds < 600:
+        return f"{seconds:.1f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"

@@ -5,23 +5,22 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
-import matplotlib as mpl
 import numpy as np
-from cycler import cycler
-from matplotlib.artist import Artist
-from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 from numpy.typing import ArrayLike, NDArray
 
-from uavaccel.draw.document import Picture
 from uavaccel.draw.labels import clock_label as clock_label
 from uavaccel.draw.labels import command_at_clock as command_at_clock
 from uavaccel.draw.labels import command_name as command_name
 from uavaccel.draw.labels import rounds_label as rounds_label
+from uavaccel.draw.page import Picture
 from uavaccel.files import replacing
+
+if TYPE_CHECKING:  # matplotlib is loaded by what draws
+    from matplotlib.artist import Artist
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 # Okabe and Ito's palette, which the common colour-vision deficiencies keep apart.
 BLUE, ORANGE, GREEN, VERMILION = "#0072B2", "#E69F00", "#009E73", "#D55E00"
@@ -42,7 +41,6 @@ _SETTINGS: dict[Any, Any] = {
     "axes.spines.right": False,
     "axes.grid": True,
     "axes.axisbelow": True,
-    "axes.prop_cycle": cycler(color=CYCLE),
     "grid.color": "#E3E3E3",
     "grid.linewidth": 0.6,
     "legend.frameon": False,
@@ -55,12 +53,18 @@ _SETTINGS: dict[Any, Any] = {
 @contextmanager
 def project_style() -> Iterator[None]:
     """Apply the project's matplotlib settings while a figure is made or saved."""
-    with mpl.rc_context(_SETTINGS):
+    import matplotlib as mpl
+    from cycler import cycler
+
+    with mpl.rc_context(_SETTINGS | {"axes.prop_cycle": cycler(color=CYCLE)}):
         yield
 
 
 def new_figure(width_in: float, height_in: float, title: str, source: str) -> Figure:
     """Make a figure with a title on top and, at the bottom, the line that says where its numbers come from."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
     figure = Figure(figsize=(width_in, height_in), layout="constrained")
     FigureCanvasAgg(figure)
     figure.suptitle(title, x=0.01, ha="left", fontsize=11.5, fontweight="bold")
@@ -113,3 +117,50 @@ def survival(distances_m: ArrayLike, length_m: float) -> tuple[NDArray[np.float6
     """
     reached = np.sort(np.minimum(np.asarray(distances_m, float), length_m))
     return np.concatenate([[0.0], reached]), 1.0 - np.arange(len(reached) + 1) / len(reached)
+
+
+def series(number: int) -> LineStyle:
+    """Return colour and marker of the nth series of a figure."""
+    return {"color": colour(number), "marker": MARKERS[number % len(MARKERS)]}
+
+
+def key(figure: Figure, axes: Axes, others: dict[str, LineStyle]) -> None:
+    """Draw one legend above a figure: the lines of `axes`, and others by their labels; one of no width is an area."""
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    handles, _ = axes.get_legend_handles_labels()
+    for label, look in others.items():
+        area = look.get("linewidth") == 0
+        handles.append(Patch(color=look["color"], label=label) if area else Line2D([], [], label=label, **look))
+    figure.legend(handles=handles, ncols=len(handles), loc="outside upper right")
+
+
+LEAST_SPAN_M, LEAST_HEIGHT_SPAN_M = 0.2, 0.5  # millimetres of altitude are not to look like a climb
+
+
+def space(axes: Axes3D, flights_m: Sequence[NDArray[np.float64]]) -> None:
+    """Scale axes of three dimensions to flights (n, 3) NED drawn with height upwards; north and east to one scale."""
+    axes.set(xlabel="north x, m", ylabel="east y, m", zlabel="height −z, m")
+    axes.view_init(elev=38, azim=-125)
+    if not flights_m:
+        return
+    axes.legend(loc="upper left", bbox_to_anchor=(-0.05, 0.98))
+    points = np.concatenate(flights_m)
+    low, high = points.min(axis=0), points.max(axis=0)
+    half_m = max(float(np.max((high - low)[:2])), LEAST_SPAN_M) / 2 * 1.05
+    half_height_m = max(high[2] - low[2], LEAST_HEIGHT_SPAN_M) / 2
+    north, east, down = (low + high) / 2
+    axes.set(xlim=(north - half_m, north + half_m), ylim=(east - half_m, east + half_m))
+    axes.set_zlim(-down - half_height_m, -down + half_height_m)
+    axes.set_box_aspect((1, 1, 0.45))
+    for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
+        axis.set_ticks(_ticks(*axis.get_view_interval()))
+
+
+def _ticks(low: float, high: float) -> list[float]:
+    """Return two to six round numbers, none next to a corner, where the labels of two axes would overlap."""
+    from matplotlib.ticker import MaxNLocator
+
+    ticks = MaxNLocator(6, steps=(1, 2, 5, 10)).tick_values(low, high)
+    return [float(tick) for tick in ticks if low + 0.08 * (high - low) <= tick <= high]

@@ -15,12 +15,7 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
 from uavaccel.envs.checks import actions_of, autoreset_of, check_render_mode, make_task, whole_number
-from uavaccel.envs.environment_processes import (
-    BatchError,
-    BatchOptions,
-    EnvironmentProcesses,
-    SharedObservations,
-)
+from uavaccel.envs.environment_processes import BatchError, BatchOptions, EnvironmentProcesses, SharedObservations
 from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.task import Task
 from uavaccel.envs.turn_batch import TurnBatch

@@ -25,12 +25,7 @@ import cv2
 import mujoco
 from gymnasium.vector import AutoresetMode
 
-from uavaccel.envs.environment_processes import (
-    ProgramOptions,
-    SharedObservations,
-    SlotOptions,
-    descriptors_of,
-)
+from uavaccel.envs.environment_processes import ProgramOptions, SharedObservations, SlotOptions, descriptors_of
 from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.values import Action, Frame, Info
 from uavaccel.errors import UserError

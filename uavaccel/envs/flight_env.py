@@ -15,15 +15,7 @@ from numpy.typing import NDArray
 
 from uavaccel.clock import MonotonicClock
 from uavaccel.commands import COMMANDS
-from uavaccel.envs.checks import (
-    RENDER_MODES,
-    TaskT,
-    check_render_mode,
-    known_options,
-    make_task,
-    seed_of,
-    within,
-)
+from uavaccel.envs.checks import RENDER_MODES, TaskT, check_render_mode, known_options, make_task, seed_of, within
 from uavaccel.envs.sensors import EventCamera
 from uavaccel.envs.stopwatch import Stopwatch
 from uavaccel.envs.task import Moment

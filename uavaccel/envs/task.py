@@ -20,15 +20,7 @@ from uavaccel.commands.slices import check_times, samples_due
 from uavaccel.config import Config
 from uavaccel.envs.actions import SIZES, ActionKind, low_level_goal
 from uavaccel.envs.context_planes import ContextPlanes
-from uavaccel.envs.sensors import (
-    ColourCamera,
-    DepthCamera,
-    EventCamera,
-    Sensor,
-    StateSensor,
-    blank_frame,
-    state_fields,
-)
+from uavaccel.envs.sensors import ColourCamera, DepthCamera, EventCamera, Sensor, StateSensor, blank_frame, state_fields
 from uavaccel.envs.values import Action, Course, Info, Number
 from uavaccel.errors import UserError
 from uavaccel.kinematics import FlightGoal, Kinematics, Vector, VelocityGoal

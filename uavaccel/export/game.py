@@ -21,13 +21,12 @@ from uavaccel.forms import MEND
 from uavaccel.records import RunDirectory
 from uavaccel.sim.camera.view import HEIGHT, WIDTH
 from uavaccel.sim.profile import PROFILES
-from uavaccel.suites.dp1.config import Dp1Config
-from uavaccel.suites.dp1.suite import Dp1
+from uavaccel.suites.dp1 import Dp1, Dp1Config
 from uavaccel.suites.dp2.config import Dp2Config
 from uavaccel.suites.evaluation.again import evaluation_of, fly_again
 from uavaccel.suites.evaluation.film import SamplesSeen, SecondEventCamera, Seen
 from uavaccel.suites.evaluation.flights import EvaluateRow
-from uavaccel.suites.report import Arrays
+from uavaccel.suites.old_report import Arrays
 from uavaccel.suites.rows import Row
 from uavaccel.units import NS_PER_S
 from uavaccel.vision.dvs import PRESETS, make_sensor

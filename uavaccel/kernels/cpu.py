@@ -11,26 +11,10 @@ from numba.extending import overload
 from uavaccel.kernels import events, timeline
 from uavaccel.kernels.fields import COLOUR, COLUMNS, DEPTH, DVS, ROWS, SEEN_FAR_M, STATE, Looks
 from uavaccel.kernels.lane_clocks import keep_shown, turn_to_shown
-from uavaccel.kernels.lanes import (
-    EVENT_SEED,
-    PICTURE_SEED,
-    Flights,
-    Games,
-    begin,
-    command,
-    fly,
-    look,
-    touched,
-)
+from uavaccel.kernels.lanes import EVENT_SEED, PICTURE_SEED, Flights, Games, begin, command, fly, look, touched
 from uavaccel.kernels.operands import Launchable, Operand
 from uavaccel.kernels.project import project
-from uavaccel.kernels.spans import (
-    draw_channels,
-    draw_depths,
-    make_scratch,
-    transpose_colour,
-    transpose_gray,
-)
+from uavaccel.kernels.spans import draw_channels, draw_depths, make_scratch, transpose_colour, transpose_gray
 from uavaccel.kernels.timeline import Clocks, Command
 from uavaccel.parts import part
 from uavaccel.sim.vehicle.hotloop import sources

@@ -18,16 +18,7 @@ from uavaccel.config import validate
 from uavaccel.envs.task import Task
 from uavaccel.envs.values import Frame
 from uavaccel.errors import UserError
-from uavaccel.files import (
-    ARRAYS_BYTES,
-    Plain,
-    file_sha256,
-    open_bounded,
-    parse_json,
-    read_bounded,
-    replacing,
-    to_json,
-)
+from uavaccel.files import ARRAYS_BYTES, Plain, file_sha256, open_bounded, parse_json, read_bounded, replacing, to_json
 from uavaccel.forms import check
 from uavaccel.rl.config import LearnerConfig, check_options
 

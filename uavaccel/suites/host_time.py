@@ -9,6 +9,7 @@ from itertools import accumulate, pairwise
 from typing import TypeVar
 
 from uavaccel.clock import MonotonicClock
+from uavaccel.draw.labels import in_words as in_words
 from uavaccel.records import RunDirectory
 from uavaccel.units import NS_PER_S
 
@@ -45,16 +46,12 @@ def over_all_starts(readings: Sequence[dict[str, float]]) -> Counter[str]:
 
 
 def pace(run: RunDirectory) -> str:
-    """Return in words how long the games took, and their speed; empty where it was not measured."""
+    return pace_of(run, sum(row["sim_time_s"] for row in run.rows()))
+
+
+def pace_of(run: RunDirectory, simulated_s: float) -> str:
+    """Return in words how long games of so many simulated seconds took; empty where it was not measured."""
     took_s = wall_s(run)
     if not took_s:
         return ""
-    simulated_s = sum(row["sim_time_s"] for row in run.rows())
     return f"{in_words(took_s)} of wall clock, start-up not counted: {simulated_s / took_s:.0f} simulated s per wall s"
-
-
-def in_words(seconds: float) -> str:
-    """Return a duration in seconds, minutes or hours."""
-    if seconds < 600:
-        return f"{seconds:.1f} s"
-    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"

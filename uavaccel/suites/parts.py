@@ -10,10 +10,10 @@ from uavaccel.config import Config
 from uavaccel.files import Plain, inside
 from uavaccel.records import RunDirectory
 from uavaccel.suites.experiment import Experiment, merged, read_mapping
+from uavaccel.suites.old_report import Summary
 from uavaccel.suites.registry import find_suite, open_run
-from uavaccel.suites.report import Summary
 from uavaccel.suites.runner import begin_run, run_suite
-from uavaccel.suites.suite import AnySuite, Cost, configuration
+from uavaccel.suites.suite import AnySuite, configuration
 
 
 class Part(Config):
@@ -50,13 +50,10 @@ def part_folder(run: RunDirectory, name: str) -> Path:
     return inside(run.path, f"parts/{name}")
 
 
-def part_cost(part: Part, seed: int) -> tuple[float, Cost]:
-    """Estimate the simulated seconds of a part, and its cost."""
+def part_simulated_s(part: Part, seed: int) -> float:
+    """Estimate the simulated seconds of a part."""
     suite, config = part_suite(part, seed)
-    cases = list(suite.cases(config))
-    costs = [suite.cost(config, case) for case in cases]
-    total = Cost(sum(cost.wall_s for cost in costs), sum(cost.disk_bytes for cost in costs))
-    return sum(case.simulated_s() for case in cases), total
+    return sum(case.simulated_s() for case in suite.cases(config))
 
 
 def part_run(run: RunDirectory, name: str) -> RunDirectory:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 from importlib import import_module
-from inspect import getattr_static
 from pathlib import Path
 
 from uavaccel.errors import UserError, suggestion
@@ -12,13 +11,12 @@ from uavaccel.forms import RowForm
 from uavaccel.records import RunDirectory
 from uavaccel.suites.experiment import Experiment
 from uavaccel.suites.own_code import own_module
-from uavaccel.suites.report import Report
 from uavaccel.suites.rows import GameRow
 from uavaccel.suites.suite import AnySuite, Suite
 
 # A line per suite; its module is imported on demand.
 SUITES = {
-    "dp1": "uavaccel.suites.dp1.suite:Dp1",
+    "dp1": "uavaccel.suites.dp1:Dp1",
     "dp2": "uavaccel.suites.dp2.suite:Dp2",
     "train": "uavaccel.suites.training.suite:Training",
     "ablation": "uavaccel.suites.ablation.suite:Ablation",
@@ -101,9 +99,6 @@ def _checked(suite: AnySuite) -> AnySuite:
     config = getattr(suite, "config", None)
     if not (isinstance(config, type) and issubclass(config, Experiment)):
         raise TypeError(f"{name}.config has to be a subclass of uavaccel.suites.experiment.Experiment")
-    report = getattr_static(suite, "report_class")  # a property would import matplotlib
-    if not (isinstance(report, property) or (isinstance(report, type) and issubclass(report, Report))):
-        raise TypeError(f"{name}.report_class has to be a subclass of uavaccel.suites.report.Report")
     if not isinstance(getattr(suite, "name", None), str):
         raise TypeError(f"{name}.name has to be a text")
     return suite

@@ -135,13 +135,11 @@ def named_seed(run_seed: int, name: str) -> np.random.SeedSequence:
 
 
 def flight_row(
-    suite: str, case: FlightCase, config: FlightExperiment, client: Client, wall_s: float
-) -> tuple[FlightRow, Recording]:
+    case: FlightCase, config: FlightExperiment, client: Client, wall_s: float
+) -> tuple[dict[str, Plain], Recording]:
     """Return the row of a flight that took `wall_s` from its first command on, and the server's recording of it."""
     speed, recording = client.speed(), client.recording()
-    row: FlightRow = {
-        "suite": suite,
-        "case": case.id,
+    row: Plain = {
         "role": case.role,
         "command": case.command,
         "clock_speed": case.clock_speed,

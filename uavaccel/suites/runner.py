@@ -61,8 +61,8 @@ def _check_result(suite: AnySuite, case: Case, game: object) -> None:
     where = f"{suite.name}: fly of {case.id}"
     if not isinstance(game, GameResult):
         raise UserError(f"{where} returned a {type(game).__name__}, not a uavaccel.suites.suite.GameResult")
-    if not isinstance(game.row, dict) or game.row.get("case") != case.id:
-        raise UserError(f"{where}: its row has to be a mapping with the key case: {case.id!r}")
+    if not isinstance(game.row, dict) or game.row.get("case", case.id) != case.id:
+        raise UserError(f"{where}: its row has to be a mapping, of no other case")
     try:
         to_json({"row": game.row, "host": game.host})
     except (TypeError, ValueError) as error:
@@ -134,7 +134,7 @@ def _fly(work: _Work, on_game: OnGame, restarts: Mapping[str, int]) -> None:
         alone = timing == "wall" or (work.jobs == 1 and work.engine == LOKY)
         fly_all = _fly_one_by_one if alone else _fly_in_parallel if work.engine == LOKY else _fly_on_cluster
         for case, game in zip(group, fly_all(work, group), strict=True):
-            row = dict(game.row)
+            row = {"suite": work.suite.name, "case": case.id, **game.row}
             if timing == "wall":
                 row |= disturbances(row, restarts.get(case.id, 0))
             if game.arrays:
@@ -167,10 +167,7 @@ def _fly_in_parallel(work: _Work, cases: Sequence[Case]) -> Iterator[GameResult]
     # workers end with this process from the start, before they import what takes seconds
     bound = {"initializer": work_for_parent, "initargs": (os.getpid(),)}
     with parallel_config(backend="loky", inner_max_num_threads=1, **bound):
-        batch, ahead = (
-            work.suite.batch,
-            f"{work.suite.batch}*n_jobs",
-        )  # a longer queue would delay an interruption
+        batch, ahead = (work.suite.batch, f"{work.suite.batch}*n_jobs")  # a longer queue would delay an interruption
         parallel = Parallel(work.jobs, return_as="generator", pre_dispatch=ahead, batch_size=batch)
         place = own_folder(work.suite) or told_folder()
         games = parallel(delayed(_fly_in_worker)(work.config, case, work.run.path, place) for case in cases)

@@ -11,22 +11,25 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, NamedTuple, Protocol, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, Protocol, TypeAlias, TypeVar
 
 import numpy as np
 
 from uavaccel.config import validate
+from uavaccel.draw.page import Block, Table
 from uavaccel.errors import UserError, suggestion
 from uavaccel.files import Plain
 from uavaccel.forms import ArrayForm, RowForm
-from uavaccel.machine import usable_cores
 from uavaccel.records import RunDirectory
 from uavaccel.suites.experiment import Experiment, resolve
-from uavaccel.suites.report import Report
 from uavaccel.suites.rows import GameRow, Row
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from uavaccel.draw.film import Film
+    from uavaccel.suites.flight import Flight
+    from uavaccel.suites.report import Report
 
 
 class Case(Protocol):
@@ -70,13 +73,6 @@ class GameResult:
     """Whether the next game has been flown already, so that this row need not be on disk before it."""
 
 
-class Cost(NamedTuple):
-    """An estimate of what a game takes on this machine."""
-
-    wall_s: float
-    disk_bytes: float
-
-
 Opened: TypeAlias = Any  # a session, an environment, a training: whatever `Suite.open` opens
 
 ConfigType = TypeVar("ConfigType", bound=Experiment)
@@ -101,10 +97,8 @@ class Suite(ABC, Generic[ConfigType, CaseType]):
     quick: ClassVar[Mapping[str, object] | None] = None
     """Keys of a quick measurement on the wall clock, a shipped experiment with a single --clock, if it has one."""
 
-    @property
-    @abstractmethod
-    def report_class(self) -> type[Report]:
-        """The class of its report: a class attribute, or a property that imports it on demand."""
+    row: type[Mapping[str, Any]] | None = None
+    """The keys of its rows, a TypedDict, by which they are checked as they are read."""
 
     @abstractmethod
     def cases(self, config: ConfigType) -> Iterator[CaseType]:
@@ -120,11 +114,15 @@ class Suite(ABC, Generic[ConfigType, CaseType]):
 
     def report(self, run: RunDirectory) -> Report:
         """Return the report of a run, which is yet to be written. Raises UserError for a run without finished games."""
-        config = validate(self.config, run.config(), str(run.path / "config.yaml"))
         run.form = self.form
-        report = self.report_class(run, self.name)
-        report.config = config.model_dump(mode="json")  # with the keys that the file omits
-        return report
+        if hasattr(self, "report_class"):
+            config = validate(self.config, run.config(), str(run.path / "config.yaml"))
+            report = self.report_class(run, self.name)
+            report.config = config.model_dump(mode="json")  # with the keys that the file omits
+            return report
+        from uavaccel.suites.report import Report
+
+        return Report(run, self)
 
     @property
     def form(self) -> RowForm:
@@ -134,6 +132,37 @@ class Suite(ABC, Generic[ConfigType, CaseType]):
     def case_of(self, row: Plain) -> str:
         """Return the name of a row's case by its other keys; overridden where these say it."""
         return str(row["case"])
+
+    def score(self, report: Report) -> pd.DataFrame:
+        """Return the report's games with columns that their arrays tell; it may be slow."""
+        return report.games
+
+    def summary(self, report: Report) -> Mapping[str, Any]:
+        """Return the contents of summary.json, from the report's scores: plain data and numpy's."""
+        return {"suite": self.name, "games": len(report.games)}
+
+    def title(self, report: Report) -> str:
+        """Return the page's title."""
+        return self.name
+
+    def headline(self, report: Report) -> str:
+        """Return the result in a sentence, which stands on top of the page and is printed when the run ends."""
+        return ""
+
+    def overview(self, report: Report) -> Table | None:
+        """Return the result in a small table, which is printed when the run ends."""
+        return None
+
+    def page(self, report: Report) -> Iterator[Block | str]:
+        """Yield the blocks of the page; configuration and manifest are added below them."""
+        yield Table.of(report.games, {name: f"{{{name}}}" for name in report.games})
+
+    def flight(self, report: Report, game: Mapping[str, Any]) -> Flight:
+        """Return the flight of a game, a row of the report's table, to be watched, filmed or exported.
+
+        Raises UserError where nothing was kept of it.
+        """
+        raise UserError(f"{report.run.path}: a run of {self.name} keeps no flights")
 
     def why_serial(self, config: ConfigType) -> str:
         """Return `serial`; overridden where it depends on the configuration."""
@@ -148,10 +177,6 @@ class Suite(ABC, Generic[ConfigType, CaseType]):
 
     def finish(self, config: ConfigType, run: RunDirectory) -> None:
         """Record what else the report needs; called once all games are flown."""
-
-    def cost(self, config: ConfigType, case: CaseType) -> Cost:
-        """Estimate the cost of a game; by default its simulated time over a typical speed, and the size of a row."""
-        return Cost(flying_s(case), ROW_BYTES)
 
     def stage(self, case: CaseType) -> int:
         """Return the stage of a case, which is begun once all cases of earlier stages are done."""
@@ -192,26 +217,8 @@ class Suite(ABC, Generic[ConfigType, CaseType]):
 AnySuite = Suite[Any, Any]
 OnGame = Callable[[Case, Row], None]
 
-VIRTUAL_RATE = 300.0  # approximate simulated seconds per wall second and process
-CORE_RATE = 250.0  # the same of the kernels on one core, with rendering and decisions
-LANE_RATE, FULL = 150.0, 1024  # the same of a lane on a GPU, and the lanes that occupy it fully
-ROW_BYTES = 1_000
 
-
-def flying_s(case: Case, clock_speed: float = 1.0) -> float:
-    """Estimate the wall time of a game without calls and images."""
-    return case.simulated_s() / (clock_speed if case.timing == "wall" else VIRTUAL_RATE)
-
-
-def kernels_s(case: Case, device: str, lanes: int) -> float:
-    """Estimate the wall time of a game that the kernels fly among so many lanes."""
-    rate = LANE_RATE * min(lanes, FULL) if device.startswith("cuda") else CORE_RATE * usable_cores()
-    return case.simulated_s() / rate
-
-
-def configuration(
-    suite: Suite[ConfigType, CaseType], mapping: Mapping[str, Plain], source: str
-) -> ConfigType:
+def configuration(suite: Suite[ConfigType, CaseType], mapping: Mapping[str, Plain], source: str) -> ConfigType:
     """Return a suite's checked configuration from a YAML's mapping, omitted keys completed. Raises UserError."""
     config = resolve(suite.config, suite.complete(mapping), source)
     suite.check(config)

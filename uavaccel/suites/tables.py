@@ -19,7 +19,7 @@ from uavaccel.config import dotted_keys
 from uavaccel.errors import UserError
 from uavaccel.files import inside, replacing
 from uavaccel.records import RunDirectory
-from uavaccel.suites.report import Arrays
+from uavaccel.suites.old_report import Arrays
 from uavaccel.suites.rows import Row
 
 Columns = dict[str, list[object] | NDArray[np.generic]]

@@ -19,14 +19,7 @@ from numpy.typing import NDArray
 
 from uavaccel.vision import dvs_kernels as kernels
 from uavaccel.vision import noise
-from uavaccel.vision.dvs_sensor import (
-    HOT_RATE_HZ,
-    PRESETS,
-    DvsParameters,
-    DvsSensor,
-    make_sensor,
-    sensor_from_maps,
-)
+from uavaccel.vision.dvs_sensor import HOT_RATE_HZ, PRESETS, DvsParameters, DvsSensor, make_sensor, sensor_from_maps
 
 __all__ = [
     "HOT_RATE_HZ",

@@ -9,16 +9,7 @@ import mujoco
 import numpy as np
 
 from uavaccel.sim.camera.camera import FrontCamera
-from uavaccel.sim.camera.view import (
-    FOV_DEG,
-    HEIGHT,
-    WIDTH,
-    AnyImage,
-    DepthImage,
-    GeomImage,
-    Image,
-    to_metres,
-)
+from uavaccel.sim.camera.view import FOV_DEG, HEIGHT, WIDTH, AnyImage, DepthImage, GeomImage, Image, to_metres
 from uavaccel.sim.rendering.slots import KINDS, REQUEST_BYTES, map_records, pixels, slot_dtype, write_looks
 
 PATIENCE_S = 60.0  # for one picture: a driver that hangs must not hang everything

@@ -25,15 +25,7 @@ import numpy as np
 
 from uavaccel.errors import UserError
 from uavaccel.sim.camera.view import AnyImage, View
-from uavaccel.sim.rendering.slots import (
-    DONE,
-    KINDS,
-    REQUEST_BYTES,
-    map_records,
-    pixels,
-    read_looks,
-    slot_dtype,
-)
+from uavaccel.sim.rendering.slots import DONE, KINDS, REQUEST_BYTES, map_records, pixels, read_looks, slot_dtype
 from uavaccel.sim.rendering.tiles import BUFFERS, Tiles
 from uavaccel.sim.scene.model import load_scene
 

@@ -33,14 +33,7 @@ from numpy.typing import NDArray
 from uavaccel.parts import part
 from uavaccel.sim.vehicle.autopilot import control
 from uavaccel.sim.vehicle.free_body import free_step
-from uavaccel.sim.vehicle.quadrotor import (
-    FLIGHT_DTYPE,
-    NEVER,
-    PARAMETERS_DTYPE,
-    Record,
-    accelerate,
-    turn_rotors,
-)
+from uavaccel.sim.vehicle.quadrotor import FLIGHT_DTYPE, NEVER, PARAMETERS_DTYPE, Record, accelerate, turn_rotors
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -21,14 +21,7 @@ from uavaccel.sim.state import SavedState, State, prefixed, record_fields, set_r
 from uavaccel.sim.vehicle import autopilot, hotloop
 from uavaccel.sim.vehicle.collisions import ContactLog
 from uavaccel.sim.vehicle.goal import IDLE, Goal
-from uavaccel.sim.vehicle.quadrotor import (
-    FLIGHT_DTYPE,
-    KINEMATICS,
-    NEVER,
-    PARAMETERS_DTYPE,
-    Record,
-    parameters,
-)
+from uavaccel.sim.vehicle.quadrotor import FLIGHT_DTYPE, KINEMATICS, NEVER, PARAMETERS_DTYPE, Record, parameters
 from uavaccel.sim.vehicle.samples import Samples
 from uavaccel.units import mujoco_to_ned, ned_to_mujoco, quaternion_ned_to_mujoco
 

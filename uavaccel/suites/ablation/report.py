@@ -13,12 +13,12 @@ from uavaccel.draw import style
 from uavaccel.draw.document import Block, Paragraph, Picture, Table, or_dash
 from uavaccel.draw.style import clock_label, command_at_clock, command_name
 from uavaccel.metrics.trajectory import quartiles
-from uavaccel.suites.dp1.cell_figures import SIMILAR_STLC
-from uavaccel.suites.dp1.report import games_text
-from uavaccel.suites.dp1.scores import CellScores, cells_of, score_cells
-from uavaccel.suites.dp1.scores import summarise as summarise_dp1
+from uavaccel.suites.old_dp1.cell_figures import SIMILAR_STLC
+from uavaccel.suites.old_dp1.report import games_text
+from uavaccel.suites.old_dp1.scores import CellScores, cells_of, score_cells
+from uavaccel.suites.old_dp1.scores import summarise as summarise_dp1
+from uavaccel.suites.old_report import Report, Summary, SummaryCell, Values, number
 from uavaccel.suites.provenance import source_line
-from uavaccel.suites.report import Report, Summary, SummaryCell, Values, number
 from uavaccel.suites.rows import grouped
 
 _LINES = {"adsc": "-", "tcsc": "--"}

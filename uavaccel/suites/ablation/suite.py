@@ -13,12 +13,11 @@ from uavaccel.config import Config, validate
 from uavaccel.files import Plain
 from uavaccel.records import RunDirectory
 from uavaccel.suites.ablation.report import AblationReport
-from uavaccel.suites.dp1 import flights as dp1
-from uavaccel.suites.dp1.config import Dp1Config
-from uavaccel.suites.dp1.flights import SCENE, fly_game
-from uavaccel.suites.dp1.suite import game_cost
+from uavaccel.suites.dp1 import Dp1Config
 from uavaccel.suites.experiment import Experiment, merged
-from uavaccel.suites.suite import Cost, GameResult, Suite
+from uavaccel.suites.old_dp1 import flights as dp1
+from uavaccel.suites.old_dp1.flights import SCENE, fly_game
+from uavaccel.suites.suite import GameResult, Suite
 from uavaccel.wire.session import Session, open_session
 
 
@@ -137,6 +136,3 @@ class Ablation(Suite[AblationConfig, Case]):
         row, arrays = fly_game(experiment, case.game, session)
         name = config.variants[case.variant].name
         return GameResult(row | {"suite": self.name, "case": case.id, "variant": name}, arrays)
-
-    def cost(self, config: AblationConfig, case: Case) -> Cost:
-        return game_cost(case.game)

@@ -143,9 +143,9 @@ def fly_game(config: Dp2Config, case: Case, session: Session) -> tuple[Dp2Row, d
             flight = fly_path(config, case, camera)
             counts = camera.arrays(len(flight.samples))
     end_m = flight.collision["position_m"] if flight.collision else flight.samples[-1].state.position_m
-    shared, _ = flight_row("dp2", case, config, client, flight.wall_s)
+    shared, _ = flight_row(case, config, client, flight.wall_s)
     row: Dp2Row = {
-        **shared,
+        **shared,  # type: ignore[typeddict-item]
         "t_move_s": config.t_move_s,
         "t_sample_s": config.t_sample_s,
         "commands": flight.commands,

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from uavaccel.metrics.dvs_ed import dvs_ed_percent
 from uavaccel.metrics.speedup import timing_provenance
 from uavaccel.suites.dp2.flights import Dp2Row
-from uavaccel.suites.report import Arrays, LoadArrays, Summary, Values
+from uavaccel.suites.old_report import Arrays, LoadArrays, Summary, Values
 from uavaccel.suites.rows import Row, subset
 from uavaccel.units import attitude_difference_rad
 from uavaccel.vision.dvs import PRESETS, DvsParameters, init_state, make_sensor, step

@@ -17,7 +17,7 @@ from uavaccel.suites.dp2.config import Dp2Config
 from uavaccel.suites.dp2.flights import ARRAYS, SCENE, Case, Dp2Row, cases, fly_game
 from uavaccel.suites.dp2.report import Dp2Report
 from uavaccel.suites.dp2.scores import counts_of
-from uavaccel.suites.suite import Cost, GameResult, Suite, choose_row, flying_s
+from uavaccel.suites.suite import GameResult, Suite, choose_row
 from uavaccel.wire.session import Session, open_session
 
 
@@ -33,9 +33,6 @@ def _title(row: Dp2Row) -> str:
     end = f", hit {row['collision']['object']}" if row["collision"] else ""
     return f"{clock} ({achieved}{end})"
 
-
-IMAGE_S = 5e-3  # approximate wall time of an image: rendered in software, sent, compressed and evaluated
-IMAGE_BYTES = 9_000  # approximate size of a compressed one
 
 
 class Dp2(Suite[Dp2Config, Case]):
@@ -62,10 +59,6 @@ class Dp2(Suite[Dp2Config, Case]):
 
     def renders(self, config: Dp2Config) -> bool:
         return True
-
-    def cost(self, config: Dp2Config, case: Case) -> Cost:
-        images = case.simulated_s() / config.t_sample_s
-        return Cost(flying_s(case, case.clock_speed) + images * IMAGE_S, images * IMAGE_BYTES)
 
     def film(self, run: RunDirectory, case: str | None) -> tuple[str, Film]:
         """Return the name and film of a case, by default of the fastest game, TCSC before ADSC.

@@ -17,10 +17,10 @@ from uavaccel.rl.agents import DEFAULT, policy_sha256
 from uavaccel.suites.evaluation.config import EvaluateConfig
 from uavaccel.suites.experiment import Experiment
 from uavaccel.suites.gpu import on_own_gpu
-from uavaccel.suites.parts import Part, fly_part, part_cost, part_run, part_suite
-from uavaccel.suites.report import Arrays
+from uavaccel.suites.old_report import Arrays
+from uavaccel.suites.parts import Part, fly_part, part_run, part_suite
 from uavaccel.suites.rows import GameRow, Row
-from uavaccel.suites.suite import AnySuite, Cost, GameResult, SimpleCase, Suite
+from uavaccel.suites.suite import AnySuite, GameResult, SimpleCase, Suite
 
 
 class PolicyExperiment(Experiment):
@@ -92,9 +92,6 @@ class PolicySuite(Suite[PolicyConfig, EvaluationCase]):
 
     def games(self, config: PolicyConfig, case: EvaluationCase) -> int:
         return config.games
-
-    def cost(self, config: PolicyConfig, case: EvaluationCase) -> Cost:
-        return part_cost(self.part(config, case), config.seed)[1]
 
     def renders(self, config: PolicyConfig) -> bool:
         suite, evaluation = self.first(config)

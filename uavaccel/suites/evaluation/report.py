@@ -23,8 +23,8 @@ from uavaccel.suites.evaluation.config import EvaluateConfig
 from uavaccel.suites.evaluation.flights import EvaluateRow
 from uavaccel.suites.evaluation.lost import MOST_PANELS, ended_by, lost_rows, lost_table, plot_lost
 from uavaccel.suites.host_time import pace
+from uavaccel.suites.old_report import Report, Summary, Values, listed, summary_table
 from uavaccel.suites.provenance import disturbed_words
-from uavaccel.suites.report import Report, Summary, Values, listed, summary_table
 from uavaccel.suites.rows import Row, disturbed_games
 
 

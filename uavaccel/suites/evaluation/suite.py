@@ -12,14 +12,13 @@ from uavaccel.envs.flyable import check_flyable
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.envs.simulators import KERNELS, check_names, check_simulator
 from uavaccel.files import Plain
-from uavaccel.machine import usable_cores
 from uavaccel.records import RunDirectory
 from uavaccel.rl.agents import check_agent, make_agent, policy_sha256
 from uavaccel.suites.evaluation.config import EvaluateConfig, completed
 from uavaccel.suites.evaluation.flights import Case, EvaluateRow, fly_game, lane_case
-from uavaccel.suites.report import Report
+from uavaccel.suites.old_report import Report
 from uavaccel.suites.rows import Row
-from uavaccel.suites.suite import ROW_BYTES, Cost, GameResult, Suite, choose_row, flying_s, kernels_s
+from uavaccel.suites.suite import GameResult, Suite, choose_row
 
 if TYPE_CHECKING:
     from uavaccel.draw.film import Film
@@ -88,12 +87,6 @@ class Evaluation(Suite[EvaluateConfig, Case]):
             return "simulator = kernels flies all lanes as one batch"
         many = config.environments
         return f"environments = {many} flies in processes of its own" if many > 1 else ""
-
-    def cost(self, config: EvaluateConfig, case: Case) -> Cost:
-        if config.simulator == KERNELS:
-            return Cost(kernels_s(case, config.device, config.games), ROW_BYTES)
-        side_by_side = min(config.environments, usable_cores())
-        return Cost(flying_s(case, config.task.clock_speed) / side_by_side, ROW_BYTES)
 
     def renders(self, config: EvaluateConfig) -> bool:
         return config.task.observation != "state" and config.simulator != KERNELS

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from uavaccel.metrics.equivalence import Estimate, Interval, mean_estimate, ratio_estimate, success_estimate
 from uavaccel.metrics.intervals import Proportion, bootstrap_interval
 from uavaccel.records import RunDirectory
-from uavaccel.suites.report import SummaryCell
+from uavaccel.suites.old_report import SummaryCell
 from uavaccel.suites.rows import Row, grouped
 
 FloatArray = NDArray[np.float64]

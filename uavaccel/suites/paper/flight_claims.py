@@ -21,13 +21,7 @@ from uavaccel.metrics.equivalence import (
     success_estimate,
     within,
 )
-from uavaccel.suites.paper.evidence import (
-    Finding,
-    FloatArray,
-    Images,
-    Trajectories,
-    pooled_median,
-)
+from uavaccel.suites.paper.evidence import Finding, FloatArray, Images, Trajectories, pooled_median
 
 SIMILAR = 1.8  # STLC above which trajectories look alike (section III-C2a)
 MAXIMUM = 2.0  # STLC of identical trajectories

@@ -13,6 +13,7 @@ from uavaccel.errors import UserError
 from uavaccel.metrics.intervals import fisher_exact_p
 from uavaccel.records import RunDirectory
 from uavaccel.suites import paper_results
+from uavaccel.suites.old_report import Report, Summary, SummaryCell, number
 from uavaccel.suites.paper import flight_claims, policy_claims
 from uavaccel.suites.paper.config import PROFILES, Claim, PaperConfig, read_claims
 from uavaccel.suites.paper.evidence import (
@@ -27,7 +28,6 @@ from uavaccel.suites.paper.evidence import (
 )
 from uavaccel.suites.parts import part_run
 from uavaccel.suites.registry import open_run
-from uavaccel.suites.report import Report, Summary, SummaryCell, number
 
 
 def training_phases(rl: Policies) -> list[dict[str, float]]:

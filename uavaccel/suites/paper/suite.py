@@ -9,9 +9,9 @@ from uavaccel.forms import Count
 from uavaccel.records import RunDirectory
 from uavaccel.suites.paper.config import PaperConfig, read_claims
 from uavaccel.suites.paper.report import PaperReport, training_run
-from uavaccel.suites.parts import fly_part, part_cost, part_suite
+from uavaccel.suites.parts import fly_part, part_simulated_s, part_suite
 from uavaccel.suites.rows import GameRow
-from uavaccel.suites.suite import Cost, GameResult, SimpleCase, Suite
+from uavaccel.suites.suite import GameResult, SimpleCase, Suite
 
 
 class PaperRow(GameRow):
@@ -37,10 +37,7 @@ class Paper(Suite[PaperConfig, SimpleCase]):
 
     def cases(self, config: PaperConfig) -> Iterator[SimpleCase]:
         for name, part in config.parts.items():
-            yield SimpleCase(name, "virtual", part_cost(part, config.seed)[0])
-
-    def cost(self, config: PaperConfig, case: SimpleCase) -> Cost:
-        return part_cost(config.parts[case.id], config.seed)[1]
+            yield SimpleCase(name, "virtual", part_simulated_s(part, config.seed))
 
     def renders(self, config: PaperConfig) -> bool:
         suites = [part_suite(part, config.seed) for part in config.parts.values()]

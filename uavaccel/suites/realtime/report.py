@@ -16,6 +16,7 @@ from uavaccel.errors import UserError
 from uavaccel.files import Plain
 from uavaccel.metrics.speedup import timing_provenance
 from uavaccel.records import RunDirectory
+from uavaccel.suites.old_report import Report, Summary
 from uavaccel.suites.realtime.figures import plot_agreement, plot_rankings, plot_returns
 from uavaccel.suites.realtime.flights import EvaluationRow
 from uavaccel.suites.realtime.summary import (
@@ -29,7 +30,6 @@ from uavaccel.suites.realtime.summary import (
     rankings_of,
     tcsc_equal,
 )
-from uavaccel.suites.report import Report, Summary
 from uavaccel.suites.rows import grouped, subset
 
 OF_TRAINING = ("environment", "agent", "seed", "steps", "last_return", "weights_sha256")

@@ -10,14 +10,13 @@ from pathlib import Path
 from uavaccel.errors import UserError
 from uavaccel.forms import RowForm
 from uavaccel.records import RunDirectory
+from uavaccel.suites.old_report import Report
 from uavaccel.suites.own_code import own_module
 from uavaccel.suites.realtime.config import EvaluationCase, RealtimeConfig, TrainingCase, cases, flies
-from uavaccel.suites.report import Report
 from uavaccel.suites.rows import Row
-from uavaccel.suites.suite import ROW_BYTES, Cost, GameResult, Suite
+from uavaccel.suites.suite import GameResult, Suite
 
 AnyCase = TrainingCase | EvaluationCase
-WEIGHTS_BYTES = 100_000  # of a trained agent, about
 
 
 class Realtime(Suite[RealtimeConfig, AnyCase]):
@@ -70,10 +69,6 @@ class Realtime(Suite[RealtimeConfig, AnyCase]):
 
     def may_grow(self, folder: Path) -> tuple[str, ...]:
         return ("seeds",)
-
-    def cost(self, config: RealtimeConfig, case: AnyCase) -> Cost:
-        trained = isinstance(case, TrainingCase)
-        return Cost(case.wall_s(), ROW_BYTES + trained * WEIGHTS_BYTES)
 
     def games(self, config: RealtimeConfig, case: AnyCase) -> int:
         return case.episodes if isinstance(case, EvaluationCase) else 1

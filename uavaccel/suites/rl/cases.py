@@ -7,17 +7,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple, NotRequired
 
-import numpy as np
 from typing_extensions import TypedDict
 
-from uavaccel.envs.simulators import EXACT as EXACT_SIMULATOR
 from uavaccel.forms import ArrayForm, Count, NotNegative, Positive
 from uavaccel.limits import Games, Seed
 from uavaccel.rl.agents import DEFAULT, FLIGHT, SENSES
-from uavaccel.rl.config import OWN, DqnOptions
 from uavaccel.suites.evaluation.parts import OUTCOMES
 from uavaccel.suites.experiment import CommandName, ProfileName, Timing
-from uavaccel.suites.parts import Part, part_cost, part_suite
+from uavaccel.suites.parts import Part, part_simulated_s, part_suite
 from uavaccel.suites.rl.config import RlConfig, SimulatedTiming, pairs
 from uavaccel.suites.rows import GameRow, Phases
 
@@ -70,8 +67,6 @@ class Size(NamedTuple):
 
     games: int = 0
     simulated_s: float = 0.0
-    wall_s: float = 0.0
-    disk_bytes: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -176,9 +171,6 @@ def evaluation_part(config: RlConfig, cell: TrainingCase, flight: Flight, agent:
     return Part(experiment=part.experiment, keys=keys)
 
 
-GPU_RATE = 1_500.0  # approximate simulated seconds per wall second of many exact lanes rendered by one GPU
-CELL_BYTES = 2e6  # a policy and its learning curves
-
 
 def _seeded_parts(config: RlConfig, cell: TrainingCase) -> list[tuple[Part, int]]:
     """Return training and evaluations with their seeds; the policy that ships is the placeholder of the cell's own."""
@@ -193,26 +185,6 @@ def part_configs(config: RlConfig, cell: TrainingCase) -> list[Any]:
 
 
 def size_of(config: RlConfig, cell: TrainingCase) -> Size:
-    """Estimate games, simulated and wall seconds, and bytes on disk of a cell."""
-    configs = part_configs(config, cell)
-    costs = [part_cost(part, seed) for part, seed in _seeded_parts(config, cell)]
-    simulated_s = sum(part_s for part_s, _ in costs)
-    first = configs[0]
-    drawn_by_gpu = first.simulator == EXACT_SIMULATOR and str(first.device).startswith("cuda")
-    return Size(
-        sum(part.games for part in configs),
-        simulated_s,
-        simulated_s / GPU_RATE if drawn_by_gpu else sum(cost.wall_s for _, cost in costs),
-        sum(cost.disk_bytes for _, cost in costs) + (0.0 if cell.exact else CELL_BYTES),
-    )
-
-
-def checkpoint_bytes(config: RlConfig, cell: TrainingCase) -> float:
-    """Return the largest size of a training's checkpoint, that of its replay buffer; 0 where it writes none."""
-    training = part_configs(config, cell)[0]
-    if getattr(training, "algorithm", "") != OWN or training.games <= training.checkpoint_games:
-        return 0.0
-    space = training.task.observation_space()
-    flown = training.games * training.task.typical_s / training.task.t_move_s
-    kept = min(DqnOptions.of(training).buffer_size, flown)
-    return float(2 * kept * np.prod(space.shape) * space.dtype.itemsize)
+    """Return games and an estimate of the simulated seconds of a cell."""
+    games = sum(part.games for part in part_configs(config, cell))
+    return Size(games, sum(part_simulated_s(part, seed) for part, seed in _seeded_parts(config, cell)))

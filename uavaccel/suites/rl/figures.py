@@ -19,7 +19,7 @@ from uavaccel.metrics.intervals import Proportion
 from uavaccel.records import RunDirectory
 from uavaccel.sim.lane.layout import LENGTH_M, Difficulty, draw_layout
 from uavaccel.suites import paper_results
-from uavaccel.suites.report import Summary, SummaryCell, listed
+from uavaccel.suites.old_report import Summary, SummaryCell, listed
 from uavaccel.suites.rl.cases import RlRow
 from uavaccel.suites.rl.gaps import over_gaps
 from uavaccel.suites.rl.summary import key_of

@@ -9,7 +9,7 @@ from operator import itemgetter
 from typing import NamedTuple
 
 from uavaccel.draw.style import command_name
-from uavaccel.suites.report import SummaryCell
+from uavaccel.suites.old_report import SummaryCell
 from uavaccel.suites.rows import grouped
 
 THINKING = re.compile(r"_?think_\d+ms$")  # suffix of variants that differ in the duration of a decision alone

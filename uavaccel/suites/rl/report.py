@@ -11,7 +11,7 @@ from uavaccel.draw.style import clock_label, command_name
 from uavaccel.metrics.intervals import Proportion
 from uavaccel.records import RunDirectory
 from uavaccel.suites import paper_results
-from uavaccel.suites.report import Column, Report, Summary, SummaryCell, listed, number
+from uavaccel.suites.old_report import Column, Report, Summary, SummaryCell, listed, number
 from uavaccel.suites.rl.figures import panel_name, plot_figures, plot_gaps
 from uavaccel.suites.rl.gaps import GapLine, collapse, over_gaps
 from uavaccel.suites.rl.summary import CellKey, key_of, summarise

@@ -19,8 +19,8 @@ from uavaccel.rl.agents import DEFAULT
 from uavaccel.suites.evaluation.parts import outcomes
 from uavaccel.suites.gpu import on_own_gpu
 from uavaccel.suites.host_time import timed, wall_s
+from uavaccel.suites.old_report import Summary
 from uavaccel.suites.parts import fly_part, part_folder, part_run, part_suite
-from uavaccel.suites.report import Summary
 from uavaccel.suites.rl.cases import (
     ARRAYS,
     EVALUATION_SEED,
@@ -30,7 +30,6 @@ from uavaccel.suites.rl.cases import (
     TrainingCase,
     TrainingResult,
     cases,
-    checkpoint_bytes,
     evaluation_part,
     flights,
     part_configs,
@@ -40,7 +39,7 @@ from uavaccel.suites.rl.cases import (
 from uavaccel.suites.rl.config import RlConfig
 from uavaccel.suites.rl.report import RlReport
 from uavaccel.suites.rows import Row
-from uavaccel.suites.suite import Cost, GameResult, Suite
+from uavaccel.suites.suite import GameResult, Suite
 from uavaccel.suites.training.config import CHECKPOINTS
 
 FOLDER = "merged"
@@ -131,19 +130,14 @@ class Rl(Suite[RlConfig, TrainingCase]):
 
     def cases(self, config: RlConfig) -> Iterator[TrainingCase]:
         known: dict[str, Size] = {}  # trainings that differ in their seed alone are of one size
-        for number, cell in enumerate(cases(config)):
+        for cell in cases(config):
             kind = replace(cell, seed=0).id
             if kind not in known:
                 known[kind] = size_of(config, cell)
-            # A checkpoint goes when its training is over: the first cell's stands for all.
-            kept = 0.0 if number else checkpoint_bytes(config, cell)
-            yield replace(cell, size=known[kind]._replace(disk_bytes=known[kind].disk_bytes + kept))
+            yield replace(cell, size=known[kind])
 
     def games(self, config: RlConfig, case: TrainingCase) -> int:
         return case.size.games
-
-    def cost(self, config: RlConfig, case: TrainingCase) -> Cost:
-        return Cost(case.size.wall_s, case.size.disk_bytes)
 
     def renders(self, config: RlConfig) -> bool:
         parts = [training_part(config, cell) for cell in cases(config.model_copy(update={"seeds": 1}))]

@@ -15,7 +15,7 @@ from uavaccel.metrics.equivalence import success_estimate
 from uavaccel.metrics.intervals import Proportion, fisher_exact_p, mcnemar_exact
 from uavaccel.metrics.seeds import permutation_p, sign_flip_p
 from uavaccel.suites import paper_results
-from uavaccel.suites.report import Arrays, LoadArrays, Values
+from uavaccel.suites.old_report import Arrays, LoadArrays, Values
 from uavaccel.suites.rl.cases import EXACT, RlRow, other_command
 from uavaccel.suites.rows import Row, grouped, subset
 

@@ -21,16 +21,10 @@ from uavaccel.files import Plain
 from uavaccel.forms import NotNegative, Positive
 from uavaccel.limits import MOST_SCALE, Games
 from uavaccel.metrics.intervals import Proportion
-from uavaccel.suites.evaluation.parts import (
-    EvaluationCase,
-    PolicyExperiment,
-    PolicyRow,
-    PolicySuite,
-    agent_name,
-)
+from uavaccel.suites.evaluation.parts import EvaluationCase, PolicyExperiment, PolicyRow, PolicySuite, agent_name
 from uavaccel.suites.experiment import ClockSpeeds, CommandName, CommandNames, ProfileName, distinct
-from uavaccel.suites.parts import part_cost
-from uavaccel.suites.report import Report, Summary, SummaryCell, Values
+from uavaccel.suites.old_report import Report, Summary, SummaryCell, Values
+from uavaccel.suites.parts import part_simulated_s
 from uavaccel.suites.rows import Row, grouped, subset
 from uavaccel.suites.sweep.config import key_of
 
@@ -274,5 +268,5 @@ class Robustness(PolicySuite[RobustnessConfig]):
 
     def cases(self, config: RobustnessConfig) -> Iterator[EvaluationCase]:
         evaluations = list(self.evaluations(config))
-        simulated_s, _ = part_cost(self.part(config, evaluations[0]), config.seed)
+        simulated_s = part_simulated_s(self.part(config, evaluations[0]), config.seed)
         return (replace(case, typical_s=simulated_s) for case in evaluations)

@@ -19,8 +19,8 @@ from uavaccel.metrics.intervals import Proportion, mcnemar_exact
 from uavaccel.metrics.speedup import timing_provenance
 from uavaccel.suites.evaluation.parts import EvaluationCase, PolicyRow, PolicySuite, agent_name
 from uavaccel.suites.experiment import Timing, timing_of
-from uavaccel.suites.parts import part_cost, part_suite
-from uavaccel.suites.report import Report, Summary
+from uavaccel.suites.old_report import Report, Summary
+from uavaccel.suites.parts import part_simulated_s, part_suite
 from uavaccel.suites.rows import Row, grouped, subset
 from uavaccel.suites.sweep.config import SweepConfig, keys_of, value_text
 
@@ -220,7 +220,7 @@ class Sweep(PolicySuite[SweepConfig]):
         for case, part, evaluation in evaluations:
             if case.id not in same:
                 labels = {**case.labels, "same": same if case.id == AS_TRAINED else []}
-                simulated_s, _ = part_cost(part, config.seed)
+                simulated_s = part_simulated_s(part, config.seed)
                 yield replace(case, labels=labels, timing=timing_of(evaluation), typical_s=simulated_s)
 
     def why_serial(self, config: SweepConfig) -> str:

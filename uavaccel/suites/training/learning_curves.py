@@ -22,7 +22,7 @@ from uavaccel.metrics.speedup import timing_provenance
 from uavaccel.records import RunDirectory
 from uavaccel.suites import paper_results
 from uavaccel.suites.host_time import cumulative_wall_s
-from uavaccel.suites.report import listed
+from uavaccel.suites.old_report import listed
 from uavaccel.suites.training.evaluations import evaluations
 from uavaccel.suites.training.rows import RECENT, TrainRow
 

@@ -19,8 +19,8 @@ from uavaccel.envs.stopwatch import PHASES
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
 from uavaccel.suites.host_time import over_all_starts, wall_s
+from uavaccel.suites.old_report import listed
 from uavaccel.suites.provenance import disturbed_words
-from uavaccel.suites.report import listed
 
 CLOCKS = {True: "modelled", False: "measured, learning beside the flight"}  # by whether they are simulated
 UNITS_S = {"hours": 3600.0, "minutes": 60.0, "seconds": 1.0}

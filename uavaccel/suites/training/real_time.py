@@ -16,7 +16,7 @@ from uavaccel.records import RunDirectory
 from uavaccel.rl.agents import FLIGHT
 from uavaccel.rl.algorithms import baseline_class
 from uavaccel.rl.config import OWN
-from uavaccel.suites.report import Values
+from uavaccel.suites.old_report import Values
 from uavaccel.suites.training.config import TrainConfig
 
 COMMANDS = 20  # in the modelled game, after which their mean changes by less than 1 %

@@ -16,7 +16,7 @@ from uavaccel.records import RunDirectory
 from uavaccel.rl.policy import trained_with
 from uavaccel.suites import paper_results
 from uavaccel.suites.host_time import in_words, pace, wall_s
-from uavaccel.suites.report import Report, Summary, Values, summary_table
+from uavaccel.suites.old_report import Report, Summary, Values, summary_table
 from uavaccel.suites.rows import Row, disturbed_games
 from uavaccel.suites.training.config import TrainConfig
 from uavaccel.suites.training.evaluations import EvaluationLine, evaluations

@@ -7,7 +7,7 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from uavaccel.envs.simulators import EXACT, KERNELS
+from uavaccel.envs.simulators import EXACT
 from uavaccel.errors import UserError
 from uavaccel.files import Plain
 from uavaccel.forms import RowForm
@@ -15,16 +15,14 @@ from uavaccel.records import RunDirectory
 from uavaccel.rl.agents import first_policy, policy_sha256
 from uavaccel.rl.config import check_algorithm
 from uavaccel.rl.policy import trained_with
-from uavaccel.suites.report import Report
+from uavaccel.suites.old_report import Report
 from uavaccel.suites.rows import Row
-from uavaccel.suites.suite import ROW_BYTES, Cost, GameResult, SimpleCase, Suite, flying_s, kernels_s
+from uavaccel.suites.suite import GameResult, SimpleCase, Suite
 from uavaccel.suites.training.config import CHECKPOINTS, TrainConfig, game_case
 
 if TYPE_CHECKING:
     from uavaccel.suites.training.flights import Trainer
 
-
-LEARNING_S = 3e-3  # approximate wall time of learning per command
 
 
 class Training(Suite[TrainConfig, SimpleCase]):
@@ -102,14 +100,6 @@ class Training(Suite[TrainConfig, SimpleCase]):
             _check_device(config.device)
         started = {} if config.start_from is None else {"start_from_sha256": policy_sha256(config.start_from)}
         return {"torch_threads": config.torch_threads, **started}
-
-    def cost(self, config: TrainConfig, case: SimpleCase) -> Cost:
-        if config.simulator == KERNELS:
-            return Cost(kernels_s(case, config.device, config.environments), ROW_BYTES)
-        commands, game_s = case.simulated_s() / config.task.t_move_s, flying_s(case, config.task.clock_speed)
-        every = config.evaluate_every_games
-        evaluated = config.evaluation_games / every if every else 0.0
-        return Cost(game_s * (1.0 + evaluated) + commands * LEARNING_S, ROW_BYTES)
 
     def status(self, rows: Sequence[Row]) -> str:
         from uavaccel.suites.training.rows import RECENT

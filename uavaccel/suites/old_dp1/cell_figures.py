@@ -13,9 +13,9 @@ from matplotlib.ticker import LogLocator, NullFormatter
 
 from uavaccel.draw import style
 from uavaccel.draw.document import Picture
-from uavaccel.suites.dp1.scores import CellScores, rows_of
+from uavaccel.suites.old_dp1.scores import CellScores, rows_of
+from uavaccel.suites.old_report import Summary, SummaryCell
 from uavaccel.suites.provenance import source_line
-from uavaccel.suites.report import Summary, SummaryCell
 
 SIMILAR_STLC = 1.8  # above it trajectories look alike (paper, section III-C2a)
 NO_GAMES = "no games to compare"

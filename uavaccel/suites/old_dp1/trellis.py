@@ -21,7 +21,7 @@ from uavaccel.draw.document import Picture
 from uavaccel.errors import UserError
 from uavaccel.files import Plain, parse_json, read_bounded
 from uavaccel.forms import Number, check
-from uavaccel.suites.dp1.flights import Dp1Row
+from uavaccel.suites.old_dp1.flights import Dp1Row
 from uavaccel.suites.provenance import clock_words, profiles_and_seeds
 
 

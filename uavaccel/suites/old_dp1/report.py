@@ -13,12 +13,12 @@ import joblib
 from uavaccel.draw.document import Block, Heading, Paragraph, Picture, Table, or_dash
 from uavaccel.draw.style import clock_label, command_name
 from uavaccel.records import arrays_of
-from uavaccel.suites.dp1.cell_figures import SIMILAR_STLC, accuracy_figure, speedup_figure
-from uavaccel.suites.dp1.flight_figures import trajectory_figure, velocity_figure
-from uavaccel.suites.dp1.scores import CellScores, cells_of, score_cells, summarise
-from uavaccel.suites.dp1.trellis import trellis_figure
+from uavaccel.suites.old_dp1.cell_figures import SIMILAR_STLC, accuracy_figure, speedup_figure
+from uavaccel.suites.old_dp1.flight_figures import trajectory_figure, velocity_figure
+from uavaccel.suites.old_dp1.scores import CellScores, cells_of, score_cells, summarise
+from uavaccel.suites.old_dp1.trellis import trellis_figure
+from uavaccel.suites.old_report import Report, Summary, SummaryCell, number
 from uavaccel.suites.provenance import source_line
-from uavaccel.suites.report import Report, Summary, SummaryCell, number
 from uavaccel.suites.rows import grouped
 
 

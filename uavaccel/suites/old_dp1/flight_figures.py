@@ -16,10 +16,10 @@ from matplotlib.ticker import MaxNLocator
 from uavaccel.draw import style
 from uavaccel.draw.document import Picture
 from uavaccel.metrics.trajectory import command_gaps_s
-from uavaccel.suites.dp1.flights import Dp1Row
-from uavaccel.suites.dp1.scores import CellScores
+from uavaccel.suites.old_dp1.flights import Dp1Row
+from uavaccel.suites.old_dp1.scores import CellScores
+from uavaccel.suites.old_report import Arrays, LoadArrays
 from uavaccel.suites.provenance import source_line
-from uavaccel.suites.report import Arrays, LoadArrays
 
 _AXIS_NAMES = ("north", "east", "down")
 _END: style.LineStyle = {"color": style.BLACK, "linestyle": (0, (4, 3)), "linewidth": 0.9}

@@ -13,8 +13,8 @@ from uavaccel.commands import COMMANDS
 from uavaccel.commands.paths import velocities
 from uavaccel.forms import ArrayForm, Count, Positive
 from uavaccel.kinematics import Vector, VelocityGoal
-from uavaccel.suites.dp1.config import Dp1Config, Path
 from uavaccel.suites.experiment import t_th_ns
+from uavaccel.suites.old_dp1.config import Dp1Config, Path
 from uavaccel.suites.rows import FlightCase, FlightRow, flight_row, named_seed
 from uavaccel.units import NS_PER_S
 
@@ -91,9 +91,9 @@ def fly_game(config: Dp1Config, case: Case, session: Session) -> tuple[Dp1Row, d
     """Fly one game, and return its row, without the arrays' path, and its arrays."""
     client = session.start_game(case.clock_speed, case.seed(config.seed))
     wall_s = fly_path(config, case, client)
-    shared, recording = flight_row("dp1", case, config, client, wall_s)
+    shared, recording = flight_row(case, config, client, wall_s)
     row: Dp1Row = {
-        **shared,
+        **shared,  # type: ignore[typeddict-item]
         "t_move_s": case.t_move_s,
         "rounds": case.rounds,
         "game": case.game,

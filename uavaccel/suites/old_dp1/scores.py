@@ -13,12 +13,7 @@ import numpy as np
 from joblib import Parallel, delayed
 
 from uavaccel.metrics.intervals import median_interval
-from uavaccel.metrics.speedup import (
-    combined_provenance,
-    effective_speedup,
-    speedup_interval,
-    timing_provenance,
-)
+from uavaccel.metrics.speedup import combined_provenance, effective_speedup, speedup_interval, timing_provenance
 from uavaccel.metrics.stlc import mean_stlc
 from uavaccel.metrics.trajectory import (
     FloatArray,
@@ -30,8 +25,8 @@ from uavaccel.metrics.trajectory import (
     quartiles,
     trajectory,
 )
-from uavaccel.suites.dp1.flights import Dp1Row
-from uavaccel.suites.report import Arrays, LoadArrays, Values
+from uavaccel.suites.old_dp1.flights import Dp1Row
+from uavaccel.suites.old_report import Arrays, LoadArrays, Values
 from uavaccel.suites.rows import Row, disturbed_games, grouped, subset
 
 

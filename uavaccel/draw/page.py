@@ -1,0 +1,182 @@
+"""A page as a list of blocks, written as Markdown and, by the template beside this, as one self-contained HTML."""
+
+from __future__ import annotations
+
+import base64
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from string import Formatter
+from typing import Any, TypeAlias
+
+from uavaccel.draw.labels import in_words, metres
+
+Record: TypeAlias = Mapping[str, Any]
+Column: TypeAlias = str | Callable[[Record], object]
+"""How a column's cells are written: a template such as "{successes} of {games}", or a function from an entry."""
+
+
+@dataclass(frozen=True)
+class Heading:
+    """A section's title."""
+
+    text: str
+
+
+@dataclass(frozen=True)
+class Paragraph:
+    """Plain text; it may hold any character."""
+
+    text: str
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows of plain text below a header. In HTML the table is collapsed behind the name `folded`, if that is given."""
+
+    header: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    folded: str = ""
+
+    @classmethod
+    def of(cls, entries: Any, columns: Mapping[str, Column], folded: str = "") -> Table:
+        """Return a table with a row for each entry, a mapping or a row of a DataFrame; `columns` are by header.
+
+        A template is one of `str.format` on the entry, of which `{x!u}` is upper case, `{x!l}` a list in words, `{x!m}`
+        metres, `{x!t}` a duration in seconds, and `{x!f}` and `{x!d}` mark games that failed or were disturbed. The
+        cell is "-" where a value in it is not known.
+        """
+        records = entries.to_dict("records") if hasattr(entries, "to_dict") else list(entries)
+        rows = [tuple(fill(column, record) for column in columns.values()) for record in records]
+        return cls(tuple(columns), rows, folded)
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A PNG file and the caption below it."""
+
+    path: Path
+    caption: str
+
+
+@dataclass(frozen=True)
+class Movie:
+    """An MP4 file, the PNG that stands for it on paper and in Markdown, and the caption below it."""
+
+    path: Path
+    sheet: Path
+    caption: str
+
+
+@dataclass(frozen=True)
+class Listing:
+    """Preformatted text, such as YAML. In HTML it is collapsed behind the name `folded`, if that is given."""
+
+    text: str
+    folded: str = ""
+
+
+Block: TypeAlias = Heading | Paragraph | Table | Picture | Movie | Listing
+KINDS: tuple[type, ...] = (Heading, Paragraph, Table, Picture, Movie, Listing)
+
+
+class UnknownValue(Exception):
+    """A template needs a value that is not known."""
+
+
+def unknown(value: object) -> bool:
+    """Return whether a value of a table is not known: None or NaN."""
+    return value is None or (isinstance(value, float) and math.isnan(value))
+
+
+def listed(values: Iterable[object]) -> str:
+    """Return values in words, as in "1, 2, 3"."""
+    return ", ".join(str(value) for value in values)
+
+
+class _Template(Formatter):
+    """`str.format` with the conversions of tables. Raises UnknownValue for a value that is not known."""
+
+    conversions: Mapping[str, Callable[[Any], str]] = {
+        "u": str.upper,
+        "l": listed,
+        "m": metres,
+        "t": in_words,
+        "f": lambda games: f" ({games:g} failed)" if games else "",
+        "d": lambda games: f" ({games:g} disturbed)" if games else "",
+    }
+
+    def get_field(self, field_name: str, args: Sequence[Any], kwargs: Mapping[str, Any]) -> Any:
+        value, key = super().get_field(field_name, args, kwargs)
+        if unknown(value):
+            raise UnknownValue(field_name)
+        return value, key
+
+    def convert_field(self, value: Any, conversion: Any) -> Any:
+        own = self.conversions.get(conversion)
+        return own(value) if own else super().convert_field(value, conversion)
+
+
+def fill(column: Column, record: Record) -> str:
+    """Return a table's cell: the template filled in, or what the function returns; "-" for what is not known."""
+    if not isinstance(column, str):
+        found = column(record)
+        return "-" if unknown(found) else str(found)
+    try:
+        return _Template().vformat(column, (), record)
+    except UnknownValue:
+        return "-"
+
+
+def to_markdown(title: str, blocks: Sequence[Block], folder: Path) -> str:
+    """Return the page as Markdown; pictures are linked relative to `folder`, in which the file will lie."""
+    return "\n\n".join([f"# {title}", *(_markdown(block, folder) for block in blocks)]) + "\n"
+
+
+def _markdown(block: Block, folder: Path) -> str:
+    match block:
+        case Heading(text):
+            return f"## {text}"
+        case Paragraph(text):
+            return _escape_markdown(text)
+        case Table(header, rows):
+            lines = [header, ["---"] * len(header), *rows]
+            return "\n".join("| " + " | ".join(map(_escape_markdown, line)) + " |" for line in lines)
+        case Picture(path, caption):
+            return f"![{path.stem}]({path.relative_to(folder).as_posix()})\n\n{_escape_markdown(caption)}"
+        case Movie(path, sheet, caption):
+            film = path.relative_to(folder).as_posix()
+            return f"{_markdown(Picture(sheet, caption), folder)}\n\n[{path.name}]({film})"
+        case Listing(text):
+            return f"```\n{text.rstrip()}\n```"
+
+
+def to_html(title: str, blocks: Sequence[Block]) -> str:
+    """Return the page as one HTML file that embeds its style, script and pictures and needs no network."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    environment = Environment(
+        loader=PackageLoader("uavaccel.draw", ""),
+        autoescape=True,
+        keep_trailing_newline=True,
+        undefined=StrictUndefined,
+    )
+    environment.filters["data_url"] = _data_url
+    environment.tests.update({kind.__name__.lower(): _is(kind) for kind in KINDS})
+    return environment.get_template("page.html.jinja").render(title=title, blocks=blocks)
+
+
+def _is(kind: type) -> Callable[[object], bool]:
+    return lambda block: isinstance(block, kind)
+
+
+def _data_url(path: Path) -> str:
+    kind = "video/mp4" if path.suffix == ".mp4" else "image/png"
+    return f"data:{kind};base64,{base64.b64encode(path.read_bytes()).decode('ascii')}"
+
+
+def _escape_markdown(text: str) -> str:
+    for character in "\\|*_<":
+        text = text.replace(character, "\\" + character)
+    return text

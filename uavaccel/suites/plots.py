@@ -1,0 +1,94 @@
+"""Plots that several suites draw: grids of panels, boxes, points with intervals, stacked bars, survival."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from numpy.typing import ArrayLike, NDArray
+
+from uavaccel.draw import style
+from uavaccel.draw.labels import clock_label
+from uavaccel.draw.page import unknown
+from uavaccel.metrics.intervals import Proportion
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+
+def panels(
+    rows: int, columns: int, title: str, source: str, size_in: tuple[float, float], **options: Any
+) -> tuple[Figure, NDArray[Any]]:
+    """Return a figure and its axes (rows, columns), at least one of them.
+
+    `size_in` is the width and height of a panel in inches; `options` are those of `Figure.subplots`.
+    """
+    shape = max(rows, 1), max(columns, 1)
+    figure = style.new_figure(1.6 + size_in[0] * shape[1], 1.2 + size_in[1] * shape[0], title, source)
+    return figure, figure.subplots(*shape, squeeze=False, **options)
+
+
+def boxes(axes: Axes, values: Mapping[Any, Sequence[float]], colour: str, empty: str) -> None:
+    """Draw a box for each entry that has values, its label below; equal values make a box of zero width."""
+    drawn = {place: each for place, each in enumerate(values.values()) if len(each)}
+    if drawn:
+        line = {"color": colour}
+        axes.boxplot(
+            list(drawn.values()),
+            positions=list(drawn),
+            widths=0.62,
+            patch_artist=True,
+            manage_ticks=False,
+            boxprops={"facecolor": colour, "edgecolor": colour, "alpha": 0.45, "linewidth": 1.0},
+            medianprops={**line, "linewidth": 2.4, "solid_capstyle": "butt"},
+            whiskerprops=line,
+            capprops=line,
+            flierprops={"marker": ".", "markersize": 3, "markeredgecolor": colour},
+        )
+    else:
+        axes.text(0.5, 0.15, empty, transform=axes.transAxes, ha="center", color=style.GREY)
+    axes.set_xticks(range(len(values)), [str(label) for label in values])
+    axes.set_xlim(-0.6, len(values) - 0.4)
+    axes.grid(axis="x", visible=False)
+
+
+def points(axes: Axes, x: ArrayLike, y: Sequence[float], intervals: Sequence[Any], **line: Any) -> None:
+    """Plot a line through points (n,) with their intervals, (low, high) or None where there is none."""
+    ends = [(at, at) if interval is None else tuple(interval) for at, interval in zip(y, intervals, strict=True)]
+    drawn = {"marker": "o", "markersize": 4.5, "capsize": 2, **line}
+    axes.errorbar(x, y, yerr=style.error_bars(list(y), ends), **drawn)
+
+
+def clock_axis(axes: Axes, clocks: Sequence[float]) -> None:
+    """Label places 0, 1, ... with ClockSpeeds, which are at equal distances so that the highest can be told apart."""
+    axes.set_xticks(range(len(clocks)), [clock_label(clock) for clock in clocks])
+    axes.set_xlabel("ClockSpeed")
+
+
+def factor_axis(axes: Axes) -> None:
+    """Make the vertical axis logarithmic, labelled 1x, 2x, 5x, 10x."""
+    from matplotlib.ticker import LogLocator, NullFormatter
+
+    axes.set_yscale("log")
+    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.yaxis.set_major_formatter("{x:g}x")
+    axes.yaxis.set_minor_formatter(NullFormatter())
+
+
+def survival_band(axes: Axes, distances_m: ArrayLike, length_m: float, **line: Any) -> None:
+    """Plot the share of games (n,) that got beyond each distance, in its 95 % Wilson interval."""
+    places, share = style.survival(distances_m, length_m)
+    games = len(places) - 1
+    (drawn,) = axes.step(places, share, where="post", **line)
+    low, high = zip(*(Proportion(left, games).interval for left in range(games, -1, -1)), strict=True)
+    axes.fill_between(places, low, high, step="post", color=drawn.get_color(), alpha=0.15, linewidth=0)
+
+
+def span(values: Sequence[float | None], form: str = "{:.2f}") -> str:
+    """Return the least and the greatest of the known values, as in "1.00 to 9.87"; "-" where none is known."""
+    known = [value for value in values if not unknown(value)]
+    if not known:
+        return "-"
+    low, high = (form.format(choose(known)) for choose in (min, max))  # type: ignore[type-var]
+    return low if low == high else f"{low} to {high}"
