@@ -14,9 +14,9 @@ from tests.drawing import headline, record_figures
 from uavaccel.draw.document import Paragraph
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
-from uavaccel.suites.dp2.config import Dp2Config
-from uavaccel.suites.dp2.report import Dp2Report, guard_sentence, guard_table, table
-from uavaccel.suites.dp2.scores import (
+from uavaccel.suites.old_dp2.config import Dp2Config
+from uavaccel.suites.old_dp2.report import Dp2Report, guard_sentence, guard_table, table
+from uavaccel.suites.old_dp2.scores import (
     ObservedFlight,
     count_events,
     counts_of,

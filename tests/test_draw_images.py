@@ -10,7 +10,7 @@ import pytest
 
 from tests.drawing import headline, legend_texts, texts
 from uavaccel.draw import style
-from uavaccel.suites.dp2.image_errors import ImageCloud, plot_images
+from uavaccel.suites.old_dp2.image_errors import ImageCloud, plot_images
 
 
 def cloud(command: str, clock_speed: float, *errors: tuple[float, float]) -> ImageCloud:

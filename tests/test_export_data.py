@@ -30,7 +30,7 @@ from uavaccel.export.provenance import provenance_of
 from uavaccel.files import file_sha256
 from uavaccel.records import RunDirectory
 from uavaccel.suites.old_dp1.suite import Dp1
-from uavaccel.suites.dp2.suite import Dp2
+from uavaccel.suites.old_dp2.suite import Dp2
 from uavaccel.suites.evaluation.again import evaluation_of
 from uavaccel.suites.evaluation.flights import game_seed
 from uavaccel.suites.evaluation.suite import Evaluation

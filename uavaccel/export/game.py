@@ -22,7 +22,7 @@ from uavaccel.records import RunDirectory
 from uavaccel.sim.camera.view import HEIGHT, WIDTH
 from uavaccel.sim.profile import PROFILES
 from uavaccel.suites.dp1 import Dp1, Dp1Config
-from uavaccel.suites.dp2.config import Dp2Config
+from uavaccel.suites.dp2 import Dp2Config
 from uavaccel.suites.evaluation.again import evaluation_of, fly_again
 from uavaccel.suites.evaluation.film import SamplesSeen, SecondEventCamera, Seen
 from uavaccel.suites.evaluation.flights import EvaluateRow

@@ -198,7 +198,9 @@ class Dp1(Suite[Dp1Config, Game]):
                 trace = record_trace(session, command, max(config.clock_speed), max(config.t_move_s))
                 run.write_json(f"traces/{command}.json", trace)
 
-    def flight(self, report: Report, game: Mapping[str, Any]) -> Flight:
+    def flight(
+        self, report: Report, game: Mapping[str, Any], pictures: bool = True, event_rate_hz: float | None = None
+    ) -> Flight:
         config, arrays = report.config, report.arrays(game)
         path = "two_forward_one_back" if game["role"] == "figure2" else config.path
         starts, ends = to_ns(arrays["command_start_s"]), to_ns(arrays["command_end_s"])

@@ -17,7 +17,7 @@ from uavaccel.suites.suite import AnySuite, Suite
 # A line per suite; its module is imported on demand.
 SUITES = {
     "dp1": "uavaccel.suites.dp1:Dp1",
-    "dp2": "uavaccel.suites.dp2.suite:Dp2",
+    "dp2": "uavaccel.suites.dp2:Dp2",
     "train": "uavaccel.suites.training.suite:Training",
     "ablation": "uavaccel.suites.ablation.suite:Ablation",
     "rl": "uavaccel.suites.rl.suite:Rl",

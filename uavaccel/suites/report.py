@@ -37,7 +37,7 @@ class Report:
     """The report of one run. `games` are its finished games, in the order of rows.jsonl."""
 
     def __init__(self, run: RunDirectory, suite: Suite[Any, Any]) -> None:
-        """Read the rows. Raises UserError without a manifest, a valid configuration or a finished game, or for a bad row."""
+        """Read the rows. Raises UserError for a run without a manifest, a valid configuration or a game."""
         self.run, self.suite = run, suite
         self.config: Any = validate(suite.config, run.config(), str(run.path / "config.yaml"))
         run.manifest()

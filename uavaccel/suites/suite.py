@@ -97,9 +97,6 @@ class Suite(ABC, Generic[ConfigType, CaseType]):
     quick: ClassVar[Mapping[str, object] | None] = None
     """Keys of a quick measurement on the wall clock, a shipped experiment with a single --clock, if it has one."""
 
-    row: type[Mapping[str, Any]] | None = None
-    """The keys of its rows, a TypedDict, by which they are checked as they are read."""
-
     @abstractmethod
     def cases(self, config: ConfigType) -> Iterator[CaseType]:
         """Yield every game of a run, in canonical order."""
@@ -157,10 +154,14 @@ class Suite(ABC, Generic[ConfigType, CaseType]):
         """Yield the blocks of the page; configuration and manifest are added below them."""
         yield Table.of(report.games, {name: f"{{{name}}}" for name in report.games})
 
-    def flight(self, report: Report, game: Mapping[str, Any]) -> Flight:
+    def flight(
+        self, report: Report, game: Mapping[str, Any], pictures: bool = True, event_rate_hz: float | None = None
+    ) -> Flight:
         """Return the flight of a game, a row of the report's table, to be watched, filmed or exported.
 
-        Raises UserError where nothing was kept of it.
+        Without `pictures` it need not have images and events. The events are those of the flight's own images, or, with
+        `event_rate_hz`, where it is flown again, those of a second event camera. Raises UserError where nothing was
+        kept of it.
         """
         raise UserError(f"{report.run.path}: a run of {self.name} keeps no flights")
 

@@ -21,12 +21,12 @@ from uavaccel.fly.trajectory import FILE_NAME as FLIGHT
 from uavaccel.records import RunDirectory
 from uavaccel.rl.agents import make_agent
 from uavaccel.sim.lane.layout import LaneLayout
-from uavaccel.suites.dp2.config import Dp2Config
-from uavaccel.suites.dp2.flights import SCENE as LANE
 from uavaccel.suites.evaluation.again import evaluation_of, fly_again
 from uavaccel.suites.evaluation.film import best_first
 from uavaccel.suites.evaluation.flights import EvaluateRow, fly_lane
 from uavaccel.suites.old_dp1.flights import SCENE
+from uavaccel.suites.old_dp2.config import Dp2Config
+from uavaccel.suites.old_dp2.flights import SCENE as LANE
 from uavaccel.suites.registry import open_run
 from uavaccel.suites.rows import Row
 from uavaccel.suites.suite import choose_row

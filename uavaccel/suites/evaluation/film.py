@@ -22,9 +22,9 @@ from uavaccel.kinematics import Quaternion, Vector
 from uavaccel.rl.agents import Agent, PolicyAgent, is_baseline, make_agent
 from uavaccel.sim.camera.view import HEIGHT, WIDTH
 from uavaccel.sim.chase import ChaseView
-from uavaccel.suites.dp2.scores import count_events
 from uavaccel.suites.evaluation.config import EvaluateConfig
 from uavaccel.suites.evaluation.flights import EvaluateRow, fly_lane
+from uavaccel.suites.old_dp2.scores import count_events
 from uavaccel.vision.dvs import make_sensor
 from uavaccel.vision.event_counter import EventCounter
 from uavaccel.wire.image_api import lane_layout

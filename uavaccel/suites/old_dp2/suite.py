@@ -13,10 +13,10 @@ from uavaccel.files import Plain
 from uavaccel.metrics.speedup import timing_provenance
 from uavaccel.records import RunDirectory
 from uavaccel.sim.chase import ChaseView
-from uavaccel.suites.dp2.config import Dp2Config
-from uavaccel.suites.dp2.flights import ARRAYS, SCENE, Case, Dp2Row, cases, fly_game
-from uavaccel.suites.dp2.report import Dp2Report
-from uavaccel.suites.dp2.scores import counts_of
+from uavaccel.suites.old_dp2.config import Dp2Config
+from uavaccel.suites.old_dp2.flights import ARRAYS, SCENE, Case, Dp2Row, cases, fly_game
+from uavaccel.suites.old_dp2.report import Dp2Report
+from uavaccel.suites.old_dp2.scores import counts_of
 from uavaccel.suites.suite import GameResult, Suite, choose_row
 from uavaccel.wire.session import Session, open_session
 

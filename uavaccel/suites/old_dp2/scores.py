@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from uavaccel.metrics.dvs_ed import dvs_ed_percent
 from uavaccel.metrics.speedup import timing_provenance
-from uavaccel.suites.dp2.flights import Dp2Row
+from uavaccel.suites.old_dp2.flights import Dp2Row
 from uavaccel.suites.old_report import Arrays, LoadArrays, Summary, Values
 from uavaccel.suites.rows import Row, subset
 from uavaccel.units import attitude_difference_rad

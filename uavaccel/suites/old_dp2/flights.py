@@ -19,8 +19,8 @@ from uavaccel.forms import ArrayForm, Count, NotNegative, Number, Positive
 from uavaccel.kinematics import Kinematics, VelocityGoal
 from uavaccel.sim.camera.view import HEIGHT, WIDTH
 from uavaccel.sim.lane.path import plan_path
-from uavaccel.suites.dp2.config import Dp2Config, Velocity
 from uavaccel.suites.experiment import t_th_ns
+from uavaccel.suites.old_dp2.config import Dp2Config, Velocity
 from uavaccel.suites.rows import FlightCase, FlightRow, Role, flight_row, named_seed
 from uavaccel.units import NS_PER_S
 from uavaccel.vision.dvs import PRESETS, luma, make_sensor

@@ -8,9 +8,9 @@ from functools import cached_property
 from uavaccel.draw import style
 from uavaccel.draw.document import Block, Heading, Paragraph, Picture, Table, or_dash
 from uavaccel.draw.style import clock_label, command_at_clock, command_name
-from uavaccel.suites.dp2.flights import Dp2Row
-from uavaccel.suites.dp2.image_errors import LEAST_M, LEAST_PERCENT, ImageCloud, plot_images
-from uavaccel.suites.dp2.scores import GameScore, score_games, study_guard, summary_of
+from uavaccel.suites.old_dp2.flights import Dp2Row
+from uavaccel.suites.old_dp2.image_errors import LEAST_M, LEAST_PERCENT, ImageCloud, plot_images
+from uavaccel.suites.old_dp2.scores import GameScore, score_games, study_guard, summary_of
 from uavaccel.suites.old_report import Report, Summary, SummaryCell
 from uavaccel.suites.provenance import source_line
 from uavaccel.suites.rows import Row
