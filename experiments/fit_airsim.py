@@ -19,12 +19,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.optimize import minimize
 from scipy.stats import norm
+from uavaccel.suites.dp1.config import Dp1Config
+from uavaccel.suites.dp1.flights import SCENE, Case, fly_game
 
 from uavaccel.draw import style
 from uavaccel.metrics.stlc import mean_stlc
 from uavaccel.metrics.trajectory import Trajectory, trajectory
-from uavaccel.suites.dp1.config import Dp1Config
-from uavaccel.suites.dp1.flights import SCENE, Case, fly_game
 from uavaccel.wire.latency import QUANTILES, LatencyConfig
 from uavaccel.wire.platform import FrameConfig, PlatformConfig
 from uavaccel.wire.session import open_session

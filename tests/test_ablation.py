@@ -8,24 +8,17 @@ from typing import Any
 
 import numpy as np
 import pytest
+from uavaccel.suites.old_dp1.suite import Dp1
 
 from tests.running import fly_into, run_into
 from uavaccel.config import validate
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
 from uavaccel.resources import experiment
-from uavaccel.suites.ablation.report import (
-    AblationReport,
-    VariantCurve,
-    curves,
-    plot_variants,
-    summarise,
-    table,
-)
+from uavaccel.suites.ablation.report import AblationReport, VariantCurve, curves, plot_variants, summarise, table
 from uavaccel.suites.ablation.suite import Ablation, AblationConfig, Variant
 from uavaccel.suites.old_dp1.config import Dp1Config
 from uavaccel.suites.old_dp1.scores import Cell, CellKey, CellScores
-from uavaccel.suites.old_dp1.suite import Dp1
 from uavaccel.yaml_io import load_yaml
 
 BASE: dict[str, Any] = {

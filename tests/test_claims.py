@@ -12,14 +12,7 @@ from scipy.stats import hypergeom
 from uavaccel.envs.stopwatch import PHASES
 from uavaccel.suites.paper.config import PaperConfig, read_claims
 from uavaccel.suites.paper.evidence import Cloud, Images, Policies, Trajectories
-from uavaccel.suites.paper.report import (
-    at_the_papers_n,
-    decision,
-    judged,
-    paper_p,
-    phase_table,
-    training_phases,
-)
+from uavaccel.suites.paper.report import at_the_papers_n, decision, judged, paper_p, phase_table, training_phases
 from uavaccel.suites.parts import Part
 
 CLOCKS = (1.0, 5.0, 10.0, 50.0, 100.0)

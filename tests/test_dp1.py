@@ -11,6 +11,7 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from uavaccel.suites.old_dp1.suite import Dp1
 
 from uavaccel.cli import main as cli
 from uavaccel.cli.progress import Progress
@@ -18,12 +19,11 @@ from uavaccel.cli.run import RunRequest, run_experiment
 from uavaccel.commands import COMMANDS, SynchronousCommand
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
+from uavaccel.suites.experiment import read_mapping, resolve
 from uavaccel.suites.old_dp1.config import Dp1Config
 from uavaccel.suites.old_dp1.flights import SCENE, Case, fly_game, fly_path
 from uavaccel.suites.old_dp1.flights import cases as cases_of
 from uavaccel.suites.old_dp1.report import Dp1Report
-from uavaccel.suites.old_dp1.suite import Dp1
-from uavaccel.suites.experiment import read_mapping, resolve
 from uavaccel.wire.session import VirtualSession, open_session
 
 SMALL: dict[str, Any] = {"clock_speed": [10.0, 100.0], "t_move_s": [0.1, 0.2], "rounds": [1], "games": 2}

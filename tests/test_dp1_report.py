@@ -12,16 +12,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from tests.dp1_games import (
-    Arrays,
-    Row,
-    cell_games,
-    line_arrays,
-    line_row,
-    quantile,
-    synthetic_games,
-    write_run,
-)
+from tests.dp1_games import Arrays, Row, cell_games, line_arrays, line_row, quantile, synthetic_games, write_run
 from tests.drawing import boxes, headline, labelled, points, record_figures, texts
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory

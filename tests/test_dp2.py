@@ -21,11 +21,11 @@ from uavaccel.errors import UsageError, UserError
 from uavaccel.files import read_arrays, write_arrays
 from uavaccel.records import RunDirectory
 from uavaccel.sim.lane.layout import LENGTH_M
+from uavaccel.suites.experiment import read_mapping, resolve
 from uavaccel.suites.old_dp2 import flights
 from uavaccel.suites.old_dp2.config import Dp2Config
 from uavaccel.suites.old_dp2.flights import SCENE, Case, fly_game, fly_path, velocities
 from uavaccel.suites.old_dp2.flights import cases as cases_of
-from uavaccel.suites.experiment import read_mapping, resolve
 from uavaccel.suites.rows import subset
 from uavaccel.wire.session import open_session
 

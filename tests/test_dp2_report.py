@@ -14,6 +14,7 @@ from tests.drawing import headline, record_figures
 from uavaccel.draw.document import Paragraph
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
+from uavaccel.suites.experiment import read_mapping, resolve
 from uavaccel.suites.old_dp2.config import Dp2Config
 from uavaccel.suites.old_dp2.report import Dp2Report, guard_sentence, guard_table, table
 from uavaccel.suites.old_dp2.scores import (
@@ -25,7 +26,6 @@ from uavaccel.suites.old_dp2.scores import (
     study_guard,
     summary_of,
 )
-from uavaccel.suites.experiment import read_mapping, resolve
 from uavaccel.vision.dvs import PRESETS, DvsParameters
 from uavaccel.vision.guard import GuardSettings
 from uavaccel.vision.guard_study import guard_study

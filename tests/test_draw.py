@@ -14,9 +14,9 @@ from scipy.stats import binomtest
 
 from tests.drawing import boxes, headline, labelled, legend_texts, points, texts, tick_texts
 from uavaccel.draw import style
+from uavaccel.suites.evaluation.report import plot_survival
 from uavaccel.suites.old_dp1.cell_figures import plot_accuracy, plot_speedup
 from uavaccel.suites.old_dp1.flight_figures import TrajectoryLine, VelocityPanel, plot_trajectories, plot_velocity
-from uavaccel.suites.evaluation.report import plot_survival
 from uavaccel.suites.training.phases import PhaseTimes, plot_phases
 
 BLUE, ORANGE, GREEN, VERMILION = "#0072b2", "#e69f00", "#009e73", "#d55e00"

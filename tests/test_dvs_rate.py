@@ -21,13 +21,13 @@ from uavaccel.sim.lane.layout import draw_layout, lane_seed
 from uavaccel.sim.profile import NATIVE
 from uavaccel.sim.vehicle.goal import of_velocity
 from uavaccel.sim.world import World
+from uavaccel.suites.evaluation.config import EvaluateConfig
+from uavaccel.suites.evaluation.film import lane_events
+from uavaccel.suites.experiment import read_mapping, resolve
 from uavaccel.suites.old_dp2.config import Dp2Config
 from uavaccel.suites.old_dp2.flights import SCENE, fly_game
 from uavaccel.suites.old_dp2.flights import cases as cases_of
 from uavaccel.suites.old_dp2.scores import counts_of
-from uavaccel.suites.evaluation.config import EvaluateConfig
-from uavaccel.suites.evaluation.film import lane_events
-from uavaccel.suites.experiment import read_mapping, resolve
 from uavaccel.vision.dvs import PRESETS, make_sensor, sensor_from_maps
 from uavaccel.vision.event_counter import EventCounter
 from uavaccel.vision.event_files import first_of_each_ms, write_events

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 import torch as th
 from scipy.spatial.transform import Rotation
+from uavaccel.suites.old_dp1.suite import Dp1
 
 from tests.opengl import needs_opengl
 from tests.running import configured, fly_into
@@ -29,11 +30,10 @@ from uavaccel.export.mcap_file import TOPICS, _entries
 from uavaccel.export.provenance import provenance_of
 from uavaccel.files import file_sha256
 from uavaccel.records import RunDirectory
-from uavaccel.suites.old_dp1.suite import Dp1
-from uavaccel.suites.old_dp2.suite import Dp2
 from uavaccel.suites.evaluation.again import evaluation_of
 from uavaccel.suites.evaluation.flights import game_seed
 from uavaccel.suites.evaluation.suite import Evaluation
+from uavaccel.suites.old_dp2.suite import Dp2
 
 mcap_reader = pytest.importorskip("mcap.reader")
 # Minari's import warns where Minari's optional parts are missing.

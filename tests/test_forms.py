@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from uavaccel.suites.dp1.suite import Dp1
 
 from tests.dp1_games import Arrays, synthetic_games
 from uavaccel.cli.export import export
@@ -16,7 +17,6 @@ from uavaccel.cli.result_commands import report
 from uavaccel.config import to_yaml
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
-from uavaccel.suites.dp1.suite import Dp1
 from uavaccel.suites.evaluation.suite import Evaluation
 from uavaccel.suites.experiment import resolve
 from uavaccel.suites.registry import SUITES, find_suite, open_run

@@ -10,14 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from uavaccel.vision.guard import (
-    GuardSettings,
-    GuardState,
-    Verdict,
-    acquire,
-    judge,
-    mean_brightness,
-)
+from uavaccel.vision.guard import GuardSettings, GuardState, Verdict, acquire, judge, mean_brightness
 
 AIRSIM = GuardSettings(accept_identical=False)
 

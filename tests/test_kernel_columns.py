@@ -14,14 +14,7 @@ from numpy.typing import NDArray
 from tests.test_kernel_looks import drawn_views, laid_out
 from uavaccel.kernels import events
 from uavaccel.kernels import fields as at
-from uavaccel.kernels.columns import (
-    MOST_INTERVALS,
-    MOST_PIECES,
-    Column,
-    add_interval,
-    fill_column,
-    settle,
-)
+from uavaccel.kernels.columns import MOST_INTERVALS, MOST_PIECES, Column, add_interval, fill_column, settle
 from uavaccel.kernels.fields import Looks
 from uavaccel.kernels.looks import read_looks
 from uavaccel.kernels.pictures import draw_gray

@@ -26,12 +26,7 @@ from uavaccel.resources import asset
 from uavaccel.sim.camera.camera import Camera, make_cameras_with
 from uavaccel.sim.lane.layout import Difficulty, LaneLayout, draw_layout, lane_seed
 from uavaccel.sim.lane.scene import apply_layout
-from uavaccel.units import (
-    mujoco_to_ned,
-    ned_to_mujoco,
-    quaternion_mujoco_to_ned,
-    quaternion_ned_to_mujoco,
-)
+from uavaccel.units import mujoco_to_ned, ned_to_mujoco, quaternion_mujoco_to_ned, quaternion_ned_to_mujoco
 from uavaccel.vision.dvs import PRESETS, init_state, make_sensor, step
 
 Floats = NDArray[np.float64]

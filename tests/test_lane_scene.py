@@ -15,14 +15,7 @@ from uavaccel.errors import UserError
 from uavaccel.kinematics import VelocityGoal
 from uavaccel.resources import asset
 from uavaccel.sim.lane.file import layout_from
-from uavaccel.sim.lane.layout import (
-    HULL_RADIUS_M,
-    LENGTH_M,
-    MAX_OBSTACLES,
-    LaneLayout,
-    clearance_m,
-    draw_layout,
-)
+from uavaccel.sim.lane.layout import HULL_RADIUS_M, LENGTH_M, MAX_OBSTACLES, LaneLayout, clearance_m, draw_layout
 from uavaccel.sim.lane.scene import apply_layout, obstacle_geoms
 from uavaccel.sim.rendering.slots import read_looks, slot_dtype, write_looks
 from uavaccel.sim.scene.model import load_scene

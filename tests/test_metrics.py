@@ -8,12 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from uavaccel.metrics.intervals import Proportion, bootstrap_interval, mcnemar_exact, median_interval
-from uavaccel.metrics.speedup import (
-    combined_provenance,
-    effective_speedup,
-    speedup_interval,
-    timing_provenance,
-)
+from uavaccel.metrics.speedup import combined_provenance, effective_speedup, speedup_interval, timing_provenance
 from uavaccel.metrics.trajectory import (
     Trajectory,
     command_gaps_s,

@@ -16,11 +16,11 @@ from uavaccel.records import RunDirectory
 from uavaccel.resources import experiment
 from uavaccel.suites.old_dp1.config import Dp1Config
 from uavaccel.suites.old_dp2.config import Dp2Config
+from uavaccel.suites.old_report import Report
 from uavaccel.suites.paper.config import PaperConfig
 from uavaccel.suites.paper.evidence import Images, NoEvidence, Trajectories
 from uavaccel.suites.paper.suite import Paper
 from uavaccel.suites.parts import Part, part_cost
-from uavaccel.suites.old_report import Report
 from uavaccel.yaml_io import load_yaml
 
 

@@ -21,14 +21,7 @@ from uavaccel.resources import experiment
 from uavaccel.suites.own_code import told
 from uavaccel.suites.realtime import agents, environments, flights
 from uavaccel.suites.realtime.agents import LookAhead, Policy, train
-from uavaccel.suites.realtime.config import (
-    AgentBlock,
-    EnvironmentBlock,
-    EvaluationCase,
-    TrainingCase,
-    cases,
-    flies,
-)
+from uavaccel.suites.realtime.config import AgentBlock, EnvironmentBlock, EvaluationCase, TrainingCase, cases, flies
 from uavaccel.suites.realtime.environments import measured, timed, training
 from uavaccel.suites.realtime.report import agreement
 from uavaccel.suites.realtime.suite import Realtime

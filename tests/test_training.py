@@ -38,13 +38,7 @@ from uavaccel.suites.runner import begin_run, run_suite
 from uavaccel.suites.suite import GameResult
 from uavaccel.suites.training import flights as training
 from uavaccel.suites.training.config import CHECKPOINTS
-from uavaccel.suites.training.evaluations import (
-    FILE,
-    Evaluations,
-    drop_evaluations_after,
-    evaluation_of,
-    evaluations,
-)
+from uavaccel.suites.training.evaluations import FILE, Evaluations, drop_evaluations_after, evaluation_of, evaluations
 from uavaccel.suites.training.suite import Training
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("trainings_here")]

@@ -20,7 +20,7 @@ from uavaccel.commands.slices import check_times, samples_due
 from uavaccel.config import Config
 from uavaccel.draw import style
 from uavaccel.draw.labels import clock_label, command_at_clock
-from uavaccel.draw.page import Block, Heading, Picture, Table, unknown
+from uavaccel.draw.page import Block, Column, Heading, Picture, Table, listed, unknown
 from uavaccel.envs.camera_client import CameraClient, Sample
 from uavaccel.envs.task import rate_ticks
 from uavaccel.errors import UserError
@@ -386,8 +386,8 @@ class Dp2(Suite[Dp2Config, Game]):
         if config.perturbation.share:
             fewer = ", fewer where the ClockSpeed is low" if config.perturbation.half_excess else ""
             yield (
-                f"Modelled: {config.perturbation.share:.1%} of the images of the games were perturbed on their way{fewer}"
-                "; those of the runs at 1x that they are compared with were not."
+                f"Modelled: {config.perturbation.share:.1%} of the images of the games were perturbed on their way"
+                f"{fewer}; those of the runs at 1x that they are compared with were not."
             )
         if config.latency.reply_us.get("image") is None and (games.timing == "virtual").any():
             yield "The modelled wall times leave out drawing the images: the latency model has no channel for them."
@@ -398,9 +398,7 @@ class Dp2(Suite[Dp2Config, Game]):
         if guard is not None:
             yield Heading("Image guard (modelled)")
             yield guard_table(guard)
-            yield GUARD.format(
-                **guard, **{f"handed_{on}": guard["perturbed_share_handed_on"][on] for on in ("off", "on")}
-            )
+            yield GUARD.format_map(guard)
 
 
 class Flown(NamedTuple):
@@ -527,7 +525,7 @@ class Observed(NamedTuple):
     """The samples of the game at `at` in the table, with the DVS's event counts (n, H, W), 0 for the first."""
 
     at: int
-    index: NDArray[np.int32]
+    places: NDArray[np.int32]
     poses: tuple[NDArray[np.float64], NDArray[np.float64]]
     counts: tuple[NDArray[Any], NDArray[Any]]
 
@@ -558,7 +556,7 @@ def _scored(seen: Observed | None, real: Observed | None, lockstep: Observed | N
     same = [equal(seen.poses, lockstep.poses), equal(seen.counts, lockstep.counts)] if lockstep else [None, None]
     if real is None:
         return [None, [], [], [], *same]
-    _, own, other = np.intersect1d(seen.index, real.index, return_indices=True)
+    _, own, other = np.intersect1d(seen.places, real.places, return_indices=True)
     own, other = own[1:], other[1:]  # the start has made no events yet
     offset_m = seen.poses[0][own] - real.poses[0][other]
     turn_rad = attitude_difference_rad(seen.poses[1][own], real.poses[1][other])
@@ -569,8 +567,8 @@ def _scored(seen: Observed | None, real: Observed | None, lockstep: Observed | N
 
 def summary_of_game(game: pd.Series, games: pd.DataFrame) -> dict[str, Any]:
     """Return the entry of a scored game."""
-    kept = ("command", "clock_speed", "t_move_s", "timing", "guard_retries", "collision", "distance_m")
-    kept += ("wall_s", "real_time_factor", "lost_wall_s")
+    kept = ["command", "clock_speed", "t_move_s", "timing", "guard_retries", "collision", "distance_m"]
+    kept += ["wall_s", "real_time_factor", "lost_wall_s"]
     marks = [key for key in ("disturbed", "stalled_wall_s", "restarts") if not unknown(game.get(key))]
     spread = {f"{name}_{of}": float(take(game[name])) if game[name] else None for name in ERRORS for of, take in SPREAD}
     real = None if unknown(game.reference) else games.loc[game.reference]
@@ -661,7 +659,7 @@ def _against_lockstep(cell: Mapping[str, Any]) -> str:
     return f"{words[cell['poses_equal_lockstep']]}, {words[cell['dvs_counts_equal_lockstep']]}"
 
 
-TABLE = {
+TABLE: Mapping[str, Column] = {
     "command": "{command!u}",
     "ClockSpeed": _clock,
     "images": "{paired_images}",
@@ -702,7 +700,7 @@ def images_figure(report: Report) -> Picture:
     clocks = sorted(set(images.clock_speed))
     source = source_line(scores)
     below = [
-        f"{command.upper()} at {', '.join(map(clock_label, own.clock_speed))}: all {own.position_error_m.map(len).sum()} "
+        f"{command.upper()} at {listed(map(clock_label, own.clock_speed))}: all {own.position_error_m.map(len).sum()} "
         "images at 0, 0"
         for command, own in sorted(exact[~exact.command.isin(commands)].groupby("command"), reverse=True)
     ]
@@ -746,9 +744,9 @@ def _scatter(axes: Any, game: pd.Series, clocks: Sequence[float]) -> None:
 
 
 FIGURE7 = (
-    "Figure 7. Position error over DVS-ED, a point an image, against the image of the same place in the path of the same "
-    "command's run at 1x. Rings: images at the same place with as many DVS pixels as at 1x. Both axes are logarithmic, "
-    f"but linear up to {LEAST_PERCENT:g} % and {LEAST_M * 1e3:g} mm."
+    "Figure 7. Position error over DVS-ED, a point an image, against the image of the same place in the path of the "
+    "same command's run at 1x. Rings: images at the same place with as many DVS pixels as at 1x. Both axes are "
+    f"logarithmic, but linear up to {LEAST_PERCENT:g} % and {LEAST_M * 1e3:g} mm."
 )
 READING = (
     "Images are paired by their place in the path: the same sample of the same command. DVS-ED is the difference in "
@@ -759,8 +757,9 @@ READING = (
 )
 GUARD = (
     "False alarms: {clean_false_alarms} of {images} clean images. With {share:.0%} of the images perturbed, "
-    "{handed_off:.1%} of those handed on are perturbed without the guard and {handed_on:.1%} with it. The images are those "
-    "of the game without latency, sent {streams} times with another seed. MuJoCo renders every image correctly: the "
-    "perturbations are a model of a renderer short of time, whose sizes are this project's own choice. The guard checks "
-    "mean brightness alone and cannot detect what leaves that as it is."
+    "{perturbed_share_handed_on[off]:.1%} of those handed on are perturbed without the guard and "
+    "{perturbed_share_handed_on[on]:.1%} with it. The images are those of the game without latency, sent {streams} "
+    "times with another seed. MuJoCo renders every image correctly: the perturbations are a model of a renderer short "
+    "of time, whose sizes are this project's own choice. The guard checks mean brightness alone and cannot detect what "
+    "leaves that as it is."
 )
