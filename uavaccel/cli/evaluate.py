@@ -14,7 +14,7 @@ from uavaccel.errors import UsageError, UserError
 from uavaccel.records import RunDirectory
 from uavaccel.suites.registry import open_run
 from uavaccel.suites.runner import check_jobs
-from uavaccel.suites.sweep.config import parse_sweep
+from uavaccel.suites.grid import parse_sweep
 
 
 def evaluate_agent(request: RunRequest, against: Path | None, films: bool) -> None:

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 
 from uavaccel.cli.checks import check_host
 from uavaccel.errors import UsageError
-from uavaccel.suites.old_dp1.flights import SCENE
 from uavaccel.watch.page import Page
 from uavaccel.watch.server import check_viser, open_server
 from uavaccel.watch.square import fly_side_by_side
@@ -70,4 +69,4 @@ def _of_square(request: WatchRequest) -> Callable[[ViserServer], Page]:
         return fly_side_by_side(clock_speed, request.think_s, rounds=1, seed=request.seed)
 
     tracks, title = fly_at(request.clock_speed), TITLE.format(think=1000 * request.think_s)
-    return lambda server: Page(server, tracks, SCENE, title, fly_at=fly_at)
+    return lambda server: Page(server, tracks, "blocks", title, fly_at=fly_at)

@@ -238,14 +238,17 @@ class Dp1(Suite[Dp1Config, Game]):
         over games. Numbers that cannot be known (no reference in the run, a lone reference) are None.
         """
         scores, seed = report.scores, report.config.seed
-        cells = [(dict(zip(CELL, key, strict=True)), cell) for key, cell in scores.groupby(CELL)]
         accuracies = [
-            key | {name: finished(cell)[name].tolist() for name in ("stlc", "position_rmse_m")} for key, cell in cells
+            key | {name: finished(cell)[name].tolist() for name in ("stlc", "position_rmse_m")}
+            for key, cell in grouped_cells(scores)
         ]
         report.run.write_json("scores.json", accuracies)
-        real = finished(scores[scores.role == "reference"])
-        summarised = [summary_of_cell(key, cell, _same_path(real, cell), seed) for key, cell in cells]
-        return {"suite": "dp1", "profile": report.config.profile, "seed": seed, "cells": summarised}
+        return {
+            "suite": "dp1",
+            "profile": report.config.profile,
+            "seed": seed,
+            "cells": summary_cells(scores, seed),
+        }
 
     def title(self, report: Report) -> str:
         return f"DP1, {report.config.profile} profile, seed {report.config.seed}"
@@ -350,6 +353,17 @@ def score_cell(run: RunDirectory, games: pd.DataFrame, cell: pd.DataFrame) -> pd
 
 def _same_path(games: pd.DataFrame, cell: pd.DataFrame) -> pd.DataFrame:
     return games[(games[PATH] == cell[PATH].iloc[0]).all(axis=1)]
+
+
+def grouped_cells(scores: pd.DataFrame) -> list[tuple[dict[str, Any], pd.DataFrame]]:
+    """Return the key and the games of each cell, in canonical order."""
+    return [(dict(zip(CELL, key, strict=True)), cell) for key, cell in scores.groupby(CELL)]
+
+
+def summary_cells(scores: pd.DataFrame, seed: int) -> list[dict[str, Any]]:
+    """Return the cells of the summary from the scored games."""
+    real = finished(scores[scores.role == "reference"])
+    return [summary_of_cell(key, cell, _same_path(real, cell), seed) for key, cell in grouped_cells(scores)]
 
 
 def summary_of_cell(key: dict[str, Any], cell: pd.DataFrame, real: pd.DataFrame, seed: int) -> dict[str, Any]:

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
+import numpy as np
 from pydantic import Field
 
 from uavaccel.config import Config
 from uavaccel.files import Plain, inside
 from uavaccel.records import RunDirectory
 from uavaccel.suites.experiment import Experiment, merged, read_mapping
-from uavaccel.suites.old_report import Summary
 from uavaccel.suites.registry import find_suite, open_run
 from uavaccel.suites.runner import begin_run, run_suite
 from uavaccel.suites.suite import AnySuite, configuration
@@ -32,7 +33,7 @@ def part_suite(part: Part, seed: int) -> tuple[AnySuite, Experiment]:
     return suite, configuration(suite, merged(mapping, {"seed": seed, **part.keys}), source)
 
 
-def fly_part(run: RunDirectory, name: str, part: Part, seed: int, pages: bool = True) -> Summary:
+def fly_part(run: RunDirectory, name: str, part: Part, seed: int, pages: bool = True) -> Mapping[str, Plain]:
     """Fly, in this process, what the part still lacks, report it, and return its summary.
 
     Without `pages` summary.json alone is written; `uavaccel report` makes the rest.
@@ -59,3 +60,13 @@ def part_simulated_s(part: Part, seed: int) -> float:
 def part_run(run: RunDirectory, name: str) -> RunDirectory:
     """Return a part's run directory. Raises UserError if it was not flown."""
     return open_run(part_folder(run, name))
+
+
+def outcomes(run: RunDirectory) -> dict[str, np.ndarray]:
+    """Return lane, success and metres north (n,) of an evaluation's games."""
+    rows = run.rows()
+    return {
+        "lane": np.array([row["lane"] for row in rows], np.int64),
+        "is_success": np.array([row["is_success"] for row in rows], bool),
+        "distance_m": np.array([row["distance_m"] for row in rows], np.float64),
+    }

@@ -24,9 +24,7 @@ from uavaccel.sim.lane.layout import LaneLayout
 from uavaccel.suites.evaluation.again import evaluation_of, fly_again
 from uavaccel.suites.evaluation.film import best_first
 from uavaccel.suites.evaluation.flights import EvaluateRow, fly_lane
-from uavaccel.suites.old_dp1.flights import SCENE
 from uavaccel.suites.old_dp2.config import Dp2Config
-from uavaccel.suites.old_dp2.flights import SCENE as LANE
 from uavaccel.suites.registry import open_run
 from uavaccel.suites.rows import Row
 from uavaccel.suites.suite import choose_row
@@ -44,7 +42,7 @@ class Replay:
 
     track: Track
     title: str
-    scene: str = SCENE
+    scene: str = "blocks"
     lane: LaneLayout | None = None
 
 

@@ -16,11 +16,10 @@ from uavaccel.envs.simulators import EXACT
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
 from uavaccel.rl.agents import DEFAULT
-from uavaccel.suites.evaluation.parts import outcomes
 from uavaccel.suites.gpu import on_own_gpu
 from uavaccel.suites.host_time import timed, wall_s
 from uavaccel.suites.old_report import Summary
-from uavaccel.suites.parts import fly_part, part_folder, part_run, part_suite
+from uavaccel.suites.parts import fly_part, outcomes, part_folder, part_run, part_suite
 from uavaccel.suites.rl.cases import (
     ARRAYS,
     EVALUATION_SEED,

@@ -1,1 +1,0 @@
-"""Ablations of DP1: one thing of the modelled simulator changed at a time."""

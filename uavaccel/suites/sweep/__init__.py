@@ -1,1 +1,0 @@
-"""Robustness of one policy, condition by condition: its success as one thing at a time departs from its training."""
