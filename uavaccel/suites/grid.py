@@ -1,7 +1,7 @@
 """Grids: an experiment flown at each point of a grid over its keys. Ablations of DP1; sweeps and maps of a policy.
 
-An ablation flies the games of DP1 under each variant. A sweep and a robustness map evaluate one policy at each point, on
-the same lanes, each evaluation in a run directory of its own below the run's.
+An ablation flies the games of DP1 under each variant. A sweep and a robustness map evaluate one policy at each point,
+on the same lanes, each evaluation in a run directory of its own below the run's.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from abc import abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from itertools import product
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeVar
@@ -59,11 +59,19 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Point:
-    """A point of a grid: its name, the dotted keys that set it, and the entries of its rows that say which it is."""
+    """A point of a grid: its name, the dotted keys that set it, and the entries of its rows that say which it is.
 
-    name: str
+    Where a whole run is flown at it, it is the case as well.
+    """
+
+    id: str
     keys: Mapping[str, object]
     labels: Mapping[str, object]
+    timing: str = "virtual"
+    typical_s: float = 0.0
+
+    def simulated_s(self) -> float:
+        return self.typical_s
 
 
 class Grid(Suite[ConfigType, CaseType]):
@@ -80,9 +88,6 @@ class Grid(Suite[ConfigType, CaseType]):
     def check(self, config: ConfigType) -> None:
         for point in self.points(config):
             self.experiment(config, point)
-
-
-# Ablations ------------------------------------------------------------------------------------------------------------
 
 
 class Variant(Config):
@@ -158,7 +163,7 @@ class Ablation(Grid[AblationConfig, VariantGame]):
     def experiment(self, config: AblationConfig, point: Point) -> tuple[Dp1, Dp1Config]:
         base = {**config.base, "suite": "dp1", "seed": config.seed}
         validate(Dp1Config, base, "base")
-        return self.dp1, validate(Dp1Config, merged(base, point.keys), f"variant {point.name!r}")
+        return self.dp1, validate(Dp1Config, merged(base, point.keys), f"variant {point.id!r}")
 
     def cases(self, config: AblationConfig) -> Iterator[VariantGame]:
         for variant, point in enumerate(self.points(config)):
@@ -192,7 +197,7 @@ class Ablation(Grid[AblationConfig, VariantGame]):
     def _under(self, report: Report, variant: str) -> Report:
         """Return the report's games under one variant as those of a run of DP1."""
         own = copy(report)
-        [point] = [point for point in self.points(report.config) if point.name == variant]
+        [point] = [point for point in self.points(report.config) if point.id == variant]
         own.config = self.experiment(report.config, point)[1]
         own.games = report.games[report.games.variant == variant]
         return own
@@ -207,7 +212,7 @@ class Ablation(Grid[AblationConfig, VariantGame]):
         """
         config, entries = report.config, []
         for point in self.points(config):
-            own = report.scores[report.scores.variant == point.name]
+            own = report.scores[report.scores.variant == point.id]
             cells = pd.DataFrame(summary_cells(own, config.seed))
             for (command, clock_speed), games in own[own.timing != "lockstep"].groupby(["command", "clock_speed"]):
                 same = (cells.command == command) & (cells.clock_speed == clock_speed) & (cells.timing != "lockstep")
@@ -316,9 +321,6 @@ def _places(entries: pd.DataFrame, times_clock_speed: bool) -> tuple[pd.Series, 
         return pd.Series(places, entries.index), list(names)
 
 
-# One policy, evaluated at each point ----------------------------------------------------------------------------------
-
-
 class PolicyExperiment(Experiment):
     """Keys of suites that evaluate one policy under several conditions."""
 
@@ -328,13 +330,6 @@ class PolicyExperiment(Experiment):
     """Number of evaluation lanes, which are the same under each condition."""
     evaluation: Part = Part(experiment="evaluate")
     """How each policy is evaluated: an experiment, and keys that differ from it."""
-
-
-@dataclass(frozen=True)
-class EvaluationCase(SimpleCase):
-    """The evaluation at a point of the grid."""
-
-    point: Point
 
 
 class PolicyRow(GameRow):
@@ -349,7 +344,7 @@ class PolicyRow(GameRow):
 PolicyConfig = TypeVar("PolicyConfig", bound=PolicyExperiment)
 
 
-class PolicyGrid(Grid[PolicyConfig, EvaluationCase]):
+class PolicyGrid(Grid[PolicyConfig, Point]):
     """One policy, evaluated on the same lanes at each point."""
 
     batch = 1
@@ -371,11 +366,11 @@ class PolicyGrid(Grid[PolicyConfig, EvaluationCase]):
         """Return suite and configuration of the first evaluation, which represents all where they do not differ."""
         return self.experiment(config, next(self.points(config)))
 
-    def cases(self, config: PolicyConfig) -> Iterator[EvaluationCase]:
+    def cases(self, config: PolicyConfig) -> Iterator[Point]:
         simulated_s = _simulated_s(*self.first(config))
-        return (EvaluationCase(point.name, "virtual", simulated_s, point) for point in self.points(config))
+        return (replace(point, typical_s=simulated_s) for point in self.points(config))
 
-    def games(self, config: PolicyConfig, case: EvaluationCase) -> int:
+    def games(self, config: PolicyConfig, case: Point) -> int:
         return config.games
 
     def renders(self, config: PolicyConfig) -> bool:
@@ -391,11 +386,11 @@ class PolicyGrid(Grid[PolicyConfig, EvaluationCase]):
     def open(self, config: PolicyConfig, timing: str, run: RunDirectory) -> AbstractContextManager[RunDirectory]:
         return on_own_gpu(run)
 
-    def fly(self, config: PolicyConfig, case: EvaluationCase, opened: RunDirectory) -> GameResult:
+    def fly(self, config: PolicyConfig, case: Point, opened: RunDirectory) -> GameResult:
         """Evaluate; the row has keys of the evaluation's summary, the arrays the outcome of each lane."""
-        summary = fly_part(opened, case.id, self.part(config, case.point), config.seed)
+        summary = fly_part(opened, case.id, self.part(config, case), config.seed)
         found = {name: summary[name] for name in self.kept}
-        return GameResult({**case.point.labels, **found}, outcomes(part_run(opened, case.id)))
+        return GameResult({**case.labels, **found}, outcomes(part_run(opened, case.id)))
 
     def status(self, rows: Sequence[Row]) -> str:
         return f"{rows[-1]['case']} won {rows[-1]['successes']} of {rows[-1]['games']}"
@@ -417,9 +412,6 @@ def key_of(name: str) -> str:
     if name.startswith("task."):
         return name
     raise UsageError(f"--sweep {name}: is unknown; {suggestion(name, [*CONDITIONS, 'task.KEY'])}")
-
-
-# Sweeps ---------------------------------------------------------------------------------------------------------------
 
 
 class SweepConfig(PolicyExperiment):
@@ -494,15 +486,15 @@ class Sweep(PolicyGrid[SweepConfig]):
                 case_id = f"{name}-{value_text(value)}".replace("/", "_")
                 yield Point(case_id, {key: level}, {"condition": name, "value": value})
 
-    def cases(self, config: SweepConfig) -> Iterator[EvaluationCase]:
+    def cases(self, config: SweepConfig) -> Iterator[Point]:
         """Yield the evaluations to fly; conditions that change nothing are flown once, as trained."""
         (trained, *departed) = [(point, *self.experiment(config, point)) for point in self.points(config)]
-        same = [point.name for point, _, evaluation in departed if evaluation == trained[2]]
+        same = [point.id for point, _, evaluation in departed if evaluation == trained[2]]
         for point, suite, evaluation in [trained, *departed]:
-            if point.name not in same:
-                labels = {**point.labels, "same": same if point.name == AS_TRAINED else []}
-                flown = Point(point.name, point.keys, labels)
-                yield EvaluationCase(point.name, timing_of(evaluation), _simulated_s(suite, evaluation), flown)
+            if point.id not in same:
+                labels = {**point.labels, "same": same if point.id == AS_TRAINED else []}
+                timing, simulated_s = timing_of(evaluation), _simulated_s(suite, evaluation)
+                yield replace(point, labels=labels, timing=timing, typical_s=simulated_s)
 
     def why_serial(self, config: SweepConfig) -> str:
         suite, evaluation = self.first(config)
@@ -511,14 +503,14 @@ class Sweep(PolicyGrid[SweepConfig]):
         return suite.why_serial(evaluation)
 
     def summary(self, report: Report) -> Summary:
-        """Return each condition's success with its interval, and McNemar's exact test against the flights as trained."""
+        """Return each condition's success with its interval, and McNemar's test against the flights as trained."""
         rows = {row["case"]: row for row in report.games.to_dict("records")}
         usual = rows.get(AS_TRAINED)
         same = () if usual is None else usual["same"]
         won = {case: report.arrays(row)["is_success"] for case, row in rows.items()}
         cells = []
         for point in self.points(report.config):
-            row = usual if point.name in same else rows.get(point.name)
+            row = usual if point.id in same else rows.get(point.id)
             if row is not None:
                 tested = usual is not None and row is not usual
                 p = mcnemar_exact(won[AS_TRAINED], won[row["case"]]).p_value if tested else None
@@ -575,13 +567,17 @@ def as_trained(summary: Summary) -> float | None:
 
 def conditions_of(summary: Summary) -> pd.DataFrame:
     """Return the cells of a sweep's summary as a table, with the condition's name and unit and the value as a text."""
-
-    def words(condition: str, value: object) -> dict[str, str]:
-        unit = CONDITIONS[condition].unit if condition in CONDITIONS else ""
-        name = f"{condition}, {unit}" if unit else condition
-        return {"name": name or "as trained", "text": value_text(value) if condition else ""}
-
-    return table_of([{**cell, **words(cell["condition"], cell["value"])} for cell in summary["cells"]])
+    names = {"": "as trained"} | {name: f"{name}, {each.unit}" for name, each in CONDITIONS.items() if each.unit}
+    return table_of(
+        [
+            {
+                **cell,
+                "name": names.get(cell["condition"], cell["condition"]),
+                "text": value_text(cell["value"]) if cell["condition"] else "",
+            }
+            for cell in summary["cells"]
+        ]
+    )
 
 
 def sweep_figure(report: Report) -> Picture:
@@ -591,14 +587,12 @@ def sweep_figure(report: Report) -> Picture:
     cells = conditions_of(summary).query("condition != ''")
     count = cells.name.nunique()
     columns = max(min(count, SWEEP_COLUMNS), 1)
-    rows = max(math.ceil(count / columns), 1)
-    width_in = (max(2.9 * columns, 5.0) - 1.6) / columns
-    figure, grid = plots.panels(rows, columns, title, source, (width_in, 2.1), sharey=True)
+    size_in = max(2.4, 4.0 / columns), 2.1
+    figure, grid = plots.panels(math.ceil(count / columns), columns, title, source, size_in, sharey=True)
     for axes, (name, own) in zip(grid.flat, cells.groupby("name", sort=False), strict=False):
+        line: style.LineStyle = {"color": style.BLUE, "markersize": 4, "capsize": 3}
         intervals = list(zip(own.wilson_low, own.wilson_high, strict=True))
-        plots.points(
-            axes, range(len(own)), own.success_ratio.tolist(), intervals, color=style.BLUE, markersize=4, capsize=3
-        )
+        plots.points(axes, range(len(own)), own.success_ratio.tolist(), intervals, **line)
         if (usual := as_trained(summary)) is not None:
             axes.axhline(usual, color=style.GREY, linestyle="--", linewidth=1.0)
         crowded = own.text.str.len().sum() > 24
@@ -611,9 +605,6 @@ def sweep_figure(report: Report) -> Picture:
         axes.set_ylabel("success")
     caption = f"{title}, with 95 % Wilson intervals; the dashed line is the success as trained."
     return report.figure("sweep", figure, caption, source)
-
-
-# Robustness maps ------------------------------------------------------------------------------------------------------
 
 
 class RobustnessConfig(PolicyExperiment):
@@ -678,13 +669,15 @@ class Robustness(PolicyGrid[RobustnessConfig]):
         config, kept = report.config, ["command", "clock_speed", "latency_scale", "distance_m_median"]
         rows = report.games.to_dict("records")
         cells = [{**{name: row[name] for name in kept}, **Proportion.of(row).as_summary()} for row in rows]
+        flown = pd.DataFrame(cells)
+        settings = sorted(set(zip(flown.command, flown.clock_speed, strict=True)))
         return {
             "suite": self.name,
             "agent": config.agent,
             "profile": config.profile,
             "seed": config.seed,
             "cells": cells,
-            "collapses": [collapse(command, own, clock) for command, own in maps(cells).items() for clock in own],
+            "collapses": [collapse(flown, *setting) for setting in settings],
         }
 
     def title(self, report: Report) -> str:
@@ -725,37 +718,20 @@ class Robustness(PolicyGrid[RobustnessConfig]):
         yield ROBUSTNESS
 
 
-def maps(cells: Sequence[Mapping[str, Any]]) -> dict[str, pd.DataFrame]:
-    """Return each command's success by latency (rows) and ClockSpeed (columns), NaN where it was not flown."""
-    flown = pd.DataFrame(cells).groupby("command")
-    return {
-        command: own.pivot(index="latency_scale", columns="clock_speed", values="success_ratio")
-        for command, own in flown
-    }
-
-
-def collapse(command: str, success: pd.DataFrame, clock_speed: float) -> Summary:
+def collapse(cells: pd.DataFrame, command: str, clock_speed: float) -> Summary:
     """Return the latencies between which success falls below half of that in real time at the fitted latency.
 
     `above` is the largest latency up to which it does not, `below` the next that was flown; None where there is none.
     Without the cell in real time both are None.
     """
-
-    def at_fitted(clock_speed: float) -> float | None:
-        ratio = success.get(clock_speed, pd.Series(dtype=float)).get(FITTED, np.nan)
-        return None if unknown(ratio) else float(ratio)
-
-    real_time, line = at_fitted(1.0), success[clock_speed].dropna()
+    success = cells[cells.command == command].set_index(["clock_speed", "latency_scale"]).success_ratio.sort_index()
+    real_time, fitted = (success.get((clock, FITTED)) for clock in (1.0, clock_speed))
+    line = success[clock_speed]
     fallen = (line < COLLAPSED * (real_time or 0.0)).cummax()
-    above, below = (line.index[each] if real_time is not None else [] for each in (~fallen, fallen))
-    return {
-        "command": command,
-        "clock_speed": clock_speed,
-        "fitted": at_fitted(clock_speed),
-        "real_time": real_time,
-        "above": float(above[-1]) if len(above) else None,
-        "below": float(below[0]) if len(below) else None,
-    }
+    above = max(line.index[~fallen], default=None) if real_time is not None else None
+    below = min(line.index[fallen], default=None)
+    found = {"fitted": fitted, "real_time": real_time, "above": above, "below": below}
+    return {"command": command, "clock_speed": clock_speed, **found}
 
 
 def collapse_words(found: Mapping[str, Any]) -> str:
