@@ -27,7 +27,7 @@ from uavaccel.limits import MOST_GAMES, MOST_HEIGHT_M, MOST_ROUNDS, MOST_SECONDS
 from uavaccel.metrics.intervals import median_interval
 from uavaccel.metrics.speedup import combined_provenance, speedup_interval, timing_provenance
 from uavaccel.metrics.stlc import mean_stlc
-from uavaccel.metrics.trajectory import command_gaps_s, distinct, mean_position_rmse, trajectory
+from uavaccel.metrics.trajectory import Trajectory, command_gaps_s, distinct, mean_position_rmse, trajectory
 from uavaccel.records import RunDirectory
 from uavaccel.sim.profile import PROFILES
 from uavaccel.suites import plots
@@ -239,16 +239,11 @@ class Dp1(Suite[Dp1Config, Game]):
         """
         scores, seed = report.scores, report.config.seed
         accuracies = [
-            key | {name: finished(cell)[name].tolist() for name in ("stlc", "position_rmse_m")}
-            for key, cell in grouped_cells(scores)
+            {**key, **finished(cell)[["stlc", "position_rmse_m"]].to_dict("list")} for key, cell in cells_in(scores)
         ]
         report.run.write_json("scores.json", accuracies)
-        return {
-            "suite": "dp1",
-            "profile": report.config.profile,
-            "seed": seed,
-            "cells": summary_cells(scores, seed),
-        }
+        cells = summary_cells(scores, seed)
+        return {"suite": "dp1", "profile": report.config.profile, "seed": seed, "cells": cells}
 
     def title(self, report: Report) -> str:
         return f"DP1, {report.config.profile} profile, seed {report.config.seed}"
@@ -327,35 +322,34 @@ SCORES = ["stlc", "position_rmse_m", "position_rmse_vs_lockstep_m", "gap_s", "di
 
 def score_cell(run: RunDirectory, games: pd.DataFrame, cell: pd.DataFrame) -> pd.DataFrame:
     """Return the SCORES of a cell's games, NaN where there is nothing to compare with; `gap_s` are lists."""
-    same = _same_path(games, cell)
-    own = [run.load_arrays(game) for _, game in cell.iterrows()]
-    flights = [trajectory(arrays["time_s"], arrays["position_m"]) for arrays in own]
 
-    def flown(games: pd.DataFrame) -> list[Any]:
-        loaded = (run.load_arrays(game) for _, game in games.iterrows())
-        return [trajectory(arrays["time_s"], arrays["position_m"]) for arrays in loaded]
+    def loaded(games: pd.DataFrame) -> list[dict[str, Any]]:
+        return [run.load_arrays(game) for _, game in games.iterrows()]
 
-    itself = bool((cell.role == "reference").all())
-    real = flights if itself else flown(same[same.role == "reference"])
+    def flights(arrays: list[dict[str, Any]]) -> list[Trajectory]:
+        return [trajectory(each["time_s"], each["position_m"]) for each in arrays]
+
+    arrays, same, itself = loaded(cell), same_path(games, cell), bool((cell.role == "reference").all())
+    own = flights(arrays)
+    real = own if itself else flights(loaded(same[same.role == "reference"]))
     lockstep = same[same.role == "lockstep"].sort_values("command", key=lambda each: each != cell.command.iloc[0])
-    ideal = flown(lockstep.head(1))
-    return pd.DataFrame(
-        {
-            "stlc": mean_stlc(flights, real, itself) if real else np.nan,
-            "position_rmse_m": mean_position_rmse(flights, real, itself) if real else np.nan,
-            "position_rmse_vs_lockstep_m": mean_position_rmse(flights, ideal) if ideal else np.nan,
-            "gap_s": [command_gaps_s(each["command_start_s"], each["command_end_s"]).tolist() for each in own],
-            "distinct_games": len(distinct(flights)[0]),
-        },
-        index=cell.index,
-    )
+    ideal = flights(loaded(lockstep.head(1)))
+    found = {
+        "stlc": mean_stlc(own, real, itself) if real else np.nan,
+        "position_rmse_m": mean_position_rmse(own, real, itself) if real else np.nan,
+        "position_rmse_vs_lockstep_m": mean_position_rmse(own, ideal) if ideal else np.nan,
+        "gap_s": [command_gaps_s(each["command_start_s"], each["command_end_s"]).tolist() for each in arrays],
+        "distinct_games": len(distinct(own)[0]),
+    }
+    return pd.DataFrame(found, index=cell.index)
 
 
-def _same_path(games: pd.DataFrame, cell: pd.DataFrame) -> pd.DataFrame:
+def same_path(games: pd.DataFrame, cell: pd.DataFrame) -> pd.DataFrame:
+    """Return the games with the T_move and the number of rounds of a cell."""
     return games[(games[PATH] == cell[PATH].iloc[0]).all(axis=1)]
 
 
-def grouped_cells(scores: pd.DataFrame) -> list[tuple[dict[str, Any], pd.DataFrame]]:
+def cells_in(scores: pd.DataFrame) -> list[tuple[dict[str, Any], pd.DataFrame]]:
     """Return the key and the games of each cell, in canonical order."""
     return [(dict(zip(CELL, key, strict=True)), cell) for key, cell in scores.groupby(CELL)]
 
@@ -363,65 +357,59 @@ def grouped_cells(scores: pd.DataFrame) -> list[tuple[dict[str, Any], pd.DataFra
 def summary_cells(scores: pd.DataFrame, seed: int) -> list[dict[str, Any]]:
     """Return the cells of the summary from the scored games."""
     real = finished(scores[scores.role == "reference"])
-    return [summary_of_cell(key, cell, _same_path(real, cell), seed) for key, cell in grouped_cells(scores)]
+    return [key | summary_of_cell(key, cell, same_path(real, cell), seed) for key, cell in cells_in(scores)]
 
 
 def summary_of_cell(key: dict[str, Any], cell: pd.DataFrame, real: pd.DataFrame, seed: int) -> dict[str, Any]:
-    """Return a cell of the summary from its scored games and those of ADSC in real time on the same path."""
-    own, is_reference = finished(cell), bool((cell.role == "reference").all())
-    q25, median, q75 = _quantiles(own.stlc, 0.25, 0.5, 0.75)
-    gaps = pd.Series([gap for each in own.gap_s for gap in each], dtype=float)
-    compared = len(own) > 0 and len(real) > 0
-    disturbed = disturbed_games(own)
-    provenance = timing_provenance(key["timing"])
-    base = None if real.empty else real.iloc[0]
+    """Return the numbers of a cell from its scored games and those of ADSC in real time on the same path."""
+    own, itself = finished(cell), bool((cell.role == "reference").all())
+    provenance, compared, disturbed = timing_provenance(key["timing"]), len(own) and len(real), disturbed_games(own)
+    reference = None
+    if len(real):
+        reference = real.iloc[0][["command", "timing", "clock_speed"]].to_dict() | {
+            "provenance": timing_provenance(real.timing.iloc[0]),
+            "games": len(real),
+            "is_this_cell": itself,
+        }
+    gaps_s = pd.Series([gap for each in own.gap_s for gap in each], dtype=float)
+    interval = list(speedup_interval(real.wall_s, own.wall_s, seed)) if compared and not itself else None
+    mixed = combined_provenance(provenance, reference["provenance"]) if compared and reference else None
     return {
-        **key,
         "games": len(own),
         "failed_games": len(cell) - len(own),
         "distinct_games": int(own.distinct_games.iloc[0]) if len(own) else 0,
         "provenance": provenance,
         "seed": seed,
-        "reference": None
-        if base is None
-        else {
-            **{name: base[name] for name in ("command", "timing", "clock_speed")},
-            "provenance": timing_provenance(base.timing),
-            "games": len(real),
-            "is_this_cell": is_reference,
-        },
+        "reference": reference,
         **({"disturbed_games": disturbed} if disturbed else {}),
-        "stlc_median": median,
-        "stlc_q25": q25,
-        "stlc_q75": q75,
+        "stlc_median": _quantile(own.stlc, 0.5),
+        "stlc_q25": _quantile(own.stlc, 0.25),
+        "stlc_q75": _quantile(own.stlc, 0.75),
         "stlc_median_interval": _interval(own.stlc, seed),
-        "position_rmse_m": _quantiles(own.position_rmse_m, 0.5)[0],
+        "position_rmse_m": _quantile(own.position_rmse_m, 0.5),
         "position_rmse_interval_m": _interval(own.position_rmse_m, seed),
-        "position_rmse_vs_lockstep_m": _quantiles(own.position_rmse_vs_lockstep_m, 0.5)[0],
+        "position_rmse_vs_lockstep_m": _quantile(own.position_rmse_vs_lockstep_m, 0.5),
         "duration_error_s": float((own.duration_s - real.duration_s.mean()).median()) if compared else None,
-        "command_gap_median_s": _quantiles(gaps, 0.5)[0],
-        "command_gap_q95_s": _quantiles(gaps, 0.95)[0],
+        "command_gap_median_s": _quantile(gaps_s, 0.5),
+        "command_gap_q95_s": _quantile(gaps_s, 0.95),
         "effective_speedup": float(real.wall_s.mean() / own.wall_s.mean()) if compared else None,
-        "effective_speedup_interval": list(speedup_interval(real.wall_s, own.wall_s, seed))
-        if compared and not is_reference  # the baseline over itself is 1 by definition
-        else None,
-        "effective_speedup_provenance": combined_provenance(provenance, timing_provenance(base.timing))
-        if compared and base is not None
-        else None,
+        "effective_speedup_interval": interval,  # the baseline over itself is 1 by definition
+        "effective_speedup_provenance": mixed,
         "real_time_factor": float(own.real_time_factor.mean()) if len(own) else None,
         "lost_wall_s": float(own.lost_wall_s.sum()) if len(own) else None,
     }
 
 
-def _quantiles(values: pd.Series, *shares: float) -> list[float | None]:
-    """Return quantiles of values; None where there are none, or where one is not known."""
-    if values.empty or values.isna().any():
-        return [None] * len(shares)
-    return [float(each) for each in np.quantile(values.to_numpy(float), shares)]
+def _known(values: pd.Series) -> bool:
+    return len(values) > 0 and bool(values.notna().all())
+
+
+def _quantile(values: pd.Series, share: float) -> float | None:
+    return float(np.quantile(values.to_numpy(float), share)) if _known(values) else None
 
 
 def _interval(values: pd.Series, seed: int) -> list[float] | None:
-    return None if values.empty or values.isna().any() else list(median_interval(values, seed))
+    return list(median_interval(values, seed)) if _known(values) else None
 
 
 ALL_CELLS = {
@@ -442,13 +430,8 @@ ALL_CELLS = {
 
 def cells_of(report: Report) -> pd.DataFrame:
     """Return the summary's cells as a table; `mixed` marks a speed-up of a measured wall time over a modelled one."""
-    cells = pd.DataFrame(report.summary["cells"])
-    mixed = np.where(cells.effective_speedup_provenance == "mixed", " (mixed)", "")
-    return (
-        cells.reindex(columns=[*cells, *{"disturbed_games"} - set(cells)])
-        .fillna({"disturbed_games": 0})
-        .assign(mixed=mixed)
-    )
+    cells = pd.DataFrame([{"disturbed_games": 0, **cell} for cell in report.summary["cells"]])
+    return cells.assign(mixed=np.where(cells.effective_speedup_provenance == "mixed", " (mixed)", ""))
 
 
 def _likeness(cells: pd.DataFrame) -> str:
@@ -502,7 +485,7 @@ def trajectory_figure(report: Report) -> Picture:
     shown = _fastest_cell(flown)
     picked = _compared(flown, shown)
     if len(shown) and shown.command.iloc[0] == "adsc":
-        same = _same_path(flown, shown)
+        same = same_path(flown, shown)
         picked += _compared(flown, _fastest_cell(same[same.command == "tcsc"]))[-1:]
     source = source_line(pd.DataFrame([game for game, _ in picked], columns=flown.columns))
     title = "Trajectories"
@@ -520,32 +503,29 @@ def trajectory_figure(report: Report) -> Picture:
 
 def _fastest_cell(flown: pd.DataFrame) -> pd.DataFrame:
     """Return the fastest cell, ADSC before TCSC, of the longest T_move and about FIGURE3_ROUNDS rounds."""
-    cells = [cell for _, cell in flown.groupby(CELL)]
-
-    def preference(cell: pd.DataFrame) -> tuple[bool, bool, float, float, int]:
-        first = cell.iloc[0]
-        near = -abs(int(first["rounds"]) - FIGURE3_ROUNDS)
-        return first.clock_speed > 1, first.command == "adsc", first.clock_speed, first.t_move_s, near
-
-    return max(cells, key=preference, default=flown.head(0))
+    if flown.empty:
+        return flown
+    adsc, fast, far = flown.command == "adsc", flown.clock_speed > 1, (flown["rounds"] - FIGURE3_ROUNDS).abs()
+    ranks = pd.DataFrame({"fast": fast, "adsc": adsc, "clock": flown.clock_speed, "t": flown.t_move_s, "near": -far})
+    best = ranks.sort_values(list(ranks), ascending=False, kind="stable").index[0]
+    return flown[(flown[CELL] == flown.loc[best, CELL]).all(axis=1)]
 
 
 def _compared(flown: pd.DataFrame, cell: pd.DataFrame) -> list[tuple[pd.Series, str]]:
     """Return a reference of a cell, then its replicas of highest and lowest STLC, each with its label."""
     if cell.empty:
         return []
-    real = _same_path(flown, cell).query("role == 'reference'").iloc[:1]
-    ranked = [(game, "reference") for _, game in real.iterrows()]
-    by_likeness = cell.iloc[np.argsort(-cell.stlc.fillna(0.0).to_numpy(), kind="stable")]
-    if (cell.role == "game").all() and cell.distinct_games.iloc[0] == 1:
-        ranked += [(cell.iloc[0], f"all {len(cell)} identical" if len(cell) > 1 else "one game")]
-    elif (cell.role == "game").all():
-        ranked += [(by_likeness.iloc[0], "best"), (by_likeness.iloc[-1], "worst")]
-    stlc = [
-        "" if rank == "reference" else f": STLC {'unknown' if unknown(game.stlc) else f'{game.stlc:.3f}'}"
-        for game, rank in ranked
-    ]
-    return [(game, f"{command_at_clock(game)}, {rank}{said}") for (game, rank), said in zip(ranked, stlc, strict=True)]
+    real = same_path(flown, cell).query("role == 'reference'")
+    picked = [(game, f"{command_at_clock(game)}, reference") for _, game in real.head(1).iterrows()]
+    if (cell.role == "game").all():
+        order = cell.iloc[np.argsort(-cell.stlc.fillna(0.0).to_numpy(), kind="stable")]
+        named = {"best": order.iloc[0], "worst": order.iloc[-1]}
+        if cell.distinct_games.iloc[0] == 1:
+            named = {f"all {len(cell)} identical" if len(cell) > 1 else "one game": cell.iloc[0]}
+        for rank, game in named.items():
+            stlc = "unknown" if unknown(game.stlc) else f"{game.stlc:.3f}"
+            picked.append((game, f"{command_at_clock(game)}, {rank}: STLC {stlc}"))
+    return picked
 
 
 def accuracy_figure(report: Report) -> Picture:
