@@ -1,44 +1,162 @@
-"""DP1's written report, and which games and numbers each of its figures takes from a run."""
+"""DP1's report, from rows and arrays: every number, on flights whose errors are known by hand, its figures and page."""
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable, Mapping
+from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
-import cv2
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from tests.dp1_games import Arrays, Row, cell_games, line_arrays, line_row, quantile, synthetic_games, write_run
-from tests.drawing import boxes, headline, labelled, points, record_figures, texts
+from tests.dp1_games import SEED, Row, line_row, quantile, report_of
+from tests.drawing import boxes, headline, labelled, legend_texts, points, record_figures, texts
+from tests.test_trellis import recorded_trace
+from uavaccel.draw import style
+from uavaccel.draw.page import Table
 from uavaccel.errors import UserError
-from uavaccel.records import RunDirectory
-from uavaccel.suites.old_dp1.cell_figures import accuracy_figure, speedup_figure
-from uavaccel.suites.old_dp1.flight_figures import trajectory_figure, velocity_figure
-from uavaccel.suites.old_dp1.report import Dp1Report, table
-from uavaccel.suites.old_dp1.scores import CellScores, cells_of, score_cells, summarise
-from uavaccel.suites.old_dp1.trellis import trellis_figure
+from uavaccel.suites import dp1
+from uavaccel.suites.dp1 import Dp1
 from uavaccel.suites.rows import disturbances
+from uavaccel.suites.trellis import MOST_EVENTS
 
-FIGURES = (
-    "figure2_velocity",
-    "figure3_trajectories",
-    "figure4_trellis",
-    "figure5_accuracy",
-    "figure6_speedup",
-)
+FIGURES = ("figure2_velocity", "figure3_trajectories", "figure4_trellis", "figure5_accuracy", "figure6_speedup")
 
 
 @pytest.fixture
-def drawn(monkeypatch: pytest.MonkeyPatch) -> dict[str, Figure]:
-    return record_figures(monkeypatch)
+def drawn(monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str, Figure]]:
+    with style.project_style():
+        yield record_figures(monkeypatch)
 
 
-def scored(rows: list[Row]) -> list[CellScores]:
-    return score_cells(cells_of(rows), line_arrays)
+# --- the summary --------------------------------------------------------------------------------------------------
+
+REFERENCES_M, GAMES_M = [0.0, 0.2, 0.5], [0.1, 0.9, 0.3, 0.35]
+REFERENCE_WALL_S, WALL_S = [4.1, 4.3, 4.9], [0.12, 0.09, 0.1, 0.2]
+GAPS_S = [[0.01, 0.02, 0.03], [0.04, 0.05, 0.06], [0.07, 0.08, 0.3], [0.2, 0.21, 0.22]]
+FACTORS, LOST_S = [40.0, 48.0, 50.0, 45.0], [0.1, 0.0, 0.25, 0.0]
+
+
+def cell_rows() -> list[Row]:
+    """Two cells, their references, what is to be left out, and other paths whose references are far off."""
+    rows = [
+        line_row("reference", "adsc", 1.0, i, offset_m, wall_s=wall_s, gaps_s=[0.0, 0.01 * i, 0.0])
+        for i, (offset_m, wall_s) in enumerate(zip(REFERENCES_M, REFERENCE_WALL_S, strict=True))
+    ]
+    rows += [
+        line_row("lockstep", "adsc", 1.0, 0, 0.05, timing="lockstep"),
+        line_row("lockstep", "tcsc", 1.0, 0, 0.6, timing="lockstep"),
+        line_row("game", "tcsc", 50.0, 4, 5.0, error="the drone crashed", timing="wall"),
+        line_row("figure2", "tcsc", 50.0, 0, 7.0, timing="wall"),
+        line_row("reference", "adsc", 1.0, 0, 30.0, t_move_s=0.5),
+        line_row("reference", "adsc", 1.0, 0, 40.0, rounds=2),
+        line_row("game", "adsc", 1.0, 0, 50.0, timing="wall"),  # a cell beside the references'
+    ]
+    for i in (2, 0, 3, 1):
+        keys = {"wall_s": WALL_S[i], "gaps_s": GAPS_S[i], "real_time_factor": FACTORS[i], "lost_wall_s": LOST_S[i]}
+        rows.append(line_row("game", "tcsc", 50.0, i, GAMES_M[i], timing="wall", **keys))
+    return rows
+
+
+def find(summary: Any, **wanted: Any) -> dict[str, Any]:
+    (cell,) = (c for c in summary["cells"] if all(c[key] == value for key, value in wanted.items()))
+    return dict(cell)
+
+
+def bootstrapped(*samples: Any, of: Any) -> list[float]:
+    """The interval of a statistic over resampled games, the samples drawn one after another."""
+    rng = np.random.default_rng(SEED)
+    drawn = [np.array(each)[rng.integers(len(each), size=(2000, len(each)))] for each in samples]
+    found = of(*drawn).tolist()
+    return [quantile(found, 0.025), quantile(found, 0.975)]
+
+
+def test_every_number_of_a_cell(tmp_path: Path) -> None:
+    report = report_of(tmp_path / "run", cell_rows())
+    aside_m = np.abs(np.subtract.outer(GAMES_M, REFERENCES_M))
+    stlc, rmse_m = (1 + np.exp(-aside_m)).mean(axis=1), aside_m.mean(axis=1)
+    reference = {"command": "adsc", "clock_speed": 1.0, "timing": "virtual", "provenance": "modelled", "games": 3}
+    expected = {
+        "command": "tcsc", "clock_speed": 50.0, "t_move_s": 1.0, "rounds": 1, "timing": "wall",
+        "games": 4, "failed_games": 1, "distinct_games": 4, "provenance": "measured", "seed": SEED,
+        "reference": {**reference, "is_this_cell": False},
+        **{f"stlc_{name}": quantile(stlc.tolist(), share) for name, share in
+           (("median", 0.5), ("q25", 0.25), ("q75", 0.75))},
+        "stlc_median_interval": bootstrapped(stlc, of=lambda drawn: np.median(drawn, axis=1)),
+        "position_rmse_m": quantile(rmse_m.tolist(), 0.5),
+        "position_rmse_interval_m": bootstrapped(rmse_m, of=lambda drawn: np.median(drawn, axis=1)),
+        "position_rmse_vs_lockstep_m": quantile(np.abs(np.array(GAMES_M) - 0.6).tolist(), 0.5),
+        "duration_error_s": quantile([4.0 + sum(gaps) for gaps in GAPS_S], 0.5) - (4.0 + 4.01 + 4.02) / 3,
+        "command_gap_median_s": 0.065,  # of twelve: between 0.06 and 0.07
+        "command_gap_q95_s": quantile([gap for gaps in GAPS_S for gap in gaps], 0.95),
+        "effective_speedup": (13.3 / 3) / (0.51 / 4),
+        "effective_speedup_interval": bootstrapped(
+            REFERENCE_WALL_S, WALL_S, of=lambda base, own: base.mean(axis=1) / own.mean(axis=1)
+        ),
+        "effective_speedup_provenance": "mixed", "real_time_factor": 183.0 / 4, "lost_wall_s": 0.35,
+    }  # fmt: skip
+    found = find(report.summary, command="tcsc", t_move_s=1.0)
+    plain = {key for key, value in expected.items() if isinstance(value, dict | str)}
+    assert {key: found.pop(key) for key in plain} == {key: expected.pop(key) for key in plain}
+    assert found == {key: pytest.approx(value) for key, value in expected.items()}
+    assert {key: report.summary[key] for key in ("suite", "profile", "seed")} == {
+        "suite": "dp1", "profile": "native", "seed": SEED,
+    }  # fmt: skip
+    kept = report.run.read_json("scores.json")
+    assert find({"cells": kept}, command="tcsc", clock_speed=50.0)["stlc"] == pytest.approx(stlc.tolist())
+
+
+def test_references_are_a_cell_of_their_own_and_not_compared_with_themselves(tmp_path: Path) -> None:
+    summary = report_of(tmp_path / "run", cell_rows()).summary
+    cell = find(summary, command="adsc", t_move_s=1.0, rounds=1, timing="virtual")
+    others_m = [(0.2 + 0.5) / 2, (0.2 + 0.3) / 2, (0.5 + 0.3) / 2]
+    stlc = [1 + (np.exp(-a) + np.exp(-b)) / 2 for a, b in ((0.2, 0.5), (0.2, 0.3), (0.5, 0.3))]
+    assert cell["reference"]["is_this_cell"] is True
+    assert (cell["games"], cell["failed_games"], cell["provenance"]) == (3, 0, "modelled")
+    assert cell["position_rmse_m"] == pytest.approx(quantile(others_m, 0.5))
+    assert [cell["stlc_q25"], cell["stlc_q75"]] == pytest.approx([quantile(stlc, 0.25), quantile(stlc, 0.75)])
+    assert cell["position_rmse_vs_lockstep_m"] == pytest.approx(0.15)  # the lockstep game of its own command
+    assert (cell["effective_speedup"], cell["effective_speedup_interval"]) == (1.0, None)
+    assert cell["effective_speedup_provenance"] == "modelled"
+    lone = find(summary, command="adsc", t_move_s=0.5)
+    assert (lone["games"], lone["stlc_median"], lone["stlc_median_interval"]) == (1, None, None)
+
+
+def test_numbers_without_references_lockstep_or_games_are_unknown(tmp_path: Path) -> None:
+    game = line_row("game", "tcsc", 50.0, 0, 0.1)
+    (cell,) = report_of(tmp_path / "alone", [game]).summary["cells"]
+    assert {key for key, value in cell.items() if value is None} == {
+        "reference", "stlc_median", "stlc_q25", "stlc_q75", "stlc_median_interval", "position_rmse_m",
+        "position_rmse_interval_m", "position_rmse_vs_lockstep_m", "duration_error_s", "effective_speedup",
+        "effective_speedup_interval", "effective_speedup_provenance",
+    }  # fmt: skip
+    (cell,) = report_of(tmp_path / "failed", [game | {"error": "crashed"}]).summary["cells"]
+    assert (cell["games"], cell["failed_games"], cell["real_time_factor"]) == (0, 1, None)
+    with pytest.raises(UserError, match=r"rows\.jsonl: holds no finished game of dp1"):
+        report_of(tmp_path / "none", [])
+    lost = report_of(tmp_path / "lost", [game])
+    (lost.run.path / lost.games.arrays[0]).unlink()
+    with pytest.raises(UserError, match=game["case"]):
+        lost.write_summary()
+
+
+def test_summaries_are_the_same_in_any_order_and_number_of_processes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rows = accelerated_rows()
+    reports = [report_of(tmp_path / name, each) for name, each in (("a", rows), ("b", rows[::-1]), ("c", rows))]
+    for report, least in zip(reports, (400, 400, 0), strict=True):
+        monkeypatch.setattr(dp1, "PARALLEL_FROM_GAMES", least)
+        report.write_summary()
+    for name in ("summary.json", "scores.json"):
+        assert len({(report.run.path / name).read_bytes() for report in reports}) == 1
+    keys = [[cell[name] for name in dp1.CELL] for cell in reports[0].summary["cells"]]
+    assert keys == sorted(keys)
+
+
+# --- figures ------------------------------------------------------------------------------------------------------
 
 
 def accelerated_rows() -> list[Row]:
@@ -52,57 +170,72 @@ def accelerated_rows() -> list[Row]:
                 offset_m = 0.01 * (1 + path) * (game + 1) ** 2 * (1 if command == "adsc" else 3)
                 wall_s = (100.0 + path) / clock_speed * (1.5 + game / 10)
                 timing = "wall" if command == "tcsc" else "virtual"
-                timed = {**keys, "wall_s": wall_s, "timing": timing}
-                rows.append(line_row("game", command, clock_speed, game, offset_m, **timed))
+                rows.append(
+                    line_row("game", command, clock_speed, game, offset_m, **keys, wall_s=wall_s, timing=timing)
+                )
     return rows
 
 
-# --- which numbers a figure shows ---------------------------------------------------------------------------
-
-
 def test_figure_2_shows_the_games_flown_for_it(tmp_path: Path, drawn: dict[str, Figure]) -> None:
-    keys = {"gaps_s": [0.01, 0.02, 0.06], "timing": "wall"}
     rows = [
-        line_row("figure2", "adsc", 100.0, 1, 0.0, **keys),
+        line_row("figure2", "adsc", 100.0, 1, 0.0, gaps_s=[0.01, 0.02, 0.06], timing="wall"),
         line_row("figure2", "adsc", 1.0, 0, 0.0),
         line_row("figure2", "adsc", 9.0, 2, 0.0, error="crashed"),
         line_row("game", "adsc", 7.0, 0, 0.0),
     ]
-
-    def load(row: Mapping[str, Any]) -> Arrays:
-        speed = np.full((81, 3), row["clock_speed"])
-        return line_arrays(row) | {"linear_velocity_m_s": speed, "time_s": np.arange(81) * 0.05}
-
-    picture = velocity_figure(rows, load, tmp_path / "two.png")
-    slow, fast = drawn["two"].axes
-    assert (slow.get_title("left"), fast.get_title("left")) == (
-        "ADSC at 1x: 0.0 ms between commands",
-        "ADSC at 100x: 30.0 ms between commands",
-    )
+    picture = dp1.velocity_figure(report_of(tmp_path / "run", rows))
+    slow, fast = drawn["figure2_velocity"].axes
+    assert slow.get_title("left") == "ADSC at 1x: 0.0 ms between commands"
+    assert fast.get_title("left") == "ADSC at 100x: 30.0 ms between commands"
     assert points(labelled(fast)["east"])[0] == (0.0, 100.0)
     assert [round(gap.get_width(), 9) for gap in fast.patches] == [0.01, 0.02, 0.06]  # type: ignore[attr-defined]
-    source = "modelled (virtual clock): 1 game · measured (wall clock): 1 game · native profile · seed 0"
-    assert headline(drawn["two"]) == ("Two steps forward, one back", source)
-    assert picture.path == tmp_path / "two.png"
+    source = f"modelled (virtual clock): 1 game · measured (wall clock): 1 game · native profile · seed {SEED}"
+    assert headline(drawn["figure2_velocity"]) == ("Two steps forward, one back", source)
     assert picture.caption.startswith("Figure 2. ")
     assert picture.caption.endswith(f"Source: {source}.")
 
 
-def test_figure_3_shows_the_best_and_the_worst_replica(tmp_path: Path, drawn: dict[str, Figure]) -> None:
-    rows = accelerated_rows()
-    picture = trajectory_figure(scored(rows), line_arrays, tmp_path / "three.png")
-    lines = labelled(drawn["three"].axes[0])
+def test_figures_of_accelerated_games(tmp_path: Path, drawn: dict[str, Figure]) -> None:
+    """Figure 3: best and worst replica; 5: STLC with T_moves pooled; 6: speed-ups of the games of most rounds."""
+    report = report_of(tmp_path / "run", accelerated_rows())
+    report.write()
+    trajectories, accuracy, speedup = (drawn[name] for name in (FIGURES[1], FIGURES[3], FIGURES[4]))
     best, worst = (1 + np.exp(-0.03 * (game + 1) ** 2) for game in (0, 2))
-    assert {name: round(line.get_data_3d()[1][0], 9) for name, line in lines.items()} == {
-        "ADSC at 1x: reference": 0.0,
-        f"ADSC at 100x, best: STLC {best:.3f}": 0.03,
-        f"ADSC at 100x, worst: STLC {worst:.3f}": 0.27,
-        f"TCSC at 10x, worst: STLC {1 + np.exp(-0.81):.3f}": 0.81,
-    }
-    source = "modelled (virtual clock): 3 games · measured (wall clock): 1 game · native profile · seed 0"
-    assert headline(drawn["three"]) == ("Trajectories, 1 round, T_move 1 s", source)
-    assert picture.caption.startswith("Figure 3. ")
-    assert source in picture.caption
+    assert {name: line.get_data_3d()[1][0] for name, line in labelled(trajectories.axes[0]).items()} == pytest.approx(
+        {
+            "ADSC at 1x: reference": 0.0,
+            f"ADSC at 100x, best: STLC {best:.3f}": 0.03,
+            f"ADSC at 100x, worst: STLC {worst:.3f}": 0.27,
+            f"TCSC at 10x, worst: STLC {1 + np.exp(-0.81):.3f}": 0.81,
+        }
+    )
+    clocks = "modelled (virtual clock): {} games · measured (wall clock): {} game{} · native profile · seed 7"
+    assert headline(trajectories) == ("Trajectories, 1 round, T_move 1 s", clocks.format(3, 1, ""))
+    assert headline(accuracy)[1] == clocks.format(32, 12, "s")
+    assert len(accuracy.axes) == 2 * 3
+    for panel, factor in ((1, 1), (2, 1), (4, 3)):  # ADSC at 10x and 100x, TCSC at 10x
+        for place, paths in enumerate([(0, 2), (1, 3)]):  # 1 round, 24 rounds: both T_moves each
+            aside_m = [0.01 * (1 + path) * (game + 1) ** 2 * factor for path in paths for game in range(3)]
+            stlc = (1 + np.exp(-np.array(aside_m))).tolist()
+            box = boxes(accuracy.axes[panel])[place]
+            assert box["median"] == pytest.approx(quantile(stlc, 0.5))
+            assert box["box"] == pytest.approx((quantile(stlc, 0.25), quantile(stlc, 0.75)))
+    assert headline(speedup) == ("Effective speed-up over ADSC at 1x, 24 rounds", clocks.format(16, 6, "s"))
+    for axes, command, speeds in zip(speedup.axes, ("adsc", "tcsc"), ([1.0, 10.0, 100.0], [10.0]), strict=True):
+        assert list(labelled(axes)) == ["ideal", "T_move 0.5 s", "T_move 1 s"]
+        for t_move_s in (0.5, 1.0):
+            line, _, (bars,) = labelled(axes)[f"T_move {t_move_s:g} s"].lines
+            # Games of clock speed k take 1.5, 1.6 and 1.7 times the k-th part of what the references take.
+            assert line.get_ydata().tolist() == pytest.approx([k / 1.6 if k > 1 else 1.0 for k in speeds])
+            key = {"command": command, "t_move_s": t_move_s, "rounds": 24}
+            cells = [find(report.summary, **key, clock_speed=k) for k in speeds]
+            ends = [cell["effective_speedup_interval"] or [1.0, 1.0] for cell in cells]
+            assert [bar[:, 1].tolist() for bar in bars.get_segments()] == [pytest.approx(each) for each in ends]
+    page = (report.run.path / "report.md").read_text()
+    for name, starts in zip(FIGURES[1:], ("Trajectories", "Messages", "Accuracy", "Effective"), strict=True):
+        assert headline(drawn[name])[0].startswith(starts)
+        assert f"Source: {headline(drawn[name])[1]}." in page
+    assert "Effective speed-up of games of 24 rounds: " in page
 
 
 @pytest.mark.parametrize(
@@ -119,164 +252,168 @@ def test_figure_3_is_of_the_fastest_cell_of_adsc_then_of_the_longest_t_move_then
     shown: Any, others: list[Any], tmp_path: Path, drawn: dict[str, Figure]
 ) -> None:
     """The run flew no other cells; a game that failed is none."""
-    rows = [
-        line_row("game", command.lower(), clock_speed, 0, 0.0, t_move_s=t_move_s, rounds=rounds)
-        for command, clock_speed, t_move_s, rounds in (others[0], shown, others[1])
-    ]
-    rows.append(line_row("game", "adsc", 90.0, 0, 0.0, error="crashed"))
-    trajectory_figure(scored(rows), line_arrays, tmp_path / "three.png")
+    rows = [line_row("game", "adsc", 90.0, 0, 0.0, error="crashed")]
+    for command, clock_speed, t_move_s, rounds in (others[0], shown, others[1]):
+        rows.append(line_row("game", command.lower(), clock_speed, 0, 0.0, t_move_s=t_move_s, rounds=rounds))
+    dp1.trajectory_figure(report_of(tmp_path / "run", rows))
     command, clock_speed, t_move_s, rounds = shown
-    assert headline(drawn["three"])[0] == f"Trajectories, {rounds} rounds, T_move {t_move_s:g} s"
-    assert f"{command} at {clock_speed:g}x, one game: STLC unknown" in labelled(drawn["three"].axes[0])
+    assert headline(drawn[FIGURES[1]])[0] == f"Trajectories, {rounds} rounds, T_move {t_move_s:g} s"
+    assert f"{command} at {clock_speed:g}x, one game: STLC unknown" in labelled(drawn[FIGURES[1]].axes[0])
 
 
-def test_figure_3_of_identical_lone_or_no_replicas(tmp_path: Path, drawn: dict[str, Figure]) -> None:
-    reference = line_row("reference", "adsc", 1.0, 0, 0.0)
-    alike = [line_row("game", "tcsc", 50.0, game, 0.1) for game in range(3)]
-    label = f"STLC {1 + np.exp(-0.1):.3f}"
-    for rows, labels in (
-        ([reference, *alike], ["ADSC at 1x: reference", f"TCSC at 50x, all 3 identical: {label}"]),
-        ([reference, alike[0]], ["ADSC at 1x: reference", f"TCSC at 50x, one game: {label}"]),
-        ([alike[0]], ["TCSC at 50x, one game: STLC unknown"]),
-        ([reference], ["ADSC at 1x: reference"]),
-        ([], []),
-    ):
-        trajectory_figure(scored(rows), line_arrays, tmp_path / "three.png")
-        assert list(labelled(drawn["three"].axes[0])) == labels
-    assert headline(drawn["three"])[0] == "Trajectories"
+REFERENCE = line_row("reference", "adsc", 1.0, 0, 0.0)
+ALIKE = [line_row("game", "tcsc", 50.0, game, 0.1) for game in range(3)]
+STLC = f"STLC {1 + np.exp(-0.1):.3f}"
+
+
+@pytest.mark.parametrize(
+    ("rows", "labels"),
+    [
+        ([REFERENCE, *ALIKE], ["ADSC at 1x: reference", f"TCSC at 50x, all 3 identical: {STLC}"]),
+        ([REFERENCE, ALIKE[0]], ["ADSC at 1x: reference", f"TCSC at 50x, one game: {STLC}"]),
+        ([ALIKE[0]], ["TCSC at 50x, one game: STLC unknown"]),
+        ([REFERENCE], ["ADSC at 1x: reference"]),
+        ([ALIKE[0] | {"error": "crashed"}], []),
+    ],
+)
+def test_a_run_of_few_games_has_a_whole_report(
+    rows: list[Row], labels: list[str], tmp_path: Path, drawn: dict[str, Figure]
+) -> None:
+    report_of(tmp_path / "run", rows).write()
+    assert list(labelled(drawn[FIGURES[1]].axes[0])) == labels
+    assert sorted(drawn) == sorted(FIGURES)
+    assert texts(drawn["figure4_trellis"].axes[0]) == ["no trace recorded"]
 
 
 def test_figure_4_shows_the_recorded_traces(tmp_path: Path, drawn: dict[str, Figure]) -> None:
-    run_dir = write_run(tmp_path / "run", [])
-    rows = [line_row("game", "tcsc", 50.0, 0, 0.0, timing="wall"), line_row("reference", "adsc", 1.0, 0, 0.0)]
-    picture = trellis_figure(run_dir, rows, tmp_path / "four.png")
-    assert [axes.get_title("left") for axes in drawn["four"].axes] == ["TCSC", "ADSC"]
-    assert "1.000 s   end continue" in texts(drawn["four"].axes[0])
-    source = "one recorded command each · measured (wall clock) · native profile · seed 0"
-    assert headline(drawn["four"])[1] == source
-    assert source in picture.caption
-    (run_dir / "traces/tcsc.json").write_text("no JSON")
+    report = report_of(tmp_path / "run", [ALIKE[0] | {"timing": "wall"}, REFERENCE])
+    long = [{"source": "server", "event": "run", "wall_s": 0.0, "sim_s": float(i)} for i in range(MOST_EVENTS + 9)]
+    for name, trace in (("adsc", long), ("tcsc", recorded_trace())):
+        report.run.write_json(f"traces/{name}.json", trace)
+    picture = dp1.trellis_figure(report)
+    figure: Any = drawn["figure4_trellis"]
+    assert texts(figure.axes[1])[-1] == f"{MOST_EVENTS - 1}.000 s   run"
+    assert figure.axes[0].get_ylim()[0] > MOST_EVENTS - 1 > figure.axes[0].get_ylim()[1], "time runs downwards"
+    assert legend_texts(figure.legends[0]) == ["call", "answer", "simulated time runs"]
+    assert [axes.get_title("left") for axes in figure.axes] == ["TCSC", "ADSC"]
+    assert headline(figure)[1] == "one recorded command each · measured (wall clock) · native profile · seed 7"
+    assert headline(figure)[1] in picture.caption
+    (report.run.path / "traces/tcsc.json").write_text("no JSON")
     with pytest.raises(UserError, match=r"tcsc\.json: not JSON"):
-        trellis_figure(run_dir, rows, tmp_path / "four.png")
+        dp1.trellis_figure(report)
 
 
-def test_figure_5_shows_stlc_with_t_moves_pooled(tmp_path: Path, drawn: dict[str, Figure]) -> None:
-    rows = accelerated_rows()
-    picture = accuracy_figure(scored(rows), tmp_path / "five.png")
-    cells = {axes: boxes(axes) for axes in drawn["five"].axes}
-    assert len(cells) == 2 * 3
-    for axes, (command, factor, clock_speed) in zip(
-        drawn["five"].axes[1:3] + drawn["five"].axes[4:5],
-        [("adsc", 1, "10x"), ("adsc", 1, "100x"), ("tcsc", 3, "10x")],
-        strict=True,
-    ):
-        for place, paths in enumerate([(0, 2), (1, 3)]):  # 1 round, 24 rounds: both T_moves each
-            aside_m = [0.01 * (1 + path) * (game + 1) ** 2 * factor for path in paths for game in range(3)]
-            stlc = (1 + np.exp(-np.array(aside_m))).tolist()
-            assert cells[axes][place]["median"] == pytest.approx(quantile(stlc, 0.5)), (command, clock_speed)
-            assert cells[axes][place]["box"] == pytest.approx((quantile(stlc, 0.25), quantile(stlc, 0.75)))
-    source = "modelled (virtual clock): 32 games · measured (wall clock): 12 games · native profile · seed 0"
-    assert headline(drawn["five"])[1] == source
-    assert picture.caption.startswith("Figure 5. STLC")
-    assert source in picture.caption
+# --- the page -----------------------------------------------------------------------------------------------------
 
 
-def test_figure_6_shows_the_games_of_most_rounds(tmp_path: Path, drawn: dict[str, Figure]) -> None:
-    rows = accelerated_rows()
-    scores = scored(rows)
-    summary = summarise(rows, scores)
-    picture = speedup_figure(scores, summary, tmp_path / "six.png")
-    adsc, tcsc = drawn["six"].axes
-    assert headline(drawn["six"]) == (
-        "Effective speed-up over ADSC at 1x, 24 rounds",
-        "modelled (virtual clock): 16 games · measured (wall clock): 6 games · native profile · seed 0",
-    )
-    cells = {
-        (c["command"], c["clock_speed"], c["t_move_s"]): c for c in summary["cells"] if c["rounds"] == 24
-    }
-    for axes, command, clocks in ((adsc, "adsc", [1.0, 10.0, 100.0]), (tcsc, "tcsc", [10.0])):
-        assert list(labelled(axes)) == ["ideal", "T_move 0.5 s", "T_move 1 s"]
-        for t_move_s in (0.5, 1.0):
-            line, _, (bars,) = labelled(axes)[f"T_move {t_move_s:g} s"].lines
-            # Games of clock speed k take 1.5, 1.6 and 1.7 times the k-th part of what the references take.
-            assert line.get_ydata().tolist() == pytest.approx([k / 1.6 if k > 1 else 1.0 for k in clocks])
-            lows_highs = [
-                cells[command, k, t_move_s]["effective_speedup_interval"] or [1.0, 1.0] for k in clocks
-            ]
-            assert [bar[:, 1].tolist() for bar in bars.get_segments()] == [
-                pytest.approx(interval) for interval in lows_highs
-            ]
-    assert picture.caption.startswith("Figure 6. Effective speed-up of games of 24 rounds: ")
-    assert headline(drawn["six"])[1] in picture.caption
-
-
-# --- the written report -------------------------------------------------------------------------------------
-
-
-def find(summary: Mapping[str, Any], **wanted: Any) -> dict[str, Any]:
-    (cell,) = (c for c in summary["cells"] if all(c[key] == value for key, value in wanted.items()))
-    return dict(cell)
-
-
-def test_the_report_of_a_run_whatever_jobs(tmp_path: Path) -> None:
-    """Once more, the scores by two processes: the same numbers."""
-    run_dir, again = (write_run(tmp_path / name, synthetic_games()) for name in ("run", "again"))
-    summary = Dp1Report(RunDirectory(run_dir), "dp1").write()
-    other = Dp1Report(RunDirectory(again), "dp1")
-    other.jobs = 2
-    other.write_summary()
-    for name in ("summary.json", "scores.json"):
-        assert (again / name).read_bytes() == (run_dir / name).read_bytes()
-    assert json.loads((run_dir / "summary.json").read_text()) == summary
-    for name in FIGURES:
-        image = cv2.imread(str(run_dir / "figures" / f"{name}.png"))
-        assert image is not None
-        assert np.mean(np.any(image != 255, axis=-1)) > 0.01
-    markdown, html = ((run_dir / f"report.{suffix}").read_text() for suffix in ("md", "html"))
-    assert markdown.startswith("# DP1, native profile, seed 0\n\nADSC flies as in real time up to 100x")
-    places = [markdown.index(f"(figures/{name}.png)") for name in FIGURES]
-    assert places == sorted(places)
-    assert html.count("data:image/png;base64,") == len(FIGURES)
-    assert 'src="http' not in html
-    assert "<summary>20 cells</summary>" in html
-    assert "modelled (no latency): 4 games · modelled (virtual clock): 62 games" in markdown
-    assert "```\nsuite: dp1\nseed: 0\n```" in markdown
-    assert '"host": "synthetic"' in markdown
-    assert "Warning" not in markdown
-    for line in table(summary).rows:
-        assert " | ".join(line).replace("_", "\\_") in markdown
-    fast = {"clock_speed": 100.0, "t_move_s": 1.0, "rounds": 4}
-    assert find(summary, command="tcsc", **fast)["position_rmse_vs_lockstep_m"] == 0.0
-    assert find(summary, command="adsc", **fast)["position_rmse_vs_lockstep_m"] > 0.2
-
-
-def test_the_report_warns(tmp_path: Path, drawn: dict[str, Figure]) -> None:
-    flown = cell_games("game", "tcsc", 50.0, 1.0, 1, 3, "wall")
-    for (row, _), lost_s in zip(flown, (0.25, 0.125, 0.0), strict=True):
-        row["lost_wall_s"] = lost_s
-    flown[2][0]["error"] = "the drone crashed"
-    flown[1][0]["disturbed"] = True
-    run_dir = write_run(tmp_path / "run", flown)
-    report = Dp1Report(RunDirectory(run_dir), "dp1")
+def test_the_page_warns_and_has_figures_tables_and_provenance(tmp_path: Path) -> None:
+    lost_s = (0.25, 0.125, 0.0)
+    rows = [line_row("game", "tcsc", 50.0, i, 0.0, timing="wall", lost_wall_s=s) for i, s in enumerate(lost_s)]
+    rows[2]["error"] = "the drone crashed"
+    rows[1]["disturbed"] = True
+    report = report_of(tmp_path / "run", rows)
     report.write()
-    page = (run_dir / "report.md").read_text()
-    assert "Games: measured (wall clock): 3 games · native profile · seed 0 · 1 of 3 games disturbed." in page
-    assert report.overview().rows[0][2] == "2 (1 disturbed)"
-    assert table(report.summary).rows[0][4] == "2 (1 failed) (1 disturbed)"
-    said = [line for line in page.splitlines() if "Warning" in line]
-    assert said == [
+    page, html = ((report.run.path / f"report.{suffix}").read_text() for suffix in ("md", "html"))
+    assert page.startswith("# DP1, native profile, seed 7\n\n2 games, none of them accelerated and comparable")
+    assert "Games: measured (wall clock): 3 games · native profile · seed 7 · 1 of 3 games disturbed." in page
+    assert [line for line in page.splitlines() if "Warning" in line] == [
         "Warning: 1 games failed and are left out; rows.jsonl says why.",
         "Warning: the machine could not keep up and lost 0.375 s of wall time.",
         "Warning: 1 games were disturbed: they lost wall time, or their server stalled or was started again; "
         "rows.jsonl says which.",
         "Warning: some cells have no real-time ADSC games to compare with.",
     ]
+    places = [page.index(f"(figures/{name}.png)") for name in FIGURES]
+    assert places == sorted(places)
+    assert "| TCSC | 50x | 2 (1 disturbed) | - | - | - | - | 50.00 | measured |" in page
+    assert "| TCSC | 50x | 1 | 1 | 2 (1 failed) (1 disturbed) | - | - | - | - | - | 50.00 | measured |" in page
+    assert '"host": "synthetic"' in page
+    assert html.count("data:image/png;base64,") == len(FIGURES)
+    assert "<summary>1 cells</summary>" in html
+
+
+CELL: dict[str, Any] = {
+    "command": "tcsc", "clock_speed": 2.5, "t_move_s": 0.1, "rounds": 24, "games": 19, "failed_games": 1,
+    "timing": "wall", "provenance": "measured", "stlc_median": 1.9154, "stlc_q25": 1.8024, "stlc_q75": 1.9876,
+    "position_rmse_m": 0.1234, "position_rmse_vs_lockstep_m": 0.000012, "duration_error_s": 0.0123,
+    "effective_speedup": 2.345, "effective_speedup_provenance": "mixed", "real_time_factor": 2.499,
+    "reference": {},
+}  # fmt: skip
+UNKNOWN = dict.fromkeys(
+    ("stlc_median", "position_rmse_m", "position_rmse_vs_lockstep_m", "duration_error_s", "effective_speedup")
+)
+
+
+def told(cells: list[dict[str, Any]]) -> Any:
+    return SimpleNamespace(summary={"cells": cells})
+
+
+def test_a_line_of_the_table() -> None:
+    exact = {"position_rmse_m": 0.0, "duration_error_s": -0.0001, "failed_games": 0}
+    unknown = UNKNOWN | {"effective_speedup_provenance": None, "real_time_factor": None}
+    table = Table.of(dp1.cells_of(told([CELL, CELL | exact, CELL | unknown])), dp1.ALL_CELLS)
+    assert dict(zip(table.header, table.rows[0], strict=True)) == {
+        "command": "TCSC", "clock": "2.5x", "T_move s": "0.1", "rounds": "24", "games": "19 (1 failed)",
+        "STLC median [q25, q75]": "1.915 [1.802, 1.988]", "RMSE m": "0.123", "v. lockstep": "1.2e-05",
+        "duration s": "+0.012", "speed-up": "2.35 (mixed)", "achieved": "2.50", "source": "measured",
+    }  # fmt: skip
+    assert [table.rows[1][column] for column in (4, 6, 8)] == ["19", "0", "+0.000"]
+    assert table.rows[2][5:11] == ("-",) * 6
+
+
+def test_the_overview_has_the_worst_of_each_command_and_clock_speed() -> None:
+    better = {"stlc_median": 1.99, "position_rmse_m": 0.5, "position_rmse_vs_lockstep_m": 0.02, "games": 5}
+    better |= {"effective_speedup": 2.4, "real_time_factor": 2.1}
+    fast = CELL | {"clock_speed": 50.0, "timing": "virtual"}
+    slow = fast | UNKNOWN | {"command": "adsc", "effective_speedup_provenance": None}
+    table = Dp1().overview(told([CELL | {"rounds": 1}, CELL | better, CELL | UNKNOWN, fast, slow]))
+    lines = {row[:2]: row[2:] for row in table.rows}
+    assert lines["TCSC", "2.5x"] == (
+        "43", "1.9154", "0.500", "0.020", "2.35 to 2.40 (mixed)", "2.10 to 2.50", "measured",
+    )  # fmt: skip
+    assert lines["TCSC", "50x"][:2] == ("19", "1.9154")
+    assert lines["ADSC", "50x"] == ("19", "-", "-", "-", "-", "2.50", "measured")
+
+
+def flown(command: str, clock_speed: float, stlc: Any, error_m: float, speedup: float, timing: str = "virtual") -> Any:
+    return CELL | {
+        "command": command, "clock_speed": clock_speed, "timing": timing, "stlc_median": stlc, "games": 4,
+        "position_rmse_m": error_m, "effective_speedup": speedup, "provenance": "modelled",
+    }  # fmt: skip
+
+
+def test_the_headline_is_of_each_commands_worst_cells_beyond_real_time() -> None:
+    """As in real time up to the last ClockSpeed before a cell that is not; error and speed-up are at the fastest."""
+    cells = [
+        *(flown("tcsc", 5.0, 1.5, 0.3, 4.0), flown("tcsc", 10.0, 1.9, 0.004, 8.0)),
+        *(flown("adsc", 1.0, 1.0, 5.0, 1.0), flown("adsc", 2.0, 1.9, 0.1, 2.0)),
+        *(flown("adsc", 5.0, 1.81, 0.2, 4.0), flown("adsc", 5.0, 1.95, 0.2, 4.5)),
+        *(flown("adsc", 10.0, 1.99, 0.9, 8.0), flown("adsc", 10.0, 1.8, 0.9, 8.0)),
+        *(flown("adsc", 50.0, 1.9, 0.25, 30.0), flown("adsc", 50.0, 1.9, 0.125, 20.0)),
+        flown("adsc", 100.0, 0.1, 9.0, 99.0, "lockstep"),
+    ]
+    assert Dp1().headline(told(cells)) == (
+        "ADSC flies as in real time up to 5x (STLC above 1.8); at 50x it is up to 0.250 m off (RMSE) and 20.00 to "
+        "30.00 times as fast; TCSC no longer flies as in real time at 5x (STLC above 1.8); at 10x it is up to 4.0e-03 "
+        "m off (RMSE) and 8.00 times as fast (modelled)"
+    )
+    nothing = [flown("adsc", 1.0, 2.0, 0.0, 1.0), flown("adsc", 5.0, None, 0.0, 1.0)]
+    assert Dp1().headline(told(nothing)) == "8 games, none of them accelerated and comparable with real time"
+
+
+def test_a_flight_has_the_commands_of_its_path(tmp_path: Path) -> None:
+    rows = [line_row("game", "tcsc", 50.0, 0, 0.1), line_row("figure2", "adsc", 5.0, 0, 0.2)]
+    report = report_of(tmp_path / "run", rows, speed_m_s=2.0)
+    square, forward = (Dp1().flight(report, game) for _, game in report.games.iterrows())
+    assert (square.title, square.clock_speed, square.position_m[0, 1]) == ("TCSC at 50x", 50.0, 0.1)
+    assert square.commands.velocity_m_s.tolist() == [[2, 0, 0], [0, 2, 0], [-2, 0, 0], [0, -2, 0]]
+    assert square.commands.end_ns.tolist() == [each * 10**9 for each in (1, 2, 3, 4)]
+    assert forward.commands.velocity_m_s.tolist() == [[2, 0, 0], [2, 0, 0], [-2, 0, 0]]
 
 
 @pytest.mark.parametrize(
     ("row", "restarts", "marks"),
     [
-        ({}, 0, {}),
         ({"lost_wall_s": 0.0, "restarts": 0}, 0, {}),
         ({"lost_wall_s": 0.25}, 0, {"disturbed": True}),
         ({"stalled_wall_s": 0.5}, 0, {"disturbed": True}),
@@ -284,39 +421,5 @@ def test_the_report_warns(tmp_path: Path, drawn: dict[str, Figure]) -> None:
         ({"lost_wall_s": 0.0}, 2, {"restarts": 2, "disturbed": True}),
     ],
 )
-def test_a_measured_game_is_marked_by_what_disturbed_it(
-    row: dict[str, Any], restarts: int, marks: dict[str, Any]
-) -> None:
+def test_a_measured_game_is_marked_by_what_disturbed_it(row: dict[str, Any], restarts: int, marks: Any) -> None:
     assert disturbances(row, restarts) == marks
-
-
-SPARSE_RUNS: dict[str, Callable[[], list[tuple[Row, Arrays]]]] = {
-    "references alone": lambda: cell_games("reference", "adsc", 1.0, 1.0, 1, 1, "virtual"),
-    "one cell without references": lambda: cell_games("game", "tcsc", 50.0, 0.1, 1, 1, "wall"),
-    "one ClockSpeed": lambda: synthetic_games(
-        clocks=(50.0,), t_moves_s=(0.5,), rounds=(2,), timing="wall", games=1
-    ),
-}
-
-
-@pytest.mark.parametrize("name", SPARSE_RUNS)
-def test_little_data_still_makes_a_report(tmp_path: Path, name: str, drawn: dict[str, Figure]) -> None:
-    run_dir = write_run(tmp_path / "run", SPARSE_RUNS[name](), traces=False)
-    summary = Dp1Report(RunDirectory(run_dir), "dp1").write()
-    assert sorted(drawn) == sorted(FIGURES)
-    assert texts(drawn["figure4_trellis"].axes[0]) == ["no trace recorded"]
-    assert all(len(line) == 12 for line in table(summary).rows)
-
-
-def test_a_run_without_games_is_the_users_mistake(tmp_path: Path) -> None:
-    run_dir = write_run(tmp_path / "run", [])
-    with pytest.raises(UserError, match=r"rows\.jsonl: holds no finished game of dp1"):
-        Dp1Report(RunDirectory(run_dir), "dp1").write()
-
-
-def test_missing_arrays_are_named(tmp_path: Path) -> None:
-    flown = cell_games("reference", "adsc", 1.0, 1.0, 1, 2, "virtual")
-    run_dir = write_run(tmp_path / "run", flown)
-    (run_dir / flown[1][0]["arrays"]).unlink()
-    with pytest.raises(UserError, match="reference-adsc-k1-t1-r1-g01"):
-        Dp1Report(RunDirectory(run_dir), "dp1").write()

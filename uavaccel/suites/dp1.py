@@ -516,7 +516,7 @@ def _compared(flown: pd.DataFrame, cell: pd.DataFrame) -> list[tuple[pd.Series, 
     if cell.empty:
         return []
     real = same_path(flown, cell).query("role == 'reference'")
-    picked = [(game, f"{command_at_clock(game)}, reference") for _, game in real.head(1).iterrows()]
+    picked = [(game, f"{command_at_clock(game)}: reference") for _, game in real.head(1).iterrows()]
     if (cell.role == "game").all():
         order = cell.iloc[np.argsort(-cell.stlc.fillna(0.0).to_numpy(), kind="stable")]
         named = {"best": order.iloc[0], "worst": order.iloc[-1]}

@@ -57,7 +57,7 @@ def trellis_figure(report: Report) -> Picture:
     size_in = 5.0, 0.8 + 0.2 * longest
     figure, grid = plots.panels(1, len(traces), "Messages of one command", source, size_in, sharey=True)
     for axes, (name, trace) in zip(grid[0], traces.items(), strict=False):
-        _plot(axes, trace)
+        plot_trace(axes, trace)
         axes.set_title(name.upper())
     grid[0, 0].set_ylim(longest - 0.3, -1.9)  # shared: the longer trace decides
     if traces:
@@ -120,7 +120,8 @@ def running_spans(trace: Trace) -> Iterator[tuple[int, int]]:
             start = None
 
 
-def _plot(axes: Axes, trace: Trace) -> None:
+def plot_trace(axes: Axes, trace: Trace) -> None:
+    """Plot the arrows of a trace, its times, and the spans in which simulated time runs, an event a line."""
     axes.set_axis_off()
     axes.set_xlim(-1.85, 2.0)
     places = {"client": CLIENT_X, "server": SERVER_X}
