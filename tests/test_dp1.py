@@ -19,11 +19,16 @@ from uavaccel.cli.run import RunRequest, run_experiment
 from uavaccel.commands import COMMANDS, SynchronousCommand
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
+<<<<<<< HEAD
 from uavaccel.suites.experiment import read_mapping, resolve
 from uavaccel.suites.old_dp1.config import Dp1Config
 from uavaccel.suites.old_dp1.flights import SCENE, Case, fly_game, fly_path
 from uavaccel.suites.old_dp1.flights import cases as cases_of
 from uavaccel.suites.old_dp1.report import Dp1Report
+=======
+from uavaccel.suites.dp1 import Dp1, Dp1Config, Game, fly_path
+from uavaccel.suites.experiment import read_mapping, resolve
+>>>>>>> 0c9cb8c (Grids are tested in one file, from points to page)
 from uavaccel.wire.session import VirtualSession, open_session
 
 SMALL: dict[str, Any] = {"clock_speed": [10.0, 100.0], "t_move_s": [0.1, 0.2], "rounds": [1], "games": 2}
@@ -46,13 +51,15 @@ def contents(run: Path) -> dict[str, bytes]:
     return {name: (run / name).read_bytes() for name in [*names, *arrays]}
 
 
-def fly_case(config: Dp1Config, case: Case) -> tuple[Any, dict[str, np.ndarray]]:
-    with open_session(case.timing, config.profile, SCENE, config.latency) as session:
-        return fly_game(config, case, session)
+def cases_of(config: Dp1Config, **wanted: Any) -> list[Game]:
+    """The cases with these attributes."""
+    return [case for case in Dp1().cases(config) if all(getattr(case, key) == value for key, value in wanted.items())]
 
 
-def case_of(config: Dp1Config, case_id: str) -> Case:
-    return next(case for case in cases_of(config) if case.id == case_id)
+def fly_case(config: Dp1Config, case: Game) -> tuple[Any, Any]:
+    with open_session(case.timing, config.profile, "blocks", config.latency) as session:
+        flown = Dp1().fly(config, case, session)
+    return flown.row, flown.arrays
 
 
 def same_arrays(a: dict[str, np.ndarray], b: dict[str, np.ndarray]) -> bool:
@@ -63,7 +70,7 @@ def same_arrays(a: dict[str, np.ndarray], b: dict[str, np.ndarray]) -> bool:
 
 
 def test_the_papers_grid_has_4800_games_and_79200_simulated_seconds() -> None:
-    cases = list(cases_of(paper_config()))
+    cases = cases_of(paper_config())
     grid = [case for case in cases if case.role in ("game", "reference")]
     assert len(grid) == 4_800
     assert sum(case.simulated_s() for case in grid) == pytest.approx(79_200)
@@ -71,25 +78,25 @@ def test_the_papers_grid_has_4800_games_and_79200_simulated_seconds() -> None:
     references = [case for case in grid if case.role == "reference"]
     assert {(case.command, case.clock_speed) for case in references} == {("adsc", 1.0)}
     assert len(references) == 20 * 4 * 6
-    assert {case.role for case in cases} == {"game", "reference", "lockstep", "figure2"}
+    keys = {case.seed(0).spawn_key for case in cases if case.role != "lockstep"}
+    assert len(keys) == sum(case.role != "lockstep" for case in cases), "seeds belong to games alone"
+    assert cases[0].seed(0).generate_state(4).tolist() != cases[0].seed(1).generate_state(4).tolist()
 
 
 def test_a_single_clock_brings_references_of_its_own() -> None:
-    cases = list(cases_of(paper_config(clock_speed=[50.0], games=3, timing="wall")))
-    assert {case.timing for case in cases if case.role == "game"} == {"wall"}
-    assert {case.timing for case in cases if case.role == "reference"} == {"virtual"}
-    assert {case.clock_speed for case in cases if case.role == "reference"} == {1.0}
-
-
-def test_figure_2_is_of_the_longest_commands_in_real_time_and_at_the_fastest_clock() -> None:
+    """They come first, then the flights without latency, the games, and those of Figure 2."""
     config = paper_config(
-        clock_speed=[5.0, 50.0, 10.0], t_move_s=[0.2, 1.0, 0.5], rounds=[4, 8], timing="wall"
+        clock_speed=[50.0, 5.0], t_move_s=[0.2, 1.0], rounds=[4], games=1, reference_games=2, timing="wall"
     )
-    first, second = (case for case in cases_of(config) if case.role == "figure2")
-    assert first.id == "figure2-adsc-k1-t1-r1-g00"
-    assert second.id == "figure2-adsc-k50-t1-r1-g01"
-    assert (first.timing, second.timing) == ("virtual", "wall")
-    assert first.path == second.path == "two_forward_one_back"
+    assert [(case.id, case.timing) for case in cases_of(config)] == [
+        *((f"reference-adsc-k1-t{t}-r4-g0{game}", "virtual") for t in ("0.2", "1") for game in (0, 1)),
+        *((f"lockstep-tcsc-k1-t{t}-r4-g00", "lockstep") for t in ("0.2", "1")),
+        *((f"{command}-k{k}-t{t}-r4-g00", "wall")
+          for command in ("adsc", "tcsc") for k in (50, 5) for t in ("0.2", "1")),
+        ("figure2-adsc-k1-t1-r1-g00", "virtual"),
+        ("figure2-adsc-k50-t1-r1-g01", "wall"),
+    ]  # fmt: skip
+    assert {case.path for case in cases_of(config, role="figure2")} == {"two_forward_one_back"}
 
 
 def test_figure_4_is_of_the_longest_command_at_the_fastest_clock(
@@ -103,30 +110,19 @@ def test_figure_4_is_of_the_longest_command_at_the_fastest_clock(
     assert traces == {command: [command, 50.0, 1.0] for command in traces}
 
 
-def test_seeds_belong_to_games_alone() -> None:
-    cases = list(cases_of(paper_config()))
-    keys = {case.seed(0).spawn_key for case in cases if case.role != "lockstep"}
-    assert len(keys) == sum(case.role != "lockstep" for case in cases)
-    of_two_runs = {tuple(cases[0].seed(run_seed).generate_state(4)) for run_seed in (0, 1)}
-    assert len(of_two_runs) == 2
-
-
-@pytest.mark.parametrize(
-    "case_id", ["adsc-k50-t0.2-r2-g03", "tcsc-k100-t0.1-r1-g19", "reference-adsc-k1-t0.1-r1-g01"]
-)
+@pytest.mark.parametrize("case_id", ["adsc-k50-t0.2-r2-g03", "tcsc-k100-t0.1-r1-g19", "reference-adsc-k1-t0.1-r1-g01"])
 def test_a_game_of_a_subset_is_that_game_of_the_full_grid(case_id: str) -> None:
     full = paper_config()
-    case = case_of(full, case_id)
-    subset = paper_config(
-        clock_speed=[case.clock_speed], t_move_s=[case.t_move_s], rounds=[case.rounds], command=[case.command]
-    )
-    expected_row, expected = fly_case(full, case)
-    with open_session("virtual", "native", SCENE, subset.latency) as session:
-        for earlier in list(cases_of(subset))[-3:]:
-            fly_game(subset, earlier, session)  # whatever the session has flown before
-        row, arrays = fly_game(subset, case_of(subset, case_id), session)
-    assert row == expected_row
-    assert same_arrays(arrays, expected)
+    [case] = cases_of(full, id=case_id)
+    keys = {"clock_speed": [case.clock_speed], "t_move_s": [case.t_move_s], "command": [case.command]}
+    subset = paper_config(**keys, rounds=[case.rounds])
+    with open_session("virtual", "native", "blocks", subset.latency) as session:
+        for earlier in cases_of(subset)[-3:]:
+            Dp1().fly(subset, earlier, session)  # whatever the session has flown before
+        flown = Dp1().fly(subset, cases_of(subset, id=case_id)[0], session)
+    row, arrays = fly_case(full, case)
+    assert flown.row == row
+    assert same_arrays(flown.arrays, arrays)
 
 
 # --- the same bytes -------------------------------------------------------------------------------------------
@@ -135,7 +131,7 @@ def test_a_game_of_a_subset_is_that_game_of_the_full_grid(case_id: str) -> None:
 @pytest.fixture
 def without_figures(monkeypatch: pytest.MonkeyPatch) -> None:
     """Drawing takes most of a small run's time, and has tests of its own."""
-    monkeypatch.setattr(Dp1Report, "figures", lambda _: [])
+    monkeypatch.setattr(Dp1, "page", lambda *_: iter(()))
 
 
 def interrupt_after(games: int, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -162,9 +158,7 @@ def test_the_same_bytes_whatever_jobs_and_interruptions(
     run_experiment(request(whole))
     with monkeypatch.context() as patch:
         interrupt_after(7, patch)
-        with pytest.raises(
-            UserError, match=r"^interrupted; go on with: uavaccel run --out .*broken --resume"
-        ):
+        with pytest.raises(UserError, match=r"^interrupted; go on with: uavaccel run --out .*broken --resume"):
             run_experiment(request(broken, jobs=2))
     rows = (broken / "rows.jsonl").read_bytes()
     assert rows.count(b"\n") == 7
@@ -206,21 +200,20 @@ def test_lockstep_gives_the_same_bytes_after_a_crash(tmp_path: Path, monkeypatch
 # --- what a game is -------------------------------------------------------------------------------------------
 
 
-def game(config: Dp1Config, command: str, **changes: Any) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    cases = [case for case in cases_of(config) if case.role == "game" and case.command == command]
-    return fly_case(config, replace(cases[0], **changes))
+def game(command: str, t_move_s: float, rounds: int, **keys: Any) -> tuple[Any, Any]:
+    config = paper_config(**{"clock_speed": [100.0], "t_move_s": [t_move_s], "rounds": [rounds], "games": 1, **keys})
+    return fly_case(config, cases_of(config, role="game", command=command)[0])
 
 
 def test_a_row_tells_what_was_flown() -> None:
-    config = paper_config(clock_speed=[100.0], t_move_s=[0.2], rounds=[2], games=1)
-    row, arrays = game(config, "tcsc")
-    assert row["case"] == "tcsc-k100-t0.2-r2-g00"
+    row, arrays = game("tcsc", 0.2, 2)
     assert (row["commands"], row["sim_time_s"], row["duration_s"], row["error"]) == (8, 1.6, 1.6, None)
+    assert [row[name] for name in ("role", "t_move_s", "rounds", "game")] == ["game", 0.2, 2, 0]
     assert row["real_time_factor"] == 100.0
     assert row["wall_s"] > 0.016
     assert (row["lost_wall_s"], row["samples_dropped"]) == (0.0, 0)
     assert len(arrays["time_s"]) == 33
-    row, _ = game(config, "adsc")
+    row, _ = game("adsc", 0.2, 2)
     assert 1.6 < row["duration_s"] < row["sim_time_s"] < 100 * row["wall_s"]
 
 
@@ -231,30 +224,24 @@ def velocities_of(arrays: dict[str, np.ndarray]) -> np.ndarray:
 
 
 def test_paths_named_and_of_ones_own() -> None:
-    base: dict[str, Any] = {"clock_speed": [100.0], "t_move_s": [1.0], "rounds": [1], "games": 1}
-    _, figure2 = game(paper_config(**base, path="two_forward_one_back"), "tcsc")
-    assert len(figure2["command_end_s"]) == 3
+    _, figure2 = game("tcsc", 1.0, 1, path="two_forward_one_back")
     assert velocities_of(figure2)[:, 0] == pytest.approx([0.674, 0.89, -0.5], abs=0.25)
-    _, own = game(paper_config(**base, path=[[0.0, 0.0, -1.0], [0.0, 2.0, 0.0]]), "tcsc")
+    _, own = game("tcsc", 1.0, 1, path=[[0.0, 0.0, -1.0], [0.0, 2.0, 0.0]])
     assert len(own["command_end_s"]) == 2
     assert velocities_of(own)[0, 2] < -0.5
     assert velocities_of(own)[1, 1] > 1.2
-    _, fast = game(paper_config(**base, speed_m_s=2.0), "tcsc")
+    _, fast = game("tcsc", 1.0, 1, speed_m_s=2.0)
     assert velocities_of(fast)[0, 0] == pytest.approx(1.35, abs=0.03)
 
 
 def test_a_held_height_is_held() -> None:
-    base: dict[str, Any] = {"clock_speed": [100.0], "t_move_s": [1.0], "rounds": [4], "games": 1}
-    _, plain = game(paper_config(**base), "tcsc")
-    _, held = game(paper_config(**base, height_m=-10.0), "tcsc")
+    (_, plain), (_, held) = game("tcsc", 1.0, 4), game("tcsc", 1.0, 4, height_m=-10.0)
     assert plain["position_m"][-1, 2] < -11.0
     np.testing.assert_allclose(held["position_m"][:, 2], -10.0, atol=0.2)
 
 
 def test_sampling_through_the_client_costs_time_and_no_accuracy() -> None:
-    base: dict[str, Any] = {"clock_speed": [100.0], "t_move_s": [0.2], "rounds": [1], "games": 1}
-    row, arrays = game(paper_config(**base), "tcsc")
-    sampled_row, sampled = game(paper_config(**base, t_sample_s=0.05), "tcsc")
+    (row, arrays), (sampled_row, sampled) = game("tcsc", 0.2, 1), game("tcsc", 0.2, 1, t_sample_s=0.05)
     assert same_arrays(arrays, sampled)
     assert sampled_row["wall_s"] > row["wall_s"]
 
@@ -279,46 +266,35 @@ def test_tcsc_allows_for_the_clients_latency_at_the_clock_speed(
         return ()
 
     monkeypatch.setitem(COMMANDS, "tcsc", SynchronousCommand(lambda _: None, cast(Any, fly)))
-    keys: dict[str, Any] = {
-        "clock_speed": [clock_speed],
-        "t_move_s": [0.5],
-        "rounds": [1],
-        "profile": profile,
-    }
+    keys: dict[str, Any] = {"clock_speed": [clock_speed], "t_move_s": [0.5], "rounds": [1], "profile": profile}
     config = paper_config(**keys, t_sample_s=t_sample_s, t_th_wall_s=0.001)
-    case = next(case for case in cases_of(config) if (case.role, case.command) == ("game", "tcsc"))
+    [case, *_] = cases_of(config, role="game", command="tcsc")
     client: Any = SimpleNamespace(now_ns=lambda: 0)
     fly_path(config, case, client)
     assert [asked[2:] for asked in flown] == [(0.5, t_sample_s or 0.5, t_th_ms * 1_000_000)] * 4
 
 
 def test_airsims_profile_flies_both_commands() -> None:
-    config = paper_config(clock_speed=[1.0, 100.0], t_move_s=[0.1], rounds=[1], games=1, profile="airsim")
-    for case in cases_of(config):
-        if case.role != "figure2":
-            row, arrays = fly_case(config, case)
-            assert row["error"] is None
-            lengths_s = arrays["command_end_s"] - arrays["command_start_s"]
-            assert (lengths_s <= 0.105 + 1e-9).all()
-            if case.command == "adsc":
-                assert lengths_s == pytest.approx(0.105)
+    for command in ("adsc", "tcsc"):
+        row, arrays = game(command, 0.1, 1, profile="airsim")
+        assert row["error"] is None
+        lengths_s = arrays["command_end_s"] - arrays["command_start_s"]
+        assert (lengths_s <= 0.105 + 1e-9).all()
+        if command == "adsc":
+            assert lengths_s == pytest.approx(0.105)
 
 
-def test_a_flight_that_diverges_is_a_row_with_an_error(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_flight_that_diverges_is_a_row_with_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)  # MuJoCo writes a log
     config = paper_config(clock_speed=[100.0], t_move_s=[0.1], rounds=[1], games=1)
-    with VirtualSession(SCENE, "native", config.latency) as session:
-        for command in ("adsc", "tcsc"):
+    with VirtualSession("blocks", "native", config.latency) as session:
+        for case in cases_of(config, role="game"):
             session._world(1.0).lead.state["wind"] = 1e200
-            case = case_of(config, f"{command}-k100-t0.1-r1-g00")
-            row, _ = fly_game(config, case, session)
-            assert "mjWARN_BAD" in str(row["error"])
+            assert "mjWARN_BAD" in str(Dp1().fly(config, case, session).row["error"])
             session._world(1.0).lead.state["wind"] = 0.0
-            row, arrays = fly_game(config, case, session)
-            assert row["error"] is None
-            assert np.isfinite(arrays["position_m"]).all()
+            again = Dp1().fly(config, case, session)
+            assert again.row["error"] is None
+            assert np.isfinite(again.arrays["position_m"]).all()
 
 
 # --- mistakes -------------------------------------------------------------------------------------------------
@@ -378,14 +354,10 @@ MISTAKES = {
 
 
 @pytest.mark.parametrize("arguments", MISTAKES)
-def test_a_mistake_is_one_line(
-    uavaccel: Callable[..., tuple[int, str]], tmp_path: Path, arguments: str
-) -> None:
+def test_a_mistake_is_one_line(uavaccel: Callable[..., tuple[int, str]], tmp_path: Path, arguments: str) -> None:
     status, message = uavaccel("run", "dp1", *arguments.split(), "--out", "there")
     assert status == 1
-    assert message.startswith(
-        "uavaccel: error: dp1.yaml: " if "nowhere" not in arguments else "uavaccel: error: "
-    )
+    assert message.startswith("uavaccel: error: dp1.yaml: " if "nowhere" not in arguments else "uavaccel: error: ")
     assert MISTAKES[arguments] in message
     assert message.count("\n") == 1
     assert not written(tmp_path)
