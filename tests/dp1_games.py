@@ -18,7 +18,7 @@ SEED = 7
 
 
 def line_arrays(row: Mapping[str, Any]) -> dict[str, np.ndarray]:
-    """The samples of a `line_row`: at 1 m/s beside the x axis, on a grid that all share; ClockSpeed as velocity.
+    """The samples of a `line_row`: at 1 m/s beside the x axis, on a grid that all share.
 
     Two such flights d metres aside have an STLC of 1 + e^-d and an RMSE of d.
     """
@@ -28,7 +28,7 @@ def line_arrays(row: Mapping[str, Any]) -> dict[str, np.ndarray]:
         "time_s": time_s,
         "position_m": np.column_stack([time_s, np.full(81, row["offset_m"]), np.full(81, -10.0)]),
         "orientation_wxyz": np.tile([1.0, 0.0, 0.0, 0.0], (81, 1)),
-        "linear_velocity_m_s": np.full((81, 3), row["clock_speed"]),
+        "linear_velocity_m_s": np.tile(row.get("velocity_m_s", [row["clock_speed"]] * 3), (81, 1)),
         "command_start_s": starts,
         "command_end_s": starts + 1.0,
     }

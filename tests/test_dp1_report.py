@@ -12,7 +12,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from tests.dp1_games import SEED, Row, line_row, quantile, report_of
-from tests.drawing import boxes, headline, labelled, legend_texts, points, record_figures, texts
+from tests.drawing import boxes, headline, labelled, legend_texts, points, record_figures, texts, tick_texts
 from tests.test_trellis import recorded_trace
 from uavaccel.draw import style
 from uavaccel.draw.page import Table
@@ -178,19 +178,30 @@ def accelerated_rows() -> list[Row]:
 
 def test_figure_2_shows_the_games_flown_for_it(tmp_path: Path, drawn: dict[str, Figure]) -> None:
     rows = [
-        line_row("figure2", "adsc", 100.0, 1, 0.0, gaps_s=[0.01, 0.02, 0.06], timing="wall"),
-        line_row("figure2", "adsc", 1.0, 0, 0.0),
+        line_row(
+            "figure2", "adsc", 100.0, 1, 0.0, gaps_s=[0.01, 0.02, 0.06], timing="wall", velocity_m_s=[9.0, 0.03, 0.0]
+        ),
+        line_row("figure2", "adsc", 1.0, 0, 0.0, velocity_m_s=[0.5, 0.04, -0.2]),
         line_row("figure2", "adsc", 9.0, 2, 0.0, error="crashed"),
         line_row("game", "adsc", 7.0, 0, 0.0),
     ]
     picture = dp1.velocity_figure(report_of(tmp_path / "run", rows))
-    slow, fast = drawn["figure2_velocity"].axes
+    figure: Any = drawn["figure2_velocity"]
+    slow, fast = figure.axes
     assert slow.get_title("left") == "ADSC at 1x: 0.0 ms between commands"
     assert fast.get_title("left") == "ADSC at 100x: 30.0 ms between commands"
-    assert points(labelled(fast)["east"])[0] == (0.0, 100.0)
-    assert [round(gap.get_width(), 9) for gap in fast.patches] == [0.01, 0.02, 0.06]  # type: ignore[attr-defined]
+    assert [(name, points(line)[0]) for name, line in labelled(slow).items()] == [
+        ("north", (0.0, 0.5)),
+        ("down", (0.0, -0.2)),
+    ], "east is never above 5 cm/s"
+    assert labelled(fast)["north"].get_color() == style.BLUE
+    assert [round(gap.get_width(), 9) for gap in fast.patches] == [0.01, 0.02, 0.06]
+    assert [round(line.get_xdata()[0], 9) for line in fast.lines[:4]] == [1.0, 2.01, 3.03, 4.09], "commands end"
+    assert [axes.get_xlabel() for axes in figure.axes] == ["", "simulated time, s"]
+    assert {axes.get_ylabel() for axes in figure.axes} == {"velocity, m/s"}
+    assert legend_texts(figure.legends[0]) == ["north", "down", "command ends", "no command runs"]
     source = f"modelled (virtual clock): 1 game · measured (wall clock): 1 game · native profile · seed {SEED}"
-    assert headline(drawn["figure2_velocity"]) == ("Two steps forward, one back", source)
+    assert headline(figure) == ("Two steps forward, one back", source)
     assert picture.caption.startswith("Figure 2. ")
     assert picture.caption.endswith(f"Source: {source}.")
 
@@ -220,17 +231,36 @@ def test_figures_of_accelerated_games(tmp_path: Path, drawn: dict[str, Figure]) 
             box = boxes(accuracy.axes[panel])[place]
             assert box["median"] == pytest.approx(quantile(stlc, 0.5))
             assert box["box"] == pytest.approx((quantile(stlc, 0.25), quantile(stlc, 0.75)))
+    assert boxes(accuracy.axes[1])[0]["colour"] == style.VERMILION.lower()
+    assert boxes(accuracy.axes[4])[0]["colour"] == style.BLUE.lower()
+    assert texts(accuracy.axes[5]) == ["no games to compare"]
+    assert [axes.get_title("center") for axes in accuracy.axes[:3]] == ["1x", "10x", "100x"]
+    assert [axes.get_ylabel() for axes in accuracy.axes[::3]] == ["ADSC\nSTLC", "TCSC\nSTLC"]
+    assert (accuracy.axes[3].get_xlabel(), tick_texts(accuracy.axes[3].xaxis)) == ("rounds", ["1", "24"])
+    for axes in accuracy.axes:
+        assert points(axes.lines[0])[0][1] == 1.8
+        assert axes.get_ylim() == pytest.approx((min(1.7, 1 + np.exp(-1.08) - 0.05), 2.04))
     assert headline(speedup) == ("Effective speed-up over ADSC at 1x, 24 rounds", clocks.format(16, 6, "s"))
     for axes, command, speeds in zip(speedup.axes, ("adsc", "tcsc"), ([1.0, 10.0, 100.0], [10.0]), strict=True):
         assert list(labelled(axes)) == ["ideal", "T_move 0.5 s", "T_move 1 s"]
+        assert axes.get_title("left") == command.upper()
+        ideal = labelled(axes)["ideal"]
+        assert (points(ideal), ideal.get_linestyle()) == ([(0, 1.0), (1, 10.0), (2, 100.0)], "--")
+        assert (axes.get_yscale(), tick_texts(axes.xaxis), axes.get_xlabel()) == (
+            "log", ["1x", "10x", "100x"], "ClockSpeed",
+        )  # fmt: skip
         for t_move_s in (0.5, 1.0):
             line, _, (bars,) = labelled(axes)[f"T_move {t_move_s:g} s"].lines
             # Games of clock speed k take 1.5, 1.6 and 1.7 times the k-th part of what the references take.
+            assert line.get_color() == (style.BLUE if t_move_s == 0.5 else style.ORANGE)
+            assert line.get_xdata().tolist() == ([0, 1, 2] if command == "adsc" else [1])
             assert line.get_ydata().tolist() == pytest.approx([k / 1.6 if k > 1 else 1.0 for k in speeds])
             key = {"command": command, "t_move_s": t_move_s, "rounds": 24}
             cells = [find(report.summary, **key, clock_speed=k) for k in speeds]
             ends = [cell["effective_speedup_interval"] or [1.0, 1.0] for cell in cells]
             assert [bar[:, 1].tolist() for bar in bars.get_segments()] == [pytest.approx(each) for each in ends]
+    speedup.draw_without_rendering()
+    assert {"1x", "2x", "5x", "10x", "20x"} <= set(tick_texts(speedup.axes[0].yaxis))
     page = (report.run.path / "report.md").read_text()
     for name, starts in zip(FIGURES[1:], ("Trajectories", "Messages", "Accuracy", "Effective"), strict=True):
         assert headline(drawn[name])[0].startswith(starts)
@@ -283,6 +313,11 @@ def test_a_run_of_few_games_has_a_whole_report(
     assert list(labelled(drawn[FIGURES[1]].axes[0])) == labels
     assert sorted(drawn) == sorted(FIGURES)
     assert texts(drawn["figure4_trellis"].axes[0]) == ["no trace recorded"]
+    assert texts(drawn["figure2_velocity"].axes[0]) == ["no flight recorded"]
+    if REFERENCE not in rows:
+        assert texts(drawn["figure6_speedup"].axes[0]) == ["no speed-up without ADSC games at 1x"]
+    if labels:
+        assert drawn["figure5_accuracy"].axes[0].get_ylim() == pytest.approx((1.7, 2.04))
 
 
 def test_figure_4_shows_the_recorded_traces(tmp_path: Path, drawn: dict[str, Figure]) -> None:

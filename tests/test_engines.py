@@ -12,12 +12,12 @@ from typing import Any
 import pytest
 from joblib import delayed, register_parallel_backend
 from joblib._parallel_backends import ThreadingBackend
-from uavaccel.suites.old_dp1.suite import Dp1
 
 from tests.running import configured
 from uavaccel.cli.run import RunRequest, run_experiment
 from uavaccel.errors import UsageError, UserError
 from uavaccel.suites import engines
+from uavaccel.suites.dp1 import Dp1
 from uavaccel.suites.engines import PACKAGES, check_engine, on_cluster
 from uavaccel.suites.runner import begin_run, run_suite
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from tests.dp1_games import SyntheticConfig
+from uavaccel.config import Config
 from uavaccel.records import RunDirectory
 from uavaccel.suites import host_time
 from uavaccel.suites.host_time import cumulative_wall_s, in_words, over_all_starts, pace, timed, wall_s
@@ -15,7 +15,7 @@ from uavaccel.suites.host_time import cumulative_wall_s, in_words, over_all_star
 
 def timed_run(path: Path, *readings_s: float | None, simulated_s: tuple[float, ...] = ()) -> RunDirectory:
     """A run with these readings of its stopwatch, none where it was not read, and games of these lengths."""
-    run = RunDirectory.create(path, SyntheticConfig(), {})
+    run = RunDirectory.create(path, Config(), {})
     for number, length_s in enumerate(simulated_s):
         run.append_row({"suite": "dp1", "case": str(number), "sim_time_s": length_s})
     for reading_s in readings_s:

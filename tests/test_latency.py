@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from uavaccel.config import Config, schema, to_yaml, validate
 from uavaccel.errors import UserError
 from uavaccel.resources import experiment
-from uavaccel.suites.old_dp1.config import Dp1Config
+from uavaccel.suites.dp1 import Dp1Config
 from uavaccel.wire.latency import (
     QUANTILES,
     WAITS_MS,

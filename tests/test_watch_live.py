@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from uavaccel.suites.old_dp1.suite import Dp1
 
 from tests.flying import STRAIGHT, call, hovering, point
 from tests.learning import tiny_config
@@ -28,6 +27,7 @@ from uavaccel.errors import UsageError
 from uavaccel.fly.options import FlightOptions
 from uavaccel.fly.runs import fly
 from uavaccel.records import RunDirectory
+from uavaccel.suites.dp1 import Dp1
 from uavaccel.suites.evaluation.suite import Evaluation
 from uavaccel.suites.training.suite import Training
 from uavaccel.watch import beside

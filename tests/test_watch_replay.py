@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from uavaccel.suites.old_dp1.suite import Dp1
 
 from tests.learning import tiny_config, train_into
 from tests.running import configured, fly_into
@@ -16,6 +15,7 @@ from uavaccel.files import read_arrays, to_json, write_arrays
 from uavaccel.fly.options import FlightOptions
 from uavaccel.fly.runs import fly
 from uavaccel.records import RunDirectory
+from uavaccel.suites.dp1 import Dp1
 from uavaccel.suites.evaluation.flights import game_seed
 from uavaccel.suites.evaluation.suite import Evaluation
 from uavaccel.watch.replay import recorded
