@@ -1,6 +1,6 @@
 """The base class of experiments, which the runner flies and the command line shows.
 
-A suite has a folder of its own and a line in suites/registry.py; a custom suite may be in any module, and its YAML
+A suite is a file of its own and a line in suites/registry.py; a custom suite may be in any module, and its YAML
 names it: `suite: my_module:MySuite`.
 """
 
@@ -152,7 +152,8 @@ class Suite(ABC, Generic[ConfigType, CaseType]):
 
     def page(self, report: Report) -> Iterator[Block | str]:
         """Yield the blocks of the page; configuration and manifest are added below them."""
-        yield Table.of(report.games, {name: f"{{{name}}}" for name in report.games})
+        names = [name for name in report.games if name not in ("suite", "arrays", "arrays_sha256")]
+        yield Table.of(report.games, {name: f"{{{name}}}" for name in names})
 
     def flight(
         self, report: Report, game: Mapping[str, Any], pictures: bool = True, event_rate_hz: float | None = None
