@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -62,7 +62,7 @@ def fly_case(config: Dp1Config, case: Game) -> tuple[Any, Any]:
     return flown.row, flown.arrays
 
 
-def same_arrays(a: dict[str, np.ndarray], b: dict[str, np.ndarray]) -> bool:
+def same_arrays(a: Mapping[str, np.ndarray], b: Mapping[str, np.ndarray]) -> bool:
     return a.keys() == b.keys() and all(np.array_equal(a[name], b[name]) for name in a)
 
 

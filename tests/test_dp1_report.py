@@ -20,7 +20,7 @@ from uavaccel.errors import UserError
 from uavaccel.suites import dp1
 from uavaccel.suites.dp1 import Dp1
 from uavaccel.suites.rows import disturbances
-from uavaccel.suites.trellis import MOST_EVENTS
+from uavaccel.suites.trellis import MOST_EVENTS, trellis_figure
 
 FIGURES = ("figure2_velocity", "figure3_trajectories", "figure4_trellis", "figure5_accuracy", "figure6_speedup")
 
@@ -106,6 +106,18 @@ def test_every_number_of_a_cell(tmp_path: Path) -> None:
     }  # fmt: skip
     kept = report.run.read_json("scores.json")
     assert find({"cells": kept}, command="tcsc", clock_speed=50.0)["stlc"] == pytest.approx(stlc.tolist())
+
+
+def test_intervals_are_drawn_with_the_runs_seed(tmp_path: Path) -> None:
+    """Of so many games that two seeds give two intervals."""
+    aside_m = np.linspace(0.0, 1.0, 25) ** 2
+    rows = [line_row("reference", "adsc", 1.0, 0, 0.0)]
+    rows += [line_row("game", "tcsc", 5.0, game, offset_m) for game, offset_m in enumerate(aside_m)]
+    cell = find(report_of(tmp_path / "run", rows).summary, command="tcsc")
+    expected = bootstrapped(aside_m, of=lambda drawn: np.median(drawn, axis=1))
+    assert cell["position_rmse_interval_m"] == pytest.approx(expected)
+    stlc = 1 + np.exp(-aside_m)
+    assert cell["stlc_median_interval"] == pytest.approx(bootstrapped(stlc, of=lambda drawn: np.median(drawn, axis=1)))
 
 
 def test_references_are_a_cell_of_their_own_and_not_compared_with_themselves(tmp_path: Path) -> None:
@@ -325,7 +337,7 @@ def test_figure_4_shows_the_recorded_traces(tmp_path: Path, drawn: dict[str, Fig
     long = [{"source": "server", "event": "run", "wall_s": 0.0, "sim_s": float(i)} for i in range(MOST_EVENTS + 9)]
     for name, trace in (("adsc", long), ("tcsc", recorded_trace())):
         report.run.write_json(f"traces/{name}.json", trace)
-    picture = dp1.trellis_figure(report)
+    picture = trellis_figure(report)
     figure: Any = drawn["figure4_trellis"]
     assert texts(figure.axes[1])[-1] == f"{MOST_EVENTS - 1}.000 s   run"
     assert figure.axes[0].get_ylim()[0] > MOST_EVENTS - 1 > figure.axes[0].get_ylim()[1], "time runs downwards"
@@ -335,7 +347,7 @@ def test_figure_4_shows_the_recorded_traces(tmp_path: Path, drawn: dict[str, Fig
     assert headline(figure)[1] in picture.caption
     (report.run.path / "traces/tcsc.json").write_text("no JSON")
     with pytest.raises(UserError, match=r"tcsc\.json: not JSON"):
-        dp1.trellis_figure(report)
+        trellis_figure(report)
 
 
 # --- the page -----------------------------------------------------------------------------------------------------

@@ -35,16 +35,7 @@ from uavaccel.records import RunDirectory
 from uavaccel.rl.agents import DEFAULT, policy_sha256
 from uavaccel.suites import plots
 from uavaccel.suites.dp1 import SIMILAR_STLC, Dp1, Dp1Config, Dp1Row, Game, summary_cells
-from uavaccel.suites.experiment import (
-    ClockSpeeds,
-    CommandName,
-    CommandNames,
-    Experiment,
-    ProfileName,
-    distinct,
-    merged,
-    timing_of,
-)
+from uavaccel.suites.experiment import ClockSpeeds, CommandNames, Experiment, ProfileName, distinct, merged, timing_of
 from uavaccel.suites.flight import Flight
 from uavaccel.suites.gpu import on_own_gpu
 from uavaccel.suites.parts import Part, fly_part, outcomes, part_run, part_suite
@@ -568,16 +559,10 @@ def as_trained(summary: Summary) -> float | None:
 def conditions_of(summary: Summary) -> pd.DataFrame:
     """Return the cells of a sweep's summary as a table, with the condition's name and unit and the value as a text."""
     names = {"": "as trained"} | {name: f"{name}, {each.unit}" for name, each in CONDITIONS.items() if each.unit}
-    return table_of(
-        [
-            {
-                **cell,
-                "name": names.get(cell["condition"], cell["condition"]),
-                "text": value_text(cell["value"]) if cell["condition"] else "",
-            }
-            for cell in summary["cells"]
-        ]
-    )
+    cells = table_of(summary["cells"])
+    values = zip(cells.condition, cells.value, strict=True)
+    texts = [value_text(value) if condition else "" for condition, value in values]
+    return cells.assign(name=[names.get(each, each) for each in cells.condition], text=texts)
 
 
 def sweep_figure(report: Report) -> Picture:
@@ -633,7 +618,7 @@ class RobustnessConfig(PolicyExperiment):
 class RobustnessRow(PolicyRow):
     """The row of an evaluation with one command at one latency and ClockSpeed."""
 
-    command: CommandName
+    command: str
     clock_speed: float
     latency_scale: float
 
