@@ -29,6 +29,7 @@ def line_arrays(row: Mapping[str, Any]) -> dict[str, np.ndarray]:
         "position_m": np.column_stack([time_s, np.full(81, row["offset_m"]), np.full(81, -10.0)]),
         "orientation_wxyz": np.tile([1.0, 0.0, 0.0, 0.0], (81, 1)),
         "linear_velocity_m_s": np.tile(row.get("velocity_m_s", [row["clock_speed"]] * 3), (81, 1)),
+        "angular_velocity_rad_s": np.zeros((81, 3)),
         "command_start_s": starts,
         "command_end_s": starts + 1.0,
     }
@@ -50,6 +51,7 @@ def line_row(role: str, command: str, clock_speed: float, game: int, offset_m: f
         "duration_s": duration_s,
         "real_time_factor": clock_speed,
         "lost_wall_s": 0.0,
+        "samples_dropped": 0,
         "error": None,
         **row,
     }

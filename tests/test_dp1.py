@@ -11,7 +11,6 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
-from uavaccel.suites.old_dp1.suite import Dp1
 
 from uavaccel.cli import main as cli
 from uavaccel.cli.progress import Progress
@@ -19,16 +18,8 @@ from uavaccel.cli.run import RunRequest, run_experiment
 from uavaccel.commands import COMMANDS, SynchronousCommand
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
-<<<<<<< HEAD
-from uavaccel.suites.experiment import read_mapping, resolve
-from uavaccel.suites.old_dp1.config import Dp1Config
-from uavaccel.suites.old_dp1.flights import SCENE, Case, fly_game, fly_path
-from uavaccel.suites.old_dp1.flights import cases as cases_of
-from uavaccel.suites.old_dp1.report import Dp1Report
-=======
 from uavaccel.suites.dp1 import Dp1, Dp1Config, Game, fly_path
 from uavaccel.suites.experiment import read_mapping, resolve
->>>>>>> 0c9cb8c (Grids are tested in one file, from points to page)
 from uavaccel.wire.session import VirtualSession, open_session
 
 SMALL: dict[str, Any] = {"clock_speed": [10.0, 100.0], "t_move_s": [0.1, 0.2], "rounds": [1], "games": 2}

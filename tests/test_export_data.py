@@ -102,6 +102,9 @@ def read(path: Path) -> Log:
             assert schema.encoding == "jsonschema"
             schemas[channel.topic] = schema.name
             messages.setdefault(channel.topic, []).append((message.log_time, json.loads(message.data)))
+        summary = reader.get_summary()
+        assert summary
+        assert {each.topic for each in summary.channels.values()} == messages.keys()
     return Log(messages, metadata.metadata, schemas)
 
 
@@ -622,10 +625,13 @@ def other_run(path: Path, text: str, rows: str = "") -> str:
 def test_refusals_are_one_clear_line(straight: RunDirectory, dp1: RunDirectory, tmp_path: Path) -> None:
     (tmp_path / "there-v0").mkdir()
     (tmp_path / "there.mcap").write_text("")
-    row, case = '{"case": "lane-000000", "lane": 0, "actions": []}\n', dp1.rows()[0]["case"]
+    flown = straight.rows()[0]
+    row, case = json.dumps(flown) + "\n", dp1.rows()[0]["case"]
+    learned = dict.fromkeys(("exploration", "loss", "mean_q")) | {"game": 0, "environment": 0, "return": 0.0}
+    game = json.dumps({**flown, "suite": "train", "case": "game-0000000", **learned}) + "\n"
     empty = other_run(tmp_path / "empty", "suite: evaluate\n")
     wall = other_run(tmp_path / "wall", "suite: evaluate\nagent: straight\ntask: {timing: wall}\n", row)
-    training = other_run(tmp_path / "training", "suite: train\n", '{"case": "game-0000000"}\n')
+    training = other_run(tmp_path / "training", "suite: train\n", game)
     one, many, dataset = str(straight.path), str(dp1.path), tmp_path / "lane-v0"
     logs = tmp_path / "logs"
     for source, to, said in (

@@ -9,14 +9,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from uavaccel.suites.dp1.suite import Dp1
 
-from tests.dp1_games import Arrays, synthetic_games
+from tests.dp1_games import line_arrays, line_row
 from uavaccel.cli.export import export
 from uavaccel.cli.result_commands import report
 from uavaccel.config import to_yaml
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
+from uavaccel.suites.dp1 import Dp1
 from uavaccel.suites.evaluation.suite import Evaluation
 from uavaccel.suites.experiment import resolve
 from uavaccel.suites.registry import SUITES, find_suite, open_run
@@ -26,17 +26,10 @@ from uavaccel.watch.replay import recorded
 NAN = float("nan")
 
 
-def whole_game() -> tuple[dict[str, Any], Arrays]:
+def whole_game() -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """A game of DP1 with all keys and arrays that the suite writes."""
-    row, arrays = next((row, arrays) for row, arrays in synthetic_games() if row["role"] == "game")
-    samples = len(arrays["time_s"])
-    whole = {
-        **arrays,
-        "orientation_wxyz": np.tile([1.0, 0.0, 0.0, 0.0], (samples, 1)),
-        "linear_velocity_m_s": np.zeros((samples, 3)),
-        "angular_velocity_rad_s": np.zeros((samples, 3)),
-    }
-    return {**row, "samples_dropped": 0}, whole
+    row = line_row("game", "adsc", 5.0, 0, 0.5)
+    return row, line_arrays(row)
 
 
 def begin(path: Path, suite: AnySuite) -> RunDirectory:
@@ -44,7 +37,7 @@ def begin(path: Path, suite: AnySuite) -> RunDirectory:
     return RunDirectory.create(path, resolve(suite.config, {"suite": suite.name, **keys}, "test"), {})
 
 
-def write(path: Path, row: dict[str, Any], arrays: Arrays) -> RunDirectory:
+def write(path: Path, row: dict[str, Any], arrays: dict[str, np.ndarray]) -> RunDirectory:
     run = begin(path, Dp1())
     kept = run.save_arrays(row["case"], arrays)
     row = {**row, **kept}

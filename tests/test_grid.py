@@ -45,6 +45,11 @@ def report_of(path: Path, suite: Any, config: Any, rows: Sequence[Any]) -> Repor
     return suite.report(run)
 
 
+def outcomes_of(won: np.ndarray) -> dict[str, np.ndarray]:
+    """The arrays of an evaluation of which these lanes were won."""
+    return {"lane": np.arange(len(won)), "is_success": won, "distance_m": np.full(len(won), 75.0)}
+
+
 # --- ablations ----------------------------------------------------------------------------------------------------
 
 
@@ -205,7 +210,8 @@ def swept(path: Path) -> Report:
         {
             "case": case, "same": ["wind-0"] if case == "as-trained" else [], "successes": sum(won), "games": 8,
             "timing": "virtual", "sim_time_s": 9.0, "distance_m_median": 150.0,
-            "arrays": {"is_success": np.array(won, bool)},
+            "condition": "" if case == "as-trained" else "wind", "value": None if case == "as-trained" else 3,
+            "arrays": outcomes_of(np.array(won, bool)),
         }
         for case, won in outcomes.items()
     ]  # fmt: skip
@@ -287,9 +293,9 @@ def mapped(path: Path, **ratios: list[float]) -> Report:
     """Success of 40 lanes at latencies ×0, ×1, ×2 and ×4, by command and ClockSpeed, as in adsc5; -1 is not flown."""
     rows: list[Any] = [
         {
-            "case": f"{name}-{scale:g}", "command": name[:4], "clock_speed": float(name[4:]), "latency_scale": scale,
+            "case": f"latency{scale:g}-{name[:4]}-{name[4:]}x", "command": name[:4], "clock_speed": float(name[4:]), "latency_scale": scale,
             "games": 40, "successes": round(40 * ratio), "distance_m_median": 75.0, "sim_time_s": 9.0,
-            "arrays": {"lane": np.arange(40)},
+            "arrays": outcomes_of(np.arange(40) < round(40 * ratio)),
         }
         for name, line in ratios.items()
         for scale, ratio in zip(SCALES, line, strict=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import shutil
 import subprocess
@@ -16,6 +17,8 @@ import pytest
 from uavaccel import VelocityGoal, open_session, tcsc
 from uavaccel.cli import main as cli
 from uavaccel.errors import UserError
+from uavaccel.suites import own_code
+from uavaccel.suites.own_code import told
 from uavaccel.suites.registry import find_suite, own_folder
 
 ROOT = Path(__file__).parents[1]
@@ -27,8 +30,12 @@ COMMAND = [sys.executable, "-m", "uavaccel"]
 MADE = ("rows.jsonl", "summary.json", "config.yaml")
 
 
+def environment() -> dict[str, str]:
+    return {"PYTHONPATH": str(ROOT), "XDG_STATE_HOME": os.environ["XDG_STATE_HOME"]}
+
+
 def uavaccel(folder: Path, *arguments: str) -> None:
-    subprocess.run([*COMMAND, *arguments], cwd=folder, env={"PYTHONPATH": str(ROOT)}, check=True)
+    subprocess.run([*COMMAND, *arguments], cwd=folder, env=environment(), check=True)
 
 
 @pytest.fixture(scope="module")
@@ -85,28 +92,34 @@ def test_a_report_finds_the_suite_from_any_folder(home: Path, tmp_path: Path) ->
 def test_what_is_no_block_of_a_page_is_named(home: Path, tmp_path: Path) -> None:
     (tmp_path / "toy.py").write_text((home / "toy.py").read_text().replace("axes.legend()", "yield 3"))
     (tmp_path / "toy.yaml").write_text(BLOCKS["yaml"])
-    environment = {"PYTHONPATH": str(ROOT)}
-    ended = subprocess.run([*COMMAND, *RUN], cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+    ended = subprocess.run(
+        [*COMMAND, *RUN], cwd=tmp_path, env=environment(), capture_output=True, text=True, check=False
+    )
     assert "TypeError: Toy.page: 3 is no block of a page: a text, Heading, " in ended.stderr
 
 
 @pytest.mark.parametrize(
     ("name", "hint"),
     [
-        ("stranger:Stranger", "names no uavaccel.suites.suite.Suite: Stranger is a Stranger"),
-        ("stranger:Friend", "names no uavaccel.suites.suite.Suite: module 'stranger' has no attribute 'Friend'"),
-        ("nobody:Stranger", "No module named 'nobody'"),
+        ("stranger:Stranger", "names no uavaccel.suites.suite.Suite: Stranger is none"),
+        ("stranger:called", "names no uavaccel.suites.suite.Suite: called is none"),
+        ("stranger:Friend", "names no uavaccel.suites.suite.Suite: stranger has no Friend"),
+        *((f"{name}:abort", f"no module '{name}' in ") for name in ("nobody", "os", "numpy", "a/b", "..x", "")),
+        ("json:dumps", "HERE/json.py has the name of another module, "),
     ],
 )
 def test_a_suite_that_is_none_is_one_line(
     name: str, hint: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    (tmp_path / "stranger.py").write_text("class Stranger:\n    pass\n")
+    """What is installed, and Python itself, is no project's; whatever a name stands for, it is not called."""
+    (tmp_path / "stranger.py").write_text("class Stranger:\n    pass\ndef called():\n    raise SystemExit\n")
+    (tmp_path / "json.py").write_text("raise SystemExit\n")
+    monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", [*sys.path])
     monkeypatch.delitem(sys.modules, "stranger", raising=False)
-    with pytest.raises(UserError) as caught:
-        find_suite(name, "toy.yaml", tmp_path)
-    assert str(caught.value) == f"toy.yaml: suite = {name!r}: {hint}"
+    with told(), pytest.raises(UserError) as caught:
+        find_suite(name, "toy.yaml")
+    assert str(caught.value).startswith(f"toy.yaml: suite = {name!r}: {hint.replace('HERE', str(tmp_path))}")
 
 
 @pytest.mark.parametrize(
@@ -130,8 +143,85 @@ def test_a_suite_in_a_package_is_imported_from_above_it(tmp_path: Path, monkeypa
     (package / "toy.py").write_text(BLOCKS["python"])
     monkeypatch.setattr(sys, "path", [*sys.path])
     for module in ("toys.inner", "toys.inner.toy"):
-        assert own_folder(find_suite(f"{module}:Toy", "toy.yaml", tmp_path)) == tmp_path
+        with told(beside=tmp_path):
+            assert own_folder(find_suite(f"{module}:Toy", "toy.yaml")) == tmp_path
     assert own_folder(find_suite("dp1", "dp1.yaml")) is None
+
+
+FOREIGN = """
+from pathlib import Path
+Path("ran").touch()
+raise ImportError("it ran")
+"""
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("report", "run"),
+        ("view", "run"),
+        ("watch", "run"),
+        ("export", "run", "--csv", "tables"),
+        ("export", "run", "--mcap", "games"),
+        ("run", "--out", "run", "--resume"),
+        ("train", "--out", "run", "--resume"),
+        ("evaluate", "--out", "run", "--resume"),
+        ("evaluate", "run"),
+    ],
+    ids=" ".join,
+)
+def test_a_folder_from_elsewhere_runs_nothing(
+    command: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Wherever its code is: in the folder that it names, in the working directory, in both."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run/config.yaml").write_text("suite: foreign:Evil\n")
+    (tmp_path / "run/manifest.json").write_text(json.dumps({"suite_folder": str(tmp_path / "run")}))
+    (tmp_path / "run/rows.jsonl").write_text('{"suite": "evil", "case": "a"}\n')
+    monkeypatch.setattr("uavaccel.cli.view.describe_renderer", lambda: None)
+    for place in ("run", "."):
+        (tmp_path / place / "foreign.py").write_text(FOREIGN)
+        ended(monkeypatch, *command)
+        assert not (tmp_path / "ran").exists()
+        assert "Traceback" not in capsys.readouterr().err
+
+
+def ended(monkeypatch: pytest.MonkeyPatch, *command: str) -> None:
+    monkeypatch.setattr(sys, "argv", ["uavaccel", *command])
+    with pytest.raises(SystemExit):
+        cli.main()
+
+
+def test_own_code_is_trusted_once_until_it_changes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    monkeypatch.setattr(own_code, "_here", {})
+    monkeypatch.delitem(sys.modules, "foreign", raising=False)
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run/config.yaml").write_text("suite: foreign:Evil\n")
+    (tmp_path / "run/manifest.json").write_text(json.dumps({"suite_folder": str(tmp_path)}))
+    (tmp_path / "foreign.py").write_text(FOREIGN)
+
+    def said(*command: str) -> str:
+        own_code._here.clear()  # as in another process
+        ended(monkeypatch, *command)
+        return capsys.readouterr().err
+
+    asks = "foreign.py is code that nobody has trusted here: read it, then add --trust, once"
+    assert asks in said("report", "run")
+    assert "it ran" in said("report", "run", "--trust")
+    monkeypatch.chdir(tmp_path / "run")
+    assert "it ran" in said("report", ".")
+    (tmp_path / "foreign.py").write_text(f"{FOREIGN}\n")
+    assert "foreign.py has changed since it was trusted" in said("report", ".")
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "foreign.py").rename(tmp_path / "elsewhere/foreign.py")
+    (tmp_path / "run/manifest.json").write_text(json.dumps({"suite_folder": str(tmp_path / "elsewhere")}))
+    assert "no module 'foreign' in" in said("report", ".", "--trust")
 
 
 WRONG = """

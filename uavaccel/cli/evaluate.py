@@ -13,12 +13,13 @@ from uavaccel.config import parse_override
 from uavaccel.errors import UsageError, UserError
 from uavaccel.records import RunDirectory
 from uavaccel.suites.grid import parse_sweep
+from uavaccel.suites.registry import open_run
 from uavaccel.suites.runner import check_jobs
 
 
 def evaluate_agent(request: RunRequest, against: Path | None, films: bool) -> None:
     """Evaluate an agent, compare it with another evaluation of the same lanes, and film. Raises UserError."""
-    other = None if against is None else RunDirectory(against)
+    other = None if against is None else open_run(against)
     if not request.dry_run:
         _check_first(request, other, films)
     run = run_experiment(request)
@@ -61,7 +62,7 @@ def sweep_agent(request: RunRequest, sweep: Sequence[str], against: Path | None)
 def _check_first(request: RunRequest, other: RunDirectory | None, films: bool) -> None:
     """Raise UserError for a comparison without a common lane, and for films where nothing can draw."""
     suite, config = configure(request)
-    check_jobs(suite, config, request.jobs)
+    check_jobs(suite, config, request.jobs, request.engine)
     if other is not None:
         theirs = {row["lane"] for row in other.rows() if row.get("suite") == suite.name}
         if not theirs & {case.lane for case in suite.cases(config)}:

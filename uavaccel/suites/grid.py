@@ -27,6 +27,7 @@ from uavaccel.draw.page import Block, Heading, Picture, Table, unknown
 from uavaccel.envs.conditions import CONDITIONS
 from uavaccel.errors import UsageError, UserError, suggestion
 from uavaccel.files import Plain
+from uavaccel.forms import Count, NotNegative, Number, Positive
 from uavaccel.limits import MOST_SCALE, Games
 from uavaccel.metrics.intervals import Proportion, mcnemar_exact
 from uavaccel.metrics.speedup import timing_provenance
@@ -34,11 +35,21 @@ from uavaccel.metrics.trajectory import quartiles
 from uavaccel.records import RunDirectory
 from uavaccel.rl.agents import DEFAULT, policy_sha256
 from uavaccel.suites import plots
-from uavaccel.suites.dp1 import SIMILAR_STLC, Dp1, Dp1Config, Dp1Row, Game, summary_cells
-from uavaccel.suites.experiment import ClockSpeeds, CommandNames, Experiment, ProfileName, distinct, merged, timing_of
+from uavaccel.suites.dp1 import ARRAYS, SIMILAR_STLC, Dp1, Dp1Config, Dp1Row, Game, summary_cells
+from uavaccel.suites.experiment import (
+    ClockSpeeds,
+    CommandName,
+    CommandNames,
+    Experiment,
+    ProfileName,
+    Timing,
+    distinct,
+    merged,
+    timing_of,
+)
 from uavaccel.suites.flight import Flight
 from uavaccel.suites.gpu import on_own_gpu
-from uavaccel.suites.parts import Part, fly_part, outcomes, part_run, part_suite
+from uavaccel.suites.parts import OUTCOMES, Part, fly_part, outcomes, part_run, part_suite
 from uavaccel.suites.report import Report, Summary, finished, source_line, table_of
 from uavaccel.suites.rows import GameRow, Row
 from uavaccel.suites.suite import AnySuite, CaseType, ConfigType, GameResult, SimpleCase, Suite
@@ -146,6 +157,7 @@ class Ablation(Grid[AblationConfig, VariantGame]):
     name = "ablation"
     config = AblationConfig
     row = AblationRow
+    arrays = ARRAYS
     dp1: ClassVar[Dp1] = Dp1()
 
     def points(self, config: AblationConfig) -> Iterator[Point]:
@@ -326,10 +338,10 @@ class PolicyExperiment(Experiment):
 class PolicyRow(GameRow):
     """The row of an evaluation; suites add the keys of their conditions."""
 
-    games: int
-    successes: int
-    distance_m_median: float
-    sim_time_s: float
+    games: Games
+    successes: Count
+    distance_m_median: Number
+    sim_time_s: NotNegative
 
 
 PolicyConfig = TypeVar("PolicyConfig", bound=PolicyExperiment)
@@ -339,6 +351,7 @@ class PolicyGrid(Grid[PolicyConfig, Point]):
     """One policy, evaluated on the same lanes at each point."""
 
     batch = 1
+    arrays = OUTCOMES
     kept: ClassVar[Sequence[str]] = ("games", "successes", "distance_m_median", "sim_time_s")
     """Keys of the evaluation's summary that its row keeps."""
 
@@ -433,7 +446,7 @@ class SweepRow(PolicyRow):
     value: Plain
     same: list[str]
     """In the row as trained, the cases that change nothing and are not flown again."""
-    timing: str
+    timing: Timing
 
 
 def parse_sweep(text: str) -> tuple[str, list[object]]:
@@ -618,9 +631,9 @@ class RobustnessConfig(PolicyExperiment):
 class RobustnessRow(PolicyRow):
     """The row of an evaluation with one command at one latency and ClockSpeed."""
 
-    command: str
-    clock_speed: float
-    latency_scale: float
+    command: CommandName
+    clock_speed: Positive
+    latency_scale: NotNegative
 
 
 FITTED = 1.0
@@ -647,7 +660,10 @@ class Robustness(PolicyGrid[RobustnessConfig]):
             set_to = {"profile": config.profile, "command": command, "clock": clock_speed, "latency": scale}
             keys = {key_of(name): value for name, value in set_to.items()}
             labels = {"command": command, "clock_speed": clock_speed, "latency_scale": scale}
-            yield Point(f"latency{scale:g}-{command}-{clock_speed:g}x", {**keys, "task.timing": "virtual"}, labels)
+            yield Point(self.case_of(labels), {**keys, "task.timing": "virtual"}, labels)
+
+    def case_of(self, row: Plain) -> str:
+        return f"latency{row['latency_scale']:g}-{row['command']}-{row['clock_speed']:g}x"
 
     def summary(self, report: Report) -> Summary:
         """Return each cell with its interval, and where each command and ClockSpeed collapses."""

@@ -10,6 +10,7 @@ from pydantic import Field
 
 from uavaccel.config import Config
 from uavaccel.files import Plain, inside
+from uavaccel.forms import ArrayForm
 from uavaccel.records import RunDirectory
 from uavaccel.suites.experiment import Experiment, merged, read_mapping
 from uavaccel.suites.registry import find_suite, open_run
@@ -60,6 +61,14 @@ def part_simulated_s(part: Part, seed: int) -> float:
 def part_run(run: RunDirectory, name: str) -> RunDirectory:
     """Return a part's run directory. Raises UserError if it was not flown."""
     return open_run(part_folder(run, name))
+
+
+OUTCOMES = {
+    "lane": ArrayForm("iu", ("games",)),
+    "is_success": ArrayForm("b", ("games",)),
+    "distance_m": ArrayForm("f8", ("games",)),
+}
+"""The arrays of an evaluation, as `outcomes` makes them."""
 
 
 def outcomes(run: RunDirectory) -> dict[str, np.ndarray]:

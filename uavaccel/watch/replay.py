@@ -26,6 +26,7 @@ from uavaccel.suites.evaluation.film import best_first
 from uavaccel.suites.evaluation.flights import EvaluateRow, fly_lane
 from uavaccel.suites.old_dp2.config import Dp2Config
 from uavaccel.suites.old_dp2.flights import SCENE as LANE
+from uavaccel.suites.registry import open_run
 from uavaccel.suites.rows import Row
 from uavaccel.suites.suite import choose_row
 from uavaccel.watch.script_flight import script_track
@@ -60,7 +61,7 @@ def recorded(folder: Path, case: str | None = None, game: int | None = None) -> 
         return Replay(track, f"The flight in `{folder}`.", scene)
     if not (folder / "config.yaml").is_file():
         raise UserError(_nothing_in(folder))
-    run = RunDirectory(folder)
+    run = open_run(folder)
     suite = str(run.config().get("suite"))
     row = _chosen(run, case, game)
     return _REPLAYS.get(suite, _of_samples)(run, row)
@@ -77,7 +78,7 @@ def _nothing_in(folder: Path) -> str:
 
 
 def _chosen(run: RunDirectory, case: str | None, game: int | None) -> Row:
-    rows: list[Row] = [row for row in run.rows() if isinstance(row, dict)]
+    rows: list[Row] = run.rows()
     if game is not None and rows:
         if not 0 <= game < len(rows):
             raise UserError(f"--game {game}: {run.path} has {len(rows)} games, from 0 to {len(rows) - 1}")

@@ -12,9 +12,8 @@ from typing_extensions import TypedDict
 from uavaccel.forms import ArrayForm, Count, NotNegative, Positive
 from uavaccel.limits import Games, Seed
 from uavaccel.rl.agents import DEFAULT, FLIGHT, SENSES
-from uavaccel.suites.evaluation.parts import OUTCOMES
 from uavaccel.suites.experiment import CommandName, ProfileName, Timing
-from uavaccel.suites.parts import Part, part_simulated_s, part_suite
+from uavaccel.suites.parts import OUTCOMES, Part, part_simulated_s, part_suite
 from uavaccel.suites.rl.config import RlConfig, SimulatedTiming, pairs
 from uavaccel.suites.rows import GameRow, Phases
 
