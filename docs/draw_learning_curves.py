@@ -8,8 +8,9 @@ Runs of one name share a colour.
 import argparse
 from pathlib import Path
 
+from uavaccel.draw import style
 from uavaccel.records import RunDirectory
-from uavaccel.suites.training.learning_curves import plot_over_time
+from uavaccel.suites.train import Training, time_figure
 
 
 def main() -> None:
@@ -18,7 +19,9 @@ def main() -> None:
     parser.add_argument("runs", nargs="+", help="NAME=FOLDER")
     options = parser.parse_args()
     names, folders = zip(*(run.rpartition("=")[::2] for run in options.runs), strict=True)
-    print(plot_over_time([RunDirectory(folder) for folder in folders], names, options.picture))
+    reports = [Training().report(RunDirectory(folder)) for folder in folders]
+    with style.project_style():
+        print(style.save(time_figure(reports, names), options.picture))
 
 
 if __name__ == "__main__":

@@ -13,12 +13,9 @@ from uavaccel.config import validate
 from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
 from uavaccel.rl import exact_lanes
 from uavaccel.rl.lanes import Lanes
+from uavaccel.suites import trainer
 from uavaccel.suites.evaluation.report import EvaluationReport
-from uavaccel.suites.old_report import Summary
-from uavaccel.suites.training import flights
-from uavaccel.suites.training.config import TrainConfig
-from uavaccel.suites.training.report import TrainingReport
-from uavaccel.suites.training.suite import Training
+from uavaccel.suites.train import TrainConfig, Training
 
 OPTIONS = {"learning_starts": 8, "batch_size": 8, "buffer_size": 300, "target_update_interval": 16}
 
@@ -29,9 +26,9 @@ def tiny_config(task: dict[str, Any] | None = None, **keys: Any) -> TrainConfig:
     return validate(TrainConfig, {**tiny, "task": {"max_commands": 12, **(task or {})}}, "test")
 
 
-def train_into(out: Path, config: TrainConfig, resume: bool = False) -> Summary:
+def train_into(out: Path, config: TrainConfig, resume: bool = False) -> dict[str, Any]:
     """Train; the summary."""
-    return run_into(out, Training(), config, resume)
+    return dict(run_into(out, Training(), config, resume))
 
 
 def side_by_side(task: LaneTask, count: int, *_: Any) -> Lanes:
@@ -42,8 +39,7 @@ def side_by_side(task: LaneTask, count: int, *_: Any) -> Lanes:
 
 def fly_here(put: Callable[[Any, str, Any], None] = setattr) -> None:
     """Trainings fly their lanes in this process and nobody draws them: both take longer than a small one itself."""
-    put(flights, "make_lanes", side_by_side)
+    put(trainer, "make_lanes", side_by_side)
     put(exact_lanes, "begin_exact_lanes", lambda *_: None)
-    for report in (TrainingReport, EvaluationReport):
-        put(report, "figures", lambda _: [])
-    put(TrainingReport, "blocks", lambda *_: [])
+    put(EvaluationReport, "figures", lambda _: [])
+    put(Training, "page", lambda *_: iter(()))

@@ -18,7 +18,7 @@ from uavaccel.records import RunDirectory
 from uavaccel.rl.checkpoint import find_checkpoint
 from uavaccel.rl.config import LearnerConfig
 from uavaccel.rl.policy import MANIFEST, WEIGHTS, load_policy
-from uavaccel.suites.training.config import CHECKPOINTS, TrainConfig
+from uavaccel.suites.train import CHECKPOINTS, TrainConfig
 
 pytestmark = pytest.mark.usefixtures("trainings_here")
 

@@ -25,7 +25,7 @@ from uavaccel.errors import UserError
 from uavaccel.kernels.recording import recording
 from uavaccel.rl.learner import Game
 from uavaccel.rl.policy import weights_sha256
-from uavaccel.suites.training.config import TrainConfig
+from uavaccel.suites.train import TrainConfig
 
 LANES = 3
 VIRTUAL = {"timing": "virtual", "max_commands": 3, "knows": ["frame_age"], "image_processing_s": 0.02}

@@ -32,7 +32,7 @@ from uavaccel.rl import agents
 from uavaccel.rl.policy import load_policy
 from uavaccel.sim.lane.file import LaneFile
 from uavaccel.sim.lane.layout import Difficulty
-from uavaccel.suites.training.config import TrainConfig
+from uavaccel.suites.train import TrainConfig
 from uavaccel.yaml_io import load_yaml
 
 ROOT = Path(__file__).parents[1]

@@ -15,7 +15,6 @@ from scipy.stats import binomtest
 from tests.drawing import headline, labelled, legend_texts, points, tick_texts
 from uavaccel.draw import style
 from uavaccel.suites.evaluation.report import plot_survival
-from uavaccel.suites.training.phases import PhaseTimes, plot_phases
 
 BLUE, ORANGE, GREEN, VERMILION = "#0072b2", "#e69f00", "#009e73", "#d55e00"
 
@@ -53,49 +52,7 @@ def test_ticks_of_trajectories_keep_clear_of_the_common_corner(size_m: float) ->
     assert np.diff(axes.xaxis.get_view_interval()) == pytest.approx(max(size_m, 0.2) * 1.05)
 
 
-# --- training and evaluation --------------------------------------------------------------------------------
-
-
-def test_phases_are_stacked_and_speeds_stand_on_their_own_axis() -> None:
-    drawn: Any = plot_phases(
-        [
-            PhaseTimes("one", {"simulation": 120.0, "image_processing": 30.0}, 40.0),
-            PhaseTimes("two", {"simulation": 60.0, "image_processing": 90.0}, 10.0),
-        ],
-        "where from",
-    )
-    assert headline(drawn) == ("Time of training by phase", "where from")
-    axes, speed = drawn.axes
-    bars = {label: [(b.get_x() + b.get_width() / 2, b.get_y(), b.get_height()) for b in container]
-            for label, container in labelled(axes).items()}  # fmt: skip
-    assert bars == {
-        "simulation": [pytest.approx((0, 0.0, 2.0)), pytest.approx((1, 0.0, 1.0))],
-        "image processing": [pytest.approx((0, 2.0, 0.5)), pytest.approx((1, 1.0, 1.5))],
-    }
-    assert (axes.get_ylabel(), tick_texts(axes.xaxis)) == ("minutes", ["one", "two"])
-    assert points(labelled(speed)["speed (right)"]) == [(0, 40.0), (1, 10.0)]
-    assert (speed.get_ylabel(), speed.get_ylim()) == ("simulated seconds per wall second", (0, 48.0))
-    (legend,) = drawn.legends
-    assert legend_texts(legend) == ["simulation", "image processing", "speed (right)"]
-
-
-@pytest.mark.parametrize(
-    ("longest_s", "unit", "height"), [(7200.0, "hours", 2), (59.0, "seconds", 59), (0.5, "seconds", 0.5)]
-)
-def test_phases_have_the_unit_of_the_longest(longest_s: float, unit: str, height: float) -> None:
-    trainings = [PhaseTimes(name, {"learning": s}, 1.0) for name, s in (("short", 0.1), ("long", longest_s))]
-    axes = plot_phases(trainings, "").axes[0]
-    assert (axes.get_ylabel(), labelled(axes)["learning"][1].get_height()) == (unit, pytest.approx(height))
-
-
-def test_labels_of_phases_do_not_run_into_each_other() -> None:
-    trainings = [
-        PhaseTimes(f"TCSC 100x\nruns/a-training-with-a-long-name-{i}", {"learning": 1.0}, 1.0) for i in (1, 2)
-    ]
-    drawn: Any = plot_phases(trainings, "")
-    drawn.draw_without_rendering()
-    left, right = (label.get_window_extent() for label in drawn.axes[0].get_xticklabels())
-    assert left.x1 < right.x0
+# --- evaluation --------------------------------------------------------------------------------
 
 
 def test_survival_is_the_share_of_games_that_got_at_least_so_far() -> None:

@@ -9,7 +9,7 @@ import pytest
 from tests.running import configured, fly_into
 from uavaccel.records import RunDirectory
 from uavaccel.rl.policy import trained_with
-from uavaccel.suites.training.suite import Training
+from uavaccel.suites.train import Training
 
 TINY = (
     *("task.observation=state", "task.max_commands=6", "hidden=[16]", "mirror=false", "environments=3"),

@@ -38,7 +38,7 @@ from uavaccel.rl.network import contrast
 from uavaccel.rl.policy import weights_sha256
 from uavaccel.rl.replay import Batch
 from uavaccel.rl.statistics import StepStatistics
-from uavaccel.suites.training.config import TrainConfig
+from uavaccel.suites.train import TrainConfig
 
 TASK = {"observation": "state", "headings_deg": [-30.0, 30.0]}
 SHAPE = (3, 13)  # of its observations

@@ -1,4 +1,4 @@
-"""The RL experiment: cells that a kill does not change, Table I's numbers by hand, runs put together, claims."""
+"""The RL experiment: cells that a kill does not change, Table I's numbers by hand, figures, several runs together."""
 
 from __future__ import annotations
 
@@ -6,41 +6,28 @@ import os
 import signal
 import subprocess
 import sys
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any, TextIO, cast, get_type_hints
+from typing import Any, TextIO
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from scipy.stats import binomtest, fisher_exact
 
+from tests.drawing import headline, labelled, points, record_figures, tick_texts
 from tests.opengl import needs_opengl
 from tests.running import configured, run_into
 from uavaccel.config import to_yaml
 from uavaccel.errors import UserError
 from uavaccel.metrics.equivalence import mean_estimate
 from uavaccel.records import RunDirectory
-from uavaccel.rl.agents import DEFAULT
-from uavaccel.suites import gpu, runner
-from uavaccel.suites.paper import policy_claims
-from uavaccel.suites.paper.evidence import NoEvidence, Policies, Undecided
+from uavaccel.suites import gpu, rl, runner
+from uavaccel.suites.paper.evidence import Policies
 from uavaccel.suites.parts import Part, part_suite
-from uavaccel.suites.rl import suite as rl_suite
-from uavaccel.suites.rl.cases import (
-    EXACT,
-    EvaluationResult,
-    TrainingResult,
-    cases,
-    evaluation_part,
-    flights,
-    training_part,
-)
-from uavaccel.suites.rl.config import RlConfig
-from uavaccel.suites.rl.figures import plot_training_time
-from uavaccel.suites.rl.gaps import GapLine, collapse, over_gaps
-from uavaccel.suites.rl.report import RlReport
-from uavaccel.suites.rl.suite import Rl, merge_runs
-from uavaccel.suites.rl.summary import KEY, gap_s, summarise
+from uavaccel.suites.report import Report
+from uavaccel.suites.rl import EvaluationResult, Rl, RlConfig, TrainingResult, other_command, parts_of
+from uavaccel.suites.rl_figures import KEY, collapse, over_gaps
 
 pytestmark = pytest.mark.usefixtures("trainings_here")
 
@@ -61,8 +48,7 @@ import os, signal, sys
 from pathlib import Path
 from uavaccel.config import validate
 from uavaccel.records import RunDirectory
-from uavaccel.suites.rl.config import RlConfig
-from uavaccel.suites.rl.suite import Rl
+from uavaccel.suites.rl import Rl, RlConfig
 from uavaccel.suites.runner import begin_run, run_suite
 from uavaccel.yaml_io import load_yaml
 from tests.learning import fly_here
@@ -94,6 +80,11 @@ def whole(trainings_here: None, tmp_path_factory: pytest.TempPathFactory) -> Run
     out = tmp_path_factory.mktemp("rl") / "whole"
     run_into(out, Rl(), small())
     return RunDirectory(out)
+
+
+@pytest.fixture
+def drawn(monkeypatch: pytest.MonkeyPatch) -> dict[str, Figure]:
+    return record_figures(monkeypatch)
 
 
 # --- cells ------------------------------------------------------------------------------------------------------
@@ -154,81 +145,72 @@ def interrupt_at_row(patch: pytest.MonkeyPatch, case: str) -> None:
     patch.setattr(RunDirectory, "append_row", interrupted)
 
 
-def trainings(run: RunDirectory) -> list[dict[str, Any]]:
-    return [row for row in run.rows() if "training" in row]
-
-
 @pytest.mark.slow
-def test_native_tcsc_learns_at_100x_what_it_does_in_lockstep(whole: RunDirectory) -> None:
-    weights = {row["case"]: row["training"]["weights_sha256"] for row in trainings(whole)}
-    assert weights["native-virtual-tcsc-100x-seed0"] == weights["native-lockstep-tcsc-1x-seed0"]
-    assert weights["airsim-virtual-adsc-1x-seed0"] != weights["airsim-virtual-adsc-5x-seed0"]
-
-
-@pytest.mark.slow
-def test_policies_fly_in_real_time_on_the_clock_and_the_profile_of_their_training(
-    whole: RunDirectory,
-) -> None:
-    """The lanes of seed 0, whatever the seed of the training; with the other command too."""
-    for row in trainings(whole):
-        commands = sorted(("tcsc", "adsc"), key=lambda command: command != row["command"])
-        assert [flown["command"] for flown in row["evaluations"]] == commands
+def test_policies_fly_in_real_time_on_the_clock_and_the_profile_of_their_training(whole: RunDirectory) -> None:
+    """The lanes of seed 0, whatever the seed of the training; with the other command, and in the exact simulator."""
+    rows = {row["case"]: row for row in whole.rows()}
+    compared = {tuple(each[name] for name in KEY): each for each in whole.read_json("summary.json")["exact"]}
+    for name, row in rows.items():
+        if "training" not in row:
+            continue
+        commands = [row["command"], other_command(row["command"])]
         parts = {"training": (row["command"], row["clock_speed"], row["seed"], 3)}
         parts |= {f"evaluation-{command}": (command, 1.0, 0, 2) for command in commands}
         for part, expected in parts.items():
-            config = RunDirectory(whole.path / "parts" / row["case"] / part).config()
+            config = RunDirectory(whole.path / "parts" / name / part).config()
             task = config["task"]
             assert (task["command"], task["clock_speed"], config["seed"], config["games"]) == expected
             assert (task["timing"], task["profile"]) == (row["timing"], row["profile"])
-        for flown in row["evaluations"]:
-            rows = RunDirectory(whole.path / f"parts/{row['case']}/evaluation-{flown['command']}").rows()
-            assert (flown["games"], flown["clock_speed"]) == (2, 1.0)
-            assert flown["successes"] == sum(each["is_success"] for each in rows)
-            found = whole.load_arrays(row)
-            for name in ("distance_m", "lane"):
-                assert found[f"{flown['command']}_{name}"].tolist() == [each[name] for each in rows]
+        ours = whole.load_arrays(row)
+        for command, flown in zip(commands, row["evaluations"], strict=True):
+            games = RunDirectory(whole.path / f"parts/{name}/evaluation-{command}").rows()
+            assert (flown["command"], flown["clock_speed"], flown["simulator"]) == (command, 1.0, "kernels")
+            assert (flown["games"], flown["successes"]) == (2, sum(game["is_success"] for game in games))
+            for key in ("distance_m", "lane", "is_success"):
+                assert ours[f"{command}_{key}"].tolist() == [game[key] for game in games]
+        exact = rows[f"{name}-exact"]
+        (flown,), theirs = exact["evaluations"], whole.load_arrays(exact)
+        assert (flown["simulator"], flown["command"], flown["clock_speed"]) == ("mujoco", row["command"], 1.0)
+        assert theirs["exact_lane"].tolist() == ours[f"{row['command']}_lane"].tolist() == [0, 1]
+        if row["profile"] == "native":  # nothing is seen, and no latency is drawn: equal to the last bit
+            np.testing.assert_array_equal(theirs["exact_distance_m"], ours["tcsc_distance_m"])
+        told = compared[tuple(row[key] for key in KEY)]
+        assert (told["lanes"], told["same_end"], told["mcnemar_p"]) == (2, 2, 1.0)
+    weights = {name: row["training"]["weights_sha256"] for name, row in rows.items() if "training" in row}
+    assert weights["native-virtual-tcsc-100x-seed0"] == weights["native-lockstep-tcsc-1x-seed0"]
+    assert weights["airsim-virtual-adsc-1x-seed0"] != weights["airsim-virtual-adsc-5x-seed0"]
 
 
 def test_a_policy_is_flown_as_it_was_trained_and_with_the_other_command_where_that_is_asked_for() -> None:
     def flown(*overrides: str) -> list[Any]:
         config = small(*overrides, clock_speed=[5.0], command=["adsc"])
-        return [tuple(flights(config, cell)) for cell in Rl().cases(config)]
+        return [
+            [
+                (name.removeprefix("evaluation-"), *(part.keys[f"task.{key}"] for key in ("command", "clock_speed")))
+                for name, (part, _) in parts_of(config, cell).items()
+                if name != "training"
+            ]
+            for cell in Rl().cases(config)
+        ]
 
-    own, other = ("adsc", 1.0, "adsc"), ("tcsc", 1.0, "tcsc")
-    fast, other_fast = ("adsc", 5.0, "adsc-5x"), ("tcsc", 5.0, "tcsc-5x")
-    exact = (("adsc", 1.0, "exact"),)
-    assert flown() == [(own, other), exact]
-    assert flown("interchange=false", "as_trained=true") == [(own, fast), exact]
-    assert flown("as_trained=true", "exact_seeds=0") == [(own, other, fast, other_fast)]
-
-
-@pytest.mark.slow
-def test_exact_flights_are_of_the_trained_policy_on_the_same_lanes(whole: RunDirectory) -> None:
-    rows = {row["case"]: row for row in whole.rows()}
-    compared = {tuple(each[name] for name in KEY): each for each in whole.read_json("summary.json")["exact"]}
-    for row in trainings(whole):
-        exact = rows[row["case"] + "-exact"]
-        (flown,) = exact["evaluations"]
-        assert (flown["simulator"], flown["command"], flown["clock_speed"]) == ("mujoco", row["command"], 1.0)
-        assert row["evaluations"][0]["simulator"] == "kernels"
-        ours, theirs = whole.load_arrays(row), whole.load_arrays(exact)
-        assert theirs["exact_lane"].tolist() == ours[f"{row['command']}_lane"].tolist() == [0, 1]
-        if row["profile"] == "native":  # nothing is seen, and no latency is drawn: equal to the last bit
-            np.testing.assert_array_equal(theirs["exact_distance_m"], ours["tcsc_distance_m"])
-        told = compared[tuple(row[name] for name in KEY)]
-        assert (told["lanes"], told["same_end"], told["mcnemar_p"]) == (2, 2, 1.0)
+    own, other = ("adsc", "adsc", 1.0), ("tcsc", "tcsc", 1.0)
+    fast, other_fast = ("adsc-5x", "adsc", 5.0), ("tcsc-5x", "tcsc", 5.0)
+    exact = [("exact", "adsc", 1.0)]
+    assert flown() == [[own, other], exact]
+    assert flown("interchange=false", "as_trained=true") == [[own, fast], exact]
+    assert flown("as_trained=true", "exact_seeds=0") == [[own, other, fast, other_fast]]
 
 
-def test_exact_flights_are_of_the_kernels_lanes() -> None:
-    for other in ("games", "first_lane"):
-        with pytest.raises(
-            UserError, match=r"exact\.keys: games and first_lane must be those of evaluation\.keys"
-        ):
-            small(f"exact.keys.{other}=3")
-    with pytest.raises(
-        UserError, match=r"exact_seeds: needs .* beside an evaluation by the kernels, not by mujoco"
-    ):
-        small("evaluation.keys.simulator=mujoco")
+def test_what_a_decision_takes_it_takes_in_evaluations_too() -> None:
+    keys = "training: {inference_s: 0.03, learning_s: 0.5}, task: {t_move_s: .8}"
+    config = small(f"cells=[{{profile: airsim, clock_speed: [5], {keys}}}]")
+    for cell in Rl().cases(config):
+        for name, (part, seed) in parts_of(config, cell).items():
+            found: Any = part_suite(part, seed)[1]
+            assert found.inference_s == 0.03
+            assert (found.task.t_move_s, "learning_s" in part.keys) == (
+                (0.8, True) if name == "training" else (1.0, False)
+            )
 
 
 def test_each_seed_trains_a_policy_of_its_own_which_flies_the_lanes_of_seed_0(
@@ -242,11 +224,10 @@ def test_each_seed_trains_a_policy_of_its_own_which_flies_the_lanes_of_seed_0(
         folder = run.path / "parts" / name
         folder.mkdir(parents=True)
         (folder / "config.yaml").write_text("suite: any\n")
-        names = (*get_type_hints(TrainingResult), *get_type_hints(EvaluationResult))
-        return dict.fromkeys(names)
+        return dict.fromkeys((*TrainingResult.__annotations__, *EvaluationResult.__annotations__))
 
-    monkeypatch.setattr(rl_suite, "fly_part", fly_at_once)
-    monkeypatch.setattr(rl_suite, "outcomes", lambda _: {})
+    monkeypatch.setattr(rl, "fly_part", fly_at_once)
+    monkeypatch.setattr(rl, "outcomes", lambda _: {})
     config = small("interchange=false", "exact_seeds=2", clock_speed=[100.0], seed=4, seeds=2)
     run = RunDirectory.create(tmp_path / "run", config, {})
     rows = [Rl().fly(config, case, run).row for case in Rl().cases(config)]
@@ -258,20 +239,32 @@ def test_each_seed_trains_a_policy_of_its_own_which_flies_the_lanes_of_seed_0(
         ("seed4/evaluation-exact", 0, "seed4/training"),
         ("seed5/evaluation-exact", 0, "seed5/training"),
     ]
-    assert [(row["seed"], "training" in row) for row in rows] == [
-        (4, True),
-        (5, True),
-        (4, False),
-        (5, False),
-    ]
+    assert [(row["seed"], "training" in row) for row in rows] == [(4, True), (5, True), (4, False), (5, False)]
 
 
-def test_a_run_grows_by_seeds_and_what_builds_on_trainings_waits_for_all_of_them() -> None:
-    few, many = ([case.id for case in Rl().cases(small(seeds=seeds))] for seeds in (1, 2))
-    assert set(few) <= set(many)
+def test_seeds_are_outermost_and_options_choose_cells() -> None:
+    """A run grows by seeds; what builds on trainings waits for all of them."""
+
+    def names(**options: Any) -> list[str]:
+        return [case.id for case in Rl().cases(small(**options))]
+
+    some = [name for name in names(command=["adsc"], seeds=2) if not name.endswith("-exact")]
+    assert some == [f"airsim-virtual-adsc-{k}x-seed{seed}" for seed in (0, 1) for k in (1, 5)]
+    once = "native-lockstep-tcsc-1x-seed3"
+    assert names(timing="lockstep", seed=3) == [once, f"{once}-exact"]
+    few, many = names(), names(seeds=2)
+    assert [name[-1] for name in many[:12]] == ["0"] * 6 + ["1"] * 6
+    assert (len(few), set(few) <= set(many)) == (12, True)
     assert set(Rl().may_grow(Path())) == {"seeds", "exact_seeds"}
     groups: list[Any] = [group for _, group in runner._groups(Rl(), Rl().cases(small(seeds=2)))]
     assert [(len(group), {Rl().stage(case) for case in group}) for group in groups] == [(12, {0}), (6, {1})]
+
+
+def test_a_dry_run_counts_the_games_of_all_parts_and_seeds_are_the_runs_unless_keys_name_others() -> None:
+    config = configured("rl_session", seeds=1, clock_speed=[1.0], profile="airsim")
+    assert [Rl().games(config, case) for case in Rl().cases(config)] == [1600, 1600]  # each policy flies twice
+    for keys, seed in (({}, 3), ({"seed": 9}, 9)):
+        assert part_suite(Part(experiment="evaluate", keys=keys), 3)[1].seed == seed
 
 
 @pytest.mark.slow
@@ -284,150 +277,112 @@ def test_a_cell_learns_from_pictures(tmp_path: Path) -> None:
     assert cell["training_speedup"] is None  # without the same at 1x
 
 
-def test_seeds_are_outermost_and_options_choose_cells() -> None:
-    def names(**options: Any) -> list[str]:
-        return [case.id for case in Rl().cases(small(**options))]
-
-    def names_of_trainings(**options: Any) -> list[str]:
-        return [name for name in names(**options) if not name.endswith("-exact")]
-
-    some = names_of_trainings(command=["adsc"], seeds=2)
-    assert some == [f"airsim-virtual-adsc-{k}x-seed{seed}" for seed in (0, 1) for k in (1, 5)]
-    once = "native-lockstep-tcsc-1x-seed3"
-    assert names(timing="lockstep", seed=3) == [once, f"{once}-exact"]
-    assert len(names()) == 12
-
-
-def test_a_part_has_the_seed_of_the_run_unless_its_keys_name_another() -> None:
-    for keys, seed in (({}, 3), ({"seed": 9}, 9)):
-        assert part_suite(Part(experiment="evaluate", keys=keys), 3)[1].seed == seed
-
-
-def test_a_dry_run_counts_games_and_one_checkpoint() -> None:
-    def disk_bytes(config: Any) -> float:
-        return sum(Rl().cost(config, case).disk_bytes for case in Rl().cases(config))
-
-    config = configured("rl_session", seeds=1, clock_speed=[1.0], profile="airsim")
-    assert [Rl().games(config, case) for case in Rl().cases(config)] == [
-        1600,
-        1600,
-    ]  # each policy flies twice
-    often = configured(
-        "rl_session", "training.keys.checkpoint_games=500", seeds=1, clock_speed=[1.0], profile="airsim"
-    )
-    assert (
-        disk_bytes(often) - disk_bytes(config) == 2 * 150_000 * 3 * 36 * 64
-    )  # both observations of a transition
-
-
 @pytest.mark.parametrize(
-    ("options", "said"),
+    ("overrides", "options", "said"),
     [
-        ({"clock_speed": [7.0]}, r"clock_speed = 7.0 is in no cell; there are 1.0, 5.0, 100.0"),
-        ({"profile": "native", "command": ["adsc"]}, "together select no cell"),
-        ({"timing": "wall"}, "should be 'virtual' or 'lockstep'"),
+        ([], {"clock_speed": [7.0]}, r"clock_speed = 7.0 is in no cell; there are 1.0, 5.0, 100.0"),
+        ([], {"profile": "native", "command": ["adsc"]}, "together select no cell"),
+        ([], {"timing": "wall"}, "should be 'virtual' or 'lockstep'"),
+        (["evaluation.keys.gamess=1"], {}, "evaluate.yaml: unknown key 'gamess'"),
+        (["training.keys.environment=2"], {}, "train.yaml: unknown key 'environment'"),
+        (["cells.2={profile: airsim, clock_speed: [5]}"], {}, "airsim virtual adsc at 5x twice; give one a `variant`"),
+        (["exact.keys.games=3"], {}, r"exact\.keys: games and first_lane must be those of evaluation\.keys"),
+        (["exact.keys.first_lane=3"], {}, r"exact\.keys: games and first_lane must be those of evaluation\.keys"),
+        (["evaluation.keys.simulator=mujoco"], {}, r"exact_seeds: needs .* beside an evaluation .* not by mujoco"),
     ],
 )
-def test_a_choice_that_cannot_be_is_one_clear_line(options: dict[str, Any], said: str) -> None:
+def test_what_cannot_be_is_one_clear_line_before_anything_is_flown(
+    overrides: list[str], options: dict[str, Any], said: str
+) -> None:
     with pytest.raises(UserError, match=said) as caught:
-        small(**options)
+        small(*overrides, **options)
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize(
-    ("override", "said"),
-    [
-        ("evaluation.keys.gamess=1", "evaluate.yaml: unknown key 'gamess'"),
-        ("training.keys.environment=2", "train.yaml: unknown key 'environment'"),
-        (
-            "cells.2={profile: airsim, clock_speed: [5]}",
-            "airsim virtual tcsc at 5x twice; give one a `variant`",
-        ),
-    ],
-)
-def test_a_part_that_cannot_be_is_refused_before_anything_is_flown(override: str, said: str) -> None:
-    with pytest.raises(UserError, match=said):
-        small(override)
+@pytest.mark.parametrize(("experiment", "cells"), [("rl_collapse", 65), ("rl_latency", 15)])
+def test_the_shipped_maps_of_gaps_can_be_trained_and_flown(experiment: str, cells: int) -> None:
+    config = configured(experiment, "seeds=1")  # which checks it
+    assert len(list(Rl().cases(config))) == cells
 
 
 # --- numbers ----------------------------------------------------------------------------------------------------
 
 LANES = 40
+Won = Sequence[int] | Mapping[tuple[str, float], Sequence[int]]
+"""The lanes that a policy won, in real time with its own command, or in flights with others."""
 
 
-def made(command: str, clock_speed: float, won: list[list[int]], wall_s: float) -> list[Any]:
-    """A row for each seed that won those lanes; of a command three quarters of `wall_s` fly, and 0.25 s draw."""
-    return [
-        {
-            "variant": "",
-            "profile": "airsim",
-            "timing": "virtual",
-            "command": command,
-            "clock_speed": clock_speed,
-            "seed": seed,
-            "case": f"{command}-{clock_speed:g}-{seed}",
-            "training": {
-                "games": 10,
-                "successes": 4,
-                "commands": 100 * (seed + 1),
-                "sim_time_s": 100.0 * (seed + 1),
-                "weights_sha256": "f00",
-                "phase_s": {
-                    phase: 100 * (seed + 1) * spent_s
-                    for phase, spent_s in {
-                        "simulation": 0.75 * wall_s,
-                        "rendering": 0.25,
-                        "image_processing": 0.001,
-                        "inference": 0.002,
-                        "learning": 0.007,
-                    }.items()
-                },
-            },
-            "evaluations": [flight(command, 1.0, len(lanes))],
-            "lanes": lanes,
+def made(command: str, clock_speed: float, won: Sequence[Won], wall_s: float = 1.0, **keys: Any) -> list[Any]:
+    """A row for each seed; of a command three quarters of `wall_s` fly, and 0.25 s draw."""
+    rows = []
+    spent_s = {"simulation": 0.75 * wall_s, "rendering": 0.25}
+    spent_s |= {"image_processing": 0.001, "inference": 0.002, "learning": 0.007}
+    for seed, lanes in enumerate(won):
+        flights = lanes if isinstance(lanes, Mapping) else {(command, 1.0): lanes}
+        commands = 100 * (seed + 1)
+        row: dict[str, Any] = {"suite": "rl", "variant": "", "profile": "airsim", "timing": "virtual", "seed": seed}
+        row |= {"command": command, "clock_speed": clock_speed, **keys}
+        row["case"] = "-".join(str(row[name]) for name in (*KEY, "seed"))
+        row["training"] = {
+            "games": 10,
+            "successes": 3 + seed,
+            "commands": commands,
+            "sim_time_s": float(commands),
+            "weights_sha256": "f00",
+            "phase_s": {phase: commands * each for phase, each in spent_s.items()},
         }
-        for seed, lanes in enumerate(won)
-    ]
+        row["evaluations"] = [flight(*each, len(some)) for each, some in flights.items()]
+        row["lanes"] = {f"{name}" if at == 1.0 else f"{name}-{at:g}x": some for (name, at), some in flights.items()}
+        rows.append(row)
+    return rows
 
 
 def flight(command: str, clock_speed: float, successes: int) -> dict[str, Any]:
-    name = f"{command}-{clock_speed:g}x"
-    return {
-        "name": name,
-        "command": command,
-        "clock_speed": clock_speed,
-        "successes": successes,
-        "games": LANES,
-    }
+    return {"command": command, "clock_speed": clock_speed, "successes": successes, "games": LANES}
 
 
-def load(row: Any) -> dict[str, np.ndarray]:
-    lane = np.arange(LANES)
-    won = np.isin(lane, row["lanes"])
-    outcomes = {"lane": lane, "is_success": won, "distance_m": np.where(won, 150.0, 10.0 + lane)}
-    return {f"{row['command']}_{name}": each for name, each in outcomes.items()}
+def exact_of(row: dict[str, Any], lanes: Sequence[int]) -> dict[str, Any]:
+    """The row of a policy's flight in the exact simulator."""
+    exact = {key: value for key, value in row.items() if key != "training"}
+    flown = [flight(row["command"], 1.0, len(lanes))]
+    return exact | {"case": f"{row['case']}-exact", "evaluations": flown, "lanes": {"exact": lanes}}
 
 
-def test_every_number_of_table_i_and_figure_9() -> None:
-    rows = made("tcsc", 1.0, [list(range(30)), list(range(20))], 1.0)
-    rows += made("tcsc", 5.0, [list(range(25, 35)), list(range(12))], 0.25)
-    rows += made("adsc", 1.0, [list(range(9))], 0.5)
-    summary = summarise({"seed": 0, "games": 10, "evaluation_clock_speed": 1.0}, rows, load)
-    assert [cell["successes"] for cell in summary["cells"]] == [30, 20, 10, 12, 9]
-    assert summary["cells"][2]["distance_m_median"] == float(
-        np.median([10.0 + n for n in range(40) if not 25 <= n < 35] + [150.0] * 10)
-    )
-    real_time, fast, adsc = summary["pooled"]
+def report_of(path: Path, rows: Sequence[Any], took_s: Sequence[float] = (), **options: Any) -> Report:
+    """The report of a run of these rows; games that were not won ended at 10 m on lane 0, 11 m on lane 1 and so on."""
+    run, lane = RunDirectory.create(path, small(**options), {}), np.arange(LANES)
+    for row in rows:
+        arrays: dict[str, np.ndarray] = {}
+        for name, lanes in row["lanes"].items():
+            won = np.isin(lane, lanes)
+            arrays |= {f"{name}_lane": lane, f"{name}_is_success": won}
+            arrays[f"{name}_distance_m"] = np.where(won, 150.0, 10.0 + lane)
+        own = {key: value for key, value in row.items() if key != "lanes"}
+        run.append_row(own | run.save_arrays(row["case"], arrays))
+    for row, each in zip(rows, took_s, strict=False):
+        run.append_timing({"case": row["case"], "training_s": each})
+    return Rl().report(run)
+
+
+def test_every_number_of_table_i_and_figure_9(tmp_path: Path) -> None:
+    rows = made("tcsc", 1.0, [range(30), range(20)])
+    rows += made("tcsc", 5.0, [range(25, 35), range(12)], 0.25)
+    rows += made("adsc", 1.0, [range(9)], 0.5)
+    rows += made("tcsc", 5.0, [range(3)], profile="native") + made("tcsc", 1.0, [range(3)], timing="lockstep")
+    summary = report_of(tmp_path / "run", rows).summary
+    assert [cell["successes"] for cell in summary["cells"]] == [30, 20, 10, 12, 9, 3, 3]
+    lost_m = [10.0 + n for n in range(40) if not 25 <= n < 35]
+    assert summary["cells"][2]["distance_m_median"] == float(np.median(lost_m + [150.0] * 10))
+    real_time, fast, adsc, native, lockstep = summary["pooled"]
     assert (fast["successes"], fast["games"], fast["successes_by_seed"]) == (22, 80, [10, 12])
     wilson = binomtest(22, 80).proportion_ci(method="wilson")
     assert (fast["wilson_low"], fast["wilson_high"]) == (wilson.low, wilson.high)
     assert fast["fisher_p"] == pytest.approx(fisher_exact(np.array([[22, 58], [50, 30]])).pvalue)
     # Lanes 0 to 24 of seed 0 and 12 to 19 of seed 1 were won at 1x alone, 30 to 34 of seed 0 at 5x alone.
     assert fast["mcnemar_p"] == pytest.approx(binomtest(5, 5 + 25 + 8).pvalue)
-    assert (fast["paper_successes"], real_time["paper_successes"]) == (30, 21)
-    assert fast["permutation_p"] == pytest.approx(
-        2 / 6
-    )  # of six ways to share four trainings out, two are as far
+    assert (fast["paper_successes"], real_time["paper_successes"], native["paper_successes"]) == (30, 21, None)
+    # of six ways to share four trainings out, two are as far
+    assert fast["permutation_p"] == pytest.approx(2 / 6)
     over_seeds = mean_estimate([10 / LANES, 12 / LANES])  # wider than Wilson's of the games
     assert (fast["seeds_low"], fast["seeds_high"]) == (max(0.0, over_seeds.low), over_seeds.high)
     assert (adsc["seeds_low"], adsc["seeds_high"]) == (adsc["wilson_low"], adsc["wilson_high"])
@@ -439,119 +394,59 @@ def test_every_number_of_table_i_and_figure_9() -> None:
     assert (fast["trained_games"], fast["commands"], fast["sim_time_s"]) == (20, 300, 300.0)
     assert fast["real_time_s"] == pytest.approx(300 * 0.635)
     assert (fast["paper_training_speedup"], fast["paper_whole_training_speedup"]) == (4.0, 3.6)
-    assert real_time["training_speedup"] == pytest.approx(0.625)
-    assert adsc["training_speedup"] == 1.0
-    assert real_time["fisher_p"] is real_time["permutation_p"] is None
+    assert (real_time["training_speedup"], adsc["training_speedup"]) == (pytest.approx(0.625), 1.0)
+    assert real_time["fisher_p"] is real_time["permutation_p"] is native["fisher_p"] is None
+    assert native["training_speedup"] is lockstep["training_speedup"] is lockstep["fisher_p"] is None
 
 
-def test_both_simulators_ends_are_paired_by_seed_and_lane() -> None:
+def test_both_simulators_ends_are_paired_by_seed_and_lane(tmp_path: Path) -> None:
     """The exact one flew seed 1's policy alone; the same end is a game won in both, or lost in both."""
-    rows = made("tcsc", 1.0, [list(range(40)), list(range(12))], 1.0)
-    (exact,) = made("tcsc", 1.0, [[*range(2, 12), 39]], 1.0)
-    exact |= {"seed": 1, "case": "exact"}
-    del exact["training"]
-
-    def of_both(row: Any) -> dict[str, np.ndarray]:
-        arrays = load(row)
-        return (
-            arrays
-            if "training" in row
-            else {name.replace("tcsc", EXACT): each for name, each in arrays.items()}
-        )
-
-    (found,) = summarise({"seed": 0, "games": 10, "evaluation_clock_speed": 1.0}, [*rows, exact], of_both)[
-        "exact"
-    ]
+    rows = made("tcsc", 1.0, [range(40), range(12)])
+    (found,) = report_of(tmp_path / "run", [*rows, exact_of(rows[1], [*range(2, 12), 39])]).summary["exact"]
     assert found["seeds"] == [1]
     assert (found["kernels"]["successes"], found["exact"]["successes"]) == (12, 11)
     assert (found["lanes"], found["same_end"]) == (40, 37)
     assert found["mcnemar_p"] == pytest.approx(binomtest(1, 3).pvalue)
 
 
-def test_weights_are_the_same_where_every_clock_speed_learned_them() -> None:
-    rows = (
-        made("tcsc", 1.0, [[], [], []], 1.0) + made("tcsc", 5.0, [[], []], 1.0) + made("adsc", 1.0, [[]], 1.0)
-    )
-    rows[4]["training"]["weights_sha256"] = "other"  # of seed 1; seed 2 was not trained at 5x
-    (found,) = summarise({"seed": 0, "games": 10, "evaluation_clock_speed": 1.0}, rows, load)["same_weights"]
+def test_weights_are_the_same_where_every_clock_speed_learned_them(tmp_path: Path, drawn: dict[str, Figure]) -> None:
+    rows = made("tcsc", 1.0, [[]] * 4) + made("tcsc", 5.0, [[]] * 3) + made("adsc", 1.0, [[]])
+    rows[5]["training"]["weights_sha256"] = "other"  # of seed 1; seed 3 was not trained at 5x
+    report = report_of(tmp_path / "run", rows)
+    (found,) = report.summary["same_weights"]
     assert (found["command"], found["clock_speed"]) == ("tcsc", [1.0, 5.0])
-    assert (found["seeds"], found["equal"]) == ([0, 1], [0])
+    assert (found["seeds"], found["equal"]) == ([0, 1, 2], [0, 2])
+    said = "TCSC, airsim: of 3 seeds 2 learned the same weights at 1x, 5x: 1 learned others."
+    assert said in list(Rl().page(report))
 
 
-def test_the_interchange_test_pairs_the_same_policies_lanes() -> None:
-    (row,) = made("tcsc", 1.0, [list(range(30))], 1.0)
-    row["evaluations"].append(flight("adsc", 1.0, 24))
+def test_a_variant_is_held_against_the_plain_training_on_the_same_lanes(tmp_path: Path) -> None:
+    def flights(*counts: int) -> Any:
+        return {("adsc", at): range(count) for at, count in zip((1.0, 5.0), counts, strict=False)}
 
-    def both(row: Any) -> dict[str, np.ndarray]:
-        adsc = load({"command": "adsc", "lanes": range(10, 34)})
-        return load(row) | adsc
-
-    summary = summarise({"seed": 0, "games": 10, "evaluation_clock_speed": 1.0}, [row], both)
-    (test,) = summary["interchange"]
-    assert [flown["successes"] for flown in test["flown_with"]] == [30, 24]
-    assert (test["only_first"], test["only_second"]) == (10, 4)
-    assert test["mcnemar_p"] == pytest.approx(binomtest(4, 14).pvalue)
-
-
-def test_a_variant_is_held_against_the_plain_training_on_the_same_lanes() -> None:
-    plain, told = (made("adsc", 5.0, [list(range(count))], 0.25)[0] for count in (20, 32))
-    told |= {"variant": "told", "case": "told"}
-    for row, count in ((plain, 4), (told, 15)):
-        row["evaluations"].append(flight("adsc", 5.0, count))
-
-    def both(row: Any) -> dict[str, np.ndarray]:
-        fast = load({"command": "adsc", "lanes": range(row["evaluations"][-1]["successes"])})
-        return load(row) | {name.replace("adsc", "adsc-5x"): each for name, each in fast.items()}
-
-    config = {"seed": 0, "games": 10, "evaluation_clock_speed": 1.0}
-    without, within = summarise(config, [plain, told], both)["as_trained"]
+    plain, told = (
+        made("adsc", 5.0, [flights(*counts)], variant=name) for *counts, name in ((20, 4, ""), (32, 15, "told"))
+    )
+    without, within = report_of(tmp_path / "both", plain + told).summary["as_trained"]
     assert without["as_trained"]["mcnemar_p"] is None
     assert (within["real_time"]["successes"], within["as_trained"]["successes"]) == (32, 15)
     assert within["real_time"]["mcnemar_p"] == pytest.approx(binomtest(0, 12).pvalue)
     assert within["as_trained"]["mcnemar_p"] == pytest.approx(binomtest(0, 11).pvalue)
-    assert within["as_trained"]["fisher_p"] == pytest.approx(
-        fisher_exact(np.array([[15, 25], [4, 36]])).pvalue
-    )
-    plain["evaluations"].pop()  # flown in real time alone: a variant's two flights have nothing beside them
-    (alone,) = summarise(config, [plain, told], both)["as_trained"]
+    assert within["as_trained"]["fisher_p"] == pytest.approx(fisher_exact(np.array([[15, 25], [4, 36]])).pvalue)
+    slow = made("adsc", 5.0, [flights(20)])  # flown in real time alone: a variant's flights have nothing beside them
+    (alone,) = report_of(tmp_path / "slow", slow + told).summary["as_trained"]
     assert alone["real_time"]["mcnemar_p"] is alone["as_trained"]["mcnemar_p"] is None
 
 
-def test_times_of_a_figure_are_means_of_the_seeds_and_rendering_is_of_simulation() -> None:
-    rows = made("tcsc", 1.0, [[0], [1]], 1.0)
-    (cell,) = summarise({"seed": 0, "games": 10, "evaluation_clock_speed": 1.0}, rows, load)["pooled"]
-    bars = plot_training_time({"TCSC": {1.0: cell}}, "modelled").axes[0].containers
-    minutes = {str(bar.get_label()): bar[0].get_height() for bar in cast(Any, bars)}
-    assert minutes == pytest.approx({
-        "simulation (with rendering)": 2.5, "image processing": 0.0025, "inference": 0.005, "learning": 0.0175,
-    })  # fmt: skip
-
-
-def test_success_that_no_seed_varies_has_the_width_of_the_games() -> None:
-    rows = made("adsc", 5.0, [[], [], []], 0.25) + made("tcsc", 5.0, [list(range(LANES))] * 3, 0.25)
-    cells = summarise({"seed": 0, "games": 10, "evaluation_clock_speed": 1.0}, rows, load)["pooled"]
-    for cell, successes in zip(cells, (0, 3 * LANES), strict=True):
-        wilson = binomtest(successes, 3 * LANES).proportion_ci(method="wilson")
-        assert (cell["seeds_low"], cell["seeds_high"]) == (wilson.low, wilson.high)
-        assert cell["seeds_low"] < cell["seeds_high"]
-
-
-@pytest.mark.parametrize(
-    ("clock_speed", "wall_s", "gap"),
-    [
-        (5.0, 0.4, 0.55),  # .3 s of flight and .01 s beside it pass at 5x: 1.55 s; the pictures' .25 s stand
-        (5.0, 0.1, 0.0),  # commands that collisions end early
-        (100.0, 0.04, 0.04 * 200 / 3 - 1.0),  # a tick of 3 ms takes 45 us: no more than 66.7x
-    ],
-)
-def test_the_gap_is_what_passes_beyond_t_move_while_the_clock_runs(
-    clock_speed: float, wall_s: float, gap: float
-) -> None:
-    rows = made("adsc", clock_speed, [[0], [1]], wall_s)
-    assert gap_s(rows) == pytest.approx(gap)
-    (cell,) = summarise({"seed": 0, "games": 10, "evaluation_clock_speed": 1.0}, rows, load)["pooled"]
-    assert cell["gap_s"] == gap_s(rows)
-    assert gap_s(made("tcsc", clock_speed, [[0]], wall_s)) == 0.0  # its clock is paused
+def test_the_gap_is_what_passes_beyond_t_move_while_the_clock_runs(tmp_path: Path) -> None:
+    rows = made(
+        "adsc", 5.0, [[0], [1]], 0.4
+    )  # .3 s of flight and .01 s beside it pass at 5x; the pictures' .25 s stand
+    rows += made("adsc", 10.0, [[0]], 0.05)  # commands that collisions end early
+    rows += made("adsc", 100.0, [[0]], 0.04)  # a tick of 3 ms takes 45 us: no more than 66.7x
+    rows += made("tcsc", 5.0, [[0]], 0.4)  # its clock is paused
+    gaps = [cell["gap_s"] for cell in report_of(tmp_path / "run", rows).summary["pooled"]]
+    assert gaps == [pytest.approx(0.55), 0.0, pytest.approx(0.04 * 200 / 3 - 1.0), 0.0]
 
 
 def thought(command: str, variant: str, gap: float, won: int) -> dict[str, Any]:
@@ -569,117 +464,79 @@ def test_the_gap_from_which_a_policy_fails_is_the_one_that_success_never_recover
     cells += [thought("tcsc", f"think_{n}ms", 0.0, 90) for n in range(3)]  # one gap: nothing to be said of it
     cells.append(thought("adsc", "plain_dqn", 0.2, 1))  # a cell alone is no line
     lines = over_gaps(cells)
-    assert [(line.label, [cell["gap_s"] for cell in line.cells]) for line in lines] == [
-        ("ADSC, airsim", sorted(won)),
-        ("TCSC, airsim", [0.0] * 3),
-    ]
-    assert collapse(lines) == (
-        "ADSC, airsim: success in real time stays below half of the best cell's 96.0% from a gap of 0.40 simulated "
-        "seconds on."
-    )
+    found = {label: [cell["gap_s"] for cell in own] for label, own in lines.items()}
+    assert found == {"ADSC, airsim": sorted(won), "TCSC, airsim": [0.0] * 3}
+    stays = "success in real time stays below half of the best cell's"
+    assert collapse(lines) == f"ADSC, airsim: {stays} 96.0% from a gap of 0.40 simulated seconds on."
+    hard = [thought("adsc", f"hard_think_{n}ms", n / 10, 60 - n) for n in range(3)]
+    said = f"ADSC, airsim, hard: no gap was flown, up to 0.20 s, from which {stays} 60.0%."
+    assert collapse(over_gaps(hard)) == said
+    assert said in collapse(over_gaps([*hard, *cells]))  # another lane's best is none of this one's
+    assert over_gaps(hard[:2]) == {}
+    failing = thought("adsc", "hard_think_9ms", 0.1, 3)  # at a gap at which another cell does not
+    assert "no gap was flown" in collapse(over_gaps([*hard, failing]))
 
 
-def test_where_no_gap_breaks_a_policy_the_report_says_so() -> None:
-    cells = [thought("adsc", f"hard_think_{n}ms", n / 10, 60 - n) for n in range(3)]
-    (line,) = over_gaps(cells)
-    said = (
-        "ADSC, airsim, hard: no gap was flown, up to 0.20 s, from which success in real time stays below half of the "
-        "best cell's 60.0%."
-    )
-    assert collapse([line]) == said
-    easier = over_gaps(
-        [thought("adsc", f"think_{n}ms", n / 10, 100) for n in range(3)]
-    )  # another lane's best
-    assert collapse([line, *easier]).startswith(said)
-    assert over_gaps(cells[:2]) == []
-    ended = GapLine("adsc", "airsim, hard", [*cells[:2], thought("adsc", "hard_think_9ms", 0.1, 3), cells[2]])
-    assert "no gap was flown" in collapse([ended])
-
-
-@pytest.mark.parametrize(("experiment", "cells"), [("rl_collapse", 65), ("rl_latency", 15)])
-def test_the_shipped_maps_of_gaps_can_be_trained_and_flown(experiment: str, cells: int) -> None:
-    config = configured(experiment, "seeds=1")
-    Rl().check(config)
-    assert len(list(cases(config))) == cells
-
-
-def test_the_headline_tells_success_after_the_slowest_and_the_fastest_training() -> None:
+def test_the_headline_tells_success_after_the_slowest_and_the_fastest_training(tmp_path: Path) -> None:
     """Of trainings without a variant; where there are none, the gap at which policies fail."""
     plain = [
         thought(command, "", gap, won) | {"clock_speed": clock_speed}
         for command, clock_speed, gap, won in (
-            *(
-                ("tcsc", 1.0, 0.0, 21),
-                ("adsc", 100.0, 9.0, 0),
-                ("adsc", 5.0, 0.4, 64),
-                ("adsc", 1.0, 0.1, 23),
-            ),
+            ("tcsc", 1.0, 0.0, 21), ("adsc", 100.0, 9.0, 0), ("adsc", 5.0, 0.4, 64), ("adsc", 1.0, 0.1, 23),
         )
-    ]
+    ]  # fmt: skip
     told_of = [thought("adsc", f"think_{n}ms", n / 10, 96 >> n) for n in range(3)]
-    summary = {
-        "cells": [{"games": 200}, {"games": 100}, {"games": 100}],
-        "training_games": 5000,
-        "evaluation_clock_speed": 2.0,
-    }
-    rest = (
-        "3 trainings of 5000 games, each policy flown on 100, 200 lanes at 2x; "
-        "all times are modelled but those of this machine"
-    )
-    told: Any = SimpleNamespace(summary={**summary, "pooled": [*plain, *told_of]})
-    assert RlReport.headline(told) == (
-        "TCSC, airsim: 21.0% after training at 1x; "
-        f"ADSC, airsim: 23.0% after training at 1x, 0.0% after training at 100x; {rest}"
-    )
-    told.summary["pooled"] = told_of
-    assert RlReport.headline(told) == (
-        "ADSC, airsim: success in real time stays below half of the best cell's 96.0% from a gap of 0.20 simulated "
-        f"seconds on; {rest}"
-    )
-    told.summary["pooled"] = told_of[:1]
-    assert RlReport.headline(told) == rest
+    report = report_of(tmp_path / "run", made("tcsc", 1.0, [[]]))
+    cells = [{"games": 200}, {"games": 100}, {"games": 100}]
+    for pooled, begin in (
+        ([*plain, *told_of], "TCSC, airsim: 21.0% after training at 1x; ADSC, airsim: 23.0% after training at 1x, 0.0% "
+         "after training at 100x; "),
+        (told_of, "ADSC, airsim: success in real time stays below half of the best cell's 96.0% from a gap of 0.20 "
+         "simulated seconds on; "),
+        (told_of[:1], ""),
+    ):  # fmt: skip
+        report.summary = {"cells": cells, "training_games": 5000, "evaluation_clock_speed": 2.0, "pooled": pooled}
+        assert report.headline() == (
+            f"{begin}3 trainings of 5000 games, each policy flown on 100, 200 lanes at 2x; "
+            "all times are modelled but those of this machine"
+        )
+    rows = [
+        row | {"case": name}
+        for name, row in zip(("one", "two"), made("tcsc", 1.0, [range(30), range(20)]), strict=True)
+    ]
+    assert Rl().status(rows) == "two won 20 of 40"
 
 
-def test_the_display_tells_the_last_trainings_games_in_real_time() -> None:
-    first, last = (
-        {"case": case, "evaluations": [flight("tcsc", 1.0, won), flight("adsc", 1.0, won + 1)]}
-        for case, won in (("one", 30), ("two", 20))
-    )
-    assert Rl().status([first, last]) == "two won 20 of 40"
+# --- the report -------------------------------------------------------------------------------------------------
 
 
 def table_below(page: str, heading: str) -> list[dict[str, str]]:
     """The first table after a heading of a report.md: a line each, its cells by their columns' names, in order."""
     lines = [line for line in page.split(f"## {heading}\n")[1].split("## ")[0].splitlines() if "|" in line]
     columns, _, *cells = ([cell.strip() for cell in line.strip().strip("|").split("|")] for line in lines)
-    numbered = [f"{column} ({columns[:n].count(column) + 1})" for n, column in enumerate(columns)]
-    return [dict(zip(numbered, line, strict=True)) for line in cells]
+    return [dict(zip(columns, line, strict=True)) for line in cells]
 
 
-@pytest.mark.usefixtures("without_figures")
-def test_the_report_tells_each_number_in_its_column(tmp_path: Path) -> None:
-    """Hours of hours, minutes of minutes, the test over seeds and McNemar's each in its own."""
-    run = RunDirectory.create(tmp_path / "run", small(), {})
-    rows = made("tcsc", 1.0, [list(range(30)), list(range(20))], 3600.0)
-    rows += made("tcsc", 5.0, [list(range(25, 35)), list(range(12))], 900.0)
-    rows += made("adsc", 1.0, [list(range(9))], 1800.0)
-    for number, row in enumerate(rows):
-        row["training"]["phase_s"]["learning"] = 400.0 * row["training"]["commands"]
-        run.append_row({"suite": "rl"} | row | run.save_arrays(row["case"], load(row)))
-        run.append_timing({"case": row["case"], "training_s": 60.0 * (number + 1)})
-    report = Rl().report(run)
+def page_of(report: Report) -> str:
     report.write()
-    page = (run.path / "report.md").read_text(encoding="utf-8")
+    return (report.run.path / "report.md").read_text(encoding="utf-8")
+
+
+def test_the_report_tells_each_number_in_its_column(tmp_path: Path, drawn: dict[str, Figure]) -> None:
+    """Hours of hours, minutes of minutes, the test over seeds and McNemar's each in its own."""
+    rows = made("tcsc", 1.0, [range(30), range(20)], 3600.0)
+    rows += made("tcsc", 5.0, [range(25, 35), range(12)], 900.0)
+    rows += made("adsc", 1.0, [range(9)], 1800.0)
+    for row in rows:
+        row["training"]["phase_s"]["learning"] = 400.0 * row["training"]["commands"]
+    report = report_of(tmp_path / "run", rows, [60.0 * (number + 1) for number in range(5)])
+    page = page_of(report)
     _, fast, _ = table_below(page, "Table I: success by training")
     mcnemar = binomtest(5, 5 + 25 + 8).pvalue
     low, high = (100 * report.summary["pooled"][1][end] for end in ("seeds_low", "seeds_high"))
-    assert list(fast.values())[3:] == [
-        "22 of 80", f"27.5% [{low:.1f}, {high:.1f}]", "10, 12", "30", "0.33", f"{mcnemar:.2g}",
-    ]  # fmt: skip
-    assert [name.split(" (")[0] for name in fast][-2:] == [
-        "p against 1x, over seeds",
-        "of these policies: McNemar",
-    ]
+    success = f"27.5% [{low:.1f}, {high:.1f}]"
+    assert list(fast.values())[3:] == ["22 of 80", success, "10, 12", "30", "0.33", f"{mcnemar:.2g}"]
+    assert list(fast)[-2:] == ["p against 1x, over seeds", "of these policies: McNemar"]
     _, fast, _ = table_below(page, "Time of the training")
     slow_s, fast_s, beside_s = 0.75 * 1800 + 0.25, 0.75 * 900 + 0.25, 400.003
     assert list(fast.values())[1:] == [
@@ -688,53 +545,11 @@ def test_the_report_tells_each_number_in_its_column(tmp_path: Path) -> None:
     ]  # fmt: skip
     shown = report.overview()
     assert shown is not None
-    assert shown.rows[1][-1] == f"{slow_s / fast_s:.3g}x"
+    assert shown.rows[1] == ("TCSC, airsim", "5x", "0, 1", success, "30 %", f"{slow_s / fast_s:.3g}x")
     hours = 700 * (slow_s + beside_s) / 3600
     assert f"These trainings' 50 games would have taken {hours:.3g} hours in real time" in page
     assert f"{3600 * hours / 50:.0f} s per game" in page
     assert f"took 0.25 hours of training, measured, one after another: {hours * 4:.0f} times less" in page
-
-
-def variant_and_plain() -> tuple[list[Any], dict[str, dict[str, np.ndarray]]]:
-    """Two seeds of TCSC at 5x with a variant and without, and the exact flights of the variant's first seed.
-
-    Rows, and the arrays of each: the lanes that are won with either command, in real time and at 5x.
-    """
-    flights_of_each = (("tcsc", 1.0), ("adsc", 1.0), ("tcsc", 5.0), ("adsc", 5.0))
-    won: dict[tuple[str, int], tuple[range, ...]] = {
-        ("told", 0): (range(30), range(10, 34), range(12), range(8, 14)),
-        ("told", 1): (range(20), range(20), range(10), range(4)),
-        ("", 0): (range(10), range(10), range(12), range(12)),
-        ("", 1): (range(5), range(5), range(10), range(10)),
-    }
-    rows, arrays = [], {}
-    for (variant, seed), lanes in won.items():
-        row = made("tcsc", 5.0, [[], []], 0.25)[seed] | {"variant": variant, "case": f"{variant}{seed}"}
-        row["evaluations"] = [
-            flight(*each, len(some)) for each, some in zip(flights_of_each, lanes, strict=True)
-        ]
-        row["training"] |= {"successes": 3 + seed, "weights_sha256": f"{variant}{seed}"}
-        rows.append(row)
-        arrays[row["case"]] = outcomes_of(
-            dict(zip(("tcsc", "adsc", "tcsc-5x", "adsc-5x"), lanes, strict=True))
-        )
-    exact = {key: value for key, value in rows[0].items() if key != "training"}
-    rows.append(exact | {"case": "told0-exact", "evaluations": [flight("tcsc", 1.0, 28)]})
-    arrays["told0-exact"] = outcomes_of({"exact": range(4, 32)})
-    return rows, arrays
-
-
-def outcomes_of(won: dict[str, Any]) -> dict[str, np.ndarray]:
-    loaded = (load({"command": name, "lanes": lanes}) for name, lanes in won.items())
-    return {name: each for flown in loaded for name, each in flown.items()}
-
-
-def page_of(path: Path, rows: list[Any], arrays: dict[str, dict[str, np.ndarray]]) -> str:
-    run = RunDirectory.create(path, small(), {})
-    for row in rows:
-        run.append_row({"suite": "rl"} | row | run.save_arrays(row["case"], arrays[row["case"]]))
-    Rl().report(run).write()
-    return (path / "report.md").read_text(encoding="utf-8")
 
 
 def of_wilson(successes: int, games: int) -> str:
@@ -743,161 +558,192 @@ def of_wilson(successes: int, games: int) -> str:
     return f"{successes} of {games}: {successes / games:.1%} {ends}"
 
 
-@pytest.mark.usefixtures("without_figures")
-def test_each_flight_of_a_policy_is_told_in_its_line_and_column(tmp_path: Path) -> None:
+def test_each_flight_of_a_policy_is_told_in_its_line_and_column(tmp_path: Path, drawn: dict[str, Figure]) -> None:
     """Student's t of two trainings is 12.7 at 95 %: of 30 % and 25 % that makes 27.5 % and up to 31.8 % more."""
-    page = page_of(tmp_path / "run", *variant_and_plain())
+
+    def flights(*lanes: range) -> Any:
+        return dict(zip((("tcsc", 1.0), ("adsc", 1.0), ("tcsc", 5.0), ("adsc", 5.0)), lanes, strict=True))
+
+    told = [
+        flights(range(30), range(10, 34), range(12), range(8, 14)),
+        flights(range(20), range(20), range(10), range(4)),
+    ]
+    plain = [flights(range(10), range(10), range(12), range(12)), flights(range(5), range(5), range(10), range(10))]
+    rows = made("tcsc", 5.0, told, variant="told") + made("tcsc", 5.0, plain)
+    page = page_of(report_of(tmp_path / "run", [*rows, exact_of(rows[0], range(4, 32))]))
     real_time, fast = "62.5% [0.0, 100.0]", "27.5% [0.0, 59.3]"
     slow_p, fast_p = f"{binomtest(4, 14).pvalue:.2g}", f"{binomtest(2, 16).pvalue:.2g}"
-    told = ("TCSC, airsim, told 5x", "0, 1")
+    who = ("TCSC, airsim, told 5x", "0, 1")
     shown = [tuple(line.values()) for line in table_below(page, "Commands interchanged")]
-    assert [line for line in shown if line[0] == told[0]] == [
-        (*told, "TCSC 1x", real_time, "10", "1", slow_p),
-        (*told, "ADSC 1x", "55.0% [0.0, 100.0]", "4", "1", slow_p),
-        (*told, "TCSC 5x", fast, "14", "0.5", fast_p),
-        (*told, "ADSC 5x", "12.5% [0.0, 44.3]", "2", "0.5", fast_p),
+    assert [line for line in shown if line[0] == who[0]] == [
+        (*who, "TCSC 1x", real_time, "10", "1", slow_p),
+        (*who, "ADSC 1x", "55.0% [0.0, 100.0]", "4", "1", slow_p),
+        (*who, "TCSC 5x", fast, "14", "0.5", fast_p),
+        (*who, "ADSC 5x", "12.5% [0.0, 44.3]", "2", "0.5", fast_p),
     ]
-    told = ("TCSC, airsim, told", "5x")
-    variant, plain = (
-        tuple(line.values()) for line in table_below(page, "Flown at the ClockSpeed of the training")
-    )
-    assert variant == (*told, "0, 1", real_time, "0.33", fast, "1", "0.5")
-    assert (plain[0], plain[4], plain[6]) == ("TCSC, airsim", "-", "-")
+    who = ("TCSC, airsim, told", "5x")
+    variant, beside = (tuple(line.values()) for line in table_below(page, "Flown at the ClockSpeed of the training"))
+    assert variant == (*who, "0, 1", real_time, "0.33", fast, "1", "0.5")
+    assert (beside[0], beside[4], beside[6]) == ("TCSC, airsim", "-", "-")
     exact = table_below(page, "The same policies in the exact simulator")
     assert [tuple(line.values()) for line in exact] == [
-        (*told, "0", of_wilson(30, 40), of_wilson(28, 40), "34 of 40", f"{binomtest(2, 6).pvalue:.2g}"),
+        (*who, "0", of_wilson(30, 40), of_wilson(28, 40), "34 of 40", f"{binomtest(2, 6).pvalue:.2g}")
     ]
     assert "Of 40 flights of a policy over a lane in real time 34 end alike in both" in page
     assert [tuple(line.values()) for line in table_below(page, "Each training")] == [
-        (*told, "0", "3 of 10", of_wilson(30, 40), "told0"),
-        (*told, "1", "4 of 10", of_wilson(20, 40), "told1"),
-        ("TCSC, airsim", "5x", "0", "3 of 10", of_wilson(10, 40), "0"),
-        ("TCSC, airsim", "5x", "1", "4 of 10", of_wilson(5, 40), "1"),
+        (*who, "0", "3 of 10", of_wilson(30, 40), "f00"),
+        (*who, "1", "4 of 10", of_wilson(20, 40), "f00"),
+        ("TCSC, airsim", "5x", "0", "3 of 10", of_wilson(10, 40), "f00"),
+        ("TCSC, airsim", "5x", "1", "4 of 10", of_wilson(5, 40), "f00"),
     ]
 
 
-@pytest.mark.usefixtures("without_figures")
-def test_the_report_counts_the_seeds_that_learned_the_same_weights(tmp_path: Path) -> None:
-    rows = made("tcsc", 1.0, [[]] * 3, 1.0) + made("tcsc", 5.0, [[]] * 3, 1.0)
-    for row in rows[4:]:
-        row["training"]["weights_sha256"] = "other"
-    page = page_of(tmp_path / "run", rows, {row["case"]: load(row) for row in rows})
-    assert "TCSC, airsim: of 3 seeds 1 learned the same weights at 1x, 5x: 2 learned others." in page
-
-
-def test_merged_runs_have_the_seeds_from_the_first_to_the_last_of_all(tmp_path: Path) -> None:
-    options: dict[str, Any] = {
-        "early": {"seed": 2, "seeds": 2, "command": ["tcsc"]},
-        "late": {"seed": 7, "seeds": 3, "command": ["adsc"]},
+def bars_of(axes: Any) -> dict[str, list[tuple[float, float]]]:
+    """The ends of each line's intervals, by its label."""
+    handles = labelled(axes).items()
+    return {
+        label: [tuple(bar[:, 1].round(9)) for bar in handle.lines[2][0].get_segments()] for label, handle in handles
     }
-    runs = [RunDirectory.create(tmp_path / name, small(**each), {}) for name, each in options.items()]
-    rows = made("tcsc", 1.0, [[3]], 1.0) + made("adsc", 1.0, [[5, 6]], 1.0)
-    for run, row, took_s in zip(runs, rows, (4.0, 9.0), strict=True):
-        run.append_row(row | run.save_arrays(row["case"], load(row)))
-        run.append_timing({"case": row["case"], "training_s": took_s})
-    for first, second in (runs, runs[::-1]):
-        merged = merge_runs([first, second])
-        config = merged.config()
-        assert (config["seed"], config["seeds"], config["command"]) == (2, 8, [])
-        won = {row["case"]: merged.load_arrays(row)[f"{row['command']}_is_success"] for row in merged.rows()}
-        assert {case: int(each.sum()) for case, each in won.items()} == {"tcsc-1-0": 1, "adsc-1-0": 2}
-        took = {entry["case"]: entry["training_s"] for entry in merged.timings()}
-        assert took == {"tcsc-1-0": 4.0, "adsc-1-0": 9.0}
 
 
-def test_claims_take_the_plain_trainings_of_their_profile_on_the_virtual_clock(tmp_path: Path) -> None:
-    """Games that were lost ended on the way: at 10 m in the first lane, and a metre further in each."""
-    rows = made("tcsc", 1.0, [[*range(39)], [*range(38)]], 1.0)
-    rows += made("tcsc", 5.0, [[]], 1.0) + made("adsc", 1.0, [[]], 1.0)
-    others: list[dict[str, Any]] = [{"variant": "told"}, {"profile": "native"}, {"timing": "lockstep"}]
-    rows += [made("tcsc", 1.0, [[]], 1.0)[0] | other for other in others]
-    run = RunDirectory.create(tmp_path / "run", small(), {})
-    for number, row in enumerate(rows):
-        other = "adsc" if row["command"] == "tcsc" else "tcsc"
-        row["evaluations"].append(flight(other, 1.0, len(row["lanes"]) // 2))
-        row["case"] = f"case{number}"
-        run.append_row(
-            row | run.save_arrays(row["case"], outcomes_of(dict.fromkeys(("tcsc", "adsc"), row["lanes"])))
-        )
-    config = {"seed": 0, "games": 10, "evaluation_clock_speed": 1.0}
-    run.write_json("summary.json", summarise(config, cast(Any, run.rows()), run.load_arrays))
-    found = Policies.of(run, "airsim")
-    kinds = [(cell["command"], cell["clock_speed"], cell["seed"], cell["successes"]) for cell in found.cells]
-    assert kinds == [("tcsc", 1.0, 0, 39), ("tcsc", 1.0, 1, 38), ("tcsc", 5.0, 0, 0), ("adsc", 1.0, 0, 0)]
-    (flown,) = found.interchange
-    assert [(each["command"], each["successes"]) for each in flown["flown_with"]] == [
-        ("tcsc", 77),
-        ("adsc", 38),
+def dots_of(axes: Any) -> list[tuple[float, float]]:
+    return [point for line in axes.lines if line.get_marker() == "." for point in points(line)]
+
+
+def test_success_and_distance_have_a_line_per_clock_speed_and_kind_of_training(
+    tmp_path: Path, drawn: dict[str, Figure]
+) -> None:
+    """The paper's numbers, with Wilson's intervals, where it has some; exact flights and variants are of no cell's."""
+    rows = made("tcsc", 50.0, [range(0), range(10)]) + made("tcsc", 5.0, [range(4)])
+    rows += made("tcsc", 5.0, [range(20), range(20)], profile="native")
+    rows += made("tcsc", 5.0, [range(8)], variant="told")
+    report = report_of(tmp_path / "run", [*rows, exact_of(rows[0], range(30))])
+    page_of(report)
+    pooled = {tuple(cell[key] for key in KEY): cell for cell in report.summary["pooled"]}
+    axes: Any = drawn["table1_success"].axes[0]
+    assert headline(drawn["table1_success"]) == ("Success by training", "modelled · 3 training games each · seed 0, 1")
+    assert tick_texts(axes.xaxis) == ["5x", "50x"]
+    lines = {label: points(handle.lines[0]) for label, handle in labelled(axes).items()}
+    assert lines == {
+        "TCSC, airsim": [(-0.09, 0.1), (0.91, 0.125)],
+        "TCSC, the paper's": [(-0.03, 0.3), (0.97, 0.14)],
+        "TCSC, airsim, told": [(0.03, 0.2)],
+        "TCSC, native": [(0.09, 0.5)],
+    }
+    assert sorted(dots_of(axes)) == [
+        (-0.06, 0.1), (0.06, 0.2), (0.12, 0.5), (0.12, 0.5), (0.94, 0.0), (0.94, 0.25),
+    ]  # fmt: skip
+    own = [pooled["", "airsim", "virtual", "tcsc", clock] for clock in (5.0, 50.0)]
+    bars = bars_of(axes)
+    assert bars["TCSC, airsim"] == [(round(cell["seeds_low"], 9), round(cell["seeds_high"], 9)) for cell in own]
+    wilson = [binomtest(won, 100).proportion_ci(method="wilson") for won in (30, 14)]
+    assert bars["TCSC, the paper's"] == [(round(each.low, 9), round(each.high, 9)) for each in wilson]
+    upper, *_, lower, _, _ = drawn["figure8_distances"].axes
+    curves = {label: points(line) for label, line in labelled(upper).items()}
+    assert list(curves) == ["5x, 40 games", "50x, 80 games"]
+    reached = dict(curves["5x, 40 games"])  # the share from each distance on
+    assert [reached[metres] for metres in (0.0, 14.0, 49.0, 150.0)] == pytest.approx([1.0, 39 / 40, 4 / 40, 0.0])
+    assert curves["50x, 80 games"][-11] == (49.0, 0.125)
+    values, edges = lower.patches[0].get_data()[:2]  # type: ignore[attr-defined]
+    found = {float(edge): float(share) for edge, share in zip(edges, values, strict=False) if share}
+    assert found == {metres: pytest.approx(2 / 40) for metres in np.arange(14.0, 50.0, 2.0)}
+    dotted: Any = [line.get_xdata()[0] for line in upper.lines if line.get_linestyle() == ":"]  # type: ignore[index]
+    assert len(dotted) > 2
+    assert len({round(step, 6) for step in np.diff(dotted)}) == 1, "rows of obstacles"
+
+
+def test_success_over_the_gap_has_its_points_where_the_gaps_are(tmp_path: Path, drawn: dict[str, Figure]) -> None:
+    """Intervals stand over three seeds or one, not over two, nor where cells share a gap."""
+    rows = made("adsc", 5.0, [range(20), range(10)], 0.4) + made("adsc", 10.0, [range(8)] * 3, 0.3)
+    rows += made("adsc", 2.0, [range(30)], 1.2)
+    rows += [row for clock in (1.0, 5.0, 10.0) for row in made("tcsc", clock, [range(30)])]
+    report = report_of(tmp_path / "run", rows)
+    page_of(report)
+    slow, fast, two = (report.summary["pooled"][n] for n in (2, 1, 0))
+    axes: Any = drawn["success_over_gap"].axes[0]
+    lines = {label: points(handle.lines[0]) for label, handle in labelled(axes).items()}
+    at = {name: round(cell["gap_s"], 12) for name, cell in (("slow", slow), ("fast", fast), ("two", two))}
+    expected = sorted([(at["slow"], 0.75), (at["fast"], 0.2), (at["two"], 0.375)])
+    assert lines == {"ADSC, airsim": expected, "TCSC, airsim": [(0.0, 0.75)] * 3}
+    bars = bars_of(axes)
+    assert bars["TCSC, airsim"] == [(0.75, 0.75)] * 3
+    drawn_bars = dict(zip([x for x, _ in expected], bars["ADSC, airsim"], strict=True))
+    assert drawn_bars[at["two"]] == (0.375, 0.375)
+    assert drawn_bars[at["fast"]] == (round(fast["seeds_low"], 9), round(fast["seeds_high"], 9))
+    assert {(at["two"], 0.5), (at["two"], 0.25)} <= set(dots_of(axes))
+
+
+def test_training_time_is_bars_by_phase_and_speed_ups_beside_the_papers(
+    tmp_path: Path, drawn: dict[str, Figure]
+) -> None:
+    """Means of the seeds, on a clock; rendering is of simulation."""
+    rows = made("tcsc", 5.0, [[0], [1]], 0.25) + made("adsc", 1.0, [[]]) + made("tcsc", 1.0, [[]], timing="lockstep")
+    report = report_of(tmp_path / "run", rows)
+    page_of(report)
+    _, bars, _, speeds = drawn["figure9_training_time"].axes
+    assert [axes.get_title() for axes in drawn["figure9_training_time"].axes[:2]] == ["ADSC, airsim", "TCSC, airsim"]
+    minutes = {str(bar.get_label()): bar[0].get_height() for bar in bars.containers}
+    assert minutes == pytest.approx({
+        "simulation (with rendering)": 0.4375 * 2.5, "image processing": 0.0025, "inference": 0.005, "learning": 0.0175,
+    })  # fmt: skip
+    cell = report.summary["pooled"][0]
+    assert {name: points(line) for name, line in labelled(speeds).items()} == {
+        "speed-up, simulation alone (right)": [(0.0, round(cell["training_speedup"], 12))],
+        "speed-up, whole training (right)": [(0.0, round(cell["whole_training_speedup"], 12))],
+        "the paper's, simulation alone": [(0.0, 4.0)],
+        "the paper's, whole training": [(0.0, 3.6)],
+    }
+
+
+def test_several_runs_make_the_report_of_the_one_that_flew_all(tmp_path: Path, drawn: dict[str, Figure]) -> None:
+    rows = made("tcsc", 1.0, [range(30), range(20)]) + made("adsc", 1.0, [range(9)] * 2)
+    rows = [*rows, exact_of(rows[0], range(4))]
+    all_of = report_of(tmp_path / "all", rows, [60.0] * 5)
+    parts = {"tcsc": [rows[0], rows[1], rows[4]], "adsc": rows[2:4]}
+    runs = [
+        report_of(tmp_path / name, own, [60.0] * len(own), command=[name], seed=seed, seeds=3).run
+        for (name, own), seed in zip(parts.items(), (2, 7), strict=True)
     ]
-    lost_m = {key: each.tolist() for key, each in found.ended_m.items()}
-    assert lost_m["tcsc", 1.0] == [49.0, 48.0, 49.0]
-    assert lost_m["tcsc", 5.0] == lost_m["adsc", 1.0] == [10.0 + lane for lane in range(LANES)]
-
-
-def test_what_a_decision_takes_it_takes_in_evaluations_too() -> None:
-    cells = "cells=[{profile: airsim, clock_speed: [5], training: {inference_s: 0.03, learning_s: 0.5}}]"
-    config = small(cells)
-    for cell in cases(config):
-        learned = part_suite(training_part(config, cell), 0)[1]
-        assert (learned.inference_s, learned.learning_s) == (0.03, 0.5)  # type: ignore[attr-defined]
-        flown = part_suite(evaluation_part(config, cell, flights(config, cell)[0], DEFAULT), 0)[1]
-        assert flown.inference_s == 0.03  # type: ignore[attr-defined]
-
-
-# --- reports ----------------------------------------------------------------------------------------------------
-
-
-def half(whole: RunDirectory, path: Path, **options: Any) -> RunDirectory:
-    """What a run of some of the cells alone would have left."""
-    run, names = (
-        RunDirectory.create(path, small(**options), {}),
-        [case.id for case in Rl().cases(small(**options))],
-    )
-    for row in whole.rows():
-        if row["case"] in names:
-            run.save_arrays(row["case"], whole.load_arrays(row))
-            run.append_row(row)
-    return run
-
-
-@pytest.fixture
-def without_figures(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The run `whole` draws them."""
-    monkeypatch.setattr(RlReport, "figures", lambda _: [])
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("without_figures")
-def test_two_runs_merge_runs_are_the_one_that_flew_all(tmp_path: Path, whole: RunDirectory) -> None:
-    runs = [half(whole, tmp_path / name, command=[name]) for name in ("adsc", "tcsc")]
-    assert Rl().compare(runs) == [tmp_path / "adsc/merged/report.html"]
-    merged, one = (run.read_json("summary.json") for run in (RunDirectory(tmp_path / "adsc/merged"), whole))
-    for name in ("cells", "pooled", "interchange", "exact", "same_weights"):
-        assert sorted(merged[name], key=str) == sorted(one[name], key=str)
-    with pytest.raises(UserError, match=r"has airsim-virtual-adsc-1x-seed0, which .* has too"):
+    for some in (runs, runs[::-1]):
+        assert Rl().compare(some) == [some[0].path / "together/report.html"]
+        made_one = RunDirectory(some[0].path / "together")
+        summary = made_one.read_json("summary.json")
+        for name in ("cells", "pooled", "exact", "same_weights"):
+            assert sorted(summary[name], key=str) == sorted(all_of.summary[name], key=str)
+        config = made_one.config()
+        assert (config["seed"], config["seeds"], config["command"]) == (2, 8, [])
+        assert set(made_one.manifest()["runs"]) == {str(run.path) for run in runs}
+        assert "took 0.083 hours of training" in (made_one.path / "report.md").read_text(encoding="utf-8")
+    with pytest.raises(UserError, match=r"has -airsim-virtual-tcsc-1.0-0, which .* has too"):
         Rl().compare([runs[0], runs[0]])
-    other = RunDirectory.create(tmp_path / "other", small("games=4"), {})
+    other = report_of(tmp_path / "other", made("adsc", 5.0, [[]])).run
+    (other.path / "config.yaml").write_text((other.path / "config.yaml").read_text().replace("games: 3", "games: 4"))
     with pytest.raises(UserError, match="other: games differs"):
         Rl().compare([runs[0], other])
 
 
-@pytest.mark.slow
-def test_the_claims_of_section_iv_d_read_a_run(whole: RunDirectory) -> None:
-    airsim, native = (Policies.of(whole, profile) for profile in ("airsim", "native"))
-    with pytest.raises(Undecided, match="2 games of ADSC at 5x, at least 100 are needed"):
-        policy_claims.adsc_collapses_at_5x(airsim)
-    with pytest.raises(Undecided, match="3 training games of TCSC at 5x"):
-        policy_claims.training_speedup_5x(airsim)
-    with pytest.raises(NoEvidence, match="tcsc at 10x was not flown"):
-        policy_claims.tcsc_preserved_at_10x(airsim)
-    assert native.clocks("tcsc") == [100.0]  # the lockstep training is none of them
-    (flown,) = airsim.interchange
-    assert [(each["command"], each["games"]) for each in flown["flown_with"]] == [("tcsc", 2), ("adsc", 2)]
-    for row in trainings(whole):
-        if (row["profile"], row["command"], row["clock_speed"]) == ("airsim", "tcsc", 5.0):
-            arrays = whole.load_arrays(row)
-            ended_m = arrays["tcsc_distance_m"][~arrays["tcsc_is_success"]]
-            assert airsim.ended_m["tcsc", 5.0].tolist() == ended_m.tolist() != []
+def test_claims_take_the_plain_trainings_of_their_profile_on_the_virtual_clock(tmp_path: Path) -> None:
+    """Games that were lost ended on the way: at 10 m in the first lane, and a metre further in each."""
+
+    def both(command: str, clock_speed: float, *counts: int, **keys: Any) -> list[Any]:
+        other = "adsc" if command == "tcsc" else "tcsc"
+        flights = [{(command, 1.0): range(count), (other, 1.0): range(count // 2)} for count in counts]
+        return made(command, clock_speed, flights, **keys)
+
+    rows = both("tcsc", 1.0, 39, 38) + both("tcsc", 5.0, 0) + both("adsc", 1.0, 0)
+    for keys in ({"variant": "told"}, {"profile": "native"}, {"timing": "lockstep"}):
+        rows += both("tcsc", 1.0, 0, **keys)
+    report = report_of(tmp_path / "run", rows)
+    report.write_summary()
+    found = Policies.of(report.run, "airsim")
+    kinds = [(cell["command"], cell["clock_speed"], cell["seed"], cell["successes"]) for cell in found.cells]
+    assert kinds == [("tcsc", 1.0, 0, 39), ("tcsc", 1.0, 1, 38), ("tcsc", 5.0, 0, 0), ("adsc", 1.0, 0, 0)]
+    (flown,) = found.interchange
+    assert [(each["command"], each["successes"]) for each in flown["flown_with"]] == [("tcsc", 77), ("adsc", 38)]
+    assert (flown["only_first"], flown["only_second"]) == (39, 0)
+    lost_m = {key: each.tolist() for key, each in found.ended_m.items()}
+    assert lost_m["tcsc", 1.0] == [49.0, 48.0, 49.0]
+    assert lost_m["tcsc", 5.0] == lost_m["adsc", 1.0] == [10.0 + lane for lane in range(LANES)]
 
 
 # --- GPUs -------------------------------------------------------------------------------------------------------
@@ -930,9 +776,7 @@ def test_each_process_takes_a_gpu_of_its_own(tmp_path: Path, monkeypatch: pytest
 
 
 @pytest.mark.parametrize(("device", "count"), [("cpu", 2), ("cuda:1", 2), ("cuda", 1)])
-def test_without_a_choice_of_gpus_nothing_is_touched(
-    device: str, count: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_a_choice_of_gpus_nothing_is_touched(device: str, count: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("torch.cuda.device_count", lambda: count)
     monkeypatch.setattr(gpu, "_place", None)
     monkeypatch.delenv(gpu.VISIBLE, raising=False)

@@ -10,7 +10,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -29,23 +29,23 @@ from uavaccel.rl.agents import make_agent
 from uavaccel.rl.algorithms import greedy
 from uavaccel.rl.checkpoint import find_checkpoint
 from uavaccel.rl.double_dqn import DoubleDQN
-from uavaccel.rl.lanes import Lanes, make_lanes
+from uavaccel.rl.lanes import make_lanes
 from uavaccel.rl.learner import make_learner
 from uavaccel.rl.policy import load_policy, trained_with, weights_sha256
+from uavaccel.suites import trainer
 from uavaccel.suites.evaluation.config import EvaluateConfig
 from uavaccel.suites.evaluation.flights import fly_game
 from uavaccel.suites.runner import begin_run, run_suite
 from uavaccel.suites.suite import GameResult
-from uavaccel.suites.training import flights as training
-from uavaccel.suites.training.config import CHECKPOINTS
-from uavaccel.suites.training.evaluations import FILE, Evaluations, drop_evaluations_after, evaluation_of, evaluations
-from uavaccel.suites.training.suite import Training
+from uavaccel.suites.train import CHECKPOINTS, EVALUATIONS, Training, evaluations
+from uavaccel.suites.trainer import Evaluations, evaluation_of
+from uavaccel.units import NS_PER_S
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("trainings_here")]
 
 STATE = {"observation": "state"}  # needs no pictures, hence no OpenGL
 EVALUATED = {"evaluate_every_games": 3, "evaluation_games": 2}
-PPO = {"algorithm": "ppo", "mirror": False, "options": {"n_steps": 8, "batch_size": 8}}
+PPO = {"algorithm": "ppo", "options": {"n_steps": 8, "batch_size": 8}}
 
 # Trains as the command line does, but dies without a word as soon as it has flown some games.
 KILLED = """
@@ -53,8 +53,7 @@ import os, signal, sys
 from pathlib import Path
 from uavaccel.config import validate
 from uavaccel.suites.runner import begin_run, run_suite
-from uavaccel.suites.training.config import CHECKPOINTS, TrainConfig
-from uavaccel.suites.training.suite import Training
+from uavaccel.suites.train import TrainConfig, Training
 from uavaccel.yaml_io import load_yaml
 from tests.learning import fly_here
 
@@ -77,12 +76,6 @@ def lockstep(trainings_here: None, tmp_path_factory: pytest.TempPathFactory) -> 
     return RunDirectory(out)
 
 
-def untrained(lanes: Lanes, **keys: Any) -> DoubleDQN:
-    learner = make_learner(tiny_config(**keys), lanes)
-    assert isinstance(learner, DoubleDQN)
-    return learner
-
-
 def weights_of(run: RunDirectory) -> str:
     return str(run.read_json("summary.json")["weights_sha256"])
 
@@ -91,30 +84,31 @@ def weights_of(run: RunDirectory) -> str:
 
 
 @needs_opengl
-def test_tcsc_learns_the_same_weights_at_any_clock_speed(tmp_path: Path, lockstep: RunDirectory) -> None:
-    config = tiny_config({"timing": "virtual", "clock_speed": 100.0})
-    assert train_into(tmp_path / "run", config)["weights_sha256"] == weights_of(lockstep)
-    flown = [
-        (row["lane"], row["distance_m"], row["commands"]) for row in RunDirectory(tmp_path / "run").rows()
-    ]
-    assert flown == [(row["lane"], row["distance_m"], row["commands"]) for row in lockstep.rows()]
+def test_tcsc_learns_the_same_weights_at_any_clock_speed_and_with_another_seed_others(
+    tmp_path: Path, lockstep: RunDirectory
+) -> None:
+    task = {"timing": "virtual", "clock_speed": 100.0}
+    fast, other = (
+        train_into(tmp_path / name, tiny_config(*keys, seed=seed))["weights_sha256"]
+        for name, keys, seed in (("fast", (task,), 0), ("other", (), 1))
+    )
+    assert fast == weights_of(lockstep) != other
+    keys = ("lane", "distance_m", "commands")
+    flown, again, others = (
+        [tuple(row[key] for key in keys) for row in RunDirectory(path).rows()]
+        for path in (lockstep.path, tmp_path / "fast", tmp_path / "other")
+    )
+    assert flown == again
+    assert not {lane for lane, *_ in flown} & {lane for lane, *_ in others}
 
 
 def test_adsc_does_not(tmp_path: Path) -> None:
-    hashes = set()
-    for clock_speed in (1.0, 100.0):
-        task = {**STATE, "command": "adsc", "timing": "virtual", "clock_speed": clock_speed}
-        summary = train_into(tmp_path / f"{clock_speed:g}", tiny_config(task, mirror=False))
-        hashes.add(summary["weights_sha256"])
-    assert len(hashes) == 2
-
-
-@needs_opengl
-def test_another_seed_learns_other_weights_on_other_lanes(tmp_path: Path, lockstep: RunDirectory) -> None:
-    summary = train_into(tmp_path / "run", tiny_config(seed=1))
-    assert summary["weights_sha256"] != weights_of(lockstep)
-    lanes = [{row["lane"] for row in run.rows()} for run in (lockstep, RunDirectory(tmp_path / "run"))]
-    assert not lanes[0] & lanes[1]
+    task = {**STATE, "command": "adsc", "timing": "virtual"}
+    slow, fast = (
+        train_into(tmp_path / f"{clock:g}", tiny_config(task | {"clock_speed": clock}, mirror=False))
+        for clock in (1.0, 100.0)
+    )
+    assert slow["weights_sha256"] != fast["weights_sha256"]
 
 
 @needs_opengl
@@ -152,12 +146,20 @@ def test_a_training_that_a_batch_system_ends_takes_a_checkpoint_and_says_how_to_
 
 
 def test_a_second_interruption_does_not_wait_for_the_checkpoint() -> None:
-    trainer = training.Trainer.__new__(training.Trainer)
-    trainer._interrupted = False
-    trainer.interrupt(signal.SIGTERM, None)
-    assert trainer._due()
+    interrupted = trainer.Trainer.__new__(trainer.Trainer)
+    interrupted._interrupted = False
+    interrupted.interrupt(signal.SIGTERM, None)
+    assert interrupted._due()
     with pytest.raises(KeyboardInterrupt):
-        trainer.interrupt(signal.SIGTERM, None)
+        interrupted.interrupt(signal.SIGTERM, None)
+
+
+def stop_after(games: int) -> Any:
+    def stop(case: Any, row: Any) -> None:
+        if row["game"] + 1 == games:
+            raise RuntimeError("stopped")
+
+    return stop
 
 
 def test_a_training_names_the_weights_that_it_starts_from() -> None:
@@ -203,9 +205,7 @@ def test_a_checkpoint_without_its_last_file_does_not_count(tmp_path: Path) -> No
     assert find_checkpoint(tmp_path / "elsewhere") is None
 
 
-def test_evaluations_leave_the_training_as_it_is_and_are_those_of_evaluate(
-    tmp_path: Path,
-) -> None:
+def test_evaluations_leave_the_training_as_it_is_and_are_those_of_evaluate(tmp_path: Path) -> None:
     config, without = (tiny_config(STATE, mirror=False, **keys) for keys in (EVALUATED, {}))
     summary = train_into(tmp_path / "evaluated", config)
     evaluated, run = summary["evaluations"], RunDirectory(tmp_path / "evaluated")
@@ -241,40 +241,30 @@ def test_an_evaluation_flies_the_trainings_task_on_lanes_that_no_training_has(tm
     assert flown.simulator == "mujoco"
 
 
-@pytest.mark.parametrize(
-    ("every", "due"),
-    [
-        (0, {0: [], 6: []}),
-        (3, {0: [3, 4, 5, 6, 7, 8], 3: [6, 7, 8], 4: [6, 7, 8], 6: [8], 7: [8], 8: []}),
-        (5, {0: [5, 6, 7, 8], 5: [8], 6: [8]}),
-    ],
-)
-def test_evaluations_are_due_after_every_so_many_games_and_the_last_one(
-    every: int, due: dict[int, list[int]], tmp_path: Path
-) -> None:
+def test_evaluations_are_due_after_every_so_many_games_and_the_last_one(tmp_path: Path) -> None:
     """By the games of the latest one, of which a resumed training reads; several games may end at once."""
-    config = tiny_config(STATE, mirror=False, games=8, evaluate_every_games=every)
-    for done, games in due.items():
-        run: Any = SimpleNamespace(path=tmp_path / f"{done}")
-        run.path.mkdir()
+    due = {
+        (0, 0): [], (0, 6): [], (3, 0): [3, 4, 5, 6, 7, 8], (3, 3): [6, 7, 8], (3, 4): [6, 7, 8], (3, 6): [8],
+        (3, 7): [8], (3, 8): [], (5, 0): [5, 6, 7, 8], (5, 5): [8], (5, 6): [8],
+    }  # fmt: skip
+    for (every, done), games in due.items():
+        run: Any = SimpleNamespace(path=tmp_path / f"{every}-{done}")
         for earlier in sorted({1, done}) if done else []:
-            append_line(run.path / FILE, {"games": earlier})
-        waiting = Evaluations(config, run)
-        assert [each for each in range(9) if waiting.due(each)] == games, done
-
-
-def test_evaluations_up_to_a_checkpoint_stay(tmp_path: Path) -> None:
-    run = RunDirectory.create(tmp_path / "run", tiny_config(STATE, mirror=False), {})
-    drop_evaluations_after(run, 4)  # where there are none
-    lines: list[Any] = [{"games": games, "successes": games, "lanes": [games]} for games in (3, 4, 6)]
-    for line in lines:
-        append_line(run.path / FILE, line)
-    drop_evaluations_after(run, 4)
-    assert evaluations(run) == lines[:2]
+            run.path.mkdir(exist_ok=True)
+            append_line(run.path / EVALUATIONS, {"games": earlier})
+        waiting = Evaluations(tiny_config(STATE, mirror=False, games=8, evaluate_every_games=every), run)
+        assert [each for each in range(9) if waiting.due(each)] == games, (every, done)
 
 
 class GamesHere:
-    """As GamesInBatch, but in this process."""
+    """As GamesInBatch, but in this process, on whose clock a game takes an hour and each reading a second."""
+
+    now_s = 0
+
+    @classmethod
+    def now_ns(cls) -> int:
+        cls.now_s += 1
+        return cls.now_s * NS_PER_S
 
     def __init__(self, config: EvaluateConfig, lanes: Sequence[int]) -> None:
         self._environment = ObstacleLane(**config.task.model_dump(mode="json"))
@@ -284,6 +274,7 @@ class GamesHere:
         self._config, self._agent = config, make_agent(config.agent, config.task)
 
     def game(self, lane: int) -> GameResult:
+        GamesHere.now_s += 3600
         return GameResult(fly_game(self._config, self._environment, self._agent, lane))
 
     def close(self) -> None:
@@ -293,48 +284,40 @@ class GamesHere:
 def test_evaluations_after_the_last_checkpoint_are_flown_again_to_the_same_lines(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("uavaccel.suites.training.evaluations.GamesInBatch", GamesHere)
-    config = tiny_config(STATE, mirror=False, games=7, checkpoint_games=4, **EVALUATED)
+    """The wall time of a training leaves them out."""
+    monkeypatch.setattr(trainer, "GamesInBatch", GamesHere)
+    monkeypatch.setattr(trainer, "MonotonicClock", lambda: GamesHere)
+    config = tiny_config(STATE, mirror=False, games=7, checkpoint_games=3, **EVALUATED)
     whole, cut = (begin_run(Training(), config, tmp_path / name, {}) for name in ("whole", "cut"))
-
-    def stop(case: Any, row: Any) -> None:
-        if row["game"] == 5:
-            raise RuntimeError("stopped")
-
     run_suite(Training(), config, whole)
     with pytest.raises(RuntimeError, match="stopped"):
-        run_suite(Training(), config, cut, on_game=stop)
+        run_suite(Training(), config, cut, on_game=stop_after(6))
     assert [line["games"] for line in evaluations(cut)] == [3, 6]
-    cut_short = (tmp_path / "cut" / FILE).read_bytes()
-    (tmp_path / "cut" / FILE).write_bytes(cut_short[:-9])  # died while it wrote
+    cut_short = (tmp_path / "cut" / EVALUATIONS).read_bytes()
+    (tmp_path / "cut" / EVALUATIONS).write_bytes(cut_short[:-9])  # died while it wrote
     Training().prepare(config, cut)
-    assert [line["games"] for line in evaluations(cut)] == [3]  # what the checkpoint of 4 games knows
+    assert [line["games"] for line in evaluations(cut)] == [3]  # what the checkpoint of 3 games knows
     run_suite(Training(), config, cut)
     assert [line["games"] for line in evaluations(cut)] == [3, 6, 7]
-    for file in (FILE, "rows.jsonl", "policies/0000006/policy.json"):
+    assert whole.timings()[-1]["wall_s"] < 3600
+    for file in (EVALUATIONS, "rows.jsonl", "policies/0000006/policy.json"):
         assert (tmp_path / "cut" / file).read_bytes() == (tmp_path / "whole" / file).read_bytes()
 
 
 def test_processes_learn_what_one_would(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     config = tiny_config(STATE, mirror=False, environments=2)
     one = train_into(tmp_path / "one", config)
-    monkeypatch.setattr(training, "make_lanes", make_lanes)
+    monkeypatch.setattr(trainer, "make_lanes", make_lanes)
     assert train_into(tmp_path / "processes", config) == one
     assert {row["environment"] for row in RunDirectory(tmp_path / "one").rows()} == {0, 1}
 
 
-def test_lanes_in_turns_come_down_for_a_checkpoint_and_go_on(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(training, "make_lanes", make_lanes)
+def test_lanes_in_turns_come_down_for_a_checkpoint_and_go_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(trainer, "make_lanes", make_lanes)
     config = tiny_config(STATE, mirror=False, environments=2, turns=2, games=8, checkpoint_games=3)
 
-    def stop(case: Any, row: Any) -> None:
-        if row["game"] == 6:
-            raise RuntimeError("stopped")
-
     with pytest.raises(RuntimeError, match="stopped"):
-        run_suite(Training(), config, begin_run(Training(), config, tmp_path / "cut", {}), on_game=stop)
+        run_suite(Training(), config, begin_run(Training(), config, tmp_path / "cut", {}), on_game=stop_after(7))
     resumed = train_into(tmp_path / "cut", config, resume=True)
     assert resumed == train_into(tmp_path / "whole", config)
 
@@ -361,9 +344,7 @@ def test_a_training_leaves_rows_times_summary_and_curves(lockstep: RunDirectory)
     times = lockstep.timings()
     assert len(times) == 4
     assert all(times[-1]["learner_s"][phase] > 0 for phase in ("inference", "learning"))
-    assert all(
-        times[-1]["host_phase_s"][phase] > 0 for phase in ("simulation", "rendering", "image_processing")
-    )
+    assert all(times[-1]["host_phase_s"][phase] > 0 for phase in ("simulation", "rendering", "image_processing"))
     assert list((lockstep.path / "tensorboard").iterdir())
 
 
@@ -387,21 +368,17 @@ def test_the_first_weights_come_from_the_seed() -> None:
 
 def test_a_training_goes_on_from_another_ones_weights(lockstep: RunDirectory) -> None:
     environment = side_by_side(LaneTask(max_commands=2), 1)
-    first, started = (untrained(environment, seed=9, start_from=each) for each in (None, str(lockstep.path)))
+    first, started = (
+        cast(DoubleDQN, make_learner(tiny_config(seed=9, start_from=each), environment))
+        for each in (None, str(lockstep.path))
+    )
     weights = started.policy.q_net.state_dict()
     trained = load_policy(lockstep.path).network.state_dict()
-    assert all(
-        th.equal(weights[name.removeprefix("q_net.")], trained[name])
-        for name in trained
-        if "target" not in name
-    )
-    assert all(
-        th.equal(weights[name], each) for name, each in started.policy.q_net_target.state_dict().items()
-    )
+    for name, each in trained.items():
+        assert "target" in name or th.equal(weights[name.removeprefix("q_net.")], each)
+    assert all(th.equal(weights[name], each) for name, each in started.policy.q_net_target.state_dict().items())
     assert not all(th.equal(weights[name], each) for name, each in first.policy.q_net.state_dict().items())
-    seen = np.random.default_rng(0).integers(
-        0, 256, (64, *(environment.observation_space.shape or ())), dtype=np.uint8
-    )
+    seen = np.random.default_rng(0).integers(0, 256, (64, *(environment.observation_space.shape or ())), dtype=np.uint8)
     at_first = {learner: learner._act(seen) for learner in (first, started)}
     assert np.array_equal(at_first[started], greedy(started.policy, seen)), "it flies before it learns"
     assert not np.array_equal(at_first[first], greedy(first.policy, seen)), "at random"
@@ -409,28 +386,15 @@ def test_a_training_goes_on_from_another_ones_weights(lockstep: RunDirectory) ->
 
 
 @pytest.mark.parametrize(
-    "keys",
-    [
-        {"algorithm": "dqn", "mirror": False},
-        PPO,
-        {"algorithm": "a2c", "mirror": False, "options": {}},
-    ],
-    ids=lambda keys: keys["algorithm"],
+    "keys", [{"algorithm": "dqn"}, PPO, {"algorithm": "a2c", "options": {}}], ids=lambda keys: keys["algorithm"]
 )
 def test_other_algorithms_train_by_name(tmp_path: Path, keys: dict[str, Any]) -> None:
-    summary = train_into(tmp_path / "run", tiny_config(STATE, **keys, games=2))
+    config = tiny_config(STATE, games=2, mirror=False, **keys)
+    summary = train_into(tmp_path / "run", config)
     assert summary["games"] == 2
-    learner = make_learner(
-        tiny_config(STATE, **keys, games=2), environment := side_by_side(LaneTask(**STATE), 1)
-    )
+    learner = make_learner(config, environment := side_by_side(LaneTask(**STATE), 1))
     assert summary["weights_sha256"] != weights_sha256(learner.policy)
     environment.close()
-
-
-@needs_opengl
-def test_plain_dqn_learns_from_pictures(tmp_path: Path, lockstep: RunDirectory) -> None:
-    summary = train_into(tmp_path / "run", tiny_config(algorithm="dqn", mirror=False, games=2))
-    assert summary["weights_sha256"] != weights_of(lockstep)
 
 
 # --- mistakes ---------------------------------------------------------------------------------------------------
@@ -446,9 +410,7 @@ def test_plain_dqn_learns_from_pictures(tmp_path: Path, lockstep: RunDirectory) 
         ({"start_from": "default", "hidden": [8]}, "start_from = 'default': another network"),
     ],
 )
-def test_an_algorithm_that_cannot_be_is_one_clear_line(
-    tmp_path: Path, keys: dict[str, Any], said: str
-) -> None:
+def test_an_algorithm_that_cannot_be_is_one_clear_line(tmp_path: Path, keys: dict[str, Any], said: str) -> None:
     with pytest.raises(UserError, match=said) as caught:
         train_into(tmp_path / "run", tiny_config(**keys))
     assert "\n" not in str(caught.value)
@@ -459,10 +421,7 @@ def test_an_algorithm_that_cannot_be_is_one_clear_line(
     [
         (["task.timing=wall", "environments=2"], "environments must be 1 with timing wall"),
         (["algorithm=ppo", "start_from=default"], "start_from needs algorithm double_dqn, not ppo"),
-        (
-            ["algorithm=dqn", "mirror=false", "mirrored_decisions=true"],
-            "mirrored_decisions needs algorithm double_dqn",
-        ),
+        (["algorithm=dqn", "mirror=false", "mirrored_decisions=true"], "mirrored_decisions needs algorithm double_dqn"),
         (["task.observation=state"], "mirror must be false"),
         (["task.headings_deg=[0.0, 30.0]"], "mirror must be false"),
         (["gamess=3"], "unknown key 'gamess'; did you mean 'games'?"),

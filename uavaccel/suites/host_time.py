@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import accumulate, pairwise
-from typing import TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 from uavaccel.clock import MonotonicClock
 from uavaccel.draw.labels import in_words as in_words
@@ -14,6 +14,8 @@ from uavaccel.records import RunDirectory
 from uavaccel.units import NS_PER_S
 
 Result = TypeVar("Result")
+Timings: TypeAlias = Sequence[Mapping[str, Any]]
+"""The entries of timing.jsonl; `wall_s` is the wall time since the first command of a start of the run."""
 
 
 def timed(work: Callable[[], Result]) -> tuple[Result, dict[str, float]]:
@@ -24,19 +26,14 @@ def timed(work: Callable[[], Result]) -> tuple[Result, dict[str, float]]:
     return result, {"host_wall_s": (clock.now_ns() - start_ns) / NS_PER_S, "load": os.getloadavg()[0]}
 
 
-def wall_s(run: RunDirectory) -> float:
-    """Return the wall time from the first command to the last, over all starts; 0 where it was not measured."""
-    return (cumulative_wall_s(run) or [0.0])[-1]
-
-
-def cumulative_wall_s(run: RunDirectory) -> list[float]:
-    """Return the wall time in seconds up to each entry that has it, over all starts."""
-    readings = [entry["wall_s"] for entry in run.timings() if "wall_s" in entry]
+def cumulative_wall_s(timings: Timings) -> list[float]:
+    """Return the wall time in seconds from the first command up to each entry that has it, over all starts."""
+    readings = [entry["wall_s"] for entry in timings if "wall_s" in entry]
     steps = [after - before if after >= before else after for before, after in pairwise([0.0, *readings])]
     return list(accumulate(steps))
 
 
-def over_all_starts(readings: Sequence[dict[str, float]]) -> Counter[str]:
+def over_all_starts(readings: Sequence[Mapping[str, float]]) -> Counter[str]:
     """Return the sums of stopwatches that restart whenever a run is resumed."""
     total = Counter[str](readings[-1] if readings else {})
     for before, after in pairwise(readings):
@@ -46,12 +43,12 @@ def over_all_starts(readings: Sequence[dict[str, float]]) -> Counter[str]:
 
 
 def pace(run: RunDirectory) -> str:
-    return pace_of(run, sum(row["sim_time_s"] for row in run.rows()))
+    return pace_of(run.timings(), sum(row["sim_time_s"] for row in run.rows()))
 
 
-def pace_of(run: RunDirectory, simulated_s: float) -> str:
+def pace_of(timings: Timings, simulated_s: float) -> str:
     """Return in words how long games of so many simulated seconds took; empty where it was not measured."""
-    took_s = wall_s(run)
+    took_s = (cumulative_wall_s(timings) or [0.0])[-1]
     if not took_s:
         return ""
     return f"{in_words(took_s)} of wall clock, start-up not counted: {simulated_s / took_s:.0f} simulated s per wall s"

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
 from uavaccel.draw import style
@@ -15,6 +17,8 @@ from uavaccel.metrics.intervals import Proportion
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+UNITS_S = {"hours": 3600.0, "minutes": 60.0, "seconds": 1.0}
 
 
 def panels(
@@ -83,6 +87,20 @@ def survival_band(axes: Axes, distances_m: ArrayLike, length_m: float, **line: A
     (drawn,) = axes.step(places, share, where="post", **line)
     low, high = zip(*(Proportion(left, games).interval for left in range(games, -1, -1)), strict=True)
     axes.fill_between(places, low, high, step="post", color=drawn.get_color(), alpha=0.15, linewidth=0)
+
+
+def time_unit(longest_s: float) -> str:
+    """Return the largest unit of time in which the longest of several times is 1 or more."""
+    return next((unit for unit, unit_s in UNITS_S.items() if longest_s >= unit_s), "seconds")
+
+
+def stacked(axes: Axes, phase_s: pd.DataFrame, unit: str) -> None:
+    """Draw a bar at 0, 1, ... for each line of a table, its columns, in seconds, stacked and drawn in a unit."""
+    below = np.zeros(len(phase_s))
+    for phase, colour in zip(phase_s, style.CYCLE, strict=False):
+        spent = phase_s[phase].to_numpy() / UNITS_S[unit]
+        axes.bar(range(len(phase_s)), spent, 0.55, below, color=colour, label=str(phase).replace("_", " "))
+        below += spent
 
 
 def span(values: Sequence[float | None], form: str = "{:.2f}") -> str:

@@ -18,9 +18,9 @@ from uavaccel.suites.suite import AnySuite, Suite
 SUITES = {
     "dp1": "uavaccel.suites.dp1:Dp1",
     "dp2": "uavaccel.suites.dp2:Dp2",
-    "train": "uavaccel.suites.training.suite:Training",
+    "train": "uavaccel.suites.train:Training",
     "ablation": "uavaccel.suites.grid:Ablation",
-    "rl": "uavaccel.suites.rl.suite:Rl",
+    "rl": "uavaccel.suites.rl:Rl",
     "robustness": "uavaccel.suites.grid:Robustness",
     "sweep": "uavaccel.suites.grid:Sweep",
     "paper": "uavaccel.suites.paper.suite:Paper",

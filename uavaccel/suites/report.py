@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 import pandas as pd
-from matplotlib.figure import Figure
 
 from uavaccel.config import validate
 from uavaccel.draw import style
@@ -23,7 +22,9 @@ from uavaccel.metrics.speedup import timing_provenance
 from uavaccel.records import RunDirectory
 from uavaccel.suites.host_time import pace_of
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # matplotlib is loaded by what draws
+    from matplotlib.figure import Figure
+
     from uavaccel.suites.suite import Suite
 
 Games: TypeAlias = pd.DataFrame
@@ -48,6 +49,11 @@ class Report:
     def arrays(self, game: Mapping[str, Any] | pd.Series) -> dict[str, np.ndarray]:
         """Return the arrays of a game, a row of the table. Raises UserError where they are missing or damaged."""
         return self.run.load_arrays(game)
+
+    @cached_property
+    def timings(self) -> list[dict[str, Plain]]:
+        """The entries of timing.jsonl: what the games took on this machine."""
+        return self.run.timings()
 
     @cached_property
     def scores(self) -> Games:
@@ -90,7 +96,7 @@ class Report:
 
     def pace(self) -> str:
         """Return how long the games took on this machine; no summary has it, since it is never reproduced."""
-        return pace_of(self.run, float(self.games["sim_time_s"].sum()) if "sim_time_s" in self.games else 0.0)
+        return pace_of(self.timings, float(self.games["sim_time_s"].sum()) if "sim_time_s" in self.games else 0.0)
 
 
 def table_of(rows: Sequence[Mapping[str, Any]]) -> Games:

@@ -1,0 +1,516 @@
+"""Training: a policy learned in the obstacle lane (paper, sections III-C3 and IV-D), and what its report draws."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import numpy as np
+import pandas as pd
+from pydantic import AfterValidator, Field, model_validator
+from typing_extensions import TypedDict
+
+from uavaccel.draw import style
+from uavaccel.draw.labels import clock_label, command_name, in_words
+from uavaccel.draw.page import Block, Column, Picture, Table, fill, listed
+from uavaccel.envs.simulators import EXACT
+from uavaccel.envs.stopwatch import PHASES
+from uavaccel.errors import UserError
+from uavaccel.files import Plain, read_lines
+from uavaccel.forms import Count, NotNegative, Number, Positive, check, check_all
+from uavaccel.limits import MOST_GAMES
+from uavaccel.limits import Games as GameCount
+from uavaccel.metrics.intervals import Proportion
+from uavaccel.metrics.speedup import timing_provenance
+from uavaccel.records import RunDirectory
+from uavaccel.rl.agents import first_policy, policy_sha256
+from uavaccel.rl.config import LearnerConfig, check_algorithm
+from uavaccel.rl.policy import trained_with
+from uavaccel.suites import paper_results, plots
+from uavaccel.suites.experiment import Experiment
+from uavaccel.suites.host_time import cumulative_wall_s, over_all_starts
+from uavaccel.suites.report import Games, Report, Summary, disturbed_games, disturbed_words, summary_table
+from uavaccel.suites.rows import LaneRow, Row
+from uavaccel.suites.suite import GameResult, SimpleCase, Suite
+
+if TYPE_CHECKING:  # they load what draws, and PyTorch
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from uavaccel.envs.obstacle_lane import LaneTask
+    from uavaccel.suites.trainer import Trainer
+
+CHECKPOINTS = "checkpoints"  # the folder from which a training is resumed
+EVALUATIONS = "evaluations.jsonl"  # a line for each evaluation of the current policy
+REAL_TIME = "real_time.json"  # what its commands would have taken in real time
+RECENT = 100  # games of the moving averages
+
+
+class TrainConfig(LearnerConfig, Experiment):
+    """`suite: train`."""
+
+    suite: Literal["train"] = "train"
+    evaluate_every_games: Annotated[int, Field(ge=0, le=MOST_GAMES)] = 0
+    """Interval in games at which the greedy policy is evaluated, as it is after the last game; 0: never."""
+    evaluation_games: GameCount = 100
+    """Lanes of each of these evaluations, from number 500 000 on, so that those of `uavaccel evaluate` stay unseen."""
+
+    @model_validator(mode="after")
+    def _evaluations_fit(self) -> TrainConfig:
+        if self.evaluate_every_games and self.task.timing == "wall":
+            raise ValueError("evaluate_every_games must be 0 with timing wall: the clock would run on meanwhile")
+        return self
+
+
+_Return = TypedDict("_Return", {"return": Number})  # a keyword of Python's
+
+
+class TrainRow(LaneRow, _Return):
+    """The row of a game of a training."""
+
+    game: Count
+    environment: Count
+    exploration: NotNegative | None
+    loss: Number | None
+    mean_q: Number | None
+
+
+class EvaluationLine(TypedDict):
+    """A line of evaluations.jsonl: an evaluation of the current policy."""
+
+    games: Count
+    """Games learned from so far."""
+    weights_sha256: str
+    successes: Count
+    lanes: list[Count]
+    is_success: list[bool]
+    """By lane, as is `distance_m`, in metres north."""
+    distance_m: list[Number]
+
+
+def _of_its_lanes(line: EvaluationLine) -> EvaluationLine:
+    lanes = len(line["lanes"])
+    if not lanes or {len(line["is_success"]), len(line["distance_m"])} != {lanes}:
+        raise ValueError("lanes, is_success and distance_m should have one entry for each lane")
+    if line["successes"] != sum(line["is_success"]):
+        raise ValueError("successes should be the number of lanes won")
+    return line
+
+
+class RealTime(TypedDict):
+    """What real_time.json holds: the modelled wall time of a command in real time."""
+
+    command_s: Positive
+    how: str
+
+
+def game_case(game: int) -> str:
+    """Return the name of a game, counted from 0."""
+    return f"game-{game:07d}"
+
+
+class Training(Suite[TrainConfig, SimpleCase]):
+    """`uavaccel train`: games flown one after another by a learner."""
+
+    name = "train"
+    config = TrainConfig
+    row = TrainRow
+    serial = "its games learn from each other; --set environments=N flies N lanes side by side"
+
+    def case_of(self, row: Plain) -> str:
+        return game_case(row["game"])
+
+    def check(self, config: TrainConfig) -> None:
+        check_algorithm(config)
+        if config.start_from is not None:
+            first_policy(config, lambda _: 0.0)
+
+    def cases(self, config: TrainConfig) -> Iterator[SimpleCase]:
+        for game in range(config.games):  # lane and environment of each come out of the training
+            yield SimpleCase(game_case(game), config.task.timing, config.task.typical_s)
+
+    def may_grow(self, folder: Path) -> tuple[str, ...]:
+        """More games can be flown where there is a checkpoint to resume from."""
+        if not (folder / CHECKPOINTS).is_dir():
+            return ()
+        from uavaccel.rl.checkpoint import find_checkpoint
+
+        return ("games",) if find_checkpoint(folder / CHECKPOINTS) else ()
+
+    def prepare(self, config: TrainConfig, run: RunDirectory) -> None:
+        """Bring an unfinished training back to its last checkpoint."""
+        if run.is_new():
+            return  # PyTorch need not be there yet
+        from uavaccel.suites.trainer import drop_games_after_checkpoint
+
+        if trained_with(run.path).get("games") != config.games or len(run.rows()) < config.games:
+            drop_games_after_checkpoint(run)
+
+    def open(self, config: TrainConfig, timing: str, run: RunDirectory) -> AbstractContextManager[Trainer]:
+        lanes = None
+        if config.simulator == EXACT and timing != "wall":
+            from uavaccel.rl.exact_lanes import begin_exact_lanes
+
+            lanes = begin_exact_lanes(config.task, config.environments)
+        from uavaccel.suites.trainer import open_trainer  # loads PyTorch, as they load
+
+        return open_trainer(config, run, lanes)
+
+    def fly(self, config: TrainConfig, case: SimpleCase, opened: Trainer) -> GameResult:
+        return opened.next_game()
+
+    def finish(self, config: TrainConfig, run: RunDirectory) -> None:
+        from uavaccel.suites.trainer import model_real_time
+
+        run.write_json(REAL_TIME, model_real_time(config))
+
+    def renders(self, config: TrainConfig) -> bool:
+        return config.task.observation != "state"
+
+    def provenance(self, config: TrainConfig) -> Mapping[str, object]:
+        """Return threads and initial weights. Raises UserError for a device that this machine does not have."""
+        if config.device != "cpu":
+            _check_device(config.device)
+        started = {} if config.start_from is None else {"start_from_sha256": policy_sha256(config.start_from)}
+        return {"torch_threads": config.torch_threads, **started}
+
+    def status(self, rows: Sequence[Row]) -> str:
+        recent = [row["is_success"] for row in rows[-RECENT:]]
+        return f"success of the last {len(recent)}: {sum(recent) / len(recent):.0%}"
+
+    def summary(self, report: Report) -> Summary:
+        """Return sums over all games, evaluations, and the weights of a training that is over.
+
+        Sums are Python's, to the last bit those in the rows of the suite `rl`.
+        """
+        games, task = report.games, report.config.task
+        trained, evaluated = trained_with(report.run.path), evaluations(report.run)
+        over, disturbed = trained.get("games") == len(games), disturbed_games(games)
+        summary = {
+            **({"disturbed_games": disturbed} if disturbed else {}),
+            "suite": "train",
+            **{name: getattr(task, name) for name in ("profile", "command", "clock_speed", "timing")},
+            "seed": report.config.seed,
+            "games": len(games),
+            "successes": sum(games.is_success.tolist()),
+            "commands": sum(games.commands.tolist()),
+            "sim_time_s": sum(games.sim_time_s.tolist()),
+            "phase_s": {phase: sum(spent[phase] for spent in games.phase_s) for phase in PHASES},
+            "weights_sha256": trained["weights_sha256"] if over else None,
+        }
+        if over and (report.run.path / REAL_TIME).is_file():
+            modelled = report.run.read_json(REAL_TIME)
+            check(RealTime, modelled, str(report.run.path / REAL_TIME))
+            summary["modelled_real_time_s"] = summary["commands"] * modelled["command_s"]
+            summary["modelled_real_time_how"] = modelled["how"]
+        if evaluated:
+            summary["evaluations"] = [
+                {
+                    **Proportion(line["successes"], len(line["lanes"])).as_summary(),
+                    "games": line["games"],
+                    "lanes": len(line["lanes"]),
+                    "distance_m_median": float(np.median(line["distance_m"])),
+                }
+                for line in evaluated
+            ]
+        return summary
+
+    def title(self, report: Report) -> str:
+        return f"Training, {report.config.algorithm}, seed {report.config.seed}"
+
+    def headline(self, report: Report) -> str:
+        summary = report.summary
+        weights, real_time_s = summary["weights_sha256"], summary.get("modelled_real_time_s")
+        return (
+            f"{summary['successes']} of {summary['games']} training games succeeded, "
+            f"{'weights ' + weights[:12] if weights else 'the training is not over'}"
+            f"{'' if real_time_s is None else f'; in real time {in_words(real_time_s)} (modelled)'}"
+        )
+
+    def page(self, report: Report) -> Iterator[Block | str]:
+        summary, wall_s = report.summary, cumulative_wall_s(report.timings)
+        times = {"took": wall_s[-1] if wall_s else None, "modelled": summary.get("modelled_real_time_s")}
+        took, modelled = (fill(f"{{{name}!t}}", times) for name in times)
+        paper = str(paper_results.TRAINING_GAMES), in_words(paper_results.REAL_TIME_S)
+        lines = [
+            ("games", str(summary["games"]), paper[0], "counted"),
+            ("wall clock", took, "-", "measured, start-up not counted"),
+            ("in real time", modelled, paper[1], "ours modelled, the paper's measured"),
+        ]
+        yield Table(("", "this training", "the paper's", "how"), lines)
+        yield _picture(report, "learning_games", games_figure([report]), OVER_GAMES)
+        yield _picture(report, "progress", progress_figure(report), PROGRESS_IS)
+        if wall_s:
+            yield _picture(report, "learning_curve", time_figure([report], [report.run.path.name]), OVER_TIME)
+        if "evaluations" in summary:
+            yield Table.of(summary["evaluations"], EVALUATED)
+        yield _picture(report, "figure9_phases", phases_figure([report]), FIGURE9)
+        yield summary_table(summary)
+
+    def compare(self, runs: Sequence[RunDirectory]) -> list[Path]:
+        """Draw the learning curves and Figure 9 of several trainings into the first one's folder."""
+        reports = [self.report(run) for run in runs]
+        with style.project_style():
+            figures = {
+                "figure9_phases_compared": phases_figure(reports),
+                "learning_curves_compared": time_figure(
+                    reports, [label.replace("\n", ", ") for label in phase_times(reports).index]
+                ),
+                "learning_games_compared": games_figure(reports),
+            }
+        return [style.save(figure, runs[0].file(f"figures/{name}.png")) for name, figure in figures.items()]
+
+
+def _check_device(device: str) -> None:
+    import torch as th
+
+    try:
+        th.zeros(1, device=device)
+    except (RuntimeError, AssertionError) as error:
+        raise UserError(f"device = {device!r}: {str(error).splitlines()[0]}") from error
+
+
+def evaluations(run: RunDirectory) -> list[EvaluationLine]:
+    """Return the lines of evaluations.jsonl, in order. Raises UserError, naming the line, for one of another form."""
+    lines: list[EvaluationLine] = read_lines(run.path / EVALUATIONS)
+    check_all(Annotated[EvaluationLine, AfterValidator(_of_its_lanes)], lines, run.path / EVALUATIONS)
+    return lines
+
+
+def _picture(report: Report, name: str, figure: Figure, caption: str) -> Picture:
+    return report.figure(name, figure, caption, figure.get_supxlabel())
+
+
+def _seeds(reports: Sequence[Report]) -> str:
+    return f"seed {listed(sorted({report.config.seed for report in reports}))}"
+
+
+def recent_mean(values: pd.Series) -> pd.Series:
+    """Return, after each game, the mean of a value over the last RECENT games, or all so far."""
+    return values.astype(float).rolling(RECENT, min_periods=1).mean()
+
+
+def recent_success(games: Games) -> pd.Series:
+    """Return the share won of the last RECENT games by the number of games, from the RECENTth on.
+
+    In a shorter training it is the share of all games so far.
+    """
+    share = recent_mean(games.is_success).set_axis(range(1, len(games) + 1))
+    return share.loc[RECENT if len(share) > RECENT else 1 :]
+
+
+def evaluated(report: Report, ends: Sequence[float]) -> pd.Series:
+    """Return the success of each evaluation, a Proportion, by its place among the `ends` (n,) of the n games."""
+    lines = [line for line in evaluations(report.run) if line["games"] <= len(ends)]
+    success = [Proportion(line["successes"], len(line["lanes"])) for line in lines]
+    return pd.Series(success, [ends[line["games"] - 1] for line in lines], dtype=object)
+
+
+def wall_times(report: Report) -> list[float]:
+    """Return the wall time in seconds up to the end of each game, over all starts. Raises UserError where it lacks."""
+    wall_s = cumulative_wall_s(report.timings)
+    if len(wall_s) < len(report.games):
+        raise UserError(f"{report.run.path / 'timing.jsonl'}: lacks the wall time of a game")
+    return wall_s
+
+
+def games_figure(reports: Sequence[Report]) -> Figure:
+    """Draw success over the games: a line for each training, or for those that differ in their seed alone their mean
+    over the games that all have, in the band of their range.
+    """
+    timings = sorted({timing_provenance(report.config.task.timing) for report in reports})
+    source = f"{' and '.join(timings)} · {_seeds(reports)}"
+    figure = style.new_figure(8.0, 3.8, "Success over the games", source)
+    axes = figure.subplots()
+    alike: dict[str, list[Report]] = {}
+    for report in reports:
+        alike.setdefault(report.config.model_dump_json(exclude={"seed"}), []).append(report)
+    for number, group in enumerate(alike.values()):
+        task, more = group[0].config.task, f" and {len(group) - 1} more seeds" if len(group) > 1 else ""
+        line = {"color": style.colour(number), "label": f"{_command_and_clock(task)}, {group[0].run.path.name}{more}"}
+        draw_mean(axes, [recent_success(each.games) for each in group], 0.2, **line)
+        ends = [range(1, len(each.games) + 1) for each in group]
+        draw_evaluated(axes, list(map(evaluated, group, ends)), line["color"])
+    _success_axes(figure, axes, "games")
+    axes.set_xlim(left=0)
+    return figure
+
+
+def time_figure(reports: Sequence[Report], labels: Sequence[str]) -> Figure:
+    """Draw success over the wall clock of all starts, a line for each training, with the paper's real time beside.
+
+    Trainings of one label share a colour. Raises UserError for a run without wall times.
+    """
+    figure = style.new_figure(8.0, 4.2, "Success over the wall clock", f"{MEASURED} · {_seeds(reports)}")
+    axes = figure.subplots()
+    names, least_s, longest_s = list(dict.fromkeys(labels)), np.inf, 0.0
+    for number, (report, label) in enumerate(zip(reports, labels, strict=True)):
+        wall_s = wall_times(report)
+        colour, success = style.colour(names.index(label)), recent_success(report.games)
+        at = [wall_s[games - 1] for games in success.index]
+        axes.plot(at, success, color=colour, label=label if label not in labels[:number] else None)
+        draw_evaluated(axes, [evaluated(report, wall_s)], colour)
+        least_s, longest_s = min(least_s, at[0]), max(longest_s, at[-1])
+    if FAR * longest_s >= paper_results.REAL_TIME_S:
+        longest_s = max(longest_s, paper_results.REAL_TIME_S)
+        axes.axvline(paper_results.REAL_TIME_S, color=style.BLACK, linewidth=1.2, linestyle="--")
+        axes.text(0.93 * paper_results.REAL_TIME_S, 0.5, PAPER, rotation=90, ha="right", va="center")
+    axes.set_xscale("log")
+    low_s, high_s = max(0.5 * least_s, 0.01), 2.0 * longest_s
+    axes.set_xlim(low_s, high_s)
+    ticks = {name: wall_s for name, wall_s in TICKS_S.items() if low_s <= wall_s <= high_s}
+    axes.set_xticks(list(ticks.values()), list(ticks))
+    axes.minorticks_off()
+    _success_axes(figure, axes, "wall clock since the first command")
+    return figure
+
+
+def _success_axes(figure: Figure, axes: Axes, over: str) -> None:
+    axes.set(xlabel=over, ylabel=f"games won, of the last {RECENT}", ylim=(-0.02, 1.02))  # so that a line at 0 is seen
+    axes.yaxis.set_major_formatter("{x:.0%}")
+    figure.legend(loc="outside upper right")
+
+
+def draw_evaluated(axes: Axes, seeds: Sequence[pd.Series], colour: str) -> None:
+    """Draw what `evaluated` returns: of one seed points with Wilson's intervals, of several the mean in their range."""
+    seeds = [seed for seed in seeds if len(seed)]
+    ratios = [seed.map(lambda success: success.ratio) for seed in seeds]
+    lanes = f"evaluated on {seeds[0].iloc[0].games} lanes" if seeds else ""
+    line = {"color": colour, "linestyle": "--", "marker": "o", "markersize": 4}
+    if len(seeds) == 1:
+        line |= {"linewidth": 1.0, "label": f"{lanes}, 95 % Wilson interval"}
+        intervals = [success.interval for success in seeds[0]]
+        plots.points(axes, seeds[0].index, ratios[0].tolist(), intervals, **line)
+    elif seeds:
+        draw_mean(axes, ratios, 0.3, label=f"{lanes}: mean, least and most of {len(seeds)} seeds", **line)
+
+
+def draw_mean(axes: Axes, curves: Sequence[pd.Series], alpha: float, **line: Any) -> None:
+    """Draw the mean of curves, at the places of any of them that lie within all, in the band of their range."""
+    first, last = max(curve.index[0] for curve in curves), min(curve.index[-1] for curve in curves)
+    places = np.unique(np.concatenate([curve.index for curve in curves]))
+    at = places[(places >= first) & (places <= last)]
+    values = np.array([np.interp(at, curve.index, curve.astype(float)) for curve in curves])
+    axes.plot(at, values.mean(axis=0), **line)
+    if len(curves) > 1:
+        axes.fill_between(at, values.min(axis=0), values.max(axis=0), color=line["color"], alpha=alpha, linewidth=0)
+
+
+def progress_figure(report: Report) -> Figure:
+    """Draw return, length, loss, mean Q and the share of random actions over the games, where the algorithm has them.
+
+    Points are single games, lines means of the last RECENT.
+    """
+    games = report.games.reindex(columns=list(PROGRESS)).astype(float).set_axis(range(1, len(report.games) + 1))
+    games = games.loc[:, np.isfinite(games).any()]
+    lines = -(-games.shape[1] // 2)
+    source = f"{timing_provenance(report.config.task.timing)} · {_seeds([report])}"
+    figure = style.new_figure(8.0, 1.0 + 1.6 * lines, "Progress of the training", source)
+    grid = figure.subplots(lines, 2, sharex=True, squeeze=False).ravel()
+    for unused in grid[games.shape[1] :]:
+        unused.remove()
+    for axes, (name, values) in zip(grid, games.items(), strict=False):
+        if name == "exploration":
+            axes.plot(values, color=style.BLUE)
+            axes.set_ylim(-0.02, 1.02)
+        else:
+            axes.plot(values, ".", color=style.SKY, markersize=2, label="a game")
+            axes.plot(recent_mean(values.dropna()), color=style.BLUE, label=f"mean of the last {RECENT}")
+        axes.set_ylabel(PROGRESS[str(name)])
+    for axes in grid[: games.shape[1]][-2:]:  # the lowest of each column
+        axes.set_xlabel("games")
+        axes.tick_params(labelbottom=True)
+    figure.align_ylabels()
+    figure.legend(*grid[0].get_legend_handles_labels(), loc="outside upper right", ncols=2)
+    return figure
+
+
+def phase_times(reports: Sequence[Report]) -> pd.DataFrame:
+    """Return the seconds of each training by phase, summed over its lanes, and its `speed`, by its label.
+
+    They are of its simulated clock if it has one, else of the machine's. Equal labels are followed by the run's folder.
+    """
+    trainings = []
+    for report in reports:
+        config, summary = report.config, report.summary
+        if config.task.timing == "virtual":
+            phase_s = summary["phase_s"]
+            wall_s = sum(phase_s.values()) / config.environments
+        else:
+            phase_s = over_all_starts([entry["learner_s"] for entry in report.timings])
+            for entry in report.timings:
+                phase_s.update(entry["host_phase_s"])
+            wall_s = wall_times(report)[-1]
+        trainings.append({phase: phase_s[phase] for phase in PHASES} | {"speed": summary["sim_time_s"] / wall_s})
+    configs = [report.config for report in reports]
+    labels = [f"{_command_and_clock(each.task)}\n{each.task.timing}, seed {each.seed}" for each in configs]
+    named = Counter(labels)
+    unique = [
+        f"{label}\n{report.run.path}" if named[label] > 1 else label
+        for label, report in zip(labels, reports, strict=True)
+    ]
+    return pd.DataFrame(trainings, unique)
+
+
+def _command_and_clock(task: LaneTask) -> str:
+    return f"{command_name(task.command)} {clock_label(task.clock_speed)}"
+
+
+def phases_figure(reports: Sequence[Report]) -> Figure:
+    """Draw Figure 9: a bar of stacked phases per training, and the speeds as points on an axis of their own."""
+    trainings = phase_times(reports)
+    clocks = {"modelled" if report.config.task.timing == "virtual" else BESIDE for report in reports}
+    games = listed(sorted({len(report.games) for report in reports}))
+    disturbed = disturbed_words(pd.concat([report.games for report in reports]))
+    source = " · ".join([" and ".join(sorted(clocks)), f"{games} games", _seeds(reports), *disturbed])
+    longest = max(len(line) for label in trainings.index for line in label.splitlines())
+    bar_in = max(1.5, LETTER_IN * longest)  # labels are not to run into each other
+    figure = style.new_figure(3.2 + bar_in * len(trainings), 4.2, "Time of training by phase", source)
+    axes = figure.subplots()
+    unit = plots.time_unit(trainings[list(PHASES)].sum(axis=1).max())
+    plots.stacked(axes, trainings[list(PHASES)], unit)
+    axes.set_xticks(range(len(trainings)), list(trainings.index))
+    axes.set(ylabel=unit, xlim=(-0.6, len(trainings) - 0.4))
+    speed = axes.twinx()
+    speed.plot(range(len(trainings)), trainings.speed, "o", color=style.BLACK, label="speed (right)")
+    speed.set(ylabel="simulated seconds per wall second", ylim=(0, 1.2 * trainings.speed.max()))
+    speed.grid(visible=False)
+    figure.legend(loc="outside right upper")
+    return figure
+
+
+PAPER = "paper: 5 000 games in real time, 182 h"  # section IV-D: a week, 14 hours
+FAR = 30.0  # times the longest training: a mark beyond it would squeeze the curves
+MEASURED, BESIDE = "measured, start-up not counted", "measured, learning beside the flight"
+LETTER_IN = 0.085  # width of a letter of a label
+TICKS_S = dict(zip(
+    ("10 ms", "100 ms", "1 s", "10 s", "1 min", "10 min", "1 h", "10 h", "100 h"),
+    (0.01, 0.1, 1.0, 10.0, 60.0, 600.0, 3600.0, 36_000.0, 360_000.0),
+    strict=True,
+))  # fmt: skip
+PROGRESS = {
+    "return": "return",
+    "commands": "length, commands",
+    "loss": "loss",
+    "mean_q": "mean Q",
+    "exploration": "random actions (ε)",
+}
+EVALUATED: dict[str, Column] = {
+    "games learned from": "{games}",
+    "success on evaluation lanes [95 %]": lambda line: Proportion(line["successes"], line["lanes"]).text(),
+    "lanes": "{lanes}",
+    "median distance, m": "{distance_m_median:.1f}",
+}
+OVER_GAMES = "Success over the games: the share won of the last 100, or of all so far."
+PROGRESS_IS = (
+    "Return and length of each game, loss and mean Q of the gradient steps before its end, and the share of random "
+    "actions; lines are means of the last 100 games."
+)
+OVER_TIME = (
+    "The same over the wall clock, measured; a dashed line, unless it is far beyond, is the paper's training in real "
+    "time."
+)
+FIGURE9 = "Figure 9. Time of the training by phase."

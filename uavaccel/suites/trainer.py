@@ -1,0 +1,337 @@
+"""The trainer: a learner flies its lanes, learns, saves checkpoints, and returns one finished game after another.
+
+It evaluates the current policy between two steps, on lanes of their own, in processes and with random generators of
+their own, by a copy of the policy below policies/: the weights are those of a training without evaluations.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import threading
+from collections import deque
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+import numpy as np
+import torch as th
+from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
+from tensorboard.compat.proto.event_pb2 import Event
+from tensorboard.compat.proto.summary_pb2 import Summary
+from tensorboard.summary.writer.record_writer import RecordWriter
+
+from uavaccel.clock import MonotonicClock, epoch_s
+from uavaccel.config import validate
+from uavaccel.draw.labels import command_name
+from uavaccel.envs.batch import EnvironmentBatch
+from uavaccel.envs.obstacle_lane import ObstacleLane
+from uavaccel.envs.stopwatch import Stopwatch
+from uavaccel.errors import UserError
+from uavaccel.files import append_line, to_json
+from uavaccel.records import RunDirectory
+from uavaccel.rl.agents import FLIGHT
+from uavaccel.rl.algorithms import baseline_class
+from uavaccel.rl.checkpoint import find_checkpoint, games_of, load_checkpoint, save_checkpoint
+from uavaccel.rl.config import OWN
+from uavaccel.rl.lanes import make_lanes, seed_lanes
+from uavaccel.rl.learner import Game, Learner, make_learner
+from uavaccel.rl.policy import export_policy, weights_sha256
+from uavaccel.suites.evaluation.batch import GamesInBatch
+from uavaccel.suites.evaluation.config import EvaluateConfig
+from uavaccel.suites.rows import Row, lane_row
+from uavaccel.suites.suite import GameResult
+from uavaccel.suites.train import CHECKPOINTS, EVALUATIONS, RECENT, TrainConfig, TrainRow, evaluations, game_case
+from uavaccel.units import NS_PER_S
+
+FIRST_LANE = 500_000  # beyond those of `uavaccel evaluate`, so that policies may be selected on these
+REAL_TIME_COMMANDS = 20  # in the game that models real time, after which their mean changes by less than 1 %
+REAL_TIME_KEYS = ("command", "observation", "history", "image_processing_s", *FLIGHT)
+
+
+class Trainer:
+    """A learner and its lanes; resumed from a checkpoint, it reaches the weights that it would have had."""
+
+    def __init__(self, config: TrainConfig, run: RunDirectory, begun: EnvironmentBatch | None) -> None:
+        th.set_num_threads(config.torch_threads)
+        self._config, self._run = config, run
+        self._interrupted = False
+        self._finished: deque[GameResult] = deque()
+        self._lanes = make_lanes(config.task, config.environments, config.simulator, config.device, begun)
+        try:
+            self._learner = make_learner(config, self._lanes)
+            seed_lanes(self._lanes, config.seed)
+            if (checkpoint := find_checkpoint(run.path / CHECKPOINTS)) is not None:
+                load_checkpoint(checkpoint, self._learner)
+            self._learner.begin()
+            self._rows = GameRows(config, run.file("tensorboard"), run.rows())
+            self._evaluations = Evaluations(config, run)
+        except BaseException:
+            self._lanes.close()
+            raise
+        self._saved = self._learner.games
+
+    def next_game(self) -> GameResult:
+        """Fly and learn until another game is over, and return it.
+
+        Raises KeyboardInterrupt on Ctrl-C, after saving a checkpoint.
+        """
+        learner = self._learner
+        while not self._finished:
+            learner.holding = self._due()
+            if learner.at_rest:
+                self._save_if_due()  # every returned game has its row by now
+            self._finished.extend(self._rows.finished(game, learner.stopwatch) for game in learner.advance())
+            if self._evaluations.due(learner.games):
+                with self._rows.clock_stopped():
+                    self._evaluations.fly(learner)
+        game = self._finished.popleft()
+        if learner.games == self._config.games and not self._finished:
+            self._export()
+        return replace(game, next_is_ready=bool(self._finished))
+
+    def _save_if_due(self) -> None:
+        if self._due():
+            save_checkpoint(self._run.file(CHECKPOINTS), self._learner)
+            self._export()
+            self._saved = self._learner.games
+        if self._interrupted:
+            raise KeyboardInterrupt
+
+    def _due(self) -> bool:
+        return self._interrupted or self._learner.games - self._saved >= self._config.checkpoint_games
+
+    def _export(self) -> None:
+        export_learned(self._run.path, self._learner, self._config)
+
+    def close(self) -> None:
+        self._rows.close()
+        self._evaluations.close()
+        self._lanes.close()
+
+    def interrupt(self, number: int, frame: FrameType | None) -> None:
+        """Stop between rollouts, after a checkpoint; on a second Ctrl-C at once."""
+        if self._interrupted:
+            raise KeyboardInterrupt
+        self._interrupted = True
+
+
+@contextmanager
+def open_trainer(config: TrainConfig, run: RunDirectory, begun: EnvironmentBatch | None = None) -> Iterator[Trainer]:
+    """Yield a trainer that saves a checkpoint on Ctrl-C or SIGTERM, unless another process handles these signals.
+
+    Its lanes are those of the batch `begun`, or new ones.
+    """
+    trainer = Trainer(config, run, begun)
+    main = threading.current_thread() is threading.main_thread()
+    kinds = (signal.SIGINT, signal.SIGTERM) if main else ()
+    heeded = {kind: before for kind in kinds if callable(before := signal.getsignal(kind))}
+    for kind in heeded:
+        signal.signal(kind, trainer.interrupt)
+    try:
+        yield trainer
+    finally:
+        for kind, before in heeded.items():
+            signal.signal(kind, before)
+        trainer.close()
+
+
+def export_learned(folder: Path, learner: Learner, config: TrainConfig) -> str:
+    """Write the policy as it is now into a folder, and return the hash of its weights."""
+    sha256 = weights_sha256(learner.policy)
+    export_policy(folder, learner.policy, config, {"games": learner.games, "weights_sha256": sha256})
+    return sha256
+
+
+def drop_games_after_checkpoint(run: RunDirectory) -> None:
+    """Drop the rows and evaluations after the last checkpoint, since they will be flown again.
+
+    Raises UserError where rows from before the checkpoint are missing.
+    """
+    checkpoint = find_checkpoint(run.path / CHECKPOINTS)
+    games, rows = 0 if checkpoint is None else games_of(checkpoint), len(run.rows())
+    if rows < games:
+        raise UserError(
+            f"{run.path / 'rows.jsonl'}: has {rows} games, {checkpoint} knows {games}: rows are missing; put them "
+            f"back, or delete {run.path / CHECKPOINTS} and --resume to begin the training anew"
+        )
+    run.keep_first(games)
+    if (run.path / EVALUATIONS).is_file():
+        kept = [line for line in evaluations(run) if line["games"] <= games]
+        run.write_text(EVALUATIONS, "".join(to_json(line) + "\n" for line in kept))
+
+
+class GameRows:
+    """Makes the rows of games and writes TensorBoard's curves; `rows` are those of earlier starts."""
+
+    def __init__(self, config: TrainConfig, folder: Path, rows: Sequence[Row]) -> None:
+        self._t_move_s = config.task.t_move_s
+        self._curves = CurvesFile(folder)
+        self._recent = deque([row["is_success"] for row in rows[-RECENT:]], maxlen=RECENT)
+        self._simulated_s = 0.0
+        self._clock = MonotonicClock()
+        self._start_ns = self._clock.now_ns()
+
+    def close(self) -> None:
+        """Close the curves' file."""
+        self._curves.close()
+
+    @contextmanager
+    def clock_stopped(self) -> Iterator[None]:
+        """Exclude what is done meanwhile from the training's wall time."""
+        begun_ns = self._clock.now_ns()
+        try:
+            yield
+        finally:
+            self._start_ns += self._clock.now_ns() - begun_ns
+
+    def finished(self, game: Game, learning: Stopwatch) -> GameResult:
+        """Return a finished game's row, and times since this start of the training: wall, the lane's, the learner's."""
+        wall_s = (self._clock.now_ns() - self._start_ns) / NS_PER_S
+        row: TrainRow = {
+            **lane_row("train", game_case(game.number), game.info, self._t_move_s),
+            "game": game.number,
+            "environment": game.lane,
+            "return": game.reward,
+            "exploration": game.exploration_rate,
+            "loss": game.loss,
+            "mean_q": game.mean_q,
+        }
+        self._add_to_curves(row, wall_s)
+        host = {"wall_s": wall_s, "host_phase_s": game.info["host_phase_s"], "learner_s": learning.spent_s()}
+        return GameResult(row, host=host)
+
+    def _add_to_curves(self, row: TrainRow, wall_s: float) -> None:
+        self._simulated_s += row["sim_time_s"]
+        self._recent.append(row["is_success"])
+        values = {
+            "success_recent": sum(self._recent) / len(self._recent),
+            **{name: row[name] for name in ("distance_m", "return", "commands", "exploration", "loss", "mean_q")},
+            "real_time_factor": self._simulated_s / wall_s,
+        }
+        known = {f"games/{name}": value for name, value in values.items() if value is not None}
+        self._curves.add(row["game"] + 1, known)
+
+
+class CurvesFile:
+    """TensorBoard events of this process in `folder`, which is made if necessary, written without a thread."""
+
+    def __init__(self, folder: Path) -> None:
+        folder.mkdir(parents=True, exist_ok=True)
+        path = folder / f"events.out.tfevents.{epoch_s():.0f}.{os.getpid()}"
+        self._file = RecordWriter(path.open("ab"))
+        self._write(Event(wall_time=epoch_s(), file_version="brain.Event:2"))
+
+    def add(self, step: int, values: Mapping[str, float]) -> None:
+        """Add a point to each of several curves, by their names, at one `step`."""
+        points = [Summary.Value(tag=name, simple_value=value) for name, value in values.items()]
+        self._write(Event(wall_time=epoch_s(), step=step, summary=Summary(value=points)))
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+    def _write(self, event: Event) -> None:
+        self._file.write(event.SerializeToString())
+        self._file.flush()
+
+
+class Evaluations:
+    """Flies evaluations when they are due, and writes a line of evaluations.jsonl for each."""
+
+    def __init__(self, config: TrainConfig, run: RunDirectory) -> None:
+        self._config, self._run = config, run
+        self._lanes = range(FIRST_LANE, FIRST_LANE + config.evaluation_games)
+        done = evaluations(run)
+        self._done = int(done[-1]["games"]) if done else 0
+        self._batch: GamesInBatch | None = None
+
+    def due(self, games: int) -> bool:
+        """Return whether a multiple of `evaluate_every_games` or the last game has passed since the last evaluation."""
+        every = self._config.evaluate_every_games
+        if not every or games <= self._done:
+            return False
+        return games // every > self._done // every or games == self._config.games
+
+    def fly(self, learner: Learner) -> None:
+        """Evaluate the greedy policy on every lane, and write the line."""
+        folder = self._run.file(f"policies/{learner.games:07d}/policy.pt").parent
+        sha256 = export_learned(folder, learner, self._config)
+        rows = self._fly_lanes(evaluation_of(self._config, folder))
+        line = {
+            "games": learner.games,
+            "weights_sha256": sha256,
+            "successes": sum(row["is_success"] for row in rows),
+            "lanes": [row["lane"] for row in rows],
+            "is_success": [row["is_success"] for row in rows],
+            "distance_m": [row["distance_m"] for row in rows],
+        }
+        append_line(self._run.file(EVALUATIONS), line)
+        self._done = learner.games
+
+    def _fly_lanes(self, config: EvaluateConfig) -> list[Row]:
+        if self._batch is None:
+            self._batch = GamesInBatch(config, self._lanes)
+        else:
+            self._batch.begin(config, self._lanes)
+        return [self._batch.game(lane).row for lane in self._lanes]
+
+    def close(self) -> None:
+        """End the processes."""
+        if self._batch is not None:
+            self._batch.close()
+
+
+def evaluation_of(config: TrainConfig, folder: Path) -> EvaluateConfig:
+    """Return the configuration with which `uavaccel evaluate` flies the same evaluation of a training's policy."""
+    keys = {
+        "agent": str(folder),
+        "seed": config.seed,
+        "games": config.evaluation_games,
+        "first_lane": FIRST_LANE,
+        "environments": min(config.environments, config.evaluation_games),
+        "inference_s": config.inference_s,
+        "task": {**config.task.model_dump(mode="json"), "split": "evaluation"},
+    }
+    return validate(EvaluateConfig, keys, "evaluation")
+
+
+def model_real_time(config: TrainConfig) -> dict[str, Any]:
+    """Return the wall seconds of a command, from a short game straight ahead in an empty lane in the modelled AirSim.
+
+    Images, DVS, decisions and learning are charged to its wall clock, as the phases of the paper's Figure 9.
+    Algorithms without a replay buffer are charged no learning, as in training.
+    """
+    task = config.task
+    buffered = config.algorithm == OWN or issubclass(baseline_class(config.algorithm), OffPolicyAlgorithm)
+    learning_s = config.learning_s * (1 / config.commands_per_gradient_step if buffered else 0.0)
+    how = (
+        f"{command_name(task.command)} under the profile airsim at ClockSpeed 1 with the latencies that ship, "
+        f"{task.frames_per_command} samples per command, a decision of {config.inference_s * 1e3:g} ms and "
+        f"{learning_s * 1e3:g} ms of learning per command; resets are not counted"
+    )
+    keys = to_json(task.model_dump(mode="json", include=set(REAL_TIME_KEYS)))
+    return {"command_s": _command_s(keys, config.inference_s, learning_s), "how": how}
+
+
+@lru_cache
+def _command_s(keys: str, inference_s: float, learning_s: float) -> float:
+    """Return the wall seconds of a command, computed once for trainings with equal costs."""
+    airsim = {"timing": "virtual", "profile": "airsim", "clock_speed": 1.0, "lane": {"obstacles": []}}
+    environment = ObstacleLane(**(json.loads(keys) | airsim))
+    ahead, over = int(np.abs(environment.task.headings_deg).argmin()), False
+    try:
+        _, info = environment.reset(seed=0)
+        while not over and info["commands"] < REAL_TIME_COMMANDS:
+            environment.charge(inference_s, "inference")
+            environment.charge(learning_s, "learning")
+            _, _, terminated, truncated, info = environment.step(ahead)
+            over = terminated or truncated
+    finally:
+        environment.close()
+    return float(info["wall_s"] / info["commands"])
