@@ -12,7 +12,7 @@ import pytest
 from matplotlib.colors import to_hex
 from scipy.stats import binomtest
 
-from tests.drawing import headline, labelled, legend_texts, points, tick_texts
+from tests.drawing import headline, labelled, legend_texts, points
 from uavaccel.draw import style
 from uavaccel.suites.evaluation.report import plot_survival
 

@@ -293,7 +293,8 @@ def mapped(path: Path, **ratios: list[float]) -> Report:
     """Success of 40 lanes at latencies ×0, ×1, ×2 and ×4, by command and ClockSpeed, as in adsc5; -1 is not flown."""
     rows: list[Any] = [
         {
-            "case": f"latency{scale:g}-{name[:4]}-{name[4:]}x", "command": name[:4], "clock_speed": float(name[4:]), "latency_scale": scale,
+            "case": f"latency{scale:g}-{name[:4]}-{name[4:]}x", "latency_scale": scale,
+            "command": name[:4], "clock_speed": float(name[4:]),
             "games": 40, "successes": round(40 * ratio), "distance_m_median": 75.0, "sim_time_s": 9.0,
             "arrays": outcomes_of(np.arange(40) < round(40 * ratio)),
         }

@@ -440,6 +440,8 @@ def phase_times(reports: Sequence[Report]) -> pd.DataFrame:
             phase_s = summary["phase_s"]
             wall_s = sum(phase_s.values()) / config.environments
         else:
+            if any(not {"wall_s", "learner_s", "host_phase_s"} <= entry.keys() for entry in report.timings):
+                raise UserError(f"{report.run.path / 'timing.jsonl'}: has not the times of every game of a training")
             phase_s = over_all_starts([entry["learner_s"] for entry in report.timings])
             for entry in report.timings:
                 phase_s.update(entry["host_phase_s"])
