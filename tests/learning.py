@@ -14,7 +14,7 @@ from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
 from uavaccel.rl import exact_lanes
 from uavaccel.rl.lanes import Lanes
 from uavaccel.suites import trainer
-from uavaccel.suites.evaluation.report import EvaluationReport
+from uavaccel.suites.evaluate import Evaluation
 from uavaccel.suites.train import TrainConfig, Training
 
 OPTIONS = {"learning_starts": 8, "batch_size": 8, "buffer_size": 300, "target_update_interval": 16}
@@ -41,5 +41,5 @@ def fly_here(put: Callable[[Any, str, Any], None] = setattr) -> None:
     """Trainings fly their lanes in this process and nobody draws them: both take longer than a small one itself."""
     put(trainer, "make_lanes", side_by_side)
     put(exact_lanes, "begin_exact_lanes", lambda *_: None)
-    put(EvaluationReport, "figures", lambda _: [])
     put(Training, "page", lambda *_: iter(()))
+    put(Evaluation, "page", lambda *_: iter(()))

@@ -16,7 +16,6 @@ from uavaccel.cli.main import app
 from uavaccel.cli.run import RunRequest, duration, expected_wall_s, plan, resumption_notes
 from uavaccel.errors import UserError
 from uavaccel.rl.policy import MANIFEST
-from uavaccel.sim.camera.view import HEIGHT, WIDTH
 from uavaccel.suites.suite import Cost, SimpleCase
 from uavaccel.watch.beside import PageAddress
 
@@ -35,7 +34,7 @@ def told(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
     for name in (
         "cli.run.run_experiment", "cli.evaluate.evaluate_agent", "cli.evaluate.sweep_agent", "cli.fly.fly_script",
         "cli.calibrate.show_agreement", "cli.calibrate.write_calibration", "cli.advise.show_advice",
-        "cli.bench.run_benches", "cli.doctor.examine", "cli.view.view_events", "cli.view.view_game",
+        "cli.bench.run_benches", "cli.doctor.examine", "cli.view.view_game",
         "cli.watch.watch", "cli.export.export", "cli.serve.serve",
     ):  # fmt: skip
         stand_in(name)
@@ -142,8 +141,6 @@ def test_a_run_is_asked_for_with_every_option_and_no_other(
         ("doctor", ("examine",)),
         ("view", ("view_game", "default", None, None)),
         ("view run --case a --out films", ("view_game", "run", "a", Path("films"))),
-        ("view run --events e.h5", ("view_events", "run", None, Path("e.h5"), 100.0)),
-        ("view run --case a --events e.h5 --events-rate-hz 50", ("view_events", "run", "a", Path("e.h5"), 50.0)),
         ("export run", ("export", "run", *[None] * 6)),
         (
             "export run --onnx o --csv c --parquet p --mcap m --minari n --case a",
@@ -343,32 +340,16 @@ def test_the_best_and_the_worst_game_are_filmed_under_their_names(
         {"case": "near", "is_success": False, "commands": 3, "distance_m": 1.0},
         {"case": "quick", "is_success": True, "commands": 20, "distance_m": 50.0},
     ]
-    written: list[tuple[str, str]] = []
-
-    class Evaluation:
-        def film(self, run: Any, case: str) -> tuple[str, str]:
-            return case, f"film of {case}"
-
-        def report(self, run: Any) -> Any:
-            return SimpleNamespace(write=lambda: written.append(("report", "")))
-
-    def write(film: str, path: str) -> str:
-        written.append((film, path))
-        return path
-
-    monkeypatch.setattr("uavaccel.suites.evaluation.suite.Evaluation", Evaluation)
-    monkeypatch.setattr("uavaccel.cli.view.film_with_bar", write)
-    monkeypatch.setattr("uavaccel.draw.film.write_contact_sheet", write)
+    written: list[tuple[str, ...]] = []
+    monkeypatch.setattr(view, "film_of_game", lambda run, case: (case, f"film of {case}"))
+    monkeypatch.setattr(view, "write_film", lambda *what: written.append(what))
     config = {} if simulator is None else {"simulator": simulator}
     evaluate.film_extremes(SimpleNamespace(rows=lambda: rows, config=lambda: config, file=str))  # type: ignore[arg-type]
-    best, worst = (
-        [(f"film of {case}", f"films/{name}.{kind}") for kind in ("mp4", "png")]
+    assert written == [
+        (f"film of {case}", f"films/{name}.mp4", f"films/{name}.png")
         for case, name in (("quick", "best"), ("near", "worst"))
-    )
-    assert written == [*best, *worst, ("report", "")]
-    lines = capsys.readouterr().out.splitlines()
-    assert lines[-4:] == [path for _, path in best + worst]
-    assert ("exact simulator" in lines[0]) == (simulator == "kernels")
+    ]
+    assert ("exact simulator" in capsys.readouterr().out) == (simulator == "kernels")
 
 
 EVALUATED = [{"suite": "evaluate", "lane": lane} for lane in (2, 3)]
@@ -387,15 +368,15 @@ def test_evaluations_are_compared_where_they_have_a_lane_in_common(
         name="evaluate", cases=lambda config: [SimpleNamespace(lane=lane) for lane in range(games)]
     )
     other = SimpleNamespace(path=Path("other"), rows=lambda: rows)
-    flown: list[RunRequest] = []
+    flown: list[tuple[RunRequest, Any]] = []
     monkeypatch.setattr(evaluate, "RunDirectory", lambda _: other)
     monkeypatch.setattr(evaluate, "configure", lambda _: (suite, None))
     monkeypatch.setattr(evaluate, "check_jobs", lambda *_: None)
-    monkeypatch.setattr(evaluate, "run_experiment", flown.append)
+    monkeypatch.setattr(evaluate, "run_experiment", lambda *told: flown.append(told))
     request = RunRequest("evaluate")
     if comparable:
         evaluate.evaluate_agent(request, Path("other"), films=False)
-        assert flown == [request]
+        assert flown == [(request, None)]
         return
     with pytest.raises(UserError, match="is no evaluation of the same lanes"):
         evaluate.evaluate_agent(request, Path("other"), films=False)
@@ -409,32 +390,17 @@ def test_of_a_policy_the_first_lane_is_shown_unless_one_is_named(
     (tmp_path / MANIFEST).write_text("{}")
     done: list[tuple[Any, ...]] = []
 
-    def seen(config: Any, *how: Any) -> list[str]:
-        done.append(("seen", *how))
-        return ["events"]
-
-    def written(*what: Any, **options: Any) -> Path:
-        done.append(what)
-        return Path(what[-1])
-
     for name, stand_in in (
-        ("policy_folder", Path),
-        ("describe_renderer", lambda: None),
-        ("completed", lambda mapping: mapping),
-        ("lane_events", seen),
-        ("write_events", lambda *what: done.append(what)),
-        ("film_lane", lambda config, lane: f"film of {lane}"),
-        ("film_with_bar", written),
-        ("write_contact_sheet", written),
+        ("view.policy_folder", Path),
+        ("view.describe_renderer", lambda: None),
+        ("view.film_of", lambda flight: f"film of {flight}"),
+        ("view.write_film", lambda *what: done.append(what)),
+        ("view.resolve", lambda *_: config),
     ):
-        monkeypatch.setattr(view, name, stand_in)
+        monkeypatch.setattr(f"uavaccel.cli.{name}", stand_in)
+    monkeypatch.setattr("uavaccel.suites.evaluate.completed", lambda mapping: mapping)
+    monkeypatch.setattr("uavaccel.suites.evaluate_again.flight_of_agent", lambda config, lane: lane)
     config = SimpleNamespace(task=SimpleNamespace(wire_lane=lambda lane: None))
-    monkeypatch.setattr(view, "resolve", lambda *_: config)
-    view.view_events(str(tmp_path), case, Path("e.npz"), 50.0)
     view.view_game(str(tmp_path), case, None)
     named = tmp_path / "view" / (case or "lane-000000")
-    assert done == [
-        ("seen", lane, 50.0),
-        (Path("e.npz"), ["events"], HEIGHT, WIDTH),
-        *((f"film of {lane}", named.with_suffix(kind)) for kind in (".mp4", ".png")),
-    ]
+    assert done == [(f"film of {lane}", named.with_suffix(".mp4"), named.with_suffix(".png"))]

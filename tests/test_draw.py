@@ -10,11 +10,9 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 from matplotlib.colors import to_hex
-from scipy.stats import binomtest
 
 from tests.drawing import headline, labelled, legend_texts, points
 from uavaccel.draw import style
-from uavaccel.suites.evaluation.report import plot_survival
 
 BLUE, ORANGE, GREEN, VERMILION = "#0072b2", "#e69f00", "#009e73", "#d55e00"
 
@@ -53,26 +51,6 @@ def test_ticks_of_trajectories_keep_clear_of_the_common_corner(size_m: float) ->
 
 
 # --- evaluation --------------------------------------------------------------------------------
-
-
-def test_survival_is_the_share_of_games_that_got_at_least_so_far() -> None:
-    drawn: Any = plot_survival({"one": [30.0, 151.0, 10.0, 150.0], "two": [20.0]}, "where from")
-    assert headline(drawn) == ("Distance travelled", "where from")
-    (axes,) = drawn.axes
-    one, two, end = (labelled(axes)[name] for name in ("one", "two", "end of the lane"))
-    assert points(one) == [(0.0, 1.0), (10.0, 0.75), (30.0, 0.5), (150.0, 0.25), (150.0, 0.0)]
-    assert points(two) == [(0.0, 1.0), (20.0, 0.0)]
-    assert {line.get_drawstyle() for line in (one, two)} == {"steps-post"}  # games last until their distance
-    assert end.get_xdata()[0] == 150.0
-    assert (axes.get_xlabel(), axes.get_ylabel()) == ("distance north, m", "share of games that got there")
-    assert axes.get_ylim() == (0.0, 1.05)
-    assert legend_texts(axes.get_legend()) == ["one", "two", "end of the lane"]
-    low, high = axes.collections[0].get_paths()[0].get_extents().get_points()[:, 1]
-    assert (low, high) == (0.0, 1.0)
-    vertices = axes.collections[0].get_paths()[0].vertices
-    at_10_m = sorted({round(y, 9) for x, y in vertices if x == 10.0})
-    interval = binomtest(3, 4).proportion_ci(method="wilson")
-    assert {round(interval.low, 9), round(interval.high, 9)} <= set(at_10_m)
 
 
 # --- style --------------------------------------------------------------------------------------------------

@@ -6,23 +6,21 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from tests.opengl import needs_opengl
+from tests.running import fly_into
 from uavaccel.config import validate
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.errors import UserError
-from uavaccel.files import read_arrays
 from uavaccel.kinematics import VelocityGoal
 from uavaccel.sim.lane.layout import draw_layout, lane_seed
 from uavaccel.sim.profile import NATIVE
 from uavaccel.sim.vehicle.goal import of_velocity
 from uavaccel.sim.world import World
-from uavaccel.suites.evaluation.config import EvaluateConfig
-from uavaccel.suites.evaluation.film import lane_events
+from uavaccel.suites.evaluate import EvaluateConfig, Evaluation
 from uavaccel.suites.experiment import read_mapping, resolve
 from uavaccel.suites.old_dp2.config import Dp2Config
 from uavaccel.suites.old_dp2.flights import SCENE, fly_game
@@ -30,7 +28,6 @@ from uavaccel.suites.old_dp2.flights import cases as cases_of
 from uavaccel.suites.old_dp2.scores import counts_of
 from uavaccel.vision.dvs import PRESETS, make_sensor, sensor_from_maps
 from uavaccel.vision.event_counter import EventCounter
-from uavaccel.vision.event_files import first_of_each_ms, write_events
 from uavaccel.wire.session import open_session
 
 LANE, TICK_S, SAMPLES = 3, 0.002, (165, 330, 500)  # ticks of a command's samples
@@ -207,52 +204,6 @@ def test_a_saved_counter_goes_on_whatever_the_other_had_seen(taken: bool, other_
     assert other.take_events()[:, [0, 3]] == pytest.approx(np.array([[0.2, -1.0]] * 6))
 
 
-EVENTS = np.array(
-    [[0.0005, 3, 1, 1], [0.002, 255, 143, -1], [0.002, 0, 0, 1], [0.0049996, 7, 9, -1]], np.float32
-)
-
-
-def test_files_of_events_are_read_back(tmp_path: Path) -> None:
-    expected = {"t": [500, 2000, 2000, 5000], "x": [3, 255, 0, 7], "y": [1, 143, 0, 9], "p": [1, 0, 1, 0]}
-    with h5py.File(write_events(tmp_path / "a" / "events.h5", EVENTS, 144, 256)) as file:
-        for name, values in expected.items():
-            assert file[f"events/{name}"][:].tolist() == values
-        assert [file[f"events/{name}"].dtype.str for name in "txyp"] == ["<u4", "<u2", "<u2", "|u1"]
-        assert file["ms_to_idx"][:].tolist() == [0, 1, 1, 3, 3, 3]
-        assert (int(file["t_offset"][()]), file.attrs["width"], file.attrs["height"]) == (0, 256, 144)
-    arrays = read_arrays(write_events(tmp_path / "events.npz", EVENTS, 144, 256))
-    assert {name: arrays[name].tolist() for name in "txyp"} == expected
-    assert (int(arrays["height"]), int(arrays["width"])) == (144, 256)
-
-
-def test_no_events_are_a_file_too_and_other_files_are_refused(tmp_path: Path) -> None:
-    with h5py.File(write_events(tmp_path / "none.h5", EVENTS[:0], 144, 256)) as file:
-        assert len(file["events/t"]) == 0
-    with pytest.raises(UserError, match=r"none\.txt: events are written as \.h5 or \.npz"):
-        write_events(tmp_path / "none.txt", EVENTS, 144, 256)
-
-
-def test_milliseconds_point_at_the_first_event_then_or_later() -> None:
-    t_us = np.sort(np.random.default_rng(0).integers(0, 30_000, 200)).astype(np.uint32)
-    for ms, index in enumerate(first_of_each_ms(t_us).tolist()):
-        assert all(t < 1000 * ms for t in t_us[:index])
-        assert all(t >= 1000 * ms for t in t_us[index:])
-
-
-def test_tonic_reads_them_as_dsec(tmp_path: Path) -> None:
-    """Where tonic, a public reader of event data sets, is installed."""
-    dsec = pytest.importorskip("tonic.datasets.dsec")
-    write_events(tmp_path / "lane" / "events_left" / "events.h5", EVENTS, 144, 256)
-    reader = dsec.DSEC.__new__(dsec.DSEC)  # whose constructor downloads
-    reader.location_on_system, reader.recording_selection = str(tmp_path), ["lane"]
-    reader.data_selection, reader.target_selection = ["events_left"], []
-    reader.transform = reader.target_transform = reader.transforms = None
-    read = reader[0][0][0]
-    assert read["events_left"]["t"].tolist() == [500, 2000, 2000, 5000]
-    assert read["events_left"]["x"].tolist() == [3, 255, 0, 7]
-    assert read["ms_to_idx"].tolist() == [0, 1, 1, 3, 3, 3]
-
-
 def dp2_game(*overrides: str) -> tuple[Any, dict[str, NDArray[Any]]]:
     """Row and arrays of a short path's game."""
     mapping, source = read_mapping("dp2")
@@ -292,11 +243,13 @@ def test_dp2_refuses_a_rate_on_the_machines_clock() -> None:
 
 
 @needs_opengl
-def test_the_events_of_a_game_of_an_agent_that_sees_none() -> None:
+def test_the_events_of_a_game_of_an_agent_that_sees_none(tmp_path: Path) -> None:
     """At the samples' own rate they are those that an agent with a DVS would have seen, summed over each frame."""
     task: dict[str, Any] = {"timing": "lockstep", "split": "evaluation", "max_commands": 2, "t_sample_s": 0.5}
     flown = {"agent": "straight", "games": 1, "task": {**task, "observation": "state"}}
-    events = lane_events(validate(EvaluateConfig, flown, "test"), 0, rate_hz=2.0)
+    run = fly_into(tmp_path / "run", Evaluation(), validate(EvaluateConfig, flown, "test"))
+    flight = Evaluation().flight(Evaluation().report(run), run.rows()[0], event_rate_hz=2.0)
+    events = np.concatenate([window.rows for window in flight.windows if window.rows is not None])
     with closing(ObstacleLane(**task)) as seeing:
         seeing.reset(seed=0, options={"lane": 0})
         frames = np.concatenate([seeing.step(AHEAD)[0] for _ in range(2)]).astype(int) - 128
@@ -308,5 +261,3 @@ def test_the_events_of_a_game_of_an_agent_that_sees_none() -> None:
         events[:, 3].astype(int),
     )
     np.testing.assert_array_equal(np.clip(counted, -128, 127), frames)
-    with pytest.raises(UserError, match="--events-rate-hz = 300 does not divide"):
-        lane_events(validate(EvaluateConfig, flown, "test"), 0, rate_hz=300.0)

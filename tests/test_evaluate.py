@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import re
+from dataclasses import astuple
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -13,39 +14,32 @@ import numpy as np
 import pytest
 import torch as th
 
-from tests.drawing import record_figures
 from tests.lanes import free_distance_m
 from tests.learning import tiny_config, train_into
 from tests.opengl import needs_opengl
-from tests.running import configured, run_into
+from tests.running import configured, fly_into, run_into
 from uavaccel.cli.evaluate import evaluate_agent
 from uavaccel.cli.result_commands import report
 from uavaccel.cli.run import RunRequest
 from uavaccel.cli.view import view_game
-from uavaccel.config import validate
-from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
+from uavaccel.envs.observer import SecondEventCamera
+from uavaccel.envs.obstacle_lane import LaneTask
 from uavaccel.errors import UsageError, UserError
 from uavaccel.files import file_sha256
-from uavaccel.metrics.intervals import Proportion, mcnemar_exact
 from uavaccel.records import RunDirectory
 from uavaccel.resources import asset
 from uavaccel.rl import agents
-from uavaccel.rl.agents import OffsetAgent, make_agent, trained_keys
+from uavaccel.rl.agents import OffsetAgent, trained_keys
 from uavaccel.rl.algorithms import make_policy
 from uavaccel.rl.config import LearnerConfig
 from uavaccel.rl.lanes import make_lanes
 from uavaccel.rl.learner import make_learner
 from uavaccel.rl.policy import MANIFEST, WEIGHTS, export_policy, load_policy, trained_with
 from uavaccel.sim.lane.layout import draw_layout, lane_seed
-from uavaccel.suites.evaluation.config import EvaluateConfig
-from uavaccel.suites.evaluation.film import SecondEventCamera, film_lane
-from uavaccel.suites.evaluation.flights import fly_game
-from uavaccel.suites.evaluation.lost import plot_lost
-from uavaccel.suites.evaluation.report import compare, summarise
-from uavaccel.suites.evaluation.side_by_side import write_simulators
-from uavaccel.suites.evaluation.suite import Evaluation
+from uavaccel.suites.evaluate import Evaluation
+from uavaccel.suites.evaluate_again import flight_of_agent
+from uavaccel.suites.flight import film_of
 from uavaccel.suites.old_report import Summary
-from uavaccel.wire.image_api import lane_layout
 
 LANES = 4
 FIGURE, COMPARISON = "figures/figure8_survival.png", "figures/figure8_survival_compared.png"
@@ -81,6 +75,8 @@ def test_straight_flight_gets_as_far_as_the_lane_is_free(straight: RunDirectory)
     rows = straight.rows()
     assert [row["lane"] for row in rows] == list(range(LANES))
     for row in rows:
+        assert row["path_m"][-1][0] == row["distance_m"]
+        assert len(row["path_m"]) == row["commands"]
         assert row["distance_m"] == pytest.approx(free_m(row["lane"], 0.0), abs=0.02)
         assert not row["is_success"]
         assert row["collision"]
@@ -103,18 +99,6 @@ def test_an_offset_agent_turns_towards_its_offset(y_m: float, heading_deg: float
 # --- results ----------------------------------------------------------------------------------------------------
 
 
-def test_the_summary_has_success_with_its_interval(straight: RunDirectory) -> None:
-    summary, rows = straight.read_json("summary.json"), straight.rows()
-    assert (summary["games"], summary["successes"], summary["success_ratio"]) == (LANES, 0, 0.0)
-    assert (summary["wilson_low"], summary["wilson_high"]) == Proportion(0, LANES).interval
-    assert summary["distance_m_median"] == pytest.approx(np.median([row["distance_m"] for row in rows]))
-    won: list[Any] = [{**row, "is_success": row["lane"] < 3} for row in rows]
-    summary = summarise(configured("evaluate", agent="straight"), won)
-    assert summary["success_ratio"] == 0.75
-    # Wilson's score interval of 3 in 4.
-    assert [summary["wilson_low"], summary["wilson_high"]] == pytest.approx([0.3006, 0.9544], abs=1e-4)
-
-
 @pytest.mark.slow
 def test_the_same_bytes_twice_whatever_the_jobs(tmp_path: Path, straight: RunDirectory) -> None:
     evaluate_agent(request("straight", tmp_path / "run", jobs=2), None, False)
@@ -128,17 +112,6 @@ def test_a_resumed_evaluation_flies_what_is_missing(tmp_path: Path, straight: Ru
     (tmp_path / "run/rows.jsonl").write_bytes(b"".join(rows[:2]))
     evaluate_agent(request("straight", tmp_path / "run", resume=True), None, False)
     assert (tmp_path / "run/rows.jsonl").read_bytes() == (straight.path / "rows.jsonl").read_bytes()
-
-
-def test_the_paired_comparison_is_mcnemars(tmp_path: Path, straight: RunDirectory) -> None:
-    rows: list[Any] = [{**row, "is_success": True} for row in straight.rows()]
-    p_value = mcnemar_exact([True] * LANES, [False] * LANES).p_value
-    assert p_value == pytest.approx(2 * 0.5**LANES)
-    said = compare(rows, straight)
-    assert said.endswith(f"on the same {LANES} lanes: {LANES} v 0 successes, exact McNemar p = {p_value:.3g}")
-    others: list[Any] = [{**row, "lane": row["lane"] + 100} for row in rows]
-    with pytest.raises(UserError, match="is no evaluation of the same lanes"):
-        compare(others, straight)
 
 
 def test_against_another_run_on_the_command_line(
@@ -161,78 +134,6 @@ def test_films_of_the_best_and_the_worst(tmp_path: Path) -> None:
     assert [base64.b64decode(film) for film in films] == [
         (tmp_path / f"run/films/{name}.mp4").read_bytes() for name in ("best", "worst")
     ]
-
-
-def test_lost_lanes_are_named_and_their_paths_drawn_over_the_obstacles(
-    tmp_path: Path, straight: RunDirectory, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    drawn = record_figures(monkeypatch)
-    rows = [row for row in straight.rows() if not row["is_success"]]
-    config = validate(EvaluateConfig, straight.config(), "test")
-    for row in rows:
-        assert row["path_m"][-1][0] == row["distance_m"]
-        assert len(row["path_m"]) == row["commands"]
-    many: list[Any] = [
-        {**row, "distance_m": row["distance_m"] + number} for row in rows for number in range(10)
-    ]
-    picture = plot_lost(config, many, tmp_path / "lost.png", "modelled")
-    assert picture is not None
-    assert f"{len(many) - 9} more are in the table" in picture.caption
-    panels = drawn["lost"].axes
-    assert len(panels) == 9
-    shortest = min(rows, key=lambda row: row["distance_m"])
-    path = np.asarray(panels[0].lines[-2].get_xydata())
-    np.testing.assert_array_equal(path, [[0.0, 0.0], *shortest["path_m"]])
-    layout = lane_layout(config.task.wire_lane(shortest["lane"]))
-    assert len(panels[0].patches) == len(layout)
-    assert plot_lost(config, [], tmp_path / "none.png", "modelled") is None
-    without: list[Any] = [{key: value for key, value in row.items() if key != "path_m"} for row in rows]
-    assert plot_lost(config, without, tmp_path / "none.png", "modelled") is None
-
-
-@pytest.mark.parametrize(("farthest_m", "shown_m"), [(30.0, 40.0), (146.0, 152.0), (-1.0, 10.0)])
-def test_lost_lanes_are_seen_from_above_with_the_west_on_top(
-    farthest_m: float, shown_m: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """As a pilot who looks north sees them, turned to the right: obstacles, walls, the end, the path and its end."""
-    obstacles = [
-        {"x_m": 12.0, "y_m": -2.0, "radius_m": 0.5},
-        {"x_m": 20.0, "y_m": 3.0, "half_side_m": 0.25},
-    ]
-    task = LaneTask(lane={"obstacles": obstacles}, split="evaluation")
-    drawn = record_figures(monkeypatch)
-    ends: list[tuple[int, float, str | None]] = [(4, farthest_m, None), (7, -3.0, "wall_west")]
-    rows: list[Any] = [
-        {
-            "lane": lane,
-            "is_success": False,
-            "collision": hit,
-            "distance_m": end_m,
-            "path_m": [[1.0, 0.5], [end_m, -2.0]],
-        }
-        for lane, end_m, hit in ends
-    ]
-    won: Any = {**rows[0], "is_success": True, "distance_m": 150.0}
-    picture = plot_lost(
-        EvaluateConfig(agent="straight", task=task), [*rows, won], tmp_path / "lost.png", "here"
-    )
-    assert picture is not None
-    panels: Any = drawn["lost"].axes
-    assert [axes.get_title(loc="left") for axes in panels] == [
-        "lane 7: -3.0 m, hitting wall_west",
-        f"lane 4: {farthest_m:.1f} m, running out of commands",
-    ]
-    for axes, end_m in zip(panels, (-3.0, farthest_m), strict=True):
-        assert axes.get_ylim() == (5.0, -5.0)
-        assert axes.get_xlim() == (-2.0, shown_m)
-        west, east, goal, path, end = axes.lines
-        assert [line.get_ydata()[0] for line in (west, east)] == [-5.0, 5.0]
-        assert goal.get_xdata()[0] == 150.0
-        assert np.asarray(path.get_xydata()).tolist() == [[0.0, 0.0], [1.0, 0.5], [end_m, -2.0]]
-        assert np.asarray(end.get_xydata()).tolist() == [[end_m, -2.0]]
-        post, box = axes.patches
-        assert (post.center, post.radius) == ((12.0, -2.0), 0.5)
-        assert box.get_bbox().bounds == (19.75, 2.75, 0.5, 0.5)
 
 
 def test_a_second_event_camera_has_the_noise_of_the_game_it_watches() -> None:
@@ -264,76 +165,37 @@ def test_a_second_event_camera_has_the_noise_of_the_game_it_watches() -> None:
     assert done == ["stopped 77", ("78 at 2000", 2000, 0), 5, ("78 at 2030", 2030)]
 
 
-def test_two_simulators_are_compared_on_the_lanes_that_both_flew(tmp_path: Path) -> None:
-    """Each line has its own simulator's games; runs of another agent, or of the same simulator, are left out."""
-
-    def run_of(
-        name: str, simulator: str, policy: str, rows: dict[int, tuple[float, list[int]]]
-    ) -> RunDirectory:
-        task = LaneTask(split="evaluation", timing="lockstep", observation="state")
-        config = EvaluateConfig(agent=f"runs/{name}", simulator=simulator, task=task)
-        run = RunDirectory.create(tmp_path / name, config, {"policy_sha256": policy})
-        for lane, (distance_m, actions) in rows.items():
-            case = {"case": f"lane-{lane}", "suite": "evaluate", "lane": lane, "actions": actions}
-            time = {"sim_time_s": 10.0 * lane, "wall_s": 1.0}
-            run.append_row({**case, **time, "is_success": distance_m == 150.0, "distance_m": distance_m})
-        return run
-
-    exact = run_of(
-        "exact", "mujoco", "a", {n: (d, [n]) for n, d in enumerate((9.0, 20.0, 150.0, 40.0, 10.0, 50.0))}
-    )
-    others = {
-        1: (150.0, [1]),
-        2: (30.0, [2, 2]),
-        3: (40.0, [3]),
-        4: (150.0, []),
-        5: (150.0, []),
-        8: (1.0, []),
-    }
-    kernels = run_of("kernels", "kernels", "a", others)
-    for alone in (
-        (exact, exact),
-        (kernels, kernels),
-        (exact, run_of("another", "kernels", "b", others)),
-        (exact, run_of("elsewhere", "kernels", "a", {7: (1.0, [])})),
-    ):
-        assert write_simulators(alone) == []
-    assert write_simulators([kernels, exact]) == [kernels.path / "simulators.md"]
-    page = (kernels.path / "simulators.md").read_text()
-    # Lane 3 alone ends alike; one was won here only and three there only: 2 * (1 + 4) / 2**4.
-    said = "on the 5 lanes that both flew: 1 end alike, won or lost, 2 with the same actions throughout"
-    assert f"runs/exact {said}; exact McNemar p = 0.625." in page
-    lines = [
-        [cell.strip() for cell in line.split("|")[1:-1]] for line in page.splitlines() if line.startswith("|")
-    ]
-    assert lines[0] == ["simulator", "run", "won", "of", "median distance m", "simulated s"]
-    assert [line[2:] for line in lines[2:]] == [["1", "5", "40.0", "150"], ["3", "5", "150.0", "150"]]
-    assert [line[0].split(" ")[0] for line in lines[2:]] == ["mujoco", "kernels"]
-
-
 @pytest.mark.slow
 @needs_opengl
-def test_a_film_is_of_the_very_game_up_to_its_impact() -> None:
+@pytest.mark.parametrize(("agent", "keys"), [("straight", ()), ("default", ("task.max_commands=5",))])
+def test_a_film_is_of_the_very_game_up_to_its_impact(agent: str, keys: tuple[str, ...], tmp_path: Path) -> None:
     """ADSC's game depends on every message: what is filmed must not ask for more of them than the agent does."""
-    for agent, keys in (("straight", ()), ("default", ("task.max_commands=5",))):
-        config = configured("evaluate", *keys, agent=agent, command="adsc", clock_speed=20.0)
-        environment = ObstacleLane(**config.task.model_dump(mode="json"))
-        row = fly_game(config, environment, make_agent(agent, config.task), 2)
-        environment.close()
-        film = film_lane(config, 2)
-        assert film.hit == (row["collision"] or "")
-        assert (np.diff(film.time_s) > 0).all()
-        if agent == "straight":
-            assert film.hit
-            assert film.position_m[-1, 0] == row["distance_m"]
-            assert film.decisions is None
-        else:
-            assert film.decisions is not None
-            assert film.decisions.taken.tolist() == row["actions"]
-            assert film.decisions.of_sample.tolist() == [command for command in range(5) for _ in range(3)]
-            assert film.decisions.given is not None
-            assert film.decisions.given.shape == (5, *config.task.observation_space().shape)
-            assert len({each.tobytes() for each in film.decisions.given}) == 5
+    config = configured(
+        "evaluate", "first_lane=2", *keys, agent=agent, command="adsc", clock_speed=20.0, games=1
+    )
+    suite, run = Evaluation(), fly_into(tmp_path / "run", Evaluation(), config)
+    row = run.rows()[0]
+    film = film_of(suite.flight(suite.report(run), row))
+    assert film.hit == (row["collision"] or "")
+    assert (np.diff(film.time_s) > 0).all()
+    if agent == "straight":
+        assert film.hit
+        assert film.position_m[-1, 0] == row["distance_m"]
+        assert film.decisions is None
+        return
+    again = film_of(flight_of_agent(config, 2))
+    np.testing.assert_array_equal(again.images, film.images)
+    assert (film.decisions is None, again.decisions is None) == (False, False)
+    for one, other in zip(astuple(film.decisions), astuple(again.decisions), strict=True):  # type: ignore[arg-type]
+        np.testing.assert_array_equal(one, other)
+    shown: Any = film.decisions
+    assert shown.taken.tolist() == row["actions"]
+    assert shown.of_sample.tolist() == [0, *(command for command in range(5) for _ in range(3))]
+    assert shown.given.shape == (5, *config.task.observation_space().shape)
+    assert len({each.tobytes() for each in shown.given}) == 5
+    run.write_json("manifest.json", {"policy_sha256": "another"})
+    with pytest.raises(UserError, match="default is another policy than the one that flew this run"):
+        suite.flight(suite.report(run), row)
 
 
 @pytest.mark.parametrize(("clock_speed", "least", "most"), [(1.0, 0.9, 1.0), (50.0, 10.0, 50.0)])

@@ -17,7 +17,7 @@ from uavaccel.config import to_yaml
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
 from uavaccel.suites.dp1 import Dp1
-from uavaccel.suites.evaluation.suite import Evaluation
+from uavaccel.suites.evaluate import Evaluation
 from uavaccel.suites.experiment import resolve
 from uavaccel.suites.registry import SUITES, find_suite, open_run
 from uavaccel.suites.suite import AnySuite

@@ -23,7 +23,7 @@ from uavaccel.errors import UsageError, UserError
 from uavaccel.records import RunDirectory
 from uavaccel.resources import experiment
 from uavaccel.suites.dp1 import Dp1, Dp1Config
-from uavaccel.suites.evaluation.suite import Evaluation
+from uavaccel.suites.evaluate import Evaluation
 from uavaccel.suites.grid import Ablation, Point, Robustness, Sweep, parse_sweep
 from uavaccel.suites.report import Report
 

@@ -26,8 +26,6 @@ from uavaccel.files import append_line
 from uavaccel.records import RunDirectory
 from uavaccel.rl.learner import Game
 from uavaccel.suites import trainer
-from uavaccel.suites.evaluation.config import EvaluateConfig
-from uavaccel.suites.evaluation.report import plot_evaluations, summarise
 from uavaccel.suites.report import Report
 from uavaccel.suites.train import Training, time_figure
 from uavaccel.suites.trainer import model_real_time
@@ -57,66 +55,6 @@ def run_of(path: Path, config: Flown, rows: list[Row]) -> RunDirectory:
     for number, row in enumerate(rows):
         run.append_row({"case": str(number), **row})
     return run
-
-
-# --- evaluations --------------------------------------------------------------------------------------------
-
-
-def test_every_number_of_an_evaluation() -> None:
-    task = LaneTask(split="evaluation", timing="virtual", command="adsc", clock_speed=10.0)
-    config = EvaluateConfig(agent="offset:1", seed=4, task=task)
-    distances_m, walls_s = [150.0, 20.0, 30.0, 150.0, 90.0, 100.0, 7.0], [0.5, 0.1, 0.2, 0.4, 0.6, 0.7, 0.8]
-    rows: list[Any] = [
-        {"is_success": d == 150.0, "distance_m": d, "sim_time_s": 10.0 + i, "wall_s": wall_s}
-        for i, (d, wall_s) in enumerate(zip(distances_m, walls_s, strict=True))
-    ]
-    # Wilson's score interval: the ratios that lie z standard errors of their own from 2 in 7.
-    z, n, ratio = 1.959963984540054, 7, 2 / 7
-    low, high = sorted(np.roots([1 + z**2 / n, -(2 * ratio + z**2 / n), ratio**2]).tolist())
-    assert summarise(config, rows) == {
-        "suite": "evaluate",
-        "agent": "offset:1",
-        "simulator": "mujoco",
-        "profile": "native",
-        "command": "adsc",
-        "clock_speed": 10.0,
-        "timing": "virtual",
-        "seed": 4,
-        "games": 7,
-        "successes": 2,
-        "success_ratio": 2 / 7,
-        "wilson_low": pytest.approx(low),
-        "wilson_high": pytest.approx(high),
-        "sim_time_s": 91.0,
-        "wall_s": pytest.approx(3.3),
-        "simulated_s_per_wall_s": pytest.approx(91.0 / 3.3),
-        "distance_m_median": quantile(distances_m, 0.5),
-    }
-
-
-def evaluation(path: Path, agent: str, timing: str, seed: int, *distances_m: float) -> RunDirectory:
-    config = Flown(seed=seed, agent=agent, task={"timing": timing})
-    return run_of(path, config, [{"distance_m": distance_m} for distance_m in distances_m])
-
-
-def test_figure_8_has_a_line_for_each_evaluation(tmp_path: Path, drawn: dict[str, Figure]) -> None:
-    runs = [
-        evaluation(tmp_path / "a/run", "default", "virtual", 3, 10.0, 40.0),
-        evaluation(tmp_path / "b/run", "default", "wall", 1, 20.0),
-        evaluation(tmp_path / "c", "straight", "virtual", 3, 5.0, 6.0),
-    ]
-    path = tmp_path / "figure8_survival.png"
-    assert plot_evaluations(runs, path).path == path
-    lines = labelled(drawn["figure8_survival"].axes[0])
-    assert {name: points(line) for name, line in lines.items() if name != "end of the lane"} == {
-        f"default ({tmp_path / 'a/run'})": [(0.0, 1.0), (10.0, 0.5), (40.0, 0.0)],
-        f"default ({tmp_path / 'b/run'})": [(0.0, 1.0), (20.0, 0.0)],
-        "straight": [(0.0, 1.0), (5.0, 0.5), (6.0, 0.0)],
-    }
-    assert headline(drawn["figure8_survival"])[1] == "measured and modelled · 1, 2 games each · seed 1, 3"
-    for run, provenance in ((runs[1], "measured · 1 games"), (runs[2], "modelled · 2 games")):
-        plot_evaluations([run], tmp_path / "figure8_survival.png")
-        assert headline(drawn["figure8_survival"])[1].startswith(provenance)
 
 
 # --- trainings ----------------------------------------------------------------------------------------------

@@ -212,7 +212,8 @@ def test_own_code_is_trusted_once_until_it_changes(
         return capsys.readouterr().err
 
     asks = "foreign.py is code that nobody has trusted here: read it, then add --trust, once"
-    assert asks in said("report", "run")
+    for command in ("report", "watch", "export --mcap logs"):
+        assert asks in said(*command.split(), "run")
     assert "it ran" in said("report", "run", "--trust")
     monkeypatch.chdir(tmp_path / "run")
     assert "it ran" in said("report", ".")

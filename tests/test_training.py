@@ -33,8 +33,7 @@ from uavaccel.rl.lanes import make_lanes
 from uavaccel.rl.learner import make_learner
 from uavaccel.rl.policy import load_policy, trained_with, weights_sha256
 from uavaccel.suites import trainer
-from uavaccel.suites.evaluation.config import EvaluateConfig
-from uavaccel.suites.evaluation.flights import fly_game
+from uavaccel.suites.evaluate import EvaluateConfig, fly_game
 from uavaccel.suites.runner import begin_run, run_suite
 from uavaccel.suites.suite import GameResult
 from uavaccel.suites.train import CHECKPOINTS, EVALUATIONS, Training, evaluations

@@ -20,7 +20,7 @@ from uavaccel.commands.paths import velocities
 from uavaccel.sim.camera.view import HEIGHT, WIDTH
 from uavaccel.sim.profile import PROFILES
 from uavaccel.sim.world import World
-from uavaccel.watch import figure, pictures, replay, trail
+from uavaccel.watch import figure, pictures, trail
 from uavaccel.watch.drone import Drone
 from uavaccel.watch.figure import COMMANDED, THINKING, Figure
 from uavaccel.watch.pictures import Eyes
@@ -224,14 +224,6 @@ def test_events_are_of_what_passed_since_the_last_look_and_begin_anew_after_a_ju
     assert stepped == pytest.approx([0.1, 0.2, 0.125])  # since it began: not after standing, nor after jumps
     assert picture.shape == (2 * HEIGHT, WIDTH, 3)
     assert data.qpos.tolist() == [0.0, 1.0, 2.0, 3.0, 0.5, 0.5, -0.5, -0.5, 0.0]
-
-
-def test_the_fastest_game_is_replayed_before_what_it_is_compared_with() -> None:
-    rows: Any = [
-        {"role": "reference", "clock_speed": 100.0},
-        *({"role": "game", "clock_speed": k} for k in (1.0, 50.0)),
-    ]
-    assert [row["clock_speed"] for row in sorted(rows, key=replay.interest)] == [50.0, 1.0, 100.0]
 
 
 def test_the_faster_the_clock_the_farther_adsc_leaves_the_path_of_tcsc(both: list[Track]) -> None:

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from uavaccel.suites.old_dp1.suite import Dp1
 
 from tests.flying import STRAIGHT, call, hovering, point
 from tests.learning import tiny_config
@@ -28,7 +29,7 @@ from uavaccel.fly.options import FlightOptions
 from uavaccel.fly.runs import fly
 from uavaccel.records import RunDirectory
 from uavaccel.suites.dp1 import Dp1
-from uavaccel.suites.evaluation.suite import Evaluation
+from uavaccel.suites.evaluate import Evaluation
 from uavaccel.suites.train import Training
 from uavaccel.watch import beside
 from uavaccel.watch.beside import PageAddress, page_beside, parse_address

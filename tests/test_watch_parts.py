@@ -22,12 +22,11 @@ from uavaccel.cli.watch import WatchRequest
 from uavaccel.errors import UsageError, UserError
 from uavaccel.files import to_json, write_arrays
 from uavaccel.processes import child
-from uavaccel.records import RunDirectory
 from uavaccel.watch import beside, scene, server
 from uavaccel.watch.beside import PageAddress, page_beside
 from uavaccel.watch.clocks import Line, clock_table
 from uavaccel.watch.feed import Source
-from uavaccel.watch.replay import _chosen, recorded
+from uavaccel.watch.replay import recorded
 from uavaccel.watch.script_flight import script_track
 from uavaccel.watch.view import FARTHER, FROM_BEHIND, LOWER, Views
 from uavaccel.wire.page_protocol import FREE, PAGE, Orders
@@ -467,35 +466,6 @@ def test_a_finished_game_is_shown_where_and_as_it_was_asked_for(
 
 
 # --- finished flights ------------------------------------------------------------------------------------------------
-
-
-def run_of(folder: Path, suite: str, *rows: dict[str, Any]) -> RunDirectory:
-    folder.mkdir()
-    (folder / "manifest.json").write_text("{}")
-    (folder / "config.yaml").write_text(f"suite: {suite}\n")
-    (folder / "rows.jsonl").write_text("".join(to_json(row) + "\n" for row in rows))
-    return RunDirectory(folder)
-
-
-def test_the_game_that_is_shown_is_the_best_or_the_fastest_unless_one_is_named(tmp_path: Path) -> None:
-    lanes = [
-        {"case": "near", "is_success": False, "commands": 2, "distance_m": 1.0},
-        {"case": "slow", "is_success": True, "commands": 30, "distance_m": 50.0},
-        {"case": "quick", "is_success": True, "commands": 20, "distance_m": 50.0},
-    ]
-    squares = [
-        {"case": "ideal", "role": "reference", "clock_speed": 100.0},
-        {"case": "k1", "role": "game", "clock_speed": 1.0},
-        {"case": "k50", "role": "game", "clock_speed": 50.0},
-    ]
-    for suite, rows, best in (("evaluate", lanes, "quick"), ("dp1", squares, "k50")):
-        run = run_of(tmp_path / suite, suite, *rows)
-        assert _chosen(run, None, None)["case"] == best
-        assert [_chosen(run, None, game)["case"] for game in range(3)] == [row["case"] for row in rows]
-        assert [_chosen(run, str(row["case"]), None)["case"] for row in rows] == [row["case"] for row in rows]
-        for game in (-1, 3):
-            with pytest.raises(UserError, match="has 3 games, from 0 to 2"):
-                _chosen(run, None, game)
 
 
 def script_flight(folder: Path, *messages: dict[str, Any], **summary: Any) -> Path:

@@ -15,9 +15,9 @@ from uavaccel.files import read_arrays, to_json, write_arrays
 from uavaccel.fly.options import FlightOptions
 from uavaccel.fly.runs import fly
 from uavaccel.records import RunDirectory
+from uavaccel.rl.agents import make_agent
 from uavaccel.suites.dp1 import Dp1
-from uavaccel.suites.evaluation.flights import game_seed
-from uavaccel.suites.evaluation.suite import Evaluation
+from uavaccel.suites.evaluate import Evaluation, fly_lane
 from uavaccel.watch.replay import recorded
 
 SCRIPT = """
@@ -92,23 +92,18 @@ def test_an_evaluations_game_is_flown_again_from_its_actions(lanes: RunDirectory
     replay = recorded(lanes.path, game=1)
     config = configured("evaluate", "task.observation=state", agent="straight", games=3)
     environment = ObstacleLane(**config.task.model_dump(mode="json"))
-    _, info = environment.reset(seed=game_seed(config, 1), options={"lane": 1})
-    for action in row["actions"]:
-        environment.charge(config.inference_s)
-        info = environment.step(action)[-1]
+    steps = list(fly_lane(config, environment, make_agent("straight", config.task), 1))
     samples = environment.recording().arrays()
     environment.close()
-    assert replay.track.position_m.tobytes() == samples["position_m"].tobytes()
-    assert abs(replay.track.position_m[-1, 0] - info["position_m"][0]) < 0.2
-    assert len(replay.track.command_start_s) == len(row["actions"]) == len(replay.track.velocities)
-    assert replay.scene == "lane"
+    track = replay.track
+    for name in ("time_s", "position_m", "orientation_wxyz", "command_start_s", "command_end_s"):
+        assert getattr(track, name).tobytes() == samples[name].tobytes()
+    assert abs(track.position_m[-1, 0] - steps[-1].info["position_m"][0]) < 0.2
+    assert len(track.velocities) == len(row["actions"])
     assert replay.lane is not None
-    assert row["case"] in replay.title
-    hit = f"hit {row['collision']}" if row["collision"] else "did not arrive"
-    assert replay.title.endswith(f"; it {'reached the end' if row['is_success'] else hit}.")
-    assert (
-        recorded(lanes.path, case=row["case"]).track.position_m.tobytes() == samples["position_m"].tobytes()
-    )
+    named = f"Game `{row['case']}` of `{lanes.path}`: lane 1, TCSC at 1x: hit {row['collision']}."
+    assert (replay.scene, replay.title) == ("lane", named)
+    assert recorded(lanes.path, case=row["case"]).track.position_m.tobytes() == samples["position_m"].tobytes()
 
 
 def test_an_evaluation_whose_row_does_not_repeat_is_not_shown(lanes: RunDirectory, tmp_path: Path) -> None:
@@ -116,72 +111,52 @@ def test_an_evaluation_whose_row_does_not_repeat_is_not_shown(lanes: RunDirector
     copied.mkdir()
     for name in ("config.yaml", "manifest.json"):
         (copied / name).write_bytes((lanes.path / name).read_bytes())
-    row = {**lanes.rows()[0], "wall_s": 1.0}
-    (copied / "rows.jsonl").write_text(to_json(row) + "\n")
-    with pytest.raises(UserError, match="flown again it differs in wall_s"):
-        recorded(copied)
+    row = lanes.rows()[0]
+    for changed, said in (
+        ({"wall_s": 1.0}, "wall_s"),
+        ({"actions": row["actions"][:-1]}, "actions"),
+        ({"actions": [*row["actions"], 0]}, "actions"),
+    ):
+        (copied / "rows.jsonl").write_text(to_json({**row, **changed}) + "\n")
+        with pytest.raises(UserError, match=f"flown again it differs in {said}[;,]"):
+            recorded(copied)
     config = (copied / "config.yaml").read_text().replace("timing: virtual", "timing: wall")
     (copied / "config.yaml").write_text(config)
     with pytest.raises(UserError, match=r"timing = 'wall' never repeats.*--timing virtual or lockstep"):
         recorded(copied)
 
 
-def test_a_game_of_dp1_has_its_commands(tmp_path: Path) -> None:
-    keys = ("rounds=[1]", "t_move_s=[0.5]", "reference_games=1")
-    run = fly_into(tmp_path / "run", Dp1(), configured("dp1", *keys, clock_speed=[1.0, 50.0], games=1))
-    rows = run.rows()
-    replay = recorded(run.path)
-    assert replay.track.clock_speed == 50.0  # the fastest
-    for number in (0, len(rows) - 1):
-        track = recorded(run.path, game=number).track
-        assert track.position_m.tobytes() == run.load_arrays(rows[number])["position_m"].tobytes()
-    with pytest.raises(
-        UserError, match=rf"--game {len(rows)}: .* has {len(rows)} games, from 0 to {len(rows) - 1}"
-    ):
-        recorded(run.path, game=len(rows))
-    with pytest.raises(UsageError, match="--case, --game"):
-        recorded(run.path, rows[0]["case"], 0)
-
-
-@pytest.mark.parametrize(
-    ("time_s", "starts", "ends", "wall_s"),
-    [
-        ([0.0, 0.33, 0.7, 1.1, 1.5], [0.0, 0.7], [0.66, 1.36], 0.15),
-        (
-            [0.0, 0.33, 0.5, 0.8, 1.0],
-            [0.0, 0.5],
-            [0.5, 1.0],
-            0.1,
-        ),  # the next one, and the flight's end, come before
-    ],
-)
-def test_a_game_of_dp2_has_its_commands_and_its_lane(
-    tmp_path: Path, time_s: list[float], starts: list[float], ends: list[float], wall_s: float
-) -> None:
-    """Two commands of two samples each, after that of the start."""
-    config = configured("dp2", "path=[[1, 0], [0, 2]]", "t_move_s=0.66", "t_sample_s=0.33")
-    run = RunDirectory.create(tmp_path / "run", config, {})
+def test_a_run_shows_its_fastest_game_unless_one_is_named(tmp_path: Path) -> None:
+    run = RunDirectory.create(tmp_path / "run", configured("dp1"), {})
     arrays = {
-        "time_s": np.array(time_s),
-        "sample_index": np.arange(5),
-        "position_m": np.arange(15.0).reshape(5, 3),
-        "orientation_wxyz": np.tile([1.0, 0.0, 0.0, 0.0], (5, 1)),
-        "command_velocity_m_s": np.array([[1.0, 0.0], [0.0, 2.0]]),
+        "time_s": np.array([0.0, 0.5, 1.5]),
+        "position_m": np.arange(9.0).reshape(3, 3),
+        "orientation_wxyz": np.tile([1.0, 0.0, 0.0, 0.0], (3, 1)),
+        "linear_velocity_m_s": np.zeros((3, 3)),
+        "command_start_s": np.array([0.0, 0.75]),
+        "command_end_s": np.array([0.5, 1.25]),
     }
-    row = {"suite": "dp2", "case": "adsc-k10", "role": "game", "command": "adsc", "clock_speed": 10.0}
-    run.append_row(row | run.save_arrays("adsc-k10", arrays))
+    games = {"ideal": ("reference", 100.0), "slow": ("game", 1.0), "fast": ("game", 50.0)}
+    for case, (role, clock_speed) in games.items():
+        row = {"suite": "dp1", "case": case, "role": role, "clock_speed": clock_speed, "command": "tcsc", "rounds": 1}
+        run.append_row(row | run.save_arrays(case, arrays))
     replay = recorded(run.path)
-    assert replay.track.velocities == [(1.0, 0.0, 0.0), (0.0, 2.0, 0.0)]
-    assert replay.track.command_start_s.tolist() == starts
-    assert replay.track.command_end_s.tolist() == pytest.approx(ends)
-    assert (replay.scene, replay.track.wall_s) == ("lane", wall_s)
-    assert replay.lane is not None
-    np.testing.assert_array_equal(replay.lane.x_m, config.layout().x_m)
+    track = replay.track
+    assert (track.clock_speed, replay.scene, replay.lane) == (50.0, "blocks", None)
+    assert replay.title == f"Game `fast` of `{run.path}`: TCSC at 50x."
+    assert track.marks.tolist() == [[0.0, 0.0], [1.5 / 50.0, 1.5]]
+    assert track.velocities == [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0)]
+    assert [track.command(at) for at in (0.25, 0.6, 1.0, 1.3)] == [0, None, 1, None]
+    assert [recorded(run.path, game=number).track.clock_speed for number in range(3)] == [100.0, 1.0, 50.0]
+    with pytest.raises(UserError, match=r"--game 3: .* has 3 games, from 0 to 2"):
+        recorded(run.path, game=3)
+    with pytest.raises(UsageError, match="--case, --game"):
+        recorded(run.path, "fast", 0)
 
 
 def test_what_keeps_no_path_says_what_does(tmp_path: Path, script: Path) -> None:
     train_into(tmp_path / "training", tiny_config())
-    with pytest.raises(UserError, match=r"a training keeps no paths.*uavaccel evaluate"):
+    with pytest.raises(UserError, match=r"a run of train keeps no flights.*evaluate a training's policy"):
         recorded(tmp_path / "training")
     with pytest.raises(UserError, match=r"holds neither a run nor a flight.*--out FOLDER"):
         recorded(tmp_path)

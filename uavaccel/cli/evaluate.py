@@ -22,15 +22,11 @@ def evaluate_agent(request: RunRequest, against: Path | None, films: bool) -> No
     other = None if against is None else open_run(against)
     if not request.dry_run:
         _check_first(request, other, films)
-    run = run_experiment(request)
-    if run is None:
-        return
-    if other is not None:
-        from uavaccel.suites.evaluation.report import compare
+    run = run_experiment(request, film_extremes if films else None)
+    if run is not None and other is not None:
+        from uavaccel.suites.evaluate import against as compared
 
-        console.print(compare(run.rows(), other))
-    if films:
-        film_extremes(run)
+        console.print(compared(run, other))
 
 
 def sweep_agent(request: RunRequest, sweep: Sequence[str], against: Path | None) -> None:
@@ -78,22 +74,14 @@ def _check_first(request: RunRequest, other: RunDirectory | None, films: bool) -
 
 def film_extremes(run: RunDirectory) -> None:
     """Write films and contact sheets of the best game and the worst."""
-    from uavaccel.cli.view import film_with_bar
-    from uavaccel.draw.film import write_contact_sheet
+    from uavaccel.cli.view import film_of_game, write_film
     from uavaccel.envs.simulators import EXACT
-    from uavaccel.suites.evaluation.film import best_first
-    from uavaccel.suites.evaluation.suite import Evaluation
+    from uavaccel.suites.evaluate import Evaluation
 
-    order = best_first(run.rows())
+    order = sorted(run.rows(), key=Evaluation().interest)
     if run.config().get("simulator", EXACT) != EXACT:
         console.print("films: both games once more in the exact simulator, where they may end otherwise")
     for name, row in {"best": order[0], "worst": order[-1]}.items():
         with working(f"{name} game, flown again", console):
-            _, film = Evaluation().film(run, row["case"])
-        for path in (
-            film_with_bar(film, run.file(f"films/{name}.mp4")),
-            write_contact_sheet(film, run.file(f"films/{name}.png")),
-        ):
-            console.print(str(path))
-    with working("report", console):
-        Evaluation().report(run).write()  # with the films in it
+            _, film = film_of_game(run, row["case"])
+        write_film(film, run.file(f"films/{name}.mp4"), run.file(f"films/{name}.png"))

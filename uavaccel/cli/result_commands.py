@@ -43,23 +43,12 @@ def view(
         str | None, typer.Option(help="Name of the game in rows.jsonl; by default the fastest, or the best.")
     ] = None,
     out: Annotated[Path | None, typer.Option(help="Folder; by default view/ in the run directory.")] = None,
-    events: Annotated[
-        Path | None,
-        typer.Option(help="Write a file of the game's events instead: .h5 in DSEC's layout, or .npz."),
-    ] = None,
-    events_rate_hz: Annotated[
-        float,
-        typer.Option(min=0.1, help="Frames per simulated second of the camera that produces the events."),
-    ] = 100.0,
     trust: Trust = False,
 ) -> None:
     """Show a game: an MP4 of camera, DVS, map, the view from behind and a policy's decisions, and a contact sheet."""
-    from uavaccel.cli.view import view_events, view_game
+    from uavaccel.cli.view import view_game
     from uavaccel.suites.own_code import told
 
-    if events is not None:
-        view_events(source, case, events, events_rate_hz)
-        return
     with told(trust):
         view_game(source, case, out)
 
@@ -88,12 +77,13 @@ def watch(
         str, typer.Option(help="Address of the page; others than this machine see it if told.")
     ] = "127.0.0.1",
     port: Annotated[int, typer.Option(min=1, max=65535, help="The first that is free from here on.")] = 8080,
+    trust: Trust = False,
 ) -> None:
     """Watch a flight in the browser: the drone in its scene, clocks, camera and events; pause, step, replay."""
     from uavaccel.cli.watch import WatchRequest
     from uavaccel.cli.watch import watch as open_page
 
-    open_page(WatchRequest(run, case, game, clock, think, seed, host, port))
+    open_page(WatchRequest(run, case, game, clock, think, seed, host, port, trust))
 
 
 def export(
@@ -114,8 +104,11 @@ def export(
     case: Annotated[
         str | None, typer.Option(help="The only game for --mcap, as rows.jsonl names it.")
     ] = None,
+    trust: Trust = False,
 ) -> None:
     """Write a policy as ONNX; a run as tables, as MCAP logs for Foxglove, or as a Minari dataset."""
     from uavaccel.cli.export import export as export_source
+    from uavaccel.suites.own_code import told
 
-    export_source(source, onnx, csv, parquet, mcap, minari, case)
+    with told(trust):
+        export_source(source, onnx, csv, parquet, mcap, minari, case)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 import sys
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
 from itertools import accumulate, islice
@@ -112,13 +112,19 @@ class RunRequest:
         )
 
 
-def run_experiment(request: RunRequest) -> RunDirectory | None:
-    """Fly and report an experiment; returns the run, or None for a dry run. Raises UserError with one line."""
+BeforeReport = Callable[[RunDirectory], None]
+
+
+def run_experiment(request: RunRequest, before_report: BeforeReport | None = None) -> RunDirectory | None:
+    """Fly and report an experiment; returns the run, or None for a dry run. Raises UserError with one line.
+
+    `before_report` makes of the flown run what its report shows.
+    """
     with request.told():
-        return _run_experiment(request)
+        return _run_experiment(request, before_report)
 
 
-def _run_experiment(request: RunRequest) -> RunDirectory | None:
+def _run_experiment(request: RunRequest, before_report: BeforeReport | None) -> RunDirectory | None:
     if request.resume and request.out is None and request.experiment is not None:
         raise UsageError("--resume: say which run to go on with: --out FOLDER")
     suite, config = configure(request)
@@ -151,7 +157,11 @@ def _run_experiment(request: RunRequest) -> RunDirectory | None:
                 console.print(line)
         with page_beside(request.page):
             fly(suite, config, cases, run, request.jobs, request.engine)
-        report_run(run)
+        try:
+            if before_report is not None:
+                before_report(run)
+        finally:
+            report_run(run)
     return run
 
 

@@ -61,7 +61,8 @@ class Film:
     """A game's n samples: times (n,), images (n, H, W) gray or (n, H, W, 3) RGB, DVS event counts (n, H, W), and
     positions NED (n, 3).
 
-    `title` names agent, speed and clock. `chase` renders the view of a sample from behind, RGB, as large as PANEL.
+    `title` names agent, speed and clock. Without `layout` the map has no lane. `chase` renders the view of a sample
+    from behind, RGB, as large as PANEL.
     `hit` names the object of a collision at the last sample; empty if there was none.
     """
 
@@ -71,7 +72,7 @@ class Film:
     on_events: NDArray[np.integer]
     off_events: NDArray[np.integer]
     position_m: NDArray[np.float64]
-    layout: LaneLayout
+    layout: LaneLayout | None
     chase: Callable[[int], NDArray[np.uint8]] | None = None
     decisions: Decisions | None = None
     hit: str = ""
@@ -137,7 +138,8 @@ def _page(film: Film) -> Bgr:
     page = blank((WIDTH, HEIGHT + lower))
     write(page, film.title, (12, 26), 0.62)
     names = [("camera", CAMERA_AT), ("DVS: ON blue, OFF red", DVS_AT), ("map", NEAR_AT)]
-    names.append(("the whole lane, start on the left", (LANE_AT[0], LANE_AT[1] + lower)))
+    if film.layout is not None:
+        names.append(("the whole lane, start on the left", (LANE_AT[0], LANE_AT[1] + lower)))
     if film.chase is not None:
         names.append(("from behind", _below(CAMERA_AT)))
     if film.decisions is not None:

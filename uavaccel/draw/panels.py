@@ -101,8 +101,10 @@ def follow(place_m: ArrayLike, size: tuple[int, int]) -> View:
     return View(size, origin, np.array([0.0, -scale]), np.array([scale, 0.0]))
 
 
-def draw_lane(layout: LaneLayout, view: View) -> Bgr:
-    """Draw ground, walls, goal and obstacles; the image is (height, width, 3), BGR."""
+def draw_lane(layout: LaneLayout | None, view: View) -> Bgr:
+    """Draw ground, walls, goal and obstacles, without a lane the ground alone; the image is (height, width, 3), BGR."""
+    if layout is None:
+        return blank(view.size, GROUND)
     picture = blank(view.size, OUTSIDE)
     half = WIDTH_M / 2
     _box(picture, view, (-10.0, -half), (LENGTH_M + 10.0, half), GROUND)

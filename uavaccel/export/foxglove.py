@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import base64
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import cv2
 import numpy as np
@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from uavaccel.sim.camera.mounted import FRONT_CENTER
 from uavaccel.units import NS_PER_S
-from uavaccel.vision.event_files import columns_of
 
 WORLD, UPRIGHT, BODY, CAMERA = "ned", "enu", "drone", "front_center"
 FRAMES = (
@@ -141,12 +140,12 @@ def image(time_ns: int, picture: NDArray[np.uint8]) -> Json:
 
 
 def events(time_ns: int, rows: NDArray[np.floating], height: int, width: int) -> Json:
-    """Events, rows (n, 4), by column."""
-    packed: Mapping[str, NDArray[np.generic]] = columns_of(rows)._asdict()
-    columns = {
-        name: base64.b64encode(values.astype(values.dtype.newbyteorder("<")).tobytes()).decode()
-        for name, values in packed.items()
-    }
+    """Return events, rows (n, 4) of t in s, x, y, p = 1 or -1, by column; those of one microsecond keep their order."""
+    t_us = np.rint(rows[:, 0].astype(np.float64) * 1e6).astype("<u4")
+    order = np.argsort(t_us, kind="stable")
+    x, y = rows[order, 1:3].astype("<u2").T
+    packed = {"t": t_us[order], "x": x, "y": y, "p": (rows[order, 3] > 0).astype(np.uint8)}
+    columns = {name: base64.b64encode(values.tobytes()).decode() for name, values in packed.items()}
     size = {"height": height, "width": width, "count": len(rows)}
     return {"timestamp": stamp(time_ns), "frame_id": CAMERA, **size, **columns}
 

@@ -16,15 +16,17 @@ import cv2
 from uavaccel.draw.film import dvs_picture
 from uavaccel.errors import UserError
 from uavaccel.export import foxglove
-from uavaccel.export.game import GameLog, read_game
 from uavaccel.export.provenance import provenance_of
 from uavaccel.files import inside, read_bounded, replacing, to_json
 from uavaccel.records import RunDirectory
 from uavaccel.sim.camera.view import HEIGHT, WIDTH
+from uavaccel.suites.flight import Flight
+from uavaccel.suites.registry import suite_of
 from uavaccel.suites.rows import Row
 from uavaccel.suites.suite import choose_row
 
 MISSING = "--mcap needs the package mcap: pip install 'uavaccel[export]'"
+EVENT_RATE_HZ = 100.0  # of the event camera beside the agent's own, where a game is flown again
 TOPICS = {
     "/tf": "foxglove.FrameTransforms",
     "/drone/pose": "foxglove.PoseInFrame",
@@ -56,12 +58,12 @@ def write_mcap(run: RunDirectory, path: Path, case: str | None = None) -> Iterat
         import mcap.writer  # noqa: F401 - better said before a game is flown again
     except ImportError:
         raise UserError(MISSING) from None
-    rows = run.rows()
-    chosen = choose_row(run, case, rows)
-    rows = rows if case is None else [chosen]
+    suite = suite_of(run)
+    report = suite.report(run)
+    rows: list[Row] = list(report.rows) if case is None else [choose_row(suite, report, case)]
     files = _files(run, path, rows)
     for row, file in zip(rows, files, strict=True):
-        game = read_game(run, row)
+        game = suite.flight(report, row, event_rate_hz=EVENT_RATE_HZ)
         try:
             file.parent.mkdir(parents=True, exist_ok=True)
             _write_game(run, row, game, file)
@@ -83,7 +85,7 @@ def _files(run: RunDirectory, path: Path, rows: list[Row]) -> list[Path]:
     return files
 
 
-def _write_game(run: RunDirectory, row: Row, game: GameLog, path: Path) -> None:
+def _write_game(run: RunDirectory, row: Row, game: Flight, path: Path) -> None:
     from mcap.writer import Writer
 
     with replacing(path) as file:
@@ -111,13 +113,13 @@ def _metadata(run: RunDirectory, row: Row) -> dict[str, str]:
     return {**said, "case": str(row["case"]), "frames": foxglove.FRAMES, "row": to_json(row)}
 
 
-def _entries(row: Row, game: GameLog) -> Iterator[Entry]:
+def _entries(row: Row, game: Flight) -> Iterator[Entry]:
     """Return all messages in the order of their time."""
     topics = (_poses(game), _commands(game), _images(game), _events(game), _said(row, game))
     return heapq.merge(*topics, key=lambda entry: entry.time_ns)
 
 
-def _poses(game: GameLog) -> Iterator[Entry]:
+def _poses(game: Flight) -> Iterator[Entry]:
     for i, at in enumerate(game.time_ns.tolist()):
         place = (game.position_m[i], game.orientation_wxyz[i])
         yield Entry(at, "/tf", foxglove.transforms(at, *place))
@@ -126,26 +128,27 @@ def _poses(game: GameLog) -> Iterator[Entry]:
             yield Entry(at, "/drone/velocity", foxglove.velocity(at, game.velocity_m_s[i]))
 
 
-def _commands(game: GameLog) -> Iterator[Entry]:
-    for at, asked in zip(game.command_ns.tolist(), game.command_m_s, strict=True):
+def _commands(game: Flight) -> Iterator[Entry]:
+    for at, asked in zip(game.commands.start_ns.tolist(), game.commands.velocity_m_s, strict=False):
         yield Entry(at, "/drone/command", foxglove.velocity(at, asked))
 
 
-def _images(game: GameLog) -> Iterator[Entry]:
+def _images(game: Flight) -> Iterator[Entry]:
     for at, picture in zip(game.image_ns.tolist(), game.images, strict=True):
         shown = picture if picture.ndim == 2 else cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)
         yield Entry(at, "/camera/front_center", foxglove.image(at, shown))
 
 
-def _events(game: GameLog) -> Iterator[Entry]:
+def _events(game: Flight) -> Iterator[Entry]:
     for window in game.windows:
         at = window.time_ns
         if window.rows is not None:
             yield Entry(at, "/dvs/events", foxglove.events(at, window.rows, HEIGHT, WIDTH))
-        yield Entry(at, "/dvs/image", foxglove.image(at, dvs_picture(*window.per_pixel(), (WIDTH, HEIGHT))))
+        counts = window.per_pixel((HEIGHT, WIDTH))
+        yield Entry(at, "/dvs/image", foxglove.image(at, dvs_picture(*counts, (WIDTH, HEIGHT))))
 
 
-def _said(row: Row, game: GameLog) -> Iterator[Entry]:
+def _said(row: Row, game: Flight) -> Iterator[Entry]:
     yield Entry(0, "/log", foxglove.log(0, foxglove.INFO, f"{row['case']} begins"))
     if game.collision:
         at, hit = game.collision

@@ -13,6 +13,7 @@ import json
 import re
 import shutil
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,14 +25,11 @@ from uavaccel.errors import UserError, naming
 from uavaccel.export.provenance import provenance_of
 from uavaccel.files import UNFINISHED, to_json
 from uavaccel.records import RunDirectory
-from uavaccel.suites.evaluation.again import evaluation_of, fly_again, opened
-from uavaccel.suites.evaluation.config import EvaluateConfig
-from uavaccel.suites.evaluation.flights import EvaluateRow, game_seed
+from uavaccel.suites.evaluate import EvaluateConfig, EvaluateRow, Flyable, game_seed
+from uavaccel.suites.evaluate_again import environment_of, evaluation_of, fly_again
 
 if TYPE_CHECKING:
     import h5py
-
-    from uavaccel.suites.evaluation.again import Flyable
 
 LAYOUT = "0.5.4"
 """The Minari whose layout this is: a constant of the format, and not the version that happens to be installed."""
@@ -70,7 +68,7 @@ def _write_episodes(
 ) -> Iterator[tuple[int, int]]:
     import h5py
 
-    with opened(config) as environment, h5py.File(data / MAIN_FILE, "w", track_order=True) as file:
+    with closing(environment_of(config)) as environment, h5py.File(data / MAIN_FILE, "w", track_order=True) as file:
         for number, row in enumerate(rows):
             episode = file.create_group(f"episode_{number}")
             episode.attrs["id"] = number
@@ -83,10 +81,9 @@ def _write_episodes(
 def _write_episode(
     run: RunDirectory, config: EvaluateConfig, environment: Flyable, row: EvaluateRow, episode: h5py.Group
 ) -> None:
-    seen: list[Any] = []
-    steps = list(fly_again(run, config, environment, row, seen.append))
+    steps = fly_again(run, config, environment, row)
     columns = {
-        "observations": np.stack(seen + [step.observation for step in steps]),
+        "observations": np.stack([steps[0].given, *(step.observation for step in steps)]),
         "actions": np.array([step.action for step in steps], np.int64),
         "rewards": np.array([step.reward for step in steps], np.float64),
         "terminations": np.array([step.terminated for step in steps], bool),

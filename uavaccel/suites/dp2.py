@@ -39,7 +39,7 @@ from uavaccel.sim.lane.path import plan_path
 from uavaccel.sim.profile import PROFILES
 from uavaccel.suites import plots
 from uavaccel.suites.experiment import FlightExperiment, Timing, t_th_ns
-from uavaccel.suites.flight import Commands, Flight, Window
+from uavaccel.suites.flight import Commands, Flight, Window, windows_of
 from uavaccel.suites.report import Report, Summary, finished, source_line, warnings
 from uavaccel.suites.rows import FlightCase, FlightRow, Role, flight_row, named_seed, subset
 from uavaccel.suites.suite import GameResult, Suite
@@ -500,13 +500,7 @@ def _windows(config: Dp2Config, arrays: Arrays, time_ns: NDArray[np.int64]) -> I
         for at, on, off in zip(time_ns.tolist(), arrays["dvs_on"], arrays["dvs_off"], strict=True):
             yield Window(at, None, (on, off))
         return
-    images = arrays["image"]
-    sensor = make_sensor(PRESETS[config.dvs_preset], images.shape[1:], config.sensor_seed)
-    counter = EventCounter(sensor, listed=True)
-    counter.start(images[0], int(time_ns[0]), config.sensor_seed)
-    for image, at in zip(images[1:], time_ns[1:].tolist(), strict=True):
-        counter.look(image, at)
-        yield Window(at, counter.take_events())
+    yield from windows_of(arrays["image"], time_ns, PRESETS[config.dvs_preset], config.sensor_seed)
 
 
 def count_events(

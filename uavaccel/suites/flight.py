@@ -2,23 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from uavaccel.draw.panels import Decisions
+from uavaccel.errors import UserError
 from uavaccel.sim.lane.layout import LaneLayout
+from uavaccel.units import NS_PER_S, to_ns
 
+if TYPE_CHECKING:  # they load what draws
+    from uavaccel.draw.film import Film
+    from uavaccel.vision.dvs import DvsParameters
+
+ARRAYS = ("time_s", "position_m", "orientation_wxyz", "command_start_s", "command_end_s")
+"""What `Flight.of` needs of a game's arrays; a recording of the simulation has them."""
 Times = NDArray[np.int64]
 Floats = NDArray[np.float64]
 Counts = NDArray[np.integer]
 
 
 class Commands(NamedTuple):
-    """The c commands of a flight: when each began and ended, and its velocity (c, 3) NED in m/s."""
+    """The c commands of a flight: when each began and ended, and its velocity (c, 3) NED in m/s, (0, 3) if unknown."""
 
     start_ns: Times
     end_ns: Times
@@ -73,3 +81,56 @@ class Flight:
     """When it hit something, and what."""
     decisions: Decisions | None = None
     """What a policy saw and how it rated the actions."""
+
+    @classmethod
+    def of(
+        cls, title: str, clock_speed: float, arrays: Mapping[str, Any], velocity_m_s: ArrayLike = (), **more: Any
+    ) -> Flight:
+        """Return the flight that a recording has, as arrays with the names in ARRAYS; `more` are further fields."""
+        velocities = np.array(velocity_m_s, float).reshape(-1, 3)
+        commands = Commands(to_ns(arrays["command_start_s"]), to_ns(arrays["command_end_s"]), velocities)
+        poses = to_ns(arrays["time_s"]), arrays["position_m"], arrays["orientation_wxyz"]
+        return cls(title, clock_speed, *poses, commands, arrays.get("linear_velocity_m_s"), **more)
+
+
+def windows_of(
+    images: NDArray[np.uint8], time_ns: Times, parameters: DvsParameters, sensor_seed: int
+) -> Iterator[Window]:
+    """Yield the events between gray images (n, H, W) taken at times (n,); n - 1 windows."""
+    from uavaccel.vision.dvs import make_sensor
+    from uavaccel.vision.event_counter import EventCounter
+
+    counter = EventCounter(make_sensor(parameters, images.shape[1:], sensor_seed), listed=True)
+    counter.start(images[0], int(time_ns[0]), sensor_seed)
+    for image, at in zip(images[1:], time_ns[1:].tolist(), strict=True):
+        counter.look(image, at)
+        yield Window(at, counter.take_events())
+
+
+def film_of(flight: Flight) -> Film:
+    """Return the film of a flight, a frame for each of its images. Raises UserError for one without images."""
+    from uavaccel.draw.film import PANEL, Film
+    from uavaccel.sim.chase import ChaseView
+
+    if not len(flight.images):
+        raise UserError(f"{flight.title}: has no images to film")
+    shape, last_ns = flight.images.shape[1:3], int(flight.image_ns[-1])
+    on, off = np.zeros((2, len(flight.images), *shape), np.uint16)
+    for window in flight.windows:
+        seen = min(int(np.searchsorted(flight.image_ns, window.time_ns)), len(on) - 1)
+        for counts, more in zip((on, off), window.per_pixel(shape), strict=True):
+            counts[seen] += more.astype(np.uint16)
+    at = np.searchsorted(flight.time_ns, flight.image_ns)
+    position_m, lane = flight.position_m[at], flight.lane
+    return Film(
+        flight.title,
+        (flight.image_ns - flight.image_ns[0]) / NS_PER_S,
+        flight.images,
+        on,
+        off,
+        position_m,
+        lane,
+        chase=None if lane is None else ChaseView(lane, position_m, flight.orientation_wxyz[at], PANEL),
+        decisions=flight.decisions,
+        hit=flight.collision[1] if flight.collision and flight.collision[0] <= last_ns else "",
+    )

@@ -24,7 +24,7 @@ SUITES = {
     "robustness": "uavaccel.suites.grid:Robustness",
     "sweep": "uavaccel.suites.grid:Sweep",
     "paper": "uavaccel.suites.paper.suite:Paper",
-    "evaluate": "uavaccel.suites.evaluation.suite:Evaluation",
+    "evaluate": "uavaccel.suites.evaluate:Evaluation",
     "realtime": "uavaccel.suites.realtime.suite:Realtime",
 }
 

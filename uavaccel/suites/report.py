@@ -42,9 +42,11 @@ class Report:
         self.run, self.suite = run, suite
         self.config: Any = validate(suite.config, run.config(), str(run.path / "config.yaml"))
         run.manifest()
-        if not (rows := run.rows()):
+        self.rows = run.rows()
+        """The games' lines of rows.jsonl."""
+        if not self.rows:
             raise UserError(f"{run.path / 'rows.jsonl'}: holds no finished game of {suite.name}")
-        self.games = table_of(rows)
+        self.games = table_of(self.rows)
 
     def arrays(self, game: Mapping[str, Any] | pd.Series) -> dict[str, np.ndarray]:
         """Return the arrays of a game, a row of the table. Raises UserError where they are missing or damaged."""

@@ -27,7 +27,6 @@ from uavaccel.suites.rows import GameRow, Row
 if TYPE_CHECKING:
     import pandas as pd
 
-    from uavaccel.draw.film import Film
     from uavaccel.suites.flight import Flight
     from uavaccel.suites.report import Report
 
@@ -77,7 +76,6 @@ Opened: TypeAlias = Any  # a session, an environment, a training: whatever `Suit
 
 ConfigType = TypeVar("ConfigType", bound=Experiment)
 CaseType = TypeVar("CaseType", bound=Case)
-RowType = TypeVar("RowType", bound=Mapping[str, object])
 
 
 class Suite(ABC, Generic[ConfigType, CaseType]):
@@ -158,13 +156,29 @@ class Suite(ABC, Generic[ConfigType, CaseType]):
     def flight(
         self, report: Report, game: Mapping[str, Any], pictures: bool = True, event_rate_hz: float | None = None
     ) -> Flight:
-        """Return the flight of a game, a row of the report's table, to be watched, filmed or exported.
+        """Return the flight of a game, one of the report's rows, to be watched, filmed or exported.
 
         Without `pictures` it need not have images and events. The events are those of the flight's own images, or, with
-        `event_rate_hz`, where it is flown again, those of a second event camera. Raises UserError where nothing was
-        kept of it.
+        `event_rate_hz`, where it is flown again, those of a second event camera. By default a flight is read from the
+        game's arrays, if they have the names of a recording's. Raises UserError where nothing was kept of it.
         """
-        raise UserError(f"{report.run.path}: a run of {self.name} keeps no flights")
+        from uavaccel.suites.flight import ARRAYS, Flight
+
+        if "arrays" not in game:
+            raise UserError(
+                f"{report.run.path}: a run of {self.name} keeps no flights to show; runs of dp1, dp2 and evaluate do, "
+                "as does `uavaccel fly --out FOLDER`: evaluate a training's policy, and take that"
+            )
+        arrays = report.run.load_arrays(game)
+        if missing := [name for name in ARRAYS if name not in arrays]:
+            raise UserError(f"{report.run.path}: the arrays of {game['case']} have no {', '.join(missing)}")
+        return Flight.of(f"{game['case']}", float(game.get("clock_speed", 1.0)), arrays)
+
+    def interest(self, row: Row) -> Any:
+        """Return a key that sorts games, the most interesting first: references last, the fastest first."""
+        speed = row.get("clock_speed")
+        fast = -float(speed) if isinstance(speed, int | float) else 0.0
+        return row.get("role") != "game", fast, row.get("command") != "tcsc"
 
     def why_serial(self, config: ConfigType) -> str:
         """Return `serial`; overridden where it depends on the configuration."""
@@ -211,10 +225,6 @@ class Suite(ABC, Generic[ConfigType, CaseType]):
         """Compare several runs in files in the first one's folder, and return their paths."""
         return ()
 
-    def film(self, run: RunDirectory, case: str | None) -> tuple[str, Film]:
-        """Return a game's name and film, by default of the most interesting. Raises UserError without images."""
-        raise UserError(f"{run.path}: a run of {self.name} keeps no images to show")
-
 
 AnySuite = Suite[Any, Any]
 OnGame = Callable[[Case, Row], None]
@@ -227,13 +237,19 @@ def configuration(suite: Suite[ConfigType, CaseType], mapping: Mapping[str, Plai
     return config
 
 
-def choose_row(run: RunDirectory, case: str | None, by_interest: Sequence[RowType]) -> RowType:
-    """Return the row of a case, by default of the most interesting. Raises UserError if there is no such game."""
-    if not by_interest:
-        raise UserError(f"{run.path / 'rows.jsonl'}: holds no finished game")
+def choose_row(suite: AnySuite, report: Report, case: str | None = None, number: int | None = None) -> Row:
+    """Return a game's row by its case or its place in rows.jsonl, by default of the most interesting game.
+
+    Raises UserError if there is no such game.
+    """
+    rows: Sequence[Row] = report.rows
+    if number is not None:
+        if not 0 <= number < len(rows):
+            raise UserError(f"--game {number}: {report.run.path} has {len(rows)} games, from 0 to {len(rows) - 1}")
+        return rows[number]
     if case is None:
-        return by_interest[0]
-    by_name = {str(row["case"]): row for row in by_interest}
+        return min(rows, key=suite.interest)
+    by_name = {str(row["case"]): row for row in rows}
     if case not in by_name:
-        raise UserError(f"--case {case}: not in {run.path}; {suggestion(case, sorted(by_name))}")
+        raise UserError(f"--case {case}: not in {report.run.path}; {suggestion(case, sorted(by_name))}")
     return by_name[case]

@@ -5,19 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import ClassVar
 
-from uavaccel.config import validate
-from uavaccel.draw.film import PANEL, Film
 from uavaccel.draw.style import clock_label, command_name
 from uavaccel.errors import UserError
 from uavaccel.files import Plain
 from uavaccel.metrics.speedup import timing_provenance
 from uavaccel.records import RunDirectory
-from uavaccel.sim.chase import ChaseView
 from uavaccel.suites.old_dp2.config import Dp2Config
 from uavaccel.suites.old_dp2.flights import ARRAYS, SCENE, Case, Dp2Row, cases, fly_game
 from uavaccel.suites.old_dp2.report import Dp2Report
-from uavaccel.suites.old_dp2.scores import counts_of
-from uavaccel.suites.suite import GameResult, Suite, choose_row
+from uavaccel.suites.suite import GameResult, Suite
 from uavaccel.wire.session import Session, open_session
 
 
@@ -59,19 +55,3 @@ class Dp2(Suite[Dp2Config, Case]):
 
     def renders(self, config: Dp2Config) -> bool:
         return True
-
-    def film(self, run: RunDirectory, case: str | None) -> tuple[str, Film]:
-        """Return the name and film of a case, by default of the fastest game, TCSC before ADSC.
-
-        Raises UserError where the run has no images.
-        """
-        row = choose_row(run, case, sorted(run.rows(), key=_interest, reverse=True))
-        config = validate(Dp2Config, run.config(), str(run.path / "config.yaml"))
-        arrays = run.load_arrays(row)
-        if "image" not in arrays:
-            raise UserError(f"{run.path / row['arrays']}: holds no images")
-        on, off = counts_of(arrays, config.dvs_preset, config.sensor_seed)
-        images = arrays.get("colour", arrays["image"])  # in colour where the run kept it
-        position_m, layout = arrays["position_m"], config.layout()
-        chase = ChaseView(layout, position_m, arrays["orientation_wxyz"], PANEL)
-        return row["case"], Film(_title(row), arrays["time_s"], images, on, off, position_m, layout, chase)

@@ -1,0 +1,159 @@
+"""Evaluations in processes and in the kernels: the rows of single environments, in order, come what may."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch as th
+
+from tests.host_kernels import host_kernels  # noqa: F401 - a fixture
+from tests.opengl import needs_opengl
+from tests.running import configured, fly_into
+from uavaccel.config import to_yaml
+from uavaccel.errors import UsageError, UserError
+from uavaccel.records import RunDirectory
+from uavaccel.suites import evaluate_lanes
+from uavaccel.suites.evaluate import Evaluation
+from uavaccel.suites.evaluate_lanes import Blocks, GamesInBatch
+from uavaccel.suites.runner import check_jobs
+
+LOCKSTEP, KERNELS, SHORT = "task.timing=lockstep", "simulator=kernels", "task.max_commands=14"
+
+
+def evaluated(out: Path, *overrides: str, resume: bool = False, **options: Any) -> RunDirectory:
+    config = configured("evaluate", *overrides, **{"agent": "offset:1.5", "games": 5, **options})
+    return fly_into(out, Evaluation(), config, resume)
+
+
+def rows_of(run: RunDirectory) -> bytes:
+    return (run.path / "rows.jsonl").read_bytes()
+
+
+@pytest.mark.slow
+@needs_opengl
+def test_rows_of_a_policy_are_those_of_single_environments(tmp_path: Path) -> None:
+    single = evaluated(tmp_path / "1", "task.max_commands=12", agent="default")
+    batch = evaluated(tmp_path / "3", "task.max_commands=12", "environments=3", agent="default")
+    assert rows_of(batch) == rows_of(single)
+    assert [row["lane"] for row in batch.rows()] == [0, 1, 2, 3, 4]
+    assert len({tuple(row["actions"]) for row in batch.rows()}) > 1
+    assert all(entry["wall_s"] >= entry["host_wall_s"] for entry in batch.timings())
+
+
+@pytest.mark.slow
+def test_a_killed_process_is_one_line_and_rows_stay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    game, games = GamesInBatch.game, 30  # so many that some are still flown when the processes die
+
+    def killing(self: GamesInBatch, lane: int) -> Any:
+        if lane == 2:
+            for process in self._batch.process_ids:
+                os.kill(process, signal.SIGKILL)
+        return game(self, lane)
+
+    monkeypatch.setattr(GamesInBatch, "game", killing)
+    said = r"^the process of environment \d ended with status -9; go on with --resume$"
+    with pytest.raises(UserError, match=said):
+        evaluated(tmp_path / "run", "environments=2", agent="straight", games=games)
+    monkeypatch.undo()
+    lanes = [row["lane"] for row in RunDirectory(tmp_path / "run").rows()]
+    assert lanes == list(range(len(lanes)))  # more than two: rows that were there when the processes died
+    assert 2 <= len(lanes) < games
+    resumed = evaluated(tmp_path / "run", "environments=2", agent="straight", games=games, resume=True)
+    assert rows_of(resumed) == rows_of(evaluated(tmp_path / "single", agent="straight", games=games))
+
+
+@pytest.mark.slow
+def test_rows_of_the_kernels_are_the_exact_simulators(tmp_path: Path) -> None:
+    """Without who flew them, and without the paths of lost lanes, which the kernels do not keep."""
+    exact, other = (
+        evaluated(tmp_path / name, LOCKSTEP, f"simulator={name}", "task.difficulty.wind_m_s=3.0").rows()
+        for name in ("mujoco", "kernels")
+    )
+    assert {row.pop("simulator") for row in other} == {"kernels"}
+    assert all(row.pop("path_m") for row in exact if not row["is_success"])
+    assert other == exact
+
+
+@pytest.mark.slow
+def test_a_policys_games_are_the_same_whoever_flies_beside_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    keys = LOCKSTEP, KERNELS, SHORT, "first_lane=30"
+    whole = evaluated(tmp_path / "whole", *keys, agent="default", games=6)
+    assert len({tuple(row["actions"]) for row in whole.rows()}) > 1
+    evaluated(tmp_path / "grown", *keys, agent="default", games=2)
+    monkeypatch.setattr(evaluate_lanes, "MOST_LANES", 3)
+    assert rows_of(evaluated(tmp_path / "grown", *keys, agent="default", games=6, resume=True)) == rows_of(whole)
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("host_kernels")
+@pytest.mark.parametrize(
+    ("agent", "keys"), [("default", [LOCKSTEP]), ("offset:1.5", ["task.timing=virtual", "task.command=adsc"])]
+)
+def test_lanes_on_a_gpu_fly_and_decide_as_on_cores(
+    agent: str, keys: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cores = evaluated(tmp_path / "cores", KERNELS, SHORT, *keys, agent=agent)
+    monkeypatch.setattr(evaluate_lanes, "GPU", "cpu")
+    monkeypatch.setattr(evaluate_lanes, "open_lanes", evaluate_lanes.LanesOnGpu)
+    th.set_num_threads(1)
+    assert rows_of(evaluated(tmp_path / "gpu", KERNELS, SHORT, *keys, agent=agent)) == rows_of(cores)
+
+
+def test_a_lanes_place_among_those_rated_together_depends_on_it_alone() -> None:
+    blocks = Blocks([32, 33, 64, 31]).of(np.array([0, 2, 3]))
+    assert [(members.tolist(), rows.tolist()) for members, rows in blocks] == [([3], [31]), ([0], [0]), ([2], [0])]
+
+
+def test_configurations_of_before_fly_in_the_exact_simulator() -> None:
+    assert "simulator: mujoco\ndevice: cpu\n" in to_yaml(configured("evaluate", agent="straight"))
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        ([KERNELS, "task.timing=wall"], "simulator = kernels: timing wall needs a server of its own"),
+        ([KERNELS, LOCKSTEP, "environments=2"], "environments needs simulator mujoco"),
+        ([KERNELS, LOCKSTEP, "task.difficulty.scenery=forest"], "simulator = kernels: difficulty.scenery"),
+        (["device=cuda"], "device = cuda: simulator = mujoco flies on the CPU"),
+        (["simulator=airsim"], "simulator.*mujoco.*kernels"),
+        (["environments=2", "task.timing=wall"], "environments must be 1 with timing wall"),
+        (["first_lane=999_999", "games=2"], "first_lane = 999999 and games = 2: lanes are 0 to 999999"),
+    ],
+)
+def test_what_cannot_be_flown_is_one_clear_line(overrides: list[str], message: str) -> None:
+    with pytest.raises(UserError, match=message) as raised:
+        configured("evaluate", *overrides, agent="straight")
+    assert "\n" not in str(raised.value)
+
+
+def test_a_gpu_that_is_not_there_is_missed_before_a_run_begins(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not before: a plan for another machine can be made here."""
+    monkeypatch.setattr(th.cuda, "is_available", lambda: False)
+    config = configured("evaluate", KERNELS, LOCKSTEP, "device=cuda", agent="straight")
+    with pytest.raises(UserError, match=r"device = cuda: (needs numba-cuda|PyTorch finds no GPU)") as raised:
+        Evaluation().provenance(config)
+    assert "\n" not in str(raised.value)
+
+
+@pytest.mark.parametrize(
+    ("keys", "said"),
+    [
+        (["environments=3"], "environments = 3 flies in processes of its own"),
+        ([KERNELS, LOCKSTEP], "simulator = kernels flies all lanes as one batch"),
+    ],
+)
+def test_more_processes_around_a_batch_are_refused(keys: list[str], said: str) -> None:
+    config = configured("evaluate", *keys)
+    with pytest.raises(UsageError, match=f"^{re.escape(f'--jobs must be 1 with evaluate: {said}')}$"):
+        check_jobs(Evaluation(), config, 2)
+    check_jobs(Evaluation(), config, 1)
+    check_jobs(Evaluation(), configured("evaluate", agent="straight"), 2)
+    assert Evaluation().renders(config) == (KERNELS not in keys)

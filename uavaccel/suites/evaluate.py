@@ -1,0 +1,439 @@
+"""The suite `evaluate`: an agent flies lanes that no training has seen, the same ones for every agent (paper, IV-D)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, NotRequired, Protocol
+
+import numpy as np
+import pandas as pd
+from pydantic import Field, model_validator
+
+from uavaccel.draw import style
+from uavaccel.draw.labels import command_name
+from uavaccel.draw.page import Block, Heading, Movie, Picture, Table, listed
+from uavaccel.envs.flyable import Device, Simulator, check_flyable
+from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
+from uavaccel.envs.simulators import EXACT, KERNELS, check_names, check_simulator, flown_by
+from uavaccel.envs.values import Frame, Info
+from uavaccel.errors import UserError
+from uavaccel.files import Plain
+from uavaccel.forms import Count, NotNegative, Number
+from uavaccel.limits import Cost, Games, Processes
+from uavaccel.metrics.intervals import Proportion, mcnemar_exact
+from uavaccel.metrics.speedup import timing_provenance
+from uavaccel.records import RunDirectory
+from uavaccel.rl.agents import DEFAULT, Agent, check_agent, make_agent, policy_sha256, trained_keys
+from uavaccel.sim.lane.layout import EVALUATION_SEEDS, LENGTH_M, WIDTH_M
+from uavaccel.suites import paper_results, plots
+from uavaccel.suites.experiment import Experiment
+from uavaccel.suites.flight import Flight
+from uavaccel.suites.report import Report, disturbed_games, disturbed_words, summary_table
+from uavaccel.suites.rows import LaneRow, Row, lane_row
+from uavaccel.suites.suite import GameResult, SimpleCase, Suite
+from uavaccel.wire.image_api import lane_layout
+
+if TYPE_CHECKING:  # matplotlib is loaded by what draws
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+MOST_PANELS = 9
+AHEAD_M = 10.0  # of the farthest end, shown on the map
+COMPARISON = "figures/figure8_survival_compared.png"
+
+
+class EvaluateConfig(Experiment):
+    """`suite: evaluate`."""
+
+    suite: Literal["evaluate"] = "evaluate"
+    agent: str = DEFAULT
+    """Folder of a policy (a training's run directory), `default` (the policy that ships), or a baseline: straight,
+    offset:METRES."""
+    games: Games = 300
+    """How many evaluation lanes are flown."""
+    first_lane: Annotated[int, Field(ge=0)] = 0
+    """The number of the first evaluation lane."""
+    environments: Processes = 1
+    """Lanes flown in parallel, with one renderer where there is a GPU; 1 with wall. It does not change the rows."""
+    simulator: Simulator = "mujoco"
+    """mujoco: exact, rendered with OpenGL; kernels: all lanes as one batch of arrays (docs/kernels.md)."""
+    device: Device = "cpu"
+    """Where the kernels run: cpu, in threads, or cuda, on one GPU."""
+    inference_s: Cost = 0.0005
+    """Time of a decision on the simulated wall clock of `virtual`."""
+    task: LaneTask = LaneTask(split="evaluation", timing="virtual")
+    """Omitted keys are those of the agent's training; those that its network cannot take are refused."""
+
+    @model_validator(mode="after")
+    def _fits(self) -> EvaluateConfig:
+        if self.first_lane + self.games > EVALUATION_SEEDS:
+            raise ValueError(
+                f"first_lane = {self.first_lane} and games = {self.games}: lanes are 0 to {EVALUATION_SEEDS - 1}"
+            )
+        if self.simulator == KERNELS and self.environments > 1:
+            raise ValueError("environments needs simulator mujoco: the kernels fly all lanes as one batch")
+        if self.task.timing == "wall" and self.environments > 1:
+            raise ValueError("environments must be 1 with timing wall: neighbours would disturb the clock")
+        return self
+
+
+def completed(mapping: Mapping[str, Plain]) -> dict[str, Plain]:
+    """Return the mapping completed by the keys of its agent's training. Raises UserError if there is no such agent."""
+    agent, given = mapping.get("agent", DEFAULT), mapping.get("task") or {}
+    if not isinstance(agent, str) or not isinstance(given, Mapping):
+        return dict(mapping)  # which validation refuses
+    flown = {"split": "evaluation", "timing": "virtual", **trained_keys(agent), **given}
+    return {**mapping, "agent": agent, "task": flown}
+
+
+class EvaluateRow(LaneRow):
+    """The row of a game of an evaluation."""
+
+    wall_s: NotNegative
+    actions: list[Count]
+    path_m: NotRequired[list[Annotated[list[Number], Field(min_length=2, max_length=2)]]]
+    """Of a lane lost in the exact simulator: positions north and east at the ends of the commands."""
+
+
+@dataclass(frozen=True)
+class Game(SimpleCase):
+    """The game on an evaluation lane."""
+
+    lane: int
+
+
+class Evaluation(Suite[EvaluateConfig, Game]):
+    """`uavaccel evaluate`."""
+
+    name = "evaluate"
+    config = EvaluateConfig
+    row = EvaluateRow
+
+    def case_of(self, row: Plain) -> str:
+        return lane_case(row["lane"])
+
+    def complete(self, mapping: Mapping[str, Plain]) -> Mapping[str, Plain]:
+        return completed(mapping)
+
+    def check(self, config: EvaluateConfig) -> None:
+        check_agent(config.agent, config.task)
+        check_names(config.simulator, config.device)
+        if config.simulator == KERNELS:
+            check_flyable(config.task, 1, config.device)
+
+    def cases(self, config: EvaluateConfig) -> Iterator[Game]:
+        for lane in range(config.first_lane, config.first_lane + config.games):
+            yield Game(lane_case(lane), config.task.timing, config.task.typical_s, lane)
+
+    def may_grow(self, folder: Path) -> tuple[str, ...]:
+        return ("games",)
+
+    @contextmanager
+    def open(self, config: EvaluateConfig, timing: str, run: RunDirectory) -> Iterator[Callable[[int], GameResult]]:
+        """Yield a function that flies the game on a lane, in one environment or in a batch."""
+        from uavaccel.suites.evaluate_lanes import GamesInBatch, GamesOverArrays
+
+        if self.why_serial(config):
+            done = run.done_cases()
+            left = [case.lane for case in self.cases(config) if case.id not in done]
+            games = GamesOverArrays if config.simulator == KERNELS else GamesInBatch
+            with closing(games(config, left)) as batch:
+                yield batch.game
+            return
+        import torch as th
+
+        th.set_num_threads(1)
+        with closing(ObstacleLane(**config.task.model_dump(mode="json"))) as environment:
+            agent = make_agent(config.agent, config.task)
+            yield lambda lane: GameResult(fly_game(config, environment, agent, lane))
+
+    def fly(self, config: EvaluateConfig, case: Game, opened: Callable[[int], GameResult]) -> GameResult:
+        return opened(case.lane)
+
+    def why_serial(self, config: EvaluateConfig) -> str:
+        """A batch has processes or threads of its own."""
+        if config.simulator == KERNELS:
+            return "simulator = kernels flies all lanes as one batch"
+        many = config.environments
+        return f"environments = {many} flies in processes of its own" if many > 1 else ""
+
+    def renders(self, config: EvaluateConfig) -> bool:
+        return config.task.observation != "state" and config.simulator != KERNELS
+
+    def provenance(self, config: EvaluateConfig) -> Mapping[str, object]:
+        """Return the policy's hash and the simulator.
+
+        Raises UserError for a device that this machine does not have, and for weights that cannot be read.
+        """
+        check_simulator(config.simulator, config.device)
+        make_agent(config.agent, config.task)  # the weights too: nothing is written yet
+        by = {"simulator": config.simulator, "device": config.device}
+        return {"policy_sha256": policy_sha256(config.agent), **by}
+
+    def status(self, rows: Sequence[Row]) -> str:
+        return f"success {sum(row['is_success'] for row in rows) / len(rows):.0%}"
+
+    def interest(self, row: Row) -> tuple[bool, float]:
+        """From the success in the fewest commands to the failure with the least distance."""
+        return not row["is_success"], row["commands"] if row["is_success"] else -row["distance_m"]
+
+    def flight(
+        self, report: Report, game: Mapping[str, Any], pictures: bool = True, event_rate_hz: float | None = None
+    ) -> Flight:
+        """Fly the game again by the actions of its row; it has to make the same row.
+
+        Where that cannot be, as the kernels or the machine's own clock have flown it, its agent flies once more in the
+        exact simulator, for a film, or where the kernels flew to be watched, and the title says so. Raises UserError.
+        """
+        from uavaccel.suites.evaluate_again import flight_again
+
+        return flight_again(report.run, report.config, game, pictures, event_rate_hz)
+
+    def summary(self, report: Report) -> dict[str, Any]:
+        """Return the success ratio with its 95 % Wilson interval, and the distances flown."""
+        games, config = report.games, report.config
+        sim_time_s, wall_s = float(games.sim_time_s.sum()), float(games.wall_s.sum())
+        disturbed = disturbed_games(games)
+        return {
+            **({"disturbed_games": disturbed} if disturbed else {}),
+            "suite": "evaluate",
+            "agent": config.agent,
+            "profile": config.task.profile,
+            "command": config.task.command,
+            "clock_speed": config.task.clock_speed,
+            "timing": config.task.timing,
+            "simulator": config.simulator,
+            **({} if config.simulator == EXACT else {"device": config.device}),
+            "seed": config.seed,
+            **Proportion(int(games.is_success.sum()), len(games)).as_summary(),
+            "sim_time_s": sim_time_s,
+            "wall_s": wall_s,
+            "simulated_s_per_wall_s": sim_time_s / wall_s,
+            "distance_m_median": float(games.distance_m.median()),
+        }
+
+    def title(self, report: Report) -> str:
+        return f"Evaluation of {report.config.agent}"
+
+    def headline(self, report: Report) -> str:
+        """Return the success with its interval, clock and seed in a sentence."""
+        return (
+            "{successes} of {games} lanes ({success_ratio:.1%}, 95 % Wilson interval {wilson_low:.1%} to "
+            "{wilson_high:.1%}), {how}, {command} at {clock_speed:g}x, {simulated_s_per_wall_s:.4g} simulated seconds "
+            "per wall second, seed {seed}"
+        ).format(**report.summary, how=how_flown(report.config))
+
+    def page(self, report: Report) -> Iterator[Block | str]:
+        yield beside_the_papers(report)
+        survival = survival_figure([report])
+        yield report.figure("figure8_survival", survival, FIGURE8, source_of([report]))
+        yield from lost_lanes(report)
+        yield from films(report.run)
+        yield summary_table(report.summary)
+
+    def compare(self, runs: Sequence[RunDirectory]) -> list[Path]:
+        reports = [Report(run, self) for run in runs]
+        with style.project_style():
+            return [style.save(survival_figure(reports), runs[0].file(COMPARISON))]
+
+
+# --- a game -----------------------------------------------------------------------------------------------------
+
+
+class Flyable(Protocol):
+    """What of an environment a game needs."""
+
+    def reset(self, *, seed: int, options: dict[str, Any]) -> tuple[Frame, Info]: ...
+    def charge(self, duration_s: float) -> None: ...
+    def step(self, action: Any) -> tuple[Frame, float, bool, bool, Info]: ...
+    def close(self) -> None: ...
+
+
+class Step(NamedTuple):
+    """One command: the observation that it was decided on, and what Gymnasium's `step` returned."""
+
+    given: Frame
+    action: int
+    observation: Frame
+    reward: float
+    terminated: bool
+    truncated: bool
+    info: Info
+
+
+def fly_lane(config: EvaluateConfig, environment: Flyable, agent: Agent, lane: int) -> Iterator[Step]:
+    """Fly a game, and yield its commands; equal seed and lane give equal games."""
+    observation, info = environment.reset(seed=game_seed(config, lane), options={"lane": lane})
+    over = False
+    while not over:
+        environment.charge(config.inference_s)
+        action = agent.act(observation, info)
+        step = Step(observation, action, *environment.step(action))
+        observation, info, over = step.observation, step.info, step.terminated or step.truncated
+        yield step
+
+
+def fly_game(config: EvaluateConfig, environment: ObstacleLane, agent: Agent, lane: int) -> EvaluateRow:
+    """Fly a game on a lane, and return its row."""
+    steps = list(fly_lane(config, environment, agent, lane))
+    ended = steps[-1].info | {"path_m": [step.info["position_m"][:2] for step in steps]}
+    return row_of(config, lane, ended, [step.action for step in steps])
+
+
+def row_of(config: EvaluateConfig, lane: int, ended: Info, actions: list[int]) -> EvaluateRow:
+    """Return a game's row from the info of its last step, to which its path may have been added."""
+    shared = lane_row("evaluate", lane_case(lane), ended, config.task.t_move_s)
+    row: EvaluateRow = {
+        **shared,  # type: ignore[typeddict-item] # which has no key that is not required here
+        "wall_s": ended["wall_s"],
+        "actions": actions,
+    }
+    if not row["is_success"] and "path_m" in ended:
+        row["path_m"] = ended["path_m"]
+    if config.simulator != EXACT:
+        row["simulator"] = config.simulator
+    return row
+
+
+def game_seed(config: EvaluateConfig, lane: int) -> int:
+    """Return the seed of the game on a lane."""
+    return int(np.random.SeedSequence([config.seed, lane]).generate_state(1)[0])
+
+
+def lane_case(lane: int) -> str:
+    """Return the name of the game on an evaluation lane."""
+    return f"lane-{lane:06d}"
+
+
+# --- what its report says ---------------------------------------------------------------------------------------
+
+
+def against(run: RunDirectory, other: RunDirectory) -> str:
+    """Return McNemar's test on the lanes that both evaluations flew, in words. Raises UserError without such lanes."""
+    rows = [[row for row in each.rows() if row.get("suite") == "evaluate"] for each in (run, other)]
+    won = [{row["lane"]: row["is_success"] for row in each} for each in rows]
+    lanes = [lane for lane in won[0] if lane in won[1]]
+    if not lanes:
+        raise UserError(f"{other.path}: is no evaluation of the same lanes")
+    first, second = ([each[lane] for lane in lanes] for each in won)
+    return (
+        f"against {other.path} on the same {len(lanes)} lanes: {sum(first)} v {sum(second)} successes, "
+        f"exact McNemar p = {mcnemar_exact(first, second).p_value:.3g}"
+    )
+
+
+def how_flown(config: EvaluateConfig) -> str:
+    """Return "measured" or "modelled", and the simulator unless that is the exact one."""
+    by = flown_by(config.simulator, config.device)
+    return ", ".join([timing_provenance(config.task.timing), *filter(None, [by])])
+
+
+def source_of(reports: Sequence[Report]) -> str:
+    """Return where the numbers of these evaluations come from."""
+    how = " and ".join(sorted({how_flown(report.config) for report in reports}))
+    games = listed(sorted({len(report.games) for report in reports}))
+    seeds = listed(sorted({report.config.seed for report in reports}))
+    disturbed = disturbed_words(pd.concat([report.games for report in reports]))
+    return " · ".join([f"{how} · {games} games each · seed {seeds}", *disturbed])
+
+
+def beside_the_papers(report: Report) -> Table:
+    """Return a table of the success beside that of the paper's best training with each command (Table I)."""
+    own = Proportion.of(report.summary).text()
+    rows = [(report.config.agent, own, str(len(report.games)), how_flown(report.config))]
+    for command, by_clock in paper_results.SUCCESSES.items():
+        theirs = Proportion(max(by_clock.values()), paper_results.GAMES).text()
+        name = f"the paper's best, trained with {command_name(command)}"
+        rows.append((name, theirs, str(paper_results.GAMES), "measured, in AirSim and another lane"))
+    return Table(("", "success [95 %]", "lanes", "how"), rows)
+
+
+FIGURE8 = "Figure 8. Share of the games that got at least so far north, with its 95 % Wilson interval."
+
+
+def survival_figure(reports: Sequence[Report]) -> Figure:
+    """Plot the share of games that reached each distance, a line per evaluation in its 95 % Wilson interval."""
+    figure = style.new_figure(8.0, 4.6, "Distance travelled", source_of(reports))
+    axes = figure.subplots()
+    by = [flown_by(each.config.simulator, each.config.device) for each in reports]
+    names = [", ".join(filter(None, [report.config.agent, own])) for report, own in zip(reports, by, strict=True)]
+    for report, name in zip(reports, names, strict=True):
+        label = name if names.count(name) == 1 else f"{name} ({report.run.path})"  # folders may share their last name
+        plots.survival_band(axes, report.games.distance_m, LENGTH_M, label=label)
+    axes.axvline(LENGTH_M, color=style.BLACK, linewidth=1.2, linestyle="--", label="end of the lane")
+    axes.set(xlabel="distance north, m", ylabel="share of games that got there", ylim=(0.0, 1.05))
+    axes.legend(loc="lower left")
+    return figure
+
+
+def lost_lanes(report: Report) -> Iterator[Block | str]:
+    """Yield the lanes that were not won with what ended them, the shortest flight first."""
+    lost = report.games[~report.games.is_success].sort_values("distance_m", kind="stable")
+    if lost.empty:
+        return
+    lost = lost.assign(end=[f"hitting {hit}" if hit else "running out of commands" for hit in lost.collision])
+    named = [f"{row.lane} ({row.distance_m:.1f} m, {row.end})" for row in lost.head(MOST_PANELS).itertuples()]
+    more = [f"and {len(lost) - len(named)} more"] if len(lost) > len(named) else []
+    yield Heading("Lost lanes")
+    yield (
+        f"Lost, the shortest flight first: lanes {', '.join([*named, *more])}. Each is flown again and filmed by "
+        "`uavaccel view RUN` with the option in its line of the table."
+    )
+    if picture := lost_figure(report, lost):
+        yield picture
+    columns = {"lane": "{lane}", "distance, m": "{distance_m:.1f}", "ended by": "{end}", "commands": "{commands}"}
+    yield Table.of(lost, {**columns, "seen with": "--case {case}"}, folded=f"{len(lost)} lost lanes")
+
+
+def lost_figure(report: Report, lost: pd.DataFrame) -> Picture | None:
+    """Plot the paths of the lost lanes, a panel for each of at most nine, the shortest flight on top.
+
+    None where no path can be drawn: the kernels record none, and where a lane is drawn anew with the conditions of each
+    game, its obstacles are not known afterwards.
+    """
+    task = report.config.task
+    drawn = lost[lost.path_m.notna()] if "path_m" in lost else lost.head(0)
+    if drawn.empty or task.randomise is not None:
+        return None
+    shown, source = drawn.head(MOST_PANELS), source_of([report])
+    figure = style.new_figure(8.0, 1.0 + 0.85 * len(shown), "Lost lanes", source)
+    panels = figure.subplots(len(shown), 1, sharex=True, squeeze=False)[:, 0]
+    for axes, row in zip(panels, shown.itertuples(), strict=True):
+        draw_lane(axes, lane_layout(task.wire_lane(row.lane)))
+        north, east = zip((0.0, 0.0), *row.path_m, strict=True)
+        axes.plot(north, east, color=style.BLUE, marker=".", markersize=3)
+        axes.plot(north[-1], east[-1], "x", color=style.VERMILION, markersize=8, markeredgewidth=2)
+        axes.set_title(f"lane {row.lane}: {row.distance_m:.1f} m, {row.end}", fontsize=8.5)
+    panels[-1].set_xlim(-2.0, min(max(float(shown.distance_m.max()), 0.0) + AHEAD_M, LENGTH_M + 2.0))
+    panels[-1].set_xlabel("north, m; across, the 10 m between the walls are not to that scale")
+    more = f" {len(drawn) - len(shown)} more are in the table below." if len(drawn) > len(shown) else ""
+    caption = f"Paths of the lost lanes, from above, by the positions at the ends of the commands.{more}"
+    return report.figure("lost_lanes", figure, caption, source)
+
+
+def draw_lane(axes: Axes, layout: Any) -> None:
+    """Draw walls, end and obstacles of a lane from above, the west on top: to the left of the flight."""
+    from matplotlib.patches import Circle, Rectangle
+
+    for edge in (-WIDTH_M / 2, WIDTH_M / 2):
+        axes.axhline(edge, color=style.GREY, linewidth=2)
+    axes.axvline(LENGTH_M, color=style.GREEN, linewidth=2)
+    for x, y, half, is_round in zip(layout.x_m, layout.y_m, layout.half_width_m, layout.round, strict=True):
+        shape = Circle((x, y), half) if is_round else Rectangle((x - half, y - half), 2 * half, 2 * half)
+        shape.set(facecolor="#444444", linewidth=0)
+        axes.add_patch(shape)
+    axes.set(ylim=(WIDTH_M / 2, -WIDTH_M / 2), yticks=[])
+    axes.grid(visible=False)
+
+
+def films(run: RunDirectory) -> Iterator[Block]:
+    """Yield the films of the best and the worst game, if they have been made."""
+    made = {name: run.path / "films" / f"{name}.mp4" for name in ("best", "worst")}
+    made = {name: path for name, path in made.items() if path.is_file() and path.with_suffix(".png").is_file()}
+    if made:
+        yield Heading("Films")
+    for name, path in made.items():
+        yield Movie(path, path.with_suffix(".png"), f"The {name} game. On paper: moments of it, camera above events.")

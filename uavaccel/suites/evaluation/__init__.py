@@ -1,1 +1,0 @@
-"""Evaluation: how an agent does on lanes that no training has seen (paper, section IV-D)."""
