@@ -6,15 +6,18 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from uavaccel.vision.dvs import (
     NO_EVENTS,
     Counts,
+    DvsParameters,
     DvsSensor,
     DvsState,
     Events,
     Frame,
     init_state,
+    make_sensor,
     step,
     step_with_events,
 )
@@ -87,3 +90,16 @@ class EventCounter:
         self._counts = None if on is None else (on, off)
         self._state = DvsState(**fields)
         self.take_events()
+
+
+def count_events(
+    images: NDArray[np.uint8], times_ns: NDArray[np.int64], parameters: DvsParameters, sensor_seed: int
+) -> tuple[NDArray[np.uint16], NDArray[np.uint16]]:
+    """Return ON and OFF counts (n, H, W) of gray images (n, H, W) taken at times (n,); the first causes no events."""
+    counter = EventCounter(make_sensor(parameters, images.shape[1:], sensor_seed))
+    counter.start(images[0], int(times_ns[0]), sensor_seed)
+    on, off = np.zeros((2, *images.shape), np.uint16)
+    for i in range(1, len(images)):
+        counter.look(images[i], int(times_ns[i]))
+        on[i], off[i] = counter.take()
+    return on, off

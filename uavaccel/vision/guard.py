@@ -10,31 +10,33 @@ equal to the suspect one proves that the scene did change, and is accepted at on
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from enum import StrEnum
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
+
+from uavaccel.config import Config
 
 Image = NDArray[np.uint8]
+NotNegative = Annotated[float, Field(ge=0.0)]
 
 LUMA_WEIGHTS = (0.299, 0.587, 0.114)  # of red, green, blue (ITU-R BT.601), as in the DVS's grey image
 
 
-@dataclass(frozen=True)
-class GuardSettings:
-    """Limits of the guard. With `max_retries` 0 every image is accepted: the guard is off."""
+class GuardSettings(Config):
+    """Limits of the image guard (uavaccel.vision.guard); `max_retries: 0` switches it off."""
 
-    max_change: float = 0.10  # relative to the last image's mean brightness; the paper's value
-    min_brightness: float = 10.0  # mean luma, 0..255
-    max_retries: int = 3
-    accept_identical: bool = True  # for deterministic renderers
-
-    def __post_init__(self) -> None:
-        if self.max_change < 0 or self.min_brightness < 0 or self.max_retries < 0:
-            raise ValueError(f"the guard's limits must not be negative: {self}")
+    max_change: NotNegative = 0.10
+    """Accepted change of mean brightness, as a share of the last image's."""
+    min_brightness: NotNegative = 10.0
+    """Mean brightness, from 0 to 255, below which an image is too dark."""
+    max_retries: Annotated[int, Field(ge=0, le=1000)] = 3
+    """How often a rejected image is asked for again."""
+    accept_identical: bool = True
+    """Whether an image that comes out identical when it is requested again is accepted."""
 
 
 class Verdict(StrEnum):
