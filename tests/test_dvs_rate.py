@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from contextlib import closing
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from tests.opengl import needs_opengl
-from tests.running import fly_into
+from tests.running import configured, fly_into
 from uavaccel.config import validate
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.errors import UserError
@@ -20,15 +20,11 @@ from uavaccel.sim.lane.layout import draw_layout, lane_seed
 from uavaccel.sim.profile import NATIVE
 from uavaccel.sim.vehicle.goal import of_velocity
 from uavaccel.sim.world import World
+from uavaccel.suites.dp2 import Dp2
 from uavaccel.suites.evaluate import EvaluateConfig, Evaluation
-from uavaccel.suites.experiment import read_mapping, resolve
-from uavaccel.suites.old_dp2.config import Dp2Config
-from uavaccel.suites.old_dp2.flights import SCENE, fly_game
-from uavaccel.suites.old_dp2.flights import cases as cases_of
-from uavaccel.suites.old_dp2.scores import counts_of
+from uavaccel.units import to_ns
 from uavaccel.vision.dvs import PRESETS, make_sensor, sensor_from_maps
-from uavaccel.vision.event_counter import EventCounter
-from uavaccel.wire.session import open_session
+from uavaccel.vision.event_counter import EventCounter, count_events
 
 LANE, TICK_S, SAMPLES = 3, 0.002, (165, 330, 500)  # ticks of a command's samples
 AHEAD = 2
@@ -206,12 +202,11 @@ def test_a_saved_counter_goes_on_whatever_the_other_had_seen(taken: bool, other_
 
 def dp2_game(*overrides: str) -> tuple[Any, dict[str, NDArray[Any]]]:
     """Row and arrays of a short path's game."""
-    mapping, source = read_mapping("dp2")
-    path = "path=[[1, 0], [0.5, 0.8]]"
-    config = resolve(Dp2Config, mapping, source, {"clock_speed": [5.0]}, [path, *overrides])
-    (case,) = (case for case in cases_of(config) if (case.role, case.command) == ("game", "adsc"))
-    with open_session("virtual", config.profile, SCENE, config.latency) as session:
-        return fly_game(config, case, session)
+    config = configured("dp2", "path=[[1, 0], [0.5, 0.8]]", *overrides, clock_speed=[5.0], timing="virtual")
+    (case,) = (case for case in Dp2().cases(config) if (case.role, case.command) == ("game", "adsc"))
+    with Dp2().open(config, "virtual", cast(Any, None)) as session:
+        flown = Dp2().fly(config, case, session)
+    return flown.row, dict(flown.arrays)
 
 
 @needs_opengl
@@ -220,26 +215,27 @@ def test_dp2_counts_between_its_samples_and_flies_as_ever() -> None:
     row, arrays = dp2_game()
     watched_row, watched = dp2_game("dvs_rate_hz=50")
     assert watched_row == row
-    assert {*watched} - {*arrays} == {"dvs_on", "dvs_off"}
-    assert all(np.array_equal(watched[name], arrays[name]) for name in arrays)
-    on, off = counts_of(watched, "clean", 0)
-    assert on.shape == arrays["image"].shape
+    on, off = watched.pop("dvs_on"), watched.pop("dvs_off")
+    assert {name: each.tobytes() for name, each in watched.items()} == {
+        name: each.tobytes() for name, each in arrays.items()
+    }
+    assert on.shape == off.shape == arrays["image"].shape
     assert not on[0].any()
-    at_samples = counts_of(arrays, "clean", 0)
+    at_samples = count_events(arrays["image"], to_ns(arrays["time_s"]), PRESETS["clean"], 0)
     for fast, slow in zip((on, off), at_samples, strict=True):
         assert fast.sum() > slow.sum()  # what comes and goes between two samples is seen too
     # Whatever was seen between, the events add up to the change of log intensity, but for less than one more.
-    pixels = Pixels(arrays["image"][0])
-    risen, fallen = on.sum(axis=0) * pixels.positive, off.sum(axis=0) * pixels.negative
-    rest = Pixels.log(arrays["image"][-1]) - pixels.base - risen + fallen
-    assert (rest < pixels.positive + 1e-4).all()
-    assert (-rest < pixels.negative + 1e-4).all()
+    for counts in ((on, off), at_samples):
+        pixels = Pixels(arrays["image"][0])
+        risen, fallen = counts[0].sum(axis=0) * pixels.positive, counts[1].sum(axis=0) * pixels.negative
+        rest = Pixels.log(arrays["image"][-1]) - pixels.base - risen + fallen
+        assert (rest < pixels.positive + 1e-4).all()
+        assert (-rest < pixels.negative + 1e-4).all()
 
 
 def test_dp2_refuses_a_rate_on_the_machines_clock() -> None:
-    mapping, source = read_mapping("dp2")
     with pytest.raises(UserError, match="dvs_rate_hz needs timing and reference_timing virtual or lockstep"):
-        resolve(Dp2Config, mapping, source, {"timing": "wall"}, ["dvs_rate_hz=100"])
+        configured("dp2", "dvs_rate_hz=100", timing="wall")
 
 
 @needs_opengl

@@ -123,5 +123,5 @@ def test_brightness_is_the_mean_luma_of_grey_and_colour() -> None:
 
 @pytest.mark.parametrize("limit", [{"max_change": -0.1}, {"min_brightness": -1}, {"max_retries": -1}])
 def test_negative_limits_are_refused(limit: dict[str, Any]) -> None:
-    with pytest.raises(ValueError, match="negative"):
+    with pytest.raises(ValueError, match="greater than or equal to 0"):
         GuardSettings(**limit)

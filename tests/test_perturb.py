@@ -1,17 +1,13 @@
-"""Modelled image perturbations, and how many of them the guard lets pass."""
+"""Modelled image perturbations."""
 
-import json
 from collections import Counter
 from itertools import permutations
-from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from uavaccel.vision.guard import GuardSettings
-from uavaccel.vision.guard_study import guard_study
 from uavaccel.vision.perturb import PerturbationKind, PerturbationSettings, perturb, perturb_share, share_at
 
 
@@ -102,67 +98,6 @@ def test_salt_and_pepper_hit_their_share_of_the_pixels() -> None:
     for level in (0, 255):  # all three channels of a pixel, black as often as white
         assert (noisy == level).all(axis=2).mean() == pytest.approx(0.05 / 2, rel=0.1)
     assert (noisy == 90).all(axis=2).mean() == pytest.approx(0.95, rel=0.01)
-
-
-def brightness(image: NDArray[np.uint8]) -> float:
-    return float((image @ np.array([0.299, 0.587, 0.114])).mean())
-
-
-def fly(images: list[NDArray[np.uint8]], share: float, retries: int) -> dict[str, Any]:
-    """The study's numbers by a loop of its own; no scene of `images` is ever as bright as another."""
-    perturbed = PerturbationSettings(share, tuple(PerturbationKind), seed=1)
-    sent: Counter[PerturbationKind | None] = Counter()
-    passed: Counter[PerturbationKind | None] = Counter()
-    repeats = exhausted = requests = 0
-    reference = None
-    for scene in images:
-        before = None
-        for attempt in range(retries + 1):
-            image, kind = perturb_share(scene, perturbed, requests)
-            requests += 1
-            sent[kind] += 1
-            level = brightness(image)
-            fine = level >= 10 and (reference is None or abs(level - reference) <= 0.1 * reference)
-            if fine or attempt == retries or (before is not None and (image == before).all()):
-                break
-            repeats, before = repeats + 1, image
-        exhausted += not fine and (before is None or bool((image != before).any()))
-        passed[kind] += 1
-        reference = level
-    return {
-        "by_kind": {
-            kind: {"sent": sent[kind], "passed": passed[kind],
-                   "share_passed": passed[kind] / sent[kind] if sent[kind] else None}
-            for kind in PerturbationKind
-        },
-        "perturbed_share_handed_on": 1 - passed[None] / len(images),
-        "retries": repeats,
-        "exhausted": exhausted,
-        "false_alarms": sent[None] - passed[None],
-    }  # fmt: skip
-
-
-def test_study_counts_by_kind_what_passes_with_the_guard_off_and_on() -> None:
-    images = flight(400)
-    result = guard_study(images, share=0.4, seed=1)
-    assert result == json.loads(json.dumps(result))
-    for name, share, retries in (("on", 0.4, 3), ("clean", 0.0, 3), ("off", 0.4, 0)):
-        assert result[name] == fly(images, share, retries)
-    off, on = result["off"], result["on"]
-    assert {key: result[key] for key in ("modelled", "images", "share", "seed")} == {
-        "modelled": True, "images": 400, "share": 0.4, "seed": 1,
-    }  # fmt: skip
-    assert on["exhausted"] > 0
-    assert on["false_alarms"] > 0
-    assert on["by_kind"]["empty"]["share_passed"] < 0.25
-    assert on["by_kind"]["salt_and_pepper"]["share_passed"] > 0.8  # a mid-grey mean hardly changes
-    assert on["perturbed_share_handed_on"] < off["perturbed_share_handed_on"]
-
-
-def test_study_without_perturbations_has_no_shares() -> None:
-    result = guard_study(flight(5), share=0.0, seed=0, guard=GuardSettings())
-    assert result["on"]["by_kind"]["empty"] == {"sent": 0, "passed": 0, "share_passed": None}
-    assert result["on"]["perturbed_share_handed_on"] == 0.0
 
 
 @pytest.mark.parametrize("share", [-0.1, 1.1, float("nan")])

@@ -500,7 +500,7 @@ def summary_of_game(game: pd.Series, games: pd.DataFrame) -> dict[str, Any]:
         "paired_images": len(game.position_error_m),
         "poses_equal_lockstep": game.equal_poses,
         "dvs_counts_equal_lockstep": game.equal_counts,
-        "simulated_s_per_wall_s": game.duration_s / game.wall_s if game.wall_s > 0 else None,
+        "simulated_s_per_wall_s": game.duration_s / game.wall_s,
     }
 
 
@@ -635,8 +635,9 @@ def images_figure(report: Report) -> Picture:
         for command, own in sorted(images[~images.command.isin(commands)].groupby("command"), reverse=True)
     ]
     title, source = "Position error and DVS-ED of each image against the run at 1x", source_line(scores)
+    size_in = 3.6 + 0.8 / max(len(commands), 1), 3.2  # one panel is as wide as the title
     shared = {"sharex": True, "sharey": True}
-    figure, grid = plots.panels(1, len(commands), title, "\n".join([*below, source]), (3.6, 3.2), **shared)
+    figure, grid = plots.panels(1, len(commands), title, "\n".join([*below, source]), size_in, **shared)
     first = grid[0, 0]
     for axes, command in zip(grid[0], commands, strict=False):
         for _, game in images[images.command == command][::-1].iterrows():  # few and near points lie on top
