@@ -14,7 +14,6 @@ from matplotlib.container import ErrorbarContainer
 from matplotlib.figure import Figure
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from tests.dp1_games import quantile
 from tests.drawing import headline, labelled, legend_texts, points, record_figures, tick_texts
 from tests.learning import tiny_config, train_into
 from tests.opengl import needs_opengl

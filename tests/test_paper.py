@@ -15,7 +15,7 @@ from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
 from uavaccel.resources import experiment
 from uavaccel.suites.dp1 import Dp1Config
-from uavaccel.suites.old_dp2.config import Dp2Config
+from uavaccel.suites.dp2 import Dp2Config
 from uavaccel.suites.old_report import Report
 from uavaccel.suites.paper.config import PaperConfig
 from uavaccel.suites.paper.evidence import Images, NoEvidence, Trajectories

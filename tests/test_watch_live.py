@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from uavaccel.suites.old_dp1.suite import Dp1
 
 from tests.flying import STRAIGHT, call, hovering, point
 from tests.learning import tiny_config

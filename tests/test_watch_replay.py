@@ -16,7 +16,6 @@ from uavaccel.fly.options import FlightOptions
 from uavaccel.fly.runs import fly
 from uavaccel.records import RunDirectory
 from uavaccel.rl.agents import make_agent
-from uavaccel.suites.dp1 import Dp1
 from uavaccel.suites.evaluate import Evaluation, fly_lane
 from uavaccel.watch.replay import recorded
 

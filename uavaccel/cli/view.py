@@ -10,6 +10,7 @@ from uavaccel.cli.terminal import console
 from uavaccel.draw.film import Film, write_contact_sheet, write_video
 from uavaccel.errors import UserError
 from uavaccel.files import inside
+from uavaccel.records import RunDirectory
 from uavaccel.rl.agents import DEFAULT, policy_folder
 from uavaccel.rl.policy import MANIFEST
 from uavaccel.sim.camera.gl import describe_renderer

@@ -42,8 +42,8 @@ from uavaccel.rl.config import OWN
 from uavaccel.rl.lanes import make_lanes, seed_lanes
 from uavaccel.rl.learner import Game, Learner, make_learner
 from uavaccel.rl.policy import export_policy, weights_sha256
-from uavaccel.suites.evaluate_lanes import GamesInBatch
 from uavaccel.suites.evaluate import EvaluateConfig
+from uavaccel.suites.evaluate_lanes import GamesInBatch
 from uavaccel.suites.rows import Row, lane_row
 from uavaccel.suites.suite import GameResult
 from uavaccel.suites.train import CHECKPOINTS, EVALUATIONS, RECENT, TrainConfig, TrainRow, evaluations, game_case

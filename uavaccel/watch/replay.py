@@ -8,7 +8,6 @@ from pathlib import Path
 from uavaccel.draw.labels import clock_label
 from uavaccel.errors import UsageError, UserError
 from uavaccel.fly.trajectory import FILE_NAME as FLIGHT
-from uavaccel.records import RunDirectory
 from uavaccel.sim.lane.layout import LaneLayout
 from uavaccel.suites.flight import Flight
 from uavaccel.suites.registry import open_run, suite_of
