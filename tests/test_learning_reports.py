@@ -26,7 +26,7 @@ from uavaccel.records import RunDirectory
 from uavaccel.rl.learner import Game
 from uavaccel.suites import trainer
 from uavaccel.suites.report import Report
-from uavaccel.suites.train import Training, time_figure
+from uavaccel.suites.train import Training, game_case, time_figure
 from uavaccel.suites.trainer import model_real_time
 from uavaccel.units import NS_PER_S
 from uavaccel.wire.latency import shipped_latency
@@ -49,18 +49,26 @@ class Flown(Config):
     environments: int = 1
 
 
+def phases(*seconds: float) -> dict[str, float]:
+    return dict(zip(PHASES, seconds, strict=True))
+
+
+def game(number: int, row: Row) -> Row:
+    """What the row of a lane's game has in every suite, by default of seven commands without a collision."""
+    usual = {"is_success": False, "collision": None, "lane": number, "commands": 7, "sim_time_s": 7.0}
+    usual |= {"phase_s": phases(1, 0, 0, 0, 0), "distance_m": 150.0 if row.get("is_success") else 7.0}
+    return usual | row
+
+
 def run_of(path: Path, config: Flown, rows: list[Row]) -> RunDirectory:
     run = RunDirectory.create(path, config, {})
     for number, row in enumerate(rows):
-        run.append_row({"case": str(number), **row})
+        usual = {"suite": "evaluate", "case": lane_case(number), "wall_s": 1.0, "actions": [2] * 7}
+        run.append_row(usual | game(number, row))
     return run
 
 
 # --- trainings ----------------------------------------------------------------------------------------------
-
-
-def phases(*seconds: float) -> dict[str, float]:
-    return dict(zip(PHASES, seconds, strict=True))
 
 
 def trained(
@@ -70,14 +78,17 @@ def trained(
     task = {key: keys.pop(key) for key in list(keys) if key in LaneTask.model_fields}
     config = tiny_config(STATE | task, mirror=False, **keys)
     run = RunDirectory.create(path, config, {})
-    usual = {"is_success": False, "commands": 7, "sim_time_s": 7.0, "phase_s": phases(1, 0, 0, 0, 0)}
+    unknown = dict.fromkeys(("exploration", "loss", "mean_q"))
     for number, row in enumerate(rows):
-        run.append_row({"suite": "train", "case": f"game-{number}", **usual, **row})
+        usual = {"suite": "train", "case": game_case(number), "game": number, "environment": 0, "return": 0.0}
+        run.append_row(usual | unknown | game(number, row))
     usual = {"host_phase_s": phases(1, 0, 0, 0, 0), "learner_s": phases(0, 0, 0, 0, 1)}
     for entry in timings:
         run.append_timing(usual | entry)
     for line in evaluations:
-        append_line(run.path / "evaluations.jsonl", {"distance_m": [1.0], **line})
+        won_lanes = [number < line["successes"] for number in range(len(line["lanes"]))]
+        usual = {"weights_sha256": "f00", "is_success": won_lanes, "distance_m": [1.0] * len(won_lanes)}
+        append_line(run.path / "evaluations.jsonl", usual | line)
     return Training().report(run)
 
 
@@ -229,7 +240,6 @@ def test_progress_shows_each_game_and_the_mean_of_the_last_100(tmp_path: Path, d
     assert points(labelled(mean_q)["a game"])[-1] == (150.0, 447.0)
     assert np.asarray(explored.lines[0].get_ydata())[-1] == 1 - 149 / 200
     ppo = [{key: value for key, value in row.items() if key not in ("exploration", "mean_q")} for row in rows]
-    del ppo[0]["loss"]  # as in the rows of earlier versions
     page(trained(tmp_path / "ppo", ppo, timing="virtual"))
     assert [axes.get_ylabel() for axes in drawn["progress"].axes] == ["return", "length, commands", "loss"]
 

@@ -20,7 +20,6 @@ from uavaccel.suites.old_report import Report
 from uavaccel.suites.paper.config import PaperConfig
 from uavaccel.suites.paper.evidence import Images, NoEvidence, Trajectories
 from uavaccel.suites.paper.suite import Paper
-from uavaccel.suites.parts import Part, part_cost
 from uavaccel.yaml_io import load_yaml
 
 
@@ -214,22 +213,3 @@ def test_trainings_are_judged_by_profile_and_airsims_hours_are_told(tmp_path: Pa
 )
 def test_opengl_is_needed_where_a_part_draws(parts: list[str], draws: bool) -> None:
     assert Paper().renders(config(*parts)) is draws
-
-
-def test_a_part_costs_what_all_of_its_games_do() -> None:
-    """Rounds of 1 and of 2 squares take 2 and 4 s: two references, the one in lockstep and three games of each.
-
-    The two of Figure 2 take 1.5 s. A virtual clock runs at 300x, and each of the 78 commands makes six calls.
-    """
-    keys = {
-        "command": ["tcsc"],
-        "clock_speed": [5],
-        "t_move_s": [0.5],
-        "rounds": [1, 2],
-        "games": 3,
-        "reference_games": 2,
-    }
-    simulated_s, cost = part_cost(Part(experiment="dp1", keys=keys), seed=0)
-    assert simulated_s == pytest.approx((2 + 1 + 3) * (2 + 4) + 2 * 1.5)
-    assert cost.wall_s == pytest.approx(39 / 300 + 78 * 6 * 150e-6)
-    assert cost.disk_bytes == pytest.approx(39 * 20 * 14 * 8)

@@ -223,7 +223,8 @@ def test_each_seed_trains_a_policy_of_its_own_which_flies_the_lanes_of_seed_0(
         flown.append((name.removeprefix("native-virtual-tcsc-100x-"), seed, policy[-14:]))
         folder = run.path / "parts" / name
         folder.mkdir(parents=True)
-        (folder / "config.yaml").write_text("suite: any\n")
+        (folder / "config.yaml").write_text(f"suite: {part.experiment}\n")
+        (folder / "manifest.json").write_text("{}\n")
         return dict.fromkeys((*TrainingResult.__annotations__, *EvaluationResult.__annotations__))
 
     monkeypatch.setattr(rl, "fly_part", fly_at_once)
@@ -338,13 +339,14 @@ def made(command: str, clock_speed: float, won: Sequence[Won], wall_s: float = 1
 
 
 def flight(command: str, clock_speed: float, successes: int) -> dict[str, Any]:
-    return {"command": command, "clock_speed": clock_speed, "successes": successes, "games": LANES}
+    conditions = {"command": command, "clock_speed": clock_speed, "timing": "virtual", "simulator": "kernels"}
+    return {**conditions, "successes": successes, "games": LANES}
 
 
 def exact_of(row: dict[str, Any], lanes: Sequence[int]) -> dict[str, Any]:
     """The row of a policy's flight in the exact simulator."""
     exact = {key: value for key, value in row.items() if key != "training"}
-    flown = [flight(row["command"], 1.0, len(lanes))]
+    flown = [flight(row["command"], 1.0, len(lanes)) | {"simulator": "mujoco"}]
     return exact | {"case": f"{row['case']}-exact", "evaluations": flown, "lanes": {"exact": lanes}}
 
 
