@@ -143,7 +143,7 @@ def test_every_number_of_a_summary(tmp_path: Path) -> None:
     assert found == exact | {key: pytest.approx(value) for key, value in near.items()}
     assert (reference["reference"]["is_this_cell"], reference["position_error_m_max"]) == (True, 0.0)
     assert (reference["poses_equal_lockstep"], reference["dvs_counts_equal_lockstep"]) == (False, False)
-    at_1x, by_image = report.run.read_json("scores.json")
+    at_1x, by_image = report.scores[report.scores.reference.notna()].to_dict("records")
     assert (at_1x["role"], at_1x["dvs_ed_percent"]) == ("reference", [0, 0, 0, 0])
     assert [by_image[name] for name in ERRORS] == [
         pytest.approx(each) for each in ([0.5, 0.0, 1.5], [5.0, 0.0, 30.0], [12.5, 25.0, 75.0])
@@ -163,7 +163,6 @@ def test_without_a_run_at_1x_or_in_lockstep_the_numbers_are_unknown(tmp_path: Pa
     unknown = {"reference", "poses_equal_lockstep", "dvs_counts_equal_lockstep", *spread}
     assert {key for key, value in cell.items() if value is None} == unknown
     assert (cell["paired_images"], report.summary["guard_study"]) == (0, None)
-    assert report.run.read_json("scores.json") == []
     assert report.overview().rows[0][2:8] == ("0", "-, -", "-", "-, -", "4", "-, -")  # type: ignore[union-attr]
 
 

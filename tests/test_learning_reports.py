@@ -17,7 +17,6 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from tests.drawing import headline, labelled, legend_texts, points, record_figures, tick_texts
 from tests.learning import tiny_config, train_into
 from tests.opengl import needs_opengl
-from uavaccel.config import Config
 from uavaccel.envs.obstacle_lane import LaneTask
 from uavaccel.envs.stopwatch import PHASES
 from uavaccel.errors import UserError
@@ -40,15 +39,6 @@ def drawn(monkeypatch: pytest.MonkeyPatch) -> dict[str, Figure]:
     return record_figures(monkeypatch)
 
 
-class Flown(Config):
-    """What the figures of evaluations read of a configuration."""
-
-    seed: int
-    task: dict[str, Any]
-    agent: str = ""
-    environments: int = 1
-
-
 def phases(*seconds: float) -> dict[str, float]:
     return dict(zip(PHASES, seconds, strict=True))
 
@@ -58,14 +48,6 @@ def game(number: int, row: Row) -> Row:
     usual = {"is_success": False, "collision": None, "lane": number, "commands": 7, "sim_time_s": 7.0}
     usual |= {"phase_s": phases(1, 0, 0, 0, 0), "distance_m": 150.0 if row.get("is_success") else 7.0}
     return usual | row
-
-
-def run_of(path: Path, config: Flown, rows: list[Row]) -> RunDirectory:
-    run = RunDirectory.create(path, config, {})
-    for number, row in enumerate(rows):
-        usual = {"suite": "evaluate", "case": lane_case(number), "wall_s": 1.0, "actions": [2] * 7}
-        run.append_row(usual | game(number, row))
-    return run
 
 
 # --- trainings ----------------------------------------------------------------------------------------------

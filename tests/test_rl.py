@@ -23,7 +23,6 @@ from uavaccel.errors import UserError
 from uavaccel.metrics.equivalence import mean_estimate
 from uavaccel.records import RunDirectory
 from uavaccel.suites import gpu, rl, runner
-from uavaccel.suites.paper.evidence import Policies
 from uavaccel.suites.parts import Part, part_suite
 from uavaccel.suites.report import Report
 from uavaccel.suites.rl import EvaluationResult, Rl, RlConfig, TrainingResult, other_command, parts_of
@@ -722,30 +721,6 @@ def test_several_runs_make_the_report_of_the_one_that_flew_all(tmp_path: Path, d
     (other.path / "config.yaml").write_text((other.path / "config.yaml").read_text().replace("games: 3", "games: 4"))
     with pytest.raises(UserError, match="other: games differs"):
         Rl().compare([runs[0], other])
-
-
-def test_claims_take_the_plain_trainings_of_their_profile_on_the_virtual_clock(tmp_path: Path) -> None:
-    """Games that were lost ended on the way: at 10 m in the first lane, and a metre further in each."""
-
-    def both(command: str, clock_speed: float, *counts: int, **keys: Any) -> list[Any]:
-        other = "adsc" if command == "tcsc" else "tcsc"
-        flights = [{(command, 1.0): range(count), (other, 1.0): range(count // 2)} for count in counts]
-        return made(command, clock_speed, flights, **keys)
-
-    rows = both("tcsc", 1.0, 39, 38) + both("tcsc", 5.0, 0) + both("adsc", 1.0, 0)
-    for keys in ({"variant": "told"}, {"profile": "native"}, {"timing": "lockstep"}):
-        rows += both("tcsc", 1.0, 0, **keys)
-    report = report_of(tmp_path / "run", rows)
-    report.write_summary()
-    found = Policies.of(report.run, "airsim")
-    kinds = [(cell["command"], cell["clock_speed"], cell["seed"], cell["successes"]) for cell in found.cells]
-    assert kinds == [("tcsc", 1.0, 0, 39), ("tcsc", 1.0, 1, 38), ("tcsc", 5.0, 0, 0), ("adsc", 1.0, 0, 0)]
-    (flown,) = found.interchange
-    assert [(each["command"], each["successes"]) for each in flown["flown_with"]] == [("tcsc", 77), ("adsc", 38)]
-    assert (flown["only_first"], flown["only_second"]) == (39, 0)
-    lost_m = {key: each.tolist() for key, each in found.ended_m.items()}
-    assert lost_m["tcsc", 1.0] == [49.0, 48.0, 49.0]
-    assert lost_m["tcsc", 5.0] == lost_m["adsc", 1.0] == [10.0 + lane for lane in range(LANES)]
 
 
 # --- GPUs -------------------------------------------------------------------------------------------------------

@@ -146,7 +146,7 @@ class Game(FlightCase):
 
 
 class Dp1(Suite[Dp1Config, Game]):
-    """`uavaccel run dp1`. Beside the summary it writes scores.json, the accuracy of each game, to pool cells from."""
+    """`uavaccel run dp1`."""
 
     name = "dp1"
     config = Dp1Config
@@ -238,10 +238,6 @@ class Dp1(Suite[Dp1Config, Game]):
         over games. Numbers that cannot be known (no reference in the run, a lone reference) are None.
         """
         scores, seed = report.scores, report.config.seed
-        accuracies = [
-            {**key, **finished(cell)[["stlc", "position_rmse_m"]].to_dict("list")} for key, cell in cells_in(scores)
-        ]
-        report.run.write_json("scores.json", accuracies)
         cells = summary_cells(scores, seed)
         return {"suite": "dp1", "profile": report.config.profile, "seed": seed, "cells": cells}
 

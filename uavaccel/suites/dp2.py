@@ -206,7 +206,7 @@ class Game(FlightCase):
 
 
 class Dp2(Suite[Dp2Config, Game]):
-    """`uavaccel run dp2`. Beside the summary it writes scores.json, the errors of each image."""
+    """`uavaccel run dp2`."""
 
     name = "dp2"
     config = Dp2Config
@@ -308,8 +308,6 @@ class Dp2(Suite[Dp2Config, Game]):
         collides end at its collision. Numbers that cannot be known are None.
         """
         config, scores = report.config, report.scores
-        by_image = scores.loc[scores.reference.notna(), ["command", "clock_speed", "role", *ERRORS]]
-        report.run.write_json("scores.json", by_image.to_dict("records"))
         in_colour = finished(report.games[report.games.role == "lockstep"])
         studies = [study_guard(report.arrays(game)["colour"], config) for _, game in in_colour.iterrows()]
         return {

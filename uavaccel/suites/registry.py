@@ -23,9 +23,9 @@ SUITES = {
     "rl": "uavaccel.suites.rl:Rl",
     "robustness": "uavaccel.suites.grid:Robustness",
     "sweep": "uavaccel.suites.grid:Sweep",
-    "paper": "uavaccel.suites.paper.suite:Paper",
+    "paper": "uavaccel.suites.paper:Paper",
     "evaluate": "uavaccel.suites.evaluate:Evaluation",
-    "realtime": "uavaccel.suites.realtime.suite:Realtime",
+    "realtime": "uavaccel.suites.realtime:Realtime",
 }
 
 

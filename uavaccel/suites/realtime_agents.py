@@ -1,12 +1,15 @@
-"""Agents of the experiment: PPO of stable-baselines3, its weights as plain arrays, and one that looks ahead."""
+"""What the suite `realtime` flies: PPO of stable-baselines3, its weights plain arrays, in environments with delays."""
 
 from __future__ import annotations
 
+import hashlib
+import sys
 from collections.abc import Mapping
 from functools import partial
 from typing import Any, NamedTuple
 
 import gymnasium
+import mujoco
 import numpy as np
 import torch as th
 from numpy.typing import NDArray
@@ -16,17 +19,73 @@ from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.utils import set_random_seed
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
-from uavaccel.realtime.control_loop import ControlLoop, LoopOptions
+from uavaccel.clock import MonotonicClock
+from uavaccel.realtime import RealTime, RealTimeProcess, samples
+from uavaccel.realtime.control_loop import Command, ControlLoop, LoopOptions
 from uavaccel.realtime.plant import MujocoPlant
-from uavaccel.suites.realtime.config import AgentBlock, EnvironmentBlock
-from uavaccel.suites.realtime.environments import Env, training
+from uavaccel.suites.realtime import DRONES, AgentBlock, EnvironmentBlock
+from uavaccel.units import seconds_to_ns
 
+Env = gymnasium.Env[Any, Any]
 Weights = dict[str, NDArray[Any]]
+COMMAND: Command = "adsc"  # of trainings: their delays are of simulated time
 LANES, STEPS = 8, 256  # of a rollout
 LEARNER: dict[str, Any] = {"n_steps": STEPS, "batch_size": 256, "n_epochs": 10}
 CLIPPED = 10.0  # an observation's normalised numbers
 EPSILON = 1e-8
 LAST_EPISODES = 100
+
+
+def make(block: EnvironmentBlock, command: str, clock_speed: float) -> Env:
+    """Return the environment without delays; a drone's flies with the command at the ClockSpeed."""
+    mujoco.set_mju_user_warning(_warned)
+    keys = dict(block.keys)
+    if block.id.startswith(DRONES):
+        keys |= {"timing": "virtual", "command": command, "clock_speed": clock_speed}
+    return gymnasium.make(block.id, **keys)
+
+
+def _warned(text: str) -> None:
+    """Print MuJoCo's warnings, but for one about how Gymnasium's own models are written."""
+    if "settotalmass" not in text:
+        print(f"MuJoCo: {text}", file=sys.stderr)
+
+
+def options(block: EnvironmentBlock, agent: AgentBlock) -> dict[str, Any]:
+    """Return the agent's options of the control loop; it applies one action of a chunk before it observes again."""
+    chosen = {"chunk": agent.chunk, "execute": 1} if agent.chunk > 1 else {}
+    chosen |= {"observe_age": agent.observe_age, "observe_actions": agent.observe_actions}
+    return {**chosen, "period_s": block.period_s, "default_action": block.default_action}
+
+
+def timed(block: EnvironmentBlock, agent: AgentBlock, latency_s: float, command: str, clock_speed: float) -> Env:
+    """Return the environment of an evaluation on the simulated wall clock."""
+    env = make(block, command, clock_speed)
+    return RealTime(env, latency_s, command, clock_speed, **options(block, agent))  # type: ignore[arg-type]
+
+
+def measured(block: EnvironmentBlock, agent: AgentBlock, command: str, clock_speed: float) -> RealTimeProcess:
+    """Return the environment of an evaluation on the machine's own clock, in a process of its own."""
+    made = partial(make, block, command, clock_speed)
+    return RealTimeProcess(made, command, clock_speed, **options(block, agent))  # type: ignore[arg-type]
+
+
+class DelayPerEpisode(gymnasium.Wrapper[Any, Any, Any, Any]):
+    """A wrapper that draws the delay of each episode of a training from a range of simulated seconds."""
+
+    def __init__(self, env: RealTime, delay_s: tuple[float, float], seed: int) -> None:
+        super().__init__(env)
+        self._timed, self._delay_s, self._generator = env, delay_s, np.random.default_rng(seed)
+
+    def reset(self, **keys: Any) -> tuple[Any, dict[str, Any]]:
+        self._timed.thinking = samples([self._generator.uniform(*self._delay_s)])
+        return super().reset(**keys)
+
+
+def training(block: EnvironmentBlock, agent: AgentBlock, seed: int) -> Env:
+    """Return one of the environments of a training."""
+    env = RealTime(make(block, COMMAND, 1.0), 0.0, COMMAND, **options(block, agent))
+    return DelayPerEpisode(env, agent.training_delay_s, seed)
 
 
 class Trained(NamedTuple):
@@ -35,6 +94,14 @@ class Trained(NamedTuple):
     weights: Weights
     last_return: float
     steps: int
+
+    @property
+    def sha256(self) -> str:
+        """The hash of the weights."""
+        digest = hashlib.sha256()
+        for name in sorted(self.weights):
+            digest.update(name.encode() + np.ascontiguousarray(self.weights[name]).tobytes())
+        return digest.hexdigest()
 
 
 def train(block: EnvironmentBlock, agent: AgentBlock, seed: int) -> Trained:
@@ -83,11 +150,13 @@ class Policy:
     def __init__(self, env: Env, agent: AgentBlock, weights: Mapping[str, NDArray[Any]]) -> None:
         th.set_num_threads(1)
         self._mean, self._var = weights["observation.mean"], weights["observation.var"]
-        space = env.observation_space
-        kind = PPO.policy_aliases["MlpPolicy"]
+        kind, space = PPO.policy_aliases["MlpPolicy"], env.observation_space
         policy = kind(space, env.action_space, lambda _: 0.0, net_arch=list(agent.hidden))
         policy.load_state_dict({name: th.as_tensor(weights[name]) for name in policy.state_dict()})
         self._policy = policy.eval()
+
+    def begin(self) -> None:
+        """Begin an episode."""
 
     def act(self, observation: NDArray[Any]) -> Any:
         """Return the action for an observation."""
@@ -103,9 +172,7 @@ class LookAhead:
     timed one of Gymnasium's MuJoCo environments.
     """
 
-    def __init__(
-        self, policy: Policy, env: Env, block: EnvironmentBlock, delay_s: float, clock_speed: float
-    ) -> None:
+    def __init__(self, policy: Policy, env: Env, block: EnvironmentBlock, delay_s: float, clock_speed: float) -> None:
         self._policy, self._real = policy, env.unwrapped
         self._model: Any = gymnasium.make(block.id, **block.keys).unwrapped
         self._model.reset(seed=0)
@@ -116,6 +183,7 @@ class LookAhead:
         self._held = self._idle
 
     def begin(self) -> None:
+        """Begin an episode, in which the idle action is held at first."""
         self._held = self._idle
 
     def act(self, observation: NDArray[Any]) -> Any:
@@ -127,3 +195,21 @@ class LookAhead:
             observation = self._loop.plant.advance(self._held, self._ticks).observation
         self._held = self._policy.act(observation)
         return self._held
+
+
+def fly_episode(env: Env, actor: Policy | LookAhead, seed: int, thinks_s: float) -> tuple[float, float, float]:
+    """Fly an episode of decisions that take `thinks_s` of wall time; return its return, median delay and lateness."""
+    clock = MonotonicClock()
+    observation, _ = env.reset(seed=seed)
+    actor.begin()
+    total, delays_s, late_s, over = 0.0, list[float](), 0.0, False
+    while not over:
+        since_ns = clock.now_ns()
+        action = actor.act(observation)
+        if thinks_s:
+            clock.sleep_until(since_ns + seconds_to_ns(thinks_s))
+        observation, reward, terminated, truncated, info = env.step(action)
+        total, over = total + float(reward), terminated or truncated
+        delays_s.append(float(info["meanwhile_s"]))
+        late_s = max(late_s, float(info.get("late_s", 0.0)))
+    return total, float(np.median(delays_s)), late_s

@@ -1,1 +1,0 @@
-"""The paper: its experiments under AirSim's and native timing, and each of its claims decided."""

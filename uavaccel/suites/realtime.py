@@ -1,0 +1,627 @@
+"""Agents that need time to think, in environments that go on meanwhile: who is best, and how fast may one simulate?
+
+Agents are trained, then evaluated with weights from the run (realtime_agents.py) under latencies and ClockSpeeds.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, closing, nullcontext
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import permutations, product
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import numpy as np
+import pandas as pd
+from pydantic import Discriminator, Field, model_validator
+
+from uavaccel.config import Config
+from uavaccel.draw import style
+from uavaccel.draw.labels import clock_label
+from uavaccel.draw.page import Block, Column, Heading, Picture, Table
+from uavaccel.errors import UserError
+from uavaccel.forms import ArrayForm, Count, NotNegative, Number, Positive
+from uavaccel.limits import Games, Seconds, Seed
+from uavaccel.metrics.seeds import hierarchical_interval
+from uavaccel.metrics.speedup import timing_provenance
+from uavaccel.records import RunDirectory
+from uavaccel.suites import plots
+from uavaccel.suites.experiment import ClockSpeeds, CommandName, CommandNames, Experiment, Timing
+from uavaccel.suites.own_code import own_module
+from uavaccel.suites.report import Report, Summary, records
+from uavaccel.suites.rows import GameRow, Row
+from uavaccel.suites.suite import GameResult, Suite
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+DRONES = "uavaccel/"
+OF_THE_CASES = {"timing", "command", "clock_speed"}  # keys of a drone's environment
+EPISODE_S = 20.0  # simulated seconds of an evaluation's episode, about
+EVALUATION_SEED = 1_000_000  # episodes of an evaluation begin with others than those of trainings
+PLACE = ["environment", "command", "latency_s", "clock_speed"]
+CELL = ["environment", "agent", "command", "latency_s", "clock_speed"]
+"""What the evaluations of a cell have in common: they are of one agent's trainings."""
+TRAINING = ["environment", "agent", "seed", "steps", "last_return", "weights_sha256"]
+PANELS = 3  # of a figure, beside each other
+
+Delay = Annotated[float, Field(ge=0.0, le=60.0)]
+Layers = tuple[Annotated[int, Field(ge=1, le=4096)], ...]
+
+
+class EnvironmentBlock(Config):
+    """A Gymnasium environment, and how long each of its agents is trained."""
+
+    id: str
+    """As for gymnasium.make; of "module:Name-v0" the module is one of your own, in the working directory or beside the
+    YAML file. Those of this package keep their own clocks."""
+    keys: dict[str, Any] = Field(default_factory=dict)
+    """Further keywords of gymnasium.make."""
+    train_steps: Annotated[int, Field(ge=1, le=1_000_000_000)] = 300_000
+    """Decisions, of all parallel environments together."""
+    default_action: int | tuple[float, ...] | None = None
+    """Applied before the first action; 0 where actions are a Box, and needed where they are not."""
+    period_s: Seconds | None = None
+    """Simulated seconds of a step, where the environment does not say."""
+
+
+class AgentBlock(Config):
+    """An agent: what it is trained on, what it sees, and how much longer than others it thinks. PPO throughout."""
+
+    training_delay_s: tuple[Delay, Delay] = (0.0, 0.0)
+    """Range of simulated seconds from an observation to its action, one drawn for each episode of the training."""
+    observe_age: bool = False
+    """Whether it sees how old its last observation was when the action was applied."""
+    observe_actions: Annotated[int, Field(ge=0, le=64)] = 0
+    """How many of its latest actions it sees."""
+    chunk: Annotated[int, Field(ge=1, le=64)] = 1
+    """Actions that it plans at once, a control period each; the first is applied, the rest while it thinks."""
+    look_ahead: bool = False
+    """Whether it decides upon what the simulator itself predicts for the moment at which its action is applied."""
+    hidden: Layers = (64, 64)
+    """Units of its network's layers."""
+    latency_factor: Annotated[float, Field(gt=0.0, le=100.0)] = 1.0
+    """It thinks so many times the latency of a cell: of a larger network, say."""
+
+    @model_validator(mode="after")
+    def _range_rises(self) -> AgentBlock:
+        if self.training_delay_s[0] > self.training_delay_s[1]:
+            raise ValueError(f"training_delay_s must rise, not {list(self.training_delay_s)}")
+        return self
+
+    def training_keys(self) -> dict[str, Any]:
+        """Return the keys on which its training depends."""
+        return self.model_dump(exclude={"look_ahead", "latency_factor"})
+
+
+class RealtimeConfig(Experiment):
+    """`suite: realtime`."""
+
+    suite: Literal["realtime"]
+    timing: Literal["virtual", "wall"] = "virtual"
+    """virtual: the wall clock is simulated, and flights repeat; wall: measured, in a process of its own."""
+    environments: Annotated[dict[str, EnvironmentBlock], Field(min_length=1)]
+    """What is flown, by the names that rows and figures have for it."""
+    agents: Annotated[dict[str, AgentBlock], Field(min_length=1)]
+    """Who flies it, by the names that rows and figures have for them."""
+    latency_s: Annotated[tuple[Delay, ...], Field(min_length=1)] = (0.0, 0.02, 0.05, 0.1, 0.2)
+    """Wall time from an observation to its action."""
+    clock_speed: ClockSpeeds = (1.0,)
+    """Simulated seconds per wall second that are asked for; each value is flown."""
+    command: CommandNames = ("adsc", "tcsc")
+    """tcsc pauses the simulation while the program works, adsc does not; each value is flown."""
+    seeds: Annotated[int, Field(ge=1, le=1000)] = 3
+    """Trainings of each agent in each environment."""
+    episodes: Games = 10
+    """Of each trained agent under each latency, ClockSpeed and command."""
+
+    @model_validator(mode="after")
+    def _cases_differ(self) -> RealtimeConfig:
+        for name in (*self.environments, *self.agents):
+            if not name.replace("_", "").isalnum():
+                raise ValueError(f"{name!r} names files: letters, digits and _ alone")
+        if self.timing == "wall" and any(agent.look_ahead for agent in self.agents.values()):
+            raise ValueError("look_ahead needs timing virtual: it looks into the simulator")
+        if self.timing == "wall" and any(block.id.startswith(DRONES) for block in self.environments.values()):
+            raise ValueError(f"environments of {DRONES[:-1]} keep their own wall clock: their tasks' timing is wall")
+        for name, block in self.environments.items():
+            if block.id.startswith(DRONES) and (own := sorted(OF_THE_CASES & block.keys.keys())):
+                raise ValueError(f"environments.{name}.keys: a drone has {own[0]} of each cell, not of its own")
+        if len(set(self.latency_s)) < len(self.latency_s):
+            raise ValueError(f"latency_s has a latency twice: {list(self.latency_s)}")
+        return self
+
+    def delay_s(self, agent: str, latency_s: float) -> float:
+        """Return the wall time for which an agent thinks where others think for `latency_s`."""
+        return latency_s * self.agents[agent].latency_factor
+
+
+class TrainingRow(GameRow):
+    """The row of a training."""
+
+    kind: Literal["training"]
+    environment: str
+    agent: str
+    seed: Seed
+    steps: Count
+    last_return: Number
+    weights_sha256: str
+
+
+class EvaluationRow(GameRow):
+    """The row of the episodes of one trained agent under one latency, ClockSpeed and command."""
+
+    kind: Literal["evaluation"]
+    timing: Timing
+    environment: str
+    agent: str
+    seed: Seed
+    latency_s: NotNegative
+    clock_speed: Positive
+    command: CommandName
+    returns: Annotated[list[Number], Field(min_length=1)]
+    delays_s: Annotated[list[NotNegative], Field(min_length=1)]
+    """Simulated seconds from an observation to its action: the median of each episode."""
+    late_s: NotNegative
+    """How late the environment was at most, behind the machine's clock; 0 where the clock is simulated."""
+
+
+@dataclass(frozen=True)
+class Training:
+    """A training of an agent."""
+
+    environment: str
+    agent: str
+    seed: int
+    timing: str
+
+    @property
+    def id(self) -> str:
+        return f"{self.environment}-{self.agent}-s{self.seed}"
+
+    def simulated_s(self) -> float:
+        """Return 0: the length of a training's episodes is not known beforehand."""
+        return 0.0
+
+
+@dataclass(frozen=True)
+class Evaluation(Training):
+    """The evaluation of a trained agent under one latency, ClockSpeed and command."""
+
+    trained: str
+    """The training: agents whose trainings do not differ share the one of the first of them."""
+    latency_s: float
+    clock_speed: float
+    command: str
+    episodes: int
+
+    @property
+    def id(self) -> str:
+        return f"{super().id}-{self.command}-{self.latency_s * 1e3:g}ms-{self.clock_speed:g}x"
+
+    def simulated_s(self) -> float:
+        return self.episodes * EPISODE_S
+
+
+def _import_modules(config: RealtimeConfig) -> None:
+    """Import the modules that register environments, as in "module:Name-v0". Raises UserError as `own_module` does."""
+    for name, block in config.environments.items():
+        module, named, _ = block.id.partition(":")
+        if named:
+            own_module(module, f"environments.{name}.id")
+
+
+class Realtime(Suite[RealtimeConfig, Training]):
+    """`uavaccel run realtime`."""
+
+    name = "realtime"
+    config = RealtimeConfig
+    row = Annotated[TrainingRow | EvaluationRow, Discriminator("kind")]
+    arrays = {"*": ArrayForm("f")}  # noqa: RUF012
+    batch = 1
+
+    def check(self, config: RealtimeConfig) -> None:
+        """Raise UserError for an environment that cannot be made, and for an agent that cannot act in it."""
+        from uavaccel.realtime.plant import is_of_mujoco
+        from uavaccel.suites.realtime_agents import timed
+
+        _import_modules(config)
+        for name, agent in _pairs(config):
+            block = config.environments[name]
+            try:
+                with closing(timed(block, config.agents[agent], 0.0, "adsc", 1.0)) as env:
+                    if config.agents[agent].look_ahead and not is_of_mujoco(env):
+                        raise UserError("look_ahead: looks into Gymnasium's MuJoCo environments alone")
+            except UserError as error:
+                raise UserError(f"environments.{name}, agents.{agent}: {error}") from error
+            except Exception as error:  # whatever a user's environment raises
+                said = (str(error) or type(error).__name__).splitlines()[0]
+                raise UserError(f"environments.{name}: {block.id} cannot be made: {said}") from error
+
+    def cases(self, config: RealtimeConfig) -> Iterator[Training]:
+        """Yield all trainings, then all evaluations. Under TCSC delays change nothing: one latency stands for all."""
+        for (environment, agent), seed in product(_pairs(config), range(config.seeds)):
+            if _trained_as(config, environment, agent) == agent:
+                yield Training(environment, agent, seed, "virtual")
+        for (environment, agent), seed, command in product(_pairs(config), range(config.seeds), config.command):
+            trained = Training(environment, _trained_as(config, environment, agent), seed, "virtual").id
+            latencies_s = config.latency_s if command == "adsc" else config.latency_s[-1:]
+            for latency_s, speed in product(latencies_s, config.clock_speed):
+                under = latency_s, speed, command, config.episodes
+                yield Evaluation(environment, agent, seed, config.timing, trained, *under)
+
+    def stage(self, case: Training) -> int:
+        return int(isinstance(case, Evaluation))
+
+    def why_serial(self, config: RealtimeConfig) -> str:
+        return "neighbours would spoil the measurement on the wall clock" if config.timing == "wall" else ""
+
+    def may_grow(self, folder: Path) -> tuple[str, ...]:
+        return ("seeds",)
+
+    def games(self, config: RealtimeConfig, case: Training) -> int:
+        return case.episodes if isinstance(case, Evaluation) else 1
+
+    def open(self, config: RealtimeConfig, timing: str, run: RunDirectory) -> AbstractContextManager[Any]:
+        """Open what loads the weights of a training, those of the latest one once for all of its evaluations."""
+        _import_modules(config)  # in this worker
+
+        @lru_cache(maxsize=1)
+        def weights(case: str) -> Mapping[str, np.ndarray]:
+            return run.load_arrays(next(row for row in run.rows() if row["case"] == case))
+
+        return nullcontext(weights)
+
+    def fly(self, config: RealtimeConfig, case: Training, opened: Any) -> GameResult:
+        kind = "evaluation" if isinstance(case, Evaluation) else "training"
+        row: dict[str, Any] = {"kind": kind, "environment": case.environment, "agent": case.agent, "seed": case.seed}
+        if isinstance(case, Evaluation):
+            return GameResult(row | evaluated(config, case, opened(case.trained)))
+        from uavaccel.suites import realtime_agents
+
+        block, agent = config.environments[case.environment], config.agents[case.agent]
+        trained = realtime_agents.train(block, agent, config.seed + case.seed)
+        row |= {"steps": trained.steps, "last_return": trained.last_return, "weights_sha256": trained.sha256}
+        return GameResult(row, trained.weights)
+
+    def score(self, report: Report) -> pd.DataFrame:
+        """Return the evaluations. Raises UserError where none is finished yet."""
+        if (evaluations := report.games[report.games.kind == "evaluation"]).empty:
+            raise UserError(f"{report.run.path / 'rows.jsonl'}: holds no finished evaluation yet")
+        return evaluations
+
+    def summary(self, report: Report) -> Summary:
+        config, games = report.config, report.games
+        cells = cells_of(report)
+        adsc = cells[cells.command == "adsc"].groupby(["environment", "latency_s"], sort=False)
+        return {
+            "suite": "realtime",
+            "seed": config.seed,
+            "provenance": timing_provenance(config.timing),
+            "cells": cells.to_dict("records"),
+            "rankings": [
+                dict(zip(("environment", "latency_s"), key, strict=True)) | _ranking(own) for key, own in adsc
+            ],
+            "tcsc_equal_at_every_clock_speed": _tcsc_equal(report.scores),
+            "trainings": records(games[games.kind == "training"].reindex(columns=TRAINING)),
+        }
+
+    def title(self, report: Report) -> str:
+        return "Agents that need time to think"
+
+    def headline(self, report: Report) -> str:
+        """Return up to which ClockSpeed each ranking at the middle latency holds, and whether TCSC's returns do."""
+        rankings, equal = report.summary["rankings"], report.summary["tcsc_equal_at_every_clock_speed"]
+        latencies = sorted({ranking["latency_s"] for ranking in rankings})
+        middle = latencies[len(latencies) // 2] if latencies else 0.0
+        said = [_up_to_which_speed(ranking) for ranking in rankings if ranking["latency_s"] == middle]
+        if equal is not None:
+            said.append(
+                f"under TCSC all returns {'are the same to the bit' if equal else 'DIFFER'} at every ClockSpeed"
+            )
+        return "; ".join(said)
+
+    def overview(self, report: Report) -> Table:
+        """Return ADSC's cells at the slowest ClockSpeed, at the least latency and at the middle one."""
+        cells = pd.DataFrame(report.summary["cells"])
+        own = cells[cells.command == "adsc"]
+        latencies = sorted(own.latency_s.unique())
+        shown = own.latency_s.isin([*latencies[:1], *latencies[len(latencies) // 2 :][:1]])
+        return Table.of(own[shown & (own.clock_speed == own.clock_speed.min())], RETURNS)
+
+    def page(self, report: Report) -> Iterator[Block | str]:
+        cells = pd.DataFrame(report.summary["cells"])
+        several = [ranking for ranking in report.summary["rankings"] if len(ranking["clock_speeds"]) > 1]
+        counts = [f"{plots.span(cells[name], '{}')} {what}" for name, what in COUNTS.items()]
+        source = f"{report.summary['provenance']} · {', '.join(counts)} a cell · seed {report.summary['seed']}"
+        yield returns_figure(report, cells, source)
+        if several:
+            yield rankings_figure(report, source)
+        yield Heading("How fast may one simulate before the ranking changes?")
+        if several:
+            yield rankings_table(several)
+        yield READING
+        yield Heading("All cells")
+        yield Table.of(cells, RETURNS, folded="all returns")
+
+    def compare(self, runs: Sequence[RunDirectory]) -> list[Path]:
+        """Write a figure and agreement.json of a run on the simulated clock against one on the machine's, given in
+        either order, into the latter's folder.
+        """
+        reports = {str(run.config()["timing"]): self.report(run) for run in runs}
+        if set(reports) != {"virtual", "wall"}:
+            raise UserError("realtime: compares a run with timing virtual and one with timing wall")
+        modelled, measured = reports["virtual"], reports["wall"]
+        pairs = cells_of(modelled).merge(cells_of(measured), on=CELL, suffixes=("", "_measured"))
+        if pairs.empty:
+            raise UserError(f"{measured.run.path}: has no cell that {modelled.run.path} has too")
+        measured.run.write_json("agreement.json", agreement(pairs))
+        source = f"modelled: {modelled.run.path.name}; measured: {measured.run.path.name}"
+        return [style.save(agreement_figure(pairs, source), measured.run.file("figures/agreement.png"))]
+
+    def status(self, rows: Sequence[Row]) -> str:
+        return str(rows[-1]["case"])
+
+
+def flies(config: RealtimeConfig, environment: str, agent: str) -> bool:
+    """Return whether an agent can fly there: a drone takes no chunks, and has no model to look ahead with."""
+    block, drone = config.agents[agent], config.environments[environment].id.startswith(DRONES)
+    return not (drone and (block.chunk > 1 or block.look_ahead))
+
+
+def _pairs(config: RealtimeConfig) -> list[tuple[str, str]]:
+    return [pair for pair in product(config.environments, config.agents) if flies(config, *pair)]
+
+
+def _trained_as(config: RealtimeConfig, environment: str, agent: str) -> str:
+    """Return the first agent with the same training in the environment, in which the agent can fly."""
+    training, pairs = config.agents[agent].training_keys(), _pairs(config)
+    others = (other for name, other in pairs if name == environment)
+    return next(other for other in others if config.agents[other].training_keys() == training)
+
+
+def evaluated(config: RealtimeConfig, case: Evaluation, weights: Mapping[str, np.ndarray]) -> dict[str, Any]:
+    """Fly the episodes of a trained agent, and return what its row has beside the training's keys."""
+    from uavaccel.suites import realtime_agents as agents
+
+    block, agent = config.environments[case.environment], config.agents[case.agent]
+    delay_s, wall = config.delay_s(case.agent, case.latency_s), case.timing == "wall"
+    if wall:
+        env: agents.Env = agents.measured(block, agent, case.command, case.clock_speed)
+    else:
+        env = agents.timed(block, agent, delay_s, case.command, case.clock_speed)
+    with closing(env):
+        policy = agents.Policy(env, agent, weights)
+        ahead = agent.look_ahead and case.command == "adsc"
+        actor = agents.LookAhead(policy, env, block, delay_s, case.clock_speed) if ahead else policy
+        seeds = range(EVALUATION_SEED + config.seed, EVALUATION_SEED + config.seed + config.episodes)
+        flown = [agents.fly_episode(env, actor, seed, delay_s if wall else 0.0) for seed in seeds]
+    returns, delays_s, late_s = (list(each) for each in zip(*flown, strict=True))
+    under = {name: getattr(case, name) for name in ("timing", "latency_s", "clock_speed", "command")}
+    return {**under, "returns": returns, "delays_s": delays_s, "late_s": max(late_s)}
+
+
+def cells_of(report: Report) -> pd.DataFrame:
+    """Return a cell for each agent, latency, ClockSpeed and command, in the order of the rows.
+
+    `delay_s` is the median of simulated seconds from an observation to its action; intervals are over trainings and
+    episodes.
+    """
+
+    def cell(own: pd.DataFrame) -> dict[str, Any]:
+        returns = own.returns.tolist()
+        low, high = hierarchical_interval(returns, report.config.seed)
+        return {
+            "delay_s": float(np.median(np.concatenate(own.delays_s.tolist()))),
+            "seeds": len(own),
+            "episodes": sum(map(len, returns)),
+            "return_mean": float(np.mean([np.mean(each) for each in returns])),
+            "return_low": low,
+            "return_high": high,
+            "late_s": own.late_s.max(),
+        }
+
+    groups = report.scores.groupby(CELL, sort=False)
+    return pd.DataFrame([dict(zip(CELL, key, strict=True)) | cell(own) for key, own in groups])
+
+
+def _ranking(cells: pd.DataFrame) -> dict[str, Any]:
+    """Return the order of the agents at each ClockSpeed, best first, and how far it is that at the slowest.
+
+    `holds_to` is the largest ClockSpeed up to which no two agents change places.
+    """
+    by_speed = {speed: own.set_index("agent") for speed, own in cells.groupby("clock_speed")}
+    speeds, slowest = list(by_speed), next(iter(by_speed.values()))
+    reversals = [each for speed in speeds[1:] for each in _reversals(slowest, by_speed[speed], speed)]
+    broken = min((reversal["clock_speed"] for reversal in reversals), default=np.inf)
+    means = [own.return_mean for own in by_speed.values()]
+    return {
+        "clock_speeds": speeds,
+        "orders": [here.sort_values(ascending=False, kind="stable").index.tolist() for here in means],
+        "kendall_tau": [kendall_tau(means[0], here) for here in means],
+        "holds_to": max(speed for speed in speeds if speed < broken),
+        "reversals": reversals,
+    }
+
+
+def kendall_tau(first: pd.Series, second: pd.Series) -> float | None:
+    """Return Kendall's tau-b of the agents, the index of both, by their returns; None where either ranks nothing."""
+    from scipy.stats import kendalltau
+
+    agents = sorted(set(first.index) & set(second.index))
+    tau = kendalltau(first[agents], second[agents]).statistic if len(agents) > 1 else np.nan
+    return None if np.isnan(tau) else float(tau)
+
+
+def _reversals(before: pd.DataFrame, after: pd.DataFrame, clock_speed: float) -> Iterator[dict[str, Any]]:
+    """Yield the pairs of agents, the index, whose order is reversed and whose intervals are disjoint both times."""
+    both = [agent for agent in before.index if agent in after.index]
+    for ahead, behind in sorted(permutations(both, 2), key=lambda pair: sorted(map(both.index, pair))):
+        was_behind = before.return_low[behind] > before.return_high[ahead]
+        if was_behind and after.return_low[ahead] > after.return_high[behind]:
+            yield {"clock_speed": clock_speed, "ahead": ahead, "behind": behind}
+
+
+def _tcsc_equal(evaluations: pd.DataFrame) -> bool | None:
+    """Return whether under TCSC every agent's returns are bit-identical at all ClockSpeeds; None for a single one."""
+    by_tcsc = evaluations[evaluations.command == "tcsc"]
+    groups = [own.returns.tolist() for _, own in by_tcsc.groupby(["environment", "agent", "seed"])]
+    if max(map(len, groups), default=0) < 2:
+        return None
+    return all(returns == group[0] for group in groups for returns in group)
+
+
+def agreement(pairs: pd.DataFrame) -> dict[str, Any]:
+    """Return how far returns, delays and the agents' rankings (Kendall's tau) agree between modelled and measured."""
+    groups = [own.set_index("agent") for _, own in pairs.groupby(PLACE)]
+    found = [kendall_tau(own.return_mean, own.return_mean_measured) for own in groups]
+    taus = [tau for tau in found if tau is not None]
+
+    def off(pairs: pd.DataFrame, name: str) -> float | None:
+        modelled, measured = pairs[name], pairs[f"{name}_measured"]
+        return float((abs(measured - modelled) / np.maximum(abs(modelled), 1e-9)).median()) if len(pairs) else None
+
+    return {
+        "cells": len(pairs),
+        "return_difference_median": off(pairs, "return_mean"),
+        "delay_difference_median": off(pairs[pairs.delay_s > 0], "delay_s"),
+        "kendall_tau_mean": float(np.mean(taus)) if taus else None,
+        "kendall_tau_least": min(taus, default=None),
+        "late_s": pairs.late_s_measured.max(),
+    }
+
+
+def _up_to_which_speed(ranking: Mapping[str, Any]) -> str:
+    """Return up to which ClockSpeed a ranking holds, as in "hopper, 50 ms: the ranking holds up to 5x; at 20x ..."."""
+    where, speeds = f"{ranking['environment']}, {1e3 * ranking['latency_s']:g} ms", ranking["clock_speeds"]
+    if len(speeds) < 2:
+        return f"{where}: {' > '.join(ranking['orders'][0])}"
+    if not ranking["reversals"]:
+        return f"{where}: no two agents change places up to {clock_label(speeds[-1])}, the fastest flown"
+    return f"{where}: the ranking holds up to {clock_label(ranking['holds_to'])}; {_first_change(ranking)}"
+
+
+def _first_change(ranking: Mapping[str, Any]) -> str:
+    """Return the first change of places in words, or "none"."""
+    if not ranking["reversals"]:
+        return "none"
+    first, slowest = ranking["reversals"][0], clock_label(ranking["clock_speeds"][0])
+    at = clock_label(first["clock_speed"])
+    return f"at {at} {first['ahead']} is ahead of {first['behind']}, which beats it at {slowest}"
+
+
+def _latency_ms(entry: Mapping[str, Any]) -> str:
+    return f"{1e3 * entry['latency_s']:g}"
+
+
+def _late(cell: Mapping[str, Any]) -> str:
+    return f"{cell['late_s']:.3f}" if cell["late_s"] else "-"
+
+
+def _taus(ranking: Mapping[str, Any]) -> str:
+    return ", ".join("-" if tau is None else f"{tau:.2f}" for tau in ranking["kendall_tau"][1:])
+
+
+def rankings_table(rankings: Sequence[Mapping[str, Any]]) -> Table:
+    """Return the table of rankings at several ClockSpeeds."""
+    speeds = ", ".join(map(clock_label, rankings[0]["clock_speeds"][1:]))
+    return Table.of(
+        rankings,
+        {
+            "environment": "{environment}",
+            "latency, ms": _latency_ms,
+            "ranking holds up to": "{holds_to:g}x",
+            f"Kendall's tau at {speeds}": _taus,
+            "first change": _first_change,
+        },
+    )
+
+
+def _panels(names: Sequence[str], title: str, source: str) -> tuple[Figure, dict[str, Axes]]:
+    """Return a figure and its axes by environment."""
+    rows, columns = math.ceil(len(names) / PANELS), min(len(names), PANELS)
+    figure, grid = plots.panels(rows, columns, title, source, (3.6, 2.8))
+    for axes in grid.flat[len(names) :]:
+        axes.set_visible(False)
+    for axes, name in zip(grid.flat, names, strict=False):
+        axes.set_title(name)
+    return figure, dict(zip(names, grid.flat, strict=False))
+
+
+def returns_figure(report: Report, cells: pd.DataFrame, source: str) -> Picture:
+    """Draw return over the simulated delay, a panel per environment and a line per agent with its 95 % interval."""
+    title = "Return over the delay from observation to action"
+    figure, panels = _panels(cells.environment.unique(), title, source)
+    # of cells with equal delays one is drawn, since their flights are identical
+    adsc = cells[cells.command == "adsc"].assign(delay_s=cells.delay_s.round(6)).sort_values("delay_s", kind="stable")
+    adsc = adsc.drop_duplicates(["environment", "agent", "delay_s"], keep="last")
+    for (name, axes), (number, agent) in product(panels.items(), enumerate(cells.agent.unique())):
+        own = adsc[(adsc.environment == name) & (adsc.agent == agent)]
+        if len(own):
+            line: style.LineStyle = {"marker": "o", "markersize": 3.5, "color": style.colour(number)}
+            axes.plot(own.delay_s, own.return_mean, **line, label=agent.replace("_", " "))
+            area = {"color": style.colour(number), "alpha": 0.15, "linewidth": 0}
+            axes.fill_between(own.delay_s, own.return_low, own.return_high, **area)
+    for axes in panels.values():
+        axes.set_xscale("symlog", linthresh=0.01)
+        axes.set(xlabel="delay, simulated s", ylabel="return", xlim=(0, None))
+    style.shared_legend(figure, panels.values())
+    return report.figure("returns", figure, f"{title}, means with 95 % intervals over trainings and episodes.", source)
+
+
+def rankings_figure(report: Report, source: str) -> Picture:
+    """Draw Kendall's tau against the slowest ClockSpeed, a panel per environment and a line per latency."""
+    rankings, title = pd.DataFrame(report.summary["rankings"]), "Rankings over ClockSpeed"
+    figure, panels = _panels(rankings.environment.unique(), title, source)
+    latencies = sorted(rankings.latency_s.unique())
+    for ranking in rankings.to_dict("records"):
+        colour, taus = style.colour(latencies.index(ranking["latency_s"])), np.array(ranking["kendall_tau"], float)
+        line: style.LineStyle = {"marker": "o", "markersize": 3.5, "color": colour}
+        label = f"{_latency_ms(ranking)} ms"
+        panels[ranking["environment"]].plot(ranking["clock_speeds"], taus, label=label, **line)
+    for axes in panels.values():
+        axes.set_xscale("log")
+        axes.set(xlabel="ClockSpeed", ylabel="Kendall's tau", ylim=(-1.1, 1.1))
+    style.shared_legend(figure, panels.values())
+    return report.figure("rankings", figure, f"{title}{RANKINGS}", source)
+
+
+def agreement_figure(pairs: pd.DataFrame, source: str) -> Figure:
+    """Return the plot of the mean return on the machine's clock over that on the simulated one, by environment."""
+    with style.project_style():
+        title = "The machine's clock against the simulated one"
+        figure, panels = _panels(pairs.environment.unique(), title, source)
+        for (number, agent), (name, axes) in product(enumerate(pairs.agent.unique()), panels.items()):
+            own = pairs[(pairs.agent == agent) & (pairs.environment == name)]
+            line: style.LineStyle = {"markersize": 4, "color": style.colour(number)}
+            axes.plot(own.return_mean, own.return_mean_measured, "o", label=agent.replace("_", " "), **line)
+        for axes in panels.values():
+            axes.plot(axes.get_xlim(), axes.get_xlim(), color=style.GREY, linewidth=0.8, linestyle="--")
+            axes.set(xlabel="modelled return", ylabel="measured return")
+        style.shared_legend(figure, panels.values())
+    return figure
+
+
+COUNTS = {"seeds": "trainings", "episodes": "episodes"}
+RETURNS: dict[str, Column] = {
+    "environment": "{environment}",
+    "agent": "{agent}",
+    "command": "{command!u}",
+    "latency, ms": _latency_ms,
+    "ClockSpeed": "{clock_speed:g}x",
+    "delay, simulated s": "{delay_s:.3g}",
+    "return": "{return_mean:.4g}",
+    "95 % interval": "{return_low:.4g} to {return_high:.4g}",
+    "late at most, s": _late,
+}
+RANKINGS = ": Kendall's tau of the agents' ranking against the slowest ClockSpeed, for each latency."
+READING = (
+    "Between an observation and its action an agent thinks for the latency, on a wall clock that runs ClockSpeed times "
+    "slower than the simulation: the environment goes on for their product (ADSC) or is paused (TCSC). Two agents "
+    "change places where one is ahead of the other at the slowest ClockSpeed and behind it here, and their 95 % "
+    "intervals are apart both times; Kendall's tau compares the order of the means alone."
+)

@@ -1,1 +1,0 @@
-"""Agents that need time to think, in environments that go on meanwhile: who is best, and how fast may one simulate?"""
