@@ -2,44 +2,20 @@
 
 from __future__ import annotations
 
-import importlib.util
-import sys
 from functools import cache
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
 import pytest
 
+from tools import fit_agent, fit_airsim
 from uavaccel.envs.obstacle_lane import LaneTask
 from uavaccel.resources import experiment
 from uavaccel.suites import paper_results
-from uavaccel.wire.latency import shipped_latency
+from uavaccel.wire.latency import QUANTILES, shipped_latency
 
 PAPERS_FRAME_SPEEDUPS = {5.0: 4.0, 10.0: 6.4, 50.0: 14.8, 100.0: 15.4}  # section IV-D, rendering on
-
-
-@cache
-def script(name: str) -> ModuleType:
-    """A program of the folder experiments."""
-    spec = importlib.util.spec_from_file_location(name, experiment(f"{name}.py"))
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module
-    spec.loader.exec_module(module)
-    return module
-
-
-def fit() -> ModuleType:
-    """Of the latency model."""
-    return script("fit_airsim")
-
-
-def agent() -> ModuleType:
-    """The fit of what the paper's agent costs."""
-    return script("fit_agent")
 
 
 @cache
@@ -47,23 +23,23 @@ def best() -> Any:
     """The parameters that the shipped file says it was written for."""
     first = Path(experiment("latency_airsim.yaml")).read_text(encoding="utf-8").splitlines()[0]
     numbers = [float(part.split("=")[1]) for part in first.partition("Parameters(")[2].rstrip(")").split(",")]
-    return fit().Parameters(*numbers)
+    return fit_airsim.Parameters(*numbers)
 
 
 @cache
 def outcome() -> dict[str, float]:
-    values: dict[str, float] = fit().outcome(best())
+    values: dict[str, float] = fit_airsim.outcome(best())
     return values
 
 
 def test_the_shipped_model_is_the_one_that_the_fit_writes() -> None:
-    assert fit().model(best()) == shipped_latency("airsim")
+    assert fit_airsim.model(best()) == shipped_latency("airsim")
 
 
 def test_a_latency_has_the_mean_that_was_fitted() -> None:
     """Of the quantiles as they are drawn from: linear in between."""
-    table = np.array(fit().log_normal_us(1000.0))
-    widths = np.diff(fit().QUANTILES)
+    table = np.array(fit_airsim.log_normal_us(1000.0))
+    widths = np.diff(QUANTILES)
     assert float(widths @ (table[1:] + table[:-1]) / 2) == pytest.approx(1000.0, rel=0.05)
 
 
@@ -71,13 +47,13 @@ def test_a_latency_has_the_mean_that_was_fitted() -> None:
     "name", ["tcsc_speedup", "tcsc_speedup_mean", "tcsc_stlc", "adsc_stlc_1x", "adsc_stlc_5x"]
 )
 def test_target_of_the_fit(name: str) -> None:
-    target = fit().TARGETS[name]
+    target = fit_airsim.TARGETS[name]
     assert target.low <= outcome()[name] <= target.high, target.source
 
 
 def test_figure_6_order_and_spread() -> None:
     """TCSC above ADSC at every T_move; ADSC gains from longer commands, by far more at 100x than at 5x."""
-    module, (tick_us, call_ms, callback_ms) = fit(), best()
+    module, (tick_us, call_ms, callback_ms) = fit_airsim, best()
     keys = {"adsc": (tick_us, call_ms, callback_ms), "tcsc": (tick_us, call_ms, 0.0)}
     real = [module.fly_cell((0.0, call_ms, callback_ms), "adsc", 1.0, t).wall_s for t in module.T_MOVES_S]
     walls = {
@@ -99,7 +75,7 @@ def test_figure_6_order_and_spread() -> None:
 @cache
 def command_wall_s(command: str, clock_speed: float) -> float:
     """Of the model that ships."""
-    return float(agent().command_wall_s(command, clock_speed, shipped_latency("airsim")))
+    return float(fit_agent.command_wall_s(command, clock_speed, shipped_latency("airsim")))
 
 
 @pytest.mark.parametrize("clock_speed", PAPERS_FRAME_SPEEDUPS)
@@ -115,7 +91,7 @@ def test_speedup_at_100x_is_bound_by_the_frame_rate(hz: float, speedup: float) -
     frames = {"platform": {"frames": {"hz": hz}}}
     latency = LaneTask(profile="airsim", latency=frames).latency
     walls = [
-        agent().command_wall_s(*flown, latency, commands=60) for flown in (("adsc", 1.0), ("tcsc", 100.0))
+        fit_agent.command_wall_s(*flown, latency, commands=60) for flown in (("adsc", 1.0), ("tcsc", 100.0))
     ]
     assert walls[0] / walls[1] == pytest.approx(speedup, rel=0.02)
 
@@ -138,7 +114,7 @@ def test_the_agents_share_is_that_of_the_papers_two_differences() -> None:
 
 
 def test_the_agents_costs_take_the_fitted_share_of_a_command() -> None:
-    costs = agent().agent_costs(shipped_latency("airsim"))
+    costs = fit_agent.agent_costs(shipped_latency("airsim"))
     thinking_s = 3 * costs["task.image_processing_s"] + costs["inference_s"] + costs["learning_s"]
     real_s = command_wall_s("adsc", 1.0)
     assert thinking_s / real_s == pytest.approx(paper_results.thinking_share(), abs=0.001)

@@ -235,7 +235,6 @@ OPTIONS = [
     ("run dp1 --out there.txt/run", "--out"),
     ("run dp1 --resume --out there.txt", "no folder"),
     (f"run dp1 --games 1{'0' * 400}", "games"),
-    ("run dp1 --watch-at nowhere.invalid", "nowhere.invalid"),
     ("watch --host nowhere.invalid", "nowhere.invalid"),
     ("watch --host=", "--host"),
     ("serve --host=", "--host"),
@@ -336,14 +335,14 @@ def _nothing_flies() -> Iterator[None]:
         raise Flown
 
     for place in (
-        "uavaccel.cli.run.manifest_of",
-        "uavaccel.cli.fly.fly",
-        "uavaccel.cli.calibrate.calibrate",
-        "uavaccel.cli.calibrate.check_machine",
-        "uavaccel.cli.calibrate.check_agreement",
-        "uavaccel.cli.advise.advise",
+        "uavaccel.suites.session.manifest_of",
+        "uavaccel.fly.command.fly",
+        "uavaccel.calibration.calibrate.measure",
+        "uavaccel.calibration.machine.check_machine",
+        "uavaccel.calibration.calibrate.check_agreement",
+        "uavaccel.calibration.advise.advise",
         "uavaccel.suites.evaluate_again.flight_of_agent",
-        "uavaccel.cli.bench.check_machine",
+        "benchmarks.__main__.check_machine",
         "uavaccel.wire.server.Server.serve",
     ):
         patch.setattr(place, flown)

@@ -1,151 +1,186 @@
-"""What the benches count, not how fast anything is: pictures of the event camera, memory of processes."""
+"""What the benchmarks count and hold against what, of times that are given here; not how fast anything is."""
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
+from collections.abc import Callable, Iterator
 from contextlib import nullcontext
-from types import SimpleNamespace
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
+from typer.testing import CliRunner
 
+import benchmarks.__main__ as bench
+from benchmarks import batch, images, kernels, speed
+from benchmarks.speed import Measurement
 from tests.opengl import needs_opengl
-from uavaccel.bench import batch, speed
-from uavaccel.bench.batch import BatchSize, proportional_mib
-from uavaccel.bench.images import frames_seen
+from uavaccel.cli.main import app
 from uavaccel.envs.obstacle_lane import ObstacleLane
+from uavaccel.errors import UserError
 from uavaccel.wire.session import VirtualSession
 
-
-@needs_opengl
-@pytest.mark.parametrize(("rate_hz", "pictures"), [(None, 3), (10.0, 12), (100.0, 100)])
-def test_pictures_are_those_that_the_event_camera_sees(rate_hz: float | None, pictures: int) -> None:
-    environment = ObstacleLane(dvs_rate_hz=rate_hz)
-    environment.reset(seed=0)
-    environment.step(2)
-    assert frames_seen(environment) == pictures  # at 10 Hz two samples of the three fall between them
-    environment.close()
+Found = dict[str, Measurement]
 
 
-def test_the_hot_loop_is_held_against_bare_steps_in_turns(monkeypatch: pytest.MonkeyPatch) -> None:
-    """100 000 ticks in 2, 4, 8 s and bare steps in half of that, as if the machine grew slower and slower."""
-    took_s = iter([2.0, 1.0, 4.0, 2.0, 8.0, 4.0])
-    monkeypatch.setattr(speed, "REPEATS", 3)
-    monkeypatch.setattr(speed, "STEPS", 100)
-    monkeypatch.setattr(speed, "elapsed_s", lambda work: (work(), next(took_s))[1])
+def by_name(measured: Iterator[Measurement]) -> Found:
+    return {each.name: each for each in measured}
+
+
+def numbers(each: Measurement) -> tuple[float, float | None]:
+    return each.value, each.bound
+
+
+@pytest.fixture
+def given(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
+    """Sets names of a module; `took_s` are the seconds that its measurements seem to take, one after the other."""
+
+    def give(module: ModuleType, *took_s: float, **values: Any) -> None:
+        if took_s:
+            seconds = iter(took_s * 10)
+            values["elapsed_s"] = lambda work: (work(), next(seconds))[1]
+        for name, value in values.items():
+            monkeypatch.setattr(module, name, value)
+
+    return give
+
+
+# --- the command ------------------------------------------------------------------------------------------------------
+
+
+def test_benches_are_run_in_their_order_and_kept_and_one_that_cannot_is_left_out(
+    given: Callable[..., None], tmp_path: Path
+) -> None:
+    ran: list[Any] = []
+
+    def measured(name: str, *how: Any) -> Iterator[Measurement]:
+        ran.append((name, *how))
+        if name == "broken":
+            raise UserError("no card")
+        yield Measurement(name, 1234.5, "per s", None if how else 2000.0, "noted")
+
+    def typed(line: str) -> list[str]:
+        done = CliRunner().invoke(app, line.split(), catch_exceptions=False)
+        assert done.exit_code == 0, done.output
+        return [" ".join(words.split()) for words in done.output.splitlines()[1:]]
+
+    known = {"first": lambda: measured("first"), "broken": lambda: measured("broken"), "batch": None}
+    given(bench, BENCHES=known, check_machine=lambda: {"verdict": "noisy"})
+    given(batch, bench_batch=lambda size: measured("batch", size))
+    given(speed, bench_soak=lambda seconds: measured("soak", seconds))
+    out, line = tmp_path / "bench.json", "first 1,234.50 per s of 2,000.00 noted"
+    options = f"--out {out} --lanes 4 --lanes 16 --processes 2 --tiles 3 --renderer own"
+    assert typed(f"bench batch first {options}")[-1] == line
+    assert ran == [("batch", ((4, 16), 2, 3, "own")), ("first",)]
+    kept = json.loads(out.read_text())
+    assert [each["name"] for each in kept["measurements"]] == ["batch", "first"]
+    expected = {"name": "first", "value": 1234.5, "unit": "per s", "bound": 2000.0, "note": "noted"}
+    assert kept["measurements"][1] == expected
+    assert kept["manifest"]["host_check"] == {"verdict": "noisy"}
+    assert kept["manifest"]["command_line"] == ["bench", "batch", "first"]
+    ran.clear()
+    both = ["batch 1,234.50 per s noted", "soak 1,234.50 per s noted"]
+    assert typed("bench --soak-s 2.5") == [line, "left out: no card", *both]
+    assert ran == [("first",), ("broken",), ("batch", ((8,), None, None, "shared")), ("soak", 2.5)]
+
+
+# --- flight -----------------------------------------------------------------------------------------------------------
+
+
+def test_the_hot_loop_is_held_against_bare_steps_in_turns(given: Callable[..., None]) -> None:
+    """As if the machine grew slower and slower, and bare steps took half the time."""
+    given(speed, 2.0, 1.0, 4.0, 2.0, 8.0, 4.0, REPEATS=3, STEPS=100)
     loop, ratio = speed.bench_hot_loop()
-    assert (loop.value, loop.bound, ratio.value) == (25.0, 50.0, 0.5)
-    assert not list(took_s)
+    assert (*numbers(loop), ratio.value) == (25.0, 50.0, 0.5)
 
 
-def test_a_commands_speed_is_simulated_time_over_wall_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Sixteen commands, as if they took a second together; and a round trip two of them."""
-    monkeypatch.setattr(speed, "WallSession", VirtualSession)
-    monkeypatch.setattr(speed, "REPEATS", 1)
-    monkeypatch.setattr(speed, "PINGS", 1)
-    monkeypatch.setattr(speed, "elapsed_s", lambda work: (work(), 1.0)[1])
+def test_a_commands_speed_is_simulated_time_over_wall_time(given: Callable[..., None]) -> None:
+    """Sixteen commands, as if they took a second together, and so did a round trip; a lockstep game of 96 s too."""
     asked: list[tuple[Any, ...]] = []
-    measure = speed._speedup
-
-    def measure_and_tell(session: Any, *how: Any) -> float:
-        asked.append(how)
-        return measure(session, *how)
-
-    monkeypatch.setattr(speed, "_speedup", measure_and_tell)
-    found = {each.name: each for each in speed.bench_tcsc()}
-    both = [(command, t_move_s, t_move_s) for t_move_s in (1.0, 0.1) for command in ("tcsc", "adsc")]
-    assert asked == [*both, ("tcsc", 1.0, 0.05)]
-    assert found["round trip of a call"].value == 1e6
-    for t_move_s in (1.0, 0.1):
-        tcsc, over, adsc = (
-            found[f"{name}, T_move {t_move_s:g} s"] for name in ("TCSC", "TCSC over its bound", "ADSC")
-        )
-        assert tcsc.value == adsc.value == pytest.approx(16 * t_move_s)
-        calls = int(tcsc.note.split(" + ")[1].split(" calls")[0])
-        assert calls == 2  # the command, and the continue-for, whose reply is the state
-        assert tcsc.bound == pytest.approx(t_move_s / (t_move_s / 100 + calls))
-        assert over.value == pytest.approx(tcsc.value / (tcsc.bound or 0.0))
-        assert adsc.bound == 100.0
-
-
-def test_a_lockstep_game_of_96_seconds_counts_as_96_seconds(monkeypatch: pytest.MonkeyPatch) -> None:
     flown: list[float] = []
-    monkeypatch.setattr(speed, "REPEATS", 1)
-    monkeypatch.setattr(speed, "elapsed_s", lambda work: (work(), 2.0)[1])
-    fly = speed._fly_square
+    measure, fly = speed._speedup, speed._fly_square
 
     def fly_and_tell(client: Any, *how: Any) -> None:
         fly(client, *how)
         flown.append(client.speed()["simulated_ns"])
 
-    monkeypatch.setattr(speed, "_fly_square", fly_and_tell)
-    assert [each.value for each in speed.bench_virtual()] == [48.0, 48.0]
+    given(speed, 1.0, WallSession=VirtualSession, REPEATS=1, PINGS=1, _fly_square=fly_and_tell)
+
+    def measure_and_tell(session: Any, *how: Any) -> float:
+        asked.append(how)
+        return measure(session, *how)
+
+    given(speed, _speedup=measure_and_tell)
+    found = by_name(speed.bench_tcsc())
+    both = [(command, t_move_s, t_move_s) for t_move_s in (1.0, 0.1) for command in ("tcsc", "adsc")]
+    assert asked == [*both, ("tcsc", 1.0, 0.05)]
+    assert found["round trip of a call"].value == 1e6
+    for t_move_s in (1.0, 0.1):
+        names = (f"{name}, T_move {t_move_s:g} s" for name in ("TCSC", "TCSC over its bound", "ADSC"))
+        tcsc, over, adsc = (found[name] for name in names)
+        bound = t_move_s / (t_move_s / 100 + 2)  # calls: the command, and the continue-for, whose reply is the state
+        assert "2 calls" in tcsc.note
+        assert numbers(tcsc) == pytest.approx((16 * t_move_s, bound))
+        assert over.value == pytest.approx(16 * t_move_s / bound)
+        assert numbers(adsc) == pytest.approx((16 * t_move_s, 100.0))
+    flown.clear()
+    assert [each.value for each in speed.bench_virtual()] == [96.0, 96.0]
     assert flown == [96 * 10**9] * 2
 
 
-def test_a_soak_calls_at_its_rate_and_holds_memory_against_that_after_a_tenth(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    memory = iter([90.0, 80.0, *range(50, 68)])
+def test_a_soak_calls_at_its_rate_and_holds_memory_against_that_after_a_tenth(given: Callable[..., None]) -> None:
+    memory = iter([90.0, 80.0, *range(50, 68)])  # the first two of twenty readings are of the start
     slept: list[int] = []
     asked: list[int] = []
-    server = SimpleNamespace(memory_mib=lambda: next(memory))
     client = SimpleNamespace(
         run=lambda: None, kinematics=lambda: asked.append(1), speed=lambda: {"real_time_factor": 99.0}
     )
-    session = SimpleNamespace(server=server, start_game=lambda *_: client)
-    monkeypatch.setattr(speed, "WallSession", lambda *_: nullcontext(session))
-    monkeypatch.setattr(
-        speed, "MonotonicClock", lambda: SimpleNamespace(now_ns=lambda: 7, sleep_until=slept.append)
-    )
-    achieved, held = speed.bench_soak(20.0, 5.0)
-    assert (achieved.value, achieved.bound) == (99.0, 100.0)
-    assert (held.value, held.bound) == (67, 50)  # the first two of twenty readings are of the start
+    server = SimpleNamespace(memory_mib=lambda: next(memory))
+    session = nullcontext(SimpleNamespace(server=server, start_game=lambda *_: client))
+    clock = SimpleNamespace(now_ns=lambda: 7, sleep_until=slept.append)
+    given(speed, WallSession=lambda *_: session, MonotonicClock=lambda: clock)
+    assert [numbers(each) for each in speed.bench_soak(20.0, 5.0)] == [(99.0, 100.0), (67, 50)]
     assert len(asked) == 100
     assert slept == [7 + 200_000_000 * number for number in range(100)]
 
 
-def test_a_batch_is_counted_in_commands_and_in_pictures_of_all_lanes(monkeypatch: pytest.MonkeyPatch) -> None:
+# --- batches ----------------------------------------------------------------------------------------------------------
+
+
+def test_a_batch_is_counted_in_commands_and_in_pictures_of_all_lanes(given: Callable[..., None]) -> None:
     """As if each measurement took half a second."""
     made: list[Any] = []
+    drawn: list[Any] = []
 
     class Lanes:
         service, processes, tiles, process_ids = None, 2, 4, ()
 
         def __init__(self, kind: Any, lanes: int, *how: Any, **task: float) -> None:
-            self.commands, self.told = 0, (lanes, task)
+            self.commands, self.lanes = 0, lanes
             made.append(self)
 
         def step_async(self, actions: Any) -> None:
-            assert len(actions) == self.told[0]
+            assert len(actions) == self.lanes
             self.commands += 1
 
         def step_wait(self) -> None: ...
         def reset(self, seed: int) -> None: ...
         def close(self) -> None: ...
 
-    class Pictures:
-        renderer = SimpleNamespace(name="nobody")
-        drawn = 0
-
-        def __init__(self, model: Any, count: int) -> None: ...
-        def render(self, *_: Any) -> None:
-            Pictures.drawn += 1
-
-        def read(self, first: int, count: int) -> Any:
-            return nullcontext()
-
-        def close(self) -> None: ...
-
-    monkeypatch.setattr(batch, "EnvironmentBatch", Lanes)
-    monkeypatch.setattr(batch, "Tiles", Pictures)
-    monkeypatch.setattr(batch, "elapsed_s", lambda work: (work(), 0.5)[1])
-    found = {each.name: each for each in batch.bench_batch(BatchSize((8,), tiles=4))}
-    assert Pictures.drawn == 2 * 30 * 4  # to warm up, and measured
-    pictures, over = found["8 lanes: pictures"], found["8 lanes: over the bare loop"]
-    assert (pictures.value, pictures.bound) == (5 * 8 * 50 / 0.5, 30 * 4 / 0.5)
-    assert over.value == pytest.approx((pictures.value) / (pictures.bound or 0.0))
+    tiles = SimpleNamespace(
+        renderer=SimpleNamespace(name="nobody"), render=lambda *how: drawn.append(how),
+        read=lambda *_: nullcontext(), close=lambda: None,
+    )  # fmt: skip
+    given(batch, 0.5, EnvironmentBatch=Lanes, Tiles=lambda *_: tiles)
+    found = by_name(batch.bench_batch(batch.BatchSize((8,), tiles=4)))
+    assert len(drawn) == 2 * 30 * 4  # to warm up, and measured
+    pictures, bare = 5 * 8 * 50 / 0.5, 30 * 4 / 0.5
+    assert numbers(found["8 lanes: pictures"]) == (pictures, bare)
+    assert found["8 lanes: over the bare loop"].value == pytest.approx(pictures / bare)
     assert found["8 lanes: commands"].value == 30 * 8 / 0.5
     assert [each.commands for each in made] == [3 + 5, 3 + 30]
 
@@ -166,10 +201,164 @@ def test_memory_that_processes_share_counts_once() -> None:
     with subprocess.Popen([sys.executable, "-c", HOLDS_64_MIB_TWICE], stdin=piped, stdout=piped) as parent:
         assert parent.stdout is not None
         processes = [parent.pid, int(parent.stdout.readline())]
-        both, one = proportional_mib(processes), proportional_mib(processes[:1])
+        both, one = batch.proportional_mib(processes), batch.proportional_mib(processes[:1])
         parent.communicate()  # its end of input ends them
-    assert both is not None
-    assert one is not None
-    assert 64 < both < 96
-    assert 32 < one < 64
-    assert proportional_mib([2**22 + 1]) is None  # no such process
+    assert 64 < (both or 0) < 96
+    assert 32 < (one or 0) < 64
+    assert batch.proportional_mib([2**22 + 1]) is None  # no such process
+
+
+# --- kernels ----------------------------------------------------------------------------------------------------------
+
+
+def test_a_command_of_the_kernels_is_held_against_its_ticks_and_its_pictures(given: Callable[..., None]) -> None:
+    """A command of a second has 500 ticks of 2 ms and three frames."""
+    ticks_s, seen_s = iter([3e-6, 1e-6, 2e-6]), iter([0.02, 0.05, 0.03])
+    exact = SimpleNamespace(advance=lambda ticks: range(ticks)[999], close=lambda: None)
+    given(
+        *(kernels, 0.5), REPEATS=3, TICKS=1000, _tick_s=lambda: next(ticks_s), World=lambda *_: exact, COMMANDS=4,
+        _picture_s=lambda: (0.004, 0.016), _seen_s=lambda: next(seen_s), usable_cores=lambda: 8,
+        _commands_s=lambda lanes: 0.25 * lanes, CPU_LANES=(64, 128),
+    )  # fmt: skip
+    found = by_name(kernels.bench_on_cores())
+    assert numbers(found["kernels: flight, one thread"]) == pytest.approx((500_000, 2000.0))
+    assert numbers(found["kernels: picture and DVS"]) == pytest.approx((1 / 0.03, 50.0))
+    assert [found[f"kernels: {what}, one thread"].value for what in ("picture", "DVS")] == [250.0, 62.5]
+    for lanes in (64, 128):
+        bound = 8 / (500 * 2e-6 + 3 * 0.03)
+        assert numbers(found[f"kernels: commands, {lanes} lanes"]) == pytest.approx((16.0, bound))
+
+
+def test_a_gpus_lanes_are_held_against_one_lanes_chain_and_against_their_parts(
+    given: Callable[..., None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As if a flight took 1 ms with one lane and 2 with many, a picture of 50 in colour 0.1 ms and of events 0.3."""
+    torch = SimpleNamespace(cuda=SimpleNamespace(get_device_name=lambda: "a card"))
+    monkeypatch.setitem(sys.modules, "torch", torch)
+
+    def round_s(lanes: int, task: Any) -> float:
+        if task.observation == "state":
+            return 0.001 if lanes == 1 else 0.002
+        return 50 * {"colour": 0.0001, "dvs": 0.0003}[str(task.observation)] if task.t_sample_s < 0.1 else 0.004
+
+    given(kernels, _round_s=round_s)
+    found = by_name(kernels.bench_on_gpu())
+    for lanes in (512, 4096):
+        for name, value, bound in (
+            ("flight", 500 / 0.002, 500 / 0.001), ("picture and DVS", 1 / 0.0003, 1 / 0.0001),
+            ("commands", 1 / 0.004, 1 / (0.002 + 3 * 0.0003)),
+        ):  # fmt: skip
+            assert numbers(found[f"GPU: {name}, {lanes} lanes"]) == pytest.approx((lanes * value, lanes * bound))
+        assert found[f"GPU: a command of {lanes} lanes"].value == pytest.approx(4.0)  # ms
+
+
+def test_a_lane_is_timed_per_tick_and_per_picture(given: Callable[..., None], monkeypatch: pytest.MonkeyPatch) -> None:
+    flown: list[int] = []
+    worked: list[int] = []
+    bare = SimpleNamespace(games=0, now=0, plan=SimpleNamespace(hull=0))
+    monkeypatch.setattr("uavaccel.kernels.lanes.fly", lambda lane, ticks, *_: flown.append(ticks))
+    given(kernels, 0.5, TICKS=200, one_lane=lambda task: bare)
+    assert kernels._tick_s() == 0.5 / 200
+    assert flown == [1, 200]  # the first one compiles
+    given(kernels, 9.0, 1.0, 2.0, PICTURES=3)
+    assert kernels._each_s(worked.append) == 2.0
+    assert worked == [1, 2, 3]
+
+
+# --- cameras ----------------------------------------------------------------------------------------------------------
+
+
+@needs_opengl
+@pytest.mark.parametrize(("rate_hz", "pictures"), [(None, 3), (10.0, 12), (100.0, 100)])
+def test_pictures_are_those_that_the_event_camera_sees(rate_hz: float | None, pictures: int) -> None:
+    environment = ObstacleLane(dvs_rate_hz=rate_hz)
+    environment.reset(seed=0)
+    environment.step(2)
+    assert images.frames_seen(environment) == pictures  # at 10 Hz two samples of the three fall between them
+    environment.close()
+
+
+def test_frame_rates_are_of_the_best_pass_and_their_ratio_of_the_middle_one(given: Callable[..., None]) -> None:
+    """150 frames a pass; bare and ours took so many seconds."""
+    passes = iter([(3, 4), (1, 5), (2, 2)])
+    camera = nullcontext(SimpleNamespace(renderer="a card"))
+    given(images, Camera=lambda _: camera, _pass=lambda *_: tuple(seconds * 10**9 for seconds in next(passes)))
+    *found, card = images.frame_rates(3)
+    assert (found, str(card)) == ([75.0, 150.0, 0.75], "a card")
+    given(images, frame_rates=lambda: (90.0, 120.0, 0.7, SimpleNamespace(name="a card")))
+    frames, over = images.bench_camera()
+    assert (*numbers(frames), over.value) == (90.0, 120.0, 0.7)
+
+
+def test_a_pass_times_the_bare_loop_apart_from_ours(given: Callable[..., None]) -> None:
+    """As if a bare frame took 2 ns and one of ours 5, at fifteen places with ten frames each."""
+    now = SimpleNamespace(ns=0)
+    places: list[float] = []
+
+    class Camera:
+        height, width = 144, 256
+
+        def colour(self, data: Any) -> None:
+            now.ns += 5
+            places.append(float(data.qpos[0]))
+
+        def render_again(self, picture: Any) -> None:
+            now.ns += 2
+
+    given(images, MonotonicClock=lambda: SimpleNamespace(now_ns=lambda: now.ns))
+    camera: Any = Camera()
+    assert images._pass(camera, SimpleNamespace(qpos=np.zeros(7))) == (15 * 10 * 2, 15 * 10 * 5)
+    assert sorted(set(places)) == [10.0 * number for number in range(15)]
+
+
+def test_what_the_wire_adds_to_a_picture_is_its_time_less_the_bare_one(given: Callable[..., None]) -> None:
+    asked: list[str] = []
+    session = nullcontext(SimpleNamespace(start_game=lambda *_, lane: SimpleNamespace(image=asked.append)))
+    camera = SimpleNamespace(colour=lambda data: None, render_again=lambda out: asked.append("bare"))
+    world = SimpleNamespace(set_lane=lambda _: None, camera=lambda *_: camera, data=None, close=lambda: None)
+    took_s = (0.004, 0.003, 0.009, 0.001, 0.0015, 0.002)
+    given(images, *took_s, PICTURES=3, WallSession=lambda *_: session, World=lambda *_: world)
+    wire, added = images.bench_image()
+    assert asked == ["gray"] * 4 + ["bare"] * 3  # the first one makes the context
+    assert (*numbers(wire), *numbers(added)) == pytest.approx((4.0, 1.5, 2.5, 0.8))
+
+
+def test_the_dvs_is_timed_frame_by_frame_at_the_times_of_the_samples(given: Callable[..., None]) -> None:
+    now, took_ns = SimpleNamespace(ns=0), iter([400_000, 100_000, 300_000])
+    stepped: list[float] = []
+
+    def step(sensor: Any, state: Any, frame: Any, time_s: float) -> Any:
+        now.ns += next(took_ns)
+        stepped.extend((int(frame[0, 0]), time_s))
+        return state, None, None
+
+    frames = [np.full((144, 256), number, np.uint8) for number in range(4)]
+    clock = SimpleNamespace(now_ns=lambda: now.ns)
+    given(images, lane_frames=lambda: frames, step=step, MonotonicClock=lambda: clock)
+    [found] = images.bench_dvs()
+    assert numbers(found) == pytest.approx((0.3, 0.6))
+    assert found.unit == "ms"
+    assert stepped == pytest.approx([1, 0.33, 2, 0.66, 3, 0.99])
+
+
+def test_an_event_camera_is_timed_per_simulated_second_and_per_picture(given: Callable[..., None]) -> None:
+    """Five commands of a second after one to warm up; as if they took 0.1 to 0.5 s."""
+
+    class Lane:
+        def __init__(self, dvs_rate_hz: float | None) -> None:
+            self.per_command, self.frames = int(dvs_rate_hz or 3), 1
+
+        def reset(self, **how: Any) -> None: ...
+        def close(self) -> None: ...
+        def step(self, action: int) -> None:
+            self.frames += self.per_command
+
+    card = SimpleNamespace(name="a card")
+    given(images, 0.5, 0.1, 0.3, 0.2, 0.4, describe_renderer=lambda: card, ObstacleLane=Lane)
+    given(images, frames_seen=lambda lane: lane.frames)
+    assert [each[:2] + each[4:] for each in images.bench_event_camera()] == [
+        (f"event camera at {what}", 300.0, f"{note} ms each, flight included; a card")
+        for what, note in (
+            ("the samples", "3 pictures, 100.00"), ("100 Hz", "100 pictures, 3.00"), ("500 Hz", "500 pictures, 0.60"),
+        )
+    ]  # fmt: skip

@@ -1,42 +1,67 @@
-"""The command line's shell: quick, complete, one line for a mistake, and tables as wide as the terminal."""
+"""The command line: quick, complete, one line for a mistake; what is asked for is what is typed; a run in words."""
 
+import io
 import os
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, Literal, get_args, get_origin
 
 import pytest
+from pydantic import BaseModel
+from rich.console import Console
+from typer.testing import CliRunner
 
-from uavaccel.cli.completion import experiments, one_of
-from uavaccel.cli.run import columns_within
+from uavaccel.cli import experiments, progress
+from uavaccel.cli.docs import reference
+from uavaccel.cli.main import app
+from uavaccel.cli.options import experiments as complete_experiments
+from uavaccel.cli.options import one_of
+from uavaccel.cli.terminal import columns_within
 from uavaccel.draw.document import Table
+from uavaccel.envs import batch
+from uavaccel.envs.obstacle_lane import LaneTask
+from uavaccel.errors import UserError
+from uavaccel.sim.camera import gl
+from uavaccel.suites.keys import KEYS
+from uavaccel.suites.registry import SUITES, find_suite
+from uavaccel.suites.session import Plan, RunRequest, configure, resumption_notes
+from uavaccel.suites.suite import SimpleCase
+from uavaccel.units import NS_PER_S
 
 ROOT = Path(__file__).parents[1]
 
 
-def uavaccel(*arguments: str, **environment: str) -> "subprocess.CompletedProcess[str]":
-    return subprocess.run(
-        [sys.executable, "-m", "uavaccel", *arguments],
-        cwd=ROOT,
-        env={**os.environ, **environment},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+def uavaccel(*arguments: str, **options: Any) -> "subprocess.CompletedProcess[str]":
+    environment = {**os.environ, **options.pop("env", {})}
+    options = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, **options}
+    return subprocess.run([sys.executable, *arguments], cwd=ROOT, env=environment, text=True, check=False, **options)
+
+
+def typed(line: str) -> str:
+    """What a command prints, called as its shell would."""
+    done = CliRunner().invoke(app, line.split(), catch_exceptions=False)
+    assert done.exit_code == 0, done.output
+    return done.output
+
+
+# --- the shell --------------------------------------------------------------------------------------------------------
+
+
+def test_the_reference_is_that_of_the_commands() -> None:
+    assert (ROOT / "cli.md").read_text(encoding="utf-8") == reference(), "python -m uavaccel.cli.docs > cli.md"
 
 
 def test_help_loads_nothing_heavy() -> None:
-    program = "import sys, uavaccel.cli.main; print(*sys.modules)"
-    done = subprocess.run(
-        [sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True
-    )
+    done = uavaccel("-c", "import sys, uavaccel.cli.main; print(*sys.modules)")
     heavy = {"cv2", "gymnasium", "matplotlib", "mujoco", "numba", "numpy", "pydantic", "scipy", "torch"}
     assert not heavy & set(done.stdout.split())
 
 
 @pytest.mark.parametrize("arguments", [["--help"], []])
 def test_help_names_the_commands(arguments: list[str]) -> None:
-    done = uavaccel(*arguments)
+    done = uavaccel("-m", "uavaccel", *arguments)
     assert done.returncode == 0
     assert {"run", "report", "serve", "calibrate", "bench", "doctor"} <= set(done.stdout.split())
 
@@ -45,25 +70,16 @@ def test_help_names_the_commands(arguments: list[str]) -> None:
     ("words", "completion"), [("uavaccel do", "doctor"), ("uavaccel serve --sce", "--scene")]
 )
 def test_the_shell_can_complete(words: str, completion: str) -> None:
-    done = uavaccel(
-        _UAVACCEL_COMPLETE="complete_bash", COMP_WORDS=words, COMP_CWORD=str(len(words.split()) - 1)
-    )
+    keys = {"_UAVACCEL_COMPLETE": "complete_bash", "COMP_WORDS": words, "COMP_CWORD": str(len(words.split()) - 1)}
+    done = uavaccel("-m", "uavaccel", env=keys)
     assert completion in done.stdout.split()
     assert (done.returncode, done.stderr) == (0, "")
 
 
 def test_completion_can_be_installed(tmp_path: Path) -> None:
-    in_bash = (
-        f'"{sys.executable}" -m uavaccel --install-completion; exit $?'  # the shell above it is the one meant
-    )
-    done = subprocess.run(
-        ["bash", "-c", in_bash],
-        env={**os.environ, "HOME": str(tmp_path)},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert (done.returncode, done.stderr) == (0, "")
+    in_bash = f'"{sys.executable}" -m uavaccel --install-completion; exit $?'  # the shell above it is the one meant
+    done = subprocess.run(["bash", "-c", in_bash], env={**os.environ, "HOME": str(tmp_path)}, capture_output=True)
+    assert (done.returncode, done.stderr) == (0, b"")
     assert any(path.is_file() for path in tmp_path.rglob("*"))
 
 
@@ -72,14 +88,7 @@ def test_who_reads_no_further_than_the_head_is_told_nothing(arguments: list[str]
     reading, writing = os.pipe()
     os.close(reading)
     try:
-        done = subprocess.run(
-            [sys.executable, "-m", "uavaccel", *arguments],
-            cwd=ROOT,
-            stdout=writing,
-            stderr=subprocess.PIPE,
-            text=True,
-            check=False,
-        )
+        done = uavaccel("-m", "uavaccel", *arguments, stdout=writing)
     finally:
         os.close(writing)
     assert (done.returncode, done.stderr) == (0, "")
@@ -87,15 +96,313 @@ def test_who_reads_no_further_than_the_head_is_told_nothing(arguments: list[str]
 
 @pytest.mark.parametrize("arguments", [["fly"], ["serve", "--speed", "3"], ["serve", "--clock", "fast"]])
 def test_wrong_usage_is_one_line(arguments: list[str]) -> None:
-    done = uavaccel(*arguments)
+    done = uavaccel("-m", "uavaccel", *arguments)
     assert done.returncode == 2
     assert done.stderr.startswith("uavaccel: error: ")
     assert done.stderr.count("\n") == 1
 
 
-TABLE = Table(
-    ("command", "effective speed-up", "source"), [("ADSC", "11.23", "modelled"), ("TCSC", "-", "x")]
+def test_words_of_options_and_experiments_are_completed() -> None:
+    words = one_of("wall", "virtual", "lockstep")  # each of which has an l
+    assert [words(typed) for typed in ("l", "lockstep", "k")] == [["lockstep"], ["lockstep"], []]
+    assert words("") == ["wall", "virtual", "lockstep"]
+    assert complete_experiments("dp") == ["dp1", "dp2", "dp2_airsim"]
+    assert "claims" not in complete_experiments("")
+
+
+@pytest.mark.parametrize("command", ["train", "evaluate"])
+def test_a_command_does_not_load_what_only_its_report_or_a_compiler_needs(command: str) -> None:
+    program = f"""
+import sys
+from uavaccel.cli.main import app
+app([{command!r}, "--dry-run"], standalone_mode=False)
+print(*sys.modules, file=sys.stderr)
+"""
+    done = uavaccel("-c", program)
+    assert done.returncode == 0
+    assert not {"scipy.stats", "torch._dynamo"} & set(done.stderr.split())
+
+
+def test_no_renderer_is_started_where_this_process_knows_that_software_draws(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def started(*arguments: object) -> None:
+        raise AssertionError("a renderer was started")
+
+    monkeypatch.setattr(batch, "RenderService", started)
+    monkeypatch.setattr(gl, "_found", gl.GlRenderer("egl", "llvmpipe", software=True))
+    assert batch._service(LaneTask(), 2, 2, "auto") is None
+    with pytest.raises(AssertionError, match="started"):
+        batch._service(LaneTask(), 2, 2, "shared")
+
+
+# --- what is typed is what is asked for -------------------------------------------------------------------------------
+
+
+def fields_of(model: type[BaseModel]) -> dict[str, Any]:
+    """The annotations of a configuration's keys, those of its task below its own."""
+    fields = {name: field.annotation for name, field in model.model_fields.items()}
+    task = fields.get("task")
+    inner = fields_of(task) if isinstance(task, type) and issubclass(task, BaseModel) else {}
+    return inner | fields
+
+
+@pytest.mark.parametrize("suite", SUITES)
+def test_the_options_for_keys_take_what_the_configurations_take(suite: str) -> None:
+    fields = fields_of(find_suite(suite, "").config)
+    for name, key in KEYS.items():
+        if name in fields:
+            several = get_origin(fields[name]) is tuple
+            assert several <= (name in experiments.GRIDS)
+            kind = get_args(fields[name])[0] if several or type(None) in get_args(fields[name]) else fields[name]
+            if get_origin(kind) is Literal:
+                assert set(get_args(kind)) <= set(key.words)
+            else:
+                assert kind is key.kind, name
+
+
+@pytest.fixture
+def asked(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
+    """The functions behind the commands, by their last name, and what they were called with."""
+    calls: list[tuple[Any, ...]] = []
+
+    def stand_in(place: str) -> None:
+        def call(*how: Any) -> int:
+            calls.append((place.rpartition(".")[2], *how))
+            return 0
+
+        monkeypatch.setattr(f"uavaccel.{place}", call)
+
+    for place in (
+        "cli.experiments.run_experiment", "cli.experiments.evaluate_agent", "cli.view.view_game", "watch.show.show",
+        "cli.export.export", "wire.service.serve", "fly.command.fly_script",
+    ):  # fmt: skip
+        stand_in(place)
+    return calls
+
+
+NOTHING = dict.fromkeys(("clock_speed", "command", "timing", "profile", "games", "seed"))
+OF_RUN = dict.fromkeys(KEYS)
+ON_ALL = "--timing virtual --profile airsim --games 7 --seed 9 --out folder --resume --dry-run --set a.b=1 --set c=2"
+FLOWN: dict[str, Any] = {"timing": "virtual", "profile": "airsim", "games": 7, "seed": 9}
+REQUEST = {"overrides": ["a.b=1", "c=2"], "out": Path("folder"), "resume": True, "dry_run": True}
+
+
+@pytest.mark.parametrize(
+    ("line", "request_"),
+    [
+        ("run dp1", {"experiment": "dp1", "options": OF_RUN}),
+        (
+            f"run dp1 --clock 5 --clock 10 --command adsc --t-move 0.5 --rounds 3 --seeds 4 --with past --jobs 6 "
+            f"--engine ray --watch --trust {ON_ALL}",
+            {
+                "experiment": "dp1",
+                "options": FLOWN | {
+                    "clock_speed": [5.0, 10.0], "command": ["adsc"], "t_move_s": [0.5], "rounds": [3], "seeds": 4,
+                    "with_run": "past",
+                },
+                "jobs": 6, "engine": "ray", "watch": True, "trust": True, **REQUEST,
+            },
+        ),
+        ("train", {"experiment": "train", "options": NOTHING, "suite": "train"}),
+        ("train --resume", {"options": NOTHING, "suite": "train", "resume": True}),
+        (
+            f"train own.yaml --clock 5 --command tcsc --watch {ON_ALL}",
+            {
+                "experiment": "own.yaml", "options": FLOWN | {"clock_speed": 5.0, "command": "tcsc"},
+                "suite": "train", "watch": True, **REQUEST,
+            },
+        ),
+        (
+            f"evaluate straight --clock 5 --command tcsc --jobs 6 --engine dask --against other --no-films {ON_ALL}",
+            {
+                "experiment": "evaluate", "suite": "evaluate", "jobs": 6, "engine": "dask",
+                "options": FLOWN | {"clock_speed": 5.0, "command": "tcsc", "agent": "straight"}, **REQUEST,
+            },
+        ),
+        ("evaluate --resume", {"options": NOTHING | {"agent": None}, "suite": "evaluate", "resume": True}),
+        (
+            "evaluate straight --sweep wind=0,3 --sweep light=1 --games 2 --timing virtual --set task.speed_m_s=2",
+            {
+                "experiment": "sweep",
+                "options": {
+                    "agent": "straight", "games": 2, "seed": None, "sweep": {"wind": (0, 3), "light": (1,)},
+                    "evaluation": {
+                        "experiment": "evaluate", "keys": {"task.timing": "virtual", "task.speed_m_s": 2},
+                    },
+                },
+            },
+        ),
+    ],
+)  # fmt: skip
+def test_a_run_is_asked_for_with_every_option_and_no_other(
+    asked: list[tuple[Any, ...]], line: str, request_: dict[str, Any]
+) -> None:
+    typed(line)
+    [(name, request, *others)] = asked
+    if "sweep" in request_.get("options", ()):
+        request.options["sweep"].update({name: tuple(values) for name, values in request.options["sweep"].items()})
+    assert vars(request) == vars(RunRequest(None)) | request_
+    if name == "evaluate_agent":
+        assert others == ([Path("other"), False] if "--against" in line else [None, True])
+
+
+SQUARE = (50.0, 0.012, 0)
+
+
+@pytest.mark.parametrize(
+    ("line", "call"),
+    [
+        ("view", ("view_game", "default", None, None)),
+        ("view run --case a --out films", ("view_game", "run", "a", Path("films"))),
+        ("export run", ("export", "run", *[None] * 6)),
+        (
+            "export run --onnx o --csv c --parquet p --mcap m --minari n --case a",
+            ("export", "run", *map(Path, "ocpmn"), "a"),
+        ),
+        ("watch", ("show", None, None, None, SQUARE, "127.0.0.1", 8080)),
+        (
+            "watch run --case a --game 2 --clock 5 --think 0.5 --seed 3 --host ::1 --port 9",
+            ("show", Path("run"), "a", 2, (5.0, 0.5, 3), "::1", 9),
+        ),
+        ("serve", ("serve", None, None, None, None, "native", "blocks", None)),
+        (
+            "serve --settings s.json --clock 5 --port 9 --host ::1 --profile airsim --scene lane --recordings r",
+            ("serve", Path("s.json"), 5.0, 9, "::1", "airsim", "lane", Path("r")),
+        ),
+    ],
+)  # fmt: skip
+def test_a_command_hands_on_what_it_was_given(
+    asked: list[tuple[Any, ...]], line: str, call: tuple[Any, ...]
+) -> None:
+    typed(line)
+    [(name, *given)] = asked
+    assert (name, *(vars(given[0]).values() if name == "serve" else given)) == call
+
+
+def test_options_before_a_script_are_the_flights_and_those_after_it_its_own(asked: list[tuple[Any, ...]]) -> None:
+    typed("fly script.py --clock 3 --film")
+    typed(
+        "fly --clock 2,5 --timing lockstep --check --until 8 --think 0.25 --seed 3 --settings s.json --no-settings "
+        "--profile airsim --scene lane --out o --film --watch script.py --seed 4"
+    )
+    [(_, plain), (_, full)] = asked
+    assert (plain.clocks, plain.check, plain.find_settings, plain.out, plain.page) == ((), False, True, None, None)
+    assert plain.flight.arguments == ("--clock", "3", "--film")
+    assert (plain.flight.timing, plain.flight.film, plain.flight.seed) == ("virtual", False, None)
+    assert (full.clocks, full.check, full.find_settings, full.out) == ((2.0, 5.0), True, False, Path("o"))
+    assert full.page is not None
+    flight = {name: value for name, value in vars(full.flight).items() if value}
+    assert flight == {
+        "script": Path("script.py"), "arguments": ("--seed", "4"), "folder": Path(), "timing": "lockstep",
+        "profile": "airsim", "scene": "lane", "settings": Path("s.json"), "think_s": 0.25, "seed": 3,
+        "until_s": 8.0, "film": True,
+    }  # fmt: skip
+
+
+def test_several_runs_of_a_suite_are_compared_and_one_alone_is_not(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    done: list[tuple[str, ...]] = []
+
+    def compare(runs: list[Any]) -> list[Path]:
+        done.append(("compared", *(run.path.name for run in runs)))
+        return [Path("compared.png")]
+
+    monkeypatch.setattr(
+        "uavaccel.records.RunDirectory",
+        lambda path: SimpleNamespace(path=path, config=lambda: {"suite": path.name[:-1]}),
+    )
+    monkeypatch.setattr(experiments, "report_run", lambda run: done.append(("reported", run.path.name)))
+    monkeypatch.setattr("uavaccel.suites.registry.suite_of", lambda run: SimpleNamespace(compare=compare))
+    assert typed("report train1 dp1 train2").splitlines() == ["compared.png"]
+    assert done == [*(("reported", name) for name in ("train1", "dp1", "train2")), ("compared", "train1", "train2")]
+
+
+# --- a run in words ---------------------------------------------------------------------------------------------------
+
+UNKNOWN = "wall time known after the first"
+
+
+@pytest.mark.parametrize(
+    ("left", "games", "jobs", "lines"),
+    [
+        (
+            "abc", 1, 4,
+            [
+                f"3 games (1 wall, 2 virtual: measured and modelled), 1,235 simulated s, {UNKNOWN}, into out",
+                "1 games on the wall clock fly alone, in this process, one by one",
+            ],
+        ),
+        (
+            "bc", 2000, 1,
+            [f"4,000 games in 2 cells (2 virtual: modelled), 235 simulated s, {UNKNOWN}, into out"],
+        ),
+        ("", 1, 1, ["no game is left to be flown in out"]),
+    ],
+)  # fmt: skip
+def test_a_plan_adds_up_the_games_that_are_left(left: str, games: int, jobs: int, lines: list[str]) -> None:
+    times = {"a": ("wall", 1000.0), "b": ("virtual", 234.0), "c": ("virtual", 1.0)}
+    cases = {name: SimpleCase(name, *time) for name, time in times.items()}
+    suite: Any = SimpleNamespace(games=lambda config, case: games)
+    request = RunRequest("own", jobs=jobs)
+    plan = Plan(suite, None, list(cases.values()), [cases[name] for name in left], Path("out"), request)
+    assert list(plan.lines()) == lines
+
+
+OLD, MIDDLE, NEW = ({"uavaccel": "1", "numpy": numpy} for numpy in ("2.0", "2.1", "2.2"))
+BEGUN, GONE_ON = {"commit": "a" * 40}, {"commit": "b" * 40}
+
+
+@pytest.mark.parametrize(
+    ("manifest", "now", "warned"),
+    [
+        ({"versions": OLD}, {"versions": OLD}, []),
+        ({"versions": OLD, "resumed": [{"versions": NEW}]}, {"versions": NEW}, ["numpy 2.0 then, 2.2 now"]),
+        # the last start is the present one; the one before it counts
+        (
+            {"versions": OLD, "resumed": [{"versions": MIDDLE}, {"versions": NEW}]}, {"versions": NEW},
+            ["numpy 2.1 then, 2.2 now"],
+        ),
+        ({"versions": OLD, "resumed": [{"versions": NEW}, {"versions": NEW}]}, {"versions": NEW}, []),
+        ({"versions": OLD}, {"versions": {**OLD, "ray": "3"}}, []),  # which was not there before
+        ({"git": BEGUN}, {"git": BEGUN}, []),
+        ({"git": BEGUN}, {"git": GONE_ON}, ["aaaaaaaaaaaa, now bbbbbbbbbbbb"]),
+        ({"git": None}, {"git": GONE_ON}, []),
+    ],
+)  # fmt: skip
+def test_a_run_that_goes_on_says_what_has_changed_since_its_last_start(
+    manifest: dict[str, Any], now: dict[str, Any], warned: list[str]
+) -> None:
+    run: Any = SimpleNamespace(path=Path("out"), rows=lambda: [{}, {}], manifest=lambda: manifest)
+    first, *warnings = resumption_notes(run, 5, now)
+    assert first == "going on with out: 2 of 5 games are flown"
+    assert len(warnings) == len(warned)
+    for warning, ending in zip(warnings, warned, strict=True):
+        assert warning.startswith("warning: ")
+        assert warning.endswith(ending)
+
+
+@pytest.mark.parametrize(
+    ("options", "timing"),
+    [
+        ({"clock_speed": [5.0]}, "wall"),
+        ({"clock_speed": [5.0], "timing": "virtual"}, "virtual"),
+        ({"clock_speed": [5.0, 10.0]}, "virtual"),
+        ({}, "virtual"),
+    ],
 )
+def test_an_experiment_at_one_clock_speed_is_quick_and_measured_unless_told_otherwise(
+    options: dict[str, Any], timing: str
+) -> None:
+    suite, config = configure(RunRequest("dp1", options))
+    quick = len(options.get("clock_speed", ())) == 1
+    assert config.timing == timing
+    for key, value in (suite.quick or {}).items():
+        assert (config.model_dump(mode="json")[key] == value) == quick
+
+
+TABLE = Table(("command", "effective speed-up", "source"), [("ADSC", "11.23", "modelled"), ("TCSC", "-", "x")])
 
 
 @pytest.mark.parametrize(("width", "columns"), [(80, 3), (28, 3), (27, 2), (18, 2), (17, 1), (3, 1)])
@@ -104,11 +411,85 @@ def test_a_table_shows_the_columns_that_fit_uncut(width: int, columns: int) -> N
     assert columns_within(TABLE, width) == columns
 
 
-def test_words_of_options_and_experiments_are_completed() -> None:
-    words = one_of("wall", "virtual", "lockstep")  # each of which has an l
-    assert [words(typed) for typed in ("l", "v", "lockstep", "")] == [
-        ["lockstep"], ["virtual"], ["lockstep"], ["wall", "virtual", "lockstep"],
-    ]  # fmt: skip
-    assert words("k") == []
-    assert experiments("dp") == ["dp1", "dp2", "dp2_airsim"]
-    assert "claims" not in experiments("")
+def test_the_time_left_is_that_of_the_games_to_come_at_the_pace_of_this_starts(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Ten games, two at a time, on a clock that moves by hand: two were flown before, and eight are to come."""
+    now = SimpleNamespace(s=1000.0)
+    clock = SimpleNamespace(now_ns=lambda: int(now.s * NS_PER_S))
+    monkeypatch.setattr(progress, "MonotonicClock", lambda: clock)
+    cases = [SimpleCase(f"g{number}", "virtual", 20.0 if number < 6 else 100.0) for number in range(10)]
+    said = io.StringIO()
+    earlier = [{"case": "g0"}, {"case": "g1"}]
+    shown = progress.Progress(cases, 2, earlier, lambda _: "", Console(file=said, width=120))
+    # Of two that fly at once the first says nothing yet; then 40 s of 480 took 60 s, 60 took 120 and 80 took 120.
+    for case, passed_s in (("g2", 60.0), ("g3", 0.0), ("g4", 60.0), ("g5", 0.0)):
+        now.s += passed_s
+        shown.flown(cases[int(case[1:])], {"case": case})
+    left = [line.rpartition(", ")[2] for line in said.getvalue().splitlines()]
+    assert left == ["time left unknown", "11 min left", "14 min left", "10 min left"]
+
+
+# --- around an evaluation ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("simulator", [None, "mujoco", "kernels"])
+def test_the_best_and_the_worst_game_are_filmed_under_their_names(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], simulator: str | None
+) -> None:
+    rows = [
+        {"case": "far", "is_success": False, "commands": 3, "distance_m": 9.0},
+        {"case": "slow", "is_success": True, "commands": 30, "distance_m": 50.0},
+        {"case": "near", "is_success": False, "commands": 3, "distance_m": 1.0},
+        {"case": "quick", "is_success": True, "commands": 20, "distance_m": 50.0},
+    ]
+    written: list[tuple[str, str]] = []
+
+    def write(film: str, *paths: str) -> None:
+        for path in paths:
+            written.append((film, path))
+            print(path)
+
+    monkeypatch.setattr("uavaccel.cli.view.film_of_game", lambda run, case: (case, f"film of {case}"))
+    monkeypatch.setattr("uavaccel.cli.view.write_film", write)
+    config = {} if simulator is None else {"simulator": simulator}
+    run: Any = SimpleNamespace(rows=lambda: rows, config=lambda: config, file=str)
+    experiments._film_extremes(run)
+    assert written == [
+        (f"film of {case}", f"films/{name}.{kind}")
+        for case, name in (("quick", "best"), ("near", "worst"))
+        for kind in ("mp4", "png")
+    ]
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[-4:] == [path for _, path in written]
+    assert ("exact simulator" in lines[0]) == (simulator == "kernels")
+
+
+EVALUATED = [{"suite": "evaluate", "lane": lane} for lane in (2, 3)]
+OF_ANOTHER = [{"suite": "dp2", "lane": lane} for lane in (0, 1, 2)]
+
+
+@pytest.mark.parametrize(
+    ("rows", "games", "comparable"),
+    [(EVALUATED, 3, True), (EVALUATED, 2, False), (OF_ANOTHER, 3, False), ([], 3, False)],
+)
+def test_evaluations_are_compared_where_they_have_a_lane_in_common(
+    monkeypatch: pytest.MonkeyPatch, rows: list[dict[str, Any]], games: int, comparable: bool
+) -> None:
+    """Which is found out before anything is flown."""
+    monkeypatch.setattr("uavaccel.suites.registry.open_run", lambda path: SimpleNamespace(path=path, rows=lambda: rows))
+    cases = [SimpleNamespace(lane=lane) for lane in range(games)]
+    plan = SimpleNamespace(suite=SimpleNamespace(name="evaluate"), cases=cases)
+    flown: list[RunRequest] = []
+
+    def run_experiment(request: RunRequest, check: Any, films: Any) -> None:
+        check(plan)
+        flown.append(request)
+
+    monkeypatch.setattr(experiments, "run_experiment", run_experiment)
+    if comparable:
+        experiments.evaluate_agent(RunRequest("evaluate"), Path("other"), films=False)
+    else:
+        with pytest.raises(UserError, match="is no evaluation of the same lanes"):
+            experiments.evaluate_agent(RunRequest("evaluate"), Path("other"), films=False)
+    assert bool(flown) == comparable

@@ -21,10 +21,9 @@ from typing import Any, NamedTuple
 import pytest
 import typer
 
-from uavaccel.cli import evaluate, run
+from uavaccel.cli import experiments as cli_experiments
+from uavaccel.cli.machine import init
 from uavaccel.cli.main import app
-from uavaccel.cli.run import RunRequest, configure
-from uavaccel.cli.starter import init
 from uavaccel.config import validate
 from uavaccel.envs.obstacle_lane import LaneTask
 from uavaccel.resources import asset
@@ -32,6 +31,7 @@ from uavaccel.rl import agents
 from uavaccel.rl.policy import load_policy
 from uavaccel.sim.lane.file import LaneFile
 from uavaccel.sim.lane.layout import Difficulty
+from uavaccel.suites.session import RunRequest, configure
 from uavaccel.suites.train import TrainConfig
 from uavaccel.yaml_io import load_yaml
 
@@ -226,8 +226,7 @@ def test_commands_are_taken(block: Block, line: str, monkeypatch: pytest.MonkeyP
     _, name, *options = shlex.split(line)
     asked: list[RunRequest] = []
     monkeypatch.setattr(agents, "load_policy", policy_once)
-    for module in (run, evaluate):
-        monkeypatch.setattr(module, "run_experiment", asked.append)
+    monkeypatch.setattr(cli_experiments, "run_experiment", lambda request, *_: asked.append(request))
     if name not in FLOWN:
         typer.main.get_command(app).commands[name].make_context(name, options)  # type: ignore[attr-defined]
         return

@@ -13,13 +13,14 @@ import numpy as np
 import pytest
 
 from uavaccel.cli import main as cli
+from uavaccel.cli.experiments import run_experiment
 from uavaccel.cli.progress import Progress
-from uavaccel.cli.run import RunRequest, run_experiment
 from uavaccel.commands import COMMANDS, SynchronousCommand
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
 from uavaccel.suites.dp1 import Dp1, Dp1Config, Game, fly_path
 from uavaccel.suites.experiment import read_mapping, resolve
+from uavaccel.suites.session import RunRequest
 from uavaccel.wire.session import VirtualSession, open_session
 
 SMALL: dict[str, Any] = {"clock_speed": [10.0, 100.0], "t_move_s": [0.1, 0.2], "rounds": [1], "games": 2}
@@ -94,7 +95,7 @@ def test_figure_4_is_of_the_longest_command_at_the_fastest_clock(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     config = paper_config(clock_speed=[5.0, 50.0, 10.0], t_move_s=[0.2, 1.0, 0.5])
-    monkeypatch.setattr("uavaccel.bench.traces.record_trace", lambda _, *asked: list(asked))
+    monkeypatch.setattr("uavaccel.calibration.traces.record_trace", lambda _, *asked: list(asked))
     run = RunDirectory.create(tmp_path / "run", config, {})
     Dp1().finish(config, run)
     traces = {command: run.read_json(f"traces/{command}.json") for command in ("adsc", "tcsc")}

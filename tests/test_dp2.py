@@ -12,7 +12,7 @@ import pytest
 
 from tests.opengl import needs_opengl
 from tests.running import configured
-from uavaccel.cli.run import RunRequest, report_run, run_experiment
+from uavaccel.cli.experiments import report_run, run_experiment
 from uavaccel.cli.view import view_game
 from uavaccel.commands import COMMANDS, SynchronousCommand
 from uavaccel.errors import UsageError, UserError
@@ -22,6 +22,7 @@ from uavaccel.sim.lane.layout import LENGTH_M
 from uavaccel.suites import dp2
 from uavaccel.suites.dp2 import Dp2, Dp2Config, Game
 from uavaccel.suites.rows import subset
+from uavaccel.suites.session import RunRequest
 
 SHORT_PATH = "path=[[1, 0], [1, 0], [0.5, 0.8], [1, 0]]"
 SAMPLES = 13  # the start, and three of each command

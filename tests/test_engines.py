@@ -14,12 +14,13 @@ from joblib import delayed, register_parallel_backend
 from joblib._parallel_backends import ThreadingBackend
 
 from tests.running import configured
-from uavaccel.cli.run import RunRequest, run_experiment
+from uavaccel.cli.experiments import run_experiment
 from uavaccel.errors import UsageError, UserError
 from uavaccel.suites import engines
 from uavaccel.suites.dp1 import Dp1
 from uavaccel.suites.engines import PACKAGES, check_engine, on_cluster
 from uavaccel.suites.runner import begin_run, run_suite
+from uavaccel.suites.session import RunRequest
 
 SMALL = ("clock_speed=[50]", "rounds=[1]", "t_move_s=[1]", "games=3")
 

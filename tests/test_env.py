@@ -75,8 +75,7 @@ def test_gymnasium_makes_it_by_name(name: str) -> None:
         ("import gymnasium, uavaccel", NAME),
         ("import gymnasium", f"uavaccel:{NAME}"),
         ("import gymnasium", f"uavaccel.envs:{NAME}"),
-        ("import uavaccel, sys; assert 'gymnasium' not in sys.modules; import gymnasium.vector", NAME),
-        ("import uavaccel, importlib.util as u; assert u.find_spec('gymnasium'); import gymnasium", NAME),
+        ("import uavaccel.envs, gymnasium", NAME),
     ],
 )
 def test_it_is_registered_as_the_documentation_says(first: str, name: str) -> None:

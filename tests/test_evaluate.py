@@ -18,9 +18,7 @@ from tests.lanes import free_distance_m
 from tests.learning import tiny_config, train_into
 from tests.opengl import needs_opengl
 from tests.running import configured, fly_into, run_into
-from uavaccel.cli.evaluate import evaluate_agent
-from uavaccel.cli.result_commands import report
-from uavaccel.cli.run import RunRequest
+from uavaccel.cli.experiments import evaluate_agent, report
 from uavaccel.cli.view import view_game
 from uavaccel.envs.observer import SecondEventCamera
 from uavaccel.envs.obstacle_lane import LaneTask
@@ -40,6 +38,7 @@ from uavaccel.suites.evaluate import Evaluation
 from uavaccel.suites.evaluate_again import flight_of_agent
 from uavaccel.suites.flight import film_of
 from uavaccel.suites.old_report import Summary
+from uavaccel.suites.session import RunRequest
 
 LANES = 4
 FIGURE, COMPARISON = "figures/figure8_survival.png", "figures/figure8_survival_compared.png"

@@ -14,7 +14,7 @@ import pytest
 import torch as th
 
 from tests.learning import tiny_config
-from uavaccel.cli.result_commands import export
+from uavaccel.cli.results import export
 from uavaccel.config import Config
 from uavaccel.envs.sensors import ColourCamera, DepthCamera, blank_frame
 from uavaccel.envs.task import AT_REST

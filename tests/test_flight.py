@@ -172,7 +172,8 @@ def test_an_evaluations_times_are_since_the_start_of_its_game(
     flight = Evaluation().flight(report, {"lane": 5}, event_rate_hz=rate_hz)
     last_ms = 1300 if hit else 1320
     assert flight.title == f"lane 5, ADSC at 20x: {'hit a tree' if hit else 'ran out of commands'}"
-    assert (flight.clock_speed, flight.scene, flight.lane) == (20.0, "lane", "lane 5")
+    seen: tuple[Any, ...] = (flight.clock_speed, flight.scene, flight.lane)
+    assert seen == (20.0, "lane", "lane 5")
     assert (flight.time_ns // MS).tolist() == (flight.image_ns // MS).tolist() == [0, 330, 660, 1000, last_ms]
     assert flight.position_m[-1].tolist() == ([1.3, 0.5, -9.0] if hit else [1.32, 0.0, -10.0])
     assert (flight.commands.start_ns // MS).tolist() == [0, 660]  # the sample that each was decided on
@@ -209,7 +210,7 @@ def flight() -> Flight:
     ]
     images = np.stack([np.full((144, 256), 40 * n, np.uint8) for n in range(3)])
     position_m = np.arange(15.0).reshape(5, 3)
-    rest = np.tile([1.0, 0.0, 0.0, 0.0], (5, 1)) * np.arange(5)[:, None]
+    rest = np.tile([1.0, 0.0, 0.0, 0.0], (5, 1)) * np.arange(5.0)[:, None]
     seen: dict[str, Any] = {"image_ns": time_ns[1:4], "images": images, "windows": windows}
     return Flight("who", 2.0, time_ns, position_m, rest, commands, **seen)
 
@@ -233,9 +234,14 @@ def test_a_film_marks_an_impact_that_its_last_picture_has_reached(hit_ms: int, m
 
 def test_a_film_of_a_lane_has_the_view_from_behind_at_its_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
     told: list[Any] = []
-    monkeypatch.setattr(chase, "ChaseView", lambda *what: told.append(what) or "behind")
+    def behind(*what: Any) -> str:
+        told.append(what)
+        return "behind"
+
+    monkeypatch.setattr(chase, "ChaseView", behind)
     lane = draw_layout(3)
     film = film_of(replace(flight(), lane=lane))
     ((layout, position_m, orientation_wxyz, size),) = told
-    assert (film.chase, film.layout, layout, size) == ("behind", lane, lane, (512, 288))
+    seen: tuple[Any, ...] = (film.chase, film.layout, layout, size)
+    assert seen == ("behind", lane, lane, (512, 288))
     assert (position_m[:, 0].tolist(), orientation_wxyz[:, 0].tolist()) == ([3.0, 6.0, 9.0], [1.0, 2.0, 3.0])

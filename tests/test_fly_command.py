@@ -13,12 +13,10 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-import typer
 
-from uavaccel.cli import fly as command
-from uavaccel.cli.fly import FlyRequest, fly_script
 from uavaccel.errors import UserError
-from uavaccel.fly import film
+from uavaccel.fly import command, film
+from uavaccel.fly.command import FlyRequest, fly_script
 from uavaccel.fly.options import FlightOptions, FlightSummary, found_settings
 from uavaccel.fly.runs import FlightResult, _wait
 from uavaccel.fly.trajectory import write_trajectory
@@ -61,9 +59,7 @@ def flown(monkeypatch: pytest.MonkeyPatch, request: FlyRequest, *results: tuple[
     monkeypatch.setattr(
         command, "check", lambda options, first: flights.fly(replace(options, reference=first))
     )
-    with pytest.raises(typer.Exit) as ended:
-        fly_script(request)
-    return ended.value.exit_code, flights.asked
+    return fly_script(request), flights.asked
 
 
 def test_flights_at_several_clock_speeds_are_held_against_the_first_and_the_worst_status_stays(
@@ -219,9 +215,7 @@ def test_a_folder_is_taken_that_is_new_or_empty(asked: FlyRequest, monkeypatch: 
     assert asked.out is not None
     asked.out.mkdir()
     monkeypatch.setattr(command, "fly", lambda options: FlightResult(7, None))
-    with pytest.raises(typer.Exit) as ended:
-        fly_script(asked)
-    assert ended.value.exit_code == 7
+    assert fly_script(asked) == 7
     (asked.out / "flight.json").write_text("{}")
     with pytest.raises(UserError, match=r"out: is there already; choose another --out"):
         fly_script(asked)

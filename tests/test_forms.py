@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from tests.dp1_games import line_arrays, line_row
+from uavaccel.cli.experiments import report
 from uavaccel.cli.export import export
-from uavaccel.cli.result_commands import report
 from uavaccel.config import to_yaml
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory

@@ -9,9 +9,9 @@ import sys
 import numpy as np
 import pytest
 
+from benchmarks.images import frame_rates
 from tests.opengl import needs_opengl
 from tests.scenes import Scene
-from uavaccel.bench.images import frame_rates
 from uavaccel.errors import UserError
 from uavaccel.sim.camera import gl
 from uavaccel.sim.camera.camera import Camera

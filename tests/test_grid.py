@@ -14,8 +14,8 @@ from scipy.stats import binomtest
 from tests.dp1_games import line_arrays, line_row
 from tests.drawing import labelled, legend_texts, points, record_figures, texts, tick_texts
 from tests.running import configured, fly_into, run_into
-from uavaccel.cli.evaluate import sweep_agent
-from uavaccel.cli.run import RunRequest
+from uavaccel.cli.experiments import sweep_agent
+from uavaccel.suites.session import RunRequest
 from uavaccel.config import validate
 from uavaccel.draw import style
 from uavaccel.envs.conditions import CONDITIONS

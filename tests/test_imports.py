@@ -13,7 +13,7 @@ PACKAGE = Path(__file__).parents[1] / "uavaccel"
 
 GROUND = {
     *("units", "errors", "files", "limits", "lock", "yaml_io", "config", "machine", "manifest", "records", "forms"),
-    *("processes", "kinematics", "parts", "resources"),
+    *("processes", "kinematics", "resources"),
 }
 # A room is a top-level module or package; beside itself it may import these rooms.
 ROOMS: dict[str, set[str]] = {
@@ -23,7 +23,7 @@ ROOMS: dict[str, set[str]] = {
     "sim": GROUND | {"clock"},
     "wire": GROUND | {"clock", "sim"},
     "commands": {"units", "kinematics", "errors", "clock"},  # these could drive a real AirSim
-    "vision": GROUND,
+    "vision": GROUND | {"sim"},
     "metrics": GROUND,
     "airsim": {"units", "errors", "clock", "wire"},
     "kernels": GROUND | {"clock", "sim", "vision"},
@@ -32,8 +32,8 @@ ROOMS: dict[str, set[str]] = {
 ROOMS["envs"] = set(ROOMS) - {"__init__", "airsim", "realtime"}
 ROOMS["rl"] = ROOMS["envs"] | {"envs"}
 ROOMS["draw"] = GROUND | {"sim", "vision", "metrics"}  # arrays in, files out
-ROOMS["bench"] = ROOMS["rl"]
-ROOMS["suites"] = ROOMS["rl"] | {"rl", "draw", "bench", "realtime"}
+ROOMS["calibration"] = GROUND | {"clock", "sim", "wire", "commands", "metrics"}
+ROOMS["suites"] = ROOMS["rl"] | {"rl", "draw", "calibration", "realtime"}
 ROOMS["fly"] = GROUND | {"clock", "sim", "wire", "airsim", "draw"}
 ROOMS["export"] = ROOMS["suites"] | {"suites"}
 ROOMS["watch"] = ROOMS["suites"] | {"suites", "fly"}

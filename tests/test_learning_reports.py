@@ -45,7 +45,7 @@ def phases(*seconds: float) -> dict[str, float]:
 
 def game(number: int, row: Row) -> Row:
     """What the row of a lane's game has in every suite, by default of seven commands without a collision."""
-    usual = {"is_success": False, "collision": None, "lane": number, "commands": 7, "sim_time_s": 7.0}
+    usual: Row = {"is_success": False, "collision": None, "lane": number, "commands": 7, "sim_time_s": 7.0}
     usual |= {"phase_s": phases(1, 0, 0, 0, 0), "distance_m": 150.0 if row.get("is_success") else 7.0}
     return usual | row
 

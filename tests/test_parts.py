@@ -3,7 +3,7 @@
 import numpy as np
 from numba import njit
 
-from uavaccel.parts import part
+from uavaccel.sim.parts import part
 
 
 @part

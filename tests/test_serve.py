@@ -13,7 +13,11 @@ import pytest
 
 from tests.airsim_client import MultirotorClient
 from tests.simulating import simulate
-from uavaccel.cli.serve import (
+from uavaccel.clock import VirtualClock
+from uavaccel.errors import UserError
+from uavaccel.wire.api import Api
+from uavaccel.wire.recorder import FILE_NAME
+from uavaccel.wire.service import (
     PERIOD_NS,
     ServeOptions,
     ServerReport,
@@ -23,10 +27,6 @@ from uavaccel.cli.serve import (
     serve,
     simulation_of,
 )
-from uavaccel.clock import VirtualClock
-from uavaccel.errors import UserError
-from uavaccel.wire.api import Api
-from uavaccel.wire.recorder import FILE_NAME
 from uavaccel.wire.settings import Settings
 
 pytestmark = pytest.mark.wall_clock

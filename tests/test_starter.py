@@ -11,13 +11,13 @@ from typing import Any
 
 import pytest
 
+from uavaccel.cli.machine import SCHEMA, init, schema_text
 from uavaccel.cli.main import app
-from uavaccel.cli.run import RunRequest, configure
-from uavaccel.cli.starter import SCHEMA, init, schema_text
 from uavaccel.errors import UserError
 from uavaccel.resources import experiment
 from uavaccel.rl.config import DqnOptions
 from uavaccel.suites.registry import SUITES, find_suite
+from uavaccel.suites.session import RunRequest, configure
 from uavaccel.yaml_io import load_yaml
 
 EXPERIMENTS = [

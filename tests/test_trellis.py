@@ -8,7 +8,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from tests.drawing import points, texts
-from uavaccel.bench.traces import ClientEvent, _merge
+from uavaccel.calibration.traces import ClientEvent, _merge
 from uavaccel.suites.trellis import messages, plot_trace, running_spans
 
 CALLED = ["client call move", "server handle move"]

@@ -20,7 +20,7 @@ from tests.flying import STRAIGHT, call, hovering, point
 from tests.learning import tiny_config
 from tests.running import configured, fly_into
 from tests.test_watch import CHROMIUM, FLAGS, new_page, simulated_s
-from uavaccel.cli.run import RunRequest, run_experiment
+from uavaccel.cli.experiments import run_experiment
 from uavaccel.commands import COMMANDS, VelocityGoal
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.errors import UsageError
@@ -29,9 +29,10 @@ from uavaccel.fly.runs import fly
 from uavaccel.records import RunDirectory
 from uavaccel.suites.dp1 import Dp1
 from uavaccel.suites.evaluate import Evaluation
+from uavaccel.suites.session import RunRequest
 from uavaccel.suites.train import Training
 from uavaccel.watch import beside
-from uavaccel.watch.beside import PageAddress, page_beside, parse_address
+from uavaccel.watch.beside import PageAddress, page_beside
 from uavaccel.watch.feed import Feed, Source
 from uavaccel.wire.broadcast import LOOK_NS, heading
 from uavaccel.wire.page_protocol import FREE, PAGE, Orders
@@ -289,38 +290,14 @@ def test_watching_changes_no_byte_of_runs_and_scripts(
 
 
 @pytest.mark.parametrize(
-    ("watch", "address", "asked"),
-    [
-        (False, None, None),
-        (True, None, PageAddress("127.0.0.1", 8080)),
-        (False, "0.0.0.0", PageAddress("0.0.0.0", 8080)),
-        (False, ":9000", PageAddress("127.0.0.1", 9000)),
-        (False, ":1", PageAddress("127.0.0.1", 1)),
-        (False, "host:65535", PageAddress("host", 65535)),
-        (True, "10.0.0.2:9000", PageAddress("10.0.0.2", 9000)),
-    ],
-)
-def test_the_page_is_on_loopback_unless_told_otherwise(
-    watch: bool, address: str | None, asked: PageAddress | None
-) -> None:
-    assert parse_address(watch, address) == asked
-
-
-@pytest.mark.parametrize("address", ["host:", "host:http", ":0", ":65536"])
-def test_an_address_without_a_port_is_refused(address: str) -> None:
-    with pytest.raises(UsageError, match=r"--watch-at .*HOST:PORT"):
-        parse_address(True, address)
-
-
-@pytest.mark.parametrize(
     ("engine", "overrides", "said"),
     [("loky", ["simulator=kernels"], "--set simulator=mujoco"), ("ray", [], "--engine")],
 )
 def test_what_cannot_be_watched_is_refused(
     engine: str, overrides: list[str], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("uavaccel.cli.run.check_engine", lambda _: None)
-    request = RunRequest("evaluate", {}, overrides, out=tmp_path / "run", engine=engine, page=PageAddress())
+    monkeypatch.setattr("uavaccel.suites.session.check_engine", lambda _: None)
+    request = RunRequest("evaluate", {}, overrides, out=tmp_path / "run", engine=engine, watch=True)
     with pytest.raises(UsageError, match=f"--watch: .*{said}"):
         run_experiment(request)
     assert not (tmp_path / "run").exists()
@@ -348,8 +325,8 @@ def test_a_browser_holds_a_flight_of_a_simulated_clock_and_looks_on_at_one_of_th
     from playwright.sync_api import sync_playwright
 
     (tmp_path / "script.py").write_text(SCRIPT)
-    scripted = ("fly", "--no-settings", "--watch-at", ":18091", "--out", "flight", "script.py")
-    served = ("serve", "--port", "0", "--watch-at", ":18092")
+    scripted = ("fly", "--no-settings", "--watch", "--out", "flight", "script.py")
+    served = ("serve", "--port", "0", "--watch")
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
         page = new_page(browser, viewport={"width": 1280, "height": 720})

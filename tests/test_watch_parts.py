@@ -17,12 +17,11 @@ import mujoco
 import numpy as np
 import pytest
 
-from uavaccel.cli import watch as command
-from uavaccel.cli.watch import WatchRequest
 from uavaccel.errors import UsageError, UserError
 from uavaccel.files import to_json, write_arrays
 from uavaccel.processes import child
 from uavaccel.watch import beside, scene, server
+from uavaccel.watch import show as command
 from uavaccel.watch.beside import PageAddress, page_beside
 from uavaccel.watch.clocks import Line, clock_table
 from uavaccel.watch.feed import Source
@@ -416,8 +415,8 @@ def opened(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     shown: dict[str, Any] = {"flown": []}
     server = SimpleNamespace(get_port=lambda: 8123, stop=lambda: shown.update(stopped=True))
 
-    def page(*arguments: Any, **options: Any) -> Any:
-        shown["page"] = (arguments, options)
+    def page(*arguments: Any) -> Any:
+        shown["page"] = arguments
         return SimpleNamespace(run=lambda: None)
 
     monkeypatch.setattr(command, "check_viser", lambda: None)
@@ -434,17 +433,17 @@ def opened(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
 def test_the_square_is_flown_as_asked_for_and_at_every_clock_speed_that_is_chosen(
     opened: dict[str, Any], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    command.watch(WatchRequest(None, None, None, 50.0, 0.0125, 7, "127.0.0.9", 8100))
-    (_, tracks, where, title), named = opened["page"]
+    command.show(None, None, None, (50.0, 0.0125, 7), "127.0.0.9", 8100)
+    _, tracks, where, title, _, fly_at = opened["page"]
     assert (opened["at"], tracks, where) == (("127.0.0.9", 8100), ["tracks"], "blocks")
     assert "thinks for 12.5 ms" in title
-    named["fly_at"](5.0)
+    fly_at(5.0)
     assert opened["flown"] == [((speed, 0.0125), {"rounds": 1, "seed": 7}) for speed in (50.0, 5.0)]
     assert opened["stopped"]
     assert capsys.readouterr().out == "watch at http://127.0.0.9:8123; Ctrl-C ends\n"
     for case, game in (("a", None), (None, 0)):
         with pytest.raises(UsageError, match="need a run directory"):
-            command.watch(WatchRequest(None, case, game, 50.0, 0.0, 0, "127.0.0.9", 8100))
+            command.show(None, case, game, (50.0, 0.0, 0), "127.0.0.9", 8100)
 
 
 def test_a_finished_game_is_shown_where_and_as_it_was_asked_for(
@@ -459,9 +458,9 @@ def test_a_finished_game_is_shown_where_and_as_it_was_asked_for(
 
     monkeypatch.setattr("uavaccel.watch.replay.recorded", recorded)
     for case, game in (("a", None), (None, 3)):
-        command.watch(WatchRequest(tmp_path, case, game, 50.0, 0.0, 0, "127.0.0.9", 8100))
+        command.show(tmp_path, case, game, (50.0, 0.0, 0), "127.0.0.9", 8100)
         assert asked[-1] == (tmp_path, case, game)
-        assert opened["page"][0][1:] == (["track"], "lane", "A game.", "its lane")
+        assert opened["page"][1:] == (["track"], "lane", "A game.", "its lane", None)
     assert not opened["flown"]
 
 

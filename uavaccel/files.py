@@ -219,3 +219,37 @@ def drop_cut_line(path: Path) -> None:
     if path.exists():
         whole, newline, _ = read_bounded(path, LINES_BYTES).rpartition(b"\n")
         os.truncate(path, len(whole + newline))
+
+
+def check_new_folder(folder: Path, resume: bool = False) -> None:
+    """Raise UserError for a run's folder that exists, unless the run is resumed, or that cannot be made."""
+    _check_name(folder)
+    if folder.exists():
+        if not resume:
+            raise UserError(f"{folder}: exists; take another --out, or --resume to go on with it")
+        if not folder.is_dir():
+            raise UserError(f"--out {folder}: is no folder, so no run to go on with")
+        return
+    above = next(each for each in folder.absolute().parents if each.exists())
+    if not above.is_dir():
+        raise UserError(f"--out {folder}: {above} is no folder")
+    if not os.access(above, os.W_OK):
+        raise UserError(f"--out {folder}: {above} may not be written")
+
+
+def check_new_file(file: Path) -> None:
+    """Raise UserError for a file that exists, or that cannot be made in its folder."""
+    _check_name(file)
+    if file.exists():
+        raise UserError(f"{file}: exists; take another --out")
+    if not file.absolute().parent.is_dir():
+        raise UserError(f"--out {file}: there is no folder {file.parent}")
+    if not os.access(file.absolute().parent, os.W_OK):
+        raise UserError(f"--out {file}: {file.parent} may not be written")
+
+
+def _check_name(path: Path) -> None:
+    try:
+        path.exists()
+    except OSError as error:
+        raise UserError(f"--out {str(path)[:40]}...: {error.strerror}") from error

@@ -10,16 +10,15 @@ import contextlib
 import os
 import signal
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from types import FrameType
 
 import typer
 
-from uavaccel.cli.airsim_commands import fly, serve
-from uavaccel.cli.experiment_commands import evaluate, run, train
-from uavaccel.cli.machine_commands import advise, bench, calibrate, doctor
-from uavaccel.cli.result_commands import export, report, view, watch
-from uavaccel.cli.starter import init, schema
+from uavaccel.cli.airsim import fly, serve
+from uavaccel.cli.experiments import evaluate, report, run, train
+from uavaccel.cli.machine import advise, bench, calibrate, doctor, init, schema
+from uavaccel.cli.results import export, view, watch
 from uavaccel.errors import UsageError, UserError, mistake_of
 from uavaccel.processes.guard import guard_children
 
@@ -35,19 +34,23 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-for command in COMMANDS:  # what follows a script are its own arguments
-    app.command(context_settings={"allow_interspersed_args": command is not fly})(command)
+OF_OTHERS = {"allow_extra_args": True, "ignore_unknown_options": True, "help_option_names": []}
+for command in COMMANDS:  # what follows a script are its own arguments, and what follows bench those of the benchmarks
+    app.command(context_settings=OF_OTHERS if command is bench else {"allow_interspersed_args": command is not fly})(
+        command
+    )
 
 
-def main() -> None:
-    """Run the command line; a user's mistake is printed as one line, never as a traceback."""
+def main(before: Sequence[str] = ()) -> None:
+    """Run the command line, `before` and what was typed; a mistake is printed as one line, never as a traceback."""
+    words = [*before, *sys.argv[1:]]
     _open_closed_streams()
     signal.signal(signal.SIGTERM, _as_ctrl_c)
     guard_children(lambda line: _print(f"warning: {line}"))
     try:
         _check_threads()
-        _refuse_empty(sys.argv[1:])
-        status = app(sys.argv[1:] or ["--help"], prog_name="uavaccel", standalone_mode=False)
+        _refuse_empty(words)
+        status = app(words or ["--help"], prog_name="uavaccel", standalone_mode=False)
         sys.stdout.flush()
     except (KeyboardInterrupt, typer.Abort):
         status = _complain("interrupted", 130)

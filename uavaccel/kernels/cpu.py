@@ -16,7 +16,7 @@ from uavaccel.kernels.operands import Launchable, Operand
 from uavaccel.kernels.project import project
 from uavaccel.kernels.spans import draw_channels, draw_depths, make_scratch, transpose_colour, transpose_gray
 from uavaccel.kernels.timeline import Clocks, Command
-from uavaccel.parts import part
+from uavaccel.sim.parts import part
 from uavaccel.sim.vehicle.hotloop import sources
 from uavaccel.vision import dvs_kernels as dvs
 from uavaccel.vision.dvs_sensor import HOT_RATE_HZ

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from uavaccel.kernels import fields as at
 from uavaccel.kernels.fields import Looks, Scenes
 from uavaccel.kernels.rays import Faces, touches
-from uavaccel.parts import part
+from uavaccel.sim.parts import part
 
 Floats = NDArray[np.floating]
 Vector = tuple[float, float, float]

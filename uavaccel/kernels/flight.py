@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.kernels.touching import NOTHING, Share, Solids, free_ticks, touched
-from uavaccel.parts import part
+from uavaccel.sim.parts import part
 from uavaccel.sim.vehicle.autopilot import control
 from uavaccel.sim.vehicle.free_body import free_step, move, normalised
 from uavaccel.sim.vehicle.hotloop import kick, read_pose

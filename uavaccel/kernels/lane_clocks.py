@@ -13,7 +13,7 @@ from uavaccel.kernels.fields import COLUMNS, ROWS
 from uavaccel.kernels.lanes import PICTURE_SEED, Flights, Games, command, touched
 from uavaccel.kernels.operands import Operand
 from uavaccel.kernels.timeline import Clocks, Timing
-from uavaccel.parts import part
+from uavaccel.sim.parts import part
 from uavaccel.vision.guard import LUMA_WEIGHTS
 
 RED, GREEN, BLUE = LUMA_WEIGHTS

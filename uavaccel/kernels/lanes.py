@@ -15,7 +15,7 @@ from uavaccel.kernels.fields import SOLIDS, Scenes
 from uavaccel.kernels.flight import BODY_FIELDS, NEXT_LOOK, TOUCHED, fly_ticks
 from uavaccel.kernels.operands import Operand
 from uavaccel.kernels.touching import ALL, NOTHING, SOLID_FIELDS
-from uavaccel.parts import part
+from uavaccel.sim.parts import part
 from uavaccel.sim.vehicle.autopilot import POSITION, RATE, VELOCITY
 from uavaccel.sim.vehicle.hotloop import kick, read_pose
 from uavaccel.sim.vehicle.quadrotor import FLIGHT_DTYPE, NEVER, PARAMETERS_DTYPE

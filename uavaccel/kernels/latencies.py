@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from uavaccel.kernels.operands import Operand
-from uavaccel.parts import part
+from uavaccel.sim.parts import part
 from uavaccel.vision.noise import LATENCY, words
 
 MOVE, PAUSE, CONTINUE, CONTINUE_FOR, STATE, IMAGE, CALL = range(7)  # channels

@@ -31,7 +31,7 @@ from uavaccel.kernels.faces import (
 )
 from uavaccel.kernels.fields import Looks, Scenes
 from uavaccel.kernels.rays import Faces
-from uavaccel.parts import part
+from uavaccel.sim.parts import part
 
 
 @part(error_model="numpy", inline=False)

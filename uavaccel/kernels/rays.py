@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.kernels import fields as at
-from uavaccel.parts import part
+from uavaccel.sim.parts import part
 
 Faces = NDArray[np.float32]  # (FACES, FIELDS): of one image; row 0 has its rays
 Textures = NDArray[np.int32]  # (n, 2)

@@ -32,7 +32,7 @@ from uavaccel.kernels.rays import (
     sky_index,
     texel_index,
 )
-from uavaccel.parts import part
+from uavaccel.sim.parts import part
 
 HUGE = np.float32(1e30)
 Floats = NDArray[np.float32]

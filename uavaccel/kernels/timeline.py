@@ -14,7 +14,7 @@ import numpy as np
 from uavaccel.kernels import latencies as wire
 from uavaccel.kernels.latencies import Latencies, drawn_ns, fault_ns, uniform, wait_class
 from uavaccel.kernels.operands import Operand
-from uavaccel.parts import part
+from uavaccel.sim.parts import part
 from uavaccel.vision.guard import GuardSettings
 
 DARKEST, MOST_CHANGE = GuardSettings().min_brightness, GuardSettings().max_change

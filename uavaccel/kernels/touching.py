@@ -18,7 +18,7 @@ from numba.extending import overload
 from numpy.typing import NDArray
 
 from uavaccel.kernels.fields import CYLINDER, PLANE
-from uavaccel.parts import part
+from uavaccel.sim.parts import part
 from uavaccel.sim.vehicle.clearance import MARGIN_M, free_s
 from uavaccel.sim.vehicle.quadrotor import Record
 

@@ -193,7 +193,7 @@ class Dp1(Suite[Dp1Config, Game]):
         """Record the messages of one command of each kind, for Figure 4."""
         with self.open(config, config.timing, run) as session:
             for command in config.command:
-                from uavaccel.bench.traces import record_trace
+                from uavaccel.calibration.traces import record_trace
 
                 trace = record_trace(session, command, max(config.clock_speed), max(config.t_move_s))
                 run.write_json(f"traces/{command}.json", trace)

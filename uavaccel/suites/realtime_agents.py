@@ -19,6 +19,7 @@ from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.utils import set_random_seed
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
+import uavaccel.envs  # noqa: F401  registers the drones'
 from uavaccel.clock import MonotonicClock
 from uavaccel.realtime import RealTime, RealTimeProcess, samples
 from uavaccel.realtime.control_loop import Command, ControlLoop, LoopOptions

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from uavaccel.parts import njit, part
+from uavaccel.sim.parts import njit, part
 from uavaccel.vision.observation import BLOCK_SIDE, NEUTRAL_LEVEL
 from uavaccel.vision.rounding import times
 

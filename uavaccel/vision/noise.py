@@ -11,7 +11,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from uavaccel.parts import njit, part
+from uavaccel.sim.parts import njit, part
 
 LEAK_JITTER, SHOT_NOISE, READ_NOISE, LATENCY = 1, 2, 3, 4  # independent streams
 PIXELS = 4  # per block

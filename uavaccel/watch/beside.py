@@ -17,7 +17,7 @@ from pathlib import Path
 from select import select
 from typing import IO
 
-from uavaccel.errors import UsageError, UserError
+from uavaccel.errors import UserError
 from uavaccel.processes.child import Process, Watch, end_within, start_python
 from uavaccel.processes.cleanup import remove_orphaned_files
 from uavaccel.watch.server import check_viser, free_port
@@ -36,16 +36,6 @@ class PageAddress:
 
     host: str = LOOPBACK
     port: int = PORT
-
-
-def parse_address(watch: bool, address: str | None) -> PageAddress | None:
-    """The address of --watch and --watch-at HOST, :PORT or HOST:PORT; None without a page. Raises UsageError."""
-    if address is None:
-        return PageAddress() if watch else None
-    host, colon, port = address.rpartition(":") if ":" in address else (address, "", "")
-    if colon and not (port.isdecimal() and 0 < int(port) < 1 << 16):
-        raise UsageError(f"--watch-at {address}: should be HOST, :PORT or HOST:PORT, as in 127.0.0.1:8080")
-    return PageAddress(host or LOOPBACK, int(port) if port else PORT)
 
 
 @contextmanager

@@ -134,7 +134,7 @@ ZERO_LATENCY = LatencyConfig()
 
 @cache
 def shipped_latency(profile: str = "native") -> LatencyConfig:
-    """Return a profile's shipped model: measured by `uavaccel calibrate`, or AirSim's by experiments/fit_airsim.py."""
+    """Return a profile's shipped model: measured by `uavaccel calibrate`, or AirSim's by tools/fit_airsim.py."""
     return read_latency(experiment(SHIPPED[profile]), shipped=True)
 
 

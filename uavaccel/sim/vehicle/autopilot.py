@@ -18,7 +18,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from uavaccel.parts import part
+from uavaccel.sim.parts import part
 from uavaccel.sim.vehicle.quadrotor import PID_LEVELS, Record, density_ratio, world_to_body
 
 VELOCITY, POSITION = 0, 1  # modes of x, y and of z

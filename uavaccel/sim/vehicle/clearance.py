@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from uavaccel.parts import njit, part
+from uavaccel.sim.parts import njit, part
 from uavaccel.sim.state import SavedState, State
 from uavaccel.sim.vehicle.quadrotor import Record
 

@@ -16,7 +16,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from uavaccel.parts import part
+from uavaccel.sim.parts import part
 from uavaccel.sim.vehicle.quadrotor import Record
 
 Triple: TypeAlias = tuple[float, float, float]

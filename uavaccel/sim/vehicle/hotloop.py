@@ -30,7 +30,7 @@ from numba import carray, cfunc, types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from uavaccel.parts import part
+from uavaccel.sim.parts import part
 from uavaccel.sim.vehicle.autopilot import control
 from uavaccel.sim.vehicle.free_body import free_step
 from uavaccel.sim.vehicle.quadrotor import FLIGHT_DTYPE, NEVER, PARAMETERS_DTYPE, Record, accelerate, turn_rotors

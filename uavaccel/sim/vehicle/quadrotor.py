@@ -13,7 +13,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from uavaccel.parts import njit, part
+from uavaccel.sim.parts import njit, part
 
 Record: TypeAlias = Any  # one element of a structured array, which numba knows field by field
 

@@ -1,0 +1,88 @@
+"""Draw pictures of drawn lanes by OpenGL and by `uavaccel.kernels`, their difference, and count how far they are apart.
+
+    python tools/draw_kernel_looks.py docs/figures/kernels_looks.png
+
+Prints the table of docs/kernels-looks.md.
+"""
+
+import argparse
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import mujoco
+import numpy as np
+
+from uavaccel.kernels.looks import empty_scenes, fill_scenes, read_looks
+from uavaccel.kernels.pictures import draw_colour, draw_depth, draw_gray
+from uavaccel.resources import asset
+from uavaccel.sim.camera.camera import Camera
+from uavaccel.sim.lane.layout import Difficulty, draw_layout, lane_seed
+from uavaccel.sim.lane.scene import apply_layout
+from uavaccel.sim.poses import Pose
+from uavaccel.units import ned_to_mujoco, quaternion_ned_to_mujoco
+
+SHOWN, GAIN = 4, 16
+CONDITIONS = {  # altitude in metres, tilt and yaw in degrees, cylinders
+    "2 m, tilted up to 15 degrees": ((1.5, 2.5), 15.0, 8.0, False),
+    "the same, cylinders": ((1.5, 2.5), 15.0, 8.0, True),
+    "0.8 to 25 m, tilted up to 40 degrees, all round": ((0.8, 25.0), 40.0, 180.0, False),
+}
+
+
+def attitude(rng: np.random.Generator, tilt: float, yaw: float) -> np.ndarray:
+    """A quaternion wxyz of angles up to these, degrees."""
+    halves = np.radians(rng.uniform(-1, 1, 3) * (tilt, tilt, yaw)) / 2
+    roll, pitch, heading = [
+        (float(np.cos(a)), *(float(np.sin(a)) * axis)) for a, axis in zip(halves, np.eye(3), strict=True)
+    ]
+    turned = Pose(orientation_wxyz=heading).of(Pose(orientation_wxyz=pitch)).of(Pose(orientation_wxyz=roll))
+    return np.array(turned.orientation_wxyz)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("picture", type=Path, help="PNG to write")
+    parser.add_argument("--views", type=int, default=200, help="of each condition")
+    options = parser.parse_args()
+    model = mujoco.MjModel.from_xml_path(str(asset("mjcf/lane.xml")))
+    data, looks, rows = mujoco.MjData(model), read_looks(model), []
+    lanes = np.arange(options.views, dtype=np.int32)
+    with Camera(model) as camera:
+        for name, ((low, high), tilt, yaw, round_ones) in CONDITIONS.items():
+            rng = np.random.default_rng(18)
+            layouts = [
+                draw_layout(lane_seed("evaluation", lane), Difficulty(light=(0.1, 1.0))) for lane in lanes
+            ]
+            for layout in layouts:
+                layout.round[:] = round_ones
+            places = rng.uniform((-2, -4.5, -high), (155, 4.5, -low), (options.views, 3))
+            quaternions = np.array([attitude(rng, tilt, yaw) for _ in lanes])
+            scenes = empty_scenes(options.views)
+            fill_scenes(looks, scenes, lanes.tolist(), layouts)
+            drawn = [
+                draw(looks, scenes, lanes, places, quaternions)
+                for draw in (draw_gray, draw_colour, draw_depth)
+            ]
+            theirs: list[list[np.ndarray]] = [[], [], []]
+            cameras: list[Callable[[Any], np.ndarray]] = [camera.gray, camera.colour, camera.depth]
+            for layout, place, quaternion in zip(layouts, places, quaternions, strict=True):
+                apply_layout(model, data, layout)
+                data.qpos[:3], data.qpos[3:7] = ned_to_mujoco(place), quaternion_ned_to_mujoco(quaternion)
+                for kept, render in zip(theirs, cameras, strict=True):
+                    kept.append(render(data))
+            gray, colour = (np.abs(np.array(theirs[kind]).astype(int) - drawn[kind]) for kind in (0, 1))
+            depth = np.abs(drawn[2] / np.array(theirs[2]) - 1)
+            print(
+                f"| {name} | {gray.mean():.4f} | {100 * (gray > 0).mean():.4f} % | {100 * (gray > 10).mean():.4f} % "
+                f"| {colour.mean():.4f} | {100 * (depth > 1e-3).mean():.4f} % |"
+            )
+            for view in range(SHOWN if not round_ones else SHOWN // 2):
+                apart = np.abs(np.array(theirs[1][view]).astype(int) - drawn[1][view])
+                rows.append(np.hstack([theirs[1][view], drawn[1][view], np.minimum(GAIN * apart, 255)]))
+    cv2.imwrite(str(options.picture), np.vstack(rows).astype(np.uint8)[..., ::-1])
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,119 @@
+"""What `uavaccel doctor` finds: whether this machine can simulate, measure and draw, and what it lacks."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from typing import NamedTuple
+
+from uavaccel.calibration.machine import check_machine
+from uavaccel.clock import calendar_time
+from uavaccel.errors import UserError
+from uavaccel.files import Plain
+from uavaccel.manifest import describe_run
+
+USER_ERROR = f"{UserError.__module__}.{UserError.__name__}"
+TIMEOUT_S = 180.0  # a driver that hangs must not take the doctor with it
+PACKAGES = "libegl1 libegl-mesa0 libgl1-mesa-dri"  # not from sim.gl: importing MuJoCo may be what fails
+
+# Both run in processes of their own: a library that is missing or crashes becomes a line of the report.
+HOT_LOOP = """
+import json
+from uavaccel.clock import MonotonicClock
+clock = MonotonicClock()
+import mujoco, numba, numpy, pydantic
+start_ns = clock.now_ns()
+from uavaccel.sim.vehicle import hotloop
+from uavaccel.sim.profile import NATIVE
+from uavaccel.sim.world import World
+World("blocks", NATIVE).advance(1)
+print(json.dumps({"cached": bool(hotloop.ENTRY_POINTS.fly.cache_hits), "seconds": (clock.now_ns() - start_ns) / 1e9}))
+"""
+RENDERER = """
+import dataclasses, json
+from uavaccel.sim.camera.gl import describe_renderer
+print(json.dumps(dataclasses.asdict(describe_renderer())))
+"""
+
+
+class Finding(NamedTuple):
+    """One line of the report; `problem` marks what the user might want to fix."""
+
+    name: str
+    text: str
+    problem: bool = False
+
+
+class ProbeError(Exception):
+    """A probe without a result; the text says why in one line and, if `advised`, what to do about it."""
+
+    def __init__(self, text: str, advised: bool = False) -> None:
+        super().__init__(text)
+        self.advised = advised
+
+
+def findings() -> Iterator[Finding]:
+    """Yield all findings, the quick ones first."""
+    run = describe_run(["doctor"], 0, calendar_time())
+    versions = run["versions"]
+    found = ", ".join(f"{name} {version or 'missing'}" for name, version in versions.items())
+    yield Finding("versions", found, None in versions.values())
+    yield Finding("host", f"{run['host']['platform']}, {run['host']['cpu_model']}")
+    yield from measuring()
+    yield hot_loop()
+    yield renderer()
+
+
+def measuring() -> Iterator[Finding]:
+    """Yield the findings about cores and timers: whether this machine can measure on the wall clock."""
+    machine = check_machine()
+    yield Finding("cores", f"{machine['cores']}, load {machine['load_1min']:.2f}")
+    yield Finding(
+        "timers",
+        f"a sleep ends {machine['timer_late_median_us']:.0f} us late (median), "
+        f"{machine['timer_late_p90_us']:.0f} us (90th percentile)",
+    )
+    yield Finding("timing", f"wall: {machine['verdict']}", machine["verdict"] != "quiet")
+
+
+def hot_loop() -> Finding:
+    """Return whether the simulator runs, and whether its compiled loop comes from numba's cache."""
+    try:
+        found = probe(HOT_LOOP)
+    except ProbeError as error:
+        return Finding("hot loop", f"does not run: {error}", True)
+    if found["cached"]:
+        return Finding("hot loop", f"ready in {found['seconds']:.1f} s, from numba's cache")
+    return Finding("hot loop", f"compiled in {found['seconds']:.1f} s; numba's cache has it from now on")
+
+
+def renderer() -> Finding:
+    """Return which renderer would draw the camera's images."""
+    try:
+        found = probe(RENDERER)
+    except ProbeError as error:
+        advice = "" if error.advised else f"; install {PACKAGES} (Debian)"
+        return Finding("images", f"none: {error}{advice}", True)
+    where = ", software on the CPU, slow" if found["software"] else ""
+    return Finding("images", f"{found['backend']}: {found['name']}{where}", found["software"])
+
+
+def probe(program: str) -> dict[str, Plain]:
+    """Run a Python program, and return the JSON that it prints last. Raises ProbeError with one line."""
+    command = [sys.executable, "-c", program]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=TIMEOUT_S)
+    except subprocess.TimeoutExpired:
+        raise ProbeError(f"no answer within {TIMEOUT_S:.0f} s") from None
+    if done.returncode < 0:
+        raise ProbeError(f"it crashed ({signal.Signals(-done.returncode).name})")
+    if done.returncode:
+        last = (done.stderr.strip() or f"it ended with status {done.returncode}").splitlines()[-1]
+        kind, _, text = last.partition(": ")
+        advised = kind == USER_ERROR
+        raise ProbeError(text if advised else last, advised)
+    found: dict[str, Plain] = json.loads(done.stdout.splitlines()[-1])
+    return found

@@ -1,0 +1,164 @@
+"""The commands that examine this machine: calibrate, advise, bench, doctor; and to start with, init, schema."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from uavaccel.cli.options import Latency, Profile, check_number, check_profile
+from uavaccel.cli.terminal import console
+from uavaccel.errors import UsageError, UserError
+
+MOST_COMMANDS, MOST_ROUNDS = 1_000_000, 1000
+SCHEMA = "train.schema.json"  # the file that the starter's YAML names
+
+
+def calibrate(
+    out: Annotated[Path, typer.Option(help="YAML file to write.")] = Path("latency.yaml"),
+    commands: Annotated[int, typer.Option(help="Approximate number of commands of each kind to fly.")] = 1500,
+    profile: Profile = "native",
+    check: Annotated[
+        bool, typer.Option("--check", help="Fly the same games on both clocks and compare; write nothing.")
+    ] = False,
+    latency: Annotated[Path | None, typer.Option(help="For --check: the model; by default the shipped one.")] = None,
+    games: Annotated[int, typer.Option(help="For --check: games of each kind.")] = 20,
+) -> None:
+    """Measure this machine's message latencies for the virtual timing to draw from, or check a model of them."""
+    from uavaccel.calibration.calibrate import LEVELS_TEXT, check_agreement, measure, model_file
+    from uavaccel.calibration.machine import check_machine
+    from uavaccel.files import check_new_file
+    from uavaccel.sim.camera.gl import describe_renderer
+    from uavaccel.wire.latency import read_latency, shipped_latency
+
+    check_profile(profile)
+    if check:
+        check_number("--games", games, 1, MOST_COMMANDS)
+        model = shipped_latency() if latency is None else read_latency(latency)
+        console.print(f"machine check: {check_machine()['verdict']}; latency model: {latency or 'the shipped one'}")
+        found = list(check_agreement(model, profile, games))
+        console.print(LEVELS_TEXT)
+        _print_columns(("command", "clock", "T_move s", "", "wall", "wall again", "virtual", ""), [
+            each.texts() for each in found
+        ])  # fmt: skip
+        console.print(f"{sum(each.agrees for each in found)} of {len(found)} agree")
+        return
+    check_new_file(out)
+    check_number("--commands", commands, 1, MOST_COMMANDS)
+    verdict, images = check_machine()["verdict"], True
+    console.print(f"machine check: {verdict}")
+    try:
+        describe_renderer()
+    except UserError as error:
+        console.print(f"without images, whose latencies become those of any call: {error}")
+        images = False
+    latencies = measure(profile, commands, images)
+    out.write_text(model_file(latencies, profile, verdict))
+    for line in latencies.lines():
+        console.print(line)
+    console.print(f"{out}: use it with --set latency={out}")
+
+
+def advise(
+    t_move: Annotated[float, typer.Option("--t-move", help="Duration of a command in seconds.")] = 1.0,
+    error: Annotated[float, typer.Option(help="Largest error of a trajectory in metres.")] = 0.1,
+    rounds: Annotated[int, typer.Option(help="Rounds of the square path.")] = 4,
+    latency: Latency = None,
+    profile: Profile = "native",
+) -> None:
+    """Say up to which ClockSpeed ADSC stays within an error, and what TCSC would gain."""
+    from uavaccel.calibration.advise import advise as advised
+    from uavaccel.calibration.advise import sentence
+    from uavaccel.limits import MOST_SECONDS
+    from uavaccel.sim.profile import PROFILES
+    from uavaccel.wire.latency import read_latency, shipped_latency
+
+    check_profile(profile)
+    if not error > 0:
+        raise UserError(f"--error {error:g}: must be above 0 metres")
+    check_number("--rounds", rounds, 1, MOST_ROUNDS)
+    if not 0.0 < t_move <= MOST_SECONDS:
+        raise UserError(f"--t-move {t_move:g}: must be above 0 and at most {MOST_SECONDS:g} seconds")
+    PROFILES[profile].check_duration(t_move, "--t-move")
+    model = shipped_latency(profile) if latency is None else read_latency(latency)
+    found = list(advised(model, profile, t_move, rounds))
+    header = ("ClockSpeed", "ADSC error m", "STLC", "speed-up", "TCSC error m", "STLC", "speed-up")
+    _print_columns(header, [(f"{each[0]:g}x", *(f"{number:.3g}" for number in each[1:])) for each in found])
+    console.print(sentence(found, error, t_move))
+
+
+def _print_columns(header: tuple[str, ...], rows: list[tuple[str, ...]]) -> None:
+    from rich.table import Table
+
+    table = Table(*header, box=None, pad_edge=False)
+    for row in rows:
+        table.add_row(*row)
+    console.print(table)
+
+
+def bench(context: typer.Context) -> None:
+    """Measure this machine, in a source checkout: `python -m benchmarks`, with its names and options."""
+    import sys
+    from importlib import import_module
+
+    checkout = Path(__file__).parents[2]
+    if not (checkout / "benchmarks").is_dir():
+        raise UserError("bench: benchmarks/ is in the source, not in the installed package: python -m benchmarks there")
+    sys.path.insert(0, str(checkout))
+    import_module("benchmarks.__main__").app(context.args, prog_name="uavaccel bench", standalone_mode=False)
+
+
+def doctor() -> None:
+    """Examine this machine: versions, timers, hot loop, renderer."""
+    from rich.console import Console
+    from rich.table import Table
+
+    from uavaccel.calibration.doctor import findings
+
+    problems = 0
+    folding = Console(highlight=False, markup=False)
+    for finding in findings():
+        row = Table.grid(padding=(0, 1))
+        row.add_column(min_width=9)
+        row.add_column(overflow="fold")
+        row.add_row(finding.name, f"{'! ' if finding.problem else ''}{finding.text}")
+        folding.print(row)
+        problems += finding.problem
+    folding.print("nothing to mend" if not problems else f"{problems} to look at, marked with !")
+
+
+def init(folder: Annotated[str, typer.Argument(help="A new or empty folder.")]) -> None:
+    """Write a commented training and a task of one's own to begin with."""
+    from uavaccel.resources import asset
+
+    if not folder.strip():  # as a path, this folder
+        raise UsageError("init: the folder's name is empty")
+    path = Path(folder)
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        if present := sorted(entry.name for entry in path.iterdir()):
+            raise UserError(f"{folder}: holds {present[0]}; init wants a new or an empty folder")
+        for source in sorted(file for file in asset("starter").iterdir() if file.is_file()):
+            (path / source.name).write_bytes(source.read_bytes())
+        (path / SCHEMA).write_text(schema_text("train"), encoding="utf-8")
+    except OSError as error:
+        raise UserError(f"{folder}: {error.strerror}") from error
+    console.print(f"{folder}: start with its README.md")
+
+
+def schema(suite: Annotated[str, typer.Argument(help="The value of the key `suite` in a YAML file.")]) -> None:
+    """Print the JSON schema of a suite's YAML files, for editors."""
+    print(schema_text(suite), end="")
+
+
+def schema_text(suite: str) -> str:
+    """Return the JSON schema of a suite's YAML files. Raises UserError for an unknown suite."""
+    import json
+
+    from uavaccel.config import schema as schema_of
+    from uavaccel.suites.own_code import told
+    from uavaccel.suites.registry import find_suite
+
+    with told():
+        return json.dumps(schema_of(find_suite(suite, "schema").config), indent=2, sort_keys=True) + "\n"

@@ -1,0 +1,245 @@
+"""From what is asked for to a run that has begun: configuration, plan, manifest, and how an interrupted one goes on."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass, field, replace
+from itertools import islice
+from pathlib import Path
+from typing import Any, get_origin
+
+from pydantic import BaseModel
+
+from uavaccel.calibration.machine import check_machine
+from uavaccel.clock import calendar_time
+from uavaccel.config import apply_overrides, parse_override
+from uavaccel.errors import Interrupted, UsageError, UserError, mistake_of
+from uavaccel.files import Plain, check_new_folder
+from uavaccel.limits import MOST_GAMES
+from uavaccel.manifest import describe_run
+from uavaccel.metrics.speedup import timing_provenance
+from uavaccel.records import RunDirectory
+from uavaccel.suites.engines import LOKY, check_engine
+from uavaccel.suites.experiment import Experiment, is_file, merged, read_mapping, timing_of
+from uavaccel.suites.keys import KEYS
+from uavaccel.suites.own_code import told
+from uavaccel.suites.registry import find_suite, suite_of
+from uavaccel.suites.runner import begin_run, check_cases, check_jobs
+from uavaccel.suites.suite import AnySuite, Case, configuration
+
+
+@dataclass(frozen=True)
+class RunRequest:
+    """What is to be flown; options that were not given are None."""
+
+    experiment: str | None
+    """A name or a file; None for that of the run in `out`, to resume."""
+    options: Mapping[str, object] = field(default_factory=dict)
+    """By the key of the configuration, or of its task."""
+    overrides: Sequence[str] = ()
+    jobs: int = 1
+    out: Path | None = None
+    resume: bool = False
+    dry_run: bool = False
+    suite: str | None = None
+    """The suite that the command is restricted to."""
+    engine: str = LOKY
+    watch: bool = False
+    """Whether a page in the browser shows the flights."""
+    trust: bool = False
+    """Whether code that a resumed run names may run; that of an experiment which is named here may."""
+
+    def told(self) -> AbstractContextManager[None]:
+        """Return the context in which own code runs as far as it was asked for."""
+        file = self.experiment if self.experiment is not None and is_file(self.experiment) else None
+        return told(self.trust or self.experiment is not None, None if file is None else Path(file).resolve().parent)
+
+
+def configure(request: RunRequest) -> tuple[AnySuite, Any]:
+    """Return the suite and the configuration of a request; without an experiment those of the run that is resumed.
+
+    A shipped experiment with a single ClockSpeed is shortened, and measured on the wall clock. Raises UserError.
+    """
+    with request.told():
+        given = {key: value for key, value in request.options.items() if value is not None}
+        if request.experiment is None:
+            suite, mapping, source = _resumed(request)
+        else:
+            mapping, source = read_mapping(request.experiment)
+            suite = find_suite(apply_overrides(mapping, request.overrides).get("suite"), source)
+            if request.suite not in (None, suite.name):
+                raise UsageError(
+                    f"{request.experiment}: is of {suite.name}, not of {request.suite}; `uavaccel run` flies it"
+                )
+            quick = not is_file(request.experiment) and suite.quick is not None
+            if quick and len(_values(given.get("clock_speed", ()))) == 1:
+                mapping |= suite.quick or {}
+                given.setdefault("timing", "wall")
+        options = dict(_place(suite, name, value) for name, value in given.items())
+        return suite, configuration(suite, merged(mapping, options, request.overrides), source)
+
+
+def _resumed(request: RunRequest) -> tuple[AnySuite, dict[str, Plain], str]:
+    out = request.out
+    if not request.resume or out is None:
+        raise UsageError("name an experiment, as in `uavaccel run dp1`, or a run's folder: --out FOLDER --resume")
+    if not (out / "config.yaml").is_file():
+        raise UserError(f"--out {out}: no run to go on with: no config.yaml in it; name an experiment to begin one")
+    run = RunDirectory(out)
+    suite = suite_of(run)
+    if request.suite not in (None, suite.name):
+        raise UserError(f"--out {out}: is a run of {suite.name}, not of {request.suite}; go on with `uavaccel run`")
+    return suite, run.config(), str(out)
+
+
+def _place(suite: AnySuite, name: str, value: object) -> tuple[str, object]:
+    """Return the dotted key of an option, at the top of the configuration or in its task, and the value for that key.
+
+    Raises UsageError if the suite has no such key, or takes one value and was given several.
+    """
+    fields = suite.config.model_fields
+    task = fields["task"].annotation if "task" in fields else None
+    holder: type[BaseModel] = suite.config
+    if name not in fields and isinstance(task, type) and issubclass(task, BaseModel):
+        holder = task
+    option = KEYS[name].option if name in KEYS else f"--{name}"
+    if name not in holder.model_fields:
+        raise UsageError(f"{option}: {suite.name} has no such option")
+    if get_origin(holder.model_fields[name].annotation) is not tuple:
+        values = _values(value)
+        if len(values) > 1:
+            raise UsageError(f"{option}: {suite.name} takes one value, not {len(values)}")
+        value = values[0]
+    return (name if holder is suite.config else f"task.{name}"), value
+
+
+def _values(value: object) -> list[object]:
+    return list(value) if isinstance(value, list | tuple) else [value]
+
+
+def as_sweep(request: RunRequest, conditions: Mapping[str, object]) -> RunRequest:
+    """Return the request for evaluations under one changed condition each, in place of a single one."""
+    given = {name: value for name, value in request.options.items() if value is not None}
+    of_sweep = {name: given.pop(name, None) for name in ("agent", "games", "seed")}
+    keys = {f"task.{name}": value for name, value in given.items()} | dict(map(parse_override, request.overrides))
+    evaluation = {"experiment": "evaluate", "keys": keys}
+    options = {**of_sweep, "sweep": dict(conditions), "evaluation": evaluation}
+    return replace(request, experiment="sweep", options=options, overrides=(), suite=None)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A run that can be flown: `left` are the cases without a row."""
+
+    suite: AnySuite
+    config: Any
+    cases: Sequence[Case]
+    left: Sequence[Case]
+    out: Path
+    request: RunRequest
+
+    def lines(self) -> Iterator[str]:
+        """Yield games by clock and simulated seconds, and whether some cannot fly in parallel; times are not known."""
+        if not self.left:
+            yield f"no game is left to be flown in {self.out}"
+        else:
+            clocks = Counter(case.timing for case in self.left)
+            by_clock = ", ".join(f"{count} {timing}" for timing, count in clocks.items())
+            games = sum(self.suite.games(self.config, case) for case in self.left)
+            what = f"{games} games" if games == len(self.left) else f"{games:,} games in {len(self.left)} cells"
+            sources = " and ".join(sorted({timing_provenance(timing) for timing in clocks}))
+            simulated_s = sum(case.simulated_s() for case in self.left)
+            time = f"{simulated_s:,.0f} simulated s, wall time known after the first"
+            yield f"{what} ({by_clock}: {sources}), {time}, into {self.out}"
+        alone = sum(case.timing == "wall" for case in self.cases)
+        if alone and (self.request.jobs > 1 or self.request.engine != LOKY):
+            yield f"{alone} games on the wall clock fly alone, in this process, one by one"
+
+    def begin(self, say: Callable[[str], object]) -> RunDirectory:
+        """Return the run's folder, new or as it was left; `say` is told of renderer, machine, and what has changed."""
+        manifest = manifest_of(self.suite, self.config, say)
+        run = begin_run(self.suite, self.config, self.out, manifest, self.request.resume)
+        if "resumed" in run.manifest():
+            for line in resumption_notes(run, len(self.cases), manifest):
+                say(line)
+        return run
+
+
+def plan(request: RunRequest) -> Plan:
+    """Return what a request would fly. Raises UserError with one line; a dry run may name any folder."""
+    if request.resume and request.out is None and request.experiment is not None:
+        raise UsageError("--resume: say which run to go on with: --out FOLDER")
+    suite, config = configure(request)
+    check_jobs(suite, config, request.jobs, request.engine)
+    cases = list(islice(suite.cases(config), MOST_GAMES + 1))
+    if len(cases) > MOST_GAMES:
+        raise UserError(f"more than {MOST_GAMES} games in all: fewer games, or fewer values to combine")
+    check_cases(suite, cases)
+    check_engine(request.engine)
+    if request.out is not None and not request.dry_run:
+        check_new_folder(request.out, request.resume)
+    name = Path(request.experiment or suite.name).stem
+    out = request.out or Path("runs") / f"{name}-{calendar_time()[:19].replace(':', '')}"
+    begun = request.resume and (out / "config.yaml").is_file()
+    flown = RunDirectory(out).done_cases() if begun else set()
+    return Plan(suite, config, cases, [case for case in cases if case.id not in flown], out, request)
+
+
+def manifest_of(suite: AnySuite, config: Experiment, say: Callable[[str], object]) -> dict[str, Plain]:
+    """Return the run's manifest, after checks of the machine and of the renderer if the suite needs one."""
+    name = None
+    if suite.renders(config):
+        from uavaccel.sim.camera.gl import describe_renderer
+
+        renderer = describe_renderer()
+        name = renderer.name
+        say(f"renderer: {name}{' (software)' if renderer.software else ''}")
+    manifest = describe_run(sys.argv, config.seed, calendar_time(), gl_renderer=name)
+    manifest.update(suite.provenance(config))
+    if timing_of(config) == "wall":
+        manifest["host_check"] = check_machine()
+        say(f"machine check: {manifest['host_check']['verdict']}")
+    return manifest
+
+
+def resumption_notes(run: RunDirectory, games: int, now: Mapping[str, Plain]) -> Iterator[str]:
+    """Yield lines about a run that is resumed: from where, and which versions have changed since it was begun."""
+    yield f"going on with {run.path}: {len(run.rows())} of {games} games are flown"
+    manifest = run.manifest()
+    before = [manifest, *manifest.get("resumed", [])[:-1]][-1].get("versions", {})
+    changed = [
+        f"{name} {before[name]} then, {version} now"
+        for name, version in now.get("versions", {}).items()
+        if name in before and before[name] != version
+    ]
+    if changed:
+        yield f"warning: flown so far with other versions: {'; '.join(changed)}"
+    first, commit = (each.get("git") or {} for each in (manifest, now))
+    if first.get("commit") and commit.get("commit") and first["commit"] != commit["commit"]:
+        yield f"warning: begun with another commit of uavaccel: {first['commit'][:12]}, now {commit['commit'][:12]}"
+
+
+@contextmanager
+def resumable(out: Path) -> Iterator[None]:
+    """Turn Ctrl-C, and errors of the system such as a full disk, into a line that says how to resume what was begun."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        raise Interrupted(f"interrupted{_going_on(out)}") from None
+    except (OSError, MemoryError) as error:
+        if (refused := mistake_of(error)) is None:
+            raise
+        raise UserError(f"{refused}{_going_on(out)}") from error
+    except UserError as error:
+        if not isinstance(error.__cause__, OSError):
+            raise
+        raise UserError(f"{error}{_going_on(out)}") from error
+
+
+def _going_on(out: Path) -> str:
+    begun = (out / "config.yaml").is_file()
+    return f"; go on with: uavaccel run --out {shlex.quote(str(out))} --resume" if begun else ""

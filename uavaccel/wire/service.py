@@ -1,0 +1,230 @@
+"""A free-running server for AirSim's clients, until Ctrl-C: `uavaccel serve`."""
+
+from __future__ import annotations
+
+import gc
+import ipaddress
+import signal
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from uavaccel.clock import MonotonicClock
+from uavaccel.errors import UserError
+from uavaccel.sim.profile import PROFILES
+from uavaccel.sim.simulation import Simulation, Speed
+from uavaccel.units import NS_PER_S
+from uavaccel.wire.api import Api
+from uavaccel.wire.game_api import FASTEST
+from uavaccel.wire.server import Server
+from uavaccel.wire.server_process import ready_simulation
+from uavaccel.wire.settings import Settings, read_settings
+
+PERIOD_NS = 2 * NS_PER_S  # interval of the reports on the achieved speed
+WORTH_TELLING = 0.005  # fraction of lost wall time that is reported
+
+
+@dataclass(frozen=True)
+class ServeOptions:
+    """The options on the command line; None leaves the choice to the settings."""
+
+    settings: Path | None = None
+    clock_speed: float | None = None
+    port: int | None = None
+    host: str | None = None
+    profile: str = "native"
+    scene: str = "blocks"
+    recordings: Path | None = None
+
+
+def serve(options: ServeOptions) -> None:
+    """Listen, print the address, and serve until SIGINT or SIGTERM. Raises UserError with one line."""
+    settings = read_settings(options.settings) if options.settings else Settings()
+    host, simulation = address_of(options, settings), simulation_of(options, settings)
+    recordings = recordings_of(options, settings)
+    try:
+        api = Api(simulation, settings, recordings=recordings, say=say)
+    except UserError as error:
+        raise UserError(f"{options.settings}: {error}") from None
+    draw_once(api)
+    server = Server(api, host, settings.api_server_port if options.port is None else options.port)
+    if settings.recording.enabled:
+        start_recording(api)
+    api.refusals.say = lambda line: say(f"warning: {line}")
+    report = ServerReport(server)
+    with stopped_by_signals(server):
+        greet(server, options, settings)
+        try:
+            server.serve(report.each_turn)
+        finally:
+            report.finish()
+
+
+def address_of(options: ServeOptions, settings: Settings) -> str:
+    """Return the address to listen on: beyond this machine only if the command line names it. Raises UserError."""
+    if options.host is not None:
+        return options.host
+    if not is_loopback(settings.address):
+        raise UserError(
+            f"{options.settings}: LocalHostIp = {settings.address!r} listens beyond this machine, where anybody may "
+            f"fly the drone; if that is meant, add --host {settings.address}"
+        )
+    return settings.address
+
+
+def is_loopback(host: str) -> bool:
+    """Return whether an address is reachable from this machine only."""
+    try:
+        return host == "localhost" or ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
+def clock_speed_of(options: ServeOptions, settings: Settings) -> float:
+    """Return the requested ClockSpeed; the simulation refuses 0 and below. Raises UserError if it is too high."""
+    speed = settings.clock_speed if options.clock_speed is None else options.clock_speed
+    if speed > FASTEST:
+        raise UserError(f"ClockSpeed must be at most {FASTEST:g}, not {speed:g}")
+    return speed
+
+
+def simulation_of(options: ServeOptions, settings: Settings) -> Simulation:
+    """Return the simulation of the scene, settled and running. Raises UserError for an unknown scene or profile."""
+    clock_speed = clock_speed_of(options, settings)
+    if options.profile not in PROFILES:
+        raise UserError(f"--profile {options.profile}: there are {', '.join(PROFILES)}")
+    profile = settings.recorder_of(PROFILES[options.profile])
+    simulation = ready_simulation(options.scene, profile, clock_speed, airsim=True)
+    settings.prepare(simulation.world)
+    return simulation
+
+
+def draw_once(api: Api) -> None:
+    """Draw once, so that no client's first image delays the clock, which starts then; warn if nothing can draw."""
+    try:
+        api.scenery.pictures.warm_up()
+    except UserError as error:
+        say(f"warning: there are no images: {error}")
+    gc.freeze()  # OpenGL's modules stay too: collecting them again and again would delay the clock
+    api.simulation.reset(MonotonicClock().now_ns())
+    api.simulation.settle(MonotonicClock().now_ns())  # the clock starts now
+
+
+def recordings_of(options: ServeOptions, settings: Settings) -> Path:
+    """Return the folder of recordings. Raises UserError where a file has its name."""
+    given = options.recordings or (Path(settings.recording.folder) if settings.recording.folder else None)
+    folder = given or Path.home() / "Documents" / "AirSim"
+    if folder.exists() and not folder.is_dir():
+        where = "--recordings" if options.recordings else f"{options.settings}: Recording.Folder ="
+        raise UserError(f"{where} {folder}: is no folder")
+    return folder
+
+
+def start_recording(api: Api) -> None:
+    """Record from the start, as Recording.Enabled requests. Raises UserError if that cannot be written."""
+    try:
+        api.recorder.start(MonotonicClock().now_ns())
+    except (OSError, ValueError) as error:  # the latter for a name with a zero byte
+        raise UserError(f"the recording cannot be written: {error}") from None
+
+
+def greet(server: Server, options: ServeOptions, settings: Settings) -> None:
+    """Print where the server listens, and the state of its vehicles."""
+    host, port = server.address
+    speed = float(server.api.simulation.clock_speed)
+    say(f"listening on {host}:{port}: scene {options.scene}, profile {options.profile}, ClockSpeed {speed:g}")
+    say(f"{waiting(server)}; the clock runs and API control is off, as in AirSim; Ctrl-C stops")
+    if not is_loopback(host):
+        say(f"warning: whoever reaches {host}:{port} may fly the drone; AirSim's protocol has no password")
+    if without_effect := settings.without_effect():
+        say(f"{options.settings}: without effect here: {', '.join(without_effect)}")
+
+
+def waiting(server: Server) -> str:
+    """Return the initial state of the vehicles in words."""
+    vehicles = server.api.simulation.world.vehicles
+    lead = vehicles[0]
+    how = "stands" if lead.start.idle else f"hovers {-lead.start.position_m[2]:g} m up"
+    others = f", {len(vehicles) - 1} more beside it" if len(vehicles) > 1 else ""
+    return f"{lead.name} {'is a camera' if server.api.settings.flightless else how}{others}"
+
+
+@contextmanager
+def stopped_by_signals(server: Server) -> Iterator[None]:
+    """Let SIGINT and SIGTERM stop the server after its present wake-up."""
+    kinds = (signal.SIGINT, signal.SIGTERM)
+    before = [signal.signal(kind, lambda *_: server.stop()) for kind in kinds]
+    try:
+        yield
+    finally:
+        for kind, handler in zip(kinds, before, strict=True):
+            signal.signal(kind, handler)
+
+
+class ServerReport:
+    """The server's periodic report on the terminal, and the periodic upkeep of its recording."""
+
+    def __init__(self, server: Server) -> None:
+        self._server = server
+        self._simulation = server.api.simulation
+        self._next_ns = server.clock.now_ns() + PERIOD_NS
+        self._speed = self._simulation.speed
+        self._total = Speed()
+        self._warned_of_lost_ns = 0
+        self._failure: str | None = None
+
+    def each_turn(self) -> None:
+        """To be called after every wake-up; cheap except once in PERIOD_NS."""
+        if self._simulation.speed is not self._speed:  # a reset begins a new count
+            self._total = add(self._total, self._speed)
+            self._speed = self._simulation.speed
+        if self._server.clock.now_ns() >= self._next_ns:
+            self._next_ns = self._server.clock.now_ns() + PERIOD_NS
+            self._each_period()
+
+    def finish(self) -> None:
+        """Close the recording, and print the achieved speed and the refused calls."""
+        self._upkeep(self._server.api.recorder.stop)
+        say(f"stopped; {self._text()}")
+        for line in self._server.api.refusals.lines():
+            say(f"  {line}")
+
+    def _each_period(self) -> None:
+        self._upkeep(self._server.api.recorder.keep)
+        speed = add(self._total, self._speed)
+        if speed.lost_wall_ns > max(2 * self._warned_of_lost_ns, speed.wall_ns * WORTH_TELLING):
+            self._warned_of_lost_ns = speed.lost_wall_ns  # a few lines, however long it goes on
+            say(f"warning: the machine does not keep up; {self._text()}")
+        failure = self._simulation.failure
+        if failure and failure != self._failure:
+            say(f"warning: the flight cannot go on ({failure}); a reset starts anew")
+        self._failure = failure
+        if sys.stdout.isatty():
+            say(self._text(), end="\r")
+
+    def _upkeep(self, work: Callable[[], object]) -> None:
+        try:
+            work()
+        except OSError as error:
+            say(f"warning: the recording ends here: {error}")
+
+    def _text(self) -> str:
+        speed = add(self._total, self._speed)
+        requested = float(self._simulation.clock_speed)
+        lost = f", {speed.lost_wall_ns / NS_PER_S:.3f} s of wall time lost" if speed.lost_wall_ns else ""
+        return (
+            f"requested {requested:g}x, achieved {speed.real_time_factor:.2f}x "
+            f"over {speed.wall_ns / NS_PER_S:.1f} s{lost}"
+        )
+
+
+def say(text: str, end: str = "\n") -> None:
+    """Print a line at once; on a terminal it overwrites what "\\r" left there."""
+    print(text + ("\x1b[K" if sys.stdout.isatty() else ""), end=end, flush=True)
+
+
+def add(one: Speed, other: Speed) -> Speed:
+    simulated_ns, wall_ns = one.simulated_ns + other.simulated_ns, one.wall_ns + other.wall_ns
+    return Speed(simulated_ns, wall_ns, one.lost_wall_ns + other.lost_wall_ns)
