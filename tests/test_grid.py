@@ -15,7 +15,6 @@ from tests.dp1_games import line_arrays, line_row
 from tests.drawing import labelled, legend_texts, points, record_figures, texts, tick_texts
 from tests.running import configured, fly_into, run_into
 from uavaccel.cli.experiments import sweep_agent
-from uavaccel.suites.session import RunRequest
 from uavaccel.config import validate
 from uavaccel.draw import style
 from uavaccel.envs.conditions import CONDITIONS
@@ -26,6 +25,7 @@ from uavaccel.suites.dp1 import Dp1, Dp1Config
 from uavaccel.suites.evaluate import Evaluation
 from uavaccel.suites.grid import Ablation, Point, Robustness, Sweep, parse_sweep
 from uavaccel.suites.report import Report
+from uavaccel.suites.session import RunRequest
 
 BASE = "base={profile: airsim, command: [adsc], clock_speed: [1, 10], t_move_s: [0.2], rounds: [2], games: 2, reference_games: 2}"  # noqa: E501
 # It sees nothing, so there are no pictures; the latency changes where it is when a game is cut short.
