@@ -22,6 +22,7 @@ import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from datetime import date
 from pathlib import Path
 from typing import Any
 
@@ -31,12 +32,14 @@ from uavaccel.fly.messages import FILE_NAME as MESSAGES
 from uavaccel.fly.options import THINK_S, FlightOptions
 from uavaccel.fly.trajectory import FILE_NAME as TRAJECTORY
 from uavaccel.fly.wall import recorded, serving
+from uavaccel.manifest import describe_run
 
 LEAST_BYTES = 500  # of an image: responses without one are shorter
 FLOWN_M = 0.5  # shorter paths are no flight
 WIRE_CLOCK = 10.0
 WIRE_LIMIT_S, WIRE_LEAST_S = 60.0, 10.0
 FLY_LIMIT_S = 300.0
+COMMAND = "python experiments/airsim_scripts.py AIRSIM/PythonClient --client-python VENV/bin/python --page PAGE.md"
 
 HEADER = f"""# AirSim's example scripts
 
@@ -45,7 +48,7 @@ eventcamera_sim), unmodified and headless: under `uavaccel fly` in virtual time,
 {1000 * THINK_S["virtual"]:g} ms before each call, and by the `airsim` 1.8.1 client over TCP against `uavaccel serve`
 at ClockSpeed 10. A script passes if it ends well, or flies on until it is stopped where it has no end; if no call of
 it was refused; and if what it is for has happened: the vehicle has flown, or images have come. Positions are metres
-NED. Made by `experiments/airsim_scripts.py`.
+NED.
 """
 
 NO_WINDOWS = """
@@ -150,7 +153,9 @@ PLANS = (
         endless=True,
         settings={"Vehicles": vehicles(Drone1={"Sensors": LIDARS})},
     ),
-    Plan("multirotor/set_fog.py", flies=True, settings={"Vehicles": vehicles(Drone={"X": 0, "Y": 0, "Z": 0})}),
+    Plan(  # it takes off if the vehicle stands on the ground, where AirSim starts it, and hovers otherwise
+        "multirotor/set_fog.py", flies=True, settings={"Vehicles": vehicles(Drone={"X": 0, "Y": 0, "Z": 0})}
+    ),
     Plan("multirotor/set_trace_line.py", flies=True),
     Plan("multirotor/set_wind.py", flies=True),
     Plan("multirotor/stability_test.py", flies=True, until_s=2000, not_by_wire="sleeps for 20 minutes"),
@@ -245,7 +250,7 @@ def under_fly(plan: Plan, folder: Path, scratch: Path, timing: str, profile: str
     if summary["status"] != 0:
         return Result(False, last_line(done[1]))
     if summary["position_m"] is None:
-        return Result(False, "did not connect")
+        return Result(not (plan.flies or plan.images), "it calls nothing")
     path_m = path_length_m(np.load(out / TRAJECTORY)["position_m"])
     images = images_in(out / MESSAGES)
     end = "" if summary["finished"] else f"stopped after {plan.until_s:g} s"
@@ -399,7 +404,16 @@ def page(rows: Sequence[tuple[Plan, Result | None, Result | None]]) -> str:
         tried = [result for result in results if result is not None]
         passed = sum(result.passed for result in tried)
         lines.append(f"\n{name}: {passed} of {len(tried)} pass.")
+    lines.append(f"\n{made()}")
     return "\n".join(lines) + "\n"
+
+
+def made() -> str:
+    """What made the table: the command, the version and its commit, and the day."""
+    run: Any = describe_run([], 0, "")
+    commit = run["git"]["commit"][:10] + (" with changes" if run["git"]["dirty"] else "") if run["git"] else "unknown"
+    what = f"uavaccel {run['versions']['uavaccel']}, commit {commit}, {date.today():%Y-%m-%d}"
+    return f"Made by `{COMMAND}`:\n{what}."
 
 
 def cell(result: Result | None) -> str:

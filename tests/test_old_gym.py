@@ -197,6 +197,8 @@ class AtOnce:
     def join(self, timeout: float | None = None) -> None:
         pass
 
+    is_alive = join
+
 
 def run_as_a_script(text: str, begun_s: float = 0.0, keys: str = "") -> dict[str, Any]:
     """The names of a script that has run; `work` passes its time, which `now` tells."""

@@ -92,8 +92,8 @@ class Keyboard:
             self.pass_time(KEY_S)
         return key or "enter"
 
-    def listen(self, press: Callable[[str], object], release: Callable[[str], object]) -> threading.Thread:
-        """Tell what is pressed and released, in a thread of the script's, until a call returns False."""
+    def listener(self, press: Callable[[str], object], release: Callable[[str], object]) -> threading.Thread:
+        """Return a thread of the script's that tells what is pressed and released until a call returns False."""
 
         def tell() -> None:
             while (key := self.next()) is not None and press(key) is not False:
@@ -101,6 +101,4 @@ class Keyboard:
                 if release(key) is False:
                     return
 
-        thread = self._thread(target=tell, daemon=True)
-        thread.start()
-        return thread
+        return self._thread(target=tell, daemon=True)

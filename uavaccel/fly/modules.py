@@ -16,6 +16,7 @@ from importlib.abc import Loader, MetaPathFinder
 from importlib.machinery import ModuleSpec
 from pathlib import Path
 from types import FrameType, ModuleType
+from typing import Self
 
 from uavaccel.clock import MonotonicClock
 from uavaccel.units import NS_PER_S
@@ -71,31 +72,45 @@ def named_module(name: str, **attributes: object) -> ModuleType:
 
 
 class ModuleFinder(Loader, MetaPathFinder):
-    """Finds our modules under other names; `spent_s` counts the wall time that making them takes."""
+    """Imports modules that `find` has a function to make; `spent_s` counts the wall time that making them takes."""
 
-    def __init__(self, modules: Modules) -> None:
-        self._modules, self._clock = modules, MonotonicClock()
+    def __init__(self, find: Callable[[str], Callable[[], ModuleType] | None]) -> None:
+        self._find, self._clock = find, MonotonicClock()
+        self._before: dict[str, ModuleType | None] = {}
         self.spent_s = 0.0
 
     def find_spec(
         self, name: str, path: Sequence[str] | None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        return ModuleSpec(name, self) if name in self._modules else None
+        return None if self._find(name) is None else ModuleSpec(name, self)
 
     def exec_module(self, module: ModuleType) -> None:
         begun_ns, name = self._clock.now_ns(), module.__name__
-        sys.modules[name] = made = self._modules[name]()
-        if any(other.startswith(f"{name}.") for other in self._modules):
-            vars(made).setdefault("__path__", [])  # a package, whose modules can be imported
+        if (make := self._find(name)) is None:
+            raise ImportError(name)
+        self._before.setdefault(name, None)
+        sys.modules[name] = made = make()
+        vars(made).setdefault("__path__", [])  # a package, whose modules can be imported
         self.spent_s += (self._clock.now_ns() - begun_ns) / NS_PER_S
+
+    @contextmanager
+    def finding(self, place: int = 0, instead_of: Collection[str] = ()) -> Iterator[Self]:
+        """Find modules in the `with` block, at this place among the finders, and those of these names anew."""
+        self._before |= {name: sys.modules.pop(name, None) for name in instead_of}
+        sys.meta_path.insert(place, self)
+        try:
+            yield self
+        finally:
+            sys.meta_path.remove(self)
+            for name, module in self._before.items():
+                sys.modules.pop(name, None)
+                if module is not None:
+                    sys.modules[name] = module
 
 
 @contextmanager
 def importing(everywhere: Modules, in_scripts: Mapping[str, ModuleType]) -> Iterator[ModuleFinder]:
     """Let imports find the modules `everywhere`, and those `in_scripts` in files that belong to no library."""
-    before = {name: sys.modules.pop(name, None) for name in everywhere}
-    finder = ModuleFinder(everywhere)
-    sys.meta_path.insert(0, finder)
     original = builtins.__import__
 
     def import_for(
@@ -112,15 +127,10 @@ def importing(everywhere: Modules, in_scripts: Mapping[str, ModuleType]) -> Iter
     if in_scripts:
         builtins.__import__ = import_for
     try:
-        yield finder
+        with ModuleFinder(everywhere.get).finding(instead_of=everywhere) as finder:
+            yield finder
     finally:
         builtins.__import__ = original
-        sys.meta_path.remove(finder)
-        for name, module in before.items():
-            if module is None:
-                sys.modules.pop(name, None)
-            else:
-                sys.modules[name] = module
 
 
 def of_a_script(namespace: Mapping[str, object] | None) -> bool:

@@ -6,8 +6,8 @@ stable-baselines3, see Gymnasium's interface: an environment from `make` decides
 
 from __future__ import annotations
 
+import functools
 import importlib
-import importlib.util
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from types import ModuleType
@@ -61,12 +61,38 @@ class Env:
         self.close()
 
 
-class Adapted(gymnasium.Env[object, object]):
+class _Around:
+    """What holds an environment, and has whatever that has."""
+
+    action_space: Any
+    observation_space: Any
+    metadata: Any
+
+    def __init__(self, env: Any) -> None:
+        self.env: Any = env.env if isinstance(env, Adapted) else env
+        self.action_space, self.observation_space = self.env.action_space, self.env.observation_space
+        self.metadata = self.env.metadata
+
+    def render(self, *mode: str, **options: object) -> Any:
+        return self.env.render(*mode, **options)
+
+    def close(self) -> None:
+        self.env.close()
+
+    def seed(self, seed: int | None = None) -> object:
+        return self.env.seed(seed)
+
+    def __getattr__(self, name: str) -> Any:
+        if name == "env":
+            raise AttributeError(name)
+        return getattr(self.env, name)
+
+
+class Adapted(_Around, gymnasium.Env[object, object]):
     """An old environment with Gymnasium's interface for libraries, and the old one for the script's own files."""
 
     def __init__(self, env: Env) -> None:
-        self.env = env
-        self.action_space, self.observation_space = env.action_space, env.observation_space
+        super().__init__(env)
         self.metadata = {**env.metadata, "render_modes": [*env.metadata.get("render.modes", ())]}
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
@@ -83,50 +109,21 @@ class Adapted(gymnasium.Env[object, object]):
         truncated = bool(info.get("TimeLimit.truncated", False))
         return observation, float(reward), bool(done) and not truncated, truncated, dict(info)
 
-    def render(self) -> Any:
-        return self.env.render()
 
-    def close(self) -> None:
-        self.env.close()
-
-    def seed(self, seed: int | None = None) -> object:
-        return self.env.seed(seed)
-
-    def __getattr__(self, name: str) -> object:
-        if name == "env":
-            raise AttributeError(name)
-        return getattr(self.env, name)
-
-
-class Wrapper(Env):
+class Wrapper(_Around, Env):
     """gym.Wrapper, in the old interface."""
 
-    def __init__(self, env: Env | Adapted) -> None:
-        self.env = env.env if isinstance(env, Adapted) else env
-        self.action_space, self.observation_space = env.action_space, env.observation_space
-        self.metadata = env.metadata
-
     def step(self, action: Action) -> OldStep:
-        return self.env.step(action)
+        step: Callable[[Action], OldStep] = self.env.step
+        return step(action)
 
     def reset(self, **options: object) -> object:
-        reset: Callable[..., object] = self.env.reset
-        return reset(**options)
-
-    def render(self, mode: str = "human", **options: object) -> object:
-        return self.env.render(mode, **options)
-
-    def close(self) -> None:
-        self.env.close()
+        return self.env.reset(**options)
 
     @property
     def unwrapped(self) -> Env:
-        return self.env.unwrapped
-
-    def __getattr__(self, name: str) -> object:
-        if name == "env":
-            raise AttributeError(name)
-        return getattr(self.env, name)
+        inner: Env = self.env.unwrapped
+        return inner
 
 
 class ObservationWrapper(Wrapper):
@@ -146,7 +143,7 @@ class ActionWrapper(Wrapper):
         raise NotImplementedError
 
     def step(self, action: Action) -> OldStep:
-        return self.env.step(self.action(action))
+        return super().step(self.action(action))
 
 
 class RewardWrapper(Wrapper):
@@ -188,6 +185,7 @@ def make(id: str, **arguments: object) -> Adapted:
     return Adapted(entry_point(**{**defaults, **arguments}))
 
 
+@functools.cache
 def modules() -> dict[str, ModuleType]:
     """Return the modules of gym, and shimmy, through which stable-baselines3 accepts old environments."""
     wrappers = {kind.__name__: kind for kind in (Wrapper, ObservationWrapper, ActionWrapper, RewardWrapper)}

@@ -56,10 +56,8 @@ OLD_NAMES = {  # NumPy's names that 1.24 and 2.0 removed, and what they mean: Py
     "alltrue": "all",
     "in1d": "isin",
 }
-GYM = (
-    *("gym", "gym.core", "gym.envs", "gym.envs.registration", "gym.error", "gym.logger", "gym.spaces"),
-    *("gym.utils", "gym.utils.seeding", "shimmy"),
-)
+GYM = ("gym", *(f"gym.{part}" for part in ("core", "envs", "error", "logger", "spaces", "utils")), "shimmy")
+GYM += ("gym.envs.registration", "gym.utils.seeding")
 NO_KEY = -1  # of cv2.waitKey
 WINDOWS = ("destroyAllWindows", "destroyWindow", "imshow", "moveWindow", "namedWindow", "resizeWindow")
 
@@ -181,19 +179,16 @@ def supply_windows(patches: Patches, cv2: ModuleType, keyboard: Keyboard) -> Non
 
 def old_modules() -> Modules:
     """scipy.misc, whose image functions SciPy 1.2 removed; gym 0.21 and its adapter where no gym is installed."""
-    found: dict[str, Callable[[], ModuleType]] = {
-        "scipy.misc": lambda: named_module("scipy.misc", imsave=_save_image, imread=_read_image)
-    }
+    found: Modules = {"scipy.misc": lambda: named_module("scipy.misc", imsave=_save_image, imread=_read_image)}
     if importlib.util.find_spec("gym") is None:
-        found |= {name: lambda name=name: _gym()[name] for name in GYM}  # type: ignore[misc]
+        found |= {name: functools.partial(_gym, name) for name in GYM}
     return found
 
 
-@functools.cache
-def _gym() -> dict[str, ModuleType]:
+def _gym(name: str) -> ModuleType:
     from uavaccel.fly import old_gym
 
-    return old_gym.modules()
+    return old_gym.modules()[name]
 
 
 def _read_image(name: str) -> NDArray[np.generic]:

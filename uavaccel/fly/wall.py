@@ -12,7 +12,7 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
@@ -46,7 +46,8 @@ main()
 class LoggedConnection:
     """A connection over TCP that logs its messages with the wall time since the start of the flight.
 
-    A forked process opens a connection of its own, which logs nothing. Calls raise FlightOver once the server has gone.
+    A forked process, whose log is abandoned, opens a connection of its own. Calls raise FlightOver once the server has
+    gone.
     """
 
     def __init__(self, port: int, timeout_s: float, log: MessageLog, watch: Watch) -> None:
@@ -62,7 +63,7 @@ class LoggedConnection:
 
     def call_async(self, method: str, *params: object) -> Future:
         if os.getpid() != self._pid:
-            self._connection, self._pid, self._log = self._open(), os.getpid(), _NoLog()
+            self._connection, self._pid = self._open(), os.getpid()
         with self._lock:
             number = self._log.call(self._now_ns(), None, method, [as_sent(value) for value in params])
         with self._ending():
@@ -94,16 +95,6 @@ class LoggedConnection:
 
     def _now_ns(self) -> int:
         return self._clock.now_ns() - self._start_ns
-
-
-class _NoLog(MessageLog):
-    """The log of a forked process, which keeps nothing."""
-
-    def __init__(self) -> None:
-        self.calls = 0
-
-    def _write(self, row: Mapping[str, object]) -> None:
-        pass
 
 
 class WallFlight:

@@ -33,7 +33,7 @@ class ScriptWorld:
         self.simulation = modelled_simulation(self.world, clock_speed, draws)
         self.api = Api(self.simulation, settings, recordings=options.folder / "recordings", say=warn)
         self.api.refusals.say = warn
-        self.simulation.settle(clock.now_ns())
+        self.simulation.settle(0)
         self.trajectory = self._watched()
         self.transport = VirtualTransport(self.api, clock, draws)
         self.transport.catch_up()
