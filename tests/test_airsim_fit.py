@@ -87,7 +87,7 @@ def test_speedups_with_rendering_follow_from_the_frame_wait(clock_speed: float) 
 
 @pytest.mark.parametrize(("hz", "speedup"), [(30, 9.1), (45, 12.1), (60, 14.6), (90, 18.7), (120, 21.8)])
 def test_speedup_at_100x_is_bound_by_the_frame_rate(hz: float, speedup: float) -> None:
-    """What docs/airsim-model.md says beside the prediction."""
+    """What docs/results-paper.md says beside the prediction."""
     frames = {"platform": {"frames": {"hz": hz}}}
     latency = LaneTask(profile="airsim", latency=frames).latency
     walls = [

@@ -32,8 +32,8 @@ from uavaccel.vision.dvs import PRESETS, init_state, make_sensor, step
 Floats = NDArray[np.float64]
 View = tuple[LaneLayout, Floats, Floats]  # lane, position, quaternion; NED
 
-# With llvmpipe 0.002 levels apart, 0.015 % of pixels differ, and 0.11 % of events (docs/kernels-looks.md); the bounds
-# leave room for renderers that round elsewhere.
+# With llvmpipe 0.002 levels apart, 0.015 % of pixels differ (docs/kernels.md), and 0.11 % of the events of ten lanes;
+# the bounds leave room for renderers that round elsewhere.
 MEAN_LEVELS, SHARE_ABOVE_10 = 0.05, 1e-3
 EVENTS_SHARE = 0.005
 

@@ -2,7 +2,7 @@
 
     python tools/draw_kernel_looks.py docs/figures/kernels_looks.png
 
-Prints the table of docs/kernels-looks.md.
+Prints the table of docs/kernels.md.
 """
 
 import argparse

@@ -4,7 +4,7 @@
 
 Three parameters: what a tick of physics costs, what a call costs, and what the callback of a command's completion
 costs, which ADSC alone waits for. Every set of parameters flies with the same seeds, so that differences between two
-sets come from the parameters alone. What the targets are and what came out: docs/airsim-model.md.
+sets come from the parameters alone. What the targets are and what came out: docs/results-paper.md.
 """
 
 from __future__ import annotations
