@@ -8,7 +8,7 @@ from typing import Any
 from tests.web_pages import assert_sound
 from uavaccel.records import RunDirectory
 from uavaccel.suites.experiment import Experiment
-from uavaccel.suites.old_report import Summary
+from uavaccel.suites.report import Summary
 from uavaccel.suites.runner import begin_run, run_suite
 from uavaccel.suites.session import RunRequest, configure
 from uavaccel.suites.suite import AnySuite

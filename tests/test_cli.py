@@ -19,7 +19,7 @@ from uavaccel.cli.main import app
 from uavaccel.cli.options import experiments as complete_experiments
 from uavaccel.cli.options import one_of
 from uavaccel.cli.terminal import columns_within
-from uavaccel.draw.document import Table
+from uavaccel.draw.page import Table
 from uavaccel.envs import batch
 from uavaccel.envs.obstacle_lane import LaneTask
 from uavaccel.errors import UserError

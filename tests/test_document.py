@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.web_pages import assert_sound
-from uavaccel.draw.document import Block, Heading, Listing, Paragraph, Picture, Table, to_html, to_markdown
+from uavaccel.draw.page import Block, Heading, Listing, Paragraph, Picture, Table, to_html, to_markdown
 
 NASTY = 'a|b *c* _d_ <e> & "f" \\g'
 PNG = b"\x89PNG not really"

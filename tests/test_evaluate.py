@@ -37,7 +37,7 @@ from uavaccel.sim.lane.layout import draw_layout, lane_seed
 from uavaccel.suites.evaluate import Evaluation
 from uavaccel.suites.evaluate_again import flight_of_agent
 from uavaccel.suites.flight import film_of
-from uavaccel.suites.old_report import Summary
+from uavaccel.suites.report import Summary
 from uavaccel.suites.session import RunRequest
 
 LANES = 4

@@ -10,7 +10,6 @@ from typing import Any, TypeAlias, TypeVar
 
 from uavaccel.clock import MonotonicClock
 from uavaccel.draw.labels import in_words as in_words
-from uavaccel.records import RunDirectory
 from uavaccel.units import NS_PER_S
 
 Result = TypeVar("Result")
@@ -40,10 +39,6 @@ def over_all_starts(readings: Sequence[Mapping[str, float]]) -> Counter[str]:
         if sum(after.values()) < sum(before.values()):
             total.update(before)
     return total
-
-
-def pace(run: RunDirectory) -> str:
-    return pace_of(run.timings(), sum(row["sim_time_s"] for row in run.rows()))
 
 
 def pace_of(timings: Timings, simulated_s: float) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Literal, NotRequired, TypeVar, cast
 
@@ -121,14 +121,6 @@ def subset(row: Mapping[str, object], *keys: str) -> dict[str, Plain]:
     return {key: row[key] for key in keys}
 
 
-def grouped(entries: Iterable[Entry], key: Callable[[Entry], Key]) -> dict[Key, list[Entry]]:
-    """Return the entries that share a key, in order of their first ones."""
-    groups: dict[Key, list[Entry]] = {}
-    for entry in entries:
-        groups.setdefault(key(entry), []).append(entry)
-    return groups
-
-
 def named_seed(run_seed: int, name: str) -> np.random.SeedSequence:
     """Return the seed of a game by its name: the same in any subset of a run, and in any order."""
     return np.random.SeedSequence(run_seed, spawn_key=(zlib.crc32(name.encode()),))
@@ -174,8 +166,3 @@ def disturbances(row: Row, restarts: int = 0) -> Disturbances:
     if found or any(row.get(key) for key in DISTURBANCES):
         found["disturbed"] = True
     return found
-
-
-def disturbed_games(rows: Sequence[Row]) -> int:
-    """Return how many of the rows are marked as disturbed."""
-    return sum(bool(row.get("disturbed")) for row in rows)

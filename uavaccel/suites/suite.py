@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, Protocol, TypeAlias, T
 
 import numpy as np
 
-from uavaccel.config import validate
 from uavaccel.draw.page import Block, Table
 from uavaccel.errors import UserError, suggestion
 from uavaccel.files import Plain
@@ -110,11 +109,6 @@ class Suite(ABC, Generic[ConfigType, CaseType]):
     def report(self, run: RunDirectory) -> Report:
         """Return the report of a run, which is yet to be written. Raises UserError for a run without finished games."""
         run.form = self.form
-        if hasattr(self, "report_class"):
-            config = validate(self.config, run.config(), str(run.path / "config.yaml"))
-            report = self.report_class(run, self.name)
-            report.config = config.model_dump(mode="json")  # with the keys that the file omits
-            return report
         from uavaccel.suites.report import Report
 
         return Report(run, self)

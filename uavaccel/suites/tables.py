@@ -8,9 +8,9 @@ from __future__ import annotations
 import csv
 import io
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,6 @@ from uavaccel.config import dotted_keys
 from uavaccel.errors import UserError
 from uavaccel.files import inside, replacing
 from uavaccel.records import RunDirectory
-from uavaccel.suites.old_report import Arrays
 from uavaccel.suites.rows import Row
 
 Columns = dict[str, list[object] | NDArray[np.generic]]
@@ -72,7 +71,7 @@ def _of_one_kind(values: list[object]) -> list[object]:
     return [value if value is None or isinstance(value, str) else json.dumps(value) for value in values]
 
 
-def sample_tables(arrays: Arrays) -> Iterator[tuple[int, Columns]]:
+def sample_tables(arrays: Mapping[str, NDArray[Any]]) -> Iterator[tuple[int, Columns]]:
     """Yield the arrays (n, ...) of a game by length n, with a column for each number of a line, such as position_m.0.
 
     Images, whose lines have more than 64 numbers, are left out.
