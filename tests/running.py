@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import os
+import stat
 from pathlib import Path
 from typing import Any
+
+import pytest
 
 from tests.web_pages import assert_sound
 from uavaccel.records import RunDirectory
@@ -34,3 +38,12 @@ def run_into(out: Path, suite: AnySuite, config: Experiment, resume: bool = Fals
 def configured(experiment: str, *overrides: str, **options: Any) -> Any:
     """The configuration of an experiment as the command line puts it together."""
     return configure(RunRequest(experiment, options, overrides))[1]
+
+
+def full_device(path: Path) -> None:
+    """Make a file of a path to which nothing can be written, as on a full disk; skips where that is not allowed."""
+    try:
+        os.mknod(path, stat.S_IFCHR | 0o666, os.makedev(1, 7))
+        path.open("wb").close()
+    except OSError:
+        pytest.skip("no device can be made here")

@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 import pytest
 
+from tests.running import full_device
 from uavaccel.draw import film as films
 from uavaccel.draw.film import IMPACT, Film, dvs_picture, frames, write_contact_sheet, write_video
 from uavaccel.draw.movie import movie
@@ -187,7 +188,7 @@ def test_a_film_that_cannot_be_written_leaves_the_old_one(
 
 
 def test_a_full_disk_is_one_line_whatever_is_caught(tmp_path: Path) -> None:
-    (tmp_path / f"film.mp4{UNFINISHED}").symlink_to("/dev/full")
+    full_device(tmp_path / f"film.mp4{UNFINISHED}")
 
     def write() -> None:
         with movie(tmp_path / "film.mp4", (64, 48), 12) as add:

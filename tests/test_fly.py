@@ -17,6 +17,7 @@ from unittest.mock import patch
 import numpy as np
 import pytest
 
+from tests.running import full_device
 from uavaccel.airsim import LandedState, MultirotorClient
 from uavaccel.airsim.connection import as_received
 from uavaccel.clock import datetime_module, time_module
@@ -461,7 +462,7 @@ def test_a_full_disk_is_said_at_every_later_message(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_a_full_disk_is_one_line(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     (out := tmp_path / "out").mkdir()
-    (out / f"{SUMMARY}{UNFINISHED}").symlink_to("/dev/full")
+    full_device(out / f"{SUMMARY}{UNFINISHED}")
     flown = runs.fly(FlightOptions(script(tmp_path, "print(end='')"), (), out))
     assert (flown.status, flown.summary) == (1, None)
     line = f"uavaccel: error: {out / SUMMARY}: No space left on device; make room\n"
@@ -470,7 +471,7 @@ def test_a_full_disk_is_one_line(tmp_path: Path, capfd: pytest.CaptureFixture[st
 
 @pytest.mark.parametrize("name", [TRAJECTORY, TABLE])
 def test_a_trajectory_for_which_there_is_no_room_is_named(name: str, tmp_path: Path) -> None:
-    (tmp_path / f"{name}{UNFINISHED}").symlink_to("/dev/full")
+    full_device(tmp_path / f"{name}{UNFINISHED}")
     with pytest.raises(UserError, match=rf"{re.escape(name)}: No space left on device; make room$"):
         write_trajectory(tmp_path, np.arange(20), np.zeros((20, 10)))
 

@@ -448,7 +448,7 @@ def test_a_wrong_option_of_reset_is_one_clear_line(name: str, options: Any, said
         ({"gates": 26}, "gates = 26 with spacing_m = 6 need 156 m; the lane is 150 m long"),
         ({"spacing_m": 0.2}, "spacing_m = 0.2: should be greater than 0.5418"),
         ({"spread_m": 4.0}, "spread_m = 4 with half_width_m = 1 need 10.4 m; the lane is 10 m wide"),
-        ({"altitude_m": 1e5}, "altitude_m = 100000.0: should be less than or equal to 10000"),
+        ({"altitude_m": 1e5}, "altitude_m = 100000.0: should be less than or equal to 4000"),
     ],
 )
 def test_gates_out_of_reach_are_refused_when_they_are_made(keys: dict[str, Any], said: str) -> None:
