@@ -12,6 +12,7 @@ from scipy.stats import binomtest
 
 from tests.drawing import headline, labelled, legend_texts, points, record_figures
 from uavaccel.config import validate
+from uavaccel.envs.stopwatch import PHASES
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
 from uavaccel.suites.evaluate import EvaluateConfig, Evaluation, against
@@ -28,6 +29,7 @@ def run_of(path: Path, *rows: dict[str, Any], task: dict[str, Any] | None = None
         lane = row.get("lane", lane)
         plain = {"suite": "evaluate", "case": f"lane-{lane:06d}", "lane": lane, "collision": None, "commands": 3}
         plain |= {"is_success": False, "sim_time_s": 10.0 + lane, "wall_s": 0.5, "distance_m": 9.0}
+        plain |= {"actions": [1] * row.get("commands", 3), "phase_s": dict.fromkeys(PHASES, 0.1)}
         run.append_row(plain | row)
     return run
 

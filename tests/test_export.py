@@ -14,6 +14,7 @@ import pytest
 import torch as th
 
 from tests.learning import tiny_config
+from tests.running import configured
 from uavaccel.cli.results import export
 from uavaccel.config import Config
 from uavaccel.envs.sensors import ColourCamera, DepthCamera, blank_frame
@@ -205,7 +206,7 @@ def test_each_format_is_written_where_it_was_asked_for(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A data set of 25 games tells ten times how far it is, and where it is when it is done."""
-    RunDirectory.create(tmp_path / "run", Config(), {})
+    RunDirectory.create(tmp_path / "run", configured("evaluate", agent="straight"), {})
 
     def tables(run: RunDirectory, folder: Path, kind: str) -> list[str]:
         return [f"{run.path.name}: {folder.name} as {kind}"]

@@ -34,7 +34,8 @@ POSES: dict[str, Any] = {
 
 def run_with(path: Path, config: Any, row: dict[str, Any], arrays: dict[str, Any]) -> tuple[RunDirectory, Any]:
     run = RunDirectory.create(path, config, {})
-    run.append_row({"suite": config.suite, "case": "a", **row} | run.save_arrays("a", arrays))
+    row = {"suite": config.suite, "case": "a", **row}
+    run.append_row(row | run.save_arrays(row["case"], arrays))
     return run, run.rows()[0]
 
 
@@ -81,14 +82,18 @@ def test_a_game_of_dp2_is_read_from_its_samples(
     image = np.full((5, 144, 256), 100, np.uint8)
     image[2:, 8, 9] = 250
     commands = {"sample_index": np.arange(5), "command_velocity_m_s": np.array([[1.0, 0.0], [0.0, 2.0]])}
-    arrays = POSES | commands | {"image": image, "time_s": np.array(time_s)}
+    arrays = POSES | commands | {"image": image, "time_s": np.array(time_s), "retries": np.zeros(5, np.int64)}
     if counted:
-        arrays["dvs_on"] = np.arange(5)[:, None, None] * np.ones((1, 144, 256), np.int64)
+        arrays["dvs_on"] = np.arange(5, dtype=np.uint16)[:, None, None] * np.ones((1, 144, 256), np.uint16)
         arrays["dvs_off"] = 2 * arrays["dvs_on"]
         arrays["colour"] = np.stack([image, image // 2, image // 4], axis=3)
     config = configured("dp2", "path=[[1, 0], [0, 2]]", "t_move_s=0.66", "t_sample_s=0.33")
-    row = {"role": "game", "command": "adsc", "clock_speed": 10.0, "timing": "virtual", "real_time_factor": 9.96}
-    row["collision"] = None if counted else {"time_s": 1.25, "object": "wall"}
+    row: dict[str, Any] = {"role": "game", "command": "adsc", "clock_speed": 10.0, "timing": "virtual"}
+    row |= {"case": "adsc-k10", "profile": "native", "seed": 0, "real_time_factor": 9.96}
+    row |= {"wall_s": 0.15, "sim_time_s": 1.5, "duration_s": 1.5}
+    row |= {"t_move_s": 0.66, "t_sample_s": 0.33, "commands": 2, "planned_commands": 2, "samples": 5}
+    row |= {"distance_m": 1.0, "guard_retries": 0, "error": None}
+    row["collision"] = None if counted else {"time_s": 1.25, "object": "wall", "position_m": [1.0, 1.0, -10.0]}
     run, row = run_with(tmp_path / "run", config, row, arrays)
     report = Dp2().report(run)
     flight = Dp2().flight(report, row)

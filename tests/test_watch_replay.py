@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.dp1_games import line_row
 from tests.learning import tiny_config, train_into
 from tests.running import configured, fly_into
 from uavaccel.envs.obstacle_lane import ObstacleLane
@@ -132,17 +133,17 @@ def test_a_run_shows_its_fastest_game_unless_one_is_named(tmp_path: Path) -> Non
         "position_m": np.arange(9.0).reshape(3, 3),
         "orientation_wxyz": np.tile([1.0, 0.0, 0.0, 0.0], (3, 1)),
         "linear_velocity_m_s": np.zeros((3, 3)),
+        "angular_velocity_rad_s": np.zeros((3, 3)),
         "command_start_s": np.array([0.0, 0.75]),
         "command_end_s": np.array([0.5, 1.25]),
     }
-    games = {"ideal": ("reference", 100.0), "slow": ("game", 1.0), "fast": ("game", 50.0)}
-    for case, (role, clock_speed) in games.items():
-        row = {"suite": "dp1", "case": case, "role": role, "clock_speed": clock_speed, "command": "tcsc", "rounds": 1}
-        run.append_row(row | run.save_arrays(case, arrays))
+    for role, clock_speed in (("reference", 100.0), ("game", 1.0), ("game", 50.0)):
+        row = line_row(role, "tcsc", clock_speed, 0, 0.0, commands=2)
+        run.append_row(row | run.save_arrays(row["case"], arrays))
     replay = recorded(run.path)
     track = replay.track
     assert (track.clock_speed, replay.scene, replay.lane) == (50.0, "blocks", None)
-    assert replay.title == f"Game `fast` of `{run.path}`: TCSC at 50x."
+    assert replay.title == f"Game `tcsc-k50-t1-r1-g00` of `{run.path}`: TCSC at 50x."
     assert track.marks.tolist() == [[0.0, 0.0], [1.5 / 50.0, 1.5]]
     assert track.velocities == [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0)]
     assert [track.command(at) for at in (0.25, 0.6, 1.0, 1.3)] == [0, None, 1, None]
@@ -150,7 +151,7 @@ def test_a_run_shows_its_fastest_game_unless_one_is_named(tmp_path: Path) -> Non
     with pytest.raises(UserError, match=r"--game 3: .* has 3 games, from 0 to 2"):
         recorded(run.path, game=3)
     with pytest.raises(UsageError, match="--case, --game"):
-        recorded(run.path, "fast", 0)
+        recorded(run.path, "tcsc-k50-t1-r1-g00", 0)
 
 
 def test_what_keeps_no_path_says_what_does(tmp_path: Path, script: Path) -> None:
