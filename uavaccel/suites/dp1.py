@@ -26,7 +26,6 @@ from uavaccel.kinematics import Vector, VelocityGoal
 from uavaccel.limits import MOST_GAMES, MOST_HEIGHT_M, MOST_ROUNDS, MOST_SECONDS, Speed, Velocity
 from uavaccel.metrics.intervals import median_interval
 from uavaccel.metrics.speedup import combined_provenance, speedup_interval, timing_provenance
-from uavaccel.metrics.stlc import mean_stlc
 from uavaccel.metrics.trajectory import Trajectory, command_gaps_s, distinct, mean_position_rmse, trajectory
 from uavaccel.records import RunDirectory
 from uavaccel.sim.profile import PROFILES
@@ -318,6 +317,7 @@ SCORES = ["stlc", "position_rmse_m", "position_rmse_vs_lockstep_m", "gap_s", "di
 
 def score_cell(run: RunDirectory, games: pd.DataFrame, cell: pd.DataFrame) -> pd.DataFrame:
     """Return the SCORES of a cell's games, NaN where there is nothing to compare with; `gap_s` are lists."""
+    from uavaccel.metrics.stlc import mean_stlc  # loads scipy
 
     def loaded(games: pd.DataFrame) -> list[dict[str, Any]]:
         return [run.load_arrays(game) for _, game in games.iterrows()]

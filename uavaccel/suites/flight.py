@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from uavaccel.draw.panels import Decisions
 from uavaccel.errors import UserError
 from uavaccel.sim.lane.layout import LaneLayout
 from uavaccel.units import NS_PER_S, to_ns
 
 if TYPE_CHECKING:  # they load what draws
     from uavaccel.draw.film import Film
+    from uavaccel.draw.panels import Decisions
     from uavaccel.vision.dvs import DvsParameters
 
 ARRAYS = ("time_s", "position_m", "orientation_wxyz", "command_start_s", "command_end_s")
