@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import re
+import shutil
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from tests.dp1_games import line_row
 from tests.running import configured
 from tests.test_claims import images, only, trained, trajectories
 from uavaccel.config import validate
+from uavaccel.envs.stopwatch import PHASES
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
 from uavaccel.suites.dp1 import Dp1
@@ -30,6 +33,14 @@ def config(*parts: str, **keys: Any) -> PaperConfig:
     return validate(PaperConfig, {"suite": "paper", "parts": given, **keys}, "test")
 
 
+FLOWN = line_row("game", "adsc", 5.0, 0, 0.0)
+DP2 = {"suite": "dp2", "case": "adsc-k5", "t_sample_s": 0.5, "planned_commands": 4, "samples": 8, "distance_m": 4.0}
+DP2 |= {"collision": None, "guard_retries": 0}
+ROWS = {"dp1": FLOWN, "dp2": FLOWN | DP2}  # a row of each kind of part
+TRAINING = {"games": 5000, "successes": 0, "commands": 100, "sim_time_s": 100.0, "weights_sha256": "0" * 64}
+TRAINING |= {"phase_s": dict.fromkeys(PHASES, 0.0)}
+
+
 def rl_run(path: Path, *trainings: tuple[dict[str, str], dict[str, Any]]) -> str:
     """A run of the suite rl as its report leaves it: the paper's Table I, changed, for each kind of training.
 
@@ -45,10 +56,12 @@ def rl_run(path: Path, *trainings: tuple[dict[str, str], dict[str, Any]]) -> str
             ended_m = {"training": [*lost.ended_m, *[5.0] * 999], "exact": [5.0] * 999}
             for name, at_m in ended_m.items():
                 case = f"{number}-{clock_speed:g}-{name}"
-                row: dict[str, Any] = {"suite": "rl", "case": case, name: {}, **kind}
+                row: dict[str, Any] = {"suite": "rl", "case": case, "seed": 0, "evaluations": [], **kind}
+                row |= {"training": TRAINING} if name == "training" else {}
                 won = np.arange(len(at_m)) >= (len(lost) if name == "training" else 0)
                 won &= name == "training"
                 arrays = {f"{command}_distance_m": np.array(at_m), f"{command}_is_success": won}
+                arrays[f"{command}_lane"] = np.arange(len(at_m))
                 row |= {"command": command, "clock_speed": clock_speed}
                 run.append_row(row | run.save_arrays(case, arrays))
     run.write_json("summary.json", summary)
@@ -73,7 +86,7 @@ def report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Report:
     for name in made:
         run.append_row({"suite": "paper", "case": name, "cells": 1})
         part = RunDirectory.create(run.path / "parts" / name, configured(name[:3]), {})
-        part.append_row({"suite": name[:3], "case": "game"})
+        part.append_row(ROWS[name[:3]])
         part.write_bytes("figures/figure5_two_words.png", name.encode())
     report = Paper().report(run)
     report.write()
@@ -125,7 +138,7 @@ def test_airsims_hours_are_told_by_phase(report: Report) -> None:
 def test_without_trainings_their_claims_are_pending(report: Report) -> None:
     run = RunDirectory.create(report.run.path.parent / "without", config("dp1-airsim"), {})
     run.append_row({"suite": "paper", "case": "dp1-airsim", "cells": 1})
-    (run.path / "parts").symlink_to(report.run.path / "parts")
+    shutil.copytree(report.run.path / "parts", run.path / "parts")
     summary = Paper().report(run).summary
     lacking = {row["claim"]: row["airsim"]["verdict"] for row in summary["claims"]}
     assert (lacking["adsc_collapses_at_5x"], lacking["images_at_5x"]) == ("pending", "not flown")

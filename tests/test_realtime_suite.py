@@ -420,7 +420,9 @@ def test_a_cell_is_of_all_trainings_and_tcsc_is_held_against_its_own(tmp_path: P
     other = Realtime().report(made(tmp_path / "other", *rows, row_of("a", "tcsc", 0.0, 9.0, 2.5))).summary
     said = [each["tcsc_equal_at_every_clock_speed"] for each in (alone, equal, other)]
     assert said == [None, True, False]
-    begun = Realtime().report(made(tmp_path / "none", {"suite": "realtime", "kind": "training", "case": "x"}))
+    training = {"suite": "realtime", "kind": "training", "case": "pendulum-a-s0", "environment": "pendulum"}
+    training |= {"agent": "a", "seed": 0, "steps": 1, "last_return": 0.0, "weights_sha256": "0" * 64}
+    begun = Realtime().report(made(tmp_path / "none", training))
     with pytest.raises(UserError, match="holds no finished evaluation yet"):
         begun.write()
 
@@ -538,12 +540,13 @@ def test_a_module_with_environments_is_the_projects_and_runs_when_told(
     (tmp_path / "own_environments.py").write_text(own)
     monkeypatch.setattr(sys, "path", [*sys.path])
     monkeypatch.chdir(tmp_path)
-    keys = ("environments={x: {id: 'own_environments:Own-v0', default_action: 0}}", "agents={a: {}}")
+    environments = {"x": EnvironmentBlock(id="own_environments:Own-v0", default_action=0)}
+    config = configured("realtime_smoke", *TINY, "agents={a: {}}").model_copy(update={"environments": environments})
     with pytest.raises(UserError, match=r"environments.x.id: .*own_environments.py is code that nobody has trusted"):
-        configured("realtime_smoke", *TINY, *keys)
+        Realtime().check(config)
     with told():
-        configured("realtime_smoke", *TINY, *keys)
-    configured("realtime_smoke", *TINY, *keys)
+        Realtime().check(config)
+    Realtime().check(config)
 
 
 def test_what_ships_can_be_made() -> None:

@@ -246,11 +246,12 @@ def test_evaluations_are_due_after_every_so_many_games_and_the_last_one(tmp_path
         (0, 0): [], (0, 6): [], (3, 0): [3, 4, 5, 6, 7, 8], (3, 3): [6, 7, 8], (3, 4): [6, 7, 8], (3, 6): [8],
         (3, 7): [8], (3, 8): [], (5, 0): [5, 6, 7, 8], (5, 5): [8], (5, 6): [8],
     }  # fmt: skip
+    line = {"weights_sha256": "0" * 64, "successes": 1, "lanes": [0], "is_success": [True], "distance_m": [150.0]}
     for (every, done), games in due.items():
         run: Any = SimpleNamespace(path=tmp_path / f"{every}-{done}")
         for earlier in sorted({1, done}) if done else []:
             run.path.mkdir(exist_ok=True)
-            append_line(run.path / EVALUATIONS, {"games": earlier})
+            append_line(run.path / EVALUATIONS, line | {"games": earlier})
         waiting = Evaluations(tiny_config(STATE, mirror=False, games=8, evaluate_every_games=every), run)
         assert [each for each in range(9) if waiting.due(each)] == games, (every, done)
 
