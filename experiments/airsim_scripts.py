@@ -140,9 +140,7 @@ PLANS = (
     ),
     Plan("multirotor/navigate.py", flies=True, images=True, until_s=30, endless=True),
     Plan("multirotor/opencv_show.py", images=True, until_s=5, endless=True),
-    Plan(
-        "multirotor/orbit.py", flies=True, arguments=("--radius", "10", "--speed", "3", "--iterations", "1")
-    ),
+    Plan("multirotor/orbit.py", flies=True, arguments=("--radius", "10", "--speed", "3", "--iterations", "1")),
     Plan("multirotor/path.py", flies=True, until_s=600),
     Plan("multirotor/pause_continue_drone.py", flies=True, wire_s=280),
     Plan("multirotor/point_cloud.py", images=True),
@@ -173,13 +171,7 @@ PLANS = (
     Plan("computer_vision/create_ir_segmentation_map.py", unfit="needs the African environment's animals"),
     Plan("computer_vision/cv_capture.py", images=True),
     Plan("computer_vision/cv_mode.py", images=True),
-    Plan(
-        "computer_vision/cv_navigate.py",
-        images=True,
-        until_s=60,
-        endless=True,
-        not_by_wire="needs SciPy 1.1",
-    ),
+    Plan("computer_vision/cv_navigate.py", images=True, until_s=60, endless=True, not_by_wire="needs SciPy 1.1"),
     Plan(
         "computer_vision/external_camera.py",
         images=True,
@@ -232,15 +224,7 @@ def under_fly(plan: Plan, folder: Path, scratch: Path, timing: str, profile: str
     """Fly a script by `uavaccel fly`, and judge the flight by what it left."""
     out = scratch / "out"
     command = [sys.executable, "-m", "uavaccel", "fly", "--out", str(out), "--until", str(plan.until_s)]
-    command += [
-        "--timing",
-        timing,
-        "--profile",
-        profile,
-        *settings_option(plan, scratch),
-        "--seed",
-        "0",
-    ]
+    command += ["--timing", timing, "--profile", profile, *settings_option(plan, scratch), "--seed", "0"]
     work = copied(folder, plan, scratch)
     done = run([*command, Path(plan.script).name, *plan.arguments], work, FLY_LIMIT_S)
     summary_file = out / "flight.json"
@@ -442,9 +426,7 @@ def main() -> None:
                 fly = under_fly(plan, options.folder, Path(scratch), options.timing, options.profile)
             if options.client_python and not plan.not_by_wire:
                 with tempfile.TemporaryDirectory() as scratch:
-                    wire = over_the_wire(
-                        plan, options.folder, Path(scratch), options.client_python, options.profile
-                    )
+                    wire = over_the_wire(plan, options.folder, Path(scratch), options.client_python, options.profile)
         rows.append((plan, fly, wire))
         print(f"{plan.script}\n  fly:  {cell(fly)}\n  wire: {cell(wire)}", flush=True)
     text = page(rows)

@@ -45,10 +45,7 @@ def xyz(field: Mapping[str, float]) -> list[float]:
 
 
 def level_pose(x: float, y: float, z: float) -> dict[str, Any]:
-    return {
-        "position": vector(x, y, z),
-        "orientation": {"w_val": 1.0, "x_val": 0.0, "y_val": 0.0, "z_val": 0.0},
-    }
+    return {"position": vector(x, y, z), "orientation": {"w_val": 1.0, "x_val": 0.0, "y_val": 0.0, "z_val": 0.0}}
 
 
 class AirSimWire:

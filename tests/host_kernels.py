@@ -75,9 +75,7 @@ class ClockKernels:
     """The same of kernels/cuda_clocks: kernels/lane_clocks' functions, lane by lane."""
 
     def __getattr__(self, name: str) -> Any:
-        return launch(
-            getattr(type(self), f"run_{name}", None) or partial(_each_lane, getattr(lane_clocks, name))
-        )
+        return launch(getattr(type(self), f"run_{name}", None) or partial(_each_lane, getattr(lane_clocks, name)))
 
     @staticmethod
     def run_begin(which: Any, rows: Any, scales: Any, games: Any, *clocks: Any) -> None:
@@ -85,9 +83,7 @@ class ClockKernels:
             lane_clocks.begin(lane, rows[lane], scales[rows[lane]], games, *clocks)
 
     @staticmethod
-    def run_reach(
-        which: Any, sample: int, now: Any, timing: Any, clocks: Any, looking: Any, legs: Any
-    ) -> None:
+    def run_reach(which: Any, sample: int, now: Any, timing: Any, clocks: Any, looking: Any, legs: Any) -> None:
         looking[:] = 0
         _each_lane(lane_clocks.reach, which, sample, now, timing, clocks, looking, legs)
 
@@ -129,9 +125,7 @@ class Kernels:
         for lane in which:
             lanes.fly(lane, int(ticks[lane]), games, now, hull)
 
-    def run_start(
-        self, which: Any, faces: Any, shown: Any, plan: Any, games: Any, now: Any, pixels: Any
-    ) -> None:
+    def run_start(self, which: Any, faces: Any, shown: Any, plan: Any, games: Any, now: Any, pixels: Any) -> None:
         for lane in which:
             cpu.draw_gray(lane, plan.looks, games, now, 1, self._scratch, self._picture)
             self._levels[lane] = self._scratch.channels[0].sum()
@@ -154,9 +148,7 @@ class Kernels:
             cpu.see(lane, self._picture, time_s, pixels, plan.sensor, games.cameras[game], seed)
             cpu.take_events(lane, pixels, frames[lane][None])
 
-    def run_show(
-        self, which: Any, kind: int, tick_ns: int, faces: Any, shown: Any, plan: Any, *of_lanes: Any
-    ) -> None:
+    def run_show(self, which: Any, kind: int, tick_ns: int, faces: Any, shown: Any, plan: Any, *of_lanes: Any) -> None:
         games, now, frames = of_lanes
         for lane in which:
             frames[lane] = 0

@@ -20,9 +20,7 @@ def descendants(pid: int) -> set[int]:
     while pending:
         tasks = Path(f"/proc/{pending.pop()}/task")
         with contextlib.suppress(OSError):
-            below = {
-                int(each) for task in tasks.iterdir() for each in (task / "children").read_text().split()
-            }
+            below = {int(each) for task in tasks.iterdir() for each in (task / "children").read_text().split()}
             found |= below
             pending += below
     return found

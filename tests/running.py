@@ -18,9 +18,7 @@ from uavaccel.suites.session import RunRequest, configure
 from uavaccel.suites.suite import AnySuite
 
 
-def fly_into(
-    out: Path, suite: AnySuite, config: Experiment, resume: bool = False, jobs: int = 1
-) -> RunDirectory:
+def fly_into(out: Path, suite: AnySuite, config: Experiment, resume: bool = False, jobs: int = 1) -> RunDirectory:
     """Fly without a report, whose figures would take longer than most tests' flights."""
     run = begin_run(suite, config, out, {}, resume)
     run_suite(suite, config, run, jobs)

@@ -95,12 +95,7 @@ def cast_rays(pose: Pose, boxes: dict[str, Any]) -> Seen:
 
 
 def cast_from(
-    eye: NDArray[np.float64],
-    axes: NDArray[np.float64],
-    boxes: dict[str, Any],
-    columns: int,
-    rows: int,
-    fov_deg: float,
+    eye: NDArray[np.float64], axes: NDArray[np.float64], boxes: dict[str, Any], columns: int, rows: int, fov_deg: float
 ) -> Seen:
     """What a camera at `eye` sees of boxes in NED; its forward, right and down are the columns of `axes`."""
     pixel = 2 * np.tan(np.radians(fov_deg) / 2) / columns

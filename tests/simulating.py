@@ -35,9 +35,7 @@ def simulate(clock_speed: float = 1.0, profile: Profile = NATIVE, **options: Any
     return simulation
 
 
-def fly_velocity(
-    simulation: Simulation, goal: VelocityGoal, duration_s: float, wall_ns: int
-) -> DeferredReply:
+def fly_velocity(simulation: Simulation, goal: VelocityGoal, duration_s: float, wall_ns: int) -> DeferredReply:
     """A command to the leading vehicle, as moveByVelocity gives it."""
     ticks = simulation.profile.command_ticks(duration_s)
     return simulation.lead.fly(of_velocity(goal), ticks, wall_ns)

@@ -64,12 +64,7 @@ def test_zero_hovers(kind: str) -> None:
         ("rates", [0, 0, 1, 0], 8, 1),
         ("motors", [-0.2, 0, 0, -0.2], 6, 1),  # less on the right rolls right
         ("motors", [0.2, 0, 0.2, 0], 7, 1),  # more in front lifts the nose
-        (
-            "motors",
-            [0.2, 0.2, 0, 0],
-            8,
-            1,
-        ),  # front right and rear left turn against their drag: yaw to the right
+        ("motors", [0.2, 0.2, 0, 0], 8, 1),  # front right and rear left turn against their drag: yaw to the right
         ("motors", [-1, -1, -1, -1], 5, 1),
     ],
 )
@@ -90,8 +85,7 @@ def test_body_rates_are_reached() -> None:
 def test_tcsc_flies_them_the_same_at_any_clock_speed(kind: str, timing: str) -> None:
     actions = np.random.default_rng(1).uniform(-0.2, 0.2, (20, 4))
     flights = [
-        states_of(list(actions), "Gates", action=kind, timing=timing, clock_speed=speed)
-        for speed in (1.0, 50.0)
+        states_of(list(actions), "Gates", action=kind, timing=timing, clock_speed=speed) for speed in (1.0, 50.0)
     ]
     np.testing.assert_array_equal(flights[0], flights[1])
     adsc = states_of(list(actions), "Gates", action=kind, timing="virtual", command="adsc", clock_speed=50.0)
@@ -102,9 +96,7 @@ def test_what_takes_no_such_actions_is_one_line() -> None:
     with pytest.raises(UserError, match=r"action = rates: the lane's actions are headings") as caught:
         gymnasium.make("uavaccel/ObstacleLane-v0", action="rates")
     assert "\n" not in str(caught.value)
-    with pytest.raises(
-        UserError, match=r"^simulator = kernels: action = motors is flown by the exact simulator alone"
-    ):
+    with pytest.raises(UserError, match=r"^simulator = kernels: action = motors is flown by the exact simulator alone"):
         gymnasium.make_vec("uavaccel/Hover-v0", num_envs=2, simulator="kernels", action="motors")
     with pytest.raises(UserError, match=r"action"):
         gymnasium.make("uavaccel/Hover-v0", action="thrust")

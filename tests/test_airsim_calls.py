@@ -12,9 +12,7 @@ PAGE = Path(__file__).parents[1] / "docs" / "airsim-calls.md"
 
 
 def test_the_page_is_that_of_the_table() -> None:
-    assert PAGE.read_text(encoding="utf-8") == page(), (
-        "python -m uavaccel.wire.call_table > docs/airsim-calls.md"
-    )
+    assert PAGE.read_text(encoding="utf-8") == page(), "python -m uavaccel.wire.call_table > docs/airsim-calls.md"
 
 
 def test_every_call_of_airsims_client_is_in_it_once_and_no_other_is_answered() -> None:

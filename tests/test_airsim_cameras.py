@@ -70,9 +70,7 @@ def pixels(response: dict[str, Any]) -> NDArray[np.uint8]:
 def test_optical_flow_is_empty_and_said_to_be_here_and_in_the_documents() -> None:
     wire = AirSimWire()
     for _ in range(2):
-        for image_type, picture in zip(
-            (8, 9, 0), wire.images(*(("0", t, False) for t in (8, 9, 0))), strict=True
-        ):
+        for image_type, picture in zip((8, 9, 0), wire.images(*(("0", t, False) for t in (8, 9, 0))), strict=True):
             drawn = image_type == 0
             assert (picture["width"], picture["height"]) == ((256, 144) if drawn else (0, 0))
             assert bool(picture["image_data_uint8"]) is drawn
@@ -102,9 +100,7 @@ def test_each_camera_sees_from_its_mount_through_its_lens(name: str) -> None:
     w, *axis = info["pose"]["orientation"].values()
     forward = VEHICLE.matrix() @ turned(mount[1])[:, 0]
     x, y, z = axis
-    np.testing.assert_allclose(
-        [1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)], forward, atol=1e-9
-    )
+    np.testing.assert_allclose([1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)], forward, atol=1e-9)
     assert wire.api.settings.without_effect() == ["Vehicles.Eye.Cameras.front_left.Gimbal"]
 
 
@@ -127,9 +123,7 @@ def test_an_external_camera_stands_in_the_world_and_sees_the_vehicle() -> None:
 
 
 def test_what_a_camera_leaves_out_of_its_lens_is_of_the_defaults() -> None:
-    common = CameraSettings.model_validate(
-        {"CaptureSettings": [{"Width": 64, "Height": 48, "FOV_Degrees": 60}]}
-    )
+    common = CameraSettings.model_validate({"CaptureSettings": [{"Width": 64, "Height": 48, "FOV_Degrees": 60}]})
     for own, lens in (
         ({}, (64, 48, 60.0)),
         ({"Width": 300}, (300, 48, 60.0)),
@@ -149,12 +143,8 @@ def test_a_camera_is_turned_where_it_is_and_moved_as_it_is_turned() -> None:
     for pose, place in ((turned, [0.2, 1.0, -10.3]), (moved, [2.0, 3.0, -14.0])):
         wire.call("simSetCameraPose", "0", pose, "", False)
         told = wire.call("simGetCameraInfo", "0", "", False)["pose"]
-        assert [told["position"][axis] for axis in ("x_val", "y_val", "z_val")] == pytest.approx(
-            place, abs=1e-3
-        )
-        assert [told["orientation"][axis] for axis in ("w_val", "z_val")] == pytest.approx(
-            [0.5**0.5] * 2, abs=1e-3
-        )
+        assert [told["position"][axis] for axis in ("x_val", "y_val", "z_val")] == pytest.approx(place, abs=1e-3)
+        assert [told["orientation"][axis] for axis in ("w_val", "z_val")] == pytest.approx([0.5**0.5] * 2, abs=1e-3)
 
 
 def test_a_camera_is_moved_and_zoomed_for_all_types_and_nan_leaves_its_part() -> None:
@@ -184,9 +174,7 @@ def test_disparity_normals_and_infrared() -> None:
     wire = AirSimWire()
     seen = seen_from(((0.46, 0.0, 0.0), (0, 0, 0), 256, 144, 90), Pose((0.0, 0.0, -10.0), (0, 0, 0)))
     clear = seen.inside() & (seen.planar_m < 500)
-    disparity, normals, infrared = wire.images(
-        ("0", DISPARITY, True), ("0", NORMALS, False), ("0", INFRARED, False)
-    )
+    disparity, normals, infrared = wire.images(("0", DISPARITY, True), ("0", NORMALS, False), ("0", INFRARED, False))
     np.testing.assert_allclose(floats(disparity)[clear], 0.25 / 2 / seen.planar_m[clear], rtol=4e-3)
     names = [*WIDE]
     faces = {"block_north": (0, 128, 128), "ground": (128, 128, 255)}
@@ -206,12 +194,7 @@ def test_what_cannot_be_drawn_is_refused_alone_and_all_are_of_one_moment() -> No
     wire.fly(1.0)
     first, flow, last = wire.images(("0", SCENE, False), ("0", FLOW, False), ("2", PLANAR, True))
     assert flow["message"].startswith("image type 8 is not available")
-    assert (flow["width"], flow["height"], flow["image_data_uint8"], flow["image_data_float"]) == (
-        0,
-        0,
-        b"",
-        [],
-    )
+    assert (flow["width"], flow["height"], flow["image_data_uint8"], flow["image_data_float"]) == (0, 0, b"", [])
     assert (first["message"], last["message"]) == ("", "")
     assert len(first["image_data_uint8"]) == 256 * 144 * 3
     stamps = {response["time_stamp"] for response in (first, flow, last)}
@@ -223,9 +206,7 @@ def test_many_images_of_a_call_are_of_one_moment_though_others_fly_on_between() 
     wire = AirSimWire()
     wire.call("moveByVelocity", 4.0, 1.0, 0.0, 5.0, 0, {"is_rate": True, "yaw_or_rate": 20.0}, "")
     wire.fly(1.0)
-    asked = [
-        {"camera_name": str(camera), "image_type": PLANAR, "pixels_as_float": True} for camera in range(5)
-    ]
+    asked = [{"camera_name": str(camera), "image_type": PLANAR, "pixels_as_float": True} for camera in range(5)]
     at_once = wire.call("simGetImages", asked, "", False)
     steps = wire.api.begin("simGetImages", [asked, "", False], wire.wall_ns)
     while wire.api.advance(steps, "simGetImages", []):

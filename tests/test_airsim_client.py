@@ -117,14 +117,10 @@ numbers = st.integers(-(2**40), 2**40) | st.floats(allow_nan=False)
 leaves: st.SearchStrategy[Any] = st.one_of(
     *(numbers, st.booleans(), st.none(), st.text(max_size=5), st.binary(max_size=5), st.just(Colour.RED)),
     *(st.floats(width=32, allow_nan=False).map(np.float32), st.integers(0, 9).map(np.int64)),
-    *(
-        st.builds(airsim.Vector3r, numbers, numbers, numbers),
-        st.builds(airsim.YawMode, st.booleans(), numbers),
-    ),
+    *(st.builds(airsim.Vector3r, numbers, numbers, numbers), st.builds(airsim.YawMode, st.booleans(), numbers)),
 )
 values = st.recursive(
-    leaves,
-    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=3), inner, max_size=3),
+    leaves, lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=3), inner, max_size=3)
 )
 
 
@@ -203,10 +199,7 @@ def test_lengths_and_products_are_numbers_and_any_nan_counts() -> None:
     one, other = airsim.Vector3r(1, 2, 2), airsim.Vector3r(3, 4, 1)
     assert (one.get_length(), one.dot(other), other.distance_to(one)) == (3.0, 13.0, 3.0)
     assert (LONG.get_length(), LONG.dot(airsim.Quaternionr(1, 1, 1, 1))) == (5.0, 7.0)
-    half_known = (
-        airsim.Pose(airsim.Vector3r.nanVector3r()),
-        airsim.Pose(None, airsim.Quaternionr(w_val=math.nan)),
-    )
+    half_known = (airsim.Pose(airsim.Vector3r.nanVector3r()), airsim.Pose(None, airsim.Quaternionr(w_val=math.nan)))
     assert [pose.containsNan() for pose in (airsim.Pose(), *half_known)] == [False, True, True]
     assert all(math.isnan(each) for part in airsim.Pose.nanPose() for each in part)
 

@@ -105,9 +105,7 @@ def ask(client: Any, method: str, *arguments: Any, **named: Any) -> Any:
 def value_of(name: str, number: int) -> Any:
     """An argument that is no other's."""
     if name in GAINS:
-        return GAINS[name][0](
-            *(types.PIDGains(number + i, 10 * number + i, 0.1 * number + i) for i in range(3))
-        )
+        return GAINS[name][0](*(types.PIDGains(number + i, 10 * number + i, 0.1 * number + i) for i in range(3)))
     return [number + 0.25] if name in ("requests", "path") else number + 0.5
 
 
@@ -143,9 +141,7 @@ def test_a_method_sends_what_airsims_does(client: Any, recorder: Recorder, call:
 
 
 @pytest.mark.parametrize("name", GAINS)
-def test_gains_are_those_of_simpleflight_unless_others_are_given(
-    client: Any, recorder: Recorder, name: str
-) -> None:
+def test_gains_are_those_of_simpleflight_unless_others_are_given(client: Any, recorder: Recorder, name: str) -> None:
     (method,) = (each for each, call in CALLS.items() if (name, "None") in call.parameters)
     getattr(client, method)()
     assert recorder.sent == [(method, *GAINS[name][1], "")]
@@ -187,12 +183,8 @@ def test_fields_are_nothing_until_they_are_set_but_for_these() -> None:
     }
     for name, kind in vars(types).items():
         if isinstance(kind, type) and issubclass(kind, types.MsgpackMixin) and kind is not types.MsgpackMixin:
-            plain_fields = {
-                key: each for key, each in vars(kind()).items() if not hasattr(each, "to_msgpack")
-            }
-            assert {key: each for key, each in plain_fields.items() if each} == set_already.get(name, {}), (
-                name
-            )
+            plain_fields = {key: each for key, each in vars(kind()).items() if not hasattr(each, "to_msgpack")}
+            assert {key: each for key, each in plain_fields.items() if each} == set_already.get(name, {}), name
 
 
 # --- answers ----------------------------------------------------------------------------------------------------
@@ -221,9 +213,7 @@ PLACE = {"latitude": 47.0, "longitude": -122.0, "altitude": 99.0}
         ("isRecording", (), False, False),
     ],
 )
-def test_plain_answers(
-    client: Any, recorder: Recorder, method: str, arguments: Any, answer: Any, returns: Any
-) -> None:
+def test_plain_answers(client: Any, recorder: Recorder, method: str, arguments: Any, answer: Any, returns: Any) -> None:
     recorder.answer = answer
     found = getattr(client, method)(*arguments)
     assert (found, type(found)) == (returns, type(returns))
@@ -278,14 +268,9 @@ def test_an_answer_is_taken_whole_whatever_its_order_and_what_it_lacks_has_its_d
 def test_lists_of_answers_are_airsims_types(client: Any, recorder: Recorder) -> None:
     recorder.answer = [{"width": 3}, {"width": 4}]
     images = client.simGetImages([airsim.ImageRequest("0", 0)])
-    assert [(type(each), each.width) for each in images] == [
-        (airsim.ImageResponse, 3),
-        (airsim.ImageResponse, 4),
-    ]
+    assert [(type(each), each.width) for each in images] == [(airsim.ImageResponse, 3), (airsim.ImageResponse, 4)]
     recorder.answer = [{"name": "A"}]
-    assert [(type(each), each.name) for each in client.simGetDetections("0", 0)] == [
-        (airsim.DetectionInfo, "A")
-    ]
+    assert [(type(each), each.name) for each in client.simGetDetections("0", 0)] == [(airsim.DetectionInfo, "A")]
     recorder.answer = [PLACE, PLACE]
     assert [type(each) for each in client.simGetWorldExtents()] == [airsim.GeoPoint] * 2
 
@@ -305,15 +290,11 @@ def test_what_the_client_does_with_several_calls_or_none(
     ((method, camera, pose, *rest),) = recorder.sent
     assert (method, camera, rest) == ("simSetCameraPose", "1", ["B", False])
     assert all(math.isnan(each) for each in pose["position"].values())
-    assert list(pose["orientation"].values()) == list(
-        airsim.Quaternionr(*TURN.values()).to_msgpack().values()
-    )
+    assert list(pose["orientation"].values()) == list(airsim.Quaternionr(*TURN.values()).to_msgpack().values())
     assert (client.getClientVersion(), client.getMinRequiredServerVersion()) == (1, 1)
     recorder.answer = 1
     client.confirmConnection()
-    assert capsys.readouterr().out.startswith(
-        "Connected!\nClient Ver:1 (Min Req: 1), Server Ver:1 (Min Req: 1)\n"
-    )
+    assert capsys.readouterr().out.startswith("Connected!\nClient Ver:1 (Min Req: 1), Server Ver:1 (Min Req: 1)\n")
     recorder.answer = 0
     client.confirmConnection()
     said = capsys.readouterr()
@@ -381,9 +362,7 @@ HOW = (FREE, STILL, -1, 1, "")
         ("rotateToYaw", (9, 0), ("rotateToYaw", 9, 3e38, 5, "")),
     ],
 )
-def test_the_client_before_1_2_sends_the_same_calls(
-    recorder: Recorder, method: str, arguments: Any, sent: Any
-) -> None:
+def test_the_client_before_1_2_sends_the_same_calls(recorder: Recorder, method: str, arguments: Any, sent: Any) -> None:
     client = old_client.MultirotorClient()
     ask(client, method, *arguments)
     assert recorder.sent == [sent]

@@ -43,9 +43,7 @@ def test_a_latency_has_the_mean_that_was_fitted() -> None:
     assert float(widths @ (table[1:] + table[:-1]) / 2) == pytest.approx(1000.0, rel=0.05)
 
 
-@pytest.mark.parametrize(
-    "name", ["tcsc_speedup", "tcsc_speedup_mean", "tcsc_stlc", "adsc_stlc_1x", "adsc_stlc_5x"]
-)
+@pytest.mark.parametrize("name", ["tcsc_speedup", "tcsc_speedup_mean", "tcsc_stlc", "adsc_stlc_1x", "adsc_stlc_5x"])
 def test_target_of_the_fit(name: str) -> None:
     target = fit_airsim.TARGETS[name]
     assert target.low <= outcome()[name] <= target.high, target.source
@@ -62,8 +60,7 @@ def test_figure_6_order_and_spread() -> None:
         for k in (5.0, 100.0)
     }
     speedup = {
-        cell: np.array([r.mean() / w.mean() for r, w in zip(real, own, strict=True)])
-        for cell, own in walls.items()
+        cell: np.array([r.mean() / w.mean() for r, w in zip(real, own, strict=True)]) for cell, own in walls.items()
     }
     for k in (5.0, 100.0):
         assert (speedup["tcsc", k] > speedup["adsc", k]).all()
@@ -90,9 +87,7 @@ def test_speedup_at_100x_is_bound_by_the_frame_rate(hz: float, speedup: float) -
     """What docs/results-paper.md says beside the prediction."""
     frames = {"platform": {"frames": {"hz": hz}}}
     latency = LaneTask(profile="airsim", latency=frames).latency
-    walls = [
-        fit_agent.command_wall_s(*flown, latency, commands=60) for flown in (("adsc", 1.0), ("tcsc", 100.0))
-    ]
+    walls = [fit_agent.command_wall_s(*flown, latency, commands=60) for flown in (("adsc", 1.0), ("tcsc", 100.0))]
     assert walls[0] / walls[1] == pytest.approx(speedup, rel=0.02)
 
 

@@ -301,11 +301,7 @@ def test_a_scaled_model_scales_requests_and_replies() -> None:
     call = {"call": always(1000.0)}
     config = LatencyConfig(request_us=call, reply_us=call, issue_us=always(50.0), scale=2.5)
     draws = Latency(config, np.random.SeedSequence(0))
-    assert [draws.request_ns("state"), draws.reply_ns("state"), draws.issue_ns()] == [
-        2_500_000,
-        2_500_000,
-        50_000,
-    ]
+    assert [draws.request_ns("state"), draws.reply_ns("state"), draws.issue_ns()] == [2_500_000, 2_500_000, 50_000]
 
 
 def test_a_scale_is_of_messages_and_of_nothing_that_the_platform_adds() -> None:

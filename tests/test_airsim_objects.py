@@ -33,9 +33,7 @@ BLOCK = "block_north"
 def wire() -> Iterator[AirSimWire]:
     """What a test has spawned or moved is put back."""
     wire = AirSimWire()
-    before = {
-        name: wire.call("simGetObjectPose", name) for name in wire.call("simListSceneObjects", "block.*")
-    }
+    before = {name: wire.call("simGetObjectPose", name) for name in wire.call("simListSceneObjects", "block.*")}
     yield wire
     for name in wire.call("simListSceneObjects"):
         if name in before:
@@ -57,11 +55,7 @@ def spawn(wire: AirSimWire, name: str, asset: str, at: tuple[float, float, float
 
 
 def test_objects_are_found_by_whole_names_whatever_their_case(wire: AirSimWire) -> None:
-    assert wire.call("simListSceneObjects", "BLOCK_north.*") == [
-        "block_north",
-        "block_north_east",
-        "block_north_west",
-    ]
+    assert wire.call("simListSceneObjects", "BLOCK_north.*") == ["block_north", "block_north_east", "block_north_west"]
     assert wire.call("simListSceneObjects", "north") == []
     assert {"ground", "SimpleFlight"} < set(wire.call("simListSceneObjects"))
     assert xyz(wire.call("simGetObjectPose", BLOCK)["position"]) == [45.0, 0.0, -6.0]
@@ -82,9 +76,7 @@ def test_an_object_is_where_it_is_put_and_as_large_as_it_is_made(wire: AirSimWir
     assert ahead_m(wire) == pytest.approx(14.0)
     assert xyz(wire.call("simGetObjectScale", BLOCK)) == [2.0, 1.0, 1.0]
     half = np.sqrt(0.5)
-    turned = level_pose(20.0, 0.0, -10.0) | {
-        "orientation": {"w_val": half, "x_val": 0.0, "y_val": 0.0, "z_val": half}
-    }
+    turned = level_pose(20.0, 0.0, -10.0) | {"orientation": {"w_val": half, "x_val": 0.0, "y_val": 0.0, "z_val": half}}
     turned["position"]["x_val"] = 30.0
     assert wire.call("simSetObjectPose", BLOCK, turned, True)  # a quarter turn: its length of 40 m lies north
     assert ahead_m(wire) == pytest.approx(10.0)
@@ -146,9 +138,7 @@ def test_segmentation_ids_are_airsims_until_they_are_set(wire: AirSimWire) -> No
     assert wire.call("simGetSegmentationObjectID", "BLOCK_NORTH") == 42
     assert wire.call("simGetSegmentationObjectID", "block_east") == 21
     assert wire.call("simGetSegmentationObjectID", "tree") == -1
-    assert (
-        wire.call("simGetSegmentationObjectID", "SimpleFlight") == (5 + sum(map(ord, "simpleflight"))) % 256
-    )
+    assert wire.call("simGetSegmentationObjectID", "SimpleFlight") == (5 + sum(map(ord, "simpleflight"))) % 256
     assert wire.call("simSetSegmentationObjectID", "simpleflight", 7, False)
     assert wire.call("simGetSegmentationObjectID", "SimpleFlight") == 7
 
@@ -189,10 +179,7 @@ def test_detections_are_boxes_of_what_is_seen_within_the_radius(wire: AirSimWire
     spawn(wire, "Car_behind", "Cube", (-20.0, 0.0, -10.0))
     assert wire.call("simGetDetections", "0", 0, "", False) == []
     wire.call("simAddDetectionFilterMeshName", "0", 0, "car_*", "", False)
-    assert [found["name"] for found in wire.call("simGetDetections", "0", 0, "", False)] == [
-        "Car_1",
-        "Car_far",
-    ]
+    assert [found["name"] for found in wire.call("simGetDetections", "0", 0, "", False)] == ["Car_1", "Car_far"]
     wire.call("simAddDetectionFilterMeshName", "0", 0, "block_no?th", "", False)  # beside the other name
     assert {found["name"] for found in wire.call("simGetDetections", "0", 0, "", False)} == {
         "Car_1",

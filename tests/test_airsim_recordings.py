@@ -51,9 +51,7 @@ def test_each_sample_has_its_images(tmp_path: Path) -> None:
     assert names[1][0] == f"img_Up_down_1_front_center_0_{EPOCH_NS + 60_000_000}.png"
     assert sorted(path.name for path in (made / "images").iterdir()) == sorted(chain(*names))
     assert [Path(name).suffix for name in names[1]] == [".png", ".pfm", ".ppm"]
-    scene, depth, segments = (
-        made / "images" / name for name in names[-1]
-    )  # at the last tick: it still stands there
+    scene, depth, segments = (made / "images" / name for name in names[-1])  # at the last tick: it still stands there
     wire.call("simPause", True)
     assert segments.read_bytes().startswith(b"P6")
     shown, below, ids = wire.images(("0", 0, False), ("3", 1, True), ("0", 5, False))

@@ -35,8 +35,7 @@ SENSORS = {
     "Off": {"SensorType": 5, "Enabled": False},
     "Lidar": LIDAR,
     "Local": LIDAR | {"DataFrame": "SensorLocalFrame", "X": 0.5, "Yaw": 90, "DrawDebugPoints": True},
-    "Half": LIDAR
-    | {"HorizontalFOVStart": -30, "HorizontalFOVEnd": 30, "VerticalFOVUpper": 0, "VerticalFOVLower": 0},
+    "Half": LIDAR | {"HorizontalFOVStart": -30, "HorizontalFOVEnd": 30, "VerticalFOVUpper": 0, "VerticalFOVLower": 0},
 }
 TILTED = Pose((2.0, -3.0, -9.0), (10.0, -15.0, 40.0))
 
@@ -57,28 +56,20 @@ def test_an_imu_feels_the_specific_force_and_the_body_rate_with_the_noise_of_its
     assert force.mean(axis=0) == pytest.approx([0.0, 0.0, -9.80665], abs=4 * sigma / 20)
     np.testing.assert_allclose(force.std(axis=0), sigma, rtol=0.2)
     np.testing.assert_allclose(rate.std(axis=0), math.radians(0.3) / 60 / math.sqrt(0.002), rtol=0.2)
-    assert (
-        readings[-1]["time_stamp"] == EPOCH_NS + 800_000_000 == wire.call("getMultirotorState")["timestamp"]
-    )
+    assert readings[-1]["time_stamp"] == EPOCH_NS + 800_000_000 == wire.call("getMultirotorState")["timestamp"]
 
 
 def test_a_tilted_imu_feels_the_force_along_its_own_axes() -> None:
-    silent = dict.fromkeys(
-        ("AngularRandomWalk", "GyroBiasStability", "VelocityRandomWalk", "AccelBiasStability"), 0.0
-    )
+    silent = dict.fromkeys(("AngularRandomWalk", "GyroBiasStability", "VelocityRandomWalk", "AccelBiasStability"), 0.0)
     wire = with_sensors(Imu={"SensorType": 2} | silent)
     wire.call("simSetVehiclePose", TILTED.message(), True, "")
     wire.fly(0.1)
     true, told = wire.call("simGetGroundTruthKinematics", ""), wire.call("getImuData", "", "")
     w, x, y, z = true["orientation"].values()
-    down = np.array(
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]
-    )  # in the body's frame
+    down = np.array([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)])  # in the body's frame
     acceleration, force = (np.array(xyz(each["linear_acceleration"])) for each in (true, told))
     turned = wire.simulation.kinematics().orientation_wxyz
-    assert force == pytest.approx(
-        (acceleration - [0.0, 0.0, 9.80665]) @ ScenePose((0, 0, 0), turned).matrix()
-    )
+    assert force == pytest.approx((acceleration - [0.0, 0.0, 9.80665]) @ ScenePose((0, 0, 0), turned).matrix())
     assert down @ force == pytest.approx(acceleration[2] - 9.80665)
     assert xyz(told["angular_velocity"]) == pytest.approx(xyz(true["angular_velocity"]))
 
@@ -118,13 +109,9 @@ def test_the_air_and_the_field_are_those_of_the_place() -> None:
     assert told["pressure"] == pytest.approx(pressure, rel=1e-6)
     assert told["altitude"] == pytest.approx(altitude, abs=0.5)
     assert told["qnh"] == 1013.25
-    assert atmosphere(15_000.0)[:2] == pytest.approx(
-        (216.65, 12_111.0), rel=1e-3
-    )  # US Standard Atmosphere 1976
+    assert atmosphere(15_000.0)[:2] == pytest.approx((216.65, 12_111.0), rel=1e-3)  # US Standard Atmosphere 1976
     air = wire.call("simGetGroundTruthEnvironment", "")
-    assert (air["air_pressure"], air["temperature"]) == pytest.approx(
-        (pressure, 288.15 - 0.0065 * geopotential)
-    )
+    assert (air["air_pressure"], air["temperature"]) == pytest.approx((pressure, 288.15 - 0.0065 * geopotential))
     assert air["air_density"] == pytest.approx(pressure / 287.053 / air["temperature"])
     assert xyz(air["gravity"]) == [0.0, 0.0, 9.80665]
     assert xyz(air["position"]) == pytest.approx(TILTED.position_m)
@@ -194,13 +181,9 @@ def test_a_distance_is_that_of_the_first_thing_ahead() -> None:
     near = wire.call("getDistanceSensorData", "Down", "")["distance"]
     assert near == pytest.approx(0.1), "AirSim's tells what is nearer than its least distance too"
     for name in ("Off", "Sideways"):
-        with pytest.raises(
-            rpc.RpcError, match=f"No distance sensor with name {name} exist on vehicle; there is Down"
-        ):
+        with pytest.raises(rpc.RpcError, match=f"No distance sensor with name {name} exist on vehicle; there is Down"):
             wire.call("getDistanceSensorData", name, "")
-    with pytest.raises(
-        rpc.RpcError, match="No lidar with name  exist on vehicle; the settings' Sensors give none"
-    ):
+    with pytest.raises(rpc.RpcError, match="No lidar with name  exist on vehicle; the settings' Sensors give none"):
         AirSimWire().call("getLidarData", "", "")
 
 
@@ -222,9 +205,7 @@ def test_a_lidar_scans_its_channels_around_and_tells_points_in_its_frame() -> No
     local_points = np.array(wire.call("getLidarData", "Local", "")["point_cloud"]).reshape(-1, 3)
     sensor = wire.call("getLidarData", "Local", "")["pose"]
     mount = TILTED.matrix() @ Pose((0, 0, 0), (0, 0, 90)).matrix()
-    np.testing.assert_allclose(
-        xyz(sensor["position"]), np.array(TILTED.position_m) + 0.5 * TILTED.matrix()[:, 0]
-    )
+    np.testing.assert_allclose(xyz(sensor["position"]), np.array(TILTED.position_m) + 0.5 * TILTED.matrix()[:, 0])
     world = local_points @ mount.T + xyz(sensor["position"])
     assert (np.abs(world[:, 2]) < 1e-4).sum() > 100
     assert wire.api.settings.without_effect() == ["Vehicles.Drone.Sensors.Local.DrawDebugPoints"]
@@ -261,9 +242,7 @@ def test_a_lidars_rays_are_those_of_airsims_formula(
     low, high = Fraction(first) % 360, Fraction(last) % 360
     for begun in (0, 36, 340):
         turns = [(begun + Fraction(360, of_one) * ray) % 360 for ray in range(of_one)]
-        seen = [
-            turn for turn in turns if (low <= turn <= high if low < high else turn >= low or turn <= high)
-        ]
+        seen = [turn for turn in turns if (low <= turn <= high if low < high else turn >= low or turn <= high)]
         assert len(seen) == of_one or (first, last) in PARTS
         rays, expected = directions(settings, begun), np.tile([float(turn) for turn in seen], channels)
         assert rays.shape == (len(expected), 3)
@@ -414,9 +393,7 @@ def test_what_has_no_effect_and_what_is_refused_is_said_once() -> None:
     refused = {name: call.status for name, call in CALLS.items() if call.status.startswith("refused: ")}
     assert len(refused) == 20
     for name, status in refused.items():
-        with pytest.raises(
-            rpc.RpcError, match=f"{name} is not available: {status.removeprefix('refused: ')}"
-        ):
+        with pytest.raises(rpc.RpcError, match=f"{name} is not available: {status.removeprefix('refused: ')}"):
             wire.call(name, "")
     assert len(wire.said) == len(accepted) + len(refused)
     assert wire.call("simLoadLevel", "blocks")
@@ -446,10 +423,7 @@ def test_one_question_per_episode_is_enough_to_learn_of_each_crash() -> None:
 def test_magnetometers_of_one_vehicle_have_biases_of_their_own() -> None:
     biased = {"SensorType": 4, "NoiseSigma": 0.0, "NoiseBias": 0.3}
     wire = with_sensors(Bow=biased, Tail=biased, Mast=biased)
-    read = {
-        name: xyz(wire.call("getMagnetometerData", name, "")["magnetic_field_body"])
-        for name in ("Tail", "Mast")
-    }
+    read = {name: xyz(wire.call("getMagnetometerData", name, "")["magnetic_field_body"]) for name in ("Tail", "Mast")}
     assert all(0.0 < abs(tail - mast) <= 0.6 for tail, mast in zip(read["Tail"], read["Mast"], strict=True))
 
 
@@ -472,9 +446,7 @@ def test_what_sensors_add_to_the_truth_is_of_the_size_of_their_own_setting() -> 
         Down={"SensorType": 5, "Pitch": -90, "UncorrelatedNoiseSigma": 0.5},
     )
     pressure = wire.call("simGetGroundTruthEnvironment", "")["air_pressure"]
-    field = np.array(
-        magnetic_field_gauss(GeoPoint(**wire.call("simGetGroundTruthEnvironment", "")["geo_point"]))
-    )
+    field = np.array(magnetic_field_gauss(GeoPoint(**wire.call("simGetGroundTruthEnvironment", "")["geo_point"])))
     errors: list[list[float]] = []
     for _ in range(150):
         wire.fly(0.002)
@@ -531,9 +503,7 @@ def test_a_fix_follows_from_the_horizontal_dilution_alone(shares: tuple[float, f
     assert read.fix == fix
 
 
-@pytest.mark.parametrize(
-    ("seconds", "first_deg"), [(0.0, 0), (0.1, 72), (0.19, 72), (0.3, 216), (0.5, 0), (0.7, 144)]
-)
+@pytest.mark.parametrize(("seconds", "first_deg"), [(0.0, 0), (0.1, 72), (0.19, 72), (0.3, 216), (0.5, 0), (0.7, 144)])
 def test_a_lidar_that_turns_slower_than_it_scans_goes_on_where_its_last_scan_ended(
     seconds: float, first_deg: float
 ) -> None:

@@ -37,8 +37,7 @@ values = st.recursive(
     lambda inner: (
         st.lists(inner, max_size=3)
         | st.dictionaries(
-            st.sampled_from(["position", "orientation", "x_val", "w_val", "is_rate", "seed", "obstacles"]),
-            inner,
+            st.sampled_from(["position", "orientation", "x_val", "w_val", "is_rate", "seed", "obstacles"]), inner
         )
     ),
     max_leaves=5,
@@ -111,12 +110,7 @@ def test_a_bug_in_a_call_leaves_its_traceback_in_the_log_once(caplog: pytest.Log
 
 def test_a_clients_mistake_is_no_bug(caplog: pytest.LogCaptureFixture) -> None:
     api = new_api()
-    for name, params in (
-        ("moveByRC", [7]),
-        ("simPause", []),
-        ("moveByVelocity", [1.0] * 6),
-        ("takeoff", ["x"]),
-    ):
+    for name, params in (("moveByRC", [7]), ("simPause", []), ("moveByVelocity", [1.0] * 6), ("takeoff", ["x"])):
         with pytest.raises(rpc.RpcError):
             api.call(name, params, 0)
     assert not caplog.records
@@ -166,9 +160,7 @@ def test_a_recording_is_airsims_file(tmp_path: Path) -> None:
     [[header, *rows]] = rows_of(tmp_path)
     assert tuple(header) == COLUMNS
     assert [int(row[1]) - EPOCH_NS // MS for row in rows] == [100, 150, 200, 250, 300]
-    assert {(row[0], row[2], row[4], row[5], row[9]) for row in rows} == {
-        ("SimpleFlight", "0", "-10", "1", "")
-    }
+    assert {(row[0], row[2], row[4], row[5], row[9]) for row in rows} == {("SimpleFlight", "0", "-10", "1", "")}
 
 
 def test_a_recording_goes_on_through_commands_and_resets(tmp_path: Path) -> None:
@@ -182,9 +174,7 @@ def test_a_recording_goes_on_through_commands_and_resets(tmp_path: Path) -> None
     assert not result_of(api, "isRecording", [])
     [[_, *rows]] = rows_of(tmp_path)
     times = [int(row[1]) - EPOCH_NS // MS for row in rows]
-    assert times == sorted(
-        [*range(0, 450, 50), *range(400, 550, 50)]
-    )  # of the reset, the state before and after
+    assert times == sorted([*range(0, 450, 50), *range(400, 550, 50)])  # of the reset, the state before and after
 
 
 @pytest.mark.parametrize("name", ["Drone\t1", "two\nlines", "a\u2028b", "a\x85b", "\0", "a/b", "a" * 257])

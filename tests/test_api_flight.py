@@ -62,14 +62,9 @@ def test_states_are_those_of_the_physics() -> None:
     before = api.simulation.kinematics()
     told = result_of(api, "getMultirotorState", ["SimpleFlight"], 702 * MS)
     state, world = told["kinematics_estimated"], api.simulation.world
-    assert [state["position"][axis] for axis in ("x_val", "y_val", "z_val")] == list(
-        world.lead.state["position"]
-    )
+    assert [state["position"][axis] for axis in ("x_val", "y_val", "z_val")] == list(world.lead.state["position"])
     now = api.simulation.kinematics()
-    assert (
-        tuple(state["orientation"][axis] for axis in ("w_val", "x_val", "y_val", "z_val"))
-        == now.orientation_wxyz
-    )
+    assert tuple(state["orientation"][axis] for axis in ("w_val", "x_val", "y_val", "z_val")) == now.orientation_wxyz
     for name, vector in (
         ("linear_velocity", now.linear_velocity_m_s),
         ("angular_velocity", now.angular_velocity_rad_s),
@@ -214,12 +209,8 @@ def test_pause_run_and_continue() -> None:
     assert api.simulation.world.tick == 10
 
 
-@pytest.mark.parametrize(
-    ("method", "amount"), [("simContinueForTime", 0.002), ("uavaccelContinueFor", 20 * MS)]
-)
-def test_airsims_continue_for_counts_wall_seconds_and_ours_simulated_nanoseconds(
-    method: str, amount: Any
-) -> None:
+@pytest.mark.parametrize(("method", "amount"), [("simContinueForTime", 0.002), ("uavaccelContinueFor", 20 * MS)])
+def test_airsims_continue_for_counts_wall_seconds_and_ours_simulated_nanoseconds(method: str, amount: Any) -> None:
     api = new_api(10.0)
     result_of(api, "simPause", [True])
     reply = result_of(api, method, [amount], 1 * MS)
@@ -271,9 +262,7 @@ def test_airsims_wall_timer_notes_when_it_was_due_and_when_it_ended() -> None:
     result_of(api, "simContinueForTime", [0.03], 1 * MS)
     api.simulation.advance_to(31 * MS + 54_321)
     events = [
-        event[:2]
-        for event in result_of(api, "uavaccelTrace", [False], 40 * MS)
-        if event[0] in ("timer", "pause")
+        event[:2] for event in result_of(api, "uavaccelTrace", [False], 40 * MS) if event[0] in ("timer", "pause")
     ]
     assert events == [["pause", 0], ["timer", 31 * MS], ["pause", 31 * MS + 54_321]]
 

@@ -39,10 +39,7 @@ INCLUDED = '<include file="quadrotor.xml"/>'
     [
         ("", "empty file"),
         (f"<mujoco>{INCLUDED}", "XML parse error"),
-        (
-            f'<mujoco>{INCLUDED}<worldbody><geom type="bax"/></worldbody></mujoco>',
-            "invalid keyword: 'bax'.*line 1",
-        ),
+        (f'<mujoco>{INCLUDED}<worldbody><geom type="bax"/></worldbody></mujoco>', "invalid keyword: 'bax'.*line 1"),
         ('<mujoco><include file="nowhere.xml"/></mujoco>', "nowhere.xml"),
         ("<mujoco/>", "has no quadrotor: needs <include"),
     ],

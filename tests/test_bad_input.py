@@ -361,11 +361,7 @@ def words(line: str, folder: Path) -> list[str]:
 
 @pytest.mark.parametrize(("line", "key"), TABLE, ids=[line[:60] for line, _ in TABLE])
 def test_bad_input_is_one_line_and_nothing_is_written(
-    line: str,
-    key: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    line: str, key: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "there.txt").write_text("mine")

@@ -79,9 +79,7 @@ def assert_flies_as_alone(batch: EnvironmentBatch, alone: list[ObstacleLane], co
 @needs_opengl
 @pytest.mark.slow
 @pytest.mark.parametrize(("size", "keys"), FLOWN)
-def test_a_batch_flies_as_single_environments_do(
-    size: tuple[int, int, Any, int], keys: dict[str, Any]
-) -> None:
+def test_a_batch_flies_as_single_environments_do(size: tuple[int, int, Any, int], keys: dict[str, Any]) -> None:
     task = {"max_commands": 6, **keys}
     batch, lanes = EnvironmentBatch(ObstacleLane, *size, **task), size[0]
     with closing(batch), singles(lanes, **task) as alone:
@@ -95,11 +93,7 @@ def test_gymnasium_makes_batches() -> None:
     with closing(made) as batch:
         assert batch.metadata["autoreset_mode"] == AutoresetMode.NEXT_STEP
         seen, infos = batch.reset(seed=3)
-        assert (
-            (seen.shape, seen.dtype)
-            == (batch.observation_space.shape, np.uint8)
-            == ((2, 3, 36, 64), np.uint8)
-        )
+        assert (seen.shape, seen.dtype) == (batch.observation_space.shape, np.uint8) == ((2, 3, 36, 64), np.uint8)
         assert len(set(infos["lane"].tolist())) == 2
         for _ in range(2):
             _, rewards, terminated, truncated, infos = batch.step(np.array([2, 0]))
@@ -229,9 +223,7 @@ def test_a_renderer_that_draws_no_more_is_said_in_one_line(
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
-def test_the_first_answer_is_not_waited_for_while_a_lane_stands_still(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_the_first_answer_is_not_waited_for_while_a_lane_stands_still(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(environment_processes, "LOOK_S", 0.1)
     with closing(EnvironmentBatch(ObstacleLane, 2, 2, observation="state")) as batch:
         batch.reset(seed=0)

@@ -291,9 +291,7 @@ def test_a_trace_is_of_the_second_command_alone_in_the_order_of_its_times() -> N
         ([5.0, 20.0, 30.0], [10.0, 20.0, 30.0], False),
     ],
 )
-def test_a_model_agrees_as_two_runs_of_the_machine_do(
-    virtual: list[float], again: list[float], agrees: bool
-) -> None:
+def test_a_model_agrees_as_two_runs_of_the_machine_do(virtual: list[float], again: list[float], agrees: bool) -> None:
     wall = np.array([10.0, 20.0, 30.0])
     assert Agreement("adsc", 50.0, 1.0, "gap s", wall, np.array(again), np.array(virtual)).agrees is agrees
 

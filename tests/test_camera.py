@@ -51,9 +51,7 @@ SCENE = """
 def posts() -> mujoco.MjModel:
     """A red cube 6 m ahead of the eye, a green block up to the left, a blue sky."""
     quadrotor = asset("mjcf/quadrotor.xml")
-    return mujoco.MjModel.from_xml_string(
-        SCENE.format(quadrotor=quadrotor, post=EYE_AHEAD_M + POST_FACE_M + 1.0)
-    )
+    return mujoco.MjModel.from_xml_string(SCENE.format(quadrotor=quadrotor, post=EYE_AHEAD_M + POST_FACE_M + 1.0))
 
 
 @pytest.fixture
@@ -106,9 +104,7 @@ def test_depth_is_in_metres(posts: mujoco.MjModel, eye: Camera) -> None:
 
 @needs_opengl
 @pytest.mark.parametrize(("width", "height", "fov_deg"), [(256, 144, 90.0), (64, 64, 90.0), (160, 40, 120.0)])
-def test_the_field_of_view_is_horizontal(
-    posts: mujoco.MjModel, width: int, height: int, fov_deg: float
-) -> None:
+def test_the_field_of_view_is_horizontal(posts: mujoco.MjModel, width: int, height: int, fov_deg: float) -> None:
     """The cube is 2 m wide and 6 m away."""
     with Camera(posts, width, height, fov_deg=fov_deg) as camera:
         cube = camera.segmentation(mujoco.MjData(posts)) == posts.geom("post").id

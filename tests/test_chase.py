@@ -25,9 +25,7 @@ def drone(picture: np.ndarray) -> np.ndarray:
 def test_the_drone_is_seen_from_behind_along_its_heading() -> None:
     position_m = np.array([[3.0, 0.0, -2.0], [23.0, 1.5, -2.0], [3.0, 0.0, -2.0], [3.0, 0.0, -2.0]])
     half = np.sqrt(0.5)
-    attitude = np.array(
-        [[1.0, 0, 0, 0], [1.0, 0, 0, 0], [half, 0, 0, half], [np.cos(0.1), np.sin(0.1), 0, 0]]
-    )
+    attitude = np.array([[1.0, 0, 0, 0], [1.0, 0, 0, 0], [half, 0, 0, half], [np.cos(0.1), np.sin(0.1), 0, 0]])
     views = [ChaseView(draw_layout(seed), position_m, attitude, (256, 144)) for seed in (3, 4)]
     start, further, east, rolled = (views[0](number) for number in range(4))
     assert start.shape == (144, 256, 3)

@@ -41,11 +41,7 @@ def flight(world: World, seed: int, height_m: float) -> tuple[bytes, int | None,
         world.lead.set_goal(of_velocity(VelocityGoal(velocity, height_m=-height_m * rng.uniform(0.2, 1.2))))
         for ticks in (165, 165, 170):
             world.advance(ticks)
-    return (
-        world.samples().tobytes(),
-        world.lead.collision_tick,
-        getattr(world.lead.contact_log.first, "object", ""),
-    )
+    return (world.samples().tobytes(), world.lead.collision_tick, getattr(world.lead.contact_log.first, "object", ""))
 
 
 @pytest.mark.slow
@@ -95,9 +91,7 @@ TARGETS = {  # a place near, and the direction to what is to be hit
     "wall": ((5.0, 5.0, -8.0), (0.0, 1.0, 0.0)),
     "post": ((20.0 - 0.5, 0.3, -6.0), (1.0, 0.0, 0.0)),
 }
-POSTS = {
-    "obstacles": [{"x_m": 20.0, "y_m": 0.3, "half_side_m": 0.5}, {"x_m": 40.0, "y_m": 0.0, "radius_m": 0.5}]
-}
+POSTS = {"obstacles": [{"x_m": 20.0, "y_m": 0.3, "half_side_m": 0.5}, {"x_m": 40.0, "y_m": 0.0, "radius_m": 0.5}]}
 
 
 @pytest.mark.parametrize("speed_m_s", [0.0, 4.0, 14.0])
@@ -137,12 +131,7 @@ def strongest_acceleration(gains: Any, airspeed_m_s: float) -> float:
 
 
 @settings(max_examples=200)
-@given(
-    seed=st.integers(0, 2**32),
-    speed_m_s=st.floats(0, 15),
-    wind_m_s=st.floats(0, 20),
-    height_m=st.floats(0.0, 60.0),
-)
+@given(seed=st.integers(0, 2**32), speed_m_s=st.floats(0, 15), wind_m_s=st.floats(0, 20), height_m=st.floats(0.0, 60.0))
 def test_no_flight_accelerates_more_than_the_strongest(
     seed: int, speed_m_s: float, wind_m_s: float, height_m: float
 ) -> None:

@@ -66,9 +66,7 @@ def test_help_names_the_commands(arguments: list[str]) -> None:
     assert {"run", "report", "serve", "calibrate", "bench", "doctor"} <= set(done.stdout.split())
 
 
-@pytest.mark.parametrize(
-    ("words", "completion"), [("uavaccel do", "doctor"), ("uavaccel serve --sce", "--scene")]
-)
+@pytest.mark.parametrize(("words", "completion"), [("uavaccel do", "doctor"), ("uavaccel serve --sce", "--scene")])
 def test_the_shell_can_complete(words: str, completion: str) -> None:
     keys = {"_UAVACCEL_COMPLETE": "complete_bash", "COMP_WORDS": words, "COMP_CWORD": str(len(words.split()) - 1)}
     done = uavaccel("-m", "uavaccel", env=keys)
@@ -123,9 +121,7 @@ print(*sys.modules, file=sys.stderr)
     assert not {"scipy.stats", "torch._dynamo"} & set(done.stderr.split())
 
 
-def test_no_renderer_is_started_where_this_process_knows_that_software_draws(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_no_renderer_is_started_where_this_process_knows_that_software_draws(monkeypatch: pytest.MonkeyPatch) -> None:
     def started(*arguments: object) -> None:
         raise AssertionError("a renderer was started")
 
@@ -272,9 +268,7 @@ SQUARE = (50.0, 0.012, 0)
         ),
     ],
 )  # fmt: skip
-def test_a_command_hands_on_what_it_was_given(
-    asked: list[tuple[Any, ...]], line: str, call: tuple[Any, ...]
-) -> None:
+def test_a_command_hands_on_what_it_was_given(asked: list[tuple[Any, ...]], line: str, call: tuple[Any, ...]) -> None:
     typed(line)
     [(name, *given)] = asked
     assert (name, *(vars(given[0]).values() if name == "serve" else given)) == call
@@ -411,9 +405,7 @@ def test_a_table_shows_the_columns_that_fit_uncut(width: int, columns: int) -> N
     assert columns_within(TABLE, width) == columns
 
 
-def test_the_time_left_is_that_of_the_games_to_come_at_the_pace_of_this_starts(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_the_time_left_is_that_of_the_games_to_come_at_the_pace_of_this_starts(monkeypatch: pytest.MonkeyPatch) -> None:
     """Ten games, two at a time, on a clock that moves by hand: two were flown before, and eight are to come."""
     now = SimpleNamespace(s=1000.0)
     clock = SimpleNamespace(now_ns=lambda: int(now.s * NS_PER_S))

@@ -130,10 +130,7 @@ def test_goals_become_airsims_arguments() -> None:
     client, transport = new_client()
     client.move_async(VelocityGoal((1.0, 2.0, 3.0), None, 0.25, True), 0.5)
     client.move_async(VelocityGoal((1.0, 2.0, 3.0), -7.0, -0.5, False), 2.0)
-    yaws = [
-        {"is_rate": True, "yaw_or_rate": math.degrees(0.25)},
-        {"is_rate": False, "yaw_or_rate": math.degrees(-0.5)},
-    ]
+    yaws = [{"is_rate": True, "yaw_or_rate": math.degrees(0.25)}, {"is_rate": False, "yaw_or_rate": math.degrees(-0.5)}]
     assert transport.sent == [
         ("moveByVelocity", (1.0, 2.0, 3.0, 0.5, 0, yaws[0], "", True), False, False),
         ("moveByVelocityZ", (1.0, 2.0, -7.0, 2.0, 0, yaws[1], "", True), False, False),
@@ -174,15 +171,7 @@ def test_a_trace_is_told_once_and_only_while_switched_on() -> None:
     assert client.trace(True) == []
     client.continue_for(2 * MS)
     events = client.trace(False)
-    assert [event for event, _, _ in events] == [
-        "handle uavaccelContinueFor",
-        "run",
-        "pause",
-        "handle uavaccelTrace",
-    ]
-    assert [(wall_ns, time_ns) for _, wall_ns, time_ns in events] == [
-        *[(2 * MS, 2 * MS)] * 2,
-        *[(4 * MS, 4 * MS)] * 2,
-    ]
+    assert [event for event, _, _ in events] == ["handle uavaccelContinueFor", "run", "pause", "handle uavaccelTrace"]
+    assert [(wall_ns, time_ns) for _, wall_ns, time_ns in events] == [*[(2 * MS, 2 * MS)] * 2, *[(4 * MS, 4 * MS)] * 2]
     client.continue_for(2 * MS)
     assert client.trace(False) == []

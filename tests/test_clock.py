@@ -33,9 +33,7 @@ LARGEST = 10**15  # nanoseconds: twelve days
 
 decimal_speeds = st.decimals("0.001", "1000", places=3).map(float)
 ratios = st.fractions("0.01", 1000, max_denominator=100).map(float)
-speeds = (
-    st.sampled_from([1.5, 0.1, 0.3333333, 100, 0.1 + 0.2]) | decimal_speeds | ratios | st.floats(0.001, 1000)
-)
+speeds = st.sampled_from([1.5, 0.1, 0.3333333, 100, 0.1 + 0.2]) | decimal_speeds | ratios | st.floats(0.001, 1000)
 instants = st.integers(0, LARGEST)
 
 
@@ -171,10 +169,7 @@ def test_another_clocks_time_is_told_in_utc_and_where_the_machine_is() -> None:
     assert module.localtime()[:6] == (1970, 1, 2, 3, 30, 0)
     assert module.localtime(60)[:6] == (1970, 1, 1, 5, 31, 0)
     assert (module.ctime(), module.ctime(60)) == ("Fri Jan  2 03:30:00 1970", "Thu Jan  1 05:31:00 1970")
-    assert (module.asctime(), module.asctime(module.gmtime(60))) == (
-        module.ctime(),
-        "Thu Jan  1 00:01:00 1970",
-    )
+    assert (module.asctime(), module.asctime(module.gmtime(60))) == (module.ctime(), "Thu Jan  1 00:01:00 1970")
     assert (module.strftime("%d %H:%M"), module.strftime("%H:%M", module.gmtime(60))) == ("02 03:30", "00:01")
     assert module.mktime(module.localtime()) == 79_200.0, "what tells no present is the machine's own"
 

@@ -102,10 +102,7 @@ def test_tcsc_takes_three_samples_a_command_as_in_the_paper() -> None:
     client = ScriptedClient()
     samples = list(tcsc(client, NORTH, 1.0, 0.33))
     assert samples == [("sample", (7 + t) * MS) for t in (330, 660, 1000)]
-    assert client.calls[2:] == [
-        *[("continue", 330 * MS), ("gather",)] * 2,
-        *[("continue", 340 * MS), ("gather",)],
-    ]
+    assert client.calls[2:] == [*[("continue", 330 * MS), ("gather",)] * 2, *[("continue", 340 * MS), ("gather",)]]
 
 
 def test_tcsc_gathers_before_it_goes_on() -> None:
@@ -149,14 +146,7 @@ def test_neither_early_nor_late_ends_add_up() -> None:
 def test_adsc_joins_and_gathers_with_the_clock_stopped() -> None:
     client = ScriptedClient()
     assert list(adsc(client, NORTH, 1.0, 1.0)) == [("sample", 1007 * MS)]
-    assert client.calls == [
-        ("move", NORTH, 1.0),
-        ("join", None),
-        ("pause",),
-        ("state",),
-        ("gather",),
-        ("run",),
-    ]
+    assert client.calls == [("move", NORTH, 1.0), ("join", None), ("pause",), ("state",), ("gather",), ("run",)]
 
 
 def test_adsc_samples_are_due_at_multiples_of_t_sample() -> None:
@@ -234,13 +224,7 @@ def test_slices_fill_the_command_and_none_is_a_stub(t_move_ms: int, t_sample_ms:
 
 @pytest.mark.parametrize(
     ("t_move_s", "t_sample_s", "flown_s"),
-    [
-        (1.0, 0.5, {0.5}),
-        (1.0, 0.33, {0.33, 0.34}),
-        (1.0, 0.3, {0.3, 0.1}),
-        (0.5, 0.5, {0.5}),
-        (0.5, 2.0, {0.5}),
-    ],
+    [(1.0, 0.5, {0.5}), (1.0, 0.33, {0.33, 0.34}), (1.0, 0.3, {0.3, 0.1}), (0.5, 0.5, {0.5}), (0.5, 2.0, {0.5})],
 )
 def test_what_is_flown_is_what_has_to_fit(t_move_s: float, t_sample_s: float, flown_s: set[float]) -> None:
     """A sampling time beyond the command's end is never flown, so that any will do."""

@@ -168,9 +168,7 @@ def test_the_schema_describes_the_fields() -> None:
     described = schema(Flight)
     json.dumps(described)
     assert described["additionalProperties"] is False
-    assert (
-        described["$defs"]["Camera"]["properties"]["rate_hz"]["description"] == "Images a simulated second."
-    )
+    assert described["$defs"]["Camera"]["properties"]["rate_hz"]["description"] == "Images a simulated second."
 
 
 # --- overrides ----------------------------------------------------------------------------------------------

@@ -65,22 +65,16 @@ def test_a_batch_of_tensors_flies_as_the_cpus(kind: type[FlightEnv], task: dict[
                 actions = actions_of(batch.single_action_space, random)
                 flown = batch.step(th.from_numpy(actions) if number % 2 else actions)
                 expected = other.step(actions)
-                for tensor, array in zip(
-                    flown[:4:2] + flown[3:4], expected[:4:2] + expected[3:4], strict=True
-                ):
+                for tensor, array in zip(flown[:4:2] + flown[3:4], expected[:4:2] + expected[3:4], strict=True):
                     np.testing.assert_array_equal(tensor.numpy(), array)
                 # PyTorch takes a number times a flag in single precision, as tasks' rewards have them
                 np.testing.assert_allclose(flown[1].numpy(), expected[1], rtol=0, atol=1e-7)
                 np.testing.assert_array_equal(flown[4]["commands"].numpy(), expected[4]["commands"])
-                np.testing.assert_array_equal(
-                    flown[4]["position_m"].numpy(), np.stack(expected[4]["position_m"])
-                )
+                np.testing.assert_array_equal(flown[4]["position_m"].numpy(), np.stack(expected[4]["position_m"]))
                 over = expected[2] | expected[3]
                 ends += over.sum()
                 for lane in np.flatnonzero(over):
-                    np.testing.assert_array_equal(
-                        flown[4]["final_obs"][lane].numpy(), expected[4]["final_obs"][lane]
-                    )
+                    np.testing.assert_array_equal(flown[4]["final_obs"][lane].numpy(), expected[4]["final_obs"][lane])
                 if over.any():
                     assert_equal_infos(flown[4]["final_info"], expected[4]["final_info"])
     assert ends > LANES
@@ -112,9 +106,7 @@ def test_saved_lanes_go_on_elsewhere_to_the_same_bytes(keys: dict[str, Any]) -> 
     for flown in actions[:6]:
         lanes.fly(flown)
         lanes.games.refill(lanes.games.begun.tolist())
-    saved = [
-        {name: np.array(value) for name, value in state.items()} for state in lanes.env_method("get_state")
-    ]
+    saved = [{name: np.array(value) for name, value in state.items()} for state in lanes.env_method("get_state")]
     seen = [others.env_method("set_state", state, indices=[lane])[0] for lane, state in enumerate(saved)]
     np.testing.assert_array_equal(np.stack(seen), lanes.observations.numpy())
     for flown in actions[6:]:
@@ -191,13 +183,7 @@ LEARNING = {
     "channels": [4, 4],
     "hidden": [16],
     "commands_per_gradient_step": 2,
-    "options": {
-        "learning_starts": 6,
-        "batch_size": 4,
-        "buffer_size": 60,
-        "target_update_interval": 8,
-        "n_steps": 1,
-    },
+    "options": {"learning_starts": 6, "batch_size": 4, "buffer_size": 60, "target_update_interval": 8, "n_steps": 1},
     "task": {"timing": "virtual", "command": "adsc", "clock_speed": 20.0, "max_commands": 6},
 }
 
@@ -265,10 +251,7 @@ def test_a_learner_goes_on_from_a_checkpoint_to_the_same_weights() -> None:
     assert learner.lanes.going.any(), "in the middle of games"
     saved = (
         deepcopy(learner.get_state()),  # whose tensors are the learner's own
-        [
-            {name: np.array(value) for name, value in state.items()}
-            for state in learner.lanes.env_method("get_state")
-        ],
+        [{name: np.array(value) for name, value in state.items()} for state in learner.lanes.env_method("get_state")],
     )
     games += learn(learner, 8)
     assert [game.number for game in games] == list(range(8))
@@ -278,9 +261,7 @@ def test_a_learner_goes_on_from_a_checkpoint_to_the_same_weights() -> None:
 
     other = learner_of(config.model_copy(update={"seed": 1}))
     other.config = config
-    seen = [
-        other.lanes.env_method("set_state", state, indices=[lane])[0] for lane, state in enumerate(saved[1])
-    ]
+    seen = [other.lanes.env_method("set_state", state, indices=[lane])[0] for lane, state in enumerate(saved[1])]
     other.set_state(saved[0], np.stack(seen))
     again = learn(other, 8)
     assert len(again) > 1

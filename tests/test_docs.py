@@ -38,8 +38,7 @@ from uavaccel.yaml_io import load_yaml
 ROOT = Path(__file__).parents[1]
 PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), *ROOT.glob("experiments/*.md")])
 FENCE = re.compile(
-    r'^(?:<!-- in the test: ([^>\n]+) -->\n+)?```(\w+)(?: title="([^"]+)")?\n(.*?)^```$',
-    re.DOTALL | re.MULTILINE,
+    r'^(?:<!-- in the test: ([^>\n]+) -->\n+)?```(\w+)(?: title="([^"]+)")?\n(.*?)^```$', re.DOTALL | re.MULTILINE
 )
 FLOWN = {"run", "train", "evaluate"}
 MADE = "docs/data.md"  # whose programs load what its commands have written
@@ -104,9 +103,7 @@ COMMANDS = [
 
 
 def in_language(language: str) -> list[Any]:
-    return [
-        pytest.param(block, id=f"{block.page}:{block.line}") for block in BLOCKS if block.language == language
-    ]
+    return [pytest.param(block, id=f"{block.page}:{block.line}") for block in BLOCKS if block.language == language]
 
 
 @pytest.fixture(scope="module")

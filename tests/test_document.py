@@ -124,9 +124,7 @@ def test_what_is_wrong_with_a_page_is_found(blocks: list[Block], there: str, ins
 
 
 def test_a_table_without_a_name_for_a_column_has_no_empty_header() -> None:
-    html = to_html(
-        "title", [Table(("", "ours"), [("games", "6")]), Table(("", ""), [("a", "b")], folded="all")]
-    )
+    html = to_html("title", [Table(("", "ours"), [("games", "6")]), Table(("", ""), [("a", "b")], folded="all")])
     assert '<thead><tr><td></td><th scope="col">ours</th></tr></thead>' in html
     assert html.count("<thead>") == 1
     assert 'aria-label="Table: all"' in html

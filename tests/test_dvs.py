@@ -95,11 +95,7 @@ def test_remainder_is_kept_so_that_counts_sum_to_the_whole_change(
         state, on, off = dvs.step(sensor, state, np.full((1, 1), intensity, np.uint8), 0.1 * (i + 1))
         level += (on * sensor.positive_threshold - off * sensor.negative_threshold).item()
         change = float(dvs.LIN_LOG[intensity]) - float(dvs.LIN_LOG[first])
-        assert (
-            -sensor.negative_threshold.item() - 1e-4
-            < change - level
-            < sensor.positive_threshold.item() + 1e-4
-        )
+        assert -sensor.negative_threshold.item() - 1e-4 < change - level < sensor.positive_threshold.item() + 1e-4
 
 
 @given(small_frames, st.integers(0, 99), st.sampled_from(["clean", "noisy", "command_line"]))

@@ -49,9 +49,7 @@ Event = tuple[float, int]
 class Pixel:
     """v2e's pixel without random numbers: a log intensity remembered, and an event for each threshold passed."""
 
-    def __init__(
-        self, parameters: dvs.DvsParameters, up: float, down: float, leak: float, first: int
-    ) -> None:
+    def __init__(self, parameters: dvs.DvsParameters, up: float, down: float, leak: float, first: int) -> None:
         self.parameters, self.up, self.down, self.leak = parameters, up, down, leak
         self.base = self.filtered = lin_log(first)
         self.last_s = -math.inf
@@ -98,9 +96,7 @@ def test_every_event_of_a_pixel(changed: dict[str, float], start_s: float) -> No
     state = dvs.init_state(sensor, frames[0], times_s[0])
     places = list(np.ndindex(5, 6))
     pixels = {
-        place: Pixel(
-            parameters, float(up[place]), float(down[place]), float(leak[place]), int(frames[0][place])
-        )
+        place: Pixel(parameters, float(up[place]), float(down[place]), float(leak[place]), int(frames[0][place]))
         for place in places
     }
     for before_s, now_s, frame in zip(times_s, times_s[1:], frames[1:], strict=False):
@@ -186,9 +182,7 @@ def test_shot_noise_is_listed_at_the_last_stamp_where_it_hit() -> None:
     assert (events[:, 0] == np.float32(0.1)).all()
     for counts, polarity in ((on, 1), (off, -1)):
         rows, columns = np.nonzero(counts)
-        np.testing.assert_array_equal(
-            events[events[:, 3] == polarity][:, 1:3], np.stack([columns, rows], axis=1)
-        )
+        np.testing.assert_array_equal(events[events[:, 3] == polarity][:, 1:3], np.stack([columns, rows], axis=1))
 
 
 @pytest.mark.parametrize("seed", [0, 1])

@@ -58,9 +58,7 @@ class Pixels:
     @staticmethod
     def log(frame: NDArray[np.uint8]) -> NDArray[np.float32]:
         x = frame.astype(np.float64)
-        return np.round(np.where(x <= 20, x * np.log(20) / 20, np.log(np.maximum(x, 1))), 8).astype(
-            np.float32
-        )
+        return np.round(np.where(x <= 20, x * np.log(20) / 20, np.log(np.maximum(x, 1))), 8).astype(np.float32)
 
     def count(self, frame: NDArray[np.uint8]) -> tuple[NDArray[Any], NDArray[Any]]:
         change = self.log(frame) - self.base
@@ -156,12 +154,8 @@ def counted(counter: EventCounter) -> tuple[list[int], ...]:
     return tuple(np.unique(counts).tolist() for counts in counter.take())
 
 
-@pytest.mark.parametrize(
-    ("looks", "expected"), [(0, ([0], [0])), (1, ([2], [0])), (2, ([2], [1])), (3, ([3], [1]))]
-)
-def test_a_counter_adds_up_what_it_has_seen_since_it_was_asked(
-    looks: int, expected: tuple[list[int], ...]
-) -> None:
+@pytest.mark.parametrize(("looks", "expected"), [(0, ([0], [0])), (1, ([2], [0])), (2, ([2], [1])), (3, ([3], [1]))])
+def test_a_counter_adds_up_what_it_has_seen_since_it_was_asked(looks: int, expected: tuple[list[int], ...]) -> None:
     counter = counter_after(looks)
     seen_ns = 5_000_000_000 + looks * 100_000_000
     assert (counter.frames, counter.has_seen(seen_ns)) == (looks, looks > 0)
@@ -252,9 +246,5 @@ def test_the_events_of_a_game_of_an_agent_that_sees_none(tmp_path: Path) -> None
         frames = np.concatenate([seeing.step(AHEAD)[0] for _ in range(2)]).astype(int) - 128
     counted = np.zeros((4, 36, 64), int)
     sample = np.minimum(events[:, 0] // 0.5000001, 3).astype(int)
-    np.add.at(
-        counted,
-        (sample, events[:, 2].astype(int) // 4, events[:, 1].astype(int) // 4),
-        events[:, 3].astype(int),
-    )
+    np.add.at(counted, (sample, events[:, 2].astype(int) // 4, events[:, 1].astype(int) // 4), events[:, 3].astype(int))
     np.testing.assert_array_equal(np.clip(counted, -128, 127), frames)

@@ -81,10 +81,7 @@ def test_a_cluster_that_does_not_start_is_one_line(monkeypatch: pytest.MonkeyPat
     def init(**options: Any) -> None:
         raise Exception("The current node timed out during startup.\nMore.")
 
-    modules = {
-        "ray": SimpleNamespace(init=init),
-        "ray.util.joblib": SimpleNamespace(register_ray=lambda: None),
-    }
+    modules = {"ray": SimpleNamespace(init=init), "ray.util.joblib": SimpleNamespace(register_ray=lambda: None)}
     for name, module in {**modules, "ray.util": SimpleNamespace()}.items():
         monkeypatch.setitem(sys.modules, name, module)
     with pytest.raises(UserError, match=r"^ray cannot be started or reached: The current node .* startup\.$"):

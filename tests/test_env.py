@@ -130,9 +130,7 @@ class Recorder:
 def test_gymnasium_records_its_films(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("moviepy", "moviepy.video", "moviepy.video.io", "moviepy.video.io.ImageSequenceClip"):
         monkeypatch.setitem(sys.modules, name, ModuleType(name))
-    monkeypatch.setattr(
-        sys.modules["moviepy.video.io.ImageSequenceClip"], "ImageSequenceClip", Recorder, False
-    )
+    monkeypatch.setattr(sys.modules["moviepy.video.io.ImageSequenceClip"], "ImageSequenceClip", Recorder, False)
     monkeypatch.setattr(Recorder, "films", [])
     folder = tmp_path / "films"
     environment = RecordVideo(gymnasium.make(NAME, render_mode="rgb_array", max_commands=3), str(folder))
@@ -147,9 +145,7 @@ def test_gymnasium_records_its_films(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 
 def test_its_spec_is_json() -> None:
-    environment = gymnasium.make(
-        NAME, observation="state", difficulty=NO_LANE, headings_deg=[-30.0, 0.0, 30.0]
-    )
+    environment = gymnasium.make(NAME, observation="state", difficulty=NO_LANE, headings_deg=[-30.0, 0.0, 30.0])
     assert environment.spec is not None
     again = gymnasium.make(gymnasium.envs.registration.EnvSpec.from_json(environment.spec.to_json()))
     assert again.unwrapped.task == environment.unwrapped.task  # type: ignore[attr-defined]
@@ -182,9 +178,7 @@ print(multiprocessing.active_children())
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere nothing is forked")
 def test_workers_forked_from_a_process_that_has_drawn_say_what_to_do() -> None:
     """And spawned ones find the environment of a program without a file, as a notebook's, by its name alone."""
-    done = subprocess.run(
-        [sys.executable, "-c", FORKED], check=True, capture_output=True, text=True, timeout=300
-    )
+    done = subprocess.run([sys.executable, "-c", FORKED], check=True, capture_output=True, text=True, timeout=300)
     forked, spawned, left = done.stdout.splitlines()
     assert "start workers by spawn" in forked
     assert spawned == "spawn (2, 3, 36, 64)"
@@ -239,10 +233,7 @@ def test_a_lane_of_ones_own_is_flown_in_every_game(tmp_path: Path, written: str)
 
 
 def test_a_lane_that_does_not_exist_is_one_clear_line() -> None:
-    with (
-        lane(observation="state") as environment,
-        pytest.raises(UserError, match="lane 1000000 does not exist"),
-    ):
+    with lane(observation="state") as environment, pytest.raises(UserError, match="lane 1000000 does not exist"):
         environment.reset(options={"lane": EVALUATION_SEEDS})
 
 

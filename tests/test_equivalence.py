@@ -82,9 +82,7 @@ def test_ends_of_a_ratio_solve_movers_equation() -> None:
     p, q = (Estimate(each.ratio, *each.interval) for each in (Proportion(13, 100), Proportion(21, 100)))
     ratio = ratio_estimate(p, q)
     for r, end_p, end_q, sign in ((ratio.low, p.low, q.high, -1), (ratio.high, p.high, q.low, 1)):
-        assert p.value - r * q.value + sign * np.hypot(
-            p.value - end_p, r * (q.value - end_q)
-        ) == pytest.approx(0)
+        assert p.value - r * q.value + sign * np.hypot(p.value - end_p, r * (q.value - end_q)) == pytest.approx(0)
     assert ratio.low < 0.62 < 1 < ratio.high, "the paper's 21 to 13 of 100 may be no loss at all"
 
 
@@ -108,9 +106,7 @@ def test_ends_of_a_ratio_solve_movers_equation_on_its_edges_too(
 
 
 def test_none_won_of_many_has_an_upper_end() -> None:
-    none, all_but = (
-        Estimate(each.ratio, *each.interval) for each in (Proportion(0, 300), Proportion(290, 300))
-    )
+    none, all_but = (Estimate(each.ratio, *each.interval) for each in (Proportion(0, 300), Proportion(290, 300)))
     ratio = ratio_estimate(none, all_but)
     assert (ratio.value, ratio.low) == (0.0, 0.0)
     assert 0.01 < ratio.high < 0.02

@@ -139,9 +139,7 @@ def test_a_second_event_camera_has_the_noise_of_the_game_it_watches() -> None:
     """With its own seed where there is noise, from its start, and at its own pace until the next game."""
     done: list[Any] = []
     camera: Any = SecondEventCamera(LaneTask(), 5)
-    camera.events = SimpleNamespace(
-        start=lambda *told: done.append(told), look=lambda *told: done.append(told)
-    )
+    camera.events = SimpleNamespace(start=lambda *told: done.append(told), look=lambda *told: done.append(told))
 
     def game(seed: int, start_ns: int, **keys: Any) -> Any:
         def watch(every: int, look: Any) -> Any:
@@ -169,9 +167,7 @@ def test_a_second_event_camera_has_the_noise_of_the_game_it_watches() -> None:
 @pytest.mark.parametrize(("agent", "keys"), [("straight", ()), ("default", ("task.max_commands=5",))])
 def test_a_film_is_of_the_very_game_up_to_its_impact(agent: str, keys: tuple[str, ...], tmp_path: Path) -> None:
     """ADSC's game depends on every message: what is filmed must not ask for more of them than the agent does."""
-    config = configured(
-        "evaluate", "first_lane=2", *keys, agent=agent, command="adsc", clock_speed=20.0, games=1
-    )
+    config = configured("evaluate", "first_lane=2", *keys, agent=agent, command="adsc", clock_speed=20.0, games=1)
     suite, run = Evaluation(), fly_into(tmp_path / "run", Evaluation(), config)
     row = run.rows()[0]
     film = film_of(suite.flight(suite.report(run), row))
@@ -242,9 +238,7 @@ def test_view_films_an_evaluated_game(tmp_path: Path, capsys: pytest.CaptureFixt
     ],
     ids=["double_dqn", "dqn-state", "ppo"],
 )
-def test_an_exported_policy_acts_as_the_model(
-    tmp_path: Path, task: dict[str, Any], keys: dict[str, Any]
-) -> None:
+def test_an_exported_policy_acts_as_the_model(tmp_path: Path, task: dict[str, Any], keys: dict[str, Any]) -> None:
     headings = [30.0, -60.0, 0.0, 60.0, -30.0]  # the policy's actions, in this order
     config = tiny_config(task | {"headings_deg": headings}, **keys)
     environment = make_lanes(config.task, 1)
@@ -320,10 +314,7 @@ def test_reading_a_policy_runs_no_code(weights: Any, tmp_path: Path, monkeypatch
 
 @pytest.mark.parametrize(
     ("text", "said"),
-    [
-        ("[" * 100_000, r"a damaged policy, not JSON: nested too deeply; .*"),
-        ("[]", "describes no policy: .*"),
-    ],
+    [("[" * 100_000, r"a damaged policy, not JSON: nested too deeply; .*"), ("[]", "describes no policy: .*")],
 )
 def test_a_manifest_that_is_none_is_one_line(text: str, said: str, tmp_path: Path) -> None:
     (tmp_path / MANIFEST).write_text(text)
@@ -406,9 +397,7 @@ def test_an_agent_flies_with_what_it_was_trained_with_unless_told_otherwise() ->
     assert {key: getattr(task, key) for key in kept} == {key: getattr(trained, key) for key in kept}
 
 
-def test_senses_and_flight_are_those_of_the_training_and_nothing_else_is(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_senses_and_flight_are_those_of_the_training_and_nothing_else_is(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each of them another than where nothing is said; what a policy is tried under stays the evaluation's."""
     like_trained: dict[str, Any] = {
         "observation": "dvs", "history": 2, "knows": ["frame_age"], "blank_images": True, "dvs_preset": "noisy",
@@ -416,13 +405,7 @@ def test_senses_and_flight_are_those_of_the_training_and_nothing_else_is(
         "dvs_leak_hz": 0.5, "dvs_hot_pixels": 0.01, "image_noise": 4.0, "dvs_rate_hz": 100.0, "t_move_s": 0.8,
         "t_sample_s": 0.2, "speed_m_s": 1.5, "headings_deg": [-20.0, 20.0], "altitude_m": 3.0,
     }  # fmt: skip
-    others = {
-        "timing": "virtual",
-        "command": "adsc",
-        "clock_speed": 5.0,
-        "max_commands": 9,
-        "goal_reward": 2.0,
-    }
+    others = {"timing": "virtual", "command": "adsc", "clock_speed": 5.0, "max_commands": 9, "goal_reward": 2.0}
     task = LaneTask(**{**like_trained, **others, "observation": "dvs"})
     monkeypatch.setattr(agents, "read_manifest", lambda folder: ({}, LearnerConfig(task=task)))
     assert trained_keys("a/policy") == like_trained
@@ -435,12 +418,7 @@ def test_a_noisy_sensor_is_what_flies(tmp_path: Path) -> None:
     runs = []
     for preset in ("clean", "noisy"):
         evaluated(
-            "default",
-            tmp_path / preset,
-            f"task.dvs_preset={preset}",
-            "task.max_commands=12",
-            "first_lane=4",
-            games=2,
+            "default", tmp_path / preset, f"task.dvs_preset={preset}", "task.max_commands=12", "first_lane=4", games=2
         )
         runs.append(RunDirectory(tmp_path / preset))
     assert runs[1].config()["task"]["dvs_preset"] == "noisy"
@@ -452,10 +430,7 @@ def test_a_noisy_sensor_is_what_flies(tmp_path: Path) -> None:
     [
         ("task.history=1", "task.history = 1: default was trained with 2"),
         ("task.observation=depth", "task.observation = 'depth': default was trained with 'dvs'"),
-        (
-            "task.t_sample_s=0.5",
-            "task.t_sample_s = 0.5: 4 frames per observation, but default was trained with 6",
-        ),
+        ("task.t_sample_s=0.5", "task.t_sample_s = 0.5: 4 frames per observation, but default was trained with 6"),
         ("task.headings_deg=[-30, 0, 30]", "task.headings_deg: 3 actions, but default was trained with 5"),
     ],
 )

@@ -138,12 +138,7 @@ def run(path: Path) -> RunDirectory:
         "speed": np.array([0.1, 0.2], np.float32),
         "event": np.array([1, 2, 3]),
     }
-    row = {
-        "case": "a",
-        "phase_s": {"learning": 0.1},
-        "actions": [1, 2],
-        **made.save_arrays("a", arrays),
-    }
+    row = {"case": "a", "phase_s": {"learning": 0.1}, "actions": [1, 2], **made.save_arrays("a", arrays)}
     made.append_row(row)
     made.append_row({"case": "b", "collision": "wall, west", "phase_s": {"learning": 1 / 3}})
     return made
@@ -169,9 +164,7 @@ def test_a_run_as_csv_reads_back_to_the_same_numbers(tmp_path: Path) -> None:
 
 
 def test_columns_have_one_kind_each() -> None:
-    table = row_table(
-        [{"value": 3, "n": 1, "mixed": True}, {"value": "noisy", "n": 0.5, "mixed": 2}, {"value": None}]
-    )
+    table = row_table([{"value": 3, "n": 1, "mixed": True}, {"value": "noisy", "n": 0.5, "mixed": 2}, {"value": None}])
     assert table == {"value": ["3", "noisy", None], "n": [1, 0.5, None], "mixed": ["true", "2", None]}
     ((_, columns),) = sample_tables({"line": np.zeros((3, 8, 8)), "image": np.zeros((3, 5, 13))})
     assert list(columns) == [f"line.{n}" for n in range(64)]

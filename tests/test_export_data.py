@@ -58,9 +58,7 @@ def dp1(tmp_path_factory: pytest.TempPathFactory) -> RunDirectory:
 @pytest.fixture(scope="module")
 def dp2(tmp_path_factory: pytest.TempPathFactory) -> RunDirectory:
     out = tmp_path_factory.mktemp("dp2") / "run"
-    return fly_into(
-        out, Dp2(), configured("dp2", SHORT_PATH, clock_speed=[1.0], command=["tcsc"], timing="virtual")
-    )
+    return fly_into(out, Dp2(), configured("dp2", SHORT_PATH, clock_speed=[1.0], command=["tcsc"], timing="virtual"))
 
 
 def evaluated(out: Path, *overrides: str, **options: Any) -> RunDirectory:
@@ -120,17 +118,13 @@ def vectors(entries: list[tuple[int, Any]], *keys: str) -> np.ndarray:
 def test_a_game_of_dp1_is_logged_as_its_arrays_have_it(dp1: RunDirectory, tmp_path: Path) -> None:
     export(str(dp1.path), mcap=tmp_path / "logs")
     rows = dp1.rows()
-    assert sorted(path.name for path in (tmp_path / "logs").iterdir()) == sorted(
-        f"{row['case']}.mcap" for row in rows
-    )
+    assert sorted(path.name for path in (tmp_path / "logs").iterdir()) == sorted(f"{row['case']}.mcap" for row in rows)
     for row in rows:
         log, arrays = read(tmp_path / "logs" / f"{row['case']}.mcap"), dp1.load_arrays(row)
         assert log.schemas == {topic: TOPICS[topic] for topic in log.schemas}
         poses = log.messages["/drone/pose"]
         np.testing.assert_array_equal(vectors(poses, "pose", "position"), arrays["position_m"])
-        np.testing.assert_array_equal(
-            [at for at, _ in poses], np.rint(arrays["time_s"] * 1e9).astype(np.int64)
-        )
+        np.testing.assert_array_equal([at for at, _ in poses], np.rint(arrays["time_s"] * 1e9).astype(np.int64))
         quaternions = [[each["pose"]["orientation"][axis] for axis in "wxyz"] for _, each in poses]
         np.testing.assert_array_equal(quaternions, arrays["orientation_wxyz"])
         velocities = log.messages["/drone/velocity"]
@@ -234,9 +228,7 @@ def test_a_game_is_told_in_the_order_of_its_time_and_in_its_own_colours() -> Non
         (50, "/tf"), (50, "/drone/pose"), (50, "/drone/velocity"), (50, "/drone/command"),
         (50, "/camera/front_center"), (60, "/dvs/image"), (70, "/log"),
     ]  # fmt: skip
-    assert all(
-        each.message["timestamp"] == {"sec": 0, "nsec": each.time_ns} for each in told if each.topic != "/tf"
-    )
+    assert all(each.message["timestamp"] == {"sec": 0, "nsec": each.time_ns} for each in told if each.topic != "/tf")
     second: list[Any] = [each.message for each in told[6:11]]
     assert second[1]["pose"]["position"] == {"x": 1.0, "y": 2.0, "z": -8.0}
     assert second[0]["transforms"][-1]["rotation"] == {"w": 0.0, "x": 1.0, "y": 0.0, "z": 0.0}
@@ -354,18 +346,14 @@ def test_a_dataset_says_what_the_environment_says(
     environment = dataset.recover_environment()
     assert environment.observation_space == dataset.observation_space
     assert environment.action_space == dataset.action_space
-    episodes = zip(
-        dataset.iterate_episodes(), dataset.storage.get_episode_metadata(range(2)), rows, strict=True
-    )
+    episodes = zip(dataset.iterate_episodes(), dataset.storage.get_episode_metadata(range(2)), rows, strict=True)
     for episode, about, row in episodes:
         assert episode.actions.tolist() == row["actions"]
         assert len(episode.observations) == len(episode.actions) + 1
         assert about["options"]["lane"] == row["lane"]
         assert episode.terminations.tolist() == [False] * (row["commands"] - 1) + [True]
         assert not episode.truncations.any()
-        observation, _ = environment.reset(
-            seed=about["seed"], options={"lane": int(about["options"]["lane"])}
-        )
+        observation, _ = environment.reset(seed=about["seed"], options={"lane": int(about["options"]["lane"])})
         np.testing.assert_array_equal(observation, episode.observations[0])
         for i, action in enumerate(episode.actions):
             environment.unwrapped.charge(0.0005)
@@ -379,9 +367,7 @@ def test_a_dataset_says_what_the_environment_says(
     environment.close()
 
 
-def test_a_dataset_says_of_each_episode_and_of_itself_what_it_is(
-    straight: RunDirectory, tmp_path: Path
-) -> None:
+def test_a_dataset_says_of_each_episode_and_of_itself_what_it_is(straight: RunDirectory, tmp_path: Path) -> None:
     """As another agent's games of the same actions, so that its name is the configuration's."""
     config = (straight.path / "config.yaml").read_text()
     renamed = other_run(
@@ -401,11 +387,7 @@ def test_a_dataset_says_of_each_episode_and_of_itself_what_it_is(
             assert about["total_steps"] == row["commands"]
         assert file["episode_0"].attrs["seed"] != file["episode_1"].attrs["seed"]
     told = json.loads((data / "metadata.json").read_text())
-    assert (told["dataset_id"], told["algorithm_name"], told["total_episodes"]) == (
-        "lane-v3",
-        "offset:0.5",
-        2,
-    )
+    assert (told["dataset_id"], told["algorithm_name"], told["total_episodes"]) == ("lane-v3", "offset:0.5", 2)
     assert told["dataset_size"] == round((data / "main_data.hdf5").stat().st_size / 1e6, 1)
     assert told["uavaccel"]["timing"] == straight.config()["task"]["timing"]
     assert json.loads(told["action_space"]) == {"type": "Discrete", "dtype": "int64", "start": 0, "n": 5}
@@ -422,16 +404,12 @@ def test_the_same_run_is_the_same_dataset(straight: RunDirectory, tmp_path: Path
 
 
 @pytest.mark.slow
-def test_a_game_of_the_kernels_is_flown_again_by_them(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_game_of_the_kernels_is_flown_again_by_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     run = evaluated(tmp_path / "run", "simulator=kernels", "task.max_commands=5")
     export(str(run.path), minari=tmp_path / "kernels-v1")
     dataset = load(tmp_path / "kernels-v1", monkeypatch)
     assert dataset.observation_space.dtype == np.float32
-    assert [each.actions.tolist() for each in dataset.iterate_episodes()] == [
-        row["actions"] for row in run.rows()
-    ]
+    assert [each.actions.tolist() for each in dataset.iterate_episodes()] == [row["actions"] for row in run.rows()]
     with pytest.raises(UserError, match="keeps no poses to log"):
         export(str(run.path), mcap=tmp_path / "logs")
 
@@ -497,9 +475,7 @@ def test_refusals_are_one_clear_line(straight: RunDirectory, dp1: RunDirectory, 
     assert {path.name for path in tmp_path.iterdir()} == left
 
 
-def test_a_missing_package_is_named(
-    dp1: RunDirectory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_missing_package_is_named(dp1: RunDirectory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "mcap.writer", None)
     with pytest.raises(UserError, match=r"pip install 'uavaccel\[export\]'"):
         export(str(dp1.path), mcap=tmp_path / "logs")

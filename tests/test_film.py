@@ -58,9 +58,7 @@ def test_a_frame_shows_camera_events_and_map() -> None:
     for i, frame in ((0, first), (1, second)):
         assert frame.shape == (480, 1280, 3)
         assert np.array_equal(frame[64:352:2, 12:524:2], film.images[i, :, :, ::-1])  # RGB there, BGR here
-        assert np.array_equal(
-            frame[64:352, 536:1048], dvs_picture(film.on_events[i], film.off_events[i], (512, 288))
-        )
+        assert np.array_equal(frame[64:352, 536:1048], dvs_picture(film.on_events[i], film.off_events[i], (512, 288)))
     left, right = second[200, 600].astype(int), second[200, 1000].astype(int)
     assert left[0] > left[2] + 100  # ON is blue
     assert right[2] > right[0] + 100  # OFF is red
@@ -85,9 +83,7 @@ def decided(of_sample: list[int], given: bool = True) -> Decisions:
     planes[:, 1] += 100  # the second plane of three
     ratings = np.array([[3.0, 3.5, 4.0], [1.5, 1.25, 1.0]])
     taken, headings = np.array([2, 0]), (0.0, -30.0, 30.0)
-    return Decisions(
-        ratings, taken, headings, np.array(of_sample), "action values", planes if given else None
-    )
+    return Decisions(ratings, taken, headings, np.array(of_sample), "action values", planes if given else None)
 
 
 def test_below_are_the_view_from_behind_and_what_was_decided() -> None:
@@ -100,9 +96,7 @@ def test_below_are_the_view_from_behind_and_what_was_decided() -> None:
     assert first[392:680, 12:524].reshape(-1, 3).min(axis=0).tolist() == [50, 100, 200]
     assert third[500, 100].tolist() == [52, 100, 200]
     assert np.array_equal(third[64:352, 12:1048], list(frames(flown(samples=3)))[2][64:352, 12:1048])
-    given = [
-        frame[y, x].tolist() for frame in (first, third) for y, x in ((400, 540), (400, 800), (600, 540))
-    ]
+    given = [frame[y, x].tolist() for frame in (first, third) for y, x in ((400, 540), (400, 800), (600, 540))]
     assert given == [[grey] * 3 for grey in (10, 110, 10, 20, 120, 20)]
     assert third[600, 1000].tolist() == [255] * 3  # no fourth plane
     for command, (order, taken) in enumerate((((1, 0, 2), 2), ((1, 0, 2), 0))):
@@ -153,12 +147,7 @@ def test_a_film_is_h264_that_decodes_to_what_was_drawn(tmp_path: Path) -> None:
     with av.open(str(path)) as file:
         stream = file.streams.video[0]
         context = stream.codec_context
-        assert (context.name, context.pix_fmt, context.width, context.height) == (
-            "h264",
-            "yuv420p",
-            1280,
-            480,
-        )
+        assert (context.name, context.pix_fmt, context.width, context.height) == ("h264", "yuv420p", 1280, 480)
         assert (float(stream.average_rate or 0), stream.frames) == (10.0, SAMPLES)
         decoded = [frame.to_ndarray(format="bgr24") for frame in file.decode(stream)]
     assert len(decoded) == SAMPLES
@@ -173,9 +162,7 @@ def test_a_film_is_h264_that_decodes_to_what_was_drawn(tmp_path: Path) -> None:
     assert write_video(film, tmp_path / "two.mp4", frames_per_s=10).read_bytes() == data
 
 
-def test_a_film_that_cannot_be_written_leaves_the_old_one(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_film_that_cannot_be_written_leaves_the_old_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = write_video(flown(samples=2), tmp_path / "one.mp4")
     before = path.read_bytes()
     broken = flown(samples=3)
@@ -241,10 +228,7 @@ def test_the_map_shows_walls_goal_obstacles_and_the_way_flown() -> None:
         corner = pixel(draw_lane(drawn, close), close, (x_m + 0.45, y_m + 0.45 * (-1 if y_m > 0 else 1)))
         assert corner == (GROUND if is_round else OBSTACLE)
     near = follow((3.0, 1.0), (208, 288))
-    assert near.pixels((3.0, 0.0)).tolist() == [
-        104 * 16,
-        216 * 16,
-    ]  # in the middle, a quarter of the height up
+    assert near.pixels((3.0, 0.0)).tolist() == [104 * 16, 216 * 16]  # in the middle, a quarter of the height up
     assert near.pixels((4.0, 0.0))[1] < near.pixels((3.0, 0.0))[1]  # north is up
     assert near.pixels((3.0, 1.0))[0] > near.pixels((3.0, 0.0))[0]
     assert near.scale == pytest.approx(208 / 10.5)

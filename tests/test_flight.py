@@ -239,6 +239,7 @@ def test_a_film_marks_an_impact_that_its_last_picture_has_reached(hit_ms: int, m
 
 def test_a_film_of_a_lane_has_the_view_from_behind_at_its_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
     told: list[Any] = []
+
     def behind(*what: Any) -> str:
         told.append(what)
         return "behind"

@@ -180,9 +180,7 @@ def test_position_hold_sets_in_after_the_last_goal(profile: Profile, hover_ms: i
 
 
 TO_HERE = (2.0, FOR_EVER, MAX_DOF, STRAIGHT, AUTO, ADAPTIVE)
-AT_ONCE: dict[
-    str, Any
-] = {  # commands that end without a goal of their own: parameters from where the vehicle is
+AT_ONCE: dict[str, Any] = {  # commands that end without a goal of their own: parameters from where the vehicle is
     "moveToZ": lambda here: (here[2], 2.0, FOR_EVER, STRAIGHT, AUTO, ADAPTIVE),
     "moveToPosition": lambda here: (here[0] + 0.4, here[1], here[2], *TO_HERE),
     "moveOnPath": lambda here: ([point(*here), point(*here)], *TO_HERE),
@@ -249,12 +247,7 @@ def test_forward_only_faces_the_way() -> None:
 
 REFUSED = [
     ((0.0, 1.0), MAX_DOF, STRAIGHT, "lookahead distance cannot be 0"),
-    (
-        (0.01, 1.0),
-        MAX_DOF,
-        STRAIGHT,
-        "lookahead value 0.010000 is too small for velocity 2.000000. It must be at",
-    ),
+    ((0.01, 1.0), MAX_DOF, STRAIGHT, "lookahead value 0.010000 is too small for velocity 2.000000. It must be at"),
     ((0.2, 1.0), MAX_DOF, STRAIGHT, "is smaller than drone's distance accuracy 0.500000"),
     ((AUTO, 1.0), FORWARD_ONLY, STRAIGHT, "Yaw cannot be specified as rate if drivetrain is ForwardOnly"),
 ]
@@ -287,9 +280,7 @@ def test_a_path_looks_as_far_ahead_as_it_is_told_or_as_airsim_does(
 
 
 @pytest.mark.parametrize(("velocity_m_s", "back_m_s"), [(5.0, 1.0), (3.1, 1.0), (3.0, 3.0), (0.8, 0.8)])
-def test_who_flies_faster_than_3_m_s_past_the_end_turns_back_at_1_m_s(
-    velocity_m_s: float, back_m_s: float
-) -> None:
+def test_who_flies_faster_than_3_m_s_past_the_end_turns_back_at_1_m_s(velocity_m_s: float, back_m_s: float) -> None:
     """10 m north, and 15 m after the first turn; a place on the way is left at the speed that was asked for."""
     points = np.array([(0.0, 0.0, -9.0), (10.0, 0.0, -9.0)])
     task = FollowPath(points, velocity_m_s, 99.0, False, 0.0, True, 3.0, 1.0)
@@ -351,9 +342,7 @@ def test_from_the_ground_up_and_down_again(grounded: Api) -> None:
 
 @PROFILES
 @pytest.mark.parametrize("x_m", [3.0, 4.0, 6.0])
-def test_a_landing_out_of_a_hover_that_has_settled_level_ends_on_the_ground(
-    x_m: float, profile: Profile
-) -> None:
+def test_a_landing_out_of_a_hover_that_has_settled_level_ends_on_the_ground(x_m: float, profile: Profile) -> None:
     """MuJoCo's contact of a cylinder with a plane throws it up where it is upright but for rounding errors."""
     api = hovering(profile)
     fly(api, "moveToPosition", x_m, 0.0, -5.0, 2.0, FOR_EVER, MAX_DOF, STRAIGHT, AUTO, ADAPTIVE)
@@ -391,9 +380,7 @@ def test_a_vehicle_that_stands_is_landed_and_at_rest_from_the_first_tick(z: floa
             places.append(place(api, name))
             go_on(api, profile.tick_s)
         assert call(api, "simGetCollisionInfo", name)["has_collided"]
-        np.testing.assert_allclose(
-            api.scenery.pilot(name).vehicle.state["position"][2], min(z, 0) - 0.045, atol=2e-4
-        )
+        np.testing.assert_allclose(api.scenery.pilot(name).vehicle.state["position"][2], min(z, 0) - 0.045, atol=2e-4)
     np.testing.assert_allclose(places, 0.0, atol=1e-6)
 
 
@@ -441,9 +428,7 @@ def test_who_moves_cannot_take_off() -> None:
     api = hovering()
     running = call(api, "moveByVelocity", 2.0, 0.0, 0.0, 5.0, MAX_DOF, STRAIGHT)
     go_on(api, 1.0)
-    with pytest.raises(
-        rpc.RpcError, match="Cannot perform takeoff because vehicle is already moving with velo"
-    ):
+    with pytest.raises(rpc.RpcError, match="Cannot perform takeoff because vehicle is already moving with velo"):
         call(api, "takeoff", 20.0)
     assert running.value is False
 
@@ -608,9 +593,7 @@ def test_sticks_fly_where_no_program_has_control() -> None:
     assert attitude(api)[:2] == pytest.approx((0.25 * math.pi / 5.5, -0.1 * math.pi / 5.5), abs=0.01)
     told = call(api, "getMultirotorState")["rc_data"]
     assert (told["roll"], told["pitch"], told["throttle"], told["is_valid"]) == (0.25, 0.1, 0.6, True)
-    call(
-        api, "moveByRC", {"roll": 0.25, "throttle": 0.6, "switches": 3, "is_valid": True}
-    )  # its lowest bit: rates
+    call(api, "moveByRC", {"roll": 0.25, "throttle": 0.6, "switches": 3, "is_valid": True})  # its lowest bit: rates
     go_on(api, 1.0)
     rates = api.simulation.kinematics().angular_velocity_rad_s
     assert rates == pytest.approx((0.25 * math.pi / 5.5, 0.0, 0.0), abs=0.01)
@@ -631,9 +614,7 @@ def test_manual_flight_follows_the_sticks() -> None:
 
 @pytest.mark.parametrize("valid", [True, False])
 @pytest.mark.parametrize("controlled", [True, False])
-def test_sticks_move_nothing_unless_they_are_valid_and_no_program_has_control(
-    valid: bool, controlled: bool
-) -> None:
+def test_sticks_move_nothing_unless_they_are_valid_and_no_program_has_control(valid: bool, controlled: bool) -> None:
     api = hovering()
     call(api, "enableApiControl", controlled)
     call(api, "moveByRC", {"roll": 0.25, "throttle": 0.6, "is_valid": valid})
@@ -711,9 +692,7 @@ def test_a_stick_is_a_share_of_its_own_greatest_speed_in_the_frame_at_the_beginn
 
 
 def moving(yaw_deg: float = 0.0, down_m_s: float = 0.0, turning_rad_s: float = 0.0) -> Kinematics:
-    return Kinematics(
-        0, (1.0, 2.0, -3.0), turned_by(yaw_deg), (0.4, 0.0, down_m_s), (0.0, 0.0, turning_rad_s)
-    )
+    return Kinematics(0, (1.0, 2.0, -3.0), turned_by(yaw_deg), (0.4, 0.0, down_m_s), (0.0, 0.0, turning_rad_s))
 
 
 @pytest.mark.parametrize(
@@ -727,9 +706,7 @@ def moving(yaw_deg: float = 0.0, down_m_s: float = 0.0, turning_rad_s: float = 0
         ([0.0] * 6 + [0.2] + [0.0] * 6 + [0.2] + [0.0] * 20, 25),
     ],
 )
-def test_a_landing_is_over_after_eleven_turns_in_a_row_without_a_descent(
-    down_m_s: list[float], ends: int
-) -> None:
+def test_a_landing_is_over_after_eleven_turns_in_a_row_without_a_descent(down_m_s: list[float], ends: int) -> None:
     """Of more than 0.05 m/s; what was counted before a descent does not count after it."""
     land = Land(60.0)
     for number, speed in enumerate(down_m_s, start=1):

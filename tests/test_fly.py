@@ -51,9 +51,7 @@ def flight_in() -> Iterator[FlightMaker]:
     """Makes flights without a script, in lockstep unless told otherwise."""
     with contextlib.ExitStack() as stack:
 
-        def make(
-            folder: Path, clock_speed: float = 1.0, settings: Any = None, **options: Any
-        ) -> SimulatedFlight:
+        def make(folder: Path, clock_speed: float = 1.0, settings: Any = None, **options: Any) -> SimulatedFlight:
             folder.mkdir(exist_ok=True)
             asked = FlightOptions(Path("script.py"), (), folder, **{"timing": "lockstep", **options})
             log = MessageLog(folder, asked.reference)
@@ -126,12 +124,7 @@ def test_a_script_flies_twice_to_the_same_bytes(tmp_path: Path) -> None:
     assert "thinking" not in done.stdout
     lines = done.stdout.splitlines()
     paused = [int(line) for line in lines if line.isdigit()]
-    assert [time_ns - EPOCH_NS for time_ns in paused] == [
-        250_000_000,
-        500_000_000,
-        750_000_000,
-        1_000_000_000,
-    ]
+    assert [time_ns - EPOCH_NS for time_ns in paused] == [250_000_000, 500_000_000, 750_000_000, 1_000_000_000]
     assert "['-a', '--clock', '7'] 2020 __main__ True True" in lines
     assert "watched 50" in lines
     assert f"drawn {random.Random(3).random()} {np.random.RandomState(3).rand()}" in lines
@@ -168,9 +161,7 @@ def test_a_scripts_exception_is_its_own_traceback(tmp_path: Path) -> None:
     path = script(tmp_path, "import airsim\ndef fall():\n    raise ValueError('down')\nfall()\n")
     done = fly(path)
     assert done.returncode == 1
-    assert done.stderr.startswith(
-        f'Traceback (most recent call last):\n  File "{path}", line 4, in <module>\n'
-    )
+    assert done.stderr.startswith(f'Traceback (most recent call last):\n  File "{path}", line 4, in <module>\n')
     assert done.stderr.endswith("ValueError: down\n")
     assert "uavaccel" not in done.stderr
 
@@ -185,11 +176,7 @@ def test_a_scripts_exception_is_its_own_traceback(tmp_path: Path) -> None:
     (["--think", "1", "--timing", "wall", "tests/scenes.py"], "--film and --think need --timing virtual", 2),
 ])  # fmt: skip
 def test_mistakes_are_one_line(
-    arguments: list[str],
-    text: str,
-    status: int,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
+    arguments: list[str], text: str, status: int, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from uavaccel.cli.main import main
 
@@ -220,9 +207,7 @@ def test_a_sleep_between_unpause_and_pause_flies_exactly_that(
     assert flown == round(0.6 * clock_speed * NS_PER_S)
 
 
-def test_only_sleeps_in_which_the_simulation_runs_count_as_slept(
-    flight_in: FlightMaker, tmp_path: Path
-) -> None:
+def test_only_sleeps_in_which_the_simulation_runs_count_as_slept(flight_in: FlightMaker, tmp_path: Path) -> None:
     """From those alone flights at several ClockSpeeds part."""
     flight = flight_in(tmp_path, 2.0)
     flight.pass_time(0.25)  # before a client has connected nothing flies, but nothing is paused either
@@ -254,9 +239,7 @@ def test_no_sleep_is_shorter_than_none(flight_in: FlightMaker, tmp_path: Path) -
     assert flight.summary()["script_s"] == flight.summary()["slept_s"] == 0.0
 
 
-def test_the_end_keeps_a_recording_and_refuses_what_comes_after(
-    flight_in: FlightMaker, tmp_path: Path
-) -> None:
+def test_the_end_keeps_a_recording_and_refuses_what_comes_after(flight_in: FlightMaker, tmp_path: Path) -> None:
     flight = flight_in(tmp_path)
     client = client_of(flight)
     client.startRecording()
@@ -271,9 +254,7 @@ def test_the_end_keeps_a_recording_and_refuses_what_comes_after(
     assert flight._log.calls == calls
 
 
-def test_the_scripts_clock_starts_at_a_date_and_moves_by_reading(
-    flight_in: FlightMaker, tmp_path: Path
-) -> None:
+def test_the_scripts_clock_starts_at_a_date_and_moves_by_reading(flight_in: FlightMaker, tmp_path: Path) -> None:
     flight = flight_in(tmp_path)
     time = time_module(flight.epoch_now_ns, flight.pass_time)
     assert time.time_ns() == EPOCH_NS + READING_NS
@@ -350,9 +331,7 @@ def test_a_script_takes_off_from_the_ground(timing: str, flight_in: FlightMaker,
         client.reset()
 
 
-def test_flights_that_differ_stop_at_the_first_message_that_does(
-    flight_in: FlightMaker, tmp_path: Path
-) -> None:
+def test_flights_that_differ_stop_at_the_first_message_that_does(flight_in: FlightMaker, tmp_path: Path) -> None:
     for speed, reference in ((1.0, None), (2.0, tmp_path / "1.0")):
         flight = flight_in(tmp_path / str(speed), reference=reference)
         client = client_of(flight)
@@ -360,9 +339,7 @@ def test_flights_that_differ_stop_at_the_first_message_that_does(
         if reference is None:
             client.moveByVelocityAsync(speed, 0, 0, 1).join()
             flight._log.close()
-    with pytest.raises(
-        DifferenceError, match=r"differ at call 2\n  first: .*1.0, 0, 0, 1.*\n  second: .*2.0, 0, 0, 1"
-    ):
+    with pytest.raises(DifferenceError, match=r"differ at call 2\n  first: .*1.0, 0, 0, 1.*\n  second: .*2.0, 0, 0, 1"):
         client.moveByVelocityAsync(speed, 0, 0, 1)
 
 
@@ -374,9 +351,7 @@ def test_a_flight_that_ends_before_its_reference_differs(tmp_path: Path, more: l
         log = MessageLog(tmp_path / name, tmp_path / "first" if name == "second" else None)
         for method in calls:
             log.answer(log.call(5, 7, method, ()), 6, None, True)
-        differs = pytest.raises(
-            DifferenceError, match=r"at call 1\n  first: .*ping.*\n  second: \(has ended\)"
-        )
+        differs = pytest.raises(DifferenceError, match=r"at call 1\n  first: .*ping.*\n  second: \(has ended\)")
         with differs if name == "second" and more else contextlib.nullcontext():
             log.close()
 
@@ -506,9 +481,7 @@ def test_a_trajectory_has_places_attitudes_and_velocities_as_arrays_and_as_a_tab
     assert found == [rows[:, columns].tolist() for columns in (slice(3), slice(3, 7), slice(7, 10))]
     trajectory = Trajectory()
     for at_ns, row in zip(time_ns.tolist(), rows, strict=True):
-        place, attitude, velocity = (
-            tuple(row[part].tolist()) for part in (slice(3), slice(3, 7), slice(7, 10))
-        )
+        place, attitude, velocity = (tuple(row[part].tolist()) for part in (slice(3), slice(3, 7), slice(7, 10)))
         trajectory.add(Kinematics(at_ns, place, attitude, velocity, (0.5, 0.5, 0.5)))
     (tmp_path / "added").mkdir()
     trajectory.write(tmp_path / "added")
@@ -518,9 +491,7 @@ def test_a_trajectory_has_places_attitudes_and_velocities_as_arrays_and_as_a_tab
     assert last.startswith("0.05,10,11,12,")
 
 
-def test_in_wall_time_the_trajectory_is_the_servers_recording(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_in_wall_time_the_trajectory_is_the_servers_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Whole milliseconds, and places to which velocities belong; the flight ends by the machine's clock."""
     rows = [f"A\t{1000 + 50 * n}\t{0.1 * n}\t0\t-1\t1\t0\t0\t0\t" for n in range(3)]
     for name, part in (("2021", rows[2:]), ("2020", rows[:2])):  # a script has begun another one
@@ -548,9 +519,7 @@ def test_answers_are_those_that_a_wire_carries() -> None:
     assert as_received({"time_stamp": 3, "pose": {"x_val": 0.1}}) == {"time_stamp": 3, "pose": {"x_val": 0.1}}
 
 
-@pytest.mark.parametrize(
-    ("clock_speed", "until_s", "lines"), [(1.0, 30.0, 1), (4.0, 30.0, 1), (4.0, 19.0, 0)]
-)
+@pytest.mark.parametrize(("clock_speed", "until_s", "lines"), [(1.0, 30.0, 1), (4.0, 30.0, 1), (4.0, 19.0, 0)])
 def test_a_wait_without_an_end_is_worth_a_line(
     flight_in: FlightMaker,
     tmp_path: Path,
@@ -571,9 +540,7 @@ def test_a_wait_without_an_end_is_worth_a_line(
     assert capsys.readouterr().err.count(line) == lines
 
 
-def test_a_flight_waits_for_the_scripts_threads_but_not_for_its_daemons(
-    flight_in: FlightMaker, tmp_path: Path
-) -> None:
+def test_a_flight_waits_for_the_scripts_threads_but_not_for_its_daemons(flight_in: FlightMaker, tmp_path: Path) -> None:
     flight = flight_in(tmp_path)
     kinds = ThreadClasses(flight._turns)
     make = kinds.modules()["threading"].Thread

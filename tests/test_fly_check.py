@@ -41,9 +41,7 @@ def test_the_second_flight_is_held_against_the_first(
 
     monkeypatch.setattr(runs, "fly", fly)
     if differs:
-        with pytest.raises(
-            DifferenceError, match="the messages of both flights are equal, but the trajectories"
-        ):
+        with pytest.raises(DifferenceError, match="the messages of both flights are equal, but the trajectories"):
             check(asked, first)
     else:
         assert check(asked, first).status == 0

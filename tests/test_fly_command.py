@@ -56,9 +56,7 @@ def flown(monkeypatch: pytest.MonkeyPatch, request: FlyRequest, *results: tuple[
     """The exit status, and the flights."""
     flights = Flights(*results)
     monkeypatch.setattr(command, "fly", flights.fly)
-    monkeypatch.setattr(
-        command, "check", lambda options, first: flights.fly(replace(options, reference=first))
-    )
+    monkeypatch.setattr(command, "check", lambda options, first: flights.fly(replace(options, reference=first)))
     return fly_script(request), flights.asked
 
 
@@ -222,9 +220,7 @@ def test_a_folder_is_taken_that_is_new_or_empty(asked: FlyRequest, monkeypatch: 
 
 
 @pytest.mark.parametrize(("ended", "status"), [(0, 0), (3, 3), (-9, 137), (-15, 143)])
-def test_a_process_that_a_signal_has_ended_has_the_status_that_shells_give_it(
-    ended: int, status: int
-) -> None:
+def test_a_process_that_a_signal_has_ended_has_the_status_that_shells_give_it(ended: int, status: int) -> None:
     process: Any = SimpleNamespace(pid=0, poll=lambda: ended, wait=lambda *_: ended)
     assert _wait(process, None) == status
 
@@ -232,16 +228,12 @@ def test_a_process_that_a_signal_has_ended_has_the_status_that_shells_give_it(
 # --- the film --------------------------------------------------------------------------------------------------------
 
 
-def test_a_frame_of_the_film_has_blue_first_and_says_when_where_and_how_fast(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_frame_of_the_film_has_blue_first_and_says_when_where_and_how_fast(monkeypatch: pytest.MonkeyPatch) -> None:
     said: list[str] = []
     monkeypatch.setattr(cv2, "putText", lambda frame, text, *how: said.append(text))
     picture = np.zeros((360, 640, 3), np.uint8)
     picture[..., 0], picture[0, 0, 1] = 200, 50
-    state = SimpleNamespace(
-        time_ns=1_500_000_000, position_m=(1.0, -2.0, -3.5), linear_velocity_m_s=(3.0, 0.0, -4.0)
-    )
+    state = SimpleNamespace(time_ns=1_500_000_000, position_m=(1.0, -2.0, -3.5), linear_velocity_m_s=(3.0, 0.0, -4.0))
     camera = SimpleNamespace(colour=lambda data: picture)
     world = SimpleNamespace(camera=lambda width, height: camera, data=None)
     simulation: Any = SimpleNamespace(world=world, kinematics=lambda: state)

@@ -73,9 +73,7 @@ def test_a_death_is_noticed_and_nothing_is_left(
             assert len(everybody) == (3 if timing == "wall" else 2)
             os.kill(process_of(flight, target), getattr(signal, f"SIG{kind}"))
             assert flight.wait(PATIENCE_S) == status
-            assert not left_after(everybody, PATIENCE_S), [
-                command_line(pid) for pid in everybody if alive(pid)
-            ]
+            assert not left_after(everybody, PATIENCE_S), [command_line(pid) for pid in everybody if alive(pid)]
             rest = flight.stdout.read()
         except BaseException:
             os.killpg(flight.pid, signal.SIGKILL)  # or leaving the block would wait for it

@@ -118,23 +118,14 @@ def test_a_seed_is_that_of_generators_that_are_made_without_one() -> None:
 def test_the_clock_speed_that_is_asked_for_comes_before_that_of_the_settings(
     fly: Any, tmp_path: Path, in_settings: float | None, asked: float | None, flown: float
 ) -> None:
-    (tmp_path / "settings.json").write_text(
-        json.dumps({"SettingsVersion": 1.2, "ClockSpeed": in_settings or 1.0})
-    )
+    (tmp_path / "settings.json").write_text(json.dumps({"SettingsVersion": 1.2, "ClockSpeed": in_settings or 1.0}))
     settings = None if in_settings is None else tmp_path / "settings.json"
     _, (_, read, clock_speed, _), kept = fly(
         ScriptResult(0, True, 0.5), settings=settings, clock_speed=asked, scene="lane"
     )
     assert (clock_speed, kept["clock_speed"], kept["scene"]) == (flown, flown, "lane")
     assert (read is None) == (in_settings is None)
-    expected = {
-        "status": 0,
-        "finished": True,
-        "wall_s": 0.5,
-        "simulated_s": 4.0,
-        "position_m": None,
-        "calls": 0,
-    }
+    expected = {"status": 0, "finished": True, "wall_s": 0.5, "simulated_s": 4.0, "position_m": None, "calls": 0}
     assert {name: kept[name] for name in expected} == expected
 
 
@@ -160,9 +151,7 @@ def test_only_an_interrupted_flight_may_end_before_its_reference(
         assert (kept["status"], kept["finished"]) == (130, False)
 
 
-def test_a_call_is_logged_with_the_wall_time_before_the_simulated_and_an_answer_with_its_own(
-    tmp_path: Path,
-) -> None:
+def test_a_call_is_logged_with_the_wall_time_before_the_simulated_and_an_answer_with_its_own(tmp_path: Path) -> None:
     log = MessageLog(tmp_path)
     assert [log.call(30, 10, "ping", []), log.call(60, None, "move", [1.5, "x"])] == [1, 2]
     log.answer(1, 40, None, True)
@@ -258,9 +247,7 @@ def test_a_flight_in_wall_time_has_a_server_of_its_kind_and_passes_its_warnings_
     monkeypatch.setattr(wall, "start_python", start)
     monkeypatch.setattr(wall, "Watch", lambda *_: watch)
     monkeypatch.setattr(wall, "end_within", lambda *_: started.append("ended"))
-    options = FlightOptions(
-        Path("script.py"), (), tmp_path, "wall", profile="airsim", scene="lane", clock_speed=9.0
-    )
+    options = FlightOptions(Path("script.py"), (), tmp_path, "wall", profile="airsim", scene="lane", clock_speed=9.0)
     with wall.serving(options, 2.5, settings=settings) as served:
         assert served.port == 8123
     (_, _, *arguments), *ends = started

@@ -38,14 +38,7 @@ def script() -> Any:
         return threads
 
     return SimpleNamespace(
-        **modules,
-        turns=turns,
-        kinds=kinds,
-        clock=clock,
-        running=running,
-        written=written,
-        sleep=sleep,
-        start=start,
+        **modules, turns=turns, kinds=kinds, clock=clock, running=running, written=written, sleep=sleep, start=start
     )
 
 
@@ -260,12 +253,7 @@ def test_who_waits_wakes_at_that_moment_and_is_not_looked_after_before(script: A
 
 @pytest.mark.parametrize(
     ("kind", "given"),
-    [
-        ("Queue", [2, 3, 1]),
-        ("SimpleQueue", [2, 3, 1]),
-        ("LifoQueue", [1, 3, 2]),
-        ("PriorityQueue", [1, 2, 3]),
-    ],
+    [("Queue", [2, 3, 1]), ("SimpleQueue", [2, 3, 1]), ("LifoQueue", [1, 3, 2]), ("PriorityQueue", [1, 2, 3])],
 )
 def test_queues_give_the_first_the_last_or_the_least(script: Any, kind: str, given: list[int]) -> None:
     items = getattr(script.queue, kind)()

@@ -49,7 +49,11 @@ def lane_game() -> dict[str, Any]:
     phases = dict.fromkeys(("simulation", "rendering", "image_processing", "inference", "learning"), 0.5)
     shown = {"lane": 7, "is_success": True, "distance_m": 80.0, "collision": None, "commands": 2}
     return {
-        "suite": "evaluate", "case": "lane-000007", "wall_s": 1.0, "sim_time_s": 2.0, "actions": [0, 1],
+        "suite": "evaluate",
+        "case": "lane-000007",
+        "wall_s": 1.0,
+        "sim_time_s": 2.0,
+        "actions": [0, 1],
         **shown,
         "phase_s": phases,
     }
@@ -90,9 +94,7 @@ ROWS: list[tuple[dict[str, Any], str]] = [
 
 
 @pytest.mark.parametrize(("change", "said"), ROWS, ids=[str(change)[:40] for change, _ in ROWS])
-def test_a_wrong_row_is_a_line_that_names_game_key_and_value(
-    tmp_path: Path, change: dict[str, Any], said: str
-) -> None:
+def test_a_wrong_row_is_a_line_that_names_game_key_and_value(tmp_path: Path, change: dict[str, Any], said: str) -> None:
     row, arrays = whole_game()
     run = write(tmp_path / "run", {**row, **change}, arrays)
     with pytest.raises(UserError, match=rf"rows\.jsonl: line 1: {row['case']}: {said}") as error:

@@ -25,9 +25,7 @@ def step(parameters_of: NDArray[np.void], *arrays: NDArray[np.float64]) -> bool:
     return free_step(parameters_of[0], *arrays)
 
 
-@pytest.mark.skipif(
-    platform.machine() not in ("x86_64", "AMD64"), reason="MuJoCo adds up in another order there"
-)
+@pytest.mark.skipif(platform.machine() not in ("x86_64", "AMD64"), reason="MuJoCo adds up in another order there")
 def test_a_step_has_the_bits_of_mujocos() -> None:
     """Any attitude, speed, spin, place and mass, zeros among them, ten steps on end."""
     world = World("lane", NATIVE)

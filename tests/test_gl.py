@@ -58,8 +58,7 @@ def run_python(code: str, **environment: str) -> subprocess.CompletedProcess[str
 
 @needs_opengl
 @pytest.mark.parametrize(
-    ("end", "status", "said"),
-    [("", 0, ""), ("1 / 0", 1, "ZeroDivisionError: division by zero\n")],
+    ("end", "status", "said"), [("", 0, ""), ("1 / 0", 1, "ZeroDivisionError: division by zero\n")]
 )
 def test_nothing_is_said_at_exit(end: str, status: int, said: str) -> None:
     done = run_python(LOOK.format(end=end))
@@ -140,9 +139,7 @@ def test_flying_needs_no_opengl() -> None:
         "assert not [name for name in sys.modules if name.startswith(('OpenGL', 'mujoco.egl', 'mujoco.osmesa'))]\n"
     )
     environment = {name: value for name, value in os.environ.items() if name != "MUJOCO_GL"}
-    done = subprocess.run(
-        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False
-    )
+    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
 
 
@@ -155,9 +152,7 @@ def test_the_bench_measures_ours_and_the_bare_loop() -> None:
 
 def test_a_gl_that_is_not_there_is_one_line_wherever_mujoco_is_imported() -> None:
     command = [sys.executable, "-m", "uavaccel", "run", "dp1", "--dry-run"]
-    done = subprocess.run(
-        command, env={**os.environ, "MUJOCO_GL": "glsl"}, capture_output=True, text=True, check=False
-    )
+    done = subprocess.run(command, env={**os.environ, "MUJOCO_GL": "glsl"}, capture_output=True, text=True, check=False)
     assert done.returncode == 1
     assert done.stderr.startswith("uavaccel: error: MUJOCO_GL=glsl does not work here")
     assert len(done.stderr.splitlines()) == 1

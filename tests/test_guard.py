@@ -29,9 +29,7 @@ def test_first_image_needs_only_to_be_bright_enough() -> None:
     assert (taken.image[0, 0, 0], taken.retries) == (200, 1)
 
 
-@pytest.mark.parametrize(
-    ("level", "verdict"), [(110, "steady"), (90, "steady"), (111, "retry"), (89, "retry")]
-)
+@pytest.mark.parametrize(("level", "verdict"), [(110, "steady"), (90, "steady"), (111, "retry"), (89, "retry")])
 def test_ten_percent_either_way_are_accepted(level: int, verdict: str) -> None:
     assert judge(GuardState(100.0), grey(level), GuardSettings())[1] == verdict
 

@@ -32,9 +32,7 @@ def put_module(patch: pytest.MonkeyPatch, folder: Path, name: str, text: str) ->
     return file
 
 
-def test_the_number_changes_with_any_file_that_is_reached(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_number_changes_with_any_file_that_is_reached(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A function of a new file, and behind it a number of another new one: no list of files knows them."""
     put_module(monkeypatch, tmp_path, "loop", "from uavaccel.sim.signed import signed\n")
     signed = put_module(monkeypatch, tmp_path, "signed", "from uavaccel.sim import sign\n")

@@ -70,12 +70,7 @@ class Wire:
         self.call("simSetVehiclePose", pose.message(), True, "")
 
     def response(self, image_type: int, as_float: bool = False, compress: bool = False) -> dict[str, Any]:
-        request = {
-            "camera_name": "0",
-            "image_type": image_type,
-            "pixels_as_float": as_float,
-            "compress": compress,
-        }
+        request = {"camera_name": "0", "image_type": image_type, "pixels_as_float": as_float, "compress": compress}
         [response] = self.call("simGetImages", [request], "", False)
         return dict(response)
 
@@ -116,9 +111,7 @@ def test_depth_is_how_far_each_ray_goes(blocks: Wire, pose: Pose) -> None:
         share = np.clip(expected_m / 100.0, 0.0, 1.0)
         shades = blocks.bgr(image_type)
         assert np.abs(shades[inside] / 255.0 - share[inside, None]).max() < 1 / 255 + 2e-3
-    np.testing.assert_allclose(
-        blocks.floats(DEPTH_VIS)[inside], np.minimum(seen.planar_m / 100, 1)[inside], rtol=3e-3
-    )
+    np.testing.assert_allclose(blocks.floats(DEPTH_VIS)[inside], np.minimum(seen.planar_m / 100, 1)[inside], rtol=3e-3)
     np.testing.assert_array_equal(blocks.bgr(DEPTH_VIS), blocks.bgr(PLANAR))
     sky = blocks.floats(PLANAR) == 65504.0
     np.testing.assert_array_equal(blocks.picture("depth")[~sky], blocks.floats(PLANAR)[~sky])
@@ -179,9 +172,7 @@ def test_a_response_tells_the_pose_and_the_time_of_its_picture(blocks: Wire) -> 
     state = blocks.call("getMultirotorState", "")
     told = state["kinematics_estimated"]
     [response, other] = blocks.call(
-        "simGetImages",
-        [{"camera_name": "front_center", "image_type": PLANAR, "pixels_as_float": True}, {}],
-        "",
+        "simGetImages", [{"camera_name": "front_center", "image_type": PLANAR, "pixels_as_float": True}, {}], ""
     )
     assert response["time_stamp"] == other["time_stamp"] == state["timestamp"] == EPOCH_NS + 1234 * MS
     assert response["camera_orientation"] == told["orientation"]
@@ -230,9 +221,7 @@ def test_a_pose_is_taken_and_told_and_nan_leaves_its_part(blocks: Wire) -> None:
     pose, nan = POSES[1], float("nan")
     blocks.move(pose)
     message = Pose((1.0, 2.0, -3.0), (0.0, 0.0, 0.0)).message()
-    blocks.call(
-        "simSetVehiclePose", message | {"orientation": dict.fromkeys(message["orientation"], nan)}, True
-    )
+    blocks.call("simSetVehiclePose", message | {"orientation": dict.fromkeys(message["orientation"], nan)}, True)
     told = blocks.call("simGetVehiclePose", "")
     assert list(told["position"].values()) == [1.0, 2.0, -3.0]
     np.testing.assert_allclose(list(told["orientation"].values()), pose.quaternion(), atol=1e-9)
@@ -261,9 +250,7 @@ def test_a_pose_is_taken_and_told_and_nan_leaves_its_part(blocks: Wire) -> None:
         ("uavaccelImage", ["far_m"], "no picture 'far_m'; there are gray, colour, depth, segmentation"),
     ],
 )
-def test_what_is_no_image_is_refused_and_named(
-    blocks: Wire, method: str, params: list[Any], said: str
-) -> None:
+def test_what_is_no_image_is_refused_and_named(blocks: Wire, method: str, params: list[Any], said: str) -> None:
     with pytest.raises(rpc.RpcError, match=said):
         blocks.call(method, *params)
 
@@ -281,9 +268,7 @@ def test_switched_off_images_are_refused_by_every_call(blocks: Wire) -> None:
 
 
 HUGE = {
-    "CameraDefaults": {
-        "CaptureSettings": [{"ImageType": kind, "Width": 8192, "Height": 8192} for kind in range(8)]
-    }
+    "CameraDefaults": {"CaptureSettings": [{"ImageType": kind, "Width": 8192, "Height": 8192} for kind in range(8)]}
 }
 
 
@@ -295,9 +280,7 @@ def test_airsims_high_resolution_camera_can_be_drawn() -> None:
 @pytest.mark.parametrize("as_float", [False, True])
 def test_a_picture_that_is_too_large_is_refused_before_it_is_drawn(kind: int, as_float: bool) -> None:
     wire = AirSimWire(HUGE)
-    with pytest.raises(
-        rpc.RpcError, match="a picture of 8192 x 8192 is too large: it may have 16,777,216 pixels"
-    ):
+    with pytest.raises(rpc.RpcError, match="a picture of 8192 x 8192 is too large: it may have 16,777,216 pixels"):
         wire.images(("0", kind, as_float))
 
 

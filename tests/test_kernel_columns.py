@@ -51,9 +51,7 @@ def draw(looks: Any, faces: Any, room: Column, shown: Any, picture: Any) -> None
         for column in range(0, at.COLUMNS, 2):
             a, b = np.int32(shown[row, column]), np.int32(shown[row, column + 1])
             c, d = np.int32(shown[row + 1, column]), np.int32(shown[row + 1, column + 1])
-            quad = quad_lumas(
-                faces, (a, b, c, d), looks.texels, looks.textures, np.int32(row), np.int32(column)
-            )
+            quad = quad_lumas(faces, (a, b, c, d), looks.texels, looks.textures, np.int32(row), np.int32(column))
             picture[row, column], picture[row, column + 1] = quad[0], quad[1]
             picture[row + 1, column], picture[row + 1, column + 1] = quad[2], quad[3]
 
@@ -75,10 +73,7 @@ def test_counts_without_a_double_division_are_v2es() -> None:
     base = rng.uniform(0, 5.5, 200_000).astype(np.float32)
     up, down = (np.abs(rng.normal(0.2, 0.05, (2, len(base)))) + 0.01).astype(np.float32)
     whole = rng.integers(-9, 10, len(base)).astype(np.float32)
-    for log in (
-        rng.uniform(0, 5.5, len(base)).astype(np.float32),
-        base + whole * np.where(whole > 0, up, down),
-    ):
+    for log in (rng.uniform(0, 5.5, len(base)).astype(np.float32), base + whole * np.where(whole > 0, up, down)):
         exact = [count_single_pixel(*each) for each in zip(log, base, up, down, strict=True)]
         quick: NDArray[Any] = np.array([quick_count(*each) for each in zip(log, base, up, down, strict=True)])
         np.testing.assert_array_equal(quick, exact)
@@ -93,10 +88,7 @@ def see_both(levels: Any, camera: Any, sensor: Any, plain: Any, full: Any) -> tu
     for row in range(0, at.ROWS, 2):
         for column in range(0, at.COLUMNS, 2):
             place = np.uintp(row * at.COLUMNS + column)
-            shown, before = (
-                levels[row : row + 2, column : column + 2],
-                plain[0, row : row + 2, column : column + 2],
-            )
+            shown, before = (levels[row : row + 2, column : column + 2], plain[0, row : row + 2, column : column + 2])
             lumas = (shown[0, 0], shown[0, 1], shown[1, 0], shown[1, 1])
             known = (before[0, 0], before[0, 1], before[1, 0], before[1, 1])
             quick += see_plainly(lumas, known, camera, sensor, plain, place, place)

@@ -78,10 +78,7 @@ def test_a_lane_flies_as_in_the_exact_simulator(kind: type[FlightEnv], task: dic
 
 
 SAVED: list[tuple[type[FlightEnv], dict[str, Any]]] = [
-    (
-        ObstacleLane,
-        {"history": 2, "knows": ["last_action", "frame_age"], "dvs_shot_noise_hz": 2.0, "max_commands": 3},
-    ),
+    (ObstacleLane, {"history": 2, "knows": ["last_action", "frame_age"], "dvs_shot_noise_hz": 2.0, "max_commands": 3}),
     (
         ObstacleLane,
         {
@@ -140,9 +137,7 @@ def assert_equal(ours: Any, theirs: Any) -> None:
         np.testing.assert_array_equal(ours, theirs)
 
 
-def test_the_machines_time_of_a_batch_is_shared_by_the_lanes_that_flew(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_the_machines_time_of_a_batch_is_shared_by_the_lanes_that_flew(monkeypatch: pytest.MonkeyPatch) -> None:
     """On a clock that goes on by a second whenever it is looked at, of two lanes and then of three."""
     seconds = count(0)
     clock = SimpleNamespace(now_ns=lambda: next(seconds) * 1_000_000_000)
@@ -162,12 +157,7 @@ def test_ages_are_those_at_the_collision_which_leaves_nothing_to_process() -> No
     lane = {"obstacles": [{"x_m": 1.0, "y_m": 0.0, "half_side_m": 0.4}]}
     still: dict[str, Any] = {"quantiles": [0, 1], "issue_us": [0, 0], "timer_us": [0, 0]}
     still |= {"request_us": {"call": [0, 0]}, "reply_us": {"call": [0, 0]}}
-    task: dict[str, Any] = {
-        "command": "adsc",
-        "timing": "virtual",
-        "image_processing_s": 0.05,
-        "latency": still,
-    }
+    task: dict[str, Any] = {"command": "adsc", "timing": "virtual", "image_processing_s": 0.05, "latency": still}
     with closing(KernelBatch(ObstacleLane, 1, lane=lane, knows=["frame_age"], **task)) as batch:
         batch.reset(seed=0)
         seen, _, over, _, infos = batch.step([2])

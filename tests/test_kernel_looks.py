@@ -168,9 +168,7 @@ def events(pictures: NDArray[np.uint8]) -> NDArray[np.int64]:
 @njit(error_model="numpy")
 def luma_at(faces: Any, texels: Any, textures: Any, row: int, column: int) -> Any:
     """Return the luma of a pixel."""
-    red, green, blue = rays.colour_of(
-        faces, rays.nearest_face(faces, row, column), texels, textures, row, column
-    )
+    red, green, blue = rays.colour_of(faces, rays.nearest_face(faces, row, column), texels, textures, row, column)
     return rays.luma(red, green, blue)
 
 
@@ -200,9 +198,7 @@ def one_by_one(looks: Any, scenes: Any, lane: int, place: Floats, quaternion: Fl
 def test_a_pixel_alone_is_that_of_the_picture(looks: Looks) -> None:
     arguments = laid_out(looks, drawn_views(6, seed=4))
     faces = np.zeros((at.FACES, at.FIELDS), np.float32)
-    for number, (picture, depths) in enumerate(
-        zip(draw_gray(*arguments), draw_depth(*arguments), strict=True)
-    ):
+    for number, (picture, depths) in enumerate(zip(draw_gray(*arguments), draw_depth(*arguments), strict=True)):
         pose = arguments[3][number], arguments[4][number]
         alone, deep = one_by_one(looks, arguments[1], number, *pose, faces)
         assert np.sum(alone != picture[:, 100]) <= 1

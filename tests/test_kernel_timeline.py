@@ -36,9 +36,7 @@ CHANNELS_US = {
 PLATFORM = {"tick_us": 45.0, "integer_clock_speed": True, "frames": {"hz": 60.0, "stale_pose": True}}
 
 
-def constant(
-    platform: dict[str, Any] | None = None, scale: float = 1.0, factor: float = 1.0
-) -> dict[str, Any]:
+def constant(platform: dict[str, Any] | None = None, scale: float = 1.0, factor: float = 1.0) -> dict[str, Any]:
     """A latency model that always draws the same."""
     request = {name: [each * factor] * 2 for name, each in CHANNELS_US.items()}
     reply = {name: [1.7 * factor * each] * 2 for name, each in CHANNELS_US.items()}

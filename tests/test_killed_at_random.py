@@ -26,10 +26,7 @@ from uavaccel.processes.cleanup import OF_JOBLIB
 from uavaccel.records import RunDirectory
 from uavaccel.units import NS_PER_S
 
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.skipif(sys.platform != "linux", reason="looks for processes in /proc"),
-]
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(sys.platform != "linux", reason="looks for processes in /proc")]
 
 GONE_S = 120.0  # by when nothing that it started is left, on however busy a machine; what it took is printed
 ENDS_S = 600.0  # by when a run that is left alone has ended
@@ -160,9 +157,7 @@ def test_runs_killed_at_random_end_with_the_same_bytes(name: str, tmp_path: Path
         print(f"{count:5} {what[:150]}")
 
 
-def fly_and_kill(
-    run: Killed, out: Path, said: Path, choose: random.Random, whole_s: float, seen: Seen
-) -> bool:
+def fly_and_kill(run: Killed, out: Path, said: Path, choose: random.Random, whole_s: float, seen: Seen) -> bool:
     """Begin the run or go on with it, until it is killed or ends; whether it has to be gone on with."""
     begun = (out / "config.yaml").is_file()
     arguments = "run --resume" if begun else f"{run.arguments} --resume" if out.exists() else run.arguments

@@ -45,9 +45,7 @@ def equal(a: LaneLayout, b: LaneLayout) -> bool:
 def test_straight_flight_fails() -> None:
     """Straight ahead at most 5 % of 300 evaluation lanes are free, at the best lateral offset at most 10 %."""
     offsets = np.arange(-4.65, 4.66, 0.05)
-    free = np.array(
-        [[free_distance_m(layout, y) == LENGTH_M for y in offsets] for layout in EVALUATION_LANES]
-    )
+    free = np.array([[free_distance_m(layout, y) == LENGTH_M for y in offsets] for layout in EVALUATION_LANES])
     assert np.mean([free_distance_m(layout, 0.0) == LENGTH_M for layout in EVALUATION_LANES]) <= 0.05
     assert free.mean(axis=0).max() <= 0.10
 
@@ -132,18 +130,14 @@ def test_a_share_of_the_textures_is_drawn_evenly(varied: float, share: float) ->
         counts = np.bincount(indices, minlength=kinds) / len(indices)
         wanted = np.full(kinds, share / kinds) + (1 - share) * (np.arange(kinds) == 0)
         np.testing.assert_allclose(counts, wanted, atol=4 * 0.5 / len(indices) ** 0.5)
-    walls, grounds = (
-        [getattr(layout, name) for layout in layouts] for name in ("wall_texture", "ground_texture")
-    )
+    walls, grounds = ([getattr(layout, name) for layout in layouts] for name in ("wall_texture", "ground_texture"))
     if share:
         assert abs(np.corrcoef(walls, grounds)[0, 1]) < 0.1
 
 
 def test_lateral_places_are_uniform_among_those_that_keep_the_gap() -> None:
     """Less the least distance to those before, a row is as many sorted uniform numbers; and rows differ."""
-    layouts = drawn(
-        Difficulty(obstacles_per_row=3, half_width_m=0.5, min_gap_m=1.5, row_spacing_m=60.0), 1500
-    )
+    layouts = drawn(Difficulty(obstacles_per_row=3, half_width_m=0.5, min_gap_m=1.5, row_spacing_m=60.0), 1500)
     rows = np.array([layout.y_m.reshape(-1, 3)[:2] for layout in layouts])
     slack = rows + 5.0 - 2.5 * np.arange(3)
     assert_uniform(slack.ravel(), 0.0, 5.0)

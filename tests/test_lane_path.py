@@ -93,9 +93,7 @@ def test_the_simulator_flies_a_planned_path_to_the_end(lane_world: World) -> Non
     lane_world.reset()
     clearance = []
     for north, east in plan_path(layout, height_m=10.0):
-        lane_world.lead.set_goal(
-            of_velocity(VelocityGoal((north, east, 0.0), height_m=-10.0, yaw_is_rate=False))
-        )
+        lane_world.lead.set_goal(of_velocity(VelocityGoal((north, east, 0.0), height_m=-10.0, yaw_is_rate=False)))
         for _ in range(4):
             lane_world.advance(125)
             clearance.append(clearance_m(layout, lane_world.lead.kinematics().position_m[:2]))

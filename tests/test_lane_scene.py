@@ -45,9 +45,7 @@ def touched(scene: Scene, x_m: float, y_m: float, z_m: float = -10.0) -> str:
 
 @pytest.mark.parametrize("cylinder", [False, True])
 @pytest.mark.parametrize("z_m", [-1.0, -10.0, -19.5])
-def test_free_distance_is_where_mujoco_finds_the_contact(
-    lane_scene: Scene, cylinder: bool, z_m: float
-) -> None:
+def test_free_distance_is_where_mujoco_finds_the_contact(lane_scene: Scene, cylinder: bool, z_m: float) -> None:
     """From the ground to the top of the post, at its front, its edge and beside its corner."""
     layout = one_post(30.0, 1.0, cylinder=cylinder)
     apply_layout(*lane_scene, layout)
@@ -130,9 +128,7 @@ def test_too_many_obstacles_and_other_scenes_are_refused(lane_scene: Scene) -> N
 
 
 @pytest.mark.parametrize("wind_m_s", [(6.0, 0.0, 0.0), (0.0, -8.0, 0.0), (-5.0, 5.0, 0.0), (0.0, 0.0, 4.0)])
-def test_wind_pushes_a_hovering_drone_the_way_it_blows(
-    lane_world: World, wind_m_s: tuple[float, float, float]
-) -> None:
+def test_wind_pushes_a_hovering_drone_the_way_it_blows(lane_world: World, wind_m_s: tuple[float, float, float]) -> None:
     """At first by the drag of the air that streams past a level vehicle at rest: c rho v |v| / m along each axis."""
     lane_world.set_lane(layout_from({"obstacles": [], "wind_m_s": wind_m_s}, "test"))
     lane_world.reset()
@@ -141,9 +137,7 @@ def test_wind_pushes_a_hovering_drone_the_way_it_blows(
     density = 101325.0 * (1 - 0.0065 * 132.0 / 288.15) ** 5.255877 / 287.053 / (288.15 - 0.0065 * 132.0)
     wind = np.array(wind_m_s)
     push = np.array(parameters["drag_factor_m2"]) * density * wind * np.abs(wind) / parameters["mass_kg"]
-    np.testing.assert_allclose(
-        lane_world.lead.kinematics().linear_acceleration_m_s2, push, rtol=2e-3, atol=1e-3
-    )
+    np.testing.assert_allclose(lane_world.lead.kinematics().linear_acceleration_m_s2, push, rtol=2e-3, atol=1e-3)
     lane_world.set_lane(layout_from({"obstacles": []}, "test"))
     lane_world.reset()
     lane_world.advance(1)
@@ -208,9 +202,7 @@ def test_walls_and_ground_wear_their_own_textures(lane_world: World, swapped: bo
     """Hues of the colours in lane.xml; only one of the two changes at a time."""
     brick, grass = swapped, not swapped
     picture = look(
-        lane_world,
-        wall_texture="brick" if brick else "concrete",
-        ground_texture="grass" if grass else "asphalt",
+        lane_world, wall_texture="brick" if brick else "concrete", ground_texture="grass" if grass else "asphalt"
     )
     ground = (1.35, 0.75) if grass else (1.03, 1.0)
     wall = (0.74, 0.62) if brick else (1.0, 0.97)
@@ -227,12 +219,7 @@ def test_obstacles_wear_their_own_textures(lane_world: World) -> None:
     picture = look(
         lane_world,
         obstacles=[
-            {
-                "x_m": 9.0,
-                "y_m": y,
-                "radius_m" if name in ("white", "blue") else "half_side_m": 0.6,
-                "texture": name,
-            }
+            {"x_m": 9.0, "y_m": y, "radius_m" if name in ("white", "blue") else "half_side_m": 0.6, "texture": name}
             for name, y in places.items()
         ],
     )
@@ -272,9 +259,7 @@ def test_a_renderer_elsewhere_is_told_all_of_a_layout_that_can_be_seen(scenery: 
     looks = np.zeros(slot_dtype(here)["looks"].shape, np.uint8)
     write_looks(here, looks)
     read_looks(looks, there)
-    changed = {
-        name for name, values in arrays(here).items() if not np.array_equal(values, arrays(untouched)[name])
-    }
+    changed = {name for name, values in arrays(here).items() if not np.array_equal(values, arrays(untouched)[name])}
     behind = {name for name in changed if not np.array_equal(arrays(here)[name], arrays(there)[name])}
     assert {"geom_pos", "geom_matid", "geom_rgba", "light_dir", "light_ambient", "light_diffuse"} < changed
     assert ("geom_dataid" in changed) == (scenery == "forest")

@@ -63,12 +63,7 @@ def test_each_kind_is_drawn_from_its_own_quantiles() -> None:
 def test_a_wait_chooses_the_quantiles_after_it() -> None:
     """Those of the wait, if there are any, else the channel's, else the rest's."""
     config = LatencyConfig(
-        request_us={
-            "call": always(1.0),
-            "pause": always(2.0),
-            "pause@5ms": always(3.0),
-            "call@5ms": always(9.0),
-        },
+        request_us={"call": always(1.0), "pause": always(2.0), "pause@5ms": always(3.0), "call@5ms": always(9.0)},
         reply_us={"call": always(4.0), "pause@5ms": always(5.0)},
     )
     latency = latency_of(config)
@@ -112,12 +107,7 @@ def test_seeds_and_their_children_draw_other_numbers() -> None:
     games = {latency_of(config, *seed).request_ns("call") for seed in seeds}
     assert len(games) == 5
     latency = latency_of(config)
-    kinds = {
-        latency.request_ns("call"),
-        latency.request_ns("move"),
-        latency.reply_ns("call"),
-        latency.issue_ns(),
-    }
+    kinds = {latency.request_ns("call"), latency.request_ns("move"), latency.reply_ns("call"), latency.issue_ns()}
     assert len(kinds) == 4
 
 
@@ -178,9 +168,7 @@ def test_faults_of_requests_are_those_of_a_connection_on_which_nobody_answers() 
 
 def test_without_latency_nothing_is_drawn() -> None:
     latency = latency_of(ZERO_LATENCY)
-    assert [latency.request_ns("move"), latency.reply_ns("move"), latency.issue_ns(), latency.timer_ns()] == [
-        0
-    ] * 4
+    assert [latency.request_ns("move"), latency.reply_ns("move"), latency.issue_ns(), latency.timer_ns()] == [0] * 4
 
 
 @pytest.mark.parametrize(("method", "params", "channel"), [
@@ -238,9 +226,7 @@ def test_a_block_a_file_of_it_and_nothing(tmp_path: Path, monkeypatch: pytest.Mo
 
 def test_a_block_without_quantiles_changes_the_model_that_ships() -> None:
     block = {"platform": {"tick_us": 70.0, "frames": {"hz": 30.0}}}
-    changed = validate(
-        Dp1Config, {"suite": "dp1", "clock_speed": [5], "profile": "airsim", "latency": block}, "dp1"
-    )
+    changed = validate(Dp1Config, {"suite": "dp1", "clock_speed": [5], "profile": "airsim", "latency": block}, "dp1")
     shipped = shipped_latency("airsim")
     assert changed.latency.reply_us == shipped.reply_us
     assert (changed.latency.platform.tick_us, changed.latency.platform.frames.hz) == (70.0, 30.0)
@@ -271,9 +257,7 @@ def test_a_factor_varies_one_channel_of_the_model_that_ships() -> None:
     assert both.reply_us == {**shipped.reply_us, "pause": tuple(2 * x for x in shipped.reply_us["call"])}
     assert both.request_us["call"] == tuple(0.5 * each for each in shipped.request_us["call"])
     assert both.scale == 3
-    once, thrice = (
-        Latency(each, np.random.SeedSequence(0)) for each in (both.model_copy(update={"scale": 1.0}), both)
-    )
+    once, thrice = (Latency(each, np.random.SeedSequence(0)) for each in (both.model_copy(update={"scale": 1.0}), both))
     assert thrice.request_ns("call") == 3 * once.request_ns("call") > 0
     assert thrice.reply_ns("pause") == 3 * once.reply_ns("pause") > 0
     assert changed_latency("airsim", reply_us={"pause": 1}) == shipped
@@ -290,10 +274,7 @@ def test_a_factor_varies_one_channel_of_the_model_that_ships() -> None:
         ({"reply_us": {"mvoe": 4}}, "reply_us.mvoe is an unknown channel; did you mean 'move'"),
         ({"reply_us": {"move": -1}}, "reply_us.move must be 0 to 1000, a factor, not -1"),
         ({"reply_us": {"move": 1000}}, "reply_us = .* must be at most"),
-        (
-            {"reply_us": {"move": 4, "call": [1.0] * 12}},
-            "latency.reply_us.move = 4: a factor needs the model",
-        ),
+        ({"reply_us": {"move": 4, "call": [1.0] * 12}}, "latency.reply_us.move = 4: a factor needs the model"),
         ({"reply_us": {"move": "slow"}}, "latency.reply_us.move = 'slow': "),
     ],
 )
@@ -309,10 +290,7 @@ def test_each_profile_has_a_model_that_ships() -> None:
         config = validate(Dp1Config, {"suite": "dp1", "clock_speed": [5], "profile": profile}, "dp1")
         assert config.latency == read_latency(experiment(file))
     assert read_latency(experiment("latency_airsim.yaml")).platform.tick_us > 0
-    assert (
-        Dp1Config(suite="dp1", clock_speed=(5,), profile="airsim", latency=ZERO_LATENCY).latency
-        == ZERO_LATENCY
-    )
+    assert Dp1Config(suite="dp1", clock_speed=(5,), profile="airsim", latency=ZERO_LATENCY).latency == ZERO_LATENCY
 
 
 def test_a_resolved_configuration_holds_the_block_and_editors_know_both(tmp_path: Path) -> None:
@@ -340,9 +318,7 @@ def test_a_resolved_configuration_holds_the_block_and_editors_know_both(tmp_path
     ({"request_us": {"call": [0, "1"]}}, "latency.request_us.call.1 = '1': should be a valid number"),
     ({"isue_us": [0, 1]}, "unknown key 'latency.isue_us'; did you mean 'issue_us'?"),
 ])  # fmt: skip
-def test_what_is_wrong_is_one_line_in_a_block_and_in_a_file(
-    tmp_path: Path, change: dict[str, Any], text: str
-) -> None:
+def test_what_is_wrong_is_one_line_in_a_block_and_in_a_file(tmp_path: Path, change: dict[str, Any], text: str) -> None:
     text = re.sub(r"\?$", r"\\?", text)
     with pytest.raises(UserError, match=f"^task: .*{text}"):
         validate(Task, {"latency": {**BLOCK, **change}}, "task")
@@ -358,7 +334,5 @@ def test_what_is_no_model_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(UserError, match=r"^task: latency: none\.yaml: No such file or directory$"):
         validate(Task, {"latency": "none.yaml"}, "task")
     (tmp_path / "dp1.yaml").write_text("suite: dp1\n")
-    with pytest.raises(
-        UserError, match=r"dp1\.yaml: has no key 'latency'; `uavaccel calibrate --out .*` writes one"
-    ):
+    with pytest.raises(UserError, match=r"dp1\.yaml: has no key 'latency'; `uavaccel calibrate --out .*` writes one"):
         validate(Task, {"latency": str(tmp_path / "dp1.yaml")}, "task")

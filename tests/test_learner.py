@@ -181,9 +181,7 @@ def test_what_lanes_flew_is_what_can_be_learned_from(turns: int) -> None:
             np.testing.assert_allclose(stored, column, err_msg=name)
     assert [game.number for game in games] == list(range(60))
     if turns == 1:
-        assert len(learner.buffer) == learner.steps == len(lanes.flown(0)) - 1, (
-            "nothing of the last one is kept"
-        )
+        assert len(learner.buffer) == learner.steps == len(lanes.flown(0)) - 1, "nothing of the last one is kept"
     for lane in range(3):
         sums, total = [], 0.0
         for each in lanes.flown(lane):
@@ -263,8 +261,7 @@ def test_a_game_that_is_over_at_its_time_limit_is_over_and_not_cut_short() -> No
     _, _, dones, told = lanes.step_wait()
     assert dones.tolist() == [True] * 3
     assert told == [
-        {"game": lane, "terminal_observation": 9 + lane, "TimeLimit.truncated": lane == 2}
-        for lane in range(3)
+        {"game": lane, "terminal_observation": 9 + lane, "TimeLimit.truncated": lane == 2} for lane in range(3)
     ]
     assert lanes.reset_infos == [{"next": True}] * 3
 
@@ -411,9 +408,7 @@ class OnCpu:
 
 
 @pytest.mark.parametrize("before", [0, 2])
-def test_recording_a_step_leaves_weights_and_moments_as_they_were(
-    before: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_recording_a_step_leaves_weights_and_moments_as_they_were(before: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """It takes steps of its own, of which nothing stays; a launch is then a plain step on the batch that it is given.
 
     A graph knows addresses alone, so that what it is recorded on has to stay where it is.
@@ -434,9 +429,7 @@ def test_recording_a_step_leaves_weights_and_moments_as_they_were(
     recorded = GraphedStep(one.learn, one.net, one.optimizer, batches[before])
     assert one.addresses == [each.data_ptr() for _, each in one.held()]
     unmoved = [(name, th.zeros_like(each)) for name, each in one.held()[2:]]
-    for (name, ours), (_, theirs) in zip(
-        one.held(), [*plain.held(), *unmoved][: len(one.held())], strict=True
-    ):
+    for (name, ours), (_, theirs) in zip(one.held(), [*plain.held(), *unmoved][: len(one.held())], strict=True):
         assert th.equal(ours, theirs), name
     for batch in batches[before + 1 :]:
         recorded(batch)
@@ -458,8 +451,7 @@ class Rated(th.nn.Module):
 
 
 RATED = SimpleNamespace(
-    q_net=Rated([[1.0, 2.0], [4.0, 3.0], [0.0, 9.0]]),
-    q_net_target=Rated([[10.0, 20.0], [30.0, 40.0], [5.0, 6.0]]),
+    q_net=Rated([[1.0, 2.0], [4.0, 3.0], [0.0, 9.0]]), q_net_target=Rated([[10.0, 20.0], [30.0, 40.0], [5.0, 6.0]])
 )
 
 
@@ -602,13 +594,9 @@ def test_what_takes_more_memory_than_there_is_is_refused_beforehand(
     monkeypatch.setattr("uavaccel.rl.config.memory_bytes", lambda: 100 * math.prod(SHAPE) * 4)  # of float32
     config = config_of(2, {}).model_copy(update={"algorithm": algorithm, "options": fits})
     check_algorithm(config)
-    check_algorithm(
-        config.model_copy(update={"options": too_large, "device": "cuda"})
-    )  # whose memory is another
+    check_algorithm(config.model_copy(update={"options": too_large, "device": "cuda"}))  # whose memory is another
     (name,) = fits
-    with pytest.raises(
-        UserError, match=rf"^options of {algorithm}: {name}: 10[12] observations take 1\.5\d+e-05 GB"
-    ):
+    with pytest.raises(UserError, match=rf"^options of {algorithm}: {name}: 10[12] observations take 1\.5\d+e-05 GB"):
         check_algorithm(config.model_copy(update={"options": too_large}))
 
 
@@ -722,10 +710,7 @@ def test_a_baseline_with_a_replay_buffer_learns_as_often_as_it_is_to_and_pays() 
     for rollouts in range(1, 4):
         learner.advance()
         assert (learner.algorithm.num_timesteps, learner.algorithm._n_updates) == (6 * rollouts, rollouts)
-    assert (
-        learner.lanes.envs[0].unwrapped.charged
-        == [*[(0.125, "inference")] * 6, *[(0.25, "learning")] * 2] * 3
-    )
+    assert learner.lanes.envs[0].unwrapped.charged == [*[(0.125, "inference")] * 6, *[(0.25, "learning")] * 2] * 3
 
 
 def test_a_baseline_learns_from_no_game_beyond_the_last_one() -> None:
@@ -748,37 +733,18 @@ def test_a_baselines_phases_are_timed_and_its_games_have_the_loss_before_them() 
 
 def test_a_baseline_goes_on_from_its_state() -> None:
     """Two that were one learn the same weights from then on, on the same batches."""
-    first, second = (
-        baseline("dqn", DQN, games=100, commands_per_gradient_step=2, seed=seed) for seed in (0, 1)
-    )
+    first, second = (baseline("dqn", DQN, games=100, commands_per_gradient_step=2, seed=seed) for seed in (0, 1))
     for _ in range(25):  # the buffer of twenty rows has been filled once
         first.advance()
     state = deepcopy(first.get_state())
     second.set_state(state, first.algorithm._last_obs)
     there, here = first.algorithm, second.algorithm
     assert there.replay_buffer.timeouts.any()
-    for name in (
-        "observations",
-        "next_observations",
-        "actions",
-        "rewards",
-        "dones",
-        "timeouts",
-        "pos",
-        "full",
-    ):
+    for name in ("observations", "next_observations", "actions", "rewards", "dones", "timeouts", "pos", "full"):
         kept, back = (getattr(each.replay_buffer, name) for each in (there, here))
         np.testing.assert_array_equal(back, kept, err_msg=name)
-    for name in (
-        "num_timesteps",
-        "_n_calls",
-        "_n_updates",
-        "exploration_rate",
-        "_current_progress_remaining",
-    ):
-        assert getattr(here, name) == getattr(there, name) != getattr(baseline("dqn", DQN).algorithm, name), (
-            name
-        )
+    for name in ("num_timesteps", "_n_calls", "_n_updates", "exploration_rate", "_current_progress_remaining"):
+        assert getattr(here, name) == getattr(there, name) != getattr(baseline("dqn", DQN).algorithm, name), name
     assert (second.games, second.returns) == (first.games, first.returns)
     hashes = []
     for each in (first, second):
@@ -799,9 +765,7 @@ def on_a_device(host_kernels: None) -> Any:  # noqa: F811
 
     learner: Any = DeviceDQN.__new__(DeviceDQN)
     learner.config = validate(
-        TrainConfig,
-        {"games": 8, "commands_per_gradient_step": 8, "final_learning_rate_share": 0.02},
-        "test",
+        TrainConfig, {"games": 8, "commands_per_gradient_step": 8, "final_learning_rate_share": 0.02}, "test"
     )
     learner.options = DqnOptions(
         learning_starts=8, n_steps=2, target_update_interval=24, exploration_final_eps=0.2, max_grad_norm=0.05
@@ -818,9 +782,7 @@ def a_window(learner: Any, weights: Sequence[float]) -> Any:
 
     count = len(weights)
     random = np.random.default_rng(0)
-    learner.replay = SimpleNamespace(
-        observations=th.from_numpy(random.normal(size=(6, 4, 2)).astype(np.float32))
-    )
+    learner.replay = SimpleNamespace(observations=th.from_numpy(random.normal(size=(6, 4, 2)).astype(np.float32)))
     learner._cut = lambda ring, row, lane, mirrored: th.where(
         mirrored[:, None], ring[row, lane].flip(-1), ring[row, lane]
     )
@@ -920,18 +882,14 @@ def test_on_a_device_lanes_pay_for_their_decisions_and_their_share_of_learning(o
     assert charged == [decided, decided, ("flown", 0.0625, "learning")]
 
 
-def test_on_a_device_lanes_explore_as_often_as_they_are_to(
-    on_a_device: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_on_a_device_lanes_explore_as_often_as_they_are_to(on_a_device: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """A lane that sees n rates action n highest, which a random action is in a third of the cases too."""
     from uavaccel.rl import device_dqn
 
     class Cut:
         down = across = 1
 
-        def __call__(
-            self, ring: th.Tensor, row: th.Tensor, lane: th.Tensor, mirrored: th.Tensor
-        ) -> th.Tensor:
+        def __call__(self, ring: th.Tensor, row: th.Tensor, lane: th.Tensor, mirrored: th.Tensor) -> th.Tensor:
             assert not mirrored.any()
             return ring[row, lane]
 
@@ -942,11 +900,7 @@ def test_on_a_device_lanes_explore_as_often_as_they_are_to(
     learner._cut, learner.policy = Cut(), SimpleNamespace(q_net=lambda seen: th.eye(3)[seen])
     monkeypatch.setattr(device_dqn, "rate", lambda network, seen, down, across: network(seen))
     th.manual_seed(0)
-    for exploration, at_random, greedy in (
-        (0.0, False, 1.0),
-        (0.4, False, 0.6 + 0.4 / 3),
-        (0.0, True, 1 / 3),
-    ):
+    for exploration, at_random, greedy in ((0.0, False, 1.0), (0.4, False, 0.6 + 0.4 / 3), (0.0, True, 1 / 3)):
         learner._epsilon = th.tensor(exploration)
         actions = learner._decide(at_random)
         assert (actions == learner.lanes.observations).double().mean() == pytest.approx(greedy, abs=0.03)
@@ -980,9 +934,7 @@ def test_on_a_device_a_round_keeps_and_charges_what_was_going_when_it_began(on_a
     online, target = th.nn.Linear(1, 1), th.nn.Linear(1, 1)
     learner.policy = SimpleNamespace(q_net=online, q_net_target=target)
     before = [each.detach().clone() for each in (*online.parameters(), *target.parameters())]
-    results = {
-        name: th.tensor([number, 0.0]) for number, name in enumerate(("rewards", "terminated", "truncated"))
-    }
+    results = {name: th.tensor([number, 0.0]) for number, name in enumerate(("rewards", "terminated", "truncated"))}
 
     def fly(actions: Any) -> None:
         said.append(("flies", actions))
@@ -1009,15 +961,7 @@ def test_on_a_device_a_round_keeps_and_charges_what_was_going_when_it_began(on_a
     assert all(th.equal(*each) for each in zip(before[2:], target.parameters(), strict=True))
     said.clear()
     learner._work(False, True, True)
-    assert [each[0] for each in said] == [
-        "begins",
-        "learns",
-        "flies",
-        "joins",
-        "charges",
-        "ends",
-        "schedules",
-    ]
+    assert [each[0] for each in said] == ["begins", "learns", "flies", "joins", "charges", "ends", "schedules"]
     for network in (online, target):
         assert all(th.equal(*each) for each in zip(before[:2], network.parameters(), strict=True))
 
@@ -1031,10 +975,7 @@ def test_on_a_device_games_are_read_from_the_log_up_to_the_last_one_of_the_train
         log[line, lane, at.over], log[line, lane, at.reward] = 1.0, reward
     learner.lanes.info = lambda lane, outcome: {"reward": outcome[at.reward]}
     learner.lanes.games = SimpleNamespace(refill=refilled.append)
-    learner._clock, read = (
-        SimpleNamespace(now_ns=lambda: 5_000_000_000),
-        SimpleNamespace(synchronize=lambda: None),
-    )
+    learner._clock, read = (SimpleNamespace(now_ns=lambda: 5_000_000_000), SimpleNamespace(synchronize=lambda: None))
     sums = th.tensor([6.0, 8.0, 4.0], dtype=th.float64)
     learner._unread, learner.games = deque([(read, log, th.tensor([3, 1, 4, 1]), sums, 1_000_000_000)]), 6
     games = learner._read_chunk()
@@ -1071,9 +1012,7 @@ def test_on_a_device_the_first_convolution_is_a_product_of_patches(monkeypatch: 
     config = tiny_config(channels=[3, 4], hidden=[5])
     net: Any = first_policy(config, lambda _: 1e-3).q_net
     frames, rows, columns = config.task.observation_space().shape
-    seen = th.from_numpy(
-        np.random.default_rng(0).integers(0, 256, (2, frames, rows, columns)).astype(np.float32)
-    )
+    seen = th.from_numpy(np.random.default_rng(0).integers(0, 256, (2, frames, rows, columns)).astype(np.float32))
     patches = th.nn.functional.unfold(contrast(seen.clone()), 8, stride=4, padding=2)
     flat = patches.transpose(1, 2).reshape(-1, frames * 64)
     with th.no_grad():
@@ -1096,7 +1035,5 @@ def test_adam_is_pytorchs_to_the_bit() -> None:
                 parameter.grad = gradient.clone()
             optimizer.step()
         optimizer.load_state_dict(optimizer.state_dict())
-        learned.append(
-            [*parameters, *(each for state in optimizer.state.values() for each in state.values())]
-        )
+        learned.append([*parameters, *(each for state in optimizer.state.values() for each in state.values())])
     assert all(th.equal(ours, theirs) for ours, theirs in zip(*learned, strict=True))

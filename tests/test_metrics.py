@@ -20,13 +20,9 @@ from uavaccel.metrics.trajectory import (
 )
 
 
-def straight(
-    duration_s: float, step_s: float = 0.05, speed_m_s: float = 1.0, offset_m: float = 0.0
-) -> Trajectory:
+def straight(duration_s: float, step_s: float = 0.05, speed_m_s: float = 1.0, offset_m: float = 0.0) -> Trajectory:
     time_s = np.arange(round(duration_s / step_s) + 1, dtype=np.float64) * step_s
-    return Trajectory(
-        time_s, np.column_stack([speed_m_s * time_s, np.full_like(time_s, offset_m), 0 * time_s])
-    )
+    return Trajectory(time_s, np.column_stack([speed_m_s * time_s, np.full_like(time_s, offset_m), 0 * time_s]))
 
 
 def test_rmse_of_a_constant_offset_is_the_offset() -> None:
@@ -124,8 +120,7 @@ def test_identical_games_have_an_interval_of_zero_width() -> None:
 
 
 @pytest.mark.parametrize(
-    ("successes", "low", "high"),
-    [(23, 15.8, 32.2), (21, 14.2, 30.0), (30, 21.9, 39.6), (1, 0.2, 5.4), (0, 0.0, 3.7)],
+    ("successes", "low", "high"), [(23, 15.8, 32.2), (21, 14.2, 30.0), (30, 21.9, 39.6), (1, 0.2, 5.4), (0, 0.0, 3.7)]
 )
 def test_wilson_of_the_papers_table(successes: int, low: float, high: float) -> None:
     assert np.multiply(Proportion(successes, 100).interval, 100) == pytest.approx([low, high], abs=0.06)

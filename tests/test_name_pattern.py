@@ -75,8 +75,7 @@ def test_what_is_none_is_refused_in_words(expression: str, reason: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "expression",
-    ["(a+)+$", "(a|a)*b", "((a*)*)*b", "(x+x+)+y", "(.*.*.*)*!", "(a?){60}a{60}", "(?:(?:a+)+)+!"],
+    "expression", ["(a+)+$", "(a|a)*b", "((a*)*)*b", "(x+x+)+y", "(.*.*.*)*!", "(a?){60}a{60}", "(?:(?:a+)+)+!"]
 )
 def test_expressions_for_which_backtracking_takes_for_ever_do_not(expression: str) -> None:
     """Each would take 2^200 steps: that the test ends is what it shows."""

@@ -109,9 +109,7 @@ def test_stable_baselines_sees_gymnasiums_interface(gym: ModuleType) -> None:
     assert observation.tolist() == [[1]]  # reset
 
 
-def test_a_library_is_told_apart_what_is_over_and_what_is_cut_short_and_seeds_what_it_resets(
-    gym: ModuleType,
-) -> None:
+def test_a_library_is_told_apart_what_is_over_and_what_is_cut_short_and_seeds_what_it_resets(gym: ModuleType) -> None:
     class Cut(Walk):
         seeds: ClassVar[list[int]] = []
 
@@ -380,18 +378,11 @@ def test_old_names_of_numpy_mean_what_they_meant() -> None:
     """A NumPy without them; `fromstring` of bytes gives an array of its own that can be written."""
     numpy = ModuleType("numpy")
     there = ("frombuffer", "fromstring", "inf", "nan", "bool_", "float64", "complex128", "str_", "bytes_")
-    vars(numpy).update(
-        {name: getattr(np, name) for name in (*there, "prod", "cumprod", "any", "all", "isin")}
-    )
+    vars(numpy).update({name: getattr(np, name) for name in (*there, "prod", "cumprod", "any", "all", "isin")})
     with Patches() as patches:
         shims.supply_numpy(patches, numpy)
         assert (numpy.float, numpy.int, numpy.bool, numpy.object) == (float, int, bool, object)
-        assert (numpy.bool8, numpy.float_, numpy.product, numpy.in1d) == (
-            np.bool_,
-            np.float64,
-            np.prod,
-            np.isin,
-        )
+        assert (numpy.bool8, numpy.float_, numpy.product, numpy.in1d) == (np.bool_, np.float64, np.prod, np.isin)
         assert (numpy.sometrue, numpy.alltrue, numpy.Inf, numpy.NINF) == (np.any, np.all, np.inf, -np.inf)
         bytes_of = numpy.fromstring(b"\x01\x02\x03", np.uint8)
         bytes_of[0] = 9

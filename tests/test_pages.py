@@ -27,9 +27,7 @@ CONTRIBUTING = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
 
 def found(pattern: str) -> list[tuple[str, str]]:
     return [
-        (page.relative_to(ROOT).as_posix(), hit)
-        for page, text in PAGES_AND_TEXTS
-        for hit in re.findall(pattern, text)
+        (page.relative_to(ROOT).as_posix(), hit) for page, text in PAGES_AND_TEXTS for hit in re.findall(pattern, text)
     ]
 
 
@@ -38,9 +36,7 @@ def test_links_lead_somewhere(page: str, link: str) -> None:
     assert ((ROOT / page).parent / link).exists()
 
 
-@pytest.mark.parametrize(
-    ("page", "file"), sorted(set(found(r"\b((?:uavaccel|tests|experiments|assets)/[\w/]+\.\w+)")))
-)
+@pytest.mark.parametrize(("page", "file"), sorted(set(found(r"\b((?:uavaccel|tests|experiments|assets)/[\w/]+\.\w+)"))))
 def test_files_that_are_named_are_there(page: str, file: str) -> None:
     assert "NAME" in file or (ROOT / file).exists()
 
@@ -53,9 +49,7 @@ def test_commands_within_the_text_parse(page: str, line: str) -> None:
     group.commands[name].make_context(name, options, resilient_parsing=not options)  # type: ignore[attr-defined]
 
 
-@pytest.mark.parametrize(
-    "name", sorted({name for _, name in found(r"(?m)(?:`|^::: )(uavaccel\.[a-z_.]+)(?:`|$)")})
-)
+@pytest.mark.parametrize("name", sorted({name for _, name in found(r"(?m)(?:`|^::: )(uavaccel\.[a-z_.]+)(?:`|$)")}))
 def test_packages_and_modules_that_are_named_are_there(name: str) -> None:
     path = ROOT / name.replace(".", "/")
     assert path.is_dir() or path.with_suffix(".py").is_file()

@@ -40,9 +40,7 @@ def test_angles_are_turned_by_yaw_pitch_roll(roll: float, pitch: float, yaw: flo
 
 
 @given(st.floats(-80.0, 80.0), st.floats(-179.0, 179.0), st.tuples(metres, metres, metres))
-def test_places_around_any_home_come_back(
-    latitude: float, longitude: float, place: tuple[float, float, float]
-) -> None:
+def test_places_around_any_home_come_back(latitude: float, longitude: float, place: tuple[float, float, float]) -> None:
     home = GeoPoint(latitude, longitude, 100.0)
     assert local(geographic(place, home), home) == pytest.approx(place, abs=1e-4)
 

@@ -84,9 +84,7 @@ def test_a_drawn_condition_flies_as_the_key_of_its_name(name: str, value: float,
 
 
 def test_light_and_thresholds_are_those_of_the_game() -> None:
-    environment = lane(
-        randomise={"light": [0.3, 0.3], "dvs_threshold_ratio": [2, 2], "row_spacing_m": [12, 12]}
-    )
+    environment = lane(randomise={"light": [0.3, 0.3], "dvs_threshold_ratio": [2, 2], "row_spacing_m": [12, 12]})
     _, info = environment.reset(seed=0)
     task = environment.episode_task
     assert draw_layout(info["lane"], task.difficulty).light == 0.3
@@ -148,9 +146,7 @@ def test_a_share_of_the_conditions_is_drawn_and_the_others_stay() -> None:
     for name in ("wind_m_s", "light"):
         assert sum(name in each for each in drawn) == pytest.approx(300, abs=45)  # three standard deviations
     environment = lane(randomise={"wind_m_s": [3, 6], "light": [0.1, 0.2], "share": 0.5})
-    games = [
-        (environment.reset(seed=seed)[1].get("conditions", {}), environment.episode_task) for seed in range(8)
-    ]
+    games = [(environment.reset(seed=seed)[1].get("conditions", {}), environment.episode_task) for seed in range(8)]
     assert {len(conditions) for conditions, _ in games} == {0, 1, 2}
     for conditions, task in games:
         assert task.difficulty.wind_m_s == conditions.get("wind_m_s", 0.0)
@@ -189,9 +185,7 @@ def test_a_seed_begins_the_widening_anew_alone_and_in_a_batch_over_arrays() -> N
     with closing(KernelBatch(ObstacleLane, 2, autoreset_mode="SameStep", **keys)) as batch:
         for _ in range(2):
             infos = [batch.reset(seed=3)[1], *(batch.step([2, 2])[4] for _ in range(5))]
-            assert [info["conditions"]["wind_m_s"].tolist() for info in infos] == [
-                [wind] * 2 for wind in widening
-            ]
+            assert [info["conditions"]["wind_m_s"].tolist() for info in infos] == [[wind] * 2 for wind in widening]
 
 
 def test_a_batch_draws_what_single_environments_draw() -> None:

@@ -41,16 +41,12 @@ class Counting(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     action_space = spaces.Box(-1.0, 1.0, (1,), np.float32)
     dt = 0.02
 
-    def reset(
-        self, *, seed: int | None = None, options: Any = None
-    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+    def reset(self, *, seed: int | None = None, options: Any = None) -> tuple[NDArray[np.float32], dict[str, Any]]:
         super().reset(seed=seed)
         self.applied: list[float] = []
         return np.zeros(1, np.float32), {}
 
-    def step(
-        self, action: NDArray[np.float32]
-    ) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
+    def step(self, action: NDArray[np.float32]) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
         self.applied.append(float(action[0]))
         count = len(self.applied)
         return np.full(1, count, np.float32), float(action[0]), count >= 50, False, {}
@@ -90,11 +86,7 @@ def cheetah() -> Env:
     [
         # 50 ms of thinking are three control periods of 20 ms: an action waits for the end of the third.
         ({}, [[0.1], [0.2]], [0, 0, 0, 0.1, 0.1, 0.1, 0.1, 0.2]),
-        (
-            {"meanwhile": "default", "default_action": [-1.0]},
-            [[0.1], [0.2]],
-            [-1, -1, -1, 0.1, -1, -1, -1, 0.2],
-        ),
+        ({"meanwhile": "default", "default_action": [-1.0]}, [[0.1], [0.2]], [-1, -1, -1, 0.1, -1, -1, -1, 0.2]),
         ({"command": "tcsc"}, [[0.1], [0.2]], [0.1, 0.2]),
         ({"latency_s": 0.005, "clock_speed": 10}, [[0.1]], [0, 0, 0, 0.1]),
         ({"latency_s": 0.04}, [[0.1]], [0, 0, 0.1]),
@@ -107,11 +99,7 @@ def cheetah() -> Env:
         ),
         # An agent that observes as soon as its action is on its way decides every three periods, not every four.
         ({"overlap": True}, [[0.1], [0.2]], [0, 0, 0, 0.1, 0.1, 0.1]),
-        (
-            {"overlap": True, "latency_s": 0.02, "chunk": 2},
-            [[[0.1], [0.2]], [[0.3], [0.4]]],
-            [0, 0.1, 0.2, 0.3],
-        ),
+        ({"overlap": True, "latency_s": 0.02, "chunk": 2}, [[[0.1], [0.2]], [[0.3], [0.4]]], [0, 0.1, 0.2, 0.3]),
         # The first action comes after its period and waits; one that needs no thinking comes before it, in its place.
         (
             {"overlap": True, "latency_s": InTurn(50_000_000, 0, 50_000_000)},
@@ -120,9 +108,7 @@ def cheetah() -> Env:
         ),
     ],
 )
-def test_what_is_flown_while_the_agent_thinks(
-    keys: dict[str, Any], actions: list[Any], expected: list[float]
-) -> None:
+def test_what_is_flown_while_the_agent_thinks(keys: dict[str, Any], actions: list[Any], expected: list[float]) -> None:
     env = RealTime(Counting(), **{"latency_s": 0.05, **keys})
     assert applied(env, actions) == expected
     assert env.action_space.contains(np.asarray(actions[0], np.float32))
@@ -169,9 +155,7 @@ def flight(env: Env, steps: int = 60) -> tuple[NDArray[np.float64], list[float],
     return np.array(observations), rewards, times
 
 
-@pytest.mark.parametrize(
-    "keys", [{"latency_s": 0.0}, {"command": "tcsc"}, {"command": "tcsc", "clock_speed": 100}]
-)
+@pytest.mark.parametrize("keys", [{"latency_s": 0.0}, {"command": "tcsc"}, {"command": "tcsc", "clock_speed": 100}])
 def test_without_delay_the_flight_is_the_environments_own_to_the_bit(keys: dict[str, Any]) -> None:
     own, timed = flight(cheetah()), flight(RealTime(cheetah(), **keys))
     assert (timed[0].tobytes(), timed[1]) == (own[0].tobytes(), own[1])
@@ -279,9 +263,7 @@ def test_the_age_has_no_limit_and_the_latest_actions_begin_anew() -> None:
 @pytest.mark.parametrize(
     ("low", "high", "bounds"), [(1.0, 2.0, (0.0, 2.0)), (-3.0, -2.0, (-3.0, 0.0)), (-1.0, 1.0, (-1.0, 1.0))]
 )
-def test_an_observation_fits_before_any_action_too(
-    low: float, high: float, bounds: tuple[float, float]
-) -> None:
+def test_an_observation_fits_before_any_action_too(low: float, high: float, bounds: tuple[float, float]) -> None:
     """Of the latest actions there are none at first: zeros, which need not be actions."""
 
     class Biased(Counting):
@@ -398,36 +380,18 @@ def test_what_was_measured_is_replayed_as_a_distribution(tmp_path: Path) -> None
         (lambda: RealTime(Counting(), float("nan")), "latency_s: must be 0 to 3600 seconds, not nan"),
         (lambda: RealTime(Counting(), "nowhere.yaml"), "nowhere.yaml: No such file or directory"),
         (lambda: RealTime(Counting(), []), r"latency_s: a sample is a list of seconds, not \[\]"),
-        (
-            lambda: RealTime(Counting(), None),
-            "latency_s: must be seconds, a list of them, a calibration file",
-        ),
+        (lambda: RealTime(Counting(), None), "latency_s: must be seconds, a list of them, a calibration file"),
         (lambda: RealTime(Counting(), 0.1, "stop"), "command: must be 'adsc' or 'tcsc', not 'stop'"),  # type: ignore[arg-type]
         (lambda: RealTime(Counting(), 0.1, clock_speed=0), "clock_speed must be a finite number above 0"),
         (lambda: RealTime(Counting(), 0.1, chunk=2, execute=3), "execute: must be at most chunk = 2, not 3"),
         (lambda: RealTime(Counting(), 0.1, chunk=0), "chunk: must be a count of actions, 1 to 4096, not 0"),
         (lambda: RealTime(Counting(), 0.1, default_action=[3.0]), "default_action: .* is not in Box"),
         (lambda: RealTime(Counting(), 0.1, default_action="up"), "default_action: 'up' is not in Box"),
-        (
-            lambda: RealTime(Counting(), np.array([0.1, np.nan])),
-            "latency_s: must be 0 to 3600 seconds, not nan",
-        ),
-        (
-            lambda: RealTime(Counting(), 0.1, period_s=0),
-            "period_s: must be a number of seconds, 1e-9 to 1e6, not 0",
-        ),
-        (
-            lambda: RealTime(Counting(), 0.1, observe_actions=-1),
-            "observe_actions: must be a count of actions",
-        ),
-        (
-            lambda: RealTime(gymnasium.make("CartPole-v1"), 0.1),
-            "default_action: a Discrete has no neutral action",
-        ),
-        (
-            lambda: RealTime(gymnasium.make("FrozenLake-v1"), 0.1),
-            "period_s: FrozenLakeEnv does not say how long",
-        ),
+        (lambda: RealTime(Counting(), np.array([0.1, np.nan])), "latency_s: must be 0 to 3600 seconds, not nan"),
+        (lambda: RealTime(Counting(), 0.1, period_s=0), "period_s: must be a number of seconds, 1e-9 to 1e6, not 0"),
+        (lambda: RealTime(Counting(), 0.1, observe_actions=-1), "observe_actions: must be a count of actions"),
+        (lambda: RealTime(gymnasium.make("CartPole-v1"), 0.1), "default_action: a Discrete has no neutral action"),
+        (lambda: RealTime(gymnasium.make("FrozenLake-v1"), 0.1), "period_s: FrozenLakeEnv does not say how long"),
         (
             lambda: RealTime(gymnasium.make("FrozenLake-v1"), 0.1, "tcsc", period_s=1, observe_age=True),
             r"observe_age, observe_actions: need a Box of observations, not Discrete\(16\)",
@@ -454,9 +418,7 @@ def test_what_was_measured_is_replayed_as_a_distribution(tmp_path: Path) -> None
             for keys in ({"period_s": 5}, {"meanwhile": "default"}, {"chunk": 2}, {"overlap": True})
         ],
         (
-            lambda: RealTime(
-                RealTime(gymnasium.make("uavaccel/Hover-v0", timing="virtual"), 0.1, "tcsc"), 0.1, "tcsc"
-            ),
+            lambda: RealTime(RealTime(gymnasium.make("uavaccel/Hover-v0", timing="virtual"), 0.1, "tcsc"), 0.1, "tcsc"),
             "RealTime is in real time already",
         ),
         (lambda: lognormal(0.2, 0.1), "lognormal: needs 0 < median_s <= p99_s"),
@@ -477,12 +439,7 @@ def test_what_does_not_fit_is_one_line(make: Callable[[], object], said: str) ->
 
 @pytest.mark.parametrize("command", ["adsc", "tcsc"])
 def test_the_lane_through_the_wrapper_is_the_lane_under_that_command(command: str) -> None:
-    keys: dict[str, Any] = {
-        "timing": "virtual",
-        "command": command,
-        "clock_speed": 5.0,
-        "observation": "state",
-    }
+    keys: dict[str, Any] = {"timing": "virtual", "command": command, "clock_speed": 5.0, "observation": "state"}
     own, inside = (gymnasium.make("uavaccel/ObstacleLane-v0", **keys) for _ in range(2))
     wrapped = RealTime(inside, 0.2, command, 5.0, observe_age=True, observe_actions=1)  # type: ignore[arg-type]
     age_s = 1.0 if command == "adsc" else 0.0  # of 0.2 s of wall time, at five times real time or at none
@@ -721,7 +678,5 @@ def test_it_loads_neither_pytorch_nor_opengl() -> None:
     asked = f"import sys, uavaccel.realtime; print([name for name in {heavy} if name in sys.modules])"
     # with a backend named MuJoCo, which Gymnasium's environments bring, loads it at once
     environment = {name: value for name, value in os.environ.items() if name != "MUJOCO_GL"}
-    done = subprocess.run(
-        [sys.executable, "-c", asked], env=environment, capture_output=True, text=True, check=True
-    )
+    done = subprocess.run([sys.executable, "-c", asked], env=environment, capture_output=True, text=True, check=True)
     assert done.stdout == "[]\n"

@@ -107,9 +107,7 @@ def test_resume_of_nothing_starts(tmp_path: Path) -> None:
 def test_resume_with_another_configuration_names_what_differs(run: RunDirectory) -> None:
     before = (run.path / "config.yaml").read_bytes()
     other = Flight(games=5, clock=Clock(speed=50.0))
-    with pytest.raises(
-        UserError, match=r"clock\.speed \(1\.0 there, 50\.0 here\), games \(3 there, 5 here\)"
-    ):
+    with pytest.raises(UserError, match=r"clock\.speed \(1\.0 there, 50\.0 here\), games \(3 there, 5 here\)"):
         resume(run, other)
     assert (run.path / "config.yaml").read_bytes() == before
 
@@ -259,12 +257,7 @@ def test_a_writer_that_fails_leaves_the_old_file(run: RunDirectory) -> None:
 
 @pytest.mark.parametrize(
     ("damage", "said"),
-    [
-        (b"\x00\x00\n", "not JSON"),
-        (b"3\n", "not a JSON object"),
-        (b"{}\n", "no name"),
-        (b'{"case": 3}\n', "no name"),
-    ],
+    [(b"\x00\x00\n", "not JSON"), (b"3\n", "not a JSON object"), (b"{}\n", "no name"), (b'{"case": 3}\n', "no name")],
 )
 def test_a_damaged_line_is_named(run: RunDirectory, damage: bytes, said: str) -> None:
     run.append_row({"case": "a"})
@@ -361,9 +354,7 @@ def test_a_run_has_one_process_that_flies_it(run: RunDirectory, tmp_path: Path) 
     path = run.path
     other = tmp_path / "other"
     other.mkdir()
-    with subprocess.Popen(
-        [*command[:-1], str(other)], stdin=subprocess.PIPE, stdout=subprocess.PIPE
-    ) as process:
+    with subprocess.Popen([*command[:-1], str(other)], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
         assert process.stdout is not None
         assert process.stdout.readline() == b"held\n"
         with pytest.raises(UserError, match="another process is flying this run"):
@@ -402,9 +393,7 @@ def test_a_path_of_the_run_has_its_folder(run: RunDirectory) -> None:
 
 
 def test_the_manifest_names_versions_and_host() -> None:
-    manifest = describe_run(
-        ["uavaccel", "run", "dp1"], 7, "2026-11-21T10:00:00+00:00", gl_renderer="llvmpipe"
-    )
+    manifest = describe_run(["uavaccel", "run", "dp1"], 7, "2026-11-21T10:00:00+00:00", gl_renderer="llvmpipe")
     assert json.loads(to_json(manifest)) == manifest
     assert manifest["seed"] == 7
     assert manifest["gl_renderer"] == "llvmpipe"
@@ -464,9 +453,7 @@ def test_what_is_no_file_or_a_huge_one_is_not_read(read: Any, most: int, tmp_pat
             read(path)
 
 
-def test_an_archive_that_unpacks_to_too_much_is_not_unpacked(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_archive_that_unpacks_to_too_much_is_not_unpacked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write_arrays(tmp_path / "a.npz", {"a": np.zeros(100_000, np.uint8)})
     monkeypatch.setattr("uavaccel.files.ARRAYS_BYTES", 10_000)
     with pytest.raises(UserError, match="unpacks to more than 10,000 bytes"):

@@ -172,9 +172,7 @@ def test_rotors_are_commanded_and_lag_as_in_airsim(fly: Callable[[str], Flight],
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_commands_end_and_position_hold_sets_in_at_airsims_ticks(
-    fly: Callable[[str], Flight], case: str
-) -> None:
+def test_commands_end_and_position_hold_sets_in_at_airsims_ticks(fly: Callable[[str], Flight], case: str) -> None:
     flight = fly(case)
     assert flight.commands[:, 0].tolist() == ticks_of(case, "cmd_issue")
     assert flight.commands[:, 1].tolist() == ticks_of(case, "cmd_end")

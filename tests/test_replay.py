@@ -75,9 +75,7 @@ def test_each_command_is_drawn_with_what_a_plain_loop_finds(commands: int, n_ste
     buffer, flown = filled(commands)
     assert len(buffer) == min(commands, ROWS)
     there = {
-        each.seen: (each.action, *expected(lane, number, n_steps))
-        for lane in flown
-        for number, each in enumerate(lane)
+        each.seen: (each.action, *expected(lane, number, n_steps)) for lane in flown for number, each in enumerate(lane)
     }
     share = 60  # draws of each command, about
     batch = buffer.sample(share * len(there), n_steps, GAMMA, np.random.RandomState(0))
@@ -100,9 +98,7 @@ def test_a_wrapped_ring_is_put_back_and_goes_on() -> None:
     other.set_state(buffer.get_state())
     for each in (buffer, other):
         seen = np.full((LANES, 1), 7.0)
-        each.add(
-            seen, np.ones(LANES, int), np.ones(LANES), seen, np.zeros(LANES, bool), np.zeros(LANES, bool)
-        )
+        each.add(seen, np.ones(LANES, int), np.ones(LANES), seen, np.zeros(LANES, bool), np.zeros(LANES, bool))
     drawn = [columns(each.sample(300, 3, GAMMA, np.random.RandomState(1))) for each in (buffer, other)]
     assert drawn[0] == drawn[1]
     assert 7.0 in drawn[0][0]
@@ -192,9 +188,7 @@ def test_a_ring_on_a_device_is_put_back(device_replay: Any) -> None:
     assert (one.place.item(), one.filled.item()) == (2, 3)
 
 
-def test_patches_are_what_the_first_convolution_sees(
-    device_replay: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_patches_are_what_the_first_convolution_sees(device_replay: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     frames, rows, columns = 2, 12, 16
     down, across, numbers = device_replay.patches_of(frames, rows, columns)
     assert device_replay.patches_of(3, 36, 64) == (9, 16, 192)

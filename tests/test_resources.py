@@ -24,9 +24,7 @@ def test_assets_and_experiments_lie_beside_the_package() -> None:
 def test_an_unknown_name_is_refused_with_those_there_are() -> None:
     with pytest.raises(UserError, match=r"^no 'dp7\.yaml' among the experiments; did you mean 'dp2'\?$"):
         resources.experiment("dp7.yaml")
-    with pytest.raises(
-        UserError, match=r"^no 'zebra\.yaml' among the experiments; known: ablation, .*train_gpu"
-    ):
+    with pytest.raises(UserError, match=r"^no 'zebra\.yaml' among the experiments; known: ablation, .*train_gpu"):
         resources.experiment("zebra.yaml")
     with pytest.raises(UserError, match=r"^no 'none/at_all' among the assets; known: none$"):
         resources.asset("none/at_all")

@@ -126,9 +126,7 @@ def test_an_error_that_quotes_such_bytes_is_sent_as_text() -> None:
 
 
 def test_error_texts_are_rpclibs() -> None:
-    assert str(rpc.unknown_method("fly", 2)) == (
-        "rpclib: server could not find function 'fly' with argument count 2."
-    )
+    assert str(rpc.unknown_method("fly", 2)) == ("rpclib: server could not find function 'fly' with argument count 2.")
     assert str(rpc.wrong_arity("fly", 1, 2)) == (
         "rpclib: Function 'fly' was called with an invalid number of arguments. Expected: 1, got: 2"
     )

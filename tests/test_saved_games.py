@@ -44,10 +44,7 @@ def test_a_modelled_simulator_is_saved_with_its_speed_and_what_its_frames_show()
         {"tick_us": 60.0, "frames": {"hz": 60.0, "stale_pose": True}, "faults": {"late": 0.3}}
     )
     latency = LATENCY.model_copy(update={"platform": platform})
-    with (
-        VirtualSession("blocks", "airsim", latency) as session,
-        VirtualSession("blocks", "airsim", latency) as other,
-    ):
+    with VirtualSession("blocks", "airsim", latency) as session, VirtualSession("blocks", "airsim", latency) as other:
         client = session.start_game(100.0, np.random.SeedSequence(5))
         fly(client, "adsc", 1, 3)
         again = other.set_state(session.get_state())
@@ -150,10 +147,7 @@ def test_a_game_in_a_lane_goes_on_in_another_process(tmp_path: Path) -> None:
     np.savez(tmp_path / "game.npz", **session.get_state())
     fly(client, "tcsc", 8, 4)
     again = subprocess.run(
-        [sys.executable, "-c", ELSEWHERE, str(tmp_path / "game.npz")],
-        cwd=ROOT,
-        capture_output=True,
-        check=True,
+        [sys.executable, "-c", ELSEWHERE, str(tmp_path / "game.npz")], cwd=ROOT, capture_output=True, check=True
     )
     assert again.stdout == b"|".join(evidence(client))
 

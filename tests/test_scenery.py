@@ -77,10 +77,7 @@ def test_trunks_stand_where_the_posts_do_and_cast_shadows_away_from_the_sun(azim
     world.set_lane(layout_from(lane, "test"))
     model, data = world.model, world.data
     for geom, post in zip(named(model, "trunk_"), POSTS, strict=False):
-        first, count = (
-            model.mesh_vertadr[model.geom_dataid[geom]],
-            model.mesh_vertnum[model.geom_dataid[geom]],
-        )
+        first, count = (model.mesh_vertadr[model.geom_dataid[geom]], model.mesh_vertnum[model.geom_dataid[geom]])
         turn = data.geom_xmat[geom].reshape(3, 3)
         points = mujoco_to_ned(model.mesh_vert[first : first + count] @ turn.T + data.geom_xpos[geom])
         points = points - (post["x_m"], post["y_m"], 0.0)

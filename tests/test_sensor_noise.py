@@ -47,9 +47,7 @@ def test_random_numbers_are_those_of_philox(counter: str, key: str, expected: st
     """Known answers of Random123 (kat_vectors, philox4x32 of 10 rounds); a frame and a seed have two words each."""
     block, low, high, stream = (int(word, 16) for word in counter.split())
     seed, seed_high = (int(word, 16) for word in key.split())
-    drawn = numbers.words.py_func(
-        np.uint64(seed_high << 32 | seed), np.uint64(high << 32 | low), stream, block
-    )
+    drawn = numbers.words.py_func(np.uint64(seed_high << 32 | seed), np.uint64(high << 32 | low), stream, block)
     assert [f"{int(word):08x}" for word in drawn] == expected.split()
 
 

@@ -38,11 +38,7 @@ ROOT = Path(__file__).parents[1]
 @contextmanager
 def serving(*options: str) -> Iterator["subprocess.Popen[str]"]:
     with subprocess.Popen(
-        [*COMMAND, "--port", "0", *options],
-        cwd=ROOT,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
+        [*COMMAND, "--port", "0", *options], cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
     ) as process:
         try:
             yield process
@@ -204,9 +200,7 @@ def test_lost_time_is_told_when_it_has_doubled_and_a_failure_once(capsys: pytest
         return capsys.readouterr().out
 
     assert period(PERIOD_NS // 250) == (""), "less than half a percent"
-    assert period(PERIOD_NS // 100).startswith(
-        "warning: the machine does not keep up; requested 10x, achieved 10.00x"
-    )
+    assert period(PERIOD_NS // 100).startswith("warning: the machine does not keep up; requested 10x, achieved 10.00x")
     assert period(PERIOD_NS // 100) == ""
     assert "of wall time lost" in period(PERIOD_NS // 10)
     server.simulation.failure = "mjWARN_BADQPOS"

@@ -154,9 +154,7 @@ def test_error_texts(witness: MultirotorClient, method: str, params: list[Any], 
     ("simGetImages", [[{}] * 1000], "requests"),
     ("simSetVehiclePose", [{"position": 1}, True], "pose"),
 ])  # fmt: skip
-def test_bad_arguments_are_named(
-    witness: MultirotorClient, method: str, params: list[Any], named: str
-) -> None:
+def test_bad_arguments_are_named(witness: MultirotorClient, method: str, params: list[Any], named: str) -> None:
     with pytest.raises(RPCError, match=named):
         witness.call(method, *params)
 
@@ -343,9 +341,7 @@ def test_small_messages_leave_and_are_acknowledged_at_once(
     monkeypatch.setattr(clients, "set_quick_ack", set_quick_ack)
     assert all(witness.ping() for _ in range(5))
     assert acknowledged == [witness.address] * 5
-    assert all(
-        each.socket.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY) for each in running.clients.connected
-    )
+    assert all(each.socket.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY) for each in running.clients.connected)
 
 
 def test_both_ends_set_both_options(running: Server) -> None:

@@ -56,6 +56,7 @@ def test_a_stopped_server_is_noticed_and_does_not_outlive_its_session(call: str)
 
 def test_a_server_that_is_stopped_while_it_starts_is_noticed_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """Not only after the time that a slow disk may take."""
+
     def start(*arguments: str, **options: Any) -> Any:
         process = start_python("-c", "import time; time.sleep(600)", **options)
         stop(process.pid)

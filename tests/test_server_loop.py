@@ -118,9 +118,7 @@ def test_it_is_awake_before_something_ends_and_after_a_message(stepped: tuple[Se
         assert server._wake_ns(simulation) == 1 * MS
 
 
-def test_what_ends_soon_is_flown_up_to_without_looking_at_sockets(
-    stepped: tuple[Server, SteppedClock],
-) -> None:
+def test_what_ends_soon_is_flown_up_to_without_looking_at_sockets(stepped: tuple[Server, SteppedClock]) -> None:
     server, clock = stepped
     simulation = server.api.simulation
     reply = simulation.continue_for(20 * MS, 0)
@@ -153,9 +151,7 @@ def test_a_message_sees_what_is_due_when_it_is_handled(stepped: tuple[Server, St
     assert state[0] - start_ns == 1_050_000 // 200_000 * 2 * MS
 
 
-def test_a_deferred_reply_leaves_when_it_is_due_and_the_last_answer_first(
-    stepped: tuple[Server, SteppedClock],
-) -> None:
+def test_a_deferred_reply_leaves_when_it_is_due_and_the_last_answer_first(stepped: tuple[Server, SteppedClock]) -> None:
     """Where a command and its continue-for end together, the client waits for the latter."""
     server, clock = stepped
     simulation = server.api.simulation
@@ -177,9 +173,7 @@ def test_a_deferred_reply_leaves_when_it_is_due_and_the_last_answer_first(
         assert [(message_id, error) for _, message_id, error, _ in replies(client)] == [(2, None), (1, None)]
 
 
-def test_one_that_is_over_at_once_and_an_error_are_answered_in_their_turn(
-    stepped: tuple[Server, SteppedClock],
-) -> None:
+def test_one_that_is_over_at_once_and_an_error_are_answered_in_their_turn(stepped: tuple[Server, SteppedClock]) -> None:
     server, _ = stepped
     connection, client = connected(server)
     with client:
@@ -262,9 +256,7 @@ def test_a_server_process_starts_settled_and_running_on_the_machines_clock() -> 
 
 
 def test_a_port_in_use_is_one_line(stepped: tuple[Server, SteppedClock]) -> None:
-    with pytest.raises(
-        UserError, match=r"^cannot listen on .*: Address already in use; choose another with --port$"
-    ):
+    with pytest.raises(UserError, match=r"^cannot listen on .*: Address already in use; choose another with --port$"):
         Server(Api(simulate()), port=stepped[0].address[1])
 
 

@@ -14,9 +14,7 @@ from uavaccel.wire.latency import QUANTILES, LatencyConfig
 from uavaccel.wire.session import VirtualSession, open_session
 
 MS = 1_000_000
-SLOW = LatencyConfig(
-    request_us={"call": (1000.0,) * len(QUANTILES)}, reply_us={"call": (500.0,) * len(QUANTILES)}
-)
+SLOW = LatencyConfig(request_us={"call": (1000.0,) * len(QUANTILES)}, reply_us={"call": (500.0,) * len(QUANTILES)})
 DRAWN = LatencyConfig(request_us={"call": tuple(100.0 * (1 + n) for n in range(len(QUANTILES)))})
 
 

@@ -40,9 +40,7 @@ def test_what_is_honoured(tmp_path: Path) -> None:
 
 
 def test_what_is_without_effect_is_named(tmp_path: Path) -> None:
-    assert sorted(read(tmp_path, USUAL).without_effect()) == [
-        "ViewMode",
-    ]
+    assert sorted(read(tmp_path, USUAL).without_effect()) == ["ViewMode"]
 
 
 def test_what_clients_are_told_is_the_file_and_the_speed_that_holds(tmp_path: Path) -> None:

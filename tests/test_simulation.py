@@ -114,8 +114,7 @@ def test_position_hold_sets_in_60_ms_after_the_last_goal(gap_ticks: int) -> None
 
 
 @pytest.mark.parametrize(
-    ("profile", "cancelled", "held"),
-    [(NATIVE, 40, 70)] + [(AIRSIM, 42 + n, 63) for n in range(7)] + [(AIRSIM, 49, 70)],
+    ("profile", "cancelled", "held"), [(NATIVE, 40, 70)] + [(AIRSIM, 42 + n, 63) for n in range(7)] + [(AIRSIM, 49, 70)]
 )
 @pytest.mark.parametrize("call", ["cancelLastTask", "hover"])
 def test_after_a_cancel_position_hold_counts_from_the_last_goal(

@@ -102,9 +102,7 @@ def test_a_reset_ends_the_recording_and_empties_the_log() -> None:
     assert recording.commands.shape == (0, 2)
 
 
-def test_a_full_command_log_keeps_the_first_commands_as_the_samples_do(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_full_command_log_keeps_the_first_commands_as_the_samples_do(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(recordings, "COMMAND_LOG_LENGTH", 3)
     simulation = simulate()
     simulation.world.start_recording()
@@ -353,10 +351,7 @@ def test_a_saved_simulation_ends_its_continue_for_when_it_would_have(profile: Pr
         simulation.advance_to(event_ns)
         simulation.advance_to(event_ns + 70_000_000)
         assert (simulation.paused, simulation.world.tick) == (True, 90)
-        assert (simulation.speed.simulated_ns, simulation.speed.wall_ns) == (
-            90 * profile.tick_ns,
-            30 * profile.tick_ns,
-        )
+        assert (simulation.speed.simulated_ns, simulation.speed.wall_ns) == (90 * profile.tick_ns, 30 * profile.tick_ns)
         assert simulation.speed.real_time_factor == 3.0
         flown.append(position(simulation).tolist())
     assert flown[0] == flown[1]

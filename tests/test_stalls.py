@@ -18,9 +18,7 @@ from uavaccel.processes.stalls import LOOKS, STOPPED_LOOKS, StallDetector, cpu_t
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
 WORKS, WAITS = "while True: pass", "import signal; print(flush=True); signal.pause()"
-PARENT = (
-    f"import subprocess, sys; subprocess.Popen([sys.executable, '-c', {WORKS!r}]); print(flush=True); input()"
-)
+PARENT = f"import subprocess, sys; subprocess.Popen([sys.executable, '-c', {WORKS!r}]); print(flush=True); input()"
 
 Start = Callable[[str], int]
 
@@ -32,10 +30,7 @@ def start() -> Iterator[Start]:
 
         def started(program: str) -> int:
             process = subprocess.Popen(
-                [sys.executable, "-c", program],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                start_new_session=True,
+                [sys.executable, "-c", program], stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True
             )
             stack.callback(process.communicate)
             stack.callback(os.killpg, process.pid, signal.SIGKILL)
@@ -115,13 +110,7 @@ class Found:
 
 @pytest.mark.parametrize(
     ("found", "over"),
-    [
-        ("T" * 16, 0),
-        ("T" * 17, 1),
-        ("T" * 16 + "S" + "T" * 16, 0),
-        ("T" * 3 + "S" + "T" * 17, 1),
-        ("TS" * 20, 0),
-    ],
+    [("T" * 16, 0), ("T" * 17, 1), ("T" * 16 + "S" + "T" * 16, 0), ("T" * 3 + "S" + "T" * 17, 1), ("TS" * 20, 0)],
 )
 def test_patience_is_over_after_more_than_four_seconds_without_a_break(
     found: str, over: int, monkeypatch: pytest.MonkeyPatch

@@ -20,9 +20,7 @@ from uavaccel.suites.registry import SUITES, find_suite
 from uavaccel.suites.session import RunRequest, configure
 from uavaccel.yaml_io import load_yaml
 
-EXPERIMENTS = [
-    path for path in sorted(experiment("dp1.yaml").parent.rglob("*.yaml")) if "suite" in load_yaml(path)
-]
+EXPERIMENTS = [path for path in sorted(experiment("dp1.yaml").parent.rglob("*.yaml")) if "suite" in load_yaml(path)]
 
 
 @pytest.fixture(scope="module")
@@ -122,9 +120,7 @@ def test_the_task_of_ones_own_trains(folder: Path, tmp_path: Path) -> None:
     """On 128 commands between two updates instead of 1024."""
     text = (folder / "task.py").read_text()
     assert "n_steps=128" in text
-    (tmp_path / "task.py").write_text(
-        text.replace("n_steps=128, batch_size=256", "n_steps=16, batch_size=128")
-    )
+    (tmp_path / "task.py").write_text(text.replace("n_steps=128, batch_size=256", "n_steps=16, batch_size=128"))
     command = [sys.executable, "task.py", "--commands", "128", "--games", "1"]
     done = subprocess.run(command, cwd=tmp_path, check=True, capture_output=True, text=True, timeout=600)
     assert "after 128 commands: " in done.stdout

@@ -98,9 +98,7 @@ def test_a_lone_reference_has_nothing_to_compare_with() -> None:
 
 
 @given(st.lists(flights(), min_size=1, max_size=4), st.lists(flights(), min_size=1, max_size=4))
-def test_the_matrix_is_bit_equal_to_single_pairs(
-    games: list[Trajectory], references: list[Trajectory]
-) -> None:
+def test_the_matrix_is_bit_equal_to_single_pairs(games: list[Trajectory], references: list[Trajectory]) -> None:
     matrix = stlc_matrix(games, references)
     single = [[stlc(*game, *reference) for reference in references] for game in games]
     assert np.array_equal(matrix, np.array(single))

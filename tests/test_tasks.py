@@ -39,9 +39,7 @@ NEW = ("Hover", "Gates")
 STILL = np.zeros(3, np.float32)
 
 
-def moment(
-    position_m: tuple[float, float, float], course: Course, commands: int = 1, hit: str | None = None
-) -> Moment:
+def moment(position_m: tuple[float, float, float], course: Course, commands: int = 1, hit: str | None = None) -> Moment:
     return Moment(replace(AT_REST, position_m=position_m), position_m, hit, commands, course)
 
 
@@ -61,9 +59,7 @@ def test_the_lanes_reward_is_progress_a_collision_and_the_goal() -> None:
 def test_the_reward_at_a_wall_falls_with_the_square_of_the_distance_from_the_middle(east_m: float) -> None:
     task = LaneTask(progress_reward=0.0, wall_reward=-0.4)
     before = moment((10.0, 0.0, -2.0), {"lane": 3})
-    assert task.reward(before, moment((11.0, east_m, -2.0), {"lane": 3})) == pytest.approx(
-        -0.4 * east_m**2 / 25
-    )
+    assert task.reward(before, moment((11.0, east_m, -2.0), {"lane": 3})) == pytest.approx(-0.4 * east_m**2 / 25)
 
 
 @pytest.mark.parametrize(
@@ -104,9 +100,7 @@ def test_keys_that_are_left_out_are_those_of_the_published_lane() -> None:
 
 def test_depths_are_shown_up_to_50_m() -> None:
     camera = DepthCamera(blank_frame("depth"))
-    depth_m = np.repeat(
-        np.repeat(np.array([[0.0, 10.0], [50.0, 400.0]], np.float32), 72, axis=0), 128, axis=1
-    )
+    depth_m = np.repeat(np.repeat(np.array([[0.0, 10.0], [50.0, 400.0]], np.float32), 72, axis=0), 128, axis=1)
     levels = camera.frame(AT_REST, depth_m, {})
     assert levels.shape == (1, 36, 64)
     assert levels.dtype == np.uint8
@@ -122,9 +116,7 @@ def hovering(north_m: float, held_s: float, hit: str | None = None) -> Moment:
 
 def test_time_at_the_waypoint_counts_without_a_break() -> None:
     task = HoverTask(t_move_s=0.2, radius_m=0.5)
-    held = [
-        task.advance(hovering(0, 0.0), hovering(north_m, 0.4))["held_s"] for north_m in (2.4, 2.6, 3.4, 3.6)
-    ]
+    held = [task.advance(hovering(0, 0.0), hovering(north_m, 0.4))["held_s"] for north_m in (2.4, 2.6, 3.4, 3.6)]
     assert held == [0.0, pytest.approx(0.6), pytest.approx(0.6), 0.0]
 
 
@@ -140,8 +132,7 @@ def test_hovers_reward_is_approach_time_held_and_its_end() -> None:
 def test_hover_is_won_when_held_long_enough_and_lost_by_touching_something() -> None:
     task = HoverTask(hold_s=1.0)
     ends = [
-        (task.success(now), task.failure(now))
-        for now in (hovering(3, 0.8), hovering(3, 1.0), hovering(3, 1.0, "x"))
+        (task.success(now), task.failure(now)) for now in (hovering(3, 0.8), hovering(3, 1.0), hovering(3, 1.0, "x"))
     ]
     assert ends == [(False, False), (True, False), (False, True)]
 
@@ -158,9 +149,7 @@ def test_waypoints_fill_the_cube_around_the_start() -> None:
 def test_hover_sees_the_way_to_the_waypoint() -> None:
     state = Kinematics(5, (1.0, 2.0, -9.0), (0.5, 0.5, 0.5, -0.5), (0.1, 0.2, 0.3), (4.0, 5.0, 6.0))
     seen = HoverTask().features(state, {"waypoint_m": [3.0, 0.0, -10.0]})
-    np.testing.assert_array_equal(
-        seen, np.array([2, -2, -1, 0.5, 0.5, 0.5, -0.5, 0.1, 0.2, 0.3, 4, 5, 6], np.float32)
-    )
+    np.testing.assert_array_equal(seen, np.array([2, -2, -1, 0.5, 0.5, 0.5, -0.5, 0.1, 0.2, 0.3, 4, 5, 6], np.float32))
 
 
 # --- gates ----------------------------------------------------------------------------------------------------------
@@ -464,16 +453,11 @@ def test_a_lane_may_be_a_number_of_numpys() -> None:
 
 @pytest.mark.parametrize("action", [-1, 5, 1.0, "north", None])
 def test_an_action_that_is_no_heading_is_refused(action: Any) -> None:
-    with (
-        made("ObstacleLane", observation="state") as environment,
-        pytest.raises(UserError, match="not in the action"),
-    ):
+    with made("ObstacleLane", observation="state") as environment, pytest.raises(UserError, match="not in the action"):
         environment.step(action)
 
 
-@pytest.mark.parametrize(
-    "action", [[0.0, 0.0], [0.0, 0.0, 1.1], [0.0, -2.0, 0.0], [0.0, 0.0, math.nan], ["a"] * 3, 0]
-)
+@pytest.mark.parametrize("action", [[0.0, 0.0], [0.0, 0.0, 1.1], [0.0, -2.0, 0.0], [0.0, 0.0, math.nan], ["a"] * 3, 0])
 def test_an_action_that_is_no_velocity_is_refused(action: Any) -> None:
     with pytest.raises(UserError, match="not in the action space"):
         within(HoverTask().action_space(), action)
@@ -492,10 +476,7 @@ def test_an_action_may_be_a_list_or_off_by_rounding() -> None:
         ({"t_sample_s": 1e-12}, "t_sample_s: 1e-12 s is not a positive multiple"),
         ({"t_move_s": 0.003}, "t_move_s: 0.003 s is not a positive multiple of the physics step of 2 ms"),
         ({"t_move_s": 1.0, "t_sample_s": 0.333}, "t_sample_s: 0.333 s is not a positive multiple"),
-        (
-            {"t_move_s": 1e-9, "profile": "airsim"},
-            "t_move_s: 1e-09 s is too short for the airsim profile",
-        ),
+        ({"t_move_s": 1e-9, "profile": "airsim"}, "t_move_s: 1e-09 s is too short for the airsim profile"),
         ({"t_sample_s": 0.0001, "profile": "airsim"}, "t_sample_s: 0.0001 s is too short"),
     ],
 )

@@ -69,9 +69,7 @@ def test_ages_are_bands_a_level_for_20_ms() -> None:
 
 
 @needs_opengl
-@pytest.mark.parametrize(
-    "flown", [{"command": "tcsc"}, {"command": "adsc", "timing": "virtual", "profile": "airsim"}]
-)
+@pytest.mark.parametrize("flown", [{"command": "tcsc"}, {"command": "adsc", "timing": "virtual", "profile": "airsim"}])
 def test_pictures_and_flight_stay_as_they_were(flown: dict[str, Any]) -> None:
     plain, told = (ObstacleLane(clock_speed=10.0, knows=knows, **flown) for knows in ((), KNOWS))
     for each in (plain, told):

@@ -224,8 +224,7 @@ def test_air_gets_thinner_and_never_ends() -> None:
 
 
 @pytest.mark.parametrize(
-    ("contacts", "speed_m_s", "landed"),
-    [(1, 0.0, True), (1, 0.049, True), (1, 0.051, False), (0, 0.0, False)],
+    ("contacts", "speed_m_s", "landed"), [(1, 0.0, True), (1, 0.049, True), (1, 0.051, False), (0, 0.0, False)]
 )
 def test_what_touches_something_and_rests_has_landed(contacts: int, speed_m_s: float, landed: bool) -> None:
     """In whichever direction it moves."""

@@ -31,10 +31,7 @@ ASIDE = {"X": 5, "Y": 5}
 MANY = 50
 STILL = point(0, 0, 0)
 PLACE = [0.0, 0.0, -9.0]
-LEVEL = {
-    "position": point(0, 0, -9),
-    "orientation": {"w_val": 1.0, "x_val": 0.0, "y_val": 0.0, "z_val": 0.0},
-}
+LEVEL = {"position": point(0, 0, -9), "orientation": {"w_val": 1.0, "x_val": 0.0, "y_val": 0.0, "z_val": 0.0}}
 ARGUMENTS: dict[str, list[Any]] = {  # of every call that names a vehicle
     "enableApiControl": [True],
     "isApiControlEnabled": [],
@@ -43,10 +40,7 @@ ARGUMENTS: dict[str, list[Any]] = {  # of every call that names a vehicle
     "simGetGroundTruthKinematics": [],
     "simGetVehiclePose": [],
     "simSetVehiclePose": [LEVEL, True],
-    "simSetKinematics": [
-        {**LEVEL, "linear_velocity": point(0, 0, 0), "angular_velocity": point(0, 0, 0)},
-        True,
-    ],
+    "simSetKinematics": [{**LEVEL, "linear_velocity": point(0, 0, 0), "angular_velocity": point(0, 0, 0)}, True],
     "simGetCollisionInfo": [],
     "takeoff": [1.0],
     "land": [1.0],
@@ -133,9 +127,7 @@ def test_each_has_its_frame_and_its_command() -> None:
 
 
 QUARTER = math.pi / 2
-GOALS: dict[
-    str, tuple[list[Any], tuple[float, ...]]
-] = {  # as B's autopilot gets it: NED in the world, and yaw
+GOALS: dict[str, tuple[list[Any], tuple[float, ...]]] = {  # as B's autopilot gets it: NED in the world, and yaw
     "moveToZ": ([-9.0, 1.0, 9.0, STRAIGHT, -1, 1], (0.0, 0.0, -1.0, 0.0)),
     "moveToPosition": ([5.0, 1.0, -4.0, 1.5, 9.0, 0, STRAIGHT, -1, 1], (1.5, 0.0, 0.0, 0.0)),
     "moveOnPath": ([[point(2, -8, -4)], 1.5, 9.0, 1, {"is_rate": False}, -1, 1], (0.0, -1.5, 0.0, -QUARTER)),
@@ -182,10 +174,7 @@ def test_one_loses_control_or_its_command_and_the_other_goes_on() -> None:
     call(api, "enableApiControl", False, "A")
     assert call(api, "isApiControlEnabled", "B") is True
     assert (call(api, "armDisarm", False, "A"), call(api, "armDisarm", False, "B")) == (False, True)
-    assert (api.scenery.pilot("A").vehicle.state["armed"], api.scenery.pilot("B").vehicle.state["armed"]) == (
-        1,
-        0,
-    )
+    assert (api.scenery.pilot("A").vehicle.state["armed"], api.scenery.pilot("B").vehicle.state["armed"]) == (1, 0)
 
 
 @pytest.mark.parametrize("origin_m", [(5.0, -4.0, -2.0), (0.0, 0.0, 0.0)])
@@ -263,10 +252,7 @@ def test_one_may_be_added_while_others_fly() -> None:
     np.testing.assert_allclose(place(api, "New"), (0.0, 0.0, -2.0), atol=0.6)
     for bad, text in (
         (("New", "simpleflight", pose(9.0, 9.0, 0.0)), "a vehicle cannot be called 'New'"),
-        (
-            ("Car", "physxcar", pose(9.0, 9.0, 0.0)),
-            "vehicle type 'physxcar' is not available; there is SimpleFlight",
-        ),
+        (("Car", "physxcar", pose(9.0, 9.0, 0.0)), "vehicle type 'physxcar' is not available; there is SimpleFlight"),
         (("Deep", "simpleflight", pose(45.0, 0.0, -3.0)), "inside block_north"),
     ):
         with pytest.raises(rpc.RpcError, match=text):
@@ -578,25 +564,15 @@ def test_a_lidar_scans_around_its_own_vehicle_in_the_frame_that_is_asked_for(fra
     rays = points - eye
     down = np.degrees(np.arctan2(rays[:, 2], np.hypot(rays[:, 0], rays[:, 1])))
     np.testing.assert_allclose(down, np.repeat([20.0, 30.0, 40.0, 50.0], 100), atol=1e-3)
-    bearing = np.degrees(np.arctan2(rays[:, 1], rays[:, 0])) - (
-        90.0 if frame == "VehicleInertialFrame" else 0.0
-    )
+    bearing = np.degrees(np.arctan2(rays[:, 1], rays[:, 0])) - (90.0 if frame == "VehicleInertialFrame" else 0.0)
     turned = (bearing - np.tile(np.arange(100) * 3.6, 4) + 180) % 360 - 180
     np.testing.assert_allclose(turned, 0.0, atol=1e-3)
-    np.testing.assert_allclose(
-        rays[:, 2], 1.045 + 4.0, atol=1e-4
-    )  # its frame begins 1.045 m above the ground
+    np.testing.assert_allclose(rays[:, 2], 1.045 + 4.0, atol=1e-4)  # its frame begins 1.045 m above the ground
 
 
 def test_a_lidar_sees_other_vehicles_and_not_the_one_that_carries_it() -> None:
     """From 0.3 m above its middle, straight down: A on the ground, B on A, 4 m above it."""
-    lidar = {
-        "SensorType": 6,
-        "NumberOfChannels": 1,
-        "Z": -0.3,
-        "VerticalFOVUpper": -89.9,
-        "VerticalFOVLower": -89.9,
-    }
+    lidar = {"SensorType": 6, "NumberOfChannels": 1, "Z": -0.3, "VerticalFOVUpper": -89.9, "VerticalFOVLower": -89.9}
     sensors = {"Sensors": {"eye": lidar | {"DataFrame": "SensorLocalFrame"}}}
     api = fleet(A={"X": 0, "Y": 0} | sensors, B=ASIDE | sensors)
     call(api, "simSetVehiclePose", pose(-5.0, -5.0, -4.0), True, "B")
@@ -622,9 +598,7 @@ def test_a_distance_is_measured_from_the_vehicle_that_carries_the_sensor_and_thr
         call(api, "simSetVehiclePose", pose(0.0, 0.0, -6.0), True, name)
         assert [told(sensor, name) for sensor in ("Down", "Up")] == pytest.approx([6.045, 30.0], abs=1e-3)
     call(api, "simSetVehiclePose", pose(-5.0, -5.0, -10.0), True, "B")  # 4 m above A
-    assert told("Down", "B") == told("Up", "A") == pytest.approx(4.0 - 0.02, abs=1e-3), (
-        "the body, not the hull"
-    )
+    assert told("Down", "B") == told("Up", "A") == pytest.approx(4.0 - 0.02, abs=1e-3), "the body, not the hull"
 
 
 def test_a_vehicle_sees_past_itself_and_not_past_others() -> None:
@@ -665,9 +639,7 @@ def test_a_camera_within_its_vehicle_sees_out_of_it_and_one_outside_sees_the_veh
         assert [each["name"] for each in call(api, "simGetDetections", "0", 0, vehicle)] == ["block_north"]
         call(api, "simSetCameraPose", "0", pose(0.0, 0.0, 0.0, w_val=0.5**0.5, y_val=-(0.5**0.5)), vehicle)
         ground = normals("0", vehicle, False)
-        assert (ground == np.array([255, 128, 128], np.uint8)).all(), (
-            "blue, which is up, and nothing of itself"
-        )
+        assert (ground == np.array([255, 128, 128], np.uint8)).all(), "blue, which is up, and nothing of itself"
         for other in ("A", "B"):  # below the mast, one after the other
             call(api, "simSetVehiclePose", pose(0.0, 90.0, -6.0), True, other)
         local = {"A": (35.0, 35.0), "B": (0.0, 0.0)}[vehicle]
@@ -727,9 +699,7 @@ def test_ids_that_were_given_stay_when_a_vehicle_is_added() -> None:
 @pytest.mark.opengl
 def test_each_sees_through_its_own_cameras() -> None:
     """Downwards, from different heights; and ahead, where one looks at the other's back."""
-    settings = Settings.model_validate(
-        {"Vehicles": {"A": {"X": 0, "Y": 0}, "B": {"X": -30, "Y": -30, "Yaw": 180}}}
-    )
+    settings = Settings.model_validate({"Vehicles": {"A": {"X": 0, "Y": 0}, "B": {"X": -30, "Y": -30, "Yaw": 180}}})
     api = Api(Simulation(World("blocks", NATIVE)), settings)
     heights = {"A": 10.0, "B": 25.0}
     for name, height_m in heights.items():
@@ -846,9 +816,7 @@ def test_many_fly_and_the_last_command_wins() -> None:
     world = World("blocks", NATIVE)
     simulation = Simulation(world)
     places = [(-20.0 + 3 * (index % 10), -15.0 + 3 * (index // 10), -15.0) for index in range(1, MANY)]
-    simulation.add_vehicles(
-        [AddedVehicle(f"V{index}", Start(place_m)) for index, place_m in enumerate(places)]
-    )
+    simulation.add_vehicles([AddedVehicle(f"V{index}", Start(place_m)) for index, place_m in enumerate(places)])
     api = Api(simulation, render=False)
     names = [vehicle.name for vehicle in world.vehicles]
     replies: dict[str, list[Any]] = {name: [] for name in names}
@@ -856,9 +824,7 @@ def test_many_fly_and_the_last_command_wins() -> None:
         call(api, "enableApiControl", True, name)
     for turn in range(3):
         for index, name in enumerate(names):
-            replies[name].append(
-                call(api, "moveByVelocityZ", 0.0, 0.0, -16.0 - index % 3, 9.0, 0, STRAIGHT, name)
-            )
+            replies[name].append(call(api, "moveByVelocityZ", 0.0, 0.0, -16.0 - index % 3, 9.0, 0, STRAIGHT, name))
         go_on(api, 0.5 + turn)
     go_on(api, 9.0)
     assert all([reply.value for reply in replies[name]] == [False, False, True] for name in names)

@@ -33,9 +33,7 @@ NASTY = LatencyConfig(
     timer_us=NASTY_US,
 )
 LOOPBACK_US = (20.0, 22.0, 24.0, 25.0, 27.0, 30.0, 34.0, 40.0, 50.0, 90.0, 200.0, 500.0)
-LOOPBACK = LatencyConfig(
-    request_us={"call": LOOPBACK_US}, reply_us={"call": LOOPBACK_US}, issue_us=LOOPBACK_US
-)
+LOOPBACK = LatencyConfig(request_us={"call": LOOPBACK_US}, reply_us={"call": LOOPBACK_US}, issue_us=LOOPBACK_US)
 
 Arrays = dict[str, NDArray[np.float64]]
 
@@ -98,12 +96,7 @@ def test_tcsc_flies_exact_commands_without_gaps() -> None:
 def test_adsc_error_grows_with_clock_speed() -> None:
     lockstep = fly(start(1.0), "tcsc", SQUARE * 8)
     errors_m = [
-        np.median(
-            [
-                position_rmse_m(fly(start(k, LOOPBACK, seed), "adsc", SQUARE * 8), lockstep)
-                for seed in range(3)
-            ]
-        )
+        np.median([position_rmse_m(fly(start(k, LOOPBACK, seed), "adsc", SQUARE * 8), lockstep) for seed in range(3)])
         for k in (1, 10, 50, 100)
     ]
     assert errors_m == sorted(errors_m)
@@ -122,9 +115,7 @@ def test_adsc_without_latency_is_lockstep() -> None:
 
 def test_one_socket_keeps_its_order(monkeypatch: pytest.MonkeyPatch) -> None:
     """A message that took long is not overtaken by the next, which was sent before it had arrived."""
-    slow_moves = LatencyConfig(
-        request_us={"call": LOOPBACK_US, "move": NASTY_US}, reply_us={"call": LOOPBACK_US}
-    )
+    slow_moves = LatencyConfig(request_us={"call": LOOPBACK_US, "move": NASTY_US}, reply_us={"call": LOOPBACK_US})
     handled: list[tuple[str, int]] = []
     call = Api.call
 
@@ -198,12 +189,7 @@ latencies = st.builds(
 speeds = st.sampled_from([0.1, 0.3333333, 1.5, 62.5, 100]) | st.floats(0.01, 200)
 
 
-@given(
-    speeds,
-    latencies,
-    st.sampled_from(sorted(COMMANDS)),
-    st.sampled_from([(0.1, 0.1), (0.2, 0.066), (0.01, 0.002)]),
-)
+@given(speeds, latencies, st.sampled_from(sorted(COMMANDS)), st.sampled_from([(0.1, 0.1), (0.2, 0.066), (0.01, 0.002)]))
 @settings(max_examples=40)
 def test_a_virtual_clock_never_spins_for_ever(
     clock_speed: float, latency: LatencyConfig, command: str, times_s: tuple[float, float]
@@ -215,9 +201,7 @@ def test_a_virtual_clock_never_spins_for_ever(
 
 @given(speeds, latencies, st.sampled_from(sorted(COMMANDS)))
 @settings(max_examples=40)
-def test_nor_does_it_with_airsims_wall_timers(
-    clock_speed: float, latency: LatencyConfig, command: str
-) -> None:
+def test_nor_does_it_with_airsims_wall_timers(clock_speed: float, latency: LatencyConfig, command: str) -> None:
     """T_th is a tick at the least there: a shorter continue-for may not bring any."""
     client = bound(start(clock_speed, latency, profile=AIRSIM))
     fly(client, command, [(1.0, 0.0, 0.0)], 0.5, 0.1, AIRSIM.tick_ns)

@@ -130,9 +130,7 @@ def test_the_playhead_pauses_steps_and_begins_anew() -> None:
 
 
 def test_a_game_without_marks_took_its_simulated_time_over_its_clock_speed() -> None:
-    track = track_of(
-        "ADSC", 10.0, {**dict.fromkeys(drone_arrays(), np.zeros(1)), "time_s": np.array([1.0, 5.0])}
-    )
+    track = track_of("ADSC", 10.0, {**dict.fromkeys(drone_arrays(), np.zeros(1)), "time_s": np.array([1.0, 5.0])})
     assert track.wall_s == 0.4
     assert [track.simulated_s(wall_s) for wall_s in (0.0, 0.1, 9.0)] == [1.0, 2.0, 5.0]
 
@@ -148,9 +146,7 @@ def drone_arrays() -> dict[str, np.ndarray]:
     }
 
 
-def test_the_page_shows_a_drone_its_path_its_command_and_what_goes_on(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_the_page_shows_a_drone_its_path_its_command_and_what_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
     """MuJoCo's frame is north, west, up. Of 0.2 s in which the client thinks the clock is paused in the first half."""
     made: dict[str, Any] = {}
 
@@ -182,11 +178,7 @@ def test_the_page_shows_a_drone_its_path_its_command_and_what_goes_on(
     }
     line = made["/TCSC path"]
     assert line.colors[:, 0].tolist() == [[*COMMANDED], [*THINKING], [*COMMANDED]]
-    assert line.points.tolist() == [
-        [[0, -3, 10], [1, -3, 10]],
-        [[1, -3, 10], [2, -3, 10]],
-        [[2, -3, 10], [2, -4, 10]],
-    ]
+    assert line.points.tolist() == [[[0, -3, 10], [1, -3, 10]], [[1, -3, 10], [2, -3, 10]], [[2, -3, 10], [2, -4, 10]]]
     assert shown.height_m == 8.5
     foot = [2.0, -4.0, 1.5 + figure.LIFT_M]
     assert made["/TCSC shadow"].position.tolist() == foot
@@ -195,10 +187,7 @@ def test_the_page_shows_a_drone_its_path_its_command_and_what_goes_on(
     for ground_m, lines in ((9.84, (True, True)), (9.86, (True, False)), (None, (False, False))):
         monkeypatch.setattr(figure, "ground_below", lambda *_, ground_m=ground_m: ground_m)
         shown.show(0.4)
-        assert (
-            made["/TCSC shadow"].visible,
-            made["/TCSC plumb line"].visible,
-        ) == lines  # none where it stands
+        assert (made["/TCSC shadow"].visible, made["/TCSC plumb line"].visible) == lines  # none where it stands
         assert shown.height_m == (None if ground_m is None else pytest.approx(10.0 - ground_m))
     shown.show(0.05)  # half of the first second again
     assert line.points.tolist() == [[[0.0, -3.0, 10.0], [0.5, -3.0, 10.0]]]
@@ -319,9 +308,7 @@ def test_a_browser_pauses_steps_and_replays(tmp_path: Path) -> None:
             page.get_by_role("button", name="Play", exact=True).wait_for()
             before = clocks.inner_text()
             page.get_by_role("button", name="Step", exact=True).click()
-            page.wait_for_function(
-                "before => document.querySelector('.clocks').innerText != before", arg=before
-            )
+            page.wait_for_function("before => document.querySelector('.clocks').innerText != before", arg=before)
             stepped = clocks.inner_text()
             assert wall_ms(stepped) - wall_ms(before) == pytest.approx(1.0, abs=0.11)
             page.wait_for_timeout(300)

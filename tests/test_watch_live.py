@@ -259,14 +259,10 @@ def test_the_first_flight_is_shown_until_it_is_silent_or_has_ended(tmp_path: Pat
 
 
 @pytest.mark.slow
-def test_watching_changes_no_byte_of_runs_and_scripts(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_watching_changes_no_byte_of_runs_and_scripts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Runs in this process and in two workers, an evaluation, and a script in a process of its own."""
     monkeypatch.setattr(beside, "FIRST_LOOK_S", 0.0)
-    squares = configured(
-        "dp1", clock_speed=[50.0], t_move_s=[0.5], rounds=[1], games=2, timing="virtual", seed=3
-    )
+    squares = configured("dp1", clock_speed=[50.0], t_move_s=[0.5], rounds=[1], games=2, timing="virtual", seed=3)
     lanes = configured("evaluate", "task.observation=state", agent="straight", games=2)
     (tmp_path / "script.py").write_text(SCRIPT)
     options = FlightOptions(tmp_path / "script.py", (), tmp_path, clock_speed=10.0, scratch=tmp_path)
@@ -319,9 +315,7 @@ def commanded(folder: Path, *arguments: str) -> Iterator[tuple[str, subprocess.P
 
 @pytest.mark.slow
 @pytest.mark.skipif(not CHROMIUM.exists(), reason="needs Debian's chromium")
-def test_a_browser_holds_a_flight_of_a_simulated_clock_and_looks_on_at_one_of_the_machines(
-    tmp_path: Path,
-) -> None:
+def test_a_browser_holds_a_flight_of_a_simulated_clock_and_looks_on_at_one_of_the_machines(tmp_path: Path) -> None:
     from playwright.sync_api import sync_playwright
 
     (tmp_path / "script.py").write_text(SCRIPT)

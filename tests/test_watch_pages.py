@@ -46,9 +46,7 @@ class Server:
     """Stands in for viser's: the controls by their names, and as many browsers as `clients`."""
 
     def __init__(self) -> None:
-        self.clients: dict[int, Any] = {
-            0: SimpleNamespace(camera=SimpleNamespace(aspect=2.0, position=np.zeros(3)))
-        }
+        self.clients: dict[int, Any] = {0: SimpleNamespace(camera=SimpleNamespace(aspect=2.0, position=np.zeros(3)))}
         self.initial_camera = SimpleNamespace()
         self.controls: dict[str, Control] = {}
         self.scene = SimpleNamespace(set_up_direction=lambda _: None)
@@ -167,9 +165,7 @@ class Live:
         self.server.controls[name].click()
 
 
-MOMENT = Moment(
-    1, True, 4.0, 10.0, 2.5, np.array([[1.0, 2.0, 3.0, 1.0, 0.0, 0.0, 0.0]]), (True,), ((1.0, 0.0, 0.0),)
-)
+MOMENT = Moment(1, True, 4.0, 10.0, 2.5, np.array([[1.0, 2.0, 3.0, 1.0, 0.0, 0.0, 0.0]]), (True,), ((1.0, 0.0, 0.0),))
 
 
 @pytest.fixture
@@ -181,10 +177,7 @@ def live(figures: list[Figure], monkeypatch: pytest.MonkeyPatch) -> Live:
 def test_a_simulated_clock_is_shown_as_it_is_and_the_machines_from_the_flights_begin(live: Live) -> None:
     """At ClockSpeed 4 ten seconds are flown in 2.5 s: a flight heard of at 102.5 s began at 100."""
     live.hear(MOMENT)
-    assert (
-        live.server.clocks()
-        == "ClockSpeed 4x wall clock 2.500 s, simulated a 10.00 s 5.0 m up flies its command"
-    )
+    assert live.server.clocks() == "ClockSpeed 4x wall clock 2.500 s, simulated a 10.00 s 5.0 m up flies its command"
     for wall_s, shown in ((102.5, "2.500"), (103.0, "3.000")):
         live.hear(MOMENT._replace(flight=2, may_hold=False, wall_s=wall_s, commanded=(False,)))
         assert live.server.clocks() == (
@@ -293,9 +286,7 @@ def test_the_view_goes_along_unless_it_is_told_not_to(live: Live) -> None:
 # --- finished flights ------------------------------------------------------------------------------------------------
 
 
-def straight(
-    name: str, clock_speed: float, metres: float, seconds: float = 4.0, aside_m: float = 0.0
-) -> Track:
+def straight(name: str, clock_speed: float, metres: float, seconds: float = 4.0, aside_m: float = 0.0) -> Track:
     """Northwards at an even pace, at 10 m, so far to the east; a command for the first half of it."""
     return track_of(name, clock_speed, {
         "time_s": np.array([0.0, seconds]),
@@ -362,9 +353,7 @@ def test_flights_are_side_by_side_around_the_middle_and_held_against_the_last(sh
     opened, server = shown(*tracks)
     assert [drone.offset_m for drone in opened.drones] == [[0.0, east, 0.0] for east in (-4.6, 0.0, 4.6)]
     assert [drone.ideal_m is tracks[2].position_m for drone in opened.drones] == [True, True, False]
-    assert server.clocks().endswith(
-        "a leaves the path of c by up to 3.00 m; b leaves the path of c by up to 1.00 m"
-    )
+    assert server.clocks().endswith("a leaves the path of c by up to 3.00 m; b leaves the path of c by up to 1.00 m")
     alone, _ = shown(tracks[0])
     assert (alone.drones[0].offset_m, alone.drones[0].ideal_m) == ([0.0, 0.0, 0.0], None)
 
@@ -418,9 +407,7 @@ def test_another_clock_speed_is_flown_and_shown_from_its_beginning(shown: Any) -
     assert opened.playhead.at_s == 0.0
 
 
-def test_each_drone_sees_from_its_own_place_in_mujocos_frame(
-    shown: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_each_drone_sees_from_its_own_place_in_mujocos_frame(shown: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     looked: list[Any] = []
 
     class Eyes:

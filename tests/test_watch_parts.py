@@ -229,9 +229,7 @@ def test_only_the_first_browser_begins_the_show() -> None:
     begun: list[bool] = []
     Views(server, lambda: begun.append(True))
     for others in (0, 1):
-        server.clients = {
-            number: SimpleNamespace(camera=SimpleNamespace(aspect=1.0)) for number in range(others + 1)
-        }
+        server.clients = {number: SimpleNamespace(camera=SimpleNamespace(aspect=1.0)) for number in range(others + 1)}
         server.connected(server.clients[others])
     assert begun == [True]
 
@@ -240,11 +238,7 @@ def test_only_the_first_browser_begins_the_show() -> None:
 
 
 def test_the_table_of_clocks_has_a_line_for_each_drone_and_its_height_where_there_is_ground() -> None:
-    lines = [
-        Line("a<b", 1.005, 2.46, "flies & thinks"),
-        Line("low", 61.5, 0.0, "done"),
-        Line("c", 0.0, None, ""),
-    ]
+    lines = [Line("a<b", 1.005, 2.46, "flies & thinks"), Line("low", 61.5, 0.0, "done"), Line("c", 0.0, None, "")]
     table = clock_table(2.5, "0.100 s", lines, "1 < 2")
     assert "ClockSpeed <b>2.5x</b>" in table
     assert "<b>0.100 s</b>" in table
@@ -272,9 +266,7 @@ def told() -> Iterator[tuple[Source, socket.socket]]:
         yield Source(page), flight
 
 
-def test_orders_are_sent_when_they_change_and_looks_leave_them_as_they_are(
-    told: tuple[Source, socket.socket],
-) -> None:
+def test_orders_are_sent_when_they_change_and_looks_leave_them_as_they_are(told: tuple[Source, socket.socket]) -> None:
     source, flight = told
     held: Orders = {"seen": True, "held": True, "pace": 0.5, "looks": 0}
     source.let_pass(2)
@@ -342,11 +334,7 @@ def test_a_page_beside_a_command_is_there_for_as_long_as_it_flies(
         asked.append(command)
         return contextlib.nullcontext(process)
 
-    for name, stand_in in (
-        ("check_viser", lambda: None),
-        ("free_port", lambda *_: 8123),
-        ("start_python", start),
-    ):
+    for name, stand_in in (("check_viser", lambda: None), ("free_port", lambda *_: 8123), ("start_python", start)):
         monkeypatch.setattr(beside, name, stand_in)
     monkeypatch.setattr(beside, "end_within", lambda *_: None)
     monkeypatch.setattr(beside, "FIRST_LOOK_S", 0.01)
@@ -384,9 +372,7 @@ def test_a_page_that_dies_is_said_in_one_line(
         "import os, signal; signal.signal(signal.SIGINT, signal.SIG_DFL);"
         f"print('{{\"port\": 1}}', flush=True); os.kill(os.getpid(), {end})"
     )
-    monkeypatch.setattr(
-        beside, "start_python", lambda *_, **options: child.start_python("-c", dies, **options)
-    )
+    monkeypatch.setattr(beside, "start_python", lambda *_, **options: child.start_python("-c", dies, **options))
     monkeypatch.setattr(beside, "check_viser", lambda: None)
     monkeypatch.setattr(child, "LOOK_S", 1 / 64)
     watches: list[child.Watch] = []
@@ -423,9 +409,7 @@ def opened(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     monkeypatch.setattr(command, "open_server", lambda host, port: (shown.update(at=(host, port)), server)[1])
     monkeypatch.setattr(command, "Page", page)
     monkeypatch.setattr(
-        command,
-        "fly_side_by_side",
-        lambda *how, **named: (shown["flown"].append((how, named)), ["tracks"])[1],
+        command, "fly_side_by_side", lambda *how, **named: (shown["flown"].append((how, named)), ["tracks"])[1]
     )
     return shown
 
@@ -484,13 +468,7 @@ def test_a_scripts_commands_end_with_their_answers_or_at_the_next_one(tmp_path: 
 
     def call(number: int, wall_s: float, method: str, *params: Any) -> dict[str, Any]:
         wall_ns = round(wall_s * 1e9)
-        return {
-            "call": number,
-            "wall_ns": wall_ns,
-            "time_ns": 2 * wall_ns,
-            "method": method,
-            "params": [*params],
-        }
+        return {"call": number, "wall_ns": wall_ns, "time_ns": 2 * wall_ns, "method": method, "params": [*params]}
 
     def answer(number: int, wall_s: float) -> dict[str, Any]:
         return {"answer": number, "wall_ns": round(wall_s * 1e9), "result": True}
@@ -576,9 +554,7 @@ def asked(port: int, *more: str, host: str = "") -> tuple[socket.socket, bytes]:
 
 
 @pytest.mark.filterwarnings("ignore:.control_layout:DeprecationWarning")  # of viser's newer versions
-def test_a_foreign_page_gets_nothing_and_one_that_does_not_read_is_dropped(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_foreign_page_gets_nothing_and_one_that_does_not_read_is_dropped(monkeypatch: pytest.MonkeyPatch) -> None:
     viser = pytest.importorskip("viser")
     monkeypatch.setattr(server, "UNREAD_MS", 100)
     page = server.open_server("127.0.0.1", 18180)

@@ -46,9 +46,7 @@ def script(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def lanes(tmp_path_factory: pytest.TempPathFactory) -> RunDirectory:
     out = tmp_path_factory.mktemp("lanes") / "run"
-    return fly_into(
-        out, Evaluation(), configured("evaluate", "task.observation=state", agent="straight", games=3)
-    )
+    return fly_into(out, Evaluation(), configured("evaluate", "task.observation=state", agent="straight", games=3))
 
 
 def test_a_scripts_flight_has_both_clocks_and_its_commands(script: Path) -> None:

@@ -52,19 +52,14 @@ def main() -> None:
     with Camera(model) as camera:
         for name, ((low, high), tilt, yaw, round_ones) in CONDITIONS.items():
             rng = np.random.default_rng(18)
-            layouts = [
-                draw_layout(lane_seed("evaluation", lane), Difficulty(light=(0.1, 1.0))) for lane in lanes
-            ]
+            layouts = [draw_layout(lane_seed("evaluation", lane), Difficulty(light=(0.1, 1.0))) for lane in lanes]
             for layout in layouts:
                 layout.round[:] = round_ones
             places = rng.uniform((-2, -4.5, -high), (155, 4.5, -low), (options.views, 3))
             quaternions = np.array([attitude(rng, tilt, yaw) for _ in lanes])
             scenes = empty_scenes(options.views)
             fill_scenes(looks, scenes, lanes.tolist(), layouts)
-            drawn = [
-                draw(looks, scenes, lanes, places, quaternions)
-                for draw in (draw_gray, draw_colour, draw_depth)
-            ]
+            drawn = [draw(looks, scenes, lanes, places, quaternions) for draw in (draw_gray, draw_colour, draw_depth)]
             theirs: list[list[np.ndarray]] = [[], [], []]
             cameras: list[Callable[[Any], np.ndarray]] = [camera.gray, camera.colour, camera.depth]
             for layout, place, quaternion in zip(layouts, places, quaternions, strict=True):

@@ -32,14 +32,10 @@ from uavaccel.yaml_io import dump_yaml
 
 ROUNDS = (1, 2, 4, 8, 16, 24)
 T_MOVES_S = (0.1, 0.2, 0.5, 1.0)
-SIGMA = (
-    0.5  # of the logarithm of every latency: its 95 % quantile is 2.3 times its median; chosen, not fitted
-)
+SIGMA = 0.5  # of the logarithm of every latency: its 95 % quantile is 2.3 times its median; chosen, not fitted
 GAMES = 2  # of each cell
 TAIL = 0.9999  # where a log-normal distribution, which has no largest value, is cut off
-FRAMES = FrameConfig(
-    hz=60.0, stale_pose=True
-)  # of Unreal, for images; not fitted: sources in uavaccel.sim.frames
+FRAMES = FrameConfig(hz=60.0, stale_pose=True)  # of Unreal, for images; not fitted: sources in uavaccel.sim.frames
 ISSUE_US = 100.0  # of Python's msgpack-rpc client: packing and sending without waiting; measured elsewhere, not fitted
 
 
@@ -118,9 +114,7 @@ Cells = dict[float, Cell]  # by T_move
 def pooled_stlc(cells: Cells, references: Cells, same: bool) -> float:
     """Median STLC over games, T_moves and numbers of rounds, as Figure 5 pools them."""
     values = [
-        mean_stlc(cells[t].prefixes[rounds], references[t].prefixes[rounds], same)
-        for t in cells
-        for rounds in ROUNDS
+        mean_stlc(cells[t].prefixes[rounds], references[t].prefixes[rounds], same) for t in cells for rounds in ROUNDS
     ]
     return float(np.median(np.concatenate(values)))
 
@@ -164,9 +158,7 @@ TARGETS = {
     "tcsc_speedup": Target(62, 3, 50, 65, "TCSC at 100x, T_move 1 s, 24 rounds: 62x, 65x, 50x (I, IV-D, V)"),
     "tcsc_speedup_mean": Target(50, 3, 35, 65, "its mean over T_move: 50x (IV-D; this reading is ours)"),
     "adsc_stlc_5x": Target(1.78, 0.02, 0, 1.8, "ADSC at 5x, pooled median STLC: not above 1.8 (Figure 5)"),
-    "tcsc_stlc": Target(
-        1.82, np.inf, 1.8, 2, "TCSC at 100x, 1 s, 24 rounds: 9 or 10 % error, above 1.8 (I, V)"
-    ),
+    "tcsc_stlc": Target(1.82, np.inf, 1.8, 2, "TCSC at 100x, 1 s, 24 rounds: 9 or 10 % error, above 1.8 (I, V)"),
     "adsc_stlc_1x": Target(2, np.inf, 1.8, 2, "ADSC at 1x, pooled median STLC: near 2 (Figure 5)"),
 }
 
@@ -192,12 +184,7 @@ def fit(evaluations: int) -> Parameters:
         print(f"  {value:8.2f}  {parameters}", flush=True)
         return value
 
-    options: dict[str, Any] = {
-        "initial_simplex": corners,
-        "maxfev": evaluations,
-        "xatol": 0.02,
-        "fatol": 0.05,
-    }
+    options: dict[str, Any] = {"initial_simplex": corners, "maxfev": evaluations, "xatol": 0.02, "fatol": 0.05}
     found = minimize(to_minimise, start, method="Nelder-Mead", options=options)  # type: ignore[call-overload]
     return Parameters(*(float(f"{value:.2g}") for value in np.exp(found.x)))
 
@@ -220,9 +207,7 @@ PAIRS = tuple(combinations(range(len(Parameters._fields)), 2))
 def draw(best: Parameters, planes: Sequence[np.ndarray], path: Path) -> None:
     """The misfit over each pair of parameters."""
     with style.project_style():
-        figure = style.new_figure(
-            9, 6, "Misfit over each pair of parameters", "modelled · tools/fit_airsim.py"
-        )
+        figure = style.new_figure(9, 6, "Misfit over each pair of parameters", "modelled · tools/fit_airsim.py")
         for axes, pair, values in zip(figure.subplots(1, 3), PAIRS, planes, strict=True):
             first, second = (np.array(FACTORS) * best[index] for index in pair)
             drawn = axes.contourf(second, first, values, levels=[0, 1, 2, 4, 8, 16, 32, 64], extend="max")
@@ -254,9 +239,7 @@ def widths(best: Parameters) -> list[str]:
     low, here, high = 0.9, misfit(best), 1.1
     lines = []
     for index, name in enumerate(Parameters._fields):
-        moved = [
-            misfit(best._replace(**{name: float(f"{best[index] * factor:.4g}")})) for factor in (low, high)
-        ]
+        moved = [misfit(best._replace(**{name: float(f"{best[index] * factor:.4g}")})) for factor in (low, high)]
         curvature = (moved[0] + moved[1] - 2 * here) / 0.1**2
         width = f"± {100 / np.sqrt(curvature / 2):.0f} %" if curvature > 0 else "flat"
         lines.append(f"{name:12} {best[index]:7.3g}  {width}")
@@ -265,9 +248,7 @@ def widths(best: Parameters) -> list[str]:
 
 def main() -> None:
     arguments = argparse.ArgumentParser(description=__doc__)
-    arguments.add_argument(
-        "--out", type=Path, default=Path("experiments"), help="folder of latency_airsim.yaml"
-    )
+    arguments.add_argument("--out", type=Path, default=Path("experiments"), help="folder of latency_airsim.yaml")
     arguments.add_argument("--figure", type=Path, default=Path("docs/figures/airsim_misfit.png"))
     arguments.add_argument("--evaluations", type=int, default=60)
     options = arguments.parse_args()

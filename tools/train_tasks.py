@@ -81,9 +81,7 @@ def draw(trainings: list[dict[str, object]], path: Path) -> None:
     figure, axes = plt.subplots(figsize=(6, 3.2), layout="constrained")
     for training in trainings:
         steps, share, _ = np.array(training["curve"]).T
-        axes.plot(
-            steps, share, label=f"{training['task']}: {training['won']} of {training['games']} fresh games"
-        )
+        axes.plot(steps, share, label=f"{training['task']}: {training['won']} of {training['games']} fresh games")
     axes.set(xlabel="commands flown", ylabel=f"share of the last {GAMES} games won", ylim=(0, 1.02))
     axes.legend(loc="lower right")
     figure.savefig(path, dpi=120)

@@ -91,9 +91,7 @@ class RowForm:
         for number, row in enumerate(rows, start=1):
             where, suite = f"{source}: line {number}: {row.get('case')}", row.get("suite", self.suite)
             if self.suite is not None and suite != self.suite:
-                raise UserError(
-                    f"{where}: suite = {reprlib.repr(suite)}: this is a run of {self.suite}; {MEND}"
-                )
+                raise UserError(f"{where}: suite = {reprlib.repr(suite)}: this is a run of {self.suite}; {MEND}")
             check(self.row, row, where, MEND)
             if self.case_of is not None and row["case"] != (name := self.case_of(row)):
                 raise UserError(f"{where}: by its other keys it is the row of {name}; {MEND}")

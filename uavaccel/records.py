@@ -199,23 +199,17 @@ class RunDirectory:
         for number, row in enumerate(self.rows(), start=1):
             case, where = row.get("case"), f"{self.path / 'rows.jsonl'}: line {number}"
             if not isinstance(case, str):
-                raise UserError(
-                    f"{where}: has no name of a game under 'case'; delete the line and --resume the run"
-                )
+                raise UserError(f"{where}: has no name of a game under 'case'; delete the line and --resume the run")
             if not is_file_name(case):
                 raise UserError(f"{where}: no game can be called {case!r}: its name is that of a file")
             if case in done:
-                raise UserError(
-                    f"{where}: {case} has a row already; delete the line that does not belong here"
-                )
+                raise UserError(f"{where}: {case} has a row already; delete the line that does not belong here")
             done.add(case)
         return done
 
     def _refuse_gone(self) -> None:
         if not (self.path / "config.yaml").is_file():
-            raise UserError(
-                f"{self.path}: the run's folder, or its config.yaml, was deleted while it was flown"
-            )
+            raise UserError(f"{self.path}: the run's folder, or its config.yaml, was deleted while it was flown")
 
     def _add_manifest(self, manifest: Mapping[str, object]) -> None:
         if (self.path / "manifest.json").exists():
@@ -224,9 +218,7 @@ class RunDirectory:
         self.write_json("manifest.json", manifest)
 
 
-def arrays_of(
-    folder: Path, row: Mapping[str, object], form: RowForm | None = None
-) -> dict[str, np.ndarray]:
+def arrays_of(folder: Path, row: Mapping[str, object], form: RowForm | None = None) -> dict[str, np.ndarray]:
     """Return the arrays of a row of the run in `folder`.
 
     Raises UserError if the file is missing or damaged, is named after another case, has another hash than the row
@@ -290,9 +282,7 @@ def _refuse_other_config(path: Path, config: Config, may_grow: Collection[str]) 
     other = [key for key in sorted(there.keys() | here.keys()) if there.get(key) != here.get(key)]
     grown = [key for key in other if key in may_grow and key in there and int(there[key]) < int(here[key])]
     differing = [
-        f"{key} ({there.get(key, 'unset')} there, {here.get(key, 'unset')} here)"
-        for key in other
-        if key not in grown
+        f"{key} ({there.get(key, 'unset')} there, {here.get(key, 'unset')} here)" for key in other if key not in grown
     ]
     if differing:
         raise UserError(f"{path}: has another configuration: {', '.join(differing)}; take another --out")
@@ -302,9 +292,7 @@ def _refuse_other_config(path: Path, config: Config, may_grow: Collection[str]) 
 def _as_of_today(mapping: dict[str, Plain], cls: type[Config]) -> dict[str, Plain]:
     """Return a run's configuration with later keys at their defaults; one that is no longer valid is not changed."""
     try:
-        today: dict[str, Plain] = parse_yaml(
-            to_yaml(validate(cls, mapping, "config.yaml")), source="config.yaml"
-        )
+        today: dict[str, Plain] = parse_yaml(to_yaml(validate(cls, mapping, "config.yaml")), source="config.yaml")
         return today
     except UserError:
         return mapping

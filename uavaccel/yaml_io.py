@@ -38,9 +38,7 @@ MOST_VALUES = 1_000_000
 class _Rules(SafeConstructor):
     yaml_implicit_resolvers = _resolvers()
     yaml_constructors = {  # noqa: RUF012  as PyYAML has it
-        tag: construct
-        for tag, construct in yaml.SafeLoader.yaml_constructors.items()
-        if tag not in _NOT_PLAIN
+        tag: construct for tag, construct in yaml.SafeLoader.yaml_constructors.items() if tag not in _NOT_PLAIN
     }
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Plain]:

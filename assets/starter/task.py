@@ -67,9 +67,7 @@ def main() -> None:
     parser.add_argument("--games", type=int, default=50, help="flown afterwards, on fresh seeds")
     asked = parser.parse_args()
     lanes = make_vec_env("ThereAndBack-v0", n_envs=8, seed=0)
-    model = PPO(
-        "MlpPolicy", lanes, n_steps=128, batch_size=256, gamma=0.98, learning_rate=1e-3, seed=0, device="cpu"
-    )
+    model = PPO("MlpPolicy", lanes, n_steps=128, batch_size=256, gamma=0.98, learning_rate=1e-3, seed=0, device="cpu")
     print(f"before: {won(model, asked.games)} of {asked.games} games")
     model.learn(asked.commands)
     print(f"after {asked.commands} commands: {won(model, asked.games)} of {asked.games} games")

@@ -67,9 +67,7 @@ class Rows:
         return [self._resolved(each) for each in value.get("anyOf", [value])]
 
     def _resolved(self, value: Schema) -> Schema:
-        definition: Schema = (
-            self._whole["$defs"][value["$ref"].rpartition("/")[2]] if "$ref" in value else value
-        )
+        definition: Schema = self._whole["$defs"][value["$ref"].rpartition("/")[2]] if "$ref" in value else value
         return definition
 
     def _values(self, value: Schema) -> str:

@@ -9,12 +9,7 @@ from __future__ import annotations
 import re
 from html import escape
 
-COLUMN, LINE, HEAD, MARGIN = (
-    85,
-    42,
-    44,
-    44,
-)  # pixels: between participants, between messages, of names, at the sides
+COLUMN, LINE, HEAD, MARGIN = (85, 42, 44, 44)  # pixels: between participants, between messages, of names, at the sides
 LETTER = 6.2  # pixels of a character, about
 PARTICIPANT = re.compile(r"participant (\w+) as (\S+)")
 MESSAGE = re.compile(r"(\w+)->>(\w+): (.+)")
@@ -31,10 +26,7 @@ def figure(code: str, label: str) -> str:
     drawing = Drawing()
     for line in filter(None, map(str.strip, code.splitlines())):
         drawing.add(line)
-    return (
-        f'<div class="sequence" tabindex="0" role="region" aria-label="{escape(label)}">'
-        f"{drawing.svg(label)}</div>"
-    )
+    return f'<div class="sequence" tabindex="0" role="region" aria-label="{escape(label)}">{drawing.svg(label)}</div>'
 
 
 class Drawing:

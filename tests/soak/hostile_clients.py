@@ -51,9 +51,7 @@ ATTACKS: dict[str, Callable[[int], bytes]] = {
         REQUEST(1, "simListSceneObjects", ["(x+x+)+y"])
         + REQUEST(2, "simSetSegmentationObjectID", ["(.*.*.*.*.*)*!", 3, True])
     ),
-    "ClockSpeed 10 000": lambda n: (
-        REQUEST(1, "uavaccelSetClockSpeed", [1e4]) + REQUEST(2, "simPause", [False]) * 20
-    ),
+    "ClockSpeed 10 000": lambda n: REQUEST(1, "uavaccelSetClockSpeed", [1e4]) + REQUEST(2, "simPause", [False]) * 20,
     "recordings begun": lambda _: REQUEST(1, "startRecording", []) * 20,
     "vehicles": lambda n: (
         REQUEST(1, "simAddVehicle", [f"v{n}", "simpleflight", place(n), ""])
@@ -93,9 +91,7 @@ class Attack:
             connection = socket.create_connection(("127.0.0.1", port))
             connection.setblocking(False)
             connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 1 << 16)
-            self._selector.register(
-                connection, selectors.EVENT_READ | selectors.EVENT_WRITE, bytearray(make(number))
-            )
+            self._selector.register(connection, selectors.EVENT_READ | selectors.EVENT_WRITE, bytearray(make(number)))
 
     def go_on(self) -> None:
         for key, events in self._selector.select(0.01):
@@ -143,9 +139,7 @@ def ping_s(good: socket.socket) -> float:
     return (clock.now_ns() - begun_ns) / NS_PER_S
 
 
-def under_attack(
-    server: subprocess.Popen[str], port: int, words: list[str], seconds: float
-) -> tuple[float, float]:
+def under_attack(server: subprocess.Popen[str], port: int, words: list[str], seconds: float) -> tuple[float, float]:
     """The server's largest memory in MiB and the longest ping in seconds."""
     memory_mib = longest_s = 0.0
     with socket.create_connection(("127.0.0.1", port), timeout=120) as good:

@@ -77,8 +77,7 @@ def soak(server: subprocess.Popen[bytes], port: int, count: int, choose: random.
         if sent >= due:
             due += count // LOOKS
             print(
-                f"{sent} sent: {resident_mib(server.pid):.1f} MiB; longest answer {longest_ns / 1e9:.2f} s",
-                flush=True,
+                f"{sent} sent: {resident_mib(server.pid):.1f} MiB; longest answer {longest_ns / 1e9:.2f} s", flush=True
             )
         batch = list(itertools.islice(calls, choose.randint(0, MOST_CALLS)))
         strange = [changed_bytes(next(calls), choose) for _ in range(STRANGERS)]
@@ -87,9 +86,7 @@ def soak(server: subprocess.Popen[bytes], port: int, count: int, choose: random.
         longest_ns = max(longest_ns, clock.now_ns() - begun_ns)
         sent += len(batch) + len(strange)
     took_s = (clock.now_ns() - start_ns) / NS_PER_S
-    print(
-        f"{sent} sent in {took_s:.0f} s: {resident_mib(server.pid):.1f} MiB; longest answer {longest_ns / 1e9:.2f} s"
-    )
+    print(f"{sent} sent in {took_s:.0f} s: {resident_mib(server.pid):.1f} MiB; longest answer {longest_ns / 1e9:.2f} s")
     return int(server.poll() is not None)
 
 

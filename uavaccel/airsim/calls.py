@@ -38,9 +38,7 @@ def remote(declared: Declared) -> Declared:
     hints = get_type_hints(declared, include_extras=True)
     annotated = [(place, hints.get(each.name)) for place, each in enumerate(parameters)]
     conversions = [
-        (place, hint.__metadata__[0])
-        for place, hint in annotated
-        if hint is not None and get_origin(hint) is Annotated
+        (place, hint.__metadata__[0]) for place, hint in annotated if hint is not None and get_origin(hint) is Annotated
     ]
     answer = _answer(hints["return"])
 

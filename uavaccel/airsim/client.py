@@ -122,9 +122,7 @@ class VehicleClient:
         """Cancel the running command."""
 
     @remote
-    def simAddVehicle(
-        self, vehicle_name: str, vehicle_type: str, pose: Pose, pawn_path: str = ""
-    ) -> bool: ...
+    def simAddVehicle(self, vehicle_name: str, vehicle_type: str, pose: Pose, pawn_path: str = "") -> bool: ...
     @remote
     def listVehicles(self) -> list[str]: ...
 
@@ -161,9 +159,7 @@ class VehicleClient:
     @remote
     def simGetGroundTruthKinematics(self, vehicle_name: str = "") -> KinematicsState: ...
     @remote
-    def simSetKinematics(
-        self, state: KinematicsState, ignore_collision: bool, vehicle_name: str = ""
-    ) -> None: ...
+    def simSetKinematics(self, state: KinematicsState, ignore_collision: bool, vehicle_name: str = "") -> None: ...
     @remote
     def simGetGroundTruthEnvironment(self, vehicle_name: str = "") -> EnvironmentState: ...
     @remote
@@ -233,10 +229,7 @@ class VehicleClient:
 
     @remote
     def simGetImages(
-        self,
-        requests: Annotated[Sequence[ImageRequest], list],
-        vehicle_name: str = "",
-        external: bool = False,
+        self, requests: Annotated[Sequence[ImageRequest], list], vehicle_name: str = "", external: bool = False
     ) -> list[ImageResponse]:
         """Take images of one moment, returned in the order of the requests."""
 
@@ -336,24 +329,11 @@ class VehicleClient:
     simPlotPoints = Untyped("points", color_rgba=RED, size=10.0, **SHOWN_FOR)
     simPlotLineStrip = Untyped("points", color_rgba=RED, thickness=5.0, **SHOWN_FOR)
     simPlotLineList = Untyped("points", color_rgba=RED, thickness=5.0, **SHOWN_FOR)
-    simPlotArrows = Untyped(
-        "points_start",
-        "points_end",
-        color_rgba=RED,
-        thickness=5.0,
-        arrow_size=2.0,
-        **SHOWN_FOR,
-    )
+    simPlotArrows = Untyped("points_start", "points_end", color_rgba=RED, thickness=5.0, arrow_size=2.0, **SHOWN_FOR)
     simPlotStrings = Untyped("strings", "positions", scale=5, color_rgba=RED, duration=-1.0)
     simPlotTransforms = Untyped("poses", scale=5.0, thickness=5.0, **SHOWN_FOR)
     simPlotTransformsWithNames = Untyped(
-        "poses",
-        "names",
-        tf_scale=5.0,
-        tf_thickness=5.0,
-        text_scale=10.0,
-        text_color_rgba=RED,
-        duration=-1.0,
+        "poses", "names", tf_scale=5.0, tf_thickness=5.0, text_scale=10.0, text_color_rgba=RED, duration=-1.0
     )
     simGetPresetLensSettings = Untyped("camera_name", **OF_CAMERA)
     simGetLensSettings = Untyped("camera_name", **OF_CAMERA)
@@ -379,15 +359,11 @@ class VehicleClient:
     @remote
     def getBarometerData(self, barometer_name: str = "", vehicle_name: str = "") -> BarometerData: ...
     @remote
-    def getMagnetometerData(
-        self, magnetometer_name: str = "", vehicle_name: str = ""
-    ) -> MagnetometerData: ...
+    def getMagnetometerData(self, magnetometer_name: str = "", vehicle_name: str = "") -> MagnetometerData: ...
     @remote
     def getGpsData(self, gps_name: str = "", vehicle_name: str = "") -> GpsData: ...
     @remote
-    def getDistanceSensorData(
-        self, distance_sensor_name: str = "", vehicle_name: str = ""
-    ) -> DistanceSensorData: ...
+    def getDistanceSensorData(self, distance_sensor_name: str = "", vehicle_name: str = "") -> DistanceSensorData: ...
     @remote
     def getLidarData(self, lidar_name: str = "", vehicle_name: str = "") -> LidarData: ...
 
@@ -530,9 +506,7 @@ class MultirotorClient(VehicleClient):
         logging.warning(
             "moveByAngleThrottleAsync API is deprecated, use moveByRollPitchYawrateThrottleAsync() API instead"
         )
-        return self.moveByRollPitchYawrateThrottleAsync(
-            roll, pitch, yaw_rate, throttle, duration, vehicle_name
-        )
+        return self.moveByRollPitchYawrateThrottleAsync(roll, pitch, yaw_rate, throttle, duration, vehicle_name)
 
     def moveByRC(self, rcdata: RCData | None = None, vehicle_name: str = "") -> None:
         """Set the sticks of the remote control by which moveByManual flies."""

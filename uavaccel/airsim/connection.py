@@ -85,9 +85,7 @@ def plain(value: object) -> object:
             return getattr(value, name)()
     if isinstance(value, set | frozenset | range) or hasattr(value, "__iter__"):
         return list(value)
-    raise TypeError(
-        f"{type(value).__name__} cannot be sent; numbers, text, lists, maps and AirSim's types can"
-    )
+    raise TypeError(f"{type(value).__name__} cannot be sent; numbers, text, lists, maps and AirSim's types can")
 
 
 class SocketConnection:
@@ -101,9 +99,7 @@ class SocketConnection:
             self._socket = socket.create_connection((host, port), timeout=10)
         except OSError as error:
             reason = error.strerror or str(error)
-            raise ConnectionError(
-                f"no server at {host}:{port} ({reason}); start one with `uavaccel serve`"
-            ) from None
+            raise ConnectionError(f"no server at {host}:{port} ({reason}); start one with `uavaccel serve`") from None
         self._socket.settimeout(None)
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._selector = selectors.DefaultSelector()

@@ -175,9 +175,7 @@ class MultirotorClient(AirSimClientBase, client.MultirotorClient):
         adaptive_lookahead: float = 1,
     ) -> bool:  # fmt: skip
         how = (drivetrain, yaw_mode, lookahead, adaptive_lookahead)
-        return _waited(
-            lambda limit_s: self.moveToPositionAsync(x, y, z, velocity, limit_s, *how), max_wait_seconds
-        )
+        return _waited(lambda limit_s: self.moveToPositionAsync(x, y, z, velocity, limit_s, *how), max_wait_seconds)
 
     def rotateToYaw(self, yaw: float, max_wait_seconds: float = 60, margin: float = 5) -> bool:
         return _waited(lambda limit_s: self.rotateToYawAsync(yaw, limit_s, margin), max_wait_seconds)

@@ -58,9 +58,7 @@ class MsgpackMixin:
 @cache
 def _fields(cls: type[MsgpackMixin]) -> dict[str, type[MsgpackMixin] | None]:
     """Return the fields of a type, each with its own type if that is one of AirSim's."""
-    return {
-        key: type(value) if isinstance(value, MsgpackMixin) else None for key, value in vars(cls()).items()
-    }
+    return {key: type(value) if isinstance(value, MsgpackMixin) else None for key, value in vars(cls()).items()}
 
 
 class Vector2r(MsgpackMixin, eq=True):
@@ -197,18 +195,14 @@ def _alike(right: object, operator: str, left: object) -> None:
 
 
 def _unsupported(operator: str, left: object, right: object) -> TypeError:
-    return TypeError(
-        f"unsupported operand type(s) for {operator}: {type(left).__name__} and {type(right).__name__}"
-    )
+    return TypeError(f"unsupported operand type(s) for {operator}: {type(left).__name__} and {type(right).__name__}")
 
 
 class Pose(MsgpackMixin):
     position: Vector3r
     orientation: Quaternionr
 
-    def __init__(
-        self, position_val: Vector3r | None = None, orientation_val: Quaternionr | None = None
-    ) -> None:
+    def __init__(self, position_val: Vector3r | None = None, orientation_val: Quaternionr | None = None) -> None:
         self.position = Vector3r() if position_val is None else position_val
         self.orientation = Quaternionr() if orientation_val is None else orientation_val
 
@@ -562,8 +556,4 @@ class CarState(MsgpackMixin):
 
 
 if not TYPE_CHECKING:  # `from airsim import *` takes what is defined here, and nothing that is imported
-    __all__ = [
-        name
-        for name, kind in vars().items()
-        if getattr(kind, "__module__", "") == __name__ and name[0] != "_"
-    ]
+    __all__ = [name for name, kind in vars().items() if getattr(kind, "__module__", "") == __name__ and name[0] != "_"]

@@ -66,9 +66,7 @@ def get_pfm_array(response: ImageResponse) -> NDArray[np.float32]:
 def get_public_fields(obj: object) -> list[str]:
     """Return the names of an object's attributes that are neither private nor functions."""
     return [
-        name
-        for name, value in inspect.getmembers(obj)
-        if not name.startswith("_") and not inspect.isroutine(value)
+        name for name, value in inspect.getmembers(obj) if not name.startswith("_") and not inspect.isroutine(value)
     ]
 
 

@@ -22,8 +22,7 @@ def export(
     """Write what was asked for. Raises UserError with one clear line."""
     if onnx is csv is parquet is mcap is minari is None:
         raise UsageError(
-            "export: say what to write: --onnx FILE of a policy; "
-            "--csv, --parquet, --mcap or --minari FOLDER of a run"
+            "export: say what to write: --onnx FILE of a policy; --csv, --parquet, --mcap or --minari FOLDER of a run"
         )
     if case is not None and mcap is None:
         raise UsageError("--case: goes with --mcap; the other formats take all games of a run")

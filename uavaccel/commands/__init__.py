@@ -35,7 +35,4 @@ class SynchronousCommand(NamedTuple):
     fly: Fly
 
 
-COMMANDS = {
-    "adsc": SynchronousCommand(_adsc.begin, adsc),
-    "tcsc": SynchronousCommand(_tcsc.begin, tcsc),
-}
+COMMANDS = {"adsc": SynchronousCommand(_adsc.begin, adsc), "tcsc": SynchronousCommand(_tcsc.begin, tcsc)}

@@ -18,11 +18,7 @@ def begin(client: Pausable) -> None:
 
 
 def adsc(
-    client: MissionClient[FutureT, SampleT],
-    goal: FlightGoal,
-    t_move_s: float,
-    t_sample_s: float,
-    t_th_ns: int = 0,
+    client: MissionClient[FutureT, SampleT], goal: FlightGoal, t_move_s: float, t_sample_s: float, t_th_ns: int = 0
 ) -> Iterator[SampleT]:
     """Fly `goal` for T_move, join, and yield a sample every T_sample; `t_th_ns` is for TCSC, and ignored.
 

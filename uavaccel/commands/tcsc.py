@@ -19,11 +19,7 @@ def begin(client: Pausable) -> None:
 
 
 def tcsc(
-    client: MissionClient[FutureT, SampleT],
-    goal: FlightGoal,
-    t_move_s: float,
-    t_sample_s: float,
-    t_th_ns: int = 0,
+    client: MissionClient[FutureT, SampleT], goal: FlightGoal, t_move_s: float, t_sample_s: float, t_th_ns: int = 0
 ) -> Iterator[SampleT]:
     """Fly `goal` for T_move and yield the state every T_sample, the simulation paused before and after.
 

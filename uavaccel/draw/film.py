@@ -82,10 +82,7 @@ class Film:
 
 
 def write_video(
-    film: Film,
-    path: Path,
-    frames_per_s: int = FRAMES_PER_S,
-    written: Callable[[], object] = lambda: None,
+    film: Film, path: Path, frames_per_s: int = FRAMES_PER_S, written: Callable[[], object] = lambda: None
 ) -> Path:
     """Write an MP4 of the film's frames, whole or not at all, and return `path`; `written` is called after each frame.
 
@@ -185,15 +182,9 @@ def write_contact_sheet(film: Film, path: Path) -> Path:
         x = SHEET_GAP + place % SHEET_COLUMNS * cell_width
         y = 44 + place // SHEET_COLUMNS * cell_height
         hit = film.hit if i == len(film) - 1 else ""
-        write(
-            sheet, f"{_moment(film, i)}{', hit' if hit else ''}", (x, y + 16), 0.42, IMPACT if hit else FAINT
-        )
+        write(sheet, f"{_moment(film, i)}{', hit' if hit else ''}", (x, y + 16), 0.42, IMPACT if hit else FAINT)
         paste(sheet, to_bgr(film.images[i], THUMB), (x, y + SHEET_CAPTION))
-        paste(
-            sheet,
-            dvs_picture(film.on_events[i], film.off_events[i], THUMB),
-            (x, y + SHEET_CAPTION + THUMB[1]),
-        )
+        paste(sheet, dvs_picture(film.on_events[i], film.off_events[i], THUMB), (x, y + SHEET_CAPTION + THUMB[1]))
     path.parent.mkdir(parents=True, exist_ok=True)
     if not cv2.imwrite(str(path), sheet):
         raise UserError(f"{path}: cannot be written")

@@ -36,9 +36,7 @@ def paste(page: Bgr, picture: Bgr, at: tuple[int, int]) -> None:
 def to_bgr(image: NDArray[np.uint8], size: tuple[int, int]) -> Bgr:
     """Return an image, gray (H, W) or RGB (H, W, 3), as BGR at `size` (width, height), without interpolation."""
     code = cv2.COLOR_GRAY2BGR if image.ndim == 2 else cv2.COLOR_RGB2BGR
-    picture = cv2.resize(
-        np.asarray(cv2.cvtColor(image, code), np.uint8), size, interpolation=cv2.INTER_NEAREST
-    )
+    picture = cv2.resize(np.asarray(cv2.cvtColor(image, code), np.uint8), size, interpolation=cv2.INTER_NEAREST)
     return np.asarray(picture, np.uint8)
 
 
@@ -151,9 +149,7 @@ def _box(
     cv2.fillPoly(picture, [corners], colour, cv2.LINE_AA, SUBPIXEL)
 
 
-def _disc(
-    picture: Bgr, view: View, place_m: ArrayLike, radius_m: float, colour: tuple[int, int, int]
-) -> None:
+def _disc(picture: Bgr, view: View, place_m: ArrayLike, radius_m: float, colour: tuple[int, int, int]) -> None:
     centre = view.pixels(place_m)
     radius = round(radius_m * view.scale * (1 << SUBPIXEL))
     cv2.circle(picture, (int(centre[0]), int(centre[1])), radius, colour, -1, cv2.LINE_AA, SUBPIXEL)
@@ -211,13 +207,6 @@ def draw_ratings(decisions: Decisions, command: int, size: tuple[int, int]) -> B
         cv2.rectangle(picture, (left, top), (right, height - FOOT), colour, -1)
         middle = (left + right) // 2
         write(picture, f"{decisions.ratings[command, action]:.2f}", (middle, top - 6), 0.36, INK, anchor=0.5)
-        write(
-            picture,
-            f"{decisions.headings_deg[action]:.0f}",
-            (middle, height - FOOT + 16),
-            0.4,
-            INK,
-            anchor=0.5,
-        )
+        write(picture, f"{decisions.headings_deg[action]:.0f}", (middle, height - FOOT + 16), 0.4, INK, anchor=0.5)
     write(picture, "degrees east of the lane", (width // 2, height - 6), 0.36, FAINT, anchor=0.5)
     return picture

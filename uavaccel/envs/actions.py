@@ -24,9 +24,7 @@ def throttle(share: float) -> float:
     return HOVER_THROTTLE * (1.0 + share) if share < 0.0 else HOVER_THROTTLE + (1.0 - HOVER_THROTTLE) * share
 
 
-def low_level_goal(
-    kind: ActionKind, shares: Sequence[float], tilt_deg: float, rate_deg_s: float
-) -> FlightGoal:
+def low_level_goal(kind: ActionKind, shares: Sequence[float], tilt_deg: float, rate_deg_s: float) -> FlightGoal:
     """Return the goal of four shares, -1 to 1, of the largest tilt, turn rate and throttle.
 
     "attitude": roll, pitch (nose up), yaw rate, throttle; "rates": roll, pitch and yaw rate, throttle, all FRD;

@@ -128,9 +128,7 @@ class EnvironmentBatch(TurnBatch):
         seen = self._observations.present[which]
         return seen, np.array(rewards), np.array(terminated), np.array(truncated), list(infos)
 
-    def reset_each(
-        self, seeds: Sequence[int | None], options: Sequence[Mapping[str, object] | None]
-    ) -> list[Info]:
+    def reset_each(self, seeds: Sequence[int | None], options: Sequence[Mapping[str, object] | None]) -> list[Info]:
         """Begin a game in every environment with its own seed and options; returns the infos."""
         return self._slots.ask_all("reset", list(zip(seeds, options, strict=True)), range(self.num_envs))
 
@@ -169,9 +167,7 @@ def _check(num_envs: int, processes: int | None, renderer: str, tiles: int | Non
     if renderer not in RENDERERS:
         raise UserError(f"renderer = {renderer!r} is unknown; there are {', '.join(RENDERERS)}")
     if timing == "wall" and num_envs > 1:
-        raise UserError(
-            "timing = 'wall': a batch flies in virtual or lockstep, neighbours would disturb the clock"
-        )
+        raise UserError("timing = 'wall': a batch flies in virtual or lockstep, neighbours would disturb the clock")
 
 
 def _service(task: Task, cameras: int, tiles: int, renderer: str) -> RenderService | None:

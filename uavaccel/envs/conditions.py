@@ -57,13 +57,9 @@ class Ranges(Config):
     """Speed of a command, in m/s."""
     altitude_m: Annotated[Range | None, Condition("height", "altitude_m", "m")] = None
     """Height of the flight, in metres."""
-    dvs_threshold_ratio: Annotated[
-        Range | None, Condition("threshold", "dvs_threshold_ratio", "× the preset's")
-    ] = None
+    dvs_threshold_ratio: Annotated[Range | None, Condition("threshold", "dvs_threshold_ratio", "× the preset's")] = None
     """Thresholds of the event camera, times the preset's."""
-    dvs_spread_ratio: Annotated[Range | None, Condition("spread", "dvs_spread_ratio", "× the preset's")] = (
-        None
-    )
+    dvs_spread_ratio: Annotated[Range | None, Condition("spread", "dvs_spread_ratio", "× the preset's")] = None
     """Spread of its thresholds, times the preset's."""
     dvs_shot_noise_hz: Annotated[Range | None, Condition("shot_noise", "dvs_shot_noise_hz", "Hz")] = None
     """Shot-noise events per pixel and second, beside the preset's."""
@@ -87,9 +83,7 @@ class Ranges(Config):
         ranges = self.given()
         for name in self.shares:
             if name not in ranges:
-                raise ValueError(
-                    f"shares.{name}: there is no range of it; there are {', '.join(ranges) or 'none'}"
-                )
+                raise ValueError(f"shares.{name}: there is no range of it; there are {', '.join(ranges) or 'none'}")
         return self
 
     @model_validator(mode="after")
@@ -131,10 +125,7 @@ class Ranges(Config):
 
 
 SAMPLED = {
-    name: each
-    for name, field in Ranges.model_fields.items()
-    for each in field.metadata
-    if isinstance(each, Condition)
+    name: each for name, field in Ranges.model_fields.items() for each in field.metadata if isinstance(each, Condition)
 }
 """Conditions that can be sampled, by their field of `Ranges`."""
 for _name, _condition in SAMPLED.items():

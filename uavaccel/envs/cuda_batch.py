@@ -84,9 +84,7 @@ class CudaBatch(VectorEnv[Any, Any, Any]):
             raise UserError("reset the environments before their first step")
         lanes = self._lanes
         self._fly(self._to_tensor(actions))
-        rewards, terminated, truncated = (
-            each.clone() for each in (lanes.rewards, lanes.terminated, lanes.truncated)
-        )
+        rewards, terminated, truncated = (each.clone() for each in (lanes.rewards, lanes.terminated, lanes.truncated))
         outcomes = lanes.ended.tolist()  # the host waits for the device here
         over = [lane for lane, row in enumerate(outcomes) if row[AT.over]]
         ended = {

@@ -51,9 +51,7 @@ class DeviceClocks:
 
     def begin(self, renewed: th.Tensor, rows: th.Tensor, scales: th.Tensor, games: Any) -> None:
         """Start the clocks of games in `rows` (L,), with these latency scales, up to their first image."""
-        self._run(
-            "begin", renewed, kernels.shared(rows), kernels.shared(scales), games, self._timing, self._clocks
-        )
+        self._run("begin", renewed, kernels.shared(rows), kernels.shared(scales), games, self._timing, self._clocks)
 
     def show_start(self, renewed: th.Tensor) -> None:
         """Account for the first image, and prepare the simulation for the first command."""
@@ -69,13 +67,7 @@ class DeviceClocks:
 
     def reach(self, going: th.Tensor, sample: int) -> th.Tensor:
         """Fly to a command's next sample, and return which lanes (L,) uint8 have one."""
-        reached = (
-            self._now,
-            self._timing,
-            self._clocks,
-            kernels.shared(self._looking),
-            kernels.shared(self._legs),
-        )
+        reached = (self._now, self._timing, self._clocks, kernels.shared(self._looking), kernels.shared(self._legs))
         self._run("reach", going, sample, *reached)
         self._fly(self._looking)
         return self._looking

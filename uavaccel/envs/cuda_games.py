@@ -66,9 +66,7 @@ class GamesAhead:
     def refill(self, begun: Sequence[int]) -> None:
         """Sample games until all rows are in use again, given how many games each lane has begun; transfer them."""
         rows = [
-            self._draw(lane)
-            for lane, count in enumerate(begun)
-            for _ in range(self._written[lane], count - 1 + AHEAD)
+            self._draw(lane) for lane, count in enumerate(begun) for _ in range(self._written[lane], count - 1 + AHEAD)
         ]
         self._send(rows)
 

@@ -66,9 +66,7 @@ class CudaLanes:
         self.now, self._now_arrays = kernels.on_device(lanes.flights(count), device)
         self._tick_ns = profile_of(task).tick_ns
         self._threads = kernels.threads_a_lane(count, device)
-        self.view = LaneView(
-            task, self.games.maker, count, device, self.games.arrays, self._now_arrays, self._tick_ns
-        )
+        self.view = LaneView(task, self.games.maker, count, device, self.games.arrays, self._now_arrays, self._tick_ns)
         self.kind = self.view.kind
         hull = self.games.maker.surroundings.hull
         self.clocks = (
@@ -90,9 +88,7 @@ class CudaLanes:
         self._frames = th.zeros((samples, count, *blank.shape), dtype=kind, device=device)
         self.observations = th.zeros((count, *space.shape), dtype=kind, device=device)
         self.going, self._renewed = (th.zeros(count, dtype=th.uint8, device=device) for _ in range(2))
-        self.commands, self._rows, self._actions = (
-            th.zeros(count, dtype=th.int64, device=device) for _ in range(3)
-        )
+        self.commands, self._rows, self._actions = (th.zeros(count, dtype=th.int64, device=device) for _ in range(3))
         self._position = th.zeros((3, count), dtype=th.float64, device=device)
         self.rewards, self.returns = (th.zeros(count, dtype=th.float64, device=device) for _ in range(2))
         self.terminated, self.truncated, self.success = (
@@ -170,9 +166,7 @@ class CudaLanes:
         blank = self.blank.expand(self.count, *self.frame_shape)
         if self.kind == DVS:
             self.view.start(self._renewed)
-        elif self.kind != STATE and (
-            self.task.sees_start or (self.clocks is not None and self.clocks.guards)
-        ):
+        elif self.kind != STATE and (self.task.sees_start or (self.clocks is not None and self.clocks.guards)):
             frames = th.zeros_like(self._frames[0])
             self.view.show(self._renewed, frames)  # for the guard, even if the task does not observe it
             return frames if self.task.sees_start else blank
@@ -217,9 +211,7 @@ class CudaLanes:
 
     def _fly_together(self) -> list[th.Tensor]:
         """Fly the same ticks in all lanes and return the states (L, 13) of the samples, for observation "state"."""
-        self._launch(
-            "command", self.going, kernels.shared(self._directions), self.games.arrays, self._now_arrays
-        )
+        self._launch("command", self.going, kernels.shared(self._directions), self.games.arrays, self._now_arrays)
         states: list[th.Tensor] = []
         for sample, ticks in enumerate(self._slice_ticks):
             if self.kind == DVS and self.task.dvs_ticks:
@@ -362,10 +354,7 @@ class CudaLanes:
         outcome, solids = self.ended, self.now.watch[:, TOUCHED].double()
         outcome[:, AT.over], outcome[:, AT.success] = over.double(), self.success.double()
         outcome[:, AT.touched] = th.where(touched, solids + 1.0, 0.0)
-        outcome[:, AT.commands], outcome[:, AT.place : AT.place + 3] = (
-            self.commands.double(),
-            self._position.T,
-        )
+        outcome[:, AT.commands], outcome[:, AT.place : AT.place + 3] = (self.commands.double(), self._position.T)
         outcome[:, AT.wall_ns], outcome[:, AT.reward] = self._wall_ns.double(), self.returns
         outcome[:, AT.game] = (self.games.begun - 1).double()
         if self.clocks is None:
@@ -393,9 +382,7 @@ class CudaLanes:
         """Restore a state that `get_state` returned, and return the lane's observation."""
         self.games.set_state(lane, state)
         if not self._course:
-            self._course = {
-                name: clone(select(starts, self._rows)) for name, starts in self.games.starts.items()
-            }
+            self._course = {name: clone(select(starts, self._rows)) for name, starts in self.games.starts.items()}
         for name, tensor in self._state_tensors().items():
             tensor[..., lane] = th.from_numpy(np.ascontiguousarray(state[name])).to(self.device)
         return self.observations[lane].cpu().numpy()

@@ -43,9 +43,7 @@ NICENESS = 5  # the renderer and the learner, for whom all environments wait, go
 class Slot:
     """One environment of a batch; requests over its connection name a method of this class."""
 
-    def __init__(
-        self, environment: FlightEnv[Any], seen: Frame, last: Frame, autoreset: AutoresetMode
-    ) -> None:
+    def __init__(self, environment: FlightEnv[Any], seen: Frame, last: Frame, autoreset: AutoresetMode) -> None:
         self._environment, self._autoreset = environment, autoreset
         self._seen, self._last = seen, last
         self._over = False
@@ -88,10 +86,7 @@ def fly(options: ProgramOptions, place: SlotOptions) -> None:
     """Serve one slot until its connection ends. Answers are (True, result) or, for errors, (False, kind, text)."""
     if place["renderer"] is not None:
         make_cameras_with(partial(_remote_camera, place["renderer"]))
-    shared, number = (
-        SharedObservations(descriptor=options["memory"], **options["observations"]),
-        place["slot"],
-    )
+    shared, number = (SharedObservations(descriptor=options["memory"], **options["observations"]), place["slot"])
     connection = Connection(place["connection"])
     module, _, name = options["environment"].partition(":")
     slot: Slot | None = None
@@ -132,9 +127,7 @@ def main() -> None:
     load(options["environment"])
     processes = options["processes"]
     descriptors = [{options["memory"], *chain.from_iterable(map(descriptors_of, each))} for each in processes]
-    fork_each(
-        descriptors, options["reports"], lambda number: fly_together(options, processes[number], parent)
-    )
+    fork_each(descriptors, options["reports"], lambda number: fly_together(options, processes[number], parent))
 
 
 def load(environment: str) -> None:

@@ -70,10 +70,7 @@ class SlotOptions(TypedDict):
 def descriptors_of(place: SlotOptions) -> list[int]:
     """Return the file descriptors of an environment's connection and of its camera."""
     renderer = place["renderer"] or {}
-    return [
-        place["connection"],
-        *(renderer[name] for name in ("memory", "requests", "replies") if name in renderer),
-    ]
+    return [place["connection"], *(renderer[name] for name in ("memory", "requests", "replies") if name in renderer)]
 
 
 class BatchOptions(TypedDict):
@@ -104,9 +101,7 @@ class BatchError(RuntimeError):
 class EnvironmentProcesses:
     """`slots` environments distributed over `processes` processes; raises BatchError if one ends or hangs."""
 
-    def __init__(
-        self, options: BatchOptions, slots: int, processes: int, service: RenderService | None
-    ) -> None:
+    def __init__(self, options: BatchOptions, slots: int, processes: int, service: RenderService | None) -> None:
         self._connections: list[Connection] = []
         self._asked = [False] * slots
         self._service = service
@@ -145,9 +140,7 @@ class EnvironmentProcesses:
         os.close(theirs)
         return Forks(template, len(flown), reports)
 
-    def _start(
-        self, options: BatchOptions, flown: list[list[SlotOptions]], reports: int | None = None
-    ) -> Process:
+    def _start(self, options: BatchOptions, flown: list[list[SlotOptions]], reports: int | None = None) -> Process:
         program: ProgramOptions = {**options, "processes": flown, "parent": os.getpid(), "reports": reports}
         inherited = {options["memory"], *chain.from_iterable(map(descriptors_of, chain.from_iterable(flown)))}
         if reports is not None:
@@ -168,9 +161,7 @@ class EnvironmentProcesses:
         if not self._connections:
             raise self._ended(slot)
         if self._asked[slot]:
-            raise BatchError(
-                f"environment {slot} is still flying: take its last answer before you ask for more"
-            )
+            raise BatchError(f"environment {slot} is still flying: take its last answer before you ask for more")
         try:
             self._connections[slot].send((method, arguments))
         except OSError:
@@ -218,17 +209,13 @@ class EnvironmentProcesses:
         if renderer is not None and is_stopped(renderer.pid):
             renderer.kill()
             raise BatchError("the renderer of all environments hangs: it was stopped")
-        slots = [
-            slot for slot, number in enumerate(self._process_of) if self._processes[number].pid in standing
-        ]
+        slots = [slot for slot, number in enumerate(self._process_of) if self._processes[number].pid in standing]
         how = "was stopped" if is_stopped(standing[0]) else "waits for what does not come"
         for pid in standing:
             self._processes[pids[pid]].kill()
         raise BatchError(f"the process of environment {slots[0]} hangs: it {how}")
 
-    def ask_all(
-        self, method: str, arguments: Sequence[tuple[object, ...]], slots: Sequence[int]
-    ) -> list[Answer]:
+    def ask_all(self, method: str, arguments: Sequence[tuple[object, ...]], slots: Sequence[int]) -> list[Answer]:
         """Send a request to each of `slots` before the first answer is taken; returns the answers."""
         for slot, each in zip(slots, arguments, strict=True):
             self.ask(slot, method, *each)

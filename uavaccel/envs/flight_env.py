@@ -69,9 +69,7 @@ class FlightEnv(gymnasium.Env[Frame, Action], Generic[TaskT]):
 
     # --- Gymnasium --------------------------------------------------------------------------------
 
-    def reset(
-        self, *, seed: int | None = None, options: Mapping[str, object] | None = None
-    ) -> tuple[Frame, Info]:
+    def reset(self, *, seed: int | None = None, options: Mapping[str, object] | None = None) -> tuple[Frame, Info]:
         """Begin a game in a settled hover; all frames of the first observation show the start, or are blank.
 
         Raises UserError for options that the task does not know, and for a lane that cannot be built.
@@ -147,9 +145,7 @@ class FlightEnv(gymnasium.Env[Frame, Action], Generic[TaskT]):
         state: State = {"generator": json.dumps(self.np_random.bit_generator.state)}
         if self.episode_task is not self.task:
             state["games"] = self._games
-        session = (
-            self._session.get_state() if self._session is not None and self._client is not None else None
-        )
+        session = self._session.get_state() if self._session is not None and self._client is not None else None
         if session is None or self._client is None:
             return state
         game = self._now._asdict() | {"state": astuple(self._now.state), "start_ns": self._start_ns}
@@ -174,9 +170,7 @@ class FlightEnv(gymnasium.Env[Frame, Action], Generic[TaskT]):
         client = self._connect(session.set_state(without_prefix("session", state)), game.pop("start_ns"))
         for stopwatch, spent in zip(self._stopwatches, json.loads(str(state["phases_ns"])), strict=True):
             stopwatch.set_state(spent)
-        numbers: list[Number] = [
-            tuple(value) if isinstance(value, list) else value for value in game.pop("state")
-        ]
+        numbers: list[Number] = [tuple(value) if isinstance(value, list) else value for value in game.pop("state")]
         self._now = Moment(Kinematics(*numbers), tuple(game.pop("position_m")), **game)
         self.sensor.set_state(without_prefix("sensor", state))
         if self._context is not None:
@@ -285,9 +279,7 @@ class FlightEnv(gymnasium.Env[Frame, Action], Generic[TaskT]):
             missing -= 1
         self._frames.extend([self.sensor.blank] * missing)
         if self._context is not None:
-            since_ns = (
-                client.now_ns() - gathered_ns if task.command == "adsc" else 0
-            )  # TCSC's clock is paused
+            since_ns = client.now_ns() - gathered_ns if task.command == "adsc" else 0  # TCSC's clock is paused
             present_ns = now.state.time_ns + round(since_ns * task.clock_speed)
             self._context.update(action, taken_ns, missing, present_ns)
         return now._replace(commands=now.commands + 1)

@@ -126,9 +126,7 @@ class KernelBatch(TurnBatch):
 
     # --- learners ---------------------------------------------------------------------------------
 
-    def reset_each(
-        self, seeds: Sequence[int | None], options: Sequence[Mapping[str, object] | None]
-    ) -> list[Info]:
+    def reset_each(self, seeds: Sequence[int | None], options: Sequence[Mapping[str, object] | None]) -> list[Info]:
         """Begin a game in every environment, with its own seed and options, and return the infos."""
         for lane, seed in enumerate(seeds):
             if seed is not None or lane not in self._generators:
@@ -167,14 +165,8 @@ class KernelBatch(TurnBatch):
         infos: dict[int, Info] = {}
         if len(going):
             judged = self._finish_commands(going)
-            rewards[going], terminated[going], truncated[going] = (
-                judged.reward,
-                judged.terminated,
-                judged.truncated,
-            )
-            infos = {
-                int(lane): self._info(int(lane), won) for lane, won in zip(going, judged.success, strict=True)
-            }
+            rewards[going], terminated[going], truncated[going] = (judged.reward, judged.terminated, judged.truncated)
+            infos = {int(lane): self._info(int(lane), won) for lane, won in zip(going, judged.success, strict=True)}
         self._autoreset(idle, going[terminated[going] | truncated[going]], infos)
         seen = self._observations[which]
         return seen, rewards[which], terminated[which], truncated[which], [infos[int(lane)] for lane in which]
@@ -243,9 +235,7 @@ class KernelBatch(TurnBatch):
 
     def _state_arrays(self) -> dict[str, NDArray[np.generic]]:
         """Return all arrays (L, ...) that change in a game."""
-        arrays = {
-            f"pixels.{name}": array for name, array in self._view.pixels._asdict().items() if len(array)
-        }
+        arrays = {f"pixels.{name}": array for name, array in self._view.pixels._asdict().items() if len(array)}
         arrays |= {f"now.{name}": getattr(self._now, name) for name in ("body", "watch", "game")}
         arrays |= {f"clocks.{name}": array for name, array in self._clocks._asdict().items()}
         arrays |= {f"state.{name}": self._now.state[name] for name in self._now.state.dtype.names or ()}
@@ -274,9 +264,7 @@ class KernelBatch(TurnBatch):
         cpu.CPU.look_at_starts(self._rows, lanes)
         self._clocks.scale[lanes] = [self._drawn[lane].task.latency.scale for lane in lanes.tolist()]
         for part in [
-            self._pool.submit(
-                cpu.CPU.begin, each, each, self._view, self._rows, self._now, self._plan, self._clocks
-            )
+            self._pool.submit(cpu.CPU.begin, each, each, self._view, self._rows, self._now, self._plan, self._clocks)
             for each in np.array_split(lanes, self._threads)
             if len(each)
         ]:
@@ -327,9 +315,7 @@ class KernelBatch(TurnBatch):
 
     def _finish_commands(self, lanes: NDArray[np.int64]) -> StepResult:
         """Judge the commands of these lanes and update their observations."""
-        before = Moments(
-            None, [axis[lanes].copy() for axis in self._position], None, None, self._course_of(lanes)
-        )
+        before = Moments(None, [axis[lanes].copy() for axis in self._position], None, None, self._course_of(lanes))
         self._commands[lanes] += 1
         self._update_positions(lanes)
         flown = self._moments(lanes)
@@ -388,9 +374,7 @@ class KernelBatch(TurnBatch):
     def _state_fields(self, lanes: NDArray[np.int64]) -> NDArray[np.float64]:
         """Return the present states (n, SAMPLE_FIELDS)."""
         state = self._now.state[lanes]
-        return np.concatenate(
-            [state[name] for name in ("position", "quaternion", "velocity", "rate")], axis=1
-        )
+        return np.concatenate([state[name] for name in ("position", "quaternion", "velocity", "rate")], axis=1)
 
     def _features(self, lanes: NDArray[np.int64], samples: NDArray[np.float64]) -> NDArray[np.float32]:
         """Return the frames (n, ...) of observation "state" for samples (n, SAMPLE_FIELDS)."""

@@ -48,9 +48,7 @@ class GameMaker:
         self.nominal = self._world.lead.parameters.copy()
         self._start = lru_cache(maxsize=64)(self._settled)
 
-    def draw(
-        self, random: np.random.Generator, games: int, options: Mapping[str, object] | None = None
-    ) -> Drawn:
+    def draw(self, random: np.random.Generator, games: int, options: Mapping[str, object] | None = None) -> Drawn:
         """Sample the next game of an environment that has had `games` before. Raises UserError for wrong options."""
         course = self.task.sample(random, known_options(options, self.task.reset_options))
         latencies = np.random.SeedSequence(int(random.integers(2**63)))

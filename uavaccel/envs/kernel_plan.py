@@ -43,9 +43,7 @@ def timing_of(task: Task, pictures: bool) -> Timing:
     due_ns = samples_due(task.t_move_s, task.t_sample_s)
     slices_ns = [later - earlier for earlier, later in pairwise([0, *due_ns])]
     offsets_ns = [round(each / float(task.clock_speed)) for each in due_ns]
-    return Timing(
-        _rules(task, pictures), np.array(slices_ns), np.array(offsets_ns), _tables(latency_of(task))
-    )
+    return Timing(_rules(task, pictures), np.array(slices_ns), np.array(offsets_ns), _tables(latency_of(task)))
 
 
 def _rules(task: Task, pictures: bool) -> NDArray[np.int64]:

@@ -110,9 +110,7 @@ class LaneTask(Task):
     @model_validator(mode="after")
     def _tells_beside_pictures(self) -> LaneTask:
         if self.knows and self.observation == "state":
-            raise ValueError(
-                "knows needs pictures, beside which it is told: observation dvs, colour or depth"
-            )
+            raise ValueError("knows needs pictures, beside which it is told: observation dvs, colour or depth")
         if len(set(self.knows)) < len(self.knows):
             raise ValueError("knows must not name one thing twice")
         return self
@@ -120,9 +118,7 @@ class LaneTask(Task):
     @model_validator(mode="after")
     def _actions_are_headings(self) -> Self:
         if self.action != "velocity":
-            raise ValueError(
-                f"action = {self.action}: the lane's actions are headings; Hover and Gates take it"
-            )
+            raise ValueError(f"action = {self.action}: the lane's actions are headings; Hover and Gates take it")
         return self
 
     @model_validator(mode="after")
@@ -131,9 +127,7 @@ class LaneTask(Task):
             return self
         ranges = self.randomise.given()
         if LATENCY in ranges and self.timing != "virtual":
-            raise ValueError(
-                "randomise.latency_scale needs timing virtual: no other clock has modelled latencies"
-            )
+            raise ValueError("randomise.latency_scale needs timing virtual: no other clock has modelled latencies")
         if self.lane is not None and set(ranges) & set(OF_DIFFICULTY):
             raise ValueError(f"randomise needs drawn lanes for {', '.join(OF_DIFFICULTY)}: leave lane out")
         for ends in corners(ranges, alone=not self.randomise.all_sampled):

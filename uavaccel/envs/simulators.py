@@ -32,9 +32,7 @@ def make_batch(
         return EnvironmentBatch(environment, num_envs, **keys)
     for name in OF_LANES:
         if keys.pop(name, None) is not None:
-            raise UserError(
-                f"{name}: needs simulator = mujoco; the kernels fly in one process, without OpenGL"
-            )
+            raise UserError(f"{name}: needs simulator = mujoco; the kernels fly in one process, without OpenGL")
     if keys.pop("render_mode", None) is not None:
         raise UserError("render_mode: needs simulator = mujoco; the kernels render observations only")
     if device == CUDA:
@@ -65,9 +63,7 @@ def check_names(simulator: str, device: str) -> None:
         if value not in get_args(known):
             raise UserError(f"{name} = {value!r} is unknown; there are {', '.join(get_args(known))}")
     if simulator == EXACT and device != CPU:
-        raise UserError(
-            "device = cuda: simulator = mujoco flies on the CPU; take simulator = kernels for a GPU"
-        )
+        raise UserError("device = cuda: simulator = mujoco flies on the CPU; take simulator = kernels for a GPU")
 
 
 def flown_by(simulator: str, device: str) -> str:

@@ -172,9 +172,7 @@ class Task(Config):
         if self.dvs_rate_hz is None and not self.list_events:
             return self
         if self.observation != "dvs" or self.timing == "wall":
-            raise ValueError(
-                "dvs_rate_hz and list_events need observation dvs, and timing virtual or lockstep"
-            )
+            raise ValueError("dvs_rate_hz and list_events need observation dvs, and timing virtual or lockstep")
         period_s = (self.dvs_ticks or 0) * PROFILES[self.profile].tick_s
         if period_s > self.t_sample_s * (1 + RATE_ROUNDING):
             raise ValueError(

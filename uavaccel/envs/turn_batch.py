@@ -40,9 +40,7 @@ class TurnBatch(Batch, ABC):
     # --- learners ---------------------------------------------------------------------------------
 
     @abstractmethod
-    def reset_each(
-        self, seeds: Sequence[int | None], options: Sequence[Mapping[str, object] | None]
-    ) -> list[Info]:
+    def reset_each(self, seeds: Sequence[int | None], options: Sequence[Mapping[str, object] | None]) -> list[Info]:
         """Begin a game in every environment with its own seed and options; return the infos."""
 
     @abstractmethod

@@ -55,15 +55,7 @@ SCHEMAS: dict[str, Json] = {
         _record("foxglove.FrameTransforms", transforms={"type": "array", "items": _TRANSFORM}),
         _record("foxglove.PoseInFrame", timestamp=_TIME, frame_id=_TEXT, pose=_POSE),
         _record("foxglove.CompressedImage", timestamp=_TIME, frame_id=_TEXT, data=_BYTES, format=_TEXT),
-        _record(
-            "foxglove.Log",
-            timestamp=_TIME,
-            level=_INTEGER,
-            message=_TEXT,
-            name=_TEXT,
-            file=_TEXT,
-            line=_INTEGER,
-        ),
+        _record("foxglove.Log", timestamp=_TIME, level=_INTEGER, message=_TEXT, name=_TEXT, file=_TEXT, line=_INTEGER),
         _record("uavaccel.VelocityCommand", timestamp=_TIME, frame_id=_TEXT, velocity_m_s=_VECTOR),
         _record("uavaccel.Velocity", timestamp=_TIME, frame_id=_TEXT, velocity_m_s=_VECTOR),
         {
@@ -100,9 +92,7 @@ def _quaternion(wxyz: Sequence[float]) -> Json:
     return dict(zip("wxyz", map(float, wxyz), strict=True))
 
 
-def _transform(
-    time_ns: int, parent: str, child: str, position_m: Sequence[float], wxyz: Sequence[float]
-) -> Json:
+def _transform(time_ns: int, parent: str, child: str, position_m: Sequence[float], wxyz: Sequence[float]) -> Json:
     return {
         "timestamp": stamp(time_ns),
         "parent_frame_id": parent,

@@ -75,9 +75,7 @@ def write_mcap(run: RunDirectory, path: Path, case: str | None = None) -> Iterat
 def _files(run: RunDirectory, path: Path, rows: list[Row]) -> list[Path]:
     """Return where each game goes. Raises UserError for one file of several games, and for a file that exists."""
     if path.suffix == ".mcap" and len(rows) > 1:
-        raise UserError(
-            f"--mcap {path}: {run.path} holds {len(rows)} games; take a folder, or one game by --case"
-        )
+        raise UserError(f"--mcap {path}: {run.path} holds {len(rows)} games; take a folder, or one game by --case")
     files = [path] if path.suffix == ".mcap" else [inside(path, f"{row['case']}.mcap") for row in rows]
     there = next((file for file in files if file.exists()), None)
     if there is not None:

@@ -95,9 +95,7 @@ def _write_episode(
     episode.attrs["total_steps"] = len(steps)
 
 
-def _write_metadata(
-    run: RunDirectory, config: EvaluateConfig, rows: list[EvaluateRow], data: Path, name: str
-) -> None:
+def _write_metadata(run: RunDirectory, config: EvaluateConfig, rows: list[EvaluateRow], data: Path, name: str) -> None:
     spec = copy.deepcopy(gymnasium.spec(ENVIRONMENT))
     spec.kwargs = config.task.model_dump(mode="json")
     observations, actions = config.task.observation_space(), config.task.action_space()

@@ -27,9 +27,7 @@ from uavaccel.units import NS_PER_S
 if TYPE_CHECKING:
     import asyncio
 
-FREE_TURNS = (
-    100  # of a loop while the clock is paused; each further one reads the clock, so that polling ends
-)
+FREE_TURNS = 100  # of a loop while the clock is paused; each further one reads the clock, so that polling ends
 POOLS = ("concurrent.futures._base", "concurrent.futures.thread")
 
 
@@ -69,9 +67,7 @@ class SimulatedSelector:
         return getattr(self._selector, name)
 
 
-def loops_taking_turns(
-    module: ModuleType, patches: Patches, turns: Turns, look: Callable[[], object]
-) -> None:
+def loops_taking_turns(module: ModuleType, patches: Patches, turns: Turns, look: Callable[[], object]) -> None:
     """Put the event loops of asyncio.selector_events that a script makes on its clock."""
     original: Callable[..., None] = module.BaseSelectorEventLoop.__init__
 
@@ -114,9 +110,7 @@ def let_executors_take_turns(patches: Patches, turns: Turns, kinds: ThreadClasse
     patches.when_imported("multiprocessing.pool", change_thread_pool)
     patches.when_imported("sched", change_scheduler)
     patches.when_imported("asyncio.base_events", change)  # its loops read the clock by their own `time`
-    patches.when_imported(
-        "asyncio.selector_events", lambda module: loops_taking_turns(module, patches, turns, now_s)
-    )
+    patches.when_imported("asyncio.selector_events", lambda module: loops_taking_turns(module, patches, turns, now_s))
 
 
 def dispatching(module: ModuleType, own: Mapping[str, Callable[..., object]], turns: Turns) -> ModuleType:
@@ -124,9 +118,7 @@ def dispatching(module: ModuleType, own: Mapping[str, Callable[..., object]], tu
 
     def chosen(name: str, kind: Callable[..., object]) -> Callable[..., object]:
         original = getattr(module, name)
-        return lambda *arguments, **options: (kind if _of_a_script(turns) else original)(
-            *arguments, **options
-        )
+        return lambda *arguments, **options: (kind if _of_a_script(turns) else original)(*arguments, **options)
 
     return changed(module, **{name: chosen(name, kind) for name, kind in own.items()})
 

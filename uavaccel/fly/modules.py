@@ -23,12 +23,7 @@ from uavaccel.units import NS_PER_S
 
 CLIENTS = ("airsim", "cosysairsim")
 OLD_CLIENT = "AirSimClient"  # the client's one module before AirSim 1.2
-PARTS = {
-    "client": "client",
-    "types": "types",
-    "utils": "utils",
-    "pfm": "utils",
-}  # AirSim's submodules, and ours
+PARTS = {"client": "client", "types": "types", "utils": "utils", "pfm": "utils"}  # AirSim's submodules, and ours
 _HOME = "uavaccel.airsim"
 _LIBRARIES = tuple({sysconfig.get_path(name) for name in ("stdlib", "platstdlib", "purelib", "platlib")})
 _OWN = str(Path(__file__).parents[1])
@@ -79,9 +74,7 @@ class ModuleFinder(Loader, MetaPathFinder):
         self._before: dict[str, ModuleType | None] = {}
         self.spent_s = 0.0
 
-    def find_spec(
-        self, name: str, path: Sequence[str] | None, target: ModuleType | None = None
-    ) -> ModuleSpec | None:
+    def find_spec(self, name: str, path: Sequence[str] | None, target: ModuleType | None = None) -> ModuleSpec | None:
         return None if self._find(name) is None else ModuleSpec(name, self)
 
     def exec_module(self, module: ModuleType) -> None:

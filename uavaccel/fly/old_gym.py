@@ -159,10 +159,7 @@ _registered: dict[str, tuple[str | Callable[..., Env], Mapping[str, object]]] = 
 
 
 def register(
-    id: str,
-    entry_point: str | Callable[..., Env] = "",
-    kwargs: Mapping[str, object] | None = None,
-    **options: object,
+    id: str, entry_point: str | Callable[..., Env] = "", kwargs: Mapping[str, object] | None = None, **options: object
 ) -> None:
     """Register how an environment is made; `kwargs` are its arguments."""
     _registered[id] = entry_point, kwargs or {}

@@ -61,9 +61,7 @@ class _Finder(MetaPathFinder):
     def __init__(self) -> None:
         self.acts: dict[str, list[Act]] = {}
 
-    def find_spec(
-        self, name: str, path: Sequence[str] | None, target: ModuleType | None = None
-    ) -> ModuleSpec | None:
+    def find_spec(self, name: str, path: Sequence[str] | None, target: ModuleType | None = None) -> ModuleSpec | None:
         if name not in self.acts:
             return None
         others = (finder for finder in sys.meta_path if finder is not self)

@@ -117,9 +117,7 @@ def _seed(seed: int, patches: Patches) -> None:
 
     def seed_made(module: ModuleType, name: str) -> None:
         make: Callable[..., object] = getattr(module, name)
-        patches.set(
-            module, name, lambda seed=None, *rest: make(seeds.getrandbits(63) if seed is None else seed, *rest)
-        )
+        patches.set(module, name, lambda seed=None, *rest: make(seeds.getrandbits(63) if seed is None else seed, *rest))
 
     patches.when_imported("numpy", seed_numpy)
     patches.when_imported("torch", lambda torch: torch.manual_seed(seed))

@@ -82,10 +82,7 @@ class FlightOver(BaseException):
         FlightOver.raised += 1
         if FlightOver.raised > self.MOST:
             flush_output()
-            print(
-                "uavaccel: the script catches every exception and does not end; it is ended here",
-                file=sys.stderr,
-            )
+            print("uavaccel: the script catches every exception and does not end; it is ended here", file=sys.stderr)
             os._exit(1)
 
 
@@ -103,9 +100,7 @@ class ScriptResult(NamedTuple):
     wall_s: float
 
 
-def run_script(
-    path: Path, arguments: tuple[str, ...], outlive: Callable[[], None] = lambda: None
-) -> ScriptResult:
+def run_script(path: Path, arguments: tuple[str, ...], outlive: Callable[[], None] = lambda: None) -> ScriptResult:
     """Run the file as `__main__`, then call `outlive` to wait for its threads; prints the tracebacks of exceptions.
 
     Raises UserError if the file cannot be read or is not Python.

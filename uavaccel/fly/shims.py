@@ -90,10 +90,7 @@ def script_environment(
 
 @contextmanager
 def supplied(
-    connect: Connect,
-    keyboard: Keyboard,
-    answer: Callable[[object], str],
-    in_scripts: Mapping[str, ModuleType],
+    connect: Connect, keyboard: Keyboard, answer: Callable[[object], str], in_scripts: Mapping[str, ModuleType]
 ) -> Iterator[tuple[Patches, ModuleFinder]]:
     """Let this process find our client and all that a script lacks, in the `with` block; `answer` replaces `input`."""
     with ExitStack() as stack:
@@ -101,13 +98,12 @@ def supplied(
         patches.set(builtins, "input", answer)
         _supply_old_interfaces(patches, keyboard)
         hide_frames_everywhere(patches)
-        patches.when_imported(
-            "uavaccel.airsim.connection", lambda module: patches.set(module, "_connect", connect)
-        )
+        patches.when_imported("uavaccel.airsim.connection", lambda module: patches.set(module, "_connect", connect))
         exported = {**sys.modules, **in_scripts}
         for name in ("math", "os", "sys", "time"):  # AirSim's client exports the modules that it imports
             patches.when_imported(
-                "uavaccel.airsim", lambda module, name=name: patches.set(module, name, exported[name])  # type: ignore[misc]
+                "uavaccel.airsim",
+                lambda module, name=name: patches.set(module, name, exported[name]),  # type: ignore[misc]
             )
         finder = stack.enter_context(importing(client_modules() | old_modules(), in_scripts))
         stack.enter_context(key_modules(keyboard))

@@ -40,9 +40,7 @@ class SimulatedFlight:
     FlightOver. The simulation is made when a client connects.
     """
 
-    def __init__(
-        self, options: FlightOptions, settings: Settings | None, clock_speed: float, log: MessageLog
-    ) -> None:
+    def __init__(self, options: FlightOptions, settings: Settings | None, clock_speed: float, log: MessageLog) -> None:
         self._options, self._settings, self._clock_speed = options, settings, clock_speed
         self._log = log
         self._clock: WallClock = VirtualClock()
@@ -197,9 +195,7 @@ class SimulatedFlight:
             self._calls_since_wait = 0
         patient_until_ns: int | None = self._clock.now_ns() + self._patience_ns
         world = self._world
-        while not world.transport.wait(
-            call, earliest(patient_until_ns, self._until_ns, self._turns.earliest_ns())
-        ):
+        while not world.transport.wait(call, earliest(patient_until_ns, self._until_ns, self._turns.earliest_ns())):
             self._stop_at_the_end()
             if patient_until_ns is not None and self._clock.now_ns() >= patient_until_ns:
                 patient_until_ns = None

@@ -71,9 +71,7 @@ class ThreadPool(multiprocessing.pool.Pool):
         initargs: Iterable[object] = (),
     ) -> None:
         begin = None if initializer is None else partial(initializer, *initargs)
-        self._executor = concurrent.futures.ThreadPoolExecutor(
-            processes or os.cpu_count() or 1, "ThreadPool", begin
-        )
+        self._executor = concurrent.futures.ThreadPoolExecutor(processes or os.cpu_count() or 1, "ThreadPool", begin)
         self._state, self._pool = multiprocessing.pool.CLOSE, ()  # it has no workers of its own to end
 
     def _check_running(self) -> None:

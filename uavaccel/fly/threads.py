@@ -44,9 +44,7 @@ class Lock(Guard):
         self._held = False
 
     def acquire(self, blocking: bool = True, timeout: float = -1) -> bool:
-        if self._held and not (
-            blocking and self.turns.until(self._is_free, None if timeout < 0 else timeout)
-        ):
+        if self._held and not (blocking and self.turns.until(self._is_free, None if timeout < 0 else timeout)):
             return False
         self._held = True
         return True
@@ -143,9 +141,7 @@ class Semaphore(Guard):
 class Barrier(threading.Barrier):
     turns: Turns
 
-    def __init__(
-        self, parties: int, action: Callable[[], None] | None = None, timeout: float | None = None
-    ) -> None:
+    def __init__(self, parties: int, action: Callable[[], None] | None = None, timeout: float | None = None) -> None:
         super().__init__(parties, action, timeout)
         self._cond = bound(Condition, self.turns)()
 
@@ -251,8 +247,7 @@ class ThreadClasses:
             own[kind.__name__] = thread = bound(kind, turns)
             thread.running = self.running
         self.own = {
-            module: {name: kind for name, kind in own.items() if hasattr(module, name)}
-            for module in (threading, queue)
+            module: {name: kind for name, kind in own.items() if hasattr(module, name)} for module in (threading, queue)
         }
 
     def modules(self) -> dict[str, ModuleType]:

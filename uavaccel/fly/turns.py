@@ -80,10 +80,7 @@ class Turns:
         self._wait(self.announce(wall_ns))
 
     def until(
-        self,
-        happened: Callable[[], bool],
-        timeout_s: float | None = None,
-        outside: Callable[[], object] | None = None,
+        self, happened: Callable[[], bool], timeout_s: float | None = None, outside: Callable[[], object] | None = None
     ) -> bool:
         """Let other threads run until something has happened; False if the time-out passes first.
 

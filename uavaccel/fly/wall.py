@@ -100,9 +100,7 @@ class LoggedConnection:
 class WallFlight:
     """Runs a script against a server: two processes on the machine's clock."""
 
-    def __init__(
-        self, options: FlightOptions, settings: Settings | None, clock_speed: float, log: MessageLog
-    ) -> None:
+    def __init__(self, options: FlightOptions, settings: Settings | None, clock_speed: float, log: MessageLog) -> None:
         self._options, self._clock_speed, self._log = options, clock_speed, log
         self._settings = None if settings is None else options.settings
         self._slept_s = 0.0
@@ -134,11 +132,7 @@ class WallFlight:
         """Write the trajectory that the server recorded."""
         self._time_ns, poses = recorded(self._options.folder)
         self._poses = poses
-        speeds = (
-            np.gradient(poses[:, :3], self._time_ns / NS_PER_S, axis=0)
-            if len(poses) > 1
-            else poses[:, :3] * 0
-        )
+        speeds = np.gradient(poses[:, :3], self._time_ns / NS_PER_S, axis=0) if len(poses) > 1 else poses[:, :3] * 0
         write_trajectory(self._options.folder, self._time_ns, np.hstack([poses, speeds]))
 
     def summary(self) -> FlightSummary:
@@ -184,9 +178,7 @@ def serving(
         with _interrupted_by(signal.SIGUSR1) as interrupt:
             watch = Watch(server, "the server's process", interrupt)
             try:
-                yield Served(
-                    int(line.partition("listening on ")[2].partition(": scene")[0].rpartition(":")[2]), watch
-                )
+                yield Served(int(line.partition("listening on ")[2].partition(": scene")[0].rpartition(":")[2]), watch)
             finally:
                 watch.end()
                 server.send_signal(signal.SIGINT)

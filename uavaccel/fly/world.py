@@ -22,9 +22,7 @@ KEEP_NS = 10 * NS_PER_S  # interval at which the recorder's bounded buffer is em
 class ScriptWorld:
     """A settled hover at time 0 of the script's clock, advanced to the clock's present. Raises UserError."""
 
-    def __init__(
-        self, options: FlightOptions, settings: Settings, clock_speed: float, clock: VirtualClock
-    ) -> None:
+    def __init__(self, options: FlightOptions, settings: Settings, clock_speed: float, clock: VirtualClock) -> None:
         latency = ZERO_LATENCY if options.timing == "lockstep" else shipped_latency(options.profile)
         draws = Latency(latency, np.random.SeedSequence(options.seed or 0))
         profile = settings.recorder_of(latency.platform.profile(options.profile, clock_speed))

@@ -52,9 +52,7 @@ def add_read_noise(picture: Operand, sigma: float, seed: int, moment_ns: int) ->
 
 
 @part(error_model="numpy")
-def leak(
-    base: Operand, positive: Operand, camera: Operand, sensor: Operand, seed: int, index: int, dt_s: float
-) -> Any:
+def leak(base: Operand, positive: Operand, camera: Operand, sensor: Operand, seed: int, index: int, dt_s: float) -> Any:
     """Return the memorised intensities (144, 256) after a frame's hot-pixel drift and leak."""
     if camera[events.HOT] > 0.0:
         base = dvs.heat(base, positive, sensor.heat < camera[events.HOT], np.float32(dt_s * HOT_RATE_HZ))
@@ -150,13 +148,7 @@ def _counts_of(log, base, positive, negative):  # type: ignore[no-untyped-def]
 
 @part(error_model="numpy")
 def see(
-    lane: int,
-    picture: Operand,
-    time_s: float,
-    pixels: events.Pixels,
-    sensor: Operand,
-    camera: Operand,
-    seed: int,
+    lane: int, picture: Operand, time_s: float, pixels: events.Pixels, sensor: Operand, camera: Operand, seed: int
 ) -> None:
     """Update a lane's event camera for a frame (144, 256) at `time_s`."""
     before_s, index = pixels.time_s[lane], pixels.clock[lane] + 1
@@ -320,14 +312,7 @@ def guard(lane: int, view: View, clocks: Clocks, scratch: Operand) -> bool:
 
 @part(error_model="numpy")
 def fly_sample(
-    lane: int,
-    ticks: int,
-    view: View,
-    games: Games,
-    now: Flights,
-    plan: Command,
-    scratch: Operand,
-    picture: Operand,
+    lane: int, ticks: int, view: View, games: Games, now: Flights, plan: Command, scratch: Operand, picture: Operand
 ) -> bool:
     """Fly to a sample with the event camera recording; return whether it has a frame of the sample's own tick."""
     left = ticks
@@ -454,9 +439,7 @@ def take_events(lane: int, pixels: events.Pixels, frame: Operand) -> None:
 
 
 @part(error_model="numpy")
-def _show_lanes(
-    lanes: Operand, view: View, games: Games, now: Flights, plan: Command, frames: Operand
-) -> None:
+def _show_lanes(lanes: Operand, view: View, games: Games, now: Flights, plan: Command, frames: Operand) -> None:
     """Render the present frames (L, 1, ...) of `lanes`, in colour or of depth."""
     scratch = make_scratch()
     for lane in lanes:

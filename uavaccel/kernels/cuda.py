@@ -91,10 +91,7 @@ def _shuffled_least(distance_m, threads):  # type: ignore[no-untyped-def]
 def _shuffled_deepest(found, depth_m, threads):  # type: ignore[no-untyped-def]
     mask, distance = mask_of(threads), threads // 2
     while distance > 0:
-        other, depth = (
-            cuda.shfl_xor_sync(mask, found, distance),
-            cuda.shfl_xor_sync(mask, depth_m, distance),
-        )
+        other, depth = (cuda.shfl_xor_sync(mask, found, distance), cuda.shfl_xor_sync(mask, depth_m, distance))
         if depth < depth_m or (depth == depth_m and other > found):
             found, depth_m = other, depth
         distance //= 2
@@ -140,10 +137,7 @@ def store_flight(lane, watch, state, pose, motion, now):  # type: ignore[no-unty
     now.watch[lane, NEXT_LOOK], now.watch[lane, TOUCHED] = watch[NEXT_LOOK], watch[TOUCHED]
     stored, body = now.state[lane], now.body[lane]
     for field in range(9):  # unused by the kernel: reread here, so that they occupy no registers in between
-        state[0].pid_integral[field], state[0].pid_error[field] = (
-            stored.pid_integral[field],
-            stored.pid_error[field],
-        )
+        state[0].pid_integral[field], state[0].pid_error[field] = (stored.pid_integral[field], stored.pid_error[field])
     for field in range(4):
         state[0].pid_mode[field] = stored.pid_mode[field]
     state[0].contacts, state[0].contacts_changed = stored.contacts, stored.contacts_changed
@@ -164,10 +158,7 @@ def flying(nominal: Operand) -> Any:
     )
     drag, drag_floor = tuple(map(float, nominal["drag_factor_m2"])), float(nominal["drag_min_velocity_m_s"])
     ground, sea = float(nominal["ground_altitude_m"]), float(nominal["sea_density_kg_m3"])
-    place_gain, speed_gain = (
-        tuple(map(float, nominal["position_gain"])),
-        tuple(map(float, nominal["velocity_gain"])),
-    )
+    place_gain, speed_gain = (tuple(map(float, nominal["position_gain"])), tuple(map(float, nominal["velocity_gain"])))
     angle_gain, rate_gain = tuple(map(float, nominal["angle_gain"])), tuple(map(float, nominal["rate_gain"]))
     z_gain, z_keep = float(nominal["z_integral_gain"]), float(nominal["z_integral_keep"])
     velocity_limit, tilt_limit = float(nominal["velocity_limit_m_s"]), float(nominal["tilt_limit_rad"])
@@ -192,18 +183,10 @@ def flying(nominal: Operand) -> Any:
         own[0], state[0] = games.parameters[game], now.state[lane]
         own[0].full_pid = 0
         own[0].tick_s, own[0].gravity_m_s2, own[0].rotor_arm_m, own[0].rotor_keep = tick_s, gravity, arm, keep
-        own[0].drag_min_velocity_m_s, own[0].ground_altitude_m, own[0].sea_density_kg_m3 = (
-            drag_floor,
-            ground,
-            sea,
-        )
+        own[0].drag_min_velocity_m_s, own[0].ground_altitude_m, own[0].sea_density_kg_m3 = (drag_floor, ground, sea)
         own[0].z_integral_gain, own[0].z_integral_keep = z_gain, z_keep
         own[0].velocity_limit_m_s, own[0].tilt_limit_rad = velocity_limit, tilt_limit
-        own[0].rate_limit_rad_s, own[0].min_throttle, own[0].min_mixed_throttle = (
-            rate_limit,
-            min_throttle,
-            min_mixed,
-        )
+        own[0].rate_limit_rad_s, own[0].min_throttle, own[0].min_mixed_throttle = (rate_limit, min_throttle, min_mixed)
         for axis in range(3):
             own[0].drag_factor_m2[axis], own[0].position_gain[axis] = drag[axis], place_gain[axis]
             own[0].velocity_gain[axis], own[0].angle_gain[axis] = speed_gain[axis], angle_gain[axis]
@@ -473,11 +456,7 @@ def show_lanes(going, kind, tick_ns, faces, shown, plan, games, now, frames):  #
         y, x = BLOCK_SIDE * down + pixel // BLOCK_SIDE, BLOCK_SIDE * across + pixel % BLOCK_SIDE
         face = np.int32(shown[lane, y, x])
         if kind == at.DEPTH:
-            w = (
-                linear(faces[lane], face, at.W, np.float32(x), np.float32(y))
-                if face
-                else faces[lane, 0, at.FAR_W]
-            )
+            w = linear(faces[lane], face, at.W, np.float32(x), np.float32(y)) if face else faces[lane, 0, at.FAR_W]
             depth_sum += min(np.float32(1.0) / w, at.SEEN_FAR_M)
         else:
             red, green, blue = colour_of(faces[lane], face, plan.texels, plan.textures, y, x)
@@ -567,17 +546,12 @@ def compiled(nominal: Operand) -> Kernels:
         add_grey,
         add_colours,
     )
-    return Kernels(
-        *(cuda.jit(function, cache=True, max_registers=LIMITS.get(function)) for function in functions)
-    )
+    return Kernels(*(cuda.jit(function, cache=True, max_registers=LIMITS.get(function)) for function in functions))
 
 
 def threads_a_lane(lanes: int, device: th.device) -> int:
     """Return the number of threads that fly one lane: as many as the GPU has capacity for, at most a warp."""
-    capacity, threads = (
-        th.cuda.get_device_properties(device).multi_processor_count * FLYING_WARPS * WARP,
-        WARP,
-    )
+    capacity, threads = (th.cuda.get_device_properties(device).multi_processor_count * FLYING_WARPS * WARP, WARP)
     while threads > 1 and lanes * threads > capacity:
         threads //= 2
     return threads

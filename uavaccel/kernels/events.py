@@ -126,14 +126,7 @@ def double_threshold(nominal: float, sigma: float, normal: np.float32) -> float:
 
 @part
 def leaked(
-    base: Operand,
-    positive: Operand,
-    camera: Operand,
-    sensor: Operand,
-    y: int,
-    x: int,
-    dt_s: float,
-    normal: np.float32,
+    base: Operand, positive: Operand, camera: Operand, sensor: Operand, y: int, x: int, dt_s: float, normal: np.float32
 ) -> Any:
     """Return a pixel's memorised intensity after a frame's hot-pixel drift and leak."""
     if camera[HOT] > 0.0 and sensor.heat[y, x] < camera[HOT]:
@@ -147,13 +140,7 @@ def leaked(
 
 @part
 def shot(
-    camera: Operand,
-    sensor: Operand,
-    level: int,
-    dt_s: float,
-    positive: Operand,
-    negative: Operand,
-    draw: np.float32,
+    camera: Operand, sensor: Operand, level: int, dt_s: float, positive: Operand, negative: Operand, draw: np.float32
 ) -> int:
     """Return a pixel's shot noise events in a frame, as `vision.dvs_kernels.shot` does."""
     chance = camera[SHOT] / 2 * dt_s * sensor.dimming[level]
@@ -255,14 +242,7 @@ def see_pixel(
 
 @part
 def new_log(
-    level: int,
-    base: Operand,
-    filtered: Operand,
-    y: int,
-    x: int,
-    camera: Operand,
-    sensor: Operand,
-    dt_s: float,
+    level: int, base: Operand, filtered: Operand, y: int, x: int, camera: Operand, sensor: Operand, dt_s: float
 ) -> Any:
     """Return a pixel's log intensity, and store it as the low-pass filter's output."""
     if filtered.size == 0:

@@ -160,17 +160,10 @@ def put_light(
     width: float,
 ) -> None:
     """Write a face's shading, from the vertex normals at its low and high end, which are `width` metres apart."""
-    sun = (
-        scenes.lights[lane, at.TOWARDS],
-        scenes.lights[lane, at.TOWARDS + 1],
-        scenes.lights[lane, at.TOWARDS + 2],
-    )
+    sun = (scenes.lights[lane, at.TOWARDS], scenes.lights[lane, at.TOWARDS + 1], scenes.lights[lane, at.TOWARDS + 2])
     for channel in range(3):
         colour = looks.materials[material, at.RGB + channel]
-        ambient, diffuse = (
-            scenes.lights[lane, at.AMBIENT + channel],
-            scenes.lights[lane, at.DIFFUSE + channel],
-        )
+        ambient, diffuse = (scenes.lights[lane, at.AMBIENT + channel], scenes.lights[lane, at.DIFFUSE + channel])
         ambient += looks.materials[material, at.EMISSION]
         first = min(max(colour * (ambient + diffuse * max(dot(low, sun), 0.0)), 0.0), 1.0)
         last = min(max(colour * (ambient + diffuse * max(dot(high, sun), 0.0)), 0.0), 1.0)
@@ -179,15 +172,7 @@ def put_light(
 
 
 @part(error_model="numpy", inline=False)
-def put_texture(
-    faces: Faces,
-    row: int,
-    looks: Looks,
-    material: int,
-    sizes: Span,
-    across: Span,
-    down: Span,
-) -> None:
+def put_texture(faces: Faces, row: int, looks: Looks, material: int, sizes: Span, across: Span, down: Span) -> None:
     """Write a face's texture mapping; `across` and `down` are texture coordinates at its edge and per metre.
 
     `sizes` are the half sizes of the solid, with which a uniform texture repeats.

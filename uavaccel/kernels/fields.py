@@ -47,9 +47,7 @@ RAYS = 0  # in row 0, which belongs to the image: the ray's x, y, z per metre of
 FAR_W, NEAR_W, COUNT = 9, 10, 11  # inverse depth of far and near plane; rows in use
 
 W = 0  # inverse depth
-EDGES = (
-    3  # four functions, >= 0 inside: metres from low and high edge across, then from bottom and top, times w
-)
+EDGES = 3  # four functions, >= 0 inside: metres from low and high edge across, then from bottom and top, times w
 ACROSS, DOWN = EDGES, EDGES + 9  # the edges from which texture coordinates count
 TU, TV = 15, 17  # texels (level 0) per metre across or down, and at the edge
 TEXTURE = 19

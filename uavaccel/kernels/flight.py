@@ -16,9 +16,7 @@ from uavaccel.sim.vehicle.free_body import free_step, move, normalised
 from uavaccel.sim.vehicle.hotloop import kick, read_pose
 from uavaccel.sim.vehicle.quadrotor import NEVER, Record, accelerate, turn_rotors
 
-HULL_RADIUS, HULL_HALF_HEIGHT, HULL_REACH = range(
-    3
-)  # metres; HULL_REACH is the radius of the bounding sphere
+HULL_RADIUS, HULL_HALF_HEIGHT, HULL_REACH = range(3)  # metres; HULL_REACH is the radius of the bounding sphere
 NEXT_LOOK, TOUCHED = range(2)  # tick of the next collision test; the solid that ended the flight, or NOTHING
 BODY_FIELDS = 25  # MuJoCo's qpos (7,), qvel (6,), qfrc_applied (6,) and qacc (6,), in its axes
 

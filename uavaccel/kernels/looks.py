@@ -30,9 +30,7 @@ def read_looks(model: mujoco.MjModel, camera: str = "front_center") -> Looks:
     """Read the appearance of a model's lanes. Raises UserError if the kernels cannot render it as OpenGL would."""
     obstacles = obstacle_geoms(model)
     if not len(obstacles):
-        raise UserError(
-            "simulator: kernels draws the obstacle lane alone; other scenes need simulator: mujoco"
-        )
+        raise UserError("simulator: kernels draws the obstacle lane alone; other scenes need simulator: mujoco")
     _check(model, obstacles)
     texels, textures, of_texture = _textures(model)
     materials = np.zeros((model.nmat, 8), np.float32)
@@ -91,38 +89,25 @@ def _check(model: mujoco.MjModel, obstacles: NDArray[np.int64]) -> None:
         name, kind = model.geom(geom).name, int(model.geom_type[geom])
         turned = not np.allclose(model.geom_quat[geom], (1, 0, 0, 0)) or model.geom_bodyid[geom] != 0
         if geom not in obstacles and (kind not in KINDS or turned):
-            raise UserError(
-                f"geom {name!r}: simulator: kernels draws upright boxes, cylinders and planes of the world"
-            )
+            raise UserError(f"geom {name!r}: simulator: kernels draws upright boxes, cylinders and planes of the world")
     suns = [light for light in range(model.nlight) if model.light_active[light]]
     headlight = model.vis.headlight
     if len(suns) != 1 or model.light_type[suns[0]] != mujoco.mjtLightType.mjLIGHT_DIRECTIONAL:
         raise UserError("simulator: kernels draws with one directional light, the sun")
     if headlight.active and np.any([headlight.ambient, headlight.diffuse, headlight.specular]):
         raise UserError("simulator: kernels draws without a headlight: let it be black")
-    if (
-        np.any(model.light_specular[suns])
-        or np.any(model.mat_reflectance)
-        or model.vis.quality.numslices != at.SLICES
-    ):
+    if np.any(model.light_specular[suns]) or np.any(model.mat_reflectance) or model.vis.quality.numslices != at.SLICES:
         raise UserError(f"simulator: kernels draws without gloss, and cylinders with {at.SLICES} slices")
 
 
 def _solid(model: mujoco.MjModel, geom: int) -> list[float]:
-    return [
-        *model.geom_pos[geom],
-        *model.geom_size[geom],
-        KINDS[int(model.geom_type[geom])],
-        model.geom_matid[geom],
-    ]
+    return [*model.geom_pos[geom], *model.geom_size[geom], KINDS[int(model.geom_type[geom])], model.geom_matid[geom]]
 
 
 def _material(model: mujoco.MjModel, index: int, of_texture: dict[int, int]) -> list[float]:
     texture = int(model.mat_texid[index, mujoco.mjtTextureRole.mjTEXROLE_RGB])
     if texture not in of_texture:
-        raise UserError(
-            f"material {model.material(index).name!r}: simulator: kernels draws 2d textures alone"
-        )
+        raise UserError(f"material {model.material(index).name!r}: simulator: kernels draws 2d textures alone")
     return [
         *model.mat_rgba[index, :3],
         of_texture[texture],
@@ -146,14 +131,8 @@ def _textures(model: mujoco.MjModel) -> tuple[NDArray[np.uint32], NDArray[np.int
     rows: list[tuple[int, int]] = []
     of_texture: dict[int, int] = {}
     base = 0
-    skies = [
-        texture
-        for texture in range(model.ntex)
-        if model.tex_type[texture] == mujoco.mjtTexture.mjTEXTURE_SKYBOX
-    ]
-    flat = [
-        texture for texture in range(model.ntex) if model.tex_type[texture] == mujoco.mjtTexture.mjTEXTURE_2D
-    ]
+    skies = [texture for texture in range(model.ntex) if model.tex_type[texture] == mujoco.mjtTexture.mjTEXTURE_SKYBOX]
+    flat = [texture for texture in range(model.ntex) if model.tex_type[texture] == mujoco.mjtTexture.mjTEXTURE_2D]
     if not skies:
         raise UserError("simulator: kernels draws scenes with a sky: give the model a skybox texture")
     for texture in [skies[0], *flat]:
@@ -175,10 +154,7 @@ def _texture_data(model: mujoco.MjModel, texture: int) -> NDArray[np.uint8]:
     address, name = int(model.tex_adr[texture]), model.texture(texture).name
     sky = model.tex_type[texture] == mujoco.mjtTexture.mjTEXTURE_SKYBOX
     shape = (width, height // 6 if sky else height)
-    if (
-        model.tex_nchannel[texture] != 3
-        or model.tex_colorspace[texture] == mujoco.mjtColorSpace.mjCOLORSPACE_SRGB
-    ):
+    if model.tex_nchannel[texture] != 3 or model.tex_colorspace[texture] == mujoco.mjtColorSpace.mjCOLORSPACE_SRGB:
         raise UserError(f"texture {name!r}: simulator: kernels draws linear red, green and blue")
     if width & (width - 1) or shape[0] != shape[1]:
         raise UserError(f"texture {name!r}: simulator: kernels draws squares with sides of a power of two")

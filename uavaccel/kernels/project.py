@@ -36,13 +36,7 @@ from uavaccel.sim.parts import part
 
 @part(error_model="numpy", inline=False)
 def project(
-    looks: Looks,
-    scenes: Scenes,
-    lane: int,
-    position: Floats,
-    quaternion: Floats,
-    sky: bool,
-    faces: Faces,
+    looks: Looks, scenes: Scenes, lane: int, position: Floats, quaternion: Floats, sky: bool, faces: Faces
 ) -> int:
     """Project a scene for a pose, NED in metres and wxyz, to `faces` (FACES, FIELDS), and return the rows in use.
 
@@ -58,14 +52,7 @@ def project(
 
 @part(error_model="numpy", inline=False)
 def project_solid(
-    looks: Looks,
-    scenes: Scenes,
-    lane: int,
-    solid: int,
-    view: View,
-    sky: bool,
-    faces: Faces,
-    row: int,
+    looks: Looks, scenes: Scenes, lane: int, solid: int, view: View, sky: bool, faces: Faces, row: int
 ) -> int:
     """Write a solid's faces from `row` on, and return the rows written: at most 3 for a box, 6 for a cylinder."""
     eye = view[0]
@@ -94,12 +81,7 @@ def project_solid(
             if kind == at.PLANE and sky and written > 0:
                 faces[row, at.EXTRA] = np.float32(row + written)
                 put_prism(
-                    faces,
-                    row + written,
-                    view,
-                    (0.0, 0.0, 1.0 / h),
-                    (0.0, 0.0, 0.0),
-                    SKY_SHARE * looks.camera[at.FAR_M],
+                    faces, row + written, view, (0.0, 0.0, 1.0 / h), (0.0, 0.0, 0.0), SKY_SHARE * looks.camera[at.FAR_M]
                 )
                 written += 1
     return written
@@ -121,11 +103,7 @@ def put_side(
     material: int,
 ) -> int:
     """Write a box's side perpendicular to an axis, or a plane, and return the rows written: 0 if it is invisible."""
-    normal = (
-        towards if axis == 0 else 0.0,
-        towards if axis == 1 else 0.0,
-        towards if axis == 2 else 0.0,
-    )
+    normal = (towards if axis == 0 else 0.0, towards if axis == 1 else 0.0, towards if axis == 2 else 0.0)
     t, s = (Y if axis == 0 else X), (Y if axis == 2 else Z)
     t_middle, t_half = dot(t, middle), dot(t, half)
     s_middle, s_half = dot(s, middle), dot(s, half)

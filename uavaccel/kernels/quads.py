@@ -65,26 +65,19 @@ def texel_on(patch: Patch, place: Place) -> np.uint32:
     u, v = place[0] * patch[1] + patch[2], place[1] * patch[3] + patch[4]
     column = np.uint32(np.int32(min(max(u, ZERO), MOST_TEXELS)) & patch[6])
     row = np.uint32(np.int32(min(max(v, ZERO), MOST_TEXELS)) & patch[6])
-    column, row = (
-        np.uint32(column >> patch[7]),
-        np.uint32(row >> patch[7]),
-    )  # unsigned: shifts stay 32 bits wide
+    column, row = (np.uint32(column >> patch[7]), np.uint32(row >> patch[7]))  # unsigned: shifts stay 32 bits wide
     return np.uint32(patch[0] + np.uint32(np.uint32(row << patch[5]) + column))
 
 
 @njit(error_model="numpy")
 def luma_on(texel: Integer, light: Light, along: Float) -> Integer:
     """Return the luma of a texel lit at `along` metres from a face's low edge."""
-    red, green, blue = lit(
-        texel, light[0] + light[3] * along, light[1] + light[4] * along, light[2] + light[5] * along
-    )
+    red, green, blue = lit(texel, light[0] + light[3] * along, light[1] + light[4] * along, light[2] + light[5] * along)
     return luma(red, green, blue)
 
 
 @njit(error_model="numpy")
-def face_lumas(
-    faces: Faces, face: Operand, texels: Texels, textures: Textures, row: Integer, column: Integer
-) -> Four:
+def face_lumas(faces: Faces, face: Operand, texels: Texels, textures: Textures, row: Integer, column: Integer) -> Four:
     """Return the luma of a quad's pixels on a face; values of pixels that it does not cover are meaningless."""
     x, y, texture = np.float32(column), np.float32(row), np.uint32(faces[face, at.TEXTURE])
     base, size = textures[texture, at.BASE], textures[texture, at.LOG2_SIZE]
@@ -143,18 +136,11 @@ def sky_lumas(faces: Faces, texels: Texels, textures: Textures, row: Integer, co
     t01 = texels[np.uint32(sky_texel(faces, x + ONE, y, base, size))]
     t10 = texels[np.uint32(sky_texel(faces, x, y + ONE, base, size))]
     t11 = texels[np.uint32(sky_texel(faces, x + ONE, y + ONE, base, size))]
-    return (
-        plain_luma(np.int32(t00)),
-        plain_luma(np.int32(t01)),
-        plain_luma(np.int32(t10)),
-        plain_luma(np.int32(t11)),
-    )
+    return (plain_luma(np.int32(t00)), plain_luma(np.int32(t01)), plain_luma(np.int32(t10)), plain_luma(np.int32(t11)))
 
 
 @njit(error_model="numpy")
-def quad_lumas(
-    faces: Faces, shown: Four, texels: Texels, textures: Textures, row: Integer, column: Integer
-) -> Four:
+def quad_lumas(faces: Faces, shown: Four, texels: Texels, textures: Textures, row: Integer, column: Integer) -> Four:
     """Return the luma of the pixels (row, column), (row, column + 1) and of the two below; row and column are even."""
     f00, f01, f10, f11 = shown
     l00, l01, l10, l11 = I0, I0, I0, I0
@@ -234,9 +220,7 @@ def see_plainly(
 
 
 @njit(error_model="numpy")
-def see_one(
-    log: Float, before: Float, positive: Float, negative: Float, base: Operand, place: Operand
-) -> Integer:
+def see_one(log: Float, before: Float, positive: Float, negative: Float, base: Operand, place: Operand) -> Integer:
     """Return a pixel's signed count and update its memory: `dvs_kernels.advanced` without its zero term."""
     signed = quick_count(log, before, positive, negative)
     if signed > 0:

@@ -32,13 +32,9 @@ ZERO, ONE, HALF = np.float32(0.0), np.float32(1.0), np.float32(0.5)
 SHORTEST_W = np.float32(1e-9)  # keeps depth finite where a quad's pixels beyond an edge are above the horizon
 MOST_TEXELS = np.float32(8e6)  # float32 has all integers up to here
 # Squared distances between texels from which on a mipmap level is nearer than the one before.
-LEVEL_1, LEVEL_2, LEVEL_3, LEVEL_4, LEVEL_5, LEVEL_6, LEVEL_7 = (
-    np.float32(2.0 ** (2 * n + 1)) for n in range(7)
-)
+LEVEL_1, LEVEL_2, LEVEL_3, LEVEL_4, LEVEL_5, LEVEL_6, LEVEL_7 = (np.float32(2.0 ** (2 * n + 1)) for n in range(7))
 I0, I1, I2, I3, I4, I5, I8, I15, I16, BYTE = (np.int32(n) for n in (0, 1, 2, 3, 4, 5, 8, 15, 16, 255))
-OF_RED, OF_GREEN, OF_BLUE, LUMA_HALF, LUMA_BITS = (
-    np.int32(number) for number in (9798, 19235, 3735, 16384, 15)
-)
+OF_RED, OF_GREEN, OF_BLUE, LUMA_HALF, LUMA_BITS = (np.int32(number) for number in (9798, 19235, 3735, 16384, 15))
 
 
 @part(error_model="numpy")
@@ -143,9 +139,7 @@ def sky_index(x: Float, y: Float, z: Float, base: Integer, log2_size: Integer) -
     by_t = not by_s and a_t >= a_r
     across = (-r if s > ZERO else r) if by_s else (s if by_t or r > ZERO else -s)
     down = (r if t > ZERO else -r) if by_t else -t
-    face = (
-        (I0 if s > ZERO else I1) if by_s else ((I2 if t > ZERO else I3) if by_t else (I4 if r > ZERO else I5))
-    )
+    face = (I0 if s > ZERO else I1) if by_s else ((I2 if t > ZERO else I3) if by_t else (I4 if r > ZERO else I5))
     size = log2_size & I15
     last = np.int32(np.int32(I1 << size) - I1)
     middle = HALF * np.float32(np.int32(I1 << size))
@@ -196,12 +190,8 @@ def face_colour(
 
 
 @part(error_model="numpy")
-def colour_of(
-    faces: Faces, face: Integer, texels: Texels, textures: Textures, row: int, column: int
-) -> Colour:
+def colour_of(faces: Faces, face: Integer, texels: Texels, textures: Textures, row: int, column: int) -> Colour:
     """Return red, green and blue (0 to 255) of a pixel that shows `face`, or the sky if that is 0."""
     if face == 0:
         return sky_colour(faces, texels, textures, row, column)
-    return face_colour(
-        faces, face, quad_level(faces, face, textures, row, column), texels, textures, row, column
-    )
+    return face_colour(faces, face, quad_level(faces, face, textures, row, column), texels, textures, row, column)

@@ -142,14 +142,7 @@ def narrow(line: Line, first: int, last: int, begins: Integers, ends: Integers) 
 
 @part(error_model="numpy", inline=False)
 def show_face(
-    textures: Textures,
-    faces: Faces,
-    floats: Floats,
-    integers: Integers,
-    face: int,
-    column: int,
-    begin: int,
-    end: int,
+    textures: Textures, faces: Faces, floats: Floats, integers: Integers, face: int, column: int, begin: int, end: int
 ) -> None:
     """Write texel index and light in each row of a column in which a face is nearer than what the buffer holds."""
     texture = int(faces[face, at.TEXTURE])
@@ -168,11 +161,7 @@ def show_face(
         green, blue = floats[GREEN, pixel], floats[BLUE, pixel]
         y = floats[CORNER, pixel]
         w, e, d = acx + (b * y + c), aecx + (eb * y + ec), adcx + (db * y + dc)
-        at_0, at_x, at_y = (
-            ONE / max(w, SHORTEST_W),
-            ONE / max(w + a, SHORTEST_W),
-            ONE / max(w - b, SHORTEST_W),
-        )
+        at_0, at_x, at_y = (ONE / max(w, SHORTEST_W), ONE / max(w + a, SHORTEST_W), ONE / max(w - b, SHORTEST_W))
         u_0, v_0 = e * at_0, d * at_0
         level = level_of(
             ((e + ea) * at_x - u_0) * tu,
@@ -196,13 +185,7 @@ def show_face(
 
 @part(error_model="numpy", inline=False)
 def show_sky(
-    textures: Textures,
-    faces: Faces,
-    floats: Floats,
-    integers: Integers,
-    column: int,
-    spans: Integers,
-    count: int,
+    textures: Textures, faces: Faces, floats: Floats, integers: Integers, column: int, spans: Integers, count: int
 ) -> None:
     """Write the sky, except where faces cover a column from its top or bottom; faces are drawn over it."""
     begin, end = 0, at.ROWS
@@ -217,9 +200,7 @@ def show_sky(
     base, size = textures[0, at.BASE], textures[0, at.LOG2_SIZE]
     for pixel in range(np.uintp(begin & ~7), np.uintp((max(end, begin) + 7) & ~7)):
         y = floats[ROW, pixel]
-        integers[PLACE, pixel] = sky_index(
-            xa + (xb * y + xc), ya + (yb * y + yc), za + (zb * y + zc), base, size
-        )
+        integers[PLACE, pixel] = sky_index(xa + (xb * y + xc), ya + (yb * y + yc), za + (zb * y + zc), base, size)
         floats[RED, pixel] = floats[GREEN, pixel] = floats[BLUE, pixel] = ONE
 
 
@@ -238,10 +219,7 @@ def colour_column(texels: Texels, floats: Floats, integers: Integers, column: in
     """Write red, green and blue of a column whose texel indices are known."""
     for row in range(at.ROWS):
         red, green, blue = lit(
-            np.int32(texels[np.uint32(integers[PLACE, row])]),
-            floats[RED, row],
-            floats[GREEN, row],
-            floats[BLUE, row],
+            np.int32(texels[np.uint32(integers[PLACE, row])]), floats[RED, row], floats[GREEN, row], floats[BLUE, row]
         )
         channels[0, column, row], channels[1, column, row], channels[2, column, row] = red, green, blue
 

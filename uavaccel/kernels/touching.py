@@ -96,15 +96,7 @@ def reach(along: float, length: float, radius_m: float, half_height_m: float) ->
 
 @part
 def gap_along(
-    u: float,
-    v: float,
-    x: float,
-    y: float,
-    ax: float,
-    ay: float,
-    solid: Solids,
-    radius_m: float,
-    half_m: float,
+    u: float, v: float, x: float, y: float, ax: float, ay: float, solid: Solids, radius_m: float, half_m: float
 ) -> float:
     """Return the separation of hull and solid along (u, v), times its length; (x, y) is the hull's offset."""
     length = math.sqrt(u * u + v * v)
@@ -114,15 +106,7 @@ def gap_along(
 
 @part
 def gap_turned(
-    turned: bool,
-    t: float,
-    x: float,
-    y: float,
-    ax: float,
-    ay: float,
-    solid: Solids,
-    radius_m: float,
-    half_m: float,
+    turned: bool, t: float, x: float, y: float, ax: float, ay: float, solid: Solids, radius_m: float, half_m: float
 ) -> float:
     """Return `gap_along` of (1, t), or of (t, 1) where `turned`."""
     u, v = (t, 1.0) if turned else (1.0, t)
@@ -174,12 +158,7 @@ def separation(place: NDArray[np.float64], solid: Solids, radius_m: float, half_
 
 @part(inline=False)
 def touched(
-    place: NDArray[np.float64],
-    solids: Solids,
-    count: int,
-    radius_m: float,
-    half_height_m: float,
-    share: Share,
+    place: NDArray[np.float64], solids: Solids, count: int, radius_m: float, half_height_m: float, share: Share
 ) -> int:
     """Return the solid that the hull at a pose (7,) penetrates most deeply, or NOTHING."""
     found, deepest, (first, threads) = NOTHING, 0.0, share

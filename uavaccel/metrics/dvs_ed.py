@@ -31,7 +31,5 @@ def dvs_ed_percent(
 def _pixels_per_image(*stacks: ArrayLike) -> int:
     on, off, reference_on, reference_off = (np.shape(stack) for stack in stacks)
     if len(on) != 3 or on != off or reference_on != reference_off or on[1:] != reference_on[1:]:
-        raise ValueError(
-            f"event counts must be (n, H, W): {on}, {off} against {reference_on}, {reference_off}"
-        )
+        raise ValueError(f"event counts must be (n, H, W): {on}, {off} against {reference_on}, {reference_off}")
     return int(on[1] * on[2])

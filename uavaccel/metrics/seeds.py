@@ -16,9 +16,7 @@ MOST_EXACT = 200_000  # permutations that are enumerated; beyond, so many are sa
 ROUNDING = 1e-12
 
 
-def hierarchical_interval(
-    samples: Sequence[ArrayLike], seed: int, resamples: int = RESAMPLES
-) -> tuple[float, float]:
+def hierarchical_interval(samples: Sequence[ArrayLike], seed: int, resamples: int = RESAMPLES) -> tuple[float, float]:
     """Return the 95 % percentile bootstrap interval of the mean over seeds of each seed's mean, of real-valued results.
 
     `samples` has an array (games,) for each training seed; seeds are resampled, then the games of each. The interval

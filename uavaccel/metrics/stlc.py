@@ -23,9 +23,7 @@ from scipy.spatial import cKDTree
 from uavaccel.metrics.trajectory import FloatArray, Trajectory, mean_over_references, trajectory
 
 
-def stlc(
-    times_r: ArrayLike, points_r: ArrayLike, times_s: ArrayLike, points_s: ArrayLike, lam: float = 0.5
-) -> float:
+def stlc(times_r: ArrayLike, points_r: ArrayLike, times_s: ArrayLike, points_s: ArrayLike, lam: float = 0.5) -> float:
     """Return the STLC of two flights: times (n,) in seconds from the start, points (n, 3) in metres.
 
     Symmetric; identical flights give exactly 2 for every `lam`. Raises ValueError on misshapen input.
@@ -34,16 +32,12 @@ def stlc(
     return float(stlc_matrix([r], [s], lam)[0, 0])
 
 
-def mean_stlc(
-    games: Sequence[Trajectory], references: Sequence[Trajectory], exclude_self: bool = False
-) -> FloatArray:
+def mean_stlc(games: Sequence[Trajectory], references: Sequence[Trajectory], exclude_self: bool = False) -> FloatArray:
     """Return each game's STLC averaged over all references (games,); see `trajectory.mean_over_references`."""
     return mean_over_references(stlc_matrix, games, references, exclude_self)
 
 
-def stlc_matrix(
-    games: Sequence[Trajectory], references: Sequence[Trajectory], lam: float = 0.5
-) -> FloatArray:
+def stlc_matrix(games: Sequence[Trajectory], references: Sequence[Trajectory], lam: float = 0.5) -> FloatArray:
     """Return the STLC of every game with every reference (games, references); each KD-tree is built once."""
     if not 0.0 <= lam <= 1.0:
         raise ValueError(f"lam must lie in [0, 1], got {lam}")

@@ -187,9 +187,7 @@ class Extras:
     Raises UserError where observations are not arrays.
     """
 
-    def __init__(
-        self, observation: spaces.Space[Any], action: spaces.Space[Any], age: bool, actions: int
-    ) -> None:
+    def __init__(self, observation: spaces.Space[Any], action: spaces.Space[Any], age: bool, actions: int) -> None:
         self._age, self._count = age, (actions := _count("observe_actions", actions, 0))
         self.space, self._size = observation, 0
         if not age and not actions:

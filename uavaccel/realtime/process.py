@@ -76,9 +76,7 @@ class RealTimeProcess(gymnasium.Env[Any, Any]):
         self.observation_space = self._extras.space
         self.thinking = Measured()
 
-    def reset(
-        self, *, seed: int | None = None, options: Mapping[str, Any] | None = None
-    ) -> tuple[Any, dict[str, Any]]:
+    def reset(self, *, seed: int | None = None, options: Mapping[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Begin an episode; under "adsc" its time runs from here on."""
         super().reset(seed=seed)
         observation, info = self._ask("reset", seed, options)

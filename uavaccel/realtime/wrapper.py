@@ -76,9 +76,7 @@ class RealTime(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         self._generator = np.random.default_rng()
         self._wall_ns = self._ticks = 0
 
-    def reset(
-        self, *, seed: int | None = None, options: Mapping[str, Any] | None = None
-    ) -> tuple[Any, dict[str, Any]]:
+    def reset(self, *, seed: int | None = None, options: Mapping[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Begin an episode; a seed is the environment's, and that of thinking times drawn from now on."""
         if seed is not None:
             self._generator = np.random.default_rng([_STREAM, seed])
@@ -131,9 +129,7 @@ class RealTime(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         return observation, float(reward), terminated, truncated, info
 
 
-def _drone(
-    env: gymnasium.Env[Any, Any], options: LoopOptions, period_s: float | None
-) -> HasWallClock | None:
+def _drone(env: gymnasium.Env[Any, Any], options: LoopOptions, period_s: float | None) -> HasWallClock | None:
     """Return the environment that keeps its own clocks, if it is one. Raises UserError where these differ from ours."""
     inside = env.unwrapped
     if not isinstance(inside, HasWallClock):
@@ -141,9 +137,7 @@ def _drone(
     refuse_real_time_in(env)
     task, name = inside.task, type(inside).__name__
     if task.timing != "virtual":
-        raise UserError(
-            f"{name}: timing = {task.timing}: make it with timing='virtual' to fly it in real time"
-        )
+        raise UserError(f"{name}: timing = {task.timing}: make it with timing='virtual' to fly it in real time")
     for key in ("command", "clock_speed"):
         if getattr(task, key) != getattr(options, key):
             here, there = getattr(options, key), getattr(task, key)

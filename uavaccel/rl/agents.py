@@ -60,10 +60,7 @@ class OffsetAgent:
         return self._east if error_m > 0 else self._west
 
 
-SENSES = (
-    *("observation", "history", "knows", "blank_images", "dvs_preset", "dvs_seed"),
-    *(*OF_SENSOR, "dvs_rate_hz"),
-)
+SENSES = (*("observation", "history", "knows", "blank_images", "dvs_preset", "dvs_seed"), *(*OF_SENSOR, "dvs_rate_hz"))
 FLIGHT = ("t_move_s", "t_sample_s", "speed_m_s", "headings_deg", "altitude_m")
 
 
@@ -115,9 +112,7 @@ def _offset_m(name: str) -> float:
 def _refuse_misfit(name: str, trained: LaneTask, task: LaneTask) -> None:
     for key in ("observation", "history", "knows"):
         if getattr(task, key) != getattr(trained, key):
-            raise UserError(
-                f"task.{key} = {getattr(task, key)!r}: {name} was trained with {getattr(trained, key)!r}"
-            )
+            raise UserError(f"task.{key} = {getattr(task, key)!r}: {name} was trained with {getattr(trained, key)!r}")
     frames, actions = observed_frames(task), len(task.headings_deg)
     if frames != observed_frames(trained):
         raise UserError(

@@ -27,9 +27,7 @@ def baseline_class(name: str) -> type[BaseAlgorithm]:
     if not (isinstance(found, type) and issubclass(found, BaseAlgorithm)):
         raise UserError(f"algorithm = {name!r} is unknown; there are {ALGORITHMS}")
     if name.lower() not in ALGORITHMS.split(", "):
-        raise UserError(
-            f"algorithm = {name!r}: wants continuous actions, the lane's are discrete: {ALGORITHMS}"
-        )
+        raise UserError(f"algorithm = {name!r}: wants continuous actions, the lane's are discrete: {ALGORITHMS}")
     return found
 
 

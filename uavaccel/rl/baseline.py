@@ -87,9 +87,7 @@ class Baseline:
     def _make(self, base: type[BaseAlgorithm]) -> BaseAlgorithm:
         """Make the algorithm. Raises UserError for options that it rejects."""
         config, keywords = self.config, dict(self.config.options)
-        scheduled: Any = type(
-            f"{base.__name__}ByGames", (_ByGames, base), {"remaining": staticmethod(self._remaining)}
-        )
+        scheduled: Any = type(f"{base.__name__}ByGames", (_ByGames, base), {"remaining": staticmethod(self._remaining)})
         if issubclass(base, OffPolicyAlgorithm):
             steps, gradient_steps = learning_rhythm(config.commands_per_gradient_step, config.environments)
             keywords = {"train_freq": steps, "gradient_steps": gradient_steps, **keywords}

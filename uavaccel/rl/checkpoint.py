@@ -110,9 +110,7 @@ def _plain(checkpoint: Path) -> dict[str, Plain]:
 def _damaged(checkpoint: Path, error: Exception) -> UserError:
     older = [path for path in _whole(checkpoint.parent) if path < checkpoint]
     then = f"go on from {older[-1].name}" if older else "begin the training anew"
-    return UserError(
-        f"{checkpoint}: a damaged checkpoint ({type(error).__name__}); delete it and --resume to {then}"
-    )
+    return UserError(f"{checkpoint}: a damaged checkpoint ({type(error).__name__}); delete it and --resume to {then}")
 
 
 def _read_arrays(path: Path) -> dict[str, NDArray[np.generic]]:
@@ -124,10 +122,7 @@ def _save_games(path: Path, lanes: Lanes) -> None:
     """Save the running games, with the keys of lane n prefixed by "n."."""
     games: list[State] = lanes.env_method("get_state")
     with naming(path), path.open("wb") as file:
-        np.savez(
-            file,
-            **{key: each for n, game in enumerate(games) for key, each in prefixed(str(n), game).items()},
-        )
+        np.savez(file, **{key: each for n, game in enumerate(games) for key, each in prefixed(str(n), game).items()})
 
 
 def _load_games(path: Path, lanes: Lanes) -> Frame:

@@ -22,16 +22,7 @@ if TYPE_CHECKING:
 
 OWN = "double_dqn"
 ALGORITHMS = f"{OWN}, dqn, ppo, a2c"
-RESERVED = (
-    "policy",
-    "env",
-    "policy_kwargs",
-    "seed",
-    "device",
-    "verbose",
-    "tensorboard_log",
-    "_init_setup_model",
-)
+RESERVED = ("policy", "env", "policy_kwargs", "seed", "device", "verbose", "tensorboard_log", "_init_setup_model")
 SIZES = ("buffer_size", "batch_size", "n_steps", "n_epochs")
 LARGEST_SIZE = 1_000_000_000
 
@@ -97,9 +88,7 @@ class LearnerConfig(Config):
     @model_validator(mode="after")
     def _lanes_fit(self) -> LearnerConfig:
         if self.task.timing == "wall" and self.environments > 1:
-            raise ValueError(
-                "environments must be 1 with timing wall, and turns 1: neighbours would disturb the clock"
-            )
+            raise ValueError("environments must be 1 with timing wall, and turns 1: neighbours would disturb the clock")
         if self.simulator == "kernels":
             check_flyable(self.task, self.environments, self.device)
         if self.on_device and (self.algorithm != OWN or self.task.observation == "state"):

@@ -58,9 +58,7 @@ class DeviceDQN:
         self.statistics = StepStatistics(self.device)
         self.stopwatch = Stopwatch(MonotonicClock())
         self._recorded: dict[tuple[bool, bool, bool], Recorded] = {}
-        self._learning_stream = SideStream(
-            priority=-1
-        )  # its small kernels go before the large ones of rendering
+        self._learning_stream = SideStream(priority=-1)  # its small kernels go before the large ones of rendering
         self._unread: deque[tuple[Any, ...]] = deque()
         self._clock = MonotonicClock()
 
@@ -218,9 +216,7 @@ class DeviceDQN:
         self._line.copy_((self._line + 1) % CHUNK)
         self._done += self.lanes.ended[:, AT.over].sum()
         done = (self._done / config.games).clamp(max=1.0)
-        fall = (
-            options.exploration_final_eps - options.exploration_initial_eps
-        ) / options.exploration_fraction
+        fall = (options.exploration_final_eps - options.exploration_initial_eps) / options.exploration_fraction
         epsilon = options.exploration_initial_eps + done * fall
         over = done > options.exploration_fraction
         self._epsilon.copy_(th.where(over, options.exploration_final_eps, epsilon))

@@ -38,9 +38,7 @@ class Windows(NamedTuple):
 class DeviceReplay:
     """A ring of `rows` rounds of `lanes` lanes; `place` is the row in progress, `filled` ones before it are whole."""
 
-    def __init__(
-        self, rows: int, lanes: int, shape: tuple[int, ...], dtype: th.dtype, device: th.device
-    ) -> None:
+    def __init__(self, rows: int, lanes: int, shape: tuple[int, ...], dtype: th.dtype, device: th.device) -> None:
         self.rows, self.lanes, self.device = rows, lanes, device
         self.observations = th.zeros((rows, lanes, *shape), dtype=dtype, device=device)
         self.actions = th.zeros((rows, lanes), dtype=th.int64, device=device)
@@ -54,9 +52,7 @@ class DeviceReplay:
         self.observations.index_copy_(0, self.place, observations[None])
         self.actions.index_copy_(0, self.place, actions[None])
 
-    def end_round(
-        self, rewards: th.Tensor, terminated: th.Tensor, truncated: th.Tensor, flown: th.Tensor
-    ) -> None:
+    def end_round(self, rewards: th.Tensor, terminated: th.Tensor, truncated: th.Tensor, flown: th.Tensor) -> None:
         """Store the results (lanes,) of the round in progress, `flown` by these lanes, and go on to the next row."""
         rows = ((self.rewards, rewards), (self.over, terminated), (self.cut, truncated), (self.flown, flown))
         for room, values in rows:
@@ -81,14 +77,7 @@ class DeviceReplay:
         mirrored = half if mirror else th.zeros_like(half)
         after = (row + n_steps) % self.rows
         return Windows(
-            row,
-            after,
-            lane,
-            self.actions[row, lane],
-            rewards.float(),
-            discounts.float(),
-            weights.float(),
-            mirrored,
+            row, after, lane, self.actions[row, lane], rewards.float(), discounts.float(), weights.float(), mirrored
         )
 
     def get_state(self) -> dict[str, NDArray[Any]]:
@@ -153,9 +142,7 @@ class Cutter:
         self._frames, self._levels = shape[0], spread_levels(device)
         self._kernel: Any = cuda.jit(_cut, cache=True)
 
-    def __call__(
-        self, observations: th.Tensor, row: th.Tensor, lane: th.Tensor, mirrored: th.Tensor
-    ) -> th.Tensor:
+    def __call__(self, observations: th.Tensor, row: th.Tensor, lane: th.Tensor, mirrored: th.Tensor) -> th.Tensor:
         """Return patches (n * rows * columns, size) bfloat16 of the observations at `row` and `lane` (n,)."""
         count = len(row) * self.down * self.across
         patches = th.empty((count, self.numbers // 4), dtype=th.int64, device=row.device)

@@ -128,9 +128,7 @@ class DoubleDQN:
         games = finished_games(self, rewards.tolist(), dones.tolist(), infos, lanes.tolist())
         if games:
             self.statistics.read(self.statistics.sums)
-            games = [
-                replace(game, loss=self.statistics.loss, mean_q=self.statistics.mean_q) for game in games
-            ]
+            games = [replace(game, loss=self.statistics.loss, mean_q=self.statistics.mean_q) for game in games]
         charge_inference(self.lanes, self.config, lanes)
         self._keep(lanes, rewards, seen, dones, infos)
         if group == len(self.groups) - 1 and self.games < self.config.games:
@@ -233,8 +231,7 @@ class DoubleDQN:
             return batch
         half = len(batch.actions) // 2
         images = [
-            th.cat([image[:half].flip(-1), image[half:]])
-            for image in (batch.observations, batch.next_observations)
+            th.cat([image[:half].flip(-1), image[half:]]) for image in (batch.observations, batch.next_observations)
         ]
         actions = th.cat([self.mirror[batch.actions[:half]], batch.actions[half:]])
         return batch._replace(observations=images[0], next_observations=images[1], actions=actions)

@@ -20,11 +20,7 @@ class GraphedStep:
     """
 
     def __init__(
-        self,
-        step: Callable[[Batch], None],
-        networks: th.nn.Module,
-        optimizer: th.optim.Optimizer,
-        batch: Batch,
+        self, step: Callable[[Batch], None], networks: th.nn.Module, optimizer: th.optim.Optimizer, batch: Batch
     ) -> None:
         self._batch = Batch(*(each.clone() for each in batch))
         weights, moments = deepcopy(networks.state_dict()), deepcopy(optimizer.state_dict()["state"])

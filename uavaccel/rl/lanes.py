@@ -93,11 +93,7 @@ AnyLanes: TypeAlias = Any  # Lanes, or CudaLanes
 
 
 def make_lanes(
-    task: LaneTask,
-    count: int,
-    simulator: Simulator = EXACT,
-    device: str = "cpu",
-    begun: EnvironmentBatch | None = None,
+    task: LaneTask, count: int, simulator: Simulator = EXACT, device: str = "cpu", begun: EnvironmentBatch | None = None
 ) -> AnyLanes:
     """Make the environments of a training, of a batch of exact lanes that has `begun` already if there is one.
 
@@ -110,9 +106,7 @@ def make_lanes(
     if not device.startswith("cuda"):
         from uavaccel.envs.kernel_batch import KernelBatch  # its machine code is loaded where it flies
 
-        return BatchVecEnv(
-            KernelBatch(ObstacleLane, count, autoreset_mode="SameStep", **training_keywords(task))
-        )
+        return BatchVecEnv(KernelBatch(ObstacleLane, count, autoreset_mode="SameStep", **training_keywords(task)))
     from uavaccel.envs.cuda_lanes import CudaLanes  # needs numba-cuda and a GPU
 
     return CudaLanes(task, count, th.device(device))

@@ -60,9 +60,7 @@ def turned_actions(headings_deg: Sequence[float]) -> list[int]:
     return [headings.index(-heading) for heading in headings]
 
 
-def rated_both_ways(
-    rate: Callable[[th.Tensor], th.Tensor], seen: th.Tensor, turned: Sequence[int]
-) -> th.Tensor:
+def rated_both_ways(rate: Callable[[th.Tensor], th.Tensor], seen: th.Tensor, turned: Sequence[int]) -> th.Tensor:
     """Action values (n, actions), averaged over observations (n, ..., columns) and their mirror images."""
     both = rate(th.cat([seen, seen.flip(-1)]))
     count = seen.shape[0]  # not len(): the exporter to ONNX would take it for fixed

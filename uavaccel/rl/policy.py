@@ -78,9 +78,7 @@ def weights_sha256(policy: BasePolicy) -> str:
     return digest.hexdigest()
 
 
-def export_policy(
-    folder: Path, policy: BasePolicy, config: LearnerConfig, trained: Mapping[str, Plain]
-) -> None:
+def export_policy(folder: Path, policy: BasePolicy, config: LearnerConfig, trained: Mapping[str, Plain]) -> None:
     """Write `policy.pt`, a state dict, and `policy.json`, in which `trained` describes the training."""
     import torch as th
 
@@ -139,9 +137,7 @@ def _read_policy(path: Path, *stamps: tuple[int, int] | None) -> Policy:
     network = make_policy(config, lambda _: 0.0, learns=False)
     network.set_training_mode(False)
     target = {
-        _TARGET + name.removeprefix("q_net."): tensor
-        for name, tensor in weights.items()
-        if name.startswith("q_net.")
+        _TARGET + name.removeprefix("q_net."): tensor for name, tensor in weights.items() if name.startswith("q_net.")
     }
     kinds = {name: tensor.dtype for name, tensor in network.state_dict().items()}
     for name, tensor in weights.items():
@@ -188,13 +184,9 @@ def _parsed_manifest(path: Path) -> Mapping[str, Plain]:
     except OSError as error:
         raise UserError(f"{path}: holds no policy: {error.strerror}") from error
     except ValueError as error:
-        raise UserError(
-            f"{path / MANIFEST}: a damaged policy, not JSON: {error}; train or copy it anew"
-        ) from error
+        raise UserError(f"{path / MANIFEST}: a damaged policy, not JSON: {error}; train or copy it anew") from error
     if not (isinstance(manifest, dict) and isinstance(manifest.get("config"), dict)):
-        raise UserError(
-            f"{path / MANIFEST}: describes no policy: no mapping under 'config'; train or copy it anew"
-        )
+        raise UserError(f"{path / MANIFEST}: describes no policy: no mapping under 'config'; train or copy it anew")
     check(PolicyManifest, manifest, str(path / MANIFEST))
     return manifest
 
@@ -209,9 +201,7 @@ def _read_weights(path: Path) -> Mapping[str, th.Tensor]:
     except UnpicklingError as error:
         raise UserError(f"{path}: is no state dict of tensors alone") from error
     except (OSError, EOFError, ValueError, KeyError, RuntimeError) as error:
-        raise UserError(
-            f"{path}: a damaged policy ({type(error).__name__}); train or copy it anew"
-        ) from error
+        raise UserError(f"{path}: a damaged policy ({type(error).__name__}); train or copy it anew") from error
     if not (
         isinstance(weights, dict)
         and all(isinstance(name, str) and isinstance(each, th.Tensor) for name, each in weights.items())

@@ -48,12 +48,7 @@ class ReplayBuffer:
     """A ring of `capacity` transitions of `lanes` lanes; observations are on `device`, the rest in main memory."""
 
     def __init__(
-        self,
-        capacity: int,
-        lanes: int,
-        shape: tuple[int, ...],
-        dtype: np.dtype[np.generic],
-        device: th.device,
+        self, capacity: int, lanes: int, shape: tuple[int, ...], dtype: np.dtype[np.generic], device: th.device
     ) -> None:
         self.rows, self.lanes, self.device = max(capacity // lanes, 1), lanes, device
         kind = th.uint8 if dtype == np.uint8 else th.float32
@@ -62,9 +57,7 @@ class ReplayBuffer:
             th.empty((self.rows, lanes, *shape), dtype=kind, device=device) for _ in range(2)
         )
         self.actions = np.zeros((self.rows, lanes), np.int64)
-        self.rewards, self.dones, self.truncated = (
-            np.zeros((self.rows, lanes), np.float32) for _ in range(3)
-        )
+        self.rewards, self.dones, self.truncated = (np.zeros((self.rows, lanes), np.float32) for _ in range(3))
         self.place, self.full = 0, False
 
     def __len__(self) -> int:
@@ -107,9 +100,7 @@ class ReplayBuffer:
         seen, after, actions = self._sent(
             rows * self.lanes + lanes, final * self.lanes + lanes, self.actions[rows, lanes]
         )
-        dones, rewards, discounts = self._sent(
-            *(each.astype(np.float32) for each in (dones, rewards, discounts))
-        )
+        dones, rewards, discounts = self._sent(*(each.astype(np.float32) for each in (dones, rewards, discounts)))
         return Batch(
             self.observations.flatten(0, 1).index_select(0, seen),  # which copies whole observations
             actions[:, None],

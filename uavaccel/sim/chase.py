@@ -21,9 +21,7 @@ from uavaccel.sim.poses import Pose, from_degrees
 from uavaccel.sim.scene.model import DRONE_GROUP, QUADROTOR, scene_path
 from uavaccel.units import euler_from_quaternion, ned_to_mujoco, quaternion_ned_to_mujoco
 
-EYE = Pose(
-    (-2.4, 0.0, -1.15), from_degrees(0.0, -20.0, 0.0)
-)  # relative to the vehicle's position and heading
+EYE = Pose((-2.4, 0.0, -1.15), from_degrees(0.0, -20.0, 0.0))  # relative to the vehicle's position and heading
 FOV_DEG = 85.0
 FINER = 1.25  # supersampling factor: in software MuJoCo's antialiasing takes twice as long
 

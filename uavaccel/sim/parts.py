@@ -124,9 +124,7 @@ class Part(CPUDispatcher):
 def part(function: Callable[P, R], /) -> Compiled[P, R]: ...
 @overload
 def part(*, inline: bool = True, **options: object) -> Callable[[Callable[P, R]], Compiled[P, R]]: ...
-def part(
-    function: Callable[..., object] | None = None, /, *, inline: bool = True, **options: object
-) -> object:
+def part(function: Callable[..., object] | None = None, /, *, inline: bool = True, **options: object) -> object:
     """Decorate a function that compiled functions call, with njit's options or without.
 
     Without `inline` it is compiled once and called; otherwise each of its callers may inline it.

@@ -70,9 +70,7 @@ class World:
 
     def _build(self, vehicles: Sequence[Vehicle]) -> tuple[mujoco.MjModel, mujoco.MjData]:
         """Build a model for these vehicles, without changing the world, which an error leaves as it was."""
-        model = load_scene(
-            self.scene, [vehicle.prefix for vehicle in vehicles[1:]], self._airsim, self.scenery
-        )
+        model = load_scene(self.scene, [vehicle.prefix for vehicle in vehicles[1:]], self._airsim, self.scenery)
         model.opt.timestep = self.profile.tick_s
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
         for vehicle in vehicles:
@@ -221,9 +219,7 @@ class World:
         mujoco.mj_kinematics(self.model, self.data)
         self.clearance.look_anew()
 
-    def place(
-        self, position_m: Vector, orientation_wxyz: Quaternion = LEVEL, velocity_m_s: Vector = HERE
-    ) -> None:
+    def place(self, position_m: Vector, orientation_wxyz: Quaternion = LEVEL, velocity_m_s: Vector = HERE) -> None:
         """Put the first vehicle at a pose (NED, wxyz) without rotation; its autopilot and rotors continue.
 
         Raises UserError, without moving it, for a position below the ground, in an object or above HIGHEST_M.

@@ -26,8 +26,7 @@ def thinking_share() -> float:
 
     def misfit(share: float) -> float:
         return sum(
-            ((1 + share) / (1 / SIMULATION_SPEEDUP[k] + share) - whole) ** 2
-            for k, whole in TRAINING_SPEEDUP.items()
+            ((1 + share) / (1 / SIMULATION_SPEEDUP[k] + share) - whole) ** 2 for k, whole in TRAINING_SPEEDUP.items()
         )
 
     return float(minimize_scalar(misfit, bounds=(0.0, 1.0), options={"xatol": 1e-9}).x)
@@ -50,9 +49,7 @@ def successes(profile: str, variant: str, command: str, clock_speed: float) -> i
     return SUCCESSES[command].get(clock_speed)
 
 
-def speedups(
-    profile: str, variant: str, command: str, clock_speed: float
-) -> tuple[float | None, float | None]:
+def speedups(profile: str, variant: str, command: str, clock_speed: float) -> tuple[float | None, float | None]:
     """Return the speed-ups of simulation alone and of the whole training, where the paper has them for the cell."""
     if profile != "airsim" or variant or command != "tcsc":
         return None, None

@@ -202,18 +202,14 @@ def _after_refractory(due: _FrameEvents) -> tuple[Counts, NDArray[np.float32]]:
     return kernels.drop_refractory(*due)
 
 
-def _shot_noise(
-    sensor: DvsSensor, frame: Frame, dt_s: float, seed: int, index: int
-) -> tuple[Mask, Mask] | None:
+def _shot_noise(sensor: DvsSensor, frame: Frame, dt_s: float, seed: int, index: int) -> tuple[Mask, Mask] | None:
     parameters = sensor.parameters
     if parameters.shot_noise_rate_hz <= 0:
         return None
     draws = noise.uniform(frame.shape, seed, index, noise.SHOT_NOISE)
     nominal = np.float32(parameters.positive_threshold), np.float32(parameters.negative_threshold)
     thresholds = sensor.positive_threshold, sensor.negative_threshold
-    return kernels.shoot(
-        frame, shot_chances(parameters.shot_noise_rate_hz, dt_s), draws, *thresholds, nominal
-    )
+    return kernels.shoot(frame, shot_chances(parameters.shot_noise_rate_hz, dt_s), draws, *thresholds, nominal)
 
 
 def shot_chances(rate_hz: float, dt_s: float) -> NDArray[np.float64]:

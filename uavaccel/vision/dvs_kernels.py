@@ -37,12 +37,7 @@ def heated(base: Float, positive: Float, share: np.float32) -> Float:
 
 @part(error_model="numpy")
 def leaked(
-    base: Float,
-    positive: Float,
-    dt_s: np.float32,
-    rate_hz: np.float32,
-    factor: np.float32,
-    jitter: np.float32,
+    base: Float, positive: Float, dt_s: np.float32, rate_hz: np.float32, factor: np.float32, jitter: np.float32
 ) -> Float:
     """Return the memorised intensity after a leak at `rate_hz` times pixel's `factor` times frame's `jitter`."""
     rate = times(times(rate_hz, factor), jitter)
@@ -56,9 +51,7 @@ def jittered(fraction: np.float32, normal: np.float32) -> np.float32:
 
 
 @part(error_model="numpy")
-def count_single_pixel(
-    log: np.float32, base: np.float32, positive: np.float32, negative: np.float32
-) -> np.int32:
+def count_single_pixel(log: np.float32, base: np.float32, positive: np.float32, negative: np.float32) -> np.int32:
     """Return the signed count, the whole thresholds in log - base, in float32.
 
     v2e floor-divides through fmod, which gives the exact floor. So does truncating a double-precision

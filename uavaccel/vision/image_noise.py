@@ -32,9 +32,7 @@ class ImageNoise:
         if self.sigma == 0.0:
             return image
         moment = time_ns - self.start_ns
-        noisy = image + np.float32(self.sigma) * noise.normal(
-            image.shape, self.seed, moment, noise.READ_NOISE
-        )
+        noisy = image + np.float32(self.sigma) * noise.normal(image.shape, self.seed, moment, noise.READ_NOISE)
         return np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
 
 

@@ -14,9 +14,7 @@ def dvs_observation(on: NDArray[np.integer], off: NDArray[np.integer]) -> NDArra
     Raises ValueError if the shapes differ or are not multiples of 4.
     """
     if on.shape != off.shape or on.ndim != 2 or on.shape[0] % BLOCK_SIDE or on.shape[1] % BLOCK_SIDE:
-        raise ValueError(
-            f"ON and OFF need one (H, W) shape of multiples of {BLOCK_SIDE}: {on.shape}, {off.shape}"
-        )
+        raise ValueError(f"ON and OFF need one (H, W) shape of multiples of {BLOCK_SIDE}: {on.shape}, {off.shape}")
     from uavaccel.vision.dvs_kernels import block_sums  # compiled, and not needed for the constants
 
     return block_sums(on, off)

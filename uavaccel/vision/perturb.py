@@ -58,9 +58,7 @@ def share_at(clock_speed: float, share: float, half_excess: float | None) -> flo
     return share * excess / (excess + half_excess)
 
 
-def perturb_share(
-    image: Image, settings: PerturbationSettings, index: int
-) -> tuple[Image, PerturbationKind | None]:
+def perturb_share(image: Image, settings: PerturbationSettings, index: int) -> tuple[Image, PerturbationKind | None]:
     """Perturb the `index`-th image of a stream, or not; returns it and the kind or None. A pure function."""
     if settings.share <= 0:
         return image, None

@@ -43,11 +43,7 @@ class Drone:
         colours = np.where(between[:, None], THINKING, COMMANDED).astype(np.uint8)
         self._colours = np.repeat(colours[:, None], 2, axis=1)
         self._line = server.scene.add_line_segments(
-            f"{name} path",
-            self._path[:1],
-            self._colours[:1],
-            thickness=PATH_WIDTH,
-            thickness_units="screen",
+            f"{name} path", self._path[:1], self._colours[:1], thickness=PATH_WIDTH, thickness_units="screen"
         )
         if ideal_m is not None:
             ideal = self._shown(ideal_m)

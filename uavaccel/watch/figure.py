@@ -25,9 +25,7 @@ STANDING_M = 0.15  # nearer to the ground there is no plumb line
 class Figure:
     """A vehicle of `model`, by its `body`; places are MuJoCo's, in m, attitudes wxyz."""
 
-    def __init__(
-        self, server: ViserServer, name: str, model: mujoco.MjModel, data: mujoco.MjData, body: int
-    ) -> None:
+    def __init__(self, server: ViserServer, name: str, model: mujoco.MjModel, data: mujoco.MjData, body: int) -> None:
         self._model, self._data, self._body = model, data, body
         scene, self._name = server.scene, f"/{name}"
         self._frame = scene.add_frame(self._name, show_axes=False)
@@ -60,11 +58,7 @@ class Figure:
         )
 
     def show(
-        self,
-        place: NDArray[np.float64],
-        attitude: NDArray[np.float64],
-        towards_ned: Vector | None,
-        text: str,
+        self, place: NDArray[np.float64], attitude: NDArray[np.float64], towards_ned: Vector | None, text: str
     ) -> float | None:
         """Move it, with an arrow along `towards_ned`; returns the metres to what is below it."""
         self._frame.position, self._frame.wxyz = place, attitude

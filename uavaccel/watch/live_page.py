@@ -61,16 +61,10 @@ class LivePage:
         self._clocks = gui.add_html(clock_table(1.0, "0.000 s", [], "Waits for a flight."))
         gui.add_markdown(title)
         self._play = gui.add_button("Pause")
-        self._step = gui.add_button(
-            "Step", hint="to the next look, 0.033 simulated seconds on, and pause there"
-        )
-        self._pace = gui.add_dropdown(
-            "Shown at", [*PACES, FLAT_OUT], initial_value=PACE, hint="simulated s per second"
-        )
+        self._step = gui.add_button("Step", hint="to the next look, 0.033 simulated seconds on, and pause there")
+        self._pace = gui.add_dropdown("Shown at", [*PACES, FLAT_OUT], initial_value=PACE, hint="simulated s per second")
         self._why_not = gui.add_markdown(WITHOUT_PAUSE, visible=False)
-        self._follow = gui.add_checkbox(
-            "Follow", initial_value=True, hint="the view goes along with the drone"
-        )
+        self._follow = gui.add_checkbox("Follow", initial_value=True, hint="the view goes along with the drone")
         self._picture = gui.add_image(BLANK, label="camera, events", format="jpeg", visible=False)
         self._no_picture = gui.add_markdown("", visible=False)
         self._play.on_click(lambda _: self._toggle())
@@ -143,12 +137,7 @@ class LivePage:
         self._heights = [
             figure.show(pose[:3], pose[3:], towards, f"{name}: {state_of(commanded)}")
             for figure, name, pose, commanded, towards in zip(
-                self._figures,
-                names,
-                self._moment.poses,
-                self._moment.commanded,
-                self._moment.towards,
-                strict=False,
+                self._figures, names, self._moment.poses, self._moment.commanded, self._moment.towards, strict=False
             )
         ]
         if self._follow.value:

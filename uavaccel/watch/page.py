@@ -98,9 +98,7 @@ class Page:
         self._follows = len(tracks) == 1 and reach_m > FARTHEST_M
         centre = places[0] if self._follows else (places.min(axis=0) + places.max(axis=0)) / 2
         aside_m = APART_M * (len(tracks) - 1) / 2
-        self._views = Views(
-            self._server, lambda: self.playhead.replay()
-        )  # who comes first has missed nothing
+        self._views = Views(self._server, lambda: self.playhead.replay())  # who comes first has missed nothing
         reach_m = NEAR_M if self._follows else max(reach_m + aside_m, NEAR_M)
         self._views.look_at(ned_to_mujoco(centre), reach_m, wide=not self._follows)
 
@@ -116,9 +114,7 @@ class Page:
         self._play = gui.add_button("Pause")
         self._step = gui.add_button("Step", hint=f"{STEP_S:g} simulated seconds, and pause there")
         self._replay = gui.add_button("Replay")
-        self._pace = gui.add_dropdown(
-            "Shown at", list(PACES), initial_value=PACE, hint="simulated s per second"
-        )
+        self._pace = gui.add_dropdown("Shown at", list(PACES), initial_value=PACE, hint="simulated s per second")
         self._play.on_click(lambda _: self.playhead.toggle())
         self._step.on_click(lambda _: self.playhead.step())
         self._replay.on_click(lambda _: self.playhead.replay())

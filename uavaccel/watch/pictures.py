@@ -27,9 +27,7 @@ class Eyes:
         self._began_s, self._seen_s = 0.0, 0.0
         self._events = BLANK[:HEIGHT]
 
-    def look(
-        self, place: NDArray[np.float64], attitude: NDArray[np.float64], time_s: float
-    ) -> NDArray[np.uint8]:
+    def look(self, place: NDArray[np.float64], attitude: NDArray[np.float64], time_s: float) -> NDArray[np.uint8]:
         """Camera above, events since the last look below; red, green, blue. The pose is in MuJoCo's frame."""
         self._data.qpos[self._pose] = [*place, *attitude]
         picture = self._camera.colour(self._data)

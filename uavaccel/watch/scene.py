@@ -118,9 +118,7 @@ def _own_mesh(model: mujoco.MjModel, mesh: int) -> trimesh.Trimesh:
 
     first, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
     face, faces = int(model.mesh_faceadr[mesh]), int(model.mesh_facenum[mesh])
-    return trimesh.Trimesh(
-        model.mesh_vert[first : first + count], model.mesh_face[face : face + faces], process=False
-    )
+    return trimesh.Trimesh(model.mesh_vert[first : first + count], model.mesh_face[face : face + faces], process=False)
 
 
 def pose_of(model: mujoco.MjModel, body: int) -> slice:
@@ -129,9 +127,7 @@ def pose_of(model: mujoco.MjModel, body: int) -> slice:
     return slice(first, first + 7)
 
 
-def ground_below(
-    model: mujoco.MjModel, data: mujoco.MjData, place: NDArray[np.float64], body: int
-) -> float | None:
+def ground_below(model: mujoco.MjModel, data: mujoco.MjData, place: NDArray[np.float64], body: int) -> float | None:
     """The height of what is straight below a place, the vehicle's own body left out; None where nothing is."""
     hit = np.zeros(1, np.int32)
     down = np.array([0.0, 0.0, -1.0])
@@ -153,9 +149,7 @@ def _placed(mesh: trimesh.Trimesh, turn: NDArray[np.float64], place: NDArray[np.
     return mesh.apply_transform(pose)
 
 
-def _show_solids(
-    server: ViserServer, name: str, solids: Sequence[tuple[NDArray[np.uint8], trimesh.Trimesh]]
-) -> None:
+def _show_solids(server: ViserServer, name: str, solids: Sequence[tuple[NDArray[np.uint8], trimesh.Trimesh]]) -> None:
     """Show coloured surfaces, one mesh for each colour."""
     import trimesh
 

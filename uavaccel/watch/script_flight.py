@@ -64,9 +64,7 @@ def _arrays(path: Path) -> dict[str, np.ndarray]:
 
 def _marks(calls: Iterable[Plain], time_s: np.ndarray, speed: float, script_s: float | None) -> np.ndarray:
     """Wall and simulated seconds (m, 2), of the calls; of a flight on the machine's clock of its ends alone."""
-    known = [
-        (row["wall_ns"] / NS_PER_S, row["time_ns"] / NS_PER_S) for row in calls if row["time_ns"] is not None
-    ]
+    known = [(row["wall_ns"] / NS_PER_S, row["time_ns"] / NS_PER_S) for row in calls if row["time_ns"] is not None]
     if not known:
         return np.array([[0.0, time_s[0]], [(time_s[-1] - time_s[0]) / speed, time_s[-1]]])
     last_s = max(known[-1][0], script_s or 0.0)
@@ -82,9 +80,7 @@ def _commands(
     A command ends where the script has its answer, which it only asks for with `join`, or at the next command.
     """
     moves = [
-        row
-        for row in calls
-        if row["method"] in CALLS and CALLS[row["method"]].channel_of(row["params"]) == "move"
+        row for row in calls if row["method"] in CALLS and CALLS[row["method"]].channel_of(row["params"]) == "move"
     ]
     answered = {row["answer"]: row["wall_ns"] for row in messages if "answer" in row}
 

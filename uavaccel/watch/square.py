@@ -47,10 +47,7 @@ def fly_square(
 
 
 def _marks(
-    issued_ns: Sequence[int],
-    command_start_s: NDArray[np.float64],
-    returned: Sequence[tuple[int, int]],
-    origin_ns: int,
+    issued_ns: Sequence[int], command_start_s: NDArray[np.float64], returned: Sequence[tuple[int, int]], origin_ns: int
 ) -> NDArray[np.float64]:
     """Wall and simulated seconds (m, 2) at which commands were issued and had returned."""
     marks = []

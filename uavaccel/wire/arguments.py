@@ -136,15 +136,12 @@ def finite_pose(value: object, name: str) -> Pose:
 def geo_point(value: Received, name: str) -> GeoPoint:
     """A GeoPoint on the Earth."""
     try:
-        latitude, longitude, altitude = (
-            number(value[key], key) for key in ("latitude", "longitude", "altitude")
-        )
+        latitude, longitude, altitude = (number(value[key], key) for key in ("latitude", "longitude", "altitude"))
     except (KeyError, TypeError, IndexError) as error:
         raise ValueError("a point must be {latitude, longitude, altitude}") from error
     if abs(latitude) > 90.0 or abs(longitude) > 360.0:
         raise ValueError(
-            f"a point must have a latitude within 90 degrees and a longitude within 360, "
-            f"not {[latitude, longitude]}"
+            f"a point must have a latitude within 90 degrees and a longitude within 360, not {[latitude, longitude]}"
         )
     return GeoPoint(latitude, longitude, altitude)
 

@@ -28,10 +28,7 @@ from uavaccel.units import NS_PER_S
 from uavaccel.wire.page_protocol import FREE, MESSAGE_BYTES, PAGE, Orders
 
 LOOK_NS = 33_000_000  # simulated, between two looks
-SHORTEST_NS, UNSEEN_NS = (
-    5_000_000,
-    200_000_000,
-)  # of the machine's time, between two messages; where nobody looks
+SHORTEST_NS, UNSEEN_NS = (5_000_000, 200_000_000)  # of the machine's time, between two messages; where nobody looks
 UNSEEN_LOOKS = 10  # of a simulated clock, of which one is taken where nobody looks
 MEASURED_NS = 10_000_000  # of the machine's time, between two looks at a flight on its clock
 SCENE_NS = 200_000_000  # the same between two scenes, of a script that moves objects all the time
@@ -138,9 +135,7 @@ class Broadcast:
             "wall_ns": simulation.pacer.wall_due(world.tick),
             "qpos": world.data.qpos.tolist(),
             "commanded": [pilot.command is not None for pilot in simulation.pilots],
-            "towards": [
-                None if pilot.command is None else heading(pilot.vehicle) for pilot in simulation.pilots
-            ],
+            "towards": [None if pilot.command is None else heading(pilot.vehicle) for pilot in simulation.pilots],
         }
 
     def _show_scene(self) -> None:

@@ -24,10 +24,7 @@ MOUNTS = {
     "bottom_center": Pose((0.0, 0.0, 0.12), from_degrees(0.0, -90.0, 0.0)),
     "back_center": Pose((-0.46, 0.0, 0.0), from_degrees(0.0, 0.0, 180.0)),
 }
-ALIASES = {str(number): name for number, name in enumerate(MOUNTS)} | {
-    "": "front_center",
-    "fpv": "front_center",
-}
+ALIASES = {str(number): name for number, name in enumerate(MOUNTS)} | {"": "front_center", "fpv": "front_center"}
 DISTORTION = ("K1", "K2", "K3", "P1", "P2")
 Pixels = Annotated[int, Field(ge=1, le=8192)]
 NARROWEST_DEG, WIDEST_DEG = 0.1, 179.0  # fields of view that a projection can have
@@ -69,8 +66,7 @@ class CameraSettings(AirSimKeys):
     def mount(self, before: Pose) -> Pose:
         """Return the mount on the vehicle, on the basis of the mount `before`."""
         place = [
-            old if new is None else new
-            for new, old in zip((self.x, self.y, self.z), before.position_m, strict=True)
+            old if new is None else new for new, old in zip((self.x, self.y, self.z), before.position_m, strict=True)
         ]
         angles = (self.roll, self.pitch, self.yaw)
         turned = any(angle is not None for angle in angles)
@@ -110,11 +106,7 @@ class Cameras:
     """Cameras by name: a vehicle's, or those of ExternalCameras. `defaults` apply to each `given` one."""
 
     def __init__(
-        self,
-        defaults: CameraSettings,
-        given: Mapping[str, CameraSettings],
-        external: bool = False,
-        carrier: int = 0,
+        self, defaults: CameraSettings, given: Mapping[str, CameraSettings], external: bool = False, carrier: int = 0
     ) -> None:
         lenses = defaults.lenses({})
         mounts = {} if external else MOUNTS

@@ -62,9 +62,7 @@ class FlightApi(Calls, title="Flight"):
         pilot = self._taken(vehicle)
         now = pilot.kinematics()
         if (speed := math.hypot(*now.linear_velocity_m_s)) > AT_REST_M_S:
-            raise ValueError(
-                f"Cannot perform takeoff because vehicle is already moving with velocity {speed:f} m/s"
-            )
+            raise ValueError(f"Cannot perform takeoff because vehicle is already moving with velocity {speed:f} m/s")
         north, east, down = now.position_m
         return self._fly_to(pilot, (north, east, down - TAKEOFF_M), TAKEOFF_M_S, timeout_sec)
 
@@ -139,9 +137,7 @@ class FlightApi(Calls, title="Flight"):
     # --- to a heading -----------------------------------------------------------------------------
 
     @command("rotateToYaw")
-    def rotate_to_yaw(
-        self, yaw: float, timeout_sec: float, margin: float, vehicle: VehicleName = ""
-    ) -> Answer:
+    def rotate_to_yaw(self, yaw: float, timeout_sec: float, margin: float, vehicle: VehicleName = "") -> Answer:
         """Turn to a heading in degrees without moving."""
         pilot = self._taken(vehicle)
         if timeout_sec <= 0:

@@ -39,9 +39,7 @@ PICTURES = ("gray", "colour", "depth", "segmentation")
 
 class CameraApi(Calls, title="Cameras and images"):
     @call("simGetCameraInfo")
-    def info(
-        self, camera_name: object, vehicle: VehicleName = "", external: Truthy = False
-    ) -> dict[str, object]:
+    def info(self, camera_name: object, vehicle: VehicleName = "", external: Truthy = False) -> dict[str, object]:
         """Return the pose in NED, the field of view in degrees, and the projection of NED centimetres."""
         mounted = self._named(camera_name, vehicle, external)
         kinematics, lens = self.scenery.truth(vehicle), mounted.lens(SCENE)
@@ -51,9 +49,7 @@ class CameraApi(Calls, title="Cameras and images"):
         return {"pose": types.pose_map(local), "fov": lens.fov_deg, "proj_mat": matrix}
 
     @call("simSetCameraPose")
-    def set_pose(
-        self, camera_name: object, pose: AnyPose, vehicle: VehicleName = "", external: Truthy = False
-    ) -> None:
+    def set_pose(self, camera_name: object, pose: AnyPose, vehicle: VehicleName = "", external: Truthy = False) -> None:
         """Set the pose relative to the vehicle, FRD; parts that are NaN stay as they are."""
         mounted = self._named(camera_name, vehicle, external)
         position, orientation = pose
@@ -74,9 +70,7 @@ class CameraApi(Calls, title="Cameras and images"):
         mounted.set_fov(fov_degrees)
 
     @call("simGetDistortionParams")
-    def distortion(
-        self, camera_name: object, vehicle: VehicleName = "", external: Truthy = False
-    ) -> list[float]:
+    def distortion(self, camera_name: object, vehicle: VehicleName = "", external: Truthy = False) -> list[float]:
         """Return K1, K2, K3, P1, P2."""
         return list(self._named(camera_name, vehicle, external).distortion.values())
 
@@ -155,10 +149,7 @@ class ImageApi(Calls, title="Cameras and images"):
 
     @call("simGetImages", "image")
     def get_images(
-        self,
-        requests: Annotated[list[object], image_requests],
-        vehicle: VehicleName = "",
-        external: Truthy = False,
+        self, requests: Annotated[list[object], image_requests], vehicle: VehicleName = "", external: Truthy = False
     ) -> list[dict[str, object]] | PartialResult:
         """Return images of one moment; the response of one that cannot be drawn says why."""
         cameras = self.scenery.cameras(vehicle, external)
@@ -176,9 +167,7 @@ class ImageApi(Calls, title="Cameras and images"):
         mounted = self.scenery.cameras(vehicle, external).named(camera_name)
         return encoded(".png", self.scenery.pictures.bgr(mounted, image_type))
 
-    def _response(
-        self, request: ImageRequest, kinematics: Kinematics, scene: Scene = None
-    ) -> dict[str, object]:
+    def _response(self, request: ImageRequest, kinematics: Kinematics, scene: Scene = None) -> dict[str, object]:
         image, message = self._drawn(request, scene)
         as_float, compress = request.pixels_as_float, request.compress
         data = b"" if as_float or message else encoded(".png", image) if compress else image.tobytes()

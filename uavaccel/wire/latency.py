@@ -39,9 +39,7 @@ SHIPPED = {"native": "latency.yaml", "airsim": "latency_airsim.yaml"}  # by prof
 _NO_FAULTS = FaultConfig()
 
 # Behind a validator of one's own pydantic takes no list for a tuple.
-Numbers = Annotated[
-    tuple[float, ...], BeforeValidator(lambda row: tuple(row) if isinstance(row, list) else row)
-]
+Numbers = Annotated[tuple[float, ...], BeforeValidator(lambda row: tuple(row) if isinstance(row, list) else row)]
 
 
 def _is_number(value: object) -> bool:

@@ -97,15 +97,11 @@ class ObjectApi(Calls, title="Objects"):
         """Return True for the present scene. Raises ValueError for any other."""
         scene = self.simulation.world.scene
         if level_name != scene:
-            raise ValueError(
-                f"the scene is {scene!r} and stays; another is chosen as the simulation is started"
-            )
+            raise ValueError(f"the scene is {scene!r} and stays; another is chosen as the simulation is started")
         return True
 
     @call("simSetSegmentationObjectID")
-    def set_segmentation_id(
-        self, mesh_name: ObjectName, object_id: int, is_name_regex: Truthy = False
-    ) -> bool:
+    def set_segmentation_id(self, mesh_name: ObjectName, object_id: int, is_name_regex: Truthy = False) -> bool:
         named = self.scenery.named_like(mesh_name) if is_name_regex else self.scenery.named(mesh_name)
         return self.scenery.segmentation.set_id(named, object_id)
 
@@ -160,9 +156,7 @@ class DetectionApi(Calls, title="Objects"):
         self._filter(camera_name, image_type, vehicle, external)[1].radius_m = radius_cm / 100
 
     @call("simClearDetectionMeshNames")
-    def clear(
-        self, camera_name: object, image_type: int, vehicle: VehicleName = "", external: Truthy = False
-    ) -> None:
+    def clear(self, camera_name: object, image_type: int, vehicle: VehicleName = "", external: Truthy = False) -> None:
         self._filter(camera_name, image_type, vehicle, external)[1].patterns.clear()
 
     @call("simGetDetections")
@@ -200,10 +194,7 @@ class DetectionApi(Calls, title="Objects"):
         return {
             "name": name,
             "geo_point": types.geo_map(geographic(pose.position_m, self.scenery.settings.home)),
-            "box2D": {
-                "min": {"x_val": left, "y_val": top},
-                "max": {"x_val": right, "y_val": bottom},
-            },
+            "box2D": {"min": {"x_val": left, "y_val": top}, "max": {"x_val": right, "y_val": bottom}},
             "box3D": {"min": types.vector_map(low), "max": types.vector_map(high)},
             "relative_pose": types.pose_map(eye.inwards_pose(pose)),
         }
@@ -211,9 +202,7 @@ class DetectionApi(Calls, title="Objects"):
     def _is_visible(self, name: str, corners: NDArray[np.float64], eye: Pose, camera: CameraMount) -> bool:
         world = self.simulation.world
         middle = corners.mean(axis=0)
-        points = np.vstack(
-            [middle, middle + INSIDE * (corners - middle), middle + INSIDE / 2 * (corners - middle)]
-        )
+        points = np.vstack([middle, middle + INSIDE * (corners - middle), middle + INSIDE / 2 * (corners - middle)])
         ways = points - np.array(eye.position_m)
         lengths = np.linalg.norm(ways, axis=1)
         far = lengths > 0

@@ -44,12 +44,7 @@ MOST_PIXELS = 1 << 24  # of one picture, so that its bytes fit into an answer: m
 RAYS_AT_ONCE = 1 << 16
 DEPTH_VIS_FAR_M = 100.0
 BASELINE_M = 0.25  # between AirSim's front_left and front_right
-_DEPTHS = (
-    ImageType.DEPTH_PLANAR,
-    ImageType.DEPTH_PERSPECTIVE,
-    ImageType.DEPTH_VIS,
-    ImageType.DISPARITY_NORMALIZED,
-)
+_DEPTHS = (ImageType.DEPTH_PLANAR, ImageType.DEPTH_PERSPECTIVE, ImageType.DEPTH_VIS, ImageType.DISPARITY_NORMALIZED)
 
 
 class Pictures:

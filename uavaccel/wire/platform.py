@@ -83,9 +83,7 @@ class PlatformConfig(Config):
         if name != AIRSIM.name:
             return PROFILES[name]
         step = max(clock_speed, 1.0) if self.scalable_clock else 1.0
-        return airsim_variant(
-            round(AIRSIM.tick_ns * step), seconds_to_ns(self.goal_timeout_s), self.exact_pauses
-        )
+        return airsim_variant(round(AIRSIM.tick_ns * step), seconds_to_ns(self.goal_timeout_s), self.exact_pauses)
 
     def executor(self) -> Executor:
         return Executor(round(self.tick_us * 1e3), self.integer_clock_speed)

@@ -87,9 +87,7 @@ class Recorder:
         self._folders = max(self._folders - passed, 0)
         self._counted_ns += passed * NS_PER_S
         if self._folders >= FOLDERS_AT_ONCE:
-            raise ValueError(
-                "recordings are begun too often: each has a folder of its own; wait for a second"
-            )
+            raise ValueError("recordings are begun too often: each has a folder of its own; wait for a second")
         self._folders += 1
 
     def stop(self) -> None:
@@ -129,9 +127,7 @@ class Recorder:
             return
         self._images.clear()
         self._take_images(world.tick)
-        self._stop_watching = world.watch(
-            self._simulation.profile.recorder_ticks, self._take_images_or_end, world.tick
-        )
+        self._stop_watching = world.watch(self._simulation.profile.recorder_ticks, self._take_images_or_end, world.tick)
 
     def _take_images_or_end(self, tick: int) -> None:
         """Take the images; an error ends the recording of images, and not the flight."""

@@ -42,16 +42,11 @@ class Sensors:
     """
 
     def __init__(
-        self,
-        given: Mapping[str, SensorSettings] | None,
-        defaults: Mapping[str, SensorSettings] | None,
-        seed: int,
+        self, given: Mapping[str, SensorSettings] | None, defaults: Mapping[str, SensorSettings] | None, seed: int
     ) -> None:
         chosen = given if given is not None else defaults if defaults is not None else DEFAULTS
         self._sensors = {
-            name: SENSORS[type(settings)](settings, seed, name)
-            for name, settings in chosen.items()
-            if settings.enabled
+            name: SENSORS[type(settings)](settings, seed, name) for name, settings in chosen.items() if settings.enabled
         }
 
     def named(self, kind: type[Kind], word: str, name: object) -> Kind:

@@ -85,9 +85,7 @@ class WatchedServer:
             self.check(IDLE_START_S, START_S)
         line = stdout.readline()
         if not line:
-            raise ServerGoneError(
-                f"the server's process ended with status {self._process.wait()} before it listened"
-            )
+            raise ServerGoneError(f"the server's process ended with status {self._process.wait()} before it listened")
         return line
 
     def memory_mib(self) -> float:

@@ -125,9 +125,7 @@ class WallSession(Session):
         pass
 
     def watch(self, every_ticks: int, look: Callable[[int], None]) -> Callable[[], None]:
-        raise UserError(
-            "timing = 'wall': nobody looks at a flight between its messages; take virtual or lockstep"
-        )
+        raise UserError("timing = 'wall': nobody looks at a flight between its messages; take virtual or lockstep")
 
     def picture(self) -> NDArray[np.uint8]:
         return self._client.image("gray")
@@ -203,10 +201,7 @@ class VirtualSession(Session):
 
 
 def open_session(
-    timing: str = "wall",
-    profile: str = "native",
-    scene: str = "blocks",
-    latency: LatencyConfig = ZERO_LATENCY,
+    timing: str = "wall", profile: str = "native", scene: str = "blocks", latency: LatencyConfig = ZERO_LATENCY
 ) -> Session:
     """Open a session with one of TIMINGS; `latency` is used in `virtual` only. Raises UserError for an unknown name."""
     for name, value, known in (("timing", timing, TIMINGS), ("profile", profile, PROFILES)):

@@ -104,9 +104,7 @@ class Settings(AirSimKeys):
     enable_rpc: Literal[True] = True
     rpc_enabled: Literal[True] = True
     physics_engine_name: Literal["FastPhysicsEngine", ""] = ""
-    vehicles: Annotated[dict[str, VehicleSettings], Field(max_length=MOST_VEHICLES)] = Field(
-        default_factory=dict
-    )
+    vehicles: Annotated[dict[str, VehicleSettings], Field(max_length=MOST_VEHICLES)] = Field(default_factory=dict)
     wind: WindSettings = WindSettings()
     recording: RecordingSettings = RecordingSettings()
     camera_defaults: CameraSettings = CameraSettings()
@@ -130,9 +128,7 @@ class Settings(AirSimKeys):
 
     def created(self) -> list[tuple[str, VehicleSettings]]:
         """Return the vehicles that exist from the start, in alphabetical order as in AirSim's map."""
-        return [
-            (name, self.vehicles[name]) for name in sorted(self.vehicles) if self.vehicles[name].auto_create
-        ]
+        return [(name, self.vehicles[name]) for name in sorted(self.vehicles) if self.vehicles[name].auto_create]
 
     @property
     def home(self) -> GeoPoint:

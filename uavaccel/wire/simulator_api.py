@@ -60,9 +60,7 @@ class SimulatorApi(Calls, title="Connection and time"):
     @call("reset")
     def reset(self) -> None:
         """Reset every vehicle; a recording continues, as in AirSim."""
-        self.context.recorder.go_through(
-            lambda recording: self.simulation.reset(self.wall_ns, recording=recording)
-        )
+        self.context.recorder.go_through(lambda recording: self.simulation.reset(self.wall_ns, recording=recording))
 
     @call("simPause", pause_channel)
     def pause(self, is_paused: bool) -> None:

@@ -98,9 +98,7 @@ class Transport(ABC):
         self.known = KnownState(exclusive)
 
     @abstractmethod
-    def send(
-        self, method: str, params: Sequence[object], blocking: bool, coalesced: bool = False
-    ) -> PendingCall:
+    def send(self, method: str, params: Sequence[object], blocking: bool, coalesced: bool = False) -> PendingCall:
         """Send a call; `blocking` means that the caller waits for its reply at once.
 
         A `coalesced` call may be sent together with the next: for a caller who knows that nothing happens before.
@@ -136,17 +134,13 @@ class SocketTransport(Transport):
     With a `watch`, calls raise ServerGoneError if it finds that the server has gone; without one they wait for ever.
     """
 
-    def __init__(
-        self, host: str, port: int, exclusive: bool = False, watch: WatchedServer | None = None
-    ) -> None:
+    def __init__(self, host: str, port: int, exclusive: bool = False, watch: WatchedServer | None = None) -> None:
         super().__init__(MonotonicClock(), exclusive)
         self._silence = None if watch is None else ServerSilence(watch, self._ask)
         try:
             self._socket = socket.create_connection((host, port), timeout=10)
         except OSError as error:
-            raise UserError(
-                f"no server at {host}:{port} ({error.strerror}); start one with `uavaccel serve`"
-            ) from None
+            raise UserError(f"no server at {host}:{port} ({error.strerror}); start one with `uavaccel serve`") from None
         self._socket.settimeout(None)
         if watch is not None:  # a wait without a deadline wakes now and then, which costs nothing otherwise
             interval = struct.pack("ll", LOOK_NS // NS_PER_S, 0)
@@ -159,9 +153,7 @@ class SocketTransport(Transport):
         self._selector = selectors.DefaultSelector()
         self._selector.register(self._socket, selectors.EVENT_READ)
 
-    def send(
-        self, method: str, params: Sequence[object], blocking: bool, coalesced: bool = False
-    ) -> PendingCall:
+    def send(self, method: str, params: Sequence[object], blocking: bool, coalesced: bool = False) -> PendingCall:
         self.known.sending(method)
         call = PendingCall(method, params)
         call.sent_ns = self.clock.now_ns()
@@ -253,9 +245,7 @@ class VirtualTransport(Transport):
         self._handled_ns = clock.now_ns()
         self._unanswered: PendingCall | None = None  # the last command sent without waiting
 
-    def send(
-        self, method: str, params: Sequence[object], blocking: bool, coalesced: bool = False
-    ) -> PendingCall:
+    def send(self, method: str, params: Sequence[object], blocking: bool, coalesced: bool = False) -> PendingCall:
         self.known.sending(method)
         call = PendingCall(method, params)
         arrival = max(self.clock.now_ns() + self._latency.request_ns(call.channel), self._let_through_ns())

@@ -34,10 +34,7 @@ def kinematics_map(kinematics: Kinematics) -> dict[str, dict[str, float]]:
 
 
 def pose_map(pose: Pose | Kinematics) -> dict[str, dict[str, float]]:
-    return {
-        "position": vector_map(pose.position_m),
-        "orientation": quaternion_map(pose.orientation_wxyz),
-    }
+    return {"position": vector_map(pose.position_m), "orientation": quaternion_map(pose.orientation_wxyz)}
 
 
 def geo_map(point: GeoPoint) -> dict[str, float]:
@@ -62,11 +59,4 @@ def no_collision_map() -> dict[str, object]:
 def rc_data_map() -> dict[str, object]:
     """Return the RCData of a vehicle without a remote control."""
     sticks = dict.fromkeys(("pitch", "roll", "throttle", "yaw", "left_z", "right_z"), 0.0)
-    return {
-        "timestamp": 0,
-        **sticks,
-        "switches": 0,
-        "vendor_id": "",
-        "is_initialized": False,
-        "is_valid": False,
-    }
+    return {"timestamp": 0, **sticks, "switches": 0, "vendor_id": "", "is_initialized": False, "is_valid": False}

@@ -106,10 +106,7 @@ class VehicleApi(Calls, title="Vehicles"):
 
     @call("simSetKinematics")
     def set_kinematics(
-        self,
-        state: Annotated[SettableKinematics, motion],
-        ignore_collision: object,
-        vehicle: VehicleName = "",
+        self, state: Annotated[SettableKinematics, motion], ignore_collision: object, vehicle: VehicleName = ""
     ) -> None:
         """Set pose and velocities; the accelerations follow from them here."""
         pilot = self.scenery.pilot(vehicle)

@@ -61,11 +61,7 @@ def _gap(random: np.random.Generator) -> list[tuple[float, float, float]]:
 def trunk(radius_m: float) -> Mesh:
     """A trunk on the origin, and along x from it its shadow on the ground, in the colour of the bark's knot."""
     turns = np.arange(SIDES + 1) / SIDES * 2 * np.pi
-    rows = (
-        (0.0, 1.1, 0.0),
-        (0.7, 1.0, 0.2),
-        (TOP_M, 0.85, 6.0),
-    )  # up, times the radius, height in the picture
+    rows = ((0.0, 1.1, 0.0), (0.7, 1.0, 0.2), (TOP_M, 0.85, 6.0))  # up, times the radius, height in the picture
     points = [
         (radius_m * times * np.cos(turn), radius_m * times * np.sin(turn), up)
         for up, times, _ in rows
@@ -78,12 +74,7 @@ def trunk(radius_m: float) -> Mesh:
             above = a + SIDES + 1
             faces += [(a, a + 1, above + 1), (a, above + 1, above)]
     first, near, wide = len(points), 0.5 * radius_m, 0.95 * radius_m
-    points += [
-        (near, -wide, 0.01),
-        (SHADOW_M, -0.8 * wide, 0.01),
-        (SHADOW_M, 0.8 * wide, 0.01),
-        (near, wide, 0.01),
-    ]
+    points += [(near, -wide, 0.01), (SHADOW_M, -0.8 * wide, 0.01), (SHADOW_M, 0.8 * wide, 0.01), (near, wide, 0.01)]
     faces += [(first, first + 1, first + 2), (first, first + 2, first + 3)]
     return Mesh(np.array(points), np.array([*texture, *[KNOT] * 4]), np.array(faces))
 
@@ -91,8 +82,7 @@ def trunk(radius_m: float) -> Mesh:
 def mjcf(name: str, mesh: Mesh) -> str:
     """An MJCF element; a mesh that is no closed body has the inertia of its surface."""
     fields = [
-        f'{key}="{" ".join(f"{number:.4g}" for number in values.ravel())}"'
-        for key, values in mesh._asdict().items()
+        f'{key}="{" ".join(f"{number:.4g}" for number in values.ravel())}"' for key, values in mesh._asdict().items()
     ]
     return f'    <mesh name="{name}" inertia="shell" {" ".join(fields)}/>'
 
@@ -103,12 +93,7 @@ def main() -> None:
     radii = " ".join(f"{radius_m:.4g}" for radius_m in RADII_M)
     lines = ["<mujocoinclude>", "  <!-- Made by grow.py. -->", "  <asset>"]
     lines += [mjcf(name, mesh) for name, mesh in meshes.items()]
-    lines += [
-        "  </asset>",
-        "  <custom>",
-        f'    <numeric name="trunk_radii_m" data="{radii}"/>',
-        "  </custom>",
-    ]
+    lines += ["  </asset>", "  <custom>", f'    <numeric name="trunk_radii_m" data="{radii}"/>', "  </custom>"]
     (HERE / "meshes.xml").write_text("\n".join([*lines, "</mujocoinclude>", ""]), encoding="utf-8")
 
 

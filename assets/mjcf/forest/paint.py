@@ -207,9 +207,7 @@ def sky_colours(direction: Array) -> Array:
     up = direction[..., 2]
     base = mixed(np.clip(up, 0, 1) ** 0.6, (0.86, 0.9, 0.93), (0.25, 0.46, 0.78))
     field = noise(512, 512, 1.75, 40)
-    column, row = np.moveaxis(
-        np.floor(direction[..., :2] / np.maximum(up, 0.03)[..., None] * 30 + 256), -1, 0
-    )
+    column, row = np.moveaxis(np.floor(direction[..., :2] / np.maximum(up, 0.03)[..., None] * 30 + 256), -1, 0)
     thick = smooth(field[row.astype(int) % 512, column.astype(int) % 512], 0.0, 1.5)
     return over(base, thick * smooth(up, 0.05, 0.25), mixed(1 - 0.5 * thick, (0.78, 0.8, 0.84), (1, 1, 0.99)))
 
@@ -228,9 +226,7 @@ def sky() -> dict[str, Array]:
         "back": (-s, -t, -one),
     }
     ways = {name: np.stack([x, -z, y], axis=-1) for name, (x, y, z) in faces.items()}
-    return {
-        name: sky_colours(way / np.linalg.norm(way, axis=-1, keepdims=True)) for name, way in ways.items()
-    }
+    return {name: sky_colours(way / np.linalg.norm(way, axis=-1, keepdims=True)) for name, way in ways.items()}
 
 
 def main() -> None:

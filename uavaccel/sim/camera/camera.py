@@ -167,9 +167,7 @@ class Camera(FrontCamera):
     def _read_colours(self) -> None:
         """Read red, green, blue, alpha: with three bytes per pixel the driver takes five times as long."""
         with self._turns:
-            self._canvas.read_pixels(
-                0, 0, self.width, self.height, _GL_RGBA, _GL_UNSIGNED_BYTE, self._address
-            )
+            self._canvas.read_pixels(0, 0, self.width, self.height, _GL_RGBA, _GL_UNSIGNED_BYTE, self._address)
 
     def _bind(self) -> None:
         if not self._is_open:

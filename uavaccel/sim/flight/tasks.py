@@ -131,9 +131,7 @@ def check_lookahead(lookahead_m: float, velocity_m_s: float, adaptive: float) ->
             f"It must be at least {per_period_m:f}"
         )
     if lookahead_m < ACCURACY_M:
-        raise ValueError(
-            f"lookahead value {lookahead_m:f} is smaller than drone's distance accuracy {ACCURACY_M:f}."
-        )
+        raise ValueError(f"lookahead value {lookahead_m:f} is smaller than drone's distance accuracy {ACCURACY_M:f}.")
     return lookahead_m
 
 
@@ -223,9 +221,7 @@ class FollowPath:
         """Return the velocity towards the carrot: 0 within the accuracy, no climb or descent within half a metre."""
         way = carrot - np.array(now.position_m)
         distance = float(np.linalg.norm(way))
-        yaw = facing(
-            tuple(way.tolist()), bool(self.forward_only), Yaw(self.yaw_value, bool(self.yaw_is_rate))
-        )
+        yaw = facing(tuple(way.tolist()), bool(self.forward_only), Yaw(self.yaw_value, bool(self.yaw_is_rate)))
         if distance < ACCURACY_M:
             velocity = np.zeros(3)
         else:
@@ -239,9 +235,7 @@ class FollowPath:
         return BRAKING_M_S if beyond else self.velocity_m_s
 
 
-TASKS: dict[str, type[FlightTask]] = {
-    kind.__name__: kind for kind in (FollowPath, Land, MoveByManual, RotateToYaw)
-}
+TASKS: dict[str, type[FlightTask]] = {kind.__name__: kind for kind in (FollowPath, Land, MoveByManual, RotateToYaw)}
 
 
 def _numbers(value: Iterable[float]) -> tuple[float, ...]:

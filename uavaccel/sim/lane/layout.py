@@ -220,7 +220,5 @@ def layout_of(state: SavedState) -> LaneLayout:
     fields: State = {}
     for name, like in vars(_NO_LANE).items():
         value = np.asarray(state.get(name, like))
-        fields[name] = (
-            value.astype(like.dtype) if isinstance(like, np.ndarray) else type(like)(value.tolist())
-        )
+        fields[name] = value.astype(like.dtype) if isinstance(like, np.ndarray) else type(like)(value.tolist())
     return LaneLayout(**fields)

@@ -64,9 +64,7 @@ def plan_path(
         arrived = np.flatnonzero(beams[-1].state[:, 0, 0] >= LENGTH_M)
         if len(arrived):
             return [(float(north), float(east)) for north, east in actions[_trace(beams, int(arrived[0]))]]
-    raise UserError(
-        f"no path through this lane keeps {margin_m:g} m from its obstacles: widen a gap or the spacing"
-    )
+    raise UserError(f"no path through this lane keeps {margin_m:g} m from its obstacles: widen a gap or the spacing")
 
 
 def _trace(beams: list[_Beam], path: int) -> list[int]:
@@ -97,12 +95,7 @@ def _response(height_m: float, step_s: float) -> tuple[FloatArray, FloatArray]:
 
 
 def _extend(
-    beam: _Beam,
-    layout: LaneLayout,
-    margin_m: float,
-    transition: FloatArray,
-    forced: FloatArray,
-    actions: FloatArray,
+    beam: _Beam, layout: LaneLayout, margin_m: float, transition: FloatArray, forced: FloatArray, actions: FloatArray
 ) -> _Beam:
     """Append each command to each path, drop those too near to something, and keep the best of each cell."""
     free = (beam.state.reshape(-1, 3) @ transition).reshape(-1, 2, CHECKS_PER_COMMAND, 3).swapaxes(1, 2)

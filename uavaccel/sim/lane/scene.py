@@ -114,9 +114,7 @@ def put_on_looks(model: mujoco.MjModel, obstacles: NDArray[np.int64], layout: La
     model.geom_rgba[used, 3] = 1.0
     model.geom_dataid[used], model.geom_matid[used] = meshes, model.geom_matid[obstacles]
     model.geom_sameframe[used] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE  # else their turn goes unnoticed
-    away_from_sun = np.array(
-        [np.cos(layout.sun_azimuth_rad / 2), 0.0, 0.0, -np.sin(layout.sun_azimuth_rad / 2)]
-    )
+    away_from_sun = np.array([np.cos(layout.sun_azimuth_rad / 2), 0.0, 0.0, -np.sin(layout.sun_azimuth_rad / 2)])
     for geom, mesh, obstacle in zip(used, meshes, obstacles, strict=True):
         _place(model, geom, mesh, model.geom_pos[obstacle, :2], away_from_sun)
     for side in ("west", "east"):

@@ -41,9 +41,7 @@ class RenderService:
         options = {"scene": scene, "scenery": scenery, "cameras": cameras, "tiles": tiles}
         options |= {"memory": self._memory, "requests": requests, "replies": theirs[2:]}
         self.process = start_python(
-            *("-m", "uavaccel.sim.rendering.process", json.dumps(options)),
-            stdout=subprocess.PIPE,
-            pass_fds=theirs,
+            *("-m", "uavaccel.sim.rendering.process", json.dumps(options)), stdout=subprocess.PIPE, pass_fds=theirs
         )
         for descriptor in theirs[1:]:  # otherwise the end of a pipe would not be noticed
             os.close(descriptor)
@@ -58,9 +56,7 @@ class RenderService:
                 raise RendererGoneError("the renderer hangs, and never drew")
         line = self.process.stdout.readline()
         if not line:
-            raise RendererGoneError(
-                f"the renderer ended with status {self.process.wait()} before it could draw"
-            )
+            raise RendererGoneError(f"the renderer ended with status {self.process.wait()} before it could draw")
         answer = json.loads(line)
         if "error" in answer:
             raise UserError(answer["error"])

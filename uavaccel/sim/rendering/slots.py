@@ -56,9 +56,7 @@ def read_looks(looks: NDArray[np.uint8], model: mujoco.MjModel) -> None:
         values[:] = kept
 
 
-def _views(
-    model: mujoco.MjModel, looks: NDArray[np.uint8]
-) -> Iterator[tuple[NDArray[np.uint8], NDArray[np.uint8]]]:
+def _views(model: mujoco.MjModel, looks: NDArray[np.uint8]) -> Iterator[tuple[NDArray[np.uint8], NDArray[np.uint8]]]:
     """Yield the bytes of each visible part of the model, and those of `looks` that hold it."""
     start = 0
     for name in _LOOKS:

@@ -60,9 +60,7 @@ class Tiles:
         self._canvas.read_pixels(0, 0, WIDTH, HEIGHT, *kind, self._offsets[place])
 
     @contextmanager
-    def read(
-        self, buffer: int, count: int, depth: bool = False
-    ) -> Iterator[NDArray[np.uint8] | NDArray[np.float32]]:
+    def read(self, buffer: int, count: int, depth: bool = False) -> Iterator[NDArray[np.uint8] | NDArray[np.float32]]:
         """Yield the first `count` tiles, (count, H, W, 4) uint8 or (count, H, W) float32, valid inside the block."""
         self._bind(buffer)
         api = self._api

@@ -21,13 +21,9 @@ def check_bounds(position_m: Vector, ground_altitude_m: float, anywhere: bool = 
     x_m, y_m, z_m = position_m
     top_m = ground_altitude_m - HIGHEST_M
     if not top_m <= z_m <= (FARTHEST_M if anywhere else 0.0):
-        raise UserError(
-            f"position: NED z has to be from {top_m:g} (thin air) to 0 m (the ground), not {z_m:g}"
-        )
+        raise UserError(f"position: NED z has to be from {top_m:g} (thin air) to 0 m (the ground), not {z_m:g}")
     if not max(abs(x_m), abs(y_m)) <= FARTHEST_M:
-        raise UserError(
-            f"position: north and east have to be within {FARTHEST_M:g} m, not {x_m:g} and {y_m:g} m"
-        )
+        raise UserError(f"position: north and east have to be within {FARTHEST_M:g} m, not {x_m:g} and {y_m:g} m")
 
 
 def check_wind(wind_m_s: Vector) -> None:

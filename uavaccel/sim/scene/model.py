@@ -37,9 +37,7 @@ def scene_path(scene: str, scenery: str = PLAIN) -> Path:
     return path
 
 
-def load_scene(
-    scene: str, others: Sequence[str] = (), airsim: bool = False, scenery: str = PLAIN
-) -> mujoco.MjModel:
+def load_scene(scene: str, others: Sequence[str] = (), airsim: bool = False, scenery: str = PLAIN) -> mujoco.MjModel:
     """Load a scene of assets/mjcf with its quadrotor, and one more for each prefix in `others`.
 
     `airsim` prepares it for AirSim's clients. Raises UserError for an unknown scene, for one that MuJoCo refuses, and

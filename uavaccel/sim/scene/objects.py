@@ -21,8 +21,7 @@ from uavaccel.units import mujoco_to_ned, ned_to_mujoco, quaternion_mujoco_to_ne
 Scale = tuple[float, float, float]
 
 BOX, SPHERE, CYLINDER = (
-    int(kind)
-    for kind in (mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_CYLINDER)
+    int(kind) for kind in (mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_CYLINDER)
 )
 ELLIPSOID, PLANE = int(mujoco.mjtGeom.mjGEOM_ELLIPSOID), int(mujoco.mjtGeom.mjGEOM_PLANE)
 MESH = int(mujoco.mjtGeom.mjGEOM_MESH)
@@ -84,9 +83,7 @@ class SceneObjects:
         """Return clients' name of the object with that geom name; they differ for spawned objects."""
         if not geom_name.startswith(SPARE):
             return geom_name
-        return next(
-            (name for name, geom in self._geoms.items() if self._model.geom(geom).name == geom_name), ""
-        )
+        return next((name for name, geom in self._geoms.items() if self._model.geom(geom).name == geom_name), "")
 
     def _is_there(self, geom: int) -> bool:
         return bool(self._model.geom_rgba[geom, 3] > 0.0)

@@ -56,14 +56,7 @@ def cast(
     return Hits(distance_m, geoms, mujoco_to_ned(normals))
 
 
-def sees(
-    model: mujoco.MjModel,
-    data: mujoco.MjData,
-    start_m: ArrayLike,
-    end_m: ArrayLike,
-    *,
-    exclude: str,
-) -> bool:
+def sees(model: mujoco.MjModel, data: mujoco.MjData, start_m: ArrayLike, end_m: ArrayLike, *, exclude: str) -> bool:
     """Return whether only the body `exclude` is between two positions, except for what touches the second."""
     way = np.asarray(end_m, float) - np.asarray(start_m, float)
     length_m = float(np.linalg.norm(way))

@@ -45,9 +45,7 @@ def geographic(position_m: Vector, home: GeoPoint) -> GeoPoint:
     if arc < 1e-12:
         return GeoPoint(home.latitude, home.longitude, home.altitude - down)
     bearing, latitude = math.atan2(east, north), math.radians(home.latitude)
-    there = math.asin(
-        math.cos(arc) * math.sin(latitude) + math.sin(arc) * math.cos(latitude) * math.cos(bearing)
-    )
+    there = math.asin(math.cos(arc) * math.sin(latitude) + math.sin(arc) * math.cos(latitude) * math.cos(bearing))
     turned = math.atan2(
         math.sin(bearing) * math.sin(arc),
         math.cos(latitude) * math.cos(arc) - math.sin(latitude) * math.sin(arc) * math.cos(bearing),
@@ -76,8 +74,7 @@ def ned_of(point: GeoPoint, home: GeoPoint) -> Vector:
     level, rise = math.cos(latitude), math.sin(latitude)
     ahead, aside = math.cos(longitude), math.sin(longitude)
     axes = np.array(
-        [(-rise * ahead, -rise * aside, level), (-aside, ahead, 0.0), (level * ahead, level * aside, rise)],
-        np.float32,
+        [(-rise * ahead, -rise * aside, level), (-aside, ahead, 0.0), (level * ahead, level * aside, rise)], np.float32
     )
     asked = GeoPoint(*(float(np.float32(number)) for number in point))
     parts = axes * (_earth_centred(asked) - _earth_centred(home))
@@ -116,15 +113,12 @@ def magnetic_field_gauss(point: GeoPoint) -> Vector:
     latitude, longitude = math.radians(point.latitude), math.radians(point.longitude)
     turned = longitude - POLE_LONGITUDE
     colatitude = math.acos(
-        math.cos(latitude) * math.cos(POLE_LATITUDE)
-        + math.sin(latitude) * math.sin(POLE_LATITUDE) * math.cos(turned)
+        math.cos(latitude) * math.cos(POLE_LATITUDE) + math.sin(latitude) * math.sin(POLE_LATITUDE) * math.cos(turned)
     )
     strength = MEAN_FIELD_GAUSS * (RADIUS_M / (RADIUS_M + point.altitude)) ** 3
     strength *= math.sqrt(1 + 3 * math.cos(colatitude) ** 2)
     nearer = math.cos(colatitude) > math.sin(POLE_LATITUDE) * math.sin(latitude)
-    share = (
-        (math.sin(turned) if nearer else math.cos(turned)) * math.cos(POLE_LATITUDE) / math.sin(colatitude)
-    )
+    share = (math.sin(turned) if nearer else math.cos(turned)) * math.cos(POLE_LATITUDE) / math.sin(colatitude)
     declination, inclination = math.asin(share), math.atan(2 / math.tan(colatitude))
     level = strength * math.cos(inclination)
     return level * math.cos(declination), level * math.sin(declination), strength * math.sin(inclination)

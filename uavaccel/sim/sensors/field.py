@@ -89,9 +89,7 @@ class Magnetometer:
 
     def read(self, truth: Truth) -> Vector:
         """Return the field in gauss, FRD."""
-        field = (
-            np.array(magnetic_field_gauss(truth.place)) @ truth.pose.matrix() * self._settings.scale_factor
-        )
+        field = np.array(magnetic_field_gauss(truth.place)) @ truth.pose.matrix() * self._settings.scale_factor
         field += self._white.at(truth.sample) * self._settings.noise_sigma + self._bias
         x, y, z = field.tolist()
         return x, y, z

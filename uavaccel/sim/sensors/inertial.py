@@ -48,9 +48,7 @@ class Imu:
     def __init__(self, settings: ImuSettings, seed: int, name: str) -> None:
         self._rate_noise = math.radians(settings.angular_random_walk) / math.sqrt(3600)
         self._force_noise = settings.velocity_random_walk * GRAVITY_M_S2 / 1e3
-        rate_walk = math.radians(settings.gyro_bias_stability / 3600) / math.sqrt(
-            settings.gyro_bias_stability_tau
-        )
+        rate_walk = math.radians(settings.gyro_bias_stability / 3600) / math.sqrt(settings.gyro_bias_stability_tau)
         force_walk = settings.accel_bias_stability * 1e-6 * GRAVITY_M_S2
         force_walk /= math.sqrt(settings.accel_bias_stability_tau)
         self._white = White(seed, name, 6)

@@ -124,9 +124,7 @@ def directions(settings: LidarSettings, start_deg: float) -> NDArray[np.float64]
     are none if a channel has less than half a point (UnrealLidarSensor::getPointCloud).
     """
     azimuths_deg = azimuths(settings, start_deg)
-    channels_deg = np.linspace(
-        settings.vertical_fov_upper, settings.vertical_fov_lower, settings.number_of_channels
-    )
+    channels_deg = np.linspace(settings.vertical_fov_upper, settings.vertical_fov_lower, settings.number_of_channels)
     pitch = np.radians(np.repeat(channels_deg, len(azimuths_deg)))
     yaw = np.radians(np.tile(azimuths_deg, settings.number_of_channels))
     return np.stack([np.cos(pitch) * np.cos(yaw), np.cos(pitch) * np.sin(yaw), -np.sin(pitch)], axis=1)

@@ -88,9 +88,7 @@ class Clearance:
             return 0.0
         distance_m = _distance(self._qpos, self._still, *self._places)
         gap_m = distance_m - self._radius_m - MARGIN_M
-        craft = tuple(
-            parameters[name] for name in ("max_thrust_n", "drag_factor_m2", "mass_kg", "gravity_m_s2")
-        )
+        craft = tuple(parameters[name] for name in ("max_thrust_n", "drag_factor_m2", "mass_kg", "gravity_m_s2"))
         return float(_free_s(gap_m, state["velocity"], state["wind"], *craft))
 
 
@@ -98,20 +96,12 @@ class Clearance:
 def free_s(parameters: Record, state: Record, gap_m: float) -> float:
     """Return the seconds, 0 or more, in which no flight crosses `gap_m`, whatever the autopilot does."""
     thrust_n, drag_m2, mass_kg = parameters.max_thrust_n, parameters.drag_factor_m2, parameters.mass_kg
-    return time_through(
-        gap_m, state.velocity, state.wind, thrust_n, drag_m2, mass_kg, parameters.gravity_m_s2
-    )
+    return time_through(gap_m, state.velocity, state.wind, thrust_n, drag_m2, mass_kg, parameters.gravity_m_s2)
 
 
 @part
 def time_through(
-    gap_m: float,
-    velocity: Floats,
-    wind: Floats,
-    thrust_n: float,
-    drag_m2: Floats,
-    mass_kg: float,
-    gravity_m_s2: float,
+    gap_m: float, velocity: Floats, wind: Floats, thrust_n: float, drag_m2: Floats, mass_kg: float, gravity_m_s2: float
 ) -> float:
     """Compute `free_s` from single fields: passing records from Python to numba takes longer than the computation."""
     speed, wind_speed = length(velocity), length(wind)

@@ -35,9 +35,7 @@ class ContactLog:
     A contact is counted when it begins; while it lasts, it is not counted again.
     """
 
-    def __init__(
-        self, data: mujoco.MjData, body: int, model: mujoco.MjModel, name_of: Callable[[int], str]
-    ) -> None:
+    def __init__(self, data: mujoco.MjData, body: int, model: mujoco.MjModel, name_of: Callable[[int], str]) -> None:
         """`body` is the vehicle's; `name_of` returns the name of what a geom belongs to."""
         self._model, self._data, self._body, self._name_of = model, data, body, name_of
         self.clear()

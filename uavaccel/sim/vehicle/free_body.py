@@ -69,12 +69,7 @@ def body_axes(q: Quad) -> tuple[Triple, Triple, Triple]:
 
 @part
 def momentum(
-    axes: tuple[Triple, Triple, Triple],
-    inertia: Array,
-    arm: Triple,
-    mass: float,
-    spin: Triple,
-    velocity: Triple,
+    axes: tuple[Triple, Triple, Triple], inertia: Array, arm: Triple, mass: float, spin: Triple, velocity: Triple
 ) -> tuple[Triple, Triple]:
     """Return spatial inertia, about a point `arm` from the centre of mass, times a motion."""
     ax, ay, az = axes
@@ -95,11 +90,7 @@ def momentum(
         xx * p + xy * q + xz * r - mz * v + my * w,
         xy * p + yy * q + yz * r + mz * u - mx * w,
         xz * p + yz * q + zz * r - my * u + mx * v,
-    ), (
-        mz * q - my * r + mass * u,
-        mx * r - mz * p + mass * v,
-        my * p - mx * q + mass * w,
-    )
+    ), (mz * q - my * r + mass * u, mx * r - mz * p + mass * v, my * p - mx * q + mass * w)
 
 
 @part
@@ -111,9 +102,7 @@ def moment(axis: Triple, lever: Triple, torque: Triple, force: Triple) -> float:
 
 
 @part
-def bias(
-    parameters: Record, qpos: Array, qvel: Array, axes: tuple[Triple, Triple, Triple]
-) -> tuple[Triple, Triple]:
+def bias(parameters: Record, qpos: Array, qvel: Array, axes: tuple[Triple, Triple, Triple]) -> tuple[Triple, Triple]:
     """Return the bias force and torque of gravity and motion: mj_rne.
 
     MuJoCo computes the centre of mass as a weighted mean, which may differ from the position in the last bit.
@@ -137,11 +126,7 @@ def bias(
     angular, linear = momentum(axes, parameters.inertia_kg_m2, arm, mass, spin, moved)
     tumble, drift, carried = cross(spin, angular), cross(moved, linear), cross(spin, linear)
     twist = cross(m, fall)
-    torque = (
-        twist[0] + (tumble[0] + drift[0]),
-        twist[1] + (tumble[1] + drift[1]),
-        twist[2] + (tumble[2] + drift[2]),
-    )
+    torque = (twist[0] + (tumble[0] + drift[0]), twist[1] + (tumble[1] + drift[1]), twist[2] + (tumble[2] + drift[2]))
     force = (mass * fall[0] + carried[0], mass * fall[1] + carried[1], mass * fall[2] + carried[2])
     about = (moment(ax, lx, torque, force), moment(ay, ly, torque, force), moment(az, lz, torque, force))
     return force, about

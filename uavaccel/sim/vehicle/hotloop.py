@@ -58,14 +58,10 @@ def mj_step_address() -> int:
 
 
 @intrinsic
-def _call_mj_step(
-    typing_context: object, address: types.Type, model: types.Type, data: types.Type
-) -> Intrinsic:
+def _call_mj_step(typing_context: object, address: types.Type, model: types.Type, data: types.Type) -> Intrinsic:
     """Call `mj_step(model, data)` by its address, an argument because numba cannot cache a global pointer."""
 
-    def codegen(
-        context: BaseContext, builder: ir.IRBuilder, signature: object, arguments: list[ir.Value]
-    ) -> ir.Value:
+    def codegen(context: BaseContext, builder: ir.IRBuilder, signature: object, arguments: list[ir.Value]) -> ir.Value:
         pointer = ir.IntType(8).as_pointer()
         function_type = ir.FunctionType(ir.VoidType(), [pointer, pointer])
         function = builder.inttoptr(arguments[0], function_type.as_pointer())
@@ -79,9 +75,7 @@ def _call_mj_step(
 def _pointer(typing_context: object, address: types.Type) -> Intrinsic:
     """Convert an address to a pointer, for `carray`."""
 
-    def codegen(
-        context: BaseContext, builder: ir.IRBuilder, signature: object, arguments: list[ir.Value]
-    ) -> ir.Value:
+    def codegen(context: BaseContext, builder: ir.IRBuilder, signature: object, arguments: list[ir.Value]) -> ir.Value:
         return builder.inttoptr(arguments[0], ir.IntType(8).as_pointer())
 
     return types.voidptr(types.int64), codegen
@@ -141,9 +135,7 @@ def kick(parameters: Record, state: Record, qvel: NDArray[np.float64], force: ND
 
 
 @part
-def feel_contacts(
-    parameters: Record, state: Record, contact: NDArray[np.float64], push: NDArray[np.float64]
-) -> None:
+def feel_contacts(parameters: Record, state: Record, contact: NDArray[np.float64], push: NDArray[np.float64]) -> None:
     """Add the contact forces of the last step to the accelerations, and to the velocity at the tick.
 
     MuJoCo adds them to the next kick itself. Those of the coming step are not known yet; at rest they are the same.
@@ -225,11 +217,7 @@ def after_step(
 
 @part
 def arrive(
-    parameters: Record,
-    state: Record,
-    recorder: Record,
-    qpos: NDArray[np.float64],
-    samples: NDArray[np.float64],
+    parameters: Record, state: Record, recorder: Record, qpos: NDArray[np.float64], samples: NDArray[np.float64]
 ) -> None:
     """Update the rotors at the tick that ends, then pose, autopilot and recorder at the next one."""
     turn_rotors(parameters, state)

@@ -99,11 +99,7 @@ FLIGHT_DTYPE = np.dtype(
 
 
 def parameters(
-    tick_s: float,
-    hover_after_ticks: int,
-    mass_kg: float,
-    inertia: NDArray[np.float64],
-    contacts_act: bool = True,
+    tick_s: float, hover_after_ticks: int, mass_kg: float, inertia: NDArray[np.float64], contacts_act: bool = True
 ) -> NDArray[np.void]:
     """Make a record (1,) of PARAMETERS_DTYPE for a physics step of `tick_s` seconds."""
     record = np.zeros(1, PARAMETERS_DTYPE)

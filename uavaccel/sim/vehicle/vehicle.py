@@ -34,11 +34,7 @@ GAINS = (
     *("position_gain", "velocity_gain", "z_integral_gain", "angle_gain", "rate_gain"),
     *("full_pid", "integral_gain", "derivative_gain"),
 )
-PID_LEVEL = {
-    "position": autopilot.POSITION_LEVEL,
-    "velocity": autopilot.VELOCITY_LEVEL,
-    "angle": autopilot.ANGLE_LEVEL,
-}
+PID_LEVEL = {"position": autopilot.POSITION_LEVEL, "velocity": autopilot.VELOCITY_LEVEL, "angle": autopilot.ANGLE_LEVEL}
 
 
 @dataclass(frozen=True)
@@ -260,11 +256,7 @@ class Vehicle:
         self.state["contacts"] = UNCOUNTED
 
     def put(
-        self,
-        position_m: Vector,
-        orientation_wxyz: Quaternion,
-        velocity_m_s: Vector = HERE,
-        rate: Vector = HERE,
+        self, position_m: Vector, orientation_wxyz: Quaternion, velocity_m_s: Vector = HERE, rate: Vector = HERE
     ) -> None:
         """Set pose and velocity in MuJoCo: NED in the world, and rad/s in the body's frame."""
         self.set_pose(position_m, orientation_wxyz)
@@ -299,9 +291,7 @@ class Vehicle:
     def carry(self) -> State:
         """Return the part of the flight's state that is in the model, for `take_over` into the next one."""
         arrays = {"qpos": self.qpos, "qvel": self.qvel, "_force": self._force, "_push": self._push}
-        return {name: array.copy() for name, array in arrays.items()} | {
-            "touches": self.contact_log.get_state()
-        }
+        return {name: array.copy() for name, array in arrays.items()} | {"touches": self.contact_log.get_state()}
 
     def take_over(self, carried: SavedState) -> None:
         """Restore what `carry` returned; static geoms keep their ids, since vehicles are added behind them."""
@@ -332,9 +322,7 @@ class Vehicle:
 
     def get_state(self) -> State:
         """Return flight state, contacts and gains; the pose is part of MuJoCo's state."""
-        state = prefixed("flight", record_fields(self._flight)) | prefixed(
-            "touches", self.contact_log.get_state()
-        )
+        state = prefixed("flight", record_fields(self._flight)) | prefixed("touches", self.contact_log.get_state())
         return state | prefixed("gains", {name: self.parameters[name].copy() for name in GAINS})
 
     def set_state(self, state: SavedState) -> None:
@@ -345,11 +333,7 @@ class Vehicle:
 
 
 def set_airframe(
-    model: mujoco.MjModel,
-    parameters: NDArray[np.void],
-    own: NDArray[np.void],
-    mass_ratio: float,
-    thrust_ratio: float,
+    model: mujoco.MjModel, parameters: NDArray[np.void], own: NDArray[np.void], mass_ratio: float, thrust_ratio: float
 ) -> None:
     """Set mass and inertia to `mass_ratio` times those of `own`, thrust and torque to `thrust_ratio` times.
 
