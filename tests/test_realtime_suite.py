@@ -420,7 +420,12 @@ def test_a_cell_is_of_all_trainings_and_tcsc_is_held_against_its_own(tmp_path: P
     other = Realtime().report(made(tmp_path / "other", *rows, row_of("a", "tcsc", 0.0, 9.0, 2.5))).summary
     said = [each["tcsc_equal_at_every_clock_speed"] for each in (alone, equal, other)]
     assert said == [None, True, False]
-    training: dict[str, Any] = {"suite": "realtime", "kind": "training", "case": "pendulum-a-s0", "environment": "pendulum"}
+    training: dict[str, Any] = {
+        "suite": "realtime",
+        "kind": "training",
+        "case": "pendulum-a-s0",
+        "environment": "pendulum",
+    }
     training |= {"agent": "a", "seed": 0, "steps": 1, "last_return": 0.0, "weights_sha256": "0" * 64}
     begun = Realtime().report(made(tmp_path / "none", training))
     with pytest.raises(UserError, match="holds no finished evaluation yet"):
