@@ -71,7 +71,7 @@ def run(
         measurements += _measured(partial(speed.bench_soak, soak_s))
     if out is not None:
         manifest = describe_run(["bench", *names], 0, calendar_time()) | {"host_check": machine}
-        kept = {"measurements": [each._asdict() for each in measurements], "manifest": manifest}
+        kept = {"measurements": [measurement._asdict() for measurement in measurements], "manifest": manifest}
         out.write_text(json.dumps(kept, indent=2) + "\n")
 
 

@@ -16,7 +16,7 @@ from uavaccel.envs.batch import MOST_TILES, EnvironmentBatch
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.resources import asset
 from uavaccel.sim.camera.view import View
-from uavaccel.sim.lane.layout import draw_layout
+from uavaccel.sim.lane.layout import sample_layout
 from uavaccel.sim.lane.scene import apply_layout
 from uavaccel.sim.rendering.tiles import Tiles
 
@@ -24,7 +24,7 @@ from uavaccel.sim.rendering.tiles import Tiles
 def proportional_mib(process_ids: Iterable[int]) -> float | None:
     """Return the proportional set size of processes in MiB, shared memory counted once; None where it is not known."""
     try:
-        rollups = [Path(f"/proc/{each}/smaps_rollup").read_text(encoding="ascii") for each in process_ids]
+        rollups = [Path(f"/proc/{process_id}/smaps_rollup").read_text(encoding="ascii") for process_id in process_ids]
     except OSError:
         return None
     return sum(int(kib) for text in rollups for kib in re.findall(r"^Pss: +(\d+) kB", text, re.M)) / 1024
@@ -87,7 +87,7 @@ def bare_tiles(count: int) -> tuple[float, str]:
     """Return frames per second of a loop that renders `count` scenes of the lane and reads them back; the renderer."""
     model = mujoco.MjModel.from_xml_path(str(asset("mjcf/lane.xml")))
     data = mujoco.MjData(model)
-    apply_layout(model, data, draw_layout(seed=0))
+    apply_layout(model, data, sample_layout(seed=0))
     tiles = Tiles(model, count)
     scenes = []
     for place in range(count):

@@ -18,7 +18,7 @@ from uavaccel.kinematics import VelocityGoal
 from uavaccel.resources import asset
 from uavaccel.sim.camera.camera import Camera
 from uavaccel.sim.camera.gl import GlRenderer, describe_renderer
-from uavaccel.sim.lane.layout import draw_layout
+from uavaccel.sim.lane.layout import sample_layout
 from uavaccel.sim.lane.path import plan_path
 from uavaccel.sim.lane.scene import apply_layout
 from uavaccel.sim.profile import NATIVE
@@ -41,7 +41,7 @@ def frame_rates(rounds: int = 5) -> tuple[float, float, float, GlRenderer]:
     """
     model = mujoco.MjModel.from_xml_path(str(asset("mjcf/lane.xml")))
     data = mujoco.MjData(model)
-    apply_layout(model, data, draw_layout(seed=0))
+    apply_layout(model, data, sample_layout(seed=0))
     with Camera(model) as camera:
         bare_ns, ours_ns = np.array([_pass(camera, data) for _ in range(rounds)]).T
         frames_ns = len(PLACES_M) * FRAMES_AT_EACH * NS_PER_S
@@ -90,7 +90,7 @@ def bench_image() -> Iterator[Measurement]:
         client.image("gray")
         wire_s = median(elapsed_s(lambda: client.image("gray")) for _ in range(PICTURES))
     world = World("lane", NATIVE)
-    world.set_lane(draw_layout(LANE))
+    world.set_lane(sample_layout(LANE))
     camera, out = world.camera(256, 144), np.empty((144, 256, 3), np.uint8)
     camera.colour(world.data)
     bare_s = median(elapsed_s(lambda: camera.render_again(out)) for _ in range(PICTURES))
@@ -120,9 +120,9 @@ def bench_event_camera() -> Iterator[Measurement]:
         environment = ObstacleLane(dvs_rate_hz=rate_hz)
         environment.reset(seed=0, options={"lane": LANE})
         environment.step(AHEAD)
-        before = frames_seen(environment)
+        before = count_frames(environment)
         took = [elapsed_s(lambda: environment.step(AHEAD)) for _ in range(COMMANDS)]  # noqa: B023  called at once
-        per_s = (frames_seen(environment) - before) / COMMANDS
+        per_s = (count_frames(environment) - before) / COMMANDS
         environment.close()
         wall_ms = median(took) * 1e3
         name = "at the samples" if rate_hz is None else f"at {rate_hz:g} Hz"
@@ -130,7 +130,7 @@ def bench_event_camera() -> Iterator[Measurement]:
         yield Measurement(f"event camera {name}", wall_ms, "ms/simulated s", note=note)
 
 
-def frames_seen(environment: ObstacleLane) -> int:
+def count_frames(environment: ObstacleLane) -> int:
     """Return how many frames an environment's event camera has received."""
     assert isinstance(environment.sensor, EventCamera)
     return environment.sensor.counter.frames
@@ -139,7 +139,7 @@ def frames_seen(environment: ObstacleLane) -> int:
 def lane_frames() -> list[NDArray[np.uint8]]:
     """Return gray frames of a planned flight through a lane, one every .33 s."""
     world = World("lane", NATIVE)
-    layout = draw_layout(LANE)
+    layout = sample_layout(LANE)
     world.set_lane(layout)
     world.reset()
     camera = world.camera(256, 144)

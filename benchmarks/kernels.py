@@ -23,12 +23,12 @@ from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
 from uavaccel.envs.simulators import KERNELS, check_simulator
 from uavaccel.kernels import cpu, events, timeline
 from uavaccel.kernels import lanes as rows
-from uavaccel.kernels.fields import COLUMNS, DVS, NO_LOOKS, ROWS, STATE
+from uavaccel.kernels.fields import COLUMNS, DVS, NO_APPEARANCE, ROWS, STATE
 from uavaccel.kernels.spans import make_scratch
 from uavaccel.machine import usable_cores
 from uavaccel.sim.profile import NATIVE
 from uavaccel.sim.world import World
-from uavaccel.vision.dvs_sensor import draw_pixels
+from uavaccel.vision.dvs_sensor import sample_pixels
 
 REPEATS = 5
 TICKS = 50_000
@@ -64,16 +64,16 @@ def one_lane(task: LaneTask) -> Bare:
     """Return a lane at the start of its first game."""
     maker = GameMaker(task)
     games, now = rows.game_rows(1, maker.surroundings.most), rows.flights(1)
-    maker.write(maker.draw(np.random.default_rng(0), 0), games, 0)
+    maker.write(maker.sample(np.random.default_rng(0), 0), games, 0)
     kind = DVS if task.observation == "dvs" else STATE
-    sensor = events.sensor_of(draw_pixels(task.dvs_parameters, (ROWS, COLUMNS), task.dvs_seed))
+    sensor = events.sensor_of(sample_pixels(task.dvs_parameters, (ROWS, COLUMNS), task.dvs_seed))
     pixels = events.pixels_of(int(kind == DVS), task.dvs_parameters)
     view, plan = (
-        cpu.View(kind, maker.looks or NO_LOOKS, sensor, pixels),
+        cpu.View(kind, maker.appearance or NO_APPEARANCE, sensor, pixels),
         plan_of(task, maker.surroundings.hull, kind != STATE),
     )
     first = np.arange(1)
-    cpu.CPU.look_at_starts(games, first)
+    cpu.CPU.observe_starts(games, first)
     clocks = timeline.clocks(1, task.frames_per_command)
     cpu.CPU.begin(first, first, view, games, now, plan, clocks)
     return Bare(games, now, view, plan, clocks)
@@ -117,7 +117,7 @@ def _seen_s() -> float:
     bare, scratch, picture = one_lane(LaneTask()), make_scratch(), np.empty((ROWS, COLUMNS), np.uint8)
 
     def look(number: int) -> None:
-        cpu.look_at_events(0, bare.view, bare.games, bare.now, bare.plan, scratch, picture)
+        cpu.observe_events(0, bare.view, bare.games, bare.now, bare.plan, scratch, picture)
 
     look(0)  # compiled
     return _each_s(look)
@@ -128,15 +128,15 @@ def _picture_s() -> tuple[float, float]:
     bare, scratch, picture = one_lane(LaneTask()), make_scratch(), np.empty((ROWS, COLUMNS), np.uint8)
     camera = bare.games.cameras[0]
 
-    def draw(number: int) -> None:
-        cpu.draw_gray(0, bare.view.looks, bare.games, bare.now, bare.plan.tick_ns, scratch, picture)
+    def sample(number: int) -> None:
+        cpu.render_gray(0, bare.view.appearance, bare.games, bare.now, bare.plan.tick_ns, scratch, picture)
 
     def see(number: int) -> None:
         cpu.see(0, picture, 0.002 * number, bare.view.pixels, bare.view.sensor, camera, 0)
 
-    draw(0)  # compiled
+    sample(0)  # compiled
     see(0)
-    return _each_s(draw), _each_s(see)
+    return _each_s(sample), _each_s(see)
 
 
 def _each_s(work: Callable[[int], None]) -> float:

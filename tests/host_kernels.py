@@ -34,7 +34,7 @@ class Plan(NamedTuple):
     hull: Any
     texels: Any
     textures: Any
-    looks: Any
+    appearance: Any
     sensor: Any
 
 
@@ -89,7 +89,7 @@ class ClockKernels:
 
     @staticmethod
     def run_keep(which: Any, now: Any, clocks: Any, to_shown: Any) -> None:
-        _each_lane(lane_clocks.keep_shown, which & (to_shown >= 0), now, clocks)
+        _each_lane(lane_clocks.save_shown, which & (to_shown >= 0), now, clocks)
 
     @staticmethod
     def run_turn(which: Any, now: Any, clocks: Any) -> None:
@@ -115,7 +115,7 @@ class Kernels:
     def run_begin(self, which: Any, rows: Any, games: Any, now: Any) -> None:
         for lane in which:
             lanes.begin(lane, rows[lane], games, now)
-            lanes.look(games.parameters[rows[lane]], now.state[lane], now.body[lane])
+            lanes.refresh(games.parameters[rows[lane]], now.state[lane], now.body[lane])
 
     def run_command(self, which: Any, directions: Any, games: Any, now: Any) -> None:
         for lane in which:
@@ -127,7 +127,7 @@ class Kernels:
 
     def run_start(self, which: Any, faces: Any, shown: Any, plan: Any, games: Any, now: Any, pixels: Any) -> None:
         for lane in which:
-            cpu.draw_gray(lane, plan.looks, games, now, 1, self._scratch, self._picture)
+            cpu.render_gray(lane, plan.appearance, games, now, 1, self._scratch, self._picture)
             self._levels[lane] = self._scratch.channels[0].sum()
             cpu.start(lane, self._picture, pixels, plan.sensor, games.cameras[now.game[lane]])
 
@@ -141,12 +141,12 @@ class Kernels:
             if lanes.touched(lane, now):
                 continue
             game = now.game[lane]
-            cpu.draw_gray(lane, plan.looks, games, now, tick_ns, self._scratch, self._picture)
+            cpu.render_gray(lane, plan.appearance, games, now, tick_ns, self._scratch, self._picture)
             self._levels[lane] = self._scratch.channels[0].sum()
             time_s = cpu.moment_ns(lane, now, tick_ns) * events.NS
             seed = games.seeds[game, lanes.EVENT_SEED]
             cpu.see(lane, self._picture, time_s, pixels, plan.sensor, games.cameras[game], seed)
-            cpu.take_events(lane, pixels, frames[lane][None])
+            cpu.pop_events(lane, pixels, frames[lane][None])
 
     def run_show(self, which: Any, kind: int, tick_ns: int, faces: Any, shown: Any, plan: Any, *of_lanes: Any) -> None:
         games, now, frames = of_lanes
@@ -155,10 +155,10 @@ class Kernels:
             if lanes.touched(lane, now):
                 continue
             if kind == COLOUR:
-                cpu.draw_colour(lane, plan.looks, games, now, tick_ns, self._scratch, frames[lane])
+                cpu.render_colour(lane, plan.appearance, games, now, tick_ns, self._scratch, frames[lane])
                 self._levels[lane] = self._scratch.channels.sum(axis=(1, 2))
             else:
-                cpu.draw_depth(lane, plan.looks, games, now, self._scratch, frames[lane])
+                cpu.render_depth(lane, plan.appearance, games, now, self._scratch, frames[lane])
 
     def run_add_grey(self, which: Any, faces: Any, shown: Any, plan: Any, sums: Any) -> None:
         for lane in which:
@@ -181,7 +181,7 @@ def shared(tensor: th.Tensor, dtype: Any = None) -> Any:
 
 def on_device(arrays: Any, device: th.device) -> tuple[Any, Any]:
     if not isinstance(arrays, np.ndarray):
-        pairs = [on_device(each, device) for each in arrays]
+        pairs = [on_device(array, device) for array in arrays]
         return type(arrays)(*(pair[0] for pair in pairs)), type(arrays)(*(pair[1] for pair in pairs))
     if arrays.dtype.names:
         rows = np.ascontiguousarray(arrays).view(np.uint8).reshape(len(arrays), arrays.dtype.itemsize)

@@ -40,6 +40,6 @@ def side_by_side(task: LaneTask, count: int, *_: Any) -> Lanes:
 def fly_here(put: Callable[[Any, str, Any], None] = setattr) -> None:
     """Trainings fly their lanes in this process and nobody draws them: both take longer than a small one itself."""
     put(trainer, "make_lanes", side_by_side)
-    put(exact_lanes, "begin_exact_lanes", lambda *_: None)
+    put(exact_lanes, "start_exact_lanes", lambda *_: None)
     put(Training, "page", lambda *_: iter(()))
     put(Evaluation, "page", lambda *_: iter(()))

@@ -28,7 +28,7 @@ def descendants(pid: int) -> set[int]:
 
 def servers(pid: int) -> set[int]:
     """Those below a process that serve a session in `wall`."""
-    return {each for each in descendants(pid) if "uavaccel.wire.server_process" in command_line(each)}
+    return {descendant for descendant in descendants(pid) if "uavaccel.wire.server_process" in command_line(descendant)}
 
 
 def command_line(pid: int) -> str:

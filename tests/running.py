@@ -13,14 +13,14 @@ from tests.web_pages import assert_sound
 from uavaccel.records import RunDirectory
 from uavaccel.suites.experiment import Experiment
 from uavaccel.suites.report import Summary
-from uavaccel.suites.runner import begin_run, run_suite
+from uavaccel.suites.runner import run_suite, start_run
 from uavaccel.suites.session import RunRequest, configure
 from uavaccel.suites.suite import AnySuite
 
 
 def fly_into(out: Path, suite: AnySuite, config: Experiment, resume: bool = False, jobs: int = 1) -> RunDirectory:
     """Fly without a report, whose figures would take longer than most tests' flights."""
-    run = begin_run(suite, config, out, {}, resume)
+    run = start_run(suite, config, out, {}, resume)
     run_suite(suite, config, run, jobs)
     return run
 

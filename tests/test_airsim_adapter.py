@@ -111,7 +111,7 @@ def test_every_field_and_unit_of_airsims() -> None:
     three = {name: (x + 1, x + 2, x + 3) for name, x in zip("pvwab", (10, 30, 40, 50, 60), strict=True)}
     expected = Kinematics(7, three["p"], (20, 21, 22, 23), three["v"], three["w"], three["a"], three["b"])
     assert adapter.kinematics() == expected
-    assert adapter.gather(expected) is expected
+    assert adapter.read_sample(expected) is expected
     assert adapter.continue_for(2_000_000_000) == expected
     level = {"is_rate": False, "yaw_or_rate": math.degrees(0.5)}
     assert adapter.move_async(NORTH_AT_HEIGHT, 2.0) == "moveByVelocityZAsync's future"

@@ -49,8 +49,8 @@ def read_table() -> list[Call]:
             method, given, on_wire, sent = found.groups()
             signature = ast.parse(f"def f({given}): ...").body[0]
             assert isinstance(signature, ast.FunctionDef)
-            names = [each.arg for each in signature.args.args]
-            defaults = [ast.unparse(each) for each in signature.args.defaults]
+            names = [arg.arg for arg in signature.args.args]
+            defaults = [ast.unparse(default) for default in signature.args.defaults]
             pairs = list(zip(names, [None] * (len(names) - len(defaults)) + [*defaults], strict=True))
             calls.append(Call(method, pairs, on_wire, sent or ", ".join(names)))
     return calls
@@ -124,7 +124,7 @@ def test_the_table_has_every_public_method() -> None:
 def test_a_method_sends_what_airsims_does(client: Any, recorder: Recorder, call: Call) -> None:
     signature = inspect.signature(getattr(airsim.MultirotorClient, call.method))
     ours = [each for each in signature.parameters.values() if each.name != "self"]
-    assert [each.name for each in ours] == [name for name, _ in call.parameters]
+    assert [our.name for our in ours] == [name for name, _ in call.parameters]
     for parameter, (_, default) in zip(ours, call.parameters, strict=True):
         if default is None:
             assert parameter.default is inspect.Parameter.empty
@@ -183,8 +183,10 @@ def test_fields_are_nothing_until_they_are_set_but_for_these() -> None:
     }
     for name, kind in vars(types).items():
         if isinstance(kind, type) and issubclass(kind, types.MsgpackMixin) and kind is not types.MsgpackMixin:
-            plain_fields = {key: each for key, each in vars(kind()).items() if not hasattr(each, "to_msgpack")}
-            assert {key: each for key, each in plain_fields.items() if each} == set_already.get(name, {}), name
+            plain_fields = {key: var for key, var in vars(kind()).items() if not hasattr(var, "to_msgpack")}
+            assert {key: plain_field for key, plain_field in plain_fields.items() if plain_field} == set_already.get(
+                name, {}
+            ), name
 
 
 # --- answers ----------------------------------------------------------------------------------------------------
@@ -268,11 +270,13 @@ def test_an_answer_is_taken_whole_whatever_its_order_and_what_it_lacks_has_its_d
 def test_lists_of_answers_are_airsims_types(client: Any, recorder: Recorder) -> None:
     recorder.answer = [{"width": 3}, {"width": 4}]
     images = client.simGetImages([airsim.ImageRequest("0", 0)])
-    assert [(type(each), each.width) for each in images] == [(airsim.ImageResponse, 3), (airsim.ImageResponse, 4)]
+    assert [(type(image), image.width) for image in images] == [(airsim.ImageResponse, 3), (airsim.ImageResponse, 4)]
     recorder.answer = [{"name": "A"}]
-    assert [(type(each), each.name) for each in client.simGetDetections("0", 0)] == [(airsim.DetectionInfo, "A")]
+    assert [(type(simgetdetection), simgetdetection.name) for simgetdetection in client.simGetDetections("0", 0)] == [
+        (airsim.DetectionInfo, "A")
+    ]
     recorder.answer = [PLACE, PLACE]
-    assert [type(each) for each in client.simGetWorldExtents()] == [airsim.GeoPoint] * 2
+    assert [type(simgetworldextent) for simgetworldextent in client.simGetWorldExtents()] == [airsim.GeoPoint] * 2
 
 
 def test_what_the_client_does_with_several_calls_or_none(

@@ -13,8 +13,8 @@ from tests.airsim_wire import AirSimWire, level_pose, vector, xyz
 from tests.simulating import simulate
 from uavaccel.resources import asset
 from uavaccel.sim.profile import NATIVE
-from uavaccel.sim.scene.model import SPARES, airsim_spec, put_spares_by
-from uavaccel.sim.scene.objects import SceneObjects, take_over
+from uavaccel.sim.scene.model import SPARES, airsim_spec, park_spares
+from uavaccel.sim.scene.objects import SceneObjects, restore_from
 from uavaccel.sim.scene.rays import cast
 from uavaccel.sim.simulation import Simulation
 from uavaccel.sim.vehicle.vehicle import BODY
@@ -163,8 +163,8 @@ def test_objects_stay_what_they_are_in_a_model_with_more_vehicles(wire: AirSimWi
     other = mujoco.MjSpec.from_file(str(asset("mjcf/quadrotor.xml")))
     spec.attach(other, frame=spec.worldbody.add_frame(pos=[0, 0, 50]), prefix="Other/")
     new = spec.compile()
-    put_spares_by(new)
-    take_over(wire.world.model, new)
+    park_spares(new)
+    restore_from(wire.world.model, new)
     data = mujoco.MjData(new)
     assert cast(new, data, (0.0, 0.0, -10.0), NORTH, exclude=BODY).distance_m[0] == pytest.approx(9.5)
     data.qpos[:3] = 9.4, 0.0, 10.0

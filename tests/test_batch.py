@@ -211,7 +211,7 @@ def test_what_a_batch_is_asked_wrongly_is_one_clear_line(simulator: Any) -> None
 def test_a_renderer_that_draws_no_more_is_said_in_one_line(
     end: signal.Signals, how: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(environment_processes, "LOOK_S", 0.1)
+    monkeypatch.setattr(environment_processes, "POLL_S", 0.1)
     with closing(EnvironmentBatch(ObstacleLane, 2, 1, "shared")) as batch:
         batch.reset(seed=0)
         assert batch.service is not None
@@ -224,7 +224,7 @@ def test_a_renderer_that_draws_no_more_is_said_in_one_line(
 
 @pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
 def test_the_first_answer_is_not_waited_for_while_a_lane_stands_still(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(environment_processes, "LOOK_S", 0.1)
+    monkeypatch.setattr(environment_processes, "POLL_S", 0.1)
     with closing(EnvironmentBatch(ObstacleLane, 2, 2, observation="state")) as batch:
         batch.reset(seed=0)
         pids = batch.process_ids
@@ -250,7 +250,7 @@ def test_processes_are_forks_of_one_that_loads_for_all() -> None:
     with closing(EnvironmentBatch(ObstacleLane, 2, 2, observation="state")) as batch:
         batch.reset(seed=0)
         pids = batch.process_ids
-        (loaded,) = {each for each in descendants(os.getpid()) if descendants(each) >= set(pids)}
+        (loaded,) = {descendant for descendant in descendants(os.getpid()) if descendants(descendant) >= set(pids)}
         for pid in (loaded, *pids):
             os.kill(pid, signal.SIGINT)
         batch.step([2, 2])
@@ -267,7 +267,7 @@ def test_a_batch_closes_though_its_processes_are_stopped(gone: bool) -> None:
     with closing(EnvironmentBatch(ObstacleLane, 2, 2, observation="state")) as batch:
         batch.reset(seed=0)
         pids = batch.process_ids
-        (loaded,) = {each for each in descendants(os.getpid()) if descendants(each) >= set(pids)}
+        (loaded,) = {descendant for descendant in descendants(os.getpid()) if descendants(descendant) >= set(pids)}
         for pid in pids if gone else [loaded, pids[0]]:
             os.kill(pid, signal.SIGSTOP)
         if gone:

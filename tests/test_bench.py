@@ -274,7 +274,7 @@ def test_pictures_are_those_that_the_event_camera_sees(rate_hz: float | None, pi
     environment = ObstacleLane(dvs_rate_hz=rate_hz)
     environment.reset(seed=0)
     environment.step(2)
-    assert images.frames_seen(environment) == pictures  # at 10 Hz two samples of the three fall between them
+    assert images.count_frames(environment) == pictures  # at 10 Hz two samples of the three fall between them
     environment.close()
 
 
@@ -355,7 +355,7 @@ def test_an_event_camera_is_timed_per_simulated_second_and_per_picture(given: Ca
 
     card = SimpleNamespace(name="a card")
     given(images, 0.5, 0.1, 0.3, 0.2, 0.4, describe_renderer=lambda: card, ObstacleLane=Lane)
-    given(images, frames_seen=lambda lane: lane.frames)
+    given(images, count_frames=lambda lane: lane.frames)
     assert [each[:2] + each[4:] for each in images.bench_event_camera()] == [
         (f"event camera at {what}", 300.0, f"{note} ms each, flight included; a card")
         for what, note in (

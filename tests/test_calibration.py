@@ -27,7 +27,7 @@ def printed(line: str) -> list[list[str]]:
     """The words of each line that a command prints."""
     done = CliRunner().invoke(app, line.split(), catch_exceptions=False)
     assert done.exit_code == 0, done.output
-    return [each.split() for each in done.output.splitlines()]
+    return [splitline.split() for splitline in done.output.splitlines()]
 
 
 # --- the machine, and the doctor --------------------------------------------------------------------------------------
@@ -166,8 +166,8 @@ def test_a_calibration_is_a_latency_model_and_its_medians_are_told(
     model = read_latency(file)
     thousands = [1000 * share for share in QUANTILES]
     assert list(model.request_us["call"]) == pytest.approx(thousands)
-    assert list(model.reply_us["move"]) == pytest.approx([2 * each for each in thousands])
-    assert list(model.issue_us) == pytest.approx([3 * each for each in thousands])
+    assert list(model.reply_us["move"]) == pytest.approx([2 * thousand for thousand in thousands])
+    assert list(model.issue_us) == pytest.approx([3 * thousand for thousand in thousands])
     head = file.read_text().splitlines()[:3]
     assert "profile airsim, on 20" in head[0]
     assert NOISY["verdict"] in head[0]
@@ -268,11 +268,11 @@ def test_a_trace_is_of_the_second_command_alone_in_the_order_of_its_times() -> N
     """A command of 0.5 s at 50x in lockstep takes 10 ms; the first one has moved the drone by half a second."""
     with VirtualSession("blocks", "native") as session:
         events = record_trace(session, "tcsc", 50.0, 0.5)
-    names = [each["event"] for each in events]
+    names = [event["event"] for event in events]
     assert names.count("call moveByVelocity") == names.count("handle moveByVelocity") == 1
     assert not any("Trace" in name for name in names)
     for column, whole_s in (("wall_s", 0.01), ("sim_s", 0.5)):
-        times = [each[column] for each in events]
+        times = [event[column] for event in events]
         assert times == sorted(times)
         assert times[-1] - times[0] == pytest.approx(whole_s)
 

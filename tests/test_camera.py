@@ -19,7 +19,7 @@ from uavaccel.sim.camera import gl
 from uavaccel.sim.camera.camera import Camera
 from uavaccel.sim.camera.view import HEIGHT, WIDTH
 from uavaccel.sim.lane.file import layout_from
-from uavaccel.sim.lane.layout import draw_layout
+from uavaccel.sim.lane.layout import sample_layout
 from uavaccel.sim.lane.scene import apply_layout
 from uavaccel.sim.profile import NATIVE
 from uavaccel.sim.vehicle.goal import of_velocity
@@ -59,7 +59,7 @@ def lane(lane_scene: Scene) -> Scene:
     """The lane of seed 0, the vehicle at its start."""
     model, data = lane_scene
     mujoco.mj_resetData(model, data)
-    apply_layout(model, data, draw_layout(0))
+    apply_layout(model, data, sample_layout(0))
     return model, data
 
 
@@ -167,7 +167,7 @@ def test_looking_does_not_change_the_flight() -> None:
     ends = []
     for looks in (False, True):
         world = World("lane", NATIVE)
-        world.set_lane(draw_layout(1))
+        world.set_lane(sample_layout(1))
         world.reset()
         world.lead.set_goal(of_velocity(VelocityGoal((1.0, 0.4, 0.0), yaw=0.2)))
         for _ in range(20):
@@ -212,7 +212,7 @@ def test_worlds_that_look_alike_share_a_context_and_others_do_not(lane: Scene) -
     model, data = lane
     other = mujoco.MjModel.from_xml_path(str(asset("mjcf/lane.xml")))
     scene = mujoco.MjData(other)
-    apply_layout(other, scene, draw_layout(2))
+    apply_layout(other, scene, sample_layout(2))
     with Camera(other) as alone:
         expected = alone.colour(scene)
     textured = mujoco.MjModel.from_xml_path(str(asset("mjcf/lane.xml")))
@@ -240,7 +240,7 @@ def test_pixels_are_those_of_mujocos_own_buffer(lane_scene: Scene, monkeypatch: 
         monkeypatch.setattr(gl, "drop_stencil", drop)
         with Camera(model) as camera:
             for seed in range(4):
-                apply_layout(model, data, draw_layout(seed))
+                apply_layout(model, data, sample_layout(seed))
                 data.qpos[:] = (30.0 * seed, 1.0 - seed, 2.0, 1.0, 0.03 * seed, -0.05, 0.1)
                 pictures = (camera.colour(data), camera.depth(data), camera.segmentation(data))
                 seen.append(b"".join(picture.tobytes() for picture in pictures))

@@ -9,7 +9,7 @@ import pytest
 
 from tests.opengl import needs_opengl
 from uavaccel.sim.chase import ChaseView
-from uavaccel.sim.lane.layout import draw_layout
+from uavaccel.sim.lane.layout import sample_layout
 from uavaccel.sim.lane.scene import SUN_ELEVATION_RAD
 
 
@@ -26,7 +26,7 @@ def test_the_drone_is_seen_from_behind_along_its_heading() -> None:
     position_m = np.array([[3.0, 0.0, -2.0], [23.0, 1.5, -2.0], [3.0, 0.0, -2.0], [3.0, 0.0, -2.0]])
     half = np.sqrt(0.5)
     attitude = np.array([[1.0, 0, 0, 0], [1.0, 0, 0, 0], [half, 0, 0, half], [np.cos(0.1), np.sin(0.1), 0, 0]])
-    views = [ChaseView(draw_layout(seed), position_m, attitude, (256, 144)) for seed in (3, 4)]
+    views = [ChaseView(sample_layout(seed), position_m, attitude, (256, 144)) for seed in (3, 4)]
     start, further, east, rolled = (views[0](number) for number in range(4))
     assert start.shape == (144, 256, 3)
     places = drone(start)
@@ -56,7 +56,7 @@ def test_the_drones_shadow_falls_away_from_the_sun() -> None:
     position_m = np.array([[3.0, 0.0, -2.0], [3.0, 0.0, -1.0]])
     level = np.tile([1.0, 0.0, 0.0, 0.0], (2, 1))
     for azimuth_rad in (np.pi / 2, -np.pi / 2):  # the light comes across the lane
-        layout = replace(draw_layout(3), sun_azimuth_rad=azimuth_rad)
+        layout = replace(sample_layout(3), sun_azimuth_rad=azimuth_rad)
         view = ChaseView(layout, position_m, level, (256, 144))
         for number, height_m in enumerate((2.0, 1.0)):
             view(number)

@@ -119,7 +119,7 @@ def trained(
         times = dict(zip(PHASES, (simulation_s - 0.01, 0.01, thinking, 0.0, 0.0), strict=True))
         cell = {"command": command, "clock_speed": k, "games": games, "trained_games": trained, "commands": 100}
         cell |= {"successes": round(min(max(ratio, 0.0), 1.0) * games)}
-        cells.append({**cell, "phase_s": {phase: 100 * each for phase, each in times.items()}})
+        cells.append({**cell, "phase_s": {phase: 100 * time for phase, time in times.items()}})
     flown = [
         {"command": command, "successes": round(changes.get(f"with_{command}", 0.2) * games), "games": games}
         for command in ("tcsc", "adsc")

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from uavaccel.kinematics import VelocityGoal
 from uavaccel.sim.lane.file import layout_from
-from uavaccel.sim.lane.layout import draw_layout
+from uavaccel.sim.lane.layout import sample_layout
 from uavaccel.sim.profile import AIRSIM, NATIVE
 from uavaccel.sim.vehicle import clearance
 from uavaccel.sim.vehicle.clearance import Clearance
@@ -53,7 +53,7 @@ def test_a_flight_is_the_same_with_contacts_looked_for_at_every_step(scene: str,
     collisions = []
     for seed in range(3):
         if scene == "lane":
-            layout = draw_layout(seed)
+            layout = sample_layout(seed)
             if seed % 2:
                 layout = replace(layout, wind_m_s=(4.0, -3.0, 0.0), mass_ratio=0.87, thrust_ratio=1.13)
             for world in worlds:

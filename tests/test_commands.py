@@ -73,8 +73,8 @@ class ScriptedClient:
         self._take(self.latency_ns, "state")
         return replace(AT_REST, time_ns=self.time_ns)
 
-    def gather(self, state: Kinematics) -> tuple[str, int]:
-        self.calls.append(("gather",))
+    def read_sample(self, state: Kinematics) -> tuple[str, int]:
+        self.calls.append(("read_sample",))
         return ("sample", state.time_ns)
 
     def _take(self, wall_ns: int, *call: Any) -> None:
@@ -95,14 +95,17 @@ class ScriptedClient:
 def test_tcsc_is_figure_4() -> None:
     client = ScriptedClient()
     assert list(tcsc(client, NORTH, 1.0, 1.0)) == [("sample", 1007 * MS)]
-    assert client.calls == [("state",), ("move", NORTH, 1.0), ("continue", 1000 * MS), ("gather",)]
+    assert client.calls == [("state",), ("move", NORTH, 1.0), ("continue", 1000 * MS), ("read_sample",)]
 
 
 def test_tcsc_takes_three_samples_a_command_as_in_the_paper() -> None:
     client = ScriptedClient()
     samples = list(tcsc(client, NORTH, 1.0, 0.33))
     assert samples == [("sample", (7 + t) * MS) for t in (330, 660, 1000)]
-    assert client.calls[2:] == [*[("continue", 330 * MS), ("gather",)] * 2, *[("continue", 340 * MS), ("gather",)]]
+    assert client.calls[2:] == [
+        *[("continue", 330 * MS), ("read_sample",)] * 2,
+        *[("continue", 340 * MS), ("read_sample",)],
+    ]
 
 
 def test_tcsc_gathers_before_it_goes_on() -> None:
@@ -110,9 +113,9 @@ def test_tcsc_gathers_before_it_goes_on() -> None:
     client = ScriptedClient()
     flight = tcsc(client, NORTH, 1.0, 0.5)
     next(flight)
-    assert client.names() == "state move continue gather"
+    assert client.names() == "state move continue read_sample"
     next(flight)
-    assert client.names() == "state move continue gather continue gather"
+    assert client.names() == "state move continue read_sample continue read_sample"
 
 
 def test_tcsc_that_woke_early_runs_the_difference() -> None:
@@ -146,7 +149,7 @@ def test_neither_early_nor_late_ends_add_up() -> None:
 def test_adsc_joins_and_gathers_with_the_clock_stopped() -> None:
     client = ScriptedClient()
     assert list(adsc(client, NORTH, 1.0, 1.0)) == [("sample", 1007 * MS)]
-    assert client.calls == [("move", NORTH, 1.0), ("join", None), ("pause",), ("state",), ("gather",), ("run",)]
+    assert client.calls == [("move", NORTH, 1.0), ("join", None), ("pause",), ("state",), ("read_sample",), ("run",)]
 
 
 def test_adsc_samples_are_due_at_multiples_of_t_sample() -> None:
@@ -158,8 +161,8 @@ def test_adsc_samples_are_due_at_multiples_of_t_sample() -> None:
         ("join", 1_000 * MS + 66 * MS),
         ("join", None),
     ]
-    gather = "pause state gather run"
-    assert client.names() == f"move join {gather} join {gather} join {gather}"
+    read_sample = "pause state read_sample run"
+    assert client.names() == f"move join {read_sample} join {read_sample} join {read_sample}"
 
 
 def test_adsc_allows_for_the_time_it_stood_still() -> None:
@@ -178,8 +181,8 @@ def test_adsc_whose_command_ended_takes_no_more_samples_but_the_last() -> None:
     """At 1000x a call costs more simulated time than there is between two samples."""
     client = ScriptedClient(clock_speed=1000.0, latency_ns=2 * MS)
     assert list(adsc(client, NORTH, 1.0, 0.1)) == [("sample", 1007 * MS)] * 2
-    gather = "pause state gather run"
-    assert client.names() == f"move join {gather} join join {gather}"
+    read_sample = "pause state read_sample run"
+    assert client.names() == f"move join {read_sample} join join {read_sample}"
 
 
 def test_adsc_lets_the_clock_run_and_tcsc_stops_it() -> None:

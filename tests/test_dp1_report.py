@@ -68,7 +68,7 @@ def find(summary: Any, **wanted: Any) -> dict[str, Any]:
 def bootstrapped(*samples: Any, of: Any) -> list[float]:
     """The interval of a statistic over resampled games, the samples drawn one after another."""
     rng = np.random.default_rng(SEED)
-    drawn = [np.array(each)[rng.integers(len(each), size=(2000, len(each)))] for each in samples]
+    drawn = [np.array(sample)[rng.integers(len(sample), size=(2000, len(sample)))] for sample in samples]
     found = of(*drawn).tolist()
     return [quantile(found, 0.025), quantile(found, 0.975)]
 
@@ -269,7 +269,7 @@ def test_figures_of_accelerated_games(tmp_path: Path, drawn: dict[str, Figure]) 
             key = {"command": command, "t_move_s": t_move_s, "rounds": 24}
             cells = [find(report.summary, **key, clock_speed=k) for k in speeds]
             ends = [cell["effective_speedup_interval"] or [1.0, 1.0] for cell in cells]
-            assert [bar[:, 1].tolist() for bar in bars.get_segments()] == [pytest.approx(each) for each in ends]
+            assert [bar[:, 1].tolist() for bar in bars.get_segments()] == [pytest.approx(end) for end in ends]
     speedup.draw_without_rendering()
     assert {"1x", "2x", "5x", "10x", "20x"} <= set(tick_texts(speedup.axes[0].yaxis))
     page = (report.run.path / "report.md").read_text()

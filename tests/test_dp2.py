@@ -142,10 +142,10 @@ def test_tcsc_allows_for_the_clients_latency_at_the_clock_speed(
 
     def last_alone(*asked: Any) -> list[Any]:
         flown.append(asked[2:])
-        return [camera.gather(None)]
+        return [camera.read_sample(None)]
 
     camera: Any = SimpleNamespace(
-        gather=lambda _: SimpleNamespace(state=SimpleNamespace(position_m=(len(flown), 0.0, 0.0), time_ns=0)),
+        read_sample=lambda _: SimpleNamespace(state=SimpleNamespace(position_m=(len(flown), 0.0, 0.0), time_ns=0)),
         kinematics=lambda: None,
         now_ns=lambda: 0,
         client=SimpleNamespace(collision=lambda: None),
@@ -194,7 +194,7 @@ def test_reports_and_games_are_the_same_again(run: RunDirectory) -> None:
         expected = by_case[case.id]
         assert {"suite": "dp2", "case": case.id, **row, **subset(expected, "arrays", "arrays_sha256")} == expected
         stored = run.load_arrays(expected)
-        assert {name: each.tobytes() for name, each in arrays.items()} == {
+        assert {name: array.tobytes() for name, array in arrays.items()} == {
             name: each.tobytes() for name, each in stored.items()
         }
 

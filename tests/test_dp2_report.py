@@ -169,7 +169,7 @@ def test_without_a_run_at_1x_or_in_lockstep_the_numbers_are_unknown(tmp_path: Pa
 def test_games_stand_by_command_and_clock_speed_each_against_its_own_run_at_1x(tmp_path: Path) -> None:
     rows = [("lockstep", "tcsc", 1.0), ("game", "tcsc", 100.0), ("game", "tcsc", 9.0), ("game", "adsc", 5.0)]
     rows += [("game", "tcsc", 1.0), ("reference", "tcsc", 1.0), ("reference", "adsc", 1.0)]
-    made = [counted_later(game(*each)) for each in rows]
+    made = [counted_later(game(*row)) for row in rows]
     report = report_of(tmp_path / "run", *made, game("game", "tcsc", 7.0, error="crashed"))
     assert report.scores[["case", "reference", "equal_poses", "equal_counts"]].to_numpy().tolist() == [
         ["reference-adsc-k1", "reference-adsc-k1", True, True],
@@ -184,8 +184,8 @@ def test_events_that_were_not_counted_in_flight_are_those_of_one_sensor(tmp_path
     ramp = np.linspace(100, 150, dark.size).astype(np.uint8).reshape(SIZE)
     images = {"reference": [ramp, ramp, dark], "game": [dark, ramp, dark]}
     made = [
-        counted_later(game(role, "tcsc", 1.0, (0, 0.0), (0, 0.0), IMAGE=np.array(each)))
-        for role, each in images.items()
+        counted_later(game(role, "tcsc", 1.0, (0, 0.0), (0, 0.0), IMAGE=np.array(image)))
+        for role, image in images.items()
     ]
     keys: list[dict[str, Any]] = [{}, {"seed": 9}, {"sensor_seed": 1}, {"dvs_preset": "noisy"}]
     reports = [report_of(tmp_path / f"{n}", *made, **own) for n, own in enumerate(keys)]

@@ -16,7 +16,7 @@ from uavaccel.config import validate
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.errors import UserError
 from uavaccel.kinematics import VelocityGoal
-from uavaccel.sim.lane.layout import draw_layout, lane_seed
+from uavaccel.sim.lane.layout import lane_seed, sample_layout
 from uavaccel.sim.profile import NATIVE
 from uavaccel.sim.vehicle.goal import of_velocity
 from uavaccel.sim.world import World
@@ -33,7 +33,7 @@ AHEAD = 2
 def frames_of(commands: int) -> list[NDArray[np.uint8]]:
     """The gray picture of every tick of a flight straight ahead, taken without the environment."""
     world = World("lane", NATIVE)
-    world.set_lane(draw_layout(lane_seed("training", LANE)))
+    world.set_lane(sample_layout(lane_seed("training", LANE)))
     world.reset((0.0, 0.0, -2.0))
     camera, frames = world.camera(256, 144), []
     frames.append(camera.gray(world.data))
@@ -88,8 +88,8 @@ def test_every_frame_between_two_samples_counts(rate_hz: float, commands: int) -
     with closing(ObstacleLane(dvs_rate_hz=rate_hz, list_events=True)) as environment:
         environment.reset(seed=0, options={"lane": LANE})
         seen = np.concatenate([environment.step(AHEAD)[0] for _ in range(commands)])
-        events = environment.take_events()
-        assert not len(environment.take_events())
+        events = environment.pop_events()
+        assert not len(environment.pop_events())
     np.testing.assert_array_equal(seen, images)
     assert ((events[:, 3] > 0).sum(), (events[:, 3] < 0).sum()) == (events_on, events_off)
     assert (np.diff(events[:, 0]) >= 0).all()
@@ -129,7 +129,7 @@ def test_what_rate_cannot_be(keys: dict[str, Any], message: str) -> None:
 
 def test_events_are_listed_only_on_request() -> None:
     with closing(ObstacleLane()) as environment, pytest.raises(UserError, match="list_events must be true"):
-        environment.take_events()
+        environment.pop_events()
 
 
 LEVELS = (100, 170, 110, 170)  # of which a threshold of 0.2 makes 2 ON, 1 OFF and 1 ON
@@ -145,7 +145,7 @@ def counter_after(looks: int, listed: bool = True) -> EventCounter:
     counter = EventCounter(sensor_from_maps(PRESETS["clean"], thresholds, thresholds), listed)
     counter.start(even(LEVELS[0]), 5_000_000_000)
     for number in range(1, looks + 1):
-        counter.look(even(LEVELS[number]), 5_000_000_000 + number * 100_000_000)
+        counter.process_frame(even(LEVELS[number]), 5_000_000_000 + number * 100_000_000)
     return counter
 
 
@@ -158,24 +158,24 @@ def counted(counter: EventCounter) -> tuple[list[int], ...]:
 def test_a_counter_adds_up_what_it_has_seen_since_it_was_asked(looks: int, expected: tuple[list[int], ...]) -> None:
     counter = counter_after(looks)
     seen_ns = 5_000_000_000 + looks * 100_000_000
-    assert (counter.frames, counter.has_seen(seen_ns)) == (looks, looks > 0)
-    assert not counter.has_seen(seen_ns - 100_000_000)
+    assert (counter.frames, counter.has_frame_of(seen_ns)) == (looks, looks > 0)
+    assert not counter.has_frame_of(seen_ns - 100_000_000)
     assert counted(counter) == expected
-    assert not counter.has_seen(seen_ns), "not since it was asked"
+    assert not counter.has_frame_of(seen_ns), "not since it was asked"
     assert counted(counter) == ([0], [0])
-    events = counter.take_events()
+    events = counter.pop_events()
     stamps_s = [0.05, 0.1, 0.2, 0.3]  # from its beginning; of the two ON events one is halfway
     assert np.unique(events[:, 0]) == pytest.approx(stamps_s[: looks + 1 if looks else 0])
     assert events[:, 3].sum() == 6 * (expected[0][0] - expected[1][0])
-    assert len(counter.take_events()) == 0
+    assert len(counter.pop_events()) == 0
 
 
 def test_a_counter_begins_anew_with_nothing_seen() -> None:
     counter = counter_after(2)
     counter.start(even(170), 7_000_000_000)
-    assert not counter.has_seen(5_200_000_000)
-    assert (counted(counter), len(counter.take_events())) == (([0], [0]), 0)
-    counter.look(even(170), 7_100_000_000)
+    assert not counter.has_frame_of(5_200_000_000)
+    assert (counted(counter), len(counter.pop_events())) == (([0], [0]), 0)
+    counter.process_frame(even(170), 7_100_000_000)
     assert (counted(counter), counter.frames) == (([0], [0]), 3)
 
 
@@ -187,11 +187,11 @@ def test_a_saved_counter_goes_on_whatever_the_other_had_seen(taken: bool, other_
         counter.take()
     file = {name: np.asarray(value) for name, value in counter.get_state().items()}
     other.set_state({name: value if value.ndim else value.item() for name, value in file.items()})
-    assert other.has_seen(5_100_000_000) is not taken
-    assert len(other.take_events()) == 0
-    other.look(even(LEVELS[2]), 5_200_000_000)
+    assert other.has_frame_of(5_100_000_000) is not taken
+    assert len(other.pop_events()) == 0
+    other.process_frame(even(LEVELS[2]), 5_200_000_000)
     assert counted(other) == ([0 if taken else 2], [1])
-    assert other.take_events()[:, [0, 3]] == pytest.approx(np.array([[0.2, -1.0]] * 6))
+    assert other.pop_events()[:, [0, 3]] == pytest.approx(np.array([[0.2, -1.0]] * 6))
 
 
 def dp2_game(*overrides: str) -> tuple[Any, dict[str, NDArray[Any]]]:
@@ -211,7 +211,7 @@ def test_dp2_counts_between_its_samples_and_flies_as_ever() -> None:
     assert watched_row == row
     on, off = watched.pop("dvs_on"), watched.pop("dvs_off")
     assert {name: each.tobytes() for name, each in watched.items()} == {
-        name: each.tobytes() for name, each in arrays.items()
+        name: array.tobytes() for name, array in arrays.items()
     }
     assert on.shape == off.shape == arrays["image"].shape
     assert not on[0].any()
@@ -221,7 +221,7 @@ def test_dp2_counts_between_its_samples_and_flies_as_ever() -> None:
     # Whatever was seen between, events add up to each sample's change of log intensity, but for less than one more.
     pixels = Pixels(arrays["image"][0])
     for counts in ((on, off), at_samples):
-        risen, fallen = (np.cumsum(each, axis=0, dtype=np.float32) for each in counts)
+        risen, fallen = (np.cumsum(count, axis=0, dtype=np.float32) for count in counts)
         for image, up, down in zip(arrays["image"], risen, fallen, strict=True):
             rest = Pixels.log(image) - pixels.base - up * pixels.positive + down * pixels.negative
             assert (rest < pixels.positive + 1e-4).all()

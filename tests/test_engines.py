@@ -19,7 +19,7 @@ from uavaccel.errors import UsageError, UserError
 from uavaccel.suites import engines
 from uavaccel.suites.dp1 import Dp1
 from uavaccel.suites.engines import PACKAGES, check_engine, on_cluster
-from uavaccel.suites.runner import begin_run, run_suite
+from uavaccel.suites.runner import run_suite, start_run
 from uavaccel.suites.session import RunRequest
 
 SMALL = ("clock_speed=[50]", "rounds=[1]", "t_move_s=[1]", "games=3")
@@ -28,7 +28,7 @@ SMALL = ("clock_speed=[50]", "rounds=[1]", "t_move_s=[1]", "games=3")
 def flown(path: Path, jobs: int, engine: str) -> dict[str, bytes]:
     """All that a run of a few games leaves but its times and its manifest."""
     config = configured("dp1", *SMALL)
-    run = begin_run(Dp1(), config, path, {})
+    run = start_run(Dp1(), config, path, {})
     run_suite(Dp1(), config, run, jobs, engine=engine)
     kept = [path / "rows.jsonl", *sorted((path / "arrays").iterdir())]
     return {str(file.relative_to(path)): file.read_bytes() for file in kept}

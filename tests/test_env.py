@@ -28,7 +28,7 @@ from tests.opengl import needs_opengl
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.envs.sensors import DEPTH_FAR_M
 from uavaccel.errors import UserError
-from uavaccel.sim.lane.layout import EVALUATION_SEEDS, Difficulty, draw_layout, lane_seed
+from uavaccel.sim.lane.layout import EVALUATION_SEEDS, Difficulty, lane_seed, sample_layout
 from uavaccel.vision.observation import NEUTRAL_LEVEL
 
 NAME = "uavaccel/ObstacleLane-v0"
@@ -198,7 +198,7 @@ def test_the_splits_fly_different_lanes_of_one_index() -> None:
     for split in ("training", "evaluation"):
         with lane(split=split, observation="state") as environment:
             ends.append(crash(environment, 2)[4]["distance_m"])
-        free_m = free_distance_m(draw_layout(lane_seed(split, 2)), 0.0)
+        free_m = free_distance_m(sample_layout(lane_seed(split, 2)), 0.0)
         assert ends[-1] == pytest.approx(free_m, abs=0.02)
     assert ends[0] != pytest.approx(ends[1], abs=0.1)
 
@@ -244,7 +244,7 @@ def test_a_lane_that_does_not_exist_is_one_clear_line() -> None:
 def test_a_collision_ends_the_game_and_blanks_the_frames_that_are_missing() -> None:
     with lane(split="evaluation") as environment:
         observation, reward, terminated, truncated, info = crash(environment, 2)
-    free_m = free_distance_m(draw_layout(lane_seed("evaluation", 2)), 0.0)
+    free_m = free_distance_m(sample_layout(lane_seed("evaluation", 2)), 0.0)
     assert (terminated, truncated, info["is_success"]) == (True, False, False)
     assert info["collision"].startswith("obstacle_")
     assert info["distance_m"] == info["position_m"][0] == pytest.approx(free_m, abs=0.01)

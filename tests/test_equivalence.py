@@ -51,7 +51,7 @@ def test_parts_of_a_claim() -> None:
 
 def test_trainings_and_not_games_decide_where_there_are_several() -> None:
     ratios = [0.9, 0.5, 0.7]
-    several = success_estimate([Proportion(round(1000 * each), 1000) for each in ratios])
+    several = success_estimate([Proportion(round(1000 * ratio), 1000) for ratio in ratios])
     width = t.ppf(0.975, 2) * np.std(ratios, ddof=1) / np.sqrt(3)
     assert several.value == pytest.approx(0.7)
     assert several.interval == pytest.approx((0.7 - width, 1.0))
@@ -137,7 +137,7 @@ def test_intervals_cover_what_they_estimate() -> None:
     won = rng.binomial(200, (0.45, 0.9), (2000, 2)).tolist()
     ratios = [ratio_estimate(alone(first), alone(second)) for first, second in won]
     covered = [
-        np.mean([each.low <= true <= each.high for each in estimates])
+        np.mean([estimate.low <= true <= estimate.high for estimate in estimates])
         for estimates, true in ((successes, 0.7), (ratios, 0.5))
     ]
     assert covered[0] > 0.93

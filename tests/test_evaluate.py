@@ -33,7 +33,7 @@ from uavaccel.rl.config import LearnerConfig
 from uavaccel.rl.lanes import make_lanes
 from uavaccel.rl.learner import make_learner
 from uavaccel.rl.policy import MANIFEST, WEIGHTS, export_policy, load_policy, trained_with
-from uavaccel.sim.lane.layout import draw_layout, lane_seed
+from uavaccel.sim.lane.layout import lane_seed, sample_layout
 from uavaccel.suites.evaluate import Evaluation
 from uavaccel.suites.evaluate_again import flight_of_agent
 from uavaccel.suites.flight import film_of
@@ -64,7 +64,7 @@ def straight(tmp_path_factory: pytest.TempPathFactory) -> RunDirectory:
 
 
 def free_m(lane: int, y_m: float) -> float:
-    return free_distance_m(draw_layout(lane_seed("evaluation", lane)), y_m)
+    return free_distance_m(sample_layout(lane_seed("evaluation", lane)), y_m)
 
 
 # --- baselines --------------------------------------------------------------------------------------------------

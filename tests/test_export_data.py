@@ -291,7 +291,7 @@ def test_pictures_and_events_of_dp2(dp2: RunDirectory, tmp_path: Path) -> None:
         before_us = 0
         for (at, message), (_, drawn) in zip(windows, log.messages["/dvs/image"], strict=True):
             columns = columns_of(message)
-            assert {len(each) for each in columns.values()} == {message["count"]}
+            assert {len(column) for column in columns.values()} == {message["count"]}
             assert (before_us <= columns["t"]).all()
             assert (columns["t"] <= at / 1000 + 1).all()
             before_us = at // 1000
@@ -409,7 +409,9 @@ def test_a_game_of_the_kernels_is_flown_again_by_them(tmp_path: Path, monkeypatc
     export(str(run.path), minari=tmp_path / "kernels-v1")
     dataset = load(tmp_path / "kernels-v1", monkeypatch)
     assert dataset.observation_space.dtype == np.float32
-    assert [each.actions.tolist() for each in dataset.iterate_episodes()] == [row["actions"] for row in run.rows()]
+    assert [iterate_episode.actions.tolist() for iterate_episode in dataset.iterate_episodes()] == [
+        row["actions"] for row in run.rows()
+    ]
     with pytest.raises(UserError, match="keeps no poses to log"):
         export(str(run.path), mcap=tmp_path / "logs")
 

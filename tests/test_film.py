@@ -35,7 +35,7 @@ from uavaccel.draw.panels import (
 )
 from uavaccel.errors import UserError
 from uavaccel.files import UNFINISHED
-from uavaccel.sim.lane.layout import draw_layout
+from uavaccel.sim.lane.layout import sample_layout
 
 SAMPLES = 30
 
@@ -49,7 +49,7 @@ def flown(samples: int = SAMPLES, colour: bool = False) -> Film:
     on, off = np.zeros((2, samples, 144, 256), np.uint16)
     on[1:, :, :128], off[1:, :, 128:] = 3, 3
     position_m = np.column_stack([1.5 * np.arange(samples), np.zeros(samples), np.full(samples, -2.0)])
-    return Film("A title", np.arange(samples) * np.float64(0.33), images, on, off, position_m, draw_layout(3))
+    return Film("A title", np.arange(samples) * np.float64(0.33), images, on, off, position_m, sample_layout(3))
 
 
 def test_a_frame_shows_camera_events_and_map() -> None:
@@ -212,7 +212,7 @@ def pixel(picture: np.ndarray, view: View, place_m: tuple[float, float]) -> tupl
 
 
 def test_the_map_shows_walls_goal_obstacles_and_the_way_flown() -> None:
-    some = draw_layout(3)
+    some = sample_layout(3)
     drawn = replace(some, round=np.arange(len(some)) % 2 == 0, half_width_m=np.full(len(some), 0.5))
     view = whole_lane((1256, 86))
     assert view.pixels((0.0, 0.0))[0] < view.pixels((150.0, 0.0))[0]  # north is to the right

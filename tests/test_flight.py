@@ -15,7 +15,7 @@ from uavaccel.draw.film import frames
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
 from uavaccel.sim import chase
-from uavaccel.sim.lane.layout import draw_layout
+from uavaccel.sim.lane.layout import sample_layout
 from uavaccel.suites import evaluate_again
 from uavaccel.suites.dp1 import Dp1
 from uavaccel.suites.dp2 import Dp2
@@ -108,8 +108,8 @@ def test_a_game_of_dp2_is_read_from_its_samples(
     assert flight.lane is not None
     np.testing.assert_array_equal(flight.lane.x_m, config.layout().x_m)
     ends, counts = (
-        [each.time_ns / 1e9 for each in flight.windows],
-        [each.per_pixel((144, 256)) for each in flight.windows],
+        [window.time_ns / 1e9 for window in flight.windows],
+        [window.per_pixel((144, 256)) for window in flight.windows],
     )
     if counted:
         assert ends == time_s
@@ -165,7 +165,7 @@ def test_an_evaluations_times_are_since_the_start_of_its_game(
         def __init__(self, task: Any, every_ticks: int) -> None:
             assert every_ticks == ticks  # of 2 ms
             rows = np.array([[0.05, 1, 1, 1], [0.06, 2, 1, -1], [1.25, 0, 0, 1]])
-            self.events = SimpleNamespace(take_events=lambda: rows)
+            self.events = SimpleNamespace(pop_events=lambda: rows)
 
     monkeypatch.setattr(Lane, "hit", hit)
     for name, value in (
@@ -245,7 +245,7 @@ def test_a_film_of_a_lane_has_the_view_from_behind_at_its_pictures(monkeypatch: 
         return "behind"
 
     monkeypatch.setattr(chase, "ChaseView", behind)
-    lane = draw_layout(3)
+    lane = sample_layout(3)
     film = film_of(replace(flight(), lane=lane))
     ((layout, position_m, orientation_wxyz, size),) = told
     seen: tuple[Any, ...] = (film.chase, film.layout, layout, size)

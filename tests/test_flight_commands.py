@@ -51,11 +51,11 @@ def test_rotors_tell_thrust_torque_and_speed_in_airsims_order() -> None:
     call(api, "moveByMotorPWMs", *shares, 1.0)
     go_on(api, 0.2)  # forty of a motor's time constants
     rotors = call(api, "getRotorStates", "")["rotors"]
-    assert [each["thrust"] for each in rotors] == pytest.approx([4.179446 * share for share in shares])
+    assert [rotor["thrust"] for rotor in rotors] == pytest.approx([4.179446 * share for share in shares])
     signs = (-1, -1, 1, 1)
     torques = [sign * 0.0555624 * share for sign, share in zip(signs, shares, strict=True)]
-    assert [each["torque_scaler"] for each in rotors] == pytest.approx(torques, rel=1e-4)
-    assert [each["speed"] for each in rotors] == pytest.approx([669.857 * share**0.5 for share in shares])
+    assert [rotor["torque_scaler"] for rotor in rotors] == pytest.approx(torques, rel=1e-4)
+    assert [rotor["speed"] for rotor in rotors] == pytest.approx([669.857 * share**0.5 for share in shares])
 
 
 # --- paths ----------------------------------------------------------------------------------------

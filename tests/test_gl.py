@@ -134,8 +134,8 @@ def test_flying_needs_no_opengl() -> None:
     code = (
         "import sys\n"
         "from uavaccel.sim.world import World\nfrom uavaccel.sim.profile import NATIVE\n"
-        "from uavaccel.sim.lane.layout import draw_layout\n"
-        "world = World('lane', NATIVE); world.set_lane(draw_layout(0)); world.reset(); world.advance(10)\n"
+        "from uavaccel.sim.lane.layout import sample_layout\n"
+        "world = World('lane', NATIVE); world.set_lane(sample_layout(0)); world.reset(); world.advance(10)\n"
         "assert not [name for name in sys.modules if name.startswith(('OpenGL', 'mujoco.egl', 'mujoco.osmesa'))]\n"
     )
     environment = {name: value for name, value in os.environ.items() if name != "MUJOCO_GL"}

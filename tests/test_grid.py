@@ -247,7 +247,9 @@ def test_a_sweeps_tests_intervals_table_and_figure(tmp_path: Path, monkeypatch: 
 
 def test_the_page_has_the_table_of_conditions() -> None:
     page = (Path(__file__).parents[1] / "docs" / "training.md").read_text(encoding="utf-8")
-    lines = [f"| `{each.short}` | `task.{each.key}` | {each.unit} |" for each in CONDITIONS.values()]
+    lines = [
+        f"| `{condition.short}` | `task.{condition.key}` | {condition.unit} |" for condition in CONDITIONS.values()
+    ]
     assert "\n".join(lines) in page
 
 
@@ -340,7 +342,7 @@ def test_the_map_shows_ratio_and_interval_of_every_cell(tmp_path: Path, monkeypa
         "440 games over 11 points of latency and ClockSpeed, all of it modelled under airsim"
     )
     axes: Any = figures["robustness_map"].axes[0]
-    assert [each.get_title("center") for each in figures["robustness_map"].axes[:2]] == ["ADSC", "TCSC"]
+    assert [axis.get_title("center") for axis in figures["robustness_map"].axes[:2]] == ["ADSC", "TCSC"]
     assert (tick_texts(axes.xaxis), tick_texts(axes.yaxis)) == (["1x", "5x"], ["×0", "×1", "×2", "×4"])
     shown = {text.xy: text.get_text() for text in axes.texts if "%" in text.get_text()}
     assert {place: shown[place] for place in ((0, 0), (1, 1), (1, 3))} == {(0, 0): "90%", (1, 1): "25%", (1, 3): "0%"}

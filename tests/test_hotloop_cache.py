@@ -17,7 +17,7 @@ from uavaccel.kernels import cpu, pictures
 from uavaccel.sim.vehicle import hotloop
 
 ENTRY_POINTS: list[Any] = [
-    *(each._pyfunc for each in hotloop.ENTRY_POINTS),  # type: ignore[attr-defined]
+    *(entry_point._pyfunc for entry_point in hotloop.ENTRY_POINTS),  # type: ignore[attr-defined]
     *(each.py_func for each in (*cpu.CPU, pictures._gray, pictures._colour, pictures._depth)),
 ]
 

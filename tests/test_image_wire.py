@@ -21,7 +21,7 @@ from uavaccel.sim.world import World
 from uavaccel.wire import rpc
 from uavaccel.wire.api import Api
 from uavaccel.wire.image_api import decode_image
-from uavaccel.wire.pictures import can_draw
+from uavaccel.wire.pictures import can_render
 from uavaccel.wire.segmentation import colours, id_of_name
 from uavaccel.wire.types import EPOCH_NS
 
@@ -273,7 +273,7 @@ HUGE = {
 
 
 def test_airsims_high_resolution_camera_can_be_drawn() -> None:
-    assert can_draw(Lens(4320, 2160))
+    assert can_render(Lens(4320, 2160))
 
 
 @pytest.mark.parametrize("kind", range(8))

@@ -14,21 +14,21 @@ from numpy.typing import NDArray
 from tests.test_kernel_looks import drawn_views, laid_out
 from uavaccel.kernels import events
 from uavaccel.kernels import fields as at
+from uavaccel.kernels.appearance import read_appearance
 from uavaccel.kernels.columns import MOST_INTERVALS, MOST_PIECES, Column, add_interval, fill_column, settle
-from uavaccel.kernels.fields import Looks
-from uavaccel.kernels.looks import read_looks
-from uavaccel.kernels.pictures import draw_gray
+from uavaccel.kernels.fields import Appearance
+from uavaccel.kernels.pictures import render_gray
 from uavaccel.kernels.project import project
-from uavaccel.kernels.quads import quad_lumas, quick_count, see_plainly
+from uavaccel.kernels.quads import quad_lumas, quick_count, update_quad
 from uavaccel.resources import asset
 from uavaccel.vision.dvs import PRESETS, DvsParameters
 from uavaccel.vision.dvs_kernels import count_single_pixel
-from uavaccel.vision.dvs_sensor import draw_pixels
+from uavaccel.vision.dvs_sensor import sample_pixels
 
 
 @pytest.fixture(scope="module")
-def looks() -> Looks:
-    return read_looks(mujoco.MjModel.from_xml_path(str(asset("mjcf/lane.xml"))))
+def appearance() -> Appearance:
+    return read_appearance(mujoco.MjModel.from_xml_path(str(asset("mjcf/lane.xml"))))
 
 
 def room() -> Column:
@@ -38,7 +38,7 @@ def room() -> Column:
 
 
 @njit
-def draw(looks: Any, faces: Any, room: Column, shown: Any, picture: Any) -> None:
+def draw(appearance: Any, faces: Any, room: Column, shown: Any, picture: Any) -> None:
     """What each pixel shows (ROWS, COLUMNS), and its luma."""
     for column in range(at.COLUMNS):
         place, count = np.uintp(column), np.int32(0)
@@ -51,20 +51,22 @@ def draw(looks: Any, faces: Any, room: Column, shown: Any, picture: Any) -> None
         for column in range(0, at.COLUMNS, 2):
             a, b = np.int32(shown[row, column]), np.int32(shown[row, column + 1])
             c, d = np.int32(shown[row + 1, column]), np.int32(shown[row + 1, column + 1])
-            quad = quad_lumas(faces, (a, b, c, d), looks.texels, looks.textures, np.int32(row), np.int32(column))
+            quad = quad_lumas(
+                faces, (a, b, c, d), appearance.texels, appearance.textures, np.int32(row), np.int32(column)
+            )
             picture[row, column], picture[row, column + 1] = quad[0], quad[1]
             picture[row + 1, column], picture[row + 1, column + 1] = quad[2], quad[3]
 
 
-def test_columns_and_quads_are_the_picture(looks: Looks) -> None:
-    arguments = laid_out(looks, drawn_views(48, seed=1))
+def test_columns_and_quads_are_the_picture(appearance: Appearance) -> None:
+    arguments = laid_out(appearance, drawn_views(48, seed=1))
     faces = np.zeros((at.FACES, at.FIELDS), np.float32)
     shown = np.zeros((at.ROWS, at.COLUMNS), np.int16)
     drawn = np.zeros((48, at.ROWS, at.COLUMNS), np.uint8)
     for number, picture in enumerate(drawn):
-        project(looks, arguments[1], number, arguments[3][number], arguments[4][number], True, faces)
-        draw(looks, faces, room(), shown, picture)
-    apart = np.abs(drawn.astype(int) - draw_gray(*arguments))
+        project(appearance, arguments[1], number, arguments[3][number], arguments[4][number], True, faces)
+        draw(appearance, faces, room(), shown, picture)
+    apart = np.abs(drawn.astype(int) - render_gray(*arguments))
     assert np.mean(apart > 0) <= 5e-5
 
 
@@ -82,7 +84,7 @@ def test_counts_without_a_double_division_are_v2es() -> None:
 
 @njit
 def see_both(levels: Any, camera: Any, sensor: Any, plain: Any, full: Any) -> tuple[int, int]:
-    """A picture as quads without noise see it, and as `events.see_pixel` does: ON minus OFF events."""
+    """A picture as quads without noise see it, and as `events.update_pixel` does: ON minus OFF events."""
     quick = slow = 0
     none, zero = full[0:0], (np.float32(0.0), np.float32(0.0))
     for row in range(0, at.ROWS, 2):
@@ -91,10 +93,10 @@ def see_both(levels: Any, camera: Any, sensor: Any, plain: Any, full: Any) -> tu
             shown, before = (levels[row : row + 2, column : column + 2], plain[0, row : row + 2, column : column + 2])
             lumas = (shown[0, 0], shown[0, 1], shown[1, 0], shown[1, 1])
             known = (before[0, 0], before[0, 1], before[1, 0], before[1, 1])
-            quick += see_plainly(lumas, known, camera, sensor, plain, place, place)
+            quick += update_quad(lumas, known, camera, sensor, plain, place, place)
             for part in range(4):
                 y, x = row + part // 2, column + part % 2
-                slow += events.see_pixel(levels[y, x], camera, sensor, full, none, zero, y, x, 0.1)
+                slow += events.update_pixel(levels[y, x], camera, sensor, full, none, zero, y, x, 0.1)
     return quick, slow
 
 
@@ -112,7 +114,7 @@ def test_a_lanes_camera_has_each_parameter_under_its_name() -> None:
 def test_a_pixel_rises_by_the_one_threshold_and_falls_by_the_other() -> None:
     """Of 0.25 and 0.5 without a spread, from 50 to 100, by 0.693, and back: two whole steps up, one down."""
     parameters, shape = DvsParameters(0.25, 0.5, threshold_sigma=0.0), (at.ROWS, at.COLUMNS)
-    sensor, row = events.sensor_of(draw_pixels(parameters, shape, 3)), events.camera_row(parameters, 0.0)
+    sensor, row = events.sensor_of(sample_pixels(parameters, shape, 3)), events.camera_row(parameters, 0.0)
     full = np.full(shape, np.log(50), np.float32)
     plain = full[None].copy()
     for level, events_each, after in ((100, 2, 0.5), (50, -1, 0.0), (50, 0, 0.0)):
@@ -126,7 +128,7 @@ def test_a_pixel_rises_by_the_one_threshold_and_falls_by_the_other() -> None:
 def test_quads_without_noise_see_what_pixels_see(sigma: float, negative: float) -> None:
     rng, shape = np.random.default_rng(0), (at.ROWS, at.COLUMNS)
     parameters = replace(PRESETS["clean"], threshold_sigma=sigma, negative_threshold=negative)
-    sensor, row = events.sensor_of(draw_pixels(parameters, shape, 3)), events.camera_row(parameters, 0.0)
+    sensor, row = events.sensor_of(sample_pixels(parameters, shape, 3)), events.camera_row(parameters, 0.0)
     full = sensor.logs[rng.integers(0, 256, shape)]
     plain = full[None].copy()
     for _ in range(3):

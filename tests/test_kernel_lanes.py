@@ -131,8 +131,8 @@ def assert_equal(ours: Any, theirs: Any) -> None:
         assert list(ours) == list(theirs)
         ours, theirs = list(ours.values()), list(theirs.values())
     if isinstance(ours, list):
-        for each, other in zip(ours, theirs, strict=True):
-            assert_equal(each, other)
+        for our, other in zip(ours, theirs, strict=True):
+            assert_equal(our, other)
     else:
         np.testing.assert_array_equal(ours, theirs)
 

@@ -18,13 +18,13 @@ from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.errors import UserError
 from uavaccel.kernels import fields as at
 from uavaccel.kernels import rays
-from uavaccel.kernels.fields import Looks, Scenes
-from uavaccel.kernels.looks import empty_scenes, fill_scene, fill_scenes, mipmaps, read_looks
-from uavaccel.kernels.pictures import draw_colour, draw_depth, draw_gray
+from uavaccel.kernels.appearance import empty_scenes, fill_scene, fill_scenes, mipmaps, read_appearance
+from uavaccel.kernels.fields import Appearance, Scenes
+from uavaccel.kernels.pictures import render_colour, render_depth, render_gray
 from uavaccel.kernels.project import project
 from uavaccel.resources import asset
 from uavaccel.sim.camera.camera import Camera, make_cameras_with
-from uavaccel.sim.lane.layout import Difficulty, LaneLayout, draw_layout, lane_seed
+from uavaccel.sim.lane.layout import Difficulty, LaneLayout, lane_seed, sample_layout
 from uavaccel.sim.lane.scene import apply_layout
 from uavaccel.units import mujoco_to_ned, ned_to_mujoco, quaternion_mujoco_to_ned, quaternion_ned_to_mujoco
 from uavaccel.vision.dvs import PRESETS, init_state, make_sensor, step
@@ -39,8 +39,8 @@ EVENTS_SHARE = 0.005
 
 
 @pytest.fixture(scope="module")
-def looks() -> Looks:
-    return read_looks(mujoco.MjModel.from_xml_path(str(asset("mjcf/lane.xml"))))
+def appearance() -> Appearance:
+    return read_appearance(mujoco.MjModel.from_xml_path(str(asset("mjcf/lane.xml"))))
 
 
 @pytest.fixture
@@ -67,7 +67,7 @@ def drawn_views(count: int, seed: int) -> list[View]:
     rng, views = np.random.default_rng(seed), []
     for number in range(count):
         lane = lane_seed("training" if number % 2 else "evaluation", int(rng.integers(1000)))
-        layout = draw_layout(lane, Difficulty(light=(0.1, 1.0)))
+        layout = sample_layout(lane, Difficulty(light=(0.1, 1.0)))
         if number % 4 == 3:
             sizes = rng.uniform(0.2, 0.7, len(layout))
             layout = replace(layout, round=rng.random(len(layout)) < 0.6, half_width_m=sizes)
@@ -86,20 +86,20 @@ def show(scene: Scene, view: View) -> mujoco.MjData:
     return data
 
 
-def laid_out(looks: Looks, views: list[View]) -> tuple[Looks, Scenes, NDArray[np.int32], Floats, Floats]:
+def laid_out(appearance: Appearance, views: list[View]) -> tuple[Appearance, Scenes, NDArray[np.int32], Floats, Floats]:
     """Arguments of the drawing functions: a lane for each view."""
     layouts, places, quaternions = zip(*views, strict=True)
     scenes, lanes = empty_scenes(len(views)), np.arange(len(views), dtype=np.int32)
-    fill_scenes(looks, scenes, lanes.tolist(), layouts)
-    return looks, scenes, lanes, np.array(places), np.array(quaternions)
+    fill_scenes(appearance, scenes, lanes.tolist(), layouts)
+    return appearance, scenes, lanes, np.array(places), np.array(quaternions)
 
 
 @needs_opengl
-def test_gray_pictures_are_those_of_opengl(looks: Looks, lane_scene: Scene, camera: Camera) -> None:
+def test_gray_pictures_are_those_of_opengl(appearance: Appearance, lane_scene: Scene, camera: Camera) -> None:
     views = drawn_views(48, seed=1)
     apart = [
         np.abs(camera.gray(show(lane_scene, view)).astype(int) - ours)
-        for view, ours in zip(views, draw_gray(*laid_out(looks, views)), strict=True)
+        for view, ours in zip(views, render_gray(*laid_out(appearance, views)), strict=True)
     ]
     assert np.mean(apart) <= MEAN_LEVELS
     assert np.mean(np.array(apart) > 10) <= SHARE_ABOVE_10
@@ -107,18 +107,18 @@ def test_gray_pictures_are_those_of_opengl(looks: Looks, lane_scene: Scene, came
 
 
 @needs_opengl
-def test_colours_are_those_of_opengl(looks: Looks, lane_scene: Scene, camera: Camera) -> None:
+def test_colours_are_those_of_opengl(appearance: Appearance, lane_scene: Scene, camera: Camera) -> None:
     views = drawn_views(16, seed=2)
-    for view, ours in zip(views, draw_colour(*laid_out(looks, views)), strict=True):
+    for view, ours in zip(views, render_colour(*laid_out(appearance, views)), strict=True):
         apart = np.abs(camera.colour(show(lane_scene, view)).astype(int) - ours)
         assert np.mean(apart) <= MEAN_LEVELS
         assert np.mean(apart > 10) <= SHARE_ABOVE_10
 
 
 @needs_opengl
-def test_depths_are_those_of_opengl(looks: Looks, lane_scene: Scene, camera: Camera) -> None:
+def test_depths_are_those_of_opengl(appearance: Appearance, lane_scene: Scene, camera: Camera) -> None:
     views = drawn_views(16, seed=3)
-    for view, ours in zip(views, draw_depth(*laid_out(looks, views)), strict=True):
+    for view, ours in zip(views, render_depth(*laid_out(appearance, views)), strict=True):
         theirs = camera.depth(show(lane_scene, view))
         assert np.mean(np.abs(ours / theirs - 1) > 1e-3) <= SHARE_ABOVE_10
 
@@ -136,7 +136,7 @@ class Witness(Camera):
 
 @needs_opengl
 @pytest.mark.parametrize("lane", [3, 7])
-def test_an_event_camera_sees_a_flight_as_in_opengl(looks: Looks, lane: int) -> None:
+def test_an_event_camera_sees_a_flight_as_in_opengl(appearance: Appearance, lane: int) -> None:
     Witness.seen = []
     make_cameras_with(Witness)
     with ObstacleLane(split="evaluation", timing="lockstep") as environment:
@@ -145,9 +145,9 @@ def test_an_event_camera_sees_a_flight_as_in_opengl(looks: Looks, lane: int) -> 
             environment.step(action)
     poses = np.array([pose for pose, _ in Witness.seen])
     scenes = empty_scenes(1)
-    fill_scene(looks, scenes, 0, draw_layout(lane_seed("evaluation", lane)))
+    fill_scene(appearance, scenes, 0, sample_layout(lane_seed("evaluation", lane)))
     places, quaternions = mujoco_to_ned(poses[:, :3]), quaternion_mujoco_to_ned(poses[:, 3:])
-    ours = draw_gray(looks, scenes, np.zeros(len(poses), np.int32), places, quaternions)
+    ours = render_gray(appearance, scenes, np.zeros(len(poses), np.int32), places, quaternions)
     theirs = np.array([picture for _, picture in Witness.seen])
     assert len(theirs) >= 24
     mine, gl = events(ours), events(theirs)
@@ -181,35 +181,35 @@ def depth_at(faces: Any, row: int, column: int) -> Any:
 
 
 @njit
-def one_by_one(looks: Any, scenes: Any, lane: int, place: Floats, quaternion: Floats, faces: Any) -> Any:
+def one_by_one(appearance: Any, scenes: Any, lane: int, place: Floats, quaternion: Floats, faces: Any) -> Any:
     """Column 100 of a picture, and row 70 of its depths."""
     alone = np.zeros(at.ROWS, np.uint8)
-    depths, texels, textures = np.zeros(at.COLUMNS, np.float32), looks.texels, looks.textures
-    project(looks, scenes, lane, place, quaternion, True, faces)
+    depths, texels, textures = np.zeros(at.COLUMNS, np.float32), appearance.texels, appearance.textures
+    project(appearance, scenes, lane, place, quaternion, True, faces)
     for row in range(at.ROWS):
         alone[row] = luma_at(faces, texels, textures, row, 100)
-    project(looks, scenes, lane, place, quaternion, False, faces)
+    project(appearance, scenes, lane, place, quaternion, False, faces)
     for column in range(at.COLUMNS):
         depths[column] = depth_at(faces, 70, column)
     return alone, depths
 
 
 @pytest.mark.slow
-def test_a_pixel_alone_is_that_of_the_picture(looks: Looks) -> None:
-    arguments = laid_out(looks, drawn_views(6, seed=4))
+def test_a_pixel_alone_is_that_of_the_picture(appearance: Appearance) -> None:
+    arguments = laid_out(appearance, drawn_views(6, seed=4))
     faces = np.zeros((at.FACES, at.FIELDS), np.float32)
-    for number, (picture, depths) in enumerate(zip(draw_gray(*arguments), draw_depth(*arguments), strict=True)):
+    for number, (picture, depths) in enumerate(zip(render_gray(*arguments), render_depth(*arguments), strict=True)):
         pose = arguments[3][number], arguments[4][number]
-        alone, deep = one_by_one(looks, arguments[1], number, *pose, faces)
+        alone, deep = one_by_one(appearance, arguments[1], number, *pose, faces)
         assert np.sum(alone != picture[:, 100]) <= 1
         assert np.mean(np.abs(deep / depths[70] - 1) > 1e-5) <= 0.01
 
 
-def test_tiles_touch_every_face_that_they_show(looks: Looks) -> None:
+def test_tiles_touch_every_face_that_they_show(appearance: Appearance) -> None:
     for view in drawn_views(8, seed=5):
-        arguments = laid_out(looks, [view])
+        arguments = laid_out(appearance, [view])
         faces = np.zeros((at.FACES, at.FIELDS), np.float32)
-        count = project(looks, arguments[1], 0, view[1], view[2], True, faces)
+        count = project(appearance, arguments[1], 0, view[1], view[2], True, faces)
         for top, left in np.ndindex(3, 4):
             ends = [np.float32(end) for end in (48 * top, 48 * top + 47, 64 * left, 64 * left + 63)]
             touched = {face for face in range(1, count) if rays.touches(faces, face, *ends)}
@@ -234,14 +234,14 @@ def test_textures_are_those_that_opengl_has(lane_scene: Scene, camera: Camera) -
             assert np.abs(apart).max() <= 1, f"{name}, level {number}"
 
 
-def test_refuses_what_it_cannot_draw(looks: Looks) -> None:
+def test_refuses_what_it_cannot_draw(appearance: Appearance) -> None:
     scenes = empty_scenes(1)
     with pytest.raises(UserError, match=r"^scenery: .*'forest'"):
-        fill_scene(looks, scenes, 0, replace(draw_layout(0), scenery="forest"))
+        fill_scene(appearance, scenes, 0, replace(sample_layout(0), scenery="forest"))
     for scene, says in (("blocks", "obstacle lane alone"), ("forest/lane", "geom 'trunk_")):
         with pytest.raises(UserError, match=says):
-            read_looks(mujoco.MjModel.from_xml_path(str(asset(f"mjcf/{scene}.xml"))))
+            read_appearance(mujoco.MjModel.from_xml_path(str(asset(f"mjcf/{scene}.xml"))))
     lane = mujoco.MjModel.from_xml_path(str(asset("mjcf/lane.xml")))
     lane.vis.headlight.ambient[:] = 0.1
     with pytest.raises(UserError, match="headlight"):
-        read_looks(lane)
+        read_appearance(lane)

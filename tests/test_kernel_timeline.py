@@ -245,7 +245,7 @@ def test_the_guard_weighs_colours_and_remembers_the_last_pictures_brightness(
     kind: int, levels: tuple[int, int, int], last: float, brightness: float, suspect: bool
 ) -> None:
     """On both devices alike, by 0.299 of red, 0.587 of green and 0.114 of blue; of one lane alone."""
-    sums = np.array([[0, 0, 0], [each * ROWS * COLUMNS if each >= 0 else -1 for each in levels]])
+    sums = np.array([[0, 0, 0], [level * ROWS * COLUMNS if level >= 0 else -1 for level in levels]])
     channels: Any = np.maximum(levels, 0)[:, None, None] * np.ones((1, COLUMNS, ROWS), int)
     timing: Any = SimpleNamespace(rules=np.zeros(timeline.RULES, np.int64))
     view: Any = SimpleNamespace(kind=kind)

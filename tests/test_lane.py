@@ -25,13 +25,13 @@ from uavaccel.sim.lane.layout import (
     Difficulty,
     LaneLayout,
     Split,
-    draw_layout,
     lane_seed,
+    sample_layout,
 )
 from uavaccel.wire.image_api import lane_layout
 from uavaccel.yaml_io import load_yaml
 
-EVALUATION_LANES = [draw_layout(lane_seed("evaluation", index)) for index in range(300)]
+EVALUATION_LANES = [sample_layout(lane_seed("evaluation", index)) for index in range(300)]
 
 
 def equal(a: LaneLayout, b: LaneLayout) -> bool:
@@ -51,9 +51,9 @@ def test_straight_flight_fails() -> None:
 
 
 def test_layouts_are_reproducible_and_differ_by_seed() -> None:
-    assert equal(draw_layout(7), draw_layout(7))
-    assert not equal(draw_layout(7), draw_layout(8))
-    assert not equal(draw_layout(7), draw_layout(7, Difficulty(row_spacing_m=6.0)))
+    assert equal(sample_layout(7), sample_layout(7))
+    assert not equal(sample_layout(7), sample_layout(8))
+    assert not equal(sample_layout(7), sample_layout(7, Difficulty(row_spacing_m=6.0)))
 
 
 @pytest.mark.parametrize(("split", "first"), [("evaluation", 0), ("training", 1_000_000)])
@@ -77,7 +77,7 @@ def test_rows_keep_their_distances(seed: int, per_row: int, first: float, spacin
     difficulty = Difficulty(
         first_row_m=first, obstacles_per_row=per_row, row_spacing_m=spacing, min_gap_m=gap, half_width_m=0.3
     )
-    layout = draw_layout(seed, difficulty)
+    layout = sample_layout(seed, difficulty)
     wanted = [first + spacing * row for row in range(100) if first + spacing * row < 150.0 - spacing / 2]
     np.testing.assert_allclose(layout.x_m, np.repeat(wanted[: 64 // max(per_row, 1)], per_row))
     assert np.all(np.abs(layout.y_m) <= WIDTH_M / 2)
@@ -88,7 +88,7 @@ def test_rows_keep_their_distances(seed: int, per_row: int, first: float, spacin
 
 
 def drawn(difficulty: Difficulty, count: int = 2000) -> list[LaneLayout]:
-    return [draw_layout(seed, difficulty) for seed in range(count)]
+    return [sample_layout(seed, difficulty) for seed in range(count)]
 
 
 def assert_uniform(values: NDArray[np.float64], low: float, high: float) -> None:
@@ -190,10 +190,10 @@ def test_a_lane_that_says_little_is_bright_calm_and_plain() -> None:
 
 
 def test_a_lane_is_a_seed_a_seed_with_a_difficulty_or_a_mapping() -> None:
-    assert equal(lane_layout(5), draw_layout(5))
-    assert equal(lane_layout({"seed": 5}), draw_layout(5))
+    assert equal(lane_layout(5), sample_layout(5))
+    assert equal(lane_layout({"seed": 5}), sample_layout(5))
     windy = {"seed": 5, "difficulty": {"wind_m_s": 3.0}}
-    assert equal(lane_layout(windy), draw_layout(5, Difficulty(wind_m_s=3.0)))
+    assert equal(lane_layout(windy), sample_layout(5, Difficulty(wind_m_s=3.0)))
     assert parse_lane(windy) is windy
     assert parse_lane(5) == 5
     for wrong in (True, 1.5, {"seed": "a"}):

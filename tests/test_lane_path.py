@@ -9,14 +9,14 @@ from numpy.typing import NDArray
 from uavaccel.errors import UserError
 from uavaccel.kinematics import VelocityGoal
 from uavaccel.sim.lane.file import layout_from
-from uavaccel.sim.lane.layout import LENGTH_M, LaneLayout, clearance_m, draw_layout, lane_seed
+from uavaccel.sim.lane.layout import LENGTH_M, LaneLayout, clearance_m, lane_seed, sample_layout
 from uavaccel.sim.lane.path import plan_path
 from uavaccel.sim.vehicle.goal import of_velocity
 from uavaccel.sim.world import World
 
 
 def evaluation_lane(index: int) -> LaneLayout:
-    return draw_layout(lane_seed("evaluation", index))
+    return sample_layout(lane_seed("evaluation", index))
 
 
 def fly(commands: list[tuple[float, float]], height_m: float, command_s: float) -> NDArray[np.float64]:

@@ -15,9 +15,9 @@ from uavaccel.errors import UserError
 from uavaccel.kinematics import VelocityGoal
 from uavaccel.resources import asset
 from uavaccel.sim.lane.file import layout_from
-from uavaccel.sim.lane.layout import HULL_RADIUS_M, LENGTH_M, MAX_OBSTACLES, LaneLayout, clearance_m, draw_layout
+from uavaccel.sim.lane.layout import HULL_RADIUS_M, LENGTH_M, MAX_OBSTACLES, LaneLayout, clearance_m, sample_layout
 from uavaccel.sim.lane.scene import apply_layout, obstacle_geoms
-from uavaccel.sim.rendering.slots import read_looks, slot_dtype, write_looks
+from uavaccel.sim.rendering.slots import read_appearance, slot_dtype, write_appearance
 from uavaccel.sim.scene.model import load_scene
 from uavaccel.sim.vehicle.goal import of_velocity
 from uavaccel.sim.world import World
@@ -90,7 +90,7 @@ def test_walls_and_ground_are_hit_and_named_and_the_deepest_contact_counts(lane_
 def test_every_obstacle_of_a_new_layout_is_hit_where_it_stands(lane_scene: Scene) -> None:
     """MuJoCo's tree of bounding boxes follows the obstacles: none is missed, and nothing is left behind."""
     for seed in (1, 2):
-        layout = draw_layout(seed)
+        layout = sample_layout(seed)
         apply_layout(*lane_scene, layout)
         for index, (x, y) in enumerate(zip(layout.x_m, layout.y_m, strict=True)):
             assert touched(lane_scene, x - 0.6, float(np.clip(y, -4.4, 4.4))) == f"obstacle_{index:02d}"
@@ -121,7 +121,7 @@ def test_too_many_obstacles_and_other_scenes_are_refused(lane_scene: Scene) -> N
     assert len(obstacle_geoms(lane_scene[0])) == MAX_OBSTACLES
     assert len(obstacle_geoms(blocks)) == 0
     with pytest.raises(UserError, match="the layout has 28 obstacles, the scene 0"):
-        apply_layout(blocks, mujoco.MjData(blocks), draw_layout(0))
+        apply_layout(blocks, mujoco.MjData(blocks), sample_layout(0))
 
 
 # --- wind ---------------------------------------------------------------------------------------------------------
@@ -257,8 +257,8 @@ def test_a_renderer_elsewhere_is_told_all_of_a_layout_that_can_be_seen(scenery: 
     here, there, untouched = (load_scene("lane", scenery=scenery) for _ in range(3))
     apply_layout(here, mujoco.MjData(here), layout)
     looks = np.zeros(slot_dtype(here)["looks"].shape, np.uint8)
-    write_looks(here, looks)
-    read_looks(looks, there)
+    write_appearance(here, looks)
+    read_appearance(looks, there)
     changed = {name for name, values in arrays(here).items() if not np.array_equal(values, arrays(untouched)[name])}
     behind = {name for name in changed if not np.array_equal(arrays(here)[name], arrays(there)[name])}
     assert {"geom_pos", "geom_matid", "geom_rgba", "light_dir", "light_ambient", "light_diffuse"} < changed

@@ -312,7 +312,7 @@ def descended(batch: Batch, **options: Any) -> tuple[Any, np.ndarray, np.ndarray
 
 
 def weights_of(net: Any) -> np.ndarray:
-    weights, bias = (each.detach().numpy() for each in net.parameters())
+    weights, bias = (parameter.detach().numpy() for parameter in net.parameters())
     return np.concatenate([weights, bias[:, None]], axis=1).copy()
 
 
@@ -522,10 +522,10 @@ def test_a_hash_is_of_every_weights_name_shape_and_bytes() -> None:
 
     assert hash_of({}) == hash_of(dict(reversed(weights.items())))
     others = [hash_of({}, without="c"), hash_of({"d": weights["c"]}, without="c")]
-    for name, each in weights.items():
-        nudged = each.clone()
+    for name, weight in weights.items():
+        nudged = weight.clone()
         nudged[1, 2] += 1e-5
-        others += [hash_of({name: other}) for other in (nudged, each.reshape(3, 2), each.double(), each.T)]
+        others += [hash_of({name: other}) for other in (nudged, weight.reshape(3, 2), weight.double(), weight.T)]
     assert len({hash_of({}), *others}) == 1 + len(others)
 
 
@@ -617,8 +617,8 @@ def test_the_target_network_follows_now_and_then() -> None:
     online, target = learner.policy.q_net, learner.policy.q_net_target
     for steps in range(1, 17):
         with th.no_grad():
-            for each in online.parameters():
-                each.add_(1.0)
+            for parameter in online.parameters():
+                parameter.add_(1.0)
         learner._schedule()
         alike = [np.array_equal(weights_of(online)[:, part], weights_of(target)[:, part]) for part in (0, -1)]
         assert alike == [steps in (8, 16)] * 2
@@ -943,7 +943,7 @@ def test_on_a_device_a_round_keeps_and_charges_what_was_going_when_it_began(on_a
 
     learner.lanes = SimpleNamespace(going=th.tensor([True, False]), observations="seen", fly=fly)
     learner.replay = SimpleNamespace(
-        begin_round=lambda *told: said.append(("begins", *told)),
+        start_round=lambda *told: said.append(("begins", *told)),
         end_round=lambda *told: said.append(("ends", *told[:3], told[3].tolist())),
     )
     learner._decide = lambda at_random: f"at random: {at_random}"

@@ -268,7 +268,9 @@ def test_evaluations_stand_on_both_learning_curves_with_their_intervals(
     runs = [seed(0, 0, 2), seed(1, 2, 4)]
     page(Training().report(runs[0]))
     for name, at in (("learning_games", (4.0, 8.0)), ("learning_curve", (40.0, 80.0))):
-        (bars,) = (each for each in drawn[name].axes[0].containers if isinstance(each, ErrorbarContainer))
+        (bars,) = (
+            container for container in drawn[name].axes[0].containers if isinstance(container, ErrorbarContainer)
+        )
         assert points(bars.lines[0]) == [(at[0], 0.0), (at[1], 0.5)]
         low, high = np.array(bars.lines[2][0].get_segments())[:, :, 1].T
         np.testing.assert_allclose(low, [0.0, 0.150036], atol=1e-5)  # Wilson's, of 0 and 2 in 4
@@ -398,7 +400,7 @@ def test_curves_of_games_count_from_this_start_and_leave_out_evaluations(
     assert (first.row["sim_time_s"], first.host["wall_s"]) == (8.0, 4.0)
     read = EventAccumulator(str(tmp_path / "tensorboard"))
     read.Reload()
-    drawn = {name: [(each.step, each.value) for each in read.Scalars(name)] for name in read.Tags()["scalars"]}
+    drawn = {name: [(scalar.step, scalar.value) for scalar in read.Scalars(name)] for name in read.Tags()["scalars"]}
     expected = {
         "success_recent": [(41, 0.09), (42, 0.08)],
         "distance_m": [(41, 7.0), (42, 7.0)],

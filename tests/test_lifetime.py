@@ -52,9 +52,9 @@ def test_one_whose_parent_was_killed_before_it_could_look_ends_at_once() -> None
 GUARDED = """
 import signal, subprocess, sys, threading
 from uavaccel.processes import guard
-guard.LOOK_S = 1 / 64
+guard.POLL_S = 1 / 64
 if sys.argv[1] == "waits":
-    guard.STOPPED_LOOKS = 1 << 30
+    guard.STOPPED_POLLS = 1 << 30
 stopped = subprocess.Popen([sys.executable, "-c", "import os, signal; os.kill(os.getpid(), signal.SIGSTOP)"])
 guard.guard_children(lambda line: print(line, flush=True))
 guard.guard_children(lambda line: print("twice", flush=True))

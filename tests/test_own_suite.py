@@ -18,7 +18,7 @@ from uavaccel import VelocityGoal, open_session, tcsc
 from uavaccel.cli import main as cli
 from uavaccel.errors import UserError
 from uavaccel.suites import own_code
-from uavaccel.suites.own_code import told
+from uavaccel.suites.own_code import trusting
 from uavaccel.suites.registry import find_suite, own_folder
 
 ROOT = Path(__file__).parents[1]
@@ -117,7 +117,7 @@ def test_a_suite_that_is_none_is_one_line(
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", [*sys.path])
     monkeypatch.delitem(sys.modules, "stranger", raising=False)
-    with told(), pytest.raises(UserError) as caught:
+    with trusting(), pytest.raises(UserError) as caught:
         find_suite(name, "toy.yaml")
     assert str(caught.value).startswith(f"toy.yaml: suite = {name!r}: {hint.replace('HERE', str(tmp_path))}")
 
@@ -143,7 +143,7 @@ def test_a_suite_in_a_package_is_imported_from_above_it(tmp_path: Path, monkeypa
     (package / "toy.py").write_text(BLOCKS["python"])
     monkeypatch.setattr(sys, "path", [*sys.path])
     for module in ("toys.inner", "toys.inner.toy"):
-        with told(beside=tmp_path):
+        with trusting(beside=tmp_path):
             assert own_folder(find_suite(f"{module}:Toy", "toy.yaml")) == tmp_path
     assert own_folder(find_suite("dp1", "dp1.yaml")) is None
 

@@ -20,7 +20,7 @@ from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
 from uavaccel.errors import UserError
 from uavaccel.kinematics import VelocityGoal
 from uavaccel.records import RunDirectory
-from uavaccel.sim.lane.layout import Difficulty, draw_layout
+from uavaccel.sim.lane.layout import Difficulty, sample_layout
 from uavaccel.sim.profile import PROFILES
 from uavaccel.sim.vehicle.goal import of_velocity
 from uavaccel.sim.world import World
@@ -87,8 +87,8 @@ def test_light_and_thresholds_are_those_of_the_game() -> None:
     environment = lane(randomise={"light": [0.3, 0.3], "dvs_threshold_ratio": [2, 2], "row_spacing_m": [12, 12]})
     _, info = environment.reset(seed=0)
     task = environment.episode_task
-    assert draw_layout(info["lane"], task.difficulty).light == 0.3
-    assert draw_layout(info["lane"], task.difficulty).x_m[2] == 22.0
+    assert sample_layout(info["lane"], task.difficulty).light == 0.3
+    assert sample_layout(info["lane"], task.difficulty).x_m[2] == 22.0
     assert task.dvs_parameters.positive_threshold == 0.4
     environment.close()
 
@@ -111,7 +111,7 @@ def test_a_heavier_vehicle_accelerates_as_its_thrust_over_its_mass() -> None:
     """At full throttle from a hover, in numpy: a = g - 4 T / m, with the rotors' own lag long over."""
     world = World("lane", PROFILES["native"])
     for mass, thrust in ((1.0, 1.0), (1.3, 1.0), (1.3, 1.2), (1.0, 1.0)):
-        world.set_lane(draw_layout(0, Difficulty(obstacles_per_row=0, mass_ratio=mass, thrust_ratio=thrust)))
+        world.set_lane(sample_layout(0, Difficulty(obstacles_per_row=0, mass_ratio=mass, thrust_ratio=thrust)))
         world.reset((0.0, 0.0, -2.0))
         hover = float(world.lead.state["rotor_output"][0])
         world.advance(100)

@@ -61,7 +61,7 @@ class InTurn:
     def observed(self) -> None:
         pass
 
-    def draw_ns(self, generator: np.random.Generator) -> int:
+    def sample_ns(self, generator: np.random.Generator) -> int:
         return next(self._left)
 
 
@@ -240,7 +240,9 @@ def test_agents_may_reuse_the_array_of_their_actions(keys: dict[str, Any]) -> No
         actions += 0.125
         actions[1] *= -1
         rewards = vector.step(actions)[1]
-        assert rewards.tolist() == [single.step(each.copy())[1] for single, each in zip(singles, actions, strict=True)]
+        assert rewards.tolist() == [
+            single.step(action.copy())[1] for single, action in zip(singles, actions, strict=True)
+        ]
     assert [env.unwrapped.applied for env in vector.envs] == [env.unwrapped.applied for env in singles]  # type: ignore[attr-defined]
 
 
@@ -337,7 +339,7 @@ def test_each_episode_begins_as_the_first_did() -> None:
 
 def drawn_s(source: ThinkingTime, count: int = 4000) -> NDArray[np.float64]:
     generator = np.random.default_rng(0)
-    return np.array([source.draw_ns(generator) for _ in range(count)]) / 1e9
+    return np.array([source.sample_ns(generator) for _ in range(count)]) / 1e9
 
 
 def test_distributions_are_those_that_were_named() -> None:
@@ -408,8 +410,8 @@ def test_what_was_measured_is_replayed_as_a_distribution(tmp_path: Path) -> None
             lambda: applied(RealTime(Counting(), 0.1, chunk=3), [[[0.1], [0.2]]]),
             r"action: must be a chunk of 3, not of shape \(2, 1\)",
         ),
-        (lambda: applied(RealTime(Counting(), InTurn(-MS)), [[0.1]]), "InTurn.draw_ns: must be 0 to 3.6e.12 nanosec"),
-        (lambda: applied(RealTime(Counting(), InTurn(float("nan"))), [[0.1]]), "InTurn.draw_ns: .* not nan"),  # type: ignore[arg-type]
+        (lambda: applied(RealTime(Counting(), InTurn(-MS)), [[0.1]]), "InTurn.sample_ns: must be 0 to 3.6e.12 nanosec"),
+        (lambda: applied(RealTime(Counting(), InTurn(float("nan"))), [[0.1]]), "InTurn.sample_ns: .* not nan"),  # type: ignore[arg-type]
         *[
             (
                 lambda keys=keys: RealTime(gymnasium.make("uavaccel/Hover-v0", timing="virtual"), 0.1, "tcsc", **keys),
@@ -493,7 +495,7 @@ MS = 1_000_000
 
 def chosen(values: float | list[float]) -> NDArray[np.float32]:
     """One action, or a chunk of them."""
-    return np.array([[each] for each in values], np.float32) if isinstance(values, list) else one(values)
+    return np.array([[value] for value in values], np.float32) if isinstance(values, list) else one(values)
 
 
 @pytest.mark.parametrize(

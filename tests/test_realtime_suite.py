@@ -20,10 +20,10 @@ from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
 from uavaccel.resources import experiment
 from uavaccel.suites import realtime_agents as agents
-from uavaccel.suites.own_code import told
+from uavaccel.suites.own_code import trusting
 from uavaccel.suites.realtime import AgentBlock, EnvironmentBlock, Evaluation, Realtime
 from uavaccel.suites.realtime_agents import LookAhead, Policy, measured, timed, train, training
-from uavaccel.suites.runner import begin_run, run_suite
+from uavaccel.suites.runner import run_suite, start_run
 
 PENDULUM = EnvironmentBlock(id="InvertedPendulum-v5", train_steps=512)
 TINY = (
@@ -45,7 +45,7 @@ def short_rollouts() -> Iterator[None]:
 
 def flown(out: Path, *overrides: str, resume: bool = False) -> RunDirectory:
     suite, config = Realtime(), configured("realtime_smoke", *TINY, *overrides)
-    run = begin_run(suite, config, out, {}, resume)
+    run = start_run(suite, config, out, {}, resume)
     run_suite(suite, config, run)
     return run
 
@@ -460,13 +460,13 @@ def test_the_page_tells_each_return_and_ranking_in_its_column(tmp_path: Path, mo
         ("pendulum", "chunk", "ADSC", "50", "1x", "0.05", *late),
     ]
     lines = [line for line in page.splitlines() if line.startswith("| pendulum | ")]
-    told = {tuple(each.strip() for each in line.strip("| ").split("|")) for line in lines}
-    assert {line for line in told if len(line) == 5} == {
+    trusting = {tuple(each.strip() for each in line.strip("| ").split("|")) for line in lines}
+    assert {line for line in trusting if len(line) == 5} == {
         ("pendulum", "0", "4x", "1.00", "none"),
         ("pendulum", "50", "1x", "-1.00", change),
         ("pendulum", "300", "4x", "1.00", "none"),
     }
-    assert ("pendulum", "naive", "TCSC", "300", "4x", "0", "21", "19 to 23", "-") in told
+    assert ("pendulum", "naive", "TCSC", "300", "4x", "0", "21", "19 to 23", "-") in trusting
     lines_of = labelled(drawn["rankings"].axes[0])
     assert {label: points(line) for label, line in lines_of.items()} == {
         "0 ms": [(1.0, 1.0), (4.0, 1.0)],
@@ -549,7 +549,7 @@ def test_a_module_with_environments_is_the_projects_and_runs_when_told(
     config = configured("realtime_smoke", *TINY, "agents={a: {}}").model_copy(update={"environments": environments})
     with pytest.raises(UserError, match=r"environments.x.id: .*own_environments.py is code that nobody has trusted"):
         Realtime().check(config)
-    with told():
+    with trusting():
         Realtime().check(config)
     Realtime().check(config)
 

@@ -32,7 +32,7 @@ from uavaccel.files import (
     write_arrays,
 )
 from uavaccel.fly.script import compiled
-from uavaccel.lock import hold
+from uavaccel.lock import lock_of
 from uavaccel.manifest import describe_run
 from uavaccel.records import RunDirectory
 from uavaccel.wire.settings import LARGEST_BYTES, read_settings
@@ -195,7 +195,7 @@ def test_the_first_rows_can_be_kept_with_their_times_alone(run: RunDirectory, co
     for case in "abc":
         run.append_row({"case": case})
         run.append_timing({"case": case, "load": 0.5})
-    run.keep_first(count)
+    run.truncate_to(count)
     for again in (run, RunDirectory(run.path)):
         assert [row["case"] for row in again.rows()] == list("abc"[:count])
         assert [entry["case"] for entry in again.timings()] == list("abc"[:count])
@@ -343,8 +343,8 @@ def test_a_folder_that_was_deleted_is_not_begun_again(run: RunDirectory) -> None
 def test_a_run_has_one_process_that_flies_it(run: RunDirectory, tmp_path: Path) -> None:
     """The lock goes with its process, even a killed one; within a process a run may be gone on with."""
     program = (
-        "import sys\nfrom uavaccel.lock import hold\nfrom pathlib import Path\n"
-        "held = hold(Path(sys.argv[1]))\nprint('held', flush=True)\nsys.stdin.read()"
+        "import sys\nfrom uavaccel.lock import lock_of\nfrom pathlib import Path\n"
+        "held = lock_of(Path(sys.argv[1]))\nprint('held', flush=True)\nsys.stdin.read()"
     )
     resume(run)
     command = [sys.executable, "-c", program, str(run.path)]
@@ -358,10 +358,10 @@ def test_a_run_has_one_process_that_flies_it(run: RunDirectory, tmp_path: Path) 
         assert process.stdout is not None
         assert process.stdout.readline() == b"held\n"
         with pytest.raises(UserError, match="another process is flying this run"):
-            hold(other)
+            lock_of(other)
         process.kill()
         process.wait()
-    hold(other)
+    lock_of(other)
     assert RunDirectory(path).done_cases() == set()
 
 

@@ -135,9 +135,9 @@ def test_windows_of_the_ring_on_a_device_are_those_of_a_plain_loop(
     flown, idle = flights(commands), np.random.default_rng(3).random((LANES, commands)) < 0.1
     for number, row in enumerate(zip(*flown, strict=True)):
         seen, actions, rewards, terminated, truncated = (th.tensor(each) for each in zip(*row, strict=True))
-        replay.begin_round(seen[:, None], actions)
+        replay.start_round(seen[:, None], actions)
         replay.end_round(rewards, terminated, truncated, th.from_numpy(~idle[:, number]))
-    replay.begin_round(th.full((LANES, 1), AFTER), th.zeros(LANES, dtype=th.int64))  # a round is being flown
+    replay.start_round(th.full((LANES, 1), AFTER), th.zeros(LANES, dtype=th.int64))  # a round is being flown
     kept = min(commands, ROWS - 1)  # whole rounds; all n commands and what is seen after them must be there
     there = {
         lane[number].seen: (
@@ -150,7 +150,7 @@ def test_windows_of_the_ring_on_a_device_are_those_of_a_plain_loop(
     }
     th.manual_seed(0)
     share = 60
-    drawn = replay.draw(share * len(there), n_steps, GAMMA, mirror)
+    drawn = replay.sample(share * len(there), n_steps, GAMMA, mirror)
     assert drawn.mirrored.tolist() == [mirror and number % 2 == 0 for number in range(share * len(there))]
     begun = replay.observations[drawn.row, drawn.lane, 0].tolist()
     after = replay.observations[drawn.after, drawn.lane, 0].tolist()
@@ -180,7 +180,7 @@ def test_a_ring_on_a_device_is_put_back(device_replay: Any) -> None:
     one, other = (device_replay.DeviceReplay(4, LANES, (1,), th.float32, CPU) for _ in range(2))
     flags = th.tensor([True, False, False])
     for number in range(6):
-        one.begin_round(th.full((LANES, 1), number + 1.0), th.tensor([0, 1, 2]))
+        one.start_round(th.full((LANES, 1), number + 1.0), th.tensor([0, 1, 2]))
         one.end_round(th.tensor([1.0, 2.0, 3.0]), flags, flags.flip(0), ~flags)
     other.set_state(one.get_state())
     for name in ("observations", "actions", "rewards", "over", "cut", "flown", "place", "filled"):

@@ -48,7 +48,7 @@ from pathlib import Path
 from uavaccel.config import validate
 from uavaccel.records import RunDirectory
 from uavaccel.suites.rl import Rl, RlConfig
-from uavaccel.suites.runner import begin_run, run_suite
+from uavaccel.suites.runner import start_run, run_suite
 from uavaccel.yaml_io import load_yaml
 from tests.learning import fly_here
 
@@ -63,7 +63,7 @@ def append_and_die(run, row, on_disk=True):
 
 RunDirectory.append_row = append_and_die
 config = validate(RlConfig, load_yaml(sys.argv[1]), sys.argv[1])
-run_suite(Rl(), config, begin_run(Rl(), config, Path(sys.argv[2]), {}))
+run_suite(Rl(), config, start_run(Rl(), config, Path(sys.argv[2]), {}))
 """
 
 
@@ -101,7 +101,7 @@ def test_killed_moved_and_interrupted_it_ends_with_the_same_bytes(
     second = tmp_path / "killed/parts/airsim-virtual-adsc-1x-seed0"
     assert len(RunDirectory(tmp_path / "killed").rows()) == 1
     assert len(RunDirectory(second / "training").rows()) == 2
-    assert [each.name for each in (second / "training/checkpoints").iterdir()] == ["0000001"]
+    assert [path.name for path in (second / "training/checkpoints").iterdir()] == ["0000001"]
 
     with monkeypatch.context() as patch:
         interrupt_at_row(patch, "lane-000001")
@@ -739,7 +739,7 @@ def test_each_process_takes_a_gpu_of_its_own(tmp_path: Path, monkeypatch: pytest
         for name in (gpu.VISIBLE, gpu.EGL_DEVICE):
             monkeypatch.delenv(name, raising=False)
         monkeypatch.setattr(gpu, "_place", None)
-        gpu.take_gpu("cuda")
+        gpu.acquire_gpu("cuda")
         assert gpu._place is not None
         held.append(gpu._place)
         return os.environ[gpu.VISIBLE], os.environ[gpu.EGL_DEVICE]
@@ -757,5 +757,5 @@ def test_without_a_choice_of_gpus_nothing_is_touched(device: str, count: int, mo
     monkeypatch.setattr("torch.cuda.device_count", lambda: count)
     monkeypatch.setattr(gpu, "_place", None)
     monkeypatch.delenv(gpu.VISIBLE, raising=False)
-    gpu.take_gpu(device)
+    gpu.acquire_gpu(device)
     assert gpu.VISIBLE not in os.environ

@@ -15,7 +15,7 @@ from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
 from uavaccel.errors import UserError
 from uavaccel.kinematics import VelocityGoal
 from uavaccel.sim.lane.file import layout_from
-from uavaccel.sim.lane.layout import Difficulty, draw_layout
+from uavaccel.sim.lane.layout import Difficulty, sample_layout
 from uavaccel.sim.lane.scene import named
 from uavaccel.sim.profile import NATIVE
 from uavaccel.sim.state import physics_state
@@ -47,8 +47,8 @@ def test_a_wood_changes_the_colours_and_nothing_else() -> None:
     """Depth to the bit, what is segmented by name; and the plain lane looks as it did before."""
     world, seen = World("lane", NATIVE), []
     for scenery in ("plain", "forest", "plain"):
-        world.set_lane(draw_layout(3, Difficulty(scenery=scenery)))
-        names = [object_names(world.model, each) for each in pictures(world, "segmentation")]
+        world.set_lane(sample_layout(3, Difficulty(scenery=scenery)))
+        names = [object_names(world.model, picture) for picture in pictures(world, "segmentation")]
         seen.append((pictures(world, "depth"), names, pictures(world, "colour"), pictures(world, "gray")))
     world.close()
     plain, forest, again = seen
@@ -98,7 +98,7 @@ def test_a_vehicle_flies_on_and_hits_the_same_when_the_scenery_changes() -> None
     for sceneries in (["plain"], ["forest"], ["plain", "forest"], ["forest", "plain"]):
         world = World("lane", NATIVE)
         for scenery in sceneries:  # the second one in the middle of the flight
-            world.set_lane(draw_layout(0, Difficulty(scenery=scenery, wind_m_s=2.0)))
+            world.set_lane(sample_layout(0, Difficulty(scenery=scenery, wind_m_s=2.0)))
             if scenery == sceneries[0]:
                 world.reset((0.0, 0.0, -2.0))
                 world.lead.set_goal(of_velocity(VelocityGoal((2.0, 0.6, 0.0), -2.0)))
@@ -145,6 +145,6 @@ def test_sceneries_that_there_are_not_are_refused() -> None:
     with pytest.raises(UserError, match=r"lane.*scenery"):
         layout_from({"obstacles": [], "scenery": "jungle"}, "lane")
     with pytest.raises(UserError, match="scenery = forest: the scene blocks has none of that name"):
-        World("blocks", NATIVE).set_lane(draw_layout(0, Difficulty(scenery="forest")))
+        World("blocks", NATIVE).set_lane(sample_layout(0, Difficulty(scenery="forest")))
     own = LaneTask(lane={"obstacles": [], "scenery": "forest"})
     assert own.scenery == own.wire_lane(0)["scenery"] == "forest"

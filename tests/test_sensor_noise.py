@@ -190,9 +190,9 @@ def test_hot_pixels_are_hot_in_flight() -> None:
     for share in (0.0, 0.05):
         with closing(ObstacleLane(list_events=True, dvs_hot_pixels=share)) as environment:
             environment.reset(seed=0, options={"lane": 0})
-            environment.take_events()
+            environment.pop_events()
             environment.step(2)
-            _, x, y, polarity = environment.take_events().T
+            _, x, y, polarity = environment.pop_events().T
         count = np.zeros((2, *SHAPE), int)
         np.add.at(count, ((polarity < 0).astype(int), y.astype(int), x.astype(int)), 1)
         counts.append(count)

@@ -17,10 +17,10 @@ from uavaccel.clock import VirtualClock
 from uavaccel.errors import UserError
 from uavaccel.processes.child import start_python
 from uavaccel.suites.dp1 import Dp1
-from uavaccel.suites.runner import MOST_RESTARTS, begin_run, run_suite
+from uavaccel.suites.runner import MOST_RESTARTS, run_suite, start_run
 from uavaccel.suites.suite import GameResult
 from uavaccel.wire import server_watch
-from uavaccel.wire.server_watch import LOOK_NS, STALL_NS, ServerGoneError, ServerSilence, WatchedServer
+from uavaccel.wire.server_watch import SILENCE_POLL_NS, STALL_NS, ServerGoneError, ServerSilence, WatchedServer
 from uavaccel.wire.session import WallSession
 
 pytestmark = pytest.mark.wall_clock
@@ -83,18 +83,18 @@ def test_a_long_command_is_no_silence_of_a_dead_server(monkeypatch: pytest.Monke
 
     monkeypatch.setattr(server_watch, "MonotonicClock", lambda: clock)
     silence = ServerSilence(cast(WatchedServer, Server()), lambda: lambda: answered)
-    clock.charge(LOOK_NS)
+    clock.charge(SILENCE_POLL_NS)
     silence.goes_on()
     answered = True
     clock.charge(STALL_NS)
     assert silence.broken_ns([]) == 0
-    clock.charge(LOOK_NS)
+    clock.charge(SILENCE_POLL_NS)
     silence.goes_on()
     clock.charge(STALL_NS)
     assert silence.broken_ns([]) == 0
     clock.sleep_until(2_500_000_000)
     assert silence.broken_ns([2_500_000_000]) == 0
-    assert looks == [LOOK_NS, 2 * LOOK_NS + STALL_NS]
+    assert looks == [SILENCE_POLL_NS, 2 * SILENCE_POLL_NS + STALL_NS]
     answered = False
     clock.charge(2 * STALL_NS)
     assert silence.broken_ns([2_500_000_000]) == 2 * STALL_NS
@@ -126,7 +126,7 @@ def test_a_game_whose_server_was_killed_is_flown_again_and_flagged(
     tmp_path: Path, servers: list[WatchedServer]
 ) -> None:
     suite, config = Dp1(), configured("dp1", *SMALL, timing="wall")
-    run = begin_run(suite, config, tmp_path / "run", {})
+    run = start_run(suite, config, tmp_path / "run", {})
     killed: list[str] = []
 
     def kill_once(case: Any, row: Any) -> None:
@@ -156,7 +156,7 @@ def test_a_server_that_dies_in_every_attempt_ends_the_run_with_one_line(tmp_path
             raise ServerGoneError("the server's process ended with status -9")
 
     suite, config = Dying(), configured("dp1", *SMALL, timing="lockstep")
-    run = begin_run(suite, config, tmp_path / "run", {})
+    run = start_run(suite, config, tmp_path / "run", {})
     with pytest.raises(UserError, match=r"ended with status -9, 4 times; go on with --resume"):
         run_suite(suite, config, run)
     assert suite.attempts == MOST_RESTARTS + 1

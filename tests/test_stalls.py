@@ -14,7 +14,7 @@ import pytest
 
 from tests.processes import descendants, state_of
 from uavaccel.processes import child
-from uavaccel.processes.stalls import LOOKS, STOPPED_LOOKS, StallDetector, cpu_time_s
+from uavaccel.processes.stalls import IDLE_POLLS, STOPPED_POLLS, StallDetector, cpu_time_s
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
 WORKS, WAITS = "while True: pass", "import signal; print(flush=True); signal.pause()"
@@ -53,41 +53,41 @@ def work_a_little(pid: int) -> None:
 
 def test_one_that_waits_for_ever_stands_still_after_some_looks(start: Start) -> None:
     pid, stalls = start(WAITS), StallDetector()
-    found = [stalls.look([pid]) for _ in range(LOOKS + 1)]  # before the first, it may have worked
-    assert found == [[]] * LOOKS + [[pid]]
+    found = [stalls.poll([pid]) for _ in range(IDLE_POLLS + 1)]  # before the first, it may have worked
+    assert found == [[]] * IDLE_POLLS + [[pid]]
 
 
 def test_one_that_works_does_not_until_it_is_stopped(start: Start) -> None:
     pid, stalls = start(WORKS), StallDetector()
-    for _ in range(2 * LOOKS):
+    for _ in range(2 * IDLE_POLLS):
         work_a_little(pid)
-        assert stalls.look([pid]) == []
+        assert stalls.poll([pid]) == []
     os.kill(pid, signal.SIGSTOP)
     while state_of(pid) != "T":
         pass
-    found = [stalls.look([pid]) for _ in range(STOPPED_LOOKS)]
-    assert found == [[]] * (STOPPED_LOOKS - 1) + [[pid]]
+    found = [stalls.poll([pid]) for _ in range(STOPPED_POLLS)]
+    assert found == [[]] * (STOPPED_POLLS - 1) + [[pid]]
 
 
 def test_the_work_of_a_helper_and_of_a_child_counts(start: Start) -> None:
     waiting, helper, stalls = start(WAITS), start(WORKS), StallDetector()
-    for _ in range(2 * LOOKS):
+    for _ in range(2 * IDLE_POLLS):
         work_a_little(helper)
-        assert stalls.look([waiting], helper) == []
-    assert stalls.look([waiting], start(WAITS), looks=3) == []
+        assert stalls.poll([waiting], helper) == []
+    assert stalls.poll([waiting], start(WAITS), polls=3) == []
     parent = start(PARENT)
     (child,) = descendants(parent)
-    for _ in range(2 * LOOKS):
+    for _ in range(2 * IDLE_POLLS):
         work_a_little(child)
-        assert stalls.look([parent]) == []
+        assert stalls.poll([parent]) == []
 
 
 def test_who_is_not_waited_for_any_more_begins_anew(start: Start) -> None:
     pid, stalls = start(WAITS), StallDetector()
-    for _ in range(LOOKS):
-        assert stalls.look([pid]) == []
-    assert stalls.look([]) == []
-    assert stalls.look([pid]) == []
+    for _ in range(IDLE_POLLS):
+        assert stalls.poll([pid]) == []
+    assert stalls.poll([]) == []
+    assert stalls.poll([pid]) == []
 
 
 class Found:
@@ -138,7 +138,7 @@ def test_a_watch_kills_what_stays_stopped_and_tells_once_who_is_gone(
     process: Any = Found(*found)
     told: list[str] = []
     monkeypatch.setattr(child, "is_stopped", process.is_stopped)
-    monkeypatch.setattr(child, "LOOK_S", 1 / 1024)
+    monkeypatch.setattr(child, "POLL_S", 1 / 1024)
     monkeypatch.setattr(child, "STOPPED_S", 16 / 1024)
     watch = child.Watch(process, "the server", lambda: told.append("gone"))
     watch._thread.join()

@@ -34,7 +34,7 @@ from uavaccel.rl.learner import make_learner
 from uavaccel.rl.policy import load_policy, trained_with, weights_sha256
 from uavaccel.suites import trainer
 from uavaccel.suites.evaluate import EvaluateConfig, fly_game
-from uavaccel.suites.runner import begin_run, run_suite
+from uavaccel.suites.runner import run_suite, start_run
 from uavaccel.suites.suite import GameResult
 from uavaccel.suites.train import CHECKPOINTS, EVALUATIONS, Training, evaluations
 from uavaccel.suites.trainer import Evaluations, evaluation_of
@@ -51,7 +51,7 @@ KILLED = """
 import os, signal, sys
 from pathlib import Path
 from uavaccel.config import validate
-from uavaccel.suites.runner import begin_run, run_suite
+from uavaccel.suites.runner import start_run, run_suite
 from uavaccel.suites.train import TrainConfig, Training
 from uavaccel.yaml_io import load_yaml
 from tests.learning import fly_here
@@ -63,7 +63,7 @@ def die(case, row):
         os.kill(os.getpid(), signal.SIGKILL)
 
 config = validate(TrainConfig, load_yaml(sys.argv[1]), sys.argv[1])
-run_suite(Training(), config, begin_run(Training(), config, Path(sys.argv[2]), {}), on_game=die)
+run_suite(Training(), config, start_run(Training(), config, Path(sys.argv[2]), {}), on_game=die)
 """
 
 
@@ -208,7 +208,7 @@ def test_evaluations_leave_the_training_as_it_is_and_are_those_of_evaluate(tmp_p
     config, without = (tiny_config(STATE, mirror=False, **keys) for keys in (EVALUATED, {}))
     summary = train_into(tmp_path / "evaluated", config)
     evaluated, run = summary["evaluations"], RunDirectory(tmp_path / "evaluated")
-    plain = begin_run(Training(), without, tmp_path / "plain", {})
+    plain = start_run(Training(), without, tmp_path / "plain", {})
     run_suite(Training(), without, plain)
     assert trained_with(plain.path) == trained_with(run.path)
     assert (plain.path / "rows.jsonl").read_bytes() == (run.path / "rows.jsonl").read_bytes()
@@ -288,7 +288,7 @@ def test_evaluations_after_the_last_checkpoint_are_flown_again_to_the_same_lines
     monkeypatch.setattr(trainer, "GamesInBatch", GamesHere)
     monkeypatch.setattr(trainer, "MonotonicClock", lambda: GamesHere)
     config = tiny_config(STATE, mirror=False, games=7, checkpoint_games=3, **EVALUATED)
-    whole, cut = (begin_run(Training(), config, tmp_path / name, {}) for name in ("whole", "cut"))
+    whole, cut = (start_run(Training(), config, tmp_path / name, {}) for name in ("whole", "cut"))
     run_suite(Training(), config, whole)
     with pytest.raises(RuntimeError, match="stopped"):
         run_suite(Training(), config, cut, on_game=stop_after(6))
@@ -317,7 +317,7 @@ def test_lanes_in_turns_come_down_for_a_checkpoint_and_go_on(tmp_path: Path, mon
     config = tiny_config(STATE, mirror=False, environments=2, turns=2, games=8, checkpoint_games=3)
 
     with pytest.raises(RuntimeError, match="stopped"):
-        run_suite(Training(), config, begin_run(Training(), config, tmp_path / "cut", {}), on_game=stop_after(7))
+        run_suite(Training(), config, start_run(Training(), config, tmp_path / "cut", {}), on_game=stop_after(7))
     resumed = train_into(tmp_path / "cut", config, resume=True)
     assert resumed == train_into(tmp_path / "whole", config)
 

@@ -80,7 +80,7 @@ def test_one_adsc_is_charged_with_every_latency_once() -> None:
     running_us = state_us + 563 + 811
     assert client.now_ns() - wall0_ns == (running_us + 821) * US
     assert sample.time_ns - start_ns == (paused_us - 307) // 200 * 2 * MS
-    assert [each for each in server_events(client, wall0_ns) if each[1] > 0] == [
+    assert [server_event for server_event in server_events(client, wall0_ns) if server_event[1] > 0] == [
         ("handle simPause", 307),
         ("run", 307),
         ("handle moveByVelocity", accepted_us),
@@ -104,7 +104,7 @@ def test_two_tcscs_are_charged_with_every_latency_once() -> None:
     first_us = 503 + 509 + ISSUE_US + 409  # continue-for, from when the command has been issued
     second_us = first_us + 10_000 + 499 + ISSUE_US + 409
     assert client.now_ns() - wall0_ns == (second_us + 10_000 + 499) * US
-    assert [each for each in server_events(client, wall0_ns) if each[1] > 0] == [
+    assert [server_event for server_event in server_events(client, wall0_ns) if server_event[1] > 0] == [
         ("handle uavaccelState", 503),
         ("handle moveByVelocity", 503 + 509 + 101),
         ("accept", 503 + 509 + 101),
@@ -276,10 +276,10 @@ def test_a_server_that_has_gone_is_an_error(ends: tuple[SocketTransport, Peer]) 
 def test_what_a_socket_may_change_is_not_known_any_more(ends: tuple[SocketTransport, Peer]) -> None:
     transport, _ = ends
     state = Simulation(world_of(NATIVE)).kinematics()
-    transport.known.stands_at(state)
+    transport.known.paused_at(state)
     assert transport.known.state is None, "others may fly too"
     transport.known.exclusive = True
-    transport.known.stands_at(state)
+    transport.known.paused_at(state)
     for method, known in (("uavaccelImage", state), ("uavaccelCollision", state), ("simPause", None)):
         transport.send(method, (), blocking=False)
         assert transport.known.state is known

@@ -209,7 +209,7 @@ def test_events_are_of_what_passed_since_the_last_look_and_begin_anew_after_a_ju
 
     monkeypatch.setattr(pictures, "step", step)
     for time_s in (5.0, 5.0, 5.1, 5.2, 9.0, 9.125, 2.0, 2.25):
-        picture = eyes.look(np.array([1.0, 2.0, 3.0]), np.array([0.5, 0.5, -0.5, -0.5]), time_s)
+        picture = eyes.render(np.array([1.0, 2.0, 3.0]), np.array([0.5, 0.5, -0.5, -0.5]), time_s)
     assert stepped == pytest.approx([0.1, 0.2, 0.125])  # since it began: not after standing, nor after jumps
     assert picture.shape == (2 * HEIGHT, WIDTH, 3)
     assert data.qpos.tolist() == [0.0, 1.0, 2.0, 3.0, 0.5, 0.5, -0.5, -0.5, 0.0]

@@ -34,12 +34,12 @@ from uavaccel.suites.train import Training
 from uavaccel.watch import beside
 from uavaccel.watch.beside import PageAddress, page_beside
 from uavaccel.watch.feed import Feed, Source
-from uavaccel.wire.broadcast import LOOK_NS, heading
+from uavaccel.wire.broadcast import REFRESH_NS, heading
 from uavaccel.wire.page_protocol import FREE, PAGE, Orders
 from uavaccel.wire.session import open_session
 
-HELD: Orders = {"seen": True, "held": True, "pace": 1.0, "looks": 0}
-LOOK_S = 16 * 0.002  # 16 ticks, the whole number nearest to LOOK_NS
+HELD: Orders = {"seen": True, "held": True, "pace": 1.0, "refreshes": 0}
+POLL_S = 16 * 0.002  # 16 ticks, the whole number nearest to REFRESH_NS
 SCRIPT = """
 import airsim
 client = airsim.MultirotorClient()
@@ -101,12 +101,12 @@ class Flight:
 
 
 def test_a_held_flight_stands_steps_and_goes_on_to_the_same_bytes(feed: Feed) -> None:
-    assert round(LOOK_NS / 2_000_000) * 0.002 == LOOK_S
+    assert round(REFRESH_NS / 2_000_000) * 0.002 == POLL_S
     flight = Flight(feed, HELD)
-    assert flight.heard() == [LOOK_S]
+    assert flight.heard() == [POLL_S]
     assert flight.heard() == []
     flight.source.let_pass(3)
-    assert flight.heard()[-1] == pytest.approx(4 * LOOK_S)
+    assert flight.heard()[-1] == pytest.approx(4 * POLL_S)
     arrays = flight.end()
     alone = flown()
     assert {name: array.tobytes() for name, array in arrays.items()} == {
@@ -115,7 +115,7 @@ def test_a_held_flight_stands_steps_and_goes_on_to_the_same_bytes(feed: Feed) ->
 
 
 def test_a_look_tells_clocks_pose_and_command(feed: Feed) -> None:
-    flight = Flight(feed, {**HELD, "pace": None, "looks": 40})
+    flight = Flight(feed, {**HELD, "pace": None, "refreshes": 40})
     flight.heard()
     flight.source.let_pass(1)
     while not flight.source.moments:
@@ -125,7 +125,7 @@ def test_a_look_tells_clocks_pose_and_command(feed: Feed) -> None:
     row = int(np.searchsorted(arrays["time_s"], moment.time_s))
     between = arrays["position_m"][row - 1 : row + 1, 0]
     assert between.min() <= moment.poses[0, 0] <= between.max()
-    assert (moment.may_hold, moment.clock_speed) == (True, 10.0)
+    assert (moment.may_pause, moment.clock_speed) == (True, 10.0)
     assert moment.wall_s == pytest.approx(moment.time_s / 10.0)
     assert (moment.commanded, moment.towards) == ((True,), ((2.0, 0.0, 0.0),))
     assert flight.source.scene is not None
@@ -202,7 +202,7 @@ def test_a_server_on_the_machines_clock_is_heard_and_cannot_be_held(feed: Feed) 
             heard += source.moments
     thread.join()
     assert heard
-    assert not any(moment.may_hold for moment in heard)
+    assert not any(moment.may_pause for moment in heard)
     assert max(moment.time_s for moment in heard) > 2.0
 
 
@@ -261,7 +261,7 @@ def test_the_first_flight_is_shown_until_it_is_silent_or_has_ended(tmp_path: Pat
 @pytest.mark.slow
 def test_watching_changes_no_byte_of_runs_and_scripts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Runs in this process and in two workers, an evaluation, and a script in a process of its own."""
-    monkeypatch.setattr(beside, "FIRST_LOOK_S", 0.0)
+    monkeypatch.setattr(beside, "FIRST_SPECTATOR_S", 0.0)
     squares = configured("dp1", clock_speed=[50.0], t_move_s=[0.5], rounds=[1], games=2, timing="virtual", seed=3)
     lanes = configured("evaluate", "task.observation=state", agent="straight", games=2)
     (tmp_path / "script.py").write_text(SCRIPT)
@@ -334,7 +334,7 @@ def test_a_browser_holds_a_flight_of_a_simulated_clock_and_looks_on_at_one_of_th
             page.get_by_role("button", name="Step", exact=True).click()
             page.wait_for_timeout(1000)
             clocks.get_by_text("Paused.").wait_for()
-            assert simulated_s(clocks.inner_text()) - before == pytest.approx(LOOK_S, abs=0.011)
+            assert simulated_s(clocks.inner_text()) - before == pytest.approx(POLL_S, abs=0.011)
             page.get_by_role("button", name="Play", exact=True).click()
             said, _ = process.communicate(timeout=300)
             assert "5 calls" in said

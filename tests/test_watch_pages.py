@@ -179,7 +179,7 @@ def test_a_simulated_clock_is_shown_as_it_is_and_the_machines_from_the_flights_b
     live.hear(MOMENT)
     assert live.server.clocks() == "ClockSpeed 4x wall clock 2.500 s, simulated a 10.00 s 5.0 m up flies its command"
     for wall_s, shown in ((102.5, "2.500"), (103.0, "3.000")):
-        live.hear(MOMENT._replace(flight=2, may_hold=False, wall_s=wall_s, commanded=(False,)))
+        live.hear(MOMENT._replace(flight=2, may_pause=False, wall_s=wall_s, commanded=(False,)))
         assert live.server.clocks() == (
             f"ClockSpeed 4x wall clock {shown} s, the machine's a 10.00 s 5.0 m up no command"
         )
@@ -190,7 +190,7 @@ def test_a_simulated_clock_is_shown_as_it_is_and_the_machines_from_the_flights_b
 def test_a_flight_obeys_the_page_that_shows_it_while_somebody_looks(live: Live) -> None:
     source, other, controls = live.source, live.other, live.server.controls
     live.hear(MOMENT)
-    shown = {"seen": True, "held": False, "pace": 1.0, "looks": 0}
+    shown = {"seen": True, "held": False, "pace": 1.0, "refreshes": 0}
     assert (source.orders, other.orders) == ([shown], [FREE])
     for pace, pace_of in (("0.25x", 0.25), ("20x", 20.0), ("1e-9x", 1.0), (FLAT_OUT, None)):
         controls["Shown at"].choose(pace)
@@ -204,7 +204,7 @@ def test_a_flight_obeys_the_page_that_shows_it_while_somebody_looks(live: Live) 
     for _ in range(2):
         live.press("Step")
     live.hear()
-    assert source.orders[-1] == {**held, "looks": 2}
+    assert source.orders[-1] == {**held, "refreshes": 2}
     said = len(source.orders)
     live.hear()
     assert len(source.orders) == said  # nothing new
@@ -213,7 +213,7 @@ def test_a_flight_obeys_the_page_that_shows_it_while_somebody_looks(live: Live) 
     assert source.orders[-1] == {**shown, "pace": None}
     live.press("Step")  # which pauses too
     live.hear()
-    assert source.orders[-2:] == [held, {**held, "looks": 1}]
+    assert source.orders[-2:] == [held, {**held, "refreshes": 1}]
     live.server.clients.clear()
     live.hear()
     assert source.orders[-1] == FREE  # nobody is there who could let it go on
@@ -232,7 +232,7 @@ def test_a_silent_flight_is_said_to_be_paused_or_over(live: Live) -> None:
     assert live.server.clocks() == f"{table} Paused."
     live.hear(MOMENT)
     assert live.server.clocks() == table
-    live.hear(MOMENT._replace(may_hold=False, flight=2))
+    live.hear(MOMENT._replace(may_pause=False, flight=2))
     live.hear(passed_s=0.6)
     assert live.server.clocks().endswith("or its flight is over.")  # it cannot have been paused here
 
@@ -265,11 +265,11 @@ def test_every_vehicle_has_its_own_figure_and_path_which_begins_anew_with_each_f
 
 
 def test_only_a_simulated_clock_can_be_held(live: Live) -> None:
-    for flight, may_hold in enumerate((False, True, False)):
-        live.hear(MOMENT._replace(flight=flight, may_hold=may_hold))
+    for flight, may_pause in enumerate((False, True, False)):
+        live.hear(MOMENT._replace(flight=flight, may_pause=may_pause))
         for name in ("Pause", "Step", "Shown at"):
-            assert live.server.controls[name].disabled is not may_hold
-        assert live.page._why_not.visible is not may_hold
+            assert live.server.controls[name].disabled is not may_pause
+        assert live.page._why_not.visible is not may_pause
 
 
 def test_the_view_goes_along_unless_it_is_told_not_to(live: Live) -> None:

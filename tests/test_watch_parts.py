@@ -268,14 +268,14 @@ def told() -> Iterator[tuple[Source, socket.socket]]:
 
 def test_orders_are_sent_when_they_change_and_looks_leave_them_as_they_are(told: tuple[Source, socket.socket]) -> None:
     source, flight = told
-    held: Orders = {"seen": True, "held": True, "pace": 0.5, "looks": 0}
+    held: Orders = {"seen": True, "held": True, "pace": 0.5, "refreshes": 0}
     source.let_pass(2)
     for orders in (held, held, FREE):
         source.order(orders)
         if orders is held:
             source.let_pass(3)
     heard = [json.loads(flight.recv(4096)) for _ in range(5)]
-    assert heard == [{**FREE, "looks": 2}, held, {**held, "looks": 3}, {**held, "looks": 3}, FREE]
+    assert heard == [{**FREE, "refreshes": 2}, held, {**held, "looks": 3}, {**held, "looks": 3}, FREE]
     flight.setblocking(False)
     with pytest.raises(BlockingIOError):
         flight.recv(4096)
@@ -295,7 +295,7 @@ def test_a_scene_and_its_moments_are_as_the_flight_has_them(
     qpos[[3, 10]] = 1.0
     vehicles = [{"name": name, "body": model.body(name).id} for name in ("second", "drone")]
     moment = {
-        "flight": 2, "may_hold": False, "clock_speed": 5.0, "time_ns": 1_500_000_000, "wall_ns": 300_000_000,
+        "flight": 2, "may_pause": False, "clock_speed": 5.0, "time_ns": 1_500_000_000, "wall_ns": 300_000_000,
         "qpos": (qpos + 0.5).tolist(), "commanded": [True, False], "towards": [[1.0, 2.0, 3.0], None],
     }  # fmt: skip
     for message in (
@@ -337,7 +337,7 @@ def test_a_page_beside_a_command_is_there_for_as_long_as_it_flies(
     for name, stand_in in (("check_viser", lambda: None), ("free_port", lambda *_: 8123), ("start_python", start)):
         monkeypatch.setattr(beside, name, stand_in)
     monkeypatch.setattr(beside, "end_within", lambda *_: None)
-    monkeypatch.setattr(beside, "FIRST_LOOK_S", 0.01)
+    monkeypatch.setattr(beside, "FIRST_SPECTATOR_S", 0.01)
     monkeypatch.setattr("sys.argv", ["uavaccel", "run", "a `b`"])
     monkeypatch.delenv(PAGE, raising=False)
     with reading, writing:
@@ -374,7 +374,7 @@ def test_a_page_that_dies_is_said_in_one_line(
     )
     monkeypatch.setattr(beside, "start_python", lambda *_, **options: child.start_python("-c", dies, **options))
     monkeypatch.setattr(beside, "check_viser", lambda: None)
-    monkeypatch.setattr(child, "LOOK_S", 1 / 64)
+    monkeypatch.setattr(child, "POLL_S", 1 / 64)
     watches: list[child.Watch] = []
 
     def watched(*arguments: Any) -> child.Watch:

@@ -40,7 +40,7 @@ def assert_sound(html: str) -> None:
         assert len([text for name, text in page.texts if name == tag]) >= len(page.all(tag)), f"an empty {tag}"
     regions = [each for each in page.all("div") if each.get("role") == "region"]
     assert len(regions) == len(page.all("table"))
-    assert all(each["aria-label"] and each["tabindex"] == "0" for each in regions)
+    assert all(region["aria-label"] and region["tabindex"] == "0" for region in regions)
     assert not [tag for tag, _ in page.tags if tag in ("link", "iframe", "object", "embed")]
     addresses = {name for _, attributes in page.tags for name in ("href", "srcset", "action") if name in attributes}
     assert not addresses

@@ -14,11 +14,11 @@ import cv2
 import mujoco
 import numpy as np
 
-from uavaccel.kernels.looks import empty_scenes, fill_scenes, read_looks
-from uavaccel.kernels.pictures import draw_colour, draw_depth, draw_gray
+from uavaccel.kernels.appearance import empty_scenes, fill_scenes, read_appearance
+from uavaccel.kernels.pictures import render_colour, render_depth, render_gray
 from uavaccel.resources import asset
 from uavaccel.sim.camera.camera import Camera
-from uavaccel.sim.lane.layout import Difficulty, draw_layout, lane_seed
+from uavaccel.sim.lane.layout import Difficulty, lane_seed, sample_layout
 from uavaccel.sim.lane.scene import apply_layout
 from uavaccel.sim.poses import Pose
 from uavaccel.units import ned_to_mujoco, quaternion_ned_to_mujoco
@@ -47,19 +47,22 @@ def main() -> None:
     parser.add_argument("--views", type=int, default=200, help="of each condition")
     options = parser.parse_args()
     model = mujoco.MjModel.from_xml_path(str(asset("mjcf/lane.xml")))
-    data, looks, rows = mujoco.MjData(model), read_looks(model), []
+    data, appearance, rows = mujoco.MjData(model), read_appearance(model), []
     lanes = np.arange(options.views, dtype=np.int32)
     with Camera(model) as camera:
         for name, ((low, high), tilt, yaw, round_ones) in CONDITIONS.items():
             rng = np.random.default_rng(18)
-            layouts = [draw_layout(lane_seed("evaluation", lane), Difficulty(light=(0.1, 1.0))) for lane in lanes]
+            layouts = [sample_layout(lane_seed("evaluation", lane), Difficulty(light=(0.1, 1.0))) for lane in lanes]
             for layout in layouts:
                 layout.round[:] = round_ones
             places = rng.uniform((-2, -4.5, -high), (155, 4.5, -low), (options.views, 3))
             quaternions = np.array([attitude(rng, tilt, yaw) for _ in lanes])
             scenes = empty_scenes(options.views)
-            fill_scenes(looks, scenes, lanes.tolist(), layouts)
-            drawn = [draw(looks, scenes, lanes, places, quaternions) for draw in (draw_gray, draw_colour, draw_depth)]
+            fill_scenes(appearance, scenes, lanes.tolist(), layouts)
+            drawn = [
+                draw(appearance, scenes, lanes, places, quaternions)
+                for draw in (render_gray, render_colour, render_depth)
+            ]
             theirs: list[list[np.ndarray]] = [[], [], []]
             cameras: list[Callable[[Any], np.ndarray]] = [camera.gray, camera.colour, camera.depth]
             for layout, place, quaternion in zip(layouts, places, quaternions, strict=True):

@@ -166,7 +166,7 @@ TARGETS = {
 def misfit(parameters: Parameters) -> float:
     """Sum of the squared distances from the targets."""
     values = outcome(parameters)
-    return float(sum(((values[name] - each.aim) / each.scale) ** 2 for name, each in TARGETS.items()))
+    return float(sum(((values[name] - target.aim) / target.scale) ** 2 for name, target in TARGETS.items()))
 
 
 START = Parameters(43.0, 0.45, 26.0)
@@ -226,10 +226,10 @@ def table(best: Parameters) -> list[str]:
     """A line a target: what it is, aimed at, found, and whether it lies in the range."""
     values = outcome(best)
     lines = []
-    for name, each in TARGETS.items():
-        verdict = "holds" if each.low <= values[name] <= each.high else "FAILS"
+    for name, target in TARGETS.items():
+        verdict = "holds" if target.low <= values[name] <= target.high else "FAILS"
         lines.append(
-            f"{name:18} {values[name]:7.3f}  aim {each.aim:g}, {each.low:g} to {each.high:g}: {verdict}  {each.source}"
+            f"{name:18} {values[name]:7.3f}  aim {target.aim:g}, {target.low:g} to {target.high:g}: {verdict}  {target.source}"
         )
     return lines
 

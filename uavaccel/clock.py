@@ -142,7 +142,7 @@ def wait_for_sockets(
     return list(selector.select(0))
 
 
-def ask_for_fine_timers() -> None:
+def request_fine_timers() -> None:
     """Let the kernel wake this process on time: Linux groups timers within 50 us unless told otherwise."""
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)

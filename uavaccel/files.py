@@ -230,7 +230,7 @@ def check_new_folder(folder: Path, resume: bool = False) -> None:
         if not folder.is_dir():
             raise UserError(f"--out {folder}: is no folder, so no run to go on with")
         return
-    above = next(each for each in folder.absolute().parents if each.exists())
+    above = next(parent for parent in folder.absolute().parents if parent.exists())
     if not above.is_dir():
         raise UserError(f"--out {folder}: {above} is no folder")
     if not os.access(above, os.W_OK):

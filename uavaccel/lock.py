@@ -40,7 +40,7 @@ class FolderLock:
 _HELD: weakref.WeakValueDictionary[Path, FolderLock] = weakref.WeakValueDictionary()
 
 
-def hold(folder: Path) -> FolderLock:
+def lock_of(folder: Path) -> FolderLock:
     """Return this process's lock of a folder, which is shared within it. Raises UserError as `FolderLock` does."""
     place = folder.resolve()
     lock = _HELD.get(place)

@@ -33,7 +33,7 @@ from uavaccel.files import (
     write_arrays,
 )
 from uavaccel.forms import HostTimes, Manifest, RowForm, check, check_all
-from uavaccel.lock import FolderLock, hold
+from uavaccel.lock import FolderLock, lock_of
 from uavaccel.yaml_io import load_yaml, parse_yaml
 
 
@@ -72,7 +72,7 @@ class RunDirectory:
         if path.exists() and not resume:
             raise UserError(f"{path}: exists; take another --out, or --resume to go on with it")
         if (path / "config.yaml").is_file():
-            lock = hold(path)
+            lock = lock_of(path)
             grown = _refuse_other_config(path, config, may_grow)
             _clear_after_crash(path)
             if grown:
@@ -125,7 +125,7 @@ class RunDirectory:
         check_all(HostTimes, entries, self.path / "timing.jsonl")
         return entries
 
-    def keep_first(self, count: int) -> None:
+    def truncate_to(self, count: int) -> None:
         """Drop all rows but the first `count`, and their entries in timing.jsonl."""
         for name, entries in (("rows.jsonl", self.rows()), ("timing.jsonl", self.timings())):
             self.write_text(name, "".join(to_json(entry) + "\n" for entry in entries[:count]))
@@ -244,7 +244,7 @@ def _arrays_name(case: str) -> str:
 def _start(path: Path, config: Config) -> FolderLock:
     try:
         path.mkdir(parents=True, exist_ok=True)
-        lock = hold(path)
+        lock = lock_of(path)
         strangers = [entry.name for entry in path.iterdir() if not entry.name.endswith(UNFINISHED)]
         if strangers:
             raise UserError(f"{path}: not a run directory, but holds {min(strangers)}; take another --out")

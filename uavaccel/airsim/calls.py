@@ -33,10 +33,10 @@ def remote(declared: Declared) -> Declared:
     """
     name = declared.__name__.removesuffix("Async")
     _, *parameters = inspect.signature(declared).parameters.values()
-    defaults = tuple(each.default for each in parameters if each.default is not each.empty)
+    defaults = tuple(parameter.default for parameter in parameters if parameter.default is not parameter.empty)
     required = len(parameters) - len(defaults)
     hints = get_type_hints(declared, include_extras=True)
-    annotated = [(place, hints.get(each.name)) for place, each in enumerate(parameters)]
+    annotated = [(place, hints.get(parameter.name)) for place, parameter in enumerate(parameters)]
     conversions = [
         (place, hint.__metadata__[0]) for place, hint in annotated if hint is not None and get_origin(hint) is Annotated
     ]
@@ -64,7 +64,7 @@ class Untyped:
     def __init__(self, *required: str, **defaults: object) -> None:
         kind = inspect.Parameter.POSITIONAL_OR_KEYWORD
         parameters = [inspect.Parameter(each, kind) for each in ("self", *required)]
-        parameters += [inspect.Parameter(each, kind, default=value) for each, value in defaults.items()]
+        parameters += [inspect.Parameter(default, kind, default=value) for default, value in defaults.items()]
         self._signature = signature = inspect.Signature(parameters)
 
         def declared(*arguments: object, **named: object) -> object:

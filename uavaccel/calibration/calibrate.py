@@ -73,7 +73,7 @@ class Latencies:
 
     def counts(self) -> str:
         request, reply = (
-            sum(len(each) for name, each in samples.items() if "@" not in name)
+            sum(len(sample) for name, sample in samples.items() if "@" not in name)
             for samples in (self.request, self.reply)
         )
         return f"{request} requests, {reply} replies, {len(self.issue)} issues, {len(self.timer)} wall timers"
@@ -251,5 +251,5 @@ def check_agreement(latency: LatencyConfig, profile: str, games: int) -> Iterato
             gaps = [np.concatenate([game.gap_s for game in results]) for results in flown]
             errors = [mean_position_rmse([game.flight for game in results], [ideal]) for results in flown]
             for quantity, values in (("gap s", gaps), ("error m", errors)):
-                first, model, again = (np.quantile(each, LEVELS) for each in values)
+                first, model, again = (np.quantile(value, LEVELS) for value in values)
                 yield Agreement(*cell, quantity, first, again, model)

@@ -76,11 +76,11 @@ def report(run_dirs: Annotated[list[Path], typer.Argument(help="Run directories.
     Several trainings, or several evaluations, are also drawn side by side, in the first one's folder.
     """
     from uavaccel.records import RunDirectory
-    from uavaccel.suites.own_code import told
+    from uavaccel.suites.own_code import trusting
     from uavaccel.suites.registry import suite_of
 
     by_suite: dict[str, list[RunDirectory]] = {}
-    with told(trust):
+    with trusting(trust):
         for run_dir in run_dirs:
             run = RunDirectory(run_dir)
             report_run(run)
@@ -101,7 +101,7 @@ def run_experiment(
     """
     from uavaccel.suites.session import plan, resumable
 
-    with request.told():
+    with request.trusting():
         planned = plan(request)
         if check is not None and not request.dry_run:
             check(planned)

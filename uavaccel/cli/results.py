@@ -20,9 +20,9 @@ def view(
 ) -> None:
     """Show a game: an MP4 of camera, DVS, map, the view from behind and a policy's decisions, and a contact sheet."""
     from uavaccel.cli.view import view_game
-    from uavaccel.suites.own_code import told
+    from uavaccel.suites.own_code import trusting
 
-    with told(trust):
+    with trusting(trust):
         view_game(source, case, out)
 
 
@@ -45,11 +45,11 @@ def watch(
     trust: Trust = False,
 ) -> None:
     """Watch a flight in the browser: the drone in its scene, clocks, camera and events; pause, step, replay."""
-    from uavaccel.suites.own_code import told
+    from uavaccel.suites.own_code import trusting
     from uavaccel.watch.show import show
 
     check_host(host)
-    with told(trust):
+    with trusting(trust):
         show(run, case, game, (clock, think, seed), host, port)
 
 
@@ -69,7 +69,7 @@ def export(
 ) -> None:
     """Write a policy as ONNX; a run as tables, as MCAP logs for Foxglove, or as a Minari dataset."""
     from uavaccel.cli.export import export as export_source
-    from uavaccel.suites.own_code import told
+    from uavaccel.suites.own_code import trusting
 
-    with told(trust):
+    with trusting(trust):
         export_source(source, onnx, csv, parquet, mcap, minari, case)

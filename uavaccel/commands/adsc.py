@@ -32,16 +32,16 @@ def adsc(
         if client.join(future, t_issue + paused_ns + round(t_due / client.clock_speed)):
             break
         t_pause = client.now_ns()
-        sample = gather(client)
+        sample = read_sample(client)
         paused_ns += client.now_ns() - t_pause
         yield sample
     client.join(future)
-    yield gather(client)
+    yield read_sample(client)
 
 
-def gather(client: MissionClient[FutureT, SampleT]) -> SampleT:
+def read_sample(client: MissionClient[FutureT, SampleT]) -> SampleT:
     """Gather one sample while the simulation is paused."""
     client.pause()
-    sample = client.gather(client.kinematics())
+    sample = client.read_sample(client.kinematics())
     client.run()
     return sample

@@ -75,7 +75,7 @@ class AirSimAdapter:
             _vector(truth.angular_acceleration),
         )
 
-    def gather(self, state: Kinematics) -> Kinematics:
+    def read_sample(self, state: Kinematics) -> Kinematics:
         return state
 
 

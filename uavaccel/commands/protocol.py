@@ -46,6 +46,6 @@ class MissionClient(Pausable, Protocol[FutureT, SampleT]):
         """Return the present state."""
         ...
 
-    def gather(self, state: Kinematics) -> SampleT:
+    def read_sample(self, state: Kinematics) -> SampleT:
         """Gather a sample while the simulation is paused: the state, with or without images."""
         ...

@@ -35,5 +35,5 @@ def tcsc(
         t_wakeup = slice_of(t_move, t_sample)
         while (t_left := t_start + t_wakeup - state.time_ns) > t_th_ns:
             state = client.continue_for(t_left)  # 2  run, then pause; 3  woke early: run the difference
-        yield client.gather(state)  # 4  gather, the clock stopped
+        yield client.read_sample(state)  # 4  gather, the clock stopped
         t_start, t_move = t_start + t_wakeup, t_move - t_wakeup

@@ -99,8 +99,8 @@ def colour(number: int) -> str:
 def shared_legend(figure: Figure, axes: Iterable[Axes]) -> None:
     """Draw one legend for several axes beside them, with an entry for each label."""
     handles: dict[str, Artist] = {}
-    for each in axes:
-        lines, labels = each.get_legend_handles_labels()
+    for axis in axes:
+        lines, labels = axis.get_legend_handles_labels()
         handles |= dict(zip(labels, lines, strict=True))
     figure.legend(list(handles.values()), list(handles), loc="outside right upper")
 

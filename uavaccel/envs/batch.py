@@ -130,13 +130,13 @@ class EnvironmentBatch(TurnBatch):
 
     def reset_each(self, seeds: Sequence[int | None], options: Sequence[Mapping[str, object] | None]) -> list[Info]:
         """Begin a game in every environment with its own seed and options; returns the infos."""
-        return self._slots.ask_all("reset", list(zip(seeds, options, strict=True)), range(self.num_envs))
+        return self._slots.request_all("reset", list(zip(seeds, options, strict=True)), range(self.num_envs))
 
     def call_each(
         self, name: str, arguments: Sequence[tuple[object, ...]], slots: Sequence[int] | None = None
     ) -> list[Answer]:
         """Call a method of `slots`, by default all, each with its own arguments; returns the results."""
-        return self._slots.ask_all("call", [(name, *each) for each in arguments], self._all(slots))
+        return self._slots.request_all("call", [(name, *argument) for argument in arguments], self._all(slots))
 
     def call_async(self, slot: int, name: str, *arguments: object) -> None:
         """Start a method of one environment and return at once; `call_wait` returns the result."""
@@ -149,7 +149,7 @@ class EnvironmentBatch(TurnBatch):
 
     def set_each(self, name: str, value: object, slots: Sequence[int] | None = None) -> None:
         """Set an attribute of `slots`, by default all, to a value."""
-        self._slots.ask_all("set_attribute", [(name, value)] * len(self._all(slots)), self._all(slots))
+        self._slots.request_all("set_attribute", [(name, value)] * len(self._all(slots)), self._all(slots))
 
     def observations(self) -> Frame:
         """Return the present observations of all environments."""

@@ -101,7 +101,7 @@ class GuardedClient:
 class CameraClient(GuardedClient):
     """A `MissionClient` whose samples are states with pictures."""
 
-    def gather(self, state: Kinematics) -> Sample:
+    def read_sample(self, state: Kinematics) -> Sample:
         return self.take(state)
 
 
@@ -128,7 +128,7 @@ class FlightClient(GuardedClient):
         self._wants_image = kind is not None
         self._stopwatches = stopwatches
 
-    def gather(self, state: Kinematics) -> FlightSample:
+    def read_sample(self, state: Kinematics) -> FlightSample:
         collision = self.client.collision()
         image = NO_IMAGE
         if self._wants_image and not collision:

@@ -66,7 +66,7 @@ class ContextPlanes:
             "last_action": self._action_planes[self._action],
             "frame_age": np.repeat(ages[:, None], SIZE[1], axis=1).astype(np.uint8),
         }
-        return np.stack([shown[each] for each in self.knows])
+        return np.stack([shown[know] for know in self.knows])
 
     def actions_shown(self) -> NDArray[np.uint8]:
         """Return `last_action` after each action (actions + 1, 36, 64); the last one is for no action yet."""

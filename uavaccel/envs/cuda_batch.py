@@ -65,18 +65,18 @@ class CudaBatch(VectorEnv[Any, Any, Any]):
         if not self._begun or any(each is not None for each in seeds):
             self._lanes.seed(seeds)
             self._begun = [0] * self.num_envs
-            self._draw_first(options)
+            self._sample_first(options)
         elif options:
             self._begun = self._lanes.games.available.tolist()
             self._lanes.games.begun.copy_(self._lanes.games.available)
-            self._draw_first(options)
+            self._sample_first(options)
         self._lanes.begin()
         self._begun = [begun + 1 for begun in self._begun]
         self._lanes.games.refill(self._begun)
         return self._lanes.observations.clone(), self._infos()
 
-    def _draw_first(self, options: dict[str, Any] | None) -> None:
-        self._lanes.games.draw_one_each([options] * self.num_envs)
+    def _sample_first(self, options: dict[str, Any] | None) -> None:
+        self._lanes.games.sample_games([options] * self.num_envs)
 
     def step(self, actions: Any) -> Steps:
         """Fly one command in every environment. Raises UserError for invalid actions, or before `reset`."""

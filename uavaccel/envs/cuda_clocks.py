@@ -44,7 +44,7 @@ class DeviceClocks:
         self._since_ns = int(rules[timeline.PROCESSING_NS] * rules[timeline.IS_ADSC])
         self._speed, self._tick_ns = float(task.clock_speed), plan.tick_ns
         self._legs = th.zeros(count, dtype=th.int64, device=device)
-        self._looking = th.zeros(count, dtype=th.uint8, device=device)
+        self._rendering = th.zeros(count, dtype=th.uint8, device=device)
         self._levels = th.zeros((count, 3), dtype=th.int64, device=device)
 
     # --- a game's start ---------------------------------------------------------------------------
@@ -67,21 +67,21 @@ class DeviceClocks:
 
     def reach(self, going: th.Tensor, sample: int) -> th.Tensor:
         """Fly to a command's next sample, and return which lanes (L,) uint8 have one."""
-        reached = (self._now, self._timing, self._clocks, kernels.shared(self._looking), kernels.shared(self._legs))
+        reached = (self._now, self._timing, self._clocks, kernels.shared(self._rendering), kernels.shared(self._legs))
         self._run("reach", going, sample, *reached)
-        self._fly(self._looking)
-        return self._looking
+        self._fly(self._rendering)
+        return self._rendering
 
-    def look(self, frames: th.Tensor) -> None:
+    def render(self, frames: th.Tensor) -> None:
         """Observe the sample that `reach` flew to, at the pose of Unreal's latest frame."""
         self._swap_displayed_pose()
-        self._view.look(self._looking, frames)
+        self._view.render(self._rendering, frames)
         self._swap_displayed_pose()
 
     def leave(self, sample: int) -> None:
         """Continue after the sample."""
-        brightness = self._brightness(self._looking)
-        self._run("leave", self._looking, sample, brightness, self._now, self._timing, self._clocks)
+        brightness = self._brightness(self._rendering)
+        self._run("leave", self._rendering, sample, brightness, self._now, self._timing, self._clocks)
 
     # --- times ----------------------------------------------------------------------------
 
@@ -127,7 +127,7 @@ class DeviceClocks:
     def _swap_displayed_pose(self) -> None:
         """Swap the lanes' poses with those that images show; a second call restores both."""
         if self._stale:
-            self._run("turn", self._looking, self._now, self._clocks)
+            self._run("turn", self._rendering, self._now, self._clocks)
 
     def _brightness(self, which: th.Tensor) -> Any:
         """Return the sums of levels (L, 3) by which the guard judges images."""

@@ -58,7 +58,7 @@ class GamesAhead:
             self._written[lane] = 0
         self.begun.zero_()
 
-    def draw_one_each(self, options: Sequence[Mapping[str, Any] | None] | None = None) -> None:
+    def sample_games(self, options: Sequence[Mapping[str, Any] | None] | None = None) -> None:
         """Sample and transfer the next game of every lane, with the lane's options."""
         each = options or [None] * self.count
         self._send([self._draw(lane, each[lane]) for lane in range(self.count)])
@@ -105,7 +105,7 @@ class GamesAhead:
         """Sample a lane's next game into the host's rows, and return its row."""
         number = self._written[lane]
         before = self._generators[lane].bit_generator.state
-        drawn = self.maker.draw(self._generators[lane], self._games[lane], options)
+        drawn = self.maker.sample(self._generators[lane], self._games[lane], options)
         self._games[lane] += 1
         row = lane * AHEAD + number % AHEAD
         self.maker.write(drawn, self._host, row)
@@ -147,4 +147,4 @@ class GamesAhead:
 
 def _leaves(arrays: Any) -> list[Any]:
     """Return the arrays of nested tuples, in order."""
-    return [arrays] if not isinstance(arrays, tuple) else [leaf for each in arrays for leaf in _leaves(each)]
+    return [arrays] if not isinstance(arrays, tuple) else [leaf for array in arrays for leaf in _leaves(array)]

@@ -136,7 +136,7 @@ class CudaLanes:
     def begin(self) -> None:
         """Sample and begin the first game of every lane."""
         if not self.has_begun:
-            self.games.draw_one_each()
+            self.games.sample_games()
         self.going.zero_()
         self.renew(th.ones(self.count, dtype=th.bool, device=self.device))
 
@@ -230,7 +230,7 @@ class CudaLanes:
         state, now = self._moments[sample]
         state.copy_(self.now.state)
         with self._render_stream.following():
-            self.view.look(self.going, self._frames[sample], now=now)
+            self.view.render(self.going, self._frames[sample], now=now)
 
     def _fly_recording_events(self, sample: int, every: int) -> None:
         """Fly to a sample with an event camera that records a frame `every` so many ticks."""
@@ -241,7 +241,7 @@ class CudaLanes:
             self._advance(self.going, th.full_like(self._slice_ticks[sample], due))
             flown += due
             if (before + flown) % every == 0 or flown == total:
-                self.view.look(self.going, self._frames[sample], take=flown == total)
+                self.view.render(self.going, self._frames[sample], take=flown == total)
 
     def _fly_by_clocks(self, clocks: DeviceClocks) -> list[th.Tensor]:
         """Fly each lane to the samples that its own clock times, and return the states (L, 13) as `_fly_together`."""
@@ -251,7 +251,7 @@ class CudaLanes:
         for sample in range(len(self.slices)):
             clocks.reach(self.going, sample)
             if self.kind != STATE:
-                clocks.look(self._frames[sample])
+                clocks.render(self._frames[sample])
             else:
                 states.append(self._flight[:, 1:14].clone())
             clocks.leave(sample)
@@ -395,8 +395,8 @@ class CudaLanes:
             parts |= {f"clocks.{name}": each for name, each in self.clocks.tensors._asdict().items()}
         names = ("observations", "going", "commands", "_actions", "_taken_ns", "returns", "_wall_ns")
         parts |= {name: getattr(self, name) for name in names}
-        last = {name: each.movedim(0, -1) for name, each in parts.items()}
-        courses = {f"course.{number}": each for number, each in enumerate(tensors(self._course))}
+        last = {name: part.movedim(0, -1) for name, part in parts.items()}
+        courses = {f"course.{number}": tensor for number, tensor in enumerate(tensors(self._course))}
         return last | courses | {"place": self._position}
 
     def close(self) -> None:

@@ -11,8 +11,8 @@ from uavaccel.envs.kernel_games import GameMaker
 from uavaccel.envs.task import Task
 from uavaccel.kernels import cuda as kernels
 from uavaccel.kernels import events
-from uavaccel.kernels.fields import COLUMNS, DEPTH, DVS, FIELDS, NO_LOOKS, ROWS, STATE
-from uavaccel.vision.dvs_sensor import draw_pixels
+from uavaccel.kernels.fields import COLUMNS, DEPTH, DVS, FIELDS, NO_APPEARANCE, ROWS, STATE
+from uavaccel.vision.dvs_sensor import sample_pixels
 
 
 class LaneView:
@@ -30,15 +30,15 @@ class LaneView:
         self.pixels, self._pixels = kernels.on_device(
             events.pixels_of(count if self.kind == DVS else 0, parameters), device
         )
-        looks, looks_arrays = kernels.on_device(maker.looks or NO_LOOKS, device)
+        appearance, appearance_arrays = kernels.on_device(maker.appearance or NO_APPEARANCE, device)
         sensor, sensor_arrays = kernels.on_device(
-            events.sensor_of(draw_pixels(parameters, (ROWS, COLUMNS), task.dvs_seed)), device
+            events.sensor_of(sample_pixels(parameters, (ROWS, COLUMNS), task.dvs_seed)), device
         )
         hull = th.tensor(maker.surroundings.hull, device=device)
         self.plan = kernels.Plan(
-            kernels.shared(hull), looks_arrays.texels, looks_arrays.textures, looks_arrays, sensor_arrays
+            kernels.shared(hull), appearance_arrays.texels, appearance_arrays.textures, appearance_arrays, sensor_arrays
         )
-        self._memory = looks, sensor, hull  # keeps alive what the plan's numba arrays refer to
+        self._memory = appearance, sensor, hull  # keeps alive what the plan's numba arrays refer to
         rendered = count if self.kind != STATE else 1
         self._faces = th.zeros((rendered, kernels.SLOTS, FIELDS), device=device)
         self._shown = th.zeros((rendered, ROWS, COLUMNS), dtype=th.int16, device=device)
@@ -48,7 +48,7 @@ class LaneView:
         self._project(which, self._now)
         self._launch_quads("start")(*self._looked_at(which), self.plan, self._games, self._now, self._pixels)
 
-    def look(self, which: th.Tensor, frames: th.Tensor, take: bool = True, now: Any = None) -> None:
+    def render(self, which: th.Tensor, frames: th.Tensor, take: bool = True, now: Any = None) -> None:
         """Observe `now`, by default the present, as `frames` (L, ...); event cameras sum events until `take`."""
         now = now or self._now
         self._project(which, now)
@@ -87,7 +87,7 @@ class LaneView:
     def _project(self, which: th.Tensor, now: Any) -> None:
         grid = kernels.grid(self._count * kernels.WARP, kernels.SEEING_THREADS)
         going, faces, shown = self._looked_at(which)
-        self._kernels.project[grid](going, self.kind != DEPTH, self.plan.looks, self._games, now, faces)
+        self._kernels.project[grid](going, self.kind != DEPTH, self.plan.appearance, self._games, now, faces)
         grid = kernels.grid(self._count * COLUMNS, kernels.COLUMN_THREADS)
         self._kernels.find[grid](going, faces, shown)
 

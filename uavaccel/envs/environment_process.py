@@ -126,7 +126,7 @@ def main() -> None:
         return
     load(options["environment"])
     processes = options["processes"]
-    descriptors = [{options["memory"], *chain.from_iterable(map(descriptors_of, each))} for each in processes]
+    descriptors = [{options["memory"], *chain.from_iterable(map(descriptors_of, process))} for process in processes]
     fork_each(descriptors, options["reports"], lambda number: fly_together(options, processes[number], parent))
 
 

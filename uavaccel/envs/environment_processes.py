@@ -19,9 +19,9 @@ import numpy as np
 from uavaccel.clock import MonotonicClock
 from uavaccel.envs.values import Answer, Frame
 from uavaccel.errors import UserError
-from uavaccel.processes.child import Process, single_core_drawing, start_python
+from uavaccel.processes.child import Process, single_core_rendering, start_python
 from uavaccel.processes.forks import CAN_FORK, WITHOUT_THREADS, Fork, Forks
-from uavaccel.processes.stalls import FIRST_LOOKS, LOOK_S, LOOKS, StallDetector, is_stopped
+from uavaccel.processes.stalls import FIRST_POLLS, IDLE_POLLS, POLL_S, StallDetector, is_stopped
 from uavaccel.sim.rendering.camera import RendererGoneError
 from uavaccel.sim.rendering.service import RenderService, stop
 from uavaccel.sim.rendering.slots import anonymous_memory
@@ -113,7 +113,7 @@ class EnvironmentProcesses:
         self._polls = [_poll_of(connection) for connection in self._connections]
         self._answered_once = False
         self._stalls, self._clock = StallDetector(), MonotonicClock()
-        self._looked_ns = self._clock.now_ns()
+        self._polled_ns = self._clock.now_ns()
         self._process_of = [slot % processes for slot in range(slots)]
         places = [self._slot_options(slot, connection) for slot, connection in enumerate(theirs)]
         flown = [places[process::processes] for process in range(processes)]
@@ -147,7 +147,7 @@ class EnvironmentProcesses:
             inherited.add(reports)
         process = start_python(
             *("-m", "uavaccel.envs.environment_process"),
-            environment={**WITHOUT_THREADS, **single_core_drawing()},
+            environment={**WITHOUT_THREADS, **single_core_rendering()},
             stdin=subprocess.PIPE,  # a thousand environments' options are too long for an argument
             pass_fds=sorted(inherited),
         )
@@ -173,7 +173,7 @@ class EnvironmentProcesses:
         if self._connections and not self._asked[slot]:
             raise BatchError(f"environment {slot} was not asked for anything: there is no answer to wait for")
         try:
-            while self._connections and not self._polls[slot].poll(LOOK_S * 1e3):
+            while self._connections and not self._polls[slot].poll(POLL_S * 1e3):
                 self._look()
             answer = self._connections[slot].recv()
         except (EOFError, OSError):
@@ -190,20 +190,20 @@ class EnvironmentProcesses:
         asked = {self._connections[slot]: slot for slot, waiting in enumerate(self._asked) if waiting}
         if not asked:
             raise BatchError("no environment was asked for anything")
-        while not (answered := wait(list(asked), LOOK_S)):
+        while not (answered := wait(list(asked), POLL_S)):
             self._look()
-        if self._clock.now_ns() - self._looked_ns > LOOK_S * NS_PER_S:
+        if self._clock.now_ns() - self._polled_ns > POLL_S * NS_PER_S:
             self._look()  # while others answer, one that hangs might go unnoticed
         return asked[answered[0]]  # type: ignore[index]
 
     def _look(self) -> None:
         """Check processes whose answers are due. Kills those that hang, and raises BatchError."""
-        self._looked_ns = self._clock.now_ns()
+        self._polled_ns = self._clock.now_ns()
         waiting = {self._process_of[slot] for slot, asked in enumerate(self._asked) if asked}
         pids = {self._processes[number].pid: number for number in waiting}
         renderer = self._service.process if self._service is not None else None
-        looks = LOOKS if self._answered_once else FIRST_LOOKS
-        standing = self._stalls.look(pids, None if renderer is None else renderer.pid, looks)
+        polls = IDLE_POLLS if self._answered_once else FIRST_POLLS
+        standing = self._stalls.poll(pids, None if renderer is None else renderer.pid, polls)
         if not standing:
             return
         if renderer is not None and is_stopped(renderer.pid):
@@ -215,10 +215,10 @@ class EnvironmentProcesses:
             self._processes[pids[pid]].kill()
         raise BatchError(f"the process of environment {slots[0]} hangs: it {how}")
 
-    def ask_all(self, method: str, arguments: Sequence[tuple[object, ...]], slots: Sequence[int]) -> list[Answer]:
+    def request_all(self, method: str, arguments: Sequence[tuple[object, ...]], slots: Sequence[int]) -> list[Answer]:
         """Send a request to each of `slots` before the first answer is taken; returns the answers."""
-        for slot, each in zip(slots, arguments, strict=True):
-            self.ask(slot, method, *each)
+        for slot, argument in zip(slots, arguments, strict=True):
+            self.ask(slot, method, *argument)
         return self.answers(slots)
 
     def answers(self, slots: Sequence[int]) -> list[Answer]:

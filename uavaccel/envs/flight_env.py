@@ -103,14 +103,14 @@ class FlightEnv(gymnasium.Env[Frame, Action], Generic[TaskT]):
             return None
         return self._client.client.image("colour")
 
-    def take_events(self) -> NDArray[np.float32]:
+    def pop_events(self) -> NDArray[np.float32]:
         """Return the running game's events (n, 4) since the last call: rows (t in s, x, y, p = 1 or -1).
 
         Raises UserError unless the task has `list_events`.
         """
         if not self.task.list_events or not isinstance(self.sensor, EventCamera):
             raise UserError("list_events must be true for a list of events")
-        return self.sensor.counter.take_events()
+        return self.sensor.counter.pop_events()
 
     def recording(self) -> Recording:
         """Return the present game's path and commands so far. Raises UserError before the first `reset`."""
@@ -218,7 +218,7 @@ class FlightEnv(gymnasium.Env[Frame, Action], Generic[TaskT]):
         with ExitStack() as phases:
             for stopwatch in self._stopwatches:
                 phases.enter_context(stopwatch.aside("image_processing"))
-            self.sensor.counter.look(self._noise.add(self._session.picture(), time_ns), time_ns)
+            self.sensor.counter.process_frame(self._noise.add(self._session.picture(), time_ns), time_ns)
 
     def _connect(self, client: Client, start_ns: int) -> FlightClient:
         """Wrap the client of a game that began at `start_ns` of its wall clock."""
@@ -247,7 +247,7 @@ class FlightEnv(gymnasium.Env[Frame, Action], Generic[TaskT]):
             raise
         client = self._connect(started, started.now_ns())
         self._seed_noise(client, noise_seed(latencies), (start := client.kinematics()).time_ns)
-        first = client.gather(start)
+        first = client.read_sample(start)
         self._switch(None)
         self._now = Moment(first.state, first.state.position_m, None, 0, course)
         frame = self.sensor.reset(first.state, first.image, course)
@@ -274,7 +274,7 @@ class FlightEnv(gymnasium.Env[Frame, Action], Generic[TaskT]):
                 north, east, down = sample.collision["position_m"]
                 now = now._replace(position_m=(north, east, down), collision=sample.collision["object"])
                 break
-            self._frames.append(self._see(sample))
+            self._frames.append(self._observe(sample))
             taken_ns.append(sample.state.time_ns)
             missing -= 1
         self._frames.extend([self.sensor.blank] * missing)
@@ -284,7 +284,7 @@ class FlightEnv(gymnasium.Env[Frame, Action], Generic[TaskT]):
             self._context.update(action, taken_ns, missing, present_ns)
         return now._replace(commands=now.commands + 1)
 
-    def _see(self, sample: FlightSample) -> Frame:
+    def _observe(self, sample: FlightSample) -> Frame:
         self._switch("image_processing")
         frame = self.sensor.blank
         if not self.task.blank_images:

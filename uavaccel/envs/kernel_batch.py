@@ -28,8 +28,8 @@ from uavaccel.envs.kernel_games import (
     game_info,
     kinematics_of,
     one_course,
-    put_course,
     select,
+    set_course,
     stacked,
     step_result,
 )
@@ -41,14 +41,14 @@ from uavaccel.envs.values import Action, Actions, Answer, Frame, Info, Number, S
 from uavaccel.errors import UserError
 from uavaccel.kernels import cpu, events, timeline
 from uavaccel.kernels import lanes as rows
-from uavaccel.kernels.fields import COLUMNS, DVS, NO_LOOKS, ROWS, STATE
+from uavaccel.kernels.fields import COLUMNS, DVS, NO_APPEARANCE, ROWS, STATE
 from uavaccel.kernels.flight import TOUCHED
 from uavaccel.limits import MOST_PROCESSES
 from uavaccel.machine import usable_cores
 from uavaccel.sim.state import SavedState, State
 from uavaccel.sim.vehicle.quadrotor import NEVER
 from uavaccel.units import NS_PER_S
-from uavaccel.vision.dvs_sensor import draw_pixels
+from uavaccel.vision.dvs_sensor import sample_pixels
 
 
 class KernelBatch(TurnBatch):
@@ -96,10 +96,10 @@ class KernelBatch(TurnBatch):
         self._rows = rows.game_rows(count, self._maker.surroundings.most)
         self._now = rows.flights(count)
         blank = task.sensor().blank
-        draws = draw_pixels(task.dvs_parameters, (ROWS, COLUMNS), task.dvs_seed)
+        draws = sample_pixels(task.dvs_parameters, (ROWS, COLUMNS), task.dvs_seed)
         kind = kind_of(task)
         pixels = events.pixels_of(count if kind == DVS else 0, task.dvs_parameters)
-        self._view = cpu.View(kind, self._maker.looks or NO_LOOKS, events.sensor_of(draws), pixels)
+        self._view = cpu.View(kind, self._maker.appearance or NO_APPEARANCE, events.sensor_of(draws), pixels)
         samples = task.frames_per_command
         self._blank = blank
         self._frames = np.empty((count, samples, *blank.shape), blank.dtype)
@@ -201,7 +201,7 @@ class KernelBatch(TurnBatch):
         if name not in methods:
             raise UserError(f"simulator = kernels: {name} is not available; use simulator = mujoco")
         which = range(self.num_envs) if slots is None else slots
-        return [methods[name](lane, *each) for lane, each in zip(which, arguments, strict=True)]  # type: ignore[operator]
+        return [methods[name](lane, *argument) for lane, argument in zip(which, arguments, strict=True)]  # type: ignore[operator]
 
     # --- saving -----------------------------------------------------------------------------------
 
@@ -218,20 +218,20 @@ class KernelBatch(TurnBatch):
         generator.bit_generator.state = json.loads(str(state["drawn_by"]))
         self._games[lane] = int(state["games"])
         if not self._drawn:
-            self._drawn = [self._draw_anything() for _ in range(self.num_envs)]
+            self._drawn = [self._sample_any() for _ in range(self.num_envs)]
             self._course = stacked([each.course for each in self._drawn])
         self._drawn[lane] = self._draw(lane)
         generator.bit_generator.state = json.loads(str(state["generator"]))
-        put_course(self._course, lane, json.loads(str(state["course"])))
+        set_course(self._course, lane, json.loads(str(state["course"])))
         for name, array in self._state_arrays().items():
             array[lane] = state[name]
         self._update_positions(np.array([lane]))
         observation: Frame = self._observations[lane].copy()
         return observation
 
-    def _draw_anything(self) -> Drawn:
+    def _sample_any(self) -> Drawn:
         """Sample a game that is not flown, for the shape of its course."""
-        return self._maker.draw(np.random.default_rng(0), 0)
+        return self._maker.sample(np.random.default_rng(0), 0)
 
     def _state_arrays(self) -> dict[str, NDArray[np.generic]]:
         """Return all arrays (L, ...) that change in a game."""
@@ -246,7 +246,7 @@ class KernelBatch(TurnBatch):
 
     def _draw(self, lane: int, options: Mapping[str, object] | None = None) -> Drawn:
         self._generator_states[lane] = self._generators[lane].bit_generator.state
-        drawn = self._maker.draw(self._generators[lane], self._games[lane] - 1, options)
+        drawn = self._maker.sample(self._generators[lane], self._games[lane] - 1, options)
         self._maker.write(drawn, self._rows, lane)
         return drawn
 
@@ -256,12 +256,12 @@ class KernelBatch(TurnBatch):
             self._games[lane] += 1
             self._drawn[lane] = self._draw(lane)
             course = {name: each for name, each in self._drawn[lane].course.items() if name != CONDITIONS}
-            put_course(self._course, lane, course)
+            set_course(self._course, lane, course)
         return self._begin(lanes)
 
     def _begin(self, lanes: NDArray[np.int64]) -> list[Info]:
         """Begin the games sampled for these lanes, and return the infos."""
-        cpu.CPU.look_at_starts(self._rows, lanes)
+        cpu.CPU.observe_starts(self._rows, lanes)
         self._clocks.scale[lanes] = [self._drawn[lane].task.latency.scale for lane in lanes.tolist()]
         for part in [
             self._pool.submit(cpu.CPU.begin, each, each, self._view, self._rows, self._now, self._plan, self._clocks)
@@ -321,9 +321,9 @@ class KernelBatch(TurnBatch):
         flown = self._moments(lanes)
         judged = step_result(self.task, before, flown)
         if self.task.observation == "state" and not self.task.blank_images:
-            self._put_features(lanes)
+            self._write_features(lanes)
         for name, value in judged.course.items():
-            put_course(self._course[name], lanes, value)
+            set_course(self._course[name], lanes, value)
         self._note_times(lanes)
         shape = (len(lanes), -1, *self._blank.shape[1:])
         fresh = self._frames[lanes].reshape(shape)
@@ -382,7 +382,7 @@ class KernelBatch(TurnBatch):
         numbers = self.task.fields(state, self._course_of(lanes))
         return np.stack(numbers, axis=1).astype(np.float32).reshape(len(lanes), *self._blank.shape)
 
-    def _put_features(self, lanes: NDArray[np.int64]) -> None:
+    def _write_features(self, lanes: NDArray[np.int64]) -> None:
         """Write the frames of observation "state" before a collision."""
         for sample in range(self._frames.shape[1]):
             seen = lanes[sample < self._clocks.taken[lanes]]

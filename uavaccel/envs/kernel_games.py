@@ -15,11 +15,11 @@ from uavaccel.envs.flyable import profile_of
 from uavaccel.envs.stopwatch import PHASES
 from uavaccel.envs.task import Moment, Moments, Task
 from uavaccel.envs.values import Course, Info, Number
+from uavaccel.kernels.appearance import fill_scene, read_appearance
 from uavaccel.kernels.bodies import Surroundings, read_surroundings
 from uavaccel.kernels.events import camera_row
-from uavaccel.kernels.fields import Looks
+from uavaccel.kernels.fields import Appearance
 from uavaccel.kernels.lanes import Games
-from uavaccel.kernels.looks import fill_scene, read_looks
 from uavaccel.kinematics import Kinematics
 from uavaccel.sim.lane.layout import LaneLayout
 from uavaccel.sim.world import World
@@ -44,11 +44,11 @@ class GameMaker:
         self.task = task
         self._world = World(task.scene, profile_of(task))
         self.surroundings: Surroundings = read_surroundings(self._world.model)
-        self.looks: Looks | None = None if task.observation == "state" else read_looks(self._world.model)
+        self.appearance: Appearance | None = None if task.observation == "state" else read_appearance(self._world.model)
         self.nominal = self._world.lead.parameters.copy()
         self._start = lru_cache(maxsize=64)(self._settled)
 
-    def draw(self, random: np.random.Generator, games: int, options: Mapping[str, object] | None = None) -> Drawn:
+    def sample(self, random: np.random.Generator, games: int, options: Mapping[str, object] | None = None) -> Drawn:
         """Sample the next game of an environment that has had `games` before. Raises UserError for wrong options."""
         course = self.task.sample(random, known_options(options, self.task.reset_options))
         latencies = np.random.SeedSequence(int(random.integers(2**63)))
@@ -58,15 +58,15 @@ class GameMaker:
         return Drawn({**course, CONDITIONS: conditions} if conditions else course, task, layout, latencies)
 
     def write(self, drawn: Drawn, games: Games, row: int) -> None:
-        """Fill a game's row, except for the accelerations at its start (kernels/lanes.look)."""
+        """Fill a game's row, except for the accelerations at its start (kernels/lanes.refresh)."""
         task, layout = drawn.task, drawn.layout
         ratios = (1.0, 1.0) if layout is None else (layout.mass_ratio, layout.thrust_ratio)
         parameters, start, body = self._start(task.altitude_m, *ratios)
         games.parameters[row], games.start[row], games.body[row] = parameters, start, body
         games.start["wind"][row] = 0.0 if layout is None else layout.wind_m_s
         games.counts[row] = self.surroundings.put(layout, games.solids[row])
-        if self.looks is not None and layout is not None:
-            fill_scene(self.looks, games.scenes, row, layout)
+        if self.appearance is not None and layout is not None:
+            fill_scene(self.appearance, games.scenes, row, layout)
         games.cameras[row] = camera_row(task.dvs_parameters, task.image_noise)
         seed = noise_seed(drawn.latencies)
         games.seeds[row] = seed, task.events_seed(seed)
@@ -140,14 +140,14 @@ def _components(values: NDArray[np.generic]) -> Number:
     return [_components(values[:, each]) for each in range(values.shape[1])]
 
 
-def put_course(course: Number, lane: int | NDArray[np.int64], value: Number) -> None:
+def set_course(course: Number, lane: int | NDArray[np.int64], value: Number) -> None:
     """Write a game's course into a lane's place of a stacked course, or stacked courses into those of several lanes."""
     if isinstance(course, Mapping):
         for name in course:
-            put_course(course[name], lane, value[name])
+            set_course(course[name], lane, value[name])
     elif isinstance(course, list):
         for part, each in zip(course, value, strict=True):
-            put_course(part, lane, each)
+            set_course(part, lane, each)
     else:
         course[lane] = value
 

@@ -26,7 +26,7 @@ def slices_of(task: Task) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     due_ns = [0, *samples_due(task.t_move_s, task.t_sample_s)]
     ticks = [(later - earlier) // profile.tick_ns for earlier, later in pairwise(due_ns)]
     speed = exact(task.clock_speed)
-    wall_ns = [ceil_div(each * profile.tick_ns * speed.denominator, speed.numerator) for each in ticks]
+    wall_ns = [ceil_div(tick * profile.tick_ns * speed.denominator, speed.numerator) for tick in ticks]
     return np.array(ticks), np.array(wall_ns)
 
 

@@ -101,5 +101,5 @@ class SecondEventCamera(Observer):
         now_ns, seed = game.start.time_ns, game.task.events_seed(game.noise.seed)
         self.events.start(game.picture(now_ns), now_ns, seed)
         self._stop = game.session.watch(
-            self._every_ticks, lambda time_ns: self.events.look(game.picture(time_ns), time_ns)
+            self._every_ticks, lambda time_ns: self.events.process_frame(game.picture(time_ns), time_ns)
         )

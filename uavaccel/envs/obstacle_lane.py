@@ -32,9 +32,9 @@ from uavaccel.sim.lane.layout import (
     Difficulty,
     LaneLayout,
     Split,
-    draw_layout,
     is_walled_off,
     lane_seed,
+    sample_layout,
 )
 
 Reward = Annotated[float, Field(ge=-1e6, le=1e6)]
@@ -200,7 +200,7 @@ class LaneTask(Task):
         """Return the task's own conditions, as ranges."""
         keys = {**self.difficulty.model_dump(), **self.model_dump(include=set(OF_TASK))}
         keys[LATENCY] = self.latency.scale
-        return {name: each if isinstance(each, tuple) else (each, each) for name, each in keys.items()}
+        return {name: key if isinstance(key, tuple) else (key, key) for name, key in keys.items()}
 
     def with_conditions(self, conditions: Mapping[str, float]) -> Self:
         if not conditions:
@@ -217,7 +217,7 @@ class LaneTask(Task):
         own = type(self).layout, type(self).wire_lane
         if self.lane is not None or own != (LaneTask.layout, LaneTask.wire_lane):
             return super().lane_layout(course)
-        return draw_layout(self._seed_of(course["lane"]), self.difficulty)
+        return sample_layout(self._seed_of(course["lane"]), self.difficulty)
 
     def reward(self, before: AnyMoment, now: AnyMoment) -> Number:
         progress_m = now.position_m[0] - before.position_m[0]

@@ -76,8 +76,8 @@ class EventCamera(Sensor):
 
     def frame(self, state: Kinematics, image: AnyImage, course: Course) -> Frame:
         """Return the events since the last sample, those of pictures that `counter` saw in between included."""
-        if not self.counter.has_seen(state.time_ns):
-            self.counter.look(image, state.time_ns)
+        if not self.counter.has_frame_of(state.time_ns):
+            self.counter.process_frame(image, state.time_ns)
         return dvs_observation(*self.counter.take())[None]
 
     def get_state(self) -> State:
@@ -127,7 +127,7 @@ def blank_frame(picture: Literal["dvs", "colour", "depth"]) -> NDArray[np.uint8]
 def from_arrays(state: SavedState) -> State:
     """Turn arrays without a shape, as which np.load returns numbers, into numbers; other arrays stay."""
     arrays = {name: np.asarray(value) for name, value in state.items()}
-    return {name: each if each.ndim else each.item() for name, each in arrays.items()}
+    return {name: array if array.ndim else array.item() for name, array in arrays.items()}
 
 
 def state_fields(state: Kinematics) -> list[Number]:

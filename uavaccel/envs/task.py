@@ -123,7 +123,7 @@ class Task(Config):
     dvs_rate_hz: Positive | None = None
     """Frames per simulated second that the event camera sees, at most one per physics step; None: one per sample."""
     list_events: bool = False
-    """Whether the event camera keeps individual events for `take_events`."""
+    """Whether the event camera keeps individual events for `pop_events`."""
 
     command: Literal["adsc", "tcsc"] = "tcsc"
     """The synchronous command that flies each action."""

@@ -33,7 +33,7 @@ REFUSAL = (
     "fly the script with --timing wall"
 )
 FLIGHT = "UAVACCEL_FLY_PROCESS"  # the process of a flight on a simulated clock, which is told of refusals
-PATIENT_LOOKS, LOOK_S = 4, 1.0  # a script that has not moved for so long after a refusal waits for what was refused
+PATIENT_POLLS, POLL_S = 4, 1.0  # a script that has not moved for so long after a refusal waits for what was refused
 _FOLDER = "client"
 _MODULE = """import sys
 from importlib.machinery import PathFinder
@@ -133,11 +133,11 @@ def ended_by_refusals(progress: Callable[[], int]) -> Iterator[None]:
     """
     places: list[object] = []
 
-    def look(number: int, frame: FrameType | None) -> None:
+    def poll(number: int, frame: FrameType | None) -> None:
         waits = frame is not None and frame.f_globals.get("__name__", "").partition(".")[0] in sys.stdlib_module_names
         place = frame and (id(frame), frame.f_lasti, progress())
         places[:] = [*(places if place in places else []), place] if waits else []
-        if len(places) > PATIENT_LOOKS:
+        if len(places) > PATIENT_POLLS:
             places.clear()
             if (processes := sys.modules.get("multiprocessing")) is not None:
                 for child in processes.active_children():
@@ -146,13 +146,13 @@ def ended_by_refusals(progress: Callable[[], int]) -> Iterator[None]:
 
     def begin(number: int, frame: FrameType | None) -> None:
         if signal.getitimer(signal.ITIMER_REAL) == (0.0, 0.0):
-            signal.setitimer(signal.ITIMER_REAL, LOOK_S, LOOK_S)
+            signal.setitimer(signal.ITIMER_REAL, POLL_S, POLL_S)
 
     if threading.current_thread() is not threading.main_thread():
         yield
         return
     os.environ[FLIGHT] = str(os.getpid())
-    handlers = {signal.SIGUSR2: begin, signal.SIGALRM: look}
+    handlers = {signal.SIGUSR2: begin, signal.SIGALRM: poll}
     before = {number: signal.signal(number, handler) for number, handler in handlers.items()}
     try:
         yield

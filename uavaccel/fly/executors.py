@@ -32,13 +32,13 @@ POOLS = ("concurrent.futures._base", "concurrent.futures.thread")
 
 
 class SimulatedSelector:
-    """The selector in which an event loop waits; `look` charges what reading the clock costs.
+    """The selector in which an event loop waits; `poll` charges what reading the clock costs.
 
     Data on sockets and pipes arrive in the machine's time: they are waited for when nothing else can continue.
     """
 
-    def __init__(self, selector: selectors.BaseSelector, turns: Turns, look: Callable[[], object]) -> None:
-        self._selector, self._turns, self._look = selector, turns, look
+    def __init__(self, selector: selectors.BaseSelector, turns: Turns, poll: Callable[[], object]) -> None:
+        self._selector, self._turns, self._poll = selector, turns, poll
         self._stood_ns, self._turns_since = 0, 0
 
     def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
@@ -59,7 +59,7 @@ class SimulatedSelector:
         now_ns = self._turns.now_ns()
         self._turns_since = self._turns_since + 1 if now_ns == self._stood_ns else 0
         if self._turns_since > FREE_TURNS:
-            self._look()
+            self._poll()
         self._stood_ns = self._turns.now_ns()
         self._turns.wait_until(self._stood_ns)
 
@@ -67,7 +67,7 @@ class SimulatedSelector:
         return getattr(self._selector, name)
 
 
-def loops_taking_turns(module: ModuleType, patches: Patches, turns: Turns, look: Callable[[], object]) -> None:
+def loops_taking_turns(module: ModuleType, patches: Patches, turns: Turns, poll: Callable[[], object]) -> None:
     """Put the event loops of asyncio.selector_events that a script makes on its clock."""
     original: Callable[..., None] = module.BaseSelectorEventLoop.__init__
 
@@ -75,7 +75,7 @@ def loops_taking_turns(module: ModuleType, patches: Patches, turns: Turns, look:
         if not (turns.is_mine() and called_by_a_script()):
             return original(self, selector)
         self.time = lambda: turns.now_ns() / NS_PER_S  # type: ignore[method-assign]
-        return original(self, SimulatedSelector(selector or selectors.DefaultSelector(), turns, look))
+        return original(self, SimulatedSelector(selector or selectors.DefaultSelector(), turns, poll))
 
     patches.set(module.BaseSelectorEventLoop, "__init__", init)
 

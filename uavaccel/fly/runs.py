@@ -15,7 +15,7 @@ from pathlib import Path
 from uavaccel.fly.messages import DifferenceError
 from uavaccel.fly.options import ANSWERS, DIFFERENCE, INTERRUPT_SEEN, SUMMARY, FlightOptions, FlightSummary
 from uavaccel.fly.script import INTERRUPTED
-from uavaccel.processes.child import LOOK_S, Patience, describe_end, start_python
+from uavaccel.processes.child import POLL_S, Patience, describe_end, start_python
 
 HEED_S, END_S = 0.5, 5.0  # after an interruption: until the script has received it, and until it has ended
 
@@ -82,7 +82,7 @@ def _wait(process: subprocess.Popen[bytes], seen: Path | None) -> int:
     try:
         while (status := process.poll()) is None:
             with contextlib.suppress(subprocess.TimeoutExpired):
-                process.wait(LOOK_S)
+                process.wait(POLL_S)
             if patience.is_over() and not stopped:
                 stopped = True
                 process.kill()

@@ -15,7 +15,7 @@ from uavaccel.fly.options import THINK_S, FlightOptions, FlightSummary
 from uavaccel.fly.script import FlightOver, ScriptResult, run_script
 from uavaccel.fly.shims import script_environment
 from uavaccel.fly.threads import ThreadClasses
-from uavaccel.fly.turns import LOOK_NS, Turns
+from uavaccel.fly.turns import TURN_POLL_NS, Turns
 from uavaccel.units import NS_PER_S
 
 if TYPE_CHECKING:
@@ -211,7 +211,7 @@ class SimulatedFlight:
         event_ns, now_ns = call.reply_wall_ns, self._clock.now_ns()
         if event_ns is None:
             event_ns = self._world.simulation.next_event_wall_ns()
-        expected_ns = now_ns + LOOK_NS if event_ns is None else max(now_ns, event_ns)
+        expected_ns = now_ns + TURN_POLL_NS if event_ns is None else max(now_ns, event_ns)
         return earliest(expected_ns, self._until_ns) or now_ns
 
     def _report_long_wait(self, method: str) -> None:

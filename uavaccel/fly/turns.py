@@ -19,7 +19,7 @@ from uavaccel.units import NS_PER_S
 
 FOREIGN_S = 1e-3  # the machine's time between two checks of what threads outside of the turns have done
 OURS = {END_WITH_PARENT}  # names of such threads that do nothing for a script
-LOOK_NS = 1_000_000  # a thread whose answer depends on another thread polls at this interval
+TURN_POLL_NS = 1_000_000  # a thread whose answer depends on another thread polls at this interval
 
 
 @dataclass(eq=False)

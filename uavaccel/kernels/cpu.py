@@ -9,12 +9,12 @@ from numba import njit, types
 from numba.extending import overload
 
 from uavaccel.kernels import events, timeline
-from uavaccel.kernels.fields import COLOUR, COLUMNS, DEPTH, DVS, ROWS, SEEN_FAR_M, STATE, Looks
-from uavaccel.kernels.lane_clocks import keep_shown, turn_to_shown
-from uavaccel.kernels.lanes import EVENT_SEED, PICTURE_SEED, Flights, Games, begin, command, fly, look, touched
+from uavaccel.kernels.fields import COLOUR, COLUMNS, DEPTH, DVS, ROWS, SEEN_FAR_M, STATE, Appearance
+from uavaccel.kernels.lane_clocks import save_shown, turn_to_shown
+from uavaccel.kernels.lanes import EVENT_SEED, PICTURE_SEED, Flights, Games, begin, command, fly, refresh, touched
 from uavaccel.kernels.operands import Launchable, Operand
 from uavaccel.kernels.project import project
-from uavaccel.kernels.spans import draw_channels, draw_depths, make_scratch, transpose_colour, transpose_gray
+from uavaccel.kernels.spans import make_scratch, render_channels, render_depths, transpose_colour, transpose_gray
 from uavaccel.kernels.timeline import Clocks, Command
 from uavaccel.sim.parts import part
 from uavaccel.sim.vehicle.hotloop import sources
@@ -28,10 +28,10 @@ SAMPLE_FIELDS = 13  # position, quaternion, velocity, body rate: as in FLIGHT_DT
 
 
 @part
-def _look_at_starts(games: Games, rows: Operand) -> None:
+def _observe_starts(games: Games, rows: Operand) -> None:
     """Complete the initial states of games with their accelerations in the wind."""
     for game in rows:
-        look(games.parameters[game], games.start[game], games.body[game])
+        refresh(games.parameters[game], games.start[game], games.body[game])
 
 
 @part
@@ -180,10 +180,10 @@ def moment_ns(lane: int, now: Flights, tick_ns: int) -> int:
 
 
 @part(error_model="numpy")
-def project_lane(lane: int, looks: Looks, games: Games, now: Flights, sky: bool, scratch: Operand) -> None:
+def project_lane(lane: int, appearance: Appearance, games: Games, now: Flights, sky: bool, scratch: Operand) -> None:
     """Project what a lane's front camera sees to `scratch.faces`."""
     state = now.state[lane]
-    project(looks, games.scenes, now.game[lane], state.position, state.quaternion, sky, scratch.faces)
+    project(appearance, games.scenes, now.game[lane], state.position, state.quaternion, sky, scratch.faces)
 
 
 @part(error_model="numpy")
@@ -196,23 +196,23 @@ def add_camera_noise(lane: int, games: Games, now: Flights, tick_ns: int, pictur
 
 
 @part(error_model="numpy")
-def draw_gray(
-    lane: int, looks: Looks, games: Games, now: Flights, tick_ns: int, scratch: Operand, picture: Operand
+def render_gray(
+    lane: int, appearance: Appearance, games: Games, now: Flights, tick_ns: int, scratch: Operand, picture: Operand
 ) -> None:
     """Render a lane's front camera in grey levels (144, 256), with the camera's noise."""
-    project_lane(lane, looks, games, now, True, scratch)
-    draw_channels(looks, scratch, False)
+    project_lane(lane, appearance, games, now, True, scratch)
+    render_channels(appearance, scratch, False)
     transpose_gray(scratch.channels, picture)
     add_camera_noise(lane, games, now, tick_ns, picture)
 
 
 @part(error_model="numpy")
-def draw_colour(
-    lane: int, looks: Looks, games: Games, now: Flights, tick_ns: int, scratch: Operand, frame: Operand
+def render_colour(
+    lane: int, appearance: Appearance, games: Games, now: Flights, tick_ns: int, scratch: Operand, frame: Operand
 ) -> None:
     """Render red, green and blue (3, 36, 64): means over blocks of 4 x 4 pixels."""
-    project_lane(lane, looks, games, now, True, scratch)
-    draw_channels(looks, scratch, True)
+    project_lane(lane, appearance, games, now, True, scratch)
+    render_channels(appearance, scratch, True)
     picture = np.empty((ROWS, COLUMNS, 3), np.uint8)
     transpose_colour(scratch.channels, picture)
     add_camera_noise(lane, games, now, tick_ns, picture)
@@ -227,11 +227,13 @@ def draw_colour(
 
 
 @part(error_model="numpy")
-def draw_depth(lane: int, looks: Looks, games: Games, now: Flights, scratch: Operand, frame: Operand) -> None:
+def render_depth(
+    lane: int, appearance: Appearance, games: Games, now: Flights, scratch: Operand, frame: Operand
+) -> None:
     """Render depth (1, 36, 64): means over blocks of 4 x 4 pixels, with 0 to SEEN_FAR_M encoded as 0 to 255."""
-    project_lane(lane, looks, games, now, False, scratch)
+    project_lane(lane, appearance, games, now, False, scratch)
     depths = np.empty((ROWS, COLUMNS), np.float32)
-    draw_depths(scratch, depths)
+    render_depths(scratch, depths)
     for y in range(frame.shape[1]):
         for x in range(frame.shape[2]):
             total = np.float32(0.0)
@@ -245,24 +247,24 @@ class View(NamedTuple):
     """The cameras of all lanes: kind of observation, appearance, event sensor and its state."""
 
     kind: int
-    looks: Operand
+    appearance: Operand
     sensor: Operand
     pixels: Operand
 
 
 @part(error_model="numpy")
-def look_at_events(
+def observe_events(
     lane: int, view: View, games: Games, now: Flights, plan: Command, scratch: Operand, picture: Operand
 ) -> None:
     """Render a lane's front camera and update its event camera."""
     game = now.game[lane]
-    draw_gray(lane, view.looks, games, now, plan.tick_ns, scratch, picture)
+    render_gray(lane, view.appearance, games, now, plan.tick_ns, scratch, picture)
     time_s = moment_ns(lane, now, plan.tick_ns) * events.NS
     see(lane, picture, time_s, view.pixels, view.sensor, games.cameras[game], games.seeds[game, EVENT_SEED])
 
 
 @part(error_model="numpy")
-def _begin_lanes(
+def _start_lanes(
     lanes: Operand, rows: Operand, view: View, games: Games, now: Flights, plan: Command, clocks: Clocks
 ) -> None:
     """Begin the games of `rows` in `lanes`."""
@@ -275,23 +277,23 @@ def _begin_lanes(
         timeline.start(row, scale, timing, games.seeds[game, PICTURE_SEED])
         clocks.brightness[lane] = np.nan
         if view.kind == DVS:
-            draw_gray(lane, view.looks, games, now, plan.tick_ns, scratch, picture)
+            render_gray(lane, view.appearance, games, now, plan.tick_ns, scratch, picture)
             start(lane, picture, view.pixels, view.sensor, games.cameras[game])
         elif timing.rules[timeline.GUARDED]:
-            draw_frame(lane, view, games, now, plan, scratch, frame)
+            render_frame(lane, view, games, now, plan, scratch, frame)
         suspect = bool(timing.rules[timeline.GUARDED]) and guard(lane, view, clocks, scratch)
         timeline.show_start(row, scale, timing, suspect)
 
 
 @part(error_model="numpy")
-def draw_frame(
+def render_frame(
     lane: int, view: View, games: Games, now: Flights, plan: Command, scratch: Operand, frame: Operand
 ) -> None:
     """Render a lane's present frame, in colour or of depth; other kinds have none."""
     if view.kind == COLOUR:
-        draw_colour(lane, view.looks, games, now, plan.tick_ns, scratch, frame)
+        render_colour(lane, view.appearance, games, now, plan.tick_ns, scratch, frame)
     elif view.kind == DEPTH:
-        draw_depth(lane, view.looks, games, now, scratch, frame)
+        render_depth(lane, view.appearance, games, now, scratch, frame)
 
 
 @part(error_model="numpy")
@@ -305,7 +307,7 @@ def guard(lane: int, view: View, clocks: Clocks, scratch: Operand) -> bool:
             bright += LUMA_WEIGHTS[channel] * scratch.channels[channel].mean()
     else:
         depths = np.empty((ROWS, COLUMNS), np.float32)
-        draw_depths(scratch, depths)
+        render_depths(scratch, depths)
         bright = depths.mean()
     return timeline.is_suspect(lane, bright, clocks)
 
@@ -323,7 +325,7 @@ def fly_sample(
         fly(lane, to_frame, games, now, plan.hull)
         left -= to_frame
         if not touched(lane, now):
-            look_at_events(lane, view, games, now, plan, scratch, picture)
+            observe_events(lane, view, games, now, plan, scratch, picture)
     fly(lane, left, games, now, plan.hull)
     return plan.event_ticks > 0 and now.state[lane].tick % plan.event_ticks == 0
 
@@ -344,7 +346,7 @@ def fly_to(
     shown = clocks.row[lane, timeline.SHOWN]
     if plan.timing.rules[timeline.STALE_POSE] and shown >= now.state[lane].tick:
         fly_sample(lane, shown - now.state[lane].tick, view, games, now, plan, scratch, picture)
-        keep_shown(lane, now, clocks)
+        save_shown(lane, now, clocks)
     return fly_sample(lane, tick - now.state[lane].tick, view, games, now, plan, scratch, picture)
 
 
@@ -393,7 +395,7 @@ def _fly_lanes(
                 clocks.ticks[lane, sample] = tick
                 if view.kind != STATE:
                     frame = frames[lane, sample]
-                    look_at_sample(lane, seen, view, games, now, plan, clocks, scratch, picture, frame)
+                    observe_sample(lane, seen, view, games, now, plan, clocks, scratch, picture, frame)
                     if timing.rules[timeline.GUARDED]:
                         suspect = guard(lane, view, clocks, scratch)
             timeline.leave(row, scale, timing, hit, suspect)
@@ -403,7 +405,7 @@ def _fly_lanes(
 
 
 @part(error_model="numpy")
-def look_at_sample(
+def observe_sample(
     lane: int,
     seen: bool,
     view: View,
@@ -420,17 +422,17 @@ def look_at_sample(
         if plan.timing.rules[timeline.STALE_POSE]:
             turn_to_shown(lane, now, clocks)
         if view.kind == DVS:
-            look_at_events(lane, view, games, now, plan, scratch, picture)
+            observe_events(lane, view, games, now, plan, scratch, picture)
         else:
-            draw_frame(lane, view, games, now, plan, scratch, frame)
+            render_frame(lane, view, games, now, plan, scratch, frame)
         if plan.timing.rules[timeline.STALE_POSE]:
             turn_to_shown(lane, now, clocks)
     if view.kind == DVS:
-        take_events(lane, view.pixels, frame)
+        pop_events(lane, view.pixels, frame)
 
 
 @part
-def take_events(lane: int, pixels: events.Pixels, frame: Operand) -> None:
+def pop_events(lane: int, pixels: events.Pixels, frame: Operand) -> None:
     """Move the events since the last call to a frame (1, 36, 64)."""
     for y in range(frame.shape[1]):
         for x in range(frame.shape[2]):
@@ -443,13 +445,13 @@ def _show_lanes(lanes: Operand, view: View, games: Games, now: Flights, plan: Co
     """Render the present frames (L, 1, ...) of `lanes`, in colour or of depth."""
     scratch = make_scratch()
     for lane in lanes:
-        draw_frame(lane, view, games, now, plan, scratch, frames[lane, 0])
+        render_frame(lane, view, games, now, plan, scratch, frames[lane, 0])
 
 
 class EntryPoints(NamedTuple):
     """The compiled functions, which release the GIL."""
 
-    look_at_starts: Launchable
+    observe_starts: Launchable
     begin: Launchable
     fly: Launchable
     show: Launchable
@@ -460,14 +462,14 @@ def _compile(stamp: int) -> EntryPoints:
     entry_point = njit(nogil=True, cache=True)
 
     @entry_point
-    def look_at_starts(games, rows):  # type: ignore[no-untyped-def]
+    def observe_starts(games, rows):  # type: ignore[no-untyped-def]
         if stamp:
-            _look_at_starts(games, rows)
+            _observe_starts(games, rows)
 
     @entry_point
-    def begin_lanes(lanes, rows, view, games, now, plan, clocks):  # type: ignore[no-untyped-def]
+    def start_lanes(lanes, rows, view, games, now, plan, clocks):  # type: ignore[no-untyped-def]
         if stamp:
-            _begin_lanes(lanes, rows, view, games, now, plan, clocks)
+            _start_lanes(lanes, rows, view, games, now, plan, clocks)
 
     @entry_point
     def fly_lanes(lanes, directions, view, games, now, plan, clocks, frames, samples):  # type: ignore[no-untyped-def]
@@ -479,7 +481,7 @@ def _compile(stamp: int) -> EntryPoints:
         if stamp:
             _show_lanes(lanes, view, games, now, plan, frames)
 
-    return EntryPoints(look_at_starts, begin_lanes, fly_lanes, show_lanes)
+    return EntryPoints(observe_starts, start_lanes, fly_lanes, show_lanes)
 
 
 CPU = _compile(sources(__name__))

@@ -25,11 +25,11 @@ from uavaccel.kernels import fields as at
 from uavaccel.kernels.columns import MOST_INTERVALS, MOST_PIECES, Column, add_interval, fill_column, settle
 from uavaccel.kernels.faces import begin as begin_faces
 from uavaccel.kernels.faces import view_of
-from uavaccel.kernels.flight import NEXT_LOOK, TOUCHED, fly_ticks
+from uavaccel.kernels.flight import NEXT_CHECK, TOUCHED, fly_ticks
 from uavaccel.kernels.lanes import EVENT_SEED, PICTURE_SEED
 from uavaccel.kernels.operands import Launchable, Operand
 from uavaccel.kernels.project import project_solid
-from uavaccel.kernels.quads import BELOW, RIGHT, quad_lumas, quick_count, see_plainly
+from uavaccel.kernels.quads import BELOW, RIGHT, quad_lumas, quick_count, update_quad
 from uavaccel.kernels.rays import colour_of, linear
 from uavaccel.kernels.recording import recording
 from uavaccel.kernels.touching import NOTHING, deepest_of_all, least_of_all
@@ -108,17 +108,17 @@ class Plan(NamedTuple):
     hull: Operand
     texels: Operand
     textures: Operand
-    looks: Operand
+    appearance: Operand
     sensor: Operand
 
 
-def begin_lanes(renewed, rows, games, now):  # type: ignore[no-untyped-def]
+def start_lanes(renewed, rows, games, now):  # type: ignore[no-untyped-def]
     """Begin the game in row `rows` (L,) of every lane whose flag in `renewed` (L,) is set."""
     lane = cuda.grid(1)
     if lane < len(renewed) and renewed[lane] != 0:
         game = rows[lane]
         lanes.begin(lane, game, games, now)
-        lanes.look(games.parameters[game], now.state[lane], now.body[lane])
+        lanes.refresh(games.parameters[game], now.state[lane], now.body[lane])
 
 
 def command_lanes(going, directions, games, now):  # type: ignore[no-untyped-def]
@@ -134,7 +134,7 @@ def store_flight(lane, watch, state, pose, motion, now):  # type: ignore[no-unty
 
     Forces and accelerations are recomputed in each tick and not stored (flight.short_step).
     """
-    now.watch[lane, NEXT_LOOK], now.watch[lane, TOUCHED] = watch[NEXT_LOOK], watch[TOUCHED]
+    now.watch[lane, NEXT_CHECK], now.watch[lane, TOUCHED] = watch[NEXT_CHECK], watch[TOUCHED]
     stored, body = now.state[lane], now.body[lane]
     for field in range(9):  # unused by the kernel: reread here, so that they occupy no registers in between
         state[0].pid_integral[field], state[0].pid_error[field] = (stored.pid_integral[field], stored.pid_error[field])
@@ -196,7 +196,7 @@ def flying(nominal: Operand) -> Any:
             pose[field] = body[lanes.POSE + field]
         for field in range(6):
             motion[field] = body[lanes.MOTION + field]
-        watch[NEXT_LOOK], watch[TOUCHED] = now.watch[lane, NEXT_LOOK], now.watch[lane, TOUCHED]
+        watch[NEXT_CHECK], watch[TOUCHED] = now.watch[lane, NEXT_CHECK], now.watch[lane, TOUCHED]
         parts = (pose, motion, force, acceleration)
         solids, count = games.solids[game], games.counts[game]
         cuda.syncwarp(mask)  # all have read before any writes
@@ -209,7 +209,7 @@ def flying(nominal: Operand) -> Any:
     return fly_lanes
 
 
-def project_lanes(going, sky, looks, games, now, faces):  # type: ignore[no-untyped-def]
+def project_lanes(going, sky, appearance, games, now, faces):  # type: ignore[no-untyped-def]
     """Project the scene of every lane that is `going` to `faces` (L, SLOTS, FIELDS): one thread per solid."""
     thread = cuda.grid(1)
     lane, solid = thread // WARP, thread % WARP
@@ -217,15 +217,15 @@ def project_lanes(going, sky, looks, games, now, faces):  # type: ignore[no-unty
         return
     state, game = now.state[lane], now.game[lane]
     solids, count = games.scenes.solids[game], games.scenes.counts[game]
-    view = view_of(looks.camera, state.position, state.quaternion)
+    view = view_of(appearance.camera, state.position, state.quaternion)
     if solid == 0:
-        begin_faces(looks.camera, view, faces[lane])
+        begin_faces(appearance.camera, view, faces[lane])
         faces[lane, 0, at.COUNT] = np.float32(first_slot(solids, count))
     while solid < count:
         first, beyond = first_slot(solids, solid), first_slot(solids, solid + 1)
         for slot in range(first, beyond):
             faces[lane, slot, at.NEAREST_W] = np.float32(0.0)
-        project_solid(looks, games.scenes, game, solid, view, sky, faces[lane], first)
+        project_solid(appearance, games.scenes, game, solid, view, sky, faces[lane], first)
         solid += WARP
 
 
@@ -301,7 +301,7 @@ def pixels_of_thread():  # type: ignore[no-untyped-def]
 
 @cuda.jit(device=True)
 def grey_quad(faces, shown, first, plan, y, x):  # type: ignore[no-untyped-def]
-    """Return the luma of a quad; `first` is its first pixel's index over all lanes (quads.see_plainly)."""
+    """Return the luma of a quad; `first` is its first pixel's index over all lanes (quads.update_quad)."""
     quad = (
         np.int32(shown[0, 0, first]),
         np.int32(shown[0, 0, first + RIGHT]),
@@ -336,10 +336,10 @@ def start_events(going, faces, shown, plan, games, now, pixels):  # type: ignore
         levels = grey_quad(faces[lane], shown, first, plan, top, x)
         if camera[events.READ] > 0.0:
             levels = noisy_quad(levels, camera, games.seeds[game], 0, top, x)
-        begin_pixel(levels[0], camera, plan.sensor, pixels, lane, np.uintp(top), np.uintp(x))
-        begin_pixel(levels[1], camera, plan.sensor, pixels, lane, np.uintp(top), np.uintp(x + 1))
-        begin_pixel(levels[2], camera, plan.sensor, pixels, lane, np.uintp(top + 1), np.uintp(x))
-        begin_pixel(levels[3], camera, plan.sensor, pixels, lane, np.uintp(top + 1), np.uintp(x + 1))
+        start_pixel(levels[0], camera, plan.sensor, pixels, lane, np.uintp(top), np.uintp(x))
+        start_pixel(levels[1], camera, plan.sensor, pixels, lane, np.uintp(top), np.uintp(x + 1))
+        start_pixel(levels[2], camera, plan.sensor, pixels, lane, np.uintp(top + 1), np.uintp(x))
+        start_pixel(levels[3], camera, plan.sensor, pixels, lane, np.uintp(top + 1), np.uintp(x + 1))
     if x % BLOCK_SIDE == 0:
         pixels.gathered[lane, np.uintp(y // BLOCK_SIDE), np.uintp(x // BLOCK_SIDE)] = 0
     if x == 0 and y == 0:
@@ -347,7 +347,7 @@ def start_events(going, faces, shown, plan, games, now, pixels):  # type: ignore
 
 
 @cuda.jit(device=True)
-def begin_pixel(level, camera, sensor, pixels, lane, row, column):  # type: ignore[no-untyped-def]
+def start_pixel(level, camera, sensor, pixels, lane, row, column):  # type: ignore[no-untyped-def]
     """Initialise a pixel with its first grey level."""
     log = sensor.logs[np.uint32(level)]
     pixels.base[lane, row, column] = log
@@ -364,8 +364,8 @@ def noisy_pair(levels, camera, sensor, base, filtered, noise, y, x, dt_s):  # ty
     later = x % BLOCK_SIDE != 0
     first = (normals[2], draws[2]) if later else (normals[0], draws[0])
     second = (normals[3], draws[3]) if later else (normals[1], draws[1])
-    signed = events.see_pixel(levels[0], camera, sensor, base, filtered, first, y, x, dt_s)
-    return signed + events.see_pixel(levels[1], camera, sensor, base, filtered, second, y, x + 1, dt_s)
+    signed = events.update_pixel(levels[0], camera, sensor, base, filtered, first, y, x, dt_s)
+    return signed + events.update_pixel(levels[1], camera, sensor, base, filtered, second, y, x + 1, dt_s)
 
 
 @cuda.jit(device=True)
@@ -387,7 +387,7 @@ def add_to_block(total, take, lane, y, x, pixels, frames):  # type: ignore[no-un
         pixels.gathered[lane, down, across] = 0 if take != 0 else total
 
 
-def see_events(going, take, faces, shown, plan, games, now, pixels, frames):  # type: ignore[no-untyped-def]
+def update_events(going, take, faces, shown, plan, games, now, pixels, frames):  # type: ignore[no-untyped-def]
     """Compute the events of cameras without noise; if `take`, move the blocks' sums to `frames` (L, 36, 64)."""
     lane, y, x = pixels_of_thread()
     if lane >= np.uintp(len(going)) or going[lane] == 0:
@@ -407,12 +407,12 @@ def see_events(going, take, faces, shown, plan, games, now, pixels, frames):  # 
         before = (base[0, 0, first], base[0, 0, first + RIGHT])
         under = (base[0, 0, first + BELOW], base[0, 0, first + BELOW + RIGHT])
         levels = grey_quad(own, shown, first, plan, top, x)
-        total = np.int32(total + see_plainly(levels, before + under, camera, plan.sensor, base, first, place))
+        total = np.int32(total + update_quad(levels, before + under, camera, plan.sensor, base, first, place))
     add_to_block(total, take, lane, y, x, pixels, frames)
 
 
 def see_noise(going, tick_ns, take, faces, shown, plan, games, now, pixels, frames):  # type: ignore[no-untyped-def]
-    """Do as `see_events` for cameras with noise or a low-pass filter: a separate kernel, as it needs more registers."""
+    """Do as `update_events` for cameras with noise or low-pass filter, in a kernel apart: it needs more registers."""
     lane, y, x = pixels_of_thread()
     if lane >= np.uintp(len(going)) or going[lane] == 0 or now.watch[lane, TOUCHED] != NOTHING:
         return
@@ -435,7 +435,7 @@ def see_noise(going, tick_ns, take, faces, shown, plan, games, now, pixels, fram
 
 
 def finish_frames(going, tick_ns, now, pixels):  # type: ignore[no-untyped-def]
-    """Advance the clocks of the lanes' event cameras, after `see_events` has finished in all blocks."""
+    """Advance the clocks of the lanes' event cameras, after `update_events` has finished in all blocks."""
     lane = cuda.grid(1)
     if lane < len(going) and going[lane] != 0 and now.state[lane].collision_tick == NEVER:
         pixels.clock[lane] += 1
@@ -508,7 +508,7 @@ def add_colours(going, faces, shown, plan, sums):  # type: ignore[no-untyped-def
     cuda.atomic.add(sums, (lane, 2), np.int64(blue_sum))
 
 
-LIMITS: dict[Any, int] = {see_events: 72}
+LIMITS: dict[Any, int] = {update_events: 72}
 """Registers per thread: fewer of them let more threads wait for memory at the same time."""
 
 
@@ -533,13 +533,13 @@ def compiled(nominal: Operand) -> Kernels:
     """Compile the kernels, or load them from numba's cache; `nominal` is a record of PARAMETERS_DTYPE."""
     warnings.filterwarnings("ignore", message=".*under-utilization")  # expected with few lanes
     functions = (
-        begin_lanes,
+        start_lanes,
         command_lanes,
         flying(nominal),
         project_lanes,
         find_shown,
         start_events,
-        see_events,
+        update_events,
         see_noise,
         finish_frames,
         show_lanes,
@@ -611,7 +611,7 @@ def shared(tensor: th.Tensor, dtype: np.dtype[Any] | None = None) -> Any:
 def on_device(arrays: Operand, device: th.device) -> tuple[Any, Any]:
     """Copy a NamedTuple of arrays, nested or not, to the device; return it as tensors, and as numba arrays on them."""
     if not isinstance(arrays, np.ndarray):
-        pairs = [on_device(each, device) for each in arrays]
+        pairs = [on_device(array, device) for array in arrays]
         return type(arrays)(*(pair[0] for pair in pairs)), type(arrays)(*(pair[1] for pair in pairs))
     if arrays.dtype.names:
         rows = np.ascontiguousarray(arrays).view(np.uint8).reshape(len(arrays), arrays.dtype.itemsize)

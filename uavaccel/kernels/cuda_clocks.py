@@ -68,7 +68,7 @@ def keep(which, now, clocks, to_shown):  # type: ignore[no-untyped-def]
     """Store the present pose as the displayed one, in lanes that have reached it."""
     lane = cuda.grid(1)
     if lane < len(which) and which[lane] != 0 and to_shown[lane] >= 0:
-        of_lane.keep_shown(lane, now, clocks)
+        of_lane.save_shown(lane, now, clocks)
 
 
 def turn(looking, now, clocks):  # type: ignore[no-untyped-def]

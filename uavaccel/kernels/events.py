@@ -213,7 +213,7 @@ for _function, _chosen in BY_TYPE:
 
 
 @part(error_model="numpy")
-def see_pixel(
+def update_pixel(
     level: int,
     camera: Operand,
     sensor: Operand,

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.kernels import fields as at
-from uavaccel.kernels.fields import Looks, Scenes
+from uavaccel.kernels.fields import Appearance, Scenes
 from uavaccel.kernels.rays import Faces, touches
 from uavaccel.sim.parts import part
 
@@ -151,7 +151,7 @@ def put_prism(faces: Faces, row: int, view: View, per_w: Vector, centre: Vector,
 def put_light(
     faces: Faces,
     row: int,
-    looks: Looks,
+    appearance: Appearance,
     scenes: Scenes,
     lane: int,
     material: int,
@@ -162,9 +162,9 @@ def put_light(
     """Write a face's shading, from the vertex normals at its low and high end, which are `width` metres apart."""
     sun = (scenes.lights[lane, at.TOWARDS], scenes.lights[lane, at.TOWARDS + 1], scenes.lights[lane, at.TOWARDS + 2])
     for channel in range(3):
-        colour = looks.materials[material, at.RGB + channel]
+        colour = appearance.materials[material, at.RGB + channel]
         ambient, diffuse = (scenes.lights[lane, at.AMBIENT + channel], scenes.lights[lane, at.DIFFUSE + channel])
-        ambient += looks.materials[material, at.EMISSION]
+        ambient += appearance.materials[material, at.EMISSION]
         first = min(max(colour * (ambient + diffuse * max(dot(low, sun), 0.0)), 0.0), 1.0)
         last = min(max(colour * (ambient + diffuse * max(dot(high, sun), 0.0)), 0.0), 1.0)
         faces[row, at.COLOUR + channel] = np.float32(first)
@@ -172,19 +172,21 @@ def put_light(
 
 
 @part(error_model="numpy", inline=False)
-def put_texture(faces: Faces, row: int, looks: Looks, material: int, sizes: Span, across: Span, down: Span) -> None:
+def put_texture(
+    faces: Faces, row: int, appearance: Appearance, material: int, sizes: Span, across: Span, down: Span
+) -> None:
     """Write a face's texture mapping; `across` and `down` are texture coordinates at its edge and per metre.
 
     `sizes` are the half sizes of the solid, with which a uniform texture repeats.
     """
-    texture = int(looks.materials[material, at.TEXTURE_ID])
+    texture = int(appearance.materials[material, at.TEXTURE_ID])
     faces[row, at.TEXTURE] = np.float32(texture)
     for place in range(2):
-        repeat = float(looks.materials[material, at.REPEAT + place])
+        repeat = float(appearance.materials[material, at.REPEAT + place])
         repeat = repeat if repeat > 0.0 else 1.0
-        if looks.materials[material, at.UNIFORM] > 0.0 and sizes[place] > 0.0:
+        if appearance.materials[material, at.UNIFORM] > 0.0 and sizes[place] > 0.0:
             repeat *= sizes[place]
-        texels = repeat * (1 << looks.textures[texture, at.LOG2_SIZE])
+        texels = repeat * (1 << appearance.textures[texture, at.LOG2_SIZE])
         edge, per_metre = across if place == 0 else down
         field = at.TU if place == 0 else at.TV
         faces[row, field] = np.float32(texels * per_metre)

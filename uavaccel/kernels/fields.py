@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 
-class Looks(NamedTuple):
+class Appearance(NamedTuple):
     """The appearance of a model, which all lanes of a batch share; read only."""
 
     texels: NDArray[np.uint32]
@@ -74,7 +74,7 @@ AMBIENT, DIFFUSE, TOWARDS = 0, 3, 6
 PLACE, AXES, HALF_WIDTH, HALF_HEIGHT, NEAR_M, FAR_M = 0, 3, 12, 13, 14, 15
 
 
-NO_LOOKS = Looks(
+NO_APPEARANCE = Appearance(
     np.zeros(0, np.uint32),
     np.zeros((0, 4), np.int32),
     np.zeros((0, 8), np.float32),

@@ -17,7 +17,7 @@ from uavaccel.sim.vehicle.hotloop import kick, read_pose
 from uavaccel.sim.vehicle.quadrotor import NEVER, Record, accelerate, turn_rotors
 
 HULL_RADIUS, HULL_HALF_HEIGHT, HULL_REACH = range(3)  # metres; HULL_REACH is the radius of the bounding sphere
-NEXT_LOOK, TOUCHED = range(2)  # tick of the next collision test; the solid that ended the flight, or NOTHING
+NEXT_CHECK, TOUCHED = range(2)  # tick of the next collision test; the solid that ended the flight, or NOTHING
 BODY_FIELDS = 25  # MuJoCo's qpos (7,), qvel (6,), qfrc_applied (6,) and qacc (6,), in its axes
 
 Floats = NDArray[np.float64]
@@ -25,7 +25,7 @@ Body = tuple[Floats, Floats, Floats, Floats]
 
 
 @part
-def look_around(
+def check_contact(
     parameters: Record,
     state: Record,
     pose: Floats,
@@ -40,7 +40,7 @@ def look_around(
     On contact, record the solid in `watch`, and tick and position in `state`.
     """
     free = free_ticks(parameters, state, pose, solids, count, hull[HULL_REACH], share)
-    watch[NEXT_LOOK] = state.tick + max(free, 1)
+    watch[NEXT_CHECK] = state.tick + max(free, 1)
     if free > 0:
         return
     watch[TOUCHED] = touched(pose, solids, count, hull[HULL_RADIUS], hull[HULL_HALF_HEIGHT], share)
@@ -110,8 +110,8 @@ def fly_ticks(
         if state.collision_tick != NEVER:
             state.tick += left
             return
-        if state.tick >= watch[NEXT_LOOK]:
-            look_around(parameters, state, body[0], solids, count, hull, watch, share)
+        if state.tick >= watch[NEXT_CHECK]:
+            check_contact(parameters, state, body[0], solids, count, hull, watch, share)
         if exact:
             step(parameters, state, body)
         else:

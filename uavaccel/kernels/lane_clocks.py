@@ -83,7 +83,7 @@ def split(lane: int, now: Flights, clocks: Clocks, legs: Operand, to_shown: Oper
 
 
 @part
-def keep_shown(lane: int, now: Flights, clocks: Clocks) -> None:
+def save_shown(lane: int, now: Flights, clocks: Clocks) -> None:
     """Store the present pose, which images show until Unreal's next frame."""
     for axis in range(3):
         clocks.shown[lane, axis] = now.state[lane].position[axis]

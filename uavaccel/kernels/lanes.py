@@ -12,7 +12,7 @@ import numpy as np
 
 from uavaccel.kernels.events import CAMERA_FIELDS
 from uavaccel.kernels.fields import SOLIDS, Scenes
-from uavaccel.kernels.flight import BODY_FIELDS, NEXT_LOOK, TOUCHED, fly_ticks
+from uavaccel.kernels.flight import BODY_FIELDS, NEXT_CHECK, TOUCHED, fly_ticks
 from uavaccel.kernels.operands import Operand
 from uavaccel.kernels.touching import ALL, NOTHING, SOLID_FIELDS
 from uavaccel.sim.parts import part
@@ -39,7 +39,7 @@ class Games(NamedTuple):
     counts: Operand
     """(S,) int32: number of solids in use."""
     scenes: Scenes
-    """Visible geometry (kernels/looks)."""
+    """Visible geometry (kernels/appearance)."""
     cameras: Operand
     """(S, CAMERA_FIELDS) float64: camera parameters (kernels/events)."""
     seeds: Operand
@@ -56,7 +56,7 @@ class Flights(NamedTuple):
     body: Operand
     """(L, BODY_FIELDS) float64."""
     watch: Operand
-    """(L, 2) int64: NEXT_LOOK, TOUCHED (kernels/flight)."""
+    """(L, 2) int64: NEXT_CHECK, TOUCHED (kernels/flight)."""
     game: Operand
     """(L,) int64: rows of Games."""
 
@@ -91,8 +91,8 @@ def flights(lanes: int) -> Flights:
 
 
 @part
-def look(parameters: Operand, state: Operand, body: Operand) -> None:
-    """Update state and acceleration from the pose after the wind was set (`look` of sim/vehicle/hotloop)."""
+def refresh(parameters: Operand, state: Operand, body: Operand) -> None:
+    """Update state and acceleration from the pose after the wind was set (`refresh` of sim/vehicle/hotloop)."""
     read_pose(state, body[POSE:MOTION])
     kick(parameters, state, body[MOTION:FORCE], body[FORCE:ACCELERATION])
 
@@ -103,7 +103,7 @@ def begin(lane: int, game: int, games: Games, now: Flights) -> None:
     now.state[lane] = games.start[game]
     for field in range(BODY_FIELDS):
         now.body[lane, field] = games.body[game, field]
-    now.watch[lane, NEXT_LOOK], now.watch[lane, TOUCHED] = 0, NOTHING
+    now.watch[lane, NEXT_CHECK], now.watch[lane, TOUCHED] = 0, NOTHING
     now.game[lane] = game
 
 

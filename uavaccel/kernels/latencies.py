@@ -44,7 +44,7 @@ def uniform(seed: int, number: int) -> float:
 
 
 @part
-def drawn_ns(latencies: Latencies, table: int, share: float) -> int:
+def sampled_ns(latencies: Latencies, table: int, share: float) -> int:
     """Return the quantile of a table at a cumulative probability `share`, rounded to nanoseconds."""
     at, us = latencies.quantiles, latencies.tables_us
     last = at.shape[0] - 1

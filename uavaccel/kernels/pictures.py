@@ -12,18 +12,18 @@ from numba import njit
 from numpy.typing import NDArray
 
 from uavaccel.kernels import fields as at
-from uavaccel.kernels.fields import Looks, Scenes
+from uavaccel.kernels.fields import Appearance, Scenes
 from uavaccel.kernels.operands import Launchable
 from uavaccel.kernels.project import project
-from uavaccel.kernels.spans import draw_channels, draw_depths, make_scratch, transpose_colour, transpose_gray
+from uavaccel.kernels.spans import make_scratch, render_channels, render_depths, transpose_colour, transpose_gray
 from uavaccel.sim.vehicle.hotloop import sources
 
 Poses = NDArray[np.float64]
 Lanes = NDArray[np.int32]
 
 
-def draw_gray(
-    looks: Looks,
+def render_gray(
+    appearance: Appearance,
     scenes: Scenes,
     lanes: Lanes,
     positions: Poses,
@@ -32,12 +32,12 @@ def draw_gray(
 ) -> NDArray[np.uint8]:
     """Render luma (D, ROWS, COLUMNS) uint8, which OpenCV would compute from the colours; into `out` if given."""
     out = np.empty((len(lanes), at.ROWS, at.COLUMNS), np.uint8) if out is None else out
-    _gray(looks, scenes, lanes, positions, quaternions, out)
+    _gray(appearance, scenes, lanes, positions, quaternions, out)
     return out
 
 
-def draw_colour(
-    looks: Looks,
+def render_colour(
+    appearance: Appearance,
     scenes: Scenes,
     lanes: Lanes,
     positions: Poses,
@@ -46,12 +46,12 @@ def draw_colour(
 ) -> NDArray[np.uint8]:
     """Render red, green and blue (D, ROWS, COLUMNS, 3) uint8; into `out` if given."""
     out = np.empty((len(lanes), at.ROWS, at.COLUMNS, 3), np.uint8) if out is None else out
-    _colour(looks, scenes, lanes, positions, quaternions, out)
+    _colour(appearance, scenes, lanes, positions, quaternions, out)
     return out
 
 
-def draw_depth(
-    looks: Looks,
+def render_depth(
+    appearance: Appearance,
     scenes: Scenes,
     lanes: Lanes,
     positions: Poses,
@@ -60,7 +60,7 @@ def draw_depth(
 ) -> NDArray[np.float32]:
     """Render depth (D, ROWS, COLUMNS) float32, metres along the optical axis; the sky is at the far plane."""
     out = np.empty((len(lanes), at.ROWS, at.COLUMNS), np.float32) if out is None else out
-    _depth(looks, scenes, lanes, positions, quaternions, out)
+    _depth(appearance, scenes, lanes, positions, quaternions, out)
     return out
 
 
@@ -73,27 +73,27 @@ def _compile(stamp: int) -> tuple[Launchable, Launchable, Launchable]:
     entry_point = njit(cache=True, nogil=True, error_model="numpy")
 
     @entry_point
-    def gray(looks, scenes, lanes, positions, quaternions, out):  # type: ignore[no-untyped-def]
+    def gray(appearance, scenes, lanes, positions, quaternions, out):  # type: ignore[no-untyped-def]
         scratch = make_scratch()
         for drone in range(len(lanes) * (stamp != 0)):
-            project(looks, scenes, lanes[drone], positions[drone], quaternions[drone], True, scratch.faces)
-            draw_channels(looks, scratch, False)
+            project(appearance, scenes, lanes[drone], positions[drone], quaternions[drone], True, scratch.faces)
+            render_channels(appearance, scratch, False)
             transpose_gray(scratch.channels, out[drone])
 
     @entry_point
-    def colour(looks, scenes, lanes, positions, quaternions, out):  # type: ignore[no-untyped-def]
+    def colour(appearance, scenes, lanes, positions, quaternions, out):  # type: ignore[no-untyped-def]
         scratch = make_scratch()
         for drone in range(len(lanes) * (stamp != 0)):
-            project(looks, scenes, lanes[drone], positions[drone], quaternions[drone], True, scratch.faces)
-            draw_channels(looks, scratch, True)
+            project(appearance, scenes, lanes[drone], positions[drone], quaternions[drone], True, scratch.faces)
+            render_channels(appearance, scratch, True)
             transpose_colour(scratch.channels, out[drone])
 
     @entry_point
-    def depth(looks, scenes, lanes, positions, quaternions, out):  # type: ignore[no-untyped-def]
+    def depth(appearance, scenes, lanes, positions, quaternions, out):  # type: ignore[no-untyped-def]
         scratch = make_scratch()
         for drone in range(len(lanes) * (stamp != 0)):
-            project(looks, scenes, lanes[drone], positions[drone], quaternions[drone], False, scratch.faces)
-            draw_depths(scratch, out[drone])
+            project(appearance, scenes, lanes[drone], positions[drone], quaternions[drone], False, scratch.faces)
+            render_depths(scratch, out[drone])
 
     return gray, colour, depth
 

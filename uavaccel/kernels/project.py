@@ -29,30 +29,30 @@ from uavaccel.kernels.faces import (
     put_texture,
     view_of,
 )
-from uavaccel.kernels.fields import Looks, Scenes
+from uavaccel.kernels.fields import Appearance, Scenes
 from uavaccel.kernels.rays import Faces
 from uavaccel.sim.parts import part
 
 
 @part(error_model="numpy", inline=False)
 def project(
-    looks: Looks, scenes: Scenes, lane: int, position: Floats, quaternion: Floats, sky: bool, faces: Faces
+    appearance: Appearance, scenes: Scenes, lane: int, position: Floats, quaternion: Floats, sky: bool, faces: Faces
 ) -> int:
     """Project a scene for a pose, NED in metres and wxyz, to `faces` (FACES, FIELDS), and return the rows in use.
 
     With `sky` the ground ends at the sky, as in OpenGL's colour images; depth images have none.
     """
-    view = view_of(looks.camera, position, quaternion)
-    row = begin(looks.camera, view, faces)
+    view = view_of(appearance.camera, position, quaternion)
+    row = begin(appearance.camera, view, faces)
     for solid in range(scenes.counts[lane]):
-        row += project_solid(looks, scenes, lane, solid, view, sky, faces, row)
+        row += project_solid(appearance, scenes, lane, solid, view, sky, faces, row)
     faces[0, at.COUNT] = np.float32(row)
     return row
 
 
 @part(error_model="numpy", inline=False)
 def project_solid(
-    looks: Looks, scenes: Scenes, lane: int, solid: int, view: View, sky: bool, faces: Faces, row: int
+    appearance: Appearance, scenes: Scenes, lane: int, solid: int, view: View, sky: bool, faces: Faces, row: int
 ) -> int:
     """Write a solid's faces from `row` on, and return the rows written: at most 3 for a box, 6 for a cylinder."""
     eye = view[0]
@@ -68,7 +68,7 @@ def project_solid(
     )
     kind, material = int(scenes.solids[lane, solid, at.KIND]), int(scenes.solids[lane, solid, at.MATERIAL])
     if kind == at.CYLINDER:
-        return put_cylinder(faces, row, view, middle, half, looks, scenes, lane, material)
+        return put_cylinder(faces, row, view, middle, half, appearance, scenes, lane, material)
     written = 0
     for axis in range(2 if kind == at.PLANE else 0, 3):
         towards = 1.0 if middle[axis] < 0.0 else -1.0  # the side that faces the eye
@@ -76,12 +76,17 @@ def project_solid(
         h = towards * middle[axis] + height
         if h < 0.0 and (kind != at.PLANE or towards > 0.0):
             written += put_side(
-                faces, row + written, view, axis, towards, h, middle, half, looks, scenes, lane, material
+                faces, row + written, view, axis, towards, h, middle, half, appearance, scenes, lane, material
             )  # fmt: skip
             if kind == at.PLANE and sky and written > 0:
                 faces[row, at.EXTRA] = np.float32(row + written)
                 put_prism(
-                    faces, row + written, view, (0.0, 0.0, 1.0 / h), (0.0, 0.0, 0.0), SKY_SHARE * looks.camera[at.FAR_M]
+                    faces,
+                    row + written,
+                    view,
+                    (0.0, 0.0, 1.0 / h),
+                    (0.0, 0.0, 0.0),
+                    SKY_SHARE * appearance.camera[at.FAR_M],
                 )
                 written += 1
     return written
@@ -97,7 +102,7 @@ def put_side(
     h: float,
     middle: Vector,
     half: Vector,
-    looks: Looks,
+    appearance: Appearance,
     scenes: Scenes,
     lane: int,
     material: int,
@@ -110,9 +115,9 @@ def put_side(
     ts, ss = (t_middle - t_half, t_middle + t_half), (s_middle - s_half, s_middle + s_half)
     if not put_face(faces, row, view, normal, h, t, ts, s, ss):
         return 0
-    put_light(faces, row, looks, scenes, lane, material, normal, normal, 1.0)
+    put_light(faces, row, appearance, scenes, lane, material, normal, normal, 1.0)
     across, down = (0.0, 0.5 / t_half), (0.0, 0.5 / s_half)
-    put_texture(faces, row, looks, material, (half[0], half[1]), across, down)
+    put_texture(faces, row, appearance, material, (half[0], half[1]), across, down)
     return 1
 
 
@@ -123,7 +128,7 @@ def put_cylinder(
     view: View,
     middle: Vector,
     half: Vector,
-    looks: Looks,
+    appearance: Appearance,
     scenes: Scenes,
     lane: int,
     material: int,
@@ -140,12 +145,12 @@ def put_cylinder(
         ts = (t_middle - radius * HALF_SIDE, t_middle + radius * HALF_SIDE)
         if h < 0.0 and put_face(faces, row + written, view, normal, h, t, ts, Z, ss):
             width = 2.0 * radius * HALF_SIDE
-            put_light(faces, row + written, looks, scenes, lane, material, low, high, width)
+            put_light(faces, row + written, appearance, scenes, lane, material, low, high, width)
             across = (side / at.SLICES, 1.0 / (at.SLICES * width))
             down = (0.0, 0.5 / tall)
-            put_texture(faces, row + written, looks, material, (half[0], half[1]), across, down)
+            put_texture(faces, row + written, appearance, material, (half[0], half[1]), across, down)
             written += 1
-    return written + put_cap(faces, row + written, view, middle, half, looks, scenes, lane, material)
+    return written + put_cap(faces, row + written, view, middle, half, appearance, scenes, lane, material)
 
 
 @part(error_model="numpy")
@@ -162,7 +167,7 @@ def put_cap(
     view: View,
     middle: Vector,
     half: Vector,
-    looks: Looks,
+    appearance: Appearance,
     scenes: Scenes,
     lane: int,
     material: int,
@@ -177,7 +182,7 @@ def put_cap(
         return 0
     faces[row, at.EXTRA] = np.float32(row + 1)
     put_prism(faces, row + 1, view, plus((0.0, 0.0, 0.0), normal, 1.0 / h), middle, radius)
-    put_light(faces, row, looks, scenes, lane, material, normal, normal, 1.0)
+    put_light(faces, row, appearance, scenes, lane, material, normal, normal, 1.0)
     half_turn = (1.0, -0.5 / radius)  # a cap's texture runs upwards
-    put_texture(faces, row, looks, material, (half[0], half[1]), (0.0, 0.5 / radius), half_turn)
+    put_texture(faces, row, appearance, material, (half[0], half[1]), (0.0, 0.5 / radius), half_turn)
     return 2

@@ -187,7 +187,7 @@ def threshold_of(nominal: Float, sigma: Float, least: Float, normal: Float) -> F
 
 
 @njit(error_model="numpy")
-def see_plainly(
+def update_quad(
     lumas: Four,
     before: tuple[Float, Float, Float, Float],
     camera: Operand,
@@ -196,7 +196,7 @@ def see_plainly(
     first: Operand,
     place: Operand,
 ) -> Integer:
-    """Do as `events.see_pixel` for a quad of a camera without noise: return ON minus OFF events and update `base`.
+    """Do as `events.update_pixel` for a quad of a camera without noise: return ON minus OFF events and update `base`.
 
     `first` is the quad's first pixel counted over all lanes, `place` within the image: indexing by lane, row and column
     multiplies by array sizes unknown to the compiler, which would cost more than everything else here.
@@ -213,14 +213,14 @@ def see_plainly(
     down11 = threshold_of(fall, sigma, least, sensor.down[0, place + BELOW + RIGHT])
     log00, log01 = sensor.logs[np.uint32(lumas[0])], sensor.logs[np.uint32(lumas[1])]
     log10, log11 = sensor.logs[np.uint32(lumas[2])], sensor.logs[np.uint32(lumas[3])]
-    total = see_one(log00, before[0], up00, down00, base, first)
-    total = np.int32(total + see_one(log01, before[1], up01, down01, base, first + RIGHT))
-    total = np.int32(total + see_one(log10, before[2], up10, down10, base, first + BELOW))
-    return np.int32(total + see_one(log11, before[3], up11, down11, base, first + BELOW + RIGHT))
+    total = update_one(log00, before[0], up00, down00, base, first)
+    total = np.int32(total + update_one(log01, before[1], up01, down01, base, first + RIGHT))
+    total = np.int32(total + update_one(log10, before[2], up10, down10, base, first + BELOW))
+    return np.int32(total + update_one(log11, before[3], up11, down11, base, first + BELOW + RIGHT))
 
 
 @njit(error_model="numpy")
-def see_one(log: Float, before: Float, positive: Float, negative: Float, base: Operand, place: Operand) -> Integer:
+def update_one(log: Float, before: Float, positive: Float, negative: Float, base: Operand, place: Operand) -> Integer:
     """Return a pixel's signed count and update its memory: `dvs_kernels.advanced` without its zero term."""
     signed = quick_count(log, before, positive, negative)
     if signed > 0:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.kernels import fields as at
-from uavaccel.kernels.fields import Looks
+from uavaccel.kernels.fields import Appearance
 from uavaccel.kernels.operands import Operand
 from uavaccel.kernels.rays import (
     I0,
@@ -225,11 +225,11 @@ def colour_column(texels: Texels, floats: Floats, integers: Integers, column: in
 
 
 @part(error_model="numpy", inline=False)
-def draw_channels(looks: Looks, scratch: Scratch, colour: bool) -> None:
+def render_channels(appearance: Appearance, scratch: Scratch, colour: bool) -> None:
     """Render the projected faces to `scratch.channels`: red, green and blue if `colour`, else luma."""
     texels, textures, faces, spans, counts = (
-        looks.texels,
-        looks.textures,
+        appearance.texels,
+        appearance.textures,
         scratch.faces,
         scratch.spans,
         scratch.counts,
@@ -268,7 +268,7 @@ def transpose_colour(channels: Operand, out: Operand) -> None:
 
 
 @part(error_model="numpy")
-def draw_depths(scratch: Scratch, out: Operand) -> None:
+def render_depths(scratch: Scratch, out: Operand) -> None:
     """Render the depth of the projected faces, (ROWS, COLUMNS), metres."""
     faces, floats, counts = scratch.faces, scratch.floats, scratch.counts
     find_spans(faces, scratch.begins, scratch.ends, scratch.spans, counts)

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from uavaccel.kernels import latencies as wire
-from uavaccel.kernels.latencies import Latencies, drawn_ns, fault_ns, uniform, wait_class
+from uavaccel.kernels.latencies import Latencies, fault_ns, sampled_ns, uniform, wait_class
 from uavaccel.kernels.operands import Operand
 from uavaccel.sim.parts import part
 from uavaccel.vision.guard import GuardSettings
@@ -29,7 +29,7 @@ PHASE_COUNT = 5
 (NOW, START, KNOWN, ISSUED, PAUSED_NS, PAUSED_AT, DUE, LAST) = range(8)
 # The connection: when the last message and the command were handled; when the command's reply arrives; whether it is
 # unanswered and was the last message; class of the last wait (latencies.wait_class); the generator's seed and count.
-(HANDLED, MOVED, MOVE_REPLY, UNANSWERED, WAITED, SEED, DRAWN) = range(8, 15)
+(HANDLED, MOVED, MOVE_REPLY, UNANSWERED, WAITED, SEED, SAMPLED) = range(8, 15)
 # The simulation: tick, whether it is paused, wall time, and the wall time and tick from which it runs; the command's
 # last tick and the time of its end; a continue-for's last tick, or its timer, and the time of its end; the tick that
 # images show, -1 for the present one.
@@ -112,8 +112,8 @@ def draw(row: Operand, timing: Timing, table: int) -> int:
     """Sample the next latency of a table, ns."""
     if timing.rules[LATENCY] == 0:
         return 0
-    row[DRAWN] += 1
-    return drawn_ns(timing.latencies, table, uniform(row[SEED], row[DRAWN]))
+    row[SAMPLED] += 1
+    return sampled_ns(timing.latencies, table, uniform(row[SEED], row[SAMPLED]))
 
 
 @part
@@ -122,8 +122,8 @@ def message(row: Operand, scale: float, timing: Timing, direction: int, channel:
     spent = draw(row, timing, direction + channel * wire.WAITS + row[WAITED])
     spent = round(spent * scale)
     if timing.rules[FAULTS]:
-        row[DRAWN] += 1
-        spent += fault_ns(timing.latencies, uniform(row[SEED], row[DRAWN]))
+        row[SAMPLED] += 1
+        spent += fault_ns(timing.latencies, uniform(row[SEED], row[SAMPLED]))
     return spent
 
 
@@ -349,7 +349,7 @@ def start(row: Operand, scale: float, timing: Timing, seed: int) -> None:
 @part
 def show_start(row: Operand, scale: float, timing: Timing, suspect: bool) -> None:
     """Request a game's first image, and prepare the simulation for the first command."""
-    ask_for_picture(row, scale, timing, suspect)
+    request_image(row, scale, timing, suspect)
     switch(row, NO_PHASE)
     if timing.rules[IS_ADSC]:
         call_run(row, scale, timing)
@@ -358,7 +358,7 @@ def show_start(row: Operand, scale: float, timing: Timing, suspect: bool) -> Non
 
 
 @part
-def ask_for_picture(row: Operand, scale: float, timing: Timing, suspect: bool) -> None:
+def request_image(row: Operand, scale: float, timing: Timing, suspect: bool) -> None:
     """Request an image, a suspect one twice (vision/guard); it is the same again, for the simulation is paused."""
     if timing.rules[IMAGES] == 0:
         return
@@ -415,7 +415,7 @@ def reach_adsc(row: Operand, scale: float, timing: Timing, sample: int) -> None:
 def leave(row: Operand, scale: float, timing: Timing, touched: bool, suspect: bool) -> None:
     """Take a sample's image and continue; after a collision there is neither an image nor any processing."""
     if not touched:
-        ask_for_picture(row, scale, timing, suspect)
+        request_image(row, scale, timing, suspect)
     if timing.rules[IS_ADSC]:
         call_run(row, scale, timing)
         row[PAUSED_NS] += row[NOW] - row[PAUSED_AT]

@@ -92,7 +92,7 @@ def success_estimate(trainings: Sequence[Proportion]) -> Estimate:
     pooled = Proportion.pooled(trainings)
     low, high = pooled.interval
     if len(trainings) > 1:
-        over = mean_estimate([each.ratio for each in trainings])
+        over = mean_estimate([training.ratio for training in trainings])
         low, high = max(0.0, min(low, over.low)), min(1.0, max(high, over.high))
     return Estimate(pooled.ratio, low, high)
 

@@ -62,7 +62,7 @@ class Proportion:
     @classmethod
     def pooled(cls, parts: Sequence[Proportion]) -> Proportion:
         """Return the proportion of all games of several proportions."""
-        return cls(sum(each.successes for each in parts), sum(each.games for each in parts))
+        return cls(sum(part.successes for part in parts), sum(part.games for part in parts))
 
     @property
     def ratio(self) -> float:

@@ -25,7 +25,7 @@ def hierarchical_interval(samples: Sequence[ArrayLike], seed: int, resamples: in
     ValueError without seeds, and for a seed without games.
     """
     values = [np.asarray(sample, dtype=np.float64) for sample in samples]
-    if not values or any(each.size == 0 for each in values):
+    if not values or any(value.size == 0 for value in values):
         raise ValueError("a bootstrap over seeds needs at least one seed, and games of each")
     rng, count = np.random.default_rng(seed), len(values)
     resampled = rng.integers(count, size=(resamples, count))

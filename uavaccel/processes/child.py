@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from uavaccel.processes.stalls import is_stopped
 
 Process = subprocess.Popen[bytes]
-LOOK_S = 0.25
+POLL_S = 0.25
 STOPPED_S = 4.0  # a process that has been stopped for longer is not waited for
 
 
@@ -38,7 +38,7 @@ def start_python(
     )
 
 
-def single_core_drawing() -> dict[str, str]:
+def single_core_rendering() -> dict[str, str]:
     """Return the variables by which Mesa draws on its caller's core; the user's own setting comes first."""
     return {"LP_NUM_THREADS": os.environ.get("LP_NUM_THREADS", "0")}
 
@@ -68,12 +68,12 @@ class Patience:
     """Counts for how long a process has been stopped."""
 
     def __init__(self, process: Process) -> None:
-        self._process, self._looks = process, 0
+        self._process, self._polls = process, 0
 
     def is_over(self) -> bool:
-        """Return whether it has been stopped for more than STOPPED_S; to be asked once every LOOK_S."""
-        self._looks = self._looks + 1 if is_stopped(self._process.pid) else 0
-        return self._looks * LOOK_S > STOPPED_S
+        """Return whether it has been stopped for more than STOPPED_S; to be asked once every POLL_S."""
+        self._polls = self._polls + 1 if is_stopped(self._process.pid) else 0
+        return self._polls * POLL_S > STOPPED_S
 
 
 class Watch:
@@ -91,7 +91,7 @@ class Watch:
 
     def is_lost_soon(self) -> bool:
         """Return whether the process has gone, or is found to have gone within a second."""
-        return self._found.wait(4 * LOOK_S)
+        return self._found.wait(4 * POLL_S)
 
     def end(self) -> None:
         """Stop watching: from now on the process may end."""
@@ -100,7 +100,7 @@ class Watch:
 
     def _look(self) -> None:
         patience = Patience(self._process)
-        while not self._over.wait(LOOK_S):
+        while not self._over.wait(POLL_S):
             status = self._process.poll()
             if status is None and not patience.is_over():
                 continue

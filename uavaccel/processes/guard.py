@@ -14,9 +14,9 @@ from contextlib import suppress
 from textwrap import shorten
 from types import FrameType
 
-from uavaccel.processes.stalls import LOOK_S, command_of, is_stopped, with_children
+from uavaccel.processes.stalls import POLL_S, command_of, is_stopped, with_children
 
-STOPPED_LOOKS = 8  # more than those have patience for who wait for an answer, and can say more about it
+STOPPED_POLLS = 8  # more than those have patience for who wait for an answer, and can say more about it
 _GUARDING: set[int] = set()
 
 
@@ -51,10 +51,10 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
 
 
 def _look(say: Callable[[str], object]) -> None:
-    looks: dict[int, int] = {}
-    while not threading.Event().wait(LOOK_S):
-        looks = {pid: looks.get(pid, 0) + 1 for pid in _stopped()}
-        for pid in (each for each, count in looks.items() if count == STOPPED_LOOKS):
+    polls: dict[int, int] = {}
+    while not threading.Event().wait(POLL_S):
+        polls = {pid: polls.get(pid, 0) + 1 for pid in _stopped()}
+        for pid in (poll for poll, count in polls.items() if count == STOPPED_POLLS):
             command = shorten(command_of(pid), 100, placeholder=" ...")
             _kill(pid)
             say(f"process {pid} ({command}) was stopped, and was ended since it did not go on")

@@ -9,9 +9,9 @@ import os
 from collections.abc import Collection
 from pathlib import Path
 
-LOOK_S = 1.0  # seconds of silence before the first look, and between looks
-STOPPED_LOOKS, LOOKS = 5, 8  # successive looks that find it stopped, or idle
-FIRST_LOOKS = 60  # the same while a process loads its modules, perhaps from a slow disk
+POLL_S = 1.0  # seconds of silence before the first poll, and between polls
+STOPPED_POLLS, IDLE_POLLS = 5, 8  # successive looks that find it stopped, or idle
+FIRST_POLLS = 60  # the same while a process loads its modules, perhaps from a slow disk
 
 
 def cpu_time_s(pid: int) -> float | None:
@@ -63,7 +63,7 @@ class StallDetector:
         self._cpu_s: dict[int, list[float | None]] = {}
         self._idle: dict[int, int] = {}
 
-    def look(self, pids: Collection[int], helper: int | None = None, looks: int = LOOKS) -> list[int]:
+    def poll(self, pids: Collection[int], helper: int | None = None, polls: int = IDLE_POLLS) -> list[int]:
         """Return the processes that have been stopped or idle for so many successive looks.
 
         The work of its children counts as a process's own, and, unless it is stopped, so does that of a `helper`, for
@@ -76,10 +76,10 @@ class StallDetector:
             self._idle[pid] = self._idle.get(pid, 0) + 1 if idle else 0
         for pid in set(self._idle) - set(pids):  # nobody waits for it
             del self._idle[pid]
-        return [pid for pid in pids if self._idle[pid] >= (STOPPED_LOOKS if is_stopped(pid) else looks)]
+        return [pid for pid in pids if self._idle[pid] >= (STOPPED_POLLS if is_stopped(pid) else polls)]
 
     def _worked(self, pid: int) -> bool:
-        """Return whether a process has worked since the last look, or may have."""
-        now, before = [cpu_time_s(each) for each in with_children(pid)], self._cpu_s.get(pid)
+        """Return whether a process has worked since the last poll, or may have."""
+        now, before = [cpu_time_s(with_child) for with_child in with_children(pid)], self._cpu_s.get(pid)
         self._cpu_s[pid] = now
         return now != before or now[0] is None

@@ -138,7 +138,7 @@ class MujocoPlant(PeriodicPlant):
         self._timestep_s = self._inside.model.opt.timestep
         self._has_clock = hasattr(getattr(self._inside, "data", None), "time")
         self.tick_ns = _period_ns(self._timestep_s, f"{name}.model.opt.timestep")
-        self._limits: list[Any] = [each for each in _layers(env) if isinstance(each, TimeLimit)]
+        self._limits: list[Any] = [layer for layer in _layers(env) if isinstance(layer, TimeLimit)]
         self._ticks = 0
 
     def reset(self) -> None:
@@ -201,9 +201,9 @@ def plant_of(env: gymnasium.Env[Any, Any], period_s: float | None) -> Plant:
 
 def refuse_real_time_in(env: gymnasium.Env[Any, Any]) -> None:
     """Raise UserError for an environment that is in real time already: a second thinking time would hide the first."""
-    for each in _layers(env):
-        if getattr(each, "keeps_real_time", False):
-            raise UserError(f"{type(each).__name__} is in real time already; give one wrapper the whole latency_s")
+    for layer in _layers(env):
+        if getattr(layer, "keeps_real_time", False):
+            raise UserError(f"{type(layer).__name__} is in real time already; give one wrapper the whole latency_s")
 
 
 def _layers(env: gymnasium.Env[Any, Any]) -> Iterator[Any]:

@@ -17,7 +17,7 @@ import gymnasium
 
 from uavaccel.clock import MonotonicClock, Pacer
 from uavaccel.errors import UserError
-from uavaccel.processes.child import LOOK_S, Patience, describe_end
+from uavaccel.processes.child import POLL_S, Patience, describe_end
 from uavaccel.processes.lifetime import work_for_parent
 from uavaccel.processes.stalls import is_stopped
 from uavaccel.realtime.control_loop import Command, ControlLoop, Extras, LoopOptions, Meanwhile
@@ -105,7 +105,7 @@ class RealTimeProcess(gymnasium.Env[Any, Any]):
     def _answer(self) -> Any:
         patience = Patience(self._process)  # type: ignore[arg-type]  # its id is all that is asked for
         try:
-            while not self._connection.poll(LOOK_S):
+            while not self._connection.poll(POLL_S):
                 if patience.is_over():
                     self._end()
                     raise UserError("the process of the environment was stopped")

@@ -27,7 +27,7 @@ class ThinkingTime(Protocol):
         """Note that the agent has received an observation."""
         ...
 
-    def draw_ns(self, generator: np.random.Generator) -> int:
+    def sample_ns(self, generator: np.random.Generator) -> int:
         """Return the time from that observation to the action that has just arrived."""
         ...
 
@@ -42,7 +42,7 @@ class _Quantiles:
     def observed(self) -> None:
         pass
 
-    def draw_ns(self, generator: np.random.Generator) -> int:
+    def sample_ns(self, generator: np.random.Generator) -> int:
         return sum(round(np.interp(generator.random(), self._quantiles, table)) for table in self._tables_ns)
 
 
@@ -55,7 +55,7 @@ class _Listed:
     def observed(self) -> None:
         pass
 
-    def draw_ns(self, generator: np.random.Generator) -> int:
+    def sample_ns(self, generator: np.random.Generator) -> int:
         count = len(self._times_ns)
         return self._times_ns[0 if count == 1 else int(generator.integers(count))]
 
@@ -67,7 +67,7 @@ class _Lognormal:
     def observed(self) -> None:
         pass
 
-    def draw_ns(self, generator: np.random.Generator) -> int:
+    def sample_ns(self, generator: np.random.Generator) -> int:
         drawn_s = self._median_s * math.exp(self._sigma * generator.standard_normal())
         return seconds_to_ns(min(drawn_s, MOST_S))
 
@@ -86,7 +86,7 @@ class Measured:
     def observed(self) -> None:
         self._since_ns = self._clock.now_ns()
 
-    def draw_ns(self, generator: np.random.Generator) -> int:
+    def sample_ns(self, generator: np.random.Generator) -> int:
         assert self._since_ns is not None
         self.add_ns(self._clock.now_ns() - self._since_ns)
         return self.taken_ns[-1]
@@ -156,7 +156,7 @@ def thinking_time(latency_s: object) -> ThinkingTime:
         return Measured() if latency_s == MEASURED else calibrated(latency_s)
     if isinstance(latency_s, Sequence | np.ndarray):
         return samples(latency_s)
-    if hasattr(latency_s, "draw_ns") and hasattr(latency_s, "observed"):
+    if hasattr(latency_s, "sample_ns") and hasattr(latency_s, "observed"):
         return latency_s
     raise UserError(f"latency_s: {_MEANT}, not {latency_s!r}")
 
@@ -170,10 +170,10 @@ def _checked(seconds: float) -> float:
     return seconds
 
 
-def drawn_ns(source: ThinkingTime, generator: np.random.Generator) -> int:
+def sampled_ns(source: ThinkingTime, generator: np.random.Generator) -> int:
     """Return a thinking time in ns. Raises UserError where anybody's source draws what is none: -1 s, or NaN."""
-    drawn = source.draw_ns(generator)
+    drawn = source.sample_ns(generator)
     taken_ns = drawn if type(drawn) is int else real(drawn)
     if taken_ns is not None and 0 <= taken_ns <= _MOST_NS:
         return round(taken_ns)
-    raise UserError(f"{type(source).__name__}.draw_ns: must be 0 to {_MOST_NS:g} nanoseconds, not {drawn!r}")
+    raise UserError(f"{type(source).__name__}.sample_ns: must be 0 to {_MOST_NS:g} nanoseconds, not {drawn!r}")

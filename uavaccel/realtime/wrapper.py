@@ -12,7 +12,7 @@ from gymnasium.utils import RecordConstructorArgs
 from uavaccel.errors import UserError
 from uavaccel.realtime.control_loop import Command, ControlLoop, Extras, LoopOptions, Meanwhile
 from uavaccel.realtime.plant import HasWallClock, plant_of, refuse_real_time_in
-from uavaccel.realtime.thinking import drawn_ns, thinking_time
+from uavaccel.realtime.thinking import sampled_ns, thinking_time
 from uavaccel.units import NS_PER_S
 
 _STREAM = 0x7EA1  # of the generator of thinking times, which leaves the environment's draws as they are
@@ -91,7 +91,7 @@ class RealTime(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Let the thinking time pass, then apply the action; the reward is the sum of both."""
-        thinking_ns, loop = drawn_ns(self.thinking, self._generator), self._loop
+        thinking_ns, loop = sampled_ns(self.thinking, self._generator), self._loop
         if self._adds:
             self._extras.note(action)  # the environment may change it
         if loop is None:

@@ -78,14 +78,14 @@ def games_of(checkpoint: Path) -> int:
 def load_checkpoint(checkpoint: Path, learner: Learner) -> None:
     """Restore learner, games and all generators. Raises UserError if it is damaged or has another number of lanes."""
     try:
-        _put_back(checkpoint, learner)
+        _restore(checkpoint, learner)
     except UserError:
         raise
     except (*DAMAGE, AttributeError, IndexError, RuntimeError, TypeError) as error:  # from wrong contents
         raise _damaged(checkpoint, error) from error
 
 
-def _put_back(checkpoint: Path, learner: Learner) -> None:
+def _restore(checkpoint: Path, learner: Learner) -> None:
     plain = _plain(checkpoint)
     observations = _load_games(checkpoint / "games.npz", learner.lanes)
     with open_bounded(checkpoint / "learner.pt", MOST_BYTES) as file:
@@ -95,8 +95,8 @@ def _put_back(checkpoint: Path, learner: Learner) -> None:
     version, words, gauss = plain["random"]
     random.setstate((version, tuple(words), gauss))
     learner.lanes.action_space.np_random.bit_generator.state = plain["actions"]
-    for device, each in enumerate(tensors["cuda"]):
-        th.cuda.set_rng_state(each.cpu(), device)
+    for device, tensor in enumerate(tensors["cuda"]):
+        th.cuda.set_rng_state(tensor.cpu(), device)
 
 
 def _plain(checkpoint: Path) -> dict[str, Plain]:

@@ -140,7 +140,7 @@ class DeviceDQN:
         """Do all work of a round, as the module describes it."""
         actions = self._decide(at_random)
         flown = self.lanes.going.clone()
-        self.replay.begin_round(self.lanes.observations, actions)
+        self.replay.start_round(self.lanes.observations, actions)
         if learns:
             with self._learning_stream.following():
                 self._learn()
@@ -180,7 +180,7 @@ class DeviceDQN:
         """Take the gradient steps of a round, on batches that are sampled together."""
         options, size = self.options, self.options.batch_size
         _, steps = learning_rhythm(self.config.commands_per_gradient_step, self.lanes.count)
-        drawn = self.replay.draw(steps * size, options.n_steps, options.gamma, self.config.mirror)
+        drawn = self.replay.sample(steps * size, options.n_steps, options.gamma, self.config.mirror)
         for first in range(0, steps * size, size):
             self._descend(Windows(*(each[first : first + size] for each in drawn)))
 

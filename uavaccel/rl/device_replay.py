@@ -47,7 +47,7 @@ class DeviceReplay:
         self.place = th.zeros(1, dtype=th.int64, device=device)
         self.filled = th.zeros(1, dtype=th.int64, device=device)
 
-    def begin_round(self, observations: th.Tensor, actions: th.Tensor) -> None:
+    def start_round(self, observations: th.Tensor, actions: th.Tensor) -> None:
         """Store the observations (lanes, ...) and actions (lanes,) of the round in progress."""
         self.observations.index_copy_(0, self.place, observations[None])
         self.actions.index_copy_(0, self.place, actions[None])
@@ -60,7 +60,7 @@ class DeviceReplay:
         self.place.copy_((self.place + 1) % self.rows)
         self.filled.copy_((self.filled + 1).clamp(max=self.rows - 1))
 
-    def draw(self, count: int, n_steps: int, gamma: float, mirror: bool) -> Windows:
+    def sample(self, count: int, n_steps: int, gamma: float, mirror: bool) -> Windows:
         """Sample `count` windows of `n_steps` commands, fewer where the game ends; if `mirror`, half are mirrored."""
         age = n_steps - 1 + th.rand(count, device=self.device, dtype=th.float64) * (self.filled - n_steps + 1)
         row = (self.place - 1 - age.long()) % self.rows

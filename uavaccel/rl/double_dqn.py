@@ -186,7 +186,7 @@ class DoubleDQN:
             return
         size = self.options.batch_size
         samples = self._sample(steps)
-        batches = [Batch(*(each[at : at + size] for each in samples)) for at in range(0, steps * size, size)]
+        batches = [Batch(*(sample[at : at + size] for sample in samples)) for at in range(0, steps * size, size)]
         if self._graph is None:
             for group in self.policy.optimizer.param_groups:
                 group["lr"] = th.tensor(self.rate, device=self.device)

@@ -8,7 +8,7 @@ from uavaccel.envs.batch import EnvironmentBatch
 from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
 
 
-def begin_exact_lanes(task: LaneTask, count: int) -> EnvironmentBatch:
+def start_exact_lanes(task: LaneTask, count: int) -> EnvironmentBatch:
     """Start the processes of `count` lanes, and return while they load. Raises UserError as EnvironmentBatch does."""
     return EnvironmentBatch(ObstacleLane, count, autoreset_mode="SameStep", **training_keywords(task))
 

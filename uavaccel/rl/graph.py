@@ -35,7 +35,7 @@ class GraphedStep:
         with recording(self._graph):
             step(self._batch)
         networks.load_state_dict(weights)
-        _put_back(optimizer, moments)
+        _restore(optimizer, moments)
 
     def __call__(self, batch: Batch) -> None:
         for here, there in zip(self._batch, batch, strict=True):
@@ -43,7 +43,7 @@ class GraphedStep:
         self._graph.replay()
 
 
-def _put_back(optimizer: th.optim.Optimizer, moments: dict[int, dict[str, th.Tensor]]) -> None:
+def _restore(optimizer: th.optim.Optimizer, moments: dict[int, dict[str, th.Tensor]]) -> None:
     """Restore the optimizer's moments in place, since the graph has their addresses; new ones become zero."""
     parameters = [each for group in optimizer.param_groups for each in group["params"]]
     for number, parameter in enumerate(parameters):

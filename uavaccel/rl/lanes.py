@@ -18,7 +18,7 @@ from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
 from uavaccel.envs.simulators import EXACT
 from uavaccel.envs.turn_batch import TurnBatch
 from uavaccel.envs.values import Action, Answer, Frame
-from uavaccel.rl.exact_lanes import begin_exact_lanes, training_keywords
+from uavaccel.rl.exact_lanes import start_exact_lanes, training_keywords
 
 
 class BatchVecEnv(VecEnv):
@@ -29,7 +29,7 @@ class BatchVecEnv(VecEnv):
         super().__init__(batch.num_envs, batch.single_observation_space, batch.single_action_space)
 
     def reset(self) -> VecEnvObs:
-        options = [each or None for each in self._options]
+        options = [option or None for option in self._options]
         infos = self.batch.reset_each(self._seeds, options)
         self.reset_infos = infos
         self._reset_seeds()
@@ -102,7 +102,7 @@ def make_lanes(
     if task.timing == "wall":
         return DummyVecEnv([partial(ObstacleLane, **training_keywords(task))])
     if simulator == EXACT:
-        return BatchVecEnv(begun or begin_exact_lanes(task, count))
+        return BatchVecEnv(begun or start_exact_lanes(task, count))
     if not device.startswith("cuda"):
         from uavaccel.envs.kernel_batch import KernelBatch  # its machine code is loaded where it flies
 

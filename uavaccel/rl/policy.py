@@ -204,7 +204,7 @@ def _read_weights(path: Path) -> Mapping[str, th.Tensor]:
         raise UserError(f"{path}: a damaged policy ({type(error).__name__}); train or copy it anew") from error
     if not (
         isinstance(weights, dict)
-        and all(isinstance(name, str) and isinstance(each, th.Tensor) for name, each in weights.items())
+        and all(isinstance(name, str) and isinstance(weight, th.Tensor) for name, weight in weights.items())
     ):
         raise UserError(f"{path}: is no state dict of tensors alone")
     for name, tensor in weights.items():

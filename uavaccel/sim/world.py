@@ -17,12 +17,12 @@ from uavaccel.sim.lane.scene import apply_layout, object_name
 from uavaccel.sim.profile import Profile
 from uavaccel.sim.scene.bounds import DEEPEST_M, check_apart, check_bounds, check_name, check_wind
 from uavaccel.sim.scene.model import load_scene, scene_path
-from uavaccel.sim.scene.objects import take_over
+from uavaccel.sim.scene.objects import restore_from
 from uavaccel.sim.state import SavedState, State, physics_state, prefixed, restore_physics, without_prefix
 from uavaccel.sim.vehicle import hotloop
 from uavaccel.sim.vehicle.clearance import Clearance
+from uavaccel.sim.vehicle.resting import beside_objects, depth, on_the_ground, stand
 from uavaccel.sim.vehicle.samples import Samples
-from uavaccel.sim.vehicle.standing import beside_objects, depth, on_the_ground, stand
 from uavaccel.sim.vehicle.vehicle import HERE, LEVEL, AddedVehicle, Start, Vehicle
 from uavaccel.units import NS_PER_S
 
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 START_M = (0.0, 0.0, -10.0)  # a game starts from a settled hover 10 m up
 VEHICLE = "SimpleFlight"
 MOST_VEHICLES = 100
-SETTLING_S, LOOKS_PER_S = 300, 10  # a vehicle has settled that rests for a second
+SETTLING_S, SETTLING_CHECKS_PER_S = 300, 10  # a vehicle has settled that rests for a second
 
 
 class FlightError(RuntimeError):
@@ -135,7 +135,7 @@ class World:
         self.scenery = scenery
         self._adopt(*self._build(self.vehicles))
         restore_physics(self.model, self.data, physics)
-        self.lead.take_over(carried)
+        self.lead.restore_from(carried)
 
     def surroundings_changed(self) -> None:
         """Note that objects of the model were moved, added or removed, or look different."""
@@ -150,7 +150,7 @@ class World:
         check_wind(wind_m_s)
         for vehicle in self.vehicles:
             vehicle.state["wind"] = wind_m_s
-        self.clearance.look_anew()
+        self.clearance.check_now()
 
     def add_vehicles(self, newcomers: Sequence[AddedVehicle]) -> None:
         """Add vehicles at their starts, while the others continue their flights. Cameras are made anew.
@@ -175,9 +175,9 @@ class World:
         self.vehicles += new
         self.close()
         self._adopt(*made)
-        take_over(before, self.model)
+        restore_from(before, self.model)
         for old, kept in zip(self.vehicles, carried, strict=False):
-            old.take_over(kept)
+            old.restore_from(kept)
         for vehicle in new:
             vehicle.state["wind"] = wind
             vehicle.parameters["ground_altitude_m"] = self.lead.parameters["ground_altitude_m"]
@@ -217,7 +217,7 @@ class World:
 
     def _moved(self) -> None:
         mujoco.mj_kinematics(self.model, self.data)
-        self.clearance.look_anew()
+        self.clearance.check_now()
 
     def place(self, position_m: Vector, orientation_wxyz: Quaternion = LEVEL, velocity_m_s: Vector = HERE) -> None:
         """Put the first vehicle at a pose (NED, wxyz) without rotation; its autopilot and rotors continue.
@@ -248,7 +248,7 @@ class World:
         Earlier contacts stay in the log (MultirotorPawnSimApi::setPose). Raises UserError as `place` does.
         """
         if not self.still:
-            self.clearance.look_anew()
+            self.clearance.check_now()
             position_m = on_the_ground(vehicle, position_m, orientation_wxyz)
             if anywhere and not self.freeze_on_collision:
                 position_m = beside_objects(vehicle, position_m, orientation_wxyz)
@@ -272,7 +272,7 @@ class World:
         check_bounds(position_m, float(vehicle.parameters["ground_altitude_m"]), self.still)
         if self.freeze_on_collision or self.still:  # contact forces cannot throw the vehicle
             return
-        self.clearance.look_anew()
+        self.clearance.check_now()
         depth_m, geom = depth(vehicle, position_m, orientation_wxyz)
         if depth_m > DEEPEST_M:
             raise UserError(f"position: {position_m} m is {depth_m:.2g} m inside {self.name_of(geom)}")
@@ -290,8 +290,8 @@ class World:
         if self.still or self.freeze_on_collision or all(vehicle.landed for vehicle in idle):
             return
         a_second, rested = NS_PER_S // self.profile.tick_ns, 0
-        while rested < LOOKS_PER_S and self.tick < SETTLING_S * a_second:
-            self._advance(a_second // LOOKS_PER_S)
+        while rested < SETTLING_CHECKS_PER_S and self.tick < SETTLING_S * a_second:
+            self._advance(a_second // SETTLING_CHECKS_PER_S)
             rested = rested + 1 if all(vehicle.landed for vehicle in idle) else 0
         for vehicle in self.vehicles:
             touches = vehicle.state["contacts"]
@@ -308,12 +308,12 @@ class World:
 
     # --- time -------------------------------------------------------------------------------------
 
-    def watch(self, every_ticks: int, look: Callable[[int], None], first_tick: int = 0) -> Callable[[], None]:
-        """Call `look(tick)` every `every_ticks` ticks, counted from `first_tick`; the returned function stops that.
+    def watch(self, every_ticks: int, observe: Callable[[int], None], first_tick: int = 0) -> Callable[[], None]:
+        """Call `observe(tick)` every `every_ticks` ticks, counted from `first_tick`; the returned function stops that.
 
         Calls come in the middle of `advance` and do not change the flight.
         """
-        observer = every_ticks, first_tick, look
+        observer = every_ticks, first_tick, observe
         self._observers.append(observer)
         return lambda: self._observers.remove(observer)
 
@@ -331,9 +331,9 @@ class World:
             flown += chunk
             if chunk < due:  # a contact
                 break
-            for every, first, look in tuple(self._observers):  # one may end itself
+            for every, first, observe in tuple(self._observers):  # one may end itself
                 if (self.tick - first) % every == 0:
-                    look(self.tick)
+                    observe(self.tick)
         return flown or self._advance(ticks)
 
     @property
@@ -342,7 +342,7 @@ class World:
 
     def _advance(self, ticks: int) -> int:
         if self.still or self.failed or self._frozen:
-            return max(vehicle.stand_still(ticks) for vehicle in self.vehicles)
+            return max(vehicle.rest(ticks) for vehicle in self.vehicles)
         flown = self._fly(ticks) if len(self.vehicles) == 1 else self._fly_all(ticks)
         if self.warnings.any():
             self.failed = True
@@ -378,7 +378,7 @@ class World:
     def _log_contacts(self, vehicle: Vehicle) -> None:
         field = vehicle.field
         field["contacts_changed"][0] = 0
-        vehicle.contact_log.look(int(field["contact_tick"][0]), field["contact_position"][0])
+        vehicle.contact_log.log(int(field["contact_tick"][0]), field["contact_position"][0])
 
     # --- saving -----------------------------------------------------------------------------------
 
@@ -424,7 +424,7 @@ class World:
     def start_recording(self) -> None:
         """Record samples into an emptied buffer, at this tick and then at the profile's interval."""
         self.recorder.start(self.tick)
-        self.lead.stand_still(0)
+        self.lead.rest(0)
 
     def stop_recording(self) -> None:
         self.recorder.stop()
@@ -433,6 +433,6 @@ class World:
         """Return a copy of the recorded rows (n, 14): tick, position, wxyz, velocity, body rate."""
         return self.recorder.rows()
 
-    def take_samples(self) -> NDArray[np.float64]:
+    def pop_samples(self) -> NDArray[np.float64]:
         """Return the recorded rows as `samples` does, and empty the buffer; the recorder's interval continues."""
         return self.recorder.take()

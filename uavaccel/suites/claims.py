@@ -29,7 +29,7 @@ from uavaccel.metrics.equivalence import (
 )
 from uavaccel.metrics.intervals import Proportion, bootstrap_interval
 from uavaccel.records import RunDirectory
-from uavaccel.sim.lane.layout import LENGTH_M, Difficulty, draw_layout
+from uavaccel.sim.lane.layout import LENGTH_M, Difficulty, sample_layout
 from uavaccel.suites import paper_results
 from uavaccel.suites.dp1 import CELL
 from uavaccel.suites.report import Report, finished
@@ -465,7 +465,7 @@ def lines_peak_at_obstacles(rl: Trainings) -> Finding:
     """At each ClockSpeed, of TCSC's games that end before the goal more end within 1 m of a row of obstacles than the
     rows' share of the lane.
     """
-    rows_m = np.unique(draw_layout(0, Difficulty()).x_m)
+    rows_m = np.unique(sample_layout(0, Difficulty()).x_m)
     by_chance = len(rows_m) * 2.0 / LENGTH_M
     texts, peaks = [], []
     for k in trained_clocks(rl, "tcsc"):

@@ -323,7 +323,7 @@ def score_cell(run: RunDirectory, games: pd.DataFrame, cell: pd.DataFrame) -> pd
         return [run.load_arrays(game) for _, game in games.iterrows()]
 
     def flights(arrays: list[dict[str, Any]]) -> list[Trajectory]:
-        return [trajectory(each["time_s"], each["position_m"]) for each in arrays]
+        return [trajectory(array["time_s"], array["position_m"]) for array in arrays]
 
     arrays, same, itself = loaded(cell), same_path(games, cell), bool((cell.role == "reference").all())
     own = flights(arrays)
@@ -334,7 +334,7 @@ def score_cell(run: RunDirectory, games: pd.DataFrame, cell: pd.DataFrame) -> pd
         "stlc": mean_stlc(own, real, itself) if real else np.nan,
         "position_rmse_m": mean_position_rmse(own, real, itself) if real else np.nan,
         "position_rmse_vs_lockstep_m": mean_position_rmse(own, ideal) if ideal else np.nan,
-        "gap_s": [command_gaps_s(each["command_start_s"], each["command_end_s"]).tolist() for each in arrays],
+        "gap_s": [command_gaps_s(array["command_start_s"], array["command_end_s"]).tolist() for array in arrays],
         "distinct_games": len(distinct(own)[0]),
     }
     return pd.DataFrame(found, index=cell.index)

@@ -399,7 +399,7 @@ def fly_path(config: Dp2Config, case: Game, camera: CameraClient) -> Flown:
     """Fly the path to its end or to a collision, and return the samples up to there."""
     command, slots = COMMANDS[case.command], config.slots
     t_th = t_th_ns(config, case.clock_speed, config.t_sample_s)
-    samples, indices, commands = [camera.gather(camera.kinematics())], [0], 0
+    samples, indices, commands = [camera.read_sample(camera.kinematics())], [0], 0
     command.begin(camera)
     start_ns = camera.now_ns()
     for velocity in config.velocities:
@@ -431,16 +431,16 @@ class EventClient(CameraClient):
         self.close = session.watch(rate_ticks(config.dvs_rate_hz, config.profile), self._see)
 
     def _see(self, time_ns: int) -> None:
-        self._counter.look(self._session.picture(), time_ns)
+        self._counter.process_frame(self._session.picture(), time_ns)
 
-    def gather(self, state: Kinematics) -> Sample:
+    def read_sample(self, state: Kinematics) -> Sample:
         """Return the sample, and count the events since the last one; the first sample begins the game."""
         if not self._counts:
             self._counter.start(self._session.picture(), state.time_ns, self._noise_seed)
-        elif not self._counter.has_seen(state.time_ns):
+        elif not self._counter.has_frame_of(state.time_ns):
             self._see(state.time_ns)
         self._counts.append(self._counter.take())
-        return super().gather(state)
+        return super().read_sample(state)
 
     def arrays(self, samples: int) -> Arrays:
         """Return `dvs_on` and `dvs_off` (n, 144, 256) of the first n samples: uint8, or uint16 beyond 255 events."""
@@ -469,7 +469,7 @@ def errors_of(seen: Arrays, real: Mapping[str, Arrays]) -> dict[str, Any]:
         )
         turn_deg = np.degrees(attitude_difference_rad(own_turn, turn))
         errors = np.linalg.norm(own - place, axis=1), turn_deg, dvs_ed_percent(*counts, *real_counts)
-        return {"reference": case, **{name: each.tolist() for name, each in zip(ERRORS, errors, strict=True)}}
+        return {"reference": case, **{name: error.tolist() for name, error in zip(ERRORS, errors, strict=True)}}
     return {"reference": None, **{name: [] for name in ERRORS}}
 
 

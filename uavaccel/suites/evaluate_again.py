@@ -193,7 +193,7 @@ def _flight(
     windows = (
         windows_of(images, time_ns, task.dvs_parameters, task.dvs_seed)
         if camera is None
-        else equal_windows(camera.events.take_events(), int(time_ns[-1]))
+        else equal_windows(camera.events.pop_events(), int(time_ns[-1]))
     )
     return Flight(
         title,

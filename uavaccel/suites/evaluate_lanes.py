@@ -49,7 +49,7 @@ Places = NDArray[np.int64]  # of lanes in the batch
 class AgentLane(ObstacleLane):
     """An `ObstacleLane` with an agent in the same process."""
 
-    def take_agent(self, config: Mapping[str, object]) -> None:
+    def set_agent(self, config: Mapping[str, object]) -> None:
         """Load the agent that an evaluation's configuration, as plain data, names."""
         th.set_num_threads(1)
         self._config = validate(EvaluateConfig, config, "evaluation")
@@ -75,7 +75,7 @@ class GamesInBatch:
     def begin(self, config: EvaluateConfig, lanes: Sequence[int]) -> None:
         """Start on the games of `lanes`, with the agent of this configuration, once all earlier games are over."""
         self._left, self._flown = deque(lanes), dict[int, TimedRow]()
-        self._batch.call("take_agent", config.model_dump(mode="json"))
+        self._batch.call("set_agent", config.model_dump(mode="json"))
         self._clock = MonotonicClock()
         self._start_ns = self._clock.now_ns()
         for environment in range(self._batch.num_envs):
@@ -166,7 +166,7 @@ class Blocks:
         """Return the places of the flying lanes of each block, and their rows in it."""
         blocks = self._block[going]
         members = [going[blocks == block] for block in np.unique(blocks)]
-        return [(each, self._row[each]) for each in members]
+        return [(member, self._row[member]) for member in members]
 
 
 class LanesOnCores:
@@ -233,7 +233,7 @@ class LanesOnGpu:
         self._device, self._inference_s = th.device(GPU), config.inference_s
         self._lanes = CudaLanes(config.task, len(lanes), self._device, renews=False)
         self._lanes.seed([game_seed(config, lane) for lane in lanes])
-        self._lanes.games.draw_one_each([{"lane": lane} for lane in lanes])
+        self._lanes.games.sample_games([{"lane": lane} for lane in lanes])
         self._lanes.begin()
         self._agent: Agent = make_agent(config.agent, config.task)
         self._network: DQNPolicy | None = None
@@ -242,7 +242,7 @@ class LanesOnGpu:
             network = deepcopy(self._agent.policy.network).to(self._device)
             self._agent = PolicyAgent(replace(self._agent.policy, network=network))
             self._network = network if isinstance(network, DQNPolicy) else None  # which can be recorded
-        self._blocks, self._rows = (th.from_numpy(each).to(self._device) for each in _all_blocks(lanes))
+        self._blocks, self._rows = (th.from_numpy(all_block).to(self._device) for all_block in _all_blocks(lanes))
         self._actions = th.zeros(len(lanes), dtype=th.int64, device=self._device)
         self._places: list[list[float]] = [[0.0, 0.0, 0.0] for _ in lanes]
         self._round = Recorded(self._decide_and_fly)

@@ -103,8 +103,8 @@ def windows_of(
     counter = EventCounter(make_sensor(parameters, images.shape[1:], sensor_seed), listed=True)
     counter.start(images[0], int(time_ns[0]), sensor_seed)
     for image, at in zip(images[1:], time_ns[1:].tolist(), strict=True):
-        counter.look(image, at)
-        yield Window(at, counter.take_events())
+        counter.process_frame(image, at)
+        yield Window(at, counter.pop_events())
 
 
 def film_of(flight: Flight) -> Film:

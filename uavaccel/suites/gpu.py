@@ -17,7 +17,7 @@ Opened = TypeVar("Opened")
 _place: TextIO | None = None  # held as long as this process lives
 
 
-def take_gpu(device: str) -> None:
+def acquire_gpu(device: str) -> None:
     """Assign a free GPU to this process and those that it starts, where `device` is `cuda` and there are several.
 
     GPUs are claimed by locks on files in the temporary folder, so that processes of different runs share them, and a
@@ -30,7 +30,7 @@ def take_gpu(device: str) -> None:
     visible = visible_gpus()
     if len(visible) < 2:
         return
-    place = _take_place() % len(visible)
+    place = _acquire_slot() % len(visible)
     gpu = visible[place]
     os.environ[VISIBLE] = gpu
     _stay_on_cores(place, len(visible))
@@ -41,7 +41,7 @@ def take_gpu(device: str) -> None:
 @contextmanager
 def on_own_gpu(opened: Opened, device: str = "cuda") -> Iterator[Opened]:
     """Yield what `Suite.open` opens, in a process that has a GPU of its own from now on."""
-    take_gpu(device)
+    acquire_gpu(device)
     yield opened
 
 
@@ -64,7 +64,7 @@ def visible_gpus() -> list[str]:
     return [str(number) for number in range(th.cuda.device_count())]
 
 
-def _take_place() -> int:
+def _acquire_slot() -> int:
     """Return the first place that no other process holds."""
     import fcntl  # not on Windows
 

@@ -161,7 +161,7 @@ class Ablation(Grid[AblationConfig, VariantGame]):
     dp1: ClassVar[Dp1] = Dp1()
 
     def points(self, config: AblationConfig) -> Iterator[Point]:
-        return (Point(each.name, each.changes, {"variant": each.name}) for each in config.variants)
+        return (Point(variant.name, variant.changes, {"variant": variant.name}) for variant in config.variants)
 
     def experiment(self, config: AblationConfig, point: Point) -> tuple[Dp1, Dp1Config]:
         base = {**config.base, "suite": "dp1", "seed": config.seed}
@@ -278,7 +278,7 @@ def entries_of(report: Report) -> pd.DataFrame:
     names = "stlc_q25", "stlc", "stlc_q75"
     entries = report.summary["entries"]
     return table_of(
-        [{**each, **dict(zip(names, each["stlc_quartiles"] or [np.nan] * 3, strict=True))} for each in entries]
+        [{**entry, **dict(zip(names, entry["stlc_quartiles"] or [np.nan] * 3, strict=True))} for entry in entries]
     )
 
 

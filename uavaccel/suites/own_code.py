@@ -20,13 +20,13 @@ from types import ModuleType
 from uavaccel.errors import UserError
 from uavaccel.files import read_bounded, replacing
 
-_told: list[Path | None] = []
+_trusted_folders: list[Path | None] = []
 _here: dict[Path, str] = {}
 """What was remembered in this process, which may be unable to write it down."""
 
 
 @contextmanager
-def told(by_user: bool = True, beside: Path | None = None) -> Iterator[None]:
+def trusting(by_user: bool = True, beside: Path | None = None) -> Iterator[None]:
     """In the `with` block, code of the project may run, and is remembered, if its user has said so.
 
     It is also looked up in the folder `beside`, of the YAML file that was named.
@@ -34,16 +34,16 @@ def told(by_user: bool = True, beside: Path | None = None) -> Iterator[None]:
     if not by_user:
         yield
         return
-    _told.append(beside)
+    _trusted_folders.append(beside)
     try:
         yield
     finally:
-        _told.pop()
+        _trusted_folders.pop()
 
 
-def told_folder() -> Path | None:
+def trusted_folder() -> Path | None:
     """Return the folder in which code may be beside the working directory; None without one."""
-    return next((folder for folder in reversed(_told) if folder is not None), None)
+    return next((folder for folder in reversed(_trusted_folders) if folder is not None), None)
 
 
 def own_module(name: str, where: str, remembered_in: Path | None = None) -> ModuleType:
@@ -53,7 +53,7 @@ def own_module(name: str, where: str, remembered_in: Path | None = None) -> Modu
     """
     folder, files = _found(name, where, remembered_in)
     file, code = files[-1], _digest(files)
-    if _told:
+    if _trusted_folders:
         _remember(file, code)
     elif _remembered(file) != code:
         changed = "has changed since it was trusted" if _remembered(file) else "is code that nobody has trusted here"
@@ -71,7 +71,7 @@ def own_module(name: str, where: str, remembered_in: Path | None = None) -> Modu
 
 def _found(name: str, where: str, remembered_in: Path | None) -> tuple[Path, list[Path]]:
     """Return the folder in which a module is found, and the files that importing it runs, its own last."""
-    folders = list(dict.fromkeys(each.resolve() for each in (Path.cwd(), *_told) if each is not None))
+    folders = list(dict.fromkeys(each.resolve() for each in (Path.cwd(), *_trusted_folders) if each is not None))
     for folder in folders:
         if files := _files(folder, name):
             return folder, files

@@ -144,7 +144,7 @@ class Paper(Suite[PaperConfig, SimpleCase]):
 
     def overview(self, report: Report) -> Table:
         columns = {"claim": "{claim}", "place": "{place}", "is": "{basis}"}
-        judged = {f"under {each}": f"{{{each}[verdict]}}  {{{each}[value]}}" for each in PROFILES}
+        judged = {f"under {profile}": f"{{{profile}[verdict]}}  {{{profile}[value]}}" for profile in PROFILES}
         table = Table.of(report.summary["claims"], columns | judged)
         return Table(table.header, [[cell.rstrip() for cell in row] for row in table.rows])
 

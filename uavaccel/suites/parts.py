@@ -14,7 +14,7 @@ from uavaccel.forms import ArrayForm
 from uavaccel.records import RunDirectory
 from uavaccel.suites.experiment import Experiment, merged, read_mapping
 from uavaccel.suites.registry import find_suite, open_run
-from uavaccel.suites.runner import begin_run, run_suite
+from uavaccel.suites.runner import run_suite, start_run
 from uavaccel.suites.suite import AnySuite, configuration
 
 
@@ -41,7 +41,7 @@ def fly_part(run: RunDirectory, name: str, part: Part, seed: int, pages: bool = 
     """
     suite, config = part_suite(part, seed)
     manifest = {key: value for key, value in run.manifest().items() if key != "resumed"}
-    flown = begin_run(suite, config, part_folder(run, name), manifest, resume=True)
+    flown = start_run(suite, config, part_folder(run, name), manifest, resume=True)
     run_suite(suite, config, flown)
     report = suite.report(flown)
     return report.write() if pages else report.write_summary()

@@ -35,7 +35,7 @@ def panels(
 
 def boxes(axes: Axes, values: Mapping[Any, Sequence[float]], colour: str, empty: str) -> None:
     """Draw a box for each entry that has values, its label below; equal values make a box of zero width."""
-    drawn = {place: each for place, each in enumerate(values.values()) if len(each)}
+    drawn = {place: value for place, value in enumerate(values.values()) if len(value)}
     if drawn:
         line = {"color": colour}
         axes.boxplot(

@@ -14,7 +14,7 @@ from uavaccel.draw import style
 from uavaccel.draw.labels import clock_label, command_name
 from uavaccel.draw.page import Picture, listed
 from uavaccel.metrics.intervals import Proportion
-from uavaccel.sim.lane.layout import LENGTH_M, Difficulty, draw_layout
+from uavaccel.sim.lane.layout import LENGTH_M, Difficulty, sample_layout
 from uavaccel.suites import paper_results, plots
 from uavaccel.suites.report import Report
 
@@ -186,7 +186,7 @@ def distances_figure(report: Report) -> Picture:
     """
     cells, source = pooled_cells(report), _source_with_seeds(report)
     clocks, panels = sorted(cells.clock_speed.unique()), cells.groupby("panel")
-    rows_m = np.unique(draw_layout(0, Difficulty()).x_m)
+    rows_m = np.unique(sample_layout(0, Difficulty()).x_m)
     figure = style.new_figure(1.5 + 5.2 * len(panels), 6.4, "Distance travelled", source)
     grid = figure.subplots(2, len(panels), sharex=True, sharey="row", squeeze=False, height_ratios=[3, 2])
     for (upper, lower), (title, panel) in zip(grid.T, panels, strict=True):

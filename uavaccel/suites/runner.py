@@ -21,7 +21,7 @@ from uavaccel.records import RunDirectory
 from uavaccel.suites.engines import LOKY, on_cluster
 from uavaccel.suites.experiment import Experiment, timing_of
 from uavaccel.suites.host_time import timed
-from uavaccel.suites.own_code import told, told_folder
+from uavaccel.suites.own_code import trusted_folder, trusting
 from uavaccel.suites.registry import own_folder, suite_of
 from uavaccel.suites.rows import disturbances
 from uavaccel.suites.suite import AnySuite, Case, GameResult, OnGame, Opened
@@ -69,7 +69,7 @@ def _check_result(suite: AnySuite, case: Case, game: object) -> None:
         raise UserError(f"{where}: its row is no JSON: {error}") from None
 
 
-def begin_run(
+def start_run(
     suite: AnySuite, config: Experiment, out: Path, manifest: Mapping[str, object], resume: bool = False
 ) -> RunDirectory:
     """Create a run's folder or, with `resume`, bring it to a state from which the run continues. Raises UserError."""
@@ -169,7 +169,7 @@ def _fly_in_parallel(work: _Work, cases: Sequence[Case]) -> Iterator[GameResult]
     with parallel_config(backend="loky", inner_max_num_threads=1, **bound):
         batch, ahead = (work.suite.batch, f"{work.suite.batch}*n_jobs")  # a longer queue would delay an interruption
         parallel = Parallel(work.jobs, return_as="generator", pre_dispatch=ahead, batch_size=batch)
-        place = own_folder(work.suite) or told_folder()
+        place = own_folder(work.suite) or trusted_folder()
         games = parallel(delayed(_fly_in_worker)(work.config, case, work.run.path, place) for case in cases)
         try:
             yield from _check_workers(games)
@@ -183,7 +183,7 @@ def _fly_on_cluster(work: _Work, cases: Sequence[Case]) -> Iterator[GameResult]:
     from joblib import delayed
 
     folder = work.run.path.resolve()  # workers may have another working directory
-    place = own_folder(work.suite) or told_folder()
+    place = own_folder(work.suite) or trusted_folder()
     calls = [delayed(_fly_in_worker)(work.config, case, folder, place) for case in cases]
     yield from on_cluster(work.engine, work.jobs, work.suite.batch, calls)
 
@@ -209,7 +209,7 @@ def _fly_in_worker(config: Experiment, case: Case, folder: Path, place: Path | N
 
     Own code runs, of the parent's working directory and of `place`: the parent has refused what it should not.
     """
-    with told(beside=place):
+    with trusting(beside=place):
         suite, opened = _opened_in_worker(config, case, folder)
         return fly_case(suite, config, case, opened)
 

@@ -26,9 +26,9 @@ from uavaccel.records import RunDirectory
 from uavaccel.suites.engines import LOKY, check_engine
 from uavaccel.suites.experiment import Experiment, is_file, merged, read_mapping, timing_of
 from uavaccel.suites.keys import KEYS
-from uavaccel.suites.own_code import told
+from uavaccel.suites.own_code import trusting
 from uavaccel.suites.registry import find_suite, suite_of
-from uavaccel.suites.runner import begin_run, check_cases, check_jobs
+from uavaccel.suites.runner import check_cases, check_jobs, start_run
 from uavaccel.suites.suite import AnySuite, Case, configuration
 
 
@@ -53,10 +53,12 @@ class RunRequest:
     trust: bool = False
     """Whether code that a resumed run names may run; that of an experiment which is named here may."""
 
-    def told(self) -> AbstractContextManager[None]:
+    def trusting(self) -> AbstractContextManager[None]:
         """Return the context in which own code runs as far as it was asked for."""
         file = self.experiment if self.experiment is not None and is_file(self.experiment) else None
-        return told(self.trust or self.experiment is not None, None if file is None else Path(file).resolve().parent)
+        return trusting(
+            self.trust or self.experiment is not None, None if file is None else Path(file).resolve().parent
+        )
 
 
 def configure(request: RunRequest) -> tuple[AnySuite, Any]:
@@ -64,7 +66,7 @@ def configure(request: RunRequest) -> tuple[AnySuite, Any]:
 
     A shipped experiment with a single ClockSpeed is shortened, and measured on the wall clock. Raises UserError.
     """
-    with request.told():
+    with request.trusting():
         given = {key: value for key, value in request.options.items() if value is not None}
         if request.experiment is None:
             suite, mapping, source = _resumed(request)
@@ -162,7 +164,7 @@ class Plan:
     def begin(self, say: Callable[[str], object]) -> RunDirectory:
         """Return the run's folder, new or as it was left; `say` is told of renderer, machine, and what has changed."""
         manifest = manifest_of(self.suite, self.config, say)
-        run = begin_run(self.suite, self.config, self.out, manifest, self.request.resume)
+        run = start_run(self.suite, self.config, self.out, manifest, self.request.resume)
         if "resumed" in run.manifest():
             for line in resumption_notes(run, len(self.cases), manifest):
                 say(line)

@@ -76,13 +76,13 @@ def sample_tables(arrays: Mapping[str, NDArray[Any]]) -> Iterator[tuple[int, Col
 
     Images, whose lines have more than 64 numbers, are left out.
     """
-    lengths = sorted({len(each) for each in arrays.values() if each.size and each.ndim})
+    lengths = sorted({len(array) for array in arrays.values() if array.size and array.ndim})
     for length in lengths:
         table: Columns = {}
-        for name, each in arrays.items():
-            if each.ndim and len(each) == length and each[:1].size <= WIDEST:
-                flat = each.reshape(length, -1)
-                single = each.ndim == 1
+        for name, array in arrays.items():
+            if array.ndim and len(array) == length and array[:1].size <= WIDEST:
+                flat = array.reshape(length, -1)
+                single = array.ndim == 1
                 table |= {name if single else f"{name}.{n}": flat[:, n] for n in range(flat.shape[1])}
         if table:
             yield length, table

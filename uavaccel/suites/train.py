@@ -152,9 +152,9 @@ class Training(Suite[TrainConfig, SimpleCase]):
     def open(self, config: TrainConfig, timing: str, run: RunDirectory) -> AbstractContextManager[Trainer]:
         lanes = None
         if config.simulator == EXACT and timing != "wall":
-            from uavaccel.rl.exact_lanes import begin_exact_lanes
+            from uavaccel.rl.exact_lanes import start_exact_lanes
 
-            lanes = begin_exact_lanes(config.task, config.environments)
+            lanes = start_exact_lanes(config.task, config.environments)
         from uavaccel.suites.trainer import open_trainer  # loads PyTorch, as they load
 
         return open_trainer(config, run, lanes)

@@ -160,7 +160,7 @@ def drop_games_after_checkpoint(run: RunDirectory) -> None:
             f"{run.path / 'rows.jsonl'}: has {rows} games, {checkpoint} knows {games}: rows are missing; put them "
             f"back, or delete {run.path / CHECKPOINTS} and --resume to begin the training anew"
         )
-    run.keep_first(games)
+    run.truncate_to(games)
     if (run.path / EVALUATIONS).is_file():
         kept = [line for line in evaluations(run) if line["games"] <= games]
         run.write_text(EVALUATIONS, "".join(to_json(line) + "\n" for line in kept))

@@ -110,7 +110,7 @@ class Draws(NamedTuple):
     heat: NDArray[np.float64]
 
 
-def draw_pixels(parameters: DvsParameters, shape: tuple[int, int], seed: int) -> Draws:
+def sample_pixels(parameters: DvsParameters, shape: tuple[int, int], seed: int) -> Draws:
     """Sample the random numbers of a sensor of that seed."""
     rng = np.random.default_rng(seed)
     even = np.zeros(shape, np.float32)  # thresholds without a spread are not drawn
@@ -122,7 +122,7 @@ def draw_pixels(parameters: DvsParameters, shape: tuple[int, int], seed: int) ->
 
 def make_sensor(parameters: DvsParameters, shape: tuple[int, int], seed: int) -> DvsSensor:
     """Sample a sensor of `shape` (H, W): thresholds N(nominal, sigma) >= 0.01, log-normal leak rates, hot pixels."""
-    draws = draw_pixels(parameters, shape, seed)
+    draws = sample_pixels(parameters, shape, seed)
     positive = _thresholds(parameters.positive_threshold, parameters.threshold_sigma, draws.up)
     negative = _thresholds(parameters.negative_threshold, parameters.threshold_sigma, draws.down)
     sensor = sensor_from_maps(parameters, positive, negative, draws.leak_factor)

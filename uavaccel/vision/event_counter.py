@@ -42,9 +42,9 @@ class EventCounter:
         """Begin with a frame, which causes no events; time stamps count from it."""
         self._state, self._start_ns = init_state(self.sensor, frame, noise_seed=noise_seed), time_ns
         self._counts = self._seen_ns = None
-        self.take_events()
+        self.pop_events()
 
-    def look(self, frame: Frame, time_ns: int) -> None:
+    def process_frame(self, frame: Frame, time_ns: int) -> None:
         """Process the next frame (H, W)."""
         assert self._state is not None
         self.frames += 1
@@ -58,7 +58,7 @@ class EventCounter:
         self._counts = (on, off) if before is None else (on + before[0], off + before[1])
         self._seen_ns = time_ns
 
-    def has_seen(self, time_ns: int) -> bool:
+    def has_frame_of(self, time_ns: int) -> bool:
         """Return whether the last frame since `take` was of this time."""
         return self._seen_ns == time_ns
 
@@ -69,7 +69,7 @@ class EventCounter:
         counts, self._counts, self._seen_ns = self._counts or (none, none), None, None
         return counts
 
-    def take_events(self) -> Events:
+    def pop_events(self) -> Events:
         """Return the events (n, 4) since the last call: rows (t in s, x, y, p) as in step_with_events."""
         taken, self._events = self._events, None if self._events is None else []
         return np.concatenate([NO_EVENTS, *(taken or [])])
@@ -89,7 +89,7 @@ class EventCounter:
         on, off = fields.pop("on", None), fields.pop("off", None)
         self._counts = None if on is None else (on, off)
         self._state = DvsState(**fields)
-        self.take_events()
+        self.pop_events()
 
 
 def count_events(
@@ -100,6 +100,6 @@ def count_events(
     counter.start(images[0], int(times_ns[0]), sensor_seed)
     on, off = np.zeros((2, *images.shape), np.uint16)
     for i in range(1, len(images)):
-        counter.look(images[i], int(times_ns[i]))
+        counter.process_frame(images[i], int(times_ns[i]))
         on[i], off[i] = counter.take()
     return on, off

@@ -26,7 +26,7 @@ from uavaccel.wire.page_protocol import PAGE
 LOOPBACK = "127.0.0.1"
 PORT = 8080
 SCRATCH = "uavaccel-watch-"  # and the id of the process whose folder it is
-FIRST_LOOK_S = 30.0  # for so long a flight waits for its first spectator
+FIRST_SPECTATOR_S = 30.0  # for so long a flight waits for its first spectator
 START_S, END_S = 60.0, 3.0
 
 
@@ -42,8 +42,8 @@ class PageAddress:
 def page_beside(address: PageAddress | None, waits: bool = True) -> Iterator[None]:
     """Show what is flown in the `with` block, in this process and in those it starts; nothing without an address.
 
-    With `waits` the block begins when a browser has opened the page, or after FIRST_LOOK_S. Raises UserError where the
-    page cannot be opened.
+    With `waits` the block begins when a browser has opened the page, or after FIRST_SPECTATOR_S. Raises UserError if
+    the page cannot be opened.
     """
     if address is None:
         yield
@@ -67,7 +67,7 @@ def page_beside(address: PageAddress | None, waits: bool = True) -> Iterator[Non
                 port = _port_of(process.stdout)
                 with _missed(process):
                     _greet(address.host, port, waits)
-                    if waits and _within(process.stdout, FIRST_LOOK_S):
+                    if waits and _within(process.stdout, FIRST_SPECTATOR_S):
                         process.stdout.readline()
                     os.environ[PAGE] = str(socket)
                     yield
@@ -104,5 +104,5 @@ def _port_of(stream: IO[bytes]) -> int:
 
 
 def _greet(host: str, port: int, waits: bool) -> None:
-    begins = f"the flight begins when it is opened, or in {FIRST_LOOK_S:g} s" if waits else "Ctrl-C ends"
+    begins = f"the flight begins when it is opened, or in {FIRST_SPECTATOR_S:g} s" if waits else "Ctrl-C ends"
     print(f"watch at http://{host}:{port}; {begins}", flush=True)

@@ -34,11 +34,11 @@ class Scene:
 
 
 class Moment(NamedTuple):
-    """One look at a flight. `poses` (vehicles, 7) are place in m and wxyz in MuJoCo's frame."""
+    """One state of a flight. `poses` (vehicles, 7) are place in m and wxyz in MuJoCo's frame."""
 
     flight: int
     """Counts the flights of a world, from 1."""
-    may_hold: bool
+    may_pause: bool
     clock_speed: float
     time_s: float
     """Simulated, since the last reset."""
@@ -66,9 +66,9 @@ class Source:
             self._told = orders
             self._send(orders)
 
-    def let_pass(self, looks: int) -> None:
-        """Let a held flight go on for so many looks."""
-        self._send({**(self._told or FREE), "looks": looks})
+    def let_pass(self, refreshes: int) -> None:
+        """Let a held flight go on for so many refreshes."""
+        self._send({**(self._told or FREE), "refreshes": refreshes})
 
     def _send(self, orders: Orders) -> None:
         with suppress(OSError):  # it has ended, which `Feed.listen` will notice
@@ -171,7 +171,7 @@ def _moment(state: Plain, scene: Scene) -> Moment:
     qpos = np.array(state["qpos"], np.float64)
     return Moment(
         state["flight"],
-        state["may_hold"],
+        state["may_pause"],
         state["clock_speed"],
         state["time_ns"] / NS_PER_S,
         state["wall_ns"] / NS_PER_S,

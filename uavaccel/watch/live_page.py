@@ -61,7 +61,7 @@ class LivePage:
         self._clocks = gui.add_html(clock_table(1.0, "0.000 s", [], "Waits for a flight."))
         gui.add_markdown(title)
         self._play = gui.add_button("Pause")
-        self._step = gui.add_button("Step", hint="to the next look, 0.033 simulated seconds on, and pause there")
+        self._step = gui.add_button("Step", hint="to the next refresh, 0.033 simulated seconds on, and pause there")
         self._pace = gui.add_dropdown("Shown at", [*PACES, FLAT_OUT], initial_value=PACE, hint="simulated s per second")
         self._why_not = gui.add_markdown(WITHOUT_PAUSE, visible=False)
         self._follow = gui.add_checkbox("Follow", initial_value=True, hint="the view goes along with the drone")
@@ -104,12 +104,12 @@ class LivePage:
             self._show_clocks()
         if self._eyes is not None and self._moment is not None and self.updates % PICTURES_EVERY == 0:
             pose = self._moment.poses[0]
-            self._picture.image = self._eyes.look(pose[:3], pose[3:], self._moment.time_s)
+            self._picture.image = self._eyes.render(pose[:3], pose[3:], self._moment.time_s)
         self.updates += 1
 
     def _give_orders(self, looked_at: bool) -> None:
         """The shown flight obeys the page while somebody looks; the others fly as fast as they can."""
-        orders: Orders = {"seen": True, "held": self._held, "pace": self._pace_now(), "looks": 0}
+        orders: Orders = {"seen": True, "held": self._held, "pace": self._pace_now(), "refreshes": 0}
         for source in self._feed.sources:
             source.order(orders if looked_at and source is self._feed.shown else FREE)
         if self._looks and self._feed.shown is not None:
@@ -155,10 +155,10 @@ class LivePage:
         """Another flight: its path begins anew, and the controls are those that its clock allows."""
         for trail in self._trails:
             trail.clear()
-        self._origin_wall_s = 0.0 if moment.may_hold else moment.wall_s - moment.time_s / moment.clock_speed
+        self._origin_wall_s = 0.0 if moment.may_pause else moment.wall_s - moment.time_s / moment.clock_speed
         for control in (self._play, self._step, self._pace):
-            control.disabled = not moment.may_hold
-        self._why_not.visible = not moment.may_hold
+            control.disabled = not moment.may_pause
+        self._why_not.visible = not moment.may_pause
 
     def _change_scene(self, scene: Scene) -> None:
         first = self._scene is None
@@ -195,14 +195,14 @@ class LivePage:
             ""
             if not silent
             else "Paused."
-            if self._held and moment.may_hold
+            if self._held and moment.may_pause
             else "Its clock is paused, or its flight is over."
         )
         lines = [
             Line(name, moment.time_s, height, state_of(commanded))
             for name, height, commanded in zip(scene.bodies, self._heights, moment.commanded, strict=False)
         ]
-        kind = "simulated" if moment.may_hold else "the machine's"
+        kind = "simulated" if moment.may_pause else "the machine's"
         wall = f"{moment.wall_s - self._origin_wall_s:.3f} s, {kind}"
         self._clocks.content = clock_table(moment.clock_speed, wall, lines, note)
 

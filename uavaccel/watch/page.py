@@ -173,7 +173,7 @@ class Page:
             for drone, (eye, shown) in zip(self.drones, self._eyes, strict=False):
                 time_s = drone.track.simulated_s(wall_s)
                 place, attitude = drone.track.pose(time_s)
-                shown.image = eye.look(ned_to_mujoco(place), quaternion_ned_to_mujoco(attitude), time_s)
+                shown.image = eye.render(ned_to_mujoco(place), quaternion_ned_to_mujoco(attitude), time_s)
         self.updates += 1
 
     def _clock_table(self, wall_s: float) -> str:

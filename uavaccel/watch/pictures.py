@@ -27,14 +27,14 @@ class Eyes:
         self._began_s, self._seen_s = 0.0, 0.0
         self._events = BLANK[:HEIGHT]
 
-    def look(self, place: NDArray[np.float64], attitude: NDArray[np.float64], time_s: float) -> NDArray[np.uint8]:
-        """Camera above, events since the last look below; red, green, blue. The pose is in MuJoCo's frame."""
+    def render(self, place: NDArray[np.float64], attitude: NDArray[np.float64], time_s: float) -> NDArray[np.uint8]:
+        """Camera above, events since the last image below; red, green, blue. The pose is in MuJoCo's frame."""
         self._data.qpos[self._pose] = [*place, *attitude]
         picture = self._camera.colour(self._data)
-        self._see(luma(picture), time_s)
+        self._process_frame(luma(picture), time_s)
         return np.vstack([picture, self._events])
 
-    def _see(self, frame: NDArray[np.uint8], time_s: float) -> None:
+    def _process_frame(self, frame: NDArray[np.uint8], time_s: float) -> None:
         passed_s = time_s - self._seen_s
         if self._state is not None and passed_s == 0.0:
             return  # the clock is paused: nothing changes, and nothing is seen

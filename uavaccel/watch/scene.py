@@ -10,13 +10,13 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from uavaccel.sim.lane.scene import LOOKS_GROUP
+from uavaccel.sim.lane.scene import APPEARANCE_GROUP
 
 if TYPE_CHECKING:
     import trimesh
     from viser import ViserServer
 
-SHOWN_GROUPS = (0, 1, 2, LOOKS_GROUP)  # those that MuJoCo draws, and a scenery's looks; hulls are in 3
+SHOWN_GROUPS = (0, 1, 2, APPEARANCE_GROUP)  # those that MuJoCo draws, and a scenery's looks; hulls are in 3
 DEEPEST_M = 50.0  # below the ground lies what a scene keeps for later
 GROUND_PIXELS = 2048
 PLANE_M = 100.0  # half of a plane that MuJoCo draws without an end

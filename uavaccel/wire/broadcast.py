@@ -27,17 +27,17 @@ from uavaccel.sim.world import World
 from uavaccel.units import NS_PER_S
 from uavaccel.wire.page_protocol import FREE, MESSAGE_BYTES, PAGE, Orders
 
-LOOK_NS = 33_000_000  # simulated, between two looks
+REFRESH_NS = 33_000_000  # simulated, between two refreshes
 SHORTEST_NS, UNSEEN_NS = (5_000_000, 200_000_000)  # of the machine's time, between two messages; where nobody looks
-UNSEEN_LOOKS = 10  # of a simulated clock, of which one is taken where nobody looks
-MEASURED_NS = 10_000_000  # of the machine's time, between two looks at a flight on its clock
+UNWATCHED_REFRESHES = 10  # of a simulated clock, of which one is taken where nobody looks
+MEASURED_NS = 10_000_000  # of the machine's time, between two refreshes at a flight on its clock
 SCENE_NS = 200_000_000  # the same between two scenes, of a script that moves objects all the time
 LATE_NS = 250_000_000  # a flight that is later than this for its pace is not hurried
 ANSWER_S = 5.0  # the longest wait for the page's first orders
 
 
-def show_on_page(simulation: Simulation, may_hold: bool) -> None:
-    """Let the page, if the command has one, follow a new simulation; `may_hold` says that its clock is simulated."""
+def show_on_page(simulation: Simulation, may_pause: bool) -> None:
+    """Let the page, if the command has one, follow a new simulation; `may_pause` says that its clock is simulated."""
     page = os.environ.get(PAGE)
     if page is None:
         return
@@ -45,7 +45,7 @@ def show_on_page(simulation: Simulation, may_hold: bool) -> None:
     broadcast = None if known is None else known()
     if broadcast is None:
         try:
-            broadcast = Broadcast(Path(page), may_hold)
+            broadcast = Broadcast(Path(page), may_pause)
         except OSError:  # the page has gone
             return
         _BROADCASTS[simulation.world] = ref(broadcast)
@@ -55,8 +55,8 @@ def show_on_page(simulation: Simulation, may_hold: bool) -> None:
 class Broadcast:
     """What one world does, as messages to the page; it is an observer of that world, which keeps it alive."""
 
-    def __init__(self, page: Path, may_hold: bool) -> None:
-        self._page, self._may_hold = page, may_hold
+    def __init__(self, page: Path, may_pause: bool) -> None:
+        self._page, self._may_pause = page, may_pause
         self._clock = MonotonicClock()
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._socket.connect(str(page))
@@ -65,12 +65,12 @@ class Broadcast:
         self._ready = select.poll()
         self._ready.register(self._socket, select.POLLIN)
         self._orders: Orders = {**FREE}
-        self._open, self._looks = True, 0
+        self._open, self._refreshes = True, 0
         self._stop_watching: Callable[[], None] = lambda: None
         self._flight = self._sent_ns = self._shown_ns = 0
         self._tick = self._told_tick = -1
         self._revision: int | None = None
-        if may_hold:
+        if may_pause:
             self._hear(ANSWER_S)
 
     def follow(self, simulation: Simulation) -> None:
@@ -85,17 +85,17 @@ class Broadcast:
 
     def _watch(self) -> None:
         """Look as often as the page's orders need."""
-        looks = 1 if self._orders["seen"] else UNSEEN_LOOKS
-        if not self._may_hold:  # looks take some of the machine's time from a measured flight
-            looks = max(1, int(self._simulation.clock_speed * MEASURED_NS / LOOK_NS))
-        if looks == self._looks:
+        refreshes = 1 if self._orders["seen"] else UNWATCHED_REFRESHES
+        if not self._may_pause:  # refreshes take some of the machine's time from a measured flight
+            refreshes = max(1, int(self._simulation.clock_speed * MEASURED_NS / REFRESH_NS))
+        if refreshes == self._refreshes:
             return
         self._stop_watching()
-        every = max(1, round(LOOK_NS / self._simulation.profile.tick_ns))
-        self._stop_watching = self._simulation.world.watch(looks * every, self._look)
-        self._looks = looks
+        every = max(1, round(REFRESH_NS / self._simulation.profile.tick_ns))
+        self._stop_watching = self._simulation.world.watch(refreshes * every, self._refresh)
+        self._refreshes = refreshes
 
-    def _look(self, tick: int) -> None:
+    def _refresh(self, tick: int) -> None:
         if tick <= self._tick:  # reset
             self._begin()
         self._tick = tick
@@ -104,8 +104,8 @@ class Broadcast:
             self._tell()
             self._hear(0.0)
             self._watch()
-        if self._may_hold and self._orders["seen"]:
-            self._keep_pace()
+        if self._may_pause and self._orders["seen"]:
+            self._follow_pace()
         if not self._open:
             self._stop_watching()
 
@@ -129,7 +129,7 @@ class Broadcast:
         simulation, world = self._simulation, self._simulation.world
         return {
             "flight": self._flight,
-            "may_hold": self._may_hold,
+            "may_pause": self._may_pause,
             "clock_speed": float(simulation.clock_speed),
             "time_ns": world.tick * simulation.profile.tick_ns,
             "wall_ns": simulation.pacer.wall_due(world.tick),
@@ -159,12 +159,12 @@ class Broadcast:
 
     # --- the page's orders ------------------------------------------------------------------------
 
-    def _keep_pace(self) -> None:
-        """Let the machine's time pass until the next look is due, in which the simulated clock is paused."""
+    def _follow_pace(self) -> None:
+        """Let the machine's time pass until the next refresh is due, in which the simulated clock is paused."""
         while self._open:
             if self._orders["held"]:
-                if self._orders["looks"] > 0:
-                    self._orders["looks"] -= 1
+                if self._orders["refreshes"] > 0:
+                    self._orders["refreshes"] -= 1
                     return
                 self._tell()  # where it is held
                 self._hear(None)
@@ -196,7 +196,7 @@ class Broadcast:
             self._close()
             return False
         self._orders = json.loads(message)
-        if self._looks:
+        if self._refreshes:
             self._anchor(self._clock.now_ns())
         return True
 

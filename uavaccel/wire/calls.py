@@ -31,18 +31,18 @@ AnyChannel = Channel | Callable[[Sequence[object]], Channel]
 class PartialResult:
     """A list result that is made item by item, so that others need not wait for all of it; making an item may raise.
 
-    `held_bytes` is about the packed size of the items made so far.
+    `buffered_bytes` is about the packed size of the items made so far.
     """
 
     def __init__(self, pieces: Iterator[object]) -> None:
         self._pieces = pieces
         self.made: list[object] = []
-        self.held_bytes = 0
+        self.buffered_bytes = 0
 
     def advance(self) -> bool:
         """Make one more item; False when there is none left."""
         for piece in self._pieces:
-            self.held_bytes += bulk_bytes(piece)
+            self.buffered_bytes += bulk_bytes(piece)
             self.made.append(piece)
             return True
         return False
@@ -69,7 +69,7 @@ class WireCall:
         self.joined, self.leaves_state = joined, leaves_state
         self._channel = channel
         _, *parameters = inspect.signature(method).parameters.values()
-        taken = [each for each in parameters if each.kind is each.POSITIONAL_OR_KEYWORD]
+        taken = [parameter for parameter in parameters if parameter.kind is parameter.POSITIONAL_OR_KEYWORD]
         self.required = sum(each.default is each.empty for each in taken)
         self.most = len(taken) if taken == parameters else MOST_IGNORED
         hints = get_type_hints(method, include_extras=True)

@@ -63,7 +63,7 @@ class Client:
         call.expected_ns = self._wall_after(duration_ns)
         self.transport.wait(call)
         state = decode_state(call.result())
-        self.transport.known.stands_at(state)
+        self.transport.known.paused_at(state)
         return state
 
     def _wall_after(self, simulated_ns: float) -> int:
@@ -72,7 +72,7 @@ class Client:
     def kinematics(self) -> Kinematics:
         return self.transport.known.state or decode_state(self.call("uavaccelState"))
 
-    def gather(self, state: Kinematics) -> Kinematics:
+    def read_sample(self, state: Kinematics) -> Kinematics:
         return state
 
     # --- games ------------------------------------------------------------------------------------

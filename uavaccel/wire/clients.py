@@ -73,15 +73,15 @@ class Connection:
             self.broken = error
 
     @property
-    def may_ask(self) -> bool:
+    def may_request(self) -> bool:
         """Whether it has read enough of its answers to be served again."""
         return len(self.unsent) <= READ_FIRST_BYTES
 
     @property
-    def held_bytes(self) -> int:
+    def buffered_bytes(self) -> int:
         """The memory that is kept for it."""
-        begun = self.begun[1].held_bytes if self.begun else 0
-        return self.framer.held_bytes + len(self.unsent) + begun
+        begun = self.begun[1].buffered_bytes if self.begun else 0
+        return self.framer.buffered_bytes + len(self.unsent) + begun
 
 
 class Answer(NamedTuple):
@@ -208,7 +208,7 @@ class Clients:
             self.drop(connection)
             return False
         connection.take_next(data)
-        self.note_held(connection)
+        self.note_buffered(connection)
         return True
 
     def send(self, connection: Connection) -> None:
@@ -222,7 +222,7 @@ class Clients:
         except OSError:
             self.drop(connection)
             return
-        self.note_held(connection)
+        self.note_buffered(connection)
         self.watch(connection)
 
     def watch(self, connection: Connection) -> None:
@@ -239,9 +239,9 @@ class Clients:
         if reading | writing:
             self._selector.register(connection.socket, reading | writing, connection)
 
-    def note_held(self, connection: Connection) -> None:
+    def note_buffered(self, connection: Connection) -> None:
         """Account for the memory that is kept for a client; disconnects whoever holds most while all hold too much."""
-        self._set_held(connection, connection.held_bytes if connection.open else 0)
+        self._set_held(connection, connection.buffered_bytes if connection.open else 0)
         while self._held_in_all > MOST_HELD_BYTES:
             holder = max(self._held_bytes, key=self._held_bytes.__getitem__)
             kept = f"{self._held_bytes[holder] >> 20} MiB are kept for this client"
@@ -249,10 +249,10 @@ class Clients:
             self._say_once(f"warning: a client was hung up on: {text}")
             self.hang_up(holder, text, holder.framer.unfinished_id())
 
-    def _set_held(self, connection: Connection, held_bytes: int) -> None:
-        self._held_in_all += held_bytes - self._held_bytes.pop(connection, 0)
-        if held_bytes:
-            self._held_bytes[connection] = held_bytes
+    def _set_held(self, connection: Connection, buffered_bytes: int) -> None:
+        self._held_in_all += buffered_bytes - self._held_bytes.pop(connection, 0)
+        if buffered_bytes:
+            self._held_bytes[connection] = buffered_bytes
 
     def hang_up(self, connection: Connection, text: str, message_id: int | None) -> None:
         """Disconnect a client; its pending request is answered with `text` if the socket takes that at once."""

@@ -19,7 +19,7 @@ from uavaccel.kinematics import Kinematics, Vector
 from uavaccel.sim.camera.mounted import Lens
 from uavaccel.sim.camera.view import HEIGHT, WIDTH, AnyImage
 from uavaccel.sim.lane.file import layout_from
-from uavaccel.sim.lane.layout import Difficulty, LaneLayout, draw_layout
+from uavaccel.sim.lane.layout import Difficulty, LaneLayout, sample_layout
 from uavaccel.sim.poses import Pose
 from uavaccel.wire import types
 from uavaccel.wire.arguments import AnyPose, Truthy, VehicleName, whole
@@ -226,7 +226,7 @@ def lane_layout(lane: object) -> LaneLayout:
     if isinstance(seed, bool) or not isinstance(seed, int):
         raise ValueError("a lane is a seed, {seed, difficulty}, or a mapping of obstacles")
     difficulty = lane.get("difficulty") if isinstance(lane, Mapping) else None
-    return draw_layout(seed, validate(Difficulty, difficulty or {}, "difficulty"))
+    return sample_layout(seed, validate(Difficulty, difficulty or {}, "difficulty"))
 
 
 def decode_image(reply: Received) -> AnyImage:

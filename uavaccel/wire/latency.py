@@ -189,7 +189,7 @@ def _changes_what_ships(block: Mapping[str, object]) -> bool:
     """Return whether a block only changes the shipped model: it has neither quantiles nor rows."""
     rows = [block[direction] for direction in DIRECTIONS if direction in block]
     return "quantiles" not in block and all(
-        isinstance(each, Mapping) and each and all(map(_is_number, each.values())) for each in rows
+        isinstance(row, Mapping) and row and all(map(_is_number, row.values())) for row in rows
     )
 
 
@@ -232,12 +232,12 @@ class Latency:
         self._wait_ns = wait_ns
 
     def request_ns(self, channel: str) -> int:
-        drawn_ns = self._draw("request", channel, self._config.request_us)
-        return round(drawn_ns * self._config.scale) + self._fault_ns("request")
+        sampled_ns = self._draw("request", channel, self._config.request_us)
+        return round(sampled_ns * self._config.scale) + self._fault_ns("request")
 
     def reply_ns(self, channel: str) -> int:
-        drawn_ns = self._draw("reply", channel, self._config.reply_us)
-        return round(drawn_ns * self._config.scale) + self._fault_ns("reply")
+        sampled_ns = self._draw("reply", channel, self._config.reply_us)
+        return round(sampled_ns * self._config.scale) + self._fault_ns("reply")
 
     def issue_ns(self) -> int:
         return self._draw("issue", "", {"": self._config.issue_us})

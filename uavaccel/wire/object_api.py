@@ -25,7 +25,7 @@ from uavaccel.wire.arguments import AnyPose, FinitePose, ObjectName, Truthy, Vec
 from uavaccel.wire.calls import CallContext, Calls, call, without_effect
 from uavaccel.wire.cameras import CameraMount
 from uavaccel.wire.pictures import known_type
-from uavaccel.wire.vehicles import put_at
+from uavaccel.wire.vehicles import in_world_frame
 
 NAN = math.nan
 NO_POSE = Pose((NAN, NAN, NAN), (NAN, NAN, NAN, NAN))
@@ -57,7 +57,7 @@ class ObjectApi(Calls, title="Objects"):
         for pilot in self.simulation.pilots:
             if object_name == pilot.vehicle.name:
                 local = pose._replace(position_m=pilot.vehicle.local(pose.position_m))
-                self.simulation.world.teleport(pilot.vehicle, *put_at(pilot, local))
+                self.simulation.world.teleport(pilot.vehicle, *in_world_frame(pilot, local))
                 return True
         if self.scenery.objects.geom(object_name) is None:
             return False  # as in AirSim, even for a pose that is NaN

@@ -10,15 +10,15 @@ MESSAGE_BYTES = 1 << 16
 
 
 class Orders(TypedDict):
-    """The page's orders to a flight: `held` until it is told to go on, but for `looks` that are let pass."""
+    """The page's orders to a flight: `held` until it is told to go on, but for `refreshes` that are let pass."""
 
     seen: bool
     """Whether somebody looks at it: otherwise the page needs to hear now and then only that it flies."""
     held: bool
     pace: float | None
     """Simulated seconds per second of the machine's; None for as fast as it flies."""
-    looks: int
+    refreshes: int
 
 
-FREE: Orders = {"seen": False, "held": False, "pace": None, "looks": 0}
+FREE: Orders = {"seen": False, "held": False, "pace": None, "refreshes": 0}
 """Those of a flight that is not shown, or that nobody looks at."""

@@ -115,7 +115,7 @@ class Pictures:
     def _normals(self, camera: CameraMount, scene: mujoco.MjData) -> NDArray[np.uint8]:
         """Draw surface normals: north, east and up as red, green and blue, -1 as 0 and 1 as 255; the sky is black."""
         lens = camera.lens(ImageType.SURFACE_NORMALS)
-        self._check_drawable(lens)
+        self._check_renderable(lens)
         eye, world = camera.eye(vehicle_pose(scene, camera.carrier)), self._simulation.world
         carrier = camera.body(world.vehicles)
         picture, rows = np.empty((lens.height, lens.width, 3), np.uint8), max(RAYS_AT_ONCE // lens.width, 1)
@@ -130,7 +130,7 @@ class Pictures:
     def _pointed(self, camera: CameraMount, image_type: int, scene: mujoco.MjData) -> MountedCamera:
         """Point the renderer as the camera is. Raises ValueError if rendering is off, UserError without OpenGL."""
         lens = camera.lens(image_type)
-        self._check_drawable(lens)
+        self._check_renderable(lens)
         width, height = self._largest
         fit = (width, height) if width * height <= MOST_PIXELS else (lens.width, lens.height)
         pointed = self._simulation.world.mounted_camera(*fit)
@@ -138,10 +138,10 @@ class Pictures:
         pointed.point(None if own else camera.eye(vehicle_pose(scene, camera.carrier)), lens)
         return pointed
 
-    def _check_drawable(self, lens: Lens) -> None:
+    def _check_renderable(self, lens: Lens) -> None:
         if not self.render:
             raise ValueError("rendering is switched off")
-        if not can_draw(lens):
+        if not can_render(lens):
             raise ValueError(
                 f"a picture of {lens.width} x {lens.height} is too large: it may have {MOST_PIXELS:,} pixels"
             )
@@ -159,7 +159,7 @@ class Pictures:
         return self._drawn_later
 
 
-def can_draw(lens: Lens) -> bool:
+def can_render(lens: Lens) -> bool:
     """Return whether a lens's pictures have at most MOST_PIXELS."""
     return lens.width * lens.height <= MOST_PIXELS
 

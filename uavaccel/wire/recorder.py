@@ -104,7 +104,7 @@ class Recorder:
         """Write the samples to the file; to be called before the buffer is full or a reset empties it."""
         if self._file is None:
             return
-        rows = self._simulation.world.take_samples()
+        rows = self._simulation.world.pop_samples()
         try:
             self._file.writelines(self._line(row) for row in rows if self._is_new(row))
             self._file.flush()

@@ -214,7 +214,7 @@ class Framer:
         self._passed = 0  # bytes of the messages that have been returned
 
     @property
-    def held_bytes(self) -> int:
+    def buffered_bytes(self) -> int:
         """The memory of the bytes that have not been returned, of which the scanner may keep a copy."""
         return 2 * len(self._kept)
 

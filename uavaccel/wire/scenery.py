@@ -11,7 +11,7 @@ from uavaccel.sim.scene.objects import SceneObjects
 from uavaccel.sim.simulation import Simulation
 from uavaccel.sim.vehicle.vehicle import Vehicle
 from uavaccel.wire.cameras import Cameras
-from uavaccel.wire.pictures import Pictures, can_draw
+from uavaccel.wire.pictures import Pictures, can_render
 from uavaccel.wire.segmentation import Segmentation
 from uavaccel.wire.settings import Settings
 
@@ -75,7 +75,7 @@ class Scenery:
     def largest_picture(self) -> tuple[int, int]:
         """Return the width and height in which every picture fits that can be drawn."""
         own = [lens for name in self._names() for lens in self.cameras(name).lenses()]
-        lenses = [lens for lens in (*own, *self._external_cameras.lenses()) if can_draw(lens)]
+        lenses = [lens for lens in (*own, *self._external_cameras.lenses()) if can_render(lens)]
         return max(lens.width for lens in lenses), max(lens.height for lens in lenses)
 
     def _names(self) -> list[str]:
@@ -83,7 +83,7 @@ class Scenery:
 
     def named(self, name: str) -> list[str]:
         """Return the objects, then the vehicles, with this name in any case."""
-        return [each for each in self._all_names() if each.lower() == name.lower()]
+        return [all_name for all_name in self._all_names() if all_name.lower() == name.lower()]
 
     def named_like(self, pattern: str) -> list[str]:
         """List the objects, then the vehicles, whose whole name matches. Raises ValueError for a wrong pattern."""

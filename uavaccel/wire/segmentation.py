@@ -17,7 +17,7 @@ from uavaccel.sim.camera.view import GeomImage
 from uavaccel.sim.scene.objects import SceneObjects
 from uavaccel.sim.world import World
 
-NOT_DRAWN, NO_OBJECT = -1, 0
+NOT_RENDERED, NO_OBJECT = -1, 0
 HIGHEST_ID = 255
 
 
@@ -49,8 +49,8 @@ class Segmentation:
 
     def set_id(self, names: Iterable[str], number: int) -> bool:
         """Set the ID of the objects and vehicles of these names; returns whether there are any."""
-        if not NOT_DRAWN <= number <= HIGHEST_ID:
-            raise ValueError(f"object_id must be {NOT_DRAWN} to {HIGHEST_ID}, not {number}")
+        if not NOT_RENDERED <= number <= HIGHEST_ID:
+            raise ValueError(f"object_id must be {NOT_RENDERED} to {HIGHEST_ID}, not {number}")
         geoms = [geom for name in names for geom in self._geoms(name)]
         self._give(geoms, number)
         return bool(geoms)
@@ -58,7 +58,7 @@ class Segmentation:
     def id(self, names: Iterable[str]) -> int:
         """Return the ID of the first of these objects and vehicles; -1 if there is none."""
         geoms = [geom for name in names for geom in self._geoms(name)]
-        return int(self._all()[geoms[0]]) if geoms else NOT_DRAWN
+        return int(self._all()[geoms[0]]) if geoms else NOT_RENDERED
 
     def spawned(self, name: str) -> None:
         """Give a new object the ID of its name."""

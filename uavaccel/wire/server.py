@@ -10,7 +10,7 @@ import selectors
 from collections.abc import Callable
 from typing import IO
 
-from uavaccel.clock import MonotonicClock, ask_for_fine_timers
+from uavaccel.clock import MonotonicClock, request_fine_timers
 from uavaccel.sim.deferred_reply import DeferredReply
 from uavaccel.sim.simulation import Simulation
 from uavaccel.wire import rpc
@@ -55,7 +55,7 @@ class Server:
 
     def serve(self, each_turn: Callable[[], None] = lambda: None) -> None:
         """Run until `stop`, or an exception such as KeyboardInterrupt; `each_turn` is called after every wake-up."""
-        ask_for_fine_timers()
+        request_fine_timers()
         simulation = self.api.simulation
         simulation.advance_to(self.clock.now_ns())
         try:
@@ -106,7 +106,7 @@ class Server:
 
     def _ask_again(self, connection: Connection, begins: bool = False) -> None:
         """Queue a client that has a request; disconnect one whose stream is broken."""
-        if connection.open and connection.asks and connection.may_ask:
+        if connection.open and connection.asks and connection.may_request:
             self._queue.add(connection, begins)
         elif connection.open and connection.broken and not connection.asks:
             self._flush()  # the answers to its good requests
@@ -133,7 +133,7 @@ class Server:
     def _serve_requests(self, connection: Connection) -> None:
         """Serve one request of a client; more of them, for TURN_NS at most, while no other client waits."""
         until_ns = self.clock.now_ns() + TURN_NS
-        while connection.open and connection.asks and connection.may_ask:
+        while connection.open and connection.asks and connection.may_request:
             if connection.begun:
                 self._go_on(connection, *connection.begun)
             else:
@@ -197,14 +197,14 @@ class Server:
         try:
             if self.api.advance(partial, request.method, request.params):
                 self._account(connection, request.method, True, begun_ns)
-                self.clients.note_held(connection)
-                if partial.held_bytes <= MAX_ANSWER_BYTES:
+                self.clients.note_buffered(connection)
+                if partial.buffered_bytes <= MAX_ANSWER_BYTES:
                     return
                 error = f"the answer would have more than {MAX_ANSWER_BYTES >> 20} MiB: ask for less at once"
         except rpc.RpcError as failure:
             error = str(failure)
         connection.begun = None
-        self.clients.note_held(connection)
+        self.clients.note_buffered(connection)
         if request.message_id is not None and connection.open:
             self._answer(Answer(connection, request.message_id, error, None if error else partial.made))
 

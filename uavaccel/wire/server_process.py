@@ -46,7 +46,7 @@ def ready_simulation(scene: str, profile: Profile, clock_speed: float = 1.0, air
     world.reset()
     gc.freeze()  # what is loaded by now stays; collecting it again would delay the clock
     simulation = Simulation(world, clock_speed, MonotonicClock().now_ns(), profile.catch_up_wall_ns)
-    show_on_page(simulation, may_hold=False)
+    show_on_page(simulation, may_pause=False)
     return simulation
 
 

@@ -10,15 +10,15 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from uavaccel.clock import MonotonicClock
-from uavaccel.processes.child import end_within, single_core_drawing, start_python
-from uavaccel.processes.stalls import STOPPED_LOOKS, cpu_time_s, is_stopped
+from uavaccel.processes.child import end_within, single_core_rendering, start_python
+from uavaccel.processes.stalls import STOPPED_POLLS, cpu_time_s, is_stopped
 from uavaccel.units import NS_PER_S
 
 START_S, IDLE_START_S = 600.0, 60.0  # to compile the hot loop; of that without using any CPU
 IDLE_S = 2.5  # a server that is silent for longer and uses no CPU has been stopped, or waits for ever
 BUSY_S = 60.0  # longest silence of a busy server: its first picture, drawn in software on a loaded machine
 END_S = 3.0
-LOOK_NS = 1_000_000_000  # silence after which the server is pinged
+SILENCE_POLL_NS = 1_000_000_000  # silence after which the server is pinged
 STALL_NS = 100_000_000  # a responsive server answers a ping sooner
 
 
@@ -33,7 +33,7 @@ class WatchedServer:
         self._clock = MonotonicClock()
         self._process = start_python(
             *("-m", "uavaccel.wire.server_process", json.dumps({**options, "parent": os.getpid()})),
-            environment=single_core_drawing(),
+            environment=single_core_rendering(),
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
         )
@@ -62,7 +62,7 @@ class WatchedServer:
     def check(self, idle_s: float = IDLE_S, busy_s: float = BUSY_S) -> None:
         """Raise ServerGoneError if it has ended, or has been silent for `busy_s`, or for `idle_s` without using CPU.
 
-        So it does, whatever these are, for one that a signal has stopped at more than STOPPED_LOOKS calls in a row. To
+        So it does, whatever these are, for one that a signal has stopped at more than STOPPED_POLLS calls in a row. To
         be called about once a second while an answer is overdue.
         """
         status = self._process.poll()
@@ -73,7 +73,7 @@ class WatchedServer:
             self._cpu_s, self._worked_ns = cpu_s, now_ns
         self._stopped_looks = self._stopped_looks + 1 if is_stopped(self._process.pid) else 0
         idle, silent = (now_ns - since for since in (self._worked_ns, self._heard_ns))
-        stopped = self._stopped_looks > STOPPED_LOOKS
+        stopped = self._stopped_looks > STOPPED_POLLS
         if stopped or idle > idle_s * NS_PER_S or silent > busy_s * NS_PER_S:
             self._process.kill()  # it would not end by itself
             raise ServerGoneError(f"the server's process did not answer for {silent / NS_PER_S:.1f} s")
@@ -115,7 +115,7 @@ class ServerSilence:
         self._counted_ns = 0
 
     def goes_on(self) -> None:
-        """To be called after every LOOK_NS of silence: pings, then checks the process. Raises ServerGoneError."""
+        """Call after every SILENCE_POLL_NS of silence: pings, then checks the process. Raises ServerGoneError."""
         if self._answered is not None:
             self._server.check()
             return

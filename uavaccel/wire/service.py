@@ -48,7 +48,7 @@ def serve(options: ServeOptions) -> None:
         api = Api(simulation, settings, recordings=recordings, say=say)
     except UserError as error:
         raise UserError(f"{options.settings}: {error}") from None
-    draw_once(api)
+    render_once(api)
     server = Server(api, host, settings.api_server_port if options.port is None else options.port)
     if settings.recording.enabled:
         start_recording(api)
@@ -101,7 +101,7 @@ def simulation_of(options: ServeOptions, settings: Settings) -> Simulation:
     return simulation
 
 
-def draw_once(api: Api) -> None:
+def render_once(api: Api) -> None:
     """Draw once, so that no client's first image delays the clock, which starts then; warn if nothing can draw."""
     try:
         api.scenery.pictures.warm_up()

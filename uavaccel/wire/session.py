@@ -63,8 +63,8 @@ class Session(ABC):
         """
 
     @abstractmethod
-    def watch(self, every_ticks: int, look: Callable[[int], None]) -> Callable[[], None]:
-        """Call `look` with the simulated time in ns once every so many ticks; the returned function ends that.
+    def watch(self, every_ticks: int, observe: Callable[[int], None]) -> Callable[[], None]:
+        """Call `observe` with the simulated time in ns once every so many ticks; the returned function ends that.
 
         It is called inside the simulation: no message is sent, and no wall time passes. Raises UserError in `wall`.
         """
@@ -124,7 +124,7 @@ class WallSession(Session):
     def set_latency(self, latency: LatencyConfig) -> None:
         pass
 
-    def watch(self, every_ticks: int, look: Callable[[int], None]) -> Callable[[], None]:
+    def watch(self, every_ticks: int, observe: Callable[[int], None]) -> Callable[[], None]:
         raise UserError("timing = 'wall': nobody looks at a flight between its messages; take virtual or lockstep")
 
     def picture(self) -> NDArray[np.uint8]:
@@ -169,10 +169,10 @@ class VirtualSession(Session):
         self._client = Client(self._transport, clock_speed)
         return self._client
 
-    def watch(self, every_ticks: int, look: Callable[[int], None]) -> Callable[[], None]:
+    def watch(self, every_ticks: int, observe: Callable[[int], None]) -> Callable[[], None]:
         begun = self._simulation
         world = self._world(1.0 if begun is None else float(begun.clock_speed))
-        return world.watch(every_ticks, lambda tick: look(self._present().time_of(tick)))
+        return world.watch(every_ticks, lambda tick: observe(self._present().time_of(tick)))
 
     def _present(self) -> Simulation:
         assert self._simulation is not None, "no game has begun"

@@ -22,7 +22,7 @@ from uavaccel.wire.api import CALLS, Api
 from uavaccel.wire.broadcast import show_on_page
 from uavaccel.wire.latency import DEFAULT, Channel, Latency
 from uavaccel.wire.rpc import Received
-from uavaccel.wire.server_watch import LOOK_NS, ServerGoneError, ServerSilence, WatchedServer
+from uavaccel.wire.server_watch import SILENCE_POLL_NS, ServerGoneError, ServerSilence, WatchedServer
 
 _QUICKACK = getattr(socket, "TCP_QUICKACK", None)
 POLL_NS = 1_000_000
@@ -72,7 +72,7 @@ class KnownState:
         self.exclusive = exclusive
         self.state: Kinematics | None = None
 
-    def stands_at(self, state: Kinematics) -> None:
+    def paused_at(self, state: Kinematics) -> None:
         """Keep the state in which the simulation has been paused."""
         self.state = state if self.exclusive else None
 
@@ -143,7 +143,7 @@ class SocketTransport(Transport):
             raise UserError(f"no server at {host}:{port} ({error.strerror}); start one with `uavaccel serve`") from None
         self._socket.settimeout(None)
         if watch is not None:  # a wait without a deadline wakes now and then, which costs nothing otherwise
-            interval = struct.pack("ll", LOOK_NS // NS_PER_S, 0)
+            interval = struct.pack("ll", SILENCE_POLL_NS // NS_PER_S, 0)
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, interval)
         set_no_delay(self._socket)
         self._decoder = rpc.Decoder(_CLIENT_MESSAGE_BYTES, _CLIENT_ITEMS)
@@ -193,7 +193,7 @@ class SocketTransport(Transport):
 
     def _readable(self, deadline_ns: int) -> bool:
         """Wait until something arrives, or for the deadline, or to ask a silent server whether it is there."""
-        look_ns = self.clock.now_ns() + LOOK_NS
+        look_ns = self.clock.now_ns() + SILENCE_POLL_NS
         if self._silence is None or deadline_ns < look_ns:
             return bool(wait_for_sockets(self._selector, deadline_ns))
         if wait_for_sockets(self._selector, look_ns):
@@ -204,7 +204,7 @@ class SocketTransport(Transport):
     def _receive(self) -> None:
         try:
             data = self._socket.recv(_READ_BYTES)
-        except BlockingIOError:  # nothing for LOOK_NS
+        except BlockingIOError:  # nothing for SILENCE_POLL_NS
             if self._silence is not None:
                 self._silence.goes_on()
             return
@@ -346,5 +346,5 @@ def modelled_simulation(world: World, clock_speed: float, latency: Latency) -> S
         executor=platform.executor(),
         frames=platform.new_frames(latency.frame_ns),
     )
-    show_on_page(simulation, may_hold=True)
+    show_on_page(simulation, may_pause=True)
     return simulation

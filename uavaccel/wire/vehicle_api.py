@@ -18,7 +18,7 @@ from uavaccel.wire import types
 from uavaccel.wire.arguments import AnyPose, FinitePose, VehicleName, place, pose
 from uavaccel.wire.calls import Calls, call
 from uavaccel.wire.flight_api import stick_map
-from uavaccel.wire.vehicles import free_place, put_at, standing
+from uavaccel.wire.vehicles import free_place, in_world_frame, standing
 
 FASTEST_M_S, FASTEST_RAD_S = 500.0, 100.0  # beyond these a tick's drag or turn is not a small change
 KIND = "simpleflight"
@@ -97,7 +97,7 @@ class VehicleApi(Calls, title="Vehicles"):
         With `ignore_collision` a place inside an object becomes the nearest one outside; without it, it is refused.
         """
         pilot = self.scenery.pilot(vehicle)
-        place = put_at(pilot, pose)
+        place = in_world_frame(pilot, pose)
         self.simulation.world.teleport(pilot.vehicle, *place, anywhere=bool(ignore_collision))
 
     @call("simGetGroundTruthKinematics")
@@ -111,7 +111,7 @@ class VehicleApi(Calls, title="Vehicles"):
         """Set pose and velocities; the accelerations follow from them here."""
         pilot = self.scenery.pilot(vehicle)
         motion, anywhere = (state.velocity_m_s, state.rate_rad_s), bool(ignore_collision)
-        place = put_at(pilot, state.pose)
+        place = in_world_frame(pilot, state.pose)
         self.simulation.world.teleport(pilot.vehicle, *place, *motion, anywhere)
 
     @call("getMultirotorState")

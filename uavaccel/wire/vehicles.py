@@ -98,7 +98,7 @@ def east_of(position_m: Vector, metres: float) -> Vector:
     return position_m[0], position_m[1] + metres, position_m[2]
 
 
-def put_at(pilot: Pilot, pose: Pose) -> tuple[Vector, Quaternion]:
+def in_world_frame(pilot: Pilot, pose: Pose) -> tuple[Vector, Quaternion]:
     """Convert a pose in the vehicle's frame to place and attitude in the world; NaN stands for the present part."""
     now = pilot.kinematics()
     place_m = now.position_m if math.isnan(sum(pose.position_m)) else pose.position_m

@@ -43,13 +43,13 @@ class WorldApi(Calls, title="World"):
         self.simulation.world.set_wind(wind)
 
     @call("simTestLineOfSightToPoint")
-    def sees_point(self, point: Point, vehicle: VehicleName = "") -> bool:
+    def has_line_of_sight_to(self, point: Point, vehicle: VehicleName = "") -> bool:
         """Return whether the line of sight from the vehicle to a point is free."""
         own = self.scenery.vehicle(vehicle).body
         return self._sees(self.scenery.truth(vehicle).position_m, self._local(point), own)
 
     @call("simTestLineOfSightBetweenPoints")
-    def sees_between(self, point1: Point, point2: Point) -> bool:
+    def has_line_of_sight(self, point1: Point, point2: Point) -> bool:
         return self._sees(self._local(point1), self._local(point2), BODY)
 
     def _sees(self, start_m: Vector, end_m: Vector, exclude: str) -> bool:

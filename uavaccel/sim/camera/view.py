@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.errors import UserError
-from uavaccel.sim.lane.scene import BODIES_GROUP, LOOKS_GROUP
+from uavaccel.sim.lane.scene import APPEARANCE_GROUP, BODIES_GROUP
 from uavaccel.sim.poses import Pose
 from uavaccel.sim.scene.model import DRONE_GROUP
 from uavaccel.units import mujoco_to_ned, ned_to_mujoco, quaternion_mujoco_to_ned
@@ -55,7 +55,7 @@ class View:
         for flag, value in _RENDER_FLAGS.items():
             self.scene.flags[flag] = value
         self._as_ids = False
-        self._show_looks(True)
+        self._show_appearance(True)
         self._eye: Pose | None = None
         self._resized = not self._models_own_view(width)
         self._eyes = list(self.scene.camera)  # views of MuJoCo's own two, which it averages
@@ -79,7 +79,7 @@ class View:
             self._place_eye(data, self._eye)
         if as_ids != self._as_ids:
             self.scene.flags[_ID_FLAGS] = self._as_ids = as_ids
-            self._show_looks(not as_ids)
+            self._show_appearance(not as_ids)
         mujoco.mjv_updateScene(self.model, data, self._options, None, self._camera, _EVERYTHING, self.scene)
         if self._resized:
             self._set_field_of_view()
@@ -93,9 +93,9 @@ class View:
             ids[geom.segid + 1] = geom.objid
         return np.take(ids, segments, out=out)
 
-    def _show_looks(self, on: bool) -> None:
+    def _show_appearance(self, on: bool) -> None:
         """Show a scenery's looks, or its bodies instead."""
-        self._options.geomgroup[LOOKS_GROUP] = on
+        self._options.geomgroup[APPEARANCE_GROUP] = on
         self._options.geomgroup[BODIES_GROUP] = not on
 
     def _place_eye(self, data: mujoco.MjData, eye: Pose) -> None:

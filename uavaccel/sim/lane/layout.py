@@ -126,7 +126,7 @@ def lane_seed(split: Split, index: int) -> int:
     return index if split == "evaluation" else EVALUATION_SEEDS + index
 
 
-def draw_layout(seed: int, difficulty: Difficulty | None = None) -> LaneLayout:
+def sample_layout(seed: int, difficulty: Difficulty | None = None) -> LaneLayout:
     """Sample the lane of a seed; the same seed and difficulty give the same arrays on every machine."""
     difficulty = difficulty or Difficulty()
     rng = np.random.default_rng(seed)

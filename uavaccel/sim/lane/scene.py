@@ -25,7 +25,7 @@ PARKED_Z_M = 100.0  # NED: below the ground, out of reach and out of sight
 SUN_ELEVATION_RAD = 0.9
 DAYLIGHT = 0.65  # the sun's share of full daylight; AMBIENT is that of the sky
 AMBIENT = 0.45
-LOOKS_GROUP, BODIES_GROUP = 4, 5  # visible only in colour, and in all but colour; other groups always are
+APPEARANCE_GROUP, BODIES_GROUP = 4, 5  # visible only in colour, and in all but colour; other groups always are
 TRUNK_RATIO = 1.25  # a trunk's radius over a square post's half side: between its sides and its corners
 
 
@@ -45,7 +45,7 @@ def apply_layout(model: mujoco.MjModel, data: mujoco.MjData, layout: LaneLayout)
     model.geom_rgba[parked, 3] = 0.0  # not drawn
     _set_materials(model, used, layout)
     _set_light(model, layout)
-    put_on_looks(model, used, layout)
+    set_appearance(model, used, layout)
     refit_bounding_boxes(model, set(geoms.tolist()))
     mujoco.mj_kinematics(model, data)
 
@@ -101,7 +101,7 @@ def object_name(model: mujoco.MjModel, geom: int) -> str:
     return str(model.geom(geom).name or model.body(int(model.geom_bodyid[geom])).name)
 
 
-def put_on_looks(model: mujoco.MjModel, obstacles: NDArray[np.int64], layout: LaneLayout) -> None:
+def set_appearance(model: mujoco.MjModel, obstacles: NDArray[np.int64], layout: LaneLayout) -> None:
     """Let the looks of a scenery's model follow its bodies, which have been placed; the plain lane has none.
 
     `obstacles` are the geoms of the layout's obstacles, in its order.

@@ -10,7 +10,7 @@ import numpy as np
 
 from uavaccel.sim.camera.camera import FrontCamera
 from uavaccel.sim.camera.view import FOV_DEG, HEIGHT, WIDTH, AnyImage, DepthImage, GeomImage, Image, to_metres
-from uavaccel.sim.rendering.slots import KINDS, REQUEST_BYTES, map_records, pixels, slot_dtype, write_looks
+from uavaccel.sim.rendering.slots import KINDS, REQUEST_BYTES, map_records, pixels, slot_dtype, write_appearance
 
 PATIENCE_S = 60.0  # for one picture: a driver that hangs must not hang everything
 
@@ -41,7 +41,7 @@ class RemoteCamera(FrontCamera):
 
     def scene_changed(self) -> None:
         """Publish in the shared slot what the model looks like now."""
-        write_looks(self.model, self._slot["looks"])
+        write_appearance(self.model, self._slot["looks"])
         self._slot["revision"] += 1
 
     def gray(self, data: mujoco.MjData) -> Image:

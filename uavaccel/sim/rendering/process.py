@@ -25,7 +25,7 @@ import numpy as np
 
 from uavaccel.errors import UserError
 from uavaccel.sim.camera.view import AnyImage, View
-from uavaccel.sim.rendering.slots import DONE, KINDS, REQUEST_BYTES, map_records, pixels, read_looks, slot_dtype
+from uavaccel.sim.rendering.slots import DONE, KINDS, REQUEST_BYTES, map_records, pixels, read_appearance, slot_dtype
 from uavaccel.sim.rendering.tiles import BUFFERS, Tiles
 from uavaccel.sim.scene.model import load_scene
 
@@ -47,10 +47,10 @@ class ServedCamera:
     def kind(self) -> str:
         return KINDS[self._slot["kind"]]
 
-    def look(self, as_ids: bool) -> mujoco.MjvScene:
+    def scene(self, as_ids: bool) -> mujoco.MjvScene:
         """Return the scene at the pose in the slot."""
         if self._revision != self._slot["revision"]:
-            read_looks(self._slot["looks"], self._model)
+            read_appearance(self._slot["looks"], self._model)
             self._revision = int(self._slot["revision"])
         self._qpos[:] = self._pose
         return self.view.update(self._data, as_ids)
@@ -115,7 +115,7 @@ def _batches(asking: list[ServedCamera], most: int) -> Iterator[tuple[str, list[
 def _render(tiles: Tiles, batch: Batch) -> Batch:
     depth, as_ids = batch.kind == "depth", batch.kind in ("depth", "segmentation")  # depth needs no lighting
     for place, eye in enumerate(batch.eyes):
-        tiles.render(batch.buffer, place, eye.look(as_ids), depth)
+        tiles.render(batch.buffer, place, eye.scene(as_ids), depth)
     return batch
 
 

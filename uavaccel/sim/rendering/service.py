@@ -11,7 +11,7 @@ from uavaccel.clock import MonotonicClock
 from uavaccel.errors import UserError
 from uavaccel.processes.child import Process, start_python
 from uavaccel.processes.forks import Fork
-from uavaccel.processes.stalls import FIRST_LOOKS, LOOK_S, StallDetector, is_stopped
+from uavaccel.processes.stalls import FIRST_POLLS, POLL_S, StallDetector, is_stopped
 from uavaccel.sim.camera.gl import GlRenderer
 from uavaccel.sim.lane.layout import PLAIN
 from uavaccel.sim.rendering.camera import RendererGoneError
@@ -50,8 +50,8 @@ class RenderService:
         """Wait for the start and return the renderer. Raises UserError without OpenGL, RendererGoneError on failure."""
         assert self.process.stdout is not None
         stalls = StallDetector()
-        while not select.select([self.process.stdout], [], [], LOOK_S)[0]:
-            if stalls.look([self.process.pid], looks=FIRST_LOOKS):
+        while not select.select([self.process.stdout], [], [], POLL_S)[0]:
+            if stalls.poll([self.process.pid], polls=FIRST_POLLS):
                 self.process.kill()
                 raise RendererGoneError("the renderer hangs, and never drew")
         line = self.process.stdout.readline()

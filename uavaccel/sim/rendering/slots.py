@@ -22,7 +22,7 @@ KINDS = ("gray", "colour", "depth", "segmentation")
 REQUEST_BYTES = 2  # the camera's number, little-endian: writes of so few bytes are whole
 DONE = b"\1"
 _PICTURE_BYTES = WIDTH * HEIGHT * 4
-_LOOKS = (  # the visible parts of the model that a layout changes
+_APPEARANCE = (  # the visible parts of the model that a layout changes
     *("geom_type", "geom_size", "geom_rbound", "geom_pos", "geom_quat", "geom_rgba", "geom_matid"),
     *("geom_dataid", "geom_sameframe"),
     *("light_pos", "light_dir", "light_diffuse", "light_ambient"),
@@ -31,7 +31,7 @@ _LOOKS = (  # the visible parts of the model that a layout changes
 
 def slot_dtype(model: mujoco.MjModel) -> np.dtype[np.void]:
     """Return the type of a slot: kind of picture, number of changes of the looks, qpos, looks, picture bottom up."""
-    looks = sum(getattr(model, name).nbytes for name in _LOOKS)
+    looks = sum(getattr(model, name).nbytes for name in _APPEARANCE)
     return np.dtype(
         [
             ("kind", np.int64),
@@ -44,13 +44,13 @@ def slot_dtype(model: mujoco.MjModel) -> np.dtype[np.void]:
     )
 
 
-def write_looks(model: mujoco.MjModel, looks: NDArray[np.uint8]) -> None:
+def write_appearance(model: mujoco.MjModel, looks: NDArray[np.uint8]) -> None:
     """Copy the appearance of the model's objects and lights to `looks`."""
     for values, kept in _views(model, looks):
         kept[:] = values
 
 
-def read_looks(looks: NDArray[np.uint8], model: mujoco.MjModel) -> None:
+def read_appearance(looks: NDArray[np.uint8], model: mujoco.MjModel) -> None:
     """Copy `looks` to the model."""
     for values, kept in _views(model, looks):
         values[:] = kept
@@ -59,7 +59,7 @@ def read_looks(looks: NDArray[np.uint8], model: mujoco.MjModel) -> None:
 def _views(model: mujoco.MjModel, looks: NDArray[np.uint8]) -> Iterator[tuple[NDArray[np.uint8], NDArray[np.uint8]]]:
     """Yield the bytes of each visible part of the model, and those of `looks` that hold it."""
     start = 0
-    for name in _LOOKS:
+    for name in _APPEARANCE:
         values = getattr(model, name).view(np.uint8).reshape(-1)
         yield values, looks[start : start + len(values)]
         start += len(values)

@@ -63,7 +63,7 @@ def _compiled(path: Path, others: Sequence[str], airsim: bool) -> mujoco.MjModel
     attach_quadrotors(spec, others)
     model = spec.compile()
     if airsim:
-        put_spares_by(model)
+        park_spares(model)
     return model
 
 
@@ -79,7 +79,7 @@ def attach_quadrotors(spec: mujoco.MjSpec, prefixes: Sequence[str]) -> None:
 def airsim_model(scene: Path) -> mujoco.MjModel:
     """Compile the scene in a file for AirSim's clients, with invisible spare geoms without contacts."""
     model = airsim_spec(scene).compile()
-    put_spares_by(model)
+    park_spares(model)
     return model
 
 
@@ -97,7 +97,7 @@ def airsim_spec(scene: Path) -> mujoco.MjSpec:
     return spec
 
 
-def put_spares_by(model: mujoco.MjModel) -> None:
+def park_spares(model: mujoco.MjModel) -> None:
     """Switch off the contacts of a compiled model's spare geoms."""
     spares = [geom for geom in range(model.ngeom) if model.geom(geom).name.startswith(SPARE)]
     model.geom_contype[spares] = model.geom_conaffinity[spares] = 0

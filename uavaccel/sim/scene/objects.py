@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from uavaccel.sim.lane.scene import LOOKS_GROUP
+from uavaccel.sim.lane.scene import APPEARANCE_GROUP
 from uavaccel.sim.poses import Pose
 from uavaccel.sim.scene.model import PARKED_M, SPARE, refit_bounding_boxes
 from uavaccel.units import mujoco_to_ned, ned_to_mujoco, quaternion_mujoco_to_ned, quaternion_ned_to_mujoco
@@ -67,7 +67,7 @@ class SceneObjects:
         return self._world.model
 
     def _still_geoms(self) -> list[int]:
-        still = (self._model.geom_bodyid == 0) & (self._model.geom_group != LOOKS_GROUP)
+        still = (self._model.geom_bodyid == 0) & (self._model.geom_group != APPEARANCE_GROUP)
         return [int(geom) for geom in np.flatnonzero(still)]
 
     def names(self) -> list[str]:
@@ -203,7 +203,7 @@ def _half_sizes(model: mujoco.MjModel, geom: int) -> Scale:
     return x, y, z
 
 
-def take_over(old: mujoco.MjModel, new: mujoco.MjModel) -> None:
+def restore_from(old: mujoco.MjModel, new: mujoco.MjModel) -> None:
     """Copy all objects into a model with more vehicles; the world's geoms keep their ids, which come first."""
     geoms = np.flatnonzero(old.geom_bodyid == 0)
     for name in _FIELDS:

@@ -43,7 +43,7 @@ class Clearance:
         self.alone = model.nbody == 2  # the world and the vehicle: nothing else moves
         self._with_contacts = int(model.opt.disableflags)
         self._without_contacts = self._with_contacts | int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
-        self._next_look_tick = 0
+        self._next_check_tick = 0
 
     def _find_surroundings(self, model: mujoco.MjModel) -> NDArray[np.bool_]:
         touching: NDArray[np.bool_] = (model.geom_contype | model.geom_conaffinity) > 0
@@ -53,21 +53,21 @@ class Clearance:
     def surroundings_changed(self) -> None:
         """Note that static geoms were moved, added or removed."""
         self._find_surroundings(self._model)
-        self.look_anew()
+        self.check_now()
 
-    def look_anew(self) -> None:
+    def check_now(self) -> None:
         """Compute the bound again at the next tick: vehicle or surroundings were moved."""
-        self._next_look_tick = 0
+        self._next_check_tick = 0
         self._model.opt.disableflags = self._with_contacts
 
     def ticks_to_fly(self, tick: int, ticks: int, parameters: Record, state: Record) -> int:
         """Return how many of the next `ticks` to fly before the next call; switches contact detection."""
-        if tick >= self._next_look_tick:
+        if tick >= self._next_check_tick:
             free_ticks = int(self.free_s(parameters, state) / parameters["tick_s"])
             near = free_ticks < NEAR_TICKS
             self._model.opt.disableflags = self._with_contacts if near else self._without_contacts
-            self._next_look_tick = tick + (NEAR_TICKS if near else free_ticks)
-        return min(ticks, self._next_look_tick - tick)
+            self._next_check_tick = tick + (NEAR_TICKS if near else free_ticks)
+        return min(ticks, self._next_check_tick - tick)
 
     @property
     def left_out(self) -> bool:
@@ -75,10 +75,10 @@ class Clearance:
         return bool(self._model.opt.disableflags != self._with_contacts)
 
     def get_state(self) -> State:
-        return {"next_look_tick": self._next_look_tick, "left_out": self.left_out}
+        return {"next_look_tick": self._next_check_tick, "left_out": self.left_out}
 
     def set_state(self, state: SavedState) -> None:
-        self._next_look_tick = int(state["next_look_tick"])
+        self._next_check_tick = int(state["next_look_tick"])
         left_out = bool(state["left_out"])
         self._model.opt.disableflags = self._without_contacts if left_out else self._with_contacts
 

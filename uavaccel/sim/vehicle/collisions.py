@@ -51,7 +51,7 @@ class ContactLog:
         """Let all present contacts count as new ones: the vehicle was moved."""
         self._present: frozenset[int] = frozenset()
 
-    def look(self, tick: int, position_m: NDArray[np.float64]) -> None:
+    def log(self, tick: int, position_m: NDArray[np.float64]) -> None:
         """Log the contacts that have begun at `tick`, in `data.contact`; `position_m` (3,) is NED."""
         contacts = _contacts(self._model, self._data, self._body)
         new = [contact for contact in contacts if contact[0] not in self._present]

@@ -295,9 +295,9 @@ class EntryPoints(NamedTuple):
     """Fly without MuJoCo while no contact is possible; returns fewer ticks at numbers of which it would warn."""
     fly_all: CompiledLoop
     """Fly several vehicles of one model: `handles` are their count, followed by those of each."""
-    stand_still: CompiledLoop
+    rest: CompiledLoop
     """Let `ticks` ticks pass without moving, this one included in the recording if a sample is due."""
-    look: CompiledLoop
+    refresh: CompiledLoop
     """Read MuJoCo's pose and compute the next kick, after a change from outside."""
 
 
@@ -331,19 +331,19 @@ def _compile(sources: int) -> EntryPoints:
         return ticks
 
     @entry_point
-    def stand_still(handles: NDArray[np.int64], ticks: int) -> int:
+    def rest(handles: NDArray[np.int64], ticks: int) -> int:
         _, _, _, _, _, _, of_flight, of_recorder, samples = views(handles, 0)
         pass_ticks(of_flight[0], of_recorder[0], samples, ticks * (sources != 0))
         return ticks
 
     @entry_point
-    def look(handles: NDArray[np.int64], ticks: int) -> int:
+    def refresh(handles: NDArray[np.int64], ticks: int) -> int:
         qpos, qvel, force, _, _, of_parameters, of_flight, _, _ = views(handles, 0)
         read_pose(of_flight[0], qpos)
         kick(of_parameters[0], of_flight[0], qvel, force)
         return ticks * (sources != 0)
 
-    return EntryPoints(fly, fly_free, fly_all, stand_still, look)
+    return EntryPoints(fly, fly_free, fly_all, rest, refresh)
 
 
 def _reached(module: str, found: dict[str, Path]) -> dict[str, Path]:

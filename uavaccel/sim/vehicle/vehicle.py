@@ -241,7 +241,7 @@ class Vehicle:
             self.state["z_integral_mode"] = autopilot.UNSET
         else:
             autopilot.settle(self._parameters, self._flight)
-        self.look()
+        self.refresh()
 
     def clear_contacts(self) -> None:
         self.state["collision_tick"] = NEVER
@@ -249,8 +249,8 @@ class Vehicle:
         self.contact_log.clear()
 
     def stand(self) -> None:
-        """Do `look` with MuJoCo's latest contact forces in the accelerations; the next tick logs the contact."""
-        self.look()
+        """Do `refresh` with MuJoCo's latest contact forces in the accelerations; the next tick logs the contact."""
+        self.refresh()
         parameters, state = (array.view(np.recarray)[0] for array in (self._parameters, self._flight))
         hotloop.feel_contacts.py_func(parameters, state, self._contact, self._push)
         self.state["contacts"] = UNCOUNTED
@@ -262,7 +262,7 @@ class Vehicle:
         self.set_pose(position_m, orientation_wxyz)
         self.qvel[:3], self.qvel[3:] = ned_to_mujoco(velocity_m_s), ned_to_mujoco(rate)
         self._force[:] = self._warm_start[:] = 0.0
-        self.look()
+        self.refresh()
 
     def set_pose(self, position_m: Vector, orientation_wxyz: Quaternion) -> None:
         """Set only MuJoCo's pose."""
@@ -275,33 +275,33 @@ class Vehicle:
         self._warm_start[:] = 0.0
         self.state["contacts"] = self.state["contacts_changed"] = 0
         self.contact_log.leave()
-        self.look()
+        self.refresh()
 
     def set_velocity(self, velocity_m_s: Vector, rate_rad_s: Vector) -> None:
         """Set NED m/s and body rad/s at this tick; MuJoCo's own are half a tick older (hotloop)."""
         goal = np.concatenate([ned_to_mujoco(velocity_m_s), ned_to_mujoco(rate_rad_s)])
         self.qvel[:] = goal
         for _ in range(3):  # a fixed-point iteration, since drag depends on the velocity
-            self.look()
+            self.refresh()
             state, half = self.state, 0.5 * self.profile.tick_s
             gained = [ned_to_mujoco(state[name]) for name in ("acceleration", "angular_acceleration")]
             self.qvel[:] = goal - half * np.concatenate(gained)
-        self.look()
+        self.refresh()
 
     def carry(self) -> State:
-        """Return the part of the flight's state that is in the model, for `take_over` into the next one."""
+        """Return the part of the flight's state that is in the model, for `restore_from` into the next one."""
         arrays = {"qpos": self.qpos, "qvel": self.qvel, "_force": self._force, "_push": self._push}
         return {name: array.copy() for name, array in arrays.items()} | {"touches": self.contact_log.get_state()}
 
-    def take_over(self, carried: SavedState) -> None:
+    def restore_from(self, carried: SavedState) -> None:
         """Restore what `carry` returned; static geoms keep their ids, since vehicles are added behind them."""
         for name in ("qpos", "qvel", "_force", "_push"):
             getattr(self, name)[:] = carried[name]
         self.contact_log.set_state(carried["touches"])
 
-    def look(self) -> None:
+    def refresh(self) -> None:
         """Update the flight state after MuJoCo's pose or velocity was changed from outside."""
-        hotloop.ENTRY_POINTS.look.ctypes(self._handles_pointer, 0)
+        hotloop.ENTRY_POINTS.refresh.ctypes(self._handles_pointer, 0)
 
     def fly(self, ticks: int) -> int:
         """Fly up to `ticks` ticks, for a vehicle alone in its world; returns how many (hotloop's `fly`)."""
@@ -314,9 +314,9 @@ class Vehicle:
         self.data.time = self._time_s[0]
         return flown if flown == ticks else flown + self.fly(ticks - flown)
 
-    def stand_still(self, ticks: int) -> int:
+    def rest(self, ticks: int) -> int:
         """Let ticks pass without moving."""
-        return int(hotloop.ENTRY_POINTS.stand_still.ctypes(self._handles_pointer, ticks))
+        return int(hotloop.ENTRY_POINTS.rest.ctypes(self._handles_pointer, ticks))
 
     # --- saving -----------------------------------------------------------------------------------
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from uavaccel.errors import UserError
 from uavaccel.kernels import fields as at
 from uavaccel.kernels.bodies import KINDS
-from uavaccel.kernels.fields import Looks, Scenes
+from uavaccel.kernels.fields import Appearance, Scenes
 from uavaccel.kernels.operands import Operand
 from uavaccel.sim.camera.view import HEIGHT, WIDTH, far_m
 from uavaccel.sim.lane.layout import GROUND_TEXTURES, OBSTACLE_TEXTURES, PLAIN, WALL_TEXTURES, LaneLayout
@@ -26,7 +26,7 @@ Levels = list[NDArray[np.uint8]]
 WORN = (("obstacle", OBSTACLE_TEXTURES), ("wall", WALL_TEXTURES), ("ground", GROUND_TEXTURES))
 
 
-def read_looks(model: mujoco.MjModel, camera: str = "front_center") -> Looks:
+def read_appearance(model: mujoco.MjModel, camera: str = "front_center") -> Appearance:
     """Read the appearance of a model's lanes. Raises UserError if the kernels cannot render it as OpenGL would."""
     obstacles = obstacle_geoms(model)
     if not len(obstacles):
@@ -40,7 +40,7 @@ def read_looks(model: mujoco.MjModel, camera: str = "front_center") -> Looks:
     wearing = np.zeros((3, 4), np.int32)
     for row, (kind, names) in zip(wearing, WORN, strict=True):
         row[: len(names)] = [model.material(f"{kind}_{name}").id for name in names]
-    return Looks(texels, textures, materials, _camera(model, camera), np.array(fixed, np.float32), wearing)
+    return Appearance(texels, textures, materials, _camera(model, camera), np.array(fixed, np.float32), wearing)
 
 
 def empty_scenes(lanes: int) -> Scenes:
@@ -49,12 +49,12 @@ def empty_scenes(lanes: int) -> Scenes:
     return Scenes(solids, np.zeros(lanes, np.int32), np.zeros((lanes, 9), np.float32))
 
 
-def fill_scene(looks: Looks, scenes: Scenes, lane: int, layout: LaneLayout) -> None:
+def fill_scene(appearance: Appearance, scenes: Scenes, lane: int, layout: LaneLayout) -> None:
     """Write the geometry and light of one lane. Raises UserError for a scenery other than the plain one."""
-    fill_scenes(looks, scenes, [lane], [layout])
+    fill_scenes(appearance, scenes, [lane], [layout])
 
 
-def fill_scenes(looks: Looks, scenes: Scenes, lanes: Sequence[int], layouts: Sequence[LaneLayout]) -> None:
+def fill_scenes(appearance: Appearance, scenes: Scenes, lanes: Sequence[int], layouts: Sequence[LaneLayout]) -> None:
     """Write the geometry and light of several lanes. Raises UserError for a scenery other than the plain one."""
     for lane, layout in zip(lanes, layouts, strict=True):
         if layout.scenery != PLAIN:
@@ -62,17 +62,17 @@ def fill_scenes(looks: Looks, scenes: Scenes, lanes: Sequence[int], layouts: Seq
                 f"scenery: simulator: kernels draws {PLAIN!r} alone; {layout.scenery!r} needs simulator: mujoco"
             )
         count, solids = len(layout), scenes.solids[lane]
-        posts, fixed = solids[:count], solids[count : count + len(looks.fixed)]
+        posts, fixed = solids[:count], solids[count : count + len(appearance.fixed)]
         posts[:, 0], posts[:, 1], posts[:, 2] = layout.x_m, -layout.y_m, OBSTACLE_HALF_HEIGHT_M
         posts[:, 3] = posts[:, 4] = layout.half_width_m
         posts[:, 5], posts[:, at.KIND] = OBSTACLE_HALF_HEIGHT_M, layout.round  # BOX, CYLINDER
-        posts[:, at.MATERIAL] = looks.wearing[0, layout.texture]
-        fixed[:] = looks.fixed
-        plane = looks.fixed[:, at.KIND] == at.PLANE
+        posts[:, at.MATERIAL] = appearance.wearing[0, layout.texture]
+        fixed[:] = appearance.fixed
+        plane = appearance.fixed[:, at.KIND] == at.PLANE
         fixed[:, at.MATERIAL] = np.where(
-            plane, looks.wearing[2, layout.ground_texture], looks.wearing[1, layout.wall_texture]
+            plane, appearance.wearing[2, layout.ground_texture], appearance.wearing[1, layout.wall_texture]
         )
-        scenes.counts[lane] = count + len(looks.fixed)
+        scenes.counts[lane] = count + len(appearance.fixed)
         direction, ambient, diffuse = sunlight(layout)
         scenes.lights[lane, :3], scenes.lights[lane, 3:6] = ambient, diffuse
         scenes.lights[lane, 6:] = -direction
