@@ -19,10 +19,11 @@ import torch as th
 
 import uavaccel.envs
 import uavaccel.kernels
-from uavaccel.kernels import cpu, events, lane_clocks, lanes
+from uavaccel.kernels import cpu, events, lane_clocks, lane_games, lanes
 from uavaccel.kernels.fields import COLOUR, COLUMNS, ROWS
 from uavaccel.kernels.spans import make_scratch
 
+SIGNED = {np.dtype(np.uint32): np.int32, np.dtype(np.uint64): np.int64}
 NAME, CLOCKS = "uavaccel.kernels.cuda", "uavaccel.kernels.cuda_clocks"
 ABOVE = {
     "uavaccel.envs": ("cuda_clocks", "cuda_games", "cuda_view", "cuda_lanes", "cuda_batch"),
@@ -49,6 +50,13 @@ class AtOnce:
 
     def join(self) -> None:
         pass
+
+
+class Immediate:
+    """An event of a device that does at once what it is told."""
+
+    def __getattr__(self, name: str) -> Any:
+        return lambda *_: None
 
 
 class EachTime:
@@ -111,6 +119,10 @@ class Kernels:
     def __getattr__(self, name: str) -> Any:
         work: Callable[..., None] = getattr(type(self), f"run_{name}")
         return launch(lambda which, *arguments: work(self, np.flatnonzero(which).tolist(), *arguments))
+
+    def run_deal(self, which: Any, distribution: Any, deals: Any, games: Any) -> None:
+        for lane in which:
+            lane_games.deal(lane, distribution, deals, games)
 
     def run_begin(self, which: Any, rows: Any, games: Any, now: Any) -> None:
         for lane in which:
@@ -187,7 +199,7 @@ def on_device(arrays: Any, device: th.device) -> tuple[Any, Any]:
         rows = np.ascontiguousarray(arrays).view(np.uint8).reshape(len(arrays), arrays.dtype.itemsize)
         tensor = th.from_numpy(rows.copy())
         return tensor, shared(tensor, arrays.dtype)
-    plain = arrays.view(np.int32) if arrays.dtype == np.uint32 else arrays
+    plain = arrays.view(SIGNED.get(arrays.dtype, arrays.dtype))
     tensor = th.from_numpy(np.array(plain, order="C"))
     return tensor, shared(tensor).view(arrays.dtype)
 
@@ -217,6 +229,7 @@ def host_kernels(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     clocks.__dict__["compiled"] = ClockKernels
     monkeypatch.setitem(sys.modules, CLOCKS, clocks)
     monkeypatch.setattr(uavaccel.kernels, "cuda_clocks", clocks, raising=False)
+    monkeypatch.setattr(th.cuda, "Event", Immediate)
     _forget()
     monkeypatch.setattr(import_module("uavaccel.envs.cuda_batch"), "DEVICE", "cpu")
     yield

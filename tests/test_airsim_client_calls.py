@@ -272,11 +272,11 @@ def test_lists_of_answers_are_airsims_types(client: Any, recorder: Recorder) -> 
     images = client.simGetImages([airsim.ImageRequest("0", 0)])
     assert [(type(image), image.width) for image in images] == [(airsim.ImageResponse, 3), (airsim.ImageResponse, 4)]
     recorder.answer = [{"name": "A"}]
-    assert [(type(simgetdetection), simgetdetection.name) for simgetdetection in client.simGetDetections("0", 0)] == [
+    assert [(type(detection), detection.name) for detection in client.simGetDetections("0", 0)] == [
         (airsim.DetectionInfo, "A")
     ]
     recorder.answer = [PLACE, PLACE]
-    assert [type(simgetworldextent) for simgetworldextent in client.simGetWorldExtents()] == [airsim.GeoPoint] * 2
+    assert [type(corner) for corner in client.simGetWorldExtents()] == [airsim.GeoPoint] * 2
 
 
 def test_what_the_client_does_with_several_calls_or_none(

@@ -73,20 +73,27 @@ def test_a_batch_of_tensors_flies_as_the_cpus(kind: type[FlightEnv], task: dict[
                 np.testing.assert_array_equal(flown[4]["position_m"].numpy(), np.stack(expected[4]["position_m"]))
                 over = expected[2] | expected[3]
                 ends += over.sum()
+                for mask in ("_final_obs", "_final_info"):
+                    np.testing.assert_array_equal(flown[4][mask].numpy(), over)
                 for lane in np.flatnonzero(over):
                     np.testing.assert_array_equal(flown[4]["final_obs"][lane].numpy(), expected[4]["final_obs"][lane])
                 if over.any():
-                    assert_equal_infos(flown[4]["final_info"], expected[4]["final_info"])
+                    assert_equal_infos(flown[4]["final_info"], expected[4]["final_info"], over, batch.object_names)
     assert ends > LANES
 
 
-def assert_equal_infos(ours: dict[str, Any], theirs: dict[str, Any]) -> None:
+def assert_equal_infos(ours: Any, theirs: Any, over: Any, names: tuple[str, ...]) -> None:
+    """Where games are over, the tensors are the numbers of the other batch, and so are their masks."""
     assert set(ours) == set(theirs)
     for key, value in ours.items():
         if isinstance(value, dict):
-            assert_equal_infos(value, theirs[key])
+            assert_equal_infos(value, theirs[key], over, names)
+        elif key == "collision":
+            hit = [None if number < 0 else names[number] for number in value[th.from_numpy(over)].tolist()]
+            assert hit == list(theirs[key][over])
         else:
-            np.testing.assert_array_equal(value, theirs[key])
+            expected = np.array([*theirs[key][over]])
+            np.testing.assert_array_equal(value.numpy()[over], expected)
 
 
 WIDENING = {"randomise": {"wind_m_s": [4.0, 6.0], "widen_over_games": 12}}
@@ -188,13 +195,6 @@ LEARNING = {
 }
 
 
-class Immediate:
-    """An event of a device that does at once what it is told."""
-
-    def __getattr__(self, name: str) -> Any:
-        return lambda *_: None
-
-
 class Cutter:
     """Patches (n, places, numbers) of what a ring shows, turned round where it is to be mirrored."""
 
@@ -213,7 +213,6 @@ class Cutter:
 
 @pytest.fixture
 def at_once(host_kernels: None, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:  # noqa: F811
-    monkeypatch.setattr(th.cuda, "Event", Immediate)
     from uavaccel.rl import device_dqn
 
     monkeypatch.setattr(device_dqn, "Cutter", Cutter)

@@ -109,7 +109,7 @@ def _runs_alike(trained: Policy, inputs: list[th.Tensor], action: th.Tensor, pat
 
     about = write_onnx(trained, path)
     session = onnxruntime.InferenceSession(path)
-    given = dict(zip([get_input.name for get_input in session.get_inputs()], inputs, strict=True))
+    given = dict(zip([node.name for node in session.get_inputs()], inputs, strict=True))
     _, flown = session.run(None, {name: each.numpy() for name, each in given.items()})
     assert flown.tolist() == action.tolist()
     assert session.get_modelmeta().custom_metadata_map == about

@@ -409,7 +409,7 @@ def test_a_game_of_the_kernels_is_flown_again_by_them(tmp_path: Path, monkeypatc
     export(str(run.path), minari=tmp_path / "kernels-v1")
     dataset = load(tmp_path / "kernels-v1", monkeypatch)
     assert dataset.observation_space.dtype == np.float32
-    assert [iterate_episode.actions.tolist() for iterate_episode in dataset.iterate_episodes()] == [
+    assert [episode.actions.tolist() for episode in dataset.iterate_episodes()] == [
         row["actions"] for row in run.rows()
     ]
     with pytest.raises(UserError, match="keeps no poses to log"):

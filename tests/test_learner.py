@@ -917,7 +917,7 @@ def test_on_a_device_each_gradient_step_has_a_batch_of_its_own(on_a_device: Any)
     learner.lanes.count = 16
     learner.options = learner.options.model_copy(update={"batch_size": 3, "gamma": 0.25})
     windows = Windows(*(th.arange(6) + 10 * column for column in range(8)))
-    learner.replay = SimpleNamespace(draw=lambda *told: say_and(drawn, told, lambda: windows))
+    learner.replay = SimpleNamespace(sample=lambda *told: say_and(drawn, told, lambda: windows))
     learner._descend = batches.append
     for mirror in (True, False):
         learner.config = learner.config.model_copy(update={"mirror": mirror})

@@ -412,7 +412,7 @@ def test_each_drone_sees_from_its_own_place_in_mujocos_frame(shown: Any, monkeyp
 
     class Eyes:
         def __init__(self, *_: Any) -> None: ...
-        def look(self, place: Any, attitude: Any, time_s: float) -> str:
+        def render(self, place: Any, attitude: Any, time_s: float) -> str:
             looked.append((place.tolist(), time_s))
             return f"picture {len(looked)}"
 

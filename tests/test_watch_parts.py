@@ -275,7 +275,7 @@ def test_orders_are_sent_when_they_change_and_looks_leave_them_as_they_are(told:
         if orders is held:
             source.let_pass(3)
     heard = [json.loads(flight.recv(4096)) for _ in range(5)]
-    assert heard == [{**FREE, "refreshes": 2}, held, {**held, "looks": 3}, {**held, "looks": 3}, FREE]
+    assert heard == [{**FREE, "refreshes": 2}, held, {**held, "refreshes": 3}, {**held, "refreshes": 3}, FREE]
     flight.setblocking(False)
     with pytest.raises(BlockingIOError):
         flight.recv(4096)

@@ -37,7 +37,7 @@ class Asking:
     def __getattr__(self, name: str) -> Any:
         return getattr(self._client, name)
 
-    def gather(self, state: Kinematics) -> Kinematics:
+    def read_sample(self, state: Kinematics) -> Kinematics:
         transport = self._client.transport
         transport.wait(transport.send("uavaccelImage", ("none",), blocking=True))
         return state

@@ -1,10 +1,11 @@
 """Many environments of one task on one GPU, as PyTorch tensors: `simulator="kernels"`, `device="cuda"`.
 
-Observations, rewards and ends stay on the device; the host samples games ahead and reads the results of those that end.
+A step is one CUDA graph: flight, images, judging, and the start of the next games. The host waits for nothing in it.
 """
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Sequence
 from typing import Any
 
@@ -14,12 +15,13 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from uavaccel.envs.checks import ROUNDING, autoreset_of, make_task, seeds_of
-from uavaccel.envs.cuda_lanes import AT, CudaLanes
+from uavaccel.envs.cuda_lanes import CudaLanes
 from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.flyable import CUDA, check_flyable
 from uavaccel.errors import UserError
 
 DEVICE = CUDA
+BEHIND = 2  # steps after which the host reads what it must know of one; games sampled ahead last longer
 Steps = tuple[th.Tensor, th.Tensor, th.Tensor, th.Tensor, dict[str, Any]]
 
 
@@ -28,9 +30,11 @@ class CudaBatch(VectorEnv[Any, Any, Any]):
 
     `step` takes actions as a NumPy array or PyTorch tensor, and returns new tensors on the device: observations (N,
     ...), rewards (N,) float64, terminations and truncations (N,) bool. A game that ends is followed by the next one in
-    the same step. Infos have `position_m` (N, 3) and `commands` (N,) as tensors, and `final_info` and `final_obs` for
-    each game that ended. Raises UserError for keywords that do not fit, and for tasks that only the exact simulator
-    flies.
+    the same step. Infos have `position_m` (N, 3) and `commands` (N,); of games that ended, `final_obs` (N, ...) and the
+    tensors of `final_info`, each beside its mask `_final_obs`, `_final_info` (N,) bool, outside of which values mean
+    nothing. `final_info["collision"]` (N,) is an index into `object_names`, -1 without a collision.
+
+    Raises UserError for keywords that do not fit, and for tasks that only the exact simulator flies.
     """
 
     def __init__(
@@ -50,9 +54,15 @@ class CudaBatch(VectorEnv[Any, Any, Any]):
         self.single_action_space = self.task.action_space()
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self._lanes = CudaLanes(self.task, num_envs, self.device, renews=False)
+        self._lanes = CudaLanes(self.task, num_envs, self.device, reports=True)
         self._fly = self._lanes.recorded_flight()
-        self._begun: list[int] = []
+        self._actions = _Actions(self.single_action_space, num_envs, self.device)
+        self._unread: deque[tuple[Any, th.Tensor, th.Tensor]] = deque()
+
+    @property
+    def object_names(self) -> tuple[str, ...]:
+        """Names of what a vehicle can collide with."""
+        return self._lanes.games.object_names
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
@@ -61,65 +71,88 @@ class CudaBatch(VectorEnv[Any, Any, Any]):
 
         Without a seed the environments' random sequences continue. With `options`, games sampled ahead are discarded.
         """
-        seeds = seeds_of(seed, self.num_envs)
-        if not self._begun or any(each is not None for each in seeds):
-            self._lanes.seed(seeds)
-            self._begun = [0] * self.num_envs
-            self._sample_first(options)
+        seeds, games = seeds_of(seed, self.num_envs), self._lanes.games
+        self._unread.clear()
+        if not games.has_games or any(given is not None for given in seeds):
+            games.seed(seeds)
+            games.sample_games([options] * self.num_envs)
         elif options:
-            self._begun = self._lanes.games.available.tolist()
-            self._lanes.games.begun.copy_(self._lanes.games.available)
-            self._sample_first(options)
+            games.discard()
+            games.sample_games([options] * self.num_envs)
         self._lanes.begin()
-        self._begun = [begun + 1 for begun in self._begun]
-        self._lanes.games.refill(self._begun)
+        games.refill(games.begun.tolist())
         return self._lanes.observations.clone(), self._infos()
 
-    def _sample_first(self, options: dict[str, Any] | None) -> None:
-        self._lanes.games.sample_games([options] * self.num_envs)
-
     def step(self, actions: Any) -> Steps:
-        """Fly one command in every environment. Raises UserError for invalid actions, or before `reset`."""
-        if not self._begun:
-            raise UserError("reset the environments before their first step")
+        """Fly one command in every environment.
+
+        Raises UserError for invalid actions, or before `reset`. A tensor of the device is checked without waiting for
+        it: the error comes with a later step, and meanwhile its actions have been clipped.
+        """
         lanes = self._lanes
-        self._fly(self._to_tensor(actions))
-        rewards, terminated, truncated = (each.clone() for each in (lanes.rewards, lanes.terminated, lanes.truncated))
-        outcomes = lanes.ended.tolist()  # the host waits for the device here
-        over = [lane for lane, row in enumerate(outcomes) if row[AT.over]]
-        ended = {
-            lane: {
-                "final_info": lanes.info(lane, outcomes[lane], lanes.course_of(lane)),
-                "final_obs": lanes.observations[lane].clone(),
-            }
-            for lane in over
-        }
-        if over:
-            lanes.renew(lanes.going == 0)
-            for lane in over:
-                self._begun[lane] += 1
-            lanes.games.refill(self._begun)
-        infos = self._infos()
-        for lane, info in ended.items():
-            infos = self._add_info(infos, info, lane)
-        return lanes.observations.clone(), rewards, terminated, truncated, infos
+        if not lanes.has_begun:
+            raise UserError("reset the environments before their first step")
+        self._fly(self._actions.checked(actions))
+        self._read_an_earlier_step()
+        over = lanes.terminated | lanes.truncated
+        infos = self._infos() | {"final_obs": lanes.final_observations.clone(), "_final_obs": over}
+        infos |= {"final_info": _with_masks(lanes.final_info, over), "_final_info": over}
+        ended = lanes.rewards.clone(), lanes.terminated.clone(), lanes.truncated.clone()
+        return lanes.observations.clone(), *ended, infos
+
+    def _read_an_earlier_step(self) -> None:
+        """Let games be sampled where they have begun, and check the actions, of the step BEHIND steps ago."""
+        games = self._lanes.games
+        read = th.cuda.Event()
+        parts = (part.to("cpu", non_blocking=True, copy=True) for part in (games.begun, self._actions.wrong))
+        self._unread.append((read, *parts))  # type: ignore[arg-type]
+        read.record()
+        if len(self._unread) > BEHIND:
+            read, begun, wrong = self._unread.popleft()
+            read.synchronize()
+            if wrong:
+                raise UserError(f"actions of an earlier step were not in the action space: {self.action_space}")
+            games.refill(begun.tolist())
 
     def _infos(self) -> dict[str, Any]:
         return {"position_m": self._lanes.positions(), "commands": self._lanes.commands.clone()}
 
-    def _to_tensor(self, actions: Any) -> th.Tensor:
-        """Return actions (N, ...) on the device. Raises UserError for actions outside the action space."""
-        given = th.as_tensor(actions, device=self.device)
-        space = self.single_action_space
-        if given.shape == (self.num_envs, *(space.shape or ())):
-            if isinstance(space, spaces.Discrete):
-                if not given.is_floating_point() and bool(((given >= 0) & (given < int(space.n))).all()):
-                    return given.long()
-            elif isinstance(space, spaces.Box):
-                low, high = (th.as_tensor(end, device=self.device) for end in (space.low, space.high))
-                clipped = given.to(low.dtype).clamp(low, high)
-                if bool(((clipped - given).abs() <= ROUNDING).all()):  # which NaN fails
-                    return clipped
-        raise UserError(
-            f"actions {tuple(given.shape)} of {given.dtype} are not in the action space: {self.action_space}"
+
+class _Actions:
+    """Checks of the actions of `count` environments; `wrong` () bool says whether any on the device were invalid."""
+
+    def __init__(self, space: Any, count: int, device: th.device) -> None:
+        self._space, self._device, self._shape = space, device, (count, *(space.shape or ()))
+        self.wrong = th.zeros((), dtype=th.bool, device=device)
+        box = isinstance(space, spaces.Box)
+        self._low, self._high = (
+            (th.as_tensor(end, device=device) for end in (space.low, space.high)) if box else (0, int(space.n) - 1)
         )
+
+    def checked(self, actions: Any) -> th.Tensor:
+        """Return actions (N, ...) on the device, clipped to the space. Raises UserError for the host's outside it."""
+        on_device = isinstance(actions, th.Tensor) and actions.device.type == self._device.type != "cpu"
+        given = th.as_tensor(actions, device=self._device)
+        box = isinstance(self._space, spaces.Box)
+        if given.shape != self._shape or (given.is_floating_point() and not box):
+            raise self._outside(given)
+        numbers = given.to(self._low.dtype) if box else given.long()
+        clipped = numbers.clamp(self._low, self._high)
+        wrong = ~((clipped - numbers).abs() <= (ROUNDING if box else 0)).all()  # NaN is wrong, too
+        if on_device:
+            self.wrong |= wrong
+        elif wrong:
+            raise self._outside(given)
+        return clipped.nan_to_num() if box else clipped
+
+    def _outside(self, given: th.Tensor) -> UserError:
+        return UserError(f"actions {tuple(given.shape)} of {given.dtype} are not in the action space: {self._space}")
+
+
+def _with_masks(info: dict[str, Any], over: th.Tensor) -> dict[str, Any]:
+    """Return new tensors of an info, each with the mask `over` beside it, as Gymnasium's vectors have it."""
+    found: dict[str, Any] = {}
+    for name, value in info.items():
+        found[name] = _with_masks(value, over) if isinstance(value, dict) else value.clone()
+        found[f"_{name}"] = over
+    return found

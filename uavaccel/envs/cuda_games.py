@@ -1,4 +1,8 @@
-"""Games of lanes on one GPU: sampled by the host ahead of time and transferred, so that lanes need not wait."""
+"""Games of lanes on one GPU: dealt there where the arithmetic is known, else sampled by the host ahead of time.
+
+`Dealt` games are lanes of the task's own distribution, sampled by a kernel when a lane needs one. Whatever else a task
+samples is its own Python: the host fills rows `SampledAhead` and transfers them, so that lanes need not wait.
+"""
 
 from __future__ import annotations
 
@@ -9,35 +13,162 @@ from typing import Any
 import numpy as np
 import torch as th
 from gymnasium.utils import seeding
+from numpy.typing import NDArray
 
+from uavaccel.envs.checks import known_options
 from uavaccel.envs.cuda_courses import allocate, to_device, write_rows
 from uavaccel.envs.flight_env import CONDITIONS
 from uavaccel.envs.kernel_games import Drawn, GameMaker
+from uavaccel.envs.obstacle_lane import LaneTask
 from uavaccel.envs.task import Task
+from uavaccel.envs.values import Course
 from uavaccel.kernels import cuda as kernels
-from uavaccel.kernels import lanes
+from uavaccel.kernels import lane_games, lanes
+from uavaccel.kernels.fields import NO_APPEARANCE
+from uavaccel.kernels.pcg64 import stream_of
+from uavaccel.sim.lane.layout import WIDTH_M, lane_seed
 from uavaccel.sim.state import State
 
 AHEAD = 4  # games per lane: the one being flown, and those sampled ahead
 
 
-class GamesAhead:
-    """The next games of each of `count` lanes; lane i cycles through the AHEAD rows from i * AHEAD on.
+class LaneGames:
+    """The games of `count` lanes: what `Dealt` and `SampledAhead` have in common.
 
-    `rows` is a kernels/lanes.Games of tensors, and `arrays` the same memory for kernels. `starts` holds the games'
-    courses and `scales` the factors on their latencies, a row each. Each lane has had `available` games (L,) so far, of
-    which `begun` (L,) have begun.
+    `rows` is a kernels/lanes.Games of tensors, K rows a lane, and `arrays` the same memory for kernels. `starts` holds
+    the games' courses, `conditions` what was sampled for them, and `scales` the factors on their latencies, a row each.
+    Lanes have `begun` games (L,) so far; `label` (L,) int64 is what the running game is found by afterwards.
+    """
+
+    def __init__(self, task: Task, count: int, device: th.device, rows_a_lane: int) -> None:
+        self.maker = GameMaker(task)
+        self.count, self.device = count, device
+        self._host = lanes.game_rows(count * rows_a_lane, self.maker.surroundings.most)
+        self.scales = th.ones(count * rows_a_lane, dtype=th.float64, device=device)
+        self.begun = th.zeros(count, dtype=th.int64, device=device)
+        self.starts: dict[str, Any] = {}
+        self.conditions: dict[str, th.Tensor] = {}
+
+    @property
+    def object_names(self) -> tuple[str, ...]:
+        """Names of what a vehicle can collide with: obstacles, then what every game has."""
+        return (*self.maker.surroundings.obstacle_names, *self.maker.surroundings.names)
+
+
+def games_of(task: Task, count: int, device: th.device) -> Dealt | SampledAhead:
+    """Return the games of a task's lanes, dealt on the device if they can be."""
+    return Dealt(task, count, device) if is_dealt(task) else SampledAhead(task, count, device)
+
+
+def is_dealt(task: Task) -> bool:
+    """Return whether a task's games are lanes sampled as `LaneTask` samples them, under the same conditions."""
+    if not isinstance(task, LaneTask) or task.lane is not None or task.randomise is not None:
+        return False
+    sampled = ("sample", "sample_conditions", "with_conditions", "layout", "lane_layout", "wire_lane", "events_seed")
+    return all(getattr(type(task), name) is getattr(LaneTask, name) for name in sampled)
+
+
+class Dealt(LaneGames):
+    """Games of the obstacle lane that a kernel samples when they are needed; lane i flies row i."""
+
+    def __init__(self, task: LaneTask, count: int, device: th.device) -> None:
+        super().__init__(task, count, device, 1)
+        drawn = self.maker.sample(np.random.default_rng(0), 0)
+        self.maker.write(drawn, self._host, 0)
+        for array in _leaves(self._host):
+            array[1:] = array[0]
+        self.rows, self.arrays = kernels.on_device(self._host, device)
+        self.obstacles = 0 if drawn.layout is None else len(drawn.layout)
+        self.scales *= task.latency.scale
+        wearing = (self.maker.appearance or NO_APPEARANCE).wearing
+        distribution = lane_games.Distribution(_numbers_of(task, self.obstacles), wearing)
+        self._memory, self._distribution = kernels.on_device(distribution, device)
+        self._tensors, self._deals = kernels.on_device(lane_games.deals(count), device)
+        self.starts = {"lane": self._tensors.indices}
+        self._kernels = kernels.compiled(self.maker.nominal)
+        self._all = th.arange(count, device=device)
+        self.has_games = False
+
+    @property
+    def label(self) -> th.Tensor:
+        return self._tensors.indices
+
+    def seed(self, seeds: int | Sequence[int | None]) -> None:
+        """Seed all lanes anew: lane i with the i-th of several seeds, or with a single seed plus i."""
+        each = [seeds + lane for lane in range(self.count)] if isinstance(seeds, int) else seeds
+        streams = np.stack([stream_of(seeding.np_random(seed)[0]) for seed in each])
+        self._tensors.streams[:, lane_games.OWN] = to_device(streams.view(np.int64), self.device)
+        self.begun.zero_()
+
+    def sample_games(self, options: Sequence[Mapping[str, Any] | None] | None = None) -> None:
+        """Let the next game of every lane be as the lane's options have it."""
+        self.has_games = True
+        for lane, option in enumerate(options or ()):
+            if option:
+                course = self.maker.task.sample(np.random.default_rng(0), known_options(option, ("lane",)))
+                self.maker.task.lane_layout(course)  # raises UserError for a lane that is none
+                self._tensors.given[lane] = course["lane"]
+
+    def refill(self, begun: Sequence[int]) -> None:
+        """Do nothing: games are dealt when they are needed."""
+
+    def discard(self) -> None:
+        """Do nothing: no games are sampled ahead."""
+
+    def begin(self, idle: th.Tensor, rows: th.Tensor) -> th.Tensor:
+        """Sample a game for each of the `idle` lanes (L,), count it as begun, and write its row to `rows` (L,)."""
+        rows.copy_(self._all)
+        self._deal(idle.byte())
+        self.begun += idle
+        return idle
+
+    def _deal(self, idle: th.Tensor) -> None:
+        grid = kernels.grid(self.count, kernels.FLYING_THREADS)
+        self._kernels.deal[grid](kernels.shared(idle), self._distribution, self._deals, self.arrays)
+
+    def found(self, lane: int, label: int) -> tuple[Course, int]:
+        """Return the course at the start of a lane's game, by its label, and its number of obstacles."""
+        return {"lane": label}, self.obstacles
+
+    def get_state(self, lane: int) -> State:
+        """Return what a lane's running game and its next ones are sampled from."""
+        before = self._tensors.streams[lane, lane_games.BEFORE].cpu().numpy()
+        return {"dealt_from": before, "index": int(self._tensors.indices[lane]), "begun": int(self.begun[lane])}
+
+    def set_state(self, lane: int, state: Mapping[str, Any]) -> None:
+        """Sample the games of a state that `get_state` returned again."""
+        own = th.from_numpy(np.array(state["dealt_from"], np.int64)).to(self.device)
+        self._tensors.streams[lane, lane_games.OWN] = own
+        self._tensors.given[lane] = int(state["index"])
+        self._deal((self._all == lane).byte())
+        self.begun[lane], self.has_games = int(state["begun"]), True
+
+
+def _numbers_of(task: LaneTask, obstacles: int) -> NDArray[np.float64]:
+    """Return a task's numbers for kernels/lane_games.Distribution."""
+    of, numbers = task.difficulty, np.zeros(lane_games.NUMBERS)
+    numbers[lane_games.FIRST_SEED] = lane_seed(task.split, 0)
+    numbers[lane_games.PER_ROW] = of.obstacles_per_row
+    numbers[lane_games.ROWS] = obstacles // max(of.obstacles_per_row, 1)
+    numbers[lane_games.SLACK_M] = WIDTH_M - max(of.obstacles_per_row - 1, 0) * of.pitch_m
+    numbers[lane_games.PITCH_M], numbers[lane_games.VARIED] = of.pitch_m, of.texture_variation
+    low, high = of.light
+    numbers[lane_games.LIGHT_LOW], numbers[lane_games.LIGHT_SPAN] = low, high - low
+    numbers[lane_games.WIND_M_S], numbers[lane_games.LIT] = of.wind_m_s, task.observation != "state"
+    numbers[lane_games.NOISY_EVENTS] = task.events_seed(1)
+    return numbers
+
+
+class SampledAhead(LaneGames):
+    """Games that the host samples; lane i cycles through the AHEAD rows from i * AHEAD on.
+
+    Each lane has had `available` games (L,) so far.
     """
 
     def __init__(self, task: Task, count: int, device: th.device) -> None:
-        self.maker = GameMaker(task)
-        self.count, self.device = count, device
-        self._host = lanes.game_rows(count * AHEAD, self.maker.surroundings.most)
+        super().__init__(task, count, device, AHEAD)
         self.rows, self.arrays = kernels.on_device(self._host, device)
-        self.scales = th.ones(count * AHEAD, dtype=th.float64, device=device)
-        self.begun = th.zeros(count, dtype=th.int64, device=device)
         self.available = th.zeros(count, dtype=th.int64, device=device)
-        self.starts: dict[str, Any] = {}
         self._generators: list[Any] = [None] * count
         self._games = [0] * count
         self._drawn: list[dict[int, Drawn]] = [{} for _ in range(count)]
@@ -48,6 +179,10 @@ class GamesAhead:
     def has_games(self) -> bool:
         """Whether any games have been sampled."""
         return bool(self._written[0])
+
+    @property
+    def label(self) -> th.Tensor:
+        return self.begun - 1
 
     def seed(self, seeds: int | Sequence[int | None]) -> None:
         """Seed all lanes anew: lane i with the i-th of several seeds, or with a single seed plus i."""
@@ -63,6 +198,10 @@ class GamesAhead:
         each = options or [None] * self.count
         self._send([self._draw(lane, each[lane]) for lane in range(self.count)])
 
+    def discard(self) -> None:
+        """Let no lane begin a game that was sampled so far."""
+        self.begun.copy_(self.available)
+
     def refill(self, begun: Sequence[int]) -> None:
         """Sample games until all rows are in use again, given how many games each lane has begun; transfer them."""
         rows = [
@@ -77,9 +216,10 @@ class GamesAhead:
         self.begun += renewed
         return renewed
 
-    def drawn(self, lane: int, number: int) -> Drawn:
-        """Return one of a lane's latest AHEAD games by its number."""
-        return self._drawn[lane][number]
+    def found(self, lane: int, label: int) -> tuple[Course, int]:
+        """Return the course at the start of one of a lane's latest AHEAD games, and its number of obstacles."""
+        drawn = self._drawn[lane][label]
+        return drawn.course, 0 if drawn.layout is None else len(drawn.layout)
 
     def get_state(self, lane: int) -> State:
         """Return what a lane's running game and its next ones are sampled from."""
@@ -136,6 +276,9 @@ class GamesAhead:
             if name not in self.starts:
                 self.starts[name] = allocate(courses[0][name], self.count * AHEAD, self.device)
             write_rows(self.starts[name], target, np.array([course[name] for course in courses]))
+        for name in games[0].course.get(CONDITIONS, ()):
+            rows = self.conditions.setdefault(name, th.zeros_like(self.scales))
+            write_rows(rows, target, np.array([game.course[CONDITIONS][name] for game in games]))
         write_rows(self.scales, target, np.array([game.task.latency.scale for game in games]))
 
     def _latest(self, row: int) -> Drawn:

@@ -15,20 +15,23 @@ import torch as th
 from uavaccel.envs.context_planes import age_levels
 from uavaccel.envs.cuda_clocks import DeviceClocks
 from uavaccel.envs.cuda_courses import assign_where, clone, tensors
-from uavaccel.envs.cuda_games import GamesAhead
+from uavaccel.envs.cuda_games import games_of
 from uavaccel.envs.cuda_view import LaneView
+from uavaccel.envs.flight_env import CONDITIONS
 from uavaccel.envs.flyable import CUDA, check_flyable, passes_together, profile_of
 from uavaccel.envs.kernel_games import game_info, kinematics_of, one_course, select, step_result
 from uavaccel.envs.kernel_plan import slices_of
 from uavaccel.envs.stopwatch import PHASES
 from uavaccel.envs.task import Moment, Moments
 from uavaccel.envs.values import Info
+from uavaccel.errors import UserError
 from uavaccel.kernels import cuda as kernels
 from uavaccel.kernels import lanes
 from uavaccel.kernels.fields import COLUMNS, DVS, STATE
 from uavaccel.kernels.flight import TOUCHED
 from uavaccel.sim.state import State
 from uavaccel.sim.vehicle.quadrotor import FLIGHT_DTYPE, NEVER
+from uavaccel.units import NS_PER_S
 from uavaccel.vision.observation import BLOCK_SIDE
 
 
@@ -42,7 +45,7 @@ class Ended(NamedTuple):
     place: int = 4  # position: three columns
     wall_ns: int = 7
     reward: int = 8
-    game: int = 9
+    label: int = 9  # by which the games find it
     phase_ns: int = 10  # a column for each of PHASES
     columns: int = 10 + len(PHASES)
 
@@ -55,13 +58,14 @@ class CudaLanes:
 
     `observations` (L, ...) are the present ones. After a round, `rewards`, `terminated` and `truncated` (L,) are those
     of its commands, and `going` (L,) uint8 says which lanes fly the next round. With `renews`, a lane whose game is
-    over begins the next one of `games` at once; without, it waits for `renew`.
+    over begins the next one of `games` at once; without, it waits for `renew`. With `reports`, `final_observations` (L,
+    ...) and `final_info` hold the observations and infos before the next games began.
     """
 
-    def __init__(self, task: Any, count: int, device: th.device, renews: bool = True) -> None:
+    def __init__(self, task: Any, count: int, device: th.device, renews: bool = True, reports: bool = False) -> None:
         check_flyable(task, count, CUDA)
-        self.task, self.count, self.device, self.renews = task, count, device, renews
-        self.games = GamesAhead(task, count, device)
+        self.task, self.count, self.device, self.renews, self.reports = task, count, device, renews, reports
+        self.games = games_of(task, count, device)
         self.kernels = kernels.compiled(self.games.maker.nominal)
         self.now, self._now_arrays = kernels.on_device(lanes.flights(count), device)
         self._tick_ns = profile_of(task).tick_ns
@@ -96,6 +100,8 @@ class CudaLanes:
         )
         self.ended = th.zeros((count, AT.columns), dtype=th.float64, device=device)
         self._course: dict[str, Any] = {}
+        self.final_observations = th.zeros_like(self.observations) if self.reports else self.observations
+        self.final_info: dict[str, Any] = {}
         self._allocate_commands()
 
     def _allocate_commands(self) -> None:
@@ -307,9 +313,44 @@ class CudaLanes:
         self._observe()
         over = self.terminated | self.truncated
         self._write_outcomes(over, touched)
+        if self.reports:
+            self.final_observations.copy_(self.observations)
+            self.final_info = self._report(touched)
         self.going.copy_((going & ~over).byte())
         if self.renews:
             self.renew(self.going == 0)
+
+    def _report(self, touched: th.Tensor) -> dict[str, Any]:
+        """Return the infos of all lanes' present games as tensors (L, ...), with the items of `game_info`."""
+        games, rows = self.games, self._rows
+        moments = Moments(None, list(self._position), touched, self.commands, self._course)
+        try:
+            own = self.task.info(moments)
+        except (TypeError, ValueError, RuntimeError):
+            name = type(self.task).__name__
+            raise UserError(f"device = cuda: {name}.info must compute with plain arithmetic; or take cpu") from None
+        solid, obstacles = self.now.watch[:, TOUCHED], games.rows.counts[rows] - len(games.maker.surroundings.names)
+        beyond = solid - obstacles + len(games.maker.surroundings.obstacle_names)
+        clocks = self.clocks
+        spent_s = (
+            [th.zeros_like(self.rewards) for _ in PHASES]
+            if clocks is None
+            else list(clocks.phase_ns.T.double() / NS_PER_S)
+        )
+        wall_s = self._wall_ns.double() / NS_PER_S
+        if clocks is None:
+            spent_s[PHASES.index("simulation")] = wall_s
+        conditions = {name: values[rows] for name, values in games.conditions.items()}
+        return {
+            "is_success": self.success.clone(),
+            "position_m": self.positions(),
+            "collision": th.where(touched, th.where(solid < obstacles, solid, beyond), -1),
+            "commands": self.commands.clone(),
+            "wall_s": wall_s,
+            "phase_s": dict(zip(PHASES, spent_s, strict=True)),
+            **{name: _stacked(value) for name, value in own.items()},
+            **({CONDITIONS: conditions} if conditions else {}),
+        }
 
     def _note_times(self, hit: th.Tensor, touched: th.Tensor, going: th.Tensor) -> th.Tensor:
         """Update wall times and the frames' times, and return which samples (L, S) precede a collision."""
@@ -356,7 +397,7 @@ class CudaLanes:
         outcome[:, AT.touched] = th.where(touched, solids + 1.0, 0.0)
         outcome[:, AT.commands], outcome[:, AT.place : AT.place + 3] = (self.commands.double(), self._position.T)
         outcome[:, AT.wall_ns], outcome[:, AT.reward] = self._wall_ns.double(), self.returns
-        outcome[:, AT.game] = (self.games.begun - 1).double()
+        outcome[:, AT.label] = self.games.label.double()
         if self.clocks is None:
             outcome[:, AT.phase_ns + PHASES.index("simulation")] = self._wall_ns.double()
         else:
@@ -406,12 +447,12 @@ class CudaLanes:
 
     def info(self, lane: int, outcome: Sequence[float], course: Any = None) -> Info:
         """Return the info of a lane's game from a row of `ended`, with the game's first course unless one is given."""
-        drawn = self.games.drawn(lane, int(outcome[AT.game]))
+        first, obstacles = self.games.found(lane, int(outcome[AT.label]))
         hit = None
         if outcome[AT.touched]:
-            hit = self.games.maker.name_of(int(outcome[AT.touched]) - 1, drawn.layout)
+            hit = self.games.maker.surroundings.name_of(int(outcome[AT.touched]) - 1, obstacles)
         position = tuple(outcome[AT.place : AT.place + 3])
-        moment = Moment(None, position, hit, int(outcome[AT.commands]), course or drawn.course)  # type: ignore[arg-type]
+        moment = Moment(None, position, hit, int(outcome[AT.commands]), course or first)  # type: ignore[arg-type]
         times_ns = outcome[AT.wall_ns], outcome[AT.phase_ns :]
         return game_info(self.task, moment, bool(outcome[AT.success]), *times_ns)
 
@@ -422,6 +463,11 @@ class CudaLanes:
     def course_of(self, lane: int) -> dict[str, Any]:
         """Return a lane's present course, as plain numbers."""
         return dict(one_course(self._course, lane))
+
+
+def _stacked(value: Any) -> th.Tensor:
+    """Return a new tensor (L, ...) of a course's numbers, as nested lists of tensors (L,)."""
+    return th.stack([_stacked(part) for part in value], 1) if isinstance(value, (list, tuple)) else value.clone()
 
 
 def _field(name: str) -> int:

@@ -8,7 +8,7 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from uavaccel.envs.flight_env import FlightEnv
-from uavaccel.envs.task import AnyMoment, Count, Moment, Positive, Task, distance, position_option
+from uavaccel.envs.task import AnyMoment, Count, Positive, Task, distance, position_option
 from uavaccel.envs.values import Course, Info, Number
 from uavaccel.kinematics import Kinematics
 from uavaccel.limits import Speed
@@ -54,7 +54,7 @@ class HoverTask(Task):
     def success(self, now: AnyMoment) -> Number:
         return now.free & (now.course["held_s"] >= self.hold_s - 1e-9)
 
-    def info(self, now: Moment) -> Info:
+    def info(self, now: AnyMoment) -> Info:
         return {"distance_m": distance_m(now), **now.course}
 
 

@@ -18,7 +18,7 @@ from uavaccel.config import validate
 from uavaccel.envs.conditions import LATENCY, OF_DIFFICULTY, OF_TASK, Ranges, corners, keys_of
 from uavaccel.envs.context_planes import ContextKind, ContextPlanes
 from uavaccel.envs.flight_env import CONDITIONS, FlightEnv
-from uavaccel.envs.task import AnyMoment, Count, Moment, Task
+from uavaccel.envs.task import AnyMoment, Count, Task
 from uavaccel.envs.values import Course, Info, Number
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Vector
@@ -229,10 +229,10 @@ class LaneTask(Task):
         """Return whether it has reached the lane's end without a collision (paper, section III-C3)."""
         return now.free & (now.position_m[0] >= LENGTH_M)
 
-    def info(self, now: Moment) -> Info:
+    def info(self, now: AnyMoment) -> Info:
         """Return the distance flown north, the lane's index and, if they were sampled, the conditions."""
         drawn = {name: now.course[name] for name in (CONDITIONS,) if name in now.course}
-        return {"distance_m": float(now.position_m[0]), "lane": now.course["lane"], **drawn}
+        return {"distance_m": now.position_m[0], "lane": now.course["lane"], **drawn}
 
 
 class ObstacleLane(FlightEnv[LaneTask]):

@@ -323,7 +323,7 @@ class Task(Config):
         """Return whether the game is lost, which ends it."""
         return now.touched
 
-    def info(self, now: Moment) -> Info:
+    def info(self, now: AnyMoment) -> Info:
         """Return the task's own items of infos, beside those of `FlightEnv`."""
         return dict(now.course)
 

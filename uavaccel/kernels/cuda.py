@@ -20,7 +20,7 @@ from numba.cuda import libdevice
 from numba.cuda.extending import overload
 from numba.np.numpy_support import from_dtype
 
-from uavaccel.kernels import events, lanes
+from uavaccel.kernels import events, lane_games, lanes
 from uavaccel.kernels import fields as at
 from uavaccel.kernels.columns import MOST_INTERVALS, MOST_PIECES, Column, add_interval, fill_column, settle
 from uavaccel.kernels.faces import begin as begin_faces
@@ -50,6 +50,8 @@ BOX_SLOTS, CYLINDER_SLOTS = 3, 6  # largest number of rows that a solid fills (k
 SLOTS = 1 + CYLINDER_SLOTS * at.SOLIDS
 RECORDS = {PARAMETERS_DTYPE: from_dtype(PARAMETERS_DTYPE), FLIGHT_DTYPE: from_dtype(FLIGHT_DTYPE)}
 PARAMETERS, FLIGHT = RECORDS[PARAMETERS_DTYPE], RECORDS[FLIGHT_DTYPE]
+
+SIGNED = {np.dtype(np.uint32): np.int32, np.dtype(np.uint64): np.int64}  # PyTorch computes with signed integers
 
 
 @overload(times)
@@ -119,6 +121,13 @@ def start_lanes(renewed, rows, games, now):  # type: ignore[no-untyped-def]
         game = rows[lane]
         lanes.begin(lane, game, games, now)
         lanes.refresh(games.parameters[game], now.state[lane], now.body[lane])
+
+
+def deal_games(idle, distribution, deals, games):  # type: ignore[no-untyped-def]
+    """Sample the next game of every lane of the obstacle lane whose flag in `idle` (L,) is set, into the lane's row."""
+    lane = cuda.grid(1)
+    if lane < len(idle) and idle[lane] != 0:
+        lane_games.deal(lane, distribution, deals, games)
 
 
 def command_lanes(going, directions, games, now):  # type: ignore[no-untyped-def]
@@ -515,6 +524,7 @@ LIMITS: dict[Any, int] = {update_events: 72}
 class Kernels(NamedTuple):
     """The compiled kernels, each with the arguments of its function."""
 
+    deal: Launchable
     begin: Launchable
     command: Launchable
     fly: Launchable
@@ -533,6 +543,7 @@ def compiled(nominal: Operand) -> Kernels:
     """Compile the kernels, or load them from numba's cache; `nominal` is a record of PARAMETERS_DTYPE."""
     warnings.filterwarnings("ignore", message=".*under-utilization")  # expected with few lanes
     functions = (
+        deal_games,
         start_lanes,
         command_lanes,
         flying(nominal),
@@ -617,6 +628,6 @@ def on_device(arrays: Operand, device: th.device) -> tuple[Any, Any]:
         rows = np.ascontiguousarray(arrays).view(np.uint8).reshape(len(arrays), arrays.dtype.itemsize)
         tensor = th.from_numpy(rows.copy()).to(device)
         return tensor, shared(tensor, arrays.dtype)
-    plain = arrays.view(np.int32) if arrays.dtype == np.uint32 else arrays
-    tensor = th.from_numpy(np.ascontiguousarray(plain)).to(device)
-    return tensor, shared(tensor).view(np.uint32) if arrays.dtype == np.uint32 else shared(tensor)
+    signed = SIGNED.get(arrays.dtype)
+    tensor = th.from_numpy(np.ascontiguousarray(arrays if signed is None else arrays.view(signed))).to(device)
+    return tensor, shared(tensor) if signed is None else shared(tensor).view(arrays.dtype)

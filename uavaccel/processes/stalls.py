@@ -80,6 +80,6 @@ class StallDetector:
 
     def _worked(self, pid: int) -> bool:
         """Return whether a process has worked since the last poll, or may have."""
-        now, before = [cpu_time_s(with_child) for with_child in with_children(pid)], self._cpu_s.get(pid)
+        now, before = [cpu_time_s(process) for process in with_children(pid)], self._cpu_s.get(pid)
         self._cpu_s[pid] = now
         return now != before or now[0] is None

@@ -45,7 +45,7 @@ class LoopOptions:
     def __post_init__(self) -> None:
         for name, kind in (("command", Command), ("meanwhile", Meanwhile)):
             if getattr(self, name) not in get_args(kind):
-                known = " or ".join(repr(get_arg) for get_arg in get_args(kind))
+                known = " or ".join(repr(choice) for choice in get_args(kind))
                 raise UserError(f"{name}: must be {known}, not {getattr(self, name)!r}")
         for name in ("chunk", "execute"):
             if (name, self.execute) != ("execute", None):

@@ -242,7 +242,7 @@ class LanesOnGpu:
             network = deepcopy(self._agent.policy.network).to(self._device)
             self._agent = PolicyAgent(replace(self._agent.policy, network=network))
             self._network = network if isinstance(network, DQNPolicy) else None  # which can be recorded
-        self._blocks, self._rows = (th.from_numpy(all_block).to(self._device) for all_block in _all_blocks(lanes))
+        self._blocks, self._rows = (th.from_numpy(places).to(self._device) for places in _all_blocks(lanes))
         self._actions = th.zeros(len(lanes), dtype=th.int64, device=self._device)
         self._places: list[list[float]] = [[0.0, 0.0, 0.0] for _ in lanes]
         self._round = Recorded(self._decide_and_fly)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from uavaccel.vision import noise
 
 Image = NDArray[np.uint8]
-_APART = 0x6E01  # makes a game's noise independent of its other random numbers
+APART = 0x6E01  # makes a game's noise independent of its other random numbers
 
 
 @dataclass(frozen=True)
@@ -38,5 +38,5 @@ class ImageNoise:
 
 def noise_seed(game: np.random.SeedSequence) -> int:
     """Return the noise seed of a game, independent of other random numbers from the game's seed."""
-    apart = np.random.SeedSequence(game.entropy, spawn_key=(*game.spawn_key, _APART))
+    apart = np.random.SeedSequence(game.entropy, spawn_key=(*game.spawn_key, APART))
     return int(apart.generate_state(1, np.uint32)[0])

@@ -83,7 +83,7 @@ class Scenery:
 
     def named(self, name: str) -> list[str]:
         """Return the objects, then the vehicles, with this name in any case."""
-        return [all_name for all_name in self._all_names() if all_name.lower() == name.lower()]
+        return [entry for entry in self._all_names() if entry.lower() == name.lower()]
 
     def named_like(self, pattern: str) -> list[str]:
         """List the objects, then the vehicles, whose whole name matches. Raises ValueError for a wrong pattern."""
