@@ -53,8 +53,8 @@ def turned(quaternion: tuple[float, float, float, float], v: Vector) -> Vector:
 
 
 @part(error_model="numpy")
-def view_of(camera: Floats, position: Floats, quaternion: Floats) -> View:
-    """Return eye and rays in MuJoCo's axes for a drone's pose: NED in metres, and wxyz, FRD to NED."""
+def axes_of(camera: Floats, position: Floats, quaternion: Floats) -> tuple[Vector, Vector, Vector, Vector]:
+    """Return eye and axes right, up, back in MuJoCo's axes for a drone's pose: NED in metres, and wxyz, FRD to NED."""
     w, x, y, z = quaternion[0], quaternion[1], -quaternion[2], -quaternion[3]
     length = math.sqrt(w * w + x * x + y * y + z * z)
     q = (w / length, x / length, y / length, z / length)
@@ -63,7 +63,13 @@ def view_of(camera: Floats, position: Floats, quaternion: Floats) -> View:
     eye = (position[0] + place[0], place[1] - position[1], place[2] - position[2])
     right = turned(q, (camera[a], camera[a + 3], camera[a + 6]))
     up = turned(q, (camera[a + 1], camera[a + 4], camera[a + 7]))
-    back = turned(q, (camera[a + 2], camera[a + 5], camera[a + 8]))
+    return eye, right, up, turned(q, (camera[a + 2], camera[a + 5], camera[a + 8]))
+
+
+@part(error_model="numpy")
+def view_of(camera: Floats, position: Floats, quaternion: Floats) -> View:
+    """Return eye and rays in MuJoCo's axes for a drone's pose, as `axes_of` takes it."""
+    eye, right, up, back = axes_of(camera, position, quaternion)
     wide, high = camera[at.HALF_WIDTH], camera[at.HALF_HEIGHT]
     none = (0.0, 0.0, 0.0)
     per_column, per_row = plus(none, right, 2.0 * wide / at.COLUMNS), plus(none, up, -2.0 * high / at.ROWS)

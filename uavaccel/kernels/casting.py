@@ -1,0 +1,487 @@
+"""Rays through a scene: what they meet first, and pictures made of them; all arithmetic is float32.
+
+A ray is followed from cell to cell of the scene's grid, and meets shapes exactly: no shape is made of faces. Distances
+along it are taken from the point nearest to a shape's centre or axis, where float32 loses least. As for MuJoCo's rays,
+the inside of a shape is visible from within, and planes are seen from above only.
+
+The functions take and return scalars or tuples, allocate nothing and raise nothing.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from uavaccel.kernels import scene as at
+from uavaccel.kernels.faces import axes_of
+from uavaccel.kernels.fields import AMBIENT, BOX, CYLINDER, DIFFUSE, FAR_M, HALF_HEIGHT, HALF_WIDTH, PLANE, TOWARDS
+from uavaccel.kernels.scene import Scene, Shape
+from uavaccel.sim.parts import part
+
+Float: TypeAlias = Any
+Vector: TypeAlias = tuple[Float, Float, Float]
+Span: TypeAlias = tuple[Float, Float]
+
+ZERO, HALF, ONE, TWO = (np.float32(number) for number in (0.0, 0.5, 1.0, 2.0))
+HUGE, TINY = np.float32(1e30), np.float32(1e-12)
+WIDER = np.float32(1.00001)  # of bounding spheres, for rounding
+CORNER = np.float32(1e-6)  # by which neighbouring triangles overlap, relative to their sides
+NOTHING, NONE = -1, (ZERO, ZERO, ZERO)
+
+
+@part(error_model="numpy")
+def dot(a: Vector, b: Vector) -> Float:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@part(error_model="numpy")
+def along(origin: Vector, direction: Vector, distance: Float) -> Vector:
+    """Return the point at a distance along a ray."""
+    x, y, z = origin
+    return x + distance * direction[0], y + distance * direction[1], z + distance * direction[2]
+
+
+@part(error_model="numpy")
+def cross(a: Vector, b: Vector) -> Vector:
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@part(error_model="numpy")
+def triple(shape: Shape, field: int) -> Vector:
+    """Return three fields of a shape from `field` on."""
+    return shape[field], shape[field + 1], shape[field + 2]
+
+
+@part(error_model="numpy")
+def into(shape: Shape, v: Vector) -> Vector:
+    """Turn a vector of the world into a shape's axes."""
+    a = at.AXES
+    return (
+        shape[a] * v[0] + shape[a + 3] * v[1] + shape[a + 6] * v[2],
+        shape[a + 1] * v[0] + shape[a + 4] * v[1] + shape[a + 7] * v[2],
+        shape[a + 2] * v[0] + shape[a + 5] * v[1] + shape[a + 8] * v[2],
+    )
+
+
+@part(error_model="numpy")
+def out_of(shape: Shape, v: Vector) -> Vector:
+    """Turn a vector from a shape's axes into the world's."""
+    return (
+        dot(triple(shape, at.AXES), v),
+        dot(triple(shape, at.AXES + 3), v),
+        dot(triple(shape, at.AXES + 6), v),
+    )
+
+
+@part(error_model="numpy")
+def reciprocal(number: Float) -> Float:
+    """Return 1 / number, and something finite for 0."""
+    return ONE / (number if abs(number) > TINY else TINY)
+
+
+@part(error_model="numpy")
+def common(a: Span, b: Span) -> Span:
+    """Return the overlap of two ranges; its end comes before its beginning if there is none."""
+    return max(a[0], b[0]), min(a[1], b[1])
+
+
+@part(error_model="numpy")
+def slab(place: Float, direction: Float, half: Float) -> Span:
+    """Return the range in which place + t * direction is within [-half, half]."""
+    back = reciprocal(direction)
+    near, far = (-half - place) * back, (half - place) * back
+    return min(near, far), max(near, far)
+
+
+@part(error_model="numpy")
+def in_tube(x: Float, y: Float, u: Float, v: Float, radius: Float) -> Span:
+    """Return the range in which (x, y) + t * (u, v) is within a radius."""
+    speed = u * u + v * v
+    middle = -(x * u + y * v) / max(speed, TINY)
+    x, y = x + middle * u, y + middle * v
+    inside = radius * radius - x * x - y * y
+    if inside < ZERO:
+        return HUGE, -HUGE
+    half = math.sqrt(inside / max(speed, TINY))
+    return middle - half, middle + half
+
+
+@part(error_model="numpy")
+def in_ball(p: Vector, d: Vector, radius: Float) -> Span:
+    """Return the range in which a ray, whose direction has any length, is within a radius around 0."""
+    speed = dot(d, d)
+    middle = -dot(p, d) / max(speed, TINY)
+    nearest = along(p, d, middle)
+    inside = radius * radius - dot(nearest, nearest)
+    if inside < ZERO:
+        return HUGE, -HUGE
+    half = math.sqrt(inside / max(speed, TINY))
+    return middle - half, middle + half
+
+
+@part(error_model="numpy")
+def in_box(p: Vector, d: Vector, half: Vector) -> Span:
+    """Return the range in which a ray is within a box around 0."""
+    return common(common(slab(p[0], d[0], half[0]), slab(p[1], d[1], half[1])), slab(p[2], d[2], half[2]))
+
+
+@part(error_model="numpy")
+def in_capsule(p: Vector, d: Vector, radius: Float, half: Float) -> Span:
+    """Return the range in which a ray is within a capsule around 0."""
+    near, far = in_ball((p[0], p[1], p[2] - half), d, radius)
+    if half > ZERO:
+        low, lower = in_ball((p[0], p[1], p[2] + half), d, radius)
+        side, beyond = common(in_tube(p[0], p[1], d[0], d[1], radius), slab(p[2], d[2], half))
+        near, far = min(near, low), max(far, lower)
+        if side <= beyond:
+            near, far = min(near, side), max(far, beyond)
+    return near, far
+
+
+@part(error_model="numpy")
+def within(shape: Shape, kind: int, p: Vector, d: Vector) -> Span:
+    """Return the range in which a ray, in a shape's axes, is within it; for shapes with an inside."""
+    half = triple(shape, at.HALF)
+    if kind == CYLINDER:
+        return common(in_tube(p[0], p[1], d[0], d[1], half[0]), slab(p[2], d[2], half[2]))
+    if kind == at.CAPSULE:
+        return in_capsule(p, d, half[0], half[2])
+    if kind == at.ELLIPSOID:
+        x, y, z = ONE / half[0], ONE / half[1], ONE / half[2]
+        return in_ball((p[0] * x, p[1] * y, p[2] * z), (d[0] * x, d[1] * y, d[2] * z), ONE)
+    return in_box(p, d, half)
+
+
+@part(error_model="numpy")
+def meet_triangle(p: Vector, d: Vector, corner: Vector, one: Vector, two: Vector) -> Float:
+    """Return where a ray meets a triangle from either side, HUGE for nowhere (Moeller and Trumbore)."""
+    across = cross(d, two)
+    back = reciprocal(dot(one, across))
+    from_corner = p[0] - corner[0], p[1] - corner[1], p[2] - corner[2]
+    u = dot(from_corner, across) * back
+    turned = cross(from_corner, one)
+    v = dot(d, turned) * back
+    if u < -CORNER or v < -CORNER or u + v > ONE + CORNER:
+        return HUGE
+    return dot(two, turned) * back
+
+
+@part(error_model="numpy")
+def meet_plane(shape: Shape, origin: Vector, direction: Vector) -> Float:
+    """Return where a ray meets a plane from above, HUGE for nowhere."""
+    centre = triple(shape, at.CENTRE)
+    p = into(shape, (origin[0] - centre[0], origin[1] - centre[1], origin[2] - centre[2]))
+    d = into(shape, direction)
+    if d[2] >= ZERO or p[2] < ZERO:
+        return HUGE
+    distance, half = -p[2] / d[2], triple(shape, at.HALF)
+    x, y, _ = along(p, d, distance)
+    seen = (half[0] <= ZERO or abs(x) <= half[0]) and (half[1] <= ZERO or abs(y) <= half[1])
+    return distance if seen else HUGE
+
+
+@part(error_model="numpy")
+def height_of(scene: Scene, shape: Shape, column: int, row: int) -> Float:
+    return scene.heights[int(shape[at.DATA]) + row * int(shape[at.COUNT]) + column]
+
+
+@part(error_model="numpy")
+def steps_of(shape: Shape) -> Span:
+    """Return the distances between a height field's columns and rows."""
+    columns, rows = shape[at.COUNT] - ONE, shape[at.LINES] - ONE
+    return TWO * shape[at.HALF] / columns, TWO * shape[at.HALF + 1] / rows
+
+
+@part(error_model="numpy")
+def corner_of(scene: Scene, shape: Shape, column: int, row: int, p: Vector) -> Vector:
+    """Return a point of a height field from p, in its axes."""
+    wide, high = steps_of(shape)
+    x, y = np.float32(column) * wide - shape[at.HALF], np.float32(row) * high - shape[at.HALF + 1]
+    return x - p[0], y - p[1], height_of(scene, shape, column, row) - p[2]
+
+
+@part(error_model="numpy")
+def minus(a: Vector, b: Vector) -> Vector:
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+
+
+@part(error_model="numpy")
+def meet_cell(scene: Scene, shape: Shape, column: int, row: int, p: Vector, d: Vector) -> Float:
+    """Return where a ray meets the two triangles of a height field's cell."""
+    corner, far = corner_of(scene, shape, column, row, p), corner_of(scene, shape, column + 1, row + 1, p)
+    right, up = corner_of(scene, shape, column + 1, row, p), corner_of(scene, shape, column, row + 1, p)
+    one, two, three = minus(far, corner), minus(right, corner), minus(up, corner)
+    below = meet_triangle(NONE, d, corner, one, two)
+    above = meet_triangle(NONE, d, corner, one, three)
+    below, above = below if below >= -CORNER else HUGE, above if above >= -CORNER else HUGE
+    return min(below, above)
+
+
+@part(error_model="numpy")
+def cell_at(place: Float, step: Float, count: int) -> int:
+    return min(max(int(math.floor(place / step)), 0), count - 1)
+
+
+@part(error_model="numpy")
+def height_at(scene: Scene, shape: Shape, x: Float, y: Float) -> Float:
+    """Return the height of a field at a place in its axes."""
+    wide, high = steps_of(shape)
+    x, y = x + shape[at.HALF], y + shape[at.HALF + 1]
+    column, row = cell_at(x, wide, int(shape[at.COUNT]) - 1), cell_at(y, high, int(shape[at.LINES]) - 1)
+    u, v = x / wide - np.float32(column), y / high - np.float32(row)
+    corner, far = height_of(scene, shape, column, row), height_of(scene, shape, column + 1, row + 1)
+    if u > v:
+        right = height_of(scene, shape, column + 1, row)
+        return corner + u * (right - corner) + v * (far - right)
+    up = height_of(scene, shape, column, row + 1)
+    return corner + v * (up - corner) + u * (far - up)
+
+
+@part(inline=False, error_model="numpy")
+def meet_heights(scene: Scene, shape: Shape, origin: Vector, direction: Vector, best: Float) -> Float:
+    """Return where a ray meets a height field, its sides or its base; `best` if that is not before."""
+    p, d = into(shape, minus(origin, triple(shape, at.CENTRE))), into(shape, direction)
+    half_x, half_y, top, base = shape[at.HALF], shape[at.HALF + 1], shape[at.HALF + 2], shape[at.BASE]
+    middle = HALF * (top - base)
+    near, far = in_box((p[0], p[1], p[2] - middle), d, (half_x, half_y, HALF * (top + base)))
+    if far < near or far < ZERO or near >= best:
+        return best
+    wide, high = steps_of(shape)
+    columns, rows = int(shape[at.COUNT]) - 1, int(shape[at.LINES]) - 1
+    near = max(near, ZERO)
+    x, y, z = along(p, d, near)
+    if near > ZERO and z <= height_at(scene, shape, x, y):
+        return near
+    column, row = cell_at(x + half_x, wide, columns), cell_at(y + half_y, high, rows)
+    back_x, back_y = reciprocal(d[0]), reciprocal(d[1])
+    way_x, way_y = 1 if d[0] > ZERO else -1, 1 if d[1] > ZERO else -1
+    to_x = (np.float32(column + (way_x > 0)) * wide - half_x - p[0]) * back_x
+    to_y = (np.float32(row + (way_y > 0)) * high - half_y - p[1]) * back_y
+    enter = near
+    while 0 <= column < columns and 0 <= row < rows and enter <= far and enter < best:
+        found = enter + meet_cell(scene, shape, column, row, along(p, d, enter), d)
+        if found < best:
+            return max(found, ZERO)
+        if to_x < to_y:
+            enter, to_x, column = to_x, to_x + abs(wide * back_x), column + way_x
+        else:
+            enter, to_y, row = to_y, to_y + abs(high * back_y), row + way_y
+    return best
+
+
+@part(error_model="numpy")
+def meet(scene: Scene, world: int, item: int, origin: Vector, direction: Vector, best: Float) -> Float:
+    """Return the distance at which a ray of unit direction meets a shape; `best` if that is not before."""
+    shape = scene.shapes[world, item]
+    kind, bound = int(shape[at.KIND]), shape[at.BOUND]
+    if kind == PLANE:
+        return min(meet_plane(shape, origin, direction), best)
+    if kind == at.HEIGHTS:
+        return meet_heights(scene, shape, origin, direction, best)
+    centre = triple(shape, at.CENTRE)
+    away = minus(centre, origin)
+    middle = dot(away, direction)
+    p = along((-away[0], -away[1], -away[2]), direction, middle)
+    if dot(p, p) > bound * bound * WIDER or middle - bound >= best or middle + bound < ZERO:
+        return best
+    if kind == at.TRIANGLE:
+        corner, one, two = triple(shape, at.AXES), triple(shape, at.AXES + 3), triple(shape, at.AXES + 6)
+        found = middle + meet_triangle(p, direction, corner, one, two)
+        return found if ZERO <= found < best else best
+    near, far = within(shape, kind, into(shape, p), into(shape, direction))
+    if near > far:
+        return best
+    found = middle + near
+    if found < ZERO:
+        found = middle + far
+    return found if ZERO <= found < best else best
+
+
+@part(error_model="numpy")
+def outwards(shape: Shape, kind: int, p: Vector) -> Vector:
+    """Return the normal, of any length, at a point of a shape's surface, both in its axes."""
+    half = triple(shape, at.HALF)
+    if kind == at.ELLIPSOID:
+        return p[0] / (half[0] * half[0]), p[1] / (half[1] * half[1]), p[2] / (half[2] * half[2])
+    if kind == at.CAPSULE:
+        return p[0], p[1], p[2] - min(max(p[2], -half[2]), half[2])
+    if kind == CYLINDER:
+        round_ = math.sqrt(p[0] * p[0] + p[1] * p[1])
+        if half[0] - round_ < half[2] - abs(p[2]):
+            return p[0], p[1], ZERO
+        return ZERO, ZERO, p[2]
+    x, y, z = half[0] - abs(p[0]), half[1] - abs(p[1]), half[2] - abs(p[2])
+    if x < y and x < z:
+        return p[0], ZERO, ZERO
+    return (ZERO, p[1], ZERO) if y < z else (ZERO, ZERO, p[2])
+
+
+@part(error_model="numpy")
+def slope(scene: Scene, shape: Shape, p: Vector) -> Vector:
+    """Return the normal, of any length, at a point of a height field."""
+    wide, high = steps_of(shape)
+    x, y = p[0] + shape[at.HALF], p[1] + shape[at.HALF + 1]
+    column, row = cell_at(x, wide, int(shape[at.COUNT]) - 1), cell_at(y, high, int(shape[at.LINES]) - 1)
+    below = height_at(scene, shape, p[0], p[1]) - p[2]
+    to_x, to_y = shape[at.HALF] - abs(p[0]), shape[at.HALF + 1] - abs(p[1])
+    if below > max(min(to_x, to_y), ZERO):
+        if p[2] + shape[at.BASE] < min(to_x, to_y):
+            return ZERO, ZERO, -ONE
+        return (p[0], ZERO, ZERO) if to_x < to_y else (ZERO, p[1], ZERO)
+    u, v = x / wide - np.float32(column), y / high - np.float32(row)
+    corner, far = height_of(scene, shape, column, row), height_of(scene, shape, column + 1, row + 1)
+    if u > v:
+        right = height_of(scene, shape, column + 1, row)
+        return (corner - right) / wide, (right - far) / high, ONE
+    up = height_of(scene, shape, column, row + 1)
+    return (up - far) / wide, (corner - up) / high, ONE
+
+
+@part(inline=False, error_model="numpy")
+def normal_at(scene: Scene, world: int, item: int, point: Vector, direction: Vector) -> Vector:
+    """Return the unit normal at a point of a shape, on the side from which a ray comes."""
+    shape = scene.shapes[world, item]
+    kind = int(shape[at.KIND])
+    if kind == at.TRIANGLE:
+        normal = cross(triple(shape, at.AXES + 3), triple(shape, at.AXES + 6))
+    else:
+        p, normal = into(shape, minus(point, triple(shape, at.CENTRE))), (ZERO, ZERO, ONE)
+        if kind == at.HEIGHTS:
+            normal = slope(scene, shape, p)
+        elif kind != PLANE:
+            normal = outwards(shape, kind, p)
+        normal = out_of(shape, normal)
+    scale = ONE / math.sqrt(max(dot(normal, normal), TINY))
+    if dot(normal, direction) > ZERO:
+        scale = -scale
+    return normal[0] * scale, normal[1] * scale, normal[2] * scale
+
+
+@part(error_model="numpy")
+def walk(scene: Scene, world: int, origin: Vector, direction: Vector, best: Float, item: int) -> tuple[Float, int]:
+    """Return distance and item of what a ray meets first in the cells of the grid; `best`, `item` if nothing before."""
+    frame = scene.frame[world]
+    left, low, cell, bottom, top = frame[at.LEFT], frame[at.LOW], frame[at.CELL], frame[at.BOTTOM], frame[at.TOP]
+    columns, rows = int(frame[at.COLUMNS]), int(frame[at.ROWS])
+    half = HALF * cell * np.float32(columns), HALF * cell * np.float32(rows), HALF * (top - bottom)
+    p = origin[0] - left - half[0], origin[1] - low - half[1], origin[2] - bottom - half[2]
+    enter, leave = in_box(p, direction, half)
+    enter = max(enter, ZERO)
+    if enter > leave or enter >= best:
+        return best, item
+    x, y, _ = along(p, direction, enter)
+    column, row = cell_at(x + half[0], cell, columns), cell_at(y + half[1], cell, rows)
+    back_x, back_y = reciprocal(direction[0]), reciprocal(direction[1])
+    way_x, way_y = 1 if direction[0] > ZERO else -1, 1 if direction[1] > ZERO else -1
+    to_x = (np.float32(column + (way_x > 0)) * cell - half[0] - p[0]) * back_x
+    to_y = (np.float32(row + (way_y > 0)) * cell - half[1] - p[1]) * back_y
+    more_x, more_y = abs(cell * back_x), abs(cell * back_y)
+    while 0 <= column < columns and 0 <= row < rows and enter < best and enter <= leave:
+        place = row * columns + column
+        for entry in range(scene.start[world, place], scene.start[world, place + 1]):
+            found = scene.items[world, entry]
+            distance = meet(scene, world, found, origin, direction, best)
+            if distance < best:
+                best, item = distance, found
+        if to_x < to_y:
+            enter, to_x, column = to_x, to_x + more_x, column + way_x
+        else:
+            enter, to_y, row = to_y, to_y + more_y, row + way_y
+    return best, item
+
+
+@part(error_model="numpy")
+def first_met(scene: Scene, world: int, origin: Vector, direction: Vector, far_m: Float) -> tuple[Float, int]:
+    """Return distance and item of what a ray of unit direction meets first; `far_m` and NOTHING if nothing is nearer."""
+    best, item = far_m, NOTHING
+    for loose in range(int(scene.frame[world, at.LOOSE])):
+        distance = meet(scene, world, loose, origin, direction, best)
+        if distance < best:
+            best, item = distance, loose
+    return walk(scene, world, origin, direction, best, item)
+
+
+@part(error_model="numpy")
+def cast(scene: Scene, world: int, origin: Vector, direction: Vector, far_m: Float) -> tuple[Float, int, Vector]:
+    """Do as `first_met`, and return the normal there too, on the side from which the ray comes."""
+    distance, item = first_met(scene, world, origin, direction, far_m)
+    if item == NOTHING:
+        return distance, item, NONE
+    return distance, item, normal_at(scene, world, item, along(origin, direction, distance), direction)
+
+
+@part(error_model="numpy")
+def narrow(v: tuple[float, float, float]) -> Vector:
+    return np.float32(v[0]), np.float32(v[1]), np.float32(v[2])
+
+
+@part(error_model="numpy")
+def ray_of(camera: Any, axes: Any, row: int, column: int, rows: int, columns: int) -> tuple[Vector, Float]:
+    """Return a pixel's ray, of unit length, and how many metres of depth it gains per metre."""
+    u = np.float32(camera[HALF_WIDTH]) * (np.float32(2 * column + 1) / np.float32(columns) - ONE)
+    v = np.float32(camera[HALF_HEIGHT]) * (ONE - np.float32(2 * row + 1) / np.float32(rows))
+    right, up, back = axes
+    ray = u * right[0] + v * up[0] - back[0], u * right[1] + v * up[1] - back[1], u * right[2] + v * up[2] - back[2]
+    scale = ONE / math.sqrt(ONE + u * u + v * v)
+    return (ray[0] * scale, ray[1] * scale, ray[2] * scale), scale
+
+
+@part(error_model="numpy")
+def render_depth(
+    scene: Scene,
+    world: int,
+    camera: NDArray[np.float64],
+    position: NDArray[np.float64],
+    quaternion: NDArray[np.float64],
+    picture: NDArray[np.float32],
+) -> None:
+    """Render depth (rows, columns), metres along the optical axis; the sky is at the far plane.
+
+    `camera` (16,) is that of `fields.Appearance`, for a picture of any size; the pose is the vehicle's, NED, wxyz.
+    """
+    rows, columns = picture.shape
+    eye, right, up, back = axes_of(camera, position, quaternion)
+    origin, axes, far_m = narrow(eye), (narrow(right), narrow(up), narrow(back)), np.float32(camera[FAR_M])
+    for row in range(rows):
+        for column in range(columns):
+            ray, scale = ray_of(camera, axes, row, column, rows, columns)
+            picture[row, column] = first_met(scene, world, origin, ray, far_m / scale)[0] * scale
+
+
+@part(error_model="numpy")
+def shade(scene: Scene, world: int, item: int, normal: Vector, light: Shape) -> Vector:
+    """Return red, green and blue (0 to 1) of a shape in the light (9,) of `fields.Scenes`."""
+    shape = scene.shapes[world, item]
+    facing = max(dot(normal, triple(light, TOWARDS)), ZERO)
+    return (
+        min(shape[at.RGB] * (light[AMBIENT] + light[DIFFUSE] * facing), ONE),
+        min(shape[at.RGB + 1] * (light[AMBIENT + 1] + light[DIFFUSE + 1] * facing), ONE),
+        min(shape[at.RGB + 2] * (light[AMBIENT + 2] + light[DIFFUSE + 2] * facing), ONE),
+    )
+
+
+@part(error_model="numpy")
+def render_colour(
+    scene: Scene,
+    world: int,
+    camera: NDArray[np.float64],
+    light: NDArray[np.float32],
+    sky: Vector,
+    position: NDArray[np.float64],
+    quaternion: NDArray[np.float64],
+    picture: NDArray[np.uint8],
+) -> None:
+    """Render red, green and blue (rows, columns, 3), each shape in one colour, and the sky in another (0 to 1)."""
+    rows, columns = picture.shape[:2]
+    eye, right, up, back = axes_of(camera, position, quaternion)
+    origin, axes, far_m = narrow(eye), (narrow(right), narrow(up), narrow(back)), np.float32(camera[FAR_M])
+    for row in range(rows):
+        for column in range(columns):
+            ray, scale = ray_of(camera, axes, row, column, rows, columns)
+            _, item, normal = cast(scene, world, origin, ray, far_m / scale)
+            colour = sky if item == NOTHING else shade(scene, world, item, normal, light)
+            for channel in range(3):
+                picture[row, column, channel] = np.uint8(colour[channel] * np.float32(255.0) + HALF)

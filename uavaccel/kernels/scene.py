@@ -1,0 +1,202 @@
+"""Any still scene as plain arrays: its shapes, and a grid of cells on the ground in which each shape is listed.
+
+A scene has one or more worlds, a row each. Vertices of meshes and heights of height fields are shared by all worlds.
+Metres, MuJoCo's axes. A scene to touch is of float64, with meshes as their convex hulls; one to see is of float32, with
+meshes as triangles.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple, TypeAlias
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from uavaccel.kernels.fields import BOX, CYLINDER, PLANE
+from uavaccel.sim.parts import part
+
+Vector: TypeAlias = tuple[Any, Any, Any]
+Shape: TypeAlias = NDArray[np.floating]
+
+ELLIPSOID, CAPSULE, TRIANGLE, HULL, HEIGHTS = range(3, 8)
+"""Kinds of shapes beside BOX, CYLINDER and PLANE. A sphere is a CAPSULE without length."""
+
+# A shape: a row of Scene.shapes.
+KIND, BOUND, CENTRE = 0, 1, 2  # BOUND: radius of the bounding sphere
+AXES = 5  # rotation matrix, row by row; of a TRIANGLE its first corner from the centre, and two edges
+HALF = 14  # half sizes: of a round shape radius, radius, half length; of a PLANE 0 for infinite
+RGB = 17  # 0 to 1
+DATA, COUNT, LINES, BASE = 20, 21, 22, 23  # first vertex and number of a HULL; first height, columns, rows, depth
+GEOM = 24  # the geom's index in its model
+SHAPE_FIELDS = 25
+
+# A grid: a row of Scene.frame. Shapes before LOOSE are in no cell, but always considered.
+LEFT, LOW, CELL, COLUMNS, ROWS, BOTTOM, TOP, LOOSE, SHAPES = range(9)
+FRAME_FIELDS = 9
+
+UNBOUNDED = 1e6  # BOUND of planes and height fields
+LISTING_MARGIN_M = 1e-3  # by which shapes are listed in more cells, which outweighs rounding in float32
+
+
+class Scene(NamedTuple):
+    """Worlds of still shapes."""
+
+    shapes: Any
+    """(W, n, SHAPE_FIELDS) float32 or float64."""
+    start: Any
+    """(W, cells + 1) int32: where a cell's shapes begin in `items`; row by row, from LEFT and LOW."""
+    items: Any
+    """(W, m) int32: indices of shapes."""
+    frame: Any
+    """(W, FRAME_FIELDS): of the type of the shapes."""
+    vertices: Any
+    """(v, 3): of convex hulls, from their shapes' centres."""
+    heights: Any
+    """(h,): of height fields, row by row."""
+
+
+def empty_scene(worlds: int, shapes: int, cells: int, items: int, seen: bool) -> Scene:
+    """Allocate a scene without meshes and height fields."""
+    kind = np.float32 if seen else np.float64
+    return Scene(
+        np.zeros((worlds, shapes, SHAPE_FIELDS), kind),
+        np.zeros((worlds, cells + 1), np.int32),
+        np.zeros((worlds, items), np.int32),
+        np.zeros((worlds, FRAME_FIELDS), kind),
+        np.zeros((0, 3), kind),
+        np.zeros(0, kind),
+    )
+
+
+def as_seen(scene: Scene) -> Scene:
+    """Return the same shapes to see, with the same cells; for shapes that are no meshes."""
+    kind = np.float32
+    shapes, frame = scene.shapes.astype(kind), scene.frame.astype(kind)
+    return scene._replace(
+        shapes=shapes, frame=frame, vertices=scene.vertices.astype(kind), heights=scene.heights.astype(kind)
+    )
+
+
+@part(error_model="numpy")
+def spread(shape: Shape) -> Vector:
+    """Return half the size of a shape's bounding box along the axes of the world."""
+    kind = int(shape[KIND])
+    return spread_along(shape, kind, 0), spread_along(shape, kind, 1), spread_along(shape, kind, 2)
+
+
+@part(error_model="numpy")
+def spread_along(shape: Shape, kind: int, axis: int) -> float:
+    """Return a shape's reach from its centre along an axis of the world."""
+    if kind == TRIANGLE:
+        corner = shape[AXES + axis]
+        return max(abs(corner), abs(corner + shape[AXES + 3 + axis]), abs(corner + shape[AXES + 6 + axis]))
+    x, y, z = shape[AXES + 3 * axis], shape[AXES + 3 * axis + 1], shape[AXES + 3 * axis + 2]
+    if kind == ELLIPSOID:
+        return math.sqrt((x * shape[HALF]) ** 2 + (y * shape[HALF + 1]) ** 2 + (z * shape[HALF + 2]) ** 2)
+    if kind == CYLINDER:
+        return abs(z) * shape[HALF + 2] + math.sqrt(max(x * x + y * y, 0.0)) * shape[HALF]
+    if kind == CAPSULE:
+        return abs(z) * shape[HALF + 2] + shape[HALF]
+    return abs(x) * shape[HALF] + abs(y) * shape[HALF + 1] + abs(z) * shape[HALF + 2]
+
+
+@part(error_model="numpy")
+def beside(shape: Shape, x: float, y: float, half: float) -> bool:
+    """Return whether one of a shape's axes, seen from above, separates it from a square around (x, y)."""
+    if int(shape[KIND]) == TRIANGLE:
+        return False
+    for axis in range(3):
+        u, v = shape[AXES + axis], shape[AXES + 3 + axis]
+        reach = half * (abs(u) + abs(v))
+        for other in range(3):
+            along = u * shape[AXES + other] + v * shape[AXES + 3 + other]
+            wide = shape[HALF] if int(shape[KIND]) == CAPSULE and other == 2 else 0.0
+            reach += abs(along) * (shape[HALF + other] + wide)
+        if abs(u * (x - shape[CENTRE]) + v * (y - shape[CENTRE + 1])) > reach:
+            return True
+    return False
+
+
+@part(error_model="numpy")
+def cell_range(centre: float, reach: float, first: float, cell: float, count: int) -> tuple[int, int]:
+    """Return the first cell that an interval meets, and the one after the last."""
+    low, high = math.floor((centre - reach - first) / cell), math.floor((centre + reach - first) / cell)
+    return max(int(low), 0), min(int(high) + 1, count)
+
+
+@part(inline=False, error_model="numpy")
+def visit(scene: Scene, world: int, shape: int, place: bool) -> int:
+    """Count a shape in the cells that it meets, or with `place` list it there; return their number."""
+    frame, row, start = scene.frame[world], scene.shapes[world, shape], scene.start[world]
+    columns, rows, cell = int(frame[COLUMNS]), int(frame[ROWS]), frame[CELL]
+    wide, high, _ = spread(row)
+    first_x, last_x = cell_range(row[CENTRE], wide + LISTING_MARGIN_M, frame[LEFT], cell, columns)
+    first_y, last_y = cell_range(row[CENTRE + 1], high + LISTING_MARGIN_M, frame[LOW], cell, rows)
+    half, found = 0.5 * cell + LISTING_MARGIN_M, 0
+    for y in range(first_y, last_y):
+        for x in range(first_x, last_x):
+            if beside(row, frame[LEFT] + (x + 0.5) * cell, frame[LOW] + (y + 0.5) * cell, half):
+                continue
+            found += 1
+            if not place:
+                start[y * columns + x] += 1
+            elif start[y * columns + x] > 0:
+                start[y * columns + x] -= 1
+                scene.items[world, start[y * columns + x]] = shape
+    return found
+
+
+@part(error_model="numpy")
+def list_shapes(scene: Scene, world: int) -> int:
+    """List the shapes of a world in its cells, as `frame` lays these out, and return the number of entries needed.
+
+    Where that is more than `items` has room for, the cells are left empty.
+    """
+    frame, start = scene.frame[world], scene.start[world]
+    cells, loose, shapes = int(frame[COLUMNS]) * int(frame[ROWS]), int(frame[LOOSE]), int(frame[SHAPES])
+    for cell in range(len(start)):
+        start[cell] = 0
+    needed = 0
+    for shape in range(loose, shapes):
+        needed += visit(scene, world, shape, False)
+    fits = needed <= scene.items.shape[1]
+    before = 0
+    for cell in range(cells):
+        before = before + start[cell] if fits else 0
+        start[cell] = before
+    for cell in range(cells, len(start)):
+        start[cell] = before
+    if fits:
+        for shape in range(shapes - 1, loose - 1, -1):
+            visit(scene, world, shape, True)
+    return needed
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _list_world(scene, world):  # type: ignore[no-untyped-def]
+    return list_shapes(scene, world)
+
+
+def list_world(scene: Scene, world: int) -> int:
+    """Do as `list_shapes`, called from Python."""
+    return int(_list_world(scene, world))
+
+
+__all__ = [
+    "AXES",
+    "BOX",
+    "CAPSULE",
+    "CYLINDER",
+    "ELLIPSOID",
+    "HEIGHTS",
+    "HULL",
+    "PLANE",
+    "TRIANGLE",
+    "Scene",
+    "as_seen",
+    "empty_scene",
+    "list_shapes",
+    "list_world",
+]

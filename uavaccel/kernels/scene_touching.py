@@ -1,0 +1,215 @@
+"""Collision test of a vehicle's hull with the shapes of any still scene, and a bound on the distance to them.
+
+As in `kernels.touching`, which does the same for what is upright in a lane, and calls these functions for a scene.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from uavaccel.kernels import scene as at
+from uavaccel.kernels.fields import CYLINDER, PLANE
+from uavaccel.kernels.gjk import NO_CELL, TOUCHING_M, Hull, Vector, distance, dot
+from uavaccel.kernels.scene import Scene, Shape
+from uavaccel.sim.parts import part
+
+NOTHING = -1
+RINGS = 4  # of cells around the vehicle, in which the nearest shape is searched
+WINDOW = 3  # cells of a height field in each direction
+FOUND = 0.02  # metres by which a hull shrinks, to find which of several shapes it is in most deeply
+
+
+@part(error_model="numpy")
+def into(shape: Shape, x: float, y: float, z: float) -> Vector:
+    """Turn a vector of the world into a shape's axes."""
+    a = at.AXES
+    return (
+        shape[a] * x + shape[a + 3] * y + shape[a + 6] * z,
+        shape[a + 1] * x + shape[a + 4] * y + shape[a + 7] * z,
+        shape[a + 2] * x + shape[a + 5] * y + shape[a + 8] * z,
+    )
+
+
+@part(error_model="numpy")
+def seen_from(shape: Shape, place: Any) -> Vector:
+    """Return a place in a shape's axes, from its centre."""
+    c = at.CENTRE
+    return into(shape, place[0] - shape[c], place[1] - shape[c + 1], place[2] - shape[c + 2])
+
+
+@part(error_model="numpy")
+def reach_beyond(p: float, half: float) -> float:
+    return max(abs(p) - half, 0.0)
+
+
+@part(inline=False, error_model="numpy")
+def above_ground(scene: Scene, shape: Shape, p: Vector) -> float:
+    """Return a lower bound of the distance from a point to a height field: from its heights nearby."""
+    columns, lines = int(shape[at.COUNT]), int(shape[at.LINES])
+    wide, high = 2.0 * shape[at.HALF] / (columns - 1), 2.0 * shape[at.HALF + 1] / (lines - 1)
+    beside, across = reach_beyond(p[0], shape[at.HALF]), reach_beyond(p[1], shape[at.HALF + 1])
+    middle = 0.5 * (shape[at.HALF + 2] - shape[at.BASE])
+    lift = reach_beyond(p[2] - middle, 0.5 * (shape[at.HALF + 2] + shape[at.BASE]))
+    boxed = math.sqrt(beside * beside + across * across + lift * lift)
+    if boxed > WINDOW * min(wide, high):
+        return boxed
+    u, v = int(math.floor((p[0] + shape[at.HALF]) / wide)), int(math.floor((p[1] + shape[at.HALF + 1]) / high))
+    top, first = -shape[at.BASE], int(shape[at.DATA])
+    for row in range(max(v - WINDOW, 0), min(v + WINDOW + 2, lines)):
+        for column in range(max(u - WINDOW, 0), min(u + WINDOW + 2, columns)):
+            top = max(top, scene.heights[first + row * columns + column])
+    return max(boxed, min(max(p[2] - top, -p[2] - shape[at.BASE]), WINDOW * min(wide, high)))
+
+
+@part(error_model="numpy")
+def distance_lower_bound(scene: Scene, shape: Shape, place: Any) -> float:
+    """Return a lower bound of the distance from a point to a shape; 0 or less inside."""
+    kind, p = int(shape[at.KIND]), seen_from(shape, place)
+    if kind == PLANE:
+        return p[2]
+    if kind == at.HEIGHTS:
+        return above_ground(scene, shape, p)
+    x, y, z = shape[at.HALF], shape[at.HALF + 1], shape[at.HALF + 2]
+    above = reach_beyond(p[2], z)
+    if kind == CYLINDER or kind == at.CAPSULE:
+        aside = math.sqrt(p[0] * p[0] + p[1] * p[1])
+        if kind == at.CAPSULE:
+            return math.sqrt(aside * aside + above * above) - x
+        aside = max(aside - x, 0.0)
+        return math.sqrt(aside * aside + above * above)
+    beside, across = reach_beyond(p[0], x), reach_beyond(p[1], y)
+    boxed = math.sqrt(beside * beside + across * across + above * above)
+    if kind == at.ELLIPSOID:
+        scaled = math.sqrt((p[0] / x) ** 2 + (p[1] / y) ** 2 + (p[2] / z) ** 2)
+        return max(boxed, (scaled - 1.0) * min(x, y, z))
+    return max(boxed, math.sqrt(dot(p, p)) - shape[at.BOUND])
+
+
+@part(error_model="numpy")
+def nearest_in_cell(scene: Scene, world: int, column: int, row: int, place: Any, share: tuple[int, int]) -> float:
+    """Return a lower bound of the distance from a point to the shapes of a cell."""
+    frame, best = scene.frame[world], math.inf
+    if 0 <= column < int(frame[at.COLUMNS]) and 0 <= row < int(frame[at.ROWS]):
+        cell, (mine, threads) = row * int(frame[at.COLUMNS]) + column, share
+        for entry in range(scene.start[world, cell] + mine, scene.start[world, cell + 1], threads):
+            shape = scene.shapes[world, scene.items[world, entry]]
+            best = min(best, distance_lower_bound(scene, shape, place))
+    return best
+
+
+@part(inline=False, error_model="numpy")
+def nearest_shape(scene: Scene, world: int, place: Any, share: tuple[int, int]) -> float:
+    """Return a lower bound of the distance from a point to a thread's `share` of the shapes of a world."""
+    frame, (mine, threads) = scene.frame[world], share
+    best = math.inf
+    for loose in range(mine, int(frame[at.LOOSE]), threads):
+        best = min(best, distance_lower_bound(scene, scene.shapes[world, loose], place))
+    cell = frame[at.CELL]
+    x, y = (place[0] - frame[at.LEFT]) / cell, (place[1] - frame[at.LOW]) / cell
+    column, row = int(math.floor(x)), int(math.floor(y))
+    u, v = x - column, y - row
+    edge = cell * min(u, v, 1.0 - u, 1.0 - v)
+    for ring in range(RINGS):
+        for up in range(-ring, ring + 1):
+            whole = up == -ring or up == ring
+            for right in range(-ring, ring + 1, 1 if whole else max(2 * ring, 1)):
+                best = min(best, nearest_in_cell(scene, world, column + right, row + up, place, share))
+        clear = edge + ring * cell
+        if best <= clear:
+            return best
+    return min(best, edge + (RINGS - 1) * cell)
+
+
+@part(error_model="numpy")
+def hull_of(shape: Shape, place: Any, radius_m: float, half_m: float) -> Hull:
+    """Return a hull at a pose (7,) in a shape's axes."""
+    w, i, j, k = place[3], place[4], place[5], place[6]
+    ax, ay, az = 2 * (i * k + w * j), 2 * (j * k - w * i), w * w - i * i - j * j + k * k
+    return seen_from(shape, place), into(shape, ax, ay, az), radius_m, half_m
+
+
+@part(error_model="numpy")
+def reach_of(hull: Hull, axis: int) -> float:
+    """Return a hull's reach from its centre along an axis of the shape."""
+    tilt = hull[1][axis]
+    return hull[2] * math.sqrt(max(1.0 - tilt * tilt, 0.0)) + hull[3] * abs(tilt)
+
+
+@part(inline=False, error_model="numpy")
+def over_ground(scene: Scene, shape: Shape, hull: Hull, near_m: float, far_m: float) -> float:
+    """Return the distance between a hull and a height field, as `gjk.distance` does."""
+    columns, lines = int(shape[at.COUNT]), int(shape[at.LINES])
+    (x, y, z), best = hull[0], math.inf
+    wide, high = 2.0 * shape[at.HALF] / (columns - 1), 2.0 * shape[at.HALF + 1] / (lines - 1)
+    reach_x, reach_y, reach_z = reach_of(hull, 0), reach_of(hull, 1), reach_of(hull, 2)
+    first_x, last_x = at.cell_range(x, reach_x, -shape[at.HALF], wide, columns - 1)
+    first_y, last_y = at.cell_range(y, reach_y, -shape[at.HALF + 1], high, lines - 1)
+    if z + reach_z < -shape[at.BASE]:
+        return best
+    for row in range(first_y, last_y):
+        for column in range(first_x, last_x):
+            first = int(shape[at.DATA]) + row * columns + column
+            top = max(scene.heights[first], scene.heights[first + columns + 1])
+            top = max(top, scene.heights[first + 1], scene.heights[first + columns])
+            if z - reach_z > top:
+                continue
+            cell = 2 * (row * (columns - 1) + column)
+            best = min(best, distance(scene, shape, cell, hull, near_m, far_m))
+            best = min(best, distance(scene, shape, cell + 1, hull, near_m, far_m))
+    return best
+
+
+@part(error_model="numpy")
+def gap(scene: Scene, shape: Shape, hull: Hull, near_m: float, far_m: float) -> float:
+    """Return the distance between a hull and a shape, 0 or less if they meet, as `gjk.distance` does."""
+    kind = int(shape[at.KIND])
+    if kind == PLANE:
+        return hull[0][2] - reach_of(hull, 2)
+    if kind == at.HEIGHTS:
+        return over_ground(scene, shape, hull, near_m, far_m)
+    core = shape[at.HALF] if kind == at.CAPSULE else 0.0
+    return distance(scene, shape, NO_CELL, hull, near_m + core, far_m + core) - core
+
+
+@part(inline=False, error_model="numpy")
+def depth_in(scene: Scene, shape: Shape, place: Any, radius_m: float, half_m: float) -> float:
+    """Return a negative number if a hull at a pose (7,) meets a shape, the lower the deeper, else inf."""
+    hull = hull_of(shape, place, radius_m, half_m)
+    x, y, z = hull[0]
+    reach_m = math.sqrt(radius_m * radius_m + half_m * half_m) + shape[at.BOUND]
+    if x * x + y * y + z * z > reach_m * reach_m or gap(scene, shape, hull, TOUCHING_M, 0.0) > TOUCHING_M:
+        return math.inf
+    less_m = min(FOUND, 0.5 * half_m, 0.5 * radius_m)
+    small = hull[0], hull[1], radius_m - less_m, half_m - less_m
+    return min(gap(scene, shape, small, 0.0, math.inf) - 2.0 * less_m, -TOUCHING_M)
+
+
+@part(inline=False, error_model="numpy")
+def deepest_shape(
+    scene: Scene, world: int, place: Any, radius_m: float, half_m: float, share: tuple[int, int]
+) -> tuple[int, float]:
+    """Return that of a thread's `share` of shapes which a hull at a pose (7,) is in most deeply, and how deep.
+
+    It is NOTHING, and 0, if there is none.
+    """
+    frame, (mine, threads) = scene.frame[world], share
+    found, deepest, reach_m = NOTHING, 0.0, math.sqrt(radius_m * radius_m + half_m * half_m)
+    for loose in range(mine, int(frame[at.LOOSE]), threads):
+        depth = depth_in(scene, scene.shapes[world, loose], place, radius_m, half_m)
+        if depth < deepest:
+            found, deepest = loose, depth
+    columns, rows = int(frame[at.COLUMNS]), int(frame[at.ROWS])
+    first_x, last_x = at.cell_range(place[0], reach_m, frame[at.LEFT], frame[at.CELL], columns)
+    first_y, last_y = at.cell_range(place[1], reach_m, frame[at.LOW], frame[at.CELL], rows)
+    for row in range(first_y, last_y):
+        for column in range(first_x, last_x):
+            cell = row * columns + column
+            for entry in range(scene.start[world, cell] + mine, scene.start[world, cell + 1], threads):
+                item = scene.items[world, entry]
+                depth = depth_in(scene, scene.shapes[world, item], place, radius_m, half_m)
+                if depth < deepest:
+                    found, deepest = item, depth
+    return found, deepest
+
+
