@@ -25,8 +25,8 @@ from uavaccel.envs.values import Course
 from uavaccel.kernels import cuda as kernels
 from uavaccel.kernels import lane_games, lanes
 from uavaccel.kernels.fields import NO_APPEARANCE
-from uavaccel.kernels.pcg64 import stream_of
 from uavaccel.sim.lane.layout import WIDTH_M, lane_seed
+from uavaccel.sim.pcg64 import stream_of
 from uavaccel.sim.state import State
 
 AHEAD = 4  # games per lane: the one being flown, and those sampled ahead

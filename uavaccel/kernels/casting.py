@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from uavaccel.kernels import scene as at
 from uavaccel.kernels.faces import axes_of
-from uavaccel.kernels.fields import AMBIENT, BOX, CYLINDER, DIFFUSE, FAR_M, HALF_HEIGHT, HALF_WIDTH, PLANE, TOWARDS
+from uavaccel.kernels.fields import AMBIENT, CYLINDER, DIFFUSE, FAR_M, HALF_HEIGHT, HALF_WIDTH, PLANE, TOWARDS
 from uavaccel.kernels.scene import Scene, Shape
 from uavaccel.sim.parts import part
 

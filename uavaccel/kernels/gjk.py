@@ -8,7 +8,7 @@ searched by simplices of up to four of these points. The search ends as soon as 
 from __future__ import annotations
 
 import math
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 from uavaccel.kernels import scene as at
 from uavaccel.kernels.fields import BOX, CYLINDER

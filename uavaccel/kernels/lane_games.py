@@ -1,7 +1,7 @@
 """Games of the obstacle lane sampled as arithmetic, in loops on the CPU or by CUDA kernels: no Python a game.
 
 Numbers are drawn in the order in which the environment and sim/lane/layout draw them, from NumPy's own streams
-(kernels/pcg64), so that a game is the one that the exact simulator flies. Only what differs from game to game is
+(sim/pcg64), so that a game is the one that the exact simulator flies. Only what differs from game to game is
 written; the rest of a row is that of any game of the task.
 """
 
@@ -15,10 +15,10 @@ import numpy as np
 from uavaccel.kernels import fields as at
 from uavaccel.kernels.lanes import EVENT_SEED, PICTURE_SEED, Games
 from uavaccel.kernels.operands import Operand
-from uavaccel.kernels.pcg64 import ONE, STREAM_FIELDS, below, first_word, pool_of, spawned, start, unit, word
 from uavaccel.sim.lane.layout import EVALUATION_SEEDS, WIDTH_M
 from uavaccel.sim.lane.scene import AMBIENT, DAYLIGHT, SUN_ELEVATION_RAD
 from uavaccel.sim.parts import part
+from uavaccel.sim.pcg64 import ONE, STREAM_FIELDS, below, first_word, pool_of, spawned, start, unit, word
 from uavaccel.vision.image_noise import APART
 from uavaccel.vision.rounding import times
 
