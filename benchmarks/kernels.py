@@ -190,14 +190,14 @@ def _round_s(lanes: int, task: LaneTask) -> float:
     import torch as th
 
     from uavaccel.envs.cuda_lanes import CudaLanes
-    from uavaccel.kernels import cuda as kernels
+    from uavaccel.kernels.recording import EAGER
 
     flying = CudaLanes(task, lanes, th.device(CUDA), renews=False)
     flying.seed(range(lanes))
     flying.begin()
     actions = th.full((lanes,), AHEAD, device=CUDA)
     fly = flying.recorded_flight()
-    for _ in range(kernels.EAGER + 1):  # compiles and records
+    for _ in range(EAGER + 1):  # compiles and records
         fly(actions)
     begun, ended = (th.cuda.Event(enable_timing=True) for _ in range(2))
     rounds = GPU_COMMANDS if task.t_move_s < 1.0 else COMMANDS  # before a lane can touch something

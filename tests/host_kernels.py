@@ -59,16 +59,6 @@ class Immediate:
         return lambda *_: None
 
 
-class EachTime:
-    """`Recorded` that records nothing."""
-
-    def __init__(self, work: Callable[[], None]) -> None:
-        self._work = work
-
-    def __call__(self) -> None:
-        self._work()
-
-
 def launch(run: Callable[..., None]) -> Any:
     """`kernel[grid](...)` runs."""
 
@@ -220,9 +210,7 @@ def host_kernels(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """`CudaLanes` and `CudaBatch` on "cpu"."""
     module = ModuleType(NAME)
     functions = {"shared": shared, "on_device": on_device, "stream": lambda: None, "__getattr__": _size}
-    module.__dict__.update(
-        functions, Plan=Plan, SideStream=AtOnce, Recorded=EachTime, compiled=lambda nominal: Kernels()
-    )
+    module.__dict__.update(functions, Plan=Plan, SideStream=AtOnce, compiled=lambda nominal: Kernels())
     monkeypatch.setitem(sys.modules, NAME, module)
     monkeypatch.setattr(uavaccel.kernels, "cuda", module, raising=False)
     clocks = ModuleType(CLOCKS)

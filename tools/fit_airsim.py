@@ -229,7 +229,8 @@ def table(best: Parameters) -> list[str]:
     for name, target in TARGETS.items():
         verdict = "holds" if target.low <= values[name] <= target.high else "FAILS"
         lines.append(
-            f"{name:18} {values[name]:7.3f}  aim {target.aim:g}, {target.low:g} to {target.high:g}: {verdict}  {target.source}"
+            f"{name:18} {values[name]:7.3f}  aim {target.aim:g}, {target.low:g} to {target.high:g}: {verdict}"
+            f"  {target.source}"
         )
     return lines
 

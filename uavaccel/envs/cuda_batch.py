@@ -103,7 +103,7 @@ class CudaBatch(VectorEnv[Any, Any, Any]):
     def _read_an_earlier_step(self) -> None:
         """Let games be sampled where they have begun, and check the actions, of the step BEHIND steps ago."""
         games = self._lanes.games
-        read = th.cuda.Event()
+        read = th.cuda.Event()  # type: ignore[no-untyped-call]
         parts = (part.to("cpu", non_blocking=True, copy=True) for part in (games.begun, self._actions.wrong))
         self._unread.append((read, *parts))  # type: ignore[arg-type]
         read.record()
@@ -125,6 +125,8 @@ class _Actions:
         self._space, self._device, self._shape = space, device, (count, *(space.shape or ()))
         self.wrong = th.zeros((), dtype=th.bool, device=device)
         box = isinstance(space, spaces.Box)
+        self._low: Any
+        self._high: Any
         self._low, self._high = (
             (th.as_tensor(end, device=device) for end in (space.low, space.high)) if box else (0, int(space.n) - 1)
         )

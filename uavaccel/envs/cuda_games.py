@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 import torch as th
@@ -60,7 +60,7 @@ def games_of(task: Task, count: int, device: th.device) -> Dealt | SampledAhead:
     return Dealt(task, count, device) if is_dealt(task) else SampledAhead(task, count, device)
 
 
-def is_dealt(task: Task) -> bool:
+def is_dealt(task: Task) -> TypeGuard[LaneTask]:
     """Return whether a task's games are lanes sampled as `LaneTask` samples them, under the same conditions."""
     if not isinstance(task, LaneTask) or task.lane is not None or task.randomise is not None:
         return False
@@ -91,7 +91,8 @@ class Dealt(LaneGames):
 
     @property
     def label(self) -> th.Tensor:
-        return self._tensors.indices
+        indices: th.Tensor = self._tensors.indices
+        return indices
 
     def seed(self, seeds: int | Sequence[int | None]) -> None:
         """Seed all lanes anew: lane i with the i-th of several seeds, or with a single seed plus i."""

@@ -29,6 +29,7 @@ from uavaccel.kernels import cuda as kernels
 from uavaccel.kernels import lanes
 from uavaccel.kernels.fields import COLUMNS, DVS, STATE
 from uavaccel.kernels.flight import TOUCHED
+from uavaccel.kernels.recording import recorded
 from uavaccel.sim.state import State
 from uavaccel.sim.vehicle.quadrotor import FLIGHT_DTYPE, NEVER
 from uavaccel.units import NS_PER_S
@@ -202,7 +203,7 @@ class CudaLanes:
         """Return `fly` as a CUDA graph, for callers that do not record more than that."""
         directions = self._directions if self._table is None else self._actions
         given = th.zeros_like(directions)
-        flight = kernels.Recorded(lambda: self.fly(given))
+        flight = recorded(lambda: self.fly(given), self.device)
 
         def fly(actions: th.Tensor) -> None:
             given.copy_(actions)

@@ -9,7 +9,7 @@ CPU's in their last bits, events do not (vision/rounding).
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any, NamedTuple
 
@@ -31,7 +31,6 @@ from uavaccel.kernels.operands import Launchable, Operand
 from uavaccel.kernels.project import project_solid
 from uavaccel.kernels.quads import BELOW, RIGHT, quad_lumas, quick_count, update_quad
 from uavaccel.kernels.rays import colour_of, linear
-from uavaccel.kernels.recording import recording
 from uavaccel.kernels.touching import NOTHING, deepest_of_all, least_of_all
 from uavaccel.sim.vehicle.quadrotor import FLIGHT_DTYPE, NEVER, PARAMETERS_DTYPE
 from uavaccel.vision.dvs_kernels import count_double_pixel
@@ -45,7 +44,6 @@ WARP, WHOLE_WARP = 32, 0xFFFFFFFF
 FLYING_THREADS, COLUMN_THREADS, SEEING_THREADS = 32, 64, 128  # per thread block
 SEEING_THREADS_A_LANE, PIXELS_A_LANE = at.ROWS * at.COLUMNS // 8, np.uintp(at.ROWS * at.COLUMNS)
 FLYING_WARPS = 2  # per multiprocessor: a quarter of its registers, which leaves the rest to the learner
-EAGER = 2  # runs before recording, in which kernels are compiled and libraries choose their algorithms
 BOX_SLOTS, CYLINDER_SLOTS = 3, 6  # largest number of rows that a solid fills (kernels/project)
 SLOTS = 1 + CYLINDER_SLOTS * at.SOLIDS
 RECORDS = {PARAMETERS_DTYPE: from_dtype(PARAMETERS_DTYPE), FLIGHT_DTYPE: from_dtype(FLIGHT_DTYPE)}
@@ -592,25 +590,6 @@ class SideStream:
         if self._follows:
             th.cuda.current_stream().wait_stream(self._stream)
         self._follows = False
-
-
-class Recorded:
-    """Work that makes the same calls on the same memory each time: run directly at first, then as one CUDA graph."""
-
-    def __init__(self, work: Callable[[], None]) -> None:
-        self._work, self._eager = work, EAGER
-        self._graph: th.cuda.CUDAGraph | None = None
-
-    def __call__(self) -> None:
-        if self._eager:
-            self._eager -= 1
-            self._work()
-            return
-        if self._graph is None:
-            self._graph = th.cuda.CUDAGraph()
-            with recording(self._graph):
-                self._work()
-        self._graph.replay()
 
 
 def shared(tensor: th.Tensor, dtype: np.dtype[Any] | None = None) -> Any:

@@ -115,11 +115,11 @@ def dress(lane: int, distribution: Distribution, stream: Operand, games: Games) 
         scene[post, at.MATERIAL] = np.float32(wearing[0, kind if scene[post, at.MATERIAL] > np.float32(0.0) else 0])
         scene[post, 1] = np.float32(games.solids[lane, post, 1])
     plain = unit(stream) >= varied
-    wall = np.int64(below(stream, WALLS))
-    wall = 0 if plain else wall
+    sampled_wall = np.int64(below(stream, WALLS))
+    wall = np.int64(0) if plain else sampled_wall
     plain = unit(stream) >= varied
-    ground = np.int64(below(stream, GROUNDS))
-    ground = 0 if plain else ground
+    sampled_ground = np.int64(below(stream, GROUNDS))
+    ground = np.int64(0) if plain else sampled_ground
     for solid in range(posts, games.scenes.counts[lane]):
         is_ground = scene[solid, at.KIND] == np.float32(at.PLANE)
         scene[solid, at.MATERIAL] = np.float32(wearing[2, ground] if is_ground else wearing[1, wall])

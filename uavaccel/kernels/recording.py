@@ -1,12 +1,14 @@
-"""Recording of CUDA graphs without garbage collection, which would invalidate them."""
+"""Work on a GPU that is recorded as a CUDA graph, without garbage collection, which would invalidate it."""
 
 from __future__ import annotations
 
 import gc
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 import torch as th
+
+EAGER = 2  # runs before recording, in which kernels are compiled and libraries choose their algorithms
 
 
 @contextmanager
@@ -26,3 +28,27 @@ def recording(graph: th.cuda.CUDAGraph) -> Iterator[None]:
     finally:
         if collects:
             gc.enable()
+
+
+def recorded(work: Callable[[], None], device: th.device) -> Callable[[], None]:
+    """Return work that is recorded on a GPU, and done as it is elsewhere."""
+    return Recorded(work) if device.type == "cuda" else work
+
+
+class Recorded:
+    """Work that makes the same calls on the same memory each time: run directly at first, then as one CUDA graph."""
+
+    def __init__(self, work: Callable[[], None]) -> None:
+        self._work, self._eager = work, EAGER
+        self._graph: th.cuda.CUDAGraph | None = None
+
+    def __call__(self) -> None:
+        if self._eager:
+            self._eager -= 1
+            self._work()
+            return
+        if self._graph is None:
+            self._graph = th.cuda.CUDAGraph()
+            with recording(self._graph):
+                self._work()
+        self._graph.replay()

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import os
 from collections import deque
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -24,7 +25,8 @@ from uavaccel.clock import MonotonicClock
 from uavaccel.envs.cuda_lanes import AT, CudaLanes
 from uavaccel.envs.stopwatch import PHASES, Stopwatch
 from uavaccel.files import Plain
-from uavaccel.kernels.cuda import Recorded, SideStream
+from uavaccel.kernels.cuda import SideStream
+from uavaccel.kernels.recording import recorded
 from uavaccel.rl.agents import first_policy
 from uavaccel.rl.config import DqnOptions, LearnerConfig
 from uavaccel.rl.device_network import rate
@@ -57,7 +59,7 @@ class DeviceDQN:
         self.holding = False
         self.statistics = StepStatistics(self.device)
         self.stopwatch = Stopwatch(MonotonicClock())
-        self._recorded: dict[tuple[bool, bool, bool], Recorded] = {}
+        self._recorded: dict[tuple[bool, bool, bool], Callable[[], None]] = {}
         self._learning_stream = SideStream(priority=-1)  # its small kernels go before the large ones of rendering
         self._unread: deque[tuple[Any, ...]] = deque()
         self._clock = MonotonicClock()
@@ -133,7 +135,7 @@ class DeviceDQN:
         """Fly a round; each kind is recorded as a graph of its own."""
         self.rounds += 1
         if kind not in self._recorded:
-            self._recorded[kind] = Recorded(lambda: self._work(*kind))
+            self._recorded[kind] = recorded(lambda: self._work(*kind), self.device)
         self._recorded[kind]()
 
     def _work(self, at_random: bool, learns: bool, follows: bool) -> None:

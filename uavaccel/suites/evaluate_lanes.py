@@ -227,7 +227,7 @@ class LanesOnGpu:
         from stable_baselines3.dqn.policies import DQNPolicy
 
         from uavaccel.envs.cuda_lanes import AT, CudaLanes
-        from uavaccel.kernels.cuda import Recorded
+        from uavaccel.kernels.recording import recorded
 
         self._at = AT
         self._device, self._inference_s = th.device(GPU), config.inference_s
@@ -245,7 +245,7 @@ class LanesOnGpu:
         self._blocks, self._rows = (th.from_numpy(places).to(self._device) for places in _all_blocks(lanes))
         self._actions = th.zeros(len(lanes), dtype=th.int64, device=self._device)
         self._places: list[list[float]] = [[0.0, 0.0, 0.0] for _ in lanes]
-        self._round = Recorded(self._decide_and_fly)
+        self._round = recorded(self._decide_and_fly, self._device)
 
     def decide_and_fly(self, going: Places) -> tuple[Places, list[Ended]]:
         if self._network is None:

@@ -1,0 +1,298 @@
+"""Proximal policy optimisation for continuous actions (Schulman et al., 2017), over any vector environment.
+
+One round is a rollout of T commands in N environments, and then epochs of minibatches over it:
+
+act        a ~ Normal(mean(o), deviation), with its log probability and the value V(o);
+estimate   generalised advantages A over the rollout (Schulman et al., 2016), and returns A + V;
+descend    on the clipped objective, the squared error of V, and the entropy.
+
+The same code runs on the CPU and on a GPU, where acting and descending are recorded as CUDA graphs. Environments
+restart in the step in which a game ends (autoreset SAME_STEP); what a truncated game would still have brought is taken
+to be the value of its last observation but one.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping
+from itertools import pairwise
+from typing import Annotated, Any, NamedTuple, TypeAlias
+
+import numpy as np
+import torch as th
+from gymnasium import spaces
+from pydantic import Field
+from torch import nn
+
+from uavaccel.config import Config
+from uavaccel.errors import UserError
+from uavaccel.kernels.recording import recorded
+from uavaccel.limits import Seed
+from uavaccel.vision.observation import NEUTRAL_LEVEL
+
+Count = Annotated[int, Field(ge=1, le=1_000_000)]
+Share = Annotated[float, Field(ge=0.0, le=1.0)]
+Weight = Annotated[float, Field(ge=0.0, le=1e3)]
+Parts: TypeAlias = dict[str, th.Tensor]
+
+HALF_CONTRAST = 24.0  # grey levels from "no events" that are seen at half strength
+LOG_ROOT_TWO_PI, LOG_ROOT_TWO_PI_E = 0.5 * math.log(2 * math.pi), 0.5 * math.log(2 * math.pi * math.e)
+
+
+class PPOOptions(Config):
+    """The options of a training."""
+
+    commands: Annotated[int, Field(ge=1, le=10**12)] = 20_000_000
+    """Commands that all environments fly together."""
+    rollout: Count = 32
+    """Commands of each environment between two updates, T."""
+    epochs: Count = 2
+    """Passes over a rollout."""
+    minibatches: Count = 8
+    """Gradient steps of a pass."""
+    learning_rate: Annotated[float, Field(gt=0.0, le=1.0)] = 5e-4
+    """Adam's learning rate at first; it falls to 0 over the training."""
+    gamma: Share = 0.99
+    """Discount of a command."""
+    smoothing: Share = 0.95
+    """Lambda of the generalised advantages."""
+    clip: Annotated[float, Field(gt=0.0, le=1.0)] = 0.2
+    """Largest change of a probability ratio that is rewarded."""
+    value_weight: Weight = 0.5
+    """Weight of the value's error in the loss."""
+    entropy_weight: Weight = 0.001
+    """Weight of the entropy in the loss."""
+    max_grad_norm: Annotated[float, Field(gt=0.0, le=1e6)] = 0.5
+    """Norm to which gradients are clipped."""
+    first_deviation: Annotated[float, Field(gt=0.0, le=10.0)] = 0.6
+    """Standard deviation of the actions at first."""
+    channels: Annotated[tuple[Count, ...], Field(min_length=1, max_length=6)] = (16, 32, 32)
+    """Channels of the convolutions, for observations with pictures: 5 x 5, then 3 x 3, all with stride 2."""
+    hidden: Annotated[tuple[Count, ...], Field(min_length=1, max_length=6)] = (256, 128)
+    """Widths of the layers after them."""
+    seed: Seed = 0
+    """Seed of weights and actions, and of the environments' games."""
+
+
+class Progress(NamedTuple):
+    """What a round brought."""
+
+    commands: int
+    """Commands flown so far."""
+    games: int
+    """Games that ended in the round, of which `won` were won."""
+    won: int
+    reward: float
+    """Mean reward of a command."""
+    deviation: float
+    """Mean standard deviation of the actions."""
+
+
+def parts_of(observations: Any, device: th.device) -> Parts:
+    """Return observations (n, ...), tensors or arrays or a mapping of them, as tensors by name."""
+    given = observations if isinstance(observations, Mapping) else {"seen": observations}
+    return {name: th.as_tensor(part, device=device) for name, part in given.items()}
+
+
+def boxes_of(space: spaces.Space[Any]) -> dict[str, spaces.Box]:
+    """Return the boxes of an observation space by name. Raises UserError for other spaces."""
+    found = dict(space.spaces) if isinstance(space, spaces.Dict) else {"seen": space}
+    for name, part in found.items():
+        if not isinstance(part, spaces.Box) or len(part.shape) not in (1, 3):
+            raise UserError(
+                f"observation {name!r}: must be a picture (channels, rows, columns) or a vector, not {part}"
+            )
+    return found  # type: ignore[return-value]
+
+
+class ActorCritic(nn.Module):
+    """Mean actions and values of observations: convolutions for each picture, then layers that all parts share."""
+
+    def __init__(self, space: spaces.Space[Any], actions: int, options: PPOOptions, events: bool = False) -> None:
+        super().__init__()
+        self.events, width = events, 0
+        self.eyes = nn.ModuleDict()
+        for name, box in boxes_of(space).items():
+            if len(box.shape) == 1:
+                width += box.shape[0]
+                continue
+            layers: list[nn.Module] = []
+            for number, (before, after) in enumerate(pairwise((box.shape[0], *options.channels))):
+                size, room = (5, 2) if number == 0 else (3, 1)
+                layers += [_scaled(nn.Conv2d(before, after, size, stride=2, padding=room), 2**0.5), nn.ReLU()]
+            eye = nn.Sequential(*layers, nn.Flatten())
+            width += int(eye(th.zeros(1, *box.shape)).shape[1])
+            self.eyes[name] = eye
+        body = [(_scaled(nn.Linear(*sizes), 2**0.5), nn.ReLU()) for sizes in pairwise((width, *options.hidden))]
+        self.body = nn.Sequential(*(layer for pair in body for layer in pair))
+        self.mean = _scaled(nn.Linear(options.hidden[-1], actions), 0.01)
+        self.value = _scaled(nn.Linear(options.hidden[-1], 1), 1.0)
+        self.log_deviation = nn.Parameter(th.full((actions,), math.log(options.first_deviation)))
+
+    def forward(self, seen: Parts) -> tuple[th.Tensor, th.Tensor]:
+        """Return mean actions (n, actions) and values (n,) of observations by name."""
+        parts = [self.eyes[name](self._levels(part)) if name in self.eyes else part for name, part in seen.items()]
+        features = self.body(th.cat(parts, 1))
+        return self.mean(features), self.value(features)[:, 0]
+
+    def _levels(self, picture: th.Tensor) -> th.Tensor:
+        """Return grey levels 0 to 255 as -1 to 1, faint events amplified."""
+        if self.events:
+            distance = picture.float() - NEUTRAL_LEVEL
+            return distance / (distance.abs() + HALF_CONTRAST)
+        return picture.float() / 127.5 - 1.0
+
+    @th.no_grad()
+    def act(self, observations: Any) -> th.Tensor:
+        """Return the mean actions (n, actions), -1 to 1, for observations as environments give them."""
+        mean, _ = self(parts_of(observations, self.log_deviation.device))
+        clipped: th.Tensor = mean.clamp(-1.0, 1.0)
+        return clipped
+
+
+def _scaled(layer: Any, gain: float) -> Any:
+    nn.init.orthogonal_(layer.weight, gain)
+    nn.init.zeros_(layer.bias)
+    return layer
+
+
+class PPO:
+    """The training of a policy in `env`, a vector environment with actions in [-1, 1] and autoreset SAME_STEP.
+
+    `policy` is the network. Raises UserError for spaces of other kinds.
+    """
+
+    def __init__(self, env: Any, options: PPOOptions) -> None:
+        space = env.single_action_space
+        if not isinstance(space, spaces.Box) or len(space.shape) != 1:
+            raise UserError(f"PPO takes continuous actions (n,), not {space}")
+        if env.num_envs * options.rollout % options.minibatches:
+            raise UserError(
+                f"minibatches = {options.minibatches}: must divide the {env.num_envs * options.rollout} samples"
+            )
+        self.env, self.options, self.device = env, options, th.device(getattr(env, "device", "cpu"))
+        th.manual_seed(options.seed)
+        events = getattr(getattr(env, "task", None), "observation", "") == "dvs"
+        self.policy = ActorCritic(env.single_observation_space, space.shape[0], options, events).to(self.device)
+        on_gpu = self.device.type == "cuda"
+        rate = th.tensor(options.learning_rate, device=self.device)
+        self._optimizer = th.optim.Adam(
+            self.policy.parameters(), rate, eps=1e-5, capturable=on_gpu, fused=on_gpu or None
+        )
+        self.commands = 0
+        self._allocate(space.shape[0])
+        works = self._act, self._estimate, self._descend
+        self._do_act, self._do_estimate, self._do_descend = (recorded(work, self.device) for work in works)
+
+    def _allocate(self, actions: int) -> None:
+        count, steps, device = self.env.num_envs, self.options.rollout, self.device
+        zeros: Callable[..., th.Tensor] = lambda *shape, **kind: th.zeros(shape, device=device, **kind)  # noqa: E731
+        self._now: Parts = {}
+        self._seen: Parts = {}
+        for name, box in boxes_of(self.env.single_observation_space).items():
+            kind = th.uint8 if box.dtype == np.uint8 else th.float32
+            self._now[name] = zeros(count, *box.shape, dtype=kind)
+            self._seen[name] = zeros(steps, count, *box.shape, dtype=kind)
+        self._chosen, self._action = zeros(steps, count, actions), zeros(count, actions)
+        self._chances, self._values, self._rewards, self._going, self._gains, self._targets = (
+            zeros(steps, count) for _ in range(6)
+        )
+        self._step = zeros(1, dtype=th.int64)
+        self._batch = zeros(count * steps // self.options.minibatches, dtype=th.int64)
+        self._tally = zeros(3, dtype=th.float64)  # games ended, games won, sum of rewards
+
+    def learn(self) -> Iterator[Progress]:
+        """Train until all commands are flown; yield after each round."""
+        self._look(self.env.reset(seed=self.options.seed)[0])
+        while self.commands < self.options.commands:
+            left = 1.0 - self.commands / self.options.commands
+            for group in self._optimizer.param_groups:
+                group["lr"].fill_(left * self.options.learning_rate)
+            self._tally.zero_()
+            self._step.zero_()
+            for step in range(self.options.rollout):
+                self._do_act()
+                self._fly(step)
+            self._do_estimate()
+            for _ in range(self.options.epochs):
+                order = th.randperm(self._rewards.numel(), device=self.device).view(self.options.minibatches, -1)
+                for batch in order:
+                    self._batch.copy_(batch)
+                    self._do_descend()
+            self.commands += self._rewards.numel()
+            games, won, rewards = self._tally.tolist()
+            deviation = float(self.policy.log_deviation.detach().exp().mean())
+            yield Progress(self.commands, int(games), int(won), rewards / self._rewards.numel(), deviation)
+
+    def _look(self, observations: Any) -> None:
+        for name, part in parts_of(observations, self.device).items():
+            self._now[name].copy_(part)
+
+    def _fly(self, step: int) -> None:
+        """Fly one command in every environment, and note what came of it."""
+        on_gpu = self.device.type == "cuda"
+        actions = self._action.clamp(-1.0, 1.0)
+        seen, rewards, terminated, truncated, infos = self.env.step(actions if on_gpu else actions.numpy())
+        self._look(seen)
+        reward, lost, cut = (th.as_tensor(part, device=self.device) for part in (rewards, terminated, truncated))
+        over = lost | cut
+        self._rewards[step] = reward.float() + self.options.gamma * self._values[step] * cut
+        self._going[step] = (~over).float()
+        won = infos.get("final_info", {}).get("is_success")
+        won_now = (
+            th.zeros_like(over) if won is None else th.as_tensor(np.asarray(won, bool) if not on_gpu else won) & over
+        )
+        self._tally += th.stack([over.sum().double(), won_now.sum().double(), reward.double().sum()])
+
+    @th.no_grad()
+    def _act(self) -> None:
+        """Choose actions for what is seen now, and store all that learning needs of it."""
+        mean, value = self.policy(self._now)
+        deviation = self.policy.log_deviation.exp()
+        self._action.copy_(mean + deviation * th.randn_like(mean))
+        for name, part in self._now.items():
+            self._seen[name].index_copy_(0, self._step, part[None])
+        stored = (
+            (self._chosen, self._action),
+            (self._values, value),
+            (self._chances, self._chance(mean, self._action)),
+        )
+        for rows, row in stored:
+            rows.index_copy_(0, self._step, row[None])
+        self._step += 1
+
+    def _chance(self, mean: th.Tensor, action: th.Tensor) -> th.Tensor:
+        """Return the log probabilities (n,) of actions (n, actions)."""
+        distance = (action - mean) * (-self.policy.log_deviation).exp()
+        return (-0.5 * distance * distance - self.policy.log_deviation - LOG_ROOT_TWO_PI).sum(1)
+
+    @th.no_grad()
+    def _estimate(self) -> None:
+        """Compute advantages and returns of the rollout."""
+        gamma, smoothing = self.options.gamma, self.options.smoothing
+        after, gain = self.policy(self._now)[1], th.zeros_like(self._values[0])
+        for step in reversed(range(self.options.rollout)):
+            going = self._going[step]
+            surprise = self._rewards[step] + gamma * going * after - self._values[step]
+            gain = surprise + gamma * smoothing * going * gain
+            self._gains[step], after = gain, self._values[step]
+        self._targets.copy_(self._gains + self._values)
+
+    def _descend(self) -> None:
+        """Take one gradient step on the minibatch."""
+        options, batch = self.options, self._batch
+        seen = {name: part.flatten(0, 1)[batch] for name, part in self._seen.items()}
+        action, before, gain, target = (
+            part.flatten(0, 1)[batch] for part in (self._chosen, self._chances, self._gains, self._targets)
+        )
+        mean, value = self.policy(seen)
+        ratio = (self._chance(mean, action) - before).exp()
+        gain = (gain - gain.mean()) / (gain.std() + 1e-8)
+        objective = th.min(gain * ratio, gain * ratio.clamp(1.0 - options.clip, 1.0 + options.clip)).mean()
+        entropy = (self.policy.log_deviation + LOG_ROOT_TWO_PI_E).sum()
+        error = ((value - target) ** 2).mean()
+        loss = options.value_weight * error - objective - options.entropy_weight * entropy
+        self._optimizer.zero_grad(set_to_none=False)
+        loss.backward()
+        nn.utils.clip_grad_norm_(self.policy.parameters(), options.max_grad_norm)
+        self._optimizer.step()
