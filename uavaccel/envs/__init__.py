@@ -11,6 +11,7 @@ for _name, _one, _many in (
     ("ObstacleLane", "obstacle_lane:ObstacleLane", "obstacle_lanes"),
     ("Hover", "hover:Hover", "hovers"),
     ("Gates", "gates:Gates", "gates"),
+    ("Navigate", "navigate:Navigate", "navigations"),
 ):
     register(
         f"uavaccel/{_name}-v0",

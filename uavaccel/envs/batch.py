@@ -17,6 +17,7 @@ from gymnasium.vector.utils import batch_space
 from uavaccel.envs.checks import actions_of, autoreset_of, check_render_mode, make_task, whole_number
 from uavaccel.envs.environment_processes import BatchError, BatchOptions, EnvironmentProcesses, SharedObservations
 from uavaccel.envs.flight_env import FlightEnv
+from uavaccel.envs.sensors import PICTURE_SIZE
 from uavaccel.envs.task import Task
 from uavaccel.envs.turn_batch import TurnBatch
 from uavaccel.envs.values import Actions, Answer, Frame, Info, Steps
@@ -174,7 +175,7 @@ def _service(task: Task, cameras: int, tiles: int, renderer: str) -> RenderServi
     known = known_renderer()
     if renderer == "own" or (renderer == "auto" and known is not None and known.software):
         return None  # known without starting a process
-    if task.sensor().picture is None:
+    if task.sensor().picture is None or task.picture_size != PICTURE_SIZE:  # a shared one draws one size
         return None
     service = RenderService(task.scene, cameras, tiles, task.scenery)
     try:

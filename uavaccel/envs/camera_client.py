@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from uavaccel.envs.sensors import from_arrays
+from uavaccel.envs.sensors import PICTURE_SIZE, from_arrays
 from uavaccel.envs.stopwatch import Stopwatch
 from uavaccel.kinematics import FlightGoal, Kinematics
 from uavaccel.sim.camera.view import AnyImage
@@ -46,9 +46,10 @@ class GuardedClient:
         guard: GuardSettings | None = None,
         perturbation: PerturbationSettings | None = None,
         exposure: AutoExposure | None = None,
+        size: tuple[int, int] = PICTURE_SIZE,
     ) -> None:
         self.client = client
-        self._kind = kind
+        self._kind, self._size = kind, size
         self._guard, self._guard_state = guard or GuardSettings(), GuardState()
         self._perturbation, self._exposure = perturbation, exposure
         self._ran_ns = 0  # wall time for which the simulation ran
@@ -62,7 +63,7 @@ class GuardedClient:
         return Sample(state, acquisition.image, acquisition.retries)
 
     def _receive(self) -> AnyImage:
-        image = self.client.image(self._kind)
+        image = self.client.image(self._kind, self._size)
         self._received += 1
         if self._exposure is not None:
             image = self._exposure.expose(image, self._ran_ns)
@@ -122,8 +123,14 @@ class FlightClient(GuardedClient):
     Noise is added after the guard, which sees pictures as they were rendered.
     """
 
-    def __init__(self, client: Client, kind: str | None, stopwatches: Sequence[Stopwatch]) -> None:
-        super().__init__(client, kind or "")
+    def __init__(
+        self,
+        client: Client,
+        kind: str | None,
+        stopwatches: Sequence[Stopwatch],
+        size: tuple[int, int] = PICTURE_SIZE,
+    ) -> None:
+        super().__init__(client, kind or "", size=size)
         self.noise = ImageNoise()
         self._wants_image = kind is not None
         self._stopwatches = stopwatches

@@ -218,7 +218,8 @@ class FlightEnv(gymnasium.Env[Frame, Action], Generic[TaskT]):
         with ExitStack() as phases:
             for stopwatch in self._stopwatches:
                 phases.enter_context(stopwatch.aside("image_processing"))
-            self.sensor.counter.process_frame(self._noise.add(self._session.picture(), time_ns), time_ns)
+            picture = self._noise.add(self._session.picture(self.task.picture_size), time_ns)
+            self.sensor.counter.process_frame(picture, time_ns)
 
     def _connect(self, client: Client, start_ns: int) -> FlightClient:
         """Wrap the client of a game that began at `start_ns` of its wall clock."""
@@ -228,7 +229,7 @@ class FlightEnv(gymnasium.Env[Frame, Action], Generic[TaskT]):
         self._stopwatches = [Stopwatch(client.transport.clock)]
         if self.task.report_host_times:
             self._stopwatches.append(Stopwatch(MonotonicClock()))
-        self._client = FlightClient(client, self.sensor.picture, self._stopwatches)
+        self._client = FlightClient(client, self.sensor.picture, self._stopwatches, self.task.picture_size)
         return self._client
 
     def _start_game(self, course: Course, latencies: np.random.SeedSequence) -> None:

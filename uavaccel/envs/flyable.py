@@ -6,6 +6,7 @@ from fractions import Fraction
 from typing import Literal, get_args
 
 from uavaccel.envs.checks import whole_number
+from uavaccel.envs.sensors import PICTURE_SIZE
 from uavaccel.envs.task import Task
 from uavaccel.errors import UserError
 from uavaccel.kernels.fields import COLOUR, DEPTH, DVS, STATE
@@ -54,6 +55,10 @@ def _why_not(task: Task) -> str:
         return f"action = {task.action} is flown by the exact simulator alone"
     if task.scenery != "plain":
         return f"difficulty.scenery = {task.scenery}: the kernels render no meshes"
+    if task.picture_size != PICTURE_SIZE and kind_of(task) != STATE:
+        return f"picture_size = {list(task.picture_size)} is rendered by the exact simulator alone"
+    if task.scene == "clutter":
+        return "scene = clutter is flown by the exact simulator alone"
     if task.scene != "lane" and task.observation != "state":
         return f"observation = {task.observation} is rendered in scene = lane only"
     for name in ("goal", "velocity_goal", "features"):

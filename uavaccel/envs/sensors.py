@@ -20,6 +20,7 @@ from uavaccel.vision.dvs_sensor import DvsParameters, make_sensor
 from uavaccel.vision.observation import BLOCK_SIDE, NEUTRAL_LEVEL, dvs_observation
 
 SIZE = (HEIGHT // BLOCK_SIDE, WIDTH // BLOCK_SIDE)  # rows, columns
+PICTURE_SIZE = (WIDTH, HEIGHT)  # columns, rows
 DEPTH_FAR_M = 50.0  # shown as 255
 STATE_FIELDS = ("position_m", "orientation_wxyz", "linear_velocity_m_s", "angular_velocity_rad_s")
 
@@ -63,11 +64,13 @@ class EventCamera(Sensor):
     picture = "gray"
     noise_seed = 0
 
-    def __init__(self, parameters: DvsParameters, seed: int, listed: bool = False) -> None:
+    def __init__(
+        self, parameters: DvsParameters, seed: int, listed: bool = False, size: tuple[int, int] = PICTURE_SIZE
+    ) -> None:
         from uavaccel.vision.event_counter import EventCounter  # compiled
 
-        super().__init__(blank_frame("dvs"))
-        self.counter = EventCounter(make_sensor(parameters, (HEIGHT, WIDTH), seed), listed)
+        super().__init__(blank_frame("dvs", size))
+        self.counter = EventCounter(make_sensor(parameters, size[::-1], seed), listed)
 
     def reset(self, state: Kinematics, image: AnyImage, course: Course) -> Frame:
         """Begin a game with this picture, which causes no events."""
@@ -78,7 +81,11 @@ class EventCamera(Sensor):
         """Return the events since the last sample, those of pictures that `counter` saw in between included."""
         if not self.counter.has_frame_of(state.time_ns):
             self.counter.process_frame(image, state.time_ns)
-        return dvs_observation(*self.counter.take())[None]
+        on, off = self.counter.take()
+        if on.shape == self.blank.shape[1:]:
+            counts: Frame = np.clip(NEUTRAL_LEVEL + on.astype(np.int64) - off, 0, 255).astype(np.uint8)[None]
+            return counts
+        return dvs_observation(on, off)[None]
 
     def get_state(self) -> State:
         return self.counter.get_state()
@@ -93,7 +100,7 @@ class ColourCamera(Sensor):
     picture = "colour"
 
     def frame(self, state: Kinematics, image: AnyImage, course: Course) -> Frame:
-        return np.ascontiguousarray(_reduced(image).transpose(2, 0, 1))
+        return np.ascontiguousarray(_reduced(image, self.blank).transpose(2, 0, 1))
 
 
 class DepthCamera(Sensor):
@@ -102,7 +109,7 @@ class DepthCamera(Sensor):
     picture = "depth"
 
     def frame(self, state: Kinematics, image: AnyImage, course: Course) -> Frame:
-        depth = _reduced(np.minimum(image, np.float32(DEPTH_FAR_M)))
+        depth = _reduced(np.minimum(image, np.float32(DEPTH_FAR_M)), self.blank)
         levels: Frame = np.rint(depth * (255 / DEPTH_FAR_M)).astype(np.uint8)
         return levels[None]
 
@@ -118,10 +125,11 @@ class StateSensor(Sensor):
         return self._features(state, course)
 
 
-def blank_frame(picture: Literal["dvs", "colour", "depth"]) -> NDArray[np.uint8]:
-    """Make a frame without content (C, 36, 64): no events, black, or a depth of 0."""
+def blank_frame(picture: Literal["dvs", "colour", "depth"], size: tuple[int, int] = PICTURE_SIZE) -> NDArray[np.uint8]:
+    """Make a frame without content (C, rows, columns) of pictures of a size: no events, black, or a depth of 0."""
+    rows_columns = SIZE if size == PICTURE_SIZE else size[::-1]
     planes = 3 if picture == "colour" else 1
-    return np.full((planes, *SIZE), NEUTRAL_LEVEL if picture == "dvs" else 0, np.uint8)
+    return np.full((planes, *rows_columns), NEUTRAL_LEVEL if picture == "dvs" else 0, np.uint8)
 
 
 def from_arrays(state: SavedState) -> State:
@@ -135,7 +143,10 @@ def state_fields(state: Kinematics) -> list[Number]:
     return [number for name in STATE_FIELDS for number in getattr(state, name)]
 
 
-def _reduced(image: AnyImage) -> AnyImage:
+def _reduced(image: AnyImage, like: Frame) -> AnyImage:
     import cv2
 
-    return np.asarray(cv2.resize(image, (SIZE[1], SIZE[0]), interpolation=cv2.INTER_AREA))
+    rows, columns = like.shape[1:]
+    if image.shape[:2] == (rows, columns):
+        return image
+    return np.asarray(cv2.resize(image, (columns, rows), interpolation=cv2.INTER_AREA))

@@ -90,3 +90,10 @@ def gates(num_envs: int = 1, **keys: Any) -> Batch:
     from uavaccel.envs.gates import Gates
 
     return make_batch(Gates, num_envs, **keys)
+
+
+def navigations(num_envs: int = 1, **keys: Any) -> Batch:
+    """`gymnasium.make_vec("uavaccel/Navigate-v0", num_envs=...)`."""
+    from uavaccel.envs.navigate import Navigate
+
+    return make_batch(Navigate, num_envs, **keys)

@@ -20,7 +20,16 @@ from uavaccel.commands.slices import check_times, samples_due
 from uavaccel.config import Config
 from uavaccel.envs.actions import SIZES, ActionKind, low_level_goal
 from uavaccel.envs.context_planes import ContextPlanes
-from uavaccel.envs.sensors import ColourCamera, DepthCamera, EventCamera, Sensor, StateSensor, blank_frame, state_fields
+from uavaccel.envs.sensors import (
+    PICTURE_SIZE,
+    ColourCamera,
+    DepthCamera,
+    EventCamera,
+    Sensor,
+    StateSensor,
+    blank_frame,
+    state_fields,
+)  # fmt: skip
 from uavaccel.envs.values import Action, Course, Info, Number
 from uavaccel.errors import UserError
 from uavaccel.kinematics import FlightGoal, Kinematics, Vector, VelocityGoal
@@ -100,6 +109,8 @@ class Task(Config):
     """What the agent observes: event images, the state as numbers, colour pictures or depth pictures."""
     history: Annotated[int, Field(ge=1, le=8)] = 1
     """Number of commands whose frames make one observation, the newest last."""
+    picture_size: tuple[Annotated[int, Field(ge=16, le=256)], Annotated[int, Field(ge=16, le=256)]] = PICTURE_SIZE
+    """Columns and rows of pictures. Those of 256 x 144 are reduced to frames of 64 x 36; others are not reduced."""
     blank_images: bool = False
     """Whether all frames are blank: the baseline of what can be learned without seeing."""
     dvs_preset: Literal["clean", "constructor", "command_line", "noisy"] = "clean"
@@ -181,6 +192,12 @@ class Task(Config):
         return self
 
     @model_validator(mode="after")
+    def _context_fits_pictures(self) -> Self:
+        if self.picture_size != PICTURE_SIZE and self.context_planes() is not None:
+            raise ValueError(f"picture_size = {list(self.picture_size)}: context planes need [256, 144]")
+        return self
+
+    @model_validator(mode="after")
     def _noise_is_of_pictures(self) -> Self:
         if self.image_noise and self.observation == "depth":
             raise ValueError("image_noise is of grey levels: it needs observation dvs or colour")
@@ -213,9 +230,9 @@ class Task(Config):
         if self.observation == "state":
             return StateSensor(self.features, self._blank_features())
         if self.observation == "dvs":
-            return EventCamera(self.dvs_parameters, self.dvs_seed, self.list_events)
+            return EventCamera(self.dvs_parameters, self.dvs_seed, self.list_events, self.picture_size)
         camera = ColourCamera if self.observation == "colour" else DepthCamera
-        return camera(blank_frame(self.observation))
+        return camera(blank_frame(self.observation, self.picture_size))
 
     def _blank_features(self) -> NDArray[np.float32]:
         return np.zeros_like(self.features(AT_REST, self.sample(np.random.default_rng(0), {})))
@@ -232,7 +249,8 @@ class Task(Config):
 
     def observation_space(self) -> spaces.Box:
         """Return the space of observations: the frames of `history` commands, then the context planes, on axis 0."""
-        blank = self._blank_features() if self.observation == "state" else blank_frame(self.observation)
+        kind, size = self.observation, self.picture_size
+        blank = self._blank_features() if kind == "state" else blank_frame(kind, size)
         context = self.context_planes()
         planes = 0 if context is None else context.planes
         shape = (self.frames_per_command * self.history * blank.shape[0] + planes, *blank.shape[1:])

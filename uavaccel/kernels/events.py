@@ -17,12 +17,12 @@ from uavaccel.kernels.fields import COLUMNS as WIDTH
 from uavaccel.kernels.fields import ROWS as HEIGHT
 from uavaccel.kernels.operands import Operand
 from uavaccel.sim.parts import part
+from uavaccel.sim.rounding import times
 from uavaccel.vision import dvs_kernels as pixel
 from uavaccel.vision.dvs import HOT_RATE_HZ, LIN_LOG, RELATIVE_INTENSITY, SHOT_NOISE_AT_WHITE, DvsParameters
 from uavaccel.vision.dvs_sensor import MIN_THRESHOLD, Draws
 from uavaccel.vision.noise import LEAK_JITTER, SHOT_NOISE, normal_block, uniform_block
 from uavaccel.vision.observation import BLOCK_SIDE, NEUTRAL_LEVEL
-from uavaccel.vision.rounding import times
 
 # A lane's camera, float64 (CAMERA_FIELDS,): DVS parameters, and the standard deviation of its images' read noise.
 POSITIVE, NEGATIVE, SIGMA, TAU, LEAK, JITTER, SHOT, REFRACTORY, HOT, READ = range(10)

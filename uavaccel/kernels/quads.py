@@ -39,9 +39,9 @@ from uavaccel.kernels.rays import (
     texel_index,
 )
 from uavaccel.kernels.spans import HUGE
+from uavaccel.sim.rounding import times
 from uavaccel.vision.dvs_kernels import count_single_pixel
 from uavaccel.vision.dvs_sensor import MIN_THRESHOLD
-from uavaccel.vision.rounding import times
 
 Four = tuple[Integer, Integer, Integer, Integer]
 RIGHT, BELOW = np.uintp(1), np.uintp(at.COLUMNS)  # index offsets to neighbouring pixels

@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Quaternion, Vector
+from uavaccel.sim.clutter.layout import CLUTTER_FIELDS, ClutterLayout
+from uavaccel.sim.clutter.scene import apply_clutter
 from uavaccel.sim.lane.layout import PLAIN, LaneLayout, layout_of
 from uavaccel.sim.lane.scene import apply_layout, object_name
 from uavaccel.sim.profile import Profile
@@ -32,6 +34,7 @@ if TYPE_CHECKING:
 
 START_M = (0.0, 0.0, -10.0)  # a game starts from a settled hover 10 m up
 VEHICLE = "SimpleFlight"
+GAME_SCENES = ("lane", "clutter")  # a contact ends a game there
 MOST_VEHICLES = 100
 SETTLING_S, SETTLING_CHECKS_PER_S = 300, 10  # a vehicle has settled that rests for a second
 
@@ -50,13 +53,14 @@ class World:
 
     def __init__(self, scene: str, profile: Profile, airsim: bool = False) -> None:
         self.profile = profile
-        self.freeze_on_collision = scene == "lane"
+        self.freeze_on_collision = scene in GAME_SCENES
         # AirSim's ComputerVision mode: vehicles do not fly, but stay where they are put
         self.still = False
         self._airsim = airsim
         self._mounted_camera: MountedCamera | None = None
         self.scene, self.scenery = scene, PLAIN
         self.lane: LaneLayout | None = None
+        self.clutter: ClutterLayout | None = None
         self._cameras: dict[tuple[int, int], FrontCamera] = {}
         self._observers: list[tuple[int, int, Callable[[int], None]]] = []
         self.revision = 0
@@ -127,6 +131,12 @@ class World:
         self.surroundings_changed()
         self.lead.state["wind"] = layout.wind_m_s
         self.lead.set_airframe(layout.mass_ratio, layout.thrust_ratio)
+
+    def set_clutter(self, layout: ClutterLayout) -> None:
+        """Place the shapes of a world of clutter. Raises UserError in other scenes."""
+        apply_clutter(self.model, self.data, layout)
+        self.clutter = layout
+        self.surroundings_changed()
 
     def _change_scenery(self, scenery: str) -> None:
         scene_path(self.scene, scenery)  # raises UserError before anything changes
@@ -394,6 +404,7 @@ class World:
         state |= prefixed("contacts", self.clearance.get_state())
         for vehicle in self.vehicles[1:]:
             state |= prefixed(f"vehicles.{vehicle.name}", vehicle.get_state())
+        state |= {} if self.clutter is None else {"clutter": self.clutter.rows}
         return state | (prefixed("lane", vars(self.lane)) if self.lane else {})
 
     def set_state(self, state: SavedState) -> None:
@@ -409,6 +420,8 @@ class World:
         self.failed = bool(state["failed"])
         if lane := without_prefix("lane", state):
             self.set_lane(layout_of(lane))
+        if "clutter" in state:
+            self.set_clutter(ClutterLayout(np.asarray(state["clutter"], float).reshape(-1, CLUTTER_FIELDS)))
         restore_physics(self.model, self.data, state["physics"])
         self.warnings[:] = state["warnings"]
         self.lead.set_state(state)

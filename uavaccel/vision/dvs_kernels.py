@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.sim.parts import njit, part
+from uavaccel.sim.rounding import times
 from uavaccel.vision.observation import BLOCK_SIDE, NEUTRAL_LEVEL
-from uavaccel.vision.rounding import times
 
 ONE = np.float32(1.0)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from uavaccel.kinematics import FlightGoal, Kinematics, VelocityGoal, airsim_command
-from uavaccel.sim.camera.view import AnyImage
+from uavaccel.sim.camera.view import HEIGHT, WIDTH, AnyImage
 from uavaccel.sim.recording import Recording
 from uavaccel.units import NS_PER_S
 from uavaccel.wire.game_api import Collision, SpeedReport, decode_state
@@ -86,12 +86,12 @@ class Client:
         """Lay out a lane: a seed, {"seed": n, "difficulty": {...}}, or a mapping of obstacles."""
         self.call("uavaccelSetLane", lane)
 
-    def image(self, kind: str) -> AnyImage:
-        """Return the front camera's present picture: gray, colour, depth or segmentation, 144 rows of 256 pixels.
+    def image(self, kind: str, size: tuple[int, int] = (WIDTH, HEIGHT)) -> AnyImage:
+        """Return the front camera's present picture: gray, colour, depth or segmentation, of columns x rows.
 
         The known state stays known.
         """
-        return decode_image(self.call("uavaccelImage", kind))
+        return decode_image(self.call("uavaccelImage", kind, *(() if size == (WIDTH, HEIGHT) else size)))
 
     def collision(self) -> Collision | None:
         """Return the vehicle's first collision since the start of the game, if any. The known state stays known."""

@@ -5,6 +5,7 @@ A state on the wire is a flat list of numbers (`encode_state`), smaller and pack
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Annotated, TypedDict
 
 from uavaccel.kinematics import Kinematics
@@ -12,7 +13,7 @@ from uavaccel.sim.deferred_reply import DeferredReply
 from uavaccel.sim.world import START_M
 from uavaccel.wire.arguments import Coordinate, number
 from uavaccel.wire.calls import Calls, call
-from uavaccel.wire.image_api import lane_layout
+from uavaccel.wire.image_api import clutter_layout, lane_layout
 from uavaccel.wire.rpc import Received
 
 FASTEST = 1e4  # ClockSpeed; ten times what one core can fly
@@ -86,7 +87,10 @@ class GameApi(Calls, title="Games"):
 
     @call("uavaccelSetLane")
     def set_lane(self, lane: object) -> None:
-        """Lay out a lane given by a seed, {"seed": n, "difficulty": {...}}, or a mapping of obstacles."""
+        """Lay out a lane: a seed, {"seed": n, "difficulty": {...}}, or obstacles; or {"clutter", "seed", "goal_m"}."""
+        if isinstance(lane, Mapping) and "clutter" in lane:
+            self.simulation.world.set_clutter(clutter_layout(lane))
+            return
         layout, world = lane_layout(lane), self.simulation.world
         moves = layout.scenery != world.scenery
         world.set_lane(layout)

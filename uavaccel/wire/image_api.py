@@ -13,11 +13,13 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
-from uavaccel.config import validate
+from uavaccel.config import Config, validate
 from uavaccel.kinematics import Kinematics, Vector
 from uavaccel.sim.camera.mounted import Lens
 from uavaccel.sim.camera.view import HEIGHT, WIDTH, AnyImage
+from uavaccel.sim.clutter.layout import Clutter, ClutterLayout, sample_world
 from uavaccel.sim.lane.file import layout_from
 from uavaccel.sim.lane.layout import Difficulty, LaneLayout, sample_layout
 from uavaccel.sim.poses import Pose
@@ -134,8 +136,8 @@ def image_requests(value: object, name: str) -> list[object]:
 
 class ImageApi(Calls, title="Cameras and images"):
     @call("uavaccelImage", "image", leaves_state=True)
-    def raw_image(self, kind: object) -> dict[str, object]:
-        """Return the present picture at AirSim's default size as bytes, with its shape and NumPy type.
+    def raw_image(self, kind: object, width: int = WIDTH, height: int = HEIGHT) -> dict[str, object]:
+        """Return the present picture, by default of AirSim's size, as bytes, with its shape and NumPy type.
 
         Gray, segmentation and depth have the shape (H, W), colour (H, W, 3).
         """
@@ -143,7 +145,9 @@ class ImageApi(Calls, title="Cameras and images"):
             raise ValueError(f"no picture {str(kind)!r}; there are {', '.join(PICTURES)}")
         if not self.scenery.render:
             raise ValueError("rendering is switched off")
-        camera, world = self.simulation.world.camera(WIDTH, HEIGHT), self.simulation.world
+        if not (16 <= width <= WIDTH and 16 <= height <= WIDTH):
+            raise ValueError(f"width and height must be 16 to {WIDTH}, not {width} and {height}")
+        camera, world = self.simulation.world.camera(width, height), self.simulation.world
         image: AnyImage = getattr(camera, str(kind))(self.simulation.frames.scene(world.data))
         return {"shape": list(image.shape), "dtype": image.dtype.str, "data": image.tobytes()}
 
@@ -227,6 +231,22 @@ def lane_layout(lane: object) -> LaneLayout:
         raise ValueError("a lane is a seed, {seed, difficulty}, or a mapping of obstacles")
     difficulty = lane.get("difficulty") if isinstance(lane, Mapping) else None
     return sample_layout(seed, validate(Difficulty, difficulty or {}, "difficulty"))
+
+
+class ClutterWorld(Config):
+    """A world of clutter on the wire."""
+
+    clutter: Clutter
+    """The distribution it is sampled from."""
+    seed: Annotated[int, Field(ge=0, lt=1 << 63)]
+    goal_m: tuple[float, float, float]
+    """The goal, NED, around which it is clear."""
+
+
+def clutter_layout(world: Mapping[str, object]) -> ClutterLayout:
+    """Return the layout of {"clutter": {...}, "seed": n, "goal_m": [north, east, down]}. Raises UserError."""
+    asked = validate(ClutterWorld, world, "clutter")
+    return sample_world(asked.seed, asked.clutter, asked.goal_m)
 
 
 def decode_image(reply: Received) -> AnyImage:

@@ -70,7 +70,7 @@ class Session(ABC):
         """
 
     @abstractmethod
-    def picture(self) -> NDArray[np.uint8]:
+    def picture(self, size: tuple[int, int] = (WIDTH, HEIGHT)) -> NDArray[np.uint8]:
         """Return the front camera's gray picture of this tick: taken inside the simulation, in `wall` by a message."""
 
     @abstractmethod
@@ -127,8 +127,8 @@ class WallSession(Session):
     def watch(self, every_ticks: int, observe: Callable[[int], None]) -> Callable[[], None]:
         raise UserError("timing = 'wall': nobody looks at a flight between its messages; take virtual or lockstep")
 
-    def picture(self) -> NDArray[np.uint8]:
-        return self._client.image("gray")
+    def picture(self, size: tuple[int, int] = (WIDTH, HEIGHT)) -> NDArray[np.uint8]:
+        return self._client.image("gray", size)
 
     def get_state(self) -> State | None:
         return None
@@ -178,9 +178,9 @@ class VirtualSession(Session):
         assert self._simulation is not None, "no game has begun"
         return self._simulation
 
-    def picture(self) -> NDArray[np.uint8]:
+    def picture(self, size: tuple[int, int] = (WIDTH, HEIGHT)) -> NDArray[np.uint8]:
         world = self._present().world
-        return world.camera(WIDTH, HEIGHT).gray(world.data)
+        return world.camera(*size).gray(world.data)
 
     def get_state(self) -> State:
         state: State = {"client.clock_speed": self._client.clock_speed}

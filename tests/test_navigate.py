@@ -1,0 +1,124 @@
+"""Navigate: worlds of clutter, the goal, and what ends a game."""
+
+import gymnasium
+import numpy as np
+import pytest
+
+import uavaccel.envs  # noqa: F401 - registers
+from uavaccel.envs.navigate import Navigate, NavigateTask
+from uavaccel.errors import UserError
+from uavaccel.kernels import fields
+from uavaccel.sim.clutter import layout as at
+from uavaccel.sim.clutter.layout import Clutter, sample_world
+from uavaccel.sim.profile import PROFILES
+from uavaccel.sim.world import World
+from uavaccel.wire.image_api import clutter_layout
+
+GOAL_M = (30.0, 5.0, -2.0)
+
+
+def test_a_world_is_a_function_of_its_seed_and_takes_numpys_numbers() -> None:
+    once, again, other = (sample_world(seed, Clutter(), GOAL_M).rows for seed in (3, 3, 4))
+    assert once.tobytes() == again.tobytes() != other.tobytes()
+    drawn = np.random.default_rng(3).random((len(once), 9))
+    assert (once[:, at.X] == -4.0 + 48.0 * drawn[:, 1]).all()
+    assert (at.BOX, at.CYLINDER) == (fields.BOX, fields.CYLINDER)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_start_and_goal_are_clear(seed: int) -> None:
+    clutter = Clutter(shapes=256, half_m=(0.5, 3.0), clear_start_m=4.0, clear_goal_m=3.0)
+    made = sample_world(seed, clutter, GOAL_M)
+    assert 0 < made.standing.sum() < 256
+    around = np.linspace(0.0, 2 * np.pi, 60)
+    for place, clear_m in (((0.0, 0.0), 4.0), ((30.0, -5.0), 3.0)):
+        for radius_m in (0.0, clear_m / 2, 0.999 * clear_m):
+            for x, y in zip(place[0] + radius_m * np.cos(around), place[1] + radius_m * np.sin(around), strict=True):
+                assert not inside(made.rows[made.standing], x, y).any()
+
+
+def inside(rows: np.ndarray, x: float, y: float) -> np.ndarray:
+    right, up = x - rows[:, at.X], y - rows[:, at.Y]
+    along = (rows[:, at.COS] * right + rows[:, at.SIN] * up) / rows[:, at.HALF_X]
+    across = (rows[:, at.COS] * up - rows[:, at.SIN] * right) / rows[:, at.HALF_Y]
+    box = rows[:, at.KIND] == at.BOX
+    return np.where(box, np.maximum(abs(along), abs(across)) < 1, along**2 + across**2 < 1)
+
+
+def test_mujoco_has_the_shapes_where_the_layout_has_them() -> None:
+    import mujoco
+
+    world, made = World("clutter", PROFILES["native"]), sample_world(3, Clutter(), GOAL_M)
+    world.set_clutter(made)
+    for name, row in zip(range(len(made)), made.rows, strict=True):
+        geom = world.data.geom(f"clutter_{name:03}")
+        assert np.allclose(geom.xmat.reshape(3, 3)[:2, 0], row[[at.COS, at.SIN]], atol=1e-12)
+        assert (geom.xpos == row[at.X : at.Z + 1]).all()
+    row = made.rows[made.standing & (made.rows[:, at.KIND] == at.CYLINDER)][0]
+    hit = np.zeros(1, np.int32)
+    start = row[[at.X, at.Y]] - (3.0, 0.0)
+    mujoco.mj_kinematics(world.model, world.data)
+    far = mujoco.mj_ray(world.model, world.data, [*start, 8.0], [1.0, 0.0, 0.0], None, 1, -1, hit)
+    assert far <= 3.0 - row[at.HALF_X] + 1e-12
+
+
+def test_a_drone_that_flies_at_a_pillar_collides_with_it_by_name() -> None:
+    env = Navigate(observation="state", split="evaluation", clutter={"boxes": 1, "cylinders": 0, "ellipsoids": 0,
+                   "spheres": 0, "shapes": 256, "half_m": [0.8, 0.8]})  # fmt: skip
+    env.reset(seed=1)
+    over, info = False, dict[str, object]()
+    while not over:
+        _, reward, over, late, info = env.step(np.array([1.0, 0.0, 0.0], np.float32))
+        assert not late
+    assert str(info["collision"]).startswith("clutter_")
+    assert reward < -4.0
+    env.close()
+
+
+def test_games_are_a_function_of_the_seed_and_go_on_from_a_state() -> None:
+    paths = []
+    for _ in range(2):
+        made = gymnasium.make("uavaccel/Navigate-v0", observation="state").unwrapped
+        assert isinstance(made, Navigate)
+        env = made
+        first, info = env.reset(seed=5)
+        assert first.shape == (7,)
+        assert 20.0 <= info["distance_m"] <= 40.0
+        paths.append((info["goal_m"], [env.step(np.array([0.3, 0.1, 0.0], np.float32))[0].tobytes() for _ in range(3)]))
+    assert paths[0] == paths[1]
+    other = Navigate(observation="state")
+    other.set_state(env.get_state())
+    action = np.array([0.5, 0.0, 0.0], np.float32)
+    assert (other.step(action)[0] == env.step(action)[0]).all()
+
+
+@pytest.mark.parametrize(
+    ("wire", "said"),
+    [
+        ({"clutter": {"shapes": 1000}, "seed": 1, "goal_m": [20, 0, -2]}, "clutter.shapes = 1000"),
+        ({"clutter": {}, "seed": -1, "goal_m": [20, 0, -2]}, "seed = -1"),
+        ({"clutter": {}, "seed": 1, "goal_m": "x"}, "goal_m = 'x'"),
+    ],
+)
+def test_untrusted_clutter_is_refused_in_one_line(wire: dict[str, object], said: str) -> None:
+    with pytest.raises(UserError, match=said):
+        clutter_layout(wire)
+
+
+def test_a_wrong_world_is_refused() -> None:
+    with pytest.raises(UserError, match="world"):
+        NavigateTask().sample(np.random.default_rng(0), {"world": -1})
+
+
+@pytest.mark.opengl
+@pytest.mark.parametrize("kind", ["depth", "colour", "dvs"])
+@pytest.mark.parametrize(("size", "shape"), [((64, 36), (36, 64)), ((80, 40), (40, 80)), ((256, 144), (36, 64))])
+def test_pictures_have_the_size_that_is_asked_for(kind: str, size: tuple[int, int], shape: tuple[int, int]) -> None:
+    env = Navigate(observation=kind, picture_size=list(size))
+    seen, _ = env.reset(seed=1)
+    assert seen.shape[1:] == shape
+    for _ in range(2):
+        seen = env.step(np.array([1.0, 0.0, 0.0], np.float32))[0]
+    assert env.observation_space.contains(seen)
+    assert seen.std() > 0.3
+    env.close()

@@ -1,0 +1,1 @@
+"""Worlds of randomly placed shapes, one per game, with a clear start and goal."""

@@ -1,0 +1,197 @@
+"""Clutter: a world of shapes sampled from a seed, as arithmetic that is the same on a CPU, on a GPU and for MuJoCo.
+
+Pillars, boxes and cylinders, stand on the ground; spheres and ellipsoids hang in the air. Start and goal are clear.
+Metres, MuJoCo's axes (x north, y west, z up). There is no sine or root in it, only IEEE arithmetic with products
+that are rounded before a sum (sim/rounding), so that every machine samples the same bits.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal, Self, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from uavaccel.config import Config
+from uavaccel.sim.parts import njit, part
+from uavaccel.sim.pcg64 import STREAM_FIELDS, pool_of, start, unit
+from uavaccel.sim.rounding import times
+from uavaccel.sim.vehicle.hotloop import sources
+
+Numbers = NDArray[np.float64]
+Kind = Literal["box", "cylinder", "ellipsoid", "sphere"]
+
+BOX, CYLINDER, ELLIPSOID, CAPSULE = 0, 1, 3, 4
+"""Kinds of shapes, as the kernels number them. A sphere is a CAPSULE without length."""
+
+# A shape: a row of a layout. Half sizes of a round shape: radius, radius, half length. Yaw turns x towards y.
+KIND, X, Y, Z, HALF_X, HALF_Y, HALF_Z, COS, SIN, GREY = range(10)
+CLUTTER_FIELDS = 10
+
+# A distribution as numbers, float64. SHARES: ends of the kinds' parts of 0 to 1, in the order of `Kind`.
+SHAPES, LEFT, LONG, LOW, WIDE, SMALL, LARGER, LEVEL, HIGHER = range(9)
+SHARES, CLEAR_START, CLEAR_GOAL, DARK, BRIGHTER = 9, 12, 13, 14, 15
+NUMBERS = 16
+
+MOST_SHAPES = 256  # as many as clutter.xml provides
+NORTH_M, ASIDE_M = (-4.0, 44.0), 24.0  # the area: from, to; half its width
+PILLAR_HALF_M = 5.0
+CENTRES_M = (0.5, 5.0)  # heights of the centres of what hangs in the air
+PARKED_Z_M = -100.0
+GREYS = (0.25, 0.95)
+TURN = 0.41421356237309503  # the tangent of a sixteenth of a turn: yaw is at most an eighth of a turn
+
+Share = Annotated[float, Field(ge=0.0, le=1.0)]
+HalfSize = Annotated[float, Field(gt=0.0, le=5.0)]
+Clear = Annotated[float, Field(ge=0.5, le=20.0)]
+
+
+class Clutter(Config):
+    """The distribution that worlds are sampled from."""
+
+    shapes: Annotated[int, Field(ge=0, le=MOST_SHAPES)] = 128
+    """Number of shapes in 48 m x 48 m; those that reach into the start or the goal are left out."""
+    half_m: tuple[HalfSize, HalfSize] = (0.2, 0.8)
+    """Range of half sizes and radii, metres."""
+    boxes: Share = 0.35
+    """Share of boxes, turned about the vertical, 10 m high; shares need not add up to 1."""
+    cylinders: Share = 0.35
+    """Share of upright cylinders, 10 m high."""
+    ellipsoids: Share = 0.15
+    """Share of ellipsoids in the air, turned about the vertical."""
+    spheres: Share = 0.15
+    """Share of spheres in the air."""
+    clear_start_m: Clear = 2.0
+    """Horizontal distance from the start, in metres, within which there is nothing."""
+    clear_goal_m: Clear = 1.5
+    """Horizontal distance from the goal, in metres, within which there is nothing."""
+
+    @model_validator(mode="after")
+    def _has_sizes_and_kinds(self) -> Self:
+        if self.half_m[0] > self.half_m[1]:
+            raise ValueError(f"half_m = {list(self.half_m)}: must be a range, from the smaller to the larger")
+        if not sum(self.shares()) > 0.0:
+            raise ValueError("boxes, cylinders, ellipsoids or spheres must be more than 0")
+        return self
+
+    def shares(self) -> tuple[float, float, float, float]:
+        """Return the shares, in the order of `Kind`."""
+        return self.boxes, self.cylinders, self.ellipsoids, self.spheres
+
+    def numbers(self) -> Numbers:
+        """Return what `sample_clutter` takes (NUMBERS,)."""
+        (small, large), (left, right), (low, high), (dark, bright) = self.half_m, NORTH_M, CENTRES_M, GREYS
+        ends = np.cumsum(self.shares()) / sum(self.shares())
+        sizes = (small, large - small, low, high - low)
+        area = (left, right - left, -ASIDE_M, 2 * ASIDE_M)
+        clear = (self.clear_start_m, self.clear_goal_m)
+        return np.array([self.shapes, *area, *sizes, *ends[:3], *clear, dark, bright - dark])
+
+
+@part
+def sample_clutter(numbers: Any, stream: Any, goal_x: float, goal_y: float, rows: Any) -> int:
+    """Sample a world from a stream (sim/pcg64) into rows (n, CLUTTER_FIELDS); return how many shapes stand.
+
+    `numbers` are Clutter.numbers(). The first `numbers[SHAPES]` rows are written, at most n; each takes nine numbers
+    of the stream. A shape that reaches into the start, at (0, 0), or into the goal is parked below the ground.
+    """
+    stand = 0
+    for number in range(min(int(numbers[SHAPES]), rows.shape[0])):
+        row = rows[number]
+        _sample_shape(numbers, stream, row)
+        clear = _away(row, 0.0, 0.0, numbers[CLEAR_START]) and _away(row, goal_x, goal_y, numbers[CLEAR_GOAL])
+        if clear:
+            stand += 1
+        else:
+            row[Z] = PARKED_Z_M
+    return stand
+
+
+@part
+def _sample_shape(numbers: Any, stream: Any, row: Any) -> None:
+    """Sample one shape."""
+    share = unit(stream)
+    kind = CAPSULE
+    if share < numbers[SHARES]:
+        kind = BOX
+    elif share < numbers[SHARES + 1]:
+        kind = CYLINDER
+    elif share < numbers[SHARES + 2]:
+        kind = ELLIPSOID
+    row[KIND] = float(kind)
+    row[X] = numbers[LEFT] + times(numbers[LONG], unit(stream))
+    row[Y] = numbers[LOW] + times(numbers[WIDE], unit(stream))
+    for axis in range(3):
+        row[HALF_X + axis] = numbers[SMALL] + times(numbers[LARGER], unit(stream))
+    row[Z] = numbers[LEVEL] + times(numbers[HIGHER], unit(stream))
+    if kind in (BOX, CYLINDER):
+        row[Z] = row[HALF_Z] = PILLAR_HALF_M
+    if kind in (CYLINDER, CAPSULE):
+        row[HALF_Y] = row[HALF_X]
+    if kind == CAPSULE:
+        row[HALF_Z] = 0.0
+    half = times(TURN, times(2.0, unit(stream)) - 1.0)  # the tangent of half the yaw
+    squared = times(half, half)
+    row[COS], row[SIN] = (1.0 - squared) / (1.0 + squared), times(2.0, half) / (1.0 + squared)
+    if kind in (CYLINDER, CAPSULE):
+        row[COS], row[SIN] = 1.0, 0.0
+    row[GREY] = numbers[DARK] + times(numbers[BRIGHTER], unit(stream))
+
+
+@part
+def _away(row: Any, x: float, y: float, clear: float) -> bool:
+    """Return whether no part of a shape, seen from above, is within `clear` of a place."""
+    right, up = x - row[X], y - row[Y]
+    along = abs(times(row[COS], right) + times(row[SIN], up))
+    across = abs(times(row[COS], up) - times(row[SIN], right))
+    if int(row[KIND]) == BOX:
+        along, across = max(along - row[HALF_X], 0.0), max(across - row[HALF_Y], 0.0)
+        return bool(times(along, along) + times(across, across) >= times(clear, clear))
+    reach = clear + max(row[HALF_X], row[HALF_Y])
+    return bool(times(along, along) + times(across, across) >= times(reach, reach))
+
+
+@dataclass(frozen=True)
+class ClutterLayout:
+    """The shapes of a world (n, CLUTTER_FIELDS), parked ones included."""
+
+    rows: Numbers
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    @property
+    def standing(self) -> NDArray[np.bool_]:
+        """Whether each shape (n,) stands, and is not parked."""
+        found: NDArray[np.bool_] = self.rows[:, Z] > PARKED_Z_M
+        return found
+
+    def names(self) -> list[str]:
+        """Return the kind of each shape."""
+        kinds = dict(zip((BOX, CYLINDER, ELLIPSOID, CAPSULE), get_args(Kind), strict=True))
+        return [kinds[int(kind)] for kind in self.rows[:, KIND]]
+
+
+def sample_world(seed: int, clutter: Clutter, goal_m: tuple[float, float, float]) -> ClutterLayout:
+    """Sample the world of a seed around a goal, NED; the same arguments give the same bits on every machine."""
+    rows = np.zeros((clutter.shapes, CLUTTER_FIELDS))
+    _sample(clutter.numbers(), np.uint64(seed), goal_m[0], -goal_m[1], rows)
+    return ClutterLayout(rows)
+
+
+def _compile(stamp: int) -> Callable[[Numbers, np.uint64, float, float, Numbers], int]:
+    """Compile the entry point, or load it from numba's cache; `stamp` as in hotloop."""
+
+    @njit(cache=True)
+    def sample(numbers, seed, goal_x, goal_y, rows):  # type: ignore[no-untyped-def]
+        stream = np.zeros(STREAM_FIELDS * (stamp != 0), np.uint64)
+        start(stream, pool_of(seed))
+        return sample_clutter(numbers, stream, goal_x, goal_y, rows)
+
+    return sample
+
+
+_sample = _compile(sources(__name__))
