@@ -16,7 +16,6 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 
 from tests.drawing import headline, labelled, legend_texts, points, record_figures, tick_texts
 from tests.learning import tiny_config, train_into
-from tests.opengl import needs_opengl
 from uavaccel.envs.obstacle_lane import LaneTask
 from uavaccel.envs.stopwatch import PHASES
 from uavaccel.errors import UserError
@@ -154,7 +153,6 @@ def test_real_time_is_modelled_with_the_trainings_flight_and_senses(monkeypatch:
     assert made[1:] == [*[("inference", 0.25), ("learning", 2.0 / 4), 2] * 20, "closed"]
 
 
-@needs_opengl
 def test_real_time_has_the_pictures_latencies() -> None:
     keys = {"mirror": False, "inference_s": 0.0, "learning_s": 0.0}
     seen, blind = (

@@ -67,8 +67,12 @@ class Report:
         """The contents of summary.json."""
         return self.suite.summary(self)
 
-    def figure(self, name: str, figure: Figure, caption: str, source: str) -> Picture:
-        """Save a figure as figures/NAME.png, and return it as a block, its caption followed by its source."""
+    def figure(self, name: str, figure: Figure, caption: str, source: str | None = None) -> Picture:
+        """Save a figure as figures/NAME.png, and return it as a block, its caption followed by its source.
+
+        By default the source is what stands below the figure.
+        """
+        source = figure.get_supxlabel() if source is None else source
         return style.picture(figure, self.run.file(f"figures/{name}.png"), caption, source)
 
     def write_summary(self) -> Summary:

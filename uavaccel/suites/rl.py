@@ -6,9 +6,10 @@ Each case trains a policy and evaluates it, in runs of other suites below parts/
 from __future__ import annotations
 
 import shutil
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
 from pathlib import Path
@@ -41,7 +42,7 @@ from uavaccel.suites.parts import OUTCOMES, Part, fly_part, outcomes, part_folde
 from uavaccel.suites.report import Report, Summary, table_of
 from uavaccel.suites.rl_figures import KEY, collapse, over_gaps, panel_name
 from uavaccel.suites.rows import GameRow, Phases, Row
-from uavaccel.suites.suite import AnySuite, GameResult, Suite
+from uavaccel.suites.suite import AnySuite, GameResult, SimpleCase, Suite
 from uavaccel.suites.train import CHECKPOINTS
 
 SimulatedTiming = Literal["virtual", "lockstep"]
@@ -51,10 +52,9 @@ Flown: TypeAlias = pd.DataFrame
 OF_DECISIONS = ("inference_s",)  # keys of a training that also apply to its evaluations
 EVALUATION_SEED = 0  # the same lanes and latencies for every policy
 OF_EXACT = "exact"  # name of an evaluation in the exact simulator
-WITHOUT_IMAGES = tuple(phase for phase in PHASES if phase != "rendering")  # ADSC takes its images in a pause
-SIMULATION = ("simulation", "rendering")  # the paper's "simulation" renders the images
 TOGETHER = "together"  # the folder of the report of several runs, in the first one's
 MAY_DIFFER = {"cells", "command", "clock_speed", "profile", "timing", "seed", "seeds"}  # between these
+LEARNED = ("trained_games", "trained_successes", "weights_sha256")
 
 
 class Block(Config):
@@ -111,37 +111,30 @@ class RlConfig(Experiment):
     """Choose the cells of this timing; without it, of both."""
 
     @model_validator(mode="after")
-    def _has_what_it_selects(self) -> RlConfig:
+    def _selects_cells_that_are_there_once(self) -> RlConfig:
         for name in ("command", "clock_speed"):
-            known = {value for block in self.cells for value in getattr(block, name)}
-            for value in getattr(self, name):
-                if value not in known:
-                    raise ValueError(f"{name} = {value} is in no cell; there are {listed(sorted(known))}")
+            known = sorted({value for block in self.cells for value in getattr(block, name)})
+            if unknown := [value for value in getattr(self, name) if value not in known]:
+                raise ValueError(f"{name} = {unknown[0]} is in no cell; there are {listed(known)}")
         if not any(self.selected(block) for block in self.cells):
             raise ValueError("command, clock_speed, profile and timing together select no cell")
-        return self
-
-    @model_validator(mode="after")
-    def _names_each_cell_once(self) -> RlConfig:
-        names: set[tuple[object, ...]] = set()
-        for block in self.cells:
-            for clock_speed, command in product(block.clock_speed, block.command):
-                name = f"{block.profile} {block.timing} {command} at {clock_speed:g}x"
-                if (block.variant, name) in names:
-                    raise ValueError(f"cells has {name} twice; give one a `variant`")
-                names.add((block.variant, name))
+        names = Counter(
+            (block.variant, f"{block.profile} {block.timing} {command} at {clock_speed:g}x")
+            for block in self.cells
+            for clock_speed, command in product(block.clock_speed, block.command)
+        )
+        (_, name), count = names.most_common(1)[0]
+        if count > 1:
+            raise ValueError(f"cells has {name} twice; give one a `variant`")
         return self
 
     def selected(self, block: Block) -> list[tuple[float, CommandName]]:
         """Return ClockSpeed and command of each cell of a block that a run selects."""
         if block.profile != (self.profile or block.profile) or block.timing != (self.timing or block.timing):
             return []
+        clocks, commands = self.clock_speed or block.clock_speed, self.command or block.command
         cells = product(block.clock_speed, block.command)
-        return [
-            (clock_speed, command)
-            for clock_speed, command in cells
-            if clock_speed in (self.clock_speed or (clock_speed,)) and command in (self.command or (command,))
-        ]
+        return [(clock, command) for clock, command in cells if clock in clocks and command in commands]
 
 
 class TrainingResult(TypedDict):
@@ -179,35 +172,24 @@ class RlRow(GameRow):
     evaluations: list[EvaluationResult]
 
 
-ARRAYS = {f"*_{name}": ArrayForm(form.kinds, ("n",)) for name, form in OUTCOMES.items()}
-"""The outcomes of each evaluation's lanes, under the name of the flight."""
-
-
 @dataclass(frozen=True)
-class TrainingCase:
-    """One training of a command at a ClockSpeed with a seed, and the evaluations of its policy."""
+class TrainingCase(SimpleCase):
+    """A training and the evaluations of its policy, or, if `exact`, its policy's evaluation in the exact simulator.
 
-    block: Block = field(compare=False)
+    `timing` is virtual in all, so that cells run side by side whichever simulated clock they have.
+    """
+
+    block: Block
     clock_speed: float
     command: CommandName
     seed: int
-    exact: bool = False
-    """Whether this is no training, but the evaluation of its policy in the exact simulator."""
-    games: int = field(default=0, compare=False)
-    typical_s: float = field(default=0.0, compare=False)
-    timing: str = "virtual"  # all cells run side by side, whichever simulated clock they have
+    exact: bool
+    games: int = 0
 
     @property
     def trained(self) -> str:
-        names = [self.block.variant, self.block.profile, self.block.timing, self.command, f"{self.clock_speed:g}x"]
-        return "-".join([name for name in names if name] + [f"seed{self.seed}"])
-
-    @property
-    def id(self) -> str:
-        return f"{self.trained}-{OF_EXACT}" if self.exact else self.trained
-
-    def simulated_s(self) -> float:
-        return self.typical_s
+        """The name of the policy: the folder of its parts."""
+        return self.id.removesuffix(f"-{OF_EXACT}")
 
 
 class Rl(Suite[RlConfig, TrainingCase]):
@@ -216,14 +198,22 @@ class Rl(Suite[RlConfig, TrainingCase]):
     name = "rl"
     config = RlConfig
     row = RlRow
-    arrays = ARRAYS
+    arrays: ClassVar = {f"*_{name}": ArrayForm(form.kinds, ("n",)) for name, form in OUTCOMES.items()}
     batch: ClassVar[int] = 1
 
     def check(self, config: RlConfig) -> None:
         """Check that training and evaluations of each cell can be configured. Raises UserError."""
-        last = {cell.exact: cell for cell in self.cases(config.model_copy(update={"seeds": 1}))}
-        if config.exact_seeds:
-            _refuse_other_lanes(*(_configured(config, last[exact])[-1][1] for exact in (False, True)))
+        last = {case.exact: case for case in self.cases(config.model_copy(update={"seeds": 1}))}
+        if not config.exact_seeds:
+            return
+        evaluation, exact = (_configured(config, last[exact])[-1][1] for exact in (False, True))
+        if exact.simulator != EXACT or evaluation.simulator == EXACT:
+            raise UserError(
+                f"exact_seeds: needs exact.keys.simulator = {EXACT}, not {exact.simulator}, beside an evaluation by "
+                f"the kernels, not by {evaluation.simulator}; or exact_seeds = 0"
+            )
+        if (exact.first_lane, exact.games) != (evaluation.first_lane, evaluation.games):
+            raise UserError("exact.keys: games and first_lane must be those of evaluation.keys, lane for lane")
 
     def cases(self, config: RlConfig) -> Iterator[TrainingCase]:
         """Yield the cases seed by seed, so that an interrupted run has complete tables of fewer seeds.
@@ -231,16 +221,19 @@ class Rl(Suite[RlConfig, TrainingCase]):
         Those of a seed are in the order of the blocks, slow clocks first. The evaluations in the exact simulator
         follow, in the same order.
         """
-        sizes: dict[str, TrainingCase] = {}  # trainings that differ in their seed alone are of one size
+        sizes: dict[tuple[object, ...], tuple[int, float]] = {}  # of trainings that differ in their seed alone
         for exact, seeds in ((False, config.seeds), (True, min(config.exact_seeds, config.seeds))):
             for seed, block in product(range(config.seed, config.seed + seeds), config.cells):
                 for clock_speed, command in config.selected(block):
-                    cell = TrainingCase(block, clock_speed, command, seed, exact)
-                    if (kind := replace(cell, seed=0).id) not in sizes:
-                        parts = _configured(config, cell)
-                        games_s = [case.simulated_s() for suite, part in parts for case in suite.cases(part)]
-                        sizes[kind] = replace(cell, games=len(games_s), typical_s=sum(games_s))
-                    yield replace(sizes[kind], seed=seed)
+                    kind = block.variant, block.profile, block.timing, command, f"{clock_speed:g}x"
+                    name = "-".join(filter(None, (*kind, f"seed{seed}", OF_EXACT if exact else "")))
+                    case = TrainingCase(name, "virtual", 0.0, block, clock_speed, command, seed, exact)
+                    if (exact, *kind) not in sizes:
+                        parts = _configured(config, case)
+                        games_s = [game.simulated_s() for suite, part in parts for game in suite.cases(part)]
+                        sizes[exact, *kind] = len(games_s), sum(games_s)
+                    games, typical_s = sizes[exact, *kind]
+                    yield replace(case, games=games, typical_s=typical_s)
 
     def games(self, config: RlConfig, case: TrainingCase) -> int:
         return case.games
@@ -262,9 +255,8 @@ class Rl(Suite[RlConfig, TrainingCase]):
         return {}
 
     def renders(self, config: RlConfig) -> bool:
-        cells = self.cases(config.model_copy(update={"seeds": 1, "exact_seeds": 0}))
-        trainings = [_configured(config, cell)[0] for cell in cells]
-        return any(suite.renders(training) for suite, training in trainings)
+        cases = self.cases(config.model_copy(update={"seeds": 1}))
+        return any(suite.renders(part) for case in cases for suite, part in _configured(config, case))
 
     def open(self, config: RlConfig, timing: str, run: RunDirectory) -> AbstractContextManager[RunDirectory]:
         _, training = _configured(config, next(self.cases(config)))[0]
@@ -286,15 +278,16 @@ class Rl(Suite[RlConfig, TrainingCase]):
             if begun and RunDirectory(folder).config().get("agent") != agent:
                 shutil.rmtree(folder)  # begun before the run was moved, it names its policy by another path
             summary, took = timed(partial(fly_part, opened, place, part, seed, pages=False))
+            flown = part_run(opened, place)
             if name == "training":
                 # gigabytes that are of no use once the training is over
                 shutil.rmtree(folder / CHECKPOINTS, ignore_errors=True)
                 row["training"] = {key: summary[key] for key in TrainingResult.__annotations__}
-                host["training_s"] = (cumulative_wall_s(part_run(opened, place).timings()) or [0.0])[-1]
+                host["training_s"] = (cumulative_wall_s(flown.timings()) or [0.0])[-1]
             else:
                 row["evaluations"].append({key: summary[key] for key in EvaluationResult.__annotations__})
-                flown, flight = outcomes(part_run(opened, place)), name.removeprefix("evaluation-")
-                arrays |= {f"{flight}_{key}": each for key, each in flown.items()}
+                flight = name.removeprefix("evaluation-")
+                arrays |= {f"{flight}_{key}": values for key, values in outcomes(flown).items()}
                 host["evaluations_s"] += took["host_wall_s"]
         return GameResult(row, arrays, host)
 
@@ -305,24 +298,28 @@ class Rl(Suite[RlConfig, TrainingCase]):
     def score(self, report: Report) -> Flown:
         """Return a row for each flight of a policy, the one in real time with its own command, flight 0, first.
 
-        It has the conditions of the training, `with` and `at`, command and ClockSpeed of the flight, `won`, the outcome
-        by lane, and `distance_m`; and, unless `exact`, the numbers of the training, its seconds by phase.
+        It has the conditions of the training, `with` and `at`, command and ClockSpeed of the flight, `success`, a
+        Proportion, `won`, the outcome by lane, and `distance_m`; and, unless `exact`, the numbers of the training, its
+        seconds by phase, `simulation_s`, which as in the paper has rendering, and `wall_s`.
         """
         flights = []
         for game in report.games.to_dict("records"):
-            arrays, trained = report.arrays(game), game.get("training")
+            arrays, trained, evaluations = report.arrays(game), game.get("training"), game["evaluations"]
+            shared = {key: game[key] for key in (*KEY, "seed")} | {"exact": trained is None}
             learned = {} if trained is None else {**trained, **trained["phase_s"]}
-            shared = {key: game[key] for key in (*KEY, "seed", "case")} | {"exact": trained is None}
-            shared |= {name: learned.get(name) for name in ("commands", "sim_time_s", "weights_sha256", *PHASES)}
             shared |= {f"trained_{name}": learned.get(name) for name in ("games", "successes")}
-            for number, each in enumerate(game["evaluations"]):
-                clocks = each["clock_speed"], game["evaluations"][0]["clock_speed"]
-                name = OF_EXACT if trained is None else flight_name(each["command"], *clocks)
-                flown = {"flight": number, "with": each["command"], "at": each["clock_speed"]}
-                flown |= {key: each[key] for key in ("successes", "games")}
-                won = pd.Series(arrays[f"{name}_is_success"], arrays[f"{name}_lane"])
-                flights.append(shared | flown | {"won": won, "distance_m": arrays[f"{name}_distance_m"]})
-        return table_of(flights)
+            shared |= {name: learned.get(name) for name in ("commands", "sim_time_s", "weights_sha256", *PHASES)}
+            for number, flown in enumerate(evaluations):
+                flight = flight_name(flown["command"], flown["clock_speed"], evaluations[0]["clock_speed"])
+                lane, won, distance_m = (
+                    arrays[f"{OF_EXACT if trained is None else flight}_{name}"] for name in OUTCOMES
+                )
+                own = {"flight": number, "with": flown["command"], "at": flown["clock_speed"]}
+                own |= {"success": Proportion.of(flown), "ratio": flown["successes"] / flown["games"]}
+                flights.append(shared | own | {"won": pd.Series(won, lane), "distance_m": distance_m})
+        table = table_of(flights)
+        simulation_s, wall_s = (table[list(phases)].sum(axis=1) for phases in (PHASES[:2], PHASES))
+        return table.assign(simulation_s=simulation_s, wall_s=wall_s)
 
     def summary(self, report: Report) -> Summary:
         """Summarise each training, the seeds of each condition pooled, and the comparisons between conditions."""
@@ -337,7 +334,15 @@ class Rl(Suite[RlConfig, TrainingCase]):
             "seed": config.seed,
             "training_games": config.games,
             "evaluation_clock_speed": real_time,
-            "cells": [summary_of_training(own.loc[[number]], own) for number in own.index],
+            "cells": [
+                {
+                    **{key: training[key] for key in (*KEY, "seed", *LEARNED)},
+                    **training.success.as_summary(),
+                    "distance_m_median": float(np.median(training.distance_m)),
+                    **_times(own.loc[[number]], own),
+                }
+                for number, training in own.iterrows()
+            ],
             "pooled": [summary_of_seeds(where(group, flight=0), own) for group in groups],
             "interchange": [test for group in groups for test in interchange(group, real_time)],
             "interchange_as_trained": [
@@ -345,7 +350,7 @@ class Rl(Suite[RlConfig, TrainingCase]):
             ],
             "as_trained": [test for group in faster for test in as_trained(group, trained)],
             "exact": [side_by_side(where(own, **key_of(group)), group) for group in exact],
-            "same_weights": same_weights(own),
+            "same_weights": list(same_weights(own)),
         }
 
     def title(self, report: Report) -> str:
@@ -357,35 +362,35 @@ class Rl(Suite[RlConfig, TrainingCase]):
         Where all trainings are variants it is the gap from which on success collapses.
         """
         cells, trained, pooled = (report.summary[key] for key in ("cells", "training_games", "pooled"))
-        lines = over_gaps(pooled)
-        said = _slowest_and_fastest(pooled) or ([collapse(lines).rstrip(".")] if lines else [])
+        plain: dict[str, list[str]] = {}
+        for cell in sorted(pooled, key=lambda cell: cell["clock_speed"]):
+            if not cell["variant"]:
+                success = f"{cell['success_ratio']:.1%} after training at {clock_label(cell['clock_speed'])}"
+                plain.setdefault(panel_name(cell), []).append(success)
+        said = [f"{name}: {', '.join(dict.fromkeys((found[0], found[-1])))}" for name, found in plain.items()]
+        if not said and (lines := over_gaps(pooled)):
+            said = [collapse(lines).rstrip(".")]
         lanes = f"{listed(sorted({cell['games'] for cell in cells}))} lanes"
         clock = clock_label(report.summary["evaluation_clock_speed"])
         said.append(f"{len(cells)} trainings of {trained} games, each policy flown on {lanes} at {clock}")
         return "; ".join([*said, "all times are modelled but those of this machine"])
 
     def overview(self, report: Report) -> Table:
-        columns = {
-            **TRAINED,
-            "success [95 %]": "{over_seeds}",
-            "the paper's": "{paper_successes} %",
-            "training speed-up": "{training_speedup:.3g}x",
-        }
-        return Table.of(map(named, report.summary["pooled"]), columns)
+        return Table.of(map(named, report.summary["pooled"]), OVERVIEW)
 
     def page(self, report: Report) -> Iterator[PageBlock | str]:
-        summary = report.summary
+        summary, cells = report.summary, rl_figures.pooled_cells(report)
         pooled = [named(cell) for cell in summary["pooled"]]
         yield Heading("Table I: success by training")
         yield Table.of(pooled, SUCCESS)
         yield WHAT_N_TELLS
-        yield rl_figures.success_figure(report)
-        yield rl_figures.distances_figure(report)
+        yield rl_figures.success_figure(report, cells)
+        yield rl_figures.distances_figure(report, cells)
         if lines := over_gaps(summary["pooled"]):
             yield Heading("Success in real time over the gap of the training")
             yield collapse(lines)
             yield rl_figures.gaps_figure(report, lines)
-            yield Table.of([named(cell) for cells in lines.values() for cell in cells], GAPS)
+            yield Table.of([named(cell) for line in lines.values() for cell in line.to_dict("records")], GAPS)
             yield WHAT_A_GAP_IS
         if interchanged := [*summary["interchange"], *summary["interchange_as_trained"]]:
             yield Heading("Commands interchanged")
@@ -400,24 +405,22 @@ class Rl(Suite[RlConfig, TrainingCase]):
             yield Table.of(map(named, tests), AS_TRAINED)
         if exact := summary["exact"]:
             yield Heading("The same policies in the exact simulator")
-            lanes, same = (sum(each[name] for each in exact) for name in ("lanes", "same_end"))
+            lanes, same = (sum(policy[name] for policy in exact) for name in ("lanes", "same_end"))
             yield f"Of {lanes} flights of a policy over a lane in real time {same} end alike in both, won or lost."
             yield Table.of(map(named, exact), EXACT_TOO)
         yield Heading("Time of the training")
-        took_m = _machine_minutes(report)
-        hours = [
-            cell
-            | {"h": cell["training_wall_s"] / 3600, "minutes": took_m.get(tuple(cell[key] for key in KEY))}
-            | {"real_h": cell["real_time_s"] and cell["real_time_s"] / 3600}
-            for cell in pooled
-        ]
-        yield Table.of(hours, TIMES)
-        yield _time_saved(hours)
+        times = training_hours(report, pooled)
+        yield Table.of(times, TIMES)
+        yield time_saved(times)
         yield HOW_TIME_IS_MODELLED
-        if any(cell["timing"] == "virtual" for cell in pooled):
-            yield rl_figures.time_figure(report)
+        if (cells.timing == "virtual").any():
+            yield rl_figures.time_figure(report, cells)
         yield Heading("Each training")
-        yield from map(_same_weights_in_words, summary["same_weights"])
+        for family in summary["same_weights"]:
+            clocks = listed(clock_label(clock) for clock in family["clock_speed"])
+            seeds, equal = len(family["seeds"]), len(family["equal"])
+            others = "one training each" if equal == seeds else f"{seeds - equal} learned others"
+            yield f"{panel_name(family)}: of {seeds} seeds {equal} learned the same weights at {clocks}: {others}."
         yield Table.of(map(named, summary["cells"]), TRAININGS, folded=f"{len(summary['cells'])} trainings")
 
     def compare(self, runs: Sequence[RunDirectory]) -> list[Path]:
@@ -432,22 +435,22 @@ class Together(Report):
 
     def __init__(self, reports: Sequence[Report]) -> None:
         """Raises UserError where two runs hold the same cell, or were not trained and evaluated alike."""
-        first, self._of = reports[0], dict[str, Report]()
+        first, configs = reports[0], [report.config for report in reports]
+        self._of: dict[str, Report] = {}
+        alike = {key: value for key, value in dict(first.config).items() if key not in MAY_DIFFER}
         for report in reports:
-            for key in type(first.config).model_fields.keys() - MAY_DIFFER:
-                if getattr(report.config, key) != getattr(first.config, key):
+            for key, value in alike.items():
+                if getattr(report.config, key) != value:
                     other = f"{report.run.path}: {key} differs from that of {first.run.path}"
                     raise UserError(f"{other}: they make no one table")
             for case in report.games["case"]:
                 if case in self._of:
                     raise UserError(f"{report.run.path}: has {case}, which {self._of[case].run.path} has too")
                 self._of[case] = report
-        configs = [report.config for report in reports]
         blocks = [block for config in configs for block in config.cells]
-        first_seed, last = min(each.seed for each in configs), max(each.seed + each.seeds for each in configs)
-        whole = {key: value for key, value in dict(first.config).items() if key not in MAY_DIFFER}
-        whole["cells"] = [block for number, block in enumerate(blocks) if block not in blocks[:number]]
-        self.suite, self.config = first.suite, RlConfig(**whole, seed=first_seed, seeds=last - first_seed)
+        alike["cells"] = [block for number, block in enumerate(blocks) if block not in blocks[:number]]
+        seed, end = min(config.seed for config in configs), max(config.seed + config.seeds for config in configs)
+        self.suite, self.config = first.suite, RlConfig(**alike, seed=seed, seeds=end - seed)
         self.games = pd.concat([report.games for report in reports], ignore_index=True)
         self.timings = [entry for report in reports for entry in report.timings]
         shutil.rmtree(place := first.run.path / TOGETHER, ignore_errors=True)
@@ -467,47 +470,37 @@ def flight_name(command: str, clock_speed: float, real_time: float) -> str:
     return command if clock_speed == real_time else f"{command}-{clock_speed:g}x"
 
 
-def parts_of(config: RlConfig, cell: TrainingCase, agent: str = DEFAULT) -> dict[str, tuple[Part, int]]:
-    """Return the training of a cell, and the evaluations of the policy `agent`, by folder, each with its seed.
+def parts_of(config: RlConfig, case: TrainingCase, agent: str = DEFAULT) -> dict[str, tuple[Part, int]]:
+    """Return the training of a case, and the evaluations of the policy `agent`, by folder, each with its seed.
 
     Evaluations are in real time with the cell's own command, then the other, then both as trained, on the clock of the
     training and with the policy's own observation.
     """
-    block, real_time = cell.block, config.evaluation_clock_speed
-    task = {f"task.{key}": value for key, value in block.task.items()}
+    block, real_time = case.block, config.evaluation_clock_speed
     flown_in = {"task.timing": block.timing, "task.profile": block.profile}
+    task = {f"task.{key}": value for key, value in block.task.items()}
+    keys = {f"task.{key}": value for key, value in block.task.items() if key.split(".")[0] not in SENSES + FLIGHT}
+    keys |= {key: value for key, value in block.training.items() if key in OF_DECISIONS} | {"agent": agent}
 
     def part(base: Part, command: str, clock_speed: float, keys: Mapping[str, Any]) -> Part:
         clock = {"task.command": command, "task.clock_speed": clock_speed, **flown_in}
         return Part(experiment=base.experiment, keys={**base.keys, **clock, **keys})
 
-    keys = {key: value for key, value in task.items() if key.split(".")[1] not in SENSES + FLIGHT}
-    keys |= {key: value for key, value in block.training.items() if key in OF_DECISIONS} | {"agent": agent}
-    if cell.exact:
-        return {f"evaluation-{OF_EXACT}": (part(config.exact, cell.command, real_time, keys), EVALUATION_SEED)}
+    if case.exact:
+        return {f"evaluation-{OF_EXACT}": (part(config.exact, case.command, real_time, keys), EVALUATION_SEED)}
     learned = {"games": config.games, **task, **block.training}
-    parts = {"training": (part(config.training, cell.command, cell.clock_speed, learned), cell.seed)}
-    for clock_speed in dict.fromkeys([real_time, cell.clock_speed] if config.as_trained else [real_time]):
-        for command in [cell.command, other_command(cell.command)] if config.interchange else [cell.command]:
-            name = f"evaluation-{flight_name(command, clock_speed, real_time)}"
-            parts[name] = part(config.evaluation, command, clock_speed, keys), EVALUATION_SEED
+    parts = {"training": (part(config.training, case.command, case.clock_speed, learned), case.seed)}
+    clocks = dict.fromkeys([real_time, case.clock_speed] if config.as_trained else [real_time])
+    commands = [case.command, other_command(case.command)] if config.interchange else [case.command]
+    for clock_speed, command in product(clocks, commands):
+        name = f"evaluation-{flight_name(command, clock_speed, real_time)}"
+        parts[name] = part(config.evaluation, command, clock_speed, keys), EVALUATION_SEED
     return parts
 
 
-def _configured(config: RlConfig, cell: TrainingCase) -> list[tuple[AnySuite, Any]]:
-    """Return suites and configurations of the cell's training and evaluations. Raises UserError for invalid ones."""
-    return [part_suite(part, seed) for part, seed in parts_of(config, cell).values()]
-
-
-def _refuse_other_lanes(evaluation: Any, exact: Any) -> None:
-    """Raise UserError unless both simulators evaluate on the same lanes."""
-    if exact.simulator != EXACT or evaluation.simulator == EXACT:
-        raise UserError(
-            f"exact_seeds: needs exact.keys.simulator = {EXACT}, not {exact.simulator}, beside an evaluation by the "
-            f"kernels, not by {evaluation.simulator}; or exact_seeds = 0"
-        )
-    if (exact.first_lane, exact.games) != (evaluation.first_lane, evaluation.games):
-        raise UserError("exact.keys: games and first_lane must be those of evaluation.keys, lane for lane")
+def _configured(config: RlConfig, case: TrainingCase) -> list[tuple[AnySuite, Any]]:
+    """Return suites and configurations of a case's training and evaluations. Raises UserError for invalid ones."""
+    return [part_suite(part, seed) for part, seed in parts_of(config, case).values()]
 
 
 def where(flights: Flown, **wanted: Any) -> Flown:
@@ -520,26 +513,6 @@ def key_of(group: Flown) -> dict[str, Any]:
     return {key: group[key].iloc[0] for key in KEY}
 
 
-def _at_1x(group: Flown, own: Flown, command: str) -> Flown:
-    """Return the trainings with that command at 1x; none in lockstep, or where they were not run.
-
-    With ADSC they are the baseline of speed-ups, as in the paper.
-    """
-    slow = where(own, **(key_of(group) | {"command": command, "clock_speed": 1.0}))
-    return where(slow, timing="virtual")
-
-
-def summary_of_training(one: Flown, own: Flown) -> dict[str, Any]:
-    """Summarise the single training of a table; `own` has those to compare with."""
-    row = one.iloc[0]
-    return {
-        **{key: row[key] for key in (*KEY, "seed", "trained_games", "trained_successes", "weights_sha256")},
-        **Proportion.of(row).as_summary(),
-        "distance_m_median": float(np.median(row.distance_m)),
-        **_times(one, _at_1x(one, own, "adsc")),
-    }
-
-
 def summary_of_seeds(group: Flown, own: Flown) -> dict[str, Any]:
     """Summarise all seeds of one training, compared with the same command at 1x and with the paper."""
     conditions = [key_of(group)[key] for key in ("profile", "variant", "command", "clock_speed")]
@@ -547,25 +520,27 @@ def summary_of_seeds(group: Flown, own: Flown) -> dict[str, Any]:
     slow = _at_1x(group, own, conditions[2])
     return {
         **_identity(group),
-        "successes_by_seed": group.successes.tolist(),
+        "successes_by_seed": [success.successes for success in group.success],
         **_success(group),
         "trained_games": group.trained_games.sum(),
         "paper_successes": paper_results.successes(*conditions),
         **_compare(group, slow[slow.clock_speed != conditions[3]]),
-        **_times(group, _at_1x(group, own, "adsc")),
+        **_times(group, own),
         "gap_s": gap_s(group),
         "paper_training_speedup": simulation,
         "paper_whole_training_speedup": whole,
     }
 
 
+def _at_1x(group: Flown, own: Flown, command: str) -> Flown:
+    """Return the trainings with that command at 1x; none in lockstep, or where they were not run."""
+    slow = where(own, **(key_of(group) | {"command": command, "clock_speed": 1.0}))
+    return where(slow, timing="virtual")
+
+
 def _identity(flown: Flown) -> dict[str, Any]:
     """Return the conditions of a group of trainings, and its seeds."""
     return {**key_of(flown), "seeds": flown.seed.tolist()}
-
-
-def _proportions(flown: Flown) -> list[Proportion]:
-    return [Proportion(*each) for each in zip(flown.successes.tolist(), flown.games.tolist(), strict=True)]
 
 
 def _success(flown: Flown) -> dict[str, Any]:
@@ -574,13 +549,9 @@ def _success(flown: Flown) -> dict[str, Any]:
     `wilson_low` and `wilson_high` are of the games of these very policies; `seeds_low` and `seeds_high` also cover what
     trainings with other seeds would have given (`success_estimate`).
     """
-    evaluated = _proportions(flown)
-    over_seeds = success_estimate(evaluated)
-    return {**Proportion.pooled(evaluated).as_summary(), "seeds_low": over_seeds.low, "seeds_high": over_seeds.high}
-
-
-def _ratios(flown: Flown) -> np.ndarray:
-    return (flown.successes / flown.games).to_numpy(float)
+    success = flown.success.tolist()
+    over_seeds = success_estimate(success)
+    return {**Proportion.pooled(success).as_summary(), "seeds_low": over_seeds.low, "seeds_high": over_seeds.high}
 
 
 def _paired(some: Flown, others: Flown) -> tuple[np.ndarray, np.ndarray]:
@@ -599,47 +570,39 @@ def _compare(some: Flown, others: Flown) -> dict[str, float | None]:
     if others.empty:
         return dict.fromkeys(("permutation_p", "fisher_p", "mcnemar_p"))
     first, second = _paired(some, others)
-    counts = [(each.successes, each.games) for each in map(Proportion.pooled, map(_proportions, (some, others)))]
+    pooled = [Proportion.pooled(flown.success.tolist()) for flown in (some, others)]
     return {
-        "permutation_p": permutation_p(_ratios(some), _ratios(others)),
-        "fisher_p": fisher_exact_p(*counts),
+        "permutation_p": permutation_p(some.ratio, others.ratio),
+        "fisher_p": fisher_exact_p(*((success.successes, success.games) for success in pooled)),
         "mcnemar_p": mcnemar_exact(first, second).p_value if len(first) else None,
     }
 
 
-def _times(own: Flown, baseline: Flown) -> dict[str, Any]:
-    """Return the modelled seconds of the trainings, those of as many commands of the baseline, and the speed-ups.
+def _times(cell: Flown, own: Flown) -> dict[str, Any]:
+    """Return the modelled seconds of the trainings of a cell, those of as many commands of ADSC at 1x, and speed-ups.
 
-    Speed-ups are of a command's mean time, as trainings that learn differently fly games of different length.
+    Speed-ups are of a command's mean time, as trainings that learn differently fly games of different length, over that
+    of ADSC at 1x, as in the paper.
     """
-    commands, known = own.commands.sum(), len(baseline) > 0
-    simulation, whole = (
-        _per_command(baseline, phases) / _per_command(own, phases) if known else None for phases in (SIMULATION, PHASES)
-    )
-    phase_s = {phase: own[phase].sum() for phase in PHASES}
+    baseline, phase_s = _at_1x(cell, own, "adsc"), {phase: cell[phase].sum() for phase in PHASES}
+    known, commands = len(baseline) > 0, cell.commands.sum()
+    slow, now = (flown[["simulation_s", "wall_s"]].sum() / flown.commands.sum() for flown in (baseline, cell))
     return {
         "commands": commands,
-        "sim_time_s": own.sim_time_s.sum(),
+        "sim_time_s": cell.sim_time_s.sum(),
         "training_wall_s": sum(phase_s.values()),
-        "real_time_s": _per_command(baseline, PHASES) * commands if known else None,
-        "training_speedup": simulation,
-        "whole_training_speedup": whole,
+        "real_time_s": slow.wall_s * commands if known else None,
+        "training_speedup": slow.simulation_s / now.simulation_s if known else None,
+        "whole_training_speedup": slow.wall_s / now.wall_s if known else None,
         "phase_s": phase_s,
     }
 
 
-def _per_command(own: Flown, phases: Sequence[str]) -> float:
-    """Return the modelled wall seconds that some phases take per command."""
-    return float(sum(own[phase].sum() for phase in phases) / own.commands.sum())
-
-
 def gap_s(own: Flown) -> float:
-    """Return the mean simulated time between the end of a command and the next one in the trainings of one cell.
+    """Return the mean gap (WHAT_A_GAP_IS) in the trainings of a cell, at the speed that the profile's platform reaches.
 
-    With TCSC the clock is paused meanwhile: 0. With ADSC it is the simulated time from command to command less
-    T_move: all of the wall time but that of images, at the speed that the profile's platform reaches. A few calls of a
-    millisecond that ADSC makes in its pauses are counted too, and a command that a collision ends early counts as a
-    whole one.
+    A few calls of a millisecond that ADSC makes in its pauses are counted too, and a command that a collision ends
+    early counts as a whole one.
     """
     first = own.iloc[0]
     if first.command == "tcsc":
@@ -648,26 +611,25 @@ def gap_s(own: Flown) -> float:
     from uavaccel.envs.obstacle_lane import LaneTask
 
     task = LaneTask(timing=first.timing, profile=first.profile, clock_speed=first.clock_speed)
-    t_move_s = own.sim_time_s.sum() / own.commands.sum()
-    return max(_per_command(own, WITHOUT_IMAGES) * float(speed_of(task)) - t_move_s, 0.0)
+    running_s = own.wall_s.sum() - own.rendering.sum()
+    return max(float((running_s * speed_of(task) - own.sim_time_s.sum()) / own.commands.sum()), 0.0)
 
 
 def interchange(group: Flown, clock_speed: float) -> Iterator[dict[str, Any]]:
     """Yield the comparison of the flights with either command at a ClockSpeed, if there are any."""
     commands = group.command.iloc[0], other_command(group.command.iloc[0])
     own, other = (where(group, **{"with": command, "at": clock_speed}) for command in commands)
-    if own.empty or other.empty:
-        return
-    test = mcnemar_exact(*_paired(own, other))
-    yield {
-        **_identity(own),
-        "flown_at": clock_speed,
-        "flown_with": [{"command": flown["with"].iloc[0], **_success(flown)} for flown in (own, other)],
-        "only_first": test.only_first,
-        "only_second": test.only_second,
-        "mcnemar_p": test.p_value,
-        "sign_flip_p": sign_flip_p(_ratios(own) - _ratios(other)),
-    }
+    if len(own) and len(other):
+        test = mcnemar_exact(*_paired(own, other))
+        yield {
+            **_identity(own),
+            "flown_at": clock_speed,
+            "flown_with": [{"command": flown["with"].iloc[0], **_success(flown)} for flown in (own, other)],
+            "only_first": test.only_first,
+            "only_second": test.only_second,
+            "mcnemar_p": test.p_value,
+            "sign_flip_p": sign_flip_p(own.ratio.to_numpy() - other.ratio.to_numpy()),
+        }
 
 
 def as_trained(group: Flown, trained: Flown) -> Iterator[dict[str, Any]]:
@@ -676,18 +638,17 @@ def as_trained(group: Flown, trained: Flown) -> Iterator[dict[str, Any]]:
     There is none where policies were flown in real time alone.
     """
     key = key_of(group)
+    plain = where(trained, **(key | {"variant": ""})) if key["variant"] else group[:0]
     own = {"with": key["command"], "at": key["clock_speed"]}
-    plain = where(trained, **(key | {"variant": ""})) if key["variant"] else group.head(0)
     slow, fast, plain_slow, plain_fast = (where(each, **at) for each in (group, plain) for at in ({"flight": 0}, own))
-    if fast.empty:
-        return
     plain_slow = plain_slow[plain_slow.seed.isin(plain_fast.seed)]
-    yield {
-        **_identity(slow),
-        "real_time": _success(slow) | _compare(slow, plain_slow),
-        "as_trained": _success(fast) | _compare(fast, plain_fast),
-        "sign_flip_p": sign_flip_p(_ratios(slow) - _ratios(fast)),
-    }
+    if len(fast):
+        yield {
+            **_identity(slow),
+            "real_time": _success(slow) | _compare(slow, plain_slow),
+            "as_trained": _success(fast) | _compare(fast, plain_fast),
+            "sign_flip_p": sign_flip_p(slow.ratio.to_numpy() - fast.ratio.to_numpy()),
+        }
 
 
 def side_by_side(kernels: Flown, exact: Flown) -> dict[str, Any]:
@@ -704,16 +665,14 @@ def side_by_side(kernels: Flown, exact: Flown) -> dict[str, Any]:
     }
 
 
-def same_weights(own: Flown) -> list[dict[str, Any]]:
-    """Return how many seeds learned the same weights at all ClockSpeeds that a command was trained at, if several."""
-    found = []
+def same_weights(own: Flown) -> Iterator[dict[str, Any]]:
+    """Yield how many seeds learned the same weights at all ClockSpeeds that a command was trained at, if several."""
     for conditions, family in own.groupby(KEY[:-1], sort=False):
         clocks, seeds = sorted(family.clock_speed.unique().tolist()), family.groupby("seed").weights_sha256
         whole = seeds.nunique()[seeds.size() == len(clocks)]
         if len(clocks) > 1:
             learned = {"seeds": whole.index.tolist(), "equal": whole.index[whole == 1].tolist()}
-            found.append({**dict(zip(KEY, conditions, strict=False)), "clock_speed": clocks, **learned})
-    return found
+            yield {**dict(zip(KEY, conditions, strict=False)), "clock_speed": clocks, **learned}
 
 
 def named(entry: Mapping[str, Any]) -> dict[str, Any]:
@@ -731,38 +690,21 @@ def named(entry: Mapping[str, Any]) -> dict[str, Any]:
     return {key: named(value) if isinstance(value, dict) else value for key, value in entry.items()} | words
 
 
-def _slowest_and_fastest(pooled: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Return, for each kind of training without a variant, success after its slowest and its fastest ClockSpeed."""
-    plain: dict[str, list[str]] = {}
-    for cell in sorted(pooled, key=lambda cell: cell["clock_speed"]):
-        if not cell["variant"]:
-            said = f"{cell['success_ratio']:.1%} after training at {clock_label(cell['clock_speed'])}"
-            plain.setdefault(panel_name(cell), []).append(said)
-    return [f"{name}: {', '.join(dict.fromkeys((said[0], said[-1])))}" for name, said in plain.items()]
-
-
-def _same_weights_in_words(trained: Mapping[str, Any]) -> str:
-    """Return in words whether trainings at several ClockSpeeds learned the same weights."""
-    clocks = listed(clock_label(clock) for clock in trained["clock_speed"])
-    seeds, equal = len(trained["seeds"]), len(trained["equal"])
-    same = "one training each" if equal == seeds else f"{seeds - equal} learned others"
-    return f"{panel_name(trained)}: of {seeds} seeds {equal} learned the same weights at {clocks}: {same}."
-
-
-def _machine_minutes(report: Report) -> dict[tuple[object, ...], float]:
-    """Return how long the trainings of each cell took on this machine, one after another, by `KEY`."""
+def training_hours(report: Report, pooled: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
+    """Return the cells with the modelled hours of their trainings, and the minutes that this machine took for them."""
     took_s = {entry["case"]: entry["training_s"] for entry in report.timings if "training_s" in entry}
-    measured = report.games.assign(minutes=report.games["case"].map(took_s) / 60).dropna(subset="minutes")
-    return measured.groupby(KEY).minutes.sum().to_dict()
+    games = report.games.assign(minutes=report.games["case"].map(took_s).astype(float) / 60)
+    minutes = games.groupby(KEY).minutes.sum(min_count=1).rename("minutes")
+    cells = pd.DataFrame(pooled).join(minutes, on=KEY)
+    return cells.assign(h=cells.training_wall_s / 3600, real_h=cells.real_time_s.astype(float) / 3600)
 
 
-def _time_saved(cells: Sequence[Mapping[str, Any]]) -> str:
+def time_saved(cells: pd.DataFrame) -> str:
     """Compare the modelled real time of the trainings with the time that they took on this machine."""
-    both = [cell for cell in cells if cell["real_h"] is not None and cell["minutes"] is not None]
-    if not both:
+    both = cells.dropna(subset=["real_h", "minutes"])
+    if both.empty:
         return "No training of ADSC at 1x to say what the others would have taken in real time."
-    hours, took_h = sum(cell["real_h"] for cell in both), sum(cell["minutes"] for cell in both) / 60
-    games = sum(cell["trained_games"] for cell in both)
+    hours, took_h, games = both.real_h.sum(), both.minutes.sum() / 60, both.trained_games.sum()
     return (
         f"These trainings' {games} games would have taken {hours:.3g} hours in real time (modelled, "
         f"{3600 * hours / games:.0f} s per game; the paper's 5 000 games took 182 hours, 131 s per game). This machine "
@@ -772,6 +714,12 @@ def _time_saved(cells: Sequence[Mapping[str, Any]]) -> str:
 
 CELL: dict[str, Column] = {"trained with": "{panel}", "ClockSpeed": "{clock_speed:g}x"}
 TRAINED = {**CELL, "seeds": "{seeds!l}"}
+OVERVIEW = {
+    **TRAINED,
+    "success [95 %]": "{over_seeds}",
+    "the paper's": "{paper_successes} %",
+    "training speed-up": "{training_speedup:.3g}x",
+}
 SUCCESS = {
     **TRAINED,
     "games won": "{successes} of {games}",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -15,7 +14,7 @@ from typing_extensions import TypedDict
 
 from uavaccel.draw import style
 from uavaccel.draw.labels import clock_label, command_name, in_words
-from uavaccel.draw.page import Block, Column, Picture, Table, fill, listed
+from uavaccel.draw.page import Block, Column, Table, fill, listed
 from uavaccel.envs.simulators import EXACT
 from uavaccel.envs.stopwatch import PHASES
 from uavaccel.errors import UserError
@@ -40,7 +39,6 @@ if TYPE_CHECKING:  # they load what draws, and PyTorch
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from uavaccel.envs.obstacle_lane import LaneTask
     from uavaccel.suites.trainer import Trainer
 
 CHECKPOINTS = "checkpoints"  # the folder from which a training is resumed
@@ -168,12 +166,19 @@ class Training(Suite[TrainConfig, SimpleCase]):
         run.write_json(REAL_TIME, model_real_time(config))
 
     def renders(self, config: TrainConfig) -> bool:
-        return config.task.observation != "state"
+        """The kernels render without OpenGL, but evaluations during the training are flown in the exact simulator."""
+        exact = config.simulator == EXACT or config.evaluate_every_games > 0
+        return exact and config.task.observation != "state"
 
     def provenance(self, config: TrainConfig) -> Mapping[str, object]:
         """Return threads and initial weights. Raises UserError for a device that this machine does not have."""
         if config.device != "cpu":
-            _check_device(config.device)
+            import torch as th
+
+            try:
+                th.zeros(1, device=config.device)
+            except (RuntimeError, AssertionError) as error:
+                raise UserError(f"device = {config.device!r}: {str(error).splitlines()[0]}") from error
         started = {} if config.start_from is None else {"start_from_sha256": policy_sha256(config.start_from)}
         return {"torch_threads": config.torch_threads, **started}
 
@@ -233,44 +238,32 @@ class Training(Suite[TrainConfig, SimpleCase]):
     def page(self, report: Report) -> Iterator[Block | str]:
         summary, wall_s = report.summary, cumulative_wall_s(report.timings)
         times = {"took": wall_s[-1] if wall_s else None, "modelled": summary.get("modelled_real_time_s")}
-        took, modelled = (fill(f"{{{name}!t}}", times) for name in times)
-        paper = str(paper_results.TRAINING_GAMES), in_words(paper_results.REAL_TIME_S)
         lines = [
-            ("games", str(summary["games"]), paper[0], "counted"),
-            ("wall clock", took, "-", "measured, start-up not counted"),
-            ("in real time", modelled, paper[1], "ours modelled, the paper's measured"),
+            ("games", str(summary["games"]), str(paper_results.TRAINING_GAMES), "counted"),
+            ("wall clock", fill("{took!t}", times), "-", "measured, start-up not counted"),
+            ("in real time", fill("{modelled!t}", times), in_words(paper_results.REAL_TIME_S), MODELLED_HERE),
         ]
         yield Table(("", "this training", "the paper's", "how"), lines)
-        yield _picture(report, "learning_games", games_figure([report]), OVER_GAMES)
-        yield _picture(report, "progress", progress_figure(report), PROGRESS_IS)
+        yield report.figure("learning_games", games_figure([report]), OVER_GAMES)
+        yield report.figure("progress", progress_figure(report), PROGRESS_IS)
         if wall_s:
-            yield _picture(report, "learning_curve", time_figure([report], [report.run.path.name]), OVER_TIME)
+            yield report.figure("learning_curve", time_figure([report], [report.run.path.name]), OVER_TIME)
         if "evaluations" in summary:
             yield Table.of(summary["evaluations"], EVALUATED)
-        yield _picture(report, "figure9_phases", phases_figure([report]), FIGURE9)
+        yield report.figure("figure9_phases", phases_figure([report]), FIGURE9)
         yield summary_table(summary)
 
     def compare(self, runs: Sequence[RunDirectory]) -> list[Path]:
         """Draw the learning curves and Figure 9 of several trainings into the first one's folder."""
         reports = [self.report(run) for run in runs]
+        labels = [label.replace("\n", ", ") for label in phase_times(reports).index]
         with style.project_style():
             figures = {
                 "figure9_phases_compared": phases_figure(reports),
-                "learning_curves_compared": time_figure(
-                    reports, [label.replace("\n", ", ") for label in phase_times(reports).index]
-                ),
+                "learning_curves_compared": time_figure(reports, labels),
                 "learning_games_compared": games_figure(reports),
             }
         return [style.save(figure, runs[0].file(f"figures/{name}.png")) for name, figure in figures.items()]
-
-
-def _check_device(device: str) -> None:
-    import torch as th
-
-    try:
-        th.zeros(1, device=device)
-    except (RuntimeError, AssertionError) as error:
-        raise UserError(f"device = {device!r}: {str(error).splitlines()[0]}") from error
 
 
 def evaluations(run: RunDirectory) -> list[EvaluationLine]:
@@ -280,12 +273,13 @@ def evaluations(run: RunDirectory) -> list[EvaluationLine]:
     return lines
 
 
-def _picture(report: Report, name: str, figure: Figure, caption: str) -> Picture:
-    return report.figure(name, figure, caption, figure.get_supxlabel())
+def _label(report: Report) -> str:
+    return f"{command_name(report.config.task.command)} {clock_label(report.config.task.clock_speed)}"
 
 
-def _seeds(reports: Sequence[Report]) -> str:
-    return f"seed {listed(sorted({report.config.seed for report in reports}))}"
+def _source(told: Sequence[str], reports: Sequence[Report]) -> str:
+    """Return where numbers come from, each provenance once, and the seeds."""
+    return f"{' and '.join(sorted(set(told)))} · seed {listed(sorted({report.config.seed for report in reports}))}"
 
 
 def recent_mean(values: pd.Series) -> pd.Series:
@@ -321,19 +315,17 @@ def games_figure(reports: Sequence[Report]) -> Figure:
     """Draw success over the games: a line for each training, or for those that differ in their seed alone their mean
     over the games that all have, in the band of their range.
     """
-    timings = sorted({timing_provenance(report.config.task.timing) for report in reports})
-    source = f"{' and '.join(timings)} · {_seeds(reports)}"
+    source = _source([timing_provenance(report.config.task.timing) for report in reports], reports)
     figure = style.new_figure(8.0, 3.8, "Success over the games", source)
     axes = figure.subplots()
     alike: dict[str, list[Report]] = {}
     for report in reports:
         alike.setdefault(report.config.model_dump_json(exclude={"seed"}), []).append(report)
     for number, group in enumerate(alike.values()):
-        task, more = group[0].config.task, f" and {len(group) - 1} more seeds" if len(group) > 1 else ""
-        line = {"color": style.colour(number), "label": f"{_command_and_clock(task)}, {group[0].run.path.name}{more}"}
-        draw_mean(axes, [recent_success(each.games) for each in group], 0.2, **line)
-        ends = [range(1, len(each.games) + 1) for each in group]
-        draw_evaluated(axes, list(map(evaluated, group, ends)), line["color"])
+        more, colour = f" and {len(group) - 1} more seeds" if len(group) > 1 else "", style.colour(number)
+        label = f"{_label(group[0])}, {group[0].run.path.name}{more}"
+        draw_mean(axes, [recent_success(report.games) for report in group], 0.2, color=colour, label=label)
+        draw_evaluated(axes, [evaluated(report, range(1, len(report.games) + 1)) for report in group], colour)
     _success_axes(figure, axes, "games")
     axes.set_xlim(left=0)
     return figure
@@ -344,12 +336,11 @@ def time_figure(reports: Sequence[Report], labels: Sequence[str]) -> Figure:
 
     Trainings of one label share a colour. Raises UserError for a run without wall times.
     """
-    figure = style.new_figure(8.0, 4.2, "Success over the wall clock", f"{MEASURED} · {_seeds(reports)}")
+    figure = style.new_figure(8.0, 4.2, "Success over the wall clock", _source([MEASURED], reports))
     axes = figure.subplots()
     names, least_s, longest_s = list(dict.fromkeys(labels)), np.inf, 0.0
     for number, (report, label) in enumerate(zip(reports, labels, strict=True)):
-        wall_s = wall_times(report)
-        colour, success = style.colour(names.index(label)), recent_success(report.games)
+        wall_s, colour, success = wall_times(report), style.colour(names.index(label)), recent_success(report.games)
         at = [wall_s[games - 1] for games in success.index]
         axes.plot(at, success, color=colour, label=label if label not in labels[:number] else None)
         draw_evaluated(axes, [evaluated(report, wall_s)], colour)
@@ -359,9 +350,8 @@ def time_figure(reports: Sequence[Report], labels: Sequence[str]) -> Figure:
         axes.axvline(paper_results.REAL_TIME_S, color=style.BLACK, linewidth=1.2, linestyle="--")
         axes.text(0.93 * paper_results.REAL_TIME_S, 0.5, PAPER, rotation=90, ha="right", va="center")
     axes.set_xscale("log")
-    low_s, high_s = max(0.5 * least_s, 0.01), 2.0 * longest_s
-    axes.set_xlim(low_s, high_s)
-    ticks = {name: wall_s for name, wall_s in TICKS_S.items() if low_s <= wall_s <= high_s}
+    axes.set_xlim(max(0.5 * least_s, 0.01), 2.0 * longest_s)
+    ticks = {name: wall_s for name, wall_s in TICKS_S.items() if max(0.5 * least_s, 0.01) <= wall_s <= 2.0 * longest_s}
     axes.set_xticks(list(ticks.values()), list(ticks))
     axes.minorticks_off()
     _success_axes(figure, axes, "wall clock since the first command")
@@ -406,20 +396,20 @@ def progress_figure(report: Report) -> Figure:
     """
     games = report.games.reindex(columns=list(PROGRESS)).astype(float).set_axis(range(1, len(report.games) + 1))
     games = games.loc[:, np.isfinite(games).any()]
+    source = _source([timing_provenance(report.config.task.timing)], [report])
     lines = -(-games.shape[1] // 2)
-    source = f"{timing_provenance(report.config.task.timing)} · {_seeds([report])}"
     figure = style.new_figure(8.0, 1.0 + 1.6 * lines, "Progress of the training", source)
     grid = figure.subplots(lines, 2, sharex=True, squeeze=False).ravel()
     for unused in grid[games.shape[1] :]:
         unused.remove()
     for axes, (name, values) in zip(grid, games.items(), strict=False):
+        axes.set_ylabel(PROGRESS[str(name)])
         if name == "exploration":
             axes.plot(values, color=style.BLUE)
             axes.set_ylim(-0.02, 1.02)
         else:
             axes.plot(values, ".", color=style.SKY, markersize=2, label="a game")
             axes.plot(recent_mean(values.dropna()), color=style.BLUE, label=f"mean of the last {RECENT}")
-        axes.set_ylabel(PROGRESS[str(name)])
     for axes in grid[: games.shape[1]][-2:]:  # the lowest of each column
         axes.set_xlabel("games")
         axes.tick_params(labelbottom=True)
@@ -435,10 +425,9 @@ def phase_times(reports: Sequence[Report]) -> pd.DataFrame:
     """
     trainings = []
     for report in reports:
-        config, summary = report.config, report.summary
-        if config.task.timing == "virtual":
-            phase_s = summary["phase_s"]
-            wall_s = sum(phase_s.values()) / config.environments
+        if report.config.task.timing == "virtual":
+            phase_s = report.summary["phase_s"]
+            wall_s = sum(phase_s.values()) / report.config.environments
         else:
             if any(not {"wall_s", "learner_s", "host_phase_s"} <= entry.keys() for entry in report.timings):
                 raise UserError(f"{report.run.path / 'timing.jsonl'}: has not the times of every game of a training")
@@ -446,34 +435,27 @@ def phase_times(reports: Sequence[Report]) -> pd.DataFrame:
             for entry in report.timings:
                 phase_s.update(entry["host_phase_s"])
             wall_s = wall_times(report)[-1]
-        trainings.append({phase: phase_s[phase] for phase in PHASES} | {"speed": summary["sim_time_s"] / wall_s})
-    configs = [report.config for report in reports]
-    labels = [f"{_command_and_clock(each.task)}\n{each.task.timing}, seed {each.seed}" for each in configs]
-    named = Counter(labels)
-    unique = [
-        f"{label}\n{report.run.path}" if named[label] > 1 else label
-        for label, report in zip(labels, reports, strict=True)
+        trainings.append({phase: phase_s[phase] for phase in PHASES} | {"speed": report.summary["sim_time_s"] / wall_s})
+    labels = [f"{_label(report)}\n{report.config.task.timing}, seed {report.config.seed}" for report in reports]
+    paths = [
+        f"\n{report.run.path}" if labels.count(label) > 1 else "" for report, label in zip(reports, labels, strict=True)
     ]
-    return pd.DataFrame(trainings, unique)
-
-
-def _command_and_clock(task: LaneTask) -> str:
-    return f"{command_name(task.command)} {clock_label(task.clock_speed)}"
+    return pd.DataFrame(trainings, [label + path for label, path in zip(labels, paths, strict=True)])
 
 
 def phases_figure(reports: Sequence[Report]) -> Figure:
     """Draw Figure 9: a bar of stacked phases per training, and the speeds as points on an axis of their own."""
-    trainings = phase_times(reports)
-    clocks = {"modelled" if report.config.task.timing == "virtual" else BESIDE for report in reports}
+    trainings, phases = phase_times(reports), list(PHASES)
+    clocks = sorted({"modelled" if report.config.task.timing == "virtual" else BESIDE for report in reports})
     games = listed(sorted({len(report.games) for report in reports}))
-    disturbed = disturbed_words(pd.concat([report.games for report in reports]))
-    source = " · ".join([" and ".join(sorted(clocks)), f"{games} games", _seeds(reports), *disturbed])
+    told = f"{' and '.join(clocks)} · {games} games"
+    source = " · ".join([_source([told], reports), *disturbed_words(pd.concat([report.games for report in reports]))])
     longest = max(len(line) for label in trainings.index for line in label.splitlines())
     bar_in = max(1.5, LETTER_IN * longest)  # labels are not to run into each other
     figure = style.new_figure(3.2 + bar_in * len(trainings), 4.2, "Time of training by phase", source)
     axes = figure.subplots()
-    unit = plots.time_unit(trainings[list(PHASES)].sum(axis=1).max())
-    plots.stacked(axes, trainings[list(PHASES)], unit)
+    unit = plots.time_unit(trainings[phases].sum(axis=1).max())
+    plots.stacked(axes, trainings[phases], unit)
     axes.set_xticks(range(len(trainings)), list(trainings.index))
     axes.set(ylabel=unit, xlim=(-0.6, len(trainings) - 0.4))
     speed = axes.twinx()
@@ -486,13 +468,12 @@ def phases_figure(reports: Sequence[Report]) -> Figure:
 
 PAPER = "paper: 5 000 games in real time, 182 h"  # section IV-D: a week, 14 hours
 FAR = 30.0  # times the longest training: a mark beyond it would squeeze the curves
+MODELLED_HERE = "ours modelled, the paper's measured"
 MEASURED, BESIDE = "measured, start-up not counted", "measured, learning beside the flight"
 LETTER_IN = 0.085  # width of a letter of a label
-TICKS_S = dict(zip(
-    ("10 ms", "100 ms", "1 s", "10 s", "1 min", "10 min", "1 h", "10 h", "100 h"),
-    (0.01, 0.1, 1.0, 10.0, 60.0, 600.0, 3600.0, 36_000.0, 360_000.0),
-    strict=True,
-))  # fmt: skip
+TICKS_S = {"10 ms": 0.01, "100 ms": 0.1, "1 s": 1.0, "10 s": 10.0, "1 min": 60.0, "10 min": 600.0} | {
+    f"{hours} h": 3600.0 * hours for hours in (1, 10, 100)
+}
 PROGRESS = {
     "return": "return",
     "commands": "length, commands",

@@ -6,15 +6,14 @@ their own, by a copy of the policy below policies/: the weights are those of a t
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 import threading
 from collections import deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from contextvars import copy_context
 from dataclasses import replace
-from functools import lru_cache
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -42,6 +41,7 @@ from uavaccel.rl.config import OWN
 from uavaccel.rl.lanes import make_lanes, seed_lanes
 from uavaccel.rl.learner import Game, Learner, make_learner
 from uavaccel.rl.policy import export_policy, weights_sha256
+from uavaccel.sim.camera.camera import BlankCamera, make_cameras_with
 from uavaccel.suites.evaluate import EvaluateConfig
 from uavaccel.suites.evaluate_lanes import GamesInBatch
 from uavaccel.suites.rows import Row, lane_row
@@ -51,6 +51,7 @@ from uavaccel.units import NS_PER_S
 
 FIRST_LANE = 500_000  # beyond those of `uavaccel evaluate`, so that policies may be selected on these
 REAL_TIME_COMMANDS = 20  # in the game that models real time, after which their mean changes by less than 1 %
+CURVES = ("distance_m", "return", "commands", "exploration", "loss", "mean_q")  # of TensorBoard, beside two more
 REAL_TIME_KEYS = ("command", "observation", "history", "image_processing_s", *FLIGHT)
 
 
@@ -83,31 +84,21 @@ class Trainer:
         """
         learner = self._learner
         while not self._finished:
-            learner.holding = self._due()
-            if learner.at_rest:
-                self._save_if_due()  # every returned game has its row by now
+            learner.holding = self._interrupted or learner.games - self._saved >= self._config.checkpoint_games
+            if learner.holding and learner.at_rest:  # every returned game has its row by now
+                save_checkpoint(self._run.file(CHECKPOINTS), learner)
+                export_learned(self._run.path, learner, self._config)
+                self._saved = learner.games
+                if self._interrupted:
+                    raise KeyboardInterrupt
             self._finished.extend(self._rows.finished(game, learner.stopwatch) for game in learner.advance())
             if self._evaluations.due(learner.games):
                 with self._rows.clock_stopped():
                     self._evaluations.fly(learner)
         game = self._finished.popleft()
         if learner.games == self._config.games and not self._finished:
-            self._export()
+            export_learned(self._run.path, learner, self._config)
         return replace(game, next_is_ready=bool(self._finished))
-
-    def _save_if_due(self) -> None:
-        if self._due():
-            save_checkpoint(self._run.file(CHECKPOINTS), self._learner)
-            self._export()
-            self._saved = self._learner.games
-        if self._interrupted:
-            raise KeyboardInterrupt
-
-    def _due(self) -> bool:
-        return self._interrupted or self._learner.games - self._saved >= self._config.checkpoint_games
-
-    def _export(self) -> None:
-        export_learned(self._run.path, self._learner, self._config)
 
     def close(self) -> None:
         self._rows.close()
@@ -128,8 +119,7 @@ def open_trainer(config: TrainConfig, run: RunDirectory, begun: EnvironmentBatch
     Its lanes are those of the batch `begun`, or new ones.
     """
     trainer = Trainer(config, run, begun)
-    main = threading.current_thread() is threading.main_thread()
-    kinds = (signal.SIGINT, signal.SIGTERM) if main else ()
+    kinds = (signal.SIGINT, signal.SIGTERM) if threading.current_thread() is threading.main_thread() else ()
     heeded = {kind: before for kind in kinds if callable(before := signal.getsignal(kind))}
     for kind in heeded:
         signal.signal(kind, trainer.interrupt)
@@ -167,15 +157,22 @@ def drop_games_after_checkpoint(run: RunDirectory) -> None:
 
 
 class GameRows:
-    """Makes the rows of games and writes TensorBoard's curves; `rows` are those of earlier starts."""
+    """Makes the rows of games, and writes TensorBoard's curves into a folder; `rows` are those of earlier starts."""
 
     def __init__(self, config: TrainConfig, folder: Path, rows: Sequence[Row]) -> None:
         self._t_move_s = config.task.t_move_s
-        self._curves = CurvesFile(folder)
         self._recent = deque([row["is_success"] for row in rows[-RECENT:]], maxlen=RECENT)
         self._simulated_s = 0.0
         self._clock = MonotonicClock()
         self._start_ns = self._clock.now_ns()
+        folder.mkdir(parents=True, exist_ok=True)
+        # without the thread of TensorBoard's own writer
+        self._curves = RecordWriter((folder / f"events.out.tfevents.{epoch_s():.0f}.{os.getpid()}").open("ab"))
+        self._write(Event(wall_time=epoch_s(), file_version="brain.Event:2"))
+
+    def _write(self, event: Event) -> None:
+        self._curves.write(event.SerializeToString())
+        self._curves.flush()
 
     def close(self) -> None:
         """Close the curves' file."""
@@ -202,43 +199,20 @@ class GameRows:
             "loss": game.loss,
             "mean_q": game.mean_q,
         }
-        self._add_to_curves(row, wall_s)
-        host = {"wall_s": wall_s, "host_phase_s": game.info["host_phase_s"], "learner_s": learning.spent_s()}
-        return GameResult(row, host=host)
-
-    def _add_to_curves(self, row: TrainRow, wall_s: float) -> None:
         self._simulated_s += row["sim_time_s"]
         self._recent.append(row["is_success"])
-        values = {
+        curves: dict[str, Any] = {name: value for name, value in row.items() if name in CURVES} | {
             "success_recent": sum(self._recent) / len(self._recent),
-            **{name: row[name] for name in ("distance_m", "return", "commands", "exploration", "loss", "mean_q")},
             "real_time_factor": self._simulated_s / wall_s,
         }
-        known = {f"games/{name}": value for name, value in values.items() if value is not None}
-        self._curves.add(row["game"] + 1, known)
-
-
-class CurvesFile:
-    """TensorBoard events of this process in `folder`, which is made if necessary, written without a thread."""
-
-    def __init__(self, folder: Path) -> None:
-        folder.mkdir(parents=True, exist_ok=True)
-        path = folder / f"events.out.tfevents.{epoch_s():.0f}.{os.getpid()}"
-        self._file = RecordWriter(path.open("ab"))
-        self._write(Event(wall_time=epoch_s(), file_version="brain.Event:2"))
-
-    def add(self, step: int, values: Mapping[str, float]) -> None:
-        """Add a point to each of several curves, by their names, at one `step`."""
-        points = [Summary.Value(tag=name, simple_value=value) for name, value in values.items()]
-        self._write(Event(wall_time=epoch_s(), step=step, summary=Summary(value=points)))
-
-    def close(self) -> None:
-        """Close the file."""
-        self._file.close()
-
-    def _write(self, event: Event) -> None:
-        self._file.write(event.SerializeToString())
-        self._file.flush()
+        points = [
+            Summary.Value(tag=f"games/{name}", simple_value=value)
+            for name, value in curves.items()
+            if value is not None
+        ]
+        self._write(Event(wall_time=epoch_s(), step=game.number + 1, summary=Summary(value=points)))
+        host = {"wall_s": wall_s, "host_phase_s": game.info["host_phase_s"], "learner_s": learning.spent_s()}
+        return GameResult(row, host=host)
 
 
 class Evaluations:
@@ -246,7 +220,6 @@ class Evaluations:
 
     def __init__(self, config: TrainConfig, run: RunDirectory) -> None:
         self._config, self._run = config, run
-        self._lanes = range(FIRST_LANE, FIRST_LANE + config.evaluation_games)
         done = evaluations(run)
         self._done = int(done[-1]["games"]) if done else 0
         self._batch: GamesInBatch | None = None
@@ -262,7 +235,15 @@ class Evaluations:
         """Evaluate the greedy policy on every lane, and write the line."""
         folder = self._run.file(f"policies/{learner.games:07d}/policy.pt").parent
         sha256 = export_learned(folder, learner, self._config)
-        rows = self._fly_lanes(evaluation_of(self._config, folder))
+        config, lanes = (
+            evaluation_of(self._config, folder),
+            range(FIRST_LANE, FIRST_LANE + self._config.evaluation_games),
+        )
+        if self._batch is None:
+            self._batch = GamesInBatch(config, lanes)
+        else:
+            self._batch.begin(config, lanes)
+        rows = [self._batch.game(lane).row for lane in lanes]
         line = {
             "games": learner.games,
             "weights_sha256": sha256,
@@ -273,13 +254,6 @@ class Evaluations:
         }
         append_line(self._run.file(EVALUATIONS), line)
         self._done = learner.games
-
-    def _fly_lanes(self, config: EvaluateConfig) -> list[Row]:
-        if self._batch is None:
-            self._batch = GamesInBatch(config, self._lanes)
-        else:
-            self._batch.begin(config, self._lanes)
-        return [self._batch.game(lane).row for lane in self._lanes]
 
     def close(self) -> None:
         """End the processes."""
@@ -315,15 +289,13 @@ def model_real_time(config: TrainConfig) -> dict[str, Any]:
         f"{task.frames_per_command} samples per command, a decision of {config.inference_s * 1e3:g} ms and "
         f"{learning_s * 1e3:g} ms of learning per command; resets are not counted"
     )
-    keys = to_json(task.model_dump(mode="json", include=set(REAL_TIME_KEYS)))
-    return {"command_s": _command_s(keys, config.inference_s, learning_s), "how": how}
+    keys = task.model_dump(mode="json", include=set(REAL_TIME_KEYS))
+    return {"command_s": copy_context().run(_fly_ahead, keys, config.inference_s, learning_s), "how": how}
 
 
-@lru_cache
-def _command_s(keys: str, inference_s: float, learning_s: float) -> float:
-    """Return the wall seconds of a command, computed once for trainings with equal costs."""
-    airsim = {"timing": "virtual", "profile": "airsim", "clock_speed": 1.0, "lane": {"obstacles": []}}
-    environment = ObstacleLane(**(json.loads(keys) | airsim))
+def _fly_ahead(keys: dict[str, Any], inference_s: float, learning_s: float) -> float:
+    make_cameras_with(BlankCamera)  # nobody looks at the pictures, whose time is modelled: no OpenGL is needed
+    environment = ObstacleLane(**keys, timing="virtual", profile="airsim", clock_speed=1.0, lane={"obstacles": []})
     ahead, over = int(np.abs(environment.task.headings_deg).argmin()), False
     try:
         _, info = environment.reset(seed=0)

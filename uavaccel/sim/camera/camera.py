@@ -98,6 +98,31 @@ def make_camera(model: mujoco.MjModel, width: int, height: int) -> FrontCamera:
     return (_maker.get() or Camera)(model, width, height)
 
 
+class BlankCamera(FrontCamera):
+    """Takes grey pictures of the sky without OpenGL, for flights of which only the modelled time counts."""
+
+    def __init__(self, model: mujoco.MjModel, width: int, height: int) -> None:
+        super().__init__(model, width, height, float(np.tan(np.radians(FOV_DEG) / 2)))
+
+    def gray(self, data: mujoco.MjData) -> Image:
+        return np.full((self.height, self.width), 128, np.uint8)
+
+    def colour(self, data: mujoco.MjData) -> Image:
+        return np.full((self.height, self.width, 3), 128, np.uint8)
+
+    def depth(self, data: mujoco.MjData) -> DepthImage:
+        return np.full((self.height, self.width), self.far_m, np.float32)
+
+    def segmentation(self, data: mujoco.MjData) -> GeomImage:
+        return np.full((self.height, self.width), -1, np.int32)
+
+    def render_again(self, out: Image) -> None:
+        out.fill(128)
+
+    def close(self) -> None:
+        """See FrontCamera; there is nothing to free."""
+
+
 class Camera(FrontCamera):
     """Renders a camera of the model, in any MjData of it, with its thread's OpenGL context for such models.
 
