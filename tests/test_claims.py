@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from itertools import product
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -12,10 +11,12 @@ import pandas as pd
 import pytest
 from scipy.stats import hypergeom
 
+from uavaccel.draw.page import fill
 from uavaccel.envs.stopwatch import PHASES
+from uavaccel.metrics.intervals import fisher_exact_p
 from uavaccel.suites import claims
 from uavaccel.suites.claims import Trainings, training_phases
-from uavaccel.suites.paper import PaperConfig, at_the_papers_n, paper_p, phase_table, read_claims, verdict
+from uavaccel.suites.paper import HOURS, PaperConfig, at_the_papers_n, read_claims, verdict, whole_hours
 from uavaccel.suites.parts import Part
 
 CLOCKS = (1.0, 5.0, 10.0, 50.0, 100.0)
@@ -48,7 +49,7 @@ def trajectories(change: Change = lambda cell: None) -> Any:
 def dp1_report(cells: list[dict[str, Any]]) -> Any:
     names = ["command", "clock_speed", "t_move_s", "rounds", "timing", "stlc"]
     scores = pd.DataFrame(cells, columns=names).explode("stlc").reset_index(drop=True)
-    return SimpleNamespace(scores=scores, summary={"cells": cells}, config=SimpleNamespace(seed=0))
+    return claims.Flown(scores, {"cells": cells, "seed": 0})
 
 
 def only(command: str, clock_speed: float | None = None, **keys: Any) -> Change:
@@ -90,7 +91,7 @@ def images(guard: tuple[float, float, int] = (0.05, 0.01, 400), count: int = 200
 
 def dp2_report(rows: list[Any], study: dict[str, Any] | None) -> Any:
     names = ["command", "clock_speed", "reference", "position_error_m", "dvs_ed_percent"]
-    return SimpleNamespace(scores=pd.DataFrame(rows, columns=names), summary={"guard_study": study})
+    return claims.Flown(pd.DataFrame(rows, columns=names), {"guard_study": study, "seed": 0})
 
 
 PAPER_TABLE = {"adsc": (23, 1, 0, 0, 0), "tcsc": (21, 30, 23, 14, 13)}
@@ -325,8 +326,7 @@ def test_phases_are_hours_of_a_training_like_the_papers() -> None:
     assert (rows[5.0]["inference_h"], rows[5.0]["learning_h"]) == (0, 0)
     assert rows[1.0]["paper_simulation_h"] + rows[1.0]["paper_beside_h"] == pytest.approx(182)
     assert rows[5.0]["paper_simulation_h"] == pytest.approx(rows[1.0]["paper_simulation_h"] / 4)
-    shown = phase_table(phases)
-    assert [line[shown.header.index("whole, the paper's")] for line in shown.rows] == [
+    assert [fill(HOURS["whole, the paper's"], whole_hours(line)) for line in phases] == [
         "182.0",
         "50.6",
         "35.0",
@@ -336,13 +336,18 @@ def test_phases_are_hours_of_a_training_like_the_papers() -> None:
 
 
 def test_the_bootstrap_keeps_cells_in_their_shares() -> None:
-    """Three cells far apart: resampled together, their mean could fall on any."""
-    cells = [np.full(8, 1.0), np.full(8, 2.0), np.full(8, 3.0)]
+    """Three cells far apart: resampled together, their median could fall on any."""
+    far = {(0.5, 1): 1.0, (0.5, 24): 1.5, (1.0, 1): 1.5, (1.0, 24): 2.0}
 
-    def mean(*drawn: Any) -> Any:
-        return np.mean(np.concatenate(drawn, axis=-1), axis=-1)
+    def apart(cell: dict[str, Any]) -> None:
+        cell["stlc"] = [far[cell["t_move_s"], cell["rounds"]]] * 8
 
-    assert claims.bootstrap(trajectories(), cells, mean) == (2.0, 2.0)
+    assert claims.median(trajectories(apart), "adsc", 5.0) == (1.5, 1.5, 1.5)
+
+
+def p_of(claim: Any) -> float:
+    first, second = ((count, 100) for count in claim.paper_counts)
+    return fisher_exact_p(first, second)
 
 
 def test_the_papers_n_tells_of_the_collapse_alone() -> None:
@@ -354,6 +359,6 @@ def test_the_papers_n_tells_of_the_collapse_alone() -> None:
 
     compared = [claim for claim in CLAIMS.values() if claim.paper_counts is not None]
     for claim in compared:
-        assert paper_p(claim) == pytest.approx(p_value(*(claim.paper_counts or ())))
-    said = {claim.id: at_the_papers_n({"paper_p": paper_p(claim)}).split()[0] for claim in compared}
+        assert p_of(claim) == pytest.approx(p_value(*(claim.paper_counts or ())))
+    said = {claim.id: at_the_papers_n({"paper_p": p_of(claim)}).split()[0] for claim in compared}
     assert [claim for claim, told in said.items() if told == "significant"] == ["adsc_collapses_at_5x"]

@@ -139,9 +139,8 @@ def test_a_second_event_camera_has_the_noise_of_the_game_it_watches() -> None:
     """With its own seed where there is noise, from its start, and at its own pace until the next game."""
     done: list[Any] = []
     camera: Any = SecondEventCamera(LaneTask(), 5)
-    camera.events = SimpleNamespace(
-        start=lambda *told: done.append(told), process_frame=lambda *told: done.append(told)
-    )
+    seen: Any = lambda *told: done.append(told)  # noqa: E731
+    camera.events = SimpleNamespace(start=seen, process_frame=seen)
 
     def game(seed: int, start_ns: int, **keys: Any) -> Any:
         def watch(every: int, look: Any) -> Any:

@@ -20,7 +20,7 @@ from uavaccel.errors import UsageError, UserError
 from uavaccel.records import RunDirectory
 from uavaccel.suites import evaluate_lanes
 from uavaccel.suites.evaluate import Evaluation
-from uavaccel.suites.evaluate_lanes import Blocks, GamesInBatch
+from uavaccel.suites.evaluate_lanes import GamesInBatch, blocks
 from uavaccel.suites.runner import check_jobs
 
 LOCKSTEP, KERNELS, SHORT = "task.timing=lockstep", "simulator=kernels", "task.max_commands=14"
@@ -108,8 +108,8 @@ def test_lanes_on_a_gpu_fly_and_decide_as_on_cores(
 
 
 def test_a_lanes_place_among_those_rated_together_depends_on_it_alone() -> None:
-    blocks = Blocks([32, 33, 64, 31]).of(np.array([0, 2, 3]))
-    assert [(members.tolist(), rows.tolist()) for members, rows in blocks] == [([3], [31]), ([0], [0]), ([2], [0])]
+    found = blocks([32, 33, 64, 31], np.array([0, 2, 3]))
+    assert [(members.tolist(), rows.tolist()) for members, rows in found] == [([3], [31]), ([0], [0]), ([2], [0])]
 
 
 def test_configurations_of_before_fly_in_the_exact_simulator() -> None:

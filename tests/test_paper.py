@@ -135,6 +135,19 @@ def test_airsims_hours_are_told_by_phase(report: Report) -> None:
     assert next(line for line in page if line.startswith("| 5x | 43.6 |")).split(" | ")[3] == "7.6"
 
 
+def test_parts_are_scored_once_for_the_same_games(report: Report, monkeypatch: pytest.MonkeyPatch) -> None:
+    def scored_again(*_: Any) -> Any:
+        raise AssertionError("scored again")
+
+    monkeypatch.setattr(Dp1, "score", scored_again)
+    monkeypatch.setattr(Dp2, "score", scored_again)
+    assert Paper().report(report.run).summary == report.summary
+    part = RunDirectory(report.run.path / "parts/dp1-native")
+    part.append_row(line_row("game", "adsc", 5.0, 1, 0.0))
+    with pytest.raises(AssertionError, match="scored again"):
+        assert Paper().report(report.run).summary
+
+
 def test_without_trainings_their_claims_are_pending(report: Report) -> None:
     run = RunDirectory.create(report.run.path.parent / "without", config("dp1-airsim"), {})
     run.append_row({"suite": "paper", "case": "dp1-airsim", "cells": 1})

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, NotRequired, Protocol
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, NotRequired, Protocol, cast
 
 import numpy as np
 import pandas as pd
@@ -14,7 +14,7 @@ from pydantic import Field, model_validator
 
 from uavaccel.draw import style
 from uavaccel.draw.labels import command_name
-from uavaccel.draw.page import Block, Heading, Movie, Picture, Table, listed
+from uavaccel.draw.page import Block, Heading, Movie, Table, listed
 from uavaccel.envs.flyable import Device, Simulator, check_flyable
 from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
 from uavaccel.envs.simulators import EXACT, KERNELS, check_names, check_simulator, flown_by
@@ -37,7 +37,6 @@ from uavaccel.suites.suite import GameResult, SimpleCase, Suite
 from uavaccel.wire.image_api import lane_layout
 
 if TYPE_CHECKING:  # matplotlib is loaded by what draws
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 MOST_PANELS = 9
@@ -194,17 +193,13 @@ class Evaluation(Suite[EvaluateConfig, Game]):
 
     def summary(self, report: Report) -> dict[str, Any]:
         """Return the success ratio with its 95 % Wilson interval, and the distances flown."""
-        games, config = report.games, report.config
-        sim_time_s, wall_s = float(games.sim_time_s.sum()), float(games.wall_s.sum())
-        disturbed = disturbed_games(games)
+        games, config, task = report.games, report.config, report.config.task
+        sim_time_s, wall_s, disturbed = float(games.sim_time_s.sum()), float(games.wall_s.sum()), disturbed_games(games)
         return {
             **({"disturbed_games": disturbed} if disturbed else {}),
             "suite": "evaluate",
             "agent": config.agent,
-            "profile": config.task.profile,
-            "command": config.task.command,
-            "clock_speed": config.task.clock_speed,
-            "timing": config.task.timing,
+            **{key: getattr(task, key) for key in ("profile", "command", "clock_speed", "timing")},
             "simulator": config.simulator,
             **({} if config.simulator == EXACT else {"device": config.device}),
             "seed": config.seed,
@@ -227,11 +222,25 @@ class Evaluation(Suite[EvaluateConfig, Game]):
         ).format(**report.summary, how=how_flown(report.config))
 
     def page(self, report: Report) -> Iterator[Block | str]:
-        yield beside_the_papers(report)
-        survival = survival_figure([report])
-        yield report.figure("figure8_survival", survival, FIGURE8, source_of([report]))
-        yield from lost_lanes(report)
-        yield from films(report.run)
+        """Yield the success beside the paper's, Figure 8, the lanes that were not won, and the films that were made."""
+        config, run = report.config, report.run
+        rows = [(config.agent, Proportion.of(report.summary).text(), str(len(report.games)), how_flown(config))]
+        for command, by_clock in paper_results.SUCCESSES.items():
+            theirs = Proportion(max(by_clock.values()), paper_results.GAMES).text()
+            name = f"the paper's best, trained with {command_name(command)}"
+            rows.append((name, theirs, str(paper_results.GAMES), "measured, in AirSim and another lane"))
+        yield Table(("", "success [95 %]", "lanes", "how"), rows)
+        caption = "Figure 8. Share of the games that got at least so far north, with its 95 % Wilson interval."
+        yield report.figure("figure8_survival", survival_figure([report]), caption, source_of([report]))
+        lost = report.games[~report.games.is_success].sort_values("distance_m", kind="stable")
+        if len(lost):
+            yield from lost_lanes(report, lost)
+        films = {name: (run.path / f"films/{name}.mp4", run.path / f"films/{name}.png") for name in ("best", "worst")}
+        made = {name: both for name, both in films.items() if all(path.is_file() for path in both)}
+        if made:
+            yield Heading("Films")
+        for name, both in made.items():
+            yield Movie(*both, f"The {name} game. On paper: moments of it, camera above events.")
         yield summary_table(report.summary)
 
     def compare(self, runs: Sequence[RunDirectory]) -> list[Path]:
@@ -285,17 +294,13 @@ def fly_game(config: EvaluateConfig, environment: ObstacleLane, agent: Agent, la
 
 def row_of(config: EvaluateConfig, lane: int, ended: Info, actions: list[int]) -> EvaluateRow:
     """Return a game's row from the info of its last step, to which its path may have been added."""
-    shared = lane_row("evaluate", lane_case(lane), ended, config.task.t_move_s)
-    row: EvaluateRow = {
-        **shared,  # type: ignore[typeddict-item] # which has no key that is not required here
-        "wall_s": ended["wall_s"],
-        "actions": actions,
-    }
+    row: Plain = {**lane_row("evaluate", lane_case(lane), ended, config.task.t_move_s), "actions": actions}
+    row["wall_s"] = ended["wall_s"]
     if not row["is_success"] and "path_m" in ended:
         row["path_m"] = ended["path_m"]
     if config.simulator != EXACT:
         row["simulator"] = config.simulator
-    return row
+    return cast(EvaluateRow, row)
 
 
 def game_seed(config: EvaluateConfig, lane: int) -> int:
@@ -313,12 +318,13 @@ def lane_case(lane: int) -> str:
 
 def against(run: RunDirectory, other: RunDirectory) -> str:
     """Return McNemar's test on the lanes that both evaluations flew, in words. Raises UserError without such lanes."""
-    rows = [[row for row in each.rows() if row.get("suite") == "evaluate"] for each in (run, other)]
-    won = [{row["lane"]: row["is_success"] for row in each} for each in rows]
-    lanes = [lane for lane in won[0] if lane in won[1]]
-    if not lanes:
+    won, theirs = (
+        {row["lane"]: row["is_success"] for row in flown.rows() if row.get("suite") == "evaluate"}
+        for flown in (run, other)
+    )
+    if not (lanes := [lane for lane in won if lane in theirs]):
         raise UserError(f"{other.path}: is no evaluation of the same lanes")
-    first, second = ([each[lane] for lane in lanes] for each in won)
+    first, second = ([outcome[lane] for lane in lanes] for outcome in (won, theirs))
     return (
         f"against {other.path} on the same {len(lanes)} lanes: {sum(first)} v {sum(second)} successes, "
         f"exact McNemar p = {mcnemar_exact(first, second).p_value:.3g}"
@@ -340,26 +346,12 @@ def source_of(reports: Sequence[Report]) -> str:
     return " · ".join([f"{how} · {games} games each · seed {seeds}", *disturbed])
 
 
-def beside_the_papers(report: Report) -> Table:
-    """Return a table of the success beside that of the paper's best training with each command (Table I)."""
-    own = Proportion.of(report.summary).text()
-    rows = [(report.config.agent, own, str(len(report.games)), how_flown(report.config))]
-    for command, by_clock in paper_results.SUCCESSES.items():
-        theirs = Proportion(max(by_clock.values()), paper_results.GAMES).text()
-        name = f"the paper's best, trained with {command_name(command)}"
-        rows.append((name, theirs, str(paper_results.GAMES), "measured, in AirSim and another lane"))
-    return Table(("", "success [95 %]", "lanes", "how"), rows)
-
-
-FIGURE8 = "Figure 8. Share of the games that got at least so far north, with its 95 % Wilson interval."
-
-
 def survival_figure(reports: Sequence[Report]) -> Figure:
     """Plot the share of games that reached each distance, a line per evaluation in its 95 % Wilson interval."""
     figure = style.new_figure(8.0, 4.6, "Distance travelled", source_of(reports))
     axes = figure.subplots()
-    by = [flown_by(each.config.simulator, each.config.device) for each in reports]
-    names = [", ".join(filter(None, [report.config.agent, own])) for report, own in zip(reports, by, strict=True)]
+    flown = [(report.config.agent, flown_by(report.config.simulator, report.config.device)) for report in reports]
+    names = [", ".join(filter(None, by)) for by in flown]
     for report, name in zip(reports, names, strict=True):
         label = name if names.count(name) == 1 else f"{name} ({report.run.path})"  # folders may share their last name
         plots.survival_band(axes, report.games.distance_m, LENGTH_M, label=label)
@@ -369,11 +361,12 @@ def survival_figure(reports: Sequence[Report]) -> Figure:
     return figure
 
 
-def lost_lanes(report: Report) -> Iterator[Block | str]:
-    """Yield the lanes that were not won with what ended them, the shortest flight first."""
-    lost = report.games[~report.games.is_success].sort_values("distance_m", kind="stable")
-    if lost.empty:
-        return
+def lost_lanes(report: Report, lost: pd.DataFrame) -> Iterator[Block | str]:
+    """Yield the lanes that were not won with what ended them, and their paths, the shortest flight first.
+
+    No path can be drawn of what the kernels flew, which record none, nor where a lane is sampled anew with the
+    conditions of each game: its obstacles are not known afterwards.
+    """
     lost = lost.assign(end=[f"hitting {hit}" if hit else "running out of commands" for hit in lost.collision])
     named = [f"{row.lane} ({row.distance_m:.1f} m, {row.end})" for row in lost.head(MOST_PANELS).itertuples()]
     more = [f"and {len(lost) - len(named)} more"] if len(lost) > len(named) else []
@@ -382,58 +375,38 @@ def lost_lanes(report: Report) -> Iterator[Block | str]:
         f"Lost, the shortest flight first: lanes {', '.join([*named, *more])}. Each is flown again and filmed by "
         "`uavaccel view RUN` with the option in its line of the table."
     )
-    if picture := lost_figure(report, lost):
-        yield picture
+    drawn = lost[lost.path_m.notna()] if "path_m" in lost else lost.head(0)
+    if len(drawn) and report.config.task.randomise is None:
+        beyond = len(drawn) - MOST_PANELS
+        more_below = f" {beyond} more are in the table below." if beyond > 0 else ""
+        caption = f"Paths of the lost lanes, from above, by the positions at the ends of the commands.{more_below}"
+        figure = lost_figure(report, drawn.head(MOST_PANELS))
+        yield report.figure("lost_lanes", figure, caption, source_of([report]))
     columns = {"lane": "{lane}", "distance, m": "{distance_m:.1f}", "ended by": "{end}", "commands": "{commands}"}
     yield Table.of(lost, {**columns, "seen with": "--case {case}"}, folded=f"{len(lost)} lost lanes")
 
 
-def lost_figure(report: Report, lost: pd.DataFrame) -> Picture | None:
-    """Plot the paths of the lost lanes, a panel for each of at most nine, the shortest flight on top.
+def lost_figure(report: Report, lost: pd.DataFrame) -> Figure:
+    """Draw lost lanes with their paths from above, a panel each, the west on top: to the left of the flight."""
+    from matplotlib.patches import Circle, Rectangle
 
-    None where no path can be drawn: the kernels record none, and where a lane is drawn anew with the conditions of each
-    game, its obstacles are not known afterwards.
-    """
-    task = report.config.task
-    drawn = lost[lost.path_m.notna()] if "path_m" in lost else lost.head(0)
-    if drawn.empty or task.randomise is not None:
-        return None
-    shown, source = drawn.head(MOST_PANELS), source_of([report])
-    figure = style.new_figure(8.0, 1.0 + 0.85 * len(shown), "Lost lanes", source)
-    panels = figure.subplots(len(shown), 1, sharex=True, squeeze=False)[:, 0]
-    for axes, row in zip(panels, shown.itertuples(), strict=True):
-        draw_lane(axes, lane_layout(task.wire_lane(row.lane)))
+    figure = style.new_figure(8.0, 1.0 + 0.85 * len(lost), "Lost lanes", source_of([report]))
+    panels = figure.subplots(len(lost), 1, sharex=True, squeeze=False)[:, 0]
+    for axes, row in zip(panels, lost.itertuples(), strict=True):
+        for edge in (-WIDTH_M / 2, WIDTH_M / 2):
+            axes.axhline(edge, color=style.GREY, linewidth=2)
+        axes.axvline(LENGTH_M, color=style.GREEN, linewidth=2)
+        lane = lane_layout(report.config.task.wire_lane(row.lane))
+        for x, y, half, is_round in zip(lane.x_m, lane.y_m, lane.half_width_m, lane.round, strict=True):
+            shape = Circle((x, y), half) if is_round else Rectangle((x - half, y - half), 2 * half, 2 * half)
+            shape.set(facecolor="#444444", linewidth=0)
+            axes.add_patch(shape)
+        axes.set(ylim=(WIDTH_M / 2, -WIDTH_M / 2), yticks=[])
+        axes.grid(visible=False)
         north, east = zip((0.0, 0.0), *row.path_m, strict=True)
         axes.plot(north, east, color=style.BLUE, marker=".", markersize=3)
         axes.plot(north[-1], east[-1], "x", color=style.VERMILION, markersize=8, markeredgewidth=2)
         axes.set_title(f"lane {row.lane}: {row.distance_m:.1f} m, {row.end}", fontsize=8.5)
-    panels[-1].set_xlim(-2.0, min(max(float(shown.distance_m.max()), 0.0) + AHEAD_M, LENGTH_M + 2.0))
+    panels[-1].set_xlim(-2.0, min(max(float(lost.distance_m.max()), 0.0) + AHEAD_M, LENGTH_M + 2.0))
     panels[-1].set_xlabel("north, m; across, the 10 m between the walls are not to that scale")
-    more = f" {len(drawn) - len(shown)} more are in the table below." if len(drawn) > len(shown) else ""
-    caption = f"Paths of the lost lanes, from above, by the positions at the ends of the commands.{more}"
-    return report.figure("lost_lanes", figure, caption, source)
-
-
-def draw_lane(axes: Axes, layout: Any) -> None:
-    """Draw walls, end and obstacles of a lane from above, the west on top: to the left of the flight."""
-    from matplotlib.patches import Circle, Rectangle
-
-    for edge in (-WIDTH_M / 2, WIDTH_M / 2):
-        axes.axhline(edge, color=style.GREY, linewidth=2)
-    axes.axvline(LENGTH_M, color=style.GREEN, linewidth=2)
-    for x, y, half, is_round in zip(layout.x_m, layout.y_m, layout.half_width_m, layout.round, strict=True):
-        shape = Circle((x, y), half) if is_round else Rectangle((x - half, y - half), 2 * half, 2 * half)
-        shape.set(facecolor="#444444", linewidth=0)
-        axes.add_patch(shape)
-    axes.set(ylim=(WIDTH_M / 2, -WIDTH_M / 2), yticks=[])
-    axes.grid(visible=False)
-
-
-def films(run: RunDirectory) -> Iterator[Block]:
-    """Yield the films of the best and the worst game, if they have been made."""
-    made = {name: run.path / "films" / f"{name}.mp4" for name in ("best", "worst")}
-    made = {name: path for name, path in made.items() if path.is_file() and path.with_suffix(".png").is_file()}
-    if made:
-        yield Heading("Films")
-    for name, path in made.items():
-        yield Movie(path, path.with_suffix(".png"), f"The {name} game. On paper: moments of it, camera above events.")
+    return figure

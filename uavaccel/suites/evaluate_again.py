@@ -6,8 +6,9 @@ one; another version of the simulator, or another policy's row, is refused.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import closing
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,7 @@ from uavaccel.draw.labels import command_at_clock
 from uavaccel.draw.panels import Decisions
 from uavaccel.envs.kernel_batch import KernelBatch
 from uavaccel.envs.observer import Onlooker, SecondEventCamera
-from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
+from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.envs.simulators import EXACT, KERNELS
 from uavaccel.envs.values import Action, Frame, Info
 from uavaccel.errors import UserError
@@ -80,14 +81,11 @@ class OneOfKernels:
         return seen[0].copy(), float(rewards[0]), bool(terminated[0]), bool(truncated[0]), infos[0]
 
 
-class Recorded:
+class Recorded(list[int]):
     """An agent that takes the actions of a row, and the first one of its space after them."""
 
-    def __init__(self, actions: Sequence[int]) -> None:
-        self._left = iter(actions)
-
     def act(self, observation: Frame, info: Info) -> int:
-        return next(self._left, 0)
+        return self.pop(0) if self else 0
 
 
 def fly_again(run: RunDirectory, config: EvaluateConfig, environment: Flyable, row: Mapping[str, Any]) -> list[Step]:
@@ -96,8 +94,7 @@ def fly_again(run: RunDirectory, config: EvaluateConfig, environment: Flyable, r
     steps = list(fly_lane(config, environment, Recorded(row["actions"]), lane))
     recorded = {key: value for key, value in row.items() if key not in KEPT_ONLY_BY_THE_RUN}
     again = parse_json(to_json(row_of(config, lane, steps[-1].info, [step.action for step in steps])))
-    differing = [key for key in sorted(recorded | again) if recorded.get(key) != again.get(key)]
-    if differing:
+    if differing := [key for key in sorted(recorded | again) if recorded.get(key) != again.get(key)]:
         raise UserError(
             f"{run.path / 'rows.jsonl'}: {row['case']}: flown again it differs in {', '.join(differing)}; "
             "take the version of uavaccel and the kind of machine that manifest.json names"
@@ -116,65 +113,54 @@ def flight_again(
         raise UserError(
             f"{run.path}: simulator = {config.simulator!r} keeps no poses to log; evaluate with simulator mujoco"
         )
-    films = pictures and event_rate_hz is None
+    films, agent, camera = pictures and event_rate_hz is None, None, None
     if not films:
         refuse_wall(run, config, "this")
     if config.simulator != EXACT or config.task.timing == "wall":
         return flight_of_agent(config, int(row["lane"]), pictures)
-    agent, onlooker, camera = _agent_that_flew(run, config) if films else None, Onlooker(pictures), None
+    if films:  # they show the agent's decisions, so that it has to be the one that flew
+        flew = run.manifest().get("policy_sha256")
+        if flew is not None and flew != policy_sha256(config.agent):
+            raise UserError(f"{run.path}: {config.agent} is another policy than the one that flew this run")
+        agent = make_agent(config.agent, config.task)
+    if event_rate_hz is not None:
+        ticks = int(NS_PER_S / event_rate_hz) // PROFILES[config.task.profile].tick_ns
+        camera = SecondEventCamera(config.task, max(1, ticks))
     with closing(ObstacleLane(**config.task.model_dump(mode="json"))) as environment:
-        environment.add_observer(onlooker)
-        if event_rate_hz is not None:
-            ticks = int(NS_PER_S / event_rate_hz) // PROFILES[config.task.profile].tick_ns
-            camera = SecondEventCamera(config.task, max(1, ticks))
-            environment.add_observer(camera)
-        steps = fly_again(run, config, environment, row)
-        return _flight(config, environment, steps, onlooker, agent, camera)
-
-
-def _agent_that_flew(run: RunDirectory, config: EvaluateConfig) -> Agent:
-    """Return the agent, whose decisions a film shows. Raises UserError where its weights have changed since."""
-    flew = run.manifest().get("policy_sha256")
-    if flew is not None and flew != policy_sha256(config.agent):
-        raise UserError(f"{run.path}: {config.agent} is another policy than the one that flew this run")
-    return make_agent(config.agent, config.task)
+        return _flight(config, environment, partial(fly_again, run, config, row=row), pictures, agent, camera)
 
 
 def flight_of_agent(config: EvaluateConfig, lane: int, pictures: bool = True) -> Flight:
     """Let the agent fly a lane in the exact simulator, and return its flight.
 
-    Raises UserError in `wall` for a policy whose observation has no events.
+    Raises UserError in `wall` for a policy whose observation has no events: only messages can request images there.
     """
     import torch as th
 
     th.set_num_threads(1)  # as the evaluation's own games are flown
-    agent, onlooker = make_agent(config.agent, config.task), Onlooker(pictures)
-    task = _seen_by_camera(config) if pictures else config.task
+    agent, task = make_agent(config.agent, config.task), config.task
+    if pictures and task.timing == "wall" and task.observation != "dvs":
+        if not is_baseline(config.agent):
+            raise UserError(f"timing = 'wall': of {task.observation} there is no film; take virtual or lockstep")
+        task = task.model_copy(update={"observation": "dvs"})
     with closing(ObstacleLane(**task.model_dump(mode="json"))) as environment:
-        environment.add_observer(onlooker)
-        steps = list(fly_lane(config, environment, agent, lane))
-        return _flight(config, environment, steps, onlooker, agent if pictures else None)
-
-
-def _seen_by_camera(config: EvaluateConfig) -> LaneTask:
-    """Return the task; in `wall`, where only messages can request images, one whose observation requests them."""
-    task = config.task
-    if task.observation == "dvs" or task.timing != "wall":
-        return task
-    if not is_baseline(config.agent):
-        raise UserError(f"timing = 'wall': of {task.observation} there is no film; take virtual or lockstep")
-    return task.model_copy(update={"observation": "dvs"})
+        fly = partial(fly_lane, config, agent=agent, lane=lane)
+        return _flight(config, environment, fly, pictures, agent if pictures else None)
 
 
 def _flight(
     config: EvaluateConfig,
     environment: ObstacleLane,
-    steps: Sequence[Step],
-    onlooker: Onlooker,
+    fly: Callable[[ObstacleLane], Iterable[Step]],
+    pictures: bool,
     agent: Agent | None,
     camera: SecondEventCamera | None = None,
 ) -> Flight:
-    """Return the flight of the game that has ended; with an `agent`, what that saw and how it rated the actions."""
+    """Return the flight of the game that `fly` flies; of a policy with what that saw and how it rated the actions."""
+    onlooker = Onlooker(pictures)
+    for observer in filter(None, (onlooker, camera)):
+        environment.add_observer(observer)
+    steps = list(fly(environment))
     task, samples, ended = environment.episode_task, onlooker.samples, steps[-1].info
     start_ns, lane = samples[0].time_ns, ended["lane"]
     hit = onlooker.hit and (onlooker.hit[0] - start_ns, onlooker.hit[1])
@@ -182,46 +168,29 @@ def _flight(
     other = config.simulator != EXACT or config.task.timing == "wall"
     once_more = ", flown once more in the exact simulator, where it may end otherwise" if other else ""
     title = f"lane {lane}, {command_at_clock(task.model_dump())}: {end}{once_more}"
-    asked = [task.velocity_goal(step.action).velocity_m_s for step in steps]
-    place: dict[str, Any] = {"scene": "lane", "lane": lane_layout(task.wire_lane(lane)), "collision": hit}
-    if not onlooker.pictures:
-        return Flight.of(title, task.clock_speed, environment.recording().arrays(), asked, **place)
+    asked = np.array([task.velocity_goal(step.action).velocity_m_s for step in steps], np.float64)
+    more: dict[str, Any] = {"scene": "lane", "lane": lane_layout(task.wire_lane(lane)), "collision": hit}
+    if not pictures:
+        return Flight.of(title, task.clock_speed, environment.recording().arrays(), asked, **more)
     time_ns = np.array([sample.time_ns - start_ns for sample in samples], np.int64)
-    images = np.stack([sample.image for sample in samples])
+    images, of_sample = np.stack([sample.image for sample in samples]), [sample.command for sample in samples]
     # a command begins with the sample that it was decided on
-    starts = time_ns[np.searchsorted([sample.command for sample in samples[1:]], np.arange(len(steps)))]
-    windows = (
-        windows_of(images, time_ns, task.dvs_parameters, task.dvs_seed)
-        if camera is None
-        else equal_windows(camera.events.pop_events(), int(time_ns[-1]))
-    )
-    return Flight(
-        title,
-        task.clock_speed,
-        time_ns,
-        np.array([sample.position_m for sample in samples], np.float64),
-        np.array([sample.orientation_wxyz for sample in samples], np.float64),
-        Commands(starts, np.array([*starts[1:], time_ns[-1]]), np.array(asked, np.float64)),
-        image_ns=time_ns,
-        images=images,
-        windows=list(windows),
-        decisions=_decisions(config, agent, steps, np.array([sample.command for sample in samples])),
-        **place,
-    )
-
-
-def _decisions(
-    config: EvaluateConfig, agent: Agent | None, steps: Sequence[Step], of_sample: NDArray[np.int64]
-) -> Decisions | None:
-    """Return what a policy saw and how it rates the actions; None for a baseline."""
-    if not isinstance(agent, PolicyAgent):
-        return None
-    rated = [agent.policy.rate(step.given[None]) for step in steps]
-    given = np.stack([step.given for step in steps])
-    pictures = np.asarray(given, np.uint8) if given.ndim == 4 else None
-    taken = np.array([step.action for step in steps])
-    ratings = np.concatenate([ratings for _, ratings in rated])
-    return Decisions(ratings, taken, config.task.headings_deg, of_sample, rated[0][0], pictures)
+    starts = time_ns[np.searchsorted(of_sample[1:], np.arange(len(steps)))]
+    if camera is None:
+        more["windows"] = list(windows_of(images, time_ns, task.dvs_parameters, task.dvs_seed))
+    else:
+        more["windows"] = list(equal_windows(camera.events.pop_events(), int(time_ns[-1])))
+    if isinstance(agent, PolicyAgent):
+        (named, *_), ratings = zip(*(agent.policy.rate(step.given[None]) for step in steps), strict=True)
+        given, taken = np.stack([step.given for step in steps]), np.array([step.action for step in steps])
+        seen = np.asarray(given, np.uint8) if given.ndim == 4 else None
+        at = np.array(of_sample)
+        more["decisions"] = Decisions(np.concatenate(ratings), taken, config.task.headings_deg, at, named, seen)
+    poses = ([sample.position_m for sample in samples], [sample.orientation_wxyz for sample in samples])
+    position_m, orientation_wxyz = (np.array(values, np.float64) for values in poses)
+    commands = Commands(starts, np.array([*starts[1:], time_ns[-1]]), asked)
+    more |= {"image_ns": time_ns, "images": images}
+    return Flight(title, task.clock_speed, time_ns, position_m, orientation_wxyz, commands, **more)
 
 
 def equal_windows(events: NDArray[np.floating], last_ns: int) -> Iterator[Window]:

@@ -9,11 +9,10 @@ network's ratings of one observation and of several, or by one thread and by sev
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from copy import deepcopy
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 import torch as th
@@ -32,15 +31,12 @@ from uavaccel.suites.host_time import timed
 from uavaccel.suites.suite import GameResult
 from uavaccel.units import NS_PER_S
 
-if TYPE_CHECKING:
-    from stable_baselines3.dqn.policies import DQNPolicy
-
 MOST_LANES = 1024  # in a batch: a lane's event camera takes about 300 KB
 BLOCK = 32  # observations that a network rates at once
 GPU = "cuda"
 TimedRow = tuple[EvaluateRow, dict[str, float]]  # row, host times
-Ended = tuple[int, Info]  # place in the batch, info of the game's end
 Places = NDArray[np.int64]  # of lanes in the batch
+Flown = tuple[Places, list[tuple[int, Info]]]  # actions; places in the batch of games that ended, info of their ends
 
 
 # --- in processes -----------------------------------------------------------------------------------------------
@@ -66,6 +62,7 @@ class GamesInBatch:
     def __init__(self, config: EvaluateConfig, lanes: Sequence[int]) -> None:
         count = min(config.environments, len(lanes))
         self._batch = EnvironmentBatch(AgentLane, count, **config.task.model_dump(mode="json"))
+        self.close = self._batch.close  # ends the processes, and abandons unfinished games
         try:
             self.begin(config, lanes)
         except BaseException:
@@ -97,10 +94,6 @@ class GamesInBatch:
         if self._left:
             self._batch.call_async(environment, "fly", self._left.popleft())
 
-    def close(self) -> None:
-        """End the processes and abandon unfinished games."""
-        self._batch.close()
-
 
 # --- in the kernels ---------------------------------------------------------------------------------------------
 
@@ -109,7 +102,7 @@ class GamesOverArrays:
     """Flies the games of `lanes` in batches of up to MOST_LANES, in the order of `game`'s calls."""
 
     def __init__(self, config: EvaluateConfig, lanes: Sequence[int]) -> None:
-        self._config, self._left = config, deque(lanes)
+        self._config, self._left = config, list(lanes)
         self._batch: LanesOnCores | LanesOnGpu | None = None
         self._rows: dict[int, EvaluateRow] = {}
         self._clock = MonotonicClock()
@@ -119,30 +112,23 @@ class GamesOverArrays:
         """Fly until the game on a lane is over; its host times have `wall_s` since the first game began."""
         while lane not in self._rows:
             if self._batch is None:
-                self._begin()
-            self._fly()
+                self._lanes, self._left = self._left[:MOST_LANES], self._left[MOST_LANES:]
+                self._actions: list[list[int]] = [[] for _ in self._lanes]
+                self._going = np.arange(len(self._lanes))
+                self._batch = open_lanes(self._config, self._lanes)
+                self._start_ns = self._start_ns or self._clock.now_ns()
+            actions, ended = self._batch.decide_and_fly(self._going)
+            for place, action in zip(self._going.tolist(), actions.tolist(), strict=True):
+                self._actions[place].append(action)
+            for place, info in ended:
+                flown = self._lanes[place]
+                self._rows[flown] = row_of(self._config, flown, info, self._actions[place])
+            self._going = self._going[~np.isin(self._going, [place for place, _ in ended])]
+            if not len(self._going):
+                self.close()
         row, now_ns = self._rows.pop(lane), self._clock.now_ns()
         host = {"wall_s": (now_ns - (self._start_ns or now_ns)) / NS_PER_S}
         return GameResult(row, host=host, next_is_ready=lane + 1 in self._rows)
-
-    def _begin(self) -> None:
-        self._lanes = [self._left.popleft() for _ in range(min(MOST_LANES, len(self._left)))]
-        self._actions: list[list[int]] = [[] for _ in self._lanes]
-        self._going = np.arange(len(self._lanes))
-        self._batch = open_lanes(self._config, self._lanes)
-        self._start_ns = self._start_ns or self._clock.now_ns()
-
-    def _fly(self) -> None:
-        assert self._batch is not None
-        actions, ended = self._batch.decide_and_fly(self._going)
-        for place, action in zip(self._going.tolist(), actions.tolist(), strict=True):
-            self._actions[place].append(action)
-        for place, info in ended:
-            lane = self._lanes[place]
-            self._rows[lane] = row_of(self._config, lane, info, self._actions[place])
-        self._going = self._going[~np.isin(self._going, [place for place, _ in ended])]
-        if not len(self._going):
-            self.close()
 
     def close(self) -> None:
         """Abandon unfinished games."""
@@ -156,17 +142,12 @@ def open_lanes(config: EvaluateConfig, lanes: Sequence[int]) -> LanesOnCores | L
     return LanesOnGpu(config, lanes) if config.device == CUDA else LanesOnCores(config, lanes)
 
 
-class Blocks:
-    """The fixed block of observations, and the row in it, that each lane has; they depend on the lane alone."""
-
-    def __init__(self, lanes: Sequence[int]) -> None:
-        self._block, self._row = np.divmod(np.asarray(lanes), BLOCK)
-
-    def of(self, going: Places) -> list[tuple[Places, Places]]:
-        """Return the places of the flying lanes of each block, and their rows in it."""
-        blocks = self._block[going]
-        members = [going[blocks == block] for block in np.unique(blocks)]
-        return [(member, self._row[member]) for member in members]
+def blocks(lanes: Sequence[int], going: Places) -> Iterator[tuple[Places, Places]]:
+    """Yield the places of the flying lanes of each block, and their rows in it, which depend on a lane alone."""
+    block, row = np.divmod(np.asarray(lanes), BLOCK)
+    for number in np.unique(block[going]):
+        members = going[block[going] == number]
+        yield members, row[members]
 
 
 class LanesOnCores:
@@ -178,14 +159,13 @@ class LanesOnCores:
         task = config.task.model_dump(mode="json")
         self._batch = KernelBatch(ObstacleLane, len(lanes), autoreset_mode="Disabled", **task)
         self._agent: Agent = make_agent(config.agent, config.task)
-        self._inference_s = config.inference_s
-        self._blocks = Blocks(lanes)
+        self._lanes, self._inference_s = lanes, config.inference_s
         self._raters = ThreadPoolExecutor(usable_cores(), initializer=th.set_num_threads, initargs=(1,))
         options = [{"lane": lane} for lane in lanes]
         self._infos = self._batch.reset_each([game_seed(config, lane) for lane in lanes], options)
         self._seen = self._batch.observations()
 
-    def decide_and_fly(self, going: Places) -> tuple[Places, list[Ended]]:
+    def decide_and_fly(self, going: Places) -> Flown:
         """Fly a command of the lanes in these places, and return their actions and the games that ended."""
         for place in going.tolist():
             self._batch.charge(place, self._inference_s)
@@ -195,8 +175,7 @@ class LanesOnCores:
         self._seen[going] = seen
         for place, info in zip(going.tolist(), infos, strict=True):
             self._infos[place] = info
-        over = going[terminated | truncated].tolist()
-        return actions, [(place, self._infos[place]) for place in over]
+        return actions, [(place, self._infos[place]) for place in going[terminated | truncated].tolist()]
 
     def _decide(self, going: Places) -> Places:
         if not isinstance(self._agent, PolicyAgent):
@@ -209,7 +188,7 @@ class LanesOnCores:
             seen[rows] = self._seen[members]
             actions[members] = policy.act(seen)[rows]
 
-        list(self._raters.map(rate, self._blocks.of(going)))
+        list(self._raters.map(rate, blocks(self._lanes, going)))
         return actions[going]
 
     def close(self) -> None:
@@ -220,7 +199,7 @@ class LanesOnCores:
 class LanesOnGpu:
     """Lanes on a GPU, one game each, with rendering and decisions; the host reads the outcome of each command.
 
-    A round, the network's decisions in it, is recorded as one CUDA graph.
+    A round, the network's decisions in it, is recorded as one CUDA graph; other agents decide before it.
     """
 
     def __init__(self, config: EvaluateConfig, lanes: Sequence[int]) -> None:
@@ -228,73 +207,61 @@ class LanesOnGpu:
 
         from uavaccel.envs.cuda_lanes import AT, CudaLanes
         from uavaccel.kernels.recording import recorded
+        from uavaccel.rl.algorithms import action_values
 
-        self._at = AT
-        self._device, self._inference_s = th.device(GPU), config.inference_s
-        self._lanes = CudaLanes(config.task, len(lanes), self._device, renews=False)
+        self._at, device, self._inference_s = AT, th.device(GPU), config.inference_s
+        self._lanes = CudaLanes(config.task, len(lanes), device, renews=False)
         self._lanes.seed([game_seed(config, lane) for lane in lanes])
         self._lanes.games.sample_games([{"lane": lane} for lane in lanes])
         self._lanes.begin()
         self._agent: Agent = make_agent(config.agent, config.task)
-        self._network: DQNPolicy | None = None
+        self._recorded: Callable[[th.Tensor], th.Tensor] | None = None
+        self._asked: Callable[[th.Tensor], th.Tensor] | None = None
         if isinstance(self._agent, PolicyAgent):
             # a copy of its network: the policy that was loaded stays as it is
-            network = deepcopy(self._agent.policy.network).to(self._device)
-            self._agent = PolicyAgent(replace(self._agent.policy, network=network))
-            self._network = network if isinstance(network, DQNPolicy) else None  # which can be recorded
-        self._blocks, self._rows = (th.from_numpy(places).to(self._device) for places in _all_blocks(lanes))
-        self._actions = th.zeros(len(lanes), dtype=th.int64, device=self._device)
-        self._places: list[list[float]] = [[0.0, 0.0, 0.0] for _ in lanes]
-        self._round = recorded(self._decide_and_fly, self._device)
+            network = deepcopy(self._agent.policy.network).to(device)
+            policy = replace(self._agent.policy, network=network)
+            if isinstance(network, DQNPolicy):
+                self._recorded = lambda seen: action_values(network, seen, policy.turned).argmax(dim=1)
+            else:
+                self._asked = lambda seen: th.from_numpy(policy.act(seen.cpu().numpy())).to(device)
+        # the place in the batch of each row of each block, the first where there is none, and each lane's row in all
+        members = list(blocks(lanes, np.arange(len(lanes))))
+        places, rows = np.zeros((len(members), BLOCK), np.int64), np.zeros(len(lanes), np.int64)
+        for number, (places_of_block, rows_of_block) in enumerate(members):
+            places[number, rows_of_block] = places_of_block
+            rows[places_of_block] = number * BLOCK + rows_of_block
+        self._places, self._rows = th.from_numpy(places).to(device), th.from_numpy(rows).to(device)
+        self._actions = th.zeros(len(lanes), dtype=th.int64, device=device)
+        self._positions_m: list[list[float]] = [[0.0, 0.0, 0.0] for _ in lanes]
+        self._round = recorded(self._fly_round, device)
 
-    def decide_and_fly(self, going: Places) -> tuple[Places, list[Ended]]:
-        if self._network is None:
-            self._ask(going)
+    def decide_and_fly(self, going: Places) -> Flown:
+        """Fly a command of all lanes, and return the actions in these places and the games there that ended."""
+        if self._asked:
+            self._rate(self._asked)
+        elif not self._recorded:
+            for place in going.tolist():
+                self._actions[place] = self._agent.act(np.zeros(0), {"position_m": self._positions_m[place]})
         self._round()
         outcome = self._lanes.ended.tolist()  # the host waits for the device here
-        self._places = [row[self._at.place : self._at.place + 3] for row in outcome]
+        self._positions_m = [row[self._at.place : self._at.place + 3] for row in outcome]
         over = [place for place in going.tolist() if outcome[place][self._at.over]]
         ended = [(place, self._lanes.info(place, outcome[place])) for place in over]
         return self._actions.cpu().numpy()[going], ended
 
-    def _decide_and_fly(self) -> None:
+    def _fly_round(self) -> None:
         self._lanes.charge(self._lanes.going, self._inference_s, "inference")
-        if self._network is not None:
-            self._decide(self._network)
+        if self._recorded:
+            with th.inference_mode():
+                self._rate(self._recorded)
         self._lanes.fly(self._actions)
-
-    def _decide(self, network: DQNPolicy) -> None:
-        from uavaccel.rl.algorithms import action_values
-
-        turned = self._agent.policy.turned if isinstance(self._agent, PolicyAgent) else None
-        with th.inference_mode():
-            self._rate(lambda seen: action_values(network, seen, turned).argmax(dim=1))
-
-    def _ask(self, going: Places) -> None:
-        """Let an agent whose network cannot be recorded, or which has none, decide."""
-        if isinstance(self._agent, PolicyAgent):
-            policy = self._agent.policy
-            self._rate(lambda seen: th.from_numpy(policy.act(seen.cpu().numpy())).to(self._device))
-            return
-        for place in going.tolist():
-            info: Info = {"position_m": self._places[place]}
-            self._actions[place] = self._agent.act(np.zeros(0), info)
 
     def _rate(self, act: Callable[[th.Tensor], th.Tensor]) -> None:
         """Let all lanes act, block by block, lanes whose games are over too: it is the same work in each round."""
-        chosen = [act(self._lanes.observations[block]) for block in self._blocks]
+        chosen = [act(self._lanes.observations[block]) for block in self._places]
         self._actions.copy_(th.cat(chosen)[self._rows])
 
     def close(self) -> None:
         """Release the device's memory: the recorded round refers to these lanes, and they to it."""
         del self._round
-
-
-def _all_blocks(lanes: Sequence[int]) -> tuple[Places, Places]:
-    """Return the place in the batch of each row (blocks, BLOCK), the first where there is none, and each lane's row."""
-    of_blocks = Blocks(lanes).of(np.arange(len(lanes)))
-    places, rows = np.zeros((len(of_blocks), BLOCK), np.int64), np.zeros(len(lanes), np.int64)
-    for number, (members, there) in enumerate(of_blocks):
-        places[number, there] = members
-        rows[members] = number * BLOCK + there
-    return places, rows

@@ -10,11 +10,13 @@ from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager, nullcontext
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, field_validator
+from pydantic import Field, StringConstraints
 
+from uavaccel import __version__
 from uavaccel.config import Config, validate
 from uavaccel.draw.page import Block, Column, Heading, Picture, Table, fill
 from uavaccel.errors import UserError
+from uavaccel.files import file_sha256
 from uavaccel.forms import Count
 from uavaccel.metrics.intervals import fisher_exact_p
 from uavaccel.records import RunDirectory
@@ -23,15 +25,14 @@ from uavaccel.suites import claims, paper_results
 from uavaccel.suites.experiment import Experiment
 from uavaccel.suites.parts import Part, fly_part, part_run, part_simulated_s, part_suite
 from uavaccel.suites.registry import open_run, suite_of
-from uavaccel.suites.report import Report, Summary
+from uavaccel.suites.report import Report, Summary, records, table_of
 from uavaccel.suites.rows import GameRow
 from uavaccel.suites.suite import GameResult, SimpleCase, Suite
 from uavaccel.yaml_io import load_yaml
 
-PROFILES: tuple[Literal["airsim", "native"], ...] = ("airsim", "native")
+PROFILES = ("airsim", "native")
 LEVEL = 0.05
 VERDICTS = {True: "holds", False: "fails", None: "undecided"}
-Kind = Literal["dp1", "dp2", "rl"]
 
 
 class Claim(Config):
@@ -44,7 +45,7 @@ class Claim(Config):
     """The claim in brief."""
     paper: str
     """The paper's number."""
-    decided_by: Annotated[tuple[Kind, ...], Field(min_length=1)]
+    decided_by: Annotated[tuple[Literal["dp1", "dp2", "rl"], ...], Field(min_length=1)]
     """Kinds of runs that decide it, in the order of the deciding function's arguments."""
     basis: Literal["fitted", "chosen", "predicted"]
     """Origin of the deciding number under `airsim`: fitted to the paper, due to a choice of this project on which the
@@ -63,21 +64,14 @@ class PaperConfig(Experiment):
     """`suite: paper`."""
 
     suite: Literal["paper"]
-    parts: Annotated[dict[str, Part], Field(min_length=1)]
+    parts: Annotated[
+        dict[Annotated[str, StringConstraints(pattern="^(dp1|dp2)-(airsim|native)$")], Part], Field(min_length=1)
+    ]
     """Runs by name, KIND-PROFILE: dp1-airsim, dp2-native, and so on."""
     claims: str = "claims.yaml"
     """File of claims among those that ship with the experiments."""
     with_run: str | None = None
     """Run directory of the suite `rl`, which decides the claims on training."""
-
-    @field_validator("parts")
-    @classmethod
-    def _say_kind_and_profile(cls, parts: dict[str, Part]) -> dict[str, Part]:
-        for name in parts:
-            kind, _, profile = name.partition("-")
-            if kind not in ("dp1", "dp2") or profile not in PROFILES:
-                raise ValueError(f"has {name!r}; names are dp1 or dp2, a hyphen, and airsim or native")
-        return parts
 
 
 class PaperRow(GameRow):
@@ -105,30 +99,39 @@ class Paper(Suite[PaperConfig, SimpleCase]):
             yield SimpleCase(name, "virtual", part_simulated_s(part, config.seed))
 
     def renders(self, config: PaperConfig) -> bool:
-        suites = [part_suite(part, config.seed) for part in config.parts.values()]
-        return any(suite.renders(part_config) for suite, part_config in suites)
+        parts = [part_suite(part, config.seed) for part in config.parts.values()]
+        return any(suite.renders(part_config) for suite, part_config in parts)
 
     def open(self, config: PaperConfig, timing: str, run: RunDirectory) -> AbstractContextManager[RunDirectory]:
         return nullcontext(run)
 
     def fly(self, config: PaperConfig, case: SimpleCase, opened: RunDirectory) -> GameResult:
-        summary = fly_part(opened, case.id, config.parts[case.id], config.seed)
-        return GameResult({"cells": len(summary["cells"])})
+        part = fly_part(opened, case.id, config.parts[case.id], config.seed)
+        flown(opened, case.id, part)
+        return GameResult({"cells": len(part.summary["cells"])})
 
     def summary(self, report: Report) -> Summary:
         """Return the verdict on each claim under either profile, and the hours of trainings by phase under airsim."""
-        evidence = {profile: evidence_of(report, profile) for profile in PROFILES}
+        evidence: dict[str, dict[str, Any]] = {profile: {} for profile in PROFILES}
+        for name in report.config.parts:
+            kind, _, profile = name.partition("-")
+            evidence[profile][kind] = flown(report.run, name)
+        phases: list[dict[str, float]] = []
+        if report.config.with_run is not None:
+            run = training_run(report.config.with_run)
+            for profile, found in evidence.items():
+                found["rl"] = claims.Trainings.of(run, profile)
+            phases = claims.training_phases(evidence["airsim"]["rl"])
         judged = [
             {
                 "claim": claim.id,
                 **claim.model_dump(include={"place", "says", "paper", "basis"}),
-                "paper_p": paper_p(claim),
+                "paper_p": claim.paper_counts
+                and fisher_exact_p(*((n, paper_results.GAMES) for n in claim.paper_counts)),
                 **{profile: verdict(claim, evidence[profile]) for profile in PROFILES},
             }
             for claim in read_claims(report.config)
         ]
-        trained = evidence["airsim"].get("rl")
-        phases = claims.training_phases(trained) if trained else []
         return {"suite": "paper", "seed": report.config.seed, "claims": judged, "phases": phases}
 
     def title(self, report: Report) -> str:
@@ -144,8 +147,8 @@ class Paper(Suite[PaperConfig, SimpleCase]):
 
     def overview(self, report: Report) -> Table:
         columns = {"claim": "{claim}", "place": "{place}", "is": "{basis}"}
-        judged = {f"under {profile}": f"{{{profile}[verdict]}}  {{{profile}[value]}}" for profile in PROFILES}
-        table = Table.of(report.summary["claims"], columns | judged)
+        columns |= {f"under {profile}": f"{{{profile}[verdict]}}  {{{profile}[value]}}" for profile in PROFILES}
+        table = Table.of(report.summary["claims"], columns)
         return Table(table.header, [[cell.rstrip() for cell in row] for row in table.rows])
 
     def page(self, report: Report) -> Iterator[Block | str]:
@@ -157,7 +160,7 @@ class Paper(Suite[PaperConfig, SimpleCase]):
         yield READING
         if phases := report.summary["phases"]:
             yield Heading("Figure 9: hours by phase, under airsim")
-            yield phase_table(phases)
+            yield Table.of(map(whole_hours, phases), HOURS)
             yield PHASES
         for name in report.config.parts:
             yield Heading(name)
@@ -183,13 +186,20 @@ def training_run(path: str) -> RunDirectory:
     return run
 
 
-def evidence_of(report: Report, profile: str) -> dict[str, Any]:
-    """Return what a run tells of a profile, by kind: the reports of its parts, and the trainings of `with_run`."""
-    runs = {name: part_run(report.run, name) for name in report.config.parts if name.endswith(f"-{profile}")}
-    found: dict[str, Any] = {name.partition("-")[0]: suite_of(run).report(run) for name, run in runs.items()}
-    if report.config.with_run is not None:
-        found["rl"] = claims.Trainings.of(training_run(report.config.with_run), profile)
-    return found
+def flown(run: RunDirectory, name: str, report: Report | None = None) -> claims.Flown:
+    """Return what a part tells, from evidence/NAME.json where that is of its games and this version.
+
+    Else the part is scored, which takes long, unless its `report` has been, and the file is written.
+    """
+    part, file, kind = part_run(run, name), f"evidence/{name}.json", name.partition("-")[0]
+    of = [__version__, *(file_sha256(part.path / kept) for kept in ("config.yaml", "rows.jsonl"))]
+    kept = run.read_json(file) if report is None and (run.path / file).is_file() else {}
+    if kept.get("of") != of:
+        report = report or suite_of(part).report(part)
+        games = records(report.scores.reindex(columns=claims.SCORES[kind]))
+        summary = {key: report.summary.get(key) for key in ("seed", "cells", "guard_study")}
+        run.write_json(file, kept := {"of": of, "games": games, "summary": summary})
+    return claims.Flown(table_of(kept["games"]), kept["summary"])
 
 
 def verdict(claim: Claim, evidence: Mapping[str, Any]) -> dict[str, str]:
@@ -209,14 +219,6 @@ def verdict(claim: Claim, evidence: Mapping[str, Any]) -> dict[str, str]:
     return {"value": value, "verdict": VERDICTS[holds]}
 
 
-def paper_p(claim: Claim) -> float | None:
-    """Return the p-value of Fisher's exact test of the paper's own counts, where it compares counts."""
-    if claim.paper_counts is None:
-        return None
-    first, second = ((count, paper_results.GAMES) for count in claim.paper_counts)
-    return fisher_exact_p(first, second)
-
-
 def at_the_papers_n(claim: Mapping[str, Any]) -> str:
     """Return in words whether the paper's own counts differ significantly; empty where it compares none."""
     if (p_value := claim["paper_p"]) is None:
@@ -225,29 +227,24 @@ def at_the_papers_n(claim: Mapping[str, Any]) -> str:
     return f"{significant} at n = {paper_results.GAMES} (p = {p_value:.2g})"
 
 
-def phase_table(phases: list[dict[str, float]]) -> Table:
-    """Return the table of `training_phases`, with the paper's whole training where it gives its speed-up."""
-    speedups = {1.0: 1.0, **paper_results.TRAINING_SPEEDUP}
-
-    def whole(row: Mapping[str, float]) -> dict[str, Any]:
-        speedup = speedups.get(row["clock_speed"])
-        whole_h = sum(row[f"{phase}_h"] for phase in ("simulation", *claims.BESIDE_SIMULATION))
-        return {**row, "whole_h": whole_h, "paper_whole_h": speedup and paper_results.REAL_TIME_S / 3600 / speedup}
-
-    hours = {
-        "simulation, h": "simulation",
-        "simulation, the paper's": "paper_simulation",
-        "image processing, h": "image_processing",
-        "inference, h": "inference",
-        "learning, h": "learning",
-        "all three, the paper's": "paper_beside",
-        "whole, h": "whole",
-        "whole, the paper's": "paper_whole",
-    }
-    columns = {header: f"{{{name}_h:.1f}}" for header, name in hours.items()}
-    return Table.of(map(whole, phases), {"ClockSpeed": "{clock_speed:g}x", **columns})
+def whole_hours(phases: Mapping[str, float]) -> dict[str, Any]:
+    """Return a row of `training_phases` with its sum, and the paper's whole training where it gives its speed-up."""
+    speedup = {1.0: 1.0, **paper_results.TRAINING_SPEEDUP}.get(phases["clock_speed"])
+    whole_h = sum(phases[f"{phase}_h"] for phase in ("simulation", *claims.BESIDE_SIMULATION))
+    return {**phases, "whole_h": whole_h, "paper_whole_h": speedup and paper_results.REAL_TIME_S / 3600 / speedup}
 
 
+HOURS = {
+    "ClockSpeed": "{clock_speed:g}x",
+    "simulation, h": "{simulation_h:.1f}",
+    "simulation, the paper's": "{paper_simulation_h:.1f}",
+    "image processing, h": "{image_processing_h:.1f}",
+    "inference, h": "{inference_h:.1f}",
+    "learning, h": "{learning_h:.1f}",
+    "all three, the paper's": "{paper_beside_h:.1f}",
+    "whole, h": "{whole_h:.1f}",
+    "whole, the paper's": "{paper_whole_h:.1f}",
+}
 PHASES = (
     "Hours of TCSC's training, were it as long as one that takes ADSC the paper's 182 hours at 1x. The paper draws its "
     "phases and gives none in numbers: its columns follow from its speed-ups, of which what it takes beside the "

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +13,7 @@ from uavaccel.forms import ArrayForm
 from uavaccel.records import RunDirectory
 from uavaccel.suites.experiment import Experiment, merged, read_mapping
 from uavaccel.suites.registry import find_suite, open_run
+from uavaccel.suites.report import Report
 from uavaccel.suites.runner import run_suite, start_run
 from uavaccel.suites.suite import AnySuite, configuration
 
@@ -34,8 +34,8 @@ def part_suite(part: Part, seed: int) -> tuple[AnySuite, Experiment]:
     return suite, configuration(suite, merged(mapping, {"seed": seed, **part.keys}), source)
 
 
-def fly_part(run: RunDirectory, name: str, part: Part, seed: int, pages: bool = True) -> Mapping[str, Plain]:
-    """Fly, in this process, what the part still lacks, report it, and return its summary.
+def fly_part(run: RunDirectory, name: str, part: Part, seed: int, pages: bool = True) -> Report:
+    """Fly, in this process, what the part still lacks, and return its report, which has been written.
 
     Without `pages` summary.json alone is written; `uavaccel report` makes the rest.
     """
@@ -44,7 +44,8 @@ def fly_part(run: RunDirectory, name: str, part: Part, seed: int, pages: bool = 
     flown = start_run(suite, config, part_folder(run, name), manifest, resume=True)
     run_suite(suite, config, flown)
     report = suite.report(flown)
-    return report.write() if pages else report.write_summary()
+    report.write() if pages else report.write_summary()
+    return report
 
 
 def part_folder(run: RunDirectory, name: str) -> Path:

@@ -277,8 +277,8 @@ class Rl(Suite[RlConfig, TrainingCase]):
             begun = name != "training" and (folder / "config.yaml").is_file()
             if begun and RunDirectory(folder).config().get("agent") != agent:
                 shutil.rmtree(folder)  # begun before the run was moved, it names its policy by another path
-            summary, took = timed(partial(fly_part, opened, place, part, seed, pages=False))
-            flown = part_run(opened, place)
+            report, took = timed(partial(fly_part, opened, place, part, seed, pages=False))
+            summary, flown = report.summary, part_run(opened, place)
             if name == "training":
                 # gigabytes that are of no use once the training is over
                 shutil.rmtree(folder / CHECKPOINTS, ignore_errors=True)
