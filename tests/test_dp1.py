@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -12,13 +11,14 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from uavaccel.cli import main as cli
+from tests.running import configured
 from uavaccel.cli.experiments import run_experiment
 from uavaccel.cli.progress import Progress
 from uavaccel.commands import COMMANDS, SynchronousCommand
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
-from uavaccel.suites.dp1 import Dp1, Dp1Config, Game, fly_path
+from uavaccel.suites import dp1
+from uavaccel.suites.dp1 import Dp1, Dp1Config, Game
 from uavaccel.suites.experiment import read_mapping, resolve
 from uavaccel.suites.session import RunRequest
 from uavaccel.wire.session import VirtualSession, open_session
@@ -27,8 +27,7 @@ SMALL: dict[str, Any] = {"clock_speed": [10.0, 100.0], "t_move_s": [0.1, 0.2], "
 
 
 def paper_config(**options: Any) -> Dp1Config:
-    mapping, source = read_mapping("dp1")
-    return resolve(Dp1Config, mapping, source, options)
+    return resolve(Dp1Config, *read_mapping("dp1"), options)
 
 
 def request(out: Path, timing: str = "virtual", **changes: Any) -> RunRequest:
@@ -48,9 +47,10 @@ def cases_of(config: Dp1Config, **wanted: Any) -> list[Game]:
     return [case for case in Dp1().cases(config) if all(getattr(case, key) == value for key, value in wanted.items())]
 
 
-def fly_case(config: Dp1Config, case: Game) -> tuple[Any, Any]:
+def fly_case(config: Dp1Config, case: Game, *earlier: Game) -> tuple[Any, Any]:
+    """The row and the arrays of a case, after others in the same session."""
     with open_session(case.timing, config.profile, "blocks", config.latency) as session:
-        flown = Dp1().fly(config, case, session)
+        *_, flown = [Dp1().fly(config, own, session) for own in (*earlier, case)]
     return flown.row, flown.arrays
 
 
@@ -108,13 +108,11 @@ def test_a_game_of_a_subset_is_that_game_of_the_full_grid(case_id: str) -> None:
     [case] = cases_of(full, id=case_id)
     keys = {"clock_speed": [case.clock_speed], "t_move_s": [case.t_move_s], "command": [case.command]}
     subset = paper_config(**keys, rounds=[case.rounds])
-    with open_session("virtual", "native", "blocks", subset.latency) as session:
-        for earlier in cases_of(subset)[-3:]:
-            Dp1().fly(subset, earlier, session)  # whatever the session has flown before
-        flown = Dp1().fly(subset, cases_of(subset, id=case_id)[0], session)
-    row, arrays = fly_case(full, case)
-    assert flown.row == row
-    assert same_arrays(flown.arrays, arrays)
+    [same] = cases_of(subset, id=case_id)
+    row, arrays = fly_case(subset, same, *cases_of(subset, timing="virtual")[-3:])
+    whole_row, whole_arrays = fly_case(full, case)
+    assert row == whole_row
+    assert same_arrays(arrays, whole_arrays)
 
 
 # --- the same bytes -------------------------------------------------------------------------------------------
@@ -169,9 +167,9 @@ def test_the_same_bytes_whatever_jobs_and_interruptions(
 @pytest.mark.usefixtures("without_figures")
 def test_lockstep_gives_the_same_bytes_after_a_crash(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The process dies in the worst place: after a game's arrays are written and before its row is."""
-    small: dict[str, Any] = {"options": {**SMALL, "timing": "lockstep", "t_move_s": [0.1]}}
-    whole, broken = tmp_path / "whole", tmp_path / "broken"
-    run_experiment(request(whole, **small))
+    keys = {**SMALL, "timing": "lockstep", "t_move_s": [0.1]}
+    whole, broken = (replace(request(tmp_path / name), options=keys) for name in ("whole", "broken"))
+    run_experiment(whole)
     with monkeypatch.context() as patch:
         append_row = RunDirectory.append_row
 
@@ -182,10 +180,10 @@ def test_lockstep_gives_the_same_bytes_after_a_crash(tmp_path: Path, monkeypatch
 
         patch.setattr(RunDirectory, "append_row", dying)
         with pytest.raises(OSError, match="power cut"):
-            run_experiment(request(broken, **small))
-    run_experiment(request(broken, resume=True, **small))
-    assert contents(broken) == contents(whole)
-    games = [row for row in RunDirectory(whole).rows() if row["role"] == "game"]
+            run_experiment(broken)
+    run_experiment(replace(broken, resume=True))
+    assert contents(tmp_path / "broken") == contents(tmp_path / "whole")
+    games = [row for row in RunDirectory(tmp_path / "whole").rows() if row["role"] == "game"]
     assert {(row["real_time_factor"], row["wall_s"]) for row in games} == {(10.0, 0.04), (100.0, 0.004)}
 
 
@@ -209,24 +207,16 @@ def test_a_row_tells_what_was_flown() -> None:
     assert 1.6 < row["duration_s"] < row["sim_time_s"] < 100 * row["wall_s"]
 
 
-def velocities_of(arrays: dict[str, np.ndarray]) -> np.ndarray:
-    """Mean velocity in each command's last sample."""
-    ends = np.searchsorted(arrays["time_s"], arrays["command_end_s"] - 1e-6)
-    return arrays["linear_velocity_m_s"][ends]
+def test_paths_speeds_and_heights_are_those_of_the_keys() -> None:
+    def ends(**keys: Any) -> np.ndarray:
+        """The velocity at the end of each command."""
+        _, arrays = game("tcsc", 1.0, 1, **keys)
+        return arrays["linear_velocity_m_s"][np.searchsorted(arrays["time_s"], arrays["command_end_s"] - 1e-6)]
 
-
-def test_paths_named_and_of_ones_own() -> None:
-    _, figure2 = game("tcsc", 1.0, 1, path="two_forward_one_back")
-    assert velocities_of(figure2)[:, 0] == pytest.approx([0.674, 0.89, -0.5], abs=0.25)
-    _, own = game("tcsc", 1.0, 1, path=[[0.0, 0.0, -1.0], [0.0, 2.0, 0.0]])
-    assert len(own["command_end_s"]) == 2
-    assert velocities_of(own)[0, 2] < -0.5
-    assert velocities_of(own)[1, 1] > 1.2
-    _, fast = game("tcsc", 1.0, 1, speed_m_s=2.0)
-    assert velocities_of(fast)[0, 0] == pytest.approx(1.35, abs=0.03)
-
-
-def test_a_held_height_is_held() -> None:
+    assert ends(path="two_forward_one_back")[:, 0] == pytest.approx([0.674, 0.89, -0.5], abs=0.25)
+    up, east = ends(path=[[0.0, 0.0, -1.0], [0.0, 2.0, 0.0]])
+    assert (up[2] < -0.5, east[1] > 1.2) == (True, True)
+    assert ends(speed_m_s=2.0)[0, 0] == pytest.approx(1.35, abs=0.03)
     (_, plain), (_, held) = game("tcsc", 1.0, 4), game("tcsc", 1.0, 4, height_m=-10.0)
     assert plain["position_m"][-1, 2] < -11.0
     np.testing.assert_allclose(held["position_m"][:, 2], -10.0, atol=0.2)
@@ -258,11 +248,11 @@ def test_tcsc_allows_for_the_clients_latency_at_the_clock_speed(
         return ()
 
     monkeypatch.setitem(COMMANDS, "tcsc", SynchronousCommand(lambda _: None, cast(Any, fly)))
+    monkeypatch.setattr(dp1, "flight_row", lambda *_: ({}, SimpleNamespace(commands=(), dropped=0, arrays=dict)))
     keys: dict[str, Any] = {"clock_speed": [clock_speed], "t_move_s": [0.5], "rounds": [1], "profile": profile}
     config = paper_config(**keys, t_sample_s=t_sample_s, t_th_wall_s=0.001)
-    [case, *_] = cases_of(config, role="game", command="tcsc")
-    client: Any = SimpleNamespace(now_ns=lambda: 0)
-    fly_path(config, case, client)
+    session: Any = SimpleNamespace(start_game=lambda *_: SimpleNamespace(now_ns=lambda: 0))
+    Dp1().fly(config, cases_of(config, role="game", command="tcsc")[0], session)
     assert [asked[2:] for asked in flown] == [(0.5, t_sample_s or 0.5, t_th_ms * 1_000_000)] * 4
 
 
@@ -292,130 +282,31 @@ def test_a_flight_that_diverges_is_a_row_with_an_error(tmp_path: Path, monkeypat
 # --- mistakes -------------------------------------------------------------------------------------------------
 
 
-@pytest.fixture
-def uavaccel(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> Callable[..., tuple[int, str]]:
-    """Run the command line in an empty folder: its exit status and standard error."""
-
-    def run(*arguments: str) -> tuple[int, str]:
-        monkeypatch.chdir(tmp_path)
-        monkeypatch.setattr(sys, "argv", ["uavaccel", *arguments])
-        with pytest.raises(SystemExit) as end:
-            cli.main()
-        return int(end.value.code or 0), capsys.readouterr().err
-
-    return run
-
-
-def written(folder: Path) -> Iterable[str]:
-    return [path.name for path in folder.iterdir() if path.suffix not in (".yaml", ".TXT")]
-
-
-MISTAKES = {
-    "--set gmaes=3": "unknown key 'gmaes'; did you mean 'games'?",
-    "--t-move 0.333": "t_move_s: 0.333 s is not a positive multiple of the physics step of 2 ms; 0.332 and",
-    "--t-move 0": "must be above 0",
-    "--clock 0": "must be above 0",
-    "--clock -1": "must be above 0",
-    "--clock nan": "finite",
-    "--clock inf": "finite",
-    "--clock 50 --clock 50": "twice",
-    "--rounds 2 --rounds 2": "twice",
-    "--command tcsc --command tcsc": "twice",
-    "--command fly": "'adsc' or 'tcsc'",
-    "--timing fast": "'wall', 'virtual' or 'lockstep'",
-    "--profile px4": "'native' or 'airsim'",
-    "--rounds 0": "must be above 0",
-    "--games 0": "must be above 0",
-    "--seed -1": "should be greater than or equal to 0",
-    "--set path=triangle": "path",
-    "--set path=[]": "path",
-    "--set path=[[1,0]]": "path",
-    "--set path=[[1,0,.nan]]": "path",
-    "--set t_sample_s=0.0333": "t_sample_s",
-    "--set t_sample_s=-1": "t_sample_s",
-    "--set latency=nowhere.yaml": "nowhere.yaml",
-    "--set latency.issue_us=[1]": "latency.issue_us = [1]: needs 12 values",
-    "--set latency.issue_us=[]": "latency.issue_us = []: needs 12 values",
-    "--set latency.quantiles=[0,0.5]": "latency.quantiles",
-    "--set latency.timer_us=[1,0,0,0,0,0,0,0,0,0,0,0]": "must not fall",
-    "--set latency.reply_us={}": "latency.reply_us",
-    "--profile airsim --set t_sample_s=-1": "t_sample_s",
-}
-
-
-@pytest.mark.parametrize("arguments", MISTAKES)
-def test_a_mistake_is_one_line(uavaccel: Callable[..., tuple[int, str]], tmp_path: Path, arguments: str) -> None:
-    status, message = uavaccel("run", "dp1", *arguments.split(), "--out", "there")
-    assert status == 1
-    assert message.startswith("uavaccel: error: dp1.yaml: " if "nowhere" not in arguments else "uavaccel: error: ")
-    assert MISTAKES[arguments] in message
-    assert message.count("\n") == 1
-    assert not written(tmp_path)
-
-
 @pytest.mark.parametrize(
-    ("text", "complaint"),
+    ("override", "message"),
     [
-        ("- suite\n- dp1\n", "mapping"),
-        ("just words\n", "mapping"),
-        ("", "mapping"),
-        ("suite: [\n", "line"),
-        ("suite: dp9\n", "'dp9' is unknown"),
-        ("games: 3\n", "suite"),
-        ("suite: dp1\nclock_speed: 50\n", "clock_speed = 50: should be a list"),
-        ("suite: dp1\nclock_speed: ['50']\n", "clock_speed.0 = '50'"),
-        ("suite: dp1\n", "key 'clock_speed' is missing"),
+        ("gmaes=3", "unknown key 'gmaes'; did you mean 'games'?"),
+        ("t_move_s=[0.333]", "t_move_s: 0.333 s is not a positive multiple of the physics step of 2 ms; 0.332 and"),
+        ("t_sample_s=0.0333", "t_sample_s"),
+        ("t_sample_s=-1", "t_sample_s = -1: should be greater than 0"),
+        ("t_move_s=[0]", "t_move_s.0 = 0: should be greater than 0"),
+        ("clock_speed=[50, 50]", "clock_speed = [50, 50]: has 50 twice"),
+        ("rounds=[2, 2]", "rounds = [2, 2]: has 2 twice"),
+        ("rounds=[]", "rounds = []: needs at least one value"),
+        ("rounds=[100001]", "rounds.0 = 100001: should be less than or equal to 100000"),
+        ("games=0", "games = 0: should be greater than or equal to 1"),
+        ("path=triangle", "path"),
+        ("path=[]", "path = []"),
+        ("path=[[1,0]]", "path"),
+        ("height_m=1", "height_m = 1"),
+        ("clock_speed=50", "clock_speed = 50: should be a list"),
+        ("latency.issue_us=[1]", "latency.issue_us = [1]: needs 12 values"),
+        ("latency.timer_us=[1,0,0,0,0,0,0,0,0,0,0,0]", "must not fall"),
     ],
 )
-def test_a_yaml_that_will_not_do_is_one_line(
-    uavaccel: Callable[..., tuple[int, str]], tmp_path: Path, text: str, complaint: str
-) -> None:
-    (tmp_path / "own.yaml").write_text(text)
-    status, message = uavaccel("run", "own.yaml")
-    assert status == 1
-    assert message.startswith("uavaccel: error: own.yaml")
-    assert complaint in message
-    assert message.count("\n") == 1
-    assert not written(tmp_path)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "status", "complaint"),
-    [
-        ("run nowhere.yaml", 1, "nowhere.yaml"),
-        ("run dp9", 1, "dp9"),
-        ("run dp1 --clock 50 --jobs 2", 2, "--jobs must be 1 with timing wall"),
-        ("run dp1 --jobs 0", 2, "--jobs"),
-        ("run dp1 --set games", 2, "must be dotted.key=value"),
-        ("run dp1 --clock fast", 2, "--clock"),
-        ("run dp1 --frobnicate", 2, "--frobnicate"),
-        ("run dp1 --out .", 1, "exists"),
-        ("report .", 1, "not a run directory"),
-    ],
-)
-def test_wrong_usage(
-    uavaccel: Callable[..., tuple[int, str]], tmp_path: Path, arguments: str, status: int, complaint: str
-) -> None:
-    found, message = uavaccel(*arguments.split())
-    assert found == status
-    assert complaint in message
-    assert message.count("\n") == 1
-    assert not written(tmp_path)
-
-
-def test_a_dry_run_tells_the_plan_and_writes_nothing(
-    uavaccel: Callable[..., tuple[int, str]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert uavaccel("run", "dp1", "--dry-run") == (0, "")
-    assert not written(tmp_path)
-
-
-def test_a_run_is_not_gone_on_with_under_another_configuration(tmp_path: Path) -> None:
-    config = paper_config(**SMALL)
-    RunDirectory.create(tmp_path / "run", config, {})
-    with pytest.raises(UserError, match="exists"):
-        RunDirectory.create(tmp_path / "run", config, {})
-    with pytest.raises(UserError, match="seed"):
-        RunDirectory.create(tmp_path / "run", paper_config(**SMALL, seed=1), {}, resume=True)
+def test_a_mistake_is_one_line(override: str, message: str) -> None:
+    with pytest.raises(UserError) as mistake:
+        configured("dp1", override)
+    assert str(mistake.value).startswith("dp1.yaml: ")
+    assert message in str(mistake.value)
+    assert "\n" not in str(mistake.value)

@@ -18,18 +18,11 @@ def dvs_ed_percent(
     counts (n, H, W); of two runs of unequal length the images that both have are compared.
     Raises ValueError where the images differ in size, or a run's polarities in number.
     """
-    pixels = _pixels_per_image(on, off, reference_on, reference_off)
+    shapes = [np.shape(stack) for stack in (on, off, reference_on, reference_off)]
+    if len(shapes[0]) != 3 or shapes[0] != shapes[1] or shapes[2] != shapes[3] or shapes[0][1:] != shapes[2][1:]:
+        raise ValueError(f"event counts must be (n, H, W), not {shapes}")
     run, reference = (
-        np.stack([active_pixels(positive), active_pixels(negative)])
-        for positive, negative in ((on, off), (reference_on, reference_off))
+        np.stack([active_pixels(counts) for counts in pair]) for pair in ((on, off), (reference_on, reference_off))
     )
     shared = min(run.shape[1], reference.shape[1])
-    difference = np.abs(run[:, :shared] - reference[:, :shared]).sum(axis=0)
-    return np.asarray(100.0 * difference / pixels)
-
-
-def _pixels_per_image(*stacks: ArrayLike) -> int:
-    on, off, reference_on, reference_off = (np.shape(stack) for stack in stacks)
-    if len(on) != 3 or on != off or reference_on != reference_off or on[1:] != reference_on[1:]:
-        raise ValueError(f"event counts must be (n, H, W): {on}, {off} against {reference_on}, {reference_off}")
-    return int(on[1] * on[2])
+    return np.asarray(100.0 * np.abs(run[:, :shared] - reference[:, :shared]).sum(axis=0) / np.prod(shapes[0][1:]))

@@ -70,11 +70,6 @@ def mean_position_rmse(
     return mean_over_references(rmse_matrix, games, references, exclude_self)
 
 
-def duration_error_s(reference_duration_s: ArrayLike, duration_s: ArrayLike) -> FloatArray:
-    """Return each game's simulated duration minus the references' mean duration, in seconds (games,)."""
-    return np.asarray(duration_s, dtype=np.float64) - float(np.mean(np.asarray(reference_duration_s)))
-
-
 def command_gaps_s(command_start_s: ArrayLike, command_end_s: ArrayLike) -> FloatArray:
     """Return the simulated seconds between a command's end and the next one's acceptance (commands - 1,)."""
     start = np.asarray(command_start_s, dtype=np.float64)

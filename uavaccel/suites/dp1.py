@@ -2,59 +2,53 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence, Sized
+from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
 import pandas as pd
-from pydantic import AfterValidator, Field, field_validator, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from uavaccel.commands import COMMANDS
-from uavaccel.commands.paths import PATHS, velocities
+from uavaccel.commands.paths import velocities
 from uavaccel.commands.slices import check_times
 from uavaccel.draw import style
-from uavaccel.draw.labels import clock_label, command_at_clock, rounds_label
-from uavaccel.draw.page import Block, Heading, Picture, Table, fill, unknown
+from uavaccel.draw.labels import clock_label, command_at_clock, metres, rounds_label
+from uavaccel.draw.page import Block, Heading, Picture, Table, unknown
 from uavaccel.files import Plain
 from uavaccel.forms import ArrayForm, Count, Positive
-from uavaccel.kinematics import Vector, VelocityGoal
-from uavaccel.limits import MOST_GAMES, MOST_HEIGHT_M, MOST_ROUNDS, MOST_SECONDS, Speed, Velocity
+from uavaccel.kinematics import VelocityGoal
+from uavaccel.limits import MOST_HEIGHT_M, MOST_ROUNDS, Games, Seconds, Speed, Velocity
 from uavaccel.metrics.intervals import median_interval
 from uavaccel.metrics.speedup import combined_provenance, speedup_interval, timing_provenance
-from uavaccel.metrics.trajectory import Trajectory, command_gaps_s, distinct, mean_position_rmse, trajectory
+from uavaccel.metrics.trajectory import Trajectory, command_gaps_s, distinct, mean_position_rmse
 from uavaccel.records import RunDirectory
 from uavaccel.sim.profile import PROFILES
-from uavaccel.suites import plots
-from uavaccel.suites.experiment import FlightExperiment, Timing, t_th_ns, within
-from uavaccel.suites.flight import Commands, Flight
+from uavaccel.suites import experiment, plots
+from uavaccel.suites.experiment import FlightExperiment, Timing, t_th_ns
+from uavaccel.suites.flight import Flight
 from uavaccel.suites.report import Report, Summary, disturbed_games, finished, source_line, warnings
-from uavaccel.suites.rows import FlightCase, FlightRow, flight_row, named_seed
+from uavaccel.suites.rows import FlightCase, FlightRow, flight_row, named_seed, subset
 from uavaccel.suites.suite import GameResult, Suite
 from uavaccel.suites.trellis import trellis_figure
-from uavaccel.units import NS_PER_S, to_ns
+from uavaccel.units import NS_PER_S
 
-if TYPE_CHECKING:  # they load the simulation, and what draws
-    from uavaccel.wire.client import Client
+if TYPE_CHECKING:  # it loads the simulation
     from uavaccel.wire.session import Session
 
-CELL = ["command", "clock_speed", "t_move_s", "rounds", "timing"]
-"""What the games of a cell have in common. They are compared with all ADSC games at 1x of the same PATH."""
 PATH = ["t_move_s", "rounds"]
+CELL = ["command", "clock_speed", *PATH, "timing"]
+"""What the games of a cell have in common. They are compared with all ADSC games at 1x of the same PATH."""
 SIMILAR_STLC = 1.8  # above it trajectories look alike (paper, section III-C2a)
-FIGURE3_ROUNDS = 4  # enough laps to drift, few enough to tell them apart
 PARALLEL_FROM_GAMES, MOST_JOBS = 400, 8  # below, starting worker processes takes longer than scoring
 
-Named = Literal["square", "two_forward_one_back"]
-FlownPath = Named | tuple[tuple[Velocity, Velocity, Velocity], ...]
-Rounds = Annotated[tuple[int, ...], AfterValidator(lambda rounds: within(rounds, 1, MOST_ROUNDS))]
-Duration = Annotated[float, AfterValidator(lambda time_s: within((time_s,), 0.0, MOST_SECONDS)[0])]
-Durations = Annotated[tuple[float, ...], AfterValidator(lambda times_s: within(times_s, 0.0, MOST_SECONDS))]
-GamesOfCell = Annotated[int, AfterValidator(lambda games: within((games,), 1, MOST_GAMES)[0])]
+OwnPath = Annotated[tuple[tuple[Velocity, Velocity, Velocity], ...], Field(min_length=1)]
+FlownPath = Literal["square", "two_forward_one_back"] | OwnPath
+Distinct = AfterValidator(experiment.distinct)
 
 
 class Dp1Config(FlightExperiment):
@@ -67,25 +61,18 @@ class Dp1Config(FlightExperiment):
     """Speed on a named path."""
     height_m: Annotated[float, Field(lt=0.0, ge=-MOST_HEIGHT_M)] | None = None
     """NED z to hold, as moveByVelocityZ does; without it plain moveByVelocity is called, as in the paper."""
-    rounds: Rounds = (1, 2, 4, 8, 16, 24)
+    rounds: Annotated[tuple[Annotated[int, Field(ge=1, le=MOST_ROUNDS)], ...], Distinct] = (1, 2, 4, 8, 16, 24)
     """How often the square path is flown in a game; each value is flown."""
-    t_move_s: Durations = (0.1, 0.2, 0.5, 1.0)
+    t_move_s: Annotated[tuple[Seconds, ...], Distinct] = (0.1, 0.2, 0.5, 1.0)
     """Simulated seconds of a command; each value is flown."""
-    t_sample_s: Duration | None = None
+    t_sample_s: Seconds | None = None
     """How often the client itself gathers the state; without it once per command, beside the server's recorder."""
-    games: GamesOfCell = 20
+    games: Games = 20
     """Games of each cell, that is of each command, ClockSpeed, T_move and number of rounds."""
-    reference_games: GamesOfCell = 20
+    reference_games: Games = 20
     """Real-time ADSC games of each T_move and number of rounds, unless the run flies that cell anyway."""
     reference_timing: Timing = "virtual"
     """The timing of the reference flights, with ADSC at ClockSpeed 1."""
-
-    @field_validator("path")
-    @classmethod
-    def _not_empty(cls, path: Sized) -> Sized:
-        if not path:
-            raise ValueError(f"needs at least one velocity, or one of {', '.join(PATHS)}")
-        return path
 
     @model_validator(mode="after")
     def _times_fit(self) -> Dp1Config:
@@ -129,14 +116,9 @@ class Game(FlightCase):
     def id(self) -> str:
         return f"{super().id}-t{self.t_move_s:g}-r{self.rounds}-g{self.game:02d}"
 
-    @property
-    def velocities_m_s(self) -> Sequence[Vector]:
-        """The commands of the path, flown at 1 m/s if it has a name."""
-        return velocities(self.path, self.rounds)
-
     def simulated_s(self) -> float:
         """Return the simulated time of the commands, without gaps between them."""
-        return self.t_move_s * len(self.velocities_m_s)
+        return self.t_move_s * len(velocities(self.path, self.rounds))
 
     def seed(self, run_seed: int) -> np.random.SeedSequence:
         """Return the game's own seed, which references and games of one cell have in common."""
@@ -170,7 +152,7 @@ class Dp1(Suite[Dp1Config, Game]):
 
     def case_of(self, row: Plain) -> str:
         flown = row["role"], row["command"], row["clock_speed"], row["timing"]
-        return Game(*flown, row["t_move_s"], row["rounds"], row["game"], ()).id
+        return Game(*flown, row["t_move_s"], row["rounds"], row["game"], "square").id
 
     def may_grow(self, folder: Path) -> tuple[str, ...]:
         return ("games",)
@@ -181,19 +163,27 @@ class Dp1(Suite[Dp1Config, Game]):
         return open_session(timing, config.profile, "blocks", config.latency)
 
     def fly(self, config: Dp1Config, case: Game, opened: Session) -> GameResult:
+        """Fly the case's path; its wall time is from the first command's issue to the last one's return."""
         client = opened.start_game(case.clock_speed, case.seed(config.seed))
-        wall_s = fly_path(config, case, client)
-        row, recording = flight_row(case, config, client, wall_s)
-        row |= {"t_move_s": case.t_move_s, "rounds": case.rounds, "game": case.game}
+        command, t_sample_s = COMMANDS[case.command], config.t_sample_s or case.t_move_s
+        t_th = t_th_ns(config, case.clock_speed, t_sample_s)
+        command.begin(client)
+        start_ns = client.now_ns()
+        for velocity in velocities(case.path, case.rounds, config.speed_m_s):
+            goal = VelocityGoal(velocity, config.height_m)
+            for _ in command.fly(client, goal, case.t_move_s, t_sample_s, t_th):
+                pass
+        row, recording = flight_row(case, config, client, (client.now_ns() - start_ns) / NS_PER_S)
+        row |= subset(vars(case), "t_move_s", "rounds", "game")
         row |= {"commands": len(recording.commands), "samples_dropped": recording.dropped}
         return GameResult(row, recording.arrays())
 
     def finish(self, config: Dp1Config, run: RunDirectory) -> None:
         """Record the messages of one command of each kind, for Figure 4."""
+        from uavaccel.calibration.traces import record_trace
+
         with self.open(config, config.timing, run) as session:
             for command in config.command:
-                from uavaccel.calibration.traces import record_trace
-
                 trace = record_trace(session, command, max(config.clock_speed), max(config.t_move_s))
                 run.write_json(f"traces/{command}.json", trace)
 
@@ -202,83 +192,72 @@ class Dp1(Suite[Dp1Config, Game]):
     ) -> Flight:
         config, arrays = report.config, report.arrays(game)
         path = "two_forward_one_back" if game["role"] == "figure2" else config.path
-        starts, ends = to_ns(arrays["command_start_s"]), to_ns(arrays["command_end_s"])
-        flown = np.array(velocities(path, game["rounds"], config.speed_m_s), float)[: len(starts)]
-        return Flight(
-            command_at_clock(game),
-            game["clock_speed"],
-            to_ns(arrays["time_s"]),
-            arrays["position_m"],
-            arrays["orientation_wxyz"],
-            Commands(starts, ends, flown),
-            arrays["linear_velocity_m_s"],
-        )
+        flown = velocities(path, game["rounds"], config.speed_m_s)[: game["commands"]]
+        return Flight.of(command_at_clock(game), game["clock_speed"], arrays, flown)
 
     def score(self, report: Report) -> pd.DataFrame:
         """Add each game's likeness to real time, its error against the flight without latency, and its gaps."""
+        from joblib import Parallel, cpu_count, delayed
+
         games = report.games
         flown = games[games.role.isin(["game", "reference"])].sort_values([*CELL, "game"], kind="stable")
-        scored = partial(score_cell, report.run, finished(games))
-        cells = [cell for _, cell in finished(flown).groupby(CELL)]
-        if len(games) >= PARALLEL_FROM_GAMES:
-            from joblib import Parallel, cpu_count, delayed
-
-            parallel = Parallel(n_jobs=min(cpu_count(), MOST_JOBS), batch_size=1)
-            found = parallel(delayed(scored)(cell) for cell in sorted(cells, key=lambda cell: -cell.duration_s.sum()))
-        else:
-            found = [scored(cell) for cell in cells]
-        return flown.join(pd.concat(found) if found else pd.DataFrame(columns=SCORES))
+        paths = [path for _, path in finished(games[games.role != "figure2"]).groupby(PATH)]
+        paths.sort(key=lambda path: -path.duration_s.sum())
+        jobs = min(cpu_count(), MOST_JOBS) if len(games) >= PARALLEL_FROM_GAMES else 1
+        found = Parallel(jobs, batch_size=1)(delayed(score_path)(report.run, path) for path in paths)
+        return flown.join(pd.concat(found) if found else pd.DataFrame(columns=SCORES, dtype=float))
 
     def summary(self, report: Report) -> Summary:
         """Return a cell for each command, ClockSpeed, T_move, number of rounds and timing.
 
-        Accuracies are medians over games of each game's mean over the references; a reference is not compared with
-        itself. Durations and wall times are compared with the references' means. Intervals are 95 % bootstrap intervals
-        over games. Numbers that cannot be known (no reference in the run, a lone reference) are None.
+        Accuracies are medians over games of each game's mean over the references, itself left out; durations and wall
+        times are compared with the references' means; intervals are 95 % bootstrap intervals over games. Numbers that
+        cannot be known (no reference in the run, a lone reference) are None.
         """
-        scores, seed = report.scores, report.config.seed
-        cells = summary_cells(scores, seed)
-        return {"suite": "dp1", "profile": report.config.profile, "seed": seed, "cells": cells}
+        keys = subset(vars(report.config), "suite", "profile", "seed")
+        return {**keys, "cells": summary_cells(report.scores, report.config.seed)}
 
     def title(self, report: Report) -> str:
         return f"DP1, {report.config.profile} profile, seed {report.config.seed}"
 
     def headline(self, report: Report) -> str:
         """Return each command's likeness to real time, error and speed-up; lockstep only where all is."""
-        cells = cells_of(report)
+        cells, said = cells_of(report), []
         cells = cells if (cells.timing == "lockstep").all() else cells[cells.timing != "lockstep"]
         fast = cells[(cells.clock_speed > 1) & cells.stlc_median.notna()]
-        if fast.empty:
+        for command, own in fast.groupby("command"):
+            alike = own.groupby("clock_speed").stlc_median.min() > SIMILAR_STLC
+            up_to, highest = alike.index[alike.cummin()], alike.index[-1]
+            flies = f"flies as in real time up to {up_to[-1]:g}x" if len(up_to) else ""
+            flies = flies or f"no longer flies as in real time at {alike.index[0]:g}x"
+            fastest = own[own.clock_speed == highest]
+            error, speedup = metres(fastest.position_rmse_m.max()), plots.span(fastest.effective_speedup)
+            said.append(
+                f"{command.upper()} {flies} (STLC above {SIMILAR_STLC:g}); at {highest:g}x it is up to {error} m off "
+                f"(RMSE) and {speedup} times as fast"
+            )
+        if not said:
             return f"{cells.games.sum()} games, none of them accelerated and comparable with real time"
-        said = "; ".join(_likeness(own) for _, own in fast.groupby("command"))
-        return f"{said} ({' and '.join(sorted(set(fast.provenance)))})"
+        return f"{'; '.join(said)} ({' and '.join(sorted(set(fast.provenance)))})"
 
     def overview(self, report: Report) -> Table:
+        """Return the worst accuracies and the range of speeds of each command and ClockSpeed."""
         groups = cells_of(report).groupby(["command", "clock_speed", "timing", "provenance"])
-        worst = groups.agg(
-            games=("games", "sum"),
-            disturbed_games=("disturbed_games", "sum"),
-            stlc_median=("stlc_median", "min"),
-            position_rmse_m=("position_rmse_m", "max"),
-            position_rmse_vs_lockstep_m=("position_rmse_vs_lockstep_m", "max"),
-            speedup=("effective_speedup", plots.span),
-            mixed=("mixed", "first"),
-            real_time_factor=("real_time_factor", plots.span),
-        )
-        return Table.of(
-            worst.reset_index(),
-            {
-                "command": "{command!u}",
-                "ClockSpeed": "{clock_speed:g}x",
-                "games": "{games}{disturbed_games!d}",
-                "lowest STLC median": "{stlc_median:.4f}",
-                "largest RMSE v. reference, m": "{position_rmse_m!m}",
-                "largest RMSE v. lockstep, m": "{position_rmse_vs_lockstep_m!m}",
-                "effective speed-up": "{speedup}{mixed}",
-                "real-time factor": "{real_time_factor}",
-                "source": "{provenance}",
-            },
-        )
+        worst: dict[str, Any] = {"games": "sum", "disturbed_games": "sum", "stlc_median": "min", "mixed": "first"}
+        worst |= {"position_rmse_m": "max", "position_rmse_vs_lockstep_m": "max"}
+        worst |= {"effective_speedup": plots.span, "real_time_factor": plots.span}
+        columns = {
+            "command": "{command!u}",
+            "ClockSpeed": "{clock_speed:g}x",
+            "games": "{games}{disturbed_games!d}",
+            "lowest STLC median": "{stlc_median:.4f}",
+            "largest RMSE v. reference, m": "{position_rmse_m!m}",
+            "largest RMSE v. lockstep, m": "{position_rmse_vs_lockstep_m!m}",
+            "effective speed-up": "{effective_speedup}{mixed}",
+            "real-time factor": "{real_time_factor}",
+            "source": "{provenance}",
+        }
+        return Table.of(groups.agg(worst).reset_index(), columns)
 
     def page(self, report: Report) -> Iterator[Block | str]:
         cells = cells_of(report)
@@ -296,48 +275,50 @@ class Dp1(Suite[Dp1Config, Game]):
         yield accuracy_figure(report)
         yield speedup_figure(report)
         yield Heading("All cells")
-        yield Table.of(cells, ALL_CELLS, folded=f"{len(cells)} cells")
-
-
-def fly_path(config: Dp1Config, case: Game, client: Client) -> float:
-    """Fly the case's path, and return the seconds of wall time from the first issue to the last return."""
-    command, t_sample_s = COMMANDS[case.command], config.t_sample_s or case.t_move_s
-    t_th = t_th_ns(config, case.clock_speed, t_sample_s)
-    command.begin(client)
-    start_ns = client.now_ns()
-    for velocity in velocities(case.path, case.rounds, config.speed_m_s):
-        goal = VelocityGoal(velocity, config.height_m)
-        for _ in command.fly(client, goal, case.t_move_s, t_sample_s, t_th):
-            pass
-    return (client.now_ns() - start_ns) / NS_PER_S
+        columns = {
+            "command": "{command!u}",
+            "clock": "{clock_speed:g}x",
+            "T_move s": "{t_move_s:g}",
+            "rounds": "{rounds}",
+            "games": "{games}{failed_games!f}{disturbed_games!d}",
+            "STLC median [q25, q75]": "{stlc_median:.3f} [{stlc_q25:.3f}, {stlc_q75:.3f}]",
+            "RMSE m": "{position_rmse_m!m}",
+            "v. lockstep": "{position_rmse_vs_lockstep_m!m}",
+            "duration s": "{duration_error_s:+z.3f}",
+            "speed-up": "{effective_speedup:.2f}{mixed}",
+            "achieved": "{real_time_factor:.2f}",
+            "source": "{provenance}",
+        }
+        yield Table.of(cells, columns, folded=f"{len(cells)} cells")
 
 
 SCORES = ["stlc", "position_rmse_m", "position_rmse_vs_lockstep_m", "gap_s", "distinct_games"]
 
 
-def score_cell(run: RunDirectory, games: pd.DataFrame, cell: pd.DataFrame) -> pd.DataFrame:
-    """Return the SCORES of a cell's games, NaN where there is nothing to compare with; `gap_s` are lists."""
+def score_path(run: RunDirectory, games: pd.DataFrame) -> pd.DataFrame:
+    """Return the SCORES of games of one PATH, NaN where there is nothing to compare with; `gap_s` are lists."""
     from uavaccel.metrics.stlc import mean_stlc  # loads scipy
 
-    def loaded(games: pd.DataFrame) -> list[dict[str, Any]]:
-        return [run.load_arrays(game) for _, game in games.iterrows()]
+    games = games.sort_values([*CELL, "game"], kind="stable")
+    arrays = {case: run.load_arrays(game) for case, game in zip(games.case, games.to_dict("records"), strict=True)}
 
-    def flights(arrays: list[dict[str, Any]]) -> list[Trajectory]:
-        return [trajectory(array["time_s"], array["position_m"]) for array in arrays]
+    def flights(games: pd.DataFrame) -> list[Trajectory]:
+        return [Trajectory(arrays[case]["time_s"], arrays[case]["position_m"]) for case in games.case]
 
-    arrays, same, itself = loaded(cell), same_path(games, cell), bool((cell.role == "reference").all())
-    own = flights(arrays)
-    real = own if itself else flights(loaded(same[same.role == "reference"]))
-    lockstep = same[same.role == "lockstep"].sort_values("command", key=lambda each: each != cell.command.iloc[0])
-    ideal = flights(loaded(lockstep.head(1)))
-    found = {
-        "stlc": mean_stlc(own, real, itself) if real else np.nan,
-        "position_rmse_m": mean_position_rmse(own, real, itself) if real else np.nan,
-        "position_rmse_vs_lockstep_m": mean_position_rmse(own, ideal) if ideal else np.nan,
-        "gap_s": [command_gaps_s(array["command_start_s"], array["command_end_s"]).tolist() for array in arrays],
-        "distinct_games": len(distinct(own)[0]),
-    }
-    return pd.DataFrame(found, index=cell.index)
+    real, lockstep, found = games[games.role == "reference"], games[games.role == "lockstep"], list[pd.DataFrame]()
+    for key, cell in games[games.role != "lockstep"].groupby(CELL):
+        own, references, itself = flights(cell), flights(real), bool((cell.role == "reference").all())
+        ideal = flights(lockstep.sort_values("command", key=lambda command: command != key[0]).head(1))
+        gaps_s = [command_gaps_s(arrays[case]["command_start_s"], arrays[case]["command_end_s"]) for case in cell.case]
+        scores = {
+            "stlc": mean_stlc(own, references, itself) if references else np.nan,
+            "position_rmse_m": mean_position_rmse(own, references, itself) if references else np.nan,
+            "position_rmse_vs_lockstep_m": mean_position_rmse(own, ideal) if ideal else np.nan,
+            "gap_s": [gap_s.tolist() for gap_s in gaps_s],
+            "distinct_games": len(distinct(own)[0]),
+        }
+        found.append(pd.DataFrame(scores, index=cell.index))
+    return pd.concat(found) if found else pd.DataFrame(columns=SCORES, dtype=float)
 
 
 def same_path(games: pd.DataFrame, cell: pd.DataFrame) -> pd.DataFrame:
@@ -345,83 +326,49 @@ def same_path(games: pd.DataFrame, cell: pd.DataFrame) -> pd.DataFrame:
     return games[(games[PATH] == cell[PATH].iloc[0]).all(axis=1)]
 
 
-def cells_in(scores: pd.DataFrame) -> list[tuple[dict[str, Any], pd.DataFrame]]:
-    """Return the key and the games of each cell, in canonical order."""
-    return [(dict(zip(CELL, key, strict=True)), cell) for key, cell in scores.groupby(CELL)]
-
-
 def summary_cells(scores: pd.DataFrame, seed: int) -> list[dict[str, Any]]:
-    """Return the cells of the summary from the scored games."""
-    real = finished(scores[scores.role == "reference"])
-    return [key | summary_of_cell(key, cell, same_path(real, cell), seed) for key, cell in cells_in(scores)]
-
-
-def summary_of_cell(key: dict[str, Any], cell: pd.DataFrame, real: pd.DataFrame, seed: int) -> dict[str, Any]:
-    """Return the numbers of a cell from its scored games and those of ADSC in real time on the same path."""
-    own, itself = finished(cell), bool((cell.role == "reference").all())
-    provenance, compared, disturbed = timing_provenance(key["timing"]), len(own) and len(real), disturbed_games(own)
-    reference = None
-    if len(real):
-        reference = real.iloc[0][["command", "timing", "clock_speed"]].to_dict() | {
-            "provenance": timing_provenance(real.timing.iloc[0]),
-            "games": len(real),
-            "is_this_cell": itself,
+    """Return the cells of the summary from the scored games, in canonical order."""
+    cells: list[dict[str, Any]] = []
+    for key, cell in scores.groupby(CELL):
+        own, real, itself = finished(cell), finished(same_path(scores, cell)), bool((cell.role == "reference").all())
+        real, disturbed, provenance = real[real.role == "reference"], disturbed_games(own), timing_provenance(key[-1])
+        reference, interval, mixed = None, None, None
+        if len(real):
+            reference = subset(real.iloc[0], "command", "timing", "clock_speed")
+            reference |= {"provenance": timing_provenance(reference["timing"])}
+            reference |= {"games": len(real), "is_this_cell": itself}
+        if reference and len(own):
+            mixed = combined_provenance(provenance, reference["provenance"])
+            interval = None if itself else list(speedup_interval(real.wall_s, own.wall_s, seed))  # 1 by definition
+        stlc, rmse_m = own.stlc, own.position_rmse_m
+        gaps_s = pd.Series([gap_s for gaps_s in own.gap_s for gap_s in gaps_s], dtype=float)
+        found = {
+            **dict(zip(CELL, key, strict=True)),
+            "games": len(own),
+            "failed_games": len(cell) - len(own),
+            "distinct_games": int(own.distinct_games.iloc[0]) if len(own) else 0,
+            "provenance": provenance,
+            "seed": seed,
+            "reference": reference,
+            **({"disturbed_games": disturbed} if disturbed else {}),
+            "stlc_median": stlc.median(),
+            "stlc_q25": stlc.quantile(0.25),
+            "stlc_q75": stlc.quantile(0.75),
+            "stlc_median_interval": list(median_interval(stlc, seed)) if stlc.count() else None,
+            "position_rmse_m": rmse_m.median(),
+            "position_rmse_interval_m": list(median_interval(rmse_m, seed)) if rmse_m.count() else None,
+            "position_rmse_vs_lockstep_m": own.position_rmse_vs_lockstep_m.median(),
+            "duration_error_s": (own.duration_s - real.duration_s.mean()).median(),
+            "command_gap_median_s": gaps_s.median(),
+            "command_gap_q95_s": gaps_s.quantile(0.95),
+            "effective_speedup": real.wall_s.mean() / own.wall_s.mean(),
+            "effective_speedup_interval": interval,
+            "effective_speedup_provenance": mixed,
+            "real_time_factor": own.real_time_factor.mean(),
+            "lost_wall_s": own.lost_wall_s.sum(min_count=1),
         }
-    gaps_s = pd.Series([gap for each in own.gap_s for gap in each], dtype=float)
-    interval = list(speedup_interval(real.wall_s, own.wall_s, seed)) if compared and not itself else None
-    mixed = combined_provenance(provenance, reference["provenance"]) if compared and reference else None
-    return {
-        "games": len(own),
-        "failed_games": len(cell) - len(own),
-        "distinct_games": int(own.distinct_games.iloc[0]) if len(own) else 0,
-        "provenance": provenance,
-        "seed": seed,
-        "reference": reference,
-        **({"disturbed_games": disturbed} if disturbed else {}),
-        "stlc_median": _quantile(own.stlc, 0.5),
-        "stlc_q25": _quantile(own.stlc, 0.25),
-        "stlc_q75": _quantile(own.stlc, 0.75),
-        "stlc_median_interval": _interval(own.stlc, seed),
-        "position_rmse_m": _quantile(own.position_rmse_m, 0.5),
-        "position_rmse_interval_m": _interval(own.position_rmse_m, seed),
-        "position_rmse_vs_lockstep_m": _quantile(own.position_rmse_vs_lockstep_m, 0.5),
-        "duration_error_s": float((own.duration_s - real.duration_s.mean()).median()) if compared else None,
-        "command_gap_median_s": _quantile(gaps_s, 0.5),
-        "command_gap_q95_s": _quantile(gaps_s, 0.95),
-        "effective_speedup": float(real.wall_s.mean() / own.wall_s.mean()) if compared else None,
-        "effective_speedup_interval": interval,  # the baseline over itself is 1 by definition
-        "effective_speedup_provenance": mixed,
-        "real_time_factor": float(own.real_time_factor.mean()) if len(own) else None,
-        "lost_wall_s": float(own.lost_wall_s.sum()) if len(own) else None,
-    }
-
-
-def _known(values: pd.Series) -> bool:
-    return len(values) > 0 and bool(values.notna().all())
-
-
-def _quantile(values: pd.Series, share: float) -> float | None:
-    return float(np.quantile(values.to_numpy(float), share)) if _known(values) else None
-
-
-def _interval(values: pd.Series, seed: int) -> list[float] | None:
-    return list(median_interval(values, seed)) if _known(values) else None
-
-
-ALL_CELLS = {
-    "command": "{command!u}",
-    "clock": "{clock_speed:g}x",
-    "T_move s": "{t_move_s:g}",
-    "rounds": "{rounds}",
-    "games": "{games}{failed_games!f}{disturbed_games!d}",
-    "STLC median [q25, q75]": "{stlc_median:.3f} [{stlc_q25:.3f}, {stlc_q75:.3f}]",
-    "RMSE m": "{position_rmse_m!m}",
-    "v. lockstep": "{position_rmse_vs_lockstep_m!m}",
-    "duration s": "{duration_error_s:+z.3f}",
-    "speed-up": "{effective_speedup:.2f}{mixed}",
-    "achieved": "{real_time_factor:.2f}",
-    "source": "{provenance}",
-}
+        cells.append({name: None if unknown(value) else value for name, value in found.items()})
+    return cells
 
 
 def cells_of(report: Report) -> pd.DataFrame:
@@ -430,185 +377,143 @@ def cells_of(report: Report) -> pd.DataFrame:
     return cells.assign(mixed=np.where(cells.effective_speedup_provenance == "mixed", " (mixed)", ""))
 
 
-def _likeness(cells: pd.DataFrame) -> str:
-    """Return up to which ClockSpeed a command flies as in real time, and its error and speed-up at the highest."""
-    alike = cells.groupby("clock_speed").stlc_median.min() > SIMILAR_STLC
-    up_to, highest = alike.index[alike.cummin()], alike.index[-1]
-    flies = (
-        f"flies as in real time up to {up_to[-1]:g}x"
-        if len(up_to)
-        else f"no longer flies as in real time at {alike.index[0]:g}x"
-    )
-    fastest = cells[cells.clock_speed == highest]
-    error, speedup = fill("{m!m}", {"m": fastest.position_rmse_m.max()}), plots.span(fastest.effective_speedup)
-    return (
-        f"{fastest.command.iloc[0].upper()} {flies} (STLC above {SIMILAR_STLC:g}); at {highest:g}x it is up to {error} "
-        f"m off (RMSE) and {speedup} times as fast"
-    )
+COMMAND_ENDS: style.LineStyle = {"color": style.BLACK, "linestyle": (0, (4, 3)), "linewidth": 0.9}
+NO_COMMAND: style.LineStyle = {"color": "#D0D0D0", "linewidth": 0}
 
 
 def velocity_figure(report: Report) -> Picture:
     """Draw Figure 2: two steps forward and one back, slowest ClockSpeed on top."""
     games = finished(report.games[report.games.role == "figure2"]).sort_values("clock_speed", kind="stable")
-    flights = [(game, report.arrays(game)) for _, game in games.iterrows()]
-    source = source_line(games)
-    figure, grid = plots.panels(
-        len(games), 1, "Two steps forward, one back", source, (6.4, 2.1), sharex=True, sharey=True
-    )
-    fastest = np.max([np.abs(flown["linear_velocity_m_s"]).max(axis=0) for _, flown in flights] or [[0.0] * 3], axis=0)
-    for axes, (game, flown) in zip(grid[:, 0], flights, strict=False):
-        starts, ends = flown["command_start_s"], flown["command_end_s"]
-        gap_ms = float(np.mean(command_gaps_s(starts, ends))) * 1e3
+    flights = [(game, report.arrays(game)) for game in games.to_dict("records")]
+    source, title, shared = source_line(games), "Two steps forward, one back", {"sharex": True, "sharey": True}
+    figure, grid = plots.panels(len(games), 1, title, source, (6.4, 2.1), **shared)
+    fastest = [np.abs(arrays["linear_velocity_m_s"]).max(axis=0) for _, arrays in flights]
+    moving = np.flatnonzero(np.max(fastest or [[0.0] * 3], axis=0) > 0.05)  # slower components are left out
+    for axes, (game, arrays) in zip(grid[:, 0], flights, strict=False):
+        starts, ends = arrays["command_start_s"], arrays["command_end_s"]
         for end, start in zip(ends[:-1], starts[1:], strict=True):
             axes.axvspan(end, start, **NO_COMMAND)
         for end in ends:
             axes.axvline(end, **COMMAND_ENDS)
-        for axis in [axis for axis in range(3) if fastest[axis] > VISIBLE_M_S] or [0]:
-            velocity = flown["linear_velocity_m_s"][:, axis]
-            axes.plot(flown["time_s"], velocity, label=("north", "east", "down")[axis], color=style.CYCLE[axis])
+        for axis in moving if len(moving) else [0]:
+            line = {"label": ("north", "east", "down")[axis], "color": style.CYCLE[axis]}
+            axes.plot(arrays["time_s"], arrays["linear_velocity_m_s"][:, axis], **line)
+        gap_ms = 1e3 * np.mean(command_gaps_s(starts, ends))
         axes.set(ylabel="velocity, m/s", title=f"{command_at_clock(game)}: {gap_ms:.1f} ms between commands")
     grid[-1, 0].set_xlabel("simulated time, s")
-    if games.empty:
-        style.note(grid[0, 0], "no flight recorded")
-    else:
+    if flights:
         style.key(figure, grid[0, 0], {"command ends": COMMAND_ENDS, "no command runs": NO_COMMAND})
-    return report.figure("figure2_velocity", figure, FIGURE2, source)
+    else:
+        style.note(grid[0, 0], "no flight recorded")
+    caption = (
+        "Figure 2. Velocity over simulated time, two steps forward and one back, in real time and at the run's highest "
+        "ClockSpeed. Dashed: a command ends. Grey: no command runs, the drone flies on while the client reacts."
+    )
+    return report.figure("figure2_velocity", figure, caption, source)
 
 
 def trajectory_figure(report: Report) -> Picture:
-    """Draw Figure 3: best and worst replica by STLC of the fastest ADSC cell of the longest T_move, and one of TCSC."""
-    flown = finished(report.scores)
-    shown = _fastest_cell(flown)
-    picked = _compared(flown, shown)
-    if len(shown) and shown.command.iloc[0] == "adsc":
-        same = same_path(flown, shown)
-        picked += _compared(flown, _fastest_cell(same[same.command == "tcsc"]))[-1:]
-    source = source_line(pd.DataFrame([game for game, _ in picked], columns=flown.columns))
-    title = "Trajectories"
-    if len(shown):
-        title += f", {rounds_label(shown['rounds'].iloc[0])}, T_move {shown.t_move_s.iloc[0]:g} s"
-    figure = style.new_figure(7.2, 6.0, title, source)
+    """Draw Figure 3: best and worst replica by STLC of the fastest ADSC cell of the longest T_move, and one of TCSC.
+
+    A cell of about four rounds is taken: enough laps to drift, few enough to tell them apart.
+    """
+    flown, picked, title = finished(report.scores), list[dict[str, Any]](), "Trajectories"
+    ranks = {"fast": flown.clock_speed > 1, "adsc": flown.command == "adsc", "near": -(flown["rounds"] - 4).abs()}
+    order = ["fast", "adsc", "clock_speed", "t_move_s", "near"]
+    flown = flown.assign(**ranks).sort_values(order, ascending=False, kind="stable")
+    if len(flown):
+        flown = same_path(flown, flown)
+        title += f", {rounds_label(flown['rounds'].iloc[0])}, T_move {flown.t_move_s.iloc[0]:g} s"
+        picked += flown[flown.role == "reference"].head(1).assign(name=": reference").to_dict("records")
+    for games, shown in (flown, {"best": 0, "worst": -1}), (flown[flown.command == "tcsc"], {"worst": -1}):
+        cell = games.merge(games.head(1)[CELL])
+        cell = cell[cell.role == "game"].sort_values("stlc", ascending=False, kind="stable")
+        if cell.distinct_games.eq(1).any():
+            shown = {f"all {len(cell)} identical" if len(cell) > 1 else "one game": 0}
+        for name, place in shown.items() if len(cell) else ():
+            stlc = cell.stlc.iloc[place]
+            name += f": STLC {'unknown' if np.isnan(stlc) else f'{stlc:.3f}'}"
+            picked.append({**cell.iloc[place], "name": f", {name}"})
+    lines = pd.DataFrame(picked, columns=[*flown, "name"]).drop_duplicates("case")  # ADSC may not be flown
+    source, figure = source_line(lines), style.new_figure(7.2, 6.0, title, source_line(lines))
     axes: style.Axes3D = figure.add_subplot(projection="3d")
-    lines = [(report.arrays(game)["position_m"], label) for game, label in picked]
-    for (position_m, label), line in zip(lines, FLIGHTS, strict=False):
+    places_m = [report.arrays(game)["position_m"] for game in lines.to_dict("records")]
+    colours, dotted = (style.BLUE, style.GREEN, style.VERMILION, style.BLACK), (0, (2, 4))
+    for place, (position_m, game) in enumerate(zip(places_m, lines.to_dict("records"), strict=True)):
+        look = {"color": colours[place], "linestyle": dotted if place == 3 else "-"}  # so that what it hides is seen
         north, east, down = position_m.T
-        axes.plot(north, east, -down, **line, label=label, linewidth=1.2)
-    style.space(axes, [position_m for position_m, _ in lines])
-    return report.figure("figure3_trajectories", figure, FIGURE3, source)
-
-
-def _fastest_cell(flown: pd.DataFrame) -> pd.DataFrame:
-    """Return the fastest cell, ADSC before TCSC, of the longest T_move and about FIGURE3_ROUNDS rounds."""
-    if flown.empty:
-        return flown
-    adsc, fast, far = flown.command == "adsc", flown.clock_speed > 1, (flown["rounds"] - FIGURE3_ROUNDS).abs()
-    ranks = pd.DataFrame({"fast": fast, "adsc": adsc, "clock": flown.clock_speed, "t": flown.t_move_s, "near": -far})
-    best = ranks.sort_values(list(ranks), ascending=False, kind="stable").index[0]
-    return flown[(flown[CELL] == flown.loc[best, CELL]).all(axis=1)]
-
-
-def _compared(flown: pd.DataFrame, cell: pd.DataFrame) -> list[tuple[pd.Series, str]]:
-    """Return a reference of a cell, then its replicas of highest and lowest STLC, each with its label."""
-    if cell.empty:
-        return []
-    real = same_path(flown, cell).query("role == 'reference'")
-    picked = [(game, f"{command_at_clock(game)}: reference") for _, game in real.head(1).iterrows()]
-    if (cell.role == "game").all():
-        order = cell.iloc[np.argsort(-cell.stlc.fillna(0.0).to_numpy(), kind="stable")]
-        named = {"best": order.iloc[0], "worst": order.iloc[-1]}
-        if cell.distinct_games.iloc[0] == 1:
-            named = {f"all {len(cell)} identical" if len(cell) > 1 else "one game": cell.iloc[0]}
-        for rank, game in named.items():
-            stlc = "unknown" if unknown(game.stlc) else f"{game.stlc:.3f}"
-            picked.append((game, f"{command_at_clock(game)}, {rank}: STLC {stlc}"))
-    return picked
+        axes.plot(north, east, -down, **look, label=f"{command_at_clock(game)}{game['name']}", linewidth=1.2)
+    style.space(axes, places_m)
+    caption = (
+        "Figure 3. A real-time trajectory, and the best and the worst replica of the fastest cell by STLC, and the "
+        "least accurate of TCSC's fastest cell, dotted. Height is up, −z of the NED frame."
+    )
+    return report.figure("figure3_trajectories", figure, caption, source)
 
 
 def accuracy_figure(report: Report) -> Picture:
     """Draw Figure 5 from all games, T_moves pooled: a row of panels per command and a column per ClockSpeed."""
-    games = finished(report.scores)
-    known = games[games.stlc.notna()]
+    games, nothing = finished(report.scores), "no games to compare"
+    known, source, title = games[games.stlc.notna()], source_line(games), "Accuracy of the trajectories: STLC"
     commands, clocks, rounds = (sorted(games[name].unique()) for name in ("command", "clock_speed", "rounds"))
-    source = source_line(games)
-    title, size_in = "Accuracy of the trajectories: STLC", (1.9, 2.3)
-    figure, grid = plots.panels(len(commands), len(clocks), title, source, size_in, sharex=True, sharey=True)
+    figure, grid = plots.panels(len(commands), len(clocks), title, source, (1.9, 2.3), sharex=True, sharey=True)
     for (row, command), (column, clock) in product(enumerate(commands), enumerate(clocks)):
-        cell = known[(known.command == command) & (known.clock_speed == clock)]
-        stlc = {n: cell[cell["rounds"] == n].stlc.tolist() for n in rounds}
-        grid[row, column].axhline(SIMILAR_STLC, color="#C00000", linewidth=1.0, zorder=1)
-        plots.boxes(grid[row, column], stlc, style.COMMAND_COLOUR.get(command, style.GREEN), NO_GAMES)
+        axes, cell = grid[row, column], known[(known.command == command) & (known.clock_speed == clock)]
+        stlc = {number: cell[cell["rounds"] == number].stlc.tolist() for number in rounds}
+        axes.axhline(SIMILAR_STLC, color="#C00000", linewidth=1.0, zorder=1)
+        plots.boxes(axes, stlc, style.COMMAND_COLOUR.get(command, style.GREEN), nothing)
         grid[0, column].set_title(clock_label(clock), loc="center")
         grid[row, 0].set(ylabel=f"{command.upper()}\nSTLC", ylim=(min(1.7, known.stlc.min() - 0.05), 2.04))
         grid[-1, column].set_xlabel("rounds")
     if games.empty:
-        style.note(grid[0, 0], NO_GAMES)
-    return report.figure("figure5_accuracy", figure, FIGURE5, source)
+        style.note(grid[0, 0], nothing)
+    caption = (
+        "Figure 5. STLC against the real-time ADSC games; one value a game, its mean over the references, T_moves "
+        "pooled; line: 1.8. Replicas whose flights are identical make a box of zero width, drawn as it is."
+    )
+    return report.figure("figure5_accuracy", figure, caption, source)
 
 
 def speedup_figure(report: Report) -> Picture:
     """Draw Figure 6 from the cells with the most rounds: a panel per command, a line per T_move, the ideal dashed."""
-    cells, scores = pd.DataFrame(report.summary["cells"]), finished(report.scores)
-    rounds = int(cells["rounds"].max())
-    source = source_line(scores[scores["rounds"] == rounds])
+    cells, scores = cells_of(report), finished(report.scores)
+    rounds = cells["rounds"].max()
+    source, label = source_line(scores[scores["rounds"] == rounds]), rounds_label(rounds)
     known = cells[(cells["rounds"] == rounds) & cells.effective_speedup.notna()]
-    commands, t_moves, clocks = (sorted(known[name].unique()) for name in ("command", "t_move_s", "clock_speed"))
-    title = f"Effective speed-up over ADSC at 1x, {rounds_label(rounds)}"
-    figure, grid = plots.panels(1, len(commands), title, source, (3.6, 3.0), sharex=True, sharey=True)
+    commands, clocks = sorted(known.command.unique()), sorted(known.clock_speed.unique())
+    title, shared = f"Effective speed-up over ADSC at 1x, {label}", {"sharex": True, "sharey": True}
+    figure, grid = plots.panels(1, len(commands), title, source, (3.6, 3.0), **shared)
     for axes, command in zip(grid[0], commands, strict=False):
         axes.plot(clocks, color=style.BLACK, linestyle="--", linewidth=1.1, label="ideal")
-        for number, t_move_s in enumerate(t_moves):
+        for number, t_move_s in enumerate(sorted(known.t_move_s.unique())):
             own = known[(known.command == command) & (known.t_move_s == t_move_s)].sort_values("clock_speed")
-            places = np.searchsorted(clocks, own.clock_speed)
             line = style.series(number) | {"label": f"T_move {t_move_s:g} s"}
-            plots.points(axes, places, own.effective_speedup.tolist(), own.effective_speedup_interval.tolist(), **line)
+            values = own.effective_speedup.tolist(), own.effective_speedup_interval.tolist()
+            plots.points(axes, np.searchsorted(clocks, own.clock_speed), *values, **line)
         axes.set_title(command.upper())
         plots.clock_axis(axes, clocks)
-    if known.empty:
-        style.note(grid[0, 0], "no speed-up without ADSC games at 1x")
-    else:
+    if commands:
         plots.factor_axis(grid[0, 0])
         grid[0, 0].set_ylabel("effective speed-up")
         grid[0, 0].legend(loc="upper left")
-    return report.figure("figure6_speedup", figure, FIGURE6.format(rounds_label(rounds)), source)
+    else:
+        style.note(grid[0, 0], "no speed-up without ADSC games at 1x")
+    caption = (
+        f"Figure 6. Effective speed-up of games of {label}: mean wall time of ADSC at 1x over the cell's, with 95 % "
+        "bootstrap intervals over games. Dashed: the ideal."
+    )
+    return report.figure("figure6_speedup", figure, caption, source)
 
 
-COMMAND_ENDS: style.LineStyle = {"color": style.BLACK, "linestyle": (0, (4, 3)), "linewidth": 0.9}
-NO_COMMAND: style.LineStyle = {"color": "#D0D0D0", "linewidth": 0}
-VISIBLE_M_S = 0.05  # a component that never gets faster is left out
-FLIGHTS: tuple[style.LineStyle, ...] = (
-    {"color": style.BLUE},
-    {"color": style.GREEN},
-    {"color": style.VERMILION},
-    {"color": style.BLACK, "linestyle": (0, (2, 4))},  # where TCSC flies as the reference does, both are seen
-)
-NO_GAMES = "no games to compare"
-FIGURE2 = (
-    "Figure 2. Velocity over simulated time, two steps forward and one back, in real time and at the run's highest "
-    "ClockSpeed. Dashed: a command ends. Grey: no command runs, the drone flies on while the client reacts."
-)
-FIGURE3 = (
-    "Figure 3. A real-time trajectory, and the best and the worst replica of the fastest cell by STLC, and the "
-    "least accurate of TCSC's fastest cell, dotted. Height is up, −z of the NED frame."
-)
-FIGURE5 = (
-    "Figure 5. STLC against the real-time ADSC games; one value a game, its mean over the references, T_moves "
-    "pooled; line: 1.8. Replicas whose flights are identical make a box of zero width, drawn as it is."
-)
-FIGURE6 = (
-    "Figure 6. Effective speed-up of games of {}: mean wall time of ADSC at 1x over the cell's, with 95 % bootstrap "
-    "intervals over games. Dashed: the ideal."
-)
 READING = (
-    "STLC (lambda 0.5, metres, seconds) is 2 for identical flights; above 1.8 they look alike. It matches "
-    "places and times independently and cannot see a lap too few or too late, so the position error at equal "
-    "times (RMSE, m) stands beside it. A game's accuracy is its mean over all reference games, ADSC at 1x of "
-    "the same T_move and rounds; a reference is not compared with itself. Medians, quartiles and 95 % "
-    "bootstrap intervals are over games. Effective speed-up is the ratio of mean wall times for the same "
-    "commands. Measured: the machine's clock. Modelled: a simulated clock. Mixed: a measured game over a "
-    "modelled baseline. The real-time factor is the simulated time of a game over its wall time: it stays at the "
-    "ClockSpeed as long as the simulation keeps up, since with ADSC the drone flies on while the client reacts, and "
-    "that time counts too. The effective speed-up compares wall times for the same commands: at T_move 0.1 s and a "
-    "ClockSpeed of 50 a command lasts 2 ms of wall time, to which its messages add what no ClockSpeed shortens. The "
-    "shorter the T_move, the further the speed-up falls short of the real-time factor. Native TCSC games of one cell "
-    "are identical by construction, and ADSC games at 1x nearly so."
+    "STLC (lambda 0.5, metres, seconds) is 2 for identical flights; above 1.8 they look alike. It matches places and "
+    "times independently and cannot see a lap too few or too late, so the position error at equal times (RMSE, m) "
+    "stands beside it. A game's accuracy is its mean over all reference games, ADSC at 1x of the same T_move and "
+    "rounds; a reference is not compared with itself. Medians, quartiles and 95 % bootstrap intervals are over games. "
+    "Effective speed-up is the ratio of mean wall times for the same commands. Measured: the machine's clock. "
+    "Modelled: a simulated clock. Mixed: a measured game over a modelled baseline. The real-time factor is the "
+    "simulated time of a game over its wall time: it stays at the ClockSpeed as long as the simulation keeps up, since "
+    "with ADSC the drone flies on while the client reacts. The speed-up falls short of it, the more the shorter the "
+    "T_move: at 0.1 s and a ClockSpeed of 50 a command lasts 2 ms of wall time, to which its messages add what no "
+    "ClockSpeed shortens. Native TCSC games of one cell are identical by construction, and ADSC games at 1x nearly so."
 )

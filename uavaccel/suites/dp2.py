@@ -2,30 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence, Sized
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, closing
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from itertools import product
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from pydantic import BeforeValidator, Field, field_validator, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 from typing_extensions import TypedDict
 
-from uavaccel import forms, limits
+from uavaccel import limits
 from uavaccel.commands import COMMANDS
 from uavaccel.commands.slices import check_times, samples_due
 from uavaccel.config import Config
 from uavaccel.draw import style
-from uavaccel.draw.labels import clock_label, command_at_clock
+from uavaccel.draw.labels import clock_label, command_at_clock, metres
 from uavaccel.draw.page import Block, Heading, Picture, Table, listed, unknown
 from uavaccel.envs.camera_client import CameraClient, Sample
 from uavaccel.envs.task import rate_ticks
 from uavaccel.files import Plain
-from uavaccel.forms import ArrayForm
+from uavaccel.forms import ArrayForm, Count, NotNegative, Number, Positive
 from uavaccel.kinematics import Kinematics, VelocityGoal
 from uavaccel.limits import Seconds, Seed
 from uavaccel.metrics.dvs_ed import dvs_ed_percent
@@ -40,7 +40,7 @@ from uavaccel.suites import plots
 from uavaccel.suites.experiment import FlightExperiment, Timing, t_th_ns
 from uavaccel.suites.flight import Commands, Flight, Window, windows_of
 from uavaccel.suites.report import Report, Summary, finished, source_line, warnings
-from uavaccel.suites.rows import FlightCase, FlightRow, Role, flight_row, named_seed, subset
+from uavaccel.suites.rows import FlightCase, FlightRow, flight_row, named_seed, subset
 from uavaccel.suites.suite import GameResult, Suite
 from uavaccel.units import NS_PER_S, attitude_difference_rad, to_ns
 from uavaccel.vision.dvs import PRESETS, luma, make_sensor
@@ -54,11 +54,8 @@ if TYPE_CHECKING:
 
 ERRORS = ("position_error_m", "attitude_error_deg", "dvs_ed_percent")
 """Of each image against the one at the same place in the path of the same command's run at 1x."""
-SCORES = ["reference", *ERRORS, "equal_poses", "equal_counts"]
-SPREAD: Mapping[str, Callable[[Any], Any]] = {"median": np.median, "max": np.max}
 POSES, EVENTS = ("position_m", "orientation_wxyz"), ("dvs_on", "dvs_off")
 GUARD_SHARE, GUARD_STREAMS = 0.05, 20  # of the perturbed images; of the guard study
-LEAST_PERCENT, LEAST_M = 0.1, 0.001  # below, Figure 7's axes are linear
 
 Velocity = tuple[limits.Velocity, limits.Velocity]
 Arrays = dict[str, NDArray[Any]]
@@ -74,6 +71,7 @@ class DrawnLane(Config):
 
 
 WrittenOut = BeforeValidator(parse_lane, json_schema_input_type=int | DrawnLane | LaneFile | str)
+OwnPath = Annotated[tuple[Velocity, ...], Field(min_length=1)]
 
 
 class PerturbationConfig(Config):
@@ -81,7 +79,7 @@ class PerturbationConfig(Config):
 
     share: Share = 0.0
     """Share of the received images that are perturbed, those requested again included."""
-    half_excess: Annotated[float, Field(gt=0.0)] | None = None
+    half_excess: Positive | None = None
     """ClockSpeed above 1 at which half of the share is reached, as a renderer has less time; without it all have it."""
     kinds: Annotated[tuple[PerturbationKind, ...], Field(min_length=1)] = tuple(PerturbationKind)
     """How images go wrong; each perturbed image draws one of them."""
@@ -93,7 +91,7 @@ class Dp2Config(FlightExperiment):
     suite: Literal["dp2"]
     lane: Annotated[Seed | DrawnLane | LaneFile, WrittenOut] = 3
     """A seed, a seed with a difficulty, or a custom lane, written out or as the name of its YAML file."""
-    path: Literal["planned"] | tuple[Velocity, ...] = "planned"
+    path: Literal["planned"] | OwnPath = "planned"
     """planned: a collision-free path to the lane's end; or a list of velocities north and east, in m/s."""
     height_m: Annotated[float, Field(lt=0.0, ge=-limits.MOST_HEIGHT_M)] = -10.0
     """NED z at which the path starts, and which is held: -10 is 10 m up."""
@@ -111,17 +109,10 @@ class Dp2Config(FlightExperiment):
     """A MODEL of a game engine's auto-exposure (uavaccel.vision.exposure), in every game; the paper switched it off."""
     dvs_preset: Literal["clean", "constructor", "command_line", "noisy"] = "clean"
     """v2e's parameters of the DVS that the report applies to the images."""
-    dvs_rate_hz: Annotated[float, Field(gt=0.0)] | None = None
+    dvs_rate_hz: Positive | None = None
     """Frames per simulated second that the DVS receives in flight; without it the stored images are its frames."""
     sensor_seed: Seed = 0
     """Seed of the DVS's thresholds: one sensor for all ClockSpeeds."""
-
-    @field_validator("path")
-    @classmethod
-    def _not_empty(cls, path: Sized) -> Sized:
-        if not path:
-            raise ValueError("needs at least one velocity, or: planned")
-        return path
 
     @model_validator(mode="after")
     def _times_fit(self) -> Dp2Config:
@@ -157,21 +148,21 @@ class Collision(TypedDict):
     """What a flight collided with: the object, simulated seconds since the start, and the place in NED metres."""
 
     object: str
-    time_s: forms.NotNegative
-    position_m: Annotated[list[forms.Number], Field(min_length=3, max_length=3)]
+    time_s: NotNegative
+    position_m: Annotated[list[Number], Field(min_length=3, max_length=3)]
 
 
 class Dp2Row(FlightRow):
     """The row of a game of DP2."""
 
-    t_move_s: forms.Positive
-    t_sample_s: forms.Positive
-    commands: forms.Count
-    planned_commands: forms.Count
-    samples: forms.Count
-    distance_m: forms.Number
+    t_move_s: Positive
+    t_sample_s: Positive
+    commands: Count
+    planned_commands: Count
+    samples: Count
+    distance_m: Number
     collision: Collision | None
-    guard_retries: forms.Count
+    guard_retries: Count
 
 
 PICTURES = ("samples", HEIGHT, WIDTH)
@@ -223,8 +214,8 @@ class Dp2(Suite[Dp2Config, Game]):
             yield Game("reference", command, 1.0, config.reference_timing, planned_s)
         yield Game("lockstep", "tcsc", 1.0, "lockstep", planned_s)
         for command, clock_speed in product(config.command, config.clock_speed):
-            role: Role = "reference" if in_grid and clock_speed == 1.0 else "game"
-            yield Game(role, command, clock_speed, config.timing, planned_s)
+            itself = in_grid and clock_speed == 1.0
+            yield Game("reference" if itself else "game", command, clock_speed, config.timing, planned_s)
 
     def case_of(self, row: Plain) -> str:
         return Game(row["role"], row["command"], row["clock_speed"], row["timing"], 0.0).id
@@ -238,22 +229,44 @@ class Dp2(Suite[Dp2Config, Game]):
         return open_session(timing, config.profile, "lane", config.latency)
 
     def fly(self, config: Dp2Config, case: Game, opened: Session) -> GameResult:
-        client = opened.start_game(case.clock_speed, case.seed(config.seed), config.wire_lane(), config.height_m)
-        model, perturbation, exposure = config.perturbation, None, AutoExposure() if config.auto_exposure else None
+        seed, model, perturbation = case.seed(config.seed), config.perturbation, None
+        client = opened.start_game(case.clock_speed, seed, config.wire_lane(), config.height_m)
         if model.share and case.role == "game":  # what it is compared with stays clean
-            share, seed = share_at(case.clock_speed, model.share, model.half_excess), case.seed(config.seed)
+            share = share_at(case.clock_speed, model.share, model.half_excess)
             perturbation = PerturbationSettings(share, model.kinds, int(seed.generate_state(1)[0]))
         # in colour where colours may be perturbed, and once per run for the guard study
         kind = "colour" if case.role == "lockstep" or perturbation else "gray"
-        settings = client, kind, config.guard, perturbation, exposure
-        if config.dvs_rate_hz is None:
-            flown, counts = fly_path(config, case, CameraClient(*settings)), {}
-        else:
-            with closing(EventClient(config, opened, *settings)) as camera:
-                flown = fly_path(config, case, camera)
-                counts = camera.arrays(len(flown.samples))
-        row, _ = flight_row(case, config, client, flown.wall_s)
-        return GameResult(row | flown.row(config), flown.arrays(config) | counts)
+        exposure = AutoExposure() if config.auto_exposure else None
+        with closing(EventClient(config, opened, client, kind, config.guard, perturbation, exposure)) as camera:
+            samples, indices, commands, wall_s = fly_path(config, case, camera)
+            start, hit, collision = samples[0].state, client.collision(), None
+            samples = [sample for sample in samples if not hit or sample.state.time_ns <= hit["time_ns"]]
+            counts = camera.counts(len(samples))
+        end_m = hit["position_m"] if hit else samples[-1].state.position_m
+        if hit:
+            hit_s = (hit["time_ns"] - start.time_ns) / NS_PER_S
+            collision = {"object": hit["object"], "time_s": hit_s, "position_m": list(end_m)}
+        row = flight_row(case, config, client, wall_s)[0] | {
+            **subset(vars(config), "t_move_s", "t_sample_s"),
+            "commands": commands,
+            "planned_commands": len(config.velocities),
+            "samples": len(samples),
+            "distance_m": float(end_m[0]) - start.position_m[0],
+            "collision": collision,
+            "guard_retries": sum(sample.retries for sample in samples),
+        }
+        states, images = [sample.state for sample in samples], np.stack([sample.image for sample in samples])
+        in_colour = {"colour": images} if kind == "colour" else {}
+        arrays = {
+            "sample_index": np.array(indices[: len(samples)], np.int32),
+            "time_s": np.array([(state.time_ns - start.time_ns) / NS_PER_S for state in states]),
+            "position_m": np.array([state.position_m for state in states]),
+            "orientation_wxyz": np.array([state.orientation_wxyz for state in states]),
+            "retries": np.array([sample.retries for sample in samples], np.int32),
+            "command_velocity_m_s": np.array(config.velocities[:commands]),
+            "image": np.stack([luma(image) for image in images]) if in_colour else images,
+        }
+        return GameResult(row, arrays | in_colour | counts)
 
     def flight(
         self, report: Report, game: Mapping[str, Any], pictures: bool = True, event_rate_hz: float | None = None
@@ -272,16 +285,20 @@ class Dp2(Suite[Dp2Config, Game]):
         if game["timing"] != "lockstep":
             end = f"{timing_provenance(game['timing'])}{', hit ' + hit['object'] if hit else ''}"
             flown = f"at ClockSpeed {game['clock_speed']:g}x (achieved {game['real_time_factor']:.1f}x, {end})"
-        poses = time_ns, arrays["position_m"], arrays["orientation_wxyz"]
-        commands = Commands(starts, ends, np.column_stack([flat, np.zeros(len(flat))]))
-        more: dict[str, Any] = {
-            "images": arrays.get("colour", arrays["image"]),
-            "image_ns": time_ns,
-            "windows": windows,
-        }
-        more["collision"] = hit and (round(hit["time_s"] * NS_PER_S), hit["object"])
-        title = f"{game['command'].upper()} {flown}"
-        return Flight(title, game["clock_speed"], *poses, commands, scene="lane", lane=config.layout(), **more)
+        return Flight(
+            f"{game['command'].upper()} {flown}",
+            game["clock_speed"],
+            time_ns,
+            arrays["position_m"],
+            arrays["orientation_wxyz"],
+            Commands(starts, ends, np.column_stack([flat, np.zeros(len(flat))])),
+            scene="lane",
+            lane=config.layout(),
+            image_ns=time_ns,
+            images=arrays.get("colour", arrays["image"]),
+            windows=windows,
+            collision=hit and (round(hit["time_s"] * NS_PER_S), hit["object"]),
+        )
 
     def score(self, report: Report) -> pd.DataFrame:
         """Return the finished games by command and ClockSpeed, with the ERRORS of their images as lists.
@@ -290,16 +307,19 @@ class Dp2(Suite[Dp2Config, Game]):
         those of the game without latency to the last bit; they are None where the run has no such game. Only two games
         beside the present one are held in memory at a time.
         """
-        games = finished(report.games)
-        lockstep = [observed(report, game) for _, game in games[games.role == "lockstep"].iterrows()]
+        games, scores = finished(report.games), list[dict[str, Any]]()
+        calm = next((observed(report, game) for game in games[games.role == "lockstep"].to_dict("records")), None)
         flown = games[games.role != "lockstep"]
         flown = flown.sort_values(["command", "clock_speed", "role"], ascending=[True, True, False])  # reference first
-        scores: list[dict[str, Any]] = []
         for _, own in flown.groupby("command"):
-            real = {game.case: observed(report, game) for _, game in own[own.role == "reference"].iterrows()}
-            seen = (real.get(game.case) or observed(report, game) for _, game in own.iterrows())
-            scores += (errors_of(each, real) | likeness_of(each, lockstep) for each in seen)
-        return flown.join(pd.DataFrame(scores, flown.index, SCORES, dtype=object))
+            real = own[own.role == "reference"].to_dict("records")
+            at_1x = observed(report, real[0]) if real else None
+            for game in own.to_dict("records"):
+                itself = at_1x is not None and game["case"] == real[0]["case"]
+                errors = compare(at_1x if itself and at_1x else observed(report, game), at_1x, calm)
+                scores.append({"reference": real[0]["case"] if real else None, **errors})
+        columns = ["reference", *ERRORS, "equal_poses", "equal_counts"]
+        return flown.join(pd.DataFrame(scores, flown.index, columns, dtype=object))
 
     def summary(self, report: Report) -> Summary:
         """Return an entry for each command and ClockSpeed, and the guard study on the images that are in colour.
@@ -307,39 +327,91 @@ class Dp2(Suite[Dp2Config, Game]):
         Errors are those of the images that a game shares with the same command's run at 1x: the images of a game that
         collides end at its collision. Numbers that cannot be known are None.
         """
-        config, scores = report.config, report.scores
-        in_colour = finished(report.games[report.games.role == "lockstep"])
-        studies = [study_guard(report.arrays(game)["colour"], config) for _, game in in_colour.iterrows()]
+        config, games, cells = report.config, finished(report.games).set_index("case"), list[dict[str, Any]]()
+        kept = ["command", "clock_speed", "t_move_s", "timing", "guard_retries", "collision", "distance_m"]
+        kept += ["wall_s", "real_time_factor", "lost_wall_s"]
+        for game in report.scores.to_dict("records"):
+            marks = [key for key in ("disturbed", "stalled_wall_s", "restarts") if not unknown(game.get(key))]
+            cell = {**subset(game, *kept, *marks), "provenance": timing_provenance(game["timing"]), "reference": None}
+            if (case := game["reference"]) is not None:
+                cell["reference"] = {"case": case, **subset(games.loc[case], "clock_speed", "timing")}
+                cell["reference"]["provenance"] = timing_provenance(games.timing[case])
+                cell["reference"]["is_this_cell"] = case == game["case"]
+            for name in ERRORS:
+                cell[f"{name}_median"] = np.median(game[name]) if game[name] else None
+                cell[f"{name}_max"] = max(game[name], default=None)
+            cell |= {"images": game["samples"], "paired_images": len(game["position_error_m"])}
+            cell |= {"poses_equal_lockstep": game["equal_poses"], "dvs_counts_equal_lockstep": game["equal_counts"]}
+            cells.append({**cell, "simulated_s_per_wall_s": game["duration_s"] / game["wall_s"]})
+        in_colour = games[games.role == "lockstep"].reset_index().to_dict("records")
         return {
-            "suite": "dp2",
-            **subset(vars(config), "profile", "seed", "dvs_preset", "sensor_seed"),
+            **subset(vars(config), "suite", "profile", "seed", "dvs_preset", "sensor_seed"),
             "perturbed_share": config.perturbation.share,
-            "cells": [summary_of_game(game, report.games) for _, game in scores.iterrows()],
-            "guard_study": studies[0] if studies else None,
+            "cells": cells,
+            "guard_study": study_guard(report.arrays(in_colour[0])["colour"], config) if in_colour else None,
         }
 
     def title(self, report: Report) -> str:
         return f"DP2, {report.config.profile} profile, seed {report.config.seed}"
 
     def headline(self, report: Report) -> str:
-        cells = [cell for cell in report.summary["cells"] if cell["position_error_m_max"] is not None]
-        flown = [cell for cell in cells if cell["clock_speed"] > 1 and cell["timing"] != "lockstep"]
-        fastest = {cell["command"]: cell for cell in flown}  # they ascend
-        none = f"{len(report.games)} games, none of them accelerated and comparable with 1x"
-        return "; ".join(map(_likeness, fastest.values())) or none
+        """Return how far the images of each command's fastest game are from those of 1x."""
+        cells, said = report.summary["cells"], dict[str, str]()
+        for cell in cells:  # they ascend
+            error_m, events = cell["position_error_m_max"], cell["dvs_ed_percent_max"]
+            if error_m is None or cell["clock_speed"] <= 1 or cell["timing"] == "lockstep":
+                continue
+            like = "takes the images of 1x, each at the same place with as many events"
+            if error_m or events:
+                like = f"takes its images up to {metres(error_m)} m from those of 1x, with a DVS-ED of up to "
+                like += f"{metres(events)} %"
+            said[cell["command"]] = f"{command_at_clock(cell)} {like}"
+        return "; ".join(said.values()) or f"{len(report.games)} games, none of them accelerated and comparable with 1x"
 
     def overview(self, report: Report) -> Table:
-        return cells_table(report.summary["cells"])
+        equal = {True: "equal", False: "differ", None: "-"}
+        lines = [
+            {
+                **cell,
+                "itself": " (reference)" if cell["reference"] and cell["reference"]["is_this_cell"] else "",
+                "mark": " (disturbed)" if cell.get("disturbed") else "",
+                "poses": equal[cell["poses_equal_lockstep"]],
+                "counts": equal[cell["dvs_counts_equal_lockstep"]],
+                "hit": f" (hit {cell['collision']['object']})" if cell["collision"] else "",
+            }
+            for cell in report.summary["cells"]
+        ]
+        columns = {
+            "command": "{command!u}",
+            "ClockSpeed": "{clock_speed:g}x{itself}{mark}",
+            "images": "{paired_images}",
+            "position error, m: median, max": "{position_error_m_median!m}, {position_error_m_max!m}",
+            "attitude error, deg: max": "{attitude_error_deg_max!m}",
+            "DVS-ED, %: median, max": "{dvs_ed_percent_median!m}, {dvs_ed_percent_max!m}",
+            "guard retries": "{guard_retries}",
+            "poses, counts v. lockstep": "{poses}, {counts}",
+            "distance, m": "{distance_m:.1f}{hit}",
+            "simulated s a wall s": "{simulated_s_per_wall_s:.2f}",
+            "source": "{provenance}",
+        }
+        return Table.of(lines, columns)
 
     def page(self, report: Report) -> Iterator[Block | str]:
         games, config, guard = report.games, report.config, report.summary["guard_study"]
         share, slow = config.perturbation.share, config.perturbation.half_excess
         yield f"Games: {source_line(games)}."
-        for game in games[games.collision.notna()].itertuples():
-            yield HIT.format(game=game)
+        for game in games[games.collision.notna()].to_dict("records"):
+            yield (
+                f"{game['case']} hit {game['collision']['object']} after {game['distance_m']:.1f} m and stood still "
+                "from there: its images count up to that moment."
+            )
         yield from warnings(games)
         if share:
-            yield MODELLED.format(share, ", fewer where the ClockSpeed is low" if slow else "")
+            yield (
+                f"Modelled: {share:.1%} of the images of the games were perturbed on their way"
+                f"{', fewer where the ClockSpeed is low' if slow else ''}; those of the runs at 1x that they are "
+                "compared with were not."
+            )
         if config.latency.reply_us.get("image") is None and (games.timing == "virtual").any():
             yield "The modelled wall times leave out drawing the images: the latency model has no channel for them."
         yield Heading("Each ClockSpeed against the run at 1x")
@@ -352,51 +424,11 @@ class Dp2(Suite[Dp2Config, Game]):
             yield GUARD.format_map(guard)
 
 
-class Flown(NamedTuple):
-    """A flight's samples with their indices: 0 at the start, then the place in the path, the same in every game."""
+def fly_path(config: Dp2Config, case: Game, camera: CameraClient) -> tuple[list[Sample], list[int], int, float]:
+    """Fly the path to its end or to a collision, and return samples, their indices, the commands and the wall time, s.
 
-    samples: list[Sample]
-    indices: list[int]
-    commands: int
-    wall_s: float
-    collision: Mapping[str, Any] | None
-
-    def row(self, config: Dp2Config) -> Plain:
-        """Return what a row has of DP2's own."""
-        start, hit, collision = self.samples[0].state, self.collision, None
-        end_m = hit["position_m"] if hit else self.samples[-1].state.position_m
-        if hit:
-            hit_s = (hit["time_ns"] - start.time_ns) / NS_PER_S
-            collision = {"object": hit["object"], "time_s": hit_s, "position_m": list(hit["position_m"])}
-        return {
-            **subset(vars(config), "t_move_s", "t_sample_s"),
-            "commands": self.commands,
-            "planned_commands": len(config.velocities),
-            "samples": len(self.samples),
-            "distance_m": float(end_m[0]) - start.position_m[0],
-            "collision": collision,
-            "guard_retries": sum(sample.retries for sample in self.samples),
-        }
-
-    def arrays(self, config: Dp2Config) -> Arrays:
-        """Return ARRAYS without the counts of events; times are since the start, places NED."""
-        states = [sample.state for sample in self.samples]
-        images = np.stack([sample.image for sample in self.samples])
-        gray = images if images.ndim == 3 else np.stack([luma(image) for image in images])
-        return {
-            "sample_index": np.array(self.indices, np.int32),
-            "time_s": np.array([(state.time_ns - states[0].time_ns) / NS_PER_S for state in states]),
-            "position_m": np.array([state.position_m for state in states]),
-            "orientation_wxyz": np.array([state.orientation_wxyz for state in states]),
-            "retries": np.array([sample.retries for sample in self.samples], np.int32),
-            "command_velocity_m_s": np.array(config.velocities[: self.commands]),
-            "image": gray,
-            **({} if images.ndim == 3 else {"colour": images}),
-        }
-
-
-def fly_path(config: Dp2Config, case: Game, camera: CameraClient) -> Flown:
-    """Fly the path to its end or to a collision, and return the samples up to there."""
+    An index is 0 at the start, then the place in the path, the same in every game.
+    """
     command, slots = COMMANDS[case.command], config.slots
     t_th = t_th_ns(config, case.clock_speed, config.t_sample_s)
     samples, indices, commands = [camera.read_sample(camera.kinematics())], [0], 0
@@ -412,44 +444,49 @@ def fly_path(config: Dp2Config, case: Game, camera: CameraClient) -> Flown:
         stands_still = samples[-1].state.position_m == samples[-2].state.position_m  # a collision freezes it
         if stands_still and camera.client.collision():
             break
-    wall_s = (camera.now_ns() - start_ns) / NS_PER_S
-    collision = camera.client.collision()
-    kept = sum(not collision or sample.state.time_ns <= collision["time_ns"] for sample in samples)
-    return Flown(samples[:kept], indices[:kept], commands, wall_s, collision)
+    return samples, indices, commands, (camera.now_ns() - start_ns) / NS_PER_S
 
 
 class EventClient(CameraClient):
-    """A camera client that counts events between samples, inside the simulation, without messages or wall time."""
+    """A camera client that counts events between samples, inside the simulation, without messages or wall time.
+
+    Where the configuration has no `dvs_rate_hz` it counts none.
+    """
 
     def __init__(self, config: Dp2Config, session: Session, *settings: Any) -> None:
         """`settings` are the arguments of CameraClient."""
         super().__init__(*settings)
-        assert config.dvs_rate_hz is not None
-        self._session, self._noise_seed = session, config.sensor_seed
-        self._counter = EventCounter(make_sensor(PRESETS[config.dvs_preset], (HEIGHT, WIDTH), config.sensor_seed))
+        self._session, self._noise_seed, self._rate_hz = session, config.sensor_seed, config.dvs_rate_hz
         self._counts: list[tuple[NDArray[np.int32], NDArray[np.int32]]] = []
-        self.close = session.watch(rate_ticks(config.dvs_rate_hz, config.profile), self._see)
+        self.close = lambda: None
+        if self._rate_hz is not None:
+            sensor = make_sensor(PRESETS[config.dvs_preset], (HEIGHT, WIDTH), config.sensor_seed)
+            self._counter = EventCounter(sensor)
+            self.close = session.watch(rate_ticks(self._rate_hz, config.profile), self._see)
 
     def _see(self, time_ns: int) -> None:
         self._counter.process_frame(self._session.picture(), time_ns)
 
     def read_sample(self, state: Kinematics) -> Sample:
         """Return the sample, and count the events since the last one; the first sample begins the game."""
-        if not self._counts:
-            self._counter.start(self._session.picture(), state.time_ns, self._noise_seed)
-        elif not self._counter.has_frame_of(state.time_ns):
-            self._see(state.time_ns)
-        self._counts.append(self._counter.take())
+        if self._rate_hz is not None:
+            if not self._counts:
+                self._counter.start(self._session.picture(), state.time_ns, self._noise_seed)
+            elif not self._counter.has_frame_of(state.time_ns):
+                self._see(state.time_ns)
+            self._counts.append(self._counter.take())
         return super().read_sample(state)
 
-    def arrays(self, samples: int) -> Arrays:
+    def counts(self, samples: int) -> Arrays:
         """Return `dvs_on` and `dvs_off` (n, 144, 256) of the first n samples: uint8, or uint16 beyond 255 events."""
+        if not self._counts:
+            return {}
         both = np.array(self._counts[:samples])
         both = both.astype(np.uint8 if both.max() < 256 else np.uint16)
         return {"dvs_on": both[:, 0], "dvs_off": both[:, 1]}
 
 
-def observed(report: Report, game: Mapping[str, Any] | pd.Series) -> Arrays:
+def observed(report: Report, game: Mapping[str, Any]) -> Arrays:
     """Return places, POSES and EVENTS of a game, as counted in flight or else by the report's DVS."""
     arrays, config = report.arrays(game), report.config
     if "dvs_on" not in arrays:
@@ -459,47 +496,24 @@ def observed(report: Report, game: Mapping[str, Any] | pd.Series) -> Arrays:
     return {name: arrays[name] for name in ("sample_index", *POSES, *EVENTS)}
 
 
-def errors_of(seen: Arrays, real: Mapping[str, Arrays]) -> dict[str, Any]:
-    """Return the ERRORS of a game's images against the run at 1x, by its case; empty ones without it."""
-    for case, at_1x in real.items():
-        _, *shared = np.intersect1d(seen["sample_index"], at_1x["sample_index"], return_indices=True)
-        (own, own_turn, *counts), (place, turn, *real_counts) = (
-            [each[name][at[1:]] for name in (*POSES, *EVENTS)]  # the start has made no events yet
-            for each, at in zip((seen, at_1x), shared, strict=True)
+def compare(seen: Arrays, at_1x: Arrays | None, calm: Arrays | None) -> dict[str, Any]:
+    """Return the ERRORS of a game's images against the run at 1x, none without it, and what equals that in lockstep."""
+    found: dict[str, Any] = {name: [] for name in ERRORS} | {"equal_poses": None, "equal_counts": None}
+    if calm is not None:
+        found["equal_poses"], found["equal_counts"] = (
+            all(np.array_equal(seen[name], calm[name]) for name in names) for names in (POSES, EVENTS)
         )
-        turn_deg = np.degrees(attitude_difference_rad(own_turn, turn))
-        errors = np.linalg.norm(own - place, axis=1), turn_deg, dvs_ed_percent(*counts, *real_counts)
-        return {"reference": case, **{name: error.tolist() for name, error in zip(ERRORS, errors, strict=True)}}
-    return {"reference": None, **{name: [] for name in ERRORS}}
-
-
-def likeness_of(seen: Arrays, lockstep: Sequence[Arrays]) -> dict[str, bool | None]:
-    """Return whether poses and events are those of the game without latency; None where there is none."""
-    equal = [[all(np.array_equal(seen[k], one[k]) for k in names) for names in (POSES, EVENTS)] for one in lockstep]
-    return dict(zip(("equal_poses", "equal_counts"), equal[0] if equal else (None, None), strict=True))
-
-
-def summary_of_game(game: pd.Series, games: pd.DataFrame) -> dict[str, Any]:
-    """Return the entry of a scored game."""
-    kept = ["command", "clock_speed", "t_move_s", "timing", "guard_retries", "collision", "distance_m"]
-    kept += ["wall_s", "real_time_factor", "lost_wall_s"]
-    marks = [key for key in ("disturbed", "stalled_wall_s", "restarts") if not unknown(game.get(key))]
-    reference = None
-    for _, real in games[games.case == game.reference].iterrows():
-        provenance, itself = timing_provenance(real.timing), real.case == game.case
-        reference = {**subset(real, "case", "clock_speed", "timing"), "provenance": provenance, "is_this_cell": itself}
-    spread = {(name, of): take(game[name]) if game[name] else None for name in ERRORS for of, take in SPREAD.items()}
-    return {
-        **subset(game, *kept, *marks),
-        **{"_".join(key): value for key, value in spread.items()},
-        "provenance": timing_provenance(game.timing),
-        "reference": reference,
-        "images": game.samples,
-        "paired_images": len(game.position_error_m),
-        "poses_equal_lockstep": game.equal_poses,
-        "dvs_counts_equal_lockstep": game.equal_counts,
-        "simulated_s_per_wall_s": game.duration_s / game.wall_s,
-    }
+    if at_1x is not None:
+        _, *shared = np.intersect1d(seen["sample_index"], at_1x["sample_index"], return_indices=True)
+        own, real = (
+            {name: game[name][places[1:]] for name in (*POSES, *EVENTS)}  # the start has made no events yet
+            for game, places in zip((seen, at_1x), shared, strict=True)
+        )
+        away_m = np.linalg.norm(own["position_m"] - real["position_m"], axis=1)
+        turn_deg = np.degrees(attitude_difference_rad(own["orientation_wxyz"], real["orientation_wxyz"]))
+        dvs_ed = dvs_ed_percent(own["dvs_on"], own["dvs_off"], real["dvs_on"], real["dvs_off"])
+        found |= zip(ERRORS, (away_m.tolist(), turn_deg.tolist(), dvs_ed.tolist()), strict=True)
+    return found
 
 
 def study_guard(images: NDArray[np.uint8], config: Dp2Config) -> dict[str, Any]:
@@ -510,22 +524,24 @@ def study_guard(images: NDArray[np.uint8], config: Dp2Config) -> dict[str, Any]:
     """
     guards = {"off": GuardSettings(max_retries=0), "on": config.guard}
     perturbed = [PerturbationSettings(GUARD_SHARE, seed=config.seed + n) for n in range(GUARD_STREAMS)]
-    streams = {name: pd.concat(pass_guard(images, each, guard) for each in perturbed) for name, guard in guards.items()}
-    alarms = ~pass_guard(images, PerturbationSettings(), guards["on"]).passed
+    streams = {name: pd.concat(pass_guard(images, own, guard) for own in perturbed) for name, guard in guards.items()}
+    alarms = int((~pass_guard(images, PerturbationSettings(), config.guard).passed).sum())
+    by_kind: dict[str, Any] = {str(kind): {} for kind in PerturbationKind}
+    for (kind, of_kind), (name, stream) in product(by_kind.items(), streams.items()):
+        passed = stream.passed[stream.kind == kind]
+        share = float(passed.mean()) if len(passed) else None
+        of_kind[name] = {"sent": len(passed), "passed": int(passed.sum()), "share_passed": share}
     return {
         "modelled": True,
         "images": len(images),
         "share": GUARD_SHARE,
         "streams": GUARD_STREAMS,
-        "by_kind": {
-            str(kind): {name: _passed(sent.passed[sent.kind == kind]) for name, sent in streams.items()}
-            for kind in PerturbationKind
-        },
+        "by_kind": by_kind,
+        "clean_false_alarms": alarms,
+        "clean_retries": alarms,
         "perturbed_share_handed_on": {
-            name: float((sent.kind[sent.passed] != "").mean()) for name, sent in streams.items()
+            name: float((stream.kind[stream.passed] != "").mean()) for name, stream in streams.items()
         },
-        "clean_false_alarms": int(alarms.sum()),
-        "clean_retries": int(alarms.sum()),
     }
 
 
@@ -535,21 +551,16 @@ def pass_guard(images: NDArray[np.uint8], perturbed: PerturbationSettings, guard
     The scene is static while an image is requested again; each request may be perturbed anew.
     """
     state, kinds, passed = GuardState(), list[str](), list[bool]()
-
-    def received(scene: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        image, kind = perturb_share(scene, perturbed, len(kinds))
-        kinds.append(kind or "")
-        return image
-
     for scene in images:
-        _, state, retries, _ = acquire(state, partial(received, scene), guard)
+
+        def received(scene: NDArray[np.uint8] = scene) -> NDArray[np.uint8]:
+            image, kind = perturb_share(scene, perturbed, len(kinds))
+            kinds.append(kind or "")
+            return image
+
+        _, state, retries, _ = acquire(state, received, guard)
         passed += [*[False] * retries, True]
     return pd.DataFrame({"kind": kinds, "passed": passed})
-
-
-def _passed(passed: pd.Series) -> dict[str, Any]:
-    sent, accepted = len(passed), int(passed.sum())
-    return {"sent": sent, "passed": accepted, "share_passed": accepted / sent if sent else None}
 
 
 def guard_table(guard: Summary) -> Table:
@@ -564,58 +575,6 @@ def guard_table(guard: Summary) -> Table:
         "pass the guard": "{on[share_passed]:.1%}",
     }
     return Table.of([{"kind": kind, **of} for kind, of in lines.items()], columns)
-
-
-def exact_number(value: float | None, digits: int) -> str:
-    """Format a number so that only an exact 0 is "0", and one too small for the digits is written with an exponent."""
-    if not value:
-        return "-" if value is None else "0"
-    return f"{value:.{digits}f}" if value >= 10.0**-digits else f"{value:.0e}"
-
-
-def cells_table(cells: Sequence[Mapping[str, Any]]) -> Table:
-    """Return a table with a row for each entry of the summary."""
-    exact = {f"{name}_{of}": 3 if name == "position_error_m" else 2 for name in ERRORS for of in SPREAD}
-    exact["simulated_s_per_wall_s"] = 2
-    equal = {True: "equal", False: "differ", None: "-"}
-    lines = [
-        {
-            **cell,
-            **{key: exact_number(cell[key], digits) for key, digits in exact.items()},
-            "itself": " (reference)" if cell["reference"] and cell["reference"]["is_this_cell"] else "",
-            "mark": " (disturbed)" if cell.get("disturbed") else "",
-            "poses": equal[cell["poses_equal_lockstep"]],
-            "counts": equal[cell["dvs_counts_equal_lockstep"]],
-            "hit": f" (hit {cell['collision']['object']})" if cell["collision"] else "",
-        }
-        for cell in cells
-    ]
-    return Table.of(lines, CELLS)
-
-
-CELLS = {
-    "command": "{command!u}",
-    "ClockSpeed": "{clock_speed:g}x{itself}{mark}",
-    "images": "{paired_images}",
-    "position error, m: median, max": "{position_error_m_median}, {position_error_m_max}",
-    "attitude error, deg: max": "{attitude_error_deg_max}",
-    "DVS-ED, %: median, max": "{dvs_ed_percent_median}, {dvs_ed_percent_max}",
-    "guard retries": "{guard_retries}",
-    "poses, counts v. lockstep": "{poses}, {counts}",
-    "distance, m": "{distance_m:.1f}{hit}",
-    "simulated s a wall s": "{simulated_s_per_wall_s}",
-    "source": "{provenance}",
-}
-
-
-def _likeness(cell: Mapping[str, Any]) -> str:
-    error_m, events = cell["position_error_m_max"], cell["dvs_ed_percent_max"]
-    if not error_m and not events:
-        return f"{command_at_clock(cell)} takes the images of 1x, each at the same place with as many events"
-    return (
-        f"{command_at_clock(cell)} takes its images up to {exact_number(error_m, 3)} m from those of 1x, with a DVS-ED "
-        f"of up to {exact_number(events, 2)} %"
-    )
 
 
 def images_figure(report: Report) -> Picture:
@@ -636,53 +595,43 @@ def images_figure(report: Report) -> Picture:
     size_in = 3.6 + 0.8 / max(len(commands), 1), 3.2  # one panel is as wide as the title
     shared = {"sharex": True, "sharey": True}
     figure, grid = plots.panels(1, len(commands), title, "\n".join([*below, source]), size_in, **shared)
-    first = grid[0, 0]
+    least = {
+        "x": 0.1,
+        "y": 0.001,
+    }  # logarithmic, as the clouds lie decades apart, but linear below, so that 0 has its place
     for axes, command in zip(grid[0], commands, strict=False):
-        for _, game in images[images.command == command][::-1].iterrows():  # few and near points lie on top
-            _scatter(axes, game, clocks.index(game.clock_speed))
+        for game in images[images.command == command][::-1].to_dict("records"):  # few and near points lie on top
+            place = clocks.index(game["clock_speed"])
+            colour, marker = style.series(place).values()
+            x, y = np.array(game["dvs_ed_percent"]), np.array(game["position_error_m"])
+            off = (x != 0) | (y != 0)
+            exact, count = np.count_nonzero(~off), f"{len(x)} image{'s' if len(x) > 1 else ''}"
+            axes.scatter(x[off], y[off], s=13, c=colour, marker=marker, linewidths=0, alpha=0.7, clip_on=False)
+            if exact:  # as one ring
+                ring: dict[str, Any] = {"facecolors": "none", "edgecolors": colour, "linewidths": 1.6}
+                axes.scatter(0, 0, s=(5.0 + 4.5 * place) ** 2, clip_on=False, **ring)
+                count = f"all {len(x)} at 0, 0" if exact == len(x) else f"{exact} of {len(x)} at 0, 0"
+            axes.scatter([], [], s=22, c=colour, marker=marker, label=f"{clock_label(game['clock_speed'])}: {count}")
         handles, labels = axes.get_legend_handles_labels()
         above = {"loc": "lower left", "bbox_to_anchor": (-0.02, 1.0), "alignment": "left", "title_fontsize": 10}
         axes.legend(handles[::-1], labels[::-1], title=command.upper(), ncols=2, **above)
-        # logarithmic, as the clouds lie decades apart, but linear around 0, so that 0 has its place
-        axes.set_xscale("symlog", linthresh=LEAST_PERCENT, linscale=0.6)
-        axes.set_yscale("symlog", linthresh=LEAST_M, linscale=0.6)
-        axes.set(xlabel="DVS-ED, % of the pixels", xlim=(-0.4 * LEAST_PERCENT, 100), ylim=(-0.4 * LEAST_M, 10))
+        axes.set_xscale("symlog", linthresh=least["x"], linscale=0.6)
+        axes.set_yscale("symlog", linthresh=least["y"], linscale=0.6)
+        axes.set(xlabel="DVS-ED, % of the pixels", xlim=(-0.4 * least["x"], 100), ylim=(-0.4 * least["y"], 10))
         axes.xaxis.set_major_formatter("{x:g}")
         axes.yaxis.set_major_formatter("{x:g}")
-        first.set_ylabel("position error, m")
+        grid[0, 0].set_ylabel("position error, m")
     if not commands:
         nothing = "every image has no error at all" if below else "no accelerated game to compare with a run at 1x"
-        style.note(first, nothing)
-    return report.figure("figure7_images", figure, FIGURE7, source)
+        style.note(grid[0, 0], nothing)
+    caption = (
+        "Figure 7. Position error over DVS-ED, a point an image, against the image of the same place in the path of "
+        "the same command's run at 1x. Rings: images at the same place with as many DVS pixels as at 1x. Both axes are "
+        f"logarithmic, but linear up to {least['x']:g} % and {1e3 * least['y']:g} mm."
+    )
+    return report.figure("figure7_images", figure, caption, source)
 
 
-def _scatter(axes: Any, game: pd.Series, place: int) -> None:
-    """Draw a game's images in the colour of its place among the ClockSpeeds, those without error as one ring."""
-    colour, marker = style.series(place).values()
-    x, y = np.array(game.dvs_ed_percent), np.array(game.position_error_m)
-    away = (x != 0) | (y != 0)
-    axes.scatter(x[away], y[away], s=13, c=colour, marker=marker, linewidths=0, alpha=0.7, clip_on=False)
-    exact, count = np.count_nonzero(~away), f"{len(x)} image{'s' if len(x) > 1 else ''}"
-    if exact:
-        size = (5.0 + 4.5 * place) ** 2
-        axes.scatter(0, 0, s=size, facecolors="none", edgecolors=colour, linewidths=1.6, clip_on=False)
-        count = f"all {len(x)} at 0, 0" if exact == len(x) else f"{exact} of {len(x)} at 0, 0"
-    axes.scatter([], [], s=22, c=colour, marker=marker, label=f"{clock_label(game.clock_speed)}: {count}")
-
-
-HIT = (
-    "{game.case} hit {game.collision[object]} after {game.distance_m:.1f} m and stood still from there: its images "
-    "count up to that moment."
-)
-MODELLED = (
-    "Modelled: {:.1%} of the images of the games were perturbed on their way{}; those of the runs at 1x that they are "
-    "compared with were not."
-)
-FIGURE7 = (
-    "Figure 7. Position error over DVS-ED, a point an image, against the image of the same place in the path of the "
-    "same command's run at 1x. Rings: images at the same place with as many DVS pixels as at 1x. Both axes are "
-    f"logarithmic, but linear up to {LEAST_PERCENT:g} % and {LEAST_M * 1e3:g} mm."
-)
 READING = (
     "Images are paired by their place in the path: the same sample of the same command. DVS-ED is the difference in "
     "the number of pixels with ON events plus that with OFF events, over all pixels; it cannot see events that moved "

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import reprlib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Literal, TypeVar
@@ -12,7 +11,7 @@ from pydantic import AfterValidator
 
 from uavaccel.config import Config, apply_overrides, assign, load_yaml, validate
 from uavaccel.files import Plain
-from uavaccel.limits import CLOCK_SPEEDS, Cost, Seed
+from uavaccel.limits import ClockSpeed, Cost, Seed
 from uavaccel.resources import experiment
 from uavaccel.sim.profile import PROFILES
 from uavaccel.wire.latency import LatencyModel
@@ -20,16 +19,6 @@ from uavaccel.wire.latency import LatencyModel
 Timing = Literal["wall", "virtual", "lockstep"]
 ProfileName = Literal["native", "airsim"]
 CommandName = Literal["adsc", "tcsc"]
-
-
-def within(values: tuple[float, ...], least: float, most: float) -> tuple[float, ...]:
-    """Return the values. Raises ValueError unless they are distinct, above 0, and from `least` to `most`."""
-    for value in values:
-        if value <= 0:
-            raise ValueError(f"must be above 0, not {value}")
-        if not least <= value <= most:
-            raise ValueError(f"must be {least:g} to {most:g}, not {reprlib.repr(value)}")
-    return distinct(values)
 
 
 Distinct = TypeVar("Distinct", bound=tuple[float | str, ...])
@@ -46,7 +35,7 @@ def distinct(values: Distinct) -> Distinct:
     return values
 
 
-ClockSpeeds = Annotated[tuple[float, ...], AfterValidator(lambda speeds: within(speeds, *CLOCK_SPEEDS))]
+ClockSpeeds = Annotated[tuple[ClockSpeed, ...], AfterValidator(distinct)]
 CommandNames = Annotated[tuple[CommandName, ...], AfterValidator(distinct)]
 
 
