@@ -13,7 +13,7 @@ from pydantic import BaseModel
 from rich.console import Console
 from typer.testing import CliRunner
 
-from uavaccel.cli import experiments, progress
+from uavaccel.cli import experiments, terminal
 from uavaccel.cli.docs import reference
 from uavaccel.cli.main import app
 from uavaccel.cli.options import experiments as complete_experiments
@@ -171,7 +171,7 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
 
     for place in (
         "cli.experiments.run_experiment", "cli.experiments.evaluate_agent", "cli.view.view_game", "watch.show.show",
-        "cli.export.export", "wire.service.serve", "fly.command.fly_script",
+        "cli.results.export_source", "wire.service.serve", "fly.command.fly_script",
     ):  # fmt: skip
         stand_in(place)
     return calls
@@ -251,10 +251,10 @@ SQUARE = (50.0, 0.012, 0)
     [
         ("view", ("view_game", "default", None, None)),
         ("view run --case a --out films", ("view_game", "run", "a", Path("films"))),
-        ("export run", ("export", "run", *[None] * 6)),
+        ("export run", ("export_source", "run", *[None] * 6)),
         (
             "export run --onnx o --csv c --parquet p --mcap m --minari n --case a",
-            ("export", "run", *map(Path, "ocpmn"), "a"),
+            ("export_source", "run", *map(Path, "ocpmn"), "a"),
         ),
         ("watch", ("show", None, None, None, SQUARE, "127.0.0.1", 8080)),
         (
@@ -409,11 +409,11 @@ def test_the_time_left_is_that_of_the_games_to_come_at_the_pace_of_this_starts(m
     """Ten games, two at a time, on a clock that moves by hand: two were flown before, and eight are to come."""
     now = SimpleNamespace(s=1000.0)
     clock = SimpleNamespace(now_ns=lambda: int(now.s * NS_PER_S))
-    monkeypatch.setattr(progress, "MonotonicClock", lambda: clock)
+    monkeypatch.setattr("uavaccel.clock.MonotonicClock", lambda: clock)
     cases = [SimpleCase(f"g{number}", "virtual", 20.0 if number < 6 else 100.0) for number in range(10)]
     said = io.StringIO()
     earlier = [{"case": "g0"}, {"case": "g1"}]
-    shown = progress.Progress(cases, 2, earlier, lambda _: "", Console(file=said, width=120))
+    shown = terminal.Progress(cases, 2, earlier, lambda _: "", Console(file=said, width=120))
     # Of two that fly at once the first says nothing yet; then 40 s of 480 took 60 s, 60 took 120 and 80 took 120.
     for case, passed_s in (("g2", 60.0), ("g3", 0.0), ("g4", 60.0), ("g5", 0.0)):
         now.s += passed_s

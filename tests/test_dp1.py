@@ -13,7 +13,7 @@ import pytest
 
 from tests.running import configured
 from uavaccel.cli.experiments import run_experiment
-from uavaccel.cli.progress import Progress
+from uavaccel.cli.terminal import Progress
 from uavaccel.commands import COMMANDS, SynchronousCommand
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory

@@ -188,6 +188,34 @@ def test_a_folder_from_elsewhere_runs_nothing(
         assert "Traceback" not in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    "command",
+    [
+        "run dp1 --set suite=foreign:Evil",
+        "run realtime_smoke --set environments.x.id=foreign:X-v0",
+        "run sweep --set evaluation.experiment=theirs.yaml",
+        "run mine.yaml",
+        "run named.yaml --set suite=foreign:Evil",
+    ],
+)
+def test_code_that_the_named_yaml_does_not_name_needs_trust(
+    command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Named by --set, or by a file that --set or a key of the user's own file names."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    monkeypatch.setattr(own_code, "_here", {})
+    (tmp_path / "foreign.py").write_text(FOREIGN)
+    (tmp_path / "theirs.yaml").write_text("suite: foreign:Evil\n")
+    (tmp_path / "named.yaml").write_text("suite: another:Suite\n")
+    (tmp_path / "mine.yaml").write_text("suite: sweep\nevaluation: {experiment: theirs.yaml}\nsweep: {wind: [3]}\n")
+    ended(monkeypatch, *command.split(), "--dry-run")
+    assert "foreign.py is code that nobody has trusted here: read it, then add --trust" in capsys.readouterr().err
+    assert not (tmp_path / "ran").exists()
+    ended(monkeypatch, *command.split(), "--dry-run", "--trust")
+    assert (tmp_path / "ran").exists()
+
+
 def ended(monkeypatch: pytest.MonkeyPatch, *command: str) -> None:
     monkeypatch.setattr(sys, "argv", ["uavaccel", *command])
     with pytest.raises(SystemExit):

@@ -20,6 +20,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+import uavaccel.envs  # noqa: F401  registers the drones
 from tests.processes import left_after, state_of
 from uavaccel.clock import VirtualClock
 from uavaccel.errors import UserError
@@ -366,7 +367,7 @@ def test_what_was_measured_is_replayed_as_a_distribution(tmp_path: Path) -> None
     env.step(one(0.1))
     assert len(measured.taken_ns) == 1
     for taken_ns in range(10_000_000, 30_000_000, 100_000):
-        measured.add_ns(taken_ns)
+        measured.taken_ns.append(taken_ns)
     kept = measured.save(tmp_path / "thinking.yaml")
     replayed = drawn_s(thinking_time(str(kept)))
     assert np.median(replayed) == pytest.approx(0.02, rel=0.05)

@@ -123,7 +123,7 @@ def run_experiment(
 
 
 def _fly_games(plan: Plan, run: RunDirectory) -> None:
-    from uavaccel.cli.progress import Progress
+    from uavaccel.cli.terminal import Progress
     from uavaccel.suites.runner import run_suite
     from uavaccel.watch.beside import PageAddress, page_beside
 
@@ -136,7 +136,7 @@ def _fly_games(plan: Plan, run: RunDirectory) -> None:
 
 def report_run(run: RunDirectory) -> None:
     """Write a run's report, and print its result and the paths of its figures."""
-    from uavaccel.cli.progress import working
+    from uavaccel.cli.terminal import working
     from uavaccel.suites.registry import suite_of
 
     report = suite_of(run).report(run)
@@ -219,7 +219,7 @@ def _check_films() -> None:
 
 def _film_extremes(run: RunDirectory) -> None:
     """Write films and contact sheets of the best game and the worst, which the report shows."""
-    from uavaccel.cli.progress import working
+    from uavaccel.cli.terminal import working
     from uavaccel.cli.view import film_of_game, write_film
     from uavaccel.envs.simulators import EXACT
     from uavaccel.suites.evaluate import Evaluation

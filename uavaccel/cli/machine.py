@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from uavaccel.cli.options import Latency, Profile, check_number, check_profile
-from uavaccel.cli.terminal import console
+from uavaccel.cli.terminal import console, print_columns
 from uavaccel.errors import UsageError, UserError
 
 MOST_COMMANDS, MOST_ROUNDS = 1_000_000, 1000
@@ -39,10 +39,9 @@ def calibrate(
         console.print(f"machine check: {check_machine()['verdict']}; latency model: {latency or 'the shipped one'}")
         found = list(check_agreement(model, profile, games))
         console.print(LEVELS_TEXT)
-        _print_columns(("command", "clock", "T_move s", "", "wall", "wall again", "virtual", ""), [
-            each.texts() for each in found
-        ])  # fmt: skip
-        console.print(f"{sum(each.agrees for each in found)} of {len(found)} agree")
+        header = ("command", "clock", "T_move s", "", "wall", "wall again", "virtual", "")
+        print_columns(header, [agreement.texts() for agreement in found])
+        console.print(f"{sum(agreement.agrees for agreement in found)} of {len(found)} agree")
         return
     check_new_file(out)
     check_number("--commands", commands, 1, MOST_COMMANDS)
@@ -84,17 +83,8 @@ def advise(
     model = shipped_latency(profile) if latency is None else read_latency(latency)
     found = list(advised(model, profile, t_move, rounds))
     header = ("ClockSpeed", "ADSC error m", "STLC", "speed-up", "TCSC error m", "STLC", "speed-up")
-    _print_columns(header, [(f"{each[0]:g}x", *(f"{number:.3g}" for number in each[1:])) for each in found])
+    print_columns(header, [(f"{clock:g}x", *(f"{number:.3g}" for number in rest)) for clock, *rest in found])
     console.print(sentence(found, error, t_move))
-
-
-def _print_columns(header: tuple[str, ...], rows: list[tuple[str, ...]]) -> None:
-    from rich.table import Table
-
-    table = Table(*header, box=None, pad_edge=False)
-    for row in rows:
-        table.add_row(*row)
-    console.print(table)
 
 
 def bench(context: typer.Context) -> None:
@@ -116,8 +106,7 @@ def doctor() -> None:
 
     from uavaccel.calibration.doctor import findings
 
-    problems = 0
-    folding = Console(highlight=False, markup=False)
+    problems, folding = 0, Console(highlight=False, markup=False)
     for finding in findings():
         row = Table.grid(padding=(0, 1))
         row.add_column(min_width=9)

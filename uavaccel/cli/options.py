@@ -43,7 +43,8 @@ Latency = Annotated[
     Path | None, typer.Option(help="Latency model, as `calibrate` writes it; by default the shipped one.")
 ]
 Trust = Annotated[
-    bool, typer.Option("--trust", help="Run the own code that a run's folder names, and remember that it may run.")
+    bool,
+    typer.Option("--trust", help="Run the own code that a run's folder or --set names, and remember that it may run."),
 ]
 Watch = Annotated[
     bool,

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from itertools import chain
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from uavaccel.cli.options import Case, Trust, check_host
+from uavaccel.cli.terminal import LINES, console
+from uavaccel.errors import UsageError
 
 
 def view(
@@ -68,8 +72,53 @@ def export(
     trust: Trust = False,
 ) -> None:
     """Write a policy as ONNX; a run as tables, as MCAP logs for Foxglove, or as a Minari dataset."""
-    from uavaccel.cli.export import export as export_source
     from uavaccel.suites.own_code import trusting
 
     with trusting(trust):
         export_source(source, onnx, csv, parquet, mcap, minari, case)
+
+
+def export_source(
+    source: str,
+    onnx: Path | None = None,
+    csv: Path | None = None,
+    parquet: Path | None = None,
+    mcap: Path | None = None,
+    minari: Path | None = None,
+    case: str | None = None,
+) -> None:
+    """Write what was asked for. Raises UserError with one clear line."""
+    from uavaccel.suites.registry import open_run
+
+    if onnx is csv is parquet is mcap is minari is None:
+        raise UsageError(
+            "export: say what to write: --onnx FILE of a policy; --csv, --parquet, --mcap or --minari FOLDER of a run"
+        )
+    if case is not None and mcap is None:
+        raise UsageError("--case: goes with --mcap; the other formats take all games of a run")
+    if onnx is not None:
+        from uavaccel.rl.agents import policy_folder
+        from uavaccel.rl.onnx_file import write_onnx
+        from uavaccel.rl.policy import load_policy
+
+        about = write_onnx(load_policy(policy_folder(source)), onnx)
+        console.print(f"{onnx}: seen: {about['seen']}; actions: headings of {about['headings_deg']} degrees")
+    written: list[Iterable[Path]] = []
+    if csv is not None or parquet is not None:
+        from uavaccel.suites.tables import write_tables
+
+        tables = ((csv, "csv"), (parquet, "parquet"))
+        written += [write_tables(open_run(source), folder, kind) for folder, kind in tables if folder is not None]
+    if mcap is not None:
+        from uavaccel.export.mcap_file import write_mcap
+
+        written.append(write_mcap(open_run(source), mcap, case))
+    for path in chain.from_iterable(written):
+        console.print(str(path))
+    if minari is not None:
+        from uavaccel.export.minari_dataset import write_minari
+
+        for done, games in write_minari(open_run(source), minari):
+            if done * LINES // games > (done - 1) * LINES // games:
+                console.print(f"{done}/{games} games")
+        console.print(str(minari))

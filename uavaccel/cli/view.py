@@ -5,8 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from uavaccel.cli.progress import working
-from uavaccel.cli.terminal import console
+from uavaccel.cli.terminal import console, working
 from uavaccel.draw.film import Film, write_contact_sheet, write_video
 from uavaccel.errors import UserError
 from uavaccel.files import inside

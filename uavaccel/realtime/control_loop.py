@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass, field
 from fractions import Fraction
-from typing import Any, Literal, get_args
+from typing import Any, Literal, TypedDict, get_args
 
 import numpy as np
 from gymnasium import spaces
@@ -18,7 +18,19 @@ from uavaccel.units import ceil_div, real, whole
 
 Command = Literal["adsc", "tcsc"]
 Meanwhile = Literal["hold", "default"]
-AnyBox = spaces.Box[Any]
+
+
+class Keys(TypedDict, total=False):
+    """The further arguments of `RealTime` and `RealTimeProcess`: those of `LoopOptions`."""
+
+    meanwhile: Meanwhile
+    default_action: Any
+    chunk: int
+    execute: int | None
+    overlap: bool
+    period_s: float | None
+    observe_age: bool
+    observe_actions: int
 
 
 @dataclass(frozen=True)
@@ -31,6 +43,10 @@ class LoopOptions:
     `meanwhile`: the action applied last ("hold"), or the `default_action`, which is zero in a Box. With `overlap` the
     agent observes `execute` periods after its last observation, or as soon as its actions are on their way if its
     thinking took longer; without it, `execute` periods after its actions arrived, as the paper's client does.
+
+    `period_s` are the simulated seconds of a control period, where the environment does not say. `observe_age` and
+    `observe_actions` append to the observation, which is flat then, how old the last one was when its action was
+    applied, in simulated seconds, and the latest actions.
     """
 
     command: Command = "adsc"
@@ -40,27 +56,29 @@ class LoopOptions:
     chunk: int = 1
     execute: int | None = None
     overlap: bool = False
+    period_s: float | None = None
+    observe_age: bool = False
+    observe_actions: int = 0
     speed: Fraction = field(init=False)
+    executed: int = field(init=False)
+    """The number of a chunk's actions that are applied before the next observation."""
 
     def __post_init__(self) -> None:
         for name, kind in (("command", Command), ("meanwhile", Meanwhile)):
-            if getattr(self, name) not in get_args(kind):
-                known = " or ".join(repr(choice) for choice in get_args(kind))
-                raise UserError(f"{name}: must be {known}, not {getattr(self, name)!r}")
-        for name in ("chunk", "execute"):
-            if (name, self.execute) != ("execute", None):
-                object.__setattr__(self, name, _count(name, getattr(self, name), 1))
-        if self.execute is not None and self.execute > self.chunk:
+            if (value := getattr(self, name)) not in get_args(kind):
+                raise UserError(f"{name}: must be {' or '.join(map(repr, get_args(kind)))}, not {value!r}")
+        given = self.chunk if self.execute is None else self.execute
+        counts = {"chunk": (self.chunk, 1), "execute": (given, 1), "observe_actions": (self.observe_actions, 0)}
+        for name, (value, least) in counts.items():
+            if (count := whole(value)) is None or not least <= count <= MOST_ACTIONS:
+                raise UserError(f"{name}: must be a count of actions, {least} to {MOST_ACTIONS}, not {value!r}")
+            object.__setattr__(self, "executed" if name == "execute" else name, count)
+        if self.executed > self.chunk:
             raise UserError(f"execute: must be at most chunk = {self.chunk}, not {self.execute}")
-        speed, (least, most) = real(self.clock_speed), CLOCK_SPEEDS
+        speed, (least_speed, most) = real(self.clock_speed), CLOCK_SPEEDS
         object.__setattr__(self, "speed", positive_clock_speed(self.clock_speed if speed is None else speed))
-        if not least <= self.speed <= most:
-            raise UserError(f"clock_speed must be {least:g} to {most:g}, not {self.clock_speed}")
-
-    @property
-    def executed(self) -> int:
-        """The number of a chunk's actions that are applied before the next observation."""
-        return self.chunk if self.execute is None else self.execute
+        if not least_speed <= self.speed <= most:
+            raise UserError(f"clock_speed must be {least_speed:g} to {most:g}, not {self.clock_speed}")
 
     def action_space(self, single: spaces.Space[Any]) -> spaces.Space[Any]:
         """Return the space of a chunk of actions. Raises UserError for a space whose actions do not stack."""
@@ -75,32 +93,19 @@ class LoopOptions:
 
     def idle_action(self, single: spaces.Space[Any]) -> Action:
         """Return the action before an agent's first one. Raises UserError without a default in a space but Box."""
-        if self.default_action is not None:
-            action = copied(self.default_action)
+        if self.default_action is None:
             if isinstance(single, spaces.Box):
-                action = _as_array(action, single)
-            if action is None or not single.contains(action):
-                raise UserError(f"default_action: {self.default_action!r} is not in {single}")
-            return action
+                return np.clip(np.zeros(single.shape, single.dtype), single.low, single.high)
+            raise UserError(f"default_action: a {type(single).__name__} has no neutral action; name one")
+        action = copied(self.default_action)
         if isinstance(single, spaces.Box):
-            return np.clip(np.zeros(single.shape, single.dtype), single.low, single.high)
-        raise UserError(f"default_action: a {type(single).__name__} has no neutral action; name one")
-
-
-def _count(name: str, value: object, least: int) -> int:
-    """Return a count of actions. Raises UserError unless it is an integer from `least` to MOST_ACTIONS."""
-    count = whole(value)
-    if count is None or not least <= count <= MOST_ACTIONS:
-        raise UserError(f"{name}: must be a count of actions, {least} to {MOST_ACTIONS}, not {value!r}")
-    return count
-
-
-def _as_array(action: Action, space: AnyBox) -> Action:
-    """Return the action as an array of the space's type; None for what is no array of numbers."""
-    try:
-        return np.asarray(action, space.dtype)
-    except (TypeError, ValueError):
-        return None
+            try:
+                action = np.asarray(action, single.dtype)
+            except (TypeError, ValueError):  # no array of numbers
+                action = None
+        if action is None or not single.contains(action):
+            raise UserError(f"default_action: {self.default_action!r} is not in {single}")
+        return action
 
 
 class ControlLoop:
@@ -128,13 +133,11 @@ class ControlLoop:
 
     def ticks_within(self, wall_ns: int) -> int:
         """Return the ticks that pass while an agent thinks: an action waits for the end of the tick it arrives in."""
-        if not self.goes_on:
-            return 0
-        return ceil_div(wall_ns * self._numerator, self._tick_wall)
+        return ceil_div(wall_ns * self._numerator, self._tick_wall) if self.goes_on else 0
 
     def wall_ns(self, ticks: int) -> int:
         """Return the wall time of a number of ticks."""
-        return -(-ticks * self._tick_wall // self._numerator)
+        return ceil_div(ticks * self._tick_wall, self._numerator)
 
     def act_ticks(self, thinking_ticks: int) -> int:
         """Return the ticks from an action's arrival to the next observation."""
@@ -156,10 +159,8 @@ class ControlLoop:
         chunk, action = self.options.chunk, copied(action)
         if chunk > 1 and np.shape(action)[:1] != (chunk,):
             raise UserError(f"action: must be a chunk of {chunk}, not of shape {np.shape(action)}")
-        self._planned = deque((each, self.plant.period_ticks) for each in (action if chunk > 1 else [action]))
-        if ticks == 0 and before is not None:
-            return before
-        return self.advance(ticks, before)
+        self._planned = deque((one, self.plant.period_ticks) for one in (action if chunk > 1 else [action]))
+        return before if ticks == 0 and before is not None else self.advance(ticks, before)
 
     def advance(self, ticks: int, before: Passed | None = None) -> Passed:
         """Let at least one tick pass under the planned actions, and return the result added to that of `before`."""
@@ -177,7 +178,7 @@ class ControlLoop:
                 passed = passed._replace(reward=total, ticks=ticks)
             before = passed
             left -= count
-            if left == 0 or passed.terminated or passed.truncated:
+            if left == 0 or passed.over:
                 return before
 
 
@@ -187,22 +188,22 @@ class Extras:
     Raises UserError where observations are not arrays.
     """
 
-    def __init__(self, observation: spaces.Space[Any], action: spaces.Space[Any], age: bool, actions: int) -> None:
-        self._age, self._count = age, (actions := _count("observe_actions", actions, 0))
-        self.space, self._size = observation, 0
-        if not age and not actions:
+    def __init__(self, observation: spaces.Space[Any], action: spaces.Space[Any], options: LoopOptions) -> None:
+        self.space, self._action = observation, action
+        self._age, self._count, self._size = options.observe_age, options.observe_actions, 0
+        self.any = self._age or self._count > 0
+        if not self.any:
             return
         if not isinstance(observation, spaces.Box):
             raise UserError(f"observe_age, observe_actions: need a Box of observations, not {observation}")
         self._type = np.result_type(observation.dtype, np.float32)
         bounds = [(observation.low.ravel(), observation.high.ravel())]
-        if age:
+        if self._age:
             bounds.append((np.zeros(1), np.full(1, np.inf)))
-        if actions:
+        if self._count:
             self._size = spaces.flatdim(action)
             flat: Any = spaces.flatten_space(action)
-            bounds += [(np.minimum(flat.low, 0), np.maximum(flat.high, 0))] * actions
-        self._action = action
+            bounds += [(np.minimum(flat.low, 0), np.maximum(flat.high, 0))] * self._count
         low, high = (np.concatenate(ends).astype(self._type) for ends in zip(*bounds, strict=True))
         self.space = spaces.Box(low, high, dtype=self._type.type)
 
@@ -216,7 +217,7 @@ class Extras:
 
     def added(self, observation: Any, age_s: float) -> Any:
         """Return the observation with the age in simulated seconds and the latest actions, the last one last."""
-        if not self._age and not self._count:
+        if not self.any:
             return observation
         age = [np.array([age_s])] if self._age else []
         return np.concatenate([np.ravel(observation), *age, *self._latest]).astype(self._type)

@@ -34,6 +34,11 @@ class Passed(NamedTuple):
     info: dict[str, Any]
     ticks: int
 
+    @property
+    def over(self) -> bool:
+        """Whether the episode has ended."""
+        return self.terminated or self.truncated
+
 
 @runtime_checkable
 class HasWallClock(Protocol):
@@ -44,45 +49,29 @@ class HasWallClock(Protocol):
     def charge(self, duration_s: float, phase: str = ...) -> None: ...
 
 
-class Plant(Protocol):
-    """An environment that can be advanced by any number of ticks."""
-
-    tick_ns: int
-    """Simulated time of one tick."""
-    period_ticks: int
-    """Ticks of a control period, for which an action is meant."""
-
-    def reset(self) -> None:
-        """Begin an episode; called after the environment's own reset."""
-        ...
-
-    def step(self, action: Action) -> Period:
-        """Apply an action for a control period."""
-        ...
-
-    def advance(self, action: Action, ticks: int) -> Passed:
-        """Apply an action, which stays as it is, for at least one tick, and stop where the episode ends."""
-        ...
-
-
-class PeriodicPlant:
-    """An environment of any kind: a tick is a control period, one call of `step`.
+class Plant:
+    """An environment that can be advanced by any number of ticks: here of any kind, a tick is one call of `step`.
 
     The period is `period_s`, the user's, or what the environment inside says of its own steps: then a wrapper that
     makes several steps of one is refused, in the first step, with a UserError.
     """
 
+    tick_ns: int
+    """Simulated time of one tick."""
+    period_ticks = 1
+    """Ticks of a control period, for which an action is meant."""
+
     def __init__(self, env: gymnasium.Env[Any, Any], period_s: object, of: str = "") -> None:
         """`of` is the attribute of the environment inside that `period_s` is from, if any."""
-        self._env, self.period_ticks = env, 1
-        self._inside = cast(Any, env.unwrapped)
+        self._env, self._inside = env, cast(Any, env.unwrapped)
         self.tick_ns = _period_ns(period_s, f"{type(self._inside).__name__}.{of}" if of else "period_s")
         self._counts = bool(of) and env is not self._inside
 
     def reset(self) -> None:
-        pass
+        """Begin an episode; called after the environment's own reset."""
 
     def step(self, action: Action) -> Period:
+        """Apply an action for a control period."""
         if not self._counts:
             return self._env.step(action)
         inside, calls = self._inside, 0
@@ -105,6 +94,7 @@ class PeriodicPlant:
         return result
 
     def advance(self, action: Action, ticks: int) -> Passed:
+        """Apply an action, which stays as it is, for at least one tick, and stop where the episode ends."""
         total, passed = 0.0, 0
         while True:
             count = min(ticks - passed, self.period_ticks)
@@ -118,7 +108,7 @@ class PeriodicPlant:
         return self.step(action)
 
 
-class MujocoPlant(PeriodicPlant):
+class MujocoPlant(Plant):
     """One of Gymnasium's MuJoCo environments: a tick is one physics step, of which `frame_skip` are a control period.
 
     Part of a period is one `step` with a smaller `frame_skip`, so that velocities, and what they earn, are those over
@@ -128,18 +118,15 @@ class MujocoPlant(PeriodicPlant):
     """
 
     def __init__(self, env: gymnasium.Env[Any, Any]) -> None:
-        self._env = env
-        self._inside = cast(Any, env.unwrapped)
-        name, ticks = type(self._inside).__name__, whole(self._inside.frame_skip)
-        if ticks is None or ticks < 1:
-            given = self._inside.frame_skip
-            raise UserError(f"{name}.frame_skip: must be a count of physics steps, 1 or more, not {given!r}")
-        self.period_ticks = ticks
-        self._timestep_s = self._inside.model.opt.timestep
-        self._has_clock = hasattr(getattr(self._inside, "data", None), "time")
-        self.tick_ns = _period_ns(self._timestep_s, f"{name}.model.opt.timestep")
+        inside: Any = env.unwrapped
+        self._timestep_s = inside.model.opt.timestep
+        super().__init__(env, self._timestep_s, "model.opt.timestep")
+        if (ticks := whole(inside.frame_skip)) is None or ticks < 1:
+            name = f"{type(inside).__name__}.frame_skip"
+            raise UserError(f"{name}: must be a count of physics steps, 1 or more, not {inside.frame_skip!r}")
+        self.period_ticks, self._ticks = ticks, 0
+        self._has_clock = hasattr(getattr(inside, "data", None), "time")
         self._limits: list[Any] = [layer for layer in _layers(env) if isinstance(layer, TimeLimit)]
-        self._ticks = 0
 
     def reset(self) -> None:
         self._ticks = 0
@@ -184,15 +171,15 @@ def plant_of(env: gymnasium.Env[Any, Any], period_s: float | None) -> Plant:
     if isinstance(inside, HasWallClock):
         raise UserError(f"{type(inside).__name__} keeps its own wall clock: fly it as it is, made with timing='wall'")
     if period_s is not None:
-        return PeriodicPlant(env, period_s)
+        return Plant(env, period_s)
     if is_of_mujoco(env):
         return MujocoPlant(env)
     of_dm_control = getattr(getattr(inside, "_env", None), "control_timestep", None)  # inside shimmy's
     if callable(of_dm_control):
-        return PeriodicPlant(env, of_dm_control(), "control_timestep")
+        return Plant(env, of_dm_control(), "control_timestep")
     for name in ("dt", "tau"):
         if (seconds := real(getattr(inside, name, None))) is not None and seconds > 0:
-            return PeriodicPlant(env, seconds, name)
+            return Plant(env, seconds, name)
     raise UserError(
         f"period_s: {type(inside).__name__} does not say how long a step is; "
         "give the simulated seconds of one, as in period_s=0.02"
@@ -201,9 +188,8 @@ def plant_of(env: gymnasium.Env[Any, Any], period_s: float | None) -> Plant:
 
 def refuse_real_time_in(env: gymnasium.Env[Any, Any]) -> None:
     """Raise UserError for an environment that is in real time already: a second thinking time would hide the first."""
-    for layer in _layers(env):
-        if getattr(layer, "keeps_real_time", False):
-            raise UserError(f"{type(layer).__name__} is in real time already; give one wrapper the whole latency_s")
+    for name in (type(layer).__name__ for layer in _layers(env) if getattr(layer, "keeps_real_time", False)):
+        raise UserError(f"{name} is in real time already; give one wrapper the whole latency_s")
 
 
 def _layers(env: gymnasium.Env[Any, Any]) -> Iterator[Any]:

@@ -11,7 +11,7 @@ from contextlib import suppress
 from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnProcess
 from multiprocessing.util import Finalize
-from typing import Any
+from typing import Any, Unpack
 
 import gymnasium
 
@@ -20,7 +20,7 @@ from uavaccel.errors import UserError
 from uavaccel.processes.child import POLL_S, Patience, describe_end
 from uavaccel.processes.lifetime import work_for_parent
 from uavaccel.processes.stalls import is_stopped
-from uavaccel.realtime.control_loop import Command, ControlLoop, Extras, LoopOptions, Meanwhile
+from uavaccel.realtime.control_loop import Command, ControlLoop, Extras, Keys, LoopOptions
 from uavaccel.realtime.plant import Passed, plant_of
 from uavaccel.realtime.thinking import Measured
 from uavaccel.units import NS_PER_S
@@ -43,36 +43,20 @@ class RealTimeProcess(gymnasium.Env[Any, Any]):
     keeps_real_time = True
 
     def __init__(
-        self,
-        make_env: MakeEnv,
-        command: Command = "adsc",
-        clock_speed: float = 1.0,
-        *,
-        meanwhile: Meanwhile = "hold",
-        default_action: Any = None,
-        chunk: int = 1,
-        execute: int | None = None,
-        overlap: bool = False,
-        period_s: float | None = None,
-        observe_age: bool = False,
-        observe_actions: int = 0,
+        self, make_env: MakeEnv, command: Command = "adsc", clock_speed: float = 1.0, **keys: Unpack[Keys]
     ) -> None:
-        options = LoopOptions(command, clock_speed, meanwhile, default_action, chunk, execute, overlap)
+        options = LoopOptions(command, clock_speed, **keys)
         context = multiprocessing.get_context("spawn")
         self._connection, theirs = context.Pipe()
-        self._process = context.Process(
-            target=_serve,
-            args=(theirs, make_env, options, period_s, os.getpid()),
-            daemon=True,
-            name="uavaccel-realtime",
-        )
+        arguments = theirs, make_env, options, os.getpid()
+        self._process = context.Process(target=_serve, args=arguments, daemon=True, name="uavaccel-realtime")
         self._process.start()
         theirs.close()
         # before multiprocessing waits at this program's end, for a stopped one for ever
         self._end = Finalize(self, _end, (self._connection, self._process), exitpriority=0)
         observation, single, self.metadata, self._tick_ns = self._answer()
         self.action_space = options.action_space(single)
-        self._extras = Extras(observation, self.action_space, observe_age, observe_actions)
+        self._extras = Extras(observation, self.action_space, options)
         self.observation_space = self._extras.space
         self.thinking = Measured()
 
@@ -87,7 +71,7 @@ class RealTimeProcess(gymnasium.Env[Any, Any]):
         """Send an action, and wait for the observation after it."""
         passed, thinking_ns, thought, late_ns = self._ask("step", action)
         self._extras.note(action)
-        self.thinking.add_ns(thinking_ns)
+        self.thinking.taken_ns.append(thinking_ns)
         age_s = thought * self._tick_ns / NS_PER_S
         info = {**passed.info, "thinking_s": thinking_ns / NS_PER_S, "meanwhile_s": age_s}
         info["late_s"] = late_ns / NS_PER_S
@@ -111,15 +95,12 @@ class RealTimeProcess(gymnasium.Env[Any, Any]):
                     raise UserError("the process of the environment was stopped")
             answer = self._connection.recv()
         except (EOFError, OSError):
-            raise self._ended() from None
+            self._end()
+            assert self._process.exitcode is not None
+            raise UserError(f"the process of the environment {describe_end(self._process.exitcode)}") from None
         if isinstance(answer, Exception):
             raise answer
         return answer
-
-    def _ended(self) -> UserError:
-        self._end()
-        assert self._process.exitcode is not None
-        return UserError(f"the process of the environment {describe_end(self._process.exitcode)}")
 
 
 def _end(connection: Connection, process: SpawnProcess) -> None:
@@ -155,13 +136,13 @@ class _Server:
         passed, thinking_ns = self._meanwhile, self._arrived_ns - self._since_ns
         if not loop.goes_on:
             self._pacer.anchor(self._arrived_ns, 0)
-        if passed is None or not (passed.terminated or passed.truncated):
+        if passed is None or not passed.over:
             passed = loop.act(action, loop.act_ticks(thought), passed)
         due_ns = self._pacer.wall_due(passed.ticks)
         late_ns = max(self._clock.now_ns() - due_ns, 0)
         self._clock.sleep_until(due_ns)
         self._hand_over(due_ns + late_ns)
-        self._thinks = not (passed.terminated or passed.truncated)
+        self._thinks = not passed.over
         return passed, thinking_ns, thought, late_ns
 
     def wait(self) -> tuple[Any, ...]:
@@ -188,8 +169,7 @@ class _Server:
         self._thought, self._meanwhile = 0, None
 
     def _goes_on(self) -> bool:
-        passed = self._meanwhile
-        over = passed is not None and (passed.terminated or passed.truncated)
+        over = self._meanwhile is not None and self._meanwhile.over
         return self._thinks and self._loop.goes_on and not over
 
     def _go_on(self, ticks: int) -> None:
@@ -197,14 +177,12 @@ class _Server:
         self._thought = self._meanwhile.ticks
 
 
-def _serve(
-    connection: Connection, make_env: MakeEnv, options: LoopOptions, period_s: float | None, parent: int
-) -> None:
+def _serve(connection: Connection, make_env: MakeEnv, options: LoopOptions, parent: int) -> None:
     """Run the environment's process until the agent's end of the connection is closed."""
     work_for_parent(parent)
     try:
         env = make_env()
-        loop = ControlLoop(plant_of(env, period_s), options, env.action_space)
+        loop = ControlLoop(plant_of(env, options.period_s), options, env.action_space)
         server = _Server(connection, loop, env)
         connection.send((env.observation_space, env.action_space, env.metadata, loop.plant.tick_ns))
         while True:

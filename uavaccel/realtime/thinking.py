@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from uavaccel.clock import MonotonicClock
 from uavaccel.errors import UserError
 from uavaccel.units import NS_PER_S, real, seconds_to_ns
-from uavaccel.wire.latency import DEFAULT, QUANTILES, LatencyConfig, Numbers, read_latency
+from uavaccel.wire.latency import DEFAULT, QUANTILES, LatencyConfig, read_latency
 from uavaccel.yaml_io import dump_yaml
 
 MEASURED: Final = "measured"
@@ -25,54 +27,45 @@ class ThinkingTime(Protocol):
 
     def observed(self) -> None:
         """Note that the agent has received an observation."""
-        ...
+        return
 
     def sample_ns(self, generator: np.random.Generator) -> int:
         """Return the time from that observation to the action that has just arrived."""
         ...
 
 
-class _Quantiles:
+@dataclass
+class _Quantiles(ThinkingTime):
     """A calibration's distributions: sums of times that are interpolated between the quantiles of each table."""
 
-    def __init__(self, quantiles: Sequence[float], *tables_s: Sequence[float]) -> None:
-        self._quantiles = np.asarray(quantiles, float)
-        self._tables_ns = [np.asarray(table, float) * NS_PER_S for table in tables_s if any(table)]
-
-    def observed(self) -> None:
-        pass
+    quantiles: Sequence[float]
+    tables_ns: Sequence[NDArray[np.float64]]
 
     def sample_ns(self, generator: np.random.Generator) -> int:
-        return sum(round(np.interp(generator.random(), self._quantiles, table)) for table in self._tables_ns)
+        return sum(round(np.interp(generator.random(), self.quantiles, table)) for table in self.tables_ns)
 
 
-class _Listed:
+@dataclass
+class _Listed(ThinkingTime):
     """One of the times in a list, each of them as likely; nothing is drawn where there is one alone."""
 
-    def __init__(self, times_s: Sequence[float]) -> None:
-        self._times_ns = [seconds_to_ns(seconds) for seconds in times_s]
-
-    def observed(self) -> None:
-        pass
+    times_ns: Sequence[int]
 
     def sample_ns(self, generator: np.random.Generator) -> int:
-        count = len(self._times_ns)
-        return self._times_ns[0 if count == 1 else int(generator.integers(count))]
+        count = len(self.times_ns)
+        return self.times_ns[0 if count == 1 else int(generator.integers(count))]
 
 
-class _Lognormal:
-    def __init__(self, median_s: float, sigma: float) -> None:
-        self._median_s, self._sigma = median_s, sigma
-
-    def observed(self) -> None:
-        pass
+@dataclass
+class _Lognormal(ThinkingTime):
+    median_s: float
+    sigma: float
 
     def sample_ns(self, generator: np.random.Generator) -> int:
-        drawn_s = self._median_s * math.exp(self._sigma * generator.standard_normal())
-        return seconds_to_ns(min(drawn_s, MOST_S))
+        return seconds_to_ns(min(self.median_s * math.exp(self.sigma * generator.standard_normal()), MOST_S))
 
 
-class Measured:
+class Measured(ThinkingTime):
     """The time that the agent really takes, by the machine's monotonic clock. A flight with it does not repeat.
 
     `save` keeps what was measured as a calibration file, whose name as `latency_s` replays it as a distribution.
@@ -88,12 +81,8 @@ class Measured:
 
     def sample_ns(self, generator: np.random.Generator) -> int:
         assert self._since_ns is not None
-        self.add_ns(self._clock.now_ns() - self._since_ns)
+        self.taken_ns.append(self._clock.now_ns() - self._since_ns)
         return self.taken_ns[-1]
-
-    def add_ns(self, taken_ns: int) -> None:
-        """Record a thinking time."""
-        self.taken_ns.append(taken_ns)
 
     def save(self, path: str | Path, name: str = "measured thinking times") -> Path:
         """Write the quantiles of all times so far as a calibration file. Raises UserError before the first action."""
@@ -113,10 +102,13 @@ def samples(times_s: Iterable[float]) -> ThinkingTime:
     Raises UserError for anything else than numbers of seconds that a thinking time may take.
     """
     found = list(times_s) if isinstance(times_s, Iterable) else []
-    taken = [seconds for each in found if (seconds := real(each)) is not None]
+    taken = [seconds for one in found if (seconds := real(one)) is not None]
     if not taken or len(taken) < len(found):
         raise UserError(f"latency_s: a sample is a list of seconds, not {times_s!r}")
-    return _Listed([_checked(seconds) for seconds in taken])
+    for seconds in taken:
+        if not 0 <= seconds <= MOST_S:
+            raise UserError(f"latency_s: must be 0 to {MOST_S:g} seconds, not {seconds:g}")
+    return _Listed([seconds_to_ns(seconds) for seconds in taken])
 
 
 def lognormal(median_s: float, p99_s: float) -> ThinkingTime:
@@ -138,11 +130,12 @@ def calibrated(path: str | Path) -> ThinkingTime:
     `image` on the way back, or "call" where the file has neither. Raises UserError that names the file and the key.
     """
     model = read_latency(Path(path))
-
-    def table_s(tables: dict[str, Numbers], channel: str) -> list[float]:
-        return [model.scale * each / 1e6 for each in tables.get(channel, tables[DEFAULT])]
-
-    return _Quantiles(model.quantiles, table_s(model.request_us, "move"), table_s(model.reply_us, "image"))
+    tables_us = (
+        tables.get(channel, tables[DEFAULT])
+        for tables, channel in ((model.request_us, "move"), (model.reply_us, "image"))
+    )
+    scaled_s = [[model.scale * us / 1e6 for us in table] for table in tables_us]
+    return _Quantiles(model.quantiles, [np.asarray(table) * NS_PER_S for table in scaled_s if any(table)])
 
 
 def thinking_time(latency_s: object) -> ThinkingTime:
@@ -151,23 +144,15 @@ def thinking_time(latency_s: object) -> ThinkingTime:
     Raises UserError, one line, for anything else.
     """
     if (seconds := real(latency_s)) is not None:
-        return _Listed([_checked(seconds)])
+        return samples([seconds])
     if isinstance(latency_s, str | Path):
         return Measured() if latency_s == MEASURED else calibrated(latency_s)
     if isinstance(latency_s, Sequence | np.ndarray):
         return samples(latency_s)
     if hasattr(latency_s, "sample_ns") and hasattr(latency_s, "observed"):
         return latency_s
-    raise UserError(f"latency_s: {_MEANT}, not {latency_s!r}")
-
-
-_MEANT = 'must be seconds, a list of them, a calibration file, "measured", or a ThinkingTime'
-
-
-def _checked(seconds: float) -> float:
-    if not 0 <= seconds <= MOST_S:
-        raise UserError(f"latency_s: must be 0 to {MOST_S:g} seconds, not {seconds:g}")
-    return seconds
+    meant = 'must be seconds, a list of them, a calibration file, "measured", or a ThinkingTime'
+    raise UserError(f"latency_s: {meant}, not {latency_s!r}")
 
 
 def sampled_ns(source: ThinkingTime, generator: np.random.Generator) -> int:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Unpack
 
 import gymnasium
 import numpy as np
 from gymnasium.utils import RecordConstructorArgs
 
 from uavaccel.errors import UserError
-from uavaccel.realtime.control_loop import Command, ControlLoop, Extras, LoopOptions, Meanwhile
+from uavaccel.realtime.control_loop import Command, ControlLoop, Extras, Keys, LoopOptions
 from uavaccel.realtime.plant import HasWallClock, plant_of, refuse_real_time_in
 from uavaccel.realtime.thinking import sampled_ns, thinking_time
 from uavaccel.units import NS_PER_S
@@ -25,17 +25,15 @@ class RealTime(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
     draw from, the name of a calibration file, "measured" (the time that the agent really takes; the one source that
     does not repeat), or any `ThinkingTime`. Under `command="adsc"` the environment goes on meanwhile, at `clock_speed`
     simulated seconds per second; under "tcsc" it is paused, as the paper's command makes it. See `LoopOptions` for
-    `meanwhile`, `default_action`, `chunk`, `execute` and `overlap`.
+    the further arguments.
 
     One tick is a physics step of Gymnasium's MuJoCo environments, elsewhere a control period: `period_s`, or what the
     environment says itself (`dt`, `tau`, dm_control's). An action that arrives within a tick waits for its end. A drone
     of this package keeps its own clocks: make it with `timing="virtual"`, the same command and ClockSpeed.
 
-    `observe_age` and `observe_actions` append to the observation, which is flat then, how old the last one was when
-    its action was applied, in simulated seconds, and the latest actions. Rewards are summed over all that passed since
-    the last observation. Infos gain `thinking_s` (wall time), `meanwhile_s` (simulated), and `wall_s` and
-    `simulated_s` of the episode.
-    A wrapper inside counts ticks, not decisions: put episode statistics outside.
+    Rewards are summed over all that passed since the last observation. Infos gain `thinking_s` (wall time),
+    `meanwhile_s` (simulated), and `wall_s` and `simulated_s` of the episode. A wrapper inside counts ticks, not
+    decisions: put episode statistics outside.
 
     Raises UserError for arguments that do not fit, for an environment that is in real time already, and, in a step,
     where that has not the length that the environment says.
@@ -49,30 +47,21 @@ class RealTime(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         latency_s: object = 0.05,
         command: Command = "adsc",
         clock_speed: float = 1.0,
-        *,
-        meanwhile: Meanwhile = "hold",
-        default_action: Any = None,
-        chunk: int = 1,
-        execute: int | None = None,
-        overlap: bool = False,
-        period_s: float | None = None,
-        observe_age: bool = False,
-        observe_actions: int = 0,
+        **keys: Unpack[Keys],
     ) -> None:
-        given = {key: value for key, value in locals().items() if key not in ("self", "env", "__class__")}
+        given: dict[str, Any] = {"latency_s": latency_s, "command": command, "clock_speed": clock_speed, **keys}
         RecordConstructorArgs.__init__(self, **given)
         gymnasium.Wrapper.__init__(self, env)
-        options = LoopOptions(command, clock_speed, meanwhile, default_action, chunk, execute, overlap)
+        options = LoopOptions(command, clock_speed, **keys)
         self.thinking = thinking_time(latency_s)
-        self._drone = _drone(env, options, period_s)
+        self._drone = _drone(env, options)
         self._loop = None
         if self._drone is None:
-            self._loop = ControlLoop(plant_of(env, period_s), options, env.action_space)
+            self._loop = ControlLoop(plant_of(env, options.period_s), options, env.action_space)
             self._tick_s = self._loop.plant.tick_ns / NS_PER_S
         self.action_space = options.action_space(env.action_space)
-        self._extras = Extras(env.observation_space, self.action_space, observe_age, observe_actions)
+        self._extras = Extras(env.observation_space, self.action_space, options)
         self.observation_space = self._extras.space
-        self._adds = observe_age or observe_actions > 0
         self._generator = np.random.default_rng()
         self._wall_ns = self._ticks = 0
 
@@ -92,7 +81,7 @@ class RealTime(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Let the thinking time pass, then apply the action; the reward is the sum of both."""
         thinking_ns, loop = sampled_ns(self.thinking, self._generator), self._loop
-        if self._adds:
+        if self._extras.any:
             self._extras.note(action)  # the environment may change it
         if loop is None:
             return self._command(action, thinking_ns)
@@ -101,10 +90,9 @@ class RealTime(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
             thought, ticks = 0, loop.plant.period_ticks
             observation, reward, terminated, truncated, info = loop.step(action)
         else:
-            thought, before = loop.ticks_within(thinking_ns), None
-            if thought:
-                before = loop.advance(thought)
-            if before is None or not (before.terminated or before.truncated):
+            thought = loop.ticks_within(thinking_ns)
+            before = loop.advance(thought) if thought else None
+            if before is None or not before.over:
                 before = loop.act(action, loop.act_ticks(thought), before)
             observation, reward, terminated, truncated, info, ticks = before
         self._ticks += ticks
@@ -112,7 +100,7 @@ class RealTime(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         age_s = min(thought, ticks) * self._tick_s if thought else 0.0
         info["thinking_s"], info["meanwhile_s"] = thinking_ns / NS_PER_S, age_s
         info["wall_s"], info["simulated_s"] = self._wall_ns / NS_PER_S, self._ticks * self._tick_s
-        if self._adds:
+        if self._extras.any:
             observation = self._extras.added(observation, age_s)
         self.thinking.observed()
         return observation, float(reward), terminated, truncated, info
@@ -129,7 +117,7 @@ class RealTime(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         return observation, float(reward), terminated, truncated, info
 
 
-def _drone(env: gymnasium.Env[Any, Any], options: LoopOptions, period_s: float | None) -> HasWallClock | None:
+def _drone(env: gymnasium.Env[Any, Any], options: LoopOptions) -> HasWallClock | None:
     """Return the environment that keeps its own clocks, if it is one. Raises UserError where these differ from ours."""
     inside = env.unwrapped
     if not isinstance(inside, HasWallClock):
@@ -139,18 +127,10 @@ def _drone(env: gymnasium.Env[Any, Any], options: LoopOptions, period_s: float |
     if task.timing != "virtual":
         raise UserError(f"{name}: timing = {task.timing}: make it with timing='virtual' to fly it in real time")
     for key in ("command", "clock_speed"):
-        if getattr(task, key) != getattr(options, key):
-            here, there = getattr(options, key), getattr(task, key)
+        if (there := getattr(task, key)) != (here := getattr(options, key)):
             raise UserError(f"{key}: {here!r} here, but {there!r} in {name}; give both the same")
-    given = {
-        "meanwhile": options.meanwhile != "hold",
-        "default_action": options.default_action is not None,
-        "chunk": options.chunk != 1,
-        "overlap": options.overlap,
-        "period_s": period_s is not None,
-    }
-    for key in (key for key, is_given in given.items() if is_given):
-        raise UserError(
-            f"{key}: leave it out: {name}'s own task says how long a step is, and it holds its position meanwhile"
-        )
+    for key in ("meanwhile", "default_action", "chunk", "overlap", "period_s"):
+        if (value := getattr(options, key)) is not None and value != getattr(LoopOptions, key):
+            why = f"{name}'s own task says how long a step is, and it holds its position meanwhile"
+            raise UserError(f"{key}: leave it out: {why}")
     return inside

@@ -2,8 +2,9 @@
 
 A YAML file or a run's folder may come from anybody. So a name means a file of the current project alone: below the
 working directory, or beside the YAML file that the user has named; never what is installed, nor a part of Python. And
-nothing of it runs before its user has told so, by naming the YAML file (`uavaccel run my.yaml`) or by --trust. The file
-is remembered then, by its place and its contents, below $XDG_STATE_HOME/uavaccel/trusted.
+nothing of it runs before its user has told so, by --trust, or by naming the YAML file (`uavaccel run my.yaml`): code
+that this file itself names, not that of --set, nor of another file which either of them names. The module is remembered
+then, by its place and its contents, below $XDG_STATE_HOME/uavaccel/trusted.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from __future__ import annotations
 import hashlib
 import os
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from importlib import import_module
 from pathlib import Path
@@ -20,30 +21,40 @@ from types import ModuleType
 from uavaccel.errors import UserError
 from uavaccel.files import read_bounded, replacing
 
-_trusted_folders: list[Path | None] = []
+_trusted: list[tuple[Path | None, frozenset[str] | None]] = []
+"""What the user has said so far: the folder beside the working directory, and the modules that may run; None: all."""
 _here: dict[Path, str] = {}
 """What was remembered in this process, which may be unable to write it down."""
 
 
 @contextmanager
-def trusting(by_user: bool = True, beside: Path | None = None) -> Iterator[None]:
+def trusting(
+    by_user: bool = True, beside: Path | None = None, modules: Collection[str] | None = None
+) -> Iterator[None]:
     """In the `with` block, code of the project may run, and is remembered, if its user has said so.
 
-    It is also looked up in the folder `beside`, of the YAML file that was named.
+    That is all of it, or `modules` alone. It is also looked up in the folder `beside`, of the YAML file that was named.
     """
     if not by_user:
         yield
         return
-    _trusted_folders.append(beside)
+    _trusted.append((beside, None if modules is None else frozenset(modules)))
     try:
         yield
     finally:
-        _trusted_folders.pop()
+        _trusted.pop()
+
+
+def modules_in(value: object) -> set[str]:
+    """Return the modules that a YAML's values name, as in "module:name"."""
+    if isinstance(value, Mapping | list):
+        return set().union(*map(modules_in, value.values() if isinstance(value, Mapping) else value))
+    return {value.partition(":")[0]} if isinstance(value, str) and ":" in value else set()
 
 
 def trusted_folder() -> Path | None:
     """Return the folder in which code may be beside the working directory; None without one."""
-    return next((folder for folder in reversed(_trusted_folders) if folder is not None), None)
+    return next((folder for folder, _ in reversed(_trusted) if folder is not None), None)
 
 
 def own_module(name: str, where: str, remembered_in: Path | None = None) -> ModuleType:
@@ -53,7 +64,7 @@ def own_module(name: str, where: str, remembered_in: Path | None = None) -> Modu
     """
     folder, files = _found(name, where, remembered_in)
     file, code = files[-1], _digest(files)
-    if _trusted_folders:
+    if any(modules is None or name in modules for _, modules in _trusted):
         _remember(file, code)
     elif _remembered(file) != code:
         changed = "has changed since it was trusted" if _remembered(file) else "is code that nobody has trusted here"
@@ -71,7 +82,8 @@ def own_module(name: str, where: str, remembered_in: Path | None = None) -> Modu
 
 def _found(name: str, where: str, remembered_in: Path | None) -> tuple[Path, list[Path]]:
     """Return the folder in which a module is found, and the files that importing it runs, its own last."""
-    folders = list(dict.fromkeys(each.resolve() for each in (Path.cwd(), *_trusted_folders) if each is not None))
+    beside = (folder for folder, _ in _trusted if folder is not None)
+    folders = list(dict.fromkeys(folder.resolve() for folder in (Path.cwd(), *beside)))
     for folder in folders:
         if files := _files(folder, name):
             return folder, files

@@ -16,7 +16,7 @@ from pydantic import BaseModel
 
 from uavaccel.calibration.machine import check_machine
 from uavaccel.clock import calendar_time
-from uavaccel.config import apply_overrides, parse_override
+from uavaccel.config import apply_overrides, load_yaml, parse_override
 from uavaccel.errors import Interrupted, UsageError, UserError, mistake_of
 from uavaccel.files import Plain, check_new_folder
 from uavaccel.limits import MOST_GAMES
@@ -26,7 +26,7 @@ from uavaccel.records import RunDirectory
 from uavaccel.suites.engines import LOKY, check_engine
 from uavaccel.suites.experiment import Experiment, is_file, merged, read_mapping, timing_of
 from uavaccel.suites.keys import KEYS
-from uavaccel.suites.own_code import trusting
+from uavaccel.suites.own_code import modules_in, trusting
 from uavaccel.suites.registry import find_suite, suite_of
 from uavaccel.suites.runner import check_cases, check_jobs, start_run
 from uavaccel.suites.suite import AnySuite, Case, configuration
@@ -51,14 +51,14 @@ class RunRequest:
     watch: bool = False
     """Whether a page in the browser shows the flights."""
     trust: bool = False
-    """Whether code that a resumed run names may run; that of an experiment which is named here may."""
+    """Whether all own code may run, not only what the experiment's YAML file names."""
 
     def trusting(self) -> AbstractContextManager[None]:
-        """Return the context in which own code runs as far as it was asked for."""
-        file = self.experiment if self.experiment is not None and is_file(self.experiment) else None
-        return trusting(
-            self.trust or self.experiment is not None, None if file is None else Path(file).resolve().parent
-        )
+        """Return the context in which own code runs as far as it was asked for. Raises UserError for a broken YAML."""
+        if self.experiment is None or not is_file(self.experiment):
+            return trusting(self.trust)
+        modules = None if self.trust else modules_in(load_yaml(self.experiment))
+        return trusting(beside=Path(self.experiment).resolve().parent, modules=modules)
 
 
 def configure(request: RunRequest) -> tuple[AnySuite, Any]:
