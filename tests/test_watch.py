@@ -6,9 +6,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import partial
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -17,18 +15,7 @@ import pytest
 from tests.opengl import needs_opengl
 from uavaccel.commands import COMMANDS, VelocityGoal
 from uavaccel.commands.paths import velocities
-from uavaccel.sim.camera.view import HEIGHT, WIDTH
-from uavaccel.sim.profile import PROFILES
-from uavaccel.sim.world import World
-from uavaccel.watch import figure, pictures, trail
-from uavaccel.watch.drone import Drone
-from uavaccel.watch.figure import COMMANDED, THINKING, Figure
-from uavaccel.watch.pictures import Eyes
-from uavaccel.watch.playhead import Playhead
-from uavaccel.watch.scene import Geom, ground_below
-from uavaccel.watch.square import T_MOVE_S, fly_side_by_side
-from uavaccel.watch.track import Track, track_of
-from uavaccel.watch.trail import Trail
+from uavaccel.watch.replay import T_MOVE_S, Track, fly_side_by_side
 
 CHROMIUM = Path("/usr/bin/chromium")
 FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-sync"]
@@ -67,8 +54,8 @@ def test_only_the_clock_of_tcsc_stands_while_the_client_thinks(both: list[Track]
         assert adsc.simulated_s(wall_s + 0.011) - adsc.simulated_s(wall_s + 0.001) == pytest.approx(0.5)
     for wall_s in (float(wall) for wall in tcsc.marks[1:-1:2, 0]):
         assert tcsc.simulated_s(wall_s + 0.011) == tcsc.simulated_s(wall_s + 0.001)
-    assert not tcsc.between_commands(tcsc.time_s[:-1]).any()
-    assert adsc.between_commands(adsc.time_s).sum() >= 3 * 0.6 / 0.05
+    assert all(tcsc.command(time_s) is not None for time_s in tcsc.time_s[:-1].tolist())
+    assert sum(adsc.command(time_s) is None for time_s in adsc.time_s.tolist()) >= 3 * 0.6 / 0.05
     for track in both:
         assert (np.diff(track.marks, axis=0) >= 0.0).all()  # neither clock runs backwards
         issued_s, returned_s = track.marks[::2, 0], track.marks[1::2, 0]
@@ -87,132 +74,8 @@ def test_looking_on_changes_no_flight(both: list[Track]) -> None:
             client.transport.clock.charge(12_000_000 if number else 0)
             list(COMMANDS["adsc"].fly(client, VelocityGoal(velocity), T_MOVE_S, T_MOVE_S))
         alone = client.recording().arrays()
-    assert alone["position_m"].tobytes() == both[0].position_m.tobytes()
-    assert alone["orientation_wxyz"].tobytes() == both[0].orientation_wxyz.tobytes()
-
-
-def test_a_pose_between_samples_is_between_them() -> None:
-    turned = [np.sqrt(0.5), 0.0, 0.0, -np.sqrt(0.5)]  # a quarter turn, by the farther of its two quaternions
-    arrays = {
-        "time_s": np.array([0.0, 1.0]),
-        "position_m": np.array([[0.0, 0.0, -10.0], [2.0, 0.0, -10.0]]),
-        "orientation_wxyz": np.array([[1.0, 0.0, 0.0, 0.0], [-value for value in turned]]),
-        "command_start_s": np.array([0.25]),
-        "command_end_s": np.array([0.75]),
-    }
-    track = track_of("TCSC", 10.0, arrays)
-    place, attitude = track.pose(0.5)
-    np.testing.assert_allclose(place, [1.0, 0.0, -10.0])
-    np.testing.assert_allclose(attitude, [np.cos(np.pi / 8), 0.0, 0.0, -np.sin(np.pi / 8)], atol=1e-12)
-    assert [track.command(time_s) for time_s in (0.0, 0.25, 0.75)] == [None, 0, None]
-    assert track.simulated_s(0.05) == pytest.approx(0.5)
-
-
-def test_the_playhead_pauses_steps_and_begins_anew() -> None:
-    head = Playhead(end_s=0.2, slowness=50.0, step_s=0.001)
-    head.pass_time(5.0)
-    assert head.at_s == pytest.approx(0.1)
-    head.step()
-    head.pass_time(5.0)
-    assert head.at_s == pytest.approx(0.101)
-    assert not head.playing
-    head.toggle()
-    head.pass_time(60.0)
-    assert (head.at_s, head.playing) == (0.2, False)
-    head.toggle()
-    assert (head.at_s, head.playing) == (0.0, True)
-    head.step()
-    head.replay()
-    assert (head.at_s, head.playing) == (0.0, True)
-    for at_s, there_s in ((-0.1, 0.0), (0.15, 0.15), (0.3, 0.2)):
-        head.seek(at_s)
-        assert (head.at_s, head.playing) == (there_s, True)
-
-
-def test_a_game_without_marks_took_its_simulated_time_over_its_clock_speed() -> None:
-    track = track_of("ADSC", 10.0, {**dict.fromkeys(drone_arrays(), np.zeros(1)), "time_s": np.array([1.0, 5.0])})
-    assert track.wall_s == 0.4
-    assert [track.simulated_s(wall_s) for wall_s in (0.0, 0.1, 9.0)] == [1.0, 2.0, 5.0]
-
-
-def drone_arrays() -> dict[str, np.ndarray]:
-    """Four samples a second apart: a command northwards, a second without one, and another one eastwards."""
-    return {
-        "time_s": np.arange(4.0),
-        "position_m": np.array([[0.0, 0.0, -10.0], [1.0, 0.0, -10.0], [2.0, 0.0, -10.0], [2.0, 1.0, -10.0]]),
-        "orientation_wxyz": np.tile([np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)], (4, 1)),
-        "command_start_s": np.array([0.0, 2.0]),
-        "command_end_s": np.array([1.0, 3.0]),
-    }
-
-
-def test_the_page_shows_a_drone_its_path_its_command_and_what_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
-    """MuJoCo's frame is north, west, up. Of 0.2 s in which the client thinks the clock is paused in the first half."""
-    made: dict[str, Any] = {}
-
-    def add(name: str, *arguments: Any, **options: Any) -> Any:
-        made[name] = SimpleNamespace(name=name, arguments=arguments)
-        return made[name]
-
-    adding = ("add_frame", "add_label", "add_arrows", "add_line_segments", "add_cylinder")
-    scene = SimpleNamespace(**dict.fromkeys(adding, add))
-    monkeypatch.setattr(figure, "show_drone", lambda *_: None)
-    monkeypatch.setattr(figure, "ground_below", lambda model, data, place, body: 1.5)
-    marks = np.array([[0.0, 0.0], [0.1, 1.0], [0.2, 1.0], [0.3, 2.0], [0.4, 3.0]])
-    track = track_of("TCSC", 10.0, drone_arrays(), [(2.0, 0.0, 0.0), (0.0, 2.0, 0.0)], marks)
-    assert track.between_commands(np.array([0.0, 0.5, 1.0, 2.0])).tolist() == [False, False, True, False]
-    server: Any = SimpleNamespace(scene=scene)
-    body = Figure(server, "TCSC", *[None] * 3)  # type: ignore[arg-type]
-    shown = Drone(server, track, body, np.array([0.0, 3.0, 0.0]), ideal_m=np.zeros((3, 3)))
-    said = {}
-    for wall_s in (0.05, 0.15, 0.25, 0.35, 0.4):
-        shown.show(wall_s)
-        arrow = made["/TCSC command"]
-        said[wall_s] = made["/TCSC/name"].text, arrow.points.round(9).tolist() if arrow.visible else None
-    assert said == {
-        0.05: ("TCSC: flies its command", [[[0.5, -3.0, 10.0], [1.2, -3.0, 10.0]]]),
-        0.15: ("TCSC: client thinks, clock paused", None),
-        0.25: ("TCSC: client thinks, drone flies on", None),
-        0.35: ("TCSC: flies its command", [[[2.0, -3.5, 10.0], [2.0, -4.2, 10.0]]]),
-        0.4: ("TCSC: done", None),
-    }
-    line = made["/TCSC path"]
-    assert line.colors[:, 0].tolist() == [[*COMMANDED], [*THINKING], [*COMMANDED]]
-    assert line.points.tolist() == [[[0, -3, 10], [1, -3, 10]], [[1, -3, 10], [2, -3, 10]], [[2, -3, 10], [2, -4, 10]]]
-    assert shown.height_m == 8.5
-    foot = [2.0, -4.0, 1.5 + figure.LIFT_M]
-    assert made["/TCSC shadow"].position.tolist() == foot
-    np.testing.assert_allclose(made["/TCSC plumb line"].points, [[[2.0, -4.0, 10.0], foot]], rtol=1e-6)
-    np.testing.assert_allclose(made["/TCSC"].wxyz, [np.sqrt(0.5), 0.0, 0.0, -np.sqrt(0.5)])
-    for ground_m, lines in ((9.84, (True, True)), (9.86, (True, False)), (None, (False, False))):
-        monkeypatch.setattr(figure, "ground_below", lambda *_, ground_m=ground_m: ground_m)
-        shown.show(0.4)
-        assert (made["/TCSC shadow"].visible, made["/TCSC plumb line"].visible) == lines  # none where it stands
-        assert shown.height_m == (None if ground_m is None else pytest.approx(10.0 - ground_m))
-    shown.show(0.05)  # half of the first second again
-    assert line.points.tolist() == [[[0.0, -3.0, 10.0], [0.5, -3.0, 10.0]]]
-    assert made["/TCSC ideal"].arguments[0].tolist() == [[[0, -3, 0]] * 2] * 2
-
-
-def test_events_are_of_what_passed_since_the_last_look_and_begin_anew_after_a_jump(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    frame = np.zeros((HEIGHT, WIDTH, 3), np.uint8)
-    camera = SimpleNamespace(colour=lambda _: frame)
-    data = SimpleNamespace(qpos=np.zeros(9))
-    eyes = Eyes(camera, data, slice(1, 8))  # type: ignore[arg-type]
-    stepped: list[float] = []
-
-    def step(sensor: Any, state: Any, image: Any, time_s: float) -> Any:
-        stepped.append(time_s)
-        return state, np.zeros((HEIGHT, WIDTH), int), np.zeros((HEIGHT, WIDTH), int)
-
-    monkeypatch.setattr(pictures, "step", step)
-    for time_s in (5.0, 5.0, 5.1, 5.2, 9.0, 9.125, 2.0, 2.25):
-        picture = eyes.render(np.array([1.0, 2.0, 3.0]), np.array([0.5, 0.5, -0.5, -0.5]), time_s)
-    assert stepped == pytest.approx([0.1, 0.2, 0.125])  # since it began: not after standing, nor after jumps
-    assert picture.shape == (2 * HEIGHT, WIDTH, 3)
-    assert data.qpos.tolist() == [0.0, 1.0, 2.0, 3.0, 0.5, 0.5, -0.5, -0.5, 0.0]
+    assert alone["position_m"].tobytes() == both[0].flight.position_m.tobytes()
+    assert alone["orientation_wxyz"].tobytes() == both[0].flight.orientation_wxyz.tobytes()
 
 
 def test_the_faster_the_clock_the_farther_adsc_leaves_the_path_of_tcsc(both: list[Track]) -> None:
@@ -222,50 +85,8 @@ def test_the_faster_the_clock_the_farther_adsc_leaves_the_path_of_tcsc(both: lis
     assert apart_m[0] < 0.05
     assert apart_m[1] > 0.3
     adsc, tcsc = both
-    nearest = [min(np.linalg.norm(tcsc.position_m - place, axis=1)) for place in adsc.position_m]
+    nearest = [min(np.linalg.norm(tcsc.flight.position_m - place, axis=1)) for place in adsc.flight.position_m]
     assert adsc.farthest_from(tcsc) == pytest.approx(max(nearest))
-
-
-def test_heights_are_over_what_is_below() -> None:
-    world = World("blocks", PROFILES["native"])
-    boxes = [geom for geom in range(world.model.ngeom) if world.model.geom_type[geom] == Geom.mjGEOM_BOX]
-    solid = next(geom for geom in boxes if world.model.geom_bodyid[geom] == 0)
-    x, y, z = world.data.geom_xpos[solid].tolist()
-    top = z + float(world.model.geom_size[solid][2])
-    below = partial(ground_below, world.model, world.data, body=world.lead.body_id)
-    assert below(place=np.array([x, y, 50.0])) == pytest.approx(top)
-    assert below(place=np.array([0.0, 0.0, 10.0])) == pytest.approx(0.0)  # its own body is at 10 m
-    assert below(place=np.array([0.0, 0.0, -1.0])) is None
-
-
-def test_a_trail_sends_its_last_block_and_forgets_its_oldest(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(trail, "BLOCK", 2)
-    monkeypatch.setattr(trail, "MOST_BLOCKS", 2)
-    there: dict[str, Any] = {}
-
-    def add(name: str, *arguments: Any, **options: Any) -> Any:
-        there[name] = SimpleNamespace(remove=lambda: there.pop(name))
-        return there[name]
-
-    server: Any = SimpleNamespace(scene=SimpleNamespace(add_line_segments=add))
-    way = Trail(server, "a")
-    for step, commanded in enumerate([True, True, True, False, False, False]):
-        way.add(np.array([step, 0.0, 0.0]), commanded)
-    way.add(np.array([5.0, 0.0, 0.0]), commanded=False)  # it stands
-    way.draw()
-    assert list(there) == ["/a path 2", "/a path 3"]
-    assert [there["/a path 2"].points[:, :, 0].tolist(), there["/a path 3"].points[:, :, 0].tolist()] == [
-        [[2, 3], [3, 4]],
-        [[4, 5]],
-    ]
-    assert there["/a path 2"].colors[:, 0].tolist() == [[*THINKING], [*THINKING]]
-    way.clear()
-    assert not there
-    for north in (9.0, 10.0):
-        way.add(np.array([north, 0.0, 0.0]), commanded=True)
-    way.draw()
-    [begun] = there.values()
-    assert begun.points[:, :, 0].tolist() == [[9, 10]]  # not from where it was
 
 
 @contextmanager

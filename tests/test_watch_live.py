@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import os
 import signal
-import socket
 import subprocess
 import sys
 import threading
@@ -33,12 +32,12 @@ from uavaccel.suites.session import RunRequest
 from uavaccel.suites.train import Training
 from uavaccel.watch import beside
 from uavaccel.watch.beside import PageAddress, page_beside
-from uavaccel.watch.feed import Feed, Source
+from uavaccel.watch.page import Moment
+from uavaccel.watch.sources import Live, Told
 from uavaccel.wire.broadcast import REFRESH_NS, heading
-from uavaccel.wire.page_protocol import FREE, PAGE, Orders
+from uavaccel.wire.page_protocol import FREE, PAGE
 from uavaccel.wire.session import open_session
 
-HELD: Orders = {"seen": True, "held": True, "pace": 1.0, "refreshes": 0}
 POLL_S = 16 * 0.002  # 16 ticks, the whole number nearest to REFRESH_NS
 SCRIPT = """
 import airsim
@@ -52,10 +51,10 @@ client.moveByVelocityAsync(0, 2, -1, 3).join()
 
 
 @pytest.fixture
-def feed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Feed]:
+def feed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Live]:
     """The page's ear, to which every simulation of this process speaks."""
     path = tmp_path / "page"
-    listening = Feed(path)
+    listening = Live(path)
     monkeypatch.setenv(PAGE, str(path))
     yield listening
     listening.close()
@@ -72,64 +71,58 @@ def flown(timing: str = "lockstep") -> dict[str, np.ndarray]:
 
 
 class Flight:
-    """A flight in a thread, and what the page has heard of it."""
+    """A flight in a thread, held from its first refresh on, and what the page has heard of it."""
 
-    def __init__(self, feed: Feed, first: Orders) -> None:
+    def __init__(self, feed: Live) -> None:
         self.feed, self.arrays = feed, dict[str, np.ndarray]()
+        feed.held = True
         self._thread = threading.Thread(target=lambda: self.arrays.update(flown()))
         self._thread.start()
-        while not feed.sources:
-            feed.listen(0.0)
-        self.source: Source = feed.sources[0]
-        self.source.order(first)
+        while not feed.worlds:
+            feed.update(0.0, seen=True)
+        self.world: Told = feed.worlds[0]
+        self.last: Moment | None = None
 
     def heard(self, seconds: float = 0.3) -> list[float]:
-        """The simulated times of the looks that come until `seconds` pass without one, or the flight has ended."""
+        """The simulated times of the moments that come until `seconds` pass without one, or the flight has ended."""
         times: list[float] = []
         silent = threading.Event()
         left = round(seconds / 0.02)
         while left and not silent.wait(0.02):
-            self.feed.listen(0.02)
-            times += [moment.time_s for moment in self.source.moments]
-            left = round(seconds / 0.02) if self.source.moments else left - 1
+            moments = self.feed.update(0.02, seen=True)
+            times += [moment.time_s[0] for moment in moments]
+            self.last = moments[-1] if moments else self.last
+            left = round(seconds / 0.02) if moments else left - 1
         return times
 
     def end(self) -> dict[str, np.ndarray]:
-        self.source.order(FREE)
+        self.world.order(FREE)
         self._thread.join()
         return self.arrays
 
 
-def test_a_held_flight_stands_steps_and_goes_on_to_the_same_bytes(feed: Feed) -> None:
+def test_a_held_flight_stands_steps_and_goes_on_to_the_same_bytes(feed: Live) -> None:
+    """And tells clocks, pose and command."""
     assert round(REFRESH_NS / 2_000_000) * 0.002 == POLL_S
-    flight = Flight(feed, HELD)
+    flight = Flight(feed)
     assert flight.heard() == [POLL_S]
     assert flight.heard() == []
-    flight.source.let_pass(3)
-    assert flight.heard()[-1] == pytest.approx(4 * POLL_S)
-    arrays = flight.end()
+    for _ in range(40):
+        feed.step()
+    assert flight.heard()[-1] == pytest.approx(41 * POLL_S)
+    arrays, moment = flight.end(), flight.last
+    assert moment is not None
+    row = int(np.searchsorted(arrays["time_s"], moment.time_s[0]))
+    between = arrays["position_m"][row - 1 : row + 1, 0]
+    assert between.min() <= moment.poses[0, 0] <= between.max()
+    assert (moment.may_pause, moment.clock_speed, moment.wall) == (True, 10.0, f"{4.1 * POLL_S:.3f} s, simulated")
+    assert (moment.commanded, moment.towards) == ([True], [(2.0, 0.0, 0.0)])
+    assert flight.world.scene is not None
+    assert list(flight.world.scene.bodies) == ["SimpleFlight"]
     alone = flown()
     assert {name: array.tobytes() for name, array in arrays.items()} == {
         name: array.tobytes() for name, array in alone.items()
     }
-
-
-def test_a_look_tells_clocks_pose_and_command(feed: Feed) -> None:
-    flight = Flight(feed, {**HELD, "pace": None, "refreshes": 40})
-    flight.heard()
-    flight.source.let_pass(1)
-    while not flight.source.moments:
-        flight.feed.listen(0.0)
-    moment = flight.source.moments[-1]
-    arrays = flight.end()
-    row = int(np.searchsorted(arrays["time_s"], moment.time_s))
-    between = arrays["position_m"][row - 1 : row + 1, 0]
-    assert between.min() <= moment.poses[0, 0] <= between.max()
-    assert (moment.may_pause, moment.clock_speed) == (True, 10.0)
-    assert moment.wall_s == pytest.approx(moment.time_s / 10.0)
-    assert (moment.commanded, moment.towards) == ((True,), ((2.0, 0.0, 0.0),))
-    assert flight.source.scene is not None
-    assert list(flight.source.scene.bodies) == ["SimpleFlight"]
 
 
 @pytest.mark.parametrize(
@@ -153,14 +146,14 @@ def test_a_command_leads_by_its_velocity_or_to_its_place(
     assert heading(api.simulation.world.lead) == (None if towards is None else pytest.approx(towards))
 
 
-def test_a_flight_goes_on_when_the_page_has_gone(feed: Feed) -> None:
-    flight = Flight(feed, HELD)
+def test_a_flight_goes_on_when_the_page_has_gone(feed: Live) -> None:
+    flight = Flight(feed)
     flight.heard()
     feed.close()
     assert len(flight.end()["time_s"]) > 80
 
 
-def test_a_lanes_obstacles_and_a_further_game_are_told(feed: Feed) -> None:
+def test_a_lanes_obstacles_and_a_further_game_are_told(feed: Live) -> None:
     keys: dict[str, Any] = {"observation": "state", "timing": "lockstep"}
     shown = threading.Event()
 
@@ -177,13 +170,11 @@ def test_a_lanes_obstacles_and_a_further_game_are_told(feed: Feed) -> None:
     flights: set[Any] = set()
     scenes: list[Any] = []
     while thread.is_alive() or len(flights) < 2:  # the last moments may come after the flights' end
-        feed.listen(0.0)
-        for source in feed.sources:
-            source.order({**HELD, "held": False, "pace": 20.0})
-            flights |= {moment.flight for moment in source.moments}
-            if source.scene is not None and source.scene not in scenes:
-                scenes.append(source.scene)
-                shown.set()
+        feed.pace = 20.0
+        flights |= {moment.flight for moment in feed.update(0.0, seen=True)}
+        if feed.scene is not None and feed.scene not in scenes:
+            scenes.append(feed.scene)
+            shown.set()
     thread.join()
     assert len(flights) == 2
     places = {scene.data.geom_xpos.tobytes() for scene in scenes}
@@ -191,71 +182,31 @@ def test_a_lanes_obstacles_and_a_further_game_are_told(feed: Feed) -> None:
 
 
 @pytest.mark.wall_clock
-def test_a_server_on_the_machines_clock_is_heard_and_cannot_be_held(feed: Feed) -> None:
+def test_a_server_on_the_machines_clock_is_heard_and_cannot_be_held(feed: Live) -> None:
     thread = threading.Thread(target=lambda: flown(timing="wall"))
     thread.start()
-    heard = []
+    heard: list[Moment] = []
+    feed.held = True
     while thread.is_alive():
-        feed.listen(0.0)
-        for source in feed.sources:
-            source.order(HELD)
-            heard += source.moments
+        heard += feed.update(0.0, seen=True)
     thread.join()
     assert heard
     assert not any(moment.may_pause for moment in heard)
-    assert max(moment.time_s for moment in heard) > 2.0
+    assert max(moment.time_s[0] for moment in heard) > 2.0
 
 
 @pytest.mark.slow
-def test_a_trainings_lanes_are_heard_from_their_processes(feed: Feed, tmp_path: Path) -> None:
+def test_a_trainings_lanes_are_heard_from_their_processes(feed: Live, tmp_path: Path) -> None:
     config = tiny_config({"observation": "state"}, environments=2, mirror=False)
     thread = threading.Thread(target=lambda: fly_into(tmp_path / "run", Training(), config))
     thread.start()
     speaking = set()
     while thread.is_alive():
-        feed.listen(0.05)
-        speaking |= {id(source) for source in feed.sources if source.moments}
+        feed.update(0.05, seen=False)
+        speaking |= {id(world) for world in feed.worlds if world.moments}
     thread.join()
     assert len(speaking) >= 2
     assert len(RunDirectory(tmp_path / "run").rows()) == config.games
-
-
-class Speaker:
-    """A flight of which only its socket exists."""
-
-    def __init__(self, path: Path) -> None:
-        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        self._socket.connect(str(path))
-
-    def end(self) -> None:
-        self._socket.close()
-
-
-def test_the_first_flight_is_shown_until_it_is_silent_or_has_ended(tmp_path: Path) -> None:
-    with contextlib.closing(Feed(tmp_path / "page", patience_s=1.0)) as feed:
-        speakers = [Speaker(tmp_path / "page") for _ in range(2)]
-        feed.listen(0.1)
-        feed.listen(0.1)
-        first, second = feed.sources
-
-        def speak(*sources: Source) -> None:
-            for source in (first, second):
-                source.moments = [object()] if source in sources else []  # type: ignore[list-item]
-
-        for spoke, shown in (([first, second], first), ([second], first), ([second], first)):
-            speak(*spoke)
-            feed.choose(0.4)
-            assert feed.shown is shown
-        feed.forgive()  # it was held
-        for shown in (first, first, second):
-            speak(second)
-            feed.choose(0.4)
-            assert feed.shown is shown
-        speakers[1].end()
-        feed.listen(0.1)
-        assert feed.sources == [first]
-        assert feed.shown is None
-        speakers[0].end()
 
 
 @pytest.mark.slow

@@ -50,14 +50,13 @@ def lanes(tmp_path_factory: pytest.TempPathFactory) -> RunDirectory:
 
 
 def test_a_scripts_flight_has_both_clocks_and_its_commands(script: Path) -> None:
-    replay = recorded(script)
-    track, kept = replay.track, read_arrays(script / "trajectory.npz")
-    assert replay.scene == "blocks"
-    assert track.position_m.tobytes() == kept["position_m"].tobytes()
-    assert track.clock_speed == 10.0
-    assert track.velocities == [(2, 0, 0), (0, 2, 0.0)]
-    np.testing.assert_allclose(track.command_end_s[:2] - track.command_start_s[:2], 3.0, atol=0.05)
-    paused_s = float(np.interp(track.command_end_s[0], track.marks[:, 1], track.marks[:, 0]))
+    track, kept = recorded(script), read_arrays(script / "trajectory.npz")
+    assert track.flight.scene == "blocks"
+    assert track.flight.position_m.tobytes() == kept["position_m"].tobytes()
+    assert track.flight.clock_speed == 10.0
+    assert track.flight.commands.velocity_m_s.tolist() == [[2, 0, 0], [0, 2, 0]]
+    np.testing.assert_allclose(track.end_s[:2] - track.start_s[:2], 3.0, atol=0.05)
+    paused_s = float(np.interp(track.end_s[0], track.marks[:, 1], track.marks[:, 0]))
     before, after = (track.simulated_s(paused_s + wall_s) for wall_s in (0.1, 0.9))
     assert after - before < 0.02  # the clock stood while the script slept; 8 s at ClockSpeed 10
     assert track.simulated_s(track.wall_s) == pytest.approx(kept["time_ns"][-1] / 1e9)
@@ -76,7 +75,7 @@ def test_a_script_that_flew_nothing_has_no_path(tmp_path: Path, script: Path) ->
             recorded(tmp_path)
     write_arrays(tmp_path / "trajectory.npz", kept)
     (tmp_path / "messages.jsonl").write_text("")  # a script that only looked on
-    assert recorded(tmp_path).track.velocities == []
+    assert not len(recorded(tmp_path).start_s)
     (tmp_path / "flight.json").write_text("[]")
     with pytest.raises(UserError, match=r"flight.json: is no summary of a flight"):
         recorded(tmp_path)
@@ -87,21 +86,22 @@ def test_a_script_that_flew_nothing_has_no_path(tmp_path: Path, script: Path) ->
 
 def test_an_evaluations_game_is_flown_again_from_its_actions(lanes: RunDirectory) -> None:
     row = lanes.rows()[1]
-    replay = recorded(lanes.path, game=1)
+    track = recorded(lanes.path, game=1)
     config = configured("evaluate", "task.observation=state", agent="straight", games=3)
     environment = ObstacleLane(**config.task.model_dump(mode="json"))
     steps = list(fly_lane(config, environment, make_agent("straight", config.task), 1))
     samples = environment.recording().arrays()
     environment.close()
-    track = replay.track
-    for name in ("time_s", "position_m", "orientation_wxyz", "command_start_s", "command_end_s"):
-        assert getattr(track, name).tobytes() == samples[name].tobytes()
-    assert abs(track.position_m[-1, 0] - steps[-1].info["position_m"][0]) < 0.2
-    assert len(track.velocities) == len(row["actions"])
-    assert replay.lane is not None
+    for name in ("position_m", "orientation_wxyz"):
+        assert getattr(track.flight, name).tobytes() == samples[name].tobytes()
+    for seconds, name in ((track.time_s, "time_s"), (track.start_s, "command_start_s"), (track.end_s, "command_end_s")):
+        assert seconds.tobytes() == samples[name].tobytes()
+    assert abs(track.flight.position_m[-1, 0] - steps[-1].info["position_m"][0]) < 0.2
+    assert len(track.flight.commands.velocity_m_s) == len(row["actions"])
+    assert track.flight.lane is not None
     named = f"Game `{row['case']}` of `{lanes.path}`: lane 1, TCSC at 1x: hit {row['collision']}."
-    assert (replay.scene, replay.title) == ("lane", named)
-    assert recorded(lanes.path, case=row["case"]).track.position_m.tobytes() == samples["position_m"].tobytes()
+    assert (track.flight.scene, track.flight.title) == ("lane", named)
+    assert recorded(lanes.path, case=row["case"]).flight.position_m.tobytes() == samples["position_m"].tobytes()
 
 
 def test_an_evaluation_whose_row_does_not_repeat_is_not_shown(lanes: RunDirectory, tmp_path: Path) -> None:
@@ -138,14 +138,13 @@ def test_a_run_shows_its_fastest_game_unless_one_is_named(tmp_path: Path) -> Non
     for role, clock_speed in (("reference", 100.0), ("game", 1.0), ("game", 50.0)):
         row = line_row(role, "tcsc", clock_speed, 0, 0.0, commands=2)
         run.append_row(row | run.save_arrays(row["case"], arrays))
-    replay = recorded(run.path)
-    track = replay.track
-    assert (track.clock_speed, replay.scene, replay.lane) == (50.0, "blocks", None)
-    assert replay.title == f"Game `tcsc-k50-t1-r1-g00` of `{run.path}`: TCSC at 50x."
+    track = recorded(run.path)
+    assert (track.flight.clock_speed, track.flight.scene, track.flight.lane) == (50.0, "blocks", None)
+    assert track.flight.title == f"Game `tcsc-k50-t1-r1-g00` of `{run.path}`: TCSC at 50x."
     assert track.marks.tolist() == [[0.0, 0.0], [1.5 / 50.0, 1.5]]
-    assert track.velocities == [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0)]
+    assert track.flight.commands.velocity_m_s.tolist() == [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]
     assert [track.command(at) for at in (0.25, 0.6, 1.0, 1.3)] == [0, None, 1, None]
-    assert [recorded(run.path, game=number).track.clock_speed for number in range(3)] == [100.0, 1.0, 50.0]
+    assert [recorded(run.path, game=number).flight.clock_speed for number in range(3)] == [100.0, 1.0, 50.0]
     with pytest.raises(UserError, match=r"--game 3: .* has 3 games, from 0 to 2"):
         recorded(run.path, game=3)
     with pytest.raises(UsageError, match="--case, --game"):

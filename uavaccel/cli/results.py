@@ -50,7 +50,7 @@ def watch(
 ) -> None:
     """Watch a flight in the browser: the drone in its scene, clocks, camera and events; pause, step, replay."""
     from uavaccel.suites.own_code import trusting
-    from uavaccel.watch.show import show
+    from uavaccel.watch.beside import show
 
     check_host(host)
     with trusting(trust):

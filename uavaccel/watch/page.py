@@ -1,189 +1,276 @@
-"""The page of finished flights: they fly in their scene, with clocks and pictures, as the spectator's clicks say."""
+"""The page in the browser: a flight in its scene, its clocks and images, and a player that the spectators control.
+
+It shows what a `Source` tells, be that a recorded flight (`watch.show`) or one that is still flown (`watch.beside`).
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
+import html
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from uavaccel.clock import MonotonicClock
 from uavaccel.errors import UserError
-from uavaccel.sim.lane.layout import LaneLayout
-from uavaccel.sim.profile import PROFILES
-from uavaccel.sim.world import World
-from uavaccel.units import NS_PER_S, ned_to_mujoco, quaternion_ned_to_mujoco
-from uavaccel.watch.clocks import Line, clock_table
-from uavaccel.watch.drone import Drone
-from uavaccel.watch.figure import Figure
-from uavaccel.watch.pictures import BLANK, Eyes, camera_of
-from uavaccel.watch.playhead import Playhead
-from uavaccel.watch.scene import light_up, pose_of, show_surroundings
-from uavaccel.watch.server import PICTURES_EVERY, UPDATES_PER_S, chosen
-from uavaccel.watch.track import Track
-from uavaccel.watch.view import Views
+from uavaccel.kinematics import Vector
+from uavaccel.sim.camera.camera import make_camera
+from uavaccel.sim.camera.view import HEIGHT, WIDTH
+from uavaccel.units import NS_PER_S
+from uavaccel.watch.scene import BLANK, Drone, Eyes, Floats, Scene, light_up, pose_of, show_surroundings
+from uavaccel.watch.server import chosen
 
 if TYPE_CHECKING:
-    from viser import GuiImageHandle, ViserServer
+    from viser import ClientHandle, GuiImageHandle, ViserServer
 
-STEP_S = 0.05  # simulated
-PACES = {"0.25x": 0.25, "0.5x": 0.5, "1x": 1.0, "2x": 2.0, "5x": 5.0}
+UPDATES_PER_S = 30
+PICTURES_EVERY = 3  # updates
+FLAT_OUT = "as fast as it flies"
+PACES = {f"{pace:g}x": pace for pace in (0.25, 0.5, 1.0, 2.0, 5.0, 20.0)}  # and FLAT_OUT
 PACE = "1x"
-CLOCK_SPEEDS = ("1x", "5x", "10x", "50x", "100x")
-APART_M = 4.6
-FARTHEST_M = 10.0  # of a flight that is seen whole; the view goes along with a longer one
-NEAR_M = 3.0
+CLOCK_SPEEDS = (1.0, 5.0, 10.0, 50.0, 100.0)
+WITHOUT_PAUSE = (
+    "Cannot be paused here: this flight is on the machine's clock, and its client would go on. "
+    "`--timing virtual` or `lockstep` can."
+)
+FROM_BEHIND = (-1.15, 0.0, 0.85)  # to the first view, in reaches of the flights; x north, y west, z up
+LOWER = 0.3  # of the distance, by which a phone's view looks below the flights
+FARTHER = 1.5  # on a phone, times the height of the screen over its width
+WORTH_M = 0.02  # a move that the view follows
+NUMBER, WORDS = "text-align:right;white-space:nowrap", "padding-left:0.6em"  # styles of the clocks' cells
+
+
+class Moment(NamedTuple):
+    """A state of n drones that fly at once. `poses` (n, 7) are place in m and wxyz in MuJoCo's frame."""
+
+    flight: object
+    """The paths begin anew where this is another value than before."""
+    may_pause: bool
+    clock_speed: float
+    wall: str
+    """The wall clock, in words."""
+    time_s: Sequence[float]
+    """Simulated, of each drone."""
+    poses: Floats
+    commanded: Sequence[bool]
+    """Of each drone, whether it was flying a command on the way here."""
+    towards: Sequence[Vector | None]
+    """NED, where each drone's command leads; None where that is no direction."""
+    states: Sequence[str]
+    """In words, what each drone does."""
+
+
+class Source(ABC):
+    """A flight, and its player: whether it is held, its pace, and the steps that it is still to make."""
+
+    scene: Scene | None = None
+    held = False
+    pace: float | None = PACES[PACE]
+    """Simulated seconds per second; None for as fast as it flies."""
+    steps = 0
+    step_hint: str
+    note = ""
+    """What is to be said of the flight, below its clocks."""
+    ideal_m: Mapping[str, Floats] = {}
+    """By drones' names, the path (n, 3) that one was to fly, in MuJoCo's frame."""
+    clock_speed: float | None = None
+    """Of a recorded flight; None of one that cannot begin anew."""
+    fly_at: Callable[[float], None] | None = None
+    """Flies it at another ClockSpeed."""
+
+    @abstractmethod
+    def update(self, passed_s: float, seen: bool) -> Sequence[Moment]:
+        """Return the states of the last `passed_s` seconds, of the machine's; `seen` says that somebody looks."""
+
+    def toggle(self) -> None:
+        """Pause, or go on."""
+        self.held = not self.held
+
+    def step(self) -> None:
+        """Pause a step further on."""
+        self.held = True
+        self.steps += 1
+
+    def begin(self) -> None:
+        """Go on, a recorded flight from its beginning."""
+        self.held = False
 
 
 class Page:
-    """Tracks that begin together, shown side by side until `run` is interrupted.
+    """Shows what a source tells until `run` is interrupted; `opened` is called when no other browser shows the page."""
 
-    `fly_at` flies them at another ClockSpeed, which the spectator may then choose.
-    """
-
-    def __init__(
-        self,
-        server: ViserServer,
-        tracks: Sequence[Track],
-        scene: str,
-        title: str,
-        lane: LaneLayout | None = None,
-        fly_at: Callable[[float], Sequence[Track]] | None = None,
-    ) -> None:
-        self._server, self._clock, self._fly_at = server, MonotonicClock(), fly_at
-        world = World(scene, PROFILES["native"])
-        if lane is not None:
-            world.set_lane(lane)
-        self._model, self._data, self._body = world.model, world.data, world.lead.body_id
-        server.scene.set_up_direction("+z")
+    def __init__(self, server: ViserServer, source: Source, title: str, opened: Callable[[], object]) -> None:
+        self._server, self._source, self._clock = server, source, MonotonicClock()
+        self._scene: Scene | None = None
+        self._moment: Moment | None = None
+        self._flight: object = None
+        self._drones: list[Drone] = []
+        self._eyes: dict[str, Eyes] = {}
+        self._images: dict[str, GuiImageHandle] = {}
+        self._updates = 0
+        self._views = Views(server, opened)
         light_up(server)
-        show_surroundings(server, self._model, self._data)
-        self._figures = [Figure(server, track.name, self._model, self._data, self._body) for track in tracks]
-        self.updates = 0
-        self._wanted: float | None = None
-        self.speed = tracks[0].clock_speed
-        self._make_controls(title)
-        self._eyes = self._make_eyes(tracks)
-        self._take(tracks)
-        self._look_at(tracks)
-        self._show()
-
-    def _take(self, tracks: Sequence[Track]) -> None:
-        """Show these tracks, from their beginning."""
-        self.speed = tracks[0].clock_speed
-        end_s = max(track.wall_s for track in tracks)
-        self.playhead = Playhead(end_s, self.speed / PACES[chosen(self._pace, PACES, PACE)], STEP_S / self.speed)
-        middle = (len(tracks) - 1) / 2
-        ideal = tracks[-1]
-        self.drones = [
-            Drone(
-                self._server,
-                track,
-                figure,
-                np.array([0.0, (n - middle) * APART_M, 0.0]),
-                None if track is ideal else ideal.position_m,
-            )
-            for n, (track, figure) in enumerate(zip(tracks, self._figures, strict=True))
-        ]
-        self._note = "; ".join(
-            f"{track.name} leaves the path of {ideal.name} by up to {track.farthest_from(ideal):.2f} m"
-            for track in tracks
-            if track is not ideal
-        )
-
-    def _look_at(self, tracks: Sequence[Track]) -> None:
-        """The first view: all of the flights in it or, of a long one, its beginning, with which the view goes along."""
-        places = np.concatenate([track.position_m for track in tracks])
-        reach_m = float(np.ptp(places, axis=0).max()) / 2
-        self._follows = len(tracks) == 1 and reach_m > FARTHEST_M
-        centre = places[0] if self._follows else (places.min(axis=0) + places.max(axis=0)) / 2
-        aside_m = APART_M * (len(tracks) - 1) / 2
-        self._views = Views(self._server, lambda: self.playhead.replay())  # who comes first has missed nothing
-        reach_m = NEAR_M if self._follows else max(reach_m + aside_m, NEAR_M)
-        self._views.look_at(ned_to_mujoco(centre), reach_m, wide=not self._follows)
-
-    def _make_controls(self, title: str) -> None:
-        gui = self._server.gui
-        self._clocks = gui.add_html("")
+        gui = server.gui
+        self._clocks = gui.add_html(clock_table(source.clock_speed or 1.0, "0.000 s", [], "Waits for a flight."))
         gui.add_markdown(title)
-        if self._fly_at is not None:
-            own = f"{self.speed:g}x"
-            known = sorted({*CLOCK_SPEEDS, own}, key=_speed)
-            speeds = gui.add_dropdown("ClockSpeed", known, initial_value=own)
-            speeds.on_update(lambda _: self._want(_speed(chosen(speeds, known, own))))
+        if (fly_at := source.fly_at) is not None:
+            own = f"{source.clock_speed:g}x"
+            speeds = {f"{speed:g}x": speed for speed in sorted({*CLOCK_SPEEDS, source.clock_speed or 1.0})}
+            menu = gui.add_dropdown("ClockSpeed", list(speeds), initial_value=own)
+            menu.on_update(lambda _: fly_at(speeds[chosen(menu, speeds, own)]))
         self._play = gui.add_button("Pause")
-        self._step = gui.add_button("Step", hint=f"{STEP_S:g} simulated seconds, and pause there")
-        self._replay = gui.add_button("Replay")
-        self._pace = gui.add_dropdown("Shown at", list(PACES), initial_value=PACE, hint="simulated s per second")
-        self._play.on_click(lambda _: self.playhead.toggle())
-        self._step.on_click(lambda _: self.playhead.step())
-        self._replay.on_click(lambda _: self.playhead.replay())
-        self._pace.on_update(lambda _: self._set_pace())
-
-    def _set_pace(self) -> None:
-        self.playhead.slowness = self.speed / PACES[chosen(self._pace, PACES, PACE)]
-
-    def _want(self, clock_speed: float) -> None:
-        self._wanted = clock_speed
-
-    def _make_eyes(self, tracks: Sequence[Track]) -> list[tuple[Eyes, GuiImageHandle]]:
-        """Pictures below the controls; none where nothing can draw."""
-        pose = pose_of(self._model, self._body)
-        try:
-            camera = camera_of(self._model)
-        except UserError as error:
-            self._server.gui.add_markdown(f"No pictures: {error}")
-            return []
-        return [
-            (
-                Eyes(camera, self._data, pose),
-                self._server.gui.add_image(BLANK, label=f"{track.name}: camera, events", format="jpeg"),
-            )
-            for track in tracks
-        ]
+        self._play.on_click(lambda _: source.toggle())
+        self._step = gui.add_button("Step", hint=f"{source.step_hint}, and pause there")
+        self._step.on_click(lambda _: source.step())
+        if source.clock_speed is not None:
+            gui.add_button("Replay").on_click(lambda _: source.begin())
+        paces = [*PACES, FLAT_OUT]
+        self._pace = gui.add_dropdown("Shown at", paces, initial_value=PACE, hint="simulated s per second")
+        self._pace.on_update(lambda _: setattr(source, "pace", PACES.get(chosen(self._pace, paces, PACE))))
+        self._why_not = gui.add_markdown(WITHOUT_PAUSE, visible=False)
+        follows = source.scene is None or source.scene.follows
+        self._follow = gui.add_checkbox("Follow", initial_value=follows, hint="the view goes along with the drone")
+        self._no_images = gui.add_markdown("", visible=False)
+        if source.scene is not None:
+            self._change_scene(source.scene)
 
     def run(self) -> None:
-        """Show what the playhead points to, until interrupted."""
+        """Show the flight, until interrupted."""
         before = self._clock.now_ns()
         while True:
             self._clock.sleep_until(before + NS_PER_S // UPDATES_PER_S)
-            now = self._clock.now_ns()
-            if self._wanted is not None and self._fly_at is not None:
-                wanted, self._wanted = self._wanted, None
-                self._take(self._fly_at(wanted))
-                now = self._clock.now_ns()
-                before = now  # flying took no time of the show
-            self.playhead.pass_time((now - before) / NS_PER_S)
-            before = now
-            self._show()
+            now, flight = self._clock.now_ns(), self._flight
+            self.update((now - before) / NS_PER_S)
+            before = now if self._flight == flight else self._clock.now_ns()  # flying anew took no time of the show
 
-    def _show(self) -> None:
-        wall_s = self.playhead.at_s
+    def update(self, passed_s: float) -> None:
+        """Show what has happened in the last `passed_s` seconds, while somebody looks."""
+        seen = bool(self._server.get_clients())
+        moments = self._source.update(passed_s, seen)
+        if not seen:
+            self._flight = self._moment = None  # the path begins anew for whoever opens the page next
+            return
         with self._server.atomic():
-            for drone in self.drones:
-                drone.show(wall_s)
-            self._clocks.content = self._clock_table(wall_s)
-            label = "Pause" if self.playhead.playing else "Play"
-            if self._play.label != label:
-                self._play.label = label
-        if self._follows:
-            track = self.drones[0].track
-            self._views.follow(ned_to_mujoco(track.pose(track.simulated_s(wall_s))[0]))
-        if self.updates % PICTURES_EVERY == 0:
-            for drone, (eye, shown) in zip(self.drones, self._eyes, strict=False):
-                time_s = drone.track.simulated_s(wall_s)
-                place, attitude = drone.track.pose(time_s)
-                shown.image = eye.render(ned_to_mujoco(place), quaternion_ned_to_mujoco(attitude), time_s)
-        self.updates += 1
+            if self._source.scene is not None and self._source.scene is not self._scene:
+                self._change_scene(self._source.scene)
+            self._show([moment for moment in moments if len(moment.poses) == len(self._drones)])
+        if self._moment is not None and self._updates % PICTURES_EVERY == 0:
+            for name, pose, time_s in zip(self._eyes, self._moment.poses, self._moment.time_s, strict=False):
+                self._images[name].image = self._eyes[name].render(pose, time_s)
+        self._updates += 1
 
-    def _clock_table(self, wall_s: float) -> str:
-        lines = [
-            Line(drone.track.name, drone.track.simulated_s(wall_s), drone.height_m, drone.state(wall_s))
-            for drone in self.drones
+    def _show(self, moments: Sequence[Moment]) -> None:
+        for moment in moments:
+            if moment.flight != self._flight:
+                self._flight = moment.flight
+                for name, drone in zip(self._scene.bodies if self._scene else (), self._drones, strict=True):
+                    drone.begin(self._source.ideal_m.get(name))
+                self._play.disabled = self._step.disabled = self._pace.disabled = not moment.may_pause
+                self._why_not.visible = not moment.may_pause
+            for drone, pose, commanded in zip(self._drones, moment.poses, moment.commanded, strict=True):
+                drone.go_to(pose[:3], commanded)
+            self._moment = moment
+        label = "Play" if self._source.held else "Pause"
+        if self._play.label != label:
+            self._play.label = label
+        if (last := self._moment) is None or self._scene is None:
+            return
+        if moments:
+            for name, drone, pose, towards, state in zip(
+                self._scene.bodies, self._drones, last.poses, last.towards, last.states, strict=True
+            ):
+                drone.show(pose, towards, f"{name}: {state}")
+            if self._follow.value:
+                self._views.follow(last.poses[0, :3])
+        heights = [drone.height_m for drone in self._drones]
+        lines = list(zip(self._scene.bodies, last.time_s, heights, last.states, strict=True))
+        self._clocks.content = clock_table(last.clock_speed, last.wall, lines, self._source.note)
+
+    def _change_scene(self, scene: Scene) -> None:
+        first, self._scene, self._moment, self._flight = self._scene is None, scene, None, None
+        show_surroundings(self._server, scene)
+        for drone in self._drones:
+            drone.begin(None)
+        middle = (len(scene.bodies) - 1) / 2
+        self._drones = [
+            Drone(self._server, name, scene, np.array([0.0, (middle - number) * scene.apart_m, 0.0]))
+            for number, name in enumerate(scene.bodies)
         ]
-        wall = f"{1000 * wall_s:.1f} ms" if self.playhead.end_s < 1.0 else f"{wall_s:.3f} s"
-        return clock_table(self.speed, wall, lines, self._note)
+        if first:
+            self._views.look_at(scene.centre_m, scene.reach_m, wide=not scene.follows)
+        first_body = next(iter(scene.bodies.values()))
+        try:
+            camera, said = make_camera(scene.model, WIDTH, HEIGHT), ""  # that of the first body
+            seeing = [name for name, body in scene.bodies.items() if body == first_body]
+            self._eyes = {name: Eyes(camera, scene.data, pose_of(scene.model, first_body)) for name in seeing}
+        except UserError as error:
+            self._eyes, said = {}, f"No pictures: {error}"
+        self._no_images.content, self._no_images.visible = said, bool(said)
+        for name in self._images.keys() - self._eyes.keys():
+            self._images.pop(name).remove()
+        for name in self._eyes:
+            if name not in self._images:
+                self._images[name] = self._server.gui.add_image(BLANK, label=f"{name}: camera, events", format="jpeg")
 
 
-def _speed(label: str) -> float:
-    return float(label.removesuffix("x"))
+class Views:
+    """Where the browsers look from: the first view, a phone's, and one that goes along; in MuJoCo's frame.
+
+    `on_first` is called when a browser opens the page and no other has it open.
+    """
+
+    def __init__(self, server: ViserServer, on_first: Callable[[], object]) -> None:
+        self._server = server
+        self.look_at(np.zeros(3), 3.0)
+
+        @server.on_client_connect
+        def _(client: ClientHandle) -> None:
+            self._aim(client)
+            if len(server.get_clients()) == 1:
+                on_first()
+
+    def look_at(self, centre: Floats, reach_m: float, wide: bool = True) -> None:
+        """Look at `reach_m` around a place, from the south and above; a `wide` scene from farther on narrow screens."""
+        self._at, self._back, self._wide = np.array(centre, float), reach_m * np.array(FROM_BEHIND), wide
+        self._aim_new()
+        for client in self._server.get_clients().values():
+            self._aim(client)
+
+    def follow(self, place: Floats) -> None:
+        """Go along with a drone that is at this place now; everyone may turn and zoom as before."""
+        moved = place - self._at
+        if float(np.linalg.norm(moved)) >= WORTH_M:
+            self._at = self._at + moved
+            self._aim_new()
+            for client in self._server.get_clients().values():
+                client.camera.position = client.camera.position + moved
+
+    def _aim_new(self) -> None:
+        camera = self._server.initial_camera
+        camera.look_at, camera.position = self._at, self._at + self._back
+
+    def _aim(self, client: ClientHandle) -> None:
+        back, below = self._back, np.zeros(3)
+        if client.camera.aspect < 1.0:  # a phone: the controls take the lower half
+            back = FARTHER * back / client.camera.aspect if self._wide else back
+            below[2] = LOWER * float(np.linalg.norm(back))
+        client.camera.position, client.camera.look_at = self._at + back, self._at - below
+
+
+def clock_table(
+    clock_speed: float, wall: str, drones: Sequence[tuple[str, float, float | None, str]], note: str = ""
+) -> str:
+    """Return ClockSpeed and wall clock, name, simulated time, height and state of each drone, and a note, as HTML."""
+    rows = "".join(
+        f"<tr><td><b>{html.escape(name)}</b></td><td style='{NUMBER}'>{time_s:.2f} s</td>"
+        f"<td style='{NUMBER}'>{'' if height_m is None else f'{height_m:.1f} m up'}</td>"
+        f"<td style='{WORDS}'>{html.escape(state)}</td></tr>"
+        for name, time_s, height_m, state in drones
+    )
+    below = f"<p style='margin:0.3em 0'>{html.escape(note)}</p>" if note else ""
+    return (
+        "<div class='clocks' style='padding:0 1em;font-variant-numeric:tabular-nums;font-size:0.85em'>"
+        f"<p style='margin:0.3em 0'>ClockSpeed <b>{clock_speed:g}x</b> &nbsp; wall clock "
+        f"<b>{wall}</b></p><table style='width:100%;line-height:1.5'>{rows}</table>{below}</div>"
+    )

@@ -1,8 +1,9 @@
-"""MuJoCo's geoms as meshes of the page: what stands in the scene, its ground with its texture, and the drone."""
+"""What a page shows of a flight: MuJoCo's geoms as meshes, the ground with its texture, drones, paths, images."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import cv2
@@ -10,115 +11,53 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from uavaccel.draw.film import dvs_picture
+from uavaccel.kinematics import Vector
+from uavaccel.sim.camera.camera import FrontCamera
+from uavaccel.sim.camera.view import HEIGHT, WIDTH
 from uavaccel.sim.lane.scene import APPEARANCE_GROUP
+from uavaccel.units import ned_to_mujoco
+from uavaccel.vision.dvs import DvsState, init_state, luma, step
+from uavaccel.vision.dvs_sensor import DvsParameters, make_sensor
 
 if TYPE_CHECKING:
     import trimesh
-    from viser import ViserServer
+    from viser import LineSegmentsHandle, ViserServer
 
-SHOWN_GROUPS = (0, 1, 2, APPEARANCE_GROUP)  # those that MuJoCo draws, and a scenery's looks; hulls are in 3
+SHOWN_GROUPS = (0, 1, 2, APPEARANCE_GROUP)  # those that MuJoCo draws, and a scenery's appearance; hulls are in 3
 DEEPEST_M = 50.0  # below the ground lies what a scene keeps for later
 GROUND_PIXELS = 2048
 PLANE_M = 100.0  # half of a plane that MuJoCo draws without an end
 ROTOR_SECTIONS = 40
 SURROUNDINGS = "/surroundings"
 ZENITH, HORIZON = (120, 165, 215), (229, 238, 250)
+COMMANDED, THINKING, IDEAL = (0, 84, 160), (205, 50, 0), (245, 245, 245)  # colours of paths
+ARROW, PLUMB, SHADOW = (240, 180, 0), (25, 30, 25), (48, 54, 46)
+PATH_WIDTH, PLUMB_WIDTH, IDEAL_WIDTH = 5.0, 1.5, 2.0  # pixels
+ARROW_M, LABEL_M, SHADOW_M, LIFT_M = 0.7, 0.55, 0.32, 0.02
+STANDING_M = 0.15  # nearer to the ground there is no plumb line
+BLOCK, MOST_BLOCKS = 500, 100  # segments of a path that are sent together; older blocks are removed
+LONGEST_S = 0.25  # simulated; beyond it the spectator has jumped, and the events begin anew
+BLANK = np.full((2 * HEIGHT, WIDTH, 3), 246, np.uint8)  # images without events
+Floats = NDArray[np.float64]
 Geom = mujoco.mjtGeom
 
 
-def light_up(server: ViserServer) -> None:
-    """Sky, sun and the sky's own light; without shadows and light from a picture, which need a GPU."""
-    server.scene.configure_environment_map(hdri=None)
-    server.scene.configure_default_lights(enabled=False)
-    server.scene.add_light_ambient("/light/sky", color=HORIZON, intensity=1.4)
-    server.scene.add_light_directional("/light/sun", intensity=2.4, position=(-30.0, -40.0, 60.0))
-    share = np.linspace(0.0, 1.0, 64)[:, None, None]
-    sky = (1.0 - share) * np.array(ZENITH) + share * np.array(HORIZON)
-    server.scene.set_background_image(np.tile(sky, (1, 2, 1)).astype(np.uint8), format="png")
+@dataclass(frozen=True)
+class Scene:
+    """A model and its data, as a flight's world has them, and the body of each of its drones, by name.
 
-
-def show_surroundings(server: ViserServer, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-    """All that is not a vehicle, where `data` has it: one mesh, and a picture for each textured plane.
-
-    What an earlier call has shown is removed.
+    The first view is of `centre_m`, in MuJoCo's frame, and `reach_m` around it; with `follows` it goes along with the
+    first drone. Drones that were flown at one place are shown `apart_m` from each other, from west to east.
     """
-    server.scene.remove_by_name(SURROUNDINGS)
-    server.scene.add_frame(SURROUNDINGS, show_axes=False)
-    solids = []
-    for geom in range(model.ngeom):
-        turn, place = data.geom_xmat[geom].reshape(3, 3), data.geom_xpos[geom]
-        if not _is_drawn(model, geom) or _of_vehicle(model, geom) or place[2] < -DEEPEST_M:
-            continue
-        if model.geom_type[geom] == Geom.mjGEOM_PLANE:
-            _show_plane(server, model, geom, place)
-        elif (mesh := geom_mesh(model, geom)) is not None:
-            solids.append((colour_of(model, geom), _placed(mesh, turn, place)))
-    _show_solids(server, f"{SURROUNDINGS}/solids", solids)
 
-
-def show_drone(server: ViserServer, name: str, model: mujoco.MjModel, body: int) -> None:
-    """A vehicle's own geoms, below the frame `name`."""
-    parts = []
-    for geom in range(model.ngeom):
-        mesh = geom_mesh(model, geom) if model.geom_bodyid[geom] == body else None
-        if mesh is not None and _is_drawn(model, geom):
-            turn = np.zeros(9)
-            mujoco.mju_quat2Mat(turn, model.geom_quat[geom])
-            placed = _placed(mesh, turn.reshape(3, 3), model.geom_pos[geom])
-            parts.append((colour_of(model, geom), placed))
-    _show_solids(server, f"{name}/body", parts)
-
-
-def colour_of(model: mujoco.MjModel, geom: int) -> NDArray[np.uint8]:
-    """Red, green, blue: the geom's or its material's colour, times its texture's mean."""
-    material = int(model.geom_matid[geom])
-    rgb = np.array(model.geom_rgba[geom][:3], float)
-    if material >= 0:
-        rgb = np.array(model.mat_rgba[material][:3], float)
-        texture = texture_of(model, material)
-        if texture is not None:
-            rgb = rgb * texture.reshape(-1, 3).mean(axis=0) / 255.0
-    return np.asarray(np.clip(255.0 * rgb, 0, 255), np.uint8)
-
-
-def texture_of(model: mujoco.MjModel, material: int) -> NDArray[np.uint8] | None:
-    """A material's colours (H, W, 3), the top row first; None without a texture of three channels."""
-    texture = int(model.mat_texid[material][mujoco.mjtTextureRole.mjTEXROLE_RGB])
-    if texture < 0 or model.tex_nchannel[texture] != 3:
-        return None
-    height, width, first = (int(each[texture]) for each in (model.tex_height, model.tex_width, model.tex_adr))
-    pixels = model.tex_data[first : first + height * width * 3]
-    return np.asarray(pixels, np.uint8).reshape(height, width, 3)
-
-
-def geom_mesh(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh | None:
-    """A geom's surface in its own frame; None of kinds that are not drawn."""
-    import trimesh
-
-    kind, (a, b, c) = model.geom_type[geom], model.geom_size[geom].tolist()
-    if kind == Geom.mjGEOM_BOX:
-        mesh = trimesh.creation.box((2 * a, 2 * b, 2 * c))
-    elif kind == Geom.mjGEOM_SPHERE:
-        mesh = trimesh.creation.icosphere(2, a)
-    elif kind == Geom.mjGEOM_ELLIPSOID:
-        mesh = trimesh.creation.icosphere(2, 1.0).apply_scale((a, b, c))
-    elif kind == Geom.mjGEOM_CYLINDER:
-        mesh = trimesh.creation.cylinder(a, 2 * b, sections=ROTOR_SECTIONS)
-    elif kind == Geom.mjGEOM_CAPSULE:
-        mesh = trimesh.creation.capsule(2 * b, a, count=(12, 12))
-    elif kind == Geom.mjGEOM_MESH:
-        mesh = _own_mesh(model, int(model.geom_dataid[geom]))
-    else:
-        return None
-    return mesh
-
-
-def _own_mesh(model: mujoco.MjModel, mesh: int) -> trimesh.Trimesh:
-    import trimesh
-
-    first, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
-    face, faces = int(model.mesh_faceadr[mesh]), int(model.mesh_facenum[mesh])
-    return trimesh.Trimesh(model.mesh_vert[first : first + count], model.mesh_face[face : face + faces], process=False)
+    model: mujoco.MjModel
+    data: mujoco.MjData
+    bodies: Mapping[str, int]
+    centre_m: Floats
+    reach_m: float = 3.0
+    follows: bool = True
+    apart_m: float = 0.0
 
 
 def pose_of(model: mujoco.MjModel, body: int) -> slice:
@@ -127,35 +66,61 @@ def pose_of(model: mujoco.MjModel, body: int) -> slice:
     return slice(first, first + 7)
 
 
-def ground_below(model: mujoco.MjModel, data: mujoco.MjData, place: NDArray[np.float64], body: int) -> float | None:
-    """The height of what is straight below a place, the vehicle's own body left out; None where nothing is."""
-    hit = np.zeros(1, np.int32)
-    down = np.array([0.0, 0.0, -1.0])
-    metres = mujoco.mj_ray(model, data, place, down, None, 1, body, hit)
-    return None if metres < 0.0 else float(place[2] - metres)
+def light_up(server: ViserServer) -> None:
+    """Sky, sun and the sky's own light; without shadows and light from a picture, which need a GPU."""
+    scene = server.scene
+    scene.set_up_direction("+z")
+    scene.configure_environment_map(hdri=None)
+    scene.configure_default_lights(enabled=False)
+    scene.add_light_ambient("/light/sky", color=HORIZON, intensity=1.4)
+    scene.add_light_directional("/light/sun", intensity=2.4, position=(-30.0, -40.0, 60.0))
+    share = np.linspace(0.0, 1.0, 64)[:, None, None]
+    sky = (1.0 - share) * np.array(ZENITH) + share * np.array(HORIZON)
+    scene.set_background_image(np.tile(sky, (1, 2, 1)).astype(np.uint8), format="png")
 
 
-def _is_drawn(model: mujoco.MjModel, geom: int) -> bool:
-    return model.geom_group[geom] in SHOWN_GROUPS
+def show_surroundings(server: ViserServer, scene: Scene) -> None:
+    """All that is not a vehicle, where the data have it, in place of what an earlier call has shown.
+
+    Solids are one mesh for each colour; a plane is a picture.
+    """
+    model, data = scene.model, scene.data
+    server.scene.remove_by_name(SURROUNDINGS)
+    server.scene.add_frame(SURROUNDINGS, show_axes=False)
+    fixed = [
+        geom
+        for geom in range(model.ngeom)
+        if not model.body_dofnum[model.geom_bodyid[geom]] and data.geom_xpos[geom][2] >= -DEEPEST_M
+    ]
+    _show_solids(server, f"{SURROUNDINGS}/solids", model, fixed, data.geom_xpos, data.geom_xmat)
+    for geom in fixed:
+        if model.geom_type[geom] == Geom.mjGEOM_PLANE and model.geom_group[geom] in SHOWN_GROUPS:
+            half_x, half_y = (float(half) or PLANE_M for half in model.geom_size[geom][:2])
+            server.scene.add_image(
+                f"{SURROUNDINGS}/plane{geom}",
+                plane_picture(model, geom),
+                2 * half_x,
+                2 * half_y,
+                position=data.geom_xpos[geom],
+                format="jpeg",
+                wxyz=(0.0, 1.0, 0.0, 0.0),
+                receive_shadow=True,
+            )
 
 
-def _of_vehicle(model: mujoco.MjModel, geom: int) -> bool:
-    return bool(model.body_dofnum[model.geom_bodyid[geom]])
-
-
-def _placed(mesh: trimesh.Trimesh, turn: NDArray[np.float64], place: NDArray[np.float64]) -> trimesh.Trimesh:
-    pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = turn, place
-    return mesh.apply_transform(pose)
-
-
-def _show_solids(server: ViserServer, name: str, solids: Sequence[tuple[NDArray[np.uint8], trimesh.Trimesh]]) -> None:
-    """Show coloured surfaces, one mesh for each colour."""
+def _show_solids(
+    server: ViserServer, name: str, model: mujoco.MjModel, geoms: Iterable[int], places: Floats, turns: Floats
+) -> None:
+    """Show the surfaces of geoms, one mesh for each colour; `places` (ngeom, 3) and `turns` (ngeom, 9) are theirs."""
     import trimesh
 
     by_colour: dict[tuple[int, ...], list[trimesh.Trimesh]] = {}
-    for colour, mesh in solids:
-        by_colour.setdefault(tuple(colour.tolist()), []).append(mesh)
+    for geom in geoms:
+        mesh = geom_mesh(model, geom)
+        if mesh is not None and model.geom_group[geom] in SHOWN_GROUPS:
+            pose = np.eye(4)
+            pose[:3, :3], pose[:3, 3] = turns[geom].reshape(3, 3), places[geom]
+            by_colour.setdefault(tuple(_colour(model, geom).tolist()), []).append(mesh.apply_transform(pose))
     for number, ((red, green, blue), meshes) in enumerate(by_colour.items()):
         joined = trimesh.util.concatenate(meshes)
         assert isinstance(joined, trimesh.Trimesh)
@@ -164,28 +129,172 @@ def _show_solids(server: ViserServer, name: str, solids: Sequence[tuple[NDArray[
         )
 
 
-def _show_plane(server: ViserServer, model: mujoco.MjModel, geom: int, place: NDArray[np.float64]) -> None:
-    half_x, half_y = (float(half) or PLANE_M for half in model.geom_size[geom][:2])
-    server.scene.add_image(
-        f"{SURROUNDINGS}/plane{geom}",
-        plane_picture(model, geom),
-        2 * half_x,
-        2 * half_y,
-        position=place,
-        format="jpeg",
-        wxyz=(0.0, 1.0, 0.0, 0.0),
-        receive_shadow=True,
-    )
+def geom_mesh(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh | None:
+    """A geom's surface in its own frame; None of kinds that are no solids."""
+    import trimesh
+
+    (a, b, c), shapes = model.geom_size[geom].tolist(), trimesh.creation
+
+    def own() -> trimesh.Trimesh:
+        mesh = int(model.geom_dataid[geom])
+        vertex, face = int(model.mesh_vertadr[mesh]), int(model.mesh_faceadr[mesh])
+        vertices = model.mesh_vert[vertex : vertex + int(model.mesh_vertnum[mesh])]
+        return trimesh.Trimesh(vertices, model.mesh_face[face : face + int(model.mesh_facenum[mesh])], process=False)
+
+    make = {
+        Geom.mjGEOM_BOX: lambda: shapes.box((2 * a, 2 * b, 2 * c)),
+        Geom.mjGEOM_SPHERE: lambda: shapes.icosphere(2, a),
+        Geom.mjGEOM_ELLIPSOID: lambda: shapes.icosphere(2, 1.0).apply_scale((a, b, c)),
+        Geom.mjGEOM_CYLINDER: lambda: shapes.cylinder(a, 2 * b, sections=ROTOR_SECTIONS),
+        Geom.mjGEOM_CAPSULE: lambda: shapes.capsule(2 * b, a, count=(12, 12)),
+        Geom.mjGEOM_MESH: own,
+    }.get(Geom(int(model.geom_type[geom])))
+    return None if make is None else make()
 
 
 def plane_picture(model: mujoco.MjModel, geom: int) -> NDArray[np.uint8]:
     """The whole of a plane: its texture as often as its material repeats it; its colour where it has none."""
     material = int(model.geom_matid[geom])
-    texture = texture_of(model, material) if material >= 0 else None
+    texture = _texture(model, material)
     if texture is None:
-        return np.tile(colour_of(model, geom), (8, 8, 1))
+        return np.tile(_colour(model, geom), (8, 8, 1))
     repeats = np.maximum(np.round(model.mat_texrepeat[material]), 1).astype(int)
-    tile = np.maximum(GROUND_PIXELS // repeats, 2)
-    small = cv2.resize(texture, (int(tile[0]), int(tile[1])), interpolation=cv2.INTER_AREA)
-    tinted = small * model.mat_rgba[material][:3]
-    return np.tile(np.asarray(np.clip(tinted, 0, 255), np.uint8), (int(repeats[1]), int(repeats[0]), 1))
+    columns, rows = np.maximum(GROUND_PIXELS // repeats, 2).tolist()
+    tile = cv2.resize(texture, (columns, rows), interpolation=cv2.INTER_AREA) * model.mat_rgba[material][:3]
+    return np.tile(np.asarray(np.clip(tile, 0, 255), np.uint8), (*repeats[::-1].tolist(), 1))
+
+
+def _colour(model: mujoco.MjModel, geom: int) -> NDArray[np.uint8]:
+    """Red, green, blue: the geom's or its material's colour, times its texture's mean."""
+    material = int(model.geom_matid[geom])
+    rgb = np.array(model.geom_rgba[geom] if material < 0 else model.mat_rgba[material], float)[:3]
+    if (texture := _texture(model, material)) is not None:
+        rgb *= texture.reshape(-1, 3).mean(axis=0) / 255.0
+    return np.asarray(np.clip(255.0 * rgb, 0, 255), np.uint8)
+
+
+def _texture(model: mujoco.MjModel, material: int) -> NDArray[np.uint8] | None:
+    """A material's colours (H, W, 3), the top row first; None without a texture of three channels."""
+    texture = -1 if material < 0 else int(model.mat_texid[material][mujoco.mjtTextureRole.mjTEXROLE_RGB])
+    if texture < 0 or model.tex_nchannel[texture] != 3:
+        return None
+    height, width, first = (int(value[texture]) for value in (model.tex_height, model.tex_width, model.tex_adr))
+    return np.asarray(model.tex_data[first : first + height * width * 3], np.uint8).reshape(height, width, 3)
+
+
+class Drone:
+    """A drone on the page: its body, its command's arrow, what is written above it, its shadow below, and its path.
+
+    Poses are place in m and wxyz, in MuJoCo's frame; it is shown `aside_m` (3,) from there.
+    """
+
+    def __init__(self, server: ViserServer, name: str, scene: Scene, aside_m: Floats) -> None:
+        self.height_m: float | None = None
+        """To what is below it; None where nothing is."""
+        self._page, self._name, self._scene, self._aside_m = server.scene, name, scene, aside_m
+        self._blocks: list[LineSegmentsHandle] = []
+        self._blocks_made = 0
+        self._block: list[tuple[list[Floats], tuple[int, int, int]]] = []
+        self._end_m: Floats | None = None
+        add, model, body = self._page, scene.model, scene.bodies[name]
+        self._frame = add.add_frame(f"/{name}", show_axes=False)
+        turns = np.zeros((model.ngeom, 9))
+        for turn, quaternion in zip(turns, model.geom_quat, strict=True):
+            mujoco.mju_quat2Mat(turn, quaternion)
+        own = np.flatnonzero(model.geom_bodyid == body).tolist()
+        _show_solids(server, f"/{name}/body", model, own, model.geom_pos, turns)
+        self._label = add.add_label(f"/{name}/name", name, position=(0.0, 0.0, LABEL_M))
+        self._arrow = add.add_arrows(
+            f"/{name} command", np.zeros((1, 2, 3)), ARROW, shaft_radius=0.025, head_radius=0.07, head_length=0.16
+        )
+        self._plumb = self._add_lines("plumb line", np.zeros((1, 2, 3)), PLUMB, PLUMB_WIDTH)
+        self._shadow = add.add_cylinder(
+            f"/{name} shadow",
+            SHADOW_M,
+            LIFT_M / 2,
+            SHADOW,  # opaque: what shines through would be the sky, not the ground's picture
+            material="toon3",  # without the sun's highlight
+            cast_shadow=False,
+            receive_shadow=False,
+        )
+
+    def begin(self, ideal_m: Floats | None) -> None:
+        """Begin the path anew; along `ideal_m` (n, 3) is drawn a thin line, if it is given."""
+        for block in self._blocks:
+            block.remove()
+        self._blocks, self._block, self._end_m = [], [], None
+        if ideal_m is not None:
+            line = ideal_m + self._aside_m
+            self._add_lines("ideal", np.stack([line[:-1], line[1:]], axis=1), IDEAL, IDEAL_WIDTH)
+
+    def go_to(self, place_m: Floats, commanded: bool) -> None:
+        """Lengthen the path to a place, coloured by whether a command was running on the way."""
+        place = place_m + self._aside_m
+        if self._end_m is not None and not np.array_equal(place, self._end_m):
+            if len(self._block) == BLOCK:
+                self._send_block()
+                self._block = []
+            if not self._block:
+                if len(self._blocks) == MOST_BLOCKS:
+                    self._blocks.pop(0).remove()
+                self._blocks_made += 1
+                start = np.array([[self._end_m, self._end_m]])
+                self._blocks.append(self._add_lines(f"path {self._blocks_made}", start, COMMANDED, PATH_WIDTH))
+            self._block.append(([self._end_m, place], COMMANDED if commanded else THINKING))
+        self._end_m = place
+
+    def show(self, pose: Floats, towards_ned: Vector | None, text: str) -> None:
+        """Move it, with an arrow along `towards_ned`, and send the path's last block to the browsers."""
+        place = pose[:3] + self._aside_m
+        self._frame.position, self._frame.wxyz, self._label.text = place, pose[3:], text
+        length = 0.0 if towards_ned is None else float(np.linalg.norm(towards_ned))
+        self._arrow.visible = length > 0.0
+        if towards_ned is not None and length > 0.0:
+            self._arrow.points = np.array([[place, place + ARROW_M * ned_to_mujoco(towards_ned) / length]])
+        model, data, body = self._scene.model, self._scene.data, self._scene.bodies[self._name]
+        metres = mujoco.mj_ray(model, data, place, np.array([0.0, 0.0, -1.0]), None, 1, body, np.zeros(1, np.int32))
+        self.height_m = None if metres < 0.0 else float(metres)
+        self._shadow.visible = self.height_m is not None
+        self._plumb.visible = self.height_m is not None and self.height_m > STANDING_M
+        if self.height_m is not None:
+            foot = place - np.array([0.0, 0.0, self.height_m - LIFT_M])
+            self._shadow.position, self._plumb.points = foot, np.array([[place, foot]], np.float32)
+        self._send_block()
+
+    def _send_block(self) -> None:
+        if self._block:
+            points, colours = zip(*self._block, strict=True)
+            self._blocks[-1].points = np.array(points, np.float32)
+            self._blocks[-1].colors = np.repeat(np.array(colours, np.uint8)[:, None], 2, axis=1)
+
+    def _add_lines(self, name: str, points: Floats, colour: tuple[int, int, int], width: float) -> LineSegmentsHandle:
+        return self._page.add_line_segments(
+            f"/{self._name} {name}", points.astype(np.float32), colour, thickness=width, thickness_units="screen"
+        )
+
+
+class Eyes:
+    """What a drone's front camera and an event camera beside it see in a scene in which nothing flies.
+
+    The drone is the one whose pose is `data.qpos[pose]`.
+    """
+
+    def __init__(self, camera: FrontCamera, data: mujoco.MjData, pose: slice) -> None:
+        self._camera, self._data, self._pose = camera, data, pose
+        self._sensor = make_sensor(DvsParameters(), (HEIGHT, WIDTH), seed=0)
+        self._state: DvsState | None = None
+        self._began_s, self._seen_s = 0.0, 0.0
+        self._events = BLANK[:HEIGHT]
+
+    def render(self, pose: Floats, time_s: float) -> NDArray[np.uint8]:
+        """Return the camera's image above the events since the last one, RGB; `pose` (7,) is in MuJoCo's frame."""
+        self._data.qpos[self._pose] = pose
+        image = self._camera.colour(self._data)
+        frame, passed_s = luma(image), time_s - self._seen_s
+        if self._state is None or not 0.0 <= passed_s < LONGEST_S:
+            self._state, self._began_s = init_state(self._sensor, frame), time_s
+        elif passed_s > 0.0:  # while the clock is paused, nothing changes
+            self._state, on, off = step(self._sensor, self._state, frame, time_s - self._began_s)
+            self._events = np.ascontiguousarray(dvs_picture(on, off, (WIDTH, HEIGHT))[..., ::-1])
+        self._seen_s = time_s
+        return np.vstack([image, self._events])

@@ -25,9 +25,6 @@ if TYPE_CHECKING:
     from viser import GuiDropdownHandle, ViserServer
     from websockets import Headers
 
-MISSING = "watch: needs the package viser: pip install 'uavaccel[watch]'"
-UPDATES_PER_S = 30
-PICTURES_EVERY = 3  # updates
 UNREAD_MS = 10_000  # for so long a browser may leave what was sent unread
 BRAND = (0, 114, 178)
 
@@ -35,7 +32,7 @@ BRAND = (0, 114, 178)
 def check_viser() -> None:
     """Raise UserError where viser is missing."""
     if importlib.util.find_spec("viser") is None:
-        raise UserError(MISSING)
+        raise UserError("watch: needs the package viser: pip install 'uavaccel[watch]'")
 
 
 def free_port(host: str, port: int) -> int:
@@ -44,15 +41,14 @@ def free_port(host: str, port: int) -> int:
     Raises UserError where the address is not one of this machine, or all these ports are taken.
     """
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    for each in range(port, 1 << 16):
+    for free in range(port, 1 << 16):
         try:
-            socket.create_server((host, each), family=family).close()
+            socket.create_server((host, free), family=family).close()
+            return free
         except OSError as error:
             if error.errno not in (errno.EADDRINUSE, errno.EACCES):
                 reason = (error.strerror or str(error)).partition(" (while")[0]
                 raise UserError(f"the page cannot be opened at {host}:{port}: {reason}") from None
-        else:
-            return each
     raise UserError(f"the page cannot be opened at {host}: no port is free from {port} on")
 
 
@@ -80,22 +76,15 @@ def is_ours(headers: Headers, host: str) -> bool:
     This machine has its own names, `host`, and any number, which no website can have.
     """
     named, origins = headers.get_all("Host"), headers.get_all("Origin")
-    if len(named) != 1 or len(origins) > 1:
-        return False
-    allowed = {f"{scheme}://{named[0]}".lower() for scheme in ("http", "https")}
-    return _is_this_machine(named[0], host) and {origin.lower() for origin in origins} <= allowed
-
-
-def _is_this_machine(address: str, host: str) -> bool:
-    try:
-        name = urlsplit(f"//{address}").hostname or ""
-    except ValueError:
+    if len(named) != 1 or not {origin.lower() for origin in origins} <= {
+        f"{scheme}://{named[0]}".lower() for scheme in ("http", "https")
+    }:
         return False
     own = socket.gethostname().lower()
-    if name in {"localhost", host.lower(), own, f"{own}.local"}:
-        return True
     try:
-        ip_address(name)
+        name = urlsplit(f"//{named[0]}").hostname or ""
+        if name not in {"localhost", host.lower(), own, f"{own}.local"}:
+            ip_address(name)
     except ValueError:
         return False
     return True
@@ -134,8 +123,7 @@ def _guarded(host: str) -> Iterator[None]:
 
 def chosen(menu: GuiDropdownHandle[str], known: Collection[str], otherwise: str) -> str:
     """Return what is chosen in a menu, or `otherwise` for what it does not offer, which a page could send."""
+    if menu.value not in known:
+        setattr(menu, "value", otherwise)  # noqa: B010  to a type checker it cannot be set
     value: str = menu.value
-    if value in known:
-        return value
-    setattr(menu, "value", otherwise)  # noqa: B010  to a type checker it cannot be set
-    return otherwise
+    return value

@@ -1,6 +1,6 @@
 """A flight shown while it is flown: a simulation tells a page, in another process, what happens in its world.
 
-The page (uavaccel.watch.live) listens on a Unix socket whose path is in the environment variable PAGE, which every
+The page (uavaccel.watch.sources) listens on a Unix socket whose path is in the environment variable PAGE, which every
 process of a command inherits. Nothing here is a message of a client: no wall time of a simulated clock passes, and no
 flight changes. A flight on a simulated clock can be held, since that clock is paused too; one on the machine's cannot.
 """
