@@ -93,7 +93,7 @@ class KernelBatch(TurnBatch):
 
     def _allocate(self) -> None:
         count, task, space = self.num_envs, self.task, self.single_observation_space
-        self._rows = rows.game_rows(count, self._maker.surroundings.most)
+        self._rows = rows.game_rows(count, self._maker.surroundings.most, self._maker.surroundings.scene)
         self._now = rows.flights(count)
         blank = task.sensor().blank
         draws = sample_pixels(task.dvs_parameters, (ROWS, COLUMNS), task.dvs_seed)

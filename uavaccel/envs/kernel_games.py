@@ -64,7 +64,7 @@ class GameMaker:
         parameters, start, body = self._start(task.altitude_m, *ratios)
         games.parameters[row], games.start[row], games.body[row] = parameters, start, body
         games.start["wind"][row] = 0.0 if layout is None else layout.wind_m_s
-        games.counts[row] = self.surroundings.put(layout, games.solids[row])
+        games.counts[row] = self.surroundings.put(layout, games.solids, row)
         if self.appearance is not None and layout is not None:
             fill_scene(self.appearance, games.scenes, row, layout)
         games.cameras[row] = camera_row(task.dvs_parameters, task.image_noise)

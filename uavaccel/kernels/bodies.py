@@ -1,4 +1,7 @@
-"""Collision geometry read from a scene's MuJoCo model: the vehicle's hull and the solids around it."""
+"""Collision geometry read from a scene's MuJoCo model: the vehicle's hull and the solids around it.
+
+Upright boxes, cylinders and planes are solids; a model with anything else is read as a `Scene`.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +13,9 @@ from numpy.typing import NDArray
 
 from uavaccel.errors import UserError
 from uavaccel.kernels.fields import BOX, CYLINDER, PLANE
+from uavaccel.kernels.operands import Operand
+from uavaccel.kernels.scene import GEOM, Scene
+from uavaccel.kernels.still import read_scene, touchable
 from uavaccel.kernels.touching import SOLID_FIELDS
 from uavaccel.sim.lane.layout import MAX_OBSTACLES, LaneLayout
 from uavaccel.sim.lane.scene import OBSTACLE_HALF_HEIGHT_M, object_name, obstacle_geoms
@@ -34,6 +40,9 @@ class Surroundings(NamedTuple):
     hull: NDArray[np.float64]
     """(3,): radius, half height, and distance from the body's origin to the hull's farthest point, metres."""
 
+    scene: Scene | None = None
+    """The scene of one world in place of solids."""
+
     @property
     def most(self) -> int:
         """Largest number of solids in a lane."""
@@ -43,8 +52,13 @@ class Surroundings(NamedTuple):
         """Return the name of a solid of a lane with this number of obstacles."""
         return self.obstacle_names[solid] if solid < obstacles else self.names[solid - obstacles]
 
-    def put(self, layout: LaneLayout | None, solids: NDArray[np.float64]) -> int:
-        """Fill the solids (most, SOLID_FIELDS) of a lane, obstacles first, and return their number."""
+    def put(self, layout: LaneLayout | None, rows: Operand, row: int) -> int:
+        """Fill a row (most, SOLID_FIELDS) of solids, obstacles first, and return their number; or the scene's world."""
+        if self.scene is not None:
+            if not isinstance(rows, Scene):
+                raise UserError("device = cuda: flies among upright boxes, cylinders and planes; use device = cpu")
+            return 0
+        solids = rows[row]
         count = 0 if layout is None else len(layout)
         if layout is not None:
             half, tall = layout.half_width_m, OBSTACLE_HALF_HEIGHT_M
@@ -56,30 +70,34 @@ class Surroundings(NamedTuple):
 
 
 def read_surroundings(model: mujoco.MjModel) -> Surroundings:
-    """Read a scene's collision geometry. Raises UserError for shapes that the kernels do not know, or moving bodies."""
-    touching = (model.geom_contype | model.geom_conaffinity) > 0
-    vehicle = model.body(BODY).id
-    obstacles = obstacle_geoms(model)
-    world = np.flatnonzero(touching & (model.geom_bodyid == 0))
-    fixed = [int(geom) for geom in world if geom not in set(obstacles.tolist())]
-    if model.nbody != 2:
+    """Read a model's collision geometry. Raises UserError for moving bodies, and as `read_scene` does."""
+    vehicle, obstacles = model.body(BODY).id, obstacle_geoms(model)
+    if np.any(~np.isin(model.body_weldid, (0, vehicle))):
         raise UserError("simulator = kernels: flies one vehicle among things that stand still; use mujoco")
-    (hull,) = np.flatnonzero(touching & (model.geom_bodyid == vehicle))
+    colliding = (model.geom_contype | model.geom_conaffinity) > 0
+    (hull,) = np.flatnonzero(colliding & (model.geom_bodyid == vehicle))
     radius, half_height = model.geom_size[hull, :2]
-    reach = np.linalg.norm(model.geom_pos[hull]) + model.geom_rbound[hull]
+    measures = np.array([radius, half_height, np.linalg.norm(model.geom_pos[hull]) + model.geom_rbound[hull]])
+    still = touchable(model)
+    fixed = np.setdiff1d(still, obstacles)
+    solids = [_solid(model, geom) for geom in fixed.tolist()]
+    if any(solid is None for solid in solids):
+        scene = read_scene(model, geoms=still)
+        names = tuple(object_name(model, int(geom)) for geom in scene.shapes[0, :, GEOM])
+        return Surroundings(np.zeros((0, SOLID_FIELDS)), names, (), measures, scene)
     return Surroundings(
-        np.array([_solid(model, geom) for geom in fixed]).reshape(-1, SOLID_FIELDS),
-        tuple(object_name(model, geom) for geom in fixed),
+        np.array(solids).reshape(-1, SOLID_FIELDS),
+        tuple(object_name(model, geom) for geom in fixed.tolist()),
         tuple(object_name(model, int(geom)) for geom in obstacles[:MAX_OBSTACLES]),
-        np.array([radius, half_height, reach]),
+        measures,
     )
 
 
-def _solid(model: mujoco.MjModel, geom: int) -> NDArray[np.float64]:
+def _solid(model: mujoco.MjModel, geom: int) -> NDArray[np.float64] | None:
+    """Return a geom as a solid, None for one that is no upright box, cylinder or plane of the world itself."""
     kind = KINDS.get(int(model.geom_type[geom]))
-    if kind is None or tuple(model.geom_quat[geom]) != UPRIGHT:
-        name = object_name(model, geom)
-        raise UserError(f"simulator = kernels: {name} is no upright box, cylinder or plane; use mujoco")
+    if kind is None or tuple(model.geom_quat[geom]) != UPRIGHT or model.geom_bodyid[geom] != 0:
+        return None
     size = model.geom_size[geom].copy()
     if kind == CYLINDER:
         size = np.array([size[0], size[0], size[1]])

@@ -69,11 +69,7 @@ def into(shape: Shape, v: Vector) -> Vector:
 @part(error_model="numpy")
 def out_of(shape: Shape, v: Vector) -> Vector:
     """Turn a vector from a shape's axes into the world's."""
-    return (
-        dot(triple(shape, at.AXES), v),
-        dot(triple(shape, at.AXES + 3), v),
-        dot(triple(shape, at.AXES + 6), v),
-    )
+    return (dot(triple(shape, at.AXES), v), dot(triple(shape, at.AXES + 3), v), dot(triple(shape, at.AXES + 6), v))
 
 
 @part(error_model="numpy")
@@ -222,7 +218,7 @@ def meet_cell(scene: Scene, shape: Shape, column: int, row: int, p: Vector, d: V
 
 @part(error_model="numpy")
 def cell_at(place: Float, step: Float, count: int) -> int:
-    return min(max(int(math.floor(place / step)), 0), count - 1)
+    return min(max(math.floor(place / step), 0), count - 1)
 
 
 @part(error_model="numpy")
@@ -395,7 +391,7 @@ def walk(scene: Scene, world: int, origin: Vector, direction: Vector, best: Floa
 
 @part(error_model="numpy")
 def first_met(scene: Scene, world: int, origin: Vector, direction: Vector, far_m: Float) -> tuple[Float, int]:
-    """Return distance and item of what a ray of unit direction meets first; `far_m` and NOTHING if nothing is nearer."""
+    """Return distance and item of what a ray of unit direction meets first; `far_m` and NOTHING if nothing is."""
     best, item = far_m, NOTHING
     for loose in range(int(scene.frame[world, at.LOOSE])):
         distance = meet(scene, world, loose, origin, direction, best)

@@ -20,7 +20,7 @@ from numba.cuda import libdevice
 from numba.cuda.extending import overload
 from numba.np.numpy_support import from_dtype
 
-from uavaccel.kernels import events, lane_games, lanes
+from uavaccel.kernels import events, lane_games, lanes, touching
 from uavaccel.kernels import fields as at
 from uavaccel.kernels.columns import MOST_INTERVALS, MOST_PIECES, Column, add_interval, fill_column, settle
 from uavaccel.kernels.faces import begin as begin_faces
@@ -31,7 +31,7 @@ from uavaccel.kernels.operands import Launchable, Operand
 from uavaccel.kernels.project import project_solid
 from uavaccel.kernels.quads import BELOW, RIGHT, quad_lumas, quick_count, update_quad
 from uavaccel.kernels.rays import colour_of, linear
-from uavaccel.kernels.touching import NOTHING, deepest_of_all, least_of_all
+from uavaccel.kernels.touching import NOTHING, around, deepest_of_all, least_of_all
 from uavaccel.sim.rounding import times
 from uavaccel.sim.vehicle.quadrotor import FLIGHT_DTYPE, NEVER, PARAMETERS_DTYPE
 from uavaccel.vision.dvs_kernels import count_double_pixel
@@ -98,7 +98,7 @@ def _shuffled_deepest(found, depth_m, threads):  # type: ignore[no-untyped-def]
     return found
 
 
-for _function, _chosen in events.BY_TYPE:
+for _function, _chosen in (*events.BY_TYPE, *touching.BY_TYPE):
     overload(_function)(_signed_count if _function is events.signed_count else _chosen)
 
 
@@ -205,7 +205,7 @@ def flying(nominal: Operand) -> Any:
             motion[field] = body[lanes.MOTION + field]
         watch[NEXT_CHECK], watch[TOUCHED] = now.watch[lane, NEXT_CHECK], now.watch[lane, TOUCHED]
         parts = (pose, motion, force, acceleration)
-        solids, count = games.solids[game], games.counts[game]
+        solids, count = around(games.solids, games.counts, game)
         cuda.syncwarp(mask)  # all have read before any writes
         fly_ticks(own[0], state[0], parts, solids, count, hull, watch, ticks[lane], False, (mine, threads))
         cuda.syncwarp(mask)

@@ -9,11 +9,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from uavaccel.kernels.touching import NOTHING, Share, Solids, free_ticks, touched
+from uavaccel.kernels.operands import Operand
+from uavaccel.kernels.touching import NOTHING, Share, free_ticks, touched
 from uavaccel.sim.parts import part
 from uavaccel.sim.vehicle.autopilot import control
 from uavaccel.sim.vehicle.free_body import free_step, move, normalised
-from uavaccel.sim.vehicle.hotloop import kick, read_pose
+from uavaccel.sim.vehicle.hotloop import kick, level_out, read_pose
 from uavaccel.sim.vehicle.quadrotor import NEVER, Record, accelerate, turn_rotors
 
 HULL_RADIUS, HULL_HALF_HEIGHT, HULL_REACH = range(3)  # metres; HULL_REACH is the radius of the bounding sphere
@@ -29,7 +30,7 @@ def check_contact(
     parameters: Record,
     state: Record,
     pose: Floats,
-    solids: Solids,
+    solids: Operand,
     count: int,
     hull: Floats,
     watch: NDArray[np.int64],
@@ -58,6 +59,7 @@ def step(parameters: Record, state: Record, body: Body) -> None:
     free_step(parameters, pose, motion, force, acceleration)
     kick(parameters, state, motion, force)
     turn_rotors(parameters, state)
+    level_out(parameters, pose)
     read_pose(state, pose)
     state.tick += 1
     control(parameters, state)
@@ -93,7 +95,7 @@ def fly_ticks(
     parameters: Record,
     state: Record,
     body: Body,
-    solids: Solids,
+    solids: Operand,
     count: int,
     hull: Floats,
     watch: NDArray[np.int64],

@@ -24,7 +24,8 @@ Hull: TypeAlias = tuple[Vector, Vector, float, float]
 
 ROUNDS = 64
 ENOUGH = 1e-13  # relative: what the square of a distance can still lose
-TOUCHING_M = 1e-10
+NOTHING_M = 1e-12
+FLAT = 1e-20  # of a triangle: the square of the sine of its angle
 NO_CELL = -1
 O = (0.0, 0.0, 0.0)  # noqa: E741
 
@@ -56,6 +57,7 @@ def farthest_of_hull(hull: Hull, d: Vector) -> Vector:
     centre, axis, radius, half = hull
     lift = dot(axis, d)
     flat = plus(d, axis, -lift)
+    flat = plus(flat, axis, -dot(axis, flat))  # again, for directions that are along the axis but for rounding
     length = math.sqrt(dot(flat, flat))
     point = plus(centre, axis, half if lift >= 0.0 else -half)
     return plus(point, flat, radius / length) if length > 1e-300 else point
@@ -131,28 +133,23 @@ def on_segment(a: Vector, b: Vector) -> Nearest:
     return plus(a, ab, t / whole), 2, (a, b, O, O)
 
 
+@part(error_model="numpy")
+def nearer(one: Nearest, two: Nearest) -> Nearest:
+    return one if dot(one[0], one[0]) <= dot(two[0], two[0]) else two
+
+
 @part(inline=False, error_model="numpy")
 def on_triangle(a: Vector, b: Vector, c: Vector) -> Nearest:
-    """Return the point of a triangle next to 0 (Ericson, Real-Time Collision Detection, 5.1.5)."""
-    ab, ac = minus(b, a), minus(c, a)
-    d1, d2 = -dot(ab, a), -dot(ac, a)
-    if d1 <= 0.0 and d2 <= 0.0:
-        return a, 1, (a, O, O, O)
-    d3, d4 = -dot(ab, b), -dot(ac, b)
-    if d3 >= 0.0 and d4 <= d3:
-        return b, 1, (b, O, O, O)
-    d5, d6 = -dot(ab, c), -dot(ac, c)
-    if d6 >= 0.0 and d5 <= d6:
-        return c, 1, (c, O, O, O)
-    if d1 * d4 - d3 * d2 <= 0.0 and d1 >= 0.0 and d3 <= 0.0:
-        return on_segment(a, b)
-    if d5 * d2 - d1 * d6 <= 0.0 and d2 >= 0.0 and d6 <= 0.0:
-        return on_segment(a, c)
-    if d3 * d6 - d5 * d4 <= 0.0 and d4 >= d3 and d5 >= d6:
-        return on_segment(b, c)
-    normal = cross(ab, ac)
-    scale = dot(a, normal) / dot(normal, normal)
-    return (normal[0] * scale, normal[1] * scale, normal[2] * scale), 3, (a, b, c, O)
+    """Return the point of a triangle next to 0; one that is next to a line is taken for its edges."""
+    ab, bc = minus(b, a), minus(c, b)
+    normal = cross(ab, bc)
+    whole = dot(normal, normal)
+    if whole > FLAT * dot(ab, ab) * dot(bc, bc):
+        of_a, of_b, of_c = dot(cross(b, c), normal), dot(cross(c, a), normal), dot(cross(a, b), normal)
+        if of_a >= 0.0 and of_b >= 0.0 and of_c >= 0.0:
+            scale = dot(a, normal) / whole
+            return (normal[0] * scale, normal[1] * scale, normal[2] * scale), 3, (a, b, c, O)
+    return nearer(nearer(on_segment(a, b), on_segment(b, c)), on_segment(c, a))
 
 
 @part(error_model="numpy")
@@ -162,24 +159,16 @@ def beyond(a: Vector, b: Vector, c: Vector, d: Vector) -> bool:
     return dot(a, normal) * dot(minus(d, a), normal) >= 0.0
 
 
-@part(error_model="numpy")
-def nearer(one: Nearest, two: Nearest) -> Nearest:
-    return one if dot(one[0], one[0]) <= dot(two[0], two[0]) else two
-
-
 @part(inline=False, error_model="numpy")
 def on_tetrahedron(a: Vector, b: Vector, c: Vector, d: Vector) -> Nearest:
-    """Return the point of a tetrahedron next to 0: 0 itself, with four corners, if it is inside."""
-    inside, best = True, (a, 1, (a, O, O, O))
-    if beyond(a, b, c, d):
-        inside, best = False, nearer(best, on_triangle(a, b, c))
-    if beyond(a, b, d, c):
-        inside, best = False, nearer(best, on_triangle(a, b, d))
-    if beyond(a, c, d, b):
-        inside, best = False, nearer(best, on_triangle(a, c, d))
-    if beyond(b, c, d, a):
-        inside, best = False, nearer(best, on_triangle(b, c, d))
-    return (O, 4, (a, b, c, d)) if inside else best
+    """Return the point of a tetrahedron next to 0: 0 itself, with four corners, if it is inside.
+
+    All four faces are considered otherwise, since sides of a flat one are all rounding.
+    """
+    if not (beyond(a, b, c, d) or beyond(a, b, d, c) or beyond(a, c, d, b) or beyond(b, c, d, a)):
+        return O, 4, (a, b, c, d)
+    one = nearer(on_triangle(a, b, c), on_triangle(a, b, d))
+    return nearer(one, nearer(on_triangle(a, c, d), on_triangle(b, c, d)))
 
 
 @part(error_model="numpy")
@@ -215,7 +204,7 @@ def distance(scene: Scene, shape: Shape, cell: int, hull: Hull, near_m: float, f
         else:
             v, count, simplex = with_corner(simplex, count, corner)
         square = dot(v, v)
-        if count == 4 or square <= TOUCHING_M * TOUCHING_M or square >= last:
+        if count == 4 or square <= NOTHING_M * NOTHING_M or square >= last:
             break
         last = square
     return 0.0 if count == 4 else math.sqrt(dot(v, v))

@@ -14,7 +14,8 @@ from uavaccel.kernels.events import CAMERA_FIELDS
 from uavaccel.kernels.fields import SOLIDS, Scenes
 from uavaccel.kernels.flight import BODY_FIELDS, NEXT_CHECK, TOUCHED, fly_ticks
 from uavaccel.kernels.operands import Operand
-from uavaccel.kernels.touching import ALL, NOTHING, SOLID_FIELDS
+from uavaccel.kernels.scene import Scene
+from uavaccel.kernels.touching import ALL, NOTHING, SOLID_FIELDS, around
 from uavaccel.sim.parts import part
 from uavaccel.sim.vehicle.autopilot import POSITION, RATE, VELOCITY
 from uavaccel.sim.vehicle.hotloop import kick, read_pose
@@ -35,9 +36,9 @@ class Games(NamedTuple):
     body: Operand
     """(S, BODY_FIELDS) float64: MuJoCo's pose, velocity, force and acceleration at the start."""
     solids: Operand
-    """(S, n, SOLID_FIELDS) float64: collision geometry (kernels/touching)."""
+    """(S, n, SOLID_FIELDS) float64: collision geometry (kernels/touching); or a `Scene`, whose worlds games share."""
     counts: Operand
-    """(S,) int32: number of solids in use."""
+    """(S,) int32: number of solids in use; or the world in the scene."""
     scenes: Scenes
     """Visible geometry (kernels/appearance)."""
     cameras: Operand
@@ -61,8 +62,8 @@ class Flights(NamedTuple):
     """(L,) int64: rows of Games."""
 
 
-def game_rows(rows: int, solids: int) -> Games:
-    """Allocate rows for games with up to `solids` solids."""
+def game_rows(rows: int, solids: int, scene: Scene | None = None) -> Games:
+    """Allocate rows for games with up to `solids` solids, or in the worlds of a scene."""
     f8, i8 = np.float64, np.int64
     scenes = Scenes(
         np.zeros((rows, SOLIDS, 8), np.float32), np.zeros((rows,), np.int32), np.zeros((rows, 9), np.float32)
@@ -71,7 +72,7 @@ def game_rows(rows: int, solids: int) -> Games:
         np.zeros((rows,), PARAMETERS_DTYPE),
         np.zeros((rows,), FLIGHT_DTYPE),
         np.zeros((rows, BODY_FIELDS), f8),
-        np.zeros((rows, solids, SOLID_FIELDS), f8),
+        np.zeros((rows, solids, SOLID_FIELDS), f8) if scene is None else scene,
         np.zeros((rows,), np.int32),
         scenes,
         np.zeros((rows, CAMERA_FIELDS), f8),
@@ -125,7 +126,7 @@ def fly(lane: int, ticks: int, games: Games, now: Flights, hull: Operand) -> Non
     """Fly a lane for `ticks`."""
     game, row = now.game[lane], now.body[lane]
     body = row[POSE:MOTION], row[MOTION:FORCE], row[FORCE:ACCELERATION], row[ACCELERATION:]
-    solids, count = games.solids[game], games.counts[game]
+    solids, count = around(games.solids, games.counts, game)
     state, watch = now.state[lane], now.watch[lane]
     fly_ticks(games.parameters[game], state, body, solids, count, hull, watch, ticks, True, ALL)
 

@@ -6,18 +6,22 @@ As in `kernels.touching`, which does the same for what is upright in a lane, and
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, TypeAlias
 
 from uavaccel.kernels import scene as at
 from uavaccel.kernels.fields import CYLINDER, PLANE
-from uavaccel.kernels.gjk import NO_CELL, TOUCHING_M, Hull, Vector, distance, dot
+from uavaccel.kernels.gjk import NO_CELL, Hull, Vector, distance, dot
 from uavaccel.kernels.scene import Scene, Shape
 from uavaccel.sim.parts import part
+
+Share: TypeAlias = tuple[int, int]
+"""A thread's share of what may be touched: its index among the threads of the lane, and their number."""
 
 NOTHING = -1
 RINGS = 4  # of cells around the vehicle, in which the nearest shape is searched
 WINDOW = 3  # cells of a height field in each direction
-FOUND = 0.02  # metres by which a hull shrinks, to find which of several shapes it is in most deeply
+MET_M = 1.5e-7  # MuJoCo finds contacts of most shapes at distances of up to 1e-6 m, half of them from this one on
+LESS_M = 0.02  # metres by which a hull shrinks, to find which of several shapes it is in most deeply
 
 
 @part(error_model="numpy")
@@ -54,7 +58,7 @@ def above_ground(scene: Scene, shape: Shape, p: Vector) -> float:
     boxed = math.sqrt(beside * beside + across * across + lift * lift)
     if boxed > WINDOW * min(wide, high):
         return boxed
-    u, v = int(math.floor((p[0] + shape[at.HALF]) / wide)), int(math.floor((p[1] + shape[at.HALF + 1]) / high))
+    u, v = math.floor((p[0] + shape[at.HALF]) / wide), math.floor((p[1] + shape[at.HALF + 1]) / high)
     top, first = -shape[at.BASE], int(shape[at.DATA])
     for row in range(max(v - WINDOW, 0), min(v + WINDOW + 2, lines)):
         for column in range(max(u - WINDOW, 0), min(u + WINDOW + 2, columns)):
@@ -87,7 +91,7 @@ def distance_lower_bound(scene: Scene, shape: Shape, place: Any) -> float:
 
 
 @part(error_model="numpy")
-def nearest_in_cell(scene: Scene, world: int, column: int, row: int, place: Any, share: tuple[int, int]) -> float:
+def nearest_in_cell(scene: Scene, world: int, column: int, row: int, place: Any, share: Share) -> float:
     """Return a lower bound of the distance from a point to the shapes of a cell."""
     frame, best = scene.frame[world], math.inf
     if 0 <= column < int(frame[at.COLUMNS]) and 0 <= row < int(frame[at.ROWS]):
@@ -99,7 +103,7 @@ def nearest_in_cell(scene: Scene, world: int, column: int, row: int, place: Any,
 
 
 @part(inline=False, error_model="numpy")
-def nearest_shape(scene: Scene, world: int, place: Any, share: tuple[int, int]) -> float:
+def nearest_shape(scene: Scene, world: int, place: Any, share: Share) -> float:
     """Return a lower bound of the distance from a point to a thread's `share` of the shapes of a world."""
     frame, (mine, threads) = scene.frame[world], share
     best = math.inf
@@ -107,7 +111,7 @@ def nearest_shape(scene: Scene, world: int, place: Any, share: tuple[int, int]) 
         best = min(best, distance_lower_bound(scene, scene.shapes[world, loose], place))
     cell = frame[at.CELL]
     x, y = (place[0] - frame[at.LEFT]) / cell, (place[1] - frame[at.LOW]) / cell
-    column, row = int(math.floor(x)), int(math.floor(y))
+    column, row = math.floor(x), math.floor(y)
     u, v = x - column, y - row
     edge = cell * min(u, v, 1.0 - u, 1.0 - v)
     for ring in range(RINGS):
@@ -155,8 +159,8 @@ def over_ground(scene: Scene, shape: Shape, hull: Hull, near_m: float, far_m: fl
             if z - reach_z > top:
                 continue
             cell = 2 * (row * (columns - 1) + column)
-            best = min(best, distance(scene, shape, cell, hull, near_m, far_m))
-            best = min(best, distance(scene, shape, cell + 1, hull, near_m, far_m))
+            for triangle in range(2):
+                best = min(best, distance(scene, shape, cell + triangle, hull, near_m, far_m))
     return best
 
 
@@ -178,16 +182,21 @@ def depth_in(scene: Scene, shape: Shape, place: Any, radius_m: float, half_m: fl
     hull = hull_of(shape, place, radius_m, half_m)
     x, y, z = hull[0]
     reach_m = math.sqrt(radius_m * radius_m + half_m * half_m) + shape[at.BOUND]
-    if x * x + y * y + z * z > reach_m * reach_m or gap(scene, shape, hull, TOUCHING_M, 0.0) > TOUCHING_M:
+    if x * x + y * y + z * z > reach_m * reach_m:
         return math.inf
-    less_m = min(FOUND, 0.5 * half_m, 0.5 * radius_m)
-    small = hull[0], hull[1], radius_m - less_m, half_m - less_m
-    return min(gap(scene, shape, small, 0.0, math.inf) - 2.0 * less_m, -TOUCHING_M)
+    kind, less_m, apart_m = int(shape[at.KIND]), min(LESS_M, 0.5 * half_m, 0.5 * radius_m), 0.0
+    met_m = 0.0 if kind == at.CAPSULE or kind == PLANE else MET_M
+    for shrunk in range(2):  # one call, since a GPU's compiler copies what it calls
+        small = hull[0], hull[1], radius_m - less_m * shrunk, half_m - less_m * shrunk
+        apart_m = gap(scene, shape, small, 0.0 if shrunk else met_m, math.inf if shrunk else met_m)
+        if not shrunk and apart_m > met_m:
+            return math.inf
+    return min(apart_m, less_m) - 2.0 * less_m
 
 
 @part(inline=False, error_model="numpy")
 def deepest_shape(
-    scene: Scene, world: int, place: Any, radius_m: float, half_m: float, share: tuple[int, int]
+    scene: Scene, world: int, place: Any, radius_m: float, half_m: float, share: Share
 ) -> tuple[int, float]:
     """Return that of a thread's `share` of shapes which a hull at a pose (7,) is in most deeply, and how deep.
 
@@ -195,21 +204,17 @@ def deepest_shape(
     """
     frame, (mine, threads) = scene.frame[world], share
     found, deepest, reach_m = NOTHING, 0.0, math.sqrt(radius_m * radius_m + half_m * half_m)
-    for loose in range(mine, int(frame[at.LOOSE]), threads):
-        depth = depth_in(scene, scene.shapes[world, loose], place, radius_m, half_m)
-        if depth < deepest:
-            found, deepest = loose, depth
     columns, rows = int(frame[at.COLUMNS]), int(frame[at.ROWS])
     first_x, last_x = at.cell_range(place[0], reach_m, frame[at.LEFT], frame[at.CELL], columns)
     first_y, last_y = at.cell_range(place[1], reach_m, frame[at.LOW], frame[at.CELL], rows)
-    for row in range(first_y, last_y):
-        for column in range(first_x, last_x):
-            cell = row * columns + column
-            for entry in range(scene.start[world, cell] + mine, scene.start[world, cell + 1], threads):
-                item = scene.items[world, entry]
-                depth = depth_in(scene, scene.shapes[world, item], place, radius_m, half_m)
-                if depth < deepest:
-                    found, deepest = item, depth
+    wide = max(last_x - first_x, 0)
+    for number in range(-1, wide * max(last_y - first_y, 0)):  # -1: what is in no cell
+        cell = (first_y + number // max(wide, 1)) * columns + first_x + number % max(wide, 1)
+        first = 0 if number < 0 else scene.start[world, cell]
+        last = int(frame[at.LOOSE]) if number < 0 else scene.start[world, cell + 1]
+        for entry in range(first + mine, last, threads):
+            item = entry if number < 0 else scene.items[world, entry]
+            depth = depth_in(scene, scene.shapes[world, item], place, radius_m, half_m)
+            if depth < deepest:
+                found, deepest = item, depth
     return found, deepest
-
-

@@ -17,7 +17,7 @@ from uavaccel.sim.vehicle.vehicle import BODY
 
 HIDDEN_GROUP = 3  # of collision geometry
 MOST_CELLS = 256 * 256
-CELLS_A_SHAPE = 2.0
+CELLS_A_SHAPE = 6.0
 LEAST_CELL_M = 0.25
 MOST_SHARE = 0.25  # of a grid's cells: a shape that covers more is in none of them, but always considered
 DEFAULT_RGBA = (0.5, 0.5, 0.5, 1.0)  # of a geom, which lets its material's through

@@ -1,9 +1,10 @@
 """Collision test of a vehicle's hull with the solids around it, and a bound on the time until one is possible.
 
-The hull is a flat upright cylinder in the body frame; the solids are axis-aligned boxes, upright cylinders, and planes
-facing up. Two convex bodies are disjoint if and only if some direction separates them. Over the horizontal directions
-the separation is concave along a chord, so golden-section search finds its maximum. Only at the rim of a post's top,
-where hull and post meet edge to edge, does MuJoCo report slightly fewer contacts.
+Where `solids` is a `Scene`, `kernels.scene_touching` does the test, and `count` is the world; what follows is about
+arrays of solids. The hull is a flat upright cylinder in the body frame; the solids are axis-aligned boxes, upright
+cylinders, and planes facing up. Two convex bodies are disjoint if and only if some direction separates them. Over the
+horizontal directions the separation is concave along a chord, so golden-section search finds its maximum. Only at the
+rim of a post's top, where hull and post meet edge to edge, does MuJoCo report slightly fewer contacts.
 
 All quantities are in metres and in MuJoCo's axes: x north, y west, z up.
 """
@@ -11,26 +12,25 @@ All quantities are in metres and in MuJoCo's axes: x north, y west, z up.
 from __future__ import annotations
 
 import math
-from typing import TypeAlias
+from typing import Any
 
 import numpy as np
+from numba import types
 from numba.extending import overload
 from numpy.typing import NDArray
 
 from uavaccel.kernels.fields import CYLINDER, PLANE
+from uavaccel.kernels.operands import Operand
+from uavaccel.kernels.scene_touching import NOTHING, Share, deepest_shape, nearest_shape
 from uavaccel.sim.parts import part
 from uavaccel.sim.vehicle.clearance import MARGIN_M, free_s
 from uavaccel.sim.vehicle.quadrotor import Record
 
 SOLID_FIELDS = 7  # centre x, y, z; half sizes x, y, z, for a cylinder radius, radius, half height; kind
-NOTHING = -1
-
 SEARCH_STEPS = 40
 SHRINK = 0.6180339887498949  # golden section
 
 Solids = NDArray[np.float64]
-Share: TypeAlias = tuple[int, int]
-"""A thread's share of a lane's solids: its index among the threads of the lane, and their number."""
 
 ALL: Share = (0, 1)
 
@@ -66,12 +66,35 @@ def _deepest_of_one(found, depth_m, threads):  # type: ignore[no-untyped-def]
     return lambda found, depth_m, threads: found
 
 
+@part
+def nearest_solid(solids: Solids, count: int, place: NDArray[np.float64], share: Share) -> float:
+    """Return a lower bound of the distance from a point to a thread's share of solids."""
+    distance_m, (first, threads) = np.inf, share
+    for solid in range(first, count, threads):
+        distance_m = min(distance_m, distance_to(solids[solid], place[0], place[1], place[2]))
+    return distance_m
+
+
+def nearest(solids: Operand, count: int, place: NDArray[np.float64], share: Share) -> float:  # type: ignore[empty-body]
+    """Return `nearest_solid`, or `nearest_shape` of a scene's world."""
+
+
+def deepest(  # type: ignore[empty-body]
+    solids: Operand, count: int, place: NDArray[np.float64], radius_m: float, half_height_m: float, share: Share
+) -> tuple[int, float]:
+    """Return `deepest_solid`, or `deepest_shape` in a scene's world."""
+
+
+def around(solids: Operand, counts: Operand, game: int) -> tuple[Any, int]:  # type: ignore[empty-body]
+    """Return a game's solids and their number, or the scene and the world of the game."""
+
+
 @part(inline=False)
 def free_ticks(
     parameters: Record,
     state: Record,
     place: NDArray[np.float64],
-    solids: Solids,
+    solids: Operand,
     count: int,
     reach_m: float,
     share: Share,
@@ -80,10 +103,7 @@ def free_ticks(
 
     `reach_m` is the radius of the hull's bounding sphere.
     """
-    distance_m, (first, threads) = np.inf, share
-    for solid in range(first, count, threads):
-        distance_m = min(distance_m, distance_to(solids[solid], place[0], place[1], place[2]))
-    gap_m = least_of_all(distance_m, threads) - reach_m - MARGIN_M
+    gap_m = least_of_all(nearest(solids, count, place, share), share[1]) - reach_m - MARGIN_M
     return int(free_s(parameters, state, gap_m) / parameters.tick_s)
 
 
@@ -156,17 +176,53 @@ def separation(place: NDArray[np.float64], solid: Solids, radius_m: float, half_
     return max(above, ahead, widest_gap(True, x, y, ax, ay, solid, radius_m, half_height_m))
 
 
-@part(inline=False)
-def touched(
-    place: NDArray[np.float64], solids: Solids, count: int, radius_m: float, half_height_m: float, share: Share
-) -> int:
-    """Return the solid that the hull at a pose (7,) penetrates most deeply, or NOTHING."""
-    found, deepest, (first, threads) = NOTHING, 0.0, share
+@part
+def deepest_solid(
+    solids: Solids, count: int, place: NDArray[np.float64], radius_m: float, half_height_m: float, share: Share
+) -> tuple[int, float]:
+    """Return that of a thread's share of solids which the hull penetrates most deeply, and a measure of that."""
+    found, deepest_m, (first, threads) = NOTHING, 0.0, share
     reach_m = math.sqrt(radius_m * radius_m + half_height_m * half_height_m)
     for solid in range(first, count, threads):
         if distance_to(solids[solid], place[0], place[1], place[2]) > reach_m:
             continue
         apart = separation(place, solids[solid], radius_m, half_height_m)
-        if apart <= deepest:
-            found, deepest = solid, apart
-    return deepest_of_all(found, deepest, threads)
+        if apart <= deepest_m:
+            found, deepest_m = solid, apart
+    return found, deepest_m
+
+
+@part(inline=False)
+def touched(
+    place: NDArray[np.float64], solids: Operand, count: int, radius_m: float, half_height_m: float, share: Share
+) -> int:
+    """Return the solid, or shape, that the hull at a pose (7,) penetrates most deeply, or NOTHING."""
+    found, depth_m = deepest(solids, count, place, radius_m, half_height_m, share)
+    return deepest_of_all(found, depth_m, share[1])
+
+
+def _nearest(solids, count, place, share):  # type: ignore[no-untyped-def]
+    function = nearest_shape if isinstance(solids, types.BaseTuple) else nearest_solid
+    return lambda solids, count, place, share: function(solids, count, place, share)
+
+
+def _deepest(solids, count, place, radius_m, half_height_m, share):  # type: ignore[no-untyped-def]
+    function = deepest_shape if isinstance(solids, types.BaseTuple) else deepest_solid
+
+    def chosen(solids, count, place, radius_m, half_height_m, share):  # type: ignore[no-untyped-def]
+        return function(solids, count, place, radius_m, half_height_m, share)
+
+    return chosen
+
+
+def _around(solids, counts, game):  # type: ignore[no-untyped-def]
+    if isinstance(solids, types.BaseTuple):
+        return lambda solids, counts, game: (solids, counts[game])
+    return lambda solids, counts, game: (solids[game], counts[game])
+
+
+BY_TYPE = ((nearest, _nearest), (deepest, _deepest), (around, _around))
+"""Functions whose implementation depends on what is around, with what chooses it by type, for numba's `overload`."""
+
+for _function, _chosen in BY_TYPE:
+    overload(_function)(_chosen)
