@@ -23,7 +23,7 @@ from uavaccel.kernels import cpu, events, lane_clocks, lane_games, lanes
 from uavaccel.kernels.fields import COLOUR, COLUMNS, ROWS
 from uavaccel.kernels.spans import make_scratch
 
-SIGNED = {np.dtype(np.uint32): np.int32, np.dtype(np.uint64): np.int64}
+SIGNED: dict[Any, Any] = {np.dtype(np.uint32): np.int32, np.dtype(np.uint64): np.int64}
 NAME, CLOCKS = "uavaccel.kernels.cuda", "uavaccel.kernels.cuda_clocks"
 ABOVE = {
     "uavaccel.envs": ("cuda_clocks", "cuda_games", "cuda_view", "cuda_lanes", "cuda_batch"),

@@ -124,11 +124,7 @@ class FlightClient(GuardedClient):
     """
 
     def __init__(
-        self,
-        client: Client,
-        kind: str | None,
-        stopwatches: Sequence[Stopwatch],
-        size: tuple[int, int] = PICTURE_SIZE,
+        self, client: Client, kind: str | None, stopwatches: Sequence[Stopwatch], size: tuple[int, int] = PICTURE_SIZE
     ) -> None:
         super().__init__(client, kind or "", size=size)
         self.noise = ImageNoise()
