@@ -6,7 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, Literal, get_args, get_origin
+from typing import Annotated, Any, Literal, get_args, get_origin
 
 import pytest
 from pydantic import BaseModel
@@ -151,6 +151,8 @@ def test_the_options_for_keys_take_what_the_configurations_take(suite: str) -> N
             several = get_origin(fields[name]) is tuple
             assert several <= (name in experiments.GRIDS)
             kind = get_args(fields[name])[0] if several or type(None) in get_args(fields[name]) else fields[name]
+            if get_origin(kind) is Annotated:
+                kind = get_args(kind)[0]
             if get_origin(kind) is Literal:
                 assert set(get_args(kind)) <= set(key.words)
             else:
@@ -170,7 +172,7 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
         monkeypatch.setattr(f"uavaccel.{place}", call)
 
     for place in (
-        "cli.experiments.run_experiment", "cli.experiments.evaluate_agent", "cli.view.view_game", "watch.show.show",
+        "cli.experiments.run_experiment", "cli.experiments.evaluate_agent", "cli.view.view_game", "watch.beside.show",
         "cli.results.export_source", "wire.service.serve", "fly.command.fly_script",
     ):  # fmt: skip
         stand_in(place)

@@ -93,7 +93,8 @@ def assert_equal_infos(ours: Any, theirs: Any, over: Any, names: tuple[str, ...]
             assert hit == list(theirs[key][over])
         else:
             expected = np.array([*theirs[key][over]])
-            np.testing.assert_array_equal(value.numpy()[over], expected)
+            # a power of one half is rounded otherwise by PyTorch on some machines
+            np.testing.assert_allclose(value.numpy()[over], expected, rtol=1e-14)
 
 
 WIDENING = {"randomise": {"wind_m_s": [4.0, 6.0], "widen_over_games": 12}}

@@ -66,7 +66,7 @@ def test_bright_pixels_saturate_and_colours_keep_their_order() -> None:
 def test_a_camera_is_exposed_for_the_wall_time_that_its_simulation_ran() -> None:
     """At 10x a simulated second is a tenth of one: three tenths of a stop up, as the picture is half as bright."""
     images = iter((grey(80), grey(40)))
-    client: Any = SimpleNamespace(clock_speed=10.0, image=lambda kind: next(images))
+    client: Any = SimpleNamespace(clock_speed=10.0, image=lambda kind, size: next(images))
     exposure = AutoExposure()
     camera = CameraClient(client, guard=GuardSettings(max_retries=0), exposure=exposure)
     for time_ns in (0, S):
