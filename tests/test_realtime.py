@@ -312,7 +312,7 @@ def test_what_is_left_of_a_chunk_goes_on_to_the_tick(
     keys: dict[str, Any], thinking_ms: tuple[int, int], expected: str, ticks: int
 ) -> None:
     """Two of three actions are applied before the next observation; with overlap, less what thinking took."""
-    plant = Told()
+    plant: Any = Told()
     options = LoopOptions(chunk=3, execute=2, **keys)
     loop = ControlLoop(plant, options, spaces.Box(-1.0, 1.0, (1,), np.float32))
     for chunk, took_ms in zip(("abc", "ABC"), thinking_ms, strict=True):
