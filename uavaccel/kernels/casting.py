@@ -218,7 +218,7 @@ def meet_cell(scene: Scene, shape: Shape, column: int, row: int, p: Vector, d: V
 
 @part(error_model="numpy")
 def cell_at(place: Float, step: Float, count: int) -> int:
-    return min(max(math.floor(place / step), 0), count - 1)
+    return min(max(at.whole(place / step), 0), count - 1)
 
 
 @part(error_model="numpy")

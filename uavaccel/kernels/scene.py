@@ -120,10 +120,16 @@ def beside(shape: Shape, x: float, y: float, half: float) -> bool:
 
 
 @part(error_model="numpy")
+def whole(number: float) -> int:
+    """Return the largest integer that is not above a number; on a GPU math.floor returns a float."""
+    return int(math.floor(number))  # noqa: RUF046
+
+
+@part(error_model="numpy")
 def cell_range(centre: float, reach: float, first: float, cell: float, count: int) -> tuple[int, int]:
     """Return the first cell that an interval meets, and the one after the last."""
-    low, high = math.floor((centre - reach - first) / cell), math.floor((centre + reach - first) / cell)
-    return max(int(low), 0), min(int(high) + 1, count)
+    low, high = whole((centre - reach - first) / cell), whole((centre + reach - first) / cell)
+    return max(low, 0), min(high + 1, count)
 
 
 @part(inline=False, error_model="numpy")

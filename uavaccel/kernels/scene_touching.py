@@ -58,7 +58,7 @@ def above_ground(scene: Scene, shape: Shape, p: Vector) -> float:
     boxed = math.sqrt(beside * beside + across * across + lift * lift)
     if boxed > WINDOW * min(wide, high):
         return boxed
-    u, v = math.floor((p[0] + shape[at.HALF]) / wide), math.floor((p[1] + shape[at.HALF + 1]) / high)
+    u, v = at.whole((p[0] + shape[at.HALF]) / wide), at.whole((p[1] + shape[at.HALF + 1]) / high)
     top, first = -shape[at.BASE], int(shape[at.DATA])
     for row in range(max(v - WINDOW, 0), min(v + WINDOW + 2, lines)):
         for column in range(max(u - WINDOW, 0), min(u + WINDOW + 2, columns)):
@@ -111,7 +111,7 @@ def nearest_shape(scene: Scene, world: int, place: Any, share: Share) -> float:
         best = min(best, distance_lower_bound(scene, scene.shapes[world, loose], place))
     cell = frame[at.CELL]
     x, y = (place[0] - frame[at.LEFT]) / cell, (place[1] - frame[at.LOW]) / cell
-    column, row = math.floor(x), math.floor(y)
+    column, row = at.whole(x), at.whole(y)
     u, v = x - column, y - row
     edge = cell * min(u, v, 1.0 - u, 1.0 - v)
     for ring in range(RINGS):
