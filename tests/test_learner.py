@@ -30,11 +30,11 @@ from uavaccel.rl.agents import first_policy
 from uavaccel.rl.algorithms import Adam
 from uavaccel.rl.baseline import Baseline
 from uavaccel.rl.config import DqnOptions, LearnerConfig, check_algorithm
+from uavaccel.rl.contrast import contrast
 from uavaccel.rl.double_dqn import DoubleDQN
 from uavaccel.rl.graph import GraphedStep
 from uavaccel.rl.lanes import BatchVecEnv, seed_lanes
 from uavaccel.rl.learner import Game, learning_rhythm
-from uavaccel.rl.network import contrast
 from uavaccel.rl.policy import weights_sha256
 from uavaccel.rl.replay import Batch
 from uavaccel.rl.statistics import StepStatistics

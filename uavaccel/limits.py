@@ -18,6 +18,8 @@ MOST_ACTIONS = 4_096  # of a chunk, or observed
 
 Seed = Annotated[int, Field(ge=0, lt=MOST_SEEDS)]
 """A seed that NumPy's and torch's generators accept."""
+Count = Annotated[int, Field(ge=1, le=1_000_000)]
+Share = Annotated[float, Field(ge=0.0, le=1.0)]
 Games = Annotated[int, Field(ge=1, le=MOST_GAMES)]
 Processes = Annotated[int, Field(ge=1, le=MOST_PROCESSES)]
 ClockSpeed = Annotated[float, Field(gt=0.0, ge=CLOCK_SPEEDS[0], le=CLOCK_SPEEDS[1])]

@@ -73,6 +73,7 @@ class CudaBatch(VectorEnv[Any, Any, Any]):
         """
         seeds, games = seeds_of(seed, self.num_envs), self._lanes.games
         self._unread.clear()
+        self._actions.wrong.zero_()
         if not games.has_games or any(given is not None for given in seeds):
             games.seed(seeds)
             games.sample_games([options] * self.num_envs)
@@ -110,9 +111,10 @@ class CudaBatch(VectorEnv[Any, Any, Any]):
         if len(self._unread) > BEHIND:
             read, begun, wrong = self._unread.popleft()
             read.synchronize()
-            if wrong:
-                raise UserError(f"actions of an earlier step were not in the action space: {self.action_space}")
             games.refill(begun.tolist())
+            if wrong:
+                self._actions.wrong.zero_()
+                raise UserError(f"actions of an earlier step were not in the action space: {self.action_space}")
 
     def _infos(self) -> dict[str, Any]:
         return {"position_m": self._lanes.positions(), "commands": self._lanes.commands.clone()}

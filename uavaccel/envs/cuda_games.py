@@ -49,6 +49,11 @@ class LaneGames:
         self.starts: dict[str, Any] = {}
         self.conditions: dict[str, th.Tensor] = {}
 
+    def generators(self, seeds: int | Sequence[int | None]) -> list[np.random.Generator]:
+        """Return a new generator for each lane: of the i-th of several seeds, or of a single seed plus i."""
+        each = [seeds + lane for lane in range(self.count)] if isinstance(seeds, int) else seeds
+        return [seeding.np_random(seed)[0] for seed in each]
+
     @property
     def object_names(self) -> tuple[str, ...]:
         """Names of what a vehicle can collide with: obstacles, then what every game has."""
@@ -96,8 +101,7 @@ class Dealt(LaneGames):
 
     def seed(self, seeds: int | Sequence[int | None]) -> None:
         """Seed all lanes anew: lane i with the i-th of several seeds, or with a single seed plus i."""
-        each = [seeds + lane for lane in range(self.count)] if isinstance(seeds, int) else seeds
-        streams = np.stack([stream_of(seeding.np_random(seed)[0]) for seed in each])
+        streams = np.stack([stream_of(generator) for generator in self.generators(seeds)])
         self._tensors.streams[:, lane_games.OWN] = to_device(streams.view(np.int64), self.device)
         self.begun.zero_()
 
@@ -187,9 +191,9 @@ class SampledAhead(LaneGames):
 
     def seed(self, seeds: int | Sequence[int | None]) -> None:
         """Seed all lanes anew: lane i with the i-th of several seeds, or with a single seed plus i."""
-        each = [seeds + lane for lane in range(self.count)] if isinstance(seeds, int) else seeds
-        for lane, seed in enumerate(each):
-            self._generators[lane], self._games[lane] = seeding.np_random(seed)[0], 0
+        self._generators = self.generators(seeds)
+        for lane in range(self.count):
+            self._games[lane] = 0
             self._drawn[lane].clear()
             self._written[lane] = 0
         self.begun.zero_()

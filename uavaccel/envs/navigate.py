@@ -11,11 +11,11 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from uavaccel.envs.flight_env import FlightEnv
-from uavaccel.envs.task import AnyMoment, Count, Positive, Task, distance
+from uavaccel.envs.task import AnyMoment, Positive, Task, distance
 from uavaccel.envs.values import Course, Info, Number
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Kinematics
-from uavaccel.limits import Height, Speed
+from uavaccel.limits import Count, Height, Speed
 from uavaccel.sim.clutter.layout import ASIDE_M, NORTH_M, Clutter
 from uavaccel.sim.lane.layout import EVALUATION_SEEDS, LaneLayout, Split, lane_seed
 

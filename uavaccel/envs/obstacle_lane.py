@@ -18,11 +18,11 @@ from uavaccel.config import validate
 from uavaccel.envs.conditions import LATENCY, OF_DIFFICULTY, OF_TASK, Ranges, corners, keys_of
 from uavaccel.envs.context_planes import ContextKind, ContextPlanes
 from uavaccel.envs.flight_env import CONDITIONS, FlightEnv
-from uavaccel.envs.task import AnyMoment, Count, Task
+from uavaccel.envs.task import AnyMoment, Task
 from uavaccel.envs.values import Course, Info, Number
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Vector
-from uavaccel.limits import Height, Seconds
+from uavaccel.limits import Count, Height, Seconds
 from uavaccel.sim.lane.file import LaneFile, parse_lane
 from uavaccel.sim.lane.layout import (
     EVALUATION_SEEDS,

@@ -33,7 +33,7 @@ from uavaccel.envs.sensors import (
 from uavaccel.envs.values import Action, Course, Info, Number
 from uavaccel.errors import UserError
 from uavaccel.kinematics import FlightGoal, Kinematics, Vector, VelocityGoal
-from uavaccel.limits import ClockSpeed, Cost, Height, Seconds, Seed, Speed
+from uavaccel.limits import ClockSpeed, Cost, Count, Height, Seconds, Seed, Speed
 from uavaccel.sim.lane.layout import PLAIN, LaneLayout
 from uavaccel.sim.profile import PROFILES
 from uavaccel.units import NS_PER_S
@@ -42,7 +42,6 @@ from uavaccel.wire.latency import LatencyModel, of_the_profile
 
 NotNegative = Annotated[float, Field(ge=0.0, le=1e6)]
 Positive = Annotated[float, Field(gt=0.0, le=1e6)]
-Count = Annotated[int, Field(ge=1, le=1_000_000)]
 
 RATE_ROUNDING = 1e-4  # of a rate that is written with few digits, as 333.33
 AT_REST = Kinematics(0, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))

@@ -126,7 +126,7 @@ def _camera(model: mujoco.MjModel, name: str) -> NDArray[np.float64]:
 
 
 def _textures(model: mujoco.MjModel) -> tuple[NDArray[np.uint32], NDArray[np.int32], dict[int, int]]:
-    """Return texels, the rows of Looks.textures, and the row of each 2d texture."""
+    """Return texels, the rows of Appearance.textures, and the row of each 2d texture."""
     texels: list[NDArray[np.uint32]] = []
     rows: list[tuple[int, int]] = []
     of_texture: dict[int, int] = {}

@@ -93,19 +93,6 @@ def slab(place: Float, direction: Float, half: Float) -> Span:
 
 
 @part(error_model="numpy")
-def in_tube(x: Float, y: Float, u: Float, v: Float, radius: Float) -> Span:
-    """Return the range in which (x, y) + t * (u, v) is within a radius."""
-    speed = u * u + v * v
-    middle = -(x * u + y * v) / max(speed, TINY)
-    x, y = x + middle * u, y + middle * v
-    inside = radius * radius - x * x - y * y
-    if inside < ZERO:
-        return HUGE, -HUGE
-    half = math.sqrt(inside / max(speed, TINY))
-    return middle - half, middle + half
-
-
-@part(error_model="numpy")
 def in_ball(p: Vector, d: Vector, radius: Float) -> Span:
     """Return the range in which a ray, whose direction has any length, is within a radius around 0."""
     speed = dot(d, d)
@@ -130,7 +117,7 @@ def in_capsule(p: Vector, d: Vector, radius: Float, half: Float) -> Span:
     near, far = in_ball((p[0], p[1], p[2] - half), d, radius)
     if half > ZERO:
         low, lower = in_ball((p[0], p[1], p[2] + half), d, radius)
-        side, beyond = common(in_tube(p[0], p[1], d[0], d[1], radius), slab(p[2], d[2], half))
+        side, beyond = common(in_ball((p[0], p[1], ZERO), (d[0], d[1], ZERO), radius), slab(p[2], d[2], half))
         near, far = min(near, low), max(far, lower)
         if side <= beyond:
             near, far = min(near, side), max(far, beyond)
@@ -142,7 +129,7 @@ def within(shape: Shape, kind: int, p: Vector, d: Vector) -> Span:
     """Return the range in which a ray, in a shape's axes, is within it; for shapes with an inside."""
     half = triple(shape, at.HALF)
     if kind == CYLINDER:
-        return common(in_tube(p[0], p[1], d[0], d[1], half[0]), slab(p[2], d[2], half[2]))
+        return common(in_ball((p[0], p[1], ZERO), (d[0], d[1], ZERO), half[0]), slab(p[2], d[2], half[2]))
     if kind == at.CAPSULE:
         return in_capsule(p, d, half[0], half[2])
     if kind == at.ELLIPSOID:

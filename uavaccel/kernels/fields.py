@@ -56,10 +56,10 @@ EXTRA = 26  # row with eight more edges, 0 for none; such a row is not a face, a
 NEAREST_W = 27  # upper bound of w
 FIRST_COLUMN, LAST_COLUMN = 28, 29  # range of columns in which it may be visible
 
-# A texture: int32 (2,), in Looks.textures; texture 0 is the sky's. Mipmap levels are stacked vertically.
+# A texture: int32 (2,), in Appearance.textures; texture 0 is the sky's. Mipmap levels are stacked vertically.
 BASE, LOG2_SIZE = 0, 1  # textures are square, and LOG2_SIZE is the last level
 
-# A material: float32 (8,), in Looks.materials.
+# A material: float32 (8,), in Appearance.materials.
 RGB, TEXTURE_ID, REPEAT, UNIFORM, EMISSION = 0, 3, 4, 6, 7
 
 # A solid: float32 (8,), in Scenes.solids. Metres, MuJoCo's axes.
@@ -70,7 +70,7 @@ SOLIDS = 67  # obstacles, two walls, the ground
 # A lane's light: float32 (9,), in Scenes.lights; TOWARDS is the direction to the sun.
 AMBIENT, DIFFUSE, TOWARDS = 0, 3, 6
 
-# The camera: float64 (16,), in Looks.camera. In the body frame: position; axes right, up, back, columns of a matrix.
+# The camera: float64 (16,), in Appearance.camera. In the body frame: place; axes right, up, back, a matrix's columns.
 PLACE, AXES, HALF_WIDTH, HALF_HEIGHT, NEAR_M, FAR_M = 0, 3, 12, 13, 14, 15
 
 
@@ -82,4 +82,4 @@ NO_APPEARANCE = Appearance(
     np.zeros((0, 8), np.float32),
     np.zeros((3, 4), np.int32),
 )
-"""Stands for the looks of lanes that render no images: empty arrays of the same types."""
+"""Stands for the appearance of lanes that render no images: empty arrays of the same types."""

@@ -56,7 +56,7 @@ def with_children(pid: int) -> list[int]:
 class StallDetector:
     """Decides whether processes whose reply is overdue are stalled.
 
-    Looks are counted, not seconds, since a process that was stopped together with its client has not kept it waiting.
+    Polls are counted, not seconds, since a process that was stopped together with its client has not kept it waiting.
     """
 
     def __init__(self) -> None:

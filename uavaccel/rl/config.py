@@ -11,10 +11,10 @@ from pydantic import Field, model_validator
 from uavaccel.config import Config, validate
 from uavaccel.envs.flyable import Simulator, check_flyable
 from uavaccel.envs.obstacle_lane import LaneTask
-from uavaccel.envs.task import Count, Positive
+from uavaccel.envs.task import Positive
 from uavaccel.errors import UserError
 from uavaccel.files import Plain
-from uavaccel.limits import Cost, Games, Processes, Seed
+from uavaccel.limits import Cost, Count, Games, Processes, Seed
 from uavaccel.machine import memory_bytes
 
 if TYPE_CHECKING:

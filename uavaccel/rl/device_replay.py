@@ -14,7 +14,7 @@ from numba import cuda
 from numpy.typing import NDArray
 
 from uavaccel.kernels.cuda import grid, shared
-from uavaccel.rl.network import HALF_CONTRAST
+from uavaccel.rl.contrast import HALF_CONTRAST
 from uavaccel.vision.observation import NEUTRAL_LEVEL
 
 KERNEL, STRIDE, PADDING = 8, 4, 2  # the network's first convolution (rl/network.LaneFeatures)

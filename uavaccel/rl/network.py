@@ -12,9 +12,7 @@ from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.dqn.policies import QNetwork
 from torch import nn
 
-from uavaccel.vision.observation import NEUTRAL_LEVEL
-
-HALF_CONTRAST = 24.0  # grey levels from neutral that are seen at half strength
+from uavaccel.rl.contrast import contrast
 
 
 class LaneFeatures(BaseFeaturesExtractor):
@@ -37,12 +35,6 @@ class LaneFeatures(BaseFeaturesExtractor):
         """Features (n, features) of grey levels (n, frames, rows, columns), 0 to 255, which are overwritten."""
         features: th.Tensor = self.layers(contrast(observations))
         return features
-
-
-def contrast(levels: th.Tensor) -> th.Tensor:
-    """Turn float grey levels, in place, into the network's input of -1 to 1, 0 for "no events"."""
-    distance = levels.sub_(NEUTRAL_LEVEL)
-    return distance.div_(distance.abs().add_(HALF_CONTRAST))
 
 
 def ratings(networks: Sequence[QNetwork], observations: th.Tensor) -> list[th.Tensor]:

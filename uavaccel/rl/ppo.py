@@ -27,15 +27,12 @@ from torch import nn
 from uavaccel.config import Config
 from uavaccel.errors import UserError
 from uavaccel.kernels.recording import recorded
-from uavaccel.limits import Seed
-from uavaccel.vision.observation import NEUTRAL_LEVEL
+from uavaccel.limits import Count, Seed, Share
+from uavaccel.rl.contrast import contrast
 
-Count = Annotated[int, Field(ge=1, le=1_000_000)]
-Share = Annotated[float, Field(ge=0.0, le=1.0)]
 Weight = Annotated[float, Field(ge=0.0, le=1e3)]
 Parts: TypeAlias = dict[str, th.Tensor]
 
-HALF_CONTRAST = 24.0  # grey levels from "no events" that are seen at half strength
 LOG_ROOT_TWO_PI, LOG_ROOT_TWO_PI_E = 0.5 * math.log(2 * math.pi), 0.5 * math.log(2 * math.pi * math.e)
 
 
@@ -138,8 +135,7 @@ class ActorCritic(nn.Module):
     def _levels(self, picture: th.Tensor) -> th.Tensor:
         """Return grey levels 0 to 255 as -1 to 1, faint events amplified."""
         if self.events:
-            distance = picture.float() - NEUTRAL_LEVEL
-            return distance / (distance.abs() + HALF_CONTRAST)
+            return contrast(picture.to(th.float32, copy=True))
         return picture.float() / 127.5 - 1.0
 
     @th.no_grad()

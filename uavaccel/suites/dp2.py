@@ -27,13 +27,13 @@ from uavaccel.envs.task import rate_ticks
 from uavaccel.files import Plain
 from uavaccel.forms import ArrayForm, Count, NotNegative, Number, Positive
 from uavaccel.kinematics import Kinematics, VelocityGoal
-from uavaccel.limits import Seconds, Seed
+from uavaccel.limits import Seconds, Seed, Share
 from uavaccel.metrics.dvs_ed import dvs_ed_percent
 from uavaccel.metrics.speedup import timing_provenance
 from uavaccel.records import RunDirectory
 from uavaccel.sim.camera.view import HEIGHT, WIDTH
 from uavaccel.sim.lane.file import LaneFile, parse_lane
-from uavaccel.sim.lane.layout import Difficulty, LaneLayout, Share
+from uavaccel.sim.lane.layout import Difficulty, LaneLayout
 from uavaccel.sim.lane.path import plan_path
 from uavaccel.sim.profile import PROFILES
 from uavaccel.suites import plots

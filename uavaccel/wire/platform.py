@@ -9,12 +9,11 @@ import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from uavaccel.config import Config
-from uavaccel.limits import LatencyUs
+from uavaccel.limits import LatencyUs, Share
 from uavaccel.sim.frames import Frames
 from uavaccel.sim.profile import AIRSIM, PROFILES, Executor, Profile, airsim_variant
 from uavaccel.units import seconds_to_ns
 
-Share = Annotated[float, Field(ge=0.0, le=1.0)]
 RESENT_NS = 200_000_000  # Linux's least time-out before TCP sends a lost segment again (TCP_RTO_MIN)
 STALLED_NS = 40_000_000  # Linux's delayed acknowledgement, which Nagle's algorithm waits for (TCP_DELACK_MIN)
 

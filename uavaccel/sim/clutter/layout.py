@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from uavaccel.config import Config
+from uavaccel.limits import Share
 from uavaccel.sim.parts import njit, part
 from uavaccel.sim.pcg64 import STREAM_FIELDS, pool_of, start, unit
 from uavaccel.sim.rounding import times
@@ -44,7 +45,6 @@ PARKED_Z_M = -100.0
 GREYS = (0.25, 0.95)
 TURN = 0.41421356237309503  # the tangent of a sixteenth of a turn: yaw is at most an eighth of a turn
 
-Share = Annotated[float, Field(ge=0.0, le=1.0)]
 HalfSize = Annotated[float, Field(gt=0.0, le=5.0)]
 Clear = Annotated[float, Field(ge=0.5, le=20.0)]
 

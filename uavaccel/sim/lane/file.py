@@ -17,6 +17,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from uavaccel.config import Config, validate
+from uavaccel.limits import Share
 from uavaccel.sim.lane.layout import (
     GROUND_TEXTURES,
     HULL_RADIUS_M,
@@ -27,7 +28,6 @@ from uavaccel.sim.lane.layout import (
     WIDTH_M,
     LaneLayout,
     Scenery,
-    Share,
     clearance_m,
 )
 from uavaccel.sim.scene.bounds import check_wind

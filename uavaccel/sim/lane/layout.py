@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, field_validator, model_validator
 
 from uavaccel.config import Config
+from uavaccel.limits import Share
 from uavaccel.sim.state import SavedState, State
 
 FloatArray = NDArray[np.float64]
@@ -33,8 +34,6 @@ GROUND_TEXTURES = ("asphalt", "grass")
 PLAIN = "plain"  # the scenery of assets/mjcf/lane.xml; others have a folder there
 
 EVALUATION_SEEDS = 1_000_000  # lower seeds are evaluation lanes, all others training lanes
-
-Share = Annotated[float, Field(ge=0.0, le=1.0)]
 
 
 class Difficulty(Config):
