@@ -63,13 +63,13 @@ class Bare(NamedTuple):
 def one_lane(task: LaneTask) -> Bare:
     """Return a lane at the start of its first game."""
     maker = GameMaker(task)
-    games, now = rows.game_rows(1, maker.surroundings.most), rows.flights(1)
+    games, now = maker.rows(1), rows.flights(1)
     maker.write(maker.sample(np.random.default_rng(0), 0), games, 0)
     kind = DVS if task.observation == "dvs" else STATE
     sensor = events.sensor_of(sample_pixels(task.dvs_parameters, (ROWS, COLUMNS), task.dvs_seed))
     pixels = events.pixels_of(int(kind == DVS), task.dvs_parameters)
     view, plan = (
-        cpu.View(kind, maker.appearance or NO_APPEARANCE, sensor, pixels),
+        cpu.View(kind, (ROWS, COLUMNS), maker.looks, sensor, pixels),
         plan_of(task, maker.surroundings.hull, kind != STATE),
     )
     first = np.arange(1)

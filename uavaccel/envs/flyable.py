@@ -11,6 +11,7 @@ from uavaccel.envs.task import Task
 from uavaccel.errors import UserError
 from uavaccel.kernels.fields import COLOUR, DEPTH, DVS, STATE
 from uavaccel.limits import MOST_GAMES
+from uavaccel.sim.clutter.layout import Clutter
 from uavaccel.sim.profile import Profile
 from uavaccel.units import exact
 from uavaccel.wire.latency import ZERO_LATENCY, LatencyConfig
@@ -41,6 +42,11 @@ def kind_of(task: Task) -> int:
     return STATE if task.blank_images else KINDS[task.observation]
 
 
+def clutter_of(task: Task) -> Clutter | None:
+    """Return the distribution that the worlds of a task's games are sampled from; None where all fly in one."""
+    return getattr(task, "clutter", None) if task.scene == "clutter" else None
+
+
 def passes_together(task: Task) -> bool:
     """Return whether all lanes advance by the same ticks, since messages take no time."""
     return (task.timing, task.profile, task.command) == ("lockstep", "native", "tcsc")
@@ -55,12 +61,10 @@ def _why_not(task: Task) -> str:
         return f"action = {task.action} is flown by the exact simulator alone"
     if task.scenery != "plain":
         return f"difficulty.scenery = {task.scenery}: the kernels render no meshes"
-    if task.picture_size != PICTURE_SIZE and kind_of(task) != STATE:
-        return f"picture_size = {list(task.picture_size)} is rendered by the exact simulator alone"
-    if task.scene == "clutter":
-        return "scene = clutter is flown by the exact simulator alone"
-    if task.scene != "lane" and task.observation != "state":
-        return f"observation = {task.observation} is rendered in scene = lane only"
+    if task.scene == "clutter" and clutter_of(task) is None:
+        return "scene = clutter needs a task with the key clutter, the distribution of its worlds"
+    if task.scene == "lane" and task.picture_size != PICTURE_SIZE and kind_of(task) != STATE:
+        return f"picture_size = {list(task.picture_size)}: the lane is rendered in [256, 144] only"
     for name in ("goal", "velocity_goal", "features"):
         if getattr(type(task), name).__module__.partition(".")[0] != Task.__module__.partition(".")[0]:
             return f"{type(task).__name__}.{name} is your own, and may take one game at a time only"

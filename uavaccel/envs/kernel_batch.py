@@ -34,6 +34,7 @@ from uavaccel.envs.kernel_games import (
     step_result,
 )
 from uavaccel.envs.kernel_plan import plan_of
+from uavaccel.envs.sensors import blank_frame
 from uavaccel.envs.stopwatch import PHASES
 from uavaccel.envs.task import Moment, Moments, Task
 from uavaccel.envs.turn_batch import TurnBatch
@@ -41,7 +42,7 @@ from uavaccel.envs.values import Action, Actions, Answer, Frame, Info, Number, S
 from uavaccel.errors import UserError
 from uavaccel.kernels import cpu, events, timeline
 from uavaccel.kernels import lanes as rows
-from uavaccel.kernels.fields import COLUMNS, DVS, NO_APPEARANCE, ROWS, STATE
+from uavaccel.kernels.fields import DVS, STATE
 from uavaccel.kernels.flight import TOUCHED
 from uavaccel.limits import MOST_PROCESSES
 from uavaccel.machine import usable_cores
@@ -93,13 +94,13 @@ class KernelBatch(TurnBatch):
 
     def _allocate(self) -> None:
         count, task, space = self.num_envs, self.task, self.single_observation_space
-        self._rows = rows.game_rows(count, self._maker.surroundings.most, self._maker.surroundings.scene)
+        self._rows = self._maker.rows(count)
         self._now = rows.flights(count)
         blank = task.sensor().blank
-        draws = sample_pixels(task.dvs_parameters, (ROWS, COLUMNS), task.dvs_seed)
-        kind = kind_of(task)
-        pixels = events.pixels_of(count if kind == DVS else 0, task.dvs_parameters)
-        self._view = cpu.View(kind, self._maker.appearance or NO_APPEARANCE, events.sensor_of(draws), pixels)
+        kind, size = kind_of(task), task.picture_size[::-1]
+        draws = sample_pixels(task.dvs_parameters, size, task.dvs_seed)
+        pixels = events.pixels_of(count if kind == DVS else 0, task.dvs_parameters, size, blank_frame("dvs", task.picture_size).shape[1:])
+        self._view = cpu.View(kind, size, self._maker.looks, events.sensor_of(draws), pixels)
         samples = task.frames_per_command
         self._blank = blank
         self._frames = np.empty((count, samples, *blank.shape), blank.dtype)
@@ -393,7 +394,7 @@ class KernelBatch(TurnBatch):
         drawn, state = self._drawn[lane], self._now.state[lane]
         hit = None
         if state["collision_tick"] != NEVER:
-            hit = self._maker.name_of(int(self._now.watch[lane, TOUCHED]), drawn.layout)
+            hit = self._maker.surroundings.name_of(int(self._now.watch[lane, TOUCHED]), drawn.obstacles)
         position = tuple(float(axis[lane]) for axis in self._position)
         course = one_course(self._course, lane)
         if CONDITIONS in drawn.course:

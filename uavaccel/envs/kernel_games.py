@@ -11,15 +11,19 @@ from numpy.typing import NDArray
 
 from uavaccel.envs.checks import known_options
 from uavaccel.envs.flight_env import CONDITIONS
-from uavaccel.envs.flyable import profile_of
+from uavaccel.envs.flyable import clutter_of, kind_of, profile_of
+from uavaccel.envs.sensors import PICTURE_SIZE
 from uavaccel.envs.stopwatch import PHASES
-from uavaccel.envs.task import Moment, Moments, Task
+from uavaccel.envs.task import AnyLayout, Moment, Moments, Task
 from uavaccel.envs.values import Course, Info, Number
-from uavaccel.kernels.appearance import fill_scene, read_appearance
+from uavaccel.kernels.appearance import fill_scene, read_appearance, read_looks
 from uavaccel.kernels.bodies import Surroundings, read_surroundings
+from uavaccel.kernels.clutter_worlds import clutter_worlds
 from uavaccel.kernels.events import camera_row
-from uavaccel.kernels.fields import Appearance
-from uavaccel.kernels.lanes import Games
+from uavaccel.kernels.fields import NO_APPEARANCE, NO_LOOKS, STATE, Appearance, Looks
+from uavaccel.kernels.lanes import Games, game_rows
+from uavaccel.kernels.scene import as_seen, empty_scene
+from uavaccel.kernels.still import read_scene
 from uavaccel.kinematics import Kinematics
 from uavaccel.sim.lane.layout import LaneLayout
 from uavaccel.sim.world import World
@@ -33,8 +37,13 @@ class Drawn(NamedTuple):
     course: Course
     task: Task
     """The task under the game's conditions."""
-    layout: LaneLayout | None
+    layout: AnyLayout | None
     latencies: np.random.SeedSequence
+
+    @property
+    def obstacles(self) -> int:
+        """Number of the lane's obstacles."""
+        return len(self.layout) if isinstance(self.layout, LaneLayout) else 0
 
 
 class GameMaker:
@@ -44,9 +53,19 @@ class GameMaker:
         self.task = task
         self._world = World(task.scene, profile_of(task))
         self.surroundings: Surroundings = read_surroundings(self._world.model)
-        self.appearance: Appearance | None = None if task.observation == "state" else read_appearance(self._world.model)
+        self.sees = kind_of(task) != STATE
+        self.in_lane = task.scene == "lane" and task.picture_size == PICTURE_SIZE
+        self.looks = self._read_looks()
         self.nominal = self._world.lead.parameters.copy()
         self._start = lru_cache(maxsize=64)(self._settled)
+
+    def _read_looks(self) -> Appearance | Looks:
+        """Return what images are rendered from; without images something of the same type."""
+        if self.sees and self.in_lane:
+            return read_appearance(self._world.model)
+        if self.sees:
+            return read_looks(self._world.model, self.task.picture_size, self.task.observation == "depth")
+        return NO_LOOKS if clutter_of(self.task) else NO_APPEARANCE
 
     def sample(self, random: np.random.Generator, games: int, options: Mapping[str, object] | None = None) -> Drawn:
         """Sample the next game of an environment that has had `games` before. Raises UserError for wrong options."""
@@ -57,16 +76,26 @@ class GameMaker:
         layout = task.lane_layout(course)
         return Drawn({**course, CONDITIONS: conditions} if conditions else course, task, layout, latencies)
 
+    def rows(self, count: int) -> Games:
+        """Allocate rows for `count` games."""
+        scene, clutter = self.surroundings.scene, clutter_of(self.task)
+        seen = read_scene(self._world.model, seen=True) if self.sees and not self.in_lane and not clutter else None
+        if scene is not None and clutter:
+            scene, seen = clutter_worlds(clutter, scene, count)
+            if not self.sees:
+                seen = as_seen(empty_scene(0, 0, 0, 0, seen=True))
+        return game_rows(count, self.surroundings.most if scene is None else scene, seen)
+
     def write(self, drawn: Drawn, games: Games, row: int) -> None:
         """Fill a game's row, except for the accelerations at its start (kernels/lanes.refresh)."""
-        task, layout = drawn.task, drawn.layout
+        task, layout = drawn.task, drawn.layout if isinstance(drawn.layout, LaneLayout) else None
         ratios = (1.0, 1.0) if layout is None else (layout.mass_ratio, layout.thrust_ratio)
         parameters, start, body = self._start(task.altitude_m, *ratios)
         games.parameters[row], games.start[row], games.body[row] = parameters, start, body
         games.start["wind"][row] = 0.0 if layout is None else layout.wind_m_s
-        games.counts[row] = self.surroundings.put(layout, games.solids, row)
-        if self.appearance is not None and layout is not None:
-            fill_scene(self.appearance, games.scenes, row, layout)
+        games.counts[row] = self.surroundings.put(drawn.layout, games, row)
+        if isinstance(self.looks, Appearance) and self.sees and layout is not None:
+            fill_scene(self.looks, games.scenes, row, layout)
         games.cameras[row] = camera_row(task.dvs_parameters, task.image_noise)
         seed = noise_seed(drawn.latencies)
         games.seeds[row] = seed, task.events_seed(seed)
@@ -82,10 +111,6 @@ class GameMaker:
         data = world.data
         body = np.concatenate([data.qpos, data.qvel, data.qfrc_applied, np.zeros(6)])
         return world.lead.parameters.copy(), world.lead.state.copy(), body
-
-    def name_of(self, solid: int, layout: LaneLayout | None) -> str:
-        """Return the name of one of a game's solids."""
-        return self.surroundings.name_of(solid, 0 if layout is None else len(layout))
 
 
 class StepResult(NamedTuple):

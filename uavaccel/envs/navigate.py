@@ -16,8 +16,8 @@ from uavaccel.envs.values import Course, Info, Number
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Kinematics
 from uavaccel.limits import Count, Height, Speed
-from uavaccel.sim.clutter.layout import ASIDE_M, NORTH_M, Clutter
-from uavaccel.sim.lane.layout import EVALUATION_SEEDS, LaneLayout, Split, lane_seed
+from uavaccel.sim.clutter.layout import ASIDE_M, NORTH_M, Clutter, ClutterLayout, sample_world
+from uavaccel.sim.lane.layout import EVALUATION_SEEDS, Split, lane_seed
 
 NEAR_M, FAR_M = 15.0, 2.0  # the distance that counts as 1, and the most that is told
 GOAL_MOST_M = 43.0
@@ -78,12 +78,8 @@ class NavigateTask(Task):
         seed, clutter = lane_seed(self.split, course["world"]), self.clutter.model_dump(mode="json")
         return {"clutter": clutter, "seed": seed, "goal_m": list(course["goal_m"])}
 
-    def lane_layout(self, course: Course) -> LaneLayout | None:
-        """Return None: there is no lane."""
-        from uavaccel.wire.image_api import clutter_layout  # as heavy as the simulation
-
-        clutter_layout(self.layout(course))  # raises UserError for a wrong one
-        return None
+    def lane_layout(self, course: Course) -> ClutterLayout:
+        return sample_world(lane_seed(self.split, course["world"]), self.clutter, course["goal_m"])
 
     def fields(self, state: Kinematics, course: Course) -> Sequence[Number]:
         """List the direction to the goal, its distance in 15 m, at most 2, and the velocity: 7 numbers."""

@@ -34,6 +34,7 @@ from uavaccel.envs.values import Action, Course, Info, Number
 from uavaccel.errors import UserError
 from uavaccel.kinematics import FlightGoal, Kinematics, Vector, VelocityGoal
 from uavaccel.limits import ClockSpeed, Cost, Count, Height, Seconds, Seed, Speed
+from uavaccel.sim.clutter.layout import ClutterLayout
 from uavaccel.sim.lane.layout import PLAIN, LaneLayout
 from uavaccel.sim.profile import PROFILES
 from uavaccel.units import NS_PER_S
@@ -90,6 +91,7 @@ class Moments(NamedTuple):
         return ~self.touched
 
 
+AnyLayout: TypeAlias = LaneLayout | ClutterLayout
 AnyMoment: TypeAlias = Any  # a Moment or Moments; a user's task may handle only one of them
 
 
@@ -316,7 +318,7 @@ class Task(Config):
         """Return a game's scene in the form of Client.set_lane; None: it stays as it is."""
         return None
 
-    def lane_layout(self, course: Course) -> LaneLayout | None:
+    def lane_layout(self, course: Course) -> AnyLayout | None:
         """Return the same as a layout. Raises UserError for a wrong one."""
         from uavaccel.wire.image_api import lane_layout  # as heavy as the simulation
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from uavaccel.errors import UserError
 from uavaccel.kernels import fields as at
 from uavaccel.kernels.bodies import KINDS
-from uavaccel.kernels.fields import Appearance, Scenes
+from uavaccel.kernels.fields import NO_APPEARANCE, Appearance, Looks, Scenes
 from uavaccel.kernels.operands import Operand
 from uavaccel.sim.camera.view import HEIGHT, WIDTH, far_m
 from uavaccel.sim.lane.layout import GROUND_TEXTURES, OBSTACLE_TEXTURES, PLAIN, WALL_TEXTURES, LaneLayout
@@ -41,6 +41,24 @@ def read_appearance(model: mujoco.MjModel, camera: str = "front_center") -> Appe
     for row, (kind, names) in zip(wearing, WORN, strict=True):
         row[: len(names)] = [model.material(f"{kind}_{name}").id for name in names]
     return Appearance(texels, textures, materials, _camera(model, camera), np.array(fixed, np.float32), wearing)
+
+
+def read_looks(model: mujoco.MjModel, size: tuple[int, int], depth: bool, camera: str = "front_center") -> Looks:
+    """Read how a still scene is seen in pictures of a size, columns and rows; of `depth`, or in colours.
+
+    Raises UserError for colours that would not be OpenGL's.
+    """
+    seen, light = _camera(model, camera, size), np.zeros(9, np.float32)
+    if depth:
+        return Looks(seen, light, *NO_APPEARANCE[:3])
+    sun = _sun(model)
+    texels, textures, of_texture = _textures(model)
+    materials = np.zeros((model.nmat, 8), np.float32)
+    for index in range(model.nmat):
+        materials[index] = _material(model, index, {-1: 0} | of_texture)
+    light[at.AMBIENT : at.DIFFUSE], light[at.DIFFUSE : at.TOWARDS] = model.light_ambient[sun], model.light_diffuse[sun]
+    light[at.TOWARDS :] = -model.light_dir[sun] / np.linalg.norm(model.light_dir[sun])
+    return Looks(seen, light, texels, textures, materials)
 
 
 def empty_scenes(lanes: int) -> Scenes:
@@ -90,14 +108,22 @@ def _check(model: mujoco.MjModel, obstacles: NDArray[np.int64]) -> None:
         turned = not np.allclose(model.geom_quat[geom], (1, 0, 0, 0)) or model.geom_bodyid[geom] != 0
         if geom not in obstacles and (kind not in KINDS or turned):
             raise UserError(f"geom {name!r}: simulator: kernels draws upright boxes, cylinders and planes of the world")
+    _sun(model)
+    if model.vis.quality.numslices != at.SLICES:
+        raise UserError(f"simulator: kernels draws cylinders with {at.SLICES} slices")
+
+
+def _sun(model: mujoco.MjModel) -> int:
+    """Return the only light of a model. Raises UserError for others, and for gloss."""
     suns = [light for light in range(model.nlight) if model.light_active[light]]
     headlight = model.vis.headlight
     if len(suns) != 1 or model.light_type[suns[0]] != mujoco.mjtLightType.mjLIGHT_DIRECTIONAL:
         raise UserError("simulator: kernels draws with one directional light, the sun")
     if headlight.active and np.any([headlight.ambient, headlight.diffuse, headlight.specular]):
         raise UserError("simulator: kernels draws without a headlight: let it be black")
-    if np.any(model.light_specular[suns]) or np.any(model.mat_reflectance) or model.vis.quality.numslices != at.SLICES:
-        raise UserError(f"simulator: kernels draws without gloss, and cylinders with {at.SLICES} slices")
+    if np.any(model.light_specular[suns]) or np.any(model.mat_reflectance):
+        raise UserError("simulator: kernels draws without gloss")
+    return suns[0]
 
 
 def _solid(model: mujoco.MjModel, geom: int) -> list[float]:
@@ -117,12 +143,12 @@ def _material(model: mujoco.MjModel, index: int, of_texture: dict[int, int]) -> 
     ]
 
 
-def _camera(model: mujoco.MjModel, name: str) -> NDArray[np.float64]:
+def _camera(model: mujoco.MjModel, name: str, size: tuple[int, int] = (WIDTH, HEIGHT)) -> NDArray[np.float64]:
     camera = model.camera(name).id
     high = float(np.tan(np.radians(model.cam_fovy[camera]) / 2))
     near = float(model.vis.map.znear * model.stat.extent)
     place, axes = model.cam_pos[camera], model.cam_mat0[camera]
-    return np.array([*place, *axes, high * WIDTH / HEIGHT, high, near, far_m(model)], np.float64)
+    return np.array([*place, *axes, high * size[0] / size[1], high, near, far_m(model)], np.float64)
 
 
 def _textures(model: mujoco.MjModel) -> tuple[NDArray[np.uint32], NDArray[np.int32], dict[int, int]]:

@@ -12,13 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.errors import UserError
+from uavaccel.kernels.clutter_worlds import put_clutter
 from uavaccel.kernels.fields import BOX, CYLINDER, PLANE
-from uavaccel.kernels.operands import Operand
+from uavaccel.kernels.lanes import Games
 from uavaccel.kernels.scene import GEOM, Scene
 from uavaccel.kernels.still import read_scene, touchable
 from uavaccel.kernels.touching import SOLID_FIELDS
+from uavaccel.sim.clutter.layout import ClutterLayout
 from uavaccel.sim.lane.layout import MAX_OBSTACLES, LaneLayout
-from uavaccel.sim.lane.scene import OBSTACLE_HALF_HEIGHT_M, object_name, obstacle_geoms
+from uavaccel.sim.lane.scene import OBSTACLE_HALF_HEIGHT_M, named, object_name, obstacle_geoms
 from uavaccel.sim.vehicle.vehicle import BODY
 
 KINDS = {
@@ -41,7 +43,7 @@ class Surroundings(NamedTuple):
     """(3,): radius, half height, and distance from the body's origin to the hull's farthest point, metres."""
 
     scene: Scene | None = None
-    """The scene of one world in place of solids."""
+    """A scene of one world in place of solids; with clutter, what all games have of it."""
 
     @property
     def most(self) -> int:
@@ -52,13 +54,13 @@ class Surroundings(NamedTuple):
         """Return the name of a solid of a lane with this number of obstacles."""
         return self.obstacle_names[solid] if solid < obstacles else self.names[solid - obstacles]
 
-    def put(self, layout: LaneLayout | None, rows: Operand, row: int) -> int:
-        """Fill a row (most, SOLID_FIELDS) of solids, obstacles first, and return their number; or the scene's world."""
+    def put(self, layout: LaneLayout | ClutterLayout | None, games: Games, row: int) -> int:
+        """Fill a game's solids, obstacles first, or its world, and return the number of things around."""
+        if isinstance(layout, ClutterLayout):
+            put_clutter(layout.rows, games.solids, games.scenes, row)
         if self.scene is not None:
-            if not isinstance(rows, Scene):
-                raise UserError("device = cuda: flies among upright boxes, cylinders and planes; use device = cpu")
-            return 0
-        solids = rows[row]
+            return len(self.names)
+        solids = games.solids[row]
         count = 0 if layout is None else len(layout)
         if layout is not None:
             half, tall = layout.half_width_m, OBSTACLE_HALF_HEIGHT_M
@@ -78,7 +80,11 @@ def read_surroundings(model: mujoco.MjModel) -> Surroundings:
     (hull,) = np.flatnonzero(colliding & (model.geom_bodyid == vehicle))
     radius, half_height = model.geom_size[hull, :2]
     measures = np.array([radius, half_height, np.linalg.norm(model.geom_pos[hull]) + model.geom_rbound[hull]])
-    still = touchable(model)
+    still, clutter = touchable(model), named(model, "clutter_")
+    if len(clutter):
+        scene = read_scene(model, geoms=np.setdiff1d(still, clutter))
+        names = tuple(object_name(model, int(geom)) for geom in (*scene.shapes[0, :, GEOM], *clutter))
+        return Surroundings(np.zeros((0, SOLID_FIELDS)), names, (), measures, scene)
     fixed = np.setdiff1d(still, obstacles)
     solids = [_solid(model, geom) for geom in fixed.tolist()]
     if any(solid is None for solid in solids):

@@ -17,13 +17,24 @@ from numpy.typing import NDArray
 
 from uavaccel.kernels import scene as at
 from uavaccel.kernels.faces import axes_of
-from uavaccel.kernels.fields import AMBIENT, CYLINDER, DIFFUSE, FAR_M, HALF_HEIGHT, HALF_WIDTH, PLANE, TOWARDS
+from uavaccel.kernels.fields import (
+    AMBIENT,
+    CYLINDER,
+    DIFFUSE,
+    FAR_M,
+    HALF_HEIGHT,
+    HALF_WIDTH,
+    PLANE,
+    TOWARDS,
+    Looks,
+)  # fmt: skip
 from uavaccel.kernels.scene import Scene, Shape
 from uavaccel.sim.parts import part
 
 Float: TypeAlias = Any
 Vector: TypeAlias = tuple[Float, Float, Float]
 Span: TypeAlias = tuple[Float, Float]
+Eye: TypeAlias = tuple[Vector, tuple[Vector, Vector, Vector], Float]
 
 ZERO, HALF, ONE, TWO = (np.float32(number) for number in (0.0, 0.5, 1.0, 2.0))
 HUGE, TINY = np.float32(1e30), np.float32(1e-12)
@@ -413,25 +424,28 @@ def ray_of(camera: Any, axes: Any, row: int, column: int, rows: int, columns: in
 
 
 @part(error_model="numpy")
-def render_depth(
-    scene: Scene,
-    world: int,
-    camera: NDArray[np.float64],
-    position: NDArray[np.float64],
-    quaternion: NDArray[np.float64],
-    picture: NDArray[np.float32],
-) -> None:
-    """Render depth (rows, columns), metres along the optical axis; the sky is at the far plane.
+def eye_of(camera: NDArray[np.float64], position: NDArray[np.float64], quaternion: NDArray[np.float64]) -> Eye:
+    """Return where a camera is, its axes right, up and back, and its far plane.
 
-    `camera` (16,) is that of `fields.Appearance`, for a picture of any size; the pose is the vehicle's, NED, wxyz.
+    `camera` (16,) is that of `fields.Looks`; the pose is the vehicle's, NED, wxyz.
     """
-    rows, columns = picture.shape
     eye, right, up, back = axes_of(camera, position, quaternion)
-    origin, axes, far_m = narrow(eye), (narrow(right), narrow(up), narrow(back)), np.float32(camera[FAR_M])
-    for row in range(rows):
-        for column in range(columns):
-            ray, scale = ray_of(camera, axes, row, column, rows, columns)
-            picture[row, column] = first_met(scene, world, origin, ray, far_m / scale)[0] * scale
+    return narrow(eye), (narrow(right), narrow(up), narrow(back)), np.float32(camera[FAR_M])
+
+
+@part(error_model="numpy")
+def seen_by(lane: int, looks: Looks, games: Any, now: Any) -> tuple[int, Eye]:
+    """Return a lane's world, and the eye of its vehicle's camera (kernels/lanes)."""
+    state = now.state[lane]
+    return at.world_of(games.scenes, now.game[lane]), eye_of(looks.camera, state.position, state.quaternion)
+
+
+@part(error_model="numpy")
+def depth_at(scene: Scene, world: int, looks: Looks, eye: Eye, row: int, column: int, size: tuple[int, int]) -> Float:
+    """Return a pixel's depth, metres along the optical axis; the sky is at the far plane. `size`: rows, columns."""
+    origin, axes, far_m = eye
+    ray, scale = ray_of(looks.camera, axes, row, column, size[0], size[1])
+    return first_met(scene, world, origin, ray, far_m / scale)[0] * scale
 
 
 @part(error_model="numpy")
@@ -447,24 +461,13 @@ def shade(scene: Scene, world: int, item: int, normal: Vector, light: Shape) -> 
 
 
 @part(error_model="numpy")
-def render_colour(
-    scene: Scene,
-    world: int,
-    camera: NDArray[np.float64],
-    light: NDArray[np.float32],
-    sky: Vector,
-    position: NDArray[np.float64],
-    quaternion: NDArray[np.float64],
-    picture: NDArray[np.uint8],
-) -> None:
-    """Render red, green and blue (rows, columns, 3), each shape in one colour, and the sky in another (0 to 1)."""
-    rows, columns = picture.shape[:2]
-    eye, right, up, back = axes_of(camera, position, quaternion)
-    origin, axes, far_m = narrow(eye), (narrow(right), narrow(up), narrow(back)), np.float32(camera[FAR_M])
-    for row in range(rows):
-        for column in range(columns):
-            ray, scale = ray_of(camera, axes, row, column, rows, columns)
-            _, item, normal = cast(scene, world, origin, ray, far_m / scale)
-            colour = sky if item == NOTHING else shade(scene, world, item, normal, light)
-            for channel in range(3):
-                picture[row, column, channel] = np.uint8(colour[channel] * np.float32(255.0) + HALF)
+def colour_at(scene: Scene, world: int, looks: Looks, eye: Eye, row: int, column: int, size: tuple[int, int]) -> Any:
+    """Return red, green and blue (0 to 255) of a pixel. `size`: rows, columns."""
+    origin, axes, far_m = eye
+    ray, scale = ray_of(looks.camera, axes, row, column, size[0], size[1])
+    _, item, normal = cast(scene, world, origin, ray, far_m / scale)
+    if item == NOTHING:
+        return np.int32(0), np.int32(0), np.int32(0)
+    red, green, blue = shade(scene, world, item, normal, looks.light)
+    top = np.float32(255.0)
+    return np.int32(red * top + HALF), np.int32(green * top + HALF), np.int32(blue * top + HALF)

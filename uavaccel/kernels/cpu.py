@@ -8,12 +8,13 @@ import numpy as np
 from numba import njit, types
 from numba.extending import overload
 
-from uavaccel.kernels import events, timeline
-from uavaccel.kernels.fields import COLOUR, COLUMNS, DEPTH, DVS, ROWS, SEEN_FAR_M, STATE, Appearance
+from uavaccel.kernels import casting, events, timeline
+from uavaccel.kernels.fields import COLOUR, COLUMNS, DEPTH, DVS, ROWS, SEEN_FAR_M, STATE, Appearance, Looks
 from uavaccel.kernels.lane_clocks import save_shown, turn_to_shown
 from uavaccel.kernels.lanes import EVENT_SEED, PICTURE_SEED, Flights, Games, begin, command, fly, refresh, touched
 from uavaccel.kernels.operands import Launchable, Operand
 from uavaccel.kernels.project import project
+from uavaccel.kernels.rays import luma
 from uavaccel.kernels.spans import make_scratch, render_channels, render_depths, transpose_colour, transpose_gray
 from uavaccel.kernels.timeline import Clocks, Command
 from uavaccel.sim.parts import part
@@ -22,7 +23,6 @@ from uavaccel.vision import dvs_kernels as dvs
 from uavaccel.vision.dvs_sensor import HOT_RATE_HZ
 from uavaccel.vision.guard import LUMA_WEIGHTS
 from uavaccel.vision.noise import LEAK_JITTER, READ_NOISE, SHOT_NOISE, fill_normal, fill_uniform
-from uavaccel.vision.observation import BLOCK_SIDE
 
 SAMPLE_FIELDS = 13  # position, quaternion, velocity, body rate: as in FLIGHT_DTYPE from `position` on
 
@@ -36,9 +36,9 @@ def _observe_starts(games: Games, rows: Operand) -> None:
 
 @part
 def fill_thresholds(nominal: float, sigma: float, normal: Operand, out: Operand) -> None:
-    """Write the thresholds (144, 256) of a lane's pixels."""
-    for y in range(ROWS):
-        for x in range(COLUMNS):
+    """Write the thresholds (rows, columns) of a lane's pixels."""
+    for y in range(out.shape[0]):
+        for x in range(out.shape[1]):
             out[y, x] = events.threshold(out[y, x], nominal, sigma, normal[y, x])
 
 
@@ -53,11 +53,11 @@ def add_read_noise(picture: Operand, sigma: float, seed: int, moment_ns: int) ->
 
 @part(error_model="numpy")
 def leak(base: Operand, positive: Operand, camera: Operand, sensor: Operand, seed: int, index: int, dt_s: float) -> Any:
-    """Return the memorised intensities (144, 256) after a frame's hot-pixel drift and leak."""
+    """Return the memorised intensities (rows, columns) after a frame's hot-pixel drift and leak."""
     if camera[events.HOT] > 0.0:
         base = dvs.heat(base, positive, sensor.heat < camera[events.HOT], np.float32(dt_s * HOT_RATE_HZ))
     if camera[events.LEAK] > 0.0:
-        normal = np.empty((ROWS, COLUMNS), np.float32)
+        normal = np.empty(base.shape, np.float32)
         fill_normal(normal.ravel(), np.uint64(seed), np.uint64(index), LEAK_JITTER)
         rate_hz, jitter = np.float32(camera[events.LEAK]), np.float32(camera[events.JITTER])
         base = dvs.leak(base, positive, np.float32(dt_s), rate_hz, sensor.leak_factor, jitter, normal)
@@ -80,10 +80,11 @@ def after_dead_time(signed: Operand, camera: Operand, last_s: Operand, before_s:
 
 @part(error_model="numpy")
 def add_to_blocks(signed: Operand, gathered: Operand) -> None:
-    """Add signed counts (144, 256) to those of their blocks (36, 64)."""
-    for y in range(ROWS):
-        for x in range(COLUMNS):
-            gathered[y // BLOCK_SIDE, x // BLOCK_SIDE] += signed[y, x]
+    """Add signed counts (rows, columns) to those of their blocks: 4 x 4 pixels, or each pixel by itself."""
+    side = signed.shape[0] // gathered.shape[0]
+    for y in range(signed.shape[0]):
+        for x in range(signed.shape[1]):
+            gathered[y // side, x // side] += signed[y, x]
 
 
 @part(error_model="numpy")
@@ -99,23 +100,23 @@ def add_shot_noise(
 ) -> None:
     """Add a frame's shot noise; `maps` are the thresholds, `noise` is seed, frame index and duration in s."""
     seed, index, dt_s = noise
-    draws = np.empty((ROWS, COLUMNS), np.float32)
+    draws, side = np.empty(base.shape, np.float32), base.shape[0] // gathered.shape[0]
     fill_uniform(draws.ravel(), np.uint64(seed), np.uint64(index), SHOT_NOISE)
     chances = camera[events.SHOT] / 2 * dt_s * sensor.dimming
     nominal = np.float32(camera[events.POSITIVE]), np.float32(camera[events.NEGATIVE])
     on, off = dvs.shoot(picture, chances, draws, maps[0], maps[1], nominal)
-    for y in range(ROWS):
-        for x in range(COLUMNS):
+    for y in range(base.shape[0]):
+        for x in range(base.shape[1]):
             if on[y, x] or off[y, x]:
                 base[y, x] = log[y, x]
-                gathered[y // BLOCK_SIDE, x // BLOCK_SIDE] += np.int32(on[y, x]) - np.int32(off[y, x])
+                gathered[y // side, x // side] += np.int32(on[y, x]) - np.int32(off[y, x])
 
 
 @part(error_model="numpy")
 def start(lane: int, picture: Operand, pixels: events.Pixels, sensor: Operand, camera: Operand) -> None:
     """Initialise a lane's event camera with a game's first frame, which causes no events."""
-    for y in range(ROWS):
-        for x in range(COLUMNS):
+    for y in range(picture.shape[0]):
+        for x in range(picture.shape[1]):
             log = sensor.logs[picture[y, x]]
             pixels.base[lane, y, x] = log
             if pixels.filtered.size:
@@ -150,7 +151,7 @@ def _counts_of(log, base, positive, negative):  # type: ignore[no-untyped-def]
 def see(
     lane: int, picture: Operand, time_s: float, pixels: events.Pixels, sensor: Operand, camera: Operand, seed: int
 ) -> None:
-    """Update a lane's event camera for a frame (144, 256) at `time_s`."""
+    """Update a lane's event camera for a frame (rows, columns) at `time_s`."""
     before_s, index = pixels.time_s[lane], pixels.clock[lane] + 1
     base, low_passed, dt_s = pixels.base[lane], pixels.filtered.size > 0, time_s - before_s
     positive, negative = np.empty_like(base), np.empty_like(base)
@@ -195,59 +196,151 @@ def add_camera_noise(lane: int, games: Games, now: Flights, tick_ns: int, pictur
         add_read_noise(picture.ravel(), games.cameras[game, events.READ], seed, moment)
 
 
+def paint_gray(lane, looks, games, now, scratch, picture):  # type: ignore[no-untyped-def]
+    """Render what a lane's front camera sees in grey levels (rows, columns), without noise."""
+
+
+def paint_colour(lane, looks, games, now, scratch, picture):  # type: ignore[no-untyped-def]
+    """Do the same in red, green and blue (rows, columns, 3)."""
+
+
+def paint_depths(lane, looks, games, now, scratch, depths):  # type: ignore[no-untyped-def]
+    """Write the depths (rows, columns) of what a lane's front camera sees, metres."""
+
+
 @part(error_model="numpy")
-def render_gray(
-    lane: int, appearance: Appearance, games: Games, now: Flights, tick_ns: int, scratch: Operand, picture: Operand
-) -> None:
-    """Render a lane's front camera in grey levels (144, 256), with the camera's noise."""
+def gray_in_lane(lane: int, appearance: Appearance, games: Games, now: Flights, scratch: Operand, out: Operand) -> None:
     project_lane(lane, appearance, games, now, True, scratch)
     render_channels(appearance, scratch, False)
-    transpose_gray(scratch.channels, picture)
+    transpose_gray(scratch.channels, out)
+
+
+@part(error_model="numpy")
+def colour_in_lane(
+    lane: int, appearance: Appearance, games: Games, now: Flights, scratch: Operand, out: Operand
+) -> None:
+    project_lane(lane, appearance, games, now, True, scratch)
+    render_channels(appearance, scratch, True)
+    transpose_colour(scratch.channels, out)
+
+
+@part(error_model="numpy")
+def depths_in_lane(
+    lane: int, appearance: Appearance, games: Games, now: Flights, scratch: Operand, out: Operand
+) -> None:
+    project_lane(lane, appearance, games, now, False, scratch)
+    render_depths(scratch, out)
+
+
+@part(error_model="numpy")
+def gray_in_scene(lane: int, looks: Looks, games: Games, now: Flights, scratch: Operand, out: Operand) -> None:
+    world, eye = casting.seen_by(lane, looks, games, now)
+    for row in range(out.shape[0]):
+        for column in range(out.shape[1]):
+            red, green, blue = casting.colour_at(games.scenes, world, looks, eye, row, column, out.shape)
+            out[row, column] = luma(red, green, blue)
+    scratch.bright[0] = out.mean()
+
+
+@part(error_model="numpy")
+def colour_in_scene(lane: int, looks: Looks, games: Games, now: Flights, scratch: Operand, out: Operand) -> None:
+    world, eye = casting.seen_by(lane, looks, games, now)
+    size = out.shape[0], out.shape[1]
+    for row in range(size[0]):
+        for column in range(size[1]):
+            colour = casting.colour_at(games.scenes, world, looks, eye, row, column, size)
+            for channel in range(3):
+                out[row, column, channel] = colour[channel]
+    scratch.bright[0] = 0.0
+    for channel in range(3):
+        scratch.bright[0] += LUMA_WEIGHTS[channel] * out[:, :, channel].mean()
+
+
+@part(error_model="numpy")
+def depths_in_scene(lane: int, looks: Looks, games: Games, now: Flights, scratch: Operand, out: Operand) -> None:
+    world, eye = casting.seen_by(lane, looks, games, now)
+    for row in range(out.shape[0]):
+        for column in range(out.shape[1]):
+            out[row, column] = casting.depth_at(games.scenes, world, looks, eye, row, column, out.shape)
+    scratch.bright[0] = out.mean()
+
+
+def _by_looks(in_lane: Any, in_scene: Any) -> Any:
+    """Return what chooses between renderers by the type of a lane's looks, for numba's `overload`."""
+
+    def choose(lane, looks, games, now, scratch, picture):  # type: ignore[no-untyped-def]
+        function = in_scene if looks.instance_class is Looks else in_lane
+        return lambda lane, looks, games, now, scratch, picture: function(lane, looks, games, now, scratch, picture)
+
+    return choose
+
+
+for _function, _in_lane, _in_scene in (
+    (paint_gray, gray_in_lane, gray_in_scene),
+    (paint_colour, colour_in_lane, colour_in_scene),
+    (paint_depths, depths_in_lane, depths_in_scene),
+):
+    overload(_function)(_by_looks(_in_lane, _in_scene))
+
+
+@part(error_model="numpy")
+def render_gray(
+    lane: int, looks: Operand, games: Games, now: Flights, tick_ns: int, scratch: Operand, picture: Operand
+) -> None:
+    """Render a lane's front camera in grey levels (rows, columns), with the camera's noise."""
+    paint_gray(lane, looks, games, now, scratch, picture)
     add_camera_noise(lane, games, now, tick_ns, picture)
 
 
 @part(error_model="numpy")
 def render_colour(
-    lane: int, appearance: Appearance, games: Games, now: Flights, tick_ns: int, scratch: Operand, frame: Operand
+    lane: int,
+    looks: Operand,
+    games: Games,
+    now: Flights,
+    tick_ns: int,
+    scratch: Operand,
+    size: tuple[int, int],
+    frame: Operand,
 ) -> None:
-    """Render red, green and blue (3, 36, 64): means over blocks of 4 x 4 pixels."""
-    project_lane(lane, appearance, games, now, True, scratch)
-    render_channels(appearance, scratch, True)
-    picture = np.empty((ROWS, COLUMNS, 3), np.uint8)
-    transpose_colour(scratch.channels, picture)
+    """Render red, green and blue (3, rows, columns) of pictures of a size: means over blocks of pixels."""
+    picture = np.empty((*size, 3), np.uint8)
+    paint_colour(lane, looks, games, now, scratch, picture)
     add_camera_noise(lane, games, now, tick_ns, picture)
+    side = size[0] // frame.shape[1]
     for channel in range(3):
         for y in range(frame.shape[1]):
             for x in range(frame.shape[2]):
                 total = 0
-                for row in range(BLOCK_SIDE):
-                    for column in range(BLOCK_SIDE):
-                        total += int(picture[BLOCK_SIDE * y + row, BLOCK_SIDE * x + column, channel])
-                frame[channel, y, x] = int(np.rint(total / BLOCK_SIDE**2))
+                for row in range(side):
+                    for column in range(side):
+                        total += int(picture[side * y + row, side * x + column, channel])
+                frame[channel, y, x] = int(np.rint(total / side**2))
 
 
 @part(error_model="numpy")
 def render_depth(
-    lane: int, appearance: Appearance, games: Games, now: Flights, scratch: Operand, frame: Operand
+    lane: int, looks: Operand, games: Games, now: Flights, scratch: Operand, size: tuple[int, int], frame: Operand
 ) -> None:
-    """Render depth (1, 36, 64): means over blocks of 4 x 4 pixels, with 0 to SEEN_FAR_M encoded as 0 to 255."""
-    project_lane(lane, appearance, games, now, False, scratch)
-    depths = np.empty((ROWS, COLUMNS), np.float32)
-    render_depths(scratch, depths)
+    """Render depth (1, rows, columns): means over blocks of pixels, with 0 to SEEN_FAR_M encoded as 0 to 255."""
+    depths = np.empty(size, np.float32)
+    paint_depths(lane, looks, games, now, scratch, depths)
+    side = size[0] // frame.shape[1]
     for y in range(frame.shape[1]):
         for x in range(frame.shape[2]):
             total = np.float32(0.0)
-            for row in range(BLOCK_SIDE):
-                for column in range(BLOCK_SIDE):
-                    total += min(depths[BLOCK_SIDE * y + row, BLOCK_SIDE * x + column], SEEN_FAR_M)
-            frame[0, y, x] = int(np.rint(total / np.float32(BLOCK_SIDE**2) * np.float32(255.0 / 50.0)))
+            for row in range(side):
+                for column in range(side):
+                    total += min(depths[side * y + row, side * x + column], SEEN_FAR_M)
+            frame[0, y, x] = int(np.rint(total / np.float32(side**2) * np.float32(255.0 / 50.0)))
 
 
 class View(NamedTuple):
-    """The cameras of all lanes: kind of observation, appearance, event sensor and its state."""
+    """The cameras of all lanes: kind of observation, rows and columns, looks, event sensor and its state."""
 
     kind: int
-    appearance: Operand
+    size: tuple[int, int]
+    looks: Operand
     sensor: Operand
     pixels: Operand
 
@@ -258,7 +351,7 @@ def observe_events(
 ) -> None:
     """Render a lane's front camera and update its event camera."""
     game = now.game[lane]
-    render_gray(lane, view.appearance, games, now, plan.tick_ns, scratch, picture)
+    render_gray(lane, view.looks, games, now, plan.tick_ns, scratch, picture)
     time_s = moment_ns(lane, now, plan.tick_ns) * events.NS
     see(lane, picture, time_s, view.pixels, view.sensor, games.cameras[game], games.seeds[game, EVENT_SEED])
 
@@ -268,8 +361,8 @@ def _start_lanes(
     lanes: Operand, rows: Operand, view: View, games: Games, now: Flights, plan: Command, clocks: Clocks
 ) -> None:
     """Begin the games of `rows` in `lanes`."""
-    scratch, picture = make_scratch(), np.empty((ROWS, COLUMNS), np.uint8)
-    frame, timing = np.empty((3, ROWS // BLOCK_SIDE, COLUMNS // BLOCK_SIDE), np.uint8), plan.timing
+    scratch, picture = make_scratch(), np.empty(view.size, np.uint8)
+    frame, timing = np.empty((3, *view.size), np.uint8), plan.timing
     for place in range(len(lanes)):
         lane, game = lanes[place], rows[place]
         begin(lane, game, games, now)
@@ -277,7 +370,7 @@ def _start_lanes(
         timeline.start(row, scale, timing, games.seeds[game, PICTURE_SEED])
         clocks.brightness[lane] = np.nan
         if view.kind == DVS:
-            render_gray(lane, view.appearance, games, now, plan.tick_ns, scratch, picture)
+            render_gray(lane, view.looks, games, now, plan.tick_ns, scratch, picture)
             start(lane, picture, view.pixels, view.sensor, games.cameras[game])
         elif timing.rules[timeline.GUARDED]:
             render_frame(lane, view, games, now, plan, scratch, frame)
@@ -291,25 +384,41 @@ def render_frame(
 ) -> None:
     """Render a lane's present frame, in colour or of depth; other kinds have none."""
     if view.kind == COLOUR:
-        render_colour(lane, view.appearance, games, now, plan.tick_ns, scratch, frame)
+        render_colour(lane, view.looks, games, now, plan.tick_ns, scratch, view.size, frame)
     elif view.kind == DEPTH:
-        render_depth(lane, view.appearance, games, now, scratch, frame)
+        render_depth(lane, view.looks, games, now, scratch, view.size, frame)
 
 
 @part(error_model="numpy")
 def guard(lane: int, view: View, clocks: Clocks, scratch: Operand) -> bool:
-    """Return whether the guard requests the image in `scratch` again (vision/guard), and remember its brightness."""
+    """Return whether the guard requests the latest image again (vision/guard), and remember its brightness."""
+    return timeline.is_suspect(lane, brightness(view.kind, view.looks, scratch), clocks)
+
+
+def brightness(kind: int, looks: Operand, scratch: Operand) -> float:  # type: ignore[empty-body]
+    """Return the mean of the latest image without noise: of its luma, or of depths."""
+
+
+@part(error_model="numpy")
+def brightness_in_lane(kind: int, scratch: Operand) -> float:
     bright = 0.0
-    if view.kind == DVS:
+    if kind == DVS:
         bright = scratch.channels[0].mean()
-    elif view.kind == COLOUR:
+    elif kind == COLOUR:
         for channel in range(3):
             bright += LUMA_WEIGHTS[channel] * scratch.channels[channel].mean()
     else:
         depths = np.empty((ROWS, COLUMNS), np.float32)
         render_depths(scratch, depths)
         bright = depths.mean()
-    return timeline.is_suspect(lane, bright, clocks)
+    return bright
+
+
+@overload(brightness)
+def _brightness(kind, looks, scratch):  # type: ignore[no-untyped-def]
+    if looks.instance_class is Looks:
+        return lambda kind, looks, scratch: scratch.bright[0]
+    return lambda kind, looks, scratch: brightness_in_lane(kind, scratch)
 
 
 @part(error_model="numpy")
@@ -378,7 +487,7 @@ def _fly_lanes(
 
     Writes `frames` (L, S, ...) of the samples before a collision, and all states: `samples` (L, S, SAMPLE_FIELDS).
     """
-    scratch, picture = make_scratch(), np.empty((ROWS, COLUMNS), np.uint8)
+    scratch, picture = make_scratch(), np.empty(view.size, np.uint8)
     for lane in lanes:
         row, scale, timing = clocks.row[lane], clocks.scale[lane], plan.timing
         tick = timeline.issue(row, scale, timing)

@@ -36,10 +36,10 @@ Four = tuple[Any, Any, Any, Any]
 
 
 class Pixels(NamedTuple):
-    """The state of L event cameras, arrays (L, 144, 256): float32, or float64 with a low-pass filter.
+    """The state of L event cameras, arrays (L, rows, columns): float32, or float64 with a low-pass filter.
 
     `base` is the memorised log intensity. `filtered`, the filter's output, is empty without a low-pass filter, and
-    `last_s`, the time of a pixel's last event, without a refractory period. `gathered` (L, 36, 64) int32 counts ON
+    `last_s`, the time of a pixel's last event, without a refractory period. `gathered` (L, rows, columns of a frame) int32 counts ON
     minus OFF events since it was last read; `clock` (L,) int64 counts frames, `time_s` (L,) is the last one's time.
     """
 
@@ -52,7 +52,7 @@ class Pixels(NamedTuple):
 
 
 class Sensor(NamedTuple):
-    """What all lanes share: random numbers of each pixel (144, 256), and tables by grey level (256,)."""
+    """What all lanes share: random numbers of each pixel (rows, columns), and tables by grey level (256,)."""
 
     up: Operand
     down: Operand
@@ -69,16 +69,21 @@ def sensor_of(draws: Draws) -> Sensor:
     return Sensor(draws.up, draws.down, draws.leak_factor, draws.heat, LIN_LOG, RELATIVE_INTENSITY, dimming)
 
 
-def pixels_of(lanes: int, parameters: DvsParameters) -> Pixels:
-    """Allocate the state of the event cameras of `lanes` lanes."""
+def pixels_of(
+    lanes: int,
+    parameters: DvsParameters,
+    size: tuple[int, int] = (HEIGHT, WIDTH),
+    frame: tuple[int, int] = (HEIGHT // BLOCK_SIDE, WIDTH // BLOCK_SIDE),
+) -> Pixels:
+    """Allocate the state of the event cameras of `lanes` lanes; rows and columns of their images and of frames."""
     wide = parameters.cutoff_hz > 0
-    shape, none = (lanes, HEIGHT, WIDTH), (0, HEIGHT, WIDTH)
+    shape, none = (lanes, *size), (0, *size)
     kind = np.float64 if wide else np.float32
     return Pixels(
         np.zeros(shape, kind),
         np.zeros(shape if wide else none, kind),
         np.zeros(shape if parameters.refractory_s > 0 else none, np.float32),
-        np.zeros((lanes, HEIGHT // BLOCK_SIDE, WIDTH // BLOCK_SIDE), np.int32),
+        np.zeros((lanes, *frame), np.int32),
         np.zeros(lanes, np.int64),
         np.zeros(lanes),
     )

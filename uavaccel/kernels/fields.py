@@ -25,6 +25,20 @@ class Appearance(NamedTuple):
     """(3, 4): materials of obstacles by LaneLayout.texture, walls by .wall_texture, ground by .ground_texture."""
 
 
+class Looks(NamedTuple):
+    """How a still scene is seen (kernels/casting); read only."""
+
+    camera: NDArray[np.float64]
+    """(16,): as in Appearance, for the pictures' size."""
+    light: NDArray[np.float32]
+    """(9,): as in Scenes."""
+    texels: NDArray[np.uint32]
+    textures: NDArray[np.int32]
+    """As in Appearance."""
+    materials: NDArray[np.float32]
+    """(m, 8): as in Appearance; TEXTURE_ID is 0 without a texture."""
+
+
 class Scenes(NamedTuple):
     """The visible geometry of a batch's lanes, a row each."""
 
@@ -83,3 +97,6 @@ NO_APPEARANCE = Appearance(
     np.zeros((3, 4), np.int32),
 )
 """Stands for the appearance of lanes that render no images: empty arrays of the same types."""
+
+NO_LOOKS = Looks(np.zeros(16), np.zeros(9, np.float32), *NO_APPEARANCE[:3])
+"""The same for lanes in scenes with clutter."""

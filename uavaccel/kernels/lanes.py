@@ -36,11 +36,11 @@ class Games(NamedTuple):
     body: Operand
     """(S, BODY_FIELDS) float64: MuJoCo's pose, velocity, force and acceleration at the start."""
     solids: Operand
-    """(S, n, SOLID_FIELDS) float64: collision geometry (kernels/touching); or a `Scene`, whose worlds games share."""
+    """(S, n, SOLID_FIELDS) float64: collision geometry (kernels/touching); or a `Scene` of S worlds, or of one."""
     counts: Operand
-    """(S,) int32: number of solids in use; or the world in the scene."""
-    scenes: Scenes
-    """Visible geometry (kernels/appearance)."""
+    """(S,) int32: number of solids in use."""
+    scenes: Scenes | Scene
+    """Visible geometry (kernels/appearance); or a `Scene` to see, of S worlds, or of one."""
     cameras: Operand
     """(S, CAMERA_FIELDS) float64: camera parameters (kernels/events)."""
     seeds: Operand
@@ -62,17 +62,17 @@ class Flights(NamedTuple):
     """(L,) int64: rows of Games."""
 
 
-def game_rows(rows: int, solids: int, scene: Scene | None = None) -> Games:
-    """Allocate rows for games with up to `solids` solids, or in the worlds of a scene."""
+def game_rows(rows: int, solids: int | Scene, seen: Scene | None = None) -> Games:
+    """Allocate rows for games with up to `solids` solids, or in a scene, of which they see another unless in a lane."""
     f8, i8 = np.float64, np.int64
-    scenes = Scenes(
+    scenes = seen or Scenes(
         np.zeros((rows, SOLIDS, 8), np.float32), np.zeros((rows,), np.int32), np.zeros((rows, 9), np.float32)
     )
     return Games(
         np.zeros((rows,), PARAMETERS_DTYPE),
         np.zeros((rows,), FLIGHT_DTYPE),
         np.zeros((rows, BODY_FIELDS), f8),
-        np.zeros((rows, solids, SOLID_FIELDS), f8) if scene is None else scene,
+        solids if isinstance(solids, Scene) else np.zeros((rows, solids, SOLID_FIELDS), f8),
         np.zeros((rows,), np.int32),
         scenes,
         np.zeros((rows, CAMERA_FIELDS), f8),

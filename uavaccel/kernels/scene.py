@@ -36,6 +36,7 @@ SHAPE_FIELDS = 25
 LEFT, LOW, CELL, COLUMNS, ROWS, BOTTOM, TOP, LOOSE, SHAPES = range(9)
 FRAME_FIELDS = 9
 
+CELLS_A_SHAPE = 6.0  # of a grid, about
 UNBOUNDED = 1e6  # BOUND of planes and height fields
 LISTING_MARGIN_M = 1e-3  # by which shapes are listed in more cells, which outweighs rounding in float32
 
@@ -71,12 +72,18 @@ def empty_scene(worlds: int, shapes: int, cells: int, items: int, seen: bool) ->
 
 
 def as_seen(scene: Scene) -> Scene:
-    """Return the same shapes to see, with the same cells; for shapes that are no meshes."""
+    """Return the same shapes to see, in the same cells; for shapes that are no meshes."""
     kind = np.float32
     shapes, frame = scene.shapes.astype(kind), scene.frame.astype(kind)
     return scene._replace(
         shapes=shapes, frame=frame, vertices=scene.vertices.astype(kind), heights=scene.heights.astype(kind)
     )
+
+
+@part
+def world_of(scene: Scene, game: int) -> int:
+    """Return a game's world: that of its row, or the only one."""
+    return min(game, len(scene.shapes) - 1)
 
 
 @part(error_model="numpy")
@@ -134,8 +141,13 @@ def cell_range(centre: float, reach: float, first: float, cell: float, count: in
 
 @part(inline=False, error_model="numpy")
 def visit(scene: Scene, world: int, shape: int, place: bool) -> int:
-    """Count a shape in the cells that it meets, or with `place` list it there; return their number."""
+    """Count a shape in the cells that it meets, or with `place` list it there; return their number.
+
+    A shape without extent is in none.
+    """
     frame, row, start = scene.frame[world], scene.shapes[world, shape], scene.start[world]
+    if row[BOUND] <= 0.0:
+        return 0
     columns, rows, cell = int(frame[COLUMNS]), int(frame[ROWS]), frame[CELL]
     wide, high, _ = spread(row)
     first_x, last_x = cell_range(row[CENTRE], wide + LISTING_MARGIN_M, frame[LEFT], cell, columns)
@@ -205,4 +217,5 @@ __all__ = [
     "empty_scene",
     "list_shapes",
     "list_world",
+    "world_of",
 ]

@@ -55,6 +55,7 @@ class Scratch(NamedTuple):
     floats: Floats  # (6, ROWS)
     integers: Integers  # (2, ROWS)
     channels: NDArray[np.uint8]  # (3, COLUMNS, ROWS): the image, by columns
+    bright: NDArray[np.float64]  # (1,): the mean of an image that was not made of spans
 
 
 @part(error_model="numpy")
@@ -67,7 +68,7 @@ def make_scratch() -> Scratch:
     counts = np.zeros(at.COLUMNS, np.int32)
     faces, spans = np.zeros((at.FACES, at.FIELDS), np.float32), np.zeros((at.COLUMNS, at.FACES), np.int32)
     integers, channels = np.zeros((2, at.ROWS), np.int32), np.zeros((3, at.COLUMNS, at.ROWS), np.uint8)
-    return Scratch(faces, begins, ends, spans, counts, floats, integers, channels)
+    return Scratch(faces, begins, ends, spans, counts, floats, integers, channels, np.zeros(1))
 
 
 @part(error_model="numpy")

@@ -17,7 +17,6 @@ from uavaccel.sim.vehicle.vehicle import BODY
 
 HIDDEN_GROUP = 3  # of collision geometry
 MOST_CELLS = 256 * 256
-CELLS_A_SHAPE = 6.0
 LEAST_CELL_M = 0.25
 MOST_SHARE = 0.25  # of a grid's cells: a shape that covers more is in none of them, but always considered
 DEFAULT_RGBA = (0.5, 0.5, 0.5, 1.0)  # of a geom, which lets its material's through
@@ -226,7 +225,7 @@ def _frame(rows: Floats, reach: Floats) -> Floats:
     if len(rows):
         low, high = (middle - reach).min(axis=0) - 0.01, (middle + reach).max(axis=0) + 0.01
     wide = high - low
-    cells = min(max(CELLS_A_SHAPE * len(rows), 1.0), MOST_CELLS)
+    cells = min(max(at.CELLS_A_SHAPE * len(rows), 1.0), MOST_CELLS)
     frame[at.CELL] = max(np.sqrt(wide[0] * wide[1] / cells), LEAST_CELL_M)
     frame[at.COLUMNS], frame[at.ROWS] = np.ceil(wide[:2] / frame[at.CELL])
     frame[[at.LEFT, at.LOW, at.BOTTOM]], frame[at.TOP] = low, high[2]

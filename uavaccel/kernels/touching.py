@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from uavaccel.kernels.fields import CYLINDER, PLANE
 from uavaccel.kernels.operands import Operand
+from uavaccel.kernels.scene import world_of
 from uavaccel.kernels.scene_touching import NOTHING, Share, deepest_shape, nearest_shape
 from uavaccel.sim.parts import part
 from uavaccel.sim.vehicle.clearance import MARGIN_M, free_s
@@ -86,7 +87,7 @@ def deepest(  # type: ignore[empty-body]
 
 
 def around(solids: Operand, counts: Operand, game: int) -> tuple[Any, int]:  # type: ignore[empty-body]
-    """Return a game's solids and their number, or the scene and the world of the game."""
+    """Return a game's solids and their number, or the scene and the game's world in it."""
 
 
 @part(inline=False)
@@ -217,7 +218,7 @@ def _deepest(solids, count, place, radius_m, half_height_m, share):  # type: ign
 
 def _around(solids, counts, game):  # type: ignore[no-untyped-def]
     if isinstance(solids, types.BaseTuple):
-        return lambda solids, counts, game: (solids, counts[game])
+        return lambda solids, counts, game: (solids, world_of(solids, game))
     return lambda solids, counts, game: (solids[game], counts[game])
 
 

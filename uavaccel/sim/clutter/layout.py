@@ -1,12 +1,13 @@
 """Clutter: a world of shapes sampled from a seed, as arithmetic that is the same on a CPU, on a GPU and for MuJoCo.
 
 Pillars, boxes and cylinders, stand on the ground; spheres and ellipsoids hang in the air. Start and goal are clear.
-Metres, MuJoCo's axes (x north, y west, z up). There is no sine or root in it, only IEEE arithmetic with products
-that are rounded before a sum (sim/rounding), so that every machine samples the same bits.
+Metres, MuJoCo's axes (x north, y west, z up). There is no sine in it, only IEEE arithmetic with products that are
+rounded before a sum (sim/rounding), so that every machine samples the same bits.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal, Self, get_args
@@ -34,8 +35,8 @@ CLUTTER_FIELDS = 10
 
 # A distribution as numbers, float64. SHARES: ends of the kinds' parts of 0 to 1, in the order of `Kind`.
 SHAPES, LEFT, LONG, LOW, WIDE, SMALL, LARGER, LEVEL, HIGHER = range(9)
-SHARES, CLEAR_START, CLEAR_GOAL, DARK, BRIGHTER = 9, 12, 13, 14, 15
-NUMBERS = 16
+SHARES, CLEAR_START, CLEAR_GOAL, DARK, BRIGHTER, GAP = 9, 12, 13, 14, 15, 16
+NUMBERS = 17
 
 MOST_SHAPES = 256  # as many as clutter.xml provides
 NORTH_M, ASIDE_M = (-4.0, 44.0), 24.0  # the area: from, to; half its width
@@ -68,6 +69,9 @@ class Clutter(Config):
     """Horizontal distance from the start, in metres, within which there is nothing."""
     clear_goal_m: Clear = 1.5
     """Horizontal distance from the goal, in metres, within which there is nothing."""
+    gap_m: Annotated[float, Field(ge=0.0, le=20.0)] = 0.0
+    """Least distance of shapes from each other, in metres, seen from above: one nearer to another is left out. With 0
+    they may overlap."""
 
     @model_validator(mode="after")
     def _has_sizes_and_kinds(self) -> Self:
@@ -88,7 +92,7 @@ class Clutter(Config):
         sizes = (small, large - small, low, high - low)
         area = (left, right - left, -ASIDE_M, 2 * ASIDE_M)
         clear = (self.clear_start_m, self.clear_goal_m)
-        return np.array([self.shapes, *area, *sizes, *ends[:3], *clear, dark, bright - dark])
+        return np.array([self.shapes, *area, *sizes, *ends[:3], *clear, dark, bright - dark, self.gap_m])
 
 
 @part
@@ -96,14 +100,15 @@ def sample_clutter(numbers: Any, stream: Any, goal_x: float, goal_y: float, rows
     """Sample a world from a stream (sim/pcg64) into rows (n, CLUTTER_FIELDS); return how many shapes stand.
 
     `numbers` are Clutter.numbers(). The first `numbers[SHAPES]` rows are written, at most n; each takes nine numbers
-    of the stream. A shape that reaches into the start, at (0, 0), or into the goal is parked below the ground.
+    of the stream. A shape that reaches into the start, at (0, 0), or into the goal, or that is too near to one before,
+    is parked below the ground.
     """
     stand = 0
     for number in range(min(int(numbers[SHAPES]), rows.shape[0])):
         row = rows[number]
         _sample_shape(numbers, stream, row)
         clear = _away(row, 0.0, 0.0, numbers[CLEAR_START]) and _away(row, goal_x, goal_y, numbers[CLEAR_GOAL])
-        if clear:
+        if clear and _apart(rows, number, numbers[GAP]):
             stand += 1
         else:
             row[Z] = PARKED_Z_M
@@ -152,6 +157,25 @@ def _away(row: Any, x: float, y: float, clear: float) -> bool:
         return bool(times(along, along) + times(across, across) >= times(clear, clear))
     reach = clear + max(row[HALF_X], row[HALF_Y])
     return bool(times(along, along) + times(across, across) >= times(reach, reach))
+
+
+@part
+def _apart(rows: Any, number: int, gap: float) -> bool:
+    """Return whether circles around a shape and those before it, seen from above, keep a gap; always without one."""
+    row, reach = rows[number], reach_of(rows[number]) + gap
+    for other in range(number if gap > 0.0 else 0):
+        right, up, far = row[X] - rows[other, X], row[Y] - rows[other, Y], reach + reach_of(rows[other])
+        if rows[other, Z] > PARKED_Z_M and times(right, right) + times(up, up) < times(far, far):
+            return False
+    return True
+
+
+@part
+def reach_of(row: Any) -> float:
+    """Return the radius of a circle around a shape, seen from above."""
+    if int(row[KIND]) == BOX:
+        return math.sqrt(times(row[HALF_X], row[HALF_X]) + times(row[HALF_Y], row[HALF_Y]))
+    return max(row[HALF_X], row[HALF_Y])
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,86 @@
+"""Clutter (sim/clutter) as worlds of a scene: the shapes to touch, the same shapes to see, and the cells of both.
+
+A world has what its model has in every game, then a layout's shapes in their order. The functions are compiled for
+the CPU and for a GPU, allocate nothing and raise nothing. Metres, MuJoCo's axes.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+from uavaccel.kernels import scene as at
+from uavaccel.kernels.scene import CELLS_A_SHAPE, Scene, as_seen, empty_scene, list_shapes
+from uavaccel.sim.clutter import layout as of
+from uavaccel.sim.clutter.layout import Clutter, reach_of
+from uavaccel.sim.parts import part
+from uavaccel.sim.rounding import times
+from uavaccel.sim.vehicle.hotloop import sources
+
+
+def clutter_worlds(clutter: Clutter, always: Scene, worlds: int) -> tuple[Scene, Scene]:
+    """Allocate worlds for layouts of a distribution, with the shapes of a scene's only world: to touch, and to see.
+
+    The two have the same cells, in the same memory.
+    """
+    large, first = clutter.half_m[1], always.shapes.shape[1]
+    reach = math.sqrt(2.0) * large + at.LISTING_MARGIN_M  # of a turned box
+    wide, high = of.NORTH_M[1] - of.NORTH_M[0] + 2 * reach, 2 * (of.ASIDE_M + reach)
+    cell = max(math.sqrt(wide * high / (CELLS_A_SHAPE * max(clutter.shapes, 1))), 1.0)
+    columns, rows = math.ceil(wide / cell), math.ceil(high / cell)
+    entries = clutter.shapes * (math.floor(2 * (reach + at.LISTING_MARGIN_M) / cell) + 2) ** 2
+    scene = empty_scene(worlds, first + clutter.shapes, columns * rows, entries, seen=False)
+    frame = np.zeros(at.FRAME_FIELDS)
+    frame[[at.LEFT, at.LOW, at.CELL]] = of.NORTH_M[0] - reach, -of.ASIDE_M - reach, cell
+    frame[[at.COLUMNS, at.ROWS, at.LOOSE, at.SHAPES]] = columns, rows, first, first + clutter.shapes
+    frame[[at.BOTTOM, at.TOP]] = -large, max(2 * of.PILLAR_HALF_M, of.CENTRES_M[1] + large)
+    scene.frame[:], scene.shapes[:, :first] = frame, always.shapes[0]
+    scene.shapes[:, first:, at.GEOM] = np.arange(first, first + clutter.shapes)
+    return scene, as_seen(scene)
+
+
+@part
+def put_shape(row: Any, shape: Any) -> None:
+    """Write a row of a layout as a shape; a parked one has no extent."""
+    shape[at.KIND], shape[at.BOUND] = row[of.KIND], 0.0
+    for axis in range(3):
+        shape[at.CENTRE + axis], shape[at.HALF + axis] = row[of.X + axis], row[of.HALF_X + axis]
+        shape[at.RGB + axis] = row[of.GREY]
+    shape[at.AXES], shape[at.AXES + 1], shape[at.AXES + 2] = row[of.COS], -row[of.SIN], 0.0
+    shape[at.AXES + 3], shape[at.AXES + 4], shape[at.AXES + 5] = row[of.SIN], row[of.COS], 0.0
+    shape[at.AXES + 6], shape[at.AXES + 7], shape[at.AXES + 8] = 0.0, 0.0, 1.0
+    if row[of.Z] > of.PARKED_Z_M:
+        across, tall = reach_of(row), row[of.HALF_Z]
+        round_ = int(row[of.KIND]) in (at.ELLIPSOID, at.CAPSULE)
+        shape[at.BOUND] = max(across, tall) if round_ else math.sqrt(times(across, across) + times(tall, tall))
+
+
+@part(inline=False)
+def put_world(rows: Any, scene: Scene, seen: Scene, world: int) -> None:
+    """Write a layout (n, CLUTTER_FIELDS) into a world of a scene to touch, and if there are any, of one to see."""
+    first = int(scene.frame[world, at.LOOSE])
+    for number in range(len(rows)):
+        put_shape(rows[number], scene.shapes[world, first + number])
+    list_shapes(scene, world)
+    if world < len(seen.shapes):
+        for shape in range(first, first + len(rows)):
+            for field in range(at.GEOM):
+                seen.shapes[world, shape, field] = scene.shapes[world, shape, field]
+
+
+def _compile(stamp: int) -> Any:
+    """Compile the entry point, or load it from numba's cache; `stamp` as in kernels/pictures."""
+
+    @njit(cache=True, nogil=True)
+    def put(rows, scene, seen, world):  # type: ignore[no-untyped-def]
+        if stamp:
+            put_world(rows, scene, seen, world)
+
+    return put
+
+
+put_clutter = _compile(sources(__name__))
+"""`put_clutter(rows, scene, seen, world)` does as `put_world`, called from Python."""
