@@ -19,10 +19,12 @@ import torch as th
 
 import uavaccel.envs
 import uavaccel.kernels
-from uavaccel.kernels import cpu, events, lane_clocks, lane_games, lanes
+from uavaccel.kernels import clutter_games, cpu, events, lane_clocks, lane_games, lanes
+from uavaccel.kernels.clutter_worlds import put_clutter
 from uavaccel.kernels.fields import COLOUR, COLUMNS, ROWS
 from uavaccel.kernels.spans import make_scratch
 
+SIZE = ROWS, COLUMNS
 SIGNED: dict[Any, Any] = {np.dtype(np.uint32): np.int32, np.dtype(np.uint64): np.int64}
 NAME, CLOCKS = "uavaccel.kernels.cuda", "uavaccel.kernels.cuda_clocks"
 ABOVE = {
@@ -114,6 +116,11 @@ class Kernels:
         for lane in which:
             lane_games.deal(lane, distribution, deals, games)
 
+    def run_deal_clutter(self, which: Any, distribution: Any, deals: Any, games: Any) -> None:
+        for lane in which:
+            clutter_games.deal(lane, distribution, deals, games)
+            put_clutter(deals.layouts[lane], games.solids, games.scenes, lane)
+
     def run_begin(self, which: Any, rows: Any, games: Any, now: Any) -> None:
         for lane in which:
             lanes.begin(lane, rows[lane], games, now)
@@ -157,10 +164,10 @@ class Kernels:
             if lanes.touched(lane, now):
                 continue
             if kind == COLOUR:
-                cpu.render_colour(lane, plan.appearance, games, now, tick_ns, self._scratch, frames[lane])
+                cpu.render_colour(lane, plan.appearance, games, now, tick_ns, self._scratch, SIZE, frames[lane])
                 self._levels[lane] = self._scratch.channels.sum(axis=(1, 2))
             else:
-                cpu.render_depth(lane, plan.appearance, games, now, self._scratch, frames[lane])
+                cpu.render_depth(lane, plan.appearance, games, now, self._scratch, SIZE, frames[lane])
 
     def run_add_grey(self, which: Any, faces: Any, shown: Any, plan: Any, sums: Any) -> None:
         for lane in which:
@@ -169,6 +176,40 @@ class Kernels:
     def run_add_colours(self, which: Any, faces: Any, shown: Any, plan: Any, sums: Any) -> None:
         for lane in which:
             sums[lane] = self._levels[lane]
+
+    def run_cast_frames(self, which: Any, kind: int, tick_ns: int, side: int, looks: Any, *of_lanes: Any) -> None:
+        games, now, frames = of_lanes
+        size = side * frames.shape[2], side * frames.shape[3]
+        for lane in which:
+            frames[lane] = 0
+            if lanes.touched(lane, now):
+                continue
+            if kind == COLOUR:
+                cpu.render_colour(lane, looks, games, now, tick_ns, self._scratch, size, frames[lane])
+            else:
+                cpu.render_depth(lane, looks, games, now, self._scratch, size, frames[lane])
+
+    def run_start_cast(self, which: Any, looks: Any, sensor: Any, games: Any, now: Any, pixels: Any) -> None:
+        picture = np.empty(pixels.base.shape[1:], np.uint8)
+        for lane in which:
+            cpu.render_gray(lane, looks, games, now, 1, self._scratch, picture)
+            cpu.start(lane, picture, pixels, sensor, games.cameras[now.game[lane]])
+
+    def run_cast_events(self, which: Any, tick_ns: int, looks: Any, sensor: Any, *of_lanes: Any) -> None:
+        games, now, pixels = of_lanes
+        picture = np.empty(pixels.base.shape[1:], np.uint8)
+        for lane in which:
+            if lanes.touched(lane, now):
+                continue
+            game, time_s = now.game[lane], cpu.moment_ns(lane, now, tick_ns) * events.NS
+            cpu.render_gray(lane, looks, games, now, tick_ns, self._scratch, picture)
+            cpu.see(lane, picture, time_s, pixels, sensor, games.cameras[game], games.seeds[game, lanes.EVENT_SEED])
+
+    def run_take_frames(self, which: Any, now: Any, pixels: Any, frames: Any) -> None:
+        for lane in which:
+            frames[lane] = 128
+            if not lanes.touched(lane, now):
+                cpu.pop_events(lane, pixels, frames[lane][None])
 
     def run_nothing(self, which: Any, *_: Any) -> None:
         """What draws, or sees, does."""

@@ -10,7 +10,7 @@ from typing import Any
 
 import torch as th
 
-from uavaccel.envs.cuda_view import LaneView
+from uavaccel.envs.cuda_view import LaneView, SceneView
 from uavaccel.envs.kernel_plan import plan_of
 from uavaccel.envs.stopwatch import PHASES
 from uavaccel.envs.task import Task
@@ -31,7 +31,7 @@ class DeviceClocks:
     """
 
     def __init__(
-        self, task: Task, count: int, device: th.device, hull: Any, now: Any, view: LaneView, advance: Advance
+        self, task: Task, count: int, device: th.device, hull: Any, now: Any, view: LaneView | SceneView, advance: Advance
     ) -> None:
         plan = plan_of(task, hull, view.kind != STATE)
         self._timing_tensors, self._timing = kernels.on_device(plan.timing, device)

@@ -7,6 +7,7 @@ samples is its own Python: the host fills rows `SampledAhead` and transfers them
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any, TypeGuard
 
@@ -19,12 +20,14 @@ from uavaccel.envs.checks import known_options
 from uavaccel.envs.cuda_courses import allocate, to_device, write_rows
 from uavaccel.envs.flight_env import CONDITIONS
 from uavaccel.envs.kernel_games import Drawn, GameMaker
+from uavaccel.envs.navigate import NavigateTask
 from uavaccel.envs.obstacle_lane import LaneTask
 from uavaccel.envs.task import Task
 from uavaccel.envs.values import Course
 from uavaccel.kernels import cuda as kernels
-from uavaccel.kernels import lane_games, lanes
-from uavaccel.kernels.fields import NO_APPEARANCE
+from uavaccel.kernels import clutter_games, lane_games
+from uavaccel.kernels.fields import NO_APPEARANCE, Appearance
+from uavaccel.kernels.scene import Scene
 from uavaccel.sim.lane.layout import WIDTH_M, lane_seed
 from uavaccel.sim.pcg64 import stream_of
 from uavaccel.sim.state import State
@@ -43,11 +46,22 @@ class LaneGames:
     def __init__(self, task: Task, count: int, device: th.device, rows_a_lane: int) -> None:
         self.maker = GameMaker(task)
         self.count, self.device = count, device
-        self._host = lanes.game_rows(count * rows_a_lane, self.maker.surroundings.most)
+        self._host = self.maker.rows(count * rows_a_lane)
         self.scales = th.ones(count * rows_a_lane, dtype=th.float64, device=device)
         self.begun = th.zeros(count, dtype=th.int64, device=device)
         self.starts: dict[str, Any] = {}
         self.conditions: dict[str, th.Tensor] = {}
+
+    def _on_device(self) -> tuple[Any, Any]:
+        """Copy the rows to the device; what is seen of clutter has the cells of what is touched."""
+        both = kernels.on_device(self._host, self.device)
+        if not isinstance(self._host.solids, Scene) or self._host.scenes.start is not self._host.solids.start:
+            return both
+        tensors, arrays = (
+            games._replace(scenes=games.scenes._replace(start=games.solids.start, items=games.solids.items))
+            for games in both
+        )
+        return tensors, arrays
 
     def generators(self, seeds: int | Sequence[int | None]) -> list[np.random.Generator]:
         """Return a new generator for each lane: of the i-th of several seeds, or of a single seed plus i."""
@@ -62,6 +76,8 @@ class LaneGames:
 
 def games_of(task: Task, count: int, device: th.device) -> Dealt | SampledAhead:
     """Return the games of a task's lanes, dealt on the device if they can be."""
+    if isinstance(task, NavigateTask) and _samples_as(task, NavigateTask):
+        return DealtClutter(task, count, device)
     return Dealt(task, count, device) if is_dealt(task) else SampledAhead(task, count, device)
 
 
@@ -69,8 +85,13 @@ def is_dealt(task: Task) -> TypeGuard[LaneTask]:
     """Return whether a task's games are lanes sampled as `LaneTask` samples them, under the same conditions."""
     if not isinstance(task, LaneTask) or task.lane is not None or task.randomise is not None:
         return False
-    sampled = ("sample", "sample_conditions", "with_conditions", "layout", "lane_layout", "wire_lane", "events_seed")
-    return all(getattr(type(task), name) is getattr(LaneTask, name) for name in sampled)
+    return _samples_as(task, LaneTask, "wire_lane")
+
+
+def _samples_as(task: Task, kind: type[Task], *more: str) -> bool:
+    """Return whether a task samples its games as `kind` does."""
+    sampled = ("sample", "sample_conditions", "with_conditions", "layout", "lane_layout", "events_seed", *more)
+    return all(getattr(type(task), name) is getattr(kind, name) for name in sampled)
 
 
 class Dealt(LaneGames):
@@ -82,17 +103,20 @@ class Dealt(LaneGames):
         self.maker.write(drawn, self._host, 0)
         for array in _leaves(self._host):
             array[1:] = array[0]
-        self.rows, self.arrays = kernels.on_device(self._host, device)
-        self.obstacles = 0 if drawn.layout is None else len(drawn.layout)
+        self.rows, self.arrays = self._on_device()
+        self.obstacles = drawn.obstacles
         self.scales *= task.latency.scale
-        wearing = (self.maker.appearance or NO_APPEARANCE).wearing
-        distribution = lane_games.Distribution(_numbers_of(task, self.obstacles), wearing)
-        self._memory, self._distribution = kernels.on_device(distribution, device)
-        self._tensors, self._deals = kernels.on_device(lane_games.deals(count), device)
-        self.starts = {"lane": self._tensors.indices}
+        self._allocate_deals(task)
         self._kernels = kernels.compiled(self.maker.nominal)
         self._all = th.arange(count, device=device)
         self.has_games = False
+
+    def _allocate_deals(self, task: Any) -> None:
+        wearing = self.maker.looks.wearing if isinstance(self.maker.looks, Appearance) else NO_APPEARANCE.wearing
+        distribution = lane_games.Distribution(_numbers_of(task, self.obstacles), wearing)
+        self._memory, self._distribution = kernels.on_device(distribution, self.device)
+        self._tensors, self._deals = kernels.on_device(lane_games.deals(self.count), self.device)
+        self.starts = {"lane": self._tensors.indices}
 
     @property
     def label(self) -> th.Tensor:
@@ -110,9 +134,10 @@ class Dealt(LaneGames):
         self.has_games = True
         for lane, option in enumerate(options or ()):
             if option:
-                course = self.maker.task.sample(np.random.default_rng(0), known_options(option, ("lane",)))
+                known = known_options(option, self.maker.task.reset_options)
+                course = self.maker.task.sample(np.random.default_rng(0), known)
                 self.maker.task.lane_layout(course)  # raises UserError for a lane that is none
-                self._tensors.given[lane] = course["lane"]
+                self._tensors.given[lane] = course[next(iter(known))]
 
     def refill(self, begun: Sequence[int]) -> None:
         """Do nothing: games are dealt when they are needed."""
@@ -149,6 +174,36 @@ class Dealt(LaneGames):
         self.begun[lane], self.has_games = int(state["begun"]), True
 
 
+class DealtClutter(Dealt):
+    """Games of Navigate, dealt in the same way."""
+
+    def _allocate_deals(self, task: Any) -> None:
+        distribution = clutter_games.Distribution(_numbers_of_goals(task), task.clutter.numbers())
+        self._memory, self._distribution = kernels.on_device(distribution, self.device)
+        deals = clutter_games.deals(self.count, task.clutter.shapes)
+        self._tensors, self._deals = kernels.on_device(deals, self.device)
+        self.starts = {"world": self._tensors.indices, "goal_m": list(self._tensors.goals.T)}
+
+    def _deal(self, idle: th.Tensor) -> None:
+        grid = kernels.grid(self.count * kernels.SEEING_THREADS, kernels.SEEING_THREADS)
+        self._kernels.deal_clutter[grid](kernels.shared(idle), self._distribution, self._deals, self.arrays)
+
+    def found(self, lane: int, label: int) -> tuple[Course, int]:
+        """Return the course of a lane's present game, and no obstacles."""
+        return {"world": label, "goal_m": self._tensors.goals[lane].tolist()}, 0
+
+
+def _numbers_of_goals(task: NavigateTask) -> NDArray[np.float64]:
+    """Return a task's numbers for kernels/clutter_games.Distribution."""
+    numbers, (near_m, far_m) = np.zeros(clutter_games.NUMBERS), task.goal_m
+    numbers[clutter_games.FIRST_SEED] = lane_seed(task.split, 0)
+    numbers[clutter_games.NOISY_EVENTS] = task.events_seed(1)
+    numbers[clutter_games.NEAR_M], numbers[clutter_games.SPAN_M] = near_m, far_m - near_m
+    numbers[clutter_games.ASIDE_RAD] = math.radians(task.goal_bearing_deg)
+    numbers[clutter_games.ALTITUDE_M] = task.altitude_m
+    return numbers
+
+
 def _numbers_of(task: LaneTask, obstacles: int) -> NDArray[np.float64]:
     """Return a task's numbers for kernels/lane_games.Distribution."""
     of, numbers = task.difficulty, np.zeros(lane_games.NUMBERS)
@@ -172,7 +227,7 @@ class SampledAhead(LaneGames):
 
     def __init__(self, task: Task, count: int, device: th.device) -> None:
         super().__init__(task, count, device, AHEAD)
-        self.rows, self.arrays = kernels.on_device(self._host, device)
+        self.rows, self.arrays = self._on_device()
         self.available = th.zeros(count, dtype=th.int64, device=device)
         self._generators: list[Any] = [None] * count
         self._games = [0] * count
@@ -224,7 +279,7 @@ class SampledAhead(LaneGames):
     def found(self, lane: int, label: int) -> tuple[Course, int]:
         """Return the course at the start of one of a lane's latest AHEAD games, and its number of obstacles."""
         drawn = self._drawn[lane][label]
-        return drawn.course, 0 if drawn.layout is None else len(drawn.layout)
+        return drawn.course, drawn.obstacles
 
     def get_state(self, lane: int) -> State:
         """Return what a lane's running game and its next ones are sampled from."""
@@ -294,5 +349,7 @@ class SampledAhead(LaneGames):
 
 
 def _leaves(arrays: Any) -> list[Any]:
-    """Return the arrays of nested tuples, in order."""
+    """Return the arrays of nested tuples, in order, but for a scene of one world, which all games share."""
+    if isinstance(arrays, Scene):
+        return list(arrays[:4]) if len(arrays.shapes) > 1 else []
     return [arrays] if not isinstance(arrays, tuple) else [leaf for array in arrays for leaf in _leaves(array)]

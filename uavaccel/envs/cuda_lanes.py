@@ -16,7 +16,7 @@ from uavaccel.envs.context_planes import age_levels
 from uavaccel.envs.cuda_clocks import DeviceClocks
 from uavaccel.envs.cuda_courses import assign_where, clone, tensors
 from uavaccel.envs.cuda_games import games_of
-from uavaccel.envs.cuda_view import LaneView
+from uavaccel.envs.cuda_view import view_of
 from uavaccel.envs.flight_env import CONDITIONS
 from uavaccel.envs.flyable import CUDA, check_flyable, passes_together, profile_of
 from uavaccel.envs.kernel_games import game_info, kinematics_of, one_course, select, step_result
@@ -71,7 +71,7 @@ class CudaLanes:
         self.now, self._now_arrays = kernels.on_device(lanes.flights(count), device)
         self._tick_ns = profile_of(task).tick_ns
         self._threads = kernels.threads_a_lane(count, device)
-        self.view = LaneView(task, self.games.maker, count, device, self.games.arrays, self._now_arrays, self._tick_ns)
+        self.view = view_of(task, self.games.maker, count, device, self.games.arrays, self._now_arrays, self._tick_ns)
         self.kind = self.view.kind
         hull = self.games.maker.surroundings.hull
         self.clocks = (

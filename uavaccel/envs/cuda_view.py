@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import torch as th
 
 from uavaccel.envs.flyable import kind_of
 from uavaccel.envs.kernel_games import GameMaker
+from uavaccel.envs.sensors import blank_frame
 from uavaccel.envs.task import Task
 from uavaccel.kernels import cuda as kernels
 from uavaccel.kernels import events
-from uavaccel.kernels.fields import COLUMNS, DEPTH, DVS, FIELDS, NO_APPEARANCE, ROWS, STATE
+from uavaccel.kernels.fields import COLUMNS, DEPTH, DVS, FIELDS, ROWS, STATE, Looks
 from uavaccel.vision.dvs_sensor import sample_pixels
 
 
-class LaneView:
+class View:
     """The cameras of `count` lanes; `games` and `now` are kernels/lanes.Games and Flights of numba arrays.
 
     In all methods, `which` (L,) uint8 selects lanes. `pixels` is a kernels/events.Pixels of tensors.
@@ -26,19 +28,73 @@ class LaneView:
     ) -> None:
         self.kind, self._count, self._tick_ns = kind_of(task), count, tick_ns
         self._kernels, self._games, self._now = kernels.compiled(maker.nominal), games, now
-        parameters = task.dvs_parameters
+        parameters, size = task.dvs_parameters, task.picture_size[::-1]
+        frame = blank_frame("dvs", task.picture_size).shape[1:]
+        self._size, self._frame, self._side = size, frame, size[0] // frame[0]
         self.pixels, self._pixels = kernels.on_device(
-            events.pixels_of(count if self.kind == DVS else 0, parameters), device
+            events.pixels_of(count if self.kind == DVS else 0, parameters, size, frame), device
         )
-        appearance, appearance_arrays = kernels.on_device(maker.appearance or NO_APPEARANCE, device)
+        looks, looks_arrays = kernels.on_device(maker.looks, device)
         sensor, sensor_arrays = kernels.on_device(
-            events.sensor_of(sample_pixels(parameters, (ROWS, COLUMNS), task.dvs_seed)), device
+            events.sensor_of(sample_pixels(parameters, size, task.dvs_seed)), device
         )
         hull = th.tensor(maker.surroundings.hull, device=device)
         self.plan = kernels.Plan(
-            kernels.shared(hull), appearance_arrays.texels, appearance_arrays.textures, appearance_arrays, sensor_arrays
+            kernels.shared(hull), looks_arrays.texels, looks_arrays.textures, looks_arrays, sensor_arrays
         )
-        self._memory = appearance, sensor, hull  # keeps alive what the plan's numba arrays refer to
+        self._memory = looks, sensor, hull  # keeps alive what the plan's numba arrays refer to
+
+    def _finish(self, which: Any, now: Any) -> None:
+        per_lane = kernels.grid(self._count, kernels.FLYING_THREADS)
+        self._kernels.finish[per_lane](which, self._tick_ns, now, self._pixels)
+
+
+class SceneView(View):
+    """Cameras in still scenes, by rays (kernels/casting), in pictures of any size."""
+
+    def start(self, which: th.Tensor) -> None:
+        """Initialise event cameras with their games' first images."""
+        self._launch("start_cast", self._size)(
+            kernels.shared(which), self.plan.appearance, self.plan.sensor, self._games, self._now, self._pixels
+        )
+
+    def render(self, which: th.Tensor, frames: th.Tensor, take: bool = True, now: Any = None) -> None:
+        """Observe `now`, by default the present, as `frames` (L, ...); event cameras sum events until `take`."""
+        going, now = kernels.shared(which), now or self._now
+        seen = self.plan.appearance, self._games, now
+        if self.kind != DVS:
+            self._launch("cast_frames", self._frame)(
+                going, self.kind, self._tick_ns, self._side, *seen, kernels.shared(frames)
+            )
+            return
+        looks, games, _ = seen
+        self._launch("cast_events", self._size)(
+            going, self._tick_ns, looks, self.plan.sensor, games, now, self._pixels
+        )
+        self._finish(going, now)
+        if take:
+            self._launch("take_frames", self._frame)(going, now, self._pixels, kernels.shared(frames[:, 0]))
+
+    def show(self, which: th.Tensor, frames: th.Tensor) -> None:
+        """Render the present `frames` (L, ...), in colour or of depth."""
+        self.render(which, frames)
+
+    def add_levels(self, which: th.Tensor, sums: th.Tensor) -> None:
+        """Raise NotImplementedError: what needs the guard is refused before (envs/flyable)."""
+        raise NotImplementedError
+
+    def _launch(self, name: str, size: Sequence[int]) -> Any:
+        tiles = -(-size[0] // 4) * -(-size[1] // 8)
+        return getattr(self._kernels, name)[kernels.grid(self._count * tiles * kernels.WARP, kernels.SEEING_THREADS)]
+
+
+class LaneView(View):
+    """Cameras in the obstacle lane, in pictures of 256 x 144: projection of the scenes' faces."""
+
+    def __init__(
+        self, task: Task, maker: GameMaker, count: int, device: th.device, games: Any, now: Any, tick_ns: int
+    ) -> None:
+        super().__init__(task, maker, count, device, games, now, tick_ns)
         rendered = count if self.kind != STATE else 1
         self._faces = th.zeros((rendered, kernels.SLOTS, FIELDS), device=device)
         self._shown = th.zeros((rendered, ROWS, COLUMNS), dtype=th.int16, device=device)
@@ -59,8 +115,7 @@ class LaneView:
         seen = (faces, shown, self.plan, self._games, now, self._pixels, kernels.shared(frames[:, 0]))
         self._launch_quads("see")(going, int(take), *seen)
         self._launch_quads("see_noise")(going, self._tick_ns, int(take), *seen)
-        per_lane = kernels.grid(self._count, kernels.FLYING_THREADS)
-        self._kernels.finish[per_lane](going, self._tick_ns, now, self._pixels)
+        self._finish(going, now)
 
     def show(self, which: th.Tensor, frames: th.Tensor) -> None:
         """Render the present `frames` (L, ...), in colour or of depth."""
@@ -98,3 +153,8 @@ class LaneView:
     def _looked_at(self, which: th.Tensor) -> tuple[Any, Any, Any]:
         """Return the selected lanes, their faces, and the face that each pixel shows, as numba arrays."""
         return kernels.shared(which), kernels.shared(self._faces), kernels.shared(self._shown)
+
+
+def view_of(task: Task, maker: GameMaker, *arguments: Any) -> SceneView | LaneView:
+    """Return the cameras of a task's lanes."""
+    return (SceneView if isinstance(maker.looks, Looks) else LaneView)(task, maker, *arguments)

@@ -76,8 +76,8 @@ def _why_not_on_gpu(task: Task) -> str:
         return ""
     if task.dvs_ticks:
         return "dvs_rate_hz needs command = tcsc, timing = lockstep and profile = native"
-    if kind_of(task) == DEPTH and task.timing == "virtual":
-        return "in timing = virtual depth images need the guard, which runs on the CPU only"
+    if task.timing == "virtual" and (kind_of(task) == DEPTH or (kind_of(task) != STATE and task.scene != "lane")):
+        return "in timing = virtual images of depth, and of scenes but the lane, need the guard, which runs on the CPU"
     return ""
 
 

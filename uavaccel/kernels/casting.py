@@ -25,9 +25,11 @@ from uavaccel.kernels.fields import (
     HALF_HEIGHT,
     HALF_WIDTH,
     PLANE,
+    SEEN_FAR_M,
     TOWARDS,
     Looks,
 )  # fmt: skip
+from uavaccel.kernels.rays import luma
 from uavaccel.kernels.scene import Scene, Shape
 from uavaccel.sim.parts import part
 
@@ -40,6 +42,7 @@ ZERO, HALF, ONE, TWO = (np.float32(number) for number in (0.0, 0.5, 1.0, 2.0))
 HUGE, TINY = np.float32(1e30), np.float32(1e-12)
 WIDER = np.float32(1.00001)  # of bounding spheres, for rounding
 CORNER = np.float32(1e-6)  # by which neighbouring triangles overlap, relative to their sides
+LEVELS_A_M = np.float32(255.0) / SEEN_FAR_M
 NOTHING, NONE = -1, (ZERO, ZERO, ZERO)
 
 
@@ -471,3 +474,20 @@ def colour_at(scene: Scene, world: int, looks: Looks, eye: Eye, row: int, column
     red, green, blue = shade(scene, world, item, normal, looks.light)
     top = np.float32(255.0)
     return np.int32(red * top + HALF), np.int32(green * top + HALF), np.int32(blue * top + HALF)
+
+
+@part(error_model="numpy")
+def gray_at(scene: Scene, world: int, looks: Looks, eye: Eye, row: int, column: int, size: tuple[int, int]) -> Any:
+    """Return a pixel's luma (0 to 255)."""
+    red, green, blue = colour_at(scene, world, looks, eye, row, column, size)
+    return luma(red, green, blue)
+
+
+@part(error_model="numpy")
+def depth_level(scene: Scene, world: int, looks: Looks, eye: Eye, row: int, column: int, size: Any, side: int) -> int:
+    """Return the level of a depth frame's pixel: the mean of `side` x `side` pixels, of SEEN_FAR_M at most as 255."""
+    total = ZERO
+    for y in range(side * row, side * row + side):
+        for x in range(side * column, side * column + side):
+            total += min(depth_at(scene, world, looks, eye, y, x, size), SEEN_FAR_M)
+    return round(total / np.float32(side * side) * LEVELS_A_M)

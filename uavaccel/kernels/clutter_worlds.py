@@ -58,17 +58,22 @@ def put_shape(row: Any, shape: Any) -> None:
         shape[at.BOUND] = max(across, tall) if round_ else math.sqrt(times(across, across) + times(tall, tall))
 
 
+@part
+def put_in_both(rows: Any, number: int, scene: Scene, seen: Scene, world: int) -> None:
+    """Write one row of a layout into a world to touch, and if there are any, into one to see."""
+    shape = int(scene.frame[world, at.LOOSE]) + number
+    put_shape(rows[number], scene.shapes[world, shape])
+    if world < len(seen.shapes):
+        for field in range(at.GEOM):
+            seen.shapes[world, shape, field] = scene.shapes[world, shape, field]
+
+
 @part(inline=False)
 def put_world(rows: Any, scene: Scene, seen: Scene, world: int) -> None:
     """Write a layout (n, CLUTTER_FIELDS) into a world of a scene to touch, and if there are any, of one to see."""
-    first = int(scene.frame[world, at.LOOSE])
     for number in range(len(rows)):
-        put_shape(rows[number], scene.shapes[world, first + number])
+        put_in_both(rows, number, scene, seen, world)
     list_shapes(scene, world)
-    if world < len(seen.shapes):
-        for shape in range(first, first + len(rows)):
-            for field in range(at.GEOM):
-                seen.shapes[world, shape, field] = scene.shapes[world, shape, field]
 
 
 def _compile(stamp: int) -> Any:

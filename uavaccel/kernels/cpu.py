@@ -14,7 +14,6 @@ from uavaccel.kernels.lane_clocks import save_shown, turn_to_shown
 from uavaccel.kernels.lanes import EVENT_SEED, PICTURE_SEED, Flights, Games, begin, command, fly, refresh, touched
 from uavaccel.kernels.operands import Launchable, Operand
 from uavaccel.kernels.project import project
-from uavaccel.kernels.rays import luma
 from uavaccel.kernels.spans import make_scratch, render_channels, render_depths, transpose_colour, transpose_gray
 from uavaccel.kernels.timeline import Clocks, Command
 from uavaccel.sim.parts import part
@@ -237,8 +236,7 @@ def gray_in_scene(lane: int, looks: Looks, games: Games, now: Flights, scratch: 
     world, eye = casting.seen_by(lane, looks, games, now)
     for row in range(out.shape[0]):
         for column in range(out.shape[1]):
-            red, green, blue = casting.colour_at(games.scenes, world, looks, eye, row, column, out.shape)
-            out[row, column] = luma(red, green, blue)
+            out[row, column] = casting.gray_at(games.scenes, world, looks, eye, row, column, out.shape)
     scratch.bright[0] = out.mean()
 
 

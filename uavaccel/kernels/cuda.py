@@ -20,8 +20,9 @@ from numba.cuda import libdevice
 from numba.cuda.extending import overload
 from numba.np.numpy_support import from_dtype
 
-from uavaccel.kernels import events, lane_games, lanes, touching
+from uavaccel.kernels import casting, clutter_games, events, lane_games, lanes, touching
 from uavaccel.kernels import fields as at
+from uavaccel.kernels.clutter_worlds import put_in_both
 from uavaccel.kernels.columns import MOST_INTERVALS, MOST_PIECES, Column, add_interval, fill_column, settle
 from uavaccel.kernels.faces import begin as begin_faces
 from uavaccel.kernels.faces import view_of
@@ -31,6 +32,7 @@ from uavaccel.kernels.operands import Launchable, Operand
 from uavaccel.kernels.project import project_solid
 from uavaccel.kernels.quads import BELOW, RIGHT, quad_lumas, quick_count, update_quad
 from uavaccel.kernels.rays import colour_of, linear
+from uavaccel.kernels.scene import LOOSE, add_to, begin_cells, sort_cell, visit
 from uavaccel.kernels.touching import NOTHING, around, deepest_of_all, least_of_all
 from uavaccel.sim.rounding import times
 from uavaccel.sim.vehicle.quadrotor import FLIGHT_DTYPE, NEVER, PARAMETERS_DTYPE
@@ -126,6 +128,39 @@ def deal_games(idle, distribution, deals, games):  # type: ignore[no-untyped-def
     lane = cuda.grid(1)
     if lane < len(idle) and idle[lane] != 0:
         lane_games.deal(lane, distribution, deals, games)
+
+
+def deal_clutter(idle, distribution, deals, games):  # type: ignore[no-untyped-def]
+    """Sample the next goal and world of every lane whose flag in `idle` (L,) is set: a block of threads a lane."""
+    lane, mine, threads = cuda.blockIdx.x, cuda.threadIdx.x, cuda.blockDim.x
+    if lane >= len(idle) or idle[lane] == 0:
+        return
+    scene, rows = games.solids, deals.layouts[lane]
+    first, start = np.int64(scene.frame[lane, LOOSE]), scene.start[lane]
+    if mine == 0:
+        clutter_games.deal(lane, distribution, deals, games)
+    for cell in range(mine, len(start), threads):
+        start[cell] = 0
+    cuda.syncthreads()
+    for number in range(mine, len(rows), threads):
+        put_in_both(rows, number, scene, games.scenes, lane)
+        visit(scene, lane, first + number, False)
+    cuda.syncthreads()
+    if mine == 0:
+        begin_cells(scene, lane)
+    cuda.syncthreads()
+    if start[len(start) - 1] == 0:
+        return
+    for number in range(mine, len(rows), threads):
+        visit(scene, lane, first + number, True)
+    cuda.syncthreads()
+    for cell in range(mine, len(start) - 1, threads):
+        sort_cell(scene, lane, cell)
+
+
+@overload(add_to)
+def _add_in_turn(counts, place, number):  # type: ignore[no-untyped-def]
+    return lambda counts, place, number: cuda.atomic.add(counts, place, number)
 
 
 def command_lanes(going, directions, games, now):  # type: ignore[no-untyped-def]
@@ -515,6 +550,108 @@ def add_colours(going, faces, shown, plan, sums):  # type: ignore[no-untyped-def
     cuda.atomic.add(sums, (lane, 2), np.int64(blue_sum))
 
 
+# --- still scenes -------------------------------------------------------------------------------------------------
+
+
+@cuda.jit(device=True)
+def pixel_of_thread(rows, columns):  # type: ignore[no-untyped-def]
+    """Return this thread's lane, row and column; a warp has 8 x 4 pixels, whose rays stay together."""
+    thread, across, down = cuda.grid(1), (columns + 7) // 8, (rows + 3) // 4
+    lane, place = thread // (across * down * WARP), thread % (across * down * WARP)
+    tile, mine = place // WARP, place % WARP
+    return lane, 4 * (tile // across) + mine // 8, 8 * (tile % across) + mine % 8
+
+
+def cast_frames(going, kind, tick_ns, side, looks, games, now, frames):  # type: ignore[no-untyped-def]
+    """Write colour or depth frames (L, channels, rows, columns), means of `side` x `side` pixels; 0 after a touch."""
+    rows, columns = frames.shape[2], frames.shape[3]
+    lane, y, x = pixel_of_thread(rows, columns)
+    if lane >= len(going) or going[lane] == 0 or y >= rows or x >= columns:
+        return
+    state, game = now.state[lane], now.game[lane]
+    if state.collision_tick != NEVER:
+        for channel in range(frames.shape[1]):
+            frames[lane, channel, y, x] = 0
+        return
+    world, eye = casting.seen_by(lane, looks, games, now)
+    scene, size = games.scenes, (rows * side, columns * side)
+    if kind == at.DEPTH:
+        frames[lane, 0, y, x] = casting.depth_level(scene, world, looks, eye, y, x, size, side)
+        return
+    camera, seeds, moment_ns = camera_of(games, game), games.seeds[game], state.tick * tick_ns
+    red_sum = green_sum = blue_sum = 0
+    for row in range(side * y, side * y + side):
+        for column in range(side * x, side * x + side):
+            red, green, blue = casting.colour_at(scene, world, looks, eye, row, column, size)
+            if camera[events.READ] > 0.0:
+                value = 3 * (row * size[1] + column)
+                red = noisy_at(int(red), camera, seeds, moment_ns, value)
+                green = noisy_at(int(green), camera, seeds, moment_ns, value + 1)
+                blue = noisy_at(int(blue), camera, seeds, moment_ns, value + 2)
+            red_sum, green_sum, blue_sum = red_sum + int(red), green_sum + int(green), blue_sum + int(blue)
+    frames[lane, 0, y, x] = round(red_sum / (side * side))
+    frames[lane, 1, y, x] = round(green_sum / (side * side))
+    frames[lane, 2, y, x] = round(blue_sum / (side * side))
+
+
+@cuda.jit(device=True)
+def cast_gray(lane, y, x, tick_ns, looks, games, now, size):  # type: ignore[no-untyped-def]
+    """Return a pixel's grey level, with read noise."""
+    world, eye = casting.seen_by(lane, looks, games, now)
+    level, game = casting.gray_at(games.scenes, world, looks, eye, y, x, size), now.game[lane]
+    camera = camera_of(games, game)
+    if camera[events.READ] > 0.0:
+        moment_ns = now.state[lane].tick * tick_ns
+        return np.int32(noisy_at(level, camera, games.seeds[game], moment_ns, y * size[1] + x))
+    return np.int32(level)
+
+
+def start_cast(going, looks, sensor, games, now, pixels):  # type: ignore[no-untyped-def]
+    """Initialise the event cameras of the lanes that are `going` with their first image, which causes no events."""
+    size, side = pixels.base.shape[1:], pixels.base.shape[1] // pixels.gathered.shape[1]
+    lane, y, x = pixel_of_thread(size[0], size[1])
+    if lane >= len(going) or going[lane] == 0 or y >= size[0] or x >= size[1]:
+        return
+    level, camera = cast_gray(lane, y, x, 0, looks, games, now, size), camera_of(games, now.game[lane])
+    start_pixel(level, camera, sensor, pixels, lane, y, x)
+    if y % side == 0 and x % side == 0:
+        pixels.gathered[lane, y // side, x // side] = 0
+    if y == 0 and x == 0:
+        pixels.clock[lane], pixels.time_s[lane] = 0, 0.0
+
+
+def cast_events(going, tick_ns, looks, sensor, games, now, pixels):  # type: ignore[no-untyped-def]
+    """Compute the events of the lanes that are `going`, a thread a pixel, and add them to those of their blocks."""
+    size, side = pixels.base.shape[1:], pixels.base.shape[1] // pixels.gathered.shape[1]
+    lane, y, x = pixel_of_thread(size[0], size[1])
+    if lane >= len(going) or going[lane] == 0 or y >= size[0] or x >= size[1]:
+        return
+    state, game = now.state[lane], now.game[lane]
+    if state.collision_tick != NEVER:
+        return
+    level, camera = cast_gray(lane, y, x, tick_ns, looks, games, now, size), camera_of(games, game)
+    place, dt_s = y * size[1] + x, state.tick * tick_ns * events.NS - pixels.time_s[lane]
+    seed, index = games.seeds[game, EVENT_SEED], pixels.clock[lane] + 1
+    normals, draws = events.block_draws(camera, seed, index, place // BLOCK_SIDE)
+    draw = normals[place % BLOCK_SIDE], draws[place % BLOCK_SIDE]
+    filtered = pixels.filtered[lane] if pixels.filtered.size else pixels.filtered[0:0, 0]
+    signed = events.update_pixel(level, camera, sensor, pixels.base[lane], filtered, draw, y, x, dt_s)
+    if signed != 0:
+        cuda.atomic.add(pixels.gathered, (lane, y // side, x // side), np.int32(signed))
+
+
+def take_frames(going, now, pixels, frames):  # type: ignore[no-untyped-def]
+    """Move the events since the last call to `frames` (L, rows, columns) of the lanes that are `going`."""
+    rows, columns = frames.shape[1], frames.shape[2]
+    lane, y, x = pixel_of_thread(rows, columns)
+    if lane >= len(going) or going[lane] == 0 or y >= rows or x >= columns:
+        return
+    hit = now.state[lane].collision_tick != NEVER
+    frames[lane, y, x] = NEUTRAL_LEVEL if hit else events.level_of(pixels.gathered[lane, y, x])
+    if not hit:
+        pixels.gathered[lane, y, x] = 0
+
+
 LIMITS: dict[Any, int] = {update_events: 72}
 """Registers per thread: fewer of them let more threads wait for memory at the same time."""
 
@@ -535,6 +672,11 @@ class Kernels(NamedTuple):
     show: Launchable
     add_grey: Launchable
     add_colours: Launchable
+    deal_clutter: Launchable
+    cast_frames: Launchable
+    start_cast: Launchable
+    cast_events: Launchable
+    take_frames: Launchable
 
 
 def compiled(nominal: Operand) -> Kernels:
@@ -554,6 +696,11 @@ def compiled(nominal: Operand) -> Kernels:
         show_lanes,
         add_grey,
         add_colours,
+        deal_clutter,
+        cast_frames,
+        start_cast,
+        cast_events,
+        take_frames,
     )
     return Kernels(*(cuda.jit(function, cache=True, max_registers=LIMITS.get(function)) for function in functions))
 

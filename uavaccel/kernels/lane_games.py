@@ -66,16 +66,8 @@ def deals(lanes: int) -> Deals:
 @part
 def deal(lane: int, distribution: Distribution, deals: Deals, games: Games) -> None:
     """Sample a lane's next game into its row of `games`, which has the lane's number."""
-    own, numbers = deals.streams[lane, OWN], distribution.numbers
-    for field in range(STREAM_FIELDS):
-        deals.streams[lane, BEFORE, field] = own[field]
-    index = np.int64(below(own, INDICES))
-    if deals.given[lane] >= 0:
-        index = deals.given[lane]
-    deals.given[lane], deals.indices[lane] = -1, index
-    noise = np.int64(first_word(spawned(pool_of(word(own) >> ONE), NOISE_KEY)))
-    games.seeds[lane, PICTURE_SEED] = noise
-    games.seeds[lane, EVENT_SEED] = noise if numbers[NOISY_EVENTS] > 0.0 else 0
+    numbers, index = distribution.numbers, deal_index(lane, deals, INDICES)
+    deal_seeds(lane, deals, games, numbers[NOISY_EVENTS] > 0.0)
     stream = deals.streams[lane, OF_LAYOUT]
     start(stream, pool_of(np.uint64(index + np.int64(numbers[FIRST_SEED]))))
     place_posts(lane, numbers, stream, games)
@@ -83,6 +75,27 @@ def deal(lane: int, distribution: Distribution, deals: Deals, games: Games) -> N
     games.start[lane].wind[0] = numbers[WIND_M_S] * math.cos(direction)
     games.start[lane].wind[1] = numbers[WIND_M_S] * math.sin(direction)
     dress(lane, distribution, stream, games)
+
+
+@part
+def deal_index(lane: int, deals: Operand, count: np.uint64) -> np.int64:
+    """Return the index, below `count`, of a lane's next lane or world: one that is given, or a sampled one."""
+    own = deals.streams[lane, OWN]
+    for field in range(STREAM_FIELDS):
+        deals.streams[lane, BEFORE, field] = own[field]
+    index = np.int64(below(own, count))
+    if deals.given[lane] >= 0:
+        index = deals.given[lane]
+    deals.given[lane], deals.indices[lane] = -1, index
+    return index
+
+
+@part
+def deal_seeds(lane: int, deals: Operand, games: Games, noisy_events: bool) -> None:
+    """Sample the seeds of the noise of a lane's next game."""
+    noise = np.int64(first_word(spawned(pool_of(word(deals.streams[lane, OWN]) >> ONE), NOISE_KEY)))
+    games.seeds[lane, PICTURE_SEED] = noise
+    games.seeds[lane, EVENT_SEED] = noise if noisy_events else 0
 
 
 @part

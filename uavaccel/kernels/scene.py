@@ -12,6 +12,7 @@ from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numba import njit
+from numba.extending import overload
 from numpy.typing import NDArray
 
 from uavaccel.kernels.fields import BOX, CYLINDER, PLANE
@@ -139,6 +140,20 @@ def cell_range(centre: float, reach: float, first: float, cell: float, count: in
     return max(low, 0), min(high + 1, count)
 
 
+def add_to(counts: Any, place: int, number: int) -> int:  # type: ignore[empty-body]
+    """Add to a count, and return what it was before; on a GPU threads take turns (kernels/cuda)."""
+
+
+@overload(add_to)
+def _add_alone(counts, place, number):  # type: ignore[no-untyped-def]
+    def add(counts, place, number):  # type: ignore[no-untyped-def]
+        before = counts[place]
+        counts[place] = before + number
+        return before
+
+    return add
+
+
 @part(inline=False, error_model="numpy")
 def visit(scene: Scene, world: int, shape: int, place: bool) -> int:
     """Count a shape in the cells that it meets, or with `place` list it there; return their number.
@@ -158,11 +173,9 @@ def visit(scene: Scene, world: int, shape: int, place: bool) -> int:
             if beside(row, frame[LEFT] + (x + 0.5) * cell, frame[LOW] + (y + 0.5) * cell, half):
                 continue
             found += 1
-            if not place:
-                start[y * columns + x] += 1
-            elif start[y * columns + x] > 0:
-                start[y * columns + x] -= 1
-                scene.items[world, start[y * columns + x]] = shape
+            before = add_to(start, y * columns + x, -1 if place else 1)
+            if place:
+                scene.items[world, before - 1] = shape
     return found
 
 
@@ -173,23 +186,43 @@ def list_shapes(scene: Scene, world: int) -> int:
     Where that is more than `items` has room for, the cells are left empty.
     """
     frame, start = scene.frame[world], scene.start[world]
-    cells, loose, shapes = int(frame[COLUMNS]) * int(frame[ROWS]), int(frame[LOOSE]), int(frame[SHAPES])
+    loose, shapes = int(frame[LOOSE]), int(frame[SHAPES])
     for cell in range(len(start)):
         start[cell] = 0
     needed = 0
     for shape in range(loose, shapes):
         needed += visit(scene, world, shape, False)
-    fits = needed <= scene.items.shape[1]
-    before = 0
-    for cell in range(cells):
-        before = before + start[cell] if fits else 0
-        start[cell] = before
-    for cell in range(cells, len(start)):
-        start[cell] = before
-    if fits:
-        for shape in range(shapes - 1, loose - 1, -1):
-            visit(scene, world, shape, True)
+    if not begin_cells(scene, world):
+        return needed
+    for shape in range(shapes - 1, loose - 1, -1):
+        visit(scene, world, shape, True)
     return needed
+
+
+@part(error_model="numpy")
+def begin_cells(scene: Scene, world: int) -> bool:
+    """Turn counts of shapes into the ends of cells; return whether all fit, else leave the cells empty."""
+    start, before = scene.start[world], 0
+    for cell in range(len(start) - 1):
+        before += start[cell]
+        start[cell] = before
+    start[len(start) - 1] = before
+    fits = before <= scene.items.shape[1]
+    for cell in range(0 if fits else len(start)):
+        start[cell] = 0
+    return bool(fits)
+
+
+@part(error_model="numpy")
+def sort_cell(scene: Scene, world: int, cell: int) -> None:
+    """Sort the shapes of a cell, which threads have listed in any order."""
+    items, first = scene.items[world], scene.start[world, cell]
+    for entry in range(first + 1, scene.start[world, cell + 1]):
+        item, place = items[entry], entry
+        while place > first and items[place - 1] > item:
+            items[place] = items[place - 1]
+            place -= 1
+        items[place] = item
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
