@@ -15,6 +15,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from uavaccel.envs.checks import ROUNDING, autoreset_of, make_task, seeds_of
+from uavaccel.envs.cuda_courses import clone
 from uavaccel.envs.cuda_lanes import CudaLanes
 from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.flyable import CUDA, check_flyable
@@ -22,14 +23,14 @@ from uavaccel.errors import UserError
 
 DEVICE = CUDA
 BEHIND = 2  # steps after which the host reads what it must know of one; games sampled ahead last longer
-Steps = tuple[th.Tensor, th.Tensor, th.Tensor, th.Tensor, dict[str, Any]]
+Steps = tuple[Any, th.Tensor, th.Tensor, th.Tensor, dict[str, Any]]
 
 
 class CudaBatch(VectorEnv[Any, Any, Any]):
     """`num_envs` environments of `environment`, a subclass of FlightEnv, with its keywords.
 
     `step` takes actions as a NumPy array or PyTorch tensor, and returns new tensors on the device: observations (N,
-    ...), rewards (N,) float64, terminations and truncations (N,) bool. A game that ends is followed by the next one in
+    ...), or a mapping of those, rewards (N,) float64, terminations and truncations (N,) bool. A game that ends is followed by the next one in
     the same step. Infos have `position_m` (N, 3) and `commands` (N,); of games that ended, `final_obs` (N, ...) and the
     tensors of `final_info`, each beside its mask `_final_obs`, `_final_info` (N,) bool, outside of which values mean
     nothing. `final_info["collision"]` (N,) is an index into `object_names`, -1 without a collision.
@@ -66,7 +67,7 @@ class CudaBatch(VectorEnv[Any, Any, Any]):
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[th.Tensor, dict[str, Any]]:
+    ) -> tuple[Any, dict[str, Any]]:
         """Begin a game in every environment; environment i gets `seed` + i, or the i-th of several seeds.
 
         Without a seed the environments' random sequences continue. With `options`, games sampled ahead are discarded.
@@ -82,7 +83,7 @@ class CudaBatch(VectorEnv[Any, Any, Any]):
             games.sample_games([options] * self.num_envs)
         self._lanes.begin()
         games.refill(games.begun.tolist())
-        return self._lanes.observations.clone(), self._infos()
+        return clone(self._lanes.seen()), self._infos()
 
     def step(self, actions: Any) -> Steps:
         """Fly one command in every environment.
@@ -96,10 +97,10 @@ class CudaBatch(VectorEnv[Any, Any, Any]):
         self._fly(self._actions.checked(actions))
         self._read_an_earlier_step()
         over = lanes.terminated | lanes.truncated
-        infos = self._infos() | {"final_obs": lanes.final_observations.clone(), "_final_obs": over}
+        infos = self._infos() | {"final_obs": clone(lanes.final_observations), "_final_obs": over}
         infos |= {"final_info": _with_masks(lanes.final_info, over), "_final_info": over}
         ended = lanes.rewards.clone(), lanes.terminated.clone(), lanes.truncated.clone()
-        return lanes.observations.clone(), *ended, infos
+        return clone(lanes.seen()), *ended, infos
 
     def _read_an_earlier_step(self) -> None:
         """Let games be sampled where they have begun, and check the actions, of the step BEHIND steps ago."""

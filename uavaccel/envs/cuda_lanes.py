@@ -86,7 +86,7 @@ class CudaLanes:
         count, task, device = self.count, self.task, self.device
         self._flight = self.now.state.view(th.float64)  # (L, columns): FLIGHT_DTYPE as float64
         self._ticks_of = self.now.state.view(th.int64)
-        blank, space, samples = task.sensor().blank, task.observation_space(), task.frames_per_command
+        blank, space, samples = task.sensor().blank, task.frames_space(), task.frames_per_command
         kind = th.uint8 if blank.dtype == np.uint8 else th.float32
         self.blank = th.tensor(blank, device=device)
         self.frame_shape = blank.shape
@@ -101,7 +101,9 @@ class CudaLanes:
         )
         self.ended = th.zeros((count, AT.columns), dtype=th.float64, device=device)
         self._course: dict[str, Any] = {}
-        self.final_observations = th.zeros_like(self.observations) if self.reports else self.observations
+        told = task.observation_space()["state"].shape if task.with_state else (0,)
+        self._told = th.zeros((count, *told), device=device)
+        self.final_observations: Any = clone(self.seen()) if self.reports else None
         self.final_info: dict[str, Any] = {}
         self._allocate_commands()
 
@@ -166,6 +168,7 @@ class CudaLanes:
         self._taken_ns.copy_(th.where(renewed[:, None], 0, self._taken_ns))
         self._position.copy_(th.where(renewed, self._flight[:, 1:4].T, self._position))
         self._observe_start(renewed, first)
+        self._tell()
         self.going.copy_(self.going | self._renewed)
 
     def _first_frames(self) -> th.Tensor:
@@ -314,8 +317,10 @@ class CudaLanes:
         self._observe()
         over = self.terminated | self.truncated
         self._write_outcomes(over, touched)
+        self._tell()
         if self.reports:
-            self.final_observations.copy_(self.observations)
+            for final, seen in zip(tensors(self.final_observations), tensors(self.seen()), strict=True):
+                final.copy_(seen)
             self.final_info = self._report(touched)
         self.going.copy_((going & ~over).byte())
         if self.renews:
@@ -370,11 +375,22 @@ class CudaLanes:
         self._taken_ns.copy_(th.cat([self._taken_ns, taken_ns], 1)[:, len(self._ends) :])
         return seen
 
+    def seen(self) -> Any:
+        """Return the present observations: `observations`, or a mapping of them and of the states."""
+        return {"picture": self.observations, "state": self._told} if self.task.with_state else self.observations
+
+    def _tell(self) -> None:
+        """Update the states (L, fields) that are told beside pictures."""
+        if self.task.with_state:
+            self._told.copy_(self._numbers(self._flight[:, 1:14]))
+
     def _features(self, numbers: th.Tensor) -> th.Tensor:
         """Return the frames (L, ...) of observation "state" for states (L, 13)."""
-        state = kinematics_of(numbers)
-        fields = th.stack([*self.task.fields(state, self._course)], 1).float()
-        return fields.reshape(self.count, *self.frame_shape)
+        return self._numbers(numbers).reshape(self.count, *self.frame_shape)
+
+    def _numbers(self, numbers: th.Tensor) -> th.Tensor:
+        """Return the task's fields (L, fields) for states (L, 13)."""
+        return th.stack([*self.task.fields(kinematics_of(numbers), self._course)], 1).float()
 
     def _observe(self) -> None:
         """Update the observations: frames, oldest first, then context planes."""
@@ -435,7 +451,7 @@ class CudaLanes:
         parts |= {f"pixels.{name}": each for name, each in self.view.pixels._asdict().items() if len(each)}
         if self.clocks is not None:
             parts |= {f"clocks.{name}": each for name, each in self.clocks.tensors._asdict().items()}
-        names = ("observations", "going", "commands", "_actions", "_taken_ns", "returns", "_wall_ns")
+        names = ("observations", "_told", "going", "commands", "_actions", "_taken_ns", "returns", "_wall_ns")
         parts |= {name: getattr(self, name) for name in names}
         last = {name: part.movedim(0, -1) for name, part in parts.items()}
         courses = {f"course.{number}": tensor for number, tensor in enumerate(tensors(self._course))}

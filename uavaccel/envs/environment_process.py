@@ -23,11 +23,13 @@ from typing import Any
 
 import cv2
 import mujoco
+from gymnasium import spaces
+from gymnasium.spaces.utils import flatten
 from gymnasium.vector import AutoresetMode
 
 from uavaccel.envs.environment_processes import ProgramOptions, SharedObservations, SlotOptions, descriptors_of
 from uavaccel.envs.flight_env import FlightEnv
-from uavaccel.envs.values import Action, Frame, Info
+from uavaccel.envs.values import Action, Frame, Info, Seen
 from uavaccel.errors import UserError
 from uavaccel.processes.forks import fork_each
 from uavaccel.processes.lifetime import descriptor_of_parent, end_with_process
@@ -50,7 +52,8 @@ class Slot:
 
     def reset(self, seed: int | None, options: Mapping[str, object] | None) -> Info:
         """Begin a game and return its info; the observation goes into shared memory."""
-        self._seen[:], info = self._environment.reset(seed=seed, options=options)
+        observation, info = self._environment.reset(seed=seed, options=options)
+        self._seen[:] = self._flat(observation)
         self._over = False
         return info
 
@@ -61,10 +64,10 @@ class Slot:
         observation, reward, terminated, truncated, info = self._environment.step(action)
         self._over, last = terminated or truncated, None
         if self._over and self._autoreset == AutoresetMode.SAME_STEP:
-            self._last[:], last = observation, info
+            self._last[:], last = self._flat(observation), info
             info = self.reset(None, None)
         else:
-            self._seen[:] = observation
+            self._seen[:] = self._flat(observation)
         return reward, terminated, truncated, info, last
 
     def call(self, name: str, *arguments: object) -> object:
@@ -72,8 +75,13 @@ class Slot:
         attribute = getattr(self._environment, name)
         result = attribute(*arguments) if callable(attribute) else attribute
         if name == "set_state":  # which returns the game's last observation
-            self._seen[:], self._over = result, False
+            self._seen[:], self._over = self._flat(result), False
         return result
+
+    def _flat(self, observation: Seen) -> Frame:
+        """Return an observation as memory holds it: a mapping as a vector."""
+        space = self._environment.observation_space
+        return flatten(space, observation) if isinstance(space, spaces.Dict) else observation
 
     def set_attribute(self, name: str, value: object) -> None:
         setattr(self._environment, name, value)

@@ -38,7 +38,7 @@ from uavaccel.envs.sensors import blank_frame
 from uavaccel.envs.stopwatch import PHASES
 from uavaccel.envs.task import Moment, Moments, Task
 from uavaccel.envs.turn_batch import TurnBatch
-from uavaccel.envs.values import Action, Actions, Answer, Frame, Info, Number, Steps
+from uavaccel.envs.values import Action, Actions, Answer, Frame, Info, Number, Seen, Steps
 from uavaccel.errors import UserError
 from uavaccel.kernels import cpu, events, timeline
 from uavaccel.kernels import lanes as rows
@@ -93,7 +93,7 @@ class KernelBatch(TurnBatch):
         self._generator_states: list[Mapping[str, object] | None] = [None] * num_envs
 
     def _allocate(self) -> None:
-        count, task, space = self.num_envs, self.task, self.single_observation_space
+        count, task, space = self.num_envs, self.task, self.task.frames_space()
         self._rows = self._maker.rows(count)
         self._now = rows.flights(count)
         blank = task.sensor().blank
@@ -107,8 +107,9 @@ class KernelBatch(TurnBatch):
         drawn = self._frames if blank.dtype == np.uint8 else np.empty((0, samples, 1, 0, 0), np.uint8)
         self._pictures = drawn  # always uint8: machine code is compiled for types
         self._samples = np.zeros((count, samples, cpu.SAMPLE_FIELDS))
-        self._observations = np.zeros((count, *(space.shape or ())), space.dtype)
-        self._last = np.zeros_like(self._observations)
+        self._observations = np.zeros((count, *space.shape), space.dtype)
+        told = task.observation_space()["state"].shape if task.with_state else (0,)
+        self._told = np.zeros((count, *told), np.float32)
         self._directions = np.zeros((count, 3))
         self._position = [np.zeros(count) for _ in range(3)]  # north, east, down
         self._actions = np.full(count, NO_ACTION)
@@ -169,7 +170,7 @@ class KernelBatch(TurnBatch):
             rewards[going], terminated[going], truncated[going] = (judged.reward, judged.terminated, judged.truncated)
             infos = {int(lane): self._info(int(lane), won) for lane, won in zip(going, judged.success, strict=True)}
         self._autoreset(idle, going[terminated[going] | truncated[going]], infos)
-        seen = self._observations[which]
+        seen = self._seen_by(which)
         return seen, rewards[which], terminated[which], truncated[which], [infos[int(lane)] for lane in which]
 
     def _autoreset(self, idle: NDArray[np.int64], ended: NDArray[np.int64], infos: dict[int, Info]) -> None:
@@ -178,9 +179,9 @@ class KernelBatch(TurnBatch):
             renewed = self._renew(idle) if self._next_step else [{} for _ in idle]
             infos.update(zip(idle.tolist(), renewed, strict=True))
         if self._same_step and len(ended):
-            self._last[ended] = self._observations[ended]
-            for lane, info in zip(ended.tolist(), self._renew(ended), strict=True):
-                infos[lane] = info | {"final_info": infos[lane], "final_obs": self._last[lane].copy()}
+            last = [self._seen_by(lane) for lane in ended.tolist()]
+            for lane, seen, info in zip(ended.tolist(), last, self._renew(ended), strict=True):
+                infos[lane] = info | {"final_info": infos[lane], "final_obs": seen}
         else:
             self._over[ended] = True
 
@@ -190,9 +191,14 @@ class KernelBatch(TurnBatch):
             duration_ns = round(duration_s * NS_PER_S)
             timeline.charge.py_func(self._clocks.row[lane], duration_ns, PHASES.index(phase))
 
-    def observations(self) -> Frame:
+    def observations(self) -> Seen:
         """Return the present observation of every environment."""
-        return self._observations.copy()
+        return self._seen_by(slice(None))
+
+    def _seen_by(self, which: Any) -> Seen:
+        """Return copies of the present observations of lanes, or of one."""
+        picture = self._observations[which].copy()
+        return {"picture": picture, "state": self._told[which].copy()} if self.task.with_state else picture
 
     def call_each(
         self, name: str, arguments: Sequence[tuple[Any, ...]], slots: Sequence[int] | None = None
@@ -213,7 +219,7 @@ class KernelBatch(TurnBatch):
         state["course"] = json.dumps(one_course(self._course, lane))
         return state | {name: array[lane].copy() for name, array in self._state_arrays().items()}
 
-    def _set_state(self, lane: int, state: SavedState) -> Frame:
+    def _set_state(self, lane: int, state: SavedState) -> Seen:
         """Restore a state that `_get_state` returned, and return the lane's observation."""
         generator = self._generators[lane] = seeding.np_random(0)[0]
         generator.bit_generator.state = json.loads(str(state["drawn_by"]))
@@ -227,8 +233,7 @@ class KernelBatch(TurnBatch):
         for name, array in self._state_arrays().items():
             array[lane] = state[name]
         self._update_positions(np.array([lane]))
-        observation: Frame = self._observations[lane].copy()
-        return observation
+        return self._seen_by(lane)
 
     def _sample_any(self) -> Drawn:
         """Sample a game that is not flown, for the shape of its course."""
@@ -240,7 +245,7 @@ class KernelBatch(TurnBatch):
         arrays |= {f"now.{name}": getattr(self._now, name) for name in ("body", "watch", "game")}
         arrays |= {f"clocks.{name}": array for name, array in self._clocks._asdict().items()}
         arrays |= {f"state.{name}": self._now.state[name] for name in self._now.state.dtype.names or ()}
-        names = ("observations", "actions", "commands", "taken_ns", "present_ns", "over")
+        names = ("observations", "told", "actions", "commands", "taken_ns", "present_ns", "over")
         return arrays | {name: getattr(self, f"_{name}") for name in names}
 
     # --- inside -----------------------------------------------------------------------------------
@@ -273,6 +278,7 @@ class KernelBatch(TurnBatch):
         self._over[lanes], self._commands[lanes], self._actions[lanes] = False, 0, NO_ACTION
         self._host_s[lanes], self._taken_ns[lanes], self._present_ns[lanes] = 0.0, 0, 0
         self._update_positions(lanes)
+        self._tell(lanes)
         first = self._first_frames(lanes)
         frames = self._taken_ns.shape[1]
         self._observe(lanes, np.concatenate([first] * frames, axis=1))
@@ -325,6 +331,7 @@ class KernelBatch(TurnBatch):
             self._write_features(lanes)
         for name, value in judged.course.items():
             set_course(self._course[name], lanes, value)
+        self._tell(lanes)
         self._note_times(lanes)
         shape = (len(lanes), -1, *self._blank.shape[1:])
         fresh = self._frames[lanes].reshape(shape)
@@ -377,11 +384,19 @@ class KernelBatch(TurnBatch):
         state = self._now.state[lanes]
         return np.concatenate([state[name] for name in ("position", "quaternion", "velocity", "rate")], axis=1)
 
+    def _tell(self, lanes: NDArray[np.int64]) -> None:
+        """Update the states that are told beside pictures."""
+        if self.task.with_state:
+            self._told[lanes] = self._numbers(lanes, self._state_fields(lanes))
+
     def _features(self, lanes: NDArray[np.int64], samples: NDArray[np.float64]) -> NDArray[np.float32]:
         """Return the frames (n, ...) of observation "state" for samples (n, SAMPLE_FIELDS)."""
-        state = kinematics_of(samples)
-        numbers = self.task.fields(state, self._course_of(lanes))
-        return np.stack(numbers, axis=1).astype(np.float32).reshape(len(lanes), *self._blank.shape)
+        return self._numbers(lanes, samples).reshape(len(lanes), *self._blank.shape)
+
+    def _numbers(self, lanes: NDArray[np.int64], samples: NDArray[np.float64]) -> NDArray[np.float32]:
+        """Return the task's fields (n, fields) for samples (n, SAMPLE_FIELDS)."""
+        numbers = self.task.fields(kinematics_of(samples), self._course_of(lanes))
+        return np.stack(numbers, axis=1).astype(np.float32)
 
     def _write_features(self, lanes: NDArray[np.int64]) -> None:
         """Write the frames of observation "state" before a collision."""

@@ -112,6 +112,8 @@ class Task(Config):
     """Number of commands whose frames make one observation, the newest last."""
     picture_size: tuple[Annotated[int, Field(ge=16, le=256)], Annotated[int, Field(ge=16, le=256)]] = PICTURE_SIZE
     """Columns and rows of pictures. Those of 256 x 144 are reduced to frames of 64 x 36; others are not reduced."""
+    with_state: bool = False
+    """Whether an observation is a mapping: of `picture`, and of `state`, which is what observation "state" shows."""
     blank_images: bool = False
     """Whether all frames are blank: the baseline of what can be learned without seeing."""
     dvs_preset: Literal["clean", "constructor", "command_line", "noisy"] = "clean"
@@ -199,6 +201,12 @@ class Task(Config):
         return self
 
     @model_validator(mode="after")
+    def _state_is_beside_pictures(self) -> Self:
+        if self.with_state and self.observation == "state":
+            raise ValueError("with_state needs pictures, beside which it is told: observation dvs, colour or depth")
+        return self
+
+    @model_validator(mode="after")
     def _noise_is_of_pictures(self) -> Self:
         if self.image_noise and self.observation == "depth":
             raise ValueError("image_noise is of grey levels: it needs observation dvs or colour")
@@ -248,8 +256,15 @@ class Task(Config):
         """Return the seed of the event camera's noise in a game with that seed; v2e's presets use 0 for all games."""
         return seed if self.dvs_shot_noise_hz > 0.0 or self.dvs_leak_hz > 0.0 else 0
 
-    def observation_space(self) -> spaces.Box:
-        """Return the space of observations: the frames of `history` commands, then the context planes, on axis 0."""
+    def observation_space(self) -> spaces.Box | spaces.Dict:
+        """Return the space of observations: of frames, or with the state of a mapping."""
+        if not self.with_state:
+            return self.frames_space()
+        state = spaces.Box(-np.inf, np.inf, (self._blank_features().size,), np.float32)
+        return spaces.Dict({"picture": self.frames_space(), "state": state})
+
+    def frames_space(self) -> spaces.Box:
+        """Return the space of the frames of `history` commands, then of the context planes, on axis 0."""
         kind, size = self.observation, self.picture_size
         blank = self._blank_features() if kind == "state" else blank_frame(kind, size)
         context = self.context_planes()

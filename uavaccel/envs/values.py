@@ -21,6 +21,9 @@ Action: TypeAlias = Any
 Frame = NDArray[np.integer | np.floating]
 """A frame, which a sensor makes of a sample, or an observation, several frames on axis 0: uint8 or float32."""
 
+Seen: TypeAlias = Any
+"""An observation: a Frame, or a mapping of those by name."""
+
 Info = dict[str, Any]
 """The info dictionary of Gymnasium's `reset` and `step`."""
 
@@ -30,10 +33,10 @@ Actions = Sequence[Action] | NDArray[np.generic]
 Outcomes = NDArray[np.float64 | np.bool_]
 """Rewards, terminations or truncations of many environments."""
 
-Batch = VectorEnv[Frame, Actions, Outcomes]
+Batch = VectorEnv[Seen, Actions, Outcomes]
 """Many environments of one task."""
 
-Steps = tuple[Frame, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], list[Info]]
+Steps = tuple[Seen, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], list[Info]]
 """Observations, rewards, terminations, truncations and infos of many environments."""
 
 Answer: TypeAlias = Any
