@@ -16,20 +16,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.kernels import scene as at
-from uavaccel.kernels.faces import axes_of
+from uavaccel.kernels.faces import SKY_SHARE, axes_of
 from uavaccel.kernels.fields import (
     AMBIENT,
+    BASE,
     CYLINDER,
     DIFFUSE,
+    EMISSION,
     FAR_M,
     HALF_HEIGHT,
     HALF_WIDTH,
+    LOG2_SIZE,
     PLANE,
+    REPEAT,
     SEEN_FAR_M,
+    TEXTURE_ID,
     TOWARDS,
+    UNIFORM,
     Looks,
 )  # fmt: skip
-from uavaccel.kernels.rays import luma
+from uavaccel.kernels.rays import Colour, level_of, lit, luma, sky_index, texel_index
 from uavaccel.kernels.scene import Scene, Shape
 from uavaccel.sim.parts import part
 
@@ -42,6 +48,7 @@ ZERO, HALF, ONE, TWO = (np.float32(number) for number in (0.0, 0.5, 1.0, 2.0))
 HUGE, TINY = np.float32(1e30), np.float32(1e-12)
 WIDER = np.float32(1.00001)  # of bounding spheres, for rounding
 CORNER = np.float32(1e-6)  # by which neighbouring triangles overlap, relative to their sides
+SKY, WHITE = np.float32(SKY_SHARE), np.int32(0xFFFFFF)
 LEVELS_A_M = np.float32(255.0) / SEEN_FAR_M
 NOTHING, NONE = -1, (ZERO, ZERO, ZERO)
 
@@ -452,28 +459,86 @@ def depth_at(scene: Scene, world: int, looks: Looks, eye: Eye, row: int, column:
 
 
 @part(error_model="numpy")
-def shade(scene: Scene, world: int, item: int, normal: Vector, light: Shape) -> Vector:
-    """Return red, green and blue (0 to 1) of a shape in the light (9,) of `fields.Scenes`."""
-    shape = scene.shapes[world, item]
+def shade(shape: Shape, looks: Looks, normal: Vector, material: int) -> Vector:
+    """Return red, green and blue (0 to 1) of a shape in the light, without a texture."""
+    light, glow = looks.light, looks.materials[material, EMISSION] if material >= 0 else ZERO
     facing = max(dot(normal, triple(light, TOWARDS)), ZERO)
     return (
-        min(shape[at.RGB] * (light[AMBIENT] + light[DIFFUSE] * facing), ONE),
-        min(shape[at.RGB + 1] * (light[AMBIENT + 1] + light[DIFFUSE + 1] * facing), ONE),
-        min(shape[at.RGB + 2] * (light[AMBIENT + 2] + light[DIFFUSE + 2] * facing), ONE),
+        min(shape[at.RGB] * (light[AMBIENT] + glow + light[DIFFUSE] * facing), ONE),
+        min(shape[at.RGB + 1] * (light[AMBIENT + 1] + glow + light[DIFFUSE + 1] * facing), ONE),
+        min(shape[at.RGB + 2] * (light[AMBIENT + 2] + glow + light[DIFFUSE + 2] * facing), ONE),
     )
 
 
 @part(error_model="numpy")
-def colour_at(scene: Scene, world: int, looks: Looks, eye: Eye, row: int, column: int, size: tuple[int, int]) -> Any:
+def side_at(shape: Shape, point: Vector) -> tuple[int, Float]:
+    """Return the axis of the side of a box, or of a plane, at a point of it, and the side's place on the axis."""
+    if int(shape[at.KIND]) == PLANE:
+        return 2, ZERO
+    p = into(shape, minus(point, triple(shape, at.CENTRE)))
+    x, y, z = shape[at.HALF] - abs(p[0]), shape[at.HALF + 1] - abs(p[1]), shape[at.HALF + 2] - abs(p[2])
+    axis = 0 if x < y and x < z else (1 if y < z else 2)
+    half = shape[at.HALF + axis]
+    return axis, half if p[axis] > ZERO else -half
+
+
+@part(error_model="numpy")
+def texels_at(
+    shape: Shape, looks: Looks, material: int, side: tuple[int, Float], eye: Eye, pixel: tuple[int, int], size: Any
+) -> Span:
+    """Return where a pixel's ray meets the plane of a side, in texels of level 0 (kernels/faces.put_texture)."""
+    (axis, place), (origin, axes, _) = side, eye
+    ray, _ = ray_of(looks.camera, axes, pixel[0], pixel[1], size[0], size[1])
+    p, d = into(shape, minus(origin, triple(shape, at.CENTRE))), into(shape, ray)
+    found = along(p, d, (place - p[axis]) / (d[axis] if abs(d[axis]) > TINY else TINY))
+    row, log2_size = looks.materials[material], looks.textures[int(looks.materials[material, TEXTURE_ID]), LOG2_SIZE]
+    across, down = (1 if axis == 0 else 0), (1 if axis == 2 else 2)
+    return (
+        coordinate(row, 0, shape[at.HALF], shape[at.HALF + across], found[across], log2_size),
+        coordinate(row, 1, shape[at.HALF + 1], shape[at.HALF + down], -found[down], log2_size),
+    )
+
+
+@part(error_model="numpy")
+def coordinate(material: Shape, place: int, uniform: Float, half: Float, found: Float, log2_size: int) -> Float:
+    """Return a texture coordinate in texels, counted from a side's left or upper edge, `half` from its middle."""
+    repeat = material[REPEAT + place] if material[REPEAT + place] > ZERO else ONE
+    if material[UNIFORM] > ZERO and uniform > ZERO:
+        repeat *= uniform
+    return (found + half) * (HALF / half * repeat * np.float32(1 << log2_size))
+
+
+@part(error_model="numpy")
+def texel_of(shape: Shape, looks: Looks, material: int, point: Vector, eye: Eye, pixel: Any, size: Any) -> Any:
+    """Return the texel of a pixel, row and column, that shows a point of a plane or box, with its quad's mipmap level."""
+    side, (row, column) = side_at(shape, point), pixel
+    texture = int(looks.materials[material, TEXTURE_ID])
+    u, v = texels_at(shape, looks, material, side, eye, (row, column), size)
+    u0, v0 = texels_at(shape, looks, material, side, eye, (row | 1, column & ~1), size)
+    ux, vx = texels_at(shape, looks, material, side, eye, (row | 1, column | 1), size)
+    uy, vy = texels_at(shape, looks, material, side, eye, (row & ~1, column & ~1), size)
+    level = level_of(ux - u0, vx - v0, uy - u0, vy - v0, looks.textures[texture, LOG2_SIZE])
+    index = texel_index(u, v, level, looks.textures[texture, BASE], looks.textures[texture, LOG2_SIZE])
+    return looks.texels[np.uint32(index)]
+
+
+@part(error_model="numpy")
+def colour_at(scene: Scene, world: int, looks: Looks, eye: Eye, row: int, column: int, size: tuple[int, int]) -> Colour:
     """Return red, green and blue (0 to 255) of a pixel. `size`: rows, columns."""
     origin, axes, far_m = eye
-    ray, scale = ray_of(looks.camera, axes, row, column, size[0], size[1])
-    _, item, normal = cast(scene, world, origin, ray, far_m / scale)
+    ray, _ = ray_of(looks.camera, axes, row, column, size[0], size[1])
+    distance, item, normal = cast(scene, world, origin, ray, far_m * SKY)
     if item == NOTHING:
-        return np.int32(0), np.int32(0), np.int32(0)
-    red, green, blue = shade(scene, world, item, normal, looks.light)
-    top = np.float32(255.0)
-    return np.int32(red * top + HALF), np.int32(green * top + HALF), np.int32(blue * top + HALF)
+        index = sky_index(ray[0], ray[1], ray[2], looks.textures[0, BASE], looks.textures[0, LOG2_SIZE])
+        return lit(np.int32(looks.texels[np.uint32(index)]), ONE, ONE, ONE)
+    shape = scene.shapes[world, item]
+    material = int(shape[at.MATERIAL])
+    red, green, blue = shade(shape, looks, normal, material)
+    if material < 0 or looks.materials[material, TEXTURE_ID] <= ZERO:
+        return lit(WHITE, red, green, blue)
+    point = along(origin, ray, distance)
+    texel = texel_of(shape, looks, material, point, eye, (row, column), size)
+    return lit(np.int32(texel), red, green, blue)
 
 
 @part(error_model="numpy")

@@ -39,6 +39,7 @@ def clutter_worlds(clutter: Clutter, always: Scene, worlds: int) -> tuple[Scene,
     frame[[at.BOTTOM, at.TOP]] = -large, max(2 * of.PILLAR_HALF_M, of.CENTRES_M[1] + large)
     scene.frame[:], scene.shapes[:, :first] = frame, always.shapes[0]
     scene.shapes[:, first:, at.GEOM] = np.arange(first, first + clutter.shapes)
+    scene.shapes[:, first:, at.MATERIAL] = -1
     return scene, as_seen(scene)
 
 

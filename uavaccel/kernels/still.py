@@ -90,7 +90,9 @@ def _rows(model: mujoco.MjModel, data: mujoco.MjData, geoms: NDArray[np.int64]) 
     rows[:, at.KIND] = [KINDS[kind] for kind in model.geom_type[geoms].tolist()]
     rows[:, at.BOUND], rows[:, at.CENTRE : at.AXES] = model.geom_rbound[geoms], data.geom_xpos[geoms]
     rows[:, at.AXES : at.HALF] = data.geom_xmat[geoms]
-    rows[:, at.RGB : at.DATA], rows[:, at.GEOM] = _colours(model, geoms), geoms
+    flat = np.isin(rows[:, at.KIND], (at.PLANE, at.BOX))
+    rows[:, at.RGB : at.DATA], rows[:, at.GEOM] = _colours(model, geoms, flat), geoms
+    rows[:, at.MATERIAL] = np.where(flat, model.geom_matid[geoms], -1)
     rows[:, at.DATA] = model.geom_dataid[geoms]
     kinds, sizes = rows[:, at.KIND], model.geom_size[geoms]
     half = sizes.copy()
@@ -108,21 +110,21 @@ def _rows(model: mujoco.MjModel, data: mujoco.MjData, geoms: NDArray[np.int64]) 
     return rows
 
 
-def _colours(model: mujoco.MjModel, geoms: NDArray[np.int64]) -> Floats:
-    """Return the geoms' colours (n, 3), 0 to 1; a texture counts with its mean."""
-    materials = np.ones((model.nmat, 3))
+def _colours(model: mujoco.MjModel, geoms: NDArray[np.int64], flat: NDArray[np.bool_]) -> Floats:
+    """Return the geoms' colours (n, 3), 0 to 1; a texture counts with its mean, but where it is seen: on `flat` ones."""
+    means, colours = np.ones((model.nmat, 3)), model.geom_rgba[geoms, :3].astype(np.float64)
     for material in range(model.nmat):
-        materials[material] = model.mat_rgba[material, :3]
         texture = int(model.mat_texid[material, mujoco.mjtTextureRole.mjTEXROLE_RGB])
         if texture >= 0 and model.tex_nchannel[texture] >= 3:
             channels = int(model.tex_nchannel[texture])
             size, first = int(model.tex_width[texture] * model.tex_height[texture]), int(model.tex_adr[texture])
             texels = model.tex_data[first : first + size * channels].reshape(size, channels)
-            materials[material] *= texels[:, :3].mean(axis=0) / 255
-    own, material = model.geom_rgba[geoms], model.geom_matid[geoms]
-    colours: Floats = own[:, :3].astype(np.float64)
-    wearing = (material >= 0) & np.all(own == np.array(DEFAULT_RGBA, np.float32), axis=1)
-    colours[wearing] = materials[material[wearing]]
+            means[material] = texels[:, :3].mean(axis=0) / 255
+    material = model.geom_matid[geoms]
+    wearing = (material >= 0) & np.all(model.geom_rgba[geoms] == np.array(DEFAULT_RGBA, np.float32), axis=1)
+    colours[wearing] = model.mat_rgba[material[wearing], :3]
+    averaged = (material >= 0) & ~flat
+    colours[averaged] *= means[material[averaged]]
     return colours
 
 
