@@ -23,7 +23,7 @@ from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
 from uavaccel.envs.simulators import KERNELS, check_simulator
 from uavaccel.kernels import cpu, events, timeline
 from uavaccel.kernels import lanes as rows
-from uavaccel.kernels.fields import COLUMNS, DVS, NO_APPEARANCE, ROWS, STATE
+from uavaccel.kernels.fields import COLUMNS, DVS, ROWS, STATE
 from uavaccel.kernels.spans import make_scratch
 from uavaccel.machine import usable_cores
 from uavaccel.sim.profile import NATIVE

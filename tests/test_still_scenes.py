@@ -17,14 +17,12 @@ from numpy.typing import NDArray
 from tests.clutter import KINDS, clutter
 from uavaccel.envs.hover import Hover
 from uavaccel.envs.kernel_batch import KernelBatch
-from uavaccel.errors import UserError
 from uavaccel.kernels import casting
 from uavaccel.kernels import scene as at
 from uavaccel.kernels.bodies import read_surroundings
-from uavaccel.kernels.scene import Scene, as_seen, empty_scene
+from uavaccel.kernels.scene import Scene
 from uavaccel.kernels.scene_touching import NOTHING, deepest_shape, nearest_shape
 from uavaccel.kernels.still import read_scene
-from uavaccel.kernels.worlds import Recipe, count_of, draw_worlds, put_world, worlds_of
 from uavaccel.sim.scene import model as scenes
 
 SEEN = np.array([1, 0, 1, 0, 1, 1], np.uint8)  # groups that the drone's camera may see
@@ -186,95 +184,3 @@ def test_a_world_knows_its_shapes_by_name() -> None:
 
 def still(model: mujoco.MjModel) -> set[int]:
     return set(np.flatnonzero(model.geom_bodyid == 0).tolist())
-
-
-# --- worlds drawn at random -------------------------------------------------------------------------------
-
-
-MIXED = Recipe(density=0.12, spheres=1.0, ellipsoids=1.0, gap_m=0.2, half_m=12.0, near_m=10.0, far_m=20.0)
-
-
-def draw(recipe: Recipe, seeds: list[int], seen: bool = False) -> tuple[Scene, NDArray[np.float64]]:
-    scene, ways = worlds_of(recipe, len(seeds), seen), np.zeros((len(seeds), 6))
-    draw_worlds(scene, recipe, np.array(seeds), ways)
-    return scene, ways
-
-
-def test_a_world_is_a_function_of_its_seed() -> None:
-    scene, ways = draw(MIXED, [5, 8, 5])
-    again, same = draw(MIXED, [7, 8])
-    assert all((own[0] == own[2]).all() for own in (*scene[:4], ways))
-    assert (scene.shapes[1] == again.shapes[1]).all()
-    assert (ways[1] == same[1]).all()
-    assert not (scene.shapes[0] == scene.shapes[1]).all()
-    kinds = [int(kind) for kind in scene.shapes[0, 1 : int(scene.frame[0, at.SHAPES]), at.KIND]]
-    assert sorted(set(kinds)) == sorted([at.BOX, at.CYLINDER, at.CAPSULE, at.ELLIPSOID])
-
-
-def test_start_and_goal_are_free_and_gaps_are_kept() -> None:
-    scene, ways = draw(MIXED, list(range(20)))
-    for world, way in enumerate(ways):
-        shapes = scene.shapes[world, 1 : int(scene.frame[world, at.SHAPES])]
-        places = shapes[:, at.CENTRE : at.CENTRE + 2]
-        boxes = shapes[:, at.KIND] == at.BOX
-        half = shapes[:, at.HALF : at.HALF + 2]
-        reach = np.where(boxes, np.linalg.norm(half, axis=1), half.max(axis=1))
-        for end in (way[:2], way[3:5]):
-            assert (np.linalg.norm(places - end, axis=1) - reach >= MIXED.clear_m).all()
-        apart = np.linalg.norm(places[:, None] - places, axis=2) - reach - reach[:, None]
-        assert (apart[~np.eye(len(shapes), dtype=bool)] >= MIXED.gap_m).all()
-        assert MIXED.near_m - 1e-9 <= np.hypot(*(way[3:5] - way[:2])) <= MIXED.far_m + 1e-9
-        assert (shapes[:, at.CENTRE + 2] + shapes[:, at.HALF + 2] <= MIXED.high_m + 1e-9).all()
-        assert len(shapes) >= 0.9 * count_of(MIXED)
-
-
-def test_the_grid_hides_nothing() -> None:
-    """Rays and bounds through the cells are those of all shapes, one after the other."""
-    scene, _ = draw(MIXED, [3])
-    seen = as_seen(scene)
-    bare, random = [each._replace(frame=each.frame.copy()) for each in (scene, seen)], np.random.default_rng(0)
-    for each in bare:
-        each.frame[:, at.LOOSE] = each.frame[:, at.SHAPES]
-    rays = random.normal(size=(3000, 3)) * (1.0, 1.0, 0.3)
-    rays = (rays / np.linalg.norm(rays, axis=1, keepdims=True)).astype(np.float32)
-    for _ in range(4):
-        origin = random.uniform((-14, -14, 0.2), (14, 14, 8)).astype(np.float32)
-        both = [(np.zeros(3000, np.float32), np.zeros(3000, np.int64), np.zeros((3000, 3), np.float32)) for _ in bare]
-        cast_all(seen, origin, rays, *both[0])
-        cast_all(bare[1], origin, rays, *both[1])
-        assert (both[0][0] == both[1][0]).all()
-    poses = np.zeros((400, 7))
-    poses[:, :3], poses[:, 3] = random.uniform((-14, -14, 0.1), (14, 14, 8), (400, 3)), 1.0
-    found, bounds = np.zeros((2, 400), np.int64), np.zeros((2, 400))
-    touch_all(scene, poses, *HULL, found[0], bounds[0])
-    touch_all(bare[0], poses, *HULL, found[1], bounds[1])
-    assert (found[0] == found[1]).all()
-    assert (bounds[0] <= bounds[1]).all()
-    assert (bounds[0] >= np.minimum(bounds[1], 2.99 * MIXED.cell_m)).all()
-
-
-def test_a_scene_becomes_a_world_among_others() -> None:
-    model = mujoco.MjModel.from_xml_string(clutter(3, ("box", "sphere"), count=20))
-    one, many = read_scene(model), empty_scene(3, 30, 4000, 3000, seen=False)
-    put_world(many, 1, one)
-    pose = np.array([[3.0, 1.0, 1.5, 1, 0, 0, 0]])
-    alone, there = (np.zeros(1, np.int64), np.zeros(1)), (np.zeros(1, np.int64), np.zeros(1))
-    touch_all(one, pose, *HULL, *alone)
-    touch_all(many._replace(**{name: getattr(many, name)[1:] for name in many._fields[:4]}), pose, *HULL, *there)
-    assert (alone[0], alone[1]) == (there[0], there[1])
-    with pytest.raises(UserError, match="does not fit"):
-        put_world(many, 0, read_scene(mujoco.MjModel.from_xml_string(clutter(3, count=60))))
-
-
-@pytest.mark.parametrize(
-    ("keys", "text"),
-    [
-        ({"small_m": 0.0}, "small_m"),
-        ({"near_m": 40.0}, "near_m"),
-        ({"cell_m": 0.0}, "cell_m"),
-        ({"boxes": -1.0}, "share"),
-    ],
-)
-def test_recipes_that_ask_for_nothing_are_refused(keys: dict[str, float], text: str) -> None:
-    with pytest.raises(UserError, match=text):
-        worlds_of(MIXED._replace(**keys), 1)

@@ -30,10 +30,11 @@ class CudaBatch(VectorEnv[Any, Any, Any]):
     """`num_envs` environments of `environment`, a subclass of FlightEnv, with its keywords.
 
     `step` takes actions as a NumPy array or PyTorch tensor, and returns new tensors on the device: observations (N,
-    ...), or a mapping of those, rewards (N,) float64, terminations and truncations (N,) bool. A game that ends is followed by the next one in
-    the same step. Infos have `position_m` (N, 3) and `commands` (N,); of games that ended, `final_obs` (N, ...) and the
-    tensors of `final_info`, each beside its mask `_final_obs`, `_final_info` (N,) bool, outside of which values mean
-    nothing. `final_info["collision"]` (N,) is an index into `object_names`, -1 without a collision.
+    ...), or a mapping of those, rewards (N,) float64, terminations and truncations (N,) bool. A game that ends is
+    followed by the next one in the same step. Infos have `position_m` (N, 3) and `commands` (N,); of games that ended,
+    `final_obs` (N, ...) and the tensors of `final_info`, each beside its mask `_final_obs`, `_final_info` (N,) bool,
+    outside of which values mean nothing. `final_info["collision"]` (N,) is an index into `object_names`, -1 without a
+    collision.
 
     Raises UserError for keywords that do not fit, and for tasks that only the exact simulator flies.
     """

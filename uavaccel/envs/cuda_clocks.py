@@ -31,7 +31,14 @@ class DeviceClocks:
     """
 
     def __init__(
-        self, task: Task, count: int, device: th.device, hull: Any, now: Any, view: LaneView | SceneView, advance: Advance
+        self,
+        task: Task,
+        count: int,
+        device: th.device,
+        hull: Any,
+        now: Any,
+        view: LaneView | SceneView,
+        advance: Advance,
     ) -> None:
         plan = plan_of(task, hull, view.kind != STATE)
         self._timing_tensors, self._timing = kernels.on_device(plan.timing, device)

@@ -24,8 +24,8 @@ from uavaccel.envs.navigate import NavigateTask
 from uavaccel.envs.obstacle_lane import LaneTask
 from uavaccel.envs.task import Task
 from uavaccel.envs.values import Course
-from uavaccel.kernels import cuda as kernels
 from uavaccel.kernels import clutter_games, lane_games
+from uavaccel.kernels import cuda as kernels
 from uavaccel.kernels.fields import NO_APPEARANCE, Appearance
 from uavaccel.kernels.scene import Scene
 from uavaccel.sim.lane.layout import WIDTH_M, lane_seed

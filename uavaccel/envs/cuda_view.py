@@ -68,9 +68,7 @@ class SceneView(View):
             )
             return
         looks, games, _ = seen
-        self._launch("cast_events", self._size)(
-            going, self._tick_ns, looks, self.plan.sensor, games, now, self._pixels
-        )
+        self._launch("cast_events", self._size)(going, self._tick_ns, looks, self.plan.sensor, games, now, self._pixels)
         self._finish(going, now)
         if take:
             self._launch("take_frames", self._frame)(going, now, self._pixels, kernels.shared(frames[:, 0]))

@@ -12,6 +12,7 @@ from uavaccel.errors import UserError
 from uavaccel.kernels.fields import COLOUR, DEPTH, DVS, STATE
 from uavaccel.limits import MOST_GAMES
 from uavaccel.sim.clutter.layout import Clutter
+from uavaccel.sim.lane.layout import PLAIN
 from uavaccel.sim.profile import Profile
 from uavaccel.units import exact
 from uavaccel.wire.latency import ZERO_LATENCY, LatencyConfig
@@ -59,8 +60,10 @@ def _why_not(task: Task) -> str:
         return "list_events needs single events, which the kernels do not keep"
     if task.action != "velocity":
         return f"action = {task.action} is flown by the exact simulator alone"
-    if task.scenery != "plain":
-        return f"difficulty.scenery = {task.scenery}: the kernels render no meshes"
+    if task.scenery != PLAIN and kind_of(task) in (DVS, COLOUR):
+        return (
+            f"difficulty.scenery = {task.scenery}: its looks are textured meshes; depth and state fly there"
+        )
     if task.scene == "clutter" and clutter_of(task) is None:
         return "scene = clutter needs a task with the key clutter, the distribution of its worlds"
     if task.scene == "lane" and task.picture_size != PICTURE_SIZE and kind_of(task) != STATE:

@@ -99,7 +99,9 @@ class KernelBatch(TurnBatch):
         blank = task.sensor().blank
         kind, size = kind_of(task), task.picture_size[::-1]
         draws = sample_pixels(task.dvs_parameters, size, task.dvs_seed)
-        pixels = events.pixels_of(count if kind == DVS else 0, task.dvs_parameters, size, blank_frame("dvs", task.picture_size).shape[1:])
+        pixels = events.pixels_of(
+            count if kind == DVS else 0, task.dvs_parameters, size, blank_frame("dvs", task.picture_size).shape[1:]
+        )
         self._view = cpu.View(kind, size, self._maker.looks, events.sensor_of(draws), pixels)
         samples = task.frames_per_command
         self._blank = blank

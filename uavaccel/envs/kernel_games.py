@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -25,7 +26,7 @@ from uavaccel.kernels.lanes import Games, game_rows
 from uavaccel.kernels.scene import as_seen, empty_scene
 from uavaccel.kernels.still import read_scene
 from uavaccel.kinematics import Kinematics
-from uavaccel.sim.lane.layout import LaneLayout
+from uavaccel.sim.lane.layout import PLAIN, LaneLayout
 from uavaccel.sim.world import World
 from uavaccel.units import NS_PER_S
 from uavaccel.vision.image_noise import noise_seed
@@ -95,7 +96,7 @@ class GameMaker:
         games.start["wind"][row] = 0.0 if layout is None else layout.wind_m_s
         games.counts[row] = self.surroundings.put(drawn.layout, games, row)
         if isinstance(self.looks, Appearance) and self.sees and layout is not None:
-            fill_scene(self.looks, games.scenes, row, layout)
+            fill_scene(self.looks, games.scenes, row, replace(layout, scenery=PLAIN))  # whose depths are all sceneries'
         games.cameras[row] = camera_row(task.dvs_parameters, task.image_noise)
         seed = noise_seed(drawn.latencies)
         games.seeds[row] = seed, task.events_seed(seed)

@@ -510,7 +510,7 @@ def coordinate(material: Shape, place: int, uniform: Float, half: Float, found: 
 
 @part(error_model="numpy")
 def texel_of(shape: Shape, looks: Looks, material: int, point: Vector, eye: Eye, pixel: Any, size: Any) -> Any:
-    """Return the texel of a pixel, row and column, that shows a point of a plane or box, with its quad's mipmap level."""
+    """Return the texel of a pixel, row and column, that shows a point of a plane or box; its quad has one level."""
     side, (row, column) = side_at(shape, point), pixel
     texture = int(looks.materials[material, TEXTURE_ID])
     u, v = texels_at(shape, looks, material, side, eye, (row, column), size)

@@ -39,8 +39,9 @@ class Pixels(NamedTuple):
     """The state of L event cameras, arrays (L, rows, columns): float32, or float64 with a low-pass filter.
 
     `base` is the memorised log intensity. `filtered`, the filter's output, is empty without a low-pass filter, and
-    `last_s`, the time of a pixel's last event, without a refractory period. `gathered` (L, rows, columns of a frame) int32 counts ON
-    minus OFF events since it was last read; `clock` (L,) int64 counts frames, `time_s` (L,) is the last one's time.
+    `last_s`, the time of a pixel's last event, without a refractory period. `gathered` int32, of the size of a frame,
+    counts ON minus OFF events since it was last read; `clock` (L,) int64 counts frames, `time_s` (L,) is the last one's
+    time.
     """
 
     base: Operand

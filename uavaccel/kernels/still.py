@@ -111,7 +111,7 @@ def _rows(model: mujoco.MjModel, data: mujoco.MjData, geoms: NDArray[np.int64]) 
 
 
 def _colours(model: mujoco.MjModel, geoms: NDArray[np.int64], flat: NDArray[np.bool_]) -> Floats:
-    """Return the geoms' colours (n, 3), 0 to 1; a texture counts with its mean, but where it is seen: on `flat` ones."""
+    """Return the geoms' colours (n, 3), 0 to 1, times their textures' means, except on `flat` ones, which show them."""
     means, colours = np.ones((model.nmat, 3)), model.geom_rgba[geoms, :3].astype(np.float64)
     for material in range(model.nmat):
         texture = int(model.mat_texid[material, mujoco.mjtTextureRole.mjTEXROLE_RGB])
