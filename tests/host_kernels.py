@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 import torch as th
+from numba import njit
 
 import uavaccel.envs
 import uavaccel.kernels
@@ -23,6 +24,7 @@ from uavaccel.kernels import clutter_games, cpu, events, lane_clocks, lane_games
 from uavaccel.kernels.clutter_worlds import put_clutter
 from uavaccel.kernels.fields import COLOUR, COLUMNS, ROWS
 from uavaccel.kernels.spans import make_scratch
+from uavaccel.sim.clutter.layout import sample_clutter
 
 SIZE = ROWS, COLUMNS
 SIGNED: dict[Any, Any] = {np.dtype(np.uint32): np.int32, np.dtype(np.uint64): np.int64}
@@ -101,6 +103,11 @@ def _each_lane(function: Callable[..., None], which: Any, *arguments: Any) -> No
         function(lane, *arguments)
 
 
+@njit(error_model="numpy")
+def _paint(lane: int, looks: Any, games: Any, now: Any, scratch: Any, gray: Any) -> None:
+    cpu.paint_gray(lane, looks, games, now, scratch, gray)
+
+
 class Kernels:
     """Each kernel as an attribute; `kernel[grid](flags of lanes, ...)` runs at once."""
 
@@ -119,6 +126,8 @@ class Kernels:
     def run_deal_clutter(self, which: Any, distribution: Any, deals: Any, games: Any) -> None:
         for lane in which:
             clutter_games.deal(lane, distribution, deals, games)
+            stream, goal = deals.streams[lane, lane_games.OF_LAYOUT], deals.goals[lane]
+            sample_clutter(distribution.clutter, stream, goal[0], -goal[1], deals.layouts[lane])
             put_clutter(deals.layouts[lane], games.solids, games.scenes, lane)
 
     def run_begin(self, which: Any, rows: Any, games: Any, now: Any) -> None:
@@ -177,33 +186,39 @@ class Kernels:
         for lane in which:
             sums[lane] = self._levels[lane]
 
-    def run_cast_frames(self, which: Any, kind: int, tick_ns: int, side: int, looks: Any, *of_lanes: Any) -> None:
-        games, now, frames = of_lanes
+    def run_cast_depth(self, which: Any, side: int, looks: Any, *of_lanes: Any) -> None:
+        games, now, _, frames = of_lanes
         size = side * frames.shape[2], side * frames.shape[3]
         for lane in which:
             frames[lane] = 0
-            if lanes.touched(lane, now):
-                continue
-            if kind == COLOUR:
-                cpu.render_colour(lane, looks, games, now, tick_ns, self._scratch, size, frames[lane])
-            else:
+            if not lanes.touched(lane, now):
                 cpu.render_depth(lane, looks, games, now, self._scratch, size, frames[lane])
 
-    def run_start_cast(self, which: Any, looks: Any, sensor: Any, games: Any, now: Any, pixels: Any) -> None:
-        picture = np.empty(pixels.base.shape[1:], np.uint8)
+    def run_cast_colour(self, which: Any, tick_ns: int, side: int, looks: Any, *of_lanes: Any) -> None:
+        games, now, _, frames = of_lanes
+        size = side * frames.shape[2], side * frames.shape[3]
         for lane in which:
-            cpu.render_gray(lane, looks, games, now, 1, self._scratch, picture)
-            cpu.start(lane, picture, pixels, sensor, games.cameras[now.game[lane]])
+            frames[lane] = 0
+            if not lanes.touched(lane, now):
+                cpu.render_colour(lane, looks, games, now, tick_ns, self._scratch, size, frames[lane])
 
-    def run_cast_events(self, which: Any, tick_ns: int, looks: Any, sensor: Any, *of_lanes: Any) -> None:
+    def run_cast_gray(self, which: Any, looks: Any, games: Any, now: Any, eyes: Any, gray: Any) -> None:
+        for lane in which:
+            _paint(lane, looks, games, now, self._scratch, gray[lane])
+
+    def run_start_cast(self, which: Any, gray: Any, sensor: Any, games: Any, now: Any, pixels: Any) -> None:
+        for lane in which:
+            cpu.add_camera_noise(lane, games, now, 1, gray[lane])
+            cpu.start(lane, gray[lane], pixels, sensor, games.cameras[now.game[lane]])
+
+    def run_cast_events(self, which: Any, tick_ns: int, gray: Any, sensor: Any, *of_lanes: Any) -> None:
         games, now, pixels = of_lanes
-        picture = np.empty(pixels.base.shape[1:], np.uint8)
         for lane in which:
             if lanes.touched(lane, now):
                 continue
             game, time_s = now.game[lane], cpu.moment_ns(lane, now, tick_ns) * events.NS
-            cpu.render_gray(lane, looks, games, now, tick_ns, self._scratch, picture)
-            cpu.see(lane, picture, time_s, pixels, sensor, games.cameras[game], games.seeds[game, lanes.EVENT_SEED])
+            cpu.add_camera_noise(lane, games, now, tick_ns, gray[lane])
+            cpu.see(lane, gray[lane], time_s, pixels, sensor, games.cameras[game], games.seeds[game, lanes.EVENT_SEED])
 
     def run_take_frames(self, which: Any, now: Any, pixels: Any, frames: Any) -> None:
         for lane in which:
@@ -214,7 +229,7 @@ class Kernels:
     def run_nothing(self, which: Any, *_: Any) -> None:
         """What draws, or sees, does."""
 
-    run_project = run_find = run_finish = run_see = run_nothing
+    run_project = run_find = run_finish = run_see = run_look = run_nothing
 
 
 def shared(tensor: th.Tensor, dtype: Any = None) -> Any:

@@ -185,7 +185,7 @@ class DealtClutter(Dealt):
         self.starts = {"world": self._tensors.indices, "goal_m": list(self._tensors.goals.T)}
 
     def _deal(self, idle: th.Tensor) -> None:
-        grid = kernels.grid(self.count * kernels.SEEING_THREADS, kernels.SEEING_THREADS)
+        grid = kernels.grid(self.count * kernels.DEALING_THREADS, kernels.DEALING_THREADS)
         self._kernels.deal_clutter[grid](kernels.shared(idle), self._distribution, self._deals, self.arrays)
 
     def found(self, lane: int, label: int) -> tuple[Course, int]:

@@ -101,8 +101,7 @@ class CudaLanes:
         )
         self.ended = th.zeros((count, AT.columns), dtype=th.float64, device=device)
         self._course: dict[str, Any] = {}
-        told = task.observation_space()["state"].shape if task.with_state else (0,)
-        self._told = th.zeros((count, *told), device=device)
+        self._told = th.zeros((count, task.told), device=device)
         self.final_observations: Any = clone(self.seen()) if self.reports else None
         self.final_info: dict[str, Any] = {}
         self._allocate_commands()

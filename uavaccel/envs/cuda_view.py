@@ -13,6 +13,7 @@ from uavaccel.envs.sensors import blank_frame
 from uavaccel.envs.task import Task
 from uavaccel.kernels import cuda as kernels
 from uavaccel.kernels import events
+from uavaccel.kernels.casting import EYE_FIELDS
 from uavaccel.kernels.fields import COLUMNS, DEPTH, DVS, FIELDS, ROWS, STATE, Looks
 from uavaccel.vision.dvs_sensor import sample_pixels
 
@@ -52,26 +53,42 @@ class View:
 class SceneView(View):
     """Cameras in still scenes, by rays (kernels/casting), in pictures of any size."""
 
+    def __init__(
+        self, task: Task, maker: GameMaker, count: int, device: th.device, games: Any, now: Any, tick_ns: int
+    ) -> None:
+        super().__init__(task, maker, count, device, games, now, tick_ns)
+        self._eyes = th.zeros((count, EYE_FIELDS), device=device)
+        self._gray = th.zeros((count if self.kind == DVS else 0, *self._size), dtype=th.uint8, device=device)
+
     def start(self, which: th.Tensor) -> None:
         """Initialise event cameras with their games' first images."""
-        self._launch("start_cast", self._size)(
-            kernels.shared(which), self.plan.appearance, self.plan.sensor, self._games, self._now, self._pixels
-        )
+        going, gray = self._look(which, self._now), kernels.shared(self._gray)
+        self._launch("start_cast", self._size)(going, gray, self.plan.sensor, self._games, self._now, self._pixels)
 
     def render(self, which: th.Tensor, frames: th.Tensor, take: bool = True, now: Any = None) -> None:
         """Observe `now`, by default the present, as `frames` (L, ...); event cameras sum events until `take`."""
-        going, now = kernels.shared(which), now or self._now
-        seen = self.plan.appearance, self._games, now
+        now = now or self._now
+        going = self._look(which, now)
         if self.kind != DVS:
-            self._launch("cast_frames", self._frame)(
-                going, self.kind, self._tick_ns, self._side, *seen, kernels.shared(frames)
-            )
+            name, tick_ns = ("cast_depth", ()) if self.kind == DEPTH else ("cast_colour", (self._tick_ns,))
+            seen = self.plan.appearance, self._games, now, kernels.shared(self._eyes), kernels.shared(frames)
+            self._launch(name, self._frame)(going, *tick_ns, self._side, *seen)
             return
-        looks, games, _ = seen
-        self._launch("cast_events", self._size)(going, self._tick_ns, looks, self.plan.sensor, games, now, self._pixels)
+        seeing = kernels.shared(self._gray), self.plan.sensor, self._games, now, self._pixels
+        self._launch("cast_events", self._size)(going, self._tick_ns, *seeing)
         self._finish(going, now)
         if take:
             self._launch("take_frames", self._frame)(going, now, self._pixels, kernels.shared(frames[:, 0]))
+
+    def _look(self, which: th.Tensor, now: Any) -> Any:
+        """Find where the cameras are, and for event cameras what they see in grey; return the selected lanes."""
+        going, eyes = kernels.shared(which), kernels.shared(self._eyes)
+        per_lane = kernels.grid(self._count, kernels.FLYING_THREADS)
+        self._kernels.look[per_lane](going, self.plan.appearance, now, eyes)
+        if self.kind == DVS:
+            seen = self.plan.appearance, self._games, now, eyes
+            self._launch("cast_gray", self._size)(going, *seen, kernels.shared(self._gray))
+        return going
 
     def show(self, which: th.Tensor, frames: th.Tensor) -> None:
         """Render the present `frames` (L, ...), in colour or of depth."""

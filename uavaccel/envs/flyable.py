@@ -61,9 +61,7 @@ def _why_not(task: Task) -> str:
     if task.action != "velocity":
         return f"action = {task.action} is flown by the exact simulator alone"
     if task.scenery != PLAIN and kind_of(task) in (DVS, COLOUR):
-        return (
-            f"difficulty.scenery = {task.scenery}: its looks are textured meshes; depth and state fly there"
-        )
+        return f"difficulty.scenery = {task.scenery}: its looks are textured meshes; depth and state fly there"
     if task.scene == "clutter" and clutter_of(task) is None:
         return "scene = clutter needs a task with the key clutter, the distribution of its worlds"
     if task.scene == "lane" and task.picture_size != PICTURE_SIZE and kind_of(task) != STATE:

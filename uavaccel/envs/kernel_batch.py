@@ -110,8 +110,7 @@ class KernelBatch(TurnBatch):
         self._pictures = drawn  # always uint8: machine code is compiled for types
         self._samples = np.zeros((count, samples, cpu.SAMPLE_FIELDS))
         self._observations = np.zeros((count, *space.shape), space.dtype)
-        told = task.observation_space()["state"].shape if task.with_state else (0,)
-        self._told = np.zeros((count, *told), np.float32)
+        self._told = np.zeros((count, task.told), np.float32)
         self._directions = np.zeros((count, 3))
         self._position = [np.zeros(count) for _ in range(3)]  # north, east, down
         self._actions = np.full(count, NO_ACTION)

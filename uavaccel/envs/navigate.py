@@ -90,8 +90,8 @@ class NavigateTask(Task):
         return [*(each / (far_m + 1e-3) for each in way_m), told, *state.linear_velocity_m_s]
 
     def reward(self, before: AnyMoment, now: AnyMoment) -> Number:
-        """Return 0.3 per metre nearer to the goal, 5 for success, -5 for failure, and -0.01."""
-        return 0.3 * (distance_m(before) - distance_m(now)) + 5.0 * self.success(now) - 5.0 * self.failure(now) - 0.01
+        """Return 0.3 per metre nearer to the goal, 5 for success, -12 for failure, and -0.01."""
+        return 0.3 * (distance_m(before) - distance_m(now)) + 5.0 * self.success(now) - 12.0 * self.failure(now) - 0.01
 
     def success(self, now: AnyMoment) -> Number:
         return now.free & (distance_m(now) <= self.reach_m)

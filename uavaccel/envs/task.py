@@ -260,8 +260,13 @@ class Task(Config):
         """Return the space of observations: of frames, or with the state of a mapping."""
         if not self.with_state:
             return self.frames_space()
-        state = spaces.Box(-np.inf, np.inf, (self._blank_features().size,), np.float32)
+        state = spaces.Box(-np.inf, np.inf, (self.told,), np.float32)
         return spaces.Dict({"picture": self.frames_space(), "state": state})
+
+    @property
+    def told(self) -> int:
+        """Number of fields of the state that is told beside pictures; 0 where none is."""
+        return self._blank_features().size if self.with_state else 0
 
     def frames_space(self) -> spaces.Box:
         """Return the space of the frames of `history` commands, then of the context planes, on axis 0."""

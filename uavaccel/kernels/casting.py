@@ -49,6 +49,7 @@ HUGE, TINY = np.float32(1e30), np.float32(1e-12)
 WIDER = np.float32(1.00001)  # of bounding spheres, for rounding
 CORNER = np.float32(1e-6)  # by which neighbouring triangles overlap, relative to their sides
 SKY, WHITE = np.float32(SKY_SHARE), np.int32(0xFFFFFF)
+EYE_FIELDS = 13
 LEVELS_A_M = np.float32(255.0) / SEEN_FAR_M
 NOTHING, NONE = -1, (ZERO, ZERO, ZERO)
 
@@ -285,8 +286,10 @@ def meet(scene: Scene, world: int, item: int, origin: Vector, direction: Vector,
         return min(meet_plane(shape, origin, direction), best)
     if kind == at.HEIGHTS:
         return meet_heights(scene, shape, origin, direction, best)
-    centre = triple(shape, at.CENTRE)
-    away = minus(centre, origin)
+    away = minus(triple(shape, at.CENTRE), origin)
+    aside, reach = away[0] * direction[1] - away[1] * direction[0], shape[at.REACH]
+    if aside * aside > reach * reach * (direction[0] * direction[0] + direction[1] * direction[1]):
+        return best
     middle = dot(away, direction)
     p = along((-away[0], -away[1], -away[2]), direction, middle)
     if dot(p, p) > bound * bound * WIDER or middle - bound >= best or middle + bound < ZERO:
@@ -441,6 +444,21 @@ def eye_of(camera: NDArray[np.float64], position: NDArray[np.float64], quaternio
     """
     eye, right, up, back = axes_of(camera, position, quaternion)
     return narrow(eye), (narrow(right), narrow(up), narrow(back)), np.float32(camera[FAR_M])
+
+
+@part(error_model="numpy")
+def put_eye(row: Any, eye: Eye) -> None:
+    """Write an eye to a row (EYE_FIELDS,) float32."""
+    for axis in range(3):
+        row[axis], row[3 + axis] = eye[0][axis], eye[1][0][axis]
+        row[6 + axis], row[9 + axis] = eye[1][1][axis], eye[1][2][axis]
+    row[12] = eye[2]
+
+
+@part(error_model="numpy")
+def get_eye(row: Any) -> Eye:
+    """Return the eye that `put_eye` wrote."""
+    return triple(row, 0), (triple(row, 3), triple(row, 6), triple(row, 9)), row[12]
 
 
 @part(error_model="numpy")

@@ -10,7 +10,7 @@ import numpy as np
 from uavaccel.kernels.lane_games import INDICES, OF_LAYOUT, OWN, STREAMS, deal_index, deal_seeds
 from uavaccel.kernels.lanes import Games
 from uavaccel.kernels.operands import Operand
-from uavaccel.sim.clutter.layout import CLUTTER_FIELDS, sample_clutter
+from uavaccel.sim.clutter.layout import CLUTTER_FIELDS
 from uavaccel.sim.parts import part
 from uavaccel.sim.pcg64 import STREAM_FIELDS, pool_of, start, unit
 from uavaccel.sim.rounding import times
@@ -50,7 +50,7 @@ def deals(lanes: int, shapes: int) -> Deals:
 
 @part
 def deal(lane: int, distribution: Distribution, deals: Deals, games: Games) -> None:
-    """Sample a lane's next goal and layout, in the order in which the environment does (envs/navigate)."""
+    """Sample a lane's next goal, in the order in which the environment does, and start its layout's stream."""
     own, numbers, goal = deals.streams[lane, OWN], distribution.numbers, deals.goals[lane]
     index = deal_index(lane, deals, INDICES)
     far, aside = unit(own), unit(own)
@@ -60,4 +60,3 @@ def deal(lane: int, distribution: Distribution, deals: Deals, games: Games) -> N
     deal_seeds(lane, deals, games, numbers[NOISY_EVENTS] > 0.0)
     stream = deals.streams[lane, OF_LAYOUT]
     start(stream, pool_of(np.uint64(index + np.int64(numbers[FIRST_SEED]))))
-    sample_clutter(distribution.clutter, stream, goal[0], -goal[1], deals.layouts[lane])

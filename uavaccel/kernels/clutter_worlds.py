@@ -46,7 +46,7 @@ def clutter_worlds(clutter: Clutter, always: Scene, worlds: int) -> tuple[Scene,
 @part
 def put_shape(row: Any, shape: Any) -> None:
     """Write a row of a layout as a shape; a parked one has no extent."""
-    shape[at.KIND], shape[at.BOUND] = row[of.KIND], 0.0
+    shape[at.KIND], shape[at.BOUND], shape[at.REACH] = row[of.KIND], 0.0, reach_of(row) + at.LISTING_MARGIN_M
     for axis in range(3):
         shape[at.CENTRE + axis], shape[at.HALF + axis] = row[of.X + axis], row[of.HALF_X + axis]
         shape[at.RGB + axis] = row[of.GREY]

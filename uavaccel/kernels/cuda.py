@@ -27,13 +27,16 @@ from uavaccel.kernels.columns import MOST_INTERVALS, MOST_PIECES, Column, add_in
 from uavaccel.kernels.faces import begin as begin_faces
 from uavaccel.kernels.faces import view_of
 from uavaccel.kernels.flight import NEXT_CHECK, TOUCHED, fly_ticks
+from uavaccel.kernels.lane_games import OF_LAYOUT
 from uavaccel.kernels.lanes import EVENT_SEED, PICTURE_SEED
 from uavaccel.kernels.operands import Launchable, Operand
 from uavaccel.kernels.project import project_solid
 from uavaccel.kernels.quads import BELOW, RIGHT, quad_lumas, quick_count, update_quad
 from uavaccel.kernels.rays import colour_of, linear
-from uavaccel.kernels.scene import LOOSE, add_to, begin_cells, sort_cell, visit
+from uavaccel.kernels.scene import LOOSE, add_to, sort_cell, visit, world_of
 from uavaccel.kernels.touching import NOTHING, around, deepest_of_all, least_of_all
+from uavaccel.sim.clutter.layout import DRAWS, GAP, keep_gaps, sample_shape
+from uavaccel.sim.pcg64 import STREAM_FIELDS, advance
 from uavaccel.sim.rounding import times
 from uavaccel.sim.vehicle.quadrotor import FLIGHT_DTYPE, NEVER, PARAMETERS_DTYPE
 from uavaccel.vision.dvs_kernels import count_double_pixel
@@ -45,6 +48,7 @@ BLOCKS = BLOCK_ROWS * BLOCK_COLUMNS
 WARP, WHOLE_WARP = 32, 0xFFFFFFFF
 FLYING_THREADS, COLUMN_THREADS, SEEING_THREADS = 32, 64, 128  # per thread block
 SEEING_THREADS_A_LANE, PIXELS_A_LANE = at.ROWS * at.COLUMNS // 8, np.uintp(at.ROWS * at.COLUMNS)
+DEALING_THREADS = 128  # of a world of clutter
 FLYING_WARPS = 2  # per multiprocessor: a quarter of its registers, which leaves the rest to the learner
 BOX_SLOTS, CYLINDER_SLOTS = 3, 6  # largest number of rows that a solid fills (kernels/project)
 SLOTS = 1 + CYLINDER_SLOTS * at.SOLIDS
@@ -131,31 +135,68 @@ def deal_games(idle, distribution, deals, games):  # type: ignore[no-untyped-def
 
 
 def deal_clutter(idle, distribution, deals, games):  # type: ignore[no-untyped-def]
-    """Sample the next goal and world of every lane whose flag in `idle` (L,) is set: a block of threads a lane."""
-    lane, mine, threads = cuda.blockIdx.x, cuda.threadIdx.x, cuda.blockDim.x
+    """Sample the next goal and world of every lane whose flag in `idle` (L,) is set: DEALING_THREADS a lane."""
+    lane, mine = cuda.blockIdx.x, cuda.threadIdx.x
     if lane >= len(idle) or idle[lane] == 0:
         return
     scene, rows = games.solids, deals.layouts[lane]
-    first, start = np.int64(scene.frame[lane, LOOSE]), scene.start[lane]
+    first, start, cells = int(scene.frame[lane, LOOSE]), scene.start[lane], scene.start.shape[1] - 1
     if mine == 0:
         clutter_games.deal(lane, distribution, deals, games)
-    for cell in range(mine, len(start), threads):
+    for cell in range(mine, cells + 1, DEALING_THREADS):
         start[cell] = 0
     cuda.syncthreads()
-    for number in range(mine, len(rows), threads):
+    sample_shapes(mine, distribution.clutter, deals.streams[lane, OF_LAYOUT], deals.goals[lane], rows)
+    cuda.syncthreads()
+    if mine == 0 and distribution.clutter[GAP] > 0.0:
+        keep_gaps(distribution.clutter, rows)
+    cuda.syncthreads()
+    for number in range(mine, len(rows), DEALING_THREADS):
         put_in_both(rows, number, scene, games.scenes, lane)
         visit(scene, lane, first + number, False)
     cuda.syncthreads()
-    if mine == 0:
-        begin_cells(scene, lane)
-    cuda.syncthreads()
-    if start[len(start) - 1] == 0:
+    sum_counts(mine, start, cells)
+    if start[cells] > scene.items.shape[1]:
         return
-    for number in range(mine, len(rows), threads):
+    for number in range(mine, len(rows), DEALING_THREADS):
         visit(scene, lane, first + number, True)
     cuda.syncthreads()
-    for cell in range(mine, len(start) - 1, threads):
+    for cell in range(mine, cells, DEALING_THREADS):
         sort_cell(scene, lane, cell)
+
+
+@cuda.jit(device=True)
+def sample_shapes(mine, numbers, stream, goal, rows):  # type: ignore[no-untyped-def]
+    """Sample a thread's share of a layout, from its own places in the layout's stream."""
+    own, place = cuda.local.array(STREAM_FIELDS, types.uint64), 0
+    for field in range(STREAM_FIELDS):
+        own[field] = stream[field]
+    for number in range(mine, len(rows), DEALING_THREADS):
+        advance(own, DRAWS * (number - place))
+        sample_shape(numbers, own, goal[0], -goal[1], rows[number])
+        place = number + 1
+
+
+@cuda.jit(device=True)
+def sum_counts(mine, start, cells):  # type: ignore[no-untyped-def]
+    """Turn counts of shapes into the ends of cells; `start` has one more place, for the number of all."""
+    sums = cuda.shared.array(DEALING_THREADS, types.int32)
+    share = (cells + DEALING_THREADS - 1) // DEALING_THREADS
+    first, beyond = min(mine * share, cells), min((mine + 1) * share, cells)
+    total = 0
+    for cell in range(first, beyond):
+        total += start[cell]
+    sums[mine] = total
+    cuda.syncthreads()
+    before = 0
+    for thread in range(mine):
+        before += sums[thread]
+    for cell in range(first, beyond):
+        before += start[cell]
+        start[cell] = before
+    if mine == DEALING_THREADS - 1:
+        start[cells] = before
+    cuda.syncthreads()
 
 
 @overload(add_to)
@@ -562,57 +603,79 @@ def pixel_of_thread(rows, columns):  # type: ignore[no-untyped-def]
     return lane, 4 * (tile // across) + mine // 8, 8 * (tile % across) + mine % 8
 
 
-def cast_frames(going, kind, tick_ns, side, looks, games, now, frames):  # type: ignore[no-untyped-def]
-    """Write colour or depth frames (L, channels, rows, columns), means of `side` x `side` pixels; 0 after a touch."""
+def look(going, looks, now, eyes):  # type: ignore[no-untyped-def]
+    """Write where the cameras of the lanes that are `going` are, and how they are turned, to `eyes` (L, EYE_FIELDS)."""
+    lane = cuda.grid(1)
+    if lane < len(going) and going[lane] != 0:
+        state = now.state[lane]
+        casting.put_eye(eyes[lane], casting.eye_of(looks.camera, state.position, state.quaternion))
+
+
+def cast_depth(going, side, looks, games, now, eyes, frames):  # type: ignore[no-untyped-def]
+    """Write depth frames (L, 1, rows, columns), means of `side` x `side` pixels; 0 after a touch."""
     rows, columns = frames.shape[2], frames.shape[3]
     lane, y, x = pixel_of_thread(rows, columns)
     if lane >= len(going) or going[lane] == 0 or y >= rows or x >= columns:
         return
-    state, game = now.state[lane], now.game[lane]
-    if state.collision_tick != NEVER:
-        for channel in range(frames.shape[1]):
-            frames[lane, channel, y, x] = 0
+    level = 0
+    if now.state[lane].collision_tick == NEVER:
+        scene, eye, size = games.scenes, casting.get_eye(eyes[lane]), (rows * side, columns * side)
+        level = casting.depth_level(scene, world_of(scene, now.game[lane]), looks, eye, y, x, size, side)
+    frames[lane, 0, y, x] = level
+
+
+def cast_colour(going, tick_ns, side, looks, games, now, eyes, frames):  # type: ignore[no-untyped-def]
+    """Write colour frames (L, 3, rows, columns), means of `side` x `side` pixels; 0 after a touch."""
+    rows, columns = frames.shape[2], frames.shape[3]
+    lane, y, x = pixel_of_thread(rows, columns)
+    if lane >= len(going) or going[lane] == 0 or y >= rows or x >= columns:
         return
-    world, eye = casting.seen_by(lane, looks, games, now)
-    scene, size = games.scenes, (rows * side, columns * side)
-    if kind == at.DEPTH:
-        frames[lane, 0, y, x] = casting.depth_level(scene, world, looks, eye, y, x, size, side)
-        return
+    state, game, scene = now.state[lane], now.game[lane], games.scenes
+    eye, size, world = casting.get_eye(eyes[lane]), (rows * side, columns * side), world_of(scene, game)
     camera, seeds, moment_ns = camera_of(games, game), games.seeds[game], state.tick * tick_ns
     red_sum = green_sum = blue_sum = 0
-    for row in range(side * y, side * y + side):
-        for column in range(side * x, side * x + side):
-            red, green, blue = casting.colour_at(scene, world, looks, eye, row, column, size)
-            if camera[events.READ] > 0.0:
-                value = 3 * (row * size[1] + column)
-                red = noisy_at(int(red), camera, seeds, moment_ns, value)
-                green = noisy_at(int(green), camera, seeds, moment_ns, value + 1)
-                blue = noisy_at(int(blue), camera, seeds, moment_ns, value + 2)
-            red_sum, green_sum, blue_sum = red_sum + int(red), green_sum + int(green), blue_sum + int(blue)
+    for pixel in range(side * side if state.collision_tick == NEVER else 0):
+        row, column = side * y + pixel // side, side * x + pixel % side
+        red, green, blue = casting.colour_at(scene, world, looks, eye, row, column, size)
+        if camera[events.READ] > 0.0:
+            value = 3 * (row * size[1] + column)
+            red = noisy_at(int(red), camera, seeds, moment_ns, value)
+            green = noisy_at(int(green), camera, seeds, moment_ns, value + 1)
+            blue = noisy_at(int(blue), camera, seeds, moment_ns, value + 2)
+        red_sum, green_sum, blue_sum = red_sum + int(red), green_sum + int(green), blue_sum + int(blue)
     frames[lane, 0, y, x] = round(red_sum / (side * side))
     frames[lane, 1, y, x] = round(green_sum / (side * side))
     frames[lane, 2, y, x] = round(blue_sum / (side * side))
 
 
+def cast_gray(going, looks, games, now, eyes, gray):  # type: ignore[no-untyped-def]
+    """Write luma `gray` (L, rows, columns) uint8 of the lanes that are `going`."""
+    size = gray.shape[1], gray.shape[2]
+    lane, y, x = pixel_of_thread(size[0], size[1])
+    if lane < len(going) and going[lane] != 0 and y < size[0] and x < size[1]:
+        scene = games.scenes
+        world, eye = world_of(scene, now.game[lane]), casting.get_eye(eyes[lane])
+        gray[lane, y, x] = casting.gray_at(scene, world, looks, eye, y, x, size)
+
+
 @cuda.jit(device=True)
-def cast_gray(lane, y, x, tick_ns, looks, games, now, size):  # type: ignore[no-untyped-def]
+def noisy_gray(gray, lane, y, x, tick_ns, games, now):  # type: ignore[no-untyped-def]
     """Return a pixel's grey level, with read noise."""
-    world, eye = casting.seen_by(lane, looks, games, now)
-    level, game = casting.gray_at(games.scenes, world, looks, eye, y, x, size), now.game[lane]
+    level, game = np.int32(gray[lane, y, x]), now.game[lane]
     camera = camera_of(games, game)
     if camera[events.READ] > 0.0:
-        moment_ns = now.state[lane].tick * tick_ns
-        return np.int32(noisy_at(level, camera, games.seeds[game], moment_ns, y * size[1] + x))
-    return np.int32(level)
+        moment_ns, place = now.state[lane].tick * tick_ns, y * gray.shape[2] + x
+        return np.int32(noisy_at(level, camera, games.seeds[game], moment_ns, place))
+    return level
 
 
-def start_cast(going, looks, sensor, games, now, pixels):  # type: ignore[no-untyped-def]
+def start_cast(going, gray, sensor, games, now, pixels):  # type: ignore[no-untyped-def]
     """Initialise the event cameras of the lanes that are `going` with their first image, which causes no events."""
-    size, side = pixels.base.shape[1:], pixels.base.shape[1] // pixels.gathered.shape[1]
-    lane, y, x = pixel_of_thread(size[0], size[1])
-    if lane >= len(going) or going[lane] == 0 or y >= size[0] or x >= size[1]:
+    rows, columns, side = gray.shape[1], gray.shape[2], gray.shape[1] // pixels.gathered.shape[1]
+    lane, y, x = pixel_of_thread(rows, columns)
+    if lane >= len(going) or going[lane] == 0 or y >= rows or x >= columns:
         return
-    level, camera = cast_gray(lane, y, x, 0, looks, games, now, size), camera_of(games, now.game[lane])
+    level, camera = noisy_gray(gray, lane, y, x, 0, games, now), camera_of(games, now.game[lane])
     start_pixel(level, camera, sensor, pixels, lane, y, x)
     if y % side == 0 and x % side == 0:
         pixels.gathered[lane, y // side, x // side] = 0
@@ -620,17 +683,17 @@ def start_cast(going, looks, sensor, games, now, pixels):  # type: ignore[no-unt
         pixels.clock[lane], pixels.time_s[lane] = 0, 0.0
 
 
-def cast_events(going, tick_ns, looks, sensor, games, now, pixels):  # type: ignore[no-untyped-def]
+def cast_events(going, tick_ns, gray, sensor, games, now, pixels):  # type: ignore[no-untyped-def]
     """Compute the events of the lanes that are `going`, a thread a pixel, and add them to those of their blocks."""
-    size, side = pixels.base.shape[1:], pixels.base.shape[1] // pixels.gathered.shape[1]
-    lane, y, x = pixel_of_thread(size[0], size[1])
-    if lane >= len(going) or going[lane] == 0 or y >= size[0] or x >= size[1]:
+    rows, columns, side = gray.shape[1], gray.shape[2], gray.shape[1] // pixels.gathered.shape[1]
+    lane, y, x = pixel_of_thread(rows, columns)
+    if lane >= len(going) or going[lane] == 0 or y >= rows or x >= columns:
         return
     state, game = now.state[lane], now.game[lane]
     if state.collision_tick != NEVER:
         return
-    level, camera = cast_gray(lane, y, x, tick_ns, looks, games, now, size), camera_of(games, game)
-    place, dt_s = y * size[1] + x, state.tick * tick_ns * events.NS - pixels.time_s[lane]
+    level, camera = noisy_gray(gray, lane, y, x, tick_ns, games, now), camera_of(games, game)
+    place, dt_s = y * columns + x, state.tick * tick_ns * events.NS - pixels.time_s[lane]
     seed, index = games.seeds[game, EVENT_SEED], pixels.clock[lane] + 1
     normals, draws = events.block_draws(camera, seed, index, place // BLOCK_SIDE)
     draw = normals[place % BLOCK_SIDE], draws[place % BLOCK_SIDE]
@@ -652,7 +715,7 @@ def take_frames(going, now, pixels, frames):  # type: ignore[no-untyped-def]
         pixels.gathered[lane, y, x] = 0
 
 
-LIMITS: dict[Any, int] = {update_events: 72}
+LIMITS: dict[Any, int] = {update_events: 72, cast_depth: 64, cast_colour: 80, cast_gray: 80}
 """Registers per thread: fewer of them let more threads wait for memory at the same time."""
 
 
@@ -673,7 +736,10 @@ class Kernels(NamedTuple):
     add_grey: Launchable
     add_colours: Launchable
     deal_clutter: Launchable
-    cast_frames: Launchable
+    look: Launchable
+    cast_depth: Launchable
+    cast_colour: Launchable
+    cast_gray: Launchable
     start_cast: Launchable
     cast_events: Launchable
     take_frames: Launchable
@@ -697,7 +763,10 @@ def compiled(nominal: Operand) -> Kernels:
         add_grey,
         add_colours,
         deal_clutter,
-        cast_frames,
+        look,
+        cast_depth,
+        cast_colour,
+        cast_gray,
         start_cast,
         cast_events,
         take_frames,

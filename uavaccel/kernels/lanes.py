@@ -39,8 +39,8 @@ class Games(NamedTuple):
     """(S, n, SOLID_FIELDS) float64: collision geometry (kernels/touching); or a `Scene` of S worlds, or of one."""
     counts: Operand
     """(S,) int32: number of solids in use."""
-    scenes: Scenes | Scene
-    """Visible geometry (kernels/appearance); or a `Scene` to see, of S worlds, or of one."""
+    scenes: Operand
+    """Visible geometry: `Scenes` (kernels/appearance); or a `Scene` to see, of S worlds, or of one."""
     cameras: Operand
     """(S, CAMERA_FIELDS) float64: camera parameters (kernels/events)."""
     seeds: Operand

@@ -25,14 +25,15 @@ ELLIPSOID, CAPSULE, TRIANGLE, HULL, HEIGHTS = range(3, 8)
 """Kinds of shapes beside BOX, CYLINDER and PLANE. A sphere is a CAPSULE without length."""
 
 # A shape: a row of Scene.shapes.
-KIND, BOUND, CENTRE = 0, 1, 2  # BOUND: radius of the bounding sphere
-AXES = 5  # rotation matrix, row by row; of a TRIANGLE its first corner from the centre, and two edges
-HALF = 14  # half sizes: of a round shape radius, radius, half length; of a PLANE 0 for infinite
-RGB = 17  # 0 to 1; without a texture that is seen
-DATA, COUNT, LINES, BASE = 20, 21, 22, 23  # first vertex and number of a HULL; first height, columns, rows, depth
-GEOM = 24  # the geom's index in its model
-MATERIAL = 25  # and its material's, -1 for none; of planes and boxes alone, whose textures are seen
-SHAPE_FIELDS = 26
+KIND, BOUND, REACH = 0, 1, 2  # BOUND: radius of the bounding sphere; REACH: of a circle around it, seen from above
+CENTRE = 3
+AXES = 6  # rotation matrix, row by row; of a TRIANGLE its first corner from the centre, and two edges
+HALF = 15  # half sizes: of a round shape radius, radius, half length; of a PLANE 0 for infinite
+RGB = 18  # 0 to 1; without a texture that is seen
+DATA, COUNT, LINES, BASE = 21, 22, 23, 24  # first vertex and number of a HULL; first height, columns, rows, depth
+GEOM = 25  # the geom's index in its model
+MATERIAL = 26  # and its material's, -1 for none; of planes and boxes alone, whose textures are seen
+SHAPE_FIELDS = 27
 
 # A grid: a row of Scene.frame. Shapes before LOOSE are in no cell, but always considered.
 LEFT, LOW, CELL, COLUMNS, ROWS, BOTTOM, TOP, LOOSE, SHAPES = range(9)

@@ -188,6 +188,10 @@ def _take_heights(model: mujoco.MjModel, rows: Floats) -> Floats:
 def _scene(rows: Floats, shared: dict[str, Floats], kind: Any) -> Scene:
     """Lay out a grid, and list the shapes in its cells."""
     reach = _spreads(rows)
+    upright, half = np.abs(rows[:, at.AXES + 8]) == 1.0, rows[:, at.HALF : at.RGB]
+    round_ = np.isin(rows[:, at.KIND], (at.CYLINDER, at.CAPSULE, at.ELLIPSOID))
+    wide = np.where(upright & round_, half[:, :2].max(axis=1), np.hypot(reach[:, 0], reach[:, 1]))
+    rows[:, at.REACH] = np.minimum(wide, rows[:, at.BOUND]) + at.LISTING_MARGIN_M
     beside = np.isin(rows[:, at.KIND], (at.PLANE, at.HEIGHTS))
     frame = _frame(rows[~beside], reach[~beside])
     cells = np.prod(np.minimum(2 * reach[:, :2] / frame[at.CELL] + 1, frame[[at.COLUMNS, at.ROWS]]), axis=1)

@@ -38,6 +38,7 @@ A_FACTOR, C_FACTOR = np.uint64(0x931E8875), np.uint64(0x58F38DED)
 LEFT, RIGHT = np.uint64(0xCA01F9DD), np.uint64(0x4973F715)
 
 Pool = tuple[Word, Word, Word, Word]
+Pair = tuple[Word, Word]
 
 
 # --- SeedSequence -----------------------------------------------------------------------------------------------------
@@ -117,6 +118,32 @@ def step(stream: Stream) -> None:
     lower = low * FACTOR_LOW + stream[STEP_LOW]
     carry = ONE if lower < stream[STEP_LOW] else ZERO
     stream[STATE_HIGH], stream[STATE_LOW] = upper + stream[STEP_HIGH] + carry, lower
+
+
+@part
+def product(a: Pair, b: Pair) -> Pair:
+    """Return the lower 128 bits of a product, as upper and lower 64."""
+    return product_high(a[1], b[1]) + a[1] * b[0] + a[0] * b[1], a[1] * b[1]
+
+
+@part
+def total(a: Pair, b: Pair) -> Pair:
+    """Return the lower 128 bits of a sum."""
+    low = a[1] + b[1]
+    return a[0] + b[0] + (ONE if low < b[1] else ZERO), low
+
+
+@part
+def advance(stream: Stream, steps: int) -> None:
+    """Advance the state by so many steps at once (Brown, Random number generation with arbitrary strides, 1994)."""
+    factor, plus, left = (FACTOR_HIGH, FACTOR_LOW), (stream[STEP_HIGH], stream[STEP_LOW]), steps
+    state = stream[STATE_HIGH], stream[STATE_LOW]
+    while left > 0:
+        if left % 2 == 1:
+            state = total(product(state, factor), plus)
+        plus = product(total(factor, (ZERO, ONE)), plus)
+        factor, left = product(factor, factor), left // 2
+    stream[STATE_HIGH], stream[STATE_LOW] = state
 
 
 @part

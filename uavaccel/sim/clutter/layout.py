@@ -37,6 +37,7 @@ CLUTTER_FIELDS = 10
 SHAPES, LEFT, LONG, LOW, WIDE, SMALL, LARGER, LEVEL, HIGHER = range(9)
 SHARES, CLEAR_START, CLEAR_GOAL, DARK, BRIGHTER, GAP = 9, 12, 13, 14, 15, 16
 NUMBERS = 17
+DRAWS = 9  # of a stream, that a shape takes
 
 MOST_SHAPES = 256  # as many as clutter.xml provides
 NORTH_M, ASIDE_M = (-4.0, 44.0), 24.0  # the area: from, to; half its width
@@ -103,20 +104,32 @@ def sample_clutter(numbers: Any, stream: Any, goal_x: float, goal_y: float, rows
     of the stream. A shape that reaches into the start, at (0, 0), or into the goal, or that is too near to one before,
     is parked below the ground.
     """
+    for number in range(min(int(numbers[SHAPES]), rows.shape[0])):
+        sample_shape(numbers, stream, goal_x, goal_y, rows[number])
+    return keep_gaps(numbers, rows)
+
+
+@part
+def sample_shape(numbers: Any, stream: Any, goal_x: float, goal_y: float, row: Any) -> None:
+    """Sample one shape, which takes DRAWS numbers of the stream, and park it if it reaches into start or goal."""
+    _sample_row(numbers, stream, row)
+    if not (_away(row, 0.0, 0.0, numbers[CLEAR_START]) and _away(row, goal_x, goal_y, numbers[CLEAR_GOAL])):
+        row[Z] = PARKED_Z_M
+
+
+@part
+def keep_gaps(numbers: Any, rows: Any) -> int:
+    """Park shapes that are too near to one before, and return how many stand."""
     stand = 0
     for number in range(min(int(numbers[SHAPES]), rows.shape[0])):
-        row = rows[number]
-        _sample_shape(numbers, stream, row)
-        clear = _away(row, 0.0, 0.0, numbers[CLEAR_START]) and _away(row, goal_x, goal_y, numbers[CLEAR_GOAL])
-        if clear and _apart(rows, number, numbers[GAP]):
-            stand += 1
-        else:
-            row[Z] = PARKED_Z_M
+        if rows[number, Z] > PARKED_Z_M and not _apart(rows, number, numbers[GAP]):
+            rows[number, Z] = PARKED_Z_M
+        stand += rows[number, Z] > PARKED_Z_M
     return stand
 
 
 @part
-def _sample_shape(numbers: Any, stream: Any, row: Any) -> None:
+def _sample_row(numbers: Any, stream: Any, row: Any) -> None:
     """Sample one shape."""
     share = unit(stream)
     kind = CAPSULE
