@@ -213,6 +213,11 @@ class Task(Config):
         return PLAIN
 
     @property
+    def typical_s(self) -> float:
+        """Simulated seconds of a game that gets far, for estimates of the duration."""
+        return self.max_commands * self.t_move_s
+
+    @property
     def t_th_ns(self) -> int:
         """TCSC's T_th in simulated nanoseconds (Profile.t_th_ns)."""
         return PROFILES[self.profile].t_th_ns(self.t_th_wall_s, self.clock_speed, self.t_sample_s)

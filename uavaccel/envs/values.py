@@ -21,6 +21,9 @@ Action: TypeAlias = Any
 Frame = NDArray[np.integer | np.floating]
 """A frame, which a sensor makes of a sample, or an observation, several frames on axis 0: uint8 or float32."""
 
+Observation: TypeAlias = Any
+"""A Frame, or a mapping of frames by name; of many environments, an array (n, ...) or a mapping of these."""
+
 Info = dict[str, Any]
 """The info dictionary of Gymnasium's `reset` and `step`."""
 
@@ -38,3 +41,17 @@ Steps = tuple[Frame, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], 
 
 Answer: TypeAlias = Any
 """Result of a method of an environment, or value of its attribute."""
+
+
+def batch_of(observation: Observation) -> Observation:
+    """Return one observation as a batch of one."""
+    if isinstance(observation, Mapping):
+        return {name: part[None] for name, part in observation.items()}
+    return observation[None]
+
+
+def stacked_observations(observations: Sequence[Observation]) -> Observation:
+    """Return several observations as a batch."""
+    if isinstance(observations[0], Mapping):
+        return {name: np.stack([each[name] for each in observations]) for name in observations[0]}
+    return np.stack(observations)

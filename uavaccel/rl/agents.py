@@ -10,7 +10,7 @@ import numpy as np
 
 from uavaccel.envs.conditions import OF_SENSOR
 from uavaccel.envs.obstacle_lane import LaneTask
-from uavaccel.envs.values import Frame, Info
+from uavaccel.envs.values import Action, Info, Observation, batch_of
 from uavaccel.errors import UserError
 from uavaccel.files import file_sha256
 from uavaccel.resources import asset
@@ -19,8 +19,7 @@ from uavaccel.rl.policy import MANIFEST, WEIGHTS, Policy, load_policy, observed_
 from uavaccel.sim.lane.layout import WIDTH_M
 
 if TYPE_CHECKING:
-    from stable_baselines3.common.policies import BasePolicy
-    from stable_baselines3.common.type_aliases import Schedule
+    from uavaccel.rl.network import QPolicy
 
 DEFAULT = "default"
 STRAIGHT = "straight"
@@ -31,7 +30,7 @@ REACHED_M = 0.3  # from its offset a drone that flies along it turns back
 class Agent(Protocol):
     """Chooses an action for an observation and the info that came with it."""
 
-    def act(self, observation: Frame, info: Info) -> int: ...
+    def act(self, observation: Observation, info: Info) -> Action: ...
 
 
 class PolicyAgent:
@@ -40,8 +39,10 @@ class PolicyAgent:
     def __init__(self, policy: Policy) -> None:
         self.policy = policy
 
-    def act(self, observation: Frame, info: Info) -> int:
-        return int(self.policy.act(observation[None])[0])
+    def act(self, observation: Observation, info: Info) -> Action:
+        """Return a discrete action as an int, a continuous one as an array."""
+        action = self.policy.act(batch_of(observation))[0]
+        return action if np.ndim(action) else int(action)
 
 
 class OffsetAgent:
@@ -53,7 +54,7 @@ class OffsetAgent:
         self._ahead = int(np.argmin(abs(headings)))
         self._west, self._east = int(headings.argmin()), int(headings.argmax())
 
-    def act(self, observation: Frame, info: Info) -> int:
+    def act(self, observation: Observation, info: Info) -> int:
         error_m = self._offset_m - info["position_m"][1]
         if abs(error_m) < REACHED_M:
             return self._ahead
@@ -132,14 +133,14 @@ def policy_sha256(name: str) -> str | None:
     return file_sha256(policy_folder(name) / WEIGHTS)
 
 
-def first_policy(config: LearnerConfig, learning_rate: Schedule) -> BasePolicy:
-    """Make the policy that a training starts with: the weights of `start_from`, or random ones.
+def first_policy(config: LearnerConfig) -> QPolicy:
+    """Make the policy that a training of double_dqn starts with: the weights of `start_from`, or random ones.
 
     Raises UserError if `start_from` is no policy, or if its network differs from the configuration's.
     """
-    from uavaccel.rl.algorithms import make_policy
+    from uavaccel.rl.policy import make_policy
 
-    policy = make_policy(config, learning_rate)
+    policy: QPolicy = make_policy(config)
     if config.start_from is None:
         return policy
     started = load_policy(policy_folder(config.start_from))
