@@ -10,11 +10,12 @@ import numpy as np
 
 from uavaccel.envs.conditions import OF_SENSOR
 from uavaccel.envs.obstacle_lane import LaneTask
+from uavaccel.envs.task import Task
 from uavaccel.envs.values import Action, Info, Observation, batch_of
 from uavaccel.errors import UserError
 from uavaccel.files import file_sha256
 from uavaccel.resources import asset
-from uavaccel.rl.config import LearnerConfig
+from uavaccel.rl.config import LANE, LearnerConfig, environment_class
 from uavaccel.rl.policy import MANIFEST, WEIGHTS, Policy, load_policy, observed_frames, read_manifest
 from uavaccel.sim.lane.layout import WIDTH_M
 
@@ -62,6 +63,7 @@ class OffsetAgent:
 
 
 SENSES = (*("observation", "history", "knows", "blank_images", "dvs_preset", "dvs_seed"), *(*OF_SENSOR, "dvs_rate_hz"))
+CLOCK = ("timing", "command", "clock_speed", "profile", "latency", "report_host_times")  # an evaluation has its own
 FLIGHT = ("t_move_s", "t_sample_s", "speed_m_s", "headings_deg", "altitude_m")
 
 
@@ -69,8 +71,25 @@ def trained_keys(name: str) -> dict[str, object]:
     """Return the task's keys that the agent was trained with; a baseline needs no pictures. Raises UserError."""
     if is_baseline(name):
         return {"observation": "state", "history": 1}
-    trained = read_manifest(policy_folder(name))[1].task.model_dump(mode="json")
-    return {key: trained[key] for key in SENSES + FLIGHT}
+    config = read_manifest(policy_folder(name))[1]
+    trained = config.task.model_dump(mode="json", exclude=set(CLOCK))
+    return trained if config.env_id != LANE else {key: trained[key] for key in SENSES + FLIGHT}
+
+
+def trained_env_id(name: str) -> str:
+    """Return the environment that the agent was trained in; a baseline flies the lane. Raises UserError."""
+    return LANE if is_baseline(name) else read_manifest(policy_folder(name))[1].env_id
+
+
+def evaluation_keys(env_id: str) -> dict[str, object]:
+    """Return the keys by which a task takes the worlds that are kept for evaluation."""
+    return {"split": "evaluation"} if "split" in environment_class(env_id).task_class.model_fields else {}
+
+
+def reset_options(env_id: str, lane: int) -> dict[str, object]:
+    """Return the options of `reset` that choose the game of that number; other games follow from their seeds."""
+    known = environment_class(env_id).task_class.reset_options
+    return {name: lane for name in ("lane", "world") if name in known}
 
 
 def is_baseline(name: str) -> bool:
@@ -78,23 +97,31 @@ def is_baseline(name: str) -> bool:
     return name == STRAIGHT or name.startswith(OFFSET)
 
 
-def make_agent(name: str, task: LaneTask) -> Agent:
+def make_agent(name: str, task: Task) -> Agent:
     """Make the agent `straight`, `offset:METRES`, `default`, or the policy in a folder.
 
     Raises UserError if there is none, or if its network does not fit the task's observations and actions.
     """
     check_agent(name, task)
-    if is_baseline(name):
+    if is_baseline(name) and isinstance(task, LaneTask):
         return OffsetAgent(_offset_m(name), task)
     return PolicyAgent(load_policy(policy_folder(name)))
 
 
-def check_agent(name: str, task: LaneTask) -> None:
+def check_agent(name: str, task: Task) -> None:
     """Raise UserError as `make_agent` does, except for what only reading the weights would show."""
     if is_baseline(name):
         _offset_m(name)
-    else:
-        _refuse_misfit(name, read_manifest(policy_folder(name))[1].task, task)
+        if not isinstance(task, LaneTask):
+            raise UserError(f"agent = {name!r}: flies the obstacle lane alone; name the folder of a training")
+        return
+    trained: Task = read_manifest(policy_folder(name))[1].task
+    if isinstance(task, LaneTask) and isinstance(trained, LaneTask):
+        _refuse_misfit(name, trained, task)
+    elif type(task) is not type(trained):
+        raise UserError(f"env_id: {name} was trained with a {type(trained).__name__}, not a {type(task).__name__}")
+    elif (task.observation_space(), task.action) != (trained.observation_space(), trained.action):
+        raise UserError(f"task: {name} was trained with other observations or actions: omit what they follow from")
 
 
 def _offset_m(name: str) -> float:

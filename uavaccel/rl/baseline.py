@@ -44,7 +44,7 @@ from uavaccel.rl.learner import (
     plain_generator,
     set_generator,
 )
-from uavaccel.rl.network import LaneFeatures
+from uavaccel.rl.network import LaneFeatures, contrast
 
 COUNTERS = ("num_timesteps", "_n_calls", "_n_updates", "exploration_rate", "_current_progress_remaining")
 BUFFER = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
@@ -60,7 +60,11 @@ class Sb3Features(BaseFeaturesExtractor):
         features = LaneFeatures(observation_space.shape, channels)
         super().__init__(observation_space, features.features_dim)
         self.layers = features.layers
-        self.forward = features.forward  # type: ignore[method-assign]
+
+    def forward(self, observations: th.Tensor) -> th.Tensor:
+        """As `LaneFeatures`."""
+        features: th.Tensor = self.layers(contrast(observations))
+        return features
 
 
 def baseline_class(name: str) -> type[BaseAlgorithm]:
@@ -121,7 +125,7 @@ def ratings(policy: BasePolicy, observations: Frame) -> tuple[str, NDArray[np.fl
         rated = tensor_ratings(policy, th.from_numpy(observations).to(policy.device))
         if isinstance(policy, DQNPolicy):
             return "action values", rated.cpu().numpy().astype(np.float64)
-        chances = th.distributions.Categorical(logits=rated).probs  # type: ignore[no-untyped-call]
+        chances = th.distributions.Categorical(logits=rated).probs
         return "probabilities of the actions", chances.cpu().numpy().astype(np.float64)
 
 

@@ -39,8 +39,8 @@ Size = Annotated[int, Field(ge=1, le=LARGEST_SIZE)]
 Ratio = Annotated[float, Field(ge=0.0, le=1.0)]
 Weight = Annotated[float, Field(ge=0.0, le=1e3)]
 
-LANE = "uavaccel/ObstacleLane-v0"
 EnvId = Literal["uavaccel/ObstacleLane-v0", "uavaccel/Hover-v0", "uavaccel/Gates-v0", "uavaccel/Navigate-v0"]
+LANE: EnvId = "uavaccel/ObstacleLane-v0"
 
 
 def environment_class(env_id: str) -> type[FlightEnv[Any]]:

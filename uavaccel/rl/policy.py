@@ -139,9 +139,10 @@ def export_policy(folder: Path, policy: th.nn.Module, config: LearnerConfig, tra
 
 def _form(task: Task) -> dict[str, Plain]:
     """Return what the policy's inputs and outputs are."""
-    space, actions = task.observation_space(), task.action_space()
+    space: spaces.Space[Any] = task.observation_space()
+    actions = task.action_space()
     parts = space.spaces if isinstance(space, spaces.Dict) else None
-    shape = list(space.shape or ()) if parts is None else {name: list(part.shape) for name, part in parts.items()}
+    shape = list(space.shape or ()) if parts is None else {name: list(part.shape or ()) for name, part in parts.items()}
     if isinstance(task, LaneTask):
         return {"observation_shape": shape, "actions_heading_deg": list(task.headings_deg)}
     return {"observation_shape": shape, "action": task.action, "action_shape": list(actions.shape or ())}

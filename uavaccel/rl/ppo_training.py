@@ -31,14 +31,14 @@ class PPOTraining:
     """PPO on a batch of the host, or on a CudaBatch; a checkpoint can be taken between any two rounds."""
 
     def __init__(self, config: LearnerConfig, lanes: Any) -> None:
-        self.config, self.lanes = config, lanes
+        self.config, self.lanes, self.options = config, lanes, options_of(config)
         self.stopwatch = Stopwatch(MonotonicClock())
         self.games, self.returns = 0, [0.0] * lanes.num_envs
         self.exploration_rate = None
         self.holding, self.at_rest = False, True
         on_host = isinstance(lanes, TurnBatch)
         self._games: HostGames | DeviceGames = HostGames(self, lanes) if on_host else DeviceGames(self, lanes)
-        self._ppo = PPO(self._games, options_of(config))
+        self._ppo = PPO(self._games, self.options)
         self._begun = False
 
     @property
@@ -90,11 +90,11 @@ class HostGames:
         self.device = th.device(learner.config.device)
         self._ended: list[Game] = []
 
-    def step(self, actions: th.Tensor) -> tuple[Any, ...]:
+    def step(self, actions: Any) -> tuple[Any, ...]:
         """Fly one command in every environment."""
         learner = self._learner
         learner.stopwatch.switch(None)
-        self._lanes.step_async(np.asarray(actions.cpu()))
+        self._lanes.step_async(th.as_tensor(actions).cpu().numpy())
         seen, rewards, terminated, truncated, infos = self._lanes.step_wait()
         learner.stopwatch.switch("learning")
         over = terminated | truncated
@@ -125,7 +125,7 @@ class DeviceGames:
 
     def step(self, actions: th.Tensor) -> tuple[Any, ...]:
         """Fly one command in every environment."""
-        stepped = self._lanes.step(actions)
+        stepped: tuple[Any, ...] = self._lanes.step(actions)
         _, rewards, terminated, truncated, infos = stepped
         if self._returns is None:
             self._returns = th.tensor(self._learner.returns, dtype=th.float64, device=self.device)

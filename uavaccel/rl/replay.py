@@ -102,8 +102,8 @@ class Replay:
                 alive = alive * (1.0 - over)
         if not self.keeps_ends:
             after = (row + n_steps) % self.rows
-        numbers = (each.float() for each in (rewards, discounts * (1.0 - lost), weights))
-        return Windows(row, after, lane, self.actions[row, lane], *numbers, mirrored)
+        rewards, discounts, weights = rewards.float(), (discounts * (1.0 - lost)).float(), weights.float()
+        return Windows(row, after, lane, self.actions[row, lane], rewards, discounts, weights, mirrored)
 
     def get_state(self) -> dict[str, NDArray[Any]]:
         """Return its contents as arrays: the rows that are whole, or all once the ring is full."""
@@ -145,6 +145,6 @@ class Levels:
     def rate(self, network: QNetwork, seen: th.Tensor) -> th.Tensor:
         """Return the action values (n, actions) for an input."""
         extractor = network.features_extractor
-        features = extractor.layers(seen) if seen.ndim == 4 else extractor(seen)  # type: ignore[operator, union-attr]
+        features = extractor.layers(seen) if seen.ndim == 4 else extractor(seen)  # type: ignore[operator]
         values: th.Tensor = network.q_net(features)
         return values
