@@ -295,9 +295,9 @@ def test_a_training_that_cannot_be_is_one_clear_line(keys: dict[str, Any], said:
 @pytest.mark.parametrize(
     ("keys", "said"),
     [
-        ({"env_id": "uavaccel/Gates-v0"}, "was trained with a HoverTask, not a GatesTask"),
+        ({"env_id": "uavaccel/Gates-v0"}, "flies uavaccel/Hover-v0; omit the key"),
         ({"task.t_move_s": 0.4}, "was trained with other observations or actions"),
-        ({"agent": "straight", "env_id": "uavaccel/Hover-v0"}, "agent = 'straight': flies the obstacle lane alone"),
+        ({"agent": "straight", "env_id": "uavaccel/Hover-v0"}, "straight flies uavaccel/ObstacleLane-v0; omit the key"),
     ],
 )
 def test_a_policy_that_does_not_fit_is_one_clear_line(keys: dict[str, Any], said: str, trained: RunDirectory) -> None:

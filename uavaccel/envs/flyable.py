@@ -30,7 +30,7 @@ CPU, CUDA = get_args(Device)
 def check_flyable(task: Task, lanes: int, device: str) -> None:
     """Raise UserError for a task that only the exact simulator flies, or on "cuda" only the CPU."""
     whole_number("num_envs", lanes, MOST_GAMES)
-    if why := _why_not(task) or _why_no_clock(task):
+    if why := _why_not(task) or _why_not_observed(task) or _why_no_clock(task):
         raise UserError(f"simulator = kernels: {why}; use simulator = mujoco")
     if device.startswith(CUDA) and (why := _why_not_on_gpu(task)):
         raise UserError(f"device = cuda: {why}; use device = cpu")
@@ -65,6 +65,10 @@ def _why_not(task: Task) -> str:
         if getattr(type(task), name).__module__.partition(".")[0] != Task.__module__.partition(".")[0]:
             return f"{type(task).__name__}.{name} is your own, and may take one game at a time only"
     return ""
+
+
+def _why_not_observed(task: Task) -> str:
+    return "also_state is flown by the exact simulator alone" if task.also_state else ""
 
 
 def _why_not_on_gpu(task: Task) -> str:

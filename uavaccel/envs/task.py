@@ -106,6 +106,9 @@ class Task(Config):
 
     observation: Literal["dvs", "state", "colour", "depth"] = "state"
     """What the agent observes: event images, the state as numbers, colour pictures or depth pictures."""
+    also_state: bool = False
+    """Whether observations are mappings: `image`, the frames, and `state`, the numbers of observation "state" at the
+    command's end, all 0 after a collision."""
     history: Annotated[int, Field(ge=1, le=8)] = 1
     """Number of commands whose frames make one observation, the newest last."""
     picture_size: tuple[Annotated[int, Field(ge=16, le=256)], Annotated[int, Field(ge=16, le=256)]] = PICTURE_SIZE
@@ -197,6 +200,12 @@ class Task(Config):
         return self
 
     @model_validator(mode="after")
+    def _state_is_beside_pictures(self) -> Self:
+        if self.also_state and self.observation == "state":
+            raise ValueError("also_state needs pictures, beside which the state is: observation dvs, colour or depth")
+        return self
+
+    @model_validator(mode="after")
     def _noise_is_of_pictures(self) -> Self:
         if self.image_noise and self.observation == "depth":
             raise ValueError("image_noise is of grey levels: it needs observation dvs or colour")
@@ -251,8 +260,15 @@ class Task(Config):
         """Return the seed of the event camera's noise in a game with that seed; v2e's presets use 0 for all games."""
         return seed if self.dvs_shot_noise_hz > 0.0 or self.dvs_leak_hz > 0.0 else 0
 
-    def observation_space(self) -> spaces.Box:
-        """Return the space of observations: the frames of `history` commands, then the context planes, on axis 0."""
+    def observation_space(self) -> Any:
+        """Return the space of observations, the Box of frames or, with `also_state`, a Dict of `image` and `state`."""
+        if not self.also_state:
+            return self.frames_space()
+        state = spaces.Box(-np.inf, np.inf, (self._blank_features().size,), np.float32)
+        return spaces.Dict({"image": self.frames_space(), "state": state})
+
+    def frames_space(self) -> spaces.Box:
+        """Return the space of frames: those of `history` commands, then the context planes, on axis 0."""
         kind, size = self.observation, self.picture_size
         blank = self._blank_features() if kind == "state" else blank_frame(kind, size)
         context = self.context_planes()

@@ -33,10 +33,10 @@ Actions = Sequence[Action] | NDArray[np.generic]
 Outcomes = NDArray[np.float64 | np.bool_]
 """Rewards, terminations or truncations of many environments."""
 
-Batch = VectorEnv[Frame, Actions, Outcomes]
+Batch = VectorEnv[Observation, Actions, Outcomes]
 """Many environments of one task."""
 
-Steps = tuple[Frame, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], list[Info]]
+Steps = tuple[Observation, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], list[Info]]
 """Observations, rewards, terminations, truncations and infos of many environments."""
 
 Answer: TypeAlias = Any
@@ -48,6 +48,28 @@ def batch_of(observation: Observation) -> Observation:
     if isinstance(observation, Mapping):
         return {name: part[None] for name, part in observation.items()}
     return observation[None]
+
+
+def rows_of(observations: Observation, which: Any) -> Observation:
+    """Return the rows `which` of observations (n, ...): views for one, copies for several."""
+    if isinstance(observations, Mapping):
+        return {name: part[which] for name, part in observations.items()}
+    return observations[which]
+
+
+def copied(observations: Observation) -> Observation:
+    """Return a copy."""
+    if isinstance(observations, Mapping):
+        return {name: part.copy() for name, part in observations.items()}
+    return observations.copy()
+
+
+def write(memory: Observation, observation: Observation) -> None:
+    """Write an observation over another one."""
+    for name in observation if isinstance(memory, Mapping) else ():
+        memory[name][...] = observation[name]
+    if not isinstance(memory, Mapping):
+        memory[...] = observation
 
 
 def stacked_observations(observations: Sequence[Observation]) -> Observation:

@@ -155,6 +155,8 @@ class LearnerConfig(Config):
         for key in ("start_from", "mirrored_decisions"):
             if getattr(self, key) and self.algorithm != DOUBLE_DQN:
                 raise ValueError(f"{key} needs algorithm double_dqn, not {self.algorithm}")
+        if self.task.also_state and self.algorithm != PPO:
+            raise ValueError(f"task.also_state needs algorithm ppo, not {self.algorithm}")
         headings = getattr(self.task, "headings_deg", ())
         symmetric = {-heading for heading in headings} == set(headings) and self.task.observation != "state"
         for key in ("mirror", "mirrored_decisions"):
@@ -219,7 +221,8 @@ def check_algorithm(config: LearnerConfig) -> None:
     """
     stored = check_options(config)
     space, memory = config.task.observation_space(), memory_bytes()
-    needed = stored * math.prod(space.shape) * space.dtype.itemsize
+    boxes = space.spaces.values() if config.task.also_state else [space]
+    needed = stored * sum(math.prod(box.shape) * box.dtype.itemsize for box in boxes)
     if memory is not None and needed > memory and config.device == "cpu":
         raise UserError(
             f"options of {config.algorithm}: {_size_key(config)}: "

@@ -12,7 +12,7 @@ from uavaccel.envs.batch import EnvironmentBatch
 from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.simulators import EXACT
 from uavaccel.envs.turn_batch import TurnBatch
-from uavaccel.envs.values import Actions, Answer, Frame, Info, Steps
+from uavaccel.envs.values import Actions, Answer, Info, Observation, Steps, stacked_observations
 from uavaccel.rl.config import LearnerConfig
 
 
@@ -26,7 +26,7 @@ class LanesHere(TurnBatch):
         self.single_observation_space, self.single_action_space = first.observation_space, first.action_space
         self.observation_space = batch_space(first.observation_space, self.num_envs)
         self.action_space = batch_space(first.action_space, self.num_envs)
-        self._seen: dict[int, Frame] = {}
+        self._seen: dict[int, Observation] = {}
         self._actions: dict[int, Any] = {}
 
     def reset_each(self, seeds: Sequence[int | None], options: Sequence[Mapping[str, object] | None]) -> list[Info]:
@@ -43,7 +43,7 @@ class LanesHere(TurnBatch):
         which = self._all(slots)
         rewards, terminated, truncated, infos = zip(*(self._step(slot) for slot in which), strict=True)
         ended = np.array(rewards, float), np.array(terminated, bool), np.array(truncated, bool)
-        return np.stack([self._seen[slot] for slot in which]), *ended, list(infos)
+        return stacked_observations([self._seen[slot] for slot in which]), *ended, list(infos)
 
     def _step(self, slot: int) -> tuple[float, bool, bool, Info]:
         seen, reward, terminated, truncated, info = self._environments[slot].step(self._actions.pop(slot))
@@ -58,8 +58,8 @@ class LanesHere(TurnBatch):
         pairs = zip(self._all(slots), arguments, strict=True)
         return [getattr(self._environments[slot], name)(*argument) for slot, argument in pairs]
 
-    def observations(self) -> Frame:
-        return np.stack([self._seen[slot] for slot in range(self.num_envs)])
+    def observations(self) -> Observation:
+        return stacked_observations([self._seen[slot] for slot in range(self.num_envs)])
 
     def _all(self, slots: Sequence[int] | None) -> Sequence[int]:
         return range(self.num_envs) if slots is None else slots

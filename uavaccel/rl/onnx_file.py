@@ -102,6 +102,8 @@ def write_onnx(policy: Policy, path: Path) -> dict[str, str]:
 def example(policy: Policy) -> tuple[th.Tensor, ...]:
     """Make example inputs, a batch of 2, from which the exporter takes the shapes."""
     task = policy.config.task
+    if task.also_state:
+        raise UserError("also_state: a policy that observes a mapping cannot be exported as ONNX")
     shape = task.observation_space().shape or ()
     if task.observation == "state":
         return (th.zeros(2, *shape),)

@@ -98,6 +98,8 @@ def completed(mapping: Mapping[str, Plain]) -> dict[str, Plain]:
     if not isinstance(agent, str) or not isinstance(given, Mapping):
         return dict(mapping)  # which validation refuses
     env_id = trained_env_id(agent)
+    if mapping.get("env_id", env_id) != env_id:
+        raise UserError(f"env_id = {mapping['env_id']!r}: {agent} flies {env_id}; omit the key")
     flown = {**trained_keys(agent), **evaluation_keys(env_id), "timing": "virtual", **given}
     return {"env_id": env_id, **mapping, "agent": agent, "task": flown}
 
