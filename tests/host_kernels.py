@@ -31,7 +31,7 @@ SIGNED: dict[Any, Any] = {np.dtype(np.uint32): np.int32, np.dtype(np.uint64): np
 NAME, CLOCKS = "uavaccel.kernels.cuda", "uavaccel.kernels.cuda_clocks"
 ABOVE = {
     "uavaccel.envs": ("cuda_clocks", "cuda_games", "cuda_view", "cuda_lanes", "cuda_batch"),
-    "uavaccel.rl": ("device_replay", "device_dqn"),
+    "uavaccel.rl": ("patches",),
 }
 
 

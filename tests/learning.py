@@ -10,14 +10,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from stable_baselines3.common.vec_env import DummyVecEnv
-
 from tests.running import run_into
 from uavaccel.config import to_yaml, validate
-from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
 from uavaccel.records import RunDirectory
-from uavaccel.rl import exact_lanes
-from uavaccel.rl.lanes import Lanes
+from uavaccel.rl import lanes
+from uavaccel.rl.config import LearnerConfig
+from uavaccel.rl.lanes import LanesHere
 from uavaccel.suites import trainer
 from uavaccel.suites.evaluate import Evaluation
 from uavaccel.suites.experiment import Experiment
@@ -41,16 +39,16 @@ def train_into(out: Path, config: TrainConfig, resume: bool = False) -> dict[str
     return dict(run_into(out, Training(), config, resume))
 
 
-def side_by_side(task: LaneTask, count: int, *_: Any) -> Lanes:
+def side_by_side(config: LearnerConfig, *_: Any) -> LanesHere:
     """As make_lanes, but in this process."""
-    keywords = {**task.model_dump(mode="json"), "report_host_times": True}
-    return DummyVecEnv([lambda: ObstacleLane(**keywords)] * count)
+    keywords = {**config.task.model_dump(mode="json"), "report_host_times": True}
+    return LanesHere([lambda: config.environment_class(**keywords)] * config.environments)
 
 
 def fly_here(put: Callable[[Any, str, Any], None] = setattr) -> None:
     """Trainings fly their lanes in this process and nobody draws them: both take longer than a small one itself."""
     put(trainer, "make_lanes", side_by_side)
-    put(exact_lanes, "start_exact_lanes", lambda *_: None)
+    put(lanes, "start_exact_lanes", lambda *_: None)
     put(Training, "page", lambda *_: iter(()))
     put(Evaluation, "page", lambda *_: iter(()))
 

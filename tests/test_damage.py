@@ -159,7 +159,7 @@ def cut_and_agreed(folder: Path) -> None:
             r"policy\.json: .*unknown key 'learning_tempo'",
         ),
         (
-            lambda folder: edit_config(folder, algorithm="ppo", options={"tempo": 1}),
+            lambda folder: edit_config(folder, algorithm="sb3_ppo", options={"tempo": 1}),
             r"policy\.json: options of ppo: unknown key 'tempo'",
         ),
         (lambda folder: cut(folder / MANIFEST), r"policy\.json: a damaged policy, not JSON"),

@@ -23,6 +23,7 @@ from uavaccel.envs.kernel_batch import KernelBatch
 from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
 from uavaccel.errors import UserError
 from uavaccel.kernels.recording import recording
+from uavaccel.rl.double_dqn import DeviceDQN
 from uavaccel.rl.learner import Game
 from uavaccel.rl.policy import weights_sha256
 from uavaccel.suites.train import TrainConfig
@@ -196,34 +197,26 @@ LEARNING = {
 }
 
 
-class Cutter:
+def unfolded(sight: Any, ring: th.Tensor, row: th.Tensor, lane: th.Tensor, mirrored: th.Tensor) -> th.Tensor:
     """Patches (n, places, numbers) of what a ring shows, turned round where it is to be mirrored."""
+    from uavaccel.rl.patches import KERNEL, PADDING, STRIDE, spread_levels
 
-    def __init__(self, shape: tuple[int, int, int], device: th.device) -> None:
-        from uavaccel.rl.device_replay import patches_of
-
-        self.down, self.across, _ = patches_of(*shape)
-
-    def __call__(self, ring: th.Tensor, row: th.Tensor, lane: th.Tensor, mirrored: th.Tensor) -> th.Tensor:
-        from uavaccel.rl.device_replay import KERNEL, PADDING, STRIDE, spread_levels
-
-        seen = spread_levels(ring.device)[ring[row, lane].long()].float()
-        turned = th.where(mirrored.bool()[:, None, None, None], seen.flip(-1), seen)
-        return functional.unfold(turned, KERNEL, padding=PADDING, stride=STRIDE).transpose(1, 2)
+    seen = spread_levels(ring.device)[ring[row, lane].long()].float()
+    turned = th.where(mirrored.bool()[:, None, None, None], seen.flip(-1), seen)
+    return functional.unfold(turned, KERNEL, padding=PADDING, stride=STRIDE).transpose(1, 2)
 
 
 @pytest.fixture
 def at_once(host_kernels: None, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:  # noqa: F811
-    from uavaccel.rl import device_dqn
+    from uavaccel.rl.patches import Patches
 
-    monkeypatch.setattr(device_dqn, "Cutter", Cutter)
+    monkeypatch.setattr(Patches, "look", unfolded)
     yield
     th.use_deterministic_algorithms(False)
 
 
 def learner_of(config: TrainConfig) -> Any:
     from uavaccel.envs.cuda_lanes import CudaLanes
-    from uavaccel.rl.device_dqn import DeviceDQN
 
     learner = DeviceDQN(config, CudaLanes(config.task, LEARNING_LANES, th.device("cpu")))
     learner.lanes.seed(3)

@@ -28,11 +28,10 @@ from uavaccel.records import RunDirectory
 from uavaccel.resources import asset
 from uavaccel.rl import agents
 from uavaccel.rl.agents import OffsetAgent, trained_keys
-from uavaccel.rl.algorithms import make_policy
 from uavaccel.rl.config import LearnerConfig
 from uavaccel.rl.lanes import make_lanes
 from uavaccel.rl.learner import make_learner
-from uavaccel.rl.policy import MANIFEST, WEIGHTS, export_policy, load_policy, trained_with
+from uavaccel.rl.policy import MANIFEST, WEIGHTS, Policy, export_policy, load_policy, make_policy, trained_with
 from uavaccel.sim.lane.layout import lane_seed, sample_layout
 from uavaccel.suites.evaluate import Evaluation
 from uavaccel.suites.evaluate_again import flight_of_agent
@@ -234,27 +233,28 @@ def test_view_films_an_evaluated_game(tmp_path: Path, capsys: pytest.CaptureFixt
     ("task", "keys"),
     [
         ({}, {}),
-        ({"observation": "state", "history": 2}, {"algorithm": "dqn", "mirror": False}),
-        ({}, {"algorithm": "ppo", "mirror": False, "options": {}}),
+        ({"observation": "state", "history": 2}, {"algorithm": "sb3_dqn", "mirror": False}),
+        ({}, {"algorithm": "sb3_ppo", "mirror": False, "options": {}}),
     ],
-    ids=["double_dqn", "dqn-state", "ppo"],
+    ids=["double_dqn", "dqn-state", "sb3_ppo"],
 )
 def test_an_exported_policy_acts_as_the_model(tmp_path: Path, task: dict[str, Any], keys: dict[str, Any]) -> None:
     headings = [30.0, -60.0, 0.0, 60.0, -30.0]  # the policy's actions, in this order
     config = tiny_config(task | {"headings_deg": headings}, **keys)
-    environment = make_lanes(config.task, 1)
+    environment = make_lanes(config)
     learner = make_learner(config, environment)
     export_policy(tmp_path, learner.policy, config, {"games": 0})
     policy = load_policy(tmp_path)
     rng = np.random.default_rng(0)
-    shape = (50, *(environment.observation_space.shape or ()))
-    seen = rng.integers(0, 256, shape).astype(environment.observation_space.dtype)
-    np.testing.assert_array_equal(policy.act(seen), learner.policy.predict(seen, deterministic=True)[0])
+    shape = (50, *(environment.single_observation_space.shape or ()))
+    seen = rng.integers(0, 256, shape).astype(environment.single_observation_space.dtype)
+    model = Policy(learner.policy.eval(), config, {})
+    np.testing.assert_array_equal(policy.act(seen), model.act(seen))
     rated_as, ratings = policy.rate(seen)
     assert ratings.shape == (50, 5)
     np.testing.assert_array_equal(ratings.argmax(axis=1), policy.act(seen))
     chances = rated_as == "probabilities of the actions"
-    assert chances == (config.algorithm == "ppo") == bool(np.allclose(ratings.sum(axis=1), 1.0, atol=1e-5))
+    assert chances == (config.algorithm == "sb3_ppo") == bool(np.allclose(ratings.sum(axis=1), 1.0, atol=1e-5))
     assert policy.config.task == config.task
     assert policy.manifest["actions_heading_deg"] == headings
     environment.close()
@@ -275,7 +275,7 @@ def test_a_manifest_describes_what_is_observed_done_and_was_trained(
     """Two frames of a command, of the last two commands; the file has the online network alone."""
     flight = {"t_move_s": 1.0, "t_sample_s": 0.5, "history": 2, "headings_deg": [20.0, 0.0, -20.0]}
     config = tiny_config({"observation": observation, **flight}, mirror=False)
-    network = make_policy(config, lambda _: 0.0)
+    network = make_policy(config)
     export_policy(tmp_path, network, config, {"games": 7})
     manifest = json.loads((tmp_path / MANIFEST).read_text())
     assert manifest["preprocessing"].startswith(said)
@@ -353,7 +353,7 @@ def test_a_trainings_run_directory_is_an_agent_and_is_viewed(
 @pytest.mark.slow
 def test_weights_of_another_network_are_one_clear_line(tmp_path: Path) -> None:
     config = tiny_config()
-    environment = make_lanes(config.task, 1)
+    environment = make_lanes(config)
     export_policy(tmp_path, make_learner(config, environment).policy, config, {})
     environment.close()
     other = json.loads((tmp_path / MANIFEST).read_text())

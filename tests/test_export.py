@@ -21,9 +21,8 @@ from uavaccel.envs.sensors import ColourCamera, DepthCamera, blank_frame
 from uavaccel.envs.task import AT_REST
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
-from uavaccel.rl.algorithms import make_policy
 from uavaccel.rl.onnx_file import OnnxPolicy, described, example, reduced, write_onnx
-from uavaccel.rl.policy import Policy
+from uavaccel.rl.policy import Policy, make_policy
 from uavaccel.suites.tables import row_table, sample_tables, write_tables
 from uavaccel.vision.observation import dvs_observation
 
@@ -33,9 +32,7 @@ def policy(algorithm: str = "double_dqn", mirrored_decisions: bool = False, **ta
     keys = {"algorithm": algorithm, "mirrored_decisions": mirrored_decisions, **options}
     config = tiny_config(task, mirror=False, **keys)
     th.manual_seed(0)
-    network = make_policy(config, lambda _: 0.0)
-    network.set_training_mode(False)
-    return Policy(network, config, {"weights_file_sha256": "0"})
+    return Policy(make_policy(config).eval(), config, {"weights_file_sha256": "0"})
 
 
 def test_events_are_reduced_as_the_environment_reduces_them() -> None:
@@ -80,7 +77,7 @@ def test_a_policy_that_decides_both_ways_does_in_the_mirror_the_mirrored() -> No
         ("double_dqn", {}),
         ("double_dqn", {"knows": ["last_action", "frame_age"], "history": 2}),
         ("double_dqn", {"knows": ["last_action"], "mirrored_decisions": True}),
-        ("ppo", {"observation": "depth"}),
+        ("sb3_ppo", {"observation": "depth"}),
         ("double_dqn", {"observation": "state"}),
     ],
 )

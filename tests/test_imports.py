@@ -131,7 +131,8 @@ def test_a_learner_does_not_load_pytorchs_compiler() -> None:
 import sys
 from uavaccel.rl.agents import first_policy
 from uavaccel.rl.config import LearnerConfig
-optimizer = first_policy(LearnerConfig(channels=(1,), hidden=()), lambda _: 1e-3).optimizer
+from uavaccel.rl.network import Adam
+optimizer = Adam(first_policy(LearnerConfig(channels=(1,), hidden=())).q_net.parameters(), 1e-3)
 optimizer.zero_grad()
 optimizer.step()
 optimizer.load_state_dict(optimizer.state_dict())

@@ -106,14 +106,14 @@ def test_flights_are_those_of_the_exact_simulator() -> None:
     [("depth", (64, 36), 1, 0.01), ("colour", (80, 44), 4, 0.02), ("dvs", (64, 36), 1, 0.05)],
 )
 def test_pictures_are_nearly_those_of_opengl(kind: str, size: tuple[int, int], most_apart: int, share: float) -> None:
-    random, keys = np.random.default_rng(2), {"observation": kind, "picture_size": size, "with_state": True}
+    random, keys = np.random.default_rng(2), {"observation": kind, "picture_size": size, "also_state": True}
     alone = Navigate(**keys)
     with closing(KernelBatch(Navigate, 1, **keys)) as batch:
         ours, theirs, apart = batch.reset(seed=4)[0], alone.reset(seed=4)[0], []
         for _ in range(4):
-            assert ours["picture"].shape[1:] == theirs["picture"].shape
+            assert ours["image"].shape[1:] == theirs["image"].shape
             assert ours["state"][0].tobytes() == theirs["state"].tobytes()
-            apart.append(np.abs(ours["picture"][0].astype(int) - theirs["picture"]) > most_apart)
+            apart.append(np.abs(ours["image"][0].astype(int) - theirs["image"]) > most_apart)
             given = actions(random, 1)
             ours, theirs = batch.step(given)[0], alone.step(given[0])[0]
     alone.close()
@@ -123,7 +123,7 @@ def test_pictures_are_nearly_those_of_opengl(kind: str, size: tuple[int, int], m
 @pytest.mark.parametrize(
     "keys",
     [
-        {"observation": "depth", "with_state": True},
+        {"observation": "depth", "also_state": True},
         {"observation": "dvs", "picture_size": (32, 20), "dvs_shot_noise_hz": 5.0, "image_noise": 2.0},
     ],
 )

@@ -118,7 +118,7 @@ def test_real_time_has_flight_pictures_decisions_and_learning() -> None:
     assert 1.0 < blind < 1.05
     working = {**keys, "inference_s": 0.25, "learning_s": 2.0, "commands_per_gradient_step": 4}
     assert model_real_time(tiny_config(state, **working))["command_s"] == pytest.approx(blind + 0.25 + 0.5)
-    on_policy = {**working, "algorithm": "ppo", "options": {}}
+    on_policy = {**working, "algorithm": "sb3_ppo", "options": {}}
     assert model_real_time(tiny_config(state, **on_policy))["command_s"] == pytest.approx(blind + 0.25)
 
 

@@ -1,7 +1,10 @@
-"""PPO: what it learns in a toy, its advantages against their definition, and that a seed repeats."""
+"""PPO: what it learns in a toy, its advantages by their definition, and trainings of it from the command's keys on."""
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -9,8 +12,22 @@ import pytest
 import torch as th
 from gymnasium import spaces
 
+from tests.host_kernels import host_kernels  # noqa: F401 - a fixture
+from tests.learning import side_by_side, train_into
+from tests.running import configured, fly_into
+from uavaccel.config import validate
+from uavaccel.envs.hover import Hover
 from uavaccel.errors import UserError
+from uavaccel.records import RunDirectory
+from uavaccel.rl.adapters import TensorLoop
+from uavaccel.rl.onnx_file import OnnxPolicy, described, example
+from uavaccel.rl.policy import load_policy, trained_with
 from uavaccel.rl.ppo import PPO, ActorCritic, PPOOptions
+from uavaccel.rl.ppo_training import PPOTraining
+from uavaccel.suites.evaluate import Evaluation
+from uavaccel.suites.evaluate_again import environment_of, fly_again
+from uavaccel.suites.runner import run_suite, start_run
+from uavaccel.suites.train import TrainConfig, Training
 
 WANTED = np.array([0.5, -0.3])
 
@@ -96,7 +113,7 @@ def test_advantages_are_sums_of_discounted_surprises() -> None:
 
 
 def test_events_are_seen_about_their_neutral_grey() -> None:
-    network = ActorCritic(spaces.Box(0, 255, (1, 12, 12), np.uint8), 2, options(), events=True)
+    network = ActorCritic(spaces.Box(0, 255, (1, 12, 12), np.uint8), 2, options(), sees="dvs")
     levels = network._levels(th.tensor([[128, 152, 104, 255]], dtype=th.uint8))
     np.testing.assert_allclose(levels[0].numpy(), [0.0, 0.5, -0.5, 127 / 151], rtol=1e-6)
 
@@ -105,6 +122,7 @@ def test_events_are_seen_about_their_neutral_grey() -> None:
     ("env", "keys", "message"),
     [
         (Toy(), {"minibatches": 7}, "minibatches = 7: must divide the 256 samples"),
+        (Toy(), {"minibatches": 256}, "minibatches = 256: must divide the 256 samples, 2 or more in each"),
         (Toy(observation=spaces.Discrete(3)), {}, "observation 'seen': must be a picture"),
     ],
 )
@@ -118,3 +136,172 @@ def test_discrete_actions_are_refused() -> None:
     env.single_action_space = spaces.Discrete(5)
     with pytest.raises(UserError, match=r"^PPO takes continuous actions \(n,\), not Discrete"):
         PPO(env, options())
+
+
+# --- in `uavaccel train` and `evaluate` ---------------------------------------------------------------------------
+
+HOVER = {
+    "env_id": "uavaccel/Hover-v0", "algorithm": "ppo", "games": 6, "environments": 2, "hidden": [8],
+    "checkpoint_games": 2, "task": {"max_commands": 6},
+    "options": {"rollout": 8, "minibatches": 2, "learning_rate": 0.01},
+}  # fmt: skip
+
+
+def hover(**keys: Any) -> TrainConfig:
+    return validate(TrainConfig, {**HOVER, **keys}, "test")
+
+
+@pytest.fixture(scope="module")
+def trained(trainings_here: None, tmp_path_factory: pytest.TempPathFactory) -> RunDirectory:
+    out = tmp_path_factory.mktemp("ppo") / "run"
+    train_into(out, hover())
+    return RunDirectory(out)
+
+
+def weights_of(run: RunDirectory) -> str:
+    return str(trained_with(run.path)["weights_sha256"])
+
+
+def test_a_training_repeats_to_the_byte_and_goes_on_to_the_same_weights(trained: RunDirectory, tmp_path: Path) -> None:
+    def stop(case: Any, row: Any) -> None:
+        if row["game"] == 3:
+            raise RuntimeError("stopped")
+
+    with pytest.raises(RuntimeError, match="stopped"):
+        run_suite(Training(), hover(), start_run(Training(), hover(), tmp_path / "cut", {}), on_game=stop)
+    train_into(tmp_path / "cut", hover(), resume=True)
+    train_into(tmp_path / "again", hover())
+    train_into(tmp_path / "other", hover(seed=1))
+    for name in ("cut", "again"):
+        assert weights_of(RunDirectory(tmp_path / name)) == weights_of(trained), name
+        assert (tmp_path / name / "rows.jsonl").read_bytes() == (trained.path / "rows.jsonl").read_bytes(), name
+    assert weights_of(RunDirectory(tmp_path / "other")) != weights_of(trained)
+    rows = trained.rows()
+    assert [(row["lane"], row["exploration"]) for row in rows] == [(number, None) for number in range(6)]
+    assert all(row["commands"] == 6 or row["is_success"] for row in rows)
+    assert "modelled_real_time_s" not in trained.read_json("summary.json")
+
+
+@pytest.mark.slow
+def test_the_kernels_teach_the_same_weights(trained: RunDirectory, tmp_path: Path) -> None:
+    keys = [f"{name}={json.dumps(value)}" for name, value in HOVER.items()]
+    run = fly_into(tmp_path / "run", Training(), configured("hover_ppo", *keys, "simulator=kernels"))
+    assert weights_of(run) == weights_of(trained)
+    assert (tmp_path / "run/rows.jsonl").read_bytes() == (trained.path / "rows.jsonl").read_bytes()
+
+
+@pytest.mark.slow
+def test_the_shipped_training_learns_to_hover(tmp_path: Path) -> None:
+    """In games that none of its seeds has flown, and with fewer than it ships with."""
+    run = fly_into(tmp_path / "run", Training(), configured("hover_ppo", "games=400"))
+    keys = ("simulator=kernels", "task.timing=lockstep")
+    flown = fly_into(tmp_path / "flown", Evaluation(), configured("evaluate", *keys, agent=str(run.path), games=40))
+    assert sum(row["is_success"] for row in flown.rows()) >= 36
+
+
+@pytest.mark.parametrize("timing", ["lockstep", "virtual"])
+def test_an_evaluation_flies_the_policy_and_repeats(timing: str, trained: RunDirectory, tmp_path: Path) -> None:
+    config = configured("evaluate", f"task.timing={timing}", agent=str(trained.path), games=2)
+    assert config.env_id == "uavaccel/Hover-v0"
+    assert (config.task.max_commands, config.task.timing) == (6, timing)
+    run = fly_into(tmp_path / "flown", Evaluation(), config)
+    for lane, row in enumerate(run.rows()):
+        assert (row["lane"], np.shape(row["actions"])) == (lane, (row["commands"], 3))
+        steps = fly_again(run, config, environment_of(config), row)
+        policy = load_policy(trained.path)
+        for step in steps:
+            np.testing.assert_array_equal(step.action, policy.act(step.given[None])[0])
+    assert Evaluation().flight(Evaluation().report(run), run.rows()[0], pictures=False).scene == "blocks"
+
+
+def test_the_policy_is_exported_with_its_form(trained: RunDirectory) -> None:
+    policy = load_policy(trained.path)
+    assert (policy.manifest["action"], policy.manifest["action_shape"]) == ("velocity", [3])
+    (seen,) = example(policy)
+    seen = th.rand(seen.shape)
+    (action,) = OnnxPolicy(policy).eval()(seen)
+    np.testing.assert_array_equal(action.detach(), policy.act(seen.numpy()))
+    assert json.loads(described(policy)["action"]) == "velocity"
+
+
+def test_lanes_pay_for_decisions_and_learning() -> None:
+    """A rollout of eight commands and four gradient steps, of two lanes."""
+    config = hover(task={"timing": "virtual", "max_commands": 4}, inference_s=0.5, learning_s=0.125)
+    lanes = side_by_side(config)
+    charged: list[Any] = []
+    lanes.call_each = lambda name, arguments, slots: charged.append((name, *arguments, slots))  # type: ignore[method-assign, assignment, func-returns-value]
+    learner = PPOTraining(config, lanes)
+    assert learner.at_rest
+    games = learner.advance()
+    lanes.close()
+    assert charged[:8] == [("charge", *[(0.5, "inference")] * 2, [0, 1])] * 8
+    assert charged[8:] == [("charge", *[(4 / 2 * 0.125, "learning")] * 2, [0, 1])]
+    assert [game.number for game in games] == [0, 1, 2, 3]
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("host_kernels")
+def test_a_batch_of_tensors_teaches_what_the_host_does_and_goes_on() -> None:
+    """Flight there is equal to the host's, and so are the games and the weights; its games are read once a round."""
+    from uavaccel.envs.cuda_batch import CudaBatch
+    from uavaccel.envs.kernel_batch import KernelBatch
+
+    config, keys = hover(games=100), {"max_commands": 6, "autoreset_mode": "SameStep"}
+    made: list[Any] = [PPOTraining(config, kind(Hover, 2, **keys)) for kind in (KernelBatch, CudaBatch)]
+    told = [[game for _ in range(3) for game in learner.advance()] for learner in made]
+    assert len(told[0]) >= 6
+    for ours, theirs in zip(*told, strict=True):
+        assert (ours.number, ours.lane, ours.info["commands"]) == (theirs.number, theirs.lane, theirs.info["commands"])
+        assert ours.reward == pytest.approx(theirs.reward, abs=1e-4)
+        assert ours.info["collision"] == theirs.info["collision"]
+    for learner in made:
+        learner.lanes.close()
+
+
+def test_a_loop_of_dictionaries_shows_the_last_observation_of_a_game_and_the_first_of_the_next() -> None:
+    seen, last = np.array([[1.0], [2.0]]), np.array([None, np.array([9.0])], object)
+    ends = np.array([False, True])
+    batch = SimpleNamespace(
+        reset=lambda seed: (seen, {}),
+        step=lambda action: (seen + action, np.array([0.5, 1.5]), ends, ~ends & ends, {"final_obs": last}),
+    )
+    loop = TensorLoop(batch)
+    data, begun = loop.step_and_maybe_reset({**loop.reset(seed=3), "action": th.tensor([[10.0], [20.0]])})
+    assert data["observation"].tolist() == [[1.0], [2.0]]
+    assert data["next"]["observation"].tolist() == [[11.0], [9.0]]
+    assert begun["observation"].tolist() == [[11.0], [22.0]]
+    assert (data["next"]["reward"].tolist(), data["next"]["done"].tolist()) == ([[0.5], [1.5]], [[False], [True]])
+
+
+@pytest.mark.parametrize(
+    ("keys", "said"),
+    [
+        ({"env_id": "uavaccel/ObstacleLane-v0"}, "does not learn env_id uavaccel/ObstacleLane-v0: it needs another"),
+        ({"algorithm": "double_dqn"}, "double_dqn does not learn env_id uavaccel/Hover-v0: it needs algorithm ppo"),
+        ({"task": {"reach": 1.0}}, "unknown key 'task.reach'; did you mean 'reach_m'?"),
+        ({"task": {"reach_m": -1.0}}, "task.reach_m = -1.0: should be greater than 0"),
+        ({"start_from": "default"}, "start_from needs algorithm double_dqn, not ppo"),
+        ({"options": {"tempo": 1}}, "options of ppo: unknown key 'tempo'"),
+        ({"options": {"minibatches": 5}}, "options of ppo: minibatches = 5: must divide the 64 samples"),
+    ],
+)
+def test_a_training_that_cannot_be_is_one_clear_line(keys: dict[str, Any], said: str, tmp_path: Path) -> None:
+    with pytest.raises(UserError) as caught:
+        train_into(tmp_path / "run", hover(**keys))
+    assert said in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("keys", "said"),
+    [
+        ({"env_id": "uavaccel/Gates-v0"}, "flies uavaccel/Hover-v0; omit the key"),
+        ({"task.t_move_s": 0.4}, "was trained with other observations or actions"),
+        ({"agent": "straight", "env_id": "uavaccel/Hover-v0"}, "straight flies uavaccel/ObstacleLane-v0; omit the key"),
+    ],
+)
+def test_a_policy_that_does_not_fit_is_one_clear_line(keys: dict[str, Any], said: str, trained: RunDirectory) -> None:
+    overrides = {f"{name}={value}" for name, value in keys.items() if name != "agent"}
+    with pytest.raises(UserError) as caught:
+        Evaluation().check(configured("evaluate", *overrides, agent=keys.get("agent", str(trained.path))))
+    assert said in str(caught.value)

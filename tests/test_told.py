@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -16,9 +17,9 @@ from uavaccel.envs.context_planes import ContextPlanes
 from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
 from uavaccel.errors import UserError
 from uavaccel.rl.agents import make_agent, trained_keys
-from uavaccel.rl.double_dqn import DoubleDQN
-from uavaccel.rl.network import turned_actions
-from uavaccel.rl.replay import Batch
+from uavaccel.rl.double_dqn import HostDQN
+from uavaccel.rl.network import contrast, turned_actions
+from uavaccel.rl.replay import Levels, Windows
 
 KNOWS = ("last_action", "frame_age")
 MS = 1_000_000
@@ -48,15 +49,19 @@ def test_the_last_action_turns_with_the_mirror(sides: list[int], ahead: bool, ra
 
 def test_a_learner_mirrors_the_plane_with_the_action() -> None:
     config = tiny_config({"knows": list(KNOWS)})
-    learner = DoubleDQN.__new__(DoubleDQN)
-    learner.mirror = th.tensor(turned_actions(config.task.headings_deg))
-    headings = list(config.task.headings_deg)
-    last = [0, 1, 3, 4]
-    planes = th.tensor(np.stack([action_plane(headings, action) for action in last]))[:, None]
-    actions, one = th.tensor(last).reshape(-1, 1), th.ones(4, 1)
-    turned = learner._half_mirrored(Batch(planes, actions, planes, one, one, one))
-    for image, action in zip(turned.observations, turned.actions.ravel().tolist(), strict=True):
-        np.testing.assert_array_equal(image[0], action_plane(headings, action))
+    headings, last, rows = list(config.task.headings_deg), [0, 1, 3, 4], th.arange(4)
+    ring = th.tensor(np.stack([action_plane(headings, action) for action in last]))[:, None, None]
+    learner, mirrored = HostDQN.__new__(HostDQN), th.tensor([True, True, False, False])
+    learner._turned = th.tensor(turned_actions(config.task.headings_deg))
+    learner.sight = SimpleNamespace(look=Levels().look, rate=lambda network, seen: th.zeros(4, 5))
+    learner.replay = cast(Any, SimpleNamespace(observations=ring, next_observations=ring))
+    learner.policy = cast(Any, SimpleNamespace(q_net=None, q_net_target=None))
+    one = th.ones(4)
+    batch = learner._prepared(Windows(rows, rows, th.zeros(4).long(), th.tensor(last), one, one, one, mirrored))
+    assert batch.actions.tolist() == [4, 3, 3, 4]
+    for image, action in zip(batch.seen, batch.actions.tolist(), strict=True):
+        expected = contrast(th.tensor(action_plane(headings, action)).float())
+        np.testing.assert_array_equal(image[0], expected)
 
 
 def test_ages_are_bands_a_level_for_20_ms() -> None:

@@ -20,15 +20,14 @@ from tests.learning import kill_at_row, side_by_side, tiny_config, train_into
 from tests.opengl import needs_opengl
 from tests.running import configured
 from uavaccel.config import to_yaml
-from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
+from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.errors import UserError
 from uavaccel.files import append_line
 from uavaccel.records import RunDirectory
 from uavaccel.resources import asset
 from uavaccel.rl.agents import make_agent
-from uavaccel.rl.algorithms import greedy
 from uavaccel.rl.checkpoint import find_checkpoint
-from uavaccel.rl.double_dqn import DoubleDQN
+from uavaccel.rl.double_dqn import HostDQN
 from uavaccel.rl.lanes import make_lanes
 from uavaccel.rl.learner import make_learner
 from uavaccel.rl.policy import load_policy, trained_with, weights_sha256
@@ -44,7 +43,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("trainings_here")]
 
 STATE = {"observation": "state"}  # needs no pictures, hence no OpenGL
 EVALUATED = {"evaluate_every_games": 3, "evaluation_games": 2}
-PPO = {"algorithm": "ppo", "options": {"n_steps": 8, "batch_size": 8}}
+PPO = {"algorithm": "sb3_ppo", "options": {"n_steps": 8, "batch_size": 8}}
 
 
 @pytest.fixture(scope="module")
@@ -337,16 +336,16 @@ def test_virtual_charges_each_gradient_step_to_the_games(tmp_path: Path) -> None
 
 
 def test_the_first_weights_come_from_the_seed() -> None:
-    environment = side_by_side(LaneTask(max_commands=2), 1)
+    environment = side_by_side(tiny_config({"max_commands": 2}))
     hashes = [weights_sha256(make_learner(tiny_config(seed=seed), environment).policy) for seed in (0, 0, 1)]
     assert hashes[0] == hashes[1] != hashes[2]
     environment.close()
 
 
 def test_a_training_goes_on_from_another_ones_weights(lockstep: RunDirectory) -> None:
-    environment = side_by_side(LaneTask(max_commands=2), 1)
+    environment = side_by_side(tiny_config({"max_commands": 2}))
     first, started = (
-        cast(DoubleDQN, make_learner(tiny_config(seed=9, start_from=each), environment))
+        cast(HostDQN, make_learner(tiny_config(seed=9, start_from=each), environment))
         for each in (None, str(lockstep.path))
     )
     weights = started.policy.q_net.state_dict()
@@ -355,21 +354,23 @@ def test_a_training_goes_on_from_another_ones_weights(lockstep: RunDirectory) ->
         assert "target" in name or th.equal(weights[name.removeprefix("q_net.")], each)
     assert all(th.equal(weights[name], each) for name, each in started.policy.q_net_target.state_dict().items())
     assert not all(th.equal(weights[name], each) for name, each in first.policy.q_net.state_dict().items())
-    seen = np.random.default_rng(0).integers(0, 256, (64, *(environment.observation_space.shape or ())), dtype=np.uint8)
-    at_first = {learner: learner._act(seen) for learner in (first, started)}
-    assert np.array_equal(at_first[started], greedy(started.policy, seen)), "it flies before it learns"
-    assert not np.array_equal(at_first[first], greedy(first.policy, seen)), "at random"
+    shape = environment.single_observation_space.shape or ()
+    seen = np.random.default_rng(0).integers(0, 256, (64, *shape), dtype=np.uint8)
+    at_first = {learner: learner._decide(seen) for learner in (first, started)}
+    greedy = {each: each.policy.values(th.from_numpy(seen)).argmax(1).numpy() for each in (first, started)}
+    assert np.array_equal(at_first[started], greedy[started]), "it flies before it learns"
+    assert not np.array_equal(at_first[first], greedy[first]), "at random"
     environment.close()
 
 
 @pytest.mark.parametrize(
-    "keys", [{"algorithm": "dqn"}, PPO, {"algorithm": "a2c", "options": {}}], ids=lambda keys: keys["algorithm"]
+    "keys", [{"algorithm": "sb3_dqn"}, PPO, {"algorithm": "sb3_a2c", "options": {}}], ids=lambda keys: keys["algorithm"]
 )
 def test_other_algorithms_train_by_name(tmp_path: Path, keys: dict[str, Any]) -> None:
     config = tiny_config(STATE, games=2, mirror=False, **keys)
     summary = train_into(tmp_path / "run", config)
     assert summary["games"] == 2
-    learner = make_learner(config, environment := side_by_side(LaneTask(**STATE), 1))
+    learner = make_learner(config, environment := side_by_side(config))
     assert summary["weights_sha256"] != weights_sha256(learner.policy)
     environment.close()
 
@@ -381,7 +382,7 @@ def test_other_algorithms_train_by_name(tmp_path: Path, keys: dict[str, Any]) ->
     ("keys", "said"),
     [
         ({"algorithm": "alphazero"}, "algorithm = 'alphazero' is unknown"),
-        ({"algorithm": "sac"}, "algorithm = 'sac': wants continuous actions"),
+        ({"algorithm": "sb3_sac"}, "algorithm = 'sb3_sac' is unknown; there are double_dqn, ppo, sb3_dqn"),
         ({"options": {"learning_tempo": 1}}, "options of double_dqn: unknown key 'learning_tempo'"),
         ({"start_from": "runs/none"}, "runs/none: holds no policy"),
         ({"start_from": "default", "hidden": [8]}, "start_from = 'default': another network"),
@@ -397,8 +398,11 @@ def test_an_algorithm_that_cannot_be_is_one_clear_line(tmp_path: Path, keys: dic
     ("overrides", "said"),
     [
         (["task.timing=wall", "environments=2"], "environments must be 1 with timing wall"),
-        (["algorithm=ppo", "start_from=default"], "start_from needs algorithm double_dqn, not ppo"),
-        (["algorithm=dqn", "mirror=false", "mirrored_decisions=true"], "mirrored_decisions needs algorithm double_dqn"),
+        (["algorithm=sb3_ppo", "start_from=default"], "start_from needs algorithm double_dqn, not sb3_ppo"),
+        (
+            ["algorithm=sb3_dqn", "mirror=false", "mirrored_decisions=true"],
+            "mirrored_decisions needs algorithm double_dqn",
+        ),
         (["task.observation=state"], "mirror must be false"),
         (["task.headings_deg=[0.0, 30.0]"], "mirror must be false"),
         (["gamess=3"], "unknown key 'gamess'; did you mean 'games'?"),

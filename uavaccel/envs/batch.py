@@ -11,18 +11,22 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
 import numpy as np
-from gymnasium import spaces
-from gymnasium.spaces.utils import flatten_space, unflatten
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
 from uavaccel.envs.checks import actions_of, autoreset_of, check_render_mode, make_task, whole_number
-from uavaccel.envs.environment_processes import BatchError, BatchOptions, EnvironmentProcesses, SharedObservations
+from uavaccel.envs.environment_processes import (
+    BatchError,
+    BatchOptions,
+    EnvironmentProcesses,
+    SharedObservations,
+    form_of,
+)
 from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.sensors import PICTURE_SIZE
 from uavaccel.envs.task import Task
 from uavaccel.envs.turn_batch import TurnBatch
-from uavaccel.envs.values import Actions, Answer, Frame, Info, Seen, Steps
+from uavaccel.envs.values import Actions, Answer, Info, Observation, Steps, copied, rows_of
 from uavaccel.errors import UserError
 from uavaccel.limits import MOST_GAMES, MOST_PROCESSES
 from uavaccel.machine import usable_cores
@@ -62,9 +66,7 @@ class EnvironmentBatch(TurnBatch):
         self.single_action_space = task.action_space()
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        space = self.single_observation_space
-        one = flatten_space(space) if isinstance(space, spaces.Dict) else space
-        self._observations = SharedObservations(num_envs, one.shape or (), np.dtype(one.dtype).str)
+        self._observations = SharedObservations(form_of(self.single_observation_space, num_envs))
         self.service = _service(task, num_envs, self.tiles, renderer)
         self.processes = min(processes or 2 * usable_cores(), num_envs)
         options: BatchOptions = {
@@ -128,8 +130,8 @@ class EnvironmentBatch(TurnBatch):
         rewards, terminated, truncated, infos, lasts = zip(*self._slots.answers(which), strict=True)
         for slot, info, last in zip(which, infos, lasts, strict=True):
             if last is not None:
-                info |= {"final_obs": self._unflat(self._observations.last[slot].copy()), "final_info": last}
-        seen = self._all_unflat(self._observations.present[which])
+                info |= {"final_obs": copied(rows_of(self._observations.last, slot)), "final_info": last}
+        seen = rows_of(self._observations.present, which)
         return seen, np.array(rewards), np.array(terminated), np.array(truncated), list(infos)
 
     def reset_each(self, seeds: Sequence[int | None], options: Sequence[Mapping[str, object] | None]) -> list[Info]:
@@ -155,20 +157,9 @@ class EnvironmentBatch(TurnBatch):
         """Set an attribute of `slots`, by default all, to a value."""
         self._slots.request_all("set_attribute", [(name, value)] * len(self._all(slots)), self._all(slots))
 
-    def observations(self) -> Seen:
+    def observations(self) -> Observation:
         """Return the present observations of all environments."""
-        return self._all_unflat(self._observations.present.copy())
-
-    def _unflat(self, observation: Frame) -> Seen:
-        """Return an observation from what memory holds of it."""
-        space = self.single_observation_space
-        return unflatten(space, observation) if isinstance(space, spaces.Dict) else observation
-
-    def _all_unflat(self, observations: Frame) -> Seen:
-        if not isinstance(self.single_observation_space, spaces.Dict):
-            return observations
-        each = [self._unflat(observation) for observation in observations]
-        return {name: np.stack([one[name] for one in each]) for name in each[0]}
+        return copied(self._observations.present)
 
     def _all(self, slots: Sequence[int] | None) -> Sequence[int]:
         return range(self.num_envs) if slots is None else slots

@@ -6,7 +6,7 @@ A step is one CUDA graph: flight, images, judging, and the start of the next gam
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import torch as th
@@ -20,6 +20,7 @@ from uavaccel.envs.cuda_lanes import CudaLanes
 from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.flyable import CUDA, check_flyable
 from uavaccel.errors import UserError
+from uavaccel.sim.state import State
 
 DEVICE = CUDA
 BEHIND = 2  # steps after which the host reads what it must know of one; games sampled ahead last longer
@@ -117,6 +118,14 @@ class CudaBatch(VectorEnv[Any, Any, Any]):
             if wrong:
                 self._actions.wrong.zero_()
                 raise UserError(f"actions of an earlier step were not in the action space: {self.action_space}")
+
+    def get_state(self, lane: int) -> State:
+        """Return an environment's running game for np.savez: another batch of this task continues it."""
+        return self._lanes.get_state(lane)
+
+    def set_state(self, lane: int, state: Mapping[str, Any]) -> Any:
+        """Restore a state that `get_state` returned, and return the environment's observation."""
+        return self._lanes.set_state(lane, state)
 
     def _infos(self) -> dict[str, Any]:
         return {"position_m": self._lanes.positions(), "commands": self._lanes.commands.clone()}

@@ -376,12 +376,13 @@ class CudaLanes:
 
     def seen(self) -> Any:
         """Return the present observations: `observations`, or a mapping of them and of the states."""
-        return {"picture": self.observations, "state": self._told} if self.task.with_state else self.observations
+        return {"image": self.observations, "state": self._told} if self.task.also_state else self.observations
 
     def _tell(self) -> None:
-        """Update the states (L, fields) that are told beside pictures."""
-        if self.task.with_state:
-            self._told.copy_(self._numbers(self._flight[:, 1:14]))
+        """Update the states (L, fields) beside frames, all 0 after a collision."""
+        if self.task.also_state:
+            free = (self._ticks_of[:, _COLLISION] == int(NEVER))[:, None]
+            self._told.copy_(th.where(free, self._numbers(self._flight[:, 1:14]), 0.0))
 
     def _features(self, numbers: th.Tensor) -> th.Tensor:
         """Return the frames (L, ...) of observation "state" for states (L, 13)."""

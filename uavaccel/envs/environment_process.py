@@ -23,13 +23,11 @@ from typing import Any
 
 import cv2
 import mujoco
-from gymnasium import spaces
-from gymnasium.spaces.utils import flatten
 from gymnasium.vector import AutoresetMode
 
 from uavaccel.envs.environment_processes import ProgramOptions, SharedObservations, SlotOptions, descriptors_of
 from uavaccel.envs.flight_env import FlightEnv
-from uavaccel.envs.values import Action, Frame, Info, Seen
+from uavaccel.envs.values import Action, Info, Observation, rows_of, write
 from uavaccel.errors import UserError
 from uavaccel.processes.forks import fork_each
 from uavaccel.processes.lifetime import descriptor_of_parent, end_with_process
@@ -45,7 +43,9 @@ NICENESS = 5  # the renderer and the learner, for whom all environments wait, go
 class Slot:
     """One environment of a batch; requests over its connection name a method of this class."""
 
-    def __init__(self, environment: FlightEnv[Any], seen: Frame, last: Frame, autoreset: AutoresetMode) -> None:
+    def __init__(
+        self, environment: FlightEnv[Any], seen: Observation, last: Observation, autoreset: AutoresetMode
+    ) -> None:
         self._environment, self._autoreset = environment, autoreset
         self._seen, self._last = seen, last
         self._over = False
@@ -53,7 +53,7 @@ class Slot:
     def reset(self, seed: int | None, options: Mapping[str, object] | None) -> Info:
         """Begin a game and return its info; the observation goes into shared memory."""
         observation, info = self._environment.reset(seed=seed, options=options)
-        self._seen[:] = self._flat(observation)
+        write(self._seen, observation)
         self._over = False
         return info
 
@@ -64,10 +64,11 @@ class Slot:
         observation, reward, terminated, truncated, info = self._environment.step(action)
         self._over, last = terminated or truncated, None
         if self._over and self._autoreset == AutoresetMode.SAME_STEP:
-            self._last[:], last = self._flat(observation), info
+            write(self._last, observation)
+            last = info
             info = self.reset(None, None)
         else:
-            self._seen[:] = self._flat(observation)
+            write(self._seen, observation)
         return reward, terminated, truncated, info, last
 
     def call(self, name: str, *arguments: object) -> object:
@@ -75,13 +76,9 @@ class Slot:
         attribute = getattr(self._environment, name)
         result = attribute(*arguments) if callable(attribute) else attribute
         if name == "set_state":  # which returns the game's last observation
-            self._seen[:], self._over = self._flat(result), False
+            write(self._seen, result)
+            self._over = False
         return result
-
-    def _flat(self, observation: Seen) -> Frame:
-        """Return an observation as memory holds it: a mapping as a vector."""
-        space = self._environment.observation_space
-        return flatten(space, observation) if isinstance(space, spaces.Dict) else observation
 
     def set_attribute(self, name: str, value: object) -> None:
         setattr(self._environment, name, value)
@@ -94,7 +91,7 @@ def fly(options: ProgramOptions, place: SlotOptions) -> None:
     """Serve one slot until its connection ends. Answers are (True, result) or, for errors, (False, kind, text)."""
     if place["renderer"] is not None:
         make_cameras_with(partial(_remote_camera, place["renderer"]))
-    shared, number = (SharedObservations(descriptor=options["memory"], **options["observations"]), place["slot"])
+    shared, number = (SharedObservations(options["observations"], options["memory"]), place["slot"])
     connection = Connection(place["connection"])
     module, _, name = options["environment"].partition(":")
     slot: Slot | None = None
@@ -105,7 +102,8 @@ def fly(options: ProgramOptions, place: SlotOptions) -> None:
                 if slot is None:
                     environment = getattr(importlib.import_module(module), name)(**options["keys"])
                     autoreset = AutoresetMode(options["autoreset"])
-                    slot = Slot(environment, shared.present[number], shared.last[number], autoreset)
+                    seen, last = (rows_of(each, number) for each in (shared.present, shared.last))
+                    slot = Slot(environment, seen, last, autoreset)
                 connection.send((True, getattr(slot, method)(*arguments)))
             except (UserError, AttributeError) as error:
                 connection.send((False, type(error).__name__, str(error)))

@@ -12,12 +12,13 @@ from collections.abc import Sequence
 from contextlib import suppress
 from itertools import chain
 from multiprocessing.connection import Connection, wait
-from typing import TypedDict
+from typing import Any, TypedDict
 
 import numpy as np
+from gymnasium import spaces
 
 from uavaccel.clock import MonotonicClock
-from uavaccel.envs.values import Answer, Frame
+from uavaccel.envs.values import Answer, Observation
 from uavaccel.errors import UserError
 from uavaccel.processes.child import Process, single_core_rendering, start_python
 from uavaccel.processes.forks import CAN_FORK, WITHOUT_THREADS, Fork, Forks
@@ -36,27 +37,37 @@ def _poll_of(connection: Connection) -> select.poll:
 
 
 class ObservationForm(TypedDict):
-    """Number of environments, and shape and type of an observation."""
+    """Number of environments, and shape and type of each part of an observation; of the only part the name is ""."""
 
     slots: int
-    shape: tuple[int, ...]
-    dtype: str
+    parts: list[tuple[str, str, tuple[int, ...]]]
+
+
+def form_of(space: spaces.Space[Any], slots: int) -> ObservationForm:
+    """Return the form of the observations of a space."""
+    parts = space.spaces if isinstance(space, spaces.Dict) else {"": space}
+    return {
+        "slots": slots,
+        "parts": [(name, np.dtype(each.dtype).str, each.shape or ()) for name, each in parts.items()],
+    }
 
 
 class SharedObservations:
-    """Observations of all environments in memory that the processes share: (slots, *shape) each.
+    """Observations of all environments in memory that the processes share: (slots, *shape), or a mapping of these.
 
     `present` are the current ones; `last` are the final ones of games that an autoreset has replaced. `descriptor` is
     the memory's file descriptor; without one new memory is made.
     """
 
-    def __init__(self, slots: int, shape: Sequence[int], dtype: str, descriptor: int | None = None) -> None:
-        self.form: ObservationForm = {"slots": slots, "shape": tuple(shape), "dtype": dtype}
-        size = 2 * slots * int(np.prod(shape)) * np.dtype(dtype).itemsize
+    def __init__(self, form: ObservationForm, descriptor: int | None = None) -> None:
+        self.form = form
+        fields = [(name or "all", kind, tuple(shape)) for name, kind, shape in form["parts"]]
+        dtype = np.dtype(fields, align=True)
+        size = 2 * form["slots"] * dtype.itemsize
         self.descriptor = anonymous_memory(size) if descriptor is None else descriptor
-        both = np.frombuffer(mmap.mmap(self.descriptor, size), dtype).reshape(2, slots, *shape)
-        self.present: Frame = both[0]
-        self.last: Frame = both[1]
+        both = np.frombuffer(mmap.mmap(self.descriptor, size), dtype).reshape(2, form["slots"])
+        views: list[Observation] = [{name: each[name] for name, _, _ in fields} for each in both]
+        self.present, self.last = views if form["parts"][0][0] else (view["all"] for view in views)
 
 
 class SlotOptions(TypedDict):

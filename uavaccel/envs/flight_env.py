@@ -19,7 +19,7 @@ from uavaccel.envs.checks import RENDER_MODES, TaskT, check_render_mode, known_o
 from uavaccel.envs.sensors import EventCamera
 from uavaccel.envs.stopwatch import Stopwatch
 from uavaccel.envs.task import Moment
-from uavaccel.envs.values import Action, Course, Frame, Info, Number, Seen
+from uavaccel.envs.values import Action, Course, Frame, Info, Number, Observation
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Kinematics
 from uavaccel.sim.camera import gl
@@ -36,7 +36,7 @@ if TYPE_CHECKING:  # a task can be made without what flies it
 CONDITIONS: Final = "conditions"  # key in the course of a game with sampled conditions
 
 
-class FlightEnv(gymnasium.Env[Seen, Action], Generic[TaskT]):
+class FlightEnv(gymnasium.Env[Observation, Action], Generic[TaskT]):
     """An environment of a task, whose keys are the keywords of `gymnasium.make`; a subclass names the task.
 
     `reset` takes the `options` that the task knows. Infos have `is_success`, `position_m` (NED), `collision` (the
@@ -69,7 +69,9 @@ class FlightEnv(gymnasium.Env[Seen, Action], Generic[TaskT]):
 
     # --- Gymnasium --------------------------------------------------------------------------------
 
-    def reset(self, *, seed: int | None = None, options: Mapping[str, object] | None = None) -> tuple[Seen, Info]:
+    def reset(
+        self, *, seed: int | None = None, options: Mapping[str, object] | None = None
+    ) -> tuple[Observation, Info]:
         """Begin a game in a settled hover; all frames of the first observation show the start, or are blank.
 
         Raises UserError for options that the task does not know, and for a lane that cannot be built.
@@ -82,7 +84,7 @@ class FlightEnv(gymnasium.Env[Seen, Action], Generic[TaskT]):
         self._start_game({**course, CONDITIONS: conditions} if conditions else course, latencies)
         return self._observation(), self._info()
 
-    def step(self, action: Action) -> tuple[Seen, float, bool, bool, Info]:
+    def step(self, action: Action) -> tuple[Observation, float, bool, bool, Info]:
         """Fly one command. Raises UserError before the first `reset`, and for an action outside the space."""
         if self._client is None:
             raise UserError("reset the environment before its first step")
@@ -159,7 +161,7 @@ class FlightEnv(gymnasium.Env[Seen, Action], Generic[TaskT]):
         state |= prefixed("session", session) | prefixed("sensor", self.sensor.get_state())
         return state | prefixed("guard", self._client.get_state())
 
-    def set_state(self, state: SavedState) -> Seen:
+    def set_state(self, state: SavedState) -> Observation:
         """Continue from what `get_state` returned, or begin a game if none was running; returns the observation."""
         self.np_random.bit_generator.state = json.loads(str(state["generator"]))
         self._games = int(state.get("games", 0))
@@ -299,12 +301,13 @@ class FlightEnv(gymnasium.Env[Seen, Action], Generic[TaskT]):
         for stopwatch in self._stopwatches:
             stopwatch.switch(phase)
 
-    def _observation(self) -> Seen:
+    def _observation(self) -> Observation:
         context = () if self._context is None else (self._context.observe(),)
-        picture = np.concatenate([*self._frames, *context])
-        if not self.task.with_state:
-            return picture
-        return {"picture": picture, "state": self.task.features(self._now.state, self._now.course).ravel()}
+        frames = np.concatenate([*self._frames, *context])
+        if not self.task.also_state:
+            return frames
+        state = self.task.features(self._now.state, self._now.course).ravel()
+        return {"image": frames, "state": state if self._now.free else np.zeros_like(state)}
 
     def _info(self) -> Info:
         now = self._now

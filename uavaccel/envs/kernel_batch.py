@@ -38,7 +38,7 @@ from uavaccel.envs.sensors import blank_frame
 from uavaccel.envs.stopwatch import PHASES
 from uavaccel.envs.task import Moment, Moments, Task
 from uavaccel.envs.turn_batch import TurnBatch
-from uavaccel.envs.values import Action, Actions, Answer, Frame, Info, Number, Seen, Steps
+from uavaccel.envs.values import Action, Actions, Answer, Frame, Info, Number, Observation, Steps
 from uavaccel.errors import UserError
 from uavaccel.kernels import cpu, events, timeline
 from uavaccel.kernels import lanes as rows
@@ -192,14 +192,14 @@ class KernelBatch(TurnBatch):
             duration_ns = round(duration_s * NS_PER_S)
             timeline.charge.py_func(self._clocks.row[lane], duration_ns, PHASES.index(phase))
 
-    def observations(self) -> Seen:
+    def observations(self) -> Observation:
         """Return the present observation of every environment."""
         return self._seen_by(slice(None))
 
-    def _seen_by(self, which: Any) -> Seen:
+    def _seen_by(self, which: Any) -> Observation:
         """Return copies of the present observations of lanes, or of one."""
-        picture = self._observations[which].copy()
-        return {"picture": picture, "state": self._told[which].copy()} if self.task.with_state else picture
+        frames = self._observations[which].copy()
+        return {"image": frames, "state": self._told[which].copy()} if self.task.also_state else frames
 
     def call_each(
         self, name: str, arguments: Sequence[tuple[Any, ...]], slots: Sequence[int] | None = None
@@ -220,7 +220,7 @@ class KernelBatch(TurnBatch):
         state["course"] = json.dumps(one_course(self._course, lane))
         return state | {name: array[lane].copy() for name, array in self._state_arrays().items()}
 
-    def _set_state(self, lane: int, state: SavedState) -> Seen:
+    def _set_state(self, lane: int, state: SavedState) -> Observation:
         """Restore a state that `_get_state` returned, and return the lane's observation."""
         generator = self._generators[lane] = seeding.np_random(0)[0]
         generator.bit_generator.state = json.loads(str(state["drawn_by"]))
@@ -386,9 +386,10 @@ class KernelBatch(TurnBatch):
         return np.concatenate([state[name] for name in ("position", "quaternion", "velocity", "rate")], axis=1)
 
     def _tell(self, lanes: NDArray[np.int64]) -> None:
-        """Update the states that are told beside pictures."""
-        if self.task.with_state:
-            self._told[lanes] = self._numbers(lanes, self._state_fields(lanes))
+        """Update the states beside frames, all 0 after a collision."""
+        if self.task.also_state:
+            free = self._now.state["collision_tick"][lanes] == NEVER
+            self._told[lanes] = np.where(free[:, None], self._numbers(lanes, self._state_fields(lanes)), 0.0)
 
     def _features(self, lanes: NDArray[np.int64], samples: NDArray[np.float64]) -> NDArray[np.float32]:
         """Return the frames (n, ...) of observation "state" for samples (n, SAMPLE_FIELDS)."""

@@ -108,12 +108,13 @@ class Task(Config):
 
     observation: Literal["dvs", "state", "colour", "depth"] = "state"
     """What the agent observes: event images, the state as numbers, colour pictures or depth pictures."""
+    also_state: bool = False
+    """Whether observations are mappings: `image`, the frames, and `state`, the numbers of observation "state" at the
+    command's end, all 0 after a collision."""
     history: Annotated[int, Field(ge=1, le=8)] = 1
     """Number of commands whose frames make one observation, the newest last."""
     picture_size: tuple[Annotated[int, Field(ge=16, le=256)], Annotated[int, Field(ge=16, le=256)]] = PICTURE_SIZE
     """Columns and rows of pictures. Those of 256 x 144 are reduced to frames of 64 x 36; others are not reduced."""
-    with_state: bool = False
-    """Whether an observation is a mapping: of `picture`, and of `state`, which is what observation "state" shows."""
     blank_images: bool = False
     """Whether all frames are blank: the baseline of what can be learned without seeing."""
     dvs_preset: Literal["clean", "constructor", "command_line", "noisy"] = "clean"
@@ -202,8 +203,8 @@ class Task(Config):
 
     @model_validator(mode="after")
     def _state_is_beside_pictures(self) -> Self:
-        if self.with_state and self.observation == "state":
-            raise ValueError("with_state needs pictures, beside which it is told: observation dvs, colour or depth")
+        if self.also_state and self.observation == "state":
+            raise ValueError("also_state needs pictures, beside which the state is: observation dvs, colour or depth")
         return self
 
     @model_validator(mode="after")
@@ -221,6 +222,11 @@ class Task(Config):
     def scenery(self) -> str:
         """The scenery of its scene."""
         return PLAIN
+
+    @property
+    def typical_s(self) -> float:
+        """Simulated seconds of a game that gets far, for estimates of the duration."""
+        return self.max_commands * self.t_move_s
 
     @property
     def t_th_ns(self) -> int:
@@ -256,20 +262,20 @@ class Task(Config):
         """Return the seed of the event camera's noise in a game with that seed; v2e's presets use 0 for all games."""
         return seed if self.dvs_shot_noise_hz > 0.0 or self.dvs_leak_hz > 0.0 else 0
 
-    def observation_space(self) -> spaces.Box | spaces.Dict:
-        """Return the space of observations: of frames, or with the state of a mapping."""
-        if not self.with_state:
+    def observation_space(self) -> Any:
+        """Return the space of observations, the Box of frames or, with `also_state`, a Dict of `image` and `state`."""
+        if not self.also_state:
             return self.frames_space()
         state = spaces.Box(-np.inf, np.inf, (self.told,), np.float32)
-        return spaces.Dict({"picture": self.frames_space(), "state": state})
+        return spaces.Dict({"image": self.frames_space(), "state": state})
 
     @property
     def told(self) -> int:
-        """Number of fields of the state that is told beside pictures; 0 where none is."""
-        return self._blank_features().size if self.with_state else 0
+        """Number of fields of the state beside frames; 0 without it."""
+        return self._blank_features().size if self.also_state else 0
 
     def frames_space(self) -> spaces.Box:
-        """Return the space of the frames of `history` commands, then of the context planes, on axis 0."""
+        """Return the space of frames: those of `history` commands, then the context planes, on axis 0."""
         kind, size = self.observation, self.picture_size
         blank = self._blank_features() if kind == "state" else blank_frame(kind, size)
         context = self.context_planes()

@@ -9,7 +9,7 @@ from numpy import bool_, float64
 from numpy.typing import NDArray
 
 from uavaccel.envs.checks import seeds_of
-from uavaccel.envs.values import Actions, Answer, Batch, Info, Seen, Steps
+from uavaccel.envs.values import Actions, Answer, Batch, Info, Observation, Steps
 
 
 class TurnBatch(Batch, ABC):
@@ -19,12 +19,12 @@ class TurnBatch(Batch, ABC):
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: Mapping[str, object] | None = None
-    ) -> tuple[Seen, Info]:
+    ) -> tuple[Observation, Info]:
         """Begin a game in every environment; environment i gets `seed` + i, or the i-th of several seeds."""
         infos = self.reset_each(seeds_of(seed, self.num_envs), [options] * self.num_envs)
         return self.observations(), self._merged(infos)
 
-    def step(self, actions: Actions) -> tuple[Seen, NDArray[float64], NDArray[bool_], NDArray[bool_], Info]:
+    def step(self, actions: Actions) -> tuple[Observation, NDArray[float64], NDArray[bool_], NDArray[bool_], Info]:
         """Fly one command in every environment."""
         self.step_async(actions)
         observations, rewards, terminated, truncated, infos = self.step_wait()
@@ -62,5 +62,5 @@ class TurnBatch(Batch, ABC):
         """Call a method of `slots`, by default all, each with its own arguments; return the results."""
 
     @abstractmethod
-    def observations(self) -> Seen:
+    def observations(self) -> Observation:
         """Return the present observations of all environments."""

@@ -21,8 +21,8 @@ Action: TypeAlias = Any
 Frame = NDArray[np.integer | np.floating]
 """A frame, which a sensor makes of a sample, or an observation, several frames on axis 0: uint8 or float32."""
 
-Seen: TypeAlias = Any
-"""An observation: a Frame, or a mapping of those by name."""
+Observation: TypeAlias = Any
+"""A Frame, or a mapping of frames by name; of many environments, an array (n, ...) or a mapping of these."""
 
 Info = dict[str, Any]
 """The info dictionary of Gymnasium's `reset` and `step`."""
@@ -33,11 +33,47 @@ Actions = Sequence[Action] | NDArray[np.generic]
 Outcomes = NDArray[np.float64 | np.bool_]
 """Rewards, terminations or truncations of many environments."""
 
-Batch = VectorEnv[Seen, Actions, Outcomes]
+Batch = VectorEnv[Observation, Actions, Outcomes]
 """Many environments of one task."""
 
-Steps = tuple[Seen, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], list[Info]]
+Steps = tuple[Observation, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], list[Info]]
 """Observations, rewards, terminations, truncations and infos of many environments."""
 
 Answer: TypeAlias = Any
 """Result of a method of an environment, or value of its attribute."""
+
+
+def batch_of(observation: Observation) -> Observation:
+    """Return one observation as a batch of one."""
+    if isinstance(observation, Mapping):
+        return {name: part[None] for name, part in observation.items()}
+    return observation[None]
+
+
+def rows_of(observations: Observation, which: Any) -> Observation:
+    """Return the rows `which` of observations (n, ...): views for one, copies for several."""
+    if isinstance(observations, Mapping):
+        return {name: part[which] for name, part in observations.items()}
+    return observations[which]
+
+
+def copied(observations: Observation) -> Observation:
+    """Return a copy."""
+    if isinstance(observations, Mapping):
+        return {name: part.copy() for name, part in observations.items()}
+    return observations.copy()
+
+
+def write(memory: Observation, observation: Observation) -> None:
+    """Write an observation over another one."""
+    for name in observation if isinstance(memory, Mapping) else ():
+        memory[name][...] = observation[name]
+    if not isinstance(memory, Mapping):
+        memory[...] = observation
+
+
+def stacked_observations(observations: Sequence[Observation]) -> Observation:
+    """Return several observations as a batch."""
+    if isinstance(observations[0], Mapping):
+        return {name: np.stack([each[name] for each in observations]) for name in observations[0]}
+    return np.stack(observations)

@@ -12,7 +12,7 @@ import copy
 import json
 import re
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,10 +21,12 @@ import gymnasium
 import numpy as np
 from gymnasium import spaces
 
+from uavaccel.envs.values import Observation, stacked_observations
 from uavaccel.errors import UserError, naming
 from uavaccel.export.provenance import provenance_of
 from uavaccel.files import UNFINISHED, to_json
 from uavaccel.records import RunDirectory
+from uavaccel.rl.agents import reset_options
 from uavaccel.suites.evaluate import EvaluateConfig, EvaluateRow, Flyable, game_seed
 from uavaccel.suites.evaluate_again import environment_of, evaluation_of, fly_again
 
@@ -33,7 +35,6 @@ if TYPE_CHECKING:
 
 LAYOUT = "0.5.4"
 """The Minari whose layout this is: a constant of the format, and not the version that happens to be installed."""
-ENVIRONMENT = "uavaccel/ObstacleLane-v0"
 DATASET_ID = re.compile(r"[-_\w]+-v\d+")
 MAIN_FILE, METADATA = "main_data.hdf5", "metadata.json"
 
@@ -73,7 +74,8 @@ def _write_episodes(
             episode = file.create_group(f"episode_{number}")
             episode.attrs["id"] = number
             episode.attrs["seed"] = game_seed(config, int(row["lane"]))
-            episode.attrs["options/lane"] = int(row["lane"])
+            for name, value in reset_options(config.env_id, int(row["lane"])).items():
+                episode.attrs[f"options/{name}"] = value
             _write_episode(run, config, environment, row, episode)
             yield number + 1, len(rows)
 
@@ -82,21 +84,29 @@ def _write_episode(
     run: RunDirectory, config: EvaluateConfig, environment: Flyable, row: EvaluateRow, episode: h5py.Group
 ) -> None:
     steps = fly_again(run, config, environment, row)
+    space = config.task.action_space()
     columns = {
-        "observations": np.stack([steps[0].given, *(step.observation for step in steps)]),
-        "actions": np.array([step.action for step in steps], np.int64),
+        **_observed(stacked_observations([steps[0].given, *(step.observation for step in steps)])),
+        "actions": np.array([step.action for step in steps], space.dtype),
         "rewards": np.array([step.reward for step in steps], np.float64),
         "terminations": np.array([step.terminated for step in steps], bool),
         "truncations": np.array([step.truncated for step in steps], bool),
     }
     for name, values in columns.items():
-        packed = {"compression": "gzip", "shuffle": True} if name == "observations" else {}
+        packed = {"compression": "gzip", "shuffle": True} if name.startswith("observations") else {}
         episode.create_dataset(name, data=values, **packed)
     episode.attrs["total_steps"] = len(steps)
 
 
+def _observed(observations: Observation) -> dict[str, Any]:
+    """Return observations by the name of their column; those of a mapping are below "observations/"."""
+    if isinstance(observations, Mapping):
+        return {f"observations/{name}": part for name, part in observations.items()}
+    return {"observations": observations}
+
+
 def _write_metadata(run: RunDirectory, config: EvaluateConfig, rows: list[EvaluateRow], data: Path, name: str) -> None:
-    spec = copy.deepcopy(gymnasium.spec(ENVIRONMENT))
+    spec = copy.deepcopy(gymnasium.spec(config.env_id))
     spec.kwargs = config.task.model_dump(mode="json")
     observations, actions = config.task.observation_space(), config.task.action_space()
     metadata = {
@@ -118,12 +128,14 @@ def _write_metadata(run: RunDirectory, config: EvaluateConfig, rows: list[Evalua
 
 
 def _plain_space(space: spaces.Space[Any]) -> dict[str, object]:
-    """Return a space as Minari's metadata has it: a Box of observations, or the Discrete actions of a lane.
+    """Return a space as Minari's metadata has it: a Box, a Dict of these, or the Discrete actions of a lane.
 
     Bounds may be infinite, which Minari reads as Python's json writes it.
     """
     if isinstance(space, spaces.Discrete):
         return {"type": "Discrete", "dtype": "int64", "start": int(space.start), "n": int(space.n)}
+    if isinstance(space, spaces.Dict):
+        return {"type": "Dict", "subspaces": {name: _plain_space(part) for name, part in space.spaces.items()}}
     assert isinstance(space, spaces.Box)
     return {
         "type": "Box",

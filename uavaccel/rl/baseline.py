@@ -1,50 +1,204 @@
-"""stable-baselines3's algorithms as learners: one rollout at a time, schedules by games instead of steps."""
+"""stable-baselines3's algorithms as learners: their networks, one rollout at a time, schedules by games.
+
+Needs stable-baselines3 (`pip install 'uavaccel[sb3]'`). `vec_env` adapts a batch of environments to this library.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
 
+import gymnasium
 import numpy as np
+import stable_baselines3
 import torch as th
+from gymnasium import spaces
 from numpy.typing import NDArray
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.policies import BasePolicy
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+from stable_baselines3.common.vec_env import VecEnv
+from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
+from stable_baselines3.dqn.policies import DQNPolicy
 
 from uavaccel.clock import MonotonicClock
 from uavaccel.envs.stopwatch import Stopwatch
-from uavaccel.envs.values import Frame
+from uavaccel.envs.turn_batch import TurnBatch
+from uavaccel.envs.values import Action, Answer, Frame
 from uavaccel.errors import UserError
 from uavaccel.files import Plain
-from uavaccel.rl.algorithms import baseline_class, policy_keywords, policy_name
-from uavaccel.rl.config import LearnerConfig
-from uavaccel.rl.lanes import Lanes
+from uavaccel.rl.config import SB3, LearnerConfig
 from uavaccel.rl.learner import (
     Game,
     LearnerState,
-    charge_inference,
-    charge_learning,
+    charge,
     falling,
     finished_games,
+    first_seed,
     learning_rhythm,
     plain_generator,
     set_generator,
 )
+from uavaccel.rl.network import LaneFeatures, contrast
 
 COUNTERS = ("num_timesteps", "_n_calls", "_n_updates", "exploration_rate", "_current_progress_remaining")
 BUFFER = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 
 
+# --- networks -----------------------------------------------------------------------------------------------------
+
+
+class Sb3Features(BaseFeaturesExtractor):
+    """`LaneFeatures` for policies of stable-baselines3."""
+
+    def __init__(self, observation_space: spaces.Box, channels: Sequence[int]) -> None:
+        features = LaneFeatures(observation_space.shape, channels)
+        super().__init__(observation_space, features.features_dim)
+        self.layers = features.layers
+
+    def forward(self, observations: th.Tensor) -> th.Tensor:
+        """As `LaneFeatures`."""
+        features: th.Tensor = self.layers(contrast(observations))
+        return features
+
+
+def baseline_class(name: str) -> type[BaseAlgorithm]:
+    """Return the class of an algorithm such as `sb3_dqn`."""
+    found: type[BaseAlgorithm] = getattr(stable_baselines3, name.removeprefix(SB3).upper())
+    return found
+
+
+def policy_name(config: LearnerConfig) -> str:
+    """Return the name of the policy that fits the observations."""
+    return "MlpPolicy" if config.task.observation == "state" else "CnnPolicy"
+
+
+def policy_keywords(config: LearnerConfig) -> dict[str, object]:
+    """Return the keywords that make the policy the configured network."""
+    keywords: dict[str, object] = {"net_arch": list(config.hidden)}
+    if config.task.observation != "state":
+        keywords |= {
+            "normalize_images": False,  # the network reads grey levels
+            "features_extractor_class": Sb3Features,
+            "features_extractor_kwargs": {"channels": list(config.channels)},
+        }
+    return keywords
+
+
+class NoOptimizer:
+    """Stands for the optimizer of a policy that only flies: PyTorch's load its compiler, most of the start-up time."""
+
+    def __init__(self, parameters: Iterable[th.nn.Parameter], **_: object) -> None: ...
+
+
+def make_baseline_policy(config: LearnerConfig) -> BasePolicy:
+    """Make an untrained policy, without an optimizer."""
+    make: Callable[..., BasePolicy] = baseline_class(config.algorithm).policy_aliases[policy_name(config)]
+    space, actions = config.task.observation_space(), config.task.action_space()
+    return make(space, actions, lambda _: 0.0, **policy_keywords(config) | {"optimizer_class": NoOptimizer})
+
+
+def greedy(policy: BasePolicy, observations: Frame) -> NDArray[np.int64]:
+    """Return the greedy actions (n,) for observations (n, ...)."""
+    return np.asarray(policy.predict(observations, deterministic=True)[0])
+
+
+def tensor_ratings(policy: BasePolicy, seen: th.Tensor) -> th.Tensor:
+    """Return (n, actions) what the greedy action is the largest of: action values, or logits of the probabilities."""
+    if isinstance(policy, DQNPolicy):
+        values: th.Tensor = policy.q_net(seen)
+        return values
+    actor: Any = policy
+    features = actor.extract_features(seen, actor.pi_features_extractor)
+    logits: th.Tensor = actor.action_net(actor.mlp_extractor.forward_actor(features))
+    return logits
+
+
+def ratings(policy: BasePolicy, observations: Frame) -> tuple[str, NDArray[np.float64]]:
+    """Return what the numbers are, and (n, actions) of them: action values or probabilities."""
+    with th.inference_mode():
+        rated = tensor_ratings(policy, th.from_numpy(observations).to(policy.device))
+        if isinstance(policy, DQNPolicy):
+            return "action values", rated.cpu().numpy().astype(np.float64)
+        chances = th.distributions.Categorical(logits=rated).probs
+        return "probabilities of the actions", chances.cpu().numpy().astype(np.float64)
+
+
+# --- environments -------------------------------------------------------------------------------------------------
+
+
+class BatchVecEnv(VecEnv):
+    """Adapts a batch with autoreset SAME_STEP to stable-baselines3's VecEnv."""
+
+    def __init__(self, batch: TurnBatch) -> None:
+        self.batch = batch
+        super().__init__(batch.num_envs, batch.single_observation_space, batch.single_action_space)
+
+    def reset(self) -> VecEnvObs:
+        options = [option or None for option in self._options]
+        infos = self.batch.reset_each(self._seeds, options)
+        self.reset_infos = infos
+        self._reset_seeds()
+        self._reset_options()
+        return self.batch.observations()
+
+    def step_async(self, actions: np.ndarray) -> None:
+        self.batch.step_async(actions)
+
+    def step_wait(self) -> VecEnvStepReturn:
+        observations, rewards, terminated, truncated, infos = self.batch.step_wait()
+        for lane, (info, cut) in enumerate(zip(infos, (truncated & ~terminated).tolist(), strict=True)):
+            if "final_info" in info:
+                self.reset_infos[lane] = info
+                infos[lane] = {**info.pop("final_info"), "terminal_observation": info.pop("final_obs")}
+            infos[lane]["TimeLimit.truncated"] = cut
+        return observations, rewards, terminated | truncated, infos
+
+    def close(self) -> None:
+        self.batch.close()
+
+    def get_attr(self, attr_name: str, indices: int | Iterable[int] | None = None) -> list[Answer]:
+        return [getattr(self.batch, attr_name) for _ in self._get_indices(indices)]
+
+    def set_attr(self, attr_name: str, value: object, indices: int | Iterable[int] | None = None) -> None:
+        raise AttributeError(f"{attr_name}: environments of a batch have no attributes of their own")
+
+    def env_method(
+        self,
+        method_name: str,
+        *method_args: object,
+        indices: int | Iterable[int] | None = None,
+        **method_kwargs: object,
+    ) -> list[Answer]:
+        if method_kwargs:
+            raise TypeError(f"{method_name}: keywords do not travel, pass the arguments by position")
+        lanes = list(self._get_indices(indices))
+        return self.batch.call_each(method_name, [method_args] * len(lanes), lanes)
+
+    def env_is_wrapped(
+        self,
+        wrapper_class: type[gymnasium.Wrapper[Frame, Action, Frame, Action]],
+        indices: int | Iterable[int] | None = None,
+    ) -> list[bool]:
+        return [False for _ in self._get_indices(indices)]
+
+    def get_images(self) -> Sequence[np.ndarray | None]:
+        return self.env_method("render")
+
+
+# --- learners -----------------------------------------------------------------------------------------------------
+
+
 class Baseline:
     """A stable-baselines3 algorithm that learns from lanes; `algorithm` is the library's own object."""
 
-    def __init__(self, config: LearnerConfig, lanes: Lanes) -> None:
-        self.config, self.lanes = config, lanes
+    def __init__(self, config: LearnerConfig, lanes: TurnBatch) -> None:
+        self.config, self.lanes, self.vector = config, lanes, BatchVecEnv(lanes)
         self.games, self.returns = 0, [0.0] * lanes.num_envs
         self.stopwatch = Stopwatch(MonotonicClock())
         self.algorithm = self._make(baseline_class(config.algorithm))
@@ -52,6 +206,7 @@ class Baseline:
         self._watch("predict", "inference")
         self._callback = _Games(self)
         self._begun = self.holding = False
+        self.vector.seed(first_seed(config.seed))
 
     @property
     def policy(self) -> BasePolicy:
@@ -81,7 +236,8 @@ class Baseline:
         self._callback.finished = []
         self.algorithm.learn(1, self._callback, log_interval=1 << 30, reset_num_timesteps=not self._begun)
         self._begun = True
-        charge_learning(self.lanes, self.config, getattr(self.algorithm, "gradient_steps", 0))
+        steps = getattr(self.algorithm, "gradient_steps", 0)
+        charge(self.lanes, self.config, steps / self.lanes.num_envs * self.config.learning_s, "learning")
         return self._callback.finished
 
     def _make(self, base: type[BaseAlgorithm]) -> BaseAlgorithm:
@@ -97,7 +253,7 @@ class Baseline:
         try:
             algorithm: BaseAlgorithm = scheduled(
                 policy_name(config),
-                self.lanes,
+                self.vector,
                 policy_kwargs=layout,
                 seed=config.seed,
                 device=config.device,
@@ -133,6 +289,7 @@ class Baseline:
         counters: dict[str, Plain] = {name: getattr(model, name) for name in COUNTERS if hasattr(model, name)}
         counters |= {"returns": self.returns, "games": self.games}
         counters["random"] = plain_generator(np.random.mtrand._rand)
+        counters["actions"] = self.lanes.single_action_space.np_random.bit_generator.state
         return LearnerState(tensors, self._buffer_state(), counters)
 
     def set_state(self, state: LearnerState, observations: Frame) -> None:
@@ -147,6 +304,7 @@ class Baseline:
         self.returns, self.games = state.counters["returns"], state.counters["games"]
         model._last_obs, model._last_episode_starts = observations, np.zeros(self.lanes.num_envs, bool)
         set_generator(np.random.mtrand._rand, state.counters["random"])
+        self.lanes.single_action_space.np_random.bit_generator.state = state.counters["actions"]
         th.set_rng_state(state.tensors["torch"].cpu())
         self._begun = True
 
@@ -186,7 +344,7 @@ class _Games(BaseCallback):
 
     def _on_step(self) -> bool:
         learner, now = self.learner, self.locals
-        games = finished_games(learner, now["rewards"], now["dones"], now["infos"])
+        games = finished_games(learner, now["rewards"], now["dones"], now["infos"], range(learner.lanes.num_envs))
         self.finished += [replace(game, loss=learner.loss) for game in games]
-        charge_inference(learner.lanes, learner.config)
+        charge(learner.lanes, learner.config, learner.config.inference_s, "inference")
         return learner.games < learner.config.games

@@ -7,21 +7,22 @@ checkpoint runs no code. A checkpoint is valid once its last file, state.json, e
 from __future__ import annotations
 
 import json
-import random
 import shutil
 import zipfile
 import zlib
+from collections.abc import Sequence
 from pathlib import Path
 from pickle import UnpicklingError
+from typing import Any
 
 import numpy as np
 import torch as th
 from numpy.typing import NDArray
 
-from uavaccel.envs.values import Frame
+from uavaccel.envs.turn_batch import TurnBatch
+from uavaccel.envs.values import stacked_observations
 from uavaccel.errors import UserError, naming
 from uavaccel.files import Plain, open_bounded, parse_json, read_bounded, replacing
-from uavaccel.rl.lanes import Lanes
 from uavaccel.rl.learner import Learner, LearnerState
 from uavaccel.sim.state import State, prefixed, without_prefix
 
@@ -44,12 +45,7 @@ def save_checkpoint(folder: Path, learner: Learner) -> None:
     with naming(checkpoint), (checkpoint / "buffer.npz").open("wb") as file:
         np.savez(file, **state.arrays)  # type: ignore[arg-type]
     _save_games(checkpoint / "games.npz", learner.lanes)
-    plain = {
-        "games": learner.games,
-        "counters": state.counters,
-        "random": random.getstate(),
-        "actions": learner.lanes.action_space.np_random.bit_generator.state,
-    }
+    plain = {"games": learner.games, "counters": state.counters}
     with replacing(checkpoint / _COMPLETE) as file:
         file.write(json.dumps(plain).encode())
     for older in folder.iterdir():
@@ -92,9 +88,6 @@ def _restore(checkpoint: Path, learner: Learner) -> None:
         tensors = th.load(file, weights_only=True, map_location="cpu")
     arrays = _read_arrays(checkpoint / "buffer.npz")
     learner.set_state(LearnerState(tensors, arrays, plain["counters"]), observations)
-    version, words, gauss = plain["random"]
-    random.setstate((version, tuple(words), gauss))
-    learner.lanes.action_space.np_random.bit_generator.state = plain["actions"]
     for device, tensor in enumerate(tensors["cuda"]):
         th.cuda.set_rng_state(tensor.cpu(), device)
 
@@ -118,18 +111,25 @@ def _read_arrays(path: Path) -> dict[str, NDArray[np.generic]]:
         return dict(arrays)
 
 
-def _save_games(path: Path, lanes: Lanes) -> None:
+def _save_games(path: Path, lanes: Any) -> None:
     """Save the running games, with the keys of lane n prefixed by "n."."""
-    games: list[State] = lanes.env_method("get_state")
+    games: list[State] = _call_each(lanes, "get_state", [()] * lanes.num_envs)
     with naming(path), path.open("wb") as file:
         np.savez(file, **{key: each for n, game in enumerate(games) for key, each in prefixed(str(n), game).items()})
 
 
-def _load_games(path: Path, lanes: Lanes) -> Frame:
+def _load_games(path: Path, lanes: Any) -> Any:
     """Resume the saved games; returns their last observations (lanes, ...)."""
     state = _read_arrays(path)
     count = len({name.partition(".")[0] for name in state})
     if lanes.num_envs != count:
         raise UserError(f"the checkpoint has {count} environments; go on with as many")
-    games = [without_prefix(str(n), state) for n in range(count)]
-    return np.stack([lanes.env_method("set_state", game, indices=[n])[0] for n, game in enumerate(games)])
+    games = [(without_prefix(str(n), state),) for n in range(count)]
+    return stacked_observations(_call_each(lanes, "set_state", games))
+
+
+def _call_each(lanes: Any, name: str, arguments: Sequence[tuple[object, ...]]) -> list[Any]:
+    """Call a method of every environment of a batch, or with every lane of a GPU's."""
+    if isinstance(lanes, TurnBatch):
+        return lanes.call_each(name, arguments)
+    return [getattr(lanes, name)(lane, *argument) for lane, argument in enumerate(arguments)]

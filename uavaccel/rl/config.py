@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import inspect
+import json
 import math
-from typing import TYPE_CHECKING, Annotated
+from collections.abc import Mapping
+from importlib import import_module
+from importlib.util import find_spec
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, SerializeAsAny, ValidationInfo, ValidatorFunctionWrapHandler, WrapValidator, model_validator
 
 from uavaccel.config import Config, validate
 from uavaccel.envs.flyable import Simulator, check_flyable
-from uavaccel.envs.obstacle_lane import LaneTask
-from uavaccel.envs.task import Positive
-from uavaccel.errors import UserError
+from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
+from uavaccel.envs.task import Positive, Task
+from uavaccel.errors import UserError, suggestion
 from uavaccel.files import Plain
 from uavaccel.limits import Cost, Count, Games, Processes, Seed
 from uavaccel.machine import memory_bytes
@@ -20,8 +24,11 @@ from uavaccel.machine import memory_bytes
 if TYPE_CHECKING:
     from stable_baselines3.common.base_class import BaseAlgorithm
 
-OWN = "double_dqn"
-ALGORITHMS = f"{OWN}, dqn, ppo, a2c"
+    from uavaccel.envs.flight_env import FlightEnv
+
+DOUBLE_DQN, PPO = OWN = "double_dqn", "ppo"
+SB3 = "sb3_"  # begins the names of stable-baselines3's algorithms
+ALGORITHMS = f"{DOUBLE_DQN}, {PPO}, {SB3}dqn, {SB3}ppo, {SB3}a2c"
 RESERVED = ("policy", "env", "policy_kwargs", "seed", "device", "verbose", "tensorboard_log", "_init_setup_model")
 SIZES = ("buffer_size", "batch_size", "n_steps", "n_epochs")
 LARGEST_SIZE = 1_000_000_000
@@ -30,6 +37,37 @@ Channels = Annotated[int, Field(ge=1, le=1_024)]
 Width = Annotated[int, Field(ge=1, le=8_192)]
 Size = Annotated[int, Field(ge=1, le=LARGEST_SIZE)]
 Ratio = Annotated[float, Field(ge=0.0, le=1.0)]
+Weight = Annotated[float, Field(ge=0.0, le=1e3)]
+
+EnvId = Literal["uavaccel/ObstacleLane-v0", "uavaccel/Hover-v0", "uavaccel/Gates-v0", "uavaccel/Navigate-v0"]
+LANE: EnvId = "uavaccel/ObstacleLane-v0"
+
+
+def environment_class(env_id: str) -> type[FlightEnv[Any]]:
+    """Return the class of an environment of this package by its id."""
+    if env_id == LANE:
+        return ObstacleLane
+    name = env_id.removeprefix("uavaccel/").removesuffix("-v0")
+    found: type[FlightEnv[Any]] = getattr(import_module(f"uavaccel.envs.{name.lower()}"), name)
+    return found
+
+
+def _of_the_environment(task: Any, handler: ValidatorFunctionWrapHandler, info: ValidationInfo) -> Any:
+    """Validate the keys of a task by the environment that `env_id` names."""
+    task_class = environment_class(info.data.get("env_id", LANE)).task_class
+    if isinstance(task, task_class):
+        return task
+    if isinstance(task, Task):  # the field's default
+        task = task.model_dump(mode="json", exclude_unset=True)
+    if not isinstance(task, Mapping):
+        return handler(task)  # which refuses it
+    for key in set(task) - set(task_class.model_fields) if task_class is not LaneTask else ():
+        raise UserError(f"unknown key 'task.{key}'; {suggestion(key, list(task_class.model_fields))}")
+    return task_class.model_validate_json(json.dumps(task), strict=True)
+
+
+AnyTask = Annotated[SerializeAsAny[LaneTask], WrapValidator(_of_the_environment)]
+"""A LaneTask; with another `env_id`, that environment's task."""
 
 
 class LearnerConfig(Config):
@@ -45,14 +83,16 @@ class LearnerConfig(Config):
     """Lanes flown in parallel, with mujoco each in its own process; must be 1 with timing wall."""
     turns: Processes = 1
     """Groups into which double_dqn divides the lanes: while it acts for and learns from one, the others fly."""
-    task: LaneTask = LaneTask()
-    """The task that is learned."""
+    env_id: EnvId = LANE
+    """The environment: double_dqn learns the obstacle lane, ppo the others, which have continuous actions."""
+    task: AnyTask = LaneTask()
+    """The task that is learned: the keys of the environment."""
 
-    algorithm: str = OWN
-    """double_dqn, or an algorithm of stable-baselines3: dqn, ppo, a2c."""
+    algorithm: str = DOUBLE_DQN
+    """double_dqn or ppo, or an algorithm of stable-baselines3, which is an extra: sb3_dqn, sb3_ppo, sb3_a2c."""
     options: dict[str, Plain] = Field(default_factory=dict)
-    """Hyperparameters that differ from the algorithm's defaults: the keys of DqnOptions for double_dqn, the keyword
-    arguments of the class for an algorithm of stable-baselines3."""
+    """Hyperparameters that differ from the algorithm's defaults: the keys of DqnOptions for double_dqn, of PPOSettings
+    for ppo, the keyword arguments of the class for an algorithm of stable-baselines3."""
     final_learning_rate_share: Ratio = 0.02
     """Learning rate at the last game, as a share of the initial one; it falls linearly over the games."""
     commands_per_gradient_step: Count = 4
@@ -81,6 +121,11 @@ class LearnerConfig(Config):
     """Seconds that one gradient step takes on the simulated wall clock of timing virtual."""
 
     @property
+    def environment_class(self) -> type[FlightEnv[Any]]:
+        """The class of the environment."""
+        return environment_class(self.env_id)
+
+    @property
     def on_device(self) -> bool:
         """Whether lanes and learner are together on a GPU."""
         return self.simulator == "kernels" and self.device.startswith("cuda")
@@ -91,8 +136,11 @@ class LearnerConfig(Config):
             raise ValueError("environments must be 1 with timing wall, and turns 1: neighbours would disturb the clock")
         if self.simulator == "kernels":
             check_flyable(self.task, self.environments, self.device)
-        if self.on_device and (self.algorithm != OWN or self.task.observation == "state"):
-            raise ValueError("simulator kernels with device cuda needs algorithm double_dqn and pictures")
+        pictures = self.algorithm == DOUBLE_DQN and self.task.observation != "state"
+        if self.on_device and not pictures and self.algorithm != PPO:
+            raise ValueError("simulator kernels with device cuda needs algorithm ppo, or double_dqn and pictures")
+        if self.on_device and self.algorithm == PPO and self.task.timing != "lockstep":
+            raise ValueError("algorithm ppo with simulator kernels and device cuda needs timing lockstep")
         if self.on_device and self.turns > 1:
             raise ValueError("turns must be 1 with simulator kernels and device cuda: all lanes fly at once")
         if self.turns > self.environments:
@@ -101,15 +149,19 @@ class LearnerConfig(Config):
 
     @model_validator(mode="after")
     def _algorithm_fits(self) -> LearnerConfig:
-        if self.start_from is not None and self.algorithm != OWN:
-            raise ValueError(f"start_from needs algorithm double_dqn, not {self.algorithm}")
-        headings = self.task.headings_deg
-        symmetric = {-heading for heading in headings} == set(headings)
+        if (self.algorithm == PPO) != (self.env_id != LANE):
+            needed = "another env_id, with continuous actions" if self.env_id == LANE else "algorithm ppo"
+            raise ValueError(f"algorithm {self.algorithm} does not learn env_id {self.env_id}: it needs {needed}")
+        for key in ("start_from", "mirrored_decisions"):
+            if getattr(self, key) and self.algorithm != DOUBLE_DQN:
+                raise ValueError(f"{key} needs algorithm double_dqn, not {self.algorithm}")
+        if self.task.also_state and self.algorithm != PPO:
+            raise ValueError(f"task.also_state needs algorithm ppo, not {self.algorithm}")
+        headings = getattr(self.task, "headings_deg", ())
+        symmetric = {-heading for heading in headings} == set(headings) and self.task.observation != "state"
         for key in ("mirror", "mirrored_decisions"):
-            if getattr(self, key) and (self.task.observation == "state" or not symmetric):
+            if getattr(self, key) and self.algorithm != PPO and not symmetric:
                 raise ValueError(f"{key} must be false: it needs pictures and headings symmetric about 0")
-        if self.mirrored_decisions and self.algorithm != OWN:
-            raise ValueError(f"mirrored_decisions needs algorithm double_dqn, not {self.algorithm}")
         return self
 
 
@@ -126,7 +178,7 @@ class DqnOptions(Config):
     """Transitions per gradient step."""
     gamma: Ratio = 0.95
     """Discount factor per command."""
-    n_steps: Size = 3
+    n_steps: Annotated[int, Field(ge=1, le=1_000)] = 3
     """Commands whose rewards an n-step return adds before it bootstraps."""
     target_update_interval: Size = 2_000
     """Commands between two copies of the online network to the target network."""
@@ -164,24 +216,84 @@ class DqnOptions(Config):
 def check_algorithm(config: LearnerConfig) -> None:
     """Check algorithm and options without making a learner, as a dry run does.
 
-    Raises UserError for an unknown algorithm, one for continuous actions, an unknown option, and a replay buffer that
+    Raises UserError for an unknown algorithm, one whose package is missing, an unknown option, and a replay buffer that
     does not fit into this machine's memory.
     """
     stored = check_options(config)
     space, memory = config.task.observation_space(), memory_bytes()
-    needed = stored * math.prod(space.shape) * space.dtype.itemsize
+    boxes = space.spaces.values() if config.task.also_state else [space]
+    needed = stored * sum(math.prod(box.shape) * box.dtype.itemsize for box in boxes)
     if memory is not None and needed > memory and config.device == "cpu":
         raise UserError(
-            f"options of {config.algorithm}: {'buffer_size' if 'n_steps' not in config.options else 'n_steps'}: "
+            f"options of {config.algorithm}: {_size_key(config)}: "
             f"{stored} observations take {needed / 1e9:.3g} GB; this machine has {memory / 1e9:.3g} GB"
         )
 
 
+class PPOSettings(Config):
+    """Keys of `options` for `algorithm: ppo`."""
+
+    rollout: Annotated[int, Field(ge=1, le=1_000_000)] = 32
+    """Commands of each environment between two updates, T."""
+    epochs: Annotated[int, Field(ge=1, le=1_000)] = 2
+    """Passes over a rollout."""
+    minibatches: Annotated[int, Field(ge=1, le=1_000_000)] = 8
+    """Gradient steps of a pass."""
+    learning_rate: Annotated[float, Field(gt=0.0, le=1.0)] = 5e-4
+    """Adam's learning rate at first."""
+    gamma: Ratio = 0.99
+    """Discount of a command."""
+    smoothing: Ratio = 0.95
+    """Lambda of the generalised advantages."""
+    clip: Annotated[float, Field(gt=0.0, le=1.0)] = 0.2
+    """Largest change of a probability ratio that is rewarded."""
+    value_weight: Weight = 0.5
+    """Weight of the value's error in the loss."""
+    entropy_weight: Weight = 0.001
+    """Weight of the entropy in the loss."""
+    max_grad_norm: Annotated[float, Field(gt=0.0, le=1e6)] = 0.5
+    """Norm to which gradients are clipped."""
+    first_deviation: Annotated[float, Field(gt=0.0, le=10.0)] = 0.6
+    """Standard deviation of the actions at first."""
+
+    def check_samples(self, environments: int) -> None:
+        """Raise UserError unless the minibatches divide the samples of a rollout in at least two samples each."""
+        samples = environments * self.rollout
+        if samples % self.minibatches or samples < 2 * self.minibatches:
+            raise UserError(f"minibatches = {self.minibatches}: must divide the {samples} samples, 2 or more in each")
+
+    @classmethod
+    def of(cls, config: LearnerConfig) -> PPOSettings:
+        """Return the options of a configuration. Raises UserError for an unknown key or a value that does not fit."""
+        settings = validate(cls, config.options, f"options of {config.algorithm}")
+        try:
+            settings.check_samples(config.environments)
+        except UserError as error:
+            raise UserError(f"options of {config.algorithm}: {error}") from None
+        return settings
+
+
+def learns_from_a_buffer(algorithm: str) -> bool:
+    """Return whether an algorithm has a replay buffer."""
+    return algorithm in (DOUBLE_DQN, f"{SB3}dqn")
+
+
+def _size_key(config: LearnerConfig) -> str:
+    """Return the option that decides how many observations are stored."""
+    return {PPO: "rollout", f"{SB3}ppo": "n_steps", f"{SB3}a2c": "n_steps"}.get(config.algorithm, "buffer_size")
+
+
 def check_options(config: LearnerConfig) -> int:
     """Return how many observations the algorithm stores. Raises UserError for an unknown algorithm or option."""
-    if config.algorithm == OWN:
+    if config.algorithm == DOUBLE_DQN:
         return DqnOptions.of(config).buffer_size
-    from uavaccel.rl.algorithms import baseline_class  # loads PyTorch
+    if config.algorithm == PPO:
+        return PPOSettings.of(config).rollout * config.environments
+    if config.algorithm not in ALGORITHMS.split(", "):
+        raise UserError(f"algorithm = {config.algorithm!r} is unknown; there are {ALGORITHMS}")
+    if find_spec("stable_baselines3") is None:
+        raise UserError(f"algorithm = {config.algorithm!r}: needs stable-baselines3: pip install 'uavaccel[sb3]'")
+    from uavaccel.rl.baseline import baseline_class  # loads PyTorch
 
     return _check_keywords(config, baseline_class(config.algorithm))
 

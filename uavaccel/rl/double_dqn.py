@@ -1,94 +1,199 @@
-"""Double DQN (van Hasselt et al., AAAI 2016) on lanes flown in parallel: the training loop.
+"""Double DQN (van Hasselt et al., AAAI 2016), on lanes flown by the host or together with it on one GPU.
 
-collect    choose an action for each lane, greedy or random, and let the lanes fly, in groups that take turns;
-learn      meanwhile sample batches and take gradient steps towards the target network's values;
-store      add the transitions to the replay buffer;
-schedule   lower exploration and learning rate with the games done, update the target network periodically.
+decide     choose an action a for each lane: greedy, argmax Q(s, a), or with probability ε a random one;
+fly        let the lanes fly, and meanwhile
+learn      draw windows (s, a, r, s') of n commands from the replay buffer, and take gradient steps on the Huber loss of
+           Q(s, a) to the target r + γ^n Q'(s', argmax Q(s', a));
+store      add the results to the replay buffer;
+schedule   lower ε and the learning rate with the games done, copy Q to the target network Q' now and then.
+
+`HostDQN` flies lanes of the host in groups that take turns. `DeviceDQN` launches rounds, which are CUDA graphs, in
+chunks; while a chunk is flown, it reads the log of the one before and samples new games. Mirrored windows are turned
+left to right: on average the lane is symmetric.
 """
 
 from __future__ import annotations
 
 import math
+import os
 from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import torch as th
 from numpy.typing import NDArray
-from stable_baselines3.common.utils import polyak_update
 from torch.nn import functional
 
 from uavaccel.clock import MonotonicClock
-from uavaccel.envs.stopwatch import Stopwatch
-from uavaccel.envs.values import Frame, Info
-from uavaccel.files import Plain
+from uavaccel.envs.stopwatch import PHASES, Stopwatch
+from uavaccel.envs.turn_batch import TurnBatch
+from uavaccel.envs.values import Frame
+from uavaccel.kernels.recording import recorded
 from uavaccel.rl.agents import first_policy
-from uavaccel.rl.algorithms import greedy
 from uavaccel.rl.config import DqnOptions, LearnerConfig
-from uavaccel.rl.graph import GraphedStep
-from uavaccel.rl.lanes import Lanes
 from uavaccel.rl.learner import (
     Game,
     LearnerState,
-    charge_inference,
-    charge_learning,
+    StepStatistics,
+    charge,
     falling,
     finished_games,
+    first_seed,
     learning_rhythm,
     plain_generator,
     set_generator,
 )
-from uavaccel.rl.network import ratings, turned_actions
-from uavaccel.rl.replay import Batch, ReplayBuffer, Row
-from uavaccel.rl.statistics import StepStatistics
+from uavaccel.rl.network import Adam, turned_actions
+from uavaccel.rl.replay import Levels, Replay, Windows
+from uavaccel.units import NS_PER_S
 
-COUNTERS = ("returns", "games", "commands", "steps", "updates", "owed", "exploration_rate", "rate")
+if TYPE_CHECKING:
+    from uavaccel.envs.cuda_lanes import CudaLanes
+
+CHUNK = 8  # rounds that the host launches at once
+
+
+class Prepared(NamedTuple):
+    """A batch that can be learned from (n,): s as the network sees it, a, the target, and the loss's weights."""
+
+    seen: th.Tensor
+    actions: th.Tensor
+    target: th.Tensor
+    weights: th.Tensor
 
 
 class DoubleDQN:
-    """The learner; `policy` holds `q_net` (online), `q_net_target` and the optimizer."""
+    """What is learned; `policy` holds Q as `q_net`, Q' as `q_net_target`, and the optimizer."""
 
-    def __init__(self, config: LearnerConfig, lanes: Lanes) -> None:
-        self.config, self.lanes, self.options = config, lanes, DqnOptions.of(config)
-        self.rate = falling(self.options.learning_rate, config.final_learning_rate_share, 1.0)
-        self.device = th.device(config.device)
-        self.random = np.random.RandomState(config.seed)
+    counters: tuple[str, ...] = ("games", "updates", "returns")
+    replay: Replay
+    sight: Any  # Levels or Patches: how networks see observations
+
+    def __init__(self, config: LearnerConfig, lanes: Any, device: th.device, recorded: bool) -> None:
+        """Make the networks; with `recorded`, gradient steps are recorded as graphs, with the optimizer in them."""
+        self.config, self.lanes, self.options, self.device = config, lanes, DqnOptions.of(config), device
+        self._recorded = recorded
         th.manual_seed(config.seed)
-        lanes.action_space.seed(config.seed)
-        policy: Any = first_policy(config, lambda _: self.rate).to(self.device)
-        self.policy = policy
-        self._learned = list(policy.q_net.parameters())
-        space = lanes.observation_space
-        self.buffer = ReplayBuffer(
-            self.options.buffer_size, lanes.num_envs, space.shape or (), np.dtype(space.dtype), self.device
+        self.policy = first_policy(config).to(device)
+        self.policy.optimizer = Adam(
+            self.policy.q_net.parameters(), self.options.learning_rate, fused=True, capturable=device.type == "cuda"
         )
-        turned = turned_actions(config.task.headings_deg) if config.mirror else None
-        self.mirror = None if turned is None else th.tensor(turned, device=self.device)
-        self.observations: Frame | None = None
-        self.groups: list[NDArray[np.int64]] = np.array_split(np.arange(lanes.num_envs), config.turns)
+        self._make_rates_tensors()
+        headings = config.task.headings_deg
+        turned = turned_actions(headings) if config.mirror else list(range(len(headings)))
+        self._turned = th.tensor(turned, device=device)
+        self.games = self.updates = 0
+        self.returns: list[float] = []
         self.holding = False
+        self.statistics = StepStatistics(device)
+        self.stopwatch = Stopwatch(MonotonicClock())
+
+    def _make_rates_tensors(self) -> None:
+        """Let a graph read the learning rate where the schedule writes it."""
+        for group in self.policy.optimizer.param_groups if self._recorded else ():
+            group["lr"] = th.tensor(float(group["lr"]), device=self.device)
+
+    # --- a gradient step ---------------------------------------------------------------------------
+
+    def _prepared(self, batch: Windows) -> Prepared:
+        """Look at s and s', and compute the target r + γ^n Q'(s', argmax Q(s', a))."""
+        ring, q = self.replay, self.policy
+        seen = self.sight.look(ring.observations, batch.row, batch.lane, batch.mirrored)
+        with th.no_grad():
+            after = self.sight.look(ring.next_observations, batch.after, batch.lane, batch.mirrored)
+            best = self.sight.rate(q.q_net, after).argmax(1, keepdim=True)
+            value = self.sight.rate(q.q_net_target, after).gather(1, best)[:, 0]
+        actions = th.where(batch.mirrored, self._turned[batch.actions], batch.actions)
+        return Prepared(seen, actions, batch.rewards + batch.discounts * value, batch.weights)
+
+    def _descend(self, batch: Prepared) -> None:
+        """Take one gradient step of the online network on the Huber loss of Q(s, a) to the target."""
+        chosen = self.sight.rate(self.policy.q_net, batch.seen).gather(1, batch.actions[:, None])[:, 0]
+        loss = (functional.smooth_l1_loss(chosen, batch.target, reduction="none") * batch.weights).mean()
+        self.statistics.add(loss, chosen)
+        self.policy.optimizer.zero_grad(set_to_none=False)
+        loss.backward()
+        th.nn.utils.clip_grad_norm_(self.policy.q_net.parameters(), self.options.max_grad_norm)
+        self.policy.optimizer.step()
+
+    def _copy_to_target(self) -> None:
+        pairs = zip(self.policy.q_net.parameters(), self.policy.q_net_target.parameters(), strict=True)
+        for online, target in pairs:
+            target.data.copy_(online.data)
+
+    # --- going on after a stop ---------------------------------------------------------------------
+
+    def get_state(self) -> LearnerState:
+        """Return networks, optimizer, replay buffer, counters and generators."""
+        tensors = {
+            "policy": self.policy.state_dict(),
+            "optimizer": self.policy.optimizer.state_dict(),
+            "torch": th.get_rng_state(),
+        }
+        counters = {name: getattr(self, name) for name in self.counters} | {"statistics": self.statistics.get_state()}
+        return LearnerState(tensors, self.replay.get_state(), counters)
+
+    def set_state(self, state: LearnerState, observations: Frame) -> None:
+        """Restore what `get_state` returned; `observations` are the lanes' present ones."""
+        self.policy.load_state_dict(state.tensors["policy"])
+        self.policy.optimizer.load_state_dict(state.tensors["optimizer"])
+        self._make_rates_tensors()
+        th.set_rng_state(state.tensors["torch"].cpu())
+        self.replay.set_state(state.arrays)
+        self.statistics.set_state(state.counters["statistics"])
+        for name in self.counters:
+            setattr(self, name, state.counters[name])
+
+
+# --- lanes of the host -----------------------------------------------------------------------------------------
+
+
+class HostDQN(DoubleDQN):
+    """The learner of lanes on the host, with networks and replay buffer on any device.
+
+    While all groups but one fly, it decides for that one and learns.
+    """
+
+    counters = (*DoubleDQN.counters, "commands", "steps", "owed", "exploration_rate")
+
+    def __init__(self, config: LearnerConfig, lanes: TurnBatch) -> None:
+        device = th.device(config.device)
+        super().__init__(config, lanes, device, recorded=device.type == "cuda")
+        self.random = np.random.RandomState(config.seed)
+        self.space = lanes.single_action_space
+        self.space.seed(config.seed)
+        count, box = lanes.num_envs, lanes.single_observation_space
+        kind = th.uint8 if box.dtype == np.uint8 else th.float32
+        rows = max(self.options.buffer_size // count, 1)
+        self.replay = Replay(rows, count, box.shape or (), kind, self.device, keeps_ends=True)
+        self.sight = Levels()
+        self.observations: Frame | None = None
+        self.groups: list[NDArray[np.int64]] = np.array_split(np.arange(count), config.turns)
         self._next = 0  # group whose command starts next
         self._flying: deque[int] = deque()
-        self._actions = np.zeros(lanes.num_envs, np.int64)
+        self._actions, self._acted = np.zeros(count, np.int64), np.zeros(count, np.int64)
         self._charges = [0] * config.turns  # gradient steps that each group has yet to pay for
-        self.returns = [0.0] * lanes.num_envs
-        self.games = self.commands = self.steps = self.updates = self.owed = 0
+        self.returns = [0.0] * count
+        self.commands = self.steps = self.owed = 0
         self.exploration_rate = 0.0
-        self._graph: GraphedStep | None = None
-        self.statistics = StepStatistics(self.device)
-        self.stopwatch = Stopwatch(MonotonicClock())
-        self._rhythm = learning_rhythm(config.commands_per_gradient_step, lanes.num_envs)
+        self._rhythm = learning_rhythm(config.commands_per_gradient_step, count)
         self._parts: deque[Callable[[], None]] = deque()
         self._flights_left = 0
+        self._step_as_graph: Callable[[], None] | None = None
 
     def begin(self) -> None:
         """See `Learner`."""
         if self.observations is None:
-            self.observations = np.asarray(self.lanes.reset())
-            self._row = Row.like(self.observations)
+            self._see(np.asarray(self.lanes.reset(seed=first_seed(self.config.seed))[0]))
+
+    def _see(self, observations: Frame) -> None:
+        """Make room for a round that begins with these observations (lanes, ...)."""
+        count = len(observations)
+        self.observations, self._before, self._after = (observations.copy() for _ in range(3))
+        self._rewards, self._terminated, self._truncated = np.zeros(count), np.zeros(count, bool), np.zeros(count, bool)
 
     def advance(self) -> list[Game]:
         """Start a command in the next group, learn, and once all groups fly, wait for the first.
@@ -96,10 +201,9 @@ class DoubleDQN:
         Returns the games that ended with its commands. While `holding`, no new round of the groups begins.
         """
         self.begin()
-        assert self.observations is not None
         waits = self.holding and self._next == 0 and self._flying
         if not waits:
-            self._start_command(self._next, self.observations)
+            self._start_command(self._next)
         self._learn_meanwhile()
         all_fly = len(self._flying) == len(self.groups)
         return self._finish_command(self._flying.popleft()) if all_fly or waits else []
@@ -109,45 +213,68 @@ class DoubleDQN:
         """Whether a checkpoint can be taken: no gradient step is pending and no lane flies."""
         return self.steps % self._rhythm[0] == 0 and not self._parts and not self._flying
 
-    # --- collect ----------------------------------------------------------------------------------
-
-    def _start_command(self, group: int, observations: Frame) -> None:
+    def _start_command(self, group: int) -> None:
+        assert self.observations is not None
         lanes = self.groups[group]
-        charge_learning(self.lanes, self.config, self._charges[group], lanes)
-        self._charges[group] = 0
-        self._actions[lanes] = self._act(observations[lanes])
-        self.lanes.step_async(self._actions[lanes], *self._in_part(lanes))
+        steps, self._charges[group] = self._charges[group], 0
+        charge(self.lanes, self.config, steps / self.lanes.num_envs * self.config.learning_s, "learning", lanes)
+        self._actions[lanes] = self._decide(self.observations[lanes])
+        self.lanes.step_async(self._actions[lanes], lanes.tolist())
         self._flying.append(group)
         self._next = (group + 1) % len(self.groups)
 
-    def _finish_command(self, group: int) -> list[Game]:
-        lanes = self.groups[group]
-        after, rewards, dones, infos = self.lanes.step_wait(*self._in_part(lanes))
-        seen = np.asarray(after)
-        self.commands += len(lanes)
-        games = finished_games(self, rewards.tolist(), dones.tolist(), infos, lanes.tolist())
-        if games:
-            self.statistics.read(self.statistics.sums)
-            games = [replace(game, loss=self.statistics.loss, mean_q=self.statistics.mean_q) for game in games]
-        charge_inference(self.lanes, self.config, lanes)
-        self._keep(lanes, rewards, seen, dones, infos)
-        if group == len(self.groups) - 1 and self.games < self.config.games:
-            self.buffer.add(*self._row)
-            self._schedule()
-        return games
-
-    def _in_part(self, lanes: NDArray[np.int64]) -> tuple[list[int], ...]:
-        """Extra arguments of a call that addresses some lanes; none for all, which any VecEnv understands."""
-        return () if len(self.groups) == 1 else (lanes.tolist(),)
-
-    def _act(self, observations: Frame) -> NDArray[np.int64]:
+    def _decide(self, observations: Frame) -> NDArray[np.int64]:
+        """Return actions (n,) for a group: with probability ε all of them at random."""
         with self.stopwatch.phase("inference"):
             untrained = self.config.start_from is None and self.commands < self.options.learning_starts
             if untrained or self.random.rand() < self.exploration_rate:
-                return np.array([self.lanes.action_space.sample() for _ in observations])
-            return greedy(self.policy, observations)
+                return np.array([self.space.sample() for _ in observations])
+            with th.inference_mode():
+                seen = th.from_numpy(observations).to(self.device)
+                return np.asarray(self.policy.q_net(seen).argmax(dim=1).cpu())
 
-    # --- learn ------------------------------------------------------------------------------------
+    def _finish_command(self, group: int) -> list[Game]:
+        assert self.observations is not None
+        lanes = self.groups[group]
+        seen, rewards, terminated, truncated, infos = self.lanes.step_wait(lanes.tolist())
+        self.commands += len(lanes)
+        games = finished_games(self, rewards.tolist(), (terminated | truncated).tolist(), infos, lanes.tolist())
+        if games:
+            self.statistics.read(self.statistics.sums)
+            games = [replace(game, loss=self.statistics.loss, mean_q=self.statistics.mean_q) for game in games]
+        charge(self.lanes, self.config, self.config.inference_s, "inference", lanes)
+        self._before[lanes], self._acted[lanes] = self.observations[lanes], self._actions[lanes]
+        self._after[lanes], self.observations[lanes] = seen, seen
+        self._rewards[lanes], self._terminated[lanes], self._truncated[lanes] = rewards, terminated, truncated
+        for lane, info in zip(lanes, infos, strict=True):
+            if "final_obs" in info:  # `seen` is the next game's first observation
+                self._after[lane] = info["final_obs"]
+        if group == len(self.groups) - 1 and self.games < self.config.games:
+            self._store()
+            self._schedule()
+        return games
+
+    def _store(self) -> None:
+        columns = (self._before, self._acted, self._after, self._rewards, self._terminated, self._truncated)
+        before, actions, after, rewards, terminated, truncated = (
+            th.from_numpy(column).to(self.device) for column in columns
+        )
+        self.replay.start_round(before, actions)
+        self.replay.end_round(rewards, terminated, truncated & ~terminated, th.ones_like(terminated), after)
+
+    def _schedule(self) -> None:
+        options, remaining = self.options, 1.0 - self.games / self.config.games
+        rate = falling(options.learning_rate, self.config.final_learning_rate_share, remaining)
+        for group in self.policy.optimizer.param_groups:
+            group["lr"] = group["lr"].fill_(rate) if self._recorded else rate
+        self.exploration_rate = options.exploration_rate(remaining)
+        self.steps += 1
+        if self.steps % max(options.target_update_interval // self.lanes.num_envs, 1) == 0:
+            self._copy_to_target()
+        due = self.steps % self._rhythm[0] == 0 and not self._parts
+        if due and self.commands > options.learning_starts:
+            self.owed += self._rhythm[1]
+            self._charges = [self.owed] * len(self.groups)
 
     def _learn_meanwhile(self) -> None:
         """Take an equal part of the pending gradient steps, so that they are done before the next ones are due."""
@@ -170,128 +297,229 @@ class DoubleDQN:
         shares = np.diff(np.linspace(0, steps, flights + 1).round().astype(int))
         return [partial(self._steps_at_once, int(share)) for share in shares]
 
+    def _sample(self, batches: int = 1) -> Windows:
+        """Draw the windows of so many batches, half of each mirrored."""
+        size, whole = self.options.batch_size, min(self.steps, self.replay.rows)
+        rows = self.random.randint(0, whole, size=batches * size)
+        drawn = np.stack([rows, self.random.randint(0, self.lanes.num_envs, size=batches * size)])
+        row, lane = th.from_numpy(drawn).to(self.device)  # together: each transfer waits for all work of a GPU
+        mirrored = th.arange(batches * size, device=self.device) % size < (size // 2 if self.config.mirror else 0)
+        return self.replay.windows(row, lane, self.options.n_steps, self.options.gamma, mirrored)
+
     def _prepare_batch(self) -> None:
-        self._batch = self._half_mirrored(self._sample())
-        self._targets = self.targets(self._batch)
+        self._batch = self._prepared(self._sample())
 
     def _step(self) -> None:
-        for group in self.policy.optimizer.param_groups:
-            group["lr"] = self.rate
-        self._descend(self._batch, self._targets)
+        self._descend(self._batch)
         self.updates += 1
 
     def _steps_at_once(self, steps: int) -> None:
         """Sample all batches at once and launch the recorded step for each, without waiting for the GPU."""
         if not steps:
             return
-        size = self.options.batch_size
-        samples = self._sample(steps)
-        batches = [Batch(*(sample[at : at + size] for sample in samples)) for at in range(0, steps * size, size)]
-        if self._graph is None:
-            for group in self.policy.optimizer.param_groups:
-                group["lr"] = th.tensor(self.rate, device=self.device)
-            sums = self.statistics.sums.clone()
-            self._graph = GraphedStep(self._learn_from, self.policy, self.policy.optimizer, batches[0])
-            self.statistics.sums.copy_(sums)  # recording takes steps that do not count
-        for group in self.policy.optimizer.param_groups:
-            group["lr"].fill_(self.rate)
-        for batch in batches:
-            self._graph(batch)
+        for batch in self._sample(steps).split(self.options.batch_size):
+            if self._step_as_graph is None:
+                self._fixed = Windows(*(each.clone() for each in batch))
+                self._step_as_graph = recorded(lambda: self._descend(self._prepared(self._fixed)), self.device)
+            for here, there in zip(self._fixed, batch, strict=True):
+                here.copy_(there)
+            self._step_as_graph()
         self.updates += steps
 
-    def _learn_from(self, batch: Batch) -> None:
-        batch = self._half_mirrored(batch)
-        self._descend(batch, self.targets(batch))
-
-    def _sample(self, batches: int = 1) -> Batch:
-        options = self.options
-        count = batches * options.batch_size
-        return self.buffer.sample(count, options.n_steps, options.gamma, self.random)
-
-    def _descend(self, batch: Batch, targets: th.Tensor) -> None:
-        """Take one gradient step of the online network on the Huber loss to the targets."""
-        chosen = self.policy.q_net(batch.observations).gather(1, batch.actions)
-        loss = functional.smooth_l1_loss(chosen, targets)
-        self.statistics.add(loss, chosen)
-        self.policy.optimizer.zero_grad()
-        loss.backward()
-        th.nn.utils.clip_grad_norm_(self._learned, self.options.max_grad_norm)
-        self.policy.optimizer.step()
-
-    @th.no_grad()
-    def targets(self, batch: Batch) -> th.Tensor:
-        """Return rewards plus the discounted target value of the online network's next greedy action (n, 1)."""
-        both = ratings((self.policy.q_net, self.policy.q_net_target), batch.next_observations)
-        rating = both[1].gather(1, both[0].argmax(dim=1, keepdim=True))
-        return batch.rewards + (1 - batch.dones) * batch.discounts * rating
-
-    def _half_mirrored(self, batch: Batch) -> Batch:
-        """Mirror half of the batch left to right: on average the lane is symmetric."""
-        if self.mirror is None:
-            return batch
-        half = len(batch.actions) // 2
-        images = [
-            th.cat([image[:half].flip(-1), image[half:]]) for image in (batch.observations, batch.next_observations)
-        ]
-        actions = th.cat([self.mirror[batch.actions[:half]], batch.actions[half:]])
-        return batch._replace(observations=images[0], next_observations=images[1], actions=actions)
-
-    # --- store, schedule --------------------------------------------------------------------------
-
-    def _keep(
-        self,
-        lanes: NDArray[np.int64],
-        rewards: NDArray[np.float64],
-        seen: Frame,
-        dones: NDArray[np.bool_],
-        infos: list[Info],
-    ) -> None:
-        """Keep a group's transitions until those of all groups go into the replay buffer."""
-        assert self.observations is not None
-        row = self._row
-        row.observations[lanes], row.actions[lanes] = self.observations[lanes], self._actions[lanes]
-        row.rewards[lanes], row.after[lanes], row.dones[lanes] = rewards, seen, dones
-        for lane, info, done in zip(lanes, infos, dones, strict=True):
-            row.truncated[lane] = bool(info.get("TimeLimit.truncated", False))
-            if done and "terminal_observation" in info:  # `seen` is the next game's first observation
-                row.after[lane] = info["terminal_observation"]
-        self.observations[lanes] = seen
-
-    def _schedule(self) -> None:
-        options, remaining = self.options, 1.0 - self.games / self.config.games
-        self.rate = falling(options.learning_rate, self.config.final_learning_rate_share, remaining)
-        self.steps += 1
-        if self.steps % max(options.target_update_interval // self.lanes.num_envs, 1) == 0:
-            polyak_update(self.policy.q_net.parameters(), self.policy.q_net_target.parameters(), 1.0)
-        self.exploration_rate = options.exploration_rate(remaining)
-        due = self.steps % self._rhythm[0] == 0 and not self._parts
-        if due and self.commands > options.learning_starts:
-            self.owed += self._rhythm[1]
-            self._charges = [self.owed] * len(self.groups)
-
-    # --- going on after a stop ----------------------------------------------------------------------
-
     def get_state(self) -> LearnerState:
-        """Return networks, optimizer, replay buffer, counters and generators."""
-        tensors = {
-            "policy": self.policy.state_dict(),
-            "optimizer": self.policy.optimizer.state_dict(),
-            "torch": th.get_rng_state(),
-        }
-        counters: dict[str, Plain] = {name: getattr(self, name) for name in COUNTERS}
-        counters |= {"random": plain_generator(self.random), "statistics": self.statistics.get_state()}
-        return LearnerState(tensors, self.buffer.get_state(), counters)
+        """As `DoubleDQN` has it."""
+        state = super().get_state()
+        state.counters["random"] = plain_generator(self.random)
+        state.counters["actions"] = self.space.np_random.bit_generator.state
+        return state
 
     def set_state(self, state: LearnerState, observations: Frame) -> None:
-        """Restore what `get_state` returned; `observations` are the lanes' present ones."""
-        self.policy.load_state_dict(state.tensors["policy"])
-        self.policy.optimizer.load_state_dict(state.tensors["optimizer"])
-        th.set_rng_state(state.tensors["torch"].cpu())
-        self.buffer.set_state(state.arrays)
-        for name in COUNTERS:
-            setattr(self, name, state.counters[name])
+        """As `DoubleDQN` has it."""
+        super().set_state(state, observations)
         set_generator(self.random, state.counters["random"])
-        self.statistics.set_state(state.counters.get("statistics"))
-        self.observations = observations
-        self._row = Row.like(observations)
+        self.space.np_random.bit_generator.state = state.counters["actions"]
+        self._see(observations)
         self._charges = [self.owed] * len(self.groups)
+
+
+# --- lanes on a GPU --------------------------------------------------------------------------------------------
+
+
+class DeviceDQN(DoubleDQN):
+    """The learner for `simulator: kernels` with `device: cuda`: all of a round is one CUDA graph."""
+
+    counters = (*DoubleDQN.counters, "rounds")
+
+    def __init__(self, config: LearnerConfig, lanes: CudaLanes) -> None:
+        from uavaccel.envs.cuda_lanes import AT  # these need numba-cuda and a GPU
+        from uavaccel.kernels.cuda import SideStream
+        from uavaccel.rl.patches import Patches
+
+        os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")  # cuBLAS is not deterministic without it
+        th.use_deterministic_algorithms(True)
+        th.utils.deterministic.fill_uninitialized_memory = False  # type: ignore[attr-defined]
+        th.backends.cudnn.deterministic, th.backends.cudnn.benchmark = True, False
+        super().__init__(config, lanes, lanes.device, recorded=True)
+        lanes.seed(first_seed(config.seed))
+        self._at, device, count = AT, lanes.device, lanes.count
+        shape: Any = tuple(lanes.observations.shape[1:])
+        rows = max(self.options.buffer_size // count, self.options.n_steps + 2)
+        self.replay = Replay(rows, count, shape, lanes.observations.dtype, device)
+        self.sight = Patches(shape, device)
+        self._nowhere = th.zeros(count, dtype=th.int64, device=device)
+        self._lane_numbers = th.arange(count, device=device)
+        self._done = th.zeros((), dtype=th.float64, device=device)  # games so far
+        self._epsilon = th.ones((), device=device)
+        self._log = th.zeros((CHUNK, count, AT.columns), dtype=th.float64, device=device)
+        self._line = th.zeros(1, dtype=th.int64, device=device)
+        self.rounds = 0
+        self._rounds: dict[tuple[bool, bool, bool], Callable[[], None]] = {}
+        self._learning_stream = SideStream(priority=-1)  # its small kernels go before the large ones of rendering
+        self._unread: deque[tuple[Any, ...]] = deque()
+        self._clock = MonotonicClock()
+
+    @property
+    def exploration_rate(self) -> float:
+        """Share of random actions."""
+        return self.options.exploration_rate(1.0 - self.games / self.config.games)
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether a checkpoint can be taken: the host has read all rounds that were flown."""
+        return not self._unread
+
+    def begin(self) -> None:
+        """See `Learner`; also sample the games after the first."""
+        if not self.lanes.has_begun:
+            self.lanes.begin()
+            self.lanes.games.refill([1] * self.lanes.count)
+
+    def advance(self) -> list[Game]:
+        """Launch a chunk of rounds, and return the games that ended in the one before."""
+        self.begin()
+        if not self.holding:
+            self._launch()
+        if len(self._unread) < 2 and not self.holding:
+            return []
+        return self._read_chunk() if self._unread else []
+
+    def _launch(self) -> None:
+        begun_ns = self._clock.now_ns()
+        for _ in range(CHUNK):
+            self._round(self._kind())
+        parts = (self._log, self.lanes.games.begun, self.statistics.sums)
+        copies = [part.to("cpu", non_blocking=True, copy=True) for part in parts]
+        read = th.cuda.Event()
+        read.record()
+        self._unread.append((read, *copies, begun_ns))
+
+    def _kind(self) -> tuple[bool, bool, bool]:
+        """Return whether the next round acts at random, takes gradient steps, and updates the target network."""
+        commands, options = self.rounds * self.lanes.count, self.options
+        every, _ = learning_rhythm(self.config.commands_per_gradient_step, self.lanes.count)
+        enough = commands > options.learning_starts and self.rounds > options.n_steps
+        follows = self.rounds % max(options.target_update_interval // self.lanes.count, 1) == 0
+        at_random = self.config.start_from is None and not enough
+        return at_random, enough and self.rounds % every == 0, enough and follows
+
+    def _round(self, kind: tuple[bool, bool, bool]) -> None:
+        """Fly a round; each kind is recorded as a graph of its own."""
+        self.rounds += 1
+        if kind not in self._rounds:
+            self._rounds[kind] = recorded(lambda: self._work(*kind), self.device)
+        self._rounds[kind]()
+
+    def _work(self, at_random: bool, learns: bool, follows: bool) -> None:
+        """Do all work of a round, as the module describes it."""
+        actions = self._decide(at_random)
+        flown = self.lanes.going.clone()
+        self.replay.start_round(self.lanes.observations, actions)
+        if learns:
+            with self._learning_stream.following():
+                self._learn()
+        self.lanes.fly(actions)
+        if learns:
+            self._learning_stream.join()
+        self._charge(flown, learns)
+        self.replay.end_round(self.lanes.rewards, self.lanes.terminated, self.lanes.truncated, flown)
+        self._schedule()
+        if follows:
+            self._copy_to_target()
+
+    def _charge(self, flown: th.Tensor, learns: bool) -> None:
+        """In timing `virtual`, charge each lane for its next decision and for its share of the gradient steps."""
+        self.lanes.charge(flown, self.config.inference_s, "inference")
+        if learns:
+            _, steps = learning_rhythm(self.config.commands_per_gradient_step, self.lanes.count)
+            self.lanes.charge(flown, steps / self.lanes.count * self.config.learning_s, "learning")
+
+    @th.no_grad()
+    def _decide(self, at_random: bool) -> th.Tensor:
+        """Return an action for each lane (L,)."""
+        count, actions = self.lanes.count, len(self._turned)
+        drawn = (th.rand(count, device=self.device) * actions).long().clamp(max=actions - 1)
+        if at_random:
+            return drawn
+        seen = self.sight.look(self.lanes.observations[None], self._nowhere, self._lane_numbers, self._nowhere)
+        greedy = self.sight.rate(self.policy.q_net, seen).argmax(1)
+        return th.where(th.rand(count, device=self.device) < self._epsilon, drawn, greedy)
+
+    def _learn(self) -> None:
+        """Take the gradient steps of a round, on batches that are sampled together."""
+        size = self.options.batch_size
+        _, steps = learning_rhythm(self.config.commands_per_gradient_step, self.lanes.count)
+        row, lane = self.replay.draw(steps * size, self.options.n_steps)
+        half = th.arange(steps * size, device=self.device) % 2 == 0
+        mirrored = half if self.config.mirror else th.zeros_like(half)
+        for batch in self.replay.windows(row, lane, self.options.n_steps, self.options.gamma, mirrored).split(size):
+            self._descend(self._prepared(batch))
+
+    def _schedule(self) -> None:
+        options, config = self.options, self.config
+        self._log.index_copy_(0, self._line, self.lanes.ended[None])
+        self._line.copy_((self._line + 1) % CHUNK)
+        self._done += self.lanes.ended[:, self._at.over].sum()
+        done = (self._done / config.games).clamp(max=1.0)
+        fraction = options.exploration_fraction
+        fall = (options.exploration_final_eps - options.exploration_initial_eps) / (fraction or 1.0)
+        over = done > fraction if fraction else done >= 0.0
+        self._epsilon.copy_(
+            th.where(over, options.exploration_final_eps, options.exploration_initial_eps + done * fall)
+        )
+        rate_now = falling(options.learning_rate, config.final_learning_rate_share, 1.0 - done)  # type: ignore[arg-type]
+        for group in self.policy.optimizer.param_groups:
+            # Games beyond the configured number must not change the weights.
+            group["lr"].copy_(th.where(done >= 1.0, 0.0, rate_now))
+
+    def _read_chunk(self) -> list[Game]:
+        """Wait for the oldest chunk, sample new games, and return those that ended, up to the configured number."""
+        read, log, begun, sums, begun_ns = self._unread.popleft()
+        read.synchronize()
+        self.statistics.read(sums)
+        over = log[..., self._at.over].numpy()
+        games = []
+        spent_s = (self._clock.now_ns() - begun_ns) / NS_PER_S
+        for line, lane in np.argwhere(over).tolist():
+            if self.games >= self.config.games:
+                break
+            outcome = log[line, lane].tolist()
+            info = self.lanes.info(lane, outcome) | {"host_phase_s": dict.fromkeys(PHASES, 0.0)}
+            learned = self.statistics.loss, self.statistics.mean_q
+            games.append(Game(self.games, lane, info, outcome[self._at.reward], self.exploration_rate, *learned))
+            self.games += 1
+        for game in games:
+            game.info["host_phase_s"]["simulation"] = spent_s / len(games)
+        self.lanes.games.refill(begun.tolist())
+        return games
+
+    def get_state(self) -> LearnerState:
+        """As `DoubleDQN` has it; a checkpoint saves the lanes' generators."""
+        state = super().get_state()
+        state.tensors["schedule"] = {"done": self._done, "epsilon": self._epsilon}
+        return state
+
+    def set_state(self, state: LearnerState, observations: Frame) -> None:
+        """As `DoubleDQN` has it; the observations are restored with the lanes."""
+        super().set_state(state, observations)
+        self._done.copy_(state.tensors["schedule"]["done"])
+        self._epsilon.copy_(state.tensors["schedule"]["epsilon"])

@@ -1,117 +1,105 @@
-"""The vectorised environments that a learner flies: a batch or, in timing `wall`, one lane in this process."""
+"""The environments that a learner flies: a batch or, in timing `wall`, one environment in this process."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from functools import partial
-from typing import Any, TypeAlias
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
-import gymnasium
 import numpy as np
-import torch as th
-from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
-from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
+from gymnasium.vector.utils import batch_space
 
 from uavaccel.envs.batch import EnvironmentBatch
-from uavaccel.envs.flyable import Simulator
-from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
+from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.simulators import EXACT
 from uavaccel.envs.turn_batch import TurnBatch
-from uavaccel.envs.values import Action, Answer, Frame
-from uavaccel.rl.exact_lanes import start_exact_lanes, training_keywords
+from uavaccel.envs.values import Actions, Answer, Info, Observation, Steps, stacked_observations
+from uavaccel.rl.config import LearnerConfig
 
 
-class BatchVecEnv(VecEnv):
-    """Adapts a batch with autoreset SAME_STEP to stable-baselines3's VecEnv; methods may address some lanes only."""
+class LanesHere(TurnBatch):
+    """Environments in this process, which fly one after another; a game that ends is followed by the next one."""
 
-    def __init__(self, batch: TurnBatch) -> None:
-        self.batch = batch
-        super().__init__(batch.num_envs, batch.single_observation_space, batch.single_action_space)
+    def __init__(self, environments: Sequence[Callable[[], FlightEnv[Any]]]) -> None:
+        self._environments = [make() for make in environments]
+        first = self._environments[0]
+        self.num_envs, self.render_mode = len(environments), None
+        self.single_observation_space, self.single_action_space = first.observation_space, first.action_space
+        self.observation_space = batch_space(first.observation_space, self.num_envs)
+        self.action_space = batch_space(first.action_space, self.num_envs)
+        self._seen: dict[int, Observation] = {}
+        self._actions: dict[int, Any] = {}
 
-    def reset(self) -> VecEnvObs:
-        options = [option or None for option in self._options]
-        infos = self.batch.reset_each(self._seeds, options)
-        self.reset_infos = infos
-        self._reset_seeds()
-        self._reset_options()
-        return self.batch.observations()
+    def reset_each(self, seeds: Sequence[int | None], options: Sequence[Mapping[str, object] | None]) -> list[Info]:
+        return [self._begin(slot, seeds[slot], options[slot]) for slot in range(self.num_envs)]
 
-    def step_async(self, actions: np.ndarray, lanes: Sequence[int] | None = None) -> None:
-        """Start one command in each of `lanes`, by default in all."""
-        self.batch.step_async(actions, lanes)
+    def _begin(self, slot: int, seed: int | None = None, options: Mapping[str, object] | None = None) -> Info:
+        self._seen[slot], info = self._environments[slot].reset(seed=seed, options=options)
+        return info
 
-    def step_wait(self, lanes: Sequence[int] | None = None) -> VecEnvStepReturn:
-        """Wait for the commands that `step_async` started in the same lanes."""
-        observations, rewards, terminated, truncated, infos = self.batch.step_wait(lanes)
-        cut_off = (truncated & ~terminated).tolist()
-        flown = range(self.num_envs) if lanes is None else lanes
-        for place, (lane, info, cut) in enumerate(zip(flown, infos, cut_off, strict=True)):
-            if "final_info" in info:
-                self.reset_infos[lane] = info
-                infos[place] = {**info.pop("final_info"), "terminal_observation": info.pop("final_obs")}
-            infos[place]["TimeLimit.truncated"] = cut
-        return observations, rewards, terminated | truncated, infos
+    def step_async(self, actions: Actions, slots: Sequence[int] | None = None) -> None:
+        self._actions |= dict(zip(self._all(slots), actions, strict=True))
 
-    def close(self) -> None:
-        self.batch.close()
+    def step_wait(self, slots: Sequence[int] | None = None) -> Steps:
+        which = self._all(slots)
+        rewards, terminated, truncated, infos = zip(*(self._step(slot) for slot in which), strict=True)
+        ended = np.array(rewards, float), np.array(terminated, bool), np.array(truncated, bool)
+        return stacked_observations([self._seen[slot] for slot in which]), *ended, list(infos)
 
-    def get_attr(self, attr_name: str, indices: int | Iterable[int] | None = None) -> list[Answer]:
-        if not isinstance(self.batch, EnvironmentBatch) or attr_name == "render_mode":
-            # A learner asks for it when it is made; lanes that are still starting need not answer.
-            return [getattr(self.batch, attr_name) for _ in self._get_indices(indices)]
-        return self.env_method(attr_name, indices=indices)
+    def _step(self, slot: int) -> tuple[float, bool, bool, Info]:
+        seen, reward, terminated, truncated, info = self._environments[slot].step(self._actions.pop(slot))
+        self._seen[slot] = seen
+        if terminated or truncated:
+            info = self._begin(slot) | {"final_info": info, "final_obs": seen}
+        return reward, terminated, truncated, info
 
-    def set_attr(self, attr_name: str, value: object, indices: int | Iterable[int] | None = None) -> None:
-        assert isinstance(self.batch, EnvironmentBatch), "lanes over arrays have no attributes of their own"
-        self.batch.set_each(attr_name, value, list(self._get_indices(indices)))
-
-    def env_method(
-        self,
-        method_name: str,
-        *method_args: object,
-        indices: int | Iterable[int] | None = None,
-        **method_kwargs: object,
+    def call_each(
+        self, name: str, arguments: Sequence[tuple[object, ...]], slots: Sequence[int] | None = None
     ) -> list[Answer]:
-        if method_kwargs:
-            raise TypeError(f"{method_name}: keywords do not travel, pass the arguments by position")
-        lanes = list(self._get_indices(indices))
-        return self.batch.call_each(method_name, [method_args] * len(lanes), lanes)
+        pairs = zip(self._all(slots), arguments, strict=True)
+        return [getattr(self._environments[slot], name)(*argument) for slot, argument in pairs]
 
-    def env_is_wrapped(
-        self,
-        wrapper_class: type[gymnasium.Wrapper[Frame, Action, Frame, Action]],
-        indices: int | Iterable[int] | None = None,
-    ) -> list[bool]:
-        return [False for _ in self._get_indices(indices)]
+    def observations(self) -> Observation:
+        return stacked_observations([self._seen[slot] for slot in range(self.num_envs)])
 
-    def get_images(self) -> Sequence[np.ndarray | None]:
-        return self.env_method("render")
+    def _all(self, slots: Sequence[int] | None) -> Sequence[int]:
+        return range(self.num_envs) if slots is None else slots
+
+    def close_extras(self, **_: object) -> None:
+        for environment in self._environments:
+            environment.close()
 
 
-Lanes = VecEnv
-AnyLanes: TypeAlias = Any  # Lanes, or CudaLanes
+def start_exact_lanes(config: LearnerConfig) -> EnvironmentBatch:
+    """Start the processes of the exact simulator's lanes, and return while they load. Raises UserError as they do."""
+    return EnvironmentBatch(config.environment_class, config.environments, **_keywords(config))
 
 
-def make_lanes(
-    task: LaneTask, count: int, simulator: Simulator = EXACT, device: str = "cpu", begun: EnvironmentBatch | None = None
-) -> AnyLanes:
+def _keywords(config: LearnerConfig) -> dict[str, Any]:
+    """Return the keywords of a training's batch, whose infos include host times."""
+    return {**config.task.model_dump(mode="json"), "report_host_times": True, "autoreset_mode": "SameStep"}
+
+
+def make_lanes(config: LearnerConfig, begun: EnvironmentBatch | None = None) -> Any:
     """Make the environments of a training, of a batch of exact lanes that has `begun` already if there is one.
 
     In timing `wall` the one lane is flown in this process, so that nothing learns meanwhile and disturbs its clock.
     """
-    if task.timing == "wall":
-        return DummyVecEnv([partial(ObstacleLane, **training_keywords(task))])
-    if simulator == EXACT:
-        return BatchVecEnv(begun or start_exact_lanes(task, count))
-    if not device.startswith("cuda"):
+    environment, count, keywords = config.environment_class, config.environments, _keywords(config)
+    if config.task.timing == "wall":
+        del keywords["autoreset_mode"]
+        return LanesHere([lambda: environment(**keywords)])
+    if config.simulator == EXACT:
+        return begun or start_exact_lanes(config)
+    if not config.on_device:
         from uavaccel.envs.kernel_batch import KernelBatch  # its machine code is loaded where it flies
 
-        return BatchVecEnv(KernelBatch(ObstacleLane, count, autoreset_mode="SameStep", **training_keywords(task)))
-    from uavaccel.envs.cuda_lanes import CudaLanes  # needs numba-cuda and a GPU
+        return KernelBatch(environment, count, **keywords)
+    if config.algorithm == "ppo":
+        from uavaccel.envs.cuda_batch import CudaBatch  # needs numba-cuda and a GPU
 
-    return CudaLanes(task, count, th.device(device))
+        return CudaBatch(environment, count, **keywords)
+    import torch as th
 
+    from uavaccel.envs.cuda_lanes import CudaLanes
 
-def seed_lanes(lanes: AnyLanes, seed: int) -> None:
-    """Seed the lanes; a hash keeps the consecutive seeds of different trainings apart."""
-    lanes.seed(int(np.random.SeedSequence([seed, 1]).generate_state(1)[0]) >> 1)
+    return CudaLanes(config.task, count, th.device(config.device))

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
+import torch as th
 from numpy.typing import NDArray
-from stable_baselines3.common.policies import BasePolicy
 
 from uavaccel.envs.stopwatch import Stopwatch
-from uavaccel.envs.values import Frame, Info
+from uavaccel.envs.turn_batch import TurnBatch
+from uavaccel.envs.values import Info
 from uavaccel.files import Plain
-from uavaccel.rl.config import OWN, LearnerConfig
-from uavaccel.rl.lanes import AnyLanes, Lanes
+from uavaccel.rl.config import DOUBLE_DQN, PPO, LearnerConfig
 
 
 @dataclass(frozen=True)
@@ -48,24 +48,18 @@ class Learner(Protocol):
 
     config: LearnerConfig
     games: int
-    returns: list[float]
     stopwatch: Stopwatch
     holding: bool
     """Set while a checkpoint is due: the learner then finishes what is in flight, until it is `at_rest`."""
 
     @property
-    def lanes(self) -> AnyLanes:
-        """The environments."""
+    def lanes(self) -> Any:
+        """The environments: a TurnBatch, or lanes on a GPU."""
         ...
 
     @property
-    def policy(self) -> BasePolicy:
-        """The policy, with networks and optimizer."""
-        ...
-
-    @property
-    def exploration_rate(self) -> float | None:
-        """Share of random actions; None if it explores differently."""
+    def policy(self) -> th.nn.Module:
+        """The policy, with all networks."""
         ...
 
     @property
@@ -83,26 +77,37 @@ class Learner(Protocol):
 
     def get_state(self) -> LearnerState: ...
 
-    def set_state(self, state: LearnerState, observations: Frame) -> None: ...
+    def set_state(self, state: LearnerState, observations: Any) -> None:
+        """Restore what `get_state` returned; `observations` (lanes, ...) are the lanes' present ones."""
+        ...
+
+
+class OfGames(Protocol):
+    """What counts games and their rewards."""
+
+    config: LearnerConfig
+    games: int
+    returns: list[float]
+
+    @property
+    def exploration_rate(self) -> float | None:
+        """Share of random actions; None if it explores differently."""
+        ...
 
 
 def finished_games(
-    learner: Learner,
-    rewards: Sequence[float],
-    dones: Sequence[bool],
-    infos: Sequence[Info],
-    lanes: Sequence[int] | None = None,
+    learner: OfGames, rewards: Sequence[float], dones: Sequence[bool], infos: Sequence[Info], lanes: Sequence[int]
 ) -> list[Game]:
-    """Add a step's rewards to the returns of `lanes`, by default all; returns the games that ended with it.
+    """Add a step's rewards to the returns of `lanes`; returns the games that ended with it, by their last infos.
 
     Games beyond the configured number are not counted.
     """
     games: list[Game] = []
-    flown = range(learner.lanes.num_envs) if lanes is None else lanes
-    for lane, reward, done, info in zip(flown, rewards, dones, infos, strict=True):
+    for lane, reward, done, info in zip(lanes, rewards, dones, infos, strict=True):
         learner.returns[lane] += float(reward)
         if done and learner.games < learner.config.games:
-            games.append(Game(learner.games, lane, info, learner.returns[lane], learner.exploration_rate))
+            ended = info.get("final_info", info)
+            games.append(Game(learner.games, lane, ended, learner.returns[lane], learner.exploration_rate))
             learner.returns[lane] = 0.0
             learner.games += 1
     return games
@@ -119,19 +124,18 @@ def falling(start: float, final_share: float, remaining: float) -> float:
     return start * (final_share + (1.0 - final_share) * remaining)
 
 
-def charge_inference(lanes: Lanes, config: LearnerConfig, which: Iterable[int] | None = None) -> None:
-    """In timing `virtual`, charge each of `which` lanes, by default all, for its decision."""
-    if config.task.timing == "virtual":
-        lanes.env_method("charge", config.inference_s, "inference", indices=which)
-
-
-def charge_learning(
-    lanes: Lanes, config: LearnerConfig, gradient_steps: int, which: Iterable[int] | None = None
+def charge(
+    lanes: TurnBatch, config: LearnerConfig, duration_s: float, phase: str, which: NDArray[np.int64] | None = None
 ) -> None:
-    """In timing `virtual`, charge each of `which` lanes, by default all, for its share of the gradient steps."""
-    if config.task.timing == "virtual" and gradient_steps:
-        share_s = gradient_steps / lanes.num_envs * config.learning_s
-        lanes.env_method("charge", share_s, "learning", indices=which)
+    """In timing `virtual`, charge each of `which` lanes, by default all, for the agent's work."""
+    if config.task.timing == "virtual" and duration_s:
+        slots = list(range(lanes.num_envs)) if which is None else which.tolist()
+        lanes.call_each("charge", [(duration_s, phase)] * len(slots), slots)
+
+
+def first_seed(seed: int) -> int:
+    """Return the seed of a training's first lane; a hash keeps the consecutive seeds of different trainings apart."""
+    return int(np.random.SeedSequence([seed, 1]).generate_state(1)[0]) >> 1
 
 
 def plain_generator(random: np.random.RandomState) -> list[Plain]:
@@ -145,16 +149,52 @@ def set_generator(random: np.random.RandomState, state: list[Plain]) -> None:
     random.set_state((state[0], np.array(state[1], np.uint32), *state[2:]))
 
 
-def make_learner(config: LearnerConfig, lanes: AnyLanes) -> Learner:
+def make_learner(config: LearnerConfig, lanes: Any) -> Learner:
     """Make the untrained learner that a configuration asks for. Raises UserError for options that it rejects."""
-    if config.on_device:
-        from uavaccel.rl.device_dqn import DeviceDQN  # needs numba-cuda and a GPU
+    if config.algorithm == DOUBLE_DQN:
+        from uavaccel.rl.double_dqn import DeviceDQN, HostDQN
 
-        return DeviceDQN(config, lanes)
-    if config.algorithm == OWN:
-        from uavaccel.rl.double_dqn import DoubleDQN
+        return DeviceDQN(config, lanes) if config.on_device else HostDQN(config, lanes)
+    if config.algorithm == PPO:
+        from uavaccel.rl.ppo_training import PPOTraining
 
-        return DoubleDQN(config, lanes)
-    from uavaccel.rl.baseline import Baseline
+        return PPOTraining(config, lanes)
+    from uavaccel.rl.baseline import Baseline  # needs stable-baselines3
 
     return Baseline(config, lanes)
+
+
+class StepStatistics:
+    """Means over the gradient steps between two reads: `loss`, and `mean_q`, the online network's value of the
+    actions in the batches. None before the first step, and where a mean is not finite.
+    """
+
+    def __init__(self, device: th.device) -> None:
+        self.sums = th.zeros(3, dtype=th.float64, device=device)  # of losses, of mean Qs, of steps
+        self._read = [0.0, 0.0, 0.0]  # what the sums were at the last read
+        self.loss: float | None = None
+        self.mean_q: float | None = None
+
+    def add(self, loss: th.Tensor, chosen_q: th.Tensor) -> None:
+        """Add a gradient step by its loss and the Qs (n,) of its batch's actions, without waiting for the device."""
+        loss_sum, q_sum, steps = self.sums
+        loss_sum.add_(loss.detach())
+        q_sum.add_(chosen_q.detach().mean())
+        steps.add_(1.0)
+
+    def read(self, sums: th.Tensor) -> None:
+        """Take the means of the steps since the last read from `sums`, by now perhaps copied to the host."""
+        now: list[float] = sums.tolist()
+        loss, q, steps = (after - before for after, before in zip(now, self._read, strict=True))
+        if steps:
+            self.loss, self.mean_q = (total / steps if math.isfinite(total) else None for total in (loss, q))
+            self._read = now
+
+    def get_state(self) -> dict[str, Plain]:
+        """Return sums and means as plain values for JSON."""
+        return {"sums": self.sums.tolist(), "read": self._read, "loss": self.loss, "mean_q": self.mean_q}
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Restore what `get_state` returned."""
+        self.sums.copy_(th.tensor(state["sums"], dtype=th.float64))
+        self._read, self.loss, self.mean_q = state["read"], state["loss"], state["mean_q"]

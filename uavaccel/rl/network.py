@@ -1,49 +1,88 @@
-"""The policy network: a feature extractor for frames of 36 x 64, small enough for a CPU, and mirrored inputs."""
+"""Networks that rate actions: convolutions for frames of 36 x 64, small enough for a CPU, and dense layers."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from inspect import unwrap
 from itertools import pairwise
-from typing import Any
 
 import torch as th
 from gymnasium import spaces
-from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
-from stable_baselines3.dqn.policies import QNetwork
 from torch import nn
 
-from uavaccel.rl.contrast import contrast
+from uavaccel.vision.observation import NEUTRAL_LEVEL
+
+HALF_CONTRAST = 24.0  # grey levels from neutral that are seen at half strength
 
 
-class LaneFeatures(BaseFeaturesExtractor):
+def contrast(levels: th.Tensor) -> th.Tensor:
+    """Turn float grey levels, in place, into the network's input of -1 to 1, 0 for "no events"."""
+    distance = levels.sub_(NEUTRAL_LEVEL)
+    return distance.div_(distance.abs().add_(HALF_CONTRAST))
+
+
+class LaneFeatures(nn.Module):
     """A stack of convolutions, one for each of `channels`: 8 x 8 with stride 4, then 3 x 3 with stride 2.
 
     The input d / (24 + |d|) is the distance d of a grey level from "no events", with faint events amplified.
     """
 
-    def __init__(self, observation_space: spaces.Box, channels: Sequence[int]) -> None:
-        frames, rows, columns = observation_space.shape
+    def __init__(self, shape: Sequence[int], channels: Sequence[int]) -> None:
+        super().__init__()
+        frames, rows, columns = shape
         layers: list[nn.Module] = [nn.Conv2d(frames, channels[0], 8, stride=4, padding=2), nn.ReLU()]
         rows, columns = rows // 4, columns // 4
         for before, after in pairwise(channels):
             layers += [nn.Conv2d(before, after, 3, stride=2, padding=1), nn.ReLU()]
             rows, columns = (rows + 1) // 2, (columns + 1) // 2
-        super().__init__(observation_space, channels[-1] * rows * columns)
+        self.features_dim = channels[-1] * rows * columns
         self.layers = nn.Sequential(*layers, nn.Flatten())
 
     def forward(self, observations: th.Tensor) -> th.Tensor:
-        """Features (n, features) of grey levels (n, frames, rows, columns), 0 to 255, which are overwritten."""
+        """Features (n, features) of grey levels (n, frames, rows, columns), 0 to 255, floats that are overwritten."""
         features: th.Tensor = self.layers(contrast(observations))
         return features
 
 
-def ratings(networks: Sequence[QNetwork], observations: th.Tensor) -> list[th.Tensor]:
-    """Action values (n, actions) from each of several networks of one layout, which share their input."""
-    if not isinstance(networks[0].features_extractor, LaneFeatures):
-        return [network(observations) for network in networks]
-    seen = contrast(observations.float())
-    readers: list[Any] = [network.features_extractor for network in networks]
-    return [network.q_net(reader.layers(seen)) for network, reader in zip(networks, readers, strict=True)]
+class QNetwork(nn.Module):
+    """Q(s, a) for all actions a: features of pictures (frames, rows, columns), or numbers as they are, dense layers."""
+
+    def __init__(self, shape: Sequence[int], actions: int, channels: Sequence[int], hidden: Sequence[int]) -> None:
+        super().__init__()
+        self.features_extractor = LaneFeatures(shape, channels) if len(shape) == 3 else nn.Flatten()
+        width = getattr(self.features_extractor, "features_dim", th.Size(shape).numel())
+        layers: list[nn.Module] = []
+        for before, after in pairwise((width, *hidden)):
+            layers += [nn.Linear(before, after), nn.ReLU()]
+        self.q_net = nn.Sequential(*layers, nn.Linear((width, *hidden)[-1], actions))
+
+    def forward(self, observations: th.Tensor) -> th.Tensor:
+        """Action values (n, actions) of observations (n, ...)."""
+        values: th.Tensor = self.q_net(self.features_extractor(observations.to(th.float32, copy=True)))
+        return values
+
+
+class QPolicy(nn.Module):
+    """The online network `q_net` and the target network `q_net_target`, which begins as its copy."""
+
+    optimizer: th.optim.Optimizer
+
+    def __init__(
+        self, space: spaces.Box, space_of_actions: spaces.Discrete, channels: Sequence[int], hidden: Sequence[int]
+    ) -> None:
+        super().__init__()
+        self.observation_space = space
+        self.q_net, self.q_net_target = (
+            QNetwork(space.shape, int(space_of_actions.n), channels, hidden) for _ in range(2)
+        )
+        self.q_net_target.load_state_dict(self.q_net.state_dict())
+
+    def values(self, observations: th.Tensor, turned: Sequence[int] | None = None) -> th.Tensor:
+        """Action values (n, actions); with each action's mirror image `turned`, averaged over both views."""
+        if turned is None:
+            values: th.Tensor = self.q_net(observations)
+            return values
+        return rated_both_ways(self.q_net, observations, turned)
 
 
 def turned_actions(headings_deg: Sequence[float]) -> list[int]:
@@ -58,3 +97,16 @@ def rated_both_ways(rate: Callable[[th.Tensor], th.Tensor], seen: th.Tensor, tur
     count = seen.shape[0]  # not len(): the exporter to ONNX would take it for fixed
     straight, mirrored = both[:count], both[count:]
     return (straight + mirrored[:, list(turned)]) / 2
+
+
+class Adam(th.optim.Adam):
+    """PyTorch's Adam without the wrappers that load its compiler at their first call, which takes 1.4 s.
+
+    They only keep a method out of compiled graphs, which are not used here, and leave it as `__wrapped__`.
+    """
+
+    add_param_group = unwrap(th.optim.Optimizer.add_param_group)
+    zero_grad = unwrap(th.optim.Optimizer.zero_grad)
+    state_dict = unwrap(th.optim.Optimizer.state_dict)
+    load_state_dict = unwrap(th.optim.Optimizer.load_state_dict)
+    step = th.no_grad()(unwrap(th.optim.Adam.step))

@@ -13,15 +13,13 @@ from pathlib import Path
 from typing import Any
 
 import torch as th
-from stable_baselines3.common.policies import ActorCriticPolicy
-from stable_baselines3.dqn.policies import DQNPolicy
 from torch import nn
 from torch.nn.functional import avg_pool2d
 
 from uavaccel.envs.sensors import DEPTH_FAR_M, SIZE
 from uavaccel.errors import UserError
 from uavaccel.files import replacing
-from uavaccel.rl.algorithms import action_values
+from uavaccel.rl.config import DOUBLE_DQN, PPO
 from uavaccel.rl.policy import Policy, observed_frames
 from uavaccel.vision.observation import BLOCK_SIDE, NEUTRAL_LEVEL
 
@@ -40,27 +38,29 @@ TOLD = (
 
 
 class OnnxPolicy(nn.Module):
-    """Maps full-size sensor pictures to action values and the greedy action."""
+    """Maps full-size sensor pictures to action values and the greedy action, or to the continuous action."""
 
     def __init__(self, policy: Policy) -> None:
         super().__init__()
-        self.policy, self.turned = policy.network, policy.turned
+        self.policy, self.turned, self.algorithm = policy.network, policy.turned, policy.config.algorithm
         self.observation = policy.config.task.observation
 
-    def forward(self, seen: th.Tensor, told: th.Tensor | None = None) -> tuple[th.Tensor, th.Tensor]:
-        """Return ratings (n, actions) and actions (n,) for pictures `seen` and context planes `told`, if it has any."""
-        levels = reduced(seen, self.observation)
-        ratings = self._rate(levels if told is None else th.cat([levels, told], dim=1))
-        return ratings, ratings.argmax(dim=1)
+    def forward(self, seen: th.Tensor, told: th.Tensor | None = None) -> tuple[th.Tensor, ...]:
+        """Return ratings (n, actions) and actions (n,) for pictures `seen` and context planes `told`, if it has any.
 
-    def _rate(self, observations: th.Tensor) -> th.Tensor:
-        policy = self.policy
-        if isinstance(policy, DQNPolicy):
-            return action_values(policy, observations, self.turned)
-        assert isinstance(policy, ActorCriticPolicy)
-        features: Any = policy.extract_features(observations, policy.pi_features_extractor)
-        rated: th.Tensor = policy.action_net(policy.mlp_extractor.forward_actor(features))
-        return rated
+        Of a policy with continuous actions these are the actions (n, size) alone.
+        """
+        levels = reduced(seen, self.observation)
+        levels = levels if told is None else th.cat([levels, told], dim=1)
+        if self.algorithm == PPO:
+            return (self.policy.act_on({"seen": levels}),)
+        if self.algorithm == DOUBLE_DQN:
+            ratings = self.policy.values(levels, self.turned)
+        else:
+            from uavaccel.rl.baseline import tensor_ratings
+
+            ratings = tensor_ratings(self.policy, levels)
+        return ratings, ratings.argmax(dim=1)
 
 
 def reduced(seen: th.Tensor, observation: str) -> th.Tensor:
@@ -87,7 +87,7 @@ def write_onnx(policy: Policy, path: Path) -> dict[str, str]:
             OnnxPolicy(policy).eval(),
             inputs,
             input_names=names,
-            output_names=["ratings", "action"],
+            output_names=["action"] if policy.config.algorithm == PPO else ["ratings", "action"],
             dynamic_shapes=[{0: th.export.Dim("n", min=1)}] * len(inputs),
             dynamo=True,
             verbose=False,
@@ -102,7 +102,9 @@ def write_onnx(policy: Policy, path: Path) -> dict[str, str]:
 def example(policy: Policy) -> tuple[th.Tensor, ...]:
     """Make example inputs, a batch of 2, from which the exporter takes the shapes."""
     task = policy.config.task
-    shape = policy.network.observation_space.shape or ()
+    if task.also_state:
+        raise UserError("also_state: a policy that observes a mapping cannot be exported as ONNX")
+    shape = task.observation_space().shape or ()
     if task.observation == "state":
         return (th.zeros(2, *shape),)
     planes = observed_frames(task) * CHANNELS[task.observation]
@@ -114,10 +116,11 @@ def example(policy: Policy) -> tuple[th.Tensor, ...]:
 def described(policy: Policy) -> dict[str, str]:
     """Return the file's metadata, what a user of the file needs to know: text, or JSON for numbers."""
     task = policy.config.task
-    flight = ("headings_deg", "speed_m_s", "altitude_m", "t_move_s", "t_sample_s")
-    keys = (*flight, "command", "dvs_preset", "knows")
-    about = {key: json.dumps(task.model_dump(mode="json")[key]) for key in keys}
-    told = {"told": TOLD} if task.knows else {}
+    kind = "action" if policy.config.algorithm == PPO else "headings_deg"
+    flight = (kind, "speed_m_s", "altitude_m", "t_move_s", "t_sample_s")
+    given, keys = task.model_dump(mode="json"), (*flight, "command", "dvs_preset", "knows")
+    about = {key: json.dumps(given[key]) for key in keys if key in given}
+    told = {"told": TOLD} if task.context_planes() else {}
     return {
         "seen": INPUTS[task.observation],
         **told,

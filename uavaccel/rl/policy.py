@@ -8,23 +8,24 @@ from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from pickle import UnpicklingError
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from gymnasium import spaces
 from numpy.typing import NDArray
 from typing_extensions import TypedDict
 
 from uavaccel.config import validate
+from uavaccel.envs.obstacle_lane import LaneTask
 from uavaccel.envs.task import Task
-from uavaccel.envs.values import Frame
+from uavaccel.envs.values import Frame, Observation
 from uavaccel.errors import UserError
 from uavaccel.files import ARRAYS_BYTES, Plain, file_sha256, open_bounded, parse_json, read_bounded, replacing, to_json
 from uavaccel.forms import check
-from uavaccel.rl.config import LearnerConfig, check_options
+from uavaccel.rl.config import DOUBLE_DQN, PPO, LearnerConfig, check_options
 
 if TYPE_CHECKING:  # a manifest is read without PyTorch
     import torch as th
-    from stable_baselines3.common.policies import BasePolicy
 
 WEIGHTS, MANIFEST = "policy.pt", "policy.json"
 _TARGET = "q_net_target."  # the target network, which only learning needs
@@ -45,21 +46,40 @@ class PolicyManifest(TypedDict, total=False):
 class Policy:
     """A trained network, the configuration of its training, and its manifest."""
 
-    network: BasePolicy
+    network: Any
+    """A QPolicy, an ActorCritic, or a policy of stable-baselines3."""
     config: LearnerConfig
     manifest: Mapping[str, Plain]
 
-    def act(self, observations: Frame) -> NDArray[np.int64]:
-        """Return the greedy actions (n,) for observations (n, ...)."""
-        from uavaccel.rl.algorithms import greedy
+    def act(self, observations: Observation) -> NDArray[Any]:
+        """Return the greedy actions, (n,) or (n, size), for observations (n, ...)."""
+        import torch as th
 
-        return greedy(self.network, observations, self.turned)
+        if self.config.algorithm == PPO:
+            return np.asarray(self.network.act(observations).cpu())
+        if self.config.algorithm != DOUBLE_DQN:
+            from uavaccel.rl.baseline import greedy
+
+            return greedy(self.network, observations)
+        with th.inference_mode():
+            return np.asarray(self.values(th.from_numpy(observations)).argmax(dim=1).cpu())
+
+    def values(self, observations: th.Tensor) -> th.Tensor:
+        """Return double_dqn's action values (n, actions), averaged over both views with `mirrored_decisions`."""
+        device = next(self.network.parameters()).device
+        values: th.Tensor = self.network.values(observations.to(device), self.turned)
+        return values
 
     def rate(self, observations: Frame) -> tuple[str, NDArray[np.float64]]:
-        """Return the kind of its ratings, and the ratings (n, actions) for observations (n, ...)."""
-        from uavaccel.rl.algorithms import action_ratings
+        """Return the kind of a discrete policy's ratings, and these (n, actions) for observations (n, ...)."""
+        import torch as th
 
-        return action_ratings(self.network, observations, self.turned)
+        if self.config.algorithm != DOUBLE_DQN:
+            from uavaccel.rl.baseline import ratings
+
+            return ratings(self.network, observations)
+        with th.inference_mode():
+            return "action values", self.values(th.from_numpy(observations)).cpu().numpy().astype(np.float64)
 
     @property
     def turned(self) -> list[int] | None:
@@ -69,7 +89,23 @@ class Policy:
         return turned_actions(self.config.task.headings_deg) if self.config.mirrored_decisions else None
 
 
-def weights_sha256(policy: BasePolicy) -> str:
+def make_policy(config: LearnerConfig) -> Any:
+    """Make the untrained networks of a configuration: a QPolicy, an ActorCritic, or stable-baselines3's, for `act`."""
+    space, actions = config.task.observation_space(), config.task.action_space()
+    if config.algorithm == DOUBLE_DQN:
+        from uavaccel.rl.network import QPolicy
+
+        return QPolicy(space, actions, config.channels, config.hidden)
+    if config.algorithm == PPO:
+        from uavaccel.rl.ppo_training import actor_of
+
+        return actor_of(config)
+    from uavaccel.rl.baseline import make_baseline_policy
+
+    return make_baseline_policy(config)
+
+
+def weights_sha256(policy: th.nn.Module) -> str:
     """SHA-256 of the names, shapes and bytes of all weights."""
     digest = hashlib.sha256()
     for name, tensor in sorted(policy.state_dict().items()):
@@ -78,7 +114,7 @@ def weights_sha256(policy: BasePolicy) -> str:
     return digest.hexdigest()
 
 
-def export_policy(folder: Path, policy: BasePolicy, config: LearnerConfig, trained: Mapping[str, Plain]) -> None:
+def export_policy(folder: Path, policy: th.nn.Module, config: LearnerConfig, trained: Mapping[str, Plain]) -> None:
     """Write `policy.pt`, a state dict, and `policy.json`, in which `trained` describes the training."""
     import torch as th
 
@@ -93,13 +129,23 @@ def export_policy(folder: Path, policy: BasePolicy, config: LearnerConfig, train
         "weights": WEIGHTS,
         "weights_file_sha256": file_sha256(folder / WEIGHTS),
         "preprocessing": PREPROCESSING if config.task.observation == "dvs" else config.task.observation,
-        "observation_shape": list(policy.observation_space.shape or ()),
-        "actions_heading_deg": list(config.task.headings_deg),
+        **_form(config.task),
         "config": config.model_dump(mode="json", exclude={"task": {"latency"}}),
         "trained": dict(trained),
     }
     with replacing(folder / MANIFEST) as file:
         file.write((to_json(manifest, indent=2) + "\n").encode())
+
+
+def _form(task: Task) -> dict[str, Plain]:
+    """Return what the policy's inputs and outputs are."""
+    space: spaces.Space[Any] = task.observation_space()
+    actions = task.action_space()
+    parts = space.spaces if isinstance(space, spaces.Dict) else None
+    shape = list(space.shape or ()) if parts is None else {name: list(part.shape or ()) for name, part in parts.items()}
+    if isinstance(task, LaneTask):
+        return {"observation_shape": shape, "actions_heading_deg": list(task.headings_deg)}
+    return {"observation_shape": shape, "action": task.action, "action_shape": list(actions.shape or ())}
 
 
 def trained_with(folder: Path) -> Mapping[str, Plain]:
@@ -130,12 +176,9 @@ def _stamp(file: Path) -> tuple[int, int] | None:
 
 @lru_cache(maxsize=4)  # a sweep asks for the same policy in each of its cases
 def _read_policy(path: Path, *stamps: tuple[int, int] | None) -> Policy:
-    from uavaccel.rl.algorithms import make_policy
-
     manifest, config = _read_manifest(path, *stamps)
     weights = _read_weights(path / WEIGHTS)
-    network = make_policy(config, lambda _: 0.0, learns=False)
-    network.set_training_mode(False)
+    network = make_policy(config).eval()
     target = {
         _TARGET + name.removeprefix("q_net."): tensor for name, tensor in weights.items() if name.startswith("q_net.")
     }

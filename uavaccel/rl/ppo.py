@@ -24,48 +24,27 @@ from gymnasium import spaces
 from pydantic import Field
 from torch import nn
 
-from uavaccel.config import Config
+from uavaccel.envs.sensors import DEPTH_FAR_M
 from uavaccel.errors import UserError
 from uavaccel.kernels.recording import recorded
-from uavaccel.limits import Count, Seed, Share
-from uavaccel.rl.contrast import contrast
+from uavaccel.limits import Count, Seed
+from uavaccel.rl.config import PPOSettings
+from uavaccel.rl.network import Adam, contrast
 
-Weight = Annotated[float, Field(ge=0.0, le=1e3)]
 Parts: TypeAlias = dict[str, th.Tensor]
 
+NEAR_M = 15.0  # depth from which on all is equally far
 LOG_ROOT_TWO_PI, LOG_ROOT_TWO_PI_E = 0.5 * math.log(2 * math.pi), 0.5 * math.log(2 * math.pi * math.e)
 
 
-class PPOOptions(Config):
-    """The options of a training."""
+class PPOOptions(PPOSettings):
+    """The options of a training by commands."""
 
     commands: Annotated[int, Field(ge=1, le=10**12)] = 20_000_000
-    """Commands that all environments fly together."""
-    rollout: Count = 32
-    """Commands of each environment between two updates, T."""
-    epochs: Count = 2
-    """Passes over a rollout."""
-    minibatches: Count = 8
-    """Gradient steps of a pass."""
-    learning_rate: Annotated[float, Field(gt=0.0, le=1.0)] = 5e-4
-    """Adam's learning rate at first; it falls to 0 over the training."""
-    gamma: Share = 0.99
-    """Discount of a command."""
-    smoothing: Share = 0.95
-    """Lambda of the generalised advantages."""
-    clip: Annotated[float, Field(gt=0.0, le=1.0)] = 0.2
-    """Largest change of a probability ratio that is rewarded."""
-    value_weight: Weight = 0.5
-    """Weight of the value's error in the loss."""
-    entropy_weight: Weight = 0.001
-    """Weight of the entropy in the loss."""
-    max_grad_norm: Annotated[float, Field(gt=0.0, le=1e6)] = 0.5
-    """Norm to which gradients are clipped."""
-    first_deviation: Annotated[float, Field(gt=0.0, le=10.0)] = 0.6
-    """Standard deviation of the actions at first."""
+    """Commands that all environments fly together; the learning rate falls to 0 over them."""
     channels: Annotated[tuple[Count, ...], Field(min_length=1, max_length=6)] = (16, 32, 32)
     """Channels of the convolutions, for observations with pictures: 5 x 5, then 3 x 3, all with stride 2."""
-    hidden: Annotated[tuple[Count, ...], Field(min_length=1, max_length=6)] = (256, 128)
+    hidden: Annotated[tuple[Count, ...], Field(min_length=1, max_length=8)] = (256, 128)
     """Widths of the layers after them."""
     seed: Seed = 0
     """Seed of weights and actions, and of the environments' games."""
@@ -103,11 +82,14 @@ def boxes_of(space: spaces.Space[Any]) -> dict[str, spaces.Box]:
 
 
 class ActorCritic(nn.Module):
-    """Mean actions and values of observations: convolutions for each picture, then layers that all parts share."""
+    """Mean actions and values of observations: convolutions for each picture, then layers that all parts share.
 
-    def __init__(self, space: spaces.Space[Any], actions: int, options: PPOOptions, events: bool = False) -> None:
+    `sees` is the task's kind of observation, by which levels of pictures become the network's input.
+    """
+
+    def __init__(self, space: spaces.Space[Any], actions: int, options: PPOOptions, sees: str = "") -> None:
         super().__init__()
-        self.events, width = events, 0
+        self.sees, width = sees, 0
         self.eyes = nn.ModuleDict()
         for name, box in boxes_of(space).items():
             if len(box.shape) == 1:
@@ -133,17 +115,22 @@ class ActorCritic(nn.Module):
         return self.mean(features), self.value(features)[:, 0]
 
     def _levels(self, picture: th.Tensor) -> th.Tensor:
-        """Return grey levels 0 to 255 as -1 to 1, faint events amplified."""
-        if self.events:
+        """Return levels 0 to 255 as -1 to 1; faint events are amplified, and depth is told apart up to NEAR_M."""
+        if self.sees == "dvs":
             return contrast(picture.to(th.float32, copy=True))
+        if self.sees == "depth":
+            return 1.0 - (picture.float() * (DEPTH_FAR_M / 255 / NEAR_M)).clamp(max=1.0)
         return picture.float() / 127.5 - 1.0
+
+    def act_on(self, seen: Parts) -> th.Tensor:
+        """Return the mean actions (n, actions), -1 to 1, for observations by name."""
+        clipped: th.Tensor = self(seen)[0].clamp(-1.0, 1.0)
+        return clipped
 
     @th.no_grad()
     def act(self, observations: Any) -> th.Tensor:
         """Return the mean actions (n, actions), -1 to 1, for observations as environments give them."""
-        mean, _ = self(parts_of(observations, self.log_deviation.device))
-        clipped: th.Tensor = mean.clamp(-1.0, 1.0)
-        return clipped
+        return self.act_on(parts_of(observations, self.log_deviation.device))
 
 
 def _scaled(layer: Any, gain: float) -> Any:
@@ -162,19 +149,14 @@ class PPO:
         space = env.single_action_space
         if not isinstance(space, spaces.Box) or len(space.shape) != 1:
             raise UserError(f"PPO takes continuous actions (n,), not {space}")
-        if env.num_envs * options.rollout % options.minibatches:
-            raise UserError(
-                f"minibatches = {options.minibatches}: must divide the {env.num_envs * options.rollout} samples"
-            )
+        options.check_samples(env.num_envs)
         self.env, self.options, self.device = env, options, th.device(getattr(env, "device", "cpu"))
         th.manual_seed(options.seed)
-        events = getattr(getattr(env, "task", None), "observation", "") == "dvs"
-        self.policy = ActorCritic(env.single_observation_space, space.shape[0], options, events).to(self.device)
+        sees = getattr(getattr(env, "task", None), "observation", "")
+        self.policy = ActorCritic(env.single_observation_space, space.shape[0], options, sees).to(self.device)
         on_gpu = self.device.type == "cuda"
         rate = th.tensor(options.learning_rate, device=self.device)
-        self._optimizer = th.optim.Adam(
-            self.policy.parameters(), rate, eps=1e-5, capturable=on_gpu, fused=on_gpu or None
-        )
+        self.optimizer = Adam(self.policy.parameters(), rate, eps=1e-5, capturable=on_gpu, fused=on_gpu or None)
         self.commands = 0
         self._allocate(space.shape[0])
         works = self._act, self._estimate, self._descend
@@ -199,28 +181,32 @@ class PPO:
 
     def learn(self) -> Iterator[Progress]:
         """Train until all commands are flown; yield after each round."""
-        self._look(self.env.reset(seed=self.options.seed)[0])
+        self.look(self.env.reset(seed=self.options.seed)[0])
         while self.commands < self.options.commands:
-            left = 1.0 - self.commands / self.options.commands
-            for group in self._optimizer.param_groups:
-                group["lr"].fill_(left * self.options.learning_rate)
-            self._tally.zero_()
-            self._step.zero_()
-            for step in range(self.options.rollout):
-                self._do_act()
-                self._fly(step)
-            self._do_estimate()
-            for _ in range(self.options.epochs):
-                order = th.randperm(self._rewards.numel(), device=self.device).view(self.options.minibatches, -1)
-                for batch in order:
-                    self._batch.copy_(batch)
-                    self._do_descend()
-            self.commands += self._rewards.numel()
-            games, won, rewards = self._tally.tolist()
-            deviation = float(self.policy.log_deviation.detach().exp().mean())
-            yield Progress(self.commands, int(games), int(won), rewards / self._rewards.numel(), deviation)
+            yield self.advance(1.0 - self.commands / self.options.commands)
 
-    def _look(self, observations: Any) -> None:
+    def advance(self, rate_share: float) -> Progress:
+        """Fly a rollout and learn from it, at a share of the initial learning rate."""
+        for group in self.optimizer.param_groups:
+            group["lr"].fill_(rate_share * self.options.learning_rate)
+        self._tally.zero_()
+        self._step.zero_()
+        for step in range(self.options.rollout):
+            self._do_act()
+            self._fly(step)
+        self._do_estimate()
+        for _ in range(self.options.epochs):
+            order = th.randperm(self._rewards.numel(), device=self.device).view(self.options.minibatches, -1)
+            for batch in order:
+                self._batch.copy_(batch)
+                self._do_descend()
+        self.commands += self._rewards.numel()
+        games, won, rewards = self._tally.tolist()
+        deviation = float(self.policy.log_deviation.detach().exp().mean())
+        return Progress(self.commands, int(games), int(won), rewards / self._rewards.numel(), deviation)
+
+    def look(self, observations: Any) -> None:
+        """Take the observations (environments, ...) that are to be acted on next."""
         for name, part in parts_of(observations, self.device).items():
             self._now[name].copy_(part)
 
@@ -229,15 +215,13 @@ class PPO:
         on_gpu = self.device.type == "cuda"
         actions = self._action.clamp(-1.0, 1.0)
         seen, rewards, terminated, truncated, infos = self.env.step(actions if on_gpu else actions.numpy())
-        self._look(seen)
+        self.look(seen)
         reward, lost, cut = (th.as_tensor(part, device=self.device) for part in (rewards, terminated, truncated))
         over = lost | cut
         self._rewards[step] = reward.float() + self.options.gamma * self._values[step] * cut
         self._going[step] = (~over).float()
         won = infos.get("final_info", {}).get("is_success")
-        won_now = (
-            th.zeros_like(over) if won is None else th.as_tensor(np.asarray(won, bool) if not on_gpu else won) & over
-        )
+        won_now = th.zeros_like(over) if won is None else th.as_tensor(won, device=self.device) & over
         self._tally += th.stack([over.sum().double(), won_now.sum().double(), reward.double().sum()])
 
     @th.no_grad()
@@ -288,7 +272,7 @@ class PPO:
         entropy = (self.policy.log_deviation + LOG_ROOT_TWO_PI_E).sum()
         error = ((value - target) ** 2).mean()
         loss = options.value_weight * error - objective - options.entropy_weight * entropy
-        self._optimizer.zero_grad(set_to_none=False)
+        self.optimizer.zero_grad(set_to_none=False)
         loss.backward()
         nn.utils.clip_grad_norm_(self.policy.parameters(), options.max_grad_norm)
-        self._optimizer.step()
+        self.optimizer.step()

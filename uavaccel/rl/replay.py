@@ -1,131 +1,150 @@
-"""The replay buffer: transitions on the learner's device, sampled with n-step returns."""
+"""The replay buffer: a ring of rounds on the learner's device, sampled as n-step windows.
+
+A row is one command of every lane, and the next observation of a command is the observation of the row after it. A
+window that contains a truncation then has no weight, since its next observation belongs to another game. A ring that
+`keeps_ends` stores what each command led to as well: it learns up to the truncation, and from the newest rows.
+"""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch as th
 from numpy.typing import NDArray
 
-from uavaccel.envs.values import Frame
-
-ON_DEVICE = ("observations", "next_observations")
-IN_MEMORY = ("actions", "rewards", "dones", "truncated")
+from uavaccel.rl.network import QNetwork, contrast
 
 
-class Batch(NamedTuple):
-    """Sampled transitions (n, ...): s_t, a_t, the discounted sum of up to n_steps rewards, and the state after them."""
+class Windows(NamedTuple):
+    """Sampled n-step windows (n,): the places of s and s' in the ring, a, the return r, and γ^n, 0 at a game's end."""
 
-    observations: th.Tensor
-    actions: th.Tensor  # (n, 1) int64
-    next_observations: th.Tensor
-    dones: th.Tensor  # (n, 1): the game was terminated, not truncated
-    rewards: th.Tensor  # (n, 1)
-    discounts: th.Tensor  # (n, 1): of the value that is bootstrapped
+    row: th.Tensor
+    after: th.Tensor
+    lane: th.Tensor
+    actions: th.Tensor
+    rewards: th.Tensor
+    discounts: th.Tensor
+    weights: th.Tensor
+    mirrored: th.Tensor
 
-
-class Row(NamedTuple):
-    """One command of every lane, in the form of `ReplayBuffer.add`; filled group by group."""
-
-    observations: Frame
-    actions: NDArray[np.int64]
-    rewards: NDArray[np.float64]
-    after: Frame
-    dones: NDArray[np.bool_]
-    truncated: NDArray[np.bool_]
-
-    @classmethod
-    def like(cls, observations: Frame) -> Row:
-        """Make an uninitialised row for observations (lanes, ...)."""
-        lanes = len(observations)
-        ends = np.empty((2, lanes), np.bool_)
-        before, after = np.empty_like(observations), np.empty_like(observations)
-        return cls(before, np.empty(lanes, np.int64), np.empty(lanes), after, *ends)
+    def split(self, size: int) -> list[Windows]:
+        """Divide them into batches."""
+        return [Windows(*each) for each in zip(*(part.split(size) for part in self), strict=True)]
 
 
-class ReplayBuffer:
-    """A ring of `capacity` transitions of `lanes` lanes; observations are on `device`, the rest in main memory."""
+class Replay:
+    """A ring of `rows` rounds of `lanes` lanes; `place` is the row in progress, `filled` ones before it are whole."""
 
     def __init__(
-        self, capacity: int, lanes: int, shape: tuple[int, ...], dtype: np.dtype[np.generic], device: th.device
+        self, rows: int, lanes: int, shape: Sequence[int], dtype: th.dtype, device: th.device, keeps_ends: bool = False
     ) -> None:
-        self.rows, self.lanes, self.device = max(capacity // lanes, 1), lanes, device
-        kind = th.uint8 if dtype == np.uint8 else th.float32
+        self.rows, self.lanes, self.device, self.keeps_ends = rows, lanes, device, keeps_ends
+        self._most = rows if keeps_ends else rows - 1
+        self._sums = th.float32 if keeps_ends else th.float64
         # Uninitialised: gigabytes that are taken as they fill, and written before they are read.
-        self.observations, self.next_observations = (
-            th.empty((self.rows, lanes, *shape), dtype=kind, device=device) for _ in range(2)
-        )
-        self.actions = np.zeros((self.rows, lanes), np.int64)
-        self.rewards, self.dones, self.truncated = (np.zeros((self.rows, lanes), np.float32) for _ in range(3))
-        self.place, self.full = 0, False
+        self.observations = th.empty((rows, lanes, *shape), dtype=dtype, device=device)
+        self.next_observations = th.empty_like(self.observations) if keeps_ends else self.observations
+        self.actions = th.zeros((rows, lanes), dtype=th.int64, device=device)
+        self.rewards, self.over, self.cut, self.flown = (th.zeros((rows, lanes), device=device) for _ in range(4))
+        self.place, self.filled = (th.zeros(1, dtype=th.int64, device=device) for _ in range(2))
 
-    def __len__(self) -> int:
-        return self.rows if self.full else self.place
+    def start_round(self, observations: th.Tensor, actions: th.Tensor) -> None:
+        """Store the observations (lanes, ...) and actions (lanes,) of the round in progress."""
+        self.observations.index_copy_(0, self.place, observations[None])
+        self.actions.index_copy_(0, self.place, actions[None])
 
-    def add(
+    def end_round(
         self,
-        observations: NDArray[np.generic],
-        actions: NDArray[np.int64],
-        rewards: NDArray[np.floating],
-        next_observations: NDArray[np.generic],
-        dones: NDArray[np.bool_],
-        truncated: NDArray[np.bool_],
+        rewards: th.Tensor,
+        terminated: th.Tensor,
+        truncated: th.Tensor,
+        flown: th.Tensor,
+        after: th.Tensor | None = None,
     ) -> None:
-        """Append one command of every lane, over the oldest if the ring is full. `dones` includes `truncated`."""
-        row = self.place
-        self.observations[row].copy_(th.from_numpy(np.ascontiguousarray(observations)))
-        self.next_observations[row].copy_(th.from_numpy(np.ascontiguousarray(next_observations)))
-        self.actions[row], self.rewards[row] = actions, rewards
-        self.dones[row], self.truncated[row] = dones, truncated
-        self.place = (row + 1) % self.rows
-        self.full = self.full or self.place == 0
+        """Store the results (lanes,) of the round in progress, `flown` by these lanes, and go on to the next row.
 
-    def sample(self, count: int, n_steps: int, gamma: float, random: np.random.RandomState) -> Batch:
-        """Sample `count` transitions; returns are over `n_steps`, or fewer at the end of a game or of the ring."""
-        rows = random.randint(0, len(self), size=count)
-        lanes = random.randint(0, self.lanes, size=count)
-        steps = np.arange(n_steps)
-        ahead = (rows[:, None] + steps) % self.rows
-        # No later step counts after a game's last one, nor after the newest in the ring.
-        at = ahead, lanes[:, None]
-        ends = (self.dones[at] > 0) | (ahead == (self.place - 1) % self.rows)
-        last = np.where(ends.any(axis=1), ends.argmax(axis=1), n_steps - 1)
-        counted = steps <= last[:, None]
-        powers = np.float32(gamma) ** np.arange(n_steps, dtype=np.float32)
-        rewards = (self.rewards[at] * powers * counted).sum(axis=1)
-        discounts = gamma ** counted.sum(axis=1).astype(np.float32)
-        final = (rows + last) % self.rows
-        dones = self.dones[final, lanes] * (1.0 - self.truncated[final, lanes])
-        seen, after, actions = self._sent(
-            rows * self.lanes + lanes, final * self.lanes + lanes, self.actions[rows, lanes]
-        )
-        dones, rewards, discounts = self._sent(*(each.astype(np.float32) for each in (dones, rewards, discounts)))
-        return Batch(
-            self.observations.flatten(0, 1).index_select(0, seen),  # which copies whole observations
-            actions[:, None],
-            self.next_observations.flatten(0, 1).index_select(0, after),
-            dones[:, None],
-            rewards[:, None],
-            discounts[:, None],
-        )
+        A ring that `keeps_ends` needs the observations `after` it (lanes, ...).
+        """
+        rows = ((self.rewards, rewards), (self.over, terminated), (self.cut, truncated), (self.flown, flown))
+        for room, values in rows:
+            room.index_copy_(0, self.place, values.float()[None])
+        if after is not None:
+            self.next_observations.index_copy_(0, self.place, after[None])
+        self.place.copy_((self.place + 1) % self.rows)
+        self.filled.copy_((self.filled + 1).clamp(max=self._most))
 
-    def _sent(self, *values: NDArray[np.generic]) -> th.Tensor:
-        """Transfer arrays (n,) of one type to the device together: each transfer waits for all work of the GPU."""
-        return th.from_numpy(np.stack(values)).to(self.device)
+    def draw(self, count: int, n_steps: int) -> tuple[th.Tensor, th.Tensor]:
+        """Draw the rows and lanes (count,) of whole windows, on the device."""
+        age = n_steps - 1 + th.rand(count, device=self.device, dtype=th.float64) * (self.filled - n_steps + 1)
+        row = (self.place - 1 - age.long()) % self.rows
+        return row, (th.rand(count, device=self.device, dtype=th.float64) * self.lanes).long()
 
-    def get_state(self) -> dict[str, NDArray[np.generic]]:
-        """Return its contents as arrays."""
-        filled = len(self)
-        arrays = {name: getattr(self, name)[:filled].cpu().numpy() for name in ON_DEVICE}
-        arrays |= {name: getattr(self, name)[:filled] for name in IN_MEMORY}
-        return arrays | {"place": np.array([self.place, self.full])}
+    def windows(self, row: th.Tensor, lane: th.Tensor, n_steps: int, gamma: float, mirrored: th.Tensor) -> Windows:
+        """Return the windows of `n_steps` commands from `row` of `lane` (n,) on, fewer where the game ends."""
+        powers = discount_powers(gamma, n_steps, self._sums)
+        rewards, lost = (th.zeros(row.shape, dtype=self._sums, device=self.device) for _ in range(2))
+        alive, discounts = th.ones_like(rewards), th.ones_like(rewards)
+        weights, after = self.flown[row, lane].to(self._sums), row
+        newest = (self.place - 1) % self.rows
+        for step in range(n_steps):
+            at = (row + step) % self.rows
+            over, cut = self.over[at, lane], self.cut[at, lane]
+            rewards += alive * powers[step] * self.rewards[at, lane]
+            discounts = th.where(alive > 0, powers[step + 1], discounts)
+            lost = lost + alive * over
+            if self.keeps_ends:  # no later step counts after a game's last one, nor after the newest in the ring
+                after = th.where(alive > 0, at, after)
+                alive = alive * (1.0 - th.maximum(over, cut)) * (at != newest)
+            else:
+                weights = weights * (1.0 - alive * cut)
+                alive = alive * (1.0 - over)
+        if not self.keeps_ends:
+            after = (row + n_steps) % self.rows
+        rewards, discounts, weights = rewards.float(), (discounts * (1.0 - lost)).float(), weights.float()
+        return Windows(row, after, lane, self.actions[row, lane], rewards, discounts, weights, mirrored)
 
-    def set_state(self, state: dict[str, NDArray[np.generic]]) -> None:
+    def get_state(self) -> dict[str, NDArray[Any]]:
+        """Return its contents as arrays: the rows that are whole, or all once the ring is full."""
+        filled = int(self.filled)
+        kept = {name: getattr(self, name)[: self.rows if filled == self._most else filled] for name in self._rings()}
+        return {name: each.cpu().numpy() for name, each in {**kept, "place": self.place, "filled": self.filled}.items()}
+
+    def set_state(self, state: dict[str, NDArray[Any]]) -> None:
         """Restore what `get_state` returned."""
-        self.place, self.full = int(state["place"][0]), bool(state["place"][1])
-        filled = len(self)
-        for name in ON_DEVICE:
-            getattr(self, name)[:filled].copy_(th.from_numpy(state[name]))
-        for name in IN_MEMORY:
-            getattr(self, name)[:filled] = state[name]
+        for name in (*self._rings(), "place", "filled"):
+            kept = th.from_numpy(state[name])
+            getattr(self, name)[: len(kept)].copy_(kept)
+
+    def _rings(self) -> tuple[str, ...]:
+        ends = ("next_observations",) if self.keeps_ends else ()
+        return "observations", *ends, "actions", "rewards", "over", "cut", "flown"
+
+
+def discount_powers(gamma: float, n_steps: int, dtype: th.dtype) -> list[float]:
+    """Return γ^0 to γ^n, computed in the precision of `dtype`."""
+    if dtype == th.float64:
+        return [gamma**step for step in range(n_steps + 1)]
+    return [float(power) for power in np.float32(gamma) ** np.arange(n_steps + 1, dtype=np.float32)]
+
+
+class Levels:
+    """Observations as networks see them in single precision: numbers, or grey levels that `contrast` changes."""
+
+    def look(self, ring: th.Tensor, row: th.Tensor, lane: th.Tensor, mirrored: th.Tensor) -> th.Tensor:
+        """Return the input of the observations at `row` and `lane` (n,) of a ring (rows, lanes, ...).
+
+        Pictures of those that are `mirrored` (n,) bool are turned left to right.
+        """
+        seen = ring.flatten(0, 1).index_select(0, row * ring.shape[1] + lane)  # which copies whole observations
+        if seen.ndim != 4:
+            return seen
+        return contrast(th.where(mirrored[:, None, None, None], seen.flip(-1), seen).to(th.float32, copy=True))
+
+    def rate(self, network: QNetwork, seen: th.Tensor) -> th.Tensor:
+        """Return the action values (n, actions) for an input."""
+        extractor = network.features_extractor
+        features = extractor.layers(seen) if seen.ndim == 4 else extractor(seen)  # type: ignore[operator]
+        values: th.Tensor = network.q_net(features)
+        return values

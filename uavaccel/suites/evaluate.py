@@ -16,9 +16,9 @@ from uavaccel.draw import style
 from uavaccel.draw.labels import command_name
 from uavaccel.draw.page import Block, Heading, Movie, Table, listed
 from uavaccel.envs.flyable import Device, Simulator, check_flyable
-from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
+from uavaccel.envs.obstacle_lane import LaneTask
 from uavaccel.envs.simulators import EXACT, KERNELS, check_names, check_simulator, flown_by
-from uavaccel.envs.values import Frame, Info
+from uavaccel.envs.values import Action, Info, Observation
 from uavaccel.errors import UserError
 from uavaccel.files import Plain
 from uavaccel.forms import Count, NotNegative, Number
@@ -26,13 +26,24 @@ from uavaccel.limits import Cost, Games, Processes
 from uavaccel.metrics.intervals import Proportion, mcnemar_exact
 from uavaccel.metrics.speedup import timing_provenance
 from uavaccel.records import RunDirectory
-from uavaccel.rl.agents import DEFAULT, Agent, check_agent, make_agent, policy_sha256, trained_keys
+from uavaccel.rl.agents import (
+    DEFAULT,
+    Agent,
+    check_agent,
+    evaluation_keys,
+    make_agent,
+    policy_sha256,
+    reset_options,
+    trained_env_id,
+    trained_keys,
+)
+from uavaccel.rl.config import LANE, AnyTask, EnvId, environment_class
 from uavaccel.sim.lane.layout import EVALUATION_SEEDS, LENGTH_M, WIDTH_M
 from uavaccel.suites import paper_results, plots
 from uavaccel.suites.experiment import Experiment
 from uavaccel.suites.flight import Flight
 from uavaccel.suites.report import Report, disturbed_games, disturbed_words, summary_table
-from uavaccel.suites.rows import LaneRow, Row, lane_row
+from uavaccel.suites.rows import LaneRow, Row, lane_row, with_lane
 from uavaccel.suites.suite import GameResult, SimpleCase, Suite
 from uavaccel.wire.image_api import lane_layout
 
@@ -63,7 +74,9 @@ class EvaluateConfig(Experiment):
     """Where the kernels run: cpu, in threads, or cuda, on one GPU."""
     inference_s: Cost = 0.0005
     """Time of a decision on the simulated wall clock of `virtual`."""
-    task: LaneTask = LaneTask(split="evaluation", timing="virtual")
+    env_id: EnvId = LANE
+    """The environment, by default that of the agent's training."""
+    task: AnyTask = LaneTask(split="evaluation", timing="virtual")
     """Omitted keys are those of the agent's training; those that its network cannot take are refused."""
 
     @model_validator(mode="after")
@@ -84,15 +97,18 @@ def completed(mapping: Mapping[str, Plain]) -> dict[str, Plain]:
     agent, given = mapping.get("agent", DEFAULT), mapping.get("task") or {}
     if not isinstance(agent, str) or not isinstance(given, Mapping):
         return dict(mapping)  # which validation refuses
-    flown = {"split": "evaluation", "timing": "virtual", **trained_keys(agent), **given}
-    return {**mapping, "agent": agent, "task": flown}
+    env_id = trained_env_id(agent)
+    if mapping.get("env_id", env_id) != env_id:
+        raise UserError(f"env_id = {mapping['env_id']!r}: {agent} flies {env_id}; omit the key")
+    flown = {**trained_keys(agent), **evaluation_keys(env_id), "timing": "virtual", **given}
+    return {"env_id": env_id, **mapping, "agent": agent, "task": flown}
 
 
 class EvaluateRow(LaneRow):
     """The row of a game of an evaluation."""
 
     wall_s: NotNegative
-    actions: list[Count]
+    actions: list[Count] | list[list[Number]]
     path_m: NotRequired[list[Annotated[list[Number], Field(min_length=2, max_length=2)]]]
     """Of a lane lost in the exact simulator: positions north and east at the ends of the commands."""
 
@@ -145,7 +161,7 @@ class Evaluation(Suite[EvaluateConfig, Game]):
         import torch as th
 
         th.set_num_threads(1)
-        with closing(ObstacleLane(**config.task.model_dump(mode="json"))) as environment:
+        with closing(environment_class(config.env_id)(**config.task.model_dump(mode="json"))) as environment:
             agent = make_agent(config.agent, config.task)
             yield lambda lane: GameResult(fly_game(config, environment, agent, lane))
 
@@ -225,6 +241,10 @@ class Evaluation(Suite[EvaluateConfig, Game]):
         """Yield the success beside the paper's, Figure 8, the lanes that were not won, and the films that were made."""
         config, run = report.config, report.run
         rows = [(config.agent, Proportion.of(report.summary).text(), str(len(report.games)), how_flown(config))]
+        if config.env_id != LANE:
+            yield Table(("", "success [95 %]", "games", "how"), rows)
+            yield summary_table(report.summary)
+            return
         for command, by_clock in paper_results.SUCCESSES.items():
             theirs = Proportion(max(by_clock.values()), paper_results.GAMES).text()
             name = f"the paper's best, trained with {command_name(command)}"
@@ -255,18 +275,18 @@ class Evaluation(Suite[EvaluateConfig, Game]):
 class Flyable(Protocol):
     """What of an environment a game needs."""
 
-    def reset(self, *, seed: int, options: dict[str, Any]) -> tuple[Frame, Info]: ...
+    def reset(self, *, seed: int, options: dict[str, Any]) -> tuple[Observation, Info]: ...
     def charge(self, duration_s: float) -> None: ...
-    def step(self, action: Any) -> tuple[Frame, float, bool, bool, Info]: ...
+    def step(self, action: Any) -> tuple[Observation, float, bool, bool, Info]: ...
     def close(self) -> None: ...
 
 
 class Step(NamedTuple):
     """One command: the observation that it was decided on, and what Gymnasium's `step` returned."""
 
-    given: Frame
-    action: int
-    observation: Frame
+    given: Observation
+    action: Action
+    observation: Observation
     reward: float
     terminated: bool
     truncated: bool
@@ -275,7 +295,7 @@ class Step(NamedTuple):
 
 def fly_lane(config: EvaluateConfig, environment: Flyable, agent: Agent, lane: int) -> Iterator[Step]:
     """Fly a game, and yield its commands; equal seed and lane give equal games."""
-    observation, info = environment.reset(seed=game_seed(config, lane), options={"lane": lane})
+    observation, info = environment.reset(seed=game_seed(config, lane), options=reset_options(config.env_id, lane))
     over = False
     while not over:
         environment.charge(config.inference_s)
@@ -285,16 +305,17 @@ def fly_lane(config: EvaluateConfig, environment: Flyable, agent: Agent, lane: i
         yield step
 
 
-def fly_game(config: EvaluateConfig, environment: ObstacleLane, agent: Agent, lane: int) -> EvaluateRow:
+def fly_game(config: EvaluateConfig, environment: Flyable, agent: Agent, lane: int) -> EvaluateRow:
     """Fly a game on a lane, and return its row."""
     steps = list(fly_lane(config, environment, agent, lane))
     ended = steps[-1].info | {"path_m": [step.info["position_m"][:2] for step in steps]}
     return row_of(config, lane, ended, [step.action for step in steps])
 
 
-def row_of(config: EvaluateConfig, lane: int, ended: Info, actions: list[int]) -> EvaluateRow:
+def row_of(config: EvaluateConfig, lane: int, ended: Info, actions: Sequence[Action]) -> EvaluateRow:
     """Return a game's row from the info of its last step, to which its path may have been added."""
-    row: Plain = {**lane_row("evaluate", lane_case(lane), ended, config.task.t_move_s), "actions": actions}
+    game = lane_row("evaluate", lane_case(lane), {**with_lane(ended, lane), "lane": lane}, config.task.t_move_s)
+    row: Plain = {**game, "actions": np.asarray(actions).tolist()}
     row["wall_s"] = ended["wall_s"]
     if not row["is_success"] and "path_m" in ended:
         row["path_m"] = ended["path_m"]

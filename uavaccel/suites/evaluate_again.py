@@ -6,7 +6,7 @@ one; another version of the simulator, or another policy's row, is refused.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from functools import partial
 from typing import Any
@@ -17,20 +17,20 @@ from numpy.typing import NDArray
 from uavaccel.config import validate
 from uavaccel.draw.labels import command_at_clock
 from uavaccel.draw.panels import Decisions
+from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.kernel_batch import KernelBatch
 from uavaccel.envs.observer import Onlooker, SecondEventCamera
-from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.envs.simulators import EXACT, KERNELS
-from uavaccel.envs.values import Action, Frame, Info
+from uavaccel.envs.values import Action, Info, Observation
 from uavaccel.errors import UserError
 from uavaccel.files import parse_json, to_json
 from uavaccel.records import RunDirectory
 from uavaccel.rl.agents import Agent, PolicyAgent, is_baseline, make_agent, policy_sha256
+from uavaccel.rl.config import LANE, environment_class
 from uavaccel.sim.profile import PROFILES
 from uavaccel.suites.evaluate import EvaluateConfig, Flyable, Step, fly_lane, row_of
 from uavaccel.suites.flight import Commands, Flight, Window, windows_of
 from uavaccel.units import NS_PER_S, to_ns
-from uavaccel.wire.image_api import lane_layout
 
 KEPT_ONLY_BY_THE_RUN = ("arrays", "arrays_sha256", "path_m")
 WINDOW_NS = 50_000_000  # of the event camera beside the agent's own
@@ -57,35 +57,39 @@ def refuse_wall(run: RunDirectory, config: EvaluateConfig, what: str) -> None:
 
 def environment_of(config: EvaluateConfig) -> Flyable:
     """Return the environment of an evaluation, in the simulator that flew it."""
-    keys = config.task.model_dump(mode="json")
-    return OneOfKernels(keys) if config.simulator == KERNELS else ObstacleLane(**keys)
+    keys, environment = config.task.model_dump(mode="json"), environment_class(config.env_id)
+    return OneOfKernels(environment, keys) if config.simulator == KERNELS else environment(**keys)
 
 
 class OneOfKernels:
     """A game of the kernels as an environment: a batch of one, which flies as among others."""
 
-    def __init__(self, keys: Mapping[str, Any]) -> None:
-        self._batch = KernelBatch(ObstacleLane, 1, autoreset_mode="Disabled", **keys)
+    def __init__(self, environment: type[FlightEnv[Any]], keys: Mapping[str, Any]) -> None:
+        self._batch = KernelBatch(environment, 1, autoreset_mode="Disabled", **keys)
         self.close = self._batch.close
 
-    def reset(self, *, seed: int, options: dict[str, Any]) -> tuple[Frame, Info]:
+    def reset(self, *, seed: int, options: dict[str, Any]) -> tuple[Observation, Info]:
         info = self._batch.reset_each([seed], [options])[0]
         return self._batch.observations()[0].copy(), info
 
     def charge(self, duration_s: float) -> None:
         self._batch.charge(0, duration_s)
 
-    def step(self, action: Action) -> tuple[Frame, float, bool, bool, Info]:
+    def step(self, action: Action) -> tuple[Observation, float, bool, bool, Info]:
         self._batch.step_async(np.array([action]), [0])
         seen, rewards, terminated, truncated, infos = self._batch.step_wait([0])
         return seen[0].copy(), float(rewards[0]), bool(terminated[0]), bool(truncated[0]), infos[0]
 
 
-class Recorded(list[int]):
-    """An agent that takes the actions of a row, and the first one of its space after them."""
+class Recorded:
+    """An agent that takes the actions of a row, and zeros after them."""
 
-    def act(self, observation: Frame, info: Info) -> int:
-        return self.pop(0) if self else 0
+    def __init__(self, actions: Sequence[Action]) -> None:
+        self._left = list(actions)
+        self._after: Action = np.zeros_like(actions[0]).tolist()
+
+    def act(self, observation: Observation, info: Info) -> Action:
+        return self._left.pop(0) if self._left else self._after
 
 
 def fly_again(run: RunDirectory, config: EvaluateConfig, environment: Flyable, row: Mapping[str, Any]) -> list[Step]:
@@ -126,7 +130,7 @@ def flight_again(
     if event_rate_hz is not None:
         ticks = int(NS_PER_S / event_rate_hz) // PROFILES[config.task.profile].tick_ns
         camera = SecondEventCamera(config.task, max(1, ticks))
-    with closing(ObstacleLane(**config.task.model_dump(mode="json"))) as environment:
+    with closing(environment_class(config.env_id)(**config.task.model_dump(mode="json"))) as environment:
         return _flight(config, environment, partial(fly_again, run, config, row=row), pictures, agent, camera)
 
 
@@ -143,15 +147,15 @@ def flight_of_agent(config: EvaluateConfig, lane: int, pictures: bool = True) ->
         if not is_baseline(config.agent):
             raise UserError(f"timing = 'wall': of {task.observation} there is no film; take virtual or lockstep")
         task = task.model_copy(update={"observation": "dvs"})
-    with closing(ObstacleLane(**task.model_dump(mode="json"))) as environment:
+    with closing(environment_class(config.env_id)(**task.model_dump(mode="json"))) as environment:
         fly = partial(fly_lane, config, agent=agent, lane=lane)
         return _flight(config, environment, fly, pictures, agent if pictures else None)
 
 
 def _flight(
     config: EvaluateConfig,
-    environment: ObstacleLane,
-    fly: Callable[[ObstacleLane], Iterable[Step]],
+    environment: FlightEnv[Any],
+    fly: Callable[[FlightEnv[Any]], Iterable[Step]],
     pictures: bool,
     agent: Agent | None,
     camera: SecondEventCamera | None = None,
@@ -162,14 +166,15 @@ def _flight(
         environment.add_observer(observer)
     steps = list(fly(environment))
     task, samples, ended = environment.episode_task, onlooker.samples, steps[-1].info
-    start_ns, lane = samples[0].time_ns, ended["lane"]
+    start_ns, game = samples[0].time_ns, f"lane {ended['lane']}" if "lane" in ended else config.env_id
     hit = onlooker.hit and (onlooker.hit[0] - start_ns, onlooker.hit[1])
     end = "reached the end" if ended["is_success"] else f"hit {hit[1]}" if hit else "ran out of commands"
     other = config.simulator != EXACT or config.task.timing == "wall"
     once_more = ", flown once more in the exact simulator, where it may end otherwise" if other else ""
-    title = f"lane {lane}, {command_at_clock(task.model_dump())}: {end}{once_more}"
-    asked = np.array([task.velocity_goal(step.action).velocity_m_s for step in steps], np.float64)
-    more: dict[str, Any] = {"scene": "lane", "lane": lane_layout(task.wire_lane(lane)), "collision": hit}
+    title = f"{game}, {command_at_clock(task.model_dump())}: {end}{once_more}"
+    goals = [task.goal(step.action) for step in steps]
+    asked = np.array([getattr(goal, "velocity_m_s", (0.0, 0.0, 0.0)) for goal in goals], np.float64)
+    more: dict[str, Any] = {"scene": task.scene, "lane": task.lane_layout(ended), "collision": hit}
     if not pictures:
         return Flight.of(title, task.clock_speed, environment.recording().arrays(), asked, **more)
     time_ns = np.array([sample.time_ns - start_ns for sample in samples], np.int64)
@@ -180,7 +185,7 @@ def _flight(
         more["windows"] = list(windows_of(images, time_ns, task.dvs_parameters, task.dvs_seed))
     else:
         more["windows"] = list(equal_windows(camera.events.pop_events(), int(time_ns[-1])))
-    if isinstance(agent, PolicyAgent):
+    if isinstance(agent, PolicyAgent) and config.env_id == LANE:
         (named, *_), ratings = zip(*(agent.policy.rate(step.given[None]) for step in steps), strict=True)
         given, taken = np.stack([step.given for step in steps]), np.array([step.action for step in steps])
         seen = np.asarray(given, np.uint8) if given.ndim == 4 else None

@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from copy import deepcopy
 from dataclasses import replace
+from typing import Any, cast
 
 import numpy as np
 import torch as th
@@ -21,12 +22,17 @@ from numpy.typing import NDArray
 from uavaccel.clock import MonotonicClock
 from uavaccel.config import validate
 from uavaccel.envs.batch import EnvironmentBatch
+from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.flyable import CUDA
+from uavaccel.envs.gates import Gates
+from uavaccel.envs.hover import Hover
+from uavaccel.envs.navigate import Navigate
 from uavaccel.envs.obstacle_lane import ObstacleLane
-from uavaccel.envs.values import Info
+from uavaccel.envs.values import Action, Info
 from uavaccel.machine import usable_cores
-from uavaccel.rl.agents import Agent, PolicyAgent, make_agent
-from uavaccel.suites.evaluate import EvaluateConfig, EvaluateRow, fly_game, game_seed, row_of
+from uavaccel.rl.agents import Agent, PolicyAgent, make_agent, reset_options
+from uavaccel.rl.config import DOUBLE_DQN, PPO, environment_class
+from uavaccel.suites.evaluate import EvaluateConfig, EvaluateRow, Flyable, fly_game, game_seed, row_of
 from uavaccel.suites.host_time import timed
 from uavaccel.suites.suite import GameResult
 from uavaccel.units import NS_PER_S
@@ -36,14 +42,14 @@ BLOCK = 32  # observations that a network rates at once
 GPU = "cuda"
 TimedRow = tuple[EvaluateRow, dict[str, float]]  # row, host times
 Places = NDArray[np.int64]  # of lanes in the batch
-Flown = tuple[Places, list[tuple[int, Info]]]  # actions; places in the batch of games that ended, info of their ends
+Flown = tuple[NDArray[Any], list[tuple[int, Info]]]  # actions; places of games that ended, their last infos
 
 
 # --- in processes -----------------------------------------------------------------------------------------------
 
 
-class AgentLane(ObstacleLane):
-    """An `ObstacleLane` with an agent in the same process."""
+class FliesGames:
+    """What makes an environment one with an agent in the same process."""
 
     def set_agent(self, config: Mapping[str, object]) -> None:
         """Load the agent that an evaluation's configuration, as plain data, names."""
@@ -53,15 +59,36 @@ class AgentLane(ObstacleLane):
 
     def fly(self, lane: int) -> TimedRow:
         """Fly a game, and return its row and the time that it took on this machine."""
-        return timed(lambda: fly_game(self._config, self, self._agent, lane))
+        return timed(lambda: fly_game(self._config, cast(Flyable, self), self._agent, lane))
+
+
+class AgentObstacleLane(FliesGames, ObstacleLane):
+    """The obstacle lane with an agent."""
+
+
+class AgentHover(FliesGames, Hover):
+    """Hover with an agent."""
+
+
+class AgentGates(FliesGames, Gates):
+    """Gates with an agent."""
+
+
+class AgentNavigate(FliesGames, Navigate):
+    """Navigate with an agent."""
+
+
+AGENTS: dict[type[FlightEnv[Any]], type[FlightEnv[Any]]] = {
+    each.__mro__[2]: each for each in (AgentObstacleLane, AgentHover, AgentGates, AgentNavigate)
+}
 
 
 class GamesInBatch:
     """Flies the games of `lanes` in `config.environments` environments, each of which takes the next game when idle."""
 
     def __init__(self, config: EvaluateConfig, lanes: Sequence[int]) -> None:
-        count = min(config.environments, len(lanes))
-        self._batch = EnvironmentBatch(AgentLane, count, **config.task.model_dump(mode="json"))
+        count, environment = min(config.environments, len(lanes)), AGENTS[environment_class(config.env_id)]
+        self._batch = EnvironmentBatch(environment, count, **config.task.model_dump(mode="json"))
         self.close = self._batch.close  # ends the processes, and abandons unfinished games
         try:
             self.begin(config, lanes)
@@ -113,7 +140,7 @@ class GamesOverArrays:
         while lane not in self._rows:
             if self._batch is None:
                 self._lanes, self._left = self._left[:MOST_LANES], self._left[MOST_LANES:]
-                self._actions: list[list[int]] = [[] for _ in self._lanes]
+                self._actions: list[list[Action]] = [[] for _ in self._lanes]
                 self._going = np.arange(len(self._lanes))
                 self._batch = open_lanes(self._config, self._lanes)
                 self._start_ns = self._start_ns or self._clock.now_ns()
@@ -157,11 +184,11 @@ class LanesOnCores:
         from uavaccel.envs.kernel_batch import KernelBatch
 
         task = config.task.model_dump(mode="json")
-        self._batch = KernelBatch(ObstacleLane, len(lanes), autoreset_mode="Disabled", **task)
+        self._batch = KernelBatch(environment_class(config.env_id), len(lanes), autoreset_mode="Disabled", **task)
         self._agent: Agent = make_agent(config.agent, config.task)
         self._lanes, self._inference_s = lanes, config.inference_s
         self._raters = ThreadPoolExecutor(usable_cores(), initializer=th.set_num_threads, initargs=(1,))
-        options = [{"lane": lane} for lane in lanes]
+        options = [reset_options(config.env_id, lane) for lane in lanes]
         self._infos = self._batch.reset_each([game_seed(config, lane) for lane in lanes], options)
         self._seen = self._batch.observations()
 
@@ -177,10 +204,11 @@ class LanesOnCores:
             self._infos[place] = info
         return actions, [(place, self._infos[place]) for place in going[terminated | truncated].tolist()]
 
-    def _decide(self, going: Places) -> Places:
+    def _decide(self, going: Places) -> NDArray[Any]:
         if not isinstance(self._agent, PolicyAgent):
             return np.array([self._agent.act(self._seen[place], self._infos[place]) for place in going])
-        policy, actions = self._agent.policy, np.zeros(len(self._seen), np.int64)
+        policy, space = self._agent.policy, self._batch.single_action_space
+        actions = np.zeros((len(self._seen), *(space.shape or ())), space.dtype)
 
         def rate(block: tuple[Places, Places]) -> None:
             members, rows = block
@@ -203,16 +231,13 @@ class LanesOnGpu:
     """
 
     def __init__(self, config: EvaluateConfig, lanes: Sequence[int]) -> None:
-        from stable_baselines3.dqn.policies import DQNPolicy
-
         from uavaccel.envs.cuda_lanes import AT, CudaLanes
         from uavaccel.kernels.recording import recorded
-        from uavaccel.rl.algorithms import action_values
 
         self._at, device, self._inference_s = AT, th.device(GPU), config.inference_s
         self._lanes = CudaLanes(config.task, len(lanes), device, renews=False)
         self._lanes.seed([game_seed(config, lane) for lane in lanes])
-        self._lanes.games.sample_games([{"lane": lane} for lane in lanes])
+        self._lanes.games.sample_games([reset_options(config.env_id, lane) for lane in lanes])
         self._lanes.begin()
         self._agent: Agent = make_agent(config.agent, config.task)
         self._recorded: Callable[[th.Tensor], th.Tensor] | None = None
@@ -221,8 +246,10 @@ class LanesOnGpu:
             # a copy of its network: the policy that was loaded stays as it is
             network = deepcopy(self._agent.policy.network).to(device)
             policy = replace(self._agent.policy, network=network)
-            if isinstance(network, DQNPolicy):
-                self._recorded = lambda seen: action_values(network, seen, policy.turned).argmax(dim=1)
+            if policy.config.algorithm == PPO:
+                self._recorded = network.act
+            elif policy.config.algorithm == DOUBLE_DQN:
+                self._recorded = lambda seen: policy.values(seen).argmax(dim=1)
             else:
                 self._asked = lambda seen: th.from_numpy(policy.act(seen.cpu().numpy())).to(device)
         # the place in the batch of each row of each block, the first where there is none, and each lane's row in all
@@ -232,7 +259,8 @@ class LanesOnGpu:
             places[number, rows_of_block] = places_of_block
             rows[places_of_block] = number * BLOCK + rows_of_block
         self._places, self._rows = th.from_numpy(places).to(device), th.from_numpy(rows).to(device)
-        self._actions = th.zeros(len(lanes), dtype=th.int64, device=device)
+        space = config.task.action_space()
+        self._actions = th.as_tensor(np.zeros((len(lanes), *(space.shape or ())), space.dtype), device=device)
         self._positions_m: list[list[float]] = [[0.0, 0.0, 0.0] for _ in lanes]
         self._round = recorded(self._fly_round, device)
 

@@ -10,6 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, closing, nullcontext
 from dataclasses import dataclass
 from functools import lru_cache
+from importlib.util import find_spec
 from itertools import permutations, product
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -226,6 +227,8 @@ class Realtime(Suite[RealtimeConfig, Training]):
 
     def check(self, config: RealtimeConfig) -> None:
         """Raise UserError for an environment that cannot be made, and for an agent that cannot act in it."""
+        if find_spec("stable_baselines3") is None:
+            raise UserError("suite realtime: needs stable-baselines3: pip install 'uavaccel[realtime]'")
         from uavaccel.realtime.plant import is_of_mujoco
         from uavaccel.suites.realtime_agents import timed
 

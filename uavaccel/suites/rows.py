@@ -150,6 +150,11 @@ def flight_row(
     return row, recording
 
 
+def with_lane(ended: Info, number: int) -> Info:
+    """Return an info with what environments without lanes lack: the game's number as its lane, metres north."""
+    return {"lane": number, "distance_m": ended["position_m"][0]} | ended
+
+
 def lane_row(suite: str, case: str, ended: Info, t_move_s: float) -> LaneRow:
     """Return the row of a game in the lane from the info of its last step."""
     row: Plain = {"suite": suite, "case": case, "sim_time_s": ended["commands"] * t_move_s}

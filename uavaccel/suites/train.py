@@ -26,7 +26,7 @@ from uavaccel.metrics.intervals import Proportion
 from uavaccel.metrics.speedup import timing_provenance
 from uavaccel.records import RunDirectory
 from uavaccel.rl.agents import first_policy, policy_sha256
-from uavaccel.rl.config import LearnerConfig, check_algorithm
+from uavaccel.rl.config import LANE, LearnerConfig, check_algorithm
 from uavaccel.rl.policy import trained_with
 from uavaccel.suites import paper_results, plots
 from uavaccel.suites.experiment import Experiment
@@ -124,7 +124,7 @@ class Training(Suite[TrainConfig, SimpleCase]):
     def check(self, config: TrainConfig) -> None:
         check_algorithm(config)
         if config.start_from is not None:
-            first_policy(config, lambda _: 0.0)
+            first_policy(config)
 
     def cases(self, config: TrainConfig) -> Iterator[SimpleCase]:
         for game in range(config.games):  # lane and environment of each come out of the training
@@ -150,9 +150,9 @@ class Training(Suite[TrainConfig, SimpleCase]):
     def open(self, config: TrainConfig, timing: str, run: RunDirectory) -> AbstractContextManager[Trainer]:
         lanes = None
         if config.simulator == EXACT and timing != "wall":
-            from uavaccel.rl.exact_lanes import start_exact_lanes
+            from uavaccel.rl.lanes import start_exact_lanes
 
-            lanes = start_exact_lanes(config.task, config.environments)
+            lanes = start_exact_lanes(config)
         from uavaccel.suites.trainer import open_trainer  # loads PyTorch, as they load
 
         return open_trainer(config, run, lanes)
@@ -161,6 +161,8 @@ class Training(Suite[TrainConfig, SimpleCase]):
         return opened.next_game()
 
     def finish(self, config: TrainConfig, run: RunDirectory) -> None:
+        if config.env_id != LANE:
+            return  # the paper's real time is the lane's
         from uavaccel.suites.trainer import model_real_time
 
         run.write_json(REAL_TIME, model_real_time(config))

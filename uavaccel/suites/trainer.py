@@ -20,7 +20,6 @@ from typing import Any
 
 import numpy as np
 import torch as th
-from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from tensorboard.compat.proto.event_pb2 import Event
 from tensorboard.compat.proto.summary_pb2 import Summary
 from tensorboard.summary.writer.record_writer import RecordWriter
@@ -34,17 +33,16 @@ from uavaccel.envs.stopwatch import Stopwatch
 from uavaccel.errors import UserError
 from uavaccel.files import append_line, to_json
 from uavaccel.records import RunDirectory
-from uavaccel.rl.agents import FLIGHT
-from uavaccel.rl.algorithms import baseline_class
+from uavaccel.rl.agents import FLIGHT, evaluation_keys
 from uavaccel.rl.checkpoint import find_checkpoint, games_of, load_checkpoint, save_checkpoint
-from uavaccel.rl.config import OWN
-from uavaccel.rl.lanes import make_lanes, seed_lanes
+from uavaccel.rl.config import learns_from_a_buffer
+from uavaccel.rl.lanes import make_lanes
 from uavaccel.rl.learner import Game, Learner, make_learner
 from uavaccel.rl.policy import export_policy, weights_sha256
 from uavaccel.sim.camera.camera import BlankCamera, make_cameras_with
 from uavaccel.suites.evaluate import EvaluateConfig
 from uavaccel.suites.evaluate_lanes import GamesInBatch
-from uavaccel.suites.rows import Row, lane_row
+from uavaccel.suites.rows import Row, lane_row, with_lane
 from uavaccel.suites.suite import GameResult
 from uavaccel.suites.train import CHECKPOINTS, EVALUATIONS, RECENT, TrainConfig, TrainRow, evaluations, game_case
 from uavaccel.units import NS_PER_S
@@ -63,10 +61,9 @@ class Trainer:
         self._config, self._run = config, run
         self._interrupted = False
         self._finished: deque[GameResult] = deque()
-        self._lanes = make_lanes(config.task, config.environments, config.simulator, config.device, begun)
+        self._lanes = make_lanes(config, begun)
         try:
             self._learner = make_learner(config, self._lanes)
-            seed_lanes(self._lanes, config.seed)
             if (checkpoint := find_checkpoint(run.path / CHECKPOINTS)) is not None:
                 load_checkpoint(checkpoint, self._learner)
             self._learner.begin()
@@ -191,7 +188,7 @@ class GameRows:
         """Return a finished game's row, and times since this start of the training: wall, the lane's, the learner's."""
         wall_s = (self._clock.now_ns() - self._start_ns) / NS_PER_S
         row: TrainRow = {
-            **lane_row("train", game_case(game.number), game.info, self._t_move_s),
+            **lane_row("train", game_case(game.number), with_lane(game.info, game.number), self._t_move_s),
             "game": game.number,
             "environment": game.lane,
             "return": game.reward,
@@ -270,7 +267,8 @@ def evaluation_of(config: TrainConfig, folder: Path) -> EvaluateConfig:
         "first_lane": FIRST_LANE,
         "environments": min(config.environments, config.evaluation_games),
         "inference_s": config.inference_s,
-        "task": {**config.task.model_dump(mode="json"), "split": "evaluation"},
+        "env_id": config.env_id,
+        "task": {**config.task.model_dump(mode="json"), **evaluation_keys(config.env_id)},
     }
     return validate(EvaluateConfig, keys, "evaluation")
 
@@ -282,7 +280,7 @@ def model_real_time(config: TrainConfig) -> dict[str, Any]:
     Algorithms without a replay buffer are charged no learning, as in training.
     """
     task = config.task
-    buffered = config.algorithm == OWN or issubclass(baseline_class(config.algorithm), OffPolicyAlgorithm)
+    buffered = learns_from_a_buffer(config.algorithm)
     learning_s = config.learning_s * (1 / config.commands_per_gradient_step if buffered else 0.0)
     how = (
         f"{command_name(task.command)} under the profile airsim at ClockSpeed 1 with the latencies that ship, "
