@@ -119,9 +119,9 @@ class Kernels:
             lanes.begin(lane, rows[lane], games, now)
             lanes.refresh(games.parameters[rows[lane]], now.state[lane], now.body[lane])
 
-    def run_command(self, which: Any, directions: Any, games: Any, now: Any) -> None:
+    def run_command(self, which: Any, goals: Any, modes: Any, now: Any) -> None:
         for lane in which:
-            lanes.command(lane, directions, games, now)
+            lanes.command(lane, goals, modes, now)
 
     def run_fly(self, which: Any, ticks: Any, games: Any, now: Any, hull: Any, threads: int) -> None:
         for lane in which:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Final, Generic
 
 import gymnasium
 import numpy as np
+from gymnasium import spaces
 from numpy.typing import NDArray
 
 from uavaccel.clock import MonotonicClock
@@ -264,7 +265,8 @@ class FlightEnv(gymnasium.Env[Frame, Action], Generic[TaskT]):
     def _fly(self, client: FlightClient, action: Action) -> Moment:
         """Fly one command; after a collision it stops at the next sample, and the remaining frames are blank."""
         task, now = self.episode_task, self._now
-        goal, missing = task.goal(action), task.frames_per_command
+        goal = task.goal(action.astype(np.float64) if isinstance(self.action_space, spaces.Box) else action)
+        missing = task.frames_per_command
         taken_ns, gathered_ns = [], 0
         for sample in self._command.fly(client, goal, task.t_move_s, task.t_sample_s, task.t_th_ns):
             now = now._replace(state=sample.state, position_m=sample.state.position_m)

@@ -128,11 +128,11 @@ def deal_games(idle, distribution, deals, games):  # type: ignore[no-untyped-def
         lane_games.deal(lane, distribution, deals, games)
 
 
-def command_lanes(going, directions, games, now):  # type: ignore[no-untyped-def]
-    """Apply the velocity command `directions` (L, 3) to every lane whose flag in `going` (L,) is set."""
+def command_lanes(going, goals, modes, now):  # type: ignore[no-untyped-def]
+    """Apply the goals (L, 4) to every lane whose flag in `going` (L,) is set."""
     lane = cuda.grid(1)
     if lane < len(going) and going[lane] != 0:
-        lanes.command(lane, directions, games, now)
+        lanes.command(lane, goals, modes, now)
 
 
 @cuda.jit(device=True, inline="always")
