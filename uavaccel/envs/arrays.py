@@ -49,8 +49,7 @@ def constant(array: NDArray[Any], like: Number) -> Number:
     """Return an array that never changes, as a tensor on the device of `like` if that is one."""
     if isinstance(like, np.ndarray | np.generic | int):
         return array
-    kept = _on_device(array.tobytes(), array.shape, array.dtype.str, like.device)
-    return kept
+    return _on_device(array.tobytes(), array.shape, array.dtype.str, like.device)
 
 
 @lru_cache(maxsize=64)  # a tensor cannot be made while a CUDA graph is recorded

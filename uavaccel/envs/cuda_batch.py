@@ -62,7 +62,7 @@ class CudaBatch(VectorEnv[Any, Any, Any]):
     @property
     def object_names(self) -> tuple[str, ...]:
         """Names of what a vehicle can collide with."""
-        return self._lanes.games.object_names
+        return self._lanes.judge.objects
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
@@ -117,7 +117,8 @@ class CudaBatch(VectorEnv[Any, Any, Any]):
                 raise UserError(f"actions of an earlier step were not in the action space: {self.action_space}")
 
     def _infos(self) -> dict[str, Any]:
-        return {"position_m": self._lanes.positions(), "commands": self._lanes.commands.clone()}
+        games = self._lanes.running
+        return {"position_m": games.position_m.clone(), "commands": games.commands.clone()}
 
 
 class _Actions:

@@ -1,4 +1,4 @@
-"""What a command comes to in many games at once: judged, observed and reported over NumPy's arrays or PyTorch's tensors.
+"""What a command comes to in many games at once: judged, observed and reported over arrays or PyTorch's tensors.
 
 So lanes on the CPU and on a GPU treat a task's functions alike, as `FlightEnv` treats them game by game.
 """
@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -235,7 +236,7 @@ class Judge:
                     fields = [cast(full(number, like), "float64") for number in self.task.fields(state, course)]
                 return cast(joined(fields, like), "float32").reshape(shape)
             with self._over_arrays("features", like):
-                features = self.task.features(state, course)
+                features: Any = self.task.features(state, course)
                 if isinstance(features, list | tuple):
                     return cast(joined(features, like), "float32").reshape(shape)
                 return cast(namespace_of(like).moveaxis(features, -1, 0), "float32").reshape(shape)
@@ -276,8 +277,8 @@ class Judge:
             yield
         except (AttributeError, KeyError, RuntimeError, TypeError, ValueError) as error:
             raise UserError(
-                f"simulator = kernels: {type(self.task).__name__}.{name} must compute with plain arithmetic, which is the "
-                f"same for numbers and arrays ({type(error).__name__}: {error}); or use simulator = mujoco"
+                f"simulator = kernels: {type(self.task).__name__}.{name} must compute with plain arithmetic, the same "
+                f"for numbers and arrays ({type(error).__name__}: {error}); or use simulator = mujoco"
             ) from error
         finally:
             if torch is not None:
@@ -287,7 +288,7 @@ class Judge:
 def kinematics_of(numbers: Number, time_ns: Number) -> Kinematics:
     """Return the kinematics of n states (n, KINEMATICS), as arrays or tensors (n,)."""
     columns, ends = list(numbers.T), (0, 3, 7, 10, 13, 16, KINEMATICS)
-    parts = [columns[first:last] for first, last in zip(ends, ends[1:], strict=False)]
+    parts = [columns[first:last] for first, last in pairwise(ends)]
     return Kinematics(time_ns, *parts)  # type: ignore[arg-type]
 
 
@@ -313,3 +314,4 @@ def _column(name: str) -> int:
 
 
 COLLISION, CONTACT = _column("collision_tick"), _column("contact_position")
+TICK = _column("tick")

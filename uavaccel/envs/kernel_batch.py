@@ -186,7 +186,8 @@ class KernelBatch(TurnBatch):
 
     def observations(self) -> Frame:
         """Return the present observation of every environment."""
-        return self._running.observations.copy()
+        seen: Frame = self._running.observations.copy()
+        return seen
 
     def call_each(
         self, name: str, arguments: Sequence[tuple[Any, ...]], slots: Sequence[int] | None = None

@@ -55,8 +55,8 @@ class Moment(NamedTuple):
     """
 
     state: Kinematics
-    """State of the last sample. Where touching something throws a vehicle back, lanes over arrays have that of the first
-    contact after a collision."""
+    """State of the last sample. After a collision that throws a vehicle back, lanes over arrays have that of the first
+    contact."""
     position_m: Vector
     """Position of the vehicle or, after a collision, of its first contact: NED."""
     collision: str | None
