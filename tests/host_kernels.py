@@ -137,9 +137,9 @@ class Kernels:
         self, which: Any, tick_ns: int, take: int, faces: Any, shown: Any, plan: Any, *of_lanes: Any
     ) -> None:
         games, now, pixels, frames = of_lanes
-        assert take
         for lane in which:
-            frames[lane] = 128
+            if take:
+                frames[lane] = 128
             if lanes.touched(lane, now):
                 continue
             game = now.game[lane]
@@ -148,7 +148,8 @@ class Kernels:
             time_s = cpu.moment_ns(lane, now, tick_ns) * events.NS
             seed = games.seeds[game, lanes.EVENT_SEED]
             cpu.see(lane, self._picture, time_s, pixels, plan.sensor, games.cameras[game], seed)
-            cpu.pop_events(lane, pixels, frames[lane][None])
+            if take:
+                cpu.pop_events(lane, pixels, frames[lane][None])
 
     def run_show(self, which: Any, kind: int, tick_ns: int, faces: Any, shown: Any, plan: Any, *of_lanes: Any) -> None:
         games, now, frames = of_lanes

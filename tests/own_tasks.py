@@ -72,7 +72,7 @@ class PostTask(Task):
 
     def info(self, now: AnyMoment) -> Info:
         far_m = distance(now.course["post_m"], now.position_m)
-        return {"far_m": far_m, "speed_m_s": now.state.linear_velocity_m_s[0], "about": "a post", **now.course}
+        return {"far_m": far_m, "speed_m_s": now.state.linear_velocity_m_s[0], **now.course}
 
 
 class Post(FlightEnv[PostTask]):

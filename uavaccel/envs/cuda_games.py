@@ -169,9 +169,6 @@ class SampledAhead(LaneGames):
     def __init__(self, task: Task, count: int, device: th.device) -> None:
         super().__init__(task, count, device, AHEAD)
         self._rows = count * AHEAD
-        if type(task).with_conditions is not Task.with_conditions:
-            same = Drawn({}, task.model_copy(), None, np.random.SeedSequence(0))
-            self._write(self.keys, th.arange(self._rows, device=device), keys_of(task, [same] * self._rows))
         self.rows, self.arrays = kernels.on_device(self._host, device)
         self.available = th.zeros(count, dtype=th.int64, device=device)
         self._generators: list[Any] = [None] * count

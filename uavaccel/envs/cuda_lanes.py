@@ -180,7 +180,7 @@ class CudaLanes:
     def fly(self, actions: th.Tensor) -> None:
         """Fly one command in every lane that has a game; `actions` (L, ...) are elements of the action space."""
         self._actions.copy_(actions)
-        keys = {name: values[self._rows] for name, values in self.games.keys.items()}
+        keys = {name: values[self.now.game] for name, values in self.games.keys.items()}
         self._goals.copy_(self.judge.goals(self._actions, keys))
         states = self._fly_together() if self.clocks is None else self._fly_by_clocks(self.clocks)
         self._finish_commands(states)
@@ -202,7 +202,7 @@ class CudaLanes:
             self.clocks.charge(flown, duration_s, phase)
 
     def _fly_together(self) -> list[th.Tensor]:
-        """Fly the same ticks in all lanes; return the states (L, KINEMATICS) of the samples, if no images are rendered."""
+        """Fly the same ticks in all lanes, and return the samples' states (L, KINEMATICS) if no images are rendered."""
         goals = kernels.shared(self._goals), kernels.shared(self._modes)
         self._launch("command", self.going, *goals, self._now_arrays)
         states: list[th.Tensor] = []
@@ -271,7 +271,7 @@ class CudaLanes:
 
     def _finish_commands(self, states: Sequence[th.Tensor]) -> None:
         """Judge the commands, update the games, and with `renews` begin the next ones."""
-        going, counts = self.going.bool(), self.games.rows.counts[self._rows].long()
+        going, counts = self.going.bool(), self.games.rows.counts[self.now.game].long()
         solids = self.now.watch[:, TOUCHED]
         numbers, position_m, collision = self.judge.end(self._flight, self._ticks_of, solids, counts)
         tick, ticks, taken = self._times(going)
@@ -316,7 +316,7 @@ class CudaLanes:
     def _report(self) -> dict[str, Any]:
         """Return the infos of all lanes' present games as tensors (L, ...)."""
         infos = self.judge.infos(self.running, self.success, self._wall_ns, self._phases_ns)
-        conditions = {name: values[self._rows] for name, values in self.games.conditions.items()}
+        conditions = {name: values[self.now.game] for name, values in self.games.conditions.items()}
         return dict(_cloned(infos | ({CONDITIONS: conditions} if conditions else {}), self.rewards))
 
     def _write_outcomes(self, over: th.Tensor) -> None:
@@ -359,7 +359,7 @@ class CudaLanes:
         parts |= {f"pixels.{name}": each for name, each in self.view.pixels._asdict().items() if len(each)}
         if self.clocks is not None:
             parts |= {f"clocks.{name}": each for name, each in self.clocks.tensors._asdict().items()}
-        parts |= {name: getattr(self, name) for name in ("going", "_rows", "returns", "_wall_ns")}
+        parts |= {name: getattr(self, name) for name in ("going", "returns", "_wall_ns")}
         parts |= named_leaves(self.running, "running")
         return {name: part.movedim(0, -1) for name, part in parts.items()}
 

@@ -86,8 +86,8 @@ class GameMaker:
 
 
 def keys_of(task: Task, games: Sequence[Drawn]) -> dict[str, NDArray[np.float64]]:
-    """Return the task's numbers that differ in n games under their conditions, arrays (n,), for `Task.goal`."""
-    if all(game.task is task for game in games):
+    """Return the task's numbers under the conditions of n games, arrays (n,), for `Task.goal`; {} if it has none."""
+    if type(task).with_conditions is Task.with_conditions:
         return {}
     names = [name for name in type(task).model_fields if isinstance(getattr(task, name), float)]
     return {name: np.array([getattr(game.task, name) for game in games]) for name in names}
