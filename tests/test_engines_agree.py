@@ -7,7 +7,9 @@ The GPU's kernels run on the CPU (tests/host_kernels.py).
 
 from __future__ import annotations
 
+import re
 from contextlib import ExitStack, closing
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import mujoco
@@ -327,3 +329,19 @@ def test_games_are_the_same_in_all_simulators(case: Case) -> None:
 @pytest.mark.usefixtures("host_kernels", "kernels_pictures")
 def test_event_cameras_see_the_same_in_all_simulators(case: Case) -> None:
     fly_everywhere(case)
+
+
+def own_task_of_the_page() -> Any:
+    """The task that docs/extending.md builds."""
+    page = (Path(__file__).parents[1] / "docs/extending.md").read_text(encoding="utf-8")
+    (code,) = re.findall(r"```python title=\"beacon.py\"\n(.*?)```", page, re.DOTALL)
+    assert code.count("\n") <= 60
+    named: dict[str, Any] = {"__name__": "beacon"}
+    exec(compile(code, "beacon.py", "exec", dont_inherit=True), named)
+    return named["Beacon"]
+
+
+@pytest.mark.usefixtures("host_kernels")
+def test_the_task_of_the_page_is_the_same_in_all_simulators() -> None:
+    keys: Keys = {"max_commands": 8, "t_move_s": 0.4}
+    assert fly_everywhere(Case(own_task_of_the_page(), keys, 3, 25, 0.3, 0.0)) >= 4
