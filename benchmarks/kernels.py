@@ -70,7 +70,7 @@ def one_lane(task: LaneTask) -> Bare:
     pixels = events.pixels_of(int(kind == DVS), task.dvs_parameters)
     view, plan = (
         cpu.View(kind, (ROWS, COLUMNS), maker.looks, sensor, pixels),
-        plan_of(task, maker.surroundings.hull, kind != STATE),
+        plan_of(task, maker.surroundings.hull, np.zeros(3, np.int64), kind != STATE),
     )
     first = np.arange(1)
     cpu.CPU.observe_starts(games, first)
@@ -94,7 +94,7 @@ def bench_on_cores() -> Iterator[Measurement]:
     note = "bound: picture and DVS one after the other"
     yield Measurement("kernels: picture and DVS", 1 / both_s, "frames/s", 1 / (gray_s + dvs_s), note)
     task, threads = LaneTask(), usable_cores()
-    ticks = int(plan_of(task, np.zeros(3), True).slices.sum())
+    ticks = int(plan_of(task, np.zeros(3), np.zeros(3, np.int64), True).slices.sum())
     parts_s = ticks / ticks_per_s + task.frames_per_command * both_s
     for lanes in CPU_LANES:
         per_s = lanes * COMMANDS / _commands_s(lanes)
@@ -129,7 +129,7 @@ def _picture_s() -> tuple[float, float]:
     camera = bare.games.cameras[0]
 
     def sample(number: int) -> None:
-        cpu.render_gray(0, bare.view.appearance, bare.games, bare.now, bare.plan.tick_ns, scratch, picture)
+        cpu.render_gray(0, bare.view.looks, bare.games, bare.now, bare.plan.tick_ns, scratch, picture)
 
     def see(number: int) -> None:
         cpu.see(0, picture, 0.002 * number, bare.view.pixels, bare.view.sensor, camera, 0)
@@ -168,7 +168,7 @@ def bench_on_gpu() -> Iterator[Measurement]:
     device, task = th.cuda.get_device_name(), LaneTask()
     chain_s = _round_s(1, LaneTask(**NONE_SEEN))
     for lanes in GPU_LANES:
-        ticks = int(plan_of(task, np.zeros(3), True).slices.sum())
+        ticks = int(plan_of(task, np.zeros(3), np.zeros(3, np.int64), True).slices.sum())
         flight_s = _round_s(lanes, LaneTask(**NONE_SEEN))
         per_s, bound = lanes * ticks / flight_s, lanes * ticks / chain_s
         note = f"{device}; bound: the chain of one lane's {ticks} ticks, {chain_s * 1e3:.2f} ms, judged too"

@@ -135,9 +135,9 @@ class Kernels:
             lanes.begin(lane, rows[lane], games, now)
             lanes.refresh(games.parameters[rows[lane]], now.state[lane], now.body[lane])
 
-    def run_command(self, which: Any, directions: Any, games: Any, now: Any) -> None:
+    def run_command(self, which: Any, goals: Any, modes: Any, now: Any) -> None:
         for lane in which:
-            lanes.command(lane, directions, games, now)
+            lanes.command(lane, goals, modes, now)
 
     def run_fly(self, which: Any, ticks: Any, games: Any, now: Any, hull: Any, threads: int) -> None:
         for lane in which:
@@ -153,9 +153,9 @@ class Kernels:
         self, which: Any, tick_ns: int, take: int, faces: Any, shown: Any, plan: Any, *of_lanes: Any
     ) -> None:
         games, now, pixels, frames = of_lanes
-        assert take
         for lane in which:
-            frames[lane] = 128
+            if take:
+                frames[lane] = 128
             if lanes.touched(lane, now):
                 continue
             game = now.game[lane]
@@ -164,7 +164,8 @@ class Kernels:
             time_s = cpu.moment_ns(lane, now, tick_ns) * events.NS
             seed = games.seeds[game, lanes.EVENT_SEED]
             cpu.see(lane, self._picture, time_s, pixels, plan.sensor, games.cameras[game], seed)
-            cpu.pop_events(lane, pixels, frames[lane][None])
+            if take:
+                cpu.pop_events(lane, pixels, frames[lane][None])
 
     def run_show(self, which: Any, kind: int, tick_ns: int, faces: Any, shown: Any, plan: Any, *of_lanes: Any) -> None:
         games, now, frames = of_lanes

@@ -1,5 +1,6 @@
 """What continuous actions mean: a velocity, an attitude, body rates, or the motors themselves. 0 hovers in all of them.
 
+All functions take numbers, or arrays and tensors (n,) in their place: the actions of n games.
 Source: AirSim v1.8.1, SimpleFlightApi.hpp: commandVelocity, commandRollPitchYawrateThrottle, commandAngleRatesThrottle
 and commandMotorPWMs.
 """
@@ -8,32 +9,60 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Literal
 
-from uavaccel.kinematics import AttitudeGoal, BodyRatesGoal, FlightGoal, MotorsGoal
+import numpy as np
+
+from uavaccel.envs.arrays import constant
+from uavaccel.envs.values import Number
+from uavaccel.kinematics import AttitudeGoal, BodyRatesGoal, FlightGoal, MotorsGoal, Vector, VelocityGoal
+from uavaccel.sim.vehicle import goal as goals
+from uavaccel.sim.vehicle.autopilot import THROTTLE
+from uavaccel.sim.vehicle.goal import Goal, Yaw
 
 ActionKind = Literal["velocity", "attitude", "rates", "motors"]
 SIZES: dict[ActionKind, int] = {"velocity": 3, "attitude": 4, "rates": 4, "motors": 4}
 """Numbers of an action."""
 HOVER_THROTTLE = 0.5941
 """Throttle that carries AirSim's generic quadrotor (1 kg, four rotors of 4.1794 N) 10 m above its default home."""
+RAD = math.pi / 180.0  # as in math.radians, and its inverse as in math.degrees
+DEG = 180.0 / math.pi
 
 
-def throttle(share: float) -> float:
+def throttle(share: Number) -> Number:
     """Return the throttle, 0 to 1, of a share from -1 to 1: 0 carries the vehicle's weight."""
-    return HOVER_THROTTLE * (1.0 + share) if share < 0.0 else HOVER_THROTTLE + (1.0 - HOVER_THROTTLE) * share
+    sinking, climbing = HOVER_THROTTLE * (1.0 + share), HOVER_THROTTLE + (1.0 - HOVER_THROTTLE) * share
+    return sinking * (share < 0.0) + climbing * (share >= 0.0)
 
 
-def low_level_goal(kind: ActionKind, shares: Sequence[float], tilt_deg: float, rate_deg_s: float) -> FlightGoal:
+def low_level_goal(kind: ActionKind, shares: Sequence[Number], tilt_deg: Number, rate_deg_s: Number) -> FlightGoal:
     """Return the goal of four shares, -1 to 1, of the largest tilt, turn rate and throttle.
 
     "attitude": roll, pitch (nose up), yaw rate, throttle; "rates": roll, pitch and yaw rate, throttle, all FRD;
     "motors": front right, rear left, front left, rear right.
     """
-    first, second, third, fourth = (float(share) for share in shares)
-    tilt, rate = math.radians(tilt_deg), math.radians(rate_deg_s)
+    first, second, third, fourth = shares
+    tilt, rate = tilt_deg * RAD, rate_deg_s * RAD
     if kind == "attitude":
         return AttitudeGoal(first * tilt, second * tilt, third * rate, throttle(fourth))
     if kind == "rates":
         return BodyRatesGoal(first * rate, second * rate, third * rate, throttle(fourth))
     return MotorsGoal(throttle(first), throttle(second), throttle(third), throttle(fourth))
+
+
+def autopilot_goal(goal: FlightGoal) -> Goal:
+    """Return the autopilot's goal, as the server makes it of AirSim's command (wire/flight_api)."""
+    if isinstance(goal, VelocityGoal):  # whose yaw AirSim's commands take in degrees
+        return goals.of_velocity(replace(goal, yaw=goal.yaw * DEG * RAD))
+    if isinstance(goal, AttitudeGoal):
+        return goals.attitude(goal.roll_rad, goal.pitch_rad, Yaw(goal.yaw_rate_rad_s), goal.throttle, THROTTLE)
+    if isinstance(goal, BodyRatesGoal):
+        rates = goal.roll_rad_s, goal.pitch_rad_s, goal.yaw_rad_s
+        return goals.body_rates(*rates, goal.throttle, THROTTLE)
+    return goals.motors(goal.front_right, goal.rear_left, goal.front_left, goal.rear_right)
+
+
+def chosen(table: Sequence[Vector], action: Number) -> Number:
+    """Return the columns of a table's row `action`, or with an array or tensor (n,) of rows: three arrays (n,)."""
+    return constant(np.array(table), action)[action].T

@@ -14,6 +14,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from uavaccel.envs.arrays import cast, constant, namespace_of
 from uavaccel.envs.sensors import SIZE
 from uavaccel.envs.values import Number
 from uavaccel.sim.state import SavedState, State
@@ -61,20 +62,16 @@ class ContextPlanes:
 
     def observe(self) -> NDArray[np.uint8]:
         """Return the present planes."""
-        ages = age_levels(self._now_ns - np.array(self._taken_ns))[self._frame_of_row]
-        shown = {
-            "last_action": self._action_planes[self._action],
-            "frame_age": np.repeat(ages[:, None], SIZE[1], axis=1).astype(np.uint8),
-        }
-        return np.stack([shown[know] for know in self.knows])
+        ages_ns = self._now_ns - np.array(self._taken_ns)
+        planes: NDArray[np.uint8] = self.observe_many(np.array([self._action]), ages_ns[None])[0]
+        return planes
 
-    def actions_shown(self) -> NDArray[np.uint8]:
-        """Return `last_action` after each action (actions + 1, 36, 64); the last one is for no action yet."""
-        return self._action_planes
-
-    def rows_frames(self) -> NDArray[np.int64]:
-        """Return the index of the frame whose age each row of `frame_age` shows (36,)."""
-        return self._frame_of_row
+    def observe_many(self, actions: Number, ages_ns: Number) -> Number:
+        """Return the planes (n, planes, 36, 64) of n games: of their last actions (n,) and frames' ages (n, frames)."""
+        xp, shown = namespace_of(actions), constant(self._action_planes, actions)[actions]
+        aged = age_levels(ages_ns)[:, constant(self._frame_of_row, actions)][:, :, None]
+        both = {"last_action": shown, "frame_age": xp.broadcast_to(cast(aged, "uint8"), shown.shape)}
+        return xp.stack([both[know] for know in self.knows], 1)
 
     def get_state(self) -> State:
         """Return what it remembers of the running game, for np.savez."""

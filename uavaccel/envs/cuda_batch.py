@@ -14,8 +14,8 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
+from uavaccel.envs.arrays import mapped
 from uavaccel.envs.checks import ROUNDING, autoreset_of, make_task, seeds_of
-from uavaccel.envs.cuda_courses import clone
 from uavaccel.envs.cuda_lanes import CudaLanes
 from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.flyable import CUDA, check_flyable
@@ -65,7 +65,7 @@ class CudaBatch(VectorEnv[Any, Any, Any]):
     @property
     def object_names(self) -> tuple[str, ...]:
         """Names of what a vehicle can collide with."""
-        return self._lanes.games.object_names
+        return self._lanes.judge.objects
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
@@ -85,7 +85,7 @@ class CudaBatch(VectorEnv[Any, Any, Any]):
             games.sample_games([options] * self.num_envs)
         self._lanes.begin()
         games.refill(games.begun.tolist())
-        return clone(self._lanes.seen()), self._infos()
+        return mapped(th.clone, self._lanes.observations), self._infos()
 
     def step(self, actions: Any) -> Steps:
         """Fly one command in every environment.
@@ -99,10 +99,10 @@ class CudaBatch(VectorEnv[Any, Any, Any]):
         self._fly(self._actions.checked(actions))
         self._read_an_earlier_step()
         over = lanes.terminated | lanes.truncated
-        infos = self._infos() | {"final_obs": clone(lanes.final_observations), "_final_obs": over}
+        infos = self._infos() | {"final_obs": mapped(th.clone, lanes.final_observations), "_final_obs": over}
         infos |= {"final_info": _with_masks(lanes.final_info, over), "_final_info": over}
         ended = lanes.rewards.clone(), lanes.terminated.clone(), lanes.truncated.clone()
-        return clone(lanes.seen()), *ended, infos
+        return mapped(th.clone, lanes.observations), *ended, infos
 
     def _read_an_earlier_step(self) -> None:
         """Let games be sampled where they have begun, and check the actions, of the step BEHIND steps ago."""
@@ -128,7 +128,8 @@ class CudaBatch(VectorEnv[Any, Any, Any]):
         return self._lanes.set_state(lane, state)
 
     def _infos(self) -> dict[str, Any]:
-        return {"position_m": self._lanes.positions(), "commands": self._lanes.commands.clone()}
+        games = self._lanes.running
+        return {"position_m": games.position_m.clone(), "commands": games.commands.clone()}
 
 
 class _Actions:

@@ -8,9 +8,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
 import torch as th
 
-from uavaccel.envs.cuda_view import LaneView, SceneView
+from uavaccel.envs.cuda_view import View
 from uavaccel.envs.kernel_plan import plan_of
 from uavaccel.envs.stopwatch import PHASES
 from uavaccel.envs.task import Task
@@ -31,16 +32,10 @@ class DeviceClocks:
     """
 
     def __init__(
-        self,
-        task: Task,
-        count: int,
-        device: th.device,
-        hull: Any,
-        now: Any,
-        view: LaneView | SceneView,
-        advance: Advance,
+        self, task: Task, count: int, device: th.device, modes: Any, now: Any, view: View, advance: Advance
     ) -> None:
-        plan = plan_of(task, hull, view.kind != STATE)
+        plan = plan_of(task, np.zeros(3), modes, view.kind != STATE)
+        self._modes = th.tensor(modes, device=device)
         self._timing_tensors, self._timing = kernels.on_device(plan.timing, device)
         clocks = timeline.clocks(count, task.frames_per_command)
         self.tensors, self._clocks = kernels.on_device(clocks, device)
@@ -48,8 +43,6 @@ class DeviceClocks:
         self._count, self._hold_ticks = count, plan.hold_ticks
         rules = plan.timing.rules
         self.guards, self._stale = bool(rules[timeline.GUARDED]), bool(rules[timeline.STALE_POSE])
-        self._since_ns = int(rules[timeline.PROCESSING_NS] * rules[timeline.IS_ADSC])
-        self._speed, self._tick_ns = float(task.clock_speed), plan.tick_ns
         self._legs = th.zeros(count, dtype=th.int64, device=device)
         self._rendering = th.zeros(count, dtype=th.uint8, device=device)
         self._levels = th.zeros((count, 3), dtype=th.int64, device=device)
@@ -66,11 +59,11 @@ class DeviceClocks:
 
     # --- a command --------------------------------------------------------------------------------
 
-    def issue(self, going: th.Tensor, directions: th.Tensor, games: Any) -> None:
-        """Issue commands, fly until they take effect, and apply them."""
+    def issue(self, going: th.Tensor, goals: th.Tensor) -> None:
+        """Issue commands, fly until they take effect, and apply their goals (L, 4)."""
         self._run("issue", going, self._now, self._timing, self._clocks, kernels.shared(self._legs))
         self._fly(going)
-        self._run("take", going, self._hold_ticks, kernels.shared(directions), games, self._now)
+        self._run("take", going, self._hold_ticks, kernels.shared(goals), kernels.shared(self._modes), self._now)
 
     def reach(self, going: th.Tensor, sample: int) -> th.Tensor:
         """Fly to a command's next sample, and return which lanes (L,) uint8 have one."""
@@ -107,17 +100,6 @@ class DeviceClocks:
     def phase_ns(self) -> th.Tensor:
         """Wall time (L, phases) spent in each phase."""
         return self.tensors.row[:, timeline.FIRST_PHASE :]
-
-    def present_ns(self, ticks: th.Tensor, free: th.Tensor) -> th.Tensor:
-        """Return the simulated time (L,) of the next decision; ADSC flies on while images are processed."""
-        since_ns = (self._since_ns * free.double() * self._speed).round().long()
-        return ticks * self._tick_ns + since_ns
-
-    def taken_ns(self, present_ns: th.Tensor) -> tuple[th.Tensor, th.Tensor]:
-        """Return which samples (L, S) precede a collision, and the simulated times of the frames."""
-        places = th.arange(self.tensors.ticks.shape[1], device=present_ns.device)
-        seen = places < self.tensors.taken[:, None]
-        return seen, th.where(seen, self.tensors.ticks * self._tick_ns, present_ns[:, None])
 
     # --- inside -----------------------------------------------------------------------------------
 

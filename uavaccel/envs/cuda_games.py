@@ -16,14 +16,13 @@ import torch as th
 from gymnasium.utils import seeding
 from numpy.typing import NDArray
 
+from uavaccel.envs.arrays import mapped, stacked
 from uavaccel.envs.checks import known_options
-from uavaccel.envs.cuda_courses import allocate, to_device, write_rows
 from uavaccel.envs.flight_env import CONDITIONS
-from uavaccel.envs.kernel_games import Drawn, GameMaker
+from uavaccel.envs.kernel_games import Drawn, GameMaker, keys_of
 from uavaccel.envs.navigate import NavigateTask
 from uavaccel.envs.obstacle_lane import LaneTask
 from uavaccel.envs.task import Task
-from uavaccel.envs.values import Course
 from uavaccel.kernels import clutter_games, lane_games
 from uavaccel.kernels import cuda as kernels
 from uavaccel.kernels.fields import NO_APPEARANCE, Appearance
@@ -39,7 +38,8 @@ class LaneGames:
     """The games of `count` lanes: what `Dealt` and `SampledAhead` have in common.
 
     `rows` is a kernels/lanes.Games of tensors, K rows a lane, and `arrays` the same memory for kernels. `starts` holds
-    the games' courses, `conditions` what was sampled for them, and `scales` the factors on their latencies, a row each.
+    the games' courses, `conditions` what was sampled for them, `keys` the task's numbers under these, and `scales` the
+    factors on their latencies, a row each.
     Lanes have `begun` games (L,) so far; `label` (L,) int64 is what the running game is found by afterwards.
     """
 
@@ -51,6 +51,7 @@ class LaneGames:
         self.begun = th.zeros(count, dtype=th.int64, device=device)
         self.starts: dict[str, Any] = {}
         self.conditions: dict[str, th.Tensor] = {}
+        self.keys: dict[str, th.Tensor] = {}
 
     def _on_device(self) -> tuple[Any, Any]:
         """Copy the rows to the device; what is seen of clutter has the cells of what is touched."""
@@ -67,11 +68,6 @@ class LaneGames:
         """Return a new generator for each lane: of the i-th of several seeds, or of a single seed plus i."""
         each = [seeds + lane for lane in range(self.count)] if isinstance(seeds, int) else seeds
         return [seeding.np_random(seed)[0] for seed in each]
-
-    @property
-    def object_names(self) -> tuple[str, ...]:
-        """Names of what a vehicle can collide with: obstacles, then what every game has."""
-        return (*self.maker.surroundings.obstacle_names, *self.maker.surroundings.names)
 
 
 def games_of(task: Task, count: int, device: th.device) -> Dealt | SampledAhead:
@@ -99,12 +95,11 @@ class Dealt(LaneGames):
 
     def __init__(self, task: LaneTask, count: int, device: th.device) -> None:
         super().__init__(task, count, device, 1)
-        drawn = self.maker.sample(np.random.default_rng(0), 0)
+        self._any = drawn = self.maker.sample(np.random.default_rng(0), 0)
         self.maker.write(drawn, self._host, 0)
         for array in _leaves(self._host):
             array[1:] = array[0]
         self.rows, self.arrays = self._on_device()
-        self.obstacles = drawn.obstacles
         self.scales *= task.latency.scale
         self._allocate_deals(task)
         self._kernels = kernels.compiled(self.maker.nominal)
@@ -112,8 +107,9 @@ class Dealt(LaneGames):
         self.has_games = False
 
     def _allocate_deals(self, task: Any) -> None:
+        obstacles = len(self._any.layout) if self._any.layout is not None else 0
         wearing = self.maker.looks.wearing if isinstance(self.maker.looks, Appearance) else NO_APPEARANCE.wearing
-        distribution = lane_games.Distribution(_numbers_of(task, self.obstacles), wearing)
+        distribution = lane_games.Distribution(_numbers_of(task, obstacles), wearing)
         self._memory, self._distribution = kernels.on_device(distribution, self.device)
         self._tensors, self._deals = kernels.on_device(lane_games.deals(self.count), self.device)
         self.starts = {"lane": self._tensors.indices}
@@ -156,9 +152,9 @@ class Dealt(LaneGames):
         grid = kernels.grid(self.count, kernels.FLYING_THREADS)
         self._kernels.deal[grid](kernels.shared(idle), self._distribution, self._deals, self.arrays)
 
-    def found(self, lane: int, label: int) -> tuple[Course, int]:
-        """Return the course at the start of a lane's game, by its label, and its number of obstacles."""
-        return {"lane": label}, self.obstacles
+    def found(self, lane: int, label: int) -> Drawn:
+        """Return a lane's game as it was sampled, by its label."""
+        return self._any._replace(course={"lane": label})
 
     def get_state(self, lane: int) -> State:
         """Return what a lane's running game and its next ones are sampled from."""
@@ -188,9 +184,9 @@ class DealtClutter(Dealt):
         grid = kernels.grid(self.count * kernels.DEALING_THREADS, kernels.DEALING_THREADS)
         self._kernels.deal_clutter[grid](kernels.shared(idle), self._distribution, self._deals, self.arrays)
 
-    def found(self, lane: int, label: int) -> tuple[Course, int]:
-        """Return the course of a lane's present game, and no obstacles."""
-        return {"world": label, "goal_m": self._tensors.goals[lane].tolist()}, 0
+    def found(self, lane: int, label: int) -> Drawn:
+        """Return a lane's present game, by its label."""
+        return self._any._replace(course={"world": label, "goal_m": self._tensors.goals[lane].tolist()})
 
 
 def _numbers_of_goals(task: NavigateTask) -> NDArray[np.float64]:
@@ -227,6 +223,7 @@ class SampledAhead(LaneGames):
 
     def __init__(self, task: Task, count: int, device: th.device) -> None:
         super().__init__(task, count, device, AHEAD)
+        self._rows = count * AHEAD
         self.rows, self.arrays = self._on_device()
         self.available = th.zeros(count, dtype=th.int64, device=device)
         self._generators: list[Any] = [None] * count
@@ -276,10 +273,9 @@ class SampledAhead(LaneGames):
         self.begun += renewed
         return renewed
 
-    def found(self, lane: int, label: int) -> tuple[Course, int]:
-        """Return the course at the start of one of a lane's latest AHEAD games, and its number of obstacles."""
-        drawn = self._drawn[lane][label]
-        return drawn.course, drawn.obstacles
+    def found(self, lane: int, label: int) -> Drawn:
+        """Return one of a lane's latest AHEAD games as it was sampled."""
+        return self._drawn[lane][label]
 
     def get_state(self, lane: int) -> State:
         """Return what a lane's running game and its next ones are sampled from."""
@@ -330,22 +326,33 @@ class SampledAhead(LaneGames):
         self.available.copy_(to_device(np.asarray(self._written), self.device))
 
     def _send_courses(self, games: Sequence[Drawn], target: th.Tensor) -> None:
-        """Transfer what the kernels do not read: the games' courses and the scales of their latencies."""
-        courses = [{name: each for name, each in game.course.items() if name != CONDITIONS} for game in games]
-        for name in courses[0]:
-            if name not in self.starts:
-                self.starts[name] = allocate(courses[0][name], self.count * AHEAD, self.device)
-            write_rows(self.starts[name], target, np.array([course[name] for course in courses]))
-        for name in games[0].course.get(CONDITIONS, ()):
-            rows = self.conditions.setdefault(name, th.zeros_like(self.scales))
-            write_rows(rows, target, np.array([game.course[CONDITIONS][name] for game in games]))
-        write_rows(self.scales, target, np.array([game.task.latency.scale for game in games]))
+        """Transfer what the kernels do not read: the games' courses, conditions, keys, and scales of latencies."""
+        self._write(self.starts, target, stacked([game.own_course for game in games]))
+        sampled = [game.course.get(CONDITIONS, {}) for game in games]
+        names = dict.fromkeys(name for conditions in sampled for name in conditions)
+        none = {name: np.array([conditions.get(name, np.nan) for conditions in sampled]) for name in names}
+        self._write(self.conditions, target, none)
+        self._write(self.keys, target, keys_of(self.maker.task, games))
+        self.scales[target] = to_device(np.array([game.task.latency.scale for game in games]), self.device)
+
+    def _write(self, kept: dict[str, Any], rows: th.Tensor, values: Mapping[str, Any]) -> None:
+        """Write the values (n,) of games to `rows` (n,) of tensors, which are allocated when they first come."""
+        for name, value in values.items():
+            if name not in kept:
+                kept[name] = mapped(lambda array: to_device(np.zeros(self._rows, array.dtype), self.device), value)
+            mapped(lambda part, array: part.__setitem__(rows, to_device(array, self.device)), kept[name], value)
 
     def _latest(self, row: int) -> Drawn:
         """Return the game that was written to a row last."""
         lane, place = divmod(row, AHEAD)
         last = self._written[lane] - 1
         return self._drawn[lane][last - (last - place) % AHEAD]
+
+
+def to_device(values: NDArray[Any], device: th.device) -> th.Tensor:
+    """Copy a NumPy array to the device without waiting for the transfer."""
+    tensor = th.from_numpy(np.ascontiguousarray(values))
+    return tensor.pin_memory().to(device, non_blocking=True) if device.type == "cuda" else tensor
 
 
 def _leaves(arrays: Any) -> list[Any]:

@@ -6,11 +6,12 @@ import json
 from collections import deque
 from collections.abc import Mapping
 from contextlib import ExitStack
-from dataclasses import astuple
+from dataclasses import astuple, replace
 from typing import TYPE_CHECKING, Final, Generic
 
 import gymnasium
 import numpy as np
+from gymnasium import spaces
 from numpy.typing import NDArray
 
 from uavaccel.clock import MonotonicClock
@@ -151,6 +152,7 @@ class FlightEnv(gymnasium.Env[Observation, Action], Generic[TaskT]):
         if session is None or self._client is None:
             return state
         game = self._now._asdict() | {"state": astuple(self._now.state), "start_ns": self._start_ns}
+        game["began_ns"] = self._began_ns
         state["game"] = json.dumps(game)
         state["phases_ns"] = json.dumps([stopwatch.get_state() for stopwatch in self._stopwatches])
         state["frames"] = np.stack(self._frames)
@@ -170,6 +172,7 @@ class FlightEnv(gymnasium.Env[Observation, Action], Generic[TaskT]):
         session, game = self._opened(), json.loads(str(state["game"]))
         self._apply_conditions(game["course"])
         client = self._connect(session.set_state(without_prefix("session", state)), game.pop("start_ns"))
+        self._began_ns = game.pop("began_ns")
         for stopwatch, spent in zip(self._stopwatches, json.loads(str(state["phases_ns"])), strict=True):
             stopwatch.set_state(spent)
         numbers: list[Number] = [tuple(value) if isinstance(value, list) else value for value in game.pop("state")]
@@ -221,7 +224,11 @@ class FlightEnv(gymnasium.Env[Observation, Action], Generic[TaskT]):
             for stopwatch in self._stopwatches:
                 phases.enter_context(stopwatch.aside("image_processing"))
             picture = self._noise.add(self._session.picture(self.task.picture_size), time_ns)
-            self.sensor.counter.process_frame(picture, time_ns)
+            self.sensor.counter.process_frame(picture, time_ns - self._began_ns)
+
+    def _in_game(self, state: Kinematics) -> Kinematics:
+        """Return a state with the time since the game's start, from which a task and its sensor count."""
+        return replace(state, time_ns=state.time_ns - self._began_ns)
 
     def _connect(self, client: Client, start_ns: int) -> FlightClient:
         """Wrap the client of a game that began at `start_ns` of its wall clock."""
@@ -250,14 +257,15 @@ class FlightEnv(gymnasium.Env[Observation, Action], Generic[TaskT]):
             raise
         client = self._connect(started, started.now_ns())
         self._seed_noise(client, noise_seed(latencies), (start := client.kinematics()).time_ns)
-        first = client.read_sample(start)
+        first, self._began_ns = client.read_sample(start), start.time_ns
         self._switch(None)
-        self._now = Moment(first.state, first.state.position_m, None, 0, course)
-        frame = self.sensor.reset(first.state, first.image, course)
+        state = self._in_game(first.state)
+        self._now = Moment(state, state.position_m, None, 0, course)
+        frame = self.sensor.reset(state, first.image, course)
         seen = frame if task.sees_start and not task.blank_images else self.sensor.blank
         self._frames.extend([seen] * (self._frames.maxlen or 0))
         if self._context is not None:
-            self._context.start(first.state.time_ns)
+            self._context.start(state.time_ns)
         self._command.begin(client)
         game = Game(task, session, self._noise, first.state)
         for observer in self._observers:
@@ -266,13 +274,15 @@ class FlightEnv(gymnasium.Env[Observation, Action], Generic[TaskT]):
     def _fly(self, client: FlightClient, action: Action) -> Moment:
         """Fly one command; after a collision it stops at the next sample, and the remaining frames are blank."""
         task, now = self.episode_task, self._now
-        goal, missing = task.goal(action), task.frames_per_command
+        goal = task.goal(action.astype(np.float64) if isinstance(self.action_space, spaces.Box) else action)
+        missing = task.frames_per_command
         taken_ns, gathered_ns = [], 0
         for sample in self._command.fly(client, goal, task.t_move_s, task.t_sample_s, task.t_th_ns):
-            now = now._replace(state=sample.state, position_m=sample.state.position_m)
             gathered_ns = client.now_ns()
             for observer in self._observers:
                 observer.sample_taken(sample, now.commands)
+            sample = sample._replace(state=self._in_game(sample.state))
+            now = now._replace(state=sample.state, position_m=sample.state.position_m)
             if sample.collision:
                 north, east, down = sample.collision["position_m"]
                 now = now._replace(position_m=(north, east, down), collision=sample.collision["object"])

@@ -58,17 +58,12 @@ def _why_not(task: Task) -> str:
         return "timing wall needs a server of its own"
     if task.list_events:
         return "list_events needs single events, which the kernels do not keep"
-    if task.action != "velocity":
-        return f"action = {task.action} is flown by the exact simulator alone"
     if task.scenery != PLAIN and kind_of(task) in (DVS, COLOUR):
         return f"difficulty.scenery = {task.scenery}: its looks are textured meshes; depth and state fly there"
     if task.scene == "clutter" and clutter_of(task) is None:
         return "scene = clutter needs a task with the key clutter, the distribution of its worlds"
     if task.scene == "lane" and task.picture_size != PICTURE_SIZE and kind_of(task) != STATE:
         return f"picture_size = {list(task.picture_size)}: the lane is rendered in [256, 144] only"
-    for name in ("goal", "velocity_goal", "features"):
-        if getattr(type(task), name).__module__.partition(".")[0] != Task.__module__.partition(".")[0]:
-            return f"{type(task).__name__}.{name} is your own, and may take one game at a time only"
     return ""
 
 

@@ -17,28 +17,19 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from uavaccel.clock import MonotonicClock
+from uavaccel.envs.arrays import assign, mapped, named_leaves, one_of, select, stacked
 from uavaccel.envs.checks import actions_of, autoreset_of, make_task, whole_number
-from uavaccel.envs.context_planes import NO_ACTION, age_levels
+from uavaccel.envs.context_planes import NO_ACTION
 from uavaccel.envs.flight_env import CONDITIONS, FlightEnv
-from uavaccel.envs.flyable import CPU, check_flyable, kind_of
-from uavaccel.envs.kernel_games import (
-    Drawn,
-    GameMaker,
-    StepResult,
-    game_info,
-    kinematics_of,
-    one_course,
-    select,
-    set_course,
-    stacked,
-    step_result,
-)
-from uavaccel.envs.kernel_plan import plan_of
+from uavaccel.envs.flyable import CPU, check_flyable, kind_of, profile_of
+from uavaccel.envs.judging import Flown, Judge, Judged, Running
+from uavaccel.envs.kernel_games import Drawn, GameMaker, keys_of
+from uavaccel.envs.kernel_plan import plan_of, since_ns_of
 from uavaccel.envs.sensors import blank_frame
 from uavaccel.envs.stopwatch import PHASES
-from uavaccel.envs.task import Moment, Moments, Task
+from uavaccel.envs.task import Task
 from uavaccel.envs.turn_batch import TurnBatch
-from uavaccel.envs.values import Action, Actions, Answer, Frame, Info, Number, Observation, Steps
+from uavaccel.envs.values import Actions, Answer, Frame, Info, Observation, Steps
 from uavaccel.errors import UserError
 from uavaccel.kernels import cpu, events, timeline
 from uavaccel.kernels import lanes as rows
@@ -47,7 +38,7 @@ from uavaccel.kernels.flight import TOUCHED
 from uavaccel.limits import MOST_PROCESSES
 from uavaccel.machine import usable_cores
 from uavaccel.sim.state import SavedState, State
-from uavaccel.sim.vehicle.quadrotor import NEVER
+from uavaccel.sim.vehicle.quadrotor import KINEMATICS
 from uavaccel.units import NS_PER_S
 from uavaccel.vision.dvs_sensor import sample_pixels
 
@@ -80,8 +71,10 @@ class KernelBatch(TurnBatch):
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._maker = GameMaker(self.task)
+        around = self._maker.surroundings
+        self._judge = Judge(self.task, around, profile_of(self.task).tick_ns, since_ns_of(self.task))
+        self._plan = plan_of(self.task, around.hull, self._judge.modes, kind_of(self.task) != STATE)
         self._allocate()
-        self._plan = plan_of(self.task, self._maker.surroundings.hull, self._view.kind != STATE)
         self._threads = min(usable_cores() if threads is None else threads, num_envs)
         self._pool = ThreadPoolExecutor(self._threads)
         self._flying: dict[int, list[Future[None]]] = {}
@@ -89,38 +82,30 @@ class KernelBatch(TurnBatch):
         self._generators: dict[int, np.random.Generator] = {}
         self._games = [0] * num_envs
         self._drawn: list[Drawn] = []
+        self._running: Running
         # States of the generators before the running games were sampled.
         self._generator_states: list[Mapping[str, object] | None] = [None] * num_envs
 
     def _allocate(self) -> None:
-        count, task, space = self.num_envs, self.task, self.task.frames_space()
+        count, task = self.num_envs, self.task
         self._rows = self._maker.rows(count)
         self._now = rows.flights(count)
         blank = task.sensor().blank
         kind, size = kind_of(task), task.picture_size[::-1]
-        draws = sample_pixels(task.dvs_parameters, size, task.dvs_seed)
-        pixels = events.pixels_of(
-            count if kind == DVS else 0, task.dvs_parameters, size, blank_frame("dvs", task.picture_size).shape[1:]
-        )
+        draws, frame = sample_pixels(task.dvs_parameters, size, task.dvs_seed), blank_frame("dvs", task.picture_size)
+        pixels = events.pixels_of(count if kind == DVS else 0, task.dvs_parameters, size, frame.shape[1:])
         self._view = cpu.View(kind, size, self._maker.looks, events.sensor_of(draws), pixels)
         samples = task.frames_per_command
         self._blank = blank
         self._frames = np.empty((count, samples, *blank.shape), blank.dtype)
         drawn = self._frames if blank.dtype == np.uint8 else np.empty((0, samples, 1, 0, 0), np.uint8)
         self._pictures = drawn  # always uint8: machine code is compiled for types
-        self._samples = np.zeros((count, samples, cpu.SAMPLE_FIELDS))
-        self._observations = np.zeros((count, *space.shape), space.dtype)
-        self._told = np.zeros((count, task.told), np.float32)
-        self._directions = np.zeros((count, 3))
-        self._position = [np.zeros(count) for _ in range(3)]  # north, east, down
-        self._actions = np.full(count, NO_ACTION)
-        self._commands = np.zeros(count, np.int64)
-        self._taken_ns = np.zeros((count, samples * task.history), np.int64)
-        self._present_ns = np.zeros(count, np.int64)
+        self._samples = np.zeros((count, samples, KINEMATICS))
+        self._goals = np.zeros((count, 4))
+        self._asked = np.full(count, NO_ACTION)  # discrete actions of the commands in flight
         self._clocks = timeline.clocks(count, samples)
         self._host_s = np.zeros(count)
         self._over = np.zeros(count, bool)
-        self._context = task.context_planes()
 
     def close_extras(self, **_: object) -> None:
         """End the threads."""
@@ -135,17 +120,24 @@ class KernelBatch(TurnBatch):
             if seed is not None or lane not in self._generators:
                 self._generators[lane] = seeding.np_random(seed)[0]
             self._games[lane] = self._games[lane] + 1 if seed is None else 1
-        drawn = [self._draw(lane, options[lane]) for lane in range(self.num_envs)]
-        self._drawn, self._course = drawn, stacked([each.course for each in drawn])
+        self._drawn = [self._draw(lane, options[lane]) for lane in range(self.num_envs)]
+        self._running = self._blank_games()
         return self._begin(np.arange(self.num_envs))
+
+    def _blank_games(self) -> Running:
+        """Return arrays for the games in `_drawn`."""
+        course = stacked([drawn.own_course for drawn in self._drawn])
+        return Running(*mapped(np.copy, self._judge.begun(course, np.zeros((self.num_envs, KINEMATICS)), None)))
 
     def step_async(self, actions: Actions, slots: Sequence[int] | None = None) -> None:
         """As `TurnBatch` has it. Raises UserError before the first reset."""
         if not self._drawn:
             raise UserError("reset the environments before their first step")
         which = np.arange(self.num_envs) if slots is None else np.asarray(slots)
-        for lane, action in zip(which, actions_of(self.single_action_space, actions, len(which)), strict=True):
-            self._set_direction(int(lane), action)
+        given = np.array(actions_of(self.single_action_space, actions, len(which)))
+        if self._judge.discrete:
+            self._asked[which] = given
+        self._goals[which] = self._judge.goals(given, keys_of(self.task, [self._drawn[lane] for lane in which]))
         self._frames[which] = self._blank
         self._begun_ns = self._clock.now_ns()
         going = which[~self._over[which]]
@@ -169,9 +161,9 @@ class KernelBatch(TurnBatch):
         if len(going):
             judged = self._finish_commands(going)
             rewards[going], terminated[going], truncated[going] = (judged.reward, judged.terminated, judged.truncated)
-            infos = {int(lane): self._info(int(lane), won) for lane, won in zip(going, judged.success, strict=True)}
+            infos = dict(zip(going.tolist(), self._infos(going, judged.success), strict=True))
         self._autoreset(idle, going[terminated[going] | truncated[going]], infos)
-        seen = self._seen_by(which)
+        seen = select(self._running.observations, which)
         return seen, rewards[which], terminated[which], truncated[which], [infos[int(lane)] for lane in which]
 
     def _autoreset(self, idle: NDArray[np.int64], ended: NDArray[np.int64], infos: dict[int, Info]) -> None:
@@ -180,9 +172,9 @@ class KernelBatch(TurnBatch):
             renewed = self._renew(idle) if self._next_step else [{} for _ in idle]
             infos.update(zip(idle.tolist(), renewed, strict=True))
         if self._same_step and len(ended):
-            last = [self._seen_by(lane) for lane in ended.tolist()]
-            for lane, seen, info in zip(ended.tolist(), last, self._renew(ended), strict=True):
-                infos[lane] = info | {"final_info": infos[lane], "final_obs": seen}
+            last = select(self._running.observations, ended)
+            for place, (lane, info) in enumerate(zip(ended.tolist(), self._renew(ended), strict=True)):
+                infos[lane] = info | {"final_info": infos[lane], "final_obs": select(last, place)}
         else:
             self._over[ended] = True
 
@@ -194,12 +186,7 @@ class KernelBatch(TurnBatch):
 
     def observations(self) -> Observation:
         """Return the present observation of every environment."""
-        return self._seen_by(slice(None))
-
-    def _seen_by(self, which: Any) -> Observation:
-        """Return copies of the present observations of lanes, or of one."""
-        frames = self._observations[which].copy()
-        return {"image": frames, "state": self._told[which].copy()} if self.task.also_state else frames
+        return mapped(np.copy, self._running.observations)
 
     def call_each(
         self, name: str, arguments: Sequence[tuple[Any, ...]], slots: Sequence[int] | None = None
@@ -217,7 +204,6 @@ class KernelBatch(TurnBatch):
         """Return a lane's running game for np.savez: another batch of this task continues it to the same bytes."""
         state: State = {"generator": json.dumps(self._generators[lane].bit_generator.state)}
         state |= {"drawn_by": json.dumps(self._generator_states[lane]), "games": self._games[lane]}
-        state["course"] = json.dumps(one_course(self._course, lane))
         return state | {name: array[lane].copy() for name, array in self._state_arrays().items()}
 
     def _set_state(self, lane: int, state: SavedState) -> Observation:
@@ -226,19 +212,13 @@ class KernelBatch(TurnBatch):
         generator.bit_generator.state = json.loads(str(state["drawn_by"]))
         self._games[lane] = int(state["games"])
         if not self._drawn:
-            self._drawn = [self._sample_any() for _ in range(self.num_envs)]
-            self._course = stacked([each.course for each in self._drawn])
+            self._drawn = [self._maker.sample(np.random.default_rng(0), 0)] * self.num_envs  # none of them is flown
+            self._running = self._blank_games()
         self._drawn[lane] = self._draw(lane)
         generator.bit_generator.state = json.loads(str(state["generator"]))
-        set_course(self._course, lane, json.loads(str(state["course"])))
         for name, array in self._state_arrays().items():
             array[lane] = state[name]
-        self._update_positions(np.array([lane]))
-        return self._seen_by(lane)
-
-    def _sample_any(self) -> Drawn:
-        """Sample a game that is not flown, for the shape of its course."""
-        return self._maker.sample(np.random.default_rng(0), 0)
+        return mapped(np.copy, select(self._running.observations, lane))
 
     def _state_arrays(self) -> dict[str, NDArray[np.generic]]:
         """Return all arrays (L, ...) that change in a game."""
@@ -246,8 +226,7 @@ class KernelBatch(TurnBatch):
         arrays |= {f"now.{name}": getattr(self._now, name) for name in ("body", "watch", "game")}
         arrays |= {f"clocks.{name}": array for name, array in self._clocks._asdict().items()}
         arrays |= {f"state.{name}": self._now.state[name] for name in self._now.state.dtype.names or ()}
-        names = ("observations", "told", "actions", "commands", "taken_ns", "present_ns", "over")
-        return arrays | {name: getattr(self, f"_{name}") for name in names}
+        return arrays | named_leaves(self._running, "running") | {"over": self._over}
 
     # --- inside -----------------------------------------------------------------------------------
 
@@ -262,56 +241,38 @@ class KernelBatch(TurnBatch):
         for lane in lanes.tolist():
             self._games[lane] += 1
             self._drawn[lane] = self._draw(lane)
-            course = {name: each for name, each in self._drawn[lane].course.items() if name != CONDITIONS}
-            set_course(self._course, lane, course)
         return self._begin(lanes)
 
     def _begin(self, lanes: NDArray[np.int64]) -> list[Info]:
         """Begin the games sampled for these lanes, and return the infos."""
+        drawn = [self._drawn[lane] for lane in lanes.tolist()]
         cpu.CPU.observe_starts(self._rows, lanes)
-        self._clocks.scale[lanes] = [self._drawn[lane].task.latency.scale for lane in lanes.tolist()]
+        self._clocks.scale[lanes] = [each.task.latency.scale for each in drawn]
         for part in [
             self._pool.submit(cpu.CPU.begin, each, each, self._view, self._rows, self._now, self._plan, self._clocks)
             for each in np.array_split(lanes, self._threads)
             if len(each)
         ]:
             part.result()
-        self._over[lanes], self._commands[lanes], self._actions[lanes] = False, 0, NO_ACTION
-        self._host_s[lanes], self._taken_ns[lanes], self._present_ns[lanes] = 0.0, 0, 0
-        self._update_positions(lanes)
-        self._tell(lanes)
-        first = self._first_frames(lanes)
-        frames = self._taken_ns.shape[1]
-        self._observe(lanes, np.concatenate([first] * frames, axis=1))
-        return [self._info(int(lane), False) for lane in lanes]
+        self._over[lanes], self._host_s[lanes] = False, 0.0
+        numbers, *_ = self._ends(lanes)
+        course = stacked([each.own_course for each in drawn])
+        assign(self._running, lanes, self._judge.begun(course, numbers, self._first_pictures(lanes)))
+        return self._infos(lanes, np.zeros(len(lanes), bool))
 
-    def _first_frames(self, lanes: NDArray[np.int64]) -> Frame:
-        """Return the first frames (n, ...) of games that begin."""
-        blank = np.repeat(self._blank[None], len(lanes), axis=0)
-        if not self.task.sees_start or self.task.blank_images:
-            return blank
-        if self.task.observation == "state":
-            return self._features(lanes, np.asarray(self._state_fields(lanes)))
-        if self.task.observation == "dvs":
-            return blank
+    def _first_pictures(self, lanes: NDArray[np.int64]) -> Frame | None:
+        """Return pictures (n, ...) of the starts of games, None where they are not shown."""
+        if not self.task.sees_start or self._view.kind in (STATE, DVS):
+            return None
         frames = np.empty((self.num_envs, 1, *self._blank.shape), self._blank.dtype)
         cpu.CPU.show(lanes, self._view, self._rows, self._now, self._plan, frames)
         drawn: Frame = frames[lanes, 0]
         return drawn
 
-    def _set_direction(self, lane: int, action: Action) -> None:
-        """Set a lane's direction from an action."""
-        directions = self.task.directions
-        if directions is None:
-            self._directions[lane] = action
-        else:
-            self._actions[lane] = int(action)
-            self._directions[lane] = directions[int(action)]
-
     def _fly(self, lanes: NDArray[np.int64]) -> None:
         cpu.CPU.fly(
             lanes,
-            self._directions,
+            self._goals,
             self._view,
             self._rows,
             self._now,
@@ -321,105 +282,35 @@ class KernelBatch(TurnBatch):
             self._samples,
         )
 
-    def _finish_commands(self, lanes: NDArray[np.int64]) -> StepResult:
-        """Judge the commands of these lanes and update their observations."""
-        before = Moments(None, [axis[lanes].copy() for axis in self._position], None, None, self._course_of(lanes))
-        self._commands[lanes] += 1
-        self._update_positions(lanes)
-        flown = self._moments(lanes)
-        judged = step_result(self.task, before, flown)
-        if self.task.observation == "state" and not self.task.blank_images:
-            self._write_features(lanes)
-        for name, value in judged.course.items():
-            set_course(self._course[name], lanes, value)
-        self._tell(lanes)
-        self._note_times(lanes)
-        shape = (len(lanes), -1, *self._blank.shape[1:])
-        fresh = self._frames[lanes].reshape(shape)
-        earlier = self._observations[lanes][:, fresh.shape[1] : fresh.shape[1] * self.task.history]
-        self._observe(lanes, np.concatenate([earlier, fresh], axis=1))
+    def _finish_commands(self, lanes: NDArray[np.int64]) -> Judged:
+        """Judge the commands of these lanes and update their games."""
+        clocks, tick = self._clocks, self._now.state["tick"][lanes]
+        numbers, position_m, collision = self._ends(lanes)
+        samples = clocks.ticks[lanes], clocks.taken[lanes], self._samples[lanes], self._frames[lanes]
+        flown = Flown(numbers, tick, position_m, collision, *samples)
+        running, judged = self._judge.after(select(self._running, lanes), flown, self._asked[lanes])
+        assign(self._running, lanes, running)
         return judged
 
-    def _note_times(self, lanes: NDArray[np.int64]) -> None:
-        """Update the present time and the frames' times, from which their ages follow (envs/context_planes)."""
-        tick_ns, clocks = self._plan.tick_ns, self._clocks
-        seen = np.arange(clocks.ticks.shape[1]) < clocks.taken[lanes, None]
-        now_ns = self._now.state["tick"][lanes] * tick_ns
-        if self.task.command == "adsc":  # TCSC has paused the clock
-            since_ns = self._plan.timing.rules[timeline.PROCESSING_NS] * self._moments(lanes).free
-            now_ns = now_ns + np.rint(since_ns * float(self.task.clock_speed)).astype(np.int64)
-        taken_ns = np.where(seen, clocks.ticks[lanes] * tick_ns, now_ns[:, None])
-        self._present_ns[lanes] = now_ns
-        self._taken_ns[lanes] = np.concatenate([self._taken_ns[lanes], taken_ns], axis=1)[:, seen.shape[1] :]
+    def _ends(self, lanes: NDArray[np.int64]) -> tuple[Any, Any, Any]:
+        """Return states, positions and collisions of these lanes (Judge.end)."""
+        state, rows = self._now.state[lanes], self._now.game[lanes]
+        flight, ticks = (state.view(kind).reshape(len(lanes), -1) for kind in (np.float64, np.int64))
+        return self._judge.end(flight, ticks, self._now.watch[lanes, TOUCHED], self._rows.counts[rows].astype(np.int64))
 
-    def _observe(self, lanes: NDArray[np.int64], frames: Frame) -> None:
-        """Update the observations: frames, oldest first, then context planes."""
-        self._observations[lanes, : frames.shape[1]] = frames
-        if self._context is None:
-            return
-        ages = age_levels(self._present_ns[lanes, None] - self._taken_ns[lanes])
-        for plane, what in enumerate(self._context.knows, frames.shape[1]):
-            if what == "last_action":
-                self._observations[lanes, plane] = self._context.actions_shown()[self._actions[lanes]]
-            else:
-                self._observations[lanes, plane] = ages[:, self._context.rows_frames()][:, :, None]
+    def _infos(self, lanes: NDArray[np.int64], won: NDArray[np.bool_]) -> list[Info]:
+        """Return the infos of these lanes' games."""
+        clock = self._clocks.row[lanes]
+        wall_ns, phases_ns = clock[:, timeline.NOW] - clock[:, timeline.START], clock[:, timeline.FIRST_PHASE :]
+        infos = self._judge.infos(select(self._running, lanes), won, wall_ns, phases_ns)
+        return [self._info(lane, one_of(infos, place)) for place, lane in enumerate(lanes.tolist())]
 
-    def _update_positions(self, lanes: NDArray[np.int64]) -> None:
-        """Store the positions, or first contacts, of these lanes' vehicles; the other lanes may be flying."""
-        state = self._now.state[lanes]
-        touched = state["collision_tick"] != NEVER
-        places = np.where(touched[:, None], state["contact_position"], state["position"])
-        for axis in range(3):
-            self._position[axis][lanes] = places[:, axis]
-
-    def _moments(self, lanes: NDArray[np.int64]) -> Moments:
-        touched = self._now.state["collision_tick"][lanes] != NEVER
-        place = [axis[lanes] for axis in self._position]
-        return Moments(None, place, touched, self._commands[lanes], self._course_of(lanes))
-
-    def _course_of(self, lanes: NDArray[np.int64]) -> dict[str, Number]:
-        return {name: select(value, lanes) for name, value in self._course.items()}
-
-    def _state_fields(self, lanes: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Return the present states (n, SAMPLE_FIELDS)."""
-        state = self._now.state[lanes]
-        return np.concatenate([state[name] for name in ("position", "quaternion", "velocity", "rate")], axis=1)
-
-    def _tell(self, lanes: NDArray[np.int64]) -> None:
-        """Update the states beside frames, all 0 after a collision."""
-        if self.task.also_state:
-            free = self._now.state["collision_tick"][lanes] == NEVER
-            self._told[lanes] = np.where(free[:, None], self._numbers(lanes, self._state_fields(lanes)), 0.0)
-
-    def _features(self, lanes: NDArray[np.int64], samples: NDArray[np.float64]) -> NDArray[np.float32]:
-        """Return the frames (n, ...) of observation "state" for samples (n, SAMPLE_FIELDS)."""
-        return self._numbers(lanes, samples).reshape(len(lanes), *self._blank.shape)
-
-    def _numbers(self, lanes: NDArray[np.int64], samples: NDArray[np.float64]) -> NDArray[np.float32]:
-        """Return the task's fields (n, fields) for samples (n, SAMPLE_FIELDS)."""
-        numbers = self.task.fields(kinematics_of(samples), self._course_of(lanes))
-        return np.stack(numbers, axis=1).astype(np.float32)
-
-    def _write_features(self, lanes: NDArray[np.int64]) -> None:
-        """Write the frames of observation "state" before a collision."""
-        for sample in range(self._frames.shape[1]):
-            seen = lanes[sample < self._clocks.taken[lanes]]
-            if len(seen):
-                self._frames[seen, sample] = self._features(seen, self._samples[seen, sample])
-
-    def _info(self, lane: int, won: bool) -> Info:
-        drawn, state = self._drawn[lane], self._now.state[lane]
-        hit = None
-        if state["collision_tick"] != NEVER:
-            hit = self._maker.surroundings.name_of(int(self._now.watch[lane, TOUCHED]), drawn.obstacles)
-        position = tuple(float(axis[lane]) for axis in self._position)
-        course = one_course(self._course, lane)
+    def _info(self, lane: int, info: Info) -> Info:
+        """Return a game's info with names and what differs from game to game."""
+        collision, drawn = info["collision"], self._drawn[lane]
+        info["collision"] = None if collision < 0 else self._judge.objects[collision]
         if CONDITIONS in drawn.course:
-            course[CONDITIONS] = drawn.course[CONDITIONS]
-        moment = Moment(None, position, hit, int(self._commands[lane]), course)  # type: ignore[arg-type]
-        clock = self._clocks.row[lane].tolist()
-        wall_ns = clock[timeline.NOW] - clock[timeline.START]
-        info = game_info(self.task, moment, bool(won), wall_ns, clock[timeline.FIRST_PHASE :])
+            info[CONDITIONS] = drawn.course[CONDITIONS]
         if self.task.report_host_times:
             info["host_phase_s"] = {**dict.fromkeys(PHASES, 0.0), "simulation": float(self._host_s[lane])}
         return info

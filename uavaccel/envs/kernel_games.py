@@ -1,4 +1,4 @@
-"""Games of lanes over arrays: sampled in the order in which `FlightEnv` samples, written as rows, and judged."""
+"""Games of lanes over arrays: sampled in the order in which `FlightEnv` samples, and written as rows."""
 
 from __future__ import annotations
 
@@ -14,9 +14,8 @@ from uavaccel.envs.checks import known_options
 from uavaccel.envs.flight_env import CONDITIONS
 from uavaccel.envs.flyable import clutter_of, kind_of, profile_of
 from uavaccel.envs.sensors import PICTURE_SIZE
-from uavaccel.envs.stopwatch import PHASES
-from uavaccel.envs.task import AnyLayout, Moment, Moments, Task
-from uavaccel.envs.values import Course, Info, Number
+from uavaccel.envs.task import AnyLayout, Task
+from uavaccel.envs.values import Course
 from uavaccel.kernels.appearance import fill_scene, read_appearance, read_looks
 from uavaccel.kernels.bodies import Surroundings, read_surroundings
 from uavaccel.kernels.clutter_worlds import clutter_worlds
@@ -25,10 +24,8 @@ from uavaccel.kernels.fields import NO_APPEARANCE, NO_LOOKS, STATE, Appearance, 
 from uavaccel.kernels.lanes import Games, game_rows
 from uavaccel.kernels.scene import as_seen, empty_scene
 from uavaccel.kernels.still import read_scene
-from uavaccel.kinematics import Kinematics
 from uavaccel.sim.lane.layout import PLAIN, LaneLayout
 from uavaccel.sim.world import World
-from uavaccel.units import NS_PER_S
 from uavaccel.vision.image_noise import noise_seed
 
 
@@ -42,9 +39,9 @@ class Drawn(NamedTuple):
     latencies: np.random.SeedSequence
 
     @property
-    def obstacles(self) -> int:
-        """Number of the lane's obstacles."""
-        return len(self.layout) if isinstance(self.layout, LaneLayout) else 0
+    def own_course(self) -> Course:
+        """The course without the conditions, which are no numbers of all games."""
+        return {name: each for name, each in self.course.items() if name != CONDITIONS}
 
 
 class GameMaker:
@@ -100,7 +97,6 @@ class GameMaker:
         games.cameras[row] = camera_row(task.dvs_parameters, task.image_noise)
         seed = noise_seed(drawn.latencies)
         games.seeds[row] = seed, task.events_seed(seed)
-        games.commands[row] = task.speed_m_s, np.nan if task.held_z_m is None else task.held_z_m
 
     def _settled(
         self, altitude_m: float, mass_ratio: float, thrust_ratio: float
@@ -114,79 +110,9 @@ class GameMaker:
         return world.lead.parameters.copy(), world.lead.state.copy(), body
 
 
-class StepResult(NamedTuple):
-    """How a command ended for n games: arrays (n,)."""
-
-    course: Course
-    reward: Number
-    success: Number
-    terminated: Number
-    truncated: Number
-
-
-def step_result(task: Task, before: Moments, flown: Moments) -> StepResult:
-    """Judge a command from `before` to `flown` for many games at once, as `FlightEnv.step` judges one."""
-    now = flown._replace(course=task.advance(before, flown))
-    success = task.success(now)
-    terminated = success | task.failure(now)
-    truncated = ~terminated & (now.commands >= task.max_commands)
-    return StepResult(now.course, task.reward(before, now), success, terminated, truncated)
-
-
-def stacked(courses: Sequence[Course]) -> dict[str, Number]:
-    """Stack the courses of n games: each number becomes an array (n,), each list of numbers a list of arrays."""
-    names = [name for name in courses[0] if name != CONDITIONS]
-    return {name: _components(np.array([course[name] for course in courses])) for name in names}
-
-
-def game_info(task: Task, moment: Moment, success: bool, wall_ns: float, phases_ns: Sequence[float]) -> Info:
-    """Return the info of a game, with the items that `FlightEnv` gives it."""
-    phases_s = [spent_ns / NS_PER_S for spent_ns in phases_ns]
-    return {
-        "is_success": success,
-        "position_m": list(moment.position_m),
-        "collision": moment.collision,
-        "commands": moment.commands,
-        "wall_s": wall_ns / NS_PER_S,
-        "phase_s": dict(zip(PHASES, phases_s, strict=True)),
-        **task.info(moment),
-    }
-
-
-def kinematics_of(samples: Number) -> Kinematics:
-    """Return the kinematics of n states (n, 13), as arrays or tensors (n,)."""
-    columns = list(samples.T)
-    return Kinematics(0, columns[:3], columns[3:7], columns[7:10], columns[10:13])  # type: ignore[arg-type]
-
-
-def _components(values: NDArray[np.generic]) -> Number:
-    """Turn an array (n, a, b) into a list of a lists of b arrays (n,)."""
-    if values.ndim == 1:
-        return values
-    return [_components(values[:, each]) for each in range(values.shape[1])]
-
-
-def set_course(course: Number, lane: int | NDArray[np.int64], value: Number) -> None:
-    """Write a game's course into a lane's place of a stacked course, or stacked courses into those of several lanes."""
-    if isinstance(course, Mapping):
-        for name in course:
-            set_course(course[name], lane, value[name])
-    elif isinstance(course, list):
-        for part, each in zip(course, value, strict=True):
-            set_course(part, lane, each)
-    else:
-        course[lane] = value
-
-
-def select(course: Number, lanes: Number) -> Number:
-    """Return the elements `lanes` (m,) of an array or tensor (n,), or of each in a list."""
-    return [select(each, lanes) for each in course] if isinstance(course, list) else course[lanes]
-
-
-def one_course(course: Number, lane: int) -> Number:
-    """Return a lane's part of a stacked course, as plain numbers."""
-    if isinstance(course, Mapping):
-        return {name: one_course(each, lane) for name, each in course.items()}
-    if isinstance(course, list):
-        return [one_course(each, lane) for each in course]
-    return course[lane].item()
+def keys_of(task: Task, games: Sequence[Drawn]) -> dict[str, NDArray[np.float64]]:
+    """Return the task's numbers under the conditions of n games, arrays (n,), for `Task.goal`; {} if it has none."""
+    if type(task).with_conditions is Task.with_conditions:
+        return {}
+    names = [name for name in type(task).model_fields if isinstance(getattr(task, name), float)]
+    return {name: np.array([getattr(game.task, name) for game in games]) for name in names}

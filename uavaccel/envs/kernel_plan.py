@@ -30,12 +30,21 @@ def slices_of(task: Task) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     return np.array(ticks), np.array(wall_ns)
 
 
-def plan_of(task: Task, hull: NDArray[np.float64], pictures: bool) -> Command:
-    """Describe a task's command for vehicles with this hull; `pictures`: whether the lanes render any."""
+def plan_of(task: Task, hull: NDArray[np.float64], modes: NDArray[np.int64], pictures: bool) -> Command:
+    """Describe a task's command for vehicles with this hull; `pictures`: whether the lanes render any.
+
+    `modes` are those of all goals (envs/judging).
+    """
     profile = profile_of(task)
     hold = profile.command_ticks(task.t_move_s) + profile.hover_after_ticks
     timing = timing_of(task, pictures)
-    return Command(slices_of(task)[0], task.dvs_ticks or 0, profile.tick_ns, hull, hold, timing)
+    return Command(slices_of(task)[0], task.dvs_ticks or 0, profile.tick_ns, hull, modes, hold, timing)
+
+
+def since_ns_of(task: Task) -> int:
+    """Return the wall time, ns, for which ADSC flies on between a command's end and the next decision."""
+    rules = _rules(task, False)
+    return int(rules[timeline.PROCESSING_NS] * rules[timeline.IS_ADSC])
 
 
 def timing_of(task: Task, pictures: bool) -> Timing:

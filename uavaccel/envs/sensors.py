@@ -122,7 +122,7 @@ class StateSensor(Sensor):
         self._features = features
 
     def frame(self, state: Kinematics, image: AnyImage, course: Course) -> Frame:
-        return self._features(state, course)
+        return np.asarray(self._features(state, course), np.float32)
 
 
 def blank_frame(picture: Literal["dvs", "colour", "depth"], size: tuple[int, int] = PICTURE_SIZE) -> NDArray[np.uint8]:

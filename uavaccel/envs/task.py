@@ -18,7 +18,7 @@ from pydantic import Field, model_validator
 
 from uavaccel.commands.slices import check_times, samples_due
 from uavaccel.config import Config
-from uavaccel.envs.actions import SIZES, ActionKind, low_level_goal
+from uavaccel.envs.actions import SIZES, ActionKind, chosen, low_level_goal
 from uavaccel.envs.context_planes import ContextPlanes
 from uavaccel.envs.sensors import (
     PICTURE_SIZE,
@@ -56,7 +56,8 @@ class Moment(NamedTuple):
     """
 
     state: Kinematics
-    """State of the last sample."""
+    """State of the last sample. After a collision that throws a vehicle back, lanes over arrays have that of the first
+    contact."""
     position_m: Vector
     """Position of the vehicle or, after a collision, of its first contact: NED."""
     collision: str | None
@@ -75,20 +76,44 @@ class Moment(NamedTuple):
         return self.collision is None
 
 
+class Collisions:
+    """What the vehicles of n games hit: `== "ground"` is an array (n,), as it is a bool for the name of one game's.
+
+    `index` (n,) is that of the name in `objects`, -1 without a collision, for which `touched` and `free` ask.
+    """
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def __init__(self, index: Number, objects: tuple[str, ...]) -> None:
+        self.index, self.objects = index, objects
+
+    def __eq__(self, name: object) -> Number:
+        if not isinstance(name, str):
+            raise TypeError("a collision is compared with the name of an object; touched and free say if there is any")
+        return self.index == (self.objects.index(name) if name in self.objects else len(self.objects))
+
+    def __ne__(self, name: object) -> Number:
+        return ~(self == name)
+
+
 class Moments(NamedTuple):
     """The state of n games: where `Moment` has a number, a NumPy array or a PyTorch tensor (n,)."""
 
-    state: Kinematics | None
+    state: Kinematics
     position_m: Sequence[Number]
     """Three arrays: north, east, down."""
-    touched: Number
+    collision: Collisions
     commands: Number
     course: Course
     """A list of numbers in a game's course is a list of arrays here."""
 
     @property
+    def touched(self) -> Number:
+        return self.collision.index >= 0
+
+    @property
     def free(self) -> Number:
-        return ~self.touched
+        return self.collision.index < 0
 
 
 AnyLayout: TypeAlias = LaneLayout | ClutterLayout
@@ -250,7 +275,8 @@ class Task(Config):
         return camera(blank_frame(self.observation, self.picture_size))
 
     def _blank_features(self) -> NDArray[np.float32]:
-        return np.zeros_like(self.features(AT_REST, self.sample(np.random.default_rng(0), {})))
+        features = self.features(AT_REST, self.sample(np.random.default_rng(0), {}))
+        return np.zeros_like(np.asarray(features, np.float32))
 
     @property
     def dvs_parameters(self) -> DvsParameters:
@@ -294,7 +320,10 @@ class Task(Config):
         return state_fields(state)
 
     def features(self, state: Kinematics, course: Course) -> NDArray[np.float32]:
-        """Make a frame of observation "state"."""
+        """Make a frame of observation "state"; a task's own may return lists of numbers, nested as its frames.
+
+        Of n games, each number is an array (n,), and arrays of a frame (..., n).
+        """
         features = np.array(self.fields(state, course), np.float32)
         return features if self.flat_state else features[None]
 
@@ -315,16 +344,20 @@ class Task(Config):
         return None
 
     def goal(self, action: Action) -> FlightGoal:
-        """Return what an action of the space asks for."""
+        """Return what an action asks for.
+
+        An action is an int or an array (k,) of float64; those of n games are an array (n,) or (k, n), numbers of the
+        goal then arrays (n,), and of the task's keys those that are sampled for each game (`with_conditions`), too.
+        All actions ask for the same kind of goal.
+        """
         if self.action == "velocity":
             return self.velocity_goal(action)
         return low_level_goal(self.action, action, self.tilt_deg, self.rate_deg_s)
 
     def velocity_goal(self, action: Action) -> VelocityGoal:
-        """Return the velocity that an action of the space asks for."""
-        direction = action if self.directions is None else self.directions[int(action)]
-        north, east, down = (float(share) * self.speed_m_s for share in direction)
-        return VelocityGoal((north, east, down), self.held_z_m)
+        """Return the velocity that an action asks for; one action or those of n games, as `goal` has them."""
+        north, east, down = action if self.directions is None else chosen(self.directions, action)
+        return VelocityGoal((north * self.speed_m_s, east * self.speed_m_s, down * self.speed_m_s), self.held_z_m)
 
     # --- a game ---------------------------------------------------------------------------------------
 

@@ -23,8 +23,6 @@ from uavaccel.vision.dvs_sensor import HOT_RATE_HZ
 from uavaccel.vision.guard import LUMA_WEIGHTS
 from uavaccel.vision.noise import LEAK_JITTER, READ_NOISE, SHOT_NOISE, fill_normal, fill_uniform
 
-SAMPLE_FIELDS = 13  # position, quaternion, velocity, body rate: as in FLIGHT_DTYPE from `position` on
-
 
 @part
 def _observe_starts(games: Games, rows: Operand) -> None:
@@ -459,12 +457,14 @@ def fly_to(
 
 @part
 def take_state(lane: int, now: Flights, sample: Operand) -> None:
-    """Copy a lane's position, quaternion, velocity and body rate to `sample` (SAMPLE_FIELDS,)."""
+    """Copy a lane's kinematics to `sample` (KINEMATICS,), in the order of FLIGHT_DTYPE."""
     state = now.state[lane]
     for axis in range(3):
         sample[axis] = state.position[axis]
         sample[7 + axis] = state.velocity[axis]
         sample[10 + axis] = state.rate[axis]
+        sample[13 + axis] = state.acceleration[axis]
+        sample[16 + axis] = state.angular_acceleration[axis]
     for number in range(4):
         sample[3 + number] = state.quaternion[number]
 
@@ -472,7 +472,7 @@ def take_state(lane: int, now: Flights, sample: Operand) -> None:
 @part(error_model="numpy")
 def _fly_lanes(
     lanes: Operand,
-    directions: Operand,
+    goals: Operand,
     view: View,
     games: Games,
     now: Flights,
@@ -481,16 +481,16 @@ def _fly_lanes(
     frames: Operand,
     samples: Operand,
 ) -> None:
-    """Fly one command in each of `lanes`.
+    """Fly one command in each of `lanes`, with its goal of `goals` (L, 4).
 
-    Writes `frames` (L, S, ...) of the samples before a collision, and all states: `samples` (L, S, SAMPLE_FIELDS).
+    Writes `frames` (L, S, ...) of the samples before a collision, and all states: `samples` (L, S, KINEMATICS).
     """
     scratch, picture = make_scratch(), np.empty(view.size, np.uint8)
     for lane in lanes:
         row, scale, timing = clocks.row[lane], clocks.scale[lane], plan.timing
         tick = timeline.issue(row, scale, timing)
         fly_to(lane, tick, view, games, now, plan, clocks, scratch, picture)
-        command(lane, directions, games, now)
+        command(lane, goals, plan.modes, now)
         now.state[lane].hover_tick = tick + plan.hold_ticks
         sample = 0
         while row[timeline.LAST] == 0:
@@ -579,9 +579,9 @@ def _compile(stamp: int) -> EntryPoints:
             _start_lanes(lanes, rows, view, games, now, plan, clocks)
 
     @entry_point
-    def fly_lanes(lanes, directions, view, games, now, plan, clocks, frames, samples):  # type: ignore[no-untyped-def]
+    def fly_lanes(lanes, goals, view, games, now, plan, clocks, frames, samples):  # type: ignore[no-untyped-def]
         if stamp:
-            _fly_lanes(lanes, directions, view, games, now, plan, clocks, frames, samples)
+            _fly_lanes(lanes, goals, view, games, now, plan, clocks, frames, samples)
 
     @entry_point
     def show_lanes(lanes, view, games, now, plan, frames):  # type: ignore[no-untyped-def]

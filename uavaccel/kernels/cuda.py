@@ -204,11 +204,11 @@ def _add_in_turn(counts, place, number):  # type: ignore[no-untyped-def]
     return lambda counts, place, number: cuda.atomic.add(counts, place, number)
 
 
-def command_lanes(going, directions, games, now):  # type: ignore[no-untyped-def]
-    """Apply the velocity command `directions` (L, 3) to every lane whose flag in `going` (L,) is set."""
+def command_lanes(going, goals, modes, now):  # type: ignore[no-untyped-def]
+    """Apply the goals (L, 4) to every lane whose flag in `going` (L,) is set."""
     lane = cuda.grid(1)
     if lane < len(going) and going[lane] != 0:
-        lanes.command(lane, directions, games, now)
+        lanes.command(lane, goals, modes, now)
 
 
 @cuda.jit(device=True, inline="always")

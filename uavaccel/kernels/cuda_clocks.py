@@ -34,11 +34,11 @@ def issue(going, now, timing, clocks, legs):  # type: ignore[no-untyped-def]
         of_lane.issue(lane, now, timing, clocks, legs)
 
 
-def take(going, hold_ticks, directions, games, now):  # type: ignore[no-untyped-def]
+def take(going, hold_ticks, goals, modes, now):  # type: ignore[no-untyped-def]
     """Apply the commands, in lanes that have reached the tick at which they act."""
     lane = cuda.grid(1)
     if lane < len(going) and going[lane] != 0:
-        of_lane.take(lane, hold_ticks, directions, games, now)
+        of_lane.take(lane, hold_ticks, goals, modes, now)
 
 
 def reach(going, sample, now, timing, clocks, looking, legs):  # type: ignore[no-untyped-def]

@@ -42,9 +42,9 @@ def issue(lane: int, now: Flights, timing: Timing, clocks: Clocks, legs: Operand
 
 
 @part
-def take(lane: int, hold_ticks: int, directions: Operand, games: Games, now: Flights) -> None:
+def take(lane: int, hold_ticks: int, goals: Operand, modes: Operand, now: Flights) -> None:
     """Apply the command; position hold takes over after `hold_ticks` unless another one follows."""
-    command(lane, directions, games, now)
+    command(lane, goals, modes, now)
     now.state[lane].hover_tick = now.state[lane].tick + hold_ticks
 
 

@@ -17,11 +17,10 @@ from uavaccel.kernels.operands import Operand
 from uavaccel.kernels.scene import Scene
 from uavaccel.kernels.touching import ALL, NOTHING, SOLID_FIELDS, around
 from uavaccel.sim.parts import part
-from uavaccel.sim.vehicle.autopilot import POSITION, RATE, VELOCITY
 from uavaccel.sim.vehicle.hotloop import kick, read_pose
 from uavaccel.sim.vehicle.quadrotor import FLIGHT_DTYPE, NEVER, PARAMETERS_DTYPE
 
-SPEED, HELD_Z = range(2)  # columns of Games.commands: m/s, and the NED z to hold, NaN for none
+XY_MODE, Z_MODE, YAW_MODE = range(3)  # what the numbers of goals are: the autopilot's modes
 PICTURE_SEED, EVENT_SEED = range(2)  # columns of Games.seeds
 POSE, MOTION, FORCE, ACCELERATION = 0, 7, 13, 19  # offsets in a body's row
 
@@ -45,8 +44,6 @@ class Games(NamedTuple):
     """(S, CAMERA_FIELDS) float64: camera parameters (kernels/events)."""
     seeds: Operand
     """(S, 2) int64: PICTURE_SEED, EVENT_SEED, of the cameras' noise."""
-    commands: Operand
-    """(S, 2) float64: SPEED, HELD_Z."""
 
 
 class Flights(NamedTuple):
@@ -77,7 +74,6 @@ def game_rows(rows: int, solids: int | Scene, seen: Scene | None = None) -> Game
         scenes,
         np.zeros((rows, CAMERA_FIELDS), f8),
         np.zeros((rows, 2), i8),
-        np.zeros((rows, 2), f8),
     )
 
 
@@ -109,15 +105,12 @@ def begin(lane: int, game: int, games: Games, now: Flights) -> None:
 
 
 @part
-def command(lane: int, directions: Operand, games: Games, now: Flights) -> None:
-    """Make a direction (L, 3) the goal: moveByVelocity, or moveByVelocityZ where a height is held (vehicle/goal)."""
-    state, setting = now.state[lane], games.commands[now.game[lane]]
-    for axis in range(3):
-        state.goal[axis] = directions[lane, axis] * setting[SPEED]
-    state.goal[3] = 0.0
-    state.xy_mode, state.z_mode, state.yaw_mode = VELOCITY, VELOCITY, RATE
-    if setting[HELD_Z] == setting[HELD_Z]:
-        state.goal[2], state.z_mode = setting[HELD_Z], POSITION
+def command(lane: int, goals: Operand, modes: Operand, now: Flights) -> None:
+    """Give the autopilot its goal of `goals` (L, 4), whose numbers are what `modes` (3,) says."""
+    state = now.state[lane]
+    for number in range(4):
+        state.goal[number] = goals[lane, number]
+    state.xy_mode, state.z_mode, state.yaw_mode = modes[XY_MODE], modes[Z_MODE], modes[YAW_MODE]
     state.hover_tick = NEVER
 
 

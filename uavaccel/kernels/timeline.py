@@ -69,6 +69,8 @@ class Command(NamedTuple):
     tick_ns: int
     hull: Operand
     """(3,) HULL_RADIUS, HULL_HALF_HEIGHT, HULL_REACH (kernels/flight)."""
+    modes: Operand
+    """(3,) int64: what the numbers of all goals are (kernels/lanes.command)."""
     hold_ticks: int
     """Ticks after which position hold takes over unless another command has come."""
     timing: Timing

@@ -1,0 +1,347 @@
+"""The exact simulator, lanes over arrays on the CPU, and those of a GPU fly, see, time and judge the same games.
+
+Tasks, actions, conditions, latencies and seeds are random. The exact simulator's pictures are here the kernels', so
+that what an event camera makes of them is compared to the bit; tests/test_kernel_looks.py compares them with OpenGL's.
+The GPU's kernels run on the CPU (tests/host_kernels.py).
+"""
+
+from __future__ import annotations
+
+import re
+from contextlib import ExitStack, closing
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import mujoco
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from tests.host_kernels import host_kernels  # noqa: F401 - a fixture
+from tests.own_tasks import Post, Spin
+from uavaccel.envs.flight_env import FlightEnv
+from uavaccel.envs.flyable import CUDA, check_flyable
+from uavaccel.envs.gates import Gates
+from uavaccel.envs.hover import Hover
+from uavaccel.envs.kernel_batch import KernelBatch
+from uavaccel.envs.obstacle_lane import ObstacleLane
+from uavaccel.errors import UserError
+from uavaccel.kernels.appearance import empty_scenes, fill_scene, read_appearance
+from uavaccel.kernels.pictures import render_colour, render_depth, render_gray
+from uavaccel.resources import asset
+from uavaccel.sim.camera import gl
+from uavaccel.sim.world import World
+from uavaccel.wire.latency import CHANNELS, WAITS_MS
+
+LANES = 2
+Keys = dict[str, Any]
+
+
+class Case(NamedTuple):
+    """What is flown; `noise` is how far from straight ahead actions are, and `work_s` what the agent takes for one."""
+
+    kind: type[FlightEnv]
+    keys: Keys
+    seed: int
+    commands: int
+    noise: float
+    work_s: float
+
+
+# --- what is drawn --------------------------------------------------------------------------------------
+
+
+def constant_latencies() -> st.SearchStrategy[Keys]:
+    """Latency models each of whose channels always takes the same, so that clocks do not depend on the generator."""
+    channel = st.floats(1.0, 3000.0).map(lambda us: [us, us])
+    names = [each for name in CHANNELS for each in (name, *(f"{name}@{ms}ms" for ms in WAITS_MS))]
+    tables = st.dictionaries(st.sampled_from(names), channel, max_size=12).map(lambda of: {"call": [40.0, 40.0], **of})
+    platform = st.fixed_dictionaries(
+        {},
+        optional={
+            "stall_us": st.sampled_from([900.0, 40_000.0]),
+            "tick_us": st.sampled_from([45.0, 1000.0]),
+            "integer_clock_speed": st.booleans(),
+        },
+    )
+    return st.fixed_dictionaries(
+        {
+            "quantiles": st.just([0.0, 1.0]),
+            "request_us": tables,
+            "reply_us": tables,
+            "issue_us": channel,
+            "timer_us": channel,
+            "scale": st.sampled_from([1.0, 1.3, 8.0]),
+            "platform": platform,
+        }
+    )
+
+
+def timings() -> st.SearchStrategy[Keys]:
+    """How commands are timed."""
+    both = {"command": st.sampled_from(["adsc", "tcsc"]), "profile": st.sampled_from(["native", "airsim"])}
+    both["clock_speed"] = st.sampled_from([1.0, 3.0, 7.5, 30.0])
+    virtual = {"timing": st.just("virtual"), "latency": constant_latencies()}
+    virtual["image_processing_s"] = st.sampled_from([0.0, 0.0003, 0.05])
+    return st.one_of(st.just({}), st.fixed_dictionaries(both), st.fixed_dictionaries({**both, **virtual}))
+
+
+def durations(*pairs: tuple[float, float]) -> st.SearchStrategy[Keys]:
+    return st.sampled_from([{"t_move_s": move, "t_sample_s": sample} for move, sample in pairs])
+
+
+LOW_LEVEL = durations((0.02, 0.02), (0.1, 0.02), (0.1, 0.06))
+COMMANDED = durations((0.2, 0.2), (0.5, 0.2), (1.0, 0.33))
+CONTINUOUS = st.one_of(
+    st.tuples(st.just({"action": "velocity"}), COMMANDED).map(lambda parts: parts[0] | parts[1]),
+    st.tuples(
+        st.sampled_from(["attitude", "rates", "motors"]), LOW_LEVEL, st.floats(5.0, 90.0), st.floats(20.0, 720.0)
+    ).map(lambda parts: {"action": parts[0], **parts[1], "tilt_deg": parts[2], "rate_deg_s": parts[3]}),
+)
+HOVERS = st.fixed_dictionaries(
+    {"max_commands": st.integers(2, 9), "history": st.integers(1, 3), "altitude_m": st.sampled_from([0.5, 2.0, 10.0])},
+    optional={"hold_s": st.just(0.04), "radius_m": st.just(2.5)},
+)
+GATES = st.fixed_dictionaries(
+    {"spacing_m": st.floats(0.7, 3.0), "half_width_m": st.floats(0.3, 1.5), "max_commands": st.integers(2, 9)}
+)
+DIFFICULTY = st.fixed_dictionaries(
+    {"first_row_m": st.floats(1.1, 4.0), "wind_m_s": st.floats(0.0, 6.0), "mass_ratio": st.floats(0.8, 1.2)}
+)
+RANDOMISED = st.sampled_from(
+    [
+        {},
+        {"randomise": {"wind_m_s": [0, 6], "speed_m_s": [0.5, 4.0], "altitude_m": [1, 4], "share": 0.7}},
+        {"randomise": {"mass_ratio": [0.8, 1.2], "speed_m_s": [1.0, 3.0], "widen_over_games": 4}},
+    ]
+)
+FLIGHTS = st.fixed_dictionaries(
+    {
+        "max_commands": st.integers(2, 9),
+        "history": st.integers(1, 3),
+        "difficulty": DIFFICULTY,
+        "wall_reward": st.just(-0.1),
+    }
+)
+NOISE = st.fixed_dictionaries(
+    {"dvs_preset": st.sampled_from(["clean", "constructor", "command_line", "noisy"])},
+    optional={
+        "dvs_shot_noise_hz": st.sampled_from([0.5, 900.0]),
+        "dvs_leak_hz": st.sampled_from([0.3, 50.0]),
+        "dvs_hot_pixels": st.just(0.02),
+        "image_noise": st.sampled_from([1.0, 12.0]),
+        "dvs_seed": st.integers(0, 3),
+        "dvs_threshold_ratio": st.floats(0.5, 2.0),
+        "knows": st.just(["last_action", "frame_age"]),
+    },
+)
+
+
+@st.composite
+def cases(draw: st.DrawFn) -> Case:
+    """Tasks that observe the state."""
+    kind = draw(st.sampled_from([Hover, Gates, ObstacleLane, Post, Spin]))
+    parts: dict[Any, list[Any]] = {
+        Hover: [HOVERS, CONTINUOUS],
+        Gates: [GATES, CONTINUOUS],
+        ObstacleLane: [FLIGHTS, COMMANDED, RANDOMISED, st.just({"observation": "state"})],
+        Post: [COMMANDED],
+        Spin: [LOW_LEVEL],
+    }
+    keys: Keys = {name: value for part in (timings(), *parts[kind]) for name, value in draw(part).items()}
+    return Case(kind, keys, draw(st.integers(0, 2**16)), 10, draw(st.sampled_from([0.1, 0.4, 1.0])), draw(work()))
+
+
+@st.composite
+def seen_cases(draw: st.DrawFn) -> Case:
+    """Lanes that are observed by the event camera."""
+    rate = draw(st.sampled_from([{}, {"dvs_rate_hz": 1000 / 12}, {"dvs_rate_hz": 500.0}]))
+    keys: Keys = {name: value for part in (timings(), FLIGHTS, NOISE) for name, value in draw(part).items()}
+    short = durations((0.1, 0.1), (0.24, 0.12)) if rate else durations((0.3, 0.3), (0.4, 0.2))
+    keys |= draw(short) | {"max_commands": draw(st.integers(2, 4)), "speed_m_s": draw(st.sampled_from([1.0, 6.0]))}
+    return Case(ObstacleLane, keys | rate, draw(st.integers(0, 2**16)), 5, 0.5, draw(work()))
+
+
+def work() -> st.SearchStrategy[float]:
+    return st.sampled_from([0.0, 0.003, 0.7])
+
+
+# --- how they are compared ------------------------------------------------------------------------------
+
+
+def actions_of(case: Case, space: Any) -> np.ndarray:
+    """Mostly ahead, so that some games are lost and others go far."""
+    random, shape = np.random.default_rng(case.seed), (case.commands, LANES)
+    if not space.shape:
+        ahead = space.n // 2
+        return np.where(random.random(shape) < 1.0 - case.noise, ahead, random.integers(space.n, size=shape))
+    ahead = np.array([1.0, 0.0, 0.0, 0.0][: space.shape[0]]) * (case.keys.get("action", "velocity") == "velocity")
+    off = random.uniform(-case.noise, case.noise, (*shape, *space.shape))
+    return np.clip(ahead + off, -1.0, 1.0).astype(np.float32)
+
+
+def fly_everywhere(case: Case) -> int:
+    """Fly a case in all simulators, compare them after each command, and return how many games ended."""
+    from uavaccel.envs.cuda_batch import CudaBatch
+
+    kind, keys, ends = case.kind, case.keys, 0
+    with ExitStack() as stack:
+        batch = stack.enter_context(closing(KernelBatch(kind, LANES, threads=1, autoreset_mode="SameStep", **keys)))
+        alone = [stack.enter_context(closing(kind(**keys))) for _ in range(LANES)]
+        try:
+            check_flyable(batch.task, LANES, CUDA)
+            device: Any = stack.enter_context(closing(CudaBatch(kind, LANES, **keys)))
+        except UserError:
+            device = None
+        seen, _ = batch.reset(seed=case.seed)
+        for lane, environment in enumerate(alone):
+            assert seen[lane].tobytes() == environment.reset(seed=case.seed + lane)[0].tobytes()
+        if device is not None:
+            assert_seen(device.reset(seed=case.seed)[0], seen)
+        for number, actions in enumerate(actions_of(case, batch.single_action_space)):
+            if number:  # the first games' first commands follow the reset
+                batch.call_each("charge", [(case.work_s, "inference")] * LANES)
+            batch.step_async(actions)
+            steps = batch.step_wait()
+            for lane, environment in enumerate(alone):
+                if number:
+                    environment.charge(case.work_s, "inference")
+                ends += compare_game(batch, lane, environment, environment.step(actions[lane]), steps)
+            if device is not None:
+                if number:
+                    device._lanes.charge(device._lanes.going, case.work_s, "inference")
+                compare_batch(device, device.step(actions), steps)
+    return ends
+
+
+def compare_game(batch: KernelBatch, lane: int, environment: FlightEnv, expected: Any, steps: Any) -> bool:
+    """A lane's command with that of the exact simulator, to the bit; begins the next game there if it is over."""
+    observation, reward, terminated, truncated, info = expected
+    found = steps[4][lane]
+    over = terminated or truncated
+    if over:
+        assert found["final_obs"].tobytes() == observation.tobytes()
+        assert found["final_info"] == info
+        observation, info = environment.reset()
+        found = {name: value for name, value in found.items() if not name.startswith("final")}
+    assert found == info
+    assert steps[0][lane].tobytes() == observation.tobytes()
+    assert (steps[1][lane], steps[2][lane], steps[3][lane]) == (reward, terminated, truncated)
+    now, state = environment._now, batch._judge.moments(batch._running).state
+    assert int(state.time_ns[lane]) == now.state.time_ns
+    for name in ("position_m", "orientation_wxyz", "linear_velocity_m_s", "angular_velocity_rad_s"):
+        assert tuple(axis[lane] for axis in getattr(state, name)) == getattr(now.state, name)
+    return bool(over)
+
+
+def compare_batch(device: Any, flown: Any, steps: Any) -> None:
+    """A batch of tensors with the CPU's."""
+    observations, rewards, terminated, truncated, infos = flown
+    assert_seen(observations, steps[0])
+    np.testing.assert_allclose(rewards.numpy(), steps[1], rtol=0, atol=1e-12)
+    np.testing.assert_array_equal(terminated.numpy(), steps[2])
+    np.testing.assert_array_equal(truncated.numpy(), steps[3])
+    over = steps[2] | steps[3]
+    for mask in ("_final_obs", "_final_info"):
+        np.testing.assert_array_equal(infos[mask].numpy(), over)
+    for lane in range(LANES):
+        if not over[lane]:
+            np.testing.assert_allclose(infos["position_m"][lane], steps[4][lane]["position_m"], rtol=0, atol=1e-12)
+            assert infos["commands"][lane] == steps[4][lane]["commands"]
+            continue
+        assert_seen(infos["final_obs"][lane], steps[4][lane]["final_obs"])
+        found, expected = one_lane(infos["final_info"], lane), dict(steps[4][lane]["final_info"])
+        hit = found.pop("collision")
+        assert (None if hit < 0 else device.object_names[hit]) == expected.pop("collision")
+        assert_close(found, expected)
+
+
+def assert_seen(ours: Any, theirs: Any) -> None:
+    """Pictures to the bit, and numbers but for their last."""
+    tolerance = 0.0 if theirs.dtype == np.uint8 else 1e-6
+    np.testing.assert_allclose(ours.numpy().astype(float), theirs, rtol=tolerance, atol=tolerance)
+
+
+def one_lane(info: Any, lane: int) -> Any:
+    """A lane's info without the masks beside it."""
+    if not isinstance(info, dict):
+        return info[lane].tolist()
+    return {name: one_lane(value, lane) for name, value in info.items() if not name.startswith("_")}
+
+
+def assert_close(ours: Any, theirs: Any) -> None:
+    """Of conditions, those that were not sampled are missing or NaN."""
+    if isinstance(theirs, dict):
+        assert set(theirs) <= set(ours), (ours, theirs)
+        for name, value in ours.items():
+            assert name in theirs or name == "conditions" or np.isnan(value), name
+            if name in theirs:
+                assert_close(value, theirs[name])
+    else:
+        np.testing.assert_allclose(ours, theirs, rtol=1e-12, atol=1e-12)
+
+
+@pytest.fixture
+def kernels_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The exact simulator sees what the kernels render."""
+    appearance = read_appearance(mujoco.MjModel.from_xml_path(str(asset("mjcf/lane.xml"))))
+    lay_out = World.set_lane
+
+    def set_lane(world: World, layout: Any) -> None:
+        lay_out(world, layout)
+        scenes = empty_scenes(1)
+        fill_scene(appearance, scenes, 0, layout)
+        vars(world)["scenes"] = scenes
+
+    class Camera:
+        def __init__(self, world: World) -> None:
+            self.scenes = vars(world)["scenes"]
+
+        def __getattr__(self, name: str) -> Any:
+            render = {"gray": render_gray, "colour": render_colour, "depth": render_depth}[name]
+            half_turn = np.array([1.0, -1.0, -1.0])
+
+            def picture(data: mujoco.MjData) -> Any:
+                turned = np.concatenate([data.qpos[3:5], -data.qpos[5:7]])
+                lane = np.zeros(1, np.int32)
+                return render(appearance, self.scenes, lane, (data.qpos[:3] * half_turn)[None], turned[None])[0]
+
+            return picture
+
+    monkeypatch.setattr(World, "set_lane", set_lane)
+    monkeypatch.setattr(World, "camera", lambda world, width, height: Camera(world))
+    monkeypatch.setattr(gl, "check_process", lambda: None)
+
+
+FIXTURES = settings(suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow], deadline=None)
+
+
+@settings(FIXTURES, max_examples=25)
+@given(cases())
+@pytest.mark.usefixtures("host_kernels")
+def test_games_are_the_same_in_all_simulators(case: Case) -> None:
+    fly_everywhere(case)
+
+
+@settings(FIXTURES, max_examples=15)
+@given(seen_cases())
+@pytest.mark.usefixtures("host_kernels", "kernels_pictures")
+def test_event_cameras_see_the_same_in_all_simulators(case: Case) -> None:
+    fly_everywhere(case)
+
+
+def own_task_of_the_page() -> Any:
+    """The task that docs/extending.md builds."""
+    page = (Path(__file__).parents[1] / "docs/extending.md").read_text(encoding="utf-8")
+    (code,) = re.findall(r"```python title=\"beacon.py\"\n(.*?)```", page, re.DOTALL)
+    assert code.count("\n") <= 60
+    named: dict[str, Any] = {"__name__": "beacon"}
+    exec(compile(code, "beacon.py", "exec", dont_inherit=True), named)
+    return named["Beacon"]
+
+
+@pytest.mark.usefixtures("host_kernels")
+def test_the_task_of_the_page_is_the_same_in_all_simulators() -> None:
+    keys: Keys = {"max_commands": 8, "t_move_s": 0.4}
+    assert fly_everywhere(Case(own_task_of_the_page(), keys, 3, 25, 0.3, 0.0)) >= 4

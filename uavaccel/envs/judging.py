@@ -1,0 +1,330 @@
+"""What a command comes to in many games at once: judged, observed and reported over arrays or PyTorch's tensors.
+
+So lanes on the CPU and on a GPU treat a task's functions alike, as `FlightEnv` treats them game by game.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
+from gymnasium import spaces
+
+from uavaccel.envs.actions import autopilot_goal
+from uavaccel.envs.arrays import cast, full, joined, mapped, namespace_of
+from uavaccel.envs.context_planes import NO_ACTION
+from uavaccel.envs.stopwatch import PHASES
+from uavaccel.envs.task import Collisions, Moments, Task
+from uavaccel.envs.values import Action, Info, Number
+from uavaccel.errors import UserError
+from uavaccel.kernels.bodies import Surroundings
+from uavaccel.kinematics import Kinematics
+from uavaccel.sim.vehicle.goal import Goal
+from uavaccel.sim.vehicle.quadrotor import FLIGHT_DTYPE, KINEMATICS, NEVER
+from uavaccel.units import NS_PER_S
+
+
+class Running(NamedTuple):
+    """What n running games carry from one command to the next: arrays (n, ...)."""
+
+    course: Mapping[str, Any]
+    """As in `Moments`."""
+    numbers: Number
+    """(n, KINEMATICS) float64: the state of the last sample."""
+    time_ns: Number
+    """(n,) int64: its simulated time."""
+    position_m: Number
+    """(n, 3) float64: position or, after a collision, first contact; NED."""
+    collision: Number
+    """(n,) int64: index into the names of all that can be hit, -1 without a collision."""
+    commands: Number
+    """(n,) int64."""
+    actions: Number
+    """(n,) int64: the last discrete action, NO_ACTION before the first."""
+    taken_ns: Number
+    """(n, frames) int64: when the frames of the observation were taken."""
+    observations: Any
+    """(n, ...), or a mapping of such arrays."""
+
+
+class Flown(NamedTuple):
+    """How a command was flown in n games: arrays (n, ...)."""
+
+    numbers: Number
+    """(n, KINEMATICS) float64: the state at its end."""
+    tick: Number
+    """(n,) int64: the tick at its end."""
+    position_m: Number
+    """(n, 3) float64: as in `Running`."""
+    collision: Number
+    """(n,) int64: as in `Running`."""
+    ticks: Number
+    """(n, S) int64: ticks of its samples."""
+    taken: Number
+    """(n,) int64: number of samples before a collision."""
+    samples: Number
+    """(n, S, KINEMATICS) float64: the states of the samples."""
+    pictures: Number
+    """(n, S, ...): the frames of the samples, blank where there is none; not read with observation "state"."""
+
+
+class Judged(NamedTuple):
+    """How a command ended in n games: arrays (n,)."""
+
+    reward: Number
+    success: Number
+    terminated: Number
+    truncated: Number
+
+
+class Judge:
+    """A task's functions over many games.
+
+    `since_ns` is the wall time for which ADSC flies on before a decision. Raises UserError for a task whose `goal`
+    takes no arrays.
+    """
+
+    def __init__(self, task: Task, surroundings: Surroundings, tick_ns: int, since_ns: int = 0) -> None:
+        self.task, self._surroundings, self._tick_ns, self._since_ns = task, surroundings, tick_ns, since_ns
+        self.objects = (*surroundings.obstacle_names, *surroundings.names)
+        self.discrete = not isinstance(task.action_space(), spaces.Box)
+        self._context, self._blank = task.context_planes(), task.sensor().blank
+        self._sees_state = task.observation == "state" and not task.blank_images
+        self._own_features = type(task).features is not Task.features
+        space = task.action_space()
+        any_goal = self._goal(np.zeros((2, *(space.shape or ())), space.dtype), {})
+        self.modes = np.array(_modes_of(any_goal))
+        """What the four numbers of all goals are: the autopilot's modes of xy, z and yaw."""
+
+    # --- before a command -----------------------------------------------------------------------
+
+    def goals(self, actions: Action, keys: Mapping[str, Number]) -> Number:
+        """Return the goals (n, 4) float64 of actions (n, ...), given keys of the task that differ from game to game.
+
+        Raises UserError for a goal that takes no arrays, or is of another kind than the first.
+        """
+        goal = self._goal(actions, keys)
+        if _modes_of(goal) != tuple(self.modes):
+            raise UserError(f"{type(self.task).__name__}.goal: all actions must ask for the same kind of goal")
+        like = cast(actions if self.discrete else actions[:, 0], "float64")
+        return joined([full(number, like) for number in goal.values], like)
+
+    def _goal(self, actions: Action, keys: Mapping[str, Number]) -> Goal:
+        task = self.task.model_copy(update=dict(keys)) if keys else self.task
+        with self._over_arrays("goal", actions):
+            return autopilot_goal(task.goal(actions if self.discrete else cast(actions, "float64").T))
+
+    # --- a game's beginning -----------------------------------------------------------------------
+
+    def begun(self, course: Mapping[str, Any], numbers: Number, pictures: Number | None) -> Running:
+        """Return games that begin, from their states (n, KINEMATICS) and pictures (n, ...), None for blank ones."""
+        xp, frames = namespace_of(numbers), self.task.frames_per_command * self.task.history
+        none = cast(xp.zeros_like(numbers[:, 0]), "int64")
+        if self._sees_state and self.task.sees_start:
+            pictures = self._features(course, numbers, none)
+        elif pictures is None:
+            level, shape = int(self._blank.flat[0]), (len(none), *self._blank.shape)
+            pictures = xp.full(shape, level, dtype=getattr(xp, self._blank.dtype.name), device=none.device)
+        ages_ns = xp.stack([none] * frames, 1)
+        seen = self._with_context(xp.concatenate([pictures] * frames, 1), none + NO_ACTION, ages_ns)
+        begun = Running(course, numbers, none, numbers[:, :3], none - 1, none, none + NO_ACTION, ages_ns, seen)
+        return begun._replace(observations=self._beside_state(begun))
+
+    # --- after a command ------------------------------------------------------------------------
+
+    def end(self, flight: Number, ticks: Number, solids: Number, counts: Number) -> tuple[Number, Number, Number]:
+        """Return states (n, KINEMATICS), positions (n, 3) and collisions (n,) of flights.
+
+        `flight` and `ticks` (n, columns) are FLIGHT_DTYPE as float64 and as int64; `solids` (n,) ended the flights, and
+        `counts` (n,) is how many there are in the games.
+        """
+        xp, touched = namespace_of(flight), ticks[:, COLLISION] != int(NEVER)
+        position_m = xp.where(touched[:, None], flight[:, CONTACT : CONTACT + 3], flight[:, 1:4])
+        around = self._surroundings
+        obstacles = counts - len(around.fixed)
+        beyond = solids - obstacles + len(around.obstacle_names)
+        collision = xp.where(solids < obstacles, solids, beyond) if around.scene is None else solids
+        return flight[:, 1 : 1 + KINEMATICS], position_m, xp.where(touched, collision, -1)
+
+    def after(self, before: Running, flown: Flown, actions: Number) -> tuple[Running, Judged]:
+        """Return the games after a command, and how it ended; `actions` (n,) are those of a discrete space."""
+        xp = namespace_of(flown.numbers)
+        present_ns, seen, taken_ns = self._times(flown)
+        frames = self._frames(before.course, flown, seen)
+        pictures = before.observations["image"] if self.task.also_state else before.observations
+        earlier = pictures[:, frames.shape[1] : frames.shape[1] * self.task.history]
+        now = before._replace(
+            numbers=flown.numbers,
+            time_ns=flown.tick * self._tick_ns,
+            position_m=flown.position_m,
+            collision=flown.collision,
+            commands=before.commands + 1,
+            actions=actions if self.discrete else before.actions,
+            taken_ns=xp.concatenate([before.taken_ns, taken_ns], 1)[:, taken_ns.shape[1] :],
+        )
+        course, judged = self._judge(self.moments(before), self.moments(now))
+        ages_ns = present_ns[:, None] - now.taken_ns
+        seen = self._with_context(xp.concatenate([earlier, frames], 1), now.actions, ages_ns)
+        now = now._replace(course=course, observations=seen)
+        return now._replace(observations=self._beside_state(now)), judged
+
+    def moments(self, games: Running) -> Moments:
+        """Return the games as the task's functions take them."""
+        state, collision = kinematics_of(games.numbers, games.time_ns), Collisions(games.collision, self.objects)
+        return Moments(state, list(games.position_m.T), collision, games.commands, games.course)
+
+    def _judge(self, before: Moments, flown: Moments) -> tuple[Mapping[str, Any], Judged]:
+        """Judge a command as `FlightEnv.step` judges one."""
+        task, like = self.task, flown.commands
+        with self._over_arrays("advance", like):
+            course = task.advance(before, flown)
+        now = flown._replace(course=self._as_sampled(course, flown.course))
+        with self._over_arrays("success", like):
+            success = _flags(task.success(now), like)
+        with self._over_arrays("failure", like):
+            terminated = success | _flags(task.failure(now), like)
+        with self._over_arrays("reward", like):
+            reward = full(task.reward(before, now), like)
+        truncated = ~terminated & (now.commands >= task.max_commands)
+        return now.course, Judged(reward, success, terminated, truncated)
+
+    def _as_sampled(self, course: Mapping[str, Any], before: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Return a course as arrays. Raises UserError unless it has the numbers that were sampled, and their kinds."""
+        name = f"{type(self.task).__name__}.advance"
+        if set(course) != set(before):
+            raise UserError(f"{name}: its course must have the items that sample gives it: {', '.join(before)}")
+
+        def kept(old: Number, new: Number) -> Number:
+            if _rank(new := full(new, old)) > _rank(old):
+                raise UserError(f"{name}: a number of its course is {new.dtype}, and was sampled as {old.dtype}")
+            return new
+
+        return dict(mapped(kept, dict(before), course))
+
+    def _times(self, flown: Flown) -> tuple[Number, Number, Number]:
+        """Return the time (n,) of the next decision, which samples (n, S) precede a collision, and the frames' times.
+
+        Frames that a collision leaves blank are of the time of the next decision.
+        """
+        xp, present_ns = namespace_of(flown.tick), flown.tick * self._tick_ns
+        if self._since_ns:
+            since_ns = self._since_ns * cast(flown.collision < 0, "float64") * float(self.task.clock_speed)
+            present_ns = present_ns + cast(since_ns.round(), "int64")
+        seen = xp.arange(flown.ticks.shape[1], device=flown.ticks.device) < flown.taken[:, None]
+        return present_ns, seen, xp.where(seen, flown.ticks * self._tick_ns, present_ns[:, None])
+
+    # --- what is observed -------------------------------------------------------------------------
+
+    def _frames(self, course: Mapping[str, Any], flown: Flown, seen: Number) -> Number:
+        """Return the command's frames (n, S * ..., ...), the oldest first, which show the course before it."""
+        if not self._sees_state:
+            return flown.pictures.reshape(len(seen), -1, *self._blank.shape[1:])
+        xp, frames = namespace_of(seen), []
+        for sample in range(seen.shape[1]):
+            shown = self._features(course, flown.samples[:, sample], flown.ticks[:, sample] * self._tick_ns)
+            which = seen[:, sample].reshape(-1, *(1,) * self._blank.ndim)
+            frames.append(xp.where(which, shown, xp.zeros_like(shown)))
+        return xp.concatenate(frames, 1)
+
+    def _features(
+        self, course: Mapping[str, Any], numbers: Number, time_ns: Number, shape: tuple[int, ...] | None = None
+    ) -> Number:
+        """Return the frames (n, ...) float32 of observation "state", or these in another shape."""
+        state, shape = kinematics_of(numbers, time_ns), (len(numbers), *(shape or self._blank.shape))
+        like = numbers[:, 0]
+        with np.errstate(all="ignore"):  # what is computed after a collision is not shown
+            if not self._own_features:
+                with self._over_arrays("fields", like):
+                    fields = [cast(full(number, like), "float64") for number in self.task.fields(state, course)]
+                return cast(joined(fields, like), "float32").reshape(shape)
+            with self._over_arrays("features", like):
+                features: Any = self.task.features(state, course)
+                if isinstance(features, list | tuple):
+                    return cast(joined(features, like), "float32").reshape(shape)
+                return cast(namespace_of(like).moveaxis(features, -1, 0), "float32").reshape(shape)
+
+    def _beside_state(self, games: Running) -> Number | Mapping[str, Number]:
+        """Return the observations: frames, or with `also_state` a mapping of those and of states, 0 after a touch."""
+        if not self.task.also_state:
+            return games.observations
+        state = self._features(games.course, games.numbers, games.time_ns, (-1,))
+        free = (games.collision < 0)[:, None]
+        return {"image": games.observations, "state": namespace_of(state).where(free, state, state * 0)}
+
+    def _with_context(self, frames: Number, actions: Number, ages_ns: Number) -> Number:
+        """Return frames with the task's context planes (envs/context_planes) behind them."""
+        if self._context is None:
+            return frames
+        return namespace_of(frames).concatenate([frames, self._context.observe_many(actions, ages_ns)], 1)
+
+    # --- what is reported -------------------------------------------------------------------------
+
+    def infos(self, games: Running, success: Number, wall_ns: Number, phases_ns: Number) -> Info:
+        """Return the infos of n games as arrays, or lists of them, with the items that `FlightEnv` gives each.
+
+        `collision` is an index into `objects`; `phases_ns` (n, phases) is the wall time spent in each of PHASES.
+        """
+        with self._over_arrays("info", wall_ns):
+            own = self.task.info(self.moments(games))
+        wall_s, phases_s = (cast(spent_ns, "float64") / NS_PER_S for spent_ns in (wall_ns, phases_ns))
+        return {
+            "is_success": success,
+            "position_m": games.position_m,
+            "collision": games.collision,
+            "commands": games.commands,
+            "wall_s": wall_s,
+            "phase_s": dict(zip(PHASES, list(phases_s.T), strict=True)),
+            **own,
+        }
+
+    @contextmanager
+    def _over_arrays(self, name: str, like: Number) -> Iterator[None]:
+        """Call the task's function of that name with arrays such as `like`. Raises UserError where it takes none."""
+        torch = None if isinstance(like, np.ndarray) else namespace_of(like)
+        if torch is not None:  # so that a number times a flag is computed in double precision
+            torch.set_default_dtype(torch.float64)
+        try:
+            yield
+        except (AttributeError, KeyError, RuntimeError, TypeError, ValueError) as error:
+            raise UserError(
+                f"simulator = kernels: {type(self.task).__name__}.{name} must compute with plain arithmetic, the same "
+                f"for numbers and arrays ({type(error).__name__}: {error}); or use simulator = mujoco"
+            ) from error
+        finally:
+            if torch is not None:
+                torch.set_default_dtype(torch.float32)
+
+
+def kinematics_of(numbers: Number, time_ns: Number) -> Kinematics:
+    """Return the kinematics of n states (n, KINEMATICS), as arrays or tensors (n,)."""
+    columns, ends = list(numbers.T), (0, 3, 7, 10, 13, 16, KINEMATICS)
+    parts = [columns[first:last] for first, last in pairwise(ends)]
+    return Kinematics(time_ns, *parts)  # type: ignore[arg-type]
+
+
+def _modes_of(goal: Goal) -> tuple[int, int, int]:
+    return goal.xy_mode, goal.z_mode, goal.yaw_mode
+
+
+def _flags(value: Number, like: Number) -> Number:
+    return full(value, like) != 0
+
+
+def _rank(array: Number) -> int:
+    """Return 0 for flags, 1 for whole numbers, 2 for others."""
+    name = str(array.dtype)
+    return 2 if "float" in name else 0 if "bool" in name else 1
+
+
+def _column(name: str) -> int:
+    """Return the column of a field of FLIGHT_DTYPE, all of whose numbers have eight bytes."""
+    fields = FLIGHT_DTYPE.fields
+    assert fields is not None
+    return int(fields[name][1]) // 8
+
+
+COLLISION, CONTACT = _column("collision_tick"), _column("contact_position")
+TICK = _column("tick")
