@@ -8,7 +8,7 @@ The GPU's kernels run on the CPU (tests/host_kernels.py).
 from __future__ import annotations
 
 import re
-from contextlib import ExitStack, closing
+from contextlib import ExitStack, closing, suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -193,37 +193,58 @@ def actions_of(case: Case, space: Any) -> np.ndarray:
     return np.clip(ahead + off, -1.0, 1.0).astype(np.float32)
 
 
+class Engines:
+    """A case's environments: alone in the exact simulator, lanes on the CPU and, if it flies them, those of a GPU."""
+
+    def __init__(self, case: Case, stack: ExitStack) -> None:
+        from uavaccel.envs.cuda_batch import CudaBatch
+
+        kind, keys = case.kind, case.keys
+        self.batch = KernelBatch(kind, LANES, threads=1, autoreset_mode="SameStep", **keys)
+        self.alone = [stack.enter_context(closing(kind(**keys))) for _ in range(LANES)]
+        stack.enter_context(closing(self.batch))
+        self.devices: list[Any] = []
+        with suppress(UserError):
+            check_flyable(self.batch.task, LANES, CUDA)
+            self.devices.append(stack.enter_context(closing(CudaBatch(kind, LANES, **keys))))
+
+    def reset(self, seed: int | None) -> None:
+        seen, _ = self.batch.reset(seed=seed)
+        for lane, environment in enumerate(self.alone):
+            own = None if seed is None else seed + lane
+            assert_seen_alike(seen[lane], environment.reset(seed=own)[0], self.batch)
+        for device in self.devices:
+            assert_seen(device.reset(seed=seed)[0], seen)
+
+    def charge(self, spent_s: float, phase: str) -> None:
+        self.batch.call_each("charge", [(spent_s, phase)] * LANES)
+        for environment in self.alone:
+            environment.charge(spent_s, phase)
+        for device in self.devices:
+            device._lanes.charge(device._lanes.going, spent_s, phase)
+
+    def step(self, actions: Any) -> int:
+        """Fly a command everywhere, and return how many games it ended."""
+        self.batch.step_async(actions)
+        steps = self.batch.step_wait()
+        for device in self.devices:
+            compare_batch(device, device.step(actions), steps)
+        return sum(
+            compare_game(self.batch, lane, environment, environment.step(actions[lane]), steps)
+            for lane, environment in enumerate(self.alone)
+        )
+
+
 def fly_everywhere(case: Case) -> int:
     """Fly a case in all simulators, compare them after each command, and return how many games ended."""
-    from uavaccel.envs.cuda_batch import CudaBatch
-
-    kind, keys, ends = case.kind, case.keys, 0
     with ExitStack() as stack:
-        batch = stack.enter_context(closing(KernelBatch(kind, LANES, threads=1, autoreset_mode="SameStep", **keys)))
-        alone = [stack.enter_context(closing(kind(**keys))) for _ in range(LANES)]
-        try:
-            check_flyable(batch.task, LANES, CUDA)
-            device: Any = stack.enter_context(closing(CudaBatch(kind, LANES, **keys)))
-        except UserError:
-            device = None
-        seen, _ = batch.reset(seed=case.seed)
-        for lane, environment in enumerate(alone):
-            assert_seen_alike(seen[lane], environment.reset(seed=case.seed + lane)[0], batch)
-        if device is not None:
-            assert_seen(device.reset(seed=case.seed)[0], seen)
-        for number, actions in enumerate(actions_of(case, batch.single_action_space)):
+        engines, ends = Engines(case, stack), 0
+        engines.reset(case.seed)
+        for number, actions in enumerate(actions_of(case, engines.batch.single_action_space)):
             if number:  # the first games' first commands follow the reset
-                batch.call_each("charge", [(case.work_s, PHASES[number % 2])] * LANES)
-            batch.step_async(actions)
-            steps = batch.step_wait()
-            for lane, environment in enumerate(alone):
-                if number:
-                    environment.charge(case.work_s, PHASES[number % 2])
-                ends += compare_game(batch, lane, environment, environment.step(actions[lane]), steps)
-            if device is not None:
-                if number:
-                    device._lanes.charge(device._lanes.going, case.work_s, PHASES[number % 2])
-                compare_batch(device, device.step(actions), steps)
+                engines.charge(case.work_s, PHASES[number % 2])
+            ends += engines.step(actions)
+        engines.reset(None)  # without a seed the games go on
     return ends
 
 
