@@ -96,7 +96,5 @@ def test_what_takes_no_such_actions_is_one_line() -> None:
     with pytest.raises(UserError, match=r"action = rates: the lane's actions are headings") as caught:
         gymnasium.make("uavaccel/ObstacleLane-v0", action="rates")
     assert "\n" not in str(caught.value)
-    with pytest.raises(UserError, match=r"^simulator = kernels: action = motors is flown by the exact simulator alone"):
-        gymnasium.make_vec("uavaccel/Hover-v0", num_envs=2, simulator="kernels", action="motors")
     with pytest.raises(UserError, match=r"action"):
         gymnasium.make("uavaccel/Hover-v0", action="thrust")

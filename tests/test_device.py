@@ -17,8 +17,6 @@ from torch.nn import functional
 import uavaccel.envs  # noqa: F401 - registers
 from tests.host_kernels import host_kernels  # noqa: F401 - a fixture
 from uavaccel.config import validate
-from uavaccel.envs.flight_env import FlightEnv
-from uavaccel.envs.hover import Hover
 from uavaccel.envs.kernel_batch import KernelBatch
 from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
 from uavaccel.errors import UserError
@@ -29,75 +27,6 @@ from uavaccel.rl.policy import weights_sha256
 from uavaccel.suites.train import TrainConfig
 
 LANES = 3
-VIRTUAL = {"timing": "virtual", "max_commands": 3, "knows": ["frame_age"], "image_processing_s": 0.02}
-FLOWN: list[tuple[type[FlightEnv], dict[str, Any]]] = [
-    (ObstacleLane, {"max_commands": 2, "knows": ["last_action", "frame_age"], "history": 2}),
-    (ObstacleLane, {"max_commands": 6, "observation": "state", "history": 2}),
-    (ObstacleLane, {"max_commands": 2, "observation": "depth"}),
-    (Hover, {"hold_s": 0.4, "radius_m": 1.5, "max_commands": 6}),
-    (ObstacleLane, VIRTUAL | {"command": "adsc", "clock_speed": 5.0}),
-    (ObstacleLane, VIRTUAL | {"command": "tcsc", "profile": "airsim", "clock_speed": 20.0}),
-    (ObstacleLane, VIRTUAL | {"command": "adsc", "profile": "airsim", "observation": "colour"}),
-    (Hover, {"timing": "virtual", "command": "adsc", "clock_speed": 10.0, "hold_s": 0.4, "max_commands": 6}),
-]
-
-
-def actions_of(space: Any, random: np.random.Generator) -> Any:
-    if space.shape:
-        return random.uniform((0.2, -0.6, -0.3), (1.0, 0.6, 0.3), (LANES, 3)).astype(np.float32)
-    return random.integers(5, size=LANES)
-
-
-@pytest.mark.parametrize(("kind", "task"), FLOWN)
-@pytest.mark.usefixtures("host_kernels")
-def test_a_batch_of_tensors_flies_as_the_cpus(kind: type[FlightEnv], task: dict[str, Any]) -> None:
-    from uavaccel.envs.cuda_batch import CudaBatch
-
-    random, ends = np.random.default_rng(0), 0
-    with (
-        closing(CudaBatch(kind, LANES, **task)) as batch,
-        closing(KernelBatch(kind, LANES, autoreset_mode="SameStep", **task)) as other,
-    ):
-        for seed in (5, None):  # without a seed games go on, but for those that were drawn ahead
-            seen, _ = batch.reset(seed=seed)
-            assert isinstance(seen, th.Tensor)
-            np.testing.assert_array_equal(seen.numpy(), other.reset(seed=seed)[0])
-            for number in range(8):
-                actions = actions_of(batch.single_action_space, random)
-                flown = batch.step(th.from_numpy(actions) if number % 2 else actions)
-                expected = other.step(actions)
-                for tensor, array in zip(flown[:4:2] + flown[3:4], expected[:4:2] + expected[3:4], strict=True):
-                    np.testing.assert_array_equal(tensor.numpy(), array)
-                # PyTorch takes a number times a flag in single precision, as tasks' rewards have them
-                np.testing.assert_allclose(flown[1].numpy(), expected[1], rtol=0, atol=1e-7)
-                np.testing.assert_array_equal(flown[4]["commands"].numpy(), expected[4]["commands"])
-                np.testing.assert_array_equal(flown[4]["position_m"].numpy(), np.stack(expected[4]["position_m"]))
-                over = expected[2] | expected[3]
-                ends += over.sum()
-                for mask in ("_final_obs", "_final_info"):
-                    np.testing.assert_array_equal(flown[4][mask].numpy(), over)
-                for lane in np.flatnonzero(over):
-                    np.testing.assert_array_equal(flown[4]["final_obs"][lane].numpy(), expected[4]["final_obs"][lane])
-                if over.any():
-                    assert_equal_infos(flown[4]["final_info"], expected[4]["final_info"], over, batch.object_names)
-    assert ends > LANES
-
-
-def assert_equal_infos(ours: Any, theirs: Any, over: Any, names: tuple[str, ...]) -> None:
-    """Where games are over, the tensors are the numbers of the other batch, and so are their masks."""
-    assert set(ours) == set(theirs)
-    for key, value in ours.items():
-        if isinstance(value, dict):
-            assert_equal_infos(value, theirs[key], over, names)
-        elif key == "collision":
-            hit = [None if number < 0 else names[number] for number in value[th.from_numpy(over)].tolist()]
-            assert hit == list(theirs[key][over])
-        else:
-            expected = np.array([*theirs[key][over]])
-            # a power of one half is rounded otherwise by PyTorch on some machines
-            np.testing.assert_allclose(value.numpy()[over], expected, rtol=1e-14)
-
-
 WIDENING = {"randomise": {"wind_m_s": [4.0, 6.0], "widen_over_games": 12}}
 
 

@@ -118,6 +118,7 @@ class CudaLanes:
         kind = th.int64 if self.judge.discrete else th.float32
         self._actions = th.zeros((count, *(space.shape or ())), dtype=kind, device=device)
         self._wall_ns = th.zeros(count, dtype=th.int64, device=device)
+        self._is_flight = th.tensor([phase == "simulation" for phase in PHASES], device=device)
 
     def _moment(self) -> tuple[th.Tensor, Any]:
         """Allocate a copy of the flights, to be rendered while the lanes fly on: states, and numba arrays."""
@@ -311,8 +312,7 @@ class CudaLanes:
         """Wall time (L, phases) spent in each of PHASES; where all fly together, nothing but the flight takes any."""
         if self.clocks is not None:
             return self.clocks.phase_ns
-        only = th.tensor([phase == "simulation" for phase in PHASES], device=self.device)
-        return self._wall_ns[:, None] * only
+        return self._wall_ns[:, None] * self._is_flight
 
     def _report(self) -> dict[str, Any]:
         """Return the infos of all lanes' present games as tensors (L, ...)."""
