@@ -19,13 +19,16 @@ from uavaccel.envs.flyable import CUDA
 from uavaccel.envs.kernel_batch import KernelBatch
 from uavaccel.envs.kernel_games import GameMaker
 from uavaccel.envs.kernel_plan import plan_of
+from uavaccel.envs.navigate import NavigateTask
 from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
 from uavaccel.envs.simulators import KERNELS, check_simulator
+from uavaccel.envs.task import Task
 from uavaccel.kernels import cpu, events, timeline
 from uavaccel.kernels import lanes as rows
 from uavaccel.kernels.fields import COLUMNS, DVS, ROWS, STATE
 from uavaccel.kernels.spans import make_scratch
 from uavaccel.machine import usable_cores
+from uavaccel.sim.clutter.layout import Clutter
 from uavaccel.sim.profile import NATIVE
 from uavaccel.sim.world import World
 from uavaccel.vision.dvs_sensor import sample_pixels
@@ -33,6 +36,7 @@ from uavaccel.vision.dvs_sensor import sample_pixels
 REPEATS = 5
 TICKS = 50_000
 PICTURES = 100
+CLUTTER_LANES, CLUTTER_SHAPES = 1024, 400
 CPU_LANES, GPU_LANES = (64,), (512, 4096)
 COMMANDS, GPU_COMMANDS = 4, 20
 AHEAD = 2
@@ -184,8 +188,20 @@ def bench_on_gpu() -> Iterator[Measurement]:
         note, name = ("without learning, first metres of games; bound: its parts", f"GPU: commands, {lanes} lanes")
         yield Measurement(name, lanes / command_s, "commands/s", lanes / parts_s, note)
 
+    yield from _bench_rays()
 
-def _round_s(lanes: int, task: LaneTask) -> float:
+
+def _bench_rays() -> Iterator[Measurement]:
+    """Measure pictures of 256 x 144 in clutter, another world for each lane."""
+    clutter = Clutter.model_construct(**{**dict(Clutter()), "shapes": CLUTTER_SHAPES})
+    for what in ("depth", "dvs"):
+        task = NavigateTask(**MANY_PICTURES, observation=what, picture_size=(COLUMNS, ROWS))
+        frame_s = _round_s(CLUTTER_LANES, task.model_copy(update={"clutter": clutter})) / 50
+        name = f"GPU: rays, {what}, {CLUTTER_LANES} worlds of {CLUTTER_SHAPES} shapes"
+        yield Measurement(name, CLUTTER_LANES / frame_s, "frames/s", note="with the flight in between")
+
+
+def _round_s(lanes: int, task: Task) -> float:
     """Return the seconds of a command of all lanes by CUDA events; no game ends within the measurement."""
     import torch as th
 
@@ -195,7 +211,8 @@ def _round_s(lanes: int, task: LaneTask) -> float:
     flying = CudaLanes(task, lanes, th.device(CUDA), renews=False)
     flying.seed(range(lanes))
     flying.begin()
-    actions = th.full((lanes,), AHEAD, device=CUDA)
+    shape = task.action_space().shape or ()
+    actions = th.full((lanes, *shape), 0.1 if shape else AHEAD, device=CUDA)
     fly = flying.recorded_flight()
     for _ in range(EAGER + 1):  # compiles and records
         fly(actions)

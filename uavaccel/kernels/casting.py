@@ -368,47 +368,42 @@ def normal_at(scene: Scene, world: int, item: int, point: Vector, direction: Vec
 
 
 @part(error_model="numpy")
-def walk(scene: Scene, world: int, origin: Vector, direction: Vector, best: Float, item: int) -> tuple[Float, int]:
-    """Return distance and item of what a ray meets first in the cells of the grid; `best`, `item` if nothing before."""
-    frame = scene.frame[world]
-    left, low, cell, bottom, top = frame[at.LEFT], frame[at.LOW], frame[at.CELL], frame[at.BOTTOM], frame[at.TOP]
-    columns, rows = int(frame[at.COLUMNS]), int(frame[at.ROWS])
-    half = HALF * cell * np.float32(columns), HALF * cell * np.float32(rows), HALF * (top - bottom)
-    p = origin[0] - left - half[0], origin[1] - low - half[1], origin[2] - bottom - half[2]
+def first_met(scene: Scene, world: int, origin: Vector, direction: Vector, far_m: Float) -> tuple[Float, int]:
+    """Return distance and item of what a ray of unit direction meets first; `far_m` and NOTHING if nothing is.
+
+    The shapes in no cell come first, then those of cell after cell; a GPU's compiler copies what is called twice.
+    """
+    frame, best, item = scene.frame[world], far_m, NOTHING
+    cell, columns, rows = frame[at.CELL], int(frame[at.COLUMNS]), int(frame[at.ROWS])
+    half = HALF * cell * np.float32(columns), HALF * cell * np.float32(rows), HALF * (frame[at.TOP] - frame[at.BOTTOM])
+    p = (
+        origin[0] - frame[at.LEFT] - half[0],
+        origin[1] - frame[at.LOW] - half[1],
+        origin[2] - frame[at.BOTTOM] - half[2],
+    )
     enter, leave = in_box(p, direction, half)
     enter = max(enter, ZERO)
-    if enter > leave or enter >= best:
-        return best, item
     x, y, _ = along(p, direction, enter)
     column, row = cell_at(x + half[0], cell, columns), cell_at(y + half[1], cell, rows)
     back_x, back_y = reciprocal(direction[0]), reciprocal(direction[1])
     way_x, way_y = 1 if direction[0] > ZERO else -1, 1 if direction[1] > ZERO else -1
     to_x = (np.float32(column + (way_x > 0)) * cell - half[0] - p[0]) * back_x
     to_y = (np.float32(row + (way_y > 0)) * cell - half[1] - p[1]) * back_y
-    more_x, more_y = abs(cell * back_x), abs(cell * back_y)
-    while 0 <= column < columns and 0 <= row < rows and enter < best and enter <= leave:
-        place = row * columns + column
-        for entry in range(scene.start[world, place], scene.start[world, place + 1]):
-            found = scene.items[world, entry]
+    first, last, listed = 0, int(frame[at.LOOSE]), False
+    while True:
+        for entry in range(first, last):
+            found = int(scene.items[world, entry]) if listed else entry
             distance = meet(scene, world, found, origin, direction, best)
             if distance < best:
                 best, item = distance, found
-        if to_x < to_y:
-            enter, to_x, column = to_x, to_x + more_x, column + way_x
-        else:
-            enter, to_y, row = to_y, to_y + more_y, row + way_y
-    return best, item
-
-
-@part(error_model="numpy")
-def first_met(scene: Scene, world: int, origin: Vector, direction: Vector, far_m: Float) -> tuple[Float, int]:
-    """Return distance and item of what a ray of unit direction meets first; `far_m` and NOTHING if nothing is."""
-    best, item = far_m, NOTHING
-    for loose in range(int(scene.frame[world, at.LOOSE])):
-        distance = meet(scene, world, loose, origin, direction, best)
-        if distance < best:
-            best, item = distance, loose
-    return walk(scene, world, origin, direction, best, item)
+        if listed and to_x < to_y:
+            enter, to_x, column = to_x, to_x + abs(cell * back_x), column + way_x
+        elif listed:
+            enter, to_y, row = to_y, to_y + abs(cell * back_y), row + way_y
+        if not (0 <= column < columns and 0 <= row < rows and enter < best and enter <= leave):
+            return best, item
+        place = row * columns + column
+        first, last, listed = int(scene.start[world, place]), int(scene.start[world, place + 1]), True
 
 
 @part(error_model="numpy")
