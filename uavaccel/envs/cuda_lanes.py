@@ -92,7 +92,7 @@ class CudaLanes:
         numbers = th.zeros((count, KINEMATICS), dtype=th.float64, device=device)
         taken_ns = th.zeros((count, samples * task.history), dtype=th.int64, device=device)
         running = Running({}, numbers, whole, numbers[:, :3], whole, whole, whole, taken_ns, seen)
-        self.running = Running(*mapped(th.clone, running))
+        self.running: Running = mapped(th.clone, running)
         self.going, self._renewed = (th.zeros(count, dtype=th.uint8, device=device) for _ in range(2))
         self.rewards, self.returns = (th.zeros(count, dtype=th.float64, device=device) for _ in range(2))
         self.terminated, self.truncated, self.success = (
@@ -115,7 +115,7 @@ class CudaLanes:
         space = task.action_space()
         self._modes = th.tensor(self.judge.modes, device=device)
         self._goals = th.zeros((count, 4), dtype=th.float64, device=device)
-        kind = th.int64 if self.judge.discrete else th.float32
+        kind = getattr(th, np.dtype(space.dtype).name)
         self._actions = th.zeros((count, *(space.shape or ())), dtype=kind, device=device)
         self._wall_ns = th.zeros(count, dtype=th.int64, device=device)
         self._is_flight = th.tensor([phase == "simulation" for phase in PHASES], device=device)

@@ -127,7 +127,8 @@ class KernelBatch(TurnBatch):
     def _blank_games(self) -> Running:
         """Return arrays for the games in `_drawn`."""
         course = stacked([drawn.own_course for drawn in self._drawn])
-        return Running(*mapped(np.copy, self._judge.begun(course, np.zeros((self.num_envs, KINEMATICS)), None)))
+        games: Running = mapped(np.copy, self._judge.begun(course, np.zeros((self.num_envs, KINEMATICS)), None))
+        return games
 
     def step_async(self, actions: Actions, slots: Sequence[int] | None = None) -> None:
         """As `TurnBatch` has it. Raises UserError before the first reset."""
