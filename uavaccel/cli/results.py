@@ -104,9 +104,7 @@ def export_source(
 
         about = write_onnx(load_policy(policy_folder(source)), onnx)
         headings = about.get("headings_deg")
-        actions = (
-            f"headings of {headings} degrees" if headings else f"shares, -1 to 1, of {json.loads(about['action'])}"
-        )
+        actions = f"headings of {headings} degrees" if headings else f"shares of {json.loads(about['action'])}"
         console.print(f"{onnx}: seen: {about['seen']}; actions: {actions}")
     written: list[Iterable[Path]] = []
     if csv is not None or parquet is not None:
