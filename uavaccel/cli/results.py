@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable
 from itertools import chain
 from pathlib import Path
@@ -102,7 +103,9 @@ def export_source(
         from uavaccel.rl.policy import load_policy
 
         about = write_onnx(load_policy(policy_folder(source)), onnx)
-        console.print(f"{onnx}: seen: {about['seen']}; actions: headings of {about['headings_deg']} degrees")
+        headings = about.get("headings_deg")
+        actions = f"headings of {headings} degrees" if headings else f"shares of {json.loads(about['action'])}"
+        console.print(f"{onnx}: seen: {about['seen']}; actions: {actions}")
     written: list[Iterable[Path]] = []
     if csv is not None or parquet is not None:
         from uavaccel.suites.tables import write_tables

@@ -11,6 +11,7 @@ from uavaccel.errors import UserError
 from uavaccel.files import inside
 from uavaccel.records import RunDirectory
 from uavaccel.rl.agents import DEFAULT, policy_folder
+from uavaccel.rl.config import LANE
 from uavaccel.rl.policy import MANIFEST
 from uavaccel.sim.camera.gl import describe_renderer
 from uavaccel.suites.experiment import resolve
@@ -59,7 +60,8 @@ def _film_of_policy(policy: str, case: str) -> tuple[str, Film]:
         raise UserError(f"--case {case}: must be an evaluation lane, as lane-000007")
     mapping = completed({"agent": policy, "task": {"timing": "lockstep"}})
     config = resolve(EvaluateConfig, mapping, "view")
-    config.task.wire_lane(int(lane[1]))  # refuses one that there is not
+    if config.env_id == LANE:
+        config.task.wire_lane(int(lane[1]))  # refuses one that there is not
     return case, film_of(flight_of_agent(config, int(lane[1])))
 
 

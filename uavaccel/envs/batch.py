@@ -60,7 +60,7 @@ class EnvironmentBatch(TurnBatch):
         self.render_mode = check_render_mode(keys.pop("render_mode", None))
         task = make_task(environment.task_class, keys, environment.__name__)
         _check(num_envs, processes, renderer, tiles, task.timing)
-        self.num_envs, self.tiles = num_envs, min(tiles or num_envs, MOST_TILES)
+        self.task, self.num_envs, self.tiles = task, num_envs, min(tiles or num_envs, MOST_TILES)
         self.metadata = {**environment.metadata, "autoreset_mode": autoreset_of(autoreset_mode)}
         self.single_observation_space = task.observation_space()
         self.single_action_space = task.action_space()

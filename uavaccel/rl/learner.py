@@ -48,6 +48,8 @@ class Learner(Protocol):
 
     config: LearnerConfig
     games: int
+    returns: list[float]
+    """Rewards of the running games so far."""
     stopwatch: Stopwatch
     holding: bool
     """Set while a checkpoint is due: the learner then finishes what is in flight, until it is `at_rest`."""
@@ -60,6 +62,11 @@ class Learner(Protocol):
     @property
     def policy(self) -> th.nn.Module:
         """The policy, with all networks."""
+        ...
+
+    @property
+    def exploration_rate(self) -> float | None:
+        """Share of random actions; None if it explores differently."""
         ...
 
     @property
@@ -82,21 +89,8 @@ class Learner(Protocol):
         ...
 
 
-class OfGames(Protocol):
-    """What counts games and their rewards."""
-
-    config: LearnerConfig
-    games: int
-    returns: list[float]
-
-    @property
-    def exploration_rate(self) -> float | None:
-        """Share of random actions; None if it explores differently."""
-        ...
-
-
 def finished_games(
-    learner: OfGames, rewards: Sequence[float], dones: Sequence[bool], infos: Sequence[Info], lanes: Sequence[int]
+    learner: Learner, rewards: Sequence[float], dones: Sequence[bool], infos: Sequence[Info], lanes: Sequence[int]
 ) -> list[Game]:
     """Add a step's rewards to the returns of `lanes`; returns the games that ended with it, by their last infos.
 

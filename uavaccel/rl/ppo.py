@@ -44,7 +44,7 @@ class PPOOptions(PPOSettings):
     """Commands that all environments fly together; the learning rate falls to 0 over them."""
     channels: Annotated[tuple[Count, ...], Field(min_length=1, max_length=6)] = (16, 32, 32)
     """Channels of the convolutions, for observations with pictures: 5 x 5, then 3 x 3, all with stride 2."""
-    hidden: Annotated[tuple[Count, ...], Field(min_length=1, max_length=8)] = (256, 128)
+    hidden: Annotated[tuple[Count, ...], Field(max_length=8)] = (256, 128)
     """Widths of the layers after them."""
     seed: Seed = 0
     """Seed of weights and actions, and of the environments' games."""
@@ -89,7 +89,7 @@ class ActorCritic(nn.Module):
 
     def __init__(self, space: spaces.Space[Any], actions: int, options: PPOOptions, sees: str = "") -> None:
         super().__init__()
-        self.sees, width = sees, 0
+        self.sees, self.parts, width = sees, tuple(boxes_of(space)), 0
         self.eyes = nn.ModuleDict()
         for name, box in boxes_of(space).items():
             if len(box.shape) == 1:
@@ -104,13 +104,14 @@ class ActorCritic(nn.Module):
             self.eyes[name] = eye
         body = [(_scaled(nn.Linear(*sizes), 2**0.5), nn.ReLU()) for sizes in pairwise((width, *options.hidden))]
         self.body = nn.Sequential(*(layer for pair in body for layer in pair))
-        self.mean = _scaled(nn.Linear(options.hidden[-1], actions), 0.01)
-        self.value = _scaled(nn.Linear(options.hidden[-1], 1), 1.0)
+        last = (width, *options.hidden)[-1]
+        self.mean, self.value = _scaled(nn.Linear(last, actions), 0.01), _scaled(nn.Linear(last, 1), 1.0)
         self.log_deviation = nn.Parameter(th.full((actions,), math.log(options.first_deviation)))
 
     def forward(self, seen: Parts) -> tuple[th.Tensor, th.Tensor]:
         """Return mean actions (n, actions) and values (n,) of observations by name."""
-        parts = [self.eyes[name](self._levels(part)) if name in self.eyes else part for name, part in seen.items()]
+        looks = {name: eye(self._levels(seen[name])) for name, eye in self.eyes.items()}
+        parts = [looks[name] if name in looks else seen[name] for name in self.parts]
         features = self.body(th.cat(parts, 1))
         return self.mean(features), self.value(features)[:, 0]
 
