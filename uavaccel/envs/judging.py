@@ -252,7 +252,8 @@ class Judge:
             return games.observations
         state = self._features(games.course, games.numbers, games.time_ns, (-1,))
         free = (games.collision < 0)[:, None]
-        return {"image": games.observations, "state": namespace_of(state).where(free, state, state * 0)}
+        xp = namespace_of(state)
+        return {"image": games.observations, "state": xp.where(free, state, xp.zeros_like(state))}
 
     def _with_context(self, frames: Number, actions: Number, ages_ns: Number) -> Number:
         """Return frames with the task's context planes (envs/context_planes) behind them."""
