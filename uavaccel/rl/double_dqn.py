@@ -15,7 +15,6 @@ left to right: on average the lane is symmetric.
 from __future__ import annotations
 
 import math
-import os
 from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
@@ -39,6 +38,7 @@ from uavaccel.rl.learner import (
     LearnerState,
     StepStatistics,
     charge,
+    compute_the_same_each_time,
     falling,
     finished_games,
     first_seed,
@@ -355,10 +355,7 @@ class DeviceDQN(DoubleDQN):
         from uavaccel.kernels.cuda import SideStream
         from uavaccel.rl.patches import Patches
 
-        os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")  # cuBLAS is not deterministic without it
-        th.use_deterministic_algorithms(True)
-        th.utils.deterministic.fill_uninitialized_memory = False  # type: ignore[attr-defined]
-        th.backends.cudnn.deterministic, th.backends.cudnn.benchmark = True, False
+        compute_the_same_each_time()
         super().__init__(config, lanes, lanes.device, recorded=True)
         lanes.seed(first_seed(config.seed))
         self._at, device, count = AT, lanes.device, lanes.count

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -125,6 +126,14 @@ def charge(
     if config.task.timing == "virtual" and duration_s:
         slots = list(range(lanes.num_envs)) if which is None else which.tolist()
         lanes.call_each("charge", [(duration_s, phase)] * len(slots), slots)
+
+
+def compute_the_same_each_time() -> None:
+    """Let a GPU compute the same bits each time. Call it before CUDA's first use."""
+    os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")  # cuBLAS is not deterministic without it
+    th.use_deterministic_algorithms(True)
+    th.utils.deterministic.fill_uninitialized_memory = False  # type: ignore[attr-defined]
+    th.backends.cudnn.deterministic, th.backends.cudnn.benchmark = True, False
 
 
 def first_seed(seed: int) -> int:

@@ -11,7 +11,15 @@ from uavaccel.clock import MonotonicClock
 from uavaccel.envs.stopwatch import PHASES, Stopwatch
 from uavaccel.envs.turn_batch import TurnBatch
 from uavaccel.rl.config import LearnerConfig, PPOSettings
-from uavaccel.rl.learner import Game, LearnerState, charge, falling, finished_games, first_seed
+from uavaccel.rl.learner import (
+    Game,
+    LearnerState,
+    charge,
+    compute_the_same_each_time,
+    falling,
+    finished_games,
+    first_seed,
+)
 from uavaccel.rl.ppo import PPO, ActorCritic, PPOOptions
 
 
@@ -31,6 +39,8 @@ class PPOTraining:
     """PPO on a batch of the host, or on a CudaBatch; a checkpoint can be taken between any two rounds."""
 
     def __init__(self, config: LearnerConfig, lanes: Any) -> None:
+        if config.device.startswith("cuda"):
+            compute_the_same_each_time()
         self.config, self.lanes, self.options = config, lanes, options_of(config)
         self.stopwatch = Stopwatch(MonotonicClock())
         self.games, self.returns = 0, [0.0] * lanes.num_envs
