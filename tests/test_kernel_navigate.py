@@ -106,7 +106,8 @@ def test_flights_are_those_of_the_exact_simulator() -> None:
     [("depth", (64, 36), 1, 0.01), ("colour", (80, 44), 4, 0.02), ("dvs", (64, 36), 1, 0.05)],
 )
 def test_pictures_are_nearly_those_of_opengl(kind: str, size: tuple[int, int], most_apart: int, share: float) -> None:
-    random, keys = np.random.default_rng(2), {"observation": kind, "picture_size": size, "also_state": True}
+    random = np.random.default_rng(2)
+    keys: dict[str, Any] = {"observation": kind, "picture_size": size, "also_state": True}
     alone = Navigate(**keys)
     with closing(KernelBatch(Navigate, 1, **keys)) as batch:
         ours, theirs, apart = batch.reset(seed=4)[0], alone.reset(seed=4)[0], []

@@ -93,7 +93,7 @@ def _samples_as(task: Task, kind: type[Task], *more: str) -> bool:
 class Dealt(LaneGames):
     """Games of the obstacle lane that a kernel samples when they are needed; lane i flies row i."""
 
-    def __init__(self, task: LaneTask, count: int, device: th.device) -> None:
+    def __init__(self, task: LaneTask | NavigateTask, count: int, device: th.device) -> None:
         super().__init__(task, count, device, 1)
         self._any = drawn = self.maker.sample(np.random.default_rng(0), 0)
         self.maker.write(drawn, self._host, 0)

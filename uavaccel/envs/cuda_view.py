@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import Any
 
@@ -18,7 +19,7 @@ from uavaccel.kernels.fields import COLUMNS, DEPTH, DVS, FIELDS, ROWS, STATE, Lo
 from uavaccel.vision.dvs_sensor import sample_pixels
 
 
-class View:
+class View(ABC):
     """The cameras of `count` lanes; `games` and `now` are kernels/lanes.Games and Flights of numba arrays.
 
     In all methods, `which` (L,) uint8 selects lanes. `pixels` is a kernels/events.Pixels of tensors.
@@ -45,6 +46,22 @@ class View:
         )
         self._memory = looks, sensor, hull  # keeps alive what the plan's numba arrays refer to
 
+    @abstractmethod
+    def start(self, which: th.Tensor) -> None:
+        """Initialise event cameras with their games' first images."""
+
+    @abstractmethod
+    def render(self, which: th.Tensor, frames: th.Tensor, take: bool = True, now: Any = None) -> None:
+        """Observe `now`, by default the present, as `frames` (L, ...); event cameras sum events until `take`."""
+
+    @abstractmethod
+    def show(self, which: th.Tensor, frames: th.Tensor) -> None:
+        """Render the present `frames` (L, ...), in colour or of depth."""
+
+    @abstractmethod
+    def add_levels(self, which: th.Tensor, sums: th.Tensor) -> None:
+        """Write the sums (L, 3) int64 of red, green and blue over the latest images, or of grey, then -1 twice."""
+
     def _finish(self, which: Any, now: Any) -> None:
         per_lane = kernels.grid(self._count, kernels.FLYING_THREADS)
         self._kernels.finish[per_lane](which, self._tick_ns, now, self._pixels)
@@ -61,12 +78,10 @@ class SceneView(View):
         self._gray = th.zeros((count if self.kind == DVS else 0, *self._size), dtype=th.uint8, device=device)
 
     def start(self, which: th.Tensor) -> None:
-        """Initialise event cameras with their games' first images."""
         going, gray = self._look(which, self._now), kernels.shared(self._gray)
         self._launch("start_cast", self._size)(going, gray, self.plan.sensor, self._games, self._now, self._pixels)
 
     def render(self, which: th.Tensor, frames: th.Tensor, take: bool = True, now: Any = None) -> None:
-        """Observe `now`, by default the present, as `frames` (L, ...); event cameras sum events until `take`."""
         now = now or self._now
         going = self._look(which, now)
         if self.kind != DVS:
@@ -91,7 +106,6 @@ class SceneView(View):
         return going
 
     def show(self, which: th.Tensor, frames: th.Tensor) -> None:
-        """Render the present `frames` (L, ...), in colour or of depth."""
         self.render(which, frames)
 
     def add_levels(self, which: th.Tensor, sums: th.Tensor) -> None:
@@ -115,12 +129,10 @@ class LaneView(View):
         self._shown = th.zeros((rendered, ROWS, COLUMNS), dtype=th.int16, device=device)
 
     def start(self, which: th.Tensor) -> None:
-        """Initialise event cameras with their games' first images."""
         self._project(which, self._now)
         self._launch_quads("start")(*self._looked_at(which), self.plan, self._games, self._now, self._pixels)
 
     def render(self, which: th.Tensor, frames: th.Tensor, take: bool = True, now: Any = None) -> None:
-        """Observe `now`, by default the present, as `frames` (L, ...); event cameras sum events until `take`."""
         now = now or self._now
         self._project(which, now)
         if self.kind != DVS:
@@ -133,12 +145,10 @@ class LaneView(View):
         self._finish(going, now)
 
     def show(self, which: th.Tensor, frames: th.Tensor) -> None:
-        """Render the present `frames` (L, ...), in colour or of depth."""
         self._project(which, self._now)
         self._show(which, frames, self._now)
 
     def add_levels(self, which: th.Tensor, sums: th.Tensor) -> None:
-        """Write the sums (L, 3) int64 of red, green and blue over the latest images, or of grey, then -1 twice."""
         sums.zero_()
         pictures = (*self._looked_at(which), self.plan, kernels.shared(sums))
         if self.kind == DVS:

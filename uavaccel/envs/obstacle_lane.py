@@ -18,7 +18,7 @@ from uavaccel.config import validate
 from uavaccel.envs.conditions import LATENCY, OF_DIFFICULTY, OF_TASK, Ranges, corners, keys_of
 from uavaccel.envs.context_planes import ContextKind, ContextPlanes
 from uavaccel.envs.flight_env import CONDITIONS, FlightEnv
-from uavaccel.envs.task import AnyMoment, Task
+from uavaccel.envs.task import AnyLayout, AnyMoment, Task
 from uavaccel.envs.values import Course, Info, Number
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Vector
@@ -30,7 +30,6 @@ from uavaccel.sim.lane.layout import (
     LENGTH_M,
     WIDTH_M,
     Difficulty,
-    LaneLayout,
     Split,
     is_walled_off,
     lane_seed,
@@ -213,7 +212,7 @@ class LaneTask(Task):
     def layout(self, course: Course) -> object:
         return self.wire_lane(course["lane"])
 
-    def lane_layout(self, course: Course) -> LaneLayout | None:
+    def lane_layout(self, course: Course) -> AnyLayout | None:
         own = type(self).layout, type(self).wire_lane
         if self.lane is not None or own != (LaneTask.layout, LaneTask.wire_lane):
             return super().lane_layout(course)

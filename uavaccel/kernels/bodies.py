@@ -58,7 +58,7 @@ class Surroundings(NamedTuple):
         """Fill a game's solids, obstacles first, or its world, and return the number of things around."""
         if isinstance(layout, ClutterLayout):
             put_clutter(layout.rows, games.solids, games.scenes, row)
-        if self.scene is not None:
+        if self.scene is not None or isinstance(layout, ClutterLayout):
             return len(self.names)
         solids = games.solids[row]
         count = 0 if layout is None else len(layout)
