@@ -33,7 +33,7 @@ class Running(NamedTuple):
     course: Mapping[str, Any]
     """As in `Moments`."""
     numbers: Number
-    """(n, KINEMATICS) float64: the state of the last sample."""
+    """(n, KINEMATICS) float64: the state of the last sample, of those before a collision."""
     time_ns: Number
     """(n,) int64: its simulated time."""
     position_m: Number
@@ -154,9 +154,10 @@ class Judge:
         present_ns, seen, taken_ns = self._times(flown)
         frames = self._frames(before.course, flown, seen)
         earlier = before.observations[:, frames.shape[1] : frames.shape[1] * self.task.history]
+        numbers, time_ns = self._last_state(before, flown)
         now = before._replace(
-            numbers=flown.numbers,
-            time_ns=flown.tick * self._tick_ns,
+            numbers=numbers,
+            time_ns=time_ns,
             position_m=flown.position_m,
             collision=flown.collision,
             commands=before.commands + 1,
@@ -167,6 +168,16 @@ class Judge:
         ages_ns = present_ns[:, None] - now.taken_ns
         seen = self._with_context(xp.concatenate([earlier, frames], 1), now.actions, ages_ns)
         return now._replace(course=course, observations=seen), judged
+
+    def _last_state(self, before: Running, flown: Flown) -> tuple[Number, Number]:
+        """Return states (n, KINEMATICS) and times (n,) of the last samples; of those before a collision."""
+        xp, free, some = namespace_of(flown.numbers), flown.collision < 0, flown.taken > 0
+        last = (flown.taken - 1).clip(0)
+        row = xp.arange(len(last), device=last.device)
+        numbers = xp.where(some[:, None], flown.samples[row, last], before.numbers)
+        time_ns = xp.where(some, flown.ticks[row, last] * self._tick_ns, before.time_ns)
+        present_ns = flown.tick * self._tick_ns
+        return xp.where(free[:, None], flown.numbers, numbers), xp.where(free, present_ns, time_ns)
 
     def moments(self, games: Running) -> Moments:
         """Return the games as the task's functions take them."""
