@@ -329,9 +329,9 @@ class SampledAhead(LaneGames):
         """Transfer what the kernels do not read: the games' courses, conditions, keys, and scales of latencies."""
         self._write(self.starts, target, stacked([game.own_course for game in games]))
         sampled = [game.course.get(CONDITIONS, {}) for game in games]
-        names = dict.fromkeys(name for conditions in sampled for name in conditions)
-        none = {name: np.array([conditions.get(name, np.nan) for conditions in sampled]) for name in names}
-        self._write(self.conditions, target, none)
+        names = dict.fromkeys([*self.conditions, *(name for conditions in sampled for name in conditions)])
+        values = {name: np.array([conditions.get(name, np.nan) for conditions in sampled]) for name in names}
+        self._write(self.conditions, target, values)
         self._write(self.keys, target, keys_of(self.maker.task, games))
         self.scales[target] = to_device(np.array([game.task.latency.scale for game in games]), self.device)
 

@@ -204,19 +204,18 @@ class CudaLanes:
             self.clocks.charge(flown, duration_s, phase)
 
     def _fly_together(self) -> list[th.Tensor]:
-        """Fly the same ticks in all lanes, and return the samples' states (L, KINEMATICS) if no images are rendered."""
+        """Fly the same ticks in all lanes, and return the samples' states (L, KINEMATICS)."""
         goals = kernels.shared(self._goals), kernels.shared(self._modes)
         self._launch("command", self.going, *goals, self._now_arrays)
         states: list[th.Tensor] = []
         for sample, ticks in enumerate(self._slice_ticks):
             if self.kind == DVS and self.task.dvs_ticks:
                 self._fly_recording_events(sample, self.task.dvs_ticks)
-                continue
-            self._advance(self.going, ticks)
-            if self.kind != STATE:
-                self._look_concurrently(sample)
             else:
-                states.append(self._flight[:, 1 : 1 + KINEMATICS].clone())
+                self._advance(self.going, ticks)
+                if self.kind != STATE:
+                    self._look_concurrently(sample)
+            states.append(self._flight[:, 1 : 1 + KINEMATICS].clone())
         self._render_stream.join()
         return states
 
@@ -247,8 +246,7 @@ class CudaLanes:
             clocks.reach(self.going, sample)
             if self.kind != STATE:
                 clocks.render(self._pictures[sample])
-            else:
-                states.append(self._flight[:, 1 : 1 + KINEMATICS].clone())
+            states.append(self._flight[:, 1 : 1 + KINEMATICS].clone())
             clocks.leave(sample)
         return states
 
@@ -277,8 +275,8 @@ class CudaLanes:
         solids = self.now.watch[:, TOUCHED]
         numbers, position_m, collision = self.judge.end(self._flight, self._ticks_of, solids, counts)
         tick, ticks, taken = self._times(going)
-        samples = th.stack([*states], 1) if states else numbers[:, None]
-        flown = Flown(numbers, tick, position_m, collision, ticks, taken, samples, self._pictures.transpose(0, 1))
+        pictures = self._pictures.transpose(0, 1)
+        flown = Flown(numbers, tick, position_m, collision, ticks, taken, th.stack([*states], 1), pictures)
         after, judged = self.judge.after(self.running, flown, self._actions)
         assign_where(self.running, going, after)
         self.rewards.copy_(th.where(going, judged.reward, 0.0))

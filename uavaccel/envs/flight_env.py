@@ -276,24 +276,25 @@ class FlightEnv(gymnasium.Env[Observation, Action], Generic[TaskT]):
         task, now = self.episode_task, self._now
         goal = task.goal(action.astype(np.float64) if isinstance(self.action_space, spaces.Box) else action)
         missing = task.frames_per_command
-        taken_ns, gathered_ns = [], 0
+        taken_ns, gathered_ns, ended_ns = [], 0, 0
         for sample in self._command.fly(client, goal, task.t_move_s, task.t_sample_s, task.t_th_ns):
             gathered_ns = client.now_ns()
             for observer in self._observers:
                 observer.sample_taken(sample, now.commands)
             sample = sample._replace(state=self._in_game(sample.state))
-            now = now._replace(state=sample.state, position_m=sample.state.position_m)
+            ended_ns = sample.state.time_ns
             if sample.collision:
                 north, east, down = sample.collision["position_m"]
                 now = now._replace(position_m=(north, east, down), collision=sample.collision["object"])
                 break
+            now = now._replace(state=sample.state, position_m=sample.state.position_m)
             self._frames.append(self._observe(sample))
             taken_ns.append(sample.state.time_ns)
             missing -= 1
         self._frames.extend([self.sensor.blank] * missing)
         if self._context is not None:
             since_ns = client.now_ns() - gathered_ns if task.command == "adsc" else 0  # TCSC's clock is paused
-            present_ns = now.state.time_ns + round(since_ns * task.clock_speed)
+            present_ns = ended_ns + round(since_ns * task.clock_speed)
             self._context.update(action, taken_ns, missing, present_ns)
         return now._replace(commands=now.commands + 1)
 

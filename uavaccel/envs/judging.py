@@ -33,7 +33,7 @@ class Running(NamedTuple):
     course: Mapping[str, Any]
     """As in `Moments`."""
     numbers: Number
-    """(n, KINEMATICS) float64: the state of the last sample."""
+    """(n, KINEMATICS) float64: the state of the last sample, of those before a collision."""
     time_ns: Number
     """(n,) int64: its simulated time."""
     position_m: Number
@@ -156,9 +156,10 @@ class Judge:
         frames = self._frames(before.course, flown, seen)
         pictures = before.observations["image"] if self.task.also_state else before.observations
         earlier = pictures[:, frames.shape[1] : frames.shape[1] * self.task.history]
+        numbers, time_ns = self._last_state(before, flown)
         now = before._replace(
-            numbers=flown.numbers,
-            time_ns=flown.tick * self._tick_ns,
+            numbers=numbers,
+            time_ns=time_ns,
             position_m=flown.position_m,
             collision=flown.collision,
             commands=before.commands + 1,
@@ -170,6 +171,16 @@ class Judge:
         seen = self._with_context(xp.concatenate([earlier, frames], 1), now.actions, ages_ns)
         now = now._replace(course=course, observations=seen)
         return now._replace(observations=self._beside_state(now)), judged
+
+    def _last_state(self, before: Running, flown: Flown) -> tuple[Number, Number]:
+        """Return states (n, KINEMATICS) and times (n,) of the last samples; of those before a collision."""
+        xp, free, some = namespace_of(flown.numbers), flown.collision < 0, flown.taken > 0
+        last = (flown.taken - 1).clip(0)
+        row = xp.arange(len(last), device=last.device)
+        numbers = xp.where(some[:, None], flown.samples[row, last], before.numbers)
+        time_ns = xp.where(some, flown.ticks[row, last] * self._tick_ns, before.time_ns)
+        present_ns = flown.tick * self._tick_ns
+        return xp.where(free[:, None], flown.numbers, numbers), xp.where(free, present_ns, time_ns)
 
     def moments(self, games: Running) -> Moments:
         """Return the games as the task's functions take them."""

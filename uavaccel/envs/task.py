@@ -56,8 +56,7 @@ class Moment(NamedTuple):
     """
 
     state: Kinematics
-    """State of the last sample. After a collision that throws a vehicle back, lanes over arrays have that of the first
-    contact."""
+    """State of the last sample, of those before a collision."""
     position_m: Vector
     """Position of the vehicle or, after a collision, of its first contact: NED."""
     collision: str | None
