@@ -272,7 +272,8 @@ def test_a_step_moves_the_weights_down_the_gradient_worked_out_by_hand(limit: fl
     rewards, discounts = [3.0, -2.0, 0.1, 0.2], [0.5, 0.25, 0.0, 0.125]
     lanes, actions, mirrored = [0, 1, 2, 3], [0, 1, 0, 1], [True, False, True, False]
     rows = [th.tensor(each) for each in ([0, 1, 2, 3], [2, 3, 4, 5], lanes, actions)]
-    batch = Windows(*rows, *(th.tensor(each) for each in (rewards, discounts, weights)), th.tensor(mirrored))
+    numbers = [th.tensor(each) for each in (rewards, discounts, weights)]
+    batch = Windows._make([*rows, *numbers, th.tensor(mirrored)])
     before, rated = weights_of(online), weights_of(target)
     learner._descend(learner._prepared(batch))
     total, losses, chosen = np.zeros((2, 3)), [], []
@@ -540,7 +541,7 @@ def test_on_a_device_lanes_explore_as_often_as_they_are_to(on_a_device: Any) -> 
 
 def test_on_a_device_each_gradient_step_has_a_batch_of_its_own(on_a_device: Any) -> None:
     """Sixteen lanes and a step every eight commands: two steps a round, on windows that are drawn together."""
-    learner, told, batches = on_a_device, [], []
+    learner, told, batches = on_a_device, list[Any](), list[Any]()
     learner.lanes.count = 16
     learner.options = learner.options.model_copy(update={"batch_size": 3, "gamma": 0.25})
 

@@ -227,9 +227,9 @@ def test_the_policy_is_exported_with_its_form(trained: RunDirectory) -> None:
 def test_lanes_pay_for_decisions_and_learning() -> None:
     """A rollout of eight commands and four gradient steps, of two lanes."""
     config = hover(task={"timing": "virtual", "max_commands": 4}, inference_s=0.5, learning_s=0.125)
-    lanes = side_by_side(config)
+    lanes: Any = side_by_side(config)
     charged: list[Any] = []
-    lanes.call_each = lambda name, arguments, slots: charged.append((name, *arguments, slots))  # type: ignore[method-assign, assignment, func-returns-value]
+    lanes.call_each = lambda name, arguments, slots: charged.append((name, *arguments, slots))
     learner = PPOTraining(config, lanes)
     assert learner.at_rest
     games = learner.advance()
@@ -246,7 +246,8 @@ def test_a_batch_of_tensors_teaches_what_the_host_does_and_goes_on() -> None:
     from uavaccel.envs.cuda_batch import CudaBatch
     from uavaccel.envs.kernel_batch import KernelBatch
 
-    config, keys = hover(games=100), {"max_commands": 6, "autoreset_mode": "SameStep"}
+    config = hover(games=100)
+    keys: dict[str, Any] = {"max_commands": 6, "autoreset_mode": "SameStep"}
     made: list[Any] = [PPOTraining(config, kind(Hover, 2, **keys)) for kind in (KernelBatch, CudaBatch)]
     told = [[game for _ in range(3) for game in learner.advance()] for learner in made]
     assert len(told[0]) >= 6

@@ -57,9 +57,9 @@ def filled(commands: int, keeps_ends: bool) -> tuple[Replay, list[list[Flown]]]:
     buffer = Replay(ROWS, LANES, (1,), th.float32, CPU, keeps_ends)
     flown = flights(commands, 0.0 if keeps_ends else 0.1)
     for row in zip(*flown, strict=True):
-        seen, actions, *results, idle = (th.tensor(each) for each in zip(*row, strict=True))
+        seen, actions, rewards, over, cut, idle = (th.tensor(each) for each in zip(*row, strict=True))
         buffer.start_round(seen[:, None], actions)
-        buffer.end_round(*results, ~idle, seen[:, None] + AFTER if keeps_ends else None)
+        buffer.end_round(rewards, over, cut, ~idle, seen[:, None] + AFTER if keeps_ends else None)
     if not keeps_ends:
         buffer.start_round(th.full((LANES, 1), AFTER), th.zeros(LANES, dtype=th.int64))
     return buffer, flown
@@ -121,7 +121,7 @@ def test_a_ring_is_put_back_and_goes_on(commands: int, keeps_ends: bool) -> None
     state = buffer.get_state()
     assert len(state["rewards"]) == min(commands, ROWS)
     other.set_state(state)
-    seen, flags, drawn = th.full((LANES, 1), 7.0), th.zeros(LANES, dtype=th.bool), []
+    seen, flags, drawn = th.full((LANES, 1), 7.0), th.zeros(LANES, dtype=th.bool), list[Any]()
     for each in (buffer, other):
         each.start_round(seen, th.ones(LANES, dtype=th.int64))
         each.end_round(th.ones(LANES), flags, flags, ~flags, seen if keeps_ends else None)

@@ -145,7 +145,8 @@ class BatchVecEnv(VecEnv):
         self.reset_infos = infos
         self._reset_seeds()
         self._reset_options()
-        return self.batch.observations()
+        observations: VecEnvObs = self.batch.observations()
+        return observations
 
     def step_async(self, actions: np.ndarray) -> None:
         self.batch.step_async(actions)

@@ -104,7 +104,7 @@ def example(policy: Policy) -> tuple[th.Tensor, ...]:
     task = policy.config.task
     if task.also_state:
         raise UserError("also_state: a policy that observes a mapping cannot be exported as ONNX")
-    shape = task.observation_space().shape or ()
+    shape = task.observation_space().shape
     if task.observation == "state":
         return (th.zeros(2, *shape),)
     planes = observed_frames(task) * CHANNELS[task.observation]
