@@ -22,7 +22,7 @@ from uavaccel.kernels.clutter_worlds import clutter_worlds
 from uavaccel.kernels.events import camera_row
 from uavaccel.kernels.fields import NO_APPEARANCE, NO_LOOKS, STATE, Appearance, Looks
 from uavaccel.kernels.lanes import Games, game_rows
-from uavaccel.kernels.scene import as_seen, empty_scene
+from uavaccel.kernels.scene import empty_scene
 from uavaccel.kernels.still import read_scene
 from uavaccel.sim.lane.layout import PLAIN, LaneLayout
 from uavaccel.sim.world import World
@@ -81,7 +81,7 @@ class GameMaker:
         if scene is not None and clutter:
             scene, seen = clutter_worlds(clutter, scene, count)
             if not self.sees:
-                seen = as_seen(empty_scene(0, 0, 0, 0, seen=True))
+                seen = empty_scene(0, 0, 0, 0, seen=True)
         return game_rows(count, self.surroundings.most if scene is None else scene, seen)
 
     def write(self, drawn: Drawn, games: Games, row: int) -> None:
