@@ -1,7 +1,8 @@
 """Benchmarks of the kernels, part by part: ticks, images and whole commands, each beside its bound.
 
-On the CPU the parts are measured in one thread, then commands in all threads; the bound of a command is the sum of its
-parts. On a GPU lanes fly through `CudaLanes`, recorded as in a training, and CUDA events time them.
+A command's parts are its flight, as lanes without sight fly it, and its frames, each adding what one of many adds
+in a short command. The CPU does one after the other, a GPU both at once: their sum or their maximum is the bound. On a
+GPU lanes fly through `CudaLanes`, recorded as in a training, and CUDA events time them.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from collections.abc import Callable, Iterator
 from contextlib import closing
 from functools import partial
 from statistics import median
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -18,7 +19,7 @@ from benchmarks.speed import Measurement, elapsed_s
 from uavaccel.envs.flyable import CUDA
 from uavaccel.envs.kernel_batch import KernelBatch
 from uavaccel.envs.kernel_games import GameMaker
-from uavaccel.envs.kernel_plan import plan_of
+from uavaccel.envs.kernel_plan import plan_of, slices_of
 from uavaccel.envs.navigate import NavigateTask
 from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
 from uavaccel.envs.simulators import KERNELS, check_simulator
@@ -40,8 +41,9 @@ CLUTTER_LANES, CLUTTER_SHAPES = 1024, 400
 CPU_LANES, GPU_LANES = (64,), (512, 4096)
 COMMANDS, GPU_COMMANDS = 4, 20
 AHEAD = 2
-NONE_SEEN = {"observation": "state", "t_sample_s": 1.0}
-MANY_PICTURES = {"t_move_s": 0.1, "t_sample_s": 0.002}  # 50 images per command: next to no flight
+NONE_SEEN: dict[str, Any] = {"observation": "state"}
+MANY = 50  # frames of a command with next to no flight
+MANY_PICTURES: dict[str, Any] = {"t_move_s": 0.1, "t_sample_s": 0.1 / MANY}
 
 
 def bench_kernels() -> Iterator[Measurement]:
@@ -95,15 +97,24 @@ def bench_on_cores() -> Iterator[Measurement]:
     yield Measurement("kernels: picture, one thread", 1 / gray_s, "frames/s", note="gray, 256 x 144")
     yield Measurement("kernels: DVS, one thread", 1 / dvs_s, "frames/s", note="clean, the picture given")
     both_s = median(_seen_s() for _ in range(REPEATS))
-    note = "bound: picture and DVS one after the other"
-    yield Measurement("kernels: picture and DVS", 1 / both_s, "frames/s", 1 / (gray_s + dvs_s), note)
-    task, threads = LaneTask(), usable_cores()
-    ticks = int(plan_of(task, np.zeros(3), np.zeros(3, np.int64), True).slices.sum())
-    parts_s = ticks / ticks_per_s + task.frames_per_command * both_s
+    yield Measurement(
+        "kernels: picture and DVS", 1 / both_s, "frames/s", 1 / gray_s, "bound: the picture without events"
+    )
+    threads = usable_cores()
     for lanes in CPU_LANES:
-        per_s = lanes * COMMANDS / _commands_s(lanes)
-        note = f"{threads} threads; bound: {ticks} ticks and {task.frames_per_command} frames each"
-        yield Measurement(f"kernels: commands, {lanes} lanes", per_s, "commands/s", threads / parts_s, note)
+        command_s, flight_s, frames_s = _parts_s(_commands_s, lanes)
+        note = f"{threads} threads; bound: flight, then frames, as in other commands of as many lanes"
+        bound = lanes / (flight_s + frames_s)
+        yield Measurement(f"kernels: commands, {lanes} lanes", lanes / command_s, "commands/s", bound, note)
+
+
+def _parts_s(round_s: Callable[..., float], lanes: int) -> tuple[float, float, float]:
+    """Return the seconds of a command of all lanes, of its flight, and of its frames.
+
+    `round_s` returns the seconds of a command for a number of lanes and the task's keys.
+    """
+    many_s = round_s(lanes, **MANY_PICTURES) - round_s(lanes, **MANY_PICTURES, **NONE_SEEN)
+    return round_s(lanes), round_s(lanes, **NONE_SEEN), LaneTask().frames_per_command * many_s / MANY
 
 
 def _tick_s() -> float:
@@ -147,19 +158,18 @@ def _each_s(work: Callable[[int], None]) -> float:
     return median(elapsed_s(partial(work, number)) for number in range(1, PICTURES + 1))
 
 
-def _commands_s(lanes: int) -> float:
-    """Return the seconds of COMMANDS commands of each lane, with ends and starts of games."""
-    with closing(KernelBatch(ObstacleLane, lanes, autoreset_mode="SameStep")) as batch:
+def _commands_s(lanes: int, **keys: Any) -> float:
+    """Return the seconds of a command of all lanes, the median of COMMANDS, the first of their games."""
+    with closing(KernelBatch(ObstacleLane, lanes, **keys)) as batch:
         batch.reset(seed=0)
         actions = np.full(lanes, AHEAD)
 
         def fly() -> None:
-            for _ in range(COMMANDS):
-                batch.step_async(actions)
-                batch.step_wait()
+            batch.step_async(actions)
+            batch.step_wait()
 
         fly()
-        return elapsed_s(fly)
+        return median(elapsed_s(fly) for _ in range(COMMANDS))
 
 
 # --- GPU ----------------------------------------------------------------------------------------------------------
@@ -169,24 +179,22 @@ def bench_on_gpu() -> Iterator[Measurement]:
     """Measure ticks, images and commands of many lanes at once."""
     import torch as th
 
-    device, task = th.cuda.get_device_name(), LaneTask()
-    chain_s = _round_s(1, LaneTask(**NONE_SEEN))
+    device = th.cuda.get_device_name()
+    ticks = int(slices_of(LaneTask())[0].sum())
+    chain_s = _round_s(1, **NONE_SEEN)
     for lanes in GPU_LANES:
-        ticks = int(plan_of(task, np.zeros(3), np.zeros(3, np.int64), True).slices.sum())
-        flight_s = _round_s(lanes, LaneTask(**NONE_SEEN))
-        per_s, bound = lanes * ticks / flight_s, lanes * ticks / chain_s
+        command_s, flight_s, frames_s = _parts_s(_round_s, lanes)
         note = f"{device}; bound: the chain of one lane's {ticks} ticks, {chain_s * 1e3:.2f} ms, judged too"
-        yield Measurement(f"GPU: flight, {lanes} lanes", per_s, "ticks/s", bound, note)
-        colour_s, dvs_s = (
-            _round_s(lanes, LaneTask(**MANY_PICTURES, observation=what)) / 50 for what in ("colour", "dvs")
+        yield Measurement(
+            f"GPU: flight, {lanes} lanes", lanes * ticks / flight_s, "ticks/s", lanes * ticks / chain_s, note
         )
-        note, name = ("bound: pictures in colour, which no event camera sees", f"GPU: picture and DVS, {lanes} lanes")
+        colour_s, dvs_s = (_round_s(lanes, **MANY_PICTURES, observation=what) / MANY for what in ("colour", "dvs"))
+        note, name = "bound: pictures in colour, which no event camera sees", f"GPU: picture and DVS, {lanes} lanes"
         yield Measurement(name, lanes / dvs_s, "frames/s", lanes / colour_s, note)
-        command_s = _round_s(lanes, task)
         yield Measurement(f"GPU: a command of {lanes} lanes", command_s * 1e3, "ms")
-        parts_s = flight_s + task.frames_per_command * dvs_s
-        note, name = ("without learning, first metres of games; bound: its parts", f"GPU: commands, {lanes} lanes")
-        yield Measurement(name, lanes / command_s, "commands/s", lanes / parts_s, note)
+        note = "without learning, first metres of games; bound: the longer of flight and frames, which pass at once"
+        name, bound = f"GPU: commands, {lanes} lanes", lanes / max(flight_s, frames_s)
+        yield Measurement(name, lanes / command_s, "commands/s", bound, note)
 
     yield from _bench_rays()
 
@@ -196,18 +204,22 @@ def _bench_rays() -> Iterator[Measurement]:
     clutter = Clutter.model_construct(**{**dict(Clutter()), "shapes": CLUTTER_SHAPES})
     for what in ("depth", "dvs"):
         task = NavigateTask(**MANY_PICTURES, observation=what, picture_size=(COLUMNS, ROWS))
-        frame_s = _round_s(CLUTTER_LANES, task.model_copy(update={"clutter": clutter})) / 50
+        frame_s = _round_s(CLUTTER_LANES, task.model_copy(update={"clutter": clutter})) / MANY
         name = f"GPU: rays, {what}, {CLUTTER_LANES} worlds of {CLUTTER_SHAPES} shapes"
         yield Measurement(name, CLUTTER_LANES / frame_s, "frames/s", note="with the flight in between")
 
 
-def _round_s(lanes: int, task: Task) -> float:
-    """Return the seconds of a command of all lanes by CUDA events; no game ends within the measurement."""
+def _round_s(lanes: int, task: Task | None = None, **keys: Any) -> float:
+    """Return the seconds of a command of all lanes by CUDA events; no game ends within the measurement.
+
+    They fly the task, by default the obstacle lane with these keys.
+    """
     import torch as th
 
     from uavaccel.envs.cuda_lanes import CudaLanes
     from uavaccel.kernels.recording import EAGER
 
+    task = task or LaneTask(**keys)
     flying = CudaLanes(task, lanes, th.device(CUDA), renews=False)
     flying.seed(range(lanes))
     flying.begin()

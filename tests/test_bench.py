@@ -211,42 +211,48 @@ def test_memory_that_processes_share_counts_once() -> None:
 # --- kernels ----------------------------------------------------------------------------------------------------------
 
 
-def test_a_command_of_the_kernels_is_held_against_its_ticks_and_its_pictures(given: Callable[..., None]) -> None:
-    """A command of a second has 500 ticks of 2 ms and three frames."""
+def round_s(lanes: int, **keys: Any) -> float:
+    """Return 1 ms for one lane without sight, 2 ms for more; 0.1 ms for each of 50 frames in colour, 0.3 of events."""
+    seen = keys.get("observation", "dvs")
+    if "t_sample_s" not in keys:
+        return {1: 0.001}.get(lanes, 0.002) if seen == "state" else 0.004
+    return 0.0001 + 50 * {"state": 0.0, "colour": 0.0001, "dvs": 0.0003}[seen]
+
+
+def test_commands_on_cores_are_held_against_flight_and_then_frames(given: Callable[..., None]) -> None:
+    """A command of a second has three frames."""
     ticks_s, seen_s = iter([3e-6, 1e-6, 2e-6]), iter([0.02, 0.05, 0.03])
     exact = SimpleNamespace(advance=lambda ticks: range(ticks)[999], close=lambda: None)
     given(
-        *(kernels, 0.5), REPEATS=3, TICKS=1000, _tick_s=lambda: next(ticks_s), World=lambda *_: exact, COMMANDS=4,
-        _picture_s=lambda: (0.004, 0.016), _seen_s=lambda: next(seen_s), usable_cores=lambda: 8,
-        _commands_s=lambda lanes: 0.25 * lanes, CPU_LANES=(64, 128),
+        *(kernels, 0.5), REPEATS=3, TICKS=1000, _tick_s=lambda: next(ticks_s), World=lambda *_: exact,
+        _picture_s=lambda: (0.004, 0.016), _seen_s=lambda: next(seen_s), _commands_s=round_s, CPU_LANES=(64, 128),
     )  # fmt: skip
     found = by_name(kernels.bench_on_cores())
     assert numbers(found["kernels: flight, one thread"]) == pytest.approx((500_000, 2000.0))
-    assert numbers(found["kernels: picture and DVS"]) == pytest.approx((1 / 0.03, 50.0))
+    assert numbers(found["kernels: picture and DVS"]) == pytest.approx((1 / 0.03, 250.0))
     assert [found[f"kernels: {what}, one thread"].value for what in ("picture", "DVS")] == [250.0, 62.5]
     for lanes in (64, 128):
-        bound = 8 / (500 * 2e-6 + 3 * 0.03)
-        assert numbers(found[f"kernels: commands, {lanes} lanes"]) == pytest.approx((16.0, bound))
+        expected = lanes / 0.004, lanes / (0.002 + 3 * 0.0003)
+        assert numbers(found[f"kernels: commands, {lanes} lanes"]) == pytest.approx(expected)
 
 
-def test_a_gpus_lanes_are_held_against_one_lanes_chain_and_against_their_parts(
-    given: Callable[..., None], monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(("frame_s", "bound_s"), [(0.0003, 0.002), (0.001, 0.003)])
+def test_commands_on_a_gpu_are_held_against_the_longer_of_flight_and_frames(
+    given: Callable[..., None], monkeypatch: pytest.MonkeyPatch, frame_s: float, bound_s: float
 ) -> None:
-    """As if a flight took 1 ms with one lane and 2 with many, a picture of 50 in colour 0.1 ms and of events 0.3."""
     torch = SimpleNamespace(cuda=SimpleNamespace(get_device_name=lambda: "a card"))
     monkeypatch.setitem(sys.modules, "torch", torch)
 
-    def round_s(lanes: int, task: Any) -> float:
-        if task.observation == "state":
-            return 0.001 if lanes == 1 else 0.002
-        return 50 * {"colour": 0.0001, "dvs": 0.0003}[str(task.observation)] if task.t_sample_s < 0.1 else 0.004
+    def measured_s(lanes: int, clutter: Any = None, **keys: Any) -> float:
+        many = "t_sample_s" in keys and keys.get("observation", "dvs") == "dvs"
+        return 0.0001 + 50 * frame_s if many or clutter else round_s(lanes, **keys)
 
-    given(kernels, _round_s=round_s)
+    given(kernels, _round_s=measured_s)
     found = by_name(kernels.bench_on_gpu())
     for lanes in (512, 4096):
         for name, value, bound in (
-            ("flight", 500 / 0.002, 500 / 0.001), ("picture and DVS", 1 / 0.0003, 1 / 0.0001),
-            ("commands", 1 / 0.004, 1 / (0.002 + 3 * 0.0003)),
+            ("flight", 500 / 0.002, 500 / 0.001), ("picture and DVS", 50 / (0.0001 + 50 * frame_s), 50 / 0.0051),
+            ("commands", 1 / 0.004, 1 / bound_s),
         ):  # fmt: skip
             assert numbers(found[f"GPU: {name}, {lanes} lanes"]) == pytest.approx((lanes * value, lanes * bound))
         assert found[f"GPU: a command of {lanes} lanes"].value == pytest.approx(4.0)  # ms
