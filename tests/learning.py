@@ -13,7 +13,7 @@ from typing import Any
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from tests.running import run_into
-from uavaccel.config import to_yaml, validate
+from uavaccel.config import load_yaml, to_yaml, validate
 from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
 from uavaccel.records import RunDirectory
 from uavaccel.rl import exact_lanes
@@ -25,7 +25,6 @@ from uavaccel.suites.registry import find_suite
 from uavaccel.suites.runner import run_suite, start_run
 from uavaccel.suites.suite import configuration
 from uavaccel.suites.train import TrainConfig, Training
-from uavaccel.yaml_io import load_yaml
 
 OPTIONS = {"learning_starts": 8, "batch_size": 8, "buffer_size": 300, "target_update_interval": 16}
 

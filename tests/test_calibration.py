@@ -12,7 +12,7 @@ import pytest
 from typer.testing import CliRunner
 
 from uavaccel.calibration import advise as advice
-from uavaccel.calibration import calibrate, doctor, machine
+from uavaccel.calibration import calibrate, doctor
 from uavaccel.calibration.advise import Advice, SquareGame, advise, fly_square, sentence
 from uavaccel.calibration.calibrate import Agreement, Latencies, quantiles_us
 from uavaccel.calibration.traces import ClientEvent, record_trace
@@ -49,10 +49,10 @@ def test_a_machine_is_quiet_by_its_cores_its_load_on_each_and_its_sleeps(
     monkeypatch: pytest.MonkeyPatch, cores: int, load: float, late_us: float, doubts: list[str]
 ) -> None:
     """Of 50 sleeps, sorted, the median is the 26th and the 90th percentile the 46th."""
-    monkeypatch.setattr(machine, "usable_cores", lambda: cores)
-    monkeypatch.setattr(machine, "timer_grain_ns", lambda: [round(1000 * late_us * n / 45) for n in range(50)])
+    monkeypatch.setattr(doctor, "usable_cores", lambda: cores)
+    monkeypatch.setattr(doctor, "timer_grain_ns", lambda: [round(1000 * late_us * n / 45) for n in range(50)])
     monkeypatch.setattr("os.getloadavg", lambda: (load, 99.0, 99.0))
-    found = machine.check_machine()
+    found = doctor.check_machine()
     noisy = f"noisy: {', '.join(doubts)}; measured latencies are pessimistic"
     assert found["verdict"] == (noisy if doubts else "quiet")
     assert (found["cores"], found["load_1min"]) == (cores, load)
@@ -158,7 +158,7 @@ def test_a_calibration_is_a_latency_model_and_its_medians_are_told(
         raise UserError("no card")
 
     monkeypatch.setattr(calibrate, "measure", measure)
-    monkeypatch.setattr(machine, "check_machine", lambda: NOISY)
+    monkeypatch.setattr(doctor, "check_machine", lambda: NOISY)
     monkeypatch.setattr("uavaccel.sim.camera.gl.describe_renderer", draws_nothing)
     file = tmp_path / "latency.yaml"
     lines = printed(f"calibrate --out {file} --commands 70 --profile airsim")
@@ -316,7 +316,7 @@ def test_each_game_is_flown_on_the_machines_clock_on_the_model_and_on_the_machin
 
     monkeypatch.setattr(calibrate, "WallSession", lambda *_: nullcontext("wall"))
     monkeypatch.setattr(calibrate, "VirtualSession", virtual)
-    monkeypatch.setattr(machine, "check_machine", lambda: QUIET)
+    monkeypatch.setattr(doctor, "check_machine", lambda: QUIET)
     asked: list[str] = []
 
     def fly(session: str, command: str, speed: float, t_move_s: float, rounds: int, seed: int) -> SquareGame:

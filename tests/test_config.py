@@ -9,10 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import Field, ValidationError, field_validator
 
-from uavaccel.config import Config, apply_overrides, load_yaml, schema, to_yaml, validate
+from uavaccel.config import Config, apply_overrides, dump_yaml, load_yaml, parse_yaml, schema, to_yaml, validate
 from uavaccel.errors import UsageError, UserError
 from uavaccel.resources import experiment, experiment_names
-from uavaccel.yaml_io import dump_yaml, parse_yaml
 
 
 class Camera(Config):

@@ -13,8 +13,7 @@ import pytest
 
 from tests.running import full_device
 from uavaccel.draw import film as films
-from uavaccel.draw.film import IMPACT, Film, dvs_picture, frames, write_contact_sheet, write_video
-from uavaccel.draw.movie import movie
+from uavaccel.draw.film import IMPACT, Film, dvs_picture, frames, movie, write_contact_sheet, write_video
 from uavaccel.draw.panels import (
     DRONE,
     GOAL,

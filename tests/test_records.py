@@ -16,7 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from uavaccel.config import Config
+from uavaccel.config import Config, load_yaml
 from uavaccel.errors import UserError
 from uavaccel.files import (
     ARRAYS_BYTES,
@@ -32,11 +32,9 @@ from uavaccel.files import (
     write_arrays,
 )
 from uavaccel.fly.script import compiled
-from uavaccel.lock import lock_of
-from uavaccel.manifest import describe_run
-from uavaccel.records import RunDirectory
+from uavaccel.machine import describe_run
+from uavaccel.records import RunDirectory, lock_of
 from uavaccel.wire.settings import LARGEST_BYTES, read_settings
-from uavaccel.yaml_io import load_yaml
 
 
 class Clock(Config):
@@ -343,7 +341,7 @@ def test_a_folder_that_was_deleted_is_not_begun_again(run: RunDirectory) -> None
 def test_a_run_has_one_process_that_flies_it(run: RunDirectory, tmp_path: Path) -> None:
     """The lock goes with its process, even a killed one; within a process a run may be gone on with."""
     program = (
-        "import sys\nfrom uavaccel.lock import lock_of\nfrom pathlib import Path\n"
+        "import sys\nfrom uavaccel.records import lock_of\nfrom pathlib import Path\n"
         "held = lock_of(Path(sys.argv[1]))\nprint('held', flush=True)\nsys.stdin.read()"
     )
     resume(run)
@@ -411,7 +409,7 @@ def test_the_manifest_names_the_commit_and_whether_files_differ(
         command = ["git", "-C", str(tmp_path), *identity, *arguments]
         return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
 
-    monkeypatch.setattr("uavaccel.manifest.source_tree", lambda: tmp_path)
+    monkeypatch.setattr("uavaccel.machine.source_tree", lambda: tmp_path)
     assert describe_run([], 0, "")["git"] is None
     git("init")
     (tmp_path / "file").write_text("one")
@@ -421,7 +419,7 @@ def test_the_manifest_names_the_commit_and_whether_files_differ(
     assert describe_run([], 0, "")["git"] == {"commit": git("rev-parse", "HEAD"), "dirty": False}
     (tmp_path / "file").write_text("two")
     assert describe_run([], 0, "")["git"]["dirty"] is True
-    monkeypatch.setattr("uavaccel.manifest.source_tree", lambda: None)
+    monkeypatch.setattr("uavaccel.machine.source_tree", lambda: None)
     assert describe_run([], 0, "")["git"] is None
 
 

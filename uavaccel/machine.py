@@ -1,10 +1,69 @@
-"""The machine that this process runs on: its cores, memory and processor."""
+"""What a run is flown on, for its manifest: this machine, the versions of what flies, and their source."""
 
 import os
 import platform
+import subprocess
 import sys
+from collections.abc import Sequence
+from importlib.metadata import PackageNotFoundError, version
 
+import uavaccel
 from uavaccel.files import Plain
+from uavaccel.resources import source_tree
+
+_PACKAGES = (
+    *("gymnasium", "llvmlite", "mujoco", "numba", "numpy", "opencv-python-headless", "scipy"),
+    *("stable-baselines3", "torch"),
+)
+_ENVIRONMENT = ("LP_NUM_THREADS", "MUJOCO_GL", "NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+
+
+def describe_run(
+    command_line: Sequence[str], seed: int, start_time: str, gl_renderer: str | None = None
+) -> dict[str, Plain]:
+    """Return the contents of a run directory's manifest.json.
+
+    `start_time` is ISO 8601 text from a clock, `gl_renderer` the GL_RENDERER of the context in use, if any.
+    """
+    return {
+        "command_line": list(command_line),
+        "start_time": start_time,
+        "seed": seed,
+        "versions": _versions(),
+        "git": _git(),
+        "host": host(),
+        "gl_renderer": gl_renderer,
+        "environment": {name: os.environ.get(name) for name in _ENVIRONMENT},
+    }
+
+
+def _versions() -> dict[str, str | None]:
+    versions: dict[str, str | None] = {"uavaccel": uavaccel.__version__, "python": platform.python_version()}
+    for package in _PACKAGES:
+        try:
+            versions[package] = version(package)
+        except PackageNotFoundError:
+            versions[package] = None
+    return versions
+
+
+def _git() -> dict[str, Plain] | None:
+    """Return the commit of the source tree, and whether tracked files differ from it; None outside a source tree."""
+    root = source_tree()
+    if root is None:
+        return None
+    command = ["git", "-C", str(root)]
+    try:
+        commit = _output([*command, "rev-parse", "HEAD"])
+        changes = _output([*command, "status", "--porcelain", "--untracked-files=no"])
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return {"commit": commit, "dirty": bool(changes)}
+
+
+def _output(command: list[str]) -> str:
+    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=30)
+    return done.stdout.strip()
 
 
 def host() -> dict[str, Plain]:

@@ -8,13 +8,19 @@ A case's arrays are in place before its row is: after a crash the cases with a w
 can be flown again.
 """
 
+from __future__ import annotations
+
+import errno
 import json
+import os
+import sys
+import weakref
 from collections.abc import Collection, Mapping
 from pathlib import Path
 
 import numpy as np
 
-from uavaccel.config import Config, dotted_keys, to_yaml, validate
+from uavaccel.config import Config, dotted_keys, load_yaml, parse_yaml, to_yaml, validate
 from uavaccel.errors import UserError, naming
 from uavaccel.files import (
     UNFINISHED,
@@ -33,8 +39,6 @@ from uavaccel.files import (
     write_arrays,
 )
 from uavaccel.forms import HostTimes, Manifest, RowForm, check, check_all
-from uavaccel.lock import FolderLock, lock_of
-from uavaccel.yaml_io import load_yaml, parse_yaml
 
 
 class RunDirectory:
@@ -60,7 +64,7 @@ class RunDirectory:
         manifest: Mapping[str, object],
         resume: bool = False,
         may_grow: Collection[str] = (),
-    ) -> "RunDirectory":
+    ) -> RunDirectory:
         """Start a run at `path`, or with `resume` continue the one that is there, if any.
 
         To continue, a truncated line is dropped, and `manifest` is added to the run's. As long as the result exists, no
@@ -296,3 +300,42 @@ def _as_of_today(mapping: dict[str, Plain], cls: type[Config]) -> dict[str, Plai
         return today
     except UserError:
         return mapping
+
+
+_NO_LOCKS = (errno.ENOTSUP, errno.ENOSYS, errno.ENOLCK, errno.EBADF)
+
+
+class FolderLock:
+    """Locks an existing folder as long as this object exists. Raises UserError if another process has locked it.
+
+    Nothing is written into the folder. On Windows, and on file systems without locks, it has no effect.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        if sys.platform == "win32":
+            return
+        import fcntl
+
+        descriptor = os.open(folder, os.O_RDONLY | os.O_CLOEXEC)
+        weakref.finalize(self, os.close, descriptor)
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise UserError(
+                f"{folder}: another process is flying this run; let it end, or stop it, before --resume"
+            ) from None
+        except OSError as error:
+            if error.errno not in _NO_LOCKS:
+                raise
+
+
+_HELD: weakref.WeakValueDictionary[Path, FolderLock] = weakref.WeakValueDictionary()
+
+
+def lock_of(folder: Path) -> FolderLock:
+    """Return this process's lock of a folder, which is shared within it. Raises UserError as `FolderLock` does."""
+    place = folder.resolve()
+    lock = _HELD.get(place)
+    if lock is None:
+        lock = _HELD[place] = FolderLock(folder)
+    return lock

@@ -22,13 +22,13 @@ from uavaccel.calibration.advise import fly_square
 from uavaccel.calibration.traces import TracingTransport
 from uavaccel.clock import calendar_time
 from uavaccel.commands import COMMANDS, VelocityGoal
+from uavaccel.config import dump_yaml
 from uavaccel.files import Plain
-from uavaccel.manifest import describe_run
+from uavaccel.machine import describe_run
 from uavaccel.metrics.trajectory import mean_position_rmse
 from uavaccel.wire.client import Client
 from uavaccel.wire.latency import QUANTILES, LatencyConfig, after_wait
 from uavaccel.wire.session import Session, VirtualSession, WallSession
-from uavaccel.yaml_io import dump_yaml
 
 CLOCK_SPEEDS = (50.0, 100.0)
 T_MOVES_S = (0.1, 0.2, 0.5, 1.0)  # at these speeds the ends sleep for 1 to 20 ms, as they do in DP1

@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import subprocess
 import sys
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from uavaccel.calibration.machine import check_machine
-from uavaccel.clock import calendar_time
+from uavaccel.clock import calendar_time, timer_grain_ns
 from uavaccel.errors import UserError
 from uavaccel.files import Plain
-from uavaccel.manifest import describe_run
+from uavaccel.machine import describe_run, usable_cores
 
 USER_ERROR = f"{UserError.__module__}.{UserError.__name__}"
 TIMEOUT_S = 180.0  # a driver that hangs must not take the doctor with it
 PACKAGES = "libegl1 libegl-mesa0 libgl1-mesa-dri"  # not from sim.gl: importing MuJoCo may be what fails
+
+MAX_LOAD_PER_CORE = 0.5
+MAX_TIMER_P90_US = 200.0
 
 # Both run in processes of their own: a library that is missing or crashes becomes a line of the report.
 HOT_LOOP = """
@@ -117,3 +120,25 @@ def probe(program: str) -> dict[str, Plain]:
         raise ProbeError(text if advised else last, advised)
     found: dict[str, Plain] = json.loads(done.stdout.splitlines()[-1])
     return found
+
+
+def check_machine() -> dict[str, Plain]:
+    """Return load, lateness of short sleeps, and a verdict in words, to be recorded beside measurements."""
+    cores = usable_cores()
+    late_us = [ns / 1e3 for ns in timer_grain_ns()]
+    load, median_us, p90_us = os.getloadavg()[0], late_us[len(late_us) // 2], late_us[len(late_us) * 9 // 10]
+    doubts = []
+    if cores < 2:
+        doubts.append("one core for client and server together")
+    if load > MAX_LOAD_PER_CORE * cores:
+        doubts.append(f"load {load:.2f} on {cores} cores")
+    if p90_us > MAX_TIMER_P90_US:
+        doubts.append(f"sleeps end {p90_us:.0f} us late (90th percentile)")
+    verdict = f"noisy: {', '.join(doubts)}; measured latencies are pessimistic" if doubts else "quiet"
+    return {
+        "verdict": verdict,
+        "cores": cores,
+        "load_1min": load,
+        "timer_late_median_us": median_us,
+        "timer_late_p90_us": p90_us,
+    }

@@ -27,7 +27,7 @@ def calibrate(
 ) -> None:
     """Measure this machine's message latencies for the virtual timing to draw from, or check a model of them."""
     from uavaccel.calibration.calibrate import LEVELS_TEXT, check_agreement, measure, model_file
-    from uavaccel.calibration.machine import check_machine
+    from uavaccel.calibration.doctor import check_machine
     from uavaccel.files import check_new_file
     from uavaccel.sim.camera.gl import describe_renderer
     from uavaccel.wire.latency import read_latency, shipped_latency

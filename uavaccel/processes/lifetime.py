@@ -1,14 +1,20 @@
-"""Processes that end with their parent, even where that is killed."""
+"""Processes that end with their parent, even where that is killed, and the removal of what killed ones leave behind."""
 
 from __future__ import annotations
 
 import os
+import re
 import select
+import shutil
 import signal
 import threading
 from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
 
 END_WITH_PARENT = "end with parent"  # name of the watching thread
+SHARED_MEMORY = Path("/dev/shm")
+OF_JOBLIB = re.compile(r"(?:sem\.loky-|joblib_memmapping_folder_)(\d+)[-_]")
 _BOUND: set[int] = set()
 
 
@@ -65,3 +71,31 @@ def _end(last: Callable[[], object]) -> None:
         last()
     finally:
         os.kill(os.getpid(), signal.SIGKILL)
+
+
+def remove_orphaned_files(folder: Path = SHARED_MEMORY, named_by: re.Pattern[str] = OF_JOBLIB) -> None:
+    """Remove this user's files in `folder` whose process has ended; nothing happens without such a folder.
+
+    `named_by` matches the names of such files; its first group is the id of the process.
+    """
+    if not folder.is_dir():
+        return
+    for path in folder.iterdir():
+        named = named_by.match(path.name)
+        with suppress(OSError):  # another run clears it too
+            if named is None or path.stat().st_uid != os.getuid() or _alive(int(named[1])):
+                continue
+            if path.is_dir():
+                shutil.rmtree(path)
+            else:
+                path.unlink()
+
+
+def _alive(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except OSError:  # it is another's
+        pass
+    return True

@@ -26,8 +26,7 @@ from typing import IO, TYPE_CHECKING
 
 from uavaccel.errors import UsageError, UserError
 from uavaccel.processes.child import Watch, end_within, start_python
-from uavaccel.processes.cleanup import remove_orphaned_files
-from uavaccel.processes.lifetime import end_with_parent
+from uavaccel.processes.lifetime import end_with_parent, remove_orphaned_files
 from uavaccel.watch.server import check_viser, free_port, open_server
 from uavaccel.wire.page_protocol import PAGE
 
