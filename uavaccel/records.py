@@ -30,9 +30,8 @@ from uavaccel.files import (
     file_sha256,
     inside,
     is_file_name,
-    parse_json,
     read_arrays,
-    read_bounded,
+    read_json,
     read_lines,
     replacing,
     to_json,
@@ -177,13 +176,7 @@ class RunDirectory:
 
     def read_json(self, name: str) -> Plain:
         """Return the value in a JSON file of the run. Raises UserError if it is missing or damaged."""
-        path = self.path / name
-        try:
-            return parse_json(read_bounded(path).decode("utf-8"))
-        except OSError as error:
-            raise UserError(f"{path}: {error.strerror}") from error
-        except ValueError as error:
-            raise UserError(f"{path}: not JSON: {error}") from error
+        return read_json(self.path / name)
 
     def config(self) -> dict[str, Plain]:
         """Return the mapping in config.yaml."""

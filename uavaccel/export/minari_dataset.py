@@ -22,10 +22,10 @@ import numpy as np
 from gymnasium import spaces
 
 from uavaccel.errors import UserError, naming
-from uavaccel.export.provenance import provenance_of
+from uavaccel.export import provenance_of
 from uavaccel.files import UNFINISHED, to_json
 from uavaccel.records import RunDirectory
-from uavaccel.suites.evaluate import EvaluateConfig, EvaluateRow, Flyable, game_seed
+from uavaccel.suites.evaluate import EvaluateConfig, EvaluateRow, Step, game_seed
 from uavaccel.suites.evaluate_again import environment_of, evaluation_of, fly_again
 
 if TYPE_CHECKING:
@@ -74,14 +74,11 @@ def _write_episodes(
             episode.attrs["id"] = number
             episode.attrs["seed"] = game_seed(config, int(row["lane"]))
             episode.attrs["options/lane"] = int(row["lane"])
-            _write_episode(run, config, environment, row, episode)
+            _fill(episode, fly_again(run, config, environment, row))
             yield number + 1, len(rows)
 
 
-def _write_episode(
-    run: RunDirectory, config: EvaluateConfig, environment: Flyable, row: EvaluateRow, episode: h5py.Group
-) -> None:
-    steps = fly_again(run, config, environment, row)
+def _fill(episode: h5py.Group, steps: list[Step]) -> None:
     columns = {
         "observations": np.stack([steps[0].given, *(step.observation for step in steps)]),
         "actions": np.array([step.action for step in steps], np.int64),
