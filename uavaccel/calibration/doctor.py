@@ -65,13 +65,6 @@ def findings() -> Iterator[Finding]:
     found = ", ".join(f"{name} {version or 'missing'}" for name, version in versions.items())
     yield Finding("versions", found, None in versions.values())
     yield Finding("host", f"{run['host']['platform']}, {run['host']['cpu_model']}")
-    yield from measuring()
-    yield hot_loop()
-    yield renderer()
-
-
-def measuring() -> Iterator[Finding]:
-    """Yield the findings about cores and timers: whether this machine can measure on the wall clock."""
     machine = check_machine()
     yield Finding("cores", f"{machine['cores']}, load {machine['load_1min']:.2f}")
     yield Finding(
@@ -80,6 +73,8 @@ def measuring() -> Iterator[Finding]:
         f"{machine['timer_late_p90_us']:.0f} us (90th percentile)",
     )
     yield Finding("timing", f"wall: {machine['verdict']}", machine["verdict"] != "quiet")
+    yield hot_loop()
+    yield renderer()
 
 
 def hot_loop() -> Finding:
