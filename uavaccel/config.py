@@ -2,12 +2,16 @@
 
 A suite declares a subclass of `Config`; the key `suite` of an experiment's YAML selects it. Values are checked as in
 JSON: "3" is not a number, yes is not an integer, and a list may fill a tuple.
+
+YAML is read and written by rules that differ from PyYAML's own in four points: 1e-3 is a number, as in YAML 1.2; a date
+is text; a duplicate key in a mapping and tags such as !!binary, which no JSON has, are refused.
 """
 
 import json
 import re
 import reprlib
 from collections.abc import Hashable, Iterable, Mapping
+from contextlib import suppress
 from copy import deepcopy
 from functools import lru_cache
 from pathlib import Path
@@ -164,29 +168,29 @@ def _dotted(mapping: object, error: ErrorDetails) -> str:
     """Return the key of an error as `apply_overrides` takes it, without pydantic's names of a union's members."""
     parts: list[str] = []
     value: Plain = mapping
-    for depth, part in enumerate(error["loc"], start=1):
-        inside = _holds(value, part)
-        absent = depth == len(error["loc"]) and error["type"] in ("missing", "extra_forbidden")
-        if inside or absent:
-            parts.append(str(part))
-        if inside and not absent:
+    for part in error["loc"]:
+        with suppress(KeyError, IndexError, TypeError):
             value = value[part]
+            parts.append(str(part))
+    if error["type"] == "missing":
+        parts.append(str(error["loc"][-1]))
     return ".".join(parts)
-
-
-def _holds(container: object, part: str | int) -> bool:
-    if isinstance(container, dict):
-        return part in container
-    return isinstance(container, list) and isinstance(part, int) and part < len(container)
 
 
 def _keys_below(cls: type[BaseModel], path: Iterable[str | int]) -> list[str]:
     """Return the keys that the configuration at `path` below `cls` may have."""
     models = [cls]
     for part in path:
-        below = [each for model in models for each in _models_in(model, str(part))]
-        models = below or models
+        fields = [model.model_fields[str(part)] for model in models if part in model.model_fields]
+        models = [model for field in fields for model in _models_in(field.annotation)] or models
     return [key for model in models for key in model.model_fields]
+
+
+def _models_in(annotation: object) -> list[type[BaseModel]]:
+    """Return the models of a field, of which a union has several."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    return [model for inner in get_args(annotation) for model in _models_in(inner)]
 
 
 def _tuple_length(cls: type[BaseModel], error: ErrorDetails) -> int | None:
@@ -197,18 +201,6 @@ def _tuple_length(cls: type[BaseModel], error: ErrorDetails) -> int | None:
         return None
     members = get_args(field.annotation) if get_origin(field.annotation) is tuple else ()
     return len(members) if members and Ellipsis not in members else None
-
-
-def _models_in(model: type[BaseModel], field: str) -> list[type[BaseModel]]:
-    if field not in model.model_fields:
-        return []
-    found, pending = [], [model.model_fields[field].annotation]
-    while pending:
-        annotation = pending.pop()
-        if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-            found.append(annotation)
-        pending.extend(get_args(annotation))
-    return found
 
 
 _FLOAT = "tag:yaml.org,2002:float"

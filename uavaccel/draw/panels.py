@@ -72,11 +72,6 @@ class View(NamedTuple):
         exact = self.origin + places[..., :1] * self.north + places[..., 1:] * self.east
         return np.rint(exact * (1 << SUBPIXEL)).astype(np.int32)
 
-    def in_sight(self, places_m: NDArray[np.float64], reach_m: NDArray[np.float64]) -> NDArray[np.intp]:
-        """Return the indices of the places (n, 2) of which something within `reach_m` (n,) is on the map."""
-        at, reach = self.pixels(places_m) / (1 << SUBPIXEL), (reach_m * self.scale)[:, None]
-        return np.flatnonzero(((at > -reach) & (at < np.array(self.size) + reach)).all(axis=1))
-
     @property
     def scale(self) -> float:
         """The pixels per metre."""
@@ -109,9 +104,8 @@ def draw_lane(layout: LaneLayout | None, view: View) -> Bgr:
     for inner, outer in ((half, half + WALL_M), (-half - WALL_M, -half)):
         _box(picture, view, (-10.0, inner), (LENGTH_M + 10.0, outer), WALL)
     _box(picture, view, (LENGTH_M, -half), (LENGTH_M + 0.4, half), GOAL)
-    places_m = np.stack([layout.x_m, layout.y_m], axis=1)
-    for i in view.in_sight(places_m, 2 * layout.half_width_m).tolist():
-        (x, y), half_width, is_round = places_m[i].tolist(), layout.half_width_m[i], layout.round[i]
+    obstacles = zip(layout.x_m, layout.y_m, layout.half_width_m, layout.round, strict=True)
+    for x, y, half_width, is_round in obstacles:
         if is_round:
             _disc(picture, view, (x, y), half_width, OBSTACLE)
         else:
