@@ -51,11 +51,7 @@ class Finding(NamedTuple):
 
 
 class ProbeError(Exception):
-    """A probe without a result; the text says why in one line and, if `advised`, what to do about it."""
-
-    def __init__(self, text: str, advised: bool = False) -> None:
-        super().__init__(text)
-        self.advised = advised
+    """A probe without a result; the text says why in one line, but not what to do about it."""
 
 
 def findings() -> Iterator[Finding]:
@@ -81,7 +77,7 @@ def hot_loop() -> Finding:
     """Return whether the simulator runs, and whether its compiled loop comes from numba's cache."""
     try:
         found = probe(HOT_LOOP)
-    except ProbeError as error:
+    except (ProbeError, UserError) as error:
         return Finding("hot loop", f"does not run: {error}", True)
     if found["cached"]:
         return Finding("hot loop", f"ready in {found['seconds']:.1f} s, from numba's cache")
@@ -92,15 +88,19 @@ def renderer() -> Finding:
     """Return which renderer would draw the camera's images."""
     try:
         found = probe(RENDERER)
+    except UserError as error:
+        return Finding("images", f"none: {error}", True)
     except ProbeError as error:
-        advice = "" if error.advised else f"; install {PACKAGES} (Debian)"
-        return Finding("images", f"none: {error}{advice}", True)
+        return Finding("images", f"none: {error}; install {PACKAGES} (Debian)", True)
     where = ", software on the CPU, slow" if found["software"] else ""
     return Finding("images", f"{found['backend']}: {found['name']}{where}", found["software"])
 
 
 def probe(program: str) -> dict[str, Plain]:
-    """Run a Python program, and return the JSON that it prints last. Raises ProbeError with one line."""
+    """Run a Python program, and return the JSON that it prints last.
+
+    Raises the program's UserError, whose line says what to do, or ProbeError.
+    """
     command = [sys.executable, "-c", program]
     try:
         done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=TIMEOUT_S)
@@ -111,8 +111,7 @@ def probe(program: str) -> dict[str, Plain]:
     if done.returncode:
         last = (done.stderr.strip() or f"it ended with status {done.returncode}").splitlines()[-1]
         kind, _, text = last.partition(": ")
-        advised = kind == USER_ERROR
-        raise ProbeError(text if advised else last, advised)
+        raise UserError(text) if kind == USER_ERROR else ProbeError(last)
     found: dict[str, Plain] = json.loads(done.stdout.splitlines()[-1])
     return found
 

@@ -66,19 +66,16 @@ def record_trace(session: Session, command_name: str, clock_speed: float, t_move
     client.trace(True)
     for _ in command.fly(Client(tracing, clock_speed), VelocityGoal((1.0, 0.0, 0.0)), t_move_s, t_move_s):
         pass
-    return _merge(tracing.events, [event for event in client.trace(False) if "uavaccelTrace" not in event[0]])
-
-
-def _merge(client: Sequence[ClientEvent], server: Sequence[tuple[str, int, int]]) -> list[Event]:
-    """Merge both ends' events by wall time; the simulated time of a client's event is that of the server's last."""
+    server = [event for event in client.trace(False) if "uavaccelTrace" not in event[0]]
+    messages = [event for event in tracing.events if event.kind != "issued"]
     events: list[tuple[int, str, str, int | None]] = [
-        (event.wall_ns, "client", f"{event.kind} {event.method}", None) for event in client if event.kind != "issued"
+        *((event.wall_ns, "client", f"{event.kind} {event.method}", None) for event in messages),
+        *((wall_ns, "server", event, now_ns) for event, wall_ns, now_ns in server),
     ]
-    events += [(wall, "server", event, simulated) for event, wall, simulated in server]
     events.sort(key=lambda event: event[0])
     simulated_ns = min((event[2] for event in server), default=0)
     merged = []
-    for wall_ns, source, name, now_ns in events:
+    for wall_ns, source, name, now_ns in events:  # a client's event has the simulated time of the server's last
         simulated_ns = simulated_ns if now_ns is None else now_ns
         merged.append({"source": source, "event": name, "wall_s": wall_ns / NS_PER_S, "sim_s": simulated_ns / NS_PER_S})
     return merged

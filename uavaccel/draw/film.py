@@ -106,7 +106,8 @@ def frames(film: Film, frames_per_s: int = FRAMES_PER_S) -> Iterator[Bgr]:
     page, lower = _page(film), _lower(film)
     lane_view = whole_lane(LANE_SIZE)
     lane = draw_lane(film.layout, lane_view)
-    playback = _playback(film, frames_per_s)
+    simulated_s = float(film.time_s[-1] - film.time_s[0])
+    playback = simulated_s * frames_per_s / max(len(film) - 1, 1)  # simulated seconds per second of film
     decided = lru_cache(maxsize=1)(partial(_decision, film.decisions))  # a command has several samples
     for i in range(len(film)):
         picture, track = page.copy(), film.position_m[: i + 1, :2]
@@ -124,10 +125,10 @@ def frames(film: Film, frames_per_s: int = FRAMES_PER_S) -> Iterator[Bgr]:
             paste(picture, panel, at)
         if hit:
             near, whole = (draw_impact(near, near_view, track[-1]), draw_impact(whole, lane_view, track[-1]))
+            for x, y in (CAMERA_AT, *([_below(CAMERA_AT)] if film.chase is not None else [])):
+                cv2.rectangle(picture, (x + 2, y + 2), (x + PANEL[0] - 3, y + PANEL[1] - 3), IMPACT, 5)
         paste(picture, near, NEAR_AT)
         paste(picture, whole, (LANE_AT[0], LANE_AT[1] + lower))
-        if hit:
-            _frame_impact(film, picture)
         yield from [picture] * (max(1, round(HELD_S * frames_per_s)) if hit else 1)
 
 
@@ -168,12 +169,6 @@ def _decision(decisions: Decisions | None, command: int) -> list[tuple[Bgr, tupl
 
 def _below(at: tuple[int, int]) -> tuple[int, int]:
     return at[0], at[1] + SECOND_ROW
-
-
-def _frame_impact(film: Film, picture: Bgr) -> None:
-    """Draw a border around the images in which the impact is seen."""
-    for x, y in (CAMERA_AT, *([_below(CAMERA_AT)] if film.chase is not None else [])):
-        cv2.rectangle(picture, (x + 2, y + 2), (x + PANEL[0] - 3, y + PANEL[1] - 3), IMPACT, 5)
 
 
 def write_contact_sheet(film: Film, path: Path) -> Path:
@@ -217,12 +212,6 @@ _SHADES = _shades()
 
 def _moment(film: Film, i: int) -> str:
     return f"{film.time_s[i]:6.2f} s, {film.position_m[i, 0]:5.1f} m"
-
-
-def _playback(film: Film, frames_per_s: int) -> float:
-    """Return simulated seconds per second of film."""
-    simulated_s = float(film.time_s[-1] - film.time_s[0])
-    return simulated_s * frames_per_s / max(len(film) - 1, 1)
 
 
 @contextmanager

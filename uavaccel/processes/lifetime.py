@@ -54,16 +54,16 @@ def descriptor_of_parent(parent: int, last: Callable[[], object] = lambda: None)
 
 def end_with_process(descriptor: int | None, last: Callable[[], object] = lambda: None) -> None:
     """From now on, kill this process as soon as the process of the descriptor has ended; `last` is called before."""
-    if descriptor is not None:
-        arguments = descriptor, last
-        threading.Thread(target=_wait_and_end, args=arguments, daemon=True, name=END_WITH_PARENT).start()
-
-
-def _wait_and_end(parent: int, last: Callable[[], object]) -> None:
+    if descriptor is None:
+        return
     waiting = select.poll()
-    waiting.register(parent, select.POLLIN)
-    waiting.poll()
-    _end(last)
+    waiting.register(descriptor, select.POLLIN)
+
+    def wait() -> None:
+        waiting.poll()
+        _end(last)
+
+    threading.Thread(target=wait, daemon=True, name=END_WITH_PARENT).start()
 
 
 def _end(last: Callable[[], object]) -> None:
