@@ -17,8 +17,7 @@ from typer.testing import CliRunner
 from uavaccel.calibration import advise as advice
 from uavaccel.calibration import calibrate, doctor
 from uavaccel.calibration.advise import SquareGame, advise, fly_square, sentence
-from uavaccel.calibration.calibrate import Agreement, Latencies, quantiles_us
-from uavaccel.calibration.traces import ClientEvent, record_trace
+from uavaccel.calibration.calibrate import Agreement, ClientEvent, Latencies, quantiles_us, record_trace
 from uavaccel.cli.main import app
 from uavaccel.commands import COMMANDS
 from uavaccel.errors import UserError

@@ -21,7 +21,7 @@ from tests.test_watch_page import MODEL
 from tests.web_server import Server
 from uavaccel.errors import UsageError, UserError
 from uavaccel.files import to_json, write_arrays
-from uavaccel.processes import child
+from uavaccel.processes import lifetime
 from uavaccel.suites.flight import Flight
 from uavaccel.watch import beside
 from uavaccel.watch import page as pages
@@ -341,13 +341,13 @@ def test_a_page_that_dies_is_said_in_one_line(
         "import os, signal; signal.signal(signal.SIGINT, signal.SIG_DFL);"
         f"print('{{\"port\": 1}}', flush=True); os.kill(os.getpid(), {end})"
     )
-    monkeypatch.setattr(beside, "start_python", lambda *_, **options: child.start_python("-c", dies, **options))
+    monkeypatch.setattr(beside, "start_python", lambda *_, **options: lifetime.start_python("-c", dies, **options))
     monkeypatch.setattr(beside, "check_viser", lambda: None)
-    monkeypatch.setattr(child, "POLL_S", 1 / 64)
-    watches: list[child.Watch] = []
+    monkeypatch.setattr(lifetime, "POLL_S", 1 / 64)
+    watches: list[lifetime.Watch] = []
 
-    def watched(*arguments: Any) -> child.Watch:
-        watches.append(child.Watch(*arguments))
+    def watched(*arguments: Any) -> lifetime.Watch:
+        watches.append(lifetime.Watch(*arguments))
         return watches[0]
 
     monkeypatch.setattr(beside, "Watch", watched)

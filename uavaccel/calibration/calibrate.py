@@ -20,16 +20,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.calibration.advise import fly_square
-from uavaccel.calibration.traces import ClientEvent, TracingTransport
 from uavaccel.clock import calendar_time
 from uavaccel.commands import COMMANDS, SynchronousCommand, VelocityGoal
 from uavaccel.config import dump_yaml
 from uavaccel.files import Plain
 from uavaccel.machine import describe_run
 from uavaccel.metrics.trajectory import mean_position_rmse
+from uavaccel.units import NS_PER_S
 from uavaccel.wire.client import Client
 from uavaccel.wire.latency import QUANTILES, LatencyConfig, after_wait
 from uavaccel.wire.session import Session, VirtualSession, WallSession
+from uavaccel.wire.transport import PendingCall, Transport
 
 CLOCK_SPEEDS = (50.0, 100.0)
 T_MOVES_S = (0.1, 0.2, 0.5, 1.0)  # at these speeds the ends sleep for 1 to 20 ms, as they do in DP1
@@ -46,6 +47,44 @@ TAIL_FACTOR = 1.5  # relative to the difference between the two measured runs
 LEVELS_TEXT = "10, 50 and 90 % quantiles; agreement: median within 20 %, the others within 1.5 times wall v wall"
 
 Quantiles = NDArray[np.float64]
+
+
+class ClientEvent(NamedTuple):
+    """An event at the client's end: `kind` is "call", "issued" (sent without waiting) or "return"."""
+
+    kind: str
+    method: str
+    channel: str
+    wall_ns: int
+    coalesced: bool = False
+    """Whether it travels with the next one."""
+
+
+class TracingTransport(Transport):
+    """A transport that records when the client calls, when it continues, and when it has its reply."""
+
+    def __init__(self, inner: Transport) -> None:
+        super().__init__(inner.clock, exclusive=False)
+        self.known = inner.known
+        self.events: list[ClientEvent] = []
+        self._inner = inner
+
+    def send(self, method: str, params: Sequence[object], blocking: bool, coalesced: bool = False) -> PendingCall:
+        called_ns = self.clock.now_ns()
+        call = self._inner.send(method, params, blocking, coalesced)
+        self.events.append(ClientEvent("call", method, call.channel, called_ns, coalesced))
+        if not blocking:
+            self.events.append(ClientEvent("issued", method, call.channel, self.clock.now_ns(), coalesced))
+        return call
+
+    def wait(self, call: PendingCall, deadline_ns: int | None = None) -> bool:
+        done = self._inner.wait(call, deadline_ns)
+        if done:
+            self.events.append(ClientEvent("return", call.method, call.channel, self.clock.now_ns()))
+        return done
+
+    def close(self) -> None:
+        self._inner.close()
 
 
 class Latencies:
@@ -223,3 +262,29 @@ def check_agreement(latency: LatencyConfig, profile: str, games: int) -> Iterato
             for quantity, values in (("gap s", gaps), ("error m", errors)):
                 first, model, again = (np.quantile(value, LEVELS) for value in values)
                 yield Agreement(*cell, quantity, first, again, model)
+
+
+def record_trace(session: Session, command_name: str, clock_speed: float, t_move_s: float) -> list[dict[str, Plain]]:
+    """Return the messages of the second of two commands, in time order; the first one warms both ends up."""
+    client = session.start_game(clock_speed, np.random.SeedSequence(0))
+    command = COMMANDS[command_name]
+    command.begin(client)
+    for _ in command.fly(client, VelocityGoal((1.0, 0.0, 0.0)), t_move_s, t_move_s):
+        pass
+    tracing = TracingTransport(client.transport)
+    client.trace(True)
+    for _ in command.fly(Client(tracing, clock_speed), VelocityGoal((1.0, 0.0, 0.0)), t_move_s, t_move_s):
+        pass
+    server = [event for event in client.trace(False) if "uavaccelTrace" not in event[0]]
+    messages = [event for event in tracing.events if event.kind != "issued"]
+    events: list[tuple[int, str, str, int | None]] = [
+        *((event.wall_ns, "client", f"{event.kind} {event.method}", None) for event in messages),
+        *((wall_ns, "server", event, now_ns) for event, wall_ns, now_ns in server),
+    ]
+    events.sort(key=lambda event: event[0])
+    simulated_ns = min((event[2] for event in server), default=0)
+    merged = []
+    for wall_ns, source, name, now_ns in events:  # a client's event has the simulated time of the server's last
+        simulated_ns = simulated_ns if now_ns is None else now_ns
+        merged.append({"source": source, "event": name, "wall_s": wall_ns / NS_PER_S, "sim_s": simulated_ns / NS_PER_S})
+    return merged

@@ -37,8 +37,7 @@ from typing import IO, TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
 from uavaccel.errors import UsageError, UserError
-from uavaccel.processes.child import Watch, end_within, start_python
-from uavaccel.processes.lifetime import end_with_parent, remove_orphaned_files
+from uavaccel.processes.lifetime import Watch, end_with_parent, end_within, remove_orphaned_files, start_python
 from uavaccel.wire.page_protocol import PAGE
 
 if TYPE_CHECKING:
