@@ -27,7 +27,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, redirect_stdout, suppress
+from contextlib import ExitStack, contextmanager, redirect_stdout, suppress
 from dataclasses import dataclass
 from http import HTTPStatus
 from ipaddress import ip_address
@@ -86,7 +86,9 @@ def page_beside(address: PageAddress | None, waits: bool = True) -> Iterator[Non
         if process.poll() != -signal.SIGINT:  # at Ctrl-C, which both receive, it has every reason to end
             print(f"warning: {watch.lost}; the flight goes on, unwatched", flush=True)
 
-    with tempfile.TemporaryDirectory(prefix=f"{SCRATCH}{os.getpid()}-", ignore_cleanup_errors=True) as folder:
+    prefix = f"{SCRATCH}{os.getpid()}-"
+    with ExitStack() as ends:
+        folder = ends.enter_context(tempfile.TemporaryDirectory(prefix=prefix, ignore_cleanup_errors=True))
         options = {
             "host": address.host,
             "port": address.port,
@@ -95,29 +97,20 @@ def page_beside(address: PageAddress | None, waits: bool = True) -> Iterator[Non
             "parent": os.getpid(),
         }
         command = ("-m", "uavaccel.watch.beside", json.dumps(options))
-        with start_python(*command, stdout=subprocess.PIPE, own_session=False) as process:
-            assert process.stdout is not None
-            try:
-                if not (line := _line_within(process.stdout, START_S)):
-                    raise UserError("--watch: the page could not be opened; see above")
-                watch = Watch(process, "the page's process", tell)
-                try:
-                    wait = (
-                        f"the flight begins when it is opened, or in {FIRST_SPECTATOR_S:g} s"
-                        if waits
-                        else "Ctrl-C ends"
-                    )
-                    print(f"watch at http://{address.host}:{json.loads(line)['port']}; {wait}", flush=True)
-                    if waits:
-                        _line_within(process.stdout, FIRST_SPECTATOR_S)
-                    os.environ[PAGE] = str(Path(folder, "page"))
-                    yield
-                finally:
-                    watch.end()
-            finally:
-                os.environ.pop(PAGE, None)
-                process.terminate()
-                end_within(process, END_S)
+        process = ends.enter_context(start_python(*command, stdout=subprocess.PIPE, own_session=False))
+        assert process.stdout is not None
+        for end in (lambda: end_within(process, END_S), process.terminate, lambda: os.environ.pop(PAGE, None)):
+            ends.callback(end)  # the last first
+        if not (line := _line_within(process.stdout, START_S)):
+            raise UserError("--watch: the page could not be opened; see above")
+        watch = Watch(process, "the page's process", tell)
+        ends.callback(watch.end)
+        begins = f"the flight begins when it is opened, or in {FIRST_SPECTATOR_S:g} s" if waits else "Ctrl-C ends"
+        print(f"watch at http://{address.host}:{json.loads(line)['port']}; {begins}", flush=True)
+        if waits:
+            _line_within(process.stdout, FIRST_SPECTATOR_S)
+        os.environ[PAGE] = str(Path(folder, "page"))
+        yield
 
 
 def _line_within(stream: IO[bytes], seconds: float) -> bytes:
