@@ -25,26 +25,25 @@ def describe_run(
 
     `start_time` is ISO 8601 text from a clock, `gl_renderer` the GL_RENDERER of the context in use, if any.
     """
+    versions = {"uavaccel": uavaccel.__version__, "python": platform.python_version()}
+    host = {"platform": platform.platform(), "cpu_model": _cpu_model(), "cores": usable_cores()}
     return {
         "command_line": list(command_line),
         "start_time": start_time,
         "seed": seed,
-        "versions": _versions(),
+        "versions": {**versions, **{package: _version(package) for package in _PACKAGES}},
         "git": _git(),
-        "host": host(),
+        "host": {**host, "memory_bytes": memory_bytes()},
         "gl_renderer": gl_renderer,
         "environment": {name: os.environ.get(name) for name in _ENVIRONMENT},
     }
 
 
-def _versions() -> dict[str, str | None]:
-    versions: dict[str, str | None] = {"uavaccel": uavaccel.__version__, "python": platform.python_version()}
-    for package in _PACKAGES:
-        try:
-            versions[package] = version(package)
-        except PackageNotFoundError:
-            versions[package] = None
-    return versions
+def _version(package: str) -> str | None:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return None
 
 
 def _git() -> dict[str, Plain] | None:
@@ -52,28 +51,16 @@ def _git() -> dict[str, Plain] | None:
     root = source_tree()
     if root is None:
         return None
-    command = ["git", "-C", str(root)]
+
+    def git(*command: str) -> str:
+        done = subprocess.run(["git", "-C", root, *command], capture_output=True, text=True, check=True, timeout=30)
+        return done.stdout.strip()
+
     try:
-        commit = _output([*command, "rev-parse", "HEAD"])
-        changes = _output([*command, "status", "--porcelain", "--untracked-files=no"])
+        commit, changes = git("rev-parse", "HEAD"), git("status", "--porcelain", "--untracked-files=no")
     except (OSError, subprocess.SubprocessError):
         return None
     return {"commit": commit, "dirty": bool(changes)}
-
-
-def _output(command: list[str]) -> str:
-    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=30)
-    return done.stdout.strip()
-
-
-def host() -> dict[str, Plain]:
-    """Return platform, processor, cores and memory for a manifest."""
-    return {
-        "platform": platform.platform(),
-        "cpu_model": _cpu_model(),
-        "cores": usable_cores(),
-        "memory_bytes": memory_bytes(),
-    }
 
 
 def usable_cores() -> int:
