@@ -15,11 +15,10 @@ import shutil
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import gymnasium
 import numpy as np
-from gymnasium import spaces
 
 from uavaccel.errors import UserError, naming
 from uavaccel.export import provenance_of
@@ -95,14 +94,17 @@ def _fill(episode: h5py.Group, steps: list[Step]) -> None:
 def _write_metadata(run: RunDirectory, config: EvaluateConfig, rows: list[EvaluateRow], data: Path, name: str) -> None:
     spec = copy.deepcopy(gymnasium.spec(ENVIRONMENT))
     spec.kwargs = config.task.model_dump(mode="json")
-    observations, actions = config.task.observation_space(), config.task.action_space()
+    box, discrete = config.task.observation_space(), config.task.action_space()
+    bounds = {"low": box.low.tolist(), "high": box.high.tolist()}  # infinite ones as Python's json writes them
+    observations = {"type": "Box", "dtype": str(box.dtype), "shape": list(box.shape), **bounds}
+    actions = {"type": "Discrete", "dtype": "int64", "start": int(discrete.start), "n": int(discrete.n)}
     metadata = {
         "total_episodes": len(rows),
         "total_steps": sum(len(row["actions"]) for row in rows),
         "data_format": "hdf5",
         "jpeg_encoding": False,
-        "observation_space": json.dumps(_plain_space(observations)),
-        "action_space": json.dumps(_plain_space(actions)),
+        "observation_space": json.dumps(observations),
+        "action_space": json.dumps(actions),
         "env_spec": spec.to_json(),
         "dataset_id": name,
         "minari_version": LAYOUT,
@@ -112,20 +114,3 @@ def _write_metadata(run: RunDirectory, config: EvaluateConfig, rows: list[Evalua
         "uavaccel": provenance_of(run),
     }
     (data / METADATA).write_text(to_json(metadata) + "\n", encoding="utf-8")
-
-
-def _plain_space(space: spaces.Space[Any]) -> dict[str, object]:
-    """Return a space as Minari's metadata has it: a Box of observations, or the Discrete actions of a lane.
-
-    Bounds may be infinite, which Minari reads as Python's json writes it.
-    """
-    if isinstance(space, spaces.Discrete):
-        return {"type": "Discrete", "dtype": "int64", "start": int(space.start), "n": int(space.n)}
-    assert isinstance(space, spaces.Box)
-    return {
-        "type": "Box",
-        "dtype": str(space.dtype),
-        "shape": list(space.shape),
-        "low": space.low.tolist(),
-        "high": space.high.tolist(),
-    }
