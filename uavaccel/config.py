@@ -168,13 +168,12 @@ def _dotted(mapping: object, error: ErrorDetails) -> str:
     """Return the key of an error as `apply_overrides` takes it, without pydantic's names of a union's members."""
     parts: list[str] = []
     value: Plain = mapping
-    for part in error["loc"]:
+    above = error["loc"][:-1] if error["type"] in ("missing", "extra_forbidden") else error["loc"]
+    for part in above:
         with suppress(KeyError, IndexError, TypeError):
             value = value[part]
             parts.append(str(part))
-    if error["type"] == "missing":
-        parts.append(str(error["loc"][-1]))
-    return ".".join(parts)
+    return ".".join([*parts, *map(str, error["loc"][len(above) :])])
 
 
 def _keys_below(cls: type[BaseModel], path: Iterable[str | int]) -> list[str]:
