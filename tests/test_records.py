@@ -25,6 +25,7 @@ from uavaccel.files import (
     append_line,
     file_sha256,
     inside,
+    lock_of,
     read_arrays,
     read_lines,
     replacing,
@@ -33,7 +34,7 @@ from uavaccel.files import (
 )
 from uavaccel.fly.script import compiled
 from uavaccel.machine import describe_run
-from uavaccel.records import RunDirectory, lock_of
+from uavaccel.records import RunDirectory
 from uavaccel.wire.settings import LARGEST_BYTES, read_settings
 
 
@@ -308,7 +309,7 @@ def test_a_folder_that_was_deleted_is_not_begun_again(run: RunDirectory) -> None
 def test_a_run_has_one_process_that_flies_it(run: RunDirectory, tmp_path: Path) -> None:
     """The lock goes with its process, even a killed one; within a process a run may be gone on with."""
     program = (
-        "import sys\nfrom uavaccel.records import lock_of\nfrom pathlib import Path\n"
+        "import sys\nfrom uavaccel.files import lock_of\nfrom pathlib import Path\n"
         "held = lock_of(Path(sys.argv[1]))\nprint('held', flush=True)\nsys.stdin.read()"
     )
     resume(run)

@@ -146,22 +146,17 @@ def _explain(cls: type[Config], mapping: Mapping[str, object], error: Validation
 def explain_value(mapping: object, error: ErrorDetails) -> str:
     """Return the dotted key of an error in plain data, the value, and what would be right."""
     key = _dotted(mapping, error)
-    if error["type"].startswith("union_tag_"):
-        return _explain_kind(key, error["ctx"])
+    if error["type"].startswith("union_tag_"):  # of the key that says which of several mappings this one is
+        *_, name, _ = error["ctx"]["discriminator"].split("'")  # its alias is the last one in quotes
+        inner = f"{key}.{name}" if key else name
+        if "tag" not in error["ctx"]:
+            return f"key '{inner}' is missing"
+        return f"{inner} = {error['ctx']['tag']}: should be one of {error['ctx']['expected_tags']}"
     if error["type"] == "missing":
         return f"key {key!r} is missing"
     said = error["msg"].removeprefix("Value error, ").removeprefix("Input ")
     wanted = _YAML_WORDS.get(error["type"], said)
     return f"{key} = {reprlib.repr(error['input'])}: {wanted}" if key else wanted
-
-
-def _explain_kind(key: str, kind: Mapping[str, str]) -> str:
-    """Return what is wrong with the key that says which of several mappings this one is."""
-    *_, name, _ = kind["discriminator"].split("'")  # its alias is the last one in quotes
-    inner = f"{key}.{name}" if key else name
-    if "tag" not in kind:
-        return f"key '{inner}' is missing"
-    return f"{inner} = {kind['tag']}: should be one of {kind['expected_tags']}"
 
 
 def _dotted(mapping: object, error: ErrorDetails) -> str:

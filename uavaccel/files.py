@@ -1,13 +1,17 @@
 """Files that survive a crash whole, in which equal values are equal bytes; and the bounds of those that are read.
 
 What a user names, or a folder from elsewhere holds, is opened by `open_bounded`: devices, pipes and files beyond any
-reasonable size are refused before they are read. Names that come from such a folder become paths by `inside`.
+reasonable size are refused before they are read. Names that come from such a folder become paths by `inside`. A folder
+that one process alone may write is locked by `lock_of`.
 """
 
+import errno
 import hashlib
 import json
 import os
 import stat
+import sys
+import weakref
 import zipfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -244,3 +248,38 @@ def _check_writable(path: Path, above: Path) -> None:
         raise UserError(f"--out {path}: there is no folder {above}")
     if not os.access(above, os.W_OK):
         raise UserError(f"--out {path}: {above} may not be written")
+
+
+class FolderLock:
+    """Locks an existing folder for one process, as long as this object exists; the system releases it with the process.
+
+    Nothing is written into the folder. On Windows, and on file systems without locks, it has no effect. Raises
+    UserError if another process has locked it.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        if sys.platform == "win32":
+            return
+        import fcntl
+
+        descriptor = os.open(folder, os.O_RDONLY | os.O_CLOEXEC)
+        weakref.finalize(self, os.close, descriptor)
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise UserError(
+                f"{folder}: another process is flying this run; let it end, or stop it, before --resume"
+            ) from None
+        except OSError as error:
+            if error.errno not in (errno.ENOTSUP, errno.ENOSYS, errno.ENOLCK, errno.EBADF):  # has no locks
+                raise
+
+
+_HELD: weakref.WeakValueDictionary[Path, FolderLock] = weakref.WeakValueDictionary()
+
+
+def lock_of(folder: Path) -> FolderLock:
+    """Return this process's lock of a folder, which is shared within it. Raises UserError as `FolderLock` does."""
+    lock = _HELD.get(folder.resolve()) or FolderLock(folder)
+    _HELD[folder.resolve()] = lock
+    return lock

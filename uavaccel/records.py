@@ -10,11 +10,7 @@ can be flown again.
 
 from __future__ import annotations
 
-import errno
 import json
-import os
-import sys
-import weakref
 from collections.abc import Collection, Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -25,12 +21,14 @@ from uavaccel.config import Config, dotted_keys, load_yaml, to_yaml, validate
 from uavaccel.errors import UserError, naming
 from uavaccel.files import (
     UNFINISHED,
+    FolderLock,
     Plain,
     append_line,
     drop_cut_line,
     file_sha256,
     inside,
     is_file_name,
+    lock_of,
     read_arrays,
     read_json,
     read_lines,
@@ -277,38 +275,3 @@ def _refuse_other_config(path: Path, config: Config, may_grow: Collection[str]) 
     if differing:
         raise UserError(f"{path}: has another configuration: {', '.join(differing)}; take another --out")
     return grown
-
-
-class FolderLock:
-    """Locks an existing folder for one process, as long as this object exists; the system releases it with the process.
-
-    Nothing is written into the folder. On Windows, and on file systems without locks, it has no effect. Raises
-    UserError if another process has locked it.
-    """
-
-    def __init__(self, folder: Path) -> None:
-        if sys.platform == "win32":
-            return
-        import fcntl
-
-        descriptor = os.open(folder, os.O_RDONLY | os.O_CLOEXEC)
-        weakref.finalize(self, os.close, descriptor)
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise UserError(
-                f"{folder}: another process is flying this run; let it end, or stop it, before --resume"
-            ) from None
-        except OSError as error:
-            if error.errno not in (errno.ENOTSUP, errno.ENOSYS, errno.ENOLCK, errno.EBADF):  # has no locks
-                raise
-
-
-_HELD: weakref.WeakValueDictionary[Path, FolderLock] = weakref.WeakValueDictionary()
-
-
-def lock_of(folder: Path) -> FolderLock:
-    """Return this process's lock of a folder, which is shared within it. Raises UserError as `FolderLock` does."""
-    lock = _HELD.get(folder.resolve()) or FolderLock(folder)
-    _HELD[folder.resolve()] = lock
-    return lock
