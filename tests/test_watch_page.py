@@ -374,7 +374,7 @@ OWN = "127.0.0.1:8080"
         ("lab:8080", "http://LAB:8080", True),
         (OWN, "http://127.0.0.1:8081", False),
         (OWN, "null", False),
-        (OWN, f"ftp://{OWN}", False),
+        (OWN, f"file://{OWN}", False),
         ("example.org:8080", None, False),
         ("example.org:8080", "http://example.org:8080", False),
         ("localhost@example.org", None, False),
