@@ -193,15 +193,13 @@ def test_as_many_commands_and_images_are_timed_as_were_asked_for(monkeypatch: py
 
     monkeypatch.setattr(calibrate, "WallSession", session)
 
+    asks = SimpleNamespace(call=lambda what: batches.append(("ask", what)), image=lambda what: asks.call(what))
+
     def time_batch(client: Any, latencies: Any, send: Any) -> None:
-        sent: list[tuple[str, Any]] = []
-        client = SimpleNamespace(
-            call=lambda method: sent.append(("ask", method)), image=lambda kind: sent.append(("ask", kind))
-        )
-        if isinstance(send, partial):
-            send = lambda _, command=send.args[0]: sent.append(("fly", command))  # noqa: E731
-        send(client)
-        batches.extend(sent)
+        if isinstance(send, partial):  # of a command
+            batches.append(("fly", send.args[0]))
+        else:
+            send(asks)
 
     monkeypatch.setattr(calibrate, "time_batch", time_batch)
     calibrate.measure("native", 3 * 8 * calibrate.BATCH, images=False)
