@@ -11,14 +11,14 @@ from typing import Annotated
 import typer
 
 from benchmarks import batch, images, kernels, speed
-from uavaccel.calibration.machine import check_machine
+from uavaccel.calibration.doctor import check_machine
 from uavaccel.cli.options import check_number
 from uavaccel.cli.terminal import console
 from uavaccel.clock import calendar_time
 from uavaccel.errors import UsageError, UserError
 from uavaccel.files import check_new_file
 from uavaccel.limits import MOST_SECONDS
-from uavaccel.manifest import describe_run
+from uavaccel.machine import describe_run
 
 RENDERERS = ("shared", "own", "auto")
 Bench = Callable[[], Iterator[speed.Measurement]]

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
-from uavaccel.calibration.traces import TracingTransport
+from uavaccel.calibration.calibrate import TracingTransport
 from uavaccel.clock import MonotonicClock
 from uavaccel.commands import COMMANDS, VelocityGoal
 from uavaccel.commands.paths import velocities

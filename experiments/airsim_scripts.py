@@ -32,7 +32,7 @@ from uavaccel.fly.messages import FILE_NAME as MESSAGES
 from uavaccel.fly.options import THINK_S, FlightOptions
 from uavaccel.fly.trajectory import FILE_NAME as TRAJECTORY
 from uavaccel.fly.wall import recorded, serving
-from uavaccel.manifest import describe_run
+from uavaccel.machine import describe_run
 
 LEAST_BYTES = 500  # of an image: responses without one are shorter
 FLOWN_M = 0.5  # shorter paths are no flight

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from tests.running import run_into
-from uavaccel.config import to_yaml, validate
+from uavaccel.config import load_yaml, to_yaml, validate
 from uavaccel.records import RunDirectory
 from uavaccel.rl import lanes
 from uavaccel.rl.config import LearnerConfig
@@ -23,7 +23,6 @@ from uavaccel.suites.registry import find_suite
 from uavaccel.suites.runner import run_suite, start_run
 from uavaccel.suites.suite import configuration
 from uavaccel.suites.train import TrainConfig, Training
-from uavaccel.yaml_io import load_yaml
 
 OPTIONS = {"learning_starts": 8, "batch_size": 8, "buffer_size": 300, "target_update_interval": 16}
 

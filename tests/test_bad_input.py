@@ -338,7 +338,7 @@ def _nothing_flies() -> Iterator[None]:
         "uavaccel.suites.session.manifest_of",
         "uavaccel.fly.command.fly",
         "uavaccel.calibration.calibrate.measure",
-        "uavaccel.calibration.machine.check_machine",
+        "uavaccel.calibration.doctor.check_machine",
         "uavaccel.calibration.calibrate.check_agreement",
         "uavaccel.calibration.advise.advise",
         "uavaccel.suites.evaluate_again.flight_of_agent",

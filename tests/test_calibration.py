@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from contextlib import nullcontext
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 from typer.testing import CliRunner
 
 from uavaccel.calibration import advise as advice
-from uavaccel.calibration import calibrate, doctor, machine
-from uavaccel.calibration.advise import Advice, SquareGame, advise, fly_square, sentence
-from uavaccel.calibration.calibrate import Agreement, Latencies, quantiles_us
-from uavaccel.calibration.traces import ClientEvent, record_trace
+from uavaccel.calibration import calibrate, doctor
+from uavaccel.calibration.advise import SquareGame, advise, fly_square, sentence
+from uavaccel.calibration.calibrate import Agreement, ClientEvent, Latencies, quantiles_us, record_trace
 from uavaccel.cli.main import app
+from uavaccel.commands import COMMANDS
 from uavaccel.errors import UserError
 from uavaccel.metrics.trajectory import command_gaps_s, trajectory
 from uavaccel.wire.latency import QUANTILES, ZERO_LATENCY, LatencyConfig, read_latency, shipped_latency
@@ -49,10 +52,10 @@ def test_a_machine_is_quiet_by_its_cores_its_load_on_each_and_its_sleeps(
     monkeypatch: pytest.MonkeyPatch, cores: int, load: float, late_us: float, doubts: list[str]
 ) -> None:
     """Of 50 sleeps, sorted, the median is the 26th and the 90th percentile the 46th."""
-    monkeypatch.setattr(machine, "usable_cores", lambda: cores)
-    monkeypatch.setattr(machine, "timer_grain_ns", lambda: [round(1000 * late_us * n / 45) for n in range(50)])
+    monkeypatch.setattr(doctor, "usable_cores", lambda: cores)
+    monkeypatch.setattr(doctor, "timer_grain_ns", lambda: [round(1000 * late_us * n / 45) for n in range(50)])
     monkeypatch.setattr("os.getloadavg", lambda: (load, 99.0, 99.0))
-    found = machine.check_machine()
+    found = doctor.check_machine()
     noisy = f"noisy: {', '.join(doubts)}; measured latencies are pessimistic"
     assert found["verdict"] == (noisy if doubts else "quiet")
     assert (found["cores"], found["load_1min"]) == (cores, load)
@@ -158,7 +161,7 @@ def test_a_calibration_is_a_latency_model_and_its_medians_are_told(
         raise UserError("no card")
 
     monkeypatch.setattr(calibrate, "measure", measure)
-    monkeypatch.setattr(machine, "check_machine", lambda: NOISY)
+    monkeypatch.setattr(doctor, "check_machine", lambda: NOISY)
     monkeypatch.setattr("uavaccel.sim.camera.gl.describe_renderer", draws_nothing)
     file = tmp_path / "latency.yaml"
     lines = printed(f"calibrate --out {file} --commands 70 --profile airsim")
@@ -180,7 +183,7 @@ def test_a_calibration_is_a_latency_model_and_its_medians_are_told(
 
 def test_as_many_commands_and_images_are_timed_as_were_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
     """In whole batches of 24, three at each of two ClockSpeeds and four T_move; the first image of all loads OpenGL."""
-    batches: list[tuple[str, str]] = []
+    batches: list[tuple[str, Any]] = []
     image = SimpleNamespace(image=lambda kind: batches.append(("first", kind)))
 
     def session(scene: str, profile: str) -> Any:
@@ -189,19 +192,28 @@ def test_as_many_commands_and_images_are_timed_as_were_asked_for(monkeypatch: py
         return nullcontext(SimpleNamespace(start_game=lambda *_, lane: image))
 
     monkeypatch.setattr(calibrate, "WallSession", session)
-    monkeypatch.setattr(calibrate, "_fly_batch", lambda client, name, *_: batches.append(("fly", name)))
-    monkeypatch.setattr(calibrate, "_request", lambda client, what, _: batches.append(("ask", what)))
+
+    asks = SimpleNamespace(call=lambda what: batches.append(("ask", what)), image=lambda what: asks.call(what))
+
+    def time_batch(client: Any, latencies: Any, send: Any) -> None:
+        if isinstance(send, partial):  # of a command
+            batches.append(("fly", send.args[0]))
+        else:
+            send(asks)
+
+    monkeypatch.setattr(calibrate, "time_batch", time_batch)
     calibrate.measure("native", 3 * 8 * calibrate.BATCH, images=False)
-    assert sorted(batches) == [("ask", "ping")] * 48 + [("fly", "adsc")] * 24 + [("fly", "tcsc")] * 24
+    counts = Counter(batches)
+    assert counts == {("ask", "ping"): 48, ("fly", COMMANDS["adsc"]): 24, ("fly", COMMANDS["tcsc"]): 24}
     for images, count in ((1, 1), (47, 1), (72, 3)):
         batches.clear()
         calibrate.measure("native", images, images=True)
-        assert batches[16 * 2 :] == [("first", "gray"), *[("ask", "image")] * count]
+        assert batches[16 * 2 :] == [("first", "gray"), *[("ask", "gray")] * count]
 
 
 def gathered(events: tuple[ClientEvent, ...], server: list[tuple[str, int, int]]) -> Latencies:
     latencies = Latencies()
-    calibrate._gather(SimpleNamespace(events=events), server, latencies)  # type: ignore[arg-type]
+    latencies.gather(events, server)
     return latencies
 
 
@@ -293,7 +305,9 @@ def test_a_trace_is_of_the_second_command_alone_in_the_order_of_its_times() -> N
 )
 def test_a_model_agrees_as_two_runs_of_the_machine_do(virtual: list[float], again: list[float], agrees: bool) -> None:
     wall = np.array([10.0, 20.0, 30.0])
-    assert Agreement("adsc", 50.0, 1.0, "gap s", wall, np.array(again), np.array(virtual)).agrees is agrees
+    assert (
+        Agreement("adsc", 50.0, 1.0, "gap s", wall, np.array(again), np.array(virtual)).verdict == "agrees"
+    ) is agrees
 
 
 def flown(offset_m: float, wall_s: float, gap_s: np.ndarray) -> SquareGame:
@@ -316,7 +330,7 @@ def test_each_game_is_flown_on_the_machines_clock_on_the_model_and_on_the_machin
 
     monkeypatch.setattr(calibrate, "WallSession", lambda *_: nullcontext("wall"))
     monkeypatch.setattr(calibrate, "VirtualSession", virtual)
-    monkeypatch.setattr(machine, "check_machine", lambda: QUIET)
+    monkeypatch.setattr(doctor, "check_machine", lambda: QUIET)
     asked: list[str] = []
 
     def fly(session: str, command: str, speed: float, t_move_s: float, rounds: int, seed: int) -> SquareGame:
@@ -340,28 +354,43 @@ def test_each_game_is_flown_on_the_machines_clock_on_the_model_and_on_the_machin
 # --- advise -----------------------------------------------------------------------------------------------------------
 
 
-def test_the_sentence_names_the_fastest_within_the_error() -> None:
-    def row(clock_speed: float, adsc_m: float, tcsc_m: float) -> Advice:
-        return Advice(clock_speed, adsc_m, 1.9, 0.9 * clock_speed, tcsc_m, 2.0, clock_speed)
+def advised(*rows: tuple[float, ...]) -> pd.DataFrame:
+    """Advice by ClockSpeed, and error and speed-up of ADSC and of TCSC."""
+    return pd.DataFrame(
+        {"clock_speed": clock_speed, "command": command, "error_m": error_m, "stlc": stlc, "speedup": speedup}
+        for clock_speed, adsc_m, adsc, tcsc_m, tcsc in rows
+        for command, error_m, stlc, speedup in (("adsc", adsc_m, 1.5, adsc), ("tcsc", tcsc_m, 2.0, tcsc))
+    )
 
-    saturated = Advice(20, 0.05, 1.9, 8.0, 0.0, 2.0, 18.0)  # ADSC is slower there than at ClockSpeed 10
-    told = [row(1, 0.0, 0.0), row(10, 0.05, 0.0), saturated, row(50, 0.2, 0.01)]
-    assert sentence(told, 0.1, 1.0) == (
+
+def of(table: pd.DataFrame, command: str, name: str) -> list[float]:
+    return table.loc[table.command == command, name].tolist()
+
+
+def test_the_sentence_names_the_fastest_within_the_error() -> None:
+    rows = [
+        (1.0, 0.0, 0.9, 0.0, 1.0),
+        (10.0, 0.05, 9.0, 0.0, 10.0),
+        (20.0, 0.05, 8.0, 0.0, 18.0),  # ADSC is slower there than at ClockSpeed 10
+        (50.0, 0.2, 45.0, 0.01, 50.0),
+    ]
+    assert sentence(advised(*rows), 0.1, 1.0) == (
         "With commands of 1 s ADSC stays within 0.1 m up to ClockSpeed 10, 9.0x real time; TCSC up to 50, 50.0x. "
         "Modelled."
     )
-    assert "ADSC leaves 0.1 m at any ClockSpeed" in sentence([row(1, 0.2, 0.0)], 0.1, 1.0)
+    assert "ADSC leaves 0.1 m at any ClockSpeed" in sentence(advised((1.0, 0.2, 0.9, 0.0, 1.0)), 0.1, 1.0)
 
 
 def test_without_latency_both_fly_alike_and_with_it_adsc_alone_is_off() -> None:
-    ideal = list(advise(ZERO_LATENCY, "native", 0.2, 1))
-    assert {(each.adsc_error_m, each.tcsc_error_m) for each in ideal} == {(0.0, 0.0)}
-    assert [each.tcsc_speedup for each in ideal] == pytest.approx([each.clock_speed for each in ideal])
+    ideal = advise(ZERO_LATENCY, "native", 0.2, 1)
+    assert set(ideal.error_m) == {0.0}
+    assert of(ideal, "tcsc", "speedup") == pytest.approx(of(ideal, "tcsc", "clock_speed"))
     slow = LatencyConfig(reply_us={"call": (5_000.0,) * 12})
-    late = list(advise(slow, "native", 0.2, 1))
-    assert {each.tcsc_error_m for each in late} == {0.0}
-    assert late[-1].adsc_error_m > late[2].adsc_error_m > 0.0
-    assert late[-1].adsc_speedup < late[-1].tcsc_speedup < late[-1].clock_speed
+    late = advise(slow, "native", 0.2, 1)
+    assert set(of(late, "tcsc", "error_m")) == {0.0}
+    errors_m = of(late, "adsc", "error_m")
+    assert errors_m[-1] > errors_m[2] > 0.0
+    assert of(late, "adsc", "speedup")[-1] < of(late, "tcsc", "speedup")[-1] < late.clock_speed.max()
 
 
 def test_commands_are_compared_with_the_ideal_flight_and_with_adsc_in_real_time(
@@ -381,13 +410,14 @@ def test_commands_are_compared_with_the_ideal_flight_and_with_adsc_in_real_time(
     monkeypatch.setattr(advice, "VirtualSession", lambda *told: nullcontext(told[2] if told[2:] else None))
     monkeypatch.setattr(advice, "fly_square", fly)
     squares = np.arange(1, 6) ** 2
-    for each in (found := list(advise(ZERO_LATENCY, "airsim", 1.0, 2, seed=3))):
-        apart_m = abs(0.01 * squares[:, None] - 0.1 * squares).T
-        assert each[1:] == pytest.approx((
-            0.9, np.median((1 + np.exp(-abs(0.1 * squares[:, None] - 0.1 * squares))).mean(axis=1)), each.clock_speed,
-            0.09, np.median((1 + np.exp(-apart_m)).mean(axis=0)), 2 * each.clock_speed,
-        ))  # fmt: skip
-    assert [each.clock_speed for each in found] == list(advice.CLOCK_SPEEDS)
+    found = advise(ZERO_LATENCY, "airsim", 1.0, 2, seed=3)
+    for command, unit_m, gain in (("adsc", 0.1, 1.0), ("tcsc", 0.01, 2.0)):
+        apart_m = abs(unit_m * squares[:, None] - 0.1 * squares)
+        expected = {"error_m": 9 * unit_m, "stlc": np.median((1 + np.exp(-apart_m)).mean(axis=1))}
+        for name, value in expected.items():
+            assert of(found, command, name) == pytest.approx([value] * len(advice.CLOCK_SPEEDS))
+        assert of(found, command, "speedup") == pytest.approx([gain * speed for speed in advice.CLOCK_SPEEDS])
+        assert of(found, command, "clock_speed") == list(advice.CLOCK_SPEEDS)
     assert {seed for command, speed, seed, _ in asked[1:]} == {15, 16, 17, 18, 19}  # none of them another seed's
     latest_ns = {speed: t_th_ns for _, speed, _, t_th_ns in asked}
     assert (latest_ns[1.0], latest_ns[50.0], latest_ns[200.0]) == (3_000_000, 50_000_000, 100_000_000)
@@ -398,11 +428,11 @@ def test_advice_is_of_what_was_asked_for_by_the_profiles_model_or_ones_own(
 ) -> None:
     asked: list[Any] = []
 
-    def advised(*how: Any) -> list[Advice]:
+    def answer(*how: Any) -> pd.DataFrame:
         asked.append(how)
-        return [Advice(1.0, 0.01, 1.99, 0.98, 0.001, 2.0, 0.999), Advice(50.0, 0.75, 1.5, 30.0, 0.05, 1.95, 45.0)]
+        return advised((1.0, 0.01, 0.98, 0.001, 0.999), (50.0, 0.75, 30.0, 0.05, 45.0))
 
-    monkeypatch.setattr(advice, "advise", advised)
+    monkeypatch.setattr(advice, "advise", answer)
     own = tmp_path / "latency.yaml"
     own.write_text("latency: {request_us: {call: " + str([7.0] * len(QUANTILES)) + "}}\n")
     for option, profile, model in (
@@ -412,8 +442,8 @@ def test_advice_is_of_what_was_asked_for_by_the_profiles_model_or_ones_own(
     ):
         lines = printed(f"advise --t-move 0.5 --error 0.1 --rounds 3 --profile {profile} {option}")
         assert asked[-1] == (model, profile, 0.5, 3)
-        assert lines[1] == ["1x", "0.01", "1.99", "0.98", "0.001", "2", "0.999"]
-        assert lines[2] == ["50x", "0.75", "1.5", "30", "0.05", "1.95", "45"]
+        assert lines[1] == ["1x", "0.01", "1.5", "0.98", "0.001", "2", "0.999"]
+        assert lines[2] == ["50x", "0.75", "1.5", "30", "0.05", "2", "45"]
         assert lines[3][:9] == ["With", "commands", "of", "0.5", "s", "ADSC", "stays", "within", "0.1"]
 
 
@@ -447,6 +477,6 @@ def test_a_square_is_flown_without_the_rests_that_it_is_told_to_leave(t_th_ns: i
 
 def test_a_seed_chooses_the_latencies() -> None:
     uneven = LatencyConfig(reply_us={"call": tuple(float(1_000 * n) for n in range(12))})
-    told = {seed: list(advise(uneven, "native", 0.2, 1, seed))[3] for seed in (0, 1)}
-    assert told[0].adsc_error_m != told[1].adsc_error_m
-    assert list(advise(uneven, "native", 0.2, 1))[3] == told[0]
+    told = {seed: advise(uneven, "native", 0.2, 1, seed) for seed in (0, 1)}
+    assert of(told[0], "adsc", "error_m") != of(told[1], "adsc", "error_m")
+    pd.testing.assert_frame_equal(advise(uneven, "native", 0.2, 1), told[0], check_exact=True)

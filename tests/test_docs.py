@@ -24,7 +24,7 @@ import typer
 from uavaccel.cli import experiments as cli_experiments
 from uavaccel.cli.machine import init
 from uavaccel.cli.main import app
-from uavaccel.config import validate
+from uavaccel.config import load_yaml, validate
 from uavaccel.envs.obstacle_lane import LaneTask
 from uavaccel.resources import asset
 from uavaccel.rl import agents
@@ -33,7 +33,6 @@ from uavaccel.sim.lane.file import LaneFile
 from uavaccel.sim.lane.layout import Difficulty
 from uavaccel.suites.session import RunRequest, configure
 from uavaccel.suites.train import TrainConfig
-from uavaccel.yaml_io import load_yaml
 
 ROOT = Path(__file__).parents[1]
 PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), *ROOT.glob("experiments/*.md")])

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import base64
+import math
 import re
-from html.parser import HTMLParser
 from pathlib import Path
 
+import pandas as pd
 import pytest
 
-from tests.web_pages import assert_sound
-from uavaccel.draw.page import Block, Heading, Listing, Paragraph, Picture, Table, to_html, to_markdown
+from tests.web_pages import Tags, assert_sound
+from uavaccel.draw.page import Block, Column, Heading, Listing, Paragraph, Picture, Table, to_html, to_markdown
 
 NASTY = 'a|b *c* _d_ <e> & "f" \\g'
 PNG = b"\x89PNG not really"
@@ -44,36 +45,11 @@ def test_markdown_of_every_block(tmp_path: Path, blocks: list[Block]) -> None:
     )
 
 
-class Page(HTMLParser):
-    """What a browser would show: (tag, text) in order, and the attributes of what has some."""
-
-    def __init__(self, html: str) -> None:
-        super().__init__()
-        self.shown: list[tuple[str, str]] = []
-        self.attributes: dict[str, dict[str, str | None]] = {}
-        self._open: list[str] = []
-        self.feed(html)
-        assert [tag for tag in self._open if tag not in ("meta", "img")] == []
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self._open.append(tag)
-        if attrs:
-            self.attributes[tag] = dict(attrs)
-
-    def handle_endtag(self, tag: str) -> None:
-        while self._open.pop() != tag:
-            assert self._open, f"{tag} was never opened"
-
-    def handle_data(self, data: str) -> None:
-        if data.strip():
-            self.shown.append((self._open[-1], data.strip()))
-
-
 def test_html_of_every_block(blocks: list[Block]) -> None:
     html = to_html("The <title>", blocks)
-    assert html.startswith('<!DOCTYPE html>\n<html lang="en">')
-    page = Page(html)
-    shown = [entry for entry in page.shown if entry[0] not in ("style", "script")]
+    assert html.startswith("<!DOCTYPE html>\n")
+    page = Tags(html)
+    shown = [entry for entry in page.texts if entry[0] not in ("style", "script")]
     assert shown == [
         ("title", "The <title>"),
         ("h1", "The <title>"),
@@ -91,9 +67,8 @@ def test_html_of_every_block(blocks: list[Block]) -> None:
         ("pre", "seed: 0"),
     ]
     assert '<meta charset="utf-8">' in html
-    assert page.attributes["meta"] == {"name": "viewport", "content": "width=device-width, initial-scale=1"}
     assert html.count('<div class="scrolls" tabindex="0"') == 2  # a phone scrolls a table, not the page
-    image = page.attributes["img"]
+    [image] = page.all("img")
     assert image["alt"] == "Caption <1>"
     assert image["src"] == "data:image/png;base64," + base64.b64encode(PNG).decode()
     assert html.count("<details>") == html.count("</details>") == 2  # the other table is unfolded
@@ -133,6 +108,26 @@ def test_a_table_without_a_name_for_a_column_has_no_empty_header() -> None:
     html = to_html("title", [Table(("a", "b"), [(short, long), (long, short)])])
     assert f'<tr><th scope="row">{short}</th><td class="long">{long}</td></tr>' in html
     assert f'<tr><th scope="row" class="long">{long}</th><td>{short}</td></tr>' in html
+
+
+@pytest.mark.parametrize(
+    ("column", "cell"),
+    [
+        ("{won} of {games}", "3 of 4"),
+        ("{name!u}: {clocks!l}", "ADSC: 1, 2.5"),
+        ("{error!m} in {took!t}{failed!f}{games!d}", "0.500 in 12.0 s (4 disturbed)"),
+        ("{lost}", "-"),
+        ("{won} of {unknown:.2f}", "-"),
+        (lambda entry: entry["won"] / 2, "1.5"),
+        (lambda entry: entry["unknown"], "-"),
+        (lambda entry: entry["lost"], "-"),
+    ],
+)
+def test_a_tables_cell_is_its_template_filled_in_or_a_dash_for_what_is_not_known(column: Column, cell: str) -> None:
+    entry = {"won": 3, "games": 4, "name": "adsc", "clocks": [1, 2.5], "error": 0.5, "took": 12.0, "failed": 0}
+    entry |= {"lost": None, "unknown": math.nan}
+    assert Table.of([entry], {"header": column}) == Table(("header",), [(cell,)])
+    assert Table.of(pd.DataFrame([entry]), {"header": column}).rows == [(cell,)]
 
 
 def luminance(colour: str) -> float:

@@ -95,7 +95,7 @@ def test_figure_4_is_of_the_longest_command_at_the_fastest_clock(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     config = paper_config(clock_speed=[5.0, 50.0, 10.0], t_move_s=[0.2, 1.0, 0.5])
-    monkeypatch.setattr("uavaccel.calibration.traces.record_trace", lambda _, *asked: list(asked))
+    monkeypatch.setattr("uavaccel.calibration.calibrate.record_trace", lambda _, *asked: list(asked))
     run = RunDirectory.create(tmp_path / "run", config, {})
     Dp1().finish(config, run)
     traces = {command: run.read_json(f"traces/{command}.json") for command in ("adsc", "tcsc")}

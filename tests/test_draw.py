@@ -50,9 +50,6 @@ def test_ticks_of_trajectories_keep_clear_of_the_common_corner(size_m: float) ->
     assert np.diff(axes.xaxis.get_view_interval()) == pytest.approx(max(size_m, 0.2) * 1.05)
 
 
-# --- evaluation --------------------------------------------------------------------------------
-
-
 # --- style --------------------------------------------------------------------------------------------------
 
 
@@ -69,6 +66,13 @@ def test_equal_figures_are_equal_files_and_leave_no_style_behind(tmp_path: Path)
     assert image is not None
     assert image.shape[:2] == (450, 600)
     assert np.mean(np.any(image != 255, axis=-1)) > 0.003
+
+
+def test_error_bars_reach_to_the_ends_of_their_intervals_and_survival_to_the_lanes_end() -> None:
+    bars = style.error_bars([1.0, 2.0], [(0.5, 4.0), (2.0, 2.25)])
+    np.testing.assert_allclose(bars, [[0.5, 0.0], [3.0, 0.25]])
+    distances_m, share = style.survival([30.0, 200.0, 10.0, 20.0], 150.0)
+    assert (distances_m.tolist(), share.tolist()) == ([0, 10, 20, 30, 150], [1.0, 0.75, 0.5, 0.25, 0.0])
 
 
 def test_words_and_colours_of_all_figures() -> None:

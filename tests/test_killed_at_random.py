@@ -22,7 +22,7 @@ import pytest
 from tests.processes import command_line, descendants, left_after, servers
 from uavaccel.clock import MonotonicClock
 from uavaccel.files import UNFINISHED, read_lines
-from uavaccel.processes.cleanup import OF_JOBLIB
+from uavaccel.processes.lifetime import OF_JOBLIB
 from uavaccel.records import RunDirectory
 from uavaccel.units import NS_PER_S
 

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from tests.lanes import free_distance_m
-from uavaccel.config import validate
+from uavaccel.config import load_yaml, validate
 from uavaccel.envs.obstacle_lane import LaneTask
 from uavaccel.errors import UserError
 from uavaccel.sim.lane.file import LaneFile, layout_from, parse_lane
@@ -29,7 +29,6 @@ from uavaccel.sim.lane.layout import (
     sample_layout,
 )
 from uavaccel.wire.image_api import lane_layout
-from uavaccel.yaml_io import load_yaml
 
 EVALUATION_LANES = [sample_layout(lane_seed("evaluation", index)) for index in range(300)]
 

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from uavaccel.config import Config, schema, to_yaml, validate
+from uavaccel.config import Config, dump_yaml, load_yaml, schema, to_yaml, validate
 from uavaccel.errors import UserError
 from uavaccel.resources import experiment
 from uavaccel.suites.dp1 import Dp1Config
@@ -27,7 +27,6 @@ from uavaccel.wire.latency import (
     shipped_latency,
 )
 from uavaccel.wire.transport import PendingCall
-from uavaccel.yaml_io import dump_yaml, load_yaml
 
 MS = 1_000_000
 RISING_US = (0.0, 1.0, 5.0, 20.0, 60.0, 150.0, 400.0, 2e3, 1e4, 5e4, 2e5, 1e6)

@@ -51,18 +51,18 @@ def test_one_whose_parent_was_killed_before_it_could_look_ends_at_once() -> None
 
 GUARDED = """
 import signal, subprocess, sys, threading
-from uavaccel.processes import guard
-guard.POLL_S = 1 / 64
+from uavaccel.processes import stalls
+stalls.POLL_S = 1 / 64
 if sys.argv[1] == "waits":
-    guard.STOPPED_POLLS = 1 << 30
+    stalls.GUARD_POLLS = 1 << 30
 stopped = subprocess.Popen([sys.executable, "-c", "import os, signal; os.kill(os.getpid(), signal.SIGSTOP)"])
-guard.guard_children(lambda line: print(line, flush=True))
-guard.guard_children(lambda line: print("twice", flush=True))
+stalls.guard_children(lambda line: print(line, flush=True))
+stalls.guard_children(lambda line: print("twice", flush=True))
 print(stopped.pid, flush=True)
 if sys.argv[1] != "ends":
     stopped.wait()
 else:
-    while not guard.is_stopped(stopped.pid):
+    while not stalls.is_stopped(stopped.pid):
         pass
 """
 

@@ -15,8 +15,8 @@ import typer
 
 from tests.test_imports import GROUND, ROOMS
 from uavaccel.cli.main import app
+from uavaccel.config import load_yaml
 from uavaccel.suites.registry import SUITES
-from uavaccel.yaml_io import load_yaml
 
 ROOT = Path(__file__).parents[1]
 PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), *ROOT.glob("experiments/*.md")])

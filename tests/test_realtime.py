@@ -24,7 +24,7 @@ import uavaccel.envs  # noqa: F401  registers the drones
 from tests.processes import left_after, state_of
 from uavaccel.clock import VirtualClock
 from uavaccel.errors import UserError
-from uavaccel.processes import child
+from uavaccel.processes import lifetime
 from uavaccel.realtime import Measured, RealTime, RealTimeProcess, ThinkingTime, lognormal, samples
 from uavaccel.realtime.control_loop import ControlLoop, LoopOptions
 from uavaccel.realtime.plant import Passed, plant_of
@@ -641,7 +641,7 @@ def test_an_exception_that_cannot_be_sent_is_told(error: Exception, sent: str) -
 @pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
 def test_a_process_that_was_stopped_is_noticed_and_ended(monkeypatch: pytest.MonkeyPatch) -> None:
     """By the agent that waits for it, or by `close`."""
-    monkeypatch.setattr(child, "STOPPED_S", 0.0)
+    monkeypatch.setattr(lifetime, "STOPPED_S", 0.0)
     for closed in (False, True):
         env = RealTimeProcess(Counting, "tcsc")
         env.reset(seed=0)

@@ -16,7 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from uavaccel.config import Config
+from uavaccel.config import Config, load_yaml
 from uavaccel.errors import UserError
 from uavaccel.files import (
     ARRAYS_BYTES,
@@ -25,6 +25,7 @@ from uavaccel.files import (
     append_line,
     file_sha256,
     inside,
+    lock_of,
     read_arrays,
     read_lines,
     replacing,
@@ -32,11 +33,9 @@ from uavaccel.files import (
     write_arrays,
 )
 from uavaccel.fly.script import compiled
-from uavaccel.lock import lock_of
-from uavaccel.manifest import describe_run
+from uavaccel.machine import describe_run
 from uavaccel.records import RunDirectory
 from uavaccel.wire.settings import LARGEST_BYTES, read_settings
-from uavaccel.yaml_io import load_yaml
 
 
 class Clock(Config):
@@ -75,33 +74,30 @@ def test_a_new_run_holds_its_configuration_and_manifest(run: RunDirectory) -> No
     assert run.done_cases() == set()
 
 
-def test_an_existing_folder_is_refused_and_left_alone(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("name", "resume", "said"),
+    [
+        ("", False, "exists; take another --out, or --resume"),
+        ("", True, r"not a run directory, but holds thesis\.tex"),
+        ("thesis.tex", True, "File exists"),
+        ("thesis.tex/below", False, "Not a directory"),
+    ],
+)
+def test_what_is_in_the_way_is_refused_and_left_alone(tmp_path: Path, name: str, resume: bool, said: str) -> None:
     (tmp_path / "thesis.tex").write_text("mine")
-    with pytest.raises(UserError, match="exists; take another --out, or --resume"):
-        RunDirectory.create(tmp_path, Flight(), MANIFEST)
-    with pytest.raises(UserError, match=r"not a run directory, but holds thesis\.tex"):
-        RunDirectory.create(tmp_path, Flight(), MANIFEST, resume=True)
+    with pytest.raises(UserError, match=said):
+        RunDirectory.create(tmp_path / name, Flight(), MANIFEST, resume=resume)
+    with pytest.raises(UserError, match=r"not a run directory: no config\.yaml in it"):
+        RunDirectory(tmp_path)
     assert [entry.name for entry in tmp_path.iterdir()] == ["thesis.tex"]
-
-
-def test_a_file_in_the_way_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "run").write_text("mine")
-    with pytest.raises(UserError, match="File exists"):
-        RunDirectory.create(tmp_path / "run", Flight(), MANIFEST, resume=True)
-    with pytest.raises(UserError, match="Not a directory"):
-        RunDirectory.create(tmp_path / "run" / "below", Flight(), MANIFEST)
 
 
 def test_resume_keeps_the_rows_and_says_what_it_was_gone_on_with(run: RunDirectory) -> None:
     run.append_row({"case": "a"})
-    again = RunDirectory.create(run.path, Flight(), {"seed": 8}, resume=True)
-    again = RunDirectory.create(run.path, Flight(), {"seed": 9}, resume=True)
+    for seed in (8, 9):
+        again = RunDirectory.create(run.path, Flight(), {"seed": seed}, resume=True)
     assert again.done_cases() == {"a"}
     assert again.manifest() == {"seed": 7, "resumed": [{"seed": 8}, {"seed": 9}]}
-
-
-def test_resume_of_nothing_starts(tmp_path: Path) -> None:
-    assert RunDirectory.create(tmp_path / "run", Flight(), MANIFEST, resume=True).rows() == []
 
 
 def test_resume_with_another_configuration_names_what_differs(run: RunDirectory) -> None:
@@ -109,17 +105,16 @@ def test_resume_with_another_configuration_names_what_differs(run: RunDirectory)
     other = Flight(games=5, clock=Clock(speed=50.0))
     with pytest.raises(UserError, match=r"clock\.speed \(1\.0 there, 50\.0 here\), games \(3 there, 5 here\)"):
         resume(run, other)
-    assert (run.path / "config.yaml").read_bytes() == before
-
-
-def test_resume_with_other_keys_names_them(run: RunDirectory) -> None:
     with pytest.raises(UserError, match=r"clock\.note \(\"\" there, unset here\)"):
         resume(run, Clock())
-
-
-def test_a_folder_without_configuration_is_no_run_directory(tmp_path: Path) -> None:
-    with pytest.raises(UserError, match=r"not a run directory: no config\.yaml in it"):
-        RunDirectory(tmp_path)
+    for games, may_grow in ((2, ["games"]), (5, ["clock.speed"])):  # it may grow, not shrink, and that key alone
+        with pytest.raises(UserError, match=rf"games \(3 there, {games} here\)"):
+            RunDirectory.create(run.path, Flight(games=games), MANIFEST, resume=True, may_grow=may_grow)
+    assert (run.path / "config.yaml").read_bytes() == before
+    grown = RunDirectory.create(run.path, Flight(games=5), MANIFEST, resume=True, may_grow=["games"])
+    assert (run.path / "config.yaml").read_bytes() == before.replace(b"games: 3", b"games: 5")
+    (run.path / "config.yaml").write_text("games: 5\n")  # of a version that had no clock
+    assert resume(grown, Flight(games=5)).config() == {"games": 5}
 
 
 # --- rows ---------------------------------------------------------------------------------------------------
@@ -135,20 +130,21 @@ def test_a_row_reads_back_equal_whatever_the_order_of_its_keys(
     assert to_json(dict(reversed(row.items()))) == to_json(row)
 
 
-def test_rows_keep_their_order_and_are_lines(run: RunDirectory) -> None:
+def test_rows_are_lines_in_their_order_one_for_each_case(run: RunDirectory) -> None:
     for case in ("b", "a", "c"):
         run.append_row({"error": None, "case": case, "wall_s": 0.1})
+    with pytest.raises(ValueError, match="case a has a row already"):
+        run.append_row({"case": "a"})
+    with pytest.raises(TypeError, match="not JSON serializable"):
+        run.append_row({"case": "d", "path": Path("x")})
     lines = (run.path / "rows.jsonl").read_text().splitlines()
     assert lines[0] == '{"case": "b", "error": null, "wall_s": 0.1}'
     assert [json.loads(line)["case"] for line in lines] == ["b", "a", "c"]
     assert RunDirectory(run.path).done_cases() == run.done_cases() == {"a", "b", "c"}
-
-
-def test_a_case_has_one_row(run: RunDirectory) -> None:
-    run.append_row({"case": "a"})
-    with pytest.raises(ValueError, match="case a has a row already"):
-        run.append_row({"case": "a"})
-    assert len(run.rows()) == 1
+    (run.path / "rows.jsonl").write_text("\n".join([*lines, lines[0], ""]))
+    for look in (RunDirectory, lambda path: resume(run)):
+        with pytest.raises(UserError, match=r"rows\.jsonl: line 4: b has a row already"):
+            look(run.path)
 
 
 def test_numpy_values_become_plain_and_non_finite_ones_null(run: RunDirectory) -> None:
@@ -174,20 +170,6 @@ def test_numpy_values_become_plain_and_non_finite_ones_null(run: RunDirectory) -
             "pair": [1, None],
         }
     ]
-
-
-def test_what_is_no_plain_data_leaves_no_half_line(run: RunDirectory) -> None:
-    with pytest.raises(TypeError, match="not JSON serializable"):
-        run.append_row({"case": "a", "path": Path("x")})
-    assert run.rows() == []
-    assert run.done_cases() == set()
-
-
-def test_timings_are_kept_apart(run: RunDirectory) -> None:
-    run.append_timing({"case": "a", "load": 0.5})
-    run.append_timing({"case": "a", "load": 0.6})
-    assert [entry["load"] for entry in run.timings()] == [0.5, 0.6]
-    assert run.rows() == []
 
 
 @pytest.mark.parametrize("count", [0, 1, 2, 5])
@@ -285,16 +267,9 @@ def test_arrays_read_back_equal_and_equal_arrays_are_equal_bytes(
     assert (folder / "one.npz").read_bytes() == (folder / "two.npz").read_bytes()
     read = read_arrays(folder / "one.npz")
     assert list(read) == ["a", "b"]
-    assert read["a"].dtype == array.dtype
-    np.testing.assert_array_equal(read["a"], array, strict=True)
-
-
-def test_arrays_carry_no_date(run: RunDirectory) -> None:
-    arrays = {"time_s": np.zeros(3), "position_m": np.zeros((3, 3))}
-    name = run.save_arrays("tcsc-k100-t1-r24-g00", arrays)["arrays"]
-    assert name == "arrays/tcsc-k100-t1-r24-g00.npz"
-    with zipfile.ZipFile(run.path / name) as archive:
+    with zipfile.ZipFile(folder / "one.npz") as archive:
         assert {member.date_time for member in archive.infolist()} == {(1980, 1, 1, 0, 0, 0)}
+    np.testing.assert_array_equal(read["a"], array, strict=True)
 
 
 def test_missing_and_damaged_arrays_are_named(run: RunDirectory) -> None:
@@ -319,15 +294,6 @@ def test_arrays_that_are_not_the_row_s_own_are_named(run: RunDirectory) -> None:
     np.testing.assert_array_equal(run.load_arrays(rows[1])["time_s"], np.ones(3))
 
 
-def test_a_row_that_stands_twice_is_named(run: RunDirectory) -> None:
-    run.append_row({"case": "a"})
-    rows = run.path / "rows.jsonl"
-    rows.write_bytes(rows.read_bytes() * 2)
-    for look in (RunDirectory, lambda path: resume(run)):
-        with pytest.raises(UserError, match=r"rows\.jsonl: line 2: a has a row already"):
-            look(run.path)
-
-
 def test_a_folder_that_was_deleted_is_not_begun_again(run: RunDirectory) -> None:
     shutil.rmtree(run.path)
     for write in (
@@ -343,7 +309,7 @@ def test_a_folder_that_was_deleted_is_not_begun_again(run: RunDirectory) -> None
 def test_a_run_has_one_process_that_flies_it(run: RunDirectory, tmp_path: Path) -> None:
     """The lock goes with its process, even a killed one; within a process a run may be gone on with."""
     program = (
-        "import sys\nfrom uavaccel.lock import lock_of\nfrom pathlib import Path\n"
+        "import sys\nfrom uavaccel.files import lock_of\nfrom pathlib import Path\n"
         "held = lock_of(Path(sys.argv[1]))\nprint('held', flush=True)\nsys.stdin.read()"
     )
     resume(run)
@@ -351,7 +317,6 @@ def test_a_run_has_one_process_that_flies_it(run: RunDirectory, tmp_path: Path) 
     refused = subprocess.run(command, input="", capture_output=True, text=True, check=False)
     assert "UserError" in refused.stderr
     assert "another process is flying this run" in refused.stderr
-    path = run.path
     other = tmp_path / "other"
     other.mkdir()
     with subprocess.Popen([*command[:-1], str(other)], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
@@ -362,19 +327,15 @@ def test_a_run_has_one_process_that_flies_it(run: RunDirectory, tmp_path: Path) 
         process.kill()
         process.wait()
     lock_of(other)
-    assert RunDirectory(path).done_cases() == set()
 
 
 # --- single files -------------------------------------------------------------------------------------------
 
 
-def test_json_files_read_back_and_are_stable(run: RunDirectory) -> None:
+def test_json_files_read_back_are_stable_and_named_where_damaged(run: RunDirectory) -> None:
     path = run.write_json("traces/adsc.json", [{"wall_s": np.float64(0.5), "event": "call"}])
     assert path.read_text() == '[\n  {\n    "event": "call",\n    "wall_s": 0.5\n  }\n]\n'
     assert run.read_json("traces/adsc.json") == [{"event": "call", "wall_s": 0.5}]
-
-
-def test_missing_and_damaged_json_is_named(run: RunDirectory) -> None:
     with pytest.raises(UserError, match=r"summary\.json: No such file"):
         run.read_json("summary.json")
     run.write_text("summary.json", "{")
@@ -383,10 +344,6 @@ def test_missing_and_damaged_json_is_named(run: RunDirectory) -> None:
     run.write_text("manifest.json", "[]")
     with pytest.raises(UserError, match=r"manifest\.json: should be a mapping"):
         resume(run)
-
-
-def test_a_path_of_the_run_has_its_folder(run: RunDirectory) -> None:
-    assert run.file("figures/figure5.png").parent.is_dir()
 
 
 # --- manifest -----------------------------------------------------------------------------------------------
@@ -411,7 +368,7 @@ def test_the_manifest_names_the_commit_and_whether_files_differ(
         command = ["git", "-C", str(tmp_path), *identity, *arguments]
         return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
 
-    monkeypatch.setattr("uavaccel.manifest.source_tree", lambda: tmp_path)
+    monkeypatch.setattr("uavaccel.machine.source_tree", lambda: tmp_path)
     assert describe_run([], 0, "")["git"] is None
     git("init")
     (tmp_path / "file").write_text("one")
@@ -421,7 +378,7 @@ def test_the_manifest_names_the_commit_and_whether_files_differ(
     assert describe_run([], 0, "")["git"] == {"commit": git("rev-parse", "HEAD"), "dirty": False}
     (tmp_path / "file").write_text("two")
     assert describe_run([], 0, "")["git"]["dirty"] is True
-    monkeypatch.setattr("uavaccel.manifest.source_tree", lambda: None)
+    monkeypatch.setattr("uavaccel.machine.source_tree", lambda: None)
     assert describe_run([], 0, "")["git"] is None
 
 

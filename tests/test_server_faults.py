@@ -15,7 +15,7 @@ from tests.processes import state_of
 from tests.running import configured
 from uavaccel.clock import VirtualClock
 from uavaccel.errors import UserError
-from uavaccel.processes.child import start_python
+from uavaccel.processes.lifetime import start_python
 from uavaccel.suites.dp1 import Dp1
 from uavaccel.suites.runner import MOST_RESTARTS, run_suite, start_run
 from uavaccel.suites.suite import GameResult

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from tests.processes import descendants, state_of
-from uavaccel.processes import child
+from uavaccel.processes import lifetime
 from uavaccel.processes.stalls import IDLE_POLLS, STOPPED_POLLS, StallDetector, cpu_time_s
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
@@ -117,8 +117,8 @@ def test_patience_is_over_after_more_than_four_seconds_without_a_break(
 ) -> None:
     """Looks are a quarter of a second apart; whoever is stopped now and then is waited for."""
     process: Any = Found(*found)
-    monkeypatch.setattr(child, "is_stopped", process.is_stopped)
-    patience = child.Patience(process)
+    monkeypatch.setattr(lifetime, "is_stopped", process.is_stopped)
+    patience = lifetime.Patience(process)
     answers = [patience.is_over() for _ in found]
     assert answers == [False] * (len(found) - over) + [True] * over
 
@@ -137,10 +137,10 @@ def test_a_watch_kills_what_stays_stopped_and_tells_once_who_is_gone(
 ) -> None:
     process: Any = Found(*found)
     told: list[str] = []
-    monkeypatch.setattr(child, "is_stopped", process.is_stopped)
-    monkeypatch.setattr(child, "POLL_S", 1 / 1024)
-    monkeypatch.setattr(child, "STOPPED_S", 16 / 1024)
-    watch = child.Watch(process, "the server", lambda: told.append("gone"))
+    monkeypatch.setattr(lifetime, "is_stopped", process.is_stopped)
+    monkeypatch.setattr(lifetime, "POLL_S", 1 / 1024)
+    monkeypatch.setattr(lifetime, "STOPPED_S", 16 / 1024)
+    watch = lifetime.Watch(process, "the server", lambda: told.append("gone"))
     watch._thread.join()
     assert (watch.lost, told, process.killed) == (lost, ["gone"], True)
     assert watch.is_lost_soon()

@@ -13,12 +13,12 @@ import pytest
 
 from uavaccel.cli.machine import SCHEMA, init, schema_text
 from uavaccel.cli.main import app
+from uavaccel.config import load_yaml
 from uavaccel.errors import UserError
 from uavaccel.resources import experiment
 from uavaccel.rl.config import DqnOptions
 from uavaccel.suites.registry import SUITES, find_suite
 from uavaccel.suites.session import RunRequest, configure
-from uavaccel.yaml_io import load_yaml
 
 EXPERIMENTS = [path for path in sorted(experiment("dp1.yaml").parent.rglob("*.yaml")) if "suite" in load_yaml(path)]
 

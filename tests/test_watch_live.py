@@ -90,7 +90,7 @@ class Flight:
         left = round(seconds / 0.02)
         while left and not silent.wait(0.02):
             moments = self.feed.update(0.02, seen=True)
-            times += [moment.time_s[0] for moment in moments]
+            times += [moment.drones[0].time_s for moment in moments]
             self.last = moments[-1] if moments else self.last
             left = round(seconds / 0.02) if moments else left - 1
         return times
@@ -112,11 +112,11 @@ def test_a_held_flight_stands_steps_and_goes_on_to_the_same_bytes(feed: Live) ->
     assert flight.heard()[-1] == pytest.approx(41 * POLL_S)
     arrays, moment = flight.end(), flight.last
     assert moment is not None
-    row = int(np.searchsorted(arrays["time_s"], moment.time_s[0]))
+    row = int(np.searchsorted(arrays["time_s"], moment.drones[0].time_s))
     between = arrays["position_m"][row - 1 : row + 1, 0]
-    assert between.min() <= moment.poses[0, 0] <= between.max()
+    assert between.min() <= moment.drones[0].pose[0] <= between.max()
     assert (moment.may_pause, moment.clock_speed, moment.wall) == (True, 10.0, f"{4.1 * POLL_S:.3f} s, simulated")
-    assert (moment.commanded, moment.towards) == ([True], [(2.0, 0.0, 0.0)])
+    assert moment.drones[0][2:4] == (True, (2.0, 0.0, 0.0))
     assert flight.world.scene is not None
     assert list(flight.world.scene.bodies) == ["SimpleFlight"]
     alone = flown()
@@ -192,7 +192,7 @@ def test_a_server_on_the_machines_clock_is_heard_and_cannot_be_held(feed: Live) 
     thread.join()
     assert heard
     assert not any(moment.may_pause for moment in heard)
-    assert max(moment.time_s[0] for moment in heard) > 2.0
+    assert max(moment.drones[0].time_s for moment in heard) > 2.0
 
 
 @pytest.mark.slow

@@ -15,10 +15,10 @@ import pytest
 from tests.web_server import Server
 from uavaccel.errors import UserError
 from uavaccel.sim.camera.view import HEIGHT, WIDTH
+from uavaccel.watch import beside
 from uavaccel.watch import page as pages
 from uavaccel.watch import scene as scenes
-from uavaccel.watch import server as servers
-from uavaccel.watch.page import FLAT_OUT, Moment, Page, Source, Views, clock_table
+from uavaccel.watch.page import FLAT_OUT, DroneState, Moment, Page, Source, Views, clock_table
 from uavaccel.watch.scene import COMMANDED, THINKING, Drone, Eyes, Scene
 
 # A floor of 6 x 4 m whose texture, red above green, repeats thrice northwards and twice westwards; solids of every
@@ -245,7 +245,8 @@ class Told(Source):
 
 
 POSE = [1.0, 2.0, 3.0, 1.0, 0.0, 0.0, 0.0]
-MOMENT = Moment(1, True, 4.0, "2.500 s", [10.0], np.array([POSE]), [True], [(1.0, 0.0, 0.0)], ["flies"])
+STATE = DroneState(10.0, np.array(POSE), True, (1.0, 0.0, 0.0), "flies")
+MOMENT = Moment(1, True, 4.0, "2.500 s", [STATE])
 
 
 class Opened:
@@ -271,11 +272,13 @@ def without_camera(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_every_drone_is_shown_with_its_own_path_which_begins_anew_with_each_flight() -> None:
     opened = Opened("a", "b", apart_m=4.0)
     added = opened.server.added
-    poses = np.array([POSE, [4.0, 5.0, 6.0, 0.0, 1.0, 0.0, 0.0]])
-    both = MOMENT._replace(
-        time_s=[10.0, 11.0], poses=poses, commanded=[True, False], towards=[(1.0, 0.0, 0.0), None], states=["x", "y"]
-    )
-    moved = both._replace(poses=poses + 1.0, commanded=[False, True])
+    pose = np.array([4.0, 5.0, 6.0, 0.0, 1.0, 0.0, 0.0])
+    pair = [STATE._replace(does="x"), DroneState(11.0, pose, False, None, "y")]
+
+    def farther(metres: float) -> list[DroneState]:
+        return [each._replace(pose=each.pose + metres, commanded=not each.commanded) for each in pair]
+
+    both, moved = MOMENT._replace(drones=pair), MOMENT._replace(drones=farther(1.0))
     opened.tell(both, moved)
     assert [added[f"/{name}"].position.tolist() for name in "ab"] == [[2.0, 5.0, 4.0], [5.0, 4.0, 7.0]]  # 2 m aside
     assert [added[f"/{name}/name"].text for name in "ab"] == ["a: x", "b: y"]
@@ -287,7 +290,7 @@ def test_every_drone_is_shown_with_its_own_path_which_begins_anew_with_each_flig
     assert opened.server.clocks() == "ClockSpeed 4x wall clock 2.500 s a 10.00 s x b 11.00 s y"
     opened.tell(MOMENT)  # of another scene, with one drone
     opened.source.ideal_m = {"b": np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])}
-    opened.tell(both._replace(flight=2), moved._replace(flight=2, poses=poses + 2.0))
+    opened.tell(both._replace(flight=2), moved._replace(flight=2, drones=farther(2.0)))
     assert opened.server.path("a")[0] == [[[1.0, 4.0, 3.0], [3.0, 6.0, 5.0]]]
     assert ("/a ideal" in added, added["/b ideal"].arguments[1].tolist()) == (False, [[[0, -2, 0], [1, -2, 0]]])
     clients, opened.server.clients = opened.server.clients, {}
@@ -324,10 +327,10 @@ def test_controls_are_those_of_the_flight_and_tell_its_player() -> None:
     assert controls[""].content == "No pictures: no OpenGL"
     controls["Follow"].choose(False)
     looked_at = opened.server.initial_camera.look_at.tolist()
-    opened.tell(MOMENT._replace(poses=MOMENT.poses + 1.0))
+    opened.tell(MOMENT._replace(drones=[STATE._replace(pose=STATE.pose + 1.0)]))
     assert opened.server.initial_camera.look_at.tolist() == looked_at == [1.0, 2.0, 3.0]
     controls["Follow"].choose(True)
-    opened.tell(MOMENT._replace(poses=MOMENT.poses + 1.0))
+    opened.tell(MOMENT._replace(drones=[STATE._replace(pose=STATE.pose + 1.0)]))
     assert opened.server.initial_camera.look_at.tolist() == [2.0, 3.0, 4.0]
 
 
@@ -344,17 +347,13 @@ def test_drones_of_the_first_body_see_from_their_own_places_every_third_update(m
     opened = Opened("a", "b")
     first = opened.source.scene
     assert first is not None
-    opened.tell(
-        MOMENT._replace(
-            poses=np.array([POSE, POSE]), time_s=[1.0, 2.0], commanded=[True] * 2, towards=[None] * 2, states=[""] * 2
-        )
-    )
+    opened.tell(MOMENT._replace(drones=[STATE, STATE]))
     images = {name: handle for name, handle in opened.server.added.items() if name.endswith("camera, events")}
     assert list(images) == ["a: camera, events"]
     opened.source.scene = Scene(first.model, first.data, {"a": first.bodies["a"], "c": first.bodies["a"]}, np.zeros(3))
     for time_s in (3.0, 4.0, 5.0):
-        pair = MOMENT._replace(time_s=[time_s, 7.0], poses=np.array([POSE, [2.0, *POSE[1:]]]))
-        opened.tell(pair._replace(commanded=[True] * 2, towards=[None] * 2, states=[""] * 2))
+        other = STATE._replace(time_s=7.0, pose=np.array([2.0, *POSE[1:]]))
+        opened.tell(MOMENT._replace(drones=[STATE._replace(time_s=time_s), other]))
     shown = {name: handle.image for name, handle in opened.server.added.items() if name.endswith("camera, events")}
     assert shown == {"a: camera, events": (POSE, 5.0), "c: camera, events": ([2.0, *POSE[1:]], 7.0)}
 
@@ -375,7 +374,7 @@ OWN = "127.0.0.1:8080"
         ("lab:8080", "http://LAB:8080", True),
         (OWN, "http://127.0.0.1:8081", False),
         (OWN, "null", False),
-        (OWN, f"ftp://{OWN}", False),
+        (OWN, f"file://{OWN}", False),
         ("example.org:8080", None, False),
         ("example.org:8080", "http://example.org:8080", False),
         ("localhost@example.org", None, False),
@@ -390,9 +389,9 @@ def test_the_page_answers_its_own_alone(host: str | None, origin: str | None, an
     for name, value in (("Host", host), ("Origin", origin)):
         if value is not None:
             headers[name] = value
-    assert servers.is_ours(headers, "lab") is answered
+    assert beside.is_ours(headers, "lab") is answered
     headers["Host"] = OWN
-    assert servers.is_ours(headers, "lab") is (host is None)  # elsewhere it is a second one
+    assert beside.is_ours(headers, "lab") is (host is None)  # elsewhere it is a second one
 
 
 def asked(port: int, *more: str, host: str = "") -> tuple[socket.socket, bytes]:
@@ -408,8 +407,8 @@ def asked(port: int, *more: str, host: str = "") -> tuple[socket.socket, bytes]:
 @pytest.mark.filterwarnings("ignore:.control_layout:DeprecationWarning")  # of viser's newer versions
 def test_a_foreign_page_gets_nothing_and_one_that_does_not_read_is_dropped(monkeypatch: pytest.MonkeyPatch) -> None:
     viser = pytest.importorskip("viser")
-    monkeypatch.setattr(servers, "UNREAD_MS", 100)
-    page = servers.open_server("127.0.0.1", 18180)
+    monkeypatch.setattr(beside, "UNREAD_MS", 100)
+    page = beside.open_server("127.0.0.1", 18180)
     try:
         port = page.get_port()
         socket_of = (

@@ -21,7 +21,7 @@ from tests.test_watch_page import MODEL
 from tests.web_server import Server
 from uavaccel.errors import UsageError, UserError
 from uavaccel.files import to_json, write_arrays
-from uavaccel.processes import child
+from uavaccel.processes import lifetime
 from uavaccel.suites.flight import Flight
 from uavaccel.watch import beside
 from uavaccel.watch import page as pages
@@ -66,7 +66,7 @@ def test_a_replay_goes_by_simulated_seconds_pauses_steps_and_begins_anew() -> No
     controls = server.added
 
     def times(passed_s: float) -> list[float]:
-        return [round(moment.time_s[0], 9) for moment in replay.update(passed_s, True)]
+        return [round(moment.drones[0].time_s, 9) for moment in replay.update(passed_s, True)]
 
     assert times(1.0) == [0.0]  # its beginning
     assert times(0.5) == [0.5]
@@ -127,7 +127,7 @@ def test_another_clock_speed_is_flown_and_shown_from_its_beginning() -> None:
     for asked, speed, time_s in (("999999999x", 20.0, 0.0), ("100x", 100.0, 0.0)):
         server.added["ClockSpeed"].choose(asked)
         [moment] = replay.update(5.0, True)
-        assert (moment.clock_speed, moment.time_s) == (speed, [time_s])
+        assert (moment.clock_speed, moment.drones[0].time_s) == (speed, time_s)
     assert replay.update(1.0, True)[-1].wall == "10.0 ms"
 
 
@@ -139,9 +139,8 @@ def test_a_clock_that_stands_while_the_client_thinks_is_told_and_a_pose_is_betwe
     assert (track.state(0.5), track.simulated_s(0.25), track.wall_s) == ("done", 2.0, 0.5)
     assert [track.towards(time_s) for time_s in (1.0, 2.0)] == [(1.0, 0.0, 0.0), None]
     track.flight.orientation_wxyz[1] = [-1.0, 0.0, 0.0, 0.0]  # a quarter turn, by the farther of its quaternions
-    place, attitude = track.pose(0.5)
-    np.testing.assert_allclose(place, [0.5, 0.0, -10.0])
-    np.testing.assert_allclose(attitude, [np.cos(np.pi / 8), 0.0, 0.0, np.sin(np.pi / 8)], atol=1e-12)
+    turn = [np.cos(np.pi / 8), 0.0, 0.0, -np.sin(np.pi / 8)]
+    np.testing.assert_allclose(track.pose(0.5), [0.5, 0.0, 10.0, *turn], atol=1e-12)
     alone = straight("a", 10.0, 4.0)
     assert (alone.wall_s, alone.simulated_s(0.1), alone.simulated_s(9.0)) == (0.4, 1.0, 4.0)
 
@@ -213,9 +212,13 @@ def test_a_scene_and_its_moments_are_as_the_flight_has_them(live: tuple[Live, li
     assert not teller.file.exists()
     assert (list(scene.bodies), scene.data.qpos.tolist()) == (["b", "a"], teller.qpos.tolist())
     assert scene.centre_m.tolist() == scene.data.xpos[teller.model.body("b").id].tolist() == [7.0, 8.0, 9.0]
-    assert heard[1:5] == (True, 5.0, "0.300 s, simulated", [1.5, 1.5])
-    assert heard.poses.tolist() == [(teller.qpos[7:] + 0.5).tolist(), (teller.qpos[:7] + 0.5).tolist()]
-    assert heard[6:] == ([True, False], [(1.0, 2.0, 3.0), None], ["flies its command", "no command"])
+    assert heard[1:4] == (True, 5.0, "0.300 s, simulated")
+    assert [(each.time_s, *each[2:]) for each in heard.drones] == [
+        (1.5, True, (1.0, 2.0, 3.0), "flies its command"),
+        (1.5, False, None, "no command"),
+    ]
+    poses = [each.pose.tolist() for each in heard.drones]
+    assert poses == [(teller.qpos[7:] + 0.5).tolist(), (teller.qpos[:7] + 0.5).tolist()]
     flights = [heard.flight]
     for wall_ns, wall in ((100_300_000_000, "0.300"), (100_800_000_000, "0.800")):
         teller.send(teller.state(flight=2, may_pause=False, wall_ns=wall_ns))
@@ -338,13 +341,13 @@ def test_a_page_that_dies_is_said_in_one_line(
         "import os, signal; signal.signal(signal.SIGINT, signal.SIG_DFL);"
         f"print('{{\"port\": 1}}', flush=True); os.kill(os.getpid(), {end})"
     )
-    monkeypatch.setattr(beside, "start_python", lambda *_, **options: child.start_python("-c", dies, **options))
+    monkeypatch.setattr(beside, "start_python", lambda *_, **options: lifetime.start_python("-c", dies, **options))
     monkeypatch.setattr(beside, "check_viser", lambda: None)
-    monkeypatch.setattr(child, "POLL_S", 1 / 64)
-    watches: list[child.Watch] = []
+    monkeypatch.setattr(lifetime, "POLL_S", 1 / 64)
+    watches: list[lifetime.Watch] = []
 
-    def watched(*arguments: Any) -> child.Watch:
-        watches.append(child.Watch(*arguments))
+    def watched(*arguments: Any) -> lifetime.Watch:
+        watches.append(lifetime.Watch(*arguments))
         return watches[0]
 
     monkeypatch.setattr(beside, "Watch", watched)

@@ -6,21 +6,28 @@ import re
 from html.parser import HTMLParser
 
 
-class _Tags(HTMLParser):
-    """Start tags and their attributes, in order; texts by the tag that they stand in."""
+class Tags(HTMLParser):
+    """Start tags and their attributes, in order; texts by the innermost tag that is open."""
 
     def __init__(self, html: str) -> None:
         super().__init__()
         self.tags: list[tuple[str, dict[str, str | None]]] = []
         self.texts: list[tuple[str, str]] = []
+        self._open: list[str] = []
         self.feed(html)
+        assert [tag for tag in self._open if tag not in ("meta", "img", "source")] == []
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         self.tags.append((tag, dict(attrs)))
+        self._open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        while self._open.pop() != tag:
+            assert self._open, f"{tag} was never opened"
 
     def handle_data(self, data: str) -> None:
-        if self.tags and data.strip():
-            self.texts.append((self.tags[-1][0], data.strip()))
+        if data.strip():
+            self.texts.append((self._open[-1], data.strip()))
 
     def all(self, tag: str) -> list[dict[str, str | None]]:
         return [attributes for name, attributes in self.tags if name == tag]
@@ -28,7 +35,7 @@ class _Tags(HTMLParser):
 
 def assert_sound(html: str) -> None:
     """One self-contained page: language, title, viewport, alternative texts, headers; it asks for nothing."""
-    page = _Tags(html)
+    page = Tags(html)
     assert page.all("html")[0]["lang"] == "en"
     assert [text for tag, text in page.texts if tag == "title"]
     assert {"name": "viewport", "content": "width=device-width, initial-scale=1"} in page.all("meta")

@@ -20,6 +20,7 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.stats import norm
 
+from uavaccel.config import dump_yaml
 from uavaccel.draw import style
 from uavaccel.metrics.stlc import mean_stlc
 from uavaccel.metrics.trajectory import Trajectory, trajectory
@@ -28,7 +29,6 @@ from uavaccel.suites.experiment import CommandName
 from uavaccel.wire.latency import QUANTILES, LatencyConfig
 from uavaccel.wire.platform import FrameConfig, PlatformConfig
 from uavaccel.wire.session import open_session
-from uavaccel.yaml_io import dump_yaml
 
 ROUNDS = (1, 2, 4, 8, 16, 24)
 T_MOVES_S = (0.1, 0.2, 0.5, 1.0)

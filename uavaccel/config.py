@@ -2,22 +2,28 @@
 
 A suite declares a subclass of `Config`; the key `suite` of an experiment's YAML selects it. Values are checked as in
 JSON: "3" is not a number, yes is not an integer, and a list may fill a tuple.
+
+YAML is read and written by rules that differ from PyYAML's own in four points: 1e-3 is a number, as in YAML 1.2; a date
+is text; a duplicate key in a mapping and tags such as !!binary, which no JSON has, are refused.
 """
 
-import copy
 import json
+import re
 import reprlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Hashable, Iterable, Mapping
+from contextlib import suppress
+from copy import deepcopy
+from functools import lru_cache
+from pathlib import Path
 from typing import TypeVar, get_args, get_origin
 
+import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic_core import ErrorDetails
+from yaml.constructor import ConstructorError, SafeConstructor
 
 from uavaccel.errors import UsageError, UserError, suggestion
-from uavaccel.files import Plain
-from uavaccel.yaml_io import dump_yaml, load_yaml, parse_yaml
-
-__all__ = ["Config", "apply_overrides", "load_yaml", "schema", "to_yaml", "validate"]
+from uavaccel.files import Plain, read_bounded
 
 
 class Config(BaseModel):
@@ -48,7 +54,7 @@ def apply_overrides(mapping: Mapping[str, object], overrides: Iterable[str]) -> 
     A number indexes a list; missing mappings on the way to a key are created. Raises UsageError if an override is not
     key=value, UserError if its key leads through a value without keys, or if its value is not YAML.
     """
-    result = copy.deepcopy(dict(mapping))
+    result = deepcopy(dict(mapping))
     for override in overrides:
         dotted, value = parse_override(override)
         assign(result, dotted, value, f"--set {override}")
@@ -140,8 +146,12 @@ def _explain(cls: type[Config], mapping: Mapping[str, object], error: Validation
 def explain_value(mapping: object, error: ErrorDetails) -> str:
     """Return the dotted key of an error in plain data, the value, and what would be right."""
     key = _dotted(mapping, error)
-    if error["type"].startswith("union_tag_"):
-        return _explain_kind(key, error["ctx"])
+    if error["type"].startswith("union_tag_"):  # of the key that says which of several mappings this one is
+        *_, name, _ = error["ctx"]["discriminator"].split("'")  # its alias is the last one in quotes
+        inner = f"{key}.{name}" if key else name
+        if "tag" not in error["ctx"]:
+            return f"key '{inner}' is missing"
+        return f"{inner} = {error['ctx']['tag']}: should be one of {error['ctx']['expected_tags']}"
     if error["type"] == "missing":
         return f"key {key!r} is missing"
     said = error["msg"].removeprefix("Value error, ").removeprefix("Input ")
@@ -149,42 +159,32 @@ def explain_value(mapping: object, error: ErrorDetails) -> str:
     return f"{key} = {reprlib.repr(error['input'])}: {wanted}" if key else wanted
 
 
-def _explain_kind(key: str, kind: Mapping[str, str]) -> str:
-    """Return what is wrong with the key that says which of several mappings this one is."""
-    *_, name, _ = kind["discriminator"].split("'")  # its alias is the last one in quotes
-    inner = f"{key}.{name}" if key else name
-    if "tag" not in kind:
-        return f"key '{inner}' is missing"
-    return f"{inner} = {kind['tag']}: should be one of {kind['expected_tags']}"
-
-
 def _dotted(mapping: object, error: ErrorDetails) -> str:
     """Return the key of an error as `apply_overrides` takes it, without pydantic's names of a union's members."""
     parts: list[str] = []
     value: Plain = mapping
-    for depth, part in enumerate(error["loc"], start=1):
-        inside = _holds(value, part)
-        absent = depth == len(error["loc"]) and error["type"] in ("missing", "extra_forbidden")
-        if inside or absent:
-            parts.append(str(part))
-        if inside and not absent:
+    above = error["loc"][:-1] if error["type"] in ("missing", "extra_forbidden") else error["loc"]
+    for part in above:
+        with suppress(KeyError, IndexError, TypeError):
             value = value[part]
-    return ".".join(parts)
-
-
-def _holds(container: object, part: str | int) -> bool:
-    if isinstance(container, dict):
-        return part in container
-    return isinstance(container, list) and isinstance(part, int) and part < len(container)
+            parts.append(str(part))
+    return ".".join([*parts, *map(str, error["loc"][len(above) :])])
 
 
 def _keys_below(cls: type[BaseModel], path: Iterable[str | int]) -> list[str]:
     """Return the keys that the configuration at `path` below `cls` may have."""
     models = [cls]
     for part in path:
-        below = [each for model in models for each in _models_in(model, str(part))]
-        models = below or models
+        fields = [model.model_fields[str(part)] for model in models if part in model.model_fields]
+        models = [model for field in fields for model in _models_in(field.annotation)] or models
     return [key for model in models for key in model.model_fields]
+
+
+def _models_in(annotation: object) -> list[type[BaseModel]]:
+    """Return the models of a field, of which a union has several."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    return [model for inner in get_args(annotation) for model in _models_in(inner)]
 
 
 def _tuple_length(cls: type[BaseModel], error: ErrorDetails) -> int | None:
@@ -197,13 +197,119 @@ def _tuple_length(cls: type[BaseModel], error: ErrorDetails) -> int | None:
     return len(members) if members and Ellipsis not in members else None
 
 
-def _models_in(model: type[BaseModel], field: str) -> list[type[BaseModel]]:
-    if field not in model.model_fields:
-        return []
-    found, pending = [], [model.model_fields[field].annotation]
+_FLOAT = "tag:yaml.org,2002:float"
+_TIMESTAMP = "tag:yaml.org,2002:timestamp"
+_NOT_PLAIN = {_TIMESTAMP, *(f"tag:yaml.org,2002:{kind}" for kind in ("binary", "omap", "pairs", "set"))}
+_EXPONENT_ALONE = re.compile(r"[-+]?[0-9]+[eE][-+]?[0-9]+$")
+
+
+def _resolvers() -> dict[str, list[tuple[str, re.Pattern[str]]]]:
+    rules = {
+        first: [(tag, pattern) for tag, pattern in rules if tag != _TIMESTAMP]
+        for first, rules in yaml.SafeLoader.yaml_implicit_resolvers.items()
+    }
+    for first in "-+0123456789":
+        rules.setdefault(first, []).append((_FLOAT, _EXPONENT_ALONE))
+    return rules
+
+
+MOST_VALUES = 1_000_000
+
+
+class _Rules(SafeConstructor):
+    yaml_implicit_resolvers = _resolvers()
+    yaml_constructors = {  # noqa: RUF012  as PyYAML has it
+        tag: construct for tag, construct in yaml.SafeLoader.yaml_constructors.items() if tag not in _NOT_PLAIN
+    }
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Plain]:
+        seen: set[str] = set()
+        for key, _ in node.value:
+            if not isinstance(key, yaml.ScalarNode):
+                raise ConstructorError(problem="a key is not text", problem_mark=key.start_mark)
+            if key.value in seen:
+                problem = f"key {key.value!r} stands twice in one mapping"
+                raise ConstructorError(problem=problem, problem_mark=key.start_mark)
+            seen.add(key.value)
+        return super().construct_mapping(node, deep)
+
+
+class _Loader(_Rules, yaml.SafeLoader):
+    pass
+
+
+class _QuickLoader(_Rules, getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]
+    """libyaml's, twenty times as fast; text that is nested too deep crashes it."""
+
+
+class _Dumper(yaml.SafeDumper):
+    yaml_implicit_resolvers = _resolvers()
+
+    def ignore_aliases(self, data: object) -> bool:
+        return True  # a value that stands twice is written twice
+
+    def represent_sequence(
+        self, tag: str, sequence: Iterable[object], flow_style: bool | None = None
+    ) -> yaml.SequenceNode:
+        node = super().represent_sequence(tag, sequence, flow_style)
+        node.flow_style = all(isinstance(item, yaml.ScalarNode) for item in node.value)
+        return node
+
+
+def load_yaml(path: str | Path, shipped: bool = False) -> dict[str, Plain]:
+    """Return the mapping in a YAML file; one that is `shipped` with the package is read by a quicker parser.
+
+    Raises UserError, naming the file and where possible the line, if it cannot be read, is not YAML, has a duplicate
+    key or is not a mapping.
+    """
+    try:
+        text = read_bounded(Path(path)).decode("utf-8")
+    except OSError as error:
+        raise UserError(f"{path}: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise UserError(f"{path}: not UTF-8 text") from error
+    value = parse_yaml(text, str(path), shipped)
+    if not isinstance(value, dict):
+        found = "nothing" if value is None else f"a {type(value).__name__}"
+        raise UserError(f"{path}: must be a mapping, lines of 'key: value', but holds {found}")
+    return value
+
+
+def parse_yaml(text: str, source: str, shipped: bool = False) -> Plain:
+    """Return the value of a YAML text. Raises UserError, naming `source`, if it is not YAML."""
+    try:
+        return deepcopy(_bounded(_read(text, shipped), source))
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        line = f" line {mark.line + 1}:" if mark else ""
+        raise UserError(f"{source}:{line} {error.problem or error.context}") from error
+    except RecursionError:
+        raise UserError(f"{source}: not YAML: nested too deep") from None
+    except (yaml.YAMLError, ValueError) as error:
+        raise UserError(f"{source}: not YAML: {str(error).splitlines()[0]}") from error
+
+
+@lru_cache(maxsize=8)
+def _read(text: str, shipped: bool) -> Plain:
+    """Return the value of a text; cached, as a report reads its run's configuration a dozen times."""
+    return yaml.load(text, Loader=_QuickLoader if shipped else _Loader)
+
+
+def _bounded(value: Plain, source: str) -> Plain:
+    """Return the value. Raises UserError where aliases expand it beyond any reasonable size."""
+    pending, count = [value], 0
     while pending:
-        annotation = pending.pop()
-        if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-            found.append(annotation)
-        pending.extend(get_args(annotation))
-    return found
+        each = pending.pop()
+        count += 1
+        if count > MOST_VALUES:
+            raise UserError(f"{source}: more than {MOST_VALUES:,} values, aliases counted each time")
+        if isinstance(each, dict):
+            pending.extend(each.values())
+        elif isinstance(each, list):
+            pending.extend(each)
+    return value
+
+
+def dump_yaml(mapping: Mapping[str, object]) -> str:
+    """Return YAML of plain data, keys in their order, short lists on one line; equal data give equal text."""
+    return yaml.dump(dict(mapping), Dumper=_Dumper, sort_keys=False, default_flow_style=False, width=110)

@@ -58,11 +58,10 @@ def naming(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        if (refused := mistake_of(error)) is None:
+        if error.errno not in _SYSTEM_REFUSES:
             raise
         more = "; make room" if error.errno == errno.ENOSPC else ""
-        name = path if error.filename is None else error.filename
-        raise type(refused)(f"{name}: {error.strerror}{more}") from error
+        raise UserError(f"{error.filename or path}: {error.strerror}{more}") from error
 
 
 def suggestion(word: str, known: Collection[str]) -> str:

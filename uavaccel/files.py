@@ -1,14 +1,17 @@
 """Files that survive a crash whole, in which equal values are equal bytes; and the bounds of those that are read.
 
 What a user names, or a folder from elsewhere holds, is opened by `open_bounded`: devices, pipes and files beyond any
-reasonable size are refused before they are read. Names that come from such a folder become paths by `inside`.
+reasonable size are refused before they are read. Names that come from such a folder become paths by `inside`. A folder
+that one process alone may write is locked by `lock_of`.
 """
 
+import errno
 import hashlib
 import json
-import math
 import os
 import stat
+import sys
+import weakref
 import zipfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -32,7 +35,8 @@ ARRAYS_BYTES = 8 << 30
 
 def open_bounded(path: Path, most_bytes: int = TEXT_BYTES) -> BufferedReader:
     """Open a file to be read. Raises UserError for a device, a pipe and a larger file, OSError where there is none."""
-    file = open(path, "rb", opener=_without_waiting)  # noqa: SIM115  the caller closes it
+    without_waiting = getattr(os, "O_NONBLOCK", 0)  # for a pipe's writer
+    file = open(path, "rb", opener=lambda name, flags: os.open(name, flags | without_waiting))  # noqa: SIM115
     status = os.fstat(file.fileno())
     why = "" if stat.S_ISREG(status.st_mode) else "no regular file"
     if status.st_size > most_bytes:
@@ -41,11 +45,6 @@ def open_bounded(path: Path, most_bytes: int = TEXT_BYTES) -> BufferedReader:
         file.close()
         raise UserError(f"{path}: {why}")
     return file
-
-
-def _without_waiting(path: str, flags: int) -> int:
-    """Open a file to be read; opening a pipe would wait for a writer."""
-    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
 
 
 def read_bounded(path: Path, most_bytes: int = TEXT_BYTES) -> bytes:
@@ -144,30 +143,19 @@ def parse_json(text: str | bytes) -> Plain:
 def to_json(value: object, indent: int | None = None) -> str:
     """Return JSON of plain data and numpy's: keys sorted, floats that read back equal, null for a non-finite one."""
     try:
-        return json.dumps(value, sort_keys=True, allow_nan=False, indent=indent, default=_plain_kind)
+        return json.dumps(value, sort_keys=True, allow_nan=False, indent=indent, default=_plain)
     except ValueError:  # something is not finite
-        return json.dumps(_plain(value), sort_keys=True, allow_nan=False, indent=indent)
+        finite = json.loads(json.dumps(value, default=_plain), parse_constant=lambda _: None)
+        return json.dumps(finite, sort_keys=True, allow_nan=False, indent=indent)
 
 
-def _plain_kind(value: object) -> object:
+def _plain(value: object) -> object:
     """Return mappings and numpy's values as the plain data of JSON."""
     if isinstance(value, Mapping):
         return dict(value)
     if isinstance(value, (np.ndarray, np.generic)):
         return value.tolist()
     raise TypeError(f"Object of type {type(value).__name__} is not JSON serializable")
-
-
-def _plain(value: object) -> object:
-    if isinstance(value, Mapping):
-        return {key: _plain(inner) for key, inner in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(inner) for inner in value]
-    if isinstance(value, (np.ndarray, np.generic)):
-        return _plain(value.tolist())
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
 
 
 def append_line(path: Path, entry: Mapping[str, object], on_disk: bool = True) -> None:
@@ -214,6 +202,16 @@ def _parse_line(line: bytes, where: str) -> dict[str, Plain]:
     return entry
 
 
+def read_json(path: Path) -> Plain:
+    """Return the value in a JSON file. Raises UserError where it is missing or damaged."""
+    try:
+        return parse_json(read_bounded(path).decode("utf-8"))
+    except OSError as error:
+        raise UserError(f"{path}: {error.strerror}") from error
+    except ValueError as error:
+        raise UserError(f"{path}: not JSON: {error}") from error
+
+
 def drop_cut_line(path: Path) -> None:
     """Remove a last line that a crash truncated."""
     if path.exists():
@@ -223,33 +221,65 @@ def drop_cut_line(path: Path) -> None:
 
 def check_new_folder(folder: Path, resume: bool = False) -> None:
     """Raise UserError for a run's folder that exists, unless the run is resumed, or that cannot be made."""
-    _check_name(folder)
-    if folder.exists():
-        if not resume:
-            raise UserError(f"{folder}: exists; take another --out, or --resume to go on with it")
-        if not folder.is_dir():
-            raise UserError(f"--out {folder}: is no folder, so no run to go on with")
-        return
-    above = next(parent for parent in folder.absolute().parents if parent.exists())
-    if not above.is_dir():
-        raise UserError(f"--out {folder}: {above} is no folder")
-    if not os.access(above, os.W_OK):
-        raise UserError(f"--out {folder}: {above} may not be written")
+    if not _exists(folder):
+        _check_writable(folder, next(parent for parent in folder.absolute().parents if parent.exists()))
+    elif not resume:
+        raise UserError(f"{folder}: exists; take another --out, or --resume to go on with it")
+    elif not folder.is_dir():
+        raise UserError(f"--out {folder}: is no folder, so no run to go on with")
 
 
 def check_new_file(file: Path) -> None:
     """Raise UserError for a file that exists, or that cannot be made in its folder."""
-    _check_name(file)
-    if file.exists():
+    if _exists(file):
         raise UserError(f"{file}: exists; take another --out")
-    if not file.absolute().parent.is_dir():
-        raise UserError(f"--out {file}: there is no folder {file.parent}")
-    if not os.access(file.absolute().parent, os.W_OK):
-        raise UserError(f"--out {file}: {file.parent} may not be written")
+    _check_writable(file, file.absolute().parent)
 
 
-def _check_name(path: Path) -> None:
+def _exists(path: Path) -> bool:
     try:
-        path.exists()
-    except OSError as error:
+        return path.exists()
+    except OSError as error:  # its name is too long
         raise UserError(f"--out {str(path)[:40]}...: {error.strerror}") from error
+
+
+def _check_writable(path: Path, above: Path) -> None:
+    if not above.is_dir():
+        raise UserError(f"--out {path}: there is no folder {above}")
+    if not os.access(above, os.W_OK):
+        raise UserError(f"--out {path}: {above} may not be written")
+
+
+class FolderLock:
+    """Locks an existing folder for one process, as long as this object exists; the system releases it with the process.
+
+    Nothing is written into the folder. On Windows, and on file systems without locks, it has no effect. Raises
+    UserError if another process has locked it.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        if sys.platform == "win32":
+            return
+        import fcntl
+
+        descriptor = os.open(folder, os.O_RDONLY | os.O_CLOEXEC)
+        weakref.finalize(self, os.close, descriptor)
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise UserError(
+                f"{folder}: another process is flying this run; let it end, or stop it, before --resume"
+            ) from None
+        except OSError as error:
+            if error.errno not in (errno.ENOTSUP, errno.ENOSYS, errno.ENOLCK, errno.EBADF):  # has no locks
+                raise
+
+
+_HELD: weakref.WeakValueDictionary[Path, FolderLock] = weakref.WeakValueDictionary()
+
+
+def lock_of(folder: Path) -> FolderLock:
+    """Return this process's lock of a folder, which is shared within it. Raises UserError as `FolderLock` does."""
+    lock = _HELD.get(folder.resolve()) or FolderLock(folder)
+    _HELD[folder.resolve()] = lock
+    return lock

@@ -1,20 +1,66 @@
-"""The machine that this process runs on: its cores, memory and processor."""
+"""What a run is flown on, for its manifest: this machine, the versions of what flies, and their source."""
 
 import os
 import platform
+import subprocess
 import sys
+from collections.abc import Sequence
+from importlib.metadata import PackageNotFoundError, version
 
+import uavaccel
 from uavaccel.files import Plain
+from uavaccel.resources import source_tree
+
+_PACKAGES = (
+    *("gymnasium", "llvmlite", "mujoco", "numba", "numpy", "opencv-python-headless", "scipy"),
+    *("stable-baselines3", "torch"),
+)
+_ENVIRONMENT = ("LP_NUM_THREADS", "MUJOCO_GL", "NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 
 
-def host() -> dict[str, Plain]:
-    """Return platform, processor, cores and memory for a manifest."""
+def describe_run(
+    command_line: Sequence[str], seed: int, start_time: str, gl_renderer: str | None = None
+) -> dict[str, Plain]:
+    """Return the contents of a run directory's manifest.json.
+
+    `start_time` is ISO 8601 text from a clock, `gl_renderer` the GL_RENDERER of the context in use, if any.
+    """
+    versions = {"uavaccel": uavaccel.__version__, "python": platform.python_version()}
+    host = {"platform": platform.platform(), "cpu_model": _cpu_model(), "cores": usable_cores()}
     return {
-        "platform": platform.platform(),
-        "cpu_model": _cpu_model(),
-        "cores": usable_cores(),
-        "memory_bytes": memory_bytes(),
+        "command_line": list(command_line),
+        "start_time": start_time,
+        "seed": seed,
+        "versions": {**versions, **{package: _version(package) for package in _PACKAGES}},
+        "git": _git(),
+        "host": {**host, "memory_bytes": memory_bytes()},
+        "gl_renderer": gl_renderer,
+        "environment": {name: os.environ.get(name) for name in _ENVIRONMENT},
     }
+
+
+def _version(package: str) -> str | None:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return None
+
+
+def _git() -> dict[str, Plain] | None:
+    """Return the commit of the source tree, and whether tracked files differ from it; None outside a source tree."""
+    root = source_tree()
+    if root is None:
+        return None
+
+    def git(*command: str) -> str:
+        done = subprocess.run(["git", "-C", root, *command], capture_output=True, text=True, check=True, timeout=30)
+        return done.stdout.strip()
+
+    try:
+        commit, changes = git("rev-parse", "HEAD"), git("status", "--porcelain", "--untracked-files=no")
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return {"commit": commit, "dirty": bool(changes)}
 
 
 def usable_cores() -> int:

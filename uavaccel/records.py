@@ -8,33 +8,35 @@ A case's arrays are in place before its row is: after a crash the cases with a w
 can be flown again.
 """
 
+from __future__ import annotations
+
 import json
 from collections.abc import Collection, Mapping
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 
-from uavaccel.config import Config, dotted_keys, to_yaml, validate
+from uavaccel.config import Config, dotted_keys, load_yaml, to_yaml, validate
 from uavaccel.errors import UserError, naming
 from uavaccel.files import (
     UNFINISHED,
+    FolderLock,
     Plain,
     append_line,
     drop_cut_line,
     file_sha256,
     inside,
     is_file_name,
-    parse_json,
+    lock_of,
     read_arrays,
-    read_bounded,
+    read_json,
     read_lines,
     replacing,
     to_json,
     write_arrays,
 )
 from uavaccel.forms import HostTimes, Manifest, RowForm, check, check_all
-from uavaccel.lock import FolderLock, lock_of
-from uavaccel.yaml_io import load_yaml, parse_yaml
 
 
 class RunDirectory:
@@ -60,7 +62,7 @@ class RunDirectory:
         manifest: Mapping[str, object],
         resume: bool = False,
         may_grow: Collection[str] = (),
-    ) -> "RunDirectory":
+    ) -> RunDirectory:
         """Start a run at `path`, or with `resume` continue the one that is there, if any.
 
         To continue, a truncated line is dropped, and `manifest` is added to the run's. As long as the result exists, no
@@ -74,7 +76,10 @@ class RunDirectory:
         if (path / "config.yaml").is_file():
             lock = lock_of(path)
             grown = _refuse_other_config(path, config, may_grow)
-            _clear_after_crash(path)
+            for leftover in path.rglob(f"*{UNFINISHED}"):  # of a crash
+                leftover.unlink()
+            for name in ("rows.jsonl", "timing.jsonl"):
+                drop_cut_line(path / name)
             if grown:
                 _write_config(path, config)
         else:
@@ -141,8 +146,23 @@ class RunDirectory:
         return {"arrays": name, "arrays_sha256": file_sha256(self.path / name)}
 
     def load_arrays(self, row: Mapping[str, object]) -> dict[str, np.ndarray]:
-        """Return the arrays of a row. Raises UserError as `arrays_of` does."""
-        return arrays_of(self.path, row, self.form)
+        """Return the arrays of a row.
+
+        Raises UserError if the file is missing or damaged, is named after another case, has another hash than the row
+        says, or if the arrays have not the form of their suite's; rows of older versions have no hash.
+        """
+        name, wanted = str(row.get("arrays")), row.get("arrays_sha256")
+        if name != _arrays_name(str(row["case"])):
+            raise UserError(f"{self.path / 'rows.jsonl'}: {row['case']}: has the arrays of another case, {name}")
+        file = self.path / name
+        arrays = read_arrays(file)
+        if wanted is not None and file_sha256(file) != wanted:
+            raise UserError(
+                f"{file}: is not the file of its row: another hash; delete the row's line and --resume the run"
+            )
+        if self.form is not None:
+            self.form.check_arrays(arrays, row, file)
+        return arrays
 
     def file(self, name: str) -> Path:
         """Return the path of a file of the run, e.g. "figures/figure5.png", in a folder that exists.
@@ -173,13 +193,7 @@ class RunDirectory:
 
     def read_json(self, name: str) -> Plain:
         """Return the value in a JSON file of the run. Raises UserError if it is missing or damaged."""
-        path = self.path / name
-        try:
-            return parse_json(read_bounded(path).decode("utf-8"))
-        except OSError as error:
-            raise UserError(f"{path}: {error.strerror}") from error
-        except ValueError as error:
-            raise UserError(f"{path}: not JSON: {error}") from error
+        return read_json(self.path / name)
 
     def config(self) -> dict[str, Plain]:
         """Return the mapping in config.yaml."""
@@ -218,25 +232,6 @@ class RunDirectory:
         self.write_json("manifest.json", manifest)
 
 
-def arrays_of(folder: Path, row: Mapping[str, object], form: RowForm | None = None) -> dict[str, np.ndarray]:
-    """Return the arrays of a row of the run in `folder`.
-
-    Raises UserError if the file is missing or damaged, is named after another case, has another hash than the row
-    says, or if the arrays have not the `form` of their suite's; rows of older versions have no hash.
-    """
-    name, wanted = str(row.get("arrays")), row.get("arrays_sha256")
-    if name != _arrays_name(str(row["case"])):
-        raise UserError(f"{folder / 'rows.jsonl'}: {row['case']}: has the arrays of another case, {name}")
-    arrays = read_arrays(folder / name)
-    if wanted is not None and file_sha256(folder / name) != wanted:
-        raise UserError(
-            f"{folder / name}: is not the file of its row: another hash; delete the row's line and --resume the run"
-        )
-    if form is not None:
-        form.check_arrays(arrays, row, folder / name)
-    return arrays
-
-
 def _arrays_name(case: str) -> str:
     return f"arrays/{case}.npz"
 
@@ -254,13 +249,6 @@ def _start(path: Path, config: Config) -> FolderLock:
     return lock
 
 
-def _clear_after_crash(path: Path) -> None:
-    for leftover in path.rglob(f"*{UNFINISHED}"):
-        leftover.unlink()
-    drop_cut_line(path / "rows.jsonl")
-    drop_cut_line(path / "timing.jsonl")
-
-
 def _write_config(path: Path, config: Config) -> None:
     with replacing(path / "config.yaml") as file:
         file.write(to_yaml(config).encode())
@@ -268,12 +256,12 @@ def _write_config(path: Path, config: Config) -> None:
 
 def _refuse_other_config(path: Path, config: Config, may_grow: Collection[str]) -> list[str]:
     """Return the keys whose numbers have grown. Raises UserError for other differences."""
+    mapping = load_yaml(path / "config.yaml")
+    with suppress(UserError):  # one that is no longer valid is compared as it is, others with later keys' defaults
+        mapping = validate(type(config), mapping, "config.yaml").model_dump(mode="json")
     there, here = (
-        {key: json.dumps(value) for key, value in dotted_keys(mapping).items()}
-        for mapping in (
-            _as_of_today(load_yaml(path / "config.yaml"), type(config)),
-            parse_yaml(to_yaml(config), source="configuration"),
-        )
+        {key: json.dumps(value) for key, value in dotted_keys(plain).items()}
+        for plain in (mapping, config.model_dump(mode="json"))
     )
     if there.get("suite") != here.get("suite"):
         raise UserError(
@@ -287,12 +275,3 @@ def _refuse_other_config(path: Path, config: Config, may_grow: Collection[str]) 
     if differing:
         raise UserError(f"{path}: has another configuration: {', '.join(differing)}; take another --out")
     return grown
-
-
-def _as_of_today(mapping: dict[str, Plain], cls: type[Config]) -> dict[str, Plain]:
-    """Return a run's configuration with later keys at their defaults; one that is no longer valid is not changed."""
-    try:
-        today: dict[str, Plain] = parse_yaml(to_yaml(validate(cls, mapping, "config.yaml")), source="config.yaml")
-        return today
-    except UserError:
-        return mapping

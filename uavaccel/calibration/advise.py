@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
 
 from uavaccel.commands import COMMANDS, VelocityGoal
 from uavaccel.commands.paths import velocities
+from uavaccel.files import Plain
 from uavaccel.metrics.stlc import mean_stlc
 from uavaccel.metrics.trajectory import Trajectory, command_gaps_s, mean_position_rmse, trajectory
 from uavaccel.sim.profile import PROFILES
@@ -46,64 +48,44 @@ def fly_square(
     return SquareGame(trajectory(arrays["time_s"], arrays["position_m"]), gap_s, wall_s)
 
 
-class Advice(NamedTuple):
-    """At one ClockSpeed, each command's median RMSE against the flight without latency, its STLC, and its speed-up."""
+def advise(latency: LatencyConfig, profile: str, t_move_s: float, rounds: int, seed: int = 0) -> pd.DataFrame:
+    """Fly the square path with `rounds` rounds, and return a row for each of CLOCK_SPEEDS and command, ADSC first.
 
-    clock_speed: float
-    adsc_error_m: float
-    adsc_stlc: float
-    adsc_speedup: float
-    tcsc_error_m: float
-    tcsc_stlc: float
-    tcsc_speedup: float
-
-
-def advise(latency: LatencyConfig, profile: str, t_move_s: float, rounds: int, seed: int = 0) -> Iterator[Advice]:
-    """Yield the advice for each of CLOCK_SPEEDS, from flights of the square path with `rounds` rounds."""
+    `error_m` is the games' median RMSE against the flight without latency, `stlc` and `speedup` are against ADSC at
+    ClockSpeed 1.
+    """
+    rows: list[dict[str, Plain]] = []
     with VirtualSession("blocks", profile) as lockstep, VirtualSession("blocks", profile, latency) as session:
 
         def t_th(clock_speed: float) -> int:
             return PROFILES[profile].t_th_ns(T_TH_WALL_S, clock_speed, t_move_s)
 
-        def games(command: str, clock_speed: float) -> list[SquareGame]:
-            return [
+        def games(command: str, clock_speed: float) -> tuple[list[Trajectory], float]:
+            """Fly GAMES, and return their trajectories and their mean wall time."""
+            flown = [
                 fly_square(session, command, clock_speed, t_move_s, rounds, seed * GAMES + game, t_th(clock_speed))
                 for game in range(GAMES)
             ]
+            return [game.flight for game in flown], float(np.mean([game.wall_s for game in flown]))
 
-        ideal = fly_square(lockstep, "tcsc", 1.0, t_move_s, rounds, seed, t_th(1.0))
-        real_time = games("adsc", 1.0)
-        for clock_speed in CLOCK_SPEEDS:
-            scores = [_score(games(command, clock_speed), ideal, real_time) for command in ("adsc", "tcsc")]
-            yield Advice(clock_speed, *scores[0], *scores[1])
-
-
-def _score(
-    games: Sequence[SquareGame], ideal: SquareGame, real_time: Sequence[SquareGame]
-) -> tuple[float, float, float]:
-    flights = [game.flight for game in games]
-    error_m = float(np.median(mean_position_rmse(flights, [ideal.flight])))
-    stlc = float(np.median(mean_stlc(flights, [game.flight for game in real_time])))
-    speedup = np.mean([game.wall_s for game in real_time]) / np.mean([game.wall_s for game in games])
-    return error_m, stlc, float(speedup)
+        ideal = fly_square(lockstep, "tcsc", 1.0, t_move_s, rounds, seed, t_th(1.0)).flight
+        real_time, real_time_s = games("adsc", 1.0)
+        for clock_speed, command in product(CLOCK_SPEEDS, ("adsc", "tcsc")):
+            flights, wall_s = games(command, clock_speed)
+            errors_m, stlc = mean_position_rmse(flights, [ideal]), mean_stlc(flights, real_time)
+            scores = {"error_m": np.median(errors_m), "stlc": np.median(stlc), "speedup": real_time_s / wall_s}
+            rows.append({"clock_speed": clock_speed, "command": command, **scores})
+    return pd.DataFrame(rows)
 
 
-def sentence(advice: Sequence[Advice], error_m: float, t_move_s: float) -> str:
+def sentence(advice: pd.DataFrame, error_m: float, t_move_s: float) -> str:
     """Return in words the highest ClockSpeed at which either command stays within the error."""
-    adsc = _fastest([each for each in advice if each.adsc_error_m <= error_m], "adsc_speedup")
-    tcsc = _fastest([each for each in advice if each.tcsc_error_m <= error_m], "tcsc_speedup")
-    slow = (
-        f"ADSC stays within {error_m:g} m up to ClockSpeed {adsc.clock_speed:g}, {adsc.adsc_speedup:.1f}x real time"
-        if adsc
-        else f"ADSC leaves {error_m:g} m at any ClockSpeed"
-    )
-    fast = (
-        f"TCSC up to {tcsc.clock_speed:g}, {tcsc.tcsc_speedup:.1f}x"
-        if tcsc
-        else "so does TCSC: its own timer is too coarse"
-    )
+    within = advice[advice.error_m <= error_m]
+    fastest = within.loc[within.groupby("command").speedup.idxmax()].set_index("command")
+    slow, fast = f"ADSC leaves {error_m:g} m at any ClockSpeed", "so does TCSC: its own timer is too coarse"
+    if "adsc" in fastest.index:
+        adsc = fastest.loc["adsc"]
+        slow = f"ADSC stays within {error_m:g} m up to ClockSpeed {adsc.clock_speed:g}, {adsc.speedup:.1f}x real time"
+    if "tcsc" in fastest.index:
+        fast = "TCSC up to {clock_speed:g}, {speedup:.1f}x".format(**fastest.loc["tcsc"])
     return f"With commands of {t_move_s:g} s {slow}; {fast}. Modelled."
-
-
-def _fastest(within: Sequence[Advice], key: str) -> Advice | None:
-    return max(within, key=lambda each: float(getattr(each, key)), default=None)

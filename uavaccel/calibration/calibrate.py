@@ -11,39 +11,80 @@ model can be blamed for.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import partial
 from itertools import product
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.calibration.advise import fly_square
-from uavaccel.calibration.traces import TracingTransport
 from uavaccel.clock import calendar_time
-from uavaccel.commands import COMMANDS, VelocityGoal
+from uavaccel.commands import COMMANDS, SynchronousCommand, VelocityGoal
+from uavaccel.config import dump_yaml
 from uavaccel.files import Plain
-from uavaccel.manifest import describe_run
+from uavaccel.machine import describe_run
 from uavaccel.metrics.trajectory import mean_position_rmse
+from uavaccel.units import NS_PER_S
 from uavaccel.wire.client import Client
 from uavaccel.wire.latency import QUANTILES, LatencyConfig, after_wait
 from uavaccel.wire.session import Session, VirtualSession, WallSession
-from uavaccel.yaml_io import dump_yaml
+from uavaccel.wire.transport import PendingCall, Transport
 
 CLOCK_SPEEDS = (50.0, 100.0)
 T_MOVES_S = (0.1, 0.2, 0.5, 1.0)  # at these speeds the ends sleep for 1 to 20 ms, as they do in DP1
 BATCH = 24  # commands per reading of the server's trace
-STAY = VelocityGoal((0.0, 0.0, 0.0))
+DEFERRED = {"move": "end", "continue_for": "pause"}  # channels whose answer waits for an event of the server
 
 Samples = dict[str, list[int]]
 CHECKED_T_MOVES_S = (0.2, 1.0)
 ROUNDS = 24
 LEVELS = (0.1, 0.5, 0.9)
 MEDIAN_WITHIN = 0.20  # relative to the measured median
+AGREES = "agrees"
 TAIL_FACTOR = 1.5  # relative to the difference between the two measured runs
 LEVELS_TEXT = "10, 50 and 90 % quantiles; agreement: median within 20 %, the others within 1.5 times wall v wall"
 
 Quantiles = NDArray[np.float64]
+
+
+class ClientEvent(NamedTuple):
+    """An event at the client's end: `kind` is "call", "issued" (sent without waiting) or "return"."""
+
+    kind: str
+    method: str
+    channel: str
+    wall_ns: int
+    coalesced: bool = False
+    """Whether it travels with the next one."""
+
+
+class TracingTransport(Transport):
+    """A transport that records when the client calls, when it continues, and when it has its reply."""
+
+    def __init__(self, inner: Transport) -> None:
+        super().__init__(inner.clock, exclusive=False)
+        self.known = inner.known
+        self.events: list[ClientEvent] = []
+        self._inner = inner
+
+    def send(self, method: str, params: Sequence[object], blocking: bool, coalesced: bool = False) -> PendingCall:
+        called_ns = self.clock.now_ns()
+        call = self._inner.send(method, params, blocking, coalesced)
+        self.events.append(ClientEvent("call", method, call.channel, called_ns, coalesced))
+        if not blocking:
+            self.events.append(ClientEvent("issued", method, call.channel, self.clock.now_ns(), coalesced))
+        return call
+
+    def wait(self, call: PendingCall, deadline_ns: int | None = None) -> bool:
+        done = self._inner.wait(call, deadline_ns)
+        if done:
+            self.events.append(ClientEvent("return", call.method, call.channel, self.clock.now_ns()))
+        return done
+
+    def close(self) -> None:
+        self._inner.close()
 
 
 class Latencies:
@@ -60,6 +101,40 @@ class Latencies:
         samples[channel].append(latency_ns)
         if wait_ns is not None:
             samples[after_wait(channel, wait_ns)].append(latency_ns)
+
+    def gather(self, client: Iterable[ClientEvent], server: Iterable[tuple[str, int, int]]) -> None:
+        """Match the events of both ends; when the client was ready for the first call of a batch is not known.
+
+        A coalesced call travels with the next one, and has no latency of its own.
+        """
+        times_ns: dict[str, list[int]] = defaultdict(list)  # of the server's events
+        due_ns: int | None = None  # of a wall timer that is set
+        for event, wall_ns, _ in server:
+            times_ns[event].append(wall_ns)
+            if event == "pause" and due_ns is not None:
+                self.timer.append(wall_ns - due_ns)
+            if event in ("timer", "pause"):
+                due_ns = wall_ns if event == "timer" else None
+        arrived: dict[str, int] = {}
+        ready: int | None = None
+        wait_ns: int | None = None
+        for message in client:
+            channel = message.channel
+            if message.kind == "call":
+                arrived[channel] = times_ns[f"handle {message.method}"].pop(0)
+                if ready is not None and not message.coalesced:
+                    self.add(self.request, channel, wait_ns, arrived[channel] - ready)
+                continue
+            if message.kind == "issued":
+                if ready is not None and not message.coalesced:
+                    self.issue.append(message.wall_ns - ready)
+            else:
+                answered = arrived[channel]
+                if channel in DEFERRED:
+                    answered = times_ns[DEFERRED[channel]].pop(0)
+                    wait_ns = answered - arrived[channel]
+                self.add(self.reply, channel, wait_ns, message.wall_ns - answered)
+            ready = message.wall_ns
 
     def block(self) -> dict[str, Plain]:
         """Return the YAML block `latency`."""
@@ -111,92 +186,31 @@ def measure(profile: str, commands: int, images: bool) -> Latencies:
     with WallSession("blocks", profile) as session:
         for name, clock_speed, t_move_s, _ in product(sorted(COMMANDS), CLOCK_SPEEDS, T_MOVES_S, range(batches)):
             client = session.start_game(clock_speed, np.random.SeedSequence(0))
-            _fly_batch(client, name, t_move_s, latencies)
-            _request(client, "ping", latencies)  # which stands for all calls without a channel of their own
+            COMMANDS[name].begin(client)
+            time_batch(client, latencies, partial(_stay, COMMANDS[name], t_move_s))
+            time_batch(client, latencies, lambda traced: traced.call("ping"))  # as all without a channel of their own
     if images:
-        _take_images(profile, commands, latencies)
+        with WallSession("lane", profile) as session:
+            client = session.start_game(CLOCK_SPEEDS[0], np.random.SeedSequence(0), lane=0)
+            client.image("gray")  # creates the GL context
+            for _ in range(max(commands // BATCH, 1)):
+                time_batch(client, latencies, lambda traced: traced.image("gray"))
     return latencies
 
 
-def _fly_batch(client: Client, command_name: str, t_move_s: float, latencies: Latencies) -> None:
-    command, tracing = COMMANDS[command_name], TracingTransport(client.transport)
-    traced = Client(tracing, client.clock_speed)
-    command.begin(client)
-    client.trace(True)
-    for _ in range(BATCH):
-        for _ in command.fly(traced, STAY, t_move_s, t_move_s):
-            pass
-    _gather(tracing, client.trace(False), latencies)
+def _stay(command: SynchronousCommand, t_move_s: float, client: Client) -> None:
+    for _ in command.fly(client, VelocityGoal((0.0, 0.0, 0.0)), t_move_s, t_move_s):
+        pass
 
 
-def _take_images(profile: str, images: int, latencies: Latencies) -> None:
-    with WallSession("lane", profile) as session:
-        client = session.start_game(CLOCK_SPEEDS[0], np.random.SeedSequence(0), lane=0)
-        client.image("gray")  # creates the GL context
-        for _ in range(max(images // BATCH, 1)):
-            _request(client, "image", latencies)
-
-
-def _request(client: Client, what: Literal["ping", "image"], latencies: Latencies) -> None:
+def time_batch(client: Client, latencies: Latencies, send: Callable[[Client], object]) -> None:
+    """Let a client `send` a command or request BATCH times, and add the latencies of its messages."""
     tracing = TracingTransport(client.transport)
-    traced = Client(tracing)
+    traced = Client(tracing, client.clock_speed)
     client.trace(True)
     for _ in range(BATCH):
-        traced.image("gray") if what == "image" else traced.call("ping")
-    _gather(tracing, client.trace(False), latencies)
-
-
-def _gather(tracing: TracingTransport, server: Iterable[tuple[str, int, int]], latencies: Latencies) -> None:
-    """Match the events of both ends; when the client was ready for the first call of a batch is not known.
-
-    A coalesced call travels with the next one, and has no latency of its own.
-    """
-    handled, ended, paused, late = _server_times(server)
-    latencies.timer += late
-    deferred = {"move": ended, "continue_for": paused}
-    arrived: dict[str, int] = {}
-    ready: int | None = None
-    wait_ns: int | None = None
-    for event in tracing.events:
-        if event.kind == "call":
-            arrived[event.channel] = handled[event.method].pop(0)
-            if ready is not None and not event.coalesced:
-                latencies.add(latencies.request, event.channel, wait_ns, arrived[event.channel] - ready)
-        elif event.kind == "issued":
-            if ready is not None and not event.coalesced:
-                latencies.issue.append(event.wall_ns - ready)
-            ready = event.wall_ns
-        else:
-            answered = arrived[event.channel]
-            if event.channel in deferred:
-                answered = deferred[event.channel].pop(0)
-                wait_ns = answered - arrived[event.channel]
-            latencies.add(latencies.reply, event.channel, wait_ns, event.wall_ns - answered)
-            ready = event.wall_ns
-
-
-def _server_times(
-    server: Iterable[tuple[str, int, int]],
-) -> tuple[dict[str, list[int]], list[int], list[int], list[int]]:
-    """Return when each method was handled, commands ended and continue-fors paused, and how late wall timers were."""
-    handled: dict[str, list[int]] = defaultdict(list)
-    ended: list[int] = []
-    paused: list[int] = []
-    late: list[int] = []
-    timer_due_ns: int | None = None
-    for event, wall_ns, _ in server:
-        if event == "end":
-            ended.append(wall_ns)
-        elif event == "timer":
-            timer_due_ns = wall_ns
-        elif event == "pause":
-            paused.append(wall_ns)
-            if timer_due_ns is not None:
-                late.append(wall_ns - timer_due_ns)
-            timer_due_ns = None
-        elif event.startswith("handle "):
-            handled[event.removeprefix("handle ")].append(wall_ns)
-    return handled, ended, paused, late
+        send(traced)
+    latencies.gather(tracing.events, client.trace(False))
 
 
 class Agreement(NamedTuple):
@@ -211,25 +225,20 @@ class Agreement(NamedTuple):
     virtual: Quantiles
 
     @property
-    def median_off(self) -> float:
-        """The relative difference of the modelled median from the mean of the measured ones; 0 between zeros."""
-        measured = float(self.wall[1] + self.wall_again[1]) / 2
-        return abs(float(self.virtual[1]) - measured) / measured if measured else abs(float(self.virtual[1]))
+    def verdict(self) -> str:
+        """In words, whether the median agrees within 20 %, the others within 1.5 times the measured difference."""
+        measured, floor = (self.wall + self.wall_again) / 2, abs(self.wall - self.wall_again)
+        off, allowed = abs(self.virtual - measured), np.maximum(TAIL_FACTOR * floor, MEDIAN_WITHIN * measured)
+        median_off = float(off[1] / (measured[1] or 1.0))
+        if median_off <= MEDIAN_WITHIN and (off <= allowed)[[0, 2]].all():
+            return AGREES
+        return f"differs, median by {median_off:.0%}"
 
     def texts(self) -> tuple[str, ...]:
         """Return the cell, the quantiles and the verdict, as columns of a table."""
-        quantiles = (" ".join(f"{value:.3g}" for value in run) for run in (self.wall, self.wall_again, self.virtual))
-        verdict = "agrees" if self.agrees else f"differs, median by {self.median_off:.0%}"
-        return self.command.upper(), f"{self.clock_speed:g}x", f"{self.t_move_s:g}", self.quantity, *quantiles, verdict
-
-    @property
-    def agrees(self) -> bool:
-        """Whether the median agrees within 20 %, the outer quantiles within 1.5 times the measured difference."""
-        measured, floor = (self.wall + self.wall_again) / 2, abs(self.wall - self.wall_again)
-        allowed = np.maximum(TAIL_FACTOR * floor, MEDIAN_WITHIN * measured)
-        return self.median_off <= MEDIAN_WITHIN and bool(
-            (abs(self.virtual - measured)[[0, 2]] <= allowed[[0, 2]]).all()
-        )
+        runs = (" ".join(f"{value:.3g}" for value in run) for run in (self.wall, self.wall_again, self.virtual))
+        cell = self.command.upper(), f"{self.clock_speed:g}x", f"{self.t_move_s:g}", self.quantity
+        return *cell, *runs, self.verdict
 
 
 def check_agreement(latency: LatencyConfig, profile: str, games: int) -> Iterator[Agreement]:
@@ -253,3 +262,29 @@ def check_agreement(latency: LatencyConfig, profile: str, games: int) -> Iterato
             for quantity, values in (("gap s", gaps), ("error m", errors)):
                 first, model, again = (np.quantile(value, LEVELS) for value in values)
                 yield Agreement(*cell, quantity, first, again, model)
+
+
+def record_trace(session: Session, command_name: str, clock_speed: float, t_move_s: float) -> list[dict[str, Plain]]:
+    """Return the messages of the second of two commands, in time order; the first one warms both ends up."""
+    client = session.start_game(clock_speed, np.random.SeedSequence(0))
+    command = COMMANDS[command_name]
+    command.begin(client)
+    for _ in command.fly(client, VelocityGoal((1.0, 0.0, 0.0)), t_move_s, t_move_s):
+        pass
+    tracing = TracingTransport(client.transport)
+    client.trace(True)
+    for _ in command.fly(Client(tracing, clock_speed), VelocityGoal((1.0, 0.0, 0.0)), t_move_s, t_move_s):
+        pass
+    server = [event for event in client.trace(False) if "uavaccelTrace" not in event[0]]
+    messages = [event for event in tracing.events if event.kind != "issued"]
+    events: list[tuple[int, str, str, int | None]] = [
+        *((event.wall_ns, "client", f"{event.kind} {event.method}", None) for event in messages),
+        *((wall_ns, "server", event, now_ns) for event, wall_ns, now_ns in server),
+    ]
+    events.sort(key=lambda event: event[0])
+    simulated_ns = min((event[2] for event in server), default=0)
+    merged = []
+    for wall_ns, source, name, now_ns in events:  # a client's event has the simulated time of the server's last
+        simulated_ns = simulated_ns if now_ns is None else now_ns
+        merged.append({"source": source, "event": name, "wall_s": wall_ns / NS_PER_S, "sim_s": simulated_ns / NS_PER_S})
+    return merged

@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import subprocess
 import sys
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from uavaccel.calibration.machine import check_machine
-from uavaccel.clock import calendar_time
+from uavaccel.clock import calendar_time, timer_grain_ns
 from uavaccel.errors import UserError
 from uavaccel.files import Plain
-from uavaccel.manifest import describe_run
+from uavaccel.machine import describe_run, usable_cores
 
 USER_ERROR = f"{UserError.__module__}.{UserError.__name__}"
 TIMEOUT_S = 180.0  # a driver that hangs must not take the doctor with it
 PACKAGES = "libegl1 libegl-mesa0 libgl1-mesa-dri"  # not from sim.gl: importing MuJoCo may be what fails
+
+MAX_LOAD_PER_CORE = 0.5
+MAX_TIMER_P90_US = 200.0
 
 # Both run in processes of their own: a library that is missing or crashes becomes a line of the report.
 HOT_LOOP = """
@@ -48,11 +51,7 @@ class Finding(NamedTuple):
 
 
 class ProbeError(Exception):
-    """A probe without a result; the text says why in one line and, if `advised`, what to do about it."""
-
-    def __init__(self, text: str, advised: bool = False) -> None:
-        super().__init__(text)
-        self.advised = advised
+    """A probe without a result; the text says why in one line, but not what to do about it."""
 
 
 def findings() -> Iterator[Finding]:
@@ -62,13 +61,6 @@ def findings() -> Iterator[Finding]:
     found = ", ".join(f"{name} {version or 'missing'}" for name, version in versions.items())
     yield Finding("versions", found, None in versions.values())
     yield Finding("host", f"{run['host']['platform']}, {run['host']['cpu_model']}")
-    yield from measuring()
-    yield hot_loop()
-    yield renderer()
-
-
-def measuring() -> Iterator[Finding]:
-    """Yield the findings about cores and timers: whether this machine can measure on the wall clock."""
     machine = check_machine()
     yield Finding("cores", f"{machine['cores']}, load {machine['load_1min']:.2f}")
     yield Finding(
@@ -77,13 +69,15 @@ def measuring() -> Iterator[Finding]:
         f"{machine['timer_late_p90_us']:.0f} us (90th percentile)",
     )
     yield Finding("timing", f"wall: {machine['verdict']}", machine["verdict"] != "quiet")
+    yield hot_loop()
+    yield renderer()
 
 
 def hot_loop() -> Finding:
     """Return whether the simulator runs, and whether its compiled loop comes from numba's cache."""
     try:
         found = probe(HOT_LOOP)
-    except ProbeError as error:
+    except (ProbeError, UserError) as error:
         return Finding("hot loop", f"does not run: {error}", True)
     if found["cached"]:
         return Finding("hot loop", f"ready in {found['seconds']:.1f} s, from numba's cache")
@@ -94,15 +88,19 @@ def renderer() -> Finding:
     """Return which renderer would draw the camera's images."""
     try:
         found = probe(RENDERER)
+    except UserError as error:
+        return Finding("images", f"none: {error}", True)
     except ProbeError as error:
-        advice = "" if error.advised else f"; install {PACKAGES} (Debian)"
-        return Finding("images", f"none: {error}{advice}", True)
+        return Finding("images", f"none: {error}; install {PACKAGES} (Debian)", True)
     where = ", software on the CPU, slow" if found["software"] else ""
     return Finding("images", f"{found['backend']}: {found['name']}{where}", found["software"])
 
 
 def probe(program: str) -> dict[str, Plain]:
-    """Run a Python program, and return the JSON that it prints last. Raises ProbeError with one line."""
+    """Run a Python program, and return the JSON that it prints last.
+
+    Raises the program's UserError, whose line says what to do, or ProbeError.
+    """
     command = [sys.executable, "-c", program]
     try:
         done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=TIMEOUT_S)
@@ -113,7 +111,28 @@ def probe(program: str) -> dict[str, Plain]:
     if done.returncode:
         last = (done.stderr.strip() or f"it ended with status {done.returncode}").splitlines()[-1]
         kind, _, text = last.partition(": ")
-        advised = kind == USER_ERROR
-        raise ProbeError(text if advised else last, advised)
+        raise UserError(text) if kind == USER_ERROR else ProbeError(last)
     found: dict[str, Plain] = json.loads(done.stdout.splitlines()[-1])
     return found
+
+
+def check_machine() -> dict[str, Plain]:
+    """Return load, lateness of short sleeps, and a verdict in words, to be recorded beside measurements."""
+    cores = usable_cores()
+    late_us = [ns / 1e3 for ns in timer_grain_ns()]
+    load, median_us, p90_us = os.getloadavg()[0], late_us[len(late_us) // 2], late_us[len(late_us) * 9 // 10]
+    doubts = []
+    if cores < 2:
+        doubts.append("one core for client and server together")
+    if load > MAX_LOAD_PER_CORE * cores:
+        doubts.append(f"load {load:.2f} on {cores} cores")
+    if p90_us > MAX_TIMER_P90_US:
+        doubts.append(f"sleeps end {p90_us:.0f} us late (90th percentile)")
+    verdict = f"noisy: {', '.join(doubts)}; measured latencies are pessimistic" if doubts else "quiet"
+    return {
+        "verdict": verdict,
+        "cores": cores,
+        "load_1min": load,
+        "timer_late_median_us": median_us,
+        "timer_late_p90_us": p90_us,
+    }

@@ -161,8 +161,7 @@ def _check_watchable(plan: Plan) -> None:
     """Raise UsageError for --watch where nothing flies in a scene of this machine, UserError without a free port."""
     from uavaccel.envs.simulators import KERNELS
     from uavaccel.suites.engines import LOKY
-    from uavaccel.watch.beside import PageAddress
-    from uavaccel.watch.server import free_port
+    from uavaccel.watch.beside import PageAddress, free_port
 
     if getattr(plan.config, "simulator", None) == KERNELS:
         raise UsageError("--watch: the kernels fly numbers, without a scene to look at: --set simulator=mujoco")

@@ -26,8 +26,8 @@ def calibrate(
     games: Annotated[int, typer.Option(help="For --check: games of each kind.")] = 20,
 ) -> None:
     """Measure this machine's message latencies for the virtual timing to draw from, or check a model of them."""
-    from uavaccel.calibration.calibrate import LEVELS_TEXT, check_agreement, measure, model_file
-    from uavaccel.calibration.machine import check_machine
+    from uavaccel.calibration.calibrate import AGREES, LEVELS_TEXT, check_agreement, measure, model_file
+    from uavaccel.calibration.doctor import check_machine
     from uavaccel.files import check_new_file
     from uavaccel.sim.camera.gl import describe_renderer
     from uavaccel.wire.latency import read_latency, shipped_latency
@@ -41,7 +41,7 @@ def calibrate(
         console.print(LEVELS_TEXT)
         header = ("command", "clock", "T_move s", "", "wall", "wall again", "virtual", "")
         print_columns(header, [agreement.texts() for agreement in found])
-        console.print(f"{sum(agreement.agrees for agreement in found)} of {len(found)} agree")
+        console.print(f"{sum(agreement.verdict == AGREES for agreement in found)} of {len(found)} agree")
         return
     check_new_file(out)
     check_number("--commands", commands, 1, MOST_COMMANDS)
@@ -81,9 +81,12 @@ def advise(
         raise UserError(f"--t-move {t_move:g}: must be above 0 and at most {MOST_SECONDS:g} seconds")
     PROFILES[profile].check_duration(t_move, "--t-move")
     model = shipped_latency(profile) if latency is None else read_latency(latency)
-    found = list(advised(model, profile, t_move, rounds))
+    found, rows = advised(model, profile, t_move, rounds), []
     header = ("ClockSpeed", "ADSC error m", "STLC", "speed-up", "TCSC error m", "STLC", "speed-up")
-    print_columns(header, [(f"{clock:g}x", *(f"{number:.3g}" for number in rest)) for clock, *rest in found])
+    for clock, both in found.groupby("clock_speed"):
+        scores = both[["error_m", "stlc", "speedup"]].to_numpy().ravel()
+        rows.append((f"{clock:g}x", *(f"{score:.3g}" for score in scores)))
+    print_columns(header, rows)
     console.print(sentence(found, error, t_move))
 
 

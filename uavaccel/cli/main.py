@@ -20,7 +20,7 @@ from uavaccel.cli.experiments import evaluate, report, run, train
 from uavaccel.cli.machine import advise, bench, calibrate, doctor, init, schema
 from uavaccel.cli.results import export, view, watch
 from uavaccel.errors import UsageError, UserError, mistake_of
-from uavaccel.processes.guard import guard_children
+from uavaccel.processes.stalls import guard_children
 
 COMMANDS: list[Callable[..., None]] = [
     *(run, report, view, watch, calibrate, advise, train, evaluate),

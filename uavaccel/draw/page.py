@@ -163,12 +163,7 @@ def to_html(title: str, blocks: Sequence[Block]) -> str:
         undefined=StrictUndefined,
     )
     environment.filters["data_url"] = _data_url
-    environment.tests.update({kind.__name__.lower(): _is(kind) for kind in KINDS})
     return environment.get_template("page.html.jinja").render(title=title, blocks=blocks)
-
-
-def _is(kind: type) -> Callable[[object], bool]:
-    return lambda block: isinstance(block, kind)
 
 
 def _data_url(path: Path) -> str:

@@ -72,11 +72,6 @@ class View(NamedTuple):
         exact = self.origin + places[..., :1] * self.north + places[..., 1:] * self.east
         return np.rint(exact * (1 << SUBPIXEL)).astype(np.int32)
 
-    def in_sight(self, places_m: NDArray[np.float64], reach_m: NDArray[np.float64]) -> NDArray[np.intp]:
-        """Return the indices of the places (n, 2) of which something within `reach_m` (n,) is on the map."""
-        at, reach = self.pixels(places_m) / (1 << SUBPIXEL), (reach_m * self.scale)[:, None]
-        return np.flatnonzero(((at > -reach) & (at < np.array(self.size) + reach)).all(axis=1))
-
     @property
     def scale(self) -> float:
         """The pixels per metre."""
@@ -105,17 +100,16 @@ def draw_lane(layout: LaneLayout | None, view: View) -> Bgr:
         return blank(view.size, GROUND)
     picture = blank(view.size, OUTSIDE)
     half = WIDTH_M / 2
-    _box(picture, view, (-10.0, -half), (LENGTH_M + 10.0, half), GROUND)
-    for inner, outer in ((half, half + WALL_M), (-half - WALL_M, -half)):
-        _box(picture, view, (-10.0, inner), (LENGTH_M + 10.0, outer), WALL)
-    _box(picture, view, (LENGTH_M, -half), (LENGTH_M + 0.4, half), GOAL)
-    places_m = np.stack([layout.x_m, layout.y_m], axis=1)
-    for i in view.in_sight(places_m, 2 * layout.half_width_m).tolist():
-        (x, y), half_width, is_round = places_m[i].tolist(), layout.half_width_m[i], layout.round[i]
+    _box(picture, view, (-10.0, LENGTH_M + 10.0), (-half, half), GROUND)
+    for walls in ((half, half + WALL_M), (-half - WALL_M, -half)):
+        _box(picture, view, (-10.0, LENGTH_M + 10.0), walls, WALL)
+    _box(picture, view, (LENGTH_M, LENGTH_M + 0.4), (-half, half), GOAL)
+    obstacles = zip(layout.x_m, layout.y_m, layout.half_width_m, layout.round, strict=True)
+    for x, y, half_width, is_round in obstacles:
         if is_round:
             _disc(picture, view, (x, y), half_width, OBSTACLE)
         else:
-            _box(picture, view, (x - half_width, y - half_width), (x + half_width, y + half_width), OBSTACLE)
+            _box(picture, view, (x - half_width, x + half_width), (y - half_width, y + half_width), OBSTACLE)
     return picture
 
 
@@ -137,15 +131,9 @@ def draw_impact(picture: Bgr, view: View, place_m: ArrayLike) -> Bgr:
     return picture
 
 
-def _box(
-    picture: Bgr,
-    view: View,
-    south_west: tuple[float, float],
-    north_east: tuple[float, float],
-    colour: tuple[int, int, int],
-) -> None:
-    (south, west), (north, east) = south_west, north_east
-    corners = view.pixels([(south, west), (south, east), (north, east), (north, west)])
+def _box(picture: Bgr, view: View, north: Sequence[float], east: Sequence[float], colour: Sequence[int]) -> None:
+    """Fill the ground between two places to the north and two to the east, in metres."""
+    corners = view.pixels([(north[0], east[0]), (north[0], east[1]), (north[1], east[1]), (north[1], east[0])])
     cv2.fillPoly(picture, [corners], colour, cv2.LINE_AA, SUBPIXEL)
 
 

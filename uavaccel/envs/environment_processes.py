@@ -20,8 +20,8 @@ from gymnasium import spaces
 from uavaccel.clock import MonotonicClock
 from uavaccel.envs.values import Answer, Observation
 from uavaccel.errors import UserError
-from uavaccel.processes.child import Process, single_core_rendering, start_python
 from uavaccel.processes.forks import CAN_FORK, WITHOUT_THREADS, Fork, Forks
+from uavaccel.processes.lifetime import Process, single_core_rendering, start_python
 from uavaccel.processes.stalls import FIRST_POLLS, IDLE_POLLS, POLL_S, StallDetector, is_stopped
 from uavaccel.sim.rendering.camera import RendererGoneError
 from uavaccel.sim.rendering.service import RenderService, stop

@@ -2,31 +2,85 @@
 
 The same game is the same bytes: nothing in it is of the hour or of the library's version. Chunks are compressed with
 Zstandard, so the bytes also depend on that one's version.
+
+Messages are JSON, by Foxglove's schemas (docs.foxglove.dev, "Message schemas") and three of this project's own, in the
+frames of FRAMES: `ned` is the simulator's world, `enu` the same the right way up for a 3D panel.
 """
 
 from __future__ import annotations
 
 import heapq
-from collections.abc import Iterator
+import math
+from base64 import b64encode
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import cv2
+import numpy as np
+from numpy.typing import NDArray
 
 from uavaccel.draw.film import dvs_picture
 from uavaccel.errors import UserError
-from uavaccel.export import foxglove
-from uavaccel.export.provenance import provenance_of
+from uavaccel.export import provenance_of
 from uavaccel.files import inside, read_bounded, replacing, to_json
 from uavaccel.records import RunDirectory
+from uavaccel.sim.camera.mounted import FRONT_CENTER
 from uavaccel.sim.camera.view import HEIGHT, WIDTH
 from uavaccel.suites.flight import Flight
 from uavaccel.suites.registry import suite_of
 from uavaccel.suites.rows import Row
 from uavaccel.suites.suite import choose_row
+from uavaccel.units import NS_PER_S
 
 MISSING = "--mcap needs the package mcap: pip install 'uavaccel[export]'"
 EVENT_RATE_HZ = 100.0  # of the event camera beside the agent's own, where a game is flown again
+FRAMES = (
+    "enu: x east, y north, z up; ned: x north, y east, z down; drone: x forward, y right, z down; "
+    "front_center: x right, y down, z forward; orientations turn the body into the world"
+)
+HALF = math.sqrt(0.5)
+NED_IN_ENU = (0.0, HALF, HALF, 0.0)  # w, x, y, z: half a turn about the diagonal of east and north
+OPTICAL_IN_BODY = (0.5, 0.5, 0.5, 0.5)  # its x is the body's y, its y the body's z, its z the body's x
+INFO, WARNING = 2, 3  # foxglove.LogLevel
+
+Json = dict[str, object]
+
+
+def _record(title: str, **properties: object) -> Json:
+    return {"title": title, "type": "object", "properties": properties}
+
+
+_TEXT, _NUMBER, _INTEGER = {"type": "string"}, {"type": "number"}, {"type": "integer"}
+_BYTES = {"type": "string", "contentEncoding": "base64"}
+_TIME = {"timestamp": _record("time", sec=_INTEGER, nsec=_INTEGER)}
+_STAMPED = {**_TIME, "frame_id": _TEXT}
+_VECTOR = _record("foxglove.Vector3", **dict.fromkeys("xyz", _NUMBER))
+_QUATERNION = _record("foxglove.Quaternion", **dict.fromkeys("xyzw", _NUMBER))
+_TRANSFORM = _record(
+    "foxglove.FrameTransform",
+    **{**_TIME, "parent_frame_id": _TEXT, "child_frame_id": _TEXT, "translation": _VECTOR, "rotation": _QUATERNION},
+)
+_POSE = _record("foxglove.Pose", position=_VECTOR, orientation=_QUATERNION)
+_LINE = {"level": _INTEGER, "message": _TEXT, "name": _TEXT, "file": _TEXT, "line": _INTEGER}
+SCHEMAS = [
+    _record("foxglove.FrameTransforms", transforms={"type": "array", "items": _TRANSFORM}),
+    _record("foxglove.PoseInFrame", **_STAMPED, pose=_POSE),
+    _record("foxglove.CompressedImage", **_STAMPED, data=_BYTES, format=_TEXT),
+    _record("foxglove.Log", **_TIME, **_LINE),
+    _record("uavaccel.VelocityCommand", **_STAMPED, velocity_m_s=_VECTOR),
+    _record("uavaccel.Velocity", **_STAMPED, velocity_m_s=_VECTOR),
+    {
+        **_record(
+            "uavaccel.Events",
+            **_STAMPED,
+            **dict.fromkeys(("width", "height", "count"), _INTEGER),
+            **dict.fromkeys("xytp", _BYTES),
+        ),
+        "description": "Events by column, sorted by time, little-endian: x, y uint16 pixels from the left and the "
+        "top; t uint32 microseconds since the game's start; p uint8, 1 ON, 0 OFF.",
+    },
+]
 TOPICS = {
     "/tf": "foxglove.FrameTransforms",
     "/drone/pose": "foxglove.PoseInFrame",
@@ -44,7 +98,7 @@ class Entry(NamedTuple):
 
     time_ns: int
     topic: str
-    message: foxglove.Json
+    message: Json
 
 
 def write_mcap(run: RunDirectory, path: Path, case: str | None = None) -> Iterator[Path]:
@@ -86,68 +140,107 @@ def _files(run: RunDirectory, path: Path, rows: list[Row]) -> list[Path]:
 def _write_game(run: RunDirectory, row: Row, game: Flight, path: Path) -> None:
     from mcap.writer import Writer
 
+    provenance = provenance_of(run, row.get("timing"))
+    metadata = {name: str(value) for name, value in provenance.items() if value is not None}
     with replacing(path) as file:
         writer = Writer(file)
         writer.start(library="uavaccel")
-        writer.add_metadata("uavaccel", _metadata(run, row))
-        config = read_bounded(run.path / "config.yaml")
-        writer.add_attachment(0, 0, "config.yaml", "application/yaml", config)
+        writer.add_metadata("uavaccel", {**metadata, "case": str(row["case"]), "frames": FRAMES, "row": to_json(row)})
+        writer.add_attachment(0, 0, "config.yaml", "application/yaml", read_bounded(run.path / "config.yaml"))
         schemas = {
-            name: writer.register_schema(name, "jsonschema", to_json(schema).encode())
-            for name, schema in foxglove.SCHEMAS.items()
+            each["title"]: writer.register_schema(str(each["title"]), "jsonschema", to_json(each).encode())
+            for each in SCHEMAS
         }
         channels: dict[str, int] = {}  # of what this game has
-        for number, (time_ns, topic, message) in enumerate(_entries(row, game)):
+        for number, (time_ns, topic, message) in enumerate(entries(row, game)):
             if topic not in channels:
                 channels[topic] = writer.register_channel(topic, "json", schemas[TOPICS[topic]])
             writer.add_message(channels[topic], time_ns, to_json(message).encode(), time_ns, number)
         writer.finish()
 
 
-def _metadata(run: RunDirectory, row: Row) -> dict[str, str]:
-    """Texts by name; `row` is the game's line of rows.jsonl."""
-    provenance = provenance_of(run, row.get("timing"))
-    said = {name: str(value) for name, value in provenance.items() if value is not None}
-    return {**said, "case": str(row["case"]), "frames": foxglove.FRAMES, "row": to_json(row)}
-
-
-def _entries(row: Row, game: Flight) -> Iterator[Entry]:
+def entries(row: Row, game: Flight) -> Iterator[Entry]:
     """Return all messages in the order of their time."""
-    topics = (_poses(game), _commands(game), _images(game), _events(game), _said(row, game))
+    topics = (_poses(game), _commands(game), _images(game), _events(game), _log(row, game))
     return heapq.merge(*topics, key=lambda entry: entry.time_ns)
 
 
 def _poses(game: Flight) -> Iterator[Entry]:
+    """Give all frames with each pose: whoever jumps to a moment is given the last message of a topic alone."""
     for i, at in enumerate(game.time_ns.tolist()):
-        place = (game.position_m[i], game.orientation_wxyz[i])
-        yield Entry(at, "/tf", foxglove.transforms(at, *place))
-        yield Entry(at, "/drone/pose", foxglove.pose(at, *place))
+        place, turn = _vector(game.position_m[i]), _quaternion(game.orientation_wxyz[i])
+        frames = (
+            ("enu", "ned", _vector((0.0, 0.0, 0.0)), _quaternion(NED_IN_ENU)),
+            ("drone", "front_center", _vector(FRONT_CENTER.position_m), _quaternion(OPTICAL_IN_BODY)),
+            ("ned", "drone", place, turn),
+        )
+        transforms = [
+            _stamped(at, parent_frame_id=parent, child_frame_id=child, translation=moved, rotation=turned)
+            for parent, child, moved, turned in frames
+        ]
+        yield Entry(at, "/tf", {"transforms": transforms})
+        yield Entry(at, "/drone/pose", _stamped(at, frame_id="ned", pose={"position": place, "orientation": turn}))
         if game.velocity_m_s is not None:
-            yield Entry(at, "/drone/velocity", foxglove.velocity(at, game.velocity_m_s[i]))
+            yield Entry(at, "/drone/velocity", _velocity(at, game.velocity_m_s[i]))
 
 
 def _commands(game: Flight) -> Iterator[Entry]:
     for at, asked in zip(game.commands.start_ns.tolist(), game.commands.velocity_m_s, strict=False):
-        yield Entry(at, "/drone/command", foxglove.velocity(at, asked))
+        yield Entry(at, "/drone/command", _velocity(at, asked))
 
 
 def _images(game: Flight) -> Iterator[Entry]:
     for at, picture in zip(game.image_ns.tolist(), game.images, strict=True):
         shown = picture if picture.ndim == 2 else cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)
-        yield Entry(at, "/camera/front_center", foxglove.image(at, shown))
+        yield Entry(at, "/camera/front_center", _image(at, shown))
 
 
 def _events(game: Flight) -> Iterator[Entry]:
     for window in game.windows:
         at = window.time_ns
         if window.rows is not None:
-            yield Entry(at, "/dvs/events", foxglove.events(at, window.rows, HEIGHT, WIDTH))
+            yield Entry(at, "/dvs/events", _stamped(at, frame_id="front_center", **event_columns(window.rows)))
         counts = window.per_pixel((HEIGHT, WIDTH))
-        yield Entry(at, "/dvs/image", foxglove.image(at, dvs_picture(*counts, (WIDTH, HEIGHT))))
+        yield Entry(at, "/dvs/image", _image(at, dvs_picture(*counts, (WIDTH, HEIGHT))))
 
 
-def _said(row: Row, game: Flight) -> Iterator[Entry]:
-    yield Entry(0, "/log", foxglove.log(0, foxglove.INFO, f"{row['case']} begins"))
+def _log(row: Row, game: Flight) -> Iterator[Entry]:
+    lines = [(0, INFO, f"{row['case']} begins")]
     if game.collision:
         at, hit = game.collision
-        yield Entry(at, "/log", foxglove.log(at, foxglove.WARNING, f"hit {hit}"))
+        lines.append((at, WARNING, f"hit {hit}"))
+    for at, level, message in lines:
+        yield Entry(at, "/log", _stamped(at, level=level, message=message, name="uavaccel", file="", line=0))
+
+
+def _stamped(time_ns: int, **content: object) -> Json:
+    seconds, nanoseconds = divmod(time_ns, NS_PER_S)
+    return {"timestamp": {"sec": seconds, "nsec": nanoseconds}, **content}
+
+
+def _vector(values: Sequence[float]) -> Json:
+    return dict(zip("xyz", map(float, values), strict=True))
+
+
+def _quaternion(wxyz: Sequence[float]) -> Json:
+    return dict(zip("wxyz", map(float, wxyz), strict=True))
+
+
+def _velocity(time_ns: int, velocity_m_s: Sequence[float]) -> Json:
+    return _stamped(time_ns, frame_id="ned", velocity_m_s=_vector(velocity_m_s))
+
+
+def _image(time_ns: int, picture: NDArray[np.uint8]) -> Json:
+    """Return a picture, gray or BGR, as PNG."""
+    _, png = cv2.imencode(".png", picture)
+    return _stamped(time_ns, frame_id="front_center", data=b64encode(png.tobytes()).decode(), format="png")
+
+
+def event_columns(rows: NDArray[np.floating]) -> Json:
+    """Return events, rows (n, 4) of t in s, x, y, p = 1 or -1, by column; those of one microsecond keep their order."""
+    t_us = np.rint(rows[:, 0].astype(np.float64) * 1e6).astype("<u4")
+    order = np.argsort(t_us, kind="stable")
+    x, y = rows[order, 1:3].astype("<u2").T
+    packed = {"t": t_us[order], "x": x, "y": y, "p": (rows[order, 3] > 0).astype(np.uint8)}
+    columns = {name: b64encode(values.tobytes()).decode() for name, values in packed.items()}
+    return {"height": HEIGHT, "width": WIDTH, "count": len(rows), **columns}

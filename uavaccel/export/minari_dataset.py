@@ -23,7 +23,7 @@ from gymnasium import spaces
 
 from uavaccel.envs.values import Observation, stacked_observations
 from uavaccel.errors import UserError, naming
-from uavaccel.export.provenance import provenance_of
+from uavaccel.export import provenance_of
 from uavaccel.files import UNFINISHED, to_json
 from uavaccel.records import RunDirectory
 from uavaccel.rl.agents import reset_options

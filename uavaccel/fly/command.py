@@ -14,7 +14,7 @@ from uavaccel.errors import UsageError, UserError
 from uavaccel.fly.options import SCRATCH, THINK_S, FlightOptions, FlightSummary, found_settings
 from uavaccel.fly.runs import FlightResult, check, fly
 from uavaccel.limits import CLOCK_SPEEDS, MOST_SECONDS, MOST_SEEDS
-from uavaccel.processes.cleanup import remove_orphaned_files
+from uavaccel.processes.lifetime import remove_orphaned_files
 from uavaccel.resources import asset
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from uavaccel.draw.movie import movie
+from uavaccel.draw.film import movie
 from uavaccel.sim.simulation import Simulation
 from uavaccel.sim.world import World
 from uavaccel.units import NS_PER_S

@@ -15,7 +15,7 @@ from pathlib import Path
 from uavaccel.fly.messages import DifferenceError
 from uavaccel.fly.options import ANSWERS, DIFFERENCE, INTERRUPT_SEEN, SUMMARY, FlightOptions, FlightSummary
 from uavaccel.fly.script import INTERRUPTED
-from uavaccel.processes.child import POLL_S, Patience, describe_end, start_python
+from uavaccel.processes.lifetime import POLL_S, Patience, describe_end, start_python
 
 HEED_S, END_S = 0.5, 5.0  # after an interruption: until the script has received it, and until it has ended
 

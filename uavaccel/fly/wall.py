@@ -28,7 +28,7 @@ from uavaccel.fly.options import FlightOptions, FlightSummary
 from uavaccel.fly.script import FlightOver, ScriptResult, run_script
 from uavaccel.fly.shims import script_environment
 from uavaccel.fly.trajectory import write_trajectory
-from uavaccel.processes.child import Watch, end_within, start_python
+from uavaccel.processes.lifetime import Watch, end_within, start_python
 from uavaccel.units import NS_PER_S
 from uavaccel.wire.rpc import LOOPBACK, Received
 from uavaccel.wire.settings import Settings

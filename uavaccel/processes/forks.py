@@ -17,7 +17,7 @@ from collections.abc import Callable, Collection, Iterable, Sequence
 from contextlib import suppress
 from typing import NoReturn
 
-from uavaccel.processes.child import Process
+from uavaccel.processes.lifetime import Process
 from uavaccel.processes.stalls import is_stopped
 
 CAN_FORK = sys.platform == "linux" and hasattr(os, "pidfd_open")

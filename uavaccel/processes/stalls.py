@@ -1,16 +1,24 @@
-"""The detection of stalled processes: stopped, or waiting forever. Their CPU time is read from the system.
+"""Stalled processes: the detection of those that were stopped or wait for ever, and a guard that ends stopped ones.
 
-It is known on Linux; elsewhere no process is reported as stalled.
+Their state and CPU time are read from the system, on Linux; elsewhere no process is reported as stalled. A process
+that was stopped ends neither by itself nor with its parent, so without the guard its command would wait for ever.
 """
 
 from __future__ import annotations
 
+import atexit
 import os
-from collections.abc import Collection
+import signal
+import threading
+from collections.abc import Callable, Collection
+from contextlib import suppress
 from pathlib import Path
+from textwrap import shorten
+from types import FrameType
 
 POLL_S = 1.0  # seconds of silence before the first poll, and between polls
 STOPPED_POLLS, IDLE_POLLS = 5, 8  # successive looks that find it stopped, or idle
+GUARD_POLLS = 8  # as many, of the guard: whoever waits for an answer has less patience, and can say more about it
 FIRST_POLLS = 60  # the same while a process loads its modules, perhaps from a slow disk
 
 
@@ -83,3 +91,51 @@ class StallDetector:
         now, before = [cpu_time_s(process) for process in with_children(pid)], self._cpu_s.get(pid)
         self._cpu_s[pid] = now
         return now != before or now[0] is None
+
+
+_GUARDING: set[int] = set()
+
+
+def guard_children(say: Callable[[str], object]) -> None:
+    """From now on end processes below this one that stay stopped, and `say` a line about each; on Linux only.
+
+    At Ctrl-C, and at the end of this process, those that are stopped are ended at once. Call it in the main
+    thread; a second call does nothing.
+    """
+    if os.getpid() in _GUARDING:
+        return
+    _GUARDING.add(os.getpid())
+    threading.Thread(target=_look, args=(say,), daemon=True, name="guard").start()
+    atexit.register(end_stopped)
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, _interrupt)
+
+
+def end_stopped() -> None:
+    """End every process below this one that is stopped."""
+    for pid in _stopped():
+        _kill(pid)
+
+
+def _stopped() -> list[int]:
+    return [pid for pid in with_children(os.getpid())[1:] if is_stopped(pid)]
+
+
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    end_stopped()
+    signal.default_int_handler(number, frame)
+
+
+def _look(say: Callable[[str], object]) -> None:
+    polls: dict[int, int] = {}
+    while not threading.Event().wait(POLL_S):
+        polls = {pid: polls.get(pid, 0) + 1 for pid in _stopped()}
+        for pid in (poll for poll, count in polls.items() if count == GUARD_POLLS):
+            command = shorten(command_of(pid), 100, placeholder=" ...")
+            _kill(pid)
+            say(f"process {pid} ({command}) was stopped, and was ended since it did not go on")
+
+
+def _kill(pid: int) -> None:
+    with suppress(OSError):  # it has ended, or is another's
+        os.kill(pid, signal.SIGKILL)

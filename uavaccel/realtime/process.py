@@ -17,8 +17,7 @@ import gymnasium
 
 from uavaccel.clock import MonotonicClock, Pacer
 from uavaccel.errors import UserError
-from uavaccel.processes.child import POLL_S, Patience, describe_end
-from uavaccel.processes.lifetime import work_for_parent
+from uavaccel.processes.lifetime import POLL_S, Patience, describe_end, work_for_parent
 from uavaccel.processes.stalls import is_stopped
 from uavaccel.realtime.control_loop import Command, ControlLoop, Extras, Keys, LoopOptions
 from uavaccel.realtime.plant import Passed, plant_of

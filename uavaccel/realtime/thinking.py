@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.clock import MonotonicClock
+from uavaccel.config import dump_yaml
 from uavaccel.errors import UserError
 from uavaccel.units import NS_PER_S, real, seconds_to_ns
 from uavaccel.wire.latency import DEFAULT, QUANTILES, LatencyConfig, read_latency
-from uavaccel.yaml_io import dump_yaml
 
 MEASURED: Final = "measured"
 MOST_S = 3600.0

@@ -180,7 +180,7 @@ class Dp1(Suite[Dp1Config, Game]):
 
     def finish(self, config: Dp1Config, run: RunDirectory) -> None:
         """Record the messages of one command of each kind, for Figure 4."""
-        from uavaccel.calibration.traces import record_trace
+        from uavaccel.calibration.calibrate import record_trace
 
         with self.open(config, config.timing, run) as session:
             for command in config.command:

@@ -20,7 +20,7 @@ import numpy as np
 import pandas as pd
 from pydantic import AfterValidator, Field, field_validator
 
-from uavaccel.config import Config, validate
+from uavaccel.config import Config, parse_yaml, validate
 from uavaccel.draw import style
 from uavaccel.draw.labels import clock_label, command_at_clock, command_name
 from uavaccel.draw.page import Block, Heading, Picture, Table, unknown
@@ -53,7 +53,6 @@ from uavaccel.suites.parts import OUTCOMES, Part, fly_part, outcomes, part_run, 
 from uavaccel.suites.report import Report, Summary, finished, source_line, table_of
 from uavaccel.suites.rows import GameRow, Row
 from uavaccel.suites.suite import AnySuite, GameResult, SimpleCase, Suite
-from uavaccel.yaml_io import parse_yaml
 
 if TYPE_CHECKING:
     from uavaccel.wire.session import Session

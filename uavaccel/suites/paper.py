@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, StringConstraints
 
 from uavaccel import __version__
-from uavaccel.config import Config, validate
+from uavaccel.config import Config, load_yaml, validate
 from uavaccel.draw.page import Block, Column, Heading, Picture, Table, fill
 from uavaccel.errors import UserError
 from uavaccel.files import file_sha256
@@ -28,7 +28,6 @@ from uavaccel.suites.registry import open_run, suite_of
 from uavaccel.suites.report import Report, Summary, records, table_of
 from uavaccel.suites.rows import GameRow
 from uavaccel.suites.suite import GameResult, SimpleCase, Suite
-from uavaccel.yaml_io import load_yaml
 
 PROFILES = ("airsim", "native")
 LEVEL = 0.05

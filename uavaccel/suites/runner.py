@@ -15,8 +15,7 @@ from uavaccel.errors import UsageError, UserError
 from uavaccel.files import is_file_name, to_json
 from uavaccel.limits import MOST_PROCESSES
 from uavaccel.machine import usable_cores
-from uavaccel.processes.cleanup import remove_orphaned_files
-from uavaccel.processes.lifetime import work_for_parent
+from uavaccel.processes.lifetime import remove_orphaned_files, work_for_parent
 from uavaccel.records import RunDirectory
 from uavaccel.suites.engines import LOKY, on_cluster
 from uavaccel.suites.experiment import Experiment, timing_of

@@ -14,13 +14,13 @@ from typing import Any, get_origin
 
 from pydantic import BaseModel
 
-from uavaccel.calibration.machine import check_machine
+from uavaccel.calibration.doctor import check_machine
 from uavaccel.clock import calendar_time
 from uavaccel.config import apply_overrides, load_yaml, parse_override
 from uavaccel.errors import Interrupted, UsageError, UserError, mistake_of
 from uavaccel.files import Plain, check_new_folder
 from uavaccel.limits import MOST_GAMES
-from uavaccel.manifest import describe_run
+from uavaccel.machine import describe_run
 from uavaccel.metrics.speedup import timing_provenance
 from uavaccel.records import RunDirectory
 from uavaccel.suites.engines import LOKY, check_engine

@@ -3,35 +3,47 @@
     python -m uavaccel.watch.beside '{"host": "127.0.0.1", "port": 8080, "socket": PATH, "title": "...", "parent": 1}'
 
 prints one line of JSON, {"port": ...}, when the page can be opened, and {"opened": true} once a browser has opened it.
-This module loads the page itself only where it is shown.
+This module loads the page itself, and viser, which serves it, only where it is shown.
+
+Every website that the spectator opens could send requests here too. So the server answers those alone that name this
+machine (`Host`: a website's own name may lead here), and that a page of its own has made (`Origin`). A browser that no
+longer reads is dropped; one that reads slowly gets the latest state instead of all of them.
 """
 
 from __future__ import annotations
 
+import errno
+import importlib.util
+import io
 import json
+import logging
 import os
 import re
 import shlex
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, redirect_stdout, suppress
 from dataclasses import dataclass
+from http import HTTPStatus
+from ipaddress import ip_address
 from pathlib import Path
 from select import select
-from typing import IO, TYPE_CHECKING
+from typing import IO, TYPE_CHECKING, Any
+from urllib.parse import urlsplit
 
 from uavaccel.errors import UsageError, UserError
-from uavaccel.processes.child import Watch, end_within, start_python
-from uavaccel.processes.cleanup import remove_orphaned_files
-from uavaccel.processes.lifetime import end_with_parent
-from uavaccel.watch.server import check_viser, free_port, open_server
+from uavaccel.processes.lifetime import Watch, end_with_parent, end_within, remove_orphaned_files, start_python
 from uavaccel.wire.page_protocol import PAGE
 
 if TYPE_CHECKING:
+    from viser import ViserServer
+    from websockets import Headers
+
     from uavaccel.watch.replay import Track
 
 LOOPBACK = "127.0.0.1"
@@ -39,6 +51,8 @@ PORT = 8080
 SCRATCH = "uavaccel-watch-"  # and the id of the process whose folder it is
 FIRST_SPECTATOR_S = 30.0  # for so long a flight waits for its first spectator
 START_S, END_S = 60.0, 3.0
+UNREAD_MS = 10_000  # for so long a browser may leave what was sent unread
+BRAND = (0, 114, 178)
 NICENESS = 5  # the flight goes first
 SQUARE = (
     "One square under both commands. Before each command the client thinks for {think:g} ms. "
@@ -72,7 +86,9 @@ def page_beside(address: PageAddress | None, waits: bool = True) -> Iterator[Non
         if process.poll() != -signal.SIGINT:  # at Ctrl-C, which both receive, it has every reason to end
             print(f"warning: {watch.lost}; the flight goes on, unwatched", flush=True)
 
-    with tempfile.TemporaryDirectory(prefix=f"{SCRATCH}{os.getpid()}-", ignore_cleanup_errors=True) as folder:
+    prefix = f"{SCRATCH}{os.getpid()}-"
+    with ExitStack() as ends:
+        folder = ends.enter_context(tempfile.TemporaryDirectory(prefix=prefix, ignore_cleanup_errors=True))
         options = {
             "host": address.host,
             "port": address.port,
@@ -81,29 +97,20 @@ def page_beside(address: PageAddress | None, waits: bool = True) -> Iterator[Non
             "parent": os.getpid(),
         }
         command = ("-m", "uavaccel.watch.beside", json.dumps(options))
-        with start_python(*command, stdout=subprocess.PIPE, own_session=False) as process:
-            assert process.stdout is not None
-            try:
-                if not (line := _line_within(process.stdout, START_S)):
-                    raise UserError("--watch: the page could not be opened; see above")
-                watch = Watch(process, "the page's process", tell)
-                try:
-                    wait = (
-                        f"the flight begins when it is opened, or in {FIRST_SPECTATOR_S:g} s"
-                        if waits
-                        else "Ctrl-C ends"
-                    )
-                    print(f"watch at http://{address.host}:{json.loads(line)['port']}; {wait}", flush=True)
-                    if waits:
-                        _line_within(process.stdout, FIRST_SPECTATOR_S)
-                    os.environ[PAGE] = str(Path(folder, "page"))
-                    yield
-                finally:
-                    watch.end()
-            finally:
-                os.environ.pop(PAGE, None)
-                process.terminate()
-                end_within(process, END_S)
+        process = ends.enter_context(start_python(*command, stdout=subprocess.PIPE, own_session=False))
+        assert process.stdout is not None
+        for end in (lambda: end_within(process, END_S), process.terminate, lambda: os.environ.pop(PAGE, None)):
+            ends.callback(end)  # the last first
+        if not (line := _line_within(process.stdout, START_S)):
+            raise UserError("--watch: the page could not be opened; see above")
+        watch = Watch(process, "the page's process", tell)
+        ends.callback(watch.end)
+        begins = f"the flight begins when it is opened, or in {FIRST_SPECTATOR_S:g} s" if waits else "Ctrl-C ends"
+        print(f"watch at http://{address.host}:{json.loads(line)['port']}; {begins}", flush=True)
+        if waits:
+            _line_within(process.stdout, FIRST_SPECTATOR_S)
+        os.environ[PAGE] = str(Path(folder, "page"))
+        yield
 
 
 def _line_within(stream: IO[bytes], seconds: float) -> bytes:
@@ -163,6 +170,98 @@ def show(
         page.run()
     finally:
         server.stop()
+
+
+def check_viser() -> None:
+    """Raise UserError where viser is missing."""
+    if importlib.util.find_spec("viser") is None:
+        raise UserError("watch: needs the package viser: pip install 'uavaccel[watch]'")
+
+
+def free_port(host: str, port: int) -> int:
+    """Return the first free port from `port` on; without one, and for a foreign address, viser would wait for ever.
+
+    Raises UserError where the address is not one of this machine, or all these ports are taken.
+    """
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    for free in range(port, 1 << 16):
+        try:
+            socket.create_server((host, free), family=family).close()
+            return free
+        except OSError as error:
+            if error.errno not in (errno.EADDRINUSE, errno.EACCES):
+                reason = (error.strerror or str(error)).partition(" (while")[0]
+                raise UserError(f"the page cannot be opened at {host}:{port}: {reason}") from None
+    raise UserError(f"the page cannot be opened at {host}: no port is free from {port} on")
+
+
+def open_server(host: str, port: int) -> ViserServer:
+    """Open a page, without a word, at the first free port from `port` on.
+
+    Raises UserError where viser is missing, and as `free_port` does.
+    """
+    check_viser()
+    port = free_port(host, port)
+    import viser
+
+    with redirect_stdout(io.StringIO()), _guarded(host):  # it greets, even where it is asked to be silent
+        server = viser.ViserServer(host=host, port=port, label="uavaccel watch", verbose=False)
+    server.gui.configure_theme(
+        control_layout="collapsible", show_logo=False, show_share_button=False, brand_color=BRAND
+    )
+    server.gui.set_panel_label("uavaccel watch")
+    return server
+
+
+def is_ours(headers: Headers, host: str) -> bool:
+    """Return whether a request may be answered: it names this machine, and no other page has made it.
+
+    This machine has its own names, `host`, and any number, which no website can have.
+    """
+    named, origins = headers.get_all("Host"), headers.get_all("Origin")
+    if len(named) != 1 or not {origin.lower() for origin in origins} <= {
+        f"{scheme}://{named[0]}".lower() for scheme in ("http", "https")
+    }:
+        return False
+    own = socket.gethostname().lower()
+    try:
+        name = urlsplit(f"//{named[0]}").hostname or ""
+        if name not in {"localhost", host.lower(), own, f"{own}.local"}:
+            ip_address(name)
+    except ValueError:
+        return False
+    return True
+
+
+@contextmanager
+def _guarded(host: str) -> Iterator[None]:
+    """Guard the server that viser opens in the `with` block, for which viser has no option.
+
+    Raises UserError where viser serves in another way.
+    """
+    import websockets.asyncio.server as servers
+
+    serve, guards = servers.serve, []
+    logging.getLogger("websockets.server").setLevel(logging.CRITICAL)  # what is no request is no traceback here
+
+    def guarded(*arguments: Any, process_request: Any, **options: Any) -> Any:
+        def answer(connection: Any, request: Any) -> Any:
+            if not is_ours(request.headers, host):
+                return connection.respond(HTTPStatus.FORBIDDEN, "Open the page at its own address.\n")
+            if (unread := getattr(socket, "TCP_USER_TIMEOUT", None)) is not None:
+                connection.transport.get_extra_info("socket").setsockopt(socket.IPPROTO_TCP, unread, UNREAD_MS)
+            return process_request(connection, request)
+
+        guards.append(answer)
+        return serve(*arguments, process_request=answer, **options)
+
+    setattr(servers, "serve", guarded)  # noqa: B010  a function, to a type checker a class
+    try:
+        yield
+    finally:
+        setattr(servers, "serve", serve)  # noqa: B010
+    if not guards:
+        raise UserError("watch: this version of viser cannot be guarded against other websites; take an older one")
 
 
 if __name__ == "__main__":

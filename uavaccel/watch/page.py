@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import html
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -19,10 +19,9 @@ from uavaccel.sim.camera.camera import make_camera
 from uavaccel.sim.camera.view import HEIGHT, WIDTH
 from uavaccel.units import NS_PER_S
 from uavaccel.watch.scene import BLANK, Drone, Eyes, Floats, Scene, light_up, pose_of, show_surroundings
-from uavaccel.watch.server import chosen
 
 if TYPE_CHECKING:
-    from viser import ClientHandle, GuiImageHandle, ViserServer
+    from viser import ClientHandle, GuiDropdownHandle, GuiImageHandle, ViserServer
 
 UPDATES_PER_S = 30
 PICTURES_EVERY = 3  # updates
@@ -41,24 +40,28 @@ WORTH_M = 0.02  # a move that the view follows
 NUMBER, WORDS = "text-align:right;white-space:nowrap", "padding-left:0.6em"  # styles of the clocks' cells
 
 
+class DroneState(NamedTuple):
+    """A drone at simulated time `time_s`; its pose (7,) is place in m and wxyz in MuJoCo's frame."""
+
+    time_s: float
+    pose: Floats
+    commanded: bool
+    """Whether it was flying a command on the way here."""
+    towards: Vector | None
+    """NED, where its command leads; None where that is no direction."""
+    does: str
+    """What it does, in words."""
+
+
 class Moment(NamedTuple):
-    """A state of n drones that fly at once. `poses` (n, 7) are place in m and wxyz in MuJoCo's frame."""
+    """A state of drones that fly at once; `wall` is the wall clock in words."""
 
     flight: object
     """The paths begin anew where this is another value than before."""
     may_pause: bool
     clock_speed: float
     wall: str
-    """The wall clock, in words."""
-    time_s: Sequence[float]
-    """Simulated, of each drone."""
-    poses: Floats
-    commanded: Sequence[bool]
-    """Of each drone, whether it was flying a command on the way here."""
-    towards: Sequence[Vector | None]
-    """NED, where each drone's command leads; None where that is no direction."""
-    states: Sequence[str]
-    """In words, what each drone does."""
+    drones: Sequence[DroneState]
 
 
 class Source(ABC):
@@ -105,7 +108,7 @@ class Page:
         self._scene: Scene | None = None
         self._moment: Moment | None = None
         self._flight: object = None
-        self._drones: list[Drone] = []
+        self._drones: dict[str, Drone] = {}
         self._eyes: dict[str, Eyes] = {}
         self._images: dict[str, GuiImageHandle] = {}
         self._updates = 0
@@ -154,49 +157,47 @@ class Page:
         with self._server.atomic():
             if self._source.scene is not None and self._source.scene is not self._scene:
                 self._change_scene(self._source.scene)
-            self._show([moment for moment in moments if len(moment.poses) == len(self._drones)])
+            self._show([moment for moment in moments if len(moment.drones) == len(self._drones)])
         if self._moment is not None and self._updates % PICTURES_EVERY == 0:
-            for name, pose, time_s in zip(self._eyes, self._moment.poses, self._moment.time_s, strict=False):
-                self._images[name].image = self._eyes[name].render(pose, time_s)
+            for (name, eyes), state in zip(self._eyes.items(), self._moment.drones, strict=False):
+                self._images[name].image = eyes.render(state.pose, state.time_s)
         self._updates += 1
 
     def _show(self, moments: Sequence[Moment]) -> None:
         for moment in moments:
             if moment.flight != self._flight:
                 self._flight = moment.flight
-                for name, drone in zip(self._scene.bodies if self._scene else (), self._drones, strict=True):
+                for name, drone in self._drones.items():
                     drone.begin(self._source.ideal_m.get(name))
                 self._play.disabled = self._step.disabled = self._pace.disabled = not moment.may_pause
                 self._why_not.visible = not moment.may_pause
-            for drone, pose, commanded in zip(self._drones, moment.poses, moment.commanded, strict=True):
-                drone.go_to(pose[:3], commanded)
+            for drone, state in zip(self._drones.values(), moment.drones, strict=True):
+                drone.go_to(state.pose[:3], state.commanded)
             self._moment = moment
         label = "Play" if self._source.held else "Pause"
         if self._play.label != label:
             self._play.label = label
-        if (last := self._moment) is None or self._scene is None:
+        if (last := self._moment) is None:
             return
+        flown = list(zip(self._drones.items(), last.drones, strict=True))
         if moments:
-            for name, drone, pose, towards, state in zip(
-                self._scene.bodies, self._drones, last.poses, last.towards, last.states, strict=True
-            ):
-                drone.show(pose, towards, f"{name}: {state}")
+            for (name, drone), state in flown:
+                drone.show(state.pose, state.towards, f"{name}: {state.does}")
             if self._follow.value:
-                self._views.follow(last.poses[0, :3])
-        heights = [drone.height_m for drone in self._drones]
-        lines = list(zip(self._scene.bodies, last.time_s, heights, last.states, strict=True))
+                self._views.follow(last.drones[0].pose[:3])
+        lines = [(name, state.time_s, drone.height_m, state.does) for (name, drone), state in flown]
         self._clocks.content = clock_table(last.clock_speed, last.wall, lines, self._source.note)
 
     def _change_scene(self, scene: Scene) -> None:
         first, self._scene, self._moment, self._flight = self._scene is None, scene, None, None
         show_surroundings(self._server, scene)
-        for drone in self._drones:
+        for drone in self._drones.values():
             drone.begin(None)
         middle = (len(scene.bodies) - 1) / 2
-        self._drones = [
-            Drone(self._server, name, scene, np.array([0.0, (middle - number) * scene.apart_m, 0.0]))
+        self._drones = {
+            name: Drone(self._server, name, scene, np.array([0.0, (middle - number) * scene.apart_m, 0.0]))
             for number, name in enumerate(scene.bodies)
-        ]
+        }
         if first:
             self._views.look_at(scene.centre_m, scene.reach_m, wide=not scene.follows)
         first_body = next(iter(scene.bodies.values()))
@@ -232,8 +233,8 @@ class Views:
 
     def look_at(self, centre: Floats, reach_m: float, wide: bool = True) -> None:
         """Look at `reach_m` around a place, from the south and above; a `wide` scene from farther on narrow screens."""
-        self._at, self._back, self._wide = np.array(centre, float), reach_m * np.array(FROM_BEHIND), wide
-        self._aim_new()
+        self._back, self._wide = reach_m * np.array(FROM_BEHIND), wide
+        self._move_to(np.array(centre, float))
         for client in self._server.get_clients().values():
             self._aim(client)
 
@@ -241,14 +242,13 @@ class Views:
         """Go along with a drone that is at this place now; everyone may turn and zoom as before."""
         moved = place - self._at
         if float(np.linalg.norm(moved)) >= WORTH_M:
-            self._at = self._at + moved
-            self._aim_new()
+            self._move_to(place)
             for client in self._server.get_clients().values():
                 client.camera.position = client.camera.position + moved
 
-    def _aim_new(self) -> None:
-        camera = self._server.initial_camera
-        camera.look_at, camera.position = self._at, self._at + self._back
+    def _move_to(self, place: Floats) -> None:
+        self._at, camera = place, self._server.initial_camera
+        camera.look_at, camera.position = place, place + self._back
 
     def _aim(self, client: ClientHandle) -> None:
         back, below = self._back, np.zeros(3)
@@ -274,3 +274,11 @@ def clock_table(
         f"<p style='margin:0.3em 0'>ClockSpeed <b>{clock_speed:g}x</b> &nbsp; wall clock "
         f"<b>{wall}</b></p><table style='width:100%;line-height:1.5'>{rows}</table>{below}</div>"
     )
+
+
+def chosen(menu: GuiDropdownHandle[str], known: Collection[str], otherwise: str) -> str:
+    """Return what is chosen in a menu, or `otherwise` for what it does not offer, which a page could send."""
+    if menu.value not in known:
+        setattr(menu, "value", otherwise)  # noqa: B010  to a type checker it cannot be set
+    value: str = menu.value
+    return value

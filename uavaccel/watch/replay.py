@@ -13,13 +13,13 @@ from uavaccel.commands import COMMANDS, VelocityGoal
 from uavaccel.commands.paths import velocities
 from uavaccel.draw.labels import clock_label, command_name
 from uavaccel.errors import UsageError, UserError
-from uavaccel.files import Plain, parse_json, read_arrays, read_bounded, read_lines
+from uavaccel.files import read_arrays, read_json, read_lines
 from uavaccel.fly.messages import FILE_NAME as MESSAGES
 from uavaccel.fly.options import SUMMARY
 from uavaccel.fly.trajectory import FILE_NAME as TRAJECTORY
 from uavaccel.kinematics import Vector
 from uavaccel.suites.flight import Commands, Flight
-from uavaccel.units import NS_PER_S, seconds_to_ns, to_ns
+from uavaccel.units import NS_PER_S, ned_to_mujoco, quaternion_ned_to_mujoco, seconds_to_ns, to_ns
 from uavaccel.wire.api import CALLS
 from uavaccel.wire.latency import shipped_latency
 from uavaccel.wire.session import open_session
@@ -56,15 +56,15 @@ class Track:
         """Simulated time at this moment of the client's clock; the first and the last beyond the flight."""
         return float(np.interp(wall_s, self.marks[:, 0], self.marks[:, 1]))
 
-    def pose(self, time_s: float) -> tuple[Floats, Floats]:
-        """Place (3,) and attitude (4,), NED, at a simulated time, between samples on the straight line."""
+    def pose(self, time_s: float) -> Floats:
+        """Place and attitude (7,) in MuJoCo's frame at a simulated time, between samples on the straight line."""
         place = [np.interp(time_s, self.time_s, column) for column in self.flight.position_m.T]
         after = int(np.clip(np.searchsorted(self.time_s, time_s), 1, len(self.time_s) - 1))
         earlier, later = self.flight.orientation_wxyz[after - 1 : after + 1]
         share = np.clip((time_s - self.time_s[after - 1]) / (self.time_s[after] - self.time_s[after - 1]), 0.0, 1.0)
         # q and -q are one attitude: the nearer of them
         turned = (1.0 - share) * earlier + share * (later if earlier @ later >= 0.0 else -later)
-        return np.array(place), turned / np.linalg.norm(turned)
+        return np.append(ned_to_mujoco(place), quaternion_ned_to_mujoco(turned / np.linalg.norm(turned)))
 
     def farthest_from(self, other: Track) -> float:
         """The longest way, in metres, from a place of this flight to the nearest one of another's."""
@@ -135,11 +135,13 @@ def script_track(folder: Path) -> Track:
     A command ends where the script has its answer, which it only asks for with `join`, or at the next command. Raises
     UserError if the flight is not whole.
     """
-    summary, arrays, messages = (
-        _summary(folder / SUMMARY),
-        read_arrays(folder / TRAJECTORY),
-        read_lines(folder / MESSAGES),
-    )
+    try:
+        summary = read_json(folder / SUMMARY)
+    except UserError as error:
+        raise UserError(f"{error}: the flight is not whole") from error
+    if not (isinstance(summary, dict) and isinstance(summary.get("clock_speed"), int | float)):
+        raise UserError(f"{folder / SUMMARY}: is no summary of a flight: no number under 'clock_speed'")
+    arrays, messages = read_arrays(folder / TRAJECTORY), read_lines(folder / MESSAGES)
     lengths = {len(arrays[name]) if name in arrays else None for name in SAMPLES}
     if None in lengths or len(lengths) > 1:
         raise UserError(f"{folder / TRAJECTORY}: is no trajectory: needs {', '.join(SAMPLES)}, of equal length")
@@ -169,16 +171,6 @@ def script_track(folder: Path) -> Track:
     where, title = str(summary.get("scene", "blocks")), f"The flight in `{folder}`."
     flight = Flight(title, speed, time_ns, position_m, orientation_wxyz, commands, scene=where)
     return Track(f"script at {clock_label(speed)}", flight, marks)
-
-
-def _summary(path: Path) -> dict[str, Plain]:
-    try:
-        summary = parse_json(read_bounded(path).decode("utf-8"))
-    except (OSError, ValueError) as error:
-        raise UserError(f"{path}: is missing or damaged, so that the flight is not whole: {error}") from None
-    if not (isinstance(summary, dict) and isinstance(summary.get("clock_speed"), int | float)):
-        raise UserError(f"{path}: is no summary of a flight: no number under 'clock_speed'")
-    return summary
 
 
 def fly_side_by_side(clock_speed: float, think_s: float, rounds: int, seed: int) -> list[Track]:

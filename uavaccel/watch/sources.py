@@ -15,8 +15,8 @@ import numpy as np
 from uavaccel.files import Plain
 from uavaccel.sim.profile import PROFILES
 from uavaccel.sim.world import World
-from uavaccel.units import NS_PER_S, ned_to_mujoco, quaternion_ned_to_mujoco
-from uavaccel.watch.page import Moment, Source
+from uavaccel.units import NS_PER_S, ned_to_mujoco
+from uavaccel.watch.page import DroneState, Moment, Source
 from uavaccel.watch.replay import Track
 from uavaccel.watch.scene import Scene, pose_of
 from uavaccel.wire.page_protocol import FREE, MESSAGE_BYTES, Orders
@@ -92,21 +92,14 @@ class Replay(Source):
         return [self._moment(*walls) for walls in zip([before_s, *walls_s], walls_s, strict=False)]
 
     def _moment(self, before_s: float, wall_s: float) -> Moment:
-        times_s = [track.simulated_s(wall_s) for track in self._tracks]
-        on_the_way_s = [(track.simulated_s(before_s) + at) / 2 for track, at in zip(self._tracks, times_s, strict=True)]
-        timed = list(zip(self._tracks, times_s, strict=True))
-        poses = [track.pose(time_s) for track, time_s in timed]
-        return Moment(
-            self._begun,
-            True,
-            self.clock_speed,
-            f"{1000 * wall_s:.1f} ms" if self._end_s < 1.0 else f"{wall_s:.3f} s",
-            times_s,
-            np.array([[*ned_to_mujoco(place), *quaternion_ned_to_mujoco(attitude)] for place, attitude in poses]),
-            [track.command(time_s) is not None for track, time_s in zip(self._tracks, on_the_way_s, strict=True)],
-            [track.towards(time_s) for track, time_s in timed],
-            [track.state(wall_s) for track in self._tracks],
-        )
+        drones = []
+        for track in self._tracks:
+            time_s = track.simulated_s(wall_s)
+            commanded = track.command((track.simulated_s(before_s) + time_s) / 2) is not None
+            does, towards = track.state(wall_s), track.towards(time_s)
+            drones.append(DroneState(time_s, track.pose(time_s), commanded, towards, does))
+        wall = f"{1000 * wall_s:.1f} ms" if self._end_s < 1.0 else f"{wall_s:.3f} s"
+        return Moment(self._begun, True, self.clock_speed, wall, drones)
 
 
 class Told:
@@ -157,21 +150,16 @@ class Told:
 
     def _moment(self, state: Plain, scene: Scene) -> Moment:
         time_s, wall_s, clock_speed = state["time_ns"] / NS_PER_S, state["wall_ns"] / NS_PER_S, state["clock_speed"]
-        may_pause, commanded, qpos = state["may_pause"], state["commanded"], np.array(state["qpos"], np.float64)
+        may_pause, qpos = state["may_pause"], np.array(state["qpos"], np.float64)
         if self._flight != (self, state["flight"]):  # flights are counted in each world
             self._flight = self, state["flight"]
             self._origin_s = 0.0 if may_pause else wall_s - time_s / clock_speed  # the flight's begin
-        return Moment(
-            self._flight,
-            may_pause,
-            clock_speed,
-            f"{wall_s - self._origin_s:.3f} s, {'simulated' if may_pause else MACHINES}",
-            [time_s] * len(commanded),
-            np.array([qpos[pose_of(scene.model, body)] for body in scene.bodies.values()]),
-            commanded,
-            [None if towards is None else tuple(towards) for towards in state["towards"]],
-            ["flies its command" if running else "no command" for running in commanded],
-        )
+        wall = f"{wall_s - self._origin_s:.3f} s, {'simulated' if may_pause else MACHINES}"
+        drones = []
+        for body, commanded, towards in zip(scene.bodies.values(), state["commanded"], state["towards"], strict=True):
+            pose, does = qpos[pose_of(scene.model, body)], "flies its command" if commanded else "no command"
+            drones.append(DroneState(time_s, pose, commanded, towards and tuple(towards), does))
+        return Moment(self._flight, may_pause, clock_speed, wall, drones)
 
 
 class Live(Source):

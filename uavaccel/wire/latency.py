@@ -19,13 +19,12 @@ from typing import Annotated, Final, Literal, get_args
 import numpy as np
 from pydantic import BeforeValidator, Field, ValidationInfo, field_validator
 
-from uavaccel.config import Config, validate
+from uavaccel.config import Config, load_yaml, validate
 from uavaccel.errors import UserError, suggestion
 from uavaccel.limits import MOST_LATENCY_US, MOST_SCALE
 from uavaccel.resources import experiment
 from uavaccel.sim.state import SavedState, State, load_optional, prefixed, store_optional, without_prefix
 from uavaccel.wire.platform import FaultConfig, PlatformConfig, delays_ns
-from uavaccel.yaml_io import load_yaml
 
 QUANTILES = (0.0, 0.01, 0.05, 0.1, 0.25, 0.5, 0.75, 0.9, 0.95, 0.99, 0.999, 1.0)
 Channel = Literal["call", "pause", "continue", "move", "continue_for", "state", "image"]

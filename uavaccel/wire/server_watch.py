@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from uavaccel.clock import MonotonicClock
-from uavaccel.processes.child import end_within, single_core_rendering, start_python
+from uavaccel.processes.lifetime import end_within, single_core_rendering, start_python
 from uavaccel.processes.stalls import STOPPED_POLLS, cpu_time_s, is_stopped
 from uavaccel.units import NS_PER_S
 

@@ -16,7 +16,7 @@ from typing import Annotated, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from uavaccel.config import Config, validate
+from uavaccel.config import Config, load_yaml, validate
 from uavaccel.limits import Share
 from uavaccel.sim.lane.layout import (
     GROUND_TEXTURES,
@@ -31,7 +31,6 @@ from uavaccel.sim.lane.layout import (
     clearance_m,
 )
 from uavaccel.sim.scene.bounds import check_wind
-from uavaccel.yaml_io import load_yaml
 
 HalfWidth = Annotated[float, Field(gt=0.0, le=WIDTH_M / 2)]
 

@@ -9,8 +9,8 @@ import subprocess
 
 from uavaccel.clock import MonotonicClock
 from uavaccel.errors import UserError
-from uavaccel.processes.child import Process, start_python
 from uavaccel.processes.forks import Fork
+from uavaccel.processes.lifetime import Process, start_python
 from uavaccel.processes.stalls import FIRST_POLLS, POLL_S, StallDetector, is_stopped
 from uavaccel.sim.camera.gl import GlRenderer
 from uavaccel.sim.lane.layout import PLAIN
