@@ -21,9 +21,8 @@ from uavaccel.rl.lanes import Lanes
 from uavaccel.suites import trainer
 from uavaccel.suites.evaluate import Evaluation
 from uavaccel.suites.experiment import Experiment
-from uavaccel.suites.registry import find_suite
+from uavaccel.suites.registry import configuration, find_suite
 from uavaccel.suites.runner import run_suite, start_run
-from uavaccel.suites.suite import configuration
 from uavaccel.suites.train import TrainConfig, Training
 from uavaccel.yaml_io import load_yaml
 

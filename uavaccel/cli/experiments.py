@@ -99,21 +99,20 @@ def run_experiment(
 
     `check` looks at the plan before anything flies, `flown` at the run before its report.
     """
-    from uavaccel.suites.session import plan, resumable
+    from uavaccel.suites.session import planned, resumable
 
-    with request.trusting():
-        planned = plan(request)
+    with planned(request) as plan:
         if check is not None and not request.dry_run:
-            check(planned)
+            check(plan)
         if request.watch:
-            _check_watchable(planned)
-        for line in planned.lines():
+            _check_watchable(plan)
+        for line in plan.lines():
             console.print(line)
         if request.dry_run:
             return None
-        with resumable(planned.out):
-            run = planned.begin(console.print)
-            _fly_games(planned, run)
+        with resumable(plan.out):
+            run = plan.begin(console.print)
+            _fly_games(plan, run)
             try:
                 if flown is not None:
                     flown(run)

@@ -6,6 +6,7 @@ import re
 from pathlib import Path
 
 from uavaccel.cli.terminal import console, working
+from uavaccel.config import validate
 from uavaccel.draw.film import Film, write_contact_sheet, write_video
 from uavaccel.errors import UserError
 from uavaccel.files import inside
@@ -13,7 +14,6 @@ from uavaccel.records import RunDirectory
 from uavaccel.rl.agents import DEFAULT, policy_folder
 from uavaccel.rl.policy import MANIFEST
 from uavaccel.sim.camera.gl import describe_renderer
-from uavaccel.suites.experiment import resolve
 from uavaccel.suites.flight import film_of
 from uavaccel.suites.registry import open_run, suite_of
 from uavaccel.suites.suite import choose_row
@@ -58,7 +58,7 @@ def _film_of_policy(policy: str, case: str) -> tuple[str, Film]:
     if not lane:
         raise UserError(f"--case {case}: must be an evaluation lane, as lane-000007")
     mapping = completed({"agent": policy, "task": {"timing": "lockstep"}})
-    config = resolve(EvaluateConfig, mapping, "view")
+    config = validate(EvaluateConfig, mapping, "view")
     config.task.wire_lane(int(lane[1]))  # refuses one that there is not
     return case, film_of(flight_of_agent(config, int(lane[1])))
 

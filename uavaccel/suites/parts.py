@@ -11,11 +11,11 @@ from uavaccel.config import Config
 from uavaccel.files import Plain, inside
 from uavaccel.forms import ArrayForm
 from uavaccel.records import RunDirectory
-from uavaccel.suites.experiment import Experiment, merged, read_mapping
-from uavaccel.suites.registry import find_suite, open_run
+from uavaccel.suites.experiment import Experiment
+from uavaccel.suites.registry import configuration, find_suite, merged, open_run, read_mapping
 from uavaccel.suites.report import Report
 from uavaccel.suites.runner import run_suite, start_run
-from uavaccel.suites.suite import AnySuite, configuration
+from uavaccel.suites.suite import AnySuite
 
 
 class Part(Config):

@@ -8,17 +8,17 @@ import warnings
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import groupby
+from itertools import groupby, islice
 from pathlib import Path
 
 from uavaccel.errors import UsageError, UserError
 from uavaccel.files import is_file_name, to_json
-from uavaccel.limits import MOST_PROCESSES
+from uavaccel.limits import MOST_GAMES, MOST_PROCESSES
 from uavaccel.machine import usable_cores
 from uavaccel.processes.cleanup import remove_orphaned_files
 from uavaccel.processes.lifetime import work_for_parent
 from uavaccel.records import RunDirectory
-from uavaccel.suites.engines import LOKY, on_cluster
+from uavaccel.suites.engines import LOKY, check_engine, on_cluster
 from uavaccel.suites.experiment import Experiment, timing_of
 from uavaccel.suites.host_time import timed
 from uavaccel.suites.own_code import trusted_folder, trusting
@@ -32,7 +32,11 @@ MOST_RESTARTS = 3  # of the server in a game
 
 
 def check_jobs(suite: AnySuite, config: Experiment, jobs: int, engine: str = LOKY) -> None:
-    """Raise UsageError for a number of processes that is out of range or that the suite or its timing excludes."""
+    """Raise UsageError for a number of processes that is out of range, or that the suite or its timing excludes.
+
+    Raises as `check_engine` does, too.
+    """
+    check_engine(engine)
     if jobs < 1:
         raise UsageError(f"--jobs {jobs}: must be 1 or more")
     most = MOST_JOBS_PER_CORE * usable_cores() if engine == LOKY else MOST_PROCESSES
@@ -44,16 +48,20 @@ def check_jobs(suite: AnySuite, config: Experiment, jobs: int, engine: str = LOK
         raise UsageError(f"--jobs must be 1 with {suite.name}: {why}")
 
 
-def check_cases(suite: AnySuite, cases: Iterable[Case]) -> None:
-    """Raise UserError for cases with equal names, or with names that files cannot have."""
-    seen: set[str] = set()
-    for case in cases:
-        name = case.id
+def cases_of(suite: AnySuite, config: Experiment) -> list[Case]:
+    """Return all cases of a run.
+
+    Raises UserError for too many, for equal names, and for names that files cannot have.
+    """
+    cases = list(islice(suite.cases(config), MOST_GAMES + 1))
+    if len(cases) > MOST_GAMES:
+        raise UserError(f"more than {MOST_GAMES} games in all: fewer games, or fewer values to combine")
+    for name, count in Counter(case.id for case in cases).items():
         if not is_file_name(name):
             raise UserError(f"{suite.name}: a case cannot be called {name!r}: its name is that of a file")
-        if name in seen:
+        if count > 1:
             raise UserError(f"{suite.name}: two cases are called {name!r}")
-        seen.add(name)
+    return cases
 
 
 def _check_result(suite: AnySuite, case: Case, game: object) -> None:
