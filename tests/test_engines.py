@@ -16,9 +16,9 @@ from joblib._parallel_backends import ThreadingBackend
 from tests.running import configured
 from uavaccel.cli.experiments import run_experiment
 from uavaccel.errors import UsageError, UserError
-from uavaccel.suites import engines
+from uavaccel.suites import engines, runner
 from uavaccel.suites.dp1 import Dp1
-from uavaccel.suites.engines import PACKAGES, check_engine, on_cluster
+from uavaccel.suites.engines import PACKAGES, check_engine, in_parallel
 from uavaccel.suites.runner import run_suite, start_run
 from uavaccel.suites.session import RunRequest
 
@@ -39,6 +39,7 @@ def threads_as_ray(monkeypatch: pytest.MonkeyPatch) -> None:
     """Ray's place taken by threads: what is ours of an engine, without one."""
     register_parallel_backend("ray", ThreadingBackend)
     monkeypatch.setattr(engines, "_ray", lambda jobs: nullcontext())
+    monkeypatch.setattr(runner, "check_engine", lambda engine: None)
 
 
 @pytest.mark.usefixtures("threads_as_ray")
@@ -53,7 +54,7 @@ def test_results_come_in_order_though_they_are_handed_out_in_parts(monkeypatch: 
 
     monkeypatch.setattr(ThreadingBackend, "configure", noted)
     calls = [delayed(int)(number) for number in range(23)]
-    results: list[Any] = list(on_cluster("ray", 2, 2, calls))
+    results: list[Any] = list(in_parallel("ray", 2, 2, calls))
     assert results == list(range(23))
     assert started == [2]
 
@@ -72,9 +73,9 @@ def test_a_lost_worker_is_one_line_and_other_errors_are_left_alone() -> None:
         raise error
 
     with pytest.raises(UserError, match=r"a worker of ray was lost .*--resume"):
-        list(on_cluster("ray", 1, 1, [delayed(lost)(WorkerCrashedError())]))
+        list(in_parallel("ray", 1, 1, [delayed(lost)(WorkerCrashedError())]))
     with pytest.raises(ZeroDivisionError):
-        list(on_cluster("ray", 1, 1, [delayed(lost)(ZeroDivisionError())]))
+        list(in_parallel("ray", 1, 1, [delayed(lost)(ZeroDivisionError())]))
 
 
 def test_a_cluster_that_does_not_start_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -85,7 +86,7 @@ def test_a_cluster_that_does_not_start_is_one_line(monkeypatch: pytest.MonkeyPat
     for name, module in {**modules, "ray.util": SimpleNamespace()}.items():
         monkeypatch.setitem(sys.modules, name, module)
     with pytest.raises(UserError, match=r"^ray cannot be started or reached: The current node .* startup\.$"):
-        list(on_cluster("ray", 1, 1, [delayed(int)(1)]))
+        list(in_parallel("ray", 1, 1, [delayed(int)(1)]))
 
 
 @pytest.mark.slow
