@@ -21,7 +21,8 @@ from uavaccel.suites.parts import Part
 
 CLOCKS = (1.0, 5.0, 10.0, 50.0, 100.0)
 CLAIMS = {
-    claim.id: claim for claim in read_claims(PaperConfig(suite="paper", parts={"dp1-airsim": Part(experiment="dp1")}))
+    claim.id: claim
+    for claim in read_claims(PaperConfig(suite="paper", parts={"dp1-airsim": Part(experiment="dp1")})).claims
 }
 Change = Callable[[dict[str, Any]], None]
 
