@@ -13,8 +13,8 @@ from pydantic import BaseModel
 from rich.console import Console
 from typer.testing import CliRunner
 
+from tools.write_cli_reference import reference
 from uavaccel.cli import experiments, terminal
-from uavaccel.cli.docs import reference
 from uavaccel.cli.main import app
 from uavaccel.cli.options import experiments as complete_experiments
 from uavaccel.cli.options import one_of
@@ -50,7 +50,7 @@ def typed(line: str) -> str:
 
 
 def test_the_reference_is_that_of_the_commands() -> None:
-    assert (ROOT / "cli.md").read_text(encoding="utf-8") == reference(), "python -m uavaccel.cli.docs > cli.md"
+    assert (ROOT / "cli.md").read_text(encoding="utf-8") == reference(), "python tools/write_cli_reference.py > cli.md"
 
 
 def test_help_loads_nothing_heavy() -> None:
@@ -172,8 +172,8 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
         monkeypatch.setattr(f"uavaccel.{place}", call)
 
     for place in (
-        "cli.experiments.run_experiment", "cli.experiments.evaluate_agent", "cli.view.view_game", "watch.beside.show",
-        "cli.results.export_source", "wire.service.serve", "fly.command.fly_script",
+        "cli.experiments.run_experiment", "cli.experiments.evaluate_agent", "cli.results.view_game",
+        "watch.beside.show", "wire.service.serve", "fly.command.fly_script",
     ):  # fmt: skip
         stand_in(place)
     return calls
@@ -240,7 +240,7 @@ def test_a_run_is_asked_for_with_every_option_and_no_other(
     [(name, request, *others)] = asked
     if "sweep" in request_.get("options", ()):
         request.options["sweep"].update({name: tuple(values) for name, values in request.options["sweep"].items()})
-    assert vars(request) == vars(RunRequest(None)) | request_
+    assert vars(request) | {"overrides": list(request.overrides)} == vars(RunRequest(None, overrides=[])) | request_
     if name == "evaluate_agent":
         assert others == ([Path("other"), False] if "--against" in line else [None, True])
 
@@ -253,11 +253,6 @@ SQUARE = (50.0, 0.012, 0)
     [
         ("view", ("view_game", "default", None, None)),
         ("view run --case a --out films", ("view_game", "run", "a", Path("films"))),
-        ("export run", ("export_source", "run", *[None] * 6)),
-        (
-            "export run --onnx o --csv c --parquet p --mcap m --minari n --case a",
-            ("export_source", "run", *map(Path, "ocpmn"), "a"),
-        ),
         ("watch", ("show", None, None, None, SQUARE, "127.0.0.1", 8080)),
         (
             "watch run --case a --game 2 --clock 5 --think 0.5 --seed 3 --host ::1 --port 9",
@@ -444,11 +439,11 @@ def test_the_best_and_the_worst_game_are_filmed_under_their_names(
             written.append((film, path))
             print(path)
 
-    monkeypatch.setattr("uavaccel.cli.view.film_of_game", lambda run, case: (case, f"film of {case}"))
-    monkeypatch.setattr("uavaccel.cli.view.write_film", write)
+    monkeypatch.setattr("uavaccel.cli.results.film_of_game", lambda run, case: (case, f"film of {case}"))
+    monkeypatch.setattr("uavaccel.cli.results.write_film", write)
     config = {} if simulator is None else {"simulator": simulator}
     run: Any = SimpleNamespace(rows=lambda: rows, config=lambda: config, file=str)
-    experiments._film_extremes(run)
+    experiments.film_extremes(run)
     assert written == [
         (f"film of {case}", f"films/{name}.{kind}")
         for case, name in (("quick", "best"), ("near", "worst"))

@@ -12,7 +12,7 @@ import pytest
 
 from tests.dp1_games import line_arrays, line_row
 from uavaccel.cli.experiments import report
-from uavaccel.cli.results import export_source as export
+from uavaccel.cli.results import export
 from uavaccel.config import to_yaml, validate
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory

@@ -180,7 +180,7 @@ def test_a_folder_from_elsewhere_runs_nothing(
     (tmp_path / "run/config.yaml").write_text("suite: foreign:Evil\n")
     (tmp_path / "run/manifest.json").write_text(json.dumps({"suite_folder": str(tmp_path / "run")}))
     (tmp_path / "run/rows.jsonl").write_text('{"suite": "evil", "case": "a"}\n')
-    monkeypatch.setattr("uavaccel.cli.view.describe_renderer", lambda: None)
+    monkeypatch.setattr("uavaccel.sim.camera.gl.describe_renderer", lambda: None)
     for place in ("run", "."):
         (tmp_path / place / "foreign.py").write_text(FOREIGN)
         ended(monkeypatch, *command)
