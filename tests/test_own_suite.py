@@ -49,6 +49,10 @@ def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+def test_it_has_thirty_lines_at_most() -> None:
+    assert sum(bool(line.strip()) for line in BLOCKS["python"].splitlines()) <= 30
+
+
 @pytest.mark.slow
 def test_rows_say_how_far_each_speed_goes_and_the_page_shows_it(home: Path) -> None:
     rows = [json.loads(line) for line in (home / "runs/toy/rows.jsonl").read_text().splitlines()]
