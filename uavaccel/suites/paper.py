@@ -23,7 +23,7 @@ from uavaccel.records import RunDirectory
 from uavaccel.resources import experiment
 from uavaccel.suites import claims, paper_results
 from uavaccel.suites.experiment import Experiment
-from uavaccel.suites.parts import Part, fly_part, part_run, part_simulated_s, part_suite
+from uavaccel.suites.parts import Part, fly_part, part_run, part_suite
 from uavaccel.suites.registry import open_run, suite_of
 from uavaccel.suites.report import Report, Summary, records, table_of
 from uavaccel.suites.rows import GameRow
@@ -102,11 +102,12 @@ class Paper(Suite[PaperConfig, SimpleCase]):
 
     def cases(self, config: PaperConfig) -> Iterator[SimpleCase]:
         for name, part in config.parts.items():
-            yield SimpleCase(name, "virtual", part_simulated_s(part, config.seed))
+            suite, of_part = part_suite(part, config.seed)
+            yield SimpleCase(name, "virtual", sum(case.simulated_s() for case in suite.cases(of_part)))
 
     def renders(self, config: PaperConfig) -> bool:
         parts = [part_suite(part, config.seed) for part in config.parts.values()]
-        return any(suite.renders(part_config) for suite, part_config in parts)
+        return any(suite.renders(of_part) for suite, of_part in parts)
 
     def open(self, config: PaperConfig, timing: str, run: RunDirectory) -> AbstractContextManager[RunDirectory]:
         return nullcontext(run)

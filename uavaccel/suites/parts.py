@@ -53,12 +53,6 @@ def part_folder(run: RunDirectory, name: str) -> Path:
     return inside(run.path, f"parts/{name}")
 
 
-def part_simulated_s(part: Part, seed: int) -> float:
-    """Estimate the simulated seconds of a part."""
-    suite, config = part_suite(part, seed)
-    return sum(case.simulated_s() for case in suite.cases(config))
-
-
 def part_run(run: RunDirectory, name: str) -> RunDirectory:
     """Return a part's run directory. Raises UserError if it was not flown."""
     return open_run(part_folder(run, name))
