@@ -102,7 +102,6 @@ def run_experiment(
     `check` looks at the plan before anything flies, `flown` at the run before its report.
     """
     from uavaccel.cli.terminal import Progress
-    from uavaccel.suites.runner import run_suite
     from uavaccel.suites.session import planned, resumable
 
     with planned(request) as plan:
@@ -115,8 +114,8 @@ def run_experiment(
             return None
         with resumable(plan.out):
             run = plan.begin(console.print)
-            with page(), Progress(plan.cases, request.jobs, run.rows(), plan.suite.status, console) as progress:
-                run_suite(plan.suite, plan.config, run, request.jobs, progress.flown, request.engine)
+            with page(), Progress(plan.cases, plan.request.jobs, run.rows(), plan.suite.status, console) as progress:
+                plan.fly(run, progress.flown)
             try:
                 if flown is not None:
                     flown(run)

@@ -24,8 +24,8 @@ from uavaccel.suites.experiment import Experiment, timing_of
 from uavaccel.suites.keys import KEYS
 from uavaccel.suites.own_code import modules_in, trusting
 from uavaccel.suites.registry import configuration, find_suite, is_file, merged, read_mapping, suite_of
-from uavaccel.suites.runner import cases_of, check_jobs, start_run
-from uavaccel.suites.suite import AnySuite, Case
+from uavaccel.suites.runner import cases_of, check_jobs, run_suite, start_run
+from uavaccel.suites.suite import AnySuite, Case, OnGame
 
 
 @dataclass(frozen=True)
@@ -159,6 +159,10 @@ class Plan:
             for line in resumption_notes(run, len(self.cases), manifest):
                 say(line)
         return run
+
+    def fly(self, run: RunDirectory, on_game: OnGame) -> None:
+        """Fly the games that are left into the run's folder; `on_game` is called after each."""
+        run_suite(self.suite, self.config, run, self.request.jobs, on_game, self.request.engine)
 
 
 @contextmanager

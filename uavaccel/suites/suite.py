@@ -200,7 +200,8 @@ class Suite(ABC, Generic[ConfigType, CaseType]):
         """Return whether games need OpenGL."""
         return False
 
-    def complete(self, mapping: Mapping[str, Plain]) -> Mapping[str, Plain]:
+    @staticmethod
+    def complete(mapping: Mapping[str, Plain]) -> Mapping[str, Plain]:
         """Return a YAML's mapping with omitted keys that are known from elsewhere. Raises UserError."""
         return mapping
 
