@@ -184,6 +184,7 @@ fly --clock 1,inf there.txt -> --clock; fly --clock nan there.txt -> --clock; fl
 fly --clock 1,1 there.txt -> --clock; fly --clock 1,1.0000001 there.txt -> --clock; export default --csv= -> --csv
 export default --mcap= --csv there -> --mcap; run dp1 --out= -> --out; watch --host= -> --host; train dp1 -> dp1
 train dp2 --dry-run -> dp2; train rl -> rl
+evaluate straight --sweep wind=0 --sweep wind=3 -> --sweep; evaluate straight --sweep wind=0 --against x -> --against
 """
 
 
