@@ -19,9 +19,8 @@ from uavaccel.rl.lanes import LanesHere
 from uavaccel.suites import trainer
 from uavaccel.suites.evaluate import Evaluation
 from uavaccel.suites.experiment import Experiment
-from uavaccel.suites.registry import find_suite
+from uavaccel.suites.registry import configuration, find_suite
 from uavaccel.suites.runner import run_suite, start_run
-from uavaccel.suites.suite import configuration
 from uavaccel.suites.train import TrainConfig, Training
 
 OPTIONS = {"learning_starts": 8, "batch_size": 8, "buffer_size": 300, "target_update_interval": 16}

@@ -14,152 +14,97 @@ import typer
 
 from uavaccel.cli import main as cli
 
-HUGE, TINY = "1e308", "1e-9"
-DP1, DP2, TRAIN, EVALUATE = "run dp1 --set", "run dp2 --set", "train --set", "evaluate straight --set"
 LAUGHS = "a: &a [1,1,1,1,1,1,1,1,1,1]\n" + "".join(
     f"{name}: &{name} [{','.join(['*' + before] * 10)}]\n" for before, name in zip("abcdefgh", "bcdefghi", strict=True)
 )  # fmt: skip
 
-
-def keys(command: str, key: str, *values: str) -> list[tuple[str, str]]:
-    """Command lines that set a key to each value, and the word that the complaint has to have."""
-    return [(f"{command} {key}={value}", key.split(".")[-1]) for value in values]
-
-
-CONFIGURATIONS = [
-    # sizes against what a machine can hold
-    *keys(DP1, "games", "0", "-1", "1.5", "10000000000000000000000000000000", "1e9", "yes", "many", "[3]", "null"),
-    *keys(DP1, "reference_games", "0", "-3", "1000000000000", "{}"),
-    *keys(DP1, "rounds", "[0]", "[-1]", "[1000000000000]", "[1,1]", "[]", "[1.5]", "4", "[four]"),
-    *keys(DP1, "clock_speed", "[0]", "[-1]", "[1e308]", "[1e-9]", "[.nan]", "[.inf]", "[]", "[1,1]", "fast", "[true]"),
-    *keys(DP1, "t_move_s", "[0]", "[-1]", "[1e308]", "[1e-9]", "[0.0033]", "[]", "[.nan]", "[1e9]", "long"),
-    *keys(DP1, "t_sample_s", "0", "-0.1", "1e-9", "0.0033", ".inf", "[1]"),
-    *keys(DP1, "speed_m_s", "0", "-1", HUGE, "1e6", ".nan", "[1]"),
-    *keys(DP1, "height_m", HUGE, "-1e9", ".inf", "up", "1000", "0", "-9000"),
-    *keys(DP1, "path", "[]", "circle", "[[1,2]]", "[[1e308,0,0]]", "[[1,2,.nan]]", "3"),
-    *keys(DP1, "t_th_wall_s", "-1", HUGE, ".nan", "1e9"),
-    *keys(DP1, "seed", "-1", "1.5", "zero", "true"),
-    *keys(DP1, "command", "[adsx]", "[]", "[adsc,adsc]", "adsc"),
-    *keys(DP1, "timing", "real", "3", "[wall]"),
-    *keys(DP1, "profile", "unreal", "[native]"),
-    *keys(DP1, "reference_timing", "never"),
-    *keys(DP1, "latency", "nowhere.yaml", "3", "[1]", "{request_us: 3}"),
-    *keys(DP1, "latency.scale", "-1", HUGE, ".nan", "1e12"),
-    *keys(DP1, "latency.request_us.cal", "[0,0,0,0,0,0,0,0,0,0,0,0]"),
-    *keys(DP1, "latency.reply_us.call", "[0,1]", "[0,0,0,0,0,0,0,0,0,0,0,1e300]", "slow", "[1,0,0,0,0,0,0,0,0,0,0,0]"),
-    *keys(DP1, "latency.reply_us.move", "-1", HUGE, ".nan", "true", "1e300"),
-    *keys(DP1, "latency.reply_us.mvoe", "2"),
-    *keys(DP1, "latency.issue_us", "[0,0,0,0,0,0,0,0,0,0,0,1e300]", "[-1,0,0,0,0,0,0,0,0,0,0,0]"),
-    *keys(DP1, "latency.platform.tick_us", "-1", HUGE, "1e30"),
-    *keys(DP1, "latency.platform.stall_us", "1e300"),
-    *keys(DP1, "latency.platform.frames.hz", "-1", "1e300", "1e-300"),
-    *keys(DP1, "latency.platform.goal_timeout_s", "0", "1e300"),
-    *keys(DP1, "latency.platform.faults.late_us", "1e300"),
-    *keys(DP1, "latency.platform.faults.dropped", "2", "-0.1"),
-    *keys(DP1, "latency.platform.faults", "{dropped: .9, stalled: .9}", "{dropped: .5, stalled: .3, late: .3}"),
-    *keys(DP1, "gamess", "3"),
-    *keys(DP1, "suite", "dp9", "[dp1]", "{}", "3", "no_such_module:Suite", "os:path", "null"),
-    *keys(DP2, "lane", "-1", "[1]", "{seed: -1}", "{obstacles: 3}", "1.5"),
-    *keys(DP2, "lane.seed", "3"),
-    *keys(DP2, "path", "[]", "[[1]]", "[[1e308,0]]", "straight"),
-    *keys(DP2, "height_m", "0", "3", "-1e9", "-1e308", ".nan"),
-    *keys(DP2, "t_move_s", "0", "1e-9", HUGE, "0.0033"),
-    *keys(DP2, "t_sample_s", "0", "-1", "0.0033", HUGE),
-    *keys(DP2, "dvs_rate_hz", "0", "333.7", "1e9", "-1"),
-    *keys(DP2, "dvs_preset", "loud"),
-    *keys(DP2, "sensor_seed", "-1"),
-    *keys(DP2, "guard.max_retries", "-1", "1000000000000"),
-    *keys(DP2, "guard.max_change", "-0.1", ".nan"),
-    *keys(DP2, "guard.min_bright", "3"),
-    *keys(DP2, "perturbation.share", "1.1", "-1"),
-    *keys(DP2, "perturbation.kinds", "[]", "[burnt]"),
-    *keys(DP2, "perturbation.half_excess", "0"),
-    *keys(TRAIN, "games", "0", "1000000000000000000000000000000", "2.5"),
-    *keys(TRAIN, "environments", "0", "-1", "1000000000", "two"),
-    *keys(TRAIN, "turns", "0", "9", "1000000000"),
-    *keys(TRAIN, "torch_threads", "0", "1000000000", "-1"),
-    *keys(TRAIN, "checkpoint_games", "0", "-250"),
-    *keys(TRAIN, "channels", "[]", "[0]", "[-3]", "[16,32,64,64,64,64]", "[1000000000]", "16", "[wide]"),
-    *keys(TRAIN, "channels", "[65536,65536,65536,65536]", "[1025]"),
-    *keys(TRAIN, "task.headings_deg", "[0,0]", str([*range(-180, 181)])),
-    *keys(TRAIN, "task.randomise", "{share: 0.5}", "{widen_over_games: 3}", "{wind_m_s: [3, 0]}"),
-    *keys(TRAIN, "task.randomise.wind_m_s", "[0, 1e9]"),
-    *keys(TRAIN, "task.dvs_rate_hz", "1e-9", "1", "0.5"),
+# By command: a key and the values that it refuses, whose complaint has the key's last word.
+CONFIGURATIONS = {
+    "run dp1 --set": """
+games = 0 | -1 | 1.5 | 10000000000000000000000000000000 | 1e9 | yes | many | [3] | null
+reference_games = 0 | -3 | 1000000000000 | {}; rounds = [0] | [-1] | [1000000000000] | [1,1] | [] | [1.5] | 4 | [four]
+clock_speed = [0] | [-1] | [1e308] | [1e-9] | [.nan] | [.inf] | [] | [1,1] | fast | [true]
+t_move_s = [0] | [-1] | [1e308] | [1e-9] | [0.0033] | [] | [.nan] | [1e9] | long
+t_sample_s = 0 | -0.1 | 1e-9 | 0.0033 | .inf | [1]; speed_m_s = 0 | -1 | 1e308 | 1e6 | .nan | [1]
+height_m = 1e308 | -1e9 | .inf | up | 1000 | 0 | -9000
+path = [] | circle | [[1,2]] | [[1e308,0,0]] | [[1,2,.nan]] | 3; t_th_wall_s = -1 | 1e308 | .nan | 1e9
+seed = -1 | 1.5 | zero | true; command = [adsx] | [] | [adsc,adsc] | adsc; timing = real | 3 | [wall]
+profile = unreal | [native]; reference_timing = never; latency = nowhere.yaml | 3 | [1] | {request_us: 3}
+latency.scale = -1 | 1e308 | .nan | 1e12; latency.request_us.cal = [0,0,0,0,0,0,0,0,0,0,0,0]
+latency.reply_us.call = [0,1] | [0,0,0,0,0,0,0,0,0,0,0,1e300] | slow | [1,0,0,0,0,0,0,0,0,0,0,0]
+latency.reply_us.move = -1 | 1e308 | .nan | true | 1e300; latency.reply_us.mvoe = 2
+latency.issue_us = [0,0,0,0,0,0,0,0,0,0,0,1e300] | [-1,0,0,0,0,0,0,0,0,0,0,0]
+latency.platform.tick_us = -1 | 1e308 | 1e30; latency.platform.stall_us = 1e300
+latency.platform.frames.hz = -1 | 1e300 | 1e-300; latency.platform.goal_timeout_s = 0 | 1e300
+latency.platform.faults.late_us = 1e300; latency.platform.faults.dropped = 2 | -0.1
+latency.platform.faults = {dropped: .9, stalled: .9} | {dropped: .5, stalled: .3, late: .3}; gamess = 3
+suite = dp9 | [dp1] | {} | 3 | no_such_module:Suite | os:path | null
+""",
+    "run dp2 --set": """
+lane = -1 | [1] | {seed: -1} | {obstacles: 3} | 1.5; lane.seed = 3; path = [] | [[1]] | [[1e308,0]] | straight
+height_m = 0 | 3 | -1e9 | -1e308 | .nan; t_move_s = 0 | 1e-9 | 1e308 | 0.0033; t_sample_s = 0 | -1 | 0.0033 | 1e308
+dvs_rate_hz = 0 | 333.7 | 1e9 | -1; dvs_preset = loud; sensor_seed = -1; guard.max_retries = -1 | 1000000000000
+guard.max_change = -0.1 | .nan; guard.min_bright = 3; perturbation.share = 1.1 | -1; perturbation.kinds = [] | [burnt]
+perturbation.half_excess = 0
+""",
+    "train --set": """
+games = 0 | 1000000000000000000000000000000 | 2.5; environments = 0 | -1 | 1000000000 | two
+turns = 0 | 9 | 1000000000; torch_threads = 0 | 1000000000 | -1; checkpoint_games = 0 | -250
+channels = [] | [0] | [-3] | [16,32,64,64,64,64] | [1000000000] | 16 | [wide] | [65536,65536,65536,65536] | [1025]
+task.headings_deg = [0,0] | [] | [.nan] | [1e308,-1e308] | north
+task.randomise = {share: 0.5} | {widen_over_games: 3} | {wind_m_s: [3, 0]}; task.randomise.wind_m_s = [0, 1e9]
+task.dvs_rate_hz = 1e-9 | 1 | 0.5 | 0 | 333.7 | 1e9
+hidden = [8193] | [1,1,1,1,1,1,1,1,1] | [0] | [-1] | [1000000000000] | [256,wide]
+algorithm = alphazero | sac | 3 | os; device = tpu | '' | 3 | meta; inference_s = -1 | 1e308 | 1e12
+learning_s = -1 | 1e308; final_learning_rate_share = -0.1 | 1.5; commands_per_gradient_step = 0 | 0.5
+options.buffer_size = 0 | 10000000000000 | lots; options.batch_size = 0 | 10000000000000
+options.learning_rate = 0 | -1 | 1e308; options.learning_starts = -1; options.n_steps = 0 | 1000000000000
+options.gamma = 1.1 | -1; options.exploration_fraction = 2 | -0.1; options.learning_tempo = 1; options = 3 | [1]
+mirror = maybe; task.speed_m_s = 0 | -1 | 1e308 | 1e6 | .nan; task.altitude_m = 0 | -2 | 1e308 | 1e6
+task.max_commands = 0 | -1 | 1000000000000; task.clock_speed = 0 | 1e308 | 1e-9 | [1]
+task.t_move_s = 0 | 1e-9 | 1e308; task.t_sample_s = 0 | 0.0033; task.t_th_wall_s = -1 | 1e308; task.history = 0 | 9
+task.observation = lidar | 3; task.knows = [wind] | [last_action,last_action]
+task.progress_reward = .nan | 1e308 | much; task.image_processing_s = -1 | 1e308; task.split = test
+task.lane = [1] | 7; task.difficulty.obstacles_per_row = 5 | -1; task.difficulty.row_spacing_m = 0 | 1e308
+task.difficulty.first_row_m = 0.5 | 1e308; task.difficulty.wind_m_s = 21 | -1
+task.difficulty.light = [0] | [1,2] | [1,0.5] | dark; task.difficulty.min_gap_m = 0.1 | 1e308
+task.difficulty.texture = 1
+""",
+    "train --set algorithm=sb3_ppo --set": "options.buffer_size = 100",
+    "train --set algorithm=sb3_ppo --set mirror=false --set": "options.n_steps = 0 | many | 10000000000000",
+    "train --set algorithm=sb3_dqn --set mirror=false --set": "options.buffer_size = 10000000000000",
+    "train --set algorithm=sb3_a2c --set mirror=false --set": "options.learning_tempo = 1",
+    "train --set mirror=false --set": "task = 3 | [] | lane",
+    "evaluate straight --set": """
+games = 0 | 1000001 | 1000000000000000000000000000000; first_lane = -1 | 1000000 | 999999
+environments = 0 | 1000000000; inference_s = -1 | 1e308; agent = 3 | [straight]
+""",
+    "evaluate default --set": """
+task.observation = colour | state; task.history = 1; task.headings_deg = [0]
+""",
+    "run robustness --set": "latency_scale = [-1] | [1e308] | [] | [0,0]; games = 0 | 1000000000000",
+    "run rl --set": """
+seeds = 0 | 1000000000000; games = 0 | 1000000000000000000000000000000; evaluation_clock_speed = 0 | 1e308
+command = [none]
+""",
+    "run ablation --set": "variants = [] | 3; base = 3 | {gamess: 3}",
+    "run paper --set": "parts = {} | {dp9-native: {experiment: dp1}}; claims = nowhere.yaml",
+}
+OTHERS = [
     ("train --set task.lane={obstacles: [], wind_m_s: [1e9, 0, 0]}", "wind"),
     ("train --set task.lane={obstacles: [], wind_m_s: [0, 0]}", "wind"),
     ("train --set task.lane={obstacles: [{x_m: 0.1, y_m: 0, radius_m: 1}]}", "obstacle"),
     ("run dp2 --set lane={obstacles: [{x_m: 0.1, y_m: 0, radius_m: 1}]}", "obstacle"),
     ("run dp2 --set lane={obstacles: [], wind_m_s: [1e9, 0, 0]}", "wind"),
     ("train --set options={batch_size: 100, buffer_size: 99}", "batch_size"),
-    *keys(TRAIN, "hidden", "[8193]", "[1,1,1,1,1,1,1,1,1]"),
-    *keys(TRAIN, "hidden", "[0]", "[-1]", "[1000000000000]", "[256,wide]"),
-    *keys(TRAIN, "algorithm", "alphazero", "sac", "3", "os"),
-    *keys(TRAIN, "device", "tpu", "''", "3", "meta"),
-    *keys(TRAIN, "inference_s", "-1", HUGE, "1e12"),
-    *keys(TRAIN, "learning_s", "-1", HUGE),
-    *keys(TRAIN, "final_learning_rate_share", "-0.1", "1.5"),
-    *keys(TRAIN, "commands_per_gradient_step", "0", "0.5"),
-    *keys(TRAIN, "options.buffer_size", "0", "10000000000000", "lots"),
-    *keys(TRAIN, "options.batch_size", "0", "10000000000000"),
-    *keys(TRAIN, "options.learning_rate", "0", "-1", "1e308"),
-    *keys(TRAIN, "options.learning_starts", "-1"),
-    *keys(TRAIN, "options.n_steps", "0", "1000000000000"),
-    *keys(TRAIN, "options.gamma", "1.1", "-1"),
-    *keys(TRAIN, "options.exploration_fraction", "2", "-0.1"),
-    *keys(TRAIN, "options.learning_tempo", "1"),
-    *keys(TRAIN, "options", "3", "[1]"),
-    *keys("train --set algorithm=sb3_ppo --set", "options.buffer_size", "100"),
-    *keys("train --set algorithm=sb3_ppo --set mirror=false --set", "options.n_steps", "0", "many", "10000000000000"),
-    *keys("train --set algorithm=sb3_dqn --set mirror=false --set", "options.buffer_size", "10000000000000"),
-    *keys("train --set algorithm=sb3_a2c --set mirror=false --set", "options.learning_tempo", "1"),
-    *keys("train --set mirror=false --set", "task", "3", "[]", "lane"),
-    *keys(TRAIN, "mirror", "maybe"),
-    *keys(TRAIN, "task.speed_m_s", "0", "-1", HUGE, "1e6", ".nan"),
-    *keys(TRAIN, "task.altitude_m", "0", "-2", HUGE, "1e6"),
-    *keys(TRAIN, "task.max_commands", "0", "-1", "1000000000000"),
-    *keys(TRAIN, "task.clock_speed", "0", "1e308", "1e-9", "[1]"),
-    *keys(TRAIN, "task.t_move_s", "0", "1e-9", "1e308"),
-    *keys(TRAIN, "task.t_sample_s", "0", "0.0033"),
-    *keys(TRAIN, "task.t_th_wall_s", "-1", "1e308"),
-    *keys(TRAIN, "task.history", "0", "9"),
-    *keys(TRAIN, "task.observation", "lidar", "3"),
-    *keys(TRAIN, "task.headings_deg", "[]", "[.nan]", "[1e308,-1e308]", "north"),
-    *keys(TRAIN, "task.knows", "[wind]", "[last_action,last_action]"),
-    *keys(TRAIN, "task.progress_reward", ".nan", "1e308", "much"),
-    *keys(TRAIN, "task.image_processing_s", "-1", "1e308"),
-    *keys(TRAIN, "task.dvs_rate_hz", "0", "333.7", "1e9"),
-    *keys(TRAIN, "task.split", "test"),
-    *keys(TRAIN, "task.lane", "[1]", "7"),
+    (f"train --set task.headings_deg={[*range(-180, 181)]}", "headings_deg"),
     ("train --set task.lane=nowhere.yaml", "nowhere.yaml"),
     ("run dp2 --set lane=nowhere.yaml", "nowhere.yaml"),
-    *keys(TRAIN, "task.difficulty.obstacles_per_row", "5", "-1"),
-    *keys(TRAIN, "task.difficulty.row_spacing_m", "0", "1e308"),
-    *keys(TRAIN, "task.difficulty.first_row_m", "0.5", "1e308"),
-    *keys(TRAIN, "task.difficulty.wind_m_s", "21", "-1"),
-    *keys(TRAIN, "task.difficulty.light", "[0]", "[1,2]", "[1,0.5]", "dark"),
-    *keys(TRAIN, "task.difficulty.min_gap_m", "0.1", "1e308"),
-    *keys(TRAIN, "task.difficulty.texture", "1"),
-    *keys(EVALUATE, "games", "0", "1000001", "1000000000000000000000000000000"),
-    *keys(EVALUATE, "first_lane", "-1", "1000000", "999999"),
-    *keys(EVALUATE, "environments", "0", "1000000000"),
-    *keys(EVALUATE, "inference_s", "-1", "1e308"),
-    *keys(EVALUATE, "agent", "3", "[straight]"),
-    *[(f"{EVALUATE} agent={agent}", agent) for agent in ("nowhere", "offset:inf", "offset:left", "offset:11")],
-    *keys("evaluate default --set", "task.observation", "colour", "state"),
-    *keys("evaluate default --set", "task.history", "1"),
-    *keys("evaluate default --set", "task.headings_deg", "[0]"),
-    *keys("run robustness --set", "latency_scale", "[-1]", "[1e308]", "[]", "[0,0]"),
+    *[(f"evaluate straight --set agent={name}", name) for name in ("x", "offset:inf", "offset:left", "offset:11")],
     ("run robustness --set agent=nowhere", "nowhere"),
-    *keys("run robustness --set", "games", "0", "1000000000000"),
-    *keys("run rl --set", "seeds", "0", "1000000000000"),
-    *keys("run rl --set", "games", "0", "1000000000000000000000000000000"),
-    *keys("run rl --set", "evaluation_clock_speed", "0", "1e308"),
-    *keys("run rl --set", "command", "[none]"),
-    *keys("run ablation --set", "variants", "[]", "3"),
-    *keys("run ablation --set", "base", "3", "{gamess: 3}"),
-    *keys("run paper --set", "parts", "{}", "{dp9-native: {experiment: dp1}}"),
-    *keys("run paper --set", "claims", "nowhere.yaml"),
     ("run paper --set with_run=nowhere", "nowhere"),
+    (f"run dp1 --out {'x' * 300}", "--out"),
+    (f"run dp1 --games 1{'0' * 400}", "games"),
 ]  # fmt: skip
 
 FILES = [
@@ -197,128 +142,66 @@ FILES = [
     ("train nowhere.yaml", "nowhere.yaml"),
 ]
 
-OPTIONS = [
-    ("run", "experiment"),
-    ("run dp1 --jobs 0", "--jobs"),
-    ("run dp1 --jobs -1", "--jobs"),
-    ("run dp1 --jobs 1000000000", "--jobs"),
-    ("run dp1 --jobs 1000 --timing virtual", "--jobs"),
-    ("evaluate straight --jobs 1000", "--jobs"),
-    ("run dp1 --jobs 2 --timing wall", "--jobs"),
-    ("run train --jobs 2", "--jobs"),
-    ("run dp1 --jobs two", "--jobs"),
-    ("run dp1 --clock fast", "--clock"),
-    ("run dp1 --clock 0", "clock_speed"),
-    ("run dp1 --clock nan", "clock_speed"),
-    ("run dp1 --clock inf", "clock_speed"),
-    ("run dp1 --rounds 0", "rounds"),
-    ("run dp1 --t-move 0", "t_move_s"),
-    ("run dp1 --games -1", "games"),
-    ("run dp1 --command fly", "command"),
-    ("run dp1 --seeds 2", "--seeds"),
-    ("run dp1 --with x", "--with"),
-    ("run dp2 --rounds 2", "--rounds"),
-    ("run train --clock 1 --clock 2", "--clock"),
-    ("run dp1 --set games", "--set"),
-    ("run dp1 --set =3", "--set"),
-    ("run dp1 --set .games=3", "--set"),
-    ("run dp1 --set games.=3", "--set"),
-    ("run dp1 --set games.more=3", "games"),
-    ("run dp1 --set clock_speed.9=3", "clock_speed"),
-    ("run dp1 --set games=[", "--set"),
-    ("run dp1 --set games={a:&a,b:*a}", "games"),
-    ("run dp1 --speed 3", "--speed"),
-    ("run dp1 dp2", "dp2"),
-    (f"run dp1 --out {'x' * 300}", "--out"),
-    ("run dp1 --out .", "exists"),
-    ("run dp1 --out there.txt", "exists"),
-    ("run dp1 --out there.txt/run", "--out"),
-    ("run dp1 --resume --out there.txt", "no folder"),
-    (f"run dp1 --games 1{'0' * 400}", "games"),
-    ("watch --host nowhere.invalid", "nowhere.invalid"),
-    ("watch --host=", "--host"),
-    ("serve --host=", "--host"),
-    ("serve --recordings there.txt", "--recordings"),
-    ("run --resume", "--out"),
-    ("run dp1 --resume", "--out FOLDER"),
-    ("train --resume", "--out"),
-    ("run --resume --out nowhere", "nowhere"),
-    ("run --out nowhere", "experiment"),
-    ("train --resume --out nowhere", "nowhere"),
-    ("train --games 0", "games"),
-    ("train --clock -1", "clock_speed"),
-    ("train --profile unreal", "profile"),
-    ("train --timing soon", "timing"),
-    ("evaluate nowhere", "nowhere"),
-    ("evaluate offset:nan", "offset:nan"),
-    ("evaluate offset:1e308", "offset:1e308"),
-    ("evaluate straight --against nowhere", "nowhere"),
-    ("evaluate straight --jobs 0", "--jobs"),
-    ("evaluate straight --seed -1", "seed"),
-    ("evaluate --resume --out nowhere", "nowhere"),
-    ("report nowhere", "nowhere"),
-    ("report", "RUN_DIRS"),
-    ("view nowhere", "nowhere"),
-    ("view --case lane", "--case"),
-    ("view --case lane-9999999", "lane"),
-    ("calibrate --commands 0", "--commands"),
-    ("calibrate --commands -5", "--commands"),
-    ("calibrate --commands 1000000000000", "--commands"),
-    ("calibrate --profile unreal", "--profile"),
-    ("calibrate --out nowhere/latency.yaml", "--out"),
-    ("calibrate --out there.txt", "exists"),
-    ("calibrate --check --games 0", "--games"),
-    ("calibrate --check --profile unreal", "--profile"),
-    ("calibrate --check --latency nowhere.yaml", "nowhere.yaml"),
-    ("advise --t-move 0", "--t-move"),
-    ("advise --t-move nan", "--t-move"),
-    ("advise --t-move 1e308", "--t-move"),
-    ("advise --error 0", "--error"),
-    ("advise --error nan", "--error"),
-    ("advise --rounds 0", "--rounds"),
-    ("advise --rounds 1001", "--rounds"),
-    ("advise --profile unreal", "--profile"),
-    ("advise --latency nowhere.yaml", "nowhere.yaml"),
-    ("bench nothing", "nothing"),
-    ("bench --soak-s -1", "--soak-s"),
-    ("bench --soak-s nan", "--soak-s"),
-    ("bench batch --lanes 0", "--lanes"),
-    ("bench batch --renderer none", "--renderer"),
-    ("bench hot-loop --out nowhere/bench.json", "--out"),
-    ("serve --clock 0", "clock"),
-    ("serve --clock nan", "clock"),
-    ("serve --port 99999", "port"),
-    ("serve --port -1", "port"),
-    ("serve --host nowhere.invalid", "nowhere.invalid"),
-    ("serve --profile unreal", "profile"),
-    ("serve --scene moon", "moon"),
-    ("serve --settings nowhere.json", "nowhere.json"),
-    ("serve --settings there.txt", "there.txt"),
-    ("doctor --all", "--all"),
-    ("fly", "script"),
-    ("fly --seed -1 there.txt", "--seed"),
-    ("fly --seed 4294967296 there.txt", "--seed"),
-    ("fly --think inf there.txt", "--think"),
-    ("fly --think nan there.txt", "--think"),
-    ("fly --think -1 there.txt", "--think"),
-    ("fly --until nan there.txt", "--until"),
-    ("fly --until inf there.txt", "--until"),
-    ("fly --clock 1e9 there.txt", "--clock"),
-    ("fly --clock 1,inf there.txt", "--clock"),
-    ("fly --clock nan there.txt", "--clock"),
-    ("fly --clock 1,0 there.txt", "--clock"),
-    ("fly --clock 1,1 there.txt", "--clock"),
-    ("fly --clock 1,1.0000001 there.txt", "--clock"),
-    ("export default --csv=", "--csv"),
-    ("export default --mcap= --csv there", "--mcap"),
-    ("run dp1 --out=", "--out"),
-    ("watch --host=", "--host"),
-    ("train dp1", "dp1"),
-    ("train dp2 --dry-run", "dp2"),
-    ("train rl", "rl"),
-]  # fmt: skip
+# Command lines, and the word that the complaint has.
+OPTIONS = """
+run -> experiment; run dp1 --jobs 0 -> --jobs; run dp1 --jobs -1 -> --jobs; run dp1 --jobs 1000000000 -> --jobs
+run dp1 --jobs 1000 --timing virtual -> --jobs; evaluate straight --jobs 1000 -> --jobs
+run dp1 --jobs 2 --timing wall -> --jobs; run train --jobs 2 -> --jobs; run dp1 --jobs two -> --jobs
+run dp1 --clock fast -> --clock; run dp1 --clock 0 -> clock_speed; run dp1 --clock nan -> clock_speed
+run dp1 --clock inf -> clock_speed; run dp1 --rounds 0 -> rounds; run dp1 --t-move 0 -> t_move_s
+run dp1 --games -1 -> games; run dp1 --command fly -> command; run dp1 --seeds 2 -> --seeds
+run dp1 --with x -> --with; run dp2 --rounds 2 -> --rounds; run train --clock 1 --clock 2 -> --clock
+run dp1 --set games -> --set; run dp1 --set =3 -> --set; run dp1 --set .games=3 -> --set
+run dp1 --set games.=3 -> --set; run dp1 --set games.more=3 -> games; run dp1 --set clock_speed.9=3 -> clock_speed
+run dp1 --set games=[ -> --set; run dp1 --set games={a:&a,b:*a} -> games; run dp1 --speed 3 -> --speed
+run dp1 dp2 -> dp2; run dp1 --out . -> exists; run dp1 --out there.txt -> exists; run dp1 --out there.txt/run -> --out
+run dp1 --resume --out there.txt -> no folder; watch --host nowhere.invalid -> nowhere.invalid
+watch --host= -> --host; serve --host= -> --host; serve --recordings there.txt -> --recordings; run --resume -> --out
+run dp1 --resume -> --out FOLDER; train --resume -> --out; run --resume --out nowhere -> nowhere
+run --out nowhere -> experiment; train --resume --out nowhere -> nowhere; train --games 0 -> games
+train --clock -1 -> clock_speed; train --profile unreal -> profile; train --timing soon -> timing
+evaluate nowhere -> nowhere; evaluate offset:nan -> offset:nan; evaluate offset:1e308 -> offset:1e308
+evaluate straight --against nowhere -> nowhere; evaluate straight --jobs 0 -> --jobs
+evaluate straight --seed -1 -> seed; evaluate --resume --out nowhere -> nowhere; report nowhere -> nowhere
+report -> RUN_DIRS; view nowhere -> nowhere; view --case lane -> --case; view --case lane-9999999 -> lane
+calibrate --commands 0 -> --commands; calibrate --commands -5 -> --commands
+calibrate --commands 1000000000000 -> --commands; calibrate --profile unreal -> --profile
+calibrate --out nowhere/latency.yaml -> --out; calibrate --out there.txt -> exists
+calibrate --check --games 0 -> --games; calibrate --check --profile unreal -> --profile
+calibrate --check --latency nowhere.yaml -> nowhere.yaml; advise --t-move 0 -> --t-move
+advise --t-move nan -> --t-move; advise --t-move 1e308 -> --t-move; advise --error 0 -> --error
+advise --error nan -> --error; advise --rounds 0 -> --rounds; advise --rounds 1001 -> --rounds
+advise --profile unreal -> --profile; advise --latency nowhere.yaml -> nowhere.yaml; bench nothing -> nothing
+bench --soak-s -1 -> --soak-s; bench --soak-s nan -> --soak-s; bench batch --lanes 0 -> --lanes
+bench batch --renderer none -> --renderer; bench hot-loop --out nowhere/bench.json -> --out; serve --clock 0 -> clock
+serve --clock nan -> clock; serve --port 99999 -> port; serve --port -1 -> port
+serve --host nowhere.invalid -> nowhere.invalid; serve --profile unreal -> profile; serve --scene moon -> moon
+serve --settings nowhere.json -> nowhere.json; serve --settings there.txt -> there.txt; doctor --all -> --all
+fly -> script; fly --seed -1 there.txt -> --seed; fly --seed 4294967296 there.txt -> --seed
+fly --think inf there.txt -> --think; fly --think nan there.txt -> --think; fly --think -1 there.txt -> --think
+fly --until nan there.txt -> --until; fly --until inf there.txt -> --until; fly --clock 1e9 there.txt -> --clock
+fly --clock 1,inf there.txt -> --clock; fly --clock nan there.txt -> --clock; fly --clock 1,0 there.txt -> --clock
+fly --clock 1,1 there.txt -> --clock; fly --clock 1,1.0000001 there.txt -> --clock; export default --csv= -> --csv
+export default --mcap= --csv there -> --mcap; run dp1 --out= -> --out; watch --host= -> --host; train dp1 -> dp1
+train dp2 --dry-run -> dp2; train rl -> rl
+evaluate straight --sweep wind=0 --sweep wind=3 -> --sweep; evaluate straight --sweep wind=0 --against x -> --against
+"""
 
-TABLE = [*CONFIGURATIONS, *FILES, *OPTIONS]
+
+def table() -> Iterator[tuple[str, str]]:
+    """Yield command lines, and the word that the complaint about each has to have."""
+    for command, text in CONFIGURATIONS.items():
+        for entry in text.strip().replace("\n", "; ").split("; "):
+            key, _, values = entry.partition(" = ")
+            for value in values.split(" | "):
+                yield f"{command} {key}={value}", key.split(".")[-1]
+    for entry in OPTIONS.strip().replace("\n", "; ").split("; "):
+        line, _, word = entry.partition(" -> ")
+        yield line, word
+    yield from (*OTHERS, *FILES)
+
+
+TABLE = [*table()]
 
 
 class Flown(Exception):

@@ -13,8 +13,8 @@ from pydantic import BaseModel
 from rich.console import Console
 from typer.testing import CliRunner
 
+from tools.write_cli_reference import reference
 from uavaccel.cli import experiments, terminal
-from uavaccel.cli.docs import reference
 from uavaccel.cli.main import app
 from uavaccel.cli.options import experiments as complete_experiments
 from uavaccel.cli.options import one_of
@@ -23,10 +23,11 @@ from uavaccel.draw.page import Table
 from uavaccel.envs import batch
 from uavaccel.envs.obstacle_lane import LaneTask
 from uavaccel.errors import UserError
+from uavaccel.records import RunDirectory
 from uavaccel.sim.camera import gl
 from uavaccel.suites.keys import KEYS
 from uavaccel.suites.registry import SUITES, find_suite
-from uavaccel.suites.session import Plan, RunRequest, configure, resumption_notes
+from uavaccel.suites.session import Plan, RunRequest, configure, planned, resumption_notes
 from uavaccel.suites.suite import SimpleCase
 from uavaccel.units import NS_PER_S
 
@@ -50,20 +51,13 @@ def typed(line: str) -> str:
 
 
 def test_the_reference_is_that_of_the_commands() -> None:
-    assert (ROOT / "cli.md").read_text(encoding="utf-8") == reference(), "python -m uavaccel.cli.docs > cli.md"
+    assert (ROOT / "cli.md").read_text(encoding="utf-8") == reference(), "python tools/write_cli_reference.py > cli.md"
 
 
 def test_help_loads_nothing_heavy() -> None:
     done = uavaccel("-c", "import sys, uavaccel.cli.main; print(*sys.modules)")
     heavy = {"cv2", "gymnasium", "matplotlib", "mujoco", "numba", "numpy", "pydantic", "scipy", "torch"}
     assert not heavy & set(done.stdout.split())
-
-
-@pytest.mark.parametrize("arguments", [["--help"], []])
-def test_help_names_the_commands(arguments: list[str]) -> None:
-    done = uavaccel("-m", "uavaccel", *arguments)
-    assert done.returncode == 0
-    assert {"run", "report", "serve", "calibrate", "bench", "doctor"} <= set(done.stdout.split())
 
 
 @pytest.mark.parametrize(("words", "completion"), [("uavaccel do", "doctor"), ("uavaccel serve --sce", "--scene")])
@@ -74,14 +68,7 @@ def test_the_shell_can_complete(words: str, completion: str) -> None:
     assert (done.returncode, done.stderr) == (0, "")
 
 
-def test_completion_can_be_installed(tmp_path: Path) -> None:
-    in_bash = f'"{sys.executable}" -m uavaccel --install-completion; exit $?'  # the shell above it is the one meant
-    done = subprocess.run(["bash", "-c", in_bash], env={**os.environ, "HOME": str(tmp_path)}, capture_output=True)
-    assert (done.returncode, done.stderr) == (0, b"")
-    assert any(path.is_file() for path in tmp_path.rglob("*"))
-
-
-@pytest.mark.parametrize("arguments", [["--help"], ["schema", "train"]])
+@pytest.mark.parametrize("arguments", [[], ["schema", "train"]])
 def test_who_reads_no_further_than_the_head_is_told_nothing(arguments: list[str]) -> None:
     reading, writing = os.pipe()
     os.close(reading)
@@ -172,77 +159,60 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
         monkeypatch.setattr(f"uavaccel.{place}", call)
 
     for place in (
-        "cli.experiments.run_experiment", "cli.experiments.evaluate_agent", "cli.view.view_game", "watch.beside.show",
-        "cli.results.export_source", "wire.service.serve", "fly.command.fly_script",
+        "cli.experiments.run_experiment", "cli.experiments.evaluate_agent", "cli.results.view_game",
+        "watch.beside.show", "wire.service.serve", "fly.command.fly_script",
     ):  # fmt: skip
         stand_in(place)
     return calls
 
 
 NOTHING = dict.fromkeys(("clock_speed", "command", "timing", "profile", "games", "seed"))
-OF_RUN = dict.fromkeys(KEYS)
 ON_ALL = "--timing virtual --profile airsim --games 7 --seed 9 --out folder --resume --dry-run --set a.b=1 --set c=2"
 FLOWN: dict[str, Any] = {"timing": "virtual", "profile": "airsim", "games": 7, "seed": 9}
 REQUEST = {"overrides": ["a.b=1", "c=2"], "out": Path("folder"), "resume": True, "dry_run": True}
+RUN_ALL = "--clock 5 --clock 10 --command adsc --t-move 0.5 --rounds 3 --seeds 4 --with past --jobs 6 --engine ray"
+SEVERAL = {
+    "clock_speed": [5.0, 10.0],
+    "command": ["adsc"],
+    "t_move_s": [0.5],
+    "rounds": [3],
+    "seeds": 4,
+    "with_run": "past",
+}
+ONE = {"clock_speed": 5.0, "command": "tcsc"}
+EVALUATE = "evaluate straight --clock 5 --command tcsc --jobs 6 --engine dask --against other --no-films"
+SWEEP = "evaluate straight --sweep wind=0,3 --sweep light=1 --games 2 --timing virtual --set task.speed_m_s=2"
+SWEPT = {"experiment": "evaluate", "keys": {"task.timing": "virtual", "task.speed_m_s": 2}}
 
 
 @pytest.mark.parametrize(
-    ("line", "request_"),
+    ("line", "experiment", "options", "others"),
     [
-        ("run dp1", {"experiment": "dp1", "options": OF_RUN}),
-        (
-            f"run dp1 --clock 5 --clock 10 --command adsc --t-move 0.5 --rounds 3 --seeds 4 --with past --jobs 6 "
-            f"--engine ray --watch --trust {ON_ALL}",
-            {
-                "experiment": "dp1",
-                "options": FLOWN | {
-                    "clock_speed": [5.0, 10.0], "command": ["adsc"], "t_move_s": [0.5], "rounds": [3], "seeds": 4,
-                    "with_run": "past",
-                },
-                "jobs": 6, "engine": "ray", "watch": True, "trust": True, **REQUEST,
-            },
-        ),
-        ("train", {"experiment": "train", "options": NOTHING, "suite": "train"}),
-        ("train --resume", {"options": NOTHING, "suite": "train", "resume": True}),
-        (
-            f"train own.yaml --clock 5 --command tcsc --watch {ON_ALL}",
-            {
-                "experiment": "own.yaml", "options": FLOWN | {"clock_speed": 5.0, "command": "tcsc"},
-                "suite": "train", "watch": True, **REQUEST,
-            },
-        ),
-        (
-            f"evaluate straight --clock 5 --command tcsc --jobs 6 --engine dask --against other --no-films {ON_ALL}",
-            {
-                "experiment": "evaluate", "suite": "evaluate", "jobs": 6, "engine": "dask",
-                "options": FLOWN | {"clock_speed": 5.0, "command": "tcsc", "agent": "straight"}, **REQUEST,
-            },
-        ),
-        ("evaluate --resume", {"options": NOTHING | {"agent": None}, "suite": "evaluate", "resume": True}),
-        (
-            "evaluate straight --sweep wind=0,3 --sweep light=1 --games 2 --timing virtual --set task.speed_m_s=2",
-            {
-                "experiment": "sweep",
-                "options": {
-                    "agent": "straight", "games": 2, "seed": None, "sweep": {"wind": (0, 3), "light": (1,)},
-                    "evaluation": {
-                        "experiment": "evaluate", "keys": {"task.timing": "virtual", "task.speed_m_s": 2},
-                    },
-                },
-            },
-        ),
+        ("run dp1", "dp1", dict.fromkeys(KEYS), {}),
+        (f"run dp1 --watch --trust {RUN_ALL} {ON_ALL}", "dp1", FLOWN | SEVERAL,
+         {"jobs": 6, "engine": "ray", "watch": True, "trust": True, **REQUEST}),
+        ("train", "train", NOTHING, {"suite": "train"}),
+        ("train --resume", None, NOTHING, {"suite": "train", "resume": True}),
+        (f"train own.yaml --clock 5 --command tcsc --watch {ON_ALL}", "own.yaml", FLOWN | ONE,
+         {"suite": "train", "watch": True, **REQUEST}),
+        (f"{EVALUATE} {ON_ALL}", "evaluate", FLOWN | ONE | {"agent": "straight"},
+         {"suite": "evaluate", "jobs": 6, "engine": "dask", **REQUEST}),
+        ("evaluate --resume", None, NOTHING | {"agent": None}, {"suite": "evaluate", "resume": True}),
+        (SWEEP, "sweep", {"agent": "straight", "games": 2, "seed": None,
+                          "sweep": {"wind": (0, 3), "light": (1,)}, "evaluation": SWEPT}, {}),
     ],
 )  # fmt: skip
 def test_a_run_is_asked_for_with_every_option_and_no_other(
-    asked: list[tuple[Any, ...]], line: str, request_: dict[str, Any]
+    asked: list[tuple[Any, ...]], line: str, experiment: str | None, options: dict[str, Any], others: dict[str, Any]
 ) -> None:
     typed(line)
-    [(name, request, *others)] = asked
-    if "sweep" in request_.get("options", ()):
+    [(name, request, *more)] = asked
+    if "sweep" in options:
         request.options["sweep"].update({name: tuple(values) for name, values in request.options["sweep"].items()})
-    assert vars(request) == vars(RunRequest(None)) | request_
+    expected = RunRequest(experiment, options, **{"overrides": [], **others})
+    assert vars(request) | {"overrides": list(request.overrides)} == vars(expected)
     if name == "evaluate_agent":
-        assert others == ([Path("other"), False] if "--against" in line else [None, True])
+        assert more == ([Path("other"), False] if "--against" in line else [None, True])
 
 
 SQUARE = (50.0, 0.012, 0)
@@ -253,21 +223,12 @@ SQUARE = (50.0, 0.012, 0)
     [
         ("view", ("view_game", "default", None, None)),
         ("view run --case a --out films", ("view_game", "run", "a", Path("films"))),
-        ("export run", ("export_source", "run", *[None] * 6)),
-        (
-            "export run --onnx o --csv c --parquet p --mcap m --minari n --case a",
-            ("export_source", "run", *map(Path, "ocpmn"), "a"),
-        ),
         ("watch", ("show", None, None, None, SQUARE, "127.0.0.1", 8080)),
-        (
-            "watch run --case a --game 2 --clock 5 --think 0.5 --seed 3 --host ::1 --port 9",
-            ("show", Path("run"), "a", 2, (5.0, 0.5, 3), "::1", 9),
-        ),
+        ("watch run --case a --game 2 --clock 5 --think 0.5 --seed 3 --host ::1 --port 9",
+         ("show", Path("run"), "a", 2, (5.0, 0.5, 3), "::1", 9)),
         ("serve", ("serve", None, None, None, None, "native", "blocks", None)),
-        (
-            "serve --settings s.json --clock 5 --port 9 --host ::1 --profile airsim --scene lane --recordings r",
-            ("serve", Path("s.json"), 5.0, 9, "::1", "airsim", "lane", Path("r")),
-        ),
+        ("serve --settings s.json --clock 5 --port 9 --host ::1 --profile airsim --scene lane --recordings r",
+         ("serve", Path("s.json"), 5.0, 9, "::1", "airsim", "lane", Path("r"))),
     ],
 )  # fmt: skip
 def test_a_command_hands_on_what_it_was_given(asked: list[tuple[Any, ...]], line: str, call: tuple[Any, ...]) -> None:
@@ -323,17 +284,9 @@ UNKNOWN = "wall time known after the first"
 @pytest.mark.parametrize(
     ("left", "games", "jobs", "lines"),
     [
-        (
-            "abc", 1, 4,
-            [
-                f"3 games (1 wall, 2 virtual: measured and modelled), 1,235 simulated s, {UNKNOWN}, into out",
-                "1 games on the wall clock fly alone, in this process, one by one",
-            ],
-        ),
-        (
-            "bc", 2000, 1,
-            [f"4,000 games in 2 cells (2 virtual: modelled), 235 simulated s, {UNKNOWN}, into out"],
-        ),
+        ("abc", 1, 4, [f"3 games (1 wall, 2 virtual: measured and modelled), 1,235 simulated s, {UNKNOWN}, into out",
+                       "1 games on the wall clock fly alone, in this process, one by one"]),
+        ("bc", 2000, 1, [f"4,000 games in 2 cells (2 virtual: modelled), 235 simulated s, {UNKNOWN}, into out"]),
         ("", 1, 1, ["no game is left to be flown in out"]),
     ],
 )  # fmt: skip
@@ -353,16 +306,11 @@ BEGUN, GONE_ON = {"commit": "a" * 40}, {"commit": "b" * 40}
 @pytest.mark.parametrize(
     ("manifest", "now", "warned"),
     [
-        ({"versions": OLD}, {"versions": OLD}, []),
+        ({"versions": OLD, "git": BEGUN}, {"versions": {**OLD, "ray": "3"}, "git": BEGUN}, []),
         ({"versions": OLD, "resumed": [{"versions": NEW}]}, {"versions": NEW}, ["numpy 2.0 then, 2.2 now"]),
         # the last start is the present one; the one before it counts
-        (
-            {"versions": OLD, "resumed": [{"versions": MIDDLE}, {"versions": NEW}]}, {"versions": NEW},
-            ["numpy 2.1 then, 2.2 now"],
-        ),
+        ({"versions": OLD, "resumed": [{"versions": MIDDLE}, {}]}, {"versions": NEW}, ["numpy 2.1 then, 2.2 now"]),
         ({"versions": OLD, "resumed": [{"versions": NEW}, {"versions": NEW}]}, {"versions": NEW}, []),
-        ({"versions": OLD}, {"versions": {**OLD, "ray": "3"}}, []),  # which was not there before
-        ({"git": BEGUN}, {"git": BEGUN}, []),
         ({"git": BEGUN}, {"git": GONE_ON}, ["aaaaaaaaaaaa, now bbbbbbbbbbbb"]),
         ({"git": None}, {"git": GONE_ON}, []),
     ],
@@ -373,29 +321,36 @@ def test_a_run_that_goes_on_says_what_has_changed_since_its_last_start(
     run: Any = SimpleNamespace(path=Path("out"), rows=lambda: [{}, {}], manifest=lambda: manifest)
     first, *warnings = resumption_notes(run, 5, now)
     assert first == "going on with out: 2 of 5 games are flown"
-    assert len(warnings) == len(warned)
-    for warning, ending in zip(warnings, warned, strict=True):
-        assert warning.startswith("warning: ")
-        assert warning.endswith(ending)
+    assert [warning.startswith("warning: ") for warning in warnings] == [True] * len(warned)
+    assert all(warning.endswith(ending) for warning, ending in zip(warnings, warned, strict=True))
 
 
-@pytest.mark.parametrize(
-    ("options", "timing"),
-    [
-        ({"clock_speed": [5.0]}, "wall"),
-        ({"clock_speed": [5.0], "timing": "virtual"}, "virtual"),
-        ({"clock_speed": [5.0, 10.0]}, "virtual"),
-        ({}, "virtual"),
-    ],
-)
+@pytest.mark.parametrize("clocks", [[], [5.0], [5.0, 10.0]])
+@pytest.mark.parametrize("given", [None, "virtual"])
 def test_an_experiment_at_one_clock_speed_is_quick_and_measured_unless_told_otherwise(
-    options: dict[str, Any], timing: str
+    clocks: list[float], given: str | None
 ) -> None:
-    suite, config = configure(RunRequest("dp1", options))
-    quick = len(options.get("clock_speed", ())) == 1
-    assert config.timing == timing
-    for key, value in (suite.quick or {}).items():
-        assert (config.model_dump(mode="json")[key] == value) == quick
+    suite, config = configure(RunRequest("dp1", {"clock_speed": clocks or None, "timing": given}))
+    quick = len(clocks) == 1
+    assert config.timing == (given or ("wall" if quick else "virtual"))
+    assert all((config.model_dump(mode="json")[key] == value) is quick for key, value in (suite.quick or {}).items())
+
+
+def test_set_has_the_last_word_over_an_option_and_may_change_what_it_set() -> None:
+    request = RunRequest("dp1", {"clock_speed": [5.0, 10.0], "games": 3}, ["games=4", "clock_speed.1=20"])
+    config = configure(request)[1]
+    assert (config.games, config.clock_speed) == (4, (5.0, 20.0))
+
+
+def test_a_resumed_plan_has_the_games_without_a_row(tmp_path: Path) -> None:
+    options = {"clock_speed": [5.0], "timing": "virtual", "games": 1, "rounds": [1], "t_move_s": [1.0]}
+    request = RunRequest("dp1", options, out=tmp_path / "run")
+    with planned(request) as whole:
+        run = RunDirectory.create(tmp_path / "run", whole.config, {})
+    run.append_row({"case": whole.cases[2].id})
+    with planned(RunRequest(None, out=tmp_path / "run", resume=True)) as again:
+        assert [case.id for case in again.cases] == [case.id for case in whole.cases]
+        assert [case.id for case in again.left] == [case.id for case in whole.cases if case is not whole.cases[2]]
 
 
 TABLE = Table(("command", "effective speed-up", "source"), [("ADSC", "11.23", "modelled"), ("TCSC", "-", "x")])
@@ -431,32 +386,18 @@ def test_the_time_left_is_that_of_the_games_to_come_at_the_pace_of_this_starts(m
 def test_the_best_and_the_worst_game_are_filmed_under_their_names(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], simulator: str | None
 ) -> None:
-    rows = [
-        {"case": "far", "is_success": False, "commands": 3, "distance_m": 9.0},
-        {"case": "slow", "is_success": True, "commands": 30, "distance_m": 50.0},
-        {"case": "near", "is_success": False, "commands": 3, "distance_m": 1.0},
-        {"case": "quick", "is_success": True, "commands": 20, "distance_m": 50.0},
-    ]
-    written: list[tuple[str, str]] = []
-
-    def write(film: str, *paths: str) -> None:
-        for path in paths:
-            written.append((film, path))
-            print(path)
-
-    monkeypatch.setattr("uavaccel.cli.view.film_of_game", lambda run, case: (case, f"film of {case}"))
-    monkeypatch.setattr("uavaccel.cli.view.write_film", write)
+    games = {"far": (False, 3, 9.0), "slow": (True, 30, 50.0), "near": (False, 3, 1.0), "quick": (True, 20, 50.0)}
+    names = ("is_success", "commands", "distance_m")
+    rows = [{"case": case, **dict(zip(names, game, strict=True))} for case, game in games.items()]
+    monkeypatch.setattr("uavaccel.cli.results.film_of_game", lambda run, case: (case, f"film of {case}"))
+    monkeypatch.setattr("uavaccel.cli.results.write_film", lambda *written: print(*written))
     config = {} if simulator is None else {"simulator": simulator}
     run: Any = SimpleNamespace(rows=lambda: rows, config=lambda: config, file=str)
-    experiments._film_extremes(run)
-    assert written == [
-        (f"film of {case}", f"films/{name}.{kind}")
-        for case, name in (("quick", "best"), ("near", "worst"))
-        for kind in ("mp4", "png")
-    ]
-    lines = capsys.readouterr().out.splitlines()
-    assert lines[-4:] == [path for _, path in written]
-    assert ("exact simulator" in lines[0]) == (simulator == "kernels")
+    experiments.film_extremes(run)
+    said = capsys.readouterr().out.splitlines()
+    filmed = [("quick", "best"), ("near", "worst")]
+    assert said[-2:] == [f"film of {case} films/{name}.mp4 films/{name}.png" for case, name in filmed]
+    assert ("exact simulator" in said[0]) == (simulator == "kernels")
 
 
 EVALUATED = [{"suite": "evaluate", "lane": lane} for lane in (2, 3)]

@@ -60,20 +60,12 @@ def empty_json(path: Path) -> None:
 # --- checkpoints ------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("name", "damage"),
-    [
-        ("state.json", cut),
-        ("state.json", empty_json),
-        ("learner.pt", cut),
-        ("learner.pt", other_bytes),
-        ("learner.pt", Path.unlink),
-        ("buffer.npz", cut),
-        ("buffer.npz", Path.unlink),
-        ("games.npz", cut),
-        ("games.npz", other_bytes),
-    ],
-)
+@pytest.mark.parametrize(("name", "damage"), [
+    *(("state.json", damage) for damage in (cut, empty_json)),
+    *(("learner.pt", damage) for damage in (cut, other_bytes, Path.unlink)),
+    *(("buffer.npz", damage) for damage in (cut, Path.unlink)),
+    *(("games.npz", damage) for damage in (cut, other_bytes)),
+])  # fmt: skip
 def test_a_damaged_checkpoint_is_one_line(copy: Path, name: str, damage: Callable[[Path], None]) -> None:
     checkpoint = find_checkpoint(copy / CHECKPOINTS)
     assert checkpoint is not None
@@ -104,70 +96,54 @@ def edit_manifest(folder: Path, **keys: Any) -> None:
 
 
 def edit_config(folder: Path, **keys: Any) -> None:
-    config = json.loads((folder / MANIFEST).read_text())["config"]
-    edit_manifest(folder, config={**config, **keys})
+    edit_manifest(folder, config={**json.loads((folder / MANIFEST).read_text())["config"], **keys})
 
 
-def write_weights(folder: Path, weights: Any) -> None:
-    """Weights whose manifest agrees."""
-    th.save(weights, folder / WEIGHTS)
+def agree(folder: Path) -> None:
+    """Let the manifest agree with the weights that are there."""
     edit_manifest(folder, weights_file_sha256=hashlib.sha256((folder / WEIGHTS).read_bytes()).hexdigest())
 
 
-def diverged(folder: Path) -> None:
-    weights = th.load(folder / WEIGHTS, weights_only=True)
-    name = next(iter(weights))
-    write_weights(folder, {**weights, name: weights[name] * float("nan")})
+def write_weights(folder: Path, weights: Any) -> None:
+    th.save(weights, folder / WEIGHTS)
+    agree(folder)
 
 
-def of_kind(kind: th.dtype) -> Callable[[Path], None]:
-    """Weights that are finite, and fit in all but their kind of number."""
+def weights_by(change: Callable[[th.Tensor], th.Tensor]) -> Callable[[Path], None]:
+    """Weights that fit in all but what was done to each tensor."""
 
     def damage(folder: Path) -> None:
         weights = th.load(folder / WEIGHTS, weights_only=True)
-        write_weights(folder, {name: tensor.to(kind) for name, tensor in weights.items()})
+        write_weights(folder, {name: change(tensor) for name, tensor in weights.items()})
 
     return damage
 
 
-def sparse(folder: Path) -> None:
-    weights = th.load(folder / WEIGHTS, weights_only=True)
-    write_weights(folder, {name: tensor.to_sparse() for name, tensor in weights.items()})
-
-
 def cut_and_agreed(folder: Path) -> None:
     cut(folder / WEIGHTS)
-    edit_manifest(folder, weights_file_sha256=hashlib.sha256((folder / WEIGHTS).read_bytes()).hexdigest())
+    agree(folder)
 
 
-@pytest.mark.parametrize(
-    ("damage", "said"),
-    [
-        (diverged, r"policy\.pt: .* is not finite: a training that diverged"),
-        (lambda folder: cut(folder / WEIGHTS), r"policy\.pt: is not the file that policy\.json describes"),
-        (cut_and_agreed, r"policy\.pt: "),
-        (lambda folder: (folder / WEIGHTS).unlink(), r"policy\.pt: cannot be read: No such file"),
-        (lambda folder: write_weights(folder, [1, 2]), r"policy\.pt: is no state dict of tensors alone"),
-        (lambda folder: write_weights(folder, {}), r"policy\.pt: does not fit the network"),
-        (of_kind(th.int64), r"policy\.pt: .* is of torch\.int64; it should be of torch\.float32"),
-        (of_kind(th.complex64), r"policy\.pt: .* is of torch\.complex64; it should be of torch\.float32"),
-        (of_kind(th.float64), r"policy\.pt: .* is of torch\.float64"),
-        (sparse, r"policy\.pt: .* is no plain tensor"),
-        (lambda folder: edit_manifest(folder, trained=3), r"policy\.json: trained = 3: should be a mapping"),
-        (
-            lambda folder: edit_config(folder, options={"learning_tempo": 1}),
-            r"policy\.json: .*unknown key 'learning_tempo'",
-        ),
-        (
-            lambda folder: edit_config(folder, algorithm="sb3_ppo", options={"tempo": 1}),
-            r"policy\.json: options of ppo: unknown key 'tempo'",
-        ),
-        (lambda folder: cut(folder / MANIFEST), r"policy\.json: a damaged policy, not JSON"),
-        (lambda folder: empty_json(folder / MANIFEST), r"policy\.json: describes no policy"),
-        (lambda folder: edit_manifest(folder, config={"algorithm": "rl"}), r"algorithm = 'rl' is unknown"),
-        (lambda folder: edit_manifest(folder, config={"hidden": "wide"}), r"policy\.json: hidden = 'wide'"),
-    ],
-)
+@pytest.mark.parametrize(("damage", "said"), [
+    (weights_by(lambda tensor: tensor * float("nan")), r"policy\.pt: .* is not finite: a training that diverged"),
+    (lambda folder: cut(folder / WEIGHTS), r"policy\.pt: is not the file that policy\.json describes"),
+    (cut_and_agreed, r"policy\.pt: "),
+    (lambda folder: (folder / WEIGHTS).unlink(), r"policy\.pt: cannot be read: No such file"),
+    (lambda folder: write_weights(folder, [1, 2]), r"policy\.pt: is no state dict of tensors alone"),
+    (lambda folder: write_weights(folder, {}), r"policy\.pt: does not fit the network"),
+    (weights_by(lambda tensor: tensor.to(th.int64)), r"policy\.pt: .* of torch\.int64; it should be of torch\.float32"),
+    (weights_by(lambda tensor: tensor.to(th.complex64)), r"policy\.pt: .* is of torch\.complex64; it should be"),
+    (weights_by(lambda tensor: tensor.to(th.float64)), r"policy\.pt: .* is of torch\.float64"),
+    (weights_by(lambda tensor: tensor.to_sparse()), r"policy\.pt: .* is no plain tensor"),
+    (lambda folder: edit_manifest(folder, trained=3), r"policy\.json: trained = 3: should be a mapping"),
+    (lambda folder: edit_config(folder, options={"tempo": 1}), r"policy\.json: .*unknown key 'tempo'"),
+    (lambda folder: edit_config(folder, algorithm="sb3_ppo", options={"tempo": 1}),
+     r"policy\.json: options of ppo: unknown key 'tempo'"),
+    (lambda folder: cut(folder / MANIFEST), r"policy\.json: a damaged policy, not JSON"),
+    (lambda folder: empty_json(folder / MANIFEST), r"policy\.json: describes no policy"),
+    (lambda folder: edit_manifest(folder, config={"algorithm": "rl"}), r"algorithm = 'rl' is unknown"),
+    (lambda folder: edit_manifest(folder, config={"hidden": "wide"}), r"policy\.json: hidden = 'wide'"),
+])  # fmt: skip
 def test_a_damaged_policy_is_one_line(copy: Path, damage: Callable[[Path], Any], said: str) -> None:
     assert isinstance(load_policy(copy).config, LearnerConfig)
     damage(copy)

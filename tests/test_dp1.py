@@ -15,11 +15,12 @@ from tests.running import configured
 from uavaccel.cli.experiments import run_experiment
 from uavaccel.cli.terminal import Progress
 from uavaccel.commands import COMMANDS, SynchronousCommand
+from uavaccel.config import validate
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
 from uavaccel.suites import dp1
 from uavaccel.suites.dp1 import Dp1, Dp1Config, Game
-from uavaccel.suites.experiment import read_mapping, resolve
+from uavaccel.suites.registry import merged, read_mapping
 from uavaccel.suites.session import RunRequest
 from uavaccel.wire.session import VirtualSession, open_session
 
@@ -27,7 +28,8 @@ SMALL: dict[str, Any] = {"clock_speed": [10.0, 100.0], "t_move_s": [0.1, 0.2], "
 
 
 def paper_config(**options: Any) -> Dp1Config:
-    return resolve(Dp1Config, *read_mapping("dp1"), options)
+    mapping, source = read_mapping("dp1")
+    return validate(Dp1Config, merged(mapping, options), source)
 
 
 def request(out: Path, timing: str = "virtual", **changes: Any) -> RunRequest:

@@ -13,7 +13,7 @@ import pytest
 from tests.opengl import needs_opengl
 from tests.running import configured
 from uavaccel.cli.experiments import report_run, run_experiment
-from uavaccel.cli.view import view_game
+from uavaccel.cli.results import view_game
 from uavaccel.commands import COMMANDS, SynchronousCommand
 from uavaccel.errors import UserError
 from uavaccel.files import read_arrays

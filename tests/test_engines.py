@@ -15,10 +15,10 @@ from joblib._parallel_backends import ThreadingBackend
 
 from tests.running import configured
 from uavaccel.cli.experiments import run_experiment
-from uavaccel.errors import UsageError, UserError
-from uavaccel.suites import engines
+from uavaccel.errors import UserError
+from uavaccel.suites import engines, runner
 from uavaccel.suites.dp1 import Dp1
-from uavaccel.suites.engines import PACKAGES, check_engine, on_cluster
+from uavaccel.suites.engines import PACKAGES, check_engine, in_parallel
 from uavaccel.suites.runner import run_suite, start_run
 from uavaccel.suites.session import RunRequest
 
@@ -39,6 +39,7 @@ def threads_as_ray(monkeypatch: pytest.MonkeyPatch) -> None:
     """Ray's place taken by threads: what is ours of an engine, without one."""
     register_parallel_backend("ray", ThreadingBackend)
     monkeypatch.setattr(engines, "_ray", lambda jobs: nullcontext())
+    monkeypatch.setattr(runner, "check_engine", lambda engine: None)
 
 
 @pytest.mark.usefixtures("threads_as_ray")
@@ -52,15 +53,21 @@ def test_results_come_in_order_though_they_are_handed_out_in_parts(monkeypatch: 
         return start(self, n_jobs, *others, **keys)
 
     monkeypatch.setattr(ThreadingBackend, "configure", noted)
-    calls = [delayed(int)(number) for number in range(23)]
-    results: list[Any] = list(on_cluster("ray", 2, 2, calls))
-    assert results == list(range(23))
-    assert started == [2]
+    results: list[Any] = list(in_parallel("ray", 2, 2, (delayed(int)(number) for number in range(23))))
+    assert (results, started) == (list(range(23)), [2])
 
 
 @pytest.mark.usefixtures("threads_as_ray")
 def test_cases_on_an_engine_have_the_bytes_of_one_process(tmp_path: Path) -> None:
     assert flown(tmp_path / "one", 1, "loky") == flown(tmp_path / "ray", 1, "ray")
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")  # of the engines' own
+@pytest.mark.parametrize("engine", PACKAGES)
+def test_a_local_cluster_flies_the_bytes_of_one_process(engine: str, tmp_path: Path) -> None:
+    pytest.importorskip(PACKAGES[engine])
+    assert flown(tmp_path / "one", 1, "loky") == flown(tmp_path / engine, 2, engine)
 
 
 @pytest.mark.usefixtures("threads_as_ray")
@@ -72,9 +79,9 @@ def test_a_lost_worker_is_one_line_and_other_errors_are_left_alone() -> None:
         raise error
 
     with pytest.raises(UserError, match=r"a worker of ray was lost .*--resume"):
-        list(on_cluster("ray", 1, 1, [delayed(lost)(WorkerCrashedError())]))
+        list(in_parallel("ray", 1, 1, [delayed(lost)(WorkerCrashedError())]))
     with pytest.raises(ZeroDivisionError):
-        list(on_cluster("ray", 1, 1, [delayed(lost)(ZeroDivisionError())]))
+        list(in_parallel("ray", 1, 1, [delayed(lost)(ZeroDivisionError())]))
 
 
 def test_a_cluster_that_does_not_start_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -85,34 +92,18 @@ def test_a_cluster_that_does_not_start_is_one_line(monkeypatch: pytest.MonkeyPat
     for name, module in {**modules, "ray.util": SimpleNamespace()}.items():
         monkeypatch.setitem(sys.modules, name, module)
     with pytest.raises(UserError, match=r"^ray cannot be started or reached: The current node .* startup\.$"):
-        list(on_cluster("ray", 1, 1, [delayed(int)(1)]))
+        list(in_parallel("ray", 1, 1, [delayed(int)(1)]))
 
 
-@pytest.mark.slow
-@pytest.mark.filterwarnings("ignore")  # of the engines' own
-@pytest.mark.parametrize("engine", PACKAGES)
-def test_a_local_cluster_flies_the_bytes_of_one_process(engine: str, tmp_path: Path) -> None:
-    pytest.importorskip(PACKAGES[engine])
-    assert flown(tmp_path / "one", 1, "loky") == flown(tmp_path / engine, 2, engine)
-
-
-def test_an_engine_that_is_unknown_or_missing_is_one_line() -> None:
-    with pytest.raises(UsageError, match="there are loky, ray, dask"):
-        check_engine("spark")
-    for engine, package in PACKAGES.items():
-        if importlib.util.find_spec(package) is None:
-            with pytest.raises(UserError, match=rf"pip install 'uavaccel\[{engine}\]'"):
-                check_engine(engine)
+def test_an_engine_that_is_unknown_or_missing_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    for engine, said in (("spark", "there are loky, ray, dask"), ("dask", r"pip install 'uavaccel\[dask\]'")):
+        with pytest.raises(UserError, match=said):
+            check_engine(engine)
 
 
 @pytest.mark.usefixtures("threads_as_ray")
-def test_wall_games_are_said_to_fly_alone(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def spec(name: str) -> Any:
-        return name
-
-    monkeypatch.setattr(importlib.util, "find_spec", spec)
+def test_wall_games_are_said_to_fly_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     options = {"clock_speed": [50.0], "timing": "wall", "games": 1}
     run_experiment(RunRequest("dp1", options, SMALL[:3], out=tmp_path / "run", dry_run=True, engine="ray"))
     assert "on the wall clock fly alone" in capsys.readouterr().out

@@ -19,7 +19,7 @@ from tests.learning import tiny_config, train_into
 from tests.opengl import needs_opengl
 from tests.running import configured, fly_into, run_into
 from uavaccel.cli.experiments import evaluate_agent, report
-from uavaccel.cli.view import view_game
+from uavaccel.cli.results import view_game
 from uavaccel.envs.observer import SecondEventCamera
 from uavaccel.envs.obstacle_lane import LaneTask
 from uavaccel.errors import UsageError, UserError

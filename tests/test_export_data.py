@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from tests.opengl import needs_opengl
 from tests.running import configured, fly_into
-from uavaccel.cli.results import export_source as export
+from uavaccel.cli.results import export
 from uavaccel.config import Config
 from uavaccel.errors import UsageError, UserError
 from uavaccel.export import provenance_of

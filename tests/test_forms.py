@@ -12,13 +12,12 @@ import pytest
 
 from tests.dp1_games import line_arrays, line_row
 from uavaccel.cli.experiments import report
-from uavaccel.cli.results import export_source as export
-from uavaccel.config import to_yaml
+from uavaccel.cli.results import export
+from uavaccel.config import to_yaml, validate
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
 from uavaccel.suites.dp1 import Dp1
 from uavaccel.suites.evaluate import Evaluation
-from uavaccel.suites.experiment import resolve
 from uavaccel.suites.registry import SUITES, find_suite, open_run
 from uavaccel.suites.suite import AnySuite
 from uavaccel.watch.replay import recorded
@@ -34,7 +33,7 @@ def whole_game() -> tuple[dict[str, Any], dict[str, np.ndarray]]:
 
 def begin(path: Path, suite: AnySuite) -> RunDirectory:
     keys = {"suite": suite.name, "clock_speed": [5.0], "latency": {}} if suite.name == "dp1" else {}
-    return RunDirectory.create(path, resolve(suite.config, {"suite": suite.name, **keys}, "test"), {})
+    return RunDirectory.create(path, validate(suite.config, {"suite": suite.name, **keys}, "test"), {})
 
 
 def write(path: Path, row: dict[str, Any], arrays: dict[str, np.ndarray]) -> RunDirectory:
@@ -208,7 +207,7 @@ def test_a_manifest_of_another_form_is_named(tmp_path: Path, manifest: object, s
     run.write_json("manifest.json", manifest)
     with pytest.raises(UserError, match=rf"manifest\.json: {said}"):
         open_run(run.path)
-    again = resolve(Evaluation.config, {"suite": "evaluate"}, "test")
+    again = validate(Evaluation.config, {"suite": "evaluate"}, "test")
     run._lock = None
     with pytest.raises(UserError, match=r"manifest\.json"):
         RunDirectory.create(run.path, again, {}, resume=True)
@@ -224,7 +223,7 @@ def test_host_times_that_are_no_numbers_are_named(tmp_path: Path) -> None:
 
 def test_a_configuration_that_no_longer_holds_is_named(tmp_path: Path) -> None:
     run = write(tmp_path / "run", *whole_game())
-    text = to_yaml(resolve(Dp1.config, run.config(), "test"))
+    text = to_yaml(validate(Dp1.config, run.config(), "test"))
     (run.path / "config.yaml").write_text(text + "gamess: 3\n")
     with pytest.raises(UserError, match=r"config\.yaml: unknown key 'gamess'"):
         report([run.path])

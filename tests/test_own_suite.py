@@ -8,6 +8,7 @@ import re
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -88,13 +89,36 @@ def test_a_report_finds_the_suite_from_any_folder(home: Path, tmp_path: Path) ->
     assert (run / "summary.json").read_bytes() == before
 
 
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A working directory in which nothing is trusted or imported yet."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    monkeypatch.setattr(own_code, "_here", {})
+    for module in ("stranger", "foreign", "wrong_suites"):
+        monkeypatch.delitem(sys.modules, module, raising=False)
+    return tmp_path
+
+
+@pytest.fixture
+def said(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[[str], str]:
+    """What a command line complains about when it ends, as in a process of its own."""
+
+    def run(line: str) -> str:
+        own_code._here.clear()
+        monkeypatch.setattr(sys, "argv", ["uavaccel", *line.split()])
+        with pytest.raises(SystemExit):
+            cli.main()
+        return capsys.readouterr().err
+
+    return run
+
+
 @pytest.mark.slow
 def test_what_is_no_block_of_a_page_is_named(home: Path, tmp_path: Path) -> None:
     (tmp_path / "toy.py").write_text((home / "toy.py").read_text().replace("axes.legend()", "yield 3"))
     (tmp_path / "toy.yaml").write_text(BLOCKS["yaml"])
-    ended = subprocess.run(
-        [*COMMAND, *RUN], cwd=tmp_path, env=environment(), capture_output=True, text=True, check=False
-    )
+    ended = subprocess.run([*COMMAND, *RUN], cwd=tmp_path, env=environment(), capture_output=True, text=True)
     assert "TypeError: Toy.page: 3 is no block of a page: a text, Heading, " in ended.stderr
 
 
@@ -108,18 +132,13 @@ def test_what_is_no_block_of_a_page_is_named(home: Path, tmp_path: Path) -> None
         ("json:dumps", "HERE/json.py has the name of another module, "),
     ],
 )
-def test_a_suite_that_is_none_is_one_line(
-    name: str, hint: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_suite_that_is_none_is_one_line(name: str, hint: str, here: Path) -> None:
     """What is installed, and Python itself, is no project's; whatever a name stands for, it is not called."""
-    (tmp_path / "stranger.py").write_text("class Stranger:\n    pass\ndef called():\n    raise SystemExit\n")
-    (tmp_path / "json.py").write_text("raise SystemExit\n")
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "path", [*sys.path])
-    monkeypatch.delitem(sys.modules, "stranger", raising=False)
+    (here / "stranger.py").write_text("class Stranger:\n    pass\ndef called():\n    raise SystemExit\n")
+    (here / "json.py").write_text("raise SystemExit\n")
     with trusting(), pytest.raises(UserError) as caught:
         find_suite(name, "toy.yaml")
-    assert str(caught.value).startswith(f"toy.yaml: suite = {name!r}: {hint.replace('HERE', str(tmp_path))}")
+    assert str(caught.value).startswith(f"toy.yaml: suite = {name!r}: {hint.replace('HERE', str(here))}")
 
 
 @pytest.mark.parametrize(
@@ -136,15 +155,14 @@ def test_an_unknown_suite_is_refused(name: Any, line: str) -> None:
     assert str(caught.value).startswith(line)
 
 
-def test_a_suite_in_a_package_is_imported_from_above_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    package = tmp_path / "toys" / "inner"
+def test_a_suite_in_a_package_is_imported_from_above_it(here: Path) -> None:
+    package = here / "toys" / "inner"
     package.mkdir(parents=True)
-    (package / "__init__.py").write_text(BLOCKS["python"])
-    (package / "toy.py").write_text(BLOCKS["python"])
-    monkeypatch.setattr(sys, "path", [*sys.path])
+    for name in ("__init__.py", "toy.py"):
+        (package / name).write_text(BLOCKS["python"])
     for module in ("toys.inner", "toys.inner.toy"):
-        with trusting(beside=tmp_path):
-            assert own_folder(find_suite(f"{module}:Toy", "toy.yaml")) == tmp_path
+        with trusting(beside=here):
+            assert own_folder(find_suite(f"{module}:Toy", "toy.yaml")) == here
     assert own_folder(find_suite("dp1", "dp1.yaml")) is None
 
 
@@ -155,102 +173,69 @@ raise ImportError("it ran")
 """
 
 
-@pytest.mark.parametrize(
-    "command",
-    [
-        ("report", "run"),
-        ("view", "run"),
-        ("watch", "run"),
-        ("export", "run", "--csv", "tables"),
-        ("export", "run", "--mcap", "games"),
-        ("run", "--out", "run", "--resume"),
-        ("train", "--out", "run", "--resume"),
-        ("evaluate", "--out", "run", "--resume"),
-        ("evaluate", "run"),
-    ],
-    ids=" ".join,
-)
+def foreign_run(here: Path, folder: str) -> None:
+    """A run's folder from elsewhere, whose suite is said to be in another folder."""
+    (here / "run").mkdir()
+    (here / "run/config.yaml").write_text("suite: foreign:Evil\n")
+    (here / "run/manifest.json").write_text(json.dumps({"suite_folder": str(here / folder)}))
+    (here / "run/rows.jsonl").write_text('{"suite": "evil", "case": "a"}\n')
+
+
+@pytest.mark.parametrize("command", [
+    "report run", "view run", "watch run", "export run --csv tables", "export run --mcap games", "evaluate run",
+    *(f"{name} --out run --resume" for name in ("run", "train", "evaluate")),
+])  # fmt: skip
 def test_a_folder_from_elsewhere_runs_nothing(
-    command: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    command: str, here: Path, said: Callable[[str], str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Wherever its code is: in the folder that it names, in the working directory, in both."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "path", [*sys.path])
-    (tmp_path / "run").mkdir()
-    (tmp_path / "run/config.yaml").write_text("suite: foreign:Evil\n")
-    (tmp_path / "run/manifest.json").write_text(json.dumps({"suite_folder": str(tmp_path / "run")}))
-    (tmp_path / "run/rows.jsonl").write_text('{"suite": "evil", "case": "a"}\n')
-    monkeypatch.setattr("uavaccel.cli.view.describe_renderer", lambda: None)
+    foreign_run(here, "run")
+    monkeypatch.setattr("uavaccel.sim.camera.gl.describe_renderer", lambda: None)
     for place in ("run", "."):
-        (tmp_path / place / "foreign.py").write_text(FOREIGN)
-        ended(monkeypatch, *command)
-        assert not (tmp_path / "ran").exists()
-        assert "Traceback" not in capsys.readouterr().err
+        (here / place / "foreign.py").write_text(FOREIGN)
+        assert "Traceback" not in said(command)
+        assert not (here / "ran").exists()
 
 
-@pytest.mark.parametrize(
-    "command",
-    [
-        "run dp1 --set suite=foreign:Evil",
-        "run realtime_smoke --set environments.x.id=foreign:X-v0",
-        "run sweep --set evaluation.experiment=theirs.yaml",
-        "run mine.yaml",
-        "run named.yaml --set suite=foreign:Evil",
-    ],
-)
+@pytest.mark.parametrize("command", [
+    "run dp1 --set suite=foreign:Evil",
+    "run realtime_smoke --set environments.x.id=foreign:X-v0",
+    "run sweep --set evaluation.experiment=theirs.yaml",
+    "run mine.yaml",
+    "run named.yaml --set suite=foreign:Evil",
+])  # fmt: skip
 def test_code_that_the_named_yaml_does_not_name_needs_trust(
-    command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    command: str, here: Path, said: Callable[[str], str]
 ) -> None:
     """Named by --set, or by a file that --set or a key of the user's own file names."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "path", [*sys.path])
-    monkeypatch.setattr(own_code, "_here", {})
-    (tmp_path / "foreign.py").write_text(FOREIGN)
-    (tmp_path / "theirs.yaml").write_text("suite: foreign:Evil\n")
-    (tmp_path / "named.yaml").write_text("suite: another:Suite\n")
-    (tmp_path / "mine.yaml").write_text("suite: sweep\nevaluation: {experiment: theirs.yaml}\nsweep: {wind: [3]}\n")
-    ended(monkeypatch, *command.split(), "--dry-run")
-    assert "foreign.py is code that nobody has trusted here: read it, then add --trust" in capsys.readouterr().err
-    assert not (tmp_path / "ran").exists()
-    ended(monkeypatch, *command.split(), "--dry-run", "--trust")
-    assert (tmp_path / "ran").exists()
-
-
-def ended(monkeypatch: pytest.MonkeyPatch, *command: str) -> None:
-    monkeypatch.setattr(sys, "argv", ["uavaccel", *command])
-    with pytest.raises(SystemExit):
-        cli.main()
+    (here / "foreign.py").write_text(FOREIGN)
+    (here / "theirs.yaml").write_text("suite: foreign:Evil\n")
+    (here / "named.yaml").write_text("suite: another:Suite\n")
+    (here / "mine.yaml").write_text("suite: sweep\nevaluation: {experiment: theirs.yaml}\nsweep: {wind: [3]}\n")
+    asks = "foreign.py is code that nobody has trusted here: read it, then add --trust"
+    assert asks in said(f"{command} --dry-run")
+    assert not (here / "ran").exists()
+    assert "it ran" in said(f"{command} --dry-run --trust")
 
 
 def test_own_code_is_trusted_once_until_it_changes(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    here: Path, said: Callable[[str], str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "path", [*sys.path])
-    monkeypatch.setattr(own_code, "_here", {})
-    monkeypatch.delitem(sys.modules, "foreign", raising=False)
-    (tmp_path / "run").mkdir()
-    (tmp_path / "run/config.yaml").write_text("suite: foreign:Evil\n")
-    (tmp_path / "run/manifest.json").write_text(json.dumps({"suite_folder": str(tmp_path)}))
-    (tmp_path / "foreign.py").write_text(FOREIGN)
-
-    def said(*command: str) -> str:
-        own_code._here.clear()  # as in another process
-        ended(monkeypatch, *command)
-        return capsys.readouterr().err
-
-    asks = "foreign.py is code that nobody has trusted here: read it, then add --trust, once"
+    foreign_run(here, ".")
+    (here / "foreign.py").write_text(FOREIGN)
     for command in ("report", "watch", "export --mcap logs"):
-        assert asks in said(*command.split(), "run")
-    assert "it ran" in said("report", "run", "--trust")
-    monkeypatch.chdir(tmp_path / "run")
-    assert "it ran" in said("report", ".")
-    (tmp_path / "foreign.py").write_text(f"{FOREIGN}\n")
-    assert "foreign.py has changed since it was trusted" in said("report", ".")
-    (tmp_path / "elsewhere").mkdir()
-    (tmp_path / "foreign.py").rename(tmp_path / "elsewhere/foreign.py")
-    (tmp_path / "run/manifest.json").write_text(json.dumps({"suite_folder": str(tmp_path / "elsewhere")}))
-    assert "no module 'foreign' in" in said("report", ".", "--trust")
+        assert "foreign.py is code that nobody has trusted here: read it, then add --trust, once" in said(
+            f"{command} run"
+        )
+    assert "it ran" in said("report run --trust")
+    monkeypatch.chdir(here / "run")
+    assert "it ran" in said("report .")
+    (here / "foreign.py").write_text(f"{FOREIGN}\n")
+    assert "foreign.py has changed since it was trusted" in said("report .")
+    (here / "elsewhere").mkdir()
+    (here / "foreign.py").rename(here / "elsewhere/foreign.py")
+    (here / "run/manifest.json").write_text(json.dumps({"suite_folder": str(here / "elsewhere")}))
+    assert "no module 'foreign' in" in said("report . --trust")
 
 
 WRONG = """
@@ -270,63 +255,25 @@ class Own(Suite):
     def fly(self, config, case, opened):
         return self.flown(case)
 
-class NoConfig(Own):
-    config = None
-
-class NotOurs(Own):
-    config = dict
-
-class NoName(Own):
-    name = None
-
-class Twice(Own):
-    names = ("a", "a")
-
-class Folder(Own):
-    names = ("../a",)
-
-class Nothing(Own):
-    def flown(self, case):
-        return None
-
-class NoJson(Own):
-    def flown(self, case):
-        return GameResult({"value": object()})
-
-class OtherCase(Own):
-    def flown(self, case):
-        return GameResult({"case": "c"})
-
-class NoRow(Own):
-    def flown(self, case):
-        return GameResult([1])
+class Wrong(Own):
 """
 
 
-@pytest.mark.parametrize(("name", "reason"), [
-    ("NoConfig", "NoConfig.config has to be a subclass"),
-    ("NotOurs", "NotOurs.config has to be a subclass"),
-    ("NoName", "NoName.name has to be a text"),
-    ("Twice", "two cases are called 'a'"),
-    ("Folder", "a case cannot be called '../a'"),
-    ("Nothing", "fly of a returned a NoneType"),
-    ("NoJson", "its row is no JSON"),
-    ("OtherCase", "of no other case"),
-    ("NoRow", "its row has to be a mapping"),
+@pytest.mark.parametrize(("line", "reason"), [
+    ("config = None", "Wrong.config has to be a subclass"),
+    ("config = dict", "Wrong.config has to be a subclass"),
+    ("name = None", "Wrong.name has to be a text"),
+    ("names = ('a', 'a')", "two cases are called 'a'"),
+    ("names = ('../a',)", "a case cannot be called '../a'"),
+    ("flown = lambda self, case: None", "fly of a returned a NoneType"),
+    ("flown = lambda self, case: GameResult({'value': object()})", "its row is no JSON"),
+    ("flown = lambda self, case: GameResult({'case': 'c'})", "of no other case"),
+    ("flown = lambda self, case: GameResult([1])", "its row has to be a mapping"),
 ])  # fmt: skip
-def test_a_mistake_in_one_is_one_line(
-    name: str, reason: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (tmp_path / "wrong_suites.py").write_text(WRONG)
-    (tmp_path / "own.yaml").write_text(f"suite: wrong_suites:{name}\n")
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "path", [*sys.path])
-    monkeypatch.delitem(sys.modules, "wrong_suites", raising=False)
-    monkeypatch.setattr(sys, "argv", ["uavaccel", "run", "own.yaml", "--out", "run"])
-    with pytest.raises(SystemExit) as ended:
-        cli.main()
-    complaint = capsys.readouterr().err
-    assert ended.value.code == 1
+def test_a_mistake_in_one_is_one_line(line: str, reason: str, here: Path, said: Callable[[str], str]) -> None:
+    (here / "wrong_suites.py").write_text(f"{WRONG}    {line}\n")
+    (here / "own.yaml").write_text("suite: wrong_suites:Wrong\n")
+    complaint = said("run own.yaml --out run")
     assert complaint.startswith("uavaccel: error: ")
     assert complaint.count("\n") == 1
     assert reason in complaint

@@ -20,7 +20,6 @@ from uavaccel.records import RunDirectory
 from uavaccel.suites.dp1 import Dp1
 from uavaccel.suites.dp2 import Dp2
 from uavaccel.suites.paper import Paper, PaperConfig
-from uavaccel.suites.parts import Part, part_simulated_s
 from uavaccel.suites.report import Report
 
 AIRSIM = {"profile": "airsim", "timing": "virtual", "variant": ""}
@@ -53,17 +52,15 @@ def rl_run(path: Path, *trainings: tuple[dict[str, str], dict[str, Any]]) -> str
         summary["cells"] += [cell | kind for cell in made.cells.to_dict("records")]
         summary["interchange"] += [each | kind for each in made.interchange.to_dict("records")]
         for (command, clock_speed), lost in made.lost.groupby(["command", "clock_speed"]):
-            ended_m = {"training": [*lost.ended_m, *[5.0] * 999], "exact": [5.0] * 999}
-            for name, at_m in ended_m.items():
-                case = f"{number}-{clock_speed:g}-{name}"
+            for name, ended_m in {"training": lost.ended_m.tolist(), "exact": []}.items():
+                case, at_m = f"{number}-{clock_speed:g}-{name}", np.array([*ended_m, *[5.0] * 999])
                 row: dict[str, Any] = {"suite": "rl", "case": case, "seed": 0, "evaluations": [], **kind}
-                row |= {"training": TRAINING} if name == "training" else {}
-                won = np.arange(len(at_m)) >= (len(lost) if name == "training" else 0)
-                won &= name == "training"
-                arrays = {f"{command}_distance_m": np.array(at_m), f"{command}_is_success": won}
-                arrays[f"{command}_lane"] = np.arange(len(at_m))
                 row |= {"command": command, "clock_speed": clock_speed}
-                run.append_row(row | run.save_arrays(case, arrays))
+                row |= {"training": TRAINING} if name == "training" else {}
+                won = (np.arange(len(at_m)) >= len(ended_m)) & (name == "training")
+                arrays = {"distance_m": at_m, "is_success": won, "lane": np.arange(len(at_m))}
+                saved = run.save_arrays(case, {f"{command}_{key}": array for key, array in arrays.items()})
+                run.append_row(row | saved)
     run.write_json("summary.json", summary)
     return str(path)
 
@@ -177,5 +174,8 @@ def test_a_part_is_as_long_as_all_of_its_games() -> None:
     The two of Figure 2 take 1.5 s.
     """
     keys: dict[str, Any] = {"command": ["tcsc"], "clock_speed": [5], "t_move_s": [0.5], "rounds": [1, 2]}
-    part = Part(experiment="dp1", keys={**keys, "games": 3, "reference_games": 2})
-    assert part_simulated_s(part, seed=0) == pytest.approx((2 + 1 + 3) * (2 + 4) + 2 * 1.5)
+    keys |= {"games": 3, "reference_games": 2}
+    [case] = Paper().cases(validate(PaperConfig, {"suite": "paper", "parts": {
+        "dp1-native": {"experiment": "dp1", "keys": keys},
+    }}, "test"))  # fmt: skip
+    assert case.simulated_s() == pytest.approx((2 + 1 + 3) * (2 + 4) + 2 * 1.5)

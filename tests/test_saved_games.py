@@ -106,15 +106,9 @@ def sessions() -> dict[tuple[str, str, int], Any]:
     clock_speed=st.sampled_from([1.0, 2.5, 100.0]),
 )
 def test_a_saved_game_goes_on_to_the_same_bytes(
-    sessions: dict[tuple[str, str, int], Any],
-    seed: int,
-    before: int,
-    command: str,
-    timing: str,
-    profile: str,
-    kind: str,
-    clock_speed: float,
-) -> None:
+    sessions: dict[tuple[str, str, int], Any], seed: int, before: int, command: str, timing: str, profile: str,
+    kind: str, clock_speed: float,
+) -> None:  # fmt: skip
     for copy in (0, 1):
         if (timing, profile, copy) not in sessions:
             sessions[timing, profile, copy] = session_of(timing, profile)

@@ -26,7 +26,8 @@ USUAL = {
 
 def read(folder: Path, content: Any) -> Settings:
     path = folder / "settings.json"
-    path.write_text(content if isinstance(content, str) else json.dumps(content), encoding="utf-8")
+    text = content if isinstance(content, bytes | str) else json.dumps(content)
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
     return read_settings(path)
 
 
@@ -37,14 +38,8 @@ def test_what_is_honoured(tmp_path: Path) -> None:
     assert (settings.wind.x, settings.wind.y, settings.wind.z) == (1.0, -2.5, 0.0)
     assert (settings.recording.folder, settings.recording.enabled) == ("records", True)
     assert settings.recorder_of(NATIVE).recorder_ticks == 50
-
-
-def test_what_is_without_effect_is_named(tmp_path: Path) -> None:
-    assert sorted(read(tmp_path, USUAL).without_effect()) == ["ViewMode"]
-
-
-def test_what_clients_are_told_is_the_file_and_the_speed_that_holds(tmp_path: Path) -> None:
-    assert json.loads(read(tmp_path, USUAL).as_json(2.5)) == USUAL | {"ClockSpeed": 2.5}
+    assert sorted(settings.without_effect()) == ["ViewMode"]
+    assert json.loads(settings.as_json(2.5)) == USUAL | {"ClockSpeed": 2.5}, "what clients are told"
 
 
 def test_defaults_are_airsims(tmp_path: Path) -> None:
@@ -75,12 +70,26 @@ def test_defaults_are_airsims(tmp_path: Path) -> None:
     ([1], "settings should be a mapping in braces, not list"),
     ('{"ClockSpeed": 5,}', "not JSON: "),
     ('{"ClockSpeed": NaN}', "ClockSpeed"),
+    (b"[" * 100_000, "not JSON: nested too deeply"),
+    (b'{"A":' * 100_000, "not JSON: nested too deeply"),
+    (b"\xff\xfe{", "not JSON: "),
+    (b" " * (1 << 21), "has 2,097,152 bytes, where at most 1,048,576 are read"),
+    ({"Vehicles": {"A": {"Cameras": {"0": {"X": "far"}}}}}, "Vehicles.A.Cameras.0.X = 'far'"),
+    ({"CameraDefaults": {"CaptureSettings": [{"FOV_Degrees": 180}]}}, "CameraDefaults.CaptureSettings.0.FOV_Degrees"),
+    ({"DefaultSensors": {"L": {"SensorType": 6, "NumberOfChannels": 0}}}, "DefaultSensors.L"),
+    ({"CameraDefaults": {"CaptureSettings": [{"FOV_Degrees": 1e-9}]}}, "CameraDefaults.CaptureSettings.0.FOV_Degrees"),
+    ({"CameraDefaults": {"CaptureSettings": [{"ImageType": 99}]}}, "CameraDefaults.CaptureSettings.0.ImageType = 99"),
+    ({"DefaultSensors": {"D": {"SensorType": 5, "MinDistance": 9, "MaxDistance": 8}}}, "MinDistance must be at most"),
+    ({"DefaultSensors": {"L": {"SensorType": 7}}}, "DefaultSensors.L.SensorType = 7: should be one of 1, 2, 3"),
+    ({"DefaultSensors": {"L": {"Range": 7}}}, "key 'DefaultSensors.L.SensorType' is missing"),
+    ({"OriginGeopoint": {"Latitude": 91}}, "OriginGeopoint.Latitude = 91"),
 ])  # fmt: skip
 def test_what_contradicts_is_refused(tmp_path: Path, content: Any, text: str) -> None:
     with pytest.raises(UserError) as caught:
         read(tmp_path, content)
     line = str(caught.value)
-    assert line.startswith(f"{tmp_path / 'settings.json'}: {text}")
+    assert line.startswith(f"{tmp_path / 'settings.json'}: ")
+    assert text in line
     assert "\n" not in line
 
 
@@ -96,43 +105,10 @@ def test_an_interval_that_the_step_does_not_divide() -> None:
     assert settings.recorder_of(AIRSIM).recorder_ticks == 12  # AirSim waits for more than the interval
 
 
-@pytest.mark.parametrize(("content", "text"), [
-    (b"[" * 100_000, "not JSON: nested too deeply"),
-    (b'{"A":' * 100_000, "not JSON: nested too deeply"),
-    (b"\xff\xfe{", "not JSON: "),
-    (b" " * (1 << 21), "has 2,097,152 bytes, where at most 1,048,576 are read"),
-])  # fmt: skip
-def test_a_file_that_cannot_be_settings_is_one_line(tmp_path: Path, content: bytes, text: str) -> None:
-    path = tmp_path / "settings.json"
-    path.write_bytes(content)
-    with pytest.raises(UserError) as caught:
-        read_settings(path)
-    assert str(caught.value).startswith(f"{path}: {text}")
-    assert "\n" not in str(caught.value)
-
-
 @pytest.mark.skipif(not Path("/dev/zero").exists(), reason="no such device")
 def test_a_file_without_end_is_not_read_to_it() -> None:
     with pytest.raises(UserError, match="/dev/zero: no regular file"):
         read_settings(Path("/dev/zero"))
-
-
-@pytest.mark.parametrize(("content", "text"), [
-    ({"Vehicles": {"A": {"Cameras": {"0": {"X": "far"}}}}}, "Vehicles.A.Cameras.0.X = 'far'"),
-    ({"CameraDefaults": {"CaptureSettings": [{"FOV_Degrees": 180}]}}, "CaptureSettings.0.FOV_Degrees = 180"),
-    ({"DefaultSensors": {"L": {"SensorType": 6, "NumberOfChannels": 0}}}, "DefaultSensors.L"),
-    ({"CameraDefaults": {"CaptureSettings": [{"FOV_Degrees": 1e-9}]}}, "CaptureSettings.0.FOV_Degrees = 1e-09"),
-    ({"CameraDefaults": {"CaptureSettings": [{"ImageType": 99}]}}, "CaptureSettings.0.ImageType = 99"),
-    ({"DefaultSensors": {"D": {"SensorType": 5, "MinDistance": 9, "MaxDistance": 8}}}, "MinDistance must be at most"),
-    ({"DefaultSensors": {"L": {"SensorType": 7}}}, "DefaultSensors.L.SensorType = 7: should be one of 1, 2, 3"),
-    ({"DefaultSensors": {"L": {"Range": 7}}}, "key 'DefaultSensors.L.SensorType' is missing"),
-    ({"OriginGeopoint": {"Latitude": 91}}, "OriginGeopoint.Latitude = 91"),
-])  # fmt: skip
-def test_what_is_wrong_with_cameras_and_sensors_is_named(tmp_path: Path, content: Any, text: str) -> None:
-    with pytest.raises(UserError) as caught:
-        read(tmp_path, content)
-    assert text in str(caught.value)
-    assert "\n" not in str(caught.value)
 
 
 def test_a_wind_that_nothing_withstands_is_refused() -> None:

@@ -107,14 +107,11 @@ def test_it_travels_with_a_saved_game() -> None:
     second.close()
 
 
-@pytest.mark.parametrize(
-    ("keys", "said"),
-    [
-        ({"observation": "state"}, "knows needs pictures"),
-        ({"knows": ["last_action", "last_action"]}, "must not name one thing twice"),
-        ({"knows": ["last_acton"]}, "last_acton"),
-    ],
-)
+@pytest.mark.parametrize(("keys", "said"), [
+    ({"observation": "state"}, "knows needs pictures"),
+    ({"knows": ["last_action", "last_action"]}, "must not name one thing twice"),
+    ({"knows": ["last_acton"]}, "last_acton"),
+])  # fmt: skip
 def test_what_cannot_be_told_is_one_clear_line(keys: dict[str, Any], said: str) -> None:
     with pytest.raises(UserError, match=said) as caught:
         ObstacleLane(**{"knows": list(KNOWS), **keys})

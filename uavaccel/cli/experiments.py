@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from uavaccel.cli.options import Trust, experiments, requests
-from uavaccel.cli.terminal import console, show_table
+from uavaccel.cli.terminal import console, show_table, working
 from uavaccel.errors import UsageError, UserError
 from uavaccel.suites.keys import KEYS
 
@@ -99,21 +101,21 @@ def run_experiment(
 
     `check` looks at the plan before anything flies, `flown` at the run before its report.
     """
-    from uavaccel.suites.session import plan, resumable
+    from uavaccel.cli.terminal import Progress
+    from uavaccel.suites.session import planned, resumable
 
-    with request.trusting():
-        planned = plan(request)
+    with planned(request) as plan:
         if check is not None and not request.dry_run:
-            check(planned)
-        if request.watch:
-            _check_watchable(planned)
-        for line in planned.lines():
+            check(plan)
+        page = _page(plan)
+        for line in plan.lines():
             console.print(line)
         if request.dry_run:
             return None
-        with resumable(planned.out):
-            run = planned.begin(console.print)
-            _fly_games(planned, run)
+        with resumable(plan.out):
+            run = plan.begin(console.print)
+            with page(), Progress(plan.cases, plan.request.jobs, run.rows(), plan.suite.status, console) as progress:
+                plan.fly(run, progress.flown)
             try:
                 if flown is not None:
                     flown(run)
@@ -122,25 +124,32 @@ def run_experiment(
         return run
 
 
-def _fly_games(plan: Plan, run: RunDirectory) -> None:
-    from uavaccel.cli.terminal import Progress
-    from uavaccel.suites.runner import run_suite
-    from uavaccel.watch.beside import PageAddress, page_beside
+def _page(plan: Plan) -> Callable[[], AbstractContextManager[object]]:
+    """Return what opens the page that shows the flights, where it was asked for.
 
-    with (
-        page_beside(PageAddress() if plan.request.watch else None),
-        Progress(plan.cases, plan.request.jobs, run.rows(), plan.suite.status, console) as progress,
-    ):
-        run_suite(plan.suite, plan.config, run, plan.request.jobs, progress.flown, plan.request.engine)
+    Raises UsageError where nothing flies in a scene of this machine, UserError without a free port.
+    """
+    if not plan.request.watch:
+        return nullcontext
+    from uavaccel.envs.simulators import KERNELS
+    from uavaccel.suites.engines import LOKY
+    from uavaccel.watch.beside import PageAddress, page_beside
+    from uavaccel.watch.beside import free_port
+
+    if getattr(plan.config, "simulator", None) == KERNELS:
+        raise UsageError("--watch: the kernels fly numbers, without a scene to look at: --set simulator=mujoco")
+    if plan.request.engine != LOKY:
+        raise UsageError(f"--watch: sees flights of this machine only, none of a cluster: --engine {LOKY}")
+    free_port(PageAddress.host, PageAddress.port)
+    return partial(page_beside, PageAddress())
 
 
 def report_run(run: RunDirectory) -> None:
     """Write a run's report, and print its result and the paths of its figures."""
-    from uavaccel.cli.terminal import working
     from uavaccel.suites.registry import suite_of
 
     report = suite_of(run).report(run)
-    with working("the report", console):
+    with working("the report"):
         summary = report.write()
     for line in filter(None, (report.headline(), report.pace())):
         console.print(line)
@@ -157,21 +166,9 @@ def report_run(run: RunDirectory) -> None:
     console.print(f"report: {run.path / 'report.html'}")
 
 
-def _check_watchable(plan: Plan) -> None:
-    """Raise UsageError for --watch where nothing flies in a scene of this machine, UserError without a free port."""
-    from uavaccel.envs.simulators import KERNELS
-    from uavaccel.suites.engines import LOKY
-    from uavaccel.watch.beside import PageAddress, free_port
-
-    if getattr(plan.config, "simulator", None) == KERNELS:
-        raise UsageError("--watch: the kernels fly numbers, without a scene to look at: --set simulator=mujoco")
-    if plan.request.engine != LOKY:
-        raise UsageError(f"--watch: sees flights of this machine only, none of a cluster: --engine {LOKY}")
-    free_port(PageAddress.host, PageAddress.port)
-
-
 def evaluate_agent(request: RunRequest, against: Path | None, films: bool) -> None:
     """Evaluate an agent, film, and compare it with another evaluation of the same lanes. Raises UserError."""
+    from uavaccel.sim.camera.gl import describe_renderer
     from uavaccel.suites.evaluate import against as compared
     from uavaccel.suites.registry import open_run
 
@@ -179,13 +176,33 @@ def evaluate_agent(request: RunRequest, against: Path | None, films: bool) -> No
 
     def check(plan: Plan) -> None:
         if other is not None:
-            _check_lanes(plan, other)
+            theirs = {row["lane"] for row in other.rows() if row.get("suite") == plan.suite.name}
+            if not theirs & {case.lane for case in plan.cases}:  # type: ignore[attr-defined]
+                raise UserError(f"--against {other.path}: is no evaluation of the same lanes")
         if films:
-            _check_films()
+            try:
+                describe_renderer()
+            except UserError as error:
+                raise UserError(f"{error}; or add --no-films") from error
 
-    run = run_experiment(request, check, _film_extremes if films else None)
+    run = run_experiment(request, check, film_extremes if films else None)
     if run is not None and other is not None:
         console.print(compared(run, other))
+
+
+def film_extremes(run: RunDirectory) -> None:
+    """Write films and contact sheets of the best game and the worst, which the report shows."""
+    from uavaccel.cli.results import film_of_game, write_film
+    from uavaccel.envs.simulators import EXACT
+    from uavaccel.suites.evaluate import Evaluation
+
+    order = sorted(run.rows(), key=Evaluation().interest)
+    if run.config().get("simulator", EXACT) != EXACT:
+        console.print("films: both games once more in the exact simulator, where they may end otherwise")
+    for name, row in {"best": order[0], "worst": order[-1]}.items():
+        with working(f"{name} game, flown again"):
+            _, film = film_of_game(run, row["case"])
+        write_film(film, run.file(f"films/{name}.mp4"), run.file(f"films/{name}.png"))
 
 
 def sweep_agent(request: RunRequest, sweep: list[str], against: Path | None) -> None:
@@ -199,34 +216,3 @@ def sweep_agent(request: RunRequest, sweep: list[str], against: Path | None) -> 
     if len({name for name, _ in conditions}) < len(conditions):
         raise UsageError("--sweep: names a condition twice; give all its values at once, as in wind=0,3,6")
     run_experiment(as_sweep(request, dict(conditions)))
-
-
-def _check_lanes(plan: Plan, other: RunDirectory) -> None:
-    theirs = {row["lane"] for row in other.rows() if row.get("suite") == plan.suite.name}
-    if not theirs & {case.lane for case in plan.cases}:  # type: ignore[attr-defined]
-        raise UserError(f"--against {other.path}: is no evaluation of the same lanes")
-
-
-def _check_films() -> None:
-    from uavaccel.sim.camera.gl import describe_renderer
-
-    try:
-        describe_renderer()
-    except UserError as error:
-        raise UserError(f"{error}; or add --no-films") from error
-
-
-def _film_extremes(run: RunDirectory) -> None:
-    """Write films and contact sheets of the best game and the worst, which the report shows."""
-    from uavaccel.cli.terminal import working
-    from uavaccel.cli.view import film_of_game, write_film
-    from uavaccel.envs.simulators import EXACT
-    from uavaccel.suites.evaluate import Evaluation
-
-    order = sorted(run.rows(), key=Evaluation().interest)
-    if run.config().get("simulator", EXACT) != EXACT:
-        console.print("films: both games once more in the exact simulator, where they may end otherwise")
-    for name, row in {"best": order[0], "worst": order[-1]}.items():
-        with working(f"{name} game, flown again", console):
-            _, film = film_of_game(run, row["case"])
-        write_film(film, run.file(f"films/{name}.mp4"), run.file(f"films/{name}.png"))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from inspect import Parameter, signature
+from inspect import Parameter, Signature, signature
 from pathlib import Path
 from typing import Annotated, Any, get_type_hints
 
@@ -27,14 +27,6 @@ def experiments(incomplete: str) -> list[str]:
     return one_of(*experiment_names())(incomplete)
 
 
-def _key(name: str, several: bool) -> Any:
-    key = KEYS[name]
-    repeats = "; repeat for several" if several else ""
-    complete = one_of(*key.words) if key.words else None
-    option = typer.Option(key.option, help=f"{key.help}{repeats}.", autocompletion=complete)
-    return Annotated[list[key.kind] | None if several else key.kind | None, option]  # type: ignore[name-defined]
-
-
 Timing = Annotated[str, typer.Option(help=f"{KEYS['timing'].help}.", autocompletion=one_of(*KEYS["timing"].words))]
 Profile = Annotated[str, typer.Option(help=f"{KEYS['profile'].help}.", autocompletion=one_of(*KEYS["profile"].words))]
 Scene = Annotated[str, typer.Option(help="A scene of assets/mjcf.")]
@@ -51,32 +43,37 @@ Watch = Annotated[
     typer.Option("--watch", help="Open a page in this machine's browser that shows the flight; it changes no flight."),
 ]
 
-_OF_A_REQUEST: dict[str, tuple[Any, object]] = {
-    "jobs": (Annotated[int, typer.Option(help="Number of processes; more than 1 not in wall.")], 1),
-    "engine": (
-        Annotated[
-            str,
-            typer.Option(
-                help="What runs the --jobs: loky, ray or dask; never for wall games.",
-                autocompletion=one_of("loky", "ray", "dask"),
-            ),
-        ],
-        "loky",
+
+def _parameter(
+    name: str, kind: Any, default: object, about: str, *declarations: str, words: tuple[str, ...] = ()
+) -> Parameter:
+    """Return an option as a parameter of a command; `words` are completed."""
+    option = typer.Option(*declarations, help=about, autocompletion=one_of(*words) if words else None)
+    return Parameter(name, Parameter.KEYWORD_ONLY, default=default, annotation=Annotated[kind, option])
+
+
+def _of_key(name: str, several: bool) -> Parameter:
+    """Return the option of a key of the configuration, which is None where it was not given."""
+    key = KEYS[name]
+    kind: Any = list[key.kind] if several else key.kind  # type: ignore[name-defined]
+    about = f"{key.help}{'; repeat for several' if several else ''}."
+    return _parameter(name, kind | None, None, about, key.option, words=key.words)
+
+
+OF_A_REQUEST = (
+    _parameter("jobs", int, 1, "Number of processes; more than 1 not in wall."),
+    _parameter(
+        *("engine", str, "loky", "What runs the --jobs: loky, ray or dask; never for wall games."),
+        words=("loky", "ray", "dask"),
     ),
-    "out": (Annotated[Path | None, typer.Option(help="New run directory; by default one in runs/.")], None),
-    "resume": (
-        Annotated[bool, typer.Option("--resume", help="Resume the run in --out with its own configuration.")],
-        False,
-    ),
-    "trust": (Trust, False),
-    "dry_run": (Annotated[bool, typer.Option("--dry-run", help="Print what would be flown, and fly nothing.")], False),
-    "overrides": (
-        Annotated[list[str] | None, typer.Option("--set", help="dotted.key=value for the configuration; repeatable.")],
-        None,
-    ),
-    "watch": (Watch, False),
-}
-"""The options of every command that flies an experiment, by the fields of its RunRequest, with their defaults."""
+    _parameter("out", Path | None, None, "New run directory; by default one in runs/."),
+    _parameter("resume", bool, False, "Resume the run in --out with its own configuration.", "--resume"),
+    Parameter("trust", Parameter.KEYWORD_ONLY, default=False, annotation=Trust),
+    _parameter("dry_run", bool, False, "Print what would be flown, and fly nothing.", "--dry-run"),
+    _parameter("overrides", list[str] | None, (), "dotted.key=value for the configuration; repeatable.", "--set"),
+    Parameter("watch", Parameter.KEYWORD_ONLY, default=False, annotation=Watch),
+)
+"""The options of every command that flies an experiment, by the fields of its RunRequest."""
 
 
 def requests(*keys: str, several: tuple[str, ...] = (), jobs: bool = True) -> Callable[[Callable[..., None]], Any]:
@@ -85,31 +82,22 @@ def requests(*keys: str, several: tuple[str, ...] = (), jobs: bool = True) -> Ca
     These are an option for each of `keys`, which `several` may repeat, and those of every run; without `jobs` one
     process flies.
     """
-    options: dict[str, tuple[Any, object]] = {name: (_key(name, name in several), None) for name in keys}
-    options |= {name: option for name, option in _OF_A_REQUEST.items() if jobs or name not in ("jobs", "engine")}
+    options = [_of_key(name, name in several) for name in keys]
+    options += [option for option in OF_A_REQUEST if jobs or option.name not in ("jobs", "engine")]
 
     def decorate(function: Callable[..., None]) -> Callable[..., None]:
-        own = list(signature(function).parameters.values())[1:]
-        hints = get_type_hints(function, {**function.__globals__, "RunRequest": object}, include_extras=True)
-
         def command(**given: Any) -> None:
             from uavaccel.suites.session import RunRequest
 
-            asked = {name: given.pop(name) for name in options}
-            asked["overrides"] = asked["overrides"] or ()
-            request = RunRequest(None, {name: asked.pop(name) for name in keys}, **asked)
-            function(request, **given)
+            asked = {option.name: given.pop(option.name) for option in options}
+            function(RunRequest(None, {name: asked.pop(name) for name in keys}, **asked), **given)
 
-        parameters = [each.replace(annotation=hints[each.name], kind=Parameter.KEYWORD_ONLY) for each in own]
-        added = [
-            Parameter(name, Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
-            for name, (annotation, default) in options.items()
-        ]
+        hints = get_type_hints(function, {**function.__globals__, "RunRequest": object}, include_extras=True)
+        _, *own = signature(function).parameters.values()
+        own = [each.replace(annotation=hints[each.name], kind=Parameter.KEYWORD_ONLY) for each in own]
         command.__name__, command.__doc__ = function.__name__, function.__doc__
-        command.__signature__ = signature(function).replace(  # type: ignore[attr-defined]
-            parameters=[*parameters, *added], return_annotation=None
-        )
-        command.__annotations__ = {each.name: each.annotation for each in [*parameters, *added]}
+        command.__signature__ = Signature([*own, *options])  # type: ignore[attr-defined]
+        command.__annotations__ = {each.name: each.annotation for each in [*own, *options]}
         return command
 
     return decorate

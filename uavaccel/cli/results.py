@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterable
 from itertools import chain
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from uavaccel.cli.options import Case, Trust, check_host
-from uavaccel.cli.terminal import LINES, console
-from uavaccel.errors import UsageError
+from uavaccel.cli.terminal import LINES, console, working
+from uavaccel.errors import UsageError, UserError
+
+if TYPE_CHECKING:
+    from uavaccel.draw.film import Film
+    from uavaccel.records import RunDirectory
 
 
 def view(
@@ -24,11 +29,76 @@ def view(
     trust: Trust = False,
 ) -> None:
     """Show a game: an MP4 of camera, DVS, map, the view from behind and a policy's decisions, and a contact sheet."""
-    from uavaccel.cli.view import view_game
     from uavaccel.suites.own_code import trusting
 
     with trusting(trust):
         view_game(source, case, out)
+
+
+def view_game(source: str, case: str | None, out: Path | None) -> None:
+    """Write CASE.mp4 and CASE.png into `out`, by default the folder view/ of the run, and print their paths.
+
+    `source` is a run directory that keeps images or can fly its games again, or a policy: "default", its folder, a
+    training's run directory. Without `case`: the run's most interesting game, a policy's first evaluation lane.
+    Raises UserError if there is no such game.
+    """
+    from uavaccel.files import inside
+    from uavaccel.rl.agents import DEFAULT, policy_folder
+    from uavaccel.rl.policy import MANIFEST
+    from uavaccel.sim.camera.gl import describe_renderer
+    from uavaccel.suites.registry import open_run
+
+    describe_renderer()  # where nothing can draw, this says so
+    folder = Path("runs") if source == DEFAULT else Path(source)
+    with working("the game"):
+        if (policy_folder(source) / MANIFEST).is_file():
+            name, film = _film_of_policy(source, case or "lane-000000")
+        else:
+            name, film = film_of_game(open_run(source), case)
+    movie, sheet = (
+        inside(out, f"{name}.{kind}") if out else inside(folder, f"view/{name}.{kind}") for kind in ("mp4", "png")
+    )
+    write_film(film, movie, sheet)
+
+
+def film_of_game(run: RunDirectory, case: str | None) -> tuple[str, Film]:
+    """Return a game's name and film, by default of the most interesting. Raises UserError where there are no images."""
+    from uavaccel.suites.flight import film_of
+    from uavaccel.suites.registry import suite_of
+    from uavaccel.suites.suite import choose_row
+
+    suite = suite_of(run)
+    report = suite.report(run)
+    row = choose_row(suite, report, case)
+    flight = suite.flight(report, row)
+    if not len(flight.images):
+        raise UserError(f"{run.path}: a run of {suite.name} keeps no images to show")
+    return str(row["case"]), film_of(flight)
+
+
+def _film_of_policy(policy: str, case: str) -> tuple[str, Film]:
+    from uavaccel.config import validate
+    from uavaccel.rl.config import LANE
+    from uavaccel.suites.evaluate import EvaluateConfig, completed
+    from uavaccel.suites.evaluate_again import flight_of_agent
+    from uavaccel.suites.flight import film_of
+
+    lane = re.fullmatch(r"lane-(\d+)", case)
+    if not lane:
+        raise UserError(f"--case {case}: must be an evaluation lane, as lane-000007")
+    config = validate(EvaluateConfig, completed({"agent": policy, "task": {"timing": "lockstep"}}), "view")
+    if config.env_id == LANE:
+        config.task.wire_lane(int(lane[1]))  # refuses one that there is not
+    return case, film_of(flight_of_agent(config, int(lane[1])))
+
+
+def write_film(film: Film, movie: Path, sheet: Path) -> None:
+    """Write a film, with a bar of its frames on a terminal, and its contact sheet, and print their paths."""
+    from uavaccel.draw.film import write_contact_sheet, write_video
+
+    with working(movie.name, len(film)) as written:
+        console.print(str(write_video(film, movie, written=written)))
+    console.print(str(write_contact_sheet(film, sheet)))
 
 
 def watch(
@@ -74,21 +144,6 @@ def export(
 ) -> None:
     """Write a policy as ONNX; a run as tables, as MCAP logs for Foxglove, or as a Minari dataset."""
     from uavaccel.suites.own_code import trusting
-
-    with trusting(trust):
-        export_source(source, onnx, csv, parquet, mcap, minari, case)
-
-
-def export_source(
-    source: str,
-    onnx: Path | None = None,
-    csv: Path | None = None,
-    parquet: Path | None = None,
-    mcap: Path | None = None,
-    minari: Path | None = None,
-    case: str | None = None,
-) -> None:
-    """Write what was asked for. Raises UserError with one clear line."""
     from uavaccel.suites.registry import open_run
 
     if onnx is csv is parquet is mcap is minari is None:
@@ -97,31 +152,32 @@ def export_source(
         )
     if case is not None and mcap is None:
         raise UsageError("--case: goes with --mcap; the other formats take all games of a run")
-    if onnx is not None:
-        from uavaccel.rl.agents import policy_folder
-        from uavaccel.rl.onnx_file import write_onnx
-        from uavaccel.rl.policy import load_policy
+    with trusting(trust):
+        if onnx is not None:
+            from uavaccel.rl.agents import policy_folder
+            from uavaccel.rl.onnx_file import write_onnx
+            from uavaccel.rl.policy import load_policy
 
-        about = write_onnx(load_policy(policy_folder(source)), onnx)
-        headings = about.get("headings_deg")
-        actions = f"headings of {headings} degrees" if headings else f"shares of {json.loads(about['action'])}"
-        console.print(f"{onnx}: seen: {about['seen']}; actions: {actions}")
-    written: list[Iterable[Path]] = []
-    if csv is not None or parquet is not None:
-        from uavaccel.suites.tables import write_tables
+            about = write_onnx(load_policy(policy_folder(source)), onnx)
+            headings = about.get("headings_deg")
+            actions = f"headings of {headings} degrees" if headings else f"shares of {json.loads(about['action'])}"
+            console.print(f"{onnx}: seen: {about['seen']}; actions: {actions}")
+        written: list[Iterable[Path]] = []
+        if csv is not None or parquet is not None:
+            from uavaccel.suites.tables import write_tables
 
-        tables = ((csv, "csv"), (parquet, "parquet"))
-        written += [write_tables(open_run(source), folder, kind) for folder, kind in tables if folder is not None]
-    if mcap is not None:
-        from uavaccel.export.mcap_file import write_mcap
+            tables = ((csv, "csv"), (parquet, "parquet"))
+            written += [write_tables(open_run(source), folder, kind) for folder, kind in tables if folder is not None]
+        if mcap is not None:
+            from uavaccel.export.mcap_file import write_mcap
 
-        written.append(write_mcap(open_run(source), mcap, case))
-    for path in chain.from_iterable(written):
-        console.print(str(path))
-    if minari is not None:
-        from uavaccel.export.minari_dataset import write_minari
+            written.append(write_mcap(open_run(source), mcap, case))
+        for path in chain.from_iterable(written):
+            console.print(str(path))
+        if minari is not None:
+            from uavaccel.export.minari_dataset import write_minari
 
-        for done, games in write_minari(open_run(source), minari):
-            if done * LINES // games > (done - 1) * LINES // games:
-                console.print(f"{done}/{games} games")
-        console.print(str(minari))
+            for done, games in write_minari(open_run(source), minari):
+                if done * LINES // games > (done - 1) * LINES // games:
+                    console.print(f"{done}/{games} games")
+            console.print(str(minari))

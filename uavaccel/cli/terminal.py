@@ -120,7 +120,7 @@ class Progress:
 
 
 @contextmanager
-def working(name: str, console: Console, steps: int | None = None) -> Iterator[Callable[[], object]]:
+def working(name: str, steps: int | None = None) -> Iterator[Callable[[], object]]:
     """Show on a terminal what is worked on, and yield the function that counts a step of it.
 
     Without `steps` the bar only moves. Elsewhere than on a terminal nothing is shown.

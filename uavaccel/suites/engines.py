@@ -1,4 +1,4 @@
-"""Engines that fly cases in parallel, beside joblib's own processes: clusters of Ray and Dask.
+"""Engines that fly cases in parallel: joblib's own processes (loky), and clusters of Ray and Dask.
 
 Workers read the run's folder, so all of them must see it, and this package, under the same paths. Without a running
 cluster (RAY_ADDRESS, DASK_SCHEDULER_ADDRESS) a local one of this machine's processes is started, on loopback.
@@ -8,10 +8,14 @@ from __future__ import annotations
 
 import importlib.util
 import os
-from collections.abc import Callable, Iterator, Sequence
+import warnings
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager
+from functools import partial
+from itertools import islice
 
 from uavaccel.errors import UsageError, UserError
+from uavaccel.processes.lifetime import work_for_parent
 from uavaccel.suites.suite import GameResult
 
 LOKY = "loky"
@@ -30,23 +34,49 @@ def check_engine(engine: str) -> None:
         raise UserError(f"--engine {engine}: needs the package {package}: pip install 'uavaccel[{engine}]'")
 
 
-def on_cluster(engine: str, jobs: int, batch: int, calls: Sequence[Delayed]) -> Iterator[GameResult]:
+def in_parallel(engine: str, jobs: int, batch: int, calls: Iterable[Delayed]) -> Iterator[GameResult]:
     """Yield the results of joblib's delayed calls, in order, from `jobs` workers that take `batch` calls at once.
 
     Raises UserError where a worker is lost.
     """
+    return (_on_this_machine if engine == LOKY else partial(_on_cluster, engine))(jobs, batch, calls)
+
+
+def _on_this_machine(jobs: int, batch: int, calls: Iterable[Delayed]) -> Iterator[GameResult]:
+    from joblib import Parallel, parallel_config
+    from joblib.externals.loky.process_executor import TerminatedWorkerError
+
+    # workers end with this process from the start, before they import what takes seconds
+    bound = {"initializer": work_for_parent, "initargs": (os.getpid(),)}
+    with parallel_config(backend=LOKY, inner_max_num_threads=1, **bound):
+        ahead = f"{batch}*n_jobs"  # a longer queue would delay an interruption
+        games = Parallel(jobs, return_as="generator", pre_dispatch=ahead, batch_size=batch)(calls)
+        try:
+            for game in games:  # noqa: UP028  `yield from` would close them before, and loudly
+                yield game
+        except TerminatedWorkerError:
+            raise UserError(
+                "a worker process was killed, by its user or for memory; go on with --resume, perhaps with fewer --jobs"
+            ) from None
+        finally:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # of games that an interruption cancels
+                games.close()
+
+
+def _on_cluster(engine: str, jobs: int, batch: int, calls: Iterable[Delayed]) -> Iterator[GameResult]:
     from joblib import Parallel, parallel_config
 
     clusters: dict[str, Callable[[int], AbstractContextManager[None]]] = {"ray": _ray, "dask": _dask}
-    most = jobs * batch * AHEAD
+    waiting = iter(calls)
     with (
         clusters[engine](jobs),
         parallel_config(backend=engine, n_jobs=jobs),
         Parallel(batch_size=batch) as parallel,  # which keeps its workers, with what they opened
     ):
-        for first in range(0, len(calls), most):
+        while submitted := list(islice(waiting, jobs * batch * AHEAD)):
             try:
-                yield from parallel(calls[first : first + most])
+                yield from parallel(submitted)
             except Exception as error:
                 if type(error).__module__.partition(".")[0] not in PACKAGES.values():
                     raise

@@ -126,12 +126,10 @@ class Evaluation(Suite[EvaluateConfig, Game]):
     name = "evaluate"
     config = EvaluateConfig
     row = EvaluateRow
+    complete = staticmethod(completed)
 
     def case_of(self, row: Plain) -> str:
         return lane_case(row["lane"])
-
-    def complete(self, mapping: Mapping[str, Plain]) -> Mapping[str, Plain]:
-        return completed(mapping)
 
     def check(self, config: EvaluateConfig) -> None:
         check_agent(config.agent, config.task)

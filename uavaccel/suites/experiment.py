@@ -1,18 +1,13 @@
-"""The keys that experiments share, and how a configuration is made from YAML, options and overrides."""
+"""The keys that experiments share."""
 
 from __future__ import annotations
 
-import copy
-from collections.abc import Iterable, Mapping
-from pathlib import Path
 from typing import Annotated, Literal, TypeVar
 
 from pydantic import AfterValidator
 
-from uavaccel.config import Config, apply_overrides, assign, load_yaml, validate
-from uavaccel.files import Plain
+from uavaccel.config import Config
 from uavaccel.limits import ClockSpeed, Cost, Seed
-from uavaccel.resources import experiment
 from uavaccel.sim.profile import PROFILES
 from uavaccel.wire.latency import LatencyModel
 
@@ -71,39 +66,3 @@ def timing_of(config: Experiment) -> str:
 def t_th_ns(config: FlightExperiment, clock_speed: float, t_sample_s: float) -> int:
     """Return TCSC's T_th in simulated nanoseconds (Profile.t_th_ns)."""
     return PROFILES[config.profile].t_th_ns(config.t_th_wall_s, clock_speed, t_sample_s)
-
-
-ExperimentType = TypeVar("ExperimentType", bound=Experiment)
-
-
-def read_mapping(name: str) -> tuple[dict[str, Plain], str]:
-    """Return the mapping of an experiment that ships, such as "dp1", or of a YAML file, and its name in messages."""
-    if is_file(name):
-        return load_yaml(Path(name)), name
-    return load_yaml(experiment(f"{name}.yaml")), f"{name}.yaml"
-
-
-def is_file(name: str) -> bool:
-    """Return whether an experiment is named by its YAML file."""
-    return Path(name).suffix in (".yaml", ".yml")
-
-
-def merged(
-    mapping: Mapping[str, object], options: Mapping[str, object], overrides: Iterable[str] = ()
-) -> dict[str, Plain]:
-    """Return a mapping with options by dotted key, then each "dotted.key=value" of --set, applied. Raises UserError."""
-    result = copy.deepcopy(dict(mapping))
-    for key, value in options.items():
-        assign(result, key, copy.deepcopy(value), key)  # later keys may change it
-    return apply_overrides(result, overrides)
-
-
-def resolve(
-    cls: type[ExperimentType],
-    mapping: Mapping[str, object],
-    source: str,
-    options: Mapping[str, object] | None = None,
-    overrides: Iterable[str] = (),
-) -> ExperimentType:
-    """Return the configuration from YAML, then options by dotted key, then --set. Raises UserError."""
-    return validate(cls, merged(mapping, options or {}, overrides), source)

@@ -44,12 +44,12 @@ from uavaccel.suites.experiment import (
     ProfileName,
     Timing,
     distinct,
-    merged,
     timing_of,
 )
 from uavaccel.suites.flight import Flight
 from uavaccel.suites.gpu import on_own_gpu
 from uavaccel.suites.parts import OUTCOMES, Part, fly_part, outcomes, part_run, part_suite
+from uavaccel.suites.registry import merged
 from uavaccel.suites.report import Report, Summary, finished, source_line, table_of
 from uavaccel.suites.rows import GameRow, Row
 from uavaccel.suites.suite import AnySuite, GameResult, SimpleCase, Suite

@@ -16,14 +16,14 @@ from uavaccel import __version__
 from uavaccel.config import Config, load_yaml, validate
 from uavaccel.draw.page import Block, Column, Heading, Picture, Table, fill
 from uavaccel.errors import UserError
-from uavaccel.files import file_sha256
+from uavaccel.files import Plain, file_sha256
 from uavaccel.forms import Count
 from uavaccel.metrics.intervals import fisher_exact_p
 from uavaccel.records import RunDirectory
 from uavaccel.resources import experiment
 from uavaccel.suites import claims, paper_results
 from uavaccel.suites.experiment import Experiment
-from uavaccel.suites.parts import Part, fly_part, part_run, part_simulated_s, part_suite
+from uavaccel.suites.parts import Part, fly_part, part_run, part_suite
 from uavaccel.suites.registry import open_run, suite_of
 from uavaccel.suites.report import Report, Summary, records, table_of
 from uavaccel.suites.rows import GameRow
@@ -51,12 +51,18 @@ class Claim(Config):
     paper is silent, or predicted by a model that was fitted to something else."""
     paper_counts: tuple[int, int] | None = None
     """Successes of 100 games each, where the paper compares two."""
+    decide: str = ""
+    """The function of claims.py that decides it, by default that of its id."""
+    keys: dict[str, Plain] = Field(default_factory=dict)
+    """What that function is called with beside the runs."""
 
 
 class Claims(Config):
-    """The contents of a file of claims."""
+    """The contents of a file of claims, with what the page says of the verdicts and of the hours by phase."""
 
     claims: tuple[Claim, ...]
+    reading: str
+    phases: str
 
 
 class PaperConfig(Experiment):
@@ -95,11 +101,12 @@ class Paper(Suite[PaperConfig, SimpleCase]):
 
     def cases(self, config: PaperConfig) -> Iterator[SimpleCase]:
         for name, part in config.parts.items():
-            yield SimpleCase(name, "virtual", part_simulated_s(part, config.seed))
+            suite, of_part = part_suite(part, config.seed)
+            yield SimpleCase(name, "virtual", sum(case.simulated_s() for case in suite.cases(of_part)))
 
     def renders(self, config: PaperConfig) -> bool:
         parts = [part_suite(part, config.seed) for part in config.parts.values()]
-        return any(suite.renders(part_config) for suite, part_config in parts)
+        return any(suite.renders(of_part) for suite, of_part in parts)
 
     def open(self, config: PaperConfig, timing: str, run: RunDirectory) -> AbstractContextManager[RunDirectory]:
         return nullcontext(run)
@@ -129,7 +136,7 @@ class Paper(Suite[PaperConfig, SimpleCase]):
                 and fisher_exact_p(*((n, paper_results.GAMES) for n in claim.paper_counts)),
                 **{profile: verdict(claim, evidence[profile]) for profile in PROFILES},
             }
-            for claim in read_claims(report.config)
+            for claim in read_claims(report.config).claims
         ]
         return {"suite": "paper", "seed": report.config.seed, "claims": judged, "phases": phases}
 
@@ -151,16 +158,17 @@ class Paper(Suite[PaperConfig, SimpleCase]):
         return Table(table.header, [[cell.rstrip() for cell in row] for row in table.rows])
 
     def page(self, report: Report) -> Iterator[Block | str]:
+        told = read_claims(report.config)
         yield Heading("Claims")
         judged = [f"{{{profile}[{key}]}}" for profile in PROFILES for key in ("verdict", "value")]
         columns: list[Column] = ["{says}", "{place}", "{paper}", "{basis}", *judged, at_the_papers_n]
         header = ("claim", "place", "the paper's", "is", "under airsim", "", "under native", "", "the paper's n")
         yield Table(header, [[fill(column, claim) for column in columns] for claim in report.summary["claims"]])
-        yield READING
+        yield told.reading
         if phases := report.summary["phases"]:
             yield Heading("Figure 9: hours by phase, under airsim")
             yield Table.of(map(whole_hours, phases), HOURS)
-            yield PHASES
+            yield told.phases
         for name in report.config.parts:
             yield Heading(name)
             yield f"Its own report: parts/{name}/report.html."
@@ -171,10 +179,10 @@ class Paper(Suite[PaperConfig, SimpleCase]):
                 yield Picture(copied, f"{name}: {figure}.")
 
 
-def read_claims(config: PaperConfig) -> tuple[Claim, ...]:
+def read_claims(config: PaperConfig) -> Claims:
     """Read the claims, in the paper's order. Raises UserError for an invalid file."""
     path = experiment(config.claims)
-    return validate(Claims, load_yaml(path), str(path)).claims
+    return validate(Claims, load_yaml(path), str(path))
 
 
 def training_run(path: str) -> RunDirectory:
@@ -210,7 +218,9 @@ def verdict(claim: Claim, evidence: Mapping[str, Any]) -> dict[str, str]:
     if any(kind not in evidence for kind in claim.decided_by):
         return lacking
     try:
-        value, holds = getattr(claims, claim.id)(*(evidence[kind] for kind in claim.decided_by))
+        value, holds = getattr(claims, claim.decide or claim.id)(
+            *(evidence[kind] for kind in claim.decided_by), **claim.keys
+        )
     except claims.NoEvidence:
         return lacking
     except claims.Undecided as reason:
@@ -244,27 +254,3 @@ HOURS = {
     "whole, h": "{whole_h:.1f}",
     "whole, the paper's": "{paper_whole_h:.1f}",
 }
-PHASES = (
-    "Hours of TCSC's training, were it as long as one that takes ADSC the paper's 182 hours at 1x. The paper draws its "
-    "phases and gives none in numbers: its columns follow from its speed-ups, of which what it takes beside the "
-    "simulation was fitted to the difference between 4x and 3.6x, and 6.4x and 5.2x. Ours takes these costs where the "
-    "configuration of the training has them as fitted; what the simulation takes is a prediction, under the choice of "
-    "60 frames a second, which no source gives: at 100x it makes 9.1x with 30 frames a second, 12.1x with 45, 14.6x "
-    "with 60, 18.7x with 90 and 21.8x with 120, where the paper has 15.4x."
-)
-READING = (
-    "A claim holds where the 95 % interval of its number lies within the margins, fails where it lies outside, and is "
-    "undecided where it straddles an end or where too little was flown. Under airsim a number is fitted to the paper, "
-    "decided by a choice of this project's, or predicted by what was fitted to something else. Success is compared as "
-    "a ratio to that at 1x, of a policy that wins more than a tenth there: alike is .8 to 1.25, a loss a third to .8, "
-    "a collapse less, a gain more than 1.25; of several trainings the interval is over "
-    "trainings, of one it is over its games and holds for that policy alone. "
-    "The paper gives TCSC's speed-up at 100x with rendering off as 62x (I), 65x (V) and 50x (IV-D): each is taken as "
-    "50x to 65x within its own error. Error is 1 minus the pooled median STLC over its maximum of 2. ADSC above 1.8 "
-    "only below 5x can hold pooled over rounds and T_moves alone, as in Figure 5. Speed-ups of training are over ADSC "
-    "at 1x, and may miss the paper's by 15 % in either direction. Table I's differences are significant at n = 100 for "
-    "ADSC's collapse alone. What the paper says of DVS-ED at 5x and 10x is decided by every image; median and share "
-    "beyond stand beside it. STLC's lambda, the network, the reward and the lane's geometry are not in the paper: they "
-    "are this project's own choice. ADSC and TCSC are flown here with one recorder sample every 50 ms, and 20 games in "
-    "each cell of DP1, as in the paper."
-)

@@ -11,11 +11,11 @@ from uavaccel.config import Config
 from uavaccel.files import Plain, inside
 from uavaccel.forms import ArrayForm
 from uavaccel.records import RunDirectory
-from uavaccel.suites.experiment import Experiment, merged, read_mapping
-from uavaccel.suites.registry import find_suite, open_run
+from uavaccel.suites.experiment import Experiment
+from uavaccel.suites.registry import configuration, find_suite, merged, open_run, read_mapping
 from uavaccel.suites.report import Report
 from uavaccel.suites.runner import run_suite, start_run
-from uavaccel.suites.suite import AnySuite, configuration
+from uavaccel.suites.suite import AnySuite
 
 
 class Part(Config):
@@ -51,12 +51,6 @@ def fly_part(run: RunDirectory, name: str, part: Part, seed: int, pages: bool = 
 def part_folder(run: RunDirectory, name: str) -> Path:
     """Return the folder of a part, which need not exist."""
     return inside(run.path, f"parts/{name}")
-
-
-def part_simulated_s(part: Part, seed: int) -> float:
-    """Estimate the simulated seconds of a part."""
-    suite, config = part_suite(part, seed)
-    return sum(case.simulated_s() for case in suite.cases(config))
 
 
 def part_run(run: RunDirectory, name: str) -> RunDirectory:

@@ -1,18 +1,26 @@
-"""The registry of suites by the key `suite` of their YAML; custom ones are named "module:name" (own_code.py)."""
+"""What an experiment's name or YAML file means: its mapping, its suite by the key `suite`, its configuration.
+
+Custom suites are named "module:name" (own_code.py).
+"""
 
 from __future__ import annotations
 
+import copy
 import sys
+from collections.abc import Iterable, Mapping
 from importlib import import_module
 from pathlib import Path
 
+from uavaccel.config import apply_overrides, assign, load_yaml, validate
 from uavaccel.errors import UserError, suggestion
+from uavaccel.files import Plain
 from uavaccel.forms import RowForm
 from uavaccel.records import RunDirectory
+from uavaccel.resources import experiment
 from uavaccel.suites.experiment import Experiment
 from uavaccel.suites.own_code import own_module
 from uavaccel.suites.rows import GameRow
-from uavaccel.suites.suite import AnySuite, Suite
+from uavaccel.suites.suite import AnySuite, CaseType, ConfigType, Suite
 
 # A line per suite; its module is imported on demand.
 SUITES = {
@@ -27,6 +35,35 @@ SUITES = {
     "evaluate": "uavaccel.suites.evaluate:Evaluation",
     "realtime": "uavaccel.suites.realtime:Realtime",
 }
+
+
+def read_mapping(name: str) -> tuple[dict[str, Plain], str]:
+    """Return the mapping of an experiment that ships, such as "dp1", or of a YAML file, and its name in messages."""
+    if is_file(name):
+        return load_yaml(Path(name)), name
+    return load_yaml(experiment(f"{name}.yaml")), f"{name}.yaml"
+
+
+def is_file(name: str) -> bool:
+    """Return whether an experiment is named by its YAML file."""
+    return Path(name).suffix in (".yaml", ".yml")
+
+
+def merged(
+    mapping: Mapping[str, object], keys: Mapping[str, object], overrides: Iterable[str] = ()
+) -> dict[str, Plain]:
+    """Return a mapping with `keys` by dotted key, then each "dotted.key=value" of --set, applied. Raises UserError."""
+    result = copy.deepcopy(dict(mapping))
+    for key, value in keys.items():
+        assign(result, key, copy.deepcopy(value), key)  # later keys may change it
+    return apply_overrides(result, overrides)
+
+
+def configuration(suite: Suite[ConfigType, CaseType], mapping: Mapping[str, Plain], source: str) -> ConfigType:
+    """Return a suite's checked configuration from a YAML's mapping, omitted keys completed. Raises UserError."""
+    config = validate(suite.config, suite.complete(mapping), source)
+    suite.check(config)
+    return config
 
 
 def find_suite(name: object, source: str, remembered_in: Path | None = None) -> AnySuite:

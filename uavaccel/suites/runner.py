@@ -4,20 +4,19 @@ from __future__ import annotations
 
 import os
 import threading
-import warnings
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from itertools import groupby
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from itertools import groupby, islice
 from pathlib import Path
 
 from uavaccel.errors import UsageError, UserError
 from uavaccel.files import is_file_name, to_json
-from uavaccel.limits import MOST_PROCESSES
+from uavaccel.limits import MOST_GAMES, MOST_PROCESSES
 from uavaccel.machine import usable_cores
 from uavaccel.processes.lifetime import remove_orphaned_files, work_for_parent
 from uavaccel.records import RunDirectory
-from uavaccel.suites.engines import LOKY, on_cluster
+from uavaccel.suites.engines import LOKY, check_engine, in_parallel
 from uavaccel.suites.experiment import Experiment, timing_of
 from uavaccel.suites.host_time import timed
 from uavaccel.suites.own_code import trusted_folder, trusting
@@ -31,7 +30,11 @@ MOST_RESTARTS = 3  # of the server in a game
 
 
 def check_jobs(suite: AnySuite, config: Experiment, jobs: int, engine: str = LOKY) -> None:
-    """Raise UsageError for a number of processes that is out of range or that the suite or its timing excludes."""
+    """Raise UsageError for a number of processes that is out of range, or that the suite or its timing excludes.
+
+    Raises as `check_engine` does, too.
+    """
+    check_engine(engine)
     if jobs < 1:
         raise UsageError(f"--jobs {jobs}: must be 1 or more")
     most = MOST_JOBS_PER_CORE * usable_cores() if engine == LOKY else MOST_PROCESSES
@@ -43,16 +46,20 @@ def check_jobs(suite: AnySuite, config: Experiment, jobs: int, engine: str = LOK
         raise UsageError(f"--jobs must be 1 with {suite.name}: {why}")
 
 
-def check_cases(suite: AnySuite, cases: Iterable[Case]) -> None:
-    """Raise UserError for cases with equal names, or with names that files cannot have."""
-    seen: set[str] = set()
-    for case in cases:
-        name = case.id
+def cases_of(suite: AnySuite, config: Experiment) -> list[Case]:
+    """Return all cases of a run.
+
+    Raises UserError for too many, for equal names, and for names that files cannot have.
+    """
+    cases = list(islice(suite.cases(config), MOST_GAMES + 1))
+    if len(cases) > MOST_GAMES:
+        raise UserError(f"more than {MOST_GAMES} games in all: fewer games, or fewer values to combine")
+    for name, count in Counter(case.id for case in cases).items():
         if not is_file_name(name):
             raise UserError(f"{suite.name}: a case cannot be called {name!r}: its name is that of a file")
-        if name in seen:
+        if count > 1:
             raise UserError(f"{suite.name}: two cases are called {name!r}")
-        seen.add(name)
+    return cases
 
 
 def _check_result(suite: AnySuite, case: Case, game: object) -> None:
@@ -97,107 +104,67 @@ def run_suite(
     """
     check_jobs(suite, config, jobs, engine)
     remove_orphaned_files()
-    work, restarts = _Work(suite, config, run, jobs, engine), Counter[str]()
+    restarts = Counter[str]()
     while True:
         try:
-            _fly(work, on_game, restarts)
+            for case, game in _games(suite, config, run, jobs, engine):
+                row = {"suite": suite.name, "case": case.id, **game.row}
+                if case.timing == "wall":
+                    row |= disturbances(row, restarts[case.id])
+                if game.arrays:
+                    row |= run.save_arrays(case.id, game.arrays)
+                run.append_row(row, on_disk=not game.next_is_ready)
+                run.append_timing({"case": case.id, **game.host}, on_disk=not game.next_is_ready)
+                on_game(case, row)
             suite.finish(config, run)
             return
         except ServerGoneError as error:
-            case = next((case.id for case in work.left()), "after the last game")
-            restarts[case] += 1
-            if restarts[case] > MOST_RESTARTS:
-                raise UserError(f"{case}: {error}, {restarts[case]} times; go on with --resume") from error
+            name = next((case.id for case in _left(suite, config, run)), "after the last game")
+            restarts[name] += 1
+            if restarts[name] > MOST_RESTARTS:
+                raise UserError(f"{name}: {error}, {restarts[name]} times; go on with --resume") from error
             suite.prepare(config, run)
 
 
-@dataclass(frozen=True)
-class _Work:
-    """A run and how its games are flown."""
-
-    suite: AnySuite
-    config: Experiment
-    run: RunDirectory
-    jobs: int
-    engine: str
-
-    def left(self) -> list[Case]:
-        done = self.run.done_cases()
-        return [case for case in self.suite.cases(self.config) if case.id not in done]
+def _left(suite: AnySuite, config: Experiment, run: RunDirectory) -> Iterator[Case]:
+    """Yield the cases without a row."""
+    done = run.done_cases()
+    return (case for case in suite.cases(config) if case.id not in done)
 
 
-def _fly(work: _Work, on_game: OnGame, restarts: Mapping[str, int]) -> None:
-    """Fly the cases without a row, and append their rows."""
-    run = work.run
-    for timing, group in _groups(work.suite, work.left()):
-        alone = timing == "wall" or (work.jobs == 1 and work.engine == LOKY)
-        fly_all = _fly_one_by_one if alone else _fly_in_parallel if work.engine == LOKY else _fly_on_cluster
-        for case, game in zip(group, fly_all(work, group), strict=True):
-            row = {"suite": work.suite.name, "case": case.id, **game.row}
-            if timing == "wall":
-                row |= disturbances(row, restarts.get(case.id, 0))
-            if game.arrays:
-                row |= run.save_arrays(case.id, game.arrays)
-            run.append_row(row, on_disk=not game.next_is_ready)
-            run.append_timing({"case": case.id, **game.host}, on_disk=not game.next_is_ready)
-            on_game(case, row)
+def _games(
+    suite: AnySuite, config: Experiment, run: RunDirectory, jobs: int, engine: str
+) -> Iterator[tuple[Case, GameResult]]:
+    """Fly the cases without a row, in their order, those that follow each other with a timing and a stage at a time."""
+    for (timing, _), group in groupby(_left(suite, config, run), lambda case: (case.timing, suite.stage(case))):
+        cases = list(group)
+        if timing == "wall" or (jobs == 1 and engine == LOKY):
+            games = _one_by_one(suite, config, run, cases)
+        else:
+            games = _in_workers(suite, config, run, cases, jobs, engine)
+        yield from zip(cases, games, strict=True)
 
 
-def _groups(suite: AnySuite, cases: Iterable[Case]) -> Iterator[tuple[str, list[Case]]]:
-    """Yield consecutive cases that share a timing and a stage, so that the order is kept."""
-    for (timing, _), group in groupby(cases, lambda case: (case.timing, suite.stage(case))):
-        yield timing, list(group)
-
-
-def _fly_one_by_one(work: _Work, cases: Sequence[Case]) -> Iterator[GameResult]:
+def _one_by_one(suite: AnySuite, config: Experiment, run: RunDirectory, cases: Sequence[Case]) -> Iterator[GameResult]:
     from uavaccel.envs.environment_processes import BatchError
 
     try:
-        with work.suite.open(work.config, cases[0].timing, work.run) as opened:
+        with suite.open(config, cases[0].timing, run) as opened:
             for case in cases:
-                yield fly_case(work.suite, work.config, case, opened)
+                yield fly_case(suite, config, case, opened)
     except BatchError as error:
         raise UserError(f"{error}; go on with --resume") from error
 
 
-def _fly_in_parallel(work: _Work, cases: Sequence[Case]) -> Iterator[GameResult]:
-    from joblib import Parallel, delayed, parallel_config
-
-    # workers end with this process from the start, before they import what takes seconds
-    bound = {"initializer": work_for_parent, "initargs": (os.getpid(),)}
-    with parallel_config(backend="loky", inner_max_num_threads=1, **bound):
-        batch, ahead = (work.suite.batch, f"{work.suite.batch}*n_jobs")  # a longer queue would delay an interruption
-        parallel = Parallel(work.jobs, return_as="generator", pre_dispatch=ahead, batch_size=batch)
-        place = own_folder(work.suite) or trusted_folder()
-        games = parallel(delayed(_fly_in_worker)(work.config, case, work.run.path, place) for case in cases)
-        try:
-            yield from _check_workers(games)
-        finally:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # of games that an interruption cancels
-                games.close()
-
-
-def _fly_on_cluster(work: _Work, cases: Sequence[Case]) -> Iterator[GameResult]:
+def _in_workers(
+    suite: AnySuite, config: Experiment, run: RunDirectory, cases: Sequence[Case], jobs: int, engine: str
+) -> Iterator[GameResult]:
     from joblib import delayed
 
-    folder = work.run.path.resolve()  # workers may have another working directory
-    place = own_folder(work.suite) or trusted_folder()
-    calls = [delayed(_fly_in_worker)(work.config, case, folder, place) for case in cases]
-    yield from on_cluster(work.engine, work.jobs, work.suite.batch, calls)
-
-
-def _check_workers(games: Iterator[GameResult]) -> Iterator[GameResult]:
-    """Yield the games. Raises UserError where a worker process was killed."""
-    from joblib.externals.loky.process_executor import TerminatedWorkerError
-
-    try:
-        for game in games:  # noqa: UP028  `yield from` would close them before, and loudly
-            yield game
-    except TerminatedWorkerError:
-        raise UserError(
-            "a worker process was killed, by its user or for memory; go on with --resume, perhaps with fewer --jobs"
-        ) from None
+    folder = run.path.resolve()  # workers may have another working directory
+    place = own_folder(suite) or trusted_folder()
+    calls = (delayed(_fly_in_worker)(config, case, folder, place) for case in cases)
+    return in_parallel(engine, jobs, suite.batch, calls)
 
 
 _OPENED: dict[tuple[str, str], tuple[AnySuite, Opened]] = {}
@@ -208,22 +175,18 @@ def _fly_in_worker(config: Experiment, case: Case, folder: Path, place: Path | N
 
     Own code runs, of the parent's working directory and of `place`: the parent has refused what it should not.
     """
-    with trusting(beside=place):
-        suite, opened = _opened_in_worker(config, case, folder)
-        return fly_case(suite, config, case, opened)
-
-
-def _opened_in_worker(config: Experiment, case: Case, folder: Path) -> tuple[AnySuite, Opened]:
     key = (str(folder), case.timing)
-    if key not in _OPENED:
-        if threading.current_thread() is threading.main_thread():  # Dask's workers fly in another one
-            work_for_parent(os.getppid())
-        # software rendering leaves the other cores to the other workers
-        os.environ.setdefault("LP_NUM_THREADS", "0")
-        run = RunDirectory(folder)
-        suite = suite_of(run)
-        _OPENED[key] = suite, suite.open(config, case.timing, run).__enter__()
-    return _OPENED[key]
+    with trusting(beside=place):
+        if key not in _OPENED:
+            if threading.current_thread() is threading.main_thread():  # Dask's workers fly in another one
+                work_for_parent(os.getppid())
+            # software rendering leaves the other cores to the other workers
+            os.environ.setdefault("LP_NUM_THREADS", "0")
+            run = RunDirectory(folder)
+            suite = suite_of(run)
+            _OPENED[key] = suite, suite.open(config, case.timing, run).__enter__()
+        suite, opened = _OPENED[key]
+        return fly_case(suite, config, case, opened)
 
 
 def fly_case(suite: AnySuite, config: Experiment, case: Case, opened: Opened) -> GameResult:

@@ -6,30 +6,26 @@ import shlex
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from itertools import islice
 from pathlib import Path
 from typing import Any, get_origin
 
-from pydantic import BaseModel
-
 from uavaccel.calibration.doctor import check_machine
 from uavaccel.clock import calendar_time
-from uavaccel.config import apply_overrides, load_yaml, parse_override
+from uavaccel.config import load_yaml, parse_override
 from uavaccel.errors import Interrupted, UsageError, UserError, mistake_of
 from uavaccel.files import Plain, check_new_folder
-from uavaccel.limits import MOST_GAMES
 from uavaccel.machine import describe_run
 from uavaccel.metrics.speedup import timing_provenance
 from uavaccel.records import RunDirectory
-from uavaccel.suites.engines import LOKY, check_engine
-from uavaccel.suites.experiment import Experiment, is_file, merged, read_mapping, timing_of
+from uavaccel.suites.engines import LOKY
+from uavaccel.suites.experiment import Experiment, timing_of
 from uavaccel.suites.keys import KEYS
 from uavaccel.suites.own_code import modules_in, trusting
-from uavaccel.suites.registry import find_suite, suite_of
-from uavaccel.suites.runner import check_cases, check_jobs, start_run
-from uavaccel.suites.suite import AnySuite, Case, configuration
+from uavaccel.suites.registry import configuration, find_suite, is_file, merged, read_mapping, suite_of
+from uavaccel.suites.runner import cases_of, check_jobs, run_suite, start_run
+from uavaccel.suites.suite import AnySuite, Case, OnGame
 
 
 @dataclass(frozen=True)
@@ -53,49 +49,46 @@ class RunRequest:
     trust: bool = False
     """Whether all own code may run, not only what the experiment's YAML file names."""
 
-    def trusting(self) -> AbstractContextManager[None]:
-        """Return the context in which own code runs as far as it was asked for. Raises UserError for a broken YAML."""
-        if self.experiment is None or not is_file(self.experiment):
-            return trusting(self.trust)
-        modules = None if self.trust else modules_in(load_yaml(self.experiment))
-        return trusting(beside=Path(self.experiment).resolve().parent, modules=modules)
+
+@contextmanager
+def reading(request: RunRequest) -> Iterator[tuple[AnySuite, Any]]:
+    """Yield the suite and the configuration of a request; without an experiment those of the run that is resumed.
+
+    A shipped experiment with a single ClockSpeed is shortened, and measured on the wall clock. In the `with` block own
+    code may run: what the experiment's YAML file itself names, or all with `trust`. Raises UserError.
+    """
+    experiment = request.experiment
+    mapping, source = _of_the_run(request) if experiment is None else read_mapping(experiment)
+    beside = Path(experiment).resolve().parent if experiment is not None and is_file(experiment) else None
+    with trusting(request.trust or beside is not None, beside, None if request.trust else modules_in(mapping)):
+        if experiment is None:
+            suite = suite_of(RunDirectory(source))
+        else:
+            suite = find_suite(dict(map(parse_override, request.overrides)).get("suite", mapping.get("suite")), source)
+        if request.suite not in (None, suite.name):
+            raise UsageError(f"{source}: is of {suite.name}, not of {request.suite}; take `uavaccel run`")
+        options = {key: value for key, value in request.options.items() if value is not None}
+        shipped, speeds = experiment is not None and beside is None, _values(options.get("clock_speed", ()))
+        if shipped and suite.quick is not None and len(speeds) == 1:
+            mapping, options = {**mapping, **suite.quick}, {"timing": "wall", **options}
+        keys = dict(_place(suite, name, value) for name, value in options.items())
+        yield suite, configuration(suite, merged(mapping, keys, request.overrides), source)
 
 
 def configure(request: RunRequest) -> tuple[AnySuite, Any]:
-    """Return the suite and the configuration of a request; without an experiment those of the run that is resumed.
-
-    A shipped experiment with a single ClockSpeed is shortened, and measured on the wall clock. Raises UserError.
-    """
-    with request.trusting():
-        given = {key: value for key, value in request.options.items() if value is not None}
-        if request.experiment is None:
-            suite, mapping, source = _resumed(request)
-        else:
-            mapping, source = read_mapping(request.experiment)
-            suite = find_suite(apply_overrides(mapping, request.overrides).get("suite"), source)
-            if request.suite not in (None, suite.name):
-                raise UsageError(
-                    f"{request.experiment}: is of {suite.name}, not of {request.suite}; `uavaccel run` flies it"
-                )
-            quick = not is_file(request.experiment) and suite.quick is not None
-            if quick and len(_values(given.get("clock_speed", ()))) == 1:
-                mapping |= suite.quick or {}
-                given.setdefault("timing", "wall")
-        options = dict(_place(suite, name, value) for name, value in given.items())
-        return suite, configuration(suite, merged(mapping, options, request.overrides), source)
+    """Return the suite and the configuration of a request. Raises UserError as `reading` does."""
+    with reading(request) as found:
+        return found
 
 
-def _resumed(request: RunRequest) -> tuple[AnySuite, dict[str, Plain], str]:
+def _of_the_run(request: RunRequest) -> tuple[dict[str, Plain], str]:
+    """Return the mapping and the folder of the run that is resumed."""
     out = request.out
     if not request.resume or out is None:
         raise UsageError("name an experiment, as in `uavaccel run dp1`, or a run's folder: --out FOLDER --resume")
     if not (out / "config.yaml").is_file():
         raise UserError(f"--out {out}: no run to go on with: no config.yaml in it; name an experiment to begin one")
-    run = RunDirectory(out)
-    suite = suite_of(run)
-    if request.suite not in (None, suite.name):
-        raise UserError(f"--out {out}: is a run of {suite.name}, not of {request.suite}; go on with `uavaccel run`")
-    return suite, run.config(), str(out)
+    return load_yaml(out / "config.yaml"), str(out)
 
 
 def _place(suite: AnySuite, name: str, value: object) -> tuple[str, object]:
@@ -103,20 +96,17 @@ def _place(suite: AnySuite, name: str, value: object) -> tuple[str, object]:
 
     Raises UsageError if the suite has no such key, or takes one value and was given several.
     """
-    fields = suite.config.model_fields
-    task = fields["task"].annotation if "task" in fields else None
-    holder: type[BaseModel] = suite.config
-    if name not in fields and isinstance(task, type) and issubclass(task, BaseModel):
-        holder = task
     option = KEYS[name].option if name in KEYS else f"--{name}"
-    if name not in holder.model_fields:
-        raise UsageError(f"{option}: {suite.name} has no such option")
-    if get_origin(holder.model_fields[name].annotation) is not tuple:
-        values = _values(value)
-        if len(values) > 1:
-            raise UsageError(f"{option}: {suite.name} takes one value, not {len(values)}")
-        value = values[0]
-    return (name if holder is suite.config else f"task.{name}"), value
+    top = suite.config.model_fields
+    in_task = getattr(getattr(top.get("task"), "annotation", None), "model_fields", {})
+    for prefix, fields in (("", top), ("task.", in_task)):
+        if name in fields:
+            if get_origin(fields[name].annotation) is not tuple:
+                if len(values := _values(value)) > 1:
+                    raise UsageError(f"{option}: {suite.name} takes one value, not {len(values)}")
+                value = values[0]
+            return f"{prefix}{name}", value
+    raise UsageError(f"{option}: {suite.name} has no such option")
 
 
 def _values(value: object) -> list[object]:
@@ -170,25 +160,29 @@ class Plan:
                 say(line)
         return run
 
+    def fly(self, run: RunDirectory, on_game: OnGame) -> None:
+        """Fly the games that are left into the run's folder; `on_game` is called after each."""
+        run_suite(self.suite, self.config, run, self.request.jobs, on_game, self.request.engine)
 
-def plan(request: RunRequest) -> Plan:
-    """Return what a request would fly. Raises UserError with one line; a dry run may name any folder."""
+
+@contextmanager
+def planned(request: RunRequest) -> Iterator[Plan]:
+    """Yield what a request would fly, which may be flown in the `with` block, where own code may run.
+
+    Raises UserError with one line; a dry run may name any folder.
+    """
     if request.resume and request.out is None and request.experiment is not None:
         raise UsageError("--resume: say which run to go on with: --out FOLDER")
-    suite, config = configure(request)
-    check_jobs(suite, config, request.jobs, request.engine)
-    cases = list(islice(suite.cases(config), MOST_GAMES + 1))
-    if len(cases) > MOST_GAMES:
-        raise UserError(f"more than {MOST_GAMES} games in all: fewer games, or fewer values to combine")
-    check_cases(suite, cases)
-    check_engine(request.engine)
-    if request.out is not None and not request.dry_run:
-        check_new_folder(request.out, request.resume)
-    name = Path(request.experiment or suite.name).stem
-    out = request.out or Path("runs") / f"{name}-{calendar_time()[:19].replace(':', '')}"
-    begun = request.resume and (out / "config.yaml").is_file()
-    flown = RunDirectory(out).done_cases() if begun else set()
-    return Plan(suite, config, cases, [case for case in cases if case.id not in flown], out, request)
+    with reading(request) as (suite, config):
+        check_jobs(suite, config, request.jobs, request.engine)
+        cases = cases_of(suite, config)
+        if request.out is not None and not request.dry_run:
+            check_new_folder(request.out, request.resume)
+        name = Path(request.experiment or suite.name).stem
+        out = request.out or Path("runs") / f"{name}-{calendar_time()[:19].replace(':', '')}"
+        begun = request.resume and (out / "config.yaml").is_file()
+        flown = RunDirectory(out).done_cases() if begun else set()
+        yield Plan(suite, config, cases, [case for case in cases if case.id not in flown], out, request)
 
 
 def manifest_of(suite: AnySuite, config: Experiment, say: Callable[[str], object]) -> dict[str, Plain]:

@@ -20,7 +20,7 @@ from uavaccel.errors import UserError, suggestion
 from uavaccel.files import Plain
 from uavaccel.forms import ArrayForm, RowForm
 from uavaccel.records import RunDirectory
-from uavaccel.suites.experiment import Experiment, resolve
+from uavaccel.suites.experiment import Experiment
 from uavaccel.suites.rows import GameRow, Row
 
 if TYPE_CHECKING:
@@ -200,7 +200,8 @@ class Suite(ABC, Generic[ConfigType, CaseType]):
         """Return whether games need OpenGL."""
         return False
 
-    def complete(self, mapping: Mapping[str, Plain]) -> Mapping[str, Plain]:
+    @staticmethod
+    def complete(mapping: Mapping[str, Plain]) -> Mapping[str, Plain]:
         """Return a YAML's mapping with omitted keys that are known from elsewhere. Raises UserError."""
         return mapping
 
@@ -222,13 +223,6 @@ class Suite(ABC, Generic[ConfigType, CaseType]):
 
 AnySuite = Suite[Any, Any]
 OnGame = Callable[[Case, Row], None]
-
-
-def configuration(suite: Suite[ConfigType, CaseType], mapping: Mapping[str, Plain], source: str) -> ConfigType:
-    """Return a suite's checked configuration from a YAML's mapping, omitted keys completed. Raises UserError."""
-    config = resolve(suite.config, suite.complete(mapping), source)
-    suite.check(config)
-    return config
 
 
 def choose_row(suite: AnySuite, report: Report, case: str | None = None, number: int | None = None) -> Row:

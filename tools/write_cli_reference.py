@@ -1,4 +1,4 @@
-"""Writes the reference of the command line from its declarations: `python -m uavaccel.cli.docs > cli.md`."""
+"""Writes the reference of the command line from its declarations: `python tools/write_cli_reference.py > cli.md`."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ EXIT_STATUS = """
 
 0: success. 1: a mistake in the input, which one line on standard error explains. 2: wrong usage. 130: interrupted.
 
-This page is made by `python -m uavaccel.cli.docs > cli.md`.
+This page is made by `python tools/write_cli_reference.py > cli.md`.
 """
 
 
