@@ -318,14 +318,13 @@ class Dp2(PathSuite[Dp2Config, Game]):
             cell |= {"images": game["samples"], "paired_images": len(game["position_error_m"])}
             cell |= {"poses_equal_lockstep": game["equal_poses"], "dvs_counts_equal_lockstep": game["equal_counts"]}
             cells.append({**cell, "simulated_s_per_wall_s": game["duration_s"] / game["wall_s"]})
-        in_colour = games[games.role == "lockstep"].reset_index().to_dict("records")
+        calm = games[games.role == "lockstep"].reset_index().to_dict("records")
+        colour = report.arrays(calm[0])["colour"] if calm else None
         return {
             **subset(vars(config), "suite", "profile", "seed", "dvs_preset", "sensor_seed"),
             "perturbed_share": config.perturbation.share,
             "cells": cells,
-            "guard_study": study_guard(report.arrays(in_colour[0])["colour"], config.guard, config.seed)
-            if in_colour
-            else None,
+            "guard_study": None if colour is None else study_guard(colour, config.guard, config.seed),
         }
 
     def headline(self, report: Report) -> str:
@@ -340,7 +339,7 @@ class Dp2(PathSuite[Dp2Config, Game]):
 
     def overview(self, report: Report) -> Table:
         cells = [
-            {"disturbed": None, **cell, "hit": cell["collision"] and cell["collision"]["object"]}
+            {"disturbed": None, **cell, "hit": (cell["collision"] or {}).get("object")}
             for cell in report.summary["cells"]
         ]
         columns = {
@@ -363,20 +362,10 @@ class Dp2(PathSuite[Dp2Config, Game]):
 
     def page(self, report: Report) -> Iterator[Block | str]:
         games, config, guard = report.games, report.config, report.summary["guard_study"]
-        share, slow = config.perturbation.share, config.perturbation.half_excess
         yield f"Games: {source_line(games)}."
-        for game in games[games.collision.notna()].to_dict("records"):
-            yield (
-                f"{game['case']} hit {game['collision']['object']} after {game['distance_m']:.1f} m and stood still "
-                "from there: its images count up to that moment."
-            )
         yield from warnings(games)
-        if share:
-            yield (
-                f"Modelled: {share:.1%} of the images of the games were perturbed on their way"
-                f"{', fewer where the ClockSpeed is low' if slow else ''}; those of the runs at 1x that they are "
-                "compared with were not."
-            )
+        if share := config.perturbation.share:
+            yield f"Modelled: up to {share:.1%} of the games' images were perturbed on their way, none of those at 1x."
         if config.latency.reply_us.get("image") is None and (games.timing == "virtual").any():
             yield "The modelled wall times leave out drawing the images: the latency model has no channel for them."
         yield Heading("Each ClockSpeed against the run at 1x")
@@ -447,7 +436,7 @@ def compare(seen: Arrays, at_1x: Arrays | None, calm: Arrays | None) -> dict[str
 
 def images_figure(report: Report) -> Picture:
     """Draw Figure 7, position error over DVS-ED: a point an image, a panel a command."""
-    scores, title = report.scores, "Position error and DVS-ED of each image against the run at 1x"
+    scores, title = report.scores, "Position error and DVS-ED of each image"
     images = scores[scores.reference.notna() & (scores.reference != scores.case)].sort_values("clock_speed")
     nothing, clocks = "no accelerated game to compare with a run at 1x", sorted(images.clock_speed.unique())
     figure, panels = plots.facets(images, (None, "command"), title, source_line(scores), (4.0, 3.2), nothing)
@@ -488,15 +477,15 @@ def images_figure(report: Report) -> Picture:
 READING = (
     "Images are paired by their place in the path: the same sample of the same command. DVS-ED is the difference in "
     "the number of pixels with ON events plus that with OFF events, over all pixels; it cannot see events that moved "
-    "elsewhere. One DVS, with one map of thresholds, is applied to all games' images. An error of 0 is exactly 0. "
-    "Equal to lockstep means that every pose, or every pixel's event count, has the same bits as in the game flown "
-    "without latency. Measured: the machine's clock. Modelled: a simulated clock."
+    "elsewhere. One DVS, with one map of thresholds, is applied to all games' images. An error of 0 is exactly 0. A "
+    "drone that hit something stands still: its images count up to that moment. Equal are every pose, and every "
+    "pixel's event count, if they have the same bits as in the game flown without latency. Measured: the machine's "
+    "clock. Modelled: a simulated clock."
 )
 GUARD = (
     "False alarms: {clean_false_alarms} of {images} clean images. With {share:.0%} of the images perturbed, "
     "{perturbed_share_handed_on[off]:.1%} of those handed on are perturbed without the guard and "
     "{perturbed_share_handed_on[on]:.1%} with it. The images are those of the game without latency, sent {streams} "
-    "times with another seed. MuJoCo renders every image correctly: the perturbations are a model of a renderer short "
-    "of time, whose sizes are this project's own choice. The guard checks mean brightness alone and cannot detect what "
-    "leaves that as it is."
+    "times with another seed. MuJoCo renders every image correctly: the perturbations are a model, whose sizes are "
+    "this project's own choice. The guard checks mean brightness alone and cannot detect what leaves that as it is."
 )
