@@ -1,4 +1,4 @@
-"""DP1 end to end: the paper's grid, repeatable bytes, resumes, subsets, and what a game flies."""
+"""DP1 end to end: the paper's grid, its subsets, and what a game flies."""
 
 from __future__ import annotations
 
@@ -9,15 +9,11 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from uavaccel.cli.experiments import run_experiment
-from uavaccel.cli.terminal import Progress
 from uavaccel.commands import COMMANDS, SynchronousCommand
-from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
 from uavaccel.suites.dp1 import Dp1, Dp1Config, Game
 from uavaccel.suites.experiment import read_mapping, resolve
 from uavaccel.suites.path_suite import fly_path
-from uavaccel.suites.session import RunRequest
 from uavaccel.wire.session import VirtualSession, open_session
 
 
@@ -93,47 +89,6 @@ def test_a_game_of_a_subset_is_that_game_of_the_full_grid(case_id: str) -> None:
     )
     assert row == whole_row
     assert {name: array.tobytes() for name, array in arrays.items()} == {n: each.tobytes() for n, each in whole.items()}
-
-
-@pytest.mark.slow
-def test_the_same_bytes_whatever_jobs_and_interruptions(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Once in one go; once in two processes, stopped, a row and arrays cut short, and resumed in one."""
-    options = {"clock_speed": [10.0, 100.0], "t_move_s": [0.1, 0.2], "rounds": [1], "games": 2, "reference_games": 2}
-    monkeypatch.setattr(Dp1, "page", lambda *_: iter(()))  # which would take most of the time
-
-    def fly(name: str, **how: Any) -> Path:
-        run_experiment(RunRequest("dp1", options, [], out=tmp_path / name, **how))
-        return tmp_path / name
-
-    whole, flown = fly("whole"), Progress.flown
-    with monkeypatch.context() as patch:
-
-        def stop_at_7(self: Progress, case: Any, row: dict[str, Any]) -> None:
-            flown(self, case, row)
-            if (tmp_path / "broken/rows.jsonl").read_bytes().count(b"\n") == 7:
-                raise KeyboardInterrupt
-
-        patch.setattr(Progress, "flown", stop_at_7)
-        with pytest.raises(UserError, match=r"^interrupted; go on with: uavaccel run --out .*broken --resume"):
-            fly("broken", jobs=2)
-    broken = tmp_path / "broken"
-    with (broken / "rows.jsonl").open("ab") as rows:
-        rows.write(b'{"case": "adsc-k10')
-    (broken / "arrays/tcsc-k100-t0.2-r1-g01.npz").write_bytes(b"cut short")
-    capsys.readouterr()
-    fly("broken", resume=True)
-    files = {
-        path.relative_to(whole) for path in whole.rglob("*") if path.suffix in (".npz", ".json", ".jsonl", ".yaml")
-    }
-    same = {file for file in files if file.name not in ("manifest.json", "timing.jsonl")}
-    assert {file for file in same if (whole / file).read_bytes() != (broken / file).read_bytes()} == set()
-    cases = [case.id for case in cases_of(config_of(**options))]
-    assert [row["case"] for row in RunDirectory(whole).rows()] == cases
-    assert capsys.readouterr().out.startswith(f"{len(cases) - 7} games (")
-    fly("broken", resume=True, dry_run=True)
-    assert capsys.readouterr().out.startswith("no game is left to be flown in ")
 
 
 # --- what a game is -------------------------------------------------------------------------------------------

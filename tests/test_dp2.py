@@ -149,8 +149,8 @@ def test_tcsc_sees_at_any_clock_speed_what_lockstep_sees(run: RunDirectory) -> N
     assert len(np.unique(lockstep["image"].reshape(SAMPLES, -1), axis=0)) == SAMPLES
     assert lockstep["time_s"][:5].tolist() == [0.0, 0.33, 0.66, 1.0, 1.33]
     cells = {(cell["command"], cell["clock_speed"]): cell for cell in run.read_json("summary.json")["cells"]}
-    names = ("position_error_m_max", "attitude_error_deg_max", "dvs_ed_percent_max", "paired_images")
-    names += ("poses_equal_lockstep", "dvs_counts_equal_lockstep")
+    names = ["position_error_m_max", "attitude_error_deg_max", "dvs_ed_percent_max", "paired_images"]
+    names += ["poses_equal_lockstep", "dvs_counts_equal_lockstep"]
     for clock_speed in (1.0, 100.0):
         assert [cells["tcsc", clock_speed][name] for name in names] == [0.0, 0.0, 0.0, SAMPLES - 1, True, True]
     adsc = cells["adsc", 100.0]
