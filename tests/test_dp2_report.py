@@ -245,7 +245,7 @@ def test_the_page_warns_of_what_a_reader_has_to_know(tmp_path: Path, drawn: dict
     reports = {
         "all": report_of(tmp_path / "all", *made, game("reference"), overrides=perturbed, changes=no_channel),
         "none": report_of(tmp_path / "none", game("game", timing="lockstep"), changes=no_channel),
-        "channel": report_of(tmp_path / "channel", game("game")),
+        "channel": report_of(tmp_path / "channel", game("game", "tcsc", 1.0, (1, 0.5)), game("reference")),
     }
     found = {
         name: [block for block in Dp2().page(own) if isinstance(block, str)][1:-1] for name, own in reports.items()
@@ -259,8 +259,8 @@ def test_the_page_warns_of_what_a_reader_has_to_know(tmp_path: Path, drawn: dict
     )
     assert [text[: len(start)] for text, start in zip(found.pop("all"), said, strict=True)] == list(said)
     assert found == {"none": [], "channel": []}
-    none = "1 games, none of them accelerated and comparable with 1x"
-    assert [reports[name].headline() for name in ("none", "channel")] == [none, none]
+    none = "{} games, none of them accelerated and comparable with 1x"
+    assert [reports[name].headline() for name in ("none", "channel")] == [none.format(1), none.format(2)]
 
 
 # --- guard --------------------------------------------------------------------------------------------------------

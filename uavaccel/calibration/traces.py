@@ -3,32 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Annotated, Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from pydantic import Field
-from typing_extensions import TypedDict
 
 from uavaccel.commands import COMMANDS, VelocityGoal
-from uavaccel.forms import Number
+from uavaccel.files import Plain
 from uavaccel.units import NS_PER_S
 from uavaccel.wire.client import Client
 from uavaccel.wire.session import Session
 from uavaccel.wire.transport import PendingCall, Transport
 
-
-class Event(TypedDict):
-    """An event of a trace."""
-
-    source: Literal["client", "server"]
-    event: str
-    """A client's "call METHOD" or "return METHOD", a server's "handle METHOD", "accept", "end", "run" or "pause"."""
-    wall_s: Number
-    sim_s: Number
-
-
-Trace = Annotated[list[Event], Field(min_length=1)]
-"""A trace as a run keeps it, in time order."""
+Event = dict[str, Plain]
 
 
 class ClientEvent(NamedTuple):
@@ -85,13 +71,13 @@ def record_trace(session: Session, command_name: str, clock_speed: float, t_move
 
 def _merge(client: Sequence[ClientEvent], server: Sequence[tuple[str, int, int]]) -> list[Event]:
     """Merge both ends' events by wall time; the simulated time of a client's event is that of the server's last."""
-    events: list[tuple[int, Literal["client", "server"], str, int | None]] = [
+    events: list[tuple[int, str, str, int | None]] = [
         (event.wall_ns, "client", f"{event.kind} {event.method}", None) for event in client if event.kind != "issued"
     ]
     events += [(wall, "server", event, simulated) for event, wall, simulated in server]
     events.sort(key=lambda event: event[0])
     simulated_ns = min((event[2] for event in server), default=0)
-    merged = list[Event]()
+    merged = []
     for wall_ns, source, name, now_ns in events:
         simulated_ns = simulated_ns if now_ns is None else now_ns
         merged.append({"source": source, "event": name, "wall_s": wall_ns / NS_PER_S, "sim_s": simulated_ns / NS_PER_S})

@@ -11,13 +11,14 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 import numpy as np
 import pandas as pd
 from pydantic import AfterValidator, Field, model_validator
+from typing_extensions import TypedDict
 
 from uavaccel.commands.paths import velocities
 from uavaccel.commands.slices import check_times
 from uavaccel.draw import style
 from uavaccel.draw.labels import clock_label, command_at_clock, metres, rounds_label
 from uavaccel.draw.page import Block, Heading, Picture, Table, unknown
-from uavaccel.forms import Count, Positive, check
+from uavaccel.forms import Count, Number, Positive, check
 from uavaccel.limits import MOST_HEIGHT_M, MOST_ROUNDS, Games, Seconds, Speed, Velocity
 from uavaccel.metrics.intervals import median_interval
 from uavaccel.metrics.speedup import combined_provenance, speedup_interval, timing_provenance
@@ -381,6 +382,16 @@ def trajectory_figure(report: Report) -> Picture:
     return report.figure("figure3_trajectories", figure, caption)
 
 
+class TraceEvent(TypedDict):
+    """An event of a trace, which is in time order."""
+
+    source: Literal["client", "server"]
+    event: str
+    """A client's "call METHOD" or "return METHOD", a server's "handle METHOD", "accept", "end", "run" or "pause"."""
+    wall_s: Number
+    sim_s: Number
+
+
 MOST_EVENTS = 44  # a longer trace is cut: the trellis shows one command, not a flight
 CALL: style.LineStyle = {"color": style.BLUE, "linewidth": 1.1}
 ANSWER: style.LineStyle = {"color": style.GREEN, "linewidth": 1.1, "linestyle": (0, (4, 2))}
@@ -392,14 +403,12 @@ def trellis_figure(report: Report) -> Picture:
 
     Time runs downwards by events, not to scale. Raises UserError for a damaged trace.
     """
-    from uavaccel.calibration.traces import Trace
-
     traces: dict[str, Any] = {}
     for command in ("tcsc", "adsc"):
         name = f"traces/{command}.json"
         if (report.run.path / name).is_file():
             trace = report.run.read_json(name)
-            check(Trace, trace, str(report.run.path / name))
+            check(Annotated[list[TraceEvent], Field(min_length=1)], trace, str(report.run.path / name))
             traces[command] = trace[:MOST_EVENTS]
     config, longest = report.config, max(map(len, traces.values()), default=1)
     source = f"one command each · {clock_words(config.timing)} · {config.profile} profile · seed {config.seed}"
