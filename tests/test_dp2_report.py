@@ -200,8 +200,11 @@ def test_a_command_starts_at_its_first_sample_even_if_others_are_missing(tmp_pat
     late: dict[str, Any] = {"SAMPLE_INDEX": np.array([0, 1, 3, 4]), "TIME_S": np.array([0.0, 0.34, 1.02, 1.4])}
     late |= {"POSITION_M": np.zeros((4, 3)), "IMAGE": np.full((4, *SIZE), 100, np.uint8)}
     late |= {"COMMAND_VELOCITY_M_S": np.array([[1.0, 0.0], [0.5, -0.5]]), "DVS_ON": active(0, 1, 2, 3)}
-    report = report_of(tmp_path / "run", game("game", "adsc", 10.0, **late, DVS_OFF=active(0, 0, 1, 1)))
-    commands = Dp2().flight(report, report.games.iloc[0]).commands
+    crashed = game("game", "adsc", 10.0, **late, DVS_OFF=active(0, 0, 1, 1), **hit("post"))
+    report = report_of(tmp_path / "run", crashed)
+    flight = Dp2().flight(report, report.games.iloc[0])
+    commands = flight.commands
+    assert flight.collision == (500_000_000, "post")
     assert (commands.start_ns / 1e9).tolist() == [0.0, 1.02]
     assert (commands.end_ns / 1e9).tolist() == [1.0, 1.4]
     assert commands.velocity_m_s.tolist() == [[1.0, 0.0, 0.0], [0.5, -0.5, 0.0]]
