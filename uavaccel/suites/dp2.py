@@ -12,12 +12,11 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import Field, model_validator
 from typing_extensions import TypedDict
 
 from uavaccel import limits
 from uavaccel.commands.slices import check_times, samples_due
-from uavaccel.config import Config
 from uavaccel.draw import style
 from uavaccel.draw.labels import clock_label, command_at_clock, metres
 from uavaccel.draw.page import Block, Heading, Picture, Table, unknown
@@ -28,8 +27,8 @@ from uavaccel.limits import Seconds, Seed
 from uavaccel.metrics.dvs_ed import dvs_ed_percent
 from uavaccel.metrics.speedup import timing_provenance
 from uavaccel.sim.camera.view import HEIGHT, WIDTH
-from uavaccel.sim.lane.file import LaneFile, parse_lane
-from uavaccel.sim.lane.layout import Difficulty, LaneLayout
+from uavaccel.sim.lane.file import Lane
+from uavaccel.sim.lane.layout import LaneLayout
 from uavaccel.sim.lane.path import plan_path
 from uavaccel.sim.profile import PROFILES
 from uavaccel.suites import plots
@@ -59,16 +58,6 @@ Velocity = tuple[limits.Velocity, limits.Velocity]
 Arrays = dict[str, NDArray[Any]]
 
 
-class DrawnLane(Config):
-    """A lane sampled from a seed."""
-
-    seed: Seed
-    """The lane's: the same seed and difficulty make the same lane."""
-    difficulty: Difficulty = Difficulty()
-    """How hard the lane is, and what the weather and the vehicle are like."""
-
-
-WrittenOut = BeforeValidator(parse_lane, json_schema_input_type=int | DrawnLane | LaneFile | str)
 OwnPath = Annotated[tuple[Velocity, ...], Field(min_length=1)]
 
 
@@ -76,7 +65,7 @@ class Dp2Config(FlightExperiment):
     """`suite: dp2`."""
 
     suite: Literal["dp2"]
-    lane: Annotated[Seed | DrawnLane | LaneFile, WrittenOut] = 3
+    lane: Lane = 3
     """A seed, a seed with a difficulty, or a custom lane, written out or as the name of its YAML file."""
     path: Literal["planned"] | OwnPath = "planned"
     """planned: a collision-free path to the lane's end; or a list of velocities north and east, in m/s."""
