@@ -63,11 +63,3 @@ def report_of(path: Path, rows: Sequence[Row], **keys: Any) -> Report:
     for row in rows:
         run.append_row({**row, **run.save_arrays(row["case"], line_arrays(row))})
     return Dp1().report(run)
-
-
-def quantile(values: Sequence[float], share: float) -> float:
-    """Linear between the neighbours of the place `share` (n - 1), counted from 0 in ascending order."""
-    ordered, place = sorted(values), share * (len(values) - 1)
-    below = min(int(place), len(ordered) - 2) if len(ordered) > 1 else 0
-    above = min(below + 1, len(ordered) - 1)
-    return ordered[below] + (place - below) * (ordered[above] - ordered[below])

@@ -133,8 +133,7 @@ def _page(plan: Plan) -> Callable[[], AbstractContextManager[object]]:
         return nullcontext
     from uavaccel.envs.simulators import KERNELS
     from uavaccel.suites.engines import LOKY
-    from uavaccel.watch.beside import PageAddress, page_beside
-    from uavaccel.watch.beside import free_port
+    from uavaccel.watch.beside import PageAddress, free_port, page_beside
 
     if getattr(plan.config, "simulator", None) == KERNELS:
         raise UsageError("--watch: the kernels fly numbers, without a scene to look at: --set simulator=mujoco")

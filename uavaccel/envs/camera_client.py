@@ -5,8 +5,8 @@ This is the paper's mission computer (sections II-A, III-B and III-C1), for whic
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,11 @@ from uavaccel.vision.perturb import AutoExposure, PerturbationSettings, perturb_
 from uavaccel.wire.client import Client
 from uavaccel.wire.game_api import Collision
 from uavaccel.wire.transport import PendingCall
+
+if TYPE_CHECKING:  # they load what is compiled, and the simulation
+    from uavaccel.vision.dvs import Counts, DvsSensor
+    from uavaccel.vision.event_counter import EventCounter
+    from uavaccel.wire.session import Session
 
 
 class Sample(NamedTuple):
@@ -104,6 +109,44 @@ class CameraClient(GuardedClient):
 
     def read_sample(self, state: Kinematics) -> Sample:
         return self.take(state)
+
+
+class EventClient(CameraClient):
+    """A camera client that may count events between samples, inside the simulation, without messages or wall time."""
+
+    def __init__(self, session: Session, *settings: Any) -> None:
+        """`settings` are the arguments of CameraClient, whose client is of the session."""
+        super().__init__(*settings)
+        self._session, self._noise_seed = session, 0
+        self._counter: EventCounter | None = None
+        self._counts: list[tuple[Counts, Counts]] = []
+        self.close: Callable[[], None] = lambda: None
+
+    def count(self, sensor: DvsSensor, every_ticks: int, noise_seed: int) -> None:
+        """Count the sensor's events from the first sample on, of frames at each sample and every so many ticks."""
+        from uavaccel.vision.event_counter import EventCounter
+
+        self._counter, self._noise_seed = EventCounter(sensor), noise_seed
+        self.close = self._session.watch(every_ticks, self._see)
+
+    def _see(self, time_ns: int) -> None:
+        assert self._counter
+        self._counter.process_frame(self._session.picture(), time_ns)
+
+    def read_sample(self, state: Kinematics) -> Sample:
+        """Return the sample, and count the events since the last one; the first sample begins the game."""
+        if self._counter:
+            if not self._counts:
+                self._counter.start(self._session.picture(), state.time_ns, self._noise_seed)
+            elif not self._counter.has_frame_of(state.time_ns):
+                self._see(state.time_ns)
+            self._counts.append(self._counter.take())
+        return super().read_sample(state)
+
+    def counts(self, samples: int) -> NDArray[Any]:
+        """Return the ON and OFF counts (2, n, H, W) of the first n samples, uint8 or, beyond 255, uint16; else (0,)."""
+        both = np.array(self._counts[:samples])
+        return both.astype(np.uint8 if both.max() < 256 else np.uint16).swapaxes(0, 1) if both.size else both
 
 
 NO_IMAGE = np.zeros((0, 0), np.uint8)

@@ -8,10 +8,21 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from uavaccel.forms import ArrayForm
 from uavaccel.sim.state import SavedState, State, load_optional, store_optional
 from uavaccel.units import NS_PER_S
 
 COMMAND_LOG_LENGTH = 1 << 16
+RECORDED = {
+    "time_s": ArrayForm("f8", ("samples",), ascends=True),
+    "position_m": ArrayForm("f8", ("samples", 3)),
+    "orientation_wxyz": ArrayForm("f8", ("samples", 4)),
+    "linear_velocity_m_s": ArrayForm("f8", ("samples", 3)),
+    "angular_velocity_rad_s": ArrayForm("f8", ("samples", 3)),
+    "command_start_s": ArrayForm("f8", ("commands",), ascends=True),
+    "command_end_s": ArrayForm("f8", ("commands",), ascends=True),
+}
+"""The forms of what `Recording.arrays` makes."""
 
 
 class CommandLog:

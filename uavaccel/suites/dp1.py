@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from contextlib import AbstractContextManager
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
@@ -12,32 +11,33 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 import numpy as np
 import pandas as pd
 from pydantic import AfterValidator, Field, model_validator
+from typing_extensions import TypedDict
 
-from uavaccel.commands import COMMANDS
 from uavaccel.commands.paths import velocities
 from uavaccel.commands.slices import check_times
 from uavaccel.draw import style
 from uavaccel.draw.labels import clock_label, command_at_clock, metres, rounds_label
 from uavaccel.draw.page import Block, Heading, Picture, Table, unknown
-from uavaccel.files import Plain
-from uavaccel.forms import ArrayForm, Count, Positive
-from uavaccel.kinematics import VelocityGoal
+from uavaccel.forms import Count, Number, Positive, check
 from uavaccel.limits import MOST_HEIGHT_M, MOST_ROUNDS, Games, Seconds, Speed, Velocity
 from uavaccel.metrics.intervals import median_interval
 from uavaccel.metrics.speedup import combined_provenance, speedup_interval, timing_provenance
 from uavaccel.metrics.trajectory import Trajectory, command_gaps_s, distinct, mean_position_rmse
 from uavaccel.records import RunDirectory
 from uavaccel.sim.profile import PROFILES
+from uavaccel.sim.recording import RECORDED
 from uavaccel.suites import experiment, plots
-from uavaccel.suites.experiment import FlightExperiment, Timing, t_th_ns
+from uavaccel.suites.experiment import FlightExperiment, Timing
 from uavaccel.suites.flight import Flight
-from uavaccel.suites.report import Report, Summary, disturbed_games, finished, source_line, warnings
-from uavaccel.suites.rows import FlightCase, FlightRow, flight_row, named_seed, subset
-from uavaccel.suites.suite import GameResult, Suite
-from uavaccel.suites.trellis import trellis_figure
+from uavaccel.suites.path_suite import FlightCase, FlightRow, PathSuite, flight_row, fly_path, reference_of
+from uavaccel.suites.report import Report, Summary, clock_words, disturbed_games, finished, source_line, warnings
+from uavaccel.suites.rows import named_seed, subset
+from uavaccel.suites.suite import GameResult
 from uavaccel.units import NS_PER_S
 
-if TYPE_CHECKING:  # it loads the simulation
+if TYPE_CHECKING:  # they load what draws, and the simulation
+    from matplotlib.axes import Axes
+
     from uavaccel.wire.session import Session
 
 PATH = ["t_move_s", "rounds"]
@@ -91,18 +91,6 @@ class Dp1Row(FlightRow):
     samples_dropped: Count
 
 
-ARRAYS = {
-    "time_s": ArrayForm("f8", ("samples",), ascends=True),
-    "position_m": ArrayForm("f8", ("samples", 3)),
-    "orientation_wxyz": ArrayForm("f8", ("samples", 4)),
-    "linear_velocity_m_s": ArrayForm("f8", ("samples", 3)),
-    "angular_velocity_rad_s": ArrayForm("f8", ("samples", 3)),
-    "command_start_s": ArrayForm("f8", ("commands",), ascends=True),
-    "command_end_s": ArrayForm("f8", ("commands",), ascends=True),
-}
-"""What a flight records, as `Recording.arrays` makes it."""
-
-
 @dataclass(frozen=True)
 class Game(FlightCase):
     """One game; beside "reference" (ADSC at 1x), "lockstep" and "game" its role may be "figure2"."""
@@ -126,13 +114,11 @@ class Game(FlightCase):
         return named_seed(run_seed, name)
 
 
-class Dp1(Suite[Dp1Config, Game]):
+class Dp1(PathSuite[Dp1Config, Game]):
     """`uavaccel run dp1`."""
 
-    name = "dp1"
-    config = Dp1Config
-    row = Dp1Row
-    arrays = ARRAYS
+    name, scene = "dp1", "blocks"
+    config, case, row, arrays = Dp1Config, Game, Dp1Row, RECORDED
     quick: ClassVar[Mapping[str, object]] = {"games": 3, "reference_games": 3}
 
     def cases(self, config: Dp1Config) -> Iterator[Game]:
@@ -150,29 +136,16 @@ class Dp1(Suite[Dp1Config, Game]):
         for game, clock in enumerate([(1.0, config.reference_timing), (max(config.clock_speed), config.timing)]):
             yield Game("figure2", "adsc", *clock, max(config.t_move_s), 1, game, "two_forward_one_back")
 
-    def case_of(self, row: Plain) -> str:
-        flown = row["role"], row["command"], row["clock_speed"], row["timing"]
-        return Game(*flown, row["t_move_s"], row["rounds"], row["game"], "square").id
-
     def may_grow(self, folder: Path) -> tuple[str, ...]:
         return ("games",)
-
-    def open(self, config: Dp1Config, timing: str, run: RunDirectory) -> AbstractContextManager[Session]:
-        from uavaccel.wire.session import open_session
-
-        return open_session(timing, config.profile, "blocks", config.latency)
 
     def fly(self, config: Dp1Config, case: Game, opened: Session) -> GameResult:
         """Fly the case's path; its wall time is from the first command's issue to the last one's return."""
         client = opened.start_game(case.clock_speed, case.seed(config.seed))
-        command, t_sample_s = COMMANDS[case.command], config.t_sample_s or case.t_move_s
-        t_th = t_th_ns(config, case.clock_speed, t_sample_s)
-        command.begin(client)
-        start_ns = client.now_ns()
-        for velocity in velocities(case.path, case.rounds, config.speed_m_s):
-            goal = VelocityGoal(velocity, config.height_m)
-            for _ in command.fly(client, goal, case.t_move_s, t_sample_s, t_th):
-                pass
+        path = velocities(case.path, case.rounds, config.speed_m_s)
+        start_ns, flown = fly_path(case, config, client, path, case.t_move_s, config.t_sample_s or case.t_move_s)
+        for _ in flown:
+            pass
         row, recording = flight_row(case, config, client, (client.now_ns() - start_ns) / NS_PER_S)
         row |= subset(vars(case), "t_move_s", "rounds", "game")
         row |= {"commands": len(recording.commands), "samples_dropped": recording.dropped}
@@ -199,13 +172,13 @@ class Dp1(Suite[Dp1Config, Game]):
         """Add each game's likeness to real time, its error against the flight without latency, and its gaps."""
         from joblib import Parallel, cpu_count, delayed
 
-        games = report.games
-        flown = games[games.role.isin(["game", "reference"])].sort_values([*CELL, "game"], kind="stable")
-        paths = [path for _, path in finished(games[games.role != "figure2"]).groupby(PATH)]
-        paths.sort(key=lambda path: -path.duration_s.sum())
+        games = report.games[report.games.role != "figure2"].sort_values([*CELL, "game"], kind="stable")
+        paths = sorted((path for _, path in finished(games).groupby(PATH)), key=lambda path: -path.duration_s.sum())
         jobs = min(cpu_count(), MOST_JOBS) if len(games) >= PARALLEL_FROM_GAMES else 1
-        found = Parallel(jobs, batch_size=1)(delayed(score_path)(report.run, path) for path in paths)
-        return flown.join(pd.concat(found) if found else pd.DataFrame(columns=SCORES, dtype=float))
+        scored = Parallel(jobs, batch_size=1)(delayed(score_path)(report.run, path) for path in paths)
+        cells = [cell for of_path in scored for cell in of_path]
+        found = pd.concat(cells) if cells else pd.DataFrame(columns=SCORES, dtype=float)
+        return games[games.role != "lockstep"].join(found)
 
     def summary(self, report: Report) -> Summary:
         """Return a cell for each command, ClockSpeed, T_move, number of rounds and timing.
@@ -217,9 +190,6 @@ class Dp1(Suite[Dp1Config, Game]):
         keys = subset(vars(report.config), "suite", "profile", "seed")
         return {**keys, "cells": summary_cells(report.scores, report.config.seed)}
 
-    def title(self, report: Report) -> str:
-        return f"DP1, {report.config.profile} profile, seed {report.config.seed}"
-
     def headline(self, report: Report) -> str:
         """Return each command's likeness to real time, error and speed-up; lockstep only where all is."""
         cells, said = cells_of(report), []
@@ -227,37 +197,19 @@ class Dp1(Suite[Dp1Config, Game]):
         fast = cells[(cells.clock_speed > 1) & cells.stlc_median.notna()]
         for command, own in fast.groupby("command"):
             alike = own.groupby("clock_speed").stlc_median.min() > SIMILAR_STLC
-            up_to, highest = alike.index[alike.cummin()], alike.index[-1]
-            flies = f"flies as in real time up to {up_to[-1]:g}x" if len(up_to) else ""
-            flies = flies or f"no longer flies as in real time at {alike.index[0]:g}x"
-            fastest = own[own.clock_speed == highest]
-            error, speedup = metres(fastest.position_rmse_m.max()), plots.span(fastest.effective_speedup)
+            up_to, fastest = alike.index[alike.cummin()], own[own.clock_speed == alike.index[-1]]
+            flies = f"up to {up_to[-1]:g}x" if len(up_to) else f"below {alike.index[0]:g}x alone"
             said.append(
-                f"{command.upper()} {flies} (STLC above {SIMILAR_STLC:g}); at {highest:g}x it is up to {error} m off "
-                f"(RMSE) and {speedup} times as fast"
+                f"{command.upper()} flies as in real time {flies} (STLC above {SIMILAR_STLC:g}); at "
+                f"{alike.index[-1]:g}x it is {plots.span(fastest.position_rmse_m, metres)} m off (RMSE) and "
+                f"{plots.span(fastest.effective_speedup)} times as fast"
             )
         if not said:
             return f"{cells.games.sum()} games, none of them accelerated and comparable with real time"
         return f"{'; '.join(said)} ({' and '.join(sorted(set(fast.provenance)))})"
 
     def overview(self, report: Report) -> Table:
-        """Return the worst accuracies and the range of speeds of each command and ClockSpeed."""
-        groups = cells_of(report).groupby(["command", "clock_speed", "timing", "provenance"])
-        worst: dict[str, Any] = {"games": "sum", "disturbed_games": "sum", "stlc_median": "min", "mixed": "first"}
-        worst |= {"position_rmse_m": "max", "position_rmse_vs_lockstep_m": "max"}
-        worst |= {"effective_speedup": plots.span, "real_time_factor": plots.span}
-        columns = {
-            "command": "{command!u}",
-            "ClockSpeed": "{clock_speed:g}x",
-            "games": "{games}{disturbed_games!d}",
-            "lowest STLC median": "{stlc_median:.4f}",
-            "largest RMSE v. reference, m": "{position_rmse_m!m}",
-            "largest RMSE v. lockstep, m": "{position_rmse_vs_lockstep_m!m}",
-            "effective speed-up": "{effective_speedup}{mixed}",
-            "real-time factor": "{real_time_factor}",
-            "source": "{provenance}",
-        }
-        return Table.of(groups.agg(worst).reset_index(), columns)
+        return plots.span_table(cells_of(report), ["command", "clock_speed", "timing"], COLUMNS)
 
     def page(self, report: Report) -> Iterator[Block | str]:
         cells = cells_of(report)
@@ -265,85 +217,77 @@ class Dp1(Suite[Dp1Config, Game]):
         yield from warnings(report.scores)
         if cells.reference.isna().any():
             yield "Warning: some cells have no real-time ADSC games to compare with."
-        yield Heading("Overview: worst cell, range of speeds")
+        yield Heading("Overview: from the least to the greatest of the cells")
         yield self.overview(report)
         yield READING
         yield Heading("Figures")
-        yield velocity_figure(report)
-        yield trajectory_figure(report)
-        yield trellis_figure(report)
-        yield accuracy_figure(report)
-        yield speedup_figure(report)
+        for figure in (velocity_figure, trajectory_figure, trellis_figure, accuracy_figure, speedup_figure):
+            yield figure(report)
         yield Heading("All cells")
-        columns = {
-            "command": "{command!u}",
-            "clock": "{clock_speed:g}x",
-            "T_move s": "{t_move_s:g}",
-            "rounds": "{rounds}",
-            "games": "{games}{failed_games!f}{disturbed_games!d}",
-            "STLC median [q25, q75]": "{stlc_median:.3f} [{stlc_q25:.3f}, {stlc_q75:.3f}]",
-            "RMSE m": "{position_rmse_m!m}",
-            "v. lockstep": "{position_rmse_vs_lockstep_m!m}",
-            "duration s": "{duration_error_s:+z.3f}",
-            "speed-up": "{effective_speedup:.2f}{mixed}",
-            "achieved": "{real_time_factor:.2f}",
-            "source": "{provenance}",
-        }
-        yield Table.of(cells, columns, folded=f"{len(cells)} cells")
+        yield plots.span_table(cells, CELL, COLUMNS, folded=f"{len(cells)} cells")
 
 
+COLUMNS: Mapping[str, plots.Span] = {
+    "command": ("command", str.upper),
+    "ClockSpeed": ("clock_speed", "{:g}x"),
+    "source": ("provenance", "{}"),
+    "T_move, s": ("t_move_s", "{:g}"),
+    "rounds": ("rounds", "{}"),
+    "games": ("games", "{}"),
+    "failed": ("failed_games", "{}"),
+    "disturbed": ("disturbed_games", "{}"),
+    "STLC median": ("stlc_median", "{:.3f}"),
+    "RMSE, m": ("position_rmse_m", metres),
+    "v. lockstep": ("position_rmse_vs_lockstep_m", metres),
+    "speed-up": ("effective_speedup", "{:.2f}"),
+    "real-time factor": ("real_time_factor", "{:.2f}"),
+    "speed-up's source": ("effective_speedup_provenance", "{}"),
+}
 SCORES = ["stlc", "position_rmse_m", "position_rmse_vs_lockstep_m", "gap_s", "distinct_games"]
 
 
-def score_path(run: RunDirectory, games: pd.DataFrame) -> pd.DataFrame:
-    """Return the SCORES of games of one PATH, NaN where there is nothing to compare with; `gap_s` are lists."""
+def score_path(run: RunDirectory, games: pd.DataFrame) -> list[pd.DataFrame]:
+    """Return the SCORES of each cell of a PATH, NaN where there is nothing to compare with; `gap_s` are lists."""
     from uavaccel.metrics.stlc import mean_stlc  # loads scipy
 
-    games = games.sort_values([*CELL, "game"], kind="stable")
-    arrays = {case: run.load_arrays(game) for case, game in zip(games.case, games.to_dict("records"), strict=True)}
+    arrays = {game["case"]: run.load_arrays(game) for game in games.to_dict("records")}
 
     def flights(games: pd.DataFrame) -> list[Trajectory]:
         return [Trajectory(arrays[case]["time_s"], arrays[case]["position_m"]) for case in games.case]
 
-    real, lockstep, found = games[games.role == "reference"], games[games.role == "lockstep"], list[pd.DataFrame]()
-    for key, cell in games[games.role != "lockstep"].groupby(CELL):
-        own, references, itself = flights(cell), flights(real), bool((cell.role == "reference").all())
-        ideal = flights(lockstep.sort_values("command", key=lambda command: command != key[0]).head(1))
+    real, calm, scored = flights(games[games.role == "reference"]), flights(games[games.role == "lockstep"]), []
+    for _, cell in games[games.role != "lockstep"].groupby(CELL):
+        own, itself = flights(cell), bool((cell.role == "reference").all())
         gaps_s = [command_gaps_s(arrays[case]["command_start_s"], arrays[case]["command_end_s"]) for case in cell.case]
         scores = {
-            "stlc": mean_stlc(own, references, itself) if references else np.nan,
-            "position_rmse_m": mean_position_rmse(own, references, itself) if references else np.nan,
-            "position_rmse_vs_lockstep_m": mean_position_rmse(own, ideal) if ideal else np.nan,
+            "stlc": mean_stlc(own, real, itself) if real else np.nan,
+            "position_rmse_m": mean_position_rmse(own, real, itself) if real else np.nan,
+            "position_rmse_vs_lockstep_m": mean_position_rmse(own, calm) if calm else np.nan,
             "gap_s": [gap_s.tolist() for gap_s in gaps_s],
             "distinct_games": len(distinct(own)[0]),
         }
-        found.append(pd.DataFrame(scores, index=cell.index))
-    return pd.concat(found) if found else pd.DataFrame(columns=SCORES, dtype=float)
-
-
-def same_path(games: pd.DataFrame, cell: pd.DataFrame) -> pd.DataFrame:
-    """Return the games with the T_move and the number of rounds of a cell."""
-    return games[(games[PATH] == cell[PATH].iloc[0]).all(axis=1)]
+        scored.append(pd.DataFrame(scores, cell.index))
+    return scored
 
 
 def summary_cells(scores: pd.DataFrame, seed: int) -> list[dict[str, Any]]:
     """Return the cells of the summary from the scored games, in canonical order."""
-    cells: list[dict[str, Any]] = []
+    references = dict(iter(finished(scores[scores.role == "reference"]).groupby(PATH)))
+    cells = []
     for key, cell in scores.groupby(CELL):
-        own, real, itself = finished(cell), finished(same_path(scores, cell)), bool((cell.role == "reference").all())
-        real, disturbed, provenance = real[real.role == "reference"], disturbed_games(own), timing_provenance(key[-1])
+        keys, own, itself = dict(zip(CELL, key, strict=True)), finished(cell), bool((cell.role == "reference").all())
+        real = references.get(tuple(keys[name] for name in PATH), own.head(0))
+        provenance, disturbed = timing_provenance(keys["timing"]), disturbed_games(own)
         reference, interval, mixed = None, None, None
         if len(real):
-            reference = subset(real.iloc[0], "command", "timing", "clock_speed")
-            reference |= {"provenance": timing_provenance(reference["timing"])}
-            reference |= {"games": len(real), "is_this_cell": itself}
+            game = real.iloc[0]
+            reference = reference_of(game, itself, command=game.command, games=len(real))
         if reference and len(own):
             mixed = combined_provenance(provenance, reference["provenance"])
             interval = None if itself else list(speedup_interval(real.wall_s, own.wall_s, seed))  # 1 by definition
-        stlc, rmse_m = own.stlc, own.position_rmse_m
-        gaps_s = pd.Series([gap_s for gaps_s in own.gap_s for gap_s in gaps_s], dtype=float)
+        stlc, rmse_m, gaps_s = own.stlc, own.position_rmse_m, own.gap_s.explode().astype(float)
         found = {
-            **dict(zip(CELL, key, strict=True)),
+            **keys,
             "games": len(own),
             "failed_games": len(cell) - len(own),
             "distinct_games": int(own.distinct_games.iloc[0]) if len(own) else 0,
@@ -372,9 +316,8 @@ def summary_cells(scores: pd.DataFrame, seed: int) -> list[dict[str, Any]]:
 
 
 def cells_of(report: Report) -> pd.DataFrame:
-    """Return the summary's cells as a table; `mixed` marks a speed-up of a measured wall time over a modelled one."""
-    cells = pd.DataFrame([{"disturbed_games": 0, **cell} for cell in report.summary["cells"]])
-    return cells.assign(mixed=np.where(cells.effective_speedup_provenance == "mixed", " (mixed)", ""))
+    """Return the summary's cells as a table."""
+    return pd.DataFrame([{"disturbed_games": 0, **cell} for cell in report.summary["cells"]])
 
 
 COMMAND_ENDS: style.LineStyle = {"color": style.BLACK, "linestyle": (0, (4, 3)), "linewidth": 0.9}
@@ -383,137 +326,198 @@ NO_COMMAND: style.LineStyle = {"color": "#D0D0D0", "linewidth": 0}
 
 def velocity_figure(report: Report) -> Picture:
     """Draw Figure 2: two steps forward and one back, slowest ClockSpeed on top."""
-    games = finished(report.games[report.games.role == "figure2"]).sort_values("clock_speed", kind="stable")
-    flights = [(game, report.arrays(game)) for game in games.to_dict("records")]
-    source, title, shared = source_line(games), "Two steps forward, one back", {"sharex": True, "sharey": True}
-    figure, grid = plots.panels(len(games), 1, title, source, (6.4, 2.1), **shared)
-    fastest = [np.abs(arrays["linear_velocity_m_s"]).max(axis=0) for _, arrays in flights]
-    moving = np.flatnonzero(np.max(fastest or [[0.0] * 3], axis=0) > 0.05)  # slower components are left out
-    for axes, (game, arrays) in zip(grid[:, 0], flights, strict=False):
+    games = finished(report.games[report.games.role == "figure2"])
+    labels = "Two steps forward, one back", source_line(games), (6.4, 2.1), "no flight recorded"
+    figure, panels = plots.facets(games, ("game", None), *labels)
+    for axes, _, own in panels:
+        game = own.iloc[0]
+        arrays = report.arrays(game)
         starts, ends = arrays["command_start_s"], arrays["command_end_s"]
-        for end, start in zip(ends[:-1], starts[1:], strict=True):
+        for end, start in zip(ends, starts[1:], strict=False):
             axes.axvspan(end, start, **NO_COMMAND)
         for end in ends:
             axes.axvline(end, **COMMAND_ENDS)
-        for axis in moving if len(moving) else [0]:
-            line = {"label": ("north", "east", "down")[axis], "color": style.CYCLE[axis]}
-            axes.plot(arrays["time_s"], arrays["linear_velocity_m_s"][:, axis], **line)
+        for axis, name in ((0, "north"), (2, "down")):
+            axes.plot(arrays["time_s"], arrays["linear_velocity_m_s"][:, axis], color=style.CYCLE[axis], label=name)
         gap_ms = 1e3 * np.mean(command_gaps_s(starts, ends))
         axes.set(ylabel="velocity, m/s", title=f"{command_at_clock(game)}: {gap_ms:.1f} ms between commands")
-    grid[-1, 0].set_xlabel("simulated time, s")
-    if flights:
-        style.key(figure, grid[0, 0], {"command ends": COMMAND_ENDS, "no command runs": NO_COMMAND})
-    else:
-        style.note(grid[0, 0], "no flight recorded")
+    figure.axes[-1].set_xlabel("simulated time, s")
+    style.key(figure, figure.axes[0], {"command ends": COMMAND_ENDS, "no command runs": NO_COMMAND})
     caption = (
-        "Figure 2. Velocity over simulated time, two steps forward and one back, in real time and at the run's highest "
-        "ClockSpeed. Dashed: a command ends. Grey: no command runs, the drone flies on while the client reacts."
+        "Figure 2. Velocity in real time and at the run's highest ClockSpeed. Dashed: a command ends. Grey: no command "
+        "runs, the drone flies on while the client reacts."
     )
-    return report.figure("figure2_velocity", figure, caption, source)
+    return report.figure("figure2_velocity", figure, caption)
 
 
 def trajectory_figure(report: Report) -> Picture:
-    """Draw Figure 3: best and worst replica by STLC of the fastest ADSC cell of the longest T_move, and one of TCSC.
+    """Draw Figure 3: a reference, the best and the worst replica of ADSC's fastest cell by STLC, and TCSC's worst.
 
-    A cell of about four rounds is taken: enough laps to drift, few enough to tell them apart.
+    Their path is of the longest T_move and about four rounds: enough laps to drift, few enough to tell them apart.
     """
-    flown, picked, title = finished(report.scores), list[dict[str, Any]](), "Trajectories"
-    ranks = {"fast": flown.clock_speed > 1, "adsc": flown.command == "adsc", "near": -(flown["rounds"] - 4).abs()}
-    order = ["fast", "adsc", "clock_speed", "t_move_s", "near"]
-    flown = flown.assign(**ranks).sort_values(order, ascending=False, kind="stable")
+    flown, title = finished(report.scores), "Trajectories"
+    flown = flown.assign(near=-(flown["rounds"] - 4).abs()).sort_values(["t_move_s", "near"], ascending=False)
+    flown = flown.merge(flown.head(1)[PATH]).sort_values("stlc", ascending=False, kind="stable")
     if len(flown):
-        flown = same_path(flown, flown)
         title += f", {rounds_label(flown['rounds'].iloc[0])}, T_move {flown.t_move_s.iloc[0]:g} s"
-        picked += flown[flown.role == "reference"].head(1).assign(name=": reference").to_dict("records")
-    for games, shown in (flown, {"best": 0, "worst": -1}), (flown[flown.command == "tcsc"], {"worst": -1}):
-        cell = games.merge(games.head(1)[CELL])
-        cell = cell[cell.role == "game"].sort_values("stlc", ascending=False, kind="stable")
-        if cell.distinct_games.eq(1).any():
-            shown = {f"all {len(cell)} identical" if len(cell) > 1 else "one game": 0}
-        for name, place in shown.items() if len(cell) else ():
-            stlc = cell.stlc.iloc[place]
-            name += f": STLC {'unknown' if np.isnan(stlc) else f'{stlc:.3f}'}"
-            picked.append({**cell.iloc[place], "name": f", {name}"})
-    lines = pd.DataFrame(picked, columns=[*flown, "name"]).drop_duplicates("case")  # ADSC may not be flown
-    source, figure = source_line(lines), style.new_figure(7.2, 6.0, title, source_line(lines))
+    lines = [(game, "reference") for game in flown[flown.role == "reference"].head(1).to_dict("records")]
+    for command, replicas in ("adsc", {"best": 0, "worst": -1}), ("tcsc", {"worst": -1}):
+        games = flown[(flown.role == "game") & (flown.command == command)]
+        cell = games[games.clock_speed == games.clock_speed.max()].to_dict("records")
+        for name, place in replicas.items() if cell else ():
+            lines.append((cell[place], f"{name} of {len(cell)}: STLC {plots.span([cell[place]['stlc']], '{:.3f}')}"))
+    figure = style.new_figure(7.2, 6.0, title, source_line(pd.DataFrame([game for game, _ in lines])))
     axes: style.Axes3D = figure.add_subplot(projection="3d")
-    places_m = [report.arrays(game)["position_m"] for game in lines.to_dict("records")]
+    places_m = [report.arrays(game)["position_m"] for game, _ in lines]
     colours, dotted = (style.BLUE, style.GREEN, style.VERMILION, style.BLACK), (0, (2, 4))
-    for place, (position_m, game) in enumerate(zip(places_m, lines.to_dict("records"), strict=True)):
-        look = {"color": colours[place], "linestyle": dotted if place == 3 else "-"}  # so that what it hides is seen
+    for number, ((game, name), position_m) in enumerate(zip(lines, places_m, strict=True)):
         north, east, down = position_m.T
-        axes.plot(north, east, -down, **look, label=f"{command_at_clock(game)}{game['name']}", linewidth=1.2)
+        look = {"color": colours[number], "linestyle": dotted if number == 3 else "-"}  # so that what it hides is seen
+        axes.plot(north, east, -down, **look, label=f"{command_at_clock(game)}, {name}", linewidth=1.2)
     style.space(axes, places_m)
     caption = (
-        "Figure 3. A real-time trajectory, and the best and the worst replica of the fastest cell by STLC, and the "
-        "least accurate of TCSC's fastest cell, dotted. Height is up, −z of the NED frame."
+        "Figure 3. A real-time trajectory, the best and the worst replica of ADSC's fastest cell by STLC, and the "
+        "worst of TCSC's, dotted. Height is up, −z of the NED frame."
     )
-    return report.figure("figure3_trajectories", figure, caption, source)
+    return report.figure("figure3_trajectories", figure, caption)
+
+
+class TraceEvent(TypedDict):
+    """An event of a trace, which is in time order."""
+
+    source: Literal["client", "server"]
+    event: str
+    """A client's "call METHOD" or "return METHOD", a server's "handle METHOD", "accept", "end", "run" or "pause"."""
+    wall_s: Number
+    sim_s: Number
+
+
+MOST_EVENTS = 44  # a longer trace is cut: the trellis shows one command, not a flight
+CALL: style.LineStyle = {"color": style.BLUE, "linewidth": 1.1}
+ANSWER: style.LineStyle = {"color": style.GREEN, "linewidth": 1.1, "linestyle": (0, (4, 2))}
+RUNNING: style.LineStyle = {"color": style.ORANGE, "linewidth": 6, "solid_capstyle": "butt"}
+
+
+def trellis_figure(report: Report) -> Picture:
+    """Draw Figure 4 from the traces that the run recorded: TCSC first, as in the paper.
+
+    Time runs downwards by events, not to scale. Raises UserError for a damaged trace.
+    """
+    traces: dict[str, Any] = {}
+    for command in ("tcsc", "adsc"):
+        name = f"traces/{command}.json"
+        if (report.run.path / name).is_file():
+            trace = report.run.read_json(name)
+            check(Annotated[list[TraceEvent], Field(min_length=1)], trace, str(report.run.path / name))
+            traces[command] = trace[:MOST_EVENTS]
+    config, longest = report.config, max(map(len, traces.values()), default=1)
+    source = f"one command each · {clock_words(config.timing)} · {config.profile} profile · seed {config.seed}"
+    shape, title, size_in = (1, len(traces)), "Messages of one command", (5.0, 0.8 + 0.2 * longest)
+    figure, grid = plots.panels(*shape, title, source, size_in, "no trace recorded", sharey=True)
+    for axes, (command, trace) in zip(grid[0], traces.items(), strict=False):
+        axes.set_axis_off()
+        axes.set(xlim=(-1.85, 2.0), ylim=(longest - 0.3, -1.9), title=command.upper())
+        plot_trace(axes, trace)
+    style.key(figure, grid[0, 0], {"call": CALL, "answer": ANSWER, "simulated time runs": RUNNING})
+    caption = (
+        "Figure 4. Messages of one recorded command, not to scale. Thick: simulated time runs. Left wall time, right "
+        "simulated time, both since the first event."
+    )
+    return report.figure("figure4_trellis", figure, caption)
+
+
+def messages(events: Sequence[str]) -> Iterator[tuple[int, int]]:
+    """Yield the arrows between events by their places: from each call to its handling, and from there to its return.
+
+    Calls of one method are handled, and return, in order. A deferred reply leaves at the last "end" between handling
+    and return.
+    """
+    places = pd.Series(range(len(events)), events).groupby(level=0).agg(list)
+    for method in [event.removeprefix("call ") for event in places.index if event.startswith("call ")]:
+        called, handled, returned = (places.get(f"{kind} {method}", []) for kind in ("call", "handle", "return"))
+        yield from zip(called, handled, strict=False)
+        for first, last in zip(handled, returned, strict=False):
+            yield max((end for end in places.get("end", []) if first < end < last), default=first), last
+
+
+def plot_trace(axes: Axes, trace: Sequence[Mapping[str, Any]]) -> None:
+    """Plot the arrows of a trace, its times, and the spans in which simulated time runs, an event a line."""
+    events, x = [event["event"] for event in trace], {"client": 0.0, "server": 1.0}
+    for name, at in x.items():
+        axes.plot([at, at], [-0.7, len(trace) - 0.5], color=style.GREY, linewidth=1.0)
+        axes.text(at, -1.0, name, ha="center", va="bottom", fontweight="bold")
+    switched = pd.Series(events).map({"run": 1.0, "pause": 0.0})
+    runs = switched.ffill().fillna(1 - switched.bfill()).fillna(1.0)  # before the first switch it does the contrary
+    for start, end in np.flatnonzero(np.diff(runs, prepend=0, append=0)).reshape(-1, 2):
+        axes.plot([x["server"]] * 2, [start, min(end, len(trace) - 1)], **RUNNING, zorder=1)
+    for start, end in messages(events):
+        source, target = ((x[trace[place]["source"]], place) for place in (start, end))
+        arrow = {"arrowstyle": "-|>", "shrinkA": 0, "shrinkB": 3, **(ANSWER if source[0] else CALL)}
+        axes.annotate("", xy=target, xytext=source, arrowprops=arrow)
+    for place, event in enumerate(trace):  # where an arrow ends, the time alone is enough
+        kind, _, method = event["event"].partition(" ")
+        if event["source"] == "client":
+            text = f"{method if kind == 'call' else ''}   {(event['wall_s'] - trace[0]['wall_s']) * 1e3:.2f} ms"
+            axes.text(-0.06, place, text, ha="right", va="center", fontsize=7.5)
+        else:
+            text = f"{event['sim_s'] - trace[0]['sim_s']:.3f} s   {'' if kind == 'handle' else event['event']}"
+            axes.text(1.08, place, text, ha="left", va="center", fontsize=7.5)
 
 
 def accuracy_figure(report: Report) -> Picture:
     """Draw Figure 5 from all games, T_moves pooled: a row of panels per command and a column per ClockSpeed."""
-    games, nothing = finished(report.scores), "no games to compare"
-    known, source, title = games[games.stlc.notna()], source_line(games), "Accuracy of the trajectories: STLC"
-    commands, clocks, rounds = (sorted(games[name].unique()) for name in ("command", "clock_speed", "rounds"))
-    figure, grid = plots.panels(len(commands), len(clocks), title, source, (1.9, 2.3), sharex=True, sharey=True)
-    for (row, command), (column, clock) in product(enumerate(commands), enumerate(clocks)):
-        axes, cell = grid[row, column], known[(known.command == command) & (known.clock_speed == clock)]
-        stlc = {number: cell[cell["rounds"] == number].stlc.tolist() for number in rounds}
+    games, nothing, rows = finished(report.scores), "no games to compare", ("command", "clock_speed")
+    labels = "Accuracy of the trajectories: STLC", source_line(games), (1.9, 2.3), nothing
+    figure, panels = plots.facets(games, rows, *labels)
+    for axes, (command, clock), own in panels:
+        stlc = {rounds: own.stlc[own["rounds"] == rounds].dropna() for rounds in sorted(games["rounds"].unique())}
         axes.axhline(SIMILAR_STLC, color="#C00000", linewidth=1.0, zorder=1)
-        plots.boxes(axes, stlc, style.COMMAND_COLOUR.get(command, style.GREEN), nothing)
-        grid[0, column].set_title(clock_label(clock), loc="center")
-        grid[row, 0].set(ylabel=f"{command.upper()}\nSTLC", ylim=(min(1.7, known.stlc.min() - 0.05), 2.04))
-        grid[-1, column].set_xlabel("rounds")
-    if games.empty:
-        style.note(grid[0, 0], nothing)
+        plots.boxes(axes, stlc, style.COMMAND_COLOUR[command], nothing)
+        axes.set(xlabel="rounds", ylabel=f"{command.upper()}\nSTLC", ylim=(min(1.7, games.stlc.min() - 0.05), 2.04))
+        axes.set_title(clock_label(clock), loc="center")
+        axes.label_outer()
     caption = (
         "Figure 5. STLC against the real-time ADSC games; one value a game, its mean over the references, T_moves "
-        "pooled; line: 1.8. Replicas whose flights are identical make a box of zero width, drawn as it is."
+        "pooled; line: 1.8. Replicas whose flights are identical make a box of zero width."
     )
-    return report.figure("figure5_accuracy", figure, caption, source)
+    return report.figure("figure5_accuracy", figure, caption)
 
 
 def speedup_figure(report: Report) -> Picture:
     """Draw Figure 6 from the cells with the most rounds: a panel per command, a line per T_move, the ideal dashed."""
     cells, scores = cells_of(report), finished(report.scores)
     rounds = cells["rounds"].max()
-    source, label = source_line(scores[scores["rounds"] == rounds]), rounds_label(rounds)
-    known = cells[(cells["rounds"] == rounds) & cells.effective_speedup.notna()]
-    commands, clocks = sorted(known.command.unique()), sorted(known.clock_speed.unique())
-    title, shared = f"Effective speed-up over ADSC at 1x, {label}", {"sharex": True, "sharey": True}
-    figure, grid = plots.panels(1, len(commands), title, source, (3.6, 3.0), **shared)
-    for axes, command in zip(grid[0], commands, strict=False):
+    label, source = rounds_label(rounds), source_line(scores[scores["rounds"] == rounds])
+    known = cells[(cells["rounds"] == rounds) & cells.effective_speedup.notna()].sort_values("clock_speed")
+    clocks, t_moves_s = (sorted(known[name].unique()) for name in ("clock_speed", "t_move_s"))
+    labels = f"Effective speed-up over ADSC at 1x, {label}", source, (3.6, 3.0), "no speed-up without ADSC games at 1x"
+    figure, panels = plots.facets(known, (None, "command"), *labels)
+    for axes, (_, command), own in panels:
         axes.plot(clocks, color=style.BLACK, linestyle="--", linewidth=1.1, label="ideal")
-        for number, t_move_s in enumerate(sorted(known.t_move_s.unique())):
-            own = known[(known.command == command) & (known.t_move_s == t_move_s)].sort_values("clock_speed")
-            line = style.series(number) | {"label": f"T_move {t_move_s:g} s"}
-            values = own.effective_speedup.tolist(), own.effective_speedup_interval.tolist()
-            plots.points(axes, np.searchsorted(clocks, own.clock_speed), *values, **line)
-        axes.set_title(command.upper())
+        for number, t_move_s in enumerate(t_moves_s):
+            line = own[own.t_move_s == t_move_s]
+            values = line.effective_speedup.tolist(), line.effective_speedup_interval.tolist()
+            look = style.series(number) | {"label": f"T_move {t_move_s:g} s"}
+            plots.points(axes, np.searchsorted(clocks, line.clock_speed), *values, **look)
         plots.clock_axis(axes, clocks)
-    if commands:
-        plots.factor_axis(grid[0, 0])
-        grid[0, 0].set_ylabel("effective speed-up")
-        grid[0, 0].legend(loc="upper left")
-    else:
-        style.note(grid[0, 0], "no speed-up without ADSC games at 1x")
+        plots.factor_axis(axes)
+        axes.set(title=command.upper(), ylabel="effective speed-up")
+        axes.label_outer()
+        figure.axes[0].legend(loc="upper left")
     caption = (
         f"Figure 6. Effective speed-up of games of {label}: mean wall time of ADSC at 1x over the cell's, with 95 % "
         "bootstrap intervals over games. Dashed: the ideal."
     )
-    return report.figure("figure6_speedup", figure, caption, source)
+    return report.figure("figure6_speedup", figure, caption)
 
 
 READING = (
     "STLC (lambda 0.5, metres, seconds) is 2 for identical flights; above 1.8 they look alike. It matches places and "
-    "times independently and cannot see a lap too few or too late, so the position error at equal times (RMSE, m) "
-    "stands beside it. A game's accuracy is its mean over all reference games, ADSC at 1x of the same T_move and "
-    "rounds; a reference is not compared with itself. Medians, quartiles and 95 % bootstrap intervals are over games. "
-    "Effective speed-up is the ratio of mean wall times for the same commands. Measured: the machine's clock. "
-    "Modelled: a simulated clock. Mixed: a measured game over a modelled baseline. The real-time factor is the "
-    "simulated time of a game over its wall time: it stays at the ClockSpeed as long as the simulation keeps up, since "
-    "with ADSC the drone flies on while the client reacts. The speed-up falls short of it, the more the shorter the "
-    "T_move: at 0.1 s and a ClockSpeed of 50 a command lasts 2 ms of wall time, to which its messages add what no "
-    "ClockSpeed shortens. Native TCSC games of one cell are identical by construction, and ADSC games at 1x nearly so."
+    "times independently and cannot see a lap too few or too late: the error of positions at equal times (RMSE) stands "
+    "beside it. A game's accuracy is its mean over the reference games, ADSC at 1x of the same T_move and rounds, "
+    "itself left out. Medians and 95 % bootstrap intervals are over games. The speed-up is the ratio of mean wall "
+    "times for the same commands; the real-time factor is a game's simulated time over its wall time, and stays at the "
+    "ClockSpeed as long as the simulation keeps up. The speed-up falls short of it, the more the shorter the T_move, "
+    "since messages take as much wall time at any ClockSpeed. Measured: the machine's clock. Modelled: a simulated "
+    "clock. Mixed: a measured game over a modelled baseline. Native TCSC games of a cell are identical by construction."
 )

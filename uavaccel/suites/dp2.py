@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, closing
+from contextlib import closing
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
@@ -12,41 +12,38 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import Field, model_validator
 from typing_extensions import TypedDict
 
 from uavaccel import limits
-from uavaccel.commands import COMMANDS
 from uavaccel.commands.slices import check_times, samples_due
-from uavaccel.config import Config
 from uavaccel.draw import style
 from uavaccel.draw.labels import clock_label, command_at_clock, metres
-from uavaccel.draw.page import Block, Heading, Picture, Table, listed, unknown
-from uavaccel.envs.camera_client import CameraClient, Sample
+from uavaccel.draw.page import Block, Heading, Picture, Table, unknown
+from uavaccel.envs.camera_client import EventClient, Sample
 from uavaccel.envs.task import rate_ticks
-from uavaccel.files import Plain
 from uavaccel.forms import ArrayForm, Count, NotNegative, Number, Positive
-from uavaccel.kinematics import Kinematics, VelocityGoal
-from uavaccel.limits import Seconds, Seed, Share
+from uavaccel.limits import Seconds, Seed
 from uavaccel.metrics.dvs_ed import dvs_ed_percent
 from uavaccel.metrics.speedup import timing_provenance
-from uavaccel.records import RunDirectory
 from uavaccel.sim.camera.view import HEIGHT, WIDTH
-from uavaccel.sim.lane.file import LaneFile, parse_lane
-from uavaccel.sim.lane.layout import Difficulty, LaneLayout
+from uavaccel.sim.lane.file import Lane
+from uavaccel.sim.lane.layout import LaneLayout
 from uavaccel.sim.lane.path import plan_path
 from uavaccel.sim.profile import PROFILES
 from uavaccel.suites import plots
-from uavaccel.suites.experiment import FlightExperiment, Timing, t_th_ns
+from uavaccel.suites.experiment import FlightExperiment, Timing
 from uavaccel.suites.flight import Commands, Flight, Window, windows_of
+from uavaccel.suites.path_suite import FlightCase, FlightRow, PathSuite, flight_row, fly_path, reference_of
 from uavaccel.suites.report import Report, Summary, finished, source_line, warnings
-from uavaccel.suites.rows import FlightCase, FlightRow, flight_row, named_seed, subset
-from uavaccel.suites.suite import GameResult, Suite
+from uavaccel.suites.rows import named_seed, subset
+from uavaccel.suites.suite import GameResult
 from uavaccel.units import NS_PER_S, attitude_difference_rad, to_ns
 from uavaccel.vision.dvs import PRESETS, luma, make_sensor
-from uavaccel.vision.event_counter import EventCounter, count_events
-from uavaccel.vision.guard import GuardSettings, GuardState, acquire
-from uavaccel.vision.perturb import AutoExposure, PerturbationKind, PerturbationSettings, perturb_share, share_at
+from uavaccel.vision.event_counter import count_events
+from uavaccel.vision.guard import GuardSettings
+from uavaccel.vision.guard_study import study_guard
+from uavaccel.vision.perturb import AutoExposure, PerturbationConfig
 from uavaccel.wire.image_api import lane_layout
 
 if TYPE_CHECKING:
@@ -55,41 +52,20 @@ if TYPE_CHECKING:
 ERRORS = ("position_error_m", "attitude_error_deg", "dvs_ed_percent")
 """Of each image against the one at the same place in the path of the same command's run at 1x."""
 POSES, EVENTS = ("position_m", "orientation_wxyz"), ("dvs_on", "dvs_off")
-GUARD_SHARE, GUARD_STREAMS = 0.05, 20  # of the perturbed images; of the guard study
+LINEAR_PERCENT, LINEAR_M = 0.1, 0.001  # below, Figure 7 is linear, so that 0 has its place
 
 Velocity = tuple[limits.Velocity, limits.Velocity]
 Arrays = dict[str, NDArray[Any]]
 
 
-class DrawnLane(Config):
-    """A lane sampled from a seed."""
-
-    seed: Seed
-    """The lane's: the same seed and difficulty make the same lane."""
-    difficulty: Difficulty = Difficulty()
-    """How hard the lane is, and what the weather and the vehicle are like."""
-
-
-WrittenOut = BeforeValidator(parse_lane, json_schema_input_type=int | DrawnLane | LaneFile | str)
 OwnPath = Annotated[tuple[Velocity, ...], Field(min_length=1)]
-
-
-class PerturbationConfig(Config):
-    """A MODEL of images that are corrupted on their way (uavaccel.vision.perturb); share 0 switches it off."""
-
-    share: Share = 0.0
-    """Share of the received images that are perturbed, those requested again included."""
-    half_excess: Positive | None = None
-    """ClockSpeed above 1 at which half of the share is reached, as a renderer has less time; without it all have it."""
-    kinds: Annotated[tuple[PerturbationKind, ...], Field(min_length=1)] = tuple(PerturbationKind)
-    """How images go wrong; each perturbed image draws one of them."""
 
 
 class Dp2Config(FlightExperiment):
     """`suite: dp2`."""
 
     suite: Literal["dp2"]
-    lane: Annotated[Seed | DrawnLane | LaneFile, WrittenOut] = 3
+    lane: Lane = 3
     """A seed, a seed with a difficulty, or a custom lane, written out or as the name of its YAML file."""
     path: Literal["planned"] | OwnPath = "planned"
     """planned: a collision-free path to the lane's end; or a list of velocities north and east, in m/s."""
@@ -196,13 +172,11 @@ class Game(FlightCase):
         return named_seed(run_seed, self.id)
 
 
-class Dp2(Suite[Dp2Config, Game]):
+class Dp2(PathSuite[Dp2Config, Game]):
     """`uavaccel run dp2`."""
 
-    name = "dp2"
-    config = Dp2Config
-    row = Dp2Row
-    arrays = ARRAYS
+    name, scene = "dp2", "lane"
+    config, case, row, arrays = Dp2Config, Game, Dp2Row, ARRAYS
     quick: ClassVar[Mapping[str, object]] = {}
 
     def cases(self, config: Dp2Config) -> Iterator[Game]:
@@ -217,31 +191,25 @@ class Dp2(Suite[Dp2Config, Game]):
             itself = in_grid and clock_speed == 1.0
             yield Game("reference" if itself else "game", command, clock_speed, config.timing, planned_s)
 
-    def case_of(self, row: Plain) -> str:
-        return Game(row["role"], row["command"], row["clock_speed"], row["timing"], 0.0).id
-
     def renders(self, config: Dp2Config) -> bool:
         return True
 
-    def open(self, config: Dp2Config, timing: str, run: RunDirectory) -> AbstractContextManager[Session]:
-        from uavaccel.wire.session import open_session
-
-        return open_session(timing, config.profile, "lane", config.latency)
-
     def fly(self, config: Dp2Config, case: Game, opened: Session) -> GameResult:
-        seed, model, perturbation = case.seed(config.seed), config.perturbation, None
+        seed, perturbation = case.seed(config.seed), None
         client = opened.start_game(case.clock_speed, seed, config.wire_lane(), config.height_m)
-        if model.share and case.role == "game":  # what it is compared with stays clean
-            share = share_at(case.clock_speed, model.share, model.half_excess)
-            perturbation = PerturbationSettings(share, model.kinds, int(seed.generate_state(1)[0]))
+        if config.perturbation.share and case.role == "game":  # what it is compared with stays clean
+            perturbation = config.perturbation.at(case.clock_speed, int(seed.generate_state(1)[0]))
         # in colour where colours may be perturbed, and once per run for the guard study
         kind = "colour" if case.role == "lockstep" or perturbation else "gray"
         exposure = AutoExposure() if config.auto_exposure else None
-        with closing(EventClient(config, opened, client, kind, config.guard, perturbation, exposure)) as camera:
-            samples, indices, commands, wall_s = fly_path(config, case, camera)
+        with closing(EventClient(opened, client, kind, config.guard, perturbation, exposure)) as camera:
+            if config.dvs_rate_hz is not None:
+                sensor = make_sensor(PRESETS[config.dvs_preset], (HEIGHT, WIDTH), config.sensor_seed)
+                camera.count(sensor, rate_ticks(config.dvs_rate_hz, config.profile), config.sensor_seed)
+            samples, indices, commands, wall_s = fly_to_the_end(config, case, camera)
             start, hit, collision = samples[0].state, client.collision(), None
             samples = [sample for sample in samples if not hit or sample.state.time_ns <= hit["time_ns"]]
-            counts = camera.counts(len(samples))
+            counts = dict(zip(EVENTS, camera.counts(len(samples)), strict=False))
         end_m = hit["position_m"] if hit else samples[-1].state.position_m
         if hit:
             hit_s = (hit["time_ns"] - start.time_ns) / NS_PER_S
@@ -281,12 +249,10 @@ class Dp2(Suite[Dp2Config, Game]):
             windows = [Window(at, None, (on, off)) for at, on, off in counts]
         elif pictures:
             windows = list(windows_of(arrays["image"], time_ns, PRESETS[config.dvs_preset], config.sensor_seed))
-        hit, flown = game["collision"], "in lockstep, without latency"
-        if game["timing"] != "lockstep":
-            end = f"{timing_provenance(game['timing'])}{', hit ' + hit['object'] if hit else ''}"
-            flown = f"at ClockSpeed {game['clock_speed']:g}x (achieved {game['real_time_factor']:.1f}x, {end})"
+        hit, achieved = game["collision"], f"{game['real_time_factor']:.1f}x, {timing_provenance(game['timing'])}"
+        end = f", hit {hit['object']}" if hit else ""
         return Flight(
-            f"{game['command'].upper()} {flown}",
+            f"{game['command'].upper()} at ClockSpeed {game['clock_speed']:g}x (achieved {achieved}{end})",
             game["clock_speed"],
             time_ns,
             arrays["position_m"],
@@ -304,20 +270,20 @@ class Dp2(Suite[Dp2Config, Game]):
         """Return the finished games by command and ClockSpeed, with the ERRORS of their images as lists.
 
         `reference` is the case of the run at 1x, `equal_poses` and `equal_counts` say whether poses and DVS counts are
-        those of the game without latency to the last bit; they are None where the run has no such game. Only two games
-        beside the present one are held in memory at a time.
+        those of the game without latency to the last bit; they are None where the run has no such game. Only three
+        games are held in memory at a time.
         """
         games, scores = finished(report.games), list[dict[str, Any]]()
-        calm = next((observed(report, game) for game in games[games.role == "lockstep"].to_dict("records")), None)
+        calm = next((observe(report, game) for game in games[games.role == "lockstep"].to_dict("records")), None)
         flown = games[games.role != "lockstep"]
         flown = flown.sort_values(["command", "clock_speed", "role"], ascending=[True, True, False])  # reference first
         for _, own in flown.groupby("command"):
-            real = own[own.role == "reference"].to_dict("records")
-            at_1x = observed(report, real[0]) if real else None
+            real = own[own.role == "reference"].case.head(1).tolist()
+            at_1x = None
             for game in own.to_dict("records"):
-                itself = at_1x is not None and game["case"] == real[0]["case"]
-                errors = compare(at_1x if itself and at_1x else observed(report, game), at_1x, calm)
-                scores.append({"reference": real[0]["case"] if real else None, **errors})
+                seen = observe(report, game)
+                at_1x = seen if [game["case"]] == real else at_1x
+                scores.append({"reference": real[0] if real else None, **compare(seen, at_1x, calm)})
         columns = ["reference", *ERRORS, "equal_poses", "equal_counts"]
         return flown.join(pd.DataFrame(scores, flown.index, columns, dtype=object))
 
@@ -334,84 +300,61 @@ class Dp2(Suite[Dp2Config, Game]):
             marks = [key for key in ("disturbed", "stalled_wall_s", "restarts") if not unknown(game.get(key))]
             cell = {**subset(game, *kept, *marks), "provenance": timing_provenance(game["timing"]), "reference": None}
             if (case := game["reference"]) is not None:
-                cell["reference"] = {"case": case, **subset(games.loc[case], "clock_speed", "timing")}
-                cell["reference"]["provenance"] = timing_provenance(games.timing[case])
-                cell["reference"]["is_this_cell"] = case == game["case"]
+                cell["reference"] = reference_of(games.loc[case], case == game["case"], case=case)
             for name in ERRORS:
                 cell[f"{name}_median"] = np.median(game[name]) if game[name] else None
                 cell[f"{name}_max"] = max(game[name], default=None)
             cell |= {"images": game["samples"], "paired_images": len(game["position_error_m"])}
             cell |= {"poses_equal_lockstep": game["equal_poses"], "dvs_counts_equal_lockstep": game["equal_counts"]}
             cells.append({**cell, "simulated_s_per_wall_s": game["duration_s"] / game["wall_s"]})
-        in_colour = games[games.role == "lockstep"].reset_index().to_dict("records")
+        calm = games[games.role == "lockstep"].reset_index().to_dict("records")
+        colour = report.arrays(calm[0])["colour"] if calm else None
         return {
             **subset(vars(config), "suite", "profile", "seed", "dvs_preset", "sensor_seed"),
             "perturbed_share": config.perturbation.share,
             "cells": cells,
-            "guard_study": study_guard(report.arrays(in_colour[0])["colour"], config) if in_colour else None,
+            "guard_study": None if colour is None else study_guard(colour, config.guard, config.seed),
         }
-
-    def title(self, report: Report) -> str:
-        return f"DP2, {report.config.profile} profile, seed {report.config.seed}"
 
     def headline(self, report: Report) -> str:
         """Return how far the images of each command's fastest game are from those of 1x."""
-        cells, said = report.summary["cells"], dict[str, str]()
-        for cell in cells:  # they ascend
+        said = dict[str, str]()
+        for cell in report.summary["cells"]:  # they ascend
             error_m, events = cell["position_error_m_max"], cell["dvs_ed_percent_max"]
-            if error_m is None or cell["clock_speed"] <= 1 or cell["timing"] == "lockstep":
-                continue
-            like = "takes the images of 1x, each at the same place with as many events"
-            if error_m or events:
-                like = f"takes its images up to {metres(error_m)} m from those of 1x, with a DVS-ED of up to "
-                like += f"{metres(events)} %"
-            said[cell["command"]] = f"{command_at_clock(cell)} {like}"
+            if error_m is not None and cell["clock_speed"] > 1 and cell["timing"] != "lockstep":
+                like = f"up to {metres(error_m)} m from those of 1x, with a DVS-ED of up to {metres(events)} %"
+                said[cell["command"]] = f"{command_at_clock(cell)} takes its images {like}"
         return "; ".join(said.values()) or f"{len(report.games)} games, none of them accelerated and comparable with 1x"
 
     def overview(self, report: Report) -> Table:
-        equal = {True: "equal", False: "differ", None: "-"}
-        lines = [
-            {
-                **cell,
-                "itself": " (reference)" if cell["reference"] and cell["reference"]["is_this_cell"] else "",
-                "mark": " (disturbed)" if cell.get("disturbed") else "",
-                "poses": equal[cell["poses_equal_lockstep"]],
-                "counts": equal[cell["dvs_counts_equal_lockstep"]],
-                "hit": f" (hit {cell['collision']['object']})" if cell["collision"] else "",
-            }
+        cells = [
+            {"disturbed": None, **cell, "hit": (cell["collision"] or {}).get("object")}
             for cell in report.summary["cells"]
         ]
         columns = {
             "command": "{command!u}",
-            "ClockSpeed": "{clock_speed:g}x{itself}{mark}",
+            "ClockSpeed": "{clock_speed:g}x",
+            "source": "{provenance}",
             "images": "{paired_images}",
             "position error, m: median, max": "{position_error_m_median!m}, {position_error_m_max!m}",
             "attitude error, deg: max": "{attitude_error_deg_max!m}",
             "DVS-ED, %: median, max": "{dvs_ed_percent_median!m}, {dvs_ed_percent_max!m}",
+            "poses equal": "{poses_equal_lockstep}",
+            "DVS counts equal": "{dvs_counts_equal_lockstep}",
             "guard retries": "{guard_retries}",
-            "poses, counts v. lockstep": "{poses}, {counts}",
-            "distance, m": "{distance_m:.1f}{hit}",
+            "distance, m": "{distance_m:.1f}",
+            "hit": "{hit}",
             "simulated s a wall s": "{simulated_s_per_wall_s:.2f}",
-            "source": "{provenance}",
+            "disturbed": "{disturbed}",
         }
-        return Table.of(lines, columns)
+        return Table.of(cells, columns)
 
     def page(self, report: Report) -> Iterator[Block | str]:
         games, config, guard = report.games, report.config, report.summary["guard_study"]
-        share, slow = config.perturbation.share, config.perturbation.half_excess
         yield f"Games: {source_line(games)}."
-        for game in games[games.collision.notna()].to_dict("records"):
-            yield (
-                f"{game['case']} hit {game['collision']['object']} after {game['distance_m']:.1f} m and stood still "
-                "from there: its images count up to that moment."
-            )
         yield from warnings(games)
-        if share:
-            yield (
-                f"Modelled: {share:.1%} of the images of the games were perturbed on their way"
-                f"{', fewer where the ClockSpeed is low' if slow else ''}; those of the runs at 1x that they are "
-                "compared with were not."
-            )
+        if share := config.perturbation.share:
+            yield f"Modelled: up to {share:.1%} of the games' images were perturbed on their way, none of those at 1x."
         if config.latency.reply_us.get("image") is None and (games.timing == "virtual").any():
             yield "The modelled wall times leave out drawing the images: the latency model has no channel for them."
         yield Heading("Each ClockSpeed against the run at 1x")
@@ -420,26 +363,29 @@ class Dp2(Suite[Dp2Config, Game]):
         yield images_figure(report)
         if guard is not None:
             yield Heading("Image guard (modelled)")
-            yield guard_table(guard)
+            columns = {
+                "kind of perturbation": "{kind}",
+                "perturbed images sent": "{on[sent]}",
+                "pass without guard": "{off[share_passed]:.1%}",
+                "pass the guard": "{on[share_passed]:.1%}",
+            }
+            kinds = [{"kind": kind.replace("_", " "), **of} for kind, of in guard["by_kind"].items()]
+            yield Table.of(kinds, columns)
             yield GUARD.format_map(guard)
 
 
-def fly_path(config: Dp2Config, case: Game, camera: CameraClient) -> tuple[list[Sample], list[int], int, float]:
+def fly_to_the_end(config: Dp2Config, case: Game, camera: EventClient) -> tuple[list[Sample], list[int], int, float]:
     """Fly the path to its end or to a collision, and return samples, their indices, the commands and the wall time, s.
 
     An index is 0 at the start, then the place in the path, the same in every game.
     """
-    command, slots = COMMANDS[case.command], config.slots
-    t_th = t_th_ns(config, case.clock_speed, config.t_sample_s)
-    samples, indices, commands = [camera.read_sample(camera.kinematics())], [0], 0
-    command.begin(camera)
-    start_ns = camera.now_ns()
-    for velocity in config.velocities:
-        goal = VelocityGoal((*velocity, 0.0), config.height_m)
-        flown = list(command.fly(camera, goal, config.t_move_s, config.t_sample_s, t_th))
-        first, commands = 1 + commands * slots, commands + 1
+    samples, indices, commands, slots = [camera.read_sample(camera.kinematics())], [0], 0, config.slots
+    path = [(*velocity, 0.0) for velocity in config.velocities]
+    start_ns, flights = fly_path(case, config, camera, path, config.t_move_s, config.t_sample_s)
+    for commands, flown in enumerate(flights, start=1):
+        last = commands * slots
         # The last sample is always that of the command's end; ADSC may come too late for one before it.
-        indices += [*range(first, first + len(flown) - 1), first + slots - 1]
+        indices += [*range(last - slots + 1, last - slots + len(flown)), last]
         samples += flown
         stands_still = samples[-1].state.position_m == samples[-2].state.position_m  # a collision freezes it
         if stands_still and camera.client.collision():
@@ -447,46 +393,7 @@ def fly_path(config: Dp2Config, case: Game, camera: CameraClient) -> tuple[list[
     return samples, indices, commands, (camera.now_ns() - start_ns) / NS_PER_S
 
 
-class EventClient(CameraClient):
-    """A camera client that counts events between samples, inside the simulation, without messages or wall time.
-
-    Where the configuration has no `dvs_rate_hz` it counts none.
-    """
-
-    def __init__(self, config: Dp2Config, session: Session, *settings: Any) -> None:
-        """`settings` are the arguments of CameraClient."""
-        super().__init__(*settings)
-        self._session, self._noise_seed, self._rate_hz = session, config.sensor_seed, config.dvs_rate_hz
-        self._counts: list[tuple[NDArray[np.int32], NDArray[np.int32]]] = []
-        self.close = lambda: None
-        if self._rate_hz is not None:
-            sensor = make_sensor(PRESETS[config.dvs_preset], (HEIGHT, WIDTH), config.sensor_seed)
-            self._counter = EventCounter(sensor)
-            self.close = session.watch(rate_ticks(self._rate_hz, config.profile), self._see)
-
-    def _see(self, time_ns: int) -> None:
-        self._counter.process_frame(self._session.picture(), time_ns)
-
-    def read_sample(self, state: Kinematics) -> Sample:
-        """Return the sample, and count the events since the last one; the first sample begins the game."""
-        if self._rate_hz is not None:
-            if not self._counts:
-                self._counter.start(self._session.picture(), state.time_ns, self._noise_seed)
-            elif not self._counter.has_frame_of(state.time_ns):
-                self._see(state.time_ns)
-            self._counts.append(self._counter.take())
-        return super().read_sample(state)
-
-    def counts(self, samples: int) -> Arrays:
-        """Return `dvs_on` and `dvs_off` (n, 144, 256) of the first n samples: uint8, or uint16 beyond 255 events."""
-        if not self._counts:
-            return {}
-        both = np.array(self._counts[:samples])
-        both = both.astype(np.uint8 if both.max() < 256 else np.uint16)
-        return {"dvs_on": both[:, 0], "dvs_off": both[:, 1]}
-
-
-def observed(report: Report, game: Mapping[str, Any]) -> Arrays:
+def observe(report: Report, game: Mapping[str, Any]) -> Arrays:
     """Return places, POSES and EVENTS of a game, as counted in flight or else by the report's DVS."""
     arrays, config = report.arrays(game), report.config
     if "dvs_on" not in arrays:
@@ -516,134 +423,58 @@ def compare(seen: Arrays, at_1x: Arrays | None, calm: Arrays | None) -> dict[str
     return found
 
 
-def study_guard(images: NDArray[np.uint8], config: Dp2Config) -> dict[str, Any]:
-    """Count what the guard accepts (MODELLED) where a share of the run's own images (n, H, W, 3) is perturbed, by kind.
-
-    The images are sent GUARD_STREAMS times, perturbed with another seed each time, as one stream has too few of each
-    kind. An image that the guard requests again may be perturbed again, so with the guard more are sent.
-    """
-    guards = {"off": GuardSettings(max_retries=0), "on": config.guard}
-    perturbed = [PerturbationSettings(GUARD_SHARE, seed=config.seed + n) for n in range(GUARD_STREAMS)]
-    streams = {name: pd.concat(pass_guard(images, own, guard) for own in perturbed) for name, guard in guards.items()}
-    alarms = int((~pass_guard(images, PerturbationSettings(), config.guard).passed).sum())
-    by_kind: dict[str, Any] = {str(kind): {} for kind in PerturbationKind}
-    for (kind, of_kind), (name, stream) in product(by_kind.items(), streams.items()):
-        passed = stream.passed[stream.kind == kind]
-        share = float(passed.mean()) if len(passed) else None
-        of_kind[name] = {"sent": len(passed), "passed": int(passed.sum()), "share_passed": share}
-    return {
-        "modelled": True,
-        "images": len(images),
-        "share": GUARD_SHARE,
-        "streams": GUARD_STREAMS,
-        "by_kind": by_kind,
-        "clean_false_alarms": alarms,
-        "clean_retries": alarms,
-        "perturbed_share_handed_on": {
-            name: float((stream.kind[stream.passed] != "").mean()) for name, stream in streams.items()
-        },
-    }
-
-
-def pass_guard(images: NDArray[np.uint8], perturbed: PerturbationSettings, guard: GuardSettings) -> pd.DataFrame:
-    """Return each image sent: its `kind` of perturbation, "" for none, and whether it `passed` the guard.
-
-    The scene is static while an image is requested again; each request may be perturbed anew.
-    """
-    state, kinds, passed = GuardState(), list[str](), list[bool]()
-    for scene in images:
-
-        def received(scene: NDArray[np.uint8] = scene) -> NDArray[np.uint8]:
-            image, kind = perturb_share(scene, perturbed, len(kinds))
-            kinds.append(kind or "")
-            return image
-
-        _, state, retries, _ = acquire(state, received, guard)
-        passed += [*[False] * retries, True]
-    return pd.DataFrame({"kind": kinds, "passed": passed})
-
-
-def guard_table(guard: Summary) -> Table:
-    """Return a table with a row for each kind of perturbation, and one for all."""
-    lines = {kind.replace("_", " "): of for kind, of in guard["by_kind"].items()}
-    sums = {name: pd.DataFrame(of[name] for of in lines.values())[["sent", "passed"]].sum() for name in ("off", "on")}
-    lines["all"] = {name: {**of, "share_passed": of.passed / of.sent} for name, of in sums.items()}
-    columns = {
-        "kind of perturbation": "{kind}",
-        "perturbed images sent": "{on[sent]}",
-        "pass without guard": "{off[share_passed]:.1%}",
-        "pass the guard": "{on[share_passed]:.1%}",
-    }
-    return Table.of([{"kind": kind, **of} for kind, of in lines.items()], columns)
-
-
 def images_figure(report: Report) -> Picture:
-    """Draw Figure 7, position error over DVS-ED: a point an image, a panel a command.
-
-    A command whose images all have no error gets a line below the panels in place of an empty panel.
-    """
-    scores = report.scores
+    """Draw Figure 7, position error over DVS-ED: a point an image, a panel a command."""
+    scores, title = report.scores, "Position error and DVS-ED of each image"
     images = scores[scores.reference.notna() & (scores.reference != scores.case)].sort_values("clock_speed")
-    away = images.dvs_ed_percent.map(any).astype(bool) | images.position_error_m.map(any).astype(bool)
-    commands, clocks = sorted(set(images.command[away]), reverse=True), sorted(set(images.clock_speed))
-    below = [
-        f"{command.upper()} at {listed(map(clock_label, own.clock_speed))}: all {own.position_error_m.map(len).sum()} "
-        "images at 0, 0"
-        for command, own in sorted(images[~images.command.isin(commands)].groupby("command"), reverse=True)
-    ]
-    title, source = "Position error and DVS-ED of each image against the run at 1x", source_line(scores)
-    size_in = 3.6 + 0.8 / max(len(commands), 1), 3.2  # one panel is as wide as the title
-    shared = {"sharex": True, "sharey": True}
-    figure, grid = plots.panels(1, len(commands), title, "\n".join([*below, source]), size_in, **shared)
-    least = {
-        "x": 0.1,
-        "y": 0.001,
-    }  # logarithmic, as the clouds lie decades apart, but linear below, so that 0 has its place
-    for axes, command in zip(grid[0], commands, strict=False):
-        for game in images[images.command == command][::-1].to_dict("records"):  # few and near points lie on top
+    nothing, clocks = "no accelerated game to compare with a run at 1x", sorted(images.clock_speed.unique())
+    figure, panels = plots.facets(images, (None, "command"), title, source_line(scores), (4.0, 3.2), nothing)
+    for axes, (_, command), own in panels:
+        for game in own[::-1].to_dict("records"):  # few and near points lie on top
             place = clocks.index(game["clock_speed"])
             colour, marker = style.series(place).values()
             x, y = np.array(game["dvs_ed_percent"]), np.array(game["position_error_m"])
             off = (x != 0) | (y != 0)
-            exact, count = np.count_nonzero(~off), f"{len(x)} image{'s' if len(x) > 1 else ''}"
-            axes.scatter(x[off], y[off], s=13, c=colour, marker=marker, linewidths=0, alpha=0.7, clip_on=False)
-            if exact:  # as one ring
-                ring: dict[str, Any] = {"facecolors": "none", "edgecolors": colour, "linewidths": 1.6}
-                axes.scatter(0, 0, s=(5.0 + 4.5 * place) ** 2, clip_on=False, **ring)
-                count = f"all {len(x)} at 0, 0" if exact == len(x) else f"{exact} of {len(x)} at 0, 0"
-            axes.scatter([], [], s=22, c=colour, marker=marker, label=f"{clock_label(game['clock_speed'])}: {count}")
+            label = f"{clock_label(game['clock_speed'])}: {np.count_nonzero(~off)} of {len(x)} at 0, 0"
+            axes.scatter(x[off], y[off], 13, colour, marker=marker, lw=0, alpha=0.7, clip_on=False, label=label)
+            if not off.all():  # one ring for all of them
+                size = (5.0 + 4.5 * place) ** 2
+                axes.scatter(0, 0, size, facecolors="none", edgecolors=colour, linewidths=1.6, clip_on=False)
         handles, labels = axes.get_legend_handles_labels()
-        above = {"loc": "lower left", "bbox_to_anchor": (-0.02, 1.0), "alignment": "left", "title_fontsize": 10}
+        above: dict[str, Any] = {
+            "loc": "lower left",
+            "bbox_to_anchor": (-0.02, 1.0),
+            "alignment": "left",
+            "title_fontsize": 10,
+        }
         axes.legend(handles[::-1], labels[::-1], title=command.upper(), ncols=2, **above)
-        axes.set_xscale("symlog", linthresh=least["x"], linscale=0.6)
-        axes.set_yscale("symlog", linthresh=least["y"], linscale=0.6)
-        axes.set(xlabel="DVS-ED, % of the pixels", xlim=(-0.4 * least["x"], 100), ylim=(-0.4 * least["y"], 10))
+        axes.set_xscale("symlog", linthresh=LINEAR_PERCENT, linscale=0.6)
+        axes.set_yscale("symlog", linthresh=LINEAR_M, linscale=0.6)
+        axes.set(xlabel="DVS-ED, % of the pixels", xlim=(-0.4 * LINEAR_PERCENT, 100))
+        axes.set(ylabel="position error, m", ylim=(-0.4 * LINEAR_M, 10))
         axes.xaxis.set_major_formatter("{x:g}")
         axes.yaxis.set_major_formatter("{x:g}")
-        grid[0, 0].set_ylabel("position error, m")
-    if not commands:
-        nothing = "every image has no error at all" if below else "no accelerated game to compare with a run at 1x"
-        style.note(grid[0, 0], nothing)
+        axes.label_outer()
     caption = (
         "Figure 7. Position error over DVS-ED, a point an image, against the image of the same place in the path of "
         "the same command's run at 1x. Rings: images at the same place with as many DVS pixels as at 1x. Both axes are "
-        f"logarithmic, but linear up to {least['x']:g} % and {1e3 * least['y']:g} mm."
+        f"logarithmic, but linear up to {LINEAR_PERCENT:g} % and {1e3 * LINEAR_M:g} mm."
     )
-    return report.figure("figure7_images", figure, caption, source)
+    return report.figure("figure7_images", figure, caption)
 
 
 READING = (
     "Images are paired by their place in the path: the same sample of the same command. DVS-ED is the difference in "
     "the number of pixels with ON events plus that with OFF events, over all pixels; it cannot see events that moved "
-    "elsewhere. One DVS, with one map of thresholds, is applied to all games' images. An error of 0 is exactly 0. "
-    "Equal to lockstep means that every pose, or every pixel's event count, has the same bits as in the game flown "
-    "without latency. Measured: the machine's clock. Modelled: a simulated clock."
+    "elsewhere. One DVS, with one map of thresholds, is applied to all games' images. An error of 0 is exactly 0. A "
+    "drone that hit something stands still: its images count up to that moment. Equal are every pose, and every "
+    "pixel's event count, if they have the same bits as in the game flown without latency. Measured: the machine's "
+    "clock. Modelled: a simulated clock."
 )
 GUARD = (
     "False alarms: {clean_false_alarms} of {images} clean images. With {share:.0%} of the images perturbed, "
     "{perturbed_share_handed_on[off]:.1%} of those handed on are perturbed without the guard and "
     "{perturbed_share_handed_on[on]:.1%} with it. The images are those of the game without latency, sent {streams} "
-    "times with another seed. MuJoCo renders every image correctly: the perturbations are a model of a renderer short "
-    "of time, whose sizes are this project's own choice. The guard checks mean brightness alone and cannot detect what "
-    "leaves that as it is."
+    "times with another seed. MuJoCo renders every image correctly: the perturbations are a model, whose sizes are "
+    "this project's own choice. The guard checks mean brightness alone and cannot detect what leaves that as it is."
 )

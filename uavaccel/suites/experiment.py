@@ -8,7 +8,6 @@ from pydantic import AfterValidator
 
 from uavaccel.config import Config
 from uavaccel.limits import ClockSpeed, Cost, Seed
-from uavaccel.sim.profile import PROFILES
 from uavaccel.wire.latency import LatencyModel
 
 Timing = Literal["wall", "virtual", "lockstep"]
@@ -61,8 +60,3 @@ class FlightExperiment(Experiment):
 def timing_of(config: Experiment) -> str:
     """Return the timing of a run's games; references may have another."""
     return str(getattr(getattr(config, "task", config), "timing", "lockstep"))
-
-
-def t_th_ns(config: FlightExperiment, clock_speed: float, t_sample_s: float) -> int:
-    """Return TCSC's T_th in simulated nanoseconds (Profile.t_th_ns)."""
-    return PROFILES[config.profile].t_th_ns(config.t_th_wall_s, clock_speed, t_sample_s)

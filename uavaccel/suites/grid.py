@@ -34,8 +34,9 @@ from uavaccel.metrics.speedup import timing_provenance
 from uavaccel.metrics.trajectory import quartiles
 from uavaccel.records import RunDirectory
 from uavaccel.rl.agents import DEFAULT, policy_sha256
+from uavaccel.sim.recording import RECORDED
 from uavaccel.suites import plots
-from uavaccel.suites.dp1 import ARRAYS, SIMILAR_STLC, Dp1, Dp1Config, Dp1Row, Game, summary_cells
+from uavaccel.suites.dp1 import SIMILAR_STLC, Dp1, Dp1Config, Dp1Row, Game, summary_cells
 from uavaccel.suites.experiment import (
     ClockSpeeds,
     CommandName,
@@ -147,7 +148,7 @@ class Ablation(Grid):
     name = "ablation"
     config = AblationConfig
     row = AblationRow
-    arrays = ARRAYS
+    arrays = RECORDED
     dp1: ClassVar[Dp1] = Dp1()
 
     def points(self, config: AblationConfig) -> Iterator[Point]:

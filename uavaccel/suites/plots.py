@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
+from itertools import product
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 import pandas as pd
@@ -11,26 +13,50 @@ from numpy.typing import ArrayLike, NDArray
 
 from uavaccel.draw import style
 from uavaccel.draw.labels import clock_label
-from uavaccel.draw.page import unknown
+from uavaccel.draw.page import Table, unknown
 from uavaccel.metrics.intervals import Proportion
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+Form: TypeAlias = str | Callable[[Any], str]
+"""How a value is written: a format such as "{:.2f}", or a function."""
+Span: TypeAlias = tuple[str, Form]
+"""A column of a table of spans: the entries' key, and how its values are written."""
 UNITS_S = {"hours": 3600.0, "minutes": 60.0, "seconds": 1.0}
 
 
 def panels(
-    rows: int, columns: int, title: str, source: str, size_in: tuple[float, float], **options: Any
+    rows: int, columns: int, title: str, source: str, size_in: tuple[float, float], empty: str = "", **options: Any
 ) -> tuple[Figure, NDArray[Any]]:
-    """Return a figure and its axes (rows, columns), at least one of them.
+    """Return a figure and its axes (rows, columns); where either is 0, those of one panel that says that it is `empty`.
 
     `size_in` is the width and height of a panel in inches; `options` are those of `Figure.subplots`.
     """
     shape = max(rows, 1), max(columns, 1)
     figure = style.new_figure(1.6 + size_in[0] * shape[1], 1.2 + size_in[1] * shape[0], title, source)
-    return figure, figure.subplots(*shape, squeeze=False, **options)
+    grid = figure.subplots(*shape, squeeze=False, **options)
+    if not rows * columns:
+        style.note(grid[0, 0], empty)
+    return figure, grid
+
+
+def facets(
+    table: pd.DataFrame, by: tuple[str | None, str | None], *labels: Any
+) -> tuple[Figure, list[tuple[Axes, tuple[Any, Any], pd.DataFrame]]]:
+    """Return a figure with a row of panels for each value of one column and a column of them for each of another.
+
+    With it are the panels: axes, which have the same scales, the two values, and their part of the table. `labels` are
+    the further arguments of `panels`: title, source, size and the note of an empty figure.
+    """
+    values = [sorted(table[name].unique()) if name else [None] for name in by]
+    figure, grid = panels(len(values[0]), len(values[1]), *labels, sharex=True, sharey=True)
+    parts = []
+    for axes, pair in zip(grid.flat, product(*values), strict=False):
+        wanted = {name: value for name, value in zip(by, pair, strict=True) if name}
+        parts.append((axes, pair, table[(table[list(wanted)] == pd.Series(wanted)).all(axis=1)]))
+    return figure, parts
 
 
 def boxes(axes: Axes, values: Mapping[Any, Sequence[float]], colour: str, empty: str) -> None:
@@ -103,10 +129,17 @@ def stacked(axes: Axes, phase_s: pd.DataFrame, unit: str) -> None:
         below += spent
 
 
-def span(values: Sequence[float | None], form: str = "{:.2f}") -> str:
+def span(values: Iterable[Any], form: Form = "{:.2f}") -> str:
     """Return the least and the greatest of the known values, as in "1.00 to 9.87"; "-" where none is known."""
-    known = [value for value in values if not unknown(value)]
+    known, text = [value for value in values if not unknown(value)], form.format if isinstance(form, str) else form
     if not known:
         return "-"
-    low, high = (form.format(choose(known)) for choose in (min, max))  # type: ignore[type-var]
+    low, high = text(min(known)), text(max(known))
     return low if low == high else f"{low} to {high}"
+
+
+def span_table(entries: pd.DataFrame, by: list[str], columns: Mapping[str, Span], folded: str = "") -> Table:
+    """Return a table with a line for each group of entries, and in it the spans of the group's values."""
+    groups = entries.groupby(by)
+    spans = {header: groups[name].agg(partial(span, form=form)) for header, (name, form) in columns.items()}
+    return Table(tuple(spans), pd.DataFrame(spans).to_numpy().tolist(), folded)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Literal, NotRequired, TypeVar, cast
 
 import numpy as np
@@ -12,15 +11,10 @@ from pydantic import AfterValidator
 from typing_extensions import TypedDict
 
 from uavaccel.files import Plain
-from uavaccel.forms import Count, NotNegative, Number, Positive
-from uavaccel.limits import Seed
-from uavaccel.suites.experiment import CommandName, FlightExperiment, ProfileName, Timing
-from uavaccel.units import NS_PER_S
+from uavaccel.forms import Count, NotNegative, Number
 
-if TYPE_CHECKING:  # environments load Gymnasium, a client the simulation
+if TYPE_CHECKING:  # environments load Gymnasium
     from uavaccel.envs.values import Info
-    from uavaccel.sim.recording import Recording
-    from uavaccel.wire.client import Client
 
 Row = Mapping[str, Plain]
 """A row as it is read back; suites declare the keys of their own rows as a `GameRow`."""
@@ -79,43 +73,6 @@ class LaneRow(GameRow):
     """The simulator of an evaluation, unless that is the exact one."""
 
 
-Role = Literal["reference", "lockstep", "game", "figure2"]
-
-
-class FlightRow(GameRow):
-    """The row of a path that is flown with commands over the wire (DP1, DP2)."""
-
-    role: Role
-    command: CommandName
-    clock_speed: Positive
-    timing: Timing
-    profile: ProfileName
-    seed: Seed
-    wall_s: Positive
-    sim_time_s: Positive
-    duration_s: Positive
-    """Simulated seconds from the start of the first command to the end of the last one."""
-    real_time_factor: Positive
-    error: str | None
-    """What ended the flight early, if anything did."""
-
-
-@dataclass(frozen=True)
-class FlightCase:
-    """The conditions of a flight; the role "figure2" is DP1's alone."""
-
-    role: Role
-    command: CommandName
-    clock_speed: float
-    timing: Timing
-
-    @property
-    def id(self) -> str:
-        """The case's name: role, unless that is "game", command and ClockSpeed."""
-        prefix = "" if self.role == "game" else f"{self.role}-"
-        return f"{prefix}{self.command}-k{self.clock_speed:g}"
-
-
 def subset(row: Mapping[str, object], *keys: str) -> dict[str, Plain]:
     """Return the entries of a row under these keys."""
     return {key: row[key] for key in keys}
@@ -124,30 +81,6 @@ def subset(row: Mapping[str, object], *keys: str) -> dict[str, Plain]:
 def named_seed(run_seed: int, name: str) -> np.random.SeedSequence:
     """Return the seed of a game by its name: the same in any subset of a run, and in any order."""
     return np.random.SeedSequence(run_seed, spawn_key=(zlib.crc32(name.encode()),))
-
-
-def flight_row(
-    case: FlightCase, config: FlightExperiment, client: Client, wall_s: float
-) -> tuple[dict[str, Plain], Recording]:
-    """Return the row of a flight that took `wall_s` from its first command on, and the server's recording of it."""
-    speed, recording = client.speed(), client.recording()
-    row: Plain = {
-        "role": case.role,
-        "command": case.command,
-        "clock_speed": case.clock_speed,
-        "timing": case.timing,
-        "profile": config.profile,
-        "seed": config.seed,
-        "wall_s": wall_s,
-        "sim_time_s": speed["simulated_ns"] / NS_PER_S,
-        "duration_s": round(int(recording.commands[-1, 1]) * recording.tick_ns / NS_PER_S, 9),
-        "real_time_factor": speed["real_time_factor"],
-        "lost_wall_s": speed["lost_wall_ns"] / NS_PER_S,
-        "error": speed["failure"],
-    }
-    if client.transport.stalled_ns:
-        row["stalled_wall_s"] = client.transport.stalled_ns / NS_PER_S
-    return row, recording
 
 
 def with_lane(ended: Info, number: int) -> Info:

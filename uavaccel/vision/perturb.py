@@ -6,10 +6,15 @@ project's own choice, and MuJoCo corrupts no images. Every figure that depends o
 
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
+from uavaccel.config import Config
+from uavaccel.forms import Positive
+from uavaccel.limits import Share
 from uavaccel.units import NS_PER_S
 from uavaccel.vision.guard import mean_brightness
 
@@ -56,6 +61,21 @@ def share_at(clock_speed: float, share: float, half_excess: float | None) -> flo
         return share
     excess = max(clock_speed - 1.0, 0.0)
     return share * excess / (excess + half_excess)
+
+
+class PerturbationConfig(Config):
+    """A MODEL of images that are corrupted on their way (uavaccel.vision.perturb); share 0 switches it off."""
+
+    share: Share = 0.0
+    """Share of the received images that are perturbed, those requested again included."""
+    half_excess: Positive | None = None
+    """ClockSpeed above 1 at which half of the share is reached, as a renderer has less time; without it all have it."""
+    kinds: Annotated[tuple[PerturbationKind, ...], Field(min_length=1)] = tuple(PerturbationKind)
+    """How images go wrong; each perturbed image draws one of them."""
+
+    def at(self, clock_speed: float, seed: int) -> PerturbationSettings:
+        """Return what it is at a ClockSpeed."""
+        return PerturbationSettings(share_at(clock_speed, self.share, self.half_excess), self.kinds, seed)
 
 
 def perturb_share(image: Image, settings: PerturbationSettings, index: int) -> tuple[Image, PerturbationKind | None]:

@@ -14,10 +14,10 @@ from pathlib import Path
 from typing import Annotated, Literal, Self
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
 from uavaccel.config import Config, load_yaml, validate
-from uavaccel.limits import Share
+from uavaccel.limits import Seed, Share
 from uavaccel.sim.lane.layout import (
     GROUND_TEXTURES,
     HULL_RADIUS_M,
@@ -26,6 +26,7 @@ from uavaccel.sim.lane.layout import (
     OBSTACLE_TEXTURES,
     WALL_TEXTURES,
     WIDTH_M,
+    Difficulty,
     LaneLayout,
     Scenery,
     clearance_m,
@@ -108,6 +109,21 @@ def parse_lane(lane: object) -> object:
     if isinstance(written, Mapping) and "seed" not in written:
         return validate(LaneFile, written, lane if isinstance(lane, str) else "lane")
     return written
+
+
+class DrawnLane(Config):
+    """A lane sampled from a seed."""
+
+    seed: Seed
+    """The lane's: the same seed and difficulty make the same lane."""
+    difficulty: Difficulty = Difficulty()
+    """How hard the lane is, and what the weather and the vehicle are like."""
+
+
+Lane = Annotated[
+    Seed | DrawnLane | LaneFile, BeforeValidator(parse_lane, json_schema_input_type=int | DrawnLane | LaneFile | str)
+]
+"""A lane of a configuration: its seed, alone or with a difficulty, or the obstacles, written out or in a file."""
 
 
 def layout_from(mapping: Mapping[str, object], source: str) -> LaneLayout:
