@@ -101,7 +101,7 @@ def test_killed_moved_and_interrupted_it_ends_with_the_same_bytes(
 @pytest.mark.slow
 def test_policies_fly_in_real_time_on_the_clock_and_the_profile_of_their_training(whole: RunDirectory) -> None:
     """The lanes of seed 0; with the other command, and in the exact simulator."""
-    weights = {}
+    weights: dict[str, str] = {}
     for row in whole.rows():
         exact, policy = row["case"].endswith("-exact"), row["case"].removesuffix("-exact")
         commands = [row["command"]] if exact else [row["command"], OTHER[row["command"]]]
@@ -222,7 +222,7 @@ def made(command: str, clock_speed: float, won: Sequence[Any], wall_s: float = 1
     spent_s = {"simulation": 0.75 * wall_s, "rendering": 0.25}
     spent_s |= {"image_processing": 0.001, "inference": 0.002, "learning": 0.007}
     for seed, lanes in enumerate(won):
-        flights = lanes if isinstance(lanes, Mapping) else {(command, 1.0): lanes}
+        flights: Mapping[Any, Any] = lanes if isinstance(lanes, Mapping) else {(command, 1.0): lanes}
         commands = 100 * (seed + 1)
         row: dict[str, Any] = {"suite": "rl", "variant": "", "profile": "airsim", "timing": "virtual", "seed": seed}
         row |= {"command": command, "clock_speed": clock_speed, **keys}

@@ -57,7 +57,6 @@ Flights: TypeAlias = pd.DataFrame
 KEY = ["variant", "profile", "timing", "command", "clock_speed"]
 """The conditions of a training; trainings that have them in common differ in their seed alone."""
 LEARNED = ("trained_games", "trained_successes", "weights_sha256")
-OF_DECISIONS = ("inference_s",)  # keys of a training that also apply to its evaluations
 EVALUATION_SEED = 0  # the same lanes and latencies for every policy
 OF_EXACT = "exact"  # name of an evaluation in the exact simulator
 TOGETHER = "together"  # the folder of the report of several runs, in the first one's
@@ -317,9 +316,9 @@ class Rl(Suite[RlConfig, TrainingCase]):
             shared |= {f"trained_{name}": learned.get(name) for name in ("games", "successes")}
             shared |= {name: learned.get(name) for name in ("commands", "sim_time_s", "weights_sha256", *PHASES)}
             for number, flown in enumerate(evaluations):
-                name = flight_name(flown["command"], flown["clock_speed"], evaluations[0]["clock_speed"])
-                name = OF_EXACT if exact else name
-                own = {"flight": number, "with": flown["command"], "at": flown["clock_speed"]}
+                command, clock_speed = flown["command"], flown["clock_speed"]
+                name = OF_EXACT if exact else flight_name(command, clock_speed, evaluations[0]["clock_speed"])
+                own = {"flight": number, "with": command, "at": clock_speed}
                 own |= {"success": Proportion.of(flown), "ratio": flown["successes"] / flown["games"]}
                 own["won"] = pd.Series(arrays[f"{name}_is_success"], arrays[f"{name}_lane"])
                 flights.append({**shared, **own, "distance_m": arrays[f"{name}_distance_m"]})
@@ -329,12 +328,8 @@ class Rl(Suite[RlConfig, TrainingCase]):
 
     def summary(self, report: Report) -> Summary:
         """Summarise each training, the seeds of each condition pooled, and the comparisons between conditions."""
-        config, flights = report.config, report.scores
-        real_time, trained, exact = (
-            config.evaluation_clock_speed,
-            where(flights, exact=False),
-            where(flights, exact=True),
-        )
+        config, real_time = report.config, report.config.evaluation_clock_speed
+        trained, exact = (where(report.scores, exact=each) for each in (False, True))
         own = where(trained, flight=0)
         groups, exacts = ([group for _, group in some.groupby(KEY, sort=False)] for some in (trained, exact))
         faster = [(group, clock) for group in groups if (clock := group.clock_speed.iloc[0]) != real_time]
@@ -483,7 +478,7 @@ def parts_of(config: RlConfig, case: TrainingCase, agent: str = DEFAULT) -> dict
     flown_in = {"task.timing": block.timing, "task.profile": block.profile}
     task = {f"task.{key}": value for key, value in block.task.items()}
     keys = {f"task.{key}": value for key, value in block.task.items() if key.split(".")[0] not in SENSES + FLIGHT}
-    keys |= {key: value for key, value in block.training.items() if key in OF_DECISIONS} | {"agent": agent}
+    keys |= {key: value for key, value in block.training.items() if key == "inference_s"} | {"agent": agent}
 
     def part(base: Part, command: str, clock_speed: float, keys: Mapping[str, Any]) -> Part:
         clock = {"task.command": command, "task.clock_speed": clock_speed, **flown_in}
@@ -517,10 +512,6 @@ def where(flights: Flights, **wanted: Any) -> Flights:
 def key_of(flights: Flights) -> dict[str, Any]:
     """Return the conditions that the trainings of some flights have in common."""
     return {key: flights[key].iloc[0] for key in KEY}
-
-
-def _identity(flights: Flights) -> dict[str, Any]:
-    return {**key_of(flights), "seeds": flights.seed.tolist()}
 
 
 def _success(flights: Flights) -> dict[str, Any]:
@@ -589,16 +580,18 @@ def _times(cell: Flights, own: Flights) -> dict[str, Any]:
 
 def summary_of_seeds(cell: Flights, own: Flights) -> dict[str, Any]:
     """Summarise all seeds of one training, compared with the same command at 1x and with the paper."""
-    conditions = [key_of(cell)[key] for key in ("profile", "variant", "command", "clock_speed")]
+    key = key_of(cell)
+    conditions = [key[name] for name in ("profile", "variant", "command", "clock_speed")]
     simulation, whole = paper_results.speedups(*conditions)
-    slow = _at_1x(cell, own, conditions[2])
+    slow = _at_1x(cell, own, key["command"])
     return {
-        **_identity(cell),
+        **key,
+        "seeds": cell.seed.tolist(),
         "successes_by_seed": [success.successes for success in cell.success],
         **_success(cell),
         "trained_games": cell.trained_games.sum(),
         "paper_successes": paper_results.successes(*conditions),
-        **_compare(cell, slow[slow.clock_speed != conditions[3]], *AGAINST),
+        **_compare(cell, slow[slow.clock_speed != key["clock_speed"]], *AGAINST),
         **_times(cell, own),
         "gap_s": gap_s(cell),
         "paper_training_speedup": simulation,
@@ -629,7 +622,8 @@ def interchange(group: Flights, clock_speed: float) -> Iterator[dict[str, Any]]:
     both = [where(group, **{"with": command, "at": clock_speed}) for command in commands]
     if all(map(len, both)):
         yield {
-            **_identity(both[0]),
+            **key_of(group),
+            "seeds": both[0].seed.tolist(),
             "flown_at": clock_speed,
             "flown_with": [{"command": flown["with"].iloc[0], **_success(flown)} for flown in both],
             **_compare(*both, "only_first", "only_second", "mcnemar_p", "sign_flip_p"),
@@ -648,7 +642,8 @@ def as_trained(group: Flights, trained: Flights) -> Iterator[dict[str, Any]]:
     if len(fast):
         plain_slow = plain_slow[plain_slow.seed.isin(plain_fast.seed)]
         yield {
-            **_identity(slow),
+            **key,
+            "seeds": slow.seed.tolist(),
             "real_time": _success(slow) | _compare(slow, plain_slow, *AGAINST),
             "as_trained": _success(fast) | _compare(fast, plain_fast, *AGAINST),
             **_compare(slow, fast, "sign_flip_p"),
@@ -658,8 +653,8 @@ def as_trained(group: Flights, trained: Flights) -> Iterator[dict[str, Any]]:
 def side_by_side(kernels: Flights, exact: Flights) -> dict[str, Any]:
     """Compare the same policies on the same lanes in real time in the kernels and in the exact simulator."""
     kernels = kernels[kernels.seed.isin(exact.seed)]
-    both = {"kernels": _success(kernels), "exact": _success(exact)}
-    return {**_identity(exact), **both, **_compare(kernels, exact, "lanes", "same_end", "mcnemar_p")}
+    both = {"seeds": exact.seed.tolist(), "kernels": _success(kernels), "exact": _success(exact)}
+    return {**key_of(exact), **both, **_compare(kernels, exact, "lanes", "same_end", "mcnemar_p")}
 
 
 def same_weights(own: Flights) -> Iterator[dict[str, Any]]:
