@@ -379,12 +379,13 @@ class Rl(Suite[RlConfig, TrainingCase]):
         return Table.of(report.summary["pooled"], OVERVIEW)
 
     def page(self, report: Report) -> Iterator[PageBlock | str]:
-        summary, cells = report.summary, pooled_cells(report)
+        summary, cells = report.summary, pd.DataFrame(report.summary["pooled"])
+        cells = cells.assign(panel=[panel_name(cell) for cell in summary["pooled"]])
         yield Heading("Table I: success by training")
         yield Table.of(summary["pooled"], SUCCESS)
         yield WHAT_N_TELLS
         yield success_figure(report, cells)
-        yield distances_figure(report, cells)
+        yield distances_figure(report)
         if lines := over_gaps(summary["pooled"]):
             yield Heading("Success in real time over the gap of the training")
             yield collapse(lines)
@@ -405,7 +406,7 @@ class Rl(Suite[RlConfig, TrainingCase]):
         yield Heading("Time of the training")
         took_s = {entry["case"]: entry["training_s"] for entry in report.timings if "training_s" in entry}
         machine_s = report.games.assign(machine_s=report.games["case"].map(took_s).astype(float)).groupby(KEY).machine_s
-        times = cells.sort_index().join(machine_s.sum(min_count=1), on=KEY)
+        times = cells.join(machine_s.sum(min_count=1), on=KEY)
         yield Table.of(times, TIMES)
         yield from time_saved(times)
         yield HOW_TIME_IS_MODELLED
@@ -707,15 +708,6 @@ def panel_name(cell: Mapping[str, Any]) -> str:
     return f"{command_name(cell['command'])}, {cell['profile']}{clock}{variant}"
 
 
-def pooled_cells(report: Report) -> pd.DataFrame:
-    """Return the summary's pooled cells by rising ClockSpeed, with their `panel` and the `distance_m` of all games."""
-    own = where(report.scores, exact=False, flight=0).groupby(KEY, sort=False)
-    distance_m = [np.concatenate(games.tolist()) for _, games in own.distance_m]
-    panels = [panel_name(cell) for cell in report.summary["pooled"]]
-    cells = pd.DataFrame(report.summary["pooled"]).assign(distance_m=distance_m, panel=panels)
-    return cells.sort_values("clock_speed", kind="stable")
-
-
 def _source(report: Report) -> str:
     seeds = listed(sorted(report.games.seed.unique().tolist()))
     return f"modelled · {report.summary['training_games']} training games each · seed {seeds}"
@@ -740,7 +732,7 @@ def success_figure(report: Report, cells: pd.DataFrame) -> Picture:
     others, clocks = cycle((style.GREEN, style.PURPLE, style.ORANGE, style.SKY)), sorted(cells.clock_speed.unique())
     figure = style.new_figure(8.0, 4.6, "Success by training", _source(report))
     axes, lines = figure.subplots(), []
-    for panel, own in cells.groupby("panel"):
+    for panel, own in cells.sort_values("clock_speed", kind="stable").groupby("panel"):
         first = own.iloc[0]
         usual = (first.profile, first.timing, first.variant) == ("airsim", "virtual", "")
         colour = style.COMMAND_COLOUR[first.command] if usual else next(others)
@@ -782,17 +774,19 @@ def gaps_figure(report: Report, lines: Mapping[str, pd.DataFrame]) -> Picture:
     return report.figure("success_over_gap", figure, f"{title}. {POINTS}")
 
 
-def distances_figure(report: Report, cells: pd.DataFrame) -> Picture:
+def distances_figure(report: Report) -> Picture:
     """Draw how far policies got down the lane (the paper's Figure 8), a column per panel and a line per ClockSpeed.
 
     Above is the share of games that reached each distance, below the share that ended there; rows of obstacles are
     marked.
     """
-    clocks, panels = sorted(cells.clock_speed.unique()), cells.groupby("panel")
+    flights = where(report.scores, exact=False, flight=0)
+    clocks, panels = sorted(flights.clock_speed.unique()), flights.groupby(flights.apply(panel_name, axis=1))
     figure = style.new_figure(1.5 + 5.2 * len(panels), 6.4, "Distance travelled", _source(report))
     grid = figure.subplots(2, len(panels), sharex=True, sharey="row", squeeze=False, height_ratios=[3, 2])
     for (upper, lower), (title, panel) in zip(grid.T, panels, strict=True):
-        for clock, distance_m in zip(panel.clock_speed, panel.distance_m, strict=True):
+        for clock, policies in panel.groupby("clock_speed"):
+            distance_m = np.concatenate(policies.distance_m.tolist())
             games, colour = len(distance_m), style.colour(clocks.index(clock))
             places, share = style.survival(distance_m, LENGTH_M)
             upper.step(places, share, where="post", color=colour, label=f"{clock_label(clock)}, {games} games")
@@ -818,7 +812,8 @@ def time_figure(report: Report, cells: pd.DataFrame) -> Picture:
     """
     phase_s = pd.DataFrame(cells.phase_s.tolist(), cells.index).div(cells.seeds.map(len), axis=0)
     phase_s.insert(0, "simulation (with rendering)", phase_s.pop("simulation") + phase_s.pop("rendering"))
-    unit, panels, shared = plots.time_unit(phase_s.sum(axis=1).max()), cells.groupby("panel"), []
+    panels, shared = cells.sort_values("clock_speed", kind="stable").groupby("panel"), []
+    unit = plots.time_unit(phase_s.sum(axis=1).max())
     figure = style.new_figure(2.0 + 5.0 * len(panels), 4.6, "Time of the training by phase", _source(report))
     for axes, (title, panel) in zip(figure.subplots(1, len(panels), squeeze=False)[0], panels, strict=True):
         speeds = {label: (panel[name], marker) for name, (label, marker) in SPEEDUPS.items()}
