@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 import shutil
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from functools import partial
@@ -536,27 +536,24 @@ def _compare(some: Flights, others: Flights, *wanted: str) -> dict[str, Any]:
         return dict.fromkeys(wanted)
     outcomes = [pd.concat(dict(zip(flights.seed, flights.won, strict=True))) for flights in (some, others)]
     first, second = pd.concat(outcomes, axis=1, join="inner").to_numpy(bool).T
-    paired, pooled = (
-        mcnemar_exact(first, second),
-        [Proportion.pooled(flights.success.tolist()) for flights in (some, others)],
-    )
-    within = some.set_index("seed").ratio - others.set_index("seed").ratio
-    found = {
-        "permutation_p": permutation_p(some.ratio, others.ratio),
-        "sign_flip_p": sign_flip_p(within.dropna()),
-        "fisher_p": fisher_exact_p(*((success.successes, success.games) for success in pooled)),
-        "mcnemar_p": paired.p_value if len(first) else None,
-        "only_first": paired.only_first,
-        "only_second": paired.only_second,
-        "lanes": len(first),
-        "same_end": int((first == second).sum()),
+    pairs = mcnemar_exact(first, second)
+    won = [Proportion.pooled(flights.success.tolist()) for flights in (some, others)]
+    tests: dict[str, Callable[[], float | None]] = {
+        "permutation_p": lambda: permutation_p(some.ratio, others.ratio),
+        "sign_flip_p": lambda: sign_flip_p((some.set_index("seed").ratio - others.set_index("seed").ratio).dropna()),
+        "fisher_p": lambda: fisher_exact_p(*((success.successes, success.games) for success in won)),
+        "mcnemar_p": lambda: pairs.p_value if len(first) else None,
+        "only_first": lambda: pairs.only_first,
+        "only_second": lambda: pairs.only_second,
+        "lanes": lambda: len(first),
+        "same_end": lambda: int((first == second).sum()),
     }
-    return {name: found[name] for name in wanted}
+    return {name: tests[name]() for name in wanted}
 
 
 def _at_1x(cell: Flights, own: Flights, command: str) -> Flights:
     """Return the trainings with that command at 1x; none in lockstep, or where they were not run."""
-    return where(own, **key_of(cell) | {"command": command, "clock_speed": 1.0}).query("timing == 'virtual'")
+    return where(where(own, **key_of(cell) | {"command": command, "clock_speed": 1.0}), timing="virtual")
 
 
 def _times(cell: Flights, own: Flights) -> dict[str, Any]:
