@@ -54,10 +54,6 @@ def lockstep(trainings_here: None, tmp_path_factory: pytest.TempPathFactory) -> 
     return RunDirectory(out)
 
 
-def weights_of(run: RunDirectory) -> str:
-    return str(run.read_json("summary.json")["weights_sha256"])
-
-
 # --- equal weights ----------------------------------------------------------------------------------------------
 
 
@@ -66,16 +62,12 @@ def test_tcsc_learns_the_same_weights_at_any_clock_speed_and_with_another_seed_o
     tmp_path: Path, lockstep: RunDirectory
 ) -> None:
     task = {"timing": "virtual", "clock_speed": 100.0}
-    fast, other = (
-        train_into(tmp_path / name, tiny_config(*keys, seed=seed))["weights_sha256"]
-        for name, keys, seed in (("fast", (task,), 0), ("other", (), 1))
-    )
-    assert fast == weights_of(lockstep) != other
-    keys = ("lane", "distance_m", "commands")
-    flown, again, others = (
-        [tuple(row[key] for key in keys) for row in RunDirectory(path).rows()]
-        for path in (lockstep.path, tmp_path / "fast", tmp_path / "other")
-    )
+    train_into(tmp_path / "fast", tiny_config(task))
+    train_into(tmp_path / "other", tiny_config(seed=1))
+    runs = [lockstep, *(RunDirectory(tmp_path / name) for name in ("fast", "other"))]
+    slow, fast, other = (run.read_json("summary.json")["weights_sha256"] for run in runs)
+    assert slow == fast != other
+    flown, again, others = ([(row["lane"], row["distance_m"], row["commands"]) for row in run.rows()] for run in runs)
     assert flown == again
     assert not {lane for lane, *_ in flown} & {lane for lane, *_ in others}
 
@@ -94,14 +86,16 @@ def test_a_training_that_was_killed_ends_with_the_weights_of_one_that_was_not(tm
     config = tiny_config({"timing": "virtual"}, games=6)
     kill_at_row(tmp_path / "killed", config, 5)
     assert len(RunDirectory(tmp_path / "killed").rows()) == 5
-    checkpoint = find_checkpoint(tmp_path / "killed" / CHECKPOINTS)
+    assert checkpointed(tmp_path / "killed") == 4
+    assert train_into(tmp_path / "killed", config, resume=True) == train_into(tmp_path / "whole", config)
+    assert (tmp_path / "killed/rows.jsonl").read_bytes() == (tmp_path / "whole/rows.jsonl").read_bytes()
+
+
+def checkpointed(run: Path) -> int:
+    """The games after which the last checkpoint of a run was taken."""
+    checkpoint = find_checkpoint(run / CHECKPOINTS)
     assert checkpoint is not None
-    assert checkpoint.name == "0000004"
-    resumed = train_into(tmp_path / "killed", config, resume=True)
-    whole = train_into(tmp_path / "whole", config)
-    assert resumed == whole
-    rows = [(tmp_path / name / "rows.jsonl").read_bytes() for name in ("killed", "whole")]
-    assert rows[0] == rows[1]
+    return int(checkpoint.name)
 
 
 def test_a_training_that_a_batch_system_ends_takes_a_checkpoint_and_says_how_to_go_on(tmp_path: Path) -> None:
@@ -116,9 +110,7 @@ def test_a_training_that_a_batch_system_ends_takes_a_checkpoint_and_says_how_to_
         said = program.communicate()[1]
     assert program.returncode == 130, said
     assert said.startswith("uavaccel: interrupted; go on with: uavaccel run --out"), said
-    kept = find_checkpoint(tmp_path / "run" / CHECKPOINTS)
-    assert kept is not None
-    assert int(kept.name) == len(rows.read_text().splitlines())
+    assert checkpointed(tmp_path / "run") == len(rows.read_text().splitlines())
 
 
 def test_a_second_interruption_does_not_wait_for_the_checkpoint() -> None:
@@ -147,22 +139,16 @@ def test_a_training_names_the_weights_that_it_starts_from() -> None:
     }
 
 
-def test_a_training_that_is_over_stays_as_it_is(tmp_path: Path) -> None:
-    config = tiny_config(STATE, mirror=False)
-    first = train_into(tmp_path / "run", config)
-    assert train_into(tmp_path / "run", config, resume=True)["games"] == first["games"]
+def test_a_training_that_is_over_goes_on_for_more_games_after_its_last_checkpoint(tmp_path: Path) -> None:
+    run, short = tmp_path / "run", tiny_config(STATE, mirror=False)
+    over = train_into(run, short)
+    assert train_into(run, short, resume=True) == over
     with pytest.raises(UserError, match="has another configuration: games"):
-        train_into(tmp_path / "run", tiny_config(STATE, mirror=False, games=3), resume=True)
-
-
-def test_more_games_are_learned_from_after_the_last_checkpoint(tmp_path: Path) -> None:
-    short, long = (tiny_config(STATE, mirror=False, games=games) for games in (4, 7))
-    train_into(tmp_path / "run", short)
-    before = (tmp_path / "run" / "rows.jsonl").read_bytes().splitlines()
-    kept = int(find_checkpoint(tmp_path / "run" / CHECKPOINTS).name)  # type: ignore[union-attr]
-    assert train_into(tmp_path / "run", long, resume=True)["games"] == 7
-    assert (tmp_path / "run" / "rows.jsonl").read_bytes().splitlines()[:kept] == before[:kept]
-    assert RunDirectory(tmp_path / "run").config()["games"] == 7
+        train_into(run, tiny_config(STATE, mirror=False, games=3), resume=True)
+    before, kept = (run / "rows.jsonl").read_bytes().splitlines(), checkpointed(run)
+    assert train_into(run, tiny_config(STATE, mirror=False, games=7), resume=True)["games"] == 7
+    assert (run / "rows.jsonl").read_bytes().splitlines()[:kept] == before[:kept]
+    assert RunDirectory(run).config()["games"] == 7
     unsaved = tiny_config(STATE, mirror=False, games=2, checkpoint_games=9)
     train_into(tmp_path / "unsaved", unsaved)
     with pytest.raises(UserError, match=r"games \(2 there, 4 here\)"):
@@ -183,22 +169,21 @@ def test_a_checkpoint_without_its_last_file_does_not_count(tmp_path: Path) -> No
 def test_evaluations_leave_the_training_as_it_is_and_are_those_of_evaluate(tmp_path: Path) -> None:
     config, without = (tiny_config(STATE, mirror=False, **keys) for keys in (EVALUATED, {}))
     summary = train_into(tmp_path / "evaluated", config)
-    evaluated, run = summary["evaluations"], RunDirectory(tmp_path / "evaluated")
-    plain = start_run(Training(), without, tmp_path / "plain", {})
+    run, plain = RunDirectory(tmp_path / "evaluated"), start_run(Training(), without, tmp_path / "plain", {})
     run_suite(Training(), without, plain)
     assert trained_with(plain.path) == trained_with(run.path)
     assert (plain.path / "rows.jsonl").read_bytes() == (run.path / "rows.jsonl").read_bytes()
-    lines = evaluations(run)
-    assert [line["games"] for line in lines] == [each["games"] for each in evaluated] == [3, 4]
-    assert lines[-1]["weights_sha256"] == summary["weights_sha256"] != lines[0]["weights_sha256"]
+    first, last = evaluations(run)
+    assert [first["games"], last["games"]] == [each["games"] for each in summary["evaluations"]] == [3, 4]
+    assert last["weights_sha256"] == summary["weights_sha256"] != first["weights_sha256"]
     flown = evaluation_of(config, run.path)  # whose policy is that of the last evaluation
-    environment = ObstacleLane(**flown.task.model_dump(mode="json"))
-    agent = make_agent(flown.agent, flown.task)
-    rows = [fly_game(flown, environment, agent, lane) for lane in lines[-1]["lanes"]]
+    environment, agent = ObstacleLane(**flown.task.model_dump(mode="json")), make_agent(flown.agent, flown.task)
+    rows = [fly_game(flown, environment, agent, lane) for lane in last["lanes"]]
     environment.close()
-    for key in ("is_success", "distance_m"):
-        assert lines[-1][key] == [row[key] for row in rows]
-    assert min(lines[-1]["lanes"]) >= 500_000
+    assert (last["is_success"], last["distance_m"]) == tuple(
+        [row[key] for row in rows] for key in ("is_success", "distance_m")
+    )
+    assert min(last["lanes"]) >= 500_000
     with pytest.raises(UserError, match="evaluate_every_games must be 0 with timing wall"):
         tiny_config({**STATE, "timing": "wall"}, mirror=False, **EVALUATED)
 
@@ -269,59 +254,50 @@ def test_evaluations_after_the_last_checkpoint_are_flown_again_to_the_same_lines
     with pytest.raises(RuntimeError, match="stopped"):
         run_suite(Training(), config, cut, on_game=stop_after(6))
     assert [line["games"] for line in evaluations(cut)] == [3, 6]
-    cut_short = (tmp_path / "cut" / EVALUATIONS).read_bytes()
-    (tmp_path / "cut" / EVALUATIONS).write_bytes(cut_short[:-9])  # died while it wrote
+    (cut.path / EVALUATIONS).write_bytes((cut.path / EVALUATIONS).read_bytes()[:-9])  # died while it wrote
     Training().prepare(config, cut)
     assert [line["games"] for line in evaluations(cut)] == [3]  # what the checkpoint of 3 games knows
     run_suite(Training(), config, cut)
     assert [line["games"] for line in evaluations(cut)] == [3, 6, 7]
     assert whole.timings()[-1]["wall_s"] < 3600
     for file in (EVALUATIONS, "rows.jsonl", "policies/0000006/policy.json"):
-        assert (tmp_path / "cut" / file).read_bytes() == (tmp_path / "whole" / file).read_bytes()
+        assert (cut.path / file).read_bytes() == (whole.path / file).read_bytes()
 
 
-def test_processes_learn_what_one_would(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_processes_learn_what_one_would_and_come_down_for_a_checkpoint(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two of them, and two that fly in turns, stopped and resumed."""
     config = tiny_config(STATE, mirror=False, environments=2)
     one = train_into(tmp_path / "one", config)
+    assert {row["environment"] for row in RunDirectory(tmp_path / "one").rows()} == {0, 1}
     monkeypatch.setattr(trainer, "make_lanes", make_lanes)
     assert train_into(tmp_path / "processes", config) == one
-    assert {row["environment"] for row in RunDirectory(tmp_path / "one").rows()} == {0, 1}
-
-
-def test_lanes_in_turns_come_down_for_a_checkpoint_and_go_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(trainer, "make_lanes", make_lanes)
-    config = tiny_config(STATE, mirror=False, environments=2, turns=2, games=8, checkpoint_games=3)
-
+    turns = tiny_config(STATE, mirror=False, environments=2, turns=2, games=8, checkpoint_games=3)
     with pytest.raises(RuntimeError, match="stopped"):
-        run_suite(Training(), config, start_run(Training(), config, tmp_path / "cut", {}), on_game=stop_after(7))
-    resumed = train_into(tmp_path / "cut", config, resume=True)
-    assert resumed == train_into(tmp_path / "whole", config)
+        run_suite(Training(), turns, start_run(Training(), turns, tmp_path / "cut", {}), on_game=stop_after(7))
+    assert train_into(tmp_path / "cut", turns, resume=True) == train_into(tmp_path / "whole", turns)
 
 
 # --- schedules and records --------------------------------------------------------------------------------------
 
 
 @needs_opengl
-def test_exploration_falls_with_games_however_long_they_are(tmp_path: Path, lockstep: RunDirectory) -> None:
+def test_a_training_leaves_rows_times_summary_and_curves(tmp_path: Path, lockstep: RunDirectory) -> None:
+    """Exploration falls with games, however long they are: from 1 to 0.01 over the first 0.3, as before each's end."""
     train_into(tmp_path / "run", tiny_config({"max_commands": 6}, games=4))
     for run in (lockstep, RunDirectory(tmp_path / "run")):
-        # From 1 to 0.01 over the first 0.3 of four games, as it was before each game's end.
-        expected = [1.0, 1.0 - 0.99 * 0.25 / 0.3, 0.01, 0.01]
-        assert [row["exploration"] for row in run.rows()] == pytest.approx(expected)
-
-
-@needs_opengl
-def test_a_training_leaves_rows_times_summary_and_curves(lockstep: RunDirectory) -> None:
-    rows, summary = lockstep.rows(), lockstep.read_json("summary.json")
+        explored = [row["exploration"] for row in run.rows()]
+        assert explored == pytest.approx([1.0, 1.0 - 0.99 * 0.25 / 0.3, 0.01, 0.01])
+    rows, times, summary = lockstep.rows(), lockstep.timings(), lockstep.read_json("summary.json")
     assert [row["game"] for row in rows] == [0, 1, 2, 3]
     assert summary["commands"] == sum(row["commands"] for row in rows) == summary["sim_time_s"]
     cut_short = len(rows)  # commands, at most: the last of each game
     assert summary["commands"] - cut_short <= summary["phase_s"]["simulation"] <= summary["commands"]
-    times = lockstep.timings()
-    assert len(times) == 4
-    assert all(times[-1]["learner_s"][phase] > 0 for phase in ("inference", "learning"))
-    assert all(times[-1]["host_phase_s"][phase] > 0 for phase in ("simulation", "rendering", "image_processing"))
-    assert list((lockstep.path / "tensorboard").iterdir())
+    spent_s = times[-1]["learner_s"], times[-1]["host_phase_s"]
+    kinds = ("inference", "learning"), ("simulation", "rendering", "image_processing")
+    assert all(spent[phase] > 0 for spent, phases in zip(spent_s, kinds, strict=True) for phase in phases)
+    assert len(times) == len([*(lockstep.path / "tensorboard").iterdir()]) + 3
 
 
 def test_virtual_charges_each_gradient_step_to_the_games(tmp_path: Path) -> None:

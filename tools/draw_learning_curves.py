@@ -2,7 +2,7 @@
 
     python tools/draw_learning_curves.py docs/figures/learning_curves.png "one H200=runs/a" "two cores=runs/b"
 
-Runs of one name share a colour.
+Runs of one name are one line, their mean, in the band of their range.
 """
 
 import argparse

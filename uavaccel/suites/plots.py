@@ -120,13 +120,25 @@ def time_unit(longest_s: float) -> str:
     return next((unit for unit, unit_s in UNITS_S.items() if longest_s >= unit_s), "seconds")
 
 
-def stacked(axes: Axes, phase_s: pd.DataFrame, unit: str) -> None:
-    """Draw a bar at 0, 1, ... for each line of a table, its columns, in seconds, stacked and drawn in a unit."""
-    below = np.zeros(len(phase_s))
+def phases(axes: Axes, phase_s: pd.DataFrame, unit: str, speeds: Mapping[str, tuple[pd.Series, str]]) -> Axes:
+    """Draw a bar for each line of a table, its columns, in seconds, stacked, and speeds as points on axes of their own.
+
+    `unit` is that of the bars; `speeds` have values, where they are known, and a marker by label. Returns their axes.
+    """
+    below, places = np.zeros(len(phase_s)), range(len(phase_s))
     for phase, colour in zip(phase_s, style.CYCLE, strict=False):
         spent = phase_s[phase].to_numpy() / UNITS_S[unit]
-        axes.bar(range(len(phase_s)), spent, 0.55, below, color=colour, label=str(phase).replace("_", " "))
+        axes.bar(places, spent, 0.55, below, color=colour, label=str(phase).replace("_", " "))
         below += spent
+    axes.set_xticks(places, [str(label) for label in phase_s.index])
+    axes.set_xlim(-0.6, len(phase_s) - 0.4)
+    speed = axes.twinx()
+    for label, (values, marker) in speeds.items():
+        if values.notna().any():
+            speed.plot(places, values.astype(float), marker, color=style.BLACK, label=label, markersize=6)
+    speed.set_ylim(bottom=0.0)
+    speed.grid(visible=False)
+    return speed
 
 
 def span(values: Iterable[Any], form: Form = "{:.2f}") -> str:

@@ -5,15 +5,16 @@ Each case trains a policy and evaluates it, in runs of other suites below parts/
 
 from __future__ import annotations
 
+import re
 import shutil
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import product
+from itertools import cycle, product
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, NotRequired, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NotRequired, TypeAlias
 
 import numpy as np
 import pandas as pd
@@ -21,9 +22,10 @@ from pydantic import Field, model_validator
 from typing_extensions import TypedDict
 
 from uavaccel.config import Config
-from uavaccel.draw.labels import clock_label
+from uavaccel.draw import style
+from uavaccel.draw.labels import clock_label, command_name, in_words
 from uavaccel.draw.page import Block as PageBlock
-from uavaccel.draw.page import Column, Heading, Table, listed
+from uavaccel.draw.page import Column, Heading, Picture, Table, listed
 from uavaccel.envs.simulators import EXACT
 from uavaccel.envs.stopwatch import PHASES
 from uavaccel.errors import UserError
@@ -34,27 +36,36 @@ from uavaccel.metrics.intervals import Proportion, fisher_exact_p, mcnemar_exact
 from uavaccel.metrics.seeds import permutation_p, sign_flip_p
 from uavaccel.records import RunDirectory
 from uavaccel.rl.agents import DEFAULT, FLIGHT, SENSES
-from uavaccel.suites import paper_results, rl_figures
+from uavaccel.sim.lane.layout import LENGTH_M, Difficulty, sample_layout
+from uavaccel.suites import paper_results, plots
 from uavaccel.suites.experiment import ClockSpeeds, CommandName, CommandNames, Experiment, ProfileName, Timing
 from uavaccel.suites.gpu import on_own_gpu
 from uavaccel.suites.host_time import cumulative_wall_s, timed
-from uavaccel.suites.parts import OUTCOMES, Part, fly_part, outcomes, part_folder, part_run, part_suite
+from uavaccel.suites.parts import OUTCOMES, Part, fly_part, outcomes, part_folder, part_suite
 from uavaccel.suites.report import Report, Summary, table_of
-from uavaccel.suites.rl_figures import KEY, collapse, over_gaps, panel_name
-from uavaccel.suites.rows import GameRow, Phases, Row
+from uavaccel.suites.rows import GameRow, Phases, Row, subset
 from uavaccel.suites.suite import AnySuite, GameResult, SimpleCase, Suite
 from uavaccel.suites.train import CHECKPOINTS
 
+if TYPE_CHECKING:  # it loads what draws
+    from matplotlib.axes import Axes
+
 SimulatedTiming = Literal["virtual", "lockstep"]
-Flown: TypeAlias = pd.DataFrame
+Flights: TypeAlias = pd.DataFrame
 """Flights of policies, a row each, as `Rl.score` returns them."""
 
-OF_DECISIONS = ("inference_s",)  # keys of a training that also apply to its evaluations
+KEY = ["variant", "profile", "timing", "command", "clock_speed"]
+"""The conditions of a training; trainings that have them in common differ in their seed alone."""
+LEARNED = ("trained_games", "trained_successes", "weights_sha256")
 EVALUATION_SEED = 0  # the same lanes and latencies for every policy
 OF_EXACT = "exact"  # name of an evaluation in the exact simulator
 TOGETHER = "together"  # the folder of the report of several runs, in the first one's
 MAY_DIFFER = {"cells", "command", "clock_speed", "profile", "timing", "seed", "seeds"}  # between these
-LEARNED = ("trained_games", "trained_successes", "weights_sha256")
+THINKING = re.compile(r"_?think_\d+ms$")  # suffix of variants that differ in the duration of a decision alone
+LEAST = 3  # gaps that a run needs for a figure of them, and cells for a line in it
+AGAINST = ("permutation_p", "fisher_p", "mcnemar_p")  # tests against other trainings
+COLLAPSED = 0.5  # share of the best success on the lane
+BIN_M = 2.0  # of the histogram of where games ended
 
 
 class Block(Config):
@@ -116,7 +127,7 @@ class RlConfig(Experiment):
             known = sorted({value for block in self.cells for value in getattr(block, name)})
             if unknown := [value for value in getattr(self, name) if value not in known]:
                 raise ValueError(f"{name} = {unknown[0]} is in no cell; there are {listed(known)}")
-        if not any(self.selected(block) for block in self.cells):
+        if not self.selected():
             raise ValueError("command, clock_speed, profile and timing together select no cell")
         names = Counter(
             (block.variant, f"{block.profile} {block.timing} {command} at {clock_speed:g}x")
@@ -128,13 +139,15 @@ class RlConfig(Experiment):
             raise ValueError(f"cells has {name} twice; give one a `variant`")
         return self
 
-    def selected(self, block: Block) -> list[tuple[float, CommandName]]:
-        """Return ClockSpeed and command of each cell of a block that a run selects."""
-        if block.profile != (self.profile or block.profile) or block.timing != (self.timing or block.timing):
-            return []
-        clocks, commands = self.clock_speed or block.clock_speed, self.command or block.command
-        cells = product(block.clock_speed, block.command)
-        return [(clock, command) for clock, command in cells if clock in clocks and command in commands]
+    def selected(self) -> list[tuple[Block, float, CommandName]]:
+        """Return block, ClockSpeed and command of each cell that a run selects, block by block, slow clocks first."""
+        return [
+            (block, clock_speed, command)
+            for block in self.cells
+            if block.profile == (self.profile or block.profile) and block.timing == (self.timing or block.timing)
+            for clock_speed, command in product(block.clock_speed, block.command)
+            if clock_speed in (self.clock_speed or block.clock_speed) and command in (self.command or block.command)
+        ]
 
 
 class TrainingResult(TypedDict):
@@ -186,11 +199,6 @@ class TrainingCase(SimpleCase):
     exact: bool
     games: int = 0
 
-    @property
-    def trained(self) -> str:
-        """The name of the policy: the folder of its parts."""
-        return self.id.removesuffix(f"-{OF_EXACT}")
-
 
 class Rl(Suite[RlConfig, TrainingCase]):
     """`uavaccel run rl`."""
@@ -223,17 +231,17 @@ class Rl(Suite[RlConfig, TrainingCase]):
         """
         sizes: dict[tuple[object, ...], tuple[int, float]] = {}  # of trainings that differ in their seed alone
         for exact, seeds in ((False, config.seeds), (True, min(config.exact_seeds, config.seeds))):
-            for seed, block in product(range(config.seed, config.seed + seeds), config.cells):
-                for clock_speed, command in config.selected(block):
-                    kind = block.variant, block.profile, block.timing, command, f"{clock_speed:g}x"
-                    name = "-".join(filter(None, (*kind, f"seed{seed}", OF_EXACT if exact else "")))
-                    case = TrainingCase(name, "virtual", 0.0, block, clock_speed, command, seed, exact)
-                    if (exact, *kind) not in sizes:
-                        parts = _configured(config, case)
-                        games_s = [game.simulated_s() for suite, part in parts for game in suite.cases(part)]
-                        sizes[exact, *kind] = len(games_s), sum(games_s)
-                    games, typical_s = sizes[exact, *kind]
-                    yield replace(case, games=games, typical_s=typical_s)
+            for seed, cell in product(range(config.seed, config.seed + seeds), config.selected()):
+                block, clock_speed, command = cell
+                kind = block.variant, block.profile, block.timing, command, f"{clock_speed:g}x"
+                name = "-".join(filter(None, (*kind, f"seed{seed}", OF_EXACT if exact else "")))
+                case = TrainingCase(name, "virtual", 0.0, *cell, seed, exact)
+                if (exact, *kind) not in sizes:
+                    parts = _configured(config, case)
+                    games_s = [game.simulated_s() for suite, part in parts for game in suite.cases(part)]
+                    sizes[exact, *kind] = len(games_s), sum(games_s)
+                games, typical_s = sizes[exact, *kind]
+                yield replace(case, games=games, typical_s=typical_s)
 
     def games(self, config: RlConfig, case: TrainingCase) -> int:
         return case.games
@@ -270,24 +278,22 @@ class Rl(Suite[RlConfig, TrainingCase]):
         row: dict[str, Any] = {name: getattr(case.block, name) for name in ("variant", "profile", "timing")}
         row |= {name: getattr(case, name) for name in ("command", "clock_speed", "seed")} | {"evaluations": []}
         arrays: dict[str, np.ndarray] = {}
-        host = {"evaluations_s": 0.0}
-        agent = str(part_folder(opened, f"{case.trained}/training").resolve())
+        host, policy = {"evaluations_s": 0.0}, case.id.removesuffix(f"-{OF_EXACT}")
+        agent = str(part_folder(opened, f"{policy}/training").resolve())
         for name, (part, seed) in parts_of(config, case, agent).items():
-            folder = part_folder(opened, place := f"{case.trained}/{name}")
+            folder = part_folder(opened, place := f"{policy}/{name}")
             begun = name != "training" and (folder / "config.yaml").is_file()
             if begun and RunDirectory(folder).config().get("agent") != agent:
                 shutil.rmtree(folder)  # begun before the run was moved, it names its policy by another path
             report, took = timed(partial(fly_part, opened, place, part, seed, pages=False))
-            summary, flown = report.summary, part_run(opened, place)
             if name == "training":
-                # gigabytes that are of no use once the training is over
-                shutil.rmtree(folder / CHECKPOINTS, ignore_errors=True)
-                row["training"] = {key: summary[key] for key in TrainingResult.__annotations__}
-                host["training_s"] = (cumulative_wall_s(flown.timings()) or [0.0])[-1]
+                shutil.rmtree(folder / CHECKPOINTS, ignore_errors=True)  # gigabytes, of no use once it is over
+                row["training"] = {key: report.summary[key] for key in TrainingResult.__annotations__}
+                host["training_s"] = (cumulative_wall_s(report.timings) or [0.0])[-1]
             else:
-                row["evaluations"].append({key: summary[key] for key in EvaluationResult.__annotations__})
+                row["evaluations"].append({key: report.summary[key] for key in EvaluationResult.__annotations__})
                 flight = name.removeprefix("evaluation-")
-                arrays |= {f"{flight}_{key}": values for key, values in outcomes(flown).items()}
+                arrays |= {f"{flight}_{key}": values for key, values in outcomes(report.run).items()}
                 host["evaluations_s"] += took["host_wall_s"]
         return GameResult(row, arrays, host)
 
@@ -295,7 +301,7 @@ class Rl(Suite[RlConfig, TrainingCase]):
         flown = rows[-1]["evaluations"][0]
         return f"{rows[-1]['case']} won {flown['successes']} of {flown['games']}"
 
-    def score(self, report: Report) -> Flown:
+    def score(self, report: Report) -> Flights:
         """Return a row for each flight of a policy, the one in real time with its own command, flight 0, first.
 
         It has the conditions of the training, `with` and `at`, command and ClockSpeed of the flight, `success`, a
@@ -304,31 +310,29 @@ class Rl(Suite[RlConfig, TrainingCase]):
         """
         flights = []
         for game in report.games.to_dict("records"):
-            arrays, trained, evaluations = report.arrays(game), game.get("training"), game["evaluations"]
-            shared = {key: game[key] for key in (*KEY, "seed")} | {"exact": trained is None}
-            learned = {} if trained is None else {**trained, **trained["phase_s"]}
+            arrays, exact, evaluations = report.arrays(game), game.get("training") is None, game["evaluations"]
+            learned = {} if exact else {**game["training"], **game["training"]["phase_s"]}
+            shared = {key: game[key] for key in (*KEY, "seed")} | {"exact": exact}
             shared |= {f"trained_{name}": learned.get(name) for name in ("games", "successes")}
             shared |= {name: learned.get(name) for name in ("commands", "sim_time_s", "weights_sha256", *PHASES)}
             for number, flown in enumerate(evaluations):
-                flight = flight_name(flown["command"], flown["clock_speed"], evaluations[0]["clock_speed"])
-                lane, won, distance_m = (
-                    arrays[f"{OF_EXACT if trained is None else flight}_{name}"] for name in OUTCOMES
-                )
-                own = {"flight": number, "with": flown["command"], "at": flown["clock_speed"]}
+                command, clock_speed = flown["command"], flown["clock_speed"]
+                name = OF_EXACT if exact else flight_name(command, clock_speed, evaluations[0]["clock_speed"])
+                own = {"flight": number, "with": command, "at": clock_speed}
                 own |= {"success": Proportion.of(flown), "ratio": flown["successes"] / flown["games"]}
-                flights.append(shared | own | {"won": pd.Series(won, lane), "distance_m": distance_m})
+                own["won"] = pd.Series(arrays[f"{name}_is_success"], arrays[f"{name}_lane"])
+                flights.append({**shared, **own, "distance_m": arrays[f"{name}_distance_m"]})
         table = table_of(flights)
         simulation_s, wall_s = (table[list(phases)].sum(axis=1) for phases in (PHASES[:2], PHASES))
         return table.assign(simulation_s=simulation_s, wall_s=wall_s)
 
     def summary(self, report: Report) -> Summary:
         """Summarise each training, the seeds of each condition pooled, and the comparisons between conditions."""
-        config, flights = report.config, report.scores
-        trained, real_time = where(flights, exact=False), config.evaluation_clock_speed
+        config, real_time = report.config, report.config.evaluation_clock_speed
+        trained, exact = (where(report.scores, exact=each) for each in (False, True))
         own = where(trained, flight=0)
-        groups = [group for _, group in trained.groupby(KEY, sort=False)]
-        faster = [group for group in groups if group.clock_speed.iloc[0] != real_time]
-        exact = [group for _, group in where(flights, exact=True).groupby(KEY, sort=False)]
+        groups, exacts = ([group for _, group in some.groupby(KEY, sort=False)] for some in (trained, exact))
+        faster = [(group, clock) for group in groups if (clock := group.clock_speed.iloc[0]) != real_time]
         return {
             "suite": "rl",
             "seed": config.seed,
@@ -336,20 +340,18 @@ class Rl(Suite[RlConfig, TrainingCase]):
             "evaluation_clock_speed": real_time,
             "cells": [
                 {
-                    **{key: training[key] for key in (*KEY, "seed", *LEARNED)},
-                    **training.success.as_summary(),
-                    "distance_m_median": float(np.median(training.distance_m)),
+                    **subset(training, *KEY, "seed", *LEARNED),
+                    **training["success"].as_summary(),
+                    "distance_m_median": float(np.median(training["distance_m"])),
                     **_times(own.loc[[number]], own),
                 }
                 for number, training in own.iterrows()
             ],
             "pooled": [summary_of_seeds(where(group, flight=0), own) for group in groups],
             "interchange": [test for group in groups for test in interchange(group, real_time)],
-            "interchange_as_trained": [
-                test for group in faster for test in interchange(group, group.clock_speed.iloc[0])
-            ],
-            "as_trained": [test for group in faster for test in as_trained(group, trained)],
-            "exact": [side_by_side(where(own, **key_of(group)), group) for group in exact],
+            "interchange_as_trained": [test for group, clock in faster for test in interchange(group, clock)],
+            "as_trained": [test for group, _ in faster for test in as_trained(group, trained)],
+            "exact": [side_by_side(where(own, **key_of(group)), group) for group in exacts],
             "same_weights": list(same_weights(own)),
         }
 
@@ -361,67 +363,62 @@ class Rl(Suite[RlConfig, TrainingCase]):
 
         Where all trainings are variants it is the gap from which on success collapses.
         """
-        cells, trained, pooled = (report.summary[key] for key in ("cells", "training_games", "pooled"))
+        cells, games, pooled = (report.summary[key] for key in ("cells", "training_games", "pooled"))
         plain: dict[str, list[str]] = {}
         for cell in sorted(pooled, key=lambda cell: cell["clock_speed"]):
             if not cell["variant"]:
                 success = f"{cell['success_ratio']:.1%} after training at {clock_label(cell['clock_speed'])}"
                 plain.setdefault(panel_name(cell), []).append(success)
         said = [f"{name}: {', '.join(dict.fromkeys((found[0], found[-1])))}" for name, found in plain.items()]
-        if not said and (lines := over_gaps(pooled)):
-            said = [collapse(lines).rstrip(".")]
-        lanes = f"{listed(sorted({cell['games'] for cell in cells}))} lanes"
-        clock = clock_label(report.summary["evaluation_clock_speed"])
-        said.append(f"{len(cells)} trainings of {trained} games, each policy flown on {lanes} at {clock}")
-        return "; ".join([*said, "all times are modelled but those of this machine"])
+        said = said or [collapse(over_gaps(pooled)).rstrip(".")]
+        lanes, clock = listed(sorted({cell["games"] for cell in cells})), report.summary["evaluation_clock_speed"]
+        flown = f"{len(cells)} trainings of {games} games, each policy flown on {lanes} lanes at {clock_label(clock)}"
+        return "; ".join([*filter(None, said), flown, "all times are modelled but those of this machine"])
 
     def overview(self, report: Report) -> Table:
-        return Table.of(map(named, report.summary["pooled"]), OVERVIEW)
+        return Table.of(report.summary["pooled"], OVERVIEW)
 
     def page(self, report: Report) -> Iterator[PageBlock | str]:
-        summary, cells = report.summary, rl_figures.pooled_cells(report)
-        pooled = [named(cell) for cell in summary["pooled"]]
+        summary, cells = report.summary, pd.DataFrame(report.summary["pooled"])
+        cells = cells.assign(panel=[panel_name(cell) for cell in summary["pooled"]])
         yield Heading("Table I: success by training")
-        yield Table.of(pooled, SUCCESS)
+        yield Table.of(summary["pooled"], SUCCESS)
         yield WHAT_N_TELLS
-        yield rl_figures.success_figure(report, cells)
-        yield rl_figures.distances_figure(report, cells)
+        yield success_figure(report, cells)
+        yield distances_figure(report)
         if lines := over_gaps(summary["pooled"]):
             yield Heading("Success in real time over the gap of the training")
             yield collapse(lines)
-            yield rl_figures.gaps_figure(report, lines)
-            yield Table.of([named(cell) for line in lines.values() for cell in line.to_dict("records")], GAPS)
+            yield gaps_figure(report, lines)
+            yield Table.of(pd.concat(lines.values()), GAPS)
             yield WHAT_A_GAP_IS
         if interchanged := [*summary["interchange"], *summary["interchange_as_trained"]]:
             yield Heading("Commands interchanged")
-            flown = [
-                {**test, **flight, "with": flight["command"], "command": test["command"], "alone": test[alone]}
-                for test in interchanged
-                for flight, alone in zip(test["flown_with"], ("only_first", "only_second"), strict=True)
-            ]
-            yield Table.of(map(named, flown), INTERCHANGED)
+            yield Table.of(interchanged, INTERCHANGED)
         if tests := summary["as_trained"]:
             yield Heading("Flown at the ClockSpeed of the training")
-            yield Table.of(map(named, tests), AS_TRAINED)
+            yield Table.of(tests, AS_TRAINED)
         if exact := summary["exact"]:
             yield Heading("The same policies in the exact simulator")
             lanes, same = (sum(policy[name] for policy in exact) for name in ("lanes", "same_end"))
             yield f"Of {lanes} flights of a policy over a lane in real time {same} end alike in both, won or lost."
-            yield Table.of(map(named, exact), EXACT_TOO)
+            yield Table.of(exact, EXACT_TOO)
         yield Heading("Time of the training")
-        times = training_hours(report, pooled)
+        took_s = {entry["case"]: entry["training_s"] for entry in report.timings if "training_s" in entry}
+        machine_s = report.games.assign(machine_s=report.games["case"].map(took_s).astype(float)).groupby(KEY).machine_s
+        times = cells.join(machine_s.sum(min_count=1), on=KEY)
         yield Table.of(times, TIMES)
-        yield time_saved(times)
+        yield from time_saved(times)
         yield HOW_TIME_IS_MODELLED
         if (cells.timing == "virtual").any():
-            yield rl_figures.time_figure(report, cells)
+            yield time_figure(report, cells[cells.timing == "virtual"])
         yield Heading("Each training")
         for family in summary["same_weights"]:
             clocks = listed(clock_label(clock) for clock in family["clock_speed"])
             seeds, equal = len(family["seeds"]), len(family["equal"])
             others = "one training each" if equal == seeds else f"{seeds - equal} learned others"
             yield f"{panel_name(family)}: of {seeds} seeds {equal} learned the same weights at {clocks}: {others}."
-        yield Table.of(map(named, summary["cells"]), TRAININGS, folded=f"{len(summary['cells'])} trainings")
+        yield Table.of(summary["cells"], TRAININGS, folded=f"{len(summary['cells'])} trainings")
 
     def compare(self, runs: Sequence[RunDirectory]) -> list[Path]:
         """Write one report of the cells of several runs, in the folder `together` of the first."""
@@ -436,21 +433,20 @@ class Together(Report):
     def __init__(self, reports: Sequence[Report]) -> None:
         """Raises UserError where two runs hold the same cell, or were not trained and evaluated alike."""
         first, configs = reports[0], [report.config for report in reports]
+        alike = first.config.model_dump(exclude=MAY_DIFFER)
         self._of: dict[str, Report] = {}
-        alike = {key: value for key, value in dict(first.config).items() if key not in MAY_DIFFER}
         for report in reports:
-            for key, value in alike.items():
-                if getattr(report.config, key) != value:
-                    other = f"{report.run.path}: {key} differs from that of {first.run.path}"
-                    raise UserError(f"{other}: they make no one table")
-            for case in report.games["case"]:
-                if case in self._of:
-                    raise UserError(f"{report.run.path}: has {case}, which {self._of[case].run.path} has too")
-                self._of[case] = report
+            own = report.config.model_dump(exclude=MAY_DIFFER)
+            if differs := [key for key in alike if own[key] != alike[key]]:
+                other = f"{report.run.path}: {differs[0]} differs from that of {first.run.path}"
+                raise UserError(f"{other}: they make no one table")
+            if twice := [case for case in report.games["case"] if case in self._of]:
+                raise UserError(f"{report.run.path}: has {twice[0]}, which {self._of[twice[0]].run.path} has too")
+            self._of |= dict.fromkeys(report.games["case"], report)
         blocks = [block for config in configs for block in config.cells]
-        alike["cells"] = [block for number, block in enumerate(blocks) if block not in blocks[:number]]
+        cells = [block for number, block in enumerate(blocks) if block not in blocks[:number]]
         seed, end = min(config.seed for config in configs), max(config.seed + config.seeds for config in configs)
-        self.suite, self.config = first.suite, RlConfig(**alike, seed=seed, seeds=end - seed)
+        self.suite, self.config = first.suite, RlConfig(**alike, cells=cells, seed=seed, seeds=end - seed)
         self.games = pd.concat([report.games for report in reports], ignore_index=True)
         self.timings = [entry for report in reports for entry in report.timings]
         shutil.rmtree(place := first.run.path / TOGETHER, ignore_errors=True)
@@ -459,6 +455,9 @@ class Together(Report):
 
     def arrays(self, game: Mapping[str, Any] | pd.Series) -> dict[str, np.ndarray]:
         return self._of[game["case"]].arrays(game)
+
+
+# --- parts --------------------------------------------------------------------------------------------------------
 
 
 def other_command(command: str) -> CommandName:
@@ -480,7 +479,7 @@ def parts_of(config: RlConfig, case: TrainingCase, agent: str = DEFAULT) -> dict
     flown_in = {"task.timing": block.timing, "task.profile": block.profile}
     task = {f"task.{key}": value for key, value in block.task.items()}
     keys = {f"task.{key}": value for key, value in block.task.items() if key.split(".")[0] not in SENSES + FLIGHT}
-    keys |= {key: value for key, value in block.training.items() if key in OF_DECISIONS} | {"agent": agent}
+    keys |= {key: value for key, value in block.training.items() if key == "inference_s"} | {"agent": agent}
 
     def part(base: Part, command: str, clock_speed: float, keys: Mapping[str, Any]) -> Part:
         clock = {"task.command": command, "task.clock_speed": clock_speed, **flown_in}
@@ -503,82 +502,61 @@ def _configured(config: RlConfig, case: TrainingCase) -> list[tuple[AnySuite, An
     return [part_suite(part, seed) for part, seed in parts_of(config, case).values()]
 
 
-def where(flights: Flown, **wanted: Any) -> Flown:
+# --- numbers ------------------------------------------------------------------------------------------------------
+
+
+def where(flights: Flights, **wanted: Any) -> Flights:
     """Return the flights that have these values in these columns."""
     return flights[np.logical_and.reduce([flights[name] == value for name, value in wanted.items()])]
 
 
-def key_of(group: Flown) -> dict[str, Any]:
-    """Return the conditions that a group of flights has in common."""
-    return {key: group[key].iloc[0] for key in KEY}
+def key_of(flights: Flights) -> dict[str, Any]:
+    """Return the conditions that the trainings of some flights have in common."""
+    return {key: flights[key].iloc[0] for key in KEY}
 
 
-def summary_of_seeds(group: Flown, own: Flown) -> dict[str, Any]:
-    """Summarise all seeds of one training, compared with the same command at 1x and with the paper."""
-    conditions = [key_of(group)[key] for key in ("profile", "variant", "command", "clock_speed")]
-    simulation, whole = paper_results.speedups(*conditions)
-    slow = _at_1x(group, own, conditions[2])
-    return {
-        **_identity(group),
-        "successes_by_seed": [success.successes for success in group.success],
-        **_success(group),
-        "trained_games": group.trained_games.sum(),
-        "paper_successes": paper_results.successes(*conditions),
-        **_compare(group, slow[slow.clock_speed != conditions[3]]),
-        **_times(group, own),
-        "gap_s": gap_s(group),
-        "paper_training_speedup": simulation,
-        "paper_whole_training_speedup": whole,
-    }
-
-
-def _at_1x(group: Flown, own: Flown, command: str) -> Flown:
-    """Return the trainings with that command at 1x; none in lockstep, or where they were not run."""
-    slow = where(own, **(key_of(group) | {"command": command, "clock_speed": 1.0}))
-    return where(slow, timing="virtual")
-
-
-def _identity(flown: Flown) -> dict[str, Any]:
-    """Return the conditions of a group of trainings, and its seeds."""
-    return {**key_of(flown), "seeds": flown.seed.tolist()}
-
-
-def _success(flown: Flown) -> dict[str, Any]:
-    """Return the success of all seeds together in one of their flights, with two 95 % intervals.
+def _success(flights: Flights) -> dict[str, Any]:
+    """Return the success of all seeds together, with two 95 % intervals.
 
     `wilson_low` and `wilson_high` are of the games of these very policies; `seeds_low` and `seeds_high` also cover what
     trainings with other seeds would have given (`success_estimate`).
     """
-    success = flown.success.tolist()
+    success = flights.success.tolist()
     over_seeds = success_estimate(success)
     return {**Proportion.pooled(success).as_summary(), "seeds_low": over_seeds.low, "seeds_high": over_seeds.high}
 
 
-def _paired(some: Flown, others: Flown) -> tuple[np.ndarray, np.ndarray]:
-    """Return the outcomes (n,) of two groups of flights, paired by seed and lane."""
-    outcomes = [pd.concat(dict(zip(flown.seed, flown.won, strict=True))) for flown in (some, others)]
-    first, second = pd.concat(outcomes, axis=1, join="inner").to_numpy(bool).T
-    return first, second
+def _compare(some: Flights, others: Flights, *wanted: str) -> dict[str, Any]:
+    """Return the wanted tests of the difference between two groups of flights; None without flights in both.
 
-
-def _compare(some: Flown, others: Flown) -> dict[str, float | None]:
-    """Return p-values of the difference between two groups of flights; None without a second group.
-
-    `permutation_p` takes trainings as its samples; Fisher's test of the pooled games and McNemar's of equal seeds and
-    lanes compare these very policies alone.
+    `permutation_p` and, between equal seeds, `sign_flip_p` take trainings as their samples. Fisher's test of the pooled
+    games and McNemar's of equal seeds and `lanes` compare these very policies alone.
     """
-    if others.empty:
-        return dict.fromkeys(("permutation_p", "fisher_p", "mcnemar_p"))
-    first, second = _paired(some, others)
-    pooled = [Proportion.pooled(flown.success.tolist()) for flown in (some, others)]
-    return {
-        "permutation_p": permutation_p(some.ratio, others.ratio),
-        "fisher_p": fisher_exact_p(*((success.successes, success.games) for success in pooled)),
-        "mcnemar_p": mcnemar_exact(first, second).p_value if len(first) else None,
+    if some.empty or others.empty:
+        return dict.fromkeys(wanted)
+    outcomes = [pd.concat(dict(zip(flights.seed, flights.won, strict=True))) for flights in (some, others)]
+    first, second = pd.concat(outcomes, axis=1, join="inner").to_numpy(bool).T
+    pairs = mcnemar_exact(first, second)
+    won = [Proportion.pooled(flights.success.tolist()) for flights in (some, others)]
+    tests: dict[str, Callable[[], float | None]] = {
+        "permutation_p": lambda: permutation_p(some.ratio, others.ratio),
+        "sign_flip_p": lambda: sign_flip_p((some.set_index("seed").ratio - others.set_index("seed").ratio).dropna()),
+        "fisher_p": lambda: fisher_exact_p(*((success.successes, success.games) for success in won)),
+        "mcnemar_p": lambda: pairs.p_value if len(first) else None,
+        "only_first": lambda: pairs.only_first,
+        "only_second": lambda: pairs.only_second,
+        "lanes": lambda: len(first),
+        "same_end": lambda: int((first == second).sum()),
     }
+    return {name: tests[name]() for name in wanted}
 
 
-def _times(cell: Flown, own: Flown) -> dict[str, Any]:
+def _at_1x(cell: Flights, own: Flights, command: str) -> Flights:
+    """Return the trainings with that command at 1x; none in lockstep, or where they were not run."""
+    return where(where(own, **key_of(cell) | {"command": command, "clock_speed": 1.0}), timing="virtual")
+
+
+def _times(cell: Flights, own: Flights) -> dict[str, Any]:
     """Return the modelled seconds of the trainings of a cell, those of as many commands of ADSC at 1x, and speed-ups.
 
     Speed-ups are of a command's mean time, as trainings that learn differently fly games of different length, over that
@@ -598,74 +576,86 @@ def _times(cell: Flown, own: Flown) -> dict[str, Any]:
     }
 
 
-def gap_s(own: Flown) -> float:
+def summary_of_seeds(cell: Flights, own: Flights) -> dict[str, Any]:
+    """Summarise all seeds of one training, compared with the same command at 1x and with the paper."""
+    key = key_of(cell)
+    conditions = [key[name] for name in ("profile", "variant", "command", "clock_speed")]
+    simulation, whole = paper_results.speedups(*conditions)
+    slow = _at_1x(cell, own, key["command"])
+    return {
+        **key,
+        "seeds": cell.seed.tolist(),
+        "successes_by_seed": [success.successes for success in cell.success],
+        **_success(cell),
+        "trained_games": cell.trained_games.sum(),
+        "paper_successes": paper_results.successes(*conditions),
+        **_compare(cell, slow[slow.clock_speed != key["clock_speed"]], *AGAINST),
+        **_times(cell, own),
+        "gap_s": gap_s(cell),
+        "paper_training_speedup": simulation,
+        "paper_whole_training_speedup": whole,
+    }
+
+
+def gap_s(cell: Flights) -> float:
     """Return the mean gap (WHAT_A_GAP_IS) in the trainings of a cell, at the speed that the profile's platform reaches.
 
     A few calls of a millisecond that ADSC makes in its pauses are counted too, and a command that a collision ends
     early counts as a whole one.
     """
-    first = own.iloc[0]
+    first = cell.iloc[0]
     if first.command == "tcsc":
         return 0.0
     from uavaccel.envs.flyable import speed_of
     from uavaccel.envs.obstacle_lane import LaneTask
 
-    task = LaneTask(timing=first.timing, profile=first.profile, clock_speed=first.clock_speed)
-    running_s = own.wall_s.sum() - own.rendering.sum()
-    return max(float((running_s * speed_of(task) - own.sim_time_s.sum()) / own.commands.sum()), 0.0)
+    speed = speed_of(LaneTask(timing=first.timing, profile=first.profile, clock_speed=first.clock_speed))
+    running_s = cell.wall_s.sum() - cell.rendering.sum()
+    return max(float((running_s * speed - cell.sim_time_s.sum()) / cell.commands.sum()), 0.0)
 
 
-def interchange(group: Flown, clock_speed: float) -> Iterator[dict[str, Any]]:
+def interchange(group: Flights, clock_speed: float) -> Iterator[dict[str, Any]]:
     """Yield the comparison of the flights with either command at a ClockSpeed, if there are any."""
     commands = group.command.iloc[0], other_command(group.command.iloc[0])
-    own, other = (where(group, **{"with": command, "at": clock_speed}) for command in commands)
-    if len(own) and len(other):
-        test = mcnemar_exact(*_paired(own, other))
+    both = [where(group, **{"with": command, "at": clock_speed}) for command in commands]
+    if all(map(len, both)):
         yield {
-            **_identity(own),
+            **key_of(group),
+            "seeds": both[0].seed.tolist(),
             "flown_at": clock_speed,
-            "flown_with": [{"command": flown["with"].iloc[0], **_success(flown)} for flown in (own, other)],
-            "only_first": test.only_first,
-            "only_second": test.only_second,
-            "mcnemar_p": test.p_value,
-            "sign_flip_p": sign_flip_p(own.ratio.to_numpy() - other.ratio.to_numpy()),
+            "flown_with": [{"command": flown["with"].iloc[0], **_success(flown)} for flown in both],
+            **_compare(*both, "only_first", "only_second", "mcnemar_p", "sign_flip_p"),
         }
 
 
-def as_trained(group: Flown, trained: Flown) -> Iterator[dict[str, Any]]:
+def as_trained(group: Flights, trained: Flights) -> Iterator[dict[str, Any]]:
     """Yield the comparison of flights at the training's ClockSpeed with those of trainings without the variant.
 
     There is none where policies were flown in real time alone.
     """
     key = key_of(group)
-    plain = where(trained, **(key | {"variant": ""})) if key["variant"] else group[:0]
+    plain = where(trained, **key | {"variant": ""}) if key["variant"] else group[:0]
     own = {"with": key["command"], "at": key["clock_speed"]}
     slow, fast, plain_slow, plain_fast = (where(each, **at) for each in (group, plain) for at in ({"flight": 0}, own))
-    plain_slow = plain_slow[plain_slow.seed.isin(plain_fast.seed)]
     if len(fast):
+        plain_slow = plain_slow[plain_slow.seed.isin(plain_fast.seed)]
         yield {
-            **_identity(slow),
-            "real_time": _success(slow) | _compare(slow, plain_slow),
-            "as_trained": _success(fast) | _compare(fast, plain_fast),
-            "sign_flip_p": sign_flip_p(slow.ratio.to_numpy() - fast.ratio.to_numpy()),
+            **key,
+            "seeds": slow.seed.tolist(),
+            "real_time": _success(slow) | _compare(slow, plain_slow, *AGAINST),
+            "as_trained": _success(fast) | _compare(fast, plain_fast, *AGAINST),
+            **_compare(slow, fast, "sign_flip_p"),
         }
 
 
-def side_by_side(kernels: Flown, exact: Flown) -> dict[str, Any]:
+def side_by_side(kernels: Flights, exact: Flights) -> dict[str, Any]:
     """Compare the same policies on the same lanes in real time in the kernels and in the exact simulator."""
     kernels = kernels[kernels.seed.isin(exact.seed)]
-    first, second = _paired(kernels, exact)
-    return {
-        **_identity(exact),
-        "kernels": _success(kernels),
-        "exact": _success(exact),
-        "lanes": len(first),
-        "same_end": int((first == second).sum()),
-        "mcnemar_p": mcnemar_exact(first, second).p_value,
-    }
+    both = {"seeds": exact.seed.tolist(), "kernels": _success(kernels), "exact": _success(exact)}
+    return {**key_of(exact), **both, **_compare(kernels, exact, "lanes", "same_end", "mcnemar_p")}
 
 
-def same_weights(own: Flown) -> Iterator[dict[str, Any]]:
+def same_weights(own: Flights) -> Iterator[dict[str, Any]]:
     """Yield how many seeds learned the same weights at all ClockSpeeds that a command was trained at, if several."""
     for conditions, family in own.groupby(KEY[:-1], sort=False):
         clocks, seeds = sorted(family.clock_speed.unique().tolist()), family.groupby("seed").weights_sha256
@@ -675,110 +665,261 @@ def same_weights(own: Flown) -> Iterator[dict[str, Any]]:
             yield {**dict(zip(KEY, conditions, strict=False)), "clock_speed": clocks, **learned}
 
 
-def named(entry: Mapping[str, Any]) -> dict[str, Any]:
-    """Return an entry of the summary for tables, with its `panel`, and its success, nested ones too, in words.
+def over_gaps(pooled: Sequence[Mapping[str, Any]]) -> dict[str, pd.DataFrame]:
+    """Return the cells of each command on each `lane`, of all ClockSpeeds and durations of a decision, by rising gap.
 
-    `of_games` has Wilson's interval, as in "23 of 100: 23.0% [15.8, 32.2]", `over_seeds` that over seeds and games.
+    A lane is that of a profile and a variant: "airsim, hard" of hard_think_100ms; `best` is the best success on it.
     """
-    words = {"panel": panel_name(entry)} if "variant" in entry else {}
-    if "wilson_low" in entry:
-        text = Proportion.of(entry).text(interval_digits=1)
-        words["of_games"] = f"{entry['successes']} of {entry['games']}: {text}"
-    if "seeds_low" in entry:
-        low, high = 100 * entry["seeds_low"], 100 * entry["seeds_high"]
-        words["over_seeds"] = f"{entry['success_ratio']:.1%} [{low:.1f}, {high:.1f}]"
-    return {key: named(value) if isinstance(value, dict) else value for key, value in entry.items()} | words
+    cells = pd.DataFrame(pooled).query("timing == 'virtual'").sort_values(["gap_s", "clock_speed"], kind="stable")
+    variant = cells.variant.str.replace(THINKING, "", regex=True).str.replace("_", " ")
+    cells["lane"] = cells.profile + variant.where(variant == "", ", " + variant)
+    cells = cells.groupby(["lane", "command"]).filter(lambda line: len(line) >= LEAST)
+    if cells.gap_s.nunique() < LEAST:
+        return {}
+    cells["best"] = cells.groupby("lane").success_ratio.transform("max")
+    lines = cells.groupby(["lane", "command"])
+    return {f"{command_name(command)}, {lane}": line for (lane, command), line in lines}
 
 
-def training_hours(report: Report, pooled: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
-    """Return the cells with the modelled hours of their trainings, and the minutes that this machine took for them."""
-    took_s = {entry["case"]: entry["training_s"] for entry in report.timings if "training_s" in entry}
-    games = report.games.assign(minutes=report.games["case"].map(took_s).astype(float) / 60)
-    minutes = games.groupby(KEY).minutes.sum(min_count=1).rename("minutes")
-    cells = pd.DataFrame(pooled).join(minutes, on=KEY)
-    return cells.assign(h=cells.training_wall_s / 3600, real_h=cells.real_time_s.astype(float) / 3600)
+def collapse(lines: Mapping[str, pd.DataFrame]) -> str:
+    """Return in words from which gap on success stays below half of the lane's best."""
+    said = []
+    for label, line in lines.items():
+        flies = line.gap_s[line.success_ratio >= COLLAPSED * line.best]
+        fails = line.gap_s[~(line.gap_s <= flies.max())]  # all where none flies
+        stays = f"success in real time stays below half of the best cell's {line.best.iloc[0]:.1%}"
+        none = f"no gap was flown, up to {line.gap_s.max():.2f} s, from which {stays}"
+        if line.gap_s.nunique() >= LEAST:
+            found = f"{stays} from a gap of {fails.iloc[0]:.2f} simulated seconds on" if len(fails) else none
+            said.append(f"{label}: {found}.")
+    return " ".join(said)
 
 
-def time_saved(cells: pd.DataFrame) -> str:
-    """Compare the modelled real time of the trainings with the time that they took on this machine."""
-    both = cells.dropna(subset=["real_h", "minutes"])
-    if both.empty:
-        return "No training of ADSC at 1x to say what the others would have taken in real time."
-    hours, took_h, games = both.real_h.sum(), both.minutes.sum() / 60, both.trained_games.sum()
-    return (
-        f"These trainings' {games} games would have taken {hours:.3g} hours in real time (modelled, "
-        f"{3600 * hours / games:.0f} s per game; the paper's 5 000 games took 182 hours, 131 s per game). This machine "
-        f"took {took_h:.2g} hours of training, measured, one after another: {hours / took_h:.0f} times less."
-    )
+# --- figures ------------------------------------------------------------------------------------------------------
 
 
-CELL: dict[str, Column] = {"trained with": "{panel}", "ClockSpeed": "{clock_speed:g}x"}
+def panel_name(cell: Mapping[str, Any]) -> str:
+    """Return command and profile, as in "TCSC, airsim", with timing and variant where they are not the usual ones."""
+    clock = "" if cell["timing"] == "virtual" else f" {cell['timing']}"
+    variant = f", {cell['variant'].replace('_', ' ')}" if cell["variant"] else ""
+    return f"{command_name(cell['command'])}, {cell['profile']}{clock}{variant}"
+
+
+def _source(report: Report) -> str:
+    seeds = listed(sorted(report.games.seed.unique().tolist()))
+    return f"modelled · {report.summary['training_games']} training games each · seed {seeds}"
+
+
+def draw_line(axes: Axes, cells: pd.DataFrame, places: Any, aside: float = 0.0, **line: Any) -> None:
+    """Draw a line through the success of cells at `places`, with their intervals; dots, `aside`, are its seeds."""
+    intervals = list(zip(cells.seeds_low, cells.seeds_high, strict=True))
+    joined = "-" if len(set(places)) > 1 else "none"
+    drawn = {"markersize": 4, "capsize": 3, "linestyle": joined, **line}
+    plots.points(axes, places, cells.success_ratio.tolist(), intervals, **drawn)
+    for place, won, games in zip(places, cells.successes_by_seed, cells.games, strict=True):
+        seeds = np.divide(won, games / len(won)) if won else []
+        axes.plot([place + aside] * len(won), seeds, ".", color=line["color"], markersize=4, alpha=0.6)
+
+
+def success_figure(report: Report, cells: pd.DataFrame) -> Picture:
+    """Draw success over ClockSpeed (the paper's Table I), the lines shifted aside a little; dots are seeds.
+
+    There is a line for each command, profile and variant, and the paper's own numbers for its profile.
+    """
+    others, clocks = cycle((style.GREEN, style.PURPLE, style.ORANGE, style.SKY)), sorted(cells.clock_speed.unique())
+    figure = style.new_figure(8.0, 4.6, "Success by training", _source(report))
+    axes, lines = figure.subplots(), []
+    for panel, own in cells.sort_values("clock_speed", kind="stable").groupby("panel"):
+        first = own.iloc[0]
+        usual = (first.profile, first.timing, first.variant) == ("airsim", "virtual", "")
+        colour = style.COMMAND_COLOUR[first.command] if usual else next(others)
+        lines.append((own, {"label": panel, "color": colour}))
+        if len(known := own.dropna(subset="paper_successes")):
+            won = [Proportion(int(successes), paper_results.GAMES) for successes in known.paper_successes]
+            ratios, intervals = [success.ratio for success in won], [success.interval for success in won]
+            known = known.assign(success_ratio=ratios, successes_by_seed=[[]] * len(known))
+            known[["seeds_low", "seeds_high"]] = intervals
+            label = f"{command_name(first.command)}, the paper's"
+            lines.append((known, {"label": label, "color": colour, "alpha": 0.5, "linestyle": ":"}))
+    for number, (own, line) in enumerate(lines):
+        shift = 0.06 * (number - (len(lines) - 1) / 2)
+        draw_line(axes, own, np.searchsorted(clocks, own.clock_speed) + shift, 0.03, **line)
+    plots.clock_axis(axes, clocks)
+    axes.set(xlabel="ClockSpeed of the training", ylabel="success", ylim=(-0.03, 1.03))
+    axes.legend(loc="best")
+    return report.figure("table1_success", figure, TABLE1)
+
+
+def gaps_figure(report: Report, lines: Mapping[str, pd.DataFrame]) -> Picture:
+    """Draw success over the gap between two commands, linear up to .1 s and logarithmic beyond; dots are seeds.
+
+    Only the dots of two seeds are drawn, since an interval over two spans nearly everything, and only the points of
+    cells that share a gap, as all of TCSC do: their intervals would hide one another.
+    """
+    title = "Success in real time over the gap of the training"
+    figure = style.new_figure(8.0, 4.6, title, _source(report))
+    axes = figure.subplots()
+    for number, (label, line) in enumerate(lines.items()):
+        hidden = (line.seeds.map(len) == 2) | line.gap_s.duplicated(keep=False)
+        shown = line.assign(**{end: line[end].mask(hidden, line.success_ratio) for end in ("seeds_low", "seeds_high")})
+        draw_line(axes, shown, shown.gap_s, label=label, color=style.colour(number))
+    axes.set_xscale("symlog", linthresh=0.1)
+    axes.xaxis.set_major_formatter("{x:g}")
+    axes.set(xlabel="gap between two commands of the training, simulated s", ylabel="success in real time")
+    axes.set(xlim=(-0.01, None), ylim=(-0.03, 1.03))
+    axes.legend(loc="best")
+    return report.figure("success_over_gap", figure, f"{title}. {POINTS}")
+
+
+def distances_figure(report: Report) -> Picture:
+    """Draw how far policies got down the lane (the paper's Figure 8), a column per panel and a line per ClockSpeed.
+
+    Above is the share of games that reached each distance, below the share that ended there; rows of obstacles are
+    marked.
+    """
+    flights = where(report.scores, exact=False, flight=0)
+    clocks, panels = sorted(flights.clock_speed.unique()), flights.groupby(flights.apply(panel_name, axis=1))
+    figure = style.new_figure(1.5 + 5.2 * len(panels), 6.4, "Distance travelled", _source(report))
+    grid = figure.subplots(2, len(panels), sharex=True, sharey="row", squeeze=False, height_ratios=[3, 2])
+    for (upper, lower), (title, panel) in zip(grid.T, panels, strict=True):
+        for clock, policies in panel.groupby("clock_speed"):
+            distance_m = np.concatenate(policies.distance_m.tolist())
+            games, colour = len(distance_m), style.colour(clocks.index(clock))
+            places, share = style.survival(distance_m, LENGTH_M)
+            upper.step(places, share, where="post", color=colour, label=f"{clock_label(clock)}, {games} games")
+            ended = distance_m[distance_m < LENGTH_M]
+            counts, edges = np.histogram(ended, np.arange(0.0, LENGTH_M + BIN_M, BIN_M))
+            lower.stairs(counts / games, edges, color=colour)
+        for axes, row_m in product((upper, lower), np.unique(sample_layout(0, Difficulty()).x_m)):
+            axes.axvline(row_m, color=style.GREY, linewidth=0.7, linestyle=":", zorder=0)
+        upper.axvline(LENGTH_M, color=style.BLACK, linewidth=1.0, linestyle="--")
+        upper.set_title(title, loc="center")
+        lower.set_xlabel("distance north, m (dotted: rows of obstacles)")
+    grid[0, 0].set(ylabel="share of games that got there", ylim=(0.0, 1.05))
+    grid[1, 0].set_ylabel(f"share of games that ended\nin {BIN_M:g} m")
+    style.shared_legend(figure, grid[0])
+    return report.figure("figure8_distances", figure, FIGURE8)
+
+
+def time_figure(report: Report, cells: pd.DataFrame) -> Picture:
+    """Draw the time of a training, the mean of its seeds, by phase (the paper's Figure 9), a panel per command.
+
+    Phases are stacked bars, with rendering as part of the paper's simulation; speed-ups over real time are points on an
+    axis of their own.
+    """
+    phase_s = pd.DataFrame(cells.phase_s.tolist(), cells.index).div(cells.seeds.map(len), axis=0)
+    phase_s.insert(0, "simulation (with rendering)", phase_s.pop("simulation") + phase_s.pop("rendering"))
+    panels, shared = cells.sort_values("clock_speed", kind="stable").groupby("panel"), []
+    unit = plots.time_unit(phase_s.sum(axis=1).max())
+    figure = style.new_figure(2.0 + 5.0 * len(panels), 4.6, "Time of the training by phase", _source(report))
+    for axes, (title, panel) in zip(figure.subplots(1, len(panels), squeeze=False)[0], panels, strict=True):
+        speeds = {label: (panel[name], marker) for name, (label, marker) in SPEEDUPS.items()}
+        speed = plots.phases(axes, phase_s.loc[panel.index], unit, speeds)
+        plots.clock_axis(axes, panel.clock_speed)
+        axes.set_title(title, loc="center")
+        axes.set_ylabel(f"{unit} of the training")
+        speed.set_ylabel("effective speed-up")
+        shared += [axes, speed]
+    style.shared_legend(figure, shared)
+    return report.figure("figure9_training_time", figure, FIGURE9)
+
+
+# --- tables and words -----------------------------------------------------------------------------------------------
+
+
+def time_saved(cells: pd.DataFrame) -> Iterator[str]:
+    """Yield a comparison of the trainings' modelled real time with the time that they took, where both are known."""
+    both = cells.dropna(subset=["real_time_s", "machine_s"])
+    if len(both):
+        real_s, took_s, games = both.real_time_s.sum(), both.machine_s.sum(), both.trained_games.sum()
+        yield (
+            f"These trainings' {games} games would have taken {in_words(real_s)} in real time (modelled, "
+            f"{real_s / games:.0f} s per game; the paper's 5 000 games took 182 hours, 131 s per game), and took "
+            f"{in_words(took_s)} of this machine, measured, one after another: {real_s / took_s:.0f} times less."
+        )
+
+
+def over_seeds(entry: str = "") -> str:
+    """Return the column of a success with its interval over seeds and games, that of a nested entry if one is named."""
+    ratio, low, high = (f"{entry}[{key}]" if entry else key for key in ("success_ratio", "seeds_low", "seeds_high"))
+    return f"{{{ratio}:.1%}} [{{{low}:.1%}}, {{{high}:.1%}}]"
+
+
+CELL: dict[str, Column] = {"trained with": panel_name, "ClockSpeed": "{clock_speed:g}x"}
 TRAINED = {**CELL, "seeds": "{seeds!l}"}
 OVERVIEW = {
     **TRAINED,
-    "success [95 %]": "{over_seeds}",
+    "success [95 %]": over_seeds(),
     "the paper's": "{paper_successes} %",
     "training speed-up": "{training_speedup:.3g}x",
 }
 SUCCESS = {
     **TRAINED,
     "games won": "{successes} of {games}",
-    "success [95 % over seeds and games]": "{over_seeds}",
+    "success [95 % over seeds and games]": over_seeds(),
     "won by each seed": "{successes_by_seed!l}",
     "the paper's, of 100": "{paper_successes}",
     "p against 1x, over seeds": "{permutation_p:.2g}",
     "of these policies: McNemar": "{mcnemar_p:.2g}",
 }
-GAPS = {**CELL, "gap, simulated s": "{gap_s:.3f}", "success in real time [95 % over seeds and games]": "{over_seeds}"}
+GAPS = {**CELL, "gap, simulated s": "{gap_s:.3f}", "success in real time [95 % over seeds and games]": over_seeds()}
 INTERCHANGED = {
-    "trained with": "{panel} {clock_speed:g}x",
-    "seeds": "{seeds!l}",
-    "flown with": "{with!u} {flown_at:g}x",
-    "success [95 % over seeds and games]": "{over_seeds}",
-    "won with it alone": "{alone}",
+    **TRAINED,
+    "flown at": "{flown_at:g}x",
+    "with its own command [95 %]": over_seeds("flown_with[0]"),
+    "with the other one": over_seeds("flown_with[1]"),
+    "lanes won with one alone": "{only_first}, {only_second}",
     "p over seeds": "{sign_flip_p:.2g}",
     "of these policies: McNemar": "{mcnemar_p:.2g}",
 }
 AS_TRAINED = {
     **TRAINED,
-    "success in real time [95 %]": "{real_time[over_seeds]}",
+    "in real time [95 %]": over_seeds("real_time"),
     "p against the plain one, over seeds": "{real_time[permutation_p]:.2g}",
-    "success at the ClockSpeed of the training [95 %]": "{as_trained[over_seeds]}",
+    "at the ClockSpeed of the training": over_seeds("as_trained"),
     "p against the plain one there": "{as_trained[permutation_p]:.2g}",
     "p of the two, over seeds": "{sign_flip_p:.2g}",
 }
 EXACT_TOO = {
     **TRAINED,
-    "the kernels": "{kernels[of_games]}",
-    "the exact simulator": "{exact[of_games]}",
+    "the kernels, won": "{kernels[successes]}",
+    "the exact simulator, won": "{exact[successes]}",
     "end alike": "{same_end} of {lanes}",
     "McNemar p": "{mcnemar_p:.2g}",
 }
 TIMES = {
-    **CELL,
-    "trainings": lambda cell: len(cell["seeds"]),
-    "modelled hours": "{h:.3g}",
-    "as ADSC at 1x, hours": "{real_h:.3g}",
+    **TRAINED,
+    "modelled": "{training_wall_s!t}",
+    "as ADSC at 1x": "{real_time_s!t}",
     "speed-up of simulation": "{training_speedup:.3g}x",
     "the paper's": "{paper_training_speedup:g}x",
     "of the whole training": "{whole_training_speedup:.3g}x",
     "the paper's, whole": "{paper_whole_training_speedup:g}x",
-    "this machine, minutes": "{minutes:.3g}",
+    "this machine": "{machine_s!t}",
 }
 TRAININGS = {
     **CELL,
     "seed": "{seed}",
     "training games won": "{trained_successes} of {trained_games}",
-    "success [95 % Wilson]": "{of_games}",
+    "success [95 % Wilson]": "{successes} of {games}: {success_ratio:.1%} [{wilson_low:.1%}, {wilson_high:.1%}]",
     "weights (SHA-256)": "{weights_sha256}",
 }
+SPEEDUPS = {
+    "training_speedup": ("speed-up, simulation alone (right)", "o"),
+    "whole_training_speedup": ("speed-up, whole training (right)", "s"),
+    "paper_training_speedup": ("the paper's, simulation alone", "x"),
+    "paper_whole_training_speedup": ("the paper's, whole training", "+"),
+}
+TABLE1 = "Table I as a picture: bars are 95 % intervals over seeds and games, of the paper's Wilson's; dots are seeds."
+POINTS = "A point is a cell, with its 95 % interval over seeds and games; dots are seeds."
+FIGURE8 = "Figure 8. How far the evaluated policies got, seeds pooled."
+FIGURE9 = "Figure 9. Modelled time of a training by phase, mean of its seeds."
 WHAT_N_TELLS = (
-    f"The paper evaluated one training of each kind in {paper_results.GAMES} games. Of its differences only the "
-    "collapse of ADSC (23 to 1) is significant by Fisher's exact test; 21 against 30, and 21 against 13, have p = "
-    "0.19. Here a training, not a game, is one sample: an interval covers both Wilson's interval over all games and "
-    "Student's over the trainings, so that it has a width at 0 and 100 % too, and differences are tested by permuting "
-    "the trainings. The interval of a single seed is Wilson's, of its games alone. McNemar's test compares these very "
-    "policies on the same lanes and says nothing about other seeds."
+    f"The paper evaluated one training of each kind in {paper_results.GAMES} games; of its differences only the "
+    "collapse of ADSC (23 to 1) is significant by Fisher's exact test. Here a training, not a game, is one sample: an "
+    "interval covers both Wilson's over all games and Student's over the trainings (of a single seed it is Wilson's), "
+    "and differences are tested by permuting the trainings. McNemar's test compares these very policies on the same "
+    "lanes and says nothing about other seeds."
 )
 WHAT_A_GAP_IS = (
     "The gap is the mean simulated time between the end of a command and the next one in the training, worked out from "
@@ -786,8 +927,8 @@ WHAT_A_GAP_IS = (
     "is paused while an agent decides: its gap is 0 at every ClockSpeed."
 )
 HOW_TIME_IS_MODELLED = (
-    "Hours are of the simulated wall clock, summed over the lanes flown side by side, each charged as if alone; "
-    "simulation holds rendering, as in the paper. Speed-ups are of a command's mean time with ADSC at 1x, the paper's "
-    "baseline, over that of the cell: of simulation alone, and with image processing, inference and learning, whose "
-    "costs are keys of the configuration and no measurements of the paper's machine."
+    "Times are of the simulated wall clock, summed over the lanes flown side by side, each charged as if alone; "
+    "simulation holds rendering, as in the paper. Speed-ups are of a command's mean time with ADSC at 1x over that of "
+    "the cell: of simulation alone, and with image processing, inference and learning, whose costs are keys of the "
+    "configuration and no measurements of the paper's machine."
 )

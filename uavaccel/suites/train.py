@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -31,7 +31,7 @@ from uavaccel.rl.policy import trained_with
 from uavaccel.suites import paper_results, plots
 from uavaccel.suites.experiment import Experiment
 from uavaccel.suites.host_time import cumulative_wall_s, over_all_starts
-from uavaccel.suites.report import Games, Report, Summary, disturbed_games, disturbed_words, summary_table
+from uavaccel.suites.report import Report, Summary, disturbed_games, disturbed_words, summary_table
 from uavaccel.suites.rows import LaneRow, Row
 from uavaccel.suites.suite import GameResult, SimpleCase, Suite
 
@@ -275,11 +275,22 @@ def evaluations(run: RunDirectory) -> list[EvaluationLine]:
     return lines
 
 
+def wall_times(report: Report) -> list[float]:
+    """Return the wall time in seconds up to the end of each game, over all starts. Raises UserError where it lacks."""
+    wall_s = cumulative_wall_s(report.timings)
+    if len(wall_s) < len(report.games):
+        raise UserError(f"{report.run.path / 'timing.jsonl'}: lacks the wall time of a game")
+    return wall_s
+
+
+# --- figures ------------------------------------------------------------------------------------------------------
+
+
 def _label(report: Report) -> str:
     return f"{command_name(report.config.task.command)} {clock_label(report.config.task.clock_speed)}"
 
 
-def _source(told: Sequence[str], reports: Sequence[Report]) -> str:
+def _source(told: Iterable[str], reports: Sequence[Report]) -> str:
     """Return where numbers come from, each provenance once, and the seeds."""
     return f"{' and '.join(sorted(set(told)))} · seed {listed(sorted({report.config.seed for report in reports}))}"
 
@@ -289,86 +300,72 @@ def recent_mean(values: pd.Series) -> pd.Series:
     return values.astype(float).rolling(RECENT, min_periods=1).mean()
 
 
-def recent_success(games: Games) -> pd.Series:
-    """Return the share won of the last RECENT games by the number of games, from the RECENTth on.
-
-    In a shorter training it is the share of all games so far.
-    """
-    share = recent_mean(games.is_success).set_axis(range(1, len(games) + 1))
-    return share.loc[RECENT if len(share) > RECENT else 1 :]
-
-
-def evaluated(report: Report, ends: Sequence[float]) -> pd.Series:
-    """Return the success of each evaluation, a Proportion, by its place among the `ends` (n,) of the n games."""
-    lines = [line for line in evaluations(report.run) if line["games"] <= len(ends)]
-    success = [Proportion(line["successes"], len(line["lanes"])) for line in lines]
-    return pd.Series(success, [ends[line["games"] - 1] for line in lines], dtype=object)
-
-
-def wall_times(report: Report) -> list[float]:
-    """Return the wall time in seconds up to the end of each game, over all starts. Raises UserError where it lacks."""
-    wall_s = cumulative_wall_s(report.timings)
-    if len(wall_s) < len(report.games):
-        raise UserError(f"{report.run.path / 'timing.jsonl'}: lacks the wall time of a game")
-    return wall_s
-
-
 def games_figure(reports: Sequence[Report]) -> Figure:
-    """Draw success over the games: a line for each training, or for those that differ in their seed alone their mean
-    over the games that all have, in the band of their range.
-    """
-    source = _source([timing_provenance(report.config.task.timing) for report in reports], reports)
-    figure = style.new_figure(8.0, 3.8, "Success over the games", source)
-    axes = figure.subplots()
+    """Draw success over the games, a line for trainings that differ in their seed alone."""
     alike: dict[str, list[Report]] = {}
     for report in reports:
         alike.setdefault(report.config.model_dump_json(exclude={"seed"}), []).append(report)
-    for number, group in enumerate(alike.values()):
-        more, colour = f" and {len(group) - 1} more seeds" if len(group) > 1 else "", style.colour(number)
+    lines = {}
+    for group in alike.values():
+        more = f" and {len(group) - 1} more seeds" if len(group) > 1 else ""
         label = f"{_label(group[0])}, {group[0].run.path.name}{more}"
-        draw_mean(axes, [recent_success(report.games) for report in group], 0.2, color=colour, label=label)
-        draw_evaluated(axes, [evaluated(report, range(1, len(report.games) + 1)) for report in group], colour)
-    _success_axes(figure, axes, "games")
-    axes.set_xlim(left=0)
+        lines[label] = [(report, range(1, len(report.games) + 1)) for report in group]
+    told = [timing_provenance(report.config.task.timing) for report in reports]
+    figure = curves_figure("games", lines, _source(told, reports))
+    figure.axes[0].set_xlim(left=0)
     return figure
 
 
 def time_figure(reports: Sequence[Report], labels: Sequence[str]) -> Figure:
-    """Draw success over the wall clock of all starts, a line for each training, with the paper's real time beside.
+    """Draw success over the wall clock of all starts, a line for trainings of one label, with the paper's real time.
 
-    Trainings of one label share a colour. Raises UserError for a run without wall times.
+    Raises UserError for a run without wall times.
     """
-    figure = style.new_figure(8.0, 4.2, "Success over the wall clock", _source([MEASURED], reports))
-    axes = figure.subplots()
-    names, least_s, longest_s = list(dict.fromkeys(labels)), np.inf, 0.0
-    for number, (report, label) in enumerate(zip(reports, labels, strict=True)):
-        wall_s, colour, success = wall_times(report), style.colour(names.index(label)), recent_success(report.games)
-        at = [wall_s[games - 1] for games in success.index]
-        axes.plot(at, success, color=colour, label=label if label not in labels[:number] else None)
-        draw_evaluated(axes, [evaluated(report, wall_s)], colour)
-        least_s, longest_s = min(least_s, at[0]), max(longest_s, at[-1])
-    if FAR * longest_s >= paper_results.REAL_TIME_S:
-        longest_s = max(longest_s, paper_results.REAL_TIME_S)
-        axes.axvline(paper_results.REAL_TIME_S, color=style.BLACK, linewidth=1.2, linestyle="--")
-        axes.text(0.93 * paper_results.REAL_TIME_S, 0.5, PAPER, rotation=90, ha="right", va="center")
+    lines: dict[str, list[tuple[Report, Sequence[float]]]] = {}
+    for report, label in zip(reports, labels, strict=True):
+        lines.setdefault(label, []).append((report, wall_times(report)))
+    figure = curves_figure("wall clock", lines, _source([MEASURED], reports))
+    axes, paper_s = figure.axes[0], paper_results.REAL_TIME_S
+    places = np.concatenate([line.get_xdata() for line in axes.lines])
+    longest_s = max(wall_s[-1] for line in lines.values() for _, wall_s in line)
+    if FAR * longest_s >= paper_s:
+        longest_s = max(longest_s, paper_s)
+        axes.axvline(paper_s, color=style.BLACK, linewidth=1.2, linestyle="--")
+        axes.text(0.93 * paper_s, 0.5, PAPER, rotation=90, ha="right", va="center")
     axes.set_xscale("log")
-    axes.set_xlim(max(0.5 * least_s, 0.01), 2.0 * longest_s)
-    ticks = {name: wall_s for name, wall_s in TICKS_S.items() if max(0.5 * least_s, 0.01) <= wall_s <= 2.0 * longest_s}
-    axes.set_xticks(list(ticks.values()), list(ticks))
+    axes.set_xticks(list(TICKS_S.values()), list(TICKS_S))
+    axes.set(xlim=(max(0.5 * places.min(), 0.01), 2.0 * longest_s), xlabel="wall clock since the first command")
     axes.minorticks_off()
-    _success_axes(figure, axes, "wall clock since the first command")
     return figure
 
 
-def _success_axes(figure: Figure, axes: Axes, over: str) -> None:
+def curves_figure(over: str, lines: Mapping[str, Sequence[tuple[Report, Sequence[float]]]], source: str) -> Figure:
+    """Draw success of the last RECENT games over the ends of games, (n,) of each training's n games, and evaluations.
+
+    Trainings of one label are their mean in the band of their range. Up to RECENT games, where a training has no more,
+    its share is that of all games so far.
+    """
+    figure = style.new_figure(8.0, 4.0, f"Success over the {over}", source)
+    axes = figure.subplots()
+    for number, (label, trainings) in enumerate(lines.items()):
+        colour, shares, evaluated = style.colour(number), [], []
+        for report, ends in trainings:
+            games = len(report.games)
+            share = recent_mean(report.games.is_success).set_axis(list(ends)[:games])
+            shares.append(share[RECENT - 1 if games > RECENT else 0 :])
+            flown = [line for line in evaluations(report.run) if line["games"] <= games]
+            success = [Proportion(line["successes"], len(line["lanes"])) for line in flown]
+            evaluated.append(pd.Series(success, [ends[line["games"] - 1] for line in flown], dtype=object))
+        draw_mean(axes, shares, 0.2, color=colour, label=label)
+        draw_evaluated(axes, [seed for seed in evaluated if len(seed)], colour)
     axes.set(xlabel=over, ylabel=f"games won, of the last {RECENT}", ylim=(-0.02, 1.02))  # so that a line at 0 is seen
     axes.yaxis.set_major_formatter("{x:.0%}")
     figure.legend(loc="outside upper right")
+    return figure
 
 
 def draw_evaluated(axes: Axes, seeds: Sequence[pd.Series], colour: str) -> None:
-    """Draw what `evaluated` returns: of one seed points with Wilson's intervals, of several the mean in their range."""
-    seeds = [seed for seed in seeds if len(seed)]
+    """Draw evaluations, Proportions by place: of one seed points with intervals, of several the mean in their range."""
     ratios = [seed.map(lambda success: success.ratio) for seed in seeds]
     lanes = f"evaluated on {seeds[0].iloc[0].games} lanes" if seeds else ""
     line = {"color": colour, "linestyle": "--", "marker": "o", "markersize": 4}
@@ -398,14 +395,13 @@ def progress_figure(report: Report) -> Figure:
     """
     games = report.games.reindex(columns=list(PROGRESS)).astype(float).set_axis(range(1, len(report.games) + 1))
     games = games.loc[:, np.isfinite(games).any()]
-    source = _source([timing_provenance(report.config.task.timing)], [report])
-    lines = -(-games.shape[1] // 2)
+    source, lines = _source([timing_provenance(report.config.task.timing)], [report]), -(-games.shape[1] // 2)
     figure = style.new_figure(8.0, 1.0 + 1.6 * lines, "Progress of the training", source)
-    grid = figure.subplots(lines, 2, sharex=True, squeeze=False).ravel()
-    for unused in grid[games.shape[1] :]:
-        unused.remove()
+    grid = figure.subplots(lines, 2, squeeze=False).ravel()
+    for axes in grid[games.shape[1] :]:
+        axes.remove()
     for axes, (name, values) in zip(grid, games.items(), strict=False):
-        axes.set_ylabel(PROGRESS[str(name)])
+        axes.set(ylabel=PROGRESS[str(name)], xlim=(0, len(games) + 1))
         if name == "exploration":
             axes.plot(values, color=style.BLUE)
             axes.set_ylim(-0.02, 1.02)
@@ -414,7 +410,6 @@ def progress_figure(report: Report) -> Figure:
             axes.plot(recent_mean(values.dropna()), color=style.BLUE, label=f"mean of the last {RECENT}")
     for axes in grid[: games.shape[1]][-2:]:  # the lowest of each column
         axes.set_xlabel("games")
-        axes.tick_params(labelbottom=True)
     figure.align_ylabels()
     figure.legend(*grid[0].get_legend_handles_labels(), loc="outside upper right", ncols=2)
     return figure
@@ -425,8 +420,9 @@ def phase_times(reports: Sequence[Report]) -> pd.DataFrame:
 
     They are of its simulated clock if it has one, else of the machine's. Equal labels are followed by the run's folder.
     """
-    trainings = []
-    for report in reports:
+    trainings = {}
+    labels = [f"{_label(report)}\n{report.config.task.timing}, seed {report.config.seed}" for report in reports]
+    for report, label in zip(reports, labels, strict=True):
         if report.config.task.timing == "virtual":
             phase_s = report.summary["phase_s"]
             wall_s = sum(phase_s.values()) / report.config.environments
@@ -437,33 +433,27 @@ def phase_times(reports: Sequence[Report]) -> pd.DataFrame:
             for entry in report.timings:
                 phase_s.update(entry["host_phase_s"])
             wall_s = wall_times(report)[-1]
-        trainings.append({phase: phase_s[phase] for phase in PHASES} | {"speed": report.summary["sim_time_s"] / wall_s})
-    labels = [f"{_label(report)}\n{report.config.task.timing}, seed {report.config.seed}" for report in reports]
-    paths = [
-        f"\n{report.run.path}" if labels.count(label) > 1 else "" for report, label in zip(reports, labels, strict=True)
-    ]
-    return pd.DataFrame(trainings, [label + path for label, path in zip(labels, paths, strict=True)])
+        label += f"\n{report.run.path}" if labels.count(label) > 1 else ""
+        trainings[label] = {phase: phase_s[phase] for phase in PHASES} | {
+            "speed": report.summary["sim_time_s"] / wall_s
+        }
+    return pd.DataFrame.from_dict(trainings, orient="index")
 
 
 def phases_figure(reports: Sequence[Report]) -> Figure:
     """Draw Figure 9: a bar of stacked phases per training, and the speeds as points on an axis of their own."""
     trainings, phases = phase_times(reports), list(PHASES)
-    clocks = sorted({"modelled" if report.config.task.timing == "virtual" else BESIDE for report in reports})
-    games = listed(sorted({len(report.games) for report in reports}))
-    told = f"{' and '.join(clocks)} · {games} games"
-    source = " · ".join([_source([told], reports), *disturbed_words(pd.concat([report.games for report in reports]))])
+    clocks = {"modelled" if report.config.task.timing == "virtual" else BESIDE for report in reports}
+    games, all_games = listed(sorted({len(report.games) for report in reports})), [report.games for report in reports]
+    told = f"{' and '.join(sorted(clocks))} · {games} games"
+    source = " · ".join([_source([told], reports), *disturbed_words(pd.concat(all_games))])
     longest = max(len(line) for label in trainings.index for line in label.splitlines())
     bar_in = max(1.5, LETTER_IN * longest)  # labels are not to run into each other
     figure = style.new_figure(3.2 + bar_in * len(trainings), 4.2, "Time of training by phase", source)
-    axes = figure.subplots()
-    unit = plots.time_unit(trainings[phases].sum(axis=1).max())
-    plots.stacked(axes, trainings[phases], unit)
-    axes.set_xticks(range(len(trainings)), list(trainings.index))
-    axes.set(ylabel=unit, xlim=(-0.6, len(trainings) - 0.4))
-    speed = axes.twinx()
-    speed.plot(range(len(trainings)), trainings.speed, "o", color=style.BLACK, label="speed (right)")
+    axes, unit = figure.subplots(), plots.time_unit(trainings[phases].sum(axis=1).max())
+    axes.set_ylabel(unit)
+    speed = plots.phases(axes, trainings[phases], unit, {"speed (right)": (trainings.speed, "o")})
     speed.set(ylabel="simulated seconds per wall second", ylim=(0, 1.2 * trainings.speed.max()))
-    speed.grid(visible=False)
     figure.legend(loc="outside right upper")
     return figure
 
