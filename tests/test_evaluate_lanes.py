@@ -51,8 +51,9 @@ def test_a_killed_process_is_one_line_and_rows_stay(tmp_path: Path, monkeypatch:
     game, games = GamesInBatch.game, 30  # so many that some are still flown when the processes die
 
     def killing(self: GamesInBatch, lane: int) -> Any:
+        assert self._processes is not None
         if lane == 2:
-            for process in self._batch.process_ids:
+            for process in self._processes.process_ids:
                 os.kill(process, signal.SIGKILL)
         return game(self, lane)
 
