@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -147,30 +146,19 @@ def test_a_variants_games_are_pooled_and_drawn(tmp_path: Path, monkeypatch: pyte
     assert page.index("| variant |") < page.index("STLC and position error against ADSC at 1x") < page.index("figures/")
 
 
-def test_the_headline_names_the_least_and_the_most_accurate_variant_at_the_fastest_clock() -> None:
-    entries = [
-        {"command": command, "clock_speed": k, "variant": variant, "stlc_quartiles": quartiles}
-        for command, k, variant, quartiles in (
-            *(("tcsc", 50.0, "plain", [0.0, 1.9, 2.0]), ("adsc", 50.0, "plain", [0.9, 1.25, 1.3])),
-            *(("adsc", 5.0, "plain", [0.0, 0.5, 2.0]), ("adsc", 50.0, "calm", [0.1, 1.75, 1.8])),
-            *(("adsc", 50.0, "late", [0.5, 1.0, 2.0]), ("adsc", 100.0, "late", None)),
-        )
-    ]
-    told: Any = SimpleNamespace(summary={"entries": entries})
-    assert Ablation().headline(told) == (
-        "ADSC at 50x: STLC from 1.000 with late to 1.750 with calm; TCSC at 50x: STLC 1.900 with plain"
-    )
-    told.summary["entries"] = entries[-1:]
-    assert Ablation().headline(told) == "no variant has games to compare"
-
-
-def test_named_variants_stand_side_by_side(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_named_variants_stand_side_by_side_and_what_cannot_be_compared_is_not_drawn(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     rows = [row | {"variant": {"3": "none", "0.5": "late"}[row["variant"]]} for row in variant_rows()]
-    figures = record_figures(monkeypatch)
-    report_of(tmp_path / "run", Ablation(), ablation({"name": "none"}, {"name": "late"}), rows).write()
-    axes = figures["ablation"].axes[0]
+    figures, config = record_figures(monkeypatch), ablation({"name": "none"}, {"name": "late"})
+    alone = [dict(row) for row in rows if row["timing"] == "lockstep"]
+    report_of(tmp_path / "run", Ablation(), config, rows).write()
+    axes = figures.pop("ablation").axes[0]
     assert tick_texts(axes.xaxis) == ["none", "late"]
     assert [x for x, _ in points(labelled(axes)["ADSC 10x"])] == [0.0, 1.0]
+    report = report_of(tmp_path / "lockstep", Ablation(), config, alone)
+    report.write()
+    assert (report.headline(), figures) == ("no variant has games to compare", {})
 
 
 # --- sweeps -------------------------------------------------------------------------------------------------------

@@ -283,7 +283,9 @@ def row_of(agent: str, command: str, latency_s: float, clock_speed: float, mean:
 
 
 def made(path: Path, *rows: Any, **options: Any) -> RunDirectory:
-    run = RunDirectory.create(path, configured("realtime_smoke", *TINY[:1], *TINY[2:], **options), {})
+    run = RunDirectory.create(
+        path, configured("realtime_smoke", *TINY, "agents={naive: {}, chunk: {chunk: 2}}", **options), {}
+    )
     for row in rows:
         run.append_row(row)
     return run
@@ -307,6 +309,8 @@ def test_a_ranking_holds_until_two_agents_change_places_for_sure(tmp_path: Path)
     assert (held["holds_to"], held["reversals"]) == (5, [])  # b is ahead of a, but their intervals overlap
     assert held["kendall_tau"] == [1.0, pytest.approx(1 / 3)]
     assert held["orders"] == [["a", "b", "c"], ["b", "a", "c"]]
+    unsure = ranking_of(tmp_path / "unsure", {("a", 1.0): 6.5, ("b", 1.0): 6.0, ("a", 5.0): 0.0, ("b", 5.0): 9.0})
+    assert (unsure["holds_to"], unsure["reversals"]) == (5, [])  # nobody was ahead for sure to begin with
     broken = ranking_of(tmp_path / "broken", means | {("a", 20.0): 1.0, ("b", 20.0): 2.0, ("c", 20.0): 19.0})
     assert broken["holds_to"] == 5
     assert broken["reversals"] == [{"clock_speed": 20, "ahead": "c", "behind": each} for each in ("a", "b")]
