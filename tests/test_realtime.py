@@ -214,7 +214,7 @@ def test_what_was_measured_is_replayed_as_a_distribution(tmp_path: Path) -> None
     np.testing.assert_allclose(drawn_s(thinking_time(kept)), 2 * replayed, atol=2e-9)
 
 
-HOVER = {"timing": "virtual"}
+HOVER: dict[str, Any] = {"timing": "virtual"}
 
 
 @pytest.mark.parametrize(

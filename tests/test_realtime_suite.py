@@ -122,9 +122,13 @@ def test_an_evaluation_is_its_case_flown_with_the_weights_and_seeds_of_the_run(r
 
 def test_on_the_machines_clock_an_agent_sleeps_for_its_latency(monkeypatch: pytest.MonkeyPatch) -> None:
     met: list[Any] = []
-    monkeypatch.setattr(agents, "measured", lambda *given: met.append(given[2:]) or SimpleNamespace(close=lambda: None))
+
+    def noting(returned: Any) -> Any:
+        return lambda *given: (met.append(given[2:]), returned)[1]  # type: ignore[func-returns-value]
+
+    monkeypatch.setattr(agents, "measured", noting(SimpleNamespace(close=lambda: None)))
     monkeypatch.setattr(agents, "Policy", lambda *_: None)
-    monkeypatch.setattr(agents, "fly_episode", lambda *given: met.append(given[2:]) or (1.0, 0.0, 0.0))
+    monkeypatch.setattr(agents, "fly_episode", noting((1.0, 0.0, 0.0)))
     config = configured("realtime_smoke", *TINY, "agents={slow: {latency_factor: 3}}", timing="wall")
     case = next(case for case in Realtime().cases(config) if case.id == "pendulum-slow-s0-adsc-50ms-4x")
     Realtime().fly(config, case, lambda trained: {})
