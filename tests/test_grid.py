@@ -54,7 +54,7 @@ def outcomes_of(won: np.ndarray) -> dict[str, np.ndarray]:
 
 def test_a_variant_changes_its_keys_and_nothing_else() -> None:
     config = ablation({"name": "as it is"}, {"name": "slow", "changes": {"latency.reply_us.move": 2}})
-    plain, slow = (Ablation().experiment(config, point)[1] for point in Ablation().points(config))
+    plain, slow = (Ablation().dp1_of(config, name) for name in ("as it is", "slow"))
     assert plain == validate(Dp1Config, {**config.base, "suite": "dp1", "seed": 4}, "dp1")
     assert slow.latency.reply_us["move"] == tuple(2 * each for each in plain.latency.reply_us["move"])
     assert slow.model_dump(exclude={"latency"}) == plain.model_dump(exclude={"latency"})
@@ -67,7 +67,7 @@ SHIPPED = [experiment("ablation.yaml"), *sorted(experiment("ablations").glob("*.
 @pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
 def test_every_variant_of_a_shipped_ablation_is_another(path: Path) -> None:
     config = configured(str(path))
-    flown = {Ablation().experiment(config, point)[1].model_dump_json() for point in Ablation().points(config)}
+    flown = {Ablation().dp1_of(config, variant.name).model_dump_json() for variant in config.variants}
     assert len(flown) == len(config.variants)
 
 
@@ -75,7 +75,7 @@ def test_variants_fly_the_games_of_dp1_with_its_seeds(tmp_path: Path) -> None:
     """The variant that changes nothing flies DP1's own rows; one without latency is ADSC without its error."""
     config = ablation({"name": "as it is"}, {"name": "0", "changes": {"latency.scale": 0.0}})
     summary = run_into(tmp_path / "ablation", Ablation(), config)
-    alone = fly_into(tmp_path / "dp1", Dp1(), Ablation().experiment(config, Point("", "virtual", 0.0, {}, {}))[1])
+    alone = fly_into(tmp_path / "dp1", Dp1(), Ablation().dp1_of(config, "as it is"))
     rows, own = RunDirectory(tmp_path / "ablation").rows(), [row for row in alone.rows() if row["role"] != "figure2"]
     assert [row["case"] for row in rows] == [f"v{variant:02d}-{row['case']}" for variant in (0, 1) for row in own]
     assert [row["wall_s"] for row in rows if row["variant"] == "as it is"] == [row["wall_s"] for row in own]

@@ -61,33 +61,6 @@ if TYPE_CHECKING:
     from uavaccel.wire.session import Session
 
 
-@dataclass(frozen=True)
-class Point(SimpleCase):
-    """A point of a grid: its name, the dotted keys that set it, and the entries of its rows that say which it is.
-
-    Where a whole run is flown at it, it is the case as well.
-    """
-
-    keys: Mapping[str, object]
-    labels: Mapping[str, object]
-
-
-class Grid(Suite[Any, Any]):
-    """An experiment at each point of a grid over its keys."""
-
-    @abstractmethod
-    def points(self, config: Any) -> Iterator[Point]:
-        """Yield every point, in canonical order."""
-
-    @abstractmethod
-    def experiment(self, config: Any, point: Point) -> tuple[AnySuite, Any]:
-        """Return the suite that flies a point, and its configuration there. Raises UserError, which names the key."""
-
-    def check(self, config: Any) -> None:
-        for point in self.points(config):
-            self.experiment(config, point)
-
-
 # --- ablations ------------------------------------------------------------------------------------------------------
 
 
@@ -144,7 +117,7 @@ OpenedVariant = Callable[[str], tuple[Dp1Config, "Session"]]
 BEYOND_TIMEOUT_S = 0.063 + 1e-9  # AirSim's goal timeout, on its 3 ms grid
 
 
-class Ablation(Grid):
+class Ablation(Suite[AblationConfig, VariantGame]):
     """`uavaccel run ablation`: the games of DP1 under each variant, with the same seeds."""
 
     name = "ablation"
@@ -153,17 +126,20 @@ class Ablation(Grid):
     arrays = ARRAYS
     dp1: ClassVar[Dp1] = Dp1()
 
-    def points(self, config: AblationConfig) -> Iterator[Point]:
-        return (Point(one.name, "virtual", 0.0, one.changes, {"variant": one.name}) for one in config.variants)
-
-    def experiment(self, config: AblationConfig, point: Point) -> tuple[Dp1, Dp1Config]:
+    def dp1_of(self, config: AblationConfig, variant: str) -> Dp1Config:
+        """Return the DP1 configuration of a variant. Raises UserError, which names the variant and the key."""
         base = {**config.base, "suite": "dp1", "seed": config.seed}
         validate(Dp1Config, base, "base")
-        return self.dp1, validate(Dp1Config, merged(base, point.keys), f"variant {point.id!r}")
+        changes = next(each.changes for each in config.variants if each.name == variant)
+        return validate(Dp1Config, merged(base, changes), f"variant {variant!r}")
+
+    def check(self, config: AblationConfig) -> None:
+        for variant in config.variants:
+            self.dp1_of(config, variant.name)
 
     def cases(self, config: AblationConfig) -> Iterator[VariantGame]:
         for number, variant in enumerate(config.variants):
-            for game in self.dp1.cases(self._dp1_of(config, variant.name)):
+            for game in self.dp1.cases(self.dp1_of(config, variant.name)):
                 if game.role != "figure2":
                     name = f"v{number:02d}-{game.id}"
                     yield VariantGame(name, game.timing, game.simulated_s(), variant.name, game)
@@ -175,7 +151,7 @@ class Ablation(Grid):
 
             @cache
             def opened(variant: str) -> tuple[Dp1Config, Session]:
-                experiment = self._dp1_of(config, variant)
+                experiment = self.dp1_of(config, variant)
                 return experiment, stack.enter_context(self.dp1.open(experiment, timing, run))
 
             yield opened
@@ -193,12 +169,9 @@ class Ablation(Grid):
     def _under(self, report: Report, variant: str) -> Report:
         """Return the report's games under one variant as those of a run of DP1."""
         own = copy(report)
-        own.config = self._dp1_of(report.config, variant)
+        own.config = self.dp1_of(report.config, variant)
         own.games = report.games[report.games.variant == variant]
         return own
-
-    def _dp1_of(self, config: AblationConfig, variant: str) -> Dp1Config:
-        return next(self.experiment(config, point)[1] for point in self.points(config) if point.id == variant)
 
     def score(self, report: Report) -> pd.DataFrame:
         return pd.concat([self.dp1.score(self._under(report, name)) for name in report.games.variant.unique()])
@@ -342,11 +315,27 @@ class PolicyRow(GameRow):
 KEPT = ("games", "successes", "distance_m_median", "sim_time_s", "timing")
 
 
-class PolicyGrid(Grid):
-    """One policy, evaluated on the same lanes at each point."""
+@dataclass(frozen=True)
+class Point(SimpleCase):
+    """A point of a grid: its name, the dotted keys that set it, and the entries of its row that say which it is."""
+
+    keys: Mapping[str, object]
+    labels: Mapping[str, object]
+
+
+class PolicyGrid(Suite[Any, Point]):
+    """One policy, evaluated on the same lanes at each point of a grid over the evaluation's keys."""
 
     batch = 1
     arrays = OUTCOMES
+
+    @abstractmethod
+    def points(self, config: Any) -> Iterator[Point]:
+        """Yield every point, in canonical order."""
+
+    def check(self, config: Any) -> None:
+        for point in self.points(config):
+            self.experiment(config, point)
 
     def part(self, config: Any, point: Point) -> Part:
         """Return the evaluation at a point."""
@@ -354,6 +343,7 @@ class PolicyGrid(Grid):
         return Part(experiment=config.evaluation.experiment, keys=keys)
 
     def experiment(self, config: Any, point: Point) -> tuple[AnySuite, Any]:
+        """Return the suite that flies a point, and its configuration there. Raises UserError, which names the key."""
         suite, evaluation = part_suite(self.part(config, point), config.seed)
         if suite.name != "evaluate":
             raise UserError(f"evaluation.experiment = {config.evaluation.experiment}: is no evaluation")
