@@ -268,9 +268,8 @@ class Realtime(Suite[RealtimeConfig, Training]):
         from uavaccel.suites import realtime_agents
 
         block, agent = config.environments[case.environment], config.agents[case.agent]
-        trained = realtime_agents.train(block, agent, config.seed + case.seed)
-        row |= {"steps": trained.steps, "last_return": trained.last_return, "weights_sha256": trained.sha256}
-        return GameResult(row, trained.weights)
+        weights, learned = realtime_agents.train(block, agent, config.seed + case.seed)
+        return GameResult(row | learned, weights)
 
     def score(self, report: Report) -> pd.DataFrame:
         """Return the evaluations. Raises UserError where none is finished yet."""
