@@ -620,18 +620,17 @@ class Robustness(PolicyGrid):
         `above` is the largest latency up to which its success does not fall below half of that in real time at the
         fitted latency, `below` the next that was flown; None where there is none, or no cell in real time.
         """
-        games, cells, collapses = report.games, [], []
-        for row in games.to_dict("records"):
-            kept = {name: row[name] for name in ("command", "clock_speed", "latency_scale", "distance_m_median")}
-            cells.append({**kept, **Proportion.of(row).as_summary()})
+        kept = ["command", "clock_speed", "latency_scale", "distance_m_median"]
+        won = [Proportion.of(row).as_summary() for row in report.rows]
+        cells = [own | ratio for own, ratio in zip(report.games[kept].to_dict("records"), won, strict=True)]
+        collapses = []
         success = pd.DataFrame(cells).set_index(["command", "clock_speed", "latency_scale"]).success_ratio.sort_index()
         for (command, clock_speed), line in success.groupby(level=[0, 1]):
             line, real_time = line.droplevel([0, 1]), success.get((command, 1.0, FITTED))
             fallen = (line < COLLAPSED * (real_time or 0.0)).cummax()
             above, below = max(line.index[~fallen], default=None), min(line.index[fallen], default=None)
-            found = {"fitted": line.get(FITTED), "real_time": real_time, "above": above, "below": below}
-            found |= {} if real_time is not None else {"above": None}
-            collapses.append({"command": command, "clock_speed": clock_speed, **found})
+            found = {"command": command, "clock_speed": clock_speed, "fitted": line.get(FITTED), "real_time": real_time}
+            collapses.append(found | {"above": None if real_time is None else above, "below": below})
         shared = {key: getattr(report.config, key) for key in ("agent", "profile", "seed")}
         return {"suite": self.name, **shared, "cells": cells, "collapses": collapses}
 
