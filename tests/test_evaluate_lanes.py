@@ -15,7 +15,6 @@ import torch as th
 from tests.host_kernels import host_kernels  # noqa: F401 - a fixture
 from tests.opengl import needs_opengl
 from tests.running import configured, fly_into
-from uavaccel.config import to_yaml
 from uavaccel.errors import UsageError, UserError
 from uavaccel.records import RunDirectory
 from uavaccel.suites import evaluate_lanes
@@ -51,8 +50,9 @@ def test_a_killed_process_is_one_line_and_rows_stay(tmp_path: Path, monkeypatch:
     game, games = GamesInBatch.game, 30  # so many that some are still flown when the processes die
 
     def killing(self: GamesInBatch, lane: int) -> Any:
+        assert self._processes is not None
         if lane == 2:
-            for process in self._batch.process_ids:
+            for process in self._processes.process_ids:
                 os.kill(process, signal.SIGKILL)
         return game(self, lane)
 
@@ -110,10 +110,6 @@ def test_lanes_on_a_gpu_fly_and_decide_as_on_cores(
 def test_a_lanes_place_among_those_rated_together_depends_on_it_alone() -> None:
     found = blocks([32, 33, 64, 31], np.array([0, 2, 3]))
     assert [(members.tolist(), rows.tolist()) for members, rows in found] == [([3], [31]), ([0], [0]), ([2], [0])]
-
-
-def test_configurations_of_before_fly_in_the_exact_simulator() -> None:
-    assert "simulator: mujoco\ndevice: cpu\n" in to_yaml(configured("evaluate", agent="straight"))
 
 
 @pytest.mark.parametrize(

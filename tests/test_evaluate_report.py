@@ -15,7 +15,7 @@ from uavaccel.config import validate
 from uavaccel.envs.stopwatch import PHASES
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
-from uavaccel.suites.evaluate import EvaluateConfig, Evaluation, against
+from uavaccel.suites.evaluate import EvaluateConfig, Evaluation, against, game_seed
 from uavaccel.suites.suite import choose_row
 
 OBSTACLES = [{"x_m": 12.0, "y_m": -2.0, "radius_m": 0.5}, {"x_m": 20.0, "y_m": 3.0, "half_side_m": 0.25}]
@@ -123,6 +123,12 @@ def test_evaluations_are_compared_in_one_figure(tmp_path: Path, drawn: dict[str,
     }
     said = headline(drawn["figure8_survival_compared"])[1]
     assert said == "measured and modelled and modelled, simulator kernels on the CPU · 1, 2 games each · seed 1, 3"
+
+
+def test_a_game_has_a_seed_of_its_lane_and_the_run() -> None:
+    configs = [validate(EvaluateConfig, {"agent": "straight", "seed": seed}, "test") for seed in (0, 1)]
+    assert len({game_seed(config, lane) for config in configs for lane in range(50)}) == 100
+    assert game_seed(configs[0], 3) == np.random.SeedSequence([0, 3]).generate_state(1)[0]
 
 
 def test_the_paired_comparison_is_mcnemars_on_the_lanes_that_both_flew(tmp_path: Path) -> None:

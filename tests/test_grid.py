@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -55,7 +54,7 @@ def outcomes_of(won: np.ndarray) -> dict[str, np.ndarray]:
 
 def test_a_variant_changes_its_keys_and_nothing_else() -> None:
     config = ablation({"name": "as it is"}, {"name": "slow", "changes": {"latency.reply_us.move": 2}})
-    plain, slow = (Ablation().experiment(config, point)[1] for point in Ablation().points(config))
+    plain, slow = (Ablation().dp1_of(config, name) for name in ("as it is", "slow"))
     assert plain == validate(Dp1Config, {**config.base, "suite": "dp1", "seed": 4}, "dp1")
     assert slow.latency.reply_us["move"] == tuple(2 * each for each in plain.latency.reply_us["move"])
     assert slow.model_dump(exclude={"latency"}) == plain.model_dump(exclude={"latency"})
@@ -68,7 +67,7 @@ SHIPPED = [experiment("ablation.yaml"), *sorted(experiment("ablations").glob("*.
 @pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
 def test_every_variant_of_a_shipped_ablation_is_another(path: Path) -> None:
     config = configured(str(path))
-    flown = {Ablation().experiment(config, point)[1].model_dump_json() for point in Ablation().points(config)}
+    flown = {Ablation().dp1_of(config, variant.name).model_dump_json() for variant in config.variants}
     assert len(flown) == len(config.variants)
 
 
@@ -76,7 +75,7 @@ def test_variants_fly_the_games_of_dp1_with_its_seeds(tmp_path: Path) -> None:
     """The variant that changes nothing flies DP1's own rows; one without latency is ADSC without its error."""
     config = ablation({"name": "as it is"}, {"name": "0", "changes": {"latency.scale": 0.0}})
     summary = run_into(tmp_path / "ablation", Ablation(), config)
-    alone = fly_into(tmp_path / "dp1", Dp1(), Ablation().experiment(config, Point("", "virtual", 0.0, {}, {}))[1])
+    alone = fly_into(tmp_path / "dp1", Dp1(), Ablation().dp1_of(config, "as it is"))
     rows, own = RunDirectory(tmp_path / "ablation").rows(), [row for row in alone.rows() if row["role"] != "figure2"]
     assert [row["case"] for row in rows] == [f"v{variant:02d}-{row['case']}" for variant in (0, 1) for row in own]
     assert [row["wall_s"] for row in rows if row["variant"] == "as it is"] == [row["wall_s"] for row in own]
@@ -147,30 +146,19 @@ def test_a_variants_games_are_pooled_and_drawn(tmp_path: Path, monkeypatch: pyte
     assert page.index("| variant |") < page.index("STLC and position error against ADSC at 1x") < page.index("figures/")
 
 
-def test_the_headline_names_the_least_and_the_most_accurate_variant_at_the_fastest_clock() -> None:
-    entries = [
-        {"command": command, "clock_speed": k, "variant": variant, "stlc_quartiles": quartiles}
-        for command, k, variant, quartiles in (
-            *(("tcsc", 50.0, "plain", [0.0, 1.9, 2.0]), ("adsc", 50.0, "plain", [0.9, 1.25, 1.3])),
-            *(("adsc", 5.0, "plain", [0.0, 0.5, 2.0]), ("adsc", 50.0, "calm", [0.1, 1.75, 1.8])),
-            *(("adsc", 50.0, "late", [0.5, 1.0, 2.0]), ("adsc", 100.0, "late", None)),
-        )
-    ]
-    told: Any = SimpleNamespace(summary={"entries": entries})
-    assert Ablation().headline(told) == (
-        "ADSC at 50x: STLC from 1.000 with late to 1.750 with calm; TCSC at 50x: STLC 1.900 with plain"
-    )
-    told.summary["entries"] = entries[-1:]
-    assert Ablation().headline(told) == "no variant has games to compare"
-
-
-def test_named_variants_stand_side_by_side(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_named_variants_stand_side_by_side_and_what_cannot_be_compared_is_not_drawn(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     rows = [row | {"variant": {"3": "none", "0.5": "late"}[row["variant"]]} for row in variant_rows()]
-    figures = record_figures(monkeypatch)
-    report_of(tmp_path / "run", Ablation(), ablation({"name": "none"}, {"name": "late"}), rows).write()
-    axes = figures["ablation"].axes[0]
+    figures, config = record_figures(monkeypatch), ablation({"name": "none"}, {"name": "late"})
+    alone = [dict(row) for row in rows if row["timing"] == "lockstep"]
+    report_of(tmp_path / "run", Ablation(), config, rows).write()
+    axes = figures.pop("ablation").axes[0]
     assert tick_texts(axes.xaxis) == ["none", "late"]
     assert [x for x, _ in points(labelled(axes)["ADSC 10x"])] == [0.0, 1.0]
+    report = report_of(tmp_path / "lockstep", Ablation(), config, alone)
+    report.write()
+    assert (report.headline(), figures) == ("no variant has games to compare", {})
 
 
 # --- sweeps -------------------------------------------------------------------------------------------------------

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass, field
 from fractions import Fraction
-from typing import Any, Literal, TypedDict, get_args
+from typing import Any, Literal, cast, get_args
 
 import numpy as np
 from gymnasium import spaces
+from gymnasium.vector.utils import batch_space
 
 from uavaccel.clock import positive_clock_speed
 from uavaccel.errors import UserError
@@ -20,20 +21,7 @@ Command = Literal["adsc", "tcsc"]
 Meanwhile = Literal["hold", "default"]
 
 
-class Keys(TypedDict, total=False):
-    """The further arguments of `RealTime` and `RealTimeProcess`: those of `LoopOptions`."""
-
-    meanwhile: Meanwhile
-    default_action: Any
-    chunk: int
-    execute: int | None
-    overlap: bool
-    period_s: float | None
-    observe_age: bool
-    observe_actions: int
-
-
-@dataclass(frozen=True)
+@dataclass
 class LoopOptions:
     """How an agent and its environment take turns. Raises UserError for values that do not fit.
 
@@ -60,35 +48,31 @@ class LoopOptions:
     observe_age: bool = False
     observe_actions: int = 0
     speed: Fraction = field(init=False)
-    executed: int = field(init=False)
-    """The number of a chunk's actions that are applied before the next observation."""
 
     def __post_init__(self) -> None:
         for name, kind in (("command", Command), ("meanwhile", Meanwhile)):
             if (value := getattr(self, name)) not in get_args(kind):
                 raise UserError(f"{name}: must be {' or '.join(map(repr, get_args(kind)))}, not {value!r}")
-        given = self.chunk if self.execute is None else self.execute
-        counts = {"chunk": (self.chunk, 1), "execute": (given, 1), "observe_actions": (self.observe_actions, 0)}
-        for name, (value, least) in counts.items():
+        self.execute = self.chunk if self.execute is None else self.execute
+        for name, least in {"chunk": 1, "execute": 1, "observe_actions": 0}.items():
+            value = getattr(self, name)
             if (count := whole(value)) is None or not least <= count <= MOST_ACTIONS:
                 raise UserError(f"{name}: must be a count of actions, {least} to {MOST_ACTIONS}, not {value!r}")
-            object.__setattr__(self, "executed" if name == "execute" else name, count)
-        if self.executed > self.chunk:
+            setattr(self, name, count)
+        if self.execute > self.chunk:
             raise UserError(f"execute: must be at most chunk = {self.chunk}, not {self.execute}")
-        speed, (least_speed, most) = real(self.clock_speed), CLOCK_SPEEDS
-        object.__setattr__(self, "speed", positive_clock_speed(self.clock_speed if speed is None else speed))
-        if not least_speed <= self.speed <= most:
-            raise UserError(f"clock_speed must be {least_speed:g} to {most:g}, not {self.clock_speed}")
+        speed, (slowest, fastest) = real(self.clock_speed), CLOCK_SPEEDS
+        self.speed = positive_clock_speed(self.clock_speed if speed is None else speed)
+        if not slowest <= self.speed <= fastest:
+            raise UserError(f"clock_speed must be {slowest:g} to {fastest:g}, not {self.clock_speed}")
 
     def action_space(self, single: spaces.Space[Any]) -> spaces.Space[Any]:
         """Return the space of a chunk of actions. Raises UserError for a space whose actions do not stack."""
         if self.chunk == 1:
             return single
-        if isinstance(single, spaces.Box):
-            low, high = (np.stack([bound] * self.chunk) for bound in (single.low, single.high))
-            return spaces.Box(low, high, dtype=single.dtype.type)
-        if isinstance(single, spaces.Discrete) and single.start == 0:
-            return spaces.MultiDiscrete([int(single.n)] * self.chunk)
+        if isinstance(single, spaces.Box) or (isinstance(single, spaces.Discrete) and single.start == 0):
+            stacked: spaces.Space[Any] = batch_space(single, self.chunk)
+            return stacked
         raise UserError(f"chunk: actions of a {type(single).__name__} do not stack; use chunk=1")
 
     def idle_action(self, single: spaces.Space[Any]) -> Action:
@@ -120,7 +104,7 @@ class ControlLoop:
         self.acts_singly = options.chunk == 1
         self._default = options.idle_action(action_space) if self.goes_on else None
         self._holds = options.meanwhile == "hold"
-        self._act_ticks = options.executed * plant.period_ticks
+        self._act_ticks = (options.execute or 1) * plant.period_ticks
         self._numerator, denominator = options.speed.as_integer_ratio()
         self._tick_wall = plant.tick_ns * denominator  # wall ns of `numerator` ticks
         self.begin()
@@ -190,29 +174,29 @@ class Extras:
 
     def __init__(self, observation: spaces.Space[Any], action: spaces.Space[Any], options: LoopOptions) -> None:
         self.space, self._action = observation, action
-        self._age, self._count, self._size = options.observe_age, options.observe_actions, 0
-        self.any = self._age or self._count > 0
+        self._age, count = options.observe_age, options.observe_actions
+        self._latest: deque[Any] = deque(maxlen=count)
+        self.any = self._age or count > 0
         if not self.any:
             return
         if not isinstance(observation, spaces.Box):
             raise UserError(f"observe_age, observe_actions: need a Box of observations, not {observation}")
-        self._type = np.result_type(observation.dtype, np.float32)
         bounds = [(observation.low.ravel(), observation.high.ravel())]
         if self._age:
             bounds.append((np.zeros(1), np.full(1, np.inf)))
-        if self._count:
-            self._size = spaces.flatdim(action)
-            flat: Any = spaces.flatten_space(action)
-            bounds += [(np.minimum(flat.low, 0), np.maximum(flat.high, 0))] * self._count
+        if count:
+            self._size, flat = spaces.flatdim(action), cast(spaces.Box, spaces.flatten_space(action))
+            bounds += [(np.minimum(flat.low, 0), np.maximum(flat.high, 0))] * count
+        self._type = np.result_type(observation.dtype, np.float32)
         low, high = (np.concatenate(ends).astype(self._type) for ends in zip(*bounds, strict=True))
         self.space = spaces.Box(low, high, dtype=self._type.type)
 
     def begin(self) -> None:
         """Begin an episode, with zeros for the latest actions."""
-        self._latest = deque([np.zeros(self._size)] * self._count, maxlen=self._count)
+        self._latest.extend(np.zeros(self._size) for _ in range(self._latest.maxlen or 0))
 
     def note(self, action: Action) -> None:
-        if self._count:
+        if self._latest.maxlen:
             self._latest.append(np.asarray(spaces.flatten(self._action, action), float))
 
     def added(self, observation: Any, age_s: float) -> Any:

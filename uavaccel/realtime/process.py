@@ -11,7 +11,7 @@ from contextlib import suppress
 from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnProcess
 from multiprocessing.util import Finalize
-from typing import Any, Unpack
+from typing import Any
 
 import gymnasium
 
@@ -19,7 +19,7 @@ from uavaccel.clock import MonotonicClock, Pacer
 from uavaccel.errors import UserError
 from uavaccel.processes.lifetime import POLL_S, Patience, describe_end, work_for_parent
 from uavaccel.processes.stalls import is_stopped
-from uavaccel.realtime.control_loop import Command, ControlLoop, Extras, Keys, LoopOptions
+from uavaccel.realtime.control_loop import Command, ControlLoop, Extras, LoopOptions
 from uavaccel.realtime.plant import Passed, plant_of
 from uavaccel.realtime.thinking import Measured
 from uavaccel.units import NS_PER_S
@@ -41,9 +41,7 @@ class RealTimeProcess(gymnasium.Env[Any, Any]):
 
     keeps_real_time = True
 
-    def __init__(
-        self, make_env: MakeEnv, command: Command = "adsc", clock_speed: float = 1.0, **keys: Unpack[Keys]
-    ) -> None:
+    def __init__(self, make_env: MakeEnv, command: Command = "adsc", clock_speed: float = 1.0, **keys: Any) -> None:
         options = LoopOptions(command, clock_speed, **keys)
         context = multiprocessing.get_context("spawn")
         self._connection, theirs = context.Pipe()

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from uavaccel.clock import MonotonicClock
 from uavaccel.config import dump_yaml
@@ -35,34 +34,13 @@ class ThinkingTime(Protocol):
 
 
 @dataclass
-class _Quantiles(ThinkingTime):
-    """A calibration's distributions: sums of times that are interpolated between the quantiles of each table."""
+class _Drawn(ThinkingTime):
+    """Nanoseconds that a function draws with a generator."""
 
-    quantiles: Sequence[float]
-    tables_ns: Sequence[NDArray[np.float64]]
-
-    def sample_ns(self, generator: np.random.Generator) -> int:
-        return sum(round(np.interp(generator.random(), self.quantiles, table)) for table in self.tables_ns)
-
-
-@dataclass
-class _Listed(ThinkingTime):
-    """One of the times in a list, each of them as likely; nothing is drawn where there is one alone."""
-
-    times_ns: Sequence[int]
+    draw: Callable[[np.random.Generator], int]
 
     def sample_ns(self, generator: np.random.Generator) -> int:
-        count = len(self.times_ns)
-        return self.times_ns[0 if count == 1 else int(generator.integers(count))]
-
-
-@dataclass
-class _Lognormal(ThinkingTime):
-    median_s: float
-    sigma: float
-
-    def sample_ns(self, generator: np.random.Generator) -> int:
-        return seconds_to_ns(min(self.median_s * math.exp(self.sigma * generator.standard_normal()), MOST_S))
+        return self.draw(generator)
 
 
 class Measured(ThinkingTime):
@@ -108,7 +86,10 @@ def samples(times_s: Iterable[float]) -> ThinkingTime:
     for seconds in taken:
         if not 0 <= seconds <= MOST_S:
             raise UserError(f"latency_s: must be 0 to {MOST_S:g} seconds, not {seconds:g}")
-    return _Listed([seconds_to_ns(seconds) for seconds in taken])
+    times_ns = [seconds_to_ns(seconds) for seconds in taken]
+    if len(times_ns) == 1:  # nothing is drawn
+        return _Drawn(lambda _: times_ns[0])
+    return _Drawn(lambda generator: times_ns[int(generator.integers(len(times_ns)))])
 
 
 def lognormal(median_s: float, p99_s: float) -> ThinkingTime:
@@ -119,8 +100,8 @@ def lognormal(median_s: float, p99_s: float) -> ThinkingTime:
     median, p99 = real(median_s), real(p99_s)
     if median is None or p99 is None or not 0 < median <= p99 <= MOST_S:
         raise UserError(f"lognormal: needs 0 < median_s <= p99_s <= {MOST_S:g}, not {median_s!r} and {p99_s!r}")
-    ninety_nine = 2.3263478740408408  # standard deviations
-    return _Lognormal(median, math.log(p99 / median) / ninety_nine)
+    sigma = math.log(p99 / median) / 2.3263478740408408  # standard deviations up to the 99th percentile
+    return _Drawn(lambda generator: seconds_to_ns(min(median * math.exp(sigma * generator.standard_normal()), MOST_S)))
 
 
 def calibrated(path: str | Path) -> ThinkingTime:
@@ -135,7 +116,10 @@ def calibrated(path: str | Path) -> ThinkingTime:
         for tables, channel in ((model.request_us, "move"), (model.reply_us, "image"))
     )
     scaled_s = [[model.scale * us / 1e6 for us in table] for table in tables_us]
-    return _Quantiles(model.quantiles, [np.asarray(table) * NS_PER_S for table in scaled_s if any(table)])
+    tables_ns = [np.asarray(table) * NS_PER_S for table in scaled_s if any(table)]
+    return _Drawn(
+        lambda generator: sum(round(np.interp(generator.random(), model.quantiles, table)) for table in tables_ns)
+    )
 
 
 def thinking_time(latency_s: object) -> ThinkingTime:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Unpack
+from typing import Any
 
 import gymnasium
 import numpy as np
 from gymnasium.utils import RecordConstructorArgs
 
 from uavaccel.errors import UserError
-from uavaccel.realtime.control_loop import Command, ControlLoop, Extras, Keys, LoopOptions
+from uavaccel.realtime.control_loop import Command, ControlLoop, Extras, LoopOptions
 from uavaccel.realtime.plant import HasWallClock, plant_of, refuse_real_time_in
 from uavaccel.realtime.thinking import sampled_ns, thinking_time
 from uavaccel.units import NS_PER_S
@@ -47,7 +47,7 @@ class RealTime(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         latency_s: object = 0.05,
         command: Command = "adsc",
         clock_speed: float = 1.0,
-        **keys: Unpack[Keys],
+        **keys: Any,
     ) -> None:
         given: dict[str, Any] = {"latency_s": latency_s, "command": command, "clock_speed": clock_speed, **keys}
         RecordConstructorArgs.__init__(self, **given)

@@ -147,13 +147,12 @@ class Evaluation(Suite[EvaluateConfig, Game]):
     @contextmanager
     def open(self, config: EvaluateConfig, timing: str, run: RunDirectory) -> Iterator[Callable[[int], GameResult]]:
         """Yield a function that flies the game on a lane, in one environment or in a batch."""
-        from uavaccel.suites.evaluate_lanes import GamesInBatch, GamesOverArrays
+        from uavaccel.suites.evaluate_lanes import GamesInBatch
 
         if self.why_serial(config):
             done = run.done_cases()
             left = [case.lane for case in self.cases(config) if case.id not in done]
-            games = GamesOverArrays if config.simulator == KERNELS else GamesInBatch
-            with closing(games(config, left)) as batch:
+            with closing(GamesInBatch(config, left)) as batch:
                 yield batch.game
             return
         import torch as th

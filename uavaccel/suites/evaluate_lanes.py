@@ -9,8 +9,9 @@ network's ratings of one observation and of several, or by one thread and by sev
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
 from copy import deepcopy
 from dataclasses import replace
 from typing import Any, cast
@@ -28,6 +29,7 @@ from uavaccel.envs.gates import Gates
 from uavaccel.envs.hover import Hover
 from uavaccel.envs.navigate import Navigate
 from uavaccel.envs.obstacle_lane import ObstacleLane
+from uavaccel.envs.simulators import KERNELS
 from uavaccel.envs.values import Action, Info
 from uavaccel.machine import usable_cores
 from uavaccel.rl.agents import Agent, PolicyAgent, make_agent, reset_options
@@ -41,8 +43,50 @@ MOST_LANES = 1024  # in a batch: a lane's event camera takes about 300 KB
 BLOCK = 32  # observations that a network rates at once
 GPU = "cuda"
 TimedRow = tuple[EvaluateRow, dict[str, float]]  # row, host times
+Games = Generator[Sequence[TimedRow], None, None]  # that have ended since the last ones
 Places = NDArray[np.int64]  # of lanes in the batch
 Flown = tuple[NDArray[Any], list[tuple[int, Info]]]  # actions; places of games that ended, their last infos
+
+
+class GamesInBatch:
+    """The games of several lanes, flown side by side; `game` hands each one over, whichever ends first."""
+
+    def __init__(self, config: EvaluateConfig, lanes: Sequence[int]) -> None:
+        self._processes: EnvironmentBatch | None = None
+        if config.simulator != KERNELS:
+            count, task = min(config.environments, len(lanes)), config.task.model_dump(mode="json")
+            self._processes = EnvironmentBatch(AGENTS[environment_class(config.env_id)], count, **task)
+        try:
+            self.begin(config, lanes)
+        except BaseException:
+            self.close()
+            raise
+
+    def begin(self, config: EvaluateConfig, lanes: Sequence[int]) -> None:
+        """Start on the games of `lanes`, with the agent of this configuration, once all earlier games are over."""
+        self._ended: dict[int, TimedRow] = {}
+        batch = self._processes
+        self._flown = over_arrays(config, lanes) if batch is None else in_processes(batch, config, lanes)
+        next(self._flown)
+        self._clock = MonotonicClock()
+        self._start_ns = self._clock.now_ns()
+
+    def game(self, lane: int) -> GameResult:
+        """Wait for the game on a lane, and return it; its host times have `wall_s` since the first game began.
+
+        Raises BatchError where a process has ended.
+        """
+        while lane not in self._ended:
+            self._ended |= {row["lane"]: (row, host) for row, host in next(self._flown)}
+        row, host = self._ended.pop(lane)
+        host |= {"wall_s": (self._clock.now_ns() - self._start_ns) / NS_PER_S}
+        return GameResult(row, host=host, next_is_ready=lane + 1 in self._ended)
+
+    def close(self) -> None:
+        """End the processes, and abandon unfinished games."""
+        self._flown.close()
+        if self._processes is not None:
+            self._processes.close()
 
 
 # --- in processes -----------------------------------------------------------------------------------------------
@@ -83,85 +127,37 @@ AGENTS: dict[type[FlightEnv[Any]], type[FlightEnv[Any]]] = {
 }
 
 
-class GamesInBatch:
-    """Flies the games of `lanes` in `config.environments` environments, each of which takes the next game when idle."""
-
-    def __init__(self, config: EvaluateConfig, lanes: Sequence[int]) -> None:
-        count, environment = min(config.environments, len(lanes)), AGENTS[environment_class(config.env_id)]
-        self._batch = EnvironmentBatch(environment, count, **config.task.model_dump(mode="json"))
-        self.close = self._batch.close  # ends the processes, and abandons unfinished games
-        try:
-            self.begin(config, lanes)
-        except BaseException:
-            self.close()
-            raise
-
-    def begin(self, config: EvaluateConfig, lanes: Sequence[int]) -> None:
-        """Start on the games of `lanes`, with the agent of this configuration, once all earlier games are over."""
-        self._left, self._flown = deque(lanes), dict[int, TimedRow]()
-        self._batch.call("set_agent", config.model_dump(mode="json"))
-        self._clock = MonotonicClock()
-        self._start_ns = self._clock.now_ns()
-        for environment in range(self._batch.num_envs):
-            self._send_off(environment)
-
-    def game(self, lane: int) -> GameResult:
-        """Wait for the game on a lane, and return it; its host times have `wall_s` since the first game began.
-
-        Raises BatchError where a process has ended.
-        """
-        while lane not in self._flown:
-            environment, (row, host) = self._batch.call_wait()
-            self._send_off(environment)
-            self._flown[row["lane"]] = row, host
-        row, host = self._flown.pop(lane)
-        return GameResult(row, host={**host, "wall_s": (self._clock.now_ns() - self._start_ns) / NS_PER_S})
-
-    def _send_off(self, environment: int) -> None:
-        if self._left:
-            self._batch.call_async(environment, "fly", self._left.popleft())
+def in_processes(batch: EnvironmentBatch, config: EvaluateConfig, lanes: Sequence[int]) -> Games:
+    """Fly each game in the first idle environment; yield nothing once they have the agent, then each ended game."""
+    batch.call("set_agent", config.model_dump(mode="json"))
+    yield []
+    left = deque(lanes)
+    for environment in range(min(batch.num_envs, len(lanes))):
+        batch.call_async(environment, "fly", left.popleft())
+    for _ in lanes:
+        environment, game = batch.call_wait()
+        if left:
+            batch.call_async(environment, "fly", left.popleft())
+        yield [game]
 
 
 # --- in the kernels ---------------------------------------------------------------------------------------------
 
 
-class GamesOverArrays:
-    """Flies the games of `lanes` in batches of up to MOST_LANES, in the order of `game`'s calls."""
-
-    def __init__(self, config: EvaluateConfig, lanes: Sequence[int]) -> None:
-        self._config, self._left = config, list(lanes)
-        self._batch: LanesOnCores | LanesOnGpu | None = None
-        self._rows: dict[int, EvaluateRow] = {}
-        self._clock = MonotonicClock()
-        self._start_ns: int | None = None
-
-    def game(self, lane: int) -> GameResult:
-        """Fly until the game on a lane is over; its host times have `wall_s` since the first game began."""
-        while lane not in self._rows:
-            if self._batch is None:
-                self._lanes, self._left = self._left[:MOST_LANES], self._left[MOST_LANES:]
-                self._actions: list[list[Action]] = [[] for _ in self._lanes]
-                self._going = np.arange(len(self._lanes))
-                self._batch = open_lanes(self._config, self._lanes)
-                self._start_ns = self._start_ns or self._clock.now_ns()
-            actions, ended = self._batch.decide_and_fly(self._going)
-            for place, action in zip(self._going.tolist(), actions.tolist(), strict=True):
-                self._actions[place].append(action)
-            for place, info in ended:
-                flown = self._lanes[place]
-                self._rows[flown] = row_of(self._config, flown, info, self._actions[place])
-            self._going = self._going[~np.isin(self._going, [place for place, _ in ended])]
-            if not len(self._going):
-                self.close()
-        row, now_ns = self._rows.pop(lane), self._clock.now_ns()
-        host = {"wall_s": (now_ns - (self._start_ns or now_ns)) / NS_PER_S}
-        return GameResult(row, host=host, next_is_ready=lane + 1 in self._rows)
-
-    def close(self) -> None:
-        """Abandon unfinished games."""
-        if self._batch is not None:
-            self._batch.close()
-        self._batch = None
+def over_arrays(config: EvaluateConfig, lanes: Sequence[int]) -> Games:
+    """Fly the games in batches of up to MOST_LANES; yield nothing once a batch is open, then what ended in a round."""
+    for first in range(0, len(lanes), MOST_LANES):
+        numbers = lanes[first : first + MOST_LANES]
+        with closing(open_lanes(config, numbers)) as batch:
+            yield []
+            taken: list[list[Action]] = [[] for _ in numbers]
+            going = np.arange(len(numbers))
+            while len(going):
+                actions, ended = batch.decide_and_fly(going)
+                for place, action in zip(going.tolist(), actions.tolist(), strict=True):
+                    taken[place].append(action)
+                going = going[~np.isin(going, [place for place, _ in ended])]
+                yield [(row_of(config, numbers[place], info, taken[place]), {}) for place, info in ended]
 
 
 def open_lanes(config: EvaluateConfig, lanes: Sequence[int]) -> LanesOnCores | LanesOnGpu:

@@ -23,7 +23,7 @@ from pydantic import AfterValidator, Field, field_validator
 from uavaccel.config import Config, parse_yaml, validate
 from uavaccel.draw import style
 from uavaccel.draw.labels import clock_label, command_at_clock, command_name
-from uavaccel.draw.page import Block, Heading, Picture, Table, unknown
+from uavaccel.draw.page import Block, Column, Heading, Picture, Table, unknown
 from uavaccel.envs.conditions import CONDITIONS
 from uavaccel.errors import UsageError, UserError, suggestion
 from uavaccel.files import Plain
@@ -56,34 +56,9 @@ from uavaccel.suites.rows import GameRow, Row
 from uavaccel.suites.suite import AnySuite, GameResult, SimpleCase, Suite
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from uavaccel.wire.session import Session
-
-
-@dataclass(frozen=True)
-class Point(SimpleCase):
-    """A point of a grid: its name, the dotted keys that set it, and the entries of its rows that say which it is.
-
-    Where a whole run is flown at it, it is the case as well.
-    """
-
-    keys: Mapping[str, object]
-    labels: Mapping[str, object]
-
-
-class Grid(Suite[Any, Any]):
-    """An experiment at each point of a grid over its keys."""
-
-    @abstractmethod
-    def points(self, config: Any) -> Iterator[Point]:
-        """Yield every point, in canonical order."""
-
-    @abstractmethod
-    def experiment(self, config: Any, point: Point) -> tuple[AnySuite, Any]:
-        """Return the suite that flies a point, and its configuration there. Raises UserError, which names the key."""
-
-    def check(self, config: Any) -> None:
-        for point in self.points(config):
-            self.experiment(config, point)
 
 
 # --- ablations ------------------------------------------------------------------------------------------------------
@@ -132,17 +107,17 @@ class AblationRow(Dp1Row):
 
 @dataclass(frozen=True)
 class VariantGame(SimpleCase):
-    """A game of DP1 under a variant, by the variant's place in the configuration."""
+    """A game of DP1 under a variant."""
 
-    variant: int
+    variant: str
     game: Game
 
 
-OpenedVariant = Callable[[int], tuple[Dp1Config, "Session"]]
-GOAL_TIMEOUT_S = 0.063  # AirSim's, on its 3 ms grid
+OpenedVariant = Callable[[str], tuple[Dp1Config, "Session"]]
+BEYOND_TIMEOUT_S = 0.063 + 1e-9  # AirSim's goal timeout, on its 3 ms grid
 
 
-class Ablation(Grid):
+class Ablation(Suite[AblationConfig, VariantGame]):
     """`uavaccel run ablation`: the games of DP1 under each variant, with the same seeds."""
 
     name = "ablation"
@@ -151,37 +126,40 @@ class Ablation(Grid):
     arrays = RECORDED
     dp1: ClassVar[Dp1] = Dp1()
 
-    def points(self, config: AblationConfig) -> Iterator[Point]:
-        return (Point(one.name, "virtual", 0.0, one.changes, {"variant": one.name}) for one in config.variants)
-
-    def experiment(self, config: AblationConfig, point: Point) -> tuple[Dp1, Dp1Config]:
+    def dp1_of(self, config: AblationConfig, variant: str) -> Dp1Config:
+        """Return the DP1 configuration of a variant. Raises UserError, which names the variant and the key."""
         base = {**config.base, "suite": "dp1", "seed": config.seed}
         validate(Dp1Config, base, "base")
-        return self.dp1, validate(Dp1Config, merged(base, point.keys), f"variant {point.id!r}")
+        changes = next(each.changes for each in config.variants if each.name == variant)
+        return validate(Dp1Config, merged(base, changes), f"variant {variant!r}")
+
+    def check(self, config: AblationConfig) -> None:
+        for variant in config.variants:
+            self.dp1_of(config, variant.name)
 
     def cases(self, config: AblationConfig) -> Iterator[VariantGame]:
-        for variant, point in enumerate(self.points(config)):
-            for game in self.dp1.cases(self.experiment(config, point)[1]):
+        for number, variant in enumerate(config.variants):
+            for game in self.dp1.cases(self.dp1_of(config, variant.name)):
                 if game.role != "figure2":
-                    yield VariantGame(f"v{variant:02d}-{game.id}", game.timing, game.simulated_s(), variant, game)
+                    name = f"v{number:02d}-{game.id}"
+                    yield VariantGame(name, game.timing, game.simulated_s(), variant.name, game)
 
     @contextmanager
     def open(self, config: AblationConfig, timing: str, run: RunDirectory) -> Iterator[OpenedVariant]:
         """Yield what returns a variant's experiment and its session, opened when its first game is flown."""
-        points = list(self.points(config))
         with ExitStack() as stack:
 
             @cache
-            def opened(variant: int) -> tuple[Dp1Config, Session]:
-                dp1, experiment = self.experiment(config, points[variant])
-                return experiment, stack.enter_context(dp1.open(experiment, timing, run))
+            def opened(variant: str) -> tuple[Dp1Config, Session]:
+                experiment = self.dp1_of(config, variant)
+                return experiment, stack.enter_context(self.dp1.open(experiment, timing, run))
 
             yield opened
 
     def fly(self, config: AblationConfig, case: VariantGame, opened: OpenedVariant) -> GameResult:
         experiment, session = opened(case.variant)
         flown = self.dp1.fly(experiment, case.game, session)
-        return GameResult({**flown.row, "variant": config.variants[case.variant].name}, flown.arrays)
+        return GameResult({**flown.row, "variant": case.variant}, flown.arrays)
 
     def flight(
         self, report: Report, game: Mapping[str, Any], pictures: bool = True, event_rate_hz: float | None = None
@@ -191,8 +169,7 @@ class Ablation(Grid):
     def _under(self, report: Report, variant: str) -> Report:
         """Return the report's games under one variant as those of a run of DP1."""
         own = copy(report)
-        [point] = [point for point in self.points(report.config) if point.id == variant]
-        own.config = self.experiment(report.config, point)[1]
+        own.config = self.dp1_of(report.config, variant)
         own.games = report.games[report.games.variant == variant]
         return own
 
@@ -206,20 +183,29 @@ class Ablation(Grid):
         Numbers that cannot be known are None.
         """
         config, entries = report.config, []
-        for variant in (variant.name for variant in config.variants):
-            scored = report.scores[report.scores.variant == variant]
+        for variant in config.variants:
+            scored = report.scores[report.scores.variant == variant.name]
             cells = pd.DataFrame(summary_cells(scored, config.seed))
-            for key, games in scored[scored.timing != "lockstep"].groupby(["command", "clock_speed"]):
-                own, labels = finished(games), dict[str, Any](zip(("command", "clock_speed"), key, strict=True))
+            for (command, clock_speed), games in scored[scored.timing != "lockstep"].groupby(
+                ["command", "clock_speed"]
+            ):
+                own, most_rounds = finished(games), games["rounds"].max()
                 stlc, gap_s = own.stlc.dropna(), np.array([gap for gaps in own.gap_s for gap in gaps])
-                same = (cells[list(labels)] == list(key)).all(axis=1) & (cells.timing != "lockstep")
-                speedups = cells[same & (cells["rounds"] == games["rounds"].max())].effective_speedup
-                late = float(np.mean(gap_s > GOAL_TIMEOUT_S + 1e-9)) if gap_s.size else None
-                found = labels | {"variant": variant, "games": len(own), "failed_games": len(games) - len(own)}
-                found["stlc_quartiles"] = list(quartiles(stlc)) if len(stlc) else None
-                found["position_rmse_m_median"] = float(own.position_rmse_m.median()) if len(stlc) else None
-                found["effective_speedup"] = float(speedups.astype(float).mean(skipna=False))
-                entries.append(found | {"share_beyond_goal_timeout": late})
+                same = (cells.command == command) & (cells.clock_speed == clock_speed) & (cells.timing != "lockstep")
+                speedups = cells.effective_speedup[same & (cells["rounds"] == most_rounds)].astype(float)
+                entries.append(
+                    {
+                        "command": command,
+                        "clock_speed": clock_speed,
+                        "variant": variant.name,
+                        "games": len(own),
+                        "failed_games": len(games) - len(own),
+                        "stlc_quartiles": list(quartiles(stlc)) if len(stlc) else None,
+                        "position_rmse_m_median": float(own.position_rmse_m.median()) if len(stlc) else None,
+                        "effective_speedup": float(speedups.mean(skipna=False)),
+                        "share_beyond_goal_timeout": float(np.mean(gap_s > BEYOND_TIMEOUT_S)) if gap_s.size else None,
+                    }
+                )
         return {"suite": self.name, "title": config.title, "seed": config.seed, "entries": entries}
 
     def title(self, report: Report) -> str:
@@ -236,66 +222,66 @@ class Ablation(Grid):
         return "; ".join(said)
 
     def overview(self, report: Report) -> Table:
-        return Table.of(
-            entries_of(report.summary),
-            {
-                "variant": "{variant}",
-                "command": "{command!u}",
-                "ClockSpeed": "{clock_speed:g}x",
-                "games": "{games}{failed_games!f}",
-                "STLC median [q25, q75]": "{stlc:.3f} [{stlc_quartiles[0]:.3f}, {stlc_quartiles[2]:.3f}]",
-                "RMSE median, m": "{position_rmse_m_median:.3f}",
-                "effective speed-up": "{effective_speedup:.2f}",
-                "gaps beyond the goal timeout": "{share_beyond_goal_timeout:.0%}",
-            },
-        )
+        return Table.of(entries_of(report.summary), ENTRIES)
 
     def page(self, report: Report) -> Iterator[Block | str]:
-        about = (
-            "STLC and position error against ADSC at 1x under the same variant: medians over games, T_moves and rounds "
-            "pooled; effective speed-up: its mean over the T_moves of the most rounds."
-        )
         yield self.overview(report)
-        yield about
-        yield self.figure(report, f"{report.config.title}. {about}")
+        yield ABOUT_ENTRIES
+        if len(entries := entries_of(report.summary)):
+            figure = ablation_figure(report.config, entries, source_line(report.games))
+            yield report.figure("ablation", figure, f"{report.config.title}. {ABOUT_ENTRIES}")
 
-    def figure(self, report: Report, caption: str) -> Picture:
-        """Draw STLC, error and speed-up over the variants, on a logarithmic axis if their names are far apart."""
-        config, entries, source = report.config, entries_of(report.summary), source_line(report.games)
-        figure, grid = plots.panels(1, 3, config.title, source, (10.4 / 3, 3.0))
-        drawn = {
-            "stlc": "STLC, median",
-            "position_rmse_m_median": "position error, m (RMSE, median)",
-            "effective_speedup": "effective speed-up",
-        }
-        if len(entries):
-            place, names = pd.factorize(entries.variant)
-            numbers = pd.to_numeric(entries.variant, errors="coerce")
-            if are_numbers := bool(numbers.notna().all()):
-                place = (numbers * (entries.clock_speed if config.times_clock_speed else 1.0)).to_numpy(float)
-            clocks, positive = sorted(entries.clock_speed.unique()), place[place > 0]
-            for (command, clock), own in entries.assign(place=place).groupby(["command", "clock_speed"]):
-                line: style.LineStyle = {"marker": "o", "markersize": 4, "color": style.colour(clocks.index(clock))}
-                line |= {"linestyle": {"adsc": "-", "tcsc": "--"}[command]}
-                for axes, (column, label) in zip(grid[0], drawn.items(), strict=True):
-                    name = f"{command_name(command)} {clock_label(clock)}"
-                    axes.plot(own.place, own[column].astype(float), **line, label=name)
-                    axes.set(ylabel=label, xlabel=config.axis)
-            for axes in grid[0]:
-                if not are_numbers:
-                    axes.set_xticks(range(len(names)), names, rotation=20, ha="right")
-                elif len(positive) and positive.max() / positive.min() > 20:
-                    axes.set_xscale("symlog", linthresh=positive.min())
-            figure.legend(*grid[0, 0].get_legend_handles_labels(), loc="outside right center", fontsize=7.5)
-        grid[0, 0].axhline(SIMILAR_STLC, color="#C00000", linewidth=1.0, zorder=1)
-        grid[0, 2].set_yscale("log")
-        return report.figure("ablation", figure, caption, source)
+
+ENTRIES: dict[str, Column] = {
+    "variant": "{variant}",
+    "command": "{command!u}",
+    "ClockSpeed": "{clock_speed:g}x",
+    "games": "{games}{failed_games!f}",
+    "STLC median [q25, q75]": "{stlc:.3f} [{stlc_quartiles[0]:.3f}, {stlc_quartiles[2]:.3f}]",
+    "RMSE median, m": "{position_rmse_m_median:.3f}",
+    "effective speed-up": "{effective_speedup:.2f}",
+    "gaps beyond the goal timeout": "{share_beyond_goal_timeout:.0%}",
+}
+ABOUT_ENTRIES = (
+    "STLC and position error against ADSC at 1x under the same variant: medians over games, T_moves and rounds "
+    "pooled; effective speed-up: its mean over the T_moves of the most rounds."
+)
+PANELS = {
+    "stlc": "STLC, median",
+    "position_rmse_m_median": "position error, m (RMSE, median)",
+    "effective_speedup": "effective speed-up",
+}
 
 
 def entries_of(summary: Summary) -> pd.DataFrame:
     """Return the entries of an ablation's summary as a table, which has the median `stlc` too."""
     medians = [entry["stlc_quartiles"][1] if entry["stlc_quartiles"] else np.nan for entry in summary["entries"]]
     return table_of(summary["entries"]).assign(stlc=medians)
+
+
+def ablation_figure(config: AblationConfig, entries: pd.DataFrame, source: str) -> Figure:
+    """Draw STLC, error and speed-up over the variants, on a logarithmic axis if their names are far apart."""
+    figure, grid = plots.panels(1, 3, config.title, source, (10.4 / 3, 3.0))
+    places, names = pd.factorize(entries.variant)
+    values = pd.to_numeric(entries.variant, errors="coerce")
+    if are_numbers := bool(values.notna().all()):
+        places = (values * (entries.clock_speed if config.times_clock_speed else 1.0)).to_numpy(float)
+    clocks, positive = sorted(entries.clock_speed.unique()), places[places > 0]
+    for axes, (column, label) in zip(grid[0], PANELS.items(), strict=True):
+        for (command, clock), own in entries.assign(place=places).groupby(["command", "clock_speed"]):
+            colour, dashes = style.colour(clocks.index(clock)), {"adsc": "-", "tcsc": "--"}[command]
+            line: style.LineStyle = {"marker": "o", "markersize": 4, "color": colour, "linestyle": dashes}
+            name = f"{command_name(command)} {clock_label(clock)}"
+            axes.plot(own.place, own[column].astype(float), **line, label=name)
+        axes.set(ylabel=label, xlabel=config.axis)
+        if not are_numbers:
+            axes.set_xticks(range(len(names)), names, rotation=20, ha="right")
+        elif len(positive) and positive.max() / positive.min() > 20:
+            axes.set_xscale("symlog", linthresh=positive.min())
+    figure.legend(*grid[0, 0].get_legend_handles_labels(), loc="outside right center", fontsize=7.5)
+    grid[0, 0].axhline(SIMILAR_STLC, color="#C00000", linewidth=1.0, zorder=1)
+    grid[0, 2].set_yscale("log")
+    return figure
 
 
 # --- one policy -----------------------------------------------------------------------------------------------------
@@ -329,11 +315,27 @@ class PolicyRow(GameRow):
 KEPT = ("games", "successes", "distance_m_median", "sim_time_s", "timing")
 
 
-class PolicyGrid(Grid):
-    """One policy, evaluated on the same lanes at each point."""
+@dataclass(frozen=True)
+class Point(SimpleCase):
+    """A point of a grid: its name, the dotted keys that set it, and the entries of its row that say which it is."""
+
+    keys: Mapping[str, object]
+    labels: Mapping[str, object]
+
+
+class PolicyGrid(Suite[Any, Point]):
+    """One policy, evaluated on the same lanes at each point of a grid over the evaluation's keys."""
 
     batch = 1
     arrays = OUTCOMES
+
+    @abstractmethod
+    def points(self, config: Any) -> Iterator[Point]:
+        """Yield every point, in canonical order."""
+
+    def check(self, config: Any) -> None:
+        for point in self.points(config):
+            self.experiment(config, point)
 
     def part(self, config: Any, point: Point) -> Part:
         """Return the evaluation at a point."""
@@ -341,6 +343,7 @@ class PolicyGrid(Grid):
         return Part(experiment=config.evaluation.experiment, keys=keys)
 
     def experiment(self, config: Any, point: Point) -> tuple[AnySuite, Any]:
+        """Return the suite that flies a point, and its configuration there. Raises UserError, which names the key."""
         suite, evaluation = part_suite(self.part(config, point), config.seed)
         if suite.name != "evaluate":
             raise UserError(f"evaluation.experiment = {config.evaluation.experiment}: is no evaluation")
@@ -351,7 +354,7 @@ class PolicyGrid(Grid):
         return self.experiment(config, next(self.points(config)))
 
     def cases(self, config: Any) -> Iterator[Point]:
-        typical_s = _simulated_s(*self.first(config))
+        typical_s = simulated_s(*self.first(config))
         return (replace(point, typical_s=typical_s) for point in self.points(config))
 
     def games(self, config: Any, case: Point) -> int:
@@ -380,7 +383,7 @@ class PolicyGrid(Grid):
         return f"{rows[-1]['case']} won {rows[-1]['successes']} of {rows[-1]['games']}"
 
 
-def _simulated_s(suite: AnySuite, config: Any) -> float:
+def simulated_s(suite: AnySuite, config: Any) -> float:
     return sum(case.simulated_s() for case in suite.cases(config))
 
 
@@ -465,7 +468,7 @@ class Sweep(PolicyGrid):
         for point, suite, evaluation in [trained, *departed]:
             if point.id not in same:
                 labels = {**point.labels, "same": same if point.id == AS_TRAINED else []}
-                yield Point(point.id, timing_of(evaluation), _simulated_s(suite, evaluation), point.keys, labels)
+                yield Point(point.id, timing_of(evaluation), simulated_s(suite, evaluation), point.keys, labels)
 
     def why_serial(self, config: SweepConfig) -> str:
         suite, evaluation = self.first(config)
@@ -617,18 +620,17 @@ class Robustness(PolicyGrid):
         `above` is the largest latency up to which its success does not fall below half of that in real time at the
         fitted latency, `below` the next that was flown; None where there is none, or no cell in real time.
         """
-        games, cells, collapses = report.games, [], []
-        for row in games.to_dict("records"):
-            kept = {name: row[name] for name in ("command", "clock_speed", "latency_scale", "distance_m_median")}
-            cells.append({**kept, **Proportion.of(row).as_summary()})
+        kept = ["command", "clock_speed", "latency_scale", "distance_m_median"]
+        won = [Proportion.of(row).as_summary() for row in report.rows]
+        cells = [own | ratio for own, ratio in zip(report.games[kept].to_dict("records"), won, strict=True)]
+        collapses = []
         success = pd.DataFrame(cells).set_index(["command", "clock_speed", "latency_scale"]).success_ratio.sort_index()
         for (command, clock_speed), line in success.groupby(level=[0, 1]):
             line, real_time = line.droplevel([0, 1]), success.get((command, 1.0, FITTED))
             fallen = (line < COLLAPSED * (real_time or 0.0)).cummax()
             above, below = max(line.index[~fallen], default=None), min(line.index[fallen], default=None)
-            found = {"fitted": line.get(FITTED), "real_time": real_time, "above": above, "below": below}
-            found |= {} if real_time is not None else {"above": None}
-            collapses.append({"command": command, "clock_speed": clock_speed, **found})
+            found = {"command": command, "clock_speed": clock_speed, "fitted": line.get(FITTED), "real_time": real_time}
+            collapses.append(found | {"above": None if real_time is None else above, "below": below})
         shared = {key: getattr(report.config, key) for key in ("agent", "profile", "seed")}
         return {"suite": self.name, **shared, "cells": cells, "collapses": collapses}
 

@@ -34,10 +34,9 @@ from uavaccel.suites.experiment import ClockSpeeds, CommandName, CommandNames, E
 from uavaccel.suites.own_code import own_module
 from uavaccel.suites.report import Report, Summary, records
 from uavaccel.suites.rows import GameRow, Row
-from uavaccel.suites.suite import GameResult, Suite
+from uavaccel.suites.suite import GameResult, SimpleCase, Suite
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 DRONES = "uavaccel/"
@@ -172,21 +171,12 @@ class EvaluationRow(GameRow):
 
 
 @dataclass(frozen=True)
-class Training:
-    """A training of an agent."""
+class Training(SimpleCase):
+    """A training of an agent. The length of its episodes is not known beforehand."""
 
     environment: str
     agent: str
     seed: int
-    timing: str
-
-    @property
-    def id(self) -> str:
-        return f"{self.environment}-{self.agent}-s{self.seed}"
-
-    def simulated_s(self) -> float:
-        """Return 0: the length of a training's episodes is not known beforehand."""
-        return 0.0
 
 
 @dataclass(frozen=True)
@@ -198,14 +188,6 @@ class Evaluation(Training):
     latency_s: float
     clock_speed: float
     command: str
-    episodes: int
-
-    @property
-    def id(self) -> str:
-        return f"{super().id}-{self.command}-{self.latency_s * 1e3:g}ms-{self.clock_speed:g}x"
-
-    def simulated_s(self) -> float:
-        return self.episodes * EPISODE_S
 
 
 def _import_modules(config: RealtimeConfig) -> None:
@@ -247,15 +229,17 @@ class Realtime(Suite[RealtimeConfig, Training]):
 
     def cases(self, config: RealtimeConfig) -> Iterator[Training]:
         """Yield all trainings, then all evaluations. Under TCSC delays change nothing: one latency stands for all."""
-        for (environment, agent), seed in product(_pairs(config), range(config.seeds)):
+        flown = [(*pair, seed) for pair, seed in product(_pairs(config), range(config.seeds))]
+        for environment, agent, seed in flown:
             if _trained_as(config, environment, agent) == agent:
-                yield Training(environment, agent, seed, "virtual")
-        for (environment, agent), seed, command in product(_pairs(config), range(config.seeds), config.command):
-            trained = Training(environment, _trained_as(config, environment, agent), seed, "virtual").id
+                yield Training(f"{environment}-{agent}-s{seed}", "virtual", 0.0, environment, agent, seed)
+        for (environment, agent, seed), command in product(flown, config.command):
+            trained = f"{environment}-{_trained_as(config, environment, agent)}-s{seed}"
             latencies_s = config.latency_s if command == "adsc" else config.latency_s[-1:]
             for latency_s, speed in product(latencies_s, config.clock_speed):
-                under = latency_s, speed, command, config.episodes
-                yield Evaluation(environment, agent, seed, config.timing, trained, *under)
+                case = f"{environment}-{agent}-s{seed}-{command}-{latency_s * 1e3:g}ms-{speed:g}x"
+                of = case, config.timing, config.episodes * EPISODE_S, environment, agent, seed
+                yield Evaluation(*of, trained, latency_s, speed, command)
 
     def stage(self, case: Training) -> int:
         return int(isinstance(case, Evaluation))
@@ -267,7 +251,7 @@ class Realtime(Suite[RealtimeConfig, Training]):
         return ("seeds",)
 
     def games(self, config: RealtimeConfig, case: Training) -> int:
-        return case.episodes if isinstance(case, Evaluation) else 1
+        return config.episodes if isinstance(case, Evaluation) else 1
 
     def open(self, config: RealtimeConfig, timing: str, run: RunDirectory) -> AbstractContextManager[Any]:
         """Open what loads the weights of a training, those of the latest one once for all of its evaluations."""
@@ -287,9 +271,8 @@ class Realtime(Suite[RealtimeConfig, Training]):
         from uavaccel.suites import realtime_agents
 
         block, agent = config.environments[case.environment], config.agents[case.agent]
-        trained = realtime_agents.train(block, agent, config.seed + case.seed)
-        row |= {"steps": trained.steps, "last_return": trained.last_return, "weights_sha256": trained.sha256}
-        return GameResult(row, trained.weights)
+        weights, learned = realtime_agents.train(block, agent, config.seed + case.seed)
+        return GameResult(row | learned, weights)
 
     def score(self, report: Report) -> pd.DataFrame:
         """Return the evaluations. Raises UserError where none is finished yet."""
@@ -341,7 +324,8 @@ class Realtime(Suite[RealtimeConfig, Training]):
         several = [ranking for ranking in report.summary["rankings"] if len(ranking["clock_speeds"]) > 1]
         counts = [f"{plots.span(cells[name], '{}')} {what}" for name, what in COUNTS.items()]
         source = f"{report.summary['provenance']} · {', '.join(counts)} a cell · seed {report.summary['seed']}"
-        yield returns_figure(report, cells, source)
+        if (cells.command == "adsc").any():
+            yield returns_figure(report, cells, source)
         if several:
             yield rankings_figure(report, source)
         yield Heading("How fast may one simulate before the ranking changes?")
@@ -453,10 +437,7 @@ def _ranking(cells: pd.DataFrame) -> dict[str, Any]:
 
 def kendall_tau(first: pd.Series, second: pd.Series) -> float | None:
     """Return Kendall's tau-b of the agents, the index of both, by their returns; None where either ranks nothing."""
-    from scipy.stats import kendalltau
-
-    agents = sorted(set(first.index) & set(second.index))
-    tau = kendalltau(first[agents], second[agents]).statistic if len(agents) > 1 else np.nan
+    tau = first.corr(second, method="kendall", min_periods=2)
     return None if np.isnan(tau) else float(tau)
 
 
@@ -517,20 +498,12 @@ def _first_change(ranking: Mapping[str, Any]) -> str:
     return f"at {at} {first['ahead']} is ahead of {first['behind']}, which beats it at {slowest}"
 
 
-def _latency_ms(entry: Mapping[str, Any]) -> str:
-    return f"{1e3 * entry['latency_s']:g}"
-
-
-def _late(cell: Mapping[str, Any]) -> str:
-    return f"{cell['late_s']:.3f}" if cell["late_s"] else "-"
-
-
-def _taus(ranking: Mapping[str, Any]) -> str:
-    return ", ".join("-" if tau is None else f"{tau:.2f}" for tau in ranking["kendall_tau"][1:])
-
-
 def rankings_table(rankings: Sequence[Mapping[str, Any]]) -> Table:
     """Return the table of rankings at several ClockSpeeds."""
+
+    def taus(ranking: Mapping[str, Any]) -> str:
+        return ", ".join("-" if tau is None else f"{tau:.2f}" for tau in ranking["kendall_tau"][1:])
+
     speeds = ", ".join(map(clock_label, rankings[0]["clock_speeds"][1:]))
     return Table.of(
         rankings,
@@ -538,58 +511,57 @@ def rankings_table(rankings: Sequence[Mapping[str, Any]]) -> Table:
             "environment": "{environment}",
             "latency, ms": _latency_ms,
             "ranking holds up to": "{holds_to:g}x",
-            f"Kendall's tau at {speeds}": _taus,
+            f"Kendall's tau at {speeds}": taus,
             "first change": _first_change,
         },
     )
 
 
-def _panels(names: Sequence[str], title: str, source: str) -> tuple[Figure, dict[str, Axes]]:
-    """Return a figure and its axes by environment."""
+def _latency_ms(entry: Mapping[str, Any]) -> str:
+    return f"{1e3 * entry['latency_s']:g}"
+
+
+def panels_figure(
+    cells: pd.DataFrame, x: str, y: str, by: str, title: str, source: str, line: str = "o-", band: bool = False
+) -> Figure:
+    """Draw column `y` over `x`, a panel per environment and a line per value of `by`, with its interval if `band`."""
+    names = cells.environment.unique()
     rows, columns = math.ceil(len(names) / PANELS), min(len(names), PANELS)
     figure, grid = plots.panels(rows, columns, title, source, (3.6, 2.8))
     for axes in grid.flat[len(names) :]:
-        axes.set_visible(False)
-    for axes, name in zip(grid.flat, names, strict=False):
+        axes.remove()
+    for (name, axes), (number, label) in product(zip(names, grid.flat, strict=False), enumerate(cells[by].unique())):
         axes.set_title(name)
-    return figure, dict(zip(names, grid.flat, strict=False))
+        own, colour = cells[(cells.environment == name) & (cells[by] == label)].sort_values(x), style.colour(number)
+        if len(own):
+            axes.plot(own[x], own[y], line, markersize=3.5, color=colour, label=label.replace("_", " "))
+        if band:
+            axes.fill_between(own[x], own.return_low, own.return_high, color=colour, alpha=0.15, linewidth=0)
+    style.shared_legend(figure, figure.axes)
+    return figure
 
 
 def returns_figure(report: Report, cells: pd.DataFrame, source: str) -> Picture:
-    """Draw return over the simulated delay, a panel per environment and a line per agent with its 95 % interval."""
+    """Draw return over the simulated delay; of cells with equal delays one, since their flights are identical."""
     title = "Return over the delay from observation to action"
-    figure, panels = _panels(cells.environment.unique(), title, source)
-    # of cells with equal delays one is drawn, since their flights are identical
     adsc = cells[cells.command == "adsc"].assign(delay_s=cells.delay_s.round(6)).sort_values("delay_s", kind="stable")
-    adsc = adsc.drop_duplicates(["environment", "agent", "delay_s"], keep="last")
-    for (name, axes), (number, agent) in product(panels.items(), enumerate(cells.agent.unique())):
-        own = adsc[(adsc.environment == name) & (adsc.agent == agent)]
-        if len(own):
-            line: style.LineStyle = {"marker": "o", "markersize": 3.5, "color": style.colour(number)}
-            axes.plot(own.delay_s, own.return_mean, **line, label=agent.replace("_", " "))
-            area = {"color": style.colour(number), "alpha": 0.15, "linewidth": 0}
-            axes.fill_between(own.delay_s, own.return_low, own.return_high, **area)
-    for axes in panels.values():
+    adsc = adsc.drop_duplicates(["environment", "agent", "delay_s"], keep="last").sort_index()
+    figure = panels_figure(adsc, "delay_s", "return_mean", "agent", title, source, band=True)
+    for axes in figure.axes:
         axes.set_xscale("symlog", linthresh=0.01)
         axes.set(xlabel="delay, simulated s", ylabel="return", xlim=(0, None))
-    style.shared_legend(figure, panels.values())
     return report.figure("returns", figure, f"{title}, means with 95 % intervals over trainings and episodes.", source)
 
 
 def rankings_figure(report: Report, source: str) -> Picture:
-    """Draw Kendall's tau against the slowest ClockSpeed, a panel per environment and a line per latency."""
-    rankings, title = pd.DataFrame(report.summary["rankings"]), "Rankings over ClockSpeed"
-    figure, panels = _panels(rankings.environment.unique(), title, source)
-    latencies = sorted(rankings.latency_s.unique())
-    for ranking in rankings.to_dict("records"):
-        colour, taus = style.colour(latencies.index(ranking["latency_s"])), np.array(ranking["kendall_tau"], float)
-        line: style.LineStyle = {"marker": "o", "markersize": 3.5, "color": colour}
-        label = f"{_latency_ms(ranking)} ms"
-        panels[ranking["environment"]].plot(ranking["clock_speeds"], taus, label=label, **line)
-    for axes in panels.values():
-        axes.set_xscale("log")
-        axes.set(xlabel="ClockSpeed", ylabel="Kendall's tau", ylim=(-1.1, 1.1))
-    style.shared_legend(figure, panels.values())
+    """Draw Kendall's tau against the slowest ClockSpeed."""
+    title = "Rankings over ClockSpeed"
+    rankings = pd.DataFrame(report.summary["rankings"]).sort_values("latency_s", kind="stable")
+    taus = rankings.assign(latency=[f"{1e3 * latency_s:g} ms" for latency_s in rankings.latency_s])
+    taus = taus.explode(["clock_speeds", "kendall_tau"]).astype({"clock_speeds": float, "kendall_tau": float})
+    figure = panels_figure(taus, "clock_speeds", "kendall_tau", "latency", title, source)
+    for axes in figure.axes:
+        axes.set(xscale="log", xlabel="ClockSpeed", ylabel="Kendall's tau", ylim=(-1.1, 1.1))
     return report.figure("rankings", figure, f"{title}{RANKINGS}", source)
 
 
@@ -597,15 +569,10 @@ def agreement_figure(pairs: pd.DataFrame, source: str) -> Figure:
     """Return the plot of the mean return on the machine's clock over that on the simulated one, by environment."""
     with style.project_style():
         title = "The machine's clock against the simulated one"
-        figure, panels = _panels(pairs.environment.unique(), title, source)
-        for (number, agent), (name, axes) in product(enumerate(pairs.agent.unique()), panels.items()):
-            own = pairs[(pairs.agent == agent) & (pairs.environment == name)]
-            line: style.LineStyle = {"markersize": 4, "color": style.colour(number)}
-            axes.plot(own.return_mean, own.return_mean_measured, "o", label=agent.replace("_", " "), **line)
-        for axes in panels.values():
+        figure = panels_figure(pairs, "return_mean", "return_mean_measured", "agent", title, source, line="o")
+        for axes in figure.axes:
             axes.plot(axes.get_xlim(), axes.get_xlim(), color=style.GREY, linewidth=0.8, linestyle="--")
             axes.set(xlabel="modelled return", ylabel="measured return")
-        style.shared_legend(figure, panels.values())
     return figure
 
 
@@ -619,7 +586,7 @@ RETURNS: dict[str, Column] = {
     "delay, simulated s": "{delay_s:.3g}",
     "return": "{return_mean:.4g}",
     "95 % interval": "{return_low:.4g} to {return_high:.4g}",
-    "late at most, s": _late,
+    "late at most, s": lambda cell: f"{cell['late_s']:.3f}" if cell["late_s"] else "-",
 }
 RANKINGS = ": Kendall's tau of the agents' ranking against the slowest ClockSpeed, for each latency."
 READING = (

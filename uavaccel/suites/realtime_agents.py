@@ -6,7 +6,7 @@ import hashlib
 import sys
 from collections.abc import Mapping
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import gymnasium
 import mujoco
@@ -89,24 +89,11 @@ def training(block: EnvironmentBlock, agent: AgentBlock, seed: int) -> Env:
     return DelayPerEpisode(env, agent.training_delay_s, seed)
 
 
-class Trained(NamedTuple):
-    """A trained agent's weights, and its return over the last episodes of its training."""
+def train(block: EnvironmentBlock, agent: AgentBlock, seed: int) -> tuple[Weights, dict[str, Any]]:
+    """Train an agent; return its weights, and what its row says of them.
 
-    weights: Weights
-    last_return: float
-    steps: int
-
-    @property
-    def sha256(self) -> str:
-        """The hash of the weights."""
-        digest = hashlib.sha256()
-        for name in sorted(self.weights):
-            digest.update(name.encode() + np.ascontiguousarray(self.weights[name]).tobytes())
-        return digest.hexdigest()
-
-
-def train(block: EnvironmentBlock, agent: AgentBlock, seed: int) -> Trained:
-    """Train an agent; observations and rewards are normalised by their running mean and variance."""
+    Observations and rewards are normalised by their running mean and variance.
+    """
     th.set_num_threads(1)
     set_random_seed(seed)
     lanes = DummyVecEnv([partial(training, block, agent, 1000 * seed + lane) for lane in range(LANES)])
@@ -121,7 +108,11 @@ def train(block: EnvironmentBlock, agent: AgentBlock, seed: int) -> Trained:
     scale: Any = normalised.obs_rms
     weights |= {"observation.mean": scale.mean, "observation.var": scale.var}
     normalised.close()
-    return Trained(weights, returns.last(), int(learner.num_timesteps))
+    digest = hashlib.sha256()
+    for name in sorted(weights):
+        digest.update(name.encode() + np.ascontiguousarray(weights[name]).tobytes())
+    learned = {"steps": int(learner.num_timesteps), "last_return": returns.last(), "weights_sha256": digest.hexdigest()}
+    return weights, learned
 
 
 class _Returns(BaseCallback):
