@@ -441,4 +441,6 @@ def position_option(options: Mapping[str, object], name: str, drawn: NDArray[np.
 def distance(a: Sequence[Number], b: Sequence[Number]) -> Number:
     """Return the metres between two positions, of one game or of many."""
     squared = sum((here - there) * (here - there) for here, there in zip(a, b, strict=True))
-    return math.sqrt(squared) if isinstance(squared, float) else squared**0.5
+    if isinstance(squared, np.ndarray):  # whose powers of 0.5 are not the square roots' bits on every processor
+        return np.sqrt(squared)
+    return math.sqrt(squared) if isinstance(squared, float) else squared.sqrt()

@@ -188,7 +188,7 @@ def reach_of(row: Any) -> float:
     """Return the radius of a circle around a shape, seen from above."""
     if int(row[KIND]) == BOX:
         return math.sqrt(times(row[HALF_X], row[HALF_X]) + times(row[HALF_Y], row[HALF_Y]))
-    return max(row[HALF_X], row[HALF_Y])
+    return max(float(row[HALF_X]), float(row[HALF_Y]))
 
 
 @dataclass(frozen=True)
