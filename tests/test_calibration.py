@@ -193,13 +193,14 @@ def test_as_many_commands_and_images_are_timed_as_were_asked_for(monkeypatch: py
 
     monkeypatch.setattr(calibrate, "WallSession", session)
 
-    asks = SimpleNamespace(call=lambda what: batches.append(("ask", what)), image=lambda what: asks.call(what))
+    def ask(what: str) -> None:
+        batches.append(("ask", what))
 
     def time_batch(client: Any, latencies: Any, send: Any) -> None:
         if isinstance(send, partial):  # of a command
             batches.append(("fly", send.args[0]))
         else:
-            send(asks)
+            send(SimpleNamespace(call=ask, image=ask))
 
     monkeypatch.setattr(calibrate, "time_batch", time_batch)
     calibrate.measure("native", 3 * 8 * calibrate.BATCH, images=False)
