@@ -9,25 +9,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Literal
 
 import numpy as np
 
 from uavaccel.envs.arrays import constant
 from uavaccel.envs.values import Number
-from uavaccel.kinematics import AttitudeGoal, BodyRatesGoal, FlightGoal, MotorsGoal, Vector, VelocityGoal
-from uavaccel.sim.vehicle import goal as goals
-from uavaccel.sim.vehicle.autopilot import THROTTLE
-from uavaccel.sim.vehicle.goal import Goal, Yaw
+from uavaccel.kinematics import AttitudeGoal, BodyRatesGoal, FlightGoal, MotorsGoal, Vector
 
 ActionKind = Literal["velocity", "attitude", "rates", "motors"]
 SIZES: dict[ActionKind, int] = {"velocity": 3, "attitude": 4, "rates": 4, "motors": 4}
 """Numbers of an action."""
 HOVER_THROTTLE = 0.5941
 """Throttle that carries AirSim's generic quadrotor (1 kg, four rotors of 4.1794 N) 10 m above its default home."""
-RAD = math.pi / 180.0  # as in math.radians, and its inverse as in math.degrees
-DEG = 180.0 / math.pi
+RAD = math.pi / 180.0  # as in math.radians
 
 
 def throttle(share: Number) -> Number:
@@ -49,18 +44,6 @@ def low_level_goal(kind: ActionKind, shares: Sequence[Number], tilt_deg: Number,
     if kind == "rates":
         return BodyRatesGoal(first * rate, second * rate, third * rate, throttle(fourth))
     return MotorsGoal(throttle(first), throttle(second), throttle(third), throttle(fourth))
-
-
-def autopilot_goal(goal: FlightGoal) -> Goal:
-    """Return the autopilot's goal, as the server makes it of AirSim's command (wire/flight_api)."""
-    if isinstance(goal, VelocityGoal):  # whose yaw AirSim's commands take in degrees
-        return goals.of_velocity(replace(goal, yaw=goal.yaw * DEG * RAD))
-    if isinstance(goal, AttitudeGoal):
-        return goals.attitude(goal.roll_rad, goal.pitch_rad, Yaw(goal.yaw_rate_rad_s), goal.throttle, THROTTLE)
-    if isinstance(goal, BodyRatesGoal):
-        rates = goal.roll_rad_s, goal.pitch_rad_s, goal.yaw_rad_s
-        return goals.body_rates(*rates, goal.throttle, THROTTLE)
-    return goals.motors(goal.front_right, goal.rear_left, goal.front_left, goal.rear_right)
 
 
 def chosen(table: Sequence[Vector], action: Number) -> Number:

@@ -5,15 +5,17 @@ So lanes on the CPU and on a GPU treat a task's functions alike, as `FlightEnv` 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
 from gymnasium import spaces
 
-from uavaccel.envs.actions import autopilot_goal
+from uavaccel.envs.actions import RAD
 from uavaccel.envs.arrays import cast, full, joined, mapped, namespace_of
 from uavaccel.envs.context_planes import NO_ACTION
 from uavaccel.envs.stopwatch import PHASES
@@ -21,8 +23,10 @@ from uavaccel.envs.task import Collisions, Moments, Task
 from uavaccel.envs.values import Action, Info, Number
 from uavaccel.errors import UserError
 from uavaccel.kernels.bodies import Surroundings
-from uavaccel.kinematics import Kinematics
-from uavaccel.sim.vehicle.goal import Goal
+from uavaccel.kinematics import AttitudeGoal, BodyRatesGoal, FlightGoal, Kinematics, VelocityGoal
+from uavaccel.sim.vehicle import goal as goals
+from uavaccel.sim.vehicle.autopilot import THROTTLE
+from uavaccel.sim.vehicle.goal import Goal, Yaw
 from uavaccel.sim.vehicle.quadrotor import FLIGHT_DTYPE, KINEMATICS, NEVER
 from uavaccel.units import NS_PER_S
 
@@ -308,6 +312,18 @@ class Judge:
         finally:
             if torch is not None:
                 torch.set_default_dtype(torch.float32)
+
+
+def autopilot_goal(goal: FlightGoal) -> Goal:
+    """Return the autopilot's goal, as the server makes it of AirSim's command (wire/flight_api)."""
+    if isinstance(goal, VelocityGoal):  # whose yaw AirSim's commands take in degrees
+        return goals.of_velocity(replace(goal, yaw=goal.yaw * (180.0 / math.pi) * RAD))
+    if isinstance(goal, AttitudeGoal):
+        return goals.attitude(goal.roll_rad, goal.pitch_rad, Yaw(goal.yaw_rate_rad_s), goal.throttle, THROTTLE)
+    if isinstance(goal, BodyRatesGoal):
+        rates = goal.roll_rad_s, goal.pitch_rad_s, goal.yaw_rad_s
+        return goals.body_rates(*rates, goal.throttle, THROTTLE)
+    return goals.motors(goal.front_right, goal.rear_left, goal.front_left, goal.rear_right)
 
 
 def kinematics_of(numbers: Number, time_ns: Number) -> Kinematics:
