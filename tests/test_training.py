@@ -197,6 +197,7 @@ def test_an_evaluation_flies_the_trainings_task_on_lanes_that_no_training_has(tm
     assert flown.task == config.task.model_copy(update={"split": "evaluation"})
     assert {name: getattr(flown, name) for name in flown.model_fields_set - {"task"}} == {
         "agent": str(tmp_path), "seed": 6, "games": 2, "first_lane": 500_000, "environments": 2, "inference_s": 0.125,
+        "env_id": "uavaccel/ObstacleLane-v0",
     }  # fmt: skip
     assert flown.simulator == "mujoco"
 

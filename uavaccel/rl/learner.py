@@ -16,7 +16,7 @@ from uavaccel.envs.stopwatch import Stopwatch
 from uavaccel.envs.turn_batch import TurnBatch
 from uavaccel.envs.values import Info
 from uavaccel.files import Plain
-from uavaccel.rl.config import DOUBLE_DQN, PPO, LearnerConfig
+from uavaccel.rl.config import DOUBLE_DQN, PPO, LearnerConfig, check_options
 
 
 @dataclass(frozen=True)
@@ -162,6 +162,7 @@ def make_learner(config: LearnerConfig, lanes: Any) -> Learner:
         from uavaccel.rl.ppo_training import PPOTraining
 
         return PPOTraining(config, lanes)
+    check_options(config)
     from uavaccel.rl.baseline import Baseline  # needs stable-baselines3
 
     return Baseline(config, lanes)
