@@ -13,6 +13,7 @@ MOST_SECONDS = 86_400.0
 MOST_LATENCY_US = 60e6
 MOST_SCALE = 1_000.0
 MOST_PROCESSES = 1_024
+MOST_LANES = 65_536  # over arrays
 MOST_SEEDS = 1 << 32
 MOST_ACTIONS = 4_096  # of a chunk, or observed
 
@@ -22,6 +23,7 @@ Count = Annotated[int, Field(ge=1, le=1_000_000)]
 Share = Annotated[float, Field(ge=0.0, le=1.0)]
 Games = Annotated[int, Field(ge=1, le=MOST_GAMES)]
 Processes = Annotated[int, Field(ge=1, le=MOST_PROCESSES)]
+Lanes = Annotated[int, Field(ge=1, le=MOST_LANES)]
 ClockSpeed = Annotated[float, Field(gt=0.0, ge=CLOCK_SPEEDS[0], le=CLOCK_SPEEDS[1])]
 Speed = Annotated[float, Field(gt=0.0, le=MOST_SPEED_M_S)]
 Velocity = Annotated[float, Field(ge=-MOST_SPEED_M_S, le=MOST_SPEED_M_S)]

@@ -20,7 +20,11 @@ NEAREST_M = round(HULL_RADIUS_M + POST_M, 4)  # where a post would touch the veh
 
 
 class GatesTask(Task):
-    """Observations "state": vectors to the next two gates, attitude, velocity and body rate (16,); m, m/s, rad/s."""
+    """Observations "state": vectors to the next two gates, attitude, velocity and body rate (16,); m, m/s, rad/s.
+
+    Beside pictures (`also_state`) the state tells nothing of the gates, which are to be seen: it is the distance below
+    their centres, attitude, velocity and body rate (11,).
+    """
 
     scene: ClassVar[str] = "lane"
     flat_state: ClassVar[bool] = True
@@ -66,7 +70,12 @@ class GatesTask(Task):
         return {"obstacles": [{"x_m": x, "y_m": y, "half_side_m": POST_M} for x, y in places]}
 
     def fields(self, state: Kinematics, course: Course) -> Sequence[Number]:
-        """List the vectors to the next two gates, at the end twice to the last, and the state without its position."""
+        """List the vectors to the next two gates, at the end twice to the last, and the state without its position.
+
+        Beside pictures, list the distance below the gates' centres in place of the vectors.
+        """
+        if self.observation != "state":
+            return [state.position_m[2] + self.altitude_m, *super().fields(state, course)[3:]]
         gates, passed = course["gates_m"], course["passed"]
         coming = [*_gate(gates, passed), *_gate(gates, passed + 1)]
         ways_m = [there - here for there, here in zip(coming, (*state.position_m,) * 2, strict=True)]

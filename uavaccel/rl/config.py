@@ -18,7 +18,7 @@ from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
 from uavaccel.envs.task import Positive, Task
 from uavaccel.errors import UserError, suggestion
 from uavaccel.files import Plain
-from uavaccel.limits import Cost, Count, Games, Processes, Seed
+from uavaccel.limits import MOST_PROCESSES, Cost, Count, Games, Lanes, Processes, Seed
 from uavaccel.machine import memory_bytes
 
 if TYPE_CHECKING:
@@ -79,7 +79,7 @@ class LearnerConfig(Config):
     """Games of the training."""
     simulator: Simulator = "mujoco"
     """mujoco, the exact simulator, or kernels: lanes over arrays, in threads or, with device cuda, on the GPU."""
-    environments: Processes = 1
+    environments: Lanes = 1
     """Lanes flown in parallel, with mujoco each in its own process; must be 1 with timing wall."""
     turns: Processes = 1
     """Groups into which double_dqn divides the lanes: while it acts for and learns from one, the others fly."""
@@ -134,6 +134,8 @@ class LearnerConfig(Config):
     def _lanes_fit(self) -> LearnerConfig:
         if self.task.timing == "wall" and self.environments > 1:
             raise ValueError("environments must be 1 with timing wall, and turns 1: neighbours would disturb the clock")
+        if self.simulator == "mujoco" and self.environments > MOST_PROCESSES:
+            raise ValueError(f"environments must be at most {MOST_PROCESSES}, a process each, with simulator mujoco")
         if self.simulator == "kernels":
             check_flyable(self.task, self.environments, self.device)
         pictures = self.algorithm == DOUBLE_DQN and self.task.observation != "state"
