@@ -38,9 +38,9 @@ class LaneGames:
     """The games of `count` lanes: what `Dealt` and `SampledAhead` have in common.
 
     `rows` is a kernels/lanes.Games of tensors, K rows a lane, and `arrays` the same memory for kernels. `starts` holds
-    the games' courses, `conditions` what was sampled for them, `keys` the task's numbers under these, and `scales` the
-    factors on their latencies, a row each.
-    Lanes have `begun` games (L,) so far; `label` (L,) int64 is what the running game is found by afterwards.
+    the games' courses, `conditions` what was sampled for them (NaN for what was not), `keys` the task's numbers under
+    these, and `scales` the factors on their latencies, a row each. Lanes have `begun` games (L,) so far; `label` (L,)
+    int64 is what the running game is found by afterwards.
     """
 
     def __init__(self, task: Task, count: int, device: th.device, rows_a_lane: int) -> None:
@@ -224,6 +224,9 @@ class SampledAhead(LaneGames):
     def __init__(self, task: Task, count: int, device: th.device) -> None:
         super().__init__(task, count, device, AHEAD)
         self._rows = count * AHEAD
+        if isinstance(task, LaneTask) and task.randomise is not None:
+            # some may first be sampled when a round is recorded
+            self.conditions = {name: th.full_like(self.scales, np.nan) for name in task.randomise.given()}
         self.rows, self.arrays = self._on_device()
         self.available = th.zeros(count, dtype=th.int64, device=device)
         self._generators: list[Any] = [None] * count
@@ -329,9 +332,10 @@ class SampledAhead(LaneGames):
         """Transfer what the kernels do not read: the games' courses, conditions, keys, and scales of latencies."""
         self._write(self.starts, target, stacked([game.own_course for game in games]))
         sampled = [game.course.get(CONDITIONS, {}) for game in games]
-        names = dict.fromkeys([*self.conditions, *(name for conditions in sampled for name in conditions)])
-        values = {name: np.array([conditions.get(name, np.nan) for conditions in sampled]) for name in names}
-        self._write(self.conditions, target, values)
+        for name in dict.fromkeys([*self.conditions, *(name for conditions in sampled for name in conditions)]):
+            values = np.array([conditions.get(name, np.nan) for conditions in sampled])
+            rows = self.conditions.setdefault(name, th.full_like(self.scales, np.nan))
+            rows[target] = to_device(values, self.device)
         self._write(self.keys, target, keys_of(self.maker.task, games))
         self.scales[target] = to_device(np.array([game.task.latency.scale for game in games]), self.device)
 
