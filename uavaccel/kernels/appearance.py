@@ -146,9 +146,12 @@ def _material(model: mujoco.MjModel, index: int, of_texture: dict[int, int]) -> 
 def _camera(model: mujoco.MjModel, name: str, size: tuple[int, int] = (WIDTH, HEIGHT)) -> NDArray[np.float64]:
     camera = model.camera(name).id
     high = float(np.tan(np.radians(model.cam_fovy[camera]) / 2))
+    wide = high * WIDTH / HEIGHT  # the same for pictures of all sizes, as in sim/camera/view
+    if size[0] * HEIGHT != size[1] * WIDTH:
+        high = wide * size[1] / size[0]
     near = float(model.vis.map.znear * model.stat.extent)
     place, axes = model.cam_pos[camera], model.cam_mat0[camera]
-    return np.array([*place, *axes, high * size[0] / size[1], high, near, far_m(model)], np.float64)
+    return np.array([*place, *axes, wide, high, near, far_m(model)], np.float64)
 
 
 def _textures(model: mujoco.MjModel) -> tuple[NDArray[np.uint32], NDArray[np.int32], dict[int, int]]:
