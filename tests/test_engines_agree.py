@@ -359,6 +359,7 @@ def kernels_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
 FIXTURES = settings(suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow], deadline=None)
 
 
+@pytest.mark.slow
 @settings(FIXTURES, max_examples=25)
 @given(cases())
 @pytest.mark.usefixtures("host_kernels")
@@ -366,6 +367,7 @@ def test_games_are_the_same_in_all_simulators(case: Case) -> None:
     fly_everywhere(case)
 
 
+@pytest.mark.slow
 @settings(FIXTURES, max_examples=15)
 @given(seen_cases())
 @pytest.mark.usefixtures("host_kernels", "kernels_pictures")

@@ -66,6 +66,7 @@ class FlightEnv(gymnasium.Env[Observation, Action], Generic[TaskT]):
         self._client: FlightClient | None = None
         self._noise = ImageNoise()
         self._observers: list[Observer] = []
+        self._stopwatches: list[Stopwatch] = []
         self._now: Moment
 
     # --- Gymnasium --------------------------------------------------------------------------------
@@ -220,6 +221,8 @@ class FlightEnv(gymnasium.Env[Observation, Action], Generic[TaskT]):
         """Let the event camera see a frame between two samples; it is on board, so nothing is charged."""
         assert isinstance(self.sensor, EventCamera)
         assert self._session is not None
+        if not self._stopwatches:  # latencies may let time pass before a game begins
+            return
         with ExitStack() as phases:
             for stopwatch in self._stopwatches:
                 phases.enter_context(stopwatch.aside("image_processing"))
@@ -246,7 +249,7 @@ class FlightEnv(gymnasium.Env[Observation, Action], Generic[TaskT]):
         from uavaccel.vision.image_noise import noise_seed
         from uavaccel.wire.rpc import RpcError
 
-        session = self._opened()
+        session, self._stopwatches = self._opened(), []
         self._apply_conditions(course)
         task = self.episode_task
         lane, height_m = task.layout(course), -task.altitude_m

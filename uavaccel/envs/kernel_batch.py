@@ -160,9 +160,9 @@ class KernelBatch(TurnBatch):
         terminated, truncated = np.zeros(self.num_envs, bool), np.zeros(self.num_envs, bool)
         infos: dict[int, Info] = {}
         if len(going):
-            judged = self._finish_commands(going)
+            games, judged = self._finish_commands(going)
             rewards[going], terminated[going], truncated[going] = (judged.reward, judged.terminated, judged.truncated)
-            infos = dict(zip(going.tolist(), self._infos(going, judged.success), strict=True))
+            infos = dict(zip(going.tolist(), self._infos(going, games, judged.success), strict=True))
         self._autoreset(idle, going[terminated[going] | truncated[going]], infos)
         seen = select(self._running.observations, which)
         return seen, rewards[which], terminated[which], truncated[which], [infos[int(lane)] for lane in which]
@@ -258,8 +258,9 @@ class KernelBatch(TurnBatch):
         self._over[lanes], self._host_s[lanes] = False, 0.0
         numbers, *_ = self._ends(lanes)
         course = stacked([each.own_course for each in drawn])
-        assign(self._running, lanes, self._judge.begun(course, numbers, self._first_pictures(lanes)))
-        return self._infos(lanes, np.zeros(len(lanes), bool))
+        games = self._judge.begun(course, numbers, self._first_pictures(lanes))
+        assign(self._running, lanes, games)
+        return self._infos(lanes, games, np.zeros(len(lanes), bool))
 
     def _first_pictures(self, lanes: NDArray[np.int64]) -> Frame | None:
         """Return pictures (n, ...) of the starts of games, None where they are not shown."""
@@ -283,15 +284,15 @@ class KernelBatch(TurnBatch):
             self._samples,
         )
 
-    def _finish_commands(self, lanes: NDArray[np.int64]) -> Judged:
-        """Judge the commands of these lanes and update their games."""
+    def _finish_commands(self, lanes: NDArray[np.int64]) -> tuple[Running, Judged]:
+        """Judge the commands of these lanes and update their games; return both."""
         clocks, tick = self._clocks, self._now.state["tick"][lanes]
         numbers, position_m, collision = self._ends(lanes)
         samples = clocks.ticks[lanes], clocks.taken[lanes], self._samples[lanes], self._frames[lanes]
         flown = Flown(numbers, tick, position_m, collision, *samples)
-        running, judged = self._judge.after(select(self._running, lanes), flown, self._asked[lanes])
-        assign(self._running, lanes, running)
-        return judged
+        games, judged = self._judge.after(select(self._running, lanes), flown, self._asked[lanes])
+        assign(self._running, lanes, games)
+        return games, judged
 
     def _ends(self, lanes: NDArray[np.int64]) -> tuple[Any, Any, Any]:
         """Return states, positions and collisions of these lanes (Judge.end)."""
@@ -299,11 +300,11 @@ class KernelBatch(TurnBatch):
         flight, ticks = (state.view(kind).reshape(len(lanes), -1) for kind in (np.float64, np.int64))
         return self._judge.end(flight, ticks, self._now.watch[lanes, TOUCHED], self._rows.counts[rows].astype(np.int64))
 
-    def _infos(self, lanes: NDArray[np.int64], won: NDArray[np.bool_]) -> list[Info]:
-        """Return the infos of these lanes' games."""
+    def _infos(self, lanes: NDArray[np.int64], games: Running, won: NDArray[np.bool_]) -> list[Info]:
+        """Return the infos of the games of these lanes."""
         clock = self._clocks.row[lanes]
         wall_ns, phases_ns = clock[:, timeline.NOW] - clock[:, timeline.START], clock[:, timeline.FIRST_PHASE :]
-        infos = self._judge.infos(select(self._running, lanes), won, wall_ns, phases_ns)
+        infos = self._judge.infos(games, won, wall_ns, phases_ns)
         return [self._info(lane, one_of(infos, place)) for place, lane in enumerate(lanes.tolist())]
 
     def _info(self, lane: int, info: Info) -> Info:
