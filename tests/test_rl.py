@@ -222,7 +222,9 @@ def made(command: str, clock_speed: float, won: Sequence[Any], wall_s: float = 1
     spent_s = {"simulation": 0.75 * wall_s, "rendering": 0.25}
     spent_s |= {"image_processing": 0.001, "inference": 0.002, "learning": 0.007}
     for seed, lanes in enumerate(won):
-        flights: Mapping[Any, Any] = lanes if isinstance(lanes, Mapping) else {(command, 1.0): lanes}
+        flights: Mapping[tuple[str, float], Sequence[int]] = (
+            lanes if isinstance(lanes, Mapping) else {(command, 1.0): lanes}
+        )
         commands = 100 * (seed + 1)
         row: dict[str, Any] = {"suite": "rl", "variant": "", "profile": "airsim", "timing": "virtual", "seed": seed}
         row |= {"command": command, "clock_speed": clock_speed, **keys}
