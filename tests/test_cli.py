@@ -374,7 +374,7 @@ def test_the_time_left_is_that_of_the_games_to_come_at_the_pace_of_this_starts(m
     # Of two that fly at once the first says nothing yet; then 40 s of 480 took 60 s, 60 took 120 and 80 took 120.
     for case, passed_s in (("g2", 60.0), ("g3", 0.0), ("g4", 60.0), ("g5", 0.0)):
         now.s += passed_s
-        shown.flown(cases[int(case[1:])], {"case": case})
+        shown.flown(cases[int(case[1:])], {"case": case, "sim_time_s": 7.0})
     left = [line.rpartition(", ")[2] for line in said.getvalue().splitlines()]
     assert left == ["time left unknown", "11 min left", "14 min left", "10 min left"]
 

@@ -243,7 +243,7 @@ def test_watching_changes_no_byte_of_runs_and_scripts(tmp_path: Path, monkeypatc
 def test_what_cannot_be_watched_is_refused(
     engine: str, overrides: list[str], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("uavaccel.suites.session.check_engine", lambda _: None)
+    monkeypatch.setattr("uavaccel.suites.runner.check_engine", lambda _: None)
     request = RunRequest("evaluate", {}, overrides, out=tmp_path / "run", engine=engine, watch=True)
     with pytest.raises(UsageError, match=f"--watch: .*{said}"):
         run_experiment(request)
