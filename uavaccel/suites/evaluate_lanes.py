@@ -30,7 +30,7 @@ from uavaccel.envs.hover import Hover
 from uavaccel.envs.navigate import Navigate
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.envs.simulators import KERNELS
-from uavaccel.envs.values import Action, Info
+from uavaccel.envs.values import Action, Info, rows_of
 from uavaccel.machine import usable_cores
 from uavaccel.rl.agents import Agent, PolicyAgent, make_agent, reset_options
 from uavaccel.rl.config import DOUBLE_DQN, PPO, environment_class
@@ -194,23 +194,23 @@ class LanesOnCores:
             self._batch.charge(place, self._inference_s)
         actions = self._decide(going)
         self._batch.step_async(actions, going.tolist())
-        seen, _, terminated, truncated, infos = self._batch.step_wait(going.tolist())
-        self._seen[going] = seen
+        _, _, terminated, truncated, infos = self._batch.step_wait(going.tolist())
+        self._seen = self._batch.observations()
         for place, info in zip(going.tolist(), infos, strict=True):
             self._infos[place] = info
         return actions, [(place, self._infos[place]) for place in going[terminated | truncated].tolist()]
 
     def _decide(self, going: Places) -> NDArray[Any]:
         if not isinstance(self._agent, PolicyAgent):
-            return np.array([self._agent.act(self._seen[place], self._infos[place]) for place in going])
+            return np.array([self._agent.act(rows_of(self._seen, place), self._infos[place]) for place in going])
         policy, space = self._agent.policy, self._batch.single_action_space
-        actions = np.zeros((len(self._seen), *(space.shape or ())), space.dtype)
+        actions = np.zeros((len(self._lanes), *(space.shape or ())), space.dtype)
 
         def rate(block: tuple[Places, Places]) -> None:
             members, rows = block
-            seen = np.zeros((BLOCK, *self._seen.shape[1:]), self._seen.dtype)
-            seen[rows] = self._seen[members]
-            actions[members] = policy.act(seen)[rows]
+            whole = np.full(BLOCK, members[0])  # the same work whatever lanes still fly
+            whole[rows] = members
+            actions[members] = policy.act(rows_of(self._seen, whole))[rows]
 
         list(self._raters.map(rate, blocks(self._lanes, going)))
         return actions[going]
@@ -283,7 +283,7 @@ class LanesOnGpu:
 
     def _rate(self, act: Callable[[th.Tensor], th.Tensor]) -> None:
         """Let all lanes act, block by block, lanes whose games are over too: it is the same work in each round."""
-        chosen = [act(self._lanes.observations[block]) for block in self._places]
+        chosen = [act(rows_of(self._lanes.observations, block)) for block in self._places]
         self._actions.copy_(th.cat(chosen)[self._rows])
 
     def close(self) -> None:
