@@ -19,7 +19,7 @@ from tests.running import configured, run_into
 from uavaccel.errors import UserError
 from uavaccel.metrics.equivalence import mean_estimate
 from uavaccel.records import RunDirectory
-from uavaccel.suites import gpu, runner
+from uavaccel.suites import gpu
 from uavaccel.suites.parts import Part, part_suite
 from uavaccel.suites.report import Report
 from uavaccel.suites.rl import KEY, Rl, RlConfig, collapse, over_gaps, parts_of
@@ -158,8 +158,9 @@ def test_seeds_are_outermost_and_options_choose_cells() -> None:
     few, many = names(), names(seeds=2)
     assert [name[-1] for name in many[:12]] == ["0"] * 6 + ["1"] * 6
     assert (len(few), set(few) <= set(many), set(Rl().may_grow(Path()))) == (12, True, {"seeds", "exact_seeds"})
-    groups: list[Any] = [group for _, group in runner._groups(Rl(), Rl().cases(small(seeds=2)))]
-    assert [(len(group), {case.exact for case in group}) for group in groups] == [(12, {False}), (6, {True})]
+    stages = [(Rl().stage(case), case.exact) for case in Rl().cases(small(seeds=2))]
+    assert [exact for _, exact in stages] == [False] * 12 + [True] * 6
+    assert len(set(stages)) == 2  # all exact ones are a stage of their own, after the others
 
 
 @pytest.mark.parametrize(
