@@ -20,6 +20,7 @@ from uavaccel.envs.hover import Hover
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
 from uavaccel.rl.adapters import TensorLoop
+from uavaccel.rl.learner import first_seed
 from uavaccel.rl.onnx_file import OnnxPolicy, described, example
 from uavaccel.rl.policy import load_policy, trained_with
 from uavaccel.rl.ppo import PPO, ActorCritic, PPOOptions
@@ -225,10 +226,13 @@ def test_the_policy_is_exported_with_its_form(trained: RunDirectory) -> None:
 
 
 def test_lanes_pay_for_decisions_and_learning() -> None:
-    """A rollout of eight commands and four gradient steps, of two lanes."""
-    config = hover(task={"timing": "virtual", "max_commands": 4}, inference_s=0.5, learning_s=0.125)
+    """A rollout of eight commands and four gradient steps, of two lanes, whose games are of the training's seed."""
+    config = hover(task={"timing": "virtual", "max_commands": 4}, inference_s=0.5, learning_s=0.125, seed=3)
     lanes: Any = side_by_side(config)
     charged: list[Any] = []
+    seeds: list[int] = []
+    reset = lanes.reset
+    lanes.reset = lambda seed: (seeds.append(seed), reset(seed=seed))[1]
     lanes.call_each = lambda name, arguments, slots: charged.append((name, *arguments, slots))
     learner = PPOTraining(config, lanes)
     assert learner.at_rest
@@ -237,6 +241,7 @@ def test_lanes_pay_for_decisions_and_learning() -> None:
     assert charged[:8] == [("charge", *[(0.5, "inference")] * 2, [0, 1])] * 8
     assert charged[8:] == [("charge", *[(4 / 2 * 0.125, "learning")] * 2, [0, 1])]
     assert [game.number for game in games] == [0, 1, 2, 3]
+    assert seeds == [first_seed(3)]
 
 
 @pytest.mark.slow
