@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from fractions import Fraction
-from typing import Literal, get_args
+from typing import TYPE_CHECKING, Literal, get_args
 
 from uavaccel.envs.checks import whole_number
 from uavaccel.envs.sensors import PICTURE_SIZE
@@ -11,11 +11,13 @@ from uavaccel.envs.task import Task
 from uavaccel.errors import UserError
 from uavaccel.kernels.fields import COLOUR, DEPTH, DVS, STATE
 from uavaccel.limits import MOST_GAMES
-from uavaccel.sim.clutter.layout import Clutter
 from uavaccel.sim.lane.layout import PLAIN
 from uavaccel.sim.profile import Profile
 from uavaccel.units import exact
 from uavaccel.wire.latency import ZERO_LATENCY, LatencyConfig
+
+if TYPE_CHECKING:  # which compiles
+    from uavaccel.sim.clutter.layout import Clutter
 
 # Largest numerator or denominator of a ClockSpeed: products with hours of nanoseconds must fit in 64 bits.
 MOST_DIGITS = 1_000_000

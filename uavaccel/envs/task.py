@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple, Self, TypeAlias
 
 import numpy as np
 from gymnasium import spaces
@@ -34,12 +34,14 @@ from uavaccel.envs.values import Action, Course, Info, Number
 from uavaccel.errors import UserError
 from uavaccel.kinematics import FlightGoal, Kinematics, Vector, VelocityGoal
 from uavaccel.limits import ClockSpeed, Cost, Count, Height, Seconds, Seed, Speed
-from uavaccel.sim.clutter.layout import ClutterLayout
 from uavaccel.sim.lane.layout import PLAIN, LaneLayout
 from uavaccel.sim.profile import PROFILES
 from uavaccel.units import NS_PER_S
 from uavaccel.vision.dvs_sensor import PRESETS, DvsParameters, with_noise, with_thresholds
 from uavaccel.wire.latency import LatencyModel, of_the_profile
+
+if TYPE_CHECKING:  # which compiles
+    from uavaccel.sim.clutter.layout import ClutterLayout
 
 NotNegative = Annotated[float, Field(ge=0.0, le=1e6)]
 Positive = Annotated[float, Field(gt=0.0, le=1e6)]
@@ -115,7 +117,7 @@ class Moments(NamedTuple):
         return self.collision.index < 0
 
 
-AnyLayout: TypeAlias = LaneLayout | ClutterLayout
+AnyLayout: TypeAlias = "LaneLayout | ClutterLayout"
 AnyMoment: TypeAlias = Any  # a Moment or Moments; a user's task may handle only one of them
 
 
