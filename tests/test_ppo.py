@@ -232,7 +232,12 @@ def test_lanes_pay_for_decisions_and_learning() -> None:
     charged: list[Any] = []
     seeds: list[int] = []
     reset = lanes.reset
-    lanes.reset = lambda seed: (seeds.append(seed), reset(seed=seed))[1]
+
+    def note_and_reset(*, seed: int) -> Any:
+        seeds.append(seed)
+        return reset(seed=seed)
+
+    lanes.reset = note_and_reset
     lanes.call_each = lambda name, arguments, slots: charged.append((name, *arguments, slots))
     learner = PPOTraining(config, lanes)
     assert learner.at_rest
