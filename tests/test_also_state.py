@@ -15,7 +15,6 @@ from tests.opengl import needs_opengl
 from tests.running import configured, fly_into
 from uavaccel.config import validate
 from uavaccel.envs.batch import EnvironmentBatch
-from uavaccel.envs.gates import Gates
 from uavaccel.envs.navigate import Navigate
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.errors import UserError
@@ -51,13 +50,12 @@ def test_pictures_are_those_without_it_and_the_state_is_that_of_observation_stat
 
 @needs_opengl
 def test_the_state_is_that_of_the_next_decision_and_nothing_after_a_collision() -> None:
-    """A gate that has been passed is no longer the next one; observation "state" still shows it."""
-    gates = [[1.0, 0.0, -2.0], [9.0, 0.5, -2.0]]
-    with closing(Gates(observation="depth", also_state=True, t_move_s=1.0, t_sample_s=1.0)) as env:
-        env.reset(seed=0, options={"gates_m": gates})
-        seen, _, _, _, info = env.step(np.array([1.0, 0.0, 0.0], np.float32))
-        assert info["passed"] == 1
-        np.testing.assert_allclose(seen["state"][:3], np.subtract(gates[1], info["position_m"]), atol=1e-5)
+    """Where the goal is as seen from the end of the command."""
+    with closing(Navigate(**SMALL, also_state=True)) as env:
+        env.reset(seed=0)
+        seen, _, _, _, info = env.step(AHEAD)
+        way_m = np.subtract(info["goal_m"], info["position_m"])
+        np.testing.assert_allclose(seen["state"][:3], way_m / (np.linalg.norm(way_m) + 1e-3), atol=1e-5)
     lane = {"obstacles": [{"x_m": 1.5, "y_m": 0.0, "half_side_m": 0.5}]}
     with closing(ObstacleLane(lane=lane, observation="depth", also_state=True)) as wall:
         wall.reset(seed=0)

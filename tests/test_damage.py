@@ -138,7 +138,7 @@ def cut_and_agreed(folder: Path) -> None:
     (lambda folder: edit_manifest(folder, trained=3), r"policy\.json: trained = 3: should be a mapping"),
     (lambda folder: edit_config(folder, options={"tempo": 1}), r"policy\.json: .*unknown key 'tempo'"),
     (lambda folder: edit_config(folder, algorithm="sb3_ppo", options={"tempo": 1}),
-     r"policy\.json: options of ppo: unknown key 'tempo'"),
+     r"policy\.json: options of sb3_ppo: unknown key 'tempo'"),
     (lambda folder: cut(folder / MANIFEST), r"policy\.json: a damaged policy, not JSON"),
     (lambda folder: empty_json(folder / MANIFEST), r"policy\.json: describes no policy"),
     (lambda folder: edit_manifest(folder, config={"algorithm": "rl"}), r"algorithm = 'rl' is unknown"),

@@ -117,7 +117,6 @@ def test_a_lanes_place_among_those_rated_together_depends_on_it_alone() -> None:
     [
         ([KERNELS, "task.timing=wall"], "simulator = kernels: timing wall needs a server of its own"),
         ([KERNELS, LOCKSTEP, "environments=2"], "environments needs simulator mujoco"),
-        ([KERNELS, LOCKSTEP, "task.difficulty.scenery=forest"], "simulator = kernels: difficulty.scenery"),
         (["device=cuda"], "device = cuda: simulator = mujoco flies on the CPU"),
         (["simulator=airsim"], "simulator.*mujoco.*kernels"),
         (["environments=2", "task.timing=wall"], "environments must be 1 with timing wall"),

@@ -23,6 +23,7 @@ from uavaccel.suites.evaluate import EvaluateConfig, Evaluation
 from uavaccel.suites.evaluate_again import equal_windows
 from uavaccel.suites.flight import Commands, Flight, Window, film_of
 from uavaccel.suites.suite import Suite
+from uavaccel.vision.dvs import PRESETS
 
 MS = 1_000_000
 POSES: dict[str, Any] = {
@@ -135,10 +136,13 @@ class Lane:
         self.observers: list[Any] = []
         self.add_observer = self.observers.append
         self.episode_task = SimpleNamespace(
-            velocity_goal=lambda action: SimpleNamespace(velocity_m_s=(float(action), 0.0, 0.0)),
+            goal=lambda action: SimpleNamespace(velocity_m_s=(float(action), 0.0, 0.0)),
             model_dump=lambda: {"command": "adsc", "clock_speed": 20.0},
-            wire_lane=lambda lane: lane,
+            lane_layout=lambda ended: f"lane {ended['lane']}",
             clock_speed=20.0,
+            scene="lane",
+            dvs_parameters=PRESETS["clean"],
+            dvs_seed=0,
         )
 
     def close(self) -> None: ...
@@ -169,7 +173,7 @@ def test_an_evaluations_times_are_since_the_start_of_its_game(
 
     monkeypatch.setattr(Lane, "hit", hit)
     for name, value in (
-        ("ObstacleLane", Lane), ("SecondEventCamera", Camera), ("lane_layout", lambda lane: f"lane {lane}"),
+        ("environment_class", lambda _: Lane), ("SecondEventCamera", Camera),
         ("fly_again", lambda run, config, lane, row: lane.fly()),
     ):  # fmt: skip
         monkeypatch.setattr(evaluate_again, name, value)

@@ -182,7 +182,6 @@ def test_the_guard_weighs_colours_and_remembers_the_last_pictures_brightness(
     sums = np.array([[0, 0, 0], [level * ROWS * COLUMNS if level >= 0 else -1 for level in levels]])
     channels: Any = np.maximum(levels, 0)[:, None, None] * np.ones((1, COLUMNS, ROWS), int)
     timing: Any = SimpleNamespace(rules=np.zeros(timeline.RULES, np.int64))
-    view: Any = SimpleNamespace(kind=kind)
     on_cpu, on_gpu = timeline.clocks(2, 1), timeline.clocks(2, 1)
     for clocks in (on_cpu, on_gpu):
         clocks.brightness[1] = last
@@ -190,6 +189,7 @@ def test_the_guard_weighs_colours_and_remembers_the_last_pictures_brightness(
     np.testing.assert_array_equal(on_gpu.brightness, [0.0, last])
     timing.rules[timeline.GUARDED] = 1
     assert lane_clocks.guard.py_func(1, sums, timing, on_gpu) == suspect
-    assert cpu.guard.py_func(1, view, on_cpu, SimpleNamespace(channels=channels)) == suspect
+    bright = cpu.brightness_in_lane.py_func(kind, SimpleNamespace(channels=channels))
+    assert timeline.is_suspect.py_func(1, bright, on_cpu) == suspect
     for clocks in (on_cpu, on_gpu):
         np.testing.assert_allclose(clocks.brightness, [0.0, brightness])

@@ -258,8 +258,11 @@ def test_a_batch_of_tensors_teaches_what_the_host_does_and_goes_on() -> None:
 
     config = hover(games=100)
     keys: dict[str, Any] = {"max_commands": 6, "autoreset_mode": "SameStep"}
-    made: list[Any] = [PPOTraining(config, kind(Hover, 2, **keys)) for kind in (KernelBatch, CudaBatch)]
-    told = [[game for _ in range(3) for game in learner.advance()] for learner in made]
+    made: list[Any] = []
+    told = []
+    for kind in (KernelBatch, CudaBatch):  # one after the other: PyTorch's generator is seeded where a learner is made
+        made.append(PPOTraining(config, kind(Hover, 2, **keys)))
+        told.append([game for _ in range(3) for game in made[-1].advance()])
     assert len(told[0]) >= 6
     for ours, theirs in zip(*told, strict=True):
         assert (ours.number, ours.lane, ours.info["commands"]) == (theirs.number, theirs.lane, theirs.info["commands"])

@@ -86,8 +86,8 @@ def test_keys_that_are_left_out_are_those_of_the_published_lane() -> None:
     """T_move, T_sample and speed are the paper's."""
     keys = LaneTask().model_dump(exclude={"difficulty", "latency"})
     assert keys == {
-        "observation": "dvs", "picture_size": (256, 144), "history": 1, "blank_images": False, "dvs_preset": "clean",
-        "dvs_seed": 0,
+        "observation": "dvs", "also_state": False, "picture_size": (256, 144), "history": 1, "blank_images": False,
+        "dvs_preset": "clean", "dvs_seed": 0,
         "dvs_threshold_ratio": 1.0, "dvs_spread_ratio": 1.0, "dvs_shot_noise_hz": 0.0, "dvs_leak_hz": 0.0,
         "dvs_hot_pixels": 0.0, "image_noise": 0.0, "dvs_rate_hz": None, "list_events": False, "command": "tcsc",
         "t_move_s": 1.0, "t_sample_s": 0.33, "action": "velocity", "speed_m_s": 1.0, "tilt_deg": 30.0,

@@ -25,10 +25,11 @@ from uavaccel.errors import UserError
 from uavaccel.files import append_line
 from uavaccel.records import RunDirectory
 from uavaccel.resources import asset
+from uavaccel.rl import lanes
 from uavaccel.rl.agents import make_agent
 from uavaccel.rl.checkpoint import find_checkpoint
 from uavaccel.rl.double_dqn import HostDQN
-from uavaccel.rl.lanes import make_lanes
+from uavaccel.rl.lanes import make_lanes, start_exact_lanes
 from uavaccel.rl.learner import make_learner
 from uavaccel.rl.policy import load_policy, trained_with, weights_sha256
 from uavaccel.suites import trainer
@@ -273,6 +274,7 @@ def test_processes_learn_what_one_would_and_come_down_for_a_checkpoint(
     one = train_into(tmp_path / "one", config)
     assert {row["environment"] for row in RunDirectory(tmp_path / "one").rows()} == {0, 1}
     monkeypatch.setattr(trainer, "make_lanes", make_lanes)
+    monkeypatch.setattr(lanes, "start_exact_lanes", start_exact_lanes)
     assert train_into(tmp_path / "processes", config) == one
     turns = tiny_config(STATE, mirror=False, environments=2, turns=2, games=8, checkpoint_games=3)
     with pytest.raises(RuntimeError, match="stopped"):

@@ -85,7 +85,8 @@ def named_seed(run_seed: int, name: str) -> np.random.SeedSequence:
 
 def with_lane(ended: Info, number: int) -> Info:
     """Return an info with what environments without lanes lack: the game's number as its lane, metres north."""
-    return {"lane": number, "distance_m": ended["position_m"][0]} | ended
+    known = {"lane": number} | ended
+    return known if "distance_m" in known else known | {"distance_m": ended["position_m"][0]}
 
 
 def lane_row(suite: str, case: str, ended: Info, t_move_s: float) -> LaneRow:
