@@ -300,6 +300,7 @@ class Judge:
     def _over_arrays(self, name: str, like: Number) -> Iterator[None]:
         """Call the task's function of that name with arrays such as `like`. Raises UserError where it takes none."""
         torch = None if isinstance(like, np.ndarray) else namespace_of(like)
+        before = torch and torch.get_default_dtype()
         if torch is not None:  # so that a number times a flag is computed in double precision
             torch.set_default_dtype(torch.float64)
         try:
@@ -311,7 +312,7 @@ class Judge:
             ) from error
         finally:
             if torch is not None:
-                torch.set_default_dtype(torch.float32)
+                torch.set_default_dtype(before)
 
 
 def autopilot_goal(goal: FlightGoal) -> Goal:
