@@ -99,6 +99,16 @@ def test_keys_that_are_left_out_are_those_of_the_published_lane() -> None:
     }  # fmt: skip
 
 
+def test_beside_pictures_gates_are_to_be_seen() -> None:
+    """The state is the vehicle's own: wherever the gates are, it is the same, and it knows how high it is."""
+    task = GatesTask(observation="depth", also_state=True, altitude_m=3.0)
+    state = replace(AT_REST, position_m=(1.0, 2.0, -2.5), linear_velocity_m_s=(4.0, 5.0, 6.0))
+    near, far = (task.fields(state, {"gates_m": [[x, 0.0, -3.0]] * 2, "passed": 0}) for x in (2.0, 9.0))
+    assert list(near) == list(far)
+    assert (near[0], list(near[5:8])) == (0.5, [4.0, 5.0, 6.0])
+    assert task.observation_space()["state"].shape == np.shape(near)
+
+
 def test_depths_are_shown_up_to_50_m() -> None:
     camera = DepthCamera(blank_frame("depth"))
     depth_m = np.repeat(np.repeat(np.array([[0.0, 10.0], [50.0, 400.0]], np.float32), 72, axis=0), 128, axis=1)
