@@ -129,6 +129,8 @@ def test_what_is_not_compared_with_others_or_itself_is_unknown(tmp_path: Path) -
 def test_a_run_without_rows_or_arrays_is_the_users_mistake(tmp_path: Path) -> None:
     with pytest.raises(UserError, match=r"rows\.jsonl: holds no finished game of dp1"):
         report_of(tmp_path / "none", [])
+    with pytest.raises(UserError, match="path: has no games but those of Figure 2 yet"):
+        report_of(tmp_path / "path", [line_row("figure2", "adsc", 5.0, 0, 0.0)]).write_summary()
     lost = report_of(tmp_path / "lost", ALIKE)
     (lost.run.path / lost.games.arrays[0]).unlink()
     with pytest.raises(UserError, match=ALIKE[0]["case"]):

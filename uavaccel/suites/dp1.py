@@ -18,6 +18,7 @@ from uavaccel.commands.slices import check_times
 from uavaccel.draw import style
 from uavaccel.draw.labels import clock_label, command_at_clock, metres, rounds_label
 from uavaccel.draw.page import Block, Heading, Picture, Table, unknown
+from uavaccel.errors import UserError
 from uavaccel.forms import Count, Number, Positive, check
 from uavaccel.limits import MOST_HEIGHT_M, MOST_ROUNDS, Games, Seconds, Speed, Velocity
 from uavaccel.metrics.intervals import median_interval
@@ -169,10 +170,15 @@ class Dp1(PathSuite[Dp1Config, Game]):
         return Flight.of(command_at_clock(game), game["clock_speed"], arrays, flown)
 
     def score(self, report: Report) -> pd.DataFrame:
-        """Add each game's likeness to real time, its error against the flight without latency, and its gaps."""
+        """Add each game's likeness to real time, its error against the flight without latency, and its gaps.
+
+        Raises UserError for a run that has flown nothing but Figure 2 yet.
+        """
         from joblib import Parallel, cpu_count, delayed
 
         games = report.games[report.games.role != "figure2"].sort_values([*CELL, "game"], kind="stable")
+        if not len(games):
+            raise UserError(f"{report.run.path}: has no games but those of Figure 2 yet; go on with --resume")
         paths = sorted((path for _, path in finished(games).groupby(PATH)), key=lambda path: -path.duration_s.sum())
         jobs = min(cpu_count(), MOST_JOBS) if len(games) >= PARALLEL_FROM_GAMES else 1
         scored = Parallel(jobs, batch_size=1)(delayed(score_path)(report.run, path) for path in paths)
