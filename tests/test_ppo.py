@@ -212,7 +212,9 @@ def test_an_evaluation_flies_the_policy_and_repeats(timing: str, trained: RunDir
         policy = load_policy(trained.path)
         for step in steps:
             np.testing.assert_array_equal(step.action, policy.act(step.given[None])[0])
-    assert Evaluation().flight(Evaluation().report(run), run.rows()[0], pictures=False).scene == "blocks"
+    report = Evaluation().report(run)
+    assert Evaluation().flight(report, run.rows()[0], pictures=False).scene == "blocks"
+    assert " of 2 games (" in Evaluation().headline(report)
 
 
 def test_the_policy_is_exported_with_its_form(trained: RunDirectory) -> None:

@@ -229,10 +229,12 @@ class Evaluation(Suite[EvaluateConfig, Game]):
     def headline(self, report: Report) -> str:
         """Return the success with its interval, clock and seed in a sentence."""
         return (
-            "{successes} of {games} lanes ({success_ratio:.1%}, 95 % Wilson interval {wilson_low:.1%} to "
+            "{successes} of {games} {flown} ({success_ratio:.1%}, 95 % Wilson interval {wilson_low:.1%} to "
             "{wilson_high:.1%}), {how}, {command} at {clock_speed:g}x, {simulated_s_per_wall_s:.4g} simulated seconds "
             "per wall second, seed {seed}"
-        ).format(**report.summary, how=how_flown(report.config))
+        ).format(
+            **report.summary, flown="lanes" if report.config.env_id == LANE else "games", how=how_flown(report.config)
+        )
 
     def page(self, report: Report) -> Iterator[Block | str]:
         """Yield the success beside the paper's, Figure 8, the lanes that were not won, and the films that were made."""
