@@ -228,14 +228,15 @@ class CudaLanes:
 
     def _fly_recording_events(self, sample: int, every: int) -> None:
         """Fly to a sample with an event camera that records a frame `every` so many ticks."""
-        total, flown = int(self.slices[sample]), 0
-        before = int(self.slices[:sample].sum())
-        while flown < total:
-            due = min(every - (before + flown) % every, total - flown)
-            self._advance(self.going, th.full_like(self._slice_ticks[sample], due))
-            flown += due
-            if (before + flown) % every == 0 or flown == total:
-                self.view.render(self.going, self._pictures[sample], take=flown == total)
+        left = self._slice_ticks[sample].clone()
+        for _ in range(-(-int(self.slices[sample]) // every)):  # as many as there can be before the sample
+            to_frame = every - self._ticks_of[:, TICK] % every
+            recording = self.going * (to_frame < left)
+            self._advance(recording, to_frame)
+            left -= to_frame * recording
+            self.view.render(recording, self._pictures[sample], take=False)
+        self._advance(self.going, left)
+        self.view.render(self.going, self._pictures[sample])
 
     def _fly_by_clocks(self, clocks: DeviceClocks) -> list[th.Tensor]:
         """Fly each lane to the samples that its own clock times, and return the states as `_fly_together`."""
