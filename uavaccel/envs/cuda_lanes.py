@@ -229,7 +229,8 @@ class CudaLanes:
     def _fly_recording_events(self, sample: int, every: int) -> None:
         """Fly to a sample with an event camera that records a frame `every` so many ticks."""
         left = self._slice_ticks[sample].clone()
-        for _ in range(-(-int(self.slices[sample]) // every)):  # as many as there can be before the sample
+        at_samples = not (self.slices % every).any()  # whose frame is the sample's own
+        for _ in range(-(-int(self.slices[sample]) // every) - at_samples):  # as many as there can be before it
             to_frame = every - self._ticks_of[:, TICK] % every
             recording = self.going * (to_frame < left)
             self._advance(recording, to_frame)

@@ -123,7 +123,10 @@ class AgentNavigate(FliesGames, Navigate):
 
 
 AGENTS: dict[type[FlightEnv[Any]], type[FlightEnv[Any]]] = {
-    each.__mro__[2]: each for each in (AgentObstacleLane, AgentHover, AgentGates, AgentNavigate)
+    ObstacleLane: AgentObstacleLane,
+    Hover: AgentHover,
+    Gates: AgentGates,
+    Navigate: AgentNavigate,
 }
 
 
