@@ -1,6 +1,9 @@
-"""The obstacle lane in plain geometry, which what flies in it must agree with."""
+"""What lanes over arrays must agree with: the obstacle lane in plain geometry, and environments that fly alone."""
 
 from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -30,3 +33,29 @@ def collision_object(model: mujoco.MjModel, data: mujoco.MjData) -> str:
         if drone in bodies and contact.dist < deepest:
             deepest, name = contact.dist, object_name(model, int(contact.geom[1 - bodies.index(drone)]))
     return name
+
+
+def collisions_side_by_side(batch: Any, alone: Sequence[Any], seed: int, actions: Iterable[Any]) -> list[str | None]:
+    """Fly a batch and single environments to the end of their games, to the same bytes; what each collided with."""
+    hit: list[str | None] = []
+    seen, over = batch.reset(seed=seed)[0], [False] * len(alone)
+    for lane, environment in enumerate(alone):
+        assert environment.reset(seed=seed + lane)[0].tobytes() == seen[lane].tobytes()
+    for given in actions:
+        batch.step_async(given)
+        seen, rewards, terminated, truncated, infos = batch.step_wait()
+        for lane, environment in enumerate(alone):
+            if over[lane]:
+                continue
+            expected = environment.step(given[lane])
+            assert infos[lane] == expected[4]
+            assert seen[lane].tobytes() == expected[0].tobytes()
+            assert (rewards[lane], terminated[lane], truncated[lane]) == expected[1:4]
+            over[lane] = bool(expected[2] or expected[3])
+            hit += [expected[4]["collision"]] * over[lane]
+        if all(over):
+            break
+    assert all(over)
+    for environment in alone:
+        environment.close()
+    return hit

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 import uavaccel.envs  # noqa: F401 - registers
 from tests.host_kernels import host_kernels  # noqa: F401 - a fixture
+from tests.lanes import collisions_side_by_side
 from tests.test_still_scenes import HULL, cast_all, touch_all
 from uavaccel.envs.kernel_batch import KernelBatch
 from uavaccel.envs.kernel_games import GameMaker
@@ -73,30 +74,13 @@ def test_gaps_are_kept() -> None:
 
 def test_flights_are_those_of_the_exact_simulator() -> None:
     """The same bytes to the end of each game, and the same names of what was hit."""
-    random, hit = np.random.default_rng(1), list[str | None]()
+    random = np.random.default_rng(1)
     keys = {"observation": "state", "split": "evaluation", **FAST}
     made: Any = gymnasium.make_vec("uavaccel/Navigate-v0", 4, simulator="kernels", **keys)
     with closing(made) as batch:
         assert isinstance(batch, KernelBatch)
-        seen, over = batch.reset(seed=3)[0], [False] * 4
-        alone = [Navigate(**keys) for _ in range(4)]
-        for lane, environment in enumerate(alone):
-            assert environment.reset(seed=3 + lane)[0].tobytes() == seen[lane].tobytes()
-        while not all(over):
-            given = actions(random, 4)
-            batch.step_async(given)
-            seen, rewards, terminated, truncated, infos = batch.step_wait()
-            for lane, environment in enumerate(alone):
-                if over[lane]:
-                    continue
-                expected = environment.step(given[lane])
-                assert infos[lane] == expected[4]
-                assert seen[lane].tobytes() == expected[0].tobytes()
-                assert (rewards[lane], terminated[lane], truncated[lane]) == expected[1:4]
-                over[lane] = bool(expected[2] or expected[3])
-                hit += [expected[4]["collision"]] * over[lane]
-        for environment in alone:
-            environment.close()
+        given = (actions(random, 4) for _ in range(1000))
+        hit = collisions_side_by_side(batch, [Navigate(**keys) for _ in range(4)], 3, given)
     assert sum(each is not None for each in hit) >= 2
 
 

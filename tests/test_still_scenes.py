@@ -15,6 +15,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from tests.clutter import KINDS, clutter
+from tests.lanes import collisions_side_by_side
 from uavaccel.envs.hover import Hover
 from uavaccel.envs.kernel_batch import KernelBatch
 from uavaccel.kernels import casting
@@ -146,31 +147,13 @@ def cluttered(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytes
 def test_flights_among_turned_shapes_are_those_of_the_exact_simulator() -> None:
     """The same bytes until the first touch, at the same tick, of the same object."""
     task: dict[str, Any] = {"altitude_m": 2.0, "radius_m": 0.3, "max_commands": 25, "speed_m_s": 3.0}
-    count, hit = 8, []
+    count = 8
     headings = 2 * np.pi * np.arange(count) / count  # each keeps its way
     actions = np.random.default_rng(3).uniform((-0.4, -0.4, -0.3), (0.4, 0.4, 0.4), (40, count, 3))
     actions[:, :, :2] += 0.6 * np.stack([np.cos(headings), np.sin(headings)], axis=1)
     actions = actions.astype(np.float32)
     with closing(KernelBatch(Hover, count, threads=1, **task)) as batch:
-        alone = [Hover(**task) for _ in range(count)]
-        batch.reset(seed=7)
-        for lane, environment in enumerate(alone):
-            environment.reset(seed=7 + lane)
-        over = [False] * count
-        for each in actions:
-            batch.step_async(each)
-            seen, rewards, terminated, truncated, infos = batch.step_wait()
-            for lane, environment in enumerate(alone):
-                if over[lane]:
-                    continue
-                expected = environment.step(each[lane])
-                assert infos[lane] == expected[4]
-                assert seen[lane].tobytes() == expected[0].tobytes()
-                assert (rewards[lane], terminated[lane], truncated[lane]) == expected[1:4]
-                over[lane] = bool(expected[2] or expected[3])
-                hit += [expected[4]["collision"]] * over[lane]
-        for environment in alone:
-            environment.close()
+        hit = collisions_side_by_side(batch, [Hover(**task) for _ in range(count)], 7, actions)
     assert sum(each is not None for each in hit) >= count // 4
     assert len(set(hit)) >= 3
 
