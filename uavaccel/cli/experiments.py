@@ -168,6 +168,7 @@ def report_run(run: RunDirectory) -> None:
 def evaluate_agent(request: RunRequest, against: Path | None, films: bool) -> None:
     """Evaluate an agent, film, and compare it with another evaluation of the same lanes. Raises UserError."""
     from uavaccel.sim.camera.gl import describe_renderer
+    from uavaccel.rl.config import LANE
     from uavaccel.suites.evaluate import against as compared
     from uavaccel.suites.registry import open_run
 
@@ -175,9 +176,11 @@ def evaluate_agent(request: RunRequest, against: Path | None, films: bool) -> No
 
     def check(plan: Plan) -> None:
         if other is not None:
-            theirs = {row["lane"] for row in other.rows() if row.get("suite") == plan.suite.name}
-            if not theirs & {case.lane for case in plan.cases}:  # type: ignore[attr-defined]
-                raise UserError(f"--against {other.path}: is no evaluation of the same lanes")
+            theirs = {row["case"] for row in other.rows() if row.get("suite") == plan.suite.name}
+            same = other.config().get("env_id", LANE) == plan.config.env_id
+            if not (same and theirs & {case.id for case in plan.cases}):
+                games = "lanes" if plan.config.env_id == LANE else "games"
+                raise UserError(f"--against {other.path}: is no evaluation of the same {games}")
         if films:
             try:
                 describe_renderer()

@@ -27,8 +27,9 @@ from uavaccel.export import provenance_of
 from uavaccel.files import UNFINISHED, to_json
 from uavaccel.records import RunDirectory
 from uavaccel.rl.agents import reset_options
-from uavaccel.suites.evaluate import EvaluateConfig, EvaluateRow, Flyable, game_seed
+from uavaccel.suites.evaluate import AnyRow, EvaluateConfig, Flyable, game_seed
 from uavaccel.suites.evaluate_again import environment_of, evaluation_of, fly_again
+from uavaccel.suites.rows import number_of
 
 if TYPE_CHECKING:
     import h5py
@@ -65,7 +66,7 @@ def write_minari(run: RunDirectory, folder: Path) -> Iterator[tuple[int, int]]:
 
 
 def _write_episodes(
-    run: RunDirectory, config: EvaluateConfig, rows: list[EvaluateRow], data: Path
+    run: RunDirectory, config: EvaluateConfig, rows: list[AnyRow], data: Path
 ) -> Iterator[tuple[int, int]]:
     import h5py
 
@@ -73,15 +74,15 @@ def _write_episodes(
         for number, row in enumerate(rows):
             episode = file.create_group(f"episode_{number}")
             episode.attrs["id"] = number
-            episode.attrs["seed"] = game_seed(config, int(row["lane"]))
-            for name, value in reset_options(config.env_id, int(row["lane"])).items():
+            episode.attrs["seed"] = game_seed(config, number_of(row))
+            for name, value in reset_options(config.env_id, number_of(row)).items():
                 episode.attrs[f"options/{name}"] = value
             _write_episode(run, config, environment, row, episode)
             yield number + 1, len(rows)
 
 
 def _write_episode(
-    run: RunDirectory, config: EvaluateConfig, environment: Flyable, row: EvaluateRow, episode: h5py.Group
+    run: RunDirectory, config: EvaluateConfig, environment: Flyable, row: AnyRow, episode: h5py.Group
 ) -> None:
     steps = fly_again(run, config, environment, row)
     space = config.task.action_space()
@@ -105,7 +106,7 @@ def _observed(observations: Observation) -> dict[str, Any]:
     return {"observations": observations}
 
 
-def _write_metadata(run: RunDirectory, config: EvaluateConfig, rows: list[EvaluateRow], data: Path, name: str) -> None:
+def _write_metadata(run: RunDirectory, config: EvaluateConfig, rows: list[AnyRow], data: Path, name: str) -> None:
     spec = copy.deepcopy(gymnasium.spec(config.env_id))
     spec.kwargs = config.task.model_dump(mode="json")
     observations, actions = config.task.observation_space(), config.task.action_space()

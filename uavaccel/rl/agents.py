@@ -1,12 +1,19 @@
-"""Agents that fly an evaluation: a trained policy, or a baseline without pictures."""
+"""Agents that fly an evaluation: a policy of this project or of others, a function, or a baseline without pictures.
+
+`source_of` says by an agent's name where it comes from: what is known of it before it flies, and how it is made.
+"""
 
 from __future__ import annotations
 
 import math
+from abc import abstractmethod
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
 
 from uavaccel.envs.conditions import OF_SENSOR
 from uavaccel.envs.obstacle_lane import LaneTask
@@ -34,16 +41,27 @@ class Agent(Protocol):
     def act(self, observation: Observation, info: Info) -> Action: ...
 
 
-class PolicyAgent:
+class BatchAgent(Agent, Protocol):
+    """Chooses actions for many observations at once, without the infos."""
+
+    @abstractmethod
+    def act_on(self, observations: Observation) -> NDArray[Any]:
+        """Return the actions, (n,) or (n, size), for observations (n, ...)."""
+
+    def act(self, observation: Observation, info: Info) -> Action:
+        """Return a discrete action as an int, a continuous one as an array."""
+        action = self.act_on(batch_of(observation))[0]
+        return action if np.ndim(action) else int(action)
+
+
+class PolicyAgent(BatchAgent):
     """Takes the greedy action of a trained policy."""
 
     def __init__(self, policy: Policy) -> None:
         self.policy = policy
 
-    def act(self, observation: Observation, info: Info) -> Action:
-        """Return a discrete action as an int, a continuous one as an array."""
-        action = self.policy.act(batch_of(observation))[0]
-        return action if np.ndim(action) else int(action)
+    def act_on(self, observations: Observation) -> NDArray[Any]:
+        return self.policy.act(observations)
 
 
 class OffsetAgent:
@@ -67,20 +85,6 @@ CLOCK = ("timing", "command", "clock_speed", "profile", "latency", "report_host_
 FLIGHT = ("t_move_s", "t_sample_s", "speed_m_s", "headings_deg", "altitude_m")
 
 
-def trained_keys(name: str) -> dict[str, object]:
-    """Return the task's keys that the agent was trained with; a baseline needs no pictures. Raises UserError."""
-    if is_baseline(name):
-        return {"observation": "state", "history": 1}
-    config = read_manifest(policy_folder(name))[1]
-    trained = config.task.model_dump(mode="json", exclude=set(CLOCK))
-    return trained if config.env_id != LANE else {key: trained[key] for key in SENSES + FLIGHT}
-
-
-def trained_env_id(name: str) -> str:
-    """Return the environment that the agent was trained in; a baseline flies the lane. Raises UserError."""
-    return LANE if is_baseline(name) else read_manifest(policy_folder(name))[1].env_id
-
-
 def evaluation_keys(env_id: str) -> dict[str, object]:
     """Return the keys by which a task takes the worlds that are kept for evaluation."""
     return {"split": "evaluation"} if "split" in environment_class(env_id).task_class.model_fields else {}
@@ -92,33 +96,123 @@ def reset_options(env_id: str, lane: int) -> dict[str, object]:
     return {name: lane for name in ("lane", "world") if name in known}
 
 
+class Source(Protocol):
+    """Where an agent comes from."""
+
+    env_id: str | None
+    """The environment that it flies; None for an agent that does not say."""
+
+    def keys(self) -> dict[str, Any]:
+        """Return the task's keys that it was trained with, so that an evaluation has them where it says nothing."""
+
+    def check(self, task: Task) -> None:
+        """Raise UserError as `make` does, except for what only reading the weights would show."""
+
+    def make(self, task: Task) -> Agent:
+        """Make the agent. Raises UserError if there is none, or if it does not fit observations and actions."""
+
+    def sha256(self) -> str | None:
+        """Return the hash of the file that has what was learned; None for a baseline."""
+
+
+def source_of(name: str) -> Source:
+    """Return where the agent of a name comes from. Raises UserError if there is none."""
+    if is_baseline(name):
+        return Baseline(name)
+    if name.endswith(".zip"):
+        from uavaccel.rl.sb3_file import Sb3File
+
+        return Sb3File(Path(name))
+    if name.endswith(".onnx"):
+        from uavaccel.rl.onnx_agent import OnnxFile
+
+        return OnnxFile(Path(name))
+    return PolicyFolder(name)
+
+
 def is_baseline(name: str) -> bool:
     """Return whether the agent is a baseline, which was never trained."""
     return name == STRAIGHT or name.startswith(OFFSET)
 
 
 def make_agent(name: str, task: Task) -> Agent:
-    """Make the agent `straight`, `offset:METRES`, `default`, or the policy in a folder.
+    """Make the agent of a name, as its source does."""
+    return source_of(name).make(task)
 
-    Raises UserError if there is none, or if its network does not fit the task's observations and actions.
-    """
-    check_agent(name, task)
-    if is_baseline(name):
+
+def policy_sha256(name: str) -> str | None:
+    """Return the hash of an agent's file, as its source does."""
+    return source_of(name).sha256()
+
+
+class Baseline:
+    """`straight` or `offset:METRES`."""
+
+    env_id: str | None = LANE
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+
+    def keys(self) -> dict[str, Any]:
+        """They need no pictures."""
+        return {"observation": "state", "history": 1}
+
+    def check(self, task: Task) -> None:
+        _offset_m(self.name)
+
+    def make(self, task: Task) -> Agent:
         assert isinstance(task, LaneTask)
-        return OffsetAgent(_offset_m(name), task)
-    return PolicyAgent(load_policy(policy_folder(name)))
+        return OffsetAgent(_offset_m(self.name), task)
+
+    def sha256(self) -> str | None:
+        return None
 
 
-def check_agent(name: str, task: Task) -> None:
-    """Raise UserError as `make_agent` does, except for what only reading the weights would show."""
-    if is_baseline(name):
-        _offset_m(name)
-        return
-    trained: Task = read_manifest(policy_folder(name))[1].task
-    if isinstance(task, LaneTask) and isinstance(trained, LaneTask):
-        _refuse_misfit(name, trained, task)
-    elif (task.observation_space(), task.action) != (trained.observation_space(), trained.action):
-        raise UserError(f"task: {name} was trained with other observations or actions: omit what they follow from")
+class PolicyFolder:
+    """A training's run directory, another folder with its two files, or `default`, the policy that ships."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self._trained = read_manifest(policy_folder(name))[1]
+        self.env_id: str | None = self._trained.env_id
+
+    def keys(self) -> dict[str, Any]:
+        trained = self._trained.task.model_dump(mode="json", exclude=set(CLOCK))
+        return trained if self.env_id != LANE else {key: trained[key] for key in SENSES + FLIGHT}
+
+    def check(self, task: Task) -> None:
+        trained: Task = self._trained.task
+        if isinstance(task, LaneTask) and isinstance(trained, LaneTask):
+            _refuse_misfit(self.name, trained, task)
+        elif (task.observation_space(), task.action) != (trained.observation_space(), trained.action):
+            raise UserError(
+                f"task: {self.name} was trained with other observations or actions: omit what they follow from"
+            )
+
+    def make(self, task: Task) -> Agent:
+        self.check(task)
+        return PolicyAgent(load_policy(policy_folder(self.name)))
+
+    def sha256(self) -> str | None:
+        return file_sha256(policy_folder(self.name) / WEIGHTS)
+
+
+def form_of(space: spaces.Space[Any]) -> str:
+    """Return the form of observations or actions in words, as in "(13,)" or "one of 5"."""
+    if isinstance(space, spaces.Discrete):
+        return f"one of {space.n}"
+    if isinstance(space, spaces.Dict):
+        return ", ".join(f"{name} {form_of(part)}" for name, part in space.spaces.items())
+    return str(space.shape)
+
+
+def refuse_form(name: str, what: str, own: str, task: str) -> None:
+    """Raise UserError for an agent whose observations or actions, `what`, are not of the task's form."""
+    if own != task:
+        raise UserError(
+            f"{name}: its {what} are {own}, the task's {task}: name the environment that it was trained in, "
+            "--set env_id=..., and the keys of its task, --set task.KEY=..."
+        )
 
 
 def _offset_m(name: str) -> float:
@@ -148,13 +242,6 @@ def _refuse_misfit(name: str, trained: LaneTask, task: LaneTask) -> None:
         raise UserError(
             f"task.headings_deg: {actions} actions, but {name} was trained with {len(trained.headings_deg)}"
         )
-
-
-def policy_sha256(name: str) -> str | None:
-    """SHA-256 of the agent's file of weights; None for a baseline."""
-    if is_baseline(name):
-        return None
-    return file_sha256(policy_folder(name) / WEIGHTS)
 
 
 def first_policy(config: LearnerConfig) -> QPolicy:

@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
+from functools import reduce
+from operator import add
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, NotRequired, Protocol, cast
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, NotRequired, Protocol, cast, get_args
 
 import numpy as np
 import pandas as pd
 from pydantic import Field, model_validator
+from typing_extensions import TypedDict
 
 from uavaccel.draw import style
 from uavaccel.draw.labels import command_name
@@ -29,13 +32,11 @@ from uavaccel.records import RunDirectory
 from uavaccel.rl.agents import (
     DEFAULT,
     Agent,
-    check_agent,
     evaluation_keys,
     make_agent,
     policy_sha256,
     reset_options,
-    trained_env_id,
-    trained_keys,
+    source_of,
 )
 from uavaccel.rl.config import LANE, AnyTask, EnvId, environment_class
 from uavaccel.sim.lane.layout import EVALUATION_SEEDS, LENGTH_M, WIDTH_M
@@ -43,7 +44,7 @@ from uavaccel.suites import paper_results, plots
 from uavaccel.suites.experiment import Experiment
 from uavaccel.suites.flight import Flight
 from uavaccel.suites.report import Report, disturbed_games, disturbed_words, summary_table
-from uavaccel.suites.rows import LaneRow, Row, lane_row, with_lane
+from uavaccel.suites.rows import LaneRow, OutcomeRow, Row, game_row, number_of
 from uavaccel.suites.suite import GameResult, SimpleCase, Suite
 from uavaccel.wire.image_api import lane_layout
 
@@ -53,6 +54,7 @@ if TYPE_CHECKING:  # matplotlib is loaded by what draws
 MOST_PANELS = 9
 AHEAD_M = 10.0  # of the farthest end, shown on the map
 COMPARISON = "figures/figure8_survival_compared.png"
+SEEN = "Each is flown again and filmed by `uavaccel watch RUN --film FILE` with the option in its line of the table."
 
 
 class EvaluateConfig(Experiment):
@@ -60,12 +62,12 @@ class EvaluateConfig(Experiment):
 
     suite: Literal["evaluate"] = "evaluate"
     agent: str = DEFAULT
-    """Folder of a policy (a training's run directory), `default` (the policy that ships), or a baseline: straight,
-    offset:METRES."""
+    """Folder of a policy (a training's run directory), `default` (the policy that ships), a .zip of stable-baselines3,
+    an .onnx file, a function as file.py:function, or a baseline in the lane: straight, offset:METRES."""
     games: Games = 300
-    """How many evaluation lanes are flown."""
+    """How many evaluation lanes, or games of another environment, are flown."""
     first_lane: Annotated[int, Field(ge=0)] = 0
-    """The number of the first evaluation lane."""
+    """The number of the first evaluation lane, or of the first game."""
     environments: Processes = 1
     """Lanes flown in parallel, with one renderer where there is a GPU; 1 with wall. It does not change the rows."""
     simulator: Simulator = "mujoco"
@@ -75,7 +77,7 @@ class EvaluateConfig(Experiment):
     inference_s: Cost = 0.0005
     """Time of a decision on the simulated wall clock of `virtual`."""
     env_id: EnvId = LANE
-    """The environment, by default that of the agent's training."""
+    """The environment, by default that of the agent's training, or else the obstacle lane."""
     task: AnyTask = LaneTask(split="evaluation", timing="virtual")
     """Omitted keys are those of the agent's training; those that its network cannot take are refused."""
 
@@ -97,25 +99,47 @@ def completed(mapping: Mapping[str, Plain]) -> dict[str, Plain]:
     agent, given = mapping.get("agent", DEFAULT), mapping.get("task") or {}
     if not isinstance(agent, str) or not isinstance(given, Mapping):
         return dict(mapping)  # which validation refuses
-    env_id = trained_env_id(agent)
-    if mapping.get("env_id", env_id) != env_id:
-        raise UserError(f"env_id = {mapping['env_id']!r}: {agent} flies {env_id}; omit the key")
-    flown = {**trained_keys(agent), **evaluation_keys(env_id), "timing": "virtual", **given}
-    return {"env_id": env_id, **mapping, "agent": agent, "task": flown}
+    source = source_of(agent)
+    env_id = mapping.get("env_id", source.env_id or LANE)
+    if source.env_id not in (None, env_id):
+        raise UserError(f"env_id = {env_id!r}: {agent} flies {source.env_id}; omit the key")
+    if env_id not in get_args(EnvId):
+        return dict(mapping)
+    flown = {**source.keys(), **evaluation_keys(env_id), "timing": "virtual", **given}
+    return {**mapping, "env_id": env_id, "agent": agent, "task": flown}
 
 
-class EvaluateRow(LaneRow):
-    """The row of a game of an evaluation."""
+class Evaluated(TypedDict):
+    """What every row of an evaluation has beside the keys of a game."""
 
     wall_s: NotNegative
     actions: list[Count] | list[list[Number]]
     path_m: NotRequired[list[Annotated[list[Number], Field(min_length=2, max_length=2)]]]
-    """Of a lane lost in the exact simulator: positions north and east at the ends of the commands."""
+    """Of a game lost in the exact simulator: positions north and east at the ends of the commands."""
+
+
+class EvaluateRow(LaneRow, Evaluated):
+    """The row of a game in the obstacle lane."""
+
+
+# "return" is a word of Python's
+_Return = TypedDict("_Return", {"return": Number})
+
+
+class OtherRow(OutcomeRow, Evaluated, _Return):
+    """The row of a game in another environment: its number, from which its seed follows, and the sum of its rewards."""
+
+    game: Count
+    distance_m: NotRequired[Number]
+    """As the environment's info has it; not in all of them."""
+
+
+AnyRow = EvaluateRow | OtherRow
 
 
 @dataclass(frozen=True)
 class Game(SimpleCase):
-    """The game on an evaluation lane."""
+    """The game on an evaluation lane, or the game of that number in another environment."""
 
     lane: int
 
@@ -125,21 +149,21 @@ class Evaluation(Suite[EvaluateConfig, Game]):
 
     name = "evaluate"
     config = EvaluateConfig
-    row = EvaluateRow
+    row = AnyRow
     complete = staticmethod(completed)
 
     def case_of(self, row: Plain) -> str:
-        return lane_case(row["lane"])
+        return case_of(number_of(row), "lane" in row)
 
     def check(self, config: EvaluateConfig) -> None:
-        check_agent(config.agent, config.task)
+        source_of(config.agent).check(config.task)
         check_names(config.simulator, config.device)
         if config.simulator == KERNELS:
             check_flyable(config.task, 1, config.device)
 
     def cases(self, config: EvaluateConfig) -> Iterator[Game]:
         for lane in range(config.first_lane, config.first_lane + config.games):
-            yield Game(lane_case(lane), config.task.timing, config.task.typical_s, lane)
+            yield Game(case_of(lane, config.env_id == LANE), config.task.timing, config.task.typical_s, lane)
 
     def may_grow(self, folder: Path) -> tuple[str, ...]:
         return ("games",)
@@ -189,8 +213,9 @@ class Evaluation(Suite[EvaluateConfig, Game]):
         return f"success {sum(row['is_success'] for row in rows) / len(rows):.0%}"
 
     def interest(self, row: Row) -> tuple[bool, float]:
-        """From the success in the fewest commands to the failure with the least distance."""
-        return not row["is_success"], row["commands"] if row["is_success"] else -row["distance_m"]
+        """From the success in the fewest commands to the failure with the least distance, or with the least return."""
+        lost_after = row["distance_m"] if "lane" in row else row.get("return", 0.0)
+        return not row["is_success"], row["commands"] if row["is_success"] else -lost_after
 
     def flight(
         self, report: Report, game: Mapping[str, Any], pictures: bool = True, event_rate_hz: float | None = None
@@ -205,13 +230,14 @@ class Evaluation(Suite[EvaluateConfig, Game]):
         return flight_again(report.run, report.config, game, pictures, event_rate_hz)
 
     def summary(self, report: Report) -> dict[str, Any]:
-        """Return the success ratio with its 95 % Wilson interval, and the distances flown."""
+        """Return the success ratio with its 95 % Wilson interval, and the distances or the returns."""
         games, config, task = report.games, report.config, report.config.task
         sim_time_s, wall_s, disturbed = float(games.sim_time_s.sum()), float(games.wall_s.sum()), disturbed_games(games)
         return {
             **({"disturbed_games": disturbed} if disturbed else {}),
             "suite": "evaluate",
             "agent": config.agent,
+            **({} if config.env_id == LANE else {"env_id": config.env_id}),
             **{key: getattr(task, key) for key in ("profile", "command", "clock_speed", "timing")},
             "simulator": config.simulator,
             **({} if config.simulator == EXACT else {"device": config.device}),
@@ -220,7 +246,8 @@ class Evaluation(Suite[EvaluateConfig, Game]):
             "sim_time_s": sim_time_s,
             "wall_s": wall_s,
             "simulated_s_per_wall_s": sim_time_s / wall_s,
-            "distance_m_median": float(games.distance_m.median()),
+            **({"distance_m_median": float(games.distance_m.median())} if "distance_m" in games else {}),
+            **({"return_mean": float(games["return"].mean())} if "return" in games else {}),
         }
 
     def title(self, report: Report) -> str:
@@ -228,32 +255,41 @@ class Evaluation(Suite[EvaluateConfig, Game]):
 
     def headline(self, report: Report) -> str:
         """Return the success with its interval, clock and seed in a sentence."""
+        mean = ", mean return {return_mean:.4g}" if "return_mean" in report.summary else ""
         return (
             "{successes} of {games} {flown} ({success_ratio:.1%}, 95 % Wilson interval {wilson_low:.1%} to "
-            "{wilson_high:.1%}), {how}, {command} at {clock_speed:g}x, {simulated_s_per_wall_s:.4g} simulated seconds "
-            "per wall second, seed {seed}"
+            f"{{wilson_high:.1%}}){mean}, {{how}}, {{command}} at {{clock_speed:g}}x, "
+            "{simulated_s_per_wall_s:.4g} simulated seconds per wall second, seed {seed}"
         ).format(
             **report.summary, flown="lanes" if report.config.env_id == LANE else "games", how=how_flown(report.config)
         )
 
     def page(self, report: Report) -> Iterator[Block | str]:
-        """Yield the success beside the paper's, Figure 8, the lanes that were not won, and the films that were made."""
+        """Yield the success, in the lane beside the paper's, with Figure 8; the games that were lost; the films."""
         config, run = report.config, report.run
-        rows = [(config.agent, Proportion.of(report.summary).text(), str(len(report.games)), how_flown(config))]
-        if config.env_id != LANE:
-            yield Table(("", "success [95 %]", "games", "how"), rows)
-            yield summary_table(report.summary)
-            return
-        for command, by_clock in paper_results.SUCCESSES.items():
-            theirs = Proportion(max(by_clock.values()), paper_results.GAMES).text()
-            name = f"the paper's best, trained with {command_name(command)}"
-            rows.append((name, theirs, str(paper_results.GAMES), "measured, in AirSim and another lane"))
-        yield Table(("", "success [95 %]", "lanes", "how"), rows)
-        caption = "Figure 8. Share of the games that got at least so far north, with its 95 % Wilson interval."
-        yield report.figure("figure8_survival", survival_figure([report]), caption, source_of([report]))
-        lost = report.games[~report.games.is_success].sort_values("distance_m", kind="stable")
-        if len(lost):
-            yield from lost_lanes(report, lost)
+        lost = report.games[~report.games.is_success]
+        success = Proportion.of(report.summary).text()
+        if config.env_id == LANE:
+            rows = [(config.agent, success, str(len(report.games)), how_flown(config))]
+            for command, by_clock in paper_results.SUCCESSES.items():
+                theirs = Proportion(max(by_clock.values()), paper_results.GAMES).text()
+                name = f"the paper's best, trained with {command_name(command)}"
+                rows.append((name, theirs, str(paper_results.GAMES), "measured, in AirSim and another lane"))
+            yield Table(("", "success [95 %]", "lanes", "how"), rows)
+            caption = "Figure 8. Share of the games that got at least so far north, with its 95 % Wilson interval."
+            yield report.figure("figure8_survival", survival_figure([report]), caption, source_of([report]))
+            if len(lost):
+                yield from lost_lanes(report, lost.sort_values("distance_m", kind="stable"))
+        else:
+            returns = f"{report.summary['return_mean']:.4g}"
+            row = (config.agent, success, returns, str(len(report.games)), how_flown(config))
+            yield Table(("", "success [95 %]", "mean return", "games", "how"), [row])
+            if len(lost):
+                yield Heading("Lost games")
+                yield f"The least return first. {SEEN}"
+                columns = {"game": "{game}", "return": "{return:.4g}", "ended by": "{end}", "commands": "{commands}"}
+                ended = lost.sort_values("return", kind="stable").assign(end=ends(lost, config))
+                yield Table.of(ended, {**columns, "seen with": "--case {case}"})
         films = {name: (run.path / f"films/{name}.mp4", run.path / f"films/{name}.png") for name in ("best", "worst")}
         made = {name: both for name, both in films.items() if all(path.is_file() for path in both)}
         if made:
@@ -304,23 +340,30 @@ def fly_lane(config: EvaluateConfig, environment: Flyable, agent: Agent, lane: i
         yield step
 
 
-def fly_game(config: EvaluateConfig, environment: Flyable, agent: Agent, lane: int) -> EvaluateRow:
-    """Fly a game on a lane, and return its row."""
+def fly_game(config: EvaluateConfig, environment: Flyable, agent: Agent, lane: int) -> AnyRow:
+    """Fly a game, and return its row."""
     steps = list(fly_lane(config, environment, agent, lane))
-    ended = steps[-1].info | {"path_m": [step.info["position_m"][:2] for step in steps]}
-    return row_of(config, lane, ended, [step.action for step in steps])
+    path_m = [step.info["position_m"][:2] for step in steps]
+    return row_of(config, lane, ended(steps) | {"path_m": path_m}, [step.action for step in steps])
 
 
-def row_of(config: EvaluateConfig, lane: int, ended: Info, actions: Sequence[Action]) -> EvaluateRow:
-    """Return a game's row from the info of its last step, to which its path may have been added."""
-    game = lane_row("evaluate", lane_case(lane), {**with_lane(ended, lane), "lane": lane}, config.task.t_move_s)
-    row: Plain = {**game, "actions": np.asarray(actions).tolist()}
-    row["wall_s"] = ended["wall_s"]
+def ended(steps: Sequence[Step]) -> Info:
+    """Return the info of a game's last step, with the sum of its rewards."""
+    return steps[-1].info | {"return": reduce(add, (float(step.reward) for step in steps))}  # as batches add them up
+
+
+def row_of(config: EvaluateConfig, lane: int, ended: Info, actions: Sequence[Action]) -> AnyRow:
+    """Return a game's row from the info of its last step with its `return`; its path may have been added."""
+    in_lane = config.env_id == LANE
+    number = {"lane" if in_lane else "game": lane}
+    row: Plain = game_row("evaluate", case_of(lane, in_lane), ended | number, config.task.t_move_s)
+    row |= number | {key: ended[key] for key in (("distance_m",) if in_lane else ("distance_m", "return")) if key in ended}
+    row |= {"actions": np.asarray(actions).tolist(), "wall_s": ended["wall_s"]}
     if not row["is_success"] and "path_m" in ended:
         row["path_m"] = ended["path_m"]
     if config.simulator != EXACT:
         row["simulator"] = config.simulator
-    return cast(EvaluateRow, row)
+    return cast(AnyRow, row)
 
 
 def game_seed(config: EvaluateConfig, lane: int) -> int:
@@ -328,25 +371,27 @@ def game_seed(config: EvaluateConfig, lane: int) -> int:
     return int(np.random.SeedSequence([config.seed, lane]).generate_state(1)[0])
 
 
-def lane_case(lane: int) -> str:
-    """Return the name of the game on an evaluation lane."""
-    return f"lane-{lane:06d}"
+def case_of(number: int, in_lane: bool = True) -> str:
+    """Return the name of the game on an evaluation lane, or of that number in another environment."""
+    return f"{'lane' if in_lane else 'game'}-{number:06d}"
 
 
 # --- what its report says ---------------------------------------------------------------------------------------
 
 
 def against(run: RunDirectory, other: RunDirectory) -> str:
-    """Return McNemar's test on the lanes that both evaluations flew, in words. Raises UserError without such lanes."""
+    """Return McNemar's test on the games that both evaluations flew, in words. Raises UserError without such games."""
     won, theirs = (
-        {row["lane"]: row["is_success"] for row in flown.rows() if row.get("suite") == "evaluate"}
+        {number_of(row): row["is_success"] for row in flown.rows() if row.get("suite") == "evaluate"}
         for flown in (run, other)
     )
-    if not (lanes := [lane for lane in won if lane in theirs]):
-        raise UserError(f"{other.path}: is no evaluation of the same lanes")
-    first, second = ([outcome[lane] for lane in lanes] for outcome in (won, theirs))
+    env_id, other_id = (flown.config().get("env_id", LANE) for flown in (run, other))
+    games = "lanes" if env_id == LANE else "games"
+    if not (same := [number for number in won if number in theirs and env_id == other_id]):
+        raise UserError(f"{other.path}: is no evaluation of the same {games}")
+    first, second = ([outcome[number] for number in same] for outcome in (won, theirs))
     return (
-        f"against {other.path} on the same {len(lanes)} lanes: {sum(first)} v {sum(second)} successes, "
+        f"against {other.path} on the same {len(same)} {games}: {sum(first)} v {sum(second)} successes, "
         f"exact McNemar p = {mcnemar_exact(first, second).p_value:.3g}"
     )
 
@@ -381,19 +426,26 @@ def survival_figure(reports: Sequence[Report]) -> Figure:
     return figure
 
 
+def ends(lost: pd.DataFrame, config: EvaluateConfig) -> pd.Series:
+    """Return how each game was lost, in words."""
+    task = config.task
+    out = (lost.commands >= task.max_commands) | (config.env_id == LANE)  # which is lost in no other way
+    words = [f"hitting {hit}" if hit else "running out of commands" if no_more else "failing" for hit, no_more in zip(lost.collision, out, strict=True)]
+    return pd.Series(words, lost.index)
+
+
 def lost_lanes(report: Report, lost: pd.DataFrame) -> Iterator[Block | str]:
     """Yield the lanes that were not won with what ended them, and their paths, the shortest flight first.
 
     No path can be drawn of what the kernels flew, which record none, nor where a lane is sampled anew with the
     conditions of each game: its obstacles are not known afterwards.
     """
-    lost = lost.assign(end=[f"hitting {hit}" if hit else "running out of commands" for hit in lost.collision])
+    lost = lost.assign(end=ends(lost, report.config))
     named = [f"{row.lane} ({row.distance_m:.1f} m, {row.end})" for row in lost.head(MOST_PANELS).itertuples()]
     more = [f"and {len(lost) - len(named)} more"] if len(lost) > len(named) else []
     yield Heading("Lost lanes")
     yield (
-        f"Lost, the shortest flight first: lanes {', '.join([*named, *more])}. Each is flown again and filmed by "
-        "`uavaccel view RUN` with the option in its line of the table."
+        f"Lost, the shortest flight first: lanes {', '.join([*named, *more])}. {SEEN}"
     )
     drawn = lost[lost.path_m.notna()] if "path_m" in lost else lost.head(0)
     if len(drawn) and report.config.task.randomise is None:

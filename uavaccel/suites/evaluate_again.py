@@ -28,8 +28,9 @@ from uavaccel.records import RunDirectory
 from uavaccel.rl.agents import Agent, PolicyAgent, is_baseline, make_agent, policy_sha256
 from uavaccel.rl.config import LANE, environment_class
 from uavaccel.sim.profile import PROFILES
-from uavaccel.suites.evaluate import EvaluateConfig, Flyable, Step, fly_lane, row_of
+from uavaccel.suites.evaluate import EvaluateConfig, Flyable, Step, ended, fly_lane, row_of
 from uavaccel.suites.flight import Commands, Flight, Window, windows_of
+from uavaccel.suites.rows import number_of
 from uavaccel.units import NS_PER_S, to_ns
 
 KEPT_ONLY_BY_THE_RUN = ("arrays", "arrays_sha256", "path_m")
@@ -94,10 +95,10 @@ class Recorded:
 
 def fly_again(run: RunDirectory, config: EvaluateConfig, environment: Flyable, row: Mapping[str, Any]) -> list[Step]:
     """Return the commands of that row's game. Raises UserError if the flight made another row."""
-    lane = int(row["lane"])
+    lane = number_of(row)
     steps = list(fly_lane(config, environment, Recorded(row["actions"]), lane))
     recorded = {key: value for key, value in row.items() if key not in KEPT_ONLY_BY_THE_RUN}
-    again = parse_json(to_json(row_of(config, lane, steps[-1].info, [step.action for step in steps])))
+    again = parse_json(to_json(row_of(config, lane, ended(steps), [step.action for step in steps])))
     if differing := [key for key in sorted(recorded | again) if recorded.get(key) != again.get(key)]:
         raise UserError(
             f"{run.path / 'rows.jsonl'}: {row['case']}: flown again it differs in {', '.join(differing)}; "
@@ -121,7 +122,7 @@ def flight_again(
     if not films:
         refuse_wall(run, config, "this")
     if config.simulator != EXACT or config.task.timing == "wall":
-        return flight_of_agent(config, int(row["lane"]), pictures)
+        return flight_of_agent(config, number_of(row), pictures)
     if films:  # they show the agent's decisions, so that it has to be the one that flew
         flew = run.manifest().get("policy_sha256")
         if flew is not None and flew != policy_sha256(config.agent):

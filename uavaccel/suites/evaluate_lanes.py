@@ -34,15 +34,16 @@ from uavaccel.envs.values import Action, Info, rows_of
 from uavaccel.machine import usable_cores
 from uavaccel.rl.agents import Agent, PolicyAgent, make_agent, reset_options
 from uavaccel.rl.config import DOUBLE_DQN, PPO, environment_class
-from uavaccel.suites.evaluate import EvaluateConfig, EvaluateRow, Flyable, fly_game, game_seed, row_of
+from uavaccel.suites.evaluate import AnyRow, EvaluateConfig, Flyable, fly_game, game_seed, row_of
 from uavaccel.suites.host_time import timed
+from uavaccel.suites.rows import number_of
 from uavaccel.suites.suite import GameResult
 from uavaccel.units import NS_PER_S
 
 MOST_LANES = 1024  # in a batch: a lane's event camera takes about 300 KB
 BLOCK = 32  # observations that a network rates at once
 GPU = "cuda"
-TimedRow = tuple[EvaluateRow, dict[str, float]]  # row, host times
+TimedRow = tuple[AnyRow, dict[str, float]]  # row, host times
 Games = Generator[Sequence[TimedRow], None, None]  # that have ended since the last ones
 Places = NDArray[np.int64]  # of lanes in the batch
 Flown = tuple[NDArray[Any], list[tuple[int, Info]]]  # actions; places of games that ended, their last infos
@@ -77,7 +78,7 @@ class GamesInBatch:
         Raises BatchError where a process has ended.
         """
         while lane not in self._ended:
-            self._ended |= {row["lane"]: (row, host) for row, host in next(self._flown)}
+            self._ended |= {number_of(row): (row, host) for row, host in next(self._flown)}
         row, host = self._ended.pop(lane)
         host |= {"wall_s": (self._clock.now_ns() - self._start_ns) / NS_PER_S}
         return GameResult(row, host=host, next_is_ready=lane + 1 in self._ended)
@@ -190,6 +191,7 @@ class LanesOnCores:
         options = [reset_options(config.env_id, lane) for lane in lanes]
         self._infos = self._batch.reset_each([game_seed(config, lane) for lane in lanes], options)
         self._seen = self._batch.observations()
+        self._returns = np.zeros(len(lanes))
 
     def decide_and_fly(self, going: Places) -> Flown:
         """Fly a command of the lanes in these places, and return their actions and the games that ended."""
@@ -197,11 +199,13 @@ class LanesOnCores:
             self._batch.charge(place, self._inference_s)
         actions = self._decide(going)
         self._batch.step_async(actions, going.tolist())
-        _, _, terminated, truncated, infos = self._batch.step_wait(going.tolist())
+        _, rewards, terminated, truncated, infos = self._batch.step_wait(going.tolist())
+        self._returns[going] += rewards
         self._seen = self._batch.observations()
         for place, info in zip(going.tolist(), infos, strict=True):
             self._infos[place] = info
-        return actions, [(place, self._infos[place]) for place in going[terminated | truncated].tolist()]
+        over = going[terminated | truncated].tolist()
+        return actions, [(place, self._infos[place] | {"return": float(self._returns[place])}) for place in over]
 
     def _decide(self, going: Places) -> NDArray[Any]:
         if not isinstance(self._agent, PolicyAgent):
@@ -274,7 +278,10 @@ class LanesOnGpu:
         outcome = self._lanes.ended.tolist()  # the host waits for the device here
         self._positions_m = [row[self._at.place : self._at.place + 3] for row in outcome]
         over = [place for place in going.tolist() if outcome[place][self._at.over]]
-        ended = [(place, self._lanes.info(place, outcome[place])) for place in over]
+        ended = [
+            (place, self._lanes.info(place, outcome[place]) | {"return": outcome[place][self._at.reward]})
+            for place in over
+        ]
         return self._actions.cpu().numpy()[going], ended
 
     def _fly_round(self) -> None:

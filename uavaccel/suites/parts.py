@@ -59,18 +59,15 @@ def part_run(run: RunDirectory, name: str) -> RunDirectory:
 
 
 OUTCOMES = {
-    "lane": ArrayForm("iu", ("games",)),
+    "lane": ArrayForm("iu", ("games",), optional=True),
+    "game": ArrayForm("iu", ("games",), optional=True),
     "is_success": ArrayForm("b", ("games",)),
-    "distance_m": ArrayForm("f8", ("games",)),
+    "distance_m": ArrayForm("f8", ("games",), optional=True),
 }
 """The arrays of an evaluation, as `outcomes` makes them."""
 
 
 def outcomes(run: RunDirectory) -> dict[str, np.ndarray]:
-    """Return lane, success and metres north (n,) of an evaluation's games."""
-    rows = run.rows()
-    return {
-        "lane": np.array([row["lane"] for row in rows], np.int64),
-        "is_success": np.array([row["is_success"] for row in rows], bool),
-        "distance_m": np.array([row["distance_m"] for row in rows], np.float64),
-    }
+    """Return lane, or game of another environment, success and metres north (n,) of an evaluation's games."""
+    rows, kinds = run.rows(), {"lane": np.int64, "game": np.int64, "is_success": np.bool_, "distance_m": np.float64}
+    return {key: np.array([row[key] for row in rows], kind) for key, kind in kinds.items() if key in rows[0]}

@@ -206,7 +206,7 @@ class Rl(Suite[RlConfig, TrainingCase]):
     name = "rl"
     config = RlConfig
     row = RlRow
-    arrays: ClassVar = {f"*_{name}": ArrayForm(form.kinds, ("n",)) for name, form in OUTCOMES.items()}
+    arrays: ClassVar = {f"*_{name}": ArrayForm(form.kinds, ("n",)) for name, form in OUTCOMES.items() if name != "game"}
     batch: ClassVar[int] = 1
 
     def check(self, config: RlConfig) -> None:

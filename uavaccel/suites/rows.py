@@ -58,19 +58,24 @@ Phases = Annotated[dict[str, NotNegative], AfterValidator(_all_phases)]
 """Seconds of a game or a training by phase."""
 
 
-class LaneRow(GameRow):
-    """The row of a game in the obstacle lane, in a training as in an evaluation."""
+class OutcomeRow(GameRow):
+    """The row of a game of any environment: how it ended."""
 
     is_success: bool
-    distance_m: Number
     collision: str | None
-    lane: Count
     commands: Count
     phase_s: Phases
     sim_time_s: NotNegative
     conditions: NotRequired[Mapping[str, Number]]
     simulator: NotRequired[str]
     """The simulator of an evaluation, unless that is the exact one."""
+
+
+class LaneRow(OutcomeRow):
+    """The row of a game in the obstacle lane, and of any game of a training."""
+
+    distance_m: Number
+    lane: Count
 
 
 def subset(row: Mapping[str, object], *keys: str) -> dict[str, Plain]:
@@ -89,14 +94,19 @@ def with_lane(ended: Info, number: int) -> Info:
     return known if "distance_m" in known else known | {"distance_m": ended["position_m"][0]}
 
 
-def lane_row(suite: str, case: str, ended: Info, t_move_s: float) -> LaneRow:
-    """Return the row of a game in the lane from the info of its last step."""
+def number_of(row: Mapping[str, Plain]) -> int:
+    """Return the number of a game of an evaluation: of its lane or, in other environments, its own."""
+    return int(row["lane"] if "lane" in row else row["game"])
+
+
+def game_row(suite: str, case: str, ended: Info, t_move_s: float) -> OutcomeRow:
+    """Return the row of a game from the info of its last step."""
     row: Plain = {"suite": suite, "case": case, "sim_time_s": ended["commands"] * t_move_s}
-    row |= subset(ended, "is_success", "distance_m", "collision", "lane", "commands", "phase_s")
+    row |= subset(ended, "is_success", "collision", "commands", "phase_s")
     row |= {key: found for key in DISTURBANCES if (found := ended.get(key))}
     if "conditions" in ended:
         row["conditions"] = ended["conditions"]
-    return cast(LaneRow, row)
+    return cast(OutcomeRow, row)
 
 
 def disturbances(row: Row, restarts: int = 0) -> Disturbances:

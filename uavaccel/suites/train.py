@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NotRequired
 
 import numpy as np
 import pandas as pd
@@ -85,13 +85,13 @@ class EvaluationLine(TypedDict):
     successes: Count
     lanes: list[Count]
     is_success: list[bool]
-    """By lane, as is `distance_m`, in metres north."""
-    distance_m: list[Number]
+    """By lane, or game of another environment, as is `distance_m`, in metres north, or as the environment has it."""
+    distance_m: NotRequired[list[Number]]
 
 
 def _of_its_lanes(line: EvaluationLine) -> EvaluationLine:
     lanes = len(line["lanes"])
-    if not lanes or {len(line["is_success"]), len(line["distance_m"])} != {lanes}:
+    if not lanes or {len(line["is_success"]), len(line.get("distance_m", line["lanes"]))} != {lanes}:
         raise ValueError("lanes, is_success and distance_m should have one entry for each lane")
     if line["successes"] != sum(line["is_success"]):
         raise ValueError("successes should be the number of lanes won")
@@ -219,7 +219,7 @@ class Training(Suite[TrainConfig, SimpleCase]):
                     **Proportion(line["successes"], len(line["lanes"])).as_summary(),
                     "games": line["games"],
                     "lanes": len(line["lanes"]),
-                    "distance_m_median": float(np.median(line["distance_m"])),
+                    "distance_m_median": float(np.median(line["distance_m"])) if "distance_m" in line else None,
                 }
                 for line in evaluated
             ]

@@ -42,7 +42,7 @@ from uavaccel.rl.policy import export_policy, weights_sha256
 from uavaccel.sim.camera.camera import BlankCamera, make_cameras_with
 from uavaccel.suites.evaluate import EvaluateConfig
 from uavaccel.suites.evaluate_lanes import GamesInBatch
-from uavaccel.suites.rows import Row, lane_row, with_lane
+from uavaccel.suites.rows import Row, game_row, number_of, subset, with_lane
 from uavaccel.suites.suite import GameResult
 from uavaccel.suites.train import CHECKPOINTS, EVALUATIONS, RECENT, TrainConfig, TrainRow, evaluations, game_case
 from uavaccel.units import NS_PER_S
@@ -187,8 +187,10 @@ class GameRows:
     def finished(self, game: Game, learning: Stopwatch) -> GameResult:
         """Return a finished game's row, and times since this start of the training: wall, the lane's, the learner's."""
         wall_s = (self._clock.now_ns() - self._start_ns) / NS_PER_S
+        info = with_lane(game.info, game.number)
         row: TrainRow = {
-            **lane_row("train", game_case(game.number), with_lane(game.info, game.number), self._t_move_s),
+            **game_row("train", game_case(game.number), info, self._t_move_s),
+            **subset(info, "lane", "distance_m"),
             "game": game.number,
             "environment": game.lane,
             "return": game.reward,
@@ -245,9 +247,9 @@ class Evaluations:
             "games": learner.games,
             "weights_sha256": sha256,
             "successes": sum(row["is_success"] for row in rows),
-            "lanes": [row["lane"] for row in rows],
+            "lanes": list(map(number_of, rows)),
             "is_success": [row["is_success"] for row in rows],
-            "distance_m": [row["distance_m"] for row in rows],
+            **({"distance_m": [row["distance_m"] for row in rows]} if "distance_m" in rows[0] else {}),
         }
         append_line(self._run.file(EVALUATIONS), line)
         self._done = learner.games
