@@ -77,8 +77,8 @@ def report(run_dirs: Annotated[list[Path], typer.Argument(help="Run directories.
 
     Several trainings, or several evaluations, are also drawn side by side, in the first one's folder.
     """
+    from uavaccel.own_code import trusting
     from uavaccel.records import RunDirectory
-    from uavaccel.suites.own_code import trusting
     from uavaccel.suites.registry import suite_of
 
     by_suite: dict[str, list[RunDirectory]] = {}

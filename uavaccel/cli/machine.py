@@ -149,7 +149,7 @@ def schema_text(suite: str) -> str:
     import json
 
     from uavaccel.config import schema as schema_of
-    from uavaccel.suites.own_code import trusting
+    from uavaccel.own_code import trusting
     from uavaccel.suites.registry import find_suite
 
     with trusting():

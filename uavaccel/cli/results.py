@@ -29,7 +29,7 @@ def view(
     trust: Trust = False,
 ) -> None:
     """Show a game: an MP4 of camera, DVS, map, the view from behind and a policy's decisions, and a contact sheet."""
-    from uavaccel.suites.own_code import trusting
+    from uavaccel.own_code import trusting
 
     with trusting(trust):
         view_game(source, case, out)
@@ -120,7 +120,7 @@ def watch(
     trust: Trust = False,
 ) -> None:
     """Watch a flight in the browser: the drone in its scene, clocks, camera and events; pause, step, replay."""
-    from uavaccel.suites.own_code import trusting
+    from uavaccel.own_code import trusting
     from uavaccel.watch.beside import show
 
     check_host(host)
@@ -143,7 +143,7 @@ def export(
     trust: Trust = False,
 ) -> None:
     """Write a policy as ONNX; a run as tables, as MCAP logs for Foxglove, or as a Minari dataset."""
-    from uavaccel.suites.own_code import trusting
+    from uavaccel.own_code import trusting
     from uavaccel.suites.registry import open_run
 
     if onnx is csv is parquet is mcap is minari is None:

@@ -8,9 +8,17 @@ import math
 from collections.abc import Mapping
 from importlib import import_module
 from importlib.util import find_spec
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
-from pydantic import Field, SerializeAsAny, ValidationInfo, ValidatorFunctionWrapHandler, WrapValidator, model_validator
+from pydantic import (
+    AfterValidator,
+    Field,
+    SerializeAsAny,
+    ValidationInfo,
+    ValidatorFunctionWrapHandler,
+    WrapValidator,
+    model_validator,
+)
 
 from uavaccel.config import Config, validate
 from uavaccel.envs.flyable import Simulator, check_flyable
@@ -20,6 +28,7 @@ from uavaccel.errors import UserError, suggestion
 from uavaccel.files import Plain
 from uavaccel.limits import MOST_PROCESSES, Cost, Count, Games, Lanes, Processes, Seed
 from uavaccel.machine import memory_bytes
+from uavaccel.own_code import module_of, own_class, own_module
 
 if TYPE_CHECKING:
     from stable_baselines3.common.base_class import BaseAlgorithm
@@ -39,12 +48,20 @@ Size = Annotated[int, Field(ge=1, le=LARGEST_SIZE)]
 Ratio = Annotated[float, Field(ge=0.0, le=1.0)]
 Weight = Annotated[float, Field(ge=0.0, le=1e3)]
 
-EnvId = Literal["uavaccel/ObstacleLane-v0", "uavaccel/Hover-v0", "uavaccel/Gates-v0", "uavaccel/Navigate-v0"]
-LANE: EnvId = "uavaccel/ObstacleLane-v0"
+LANE = "uavaccel/ObstacleLane-v0"
+ENVIRONMENTS = (LANE, "uavaccel/Hover-v0", "uavaccel/Gates-v0", "uavaccel/Navigate-v0")
 
 
 def environment_class(env_id: str) -> type[FlightEnv[Any]]:
-    """Return the class of an environment of this package by its id."""
+    """Return the class of an environment of this package by its id, or of one's own by "file.py:Class".
+
+    Own code is found, and runs, as uavaccel.own_code has it; its class may be that of an environment or of a task.
+    Raises UserError where there is none, and where nobody has told to run it.
+    """
+    if ":" in env_id:
+        from uavaccel.envs.flight_env import FlightEnv, environment_of
+
+        return environment_of(own_class(env_id, f"task {env_id!r}", Task, FlightEnv))
     if env_id == LANE:
         return ObstacleLane
     name = env_id.removeprefix("uavaccel/").removesuffix("-v0")
@@ -52,9 +69,51 @@ def environment_class(env_id: str) -> type[FlightEnv[Any]]:
     return found
 
 
+def _known(env_id: str) -> str:
+    if env_id not in ENVIRONMENTS and ":" not in env_id:
+        raise ValueError(f"unknown; {suggestion(env_id, [*ENVIRONMENTS, 'my_task.py:MyTask'])}")
+    return env_id
+
+
+EnvId = Annotated[str, AfterValidator(_known)]
+
+
+def only_task(place: str) -> str:
+    """Return the "file.py:Class" of the only task in "file.py". Raises UserError unless there is exactly one.
+
+    An environment and the task that it names are one.
+    """
+    from uavaccel.envs.flight_env import FlightEnv
+
+    where = f"task {place!r}"
+    module = own_module(module_of(place), where)
+    here = [each for each in vars(module).values() if isinstance(each, type) and each.__module__ == module.__name__]
+    environments = [each for each in here if issubclass(each, FlightEnv)]
+    flown = {each.task_class for each in environments}
+    found = environments + [each for each in here if issubclass(each, Task) and each not in flown]
+    if not found:
+        raise UserError(f"{where}: has no class of a task: a subclass of uavaccel.envs.task.Task, or of FlightEnv")
+    names = [f"{place}:{each.__name__}" for each in found]
+    if len(names) > 1:
+        raise UserError(f"{where}: has {len(names)} tasks: name one, {' or '.join(names)}")
+    return names[0]
+
+
+def with_env_id(mapping: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the mapping of a training with `env_id` and `task` for a `task` that is, or whose `class` is, a name."""
+    task = mapping.get("task")
+    keys = {"class": task} if isinstance(task, str) else dict(task) if isinstance(task, Mapping) else {}
+    name = keys.pop("class", None)
+    if not isinstance(name, str):
+        return dict(mapping)
+    return {**mapping, "env_id": only_task(name) if name.endswith(".py") else name, "task": keys}
+
+
 def _of_the_environment(task: Any, handler: ValidatorFunctionWrapHandler, info: ValidationInfo) -> Any:
     """Validate the keys of a task by the environment that `env_id` names."""
-    task_class = environment_class(info.data.get("env_id", LANE)).task_class
+    if "env_id" not in info.data:  # it is wrong itself
+        return LaneTask()
+    task_class = environment_class(info.data["env_id"]).task_class
     if isinstance(task, task_class):
         return task
     if isinstance(task, Task):  # the field's default
@@ -84,9 +143,10 @@ class LearnerConfig(Config):
     turns: Processes = 1
     """Groups into which double_dqn divides the lanes: while it acts for and learns from one, the others fly."""
     env_id: EnvId = LANE
-    """The environment: double_dqn learns the obstacle lane, ppo the others, which have continuous actions."""
+    """The environment: one of this package, or of one's own, a class as file.py:Class."""
     task: AnyTask = LaneTask()
-    """The task that is learned: the keys of the environment."""
+    """The task that is learned: the keys of the environment. Its name in place of the keys, or as the key `class`
+    beside them, is that of the environment: `task: my_task.py:MyTask`."""
 
     algorithm: str = DOUBLE_DQN
     """double_dqn or ppo, or an algorithm of stable-baselines3, which is an extra: sb3_dqn, sb3_ppo, sb3_a2c."""

@@ -51,6 +51,8 @@ from uavaccel.wire.image_api import lane_layout
 if TYPE_CHECKING:  # matplotlib is loaded by what draws
     from matplotlib.figure import Figure
 
+    from uavaccel.envs.flight_env import FlightEnv
+
 MOST_PANELS = 9
 AHEAD_M = 10.0  # of the farthest end, shown on the map
 COMPARISON = "figures/figure8_survival_compared.png"
@@ -80,6 +82,11 @@ class EvaluateConfig(Experiment):
     """The environment, by default that of the agent's training, or else the obstacle lane."""
     task: AnyTask = LaneTask(split="evaluation", timing="virtual")
     """Omitted keys are those of the agent's training; those that its network cannot take are refused."""
+
+    @property
+    def environment_class(self) -> type[FlightEnv[Any]]:
+        """The class of the environment."""
+        return environment_class(self.env_id)
 
     @model_validator(mode="after")
     def _fits(self) -> EvaluateConfig:
@@ -182,7 +189,7 @@ class Evaluation(Suite[EvaluateConfig, Game]):
         import torch as th
 
         th.set_num_threads(1)
-        with closing(environment_class(config.env_id)(**config.task.model_dump(mode="json"))) as environment:
+        with closing(config.environment_class(**config.task.model_dump(mode="json"))) as environment:
             agent = make_agent(config.agent, config.task)
             yield lambda lane: GameResult(fly_game(config, environment, agent, lane))
 

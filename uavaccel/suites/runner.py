@@ -14,12 +14,12 @@ from uavaccel.errors import UsageError, UserError
 from uavaccel.files import is_file_name, to_json
 from uavaccel.limits import MOST_GAMES, MOST_PROCESSES
 from uavaccel.machine import usable_cores
+from uavaccel.own_code import trusted_folder, trusting
 from uavaccel.processes.lifetime import remove_orphaned_files, work_for_parent
 from uavaccel.records import RunDirectory
 from uavaccel.suites.engines import LOKY, check_engine, in_parallel
 from uavaccel.suites.experiment import Experiment, timing_of
 from uavaccel.suites.host_time import timed
-from uavaccel.suites.own_code import trusted_folder, trusting
 from uavaccel.suites.registry import own_folder, suite_of
 from uavaccel.suites.rows import disturbances
 from uavaccel.suites.suite import AnySuite, Case, GameResult, OnGame, Opened
@@ -79,8 +79,8 @@ def start_run(
     suite: AnySuite, config: Experiment, out: Path, manifest: Mapping[str, object], resume: bool = False
 ) -> RunDirectory:
     """Create a run's folder or, with `resume`, bring it to a state from which the run continues. Raises UserError."""
-    folder = own_folder(suite)  # from which `report` imports a custom suite
-    found = {} if folder is None else {"suite_folder": str(folder)}
+    folder = own_folder(suite, config)  # from which `report` imports own code
+    found = {} if folder is None else {"own_code": str(folder)}
     run = RunDirectory.create(out, config, {**manifest, **found}, resume, suite.may_grow(out))
     run.form = suite.form
     suite.prepare(config, run)
@@ -162,7 +162,7 @@ def _in_workers(
     from joblib import delayed
 
     folder = run.path.resolve()  # workers may have another working directory
-    place = own_folder(suite) or trusted_folder()
+    place = own_folder(suite, config) or trusted_folder()
     calls = (delayed(_fly_in_worker)(config, case, folder, place) for case in cases)
     return in_parallel(engine, jobs, suite.batch, calls)
 

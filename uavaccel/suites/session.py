@@ -18,11 +18,11 @@ from uavaccel.errors import Interrupted, UsageError, UserError, mistake_of
 from uavaccel.files import Plain, check_new_folder
 from uavaccel.machine import describe_run
 from uavaccel.metrics.speedup import timing_provenance
+from uavaccel.own_code import modules_in, trusting
 from uavaccel.records import RunDirectory
 from uavaccel.suites.engines import LOKY
 from uavaccel.suites.experiment import Experiment, timing_of
 from uavaccel.suites.keys import KEYS
-from uavaccel.suites.own_code import modules_in, trusting
 from uavaccel.suites.registry import configuration, find_suite, is_file, merged, read_mapping, suite_of
 from uavaccel.suites.runner import cases_of, check_jobs, run_suite, start_run
 from uavaccel.suites.suite import AnySuite, Case, OnGame
@@ -71,6 +71,10 @@ def reading(request: RunRequest) -> Iterator[tuple[AnySuite, Any]]:
         shipped, speeds = experiment is not None and beside is None, _values(options.get("clock_speed", ()))
         if shipped and suite.quick is not None and len(speeds) == 1:
             mapping, options = {**mapping, **suite.quick}, {"timing": "wall", **options}
+        if "env_id" in suite.config.model_fields:
+            from uavaccel.rl.config import with_env_id  # loads Gymnasium
+
+            mapping = with_env_id(mapping)  # further keys may go into its task
         keys = dict(_place(suite, name, value) for name, value in options.items())
         yield suite, configuration(suite, merged(mapping, keys, request.overrides), source)
 

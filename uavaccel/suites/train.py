@@ -26,7 +26,7 @@ from uavaccel.metrics.intervals import Proportion
 from uavaccel.metrics.speedup import timing_provenance
 from uavaccel.records import RunDirectory
 from uavaccel.rl.agents import first_policy, policy_sha256
-from uavaccel.rl.config import LANE, LearnerConfig, check_algorithm
+from uavaccel.rl.config import LANE, LearnerConfig, check_algorithm, with_env_id
 from uavaccel.rl.policy import trained_with
 from uavaccel.suites import paper_results, plots
 from uavaccel.suites.experiment import Experiment
@@ -116,6 +116,7 @@ class Training(Suite[TrainConfig, SimpleCase]):
     name = "train"
     config = TrainConfig
     row = TrainRow
+    complete = staticmethod(with_env_id)
     serial = "its games learn from each other; --set environments=N flies N lanes side by side"
 
     def case_of(self, row: Plain) -> str:
