@@ -27,7 +27,7 @@ from uavaccel.files import file_sha256
 from uavaccel.records import RunDirectory
 from uavaccel.resources import asset
 from uavaccel.rl import agents
-from uavaccel.rl.agents import OffsetAgent, trained_keys
+from uavaccel.rl.agents import OffsetAgent, origin_of
 from uavaccel.rl.config import LearnerConfig
 from uavaccel.rl.lanes import make_lanes
 from uavaccel.rl.learner import make_learner
@@ -370,8 +370,8 @@ def test_senses_and_flight_are_those_of_the_training_and_nothing_else_is(monkeyp
     others = {"timing": "virtual", "command": "adsc", "clock_speed": 5.0, "max_commands": 9, "goal_reward": 2.0}
     task = LaneTask(**{**like_trained, **others, "observation": "dvs"})
     monkeypatch.setattr(agents, "read_manifest", lambda folder: ({}, LearnerConfig(task=task)))
-    assert trained_keys("a/policy") == like_trained
-    assert trained_keys("straight") == {"observation": "state", "history": 1}
+    assert origin_of("a/policy").keys() == like_trained
+    assert origin_of("straight").keys() == {"observation": "state", "history": 1}
 
 
 @needs_opengl

@@ -16,7 +16,7 @@ from tests.opengl import needs_opengl
 from uavaccel.envs.context_planes import ContextPlanes
 from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
 from uavaccel.errors import UserError
-from uavaccel.rl.agents import make_agent, trained_keys
+from uavaccel.rl.agents import make_agent, origin_of
 from uavaccel.rl.double_dqn import HostDQN
 from uavaccel.rl.network import contrast, turned_actions
 from uavaccel.rl.replay import Levels, Windows
@@ -119,6 +119,6 @@ def test_what_cannot_be_told_is_one_clear_line(keys: dict[str, Any], said: str) 
 
 
 def test_a_policy_that_was_told_does_not_fly_a_task_that_does_not() -> None:
-    assert trained_keys("default")["knows"] == ["last_action"]
+    assert origin_of("default").keys()["knows"] == ["last_action"]
     with pytest.raises(UserError, match=r"task.knows = \(\): default was trained with \('last_action',\)"):
         make_agent("default", LaneTask(history=2))

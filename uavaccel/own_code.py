@@ -13,13 +13,13 @@ from __future__ import annotations
 import hashlib
 import os
 import sys
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from importlib import import_module
 from pathlib import Path
 from traceback import walk_tb
 from types import ModuleType
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from uavaccel.errors import UserError, suggestion
 from uavaccel.files import read_bounded, replacing
@@ -92,6 +92,19 @@ def own_class(place: str, where: str, *bases: type[T]) -> type[T]:
     return found
 
 
+def own_function(place: str, where: str) -> tuple[Callable[..., Any], Path]:
+    """Return the function "module:name" of the current project, and the file of its module.
+
+    Raises UserError, beginning with `where`, as `own_module` does, and if it is none.
+    """
+    module, name = own_module(module_of(place), where), place.partition(":")[2]
+    found = getattr(module, name, None)
+    if not callable(found):
+        there = [each for each, value in vars(module).items() if callable(value) and not each.startswith("_")]
+        raise UserError(f"{where}: {module_of(place)} has no function {name}; {suggestion(name, there)}")
+    return found, Path(str(module.__file__)).resolve()
+
+
 def own_module(name: str, where: str) -> ModuleType:
     """Import a module of the current project.
 
@@ -99,9 +112,7 @@ def own_module(name: str, where: str) -> ModuleType:
     """
     folder, files = _found(name, where)
     file, code = files[-1], _digest(files)
-    if any(modules is None or name in modules for _, modules in _trusted):
-        _remember(file, code)
-    elif _remembered(file) != code:
+    if not is_trusted(file, code, name):
         changed = "has changed since it was trusted" if _remembered(file) else "is code that nobody has trusted here"
         raise UserError(f"{where}: {file} {changed}: read it, then add --trust, once")
     if str(folder) not in sys.path:
@@ -196,6 +207,13 @@ def _note(file: Path) -> Path | None:
     except RuntimeError:
         return None
     return folder / "uavaccel" / "trusted" / hashlib.sha256(os.fsencode(file)).hexdigest()
+
+
+def is_trusted(file: Path, code: str, name: str | None = None) -> bool:
+    """Return whether a file with the hash `code`, that of the module `name`, may run; if told now, remember it."""
+    if any(modules is None or name in modules for _, modules in _trusted):
+        _remember(file, code)
+    return _remembered(file) == code
 
 
 def _remembered(file: Path) -> str | None:

@@ -167,8 +167,8 @@ def report_run(run: RunDirectory) -> None:
 
 def evaluate_agent(request: RunRequest, against: Path | None, films: bool) -> None:
     """Evaluate an agent, film, and compare it with another evaluation of the same lanes. Raises UserError."""
-    from uavaccel.sim.camera.gl import describe_renderer
     from uavaccel.rl.config import LANE
+    from uavaccel.sim.camera.gl import describe_renderer
     from uavaccel.suites.evaluate import against as compared
     from uavaccel.suites.registry import open_run
 

@@ -74,8 +74,11 @@ class Slot:
         return reward, terminated, truncated, info, last
 
     def call(self, name: str, *arguments: object) -> object:
-        """Call a method of the environment, or return the value of an attribute."""
-        attribute = getattr(self._environment, name)
+        """Call a method of the environment, or a function "module:name" with it, or return an attribute's value."""
+        module, _, function = name.rpartition(":")
+        attribute: Any = None if module else getattr(self._environment, name)
+        if module:
+            attribute = partial(getattr(importlib.import_module(module), function), self._environment)
         result = attribute(*arguments) if callable(attribute) else attribute
         if name == "set_state":  # which returns the game's last observation
             write(self._seen, result)

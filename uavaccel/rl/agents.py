@@ -1,13 +1,15 @@
 """Agents that fly an evaluation: a policy of this project or of others, a function, or a baseline without pictures.
 
-`source_of` says by an agent's name where it comes from: what is known of it before it flies, and how it is made.
+`origin_of` says by an agent's name where it comes from: what is known of it before it flies, and how it is made.
 """
 
 from __future__ import annotations
 
 import math
-from abc import abstractmethod
-from collections.abc import Mapping
+import reprlib
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from inspect import signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -21,6 +23,7 @@ from uavaccel.envs.task import Task
 from uavaccel.envs.values import Action, Info, Observation, batch_of
 from uavaccel.errors import UserError
 from uavaccel.files import file_sha256
+from uavaccel.own_code import errors_named, own_function
 from uavaccel.resources import asset
 from uavaccel.rl.config import LANE, LearnerConfig, environment_class
 from uavaccel.rl.policy import MANIFEST, WEIGHTS, Policy, load_policy, observed_frames, read_manifest
@@ -41,7 +44,7 @@ class Agent(Protocol):
     def act(self, observation: Observation, info: Info) -> Action: ...
 
 
-class BatchAgent(Agent, Protocol):
+class BatchAgent(ABC):
     """Chooses actions for many observations at once, without the infos."""
 
     @abstractmethod
@@ -96,7 +99,7 @@ def reset_options(env_id: str, lane: int) -> dict[str, object]:
     return {name: lane for name in ("lane", "world") if name in known}
 
 
-class Source(Protocol):
+class Origin(Protocol):
     """Where an agent comes from."""
 
     env_id: str | None
@@ -115,7 +118,7 @@ class Source(Protocol):
         """Return the hash of the file that has what was learned; None for a baseline."""
 
 
-def source_of(name: str) -> Source:
+def origin_of(name: str) -> Origin:
     """Return where the agent of a name comes from. Raises UserError if there is none."""
     if is_baseline(name):
         return Baseline(name)
@@ -127,6 +130,8 @@ def source_of(name: str) -> Source:
         from uavaccel.rl.onnx_agent import OnnxFile
 
         return OnnxFile(Path(name))
+    if ":" in name:
+        return OwnFunction(name)
     return PolicyFolder(name)
 
 
@@ -136,13 +141,13 @@ def is_baseline(name: str) -> bool:
 
 
 def make_agent(name: str, task: Task) -> Agent:
-    """Make the agent of a name, as its source does."""
-    return source_of(name).make(task)
+    """Make the agent of a name, as its origin does."""
+    return origin_of(name).make(task)
 
 
 def policy_sha256(name: str) -> str | None:
-    """Return the hash of an agent's file, as its source does."""
-    return source_of(name).sha256()
+    """Return the hash of an agent's file, as its origin does."""
+    return origin_of(name).sha256()
 
 
 class Baseline:
@@ -168,6 +173,53 @@ class Baseline:
         return None
 
 
+class OwnFunction:
+    """A function of one's own, `file.py:function` or `module:function`, of an observation, and of its info if it likes.
+
+    It returns an element of the action space. Of its errors, one line names file and line.
+    """
+
+    env_id: str | None = None
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self._function, self._file = own_function(name, f"agent {name!r}")
+
+    def keys(self) -> dict[str, Any]:
+        return {}
+
+    def check(self, task: Task) -> None:
+        """Any task fits, until the function says otherwise."""
+
+    def make(self, task: Task) -> Agent:
+        return FunctionAgent(self._function, self._file, self.name, task.action_space())
+
+    def sha256(self) -> str | None:
+        return file_sha256(self._file)
+
+
+class FunctionAgent:
+    """Asks a function of one's own."""
+
+    def __init__(self, function: Callable[..., Action], file: Path, name: str, actions: spaces.Space[Any]) -> None:
+        self._function, self._file, self._name, self._actions = function, file, name, actions
+        needed = [each for each in signature(function).parameters.values() if each.default is each.empty]
+        self._one = len(needed) == 1
+
+    def act(self, observation: Observation, info: Info) -> Action:
+        with errors_named(self._file, self._name):
+            given = self._function(observation) if self._one else self._function(observation, info)
+        action = np.asarray(given)
+        space = self._actions
+        if isinstance(space, spaces.Discrete):
+            fits = action.shape == () and space.contains(given if isinstance(given, int) else action.tolist())
+        else:
+            fits = action.shape == space.shape and action.dtype.kind in "fiu" and bool(np.isfinite(action).all())
+        if not fits:
+            raise UserError(f"{self._name}: returned {reprlib.repr(given)}, where an action is {form_of(space)}")
+        return action if action.ndim else int(action)
+
+
 class PolicyFolder:
     """A training's run directory, another folder with its two files, or `default`, the policy that ships."""
 
@@ -177,8 +229,7 @@ class PolicyFolder:
         self.env_id: str | None = self._trained.env_id
 
     def keys(self) -> dict[str, Any]:
-        trained = self._trained.task.model_dump(mode="json", exclude=set(CLOCK))
-        return trained if self.env_id != LANE else {key: trained[key] for key in SENSES + FLIGHT}
+        return kept_keys(self._trained.env_id, self._trained.task.model_dump(mode="json"))
 
     def check(self, task: Task) -> None:
         trained: Task = self._trained.task
@@ -197,10 +248,16 @@ class PolicyFolder:
         return file_sha256(policy_folder(self.name) / WEIGHTS)
 
 
+def kept_keys(env_id: str, trained: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the keys of a training's task that an evaluation keeps: senses and flight, outside of the lane more."""
+    kept = SENSES + FLIGHT if env_id == LANE else tuple(key for key in trained if key not in CLOCK)
+    return {key: trained[key] for key in kept if key in trained}
+
+
 def form_of(space: spaces.Space[Any]) -> str:
     """Return the form of observations or actions in words, as in "(13,)" or "one of 5"."""
     if isinstance(space, spaces.Discrete):
-        return f"one of {space.n}"
+        return f"one of 0 to {space.n - 1}"
     if isinstance(space, spaces.Dict):
         return ", ".join(f"{name} {form_of(part)}" for name, part in space.spaces.items())
     return str(space.shape)

@@ -20,6 +20,7 @@ from uavaccel.envs.sensors import DEPTH_FAR_M, SIZE
 from uavaccel.errors import UserError
 from uavaccel.files import replacing
 from uavaccel.rl.config import DOUBLE_DQN, PPO
+from uavaccel.rl.onnx_agent import metadata_of
 from uavaccel.rl.policy import Policy, observed_frames
 from uavaccel.vision.observation import BLOCK_SIDE, NEUTRAL_LEVEL
 
@@ -125,6 +126,7 @@ def described(policy: Policy) -> dict[str, str]:
         "seen": INPUTS[task.observation],
         **told,
         **about,
+        **metadata_of(policy.config.env_id, task),
         "trained": json.dumps(dict(policy.manifest.get("trained", {})), sort_keys=True),
         "weights_file_sha256": str(policy.manifest.get("weights_file_sha256", "")),
     }

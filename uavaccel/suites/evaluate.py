@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import reduce
 from operator import add
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, NotRequired, Protocol, cast, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, NotRequired, Protocol, cast
 
 import numpy as np
 import pandas as pd
@@ -18,7 +18,7 @@ from typing_extensions import TypedDict
 from uavaccel.draw import style
 from uavaccel.draw.labels import command_name
 from uavaccel.draw.page import Block, Heading, Movie, Table, listed
-from uavaccel.envs.flyable import Device, Simulator, check_flyable
+from uavaccel.envs.flyable import CUDA, Device, Simulator, check_flyable
 from uavaccel.envs.obstacle_lane import LaneTask
 from uavaccel.envs.simulators import EXACT, KERNELS, check_names, check_simulator, flown_by
 from uavaccel.envs.values import Action, Info, Observation
@@ -32,13 +32,14 @@ from uavaccel.records import RunDirectory
 from uavaccel.rl.agents import (
     DEFAULT,
     Agent,
+    OwnFunction,
     evaluation_keys,
     make_agent,
+    origin_of,
     policy_sha256,
     reset_options,
-    source_of,
 )
-from uavaccel.rl.config import LANE, AnyTask, EnvId, environment_class
+from uavaccel.rl.config import ENVIRONMENTS, LANE, AnyTask, EnvId, environment_class
 from uavaccel.sim.lane.layout import EVALUATION_SEEDS, LENGTH_M, WIDTH_M
 from uavaccel.suites import paper_results, plots
 from uavaccel.suites.experiment import Experiment
@@ -106,13 +107,13 @@ def completed(mapping: Mapping[str, Plain]) -> dict[str, Plain]:
     agent, given = mapping.get("agent", DEFAULT), mapping.get("task") or {}
     if not isinstance(agent, str) or not isinstance(given, Mapping):
         return dict(mapping)  # which validation refuses
-    source = source_of(agent)
-    env_id = mapping.get("env_id", source.env_id or LANE)
-    if source.env_id not in (None, env_id):
-        raise UserError(f"env_id = {env_id!r}: {agent} flies {source.env_id}; omit the key")
-    if env_id not in get_args(EnvId):
+    origin = origin_of(agent)
+    env_id = mapping.get("env_id", origin.env_id or LANE)
+    if origin.env_id not in (None, env_id):
+        raise UserError(f"env_id = {env_id!r}: {agent} flies {origin.env_id}; omit the key")
+    if not isinstance(env_id, str) or (env_id not in ENVIRONMENTS and ":" not in env_id):
         return dict(mapping)
-    flown = {**source.keys(), **evaluation_keys(env_id), "timing": "virtual", **given}
+    flown = {**origin.keys(), **evaluation_keys(env_id), "timing": "virtual", **given}
     return {**mapping, "env_id": env_id, "agent": agent, "task": flown}
 
 
@@ -163,8 +164,11 @@ class Evaluation(Suite[EvaluateConfig, Game]):
         return case_of(number_of(row), "lane" in row)
 
     def check(self, config: EvaluateConfig) -> None:
-        source_of(config.agent).check(config.task)
+        origin = origin_of(config.agent)
+        origin.check(config.task)
         check_names(config.simulator, config.device)
+        if config.device == CUDA and isinstance(origin, OwnFunction):
+            raise UserError(f"device = cuda: {config.agent} decides game by game, on the CPU: take device = cpu")
         if config.simulator == KERNELS:
             check_flyable(config.task, 1, config.device)
 
@@ -364,7 +368,9 @@ def row_of(config: EvaluateConfig, lane: int, ended: Info, actions: Sequence[Act
     in_lane = config.env_id == LANE
     number = {"lane" if in_lane else "game": lane}
     row: Plain = game_row("evaluate", case_of(lane, in_lane), ended | number, config.task.t_move_s)
-    row |= number | {key: ended[key] for key in (("distance_m",) if in_lane else ("distance_m", "return")) if key in ended}
+    row |= number | {
+        key: ended[key] for key in (("distance_m",) if in_lane else ("distance_m", "return")) if key in ended
+    }
     row |= {"actions": np.asarray(actions).tolist(), "wall_s": ended["wall_s"]}
     if not row["is_success"] and "path_m" in ended:
         row["path_m"] = ended["path_m"]
@@ -437,7 +443,10 @@ def ends(lost: pd.DataFrame, config: EvaluateConfig) -> pd.Series:
     """Return how each game was lost, in words."""
     task = config.task
     out = (lost.commands >= task.max_commands) | (config.env_id == LANE)  # which is lost in no other way
-    words = [f"hitting {hit}" if hit else "running out of commands" if no_more else "failing" for hit, no_more in zip(lost.collision, out, strict=True)]
+    words = [
+        f"hitting {hit}" if hit else "running out of commands" if no_more else "failing"
+        for hit, no_more in zip(lost.collision, out, strict=True)
+    ]
     return pd.Series(words, lost.index)
 
 
@@ -451,9 +460,7 @@ def lost_lanes(report: Report, lost: pd.DataFrame) -> Iterator[Block | str]:
     named = [f"{row.lane} ({row.distance_m:.1f} m, {row.end})" for row in lost.head(MOST_PANELS).itertuples()]
     more = [f"and {len(lost) - len(named)} more"] if len(lost) > len(named) else []
     yield Heading("Lost lanes")
-    yield (
-        f"Lost, the shortest flight first: lanes {', '.join([*named, *more])}. {SEEN}"
-    )
+    yield (f"Lost, the shortest flight first: lanes {', '.join([*named, *more])}. {SEEN}")
     drawn = lost[lost.path_m.notna()] if "path_m" in lost else lost.head(0)
     if len(drawn) and report.config.task.randomise is None:
         beyond = len(drawn) - MOST_PANELS

@@ -14,7 +14,9 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from copy import deepcopy
 from dataclasses import replace
-from typing import Any, cast
+from pathlib import Path
+from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import torch as th
@@ -25,16 +27,13 @@ from uavaccel.config import validate
 from uavaccel.envs.batch import EnvironmentBatch
 from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.flyable import CUDA
-from uavaccel.envs.gates import Gates
-from uavaccel.envs.hover import Hover
-from uavaccel.envs.navigate import Navigate
-from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.envs.simulators import KERNELS
-from uavaccel.envs.values import Action, Info, rows_of
+from uavaccel.envs.values import Action, Info, Observation, rows_of
 from uavaccel.machine import usable_cores
-from uavaccel.rl.agents import Agent, PolicyAgent, make_agent, reset_options
-from uavaccel.rl.config import DOUBLE_DQN, PPO, environment_class
-from uavaccel.suites.evaluate import AnyRow, EvaluateConfig, Flyable, fly_game, game_seed, row_of
+from uavaccel.own_code import folder_of, trusted_folder, trusting
+from uavaccel.rl.agents import Agent, BatchAgent, PolicyAgent, make_agent, reset_options
+from uavaccel.rl.config import DOUBLE_DQN, PPO
+from uavaccel.suites.evaluate import AnyRow, EvaluateConfig, fly_game, game_seed, row_of
 from uavaccel.suites.host_time import timed
 from uavaccel.suites.rows import number_of
 from uavaccel.suites.suite import GameResult
@@ -56,7 +55,7 @@ class GamesInBatch:
         self._processes: EnvironmentBatch | None = None
         if config.simulator != KERNELS:
             count, task = min(config.environments, len(lanes)), config.task.model_dump(mode="json")
-            self._processes = EnvironmentBatch(AGENTS[environment_class(config.env_id)], count, **task)
+            self._processes = EnvironmentBatch(config.environment_class, count, **task)
         try:
             self.begin(config, lanes)
         except BaseException:
@@ -93,55 +92,38 @@ class GamesInBatch:
 # --- in processes -----------------------------------------------------------------------------------------------
 
 
-class FliesGames:
-    """What makes an environment one with an agent in the same process."""
-
-    def set_agent(self, config: Mapping[str, object]) -> None:
-        """Load the agent that an evaluation's configuration, as plain data, names."""
-        th.set_num_threads(1)
-        self._config = validate(EvaluateConfig, config, "evaluation")
-        self._agent: Agent = make_agent(self._config.agent, self._config.task)
-
-    def fly(self, lane: int) -> TimedRow:
-        """Fly a game, and return its row and the time that it took on this machine."""
-        return timed(lambda: fly_game(self._config, cast(Flyable, self), self._agent, lane))
+_evaluates: WeakKeyDictionary[FlightEnv[Any], tuple[EvaluateConfig, Agent]] = WeakKeyDictionary()
 
 
-class AgentObstacleLane(FliesGames, ObstacleLane):
-    """The obstacle lane with an agent."""
+def set_agent(environment: FlightEnv[Any], config: Mapping[str, object], folder: str | None) -> None:
+    """Load, in the environment's process, the agent that an evaluation's configuration, as plain data, names.
+
+    Own code that it names runs: that of `folder` too.
+    """
+    th.set_num_threads(1)
+    with trusting(beside=folder and Path(folder)):
+        checked = validate(EvaluateConfig, config, "evaluation")
+        _evaluates[environment] = checked, make_agent(checked.agent, checked.task)
 
 
-class AgentHover(FliesGames, Hover):
-    """Hover with an agent."""
-
-
-class AgentGates(FliesGames, Gates):
-    """Gates with an agent."""
-
-
-class AgentNavigate(FliesGames, Navigate):
-    """Navigate with an agent."""
-
-
-AGENTS: dict[type[FlightEnv[Any]], type[FlightEnv[Any]]] = {
-    ObstacleLane: AgentObstacleLane,
-    Hover: AgentHover,
-    Gates: AgentGates,
-    Navigate: AgentNavigate,
-}
+def fly(environment: FlightEnv[Any], lane: int) -> TimedRow:
+    """Fly a game with the agent that was set, and return its row and the time that it took on this machine."""
+    config, agent = _evaluates[environment]
+    return timed(lambda: fly_game(config, environment, agent, lane))
 
 
 def in_processes(batch: EnvironmentBatch, config: EvaluateConfig, lanes: Sequence[int]) -> Games:
     """Fly each game in the first idle environment; yield nothing once they have the agent, then each ended game."""
-    batch.call("set_agent", config.model_dump(mode="json"))
+    folder = folder_of(config.environment_class) or trusted_folder()
+    batch.call(f"{__name__}:set_agent", config.model_dump(mode="json"), folder and str(folder))
     yield []
     left = deque(lanes)
     for environment in range(min(batch.num_envs, len(lanes))):
-        batch.call_async(environment, "fly", left.popleft())
+        batch.call_async(environment, f"{__name__}:fly", left.popleft())
     for _ in lanes:
         environment, game = batch.call_wait()
         if left:
-            batch.call_async(environment, "fly", left.popleft())
+            batch.call_async(environment, f"{__name__}:fly", left.popleft())
         yield [game]
 
 
@@ -184,7 +166,7 @@ class LanesOnCores:
         from uavaccel.envs.kernel_batch import KernelBatch
 
         task = config.task.model_dump(mode="json")
-        self._batch = KernelBatch(environment_class(config.env_id), len(lanes), autoreset_mode="Disabled", **task)
+        self._batch = KernelBatch(config.environment_class, len(lanes), autoreset_mode="Disabled", **task)
         self._agent: Agent = make_agent(config.agent, config.task)
         self._lanes, self._inference_s = lanes, config.inference_s
         self._raters = ThreadPoolExecutor(usable_cores(), initializer=th.set_num_threads, initargs=(1,))
@@ -208,16 +190,16 @@ class LanesOnCores:
         return actions, [(place, self._infos[place] | {"return": float(self._returns[place])}) for place in over]
 
     def _decide(self, going: Places) -> NDArray[Any]:
-        if not isinstance(self._agent, PolicyAgent):
-            return np.array([self._agent.act(rows_of(self._seen, place), self._infos[place]) for place in going])
-        policy, space = self._agent.policy, self._batch.single_action_space
+        agent, space = self._agent, self._batch.single_action_space
+        if not isinstance(agent, BatchAgent):
+            return np.array([agent.act(rows_of(self._seen, place), self._infos[place]) for place in going])
         actions = np.zeros((len(self._lanes), *(space.shape or ())), space.dtype)
 
         def rate(block: tuple[Places, Places]) -> None:
             members, rows = block
             whole = np.full(BLOCK, members[0])  # the same work whatever lanes still fly
             whole[rows] = members
-            actions[members] = policy.act(rows_of(self._seen, whole))[rows]
+            actions[members] = agent.act_on(rows_of(self._seen, whole))[rows]
 
         list(self._raters.map(rate, blocks(self._lanes, going)))
         return actions[going]
@@ -255,6 +237,8 @@ class LanesOnGpu:
                 self._recorded = lambda seen: policy.values(seen).argmax(dim=1)
             else:
                 self._asked = lambda seen: th.from_numpy(policy.act(seen.cpu().numpy())).to(device)
+        elif isinstance(agent := self._agent, BatchAgent):
+            self._asked = lambda seen: th.from_numpy(agent.act_on(_on_host(seen))).to(device)
         # the place in the batch of each row of each block, the first where there is none, and each lane's row in all
         members = list(blocks(lanes, np.arange(len(lanes))))
         places, rows = np.zeros((len(members), BLOCK), np.int64), np.zeros(len(lanes), np.int64)
@@ -299,3 +283,10 @@ class LanesOnGpu:
     def close(self) -> None:
         """Release the device's memory: the recorded round refers to these lanes, and they to it."""
         del self._round
+
+
+def _on_host(seen: Any) -> Observation:
+    """Return a device's observations as arrays."""
+    if isinstance(seen, Mapping):
+        return {name: part.cpu().numpy() for name, part in seen.items()}
+    return seen.cpu().numpy()
