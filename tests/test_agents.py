@@ -1,0 +1,302 @@
+"""Agents from elsewhere: models of stable-baselines3, ONNX files, functions; whose code runs, and what is refused."""
+
+from __future__ import annotations
+
+import json
+import sys
+import warnings
+import zipfile
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+import stable_baselines3 as sb3
+import torch as th
+from stable_baselines3.common.torch_layers import FlattenExtractor
+
+from tests.learning import tiny_config
+from tests.running import configured, fly_into
+from uavaccel.envs.hover import Hover, HoverTask
+from uavaccel.envs.obstacle_lane import LaneTask
+from uavaccel.errors import UserError
+from uavaccel.own_code import trusting
+from uavaccel.records import RunDirectory
+from uavaccel.rl.agents import BatchAgent, make_agent, origin_of
+from uavaccel.rl.onnx_file import write_onnx
+from uavaccel.rl.policy import export_policy, load_policy, make_policy
+from uavaccel.suites.evaluate import Evaluation
+
+HOVER = "env_id=uavaccel/Hover-v0"
+SMALL = {"net_arch": [8], "activation_fn": th.nn.ReLU}
+
+
+@pytest.fixture(autouse=True)
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty working directory of a user who has trusted nothing; no module stays that was imported from it."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    monkeypatch.setattr("uavaccel.own_code._here", {})
+    monkeypatch.delitem(sys.modules, "pilot", raising=False)
+    return tmp_path
+
+
+def evaluated(agent: str, *overrides: str, **options: Any) -> RunDirectory:
+    """Two short games without latency."""
+    config = configured("evaluate", "task.max_commands=3", *overrides, agent=agent, games=2, timing="lockstep", **options)
+    return fly_into(Path("run"), Evaluation(), config)
+
+
+class Own(FlattenExtractor):
+    """A class that only unpickling restores."""
+
+
+class Trap:
+    """Runs code where it is unpickled."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Path.touch, (Path("sprung"),)
+
+
+# --- stable-baselines3 ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("algorithm", ["PPO", "A2C", "SAC", "TD3", "DDPG"])
+def test_a_model_of_stable_baselines3_acts_as_it_does_there(algorithm: str) -> None:
+    model = getattr(sb3, algorithm)("MlpPolicy", gymnasium.make("uavaccel/Hover-v0"), policy_kwargs=dict(SMALL), device="cpu")
+    model.save("model.zip")
+    seen = np.random.default_rng(0).normal(size=(20, 13)).astype(np.float32)
+    agent = make_agent("model.zip", HoverTask())
+    assert isinstance(agent, BatchAgent)
+    np.testing.assert_array_equal(agent.act_on(seen), model.predict(seen, deterministic=True)[0])
+    np.testing.assert_array_equal(agent.act(seen[3], {}), model.predict(seen[3], deterministic=True)[0])
+
+
+@pytest.mark.parametrize(("policy", "kind"), [("MlpPolicy", "state"), ("CnnPolicy", "dvs")])
+def test_a_dqn_of_the_lane_acts_as_it_does_there(policy: str, kind: str) -> None:
+    task = LaneTask(observation=kind)
+    spaces = SimpleNamespace(observation_space=task.observation_space(), action_space=task.action_space())
+    environment: Any = gymnasium.make("uavaccel/ObstacleLane-v0", observation=kind)
+    model = sb3.DQN(policy, environment, buffer_size=10, device="cpu")
+    model.save("model.zip")
+    seen = np.stack([spaces.observation_space.sample() for _ in range(5)])
+    agent = make_agent("model.zip", task)
+    assert agent.act(seen[0], {}) == model.predict(seen[0], deterministic=True)[0]
+    assert isinstance(agent, BatchAgent)
+    np.testing.assert_array_equal(agent.act_on(seen), model.predict(seen, deterministic=True)[0])
+
+
+def hovering(**keywords: Any) -> None:
+    sb3.PPO("MlpPolicy", gymnasium.make("uavaccel/Hover-v0"), policy_kwargs=keywords, device="cpu").save("model.zip")
+
+
+def test_a_model_flies_the_environment_that_is_named_and_by_default_the_lane() -> None:
+    hovering(net_arch=[8])
+    run = evaluated("model.zip", HOVER)
+    assert [(row["case"], row["game"], "lane" in row) for row in run.rows()] == [
+        ("game-000000", 0, False),
+        ("game-000001", 1, False),
+    ]
+    with pytest.raises(UserError, match=r"model.zip: its observations are \(13,\), the task's \(3, 36, 64\): name the"):
+        configured("evaluate", agent="model.zip")
+
+
+def test_only_what_is_trusted_is_unpickled(here: Path) -> None:
+    hovering(features_extractor_class=Own)
+    with pytest.raises(UserError, match="features_extractor_class = .*Own'>: only unpickling .* add --trust, once$"):
+        make_agent("model.zip", HoverTask())
+    with trusting():
+        assert make_agent("model.zip", HoverTask()).act(np.zeros(13, np.float32), {}).shape == (3,)
+    make_agent("model.zip", HoverTask())  # as remembered
+    hovering(features_extractor_class=Own, net_arch=[4])
+    with pytest.raises(UserError, match="add --trust, once$"):  # another file
+        make_agent("model.zip", HoverTask())
+
+
+def rewritten(change: Any) -> None:
+    """Change the contents of model.zip, by name."""
+    with zipfile.ZipFile("model.zip") as archive:
+        contents = {name: archive.read(name) for name in archive.namelist()}
+    change(contents)
+    with zipfile.ZipFile("model.zip", "w") as archive:
+        for name, content in contents.items():
+            archive.writestr(name, content)
+
+
+def test_a_model_from_elsewhere_runs_no_code() -> None:
+    """Neither its pickled data nor its weights, nor a class that it names which is no part of a network."""
+    import base64
+    import io
+    import pickle
+
+    trap = base64.b64encode(pickle.dumps(Trap())).decode()
+
+    def pickled(contents: dict[str, bytes]) -> None:
+        data = json.loads(contents["data"])
+        contents["data"] = json.dumps({
+            key: {**value, ":serialized:": trap} if isinstance(value, dict) and ":serialized:" in value else value
+            for key, value in data.items()
+        }).encode()
+
+    def weights(contents: dict[str, bytes]) -> None:
+        file = io.BytesIO()
+        th.save({"trap": Trap()}, file)
+        contents["policy.pth"] = file.getvalue()
+
+    def named(contents: dict[str, bytes]) -> None:
+        data = json.loads(contents["data"])
+        keywords = {"filename": "sprung"}
+        monitor = "<class 'stable_baselines3.common.monitor.Monitor'>"
+        data["policy_kwargs"] = {"features_extractor_class": monitor, "features_extractor_kwargs": keywords}
+        contents["data"] = json.dumps(data).encode()
+
+    hovering(net_arch=[8], activation_fn=th.nn.ReLU)
+    rewritten(pickled)
+    make_agent("model.zip", HoverTask())
+    rewritten(weights)
+    with pytest.raises(UserError, match="model.zip: its policy cannot be made for this task: "):
+        make_agent("model.zip", HoverTask())
+    rewritten(named)
+    with pytest.raises(UserError, match="add --trust, once$"):
+        make_agent("model.zip", HoverTask())
+    assert not Path("sprung").exists()
+
+
+@pytest.mark.parametrize("name", ["model.zip", "model.onnx"])
+def test_a_file_that_is_no_model_is_one_line(name: str) -> None:
+    if name.endswith("onnx"):
+        pytest.importorskip("onnxruntime")
+    with pytest.raises(UserError, match=rf"^{name}: [Nn]o such file"):
+        origin_of(name)
+    Path(name).write_text("{}")
+    with pytest.raises(UserError, match=f"^{name}: is no ") as caught:
+        origin_of(name)
+    assert "\n" not in str(caught.value)
+
+
+# --- functions --------------------------------------------------------------------------------------------------
+
+PILOT = """
+import numpy as np
+
+def act(observation):
+    return np.clip(observation[:3], -1, 1)
+
+def steer(observation, info):
+    return [0.0, 0.0, 1.0 if info["commands"] else -1.0]
+
+def wrong(observation):
+    return 7
+
+def broken(observation):
+    return observation.nothing
+"""
+
+
+def test_a_function_flies_once_it_is_trusted(here: Path) -> None:
+    Path("pilot.py").write_text(PILOT)
+    with pytest.raises(UserError, match=r"pilot\.py is code that nobody has trusted here: .* add --trust, once$"):
+        configured("evaluate", HOVER, agent="pilot.py:act")
+    with trusting():
+        origin_of("pilot.py:act")
+    run = evaluated("pilot.py:steer", HOVER)
+    assert [row["actions"] for row in run.rows()] == [[[0.0, 0.0, -1.0], [0.0, 0.0, 1.0], [0.0, 0.0, 1.0]]] * 2
+    together = configured("evaluate", HOVER, "environments=2", *("task.max_commands=3",), agent="pilot:steer", games=2)
+    rows = fly_into(Path("together"), Evaluation(), together).rows()
+    assert [row["actions"] for row in rows] == [row["actions"] for row in run.rows()]
+
+
+@pytest.mark.parametrize(
+    ("function", "said"),
+    [
+        ("wrong", r"pilot:wrong: returned 7, where an action is \(3,\)"),
+        ("broken", r"pilot:broken: .*pilot\.py:14: broken: AttributeError: .*"),
+        ("missing", r"agent 'pilot:missing': pilot has no function missing; known: act, steer, wrong, broken"),
+    ],
+)
+def test_what_is_wrong_with_a_function_is_one_line(function: str, said: str) -> None:
+    Path("pilot.py").write_text(PILOT)
+    with trusting(), pytest.raises(UserError, match=f"{said}$") as caught:
+        evaluated(f"pilot:{function}", HOVER)
+    assert "\n" not in str(caught.value)
+
+
+# --- ONNX -------------------------------------------------------------------------------------------------------
+
+
+def exported(*outputs: str, batch: bool = True) -> th.nn.Module:
+    """Write model.onnx for Hover: a layer, the negative of its first output too."""
+    for package in ("onnxscript", "onnxruntime"):
+        pytest.importorskip(package)
+
+    class Network(th.nn.Module):
+        def __init__(self) -> None:
+            super().__init__()
+            self.layer = th.nn.Linear(13, 3)
+
+        def forward(self, seen: th.Tensor) -> tuple[th.Tensor, ...]:
+            found = self.layer(seen)
+            return (found, -found)[: len(outputs)]
+
+    network, shapes = Network().eval(), ({0: th.export.Dim("n", min=1)},)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        program: Any = th.onnx.export(
+            *(network, (th.zeros(2 if batch else 1, 13),)),
+            output_names=list(outputs),
+            dynamic_shapes=shapes if batch else None,
+            dynamo=True,
+            verbose=False,
+        )
+    Path("model.onnx").write_bytes(program.model_proto.SerializeToString())
+    return network
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("outputs", "sign", "batch"), [(("mean",), 1, True), (("other", "action"), -1, False)])
+def test_an_onnx_file_gives_the_actions_clipped(outputs: tuple[str, ...], sign: int, batch: bool) -> None:
+    """By the output `action`, or else the first, also where it takes one observation at a time."""
+    network = exported(*outputs, batch=batch)
+    seen = np.random.default_rng(0).normal(size=(20, 13)).astype(np.float32)
+    agent = make_agent("model.onnx", HoverTask())
+    assert isinstance(agent, BatchAgent)
+    with th.inference_mode():
+        expected = (sign * network(th.from_numpy(seen))[0]).clamp(-1.0, 1.0).numpy()
+    np.testing.assert_allclose(agent.act_on(seen), expected, atol=1e-6)
+    with pytest.raises(UserError, match=r"model.onnx: its observations are \(13,\), the task's \(3, 36, 64\): name"):
+        configured("evaluate", agent="model.onnx")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("task", "keys"),
+    [
+        ({"history": 2, "knows": ["last_action"], "headings_deg": [-30.0, 0.0, 30.0]}, {}),
+        ({"observation": "depth"}, {}),
+        ({"observation": "colour"}, {}),
+    ],
+    ids=["dvs", "depth", "colour"],
+)
+def test_a_policy_that_was_exported_flies_as_the_policy_does(task: dict[str, Any], keys: dict[str, Any]) -> None:
+    """Its file takes whole pictures and reduces them itself; it says what it flies."""
+    for package in ("onnxscript", "onnxruntime"):
+        pytest.importorskip(package)
+    config = tiny_config(task, **keys)
+    export_policy(Path("policy"), make_policy(config), config, {})
+    policy = load_policy(Path("policy"))
+    write_onnx(policy, Path("model.onnx"))
+    evaluation, usual = (configured("evaluate", agent=agent) for agent in ("model.onnx", "policy"))
+    assert evaluation.task == usual.task
+    seen = np.random.default_rng(0).integers(0, 256, (9, *config.task.observation_space().shape), np.uint8)
+    agent = make_agent("model.onnx", evaluation.task)
+    assert isinstance(agent, BatchAgent)
+    np.testing.assert_array_equal(agent.act_on(seen), policy.act(seen))
+
+
+def test_without_onnxruntime_an_onnx_file_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("uavaccel.rl.onnx_agent.find_spec", lambda name: None)
+    with pytest.raises(UserError, match="^model.onnx: needs onnxruntime: pip install onnxruntime$"):
+        origin_of("model.onnx")
