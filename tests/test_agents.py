@@ -46,7 +46,9 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def evaluated(agent: str, *overrides: str, **options: Any) -> RunDirectory:
     """Two short games without latency."""
-    config = configured("evaluate", "task.max_commands=3", *overrides, agent=agent, games=2, timing="lockstep", **options)
+    config = configured(
+        "evaluate", "task.max_commands=3", *overrides, agent=agent, games=2, timing="lockstep", **options
+    )
     return fly_into(Path("run"), Evaluation(), config)
 
 
@@ -66,7 +68,9 @@ class Trap:
 
 @pytest.mark.parametrize("algorithm", ["PPO", "A2C", "SAC", "TD3", "DDPG"])
 def test_a_model_of_stable_baselines3_acts_as_it_does_there(algorithm: str) -> None:
-    model = getattr(sb3, algorithm)("MlpPolicy", gymnasium.make("uavaccel/Hover-v0"), policy_kwargs=dict(SMALL), device="cpu")
+    model = getattr(sb3, algorithm)(
+        "MlpPolicy", gymnasium.make("uavaccel/Hover-v0"), policy_kwargs=dict(SMALL), device="cpu"
+    )
     model.save("model.zip")
     seen = np.random.default_rng(0).normal(size=(20, 13)).astype(np.float32)
     agent = make_agent("model.zip", HoverTask())
@@ -136,10 +140,12 @@ def test_a_model_from_elsewhere_runs_no_code() -> None:
 
     def pickled(contents: dict[str, bytes]) -> None:
         data = json.loads(contents["data"])
-        contents["data"] = json.dumps({
-            key: {**value, ":serialized:": trap} if isinstance(value, dict) and ":serialized:" in value else value
-            for key, value in data.items()
-        }).encode()
+        contents["data"] = json.dumps(
+            {
+                key: {**value, ":serialized:": trap} if isinstance(value, dict) and ":serialized:" in value else value
+                for key, value in data.items()
+            }
+        ).encode()
 
     def weights(contents: dict[str, bytes]) -> None:
         file = io.BytesIO()

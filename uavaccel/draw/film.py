@@ -8,7 +8,7 @@ Everything is rendered from plain arrays, so that any images of a lane can be sh
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache, partial
@@ -25,11 +25,13 @@ from uavaccel.draw.panels import (
     VERMILION,
     Bgr,
     Decisions,
+    around,
     blank,
     draw_given,
     draw_impact,
     draw_lane,
     draw_ratings,
+    draw_target,
     draw_track,
     follow,
     paste,
@@ -39,6 +41,7 @@ from uavaccel.draw.panels import (
 )
 from uavaccel.errors import UserError, naming
 from uavaccel.files import replacing
+from uavaccel.sim.clutter.layout import ClutterLayout
 from uavaccel.sim.lane.layout import LaneLayout
 
 FRAMES_PER_S = 12
@@ -47,6 +50,7 @@ PANEL = (512, 288)  # width and height of camera and DVS: twice the camera's own
 CAMERA_AT, DVS_AT, NEAR_AT, LANE_AT = (12, 64), (536, 64), (1060, 64), (12, 380)
 NEAR_SIZE, LANE_SIZE = (208, 288), (1256, 86)
 SECOND_ROW = 328  # pixels lower than the first; the lane is as much lower where there is one
+MARGIN = 14  # pixels below the first row where there is no lane, above another
 HELD_S = 2.0  # seconds of film for which the frame of an impact is held
 
 NO_EVENT, ON, OFF = (246, 246, 246), BLUE, VERMILION
@@ -67,8 +71,9 @@ class Film:
     """A game's n samples: times (n,), images (n, H, W) gray or (n, H, W, 3) RGB, DVS event counts (n, H, W), and
     positions NED (n, 3).
 
-    `title` names agent, speed and clock. Without `layout` the map has no lane. `chase` renders the view of a sample
-    from behind, RGB, as large as PANEL.
+    `title` names agent, speed and clock. The whole of a lane is below all else; elsewhere the map is of the whole
+    flight, with what is to be reached at `target_m` (3,). `chase` renders the view of a sample from behind, RGB, as
+    large as PANEL.
     `hit` names the object of a collision at the last sample; empty if there was none.
     """
 
@@ -78,10 +83,20 @@ class Film:
     on_events: NDArray[np.integer]
     off_events: NDArray[np.integer]
     position_m: NDArray[np.float64]
-    layout: LaneLayout | None
+    layout: LaneLayout | ClutterLayout | None
     chase: Callable[[int], NDArray[np.uint8]] | None = None
     decisions: Decisions | None = None
     hit: str = ""
+    target_m: Sequence[float] | None = None
+
+    @property
+    def in_lane(self) -> bool:
+        return isinstance(self.layout, LaneLayout)
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height of its frames."""
+        return WIDTH, (HEIGHT if self.in_lane else NEAR_AT[1] + NEAR_SIZE[1] + MARGIN) + _lower(self)
 
     def __len__(self) -> int:
         return len(self.time_s)
@@ -94,7 +109,7 @@ def write_video(
 
     Raises UserError if it cannot be written.
     """
-    with movie(path, (WIDTH, HEIGHT + _lower(film)), frames_per_s) as add:
+    with movie(path, film.size, frames_per_s) as add:
         for picture in frames(film, frames_per_s):
             add(picture)
             written()
@@ -102,10 +117,18 @@ def write_video(
 
 
 def frames(film: Film, frames_per_s: int = FRAMES_PER_S) -> Iterator[Bgr]:
-    """Yield the film's frames (480, 1280, 3), (808, 1280, 3) with a second row: one per sample, more of an impact."""
+    """Yield the film's frames, in a lane (480, 1280, 3), (808, 1280, 3) with a second row, as images of `film.size`.
+
+    There is one for each sample, and more of an impact.
+    """
     page, lower = _page(film), _lower(film)
-    lane_view = whole_lane(LANE_SIZE)
-    lane = draw_lane(film.layout, lane_view)
+    lane_view, near_view, lane, ground = whole_lane(LANE_SIZE), around(_places(film), NEAR_SIZE), None, None
+    if film.in_lane:
+        lane = draw_lane(film.layout, lane_view)
+    else:
+        ground = draw_lane(film.layout, near_view)
+        if film.target_m is not None:
+            draw_target(ground, near_view, film.target_m)
     simulated_s = float(film.time_s[-1] - film.time_s[0])
     playback = simulated_s * frames_per_s / max(len(film) - 1, 1)  # simulated seconds per second of film
     decided = lru_cache(maxsize=1)(partial(_decision, film.decisions))  # a command has several samples
@@ -116,19 +139,21 @@ def frames(film: Film, frames_per_s: int = FRAMES_PER_S) -> Iterator[Bgr]:
         write(picture, caption, (WIDTH - 12, 26), 0.62, IMPACT if hit else INK, anchor=1.0)
         paste(picture, to_bgr(film.images[i], PANEL), CAMERA_AT)
         paste(picture, dvs_picture(film.on_events[i], film.off_events[i], PANEL), DVS_AT)
-        near_view = follow(track[-1], NEAR_SIZE)
-        near = draw_track(draw_lane(film.layout, near_view), near_view, track)
-        whole = draw_track(lane.copy(), lane_view, track)
+        if ground is None:
+            near_view = follow(track[-1], NEAR_SIZE)
+        near = draw_track(draw_lane(film.layout, near_view) if ground is None else ground.copy(), near_view, track)
         if film.chase is not None:
             paste(picture, to_bgr(film.chase(i), PANEL), _below(CAMERA_AT))
         for panel, at in decided(0 if film.decisions is None else int(film.decisions.of_sample[i])):
             paste(picture, panel, at)
         if hit:
-            near, whole = (draw_impact(near, near_view, track[-1]), draw_impact(whole, lane_view, track[-1]))
+            draw_impact(near, near_view, track[-1])
             for x, y in (CAMERA_AT, *([_below(CAMERA_AT)] if film.chase is not None else [])):
                 cv2.rectangle(picture, (x + 2, y + 2), (x + PANEL[0] - 3, y + PANEL[1] - 3), IMPACT, 5)
         paste(picture, near, NEAR_AT)
-        paste(picture, whole, (LANE_AT[0], LANE_AT[1] + lower))
+        if lane is not None:
+            whole = draw_track(lane.copy(), lane_view, track)
+            paste(picture, draw_impact(whole, lane_view, track[-1]) if hit else whole, (LANE_AT[0], LANE_AT[1] + lower))
         yield from [picture] * (max(1, round(HELD_S * frames_per_s)) if hit else 1)
 
 
@@ -139,10 +164,10 @@ def _lower(film: Film) -> int:
 def _page(film: Film) -> Bgr:
     """Return what all frames share: the title, and the panels' captions."""
     lower = _lower(film)
-    page = blank((WIDTH, HEIGHT + lower))
+    page = blank(film.size)
     write(page, film.title, (12, 26), 0.62)
     names = [("camera", CAMERA_AT), ("DVS: ON blue, OFF red", DVS_AT), ("map", NEAR_AT)]
-    if film.layout is not None:
+    if film.in_lane:
         names.append(("the whole lane, start on the left", (LANE_AT[0], LANE_AT[1] + lower)))
     if film.chase is not None:
         names.append(("from behind", _below(CAMERA_AT)))
@@ -211,7 +236,16 @@ _SHADES = _shades()
 
 
 def _moment(film: Film, i: int) -> str:
+    if film.target_m is not None:
+        off_m = float(np.linalg.norm(film.position_m[i] - film.target_m))
+        return f"{film.time_s[i]:6.2f} s, {off_m:5.1f} m to go"
     return f"{film.time_s[i]:6.2f} s, {film.position_m[i, 0]:5.1f} m"
+
+
+def _places(film: Film) -> NDArray[np.float64]:
+    """Return the places (n, 2) that a map of the whole flight shows, north and east."""
+    target = [] if film.target_m is None else [film.target_m[:2]]
+    return np.array([*film.position_m[:, :2], *target])
 
 
 @contextmanager

@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from uavaccel.sim.clutter.layout import BOX, COS, HALF_X, HALF_Y, KIND, SIN, ClutterLayout, X, Y
 from uavaccel.sim.lane.layout import HULL_RADIUS_M, LENGTH_M, WIDTH_M, LaneLayout
 
 Bgr = NDArray[np.uint8]  # (H, W, 3): blue, green, red, as OpenCV has them
@@ -55,6 +56,9 @@ OBSTACLE, TRACK, DRONE, GOAL = (70, 70, 70), BLUE, VERMILION, GREEN
 WALL_M = 0.25  # thickness on the map
 BEHIND = 0.25  # share of the near map that lies behind the drone
 IMPACT_PIXELS = 12  # half of the cross
+ROOM_M = 3.0  # around a flight on the map
+CORNERS = np.array([(1.0, 1.0), (1.0, -1.0), (-1.0, -1.0), (-1.0, 1.0)])
+ROUND = np.stack([np.cos(turn := np.linspace(0.0, 2 * np.pi, 24, endpoint=False)), np.sin(turn)], axis=1)
 SUBPIXEL = 4  # bits
 
 
@@ -94,10 +98,27 @@ def follow(place_m: ArrayLike, size: tuple[int, int]) -> View:
     return View(size, origin, np.array([0.0, -scale]), np.array([scale, 0.0]))
 
 
-def draw_lane(layout: LaneLayout | None, view: View) -> Bgr:
-    """Draw ground, walls, goal and obstacles, without a lane the ground alone; the image is (height, width, 3), BGR."""
-    if layout is None:
-        return blank(view.size, GROUND)
+def around(places_m: NDArray[np.float64], size: tuple[int, int]) -> View:
+    """Return the projection of all of these places (n, 2), north up, with ROOM_M around them."""
+    least, most = places_m.min(axis=0) - ROOM_M, places_m.max(axis=0) + ROOM_M
+    (width, height), (north_m, east_m) = size, most - least
+    scale = min(width / east_m, height / north_m)
+    north, east = (least + most) / 2
+    origin = np.array([width / 2 - east * scale, height / 2 + north * scale])
+    return View(size, origin, np.array([0.0, -scale]), np.array([scale, 0.0]))
+
+
+def draw_lane(layout: LaneLayout | ClutterLayout | None, view: View) -> Bgr:
+    """Draw ground, walls, goal and obstacles, or what stands in the clutter; without a layout the ground alone.
+
+    The image is (height, width, 3), BGR.
+    """
+    if not isinstance(layout, LaneLayout):
+        picture = blank(view.size, GROUND)
+        for row in layout.rows[layout.standing] if layout else ():
+            outline = _outline(row)
+            cv2.fillPoly(picture, [view.pixels(outline)], OBSTACLE, cv2.LINE_AA, SUBPIXEL)
+        return picture
     picture = blank(view.size, OUTSIDE)
     half = WIDTH_M / 2
     _box(picture, view, (-10.0, LENGTH_M + 10.0), (-half, half), GROUND)
@@ -110,6 +131,19 @@ def draw_lane(layout: LaneLayout | None, view: View) -> Bgr:
             _disc(picture, view, (x, y), half_width, OBSTACLE)
         else:
             _box(picture, view, (x - half_width, x + half_width), (y - half_width, y + half_width), OBSTACLE)
+    return picture
+
+
+def _outline(row: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return a shape of the clutter from above: places (n, 2), north and east."""
+    along, across = (CORNERS if int(row[KIND]) == BOX else ROUND).T * row[HALF_X : HALF_Y + 1, None]
+    x, y = row[X] + row[COS] * along - row[SIN] * across, row[Y] + row[SIN] * along + row[COS] * across
+    return np.stack([x, -y], axis=1)  # its y is the west
+
+
+def draw_target(picture: Bgr, view: View, place_m: ArrayLike) -> Bgr:
+    """Mark what is to be reached, and return the image."""
+    _disc(picture, view, np.asarray(place_m)[:2], 5.0 / view.scale, GOAL)
     return picture
 
 

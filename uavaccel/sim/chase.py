@@ -1,12 +1,13 @@
-"""A chase view: a flight through a lane, rendered afterwards from behind and above its poses.
+"""A chase view: a flight through a scene, rendered afterwards from behind and above its poses.
 
-It is drawn for the eye, and nothing flies in it: in full daylight whatever the lane's light, antialiased, with the
+It is drawn for the eye, and nothing flies in it: in full daylight whatever a lane's light, antialiased, with the
 shadows that the sun throws on the ground, and with a drone that stands out from walls and ground.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import cv2
@@ -15,7 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.sim.camera.mounted import Lens, MountedCamera
-from uavaccel.sim.lane.layout import LaneLayout
+from uavaccel.sim.clutter.layout import ClutterLayout
+from uavaccel.sim.clutter.scene import apply_clutter
+from uavaccel.sim.lane.layout import PLAIN, LaneLayout
 from uavaccel.sim.lane.scene import OBSTACLE_HALF_HEIGHT_M, apply_layout, sunlight
 from uavaccel.sim.poses import Pose, from_degrees
 from uavaccel.sim.scene.model import DRONE_GROUP, QUADROTOR, scene_path
@@ -28,27 +31,37 @@ FINER = 1.25  # supersampling factor: in software MuJoCo's antialiasing takes tw
 ARM_M, ROTOR_RADIUS_M = 0.16087, 0.1143  # quadrotor.xml's
 SHELL, ARMS, DARK = (0.93, 0.94, 0.96, 1.0), (0.75, 0.77, 0.8, 1.0), (0.1, 0.1, 0.11, 1.0)
 FRONT_ROTOR, REAR_ROTOR = (1.0, 0.38, 0.05, 0.85), (0.85, 0.88, 0.92, 0.7)
-SHADOW = (0.0, 0.0, 0.0, 0.4)
+SHADOW, TARGET = (0.0, 0.0, 0.0, 0.4), (0.0, 0.62, 0.45, 0.6)
+TARGET_M = 0.25  # radius
 POST_SHADOW_M, DRONE_SHADOW_M = 0.01, 0.03  # heights above the ground, so that neither hides the other
 
 
 class ChaseView:
-    """Renders n poses, `position_m` (n, 3) NED and `orientation_wxyz` (n, 4). Raises UserError without OpenGL."""
+    """Renders n poses, `position_m` (n, 3) NED and `orientation_wxyz` (n, 4), in a scene with its layout, if it has one.
+
+    A sphere is at `target_m` (3,), NED. Raises UserError without OpenGL.
+    """
 
     def __init__(
         self,
-        layout: LaneLayout,
+        scene: str,
+        layout: LaneLayout | ClutterLayout | None,
         position_m: NDArray[np.float64],
         orientation_wxyz: NDArray[np.float64],
         size: tuple[int, int],
+        target_m: Sequence[float] | None = None,
     ) -> None:
         self._position_m, self._orientation_wxyz = position_m, orientation_wxyz
-        shown = replace(layout, light=1.0)
-        sun = sunlight(shown)[0]
+        lane = replace(layout, light=1.0) if isinstance(layout, LaneLayout) else None
+        spec = mujoco.MjSpec.from_file(str(scene_path(scene, lane.scenery if lane else PLAIN)))
+        sun = sunlight(lane)[0] if lane else np.array(spec.lights[0].dir)
         self._slope = sun[:2] / -sun[2]  # how far a shadow falls beside what throws it, per metre of height
-        self._model = _model(shown, self._slope)
+        self._model = _model(spec, lane, self._slope, target_m)
         self._data = mujoco.MjData(self._model)
-        apply_layout(self._model, self._data, shown)
+        if lane:
+            apply_layout(self._model, self._data, lane)
+        elif isinstance(layout, ClutterLayout):
+            apply_clutter(self._model, self._data, layout)
         self._size = size
         width, height = (round(FINER * pixels) for pixels in size)
         self._lens = Lens(width, height, FOV_DEG)
@@ -73,13 +86,18 @@ class ChaseView:
         self._camera.close()
 
 
-def _model(layout: LaneLayout, slope: NDArray[np.float64]) -> mujoco.MjModel:
-    """Compile the lane's scene with the shadows, and with the drone as this view shows it."""
-    spec = mujoco.MjSpec.from_file(str(scene_path("lane", layout.scenery)))
+def _model(
+    spec: mujoco.MjSpec, lane: LaneLayout | None, slope: NDArray[np.float64], target_m: Sequence[float] | None
+) -> mujoco.MjModel:
+    """Compile a scene with the shadows, a target, and with the drone as this view shows it."""
     spec.visual.quality.numslices = 16  # round rotors
     _dress(spec.body(QUADROTOR))
     _add_drone_shadow(spec.worldbody.add_body(name="drone_shadow", mocap=True))
-    _add_post_shadows(spec.worldbody, layout, slope)
+    if lane:
+        _add_post_shadows(spec.worldbody, lane, slope)
+    if target_m is not None:
+        place = tuple(ned_to_mujoco(target_m))
+        _add(spec.worldbody, mujoco.mjtGeom.mjGEOM_SPHERE, (TARGET_M, 0.0, 0.0), place, TARGET)
     return spec.compile()
 
 

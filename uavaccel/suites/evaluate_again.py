@@ -34,6 +34,7 @@ from uavaccel.suites.rows import number_of
 from uavaccel.units import NS_PER_S, to_ns
 
 KEPT_ONLY_BY_THE_RUN = ("arrays", "arrays_sha256", "path_m")
+TARGETS = ("waypoint_m", "goal_m")  # in the infos of environments, NED
 WINDOW_NS = 50_000_000  # of the event camera beside the agent's own
 
 
@@ -167,15 +168,19 @@ def _flight(
         environment.add_observer(observer)
     steps = list(fly(environment))
     task, samples, ended = environment.episode_task, onlooker.samples, steps[-1].info
-    start_ns, game = samples[0].time_ns, f"lane {ended['lane']}" if "lane" in ended else config.env_id
+    start_ns, in_lane = samples[0].time_ns, config.env_id == LANE
+    game = f"lane {ended['lane']}" if in_lane else config.env_id.removeprefix("uavaccel/")
     hit = onlooker.hit and (onlooker.hit[0] - start_ns, onlooker.hit[1])
-    end = "reached the end" if ended["is_success"] else f"hit {hit[1]}" if hit else "ran out of commands"
+    end = f"hit {hit[1]}" if hit else "lost" if steps[-1].terminated else "ran out of commands"
+    if ended["is_success"]:
+        end = "reached the end" if in_lane else "won"
     other = config.simulator != EXACT or config.task.timing == "wall"
     once_more = ", flown once more in the exact simulator, where it may end otherwise" if other else ""
     title = f"{game}, {command_at_clock(task.model_dump())}: {end}{once_more}"
     goals = [task.goal(step.action) for step in steps]
     asked = np.array([getattr(goal, "velocity_m_s", (0.0, 0.0, 0.0)) for goal in goals], np.float64)
     more: dict[str, Any] = {"scene": task.scene, "lane": task.lane_layout(ended), "collision": hit}
+    more["target_m"] = next((ended[key] for key in TARGETS if key in ended), None)
     if not pictures:
         return Flight.of(title, task.clock_speed, environment.recording().arrays(), asked, **more)
     time_ns = np.array([sample.time_ns - start_ns for sample in samples], np.int64)
@@ -186,7 +191,7 @@ def _flight(
         more["windows"] = list(windows_of(images, time_ns, task.dvs_parameters, task.dvs_seed))
     else:
         more["windows"] = list(equal_windows(camera.events.pop_events(), int(time_ns[-1])))
-    if isinstance(agent, PolicyAgent) and config.env_id == LANE:
+    if isinstance(agent, PolicyAgent) and in_lane:
         (named, *_), ratings = zip(*(agent.policy.rate(step.given[None]) for step in steps), strict=True)
         given, taken = np.stack([step.given for step in steps]), np.array([step.action for step in steps])
         seen = np.asarray(given, np.uint8) if given.ndim == 4 else None

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from uavaccel.errors import UserError
+from uavaccel.sim.clutter.layout import ClutterLayout
 from uavaccel.sim.lane.layout import LaneLayout
 from uavaccel.units import NS_PER_S, to_ns
 
@@ -71,7 +72,10 @@ class Flight:
     velocity_m_s: Floats | None = None
     """(n, 3), where it was recorded."""
     scene: str = "blocks"
-    lane: LaneLayout | None = None
+    lane: LaneLayout | ClutterLayout | None = None
+    """Where obstacles stand that are not of the scene itself."""
+    target_m: Sequence[float] | None = None
+    """(3,), what is to be reached, where the environment says so."""
     image_ns: Times = field(default_factory=lambda: np.zeros(0, np.int64))
     images: NDArray[np.uint8] = field(default_factory=lambda: np.zeros((0, 0, 0), np.uint8))
     """(m, H, W) gray, or (m, H, W, 3) RGB."""
@@ -130,7 +134,8 @@ def film_of(flight: Flight) -> Film:
         off,
         position_m,
         lane,
-        chase=None if lane is None else ChaseView(lane, position_m, flight.orientation_wxyz[at], PANEL),
+        chase=ChaseView(flight.scene, lane, position_m, flight.orientation_wxyz[at], PANEL, flight.target_m),
+        target_m=flight.target_m,
         decisions=flight.decisions,
         hit=flight.collision[1] if flight.collision and flight.collision[0] <= last_ns else "",
     )

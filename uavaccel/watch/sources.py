@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 
 from uavaccel.files import Plain
+from uavaccel.sim.clutter.layout import ClutterLayout
 from uavaccel.sim.profile import PROFILES
 from uavaccel.sim.world import World
 from uavaccel.units import NS_PER_S, ned_to_mujoco
@@ -48,8 +49,11 @@ class Replay(Source):
         centre = places[0] if follows else (places.min(axis=0) + places.max(axis=0)) / 2
         reach_m = NEAR_M if follows else max(half_m + APART_M * (len(tracks) - 1) / 2, NEAR_M)
         world = World(tracks[0].flight.scene, PROFILES["native"])
-        if tracks[0].flight.lane is not None:
-            world.set_lane(tracks[0].flight.lane)
+        layout = tracks[0].flight.lane
+        if isinstance(layout, ClutterLayout):
+            world.set_clutter(layout)
+        elif layout is not None:
+            world.set_lane(layout)
         bodies = dict.fromkeys([track.name for track in tracks], world.lead.body_id)
         self.scene = Scene(world.model, world.data, bodies, ned_to_mujoco(centre), reach_m, follows, APART_M)
 
