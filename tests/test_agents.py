@@ -19,7 +19,7 @@ from stable_baselines3.common.torch_layers import FlattenExtractor
 
 from tests.learning import tiny_config
 from tests.running import configured, fly_into
-from uavaccel.envs.hover import Hover, HoverTask
+from uavaccel.envs.hover import HoverTask
 from uavaccel.envs.obstacle_lane import LaneTask
 from uavaccel.errors import UserError
 from uavaccel.own_code import trusting
@@ -110,13 +110,13 @@ def test_a_model_flies_the_environment_that_is_named_and_by_default_the_lane() -
 
 def test_only_what_is_trusted_is_unpickled(here: Path) -> None:
     hovering(features_extractor_class=Own)
-    with pytest.raises(UserError, match="features_extractor_class = .*Own'>: only unpickling .* add --trust, once$"):
+    with pytest.raises(UserError, match=r"features_extractor_class = .*Own'>: only unpickling .* add --trust, once$"):
         make_agent("model.zip", HoverTask())
     with trusting():
         assert make_agent("model.zip", HoverTask()).act(np.zeros(13, np.float32), {}).shape == (3,)
     make_agent("model.zip", HoverTask())  # as remembered
     hovering(features_extractor_class=Own, net_arch=[4])
-    with pytest.raises(UserError, match="add --trust, once$"):  # another file
+    with pytest.raises(UserError, match=r"add --trust, once$"):  # another file
         make_agent("model.zip", HoverTask())
 
 
@@ -163,10 +163,10 @@ def test_a_model_from_elsewhere_runs_no_code() -> None:
     rewritten(pickled)
     make_agent("model.zip", HoverTask())
     rewritten(weights)
-    with pytest.raises(UserError, match="model.zip: its policy cannot be made for this task: "):
+    with pytest.raises(UserError, match=r"model.zip: its policy cannot be made for this task: "):
         make_agent("model.zip", HoverTask())
     rewritten(named)
-    with pytest.raises(UserError, match="add --trust, once$"):
+    with pytest.raises(UserError, match=r"add --trust, once$"):
         make_agent("model.zip", HoverTask())
     assert not Path("sprung").exists()
 
@@ -305,5 +305,5 @@ def test_a_policy_that_was_exported_flies_as_the_policy_does(task: dict[str, Any
 
 def test_without_onnxruntime_an_onnx_file_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("uavaccel.rl.onnx_agent.find_spec", lambda name: None)
-    with pytest.raises(UserError, match="^model.onnx: needs onnxruntime: pip install onnxruntime$"):
+    with pytest.raises(UserError, match=r"^model.onnx: needs onnxruntime: pip install onnxruntime$"):
         origin_of("model.onnx")

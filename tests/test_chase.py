@@ -9,6 +9,7 @@ import pytest
 
 from tests.opengl import needs_opengl
 from uavaccel.sim.chase import ChaseView
+from uavaccel.sim.clutter.layout import Clutter, sample_world
 from uavaccel.sim.lane.layout import sample_layout
 from uavaccel.sim.lane.scene import SUN_ELEVATION_RAD
 
@@ -26,7 +27,7 @@ def test_the_drone_is_seen_from_behind_along_its_heading() -> None:
     position_m = np.array([[3.0, 0.0, -2.0], [23.0, 1.5, -2.0], [3.0, 0.0, -2.0], [3.0, 0.0, -2.0]])
     half = np.sqrt(0.5)
     attitude = np.array([[1.0, 0, 0, 0], [1.0, 0, 0, 0], [half, 0, 0, half], [np.cos(0.1), np.sin(0.1), 0, 0]])
-    views = [ChaseView(sample_layout(seed), position_m, attitude, (256, 144)) for seed in (3, 4)]
+    views = [ChaseView("lane", sample_layout(seed), position_m, attitude, (256, 144)) for seed in (3, 4)]
     start, further, east, rolled = (views[0](number) for number in range(4))
     assert start.shape == (144, 256, 3)
     places = drone(start)
@@ -57,10 +58,30 @@ def test_the_drones_shadow_falls_away_from_the_sun() -> None:
     level = np.tile([1.0, 0.0, 0.0, 0.0], (2, 1))
     for azimuth_rad in (np.pi / 2, -np.pi / 2):  # the light comes across the lane
         layout = replace(sample_layout(3), sun_azimuth_rad=azimuth_rad)
-        view = ChaseView(layout, position_m, level, (256, 144))
+        view = ChaseView("lane", layout, position_m, level, (256, 144))
         for number, height_m in enumerate((2.0, 1.0)):
             view(number)
             north, west, _ = view._data.mocap_pos[0]
             assert north == pytest.approx(3.0)
             assert -west == pytest.approx(height_m * np.sign(np.sin(azimuth_rad)) / np.tan(SUN_ELEVATION_RAD))
+        view.close()
+
+
+@needs_opengl
+@pytest.mark.parametrize("scene", ["blocks", "clutter"])
+def test_other_scenes_are_seen_from_behind_too_with_what_is_to_be_reached(scene: str) -> None:
+    """Its sphere is where it says, ahead and to the right, and what stands in the clutter is there."""
+    world = sample_world(1, Clutter(), (30.0, 0.0, -2.0)) if scene == "clutter" else None
+    level = np.array([[1.0, 0.0, 0.0, 0.0]])
+    views = [
+        ChaseView(scene, layout, np.array([[0.0, 0.0, -2.0]]), level, (256, 144), target_m)
+        for layout, target_m in ((world, None), (world, [2.0, 0.8, -2.0]), (None, None))
+    ]
+    plain, marked, bare = (view(0).astype(int) for view in views)
+    assert len(drone(plain.astype(np.uint8))) > 20
+    green = marked[..., 1] - np.maximum(marked[..., 0], marked[..., 2])
+    rows, columns = np.argwhere((green > 20) & (np.abs(marked - plain).sum(axis=2) > 30)).T
+    assert np.median(columns) == pytest.approx(128 + 140 * 0.8 / 4.4, abs=12)
+    assert (np.abs(bare - plain).sum(axis=2) > 30).any() == (scene == "clutter")
+    for view in views:
         view.close()

@@ -26,14 +26,17 @@ from uavaccel.draw.panels import (
     WALL,
     Decisions,
     View,
+    around,
     draw_lane,
     draw_ratings,
+    draw_target,
     draw_track,
     follow,
     whole_lane,
 )
 from uavaccel.errors import UserError
 from uavaccel.files import UNFINISHED
+from uavaccel.sim.clutter.layout import Clutter, ClutterLayout, sample_world
 from uavaccel.sim.lane.layout import sample_layout
 
 SAMPLES = 30
@@ -105,6 +108,27 @@ def test_below_are_the_view_from_behind_and_what_was_decided() -> None:
             colour = TAKEN if action == taken else UNTAKEN
             better = decided([0]).ratings[command, action] - decided([0]).ratings[command].min()
             assert (column == colour).all(axis=1).sum() == pytest.approx((better + 0.1) * 224 / 1.1, abs=2)
+
+
+@pytest.mark.parametrize("world", [None, sample_world(1, Clutter(), (30.0, 10.0, -2.0))], ids=["nothing", "clutter"])
+def test_outside_of_a_lane_the_map_is_of_the_whole_flight_with_its_target(
+    world: ClutterLayout | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    said: list[str] = []
+    film = replace(flown(samples=3), layout=world, target_m=[30.0, 10.0, -2.0])
+    first, *_, last = frames(film)
+    assert first.shape == film.size[::-1] + (3,) == (366, 1280, 3)
+    near = around(np.array([[0.0, 0.0], [30.0, 10.0]]), (208, 288))
+    ground = draw_target(draw_lane(world, near), near, (30.0, 10.0))
+    assert (ground == OBSTACLE).all(axis=2).any() == (world is not None)
+    assert np.array_equal(last[64:352, 1060:1268], draw_track(ground, near, film.position_m[:, :2]))
+    column, row = near.pixels((30.0, 10.0)) >> 4
+    assert column > 104 > 0 < row < 144  # north is up, east to the right
+    assert first[64 + row, 1060 + column].tolist() == [*GOAL]
+    monkeypatch.setattr(films, "write", lambda page, text, *_, **__: said.append(text))
+    list(frames(film))
+    assert "the whole lane, start on the left" not in said
+    assert said[-1].startswith("  0.66 s,  28.8 m to go, shown at")
 
 
 def test_an_impact_is_marked_and_held() -> None:

@@ -224,9 +224,15 @@ def flight() -> Flight:
     return Flight("who", 2.0, time_ns, position_m, rest, commands, **seen)
 
 
+@pytest.fixture
+def nothing_behind(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(chase, "ChaseView", lambda *_: None)
+
+
+@pytest.mark.usefixtures("nothing_behind")
 def test_a_film_shows_each_picture_with_the_events_up_to_it_where_it_was_taken() -> None:
     film = film_of(flight())
-    assert (film.title, film.hit, film.chase, film.layout) == ("who", "", None, None)
+    assert (film.title, film.hit, film.layout) == ("who", "", None)
     assert film.time_s.tolist() == [0.0, 1.0, 2.0]
     assert film.position_m[:, 0].tolist() == [3.0, 6.0, 9.0]
     assert film.on_events[:, 3, [10, 11, 20, 21, 35]].tolist() == [[1, 0, 0, 0, 0], [0, 1, 1, 0, 0], [0, 0, 0, 1, 1]]
@@ -236,12 +242,13 @@ def test_a_film_shows_each_picture_with_the_events_up_to_it_where_it_was_taken()
         film_of(replace(flight(), images=np.zeros((0, 0, 0), np.uint8)))
 
 
+@pytest.mark.usefixtures("nothing_behind")
 @pytest.mark.parametrize(("hit_ms", "marked"), [(3000, True), (3001, False)])
 def test_a_film_marks_an_impact_that_its_last_picture_has_reached(hit_ms: int, marked: bool) -> None:
     assert film_of(replace(flight(), collision=(hit_ms * MS, "wall"))).hit == ("wall" if marked else "")
 
 
-def test_a_film_of_a_lane_has_the_view_from_behind_at_its_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_film_has_the_view_from_behind_at_its_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
     told: list[Any] = []
 
     def behind(*what: Any) -> str:
@@ -249,9 +256,9 @@ def test_a_film_of_a_lane_has_the_view_from_behind_at_its_pictures(monkeypatch: 
         return "behind"
 
     monkeypatch.setattr(chase, "ChaseView", behind)
-    lane = sample_layout(3)
-    film = film_of(replace(flight(), lane=lane))
-    ((layout, position_m, orientation_wxyz, size),) = told
-    seen: tuple[Any, ...] = (film.chase, film.layout, layout, size)
-    assert seen == ("behind", lane, lane, (512, 288))
+    lane, target_m = sample_layout(3), [1.0, 2.0, -3.0]
+    film = film_of(replace(flight(), scene="lane", lane=lane, target_m=target_m))
+    ((scene, layout, position_m, orientation_wxyz, size, target),) = told
+    seen: tuple[Any, ...] = (film.chase, film.layout, film.target_m, scene, layout, size, target)
+    assert seen == ("behind", lane, target_m, "lane", lane, (512, 288), target_m)
     assert (position_m[:, 0].tolist(), orientation_wxyz[:, 0].tolist()) == ([3.0, 6.0, 9.0], [1.0, 2.0, 3.0])

@@ -37,7 +37,7 @@ POST_SHADOW_M, DRONE_SHADOW_M = 0.01, 0.03  # heights above the ground, so that 
 
 
 class ChaseView:
-    """Renders n poses, `position_m` (n, 3) NED and `orientation_wxyz` (n, 4), in a scene with its layout, if it has one.
+    """Renders n poses, `position_m` (n, 3) NED and `orientation_wxyz` (n, 4), in a scene, with a layout if it has one.
 
     A sphere is at `target_m` (3,), NED. Raises UserError without OpenGL.
     """

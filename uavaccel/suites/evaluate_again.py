@@ -171,7 +171,7 @@ def _flight(
     start_ns, in_lane = samples[0].time_ns, config.env_id == LANE
     game = f"lane {ended['lane']}" if in_lane else config.env_id.removeprefix("uavaccel/")
     hit = onlooker.hit and (onlooker.hit[0] - start_ns, onlooker.hit[1])
-    end = f"hit {hit[1]}" if hit else "lost" if steps[-1].terminated else "ran out of commands"
+    end = f"hit {hit[1]}" if hit else "ran out of commands" if in_lane or steps[-1].truncated else "lost"
     if ended["is_success"]:
         end = "reached the end" if in_lane else "won"
     other = config.simulator != EXACT or config.task.timing == "wall"
