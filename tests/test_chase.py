@@ -80,7 +80,7 @@ def test_other_scenes_are_seen_from_behind_too_with_what_is_to_be_reached(scene:
     plain, marked, bare = (view(0).astype(int) for view in views)
     assert len(drone(plain.astype(np.uint8))) > 20
     green = marked[..., 1] - np.maximum(marked[..., 0], marked[..., 2])
-    rows, columns = np.argwhere((green > 20) & (np.abs(marked - plain).sum(axis=2) > 30)).T
+    _, columns = np.argwhere((green > 20) & (np.abs(marked - plain).sum(axis=2) > 30)).T
     assert np.median(columns) == pytest.approx(128 + 140 * 0.8 / 4.4, abs=12)
     assert (np.abs(bare - plain).sum(axis=2) > 30).any() == (scene == "clutter")
     for view in views:

@@ -117,7 +117,7 @@ def test_outside_of_a_lane_the_map_is_of_the_whole_flight_with_its_target(
     said: list[str] = []
     film = replace(flown(samples=3), layout=world, target_m=[30.0, 10.0, -2.0])
     first, *_, last = frames(film)
-    assert first.shape == film.size[::-1] + (3,) == (366, 1280, 3)
+    assert first.shape == (*film.size[::-1], 3) == (366, 1280, 3)
     near = around(np.array([[0.0, 0.0], [30.0, 10.0]]), (208, 288))
     ground = draw_target(draw_lane(world, near), near, (30.0, 10.0))
     assert (ground == OBSTACLE).all(axis=2).any() == (world is not None)
