@@ -201,7 +201,8 @@ def film_extremes(run: RunDirectory) -> None:
     order = sorted(run.rows(), key=Evaluation().interest)
     if run.config().get("simulator", EXACT) != EXACT:
         console.print("films: both games once more in the exact simulator, where they may end otherwise")
-    for name, row in {"best": order[0], "worst": order[-1]}.items():
+    for number, (name, row) in enumerate({"best": order[0], "worst": order[-1]}.items(), start=1):
+        console.print(f"film {number} of 2, before the report: the {name} game, {row['case']}, is flown again and drawn")
         with working(f"{name} game, flown again"):
             _, film = film_of_game(run, row["case"])
         write_film(film, run.file(f"films/{name}.mp4"), run.file(f"films/{name}.png"))

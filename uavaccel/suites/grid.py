@@ -14,7 +14,7 @@ from copy import copy
 from dataclasses import dataclass, replace
 from functools import cache
 from itertools import product
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NotRequired
 
 import numpy as np
 import pandas as pd
@@ -24,7 +24,7 @@ from uavaccel.config import Config, parse_yaml, validate
 from uavaccel.draw import style
 from uavaccel.draw.labels import clock_label, command_at_clock, command_name
 from uavaccel.draw.page import Block, Column, Heading, Picture, Table, unknown
-from uavaccel.envs.conditions import CONDITIONS
+from uavaccel.envs.conditions import CONDITIONS, Condition
 from uavaccel.errors import UsageError, UserError, suggestion
 from uavaccel.files import Plain
 from uavaccel.forms import Count, NotNegative, Number, Positive
@@ -308,11 +308,13 @@ class PolicyRow(GameRow):
 
     games: Games
     successes: Count
-    distance_m_median: Number
+    distance_m_median: NotRequired[Number]
+    return_mean: NotRequired[Number]
+    """Of environments beside the lane."""
     sim_time_s: NotNegative
 
 
-KEPT = ("games", "successes", "distance_m_median", "sim_time_s", "timing")
+KEPT = ("games", "successes", "distance_m_median", "return_mean", "sim_time_s", "timing")
 
 
 @dataclass(frozen=True)
@@ -376,7 +378,7 @@ class PolicyGrid(Suite[Any, Point]):
     def fly(self, config: Any, case: Point, opened: RunDirectory) -> GameResult:
         """Evaluate; the row has keys of the evaluation's summary, the arrays the outcome of each lane."""
         summary = fly_part(opened, case.id, self.part(config, case), config.seed).summary
-        kept = {name: summary[name] for name in KEPT if name in self.row.__annotations__}
+        kept = {name: summary[name] for name in KEPT if name in self.row.__annotations__ and name in summary}
         return GameResult({**case.labels, **kept}, outcomes(part_run(opened, case.id)))
 
     def status(self, rows: Sequence[Row]) -> str:
@@ -387,13 +389,22 @@ def simulated_s(suite: AnySuite, config: Any) -> float:
     return sum(case.simulated_s() for case in suite.cases(config))
 
 
+INFERENCE = Condition("inference", "inference_s", "s")
+"""The condition that is a key of the evaluation, not of its task: how long a decision takes."""
+
+
+UNITS = {**CONDITIONS, INFERENCE.short: INFERENCE}
+
+
 def key_of(name: str) -> str:
     """Return the dotted key of a condition. Raises UsageError for a name that is neither short nor a task's key."""
     if name in CONDITIONS:
         return f"task.{CONDITIONS[name].key}"
     if name.startswith("task."):
         return name
-    raise UsageError(f"--sweep {name}: is unknown; {suggestion(name, [*CONDITIONS, 'task.KEY'])}")
+    if name == INFERENCE.short:
+        return INFERENCE.key
+    raise UsageError(f"--sweep {name}: is unknown; {suggestion(name, [*CONDITIONS, INFERENCE.short, 'task.KEY'])}")
 
 
 def value_text(value: object) -> str:
@@ -451,6 +462,18 @@ class Sweep(PolicyGrid):
     config = SweepConfig
     row = SweepRow
 
+    def check(self, config: SweepConfig) -> None:
+        """Raise UserError for a condition that the environment of the agent does not have, too."""
+        evaluation = self.first(config)[1]
+        keys = type(evaluation.task).model_fields
+        known = [name for name, each in CONDITIONS.items() if each.key.partition(".")[0] in keys]
+        for name in config.sweep:
+            _, task, key = key_of(name).rpartition("task.")
+            if task and key.partition(".")[0] not in keys:
+                there = suggestion(name, [*known, INFERENCE.short])
+                raise UserError(f"--sweep {name}: {evaluation.env_id} has no {task}{key}; {there}")
+        super().check(config)
+
     def points(self, config: SweepConfig) -> Iterator[Point]:
         """Yield the evaluation as trained, then those with one condition changed."""
         yield Point(AS_TRAINED, "virtual", 0.0, {}, {"condition": "", "value": None})
@@ -485,13 +508,13 @@ class Sweep(PolicyGrid):
             if row is not None:
                 tested = usual is not None and row is not usual
                 p = mcnemar_exact(won[AS_TRAINED], won[row["case"]]).p_value if tested else None
-                found = {"distance_m_median": row["distance_m_median"], "mcnemar_p": p}
-                cells.append({**point.labels, **Proportion.of(row).as_summary(), **found})
+                found = {name: row[name] for name in ("distance_m_median", "return_mean") if name in row}
+                cells.append({**point.labels, **Proportion.of(row).as_summary(), **found, "mcnemar_p": p})
         return {
             "suite": self.name,
             "agent": report.config.agent,
             "seed": report.config.seed,
-            "lanes": report.config.games,
+            flown_in(report.games): report.config.games,
             "provenance": sorted({timing_provenance(timing) for timing in report.games.timing}),
             "cells": cells,
         }
@@ -508,9 +531,16 @@ class Sweep(PolicyGrid):
             where = f"{worst['condition']} = {value_text(worst['value'])}"
             said.append(f"{worst['success_ratio']:.1%} at {where}, the least of {len(departed)} conditions")
         provenance = " and ".join(summary["provenance"])
-        return f"{report.config.who} wins {', '.join(said)}; {provenance}, {summary['lanes']} lanes each"
+        games = flown_in(report.games)
+        return f"{report.config.who} wins {', '.join(said)}; {provenance}, {summary[games]} {games} each"
 
     def overview(self, report: Report) -> Table:
+        games = flown_in(report.games)
+        measure = (
+            {"median distance, m": "{distance_m_median:.1f}"}
+            if games == "lanes"
+            else {"mean return": "{return_mean:.4g}"}
+        )
         return Table.of(
             conditions_of(report.summary),
             {
@@ -518,16 +548,16 @@ class Sweep(PolicyGrid):
                 "value": "{text}",
                 "success": "{success_ratio:.1%}",
                 "95 % interval": "{wilson_low:.1%} to {wilson_high:.1%}",
-                "lanes": "{successes} of {games}",
-                "median distance, m": "{distance_m_median:.1f}",
+                games: "{successes} of {games}",
+                **measure,
                 "p": lambda cell: "" if unknown(cell["mcnemar_p"]) else f"{cell['mcnemar_p']:.2g}",
             },
         )
 
     def page(self, report: Report) -> Iterator[Block | str]:
         """Yield success at each value, a panel per condition, and the same as a table."""
-        summary, title = report.summary, self.title(report)
-        source = f"{' and '.join(summary['provenance'])} · {summary['lanes']} lanes each · seed {summary['seed']}"
+        summary, title, games = report.summary, self.title(report), flown_in(report.games)
+        source = f"{' and '.join(summary['provenance'])} · {summary[games]} {games} each · seed {summary['seed']}"
         usual, cells = (conditions_of(summary).query(f"condition {which} ''") for which in ("==", "!="))
         count = cells.name.nunique()
         columns = max(min(count, 3), 1)
@@ -551,15 +581,24 @@ class Sweep(PolicyGrid):
         yield report.figure("sweep", figure, caption, source)
         yield self.overview(report)
         yield (
-            "One condition is changed at a time; the lanes are the same throughout. p is that of McNemar's exact test "
-            "against the flights as trained, lane by lane. Where spacing or gap change, the obstacles stand elsewhere, "
-            "and a lane may be harder or easier for any policy."
+            f"One condition is changed at a time; the {games} are the same throughout. p is that of McNemar's exact "
+            f"test against the flights as trained, {games[:-1]} by {games[:-1]}."
         )
+        if games == "lanes":
+            yield (
+                "Where spacing or gap change, the obstacles stand elsewhere, and a lane may be harder or easier for "
+                "any policy."
+            )
+
+
+def flown_in(games: pd.DataFrame) -> str:
+    """Return what evaluations have flown: lanes, or games of another environment, of which the returns are known."""
+    return "games" if "return_mean" in games else "lanes"
 
 
 def conditions_of(summary: Summary) -> pd.DataFrame:
     """Return the cells of a sweep's summary as a table, with the condition's name and unit and the value as a text."""
-    names = {"": "as trained"} | {name: f"{name}, {known.unit}" for name, known in CONDITIONS.items() if known.unit}
+    names = {"": "as trained"} | {name: f"{name}, {known.unit}" for name, known in UNITS.items() if known.unit}
     cells = table_of(summary["cells"])
     texts = [value_text(cell["value"]) if cell["condition"] else "" for cell in summary["cells"]]
     return cells.assign(name=cells.condition.replace(names), text=texts)
@@ -620,7 +659,8 @@ class Robustness(PolicyGrid):
         `above` is the largest latency up to which its success does not fall below half of that in real time at the
         fitted latency, `below` the next that was flown; None where there is none, or no cell in real time.
         """
-        kept = ["command", "clock_speed", "latency_scale", "distance_m_median"]
+        measures = [name for name in ("distance_m_median", "return_mean") if name in report.games]
+        kept = ["command", "clock_speed", "latency_scale", *measures]
         won = [Proportion.of(row).as_summary() for row in report.rows]
         cells = [own | ratio for own, ratio in zip(report.games[kept].to_dict("records"), won, strict=True)]
         collapses = []
