@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import sys
 import warnings
 import zipfile
@@ -18,7 +19,9 @@ import torch as th
 from stable_baselines3.common.torch_layers import FlattenExtractor
 
 from tests.learning import tiny_config
+from tests.opengl import needs_opengl
 from tests.running import configured, fly_into
+from uavaccel.cli.experiments import evaluate_agent, sweep_agent
 from uavaccel.envs.hover import HoverTask
 from uavaccel.envs.obstacle_lane import LaneTask
 from uavaccel.errors import UserError
@@ -28,6 +31,8 @@ from uavaccel.rl.agents import BatchAgent, make_agent, origin_of
 from uavaccel.rl.onnx_file import write_onnx
 from uavaccel.rl.policy import export_policy, load_policy, make_policy
 from uavaccel.suites.evaluate import Evaluation
+from uavaccel.suites.report import Report, Summary
+from uavaccel.suites.session import RunRequest
 
 HOVER = "env_id=uavaccel/Hover-v0"
 SMALL = {"net_arch": [8], "activation_fn": th.nn.ReLU}
@@ -181,6 +186,80 @@ def test_a_file_that_is_no_model_is_one_line(name: str) -> None:
     with pytest.raises(UserError, match=f"^{name}: is no ") as caught:
         origin_of(name)
     assert "\n" not in str(caught.value)
+
+
+# --- what is said outside of the lane ---------------------------------------------------------------------------
+
+
+def asked(out: str, *keys: str, agent: str = "pilot.py:act", games: int = 2, **more: Any) -> RunRequest:
+    """What the command line asks for; the user trusts the code."""
+    Path("pilot.py").write_text(PILOT)
+    options = {"agent": agent, "games": games, "timing": "lockstep", **more}
+    return RunRequest("evaluate", options, keys, out=Path(out), trust=True)
+
+
+@pytest.mark.parametrize("env_id", ["Hover", "Gates", "Navigate"])
+def test_reports_of_other_environments_say_nothing_of_the_lane(env_id: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """Neither page nor summary, rows or comparison; returns stand in for metres north."""
+    keys = (f"env_id=uavaccel/{env_id}-v0", "task.max_commands=3", "task.observation=state")
+    evaluate_agent(asked("first", *keys), None, False)
+    evaluate_agent(asked("run", *keys), Path("first"), False)
+    run, said = RunDirectory("run"), capsys.readouterr().out
+    page, summary = Path("run/report.md").read_text().split("## Provenance")[0], run.read_json("summary.json")
+    for text in (said, page, *map(str, (summary, run.rows()))):
+        assert not re.search(r"\blanes?\b|Figure 8|obstacle", text)
+    returns = [row["return"] for row in run.rows()]
+    assert summary["return_mean"] == pytest.approx(sum(returns) / 2)
+    assert ("distance_m_median" in summary) == (env_id != "Gates")
+    assert "against first on the same 2 games: 0 v 0 successes" in said
+    assert page.count("--case game-00000") == 2
+    evaluate_agent(asked("kernels", "simulator=kernels", *keys), None, False)
+    assert [row["return"] for row in RunDirectory("kernels").rows()] == pytest.approx(returns, abs=1e-9)
+
+
+def test_evaluations_of_different_environments_are_not_compared() -> None:
+    evaluate_agent(asked("hover", HOVER, "task.max_commands=1", games=1), None, False)
+    with pytest.raises(UserError, match=r"^--against hover: is no evaluation of the same games$"):
+        evaluate_agent(asked("gates", "env_id=uavaccel/Gates-v0", games=1), Path("hover"), False)
+
+
+def test_a_sweep_has_the_conditions_of_its_environment(capsys: pytest.CaptureFixture[str]) -> None:
+    request = asked("sweep", HOVER, "task.max_commands=2", timing="virtual")
+    with pytest.raises(UserError, match=r"^--sweep wind: uavaccel/Hover-v0 has no task\.difficulty\.wind_m_s; known: "):
+        sweep_agent(request, ["wind=0,3"], None)
+    sweep_agent(request, ["clock=1,10", "inference=0,0.1"], None)
+    cells = RunDirectory("sweep").read_json("summary.json")["cells"]
+    swept = [("clock", 1), ("clock", 10), ("inference", 0), ("inference", 0.1)]
+    assert [(cell["condition"], cell["value"]) for cell in cells[1:]] == swept
+    configs = [RunDirectory(part).config() for part in sorted(Path("sweep/parts").glob("inference-*"))]
+    assert [config["inference_s"] for config in configs] == [0, 0.1]
+    said = capsys.readouterr().out + Path("sweep/report.md").read_text().split("## Provenance")[0]
+    assert not re.search(r"\blanes?\b|distance", said)
+
+
+@needs_opengl
+def test_films_are_announced_and_made_before_the_only_report(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    written: list[bool] = []
+    write = Report.write
+
+    def noted(report: Report) -> Summary:
+        written.append(Path("run/films/worst.mp4").exists())
+        return write(report)
+
+    monkeypatch.setattr(Report, "write", noted)
+    keys = ("env_id=uavaccel/Navigate-v0", "task.observation=state", "task.max_commands=2")
+    evaluate_agent(asked("run", *keys), None, True)
+    said = capsys.readouterr().out.splitlines()
+    assert written == [True]
+    best, worst = (row["case"] for row in sorted(RunDirectory("run").rows(), key=lambda row: -row["return"]))
+    assert [line for line in said if line.startswith("film ")] == [
+        f"film 1 of 2, before the report: {best}, the best game, flown again",
+        f"film 2 of 2, before the report: {worst}, the worst game, flown again",
+    ]
+    assert said[-1] == "report: run/report.html"
+    assert Path("run/report.md").read_text().count(".mp4)") == 2
 
 
 # --- functions --------------------------------------------------------------------------------------------------

@@ -18,6 +18,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, NamedTuple
 
+import gymnasium
 import pytest
 import typer
 
@@ -119,6 +120,8 @@ def home(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
             for line in lines_of(block) if block.language == "sh" else ():
                 if name := re.match(r"uavaccel init (\S+)", line):
                     init(str(here / name[1]))
+                for model in re.findall(r"^uavaccel evaluate (\S+\.(?:zip|onnx))", line):
+                    make_model(here / model)
                 for suite, out in re.findall(r"^uavaccel (?:run )?(\w+).* --out (\S+)", line):
                     make_run(here / out, suite)
             if block.title:
@@ -136,6 +139,24 @@ def make_run(folder: Path, suite: str) -> None:
     for file in asset("policies/default").iterdir():
         with contextlib.suppress(FileExistsError):
             (folder / file.name).symlink_to(file)
+
+
+NEEDED = {".zip": ("stable_baselines3",), ".onnx": ("onnxscript", "onnxruntime")}
+"""The packages without which there is no model in a file of this kind."""
+
+
+def make_model(file: Path) -> None:
+    """Make a model as other programs save it, where their packages are there."""
+    if not all(map(find_spec, NEEDED[file.suffix])):
+        return
+    if file.suffix == ".zip":
+        from stable_baselines3 import PPO
+
+        PPO("MlpPolicy", gymnasium.make("uavaccel/Hover-v0"), device="cpu").save(file)
+    else:
+        from uavaccel.rl.onnx_file import write_onnx
+
+        write_onnx(load_policy(asset("policies/default")), file)
 
 
 @pytest.fixture
@@ -220,6 +241,8 @@ def test_yaml_files_fit_their_suites(block: Block) -> None:
 def test_commands_are_taken(block: Block, line: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Commands and options are there, and of an experiment its name and every key; nothing is trained or flown."""
     _, name, *options = shlex.split(line)
+    for package in NEEDED.get(Path(options[0]).suffix if name == "evaluate" and options else "", ()):
+        pytest.importorskip(package)
     asked: list[RunRequest] = []
     monkeypatch.setattr(agents, "load_policy", policy_once)
     monkeypatch.setattr(cli_experiments, "run_experiment", lambda request, *_: asked.append(request))

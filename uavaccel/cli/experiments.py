@@ -54,7 +54,8 @@ def evaluate(
     agent: Annotated[
         str | None,
         typer.Argument(
-            help="A training's run directory, a policy's folder, straight or offset:METRES; by default what ships."
+            help="A training's run directory or policy, model.zip, FILE.onnx, file.py:function, straight, "
+            "offset:METRES, or an evaluation's YAML file; by default the policy that ships."
         ),
     ] = None,
     against: Annotated[Path | None, typer.Option(help="Another evaluation to compare with, on the same lanes.")] = None,
@@ -63,8 +64,10 @@ def evaluate(
         list[str] | None, typer.Option(help="NAME=VALUE,VALUE,... flown one at a time, as in wind=0,3,6; repeatable.")
     ] = None,
 ) -> None:
-    """Fly an agent on lanes that no training has seen, as `run evaluate`: success ratio, Figure 8, films."""
+    """Fly an agent in games that no training has seen, as `run evaluate`: success ratio, report, films."""
     experiment = None if agent is None and request.resume else "evaluate"
+    if agent is not None and agent.endswith((".yaml", ".yml")):
+        experiment, agent = agent, None
     request = replace(request, experiment=experiment, suite="evaluate", options={**request.options, "agent": agent})
     if sweep:
         sweep_agent(request, sweep, against)
@@ -202,7 +205,7 @@ def film_extremes(run: RunDirectory) -> None:
     if run.config().get("simulator", EXACT) != EXACT:
         console.print("films: both games once more in the exact simulator, where they may end otherwise")
     for number, (name, row) in enumerate({"best": order[0], "worst": order[-1]}.items(), start=1):
-        console.print(f"film {number} of 2, before the report: the {name} game, {row['case']}, is flown again and drawn")
+        console.print(f"film {number} of 2, before the report: {row['case']}, the {name} game, flown again")
         with working(f"{name} game, flown again"):
             _, film = film_of_game(run, row["case"])
         write_film(film, run.file(f"films/{name}.mp4"), run.file(f"films/{name}.png"))
