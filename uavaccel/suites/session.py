@@ -13,7 +13,7 @@ from typing import Any, get_origin
 
 from uavaccel.calibration.doctor import check_machine
 from uavaccel.clock import calendar_time
-from uavaccel.config import load_yaml, parse_override
+from uavaccel.config import load_yaml, parse_override, schema
 from uavaccel.errors import Interrupted, UsageError, UserError, mistake_of
 from uavaccel.files import Plain, check_new_folder
 from uavaccel.machine import describe_run
@@ -23,7 +23,7 @@ from uavaccel.records import RunDirectory
 from uavaccel.suites.engines import LOKY
 from uavaccel.suites.experiment import Experiment, timing_of
 from uavaccel.suites.keys import KEYS
-from uavaccel.suites.registry import configuration, find_suite, is_file, merged, read_mapping, suite_of
+from uavaccel.suites.registry import configuration, find_suite, is_file, is_task, merged, read_mapping, suite_of
 from uavaccel.suites.runner import cases_of, check_jobs, run_suite, start_run
 from uavaccel.suites.suite import AnySuite, Case, OnGame
 
@@ -75,6 +75,10 @@ def reading(request: RunRequest) -> Iterator[tuple[AnySuite, Any]]:
             from uavaccel.rl.config import with_env_id  # loads Gymnasium
 
             mapping = with_env_id(mapping)  # further keys may go into its task
+        if experiment is not None and is_task(experiment):
+            from uavaccel.suites.train import first_settings
+
+            mapping = first_settings(mapping)
         keys = dict(_place(suite, name, value) for name, value in options.items())
         yield suite, configuration(suite, merged(mapping, keys, request.overrides), source)
 
@@ -182,7 +186,7 @@ def planned(request: RunRequest) -> Iterator[Plan]:
         cases = cases_of(suite, config)
         if request.out is not None and not request.dry_run:
             check_new_folder(request.out, request.resume)
-        name = Path(request.experiment or suite.name).stem
+        name = Path((request.experiment or suite.name).partition(":")[0]).stem
         out = request.out or Path("runs") / f"{name}-{calendar_time()[:19].replace(':', '')}"
         begun = request.resume and (out / "config.yaml").is_file()
         flown = RunDirectory(out).done_cases() if begun else set()
@@ -243,3 +247,20 @@ def resumable(out: Path) -> Iterator[None]:
 def _going_on(out: Path) -> str:
     begun = (out / "config.yaml").is_file()
     return f"; go on with: uavaccel run --out {shlex.quote(str(out))} --resume" if begun else ""
+
+
+def schema_of(name: str) -> dict[str, Plain]:
+    """Return the JSON schema of a suite's YAML; that of an experiment's own file has the keys of its task.
+
+    Raises UserError for an unknown suite, and as `reading` does.
+    """
+    if not is_file(name):
+        return schema(find_suite(name, "schema").config)
+    with reading(RunRequest(name)) as (suite, config):
+        made, environment = schema(suite.config), getattr(config, "environment_class", None)
+    if environment is not None:
+        task = environment.task_class.model_json_schema()
+        made["$defs"] |= task.pop("$defs", {})
+        task["properties"]["class"] = {"type": "string", "description": "The task: file.py:Class."}
+        made["properties"]["task"] = {"anyOf": [{"type": "string"}, task]}
+    return made
