@@ -16,8 +16,7 @@ from typer.testing import CliRunner
 from tools.write_cli_reference import reference
 from uavaccel.cli import experiments, terminal
 from uavaccel.cli.main import app
-from uavaccel.cli.options import experiments as complete_experiments
-from uavaccel.cli.options import one_of
+from uavaccel.cli.options import one_of, shipped
 from uavaccel.cli.terminal import columns_within
 from uavaccel.draw.page import Table
 from uavaccel.envs import batch
@@ -68,7 +67,7 @@ def test_the_shell_can_complete(words: str, completion: str) -> None:
     assert (done.returncode, done.stderr) == (0, "")
 
 
-@pytest.mark.parametrize("arguments", [[], ["schema", "train"]])
+@pytest.mark.parametrize("arguments", [[], ["init", "--schema", "train"]])
 def test_who_reads_no_further_than_the_head_is_told_nothing(arguments: list[str]) -> None:
     reading, writing = os.pipe()
     os.close(reading)
@@ -91,8 +90,8 @@ def test_words_of_options_and_experiments_are_completed() -> None:
     words = one_of("wall", "virtual", "lockstep")  # each of which has an l
     assert [words(typed) for typed in ("l", "lockstep", "k")] == [["lockstep"], ["lockstep"], []]
     assert words("") == ["wall", "virtual", "lockstep"]
-    assert complete_experiments("dp") == ["dp1", "dp2", "dp2_airsim"]
-    assert "claims" not in complete_experiments("")
+    assert shipped("dp") == ["dp1", "dp2", "dp2_airsim"]
+    assert not {"claims", "latency", "latency_airsim"} & set(shipped(""))
 
 
 @pytest.mark.parametrize("command", ["train", "evaluate"])
@@ -141,7 +140,7 @@ def test_the_options_for_keys_take_what_the_configurations_take(suite: str) -> N
             if get_origin(kind) is Annotated:
                 kind = get_args(kind)[0]
             if get_origin(kind) is Literal:
-                assert set(get_args(kind)) <= set(key.words)
+                assert set(get_args(kind)) <= set(key.shown.split("|"))
             else:
                 assert kind is key.kind, name
 
@@ -159,7 +158,7 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
         monkeypatch.setattr(f"uavaccel.{place}", call)
 
     for place in (
-        "cli.experiments.run_experiment", "cli.experiments.evaluate_agent", "cli.results.view_game",
+        "cli.experiments.run_experiment", "cli.experiments.evaluate_agent", "cli.results.film_game",
         "watch.beside.show", "wire.service.serve", "fly.command.fly_script",
     ):  # fmt: skip
         stand_in(place)
@@ -221,11 +220,11 @@ SQUARE = (50.0, 0.012, 0)
 @pytest.mark.parametrize(
     ("line", "call"),
     [
-        ("view", ("view_game", "default", None, None)),
-        ("view run --case a --out films", ("view_game", "run", "a", Path("films"))),
+        ("watch default --film f.mp4", ("film_game", "default", None, None, Path("f.mp4"))),
+        ("watch run --case a --film f.mp4", ("film_game", "run", "a", None, Path("f.mp4"))),
         ("watch", ("show", None, None, None, SQUARE, "127.0.0.1", 8080)),
         ("watch run --case a --game 2 --clock 5 --think 0.5 --seed 3 --host ::1 --port 9",
-         ("show", Path("run"), "a", 2, (5.0, 0.5, 3), "::1", 9)),
+         ("show", "run", "a", 2, (5.0, 0.5, 3), "::1", 9)),
         ("serve", ("serve", None, None, None, None, "native", "blocks", None)),
         ("serve --settings s.json --clock 5 --port 9 --host ::1 --profile airsim --scene lane --recordings r",
          ("serve", Path("s.json"), 5.0, 9, "::1", "airsim", "lane", Path("r"))),
@@ -238,14 +237,14 @@ def test_a_command_hands_on_what_it_was_given(asked: list[tuple[Any, ...]], line
 
 
 def test_options_before_a_script_are_the_flights_and_those_after_it_its_own(asked: list[tuple[Any, ...]]) -> None:
-    typed("fly script.py --clock 3 --film")
+    typed("fly script.py --altitude 3 -- --film")
     typed(
         "fly --clock 2,5 --timing lockstep --check --until 8 --think 0.25 --seed 3 --settings s.json --no-settings "
-        "--profile airsim --scene lane --out o --film --watch script.py --seed 4"
+        "--profile airsim --scene lane --out o --film --watch script.py -- --seed 4"
     )
     [(_, plain), (_, full)] = asked
     assert (plain.clocks, plain.check, plain.find_settings, plain.out, plain.page) == ((), False, True, None, None)
-    assert plain.flight.arguments == ("--clock", "3", "--film")
+    assert plain.flight.arguments == ("--altitude", "3", "--film")
     assert (plain.flight.timing, plain.flight.film, plain.flight.seed) == ("virtual", False, None)
     assert (full.clocks, full.check, full.find_settings, full.out) == ((2.0, 5.0), True, False, Path("o"))
     assert full.page is not None
@@ -272,7 +271,7 @@ def test_several_runs_of_a_suite_are_compared_and_one_alone_is_not(
     )
     monkeypatch.setattr(experiments, "report_run", lambda run: done.append(("reported", run.path.name)))
     monkeypatch.setattr("uavaccel.suites.registry.suite_of", lambda run: SimpleNamespace(compare=compare))
-    assert typed("report train1 dp1 train2").splitlines() == ["compared.png"]
+    assert typed("run --report train1 dp1 train2").splitlines() == ["compared.png"]
     assert done == [*(("reported", name) for name in ("train1", "dp1", "train2")), ("compared", "train1", "train2")]
 
 
@@ -389,14 +388,12 @@ def test_the_best_and_the_worst_game_are_filmed_under_their_names(
     games = {"far": (False, 3, 9.0), "slow": (True, 30, 50.0), "near": (False, 3, 1.0), "quick": (True, 20, 50.0)}
     names = ("is_success", "commands", "distance_m")
     rows = [{"case": case, **dict(zip(names, game, strict=True))} for case, game in games.items()]
-    monkeypatch.setattr("uavaccel.cli.results.film_of_game", lambda run, case: (case, f"film of {case}"))
-    monkeypatch.setattr("uavaccel.cli.results.write_film", lambda *written: print(*written))
+    monkeypatch.setattr("uavaccel.cli.results.film_game", lambda *filmed: print(*filmed))
     config = {} if simulator is None else {"simulator": simulator}
-    run: Any = SimpleNamespace(rows=lambda: rows, config=lambda: config, file=str)
+    run: Any = SimpleNamespace(path="run", rows=lambda: rows, config=lambda: config, file=str)
     experiments.film_extremes(run)
     said = capsys.readouterr().out.splitlines()
-    filmed = [("quick", "best"), ("near", "worst")]
-    assert said[-2:] == [f"film of {case} films/{name}.mp4 films/{name}.png" for case, name in filmed]
+    assert said[-2:] == ["run quick None films/best.mp4", "run near None films/worst.mp4"]
     assert ("exact simulator" in said[0]) == (simulator == "kernels")
 
 

@@ -54,7 +54,7 @@ class FlightExperiment(Experiment):
     t_th_wall_s: Cost = 0.001
     """TCSC's T_th, the client's latency; used with `airsim` alone, whose continue-for may end early."""
     latency: LatencyModel
-    """The latency model that `virtual` samples from, or the name of its file; `uavaccel calibrate` writes one."""
+    """The latencies that `virtual` samples, or the name of their file; `uavaccel timing calibrate` writes one."""
 
 
 def timing_of(config: Experiment) -> str:
