@@ -23,6 +23,12 @@ def test_assets_and_experiments_lie_beside_the_package() -> None:
     assert [name in names for name in ("dp1", "claims", "latency")] == [True, False, False]
 
 
+def test_every_experiment_says_in_a_line_what_it_is() -> None:
+    for name, about in resources.experiments().items():
+        assert about.endswith((".", "?")), name
+        assert not about.startswith("#"), name
+
+
 def test_an_unknown_name_is_refused_with_those_there_are() -> None:
     with pytest.raises(UserError, match=r"^no 'dp7\.yaml' among the experiments; did you mean 'dp2'\?$"):
         resources.experiment("dp7.yaml")

@@ -147,7 +147,7 @@ def run_experiment(
             console.print(line)
         if request.dry_run:
             return None
-        with resumable(plan.out):
+        with resumable(plan):
             run = plan.begin(console.print)
             with page(), Progress(plan.cases, plan.request.jobs, run.rows(), plan.suite.status, console) as progress:
                 plan.fly(run, progress.flown)

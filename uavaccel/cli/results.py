@@ -55,6 +55,7 @@ def watch(
     The page shows the drone in its scene, clocks, camera and events; pause, step, replay. The film shows camera,
     events, map, the view from behind and what a policy decided.
     """
+    from uavaccel.fly.trajectory import FILE_NAME as TRAJECTORY
     from uavaccel.suites.own_code import trusting
     from uavaccel.watch.beside import show
 
@@ -66,6 +67,8 @@ def watch(
             raise UsageError("--film: name what to film: a run, or a policy, as in uavaccel watch default --film FILE")
         elif film.suffix != ".mp4":
             raise UsageError(f"--film {film}: must end in .mp4")
+        elif Path(run, TRAJECTORY).is_file():
+            raise UsageError(f"--film: {run} has no images; fly the script with uavaccel fly --out FOLDER --film")
         else:
             film_game(run, case, game, film)
 

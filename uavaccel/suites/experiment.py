@@ -7,12 +7,11 @@ from typing import Annotated, Literal, TypeVar
 from pydantic import AfterValidator
 
 from uavaccel.config import Config
-from uavaccel.limits import ClockSpeed, Cost, Seed
+from uavaccel.limits import ClockSpeed, CommandName, Cost, Seed
 from uavaccel.wire.latency import LatencyModel
 
 Timing = Literal["wall", "virtual", "lockstep"]
 ProfileName = Literal["native", "airsim"]
-CommandName = Literal["adsc", "tcsc"]
 
 
 Distinct = TypeVar("Distinct", bound=tuple[float | str, ...])

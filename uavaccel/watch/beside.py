@@ -139,7 +139,7 @@ def main() -> None:
 
 
 def show(
-    run: str | None, case: str | None, game: int | None, square: tuple[float, float, int], host: str, port: int
+    run: str | Path | None, case: str | None, game: int | None, square: tuple[float, float, int], host: str, port: int
 ) -> None:
     """Open the page of a run's game, or of a square, and say where it is; until Ctrl-C.
 
