@@ -136,7 +136,7 @@ def init(
     if schema:
         print(schema_text(folder or "train"), end="")
         return
-    if not (folder or "").strip():  # as a path, this folder
+    if folder is None or not folder.strip():  # as a path, this folder
         raise UsageError("init: name a new or an empty folder")
     path = Path(folder)
     try:
