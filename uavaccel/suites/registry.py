@@ -16,7 +16,7 @@ from uavaccel.files import Plain
 from uavaccel.forms import RowForm
 from uavaccel.own_code import folder_of, look_also_in, own_class
 from uavaccel.records import RunDirectory
-from uavaccel.resources import experiment
+from uavaccel.resources import experiment, experiments
 from uavaccel.suites.experiment import Experiment
 from uavaccel.suites.rows import GameRow
 from uavaccel.suites.suite import AnySuite, CaseType, ConfigType, Suite
@@ -47,6 +47,8 @@ def read_mapping(name: str) -> tuple[dict[str, Plain], str]:
         return {"suite": "train", "task": Path(name).name}, name
     if is_file(name):
         return load_yaml(Path(name)), name
+    if name not in (known := experiments()):
+        raise UserError(f"{name}: no such experiment; {suggestion(name, known)}")
     return load_yaml(experiment(f"{name}.yaml")), f"{name}.yaml"
 
 

@@ -80,7 +80,7 @@ def start_run(
     suite: AnySuite, config: Experiment, out: Path, manifest: Mapping[str, object], resume: bool = False
 ) -> RunDirectory:
     """Create a run's folder or, with `resume`, bring it to a state from which the run continues. Raises UserError."""
-    folder = own_folder(suite, config)  # from which `report` imports own code
+    folder = own_folder(suite, config)  # from which `run --report` imports own code
     found = {} if folder is None else {"own_code": str(folder)}
     run = RunDirectory.create(out, config, {**manifest, **found}, resume, suite.may_grow(out))
     run.form = suite.form
