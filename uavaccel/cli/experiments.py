@@ -67,7 +67,7 @@ def train(
         str | None,
         typer.Argument(
             metavar="TRAINING",
-            help="A YAML file, or one that ships, as train_gpu; default: train.",
+            help="A YAML file, a task as my_task.py, or what ships, as train_gpu; default: train.",
             autocompletion=shipped,
         ),
     ] = None,

@@ -124,9 +124,7 @@ def doctor() -> None:
 def init(
     folder: Annotated[
         str | None,
-        typer.Argument(
-            metavar="FOLDER", help="A new or an empty folder; with --schema a suite or an own YAML file or task."
-        ),
+        typer.Argument(metavar="FOLDER", help="A new or an empty folder; with --schema a suite, or your YAML or task."),
     ] = None,
     schema: Annotated[
         bool, typer.Option("--schema", help="Print the JSON schema of a suite's YAML files, for editors.")
