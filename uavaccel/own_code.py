@@ -30,6 +30,8 @@ _here: dict[Path, str] = {}
 """What was remembered in this process, which may be unable to write it down."""
 _noted: list[Path] = []
 """Folders that runs and policies name, in which only remembered code may run."""
+_imported: dict[str, Path] = {}
+"""The files of the modules that were imported in this process."""
 T = TypeVar("T")
 
 
@@ -111,12 +113,15 @@ def own_module(name: str, where: str) -> ModuleType:
     Raises UserError, beginning with `where`, if there is none, nobody has told to run it, or it cannot be imported.
     """
     folder, files = _found(name, where)
-    file, code = files[-1], _digest(files)
-    if not is_trusted(file, code, name):
+    file = files[-1]
+    if name in sys.modules and _imported.get(name) == file:
+        return sys.modules[name]  # though its file may have changed since
+    if not is_trusted(file, _digest(files), name):
         changed = "has changed since it was trusted" if _remembered(file) else "is code that nobody has trusted here"
         raise UserError(f"{where}: {file} {changed}: read it, then add --trust, once")
-    if str(folder) not in sys.path:
-        sys.path.insert(0, str(folder))
+    sys.path[:] = [str(folder), *(place for place in sys.path if place != str(folder))]
+    if name in _imported:  # from another project of this process
+        sys.modules.pop(name, None)
     try:
         with errors_named(file, where):
             module = import_module(name)
@@ -124,6 +129,7 @@ def own_module(name: str, where: str) -> ModuleType:
         raise UserError(f"{where}: {error}") from error
     if Path(module.__file__ or "").resolve() != file:
         raise UserError(f"{where}: {file} has the name of another module, {module.__file__}; rename it")
+    _imported[name] = file
     return module
 
 
@@ -174,6 +180,9 @@ def _found(name: str, where: str) -> tuple[Path, list[Path]]:
     for noted in _noted:
         if (files := _files(noted.resolve(), name)) and _remembered(files[-1]):
             return noted.resolve(), files
+    if name in _imported:
+        file = _imported[name]
+        return file.parents[name.count(".") + (file.name == "__init__.py")], [file]
     places = " or ".join(map(str, folders))
     raise UserError(
         f"{where}: no module {name!r} in {places}: own code is looked up in the working directory and beside the "

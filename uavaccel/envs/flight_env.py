@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from uavaccel.clock import MonotonicClock
 from uavaccel.commands import COMMANDS
 from uavaccel.envs.checks import RENDER_MODES, TaskT, check_render_mode, known_options, make_task, seed_of, within
+from uavaccel.envs.own_task import check_reward
 from uavaccel.envs.sensors import EventCamera
 from uavaccel.envs.stopwatch import Stopwatch
 from uavaccel.envs.task import Moment, Task
@@ -100,7 +101,8 @@ class FlightEnv(gymnasium.Env[Observation, Action], Generic[TaskT]):
         terminated = success or self.task.failure(self._now)
         truncated = not terminated and self._now.commands >= self.task.max_commands
         info = self._info() | (self._host_disturbances() if terminated or truncated else {})
-        return self._observation(), self.task.reward(before, self._now), terminated, truncated, info
+        check_reward(self.task, reward := self.task.reward(before, self._now))
+        return self._observation(), reward, terminated, truncated, info
 
     def render(self) -> NDArray[np.uint8] | None:
         """Return the front camera's picture (144, 256, 3) uint8; None without a render mode."""

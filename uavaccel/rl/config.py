@@ -6,10 +6,12 @@ import inspect
 import json
 import math
 from collections.abc import Mapping
+from contextlib import suppress
 from importlib import import_module
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Annotated, Any
 
+from gymnasium import spaces
 from pydantic import (
     AfterValidator,
     Field,
@@ -20,7 +22,7 @@ from pydantic import (
     model_validator,
 )
 
-from uavaccel.config import Config, validate
+from uavaccel.config import Config, KeyTree, validate
 from uavaccel.envs.flyable import Simulator, check_flyable
 from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
 from uavaccel.envs.task import Positive, Task
@@ -120,9 +122,12 @@ def _of_the_environment(task: Any, handler: ValidatorFunctionWrapHandler, info: 
         task = task.model_dump(mode="json", exclude_unset=True)
     if not isinstance(task, Mapping):
         return handler(task)  # which refuses it
-    for key in set(task) - set(task_class.model_fields) if task_class is not LaneTask else ():
-        raise UserError(f"unknown key 'task.{key}'; {suggestion(key, list(task_class.model_fields))}")
-    return task_class.model_validate_json(json.dumps(task), strict=True)
+    made = task_class.model_validate_json(json.dumps(task), strict=True)
+    if ":" in info.data["env_id"]:
+        from uavaccel.envs.own_task import check_functions
+
+        check_functions(made)
+    return made
 
 
 AnyTask = Annotated[SerializeAsAny[LaneTask], WrapValidator(_of_the_environment)]
@@ -198,9 +203,11 @@ class LearnerConfig(Config):
             raise ValueError(f"environments must be at most {MOST_PROCESSES}, a process each, with simulator mujoco")
         if self.simulator == "kernels":
             check_flyable(self.task, self.environments, self.device)
-        pictures = self.algorithm == DOUBLE_DQN and self.task.observation != "state"
+        pictures = self.algorithm == DOUBLE_DQN and self.task.observation != "state" and isinstance(self.task, LaneTask)
         if self.on_device and not pictures and self.algorithm != PPO:
-            raise ValueError("simulator kernels with device cuda needs algorithm ppo, or double_dqn and pictures")
+            raise ValueError(
+                "simulator kernels with device cuda needs algorithm ppo, or double_dqn and the lane's pictures"
+            )
         if self.on_device and self.algorithm == PPO and self.task.timing != "lockstep":
             raise ValueError("algorithm ppo with simulator kernels and device cuda needs timing lockstep")
         if self.on_device and self.turns > 1:
@@ -211,20 +218,48 @@ class LearnerConfig(Config):
 
     @model_validator(mode="after")
     def _algorithm_fits(self) -> LearnerConfig:
-        if (self.algorithm == PPO) != (self.env_id != LANE):
-            needed = "another env_id, with continuous actions" if self.env_id == LANE else "algorithm ppo"
-            raise ValueError(f"algorithm {self.algorithm} does not learn env_id {self.env_id}: it needs {needed}")
+        discrete = is_discrete(self.task)
+        if (self.algorithm == PPO) == discrete:
+            actions, needed = ("discrete", DOUBLE_DQN) if discrete else ("continuous", PPO)
+            raise ValueError(
+                f"algorithm {self.algorithm} does not learn {self.env_id}, whose actions are {actions}: it needs "
+                f"algorithm {needed}"
+            )
         for key in ("start_from", "mirrored_decisions"):
             if getattr(self, key) and self.algorithm != DOUBLE_DQN:
                 raise ValueError(f"{key} needs algorithm double_dqn, not {self.algorithm}")
         if self.task.also_state and self.algorithm != PPO:
             raise ValueError(f"task.also_state needs algorithm ppo, not {self.algorithm}")
-        headings = getattr(self.task, "headings_deg", ())
-        symmetric = {-heading for heading in headings} == set(headings) and self.task.observation != "state"
         for key in ("mirror", "mirrored_decisions"):
-            if getattr(self, key) and self.algorithm != PPO and not symmetric:
+            if getattr(self, key) and self.algorithm != PPO and not is_symmetric(self.task):
                 raise ValueError(f"{key} must be false: it needs pictures and headings symmetric about 0")
         return self
+
+    @classmethod
+    def keys_of(cls, mapping: Mapping[str, Any]) -> KeyTree:
+        """Return its keys with those of the task and of the algorithm's options that the mapping names."""
+        every = {DOUBLE_DQN: DqnOptions.keys_of({}), PPO: PPOSettings.keys_of({})}
+        options = every.get(mapping.get("algorithm", ""), every[DOUBLE_DQN] | every[PPO])
+        return keys_with_task(super().keys_of(mapping), mapping) | {"options": options}
+
+
+def keys_with_task(tree: KeyTree, mapping: Mapping[str, Any]) -> KeyTree:
+    """Return the keys of a configuration with those of the task of its `env_id`."""
+    with suppress(UserError, AttributeError, ImportError, TypeError):  # which is wrong itself
+        return tree | {"task": environment_class(mapping.get("env_id", LANE)).task_class.keys_of({})}
+    return tree
+
+
+def is_discrete(task: Task) -> bool:
+    """Return whether a task's actions are numbered."""
+    return isinstance(task.action_space(), spaces.Discrete)
+
+
+def is_symmetric(task: Task) -> bool:
+    """Return whether an observation that is turned left to right is one of the task, too, by its actions' headings."""
+    headings = getattr(task, "headings_deg", ())
+    mirrored = {-heading for heading in headings} == set(headings)
+    return isinstance(task, LaneTask) and mirrored and task.observation != "state"
 
 
 class DqnOptions(Config):

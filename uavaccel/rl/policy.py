@@ -150,6 +150,8 @@ def _form(task: Task) -> dict[str, Plain]:
     shape = list(space.shape or ()) if parts is None else {name: list(part.shape or ()) for name, part in parts.items()}
     if isinstance(task, LaneTask):
         return {"observation_shape": shape, "actions_heading_deg": list(task.headings_deg)}
+    if isinstance(actions, spaces.Discrete):
+        return {"observation_shape": shape, "actions": int(actions.n)}
     return {"observation_shape": shape, "action": task.action, "action_shape": list(actions.shape or ())}
 
 

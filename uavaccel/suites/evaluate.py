@@ -15,6 +15,7 @@ import pandas as pd
 from pydantic import Field, model_validator
 from typing_extensions import TypedDict
 
+from uavaccel.config import KeyTree
 from uavaccel.draw import style
 from uavaccel.draw.labels import command_name
 from uavaccel.draw.page import Block, Heading, Movie, Table, listed
@@ -39,7 +40,7 @@ from uavaccel.rl.agents import (
     policy_sha256,
     reset_options,
 )
-from uavaccel.rl.config import ENVIRONMENTS, LANE, AnyTask, EnvId, environment_class
+from uavaccel.rl.config import ENVIRONMENTS, LANE, AnyTask, EnvId, environment_class, keys_with_task
 from uavaccel.sim.lane.layout import EVALUATION_SEEDS, LENGTH_M, WIDTH_M
 from uavaccel.suites import paper_results, plots
 from uavaccel.suites.experiment import Experiment
@@ -88,6 +89,11 @@ class EvaluateConfig(Experiment):
     def environment_class(self) -> type[FlightEnv[Any]]:
         """The class of the environment."""
         return environment_class(self.env_id)
+
+    @classmethod
+    def keys_of(cls, mapping: Mapping[str, Any]) -> KeyTree:
+        """Return its keys with those of the environment's task."""
+        return keys_with_task(super().keys_of(mapping), mapping)
 
     @model_validator(mode="after")
     def _fits(self) -> EvaluateConfig:

@@ -98,7 +98,7 @@ _evaluates: WeakKeyDictionary[FlightEnv[Any], tuple[EvaluateConfig, Agent]] = We
 def set_agent(environment: FlightEnv[Any], config: Mapping[str, object], folder: str | None) -> None:
     """Load, in the environment's process, the agent that an evaluation's configuration, as plain data, names.
 
-    Own code that it names runs: that of `folder` too.
+    Own code that it names runs, also that in `folder`.
     """
     th.set_num_threads(1)
     with trusting(beside=folder and Path(folder)):

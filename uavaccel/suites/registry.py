@@ -16,7 +16,7 @@ from uavaccel.files import Plain
 from uavaccel.forms import RowForm
 from uavaccel.own_code import folder_of, look_also_in, own_class
 from uavaccel.records import RunDirectory
-from uavaccel.resources import experiment
+from uavaccel.resources import experiment, experiments
 from uavaccel.suites.experiment import Experiment
 from uavaccel.suites.rows import GameRow
 from uavaccel.suites.suite import AnySuite, CaseType, ConfigType, Suite
@@ -37,15 +37,29 @@ SUITES = {
 
 
 def read_mapping(name: str) -> tuple[dict[str, Plain], str]:
-    """Return the mapping of an experiment that ships, such as "dp1", or of a YAML file, and its name in messages."""
+    """Return the mapping of an experiment and its name in messages: one that ships, such as "dp1", or a YAML file.
+
+    A task of one's own, "file.py" or "file.py:Class", is to be trained.
+    """
+    if is_task(name):
+        if not Path(file := name.partition(":")[0]).is_file():
+            raise UserError(f"{file}: no such file")
+        return {"suite": "train", "task": Path(name).name}, name
     if is_file(name):
         return load_yaml(Path(name)), name
+    if name not in (known := experiments()):
+        raise UserError(f"{name}: no such experiment; {suggestion(name, known)}")
     return load_yaml(experiment(f"{name}.yaml")), f"{name}.yaml"
 
 
 def is_file(name: str) -> bool:
-    """Return whether an experiment is named by its YAML file."""
-    return Path(name).suffix in (".yaml", ".yml")
+    """Return whether an experiment is named by its YAML file, or by that of its task."""
+    return Path(name).suffix in (".yaml", ".yml") or is_task(name)
+
+
+def is_task(name: str) -> bool:
+    """Return whether an experiment is named by a file of Python, in which its task is."""
+    return name.partition(":")[0].endswith(".py")
 
 
 def merged(

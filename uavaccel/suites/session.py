@@ -13,7 +13,7 @@ from typing import Any, get_origin
 
 from uavaccel.calibration.doctor import check_machine
 from uavaccel.clock import calendar_time
-from uavaccel.config import load_yaml, parse_override
+from uavaccel.config import load_yaml, parse_override, schema
 from uavaccel.errors import Interrupted, UsageError, UserError, mistake_of
 from uavaccel.files import Plain, check_new_folder
 from uavaccel.machine import describe_run
@@ -23,7 +23,7 @@ from uavaccel.records import RunDirectory
 from uavaccel.suites.engines import LOKY
 from uavaccel.suites.experiment import Experiment, timing_of
 from uavaccel.suites.keys import KEYS
-from uavaccel.suites.registry import configuration, find_suite, is_file, merged, read_mapping, suite_of
+from uavaccel.suites.registry import configuration, find_suite, is_file, is_task, merged, read_mapping, suite_of
 from uavaccel.suites.runner import cases_of, check_jobs, run_suite, start_run
 from uavaccel.suites.suite import AnySuite, Case, OnGame
 
@@ -54,8 +54,8 @@ class RunRequest:
 def reading(request: RunRequest) -> Iterator[tuple[AnySuite, Any]]:
     """Yield the suite and the configuration of a request; without an experiment those of the run that is resumed.
 
-    A shipped experiment with a single ClockSpeed is shortened, and measured on the wall clock. In the `with` block own
-    code may run: what the experiment's YAML file itself names, or all with `trust`. Raises UserError.
+    A shipped experiment with a single ClockSpeed has its quick keys. In the `with` block own code may run: what the
+    experiment's YAML file itself names, or all with `trust`. Raises UserError.
     """
     experiment = request.experiment
     mapping, source = _of_the_run(request) if experiment is None else read_mapping(experiment)
@@ -68,15 +68,25 @@ def reading(request: RunRequest) -> Iterator[tuple[AnySuite, Any]]:
         if request.suite not in (None, suite.name):
             raise UsageError(f"{source}: is of {suite.name}, not of {request.suite}; take `uavaccel run`")
         options = {key: value for key, value in request.options.items() if value is not None}
-        shipped, speeds = experiment is not None and beside is None, _values(options.get("clock_speed", ()))
-        if shipped and suite.quick is not None and len(speeds) == 1:
-            mapping, options = {**mapping, **suite.quick}, {"timing": "wall", **options}
         if "env_id" in suite.config.model_fields:
             from uavaccel.rl.config import with_env_id  # loads Gymnasium
 
             mapping = with_env_id(mapping)  # further keys may go into its task
+        if experiment is not None and is_task(experiment):
+            from uavaccel.suites.train import first_settings
+
+            mapping = first_settings(mapping)
+        mapping = {**mapping, **quick_keys(request, suite)}
         keys = dict(_place(suite, name, value) for name, value in options.items())
         yield suite, configuration(suite, merged(mapping, keys, request.overrides), source)
+
+
+def quick_keys(request: RunRequest, suite: AnySuite) -> Mapping[str, object]:
+    """Return the keys by which a shipped experiment with a single --clock is short and measured; else none."""
+    speeds = _values(request.options.get("clock_speed") or ())
+    if request.experiment is None or is_file(request.experiment) or len(speeds) != 1 or suite.quick is None:
+        return {}
+    return {"timing": "wall", **suite.quick}
 
 
 def configure(request: RunRequest) -> tuple[AnySuite, Any]:
@@ -151,6 +161,10 @@ class Plan:
             simulated_s = sum(case.simulated_s() for case in self.left)
             time = f"{simulated_s:,.0f} simulated s, wall time known after the first"
             yield f"{what} ({by_clock}: {sources}), {time}, into {self.out}"
+        if quick := quick_keys(self.request, self.suite):
+            keys = ", ".join(f"{key}={getattr(self.config, key)}" for key in quick)
+            [speed] = self.config.clock_speed
+            yield f"a quick run, since --clock names one ClockSpeed: {keys}; all games: --set clock_speed=[{speed:g}]"
         alone = sum(case.timing == "wall" for case in self.cases)
         if alone and (self.request.jobs > 1 or self.request.engine != LOKY):
             yield f"{alone} games on the wall clock fly alone, in this process, one by one"
@@ -182,7 +196,7 @@ def planned(request: RunRequest) -> Iterator[Plan]:
         cases = cases_of(suite, config)
         if request.out is not None and not request.dry_run:
             check_new_folder(request.out, request.resume)
-        name = Path(request.experiment or suite.name).stem
+        name = Path((request.experiment or suite.name).partition(":")[0]).stem
         out = request.out or Path("runs") / f"{name}-{calendar_time()[:19].replace(':', '')}"
         begun = request.resume and (out / "config.yaml").is_file()
         flown = RunDirectory(out).done_cases() if begun else set()
@@ -224,22 +238,40 @@ def resumption_notes(run: RunDirectory, games: int, now: Mapping[str, Plain]) ->
 
 
 @contextmanager
-def resumable(out: Path) -> Iterator[None]:
+def resumable(plan: Plan) -> Iterator[None]:
     """Turn Ctrl-C, and errors of the system such as a full disk, into a line that says how to resume what was begun."""
     try:
         yield
     except KeyboardInterrupt:
-        raise Interrupted(f"interrupted{_going_on(out)}") from None
+        raise Interrupted(f"interrupted{_going_on(plan)}") from None
     except (OSError, MemoryError) as error:
         if (refused := mistake_of(error)) is None:
             raise
-        raise UserError(f"{refused}{_going_on(out)}") from error
+        raise UserError(f"{refused}{_going_on(plan)}") from error
     except UserError as error:
         if not isinstance(error.__cause__, OSError):
             raise
-        raise UserError(f"{error}{_going_on(out)}") from error
+        raise UserError(f"{error}{_going_on(plan)}") from error
 
 
-def _going_on(out: Path) -> str:
-    begun = (out / "config.yaml").is_file()
-    return f"; go on with: uavaccel run --out {shlex.quote(str(out))} --resume" if begun else ""
+def _going_on(plan: Plan) -> str:
+    command, begun = plan.request.suite or "run", (plan.out / "config.yaml").is_file()
+    return f"; go on with: uavaccel {command} --resume --out {shlex.quote(str(plan.out))}" if begun else ""
+
+
+def schema_of(name: str) -> dict[str, Plain]:
+    """Return the JSON schema of a suite's YAML; that of an experiment's own file has the keys of its task.
+
+    Raises UserError for an unknown suite, and as `reading` does.
+    """
+    if not is_file(name):
+        with trusting():
+            return schema(find_suite(name, "--schema").config)
+    with reading(RunRequest(name)) as (suite, config):
+        made, environment = schema(suite.config), getattr(config, "environment_class", None)
+    if environment is not None:
+        task = environment.task_class.model_json_schema()
+        made["$defs"] |= task.pop("$defs", {})
+        task["properties"]["class"] = {"type": "string", "description": "The task: file.py:Class."}
+        made["properties"]["task"] = {"anyOf": [{"type": "string"}, task]}
+    return made
