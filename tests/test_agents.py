@@ -12,6 +12,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import gymnasium
+import minari
 import numpy as np
 import pytest
 import stable_baselines3 as sb3
@@ -22,6 +23,7 @@ from tests.learning import tiny_config
 from tests.opengl import needs_opengl
 from tests.running import configured, fly_into
 from uavaccel.cli.experiments import evaluate_agent, sweep_agent
+from uavaccel.cli.main import app
 from uavaccel.envs.hover import HoverTask
 from uavaccel.envs.obstacle_lane import LaneTask
 from uavaccel.errors import UserError
@@ -45,7 +47,8 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     monkeypatch.setattr(sys, "path", [*sys.path])
     monkeypatch.setattr("uavaccel.own_code._here", {})
-    monkeypatch.delitem(sys.modules, "pilot", raising=False)
+    for module in ("pilot", "climb", "my_task"):
+        monkeypatch.delitem(sys.modules, module, raising=False)
     return tmp_path
 
 
@@ -215,6 +218,44 @@ def test_reports_of_other_environments_say_nothing_of_the_lane(env_id: str, caps
     assert page.count("--case game-00000") == 2
     evaluate_agent(asked("kernels", "simulator=kernels", *keys), None, False)
     assert [row["return"] for row in RunDirectory("kernels").rows()] == pytest.approx(returns, abs=1e-9)
+
+
+OWN_TASK = """
+from typing import ClassVar
+
+from uavaccel.envs.task import Task
+
+
+class Up(Task):
+    flat_state: ClassVar[bool] = True
+    max_commands: int = 4
+
+    def reward(self, before, now):
+        return before.position_m[2] - now.position_m[2]
+
+    def success(self, now):
+        return now.free & (now.position_m[2] < -10.2)
+"""
+
+
+def test_a_task_of_ones_own_is_evaluated_compared_swept_and_exported(capsys: pytest.CaptureFixture[str]) -> None:
+    """By its name in `--set task`, in one process and in several, with the same rows."""
+    Path("my_task.py").write_text(OWN_TASK)
+    Path("climb.py").write_text("def act(observation):\n    return [0.0, 0.0, -1.0]\n")
+    own: dict[str, Any] = {"agent": "climb.py:act", "games": 2}
+    evaluate_agent(asked("run", "task=my_task.py:Up", "task.speed_m_s=2", **own), None, False)
+    evaluate_agent(asked("many", "task=my_task.py", "task.speed_m_s=2", "environments=2", **own), Path("run"), False)
+    rows = RunDirectory("run").rows()
+    assert [row["is_success"] for row in rows] == [True, True]
+    assert RunDirectory("many").rows() == rows
+    assert "against run on the same 2 games: 2 v 2 successes" in capsys.readouterr().out
+    sweep_agent(asked("sweep", "task=my_task.py:Up", **own), ["speed=0.1,2"], None)
+    won = [cell["successes"] for cell in RunDirectory("sweep").read_json("summary.json")["cells"]]
+    assert won == [won[0], 0, 2]
+    assert not app(["export", "run", "--csv", "table", "--minari", "up-v0"], standalone_mode=False)
+    assert len(Path("table/rows.csv").read_text().splitlines()) == 3
+    dataset = minari.MinariDataset(Path("up-v0/data"))
+    assert [len(episode.actions) for episode in dataset] == [row["commands"] for row in rows]
 
 
 def test_evaluations_of_different_environments_are_not_compared() -> None:

@@ -27,6 +27,7 @@ from uavaccel.export import provenance_of
 from uavaccel.files import UNFINISHED, to_json
 from uavaccel.records import RunDirectory
 from uavaccel.rl.agents import reset_options
+from uavaccel.rl.config import ENVIRONMENTS
 from uavaccel.suites.evaluate import AnyRow, EvaluateConfig, Flyable, game_seed
 from uavaccel.suites.evaluate_again import environment_of, evaluation_of, fly_again
 from uavaccel.suites.rows import number_of
@@ -107,8 +108,11 @@ def _observed(observations: Observation) -> dict[str, Any]:
 
 
 def _write_metadata(run: RunDirectory, config: EvaluateConfig, rows: list[AnyRow], data: Path, name: str) -> None:
-    spec = copy.deepcopy(gymnasium.spec(config.env_id))
-    spec.kwargs = config.task.model_dump(mode="json")
+    made = {}
+    if config.env_id in ENVIRONMENTS:  # which whoever reads the dataset can make by its name
+        spec = copy.deepcopy(gymnasium.spec(config.env_id))
+        spec.kwargs = config.task.model_dump(mode="json")
+        made = {"env_spec": spec.to_json()}
     observations, actions = config.task.observation_space(), config.task.action_space()
     metadata = {
         "total_episodes": len(rows),
@@ -117,7 +121,7 @@ def _write_metadata(run: RunDirectory, config: EvaluateConfig, rows: list[AnyRow
         "jpeg_encoding": False,
         "observation_space": json.dumps(_plain_space(observations)),
         "action_space": json.dumps(_plain_space(actions)),
-        "env_spec": spec.to_json(),
+        **made,
         "dataset_id": name,
         "minari_version": LAYOUT,
         "algorithm_name": config.agent,

@@ -119,8 +119,9 @@ def flight_of(
     """Return the name and the flight of a run's game, by its case or its line in rows.jsonl, or of a policy's.
 
     `source` is a run directory, or a policy: "default", its folder, a training's run directory, which flies the
-    evaluation lane, or the game, `case`, by default the first. By default a run's game is the most interesting. With `pictures` the
-    flight has images, where the run keeps them or can fly its games again. Raises UserError if there is no such game.
+    evaluation lane, or the game, `case`, by default the first. By default a run's game is the most interesting. With
+    `pictures` the flight has images, where the run keeps them or can fly its games again. Raises UserError if there is
+    no such game.
     """
     from uavaccel.rl.agents import policy_folder  # they load what learns
     from uavaccel.rl.policy import MANIFEST

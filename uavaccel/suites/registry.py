@@ -6,6 +6,7 @@ Custom suites are named "module:name" (own_code.py).
 from __future__ import annotations
 
 import copy
+import re
 from collections.abc import Iterable, Mapping
 from importlib import import_module
 from pathlib import Path
@@ -34,6 +35,10 @@ SUITES = {
     "evaluate": "uavaccel.suites.evaluate:Evaluation",
     "realtime": "uavaccel.suites.realtime:Realtime",
 }
+
+CLASS = "task.class"
+NAMED = re.compile(r"^task=(?=[^{\[\s]*$)")
+"""Begins what sets a task by its name, which is its class: the keys of the task stay."""
 
 
 def read_mapping(name: str) -> tuple[dict[str, Plain], str]:
@@ -68,12 +73,17 @@ def merged(
     """Return a mapping with `keys` by dotted key, then each "dotted.key=value" of --set, applied. Raises UserError."""
     result = copy.deepcopy(dict(mapping))
     for key, value in keys.items():
-        assign(result, key, copy.deepcopy(value), key)  # later keys may change it
-    return apply_overrides(result, overrides)
+        place = CLASS if key == "task" and isinstance(value, str) else key
+        assign(result, place, copy.deepcopy(value), key)  # later keys may change it
+    return apply_overrides(result, (NAMED.sub(f"{CLASS}=", override) for override in overrides))
 
 
 def configuration(suite: Suite[ConfigType, CaseType], mapping: Mapping[str, Plain], source: str) -> ConfigType:
     """Return a suite's checked configuration from a YAML's mapping, omitted keys completed. Raises UserError."""
+    if "env_id" in suite.config.model_fields:
+        from uavaccel.rl.config import with_env_id  # loads Gymnasium
+
+        mapping = with_env_id(mapping)
     config = validate(suite.config, suite.complete(mapping), source)
     suite.check(config)
     return config
