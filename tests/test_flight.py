@@ -15,7 +15,7 @@ from uavaccel.draw.film import frames
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
 from uavaccel.sim import chase
-from uavaccel.sim.lane.layout import sample_layout
+from uavaccel.sim.lane.layout import LaneLayout, sample_layout
 from uavaccel.suites import evaluate_again
 from uavaccel.suites.dp1 import Dp1
 from uavaccel.suites.dp2 import Dp2
@@ -106,7 +106,7 @@ def test_a_game_of_dp2_is_read_from_its_samples(
     assert flight.commands.velocity_m_s.tolist() == [[1.0, 0.0, 0.0], [0.0, 2.0, 0.0]]
     assert flight.collision == (None if counted else (1250 * MS, "wall"))
     np.testing.assert_array_equal(flight.images, arrays["colour" if counted else "image"])
-    assert flight.lane is not None
+    assert isinstance(flight.lane, LaneLayout)
     np.testing.assert_array_equal(flight.lane.x_m, config.layout().x_m)
     ends, counts = (
         [window.time_ns / 1e9 for window in flight.windows],

@@ -119,8 +119,8 @@ class OnnxAgent(BatchAgent):
         if not fits:
             raise UserError(f"{self._name}: gives {answer.shape} numbers for {count} actions, each {form_of(space)}")
         if isinstance(space, spaces.Discrete):
-            return answer.astype(np.int64)
-        return np.clip(answer, -1.0, 1.0).astype(np.float32)
+            return np.asarray(answer, np.int64)
+        return np.asarray(np.clip(answer, -1.0, 1.0), np.float32)
 
 
 def _form_of_inputs(task: Task, exported: bool) -> str:
@@ -144,7 +144,7 @@ def _whole(task: Task, observations: NDArray[Any]) -> dict[str, NDArray[Any]] | 
     if task.observation == "state":
         return observations
     planes, told = _planes(task)
-    levels = observations[:, :planes].astype(np.float32)
+    levels: NDArray[Any] = observations[:, :planes].astype(np.float32)
     if task.observation == "dvs":
         levels = (levels - NEUTRAL_LEVEL) / BLOCK_SIDE**2
     elif task.observation == "depth":

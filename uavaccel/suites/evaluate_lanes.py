@@ -101,7 +101,7 @@ def set_agent(environment: FlightEnv[Any], config: Mapping[str, object], folder:
     Own code that it names runs, also that in `folder`.
     """
     th.set_num_threads(1)
-    with trusting(beside=folder and Path(folder)):
+    with trusting(beside=None if folder is None else Path(folder)):
         checked = validate(EvaluateConfig, config, "evaluation")
         _evaluates[environment] = checked, make_agent(checked.agent, checked.task)
 

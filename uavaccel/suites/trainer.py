@@ -42,7 +42,7 @@ from uavaccel.rl.policy import export_policy, weights_sha256
 from uavaccel.sim.camera.camera import BlankCamera, make_cameras_with
 from uavaccel.suites.evaluate import EvaluateConfig
 from uavaccel.suites.evaluate_lanes import GamesInBatch
-from uavaccel.suites.rows import Row, game_row, number_of, subset, with_lane
+from uavaccel.suites.rows import Row, game_row, number_of, with_lane
 from uavaccel.suites.suite import GameResult
 from uavaccel.suites.train import CHECKPOINTS, EVALUATIONS, RECENT, TrainConfig, TrainRow, evaluations, game_case
 from uavaccel.units import NS_PER_S
@@ -190,7 +190,8 @@ class GameRows:
         info = with_lane(game.info, game.number)
         row: TrainRow = {
             **game_row("train", game_case(game.number), info, self._t_move_s),
-            **subset(info, "lane", "distance_m"),
+            "lane": info["lane"],
+            "distance_m": info["distance_m"],
             "game": game.number,
             "environment": game.lane,
             "return": game.reward,
