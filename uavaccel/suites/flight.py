@@ -12,13 +12,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from uavaccel.errors import UsageError, UserError
-from uavaccel.sim.clutter.layout import ClutterLayout
 from uavaccel.sim.lane.layout import LaneLayout
 from uavaccel.units import NS_PER_S, to_ns
 
 if TYPE_CHECKING:  # they load what draws
     from uavaccel.draw.film import Film
     from uavaccel.draw.panels import Decisions
+    from uavaccel.sim.clutter.layout import ClutterLayout
     from uavaccel.vision.dvs import DvsParameters
 
 ARRAYS = ("time_s", "position_m", "orientation_wxyz", "command_start_s", "command_end_s")
