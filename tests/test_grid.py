@@ -361,7 +361,11 @@ def test_the_map_shows_ratio_and_interval_of_every_cell(tmp_path: Path, monkeypa
         ("sweep", "sweep={wind: [1, 1.0]}", "each once"),
         ("sweep", "sweep={wind: []}", "needs values"),
         ("sweep", "sweep={nothing: [1]}", "is unknown"),
-        ("sweep", "sweep={task.nothing: [1]}", "unknown key 'task.nothing'"),
+        (
+            "sweep",
+            "sweep={task.nothing: [1]}",
+            "--sweep task.nothing: uavaccel/ObstacleLane-v0 has no task.nothing; known: wind, ",
+        ),
         ("sweep", "sweep={command: [fly]}", "task.command"),
         ("robustness", "latency_scale=[-1]", "latency_scale.0 = -1: should be greater than or equal to 0"),
         ("robustness", "latency_scale=[1, 1]", "has 1 twice"),
