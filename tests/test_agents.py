@@ -258,6 +258,19 @@ def test_a_task_of_ones_own_is_evaluated_compared_swept_and_exported(capsys: pyt
     assert [len(episode.actions) for episode in dataset] == [row["commands"] for row in rows]
 
 
+def test_evaluate_takes_a_yaml_file_that_says_all_of_it() -> None:
+    """Whose code it names itself is trusted by naming the file."""
+    Path("pilot.py").write_text(PILOT)
+    Path("pilot.yaml").write_text(
+        "{suite: evaluate, agent: pilot.py:act, env_id: uavaccel/Hover-v0, games: 1, "
+        "task: {timing: lockstep, max_commands: 2}}"
+    )
+    assert not app(["evaluate", "pilot.yaml", "--no-films", "--out", "run"], standalone_mode=False)
+    assert [row["case"] for row in RunDirectory("run").rows()] == ["game-000000"]
+    with pytest.raises(UserError, match=r"^--sweep: takes an agent, not pilot\.yaml: a sweep's own YAML"):
+        app(["evaluate", "pilot.yaml", "--sweep", "clock=1,2"], standalone_mode=False)
+
+
 def test_evaluations_of_different_environments_are_not_compared() -> None:
     evaluate_agent(asked("hover", HOVER, "task.max_commands=1", games=1), None, False)
     with pytest.raises(UserError, match=r"^--against hover: is no evaluation of the same games$"):

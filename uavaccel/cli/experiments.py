@@ -102,6 +102,8 @@ def evaluate(
     """Fly a policy in games it has not seen: success ratio, films."""
     experiment = None if agent is None and request.resume else "evaluate"
     if agent is not None and agent.endswith((".yaml", ".yml")):
+        if sweep:
+            raise UsageError(f"--sweep: takes an agent, not {agent}: a sweep's own YAML file says `suite: sweep`")
         experiment, agent = agent, None
     request = replace(request, experiment=experiment, suite="evaluate", options={**request.options, "agent": agent})
     if sweep:
