@@ -95,7 +95,7 @@ def _check_features(task: Task, call: Functions, state: Kinematics, course: Mapp
         raise call.wrong(name, f"observations are of shape {seen}, in observation_space of {space.shape}")
 
 
-def check_reward(task: Task, reward: object) -> None:
+def check_reward(task: Task, reward: Any) -> None:
     """Raise UserError for a reward, or an array of rewards, that is no finite number."""
     array = isinstance(reward, np.ndarray)
     if np.isfinite(reward).all() if array else isinstance(reward, Real) and math.isfinite(reward):
