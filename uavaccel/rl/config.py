@@ -63,10 +63,10 @@ def environment_class(env_id: str) -> type[FlightEnv[Any]]:
     if ":" in env_id:
         from uavaccel.envs.flight_env import FlightEnv, environment_of
 
-        found = own_class(env_id, f"task {env_id!r}", Task, FlightEnv)
-        if issubclass(found, FlightEnv) and not hasattr(found, "task_class"):
-            raise UserError(f"task {env_id!r}: {found.__name__} has no task_class, which is the class of its task")
-        return environment_of(found)
+        own = own_class(env_id, f"task {env_id!r}", Task, FlightEnv)
+        if issubclass(own, FlightEnv) and not hasattr(own, "task_class"):
+            raise UserError(f"task {env_id!r}: {own.__name__} has no task_class, which is the class of its task")
+        return environment_of(own)  # type: ignore[arg-type]  # mypy doubts that classes are hashable
     if env_id == LANE:
         return ObstacleLane
     name = env_id.removeprefix("uavaccel/").removesuffix("-v0")
