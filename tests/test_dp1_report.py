@@ -267,6 +267,8 @@ def test_a_run_of_few_games_has_a_whole_report(tmp_path: Path, drawn: dict[str, 
     report_of(tmp_path / "equal", [REFERENCE, *ALIKE]).write()
     labels = ["ADSC at 1x, reference", f"TCSC at 50x, worst of 3: STLC {1 + np.exp(-0.1):.3f}"]
     assert list(labelled(drawn[FIGURES[1]].axes[0])) == labels
+    page = (tmp_path / "equal/report.md").read_text()
+    assert "Real-time ADSC games that a cell is compared with, of the same T\\_move and rounds: 1." in page
     report_of(tmp_path / "failed", [ALIKE[0] | {"error": "crashed"}]).write()
     nothing = (
         "no flight recorded",

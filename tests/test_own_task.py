@@ -67,6 +67,11 @@ class Free(Post):
     def directions(self):
         return None
 """
+BARE = """
+from uavaccel.envs.flight_env import FlightEnv
+class Mine(FlightEnv):
+    pass
+"""
 YAML = """
 suite: train
 task: {{class: post.py:{task}, near_m: 1.0}}
@@ -224,11 +229,12 @@ def test_unknown_keys_of_ones_own_task_are_found_too(here: Path, said: Callable[
     ("x = 1\ny = x / 0\n", "task 'mine.py': HERE/mine.py:2: ZeroDivisionError: division by zero"),
     ("def x(:\n", "task 'mine.py': HERE/mine.py:1: SyntaxError: invalid syntax"),
     ("import no_such_module\n", "task 'mine.py': HERE/mine.py:1: ModuleNotFoundError: No module named"),
+    (BARE, "task 'mine.py:Mine': Mine has no task_class"),
     (POST + MORE, "task 'mine.py': has 2 tasks: name one, mine.py:Post or mine.py:Free"),
 ])  # fmt: skip
 def test_a_file_without_one_task_is_one_line(file: str, line: str, here: Path, said: Callable[[str], str]) -> None:
     (here / "mine.py").write_text(file)
-    assert said("train mine.py --dry-run").startswith(line.replace("HERE", str(here)))
+    assert line.replace("HERE", str(here)) in said("train mine.py --dry-run")
     assert said("train theirs.py --dry-run") == "theirs.py: no such file"
 
 

@@ -22,10 +22,10 @@ from scipy.stats import norm
 
 from uavaccel.config import dump_yaml
 from uavaccel.draw import style
+from uavaccel.limits import CommandName
 from uavaccel.metrics.stlc import mean_stlc
 from uavaccel.metrics.trajectory import Trajectory, trajectory
 from uavaccel.suites.dp1 import Dp1, Dp1Config, Game
-from uavaccel.suites.experiment import CommandName
 from uavaccel.wire.latency import QUANTILES, LatencyConfig
 from uavaccel.wire.platform import FrameConfig, PlatformConfig
 from uavaccel.wire.session import open_session

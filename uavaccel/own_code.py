@@ -19,7 +19,7 @@ from importlib import import_module
 from pathlib import Path
 from traceback import walk_tb
 from types import ModuleType
-from typing import Any, TypeVar
+from typing import Any
 
 from uavaccel.errors import UserError, suggestion
 from uavaccel.files import read_bounded, replacing
@@ -32,7 +32,6 @@ _noted: list[Path] = []
 """Folders that runs and policies name, in which only remembered code may run."""
 _imported: dict[str, Path] = {}
 """The files of the modules that were imported in this process."""
-T = TypeVar("T")
 
 
 @contextmanager
@@ -77,7 +76,7 @@ def look_also_in(folder: object) -> None:
         _noted.append(noted)
 
 
-def own_class(place: str, where: str, *bases: type[T]) -> type[T]:
+def own_class(place: str, where: str, *bases: type) -> type[Any]:
     """Return the class "module:name" of the current project, a subclass of one of `bases`.
 
     Raises UserError, beginning with `where`, as `own_module` does, and if it is none.

@@ -106,7 +106,7 @@ def fly(options: ProgramOptions, place: SlotOptions) -> None:
             method, arguments = connection.recv()
             try:
                 if slot is None:
-                    found = environment_of(getattr(importlib.import_module(module), name))
+                    found: Any = environment_of(getattr(importlib.import_module(module), name))
                     environment, own = found(**options["keys"]), file_of(found)
                     autoreset = AutoresetMode(options["autoreset"])
                     seen, last = (rows_of(each, number) for each in (shared.present, shared.last))

@@ -36,7 +36,8 @@ class Functions:
             raise self.wrong(name, f"{type(error).__name__}: {error}") from error
 
     def wrong(self, name: str, what: str) -> UserError:
-        return UserError(f"{self._file}: {type(self._task).__name__}.{name.removeprefix('lane_')}: {what}")
+        place = "" if self._file is None else f"{self._file}: "
+        return UserError(f"{place}{type(self._task).__name__}.{name.removeprefix('lane_')}: {what}")
 
 
 def check_functions(task: Task) -> None:
@@ -95,25 +96,26 @@ def _check_features(task: Task, call: Functions, state: Kinematics, course: Mapp
         raise call.wrong(name, f"observations are of shape {seen}, in observation_space of {space.shape}")
 
 
-def check_reward(task: Task, reward: object) -> None:
+def check_reward(task: Task, reward: Any) -> None:
     """Raise UserError for a reward, or an array of rewards, that is no finite number."""
-    array = isinstance(reward, np.ndarray)
-    if np.isfinite(reward).all() if array else isinstance(reward, Real) and math.isfinite(reward):
-        return
-    shown = reward[~np.isfinite(reward)][0] if isinstance(reward, np.ndarray) else reward
-    raise Functions(task).wrong("reward", f"returned {shown!r}: must be a finite number")
+    wrong: list[Any] = []
+    if isinstance(reward, np.ndarray):
+        wrong = reward[~np.isfinite(reward)].tolist()
+    elif not (isinstance(reward, Real) and math.isfinite(reward)):
+        wrong = [reward]
+    if wrong:
+        raise Functions(task).wrong("reward", f"returned {wrong[0]!r}: must be a finite number")
 
 
 def flies_over_arrays(task: Task) -> bool:
     """Return whether the kernels can fly a task: its functions, too, compute with arrays as with numbers."""
-    course, like = stacked([task.sample(np.random.default_rng(game), {}) for game in range(2)]), np.zeros(2)
-    state = Kinematics(like.astype(np.int64), *([like] * size for size in (3, 4, 3, 3, 3, 3)))  # type: ignore[arg-type]
-    none = Collisions(like.astype(np.int64) - 1, ())
-    begun = Moments(state, list(state.position_m), none, like.astype(np.int64), course)
-    space = task.action_space()
-    actions = np.zeros((2, *(space.shape or ())), space.dtype)
+    space, like = task.action_space(), np.zeros(2)
+    none, actions = like.astype(np.int64), np.zeros((2, *(space.shape or ())), space.dtype)
+    state = Kinematics(none, *([like] * size for size in (3, 4, 3, 3, 3, 3)))  # type: ignore[arg-type]
     try:
         check_flyable(task, 1, CPU)
+        course = stacked([task.sample(np.random.default_rng(game), {}) for game in range(2)])
+        begun = Moments(state, list(state.position_m), Collisions(none - 1, ()), none, course)
         goal = task.goal(cast(actions, "float64").T if isinstance(space, spaces.Box) else actions)
         now = begun._replace(course=task.advance(begun, begun))
         seen = task.fields(state, course) if type(task).features is Task.features else ()

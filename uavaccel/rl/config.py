@@ -63,7 +63,10 @@ def environment_class(env_id: str) -> type[FlightEnv[Any]]:
     if ":" in env_id:
         from uavaccel.envs.flight_env import FlightEnv, environment_of
 
-        return environment_of(own_class(env_id, f"task {env_id!r}", Task, FlightEnv))
+        own = own_class(env_id, f"task {env_id!r}", Task, FlightEnv)
+        if issubclass(own, FlightEnv) and not hasattr(own, "task_class"):
+            raise UserError(f"task {env_id!r}: {own.__name__} has no task_class, which is the class of its task")
+        return environment_of(own)  # type: ignore[arg-type]  # mypy doubts that classes are hashable
     if env_id == LANE:
         return ObstacleLane
     name = env_id.removeprefix("uavaccel/").removesuffix("-v0")
@@ -91,7 +94,7 @@ def only_task(place: str) -> str:
     module = own_module(module_of(place), where)
     here = [each for each in vars(module).values() if isinstance(each, type) and each.__module__ == module.__name__]
     environments = [each for each in here if issubclass(each, FlightEnv)]
-    flown = {each.task_class for each in environments}
+    flown = {getattr(each, "task_class", None) for each in environments}
     found = environments + [each for each in here if issubclass(each, Task) and each not in flown]
     if not found:
         raise UserError(f"{where}: has no class of a task: a subclass of uavaccel.envs.task.Task, or of FlightEnv")
@@ -239,7 +242,7 @@ class LearnerConfig(Config):
     def keys_of(cls, mapping: Mapping[str, Any]) -> KeyTree:
         """Return its keys with those of the task and of the algorithm's options that the mapping names."""
         every = {DOUBLE_DQN: DqnOptions.keys_of({}), PPO: PPOSettings.keys_of({})}
-        options = every.get(mapping.get("algorithm", ""), every[DOUBLE_DQN] | every[PPO])
+        options = every.get(str(mapping.get("algorithm")), every[DOUBLE_DQN] | every[PPO])
         return keys_with_task(super().keys_of(mapping), mapping) | {"options": options}
 
 
