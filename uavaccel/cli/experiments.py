@@ -38,7 +38,7 @@ def run(
     run_experiment(replace(request, experiment=experiment))
 
 
-@requests("games", "clock_speed", "command", "timing", "profile", "seed", jobs=False)
+@requests("games", "clock_speed", "command", "timing", "profile", "seed", "seeds")
 def train(
     request: RunRequest,
     experiment: Annotated[str | None, typer.Argument(help="An experiment's YAML file; --resume needs none.")] = None,
@@ -102,8 +102,13 @@ def run_experiment(
     `check` looks at the plan before anything flies, `flown` at the run before its report.
     """
     from uavaccel.cli.terminal import Progress
+    from uavaccel.clock import MonotonicClock
+    from uavaccel.draw.labels import in_words
     from uavaccel.suites.session import planned, resumable
+    from uavaccel.units import NS_PER_S
 
+    clock = MonotonicClock()
+    begun_ns = clock.now_ns()
     with planned(request) as plan:
         if check is not None and not request.dry_run:
             check(plan)
@@ -114,13 +119,15 @@ def run_experiment(
             return None
         with resumable(plan.out):
             run = plan.begin(console.print)
-            with page(), Progress(plan.cases, plan.request.jobs, run.rows(), plan.suite.status, console) as progress:
+            with page(), Progress(plan.suite, plan.cases, plan.request.jobs, run.rows(), console) as progress:
                 plan.fly(run, progress.flown)
             try:
                 if flown is not None:
                     flown(run)
             finally:
                 report_run(run)
+            took_s = (clock.now_ns() - begun_ns) / NS_PER_S
+            console.print(f"{in_words(took_s)} in all, from this start to the report")
         return run
 
 

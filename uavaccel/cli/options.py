@@ -76,14 +76,13 @@ OF_A_REQUEST = (
 """The options of every command that flies an experiment, by the fields of its RunRequest."""
 
 
-def requests(*keys: str, several: tuple[str, ...] = (), jobs: bool = True) -> Callable[[Callable[..., None]], Any]:
+def requests(*keys: str, several: tuple[str, ...] = ()) -> Callable[[Callable[..., None]], Any]:
     """Decorate a command that flies an experiment: its first parameter is a RunRequest of the options that are added.
 
-    These are an option for each of `keys`, which `several` may repeat, and those of every run; without `jobs` one
-    process flies.
+    These are an option for each of `keys`, which `several` may repeat, and those of every run.
     """
     options = [_of_key(name, name in several) for name in keys]
-    options += [option for option in OF_A_REQUEST if jobs or option.name not in ("jobs", "engine")]
+    options += OF_A_REQUEST
 
     def decorate(function: Callable[..., None]) -> Callable[..., None]:
         def command(**given: Any) -> None:

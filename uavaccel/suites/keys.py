@@ -26,6 +26,6 @@ KEYS = {
     ),
     "profile": Key("--profile", str, "native or airsim", ("native", "airsim")),
     "seed": Key("--seed", int, "Seed of every random number"),
-    "seeds": Key("--seeds", int, "For rl: trainings per cell"),
+    "seeds": Key("--seeds", int, "Trainings, of each cell for rl: seed, seed + 1 and so on"),
     "with_run": Key("--with", str, "For paper: a run of rl, which decides what needs training"),
 }
