@@ -376,7 +376,7 @@ def test_curves_of_games_count_from_this_start_and_leave_out_evaluations(
     now_s = iter([100.0, 104.0, 110.0, 115.0, 120.0])
     monkeypatch.setattr(trainer, "MonotonicClock", lambda: SimpleNamespace(now_ns=lambda: int(next(now_s) * NS_PER_S)))
     earlier = won(*[False] * 50, *[True] * 3, *[False] * 90, *[True] * 7)  # of the last 100 ten
-    rows = trainer.GameRows(tiny_config({"t_move_s": 0.5}), tmp_path / "tensorboard", earlier)
+    rows = trainer.GameRows(tiny_config({"t_move_s": 0.5}), tmp_path, earlier)
     stopwatch: Any = SimpleNamespace(spent_s=dict)
     info: dict[str, Any] = {
         "is_success": False, "distance_m": 7.0, "collision": None, "lane": 3, "commands": 16,

@@ -19,8 +19,8 @@ from uavaccel.suites.seeds import Seeds, SeedsConfig
 from uavaccel.suites.session import RunRequest, configure, planned
 from uavaccel.suites.train import TrainConfig
 
-TRAINING = tiny_config({"observation": "state"}, mirror=False, evaluate_every_games=4, evaluation_games=2)
-SAME = ("config.yaml", "rows.jsonl", "summary.json", "evaluations.jsonl", "policy.pt", "policy.json")
+TRAINING = tiny_config({"observation": "state"}, mirror=False)
+SAME = ("config.yaml", "rows.jsonl", "summary.json", "policy.pt", "policy.json")
 
 
 def over(seeds: int, training: TrainConfig = TRAINING, seed: int = 7) -> SeedsConfig:

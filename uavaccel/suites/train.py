@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -55,6 +56,8 @@ class TrainConfig(LearnerConfig, Experiment):
     """Interval in games at which the greedy policy is evaluated, as it is after the last game; 0: never."""
     evaluation_games: GameCount = 100
     """Lanes of each of these evaluations, from number 500 000 on, so that those of `uavaccel evaluate` stay unseen."""
+    wandb: Annotated[str, Field(min_length=1, max_length=128)] | None = None
+    """Project of Weights & Biases to which the curves go, beside TensorBoard's; None: nothing is sent anywhere."""
 
     @model_validator(mode="after")
     def _evaluations_fit(self) -> TrainConfig:
@@ -123,6 +126,8 @@ class Training(Suite[TrainConfig, SimpleCase]):
 
     def check(self, config: TrainConfig) -> None:
         check_algorithm(config)
+        if config.wandb is not None and find_spec("wandb") is None:
+            raise UserError(f"wandb = {config.wandb!r}: needs the package wandb: pip install 'uavaccel[wandb]'")
         if config.start_from is not None:
             first_policy(config)
 
