@@ -15,22 +15,26 @@ LOG := $(VENV)/set-up.log
 PIP := $(BIN)/python -m pip install -qq --retries 1
 TORCH := $(shell grep '^torch==' constraints.txt)
 
-.PHONY: run test docs setup clean
+.DEFAULT_GOAL := help
+.PHONY: help run test docs setup clean
 
-run: setup
+help: ## list these targets
+	@sed -nE 's/^([a-z]+):.*## (.*)/make \1\t\2/p' $(MAKEFILE_LIST)
+
+run: setup ## fly the paper's square at 50x, measured, and write a report
 	$(BIN)/uavaccel run dp1 --clock 50
 
-test: setup
+test: setup ## linter, types and tests
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/pytest
 
 # The variable keeps the theme from advertising its successor.
-docs: $(DOCS_STAMP)
+docs: $(DOCS_STAMP) ## the documentation as a site, in build/docs
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
 	@echo "build/docs/index.html"
 
-setup: $(STAMP)
+setup: $(STAMP) ## an environment in .venv with all that is needed
 
 $(DOCS_STAMP): $(STAMP)
 	@$(PIP) --constraint constraints.txt --editable '.[docs]' 2>$(LOG) || { cat $(LOG) >&2; exit 1; }
@@ -46,5 +50,5 @@ $(STAMP): pyproject.toml constraints.txt Makefile
 	@$(PIP) --constraint constraints.txt --editable '.[dev]' 2>$(LOG) || { cat $(LOG) >&2; exit 1; }
 	@touch $@
 
-clean:
+clean: ## remove .venv, builds and caches
 	rm -rf $(VENV) dist build .mypy_cache .pytest_cache .ruff_cache .hypothesis

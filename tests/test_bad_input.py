@@ -162,18 +162,22 @@ run --out nowhere -> experiment; train --resume --out nowhere -> nowhere; train 
 train --clock -1 -> clock_speed; train --profile unreal -> profile; train --timing soon -> timing
 evaluate nowhere -> nowhere; evaluate offset:nan -> offset:nan; evaluate offset:1e308 -> offset:1e308
 evaluate straight --against nowhere -> nowhere; evaluate straight --jobs 0 -> --jobs
-evaluate straight --seed -1 -> seed; evaluate --resume --out nowhere -> nowhere; report nowhere -> nowhere
-report -> RUN_DIRS; view nowhere -> nowhere; view --case lane -> --case; view --case lane-9999999 -> lane
-calibrate --commands 0 -> --commands; calibrate --commands -5 -> --commands
-calibrate --commands 1000000000000 -> --commands; calibrate --profile unreal -> --profile
-calibrate --out nowhere/latency.yaml -> --out; calibrate --out there.txt -> exists
-calibrate --check --games 0 -> --games; calibrate --check --profile unreal -> --profile
-calibrate --check --latency nowhere.yaml -> nowhere.yaml; advise --t-move 0 -> --t-move
-advise --t-move nan -> --t-move; advise --t-move 1e308 -> --t-move; advise --error 0 -> --error
-advise --error nan -> --error; advise --rounds 0 -> --rounds; advise --rounds 1001 -> --rounds
-advise --profile unreal -> --profile; advise --latency nowhere.yaml -> nowhere.yaml; bench nothing -> nothing
-bench --soak-s -1 -> --soak-s; bench --soak-s nan -> --soak-s; bench batch --lanes 0 -> --lanes
-bench batch --renderer none -> --renderer; bench hot-loop --out nowhere/bench.json -> --out; serve --clock 0 -> clock
+evaluate straight --seed -1 -> seed; evaluate --resume --out nowhere -> nowhere; run --report nowhere -> nowhere
+run --report -> run directory; run --report nowhere --games 3 -> --report; watch nowhere -> nowhere
+watch nowhere --film f.mp4 -> nowhere; watch default --film f.mp4 --case lane -> --case
+watch default --film f.mp4 --case lane-9999999 -> lane; watch default --film f.png -> .mp4; watch --film f.mp4 -> --film
+report nowhere -> uavaccel run --report RUN_DIR; view -> uavaccel watch RUN --film FILE; advise -> timing advise
+schema train -> uavaccel init --schema SUITE; calibrate -> uavaccel timing calibrate; init -> folder
+timing calibrate --commands 0 -> --commands; timing calibrate --commands -5 -> --commands
+timing calibrate --commands 1000000000000 -> --commands; timing calibrate --profile unreal -> --profile
+timing calibrate --out nowhere/latency.yaml -> --out; timing calibrate --out there.txt -> exists
+timing calibrate --check --games 0 -> --games; timing calibrate --check --profile unreal -> --profile
+timing calibrate --check --latency nowhere.yaml -> nowhere.yaml; timing advise --t-move 0 -> --t-move
+timing advise --t-move nan -> --t-move; timing advise --t-move 1e308 -> --t-move; timing advise --error 0 -> --error
+timing advise --error nan -> --error; timing advise --rounds 0 -> --rounds; timing advise --rounds 1001 -> --rounds
+timing advise --profile unreal -> --profile; timing advise --latency nowhere.yaml -> nowhere.yaml
+bench nothing -> nothing; bench --soak-s -1 -> --soak-s; bench --soak-s nan -> --soak-s
+bench batch --lanes 0 -> --lanes; bench batch --renderer none -> --renderer; bench hot-loop --out nowhere/bench.json -> --out; serve --clock 0 -> clock
 serve --clock nan -> clock; serve --port 99999 -> port; serve --port -1 -> port
 serve --host nowhere.invalid -> nowhere.invalid; serve --profile unreal -> profile; serve --scene moon -> moon
 serve --settings nowhere.json -> nowhere.json; serve --settings there.txt -> there.txt; doctor --all -> --all

@@ -164,7 +164,7 @@ def test_a_calibration_is_a_latency_model_and_its_medians_are_told(
     monkeypatch.setattr(doctor, "check_machine", lambda: NOISY)
     monkeypatch.setattr("uavaccel.sim.camera.gl.describe_renderer", draws_nothing)
     file = tmp_path / "latency.yaml"
-    lines = printed(f"calibrate --out {file} --commands 70 --profile airsim")
+    lines = printed(f"timing calibrate --out {file} --commands 70 --profile airsim")
     assert measured == [("airsim", 70, False)]
     model = read_latency(file)
     thousands = [1000 * share for share in QUANTILES]
@@ -341,7 +341,7 @@ def test_each_game_is_flown_on_the_machines_clock_on_the_model_and_on_the_machin
         return flown(run * (seed + 1), 0.0, run * np.arange(11.0))
 
     monkeypatch.setattr(calibrate, "fly_square", fly)
-    lines = printed(f"calibrate --check --games 2 --latency {own}")
+    lines = printed(f"timing calibrate --check --games 2 --latency {own}")
     assert models == [read_latency(own)]
     assert asked == ["wall", "model", "wall", "wall", "model", "wall", "ideal"] * 8
     assert ["ADSC", "50x", "0.2", "gap", "s", *"159", "3", "15", "27", "2", "10", "18", "agrees"] in lines
@@ -441,7 +441,7 @@ def test_advice_is_of_what_was_asked_for_by_the_profiles_model_or_ones_own(
         ("", "native", shipped_latency("native")),
         (f"--latency {own}", "native", read_latency(own)),
     ):
-        lines = printed(f"advise --t-move 0.5 --error 0.1 --rounds 3 --profile {profile} {option}")
+        lines = printed(f"timing advise --t-move 0.5 --error 0.1 --rounds 3 --profile {profile} {option}")
         assert asked[-1] == (model, profile, 0.5, 3)
         assert lines[1] == ["1x", "0.01", "1.5", "0.98", "0.001", "2", "0.999"]
         assert lines[2] == ["50x", "0.75", "1.5", "30", "0.05", "2", "45"]
@@ -451,12 +451,12 @@ def test_advice_is_of_what_was_asked_for_by_the_profiles_model_or_ones_own(
 @pytest.mark.parametrize(
     ("line", "said"),
     [
-        ("advise --t-move 0.333", "--t-move: 0.333 s is not a positive multiple"),
-        ("advise --error 0", "--error 0: must be above 0"),
-        ("advise --rounds 0", "--rounds 0: must be 1 to"),
-        ("advise --profile px4", "--profile px4: must be native or airsim"),
-        ("calibrate --games 0 --check", "--games 0: must be 1 to"),
-        ("calibrate --commands 0", "--commands 0: must be 1 to"),
+        ("timing advise --t-move 0.333", "--t-move: 0.333 s is not a positive multiple"),
+        ("timing advise --error 0", "--error 0: must be above 0"),
+        ("timing advise --rounds 0", "--rounds 0: must be 1 to"),
+        ("timing advise --profile px4", "--profile px4: must be native or airsim"),
+        ("timing calibrate --games 0 --check", "--games 0: must be 1 to"),
+        ("timing calibrate --commands 0", "--commands 0: must be 1 to"),
     ],
 )
 def test_what_cannot_be_advised_or_measured_is_one_line(line: str, said: str) -> None:

@@ -1,7 +1,10 @@
 """The command line: quick, complete, one line for a mistake; what is asked for is what is typed; a run in words."""
 
 import io
+import json
 import os
+import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -14,20 +17,20 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 from tools.write_cli_reference import reference
+from uavaccel import __version__
 from uavaccel.cli import experiments, terminal
 from uavaccel.cli.main import app
-from uavaccel.cli.options import experiments as complete_experiments
-from uavaccel.cli.options import one_of
+from uavaccel.cli.options import one_of, shipped
 from uavaccel.cli.terminal import columns_within
 from uavaccel.draw.page import Table
 from uavaccel.envs import batch
 from uavaccel.envs.obstacle_lane import LaneTask
-from uavaccel.errors import UserError
+from uavaccel.errors import Interrupted, UsageError, UserError
 from uavaccel.records import RunDirectory
 from uavaccel.sim.camera import gl
 from uavaccel.suites.keys import KEYS
 from uavaccel.suites.registry import SUITES, find_suite
-from uavaccel.suites.session import Plan, RunRequest, configure, planned, resumption_notes
+from uavaccel.suites.session import Plan, RunRequest, configure, planned, resumable, resumption_notes
 from uavaccel.suites.suite import SimpleCase
 from uavaccel.units import NS_PER_S
 
@@ -60,6 +63,58 @@ def test_help_loads_nothing_heavy() -> None:
     assert not heavy & set(done.stdout.split())
 
 
+COMMANDS = ["init", "train", "evaluate", "watch", "export", "fly", "serve", "run", "doctor", "timing"]
+
+
+@pytest.mark.parametrize("name", ["", *COMMANDS, "timing advise", "timing calibrate"])
+def test_help_is_short_and_fits_a_terminal(name: str) -> None:
+    lines = typed(f"{name} -h").splitlines()
+    assert lines == typed(f"{name} --help").splitlines()
+    assert max(map(len, lines)) <= 80
+    if not name:
+        assert len(lines) <= 24  # a screen
+        assert [line.split()[0] for line in lines if re.match("  [a-z]", line)] == COMMANDS
+
+
+def test_experiments_are_listed_with_a_line_for_each() -> None:
+    lines = typed("run --list").splitlines()
+    assert max(map(len, lines)) <= 80
+    assert [line.split()[0] for line in lines] == shipped("")
+    assert all(line.split()[1:] for line in lines)
+
+
+def test_the_version_is_the_packages() -> None:
+    assert typed("--version") == f"uavaccel {__version__}\n"
+
+
+def test_the_schema_is_of_the_suite_or_of_a_training() -> None:
+    assert json.loads(typed("init --schema dp1"))["properties"]["rounds"]
+    assert typed("init --schema") == typed("init --schema train")
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("report runs/a", "run --report RUN_DIR"),
+        ("view", "watch RUN --film FILE"),
+        ("schema train", "init --schema SUITE"),
+        ("advise --error 1", "timing advise"),
+        ("calibrate", "timing calibrate"),
+    ],
+)
+def test_a_command_that_has_moved_says_where_to(old: str, new: str) -> None:
+    done = uavaccel("-m", "uavaccel", *old.split())
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr == f"uavaccel: error: {old.split()[0]}: is now uavaccel {new}\n"
+
+
+@pytest.mark.skipif(not shutil.which("make"), reason="needs make")
+def test_bare_make_lists_the_targets_and_makes_nothing() -> None:
+    done = subprocess.run(["make"], cwd=ROOT, capture_output=True, text=True, check=True)
+    targets = ["help", "run", "test", "docs", "setup", "clean"]
+    assert [line.split()[:2] for line in done.stdout.splitlines()] == [["make", target] for target in targets]
+
+
 @pytest.mark.parametrize(("words", "completion"), [("uavaccel do", "doctor"), ("uavaccel serve --sce", "--scene")])
 def test_the_shell_can_complete(words: str, completion: str) -> None:
     keys = {"_UAVACCEL_COMPLETE": "complete_bash", "COMP_WORDS": words, "COMP_CWORD": str(len(words.split()) - 1)}
@@ -68,7 +123,7 @@ def test_the_shell_can_complete(words: str, completion: str) -> None:
     assert (done.returncode, done.stderr) == (0, "")
 
 
-@pytest.mark.parametrize("arguments", [[], ["schema", "train"]])
+@pytest.mark.parametrize("arguments", [[], ["init", "--schema", "train"]])
 def test_who_reads_no_further_than_the_head_is_told_nothing(arguments: list[str]) -> None:
     reading, writing = os.pipe()
     os.close(reading)
@@ -91,8 +146,8 @@ def test_words_of_options_and_experiments_are_completed() -> None:
     words = one_of("wall", "virtual", "lockstep")  # each of which has an l
     assert [words(typed) for typed in ("l", "lockstep", "k")] == [["lockstep"], ["lockstep"], []]
     assert words("") == ["wall", "virtual", "lockstep"]
-    assert complete_experiments("dp") == ["dp1", "dp2", "dp2_airsim"]
-    assert "claims" not in complete_experiments("")
+    assert shipped("dp") == ["dp1", "dp2", "dp2_airsim"]
+    assert not {"claims", "latency", "latency_airsim"} & set(shipped(""))
 
 
 @pytest.mark.parametrize("command", ["train", "evaluate"])
@@ -141,7 +196,7 @@ def test_the_options_for_keys_take_what_the_configurations_take(suite: str) -> N
             if get_origin(kind) is Annotated:
                 kind = get_args(kind)[0]
             if get_origin(kind) is Literal:
-                assert set(get_args(kind)) <= set(key.words)
+                assert set(get_args(kind)) <= set(key.shown.split("|"))
             else:
                 assert kind is key.kind, name
 
@@ -159,7 +214,7 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
         monkeypatch.setattr(f"uavaccel.{place}", call)
 
     for place in (
-        "cli.experiments.run_experiment", "cli.experiments.evaluate_agent", "cli.results.view_game",
+        "cli.experiments.run_experiment", "cli.experiments.evaluate_agent", "cli.results.film_game",
         "watch.beside.show", "wire.service.serve", "fly.command.fly_script",
     ):  # fmt: skip
         stand_in(place)
@@ -222,11 +277,11 @@ SQUARE = (50.0, 0.012, 0)
 @pytest.mark.parametrize(
     ("line", "call"),
     [
-        ("view", ("view_game", "default", None, None)),
-        ("view run --case a --out films", ("view_game", "run", "a", Path("films"))),
+        ("watch default --film f.mp4", ("film_game", "default", None, None, Path("f.mp4"))),
+        ("watch run --case a --film f.mp4", ("film_game", "run", "a", None, Path("f.mp4"))),
         ("watch", ("show", None, None, None, SQUARE, "127.0.0.1", 8080)),
         ("watch run --case a --game 2 --clock 5 --think 0.5 --seed 3 --host ::1 --port 9",
-         ("show", Path("run"), "a", 2, (5.0, 0.5, 3), "::1", 9)),
+         ("show", "run", "a", 2, (5.0, 0.5, 3), "::1", 9)),
         ("serve", ("serve", None, None, None, None, "native", "blocks", None)),
         ("serve --settings s.json --clock 5 --port 9 --host ::1 --profile airsim --scene lane --recordings r",
          ("serve", Path("s.json"), 5.0, 9, "::1", "airsim", "lane", Path("r"))),
@@ -238,15 +293,37 @@ def test_a_command_hands_on_what_it_was_given(asked: list[tuple[Any, ...]], line
     assert (name, *(vars(given[0]).values() if name == "serve" else given)) == call
 
 
+@pytest.mark.parametrize(
+    ("after", "said"),
+    [
+        ("--check", "--check: comes before the script; what the script itself takes follows --"),
+        ("7 --clock=3", "--clock: comes before the script; what the script itself takes follows --"),
+        ("--clok 7", "--clok (did you mean --clock?): comes before the script; what the script itself takes"),
+    ],
+)
+def test_an_option_of_fly_after_the_script_is_refused(asked: list[Any], after: str, said: str) -> None:
+    with pytest.raises(UsageError, match=re.escape(said)):
+        typed(f"fly script.py {after}")
+    typed(f"fly script.py -- {after}")
+    assert asked[0][1].flight.arguments == tuple(after.split())
+
+
+def test_an_option_that_the_script_names_itself_is_its_own(asked: list[Any], tmp_path: Path) -> None:
+    script = tmp_path / "own.py"
+    script.write_text("parser.add_argument('--speed')")  # one letter from --seed
+    typed(f"fly {script} --speed 3 --altitude 2 -h")
+    assert asked[0][1].flight.arguments == ("--speed", "3", "--altitude", "2", "-h")
+
+
 def test_options_before_a_script_are_the_flights_and_those_after_it_its_own(asked: list[tuple[Any, ...]]) -> None:
-    typed("fly script.py --clock 3 --film")
+    typed("fly script.py --altitude 3 -- --film")
     typed(
         "fly --clock 2,5 --timing lockstep --check --until 8 --think 0.25 --seed 3 --settings s.json --no-settings "
-        "--profile airsim --scene lane --out o --film --watch script.py --seed 4"
+        "--profile airsim --scene lane --out o --film --watch script.py -- --seed 4"
     )
     [(_, plain), (_, full)] = asked
     assert (plain.clocks, plain.check, plain.find_settings, plain.out, plain.page) == ((), False, True, None, None)
-    assert plain.flight.arguments == ("--clock", "3", "--film")
+    assert plain.flight.arguments == ("--altitude", "3", "--film")
     assert (plain.flight.timing, plain.flight.film, plain.flight.seed) == ("virtual", False, None)
     assert (full.clocks, full.check, full.find_settings, full.out) == ((2.0, 5.0), True, False, Path("o"))
     assert full.page is not None
@@ -273,7 +350,7 @@ def test_several_runs_of_a_suite_are_compared_and_one_alone_is_not(
     )
     monkeypatch.setattr(experiments, "report_run", lambda run: done.append(("reported", run.path.name)))
     monkeypatch.setattr("uavaccel.suites.registry.suite_of", lambda run: SimpleNamespace(compare=compare))
-    assert typed("report train1 dp1 train2").splitlines() == ["compared.png"]
+    assert typed("run --report train1 dp1 train2").splitlines() == ["compared.png"]
     assert done == [*(("reported", name) for name in ("train1", "dp1", "train2")), ("compared", "train1", "train2")]
 
 
@@ -337,6 +414,55 @@ def test_an_experiment_at_one_clock_speed_is_quick_and_measured_unless_told_othe
     assert all((config.model_dump(mode="json")[key] == value) is quick for key, value in (suite.quick or {}).items())
 
 
+@pytest.mark.parametrize("typed_as", ["option", "--set", "file"])
+def test_commands_are_taken_in_any_case_and_kept_in_lower_case(typed_as: str, tmp_path: Path) -> None:
+    (tmp_path / "own.yaml").write_text("{suite: dp1, command: [TCSC, Adsc], clock_speed: [5]}")
+    (tmp_path / "train.yaml").write_text("{suite: train, task: {command: ADSC}}")
+    of_dp1 = {
+        "option": RunRequest("dp1", {"command": ["TCSC", "Adsc"]}),
+        "--set": RunRequest("dp1", {}, ["command=[TCSC, Adsc]"]),
+        "file": RunRequest(str(tmp_path / "own.yaml")),
+    }
+    of_a_training = {
+        "option": RunRequest("train", {"command": "ADSC"}),
+        "--set": RunRequest("train", {}, ["task.command=ADSC"]),
+        "file": RunRequest(str(tmp_path / "train.yaml")),
+    }
+    assert configure(of_dp1[typed_as])[1].command == ("tcsc", "adsc")
+    assert configure(of_a_training[typed_as])[1].task.command == "adsc"
+
+
+def test_an_unknown_experiment_is_told_those_there_are() -> None:
+    with pytest.raises(UserError, match=r"^dp7: no such experiment; did you mean 'dp2'\?$"):
+        configure(RunRequest("dp7"))
+    with pytest.raises(UserError, match=r"^zebra: no such experiment; known: ablation, dp1, ") as refused:
+        configure(RunRequest("zebra"))
+    assert "latency" not in str(refused.value).replace("rl_latency", "")
+    assert "claims" not in str(refused.value)
+
+
+def test_a_quick_run_says_so_and_with_which_keys() -> None:
+    quick = RunRequest("dp1", {"clock_speed": [50.0], "games": 20})
+    with planned(quick) as plan:
+        assert list(plan.lines())[1] == (
+            "a quick run, since --clock names one ClockSpeed: timing=wall, games=20, reference_games=3; "
+            "all games: --set clock_speed=[50]"
+        )
+    with planned(RunRequest("dp1", {}, ["clock_speed=[50]"])) as plan:
+        assert len(list(plan.lines())) == 1
+
+
+@pytest.mark.parametrize(("suite", "command"), [("train", "train"), ("evaluate", "evaluate"), (None, "run")])
+def test_an_interrupted_run_goes_on_by_the_command_that_was_typed(
+    suite: str | None, command: str, tmp_path: Path
+) -> None:
+    (tmp_path / "config.yaml").touch()
+    plan: Any = SimpleNamespace(out=tmp_path, request=RunRequest("train", suite=suite))
+    expected = re.escape(f"interrupted; go on with: uavaccel {command} --resume --out {tmp_path}")
+    with pytest.raises(Interrupted, match=f"^{expected}$"), resumable(plan):
+        raise KeyboardInterrupt
+
+
 def test_set_has_the_last_word_over_an_option_and_may_change_what_it_set() -> None:
     request = RunRequest("dp1", {"clock_speed": [5.0, 10.0], "games": 3}, ["games=4", "clock_speed.1=20"])
     config = configure(request)[1]
@@ -395,14 +521,12 @@ def test_the_best_and_the_worst_game_are_filmed_under_their_names(
     games = {"far": (False, 3, 9.0), "slow": (True, 30, 50.0), "near": (False, 3, 1.0), "quick": (True, 20, 50.0)}
     names = ("is_success", "commands", "distance_m")
     rows = [{"case": case, **dict(zip(names, game, strict=True))} for case, game in games.items()]
-    monkeypatch.setattr("uavaccel.cli.results.film_of_game", lambda run, case: (case, f"film of {case}"))
-    monkeypatch.setattr("uavaccel.cli.results.write_film", lambda *written: print(*written))
+    monkeypatch.setattr("uavaccel.cli.results.film_game", lambda *filmed: print(*filmed))
     config = {} if simulator is None else {"simulator": simulator}
-    run: Any = SimpleNamespace(rows=lambda: rows, config=lambda: config, file=str)
+    run: Any = SimpleNamespace(path="run", rows=lambda: rows, config=lambda: config, file=str)
     experiments.film_extremes(run)
     said = capsys.readouterr().out.splitlines()
-    filmed = [("quick", "best"), ("near", "worst")]
-    assert said[-2:] == [f"film of {case} films/{name}.mp4 films/{name}.png" for case, name in filmed]
+    assert said[-2:] == ["run quick None films/best.mp4", "run near None films/worst.mp4"]
     assert ("exact simulator" in said[0]) == (simulator == "kernels")
 
 

@@ -11,7 +11,7 @@ from pydantic import Field, ValidationError, field_validator
 
 from uavaccel.config import Config, apply_overrides, dump_yaml, load_yaml, parse_yaml, schema, to_yaml, validate
 from uavaccel.errors import UsageError, UserError
-from uavaccel.resources import experiment, experiment_names
+from uavaccel.resources import experiment, experiments
 
 
 class Camera(Config):
@@ -200,7 +200,7 @@ def test_an_override_that_cannot_be_applied_is_refused(override: str, line: str)
         apply_overrides({"games": 2, "speeds": [1, 5]}, [override])
 
 
-@pytest.mark.parametrize("name", experiment_names())
+@pytest.mark.parametrize("name", experiments())
 def test_what_ships_is_the_same_to_both_parsers(name: str) -> None:
     """Down to the types: 1 is no 1.0."""
     path = experiment(f"{name}.yaml")

@@ -19,8 +19,8 @@ from types import ModuleType
 from typing import Any, NamedTuple
 
 import pytest
-import typer
 
+from tests.test_pages import parse
 from uavaccel.cli import experiments as cli_experiments
 from uavaccel.cli.machine import init
 from uavaccel.cli.main import app
@@ -223,8 +223,8 @@ def test_commands_are_taken(block: Block, line: str, monkeypatch: pytest.MonkeyP
     asked: list[RunRequest] = []
     monkeypatch.setattr(agents, "load_policy", policy_once)
     monkeypatch.setattr(cli_experiments, "run_experiment", lambda request, *_: asked.append(request))
-    if name not in FLOWN:
-        typer.main.get_command(app).commands[name].make_context(name, options)  # type: ignore[attr-defined]
+    if name not in FLOWN or "--report" in options:
+        parse([name, *options])
         return
     goes_on = "--resume" in options
     app([name, *options, "--dry-run"], standalone_mode=False)

@@ -19,7 +19,7 @@ from tests.learning import tiny_config, train_into
 from tests.opengl import needs_opengl
 from tests.running import configured, fly_into, run_into
 from uavaccel.cli.experiments import evaluate_agent
-from uavaccel.cli.results import view_game
+from uavaccel.cli.results import film_game
 from uavaccel.envs.observer import SecondEventCamera
 from uavaccel.envs.obstacle_lane import LaneTask
 from uavaccel.errors import UserError
@@ -189,16 +189,15 @@ def test_the_speed_is_that_of_the_games_own_clock(
 
 @pytest.mark.slow
 @needs_opengl
-def test_view_films_an_evaluated_game(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_evaluated_game_is_filmed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run = tmp_path / "run"
     evaluated("offset:3", run, "task.max_commands=10", games=2)
     capsys.readouterr()
-    view_game(str(run), None, tmp_path)
-    best = max(RunDirectory(run).rows(), key=lambda row: row["distance_m"])["case"]
-    assert capsys.readouterr().out.split() == [str(tmp_path / f"{best}.{kind}") for kind in ("mp4", "png")]
-    assert (tmp_path / f"{best}.mp4").stat().st_size > 10_000
+    film_game(run, None, None, tmp_path / "films/best.mp4")
+    assert capsys.readouterr().out.split() == [str(tmp_path / f"films/best.{kind}") for kind in ("mp4", "png")]
+    assert (tmp_path / "films/best.mp4").stat().st_size > 10_000
     with pytest.raises(UserError, match="--case lane-99: not in"):
-        view_game(str(run), "lane-99", tmp_path)
+        film_game(run, "lane-99", None, tmp_path / "none.mp4")
 
 
 # --- policies ---------------------------------------------------------------------------------------------------
@@ -314,7 +313,7 @@ def test_the_policy_that_ships_flies_a_lane(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @needs_opengl
-def test_a_trainings_run_directory_is_an_agent_and_is_viewed(
+def test_a_trainings_run_directory_is_an_agent_and_is_filmed(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     training = tmp_path / "training"
@@ -322,11 +321,10 @@ def test_a_trainings_run_directory_is_an_agent_and_is_viewed(
     summary = evaluated(str(training), tmp_path / "run", "task.max_commands=3", games=1)
     assert summary["games"] == 1
     capsys.readouterr()
-    view_game(str(training), "lane-000004", None)
-    expected = [str(training / f"view/lane-000004.{kind}") for kind in ("mp4", "png")]
-    assert capsys.readouterr().out.split() == expected
+    film_game(training, "lane-000004", None, tmp_path / "lane.mp4")
+    assert capsys.readouterr().out.split() == [str(tmp_path / f"lane.{kind}") for kind in ("mp4", "png")]
     with pytest.raises(UserError, match="--case 4: must be an evaluation lane, as lane-000007"):
-        view_game(str(training), "4", None)
+        film_game(training, "4", None, tmp_path / "lane.mp4")
 
 
 # --- mistakes ---------------------------------------------------------------------------------------------------

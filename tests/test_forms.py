@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from tests.dp1_games import line_arrays, line_row
-from uavaccel.cli.experiments import report
+from uavaccel.cli.experiments import report_runs
 from uavaccel.cli.results import export
 from uavaccel.config import to_yaml, validate
 from uavaccel.errors import UserError
@@ -145,7 +145,7 @@ def test_times_that_fall_and_commands_that_the_row_does_not_count_are_refused(tm
 
 
 READERS: dict[str, Callable[[Path], object]] = {
-    "report": lambda path: report([path]),
+    "report": lambda path: report_runs([path]),
     "watch": lambda path: recorded(path),
     "csv": lambda path: export(str(path), csv=path.with_name("csv")),
     "mcap": lambda path: export(str(path), mcap=path.with_name("mcap")),
@@ -226,4 +226,4 @@ def test_a_configuration_that_no_longer_holds_is_named(tmp_path: Path) -> None:
     text = to_yaml(validate(Dp1.config, run.config(), "test"))
     (run.path / "config.yaml").write_text(text + "gamess: 3\n")
     with pytest.raises(UserError, match=r"config\.yaml: unknown key 'gamess'"):
-        report([run.path])
+        report_runs([run.path])

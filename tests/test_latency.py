@@ -333,5 +333,5 @@ def test_what_is_no_model_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(UserError, match=r"^task: latency: none\.yaml: No such file or directory$"):
         validate(Task, {"latency": "none.yaml"}, "task")
     (tmp_path / "dp1.yaml").write_text("suite: dp1\n")
-    with pytest.raises(UserError, match=r"dp1\.yaml: has no key 'latency'; `uavaccel calibrate --out .*` writes one"):
+    with pytest.raises(UserError, match=r"dp1\.yaml: has no key 'latency'; `uavaccel timing calibrate --out .*`"):
         validate(Task, {"latency": str(tmp_path / "dp1.yaml")}, "task")

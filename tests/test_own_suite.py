@@ -223,19 +223,19 @@ def test_own_code_is_trusted_once_until_it_changes(
 ) -> None:
     foreign_run(here, ".")
     (here / "foreign.py").write_text(FOREIGN)
-    for command in ("report", "watch", "export --mcap logs"):
+    for command in ("run --report", "watch", "export --mcap logs"):
         assert "foreign.py is code that nobody has trusted here: read it, then add --trust, once" in said(
             f"{command} run"
         )
-    assert "it ran" in said("report run --trust")
+    assert "it ran" in said("run --report run --trust")
     monkeypatch.chdir(here / "run")
-    assert "it ran" in said("report .")
+    assert "it ran" in said("run --report .")
     (here / "foreign.py").write_text(f"{FOREIGN}\n")
-    assert "foreign.py has changed since it was trusted" in said("report .")
+    assert "foreign.py has changed since it was trusted" in said("run --report .")
     (here / "elsewhere").mkdir()
     (here / "foreign.py").rename(here / "elsewhere/foreign.py")
     (here / "run/manifest.json").write_text(json.dumps({"suite_folder": str(here / "elsewhere")}))
-    assert "no module 'foreign' in" in said("report . --trust")
+    assert "no module 'foreign' in" in said("run --report . --trust")
 
 
 WRONG = """

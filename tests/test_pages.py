@@ -25,6 +25,15 @@ ARCHITECTURE = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
 CONTRIBUTING = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
 
 
+def parse(words: list[str]) -> None:
+    """Parse a command line without running it: the command is there, and so are its options, where there are any."""
+    command: Any = typer.main.get_command(app)
+    while hasattr(command, "commands") and words:
+        name, *words = words
+        command = command.commands[name]
+    command.make_context(command.name, words, resilient_parsing=not words)
+
+
 def found(pattern: str) -> list[tuple[str, str]]:
     return [
         (page.relative_to(ROOT).as_posix(), hit) for page, text in PAGES_AND_TEXTS for hit in re.findall(pattern, text)
@@ -44,9 +53,7 @@ def test_files_that_are_named_are_there(page: str, file: str) -> None:
 @pytest.mark.parametrize(("page", "line"), sorted(set(found(r"`(uavaccel [a-z][^`\n]*)`"))))
 def test_commands_within_the_text_parse(page: str, line: str) -> None:
     """The command and its options exist; blocks of them are tests/test_docs.py's."""
-    _, name, *options = shlex.split(line.partition("#")[0])
-    group = typer.main.get_command(app)
-    group.commands[name].make_context(name, options, resilient_parsing=not options)  # type: ignore[attr-defined]
+    parse(shlex.split(line.partition("#")[0])[1:])
 
 
 @pytest.mark.parametrize("name", sorted({name for _, name in found(r"(?m)(?:`|^::: )(uavaccel\.[a-z_.]+)(?:`|$)")}))

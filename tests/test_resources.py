@@ -19,8 +19,14 @@ def test_the_source_tree_is_known() -> None:
 def test_assets_and_experiments_lie_beside_the_package() -> None:
     assert resources.asset("mjcf") == ROOT / "assets" / "mjcf"
     assert resources.experiment("README.md") == ROOT / "experiments" / "README.md"
-    names = resources.experiment_names()  # what `uavaccel run` takes, which claims are not
-    assert ("dp1" in names, "claims" in names) == (True, False)
+    names = resources.experiments()  # what `uavaccel run` takes, which claims and latencies are not
+    assert [name in names for name in ("dp1", "claims", "latency")] == [True, False, False]
+
+
+def test_every_experiment_says_in_a_line_what_it_is() -> None:
+    for name, about in resources.experiments().items():
+        assert about.endswith((".", "?")), name
+        assert not about.startswith("#"), name
 
 
 def test_an_unknown_name_is_refused_with_those_there_are() -> None:

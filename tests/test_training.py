@@ -110,7 +110,7 @@ def test_a_training_that_a_batch_system_ends_takes_a_checkpoint_and_says_how_to_
         program.send_signal(signal.SIGTERM)
         said = program.communicate()[1]
     assert program.returncode == 130, said
-    assert said.startswith("uavaccel: interrupted; go on with: uavaccel run --out"), said
+    assert said.startswith("uavaccel: interrupted; go on with: uavaccel train --resume --out"), said
     assert checkpointed(tmp_path / "run") == len(rows.read_text().splitlines())
 
 

@@ -151,10 +151,16 @@ def test_a_run_shows_its_fastest_game_unless_one_is_named(tmp_path: Path) -> Non
         recorded(run.path, "tcsc-k50-t1-r1-g00", 0)
 
 
+def test_a_policy_is_watched_in_an_evaluation_lane(tmp_path: Path) -> None:
+    train_into(tmp_path / "training", tiny_config({"max_commands": 4}, games=1))
+    flight = recorded(tmp_path / "training", case="lane-000003").flight
+    assert flight.title.startswith(f"Game `lane-000003` of `{tmp_path / 'training'}`: lane 3, TCSC at 1x: ")
+    assert len(flight.position_m) > 1
+    with pytest.raises(UsageError, match="is a policy, which flies a lane"):
+        recorded(tmp_path / "training", game=0)
+
+
 def test_what_keeps_no_path_says_what_does(tmp_path: Path, script: Path) -> None:
-    train_into(tmp_path / "training", tiny_config())
-    with pytest.raises(UserError, match=r"a run of train keeps no flights.*evaluate a training's policy"):
-        recorded(tmp_path / "training")
     with pytest.raises(UserError, match=r"holds neither a run nor a flight.*--out FOLDER"):
         recorded(tmp_path)
     with pytest.raises(UserError, match=rf"has several flights.*{script.name}"):

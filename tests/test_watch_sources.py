@@ -378,7 +378,10 @@ def opened(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
 
     def page(_: Any, source: Any, title: str, opened: Any) -> Any:
         shown.update(source=source, title=title, opened=opened)
-        return SimpleNamespace(run=lambda: None)
+        return SimpleNamespace(run=interrupted)
+
+    def interrupted() -> None:
+        raise KeyboardInterrupt  # the end of every page
 
     def fly(clock_speed: float, *how: Any, **named: Any) -> list[Track]:
         shown["flown"].append((clock_speed, how, named))

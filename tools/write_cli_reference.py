@@ -21,7 +21,7 @@ This page is made by `python tools/write_cli_reference.py > cli.md`.
 def reference() -> str:
     """Return the reference in Markdown: every command with its arguments, options and defaults."""
     command = get_command(app)
-    context = typer.Context(command, info_name=NAME)
+    context = typer.Context(command, info_name=NAME, **command.context_settings)
     return get_docs_for_click(obj=command, ctx=context, name=NAME).rstrip() + "\n" + EXIT_STATUS
 
 

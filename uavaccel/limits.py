@@ -1,8 +1,8 @@
 """Limits of configurations: far beyond any use, and within what numbers, clocks and machines can represent."""
 
-from typing import Annotated
+from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
 MOST_GAMES = 1_000_000
 MOST_ROUNDS = 100_000
@@ -17,6 +17,10 @@ MOST_LANES = 65_536  # over arrays
 MOST_SEEDS = 1 << 32
 MOST_ACTIONS = 4_096  # of a chunk, or observed
 
+CommandName = Annotated[
+    Literal["adsc", "tcsc"], BeforeValidator(lambda name: name.lower() if isinstance(name, str) else name)
+]
+"""In any case, as the paper and the pages have capitals; kept in lower case."""
 Seed = Annotated[int, Field(ge=0, lt=MOST_SEEDS)]
 """A seed that NumPy's and torch's generators accept."""
 Count = Annotated[int, Field(ge=1, le=1_000_000)]

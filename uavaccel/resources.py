@@ -27,9 +27,10 @@ def experiment(name: str) -> Path:
     return _find("experiments", name)
 
 
-def experiment_names() -> list[str]:
-    """Return the names of the experiments that ship, as `uavaccel run` takes them."""
-    return sorted(path.stem for path in _folder("experiments").glob("*.yaml") if path.stem != "claims")
+def experiments() -> dict[str, str]:
+    """Return the experiments that ship by name, as `uavaccel run` takes them, and what each is: its first comment."""
+    texts = {path.stem: path.read_text("utf-8") for path in sorted(_folder("experiments").glob("*.yaml"))}
+    return {name: text.partition("\n")[0][2:] for name, text in texts.items() if "\nsuite: " in text}
 
 
 def _find(folder: str, name: str) -> Path:

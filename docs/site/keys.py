@@ -1,4 +1,4 @@
-"""The keys of every suite's YAML files as a page, from the schemas that `uavaccel schema` prints."""
+"""The keys of every suite's YAML files as a page, from the schemas that `uavaccel init --schema` prints."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ Schema = Mapping[str, Any]
 HEAD = """# Keys of the YAML files
 
 A YAML file says which suite it is for by its key `suite`; these are the others. A key left out takes its default, a
-dotted key is one of an inner mapping, and `--set dotted.key=value` sets any of them for a single run. `uavaccel schema
-SUITE` prints the same as a JSON schema, which lets editors complete and check a file.
+dotted key is one of an inner mapping, and `--set dotted.key=value` sets any of them for a single run. `uavaccel init
+--schema SUITE` prints the same as a JSON schema, which lets editors complete and check a file.
 """
 TABLE = "| key | value | default | meaning |\n|---|---|---|---|\n"
 BOUNDS = {"minimum": "≥", "exclusiveMinimum": ">", "maximum": "≤", "exclusiveMaximum": "<"}

@@ -165,7 +165,7 @@ def model_file(latencies: Latencies, profile: str, verdict: str) -> str:
     """Return the YAML of a latency model, with what it was measured on in comments."""
     host = describe_run([], 0, "")["host"]
     return (
-        f"# Measured by `uavaccel calibrate`, profile {profile}, on {calendar_time()}; machine: {verdict}\n"
+        f"# Measured by `uavaccel timing calibrate`, profile {profile}, on {calendar_time()}; machine: {verdict}\n"
         f"# {host['cpu_model']}, {host['cores']} cores, {host['platform']}\n# {latencies.counts()}\n"
         + dump_yaml({"latency": latencies.block()})
     )

@@ -5,6 +5,7 @@ Each calls a plain function, which it imports when it runs.
 
 from __future__ import annotations
 
+from difflib import get_close_matches
 from functools import partial
 from pathlib import Path
 from typing import Annotated
@@ -12,27 +13,32 @@ from typing import Annotated
 import typer
 
 from uavaccel.cli.options import Profile, Scene, Timing, Watch, check_host
+from uavaccel.errors import UsageError
 from uavaccel.fly.options import THINK_S
+
+LIKE = 0.8  # of letters that two options have in common, from which on one may be the other mistyped
 
 
 def serve(
-    settings: Annotated[Path | None, typer.Option(help="AirSim's settings.json.")] = None,
-    clock: Annotated[float | None, typer.Option(help="ClockSpeed; by default that of the settings, or 1.")] = None,
+    settings: Annotated[Path | None, typer.Option(metavar="FILE", help="AirSim's settings.json.")] = None,
+    clock: Annotated[float | None, typer.Option(metavar="X", help="ClockSpeed; default: the settings', or 1.")] = None,
     port: Annotated[
-        int | None, typer.Option(help="By default that of the settings, or 41451; 0 for any free port.")
+        int | None, typer.Option(metavar="N", help="Port; default: the settings', or 41451; 0: any free one.")
     ] = None,
     host: Annotated[
-        str | None, typer.Option(help="Address to listen on; without it, never beyond this machine.")
+        str | None, typer.Option(metavar="ADDRESS", help="Address to listen on; default: this machine alone.")
     ] = None,
     profile: Profile = "native",
     scene: Scene = "blocks",
     recordings: Annotated[
         Path | None,
-        typer.Option(help="Folder for startRecording; by default that of the settings, or ~/Documents/AirSim."),
+        typer.Option(
+            metavar="FOLDER", help="Folder for startRecording; default: the settings', or ~/Documents/AirSim."
+        ),
     ] = None,
     watch: Watch = False,
 ) -> None:
-    """Serve a free-running quadrotor to AirSim's clients until Ctrl-C."""
+    """Serve a simulated drone to AirSim's clients until Ctrl-C."""
     from uavaccel.watch.beside import PageAddress, page_beside
     from uavaccel.wire.service import ServeOptions
     from uavaccel.wire.service import serve as serve_clients
@@ -44,46 +50,56 @@ def serve(
 
 
 def fly(
-    script: Annotated[Path, typer.Argument(help="An AirSim script in Python.")],
-    arguments: Annotated[list[str] | None, typer.Argument(help="The script's own arguments.")] = None,
+    context: typer.Context,
+    script: Annotated[Path, typer.Argument(metavar="SCRIPT", help="An AirSim script in Python.")],
+    arguments: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="ARGUMENTS", help="The script's own; what follows -- is passed on unread."),
+    ] = None,
     clock: Annotated[
-        str | None, typer.Option(help="ClockSpeed, or several: 1,10,100; by default that of the settings.")
+        str | None, typer.Option(metavar="X,...", help="ClockSpeed, or several: 1,10,100; default: the settings'.")
     ] = None,
     timing: Timing = "virtual",
     check: Annotated[
-        bool, typer.Option("--check", help="Fly twice, and compare messages and trajectories byte for byte.")
+        bool, typer.Option("--check", help="Fly twice; messages and trajectories must be equal to the byte.")
     ] = False,
     until: Annotated[
-        float | None, typer.Option(min=0.0, help="Stop the script after this many simulated seconds, including pauses.")
+        float | None, typer.Option(min=0.0, metavar="S", help="Stop after these simulated seconds, pauses included.")
     ] = None,
     think: Annotated[
         float | None,
         typer.Option(
             min=0.0,
-            help="Wall seconds that the script takes before each call; "
-            f"by default {THINK_S['virtual']:g} in virtual, {THINK_S['lockstep']:g} in lockstep.",
+            metavar="S",
+            help="Wall seconds that the script thinks before each call; "
+            f"default: {THINK_S['virtual']:g} in virtual, {THINK_S['lockstep']:g} in lockstep.",
         ),
     ] = None,
     seed: Annotated[
-        int | None, typer.Option(help="Seed of Python's, NumPy's, PyTorch's and Gymnasium's generators.")
+        int | None, typer.Option(metavar="N", help="Random seed of Python, NumPy, PyTorch and Gymnasium.")
     ] = None,
     keys: Annotated[
-        str | None, typer.Option(help="Keys that are pressed one after the other: w,w,space,q; by default none.")
+        str | None, typer.Option(metavar="KEY,...", help="Keys to press one after the other, as in w,w,space,q.")
     ] = None,
     settings: Annotated[
         Path | None,
-        typer.Option(help="AirSim's settings.json; by default the one beside the script, or in ~/Documents/AirSim."),
+        typer.Option(
+            metavar="FILE", help="AirSim's settings.json; default: that beside the script or in ~/Documents/AirSim."
+        ),
     ] = None,
     no_settings: Annotated[bool, typer.Option("--no-settings", help="Do not look for a settings.json.")] = False,
     profile: Profile = "native",
     scene: Scene = "blocks",
-    out: Annotated[Path | None, typer.Option(help="New folder for the trajectory and the messages.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(metavar="FOLDER", help="New folder for the trajectory and the messages.")
+    ] = None,
     film: Annotated[bool, typer.Option("--film", help="Film the front camera's view, into --out.")] = False,
     watch: Watch = False,
 ) -> None:
-    """Fly an unmodified AirSim script on a simulated clock: fast, headless, and reproducible.
+    """Fly an unmodified AirSim script on a simulated clock.
 
-    Options come before the script, the script's own arguments after it.
+    That is fast, needs no window, and repeats to the byte. Options come before the
+    script, the script's own arguments after it.
     """
     from uavaccel.fly.command import FlyRequest, fly_script, parse_clocks
     from uavaccel.fly.keyboard import parse_keys
@@ -92,7 +108,7 @@ def fly(
 
     flight = FlightOptions(
         script,
-        tuple(arguments or ()),
+        _own(script, arguments or [], [option for each in context.command.params for option in each.opts]),
         folder=Path(),
         timing=timing,
         profile=profile,
@@ -106,3 +122,17 @@ def fly(
     )
     page = partial(page_beside, PageAddress()) if watch else None
     raise typer.Exit(fly_script(FlyRequest(flight, parse_clocks(clock), check, not no_settings, out, page)))
+
+
+def _own(script: Path, arguments: list[str], options: list[str]) -> tuple[str, ...]:
+    """Return the script's own arguments: all that follow `--`, and before it what is none of our `options`.
+
+    Raises UsageError for one of ours, and for one that looks like a mistyped one, unless the script has that word.
+    """
+    end = arguments.index("--") if "--" in arguments else len(arguments)
+    for word in (argument.partition("=")[0] for argument in arguments[:end] if argument.startswith("--")):
+        for option in get_close_matches(word, options, n=1, cutoff=LIKE):
+            if word == option or not (script.is_file() and word.encode() in script.read_bytes()):
+                meant = word if word == option else f"{word} (did you mean {option}?)"
+                raise UsageError(f"{meant}: comes before the script; what the script itself takes follows --")
+    return (*arguments[:end], *arguments[end + 1 :])

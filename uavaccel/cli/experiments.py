@@ -1,8 +1,8 @@
-"""The commands that fly and report experiments: run, train, evaluate, report. They import what they need when run."""
+"""The commands that fly and report experiments: run, train, evaluate. They import what they need when run."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from functools import partial
@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from uavaccel.cli.options import Trust, experiments, requests
+from uavaccel.cli.options import requests, shipped
 from uavaccel.cli.terminal import console, show_table, working
 from uavaccel.errors import UsageError, UserError
+from uavaccel.resources import experiments
 from uavaccel.suites.keys import KEYS
 
 if TYPE_CHECKING:
@@ -26,44 +27,79 @@ GRIDS = ("clock_speed", "command", "t_move_s", "rounds")
 @requests(*KEYS, several=GRIDS)
 def run(
     request: RunRequest,
+    names: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="EXPERIMENT",
+            help="One that ships (--list), or its YAML file; none with --resume. With --report: run directories.",
+            autocompletion=shipped,
+        ),
+    ] = None,
+    listed: Annotated[bool, typer.Option("--list", help="List the experiments that ship; fly nothing.")] = False,
+    report: Annotated[
+        bool, typer.Option("--report", help="Compute metrics and figures of finished runs again; fly nothing.")
+    ] = False,
+) -> None:
+    """Fly an experiment, measure it and draw its figures.
+
+    With one --clock, dp1 and dp2 fly a quick run, on the machine's clock (--timing
+    wall), in dp1 with 3 games of each cell and 3 real-time games to compare with,
+    unless options say otherwise. The whole run at one ClockSpeed is --set
+    clock_speed=[50].
+    """
+    names = names or []
+    if listed:
+        for name, about in experiments().items():
+            console.print(f"{name:20}  {about}")
+    elif report:
+        if request.overrides or replace(request, overrides=(), trust=False) != type(request)(None, dict.fromkeys(KEYS)):
+            raise UsageError("--report: flies nothing; beside run directories it takes --trust alone")
+        report_runs(list(map(Path, names)), request.trust)
+    elif len(names) > 1:
+        raise UsageError(f"run: flies one experiment, not {len(names)}: {', '.join(names)}")
+    else:
+        run_experiment(replace(request, experiment=next(iter(names), None)))
+
+
+@requests("games", "clock_speed", "command", "timing", "profile", "seed", "seeds", games="Episodes (games) to train")
+def train(
+    request: RunRequest,
     experiment: Annotated[
         str | None,
         typer.Argument(
-            help="dp1, dp2, train, evaluate, rl, paper, or an experiment's YAML file; --resume needs none.",
-            autocompletion=experiments,
+            metavar="TRAINING",
+            help="A YAML file, or one that ships, as train_gpu; default: train.",
+            autocompletion=shipped,
         ),
     ] = None,
 ) -> None:
-    """Fly an experiment, measure it and draw its figures."""
-    run_experiment(replace(request, experiment=experiment))
-
-
-@requests("games", "clock_speed", "command", "timing", "profile", "seed", "seeds")
-def train(
-    request: RunRequest,
-    experiment: Annotated[str | None, typer.Argument(help="An experiment's YAML file; --resume needs none.")] = None,
-) -> None:
-    """Train a policy in the obstacle lane: `run` on a training's YAML file."""
+    """Train a policy, by default in the obstacle lane."""
     experiment = experiment or (None if request.resume else "train")
     run_experiment(replace(request, experiment=experiment, suite="train"))
 
 
-@requests("games", "clock_speed", "command", "timing", "profile", "seed")
+@requests("games", "clock_speed", "command", "timing", "profile", "seed", games="Episodes (games) to fly, one a lane")
 def evaluate(
     request: RunRequest,
     agent: Annotated[
         str | None,
         typer.Argument(
-            help="A training's run directory, a policy's folder, straight or offset:METRES; by default what ships."
+            metavar="AGENT",
+            help="A training's run directory, a policy's folder, straight, offset:METRES; default: the bundled policy.",
         ),
     ] = None,
-    against: Annotated[Path | None, typer.Option(help="Another evaluation to compare with, on the same lanes.")] = None,
-    films: Annotated[bool, typer.Option(help="Film the best and the worst game.")] = True,
+    against: Annotated[
+        Path | None, typer.Option(metavar="RUN_DIR", help="Another evaluation on the same lanes, to compare with.")
+    ] = None,
+    films: Annotated[bool, typer.Option(help="Film the best and the worst episode.")] = True,
     sweep: Annotated[
-        list[str] | None, typer.Option(help="NAME=VALUE,VALUE,... flown one at a time, as in wind=0,3,6; repeatable.")
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=V,V,...", help="Change one condition at a time, as in wind=0,3,6; repeat for several."
+        ),
     ] = None,
 ) -> None:
-    """Fly an agent on lanes that no training has seen, as `run evaluate`: success ratio, Figure 8, films."""
+    """Fly a policy in lanes it has not seen: success ratio, films."""
     experiment = None if agent is None and request.resume else "evaluate"
     request = replace(request, experiment=experiment, suite="evaluate", options={**request.options, "agent": agent})
     if sweep:
@@ -72,15 +108,14 @@ def evaluate(
         evaluate_agent(request, against, films)
 
 
-def report(run_dirs: Annotated[list[Path], typer.Argument(help="Run directories.")], trust: Trust = False) -> None:
-    """Compute the metrics and draw the figures of finished runs again; fly nothing.
-
-    Several trainings, or several evaluations, are also drawn side by side, in the first one's folder.
-    """
+def report_runs(run_dirs: Sequence[Path], trust: bool = False) -> None:
+    """Report runs again, and draw several of a suite side by side, in the first one's folder. Raises UserError."""
     from uavaccel.records import RunDirectory
     from uavaccel.suites.own_code import trusting
     from uavaccel.suites.registry import suite_of
 
+    if not run_dirs:
+        raise UsageError("--report: name a run directory, or several")
     by_suite: dict[str, list[RunDirectory]] = {}
     with trusting(trust):
         for run_dir in run_dirs:
@@ -117,7 +152,7 @@ def run_experiment(
             console.print(line)
         if request.dry_run:
             return None
-        with resumable(plan.out):
+        with resumable(plan):
             run = plan.begin(console.print)
             with page(), Progress(plan.suite, plan.cases, plan.request.jobs, run.rows(), console) as progress:
                 plan.fly(run, progress.flown)
@@ -198,7 +233,7 @@ def evaluate_agent(request: RunRequest, against: Path | None, films: bool) -> No
 
 def film_extremes(run: RunDirectory) -> None:
     """Write films and contact sheets of the best game and the worst, which the report shows."""
-    from uavaccel.cli.results import film_of_game, write_film
+    from uavaccel.cli.results import film_game
     from uavaccel.envs.simulators import EXACT
     from uavaccel.suites.evaluate import Evaluation
 
@@ -206,9 +241,7 @@ def film_extremes(run: RunDirectory) -> None:
     if run.config().get("simulator", EXACT) != EXACT:
         console.print("films: both games once more in the exact simulator, where they may end otherwise")
     for name, row in {"best": order[0], "worst": order[-1]}.items():
-        with working(f"{name} game, flown again"):
-            _, film = film_of_game(run, row["case"])
-        write_film(film, run.file(f"films/{name}.mp4"), run.file(f"films/{name}.png"))
+        film_game(run.path, row["case"], None, run.file(f"films/{name}.mp4"))
 
 
 def sweep_agent(request: RunRequest, sweep: list[str], against: Path | None) -> None:

@@ -1,4 +1,4 @@
-"""The commands that examine this machine: calibrate, advise, bench, doctor; and to start with, init, schema."""
+"""The commands that examine this machine: doctor, timing advise and calibrate, bench; and to start with, init."""
 
 from __future__ import annotations
 
@@ -10,22 +10,23 @@ import typer
 from uavaccel.cli.options import Latency, Profile, check_number, check_profile
 from uavaccel.cli.terminal import console, print_columns
 from uavaccel.errors import UsageError, UserError
+from uavaccel.suites.keys import KEYS
 
 MOST_COMMANDS, MOST_ROUNDS = 1_000_000, 1000
 SCHEMA = "train.schema.json"  # the file that the starter's YAML names
 
 
 def calibrate(
-    out: Annotated[Path, typer.Option(help="YAML file to write.")] = Path("latency.yaml"),
-    commands: Annotated[int, typer.Option(help="Approximate number of commands of each kind to fly.")] = 1500,
+    out: Annotated[Path, typer.Option(metavar="FILE", help="YAML file to write.")] = Path("latency.yaml"),
+    commands: Annotated[int, typer.Option(metavar="N", help="Commands of each kind to fly, about.")] = 1500,
     profile: Profile = "native",
     check: Annotated[
-        bool, typer.Option("--check", help="Fly the same games on both clocks and compare; write nothing.")
+        bool, typer.Option("--check", help="Compare the same flights on both clocks; write nothing.")
     ] = False,
-    latency: Annotated[Path | None, typer.Option(help="For --check: the model; by default the shipped one.")] = None,
-    games: Annotated[int, typer.Option(help="For --check: games of each kind.")] = 20,
+    latency: Latency = None,
+    games: Annotated[int, typer.Option(metavar="N", help="For --check: flights of each kind.")] = 20,
 ) -> None:
-    """Measure this machine's message latencies for the virtual timing to draw from, or check a model of them."""
+    """Measure the latencies that --timing virtual models, or check them."""
     from uavaccel.calibration.calibrate import AGREES, LEVELS_TEXT, check_agreement, measure, model_file
     from uavaccel.calibration.doctor import check_machine
     from uavaccel.files import check_new_file
@@ -60,13 +61,13 @@ def calibrate(
 
 
 def advise(
-    t_move: Annotated[float, typer.Option("--t-move", help="Duration of a command in seconds.")] = 1.0,
-    error: Annotated[float, typer.Option(help="Largest error of a trajectory in metres.")] = 0.1,
-    rounds: Annotated[int, typer.Option(help="Rounds of the square path.")] = 4,
+    t_move: Annotated[float, typer.Option("--t-move", metavar="S", help=f"{KEYS['t_move_s'].help}.")] = 1.0,
+    error: Annotated[float, typer.Option(metavar="M", help="Error that a trajectory may have, in metres.")] = 0.1,
+    rounds: Annotated[int, typer.Option(metavar="N", help="Rounds of the square.")] = 4,
     latency: Latency = None,
     profile: Profile = "native",
 ) -> None:
-    """Say up to which ClockSpeed ADSC stays within an error, and what TCSC would gain."""
+    """Say how fast ADSC may fly within an error, and what TCSC gains."""
     from uavaccel.calibration.advise import advise as advised
     from uavaccel.calibration.advise import sentence
     from uavaccel.limits import MOST_SECONDS
@@ -103,7 +104,7 @@ def bench(context: typer.Context) -> None:
 
 
 def doctor() -> None:
-    """Examine this machine: versions, timers, hot loop, renderer."""
+    """Examine this machine: versions, timers, hot loop, renderer, GPU."""
     from rich.console import Console
     from rich.table import Table
 
@@ -120,12 +121,23 @@ def doctor() -> None:
     folding.print("nothing to mend" if not problems else f"{problems} to look at, marked with !")
 
 
-def init(folder: Annotated[str, typer.Argument(help="A new or empty folder.")]) -> None:
-    """Write a commented training and a task of one's own to begin with."""
+def init(
+    folder: Annotated[
+        str | None,
+        typer.Argument(metavar="FOLDER", help="A new or an empty folder; with --schema a suite, by default train."),
+    ] = None,
+    schema: Annotated[
+        bool, typer.Option("--schema", help="Print the JSON schema of a suite's YAML files, for editors.")
+    ] = False,
+) -> None:
+    """Write a folder to begin in: a training, and a task of your own."""
     from uavaccel.resources import asset
 
-    if not folder.strip():  # as a path, this folder
-        raise UsageError("init: the folder's name is empty")
+    if schema:
+        print(schema_text(folder or "train"), end="")
+        return
+    if not (folder or "").strip():  # as a path, this folder
+        raise UsageError("init: name a new or an empty folder")
     path = Path(folder)
     try:
         path.mkdir(parents=True, exist_ok=True)
@@ -139,11 +151,6 @@ def init(folder: Annotated[str, typer.Argument(help="A new or empty folder.")]) 
     console.print(f"{folder}: start with its README.md")
 
 
-def schema(suite: Annotated[str, typer.Argument(help="The value of the key `suite` in a YAML file.")]) -> None:
-    """Print the JSON schema of a suite's YAML files, for editors."""
-    print(schema_text(suite), end="")
-
-
 def schema_text(suite: str) -> str:
     """Return the JSON schema of a suite's YAML files. Raises UserError for an unknown suite."""
     import json
@@ -153,4 +160,4 @@ def schema_text(suite: str) -> str:
     from uavaccel.suites.registry import find_suite
 
     with trusting():
-        return json.dumps(schema_of(find_suite(suite, "schema").config), indent=2, sort_keys=True) + "\n"
+        return json.dumps(schema_of(find_suite(suite, "--schema").config), indent=2, sort_keys=True) + "\n"

@@ -12,33 +12,93 @@ import signal
 import sys
 from collections.abc import Callable, Sequence
 from types import FrameType
+from typing import Annotated, Any
 
 import typer
+from typer.core import TyperGroup
 
+from uavaccel import __version__
 from uavaccel.cli.airsim import fly, serve
-from uavaccel.cli.experiments import evaluate, report, run, train
-from uavaccel.cli.machine import advise, bench, calibrate, doctor, init, schema
-from uavaccel.cli.results import export, view, watch
+from uavaccel.cli.experiments import evaluate, run, train
+from uavaccel.cli.machine import advise, bench, calibrate, doctor, init
+from uavaccel.cli.results import export, watch
 from uavaccel.errors import UsageError, UserError, mistake_of
 from uavaccel.processes.stalls import guard_children
 
-COMMANDS: list[Callable[..., None]] = [
-    *(run, report, view, watch, calibrate, advise, train, evaluate),
-    *(export, bench, serve, fly, init, schema, doctor),
-]
+PANELS: dict[str, tuple[Callable[..., None], ...]] = {
+    "Learn": (init, train, evaluate, watch, export),
+    "AirSim": (fly, serve),
+    "Experiments": (run,),
+    "Machine": (doctor,),
+}
 """In the order of `uavaccel --help`."""
-
-app = typer.Typer(
-    name="uavaccel",
-    help="Fast, time-controlled quadrotor simulation, and what the acceleration costs.",
-    pretty_exceptions_enable=False,
-    rich_markup_mode=None,
-)
+TIMING = "timing"
+MOVED = {
+    "report": "run --report RUN_DIR",
+    "view": "watch RUN --film FILE",
+    "schema": "init --schema SUITE",
+    "advise": f"{TIMING} advise",
+    "calibrate": f"{TIMING} calibrate",
+}
 OF_OTHERS = {"allow_extra_args": True, "ignore_unknown_options": True, "help_option_names": []}
-for command in COMMANDS:  # what follows a script are its own arguments, and what follows bench those of the benchmarks
-    app.command(context_settings=OF_OTHERS if command is bench else {"allow_interspersed_args": command is not fly})(
-        command
-    )
+
+
+class Surface(TyperGroup):
+    """The commands, listed by panel; one that has moved says where to."""
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        return [name for name, command in self.commands.items() if not command.hidden]
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        listed: dict[str, list[tuple[str, str]]] = {}
+        for name in self.list_commands(ctx):
+            command: Any = self.commands[name]
+            listed.setdefault(command.rich_help_panel, []).append((f"{name:8}", command.short_help))
+        for panel, lines in listed.items():
+            formatter.write_heading(panel)
+            with formatter.indentation():
+                formatter.write_dl(lines)
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        if args[0] in MOVED:
+            raise UsageError(f"{args[0]}: is now uavaccel {MOVED[args[0]]}")
+        return super().resolve_command(ctx, args)
+
+
+def _group(**how: Any) -> typer.Typer:
+    return typer.Typer(pretty_exceptions_enable=False, rich_markup_mode=None, **how)
+
+
+def _add(command: Callable[..., None], group: typer.Typer, settings: dict[str, Any] | None = None, **how: Any) -> None:
+    """Add a command; the first line of its docstring is what lists of commands say of it."""
+    group.command(short_help=(command.__doc__ or "").partition("\n")[0], context_settings=settings, **how)(command)
+
+
+app = _group(cls=Surface, context_settings={"help_option_names": ["-h", "--help"]})
+for panel, commands in PANELS.items():
+    for command in commands:  # what follows a script are its own arguments
+        _add(command, app, {"allow_interspersed_args": command is not fly}, rich_help_panel=panel)
+_add(bench, app, OF_OTHERS, hidden=True)
+timing = _group()
+for command in (advise, calibrate):
+    _add(command, timing)
+ABOUT_TIMING = "How fast may ADSC fly: advise; what do messages take: calibrate."
+app.add_typer(timing, name=TIMING, help=ABOUT_TIMING, short_help=ABOUT_TIMING, rich_help_panel="Machine")
+
+
+def _print_version(asked: bool) -> None:
+    if asked:
+        print(f"uavaccel {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def surface(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Show the version and exit.")
+    ] = False,
+) -> None:
+    """Fast, time-controlled quadrotor simulation, and what the acceleration costs."""
 
 
 def main(before: Sequence[str] = ()) -> None:
@@ -50,7 +110,8 @@ def main(before: Sequence[str] = ()) -> None:
     try:
         _check_threads()
         _refuse_empty(words)
-        status = app(words or ["--help"], prog_name="uavaccel", standalone_mode=False)
+        asks = words in ([], [TIMING])  # a group alone
+        status = app([*words, "--help"] if asks else words, prog_name="uavaccel", standalone_mode=False)
         sys.stdout.flush()
     except (KeyboardInterrupt, typer.Abort):
         status = _complain("interrupted", 130)

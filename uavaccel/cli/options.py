@@ -10,7 +10,7 @@ from typing import Annotated, Any, get_type_hints
 import typer
 
 from uavaccel.errors import UsageError, UserError
-from uavaccel.resources import experiment_names
+from uavaccel.resources import experiments
 from uavaccel.suites.keys import KEYS
 
 Complete = Callable[[str], list[str]]
@@ -22,66 +22,73 @@ def one_of(*values: str) -> Complete:
     return lambda incomplete: [value for value in values if value.startswith(incomplete)]
 
 
-def experiments(incomplete: str) -> list[str]:
+def shipped(incomplete: str) -> list[str]:
     """Complete the name of an experiment that ships."""
-    return one_of(*experiment_names())(incomplete)
+    return one_of(*experiments())(incomplete)
 
 
-Timing = Annotated[str, typer.Option(help=f"{KEYS['timing'].help}.", autocompletion=one_of(*KEYS["timing"].words))]
-Profile = Annotated[str, typer.Option(help=f"{KEYS['profile'].help}.", autocompletion=one_of(*KEYS["profile"].words))]
-Scene = Annotated[str, typer.Option(help="A scene of assets/mjcf.")]
-Case = Annotated[str | None, typer.Option(help="Name of the game in rows.jsonl; by default the fastest, or the best.")]
+def _option(*declarations: str, shown: str | None = None, about: str) -> Any:
+    """Return an option; where it shows words with bars between, the shell completes them."""
+    words = shown.split("|") if shown and "|" in shown else ()
+    return typer.Option(*declarations, metavar=shown, help=about, autocompletion=one_of(*words) if words else None)
+
+
+Timing, Profile = (
+    Annotated[str, _option(shown=key.shown, about=f"{key.help}.")] for key in (KEYS["timing"], KEYS["profile"])
+)
+Scene = Annotated[str, typer.Option(metavar="NAME", help="A scene of assets/mjcf.")]
 Latency = Annotated[
-    Path | None, typer.Option(help="Latency model, as `calibrate` writes it; by default the shipped one.")
+    Path | None, typer.Option(metavar="FILE", help="Latencies, as calibrate writes them; default: those that ship.")
 ]
 Trust = Annotated[
-    bool,
-    typer.Option("--trust", help="Run the own code that a run's folder or --set names, and remember that it may run."),
+    bool, typer.Option("--trust", help="Run the code that a run's folder or --set names, and remember that it may run.")
 ]
 Watch = Annotated[
-    bool,
-    typer.Option("--watch", help="Open a page in this machine's browser that shows the flight; it changes no flight."),
+    bool, typer.Option("--watch", help="Show the flight in this machine's browser; that changes no flight.")
 ]
 
 
 def _parameter(
-    name: str, kind: Any, default: object, about: str, *declarations: str, words: tuple[str, ...] = ()
+    name: str, kind: Any, default: object, about: str, *declarations: str, shown: str | None = None
 ) -> Parameter:
-    """Return an option as a parameter of a command; `words` are completed."""
-    option = typer.Option(*declarations, help=about, autocompletion=one_of(*words) if words else None)
-    return Parameter(name, Parameter.KEYWORD_ONLY, default=default, annotation=Annotated[kind, option])
+    """Return an option as a parameter of a command."""
+    annotation = Annotated[kind, _option(*declarations, shown=shown, about=about)]
+    return Parameter(name, Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
 
 
-def _of_key(name: str, several: bool) -> Parameter:
+def _of_key(name: str, several: bool, about: str | None) -> Parameter:
     """Return the option of a key of the configuration, which is None where it was not given."""
     key = KEYS[name]
     kind: Any = list[key.kind] if several else key.kind  # type: ignore[name-defined]
-    about = f"{key.help}{'; repeat for several' if several else ''}."
-    return _parameter(name, kind | None, None, about, key.option, words=key.words)
+    about = f"{about or key.help}{'; repeat for several' if several else ''}."
+    return _parameter(name, kind | None, None, about, key.option, shown=key.shown)
 
 
 OF_A_REQUEST = (
-    _parameter("jobs", int, 1, "Number of processes; more than 1 not in wall."),
-    _parameter(
-        *("engine", str, "loky", "What runs the --jobs: loky, ray or dask; never for wall games."),
-        words=("loky", "ray", "dask"),
-    ),
-    _parameter("out", Path | None, None, "New run directory; by default one in runs/."),
-    _parameter("resume", bool, False, "Resume the run in --out with its own configuration.", "--resume"),
+    _parameter("jobs", int, 1, "Processes that fly; must be 1 with --timing wall.", shown="N"),
+    _parameter("engine", str, "loky", "What starts the --jobs.", shown="loky|ray|dask"),
+    _parameter("out", Path | None, None, "New run directory; default: one in runs/.", shown="RUN_DIR"),
+    _parameter("resume", bool, False, "Go on with the run in --out, by its own configuration.", "--resume"),
     Parameter("trust", Parameter.KEYWORD_ONLY, default=False, annotation=Trust),
-    _parameter("dry_run", bool, False, "Print what would be flown, and fly nothing.", "--dry-run"),
-    _parameter("overrides", list[str] | None, (), "dotted.key=value for the configuration; repeatable.", "--set"),
+    _parameter("dry_run", bool, False, "Say what would be flown; fly nothing.", "--dry-run"),
+    _parameter(
+        *("overrides", list[str] | None, (), "Set any key of the configuration; repeat for several.", "--set"),
+        shown="DOTTED.KEY=VALUE",
+    ),
     Parameter("watch", Parameter.KEYWORD_ONLY, default=False, annotation=Watch),
 )
 """The options of every command that flies an experiment, by the fields of its RunRequest."""
 
 
-def requests(*keys: str, several: tuple[str, ...] = ()) -> Callable[[Callable[..., None]], Any]:
+def requests(
+    *keys: str, several: tuple[str, ...] = (), games: str | None = None
+) -> Callable[[Callable[..., None]], Any]:
     """Decorate a command that flies an experiment: its first parameter is a RunRequest of the options that are added.
 
-    These are an option for each of `keys`, which `several` may repeat, and those of every run.
+    These are an option for each of `keys`, which `several` may repeat, and those of every run. `games` is what the help
+    of --games says.
     """
-    options = [_of_key(name, name in several) for name in keys]
+    options = [_of_key(name, name in several, games if name == "games" else None) for name in keys]
     options += OF_A_REQUEST
 
     def decorate(function: Callable[..., None]) -> Callable[..., None]:

@@ -1,148 +1,116 @@
-"""The commands that show and export runs and policies: view, watch, export. They import what they need when run."""
+"""The commands that show and export runs and policies: watch, export. They import what they need when run."""
 
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Iterable
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
-from uavaccel.cli.options import Case, Trust, check_host
+from uavaccel.cli.options import Trust, check_host
 from uavaccel.cli.terminal import LINES, console, working
-from uavaccel.errors import UsageError, UserError
-
-if TYPE_CHECKING:
-    from uavaccel.draw.film import Film
-    from uavaccel.records import RunDirectory
-
-
-def view(
-    source: Annotated[
-        str, typer.Argument(help="Run directory of dp2, evaluate or train, or a policy's folder.")
-    ] = "default",
-    case: Case = None,
-    out: Annotated[Path | None, typer.Option(help="Folder; by default view/ in the run directory.")] = None,
-    trust: Trust = False,
-) -> None:
-    """Show a game: an MP4 of camera, DVS, map, the view from behind and a policy's decisions, and a contact sheet."""
-    from uavaccel.suites.own_code import trusting
-
-    with trusting(trust):
-        view_game(source, case, out)
-
-
-def view_game(source: str, case: str | None, out: Path | None) -> None:
-    """Write CASE.mp4 and CASE.png into `out`, by default the folder view/ of the run, and print their paths.
-
-    `source` is a run directory that keeps images or can fly its games again, or a policy: "default", its folder, a
-    training's run directory. Without `case`: the run's most interesting game, a policy's first evaluation lane.
-    Raises UserError if there is no such game.
-    """
-    from uavaccel.files import inside
-    from uavaccel.rl.agents import DEFAULT, policy_folder
-    from uavaccel.rl.policy import MANIFEST
-    from uavaccel.sim.camera.gl import describe_renderer
-    from uavaccel.suites.registry import open_run
-
-    describe_renderer()  # where nothing can draw, this says so
-    folder = Path("runs") if source == DEFAULT else Path(source)
-    with working("the game"):
-        if (policy_folder(source) / MANIFEST).is_file():
-            name, film = _film_of_policy(source, case or "lane-000000")
-        else:
-            name, film = film_of_game(open_run(source), case)
-    movie, sheet = (
-        inside(out, f"{name}.{kind}") if out else inside(folder, f"view/{name}.{kind}") for kind in ("mp4", "png")
-    )
-    write_film(film, movie, sheet)
-
-
-def film_of_game(run: RunDirectory, case: str | None) -> tuple[str, Film]:
-    """Return a game's name and film, by default of the most interesting. Raises UserError where there are no images."""
-    from uavaccel.suites.flight import film_of
-    from uavaccel.suites.registry import suite_of
-    from uavaccel.suites.suite import choose_row
-
-    suite = suite_of(run)
-    report = suite.report(run)
-    row = choose_row(suite, report, case)
-    flight = suite.flight(report, row)
-    if not len(flight.images):
-        raise UserError(f"{run.path}: a run of {suite.name} keeps no images to show")
-    return str(row["case"]), film_of(flight)
-
-
-def _film_of_policy(policy: str, case: str) -> tuple[str, Film]:
-    from uavaccel.config import validate
-    from uavaccel.rl.config import LANE
-    from uavaccel.suites.evaluate import EvaluateConfig, completed
-    from uavaccel.suites.evaluate_again import flight_of_agent
-    from uavaccel.suites.flight import film_of
-
-    lane = re.fullmatch(r"lane-(\d+)", case)
-    if not lane:
-        raise UserError(f"--case {case}: must be an evaluation lane, as lane-000007")
-    config = validate(EvaluateConfig, completed({"agent": policy, "task": {"timing": "lockstep"}}), "view")
-    if config.env_id == LANE:
-        config.task.wire_lane(int(lane[1]))  # refuses one that there is not
-    return case, film_of(flight_of_agent(config, int(lane[1])))
-
-
-def write_film(film: Film, movie: Path, sheet: Path) -> None:
-    """Write a film, with a bar of its frames on a terminal, and its contact sheet, and print their paths."""
-    from uavaccel.draw.film import write_contact_sheet, write_video
-
-    with working(movie.name, len(film)) as written:
-        console.print(str(write_video(film, movie, written=written)))
-    console.print(str(write_contact_sheet(film, sheet)))
+from uavaccel.errors import UsageError
 
 
 def watch(
     run: Annotated[
-        Path | None,
+        str | None,
         typer.Argument(
-            help="Run directory of dp1, dp2 or evaluate, or the --out of fly; without it ADSC and TCSC fly a square."
+            metavar="RUN",
+            help="A run directory, fly's --out, a policy's folder or default; without it ADSC and TCSC fly a square.",
         ),
     ] = None,
-    case: Case = None,
-    game: Annotated[int | None, typer.Option(min=0, help="The same by its line in rows.jsonl, from 0.")] = None,
-    clock: Annotated[float, typer.Option(min=0.01, max=1000.0, help="ClockSpeed of the square.")] = 50.0,
+    film: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write an MP4, and a contact sheet beside it; open no page.")
+    ] = None,
+    case: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="The flight, as rows.jsonl names it, or a policy's lane; default: the fastest, or the best.",
+        ),
+    ] = None,
+    game: Annotated[
+        int | None, typer.Option(min=0, metavar="N", help="The flight by its line in rows.jsonl, from 0.")
+    ] = None,
+    clock: Annotated[float, typer.Option(min=0.01, max=1000.0, metavar="X", help="ClockSpeed of the square.")] = 50.0,
     think: Annotated[
-        float, typer.Option(min=0.0, max=10.0, help="Wall seconds that the client thinks before each command.")
+        float,
+        typer.Option(
+            min=0.0, max=10.0, metavar="S", help="Wall seconds of thinking before each command of the square."
+        ),
     ] = 0.012,
-    seed: Annotated[int, typer.Option(min=0, help="Of the square's latencies.")] = 0,
-    host: Annotated[str, typer.Option(help="Address of the page, by default for this machine alone.")] = "127.0.0.1",
-    port: Annotated[int, typer.Option(min=1, max=65535, help="The first that is free from here on.")] = 8080,
+    seed: Annotated[int, typer.Option(min=0, metavar="N", help="Random seed of the square.")] = 0,
+    host: Annotated[str, typer.Option(metavar="ADDRESS", help="Address of the page.")] = "127.0.0.1",
+    port: Annotated[
+        int, typer.Option(min=1, max=65535, metavar="N", help="Port of the page, or the first free one above.")
+    ] = 8080,
     trust: Trust = False,
 ) -> None:
-    """Watch a flight in the browser: the drone in its scene, clocks, camera and events; pause, step, replay."""
+    """Watch a flight in the browser, or write its film.
+
+    The page shows the drone in its scene, clocks, camera and events; pause, step, replay. The film shows camera,
+    events, map, the view from behind and what a policy decided.
+    """
+    from uavaccel.fly.trajectory import FILE_NAME as TRAJECTORY
     from uavaccel.suites.own_code import trusting
     from uavaccel.watch.beside import show
 
     check_host(host)
     with trusting(trust):
-        show(run, case, game, (clock, think, seed), host, port)
+        if film is None:
+            show(run, case, game, (clock, think, seed), host, port)
+        elif run is None:
+            raise UsageError("--film: name what to film: a run, or a policy, as in uavaccel watch default --film FILE")
+        elif film.suffix != ".mp4":
+            raise UsageError(f"--film {film}: must end in .mp4")
+        elif Path(run, TRAJECTORY).is_file():
+            raise UsageError(f"--film: {run} has no images; fly the script with uavaccel fly --out FOLDER --film")
+        else:
+            film_game(run, case, game, film)
+
+
+def film_game(source: str | Path, case: str | None, game: int | None, movie: Path) -> None:
+    """Write the film of a game, as `flight_of` finds it, and its contact sheet beside it, and print their paths.
+
+    Raises UserError where nothing can draw, there is no such game, or it has no images.
+    """
+    from uavaccel.draw.film import write_contact_sheet, write_video
+    from uavaccel.sim.camera.gl import describe_renderer
+    from uavaccel.suites.flight import film_of, flight_of
+
+    describe_renderer()  # where nothing can draw, this says so
+    with working("the game"):
+        film = film_of(flight_of(source, case, game)[1])
+    with working(movie.name, len(film)) as written:
+        console.print(str(write_video(film, movie, written=written)))
+    console.print(str(write_contact_sheet(film, movie.with_suffix(".png"))))
 
 
 def export(
-    source: Annotated[str, typer.Argument(help="A policy's folder or default, for --onnx; else a run directory.")],
-    onnx: Annotated[Path | None, typer.Option(help="ONNX file for the policy with its pre-processing.")] = None,
-    csv: Annotated[Path | None, typer.Option(help="Folder for the run's rows and samples as CSV.")] = None,
-    parquet: Annotated[Path | None, typer.Option(help="Folder for the same as Parquet.")] = None,
+    source: Annotated[
+        str, typer.Argument(metavar="SOURCE", help="With --onnx a policy's folder, or default; else a run directory.")
+    ],
+    onnx: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write the policy with its pre-processing as ONNX.")
+    ] = None,
+    csv: Annotated[Path | None, typer.Option(metavar="FOLDER", help="Write the run's rows and samples as CSV.")] = None,
+    parquet: Annotated[Path | None, typer.Option(metavar="FOLDER", help="Write the same as Parquet.")] = None,
     mcap: Annotated[
-        Path | None, typer.Option(help="Folder for the run's games as MCAP, or an .mcap file for one game.")
+        Path | None, typer.Option(metavar="FOLDER", help="Write flights as MCAP; one alone into FOLDER or a file.mcap.")
     ] = None,
     minari: Annotated[
-        Path | None, typer.Option(help="Folder, named NAME-vN, for an evaluation as a Minari dataset.")
+        Path | None, typer.Option(metavar="FOLDER", help="Write an evaluation as a Minari dataset, into NAME-vN.")
     ] = None,
-    case: Annotated[str | None, typer.Option(help="The only game for --mcap, as rows.jsonl names it.")] = None,
+    case: Annotated[
+        str | None, typer.Option(metavar="NAME", help="For --mcap: one flight alone, as rows.jsonl names it.")
+    ] = None,
     trust: Trust = False,
 ) -> None:
-    """Write a policy as ONNX; a run as tables, as MCAP logs for Foxglove, or as a Minari dataset."""
+    """Write a policy as ONNX; a run as tables, MCAP or a Minari dataset."""
     from uavaccel.suites.own_code import trusting
     from uavaccel.suites.registry import open_run
 

@@ -33,7 +33,7 @@ from uavaccel.envs.sensors import (
 from uavaccel.envs.values import Action, Course, Info, Number
 from uavaccel.errors import UserError
 from uavaccel.kinematics import FlightGoal, Kinematics, Vector, VelocityGoal
-from uavaccel.limits import ClockSpeed, Cost, Count, Height, Seconds, Seed, Speed
+from uavaccel.limits import ClockSpeed, CommandName, Cost, Count, Height, Seconds, Seed, Speed
 from uavaccel.sim.lane.layout import PLAIN, LaneLayout
 from uavaccel.sim.profile import PROFILES
 from uavaccel.units import NS_PER_S
@@ -166,7 +166,7 @@ class Task(Config):
     list_events: bool = False
     """Whether the event camera keeps individual events for `pop_events`."""
 
-    command: Literal["adsc", "tcsc"] = "tcsc"
+    command: CommandName = "tcsc"
     """The synchronous command that flies each action."""
     t_move_s: Seconds = 0.2
     """T_move, the simulated seconds of a command."""

@@ -223,6 +223,9 @@ class Dp1(PathSuite[Dp1Config, Game]):
         yield from warnings(report.scores)
         if cells.reference.isna().any():
             yield "Warning: some cells have no real-time ADSC games to compare with."
+        if len(known := cells.reference.dropna()):
+            games = plots.span((reference["games"] for reference in known), "{:d}")
+            yield f"Each cell is compared with {games} real-time ADSC games of the same T_move and rounds."
         yield Heading("Overview: from the least to the greatest of the cells")
         yield self.overview(report)
         yield READING

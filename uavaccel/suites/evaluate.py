@@ -393,7 +393,7 @@ def lost_lanes(report: Report, lost: pd.DataFrame) -> Iterator[Block | str]:
     yield Heading("Lost lanes")
     yield (
         f"Lost, the shortest flight first: lanes {', '.join([*named, *more])}. Each is flown again and filmed by "
-        "`uavaccel view RUN` with the option in its line of the table."
+        "`uavaccel watch RUN --film FILE` with the option in its line of the table."
     )
     drawn = lost[lost.path_m.notna()] if "path_m" in lost else lost.head(0)
     if len(drawn) and report.config.task.randomise is None:

@@ -7,12 +7,11 @@ from typing import Annotated, Literal, TypeVar
 from pydantic import AfterValidator
 
 from uavaccel.config import Config
-from uavaccel.limits import ClockSpeed, Cost, Seed
+from uavaccel.limits import ClockSpeed, CommandName, Cost, Seed
 from uavaccel.wire.latency import LatencyModel
 
 Timing = Literal["wall", "virtual", "lockstep"]
 ProfileName = Literal["native", "airsim"]
-CommandName = Literal["adsc", "tcsc"]
 
 
 Distinct = TypeVar("Distinct", bound=tuple[float | str, ...])
@@ -54,7 +53,7 @@ class FlightExperiment(Experiment):
     t_th_wall_s: Cost = 0.001
     """TCSC's T_th, the client's latency; used with `airsim` alone, whose continue-for may end early."""
     latency: LatencyModel
-    """The latency model that `virtual` samples from, or the name of its file; `uavaccel calibrate` writes one."""
+    """The latencies that `virtual` samples, or the name of their file; `uavaccel timing calibrate` writes one."""
 
 
 def timing_of(config: Experiment) -> str:

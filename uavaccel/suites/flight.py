@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from uavaccel.errors import UserError
+from uavaccel.errors import UsageError, UserError
 from uavaccel.sim.lane.layout import LaneLayout
 from uavaccel.units import NS_PER_S, to_ns
 
@@ -105,6 +107,46 @@ def windows_of(
     for image, at in zip(images[1:], time_ns[1:].tolist(), strict=True):
         counter.process_frame(image, at)
         yield Window(at, counter.pop_events())
+
+
+def flight_of(
+    source: str | Path, case: str | None = None, game: int | None = None, pictures: bool = True
+) -> tuple[str, Flight]:
+    """Return the name and the flight of a run's game, by its case or its line in rows.jsonl, or of a policy's.
+
+    `source` is a run directory, or a policy: "default", its folder, a training's run directory, which flies the
+    evaluation lane `case`, by default the first. By default a run's game is the most interesting. With `pictures` the
+    flight has images, where the run keeps them or can fly its games again. Raises UserError if there is no such game.
+    """
+    from uavaccel.rl.agents import policy_folder  # they load what learns
+    from uavaccel.rl.policy import MANIFEST
+    from uavaccel.suites.registry import open_run, suite_of
+    from uavaccel.suites.suite import choose_row
+
+    if (policy_folder(str(source)) / MANIFEST).is_file():
+        if game is not None:
+            raise UsageError(f"--game {game}: {source} is a policy, which flies a lane: --case lane-000007")
+        return _of_policy(str(source), case or "lane-000000", pictures)
+    run = open_run(source)
+    suite = suite_of(run)
+    report = suite.report(run)
+    row = choose_row(suite, report, case, game)
+    return str(row["case"]), suite.flight(report, row, pictures=pictures)
+
+
+def _of_policy(policy: str, case: str, pictures: bool) -> tuple[str, Flight]:
+    from uavaccel.config import validate
+    from uavaccel.rl.config import LANE
+    from uavaccel.suites.evaluate import EvaluateConfig, completed
+    from uavaccel.suites.evaluate_again import flight_of_agent
+
+    lane = re.fullmatch(r"lane-(\d+)", case)
+    if not lane:
+        raise UserError(f"--case {case}: must be an evaluation lane, as lane-000007")
+    config = validate(EvaluateConfig, completed({"agent": policy, "task": {"timing": "lockstep"}}), policy)
+    if config.env_id == LANE:
+        config.task.wire_lane(int(lane[1]))  # refuses one that there is not
+    return case, flight_of_agent(config, int(lane[1]), pictures)
 
 
 def film_of(flight: Flight) -> Film:

@@ -28,7 +28,7 @@ from uavaccel.envs.conditions import CONDITIONS
 from uavaccel.errors import UsageError, UserError, suggestion
 from uavaccel.files import Plain
 from uavaccel.forms import Count, NotNegative, Number, Positive
-from uavaccel.limits import MOST_SCALE, Games
+from uavaccel.limits import MOST_SCALE, CommandName, Games
 from uavaccel.metrics.intervals import Proportion, mcnemar_exact
 from uavaccel.metrics.speedup import timing_provenance
 from uavaccel.metrics.trajectory import quartiles
@@ -37,16 +37,7 @@ from uavaccel.rl.agents import DEFAULT, policy_sha256
 from uavaccel.sim.recording import RECORDED
 from uavaccel.suites import plots
 from uavaccel.suites.dp1 import SIMILAR_STLC, Dp1, Dp1Config, Dp1Row, Game, summary_cells
-from uavaccel.suites.experiment import (
-    ClockSpeeds,
-    CommandName,
-    CommandNames,
-    Experiment,
-    ProfileName,
-    Timing,
-    distinct,
-    timing_of,
-)
+from uavaccel.suites.experiment import ClockSpeeds, CommandNames, Experiment, ProfileName, Timing, distinct, timing_of
 from uavaccel.suites.flight import Flight
 from uavaccel.suites.gpu import on_own_gpu
 from uavaccel.suites.parts import OUTCOMES, Part, fly_part, outcomes, part_run, part_suite

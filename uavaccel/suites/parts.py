@@ -37,7 +37,7 @@ def part_suite(part: Part, seed: int) -> tuple[AnySuite, Experiment]:
 def fly_part(run: RunDirectory, name: str, part: Part, seed: int, pages: bool = True) -> Report:
     """Fly, in this process, what the part still lacks, and return its report, which has been written.
 
-    Without `pages` summary.json alone is written; `uavaccel report` makes the rest.
+    Without `pages` summary.json alone is written; `uavaccel run --report` makes the rest.
     """
     return fly_below(run, name, *part_suite(part, seed), pages)
 

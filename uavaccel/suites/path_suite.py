@@ -11,11 +11,11 @@ from uavaccel.commands import COMMANDS
 from uavaccel.files import Plain
 from uavaccel.forms import Positive
 from uavaccel.kinematics import Vector, VelocityGoal
-from uavaccel.limits import Seed
+from uavaccel.limits import CommandName, Seed
 from uavaccel.metrics.speedup import timing_provenance
 from uavaccel.records import RunDirectory
 from uavaccel.sim.profile import PROFILES
-from uavaccel.suites.experiment import CommandName, FlightExperiment, ProfileName, Timing
+from uavaccel.suites.experiment import FlightExperiment, ProfileName, Timing
 from uavaccel.suites.rows import GameRow
 from uavaccel.suites.suite import Suite
 from uavaccel.units import NS_PER_S

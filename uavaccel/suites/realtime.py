@@ -25,12 +25,12 @@ from uavaccel.draw.labels import clock_label
 from uavaccel.draw.page import Block, Column, Heading, Picture, Table
 from uavaccel.errors import UserError
 from uavaccel.forms import ArrayForm, Count, NotNegative, Number, Positive
-from uavaccel.limits import Games, Seconds, Seed
+from uavaccel.limits import CommandName, Games, Seconds, Seed
 from uavaccel.metrics.seeds import hierarchical_interval
 from uavaccel.metrics.speedup import timing_provenance
 from uavaccel.records import RunDirectory
 from uavaccel.suites import plots
-from uavaccel.suites.experiment import ClockSpeeds, CommandName, CommandNames, Experiment, Timing
+from uavaccel.suites.experiment import ClockSpeeds, CommandNames, Experiment, Timing
 from uavaccel.suites.own_code import own_module
 from uavaccel.suites.report import Report, Summary, records
 from uavaccel.suites.rows import GameRow, Row

@@ -16,7 +16,7 @@ from uavaccel.errors import UserError, suggestion
 from uavaccel.files import Plain
 from uavaccel.forms import RowForm
 from uavaccel.records import RunDirectory
-from uavaccel.resources import experiment
+from uavaccel.resources import experiment, experiments
 from uavaccel.suites.experiment import Experiment
 from uavaccel.suites.own_code import own_module
 from uavaccel.suites.rows import GameRow
@@ -42,6 +42,8 @@ def read_mapping(name: str) -> tuple[dict[str, Plain], str]:
     """Return the mapping of an experiment that ships, such as "dp1", or of a YAML file, and its name in messages."""
     if is_file(name):
         return load_yaml(Path(name)), name
+    if name not in (known := experiments()):
+        raise UserError(f"{name}: no such experiment; {suggestion(name, known)}")
     return load_yaml(experiment(f"{name}.yaml")), f"{name}.yaml"
 
 

@@ -30,7 +30,7 @@ from uavaccel.envs.simulators import EXACT
 from uavaccel.envs.stopwatch import PHASES
 from uavaccel.errors import UserError
 from uavaccel.forms import ArrayForm, Count, NotNegative, Positive
-from uavaccel.limits import ClockSpeed, Games, Seed
+from uavaccel.limits import ClockSpeed, CommandName, Games, Seed
 from uavaccel.metrics.equivalence import success_estimate
 from uavaccel.metrics.intervals import Proportion, fisher_exact_p, mcnemar_exact
 from uavaccel.metrics.seeds import permutation_p, sign_flip_p
@@ -38,7 +38,7 @@ from uavaccel.records import RunDirectory
 from uavaccel.rl.agents import DEFAULT, FLIGHT, SENSES
 from uavaccel.sim.lane.layout import LENGTH_M, Difficulty, sample_layout
 from uavaccel.suites import paper_results, plots
-from uavaccel.suites.experiment import ClockSpeeds, CommandName, CommandNames, Experiment, ProfileName, Timing
+from uavaccel.suites.experiment import ClockSpeeds, CommandNames, Experiment, ProfileName, Timing
 from uavaccel.suites.gpu import on_own_gpu
 from uavaccel.suites.host_time import cumulative_wall_s, timed
 from uavaccel.suites.parts import OUTCOMES, Part, fly_part, outcomes, part_folder, part_suite

@@ -79,7 +79,7 @@ def start_run(
     suite: AnySuite, config: Experiment, out: Path, manifest: Mapping[str, object], resume: bool = False
 ) -> RunDirectory:
     """Create a run's folder or, with `resume`, bring it to a state from which the run continues. Raises UserError."""
-    folder = own_folder(suite)  # from which `report` imports a custom suite
+    folder = own_folder(suite)  # from which `run --report` imports a custom suite
     found = {} if folder is None else {"suite_folder": str(folder)}
     run = RunDirectory.create(out, config, {**manifest, **found}, resume, suite.may_grow(out))
     run.form = suite.form

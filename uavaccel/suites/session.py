@@ -57,8 +57,8 @@ class RunRequest:
 def reading(request: RunRequest) -> Iterator[tuple[AnySuite, Any]]:
     """Yield the suite and the configuration of a request; without an experiment those of the run that is resumed.
 
-    A shipped experiment with a single ClockSpeed is shortened, and measured on the wall clock. In the `with` block own
-    code may run: what the experiment's YAML file itself names, or all with `trust`. Raises UserError.
+    A shipped experiment with a single ClockSpeed has its quick keys. In the `with` block own code may run: what the
+    experiment's YAML file itself names, or all with `trust`. Raises UserError.
     """
     experiment = request.experiment
     mapping, source = _of_the_run(request) if experiment is None else read_mapping(experiment)
@@ -71,9 +71,7 @@ def reading(request: RunRequest) -> Iterator[tuple[AnySuite, Any]]:
         if request.suite not in (None, suite.name, PART_OF.get(suite.name)):
             raise UsageError(f"{source}: is of {suite.name}, not of {request.suite}; take `uavaccel run`")
         options = {key: value for key, value in request.options.items() if value is not None}
-        shipped, speeds = experiment is not None and beside is None, _values(options.get("clock_speed", ()))
-        if shipped and suite.quick is not None and len(speeds) == 1:
-            mapping, options = {**mapping, **suite.quick}, {"timing": "wall", **options}
+        mapping = {**mapping, **quick_keys(request, suite)}
         seeds = options.pop("seeds", None) if suite.name == "train" else None
         keys = dict(_place(suite, name, value) for name, value in options.items())
         config = configuration(suite, merged(mapping, keys, request.overrides), source)
@@ -83,6 +81,14 @@ def reading(request: RunRequest) -> Iterator[tuple[AnySuite, Any]]:
             over_seeds = {"seed": config.seed, "seeds": seeds, "training": config.model_dump(mode="json")}
             suite = find_suite("seeds", source)
             yield suite, configuration(suite, over_seeds, source)
+
+
+def quick_keys(request: RunRequest, suite: AnySuite) -> Mapping[str, object]:
+    """Return the keys by which a shipped experiment with a single --clock is short and measured; else none."""
+    speeds = _values(request.options.get("clock_speed") or ())
+    if request.experiment is None or is_file(request.experiment) or len(speeds) != 1 or suite.quick is None:
+        return {}
+    return {"timing": "wall", **suite.quick}
 
 
 def configure(request: RunRequest) -> tuple[AnySuite, Any]:
@@ -160,6 +166,10 @@ class Plan:
             simulated_s = sum(case.simulated_s() for case in self.left)
             time = f"{simulated_s:,.0f} simulated s, wall time known after the first"
             yield f"{what} ({by_clock}: {sources}), {time}, into {self.out}"
+        if quick := quick_keys(self.request, self.suite):
+            keys = ", ".join(f"{key}={getattr(self.config, key)}" for key in quick)
+            [speed] = self.config.clock_speed
+            yield f"a quick run, since --clock names one ClockSpeed: {keys}; all games: --set clock_speed=[{speed:g}]"
         alone = sum(case.timing == "wall" for case in self.cases)
         if alone and (self.request.jobs > 1 or self.request.engine != LOKY):
             yield f"{alone} {self.suite.unit} on the wall clock fly alone, in this process, one by one"
@@ -235,22 +245,22 @@ def resumption_notes(run: RunDirectory, games: str, now: Mapping[str, Plain]) ->
 
 
 @contextmanager
-def resumable(out: Path) -> Iterator[None]:
+def resumable(plan: Plan) -> Iterator[None]:
     """Turn Ctrl-C, and errors of the system such as a full disk, into a line that says how to resume what was begun."""
     try:
         yield
     except KeyboardInterrupt:
-        raise Interrupted(f"interrupted{_going_on(out)}") from None
+        raise Interrupted(f"interrupted{_going_on(plan)}") from None
     except (OSError, MemoryError) as error:
         if (refused := mistake_of(error)) is None:
             raise
-        raise UserError(f"{refused}{_going_on(out)}") from error
+        raise UserError(f"{refused}{_going_on(plan)}") from error
     except UserError as error:
         if not isinstance(error.__cause__, OSError):
             raise
-        raise UserError(f"{error}{_going_on(out)}") from error
+        raise UserError(f"{error}{_going_on(plan)}") from error
 
 
-def _going_on(out: Path) -> str:
-    begun = (out / "config.yaml").is_file()
-    return f"; go on with: uavaccel run --out {shlex.quote(str(out))} --resume" if begun else ""
+def _going_on(plan: Plan) -> str:
+    command, begun = plan.request.suite or "run", (plan.out / "config.yaml").is_file()
+    return f"; go on with: uavaccel {command} --resume --out {shlex.quote(str(plan.out))}" if begun else ""

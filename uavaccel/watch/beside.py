@@ -139,7 +139,7 @@ def main() -> None:
 
 
 def show(
-    run: Path | None, case: str | None, game: int | None, square: tuple[float, float, int], host: str, port: int
+    run: str | Path | None, case: str | None, game: int | None, square: tuple[float, float, int], host: str, port: int
 ) -> None:
     """Open the page of a run's game, or of a square, and say where it is; until Ctrl-C.
 
@@ -167,7 +167,8 @@ def show(
     try:
         page = Page(server, source, title, opened=source.begin)  # whoever comes first has missed nothing
         print(f"watch at http://{host}:{server.get_port()}; Ctrl-C ends", flush=True)
-        page.run()
+        with suppress(KeyboardInterrupt):  # it runs until then
+            page.run()
     finally:
         server.stop()
 

@@ -18,7 +18,7 @@ from uavaccel.fly.messages import FILE_NAME as MESSAGES
 from uavaccel.fly.options import SUMMARY
 from uavaccel.fly.trajectory import FILE_NAME as TRAJECTORY
 from uavaccel.kinematics import Vector
-from uavaccel.suites.flight import Commands, Flight
+from uavaccel.suites.flight import Commands, Flight, flight_of
 from uavaccel.units import NS_PER_S, ned_to_mujoco, quaternion_ned_to_mujoco, seconds_to_ns, to_ns
 from uavaccel.wire.api import CALLS
 from uavaccel.wire.latency import shipped_latency
@@ -98,34 +98,30 @@ class Track:
         return "client thinks, clock paused" if stands else "client thinks, drone flies on"
 
 
-def recorded(folder: Path, case: str | None = None, game: int | None = None) -> Track:
-    """Return a game of the run in `folder` by its name or its place in rows.jsonl, or the flight of a script in it.
+def recorded(source: str | Path, case: str | None = None, game: int | None = None) -> Track:
+    """Return a game of a run or of a policy, as `flight_of` finds it, or the flight of a script in a folder.
 
-    By default the game is the most interesting. The flight's title says in words what it is. Raises UserError if there
-    is none, or nothing recorded of it.
+    The flight's title says in words what it is. Raises UserError if there is none, or nothing recorded of it.
     """
+    from uavaccel.rl.agents import policy_folder  # it loads what learns
+    from uavaccel.rl.policy import MANIFEST
+
+    folder = policy_folder(str(source))
     if case is not None and game is not None:
         raise UsageError("--case, --game: name the game by one of them")
     if (folder / TRAJECTORY).is_file():
         if case is not None or game is not None:
             raise UsageError(f"{folder}: is the flight of one script: without --case and --game")
         return script_track(folder)
-    if not (folder / "config.yaml").is_file():
+    if not any((folder / name).is_file() for name in ("config.yaml", MANIFEST)):
         if flights := sorted(file.parent.name for file in folder.glob(f"*/{TRAJECTORY}")):
             raise UserError(f"{folder}: has several flights: name one of them, as in {folder / flights[0]}")
         raise UserError(
             f"{folder}: holds neither a run nor a flight: `uavaccel run` and `evaluate` keep runs, `uavaccel fly` "
             "keeps a flight with --out FOLDER"
         )
-    from uavaccel.suites.registry import open_run, suite_of  # they load what learns
-    from uavaccel.suites.suite import choose_row
-
-    run = open_run(folder)
-    suite = suite_of(run)
-    report = suite.report(run)
-    row = choose_row(suite, report, case, game)
-    flight = suite.flight(report, row, pictures=False)
-    titled = replace(flight, title=f"Game `{row['case']}` of `{run.path}`: {flight.title}.")
+    name, flight = flight_of(source, case, game, pictures=False)
+    titled = replace(flight, title=f"Game `{name}` of `{source}`: {flight.title}.")
     return Track(f"flight at {clock_label(flight.clock_speed)}", titled)
 
 

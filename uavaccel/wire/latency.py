@@ -131,7 +131,7 @@ ZERO_LATENCY = LatencyConfig()
 
 @cache
 def shipped_latency(profile: str = "native") -> LatencyConfig:
-    """Return a profile's shipped model: measured by `uavaccel calibrate`, or AirSim's by tools/fit_airsim.py."""
+    """Return a profile's shipped model: measured by `uavaccel timing calibrate`, or AirSim's by tools/fit_airsim.py."""
     return read_latency(experiment(SHIPPED[profile]), shipped=True)
 
 
@@ -144,7 +144,7 @@ def read_latency(path: Path, shipped: bool = False) -> LatencyConfig:
     """Return the model under the key `latency` of a YAML file. Raises UserError that names the file and the key."""
     block = load_yaml(path, shipped)
     if "latency" not in block:
-        raise UserError(f"{path}: has no key 'latency'; `uavaccel calibrate --out {path}` writes one")
+        raise UserError(f"{path}: has no key 'latency'; `uavaccel timing calibrate --out {path}` writes one")
     return validate(_LatencyFile, {"latency": block["latency"]}, str(path)).latency
 
 
