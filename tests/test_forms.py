@@ -198,7 +198,7 @@ def test_rows_of_evaluations_are_checked_likewise(tmp_path: Path, change: dict[s
         ({"versions": {"numpy": 2}}, "versions.numpy = 2: should be a valid string"),
         ({"git": "main"}, "git = 'main'"),
         ({"git": {"commit": 3}}, "git.commit = 3: should be a valid string"),
-        ({"suite_folder": 3}, "suite_folder = 3"),
+        ({"own_code": 3}, "own_code = 3"),
         (None, "should be a mapping"),
     ],
 )

@@ -15,12 +15,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from uavaccel import VelocityGoal, open_session, tcsc
+from uavaccel import VelocityGoal, open_session, own_code, tcsc
 from uavaccel.cli import main as cli
 from uavaccel.errors import UserError
-from uavaccel.suites import own_code
-from uavaccel.suites.own_code import trusting
-from uavaccel.suites.registry import find_suite, own_folder
+from uavaccel.own_code import folder_of, trusting
+from uavaccel.suites.registry import find_suite
 
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs" / "own-suite.md").read_text(encoding="utf-8")
@@ -162,8 +161,8 @@ def test_a_suite_in_a_package_is_imported_from_above_it(here: Path) -> None:
         (package / name).write_text(BLOCKS["python"])
     for module in ("toys.inner", "toys.inner.toy"):
         with trusting(beside=here):
-            assert own_folder(find_suite(f"{module}:Toy", "toy.yaml")) == here
-    assert own_folder(find_suite("dp1", "dp1.yaml")) is None
+            assert folder_of(type(find_suite(f"{module}:Toy", "toy.yaml"))) == here
+    assert folder_of(type(find_suite("dp1", "dp1.yaml"))) is None
 
 
 FOREIGN = """
@@ -177,7 +176,7 @@ def foreign_run(here: Path, folder: str) -> None:
     """A run's folder from elsewhere, whose suite is said to be in another folder."""
     (here / "run").mkdir()
     (here / "run/config.yaml").write_text("suite: foreign:Evil\n")
-    (here / "run/manifest.json").write_text(json.dumps({"suite_folder": str(here / folder)}))
+    (here / "run/manifest.json").write_text(json.dumps({"own_code": str(here / folder)}))
     (here / "run/rows.jsonl").write_text('{"suite": "evil", "case": "a"}\n')
 
 
@@ -234,7 +233,7 @@ def test_own_code_is_trusted_once_until_it_changes(
     assert "foreign.py has changed since it was trusted" in said("run --report .")
     (here / "elsewhere").mkdir()
     (here / "foreign.py").rename(here / "elsewhere/foreign.py")
-    (here / "run/manifest.json").write_text(json.dumps({"suite_folder": str(here / "elsewhere")}))
+    (here / "run/manifest.json").write_text(json.dumps({"own_code": str(here / "elsewhere")}))
     assert "no module 'foreign' in" in said("run --report . --trust")
 
 

@@ -14,10 +14,10 @@ import pytest
 from tests.drawing import labelled, points, record_figures
 from tests.running import configured, fly_into
 from uavaccel.errors import UserError
+from uavaccel.own_code import trusting
 from uavaccel.records import RunDirectory
 from uavaccel.resources import experiment
 from uavaccel.suites import realtime_agents as agents
-from uavaccel.suites.own_code import trusting
 from uavaccel.suites.realtime import AgentBlock, EnvironmentBlock, Evaluation, Realtime
 from uavaccel.suites.realtime_agents import LookAhead, Policy, measured, timed, train, training
 

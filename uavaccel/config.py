@@ -7,15 +7,18 @@ YAML is read and written by rules that differ from PyYAML's own in four points: 
 is text; a duplicate key in a mapping and tags such as !!binary, which no JSON has, are refused.
 """
 
+from __future__ import annotations
+
 import json
 import re
 import reprlib
-from collections.abc import Hashable, Iterable, Mapping
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from copy import deepcopy
+from difflib import get_close_matches
 from functools import lru_cache
 from pathlib import Path
-from typing import TypeVar, get_args, get_origin
+from typing import Any, TypeAlias, TypeVar, get_args, get_origin
 
 import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError
@@ -36,6 +39,14 @@ class Config(BaseModel):
         extra="forbid", frozen=True, allow_inf_nan=False, validate_default=True, use_attribute_docstrings=True
     )
 
+    @classmethod
+    def keys_of(cls, mapping: Mapping[str, Any]) -> KeyTree:
+        """Return the keys that a mapping of this configuration may have, nested as they are."""
+        return _key_tree(cls)
+
+
+KeyTree: TypeAlias = dict[str, Any]
+"""Keys, and below each those of the mapping that it holds; for a list or a union those of all its members."""
 
 _YAML_WORDS = {
     "list_type": "should be a list",
@@ -134,7 +145,7 @@ def _explain(cls: type[Config], mapping: Mapping[str, object], error: Validation
     key = _dotted(mapping, first)
     if first["type"] == "extra_forbidden":
         *above, unknown = first["loc"]
-        return f"unknown key {key!r}; {suggestion(str(unknown), _keys_below(cls, above))}"
+        return f"unknown key {key!r}; {suggested_key(cls.keys_of(mapping), above, str(unknown))}"
     if length := _tuple_length(cls, first):
         return f"{first['loc'][0]} = {reprlib.repr(first['input'])}: should be a list of {length}"
     if first["type"] == "missing" and isinstance(first["input"], list):
@@ -171,13 +182,29 @@ def _dotted(mapping: object, error: ErrorDetails) -> str:
     return ".".join([*parts, *map(str, error["loc"][len(above) :])])
 
 
-def _keys_below(cls: type[BaseModel], path: Iterable[str | int]) -> list[str]:
-    """Return the keys that the configuration at `path` below `cls` may have."""
-    models = [cls]
+def _key_tree(model: type[BaseModel]) -> KeyTree:
+    below = {name: _models_in(field.annotation) for name, field in model.model_fields.items()}
+    return {
+        name: {key: inner for each in models for key, inner in _key_tree(each).items()}
+        for name, models in below.items()
+    }
+
+
+def suggested_key(tree: KeyTree, path: Sequence[str | int], unknown: str) -> str:
+    """Suggest what an unknown key at `path` in a configuration may mean, there or at another level of it."""
+    here = tree
     for part in path:
-        fields = [model.model_fields[str(part)] for model in models if part in model.model_fields]
-        models = [model for field in fields for model in _models_in(field.annotation)] or models
-    return [key for model in models for key in model.model_fields]
+        here = here.get(str(part), here)  # list indices and names of entries have no keys of their own
+    elsewhere: dict[str, list[str]] = {}
+    for dotted in dotted_keys(tree):
+        parts = dotted.split(".")
+        for end in range(1, len(parts) + 1):
+            elsewhere.setdefault(parts[end - 1], []).append(".".join(parts[:end]))
+    close = get_close_matches(unknown, elsewhere, n=1, cutoff=0.85)
+    for name in [unknown] * (unknown in elsewhere) + close * (not get_close_matches(unknown, here, n=1)):
+        if name not in here:
+            return f"did you mean {min(elsewhere[name], key=lambda dotted: dotted.count('.'))!r}?"
+    return suggestion(unknown, list(here))
 
 
 def _models_in(annotation: object) -> list[type[BaseModel]]:

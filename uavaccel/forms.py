@@ -52,7 +52,8 @@ class Start(TypedDict, total=False):
     versions: dict[str, str | None]
     git: Source | None
     policy_sha256: str | None
-    suite_folder: str
+    own_code: str
+    """The folder of the own code that it was made with: a suite, an environment."""
 
 
 class Manifest(Start, total=False):

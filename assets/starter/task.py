@@ -1,79 +1,60 @@
-"""A task of one's own: fly to a waypoint, then back to the start. `python task.py` trains a policy for it with PPO.
+"""The task: fly through the door between two posts, wherever it stands. Change anything; `uavaccel train` learns it.
 
-What a game is about, what is seen and what is rewarded are functions of HoverTask; those replaced here make it another
-task. uavaccel.envs.task says what else there is.
+Each function is called for one drone by the exact simulator, and for thousands at once, over arrays, by the kernels. So
+compute with plain arithmetic: `&` for and, `|` for or, a factor such as `(x > 1)` for if.
 """
 
-import argparse
-
-import gymnasium
 import numpy as np
-from stable_baselines3 import PPO
-from stable_baselines3.common.env_util import make_vec_env
+from gymnasium.spaces import Box
 
-from uavaccel.envs.flight_env import FlightEnv
-from uavaccel.envs.hover import HoverTask
+from uavaccel.envs.task import Task, distance
+from uavaccel.kinematics import VelocityGoal
 
 
-class ThereAndBackTask(HoverTask):
-    """Its keys are HoverTask's and these; they are the keywords of `gymnasium.make`."""
+class DoorTask(Task):
+    scene = "lane"  # a long street, into which `layout` puts obstacles
+    flat_state = True  # an observation is a vector, (6,)
 
-    radius_m: float = 0.7  # of a waypoint
-    speed_m_s: float = 2.0  # of a command whose share is 1
-    bonus: float = 5.0  # for each waypoint
+    # Keys: your YAML file sets them under `task:`, and --set task.door_m=2.
+    altitude_m: float = 1.5  # height at which it starts and stays, metres
+    speed_m_s: float = 2.0  # at full deflection
+    door_m: float = 1.6  # width of the door
+    max_commands: int = 60  # after which the episode is over; each takes t_move_s, 0.2 s
 
-    def advance(self, before, now):
-        """What became of the game: the waypoint reached, the next one is the start."""
-        course = dict(now.course)
-        if np.linalg.norm(np.subtract(course["waypoint_m"], now.position_m)) < self.radius_m:
-            course |= {"waypoint_m": [0.0, 0.0, -self.altitude_m], "legs": course.get("legs", 0) + 1}
-        return course
+    def sample(self, random, options):
+        """What differs from episode to episode: plain numbers and lists. NED: north, east, down."""
+        return {"door_m": [8.0, float(random.uniform(-3.0, 3.0)), -self.altitude_m]}
+
+    def layout(self, course):
+        """Where the obstacles of an episode stand: a post on either side of the door."""
+        north, east, _ = course["door_m"]
+        post = {"x_m": north, "half_side_m": 0.3}
+        return {"obstacles": [{**post, "y_m": east + side * (self.door_m / 2 + 0.3)} for side in (-1, 1)]}
+
+    def action_space(self):
+        return Box(-1.0, 1.0, (2,), np.float32)
+
+    def goal(self, action):
+        """What an action asks the autopilot for: here a velocity, at constant height."""
+        north, east = action
+        return VelocityGoal((north * self.speed_m_s, east * self.speed_m_s, 0.0), -self.altitude_m)
+
+    def fields(self, state, course):
+        """What the policy sees: the way to the door, and how fast it flies."""
+        north, east, down = course["door_m"]
+        x_m, y_m, z_m = state.position_m
+        return [north - x_m, east - y_m, down - z_m, *state.linear_velocity_m_s]
 
     def reward(self, before, now):
-        """A point for each metre nearer to the waypoint that was next, a bonus for each reached."""
-        waypoint = np.array(before.course["waypoint_m"])
-        nearer_m = np.linalg.norm(waypoint - before.position_m) - np.linalg.norm(waypoint - now.position_m)
-        reached = now.course.get("legs", 0) - before.course.get("legs", 0)
-        return float(nearer_m) + self.bonus * reached - self.failure(now)
+        """Metres nearer to the door, and something for the end."""
+        nearer_m = distance(before.course["door_m"], before.position_m) - distance(now.course["door_m"], now.position_m)
+        return nearer_m + 10.0 * self.success(now) - 10.0 * self.failure(now)
+
+    def beside_m(self, now):
+        return abs(now.position_m[1] - now.course["door_m"][1])
 
     def success(self, now):
-        return now.course.get("legs", 0) == 2
+        return now.free & (now.position_m[0] > now.course["door_m"][0]) & (self.beside_m(now) < self.door_m / 2)
 
-
-class ThereAndBack(FlightEnv[ThereAndBackTask]):
-    task_class = ThereAndBackTask
-
-
-gymnasium.register("ThereAndBack-v0", entry_point=ThereAndBack)
-
-
-def won(model: PPO, games: int) -> int:
-    """Games on fresh seeds that the policy wins."""
-    environment, wins = gymnasium.make("ThereAndBack-v0"), 0
-    for game in range(games):
-        (observation, info), over = environment.reset(seed=1_000_000 + game), False
-        while not over:
-            action, _ = model.predict(observation, deterministic=True)
-            observation, _, terminated, truncated, info = environment.step(action)
-            over = terminated or truncated
-        wins += info["is_success"]
-    environment.close()
-    return wins
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--commands", type=int, default=30_000)
-    parser.add_argument("--games", type=int, default=50, help="flown afterwards, on fresh seeds")
-    asked = parser.parse_args()
-    lanes = make_vec_env("ThereAndBack-v0", n_envs=8, seed=0)
-    model = PPO("MlpPolicy", lanes, n_steps=128, batch_size=256, gamma=0.98, learning_rate=1e-3, seed=0, device="cpu")
-    print(f"before: {won(model, asked.games)} of {asked.games} games")
-    model.learn(asked.commands)
-    print(f"after {asked.commands} commands: {won(model, asked.games)} of {asked.games} games")
-    model.save("there_and_back")
-    lanes.close()
-
-
-if __name__ == "__main__":
-    main()
+    def failure(self, now):  # it touched something, or flew past the door
+        return now.touched | (now.position_m[0] > now.course["door_m"][0]) & (self.beside_m(now) >= self.door_m / 2)

@@ -110,8 +110,8 @@ def evaluate(
 
 def report_runs(run_dirs: Sequence[Path], trust: bool = False) -> None:
     """Report runs again, and draw several of a suite side by side, in the first one's folder. Raises UserError."""
+    from uavaccel.own_code import trusting
     from uavaccel.records import RunDirectory
-    from uavaccel.suites.own_code import trusting
     from uavaccel.suites.registry import suite_of
 
     if not run_dirs:

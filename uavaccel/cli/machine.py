@@ -145,19 +145,16 @@ def init(
             raise UserError(f"{folder}: holds {present[0]}; init wants a new or an empty folder")
         for source in sorted(file for file in asset("starter").iterdir() if file.is_file()):
             (path / source.name).write_bytes(source.read_bytes())
-        (path / SCHEMA).write_text(schema_text("train"), encoding="utf-8")
+        (path / SCHEMA).write_text(schema_text(str(path / "train.yaml")), encoding="utf-8")
     except OSError as error:
         raise UserError(f"{folder}: {error.strerror}") from error
     console.print(f"{folder}: start with its README.md")
 
 
 def schema_text(suite: str) -> str:
-    """Return the JSON schema of a suite's YAML files. Raises UserError for an unknown suite."""
+    """Return the JSON schema of a suite's YAML files, or of the one that is named. Raises UserError."""
     import json
 
-    from uavaccel.config import schema as schema_of
-    from uavaccel.suites.own_code import trusting
-    from uavaccel.suites.registry import find_suite
+    from uavaccel.suites.session import schema_of
 
-    with trusting():
-        return json.dumps(schema_of(find_suite(suite, "--schema").config), indent=2, sort_keys=True) + "\n"
+    return json.dumps(schema_of(suite), indent=2, sort_keys=True) + "\n"

@@ -56,7 +56,7 @@ def watch(
     events, map, the view from behind and what a policy decided.
     """
     from uavaccel.fly.trajectory import FILE_NAME as TRAJECTORY
-    from uavaccel.suites.own_code import trusting
+    from uavaccel.own_code import trusting
     from uavaccel.watch.beside import show
 
     check_host(host)
@@ -111,7 +111,7 @@ def export(
     trust: Trust = False,
 ) -> None:
     """Write a policy as ONNX; a run as tables, MCAP or a Minari dataset."""
-    from uavaccel.suites.own_code import trusting
+    from uavaccel.own_code import trusting
     from uavaccel.suites.registry import open_run
 
     if onnx is csv is parquet is mcap is minari is None:

@@ -30,6 +30,7 @@ from uavaccel.envs.values import Actions, Answer, Info, Observation, Steps, copi
 from uavaccel.errors import UserError
 from uavaccel.limits import MOST_GAMES, MOST_PROCESSES
 from uavaccel.machine import usable_cores
+from uavaccel.own_code import folder_of
 from uavaccel.sim.camera.gl import known_renderer
 from uavaccel.sim.rendering.camera import RendererGoneError
 from uavaccel.sim.rendering.service import RenderService
@@ -71,6 +72,7 @@ class EnvironmentBatch(TurnBatch):
         self.processes = min(processes or 2 * usable_cores(), num_envs)
         options: BatchOptions = {
             "environment": f"{environment.__module__}:{environment.__qualname__}",
+            "folder": str(folder) if (folder := folder_of(environment)) else None,
             "keys": {**task.model_dump(mode="json"), "render_mode": self.render_mode},
             "memory": self._observations.descriptor,
             "observations": self._observations.form,

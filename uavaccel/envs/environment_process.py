@@ -19,6 +19,7 @@ from collections.abc import Mapping
 from functools import partial
 from itertools import chain
 from multiprocessing.connection import Connection
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -26,9 +27,10 @@ import mujoco
 from gymnasium.vector import AutoresetMode
 
 from uavaccel.envs.environment_processes import ProgramOptions, SharedObservations, SlotOptions, descriptors_of
-from uavaccel.envs.flight_env import FlightEnv
+from uavaccel.envs.flight_env import FlightEnv, environment_of
 from uavaccel.envs.values import Action, Info, Observation, rows_of, write
 from uavaccel.errors import UserError
+from uavaccel.own_code import errors_named, file_of
 from uavaccel.processes.forks import fork_each
 from uavaccel.processes.lifetime import descriptor_of_parent, end_with_process
 from uavaccel.sim.camera.camera import make_cameras_with
@@ -95,16 +97,20 @@ def fly(options: ProgramOptions, place: SlotOptions) -> None:
     connection = Connection(place["connection"])
     module, _, name = options["environment"].partition(":")
     slot: Slot | None = None
+    own: Path | None = None
     try:
         while True:
             method, arguments = connection.recv()
             try:
                 if slot is None:
-                    environment = getattr(importlib.import_module(module), name)(**options["keys"])
+                    found = environment_of(getattr(importlib.import_module(module), name))
+                    environment, own = found(**options["keys"]), file_of(found)
                     autoreset = AutoresetMode(options["autoreset"])
                     seen, last = (rows_of(each, number) for each in (shared.present, shared.last))
                     slot = Slot(environment, seen, last, autoreset)
-                connection.send((True, getattr(slot, method)(*arguments)))
+                with errors_named(own):
+                    answer = getattr(slot, method)(*arguments)
+                connection.send((True, answer))
             except (UserError, AttributeError) as error:
                 connection.send((False, type(error).__name__, str(error)))
             except Exception:
@@ -124,6 +130,8 @@ def _remote_camera(renderer: dict[str, int], model: mujoco.MjModel, width: int, 
 
 def main() -> None:
     options = json.load(sys.stdin)
+    if options["folder"] is not None:
+        sys.path.insert(0, options["folder"])
     os.nice(NICENESS)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's
     parent = descriptor_of_parent(options["parent"])

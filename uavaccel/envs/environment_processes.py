@@ -88,7 +88,9 @@ class BatchOptions(TypedDict):
     """Options of all processes of a batch."""
 
     environment: str
-    """Module and class, as "module:class"."""
+    """Module and class, as "module:class", of an environment or of its task."""
+    folder: str | None
+    """Folder from which the module is imported; None for one of this package."""
     keys: dict[str, object]
     memory: int
     """File descriptor of the SharedObservations."""

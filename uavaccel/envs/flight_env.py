@@ -7,7 +7,8 @@ from collections import deque
 from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import astuple, replace
-from typing import TYPE_CHECKING, Final, Generic
+from functools import cache
+from typing import TYPE_CHECKING, Any, Final, Generic
 
 import gymnasium
 import numpy as np
@@ -17,9 +18,10 @@ from numpy.typing import NDArray
 from uavaccel.clock import MonotonicClock
 from uavaccel.commands import COMMANDS
 from uavaccel.envs.checks import RENDER_MODES, TaskT, check_render_mode, known_options, make_task, seed_of, within
+from uavaccel.envs.own_task import check_reward
 from uavaccel.envs.sensors import EventCamera
 from uavaccel.envs.stopwatch import Stopwatch
-from uavaccel.envs.task import Moment
+from uavaccel.envs.task import Moment, Task
 from uavaccel.envs.values import Action, Course, Frame, Info, Number, Observation
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Kinematics
@@ -99,7 +101,8 @@ class FlightEnv(gymnasium.Env[Observation, Action], Generic[TaskT]):
         terminated = success or self.task.failure(self._now)
         truncated = not terminated and self._now.commands >= self.task.max_commands
         info = self._info() | (self._host_disturbances() if terminated or truncated else {})
-        return self._observation(), self.task.reward(before, self._now), terminated, truncated, info
+        check_reward(self.task, reward := self.task.reward(before, self._now))
+        return self._observation(), reward, terminated, truncated, info
 
     def render(self) -> NDArray[np.uint8] | None:
         """Return the front camera's picture (144, 256, 3) uint8; None without a render mode."""
@@ -345,3 +348,12 @@ class FlightEnv(gymnasium.Env[Observation, Action], Generic[TaskT]):
         client = self._client.client
         found = {"lost_wall_s": client.speed()["lost_wall_ns"], "stalled_wall_s": client.transport.stalled_ns}
         return {name: spent_ns / NS_PER_S for name, spent_ns in found.items() if spent_ns}
+
+
+@cache
+def environment_of(found: type[Task] | type[FlightEnv[Any]]) -> type[FlightEnv[Any]]:
+    """Return an environment's class, for the class of a task one that flies it; processes import both by one name."""
+    if issubclass(found, FlightEnv):
+        return found
+    names = {"task_class": found, "__module__": found.__module__, "__qualname__": found.__qualname__}
+    return type(found.__name__, (FlightEnv,), names)

@@ -18,12 +18,14 @@ from gymnasium import spaces
 from uavaccel.envs.actions import RAD
 from uavaccel.envs.arrays import cast, full, joined, mapped, namespace_of
 from uavaccel.envs.context_planes import NO_ACTION
+from uavaccel.envs.own_task import check_reward
 from uavaccel.envs.stopwatch import PHASES
 from uavaccel.envs.task import Collisions, Moments, Task
 from uavaccel.envs.values import Action, Info, Number
 from uavaccel.errors import UserError
 from uavaccel.kernels.bodies import Surroundings
 from uavaccel.kinematics import AttitudeGoal, BodyRatesGoal, FlightGoal, Kinematics, VelocityGoal
+from uavaccel.own_code import file_of
 from uavaccel.sim.vehicle import goal as goals
 from uavaccel.sim.vehicle.autopilot import THROTTLE
 from uavaccel.sim.vehicle.goal import Goal, Yaw
@@ -203,6 +205,8 @@ class Judge:
             terminated = success | _flags(task.failure(now), like)
         with self._over_arrays("reward", like):
             reward = full(task.reward(before, now), like)
+        if isinstance(reward, np.ndarray):  # reading a tensor would wait for the GPU
+            check_reward(task, reward)
         truncated = ~terminated & (now.commands >= task.max_commands)
         return now.course, Judged(reward, success, terminated, truncated)
 
@@ -305,10 +309,14 @@ class Judge:
             torch.set_default_dtype(torch.float64)
         try:
             yield
-        except (AttributeError, KeyError, RuntimeError, TypeError, ValueError) as error:
+        except UserError:
+            raise
+        except Exception as error:
+            file = file_of(type(self.task))
             raise UserError(
-                f"simulator = kernels: {type(self.task).__name__}.{name} must compute with plain arithmetic, the same "
-                f"for numbers and arrays ({type(error).__name__}: {error}); or use simulator = mujoco"
+                f"simulator = kernels: {f'{file}: ' if file else ''}{type(self.task).__name__}.{name} must compute "
+                f"with plain arithmetic, the same for numbers and arrays ({type(error).__name__}: {error}); or use "
+                "simulator = mujoco"
             ) from error
         finally:
             if torch is not None:

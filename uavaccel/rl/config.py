@@ -6,13 +6,23 @@ import inspect
 import json
 import math
 from collections.abc import Mapping
+from contextlib import suppress
 from importlib import import_module
 from importlib.util import find_spec
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
-from pydantic import Field, SerializeAsAny, ValidationInfo, ValidatorFunctionWrapHandler, WrapValidator, model_validator
+from gymnasium import spaces
+from pydantic import (
+    AfterValidator,
+    Field,
+    SerializeAsAny,
+    ValidationInfo,
+    ValidatorFunctionWrapHandler,
+    WrapValidator,
+    model_validator,
+)
 
-from uavaccel.config import Config, validate
+from uavaccel.config import Config, KeyTree, validate
 from uavaccel.envs.flyable import Simulator, check_flyable
 from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
 from uavaccel.envs.task import Positive, Task
@@ -20,6 +30,7 @@ from uavaccel.errors import UserError, suggestion
 from uavaccel.files import Plain
 from uavaccel.limits import MOST_PROCESSES, Cost, Count, Games, Lanes, Processes, Seed
 from uavaccel.machine import memory_bytes
+from uavaccel.own_code import module_of, own_class, own_module
 
 if TYPE_CHECKING:
     from stable_baselines3.common.base_class import BaseAlgorithm
@@ -39,12 +50,20 @@ Size = Annotated[int, Field(ge=1, le=LARGEST_SIZE)]
 Ratio = Annotated[float, Field(ge=0.0, le=1.0)]
 Weight = Annotated[float, Field(ge=0.0, le=1e3)]
 
-EnvId = Literal["uavaccel/ObstacleLane-v0", "uavaccel/Hover-v0", "uavaccel/Gates-v0", "uavaccel/Navigate-v0"]
-LANE: EnvId = "uavaccel/ObstacleLane-v0"
+LANE = "uavaccel/ObstacleLane-v0"
+ENVIRONMENTS = (LANE, "uavaccel/Hover-v0", "uavaccel/Gates-v0", "uavaccel/Navigate-v0")
 
 
 def environment_class(env_id: str) -> type[FlightEnv[Any]]:
-    """Return the class of an environment of this package by its id."""
+    """Return the class of an environment of this package by its id, or of one's own by "file.py:Class".
+
+    Own code is found, and runs, as uavaccel.own_code has it; its class may be that of an environment or of a task.
+    Raises UserError where there is none, and where nobody has told to run it.
+    """
+    if ":" in env_id:
+        from uavaccel.envs.flight_env import FlightEnv, environment_of
+
+        return environment_of(own_class(env_id, f"task {env_id!r}", Task, FlightEnv))
     if env_id == LANE:
         return ObstacleLane
     name = env_id.removeprefix("uavaccel/").removesuffix("-v0")
@@ -52,18 +71,63 @@ def environment_class(env_id: str) -> type[FlightEnv[Any]]:
     return found
 
 
+def _known(env_id: str) -> str:
+    if env_id not in ENVIRONMENTS and ":" not in env_id:
+        raise ValueError(f"unknown; {suggestion(env_id, [*ENVIRONMENTS, 'my_task.py:MyTask'])}")
+    return env_id
+
+
+EnvId = Annotated[str, AfterValidator(_known)]
+
+
+def only_task(place: str) -> str:
+    """Return the "file.py:Class" of the only task in "file.py". Raises UserError unless there is exactly one.
+
+    An environment and the task that it names are one.
+    """
+    from uavaccel.envs.flight_env import FlightEnv
+
+    where = f"task {place!r}"
+    module = own_module(module_of(place), where)
+    here = [each for each in vars(module).values() if isinstance(each, type) and each.__module__ == module.__name__]
+    environments = [each for each in here if issubclass(each, FlightEnv)]
+    flown = {each.task_class for each in environments}
+    found = environments + [each for each in here if issubclass(each, Task) and each not in flown]
+    if not found:
+        raise UserError(f"{where}: has no class of a task: a subclass of uavaccel.envs.task.Task, or of FlightEnv")
+    names = [f"{place}:{each.__name__}" for each in found]
+    if len(names) > 1:
+        raise UserError(f"{where}: has {len(names)} tasks: name one, {' or '.join(names)}")
+    return names[0]
+
+
+def with_env_id(mapping: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the mapping of a training with `env_id` and `task` for a `task` that is, or whose `class` is, a name."""
+    task = mapping.get("task")
+    keys = {"class": task} if isinstance(task, str) else dict(task) if isinstance(task, Mapping) else {}
+    name = keys.pop("class", None)
+    if not isinstance(name, str):
+        return dict(mapping)
+    return {**mapping, "env_id": only_task(name) if name.endswith(".py") else name, "task": keys}
+
+
 def _of_the_environment(task: Any, handler: ValidatorFunctionWrapHandler, info: ValidationInfo) -> Any:
     """Validate the keys of a task by the environment that `env_id` names."""
-    task_class = environment_class(info.data.get("env_id", LANE)).task_class
+    if "env_id" not in info.data:  # it is wrong itself
+        return LaneTask()
+    task_class = environment_class(info.data["env_id"]).task_class
     if isinstance(task, task_class):
         return task
     if isinstance(task, Task):  # the field's default
         task = task.model_dump(mode="json", exclude_unset=True)
     if not isinstance(task, Mapping):
         return handler(task)  # which refuses it
-    for key in set(task) - set(task_class.model_fields) if task_class is not LaneTask else ():
-        raise UserError(f"unknown key 'task.{key}'; {suggestion(key, list(task_class.model_fields))}")
-    return task_class.model_validate_json(json.dumps(task), strict=True)
+    made = task_class.model_validate_json(json.dumps(task), strict=True)
+    if ":" in info.data["env_id"]:
+        from uavaccel.envs.own_task import check_functions
+
+        check_functions(made)
+    return made
 
 
 AnyTask = Annotated[SerializeAsAny[LaneTask], WrapValidator(_of_the_environment)]
@@ -84,9 +148,10 @@ class LearnerConfig(Config):
     turns: Processes = 1
     """Groups into which double_dqn divides the lanes: while it acts for and learns from one, the others fly."""
     env_id: EnvId = LANE
-    """The environment: double_dqn learns the obstacle lane, ppo the others, which have continuous actions."""
+    """The environment: one of this package, or of one's own, a class as file.py:Class."""
     task: AnyTask = LaneTask()
-    """The task that is learned: the keys of the environment."""
+    """The task that is learned: the keys of the environment. Its name in place of the keys, or as the key `class`
+    beside them, is that of the environment: `task: my_task.py:MyTask`."""
 
     algorithm: str = DOUBLE_DQN
     """double_dqn or ppo, or an algorithm of stable-baselines3, which is an extra: sb3_dqn, sb3_ppo, sb3_a2c."""
@@ -138,9 +203,11 @@ class LearnerConfig(Config):
             raise ValueError(f"environments must be at most {MOST_PROCESSES}, a process each, with simulator mujoco")
         if self.simulator == "kernels":
             check_flyable(self.task, self.environments, self.device)
-        pictures = self.algorithm == DOUBLE_DQN and self.task.observation != "state"
+        pictures = self.algorithm == DOUBLE_DQN and self.task.observation != "state" and isinstance(self.task, LaneTask)
         if self.on_device and not pictures and self.algorithm != PPO:
-            raise ValueError("simulator kernels with device cuda needs algorithm ppo, or double_dqn and pictures")
+            raise ValueError(
+                "simulator kernels with device cuda needs algorithm ppo, or double_dqn and the lane's pictures"
+            )
         if self.on_device and self.algorithm == PPO and self.task.timing != "lockstep":
             raise ValueError("algorithm ppo with simulator kernels and device cuda needs timing lockstep")
         if self.on_device and self.turns > 1:
@@ -151,20 +218,47 @@ class LearnerConfig(Config):
 
     @model_validator(mode="after")
     def _algorithm_fits(self) -> LearnerConfig:
-        if (self.algorithm == PPO) != (self.env_id != LANE):
-            needed = "another env_id, with continuous actions" if self.env_id == LANE else "algorithm ppo"
-            raise ValueError(f"algorithm {self.algorithm} does not learn env_id {self.env_id}: it needs {needed}")
+        discrete = is_discrete(self.task)
+        if (self.algorithm == PPO) == discrete:
+            actions, needed = ("discrete", DOUBLE_DQN) if discrete else ("continuous", PPO)
+            raise ValueError(
+                f"algorithm {self.algorithm} does not learn {self.env_id}, whose actions are {actions}: it needs "
+                f"algorithm {needed}"
+            )
         for key in ("start_from", "mirrored_decisions"):
             if getattr(self, key) and self.algorithm != DOUBLE_DQN:
                 raise ValueError(f"{key} needs algorithm double_dqn, not {self.algorithm}")
         if self.task.also_state and self.algorithm != PPO:
             raise ValueError(f"task.also_state needs algorithm ppo, not {self.algorithm}")
-        headings = getattr(self.task, "headings_deg", ())
-        symmetric = {-heading for heading in headings} == set(headings) and self.task.observation != "state"
         for key in ("mirror", "mirrored_decisions"):
-            if getattr(self, key) and self.algorithm != PPO and not symmetric:
+            if getattr(self, key) and self.algorithm != PPO and not is_symmetric(self.task):
                 raise ValueError(f"{key} must be false: it needs pictures and headings symmetric about 0")
         return self
+
+    @classmethod
+    def keys_of(cls, mapping: Mapping[str, Any]) -> KeyTree:
+        """Return its keys with those of the task and of the algorithm's options that the mapping names."""
+        options = {DOUBLE_DQN: DqnOptions, PPO: PPOSettings}.get(mapping.get("algorithm", DOUBLE_DQN))
+        return keys_with_task(super().keys_of(mapping), mapping) | ({"options": options.keys_of({})} if options else {})
+
+
+def keys_with_task(tree: KeyTree, mapping: Mapping[str, Any]) -> KeyTree:
+    """Return the keys of a configuration with those of the task of its `env_id`."""
+    with suppress(UserError, AttributeError, ImportError, TypeError):  # which is wrong itself
+        return tree | {"task": environment_class(mapping.get("env_id", LANE)).task_class.keys_of({})}
+    return tree
+
+
+def is_discrete(task: Task) -> bool:
+    """Return whether a task's actions are numbered."""
+    return isinstance(task.action_space(), spaces.Discrete)
+
+
+def is_symmetric(task: Task) -> bool:
+    """Return whether an observation that is turned left to right is one of the task, too, by its actions' headings."""
+    headings = getattr(task, "headings_deg", ())
+    mirrored = {-heading for heading in headings} == set(headings)
+    return isinstance(task, LaneTask) and mirrored and task.observation != "state"
 
 
 class DqnOptions(Config):

@@ -82,8 +82,8 @@ class DoubleDQN:
             self.policy.q_net.parameters(), self.options.learning_rate, fused=True, capturable=device.type == "cuda"
         )
         self._make_rates_tensors()
-        headings = config.task.headings_deg
-        turned = turned_actions(headings) if config.mirror else list(range(len(headings)))
+        actions = range(int(config.task.action_space().n))
+        turned = turned_actions(config.task.headings_deg) if config.mirror else list(actions)
         self._turned = th.tensor(turned, device=device)
         self.games = self.updates = 0
         self.returns: list[float] = []

@@ -22,6 +22,7 @@ from uavaccel.envs.values import Frame, Observation
 from uavaccel.errors import UserError
 from uavaccel.files import ARRAYS_BYTES, Plain, file_sha256, open_bounded, parse_json, read_bounded, replacing, to_json
 from uavaccel.forms import check
+from uavaccel.own_code import folder_of, look_also_in
 from uavaccel.rl.config import DOUBLE_DQN, PPO, LearnerConfig, check_options
 
 if TYPE_CHECKING:  # a manifest is read without PyTorch
@@ -39,6 +40,8 @@ class PolicyManifest(TypedDict, total=False):
     """What is read of a policy's manifest beside the configuration of its training."""
 
     weights_file_sha256: str
+    own_code: str
+    """The folder of the own code of its task."""
     trained: dict[str, Plain]
 
 
@@ -125,8 +128,10 @@ def export_policy(folder: Path, policy: th.nn.Module, config: LearnerConfig, tra
     }
     with replacing(folder / WEIGHTS) as file:
         th.save(weights, file)
+    folder_of_code = folder_of(config.environment_class)
     manifest = {
         "weights": WEIGHTS,
+        **({} if folder_of_code is None else {"own_code": str(folder_of_code)}),
         "weights_file_sha256": file_sha256(folder / WEIGHTS),
         "preprocessing": PREPROCESSING if config.task.observation == "dvs" else config.task.observation,
         **_form(config.task),
@@ -145,6 +150,8 @@ def _form(task: Task) -> dict[str, Plain]:
     shape = list(space.shape or ()) if parts is None else {name: list(part.shape or ()) for name, part in parts.items()}
     if isinstance(task, LaneTask):
         return {"observation_shape": shape, "actions_heading_deg": list(task.headings_deg)}
+    if isinstance(actions, spaces.Discrete):
+        return {"observation_shape": shape, "actions": int(actions.n)}
     return {"observation_shape": shape, "action": task.action, "action_shape": list(actions.shape or ())}
 
 
@@ -209,6 +216,7 @@ def _read_manifest(path: Path, *stamps: tuple[int, int] | None) -> tuple[Mapping
         raise UserError(
             f"{path / WEIGHTS}: is not the file that {MANIFEST} describes: another hash; train or copy both files anew"
         )
+    look_also_in(manifest.get("own_code"))
     described = {key: value for key, value in manifest["config"].items() if key in LearnerConfig.model_fields}
     config = validate(LearnerConfig, described, str(path / MANIFEST))
     try:

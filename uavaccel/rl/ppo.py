@@ -74,9 +74,9 @@ def boxes_of(space: spaces.Space[Any]) -> dict[str, spaces.Box]:
     """Return the boxes of an observation space by name. Raises UserError for other spaces."""
     found = dict(space.spaces) if isinstance(space, spaces.Dict) else {"seen": space}
     for name, part in found.items():
-        if not isinstance(part, spaces.Box) or len(part.shape) not in (1, 3):
+        if not isinstance(part, spaces.Box) or len(part.shape) not in (1, 2, 3):
             raise UserError(
-                f"observation {name!r}: must be a picture (channels, rows, columns) or a vector, not {part}"
+                f"observation {name!r}: must be a picture (channels, rows, columns), rows or a vector, not {part}"
             )
     return found  # type: ignore[return-value]
 
@@ -92,8 +92,8 @@ class ActorCritic(nn.Module):
         self.sees, self.parts, width = sees, tuple(boxes_of(space)), 0
         self.eyes = nn.ModuleDict()
         for name, box in boxes_of(space).items():
-            if len(box.shape) == 1:
-                width += box.shape[0]
+            if len(box.shape) < 3:
+                width += math.prod(box.shape)
                 continue
             layers: list[nn.Module] = []
             for number, (before, after) in enumerate(pairwise((box.shape[0], *options.channels))):
@@ -111,7 +111,7 @@ class ActorCritic(nn.Module):
     def forward(self, seen: Parts) -> tuple[th.Tensor, th.Tensor]:
         """Return mean actions (n, actions) and values (n,) of observations by name."""
         looks = {name: eye(self._levels(seen[name])) for name, eye in self.eyes.items()}
-        parts = [looks[name] if name in looks else seen[name] for name in self.parts]
+        parts = [looks[name] if name in looks else seen[name].flatten(1) for name in self.parts]
         features = self.body(th.cat(parts, 1))
         return self.mean(features), self.value(features)[:, 0]
 

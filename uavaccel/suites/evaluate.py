@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 from pydantic import Field, model_validator
 
+from uavaccel.config import KeyTree
 from uavaccel.draw import style
 from uavaccel.draw.labels import command_name
 from uavaccel.draw.page import Block, Heading, Movie, Table, listed
@@ -37,7 +38,7 @@ from uavaccel.rl.agents import (
     trained_env_id,
     trained_keys,
 )
-from uavaccel.rl.config import LANE, AnyTask, EnvId, environment_class
+from uavaccel.rl.config import LANE, AnyTask, EnvId, environment_class, keys_with_task
 from uavaccel.sim.lane.layout import EVALUATION_SEEDS, LENGTH_M, WIDTH_M
 from uavaccel.suites import paper_results, plots
 from uavaccel.suites.experiment import Experiment
@@ -49,6 +50,8 @@ from uavaccel.wire.image_api import lane_layout
 
 if TYPE_CHECKING:  # matplotlib is loaded by what draws
     from matplotlib.figure import Figure
+
+    from uavaccel.envs.flight_env import FlightEnv
 
 MOST_PANELS = 9
 AHEAD_M = 10.0  # of the farthest end, shown on the map
@@ -78,6 +81,16 @@ class EvaluateConfig(Experiment):
     """The environment, by default that of the agent's training."""
     task: AnyTask = LaneTask(split="evaluation", timing="virtual")
     """Omitted keys are those of the agent's training; those that its network cannot take are refused."""
+
+    @property
+    def environment_class(self) -> type[FlightEnv[Any]]:
+        """The class of the environment."""
+        return environment_class(self.env_id)
+
+    @classmethod
+    def keys_of(cls, mapping: Mapping[str, Any]) -> KeyTree:
+        """Return its keys with those of the environment's task."""
+        return keys_with_task(super().keys_of(mapping), mapping)
 
     @model_validator(mode="after")
     def _fits(self) -> EvaluateConfig:
@@ -158,7 +171,7 @@ class Evaluation(Suite[EvaluateConfig, Game]):
         import torch as th
 
         th.set_num_threads(1)
-        with closing(environment_class(config.env_id)(**config.task.model_dump(mode="json"))) as environment:
+        with closing(config.environment_class(**config.task.model_dump(mode="json"))) as environment:
             agent = make_agent(config.agent, config.task)
             yield lambda lane: GameResult(fly_game(config, environment, agent, lane))
 

@@ -28,10 +28,10 @@ from uavaccel.forms import ArrayForm, Count, NotNegative, Number, Positive
 from uavaccel.limits import CommandName, Games, Seconds, Seed
 from uavaccel.metrics.seeds import hierarchical_interval
 from uavaccel.metrics.speedup import timing_provenance
+from uavaccel.own_code import own_module
 from uavaccel.records import RunDirectory
 from uavaccel.suites import plots
 from uavaccel.suites.experiment import ClockSpeeds, CommandNames, Experiment, Timing
-from uavaccel.suites.own_code import own_module
 from uavaccel.suites.report import Report, Summary, records
 from uavaccel.suites.rows import GameRow, Row
 from uavaccel.suites.suite import GameResult, SimpleCase, Suite

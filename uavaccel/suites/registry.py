@@ -6,7 +6,6 @@ Custom suites are named "module:name" (own_code.py).
 from __future__ import annotations
 
 import copy
-import sys
 from collections.abc import Iterable, Mapping
 from importlib import import_module
 from pathlib import Path
@@ -15,10 +14,10 @@ from uavaccel.config import apply_overrides, assign, load_yaml, validate
 from uavaccel.errors import UserError, suggestion
 from uavaccel.files import Plain
 from uavaccel.forms import RowForm
+from uavaccel.own_code import folder_of, look_also_in, own_class
 from uavaccel.records import RunDirectory
 from uavaccel.resources import experiment, experiments
 from uavaccel.suites.experiment import Experiment
-from uavaccel.suites.own_code import own_module
 from uavaccel.suites.rows import GameRow
 from uavaccel.suites.suite import AnySuite, CaseType, ConfigType, Suite
 
@@ -39,7 +38,14 @@ SUITES = {
 
 
 def read_mapping(name: str) -> tuple[dict[str, Plain], str]:
-    """Return the mapping of an experiment that ships, such as "dp1", or of a YAML file, and its name in messages."""
+    """Return the mapping of an experiment and its name in messages: one that ships, such as "dp1", or a YAML file.
+
+    A task of one's own, "file.py" or "file.py:Class", is to be trained.
+    """
+    if is_task(name):
+        if not Path(file := name.partition(":")[0]).is_file():
+            raise UserError(f"{file}: no such file")
+        return {"suite": "train", "task": Path(name).name}, name
     if is_file(name):
         return load_yaml(Path(name)), name
     if name not in (known := experiments()):
@@ -48,8 +54,13 @@ def read_mapping(name: str) -> tuple[dict[str, Plain], str]:
 
 
 def is_file(name: str) -> bool:
-    """Return whether an experiment is named by its YAML file."""
-    return Path(name).suffix in (".yaml", ".yml")
+    """Return whether an experiment is named by its YAML file, or by that of its task."""
+    return Path(name).suffix in (".yaml", ".yml") or is_task(name)
+
+
+def is_task(name: str) -> bool:
+    """Return whether an experiment is named by a file of Python, in which its task is."""
+    return name.partition(":")[0].endswith(".py")
 
 
 def merged(
@@ -69,13 +80,13 @@ def configuration(suite: Suite[ConfigType, CaseType], mapping: Mapping[str, Plai
     return config
 
 
-def find_suite(name: object, source: str, remembered_in: Path | None = None) -> AnySuite:
+def find_suite(name: object, source: str) -> AnySuite:
     """Return the suite of a name; a custom one, "module:name", as `own_module` finds it.
 
     Raises UserError, which names `source`, if there is none, and if nobody has told to run its code.
     """
     if isinstance(name, str) and ":" in name:
-        return _own_suite(name, source, remembered_in)
+        return _own_suite(name, source)
     if not isinstance(name, str) or name not in SUITES:
         found = "key 'suite' is missing" if name is None else f"suite = {name!r} is unknown"
         raise UserError(f"{source}: {found}; {suggestion(str(name), [*SUITES, 'module:name'])}")
@@ -86,9 +97,8 @@ def find_suite(name: object, source: str, remembered_in: Path | None = None) -> 
 def suite_of(run: RunDirectory) -> AnySuite:
     """Return the suite of a run; a custom one also where the run found it, if trusted there. Raises UserError."""
     name = run.config().get("suite")
-    own = isinstance(name, str) and ":" in name
-    folder = run.manifest().get("suite_folder") if own else None
-    suite = find_suite(name, str(run.path / "config.yaml"), Path(folder) if isinstance(folder, str) else None)
+    look_also_in(run.manifest().get("own_code"))
+    suite = find_suite(name, str(run.path / "config.yaml"))
     run.form = suite.form
     return suite
 
@@ -108,29 +118,19 @@ def open_run(path: str | Path) -> RunDirectory:
     return run
 
 
-def own_folder(suite: AnySuite) -> Path | None:
-    """Return the folder from which a custom suite's module is imported; None for a suite that ships."""
-    module = sys.modules[type(suite).__module__]
-    shipped = {place.partition(":")[0] for place in SUITES.values()}
-    if module.__name__ in shipped or module.__file__ is None:
-        return None
-    file = Path(module.__file__).resolve()
-    return file.parents[module.__name__.count(".") + (file.name == "__init__.py")]
+def own_folder(suite: AnySuite, config: Experiment) -> Path | None:
+    """Return the folder from which own code, a run's suite or its environment, is imported; None without any."""
+    owners = (type(suite), getattr(config, "environment_class", None))
+    return next((folder for owner in owners if owner and (folder := folder_of(owner))), None)
 
 
-def _own_suite(place: str, source: str, remembered_in: Path | None) -> AnySuite:
-    module, _, name = place.partition(":")
+def _own_suite(place: str, source: str) -> AnySuite:
     where = f"{source}: suite = {place!r}"
-    named = vars(own_module(module, where, remembered_in))
-    suite, none = named.get(name), f"{where}: names no uavaccel.suites.suite.Suite"
-    if name not in named:
-        raise UserError(f"{none}: {module} has no {name}")
-    if not (isinstance(suite, type) and issubclass(suite, Suite)):  # before anything is called
-        raise UserError(f"{none}: {name} is none")
+    suite: type[AnySuite] = own_class(place, where, Suite)
     try:
         return _checked(suite())
     except (AttributeError, TypeError) as error:
-        raise UserError(f"{none}: {error}") from error
+        raise UserError(f"{where}: names no uavaccel.suites.suite.Suite: {error}") from error
 
 
 def _checked(suite: AnySuite) -> AnySuite:

@@ -6,6 +6,7 @@ import os
 import threading
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import replace
 from itertools import groupby, islice
 from pathlib import Path
@@ -14,12 +15,12 @@ from uavaccel.errors import UsageError, UserError
 from uavaccel.files import is_file_name, to_json
 from uavaccel.limits import MOST_GAMES, MOST_PROCESSES
 from uavaccel.machine import usable_cores
+from uavaccel.own_code import errors_named, file_of, trusted_folder, trusting
 from uavaccel.processes.lifetime import remove_orphaned_files, work_for_parent
 from uavaccel.records import RunDirectory
 from uavaccel.suites.engines import LOKY, check_engine, in_parallel
 from uavaccel.suites.experiment import Experiment, timing_of
 from uavaccel.suites.host_time import timed
-from uavaccel.suites.own_code import trusted_folder, trusting
 from uavaccel.suites.registry import own_folder, suite_of
 from uavaccel.suites.rows import disturbances
 from uavaccel.suites.suite import AnySuite, Case, GameResult, OnGame, Opened
@@ -79,8 +80,8 @@ def start_run(
     suite: AnySuite, config: Experiment, out: Path, manifest: Mapping[str, object], resume: bool = False
 ) -> RunDirectory:
     """Create a run's folder or, with `resume`, bring it to a state from which the run continues. Raises UserError."""
-    folder = own_folder(suite)  # from which `run --report` imports a custom suite
-    found = {} if folder is None else {"suite_folder": str(folder)}
+    folder = own_folder(suite, config)  # from which `run --report` imports own code
+    found = {} if folder is None else {"own_code": str(folder)}
     run = RunDirectory.create(out, config, {**manifest, **found}, resume, suite.may_grow(out))
     run.form = suite.form
     suite.prepare(config, run)
@@ -149,11 +150,17 @@ def _one_by_one(suite: AnySuite, config: Experiment, run: RunDirectory, cases: S
     from uavaccel.envs.environment_processes import BatchError
 
     try:
-        with suite.open(config, cases[0].timing, run) as opened:
+        with _own_errors(config), suite.open(config, cases[0].timing, run) as opened:
             for case in cases:
                 yield fly_case(suite, config, case, opened)
     except BatchError as error:
         raise UserError(f"{error}; go on with --resume") from error
+
+
+def _own_errors(config: Experiment) -> AbstractContextManager[None]:
+    """Name what goes wrong in an environment of one's own by its file, line and function."""
+    environment = getattr(config, "environment_class", None)
+    return errors_named(environment and file_of(environment))
 
 
 def _in_workers(
@@ -162,7 +169,7 @@ def _in_workers(
     from joblib import delayed
 
     folder = run.path.resolve()  # workers may have another working directory
-    place = own_folder(suite) or trusted_folder()
+    place = own_folder(suite, config) or trusted_folder()
     calls = (delayed(_fly_in_worker)(config, case, folder, place) for case in cases)
     return in_parallel(engine, jobs, suite.batch, calls)
 
@@ -176,7 +183,7 @@ def _fly_in_worker(config: Experiment, case: Case, folder: Path, place: Path | N
     Own code runs, of the parent's working directory and of `place`: the parent has refused what it should not.
     """
     key = (str(folder), case.timing)
-    with trusting(beside=place):
+    with trusting(beside=place), _own_errors(config):
         if key not in _OPENED:
             if threading.current_thread() is threading.main_thread():  # Dask's workers fly in another one
                 work_for_parent(os.getppid())

@@ -15,6 +15,7 @@ from pydantic import Field, model_validator
 from typing_extensions import TypedDict
 
 from uavaccel.draw.page import Block, Column, Table, fill
+from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.task import Task
 from uavaccel.forms import Count, Number
 from uavaccel.limits import MOST_SEEDS, Games, Seed
@@ -50,6 +51,10 @@ class SeedsConfig(Experiment):
     @property
     def task(self) -> Task:
         return self.training.task
+
+    @property
+    def environment_class(self) -> type[FlightEnv[Any]]:
+        return self.training.environment_class
 
 
 class Evaluated(TypedDict):

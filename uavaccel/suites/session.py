@@ -13,17 +13,17 @@ from typing import Any, get_origin
 
 from uavaccel.calibration.doctor import check_machine
 from uavaccel.clock import calendar_time
-from uavaccel.config import load_yaml, parse_override
+from uavaccel.config import load_yaml, parse_override, schema
 from uavaccel.errors import Interrupted, UsageError, UserError, mistake_of
 from uavaccel.files import Plain, check_new_folder
 from uavaccel.machine import describe_run
 from uavaccel.metrics.speedup import timing_provenance
+from uavaccel.own_code import modules_in, trusting
 from uavaccel.records import RunDirectory, refuse_other_config
 from uavaccel.suites.engines import LOKY
 from uavaccel.suites.experiment import Experiment, timing_of
 from uavaccel.suites.keys import KEYS
-from uavaccel.suites.own_code import modules_in, trusting
-from uavaccel.suites.registry import configuration, find_suite, is_file, merged, read_mapping, suite_of
+from uavaccel.suites.registry import configuration, find_suite, is_file, is_task, merged, read_mapping, suite_of
 from uavaccel.suites.runner import cases_of, check_jobs, run_suite, start_run
 from uavaccel.suites.suite import AnySuite, Case, OnGame
 
@@ -72,6 +72,14 @@ def reading(request: RunRequest) -> Iterator[tuple[AnySuite, Any]]:
             raise UsageError(f"{source}: is of {suite.name}, not of {request.suite}; take `uavaccel run`")
         options = {key: value for key, value in request.options.items() if value is not None}
         mapping = {**mapping, **quick_keys(request, suite)}
+        if "env_id" in suite.config.model_fields:
+            from uavaccel.rl.config import with_env_id  # loads Gymnasium
+
+            mapping = with_env_id(mapping)  # further keys may go into its task
+        if experiment is not None and is_task(experiment):
+            from uavaccel.suites.train import first_settings
+
+            mapping = first_settings(mapping)
         seeds = options.pop("seeds", None) if suite.name == "train" else None
         keys = dict(_place(suite, name, value) for name, value in options.items())
         config = configuration(suite, merged(mapping, keys, request.overrides), source)
@@ -201,7 +209,7 @@ def planned(request: RunRequest) -> Iterator[Plan]:
         cases = cases_of(suite, config)
         if request.out is not None and not request.dry_run:
             check_new_folder(request.out, request.resume)
-        name = Path(request.experiment or suite.name).stem
+        name = Path((request.experiment or suite.name).partition(":")[0]).stem
         out = request.out or Path("runs") / f"{name}-{calendar_time()[:19].replace(':', '')}"
         begun = request.resume and (out / "config.yaml").is_file()
         if begun:
@@ -264,3 +272,20 @@ def resumable(plan: Plan) -> Iterator[None]:
 def _going_on(plan: Plan) -> str:
     command, begun = plan.request.suite or "run", (plan.out / "config.yaml").is_file()
     return f"; go on with: uavaccel {command} --resume --out {shlex.quote(str(plan.out))}" if begun else ""
+
+
+def schema_of(name: str) -> dict[str, Plain]:
+    """Return the JSON schema of a suite's YAML; that of an experiment's own file has the keys of its task.
+
+    Raises UserError for an unknown suite, and as `reading` does.
+    """
+    if not is_file(name):
+        return schema(find_suite(name, "--schema").config)
+    with reading(RunRequest(name)) as (suite, config):
+        made, environment = schema(suite.config), getattr(config, "environment_class", None)
+    if environment is not None:
+        task = environment.task_class.model_json_schema()
+        made["$defs"] |= task.pop("$defs", {})
+        task["properties"]["class"] = {"type": "string", "description": "The task: file.py:Class."}
+        made["properties"]["task"] = {"anyOf": [{"type": "string"}, task]}
+    return made

@@ -13,10 +13,12 @@ import pandas as pd
 from pydantic import AfterValidator, Field, model_validator
 from typing_extensions import TypedDict
 
+from uavaccel.config import validate
 from uavaccel.draw import style
 from uavaccel.draw.labels import clock_label, command_name, in_words
 from uavaccel.draw.page import Block, Column, Table, fill, listed
-from uavaccel.envs.simulators import EXACT
+from uavaccel.envs.own_task import check_functions, flies_over_arrays
+from uavaccel.envs.simulators import EXACT, KERNELS
 from uavaccel.envs.stopwatch import PHASES
 from uavaccel.errors import UserError
 from uavaccel.files import Plain, read_lines
@@ -27,7 +29,17 @@ from uavaccel.metrics.intervals import Proportion
 from uavaccel.metrics.speedup import timing_provenance
 from uavaccel.records import RunDirectory
 from uavaccel.rl.agents import first_policy, policy_sha256
-from uavaccel.rl.config import LANE, LearnerConfig, check_algorithm
+from uavaccel.rl.config import (
+    DOUBLE_DQN,
+    LANE,
+    PPO,
+    LearnerConfig,
+    check_algorithm,
+    environment_class,
+    is_discrete,
+    is_symmetric,
+    with_env_id,
+)
 from uavaccel.rl.policy import trained_with
 from uavaccel.suites import paper_results, plots
 from uavaccel.suites.experiment import Experiment
@@ -40,11 +52,13 @@ if TYPE_CHECKING:  # they load what draws, and PyTorch
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from uavaccel.envs.task import Task
     from uavaccel.suites.trainer import Trainer
 
 CHECKPOINTS = "checkpoints"  # the folder from which a training is resumed
 EVALUATIONS = "evaluations.jsonl"  # a line for each evaluation of the current policy
 REAL_TIME = "real_time.json"  # what its commands would have taken in real time
+FIRST_GAMES = 2000  # of a training of which only the task is named
 RECENT = 100  # games of the moving averages
 
 
@@ -108,6 +122,50 @@ class RealTime(TypedDict):
     how: str
 
 
+def completed(mapping: Mapping[str, Plain]) -> dict[str, Plain]:
+    """Return a training's mapping with what follows from its environment: what learns it, whether it is mirrored.
+
+    Of the obstacle lane both are the defaults.
+    """
+    mapping = with_env_id(mapping)
+    if (task := _task_of(mapping)) is None or mapping.get("env_id", LANE) == LANE:
+        return mapping
+    algorithm = DOUBLE_DQN if is_discrete(task) else PPO
+    return {"algorithm": algorithm, "mirror": algorithm == PPO or is_symmetric(task), **mapping}
+
+
+def _task_of(mapping: Mapping[str, Plain]) -> Task | None:
+    """Return the task that a mapping names; None for one that validation will refuse. Raises as `check_functions`."""
+    env_id, keys = mapping.get("env_id", LANE), mapping.get("task") or {}
+    if not isinstance(env_id, str) or not isinstance(keys, Mapping):
+        return None
+    try:
+        task: Task = validate(environment_class(env_id).task_class, keys, "task")
+    except (UserError, AttributeError, ImportError):
+        return None
+    if ":" in env_id:
+        check_functions(task)
+    return task
+
+
+def first_settings(mapping: Mapping[str, Plain]) -> dict[str, Plain]:
+    """Return the mapping of a training that names no more than its task, with settings to begin with.
+
+    Learner and network follow from actions and observations; the kernels fly it if they can.
+    """
+    mapping = {"games": FIRST_GAMES, **completed(mapping)}
+    if (task := _task_of(mapping)) is None:
+        return mapping
+    numbers, over_arrays = task.observation == "state", flies_over_arrays(task)
+    learner: dict[str, Plain] = {"environments": 32 if over_arrays else 8}
+    if is_discrete(task):
+        learner = {"environments": 8, "options": {"learning_rate": 1e-3, "buffer_size": 50_000}}
+    elif numbers:
+        learner["options"] = {"rollout": 32, "epochs": 5, "minibatches": 8, "learning_rate": 1e-3, "gamma": 0.97}
+    network = {"hidden": [64, 64]} if numbers else {}
+    return {"simulator": KERNELS if over_arrays else EXACT, **learner, **network, "checkpoint_games": 500, **mapping}
+
+
 def game_case(game: int) -> str:
     """Return the name of a game, counted from 0."""
     return f"game-{game:07d}"
@@ -119,6 +177,7 @@ class Training(Suite[TrainConfig, SimpleCase]):
     name = "train"
     config = TrainConfig
     row = TrainRow
+    complete = staticmethod(completed)
     serial = "its games learn from each other; --set environments=N flies N lanes side by side, --seeds N trainings"
 
     def case_of(self, row: Plain) -> str:

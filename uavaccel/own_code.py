@@ -1,10 +1,11 @@
-"""Python code that a configuration names, as "module:name": whose it may be, and where it is.
+"""Python code that a configuration names, as "module:name" or "file.py:name": whose it may be, and where it is.
 
 A YAML file or a run's folder may come from anybody. So a name means a file of the current project alone: below the
 working directory, or beside the YAML file that the user has named; never what is installed, nor a part of Python. And
 nothing of it runs before its user has told so, by --trust, or by naming the YAML file (`uavaccel run my.yaml`): code
 that this file itself names, not that of --set, nor of another file which either of them names. The module is remembered
-then, by its place and its contents, below $XDG_STATE_HOME/uavaccel/trusted.
+then, by its place and its contents, below $XDG_STATE_HOME/uavaccel/trusted. A run and a policy note the folder of the
+code that they were made with, in which it is also looked up, if it is remembered there.
 """
 
 from __future__ import annotations
@@ -16,15 +17,22 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from importlib import import_module
 from pathlib import Path
+from traceback import walk_tb
 from types import ModuleType
+from typing import TypeVar
 
-from uavaccel.errors import UserError
+from uavaccel.errors import UserError, suggestion
 from uavaccel.files import read_bounded, replacing
 
 _trusted: list[tuple[Path | None, frozenset[str] | None]] = []
 """What the user has said so far: the folder beside the working directory, and the modules that may run; None: all."""
 _here: dict[Path, str] = {}
 """What was remembered in this process, which may be unable to write it down."""
+_noted: list[Path] = []
+"""Folders that runs and policies name, in which only remembered code may run."""
+_imported: dict[str, Path] = {}
+"""The files of the modules that were imported in this process."""
+T = TypeVar("T")
 
 
 @contextmanager
@@ -46,10 +54,16 @@ def trusting(
 
 
 def modules_in(value: object) -> set[str]:
-    """Return the modules that a YAML's values name, as in "module:name"."""
+    """Return the modules that a YAML's values name, as in "module:name", "file.py:name" or "file.py"."""
     if isinstance(value, Mapping | list):
         return set().union(*map(modules_in, value.values() if isinstance(value, Mapping) else value))
-    return {value.partition(":")[0]} if isinstance(value, str) and ":" in value else set()
+    return {module_of(value)} if isinstance(value, str) and (":" in value or value.endswith(".py")) else set()
+
+
+def module_of(place: str) -> str:
+    """Return the module in "module:name" or, by its path, in "folder/file.py:name"."""
+    file = place.partition(":")[0]
+    return file.removesuffix(".py").removeprefix("./").replace("/", ".") if file.endswith(".py") else file
 
 
 def trusted_folder() -> Path | None:
@@ -57,38 +71,108 @@ def trusted_folder() -> Path | None:
     return next((folder for folder, _ in reversed(_trusted) if folder is not None), None)
 
 
-def own_module(name: str, where: str, remembered_in: Path | None = None) -> ModuleType:
-    """Import a module of the current project; in the folder `remembered_in` only one that was trusted there before.
+def look_also_in(folder: object) -> None:
+    """Look code up in a folder that a run or a policy has noted, too; there only what was trusted before may run."""
+    if isinstance(folder, str) and (noted := Path(folder)) not in _noted:
+        _noted.append(noted)
+
+
+def own_class(place: str, where: str, *bases: type[T]) -> type[T]:
+    """Return the class "module:name" of the current project, a subclass of one of `bases`.
+
+    Raises UserError, beginning with `where`, as `own_module` does, and if it is none.
+    """
+    name = place.partition(":")[2]
+    named = vars(own_module(module_of(place), where))
+    none = f"{where}: names no {' or '.join(f'{base.__module__}.{base.__qualname__}' for base in bases)}"
+    if name not in named:
+        there = [each for each, value in named.items() if isinstance(value, type) and issubclass(value, bases)]
+        raise UserError(f"{none}: {module_of(place)} has no {name}; {suggestion(name, there)}")
+    found = named[name]
+    if not (isinstance(found, type) and issubclass(found, bases)):  # before anything is called
+        raise UserError(f"{none}: {name} is none")
+    return found
+
+
+def own_module(name: str, where: str) -> ModuleType:
+    """Import a module of the current project.
 
     Raises UserError, beginning with `where`, if there is none, nobody has told to run it, or it cannot be imported.
     """
-    folder, files = _found(name, where, remembered_in)
-    file, code = files[-1], _digest(files)
+    folder, files = _found(name, where)
+    file = files[-1]
+    if name in sys.modules and _imported.get(name) == file:
+        return sys.modules[name]  # though its file may have changed since
+    code = _digest(files)
     if any(modules is None or name in modules for _, modules in _trusted):
         _remember(file, code)
     elif _remembered(file) != code:
         changed = "has changed since it was trusted" if _remembered(file) else "is code that nobody has trusted here"
         raise UserError(f"{where}: {file} {changed}: read it, then add --trust, once")
-    if str(folder) not in sys.path:
-        sys.path.insert(0, str(folder))
+    sys.path[:] = [str(folder), *(place for place in sys.path if place != str(folder))]
+    if name in _imported:  # from another project of this process
+        sys.modules.pop(name, None)
     try:
-        module = import_module(name)
-    except (ImportError, SyntaxError, ValueError) as error:
+        with errors_named(file, where):
+            module = import_module(name)
+    except (ImportError, SyntaxError) as error:  # of a module that it imports
         raise UserError(f"{where}: {error}") from error
     if Path(module.__file__ or "").resolve() != file:
         raise UserError(f"{where}: {file} has the name of another module, {module.__file__}; rename it")
+    _imported[name] = file
     return module
 
 
-def _found(name: str, where: str, remembered_in: Path | None) -> tuple[Path, list[Path]]:
+def file_of(owner: type) -> Path | None:
+    """Return the file of a class; None for a class of this package, and for one without a file."""
+    module = sys.modules[owner.__module__]
+    shipped = module.__name__.partition(".")[0] == __package__
+    return None if shipped or not getattr(module, "__file__", None) else Path(str(module.__file__)).resolve()
+
+
+def folder_of(owner: type) -> Path | None:
+    """Return the folder from which the module of a class is imported; None as `file_of` has it."""
+    file = file_of(owner)
+    return file and file.parents[owner.__module__.count(".") + (file.name == "__init__.py")]
+
+
+@contextmanager
+def errors_named(file: Path | None, where: str = "") -> Iterator[None]:
+    """Turn an error that comes out of own code into a UserError of one line: file, line, function, and what it says.
+
+    Without a file no code is own. Where other code failed that the file called, the line is that of the call.
+    """
+    try:
+        yield
+    except UserError:
+        raise
+    except Exception as error:
+        frames = [(frame.f_code, line) for frame, line in walk_tb(error.__traceback__)]
+        own = [(code, line) for code, line in frames if Path(code.co_filename) == file]
+        if isinstance(error, SyntaxError) and Path(error.filename or "") == file:
+            place, said = f"{file}:{error.lineno}", error.msg
+        elif own:
+            code, line = own[-1]
+            function = code.co_qualname.replace("<module>", "")
+            place, said = f"{file}:{line}{': ' * bool(function)}{function}", str(error).partition("\n")[0]
+        else:
+            raise
+        raise UserError(f"{where}{': ' * bool(where)}{place}: {type(error).__name__}: {said}") from error
+
+
+def _found(name: str, where: str) -> tuple[Path, list[Path]]:
     """Return the folder in which a module is found, and the files that importing it runs, its own last."""
-    beside = (folder for folder, _ in _trusted if folder is not None)
-    folders = list(dict.fromkeys(folder.resolve() for folder in (Path.cwd(), *beside)))
+    beside = (folder for folder, _ in reversed(_trusted) if folder is not None)
+    folders = list(dict.fromkeys(folder.resolve() for folder in (*beside, Path.cwd())))
     for folder in folders:
         if files := _files(folder, name):
             return folder, files
-    if remembered_in is not None and (files := _files(remembered_in.resolve(), name)) and _remembered(files[-1]):
-        return remembered_in.resolve(), files
+    for noted in _noted:
+        if (files := _files(noted.resolve(), name)) and _remembered(files[-1]):
+            return noted.resolve(), files
+    if name in _imported:
+        file = _imported[name]
+        return file.parents[name.count(".") + (file.name == "__init__.py")], [file]
     places = " or ".join(map(str, folders))
     raise UserError(
         f"{where}: no module {name!r} in {places}: own code is looked up in the working directory and beside the "
