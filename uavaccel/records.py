@@ -195,6 +195,11 @@ class RunDirectory:
         """Return the value in a JSON file of the run. Raises UserError if it is missing or damaged."""
         return read_json(self.path / name)
 
+    @property
+    def summary(self) -> dict[str, Plain]:
+        """The contents of summary.json. Raises UserError where there is none yet, or it is damaged."""
+        return dict(self.read_json("summary.json"))
+
     def config(self) -> dict[str, Plain]:
         """Return the mapping in config.yaml."""
         return load_yaml(self.path / "config.yaml")

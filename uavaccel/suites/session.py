@@ -27,7 +27,6 @@ from uavaccel.suites.registry import configuration, find_suite, is_file, is_task
 from uavaccel.suites.runner import cases_of, check_jobs, run_suite, start_run
 from uavaccel.suites.suite import AnySuite, Case, OnGame
 
-
 PART_OF = {"seeds": "train"}  # suites of whole runs, by the command that resumes them
 
 
