@@ -22,10 +22,10 @@ if TYPE_CHECKING:
     from uavaccel.wire.session import open_session
 
 __version__ = "0.1.0"
-__all__ = [
-    *("AirSimAdapter", "FlightEnv", "RunDirectory", "Task", "UserError", "VelocityGoal", "adsc", "evaluate", "film"),
-    *("make", "make_vec", "open_session", "tcsc", "train"),
-]
+__all__ = [  # noqa: RUF022  what a program begins with, in its order
+    "make", "make_vec", "train", "evaluate", "film", "Task", "FlightEnv", "RunDirectory", "UserError",
+    "open_session", "adsc", "tcsc", "VelocityGoal", "AirSimAdapter",
+]  # fmt: skip
 
 _HOMES = {
     "AirSimAdapter": "uavaccel.commands.airsim_adapter",

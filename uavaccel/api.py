@@ -23,8 +23,11 @@ if TYPE_CHECKING:  # it loads Gymnasium
     from uavaccel.envs.values import Batch
     from uavaccel.suites.session import RunRequest
 
-SHORT = {"lane": "obstacle_lane:ObstacleLane", "hover": "hover:Hover", "gates": "gates:Gates"} | {
-    "navigate": "navigate:Navigate"
+SHORT = {
+    "lane": "obstacle_lane:ObstacleLane",
+    "hover": "hover:Hover",
+    "gates": "gates:Gates",
+    "navigate": "navigate:Navigate",
 }
 
 
@@ -58,7 +61,7 @@ def make_vec(
 
 
 def train(
-    experiment: str | Path | type[Task] | type[FlightEnv[Any]] = "train",
+    experiment: str | Path | type[Task] | type[FlightEnv[Any]] | None = None,
     *,
     seeds: int | None = None,
     jobs: int = 1,
@@ -69,18 +72,20 @@ def train(
 ) -> RunDirectory:
     """Train a policy, as `uavaccel train` does, and return its run directory, which is a policy's folder too.
 
-    `experiment` is one that ships, a YAML file, or the class of a task in a file of one's own. `keys` are those of the
-    YAML; mappings, such as `task`, are merged into its. Raises UserError.
+    `experiment` is one that ships, by default train, a YAML file, or the class of a task in a file of one's own; with
+    `resume` the run in `out` needs none. `keys` are those of the YAML; mappings, such as `task`, are merged into its.
+    Raises UserError.
     """
     from uavaccel.suites.session import RunRequest
 
-    named = _file_and_class(experiment) if isinstance(experiment, type) else str(experiment)
-    how = {"jobs": jobs, "out": _path(out), "resume": resume, "trust": trust}
-    return _flown(RunRequest(named, {"seeds": seeds}, _overrides(keys), suite="train", **how))
+    named = None if experiment is None and resume else experiment or "train"
+    named = _file_and_class(named) if isinstance(named, type) else named and str(named)
+    how = jobs, _path(out), resume, False, "train"
+    return _flown(RunRequest(named, {"seeds": seeds}, _overrides(keys), *how, trust=trust))
 
 
 def evaluate(
-    agent: str | Path | RunDirectory = "default",
+    agent: str | Path | RunDirectory | None = None,
     *,
     jobs: int = 1,
     out: str | Path | None = None,
@@ -90,13 +95,14 @@ def evaluate(
 ) -> RunDirectory:
     """Evaluate a policy on games that no training has, as `uavaccel evaluate --no-films`, and return the run directory.
 
-    `agent` is a training, a policy's folder, "default", "straight" or "offset:METRES"; `keys` are as in `train`. Raises
-    UserError.
+    `agent` is a training, a policy's folder, "default" (the policy that ships), "straight" or "offset:METRES"; `keys`
+    and `resume` are as in `train`. Raises UserError.
     """
     from uavaccel.suites.session import RunRequest
 
-    how = {"jobs": jobs, "out": _path(out), "resume": resume, "trust": trust}
-    return _flown(RunRequest("evaluate", {"agent": _folder(agent)}, _overrides(keys), suite="evaluate", **how))
+    named, options = None if agent is None and resume else "evaluate", {"agent": agent and _folder(agent)}
+    how = jobs, _path(out), resume, False, "evaluate"
+    return _flown(RunRequest(named, options, _overrides(keys), *how, trust=trust))
 
 
 def film(source: str | Path | RunDirectory, case: str | None = None, out: str | Path | None = None) -> Path:
@@ -147,8 +153,7 @@ def _plain(keys: Mapping[str, Any]) -> dict[str, Any]:
 
 def _overrides(keys: Mapping[str, Any]) -> list[str]:
     """Return keys of a YAML file, nested as there, as --set has them: JSON is YAML."""
-    plain = {name: value for name, value in dotted_keys(_plain(keys)).items()}
-    return [f"{name}={json.dumps(value, default=str)}" for name, value in plain.items()]
+    return [f"{name}={json.dumps(value, default=str)}" for name, value in dotted_keys(_plain(keys)).items() if name]
 
 
 def _file_and_class(task: type) -> str:

@@ -160,7 +160,9 @@ class Seeds(Suite[SeedsConfig, SeedCase]):
             name: {"mean": mean, "low": low, "high": high, "least": min(over[name]), "most": max(over[name])}
             for name, (mean, low, high) in estimates.items()
         }
-        conditions = {name: getattr(report.config.task, name) for name in ("profile", "command", "clock_speed", "timing")}
+        conditions = {
+            name: getattr(report.config.task, name) for name in ("profile", "command", "clock_speed", "timing")
+        }
         seeds = {"seed": report.config.seed, "seeds": len(trainings), "training_games": report.config.training.games}
         return {"suite": self.name, **conditions, **seeds, "trainings": trainings, "over_seeds": over_seeds}
 
