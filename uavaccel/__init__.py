@@ -41,11 +41,13 @@ _HOMES = {
 }
 
 
-def __getattr__(name: str) -> Any:
-    """The names that a program begins with; each is imported when it is first asked for."""
-    if name not in _HOMES:
-        raise AttributeError(f"module 'uavaccel' has no attribute {name!r}")
-    return getattr(import_module(_HOMES[name]), name)
+if not TYPE_CHECKING:  # which would know any name
+
+    def __getattr__(name: str) -> Any:
+        """The names that a program begins with; each is imported when it is first asked for."""
+        if name not in _HOMES:
+            raise AttributeError(f"module 'uavaccel' has no attribute {name!r}")
+        return getattr(import_module(_HOMES[name]), name)
 
 
 def __dir__() -> list[str]:

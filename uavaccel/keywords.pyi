@@ -9,6 +9,7 @@ from typing import Any, Concatenate, Literal, ParamSpec, TypeVar, overload
 
 from pydantic import Field
 
+from uavaccel.config import Config
 from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.flyable import Device, Simulator
 from uavaccel.envs.gates import Gates, GatesTask
@@ -30,7 +31,7 @@ EnvT = TypeVar("EnvT", bound=FlightEnv[Any])
 def _with_keys(of: Callable[P, Any]) -> Callable[[Callable[[Id], Made]], Callable[Concatenate[Id, P], Made]]: ...
 def _keys_alone(of: Callable[P, Any]) -> Callable[[Callable[[], Made]], Callable[P, Made]]: ...
 
-class _One(Task):
+class _One(Config):
     render_mode: Literal["rgb_array"] | None = ...
     latency: Any = ...
 
