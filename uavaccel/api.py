@@ -54,7 +54,8 @@ def make_vec(
     `simulator` is mujoco or kernels, by default the exact one, mujoco, on device cpu, and kernels on device cuda.
     Raises UserError as `make` does, and for a simulator or device that cannot fly the task, or that is missing.
     """
-    from uavaccel.envs.simulators import CPU, EXACT, KERNELS, make_batch
+    from uavaccel.envs.flyable import CPU
+    from uavaccel.envs.simulators import EXACT, KERNELS, make_batch
 
     simulator = simulator or (EXACT if device == CPU else KERNELS)
     return make_batch(_environment(task), num_envs, simulator, device, **_plain(keys))  # type: ignore[arg-type]
@@ -123,7 +124,7 @@ def film(source: str | Path | RunDirectory, case: str | None = None, out: str | 
     return write_video(shown, movie)
 
 
-def _environment(task: object) -> type[FlightEnv[Any]]:
+def _environment(task: Any) -> type[FlightEnv[Any]]:
     from uavaccel.envs.flight_env import FlightEnv, environment_of
     from uavaccel.envs.task import Task
 
