@@ -226,7 +226,7 @@ def under_fly(plan: Plan, folder: Path, scratch: Path, timing: str, profile: str
     command = [sys.executable, "-m", "uavaccel", "fly", "--out", str(out), "--until", str(plan.until_s)]
     command += ["--timing", timing, "--profile", profile, *settings_option(plan, scratch), "--seed", "0"]
     work = copied(folder, plan, scratch)
-    done = run([*command, Path(plan.script).name, *plan.arguments], work, FLY_LIMIT_S)
+    done = run([*command, Path(plan.script).name, "--", *plan.arguments], work, FLY_LIMIT_S)
     summary_file = out / "flight.json"
     if not summary_file.exists():
         return Result(False, last_line(done[1]))

@@ -119,7 +119,7 @@ PACED = """
 def test_a_script_flies_twice_to_the_same_bytes(tmp_path: Path) -> None:
     out = tmp_path / "out"
     exact = ("--think", "0", "--seed", "3", "--out", out)
-    done = fly("--check", *exact, script(tmp_path, PACED), "-a", "--clock", "7")
+    done = fly("--check", *exact, script(tmp_path, PACED), "-a", "--", "--clock", "7")
     assert done.returncode == 3, done.stderr  # the script's own
     assert "thinking" not in done.stdout
     lines = done.stdout.splitlines()

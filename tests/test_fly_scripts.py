@@ -34,7 +34,7 @@ class Folder:
         """Fly a script's text; `options` before it, and "--" between them and its own arguments."""
         own = options.index("--") if "--" in options else len(options)
         script = self.write(text)
-        command = [sys.executable, "-m", "uavaccel", "fly", *options[:own], str(script), *options[own + 1 :]]
+        command = [sys.executable, "-m", "uavaccel", "fly", *options[:own], str(script), *options[own:]]
         environment = {**os.environ, "HOME": str(self.home)}
         return subprocess.run(
             command, cwd=ROOT, env=environment, input=answers, capture_output=True, text=True, timeout=300

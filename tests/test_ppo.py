@@ -292,8 +292,8 @@ def test_a_loop_of_dictionaries_shows_the_last_observation_of_a_game_and_the_fir
 @pytest.mark.parametrize(
     ("keys", "said"),
     [
-        ({"env_id": "uavaccel/ObstacleLane-v0"}, "does not learn env_id uavaccel/ObstacleLane-v0: it needs another"),
-        ({"algorithm": "double_dqn"}, "double_dqn does not learn env_id uavaccel/Hover-v0: it needs algorithm ppo"),
+        ({"env_id": "uavaccel/ObstacleLane-v0"}, "does not learn uavaccel/ObstacleLane-v0, whose actions are discrete"),
+        ({"algorithm": "double_dqn"}, "does not learn uavaccel/Hover-v0, whose actions are continuous"),
         ({"task": {"reach": 1.0}}, "unknown key 'task.reach'; did you mean 'reach_m'?"),
         ({"task": {"reach_m": -1.0}}, "task.reach_m = -1.0: should be greater than 0"),
         ({"start_from": "default"}, "start_from needs algorithm double_dqn, not ppo"),

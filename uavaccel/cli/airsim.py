@@ -98,8 +98,7 @@ def fly(
 ) -> None:
     """Fly an unmodified AirSim script on a simulated clock.
 
-    That is fast, needs no window, and repeats to the byte. Options come before the
-    script, the script's own arguments after it.
+    That is fast, needs no window, and repeats to the byte. Options come before the script, its own arguments after it.
     """
     from uavaccel.fly.command import FlyRequest, fly_script, parse_clocks
     from uavaccel.fly.keyboard import parse_keys

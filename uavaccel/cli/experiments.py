@@ -42,10 +42,9 @@ def run(
 ) -> None:
     """Fly an experiment, measure it and draw its figures.
 
-    With one --clock, dp1 and dp2 fly a quick run, on the machine's clock (--timing
-    wall), in dp1 with 3 games of each cell and 3 real-time games to compare with,
-    unless options say otherwise. The whole run at one ClockSpeed is --set
-    clock_speed=[50].
+    With one --clock, dp1 and dp2 fly a quick run: on the machine's clock (--timing wall), and dp1 with 3 games of each
+    cell and 3 real-time games to compare them with, unless options say otherwise. The whole experiment at one
+    ClockSpeed is --set clock_speed=[50].
     """
     names = names or []
     if listed:
@@ -68,7 +67,7 @@ def train(
         str | None,
         typer.Argument(
             metavar="TRAINING",
-            help="A YAML file, or one that ships, as train_gpu; default: train.",
+            help="A YAML file, a task as my_task.py, or what ships, as train_gpu; default: train.",
             autocompletion=shipped,
         ),
     ] = None,

@@ -124,7 +124,7 @@ def doctor() -> None:
 def init(
     folder: Annotated[
         str | None,
-        typer.Argument(metavar="FOLDER", help="A new or an empty folder; with --schema a suite, by default train."),
+        typer.Argument(metavar="FOLDER", help="A new or an empty folder; with --schema a suite, or your YAML or task."),
     ] = None,
     schema: Annotated[
         bool, typer.Option("--schema", help="Print the JSON schema of a suite's YAML files, for editors.")
@@ -136,7 +136,7 @@ def init(
     if schema:
         print(schema_text(folder or "train"), end="")
         return
-    if not (folder or "").strip():  # as a path, this folder
+    if folder is None or not folder.strip():  # as a path, this folder
         raise UsageError("init: name a new or an empty folder")
     path = Path(folder)
     try:

@@ -11,7 +11,7 @@ import typer
 
 from uavaccel.errors import UsageError, UserError
 from uavaccel.resources import experiments
-from uavaccel.suites.keys import KEYS
+from uavaccel.suites.keys import KEYS, Key
 
 Complete = Callable[[str], list[str]]
 """The values that begin with what has been typed."""
@@ -33,9 +33,12 @@ def _option(*declarations: str, shown: str | None = None, about: str) -> Any:
     return typer.Option(*declarations, metavar=shown, help=about, autocompletion=one_of(*words) if words else None)
 
 
-Timing, Profile = (
-    Annotated[str, _option(shown=key.shown, about=f"{key.help}.")] for key in (KEYS["timing"], KEYS["profile"])
-)
+def _of_words(key: Key) -> Any:
+    return _option(shown=key.shown, about=f"{key.help}.")
+
+
+Timing = Annotated[str, _of_words(KEYS["timing"])]
+Profile = Annotated[str, _of_words(KEYS["profile"])]
 Scene = Annotated[str, typer.Option(metavar="NAME", help="A scene of assets/mjcf.")]
 Latency = Annotated[
     Path | None, typer.Option(metavar="FILE", help="Latencies, as calibrate writes them; default: those that ship.")

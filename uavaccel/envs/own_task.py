@@ -64,10 +64,10 @@ def check_functions(task: Task) -> None:
     begun = Moment(state, state.position_m, None, 0, course)
     now = begun._replace(commands=1)
     now = now._replace(course=_mapping(call, "advance", call("advance", begun, now)))
-    check_reward(task, call("reward", begun, now))
     for name in ("success", "failure"):
         if not isinstance(ended := call(name, now), bool | np.bool_):
             raise call.wrong(name, f"returned {ended!r}: must be True or False")
+    check_reward(task, call("reward", begun, now))
     _mapping(call, "info", call("info", now))
 
 

@@ -238,8 +238,9 @@ class LearnerConfig(Config):
     @classmethod
     def keys_of(cls, mapping: Mapping[str, Any]) -> KeyTree:
         """Return its keys with those of the task and of the algorithm's options that the mapping names."""
-        options = {DOUBLE_DQN: DqnOptions, PPO: PPOSettings}.get(mapping.get("algorithm", DOUBLE_DQN))
-        return keys_with_task(super().keys_of(mapping), mapping) | ({"options": options.keys_of({})} if options else {})
+        every = {DOUBLE_DQN: DqnOptions.keys_of({}), PPO: PPOSettings.keys_of({})}
+        options = every.get(mapping.get("algorithm", ""), every[DOUBLE_DQN] | every[PPO])
+        return keys_with_task(super().keys_of(mapping), mapping) | {"options": options}
 
 
 def keys_with_task(tree: KeyTree, mapping: Mapping[str, Any]) -> KeyTree:

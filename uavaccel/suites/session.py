@@ -70,7 +70,6 @@ def reading(request: RunRequest) -> Iterator[tuple[AnySuite, Any]]:
         if request.suite not in (None, suite.name, PART_OF.get(suite.name)):
             raise UsageError(f"{source}: is of {suite.name}, not of {request.suite}; take `uavaccel run`")
         options = {key: value for key, value in request.options.items() if value is not None}
-        mapping = {**mapping, **quick_keys(request, suite)}
         if "env_id" in suite.config.model_fields:
             from uavaccel.rl.config import with_env_id  # loads Gymnasium
 
@@ -79,6 +78,7 @@ def reading(request: RunRequest) -> Iterator[tuple[AnySuite, Any]]:
             from uavaccel.suites.train import first_settings
 
             mapping = first_settings(mapping)
+        mapping = {**mapping, **quick_keys(request, suite)}
         seeds = options.pop("seeds", None) if suite.name == "train" else None
         keys = dict(_place(suite, name, value) for name, value in options.items())
         config = configuration(suite, merged(mapping, keys, request.overrides), source)
@@ -279,7 +279,8 @@ def schema_of(name: str) -> dict[str, Plain]:
     Raises UserError for an unknown suite, and as `reading` does.
     """
     if not is_file(name):
-        return schema(find_suite(name, "--schema").config)
+        with trusting():
+            return schema(find_suite(name, "--schema").config)
     with reading(RunRequest(name)) as (suite, config):
         made, environment = schema(suite.config), getattr(config, "environment_class", None)
     if environment is not None:

@@ -1,0 +1,273 @@
+"""A task of one's own is trained as the lane is: from a YAML file or its own, resumed, and refused in one line."""
+
+from __future__ import annotations
+
+import json
+import signal
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.running import fly_into, run_into
+from uavaccel import own_code
+from uavaccel.cli import main as cli
+from uavaccel.records import RunDirectory
+from uavaccel.rl.agents import make_agent
+from uavaccel.suites.evaluate import Evaluation
+from uavaccel.suites.session import RunRequest, reading, schema_of
+from uavaccel.suites.train import CHECKPOINTS, Training
+
+POST = """
+from gymnasium.spaces import Box, Discrete
+from uavaccel.envs.task import Task, distance
+
+
+class Post(Task):
+    '''Fly to a place.'''
+
+    flat_state = True
+    altitude_m: float = 2.0
+    speed_m_s: float = 2.0
+    near_m: float = 0.7
+    max_commands: int = 5
+
+    def sample(self, random, options):
+        return {"aim_m": [float(each) for each in random.uniform(-2, 2, 2)]}
+
+    def action_space(self):
+        return Discrete(4)
+
+    @property
+    def directions(self):
+        return [(1.0, 0.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, -1.0, 0.0)]
+
+    def fields(self, state, course):
+        (north, east), (x_m, y_m, _) = course["aim_m"], state.position_m
+        return [north - x_m, east - y_m, *state.linear_velocity_m_s]
+
+    def far_m(self, now):
+        return distance(now.course["aim_m"], now.position_m[:2])
+
+    def reward(self, before, now):
+        return self.far_m(before) - self.far_m(now) + 5.0 * self.success(now)
+
+    def success(self, now):
+        return self.far_m(now) < self.near_m
+"""
+MORE = """
+
+class Free(Post):
+    def action_space(self):
+        return Task.action_space(self)
+
+    @property
+    def directions(self):
+        return None
+"""
+YAML = """
+suite: train
+task: {{class: post.py:{task}, near_m: 1.0}}
+games: 6
+environments: 2
+simulator: {simulator}
+hidden: [8]
+checkpoint_games: 2
+options: {options}
+"""
+OPTIONS = {
+    "Post": "{buffer_size: 200, learning_starts: 4, batch_size: 8}",
+    "Free": "{rollout: 8, minibatches: 2, epochs: 1}",
+}
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A working directory with two tasks, of which nothing is trusted or imported yet."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    for name in ("_here", "_imported"):
+        monkeypatch.setattr(own_code, name, {})
+    monkeypatch.setattr(own_code, "_noted", [])
+    for module in ("post", "mine"):
+        monkeypatch.delitem(sys.modules, module, raising=False)
+    (tmp_path / "post.py").write_text(POST + MORE)
+    return tmp_path
+
+
+def yaml_of(here: Path, task: str, simulator: str = "mujoco") -> str:
+    (here / "own.yaml").write_text(YAML.format(task=task, simulator=simulator, options=OPTIONS[task]))
+    return "own.yaml"
+
+
+@pytest.fixture
+def said(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[[str], str]:
+    """What a command line complains about, in one line."""
+
+    def run(line: str) -> str:
+        monkeypatch.setattr(sys, "argv", ["uavaccel", *line.split()])
+        with pytest.raises(SystemExit):
+            cli.main()
+        error = capsys.readouterr().err
+        assert error.count("\n") <= 1, error
+        return error.removeprefix("uavaccel: error: ").strip()
+
+    return run
+
+
+@pytest.mark.parametrize("simulator", ["mujoco", "kernels"])
+@pytest.mark.parametrize(("task", "algorithm"), [("Post", "double_dqn"), ("Free", "ppo")])
+def test_both_simulators_train_it(task: str, algorithm: str, simulator: str, here: Path) -> None:
+    """The learner follows from its actions; configuration and policy record what was trained."""
+    with reading(RunRequest(yaml_of(here, task, simulator))) as (suite, config):
+        summary = run_into(here / "run", suite, config)
+    assert config.algorithm == algorithm
+    assert (summary["games"], summary["weights_sha256"] is None) == (6, False)
+    for kept in (RunDirectory(here / "run").config(), json.loads((here / "run/policy.json").read_text())["config"]):
+        assert (kept["env_id"], kept["task"]["near_m"]) == (f"post.py:{task}", 1.0)
+    figures = {path.stem for path in (here / "run/figures").glob("*.png")}
+    assert {"learning_games", "progress"} <= figures
+
+
+@pytest.mark.parametrize(("task", "kind"), [("Post", int), ("Free", float)])
+def test_its_policy_flies_from_another_folder(
+    task: str, kind: type, here: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with reading(RunRequest(yaml_of(here, task))) as (suite, config):
+        fly_into(here / "run", suite, config)
+    elsewhere = here / "elsewhere"
+    elsewhere.mkdir()
+    monkeypatch.chdir(elsewhere)
+    own_code._imported.clear()
+    with reading(RunRequest("evaluate", {"agent": "../run", "games": 2})) as (evaluation, evaluated):
+        assert evaluated.env_id == f"post.py:{task}"
+        run = fly_into(here / "flown", Evaluation(), evaluated)
+        make_agent("../run", evaluated.task)
+    assert evaluation.name == "evaluate"
+    actions = [row["actions"][0] for row in run.rows()]
+    assert all(isinstance(each if kind is int else each[0], kind) for each in actions)
+
+
+def test_resumed_it_ends_with_the_same_bytes(here: Path) -> None:
+    """A checkpoint is taken on Ctrl-C; the rest is flown by another start."""
+    with reading(RunRequest(yaml_of(here, "Post"))) as (suite, config):
+        whole = fly_into(here / "whole", suite, config)
+        parts = here / "parts"
+
+        def stop(case: Any, row: Any) -> None:
+            if row["game"] == 2:
+                signal.raise_signal(signal.SIGINT)
+
+        from uavaccel.suites.runner import run_suite, start_run
+
+        with pytest.raises(KeyboardInterrupt):
+            run_suite(suite, config, start_run(suite, config, parts, {}), 1, stop)
+        assert any((parts / CHECKPOINTS).iterdir())
+    with reading(RunRequest(None, out=parts, resume=True)) as (suite, config):
+        resumed = fly_into(parts, suite, config, resume=True)
+    assert (resumed.path / "rows.jsonl").read_bytes() == (whole.path / "rows.jsonl").read_bytes()
+    weights = [json.loads((run.path / "policy.json").read_text())["trained"] for run in (whole, resumed)]
+    assert weights[0] == weights[1]
+
+
+def test_its_file_alone_is_a_training(here: Path) -> None:
+    """With settings by its actions and by what can fly it; --set and --games change them."""
+    for name, algorithm in (("post.py:Post", "double_dqn"), ("post.py:Free", "ppo")):
+        with reading(RunRequest(name, {"games": 3}, ["task.near_m=2"])) as (suite, config):
+            assert isinstance(suite, Training)
+            suite.check(config)
+            found = config.algorithm, config.simulator, config.games, config.task.near_m
+            assert found == (algorithm, "kernels", 3, 2.0)
+    (here / "mine.py").write_text(POST.replace("return self.far_m(now) <", "return not self.far_m(now) >"))
+    with reading(RunRequest("mine.py")) as (_, config):
+        assert (config.env_id, config.simulator) == ("mine.py:Post", "mujoco")
+
+
+def test_code_that_nobody_trusts_does_not_run(here: Path, said: Callable[[str], str]) -> None:
+    (here / "post.py").write_text("raise SystemExit('it ran')\n")
+    asks = f"{here}/post.py is code that nobody has trusted here: read it, then add --trust, once"
+    assert asks in said("train --set task=post.py:Post --dry-run")
+    (here / "run").mkdir()
+    (here / "run/config.yaml").write_text("suite: train\nenv_id: post.py:Post\n")
+    (here / "run/manifest.json").write_text(json.dumps({"own_code": str(here)}))
+    assert asks in said("train --out run --resume")
+
+
+def test_its_schema_has_its_keys(here: Path) -> None:
+    for name in (yaml_of(here, "Free"), "post.py:Post"):
+        _, task = schema_of(name)["properties"]["task"]["anyOf"]
+        assert {"class", "near_m", "max_commands"} <= set(task["properties"])
+
+
+@pytest.mark.parametrize(("key", "hint"), [
+    ("task.wind_m_s", "did you mean 'task.difficulty.wind_m_s'?"),
+    ("learning_rate", "did you mean 'options.learning_rate'?"),
+    ("options.learning_rte", "did you mean 'learning_rate'?"),
+    ("clock_sped", "did you mean 'task.clock_speed'?"),
+    ("task.difficulty.wind", "did you mean 'wind_m_s'?"),
+    ("game", "did you mean 'games'?"),
+])  # fmt: skip
+def test_an_unknown_key_is_looked_for_at_every_level(key: str, hint: str, said: Callable[[str], str]) -> None:
+    assert said(f"train --dry-run --set {key}=1").endswith(hint)
+
+
+def test_unknown_keys_of_ones_own_task_are_found_too(here: Path, said: Callable[[str], str]) -> None:
+    for key, hint in {"near_m": "task.near_m", "task.near": "near_m", "task.rollout": "options.rollout"}.items():
+        line = said(f"train {yaml_of(here, 'Free')} --dry-run --set {key}=1")
+        assert line == f"own.yaml: unknown key '{key}'; did you mean '{hint}'?"
+
+
+@pytest.mark.parametrize(("file", "line"), [
+    ("", "task 'mine.py': has no class of a task"),
+    ("x = 1\ny = x / 0\n", "task 'mine.py': HERE/mine.py:2: ZeroDivisionError: division by zero"),
+    ("def x(:\n", "task 'mine.py': HERE/mine.py:1: SyntaxError: invalid syntax"),
+    ("import no_such_module\n", "task 'mine.py': HERE/mine.py:1: ModuleNotFoundError: No module named"),
+    (POST + MORE, "task 'mine.py': has 2 tasks: name one, mine.py:Post or mine.py:Free"),
+])  # fmt: skip
+def test_a_file_without_one_task_is_one_line(file: str, line: str, here: Path, said: Callable[[str], str]) -> None:
+    (here / "mine.py").write_text(file)
+    assert said("train mine.py --dry-run").startswith(line.replace("HERE", str(here)))
+    assert said("train theirs.py --dry-run") == "theirs.py: no such file"
+
+
+@pytest.mark.parametrize(("function", "line"), [
+    ("reward = Task.reward", "Post.reward: is missing: def reward(self, before, now)"),
+    ("def reward(self, before, now): return float('nan')", "Post.reward: returned nan: must be a finite number"),
+    ("def reward(self, now): return 1.0", "Post.reward: TypeError: Post.reward() takes 2 positional arguments"),
+    ("def success(self, now): pass", "Post.success: returned None: must be True or False"),
+    ("def fields(self, state, course): return [1, [2, 3]]", "Post.fields: must return numbers, in lists of equal"),
+    ("def observation_space(self): return Box(0, 1, (3,))", "Post.fields: observations are of shape (5,), in"),
+    ("def sample(self, random, options): return {'a': {1}}", "Post.sample: must return plain numbers"),
+    ("def action_space(self): return 4", "Post.action_space: must return a Discrete, or a Box"),
+    ("def goal(self, action): return 4", "Post.goal: must return a goal of uavaccel.kinematics"),
+    ("def advance(self, before, now): pass", "Post.advance: returned None: must be a mapping"),
+    ("def layout(self, course): return {'obstacles': [{'x': 1}]}", "Post.layout: lane: unknown key 'obstacles.0.x'"),
+])  # fmt: skip
+def test_a_function_with_a_mistake_is_named(function: str, line: str, here: Path, said: Callable[[str], str]) -> None:
+    (here / "mine.py").write_text(f"{POST}\n    {function}\n")
+    assert said("train mine.py --dry-run").startswith(f"{here}/mine.py: {line}")
+
+
+@pytest.mark.parametrize("simulator", ["mujoco", "kernels"])
+@pytest.mark.parametrize(("wrong", "line"), [
+    ("return 1 / (3 - now.commands)", "ZeroDivisionError: division by zero"),
+    ("return now.commands * float('nan') ** (now.commands > 1)", "returned nan: must be a finite number"),
+])  # fmt: skip
+def test_a_mistake_in_flight_is_one_line(
+    wrong: str, line: str, simulator: str, here: Path, said: Callable[[str], str]
+) -> None:
+    """Also in a process of its own; arrays divide by zero without an error, to a number that is not finite."""
+    here.joinpath("post.py").write_text(POST.replace("return self.far_m(before)", f"{wrong}\n        return 0 *"))
+    error = said(f"train {yaml_of(here, 'Post', simulator)} --out run")
+    assert f"{here}/post.py" in error
+    assert "Post.reward" in error
+    assert line in error or simulator == "kernels"
+
+
+def test_actions_want_their_algorithm(here: Path, said: Callable[[str], str]) -> None:
+    for task, algorithm, needed in (("Post", "ppo", "double_dqn"), ("Free", "double_dqn", "ppo")):
+        line = said(f"train {yaml_of(here, task)} --dry-run --set algorithm={algorithm} --set options={{}}")
+        assert line.startswith(f"own.yaml: algorithm {algorithm} does not learn post.py:{task}, whose actions are ")
+        assert line.endswith(f"it needs algorithm {needed}")
