@@ -26,7 +26,7 @@ def calibrate(
     latency: Latency = None,
     games: Annotated[int, typer.Option(metavar="N", help="For --check: flights of each kind.")] = 20,
 ) -> None:
-    """Measure the latencies that --timing virtual models, or check them."""
+    """Measure the latencies of --timing virtual, or check them."""
     from uavaccel.calibration.calibrate import AGREES, LEVELS_TEXT, check_agreement, measure, model_file
     from uavaccel.calibration.doctor import check_machine
     from uavaccel.files import check_new_file

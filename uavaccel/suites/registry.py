@@ -49,7 +49,9 @@ def read_mapping(name: str) -> tuple[dict[str, Plain], str]:
     if is_file(name):
         return load_yaml(Path(name)), name
     if name not in (known := experiments()):
-        raise UserError(f"{name}: no such experiment; {suggestion(name, known)}")
+        is_run = (Path(name) / "config.yaml").is_file()
+        what = "a run, which --report computes again" if is_run else suggestion(name, known)
+        raise UserError(f"{name}: no such experiment; {what}")
     return load_yaml(experiment(f"{name}.yaml")), f"{name}.yaml"
 
 
