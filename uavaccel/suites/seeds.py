@@ -144,7 +144,7 @@ class Seeds(Suite[SeedsConfig, SeedCase]):
     def summary(self, report: Report) -> Summary:
         """Return each training, and over the seeds each number's mean with a 95 % interval, and its range.
 
-        The intervals are Student's over seeds, that of evaluations also covers their games (`success_estimate`).
+        The intervals are Student's over seeds; those of success also cover its games (`success_estimate`).
         """
         trainings = [
             {name: row[name] for name in SeedRow.__annotations__ if name in row and name not in GameRow.__annotations__}
@@ -153,6 +153,9 @@ class Seeds(Suite[SeedsConfig, SeedCase]):
         success = [evaluated for each in trainings if (evaluated := evaluation_of(each))]
         over = {name: [each[name] for each in trainings] for name in RECENTLY}
         estimates = {name: mean_estimate(values) for name, values in over.items()}
+        recent = [min(each["games"], RECENT) for each in trainings]
+        won = [Proportion(round(ratio * n), n) for ratio, n in zip(over["success_recent"], recent, strict=True)]
+        estimates["success_recent"] = success_estimate(won)
         if success:
             over["evaluation_success"] = [each.ratio for each in success]
             estimates["evaluation_success"] = success_estimate(success)
@@ -220,7 +223,7 @@ TRAININGS: dict[str, Column] = {
     "run directory": "parts/seed{seed}",
 }
 WHAT_INTERVALS_ARE = (
-    "A training is one sample: intervals are Student's of the mean over the seeds, and that of evaluations also covers "
-    "Wilson's over all lanes. With two or three seeds they are wide, as they have to be."
+    "A training is one sample: intervals are Student's of the mean over the seeds, and those of success also cover "
+    "Wilson's over all games. With two or three seeds they are wide, as they have to be."
 )
 WHAT_BANDS_ARE = "Lines are means over the seeds, bands reach from the least seed to the most."
