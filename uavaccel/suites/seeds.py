@@ -1,6 +1,7 @@
 """A training with several seeds: `uavaccel train ANY.yaml --seeds N`, a run directory for each below parts/.
 
-Each of them is that of `uavaccel train --seed K` alone, to the byte; the report has all as a mean in a band.
+Each of them is that of `uavaccel train --seed K` alone, byte for byte but for its manifest and what tells of wall time;
+the report has all as a mean in a band.
 """
 
 from __future__ import annotations
