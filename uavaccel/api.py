@@ -129,7 +129,8 @@ def _environment(task: Any) -> type[FlightEnv[Any]]:
     from uavaccel.envs.task import Task
 
     if isinstance(task, type) and issubclass(task, Task | FlightEnv):
-        return environment_of(task)
+        own: Any = task
+        return environment_of(own)
     places = SHORT | {f"uavaccel/{place.partition(':')[2]}-v0": place for place in SHORT.values()}
     if not isinstance(task, str) or task not in places:
         raise UserError(f"task {task!r}: is unknown; {suggestion(str(task), [*SHORT, 'a class of Task or FlightEnv'])}")
