@@ -222,6 +222,7 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
 
 
 NOTHING = dict.fromkeys(("clock_speed", "command", "timing", "profile", "games", "seed"))
+UNSEEDED = NOTHING | {"seeds": None}
 ON_ALL = "--timing virtual --profile airsim --games 7 --seed 9 --out folder --resume --dry-run --set a.b=1 --set c=2"
 FLOWN: dict[str, Any] = {"timing": "virtual", "profile": "airsim", "games": 7, "seed": 9}
 REQUEST = {"overrides": ["a.b=1", "c=2"], "out": Path("folder"), "resume": True, "dry_run": True}
@@ -246,10 +247,10 @@ SWEPT = {"experiment": "evaluate", "keys": {"task.timing": "virtual", "task.spee
         ("run dp1", "dp1", dict.fromkeys(KEYS), {}),
         (f"run dp1 --watch --trust {RUN_ALL} {ON_ALL}", "dp1", FLOWN | SEVERAL,
          {"jobs": 6, "engine": "ray", "watch": True, "trust": True, **REQUEST}),
-        ("train", "train", NOTHING, {"suite": "train"}),
-        ("train --resume", None, NOTHING, {"suite": "train", "resume": True}),
-        (f"train own.yaml --clock 5 --command tcsc --watch {ON_ALL}", "own.yaml", FLOWN | ONE,
-         {"suite": "train", "watch": True, **REQUEST}),
+        ("train", "train", UNSEEDED, {"suite": "train"}),
+        ("train --resume", None, UNSEEDED, {"suite": "train", "resume": True}),
+        (f"train own.yaml --seeds 5 --jobs 2 --clock 5 --command tcsc --watch {ON_ALL}", "own.yaml",
+         FLOWN | ONE | {"seeds": 5}, {"suite": "train", "jobs": 2, "watch": True, **REQUEST}),
         (f"{EVALUATE} {ON_ALL}", "evaluate", FLOWN | ONE | {"agent": "straight"},
          {"suite": "evaluate", "jobs": 6, "engine": "dask", **REQUEST}),
         ("evaluate --resume", None, NOTHING | {"agent": None}, {"suite": "evaluate", "resume": True}),
@@ -370,7 +371,7 @@ UNKNOWN = "wall time known after the first"
 def test_a_plan_adds_up_the_games_that_are_left(left: str, games: int, jobs: int, lines: list[str]) -> None:
     times = {"a": ("wall", 1000.0), "b": ("virtual", 234.0), "c": ("virtual", 1.0)}
     cases = {name: SimpleCase(name, *time) for name, time in times.items()}
-    suite: Any = SimpleNamespace(games=lambda config, case: games)
+    suite: Any = SimpleNamespace(games=lambda config, case: games, unit="games" if games == 1 else "cells")
     request = RunRequest("own", jobs=jobs)
     plan = Plan(suite, None, list(cases.values()), [cases[name] for name in left], Path("out"), request)
     assert list(plan.lines()) == lines
@@ -396,8 +397,8 @@ def test_a_run_that_goes_on_says_what_has_changed_since_its_last_start(
     manifest: dict[str, Any], now: dict[str, Any], warned: list[str]
 ) -> None:
     run: Any = SimpleNamespace(path=Path("out"), rows=lambda: [{}, {}], manifest=lambda: manifest)
-    first, *warnings = resumption_notes(run, 5, now)
-    assert first == "going on with out: 2 of 5 games are flown"
+    first, *warnings = resumption_notes(run, "5 cells", now)
+    assert first == "going on with out: 2 of 5 cells are flown"
     assert [warning.startswith("warning: ") for warning in warnings] == [True] * len(warned)
     assert all(warning.endswith(ending) for warning, ending in zip(warnings, warned, strict=True))
 
@@ -477,6 +478,9 @@ def test_a_resumed_plan_has_the_games_without_a_row(tmp_path: Path) -> None:
     with planned(request) as whole:
         run = RunDirectory.create(tmp_path / "run", whole.config, {})
     run.append_row({"case": whole.cases[2].id})
+    fewer = RunRequest("dp1", {**options, "rounds": [2]}, out=tmp_path / "run", resume=True)
+    with pytest.raises(UserError, match=r"has another configuration: rounds"), planned(fewer):
+        raise AssertionError("there is no plan for it")
     with planned(RunRequest(None, out=tmp_path / "run", resume=True)) as again:
         assert [case.id for case in again.cases] == [case.id for case in whole.cases]
         assert [case.id for case in again.left] == [case.id for case in whole.cases if case is not whole.cases[2]]
@@ -492,18 +496,20 @@ def test_a_table_shows_the_columns_that_fit_uncut(width: int, columns: int) -> N
 
 
 def test_the_time_left_is_that_of_the_games_to_come_at_the_pace_of_this_starts(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Ten games, two at a time, on a clock that moves by hand: two were flown before, and eight are to come."""
+    """Ten cells, two at a time, on a clock that moves by hand: two were flown before, and eight are to come."""
     now = SimpleNamespace(s=1000.0)
     clock = SimpleNamespace(now_ns=lambda: int(now.s * NS_PER_S))
     monkeypatch.setattr("uavaccel.clock.MonotonicClock", lambda: clock)
     cases = [SimpleCase(f"g{number}", "virtual", 20.0 if number < 6 else 100.0) for number in range(10)]
     said = io.StringIO()
     earlier = [{"case": "g0"}, {"case": "g1"}]
-    shown = terminal.Progress(cases, 2, earlier, lambda _: "", Console(file=said, width=120))
+    suite: Any = SimpleNamespace(unit="cells", status=lambda rows: "")
+    shown = terminal.Progress(suite, cases, 2, earlier, Console(file=said, width=120))
     # Of two that fly at once the first says nothing yet; then 40 s of 480 took 60 s, 60 took 120 and 80 took 120.
     for case, passed_s in (("g2", 60.0), ("g3", 0.0), ("g4", 60.0), ("g5", 0.0)):
         now.s += passed_s
         shown.flown(cases[int(case[1:])], {"case": case, "sim_time_s": 7.0})
+    assert said.getvalue().startswith("3/10 cells, ")  # as the plan calls them
     left = [line.rpartition(", ")[2] for line in said.getvalue().splitlines()]
     assert left == ["time left unknown", "11 min left", "14 min left", "10 min left"]
 

@@ -37,8 +37,10 @@ def test_phases_of_all_starts_are_summed() -> None:
 
 
 def test_a_runs_pace_is_simulated_time_over_wall_time() -> None:
-    assert pace_of(timings(6.0, 2.0), 400.0) == "8.0 s of wall clock, start-up not counted: 50 simulated s per wall s"
+    assert pace_of(timings(6.0, 2.0), 400.0) == "flying took 8.0 s of wall clock, 50 simulated s per wall s"
     assert pace_of(timings(None), 300.0) == ""
+    learning = [{**entry, "learner_s": {}} for entry in timings(8.0)]
+    assert pace_of(learning, 80.0) == "flying and learning took 8.0 s of wall clock, 10 simulated s per wall s"
 
 
 def test_a_duration_is_told_in_seconds_minutes_or_hours() -> None:

@@ -215,7 +215,7 @@ def test_learning_curves_are_over_the_wall_clock_of_all_starts(tmp_path: Path, d
     short = trained(tmp_path / "short", won(False, True, True, True), walls(10, 20, 5, 6))  # begun twice
     hundred = trained(tmp_path / "hundred", won(*[True] * 100), walls(*range(40, 140)))
     long = trained(tmp_path / "long", won(*every_third), walls(*long_s))
-    (axes,) = time_figure([short, long, hundred, short], ["mine", "long", "hundred", "mine"]).axes
+    axes, *_ = time_figure([short, long, hundred, short], ["mine", "long", "hundred", "mine"]).axes
     lines = labelled(axes)
     assert list(lines) == ["mine", "long", "hundred"]  # of one name, one entry
     assert points(lines["mine"]) == [(10.0, 0.0), (20.0, 0.5), (25.0, round(2 / 3, 12)), (26.0, 0.75)]
@@ -261,7 +261,7 @@ def test_evaluations_stand_on_both_learning_curves_with_their_intervals(
         np.testing.assert_allclose(low, [0.0, 0.150036], atol=1e-5)  # Wilson's, of 0 and 2 in 4
         np.testing.assert_allclose(high, [0.489896, 0.849964], atol=1e-5)
     Training().compare(runs)
-    (axes,) = drawn["learning_games_compared"].axes
+    axes, *_ = drawn["learning_games_compared"].axes
     mean = labelled(axes)["evaluated on 4 lanes: mean, least and most of 2 seeds"]
     assert points(mean) == [(4.0, 0.25), (8.0, 0.75)]
     assert corners(axes.collections[-1]) == {(4.0, 0.0), (4.0, 0.5), (8.0, 0.5), (8.0, 1.0)}
@@ -279,10 +279,11 @@ def test_seeds_of_one_training_are_a_line_in_a_band(tmp_path: Path, drawn: dict[
         for name, each in games.items()
     }
     Training().compare([report.run for report in reports.values()])
-    (axes,) = drawn["learning_games_compared"].axes
+    axes, of_return, of_length = drawn["learning_games_compared"].axes
     first, other, ends = labelled(axes).items()
     assert [first[0], other[0], ends[0]] == [
-        "TCSC 1x, one and 1 more seeds", "TCSC 5x, other", "TCSC 1x, hundred and 1 more seeds",
+        "TCSC 1x, one and 1 more seeds: mean, least and most", "TCSC 5x, other",
+        "TCSC 1x, hundred and 1 more seeds: mean, least and most",
     ]  # fmt: skip
     shares = [(1.0, 0.0), (1.0, 0.5), (2 / 3, 2 / 3)]  # of either seed
     assert points(first[1]) == [(game, round((a + b) / 2, 12)) for game, (a, b) in enumerate(shares, start=1)]
@@ -290,6 +291,16 @@ def test_seeds_of_one_training_are_a_line_in_a_band(tmp_path: Path, drawn: dict[
     band = {(float(game), round(end, 12)) for game, pair in enumerate(shares, start=1) for end in pair}
     assert corners(axes.collections[0]) == band
     assert headline(drawn["learning_games_compared"])[1] == "modelled · seed 0, 1, 7"
+    assert (of_return.get_ylabel(), of_length.get_ylabel()) == ("return, mean of 100", "length, mean of 100")
+    assert [points(line) for line in of_length.lines] == [[(n, 7.0) for n in (1, 2, 3)], [(1.0, 7.0)], [(100.0, 7.0)]]
+
+
+def test_curves_of_seeds_that_share_no_moment_are_drawn_to_the_last_ones_end(tmp_path: Path) -> None:
+    """A training that compiles begins, by its own clock, when another has ended."""
+    quick = trained(tmp_path / "quick", won(False, True), walls(1, 2))
+    late = trained(tmp_path / "late", won(True, True), walls(10, 12))
+    axes, *_ = time_figure([quick, late], ["both", "both"]).axes
+    assert points(axes.lines[0]) == [(1.0, 0.5), (2.0, 0.75), (10.0, 0.75), (12.0, 0.75)]
 
 
 TIMINGS = [
@@ -365,7 +376,7 @@ def test_curves_of_games_count_from_this_start_and_leave_out_evaluations(
     now_s = iter([100.0, 104.0, 110.0, 115.0, 120.0])
     monkeypatch.setattr(trainer, "MonotonicClock", lambda: SimpleNamespace(now_ns=lambda: int(next(now_s) * NS_PER_S)))
     earlier = won(*[False] * 50, *[True] * 3, *[False] * 90, *[True] * 7)  # of the last 100 ten
-    rows = trainer.GameRows(tiny_config({"t_move_s": 0.5}), tmp_path / "tensorboard", earlier)
+    rows = trainer.GameRows(tiny_config({"t_move_s": 0.5}), tmp_path, earlier)
     stopwatch: Any = SimpleNamespace(spent_s=dict)
     info: dict[str, Any] = {
         "is_success": False, "distance_m": 7.0, "collision": None, "lane": 3, "commands": 16,

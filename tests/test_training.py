@@ -144,7 +144,7 @@ def test_a_training_that_is_over_goes_on_for_more_games_after_its_last_checkpoin
     run, short = tmp_path / "run", tiny_config(STATE, mirror=False)
     over = train_into(run, short)
     assert train_into(run, short, resume=True) == over
-    with pytest.raises(UserError, match="has another configuration: games"):
+    with pytest.raises(UserError, match="games = 3: 4 were asked for before, and a run that goes on can only have"):
         train_into(run, tiny_config(STATE, mirror=False, games=3), resume=True)
     before, kept = (run / "rows.jsonl").read_bytes().splitlines(), checkpointed(run)
     assert train_into(run, tiny_config(STATE, mirror=False, games=7), resume=True)["games"] == 7
@@ -352,6 +352,56 @@ def test_other_algorithms_train_by_name(tmp_path: Path, keys: dict[str, Any]) ->
     learner = make_learner(config, environment := side_by_side(config))
     assert summary["weights_sha256"] != weights_sha256(learner.policy)
     environment.close()
+
+
+WANDB = """
+import os
+from types import SimpleNamespace
+
+calls = []
+
+
+class Error(Exception):
+    pass
+
+
+def init(**how):
+    if how["project"] == "refused":
+        raise Error("api_key not configured\\nlog in")
+    calls.append(("init", how["project"], how["name"], how["dir"], how["config"]["games"], os.environ["WANDB_MODE"]))
+    return SimpleNamespace(
+        log=lambda values, step: calls.append((step, values)), finish=lambda: calls.append(("finish",))
+    )
+"""
+
+
+def test_curves_go_to_weights_and_biases_where_a_key_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Through its own package, whose settings are its user's; rows and policy are those of a training without it."""
+    (tmp_path / "wandb.py").write_text(WANDB)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setenv("WANDB_MODE", "offline")
+    monkeypatch.delitem(sys.modules, "wandb", raising=False)
+    for name, keys in (("plain", {}), ("logged", {"wandb": "drones"})):
+        train_into(tmp_path / name, tiny_config(STATE, mirror=False, **keys))
+        if name == "plain":
+            assert "wandb" not in sys.modules
+    first, *games, last = sys.modules.pop("wandb").calls
+    run = str(tmp_path / "logged")
+    assert (first, last) == (("init", "drones", run, run, 4, "offline"), ("finish",))
+    rows = RunDirectory(tmp_path / "logged").rows()
+    assert [(step, values["games/return"]) for step, values in games] == [
+        (row["game"] + 1, row["return"]) for row in rows
+    ]
+    for file in ("rows.jsonl", "policy.pt", "policy.json", "summary.json"):
+        assert (tmp_path / "logged" / file).read_bytes() == (tmp_path / "plain" / file).read_bytes()
+    with pytest.raises(UserError, match=r"^wandb = 'refused': api_key not configured$"):
+        train_into(tmp_path / "refused", tiny_config(STATE, mirror=False, wandb="refused"))
+
+
+def test_weights_and_biases_needs_its_package(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("uavaccel.suites.train.find_spec", lambda name: None)
+    with pytest.raises(UserError, match=r"wandb = 'drones': needs the package wandb: pip install 'uavaccel\[wandb\]'"):
+        configured("train", "wandb=drones")
 
 
 # --- mistakes ---------------------------------------------------------------------------------------------------

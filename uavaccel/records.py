@@ -75,7 +75,7 @@ class RunDirectory:
             raise UserError(f"{path}: exists; take another --out, or --resume to go on with it")
         if (path / "config.yaml").is_file():
             lock = lock_of(path)
-            grown = _refuse_other_config(path, config, may_grow)
+            grown = refuse_other_config(path, config, may_grow)
             for leftover in path.rglob(f"*{UNFINISHED}"):  # of a crash
                 leftover.unlink()
             for name in ("rows.jsonl", "timing.jsonl"):
@@ -195,6 +195,11 @@ class RunDirectory:
         """Return the value in a JSON file of the run. Raises UserError if it is missing or damaged."""
         return read_json(self.path / name)
 
+    @property
+    def summary(self) -> dict[str, Plain]:
+        """The contents of summary.json. Raises UserError where there is none yet, or it is damaged."""
+        return dict(self.read_json("summary.json"))
+
     def config(self) -> dict[str, Plain]:
         """Return the mapping in config.yaml."""
         return load_yaml(self.path / "config.yaml")
@@ -254,7 +259,7 @@ def _write_config(path: Path, config: Config) -> None:
         file.write(to_yaml(config).encode())
 
 
-def _refuse_other_config(path: Path, config: Config, may_grow: Collection[str]) -> list[str]:
+def refuse_other_config(path: Path, config: Config, may_grow: Collection[str]) -> list[str]:
     """Return the keys whose numbers have grown. Raises UserError for other differences."""
     mapping = load_yaml(path / "config.yaml")
     with suppress(UserError):  # one that is no longer valid is compared as it is, others with later keys' defaults
@@ -272,6 +277,9 @@ def _refuse_other_config(path: Path, config: Config, may_grow: Collection[str]) 
     differing = [
         f"{key} ({there.get(key, 'unset')} there, {here.get(key, 'unset')} here)" for key in other if key not in grown
     ]
+    if shrunk := [key for key in other if key in may_grow and key not in grown and key in there and key in here]:
+        said = [f"{key} = {here[key]}: {there[key]} were asked for before" for key in shrunk]
+        raise UserError(f"{path}: {', '.join(said)}, and a run that goes on can only have more; leave it out to go on")
     if differing:
         raise UserError(f"{path}: has another configuration: {', '.join(differing)}; take another --out")
     return grown

@@ -60,7 +60,7 @@ def run(
         run_experiment(replace(request, experiment=next(iter(names), None)))
 
 
-@requests("games", "clock_speed", "command", "timing", "profile", "seed", jobs=False, games="Episodes (games) to train")
+@requests("games", "clock_speed", "command", "timing", "profile", "seed", "seeds", games="Episodes (games) to train")
 def train(
     request: RunRequest,
     experiment: Annotated[
@@ -141,8 +141,13 @@ def run_experiment(
     `check` looks at the plan before anything flies, `flown` at the run before its report.
     """
     from uavaccel.cli.terminal import Progress
+    from uavaccel.clock import MonotonicClock
+    from uavaccel.draw.labels import in_words
     from uavaccel.suites.session import planned, resumable
+    from uavaccel.units import NS_PER_S
 
+    clock = MonotonicClock()
+    begun_ns = clock.now_ns()
     with planned(request) as plan:
         if check is not None and not request.dry_run:
             check(plan)
@@ -153,13 +158,15 @@ def run_experiment(
             return None
         with resumable(plan):
             run = plan.begin(console.print)
-            with page(), Progress(plan.cases, plan.request.jobs, run.rows(), plan.suite.status, console) as progress:
+            with page(), Progress(plan.suite, plan.cases, plan.request.jobs, run.rows(), console) as progress:
                 plan.fly(run, progress.flown)
             try:
                 if flown is not None:
                     flown(run)
             finally:
                 report_run(run)
+            took_s = (clock.now_ns() - begun_ns) / NS_PER_S
+            console.print(f"{in_words(took_s)} in all, from this start to the report")
         return run
 
 

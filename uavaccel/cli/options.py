@@ -84,15 +84,15 @@ OF_A_REQUEST = (
 
 
 def requests(
-    *keys: str, several: tuple[str, ...] = (), jobs: bool = True, games: str | None = None
+    *keys: str, several: tuple[str, ...] = (), games: str | None = None
 ) -> Callable[[Callable[..., None]], Any]:
     """Decorate a command that flies an experiment: its first parameter is a RunRequest of the options that are added.
 
-    These are an option for each of `keys`, which `several` may repeat, and those of every run; without `jobs` one
-    process flies. `games` is what the help of --games says.
+    These are an option for each of `keys`, which `several` may repeat, and those of every run. `games` is what the help
+    of --games says.
     """
     options = [_of_key(name, name in several, games if name == "games" else None) for name in keys]
-    options += [option for option in OF_A_REQUEST if jobs or option.name not in ("jobs", "engine")]
+    options += OF_A_REQUEST
 
     def decorate(function: Callable[..., None]) -> Callable[..., None]:
         def command(**given: Any) -> None:

@@ -15,7 +15,7 @@ from rich.table import Table as RichTable
 if TYPE_CHECKING:
     from uavaccel.draw.page import Table
     from uavaccel.suites.rows import Row
-    from uavaccel.suites.suite import Case
+    from uavaccel.suites.suite import AnySuite, Case
 
 console = Console(highlight=False, markup=False, soft_wrap=True)
 COLUMN_GAP = 2  # characters between the columns of a table, as wide as rich pads them
@@ -59,21 +59,20 @@ class Progress:
     """A bar on a terminal, a few plain lines elsewhere.
 
     The time left is that of the cases to come at the pace of the finished ones, by their simulated time, once there
-    are `jobs` of them, which fly at once. `rows` are those of games finished before the run was resumed; `status`
-    summarises rows in a few words.
+    are `jobs` of them, which fly at once. `rows` are those of cases finished before the run was resumed.
     """
 
     def __init__(
         self,
+        suite: AnySuite,
         cases: Sequence[Case],
         jobs: int,
         rows: Sequence[Row],
-        status: Callable[[Sequence[Row]], str],
         console: Console,
     ) -> None:
         from uavaccel.clock import MonotonicClock  # loads NumPy
 
-        self._rows, self._status, self._console, self._jobs = list(rows), status, console, jobs
+        self._rows, self._suite, self._console, self._jobs = list(rows), suite, console, jobs
         done = {row["case"] for row in rows}
         self._games, self._left_s = len(cases), sum(case.simulated_s() for case in cases if case.id not in done)
         self._skipped = len(rows)
@@ -105,9 +104,9 @@ class Progress:
         wall_s = max((self._clock.now_ns() - self._start_ns) / NS_PER_S, 1e-9)
         measured = len(self._rows) - self._skipped >= self._jobs and self._passed_s > 0.0
         left = f"{in_words(self._left_s * wall_s / self._passed_s)} left" if measured else "time left unknown"
-        status = self._status(self._rows)
+        status = self._suite.status(self._rows)
         return (
-            f"{len(self._rows)}/{self._games} games, {status + ', ' if status else ''}"
+            f"{len(self._rows)}/{self._games} {self._suite.unit}, {status + ', ' if status else ''}"
             f"{self._flown_s / wall_s:.0f} simulated s per wall s, {left}"
         )
 

@@ -135,7 +135,7 @@ def export_policy(folder: Path, policy: th.nn.Module, config: LearnerConfig, tra
         "weights_file_sha256": file_sha256(folder / WEIGHTS),
         "preprocessing": PREPROCESSING if config.task.observation == "dvs" else config.task.observation,
         **_form(config.task),
-        "config": config.model_dump(mode="json", exclude={"task": {"latency"}}),
+        "config": config.model_dump(mode="json", exclude={"task": {"latency"}, "wandb": True}),
         "trained": dict(trained),
     }
     with replacing(folder / MANIFEST) as file:

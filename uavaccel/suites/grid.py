@@ -321,6 +321,7 @@ class PolicyGrid(Suite[Any, Point]):
 
     batch = 1
     arrays = OUTCOMES
+    unit = "cells"
 
     @abstractmethod
     def points(self, config: Any) -> Iterator[Point]:

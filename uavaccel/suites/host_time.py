@@ -46,4 +46,5 @@ def pace_of(timings: Timings, simulated_s: float) -> str:
     took_s = (cumulative_wall_s(timings) or [0.0])[-1]
     if not took_s:
         return ""
-    return f"{in_words(took_s)} of wall clock, start-up not counted: {simulated_s / took_s:.0f} simulated s per wall s"
+    what = "flying and learning" if "learner_s" in timings[-1] else "flying"
+    return f"{what} took {in_words(took_s)} of wall clock, {simulated_s / took_s:.0f} simulated s per wall s"

@@ -25,6 +25,6 @@ KEYS = {
     ),
     "profile": Key("--profile", str, "native|airsim", "Exact to the physics step, or as AirSim handles time"),
     "seed": Key("--seed", int, "N", "Random seed"),
-    "seeds": Key("--seeds", int, "N", "For rl: trainings per cell"),
+    "seeds": Key("--seeds", int, "N", "Trainings, with seeds counted up from --seed; for rl of each cell"),
     "with_run": Key("--with", str, "RUN_DIR", "For paper: a run of rl, which decides what needs training"),
 }

@@ -90,6 +90,7 @@ class Paper(Suite[PaperConfig, SimpleCase]):
     """`uavaccel run paper`. Its report is made of the reports of its parts."""
 
     name = "paper"
+    unit = "parts"
     config = PaperConfig
     row = PaperRow
     batch = 1
@@ -103,6 +104,10 @@ class Paper(Suite[PaperConfig, SimpleCase]):
         for name, part in config.parts.items():
             suite, of_part = part_suite(part, config.seed)
             yield SimpleCase(name, "virtual", sum(case.simulated_s() for case in suite.cases(of_part)))
+
+    def games(self, config: PaperConfig, case: SimpleCase) -> int:
+        suite, of_part = part_suite(config.parts[case.id], config.seed)
+        return sum(suite.games(of_part, game) for game in suite.cases(of_part))
 
     def renders(self, config: PaperConfig) -> bool:
         parts = [part_suite(part, config.seed) for part in config.parts.values()]

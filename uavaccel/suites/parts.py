@@ -39,7 +39,11 @@ def fly_part(run: RunDirectory, name: str, part: Part, seed: int, pages: bool = 
 
     Without `pages` summary.json alone is written; `uavaccel run --report` makes the rest.
     """
-    suite, config = part_suite(part, seed)
+    return fly_below(run, name, *part_suite(part, seed), pages)
+
+
+def fly_below(run: RunDirectory, name: str, suite: AnySuite, config: Experiment, pages: bool = True) -> Report:
+    """Fly a part as `fly_part` does, of a suite and a configuration."""
     manifest = {key: value for key, value in run.manifest().items() if key != "resumed"}
     flown = start_run(suite, config, part_folder(run, name), manifest, resume=True)
     run_suite(suite, config, flown)

@@ -202,6 +202,7 @@ class Realtime(Suite[RealtimeConfig, Training]):
     """`uavaccel run realtime`."""
 
     name = "realtime"
+    unit = "cells"
     config = RealtimeConfig
     row = Annotated[TrainingRow | EvaluationRow, Discriminator("kind")]
     arrays = {"*": ArrayForm("f")}  # noqa: RUF012

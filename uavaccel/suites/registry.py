@@ -27,6 +27,7 @@ SUITES = {
     "dp1": "uavaccel.suites.dp1:Dp1",
     "dp2": "uavaccel.suites.dp2:Dp2",
     "train": "uavaccel.suites.train:Training",
+    "seeds": "uavaccel.suites.seeds:Seeds",
     "ablation": "uavaccel.suites.grid:Ablation",
     "rl": "uavaccel.suites.rl:Rl",
     "robustness": "uavaccel.suites.grid:Robustness",

@@ -204,6 +204,7 @@ class Rl(Suite[RlConfig, TrainingCase]):
     """`uavaccel run rl`."""
 
     name = "rl"
+    unit = "cells"
     config = RlConfig
     row = RlRow
     arrays: ClassVar = {f"*_{name}": ArrayForm(form.kinds, ("n",)) for name, form in OUTCOMES.items() if name != "game"}

@@ -19,13 +19,15 @@ from uavaccel.files import Plain, check_new_folder
 from uavaccel.machine import describe_run
 from uavaccel.metrics.speedup import timing_provenance
 from uavaccel.own_code import modules_in, trusting
-from uavaccel.records import RunDirectory
+from uavaccel.records import RunDirectory, refuse_other_config
 from uavaccel.suites.engines import LOKY
 from uavaccel.suites.experiment import Experiment, timing_of
 from uavaccel.suites.keys import KEYS
 from uavaccel.suites.registry import configuration, find_suite, is_file, is_task, merged, read_mapping, suite_of
 from uavaccel.suites.runner import cases_of, check_jobs, run_suite, start_run
 from uavaccel.suites.suite import AnySuite, Case, OnGame
+
+PART_OF = {"seeds": "train"}  # suites of whole runs, by the command that resumes them
 
 
 @dataclass(frozen=True)
@@ -65,7 +67,7 @@ def reading(request: RunRequest) -> Iterator[tuple[AnySuite, Any]]:
             suite = suite_of(RunDirectory(source))
         else:
             suite = find_suite(dict(map(parse_override, request.overrides)).get("suite", mapping.get("suite")), source)
-        if request.suite not in (None, suite.name):
+        if request.suite not in (None, suite.name, PART_OF.get(suite.name)):
             raise UsageError(f"{source}: is of {suite.name}, not of {request.suite}; take `uavaccel run`")
         options = {key: value for key, value in request.options.items() if value is not None}
         if "env_id" in suite.config.model_fields:
@@ -77,8 +79,15 @@ def reading(request: RunRequest) -> Iterator[tuple[AnySuite, Any]]:
 
             mapping = first_settings(mapping)
         mapping = {**mapping, **quick_keys(request, suite)}
+        seeds = options.pop("seeds", None) if suite.name == "train" else None
         keys = dict(_place(suite, name, value) for name, value in options.items())
-        yield suite, configuration(suite, merged(mapping, keys, request.overrides), source)
+        config = configuration(suite, merged(mapping, keys, request.overrides), source)
+        if seeds is None:
+            yield suite, config
+        else:
+            over_seeds = {"seed": config.seed, "seeds": seeds, "training": config.model_dump(mode="json")}
+            suite = find_suite("seeds", source)
+            yield suite, configuration(suite, over_seeds, source)
 
 
 def quick_keys(request: RunRequest, suite: AnySuite) -> Mapping[str, object]:
@@ -111,9 +120,10 @@ def _place(suite: AnySuite, name: str, value: object) -> tuple[str, object]:
     Raises UsageError if the suite has no such key, or takes one value and was given several.
     """
     option = KEYS[name].option if name in KEYS else f"--{name}"
-    top = suite.config.model_fields
-    in_task = getattr(getattr(top.get("task"), "annotation", None), "model_fields", {})
-    for prefix, fields in (("", top), ("task.", in_task)):
+    for above in ((), ("task",), ("training",), ("training", "task")):
+        fields, prefix = suite.config.model_fields, "".join(f"{key}." for key in above)
+        for key in above:
+            fields = getattr(getattr(fields.get(key), "annotation", None), "model_fields", {})
         if name in fields:
             if get_origin(fields[name].annotation) is not tuple:
                 if len(values := _values(value)) > 1:
@@ -156,7 +166,9 @@ class Plan:
             clocks = Counter(case.timing for case in self.left)
             by_clock = ", ".join(f"{count} {timing}" for timing, count in clocks.items())
             games = sum(self.suite.games(self.config, case) for case in self.left)
-            what = f"{games} games" if games == len(self.left) else f"{games:,} games in {len(self.left)} cells"
+            what = f"{games:,} games"
+            if self.suite.unit != "games":
+                what += f" in {len(self.left)} {self.suite.unit}"
             sources = " and ".join(sorted({timing_provenance(timing) for timing in clocks}))
             simulated_s = sum(case.simulated_s() for case in self.left)
             time = f"{simulated_s:,.0f} simulated s, wall time known after the first"
@@ -167,14 +179,14 @@ class Plan:
             yield f"a quick run, since --clock names one ClockSpeed: {keys}; all games: --set clock_speed=[{speed:g}]"
         alone = sum(case.timing == "wall" for case in self.cases)
         if alone and (self.request.jobs > 1 or self.request.engine != LOKY):
-            yield f"{alone} games on the wall clock fly alone, in this process, one by one"
+            yield f"{alone} {self.suite.unit} on the wall clock fly alone, in this process, one by one"
 
     def begin(self, say: Callable[[str], object]) -> RunDirectory:
         """Return the run's folder, new or as it was left; `say` is told of renderer, machine, and what has changed."""
         manifest = manifest_of(self.suite, self.config, say)
         run = start_run(self.suite, self.config, self.out, manifest, self.request.resume)
         if "resumed" in run.manifest():
-            for line in resumption_notes(run, len(self.cases), manifest):
+            for line in resumption_notes(run, f"{len(self.cases)} {self.suite.unit}", manifest):
                 say(line)
         return run
 
@@ -199,6 +211,8 @@ def planned(request: RunRequest) -> Iterator[Plan]:
         name = Path((request.experiment or suite.name).partition(":")[0]).stem
         out = request.out or Path("runs") / f"{name}-{calendar_time()[:19].replace(':', '')}"
         begun = request.resume and (out / "config.yaml").is_file()
+        if begun:
+            refuse_other_config(out, config, suite.may_grow(out))
         flown = RunDirectory(out).done_cases() if begun else set()
         yield Plan(suite, config, cases, [case for case in cases if case.id not in flown], out, request)
 
@@ -220,9 +234,9 @@ def manifest_of(suite: AnySuite, config: Experiment, say: Callable[[str], object
     return manifest
 
 
-def resumption_notes(run: RunDirectory, games: int, now: Mapping[str, Plain]) -> Iterator[str]:
+def resumption_notes(run: RunDirectory, games: str, now: Mapping[str, Plain]) -> Iterator[str]:
     """Yield lines about a run that is resumed: from where, and which versions have changed since it was begun."""
-    yield f"going on with {run.path}: {len(run.rows())} of {games} games are flown"
+    yield f"going on with {run.path}: {len(run.rows())} of {games} are flown"
     manifest = run.manifest()
     before = [manifest, *manifest.get("resumed", [])[:-1]][-1].get("versions", {})
     changed = [

@@ -91,6 +91,8 @@ class Suite(ABC, Generic[ConfigType, CaseType]):
     """The reason why its games must be flown one after another in one process; empty if there is none."""
     batch: ClassVar[int] = 4
     """Number of games that a worker process takes at once; 1 where each takes minutes."""
+    unit: ClassVar[str] = "games"
+    """What its cases are called: another word where one is several games."""
     quick: ClassVar[Mapping[str, object] | None] = None
     """Keys of a quick measurement on the wall clock, a shipped experiment with a single --clock, if it has one."""
 

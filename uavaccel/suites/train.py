@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NotRequired
 
@@ -69,6 +70,8 @@ class TrainConfig(LearnerConfig, Experiment):
     """Interval in games at which the greedy policy is evaluated, as it is after the last game; 0: never."""
     evaluation_games: GameCount = 100
     """Lanes of each of these evaluations, from number 500 000 on, so that those of `uavaccel evaluate` stay unseen."""
+    wandb: Annotated[str, Field(min_length=1, max_length=128)] | None = None
+    """Project of Weights & Biases to which the curves go, beside TensorBoard's; None: nothing is sent anywhere."""
 
     @model_validator(mode="after")
     def _evaluations_fit(self) -> TrainConfig:
@@ -175,13 +178,15 @@ class Training(Suite[TrainConfig, SimpleCase]):
     config = TrainConfig
     row = TrainRow
     complete = staticmethod(completed)
-    serial = "its games learn from each other; --set environments=N flies N lanes side by side"
+    serial = "its games learn from each other; --set environments=N flies N lanes side by side, --seeds N trainings"
 
     def case_of(self, row: Plain) -> str:
         return game_case(row["game"])
 
     def check(self, config: TrainConfig) -> None:
         check_algorithm(config)
+        if config.wandb is not None and find_spec("wandb") is None:
+            raise UserError(f"wandb = {config.wandb!r}: needs the package wandb: pip install 'uavaccel[wandb]'")
         if config.start_from is not None:
             first_policy(config)
 
@@ -371,7 +376,7 @@ def games_figure(reports: Sequence[Report]) -> Figure:
         alike.setdefault(report.config.model_dump_json(exclude={"seed"}), []).append(report)
     lines = {}
     for group in alike.values():
-        more = f" and {len(group) - 1} more seeds" if len(group) > 1 else ""
+        more = f" and {len(group) - 1} more seeds: {OVER_SEEDS}" if len(group) > 1 else ""
         label = f"{_label(group[0])}, {group[0].run.path.name}{more}"
         lines[label] = [(report, range(1, len(report.games) + 1)) for report in group]
     told = [timing_provenance(report.config.task.timing) for report in reports]
@@ -398,34 +403,46 @@ def time_figure(reports: Sequence[Report], labels: Sequence[str]) -> Figure:
         axes.text(0.93 * paper_s, 0.5, PAPER, rotation=90, ha="right", va="center")
     axes.set_xscale("log")
     axes.set_xticks(list(TICKS_S.values()), list(TICKS_S))
-    axes.set(xlim=(max(0.5 * places.min(), 0.01), 2.0 * longest_s), xlabel="wall clock since the first command")
-    axes.minorticks_off()
+    axes.set_xlim(max(0.5 * places.min(), 0.01), 2.0 * longest_s)
+    for axes in figure.axes:
+        axes.minorticks_off()
+    axes.set_xlabel("wall clock since the first command")
     return figure
 
 
 def curves_figure(over: str, lines: Mapping[str, Sequence[tuple[Report, Sequence[float]]]], source: str) -> Figure:
     """Draw success of the last RECENT games over the ends of games, (n,) of each training's n games, and evaluations.
 
-    Trainings of one label are their mean in the band of their range. Up to RECENT games, where a training has no more,
-    its share is that of all games so far.
+    Of several trainings return and length are drawn below. Trainings of one label are their mean in the band of their
+    range. Up to RECENT games, where a training has no more, its share is that of all games so far.
     """
-    figure = style.new_figure(8.0, 4.0, f"Success over the {over}", source)
-    axes = figure.subplots()
+    several = sum(map(len, lines.values())) > 1
+    names = CURVES if several else {"is_success": CURVES["is_success"]}
+    title = f"{'Success, return and length' if several else 'Success'} over the {over}"
+    figure = style.new_figure(8.0, 7.6 if several else 4.0, title, source)
+    panels = figure.subplots(len(names), squeeze=False, sharex=True).ravel()
     for number, (label, trainings) in enumerate(lines.items()):
-        colour, shares, evaluated = style.colour(number), [], []
+        colour, evaluated = style.colour(number), []
+        for axes, name in zip(panels, names, strict=True):
+            means = [recent_mean(report.games[name]).set_axis(_ends(report, ends)) for report, ends in trainings]
+            curves = [mean[RECENT - 1 if len(mean) > RECENT else 0 :] for mean in means]
+            draw_mean(axes, curves, 0.2, color=colour, **({"label": label} if axes is panels[0] else {}))
         for report, ends in trainings:
-            games = len(report.games)
-            share = recent_mean(report.games.is_success).set_axis(list(ends)[:games])
-            shares.append(share[RECENT - 1 if games > RECENT else 0 :])
-            flown = [line for line in evaluations(report.run) if line["games"] <= games]
+            flown = [line for line in evaluations(report.run) if line["games"] <= len(report.games)]
             success = [Proportion(line["successes"], len(line["lanes"])) for line in flown]
             evaluated.append(pd.Series(success, [ends[line["games"] - 1] for line in flown], dtype=object))
-        draw_mean(axes, shares, 0.2, color=colour, label=label)
-        draw_evaluated(axes, [seed for seed in evaluated if len(seed)], colour)
-    axes.set(xlabel=over, ylabel=f"games won, of the last {RECENT}", ylim=(-0.02, 1.02))  # so that a line at 0 is seen
-    axes.yaxis.set_major_formatter("{x:.0%}")
+        draw_evaluated(panels[0], [seed for seed in evaluated if len(seed)], colour)
+    for axes, label in zip(panels, names.values(), strict=True):
+        axes.set_ylabel(label)
+    panels[0].set_ylim(-0.02, 1.02)  # so that a line at 0 is seen
+    panels[0].yaxis.set_major_formatter("{x:.0%}")
+    panels[-1].set_xlabel(over)
     figure.legend(loc="outside upper right")
     return figure
+
+
+def _ends(report: Report, ends: Sequence[float]) -> list[float]:
+    return list(ends)[: len(report.games)]
 
 
 def draw_evaluated(axes: Axes, seeds: Sequence[pd.Series], colour: str) -> None:
@@ -438,14 +455,17 @@ def draw_evaluated(axes: Axes, seeds: Sequence[pd.Series], colour: str) -> None:
         intervals = [success.interval for success in seeds[0]]
         plots.points(axes, seeds[0].index, ratios[0].tolist(), intervals, **line)
     elif seeds:
-        draw_mean(axes, ratios, 0.3, label=f"{lanes}: mean, least and most of {len(seeds)} seeds", **line)
+        draw_mean(axes, ratios, 0.3, label=f"{lanes}: {OVER_SEEDS} of {len(seeds)} seeds", **line)
 
 
 def draw_mean(axes: Axes, curves: Sequence[pd.Series], alpha: float, **line: Any) -> None:
-    """Draw the mean of curves, at the places of any of them that lie within all, in the band of their range."""
+    """Draw the mean of curves, at the places of any of them that lie within all, in the band of their range.
+
+    Where none does, those that ended sooner keep their last value, and those that began later have had their first.
+    """
     first, last = max(curve.index[0] for curve in curves), min(curve.index[-1] for curve in curves)
     places = np.unique(np.concatenate([curve.index for curve in curves]))
-    at = places[(places >= first) & (places <= last)]
+    at = places[(places >= first) & (places <= last)] if first <= last else places
     values = np.array([np.interp(at, curve.index, curve.astype(float)) for curve in curves])
     axes.plot(at, values.mean(axis=0), **line)
     if len(curves) > 1:
@@ -523,12 +543,18 @@ def phases_figure(reports: Sequence[Report]) -> Figure:
 
 
 PAPER = "paper: 5 000 games in real time, 182 h"  # section IV-D: a week, 14 hours
+OVER_SEEDS = "mean, least and most"
 FAR = 30.0  # times the longest training: a mark beyond it would squeeze the curves
 MODELLED_HERE = "ours modelled, the paper's measured"
 MEASURED, BESIDE = "measured, start-up not counted", "measured, learning beside the flight"
 LETTER_IN = 0.085  # width of a letter of a label
 TICKS_S = {"10 ms": 0.01, "100 ms": 0.1, "1 s": 1.0, "10 s": 10.0, "1 min": 60.0, "10 min": 600.0} | {
     f"{hours} h": 3600.0 * hours for hours in (1, 10, 100)
+}
+CURVES = {
+    "is_success": f"games won, of the last {RECENT}",
+    "return": f"return, mean of {RECENT}",
+    "commands": f"length, mean of {RECENT}",
 }
 PROGRESS = {
     "return": "return",

@@ -67,7 +67,7 @@ class Trainer:
             if (checkpoint := find_checkpoint(run.path / CHECKPOINTS)) is not None:
                 load_checkpoint(checkpoint, self._learner)
             self._learner.begin()
-            self._rows = GameRows(config, run.file("tensorboard"), run.rows())
+            self._rows = GameRows(config, run.path, run.rows())
             self._evaluations = Evaluations(config, run)
         except BaseException:
             self._lanes.close()
@@ -154,14 +154,19 @@ def drop_games_after_checkpoint(run: RunDirectory) -> None:
 
 
 class GameRows:
-    """Makes the rows of games, and writes TensorBoard's curves into a folder; `rows` are those of earlier starts."""
+    """Makes the rows of games, and writes their curves: TensorBoard's into the run's folder, and those of `wandb`.
 
-    def __init__(self, config: TrainConfig, folder: Path, rows: Sequence[Row]) -> None:
+    `rows` are those of earlier starts. Raises UserError where Weights & Biases refuses the run.
+    """
+
+    def __init__(self, config: TrainConfig, run: Path, rows: Sequence[Row]) -> None:
         self._t_move_s = config.task.t_move_s
         self._recent = deque([row["is_success"] for row in rows[-RECENT:]], maxlen=RECENT)
         self._simulated_s = 0.0
         self._clock = MonotonicClock()
         self._start_ns = self._clock.now_ns()
+        self._wandb = None if config.wandb is None else begin_wandb(config, run)
+        folder = run / "tensorboard"
         folder.mkdir(parents=True, exist_ok=True)
         # without the thread of TensorBoard's own writer
         self._curves = RecordWriter((folder / f"events.out.tfevents.{epoch_s():.0f}.{os.getpid()}").open("ab"))
@@ -172,8 +177,10 @@ class GameRows:
         self._curves.flush()
 
     def close(self) -> None:
-        """Close the curves' file."""
+        """Close the curves' file, and end the run of Weights & Biases, which sends what it has yet to send."""
         self._curves.close()
+        if self._wandb is not None:
+            self._wandb.finish()
 
     @contextmanager
     def clock_stopped(self) -> Iterator[None]:
@@ -205,14 +212,27 @@ class GameRows:
             "success_recent": sum(self._recent) / len(self._recent),
             "real_time_factor": self._simulated_s / wall_s,
         }
-        points = [
-            Summary.Value(tag=f"games/{name}", simple_value=value)
-            for name, value in curves.items()
-            if value is not None
-        ]
+        known = {f"games/{name}": value for name, value in curves.items() if value is not None}
+        points = [Summary.Value(tag=tag, simple_value=value) for tag, value in known.items()]
         self._write(Event(wall_time=epoch_s(), step=game.number + 1, summary=Summary(value=points)))
+        if self._wandb is not None:
+            self._wandb.log(known, step=game.number + 1)
         host = {"wall_s": wall_s, "host_phase_s": game.info["host_phase_s"], "learner_s": learning.spent_s()}
         return GameResult(row, host=host)
+
+
+def begin_wandb(config: TrainConfig, run: Path) -> Any:
+    """Begin a run of Weights & Biases, one for each start of a training; its files are below the run's folder.
+
+    Its own settings say where it goes (WANDB_MODE=offline: nowhere). Raises UserError where it refuses.
+    """
+    import wandb
+
+    try:
+        keys = config.model_dump(mode="json", exclude={"task": {"latency"}})
+        return wandb.init(project=config.wandb, name=str(run), dir=str(run), config=keys)
+    except wandb.Error as error:
+        raise UserError(f"wandb = {config.wandb!r}: {str(error).partition(chr(10))[0]}") from error
 
 
 class Evaluations:

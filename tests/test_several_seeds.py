@@ -1,0 +1,107 @@
+"""A training with several seeds: a run for each that is the one of its seed alone, and numbers over the seeds."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from matplotlib.figure import Figure
+
+from tests.drawing import labelled, record_figures
+from tests.learning import kill_at_row, tiny_config, train_into
+from tests.running import configured, run_into
+from uavaccel.config import validate
+from uavaccel.errors import UsageError, UserError
+from uavaccel.records import RunDirectory
+from uavaccel.suites.parts import part_run
+from uavaccel.suites.seeds import Seeds, SeedsConfig
+from uavaccel.suites.session import RunRequest, configure, planned
+from uavaccel.suites.train import TrainConfig
+
+TRAINING = tiny_config({"observation": "state"}, mirror=False)
+SAME = ("config.yaml", "rows.jsonl", "summary.json", "policy.pt", "policy.json")
+
+
+def over(seeds: int, training: TrainConfig = TRAINING, seed: int = 7) -> SeedsConfig:
+    plain = {"seed": seed, "seeds": seeds, "training": training.model_dump(mode="json")}
+    return validate(SeedsConfig, plain, "test")
+
+
+def contents(run: Path) -> dict[str, bytes]:
+    return {name: (run / name).read_bytes() for name in SAME}
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("trainings_here")
+def test_a_seeds_run_is_that_of_a_training_with_this_seed_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Killed in the second training, resumed in two processes with a third seed, and later with more games."""
+    drawn: dict[str, Figure] = record_figures(monkeypatch)
+    run = tmp_path / "run"
+    kill_at_row(run, over(2), 8)  # four games of seed 7 and its row; three of seed 8
+    assert [len(RunDirectory(path).rows()) for path in (run, run / "parts/seed7", run / "parts/seed8")] == [1, 4, 3]
+    run_into(run, Seeds(), over(3), resume=True, jobs=2)
+    for seed in (7, 8, 9):
+        train_into(tmp_path / f"alone{seed}", TRAINING.model_copy(update={"seed": seed}))
+        assert contents(run / f"parts/seed{seed}") == contents(tmp_path / f"alone{seed}")
+    for name in ("learning_games", "learning_curve"):
+        success, of_return, _ = drawn[name].axes
+        assert any("mean, least and most" in label for label in labelled(success))
+        assert len(of_return.collections) == 1  # the band
+    with pytest.raises(UserError, match=r"training.games = 2: 4 were asked for before"):
+        run_into(run, Seeds(), over(3, TRAINING.model_copy(update={"games": 2})), resume=True)
+    longer = TRAINING.model_copy(update={"games": 6})
+    assert run_into(run, Seeds(), over(3, longer), resume=True)["training_games"] == 6
+    assert [len(part_run(RunDirectory(run), f"seed{seed}").rows()) for seed in (7, 8, 9)] == [6, 6, 6]
+
+
+def test_numbers_over_seeds_have_a_mean_with_its_interval_and_a_range(tmp_path: Path) -> None:
+    run = RunDirectory.create(tmp_path / "run", over(3), {})
+    for seed, won, returned in ((7, 1, 2.0), (8, 2, 4.0), (9, 0, 6.0)):
+        shared = {"suite": "seeds", "case": f"seed{seed}", "seed": seed, "games": 4, "successes": won}
+        recent = {"success_recent": won / 4, "return_recent": returned, "commands_recent": 12.0}
+        evaluated = {"evaluation": {"lanes": 2, "successes": won}}
+        run.append_row(shared | recent | evaluated | {"sim_time_s": 48.0, "weights_sha256": f"{seed}" * 64})
+    report = Seeds().report(run)
+    summary: Any = report.summary
+    assert [each["seed"] for each in summary["trainings"]] == [7, 8, 9]
+    assert (summary["seeds"], summary["training_games"], summary["command"]) == (3, 4, "tcsc")
+    of_return = summary["over_seeds"]["return_recent"]
+    # Student's with 2 degrees of freedom: 4.302653 standard errors of 2 / sqrt(3)
+    assert of_return == pytest.approx({"mean": 4.0, "low": -0.968275, "high": 8.968275, "least": 2.0, "most": 6.0})
+    evaluated = summary["over_seeds"]["evaluation_success"]
+    assert (evaluated["mean"], evaluated["low"], evaluated["high"]) == (0.5, 0.0, 1.0)
+    assert report.headline() == (
+        "evaluation lanes won after the last game: 50.0% [0.0%, 100.0%], mean of 3 seeds, with its 95 % interval"
+    )
+    table = report.overview()
+    assert table is not None
+    assert ("return, mean of the last 100 games", "4 [-0.9683, 8.968]", "2 to 6") in table.rows
+
+
+def test_an_option_makes_a_training_one_over_seeds(tmp_path: Path) -> None:
+    """Its other options and keys are the training's, on the way there as when it goes on."""
+    config = configured("train", "task.speed_m_s=2", seeds=3, seed=5, games=4)
+    assert (config.suite, config.seed, config.seeds) == ("seeds", 5, 3)
+    assert config.training == configured("train", "task.speed_m_s=2", seed=5, games=4)
+    with planned(RunRequest("train", {"seeds": 3, "games": 4}, out=tmp_path / "run")) as plan:
+        assert next(plan.lines()).startswith("12 games in 3 trainings (3 lockstep: modelled), ")
+        RunDirectory.create(plan.out, plan.config, {})
+    more = {"seeds": 4, "games": 6, "clock_speed": 1.0}
+    again = configure(RunRequest(None, more, out=tmp_path / "run", resume=True, suite="train"))[1]
+    assert (again.seeds, again.training.games) == (4, 6)
+    with pytest.raises(UsageError, match="is of seeds, not of evaluate"):
+        configure(RunRequest(None, out=tmp_path / "run", resume=True, suite="evaluate"))
+
+
+def test_fewer_games_than_were_asked_for_are_refused_before_a_plan_is_told(tmp_path: Path) -> None:
+    RunDirectory.create(tmp_path / "run", TRAINING, {})
+    (tmp_path / "run/checkpoints/0000004").mkdir(parents=True)
+    for file in ("learner.pt", "state.json"):
+        (tmp_path / "run/checkpoints/0000004" / file).touch()
+    fewer = RunRequest(None, {"games": 2}, out=tmp_path / "run", resume=True)
+    with pytest.raises(UserError, match="games = 2: 4 were asked for before") as refused, planned(fewer):
+        raise AssertionError("there is no plan for it")
+    assert "\n" not in str(refused.value)

@@ -1,0 +1,177 @@
+"""The package from Python: environments by their task, and trainings, evaluations and films as the command line makes.
+
+Type checkers read `keywords.pyi` beside this, which names every key.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from uavaccel.config import Config, dotted_keys
+from uavaccel.errors import UserError, suggestion
+from uavaccel.files import inside
+from uavaccel.own_code import file_of
+from uavaccel.records import RunDirectory
+
+if TYPE_CHECKING:  # it loads Gymnasium
+    from uavaccel.envs.flight_env import FlightEnv
+    from uavaccel.envs.task import Task
+    from uavaccel.envs.values import Batch
+    from uavaccel.suites.session import RunRequest
+
+SHORT = {
+    "lane": "obstacle_lane:ObstacleLane",
+    "hover": "hover:Hover",
+    "gates": "gates:Gates",
+    "navigate": "navigate:Navigate",
+}
+
+
+def make(
+    task: str | type[Task] | type[FlightEnv[Any]], *, render_mode: str | None = None, **keys: Any
+) -> FlightEnv[Any]:
+    """Make an environment of a task: "hover" or "uavaccel/Hover-v0", or a class of a task or of an environment.
+
+    `keys` are the task's. Raises UserError for an unknown task or key, and for a value that does not fit.
+    """
+    return _environment(task)(render_mode=render_mode, **_plain(keys))
+
+
+def make_vec(
+    task: str | type[Task] | type[FlightEnv[Any]],
+    num_envs: int = 1,
+    *,
+    device: str = "cpu",
+    simulator: str | None = None,
+    **keys: Any,
+) -> Batch:
+    """Make a batch of environments, as `make` makes one: each in the exact simulator, or all as arrays.
+
+    `simulator` is mujoco or kernels, by default the exact one, mujoco, on device cpu, and kernels on device cuda.
+    Raises UserError as `make` does, and for a simulator or device that cannot fly the task, or that is missing.
+    """
+    from uavaccel.envs.flyable import CPU
+    from uavaccel.envs.simulators import EXACT, KERNELS, make_batch
+
+    simulator = simulator or (EXACT if device == CPU else KERNELS)
+    return make_batch(_environment(task), num_envs, simulator, device, **_plain(keys))  # type: ignore[arg-type]
+
+
+def train(
+    experiment: str | Path | type[Task] | type[FlightEnv[Any]] | None = None,
+    *,
+    seeds: int | None = None,
+    jobs: int = 1,
+    out: str | Path | None = None,
+    resume: bool = False,
+    trust: bool = False,
+    **keys: Any,
+) -> RunDirectory:
+    """Train a policy, as `uavaccel train` does, and return its run directory, which is a policy's folder too.
+
+    `experiment` is one that ships, by default train, a YAML file, or the class of a task in a file of one's own; with
+    `resume` the run in `out` needs none. `keys` are those of the YAML; mappings, such as `task`, are merged into its.
+    Raises UserError.
+    """
+    from uavaccel.suites.session import RunRequest
+
+    named = None if experiment is None and resume else experiment or "train"
+    named = _file_and_class(named) if isinstance(named, type) else named and str(named)
+    how = jobs, _path(out), resume, False, "train"
+    return _flown(RunRequest(named, {"seeds": seeds}, _overrides(keys), *how, trust=trust))
+
+
+def evaluate(
+    agent: str | Path | RunDirectory | None = None,
+    *,
+    jobs: int = 1,
+    out: str | Path | None = None,
+    resume: bool = False,
+    trust: bool = False,
+    **keys: Any,
+) -> RunDirectory:
+    """Evaluate a policy on games that no training has, as `uavaccel evaluate --no-films`, and return the run directory.
+
+    `agent` is a training, a policy's folder, "default" (the policy that ships), "straight" or "offset:METRES"; `keys`
+    and `resume` are as in `train`. Raises UserError.
+    """
+    from uavaccel.suites.session import RunRequest
+
+    named, options = None if agent is None and resume else "evaluate", {"agent": agent and _folder(agent)}
+    how = jobs, _path(out), resume, False, "evaluate"
+    return _flown(RunRequest(named, options, _overrides(keys), *how, trust=trust))
+
+
+def film(source: str | Path | RunDirectory, case: str | None = None, out: str | Path | None = None) -> Path:
+    """Film a game of a run, by default the most interesting, or a lane of a policy's, and return the MP4.
+
+    It is `out` or below films/ in the run, a contact sheet beside it. Raises UserError where there is no such game or
+    no images, and where nothing can draw.
+    """
+    from uavaccel.draw.film import write_contact_sheet, write_video
+    from uavaccel.sim.camera.gl import describe_renderer
+    from uavaccel.suites.flight import film_of, flight_of
+
+    describe_renderer()
+    name, flight = flight_of(folder := _folder(source), case)
+    movie, shown = _path(out) or inside(Path(folder), f"films/{name}.mp4"), film_of(flight)
+    movie.parent.mkdir(parents=True, exist_ok=True)
+    write_contact_sheet(shown, movie.with_suffix(".png"))
+    return write_video(shown, movie)
+
+
+def _environment(task: Any) -> type[FlightEnv[Any]]:
+    from uavaccel.envs.flight_env import FlightEnv, environment_of
+    from uavaccel.envs.task import Task
+
+    if isinstance(task, type) and issubclass(task, Task | FlightEnv):
+        own: Any = task
+        return environment_of(own)
+    places = SHORT | {f"uavaccel/{place.partition(':')[2]}-v0": place for place in SHORT.values()}
+    if not isinstance(task, str) or task not in places:
+        raise UserError(f"task {task!r}: is unknown; {suggestion(str(task), [*SHORT, 'a class of Task or FlightEnv'])}")
+    module, _, name = places[task].partition(":")
+    found: type[FlightEnv[Any]] = getattr(import_module(f"uavaccel.envs.{module}"), name)
+    return found
+
+
+def _flown(request: RunRequest) -> RunDirectory:
+    from uavaccel.suites.session import planned, resumable
+
+    with planned(request) as plan, resumable(plan):
+        run = plan.begin(lambda line: None)
+        plan.fly(run, lambda case, row: None)
+        plan.suite.report(run).write()
+    return run
+
+
+def _plain(keys: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: value.model_dump(mode="json") if isinstance(value, Config) else value for key, value in keys.items()}
+
+
+def _overrides(keys: Mapping[str, Any]) -> list[str]:
+    """Return keys of a YAML file, nested as there, as --set has them: JSON is YAML."""
+    return [f"{name}={json.dumps(value, default=str)}" for name, value in dotted_keys(_plain(keys)).items() if name]
+
+
+def _file_and_class(task: type) -> str:
+    """Return "file.py:Class". Raises UserError for a class without a file of one's own."""
+    file = file_of(task)
+    if file is None:
+        raise UserError(
+            f"{task.__name__}: is not in a file of your own: write it into one, or name a training that ships, as "
+            "hover_ppo"
+        )
+    return f"{file}:{task.__qualname__}"
+
+
+def _folder(source: str | Path | RunDirectory) -> str:
+    return str(source.path if isinstance(source, RunDirectory) else source)
+
+
+def _path(path: str | Path | None) -> Path | None:
+    return None if path is None else Path(path)

@@ -1,0 +1,230 @@
+"""A training with several seeds: `uavaccel train ANY.yaml --seeds N`, a run directory for each below parts/.
+
+Each of them is that of `uavaccel train --seed K` alone, byte for byte but for its manifest and what tells of wall time;
+the report has all as a mean in a band.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal, NotRequired
+
+from pydantic import Field, model_validator
+from typing_extensions import TypedDict
+
+from uavaccel.draw.page import Block, Column, Table, fill
+from uavaccel.envs.flight_env import FlightEnv
+from uavaccel.envs.task import Task
+from uavaccel.forms import Count, Number
+from uavaccel.limits import MOST_SEEDS, Games, Seed
+from uavaccel.metrics.equivalence import mean_estimate, success_estimate
+from uavaccel.metrics.intervals import Proportion
+from uavaccel.records import RunDirectory
+from uavaccel.suites import train
+from uavaccel.suites.experiment import Experiment
+from uavaccel.suites.gpu import on_own_gpu
+from uavaccel.suites.host_time import cumulative_wall_s
+from uavaccel.suites.parts import fly_below, part_run
+from uavaccel.suites.report import Report, Summary, summary_table
+from uavaccel.suites.rows import GameRow, Row
+from uavaccel.suites.suite import GameResult, SimpleCase, Suite
+from uavaccel.suites.train import RECENT, TrainConfig, Training, recent_mean
+
+
+class SeedsConfig(Experiment):
+    """`suite: seeds`."""
+
+    suite: Literal["seeds"] = "seeds"
+    seeds: Annotated[int, Field(ge=1, le=1000)]
+    """Trainings, with the seeds `seed`, `seed` + 1 and so on."""
+    training: TrainConfig
+    """What all have in common: the keys of `suite: train`, whose own `seed` does not count."""
+
+    @model_validator(mode="after")
+    def _seeds_fit(self) -> SeedsConfig:
+        if self.seed + self.seeds > MOST_SEEDS:
+            raise ValueError(f"seed + seeds must be at most {MOST_SEEDS}")
+        return self
+
+    @property
+    def task(self) -> Task:
+        return self.training.task
+
+    @property
+    def environment_class(self) -> type[FlightEnv[Any]]:
+        return self.training.environment_class
+
+
+class Evaluated(TypedDict):
+    """The evaluation of a policy after its last game."""
+
+    lanes: Games
+    successes: Count
+
+
+class SeedRow(GameRow):
+    """The row of the training with one seed; means are of its last 100 games."""
+
+    seed: Seed
+    games: Games
+    successes: Count
+    success_recent: Number
+    return_recent: Number
+    commands_recent: Number
+    sim_time_s: Number
+    weights_sha256: str
+    evaluation: NotRequired[Evaluated]
+
+
+@dataclass(frozen=True)
+class SeedCase(SimpleCase):
+    """The training with one seed."""
+
+    seed: int
+
+
+RECENTLY = {"success_recent": "is_success", "return_recent": "return", "commands_recent": "commands"}
+
+
+class Seeds(Suite[SeedsConfig, SeedCase]):
+    """`uavaccel train --seeds`."""
+
+    name = "seeds"
+    config = SeedsConfig
+    row = SeedRow
+    batch = 1
+    unit = "trainings"
+    training = Training()
+
+    def check(self, config: SeedsConfig) -> None:
+        self.training.check(config.training)
+
+    def case_of(self, row: Mapping[str, Any]) -> str:
+        return f"seed{row['seed']}"
+
+    def cases(self, config: SeedsConfig) -> Iterator[SeedCase]:
+        typical_s = sum(case.simulated_s() for case in self.training.cases(config.training))
+        for seed in range(config.seed, config.seed + config.seeds):
+            yield SeedCase(f"seed{seed}", config.task.timing, typical_s, seed)
+
+    def games(self, config: SeedsConfig, case: SeedCase) -> int:
+        return config.training.games
+
+    def may_grow(self, folder: Path) -> tuple[str, ...]:
+        return ("seeds", "training.games")
+
+    def prepare(self, config: SeedsConfig, run: RunDirectory) -> None:
+        """Let all trainings go on where they are to have more games."""
+        if any(row["games"] < config.training.games for row in run.rows()):
+            run.truncate_to(0)
+
+    def provenance(self, config: SeedsConfig) -> Mapping[str, object]:
+        return self.training.provenance(config.training)
+
+    def renders(self, config: SeedsConfig) -> bool:
+        return self.training.renders(config.training)
+
+    def open(self, config: SeedsConfig, timing: str, run: RunDirectory) -> AbstractContextManager[RunDirectory]:
+        return on_own_gpu(run, config.training.device)
+
+    def fly(self, config: SeedsConfig, case: SeedCase, opened: RunDirectory) -> GameResult:
+        training = config.training.model_copy(update={"seed": case.seed})
+        report = fly_below(opened, case.id, self.training, training)
+        row = {name: report.summary[name] for name in ("seed", "games", "successes", "sim_time_s", "weights_sha256")}
+        row |= {name: float(recent_mean(report.games[column]).iloc[-1]) for name, column in RECENTLY.items()}
+        if evaluated := report.summary.get("evaluations"):
+            row["evaluation"] = {name: evaluated[-1][name] for name in Evaluated.__annotations__}
+        return GameResult(row, host={"training_s": (cumulative_wall_s(report.timings) or [0.0])[-1]})
+
+    def status(self, rows: Sequence[Row]) -> str:
+        return f"{rows[-1]['case']} won {rows[-1]['successes']} of {rows[-1]['games']}"
+
+    def summary(self, report: Report) -> Summary:
+        """Return each training, and over the seeds each number's mean with a 95 % interval, and its range.
+
+        The intervals are Student's over seeds; those of success also cover its games (`success_estimate`).
+        """
+        trainings = [
+            {name: row[name] for name in SeedRow.__annotations__ if name in row and name not in GameRow.__annotations__}
+            for row in report.rows
+        ]
+        success = [evaluated for each in trainings if (evaluated := evaluation_of(each))]
+        over = {name: [each[name] for each in trainings] for name in RECENTLY}
+        estimates = {name: mean_estimate(values) for name, values in over.items()}
+        recent = [min(each["games"], RECENT) for each in trainings]
+        won = [Proportion(round(ratio * n), n) for ratio, n in zip(over["success_recent"], recent, strict=True)]
+        estimates["success_recent"] = success_estimate(won)
+        if success:
+            over["evaluation_success"] = [each.ratio for each in success]
+            estimates["evaluation_success"] = success_estimate(success)
+        over_seeds = {
+            name: {"mean": mean, "low": low, "high": high, "least": min(over[name]), "most": max(over[name])}
+            for name, (mean, low, high) in estimates.items()
+        }
+        conditions = {
+            name: getattr(report.config.task, name) for name in ("profile", "command", "clock_speed", "timing")
+        }
+        seeds = {"seed": report.config.seed, "seeds": len(trainings), "training_games": report.config.training.games}
+        return {"suite": self.name, **conditions, **seeds, "trainings": trainings, "over_seeds": over_seeds}
+
+    def title(self, report: Report) -> str:
+        return f"Training, {report.config.training.algorithm}, {len(report.games)} seeds"
+
+    def headline(self, report: Report) -> str:
+        over, count = report.summary["over_seeds"], len(report.games)
+        name = "evaluation_success" if "evaluation_success" in over else "success_recent"
+        seeds = f"mean of {count} seeds, with its 95 % interval" if count > 1 else "one seed"
+        return f"{QUANTITIES[name]}: {fill(MEAN[name], over[name])}, {seeds}"
+
+    def overview(self, report: Report) -> Table:
+        over = report.summary["over_seeds"]
+        header = f"of {len(report.games)} seeds", "mean [95 % over seeds]", "least to most"
+        spans = {name: fill(SPAN[name], found) for name, found in over.items()}
+        return Table(header, [(QUANTITIES[name], fill(MEAN[name], over[name]), span) for name, span in spans.items()])
+
+    def page(self, report: Report) -> Iterator[Block | str]:
+        yield self.overview(report)
+        yield WHAT_INTERVALS_ARE
+        reports = [self.training.report(part_run(report.run, row["case"])) for row in report.rows]
+        yield report.figure("learning_games", train.games_figure(reports), f"{train.OVER_GAMES} {WHAT_BANDS_ARE}")
+        if all(training.timings for training in reports):
+            labels = [f"{len(reports)} seeds: {train.OVER_SEEDS}"] * len(reports)
+            figure = train.time_figure(reports, labels)
+            yield report.figure("learning_curve", figure, f"{train.OVER_TIME} {WHAT_BANDS_ARE}")
+        yield Table.of(report.summary["trainings"], TRAININGS)
+        yield summary_table(report.summary)
+
+
+def evaluation_of(training: Mapping[str, Any]) -> Proportion | None:
+    """Return the success of a training's last evaluation; None where it was not evaluated."""
+    found = training.get("evaluation")
+    return None if found is None else Proportion(found["successes"], found["lanes"])
+
+
+QUANTITIES = {
+    "evaluation_success": "evaluation lanes won after the last game",
+    "success_recent": f"games won, of the last {RECENT}",
+    "return_recent": f"return, mean of the last {RECENT} games",
+    "commands_recent": f"length in commands, mean of the last {RECENT} games",
+}
+_FORMS = {name: ".1%" if "success" in name else ".4g" for name in QUANTITIES}
+MEAN = {name: f"{{mean:{form}}} [{{low:{form}}}, {{high:{form}}}]" for name, form in _FORMS.items()}
+SPAN = {name: f"{{least:{form}}} to {{most:{form}}}" for name, form in _FORMS.items()}
+TRAININGS: dict[str, Column] = {
+    "seed": "{seed}",
+    "games won": "{successes} of {games}",
+    "of the last 100": "{success_recent:.1%}",
+    "return": "{return_recent:.4g}",
+    "length": "{commands_recent:.4g}",
+    "evaluated": lambda training: (success := evaluation_of(training)) and success.text(),
+    "weights": lambda training: training["weights_sha256"][:12],
+    "run directory": "parts/seed{seed}",
+}
+WHAT_INTERVALS_ARE = (
+    "A training is one sample: intervals are Student's of the mean over the seeds, and those of success also cover "
+    "Wilson's over all games. With two or three seeds they are wide, as they have to be."
+)
+WHAT_BANDS_ARE = "Lines are means over the seeds, bands reach from the least seed to the most."
