@@ -453,3 +453,20 @@ def test_a_script_that_flies_nothing_loads_nothing_heavy(folder: Folder) -> None
     text = "import sys\nprint(sorted({'cv2', 'mujoco', 'numba', 'scipy', 'torch'} & {*sys.modules}))\n"
     done = folder.fly(text)
     assert done.stdout.splitlines() == ["[]", "no client connected, nothing was flown"]
+
+
+@pytest.mark.parametrize(
+    ("text", "status", "ending"),
+    [
+        ("print(1)", 0, "exit status 0"),
+        ("raise ValueError('one\\ntwo')", 1, "ValueError: one"),
+        ("import airsim\nairsim.MultirotorClient()\nraise SystemExit(3)", 3, "exit status 3"),
+    ],
+)
+def test_a_check_of_a_script_that_calls_nothing_says_how_it_ended(
+    tmp_path: Path, text: str, status: int, ending: str
+) -> None:
+    done = fly("--check", script(tmp_path, text))
+    assert done.returncode == status
+    assert done.stdout.splitlines()[-1] == f"not checked: the script ended with {ending} before any call"
+    assert "checked: flown" not in done.stdout
