@@ -295,7 +295,8 @@ def test_check_tells_where_flights_differ(folder: Folder) -> None:
 
 def test_an_interrupted_check_says_that_it_did_not_check(folder: Folder) -> None:
     text = """
-        import os, pathlib, signal
+        import os, pathlib, signal, airsim
+        airsim.MultirotorClient().ping()
         flown = pathlib.Path(__file__).with_name("flown")
         if flown.exists() or "now" in os.environ:
             os.kill(os.getpid(), signal.SIGINT)
@@ -464,9 +465,9 @@ def test_a_script_that_flies_nothing_loads_nothing_heavy(folder: Folder) -> None
     ],
 )
 def test_a_check_of_a_script_that_calls_nothing_says_how_it_ended(
-    tmp_path: Path, text: str, status: int, ending: str
+    folder: Folder, text: str, status: int, ending: str
 ) -> None:
-    done = fly("--check", script(tmp_path, text))
+    done = folder.fly(text, "--check")
     assert done.returncode == status
     assert done.stdout.splitlines()[-1] == f"not checked: the script ended with {ending} before any call"
     assert "checked: flown" not in done.stdout
