@@ -254,8 +254,8 @@ def datetime_module(epoch_now_ns: Callable[[], int]) -> ModuleType:
     def stand_in(own: type, original: type[datetime.date]) -> None:
         def reduced(self: datetime.date, protocol: SupportsIndex) -> tuple[Any, ...]:
             """Pickle as what it stands for, which every program knows."""
-            kind, *rest = original.__reduce_ex__(self, protocol)
-            return original if kind is own else kind, *rest
+            parts: Any = original.__reduce_ex__(self, protocol)
+            return original if parts[0] is own else parts[0], *parts[1:]
 
         own.__name__, own.__qualname__, own.__module__ = original.__name__, original.__qualname__, "datetime"
         own.__reduce_ex__ = reduced  # type: ignore[assignment,method-assign]

@@ -130,7 +130,7 @@ def _fly_clocks(request: FlyRequest, folder: Path) -> int:
     """Fly at each ClockSpeed and print a line for it; the other flights are compared with the first."""
     clocks = request.clocks
     first = folder / f"clock-{clocks[0]:g}"
-    statuses, slept, reference = [], False, None
+    statuses, slept, connected = [], False, False
     for clock in clocks:
         options = replace(request.flight, folder=folder / f"clock-{clock:g}", clock_speed=clock)
         flown = fly(options, quiet=clock != clocks[0])
@@ -138,10 +138,10 @@ def _fly_clocks(request: FlyRequest, folder: Path) -> int:
         if flown.summary is None or flown.interrupted:
             break
         slept |= flown.summary["slept_s"] > 0
-        compared = reference and flown.summary["position_m"] is not None
+        compared = connected and flown.summary["position_m"] is not None
         difference = _difference_text(options.folder, first, clocks[0]) if compared else ""
         if clock == clocks[0]:
-            reference = flown.summary["position_m"]
+            connected = flown.summary["position_m"] is not None
         text = _speed_text(flown.summary, request.page is not None)
         print(f"clock {clock:g}: {text}{difference}", flush=True)
     if slept:

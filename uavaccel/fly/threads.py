@@ -7,10 +7,11 @@ from __future__ import annotations
 
 import queue
 import threading
+from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from types import ModuleType
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from uavaccel.clock import changed
 from uavaccel.fly.script import FlightOver, hide_ours
@@ -91,6 +92,10 @@ class RLock(Lock):
 
 class Condition(threading.Condition):
     turns: Turns
+    _waiters: deque[Lock]
+    _is_owned: Callable[[], bool]
+    _release_save: Callable[[], Any]
+    _acquire_restore: Callable[[Any], None]
 
     def __init__(self, lock: Lock | None = None) -> None:
         super().__init__(bound(RLock, self.turns)() if lock is None else lock)  # type: ignore[arg-type]

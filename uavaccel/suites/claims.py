@@ -344,7 +344,7 @@ def images_beyond_10x(dp2: Flown) -> Finding:
             rises = 100 * (np.median(later_m, -1) - np.median(error_m, -1))
             return np.array([rises, np.median(later_ed, -1) - np.median(dvs_ed, -1)])
 
-        numbers = [np.arange(len(slow[0])), np.arange(len(fast[0]))]
+        numbers = [np.arange(len(slow[0]), dtype=float), np.arange(len(fast[0]), dtype=float)]
         distance, dvs_ed = growth(*numbers)
         texts.append(f"+{dvs_ed:.2g} % v +{distance:.2g} cm")
         for statistic in (lambda *which: growth(*which)[0], lambda *which: np.subtract(*growth(*which)[::-1])):
@@ -498,8 +498,8 @@ def policy_flies_with_both(rl: Trainings) -> Finding:
     As the lanes are the same, the interval of the ratio is wider than necessary.
     """
     flown = at(rl.interchange, "tcsc", 1.0)
-    with_both = [games_won(at(flown, "tcsc", flown_with=name), f"with {name.upper()}") for name in ("tcsc", "adsc")]
-    return ratio_within("alike", "TCSC at 1x", *with_both, "TCSC {} v ADSC {}: {}")
+    tcsc, adsc = (games_won(at(flown, "tcsc", flown_with=name), f"with {name.upper()}") for name in ("tcsc", "adsc"))
+    return ratio_within("alike", "TCSC at 1x", tcsc, adsc, "TCSC {} v ADSC {}: {}")
 
 
 def lines_peak_at_obstacles(rl: Trainings) -> Finding:
