@@ -114,8 +114,8 @@ def trained(
     """The paper's Table I with more games, or whatever `changes` says of a cell; `games` and `trained` of each seed.
 
     `scatter`: how far the seeds' ratios lie from their mean, at 1x and above in turn; `thinking`: seconds of a command
-    beyond a simulation of 1 s at 1x; `off_rows_m`: how far from a row of obstacles games end; `apart`: how far the seeds
-    lie from each other when they fly with ADSC.
+    beyond a simulation of 1 s at 1x; `off_rows_m`: how far from a row of obstacles games end;
+    `apart`: how far the seeds lie from each other when they fly with ADSC.
     """
     cells: list[dict[str, Any]] = []
     for (command, successes), (number, k), seed in product(PAPER_TABLE.items(), enumerate(CLOCKS), range(seeds)):
