@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from contextlib import nullcontext
 from functools import partial
+from itertools import product
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -18,6 +19,7 @@ from uavaccel.calibration import advise as advice
 from uavaccel.calibration import calibrate, doctor
 from uavaccel.calibration.advise import SquareGame, advise, fly_square, sentence
 from uavaccel.calibration.calibrate import Agreement, ClientEvent, Latencies, quantiles_us, record_trace
+from uavaccel.cli import machine
 from uavaccel.cli.main import app
 from uavaccel.commands import COMMANDS
 from uavaccel.errors import UserError
@@ -171,6 +173,10 @@ def test_a_calibration_is_a_latency_model_and_its_medians_are_told(
     assert list(model.request_us["call"]) == pytest.approx(thousands)
     assert list(model.reply_us["move"]) == pytest.approx([2 * thousand for thousand in thousands])
     assert list(model.issue_us) == pytest.approx([3 * thousand for thousand in thousands])
+    assert [" ".join(line) for line in lines[-2:]] == [
+        f"{file}: use it with `uavaccel run dp1 --set latency={file}`,",
+        f"with train and evaluate as `--timing virtual --set task.latency={file}`",
+    ]
     head = file.read_text().splitlines()[:3]
     assert "profile airsim, on 20" in head[0]
     assert NOISY["verdict"] in head[0]
@@ -338,18 +344,38 @@ def test_each_game_is_flown_on_the_machines_clock_on_the_model_and_on_the_machin
         asked.append(session)
         run = {"wall": 1.0, "model": 2.0, "ideal": 0.0}[session]
         run = 3.0 if asked[-2:] == ["model", "wall"] else run
-        return flown(run * (seed + 1), 0.0, run * np.arange(11.0))
+        return flown(run * (seed + 1) / 10, 0.0, run * np.arange(11.0) / 1000)
 
     monkeypatch.setattr(calibrate, "fly_square", fly)
     lines = printed(f"timing calibrate --check --games 2 --latency {own}")
     assert models == [read_latency(own)]
     assert asked == ["wall", "model", "wall", "wall", "model", "wall", "ideal"] * 8
-    assert ["ADSC", "50x", "0.2", "gap", "s", *"159", "3", "15", "27", "2", "10", "18", "agrees"] in lines
-    errors = ["1.1", "1.5", "1.9", "3.3", "4.5", "5.7", "2.2", "3", "3.8", "agrees"]
-    assert ["TCSC", "100x", "1", "error", "m", *errors] in lines
+    pauses = ["1", "5", "9", "3", "15", "27", "2", "10", "18", "agrees"]
+    assert ["ADSC", "50x", "0.2", "s", "pause", "ms", *pauses] in lines
+    errors = ["11", "15", "19", "33", "45", "57", "22", "30", "38", "agrees"]
+    assert ["TCSC", "100x", "1", "s", "error", "cm", *errors] in lines
     assert lines[-1] == ["16", "of", "16", "agree"]
-    far = Agreement("tcsc", 50.0, 1.0, "gap s", *(np.array([1.0, run, 3.0]) for run in (2, 2, 3)))
-    assert far.texts()[-1] == "differs, median by 50%"
+
+
+def test_a_check_of_a_model_is_told_cell_by_cell_within_80_columns(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    said: list[str] = []
+
+    def check_agreement(*_: Any) -> Any:
+        for command, clock in product(("adsc", "tcsc"), (50.0, 100.0)):
+            said.append(capsys.readouterr().out)
+            runs = (np.array([0.0123456, run, 123.456]) for run in (12.3456, 12.3456, 27.6543))
+            yield Agreement(command, clock, 0.2, "error cm", *runs)
+
+    monkeypatch.setattr(calibrate, "check_agreement", check_agreement)
+    monkeypatch.setattr(doctor, "check_machine", lambda: QUIET)
+    machine.calibrate(check=True)
+    assert [len(text.splitlines()) for text in said] == [4, 1, 1, 1]  # the head, and then a row at a time
+    rows = "".join([*said[1:], capsys.readouterr().out]).splitlines()
+    assert rows[0] == "ADSC   50x 0.2 s  error cm 0.012 12.3 123 0.012 12.3 123 0.012 27.7 123 124% off"
+    assert all(len(line) <= 80 for line in [*said[0].splitlines()[1:], *rows])
+    assert rows[-1] == "0 of 4 agree"
 
 
 # --- advise -----------------------------------------------------------------------------------------------------------

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import datetime
+import pickle
 import selectors
 import socket
 import time
 from collections.abc import Iterator
+from copy import deepcopy
 from fractions import Fraction
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
@@ -176,3 +179,26 @@ def test_another_clocks_dates_are_told_in_utc_and_where_the_machine_is() -> None
     assert module.date.today() == module.date(1970, 1, 2)
     assert isinstance(there, datetime.datetime)
     assert module.timedelta is datetime.timedelta
+
+
+def test_another_clocks_dates_and_those_that_libraries_make_are_of_each_others_classes() -> None:
+    module = datetime_module(lambda: NOW_NS)
+
+    class Holiday(module.date):  # type: ignore[misc,name-defined]
+        pass
+
+    plain, theirs = datetime.datetime(1970, 1, 2), module.datetime(1970, 1, 2)
+    for moment in (plain, theirs, pd.Timestamp(plain)):
+        for kind in (module.datetime, module.date, datetime.datetime, datetime.date):
+            assert isinstance(moment, kind)
+            assert issubclass(type(moment), kind)
+        assert not isinstance(moment, Holiday)
+        assert moment == plain == theirs == moment
+        assert moment - theirs == datetime.timedelta(0)
+        assert pickle.loads(pickle.dumps(moment)) == deepcopy(moment) == plain
+    assert isinstance(plain.date(), module.date)
+    assert not isinstance(plain.date(), module.datetime)
+    assert not isinstance(3, module.date)
+    assert not issubclass(datetime.date, module.datetime)
+    assert pickle.loads(pickle.dumps(module.date(1970, 1, 2))) == plain.date()
+    assert isinstance(deepcopy(Holiday(1970, 1, 2)), Holiday)

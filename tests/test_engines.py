@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import sys
-from contextlib import nullcontext
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -60,6 +60,33 @@ def test_results_come_in_order_though_they_are_handed_out_in_parts(monkeypatch: 
 @pytest.mark.usefixtures("threads_as_ray")
 def test_cases_on_an_engine_have_the_bytes_of_one_process(tmp_path: Path) -> None:
     assert flown(tmp_path / "one", 1, "loky") == flown(tmp_path / "ray", 1, "ray")
+
+
+def test_workers_of_a_cluster_that_goes_on_leave_what_they_opened(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Dask's place is taken by threads of this process."""
+    entered: list[str] = []
+    left: list[str] = []
+    open_session = Dp1.open
+
+    @contextmanager
+    def noted(self: Dp1, config: Any, timing: str, run: Any) -> Any:
+        entered.append(timing)
+        with open_session(self, config, timing, run) as session:
+            yield session
+        left.append(timing)
+
+    client = SimpleNamespace(nthreads=lambda: {"here": 1}, submit=lambda call, workers, pure: call())
+    dask = {"Client": lambda address: nullcontext(client), "LocalCluster": None, "fire_and_forget": lambda sent: None}
+    register_parallel_backend("dask", ThreadingBackend)
+    monkeypatch.setitem(sys.modules, "distributed", SimpleNamespace(**dask))
+    monkeypatch.setenv("DASK_SCHEDULER_ADDRESS", "tcp://there")
+    monkeypatch.setattr(runner, "check_engine", lambda engine: None)
+    monkeypatch.setattr(Dp1, "open", noted)
+    flown(tmp_path / "run", 1, "dask")
+    assert set(left) == {"lockstep", "virtual"}
+    assert left == entered
 
 
 @pytest.mark.slow

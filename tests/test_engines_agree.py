@@ -376,6 +376,28 @@ def test_event_cameras_see_the_same_in_all_simulators(case: Case) -> None:
     fly_everywhere(case)
 
 
+@pytest.mark.usefixtures("host_kernels", "kernels_pictures")
+def test_depth_is_asked_for_once_wherever_it_is_flown() -> None:
+    """On the wall clock of all three: of the lane's depths, whose mean is often below ten metres, and changes."""
+    taken = {"request_us": {"call": [0.0, 0.0], "image": [1e6, 1e6]}, "reply_us": {"call": [0.0, 0.0]}}
+    latency = {"quantiles": [0.0, 1.0], **taken, "issue_us": [0.0, 0.0], "timer_us": [0.0, 0.0]}
+    keys: Keys = {
+        **DEPTH,
+        "timing": "virtual",
+        "latency": latency,
+        "max_commands": 3,
+        "difficulty": {"first_row_m": 1.5},
+    }
+    case = Case(ObstacleLane, keys, 4, 5, 0.5, 0.0)
+    check_flyable(ObstacleLane(**keys).task, LANES, CUDA)
+    assert fly_everywhere(case)
+    with closing(ObstacleLane(**keys)) as alone:
+        alone.reset(seed=4)
+        info = alone.step(2)[4]
+    frames = 1 + ObstacleLane(**keys).task.frames_per_command
+    assert info["phase_s"]["rendering"] == frames, "a second each"
+
+
 def own_task_of_the_page() -> Any:
     """The task that docs/extending.md builds."""
     page = (Path(__file__).parents[1] / "docs/extending.md").read_text(encoding="utf-8")

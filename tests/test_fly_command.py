@@ -26,6 +26,9 @@ FLOWN: FlightSummary = {
     "slept_s": 0.0, "think_s": 0.0,
 }  # fmt: skip
 NOWHERE: FlightSummary = {**FLOWN, "position_m": None}
+CRASHED: FlightSummary = {**FLOWN, "error": "KeyError: 'pose'"}
+IDLE: Any = {**FLOWN, "calls": 0}
+CHECKED = "checked: flown twice, 7 calls and the trajectory are equal to the byte"
 
 
 class Flights:
@@ -137,7 +140,13 @@ def test_a_flight_is_told_in_a_line_and_its_status_is_the_scripts(
 @pytest.mark.parametrize(
     ("first", "again", "status", "last"),
     [
-        (FlightResult(3, FLOWN), FlightResult(3, FLOWN), 3, "checked: flown twice, 7 calls"),
+        (FlightResult(0, FLOWN), FlightResult(0, FLOWN), 0, "checked: flown twice, 7 calls and the trajectory are"),
+        (FlightResult(3, FLOWN), FlightResult(3, FLOWN), 3, f"{CHECKED}; both times the script ended with exit status"),
+        (FlightResult(1, CRASHED), FlightResult(1, CRASHED), 1, f"{CHECKED}; both times the script ended with KeyErr"),
+        (FlightResult(0, IDLE), None, 0, "not checked: the script ended with exit status 0 before any call"),
+        (FlightResult(3, {**IDLE, "position_m": None}), None, 3, "not checked: the script ended with exit status 3 be"),
+        (FlightResult(1, {**CRASHED, **IDLE}), None, 1, "not checked: the script ended with KeyError: 'pose' before "),
+        (FlightResult(0, {**IDLE, "finished": False}), None, 0, "not checked: the script was stopped by --until befo"),
         (FlightResult(0, FLOWN), FlightResult(0, FLOWN, differs=True), 1, "8.00 simulated s"),
         (FlightResult(0, FLOWN), FlightResult(5, None), 5, "not checked"),
         (FlightResult(0, FLOWN), FlightResult(130, {"finished": False}), 130, "not checked"),
@@ -162,6 +171,25 @@ def test_a_check_flies_again_without_a_film_and_beside_the_first(
     assert {options.seed for options, _ in flights} == {3}
     for options, _ in flights[1:]:
         assert (options.reference, options.folder.name) == (asked.out, "again")
+
+
+@pytest.mark.parametrize("again", [FlightResult(0, FLOWN), FlightResult(1, {**FLOWN, "error": "ValueError: none"})])
+def test_flights_whose_scripts_end_differently_are_told_apart(
+    asked: FlyRequest, monkeypatch: pytest.MonkeyPatch, again: FlightResult
+) -> None:
+    with pytest.raises(UserError, match=f"the first flight's script ended with KeyError: 'pose', .* {again.ending}"):
+        flown(monkeypatch, replace(asked, check=True), (FlightResult(1, CRASHED), 0.0), (again, 0.0))
+
+
+def test_a_flight_that_connects_where_the_first_did_not_is_held_against_none(
+    asked: FlyRequest, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    results = [(FlightResult(0, summary), 0.0) for summary in (NOWHERE, FLOWN)]
+    assert flown(monkeypatch, replace(asked, clocks=(1.0, 2.0)), *results)[0] == 0
+    assert capsys.readouterr().out.splitlines() == [
+        "clock 1: no client connected, nothing was flown",
+        "clock 2: 8.00 simulated s in 0.50 s, 16 per wall second",
+    ]
 
 
 def test_settings_beside_the_script_come_before_those_of_the_home(

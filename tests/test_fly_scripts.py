@@ -295,7 +295,8 @@ def test_check_tells_where_flights_differ(folder: Folder) -> None:
 
 def test_an_interrupted_check_says_that_it_did_not_check(folder: Folder) -> None:
     text = """
-        import os, pathlib, signal
+        import os, pathlib, signal, airsim
+        airsim.MultirotorClient().ping()
         flown = pathlib.Path(__file__).with_name("flown")
         if flown.exists() or "now" in os.environ:
             os.kill(os.getpid(), signal.SIGINT)
@@ -453,3 +454,20 @@ def test_a_script_that_flies_nothing_loads_nothing_heavy(folder: Folder) -> None
     text = "import sys\nprint(sorted({'cv2', 'mujoco', 'numba', 'scipy', 'torch'} & {*sys.modules}))\n"
     done = folder.fly(text)
     assert done.stdout.splitlines() == ["[]", "no client connected, nothing was flown"]
+
+
+@pytest.mark.parametrize(
+    ("text", "status", "ending"),
+    [
+        ("print(1)", 0, "exit status 0"),
+        ("raise ValueError('one\\ntwo')", 1, "ValueError: one"),
+        ("import airsim\nairsim.MultirotorClient()\nraise SystemExit(3)", 3, "exit status 3"),
+    ],
+)
+def test_a_check_of_a_script_that_calls_nothing_says_how_it_ended(
+    folder: Folder, text: str, status: int, ending: str
+) -> None:
+    done = folder.fly(text, "--check")
+    assert done.returncode == status
+    assert done.stdout.splitlines()[-1] == f"not checked: the script ended with {ending} before any call"
+    assert "checked: flown" not in done.stdout

@@ -5,6 +5,7 @@ import multiprocessing
 import multiprocessing.pool
 import threading
 from collections.abc import Iterator
+from functools import partial
 from types import ModuleType, SimpleNamespace
 from typing import Any
 
@@ -169,6 +170,51 @@ def test_who_waited_first_is_woken_first_and_no_more_than_are_to_be(script: Any)
     assert seconds(script) == 6.5
 
 
+def outcome(call: Any) -> Any:
+    """What a call returns, or the error that it raises."""
+    try:
+        return call()
+    except (RuntimeError, ValueError) as error:
+        return type(error), str(error)
+
+
+def outcomes(kinds: Any) -> list[Any]:
+    """What a script meets that uses locks in ways that are wrong, rare or nested."""
+    found: list[Any] = []
+    for lock, holds in ((kinds.Lock(), 1), (kinds.RLock(), 3)):  # all of which a wait gives back
+        condition, told = kinds.Condition(lock), []
+        found += [outcome(call) for call in (condition.notify, condition.notify_all, condition.wait, lock.release)]
+
+        def tell(condition: Any = condition, told: list[int] = told) -> None:
+            with condition:
+                told.append(1)
+                condition.notify()
+
+        for wait in (condition.wait, partial(condition.wait_for, lambda told=told: len(told) == 2)):
+            thread = kinds.Thread(target=tell)
+            for _ in range(holds):
+                lock.acquire()
+            thread.start()
+            found += [outcome(lambda wait=wait: wait(timeout=20.0)), len(told)]
+            for _ in range(holds):
+                lock.release()
+            thread.join()
+            found.append(outcome(lock.release))
+        with condition:
+            found += [condition.wait(0.01), condition.wait_for(lambda: 0, 0.01), condition.wait_for(lambda: 7)]
+    for kind in (kinds.Semaphore, kinds.BoundedSemaphore):
+        places = kind(2)
+        take, give = places.acquire, places.release
+        calls = [take, take, partial(take, False), partial(take, False, 1.0), partial(take, timeout=0.01)]
+        calls += [give, give, partial(give, 0), give, partial(kind, -1)]
+        found += [outcome(call) for call in calls]
+    return found
+
+
+def test_locks_answer_as_the_standard_librarys_do(script: Any) -> None:
+    assert outcomes(script.threading) == outcomes(threading)
+
+
 def test_a_queue_holds_as_much_as_it_may_and_is_done_when_its_tasks_are(script: Any) -> None:
     tasks = script.queue.Queue(maxsize=1)
 
@@ -298,6 +344,7 @@ def test_who_has_waited_for_a_condition_holds_its_lock_again_whether_it_came_or_
         with condition:
             script.written.append((name, seconds(script)))
             ripe.append(name)
+            condition.notify()
 
     with condition:
         assert condition.wait(1.0) is False

@@ -46,11 +46,10 @@ def rl_run(path: Path, *trainings: tuple[dict[str, str], dict[str, Any]]) -> str
     Games that were won ended far from any obstacle, and so did those in the exact simulator.
     """
     run = RunDirectory.create(path, configured("rl_smoke"), {})
-    summary: dict[str, list[Any]] = {"cells": [], "interchange": []}
+    summary: dict[str, list[Any]] = {"cells": []}
     for number, (kind, changes) in enumerate(trainings):
         made = trained(**changes)
         summary["cells"] += [cell | kind for cell in made.cells.to_dict("records")]
-        summary["interchange"] += [each | kind for each in made.interchange.to_dict("records")]
         for (command, clock_speed), lost in made.lost.groupby(["command", "clock_speed"]):
             for name, ended_m in {"training": lost.ended_m.tolist(), "exact": []}.items():
                 case, at_m = f"{number}-{clock_speed:g}-{name}", np.array([*ended_m, *[5.0] * 999])
@@ -58,9 +57,19 @@ def rl_run(path: Path, *trainings: tuple[dict[str, str], dict[str, Any]]) -> str
                 row |= {"command": command, "clock_speed": clock_speed}
                 row |= {"training": TRAINING} if name == "training" else {}
                 won = (np.arange(len(at_m)) >= len(ended_m)) & (name == "training")
-                arrays = {"distance_m": at_m, "is_success": won, "lane": np.arange(len(at_m))}
-                saved = run.save_arrays(case, {f"{command}_{key}": array for key, array in arrays.items()})
-                run.append_row(row | saved)
+                both = made.interchange if (command, clock_speed, name) == ("tcsc", 1.0, "training") else []
+                for seed in range(3 if len(both) else 1):  # trainings whose policies flew with both commands
+                    outcomes = {command: (at_m, won)}
+                    for flown_with, each in both.groupby("flown_with") if len(both) else ():
+                        flown = each.iloc[seed]
+                        games = np.arange(flown.games)
+                        outcomes[flown_with] = np.resize(lost.ended_m, len(games)), games < flown.successes
+                    arrays: dict[str, Any] = {}
+                    for flown_by, (ended, success) in outcomes.items():
+                        named = {"distance_m": ended, "is_success": success, "lane": np.arange(len(ended))}
+                        arrays |= {f"{flown_by}_{key}": array for key, array in named.items()}
+                    saved = run.save_arrays(f"{case}-{seed}", arrays)
+                    run.append_row(row | {"case": f"{case}-{seed}", "seed": seed} | saved)
     run.write_json("summary.json", summary)
     return str(path)
 

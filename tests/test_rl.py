@@ -20,6 +20,7 @@ from uavaccel.errors import UserError
 from uavaccel.metrics.equivalence import mean_estimate
 from uavaccel.records import RunDirectory
 from uavaccel.suites import gpu
+from uavaccel.suites.grid import Sweep
 from uavaccel.suites.parts import Part, part_suite
 from uavaccel.suites.report import Report
 from uavaccel.suites.rl import KEY, Rl, RlConfig, collapse, over_gaps, parts_of
@@ -537,6 +538,15 @@ def test_several_runs_make_the_report_of_the_one_that_flew_all(tmp_path: Path, d
         assert (config["seed"], config["seeds"], config["command"]) == (2, 8, [])
         assert set(made_one.manifest()["runs"]) == {str(run.path) for run in runs}
         assert "took 300.0 s of this machine" in (made_one.path / "report.md").read_text(encoding="utf-8")
+    Rl().compare(runs)  # again
+    mine = runs[0].path / "together"
+    (mine / "notes.txt").write_text("mine")
+    with pytest.raises(UserError, match=r"together: holds notes.txt, and is where .* move it away$"):
+        Rl().compare(runs)
+    (mine / "config.yaml").unlink()  # as of a folder that no report has made
+    with pytest.raises(UserError, match=r"together: holds figures, and is where .* move it away$"):
+        Rl().compare(runs)
+    assert (mine / "notes.txt").read_text() == "mine"
     with pytest.raises(UserError, match=r"has -airsim-virtual-tcsc-1.0-0, which .* has too"):
         Rl().compare([runs[0], runs[0]])
     other = report_of(tmp_path / "other", made("adsc", 5.0, [[]])).run
@@ -577,3 +587,16 @@ def test_each_process_takes_a_gpu_of_its_own_where_there_is_a_choice(
         file.close()
     for device, count in (("cpu", 2), ("cuda:1", 2), ("cuda", 1)):
         assert taken(device, count, monkeypatch) == [None, None]
+
+
+def test_a_sweep_takes_a_gpu_for_flights_on_gpus_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[str] = []
+    run: Any = object()
+    monkeypatch.setattr(gpu, "acquire_gpu", asked.append)
+    for device in ("cpu", "cuda"):
+        keys = {"simulator": "kernels", "device": device}
+        evaluation = {"experiment": "evaluate", "keys": keys}
+        config = configured("sweep", "agent=straight", sweep={"wind": [0]}, evaluation=evaluation)
+        with Sweep().open(config, "lockstep", run) as opened:
+            assert opened is run
+    assert asked == ["cpu", "cuda"]

@@ -15,7 +15,7 @@ import time
 from collections.abc import Callable, Sequence
 from fractions import Fraction
 from types import ModuleType
-from typing import Protocol, Self
+from typing import Any, Protocol, Self, SupportsIndex
 
 from uavaccel.errors import UserError
 from uavaccel.units import NS_PER_S, ceil_div, exact
@@ -215,15 +215,30 @@ def counted_time_module(slept: Callable[[float], None]) -> ModuleType:
     return changed(time, sleep=sleep)
 
 
+class _StandIn(type):
+    """The class of classes that stand in for their base, whose instances, which libraries make, are theirs too."""
+
+    def __instancecheck__(cls, value: object) -> bool:
+        return type.__instancecheck__(cls._stands_for(), value)
+
+    def __subclasscheck__(cls, kind: type) -> bool:
+        return type.__subclasscheck__(cls._stands_for(), kind)
+
+    def _stands_for(cls) -> type:
+        """Return the base of a stand-in; a program's class that is derived from a stand-in is itself."""
+        base = cls.__base__
+        return cls if base is None or isinstance(base, _StandIn) else base
+
+
 def datetime_module(epoch_now_ns: Callable[[], int]) -> ModuleType:
     """Return a stand-in for the module `datetime` whose present is `epoch_now_ns`, in ns since 1970 in UTC."""
 
-    class Date(datetime.date):
+    class Date(datetime.date, metaclass=_StandIn):
         @classmethod
         def today(cls) -> Self:
             return cls.fromtimestamp(epoch_now_ns() / NS_PER_S)
 
-    class DateTime(datetime.datetime):
+    class DateTime(datetime.datetime, metaclass=_StandIn):
         @classmethod
         def now(cls, tz: datetime.tzinfo | None = None) -> Self:
             return cls.fromtimestamp(epoch_now_ns() / NS_PER_S, tz)
@@ -236,6 +251,15 @@ def datetime_module(epoch_now_ns: Callable[[], int]) -> ModuleType:
         def utcnow(cls) -> Self:
             return cls.now(datetime.UTC).replace(tzinfo=None)
 
-    for own, original in ((Date, datetime.date), (DateTime, datetime.datetime)):
+    def stand_in(own: type, original: type[datetime.date]) -> None:
+        def reduced(self: datetime.date, protocol: SupportsIndex) -> tuple[Any, ...]:
+            """Pickle as what it stands for, which every program knows."""
+            parts: Any = original.__reduce_ex__(self, protocol)
+            return original if parts[0] is own else parts[0], *parts[1:]
+
         own.__name__, own.__qualname__, own.__module__ = original.__name__, original.__qualname__, "datetime"
+        own.__reduce_ex__ = reduced  # type: ignore[assignment,method-assign]
+
+    stand_in(Date, datetime.date)
+    stand_in(DateTime, datetime.datetime)
     return changed(datetime, date=Date, datetime=DateTime)

@@ -44,7 +44,10 @@ LEVELS = (0.1, 0.5, 0.9)
 MEDIAN_WITHIN = 0.20  # relative to the measured median
 AGREES = "agrees"
 TAIL_FACTOR = 1.5  # relative to the difference between the two measured runs
-LEVELS_TEXT = "10, 50 and 90 % quantiles; agreement: median within 20 %, the others within 1.5 times wall v wall"
+AGREEMENT_HEAD = f"""\
+10, 50 and 90 % quantiles of pauses and errors; they agree if the median is
+within 20 %, the others within 1.5 times the difference of both runs on the wall
+{"":26} {"wall":14} {"wall again":14} virtual"""
 
 Quantiles = NDArray[np.float64]
 
@@ -232,20 +235,25 @@ class Agreement(NamedTuple):
         median_off = float(off[1] / (measured[1] or 1.0))
         if median_off <= MEDIAN_WITHIN and (off <= allowed)[[0, 2]].all():
             return AGREES
-        return f"differs, median by {median_off:.0%}"
+        return f"{median_off:.0%} off"
 
-    def texts(self) -> tuple[str, ...]:
-        """Return the cell, the quantiles and the verdict, as columns of a table."""
-        runs = (" ".join(f"{value:.3g}" for value in run) for run in (self.wall, self.wall_again, self.virtual))
-        cell = self.command.upper(), f"{self.clock_speed:g}x", f"{self.t_move_s:g}", self.quantity
-        return *cell, *runs, self.verdict
+    @property
+    def line(self) -> str:
+        """The cell, the quantiles and the verdict, in the columns of AGREEMENT_HEAD."""
+        cell = f"{self.command.upper()} {self.clock_speed:4g}x {self.t_move_s:3g} s  {self.quantity}"
+        runs = (" ".join(map(_short, run)) for run in self[4:])
+        return " ".join([f"{cell:26}", *(f"{run:14}" for run in runs), self.verdict])
+
+
+def _short(value: float) -> str:
+    return f"{value:.0f}" if value >= 1000 else f"{value:.{2 if value < 1 else 3}g}"
 
 
 def check_agreement(latency: LatencyConfig, profile: str, games: int) -> Iterator[Agreement]:
-    """Fly `games` of each command, ClockSpeed and T_move on both clocks, and yield the agreement of gaps and errors.
+    """Fly `games` of each command, ClockSpeed and T_move on both clocks, and yield the agreement of pauses and errors.
 
-    A gap is the simulated time in seconds between two commands, an error the RMSE in metres of a game against the
-    flight without latency.
+    A pause is the simulated time in ms between two commands, an error the RMSE in cm of a game against the flight
+    without latency.
     """
     with (
         WallSession("blocks", profile) as wall,
@@ -259,8 +267,8 @@ def check_agreement(latency: LatencyConfig, profile: str, games: int) -> Iterato
             flown = list(zip(*games_on_all, strict=True))
             gaps = [np.concatenate([game.gap_s for game in results]) for results in flown]
             errors = [mean_position_rmse([game.flight for game in results], [ideal]) for results in flown]
-            for quantity, values in (("gap s", gaps), ("error m", errors)):
-                first, model, again = (np.quantile(value, LEVELS) for value in values)
+            for quantity, unit, values in (("pause ms", 1e-3, gaps), ("error cm", 1e-2, errors)):
+                first, model, again = (np.quantile(value, LEVELS) / unit for value in values)
                 yield Agreement(*cell, quantity, first, again, model)
 
 

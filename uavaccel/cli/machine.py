@@ -27,7 +27,7 @@ def calibrate(
     games: Annotated[int, typer.Option(metavar="N", help="For --check: flights of each kind.")] = 20,
 ) -> None:
     """Measure the latencies of --timing virtual, or check them."""
-    from uavaccel.calibration.calibrate import AGREES, LEVELS_TEXT, check_agreement, measure, model_file
+    from uavaccel.calibration.calibrate import AGREEMENT_HEAD, AGREES, check_agreement, measure, model_file
     from uavaccel.calibration.doctor import check_machine
     from uavaccel.files import check_new_file
     from uavaccel.sim.camera.gl import describe_renderer
@@ -38,11 +38,12 @@ def calibrate(
         check_number("--games", games, 1, MOST_COMMANDS)
         model = shipped_latency() if latency is None else read_latency(latency)
         console.print(f"machine check: {check_machine()['verdict']}; latency model: {latency or 'the shipped one'}")
-        found = list(check_agreement(model, profile, games))
-        console.print(LEVELS_TEXT)
-        header = ("command", "clock", "T_move s", "", "wall", "wall again", "virtual", "")
-        print_columns(header, [agreement.texts() for agreement in found])
-        console.print(f"{sum(agreement.verdict == AGREES for agreement in found)} of {len(found)} agree")
+        console.print(AGREEMENT_HEAD)
+        verdicts = []
+        for agreement in check_agreement(model, profile, games):  # some seconds each
+            console.print(agreement.line)
+            verdicts.append(agreement.verdict)
+        console.print(f"{verdicts.count(AGREES)} of {len(verdicts)} agree")
         return
     check_new_file(out)
     check_number("--commands", commands, 1, MOST_COMMANDS)
@@ -57,7 +58,8 @@ def calibrate(
     out.write_text(model_file(latencies, profile, verdict))
     for line in latencies.lines():
         console.print(line)
-    console.print(f"{out}: use it with --set latency={out}")
+    console.print(f"{out}: use it with `uavaccel run dp1 --set latency={out}`,")
+    console.print(f"with train and evaluate as `--timing virtual --set task.latency={out}`")
 
 
 def advise(

@@ -33,15 +33,15 @@ class Sample(NamedTuple):
     """A gathered sample: the state, its picture, and how often the picture was requested again."""
 
     state: Kinematics
-    image: NDArray[np.uint8]
+    image: AnyImage
     retries: int
 
 
 class GuardedClient:
     """Wraps `client` to take pictures of `kind` through the guard; a subclass defines what a sample is.
 
-    `perturbation` corrupts a share of the received pictures, `exposure` changes their brightness; by default both
-    are off.
+    Depths have no brightness and are not guarded. `perturbation` corrupts a share of the received pictures, `exposure`
+    changes their brightness; by default both are off.
     """
 
     def __init__(
@@ -63,6 +63,8 @@ class GuardedClient:
     def take(self, state: Kinematics) -> Sample:
         """Take a picture of the present state; the simulation has to be paused."""
         self._ran_ns = round(state.time_ns / self.clock_speed)
+        if self._kind == "depth":
+            return Sample(state, self._receive(), 0)
         acquisition = acquire(self._guard_state, self._receive, self._guard)
         self._guard_state = acquisition.state
         return Sample(state, acquisition.image, acquisition.retries)

@@ -109,7 +109,7 @@ class SceneView(View):
         self.render(which, frames)
 
     def add_levels(self, which: th.Tensor, sums: th.Tensor) -> None:
-        """Raise NotImplementedError: what needs the guard is refused before (envs/flyable)."""
+        """Raise NotImplementedError: what the guard judges is refused before (envs/flyable)."""
         raise NotImplementedError
 
     def _launch(self, name: str, size: Sequence[int]) -> Any:

@@ -74,8 +74,8 @@ def _why_not_on_gpu(task: Task) -> str:
         return ""
     if task.dvs_ticks:
         return "dvs_rate_hz needs command = tcsc, timing = lockstep and profile = native"
-    if task.timing == "virtual" and (kind_of(task) == DEPTH or (kind_of(task) != STATE and task.scene != "lane")):
-        return "in timing = virtual images of depth, and of scenes but the lane, need the guard, which runs on the CPU"
+    if task.timing == "virtual" and kind_of(task) in (DVS, COLOUR) and task.scene != "lane":
+        return "in timing = virtual event cameras and colour images need the guard, which a GPU has in the lane only"
     return ""
 
 

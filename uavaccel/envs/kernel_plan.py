@@ -8,10 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.commands.slices import samples_due
-from uavaccel.envs.flyable import latency_of, profile_of, speed_of
+from uavaccel.envs.flyable import kind_of, latency_of, profile_of, speed_of
 from uavaccel.envs.task import Task
 from uavaccel.kernels import latencies as wire
 from uavaccel.kernels import timeline
+from uavaccel.kernels.fields import DEPTH
 from uavaccel.kernels.latencies import Latencies
 from uavaccel.kernels.timeline import Command, Timing
 from uavaccel.sim.profile import PROFILES
@@ -69,7 +70,7 @@ def _rules(task: Task, pictures: bool) -> NDArray[np.int64]:
     rules[timeline.STALE_POSE] = bool(platform.frame_ns()) and platform.frames.stale_pose
     rules[timeline.AFTER_CONTINUE] = platform.frames.after_continue
     rules[timeline.IMAGES] = task.sensor().picture is not None
-    rules[timeline.GUARDED] = pictures and virtual
+    rules[timeline.GUARDED] = pictures and virtual and kind_of(task) != DEPTH  # which has no brightness
     rules[timeline.PROCESSING_NS] = round(task.image_processing_s * NS_PER_S) if virtual else 0
     rules[timeline.LAYS_OUT] = task.layout(task.sample(np.random.default_rng(0), {})) is not None
     rules[timeline.LATENCY] = virtual

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from uavaccel.errors import UsageError, UserError
+from uavaccel.fly.messages import DifferenceError
 from uavaccel.fly.options import SCRATCH, THINK_S, FlightOptions, FlightSummary, found_settings
 from uavaccel.fly.runs import FlightResult, check, fly
 from uavaccel.limits import CLOCK_SPEEDS, MOST_SECONDS, MOST_SEEDS
@@ -106,6 +107,9 @@ def _fly_one(request: FlyRequest, folder: Path, scratch: Path) -> int:
     options = replace(request.flight, folder=folder, clock_speed=clock_speed)
     with (request.page or nullcontext)():
         flown = fly(options)
+    if request.check and flown.summary is not None and not flown.summary["calls"] and not flown.interrupted:
+        print(f"not checked: the script {flown.ending} before any call", flush=True)
+        return flown.status
     _print_result(flown, request.page is not None)
     if not request.check or flown.summary is None or flown.interrupted:
         return flown.status
@@ -115,7 +119,10 @@ def _fly_one(request: FlyRequest, folder: Path, scratch: Path) -> int:
     if again.summary is None or again.interrupted:
         print("not checked: the second flight did not come to its end", flush=True)
         return again.status
-    print(f"checked: flown twice, {flown.summary['calls']} calls and the trajectory are equal to the byte")
+    if again.ending.partition(":")[0] != flown.ending.partition(":")[0]:  # an error's text may hold an address
+        raise DifferenceError(f"the first flight's script {flown.ending}, the second's {again.ending}")
+    same = f"; both times the script {flown.ending}" if flown.status else ""
+    print(f"checked: flown twice, {flown.summary['calls']} calls and the trajectory are equal to the byte{same}")
     return flown.status
 
 
@@ -123,7 +130,7 @@ def _fly_clocks(request: FlyRequest, folder: Path) -> int:
     """Fly at each ClockSpeed and print a line for it; the other flights are compared with the first."""
     clocks = request.clocks
     first = folder / f"clock-{clocks[0]:g}"
-    statuses, slept = [], False
+    statuses, slept, connected = [], False, False
     for clock in clocks:
         options = replace(request.flight, folder=folder / f"clock-{clock:g}", clock_speed=clock)
         flown = fly(options, quiet=clock != clocks[0])
@@ -131,8 +138,10 @@ def _fly_clocks(request: FlyRequest, folder: Path) -> int:
         if flown.summary is None or flown.interrupted:
             break
         slept |= flown.summary["slept_s"] > 0
-        compared = clock != clocks[0] and flown.summary["position_m"] is not None
+        compared = connected and flown.summary["position_m"] is not None
         difference = _difference_text(options.folder, first, clocks[0]) if compared else ""
+        if clock == clocks[0]:
+            connected = flown.summary["position_m"] is not None
         text = _speed_text(flown.summary, request.page is not None)
         print(f"clock {clock:g}: {text}{difference}", flush=True)
     if slept:
@@ -156,7 +165,7 @@ def _print_result(flown: FlightResult, watched: bool) -> None:
     summary = flown.summary
     stopped = "" if summary["finished"] else "interrupted; " if flown.status else "stopped by --until; "
     if summary["position_m"] is None:
-        print(f"{stopped}no client connected, nothing was flown", flush=True)
+        print(f"{stopped}{_speed_text(summary, watched)}", flush=True)
         return
     place = "".join(f" {metres:.2f}" for metres in summary["position_m"])
     thinking = f", {1000 * summary['think_s']:g} ms of thinking before each" if summary["think_s"] else ""
@@ -165,6 +174,8 @@ def _print_result(flown: FlightResult, watched: bool) -> None:
 
 def _speed_text(summary: FlightSummary, watched: bool) -> str:
     """How much was flown in what time, which says nothing of a flight that kept a spectator's pace."""
+    if summary["position_m"] is None:
+        return "no client connected, nothing was flown"
     simulated_s, wall_s = summary["simulated_s"], summary["wall_s"]
     if watched:
         return f"{simulated_s:.2f} simulated s, watched"

@@ -25,7 +25,10 @@ _KEYS = {"SettingsVersion", "SimMode", "Vehicles", "ClockSpeed", "SeeDocsAt"}
 
 
 class FlightSummary(TypedDict, total=False):
-    """The summary of a flight, in the file SUMMARY: SI units, NED; `position_m` is None if no client connected."""
+    """The summary of a flight, in the file SUMMARY: SI units, NED; `position_m` is None if no client connected.
+
+    `error` is the script's exception that ended the flight, if one did.
+    """
 
     clock_speed: float
     scene: str
@@ -33,6 +36,7 @@ class FlightSummary(TypedDict, total=False):
     status: int
     finished: bool
     wall_s: float
+    error: str | None
     simulated_s: float
     position_m: list[float] | None
     failure: str | None

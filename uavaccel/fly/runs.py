@@ -35,6 +35,14 @@ class FlightResult:
     def interrupted(self) -> bool:
         return self.status == INTERRUPTED and not (self.summary or {}).get("finished")
 
+    @property
+    def ending(self) -> str:
+        """How the script ended, in words."""
+        summary = self.summary or {}
+        if not summary.get("finished"):
+            return "was stopped by --until"
+        return f"ended with {summary.get('error') or f'exit status {self.status}'}"
+
 
 def fly(options: FlightOptions, quiet: bool = False) -> FlightResult:
     """Fly a script once. Its output is shown as it comes, unless `quiet`; Ctrl-C and SIGTERM end the script."""

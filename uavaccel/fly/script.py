@@ -93,11 +93,15 @@ def unraisable(event: sys.UnraisableHookArgs) -> None:
 
 
 class ScriptResult(NamedTuple):
-    """How a script ended: its exit status, whether it finished by itself, and the machine's wall time that it took."""
+    """How a script ended: its exit status, whether it finished by itself, and the machine's wall time that it took.
+
+    `error` is the exception that ended it, in one line, if one did.
+    """
 
     status: int
     finished: bool
     wall_s: float
+    error: str | None = None
 
 
 def run_script(path: Path, arguments: tuple[str, ...], outlive: Callable[[], None] = lambda: None) -> ScriptResult:
@@ -105,19 +109,19 @@ def run_script(path: Path, arguments: tuple[str, ...], outlive: Callable[[], Non
 
     Raises UserError if the file cannot be read or is not Python.
     """
-    code, clock = compiled(path), MonotonicClock()
+    code, clock, error = compiled(path), MonotonicClock(), None
     begun_ns = clock.now_ns()
     try:
-        status, finished = _run(code, path, arguments), True
+        (status, error), finished = _run(code, path, arguments), True
         outlive()
     except FlightOver:
         status, finished = 0, False
     except KeyboardInterrupt:
         status, finished = INTERRUPTED, False
-    return ScriptResult(status, finished, (clock.now_ns() - begun_ns) / NS_PER_S)
+    return ScriptResult(status, finished, (clock.now_ns() - begun_ns) / NS_PER_S, error)
 
 
-def _run(code: CodeType, path: Path, arguments: tuple[str, ...]) -> int:
+def _run(code: CodeType, path: Path, arguments: tuple[str, ...]) -> tuple[int, str | None]:
     main = ModuleType("__main__")
     main.__file__, main.__builtins__ = str(path), __builtins__  # type: ignore[attr-defined]
     sys.modules["__main__"] = main
@@ -126,7 +130,7 @@ def _run(code: CodeType, path: Path, arguments: tuple[str, ...]) -> int:
     try:
         exec(code, vars(main))
     except SystemExit as end:
-        return _status_of(end)
+        return _status_of(end), None
     except UserError:
         raise
     except Exception as error:
@@ -135,8 +139,8 @@ def _run(code: CodeType, path: Path, arguments: tuple[str, ...]) -> int:
         traceback.print_exception(error)
         if isinstance(error, TypeError) and ARRAY_AS_NUMBER in str(error):
             print(f"uavaccel: {ADVICE}", file=sys.stderr)
-        return 1
-    return 0
+        return 1, f"{type(error).__name__}: {error}".partition("\n")[0].removesuffix(": ")
+    return 0, None
 
 
 def compiled(path: Path) -> CodeType:

@@ -11,13 +11,15 @@ from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from types import ModuleType
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from uavaccel.clock import changed
 from uavaccel.fly.script import FlightOver, hide_ours
 from uavaccel.fly.turns import Turn, Turns
+from uavaccel.units import NS_PER_S
 
 Class = TypeVar("Class", bound=type)
+Result = TypeVar("Result")
 
 
 def bound(kind: Class, turns: Turns) -> Class:
@@ -25,21 +27,9 @@ def bound(kind: Class, turns: Turns) -> Class:
     return type(kind.__name__, (kind,), {"turns": turns})  # type: ignore[return-value]
 
 
-class Guard:
-    """Base of what a `with` block acquires and releases."""
-
+class Lock:
     turns: Turns
-    acquire: Callable[..., bool]
-    release: Callable[[], None]
 
-    def __enter__(self) -> bool:
-        return self.acquire()
-
-    def __exit__(self, *exception: object) -> None:
-        self.release()
-
-
-class Lock(Guard):
     def __init__(self) -> None:
         self._held = False
 
@@ -53,6 +43,12 @@ class Lock(Guard):
         if not self._held:
             raise RuntimeError("release unlocked lock")
         self._held = False
+
+    def __enter__(self) -> bool:
+        return self.acquire()
+
+    def __exit__(self, *exception: object) -> None:
+        self.release()
 
     def locked(self) -> bool:
         return self._held
@@ -81,36 +77,49 @@ class RLock(Lock):
             self._owner = 0
             super().release()
 
+    def _is_owned(self) -> bool:
+        return self._owner == threading.get_ident()
 
-class Condition(Guard):
+    def _release_save(self) -> int:
+        depth, self._depth = self._depth, 1
+        self.release()
+        return depth
+
+    def _acquire_restore(self, depth: int) -> None:
+        self.acquire()
+        self._depth = depth
+
+
+class Condition(threading.Condition):
+    turns: Turns
+    _waiters: deque[Lock]
+    _is_owned: Callable[[], bool]
+    _release_save: Callable[[], Any]
+    _acquire_restore: Callable[[Any], None]
+
     def __init__(self, lock: Lock | None = None) -> None:
-        self._lock = bound(RLock, self.turns)() if lock is None else lock
-        self.acquire, self.release = self._lock.acquire, self._lock.release
-        self._sleepers: deque[object] = deque()
+        super().__init__(bound(RLock, self.turns)() if lock is None else lock)  # type: ignore[arg-type]
 
     def wait(self, timeout: float | None = None) -> bool:
-        me = object()
-        self._sleepers.append(me)
-        self.release()
+        if not self._is_owned():
+            raise RuntimeError("cannot wait on un-acquired lock")
+        me = bound(Lock, self.turns)()
+        me.acquire()
+        self._waiters.append(me)  # `notify` releases it
+        depth = self._release_save()
         try:
-            return self.turns.until(lambda: me not in self._sleepers, timeout)
+            return me.acquire(timeout=-1 if timeout is None else max(timeout, 0.0))
         finally:
-            if me in self._sleepers:
-                self._sleepers.remove(me)
-            self.acquire()
+            if me in self._waiters:
+                self._waiters.remove(me)
+            self._acquire_restore(depth)
 
-    def wait_for(self, predicate: Callable[[], object], timeout: float | None = None) -> object:
-        self.release()
-        self.turns.until(lambda: bool(predicate()), timeout)
-        self.acquire()
-        return predicate()
-
-    def notify(self, n: int = 1) -> None:
-        for _ in range(min(n, len(self._sleepers))):
-            self._sleepers.popleft()
-
-    def notify_all(self) -> None:
-        self._sleepers.clear()
+    def wait_for(self, predicate: Callable[[], Result], timeout: float | None = None) -> Result:
+        end_ns = None if timeout is None else self.turns.now_ns() + round(timeout * NS_PER_S)
+        while not (found := predicate()):
+            if not self.wait(None if end_ns is None else (end_ns - self.turns.now_ns()) / NS_PER_S):
+                return predicate()
+        return found
 
 
 class Event(threading.Event):
@@ -124,18 +133,26 @@ class Event(threading.Event):
         return self.turns.until(self.is_set, timeout)
 
 
-class Semaphore(Guard):
+class Semaphore(threading.Semaphore):
+    turns: Turns
+
     def __init__(self, value: int = 1) -> None:
-        self._value = value
+        super().__init__(value)
+        self._cond = bound(Condition, self.turns)()
 
     def acquire(self, blocking: bool = True, timeout: float | None = None) -> bool:
+        if not blocking and timeout is not None:
+            raise ValueError("can't specify timeout for non-blocking acquire")
         if self._value == 0 and not (blocking and self.turns.until(lambda: self._value > 0, timeout)):
             return False
         self._value -= 1
         return True
 
-    def release(self, n: int = 1) -> None:
-        self._value += n
+    __enter__ = acquire
+
+
+class BoundedSemaphore(Semaphore, threading.BoundedSemaphore):
+    pass
 
 
 class Barrier(threading.Barrier):
@@ -239,10 +256,10 @@ class ThreadClasses:
 
     def __init__(self, turns: Turns) -> None:
         self.running: list[Thread] = []
-        kinds: tuple[type, ...] = (Lock, RLock, Condition, Event, Semaphore, Barrier)
+        kinds: tuple[type, ...] = (Lock, RLock, Condition, Event, Semaphore, BoundedSemaphore, Barrier)
         kinds += (Queue, LifoQueue, PriorityQueue)
         own = {kind.__name__: bound(kind, turns) for kind in kinds}
-        own |= {"BoundedSemaphore": own["Semaphore"], "SimpleQueue": own["Queue"]}
+        own["SimpleQueue"] = own["Queue"]
         for kind in (Thread, Timer):
             own[kind.__name__] = thread = bound(kind, turns)
             thread.running = self.running

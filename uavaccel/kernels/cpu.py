@@ -9,7 +9,7 @@ from numba import njit, types
 from numba.extending import overload
 
 from uavaccel.kernels import casting, events, timeline
-from uavaccel.kernels.fields import COLOUR, COLUMNS, DEPTH, DVS, ROWS, SEEN_FAR_M, STATE, Appearance, Looks
+from uavaccel.kernels.fields import COLOUR, DEPTH, DVS, SEEN_FAR_M, STATE, Appearance, Looks
 from uavaccel.kernels.lane_clocks import save_shown, turn_to_shown
 from uavaccel.kernels.lanes import EVENT_SEED, PICTURE_SEED, Flights, Games, begin, command, fly, refresh, touched
 from uavaccel.kernels.operands import Launchable, Operand
@@ -258,7 +258,6 @@ def depths_in_scene(lane: int, looks: Looks, games: Games, now: Flights, scratch
     for row in range(out.shape[0]):
         for column in range(out.shape[1]):
             out[row, column] = casting.depth_at(games.scenes, world, looks, eye, row, column, out.shape)
-    scratch.bright[0] = out.mean()
 
 
 def _by_looks(in_lane: Any, in_scene: Any) -> Any:
@@ -392,7 +391,7 @@ def guard(lane: int, view: View, clocks: Clocks, scratch: Operand) -> bool:
 
 
 def brightness(kind: int, looks: Operand, scratch: Operand) -> float:  # type: ignore[empty-body]
-    """Return the mean of the latest image without noise: of its luma, or of depths."""
+    """Return the mean luma of the latest image, without noise."""
 
 
 @part(error_model="numpy")
@@ -400,13 +399,9 @@ def brightness_in_lane(kind: int, scratch: Operand) -> float:
     bright = 0.0
     if kind == DVS:
         bright = scratch.channels[0].mean()
-    elif kind == COLOUR:
+    else:
         for channel in range(3):
             bright += LUMA_WEIGHTS[channel] * scratch.channels[channel].mean()
-    else:
-        depths = np.empty((ROWS, COLUMNS), np.float32)
-        render_depths(scratch, depths)
-        bright = depths.mean()
     return bright
 
 

@@ -346,10 +346,10 @@ class Simulation:
         state |= {"running.period_end_tick": store_optional(period.end_tick if period else None)}
         state |= {"running.period_end_wall_ns": store_optional(period.end_wall_ns if period else None)}
         state |= prefixed("running", self.lead.get_state()) | prefixed("commands", self.lead.log.get_state())
-        for pilot in self.pilots[1:]:
+        for number, pilot in enumerate(self.pilots[1:]):
             kept = pilot.get_state() | {"api_control": pilot.api_control}
             kept |= prefixed("log", pilot.log.get_state())
-            state |= prefixed(f"pilots.{pilot.vehicle.name}", kept)
+            state |= prefixed(f"pilots.{number}", kept)
         return state | prefixed("frames", self.frames.get_state()) | prefixed("world", self.world.get_state())
 
     def set_state(self, state: SavedState) -> None:
@@ -368,8 +368,8 @@ class Simulation:
         self.lead.set_state(running)
         self.lead.log.set_state(without_prefix("commands", state))
         self.lead.api_control = bool(state["api_control"])
-        for pilot in self.pilots[1:]:
-            kept = without_prefix(f"pilots.{pilot.vehicle.name}", state)
+        for number, pilot in enumerate(self.pilots[1:]):
+            kept = without_prefix(f"pilots.{number}", state)
             pilot.set_state(kept)
             pilot.log.set_state(without_prefix("log", kept))
             pilot.api_control = bool(kept["api_control"])

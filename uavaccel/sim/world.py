@@ -402,18 +402,19 @@ class World:
         state |= {"physics": physics_state(self.model, self.data), "warnings": self.warnings.copy()}
         state |= self.lead.get_state() | prefixed("samples", self.recorder.get_state())
         state |= prefixed("contacts", self.clearance.get_state())
-        for vehicle in self.vehicles[1:]:
-            state |= prefixed(f"vehicles.{vehicle.name}", vehicle.get_state())
+        state |= {"vehicles": [vehicle.name for vehicle in self.vehicles[1:]]}
+        for number, vehicle in enumerate(self.vehicles[1:]):  # whose names may contain dots
+            state |= prefixed(f"vehicles.{number}", vehicle.get_state())
         state |= {} if self.clutter is None else {"clutter": self.clutter.rows}
         return state | (prefixed("lane", vars(self.lane)) if self.lane else {})
 
     def set_state(self, state: SavedState) -> None:
         """Restore what `get_state` returned. Raises UserError for another scene, profile or set of vehicles."""
-        saved = sorted({key.split(".")[1] for key in state if key.startswith("vehicles.")})
+        saved = [str(name) for name in state.get("vehicles", [])]
         for name, found, own in (
             ("scene", str(state["scene"]), self.scene),
             ("profile", str(state["profile"]), self.profile.name),
-            ("vehicles", saved, sorted(vehicle.name for vehicle in self.vehicles[1:])),
+            ("vehicles", saved, [vehicle.name for vehicle in self.vehicles[1:]]),
         ):
             if found != own:
                 raise UserError(f"the saved state's {name} is {found}, not {own}")
@@ -425,8 +426,8 @@ class World:
         restore_physics(self.model, self.data, state["physics"])
         self.warnings[:] = state["warnings"]
         self.lead.set_state(state)
-        for vehicle in self.vehicles[1:]:
-            vehicle.set_state(without_prefix(f"vehicles.{vehicle.name}", state))
+        for number, vehicle in enumerate(self.vehicles[1:]):
+            vehicle.set_state(without_prefix(f"vehicles.{number}", state))
         self.recorder.set_state(without_prefix("samples", state))
         self.clearance.set_state(without_prefix("contacts", state))
 

@@ -34,12 +34,16 @@ def check_engine(engine: str) -> None:
         raise UserError(f"--engine {engine}: needs the package {package}: pip install 'uavaccel[{engine}]'")
 
 
-def in_parallel(engine: str, jobs: int, batch: int, calls: Iterable[Delayed]) -> Iterator[GameResult]:
+def in_parallel(
+    engine: str, jobs: int, batch: int, calls: Iterable[Delayed], leave: Callable[[], None] = lambda: None
+) -> Iterator[GameResult]:
     """Yield the results of joblib's delayed calls, in order, from `jobs` workers that take `batch` calls at once.
 
-    Raises UserError where a worker is lost.
+    Workers that outlive the run call `leave` at its end. Raises UserError where a worker is lost.
     """
-    return (_on_this_machine if engine == LOKY else partial(_on_cluster, engine))(jobs, batch, calls)
+    if engine == LOKY:
+        return _on_this_machine(jobs, batch, calls)
+    return _on_cluster(engine, jobs, batch, calls, leave)
 
 
 def _on_this_machine(jobs: int, batch: int, calls: Iterable[Delayed]) -> Iterator[GameResult]:
@@ -64,10 +68,12 @@ def _on_this_machine(jobs: int, batch: int, calls: Iterable[Delayed]) -> Iterato
                 games.close()
 
 
-def _on_cluster(engine: str, jobs: int, batch: int, calls: Iterable[Delayed]) -> Iterator[GameResult]:
+def _on_cluster(
+    engine: str, jobs: int, batch: int, calls: Iterable[Delayed], leave: Callable[[], None]
+) -> Iterator[GameResult]:
     from joblib import Parallel, parallel_config
 
-    clusters: dict[str, Callable[[int], AbstractContextManager[None]]] = {"ray": _ray, "dask": _dask}
+    clusters: dict[str, Callable[[int], AbstractContextManager[None]]] = {"ray": _ray, "dask": partial(_dask, leave)}
     waiting = iter(calls)
     with (
         clusters[engine](jobs),
@@ -87,6 +93,7 @@ def _on_cluster(engine: str, jobs: int, batch: int, calls: Iterable[Delayed]) ->
 
 @contextmanager
 def _ray(jobs: int) -> Iterator[None]:
+    """Join or start a cluster, whose worker processes are this run's own, and end with it."""
     import ray
     from ray.util.joblib import register_ray
 
@@ -103,12 +110,17 @@ def _ray(jobs: int) -> Iterator[None]:
 
 
 @contextmanager
-def _dask(jobs: int) -> Iterator[None]:
-    from distributed import Client, LocalCluster
+def _dask(leave: Callable[[], None], jobs: int) -> Iterator[None]:
+    """Join a cluster, whose workers outlive the run, or start one, which ends with it."""
+    from distributed import Client, LocalCluster, fire_and_forget
 
     if address := os.environ.get("DASK_SCHEDULER_ADDRESS"):
-        with Client(address):
-            yield
+        with Client(address) as client:
+            try:
+                yield
+            finally:
+                for worker in client.nthreads():
+                    fire_and_forget(client.submit(leave, workers=[worker], pure=False))
         return
     cluster = LocalCluster(
         n_workers=jobs, threads_per_worker=1, host="127.0.0.1", dashboard_address=None, silence_logs=50

@@ -9,8 +9,9 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TextIO, TypeVar
 
+from uavaccel.limits import MOST_PROCESSES
+
 VISIBLE, EGL_DEVICE = "CUDA_VISIBLE_DEVICES", "MUJOCO_EGL_DEVICE_ID"
-MOST_PROCESSES = 256
 
 Opened = TypeVar("Opened")
 
@@ -39,8 +40,8 @@ def acquire_gpu(device: str) -> None:
 
 
 @contextmanager
-def on_own_gpu(opened: Opened, device: str = "cuda") -> Iterator[Opened]:
-    """Yield what `Suite.open` opens, in a process that has a GPU of its own from now on."""
+def on_own_gpu(opened: Opened, device: str) -> Iterator[Opened]:
+    """Yield what `Suite.open` opens, in a process that has a GPU of its own from now on, as `acquire_gpu` says."""
     acquire_gpu(device)
     yield opened
 

@@ -365,7 +365,7 @@ class PolicyGrid(Suite[Any, Point]):
         return {"policy_sha256": policy_sha256(config.agent)}
 
     def open(self, config: Any, timing: str, run: RunDirectory) -> AbstractContextManager[RunDirectory]:
-        return on_own_gpu(run)
+        return on_own_gpu(run, self.first(config)[1].device)
 
     def fly(self, config: Any, case: Point, opened: RunDirectory) -> GameResult:
         """Evaluate; the row has keys of the evaluation's summary, the arrays the outcome of each lane."""

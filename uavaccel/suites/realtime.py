@@ -46,7 +46,7 @@ EVALUATION_SEED = 1_000_000  # episodes of an evaluation begin with others than 
 PLACE = ["environment", "command", "latency_s", "clock_speed"]
 CELL = ["environment", "agent", "command", "latency_s", "clock_speed"]
 """What the evaluations of a cell have in common: they are of one agent's trainings."""
-TRAINING = ["environment", "agent", "seed", "steps", "last_return", "weights_sha256"]
+TRAINING = ["environment", "agent", "seed", "steps", "last_return", "agent_sha256"]
 PANELS = 3  # of a figure, beside each other
 
 Delay = Annotated[float, Field(ge=0.0, le=60.0)]
@@ -149,7 +149,7 @@ class TrainingRow(GameRow):
     seed: Seed
     steps: Count
     last_return: Number
-    weights_sha256: str
+    agent_sha256: str
 
 
 class EvaluationRow(GameRow):

@@ -111,7 +111,7 @@ def train(block: EnvironmentBlock, agent: AgentBlock, seed: int) -> tuple[Weight
     digest = hashlib.sha256()
     for name in sorted(weights):
         digest.update(name.encode() + np.ascontiguousarray(weights[name]).tobytes())
-    learned = {"steps": int(learner.num_timesteps), "last_return": returns.last(), "weights_sha256": digest.hexdigest()}
+    learned = {"steps": int(learner.num_timesteps), "last_return": returns.last(), "agent_sha256": digest.hexdigest()}
     return weights, learned
 
 

@@ -59,6 +59,7 @@ KEY = ["variant", "profile", "timing", "command", "clock_speed"]
 LEARNED = ("trained_games", "trained_successes", "weights_sha256")
 EVALUATION_SEED = 0  # the same lanes and latencies for every policy
 OF_EXACT = "exact"  # name of an evaluation in the exact simulator
+OF_A_REPORT = {"config.yaml", "manifest.json", "summary.json", "report.md", "report.html", "figures"}
 TOGETHER = "together"  # the folder of the report of several runs, in the first one's
 MAY_DIFFER = {"cells", "command", "clock_speed", "profile", "timing", "seed", "seeds"}  # between these
 THINKING = re.compile(r"_?think_\d+ms$")  # suffix of variants that differ in the duration of a decision alone
@@ -450,7 +451,11 @@ class Together(Report):
         self.suite, self.config = first.suite, RlConfig(**alike, cells=cells, seed=seed, seeds=end - seed)
         self.games = pd.concat([report.games for report in reports], ignore_index=True)
         self.timings = [entry for report in reports for entry in report.timings]
-        shutil.rmtree(place := first.run.path / TOGETHER, ignore_errors=True)
+        if (place := first.run.path / TOGETHER).exists():
+            made = (place / "config.yaml").is_file() and "runs" in RunDirectory(place).manifest()
+            if mine := sorted({entry.name for entry in place.iterdir()} - (OF_A_REPORT if made else set())):
+                raise UserError(f"{place}: holds {mine[0]}, and is where the report of several runs goes; move it away")
+            shutil.rmtree(place)
         made_of = {str(report.run.path): report.run.manifest() for report in reports}
         self.run = RunDirectory.create(place, self.config, {**first.run.manifest(), "runs": made_of})
 

@@ -6,8 +6,9 @@ import os
 import threading
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, ExitStack
 from dataclasses import replace
+from functools import partial
 from itertools import groupby, islice
 from pathlib import Path
 
@@ -171,10 +172,10 @@ def _in_workers(
     folder = run.path.resolve()  # workers may have another working directory
     place = own_folder(suite, config) or trusted_folder()
     calls = (delayed(_fly_in_worker)(config, case, folder, place) for case in cases)
-    return in_parallel(engine, jobs, suite.batch, calls)
+    return in_parallel(engine, jobs, suite.batch, calls, partial(_leave_in_worker, str(folder)))
 
 
-_OPENED: dict[tuple[str, str], tuple[AnySuite, Opened]] = {}
+_OPENED: dict[tuple[str, str], tuple[AnySuite, Opened, ExitStack]] = {}  # by the run's folder, and timing
 
 
 def _fly_in_worker(config: Experiment, case: Case, folder: Path, place: Path | None) -> GameResult:
@@ -191,9 +192,16 @@ def _fly_in_worker(config: Experiment, case: Case, folder: Path, place: Path | N
             os.environ.setdefault("LP_NUM_THREADS", "0")
             run = RunDirectory(folder)
             suite = suite_of(run)
-            _OPENED[key] = suite, suite.open(config, case.timing, run).__enter__()
-        suite, opened = _OPENED[key]
+            left = ExitStack()
+            _OPENED[key] = suite, left.enter_context(suite.open(config, case.timing, run)), left
+        suite, opened, _ = _OPENED[key]
         return fly_case(suite, config, case, opened)
+
+
+def _leave_in_worker(folder: str) -> None:
+    """Close what this worker process opened for the run in a folder."""
+    for key in [key for key in _OPENED if key[0] == folder]:
+        _OPENED.pop(key)[-1].close()
 
 
 def fly_case(suite: AnySuite, config: Experiment, case: Case, opened: Opened) -> GameResult:
