@@ -229,39 +229,52 @@ class Training(Suite[TrainConfig, SimpleCase]):
         return f"Training, {report.config.algorithm}, seed {report.config.seed}"
 
     def headline(self, report: Report) -> str:
-        summary = report.summary
-        weights, real_time_s = summary["weights_sha256"], summary.get("modelled_real_time_s")
-        return (
-            f"{summary['successes']} of {summary['games']} training games succeeded, "
-            f"{'weights ' + weights[:12] if weights else 'the training is not over'}"
-            f"{'' if real_time_s is None else f'; in real time {in_words(real_time_s)} (modelled)'}"
-        )
+        """Return how many games were won, and how long they would have taken in real time."""
+        summary, recent = report.summary, report.games.is_success.tail(RECENT)
+        said = f"{'' if summary['weights_sha256'] else 'not over yet: '}the policy won {{}} of {{}} training games"
+        said = said.format(summary["successes"], summary["games"])
+        said += f", {recent.mean():.0%} of the last {RECENT}" if len(report.games) > RECENT else ""
+        real_time_s = summary.get("modelled_real_time_s")
+        return said if real_time_s is None else f"{said}; in real time they take {in_words(real_time_s)} (modelled)"
+
+    def source(self, report: Report) -> str:
+        return _source([timing_provenance(report.config.task.timing)], [report])
 
     def page(self, report: Report) -> Iterator[Block | str]:
         summary, wall_s = report.summary, cumulative_wall_s(report.timings)
         times = {"took": wall_s[-1] if wall_s else None, "modelled": summary.get("modelled_real_time_s")}
         lines = [
             ("games", str(summary["games"]), str(paper_results.TRAINING_GAMES), "counted"),
-            ("wall clock", fill("{took!t}", times), "-", "measured, start-up not counted"),
+            ("wall clock", fill("{took!t}", times), "-", MEASURED),
             ("in real time", fill("{modelled!t}", times), in_words(paper_results.REAL_TIME_S), MODELLED_HERE),
         ]
         yield Table(("", "this training", "the paper's", "how"), lines)
-        yield report.figure("learning_games", games_figure([report]), OVER_GAMES)
-        yield report.figure("progress", progress_figure(report), PROGRESS_IS)
+        recent = recent_mean(report.games.is_success)
+        seen = f"Share of games won, of the last {RECENT}: {recent.max():.0%} at most, {recent.iloc[-1]:.0%} at the end"
+        yield report.figure("learning_games", games_figure([report]), OVER_GAMES, f"{seen}, over the games.")
+        progress = progress_figure(report)
+        names = listed(axes.get_title("left") for axes in progress.axes)
+        yield report.figure("progress", progress, PROGRESS_IS, f"Points, a game each, and running means of {names}.")
         if wall_s:
-            yield report.figure("learning_curve", time_figure([report], [report.run.path.name]), OVER_TIME)
+            curve = time_figure([report], [report.run.path.name])
+            yield report.figure("learning_curve", curve, OVER_TIME, f"{seen}, over the wall clock.")
         if "evaluations" in summary:
             yield Table.of(summary["evaluations"], EVALUATED)
-        yield report.figure("figure9_phases", phases_figure([report]), FIGURE9)
+        trainings = phase_times([report])
+        shares = trainings[list(PHASES)].iloc[0] / max(trainings[list(PHASES)].sum(axis=1).iloc[0], 1e-9)
+        alt = f"A bar of the training's time: {listed(f'{name} {share:.0%}' for name, share in shares.items())}."
+        caption = FIGURE9.format(MODELLED if report.config.task.timing == "virtual" else BESIDE)
+        yield report.figure("figure9_phases", phases_figure([report], trainings), caption, alt.replace("_", " "))
         yield summary_table(summary)
 
     def compare(self, runs: Sequence[RunDirectory]) -> list[Path]:
         """Draw the learning curves and Figure 9 of several trainings into the first one's folder."""
         reports = [self.report(run) for run in runs]
-        labels = [label.replace("\n", ", ") for label in phase_times(reports).index]
+        trainings = phase_times(reports)
+        labels = [label.replace("\n", ", ") for label in trainings.index]
         with style.project_style():
             figures = {
-                "figure9_phases_compared": phases_figure(reports),
+                "figure9_phases_compared": phases_figure(reports, trainings),
                 "learning_curves_compared": time_figure(reports, labels),
                 "learning_games_compared": games_figure(reports),
             }
@@ -292,7 +305,9 @@ def _label(report: Report) -> str:
 
 def _source(told: Iterable[str], reports: Sequence[Report]) -> str:
     """Return where numbers come from, each provenance once, and the seeds."""
-    return f"{' and '.join(sorted(set(told)))} · seed {listed(sorted({report.config.seed for report in reports}))}"
+    seeds = listed(sorted({report.config.seed for report in reports}))
+    disturbed = disturbed_words(pd.concat([report.games for report in reports]))
+    return " · ".join([" and ".join(sorted(set(told))), f"seed {seeds}", *disturbed])
 
 
 def recent_mean(values: pd.Series) -> pd.Series:
@@ -345,10 +360,11 @@ def curves_figure(over: str, lines: Mapping[str, Sequence[tuple[Report, Sequence
     Trainings of one label are their mean in the band of their range. Up to RECENT games, where a training has no more,
     its share is that of all games so far.
     """
-    figure = style.new_figure(8.0, 4.0, f"Success over the {over}", source)
-    axes = figure.subplots()
+    alone = sum(map(len, lines.values())) == 1
+    figure, [axes] = plots.panels(1, f"Success over the {over}", 3.0, source="" if alone else source)
     for number, (label, trainings) in enumerate(lines.items()):
-        colour, shares, evaluated = style.colour(number), [], []
+        command = trainings[0][0].config.task.command
+        colour, shares, evaluated = style.COMMAND_COLOUR[command] if alone else style.colour(number), [], []
         for report, ends in trainings:
             games = len(report.games)
             share = recent_mean(report.games.is_success).set_axis(list(ends)[:games])
@@ -356,11 +372,11 @@ def curves_figure(over: str, lines: Mapping[str, Sequence[tuple[Report, Sequence
             flown = [line for line in evaluations(report.run) if line["games"] <= games]
             success = [Proportion(line["successes"], len(line["lanes"])) for line in flown]
             evaluated.append(pd.Series(success, [ends[line["games"] - 1] for line in flown], dtype=object))
-        draw_mean(axes, shares, 0.2, color=colour, label=label)
+        draw_mean(axes, shares, color=colour, label=label)
         draw_evaluated(axes, [seed for seed in evaluated if len(seed)], colour)
     axes.set(xlabel=over, ylabel=f"games won, of the last {RECENT}", ylim=(-0.02, 1.02))  # so that a line at 0 is seen
     axes.yaxis.set_major_formatter("{x:.0%}")
-    figure.legend(loc="outside upper right")
+    style.legend(figure)
     return figure
 
 
@@ -371,21 +387,19 @@ def draw_evaluated(axes: Axes, seeds: Sequence[pd.Series], colour: str) -> None:
     line = {"color": colour, "linestyle": "--", "marker": "o", "markersize": 4}
     if len(seeds) == 1:
         line |= {"linewidth": 1.0, "label": f"{lanes}, 95 % Wilson interval"}
-        intervals = [success.interval for success in seeds[0]]
-        plots.points(axes, seeds[0].index, ratios[0].tolist(), intervals, **line)
+        low, high = zip(*(success.interval for success in seeds[0]), strict=True)
+        plots.line(axes, seeds[0].index, ratios[0], (low, high), **line)
     elif seeds:
-        draw_mean(axes, ratios, 0.3, label=f"{lanes}: mean, least and most of {len(seeds)} seeds", **line)
+        draw_mean(axes, ratios, label=f"{lanes}: mean, least and most of {len(seeds)} seeds", **line)
 
 
-def draw_mean(axes: Axes, curves: Sequence[pd.Series], alpha: float, **line: Any) -> None:
+def draw_mean(axes: Axes, curves: Sequence[pd.Series], **look: Any) -> None:
     """Draw the mean of curves, at the places of any of them that lie within all, in the band of their range."""
     first, last = max(curve.index[0] for curve in curves), min(curve.index[-1] for curve in curves)
     places = np.unique(np.concatenate([curve.index for curve in curves]))
     at = places[(places >= first) & (places <= last)]
     values = np.array([np.interp(at, curve.index, curve.astype(float)) for curve in curves])
-    axes.plot(at, values.mean(axis=0), **line)
-    if len(curves) > 1:
-        axes.fill_between(at, values.min(axis=0), values.max(axis=0), color=line["color"], alpha=alpha, linewidth=0)
+    plots.band(axes, at, values.mean(axis=0), values.min(axis=0), values.max(axis=0), **look)
 
 
 def progress_figure(report: Report) -> Figure:
@@ -394,24 +408,17 @@ def progress_figure(report: Report) -> Figure:
     Points are single games, lines means of the last RECENT.
     """
     games = report.games.reindex(columns=list(PROGRESS)).astype(float).set_axis(range(1, len(report.games) + 1))
-    games = games.loc[:, np.isfinite(games).any()]
-    source, lines = _source([timing_provenance(report.config.task.timing)], [report]), -(-games.shape[1] // 2)
-    figure = style.new_figure(8.0, 1.0 + 1.6 * lines, "Progress of the training", source)
-    grid = figure.subplots(lines, 2, squeeze=False).ravel()
-    for axes in grid[games.shape[1] :]:
-        axes.remove()
-    for axes, (name, values) in zip(grid, games.items(), strict=False):
-        axes.set(ylabel=PROGRESS[str(name)], xlim=(0, len(games) + 1))
+    games, colour = games.loc[:, np.isfinite(games).any()], style.COMMAND_COLOUR[report.config.task.command]
+    figure, grid = plots.panels(games.shape[1], "Progress of the training", 1.5, across=2)
+    for axes, (name, values) in zip(grid, games.items(), strict=True):
+        axes.set(title=PROGRESS[str(name)], xlabel="games", xlim=(0, len(games) + 1))
         if name == "exploration":
-            axes.plot(values, color=style.BLUE)
+            axes.plot(values, color=colour)
             axes.set_ylim(-0.02, 1.02)
         else:
-            axes.plot(values, ".", color=style.SKY, markersize=2, label="a game")
-            axes.plot(recent_mean(values.dropna()), color=style.BLUE, label=f"mean of the last {RECENT}")
-    for axes in grid[: games.shape[1]][-2:]:  # the lowest of each column
-        axes.set_xlabel("games")
-    figure.align_ylabels()
-    figure.legend(*grid[0].get_legend_handles_labels(), loc="outside upper right", ncols=2)
+            axes.plot(values, ".", color=style.GREY, markersize=2.5, label="a game")
+            axes.plot(recent_mean(values.dropna()), color=colour, label=f"mean of the last {RECENT}")
+    style.legend(figure)
     return figure
 
 
@@ -440,29 +447,23 @@ def phase_times(reports: Sequence[Report]) -> pd.DataFrame:
     return pd.DataFrame.from_dict(trainings, orient="index")
 
 
-def phases_figure(reports: Sequence[Report]) -> Figure:
-    """Draw Figure 9: a bar of stacked phases per training, and the speeds as points on an axis of their own."""
-    trainings, phases = phase_times(reports), list(PHASES)
-    clocks = {"modelled" if report.config.task.timing == "virtual" else BESIDE for report in reports}
-    games, all_games = listed(sorted({len(report.games) for report in reports})), [report.games for report in reports]
-    told = f"{' and '.join(sorted(clocks))} · {games} games"
-    source = " · ".join([_source([told], reports), *disturbed_words(pd.concat(all_games))])
-    longest = max(len(line) for label in trainings.index for line in label.splitlines())
-    bar_in = max(1.5, LETTER_IN * longest)  # labels are not to run into each other
-    figure = style.new_figure(3.2 + bar_in * len(trainings), 4.2, "Time of training by phase", source)
-    axes, unit = figure.subplots(), plots.time_unit(trainings[phases].sum(axis=1).max())
-    axes.set_ylabel(unit)
-    speed = plots.phases(axes, trainings[phases], unit, {"speed (right)": (trainings.speed, "o")})
-    speed.set(ylabel="simulated seconds per wall second", ylim=(0, 1.2 * trainings.speed.max()))
-    figure.legend(loc="outside right upper")
+def phases_figure(reports: Sequence[Report], trainings: pd.DataFrame) -> Figure:
+    """Draw Figure 9: a bar of stacked phases per training, with the simulated seconds that a wall second brought."""
+    clocks = {MODELLED if report.config.task.timing == "virtual" else BESIDE for report in reports}
+    games, phases = listed(sorted({len(report.games) for report in reports})), trainings[list(PHASES)]
+    told = _source([f"{' and '.join(sorted(clocks))} · {games} games"], reports) if len(reports) > 1 else ""
+    height_in = 0.6 + 0.55 * len(trainings)
+    figure, [axes] = plots.panels(1, "Time of training by phase", height_in, source=told)
+    notes = [f"{speed:.3g} simulated s\na wall s" for speed in trainings.speed]
+    plots.phases(axes, phases, plots.time_unit(phases.sum(axis=1).max()), notes)
+    style.legend(figure)
     return figure
 
 
 PAPER = "paper: 5 000 games in real time, 182 h"  # section IV-D: a week, 14 hours
 FAR = 30.0  # times the longest training: a mark beyond it would squeeze the curves
 MODELLED_HERE = "ours modelled, the paper's measured"
-MEASURED, BESIDE = "measured, start-up not counted", "measured, learning beside the flight"
-LETTER_IN = 0.085  # width of a letter of a label
+MEASURED, BESIDE, MODELLED = "measured, start-up not counted", "measured, learning beside the flight", "modelled"
 TICKS_S = {"10 ms": 0.01, "100 ms": 0.1, "1 s": 1.0, "10 s": 10.0, "1 min": 60.0, "10 min": 600.0} | {
     f"{hours} h": 3600.0 * hours for hours in (1, 10, 100)
 }
@@ -488,4 +489,4 @@ OVER_TIME = (
     "The same over the wall clock, measured; a dashed line, unless it is far beyond, is the paper's training in real "
     "time."
 )
-FIGURE9 = "Figure 9. Time of the training by phase."
+FIGURE9 = "Figure 9. Time of the training by phase, {}."
