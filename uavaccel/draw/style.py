@@ -99,6 +99,11 @@ def colour(number: int) -> str:
     return CYCLE[number % len(CYCLE)]
 
 
+def marker(number: int) -> str:
+    """Return the marker of the nth series of a figure, or of the nth value of a quantity."""
+    return MARKERS[number % len(MARKERS)]
+
+
 def shade(number: int, count: int) -> tuple[float, ...]:
     """Return the colour of the nth of `count` values of a quantity, such as a ClockSpeed, from dark to light."""
     from matplotlib import colormaps

@@ -67,6 +67,11 @@ CLOCK = ("timing", "command", "clock_speed", "profile", "latency", "report_host_
 FLIGHT = ("t_move_s", "t_sample_s", "speed_m_s", "headings_deg", "altitude_m")
 
 
+def agent_name(agent: str) -> str:
+    """Return an agent as it is named in a sentence."""
+    return "the policy that ships" if agent == DEFAULT else agent
+
+
 def trained_keys(name: str) -> dict[str, object]:
     """Return the task's keys that the agent was trained with; a baseline needs no pictures. Raises UserError."""
     if is_baseline(name):

@@ -31,7 +31,7 @@ from uavaccel.suites import experiment, plots
 from uavaccel.suites.experiment import FlightExperiment, Timing
 from uavaccel.suites.flight import Flight
 from uavaccel.suites.path_suite import FlightCase, FlightRow, PathSuite, flight_row, fly_path, reference_of
-from uavaccel.suites.report import Report, Summary, disturbed_games, finished, method, warnings
+from uavaccel.suites.report import Report, Summary, disturbed_games, finished, method_note, warnings
 from uavaccel.suites.rows import named_seed, subset
 from uavaccel.suites.suite import GameResult
 from uavaccel.units import NS_PER_S
@@ -228,7 +228,7 @@ class Dp1(PathSuite[Dp1Config, Game]):
             yield figure(report)
         yield Heading("All cells")
         yield plots.span_table(cells, CELL, COLUMNS, folded=f"{len(cells)} cells")
-        yield method(READING)
+        yield method_note(READING)
 
 
 COLUMNS: Mapping[str, plots.Span] = {
@@ -499,7 +499,7 @@ def accuracy_figure(report: Report) -> Picture:
             medians.append(f"{flown.stlc.median():.3f} of {command_name(command)} at {clock_label(clock)}")
         axes.set(ylim=(min(1.7, games.stlc.min() - 0.05), 2.04), title=clock_label(clock))
         axes.set(xlabel="rounds", ylabel="STLC")
-        axes.label_outer()
+    plots.label_outer([axes for axes, *_ in panels])
     style.legend(figure, {f"alike above {SIMILAR_STLC:g}": style.LIMIT})
     caption = (
         "Figure 5. STLC against the real-time ADSC games; one value a game, its mean over the references, T_moves "
@@ -525,13 +525,13 @@ def speedup_figure(report: Report) -> Picture:
             of = own[own.t_move_s == t_move_s]
             ends = np.array([ends or (np.nan, np.nan) for ends in of.effective_speedup_interval]).reshape(-1, 2).T
             places = np.searchsorted(clocks, of.clock_speed) + plots.beside(number, len(t_moves_s), 0.14)
-            look = {"color": style.shade(number, len(t_moves_s)), "marker": style.MARKERS[number % len(style.MARKERS)]}
+            look = {"color": style.shade(number, len(t_moves_s)), "marker": style.marker(number)}
             name = f"T_move {t_move_s:g} s"
             plots.line(axes, places, of.effective_speedup, (ends[0], ends[1]), **look, label=name, linestyle="none")
         plots.clock_axis(axes, clocks)
         plots.log_axis(axes, "y", "{:g}x")
-        axes.set(title=command_name(command), ylabel="effective speed-up", xlim=(-0.5, len(clocks) - 0.5))
-        axes.label_outer()
+        axes.set(title=command_name(command), ylabel="effective speed-up")
+    plots.label_outer([axes for axes, *_ in panels])
     style.legend(figure, {"ideal": style.LIMIT})
     caption = (
         f"Figure 6. Effective speed-up of games of {label}: mean wall time of ADSC at 1x over the cell's, with 95 % "

@@ -35,7 +35,7 @@ from uavaccel.suites import plots
 from uavaccel.suites.experiment import FlightExperiment, Timing
 from uavaccel.suites.flight import Commands, Flight, Window, windows_of
 from uavaccel.suites.path_suite import FlightCase, FlightRow, PathSuite, flight_row, fly_path, reference_of
-from uavaccel.suites.report import Report, Summary, finished, method, warnings
+from uavaccel.suites.report import Report, Summary, finished, method_note, warnings
 from uavaccel.suites.rows import named_seed, subset
 from uavaccel.suites.suite import GameResult
 from uavaccel.units import NS_PER_S, attitude_difference_rad, to_ns
@@ -372,7 +372,7 @@ class Dp2(PathSuite[Dp2Config, Game]):
             kinds = [{"kind": kind.replace("_", " "), **of} for kind, of in guard["by_kind"].items()]
             yield Table.of(kinds, columns)
             yield GUARD.format_map(guard)
-        yield method(READING)
+        yield method_note(READING)
 
 
 def fly_to_the_end(config: Dp2Config, case: Game, camera: EventClient) -> tuple[list[Sample], list[int], int, float]:
@@ -436,7 +436,7 @@ def images_figure(report: Report) -> Picture:
     for axes, command, own in panels:
         for game in own[::-1].to_dict("records"):  # few and near points lie on top
             place = clocks.index(game["clock_speed"])
-            colour, marker = style.shade(place, len(clocks)), style.MARKERS[place % len(style.MARKERS)]
+            colour, marker = style.shade(place, len(clocks)), style.marker(place)
             x, y = np.array(game["dvs_ed_percent"]), np.array(game["position_error_m"])
             off = (x != 0) | (y != 0)
             label = f"{clock_label(game['clock_speed'])}: {np.count_nonzero(~off)} of {len(x)} at 0, 0"

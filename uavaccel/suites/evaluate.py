@@ -13,7 +13,7 @@ import pandas as pd
 from pydantic import Field, model_validator
 
 from uavaccel.draw import style
-from uavaccel.draw.labels import command_name
+from uavaccel.draw.labels import command_at_clock, command_name
 from uavaccel.draw.page import Block, Heading, Movie, Table, listed
 from uavaccel.envs.flyable import Device, Simulator, check_flyable
 from uavaccel.envs.obstacle_lane import LaneTask
@@ -29,6 +29,7 @@ from uavaccel.records import RunDirectory
 from uavaccel.rl.agents import (
     DEFAULT,
     Agent,
+    agent_name,
     check_agent,
     evaluation_keys,
     make_agent,
@@ -227,19 +228,22 @@ class Evaluation(Suite[EvaluateConfig, Game]):
         return f"Evaluation of {report.config.agent}"
 
     def headline(self, report: Report) -> str:
-        """Return the success with its interval, clock and seed in a sentence."""
+        """Return the success with its interval, and what was flown, in a sentence."""
+        summary, flown = report.summary, "lanes" if report.config.env_id == LANE else "games"
         return (
-            "{successes} of {games} {flown} ({success_ratio:.1%}, 95 % Wilson interval {wilson_low:.1%} to "
-            "{wilson_high:.1%}), {how}, {command} at {clock_speed:g}x, {simulated_s_per_wall_s:.4g} simulated seconds "
-            "per wall second, seed {seed}"
-        ).format(
-            **report.summary, flown="lanes" if report.config.env_id == LANE else "games", how=how_flown(report.config)
-        )
+            f"{agent_name(summary['agent'])} wins {{successes}} of {{games}} {flown} with {command_at_clock(summary)} "
+            "({success_ratio:.1%}, 95 % Wilson interval {wilson_low:.1%} to {wilson_high:.1%})"
+        ).format_map(summary)
+
+    def source(self, report: Report) -> str:
+        return source_of([report])
 
     def page(self, report: Report) -> Iterator[Block | str]:
         """Yield the success beside the paper's, Figure 8, the lanes that were not won, and the films that were made."""
         config, run = report.config, report.run
-        rows = [(config.agent, Proportion.of(report.summary).text(), str(len(report.games)), how_flown(config))]
+        rows = [
+            (agent_name(config.agent), Proportion.of(report.summary).text(), str(len(report.games)), how_flown(config))
+        ]
         if config.env_id != LANE:
             yield Table(("", "success [95 %]", "games", "how"), rows)
             yield summary_table(report.summary)
@@ -250,7 +254,9 @@ class Evaluation(Suite[EvaluateConfig, Game]):
             rows.append((name, theirs, str(paper_results.GAMES), "measured, in AirSim and another lane"))
         yield Table(("", "success [95 %]", "lanes", "how"), rows)
         caption = "Figure 8. Share of the games that got at least so far north, with its 95 % Wilson interval."
-        yield report.figure("figure8_survival", survival_figure([report]), caption, source_of([report]))
+        shares = listed(f"{(report.games.distance_m >= at_m).mean():.0%} got {at_m} m" for at_m in (50, 100, 150))
+        alt = f"A falling curve of the share of games by distance north: {shares} far."
+        yield report.figure("figure8_survival", survival_figure([report]), caption, alt)
         lost = report.games[~report.games.is_success].sort_values("distance_m", kind="stable")
         if len(lost):
             yield from lost_lanes(report, lost)
@@ -368,16 +374,17 @@ def source_of(reports: Sequence[Report]) -> str:
 
 def survival_figure(reports: Sequence[Report]) -> Figure:
     """Plot the share of games that reached each distance, a line per evaluation in its 95 % Wilson interval."""
-    figure = style.new_figure(8.0, 4.6, "Distance travelled", source_of(reports))
-    axes = figure.subplots()
+    alone = len(reports) == 1
+    figure, [axes] = plots.panels(1, "Distance travelled", 3.2, source="" if alone else source_of(reports))
     flown = [(report.config.agent, flown_by(report.config.simulator, report.config.device)) for report in reports]
     names = [", ".join(filter(None, by)) for by in flown]
-    for report, name in zip(reports, names, strict=True):
+    for number, (report, name) in enumerate(zip(reports, names, strict=True)):
         label = name if names.count(name) == 1 else f"{name} ({report.run.path})"  # folders may share their last name
-        plots.survival_band(axes, report.games.distance_m, LENGTH_M, label=label)
-    axes.axvline(LENGTH_M, color=style.BLACK, linewidth=1.2, linestyle="--", label="end of the lane")
+        colour = style.COMMAND_COLOUR[report.config.task.command] if alone else style.colour(number)
+        plots.survival_band(axes, report.games.distance_m, LENGTH_M, label=label, color=colour)
+    axes.axvline(LENGTH_M, **style.LIMIT, label="end of the lane")
     axes.set(xlabel="distance north, m", ylabel="share of games that got there", ylim=(0.0, 1.05))
-    axes.legend(loc="lower left")
+    style.legend(figure)
     return figure
 
 
@@ -393,7 +400,7 @@ def lost_lanes(report: Report, lost: pd.DataFrame) -> Iterator[Block | str]:
     yield Heading("Lost lanes")
     yield (
         f"Lost, the shortest flight first: lanes {', '.join([*named, *more])}. Each is flown again and filmed by "
-        "`uavaccel view RUN` with the option in its line of the table."
+        "`uavaccel watch RUN --film FILE` with the option in its line of the table."
     )
     drawn = lost[lost.path_m.notna()] if "path_m" in lost else lost.head(0)
     if len(drawn) and report.config.task.randomise is None:
@@ -401,7 +408,8 @@ def lost_lanes(report: Report, lost: pd.DataFrame) -> Iterator[Block | str]:
         more_below = f" {beyond} more are in the table below." if beyond > 0 else ""
         caption = f"Paths of the lost lanes, from above, by the positions at the ends of the commands.{more_below}"
         figure = lost_figure(report, drawn.head(MOST_PANELS))
-        yield report.figure("lost_lanes", figure, caption, source_of([report]))
+        alt = f"Lanes from above with obstacles and the path flown: {', '.join(named)}."
+        yield report.figure("lost_lanes", figure, caption, alt)
     columns = {"lane": "{lane}", "distance, m": "{distance_m:.1f}", "ended by": "{end}", "commands": "{commands}"}
     yield Table.of(lost, {**columns, "seen with": "--case {case}"}, folded=f"{len(lost)} lost lanes")
 
@@ -410,8 +418,8 @@ def lost_figure(report: Report, lost: pd.DataFrame) -> Figure:
     """Draw lost lanes with their paths from above, a panel each, the west on top: to the left of the flight."""
     from matplotlib.patches import Circle, Rectangle
 
-    figure = style.new_figure(8.0, 1.0 + 0.85 * len(lost), "Lost lanes", source_of([report]))
-    panels = figure.subplots(len(lost), 1, sharex=True, squeeze=False)[:, 0]
+    colour = style.COMMAND_COLOUR[report.config.task.command]
+    figure, panels = plots.panels(len(lost), "Lost lanes", 0.85, across=1, sharex=True)
     for axes, row in zip(panels, lost.itertuples(), strict=True):
         for edge in (-WIDTH_M / 2, WIDTH_M / 2):
             axes.axhline(edge, color=style.GREY, linewidth=2)
@@ -424,9 +432,9 @@ def lost_figure(report: Report, lost: pd.DataFrame) -> Figure:
         axes.set(ylim=(WIDTH_M / 2, -WIDTH_M / 2), yticks=[])
         axes.grid(visible=False)
         north, east = zip((0.0, 0.0), *row.path_m, strict=True)
-        axes.plot(north, east, color=style.BLUE, marker=".", markersize=3)
-        axes.plot(north[-1], east[-1], "x", color=style.VERMILION, markersize=8, markeredgewidth=2)
-        axes.set_title(f"lane {row.lane}: {row.distance_m:.1f} m, {row.end}", fontsize=8.5)
+        axes.plot(north, east, color=colour, marker=".", markersize=3)
+        axes.plot(north[-1], east[-1], "x", color=style.BLACK, markersize=8, markeredgewidth=2)
+        axes.set_title(f"lane {row.lane}: {row.distance_m:.1f} m, {row.end}", fontsize=9)
     panels[-1].set_xlim(-2.0, min(max(float(lost.distance_m.max()), 0.0) + AHEAD_M, LENGTH_M + 2.0))
     panels[-1].set_xlabel("north, m; across, the 10 m between the walls are not to that scale")
     return figure

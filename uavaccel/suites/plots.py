@@ -59,6 +59,19 @@ def facets(
     return figure, [(axes, *part) for axes, part in zip(grid, parts, strict=True)]
 
 
+def label_outer(panels: Sequence[Axes]) -> None:
+    """Leave the labels of an axis that panels share to the lowest of each column, or to the leftmost of each row."""
+    specs = {axes: axes.get_subplotspec() for axes in panels}
+    places = {(spec.rowspan.start, spec.colspan.start) for spec in specs.values()}
+    for axes, spec in specs.items():
+        if (spec.rowspan.start + 1, spec.colspan.start) in places:
+            axes.tick_params(labelbottom=False)
+            axes.set_xlabel("")
+        if spec.colspan.start and axes.get_shared_y_axes().joined(axes, panels[0]):
+            axes.tick_params(labelleft=False)
+            axes.set_ylabel("")
+
+
 def boxes(axes: Axes, values: Mapping[Any, Sequence[float]], colour: str, name: str, place: float = 0.0) -> None:
     """Draw a box for each entry that has values, `place` beside its label; equal values make a box of no height."""
     drawn = {number + place: value for number, value in enumerate(values.values()) if len(value)}
@@ -129,7 +142,7 @@ def label_ends(axes: Axes) -> None:
 def clock_axis(axes: Axes, clocks: Sequence[float]) -> None:
     """Label places 0, 1, ... with ClockSpeeds, which are at equal distances so that the highest can be told apart."""
     axes.set_xticks(range(len(clocks)), [clock_label(clock) for clock in clocks])
-    axes.set_xlabel("ClockSpeed")
+    axes.set(xlabel="ClockSpeed", xlim=(-0.4, len(clocks) - 0.6))
 
 
 def log_axis(axes: Axes, which: str, form: str = "{:g}") -> None:
@@ -158,7 +171,7 @@ def time_unit(longest_s: float) -> str:
 
 
 def phases(axes: Axes, phase_s: pd.DataFrame, unit: str, notes: Sequence[str]) -> None:
-    """Draw a bar for each line of a table from the top down, its columns, in seconds, stacked, and a note at its end."""
+    """Draw a bar for each line of a table from the top down, its columns, in seconds, stacked, a note at its end."""
     below = np.zeros(len(phase_s))
     for phase, colour in zip(phase_s, style.CYCLE, strict=False):
         spent = phase_s[phase].to_numpy() / UNITS_S[unit]

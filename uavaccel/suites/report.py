@@ -197,7 +197,7 @@ def summary_table(summary: Summary) -> Table:
     return Table(("", ""), lines, folded="summary.json")
 
 
-def method(text: str) -> Paragraph:
+def method_note(text: str) -> Paragraph:
     """Return how the page's numbers are made, collapsed."""
     return Paragraph(text, folded="How this is measured")
 
