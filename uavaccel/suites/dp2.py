@@ -446,16 +446,15 @@ def images_figure(report: Report) -> Picture:
                 size = (5.0 + 4.5 * place) ** 2
                 axes.scatter(0, 0, size, facecolors="none", edgecolors=[colour], linewidths=1.6, clip_on=False)
         handles, labels = axes.get_legend_handles_labels()
-        axes.legend(
-            handles[::-1], labels[::-1], title=command_name(command), loc="upper left", bbox_to_anchor=(1.0, 1.02)
-        )
+        place = {"loc": "lower left", "bbox_to_anchor": (-0.02, 1.0), "alignment": "left", "title_fontsize": 10}
+        axes.legend(handles[::-1], labels[::-1], title=command_name(command), ncols=3, **place)
         axes.set_xscale("symlog", linthresh=LINEAR_PERCENT, linscale=0.6)
         axes.set_yscale("symlog", linthresh=LINEAR_M, linscale=0.6)
         axes.set(xlabel="DVS-ED, % of the pixels", xlim=(-0.4 * LINEAR_PERCENT, 100))
         axes.set(ylabel="position error, m", ylim=(-0.4 * LINEAR_M, max(10.0, 2.0 * most_m)))
         for axis in (axes.xaxis, axes.yaxis):
             axis.set_major_formatter("{x:g}")
-        axes.label_outer()
+    plots.label_outer([axes for axes, *_ in panels])
     caption = (
         "Figure 7. Position error over DVS-ED, a point an image, against the image of the same place in the path of "
         "the same command's run at 1x. Rings: images at the same place with as many DVS pixels as at 1x. Both axes are "

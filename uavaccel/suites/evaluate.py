@@ -376,7 +376,9 @@ def survival_figure(reports: Sequence[Report]) -> Figure:
     """Plot the share of games that reached each distance, a line per evaluation in its 95 % Wilson interval."""
     alone = len(reports) == 1
     figure, [axes] = plots.panels(1, "Distance travelled", 3.2, source="" if alone else source_of(reports))
-    flown = [(report.config.agent, flown_by(report.config.simulator, report.config.device)) for report in reports]
+    flown = [
+        (agent_name(report.config.agent), flown_by(report.config.simulator, report.config.device)) for report in reports
+    ]
     names = [", ".join(filter(None, by)) for by in flown]
     for number, (report, name) in enumerate(zip(reports, names, strict=True)):
         label = name if names.count(name) == 1 else f"{name} ({report.run.path})"  # folders may share their last name

@@ -542,6 +542,7 @@ class Sweep(PolicyGrid):
             axes.set_xticks(range(len(own)), own.text, **({"rotation": 25, "ha": "right"} if crowded else {}))
             axes.set(ylim=(-0.03, 1.03), xlim=(-0.5, len(own) - 0.5), title=name)
             axes.yaxis.set_major_formatter("{x:.0%}")
+        plots.label_outer([axes for axes, *_ in panels])
         style.legend(figure, {"as trained": style.LIMIT})
         caption = f"{title}, with 95 % Wilson intervals."
         alt = f"Lines of success by the value of each condition. {self.headline(report)}."
@@ -716,6 +717,6 @@ class Robustness(PolicyGrid):
                 frame = Rectangle(corner, len(clocks), 1.0, fill=False, edgecolor=style.BLACK, linewidth=2.0)
                 axes.add_patch(frame)
             axes.set_ylabel("latency, times the fitted one")
-            axes.label_outer()
+        plots.label_outer([axes for axes, *_ in panels])
         caption = f"{title}, with 95 % Wilson intervals; the frame is the latency as fitted."
         return report.figure("robustness_map", figure, caption, f"A map of success. {self.headline(report)}.")

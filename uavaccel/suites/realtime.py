@@ -550,7 +550,7 @@ def returns_figure(report: Report, cells: pd.DataFrame) -> Picture:
         axes.set_xscale("symlog", linthresh=0.01)
         axes.xaxis.set_major_formatter("{x:g}")
         axes.set(xlabel="delay, simulated s", ylabel="return", xlim=(-0.001, None))
-        axes.label_outer()
+    plots.label_outer(panels)
     caption = f"{title}, means with 95 % intervals over trainings and episodes."
     alt = f"Lines of return by delay, an agent each, in {listed(adsc.environment.unique())}. {report.headline()}."
     return report.figure("returns", figure, caption, alt)
@@ -568,7 +568,7 @@ def rankings_figure(report: Report) -> Picture:
     for axes in panels:
         plots.clock_axis(axes, clocks)
         axes.set(ylabel="Kendall's tau", ylim=(-1.1, 1.1))
-        axes.label_outer()
+    plots.label_outer(panels)
     least = plots.span(taus.kendall_tau)
     alt = f"Lines of Kendall's tau by ClockSpeed, a latency each, in {listed(taus.environment.unique())}: {least}."
     return report.figure("rankings", figure, f"{title}{RANKINGS}", alt)

@@ -91,7 +91,7 @@ class Report:
         source, versions = self.suite.source(self), self.run.manifest().get("versions", {})
         made_by = [f"{name} {versions[name]}" for name in MADE_BY if name in versions]
         source = " · ".join([*filter(None, [source]), *made_by])
-        said = [f"{text[0].upper()}{text[1:]}." for text in (self.suite.headline(self), source) if text]
+        said = [f"{text}." for text in (self.headline(), source[:1].upper() + source[1:]) if text]
         blocks = [*map(Paragraph, said), *own, Heading("Provenance"), *_provenance(self.run)]
         title = self.suite.title(self)
         self.run.write_text("report.md", to_markdown(title, blocks, self.run.path))
@@ -100,7 +100,8 @@ class Report:
 
     def headline(self) -> str:
         """Return the result in a sentence, which stands on top of the page and is printed when the run ends."""
-        return self.suite.headline(self)
+        said = self.suite.headline(self)
+        return said[:1].upper() + said[1:]
 
     def overview(self) -> Table | None:
         """Return the result in a small table, which is printed when the run ends."""

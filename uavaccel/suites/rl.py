@@ -791,7 +791,7 @@ def distances_figure(report: Report) -> Picture:
             axes.axvline(row_m, color=style.GREY, linewidth=0.7, linestyle=":", zorder=0)
         axes.axvline(LENGTH_M, **style.LIMIT)
         axes.set(title=panel, xlabel="distance north, m", ylabel="share of games", ylim=(0.0, 1.05))
-        axes.label_outer()
+    plots.label_outer([axes for axes, *_ in panels])
     style.legend(figure, {"end of the lane": style.LIMIT})
     alt = f"Falling curves of the share of games by distance, a panel each: {listed(panel for _, panel, _ in panels)}."
     return report.figure("figure8_distances", figure, FIGURE8, alt)

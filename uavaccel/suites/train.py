@@ -349,7 +349,10 @@ def time_figure(reports: Sequence[Report], labels: Sequence[str]) -> Figure:
         axes.text(0.93 * paper_s, 0.5, PAPER, rotation=90, ha="right", va="center")
     axes.set_xscale("log")
     axes.set_xticks(list(TICKS_S.values()), list(TICKS_S))
-    axes.set(xlim=(max(0.5 * places.min(), 0.01), 2.0 * longest_s), xlabel="wall clock since the first command")
+    axes.set(
+        xlim=(max(min(0.5 * places.min(), longest_s / 30), 0.01), 2.0 * longest_s),
+        xlabel="wall clock since the first command",
+    )
     axes.minorticks_off()
     return figure
 
