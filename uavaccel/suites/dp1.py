@@ -200,18 +200,18 @@ class Dp1(PathSuite[Dp1Config, Game]):
         """Return how far each command's fastest games are from real time and how fast; lockstep only where all is."""
         cells, said, speeds = cells_of(report), [], []
         cells = cells if (cells.timing == "lockstep").all() else cells[cells.timing != "lockstep"]
-        for command, own in cells[(cells.clock_speed > 1) & cells.stlc_median.notna()].groupby("command"):
+        compared = cells[(cells.clock_speed > 1) & cells.stlc_median.notna()]
+        for command, own in compared.groupby("command"):
             name, clock = command_name(command), own.clock_speed.max()
-            own = own[own.clock_speed == clock]
-            strays = (
-                f"strays up to {metres(own.position_rmse_m.max())} m (RMSE; median STLC {own.stlc_median.median():.2f})"
-            )
-            said.append(f"at {clock:g}x {name} {strays if own.position_rmse_m.any() else 'is identical to real time'}")
+            own, same = own[own.clock_speed == clock], bool(said) and clock == compared.clock_speed.max()
+            off_m, stlc = metres(own.position_rmse_m.max()), f"median STLC {own.stlc_median.median():.2f}"
+            strays = f"strays up to {off_m} m (RMSE; {stlc}, above {SIMILAR_STLC:g} counts as alike)"
+            strays = strays if own.position_rmse_m.any() else "is identical to real time"
+            said.append(f"{name} {strays}" if same else f"At {clock:g}x {name} {strays}")
             speeds.append(f"{name} {plots.span(own.effective_speedup, '{:.3g}')}")
         if not said:
             return f"{cells.games.sum()} games, none of them accelerated and comparable with real time"
-        alike = f"above an STLC of {SIMILAR_STLC:g} trajectories count as alike"
-        return f"{'; '.join(said)}; {alike}. Times as fast as in real time: {', '.join(speeds)}"
+        return f"{'. '.join(said)}. Times as fast as in real time: {', '.join(speeds)}"
 
     def overview(self, report: Report) -> Table:
         return plots.span_table(cells_of(report), ["command", "clock_speed", "timing"], COLUMNS)

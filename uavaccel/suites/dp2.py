@@ -431,7 +431,7 @@ def images_figure(report: Report) -> Picture:
         ["command", "clock_speed"]
     )
     nothing, clocks, seen = "no accelerated game to compare with a run at 1x", sorted(images.clock_speed.unique()), []
-    figure, panels = plots.facets(images, "command", title, height_in=3.0, across=1, empty=nothing)
+    figure, panels = plots.facets(images, "command", title, height_in=2.6, across=1, empty=nothing)
     most_m = max((max(errors, default=0.0) for errors in images.position_error_m), default=0.0)
     for axes, command, own in panels:
         for game in own[::-1].to_dict("records"):  # few and near points lie on top

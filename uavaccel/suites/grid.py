@@ -273,11 +273,13 @@ def ablation_figure(config: AblationConfig, entries: pd.DataFrame) -> Figure:
             look |= {"alpha": 1.0 - 0.6 * (len(clocks) - 1 - number) / len(clocks)}  # the slower, the paler
             name = f"{command_name(command)} {clock_label(clock)}"
             plots.line(axes, own.place, own[column], **look, label=name)
-        axes.set(title=label, xlabel=config.axis)
+        axes.set_title(label)
         if not are_numbers:
             axes.set_xticks(range(len(names)), names, rotation=35, ha="right")
         elif len(positive) and positive.max() / positive.min() > 20:
             axes.set_xscale("symlog", linthresh=positive.min())
+            axes.xaxis.set_major_formatter("{x:g}")
+    grid[1].set_xlabel(config.axis)
     grid[0].axhline(SIMILAR_STLC, **style.LIMIT)
     plots.log_axis(grid[2], "y", "{:g}x")
     style.legend(figure, {f"alike above {SIMILAR_STLC:g}": style.LIMIT})

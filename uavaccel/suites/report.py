@@ -31,7 +31,7 @@ Games: TypeAlias = pd.DataFrame
 """A table with a row for each game: the columns of its rows' keys, and of its scores."""
 Summary: TypeAlias = Mapping[str, Plain]
 
-MADE_BY = ("uavaccel", "mujoco")
+MADE_BY = {"uavaccel": "uavaccel", "mujoco": "MuJoCo"}
 CLOCK = {"wall": "wall clock", "virtual": "virtual clock", "lockstep": "no latency"}
 
 
@@ -89,10 +89,10 @@ class Report:
         with style.project_style():
             own = [_block(self.suite, block) for block in self.suite.page(self)]
         source, versions = self.suite.source(self), self.run.manifest().get("versions", {})
-        made_by = [f"{name} {versions[name]}" for name in MADE_BY if name in versions]
+        made_by = [f"{name} {versions[key]}" for key, name in MADE_BY.items() if key in versions]
         source = " · ".join([*filter(None, [source]), *made_by])
-        said = [f"{text}." for text in (self.headline(), source[:1].upper() + source[1:]) if text]
-        blocks = [*map(Paragraph, said), *own, Heading("Provenance"), *_provenance(self.run)]
+        told = [f"{said}." for said in [self.headline()] if said] + [source[:1].upper() + source[1:]] * bool(source)
+        blocks = [*map(Paragraph, told), *own, Heading("Provenance"), *_provenance(self.run)]
         title = self.suite.title(self)
         self.run.write_text("report.md", to_markdown(title, blocks, self.run.path))
         self.run.write_text("report.html", to_html(title, blocks))
