@@ -79,7 +79,8 @@ def main() -> None:
             )
             for view in range(SHOWN):
                 apart = np.minimum(GAIN * colour[view], 255)
-                shown += zip(("OpenGL", "the kernels", f"{GAIN} times apart"), (theirs[1][view], drawn[1][view], apart))
+                views = {"OpenGL": theirs[1][view], "the kernels": drawn[1][view], f"{GAIN} times apart": apart}
+                shown += views.items()
     with style.project_style():
         figure, grid = plots.panels(len(shown), "Drawn lanes by OpenGL and by the kernels", 1.25)
         for axes, (title, image) in zip(grid, shown, strict=True):

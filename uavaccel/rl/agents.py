@@ -69,7 +69,7 @@ FLIGHT = ("t_move_s", "t_sample_s", "speed_m_s", "headings_deg", "altitude_m")
 
 def agent_name(agent: str) -> str:
     """Return an agent as it is named in a sentence."""
-    return "the policy that ships" if agent == DEFAULT else agent
+    return "the policy that ships" if agent == DEFAULT else f"the agent {agent}"
 
 
 def trained_keys(name: str) -> dict[str, object]:

@@ -441,7 +441,8 @@ def trellis_figure(report: Report) -> Picture:
     )
     counts = " and ".join(f"{length} events of {command}" for command, length in lengths.items())
     alt = f"Arrows between client and server, downwards in time: {counts or 'none'}."
-    return report.figure("figure4_trellis", figure, caption, alt)
+    own = report.games[report.games.timing == report.config.timing]
+    return report.figure("figure4_trellis", figure, caption, alt, own)
 
 
 def messages(events: Sequence[str]) -> Iterator[tuple[int, int]]:

@@ -73,8 +73,9 @@ class Report:
 
         In a run on several clocks the caption ends with those of the `games` that the figure shows.
         """
-        if games is not None and games["timing"].nunique() and self.games["timing"].nunique() > 1:
-            clocks = " and ".join(map(clock_words, sorted(games["timing"].unique())))
+        timings = known(games, "timing") if games is not None else []
+        if timings and self.games["timing"].nunique() > 1:
+            clocks = " and ".join(map(clock_words, timings))
             caption = f"{caption} {clocks[0].upper()}{clocks[1:]}."
         return Picture(style.save(figure, self.run.file(f"figures/{name}.png")), caption, alt)
 
