@@ -29,9 +29,9 @@ def command_at_clock(game: Mapping[str, Plain]) -> str:
 
 
 def number(value: float, digits: int = 5) -> str:
-    """Return a number as people write it, of so many significant digits: 671.88, 0.0012, 1234568; only 0 is "0"."""
-    if not math.isfinite(value) or abs(value) < 1e-6:
-        return f"{value:.{digits}g}"
+    """Return a number as people write it, of so many significant digits: 671.88, 0.0012, 4.3e-6; only 0 is "0"."""
+    if not math.isfinite(value) or abs(value) < 1e-4:
+        return f"{value:.{digits}g}".replace("e-0", "e-")
     text = f"{value:.{max(digits - 1 - math.floor(math.log10(abs(value))), 0)}f}"
     return text.rstrip("0").rstrip(".") if "." in text else text
 

@@ -365,9 +365,7 @@ class Rl(Suite[RlConfig, TrainingCase]):
         plain: dict[str, list[str]] = {}
         for cell in sorted(report.summary["pooled"], key=lambda cell: cell["clock_speed"]):
             if not cell["variant"]:
-                success = (
-                    f"{cell['success_ratio']:.1%} of its lanes after training at {clock_label(cell['clock_speed'])}"
-                )
+                success = f"{cell['success_ratio']:.1%} after training at {clock_label(cell['clock_speed'])}"
                 plain.setdefault(panel_name(cell), []).append(success)
         said = [f"{name} wins {' and '.join(dict.fromkeys((each[0], each[-1])))}" for name, each in plain.items()]
         return "; ".join(said) or collapse(over_gaps(report.summary["pooled"])).rstrip(".")
