@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -9,8 +10,10 @@ import cv2
 import matplotlib as mpl
 import numpy as np
 import pytest
+from matplotlib.text import Text
 
 from uavaccel.draw import style
+from uavaccel.suites import plots
 
 # --- trajectories in space -----------------------------------------------------------------------------------
 
@@ -60,6 +63,34 @@ def test_equal_figures_are_equal_files_and_leave_no_style_behind(tmp_path: Path)
     assert image is not None
     assert image.shape[:2] == (600, 1280)
     assert np.mean(np.any(image != 255, axis=-1)) > 0.002
+
+
+@pytest.mark.parametrize("count", [0, 1, 5, 30])
+def test_no_figure_is_wider_than_1280_pixels_whatever_it_shows(count: int, tmp_path: Path) -> None:
+    """Letters are of one size in all, so that a phone's 366 pixels leave them 7 high at least."""
+    with style.project_style():
+        figure, grid = plots.panels(count, "A title that would not fit on a single line " * 3, 1.2, source="from " * 50)
+        for axes in grid:
+            axes.plot([0, 1], label=f"a label of some length {count}")
+        style.legend(figure, {f"another one, number {number}": style.LIMIT for number in range(9)})
+        image = cv2.imread(str(style.save(figure, tmp_path / "one.png")))
+        sizes = [text.get_fontsize() for text in figure.findobj(Text) if text.get_text()]
+    assert image is not None
+    assert image.shape[1] == 1280
+    assert min(sizes) / 72 / style.WIDTH_IN * 366 > 7
+
+
+def test_a_label_beside_each_line_names_it_without_touching_another() -> None:
+    figure, [axes] = plots.panels(1, "A title")
+    for number in range(5):
+        plots.line(axes, [0, 1], [0, 0.001 * number], color=style.colour(number), label=f"line {number}")
+    plots.label_ends(axes)
+    style.legend(figure)
+    figure.draw_without_rendering()
+    extents = sorted((text.get_window_extent() for text in axes.texts), key=lambda extent: float(extent.y0))
+    assert [text.get_text() for text in axes.texts] == [f"line {number}" for number in range(5)]
+    assert all(lower.y1 <= upper.y0 + 2 for lower, upper in pairwise(extents))
+    assert figure.legends == [], "what is named at its end is in no legend"
 
 
 def test_survival_reaches_to_the_lanes_end() -> None:

@@ -158,7 +158,7 @@ def test_named_variants_stand_side_by_side_and_what_cannot_be_compared_is_not_dr
     assert [x for x, _ in points(labelled(axes)["ADSC 10x"])] == [0.0, 1.0]
     report = report_of(tmp_path / "lockstep", Ablation(), config, alone)
     report.write()
-    assert (report.headline(), figures) == ("no variant has games to compare", {})
+    assert (report.headline(), figures) == ("No variant has games to compare", {})
 
 
 # --- sweeps -------------------------------------------------------------------------------------------------------

@@ -477,10 +477,10 @@ def plot_trace(axes: Axes, trace: Sequence[Mapping[str, Any]]) -> None:
         kind, _, method = event["event"].partition(" ")
         if event["source"] == "client":
             text = f"{method if kind == 'call' else ''}   {(event['wall_s'] - trace[0]['wall_s']) * 1e3:.2f} ms"
-            axes.text(-0.06, place, text, ha="right", va="center", fontsize=7.5)
+            axes.text(-0.06, place, text, ha="right", va="center", fontsize=8.5)
         else:
             text = f"{event['sim_s'] - trace[0]['sim_s']:.3f} s   {'' if kind == 'handle' else event['event']}"
-            axes.text(1.08, place, text, ha="left", va="center", fontsize=7.5)
+            axes.text(1.08, place, text, ha="left", va="center", fontsize=8.5)
 
 
 def accuracy_figure(report: Report) -> Picture:

@@ -708,7 +708,7 @@ class Robustness(PolicyGrid):
                 text: dict[str, Any] = {"ha": "center", "color": "white" if cell["success_ratio"] < 0.5 else "black"}
                 axes.annotate(f"{cell['success_ratio']:.0%}", place, va="bottom", fontweight="bold", **text)
                 interval = f"{100 * cell['wilson_low']:.0f}–{100 * cell['wilson_high']:.0f}"
-                text |= {"xytext": (0, -2), "textcoords": "offset points", "va": "top", "fontsize": 7}
+                text |= {"xytext": (0, -2), "textcoords": "offset points", "va": "top", "fontsize": 8}
                 axes.annotate(interval, place, **text)
             axes.set_title(command_name(command))
             plots.clock_axis(axes, clocks)

@@ -802,7 +802,7 @@ def time_figure(report: Report, cells: pd.DataFrame) -> Picture:
     """
     phase_s = pd.DataFrame(cells.phase_s.tolist(), cells.index).div(cells.seeds.map(len), axis=0)
     phase_s.insert(0, "simulation (with rendering)", phase_s.pop("simulation") + phase_s.pop("rendering"))
-    cells, unit = cells.sort_values("clock_speed", kind="stable"), plots.time_unit(phase_s.sum(axis=1).max())
+    cells, unit = cells.sort_values(["panel", "clock_speed"], kind="stable"), plots.time_unit(phase_s.sum(axis=1).max())
     most = cells.groupby("panel").size().max()
     title, height_in = "Time of the training by phase, speed-ups", 0.4 + 0.26 * most
     figure, panels = plots.facets(cells, "panel", title, across=1, height_in=height_in, sharex=False, sharey=False)

@@ -414,7 +414,8 @@ def progress_figure(report: Report) -> Figure:
     games, colour = games.loc[:, np.isfinite(games).any()], style.COMMAND_COLOUR[report.config.task.command]
     figure, grid = plots.panels(games.shape[1], "Progress of the training", 1.5, across=2)
     for axes, (name, values) in zip(grid, games.items(), strict=True):
-        axes.set(title=PROGRESS[str(name)], xlabel="games", xlim=(0, len(games) + 1))
+        axes.set_title(PROGRESS[str(name)], loc="left")
+        axes.set(xlabel="games", xlim=(0, len(games) + 1))
         if name == "exploration":
             axes.plot(values, color=colour)
             axes.set_ylim(-0.02, 1.02)
