@@ -42,11 +42,9 @@ def points(line: Any) -> Points:
 
 
 def labelled(axes: Any) -> dict[str, Any]:
-    """What the legend names, by its label, or what is named at its end."""
+    """What the legend names, by its label."""
     handles, labels = axes.get_legend_handles_labels()
-    named = {f"_{text}": text for text in texts(axes)}
-    at_ends = {named[line.get_label()]: line for line in axes.lines if line.get_label() in named}
-    return dict(zip(labels, handles, strict=True)) | at_ends
+    return dict(zip(labels, handles, strict=True))
 
 
 def legend_texts(legend: Any) -> list[str]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -78,19 +77,6 @@ def test_no_figure_is_wider_than_1280_pixels_whatever_it_shows(count: int, tmp_p
     assert image is not None
     assert image.shape[1] == 1280
     assert min(sizes) / 72 / style.WIDTH_IN * 366 > 7
-
-
-def test_a_label_beside_each_line_names_it_without_touching_another() -> None:
-    figure, [axes] = plots.panels(1, "A title")
-    for number in range(5):
-        plots.line(axes, [0, 1], [0, 0.001 * number], color=style.colour(number), label=f"line {number}")
-    plots.label_ends(axes)
-    style.legend(figure)
-    figure.draw_without_rendering()
-    extents = sorted((text.get_window_extent() for text in axes.texts), key=lambda extent: float(extent.y0))
-    assert [text.get_text() for text in axes.texts] == [f"line {number}" for number in range(5)]
-    assert all(lower.y1 <= upper.y0 + 2 for lower, upper in pairwise(extents))
-    assert figure.legends == [], "what is named at its end is in no legend"
 
 
 def test_survival_reaches_to_the_lanes_end() -> None:

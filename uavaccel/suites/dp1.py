@@ -342,10 +342,11 @@ def velocity_figure(report: Report) -> Picture:
             axes.axvline(end, **style.LIMIT)
         for number, (axis, name) in enumerate([(0, "north"), (2, "down")]):
             colour, velocity_m_s = style.colour(number), arrays["linear_velocity_m_s"][:, axis]
-            axes.plot(arrays["time_s"], velocity_m_s, color=colour, label=name)
+            axes.plot(arrays["time_s"], velocity_m_s, color=colour)
+            end = arrays["time_s"][-1], velocity_m_s[-1]
+            axes.annotate(name, end, (4, 0), textcoords="offset points", color=colour, va="center", fontsize=9)
         gaps.append(f"{command_at_clock(game)}: {1e3 * np.mean(command_gaps_s(starts, ends)):.1f} ms between commands")
         axes.set(ylabel="velocity, m/s", title=gaps[-1])
-        plots.label_ends(axes)
     figure.axes[-1].set_xlabel("simulated time, s")
     style.legend(figure, {"command ends": style.LIMIT, "no command runs": NO_COMMAND})
     caption = (

@@ -118,27 +118,6 @@ def band(
     )
 
 
-def label_ends(axes: Axes) -> None:
-    """Write the label of each line beside its right end in its colour, apart from each other; no legend has it then."""
-    axes.get_xlim(), axes.get_ylim()  # they are of all lines now
-    ends: list[tuple[float, str, Any]] = []
-    for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
-        drawn = handle[0] if isinstance(handle, tuple) else handle
-        if len(at := drawn.get_xydata()):
-            height = float(axes.transAxes.inverted().transform(axes.transData.transform(at[np.argmax(at[:, 0])]))[1])
-            ends.append((height, label, drawn.get_color()))
-            handle.set_label(f"_{label}")
-    ends.sort(key=lambda end: end[0])
-    apart = 0.17 / (axes.get_position().height * axes.figure.get_figheight())  # of lines of text, in the axes' height
-    heights = [height for height, _, _ in ends]
-    for place in range(1, len(ends)):  # upwards, then back from the top
-        heights[place] = max(heights[place], heights[place - 1] + apart)
-    for place in range(len(ends) - 1, -1, -1):
-        heights[place] = min(heights[place], 1.0 if place == len(ends) - 1 else heights[place + 1] - apart)
-    for height, (_, label, colour) in zip(heights, ends, strict=True):
-        axes.text(1.02, height, label, transform=axes.transAxes, color=colour, va="center", fontsize=9)
-
-
 def clock_axis(axes: Axes, clocks: Sequence[float]) -> None:
     """Label places 0, 1, ... with ClockSpeeds, which are at equal distances so that the highest can be told apart."""
     axes.set_xticks(range(len(clocks)), [clock_label(clock) for clock in clocks])
