@@ -73,7 +73,7 @@ def test_no_figure_is_wider_than_1280_pixels_whatever_it_shows(count: int, tmp_p
             axes.plot([0, 1], label=f"a label of some length {count}")
         style.legend(figure, {f"another one, number {number}": style.LIMIT for number in range(9)})
         image = cv2.imread(str(style.save(figure, tmp_path / "one.png")))
-        sizes = [text.get_fontsize() for text in figure.findobj(Text) if text.get_text()]
+        sizes = [float(text.get_fontsize()) for text in figure.findobj(Text) if text.get_text()]
     assert image is not None
     assert image.shape[1] == 1280
     assert min(sizes) / 72 / style.WIDTH_IN * 366 > 7

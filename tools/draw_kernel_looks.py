@@ -48,7 +48,7 @@ def main() -> None:
     parser.add_argument("--views", type=int, default=200, help="of each condition")
     options = parser.parse_args()
     model = mujoco.MjModel.from_xml_path(str(asset("mjcf/lane.xml")))
-    data, appearance, shown = mujoco.MjData(model), read_appearance(model), []
+    data, appearance, shown = mujoco.MjData(model), read_appearance(model), list[tuple[str, np.ndarray]]()
     lanes = np.arange(options.views, dtype=np.int32)
     with Camera(model) as camera:
         for name, ((low, high), tilt, yaw, round_ones) in CONDITIONS.items():

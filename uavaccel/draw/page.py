@@ -131,7 +131,7 @@ class _Template(Formatter):
 def fill(column: Column, record: Record) -> str:
     """Return a table's cell: the template filled in, or what the function returns; "-" for what is not known."""
     if not isinstance(column, str):
-        column, record = "{found}", {"found": column(record)}
+        return fill("{found}", {"found": column(record)})
     try:
         return _Template().vformat(column, (), record)
     except UnknownValue:

@@ -104,11 +104,12 @@ def marker(number: int) -> str:
     return MARKERS[number % len(MARKERS)]
 
 
-def shade(number: int, count: int) -> tuple[float, ...]:
+def shade(number: int, count: int) -> str:
     """Return the colour of the nth of `count` values of a quantity, such as a ClockSpeed, from dark to light."""
     from matplotlib import colormaps
+    from matplotlib.colors import to_hex
 
-    return colormaps["viridis"](0.9 * number / max(count - 1, 1))
+    return to_hex(colormaps["viridis"](0.9 * number / max(count - 1, 1)))
 
 
 def survival(distances_m: ArrayLike, length_m: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

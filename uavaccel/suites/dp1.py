@@ -198,7 +198,7 @@ class Dp1(PathSuite[Dp1Config, Game]):
 
     def headline(self, report: Report) -> str:
         """Return how far each command's fastest games are from real time and how fast; lockstep only where all is."""
-        cells, said, speeds = cells_of(report), [], []
+        cells, said, speeds = cells_of(report), list[str](), list[str]()
         cells = cells if (cells.timing == "lockstep").all() else cells[cells.timing != "lockstep"]
         compared = cells[(cells.clock_speed > 1) & cells.stlc_median.notna()]
         for command, own in compared.groupby("command"):
@@ -428,7 +428,7 @@ def trellis_figure(report: Report) -> Picture:
             check(Annotated[list[TraceEvent], Field(min_length=1)], trace, str(report.run.path / name))
             traces[command] = trace[:MOST_EVENTS]
     lengths = {command_name(command): len(trace) for command, trace in traces.items()}
-    shape = {"across": 1, "height_ratios": [length + 3 for length in lengths.values()] or None}
+    shape: dict[str, Any] = {"across": 1, "height_ratios": [length + 3 for length in lengths.values()] or None}
     height_in = 0.5 + 0.2 * sum(lengths.values()) / max(len(lengths), 1)
     figure, grid = plots.panels(len(traces), "Messages of one command", height_in, empty="no trace recorded", **shape)
     for axes, (command, trace) in zip(grid, traces.items(), strict=True):

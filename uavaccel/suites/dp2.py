@@ -446,8 +446,13 @@ def images_figure(report: Report) -> Picture:
                 size = (5.0 + 4.5 * place) ** 2
                 axes.scatter(0, 0, size, facecolors="none", edgecolors=[colour], linewidths=1.6, clip_on=False)
         handles, labels = axes.get_legend_handles_labels()
-        place = {"loc": "lower left", "bbox_to_anchor": (-0.02, 1.0), "alignment": "left", "title_fontsize": 10}
-        axes.legend(handles[::-1], labels[::-1], title=command_name(command), ncols=3, **place)
+        above: dict[str, Any] = {
+            "loc": "lower left",
+            "bbox_to_anchor": (-0.02, 1.0),
+            "alignment": "left",
+            "title_fontsize": 10,
+        }
+        axes.legend(handles[::-1], labels[::-1], title=command_name(command), ncols=3, **above)
         axes.set_xscale("symlog", linthresh=LINEAR_PERCENT, linscale=0.6)
         axes.set_yscale("symlog", linthresh=LINEAR_M, linscale=0.6)
         axes.set(xlabel="DVS-ED, % of the pixels", xlim=(-0.4 * LINEAR_PERCENT, 100))

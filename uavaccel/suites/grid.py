@@ -269,7 +269,7 @@ def ablation_figure(config: AblationConfig, entries: pd.DataFrame) -> Figure:
     for axes, (column, label) in zip(grid, PANELS.items(), strict=True):
         for (command, clock), own in entries.assign(place=places).groupby(["command", "clock_speed"]):
             number = clocks.index(clock)
-            look = {"color": style.COMMAND_COLOUR[command], "marker": style.marker(number)}
+            look: style.LineStyle = {"color": style.COMMAND_COLOUR[command], "marker": style.marker(number)}
             look |= {"alpha": 1.0 - 0.6 * (len(clocks) - 1 - number) / len(clocks)}  # the slower, the paler
             name = f"{command_name(command)} {clock_label(clock)}"
             plots.line(axes, own.place, own[column], **look, label=name)
@@ -540,8 +540,8 @@ class Sweep(PolicyGrid):
             plots.line(axes, range(len(own)), own.success_ratio, ends, color=style.GREEN)
             for usual in usual_of(summary):
                 axes.axhline(usual["success_ratio"], **style.LIMIT)
-            crowded = own.text.str.len().sum() > 16
-            axes.set_xticks(range(len(own)), own.text, **({"rotation": 25, "ha": "right"} if crowded else {}))
+            turned: dict[str, Any] = {"rotation": 25, "ha": "right"} if own.text.str.len().sum() > 16 else {}
+            axes.set_xticks(range(len(own)), own.text, **turned)
             axes.set(ylim=(-0.03, 1.03), xlim=(-0.5, len(own) - 0.5), title=name)
             axes.yaxis.set_major_formatter("{x:.0%}")
         plots.label_outer([axes for axes, *_ in panels])

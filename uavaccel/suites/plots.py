@@ -61,7 +61,7 @@ def facets(
 
 def label_outer(panels: Sequence[Axes]) -> None:
     """Leave the labels of an axis that panels share to the lowest of each column, or to the leftmost of each row."""
-    specs = {axes: axes.get_subplotspec() for axes in panels}
+    specs: dict[Axes, Any] = {axes: axes.get_subplotspec() for axes in panels}
     places = {(spec.rowspan.start, spec.colspan.start) for spec in specs.values()}
     for axes, spec in specs.items():
         if (spec.rowspan.start + 1, spec.colspan.start) in places:
