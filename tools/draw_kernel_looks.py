@@ -48,7 +48,7 @@ def main() -> None:
     parser.add_argument("--views", type=int, default=200, help="of each condition")
     options = parser.parse_args()
     model = mujoco.MjModel.from_xml_path(str(asset("mjcf/lane.xml")))
-    data, appearance, shown = mujoco.MjData(model), read_appearance(model), list[tuple[str, np.ndarray]]()
+    data, appearance, shown = mujoco.MjData(model), read_appearance(model), list[np.ndarray]()
     lanes = np.arange(options.views, dtype=np.int32)
     with Camera(model) as camera:
         for name, ((low, high), tilt, yaw, round_ones) in CONDITIONS.items():
@@ -78,16 +78,15 @@ def main() -> None:
                 f"| {colour.mean():.4f} | {100 * (depth > 1e-3).mean():.4f} % |"
             )
             for view in range(SHOWN):
-                apart = np.minimum(GAIN * colour[view], 255)
-                views = {"OpenGL": theirs[1][view], "the kernels": drawn[1][view], f"{GAIN} times apart": apart}
-                shown += views.items()
+                shown += [theirs[1][view], drawn[1][view], np.minimum(GAIN * colour[view], 255)]
     with style.project_style():
-        figure, grid = plots.panels(len(shown), "Drawn lanes by OpenGL and by the kernels", 1.25)
-        for axes, (title, image) in zip(grid, shown, strict=True):
+        order = f"from the left: OpenGL, the kernels, {GAIN} times their difference"
+        figure, grid = plots.panels(len(shown), "Drawn lanes by OpenGL and by the kernels", 1.25, source=order)
+        for axes, image in zip(grid, shown, strict=True):
             axes.imshow(image)
-            axes.set(title=title, xticks=[], yticks=[])
+            axes.set(xticks=[], yticks=[])
         for name, axes in zip(CONDITIONS, grid[:: 3 * SHOWN], strict=True):
-            axes.set_ylabel(name)
+            axes.set_title(name)
         style.save(figure, options.picture)
 
 
