@@ -36,7 +36,8 @@ def headline(figure: Any) -> tuple[str, str]:
 
 
 def points(line: Any) -> Points:
-    """The points of a line, as (x, y)."""
+    """The points of a line, or of one with intervals, as (x, y)."""
+    line = getattr(line, "lines", [line])[0]
     return list(zip(*(np.asarray(line.get_data(), float).round(12).tolist()), strict=True))
 
 

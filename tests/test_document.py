@@ -25,9 +25,10 @@ def blocks(tmp_path: Path) -> list[Block]:
     return [
         Heading("First"),
         Paragraph(NASTY),
+        Paragraph("how", folded="Method"),
         Table(("x", "y <z>"), [("1", "2|3"), ("4", "<5>")], folded="2 rows & more"),
         Table(("alone",), [("6",)]),
-        Picture(picture, "Caption <1>"),
+        Picture(picture, "Caption <1>", "A curve <2>"),
         Listing("key: <value> | *kept*\n\n"),
         Listing("seed: 0\n", folded="config.yaml"),
     ]
@@ -37,10 +38,10 @@ def test_markdown_of_every_block(tmp_path: Path, blocks: list[Block]) -> None:
     assert to_markdown("The title", blocks, tmp_path) == (
         "# The title\n\n"
         "## First\n\n"
-        'a\\|b \\*c\\* \\_d\\_ \\<e> & "f" \\\\g\n\n'
+        'a\\|b \\*c\\* \\_d\\_ \\<e> & "f" \\\\g\n\nhow\n\n'
         "| x | y \\<z> |\n| --- | --- |\n| 1 | 2\\|3 |\n| 4 | \\<5> |\n\n"
         "| alone |\n| --- |\n| 6 |\n\n"
-        "![one & two](figures/one & two.png)\n\nCaption \\<1>\n\n"
+        "![A curve \\<2>](figures/one & two.png)\n\nCaption \\<1>\n\n"
         "```\nkey: <value> | *kept*\n```\n\n```\nseed: 0\n```\n"
     )
 
@@ -55,6 +56,8 @@ def test_html_of_every_block(blocks: list[Block]) -> None:
         ("h1", "The <title>"),
         ("h2", "First"),
         ("p", NASTY),
+        ("summary", "Method"),
+        ("p", "how"),
         ("summary", "2 rows & more"),
         ("th", "x"),
         ("th", "y <z>"),
@@ -69,11 +72,11 @@ def test_html_of_every_block(blocks: list[Block]) -> None:
     assert '<meta charset="utf-8">' in html
     assert html.count('<div class="scrolls" tabindex="0"') == 2  # a phone scrolls a table, not the page
     [image] = page.all("img")
-    assert image["alt"] == "Caption <1>"
+    assert image["alt"] == "A curve <2>"
     assert image["src"] == "data:image/png;base64," + base64.b64encode(PNG).decode()
-    assert html.count("<details>") == html.count("</details>") == 2  # the other table is unfolded
+    assert html.count("<details>") == html.count("</details>") == 3  # the other table is unfolded
     assert html.count("<tr>") == 3 + 2
-    assert 'aria-label="Table: x, y &lt;z&gt;"' in html
+    assert 'aria-label="Table: 2 rows &amp; more"' in html
     assert_sound(html)
 
 
@@ -83,7 +86,7 @@ def test_html_of_every_block(blocks: list[Block]) -> None:
         (' lang="en"', ""),
         ("<title>The &lt;title&gt;</title>", ""),
         ("width=device-width", "width=800"),
-        ('alt="Caption &lt;1&gt;"', 'alt=""'),
+        ('alt="A curve &lt;2&gt;"', 'alt=""'),
         ('src="data:image/png;base64,', 'src="https://example.com/'),
         ('<th scope="col">x</th>', '<th scope="col"></th>'),
         (' role="region"', ""),
@@ -115,7 +118,9 @@ def test_a_table_without_a_name_for_a_column_has_no_empty_header() -> None:
     [
         ("{won} of {games}", "3 of 4"),
         ("{name!u}: {clocks!l}", "ADSC: 1, 2.5"),
-        ("{error!m} in {took!t}{failed!f}{games!d}", "0.500 in 12.0 s (4 disturbed)"),
+        ("{error!m} in {took!t}{failed!f}{games!d}", "0.5 in 12.0 s (4 disturbed)"),
+        ("{sum}, {sum:.3g}, {small:.2g}, {games:g}", "671.88, 672, 0.0012, 4"),
+        (lambda entry: entry["sum"], "671.88"),
         ("{lost}", "-"),
         ("{won} of {unknown:.2f}", "-"),
         (lambda entry: entry["won"] / 2, "1.5"),
@@ -125,7 +130,7 @@ def test_a_table_without_a_name_for_a_column_has_no_empty_header() -> None:
 )
 def test_a_tables_cell_is_its_template_filled_in_or_a_dash_for_what_is_not_known(column: Column, cell: str) -> None:
     entry = {"won": 3, "games": 4, "name": "adsc", "clocks": [1, 2.5], "error": 0.5, "took": 12.0, "failed": 0}
-    entry |= {"lost": None, "unknown": math.nan}
+    entry |= {"sum": 671.8800000001, "small": 0.00123, "lost": None, "unknown": math.nan}
     assert Table.of([entry], {"header": column}) == Table(("header",), [(cell,)])
     assert Table.of(pd.DataFrame([entry]), {"header": column}).rows == [(cell,)]
 

@@ -83,25 +83,26 @@ def test_every_number_of_an_evaluation(tmp_path: Path, drawn: dict[str, Figure],
     how = "modelled, simulator kernels on the CPU" if simulator == "kernels" else "modelled"
     assert page.startswith("# Evaluation of offset:1\n")
     assert (
-        f"2 of 7 lanes (28.6%, 95 % Wilson interval {low:.1%} to {high:.1%}), {how}, adsc at 10x, "
-        "27.58 simulated seconds per wall second, seed 4."
+        "The agent offset:1 wins 2 of 7 lanes with ADSC at 10x "
+        f"(28.6%, 95 % Wilson interval {low:.1%} to {high:.1%}).\n\n"
+        f"M{how[1:]} · 7 games each · seed 4 · 1 of 7 games disturbed\n\n"
     ) in page
-    assert f"| offset:1 | 28.6% [{100 * low:.0f}, {100 * high:.0f}] | 7 | {how} |" in page
+    assert f"| the agent offset:1 | 28.6% [{100 * low:.0f}, {100 * high:.0f}] | 7 | {how} |" in page
     assert page.count("measured, in AirSim and another lane") == 2
-    assert headline(drawn["figure8_survival"])[1] == f"{how} · 7 games each · seed 4 · 1 of 7 games disturbed"
+    assert headline(drawn["figure8_survival"]) == ("Distance travelled", "")
 
 
 def test_survival_is_the_share_of_games_that_got_at_least_so_far(tmp_path: Path, drawn: dict[str, Figure]) -> None:
     page_of(run_of(tmp_path / "run", *flown(30.0, 151.0, 10.0, 150.0), agent="offset:1"))
     figure: Any = drawn["figure8_survival"]
     (axes,) = figure.axes
-    line, end = (labelled(axes)[name] for name in ("offset:1", "end of the lane"))
+    line, end = (labelled(axes)[name] for name in ("the agent offset:1", "end of the lane"))
     assert points(line) == [(0.0, 1.0), (10.0, 0.75), (30.0, 0.5), (150.0, 0.25), (150.0, 0.0)]
     assert line.get_drawstyle() == "steps-post"  # games last until their distance
     assert end.get_xdata()[0] == 150.0
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("distance north, m", "share of games that got there")
     assert axes.get_ylim() == (0.0, 1.05)
-    assert legend_texts(axes.get_legend()) == ["offset:1", "end of the lane"]
+    assert legend_texts(figure.legends[0]) == ["the agent offset:1", "end of the lane"]
     at_10_m = {round(y, 9) for x, y in axes.collections[0].get_paths()[0].vertices if x == 10.0}
     interval = binomtest(3, 4).proportion_ci(method="wilson")
     assert {round(interval.low, 9), round(interval.high, 9)} <= at_10_m
@@ -117,9 +118,9 @@ def test_evaluations_are_compared_in_one_figure(tmp_path: Path, drawn: dict[str,
     assert Evaluation().compare(runs) == [tmp_path / "a/run/figures/figure8_survival_compared.png"]
     lines = labelled(drawn["figure8_survival_compared"].axes[0])
     assert {name: points(line) for name, line in lines.items() if name != "end of the lane"} == {
-        f"default ({tmp_path / 'a/run'})": [(0.0, 1.0), (10.0, 0.5), (40.0, 0.0)],
-        f"default ({tmp_path / 'b/run'})": [(0.0, 1.0), (20.0, 0.0)],
-        "straight, simulator kernels on the CPU": [(0.0, 1.0), (5.0, 0.5), (6.0, 0.0)],
+        f"the policy that ships ({tmp_path / 'a/run'})": [(0.0, 1.0), (10.0, 0.5), (40.0, 0.0)],
+        f"the policy that ships ({tmp_path / 'b/run'})": [(0.0, 1.0), (20.0, 0.0)],
+        "the agent straight, simulator kernels on the CPU": [(0.0, 1.0), (5.0, 0.5), (6.0, 0.0)],
     }
     said = headline(drawn["figure8_survival_compared"])[1]
     assert said == "measured and modelled and modelled, simulator kernels on the CPU · 1, 2 games each · seed 1, 3"

@@ -14,7 +14,7 @@ from matplotlib.container import ErrorbarContainer
 from matplotlib.figure import Figure
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from tests.drawing import headline, labelled, legend_texts, points, record_figures, tick_texts
+from tests.drawing import headline, labelled, legend_texts, points, record_figures, texts, tick_texts
 from tests.learning import tiny_config, train_into
 from uavaccel.envs.obstacle_lane import LaneTask
 from uavaccel.envs.stopwatch import PHASES
@@ -158,12 +158,12 @@ def test_weights_and_real_time_are_those_of_a_training_that_is_over(
     report.run.write_json("policy.json", {"trained": {"games": learned, "weights_sha256": "0123456789abcdef"}})
     report.run.write_json("real_time.json", {"command_s": 60.0, "how": "by hand"})
     games, wall, real = page(report)[0].rows
-    said = "1 of 3 training games succeeded, "
+    said = "he policy won 1 of 3 training games"
     if learned == 3:
-        assert report.headline() == f"{said}weights 0123456789ab; in real time 21 min (modelled)"
+        assert report.headline() == f"T{said}; in real time they take 21 min (modelled)"
         assert (report.summary["weights_sha256"], real[1]) == ("0123456789abcdef", "21 min")
     else:
-        assert report.headline() == f"{said}the training is not over"
+        assert report.headline() == f"Not over yet: t{said}"
         assert (report.summary["weights_sha256"], real[1]) == (None, "-")
     assert (games[1:3], wall[1:3], real[2]) == (("3", "5000"), ("20 min", "-"), "182.0 h")
 
@@ -207,7 +207,7 @@ def test_progress_shows_each_game_and_the_mean_of_the_last_100(tmp_path: Path, d
     assert points(explored.lines[0])[-1] == (150.0, 1 - 149 / 200)
     ppo = [{key: value for key, value in row.items() if key not in ("exploration", "mean_q")} for row in rows]
     page(trained(tmp_path / "ppo", ppo, timing="virtual"))
-    assert [axes.get_ylabel() for axes in drawn["progress"].axes] == ["return", "length, commands", "loss"]
+    assert [axes.get_title("left") for axes in drawn["progress"].axes] == ["return", "length, commands", "loss"]
 
 
 def test_learning_curves_are_over_the_wall_clock_of_all_starts(tmp_path: Path, drawn: dict[str, Figure]) -> None:
@@ -325,32 +325,30 @@ def test_figure_9_tells_trainings_apart_and_says_what_was_measured(tmp_path: Pat
     reports = [timed(tmp_path / f"{n}", timing, environments=1 if n else 2) for n, timing in enumerate(timings)]
     Training().compare([report.run for report in reports])
     figure: Any = drawn["figure9_phases_compared"]
-    axes, speed = figure.axes
+    (axes,) = figure.axes
     labels = [f"ADSC 100x\n{timing}, seed 6" for timing in timings]
     labels[0], labels[2] = (f"{labels[n]}\n{tmp_path / str(n)}" for n in (0, 2))
-    assert tick_texts(axes.xaxis) == labels
+    assert tick_texts(axes.yaxis) == labels
     stacks = labelled(axes)
     assert list(stacks) == [phase.replace("_", " ") for phase in PHASES]
     own, machine = [1.1, 2.2, 3.3, 4.4, 5.5], [2.5, 4.0, 6.0, 1.25, 5.0]
     heights, tops = (
-        np.transpose([[below * bar.get_y() + bar.get_height() for bar in bars] for bars in stacks.values()])
+        np.transpose([[below * bar.get_x() + bar.get_width() for bar in bars] for bars in stacks.values()])
         for below in (0, 1)
     )
     np.testing.assert_allclose(heights, [own, machine, own, machine])
     np.testing.assert_allclose(tops, np.cumsum([own, machine, own, machine], axis=1))
-    assert legend_texts(figure.legends[0]) == [*stacks, "speed (right)"]
-    places, speeds = zip(*points(labelled(speed)["speed (right)"]), strict=True)
-    assert places == (0, 1, 2, 3)
-    assert speeds == pytest.approx((100 / 8.25, 100 / 27, 100 / 16.5, 100 / 27))
-    assert speed.get_ylim() == (0, pytest.approx(1.2 * 100 / 8.25))
+    assert legend_texts(figure.legends[0]) == list(stacks)
+    speeds = [f"{speed:.3g} simulated s\na wall s" for speed in (100 / 8.25, 100 / 27, 100 / 16.5, 100 / 27)]
+    assert texts(axes) == speeds
     source = "measured, learning beside the flight and modelled · 3 games · seed 6"
     assert headline(figure) == ("Time of training by phase", source)
     figure.draw_without_rendering()
-    extents = [label.get_window_extent() for label in axes.get_xticklabels()]
-    assert all(left.x1 < right.x0 for left, right in pairwise(extents))
-    for report, provenance in ((reports[0], "modelled ·"), (reports[1], "measured, learning beside the flight ·")):
-        page(report)
-        assert headline(drawn["figure9_phases"])[1].startswith(provenance)
+    extents = [label.get_window_extent() for label in axes.get_yticklabels()]
+    assert all(upper.y0 > lower.y1 for upper, lower in pairwise(extents)), "labels touch"
+    for report, provenance in ((reports[0], "modelled."), (reports[1], "measured, learning beside the flight.")):
+        (caption,) = [block.caption for block in page(report) if getattr(block, "alt", "").startswith("A bar")]
+        assert caption == f"Figure 9. Time of the training by phase, {provenance}"
 
 
 @pytest.mark.parametrize(
@@ -361,8 +359,8 @@ def test_figure_9_has_the_largest_unit_that_is_no_fraction(
 ) -> None:
     page(timed(tmp_path / "run", "virtual", longest_s))
     axes = drawn["figure9_phases"].axes[0]
-    assert axes.get_ylabel() == unit
-    assert labelled(axes)["simulation"][0].get_height() == pytest.approx(height, abs=1e-5)
+    assert axes.get_xlabel() == unit
+    assert labelled(axes)["simulation"][0].get_width() == pytest.approx(height, abs=1e-5)
 
 
 def test_curves_of_games_count_from_this_start_and_leave_out_evaluations(

@@ -61,7 +61,7 @@ def test_rows_say_how_far_each_speed_goes_and_the_page_shows_it(home: Path) -> N
     assert rows[2]["north_m"] == end.position_m[0]
     assert np.all(np.diff([row["north_m"] for row in rows]) > 0)
     page = (home / "runs/toy/report.md").read_text()
-    assert "![north](figures/north.png)" in page
+    assert "![Rising curves, one a speed.](figures/north.png)" in page
     assert "| case | north\\_m | speed\\_m\\_s |" in page
     assert json.loads((home / "runs/toy/summary.json").read_text())["speed-1.5"] == rows[2]["north_m"]
 

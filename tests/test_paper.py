@@ -126,7 +126,9 @@ def test_the_page_has_a_line_for_each_claim_and_counts_the_verdicts(report: Repo
     assert overview is not None
     assert tuple(overview.rows[14][:3]) == ("images_at_5x", "IV-C", "predicted")
     assert [row[4] for row in overview.rows if row[0] == "images_at_5x"] == ["not flown"]
-    assert report.headline().startswith("36 claims: under airsim 36 holds; under native 7 fails, 24 holds, 5 not flown")
+    assert report.headline().startswith(
+        "Of 36 claims of the paper under airsim 36 holds; under native 7 fails, 24 holds, 5 not flown"
+    )
     assert "significant at n = 100" in page
     assert "dp1-native: Figure 5, two words." in page
     assert (report.run.path / "figures/dp2-airsim-figure5_two_words.png").read_bytes() == b"dp2-airsim"

@@ -10,10 +10,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import cv2
 import mujoco
 import numpy as np
 
+from uavaccel.draw import style
 from uavaccel.kernels.appearance import empty_scenes, fill_scenes, read_appearance
 from uavaccel.kernels.pictures import render_colour, render_depth, render_gray
 from uavaccel.resources import asset
@@ -21,9 +21,10 @@ from uavaccel.sim.camera.camera import Camera
 from uavaccel.sim.lane.layout import Difficulty, lane_seed, sample_layout
 from uavaccel.sim.lane.scene import apply_layout
 from uavaccel.sim.poses import Pose
+from uavaccel.suites import plots
 from uavaccel.units import ned_to_mujoco, quaternion_ned_to_mujoco
 
-SHOWN, GAIN = 4, 16
+SHOWN, GAIN = 2, 16
 CONDITIONS = {  # altitude in metres, tilt and yaw in degrees, cylinders
     "2 m, tilted up to 15 degrees": ((1.5, 2.5), 15.0, 8.0, False),
     "the same, cylinders": ((1.5, 2.5), 15.0, 8.0, True),
@@ -47,7 +48,7 @@ def main() -> None:
     parser.add_argument("--views", type=int, default=200, help="of each condition")
     options = parser.parse_args()
     model = mujoco.MjModel.from_xml_path(str(asset("mjcf/lane.xml")))
-    data, appearance, rows = mujoco.MjData(model), read_appearance(model), []
+    data, appearance, shown = mujoco.MjData(model), read_appearance(model), list[np.ndarray]()
     lanes = np.arange(options.views, dtype=np.int32)
     with Camera(model) as camera:
         for name, ((low, high), tilt, yaw, round_ones) in CONDITIONS.items():
@@ -76,10 +77,17 @@ def main() -> None:
                 f"| {name} | {gray.mean():.4f} | {100 * (gray > 0).mean():.4f} % | {100 * (gray > 10).mean():.4f} % "
                 f"| {colour.mean():.4f} | {100 * (depth > 1e-3).mean():.4f} % |"
             )
-            for view in range(SHOWN if not round_ones else SHOWN // 2):
-                apart = np.abs(np.array(theirs[1][view]).astype(int) - drawn[1][view])
-                rows.append(np.hstack([theirs[1][view], drawn[1][view], np.minimum(GAIN * apart, 255)]))
-    cv2.imwrite(str(options.picture), np.vstack(rows).astype(np.uint8)[..., ::-1])
+            for view in range(SHOWN):
+                shown += [theirs[1][view], drawn[1][view], np.minimum(GAIN * colour[view], 255)]
+    with style.project_style():
+        order = f"from the left: OpenGL, the kernels, {GAIN} times their difference"
+        figure, grid = plots.panels(len(shown), "Drawn lanes by OpenGL and by the kernels", 1.25, source=order)
+        for axes, image in zip(grid, shown, strict=True):
+            axes.imshow(image)
+            axes.set(xticks=[], yticks=[])
+        for name, axes in zip(CONDITIONS, grid[:: 3 * SHOWN], strict=True):
+            axes.set_title(name)
+        style.save(figure, options.picture)
 
 
 if __name__ == "__main__":

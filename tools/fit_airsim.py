@@ -25,6 +25,7 @@ from uavaccel.draw import style
 from uavaccel.limits import CommandName
 from uavaccel.metrics.stlc import mean_stlc
 from uavaccel.metrics.trajectory import Trajectory, trajectory
+from uavaccel.suites import plots
 from uavaccel.suites.dp1 import Dp1, Dp1Config, Game
 from uavaccel.wire.latency import QUANTILES, LatencyConfig
 from uavaccel.wire.platform import FrameConfig, PlatformConfig
@@ -207,13 +208,13 @@ PAIRS = tuple(combinations(range(len(Parameters._fields)), 2))
 def draw(best: Parameters, planes: Sequence[np.ndarray], path: Path) -> None:
     """The misfit over each pair of parameters."""
     with style.project_style():
-        figure = style.new_figure(9, 6, "Misfit over each pair of parameters", "modelled · tools/fit_airsim.py")
-        for axes, pair, values in zip(figure.subplots(1, 3), PAIRS, planes, strict=True):
+        figure, grid = plots.panels(len(PAIRS), "Misfit over each pair of parameters", 2.6, source="modelled")
+        for axes, pair, values in zip(grid, PAIRS, planes, strict=True):
             first, second = (np.array(FACTORS) * best[index] for index in pair)
             drawn = axes.contourf(second, first, values, levels=[0, 1, 2, 4, 8, 16, 32, 64], extend="max")
             axes.plot(best[pair[1]], best[pair[0]], "o", color="white", markeredgecolor="black")
             axes.set(xscale="log", yscale="log", xlabel=_label(pair[1]), ylabel=_label(pair[0]))
-        figure.colorbar(drawn, ax=figure.axes, label="misfit")
+        figure.colorbar(drawn, ax=grid, label="misfit", location="bottom", aspect=40)
         style.save(figure, path)
 
 

@@ -63,12 +63,7 @@ class Progress:
     """
 
     def __init__(
-        self,
-        suite: AnySuite,
-        cases: Sequence[Case],
-        jobs: int,
-        rows: Sequence[Row],
-        console: Console,
+        self, suite: AnySuite, cases: Sequence[Case], jobs: int, rows: Sequence[Row], console: Console
     ) -> None:
         from uavaccel.clock import MonotonicClock  # loads NumPy
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 from uavaccel.files import Plain
@@ -27,11 +28,17 @@ def command_at_clock(game: Mapping[str, Plain]) -> str:
     return f"{command_name(game['command'])} at {clock_label(game['clock_speed'])}"
 
 
+def number(value: float, digits: int = 5) -> str:
+    """Return a number as people write it, of so many significant digits: 671.88, 0.0012, 4.3e-6; only 0 is "0"."""
+    if not math.isfinite(value) or abs(value) < 1e-4:
+        return f"{value:.{digits}g}".replace("e-0", "e-")
+    text = f"{value:.{max(digits - 1 - math.floor(math.log10(abs(value))), 0)}f}"
+    return text.rstrip("0").rstrip(".") if "." in text else text
+
+
 def metres(value: float) -> str:
-    """Format with a few significant digits, as errors range from micrometres to metres; only an exact 0 is "0"."""
-    if value == 0:
-        return "0"
-    return f"{value:.3f}" if value >= 0.01 else f"{value:.1e}"
+    """Return metres of three significant digits, as errors range from micrometres to metres."""
+    return number(value, 3)
 
 
 def in_words(seconds: float) -> str:

@@ -10,7 +10,7 @@ from pathlib import Path
 from string import Formatter
 from typing import Any, TypeAlias
 
-from uavaccel.draw.labels import in_words, metres
+from uavaccel.draw.labels import in_words, metres, number
 
 Record: TypeAlias = Mapping[str, Any]
 Column: TypeAlias = str | Callable[[Record], object]
@@ -26,9 +26,10 @@ class Heading:
 
 @dataclass(frozen=True)
 class Paragraph:
-    """Plain text; it may hold any character."""
+    """Plain text; it may hold any character. In HTML it is collapsed behind the name `folded`, if that is given."""
 
     text: str
+    folded: str = ""
 
 
 @dataclass(frozen=True)
@@ -44,8 +45,9 @@ class Table:
         """Return a table with a row for each entry, a mapping or a row of a DataFrame; `columns` are by header.
 
         A template is one of `str.format` on the entry, of which `{x!u}` is upper case, `{x!l}` a list in words, `{x!m}`
-        metres, `{x!t}` a duration in seconds, and `{x!f}` and `{x!d}` mark games that failed or were disturbed. The
-        cell is "-" where a value in it is not known.
+        metres, `{x!t}` a duration in seconds, and `{x!f}` and `{x!d}` mark games that failed or were disturbed. Floats
+        of no format, or one as `{x:.3g}`, are written as people do (`number`). The cell is "-" where a value in it is
+        not known.
         """
         records = entries.to_dict("records") if hasattr(entries, "to_dict") else list(entries)
         rows = [tuple(fill(column, record) for column in columns.values()) for record in records]
@@ -54,10 +56,11 @@ class Table:
 
 @dataclass(frozen=True)
 class Picture:
-    """A PNG file and the caption below it."""
+    """A PNG file, the caption below it, and what is seen in it, in a sentence for those who cannot see it."""
 
     path: Path
     caption: str
+    alt: str
 
 
 @dataclass(frozen=True)
@@ -117,12 +120,18 @@ class _Template(Formatter):
         own = self.conversions.get(conversion)
         return own(value) if own else super().convert_field(value, conversion)
 
+    def format_field(self, value: Any, format_spec: str) -> str:
+        if isinstance(value, float) and format_spec in ("", "g"):
+            return number(value)
+        if isinstance(value, float) and format_spec.endswith("g"):
+            return number(value, int(format_spec[1:-1]))
+        return str(super().format_field(value, format_spec))
+
 
 def fill(column: Column, record: Record) -> str:
     """Return a table's cell: the template filled in, or what the function returns; "-" for what is not known."""
     if not isinstance(column, str):
-        found = column(record)
-        return "-" if unknown(found) else str(found)
+        return fill("{found}", {"found": column(record)})
     try:
         return _Template().vformat(column, (), record)
     except UnknownValue:
@@ -143,11 +152,11 @@ def _markdown(block: Block, folder: Path) -> str:
         case Table(header, rows):
             lines = [header, ["---"] * len(header), *rows]
             return "\n".join("| " + " | ".join(map(_escape_markdown, line)) + " |" for line in lines)
-        case Picture(path, caption):
-            return f"![{path.stem}]({path.relative_to(folder).as_posix()})\n\n{_escape_markdown(caption)}"
+        case Picture(path, caption, alt):
+            return f"![{_escape_markdown(alt)}]({path.relative_to(folder).as_posix()})\n\n{_escape_markdown(caption)}"
         case Movie(path, sheet, caption):
             film = path.relative_to(folder).as_posix()
-            return f"{_markdown(Picture(sheet, caption), folder)}\n\n[{path.name}]({film})"
+            return f"{_markdown(Picture(sheet, caption, caption), folder)}\n\n[{path.name}]({film})"
         case Listing(text):
             return f"```\n{text.rstrip()}\n```"
 

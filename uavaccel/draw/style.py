@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
@@ -14,7 +15,6 @@ from uavaccel.draw.labels import clock_label as clock_label
 from uavaccel.draw.labels import command_at_clock as command_at_clock
 from uavaccel.draw.labels import command_name as command_name
 from uavaccel.draw.labels import rounds_label as rounds_label
-from uavaccel.draw.page import Picture
 from uavaccel.files import replacing
 
 if TYPE_CHECKING:  # matplotlib is loaded by what draws
@@ -22,31 +22,38 @@ if TYPE_CHECKING:  # matplotlib is loaded by what draws
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# Okabe and Ito's palette, which the common colour-vision deficiencies keep apart.
-BLUE, ORANGE, GREEN, VERMILION = "#0072B2", "#E69F00", "#009E73", "#D55E00"
-PURPLE, SKY, BLACK, GREY = "#CC79A7", "#56B4E9", "#000000", "#7F7F7F"
-CYCLE = (BLUE, ORANGE, GREEN, VERMILION, PURPLE, SKY)
-MARKERS = "osD^v<>"
-COMMAND_COLOUR = {"adsc": VERMILION, "tcsc": BLUE}
-
 Axes3D: TypeAlias = Any  # mpl_toolkits ships no types
 LineStyle = dict[str, Any]  # matplotlib's keywords for a line
 
+# Okabe and Ito's palette and two of Tol's, which the common colour-vision deficiencies keep apart.
+BLUE, GREEN, VERMILION, PURPLE = "#0072B2", "#009E73", "#D55E00", "#CC79A7"
+OLIVE, WINE, GREY, BLACK = "#999933", "#882255", "#7F7F7F", "#000000"
+COMMAND_COLOUR = {"adsc": VERMILION, "tcsc": BLUE}
+"""ADSC's orange is the palette's darker one, which stands out from white 3.9 to 1; no series has either colour."""
+CYCLE = (GREEN, PURPLE, OLIVE, WINE, GREY, BLACK)
+MARKERS = "osD^v<>"
+LIMIT: LineStyle = {"color": BLACK, "linewidth": 1.0, "linestyle": (0, (4, 3)), "zorder": 1}
+"""A line to compare with: what is ideal, alike, the paper's."""
+WIDTH_IN, DPI = 6.4, 200
+"""Of every figure, so that its letters are of one size beside others, and can be read on a phone."""
+
 _SETTINGS: dict[Any, Any] = {
     "font.family": "DejaVu Sans",
-    "font.size": 9,
+    "font.size": 10,
     "axes.titlesize": 10,
     "axes.titlelocation": "left",
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.grid": True,
     "axes.axisbelow": True,
+    "xtick.labelsize": 9,
+    "ytick.labelsize": 9,
     "grid.color": "#E3E3E3",
     "grid.linewidth": 0.6,
     "legend.frameon": False,
-    "legend.fontsize": 8.5,
+    "legend.fontsize": 9,
     "lines.linewidth": 1.6,
-    "savefig.dpi": 150,
+    "savefig.dpi": DPI,
 }
 
 
@@ -60,15 +67,16 @@ def project_style() -> Iterator[None]:
         yield
 
 
-def new_figure(width_in: float, height_in: float, title: str, source: str) -> Figure:
-    """Make a figure with a title on top and, at the bottom, the line that says where its numbers come from."""
+def new_figure(height_in: float, title: str, source: str = "") -> Figure:
+    """Make a figure with a title on top and, where no page says it, the `source` of its numbers at the bottom."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(width_in, height_in), layout="constrained")
+    figure = Figure(figsize=(WIDTH_IN, height_in), layout="constrained")
     FigureCanvasAgg(figure)
-    figure.suptitle(title, x=0.01, ha="left", fontsize=11.5, fontweight="bold")
-    figure.supxlabel(source, x=0.01, ha="left", fontsize=8, color="#555555")
+    figure.suptitle(title, x=0.01, ha="left", fontsize=11.5, fontweight="bold", wrap=True)
+    if source:
+        figure.supxlabel(source, x=0.01, ha="left", fontsize=9, color="#555555", wrap=True)
     return figure
 
 
@@ -86,29 +94,22 @@ def save(figure: Figure, path: Path) -> Path:
     return path
 
 
-def picture(figure: Figure, path: Path, caption: str, source: str) -> Picture:
-    """Save a figure and return it as a block of a report, its caption followed by the source of its numbers."""
-    return Picture(save(figure, path), f"{caption} Source: {source}.")
-
-
 def colour(number: int) -> str:
     """Return the colour of the nth series of a figure; the cycle starts again where it ends."""
     return CYCLE[number % len(CYCLE)]
 
 
-def shared_legend(figure: Figure, axes: Iterable[Axes]) -> None:
-    """Draw one legend for several axes beside them, with an entry for each label."""
-    handles: dict[str, Artist] = {}
-    for axis in axes:
-        lines, labels = axis.get_legend_handles_labels()
-        handles |= dict(zip(labels, lines, strict=True))
-    figure.legend(list(handles.values()), list(handles), loc="outside right upper")
+def marker(number: int) -> str:
+    """Return the marker of the nth series of a figure, or of the nth value of a quantity."""
+    return MARKERS[number % len(MARKERS)]
 
 
-def error_bars(values: Sequence[float], intervals: Sequence[tuple[float, float]]) -> NDArray[np.float64]:
-    """Return the distances (2, n) of values (n,) from the ends of their intervals, as matplotlib takes them."""
-    value, ends = np.array(values), np.array(intervals)
-    return np.maximum([value - ends[:, 0], ends[:, 1] - value], 0.0)
+def shade(number: int, count: int) -> str:
+    """Return the colour of the nth of `count` values of a quantity, such as a ClockSpeed, from dark to light."""
+    from matplotlib import colormaps
+    from matplotlib.colors import to_hex
+
+    return to_hex(colormaps["viridis"](0.9 * number / max(count - 1, 1)))
 
 
 def survival(distances_m: ArrayLike, length_m: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -119,21 +120,24 @@ def survival(distances_m: ArrayLike, length_m: float) -> tuple[NDArray[np.float6
     return np.concatenate([[0.0], reached]), 1.0 - np.arange(len(reached) + 1) / len(reached)
 
 
-def series(number: int) -> LineStyle:
-    """Return colour and marker of the nth series of a figure."""
-    return {"color": colour(number), "marker": MARKERS[number % len(MARKERS)]}
+LETTER_IN = 0.078  # width of a letter of a legend
 
 
-def key(figure: Figure, axes: Axes, others: dict[str, LineStyle]) -> None:
-    """Draw one legend above a figure: the lines of `axes`, and others by their labels; one of no width is an area."""
+def legend(figure: Figure, more: Mapping[str, LineStyle] = MappingProxyType({})) -> None:
+    """Draw one legend below all axes of a figure, with an entry for each label, and `more`; no width is an area."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    handles, _ = axes.get_legend_handles_labels()
-    for label, look in others.items():
+    handles: dict[str, Artist] = {}
+    for axes in figure.axes:
+        drawn, labels = axes.get_legend_handles_labels()
+        handles |= dict(zip(labels, drawn, strict=True))
+    for label, look in more.items():
         area = look.get("linewidth") == 0
-        handles.append(Patch(color=look["color"], label=label) if area else Line2D([], [], label=label, **look))
-    figure.legend(handles=handles, ncols=len(handles), loc="outside upper right")
+        handles[label] = Patch(color=look["color"], label=label) if area else Line2D([], [], label=label, **look)
+    if handles:
+        columns = int(WIDTH_IN / (0.5 + LETTER_IN * max(map(len, handles))))
+        figure.legend(list(handles.values()), list(handles), ncols=max(columns, 1), loc="outside lower center")
 
 
 LEAST_SPAN_M, LEAST_HEIGHT_SPAN_M = 0.2, 0.5  # millimetres of altitude are not to look like a climb
@@ -145,7 +149,6 @@ def space(axes: Axes3D, flights_m: Sequence[NDArray[np.float64]]) -> None:
     axes.view_init(elev=38, azim=-125)
     if not flights_m:
         return
-    axes.legend(loc="upper left", bbox_to_anchor=(-0.05, 0.98))
     points = np.concatenate(flights_m)
     low, high = points.min(axis=0), points.max(axis=0)
     half_m = max(float(np.max((high - low)[:2])), LEAST_SPAN_M) / 2 * 1.05

@@ -88,6 +88,11 @@ CLOCK = ("timing", "command", "clock_speed", "profile", "latency", "report_host_
 FLIGHT = ("t_move_s", "t_sample_s", "speed_m_s", "headings_deg", "altitude_m")
 
 
+def agent_name(agent: str) -> str:
+    """Return an agent as it is named in a sentence."""
+    return "the policy that ships" if agent == DEFAULT else f"the agent {agent}"
+
+
 def evaluation_keys(env_id: str) -> dict[str, object]:
     """Return the keys by which a task takes the worlds that are kept for evaluation."""
     return {"split": "evaluation"} if "split" in environment_class(env_id).task_class.model_fields else {}

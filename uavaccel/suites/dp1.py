@@ -16,7 +16,7 @@ from typing_extensions import TypedDict
 from uavaccel.commands.paths import velocities
 from uavaccel.commands.slices import check_times
 from uavaccel.draw import style
-from uavaccel.draw.labels import clock_label, command_at_clock, metres, rounds_label
+from uavaccel.draw.labels import clock_label, command_at_clock, command_name, metres, rounds_label
 from uavaccel.draw.page import Block, Heading, Picture, Table, unknown
 from uavaccel.errors import UserError
 from uavaccel.forms import Count, Number, Positive, check
@@ -31,7 +31,7 @@ from uavaccel.suites import experiment, plots
 from uavaccel.suites.experiment import FlightExperiment, Timing
 from uavaccel.suites.flight import Flight
 from uavaccel.suites.path_suite import FlightCase, FlightRow, PathSuite, flight_row, fly_path, reference_of
-from uavaccel.suites.report import Report, Summary, clock_words, disturbed_games, finished, source_line, warnings
+from uavaccel.suites.report import Report, Summary, disturbed_games, finished, method_note, warnings
 from uavaccel.suites.rows import named_seed, subset
 from uavaccel.suites.suite import GameResult
 from uavaccel.units import NS_PER_S
@@ -197,29 +197,27 @@ class Dp1(PathSuite[Dp1Config, Game]):
         return {**keys, "cells": summary_cells(report.scores, report.config.seed)}
 
     def headline(self, report: Report) -> str:
-        """Return each command's likeness to real time, error and speed-up; lockstep only where all is."""
-        cells, said = cells_of(report), []
+        """Return how far each command's fastest games are from real time and how fast; lockstep only where all is."""
+        cells, said, speeds = cells_of(report), list[str](), list[str]()
         cells = cells if (cells.timing == "lockstep").all() else cells[cells.timing != "lockstep"]
-        fast = cells[(cells.clock_speed > 1) & cells.stlc_median.notna()]
-        for command, own in fast.groupby("command"):
-            alike = own.groupby("clock_speed").stlc_median.min() > SIMILAR_STLC
-            up_to, fastest = alike.index[alike.cummin()], own[own.clock_speed == alike.index[-1]]
-            flies = f"up to {up_to[-1]:g}x" if len(up_to) else f"below {alike.index[0]:g}x alone"
-            said.append(
-                f"{command.upper()} flies as in real time {flies} (STLC above {SIMILAR_STLC:g}); at "
-                f"{alike.index[-1]:g}x it is {plots.span(fastest.position_rmse_m, metres)} m off (RMSE) and "
-                f"{plots.span(fastest.effective_speedup)} times as fast"
-            )
+        compared = cells[(cells.clock_speed > 1) & cells.stlc_median.notna()]
+        for command, own in compared.groupby("command"):
+            name, clock = command_name(command), own.clock_speed.max()
+            own, same = own[own.clock_speed == clock], bool(said) and clock == compared.clock_speed.max()
+            off_m, stlc = metres(own.position_rmse_m.max()), f"median STLC {own.stlc_median.median():.2f}"
+            strays = f"strays up to {off_m} m (RMSE; {stlc}, above {SIMILAR_STLC:g} counts as alike)"
+            strays = strays if own.position_rmse_m.any() else "is identical to real time"
+            said.append(f"{name} {strays}" if same else f"At {clock:g}x {name} {strays}")
+            speeds.append(f"{name} {plots.span(own.effective_speedup, '{:.3g}')}")
         if not said:
             return f"{cells.games.sum()} games, none of them accelerated and comparable with real time"
-        return f"{'; '.join(said)} ({' and '.join(sorted(set(fast.provenance)))})"
+        return f"{'. '.join(said)}. Times as fast as in real time: {', '.join(speeds)}"
 
     def overview(self, report: Report) -> Table:
         return plots.span_table(cells_of(report), ["command", "clock_speed", "timing"], COLUMNS)
 
     def page(self, report: Report) -> Iterator[Block | str]:
         cells = cells_of(report)
-        yield f"Games: {source_line(report.games)}."
         yield from warnings(report.scores)
         if cells.reference.isna().any():
             yield "Warning: some cells have no real-time ADSC games to compare with."
@@ -228,12 +226,12 @@ class Dp1(PathSuite[Dp1Config, Game]):
             yield f"Real-time ADSC games that a cell is compared with, of the same T_move and rounds: {games}."
         yield Heading("Overview: from the least to the greatest of the cells")
         yield self.overview(report)
-        yield READING
         yield Heading("Figures")
         for figure in (velocity_figure, trajectory_figure, trellis_figure, accuracy_figure, speedup_figure):
             yield figure(report)
         yield Heading("All cells")
         yield plots.span_table(cells, CELL, COLUMNS, folded=f"{len(cells)} cells")
+        yield method_note(READING)
 
 
 COLUMNS: Mapping[str, plots.Span] = {
@@ -329,15 +327,14 @@ def cells_of(report: Report) -> pd.DataFrame:
     return pd.DataFrame([{"disturbed_games": 0, **cell} for cell in report.summary["cells"]])
 
 
-COMMAND_ENDS: style.LineStyle = {"color": style.BLACK, "linestyle": (0, (4, 3)), "linewidth": 0.9}
 NO_COMMAND: style.LineStyle = {"color": "#D0D0D0", "linewidth": 0}
 
 
 def velocity_figure(report: Report) -> Picture:
     """Draw Figure 2: two steps forward and one back, slowest ClockSpeed on top."""
-    games = finished(report.games[report.games.role == "figure2"])
-    labels = "Two steps forward, one back", source_line(games), (6.4, 2.1), "no flight recorded"
-    figure, panels = plots.facets(games, ("game", None), *labels)
+    games, gaps = finished(report.games[report.games.role == "figure2"]).sort_values("game"), []
+    title = "Two steps forward, one back"
+    figure, panels = plots.facets(games, "game", title, across=1, empty="no flight recorded")
     for axes, _, own in panels:
         game = own.iloc[0]
         arrays = report.arrays(game)
@@ -345,18 +342,22 @@ def velocity_figure(report: Report) -> Picture:
         for end, start in zip(ends, starts[1:], strict=False):
             axes.axvspan(end, start, **NO_COMMAND)
         for end in ends:
-            axes.axvline(end, **COMMAND_ENDS)
-        for axis, name in ((0, "north"), (2, "down")):
-            axes.plot(arrays["time_s"], arrays["linear_velocity_m_s"][:, axis], color=style.CYCLE[axis], label=name)
-        gap_ms = 1e3 * np.mean(command_gaps_s(starts, ends))
-        axes.set(ylabel="velocity, m/s", title=f"{command_at_clock(game)}: {gap_ms:.1f} ms between commands")
+            axes.axvline(end, **style.LIMIT)
+        for number, (axis, name) in enumerate([(0, "north"), (2, "down")]):
+            colour, velocity_m_s = style.colour(number), arrays["linear_velocity_m_s"][:, axis]
+            axes.plot(arrays["time_s"], velocity_m_s, color=colour)
+            end = arrays["time_s"][-1], velocity_m_s[-1]
+            axes.annotate(name, end, (4, 0), textcoords="offset points", color=colour, va="center", fontsize=9)
+        gaps.append(f"{command_at_clock(game)}: {1e3 * np.mean(command_gaps_s(starts, ends)):.1f} ms between commands")
+        axes.set(ylabel="velocity, m/s", title=gaps[-1])
     figure.axes[-1].set_xlabel("simulated time, s")
-    style.key(figure, figure.axes[0], {"command ends": COMMAND_ENDS, "no command runs": NO_COMMAND})
+    style.legend(figure, {"command ends": style.LIMIT, "no command runs": NO_COMMAND})
     caption = (
         "Figure 2. Velocity in real time and at the run's highest ClockSpeed. Dashed: a command ends. Grey: no command "
         "runs, the drone flies on while the client reacts."
     )
-    return report.figure("figure2_velocity", figure, caption)
+    alt = f"Curves of the velocity north and down over simulated time. {'; '.join(gaps)}."
+    return report.figure("figure2_velocity", figure, caption, alt, games)
 
 
 def trajectory_figure(report: Report) -> Picture:
@@ -369,26 +370,36 @@ def trajectory_figure(report: Report) -> Picture:
     flown = flown.merge(flown.head(1)[PATH]).sort_values("stlc", ascending=False, kind="stable")
     if len(flown):
         title += f", {rounds_label(flown['rounds'].iloc[0])}, T_move {flown.t_move_s.iloc[0]:g} s"
-    lines = [(game, "reference") for game in flown[flown.role == "reference"].head(1).to_dict("records")]
+    lines = [(game, "reference", REAL) for game in flown[flown.role == "reference"].head(1).to_dict("records")]
     for command, replicas in ("adsc", {"best": 0, "worst": -1}), ("tcsc", {"worst": -1}):
         games = flown[(flown.role == "game") & (flown.command == command)]
         cell = games[games.clock_speed == games.clock_speed.max()].to_dict("records")
         for name, place in replicas.items() if cell else ():
-            lines.append((cell[place], f"{name} of {len(cell)}: STLC {plots.span([cell[place]['stlc']], '{:.3f}')}"))
-    figure = style.new_figure(7.2, 6.0, title, source_line(pd.DataFrame([game for game, _ in lines])))
+            stlc = plots.span([cell[place]["stlc"]], "{:.3f}")
+            lines.append((cell[place], f"{name} of {len(cell)}: STLC {stlc}", REPLICAS[command, name]))
+    figure = style.new_figure(6.0, title)
     axes: style.Axes3D = figure.add_subplot(projection="3d")
-    places_m = [report.arrays(game)["position_m"] for game, _ in lines]
-    colours, dotted = (style.BLUE, style.GREEN, style.VERMILION, style.BLACK), (0, (2, 4))
-    for number, ((game, name), position_m) in enumerate(zip(lines, places_m, strict=True)):
-        north, east, down = position_m.T
-        look = {"color": colours[number], "linestyle": dotted if number == 3 else "-"}  # so that what it hides is seen
-        axes.plot(north, east, -down, **look, label=f"{command_at_clock(game)}, {name}", linewidth=1.2)
+    places_m = [report.arrays(game)["position_m"] for game, _, _ in lines]
+    labels = [f"{command_at_clock(game)}, {name}" for game, name, _ in lines]
+    for label, (_, _, look), (north, east, down) in zip(labels, lines, (each.T for each in places_m), strict=True):
+        axes.plot(north, east, -down, **look, label=label)
     style.space(axes, places_m)
+    style.legend(figure)
     caption = (
         "Figure 3. A real-time trajectory, the best and the worst replica of ADSC's fastest cell by STLC, and the "
         "worst of TCSC's, dotted. Height is up, −z of the NED frame."
     )
-    return report.figure("figure3_trajectories", figure, caption)
+    alt = f"Trajectories in space: {'; '.join(labels)}."
+    return report.figure("figure3_trajectories", figure, caption, alt, pd.DataFrame([game for game, *_ in lines]))
+
+
+REAL: style.LineStyle = {"color": style.BLACK, "linewidth": 1.0}
+REPLICAS: dict[tuple[str, str], style.LineStyle] = {
+    ("adsc", "best"): {"color": style.COMMAND_COLOUR["adsc"], "linewidth": 1.2, "alpha": 0.5},
+    ("adsc", "worst"): {"color": style.COMMAND_COLOUR["adsc"], "linewidth": 1.4},
+    # dotted, so that what it hides is seen
+    ("tcsc", "worst"): {"color": style.COMMAND_COLOUR["tcsc"], "linewidth": 1.6, "linestyle": (0, (2, 4))},
+}
 
 
 class TraceEvent(TypedDict):
@@ -402,9 +413,9 @@ class TraceEvent(TypedDict):
 
 
 MOST_EVENTS = 44  # a longer trace is cut: the trellis shows one command, not a flight
-CALL: style.LineStyle = {"color": style.BLUE, "linewidth": 1.1}
-ANSWER: style.LineStyle = {"color": style.GREEN, "linewidth": 1.1, "linestyle": (0, (4, 2))}
-RUNNING: style.LineStyle = {"color": style.ORANGE, "linewidth": 6, "solid_capstyle": "butt"}
+CALL: style.LineStyle = {"color": style.BLACK, "linewidth": 1.1}
+ANSWER: style.LineStyle = {"color": style.PURPLE, "linewidth": 1.1, "linestyle": (0, (4, 2))}
+RUNNING: style.LineStyle = {"color": style.GREEN, "linewidth": 6, "solid_capstyle": "butt"}
 
 
 def trellis_figure(report: Report) -> Picture:
@@ -419,20 +430,23 @@ def trellis_figure(report: Report) -> Picture:
             trace = report.run.read_json(name)
             check(Annotated[list[TraceEvent], Field(min_length=1)], trace, str(report.run.path / name))
             traces[command] = trace[:MOST_EVENTS]
-    config, longest = report.config, max(map(len, traces.values()), default=1)
-    source = f"one command each · {clock_words(config.timing)} · {config.profile} profile · seed {config.seed}"
-    shape, title, size_in = (1, len(traces)), "Messages of one command", (5.0, 0.8 + 0.2 * longest)
-    figure, grid = plots.panels(*shape, title, source, size_in, "no trace recorded", sharey=True)
-    for axes, (command, trace) in zip(grid[0], traces.items(), strict=False):
+    lengths = {command_name(command): len(trace) for command, trace in traces.items()}
+    shape: dict[str, Any] = {"across": 1, "height_ratios": [length + 3 for length in lengths.values()] or None}
+    height_in = 0.5 + 0.2 * sum(lengths.values()) / max(len(lengths), 1)
+    figure, grid = plots.panels(len(traces), "Messages of one command", height_in, empty="no trace recorded", **shape)
+    for axes, (command, trace) in zip(grid, traces.items(), strict=True):
         axes.set_axis_off()
-        axes.set(xlim=(-1.85, 2.0), ylim=(longest - 0.3, -1.9), title=command.upper())
+        axes.set(xlim=(-1.35, 2.0), ylim=(len(trace) - 0.3, -1.9), title=command_name(command))
         plot_trace(axes, trace)
-    style.key(figure, grid[0, 0], {"call": CALL, "answer": ANSWER, "simulated time runs": RUNNING})
+    style.legend(figure, {"call": CALL, "answer": ANSWER, "simulated time runs": RUNNING})
     caption = (
         "Figure 4. Messages of one recorded command, not to scale. Thick: simulated time runs. Left wall time, right "
         "simulated time, both since the first event."
     )
-    return report.figure("figure4_trellis", figure, caption)
+    counts = " and ".join(f"{length} events of {command}" for command, length in lengths.items())
+    alt = f"Arrows between client and server, downwards in time: {counts or 'none'}."
+    own = report.games[report.games.timing == report.config.timing]
+    return report.figure("figure4_trellis", figure, caption, alt, own)
 
 
 def messages(events: Sequence[str]) -> Iterator[tuple[int, int]]:
@@ -467,57 +481,71 @@ def plot_trace(axes: Axes, trace: Sequence[Mapping[str, Any]]) -> None:
         kind, _, method = event["event"].partition(" ")
         if event["source"] == "client":
             text = f"{method if kind == 'call' else ''}   {(event['wall_s'] - trace[0]['wall_s']) * 1e3:.2f} ms"
-            axes.text(-0.06, place, text, ha="right", va="center", fontsize=7.5)
+            axes.text(-0.06, place, text, ha="right", va="center", fontsize=8.5)
         else:
             text = f"{event['sim_s'] - trace[0]['sim_s']:.3f} s   {'' if kind == 'handle' else event['event']}"
-            axes.text(1.08, place, text, ha="left", va="center", fontsize=7.5)
+            axes.text(1.08, place, text, ha="left", va="center", fontsize=8.5)
 
 
 def accuracy_figure(report: Report) -> Picture:
-    """Draw Figure 5 from all games, T_moves pooled: a row of panels per command and a column per ClockSpeed."""
-    games, nothing, rows = finished(report.scores), "no games to compare", ("command", "clock_speed")
-    labels = "Accuracy of the trajectories: STLC", source_line(games), (1.9, 2.3), nothing
-    figure, panels = plots.facets(games, rows, *labels)
-    for axes, (command, clock), own in panels:
-        stlc = {rounds: own.stlc[own["rounds"] == rounds].dropna() for rounds in sorted(games["rounds"].unique())}
-        axes.axhline(SIMILAR_STLC, color="#C00000", linewidth=1.0, zorder=1)
-        plots.boxes(axes, stlc, style.COMMAND_COLOUR[command], nothing)
-        axes.set(xlabel="rounds", ylabel=f"{command.upper()}\nSTLC", ylim=(min(1.7, games.stlc.min() - 0.05), 2.04))
-        axes.set_title(clock_label(clock), loc="center")
-        axes.label_outer()
+    """Draw Figure 5 from all games, T_moves pooled: a panel a ClockSpeed, the commands' boxes beside each other."""
+    scored = finished(report.scores)
+    games, medians = scored[scored.stlc.notna()].sort_values("clock_speed"), []
+    every, title = sorted(games["rounds"].unique()), "Accuracy of the trajectories: STLC"
+    figure, panels = plots.facets(games, "clock_speed", title, empty="no games to compare")
+    for axes, clock, own in panels:
+        axes.axhline(SIMILAR_STLC, **style.LIMIT)
+        commands = sorted(own.command.unique())
+        for number, command in enumerate(commands):
+            flown = own[own.command == command]
+            stlc = {rounds: flown.stlc[flown["rounds"] == rounds] for rounds in every}
+            place = plots.beside(number, len(commands), 0.4)
+            plots.boxes(axes, stlc, style.COMMAND_COLOUR[command], command_name(command), place)
+            medians.append(f"{flown.stlc.median():.3f} of {command_name(command)} at {clock_label(clock)}")
+        axes.set(ylim=(min(1.7, games.stlc.min() - 0.05), 2.04), title=clock_label(clock))
+        axes.set(xlabel="rounds", ylabel="STLC")
+    plots.label_outer([axes for axes, *_ in panels])
+    style.legend(figure, {f"alike above {SIMILAR_STLC:g}": style.LIMIT})
     caption = (
         "Figure 5. STLC against the real-time ADSC games; one value a game, its mean over the references, T_moves "
-        "pooled; line: 1.8. Replicas whose flights are identical make a box of zero width."
+        "pooled. Replicas whose flights are identical make a box of no height."
     )
-    return report.figure("figure5_accuracy", figure, caption)
+    alt = f"Boxes of STLC by number of rounds and ClockSpeed. Medians: {', '.join(medians) or 'none'}."
+    return report.figure("figure5_accuracy", figure, caption, alt, scored)
 
 
 def speedup_figure(report: Report) -> Picture:
     """Draw Figure 6 from the cells with the most rounds: a panel per command, a line per T_move, the ideal dashed."""
     cells, scores = cells_of(report), finished(report.scores)
     rounds = cells["rounds"].max()
-    label, source = rounds_label(rounds), source_line(scores[scores["rounds"] == rounds])
-    known = cells[(cells["rounds"] == rounds) & cells.effective_speedup.notna()].sort_values("clock_speed")
+    label, flown = rounds_label(rounds), scores[scores["rounds"] == rounds]
+    known = cells[(cells["rounds"] == rounds) & cells.effective_speedup.notna()].sort_values(["command", "clock_speed"])
     clocks, t_moves_s = (sorted(known[name].unique()) for name in ("clock_speed", "t_move_s"))
-    labels = f"Effective speed-up over ADSC at 1x, {label}", source, (3.6, 3.0), "no speed-up without ADSC games at 1x"
-    figure, panels = plots.facets(known, (None, "command"), *labels)
-    for axes, (_, command), own in panels:
-        axes.plot(clocks, color=style.BLACK, linestyle="--", linewidth=1.1, label="ideal")
+    title, nothing = f"Effective speed-up over ADSC at 1x, {label}", "no speed-up without ADSC games at 1x"
+    figure, panels = plots.facets(known, "command", title, height_in=2.8, empty=nothing)
+    for axes, command, own in panels:
+        for place, clock in enumerate(clocks):  # a line, or a stroke where a place stands alone
+            axes.plot([place - 0.3, place + 0.3], [clock, clock], **style.LIMIT)
         for number, t_move_s in enumerate(t_moves_s):
-            line = own[own.t_move_s == t_move_s]
-            values = line.effective_speedup.tolist(), line.effective_speedup_interval.tolist()
-            look = style.series(number) | {"label": f"T_move {t_move_s:g} s"}
-            plots.points(axes, np.searchsorted(clocks, line.clock_speed), *values, **look)
+            of = own[own.t_move_s == t_move_s]
+            ends = np.array([ends or (np.nan, np.nan) for ends in of.effective_speedup_interval]).reshape(-1, 2).T
+            places = np.searchsorted(clocks, of.clock_speed) + plots.beside(number, len(t_moves_s), 0.14)
+            look = {"color": style.shade(number, len(t_moves_s)), "marker": style.marker(number)}
+            name = f"T_move {t_move_s:g} s"
+            plots.line(axes, places, of.effective_speedup, (ends[0], ends[1]), **look, label=name, linestyle="none")
         plots.clock_axis(axes, clocks)
-        plots.factor_axis(axes)
-        axes.set(title=command.upper(), ylabel="effective speed-up")
-        axes.label_outer()
-        figure.axes[0].legend(loc="upper left")
+        plots.log_axis(axes, "y", "{:g}x")
+        axes.set(title=command_name(command), ylabel="effective speed-up")
+    plots.label_outer([axes for axes, *_ in panels])
+    style.legend(figure, {"ideal": style.LIMIT})
     caption = (
         f"Figure 6. Effective speed-up of games of {label}: mean wall time of ADSC at 1x over the cell's, with 95 % "
         "bootstrap intervals over games. Dashed: the ideal."
     )
-    return report.figure("figure6_speedup", figure, caption)
+    fastest = known[known.clock_speed == known.clock_speed.max()].groupby("command").effective_speedup
+    reached = [f"{command_name(command)} {plots.span(speeds, '{:.3g}')}" for command, speeds in fastest]
+    alt = f"Points of speed-up by ClockSpeed and T_move; at the highest ClockSpeed {', '.join(reached) or 'none'}."
+    return report.figure("figure6_speedup", figure, caption, alt, flown)
 
 
 READING = (

@@ -18,7 +18,7 @@ from typing_extensions import TypedDict
 from uavaccel import limits
 from uavaccel.commands.slices import check_times, samples_due
 from uavaccel.draw import style
-from uavaccel.draw.labels import clock_label, command_at_clock, metres
+from uavaccel.draw.labels import clock_label, command_name, metres, number
 from uavaccel.draw.page import Block, Heading, Picture, Table, unknown
 from uavaccel.envs.camera_client import EventClient, Sample
 from uavaccel.envs.task import rate_ticks
@@ -35,7 +35,7 @@ from uavaccel.suites import plots
 from uavaccel.suites.experiment import FlightExperiment, Timing
 from uavaccel.suites.flight import Commands, Flight, Window, windows_of
 from uavaccel.suites.path_suite import FlightCase, FlightRow, PathSuite, flight_row, fly_path, reference_of
-from uavaccel.suites.report import Report, Summary, finished, source_line, warnings
+from uavaccel.suites.report import Report, Summary, finished, method_note, warnings
 from uavaccel.suites.rows import named_seed, subset
 from uavaccel.suites.suite import GameResult
 from uavaccel.units import NS_PER_S, attitude_difference_rad, to_ns
@@ -322,8 +322,10 @@ class Dp2(PathSuite[Dp2Config, Game]):
         for cell in report.summary["cells"]:  # they ascend
             error_m, events = cell["position_error_m_max"], cell["dvs_ed_percent_max"]
             if error_m is not None and cell["clock_speed"] > 1 and cell["timing"] != "lockstep":
-                like = f"up to {metres(error_m)} m from those of 1x, with a DVS-ED of up to {metres(events)} %"
-                said[cell["command"]] = f"{command_at_clock(cell)} takes its images {like}"
+                off = f"up to {metres(error_m)} m from where it takes them at 1x (DVS-ED up to {number(events, 3)} %)"
+                where = off if error_m or events else "where it does at 1x, the same to the pixel"
+                at = f"at {clock_label(cell['clock_speed'])} {command_name(cell['command'])}"
+                said[cell["command"]] = f"{at} takes its images {where}"
         return "; ".join(said.values()) or f"{len(report.games)} games, none of them accelerated and comparable with 1x"
 
     def overview(self, report: Report) -> Table:
@@ -351,7 +353,6 @@ class Dp2(PathSuite[Dp2Config, Game]):
 
     def page(self, report: Report) -> Iterator[Block | str]:
         games, config, guard = report.games, report.config, report.summary["guard_study"]
-        yield f"Games: {source_line(games)}."
         yield from warnings(games)
         if share := config.perturbation.share:
             yield f"Modelled: up to {share:.1%} of the games' images were perturbed on their way, none of those at 1x."
@@ -359,7 +360,6 @@ class Dp2(PathSuite[Dp2Config, Game]):
             yield "The modelled wall times leave out drawing the images: the latency model has no channel for them."
         yield Heading("Each ClockSpeed against the run at 1x")
         yield self.overview(report)
-        yield READING
         yield images_figure(report)
         if guard is not None:
             yield Heading("Image guard (modelled)")
@@ -372,6 +372,7 @@ class Dp2(PathSuite[Dp2Config, Game]):
             kinds = [{"kind": kind.replace("_", " "), **of} for kind, of in guard["by_kind"].items()]
             yield Table.of(kinds, columns)
             yield GUARD.format_map(guard)
+        yield method_note(READING)
 
 
 def fly_to_the_end(config: Dp2Config, case: Game, camera: EventClient) -> tuple[list[Sample], list[int], int, float]:
@@ -426,20 +427,24 @@ def compare(seen: Arrays, at_1x: Arrays | None, calm: Arrays | None) -> dict[str
 def images_figure(report: Report) -> Picture:
     """Draw Figure 7, position error over DVS-ED: a point an image, a panel a command."""
     scores, title = report.scores, "Position error and DVS-ED of each image"
-    images = scores[scores.reference.notna() & (scores.reference != scores.case)].sort_values("clock_speed")
-    nothing, clocks = "no accelerated game to compare with a run at 1x", sorted(images.clock_speed.unique())
-    figure, panels = plots.facets(images, (None, "command"), title, source_line(scores), (4.0, 3.2), nothing)
-    for axes, (_, command), own in panels:
+    images = scores[scores.reference.notna() & (scores.reference != scores.case)].sort_values(
+        ["command", "clock_speed"]
+    )
+    nothing, clocks, seen = "no accelerated game to compare with a run at 1x", sorted(images.clock_speed.unique()), []
+    figure, panels = plots.facets(images, "command", title, height_in=2.6, across=1, empty=nothing)
+    most_m = max((max(errors, default=0.0) for errors in images.position_error_m), default=0.0)
+    for axes, command, own in panels:
         for game in own[::-1].to_dict("records"):  # few and near points lie on top
             place = clocks.index(game["clock_speed"])
-            colour, marker = style.series(place).values()
+            colour, marker = style.shade(place, len(clocks)), style.marker(place)
             x, y = np.array(game["dvs_ed_percent"]), np.array(game["position_error_m"])
             off = (x != 0) | (y != 0)
             label = f"{clock_label(game['clock_speed'])}: {np.count_nonzero(~off)} of {len(x)} at 0, 0"
-            axes.scatter(x[off], y[off], 13, colour, marker=marker, lw=0, alpha=0.7, clip_on=False, label=label)
+            seen.append(f"{command_name(command)} at {label}")
+            axes.scatter(x[off], y[off], 16, [colour], marker=marker, lw=0, alpha=0.8, clip_on=False, label=label)
             if not off.all():  # one ring for all of them
                 size = (5.0 + 4.5 * place) ** 2
-                axes.scatter(0, 0, size, facecolors="none", edgecolors=colour, linewidths=1.6, clip_on=False)
+                axes.scatter(0, 0, size, facecolors="none", edgecolors=[colour], linewidths=1.6, clip_on=False)
         handles, labels = axes.get_legend_handles_labels()
         above: dict[str, Any] = {
             "loc": "lower left",
@@ -447,20 +452,21 @@ def images_figure(report: Report) -> Picture:
             "alignment": "left",
             "title_fontsize": 10,
         }
-        axes.legend(handles[::-1], labels[::-1], title=command.upper(), ncols=2, **above)
+        axes.legend(handles[::-1], labels[::-1], title=command_name(command), ncols=3, **above)
         axes.set_xscale("symlog", linthresh=LINEAR_PERCENT, linscale=0.6)
         axes.set_yscale("symlog", linthresh=LINEAR_M, linscale=0.6)
         axes.set(xlabel="DVS-ED, % of the pixels", xlim=(-0.4 * LINEAR_PERCENT, 100))
-        axes.set(ylabel="position error, m", ylim=(-0.4 * LINEAR_M, 10))
-        axes.xaxis.set_major_formatter("{x:g}")
-        axes.yaxis.set_major_formatter("{x:g}")
-        axes.label_outer()
+        axes.set(ylabel="position error, m", ylim=(-0.4 * LINEAR_M, max(10.0, 2.0 * most_m)))
+        for axis in (axes.xaxis, axes.yaxis):
+            axis.set_major_formatter("{x:g}")
+    plots.label_outer([axes for axes, *_ in panels])
     caption = (
         "Figure 7. Position error over DVS-ED, a point an image, against the image of the same place in the path of "
         "the same command's run at 1x. Rings: images at the same place with as many DVS pixels as at 1x. Both axes are "
         f"logarithmic, but linear up to {LINEAR_PERCENT:g} % and {1e3 * LINEAR_M:g} mm."
     )
-    return report.figure("figure7_images", figure, caption)
+    alt = f"Clouds of points, an image each, by command and ClockSpeed: {'; '.join(seen) or 'none'}."
+    return report.figure("figure7_images", figure, caption, alt, scores)
 
 
 READING = (

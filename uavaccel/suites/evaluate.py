@@ -17,7 +17,7 @@ from typing_extensions import TypedDict
 
 from uavaccel.config import KeyTree
 from uavaccel.draw import style
-from uavaccel.draw.labels import command_name
+from uavaccel.draw.labels import command_at_clock, command_name
 from uavaccel.draw.page import Block, Heading, Movie, Table, listed
 from uavaccel.envs.flyable import CUDA, Device, Simulator, check_flyable
 from uavaccel.envs.obstacle_lane import LaneTask
@@ -34,6 +34,7 @@ from uavaccel.rl.agents import (
     DEFAULT,
     Agent,
     OwnFunction,
+    agent_name,
     evaluation_keys,
     make_agent,
     origin_of,
@@ -271,35 +272,38 @@ class Evaluation(Suite[EvaluateConfig, Game]):
         return f"Evaluation of {report.config.agent}"
 
     def headline(self, report: Report) -> str:
-        """Return the success with its interval, clock and seed in a sentence."""
-        mean = ", mean return {return_mean:.4g}" if "return_mean" in report.summary else ""
+        """Return the success with its interval, and what was flown, in a sentence."""
+        summary, flown = report.summary, "lanes" if report.config.env_id == LANE else "games"
+        mean = ", mean return {return_mean:.4g}" if "return_mean" in summary else ""
         return (
-            "{successes} of {games} {flown} ({success_ratio:.1%}, 95 % Wilson interval {wilson_low:.1%} to "
-            f"{{wilson_high:.1%}}){mean}, {{how}}, {{command}} at {{clock_speed:g}}x, "
-            "{simulated_s_per_wall_s:.4g} simulated seconds per wall second, seed {seed}"
-        ).format(
-            **report.summary, flown="lanes" if report.config.env_id == LANE else "games", how=how_flown(report.config)
-        )
+            f"{agent_name(summary['agent'])} wins {{successes}} of {{games}} {flown} with {command_at_clock(summary)} "
+            f"({{success_ratio:.1%}}, 95 % Wilson interval {{wilson_low:.1%}} to {{wilson_high:.1%}}){mean}"
+        ).format_map(summary)
+
+    def source(self, report: Report) -> str:
+        return source_of([report])
 
     def page(self, report: Report) -> Iterator[Block | str]:
         """Yield the success, in the lane beside the paper's, with Figure 8; the games that were lost; the films."""
         config, run = report.config, report.run
-        lost = report.games[~report.games.is_success]
+        lost, name = report.games[~report.games.is_success], agent_name(config.agent)
         success = Proportion.of(report.summary).text()
         if config.env_id == LANE:
-            rows = [(config.agent, success, str(len(report.games)), how_flown(config))]
+            rows = [(name, success, str(len(report.games)), how_flown(config))]
             for command, by_clock in paper_results.SUCCESSES.items():
                 theirs = Proportion(max(by_clock.values()), paper_results.GAMES).text()
-                name = f"the paper's best, trained with {command_name(command)}"
-                rows.append((name, theirs, str(paper_results.GAMES), "measured, in AirSim and another lane"))
+                best = f"the paper's best, trained with {command_name(command)}"
+                rows.append((best, theirs, str(paper_results.GAMES), "measured, in AirSim and another lane"))
             yield Table(("", "success [95 %]", "lanes", "how"), rows)
             caption = "Figure 8. Share of the games that got at least so far north, with its 95 % Wilson interval."
-            yield report.figure("figure8_survival", survival_figure([report]), caption, source_of([report]))
+            shares = listed(f"{(report.games.distance_m >= at_m).mean():.0%} got {at_m} m" for at_m in (50, 100, 150))
+            alt = f"A falling curve of the share of games by distance north: {shares} far."
+            yield report.figure("figure8_survival", survival_figure([report]), caption, alt)
             if len(lost):
                 yield from lost_lanes(report, lost.sort_values("distance_m", kind="stable"))
         else:
             returns = f"{report.summary['return_mean']:.4g}"
-            row = (config.agent, success, returns, str(len(report.games)), how_flown(config))
+            row = (name, success, returns, str(len(report.games)), how_flown(config))
             yield Table(("", "success [95 %]", "mean return", "games", "how"), [row])
             if len(lost):
                 yield Heading("Lost games")
@@ -432,16 +436,19 @@ def source_of(reports: Sequence[Report]) -> str:
 
 def survival_figure(reports: Sequence[Report]) -> Figure:
     """Plot the share of games that reached each distance, a line per evaluation in its 95 % Wilson interval."""
-    figure = style.new_figure(8.0, 4.6, "Distance travelled", source_of(reports))
-    axes = figure.subplots()
-    flown = [(report.config.agent, flown_by(report.config.simulator, report.config.device)) for report in reports]
+    alone = len(reports) == 1
+    figure, [axes] = plots.panels(1, "Distance travelled", 3.2, source="" if alone else source_of(reports))
+    flown = [
+        (agent_name(report.config.agent), flown_by(report.config.simulator, report.config.device)) for report in reports
+    ]
     names = [", ".join(filter(None, by)) for by in flown]
-    for report, name in zip(reports, names, strict=True):
+    for number, (report, name) in enumerate(zip(reports, names, strict=True)):
         label = name if names.count(name) == 1 else f"{name} ({report.run.path})"  # folders may share their last name
-        plots.survival_band(axes, report.games.distance_m, LENGTH_M, label=label)
-    axes.axvline(LENGTH_M, color=style.BLACK, linewidth=1.2, linestyle="--", label="end of the lane")
+        colour = style.COMMAND_COLOUR[report.config.task.command] if alone else style.colour(number)
+        plots.survival_band(axes, report.games.distance_m, LENGTH_M, label=label, color=colour)
+    axes.axvline(LENGTH_M, **style.LIMIT, label="end of the lane")
     axes.set(xlabel="distance north, m", ylabel="share of games that got there", ylim=(0.0, 1.05))
-    axes.legend(loc="lower left")
+    style.legend(figure)
     return figure
 
 
@@ -473,7 +480,8 @@ def lost_lanes(report: Report, lost: pd.DataFrame) -> Iterator[Block | str]:
         more_below = f" {beyond} more are in the table below." if beyond > 0 else ""
         caption = f"Paths of the lost lanes, from above, by the positions at the ends of the commands.{more_below}"
         figure = lost_figure(report, drawn.head(MOST_PANELS))
-        yield report.figure("lost_lanes", figure, caption, source_of([report]))
+        alt = f"Lanes from above with obstacles and the path flown: {', '.join(named)}."
+        yield report.figure("lost_lanes", figure, caption, alt)
     columns = {"lane": "{lane}", "distance, m": "{distance_m:.1f}", "ended by": "{end}", "commands": "{commands}"}
     yield Table.of(lost, {**columns, "seen with": "--case {case}"}, folded=f"{len(lost)} lost lanes")
 
@@ -482,8 +490,8 @@ def lost_figure(report: Report, lost: pd.DataFrame) -> Figure:
     """Draw lost lanes with their paths from above, a panel each, the west on top: to the left of the flight."""
     from matplotlib.patches import Circle, Rectangle
 
-    figure = style.new_figure(8.0, 1.0 + 0.85 * len(lost), "Lost lanes", source_of([report]))
-    panels = figure.subplots(len(lost), 1, sharex=True, squeeze=False)[:, 0]
+    colour = style.COMMAND_COLOUR[report.config.task.command]
+    figure, panels = plots.panels(len(lost), "Lost lanes", 0.85, across=1, sharex=True)
     for axes, row in zip(panels, lost.itertuples(), strict=True):
         for edge in (-WIDTH_M / 2, WIDTH_M / 2):
             axes.axhline(edge, color=style.GREY, linewidth=2)
@@ -496,9 +504,9 @@ def lost_figure(report: Report, lost: pd.DataFrame) -> Figure:
         axes.set(ylim=(WIDTH_M / 2, -WIDTH_M / 2), yticks=[])
         axes.grid(visible=False)
         north, east = zip((0.0, 0.0), *row.path_m, strict=True)
-        axes.plot(north, east, color=style.BLUE, marker=".", markersize=3)
-        axes.plot(north[-1], east[-1], "x", color=style.VERMILION, markersize=8, markeredgewidth=2)
-        axes.set_title(f"lane {row.lane}: {row.distance_m:.1f} m, {row.end}", fontsize=8.5)
+        axes.plot(north, east, color=colour, marker=".", markersize=3)
+        axes.plot(north[-1], east[-1], "x", color=style.BLACK, markersize=8, markeredgewidth=2)
+        axes.set_title(f"lane {row.lane}: {row.distance_m:.1f} m, {row.end}", fontsize=9)
     panels[-1].set_xlim(-2.0, min(max(float(lost.distance_m.max()), 0.0) + AHEAD_M, LENGTH_M + 2.0))
     panels[-1].set_xlabel("north, m; across, the 10 m between the walls are not to that scale")
     return figure

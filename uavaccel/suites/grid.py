@@ -6,7 +6,6 @@ on the same lanes, each evaluation in a run directory of its own below the run's
 
 from __future__ import annotations
 
-import math
 from abc import abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager
@@ -33,7 +32,7 @@ from uavaccel.metrics.intervals import Proportion, mcnemar_exact
 from uavaccel.metrics.speedup import timing_provenance
 from uavaccel.metrics.trajectory import quartiles
 from uavaccel.records import RunDirectory
-from uavaccel.rl.agents import DEFAULT, policy_sha256
+from uavaccel.rl.agents import DEFAULT, agent_name, policy_sha256
 from uavaccel.sim.recording import RECORDED
 from uavaccel.suites import plots
 from uavaccel.suites.dp1 import SIMILAR_STLC, Dp1, Dp1Config, Dp1Row, Game, summary_cells
@@ -42,7 +41,7 @@ from uavaccel.suites.flight import Flight
 from uavaccel.suites.gpu import on_own_gpu
 from uavaccel.suites.parts import OUTCOMES, Part, fly_part, outcomes, part_run, part_suite
 from uavaccel.suites.registry import merged
-from uavaccel.suites.report import Report, Summary, finished, source_line, table_of
+from uavaccel.suites.report import Report, Summary, finished, method_note, table_of
 from uavaccel.suites.rows import GameRow, Row
 from uavaccel.suites.suite import AnySuite, GameResult, SimpleCase, Suite
 
@@ -217,10 +216,10 @@ class Ablation(Suite[AblationConfig, VariantGame]):
 
     def page(self, report: Report) -> Iterator[Block | str]:
         yield self.overview(report)
-        yield ABOUT_ENTRIES
         if len(entries := entries_of(report.summary)):
-            figure = ablation_figure(report.config, entries, source_line(report.games))
-            yield report.figure("ablation", figure, f"{report.config.title}. {ABOUT_ENTRIES}")
+            alt = f"Lines of STLC, position error and speed-up by {report.config.axis}. {self.headline(report)}."
+            caption = f"{report.config.title}. {ABOUT_ENTRIES}"
+            yield report.figure("ablation", ablation_figure(report.config, entries), caption, alt)
 
 
 ENTRIES: dict[str, Column] = {
@@ -239,7 +238,7 @@ ABOUT_ENTRIES = (
 )
 PANELS = {
     "stlc": "STLC, median",
-    "position_rmse_m_median": "position error, m (RMSE, median)",
+    "position_rmse_m_median": "error, m (RMSE)",
     "effective_speedup": "effective speed-up",
 }
 
@@ -250,28 +249,31 @@ def entries_of(summary: Summary) -> pd.DataFrame:
     return table_of(summary["entries"]).assign(stlc=medians)
 
 
-def ablation_figure(config: AblationConfig, entries: pd.DataFrame, source: str) -> Figure:
+def ablation_figure(config: AblationConfig, entries: pd.DataFrame) -> Figure:
     """Draw STLC, error and speed-up over the variants, on a logarithmic axis if their names are far apart."""
-    figure, grid = plots.panels(1, 3, config.title, source, (10.4 / 3, 3.0))
+    figure, grid = plots.panels(len(PANELS), config.title, 2.6)
     places, names = pd.factorize(entries.variant)
     values = pd.to_numeric(entries.variant, errors="coerce")
     if are_numbers := bool(values.notna().all()):
         places = (values * (entries.clock_speed if config.times_clock_speed else 1.0)).to_numpy(float)
     clocks, positive = sorted(entries.clock_speed.unique()), places[places > 0]
-    for axes, (column, label) in zip(grid[0], PANELS.items(), strict=True):
+    for axes, (column, label) in zip(grid, PANELS.items(), strict=True):
         for (command, clock), own in entries.assign(place=places).groupby(["command", "clock_speed"]):
-            colour, dashes = style.colour(clocks.index(clock)), {"adsc": "-", "tcsc": "--"}[command]
-            line: style.LineStyle = {"marker": "o", "markersize": 4, "color": colour, "linestyle": dashes}
+            number = clocks.index(clock)
+            look: style.LineStyle = {"color": style.COMMAND_COLOUR[command], "marker": style.marker(number)}
+            look |= {"alpha": 1.0 - 0.6 * (len(clocks) - 1 - number) / len(clocks)}  # the slower, the paler
             name = f"{command_name(command)} {clock_label(clock)}"
-            axes.plot(own.place, own[column].astype(float), **line, label=name)
-        axes.set(ylabel=label, xlabel=config.axis)
+            plots.line(axes, own.place, own[column], **look, label=name)
+        axes.set_title(label)
         if not are_numbers:
-            axes.set_xticks(range(len(names)), names, rotation=20, ha="right")
+            axes.set_xticks(range(len(names)), names, rotation=35, ha="right")
         elif len(positive) and positive.max() / positive.min() > 20:
             axes.set_xscale("symlog", linthresh=positive.min())
-    figure.legend(*grid[0, 0].get_legend_handles_labels(), loc="outside right center", fontsize=7.5)
-    grid[0, 0].axhline(SIMILAR_STLC, color="#C00000", linewidth=1.0, zorder=1)
-    grid[0, 2].set_yscale("log")
+            axes.xaxis.set_major_formatter("{x:g}")
+    grid[1].set_xlabel(config.axis)
+    grid[0].axhline(SIMILAR_STLC, **style.LIMIT)
+    plots.log_axis(grid[2], "y", "{:g}x")
+    style.legend(figure, {f"alike above {SIMILAR_STLC:g}": style.LIMIT})
     return figure
 
 
@@ -291,7 +293,7 @@ class PolicyExperiment(Experiment):
     @property
     def who(self) -> str:
         """The agent as it is named in a sentence."""
-        return "the policy that ships" if self.agent == DEFAULT else self.agent
+        return agent_name(self.agent)
 
 
 class PolicyRow(GameRow):
@@ -517,14 +519,16 @@ class Sweep(PolicyGrid):
     def headline(self, report: Report) -> str:
         """Return the success as trained, and the condition that costs most."""
         summary = report.summary
-        said = [f"{cell['success_ratio']:.1%} as trained" for cell in summary["cells"] if not cell["condition"]]
+        said = [f"{cell['success_ratio']:.1%} of {cell['games']} lanes as trained" for cell in usual_of(summary)]
         if departed := [cell for cell in summary["cells"] if cell["condition"]]:
             worst = min(departed, key=lambda cell: float(cell["success_ratio"]))
             where = f"{worst['condition']} = {value_text(worst['value'])}"
             said.append(f"{worst['success_ratio']:.1%} at {where}, the least of {len(departed)} conditions")
-        provenance = " and ".join(summary["provenance"])
-        games = flown_in(report.games)
-        return f"{report.config.who} wins {', '.join(said)}; {provenance}, {summary[games]} {games} each"
+        return f"{report.config.who} wins {' and '.join(said)}"
+
+    def source(self, report: Report) -> str:
+        summary, games = report.summary, flown_in(report.games)
+        return f"{' and '.join(summary['provenance'])} · {summary[games]} {games} each · seed {summary['seed']}"
 
     def overview(self, report: Report) -> Table:
         games = flown_in(report.games)
@@ -549,43 +553,39 @@ class Sweep(PolicyGrid):
     def page(self, report: Report) -> Iterator[Block | str]:
         """Yield success at each value, a panel per condition, and the same as a table."""
         summary, title, games = report.summary, self.title(report), flown_in(report.games)
-        source = f"{' and '.join(summary['provenance'])} · {summary[games]} {games} each · seed {summary['seed']}"
-        usual, cells = (conditions_of(summary).query(f"condition {which} ''") for which in ("==", "!="))
-        count = cells.name.nunique()
-        columns = max(min(count, 3), 1)
-        size_in = max(2.4, 4.0 / columns), 2.1
-        figure, grid = plots.panels(math.ceil(count / columns), columns, title, source, size_in, sharey=True)
-        for axes, (name, own) in zip(grid.flat, cells.groupby("name", sort=False), strict=False):
-            line: style.LineStyle = {"color": style.BLUE, "markersize": 4, "capsize": 3}
-            intervals = list(zip(own.wilson_low, own.wilson_high, strict=True))
-            plots.points(axes, range(len(own)), own.success_ratio.tolist(), intervals, **line)
-            for ratio in usual.success_ratio:
-                axes.axhline(ratio, color=style.GREY, linestyle="--", linewidth=1.0)
-            crowded = own.text.str.len().sum() > 24
-            axes.set_xticks(range(len(own)), own.text, **({"rotation": 20, "ha": "right"} if crowded else {}))
-            axes.set(ylim=(-0.03, 1.03), xlim=(-0.5, len(own) - 0.5), xlabel=name)
+        cells = conditions_of(summary).query("condition != ''")
+        options = {"sharex": False, "empty": "no condition changed"}
+        figure, panels = plots.facets(cells, "name", title, height_in=1.7, **options)
+        for axes, name, own in panels:
+            ends = own.wilson_low, own.wilson_high
+            plots.line(axes, range(len(own)), own.success_ratio, ends, color=style.GREEN)
+            for usual in usual_of(summary):
+                axes.axhline(usual["success_ratio"], **style.LIMIT)
+            turned: dict[str, Any] = {"rotation": 25, "ha": "right"} if own.text.str.len().sum() > 16 else {}
+            axes.set_xticks(range(len(own)), own.text, **turned)
+            axes.set(ylim=(-0.03, 1.03), xlim=(-0.5, len(own) - 0.5), title=name)
             axes.yaxis.set_major_formatter("{x:.0%}")
-        for axes in grid.flat[count:]:
-            axes.set_visible(False)
-        for axes in grid[:, 0]:
-            axes.set_ylabel("success")
-        caption = f"{title}, with 95 % Wilson intervals; the dashed line is the success as trained."
-        yield report.figure("sweep", figure, caption, source)
+        plots.label_outer([axes for axes, *_ in panels])
+        style.legend(figure, {"as trained": style.LIMIT})
+        caption = f"{title}, with 95 % Wilson intervals."
+        alt = f"Lines of success by the value of each condition. {self.headline(report)}."
+        yield report.figure("sweep", figure, caption, alt)
         yield self.overview(report)
-        yield (
+        moved = " Where spacing or gap change, the obstacles stand elsewhere: a lane may be harder or easier for anyone."
+        yield method_note(
             f"One condition is changed at a time; the {games} are the same throughout. p is that of McNemar's exact "
-            f"test against the flights as trained, {games[:-1]} by {games[:-1]}."
+            f"test against the flights as trained, {games[:-1]} by {games[:-1]}.{moved if games == 'lanes' else ''}"
         )
-        if games == "lanes":
-            yield (
-                "Where spacing or gap change, the obstacles stand elsewhere, and a lane may be harder or easier for "
-                "any policy."
-            )
 
 
 def flown_in(games: pd.DataFrame) -> str:
     """Return what evaluations have flown: lanes, or games of another environment, of which the returns are known."""
     return "games" if "return_mean" in games else "lanes"
+
+
+def usual_of(summary: Summary) -> list[Any]:
+    """Return the cell of a sweep as trained, if that was flown."""
+    return [cell for cell in summary["cells"] if not cell["condition"]]
 
 
 def conditions_of(summary: Summary) -> pd.DataFrame:
@@ -671,13 +671,16 @@ class Robustness(PolicyGrid):
 
     def headline(self, report: Report) -> str:
         """Return the worst cell and the best."""
-        cells, config = report.summary["cells"], report.config
         worst, *_, best = [
             f"{cell['success_ratio']:.1%} with {command_at_clock(cell)} and latency ×{cell['latency_scale']:g}"
-            for cell in sorted(cells, key=lambda cell: float(cell["success_ratio"])) * 2
+            for cell in sorted(report.summary["cells"], key=lambda cell: float(cell["success_ratio"])) * 2
         ]
-        points = f"{sum(cell['games'] for cell in cells)} games over {len(cells)} points of latency and ClockSpeed"
-        return f"{config.who} wins from {worst} to {best}: {points}, all of it modelled under {config.profile}"
+        return f"{report.config.who} wins from {worst} to {best}"
+
+    def source(self, report: Report) -> str:
+        cells, config = report.summary["cells"], report.config
+        lanes = f"{max(cell['games'] for cell in cells)} lanes each"
+        return f"modelled, profile {config.profile} · {len(cells)} points, {lanes} · seed {config.seed}"
 
     def overview(self, report: Report) -> Table:
         cells = pd.DataFrame(report.summary["cells"])
@@ -707,7 +710,7 @@ class Robustness(PolicyGrid):
                 "falls below half of that in real time": words,
             },
         )
-        yield (
+        yield method_note(
             "Latencies are those of all messages of the profile's frozen model, requests, replies and callbacks, times "
             "the factor; the costs of frames, ticks and timers stay as they are, and are all that is left at ×0. "
             "Policy and lanes are the same in all cells: the map shows what a policy that was trained without latency "
@@ -720,32 +723,29 @@ class Robustness(PolicyGrid):
 
         cells, title = pd.DataFrame(report.summary["cells"]), self.title(report)
         clocks, scales = (sorted(cells[name].unique()) for name in ("clock_speed", "latency_scale"))
-        commands = cells.groupby("command")
-        lanes = f"{cells.games.max()} lanes each"
-        source = f"modelled, profile {report.config.profile} · {lanes} · seed {report.config.seed}"
-        size_in = 0.95 * len(clocks), 0.6 + 0.62 * len(scales)
-        figure, grid = plots.panels(1, len(commands), title, source, size_in, sharey=True)
-        for axes, (command, own) in zip(grid[0], commands, strict=True):
+        across = 2 if len(clocks) < 6 else 1
+        figure, panels = plots.facets(cells, "command", title, height_in=0.4 + 0.5 * len(scales), across=across)
+        for axes, command, own in panels:
             success = own.pivot(index="latency_scale", columns="clock_speed", values="success_ratio")
             ratios = success.reindex(index=scales, columns=clocks)
             # a map of colours that the common colour-vision deficiencies keep apart
-            image = axes.imshow(ratios, "cividis", aspect="auto", origin="lower", vmin=0.0, vmax=1.0)
+            axes.imshow(ratios, "cividis", aspect="auto", origin="lower", vmin=0.0, vmax=1.0)
             for cell in own.to_dict("records"):
                 place = clocks.index(cell["clock_speed"]), scales.index(cell["latency_scale"])
                 text: dict[str, Any] = {"ha": "center", "color": "white" if cell["success_ratio"] < 0.5 else "black"}
                 axes.annotate(f"{cell['success_ratio']:.0%}", place, va="bottom", fontweight="bold", **text)
                 interval = f"{100 * cell['wilson_low']:.0f}–{100 * cell['wilson_high']:.0f}"
-                text |= {"xytext": (0, -2), "textcoords": "offset points", "va": "top", "fontsize": 7}
+                text |= {"xytext": (0, -2), "textcoords": "offset points", "va": "top", "fontsize": 8}
                 axes.annotate(interval, place, **text)
-            axes.set_title(command_name(command), loc="center")
+            axes.set_title(command_name(command))
             plots.clock_axis(axes, clocks)
             axes.set_yticks(range(len(scales)), [f"×{scale:g}" for scale in scales])
             axes.grid(visible=False)
             if FITTED in scales:
                 corner = -0.5, scales.index(FITTED) - 0.5
-                frame = Rectangle(corner, len(clocks), 1.0, fill=False, edgecolor=style.VERMILION, linewidth=2.0)
+                frame = Rectangle(corner, len(clocks), 1.0, fill=False, edgecolor=style.BLACK, linewidth=2.0)
                 axes.add_patch(frame)
-        grid[0, 0].set_ylabel("latency, times the fitted one")
-        figure.colorbar(image, ax=list(grid[0]), label="success", fraction=0.04)
+            axes.set_ylabel("latency, times the fitted one")
+        plots.label_outer([axes for axes, *_ in panels])
         caption = f"{title}, with 95 % Wilson intervals; the frame is the latency as fitted."
-        return report.figure("robustness_map", figure, caption, source)
+        return report.figure("robustness_map", figure, caption, f"A map of success. {self.headline(report)}.")

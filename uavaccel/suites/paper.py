@@ -25,7 +25,7 @@ from uavaccel.suites import claims, paper_results
 from uavaccel.suites.experiment import Experiment
 from uavaccel.suites.parts import Part, fly_part, part_run, part_suite
 from uavaccel.suites.registry import open_run, suite_of
-from uavaccel.suites.report import Report, Summary, records, table_of
+from uavaccel.suites.report import Report, Summary, method_note, records, table_of
 from uavaccel.suites.rows import GameRow
 from uavaccel.suites.suite import GameResult, SimpleCase, Suite
 
@@ -154,7 +154,10 @@ class Paper(Suite[PaperConfig, SimpleCase]):
         for profile in PROFILES:
             counts = Counter(claim[profile]["verdict"] for claim in judged)
             parts.append(f"under {profile} {', '.join(f'{count} {word}' for word, count in counts.items())}")
-        return f"{len(judged)} claims: {'; '.join(parts)}; all times modelled unless a part says measured"
+        return f"of {len(judged)} claims of the paper {'; '.join(parts)}"
+
+    def source(self, report: Report) -> str:
+        return f"all times modelled unless a part says measured · seed {report.config.seed}"
 
     def overview(self, report: Report) -> Table:
         columns = {"claim": "{claim}", "place": "{place}", "is": "{basis}"}
@@ -169,11 +172,9 @@ class Paper(Suite[PaperConfig, SimpleCase]):
         columns: list[Column] = ["{says}", "{place}", "{paper}", "{basis}", *judged, at_the_papers_n]
         header = ("claim", "place", "the paper's", "is", "under airsim", "", "under native", "", "the paper's n")
         yield Table(header, [[fill(column, claim) for column in columns] for claim in report.summary["claims"]])
-        yield told.reading
         if phases := report.summary["phases"]:
             yield Heading("Figure 9: hours by phase, under airsim")
             yield Table.of(map(whole_hours, phases), HOURS)
-            yield told.phases
         for name in report.config.parts:
             yield Heading(name)
             yield f"Its own report: parts/{name}/report.html."
@@ -181,7 +182,8 @@ class Paper(Suite[PaperConfig, SimpleCase]):
                 copied = report.run.write_bytes(f"figures/{name}-{path.name}", path.read_bytes())
                 number, _, subject = path.stem.partition("_")
                 figure = f"{number.capitalize().replace('Figure', 'Figure ')}, {subject.replace('_', ' ')}"
-                yield Picture(copied, f"{name}: {figure}.")
+                yield Picture(copied, f"{name}: {figure}.", f"{figure} of {name}, as its own report describes it.")
+        yield method_note(" ".join([told.reading, *([told.phases] if phases else [])]))
 
 
 def read_claims(config: PaperConfig) -> Claims:

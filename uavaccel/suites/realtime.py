@@ -5,7 +5,6 @@ Agents are trained, then evaluated with weights from the run (realtime_agents.py
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, closing, nullcontext
 from dataclasses import dataclass
@@ -22,7 +21,7 @@ from pydantic import Discriminator, Field, model_validator
 from uavaccel.config import Config
 from uavaccel.draw import style
 from uavaccel.draw.labels import clock_label
-from uavaccel.draw.page import Block, Column, Heading, Picture, Table
+from uavaccel.draw.page import Block, Column, Heading, Picture, Table, listed
 from uavaccel.errors import UserError
 from uavaccel.forms import ArrayForm, Count, NotNegative, Number, Positive
 from uavaccel.limits import CommandName, Games, Seconds, Seed
@@ -32,11 +31,12 @@ from uavaccel.own_code import own_module
 from uavaccel.records import RunDirectory
 from uavaccel.suites import plots
 from uavaccel.suites.experiment import ClockSpeeds, CommandNames, Experiment, Timing
-from uavaccel.suites.report import Report, Summary, records
+from uavaccel.suites.report import Report, Summary, method_note, records
 from uavaccel.suites.rows import GameRow, Row
 from uavaccel.suites.suite import GameResult, SimpleCase, Suite
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 DRONES = "uavaccel/"
@@ -47,7 +47,6 @@ PLACE = ["environment", "command", "latency_s", "clock_speed"]
 CELL = ["environment", "agent", "command", "latency_s", "clock_speed"]
 """What the evaluations of a cell have in common: they are of one agent's trainings."""
 TRAINING = ["environment", "agent", "seed", "steps", "last_return", "agent_sha256"]
-PANELS = 3  # of a figure, beside each other
 
 Delay = Annotated[float, Field(ge=0.0, le=60.0)]
 Layers = tuple[Annotated[int, Field(ge=1, le=4096)], ...]
@@ -306,11 +305,15 @@ class Realtime(Suite[RealtimeConfig, Training]):
         latencies = sorted({ranking["latency_s"] for ranking in rankings})
         middle = latencies[len(latencies) // 2] if latencies else 0.0
         said = [_up_to_which_speed(ranking) for ranking in rankings if ranking["latency_s"] == middle]
+        said = [f"with {1e3 * middle:g} ms to think, {'; '.join(said)}"] if said else []
         if equal is not None:
-            said.append(
-                f"under TCSC all returns {'are the same to the bit' if equal else 'DIFFER'} at every ClockSpeed"
-            )
+            said.append(f"under TCSC returns {'are the same to the bit' if equal else 'DIFFER'} at every ClockSpeed")
         return "; ".join(said)
+
+    def source(self, report: Report) -> str:
+        cells = pd.DataFrame(report.summary["cells"])
+        counts = [f"{plots.span(cells[name], '{}')} {what}" for name, what in COUNTS.items()]
+        return f"{report.summary['provenance']} · {', '.join(counts)} a cell · seed {report.summary['seed']}"
 
     def overview(self, report: Report) -> Table:
         """Return ADSC's cells at the slowest ClockSpeed, at the least latency and at the middle one."""
@@ -323,18 +326,15 @@ class Realtime(Suite[RealtimeConfig, Training]):
     def page(self, report: Report) -> Iterator[Block | str]:
         cells = pd.DataFrame(report.summary["cells"])
         several = [ranking for ranking in report.summary["rankings"] if len(ranking["clock_speeds"]) > 1]
-        counts = [f"{plots.span(cells[name], '{}')} {what}" for name, what in COUNTS.items()]
-        source = f"{report.summary['provenance']} · {', '.join(counts)} a cell · seed {report.summary['seed']}"
         if (cells.command == "adsc").any():
-            yield returns_figure(report, cells, source)
+            yield returns_figure(report, cells)
         if several:
-            yield rankings_figure(report, source)
-        yield Heading("How fast may one simulate before the ranking changes?")
-        if several:
+            yield rankings_figure(report)
+            yield Heading("How fast may one simulate before the ranking changes?")
             yield rankings_table(several)
-        yield READING
         yield Heading("All cells")
         yield Table.of(cells, RETURNS, folded="all returns")
+        yield method_note(READING)
 
     def compare(self, runs: Sequence[RunDirectory]) -> list[Path]:
         """Write a figure and agreement.json of a run on the simulated clock against one on the machine's, given in
@@ -481,13 +481,13 @@ def agreement(pairs: pd.DataFrame) -> dict[str, Any]:
 
 
 def _up_to_which_speed(ranking: Mapping[str, Any]) -> str:
-    """Return up to which ClockSpeed a ranking holds, as in "hopper, 50 ms: the ranking holds up to 5x; at 20x ..."."""
-    where, speeds = f"{ranking['environment']}, {1e3 * ranking['latency_s']:g} ms", ranking["clock_speeds"]
+    """Return up to which ClockSpeed a ranking holds, as in "in hopper the ranking holds up to 5x; at 20x ..."."""
+    where, speeds = f"in {ranking['environment']}", ranking["clock_speeds"]
     if len(speeds) < 2:
-        return f"{where}: {' > '.join(ranking['orders'][0])}"
+        return f"{where} {' > '.join(ranking['orders'][0])}"
     if not ranking["reversals"]:
-        return f"{where}: no two agents change places up to {clock_label(speeds[-1])}, the fastest flown"
-    return f"{where}: the ranking holds up to {clock_label(ranking['holds_to'])}; {_first_change(ranking)}"
+        return f"{where} no two agents change places up to {clock_label(speeds[-1])}, the fastest flown"
+    return f"{where} the ranking holds up to {clock_label(ranking['holds_to'])} ({_first_change(ranking)})"
 
 
 def _first_change(ranking: Mapping[str, Any]) -> str:
@@ -523,56 +523,65 @@ def _latency_ms(entry: Mapping[str, Any]) -> str:
 
 
 def panels_figure(
-    cells: pd.DataFrame, x: str, y: str, by: str, title: str, source: str, line: str = "o-", band: bool = False
-) -> Figure:
-    """Draw column `y` over `x`, a panel per environment and a line per value of `by`, with its interval if `band`."""
-    names = cells.environment.unique()
-    rows, columns = math.ceil(len(names) / PANELS), min(len(names), PANELS)
-    figure, grid = plots.panels(rows, columns, title, source, (3.6, 2.8))
-    for axes in grid.flat[len(names) :]:
-        axes.remove()
-    for (name, axes), (number, label) in product(zip(names, grid.flat, strict=False), enumerate(cells[by].unique())):
+    cells: pd.DataFrame, x: str, y: str, by: str, title: str, line: str = "-", ends: bool = False, source: str = ""
+) -> tuple[Figure, list[Axes]]:
+    """Draw column `y` over `x`, a panel per environment and a line per value of `by`, with its interval if `ends`."""
+    labels = cells[by].unique()
+    options = {"across": 2, "height_in": 2.4, "sharey": False, "source": source}
+    figure, panels = plots.facets(cells, "environment", title, **options)
+    for axes, name, own in panels:
         axes.set_title(name)
-        own, colour = cells[(cells.environment == name) & (cells[by] == label)].sort_values(x), style.colour(number)
-        if len(own):
-            axes.plot(own[x], own[y], line, markersize=3.5, color=colour, label=label.replace("_", " "))
-        if band:
-            axes.fill_between(own[x], own.return_low, own.return_high, color=colour, alpha=0.15, linewidth=0)
-    style.shared_legend(figure, figure.axes)
-    return figure
+        for number, label in enumerate(labels):
+            of = own[own[by] == label].sort_values(x)
+            look = {"color": style.colour(number), "marker": style.marker(number), "markersize": 4}
+            look |= {"linestyle": line, "linewidth": 1.2, "elinewidth": 0.8, "label": label.replace("_", " ")}
+            if len(of):
+                plots.line(axes, of[x], of[y], (of.return_low, of.return_high) if ends else None, **look)
+    style.legend(figure)
+    return figure, [axes for axes, *_ in panels]
 
 
-def returns_figure(report: Report, cells: pd.DataFrame, source: str) -> Picture:
+def returns_figure(report: Report, cells: pd.DataFrame) -> Picture:
     """Draw return over the simulated delay; of cells with equal delays one, since their flights are identical."""
     title = "Return over the delay from observation to action"
     adsc = cells[cells.command == "adsc"].assign(delay_s=cells.delay_s.round(6)).sort_values("delay_s", kind="stable")
     adsc = adsc.drop_duplicates(["environment", "agent", "delay_s"], keep="last").sort_index()
-    figure = panels_figure(adsc, "delay_s", "return_mean", "agent", title, source, band=True)
-    for axes in figure.axes:
+    figure, panels = panels_figure(adsc, "delay_s", "return_mean", "agent", title, ends=True)
+    for axes in panels:
         axes.set_xscale("symlog", linthresh=0.01)
-        axes.set(xlabel="delay, simulated s", ylabel="return", xlim=(0, None))
-    return report.figure("returns", figure, f"{title}, means with 95 % intervals over trainings and episodes.", source)
+        axes.xaxis.set_major_formatter("{x:g}")
+        axes.set(xlabel="delay, simulated s", ylabel="return", xlim=(-0.001, None))
+    plots.label_outer(panels)
+    caption = f"{title}, means with 95 % intervals over trainings and episodes."
+    alt = f"Lines of return by delay, an agent each, in {listed(adsc.environment.unique())}. {report.headline()}."
+    return report.figure("returns", figure, caption, alt)
 
 
-def rankings_figure(report: Report, source: str) -> Picture:
+def rankings_figure(report: Report) -> Picture:
     """Draw Kendall's tau against the slowest ClockSpeed."""
     title = "Rankings over ClockSpeed"
     rankings = pd.DataFrame(report.summary["rankings"]).sort_values("latency_s", kind="stable")
     taus = rankings.assign(latency=[f"{1e3 * latency_s:g} ms" for latency_s in rankings.latency_s])
     taus = taus.explode(["clock_speeds", "kendall_tau"]).astype({"clock_speeds": float, "kendall_tau": float})
-    figure = panels_figure(taus, "clock_speeds", "kendall_tau", "latency", title, source)
-    for axes in figure.axes:
-        axes.set(xscale="log", xlabel="ClockSpeed", ylabel="Kendall's tau", ylim=(-1.1, 1.1))
-    return report.figure("rankings", figure, f"{title}{RANKINGS}", source)
+    clocks = sorted(taus.clock_speeds.unique())
+    taus["place"] = np.searchsorted(clocks, taus.clock_speeds)
+    figure, panels = panels_figure(taus, "place", "kendall_tau", "latency", title)
+    for axes in panels:
+        plots.clock_axis(axes, clocks)
+        axes.set(ylabel="Kendall's tau", ylim=(-1.1, 1.1))
+    plots.label_outer(panels)
+    least = plots.span(taus.kendall_tau)
+    alt = f"Lines of Kendall's tau by ClockSpeed, a latency each, in {listed(taus.environment.unique())}: {least}."
+    return report.figure("rankings", figure, f"{title}{RANKINGS}", alt)
 
 
 def agreement_figure(pairs: pd.DataFrame, source: str) -> Figure:
     """Return the plot of the mean return on the machine's clock over that on the simulated one, by environment."""
     with style.project_style():
-        title = "The machine's clock against the simulated one"
-        figure = panels_figure(pairs, "return_mean", "return_mean_measured", "agent", title, source, line="o")
-        for axes in figure.axes:
-            axes.plot(axes.get_xlim(), axes.get_xlim(), color=style.GREY, linewidth=0.8, linestyle="--")
+        title, names = "The machine's clock against the simulated one", ("return_mean", "return_mean_measured")
+        figure, panels = panels_figure(pairs, *names, "agent", title, line="none", source=source)
+        for axes in panels:
+            axes.plot(axes.get_xlim(), axes.get_xlim(), **style.LIMIT)
             axes.set(xlabel="modelled return", ylabel="measured return")
     return figure
 
@@ -585,8 +594,8 @@ RETURNS: dict[str, Column] = {
     "latency, ms": _latency_ms,
     "ClockSpeed": "{clock_speed:g}x",
     "delay, simulated s": "{delay_s:.3g}",
-    "return": "{return_mean:.4g}",
-    "95 % interval": "{return_low:.4g} to {return_high:.4g}",
+    "return": "{return_mean:g}",
+    "95 % interval": "{return_low:g} to {return_high:g}",
     "late at most, s": lambda cell: f"{cell['late_s']:.3f}" if cell["late_s"] else "-",
 }
 RANKINGS = ": Kendall's tau of the agents' ranking against the slowest ClockSpeed, for each latency."

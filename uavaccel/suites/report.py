@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 import pandas as pd
 
-from uavaccel.config import validate
+from uavaccel.config import dotted_keys, validate
 from uavaccel.draw import style
-from uavaccel.draw.page import KINDS, Block, Heading, Listing, Paragraph, Picture, Table, to_html, to_markdown
+from uavaccel.draw.page import KINDS, Block, Heading, Listing, Paragraph, Picture, Table, fill, to_html, to_markdown
 from uavaccel.errors import UserError
 from uavaccel.files import Plain, read_bounded
 from uavaccel.metrics.speedup import timing_provenance
@@ -31,6 +31,7 @@ Games: TypeAlias = pd.DataFrame
 """A table with a row for each game: the columns of its rows' keys, and of its scores."""
 Summary: TypeAlias = Mapping[str, Plain]
 
+MADE_BY = {"uavaccel": "uavaccel", "mujoco": "MuJoCo"}
 CLOCK = {"wall": "wall clock", "virtual": "virtual clock", "lockstep": "no latency"}
 
 
@@ -67,13 +68,16 @@ class Report:
         """The contents of summary.json."""
         return self.suite.summary(self)
 
-    def figure(self, name: str, figure: Figure, caption: str, source: str | None = None) -> Picture:
-        """Save a figure as figures/NAME.png, and return it as a block, its caption followed by its source.
+    def figure(self, name: str, figure: Figure, caption: str, alt: str, games: Games | None = None) -> Picture:
+        """Save a figure as figures/NAME.png, and return it as a block: its caption, and what is seen in it.
 
-        By default the source is what stands below the figure.
+        In a run on several clocks the caption ends with those of the `games` that the figure shows.
         """
-        source = figure.get_supxlabel() if source is None else source
-        return style.picture(figure, self.run.file(f"figures/{name}.png"), caption, source)
+        timings = known(games, "timing") if games is not None else []
+        if timings and self.games["timing"].nunique() > 1:
+            clocks = " and ".join(map(clock_words, timings))
+            caption = f"{caption} {clocks[0].upper()}{clocks[1:]}."
+        return Picture(style.save(figure, self.run.file(f"figures/{name}.png")), caption, alt)
 
     def write_summary(self) -> Summary:
         """Write summary.json. Raises UserError for damaged files."""
@@ -85,8 +89,11 @@ class Report:
         self.write_summary()
         with style.project_style():
             own = [_block(self.suite, block) for block in self.suite.page(self)]
-        said = self.suite.headline(self)
-        blocks = [*([Paragraph(f"{said}.")] if said else []), *own, Heading("Provenance"), *_provenance(self.run)]
+        source, versions = self.suite.source(self), self.run.manifest().get("versions", {})
+        made_by = [f"{name} {versions[key]}" for key, name in MADE_BY.items() if key in versions]
+        source = " · ".join([*filter(None, [source]), *made_by])
+        told = [f"{said}." for said in [self.headline()] if said] + [source[:1].upper() + source[1:]] * bool(source)
+        blocks = [*map(Paragraph, told), *own, Heading("Provenance"), *_provenance(self.run)]
         title = self.suite.title(self)
         self.run.write_text("report.md", to_markdown(title, blocks, self.run.path))
         self.run.write_text("report.html", to_html(title, blocks))
@@ -94,7 +101,8 @@ class Report:
 
     def headline(self) -> str:
         """Return the result in a sentence, which stands on top of the page and is printed when the run ends."""
-        return self.suite.headline(self)
+        said = self.suite.headline(self)
+        return said[:1].upper() + said[1:]
 
     def overview(self) -> Table | None:
         """Return the result in a small table, which is printed when the run ends."""
@@ -186,8 +194,14 @@ def warnings(games: Games) -> Iterator[str]:
 
 def summary_table(summary: Summary) -> Table:
     """Return the summary without its lists as a collapsed table."""
-    plain = [(key, str(value)) for key, value in summary.items() if not isinstance(value, list)]
-    return Table(("", ""), plain, folded="summary.json")
+    plain = {key: value for key, value in dotted_keys(summary).items() if not isinstance(value, list)}
+    lines = [(key, fill("{value}", {"value": value})) for key, value in plain.items()]
+    return Table(("", ""), lines, folded="summary.json")
+
+
+def method_note(text: str) -> Paragraph:
+    """Return how the page's numbers are made, collapsed."""
+    return Paragraph(text, folded="How this is measured")
 
 
 def _block(suite: Suite[Any, Any], block: object) -> Block:

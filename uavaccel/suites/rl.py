@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import cycle, product
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NotRequired, TypeAlias
 
@@ -25,7 +25,7 @@ from uavaccel.config import Config
 from uavaccel.draw import style
 from uavaccel.draw.labels import clock_label, command_name, in_words
 from uavaccel.draw.page import Block as PageBlock
-from uavaccel.draw.page import Column, Heading, Picture, Table, listed
+from uavaccel.draw.page import Column, Heading, Picture, Table, fill, listed
 from uavaccel.envs.simulators import EXACT
 from uavaccel.envs.stopwatch import PHASES
 from uavaccel.errors import UserError
@@ -42,7 +42,7 @@ from uavaccel.suites.experiment import ClockSpeeds, CommandNames, Experiment, Pr
 from uavaccel.suites.gpu import on_own_gpu
 from uavaccel.suites.host_time import cumulative_wall_s, timed
 from uavaccel.suites.parts import OUTCOMES, Part, fly_part, outcomes, part_folder, part_suite
-from uavaccel.suites.report import Report, Summary, table_of
+from uavaccel.suites.report import Report, Summary, method_note, table_of
 from uavaccel.suites.rows import GameRow, Phases, Row, subset
 from uavaccel.suites.suite import AnySuite, GameResult, SimpleCase, Suite
 from uavaccel.suites.train import CHECKPOINTS
@@ -66,7 +66,6 @@ THINKING = re.compile(r"_?think_\d+ms$")  # suffix of variants that differ in th
 LEAST = 3  # gaps that a run needs for a figure of them, and cells for a line in it
 AGAINST = ("permutation_p", "fisher_p", "mcnemar_p")  # tests against other trainings
 COLLAPSED = 0.5  # share of the best success on the lane
-BIN_M = 2.0  # of the histogram of where games ended
 
 
 class Block(Config):
@@ -361,21 +360,24 @@ class Rl(Suite[RlConfig, TrainingCase]):
         return "Policies by the command and ClockSpeed of their training"
 
     def headline(self, report: Report) -> str:
-        """Return the success after the slowest and the fastest training of each kind, and how many there were.
+        """Return the success after the slowest and the fastest training of each kind.
 
         Where all trainings are variants it is the gap from which on success collapses.
         """
-        cells, games, pooled = (report.summary[key] for key in ("cells", "training_games", "pooled"))
         plain: dict[str, list[str]] = {}
-        for cell in sorted(pooled, key=lambda cell: cell["clock_speed"]):
+        for cell in sorted(report.summary["pooled"], key=lambda cell: cell["clock_speed"]):
             if not cell["variant"]:
                 success = f"{cell['success_ratio']:.1%} after training at {clock_label(cell['clock_speed'])}"
                 plain.setdefault(panel_name(cell), []).append(success)
-        said = [f"{name}: {', '.join(dict.fromkeys((found[0], found[-1])))}" for name, found in plain.items()]
-        said = said or [collapse(over_gaps(pooled)).rstrip(".")]
+        said = [f"{name} wins {' and '.join(dict.fromkeys((each[0], each[-1])))}" for name, each in plain.items()]
+        return "; ".join(said) or collapse(over_gaps(report.summary["pooled"])).rstrip(".")
+
+    def source(self, report: Report) -> str:
+        cells, games = report.summary["cells"], report.summary["training_games"]
         lanes, clock = listed(sorted({cell["games"] for cell in cells})), report.summary["evaluation_clock_speed"]
         flown = f"{len(cells)} trainings of {games} games, each policy flown on {lanes} lanes at {clock_label(clock)}"
-        return "; ".join([*filter(None, said), flown, "all times are modelled but those of this machine"])
+        seeds = listed(sorted(report.games.seed.unique().tolist()))
+        return f"modelled, but for the times of this machine · {flown} · seed {seeds}"
 
     def overview(self, report: Report) -> Table:
         return Table.of(report.summary["pooled"], OVERVIEW)
@@ -385,7 +387,6 @@ class Rl(Suite[RlConfig, TrainingCase]):
         cells = cells.assign(panel=[panel_name(cell) for cell in summary["pooled"]])
         yield Heading("Table I: success by training")
         yield Table.of(summary["pooled"], SUCCESS)
-        yield WHAT_N_TELLS
         yield success_figure(report, cells)
         yield distances_figure(report)
         if lines := over_gaps(summary["pooled"]):
@@ -393,7 +394,6 @@ class Rl(Suite[RlConfig, TrainingCase]):
             yield collapse(lines)
             yield gaps_figure(report, lines)
             yield Table.of(pd.concat(lines.values()), GAPS)
-            yield WHAT_A_GAP_IS
         if interchanged := [*summary["interchange"], *summary["interchange_as_trained"]]:
             yield Heading("Commands interchanged")
             yield Table.of(interchanged, INTERCHANGED)
@@ -411,7 +411,6 @@ class Rl(Suite[RlConfig, TrainingCase]):
         times = cells.join(machine_s.sum(min_count=1), on=KEY)
         yield Table.of(times, TIMES)
         yield from time_saved(times)
-        yield HOW_TIME_IS_MODELLED
         if (cells.timing == "virtual").any():
             yield time_figure(report, cells[cells.timing == "virtual"])
         yield Heading("Each training")
@@ -421,6 +420,7 @@ class Rl(Suite[RlConfig, TrainingCase]):
             others = "one training each" if equal == seeds else f"{seeds - equal} learned others"
             yield f"{panel_name(family)}: of {seeds} seeds {equal} learned the same weights at {clocks}: {others}."
         yield Table.of(summary["cells"], TRAININGS, folded=f"{len(summary['cells'])} trainings")
+        yield method_note(" ".join([WHAT_N_TELLS, *([WHAT_A_GAP_IS] if lines else []), HOW_TIME_IS_MODELLED]))
 
     def compare(self, runs: Sequence[RunDirectory]) -> list[Path]:
         """Write one report of the cells of several runs, in the folder `together` of the first."""
@@ -711,20 +711,20 @@ def panel_name(cell: Mapping[str, Any]) -> str:
     return f"{command_name(cell['command'])}, {cell['profile']}{clock}{variant}"
 
 
-def _source(report: Report) -> str:
-    seeds = listed(sorted(report.games.seed.unique().tolist()))
-    return f"modelled · {report.summary['training_games']} training games each · seed {seeds}"
+def look_of(cell: Mapping[str, Any], kinds: Sequence[Any]) -> style.LineStyle:
+    """Return the colour of a cell's command, and the marker and dashes of what else is its `kind` of all of them."""
+    number = list(kinds).index(cell["kind"])
+    line = {"color": style.COMMAND_COLOUR[cell["command"]], "marker": style.marker(number)}
+    return line | {"linestyle": ("-", "--", "-.")[number % 3]}
 
 
-def draw_line(axes: Axes, cells: pd.DataFrame, places: Any, aside: float = 0.0, **line: Any) -> None:
+def draw_line(axes: Axes, cells: pd.DataFrame, places: Any, aside: float = 0.0, **look: Any) -> None:
     """Draw a line through the success of cells at `places`, with their intervals; dots, `aside`, are its seeds."""
-    intervals = list(zip(cells.seeds_low, cells.seeds_high, strict=True))
-    joined = "-" if len(set(places)) > 1 else "none"
-    drawn = {"markersize": 4, "capsize": 3, "linestyle": joined, **line}
-    plots.points(axes, places, cells.success_ratio.tolist(), intervals, **drawn)
+    joined = {} if len(set(places)) > 1 else {"linestyle": "none"}
+    plots.line(axes, places, cells.success_ratio, (cells.seeds_low, cells.seeds_high), **{**look, **joined})
     for place, won, games in zip(places, cells.successes_by_seed, cells.games, strict=True):
         seeds = np.divide(won, games / len(won)) if won else []
-        axes.plot([place + aside] * len(won), seeds, ".", color=line["color"], markersize=4, alpha=0.6)
+        axes.plot([place + aside] * len(won), seeds, ".", color=look["color"], markersize=4, alpha=0.6)
 
 
 def success_figure(report: Report, cells: pd.DataFrame) -> Picture:
@@ -732,28 +732,27 @@ def success_figure(report: Report, cells: pd.DataFrame) -> Picture:
 
     There is a line for each command, profile and variant, and the paper's own numbers for its profile.
     """
-    others, clocks = cycle((style.GREEN, style.PURPLE, style.ORANGE, style.SKY)), sorted(cells.clock_speed.unique())
-    figure = style.new_figure(8.0, 4.6, "Success by training", _source(report))
-    axes, lines = figure.subplots(), []
-    for panel, own in cells.sort_values("clock_speed", kind="stable").groupby("panel"):
-        first = own.iloc[0]
-        usual = (first.profile, first.timing, first.variant) == ("airsim", "virtual", "")
-        colour = style.COMMAND_COLOUR[first.command] if usual else next(others)
-        lines.append((own, {"label": panel, "color": colour}))
+    cells = cells.assign(kind=cells.profile + cells.timing + cells.variant).sort_values("clock_speed", kind="stable")
+    clocks, kinds, lines = sorted(cells.clock_speed.unique()), cells.kind.unique(), []
+    figure, [axes] = plots.panels(1, "Success by training", 3.4)
+    for panel, own in cells.groupby("panel"):
+        first, look = own.iloc[0], look_of(own.iloc[0], kinds)
+        lines.append((own, {"label": panel, **look}))
         if len(known := own.dropna(subset="paper_successes")):
             won = [Proportion(int(successes), paper_results.GAMES) for successes in known.paper_successes]
             ratios, intervals = [success.ratio for success in won], [success.interval for success in won]
             known = known.assign(success_ratio=ratios, successes_by_seed=[[]] * len(known))
             known[["seeds_low", "seeds_high"]] = intervals
             label = f"{command_name(first.command)}, the paper's"
-            lines.append((known, {"label": label, "color": colour, "alpha": 0.5, "linestyle": ":"}))
-    for number, (own, line) in enumerate(lines):
-        shift = 0.06 * (number - (len(lines) - 1) / 2)
-        draw_line(axes, own, np.searchsorted(clocks, own.clock_speed) + shift, 0.03, **line)
+            lines.append((known, {"label": label, "color": look["color"], "alpha": 0.5, "linestyle": ":"}))
+    for number, (own, look) in enumerate(lines):
+        shift = plots.beside(number, len(lines), 0.06)
+        draw_line(axes, own, np.searchsorted(clocks, own.clock_speed) + shift, 0.03, **look)
     plots.clock_axis(axes, clocks)
     axes.set(xlabel="ClockSpeed of the training", ylabel="success", ylim=(-0.03, 1.03))
-    axes.legend(loc="best")
-    return report.figure("table1_success", figure, TABLE1)
+    style.legend(figure)
+    alt = f"Lines of success by ClockSpeed of the training. {report.headline()}."
+    return report.figure("table1_success", figure, TABLE1, alt)
 
 
 def gaps_figure(report: Report, lines: Mapping[str, pd.DataFrame]) -> Picture:
@@ -763,71 +762,70 @@ def gaps_figure(report: Report, lines: Mapping[str, pd.DataFrame]) -> Picture:
     cells that share a gap, as all of TCSC do: their intervals would hide one another.
     """
     title = "Success in real time over the gap of the training"
-    figure = style.new_figure(8.0, 4.6, title, _source(report))
-    axes = figure.subplots()
-    for number, (label, line) in enumerate(lines.items()):
+    figure, [axes] = plots.panels(1, title, 3.4)
+    kinds = sorted({line.lane.iloc[0] for line in lines.values()})
+    for label, line in lines.items():
         hidden = (line.seeds.map(len) == 2) | line.gap_s.duplicated(keep=False)
-        shown = line.assign(**{end: line[end].mask(hidden, line.success_ratio) for end in ("seeds_low", "seeds_high")})
-        draw_line(axes, shown, shown.gap_s, label=label, color=style.colour(number))
+        shown = line.assign(**{end: line[end].mask(hidden) for end in ("seeds_low", "seeds_high")})
+        first = {"kind": line.lane.iloc[0], "command": line.command.iloc[0]}
+        draw_line(axes, shown, shown.gap_s, label=label, **look_of(first, kinds))
     axes.set_xscale("symlog", linthresh=0.1)
     axes.xaxis.set_major_formatter("{x:g}")
     axes.set(xlabel="gap between two commands of the training, simulated s", ylabel="success in real time")
     axes.set(xlim=(-0.01, None), ylim=(-0.03, 1.03))
-    axes.legend(loc="best")
-    return report.figure("success_over_gap", figure, f"{title}. {POINTS}")
+    style.legend(figure)
+    alt = f"Lines of success over the gap. {collapse(lines)}"
+    return report.figure("success_over_gap", figure, f"{title}. {POINTS}", alt)
 
 
 def distances_figure(report: Report) -> Picture:
-    """Draw how far policies got down the lane (the paper's Figure 8), a column per panel and a line per ClockSpeed.
+    """Draw the share of games that got so far down the lane (the paper's Figure 8), a line per ClockSpeed.
 
-    Above is the share of games that reached each distance, below the share that ended there; rows of obstacles are
-    marked.
+    Rows of obstacles are marked.
     """
     flights = where(report.scores, exact=False, flight=0)
-    clocks, panels = sorted(flights.clock_speed.unique()), flights.groupby(flights.apply(panel_name, axis=1))
-    figure = style.new_figure(1.5 + 5.2 * len(panels), 6.4, "Distance travelled", _source(report))
-    grid = figure.subplots(2, len(panels), sharex=True, sharey="row", squeeze=False, height_ratios=[3, 2])
-    for (upper, lower), (title, panel) in zip(grid.T, panels, strict=True):
-        for clock, policies in panel.groupby("clock_speed"):
-            distance_m = np.concatenate(policies.distance_m.tolist())
-            games, colour = len(distance_m), style.colour(clocks.index(clock))
-            places, share = style.survival(distance_m, LENGTH_M)
-            upper.step(places, share, where="post", color=colour, label=f"{clock_label(clock)}, {games} games")
-            ended = distance_m[distance_m < LENGTH_M]
-            counts, edges = np.histogram(ended, np.arange(0.0, LENGTH_M + BIN_M, BIN_M))
-            lower.stairs(counts / games, edges, color=colour)
-        for axes, row_m in product((upper, lower), np.unique(sample_layout(0, Difficulty()).x_m)):
+    flights, clocks = flights.assign(panel=flights.apply(panel_name, axis=1)), sorted(flights.clock_speed.unique())
+    figure, panels = plots.facets(flights, "panel", "Distance travelled", across=2, height_in=2.4)
+    for axes, panel, own in panels:
+        for clock, policies in own.groupby("clock_speed"):
+            places, share = style.survival(np.concatenate(policies.distance_m.tolist()), LENGTH_M)
+            colour = style.shade(clocks.index(clock), len(clocks))
+            axes.step(places, share, where="post", color=colour, label=f"trained at {clock_label(clock)}")
+        for row_m in np.unique(sample_layout(0, Difficulty()).x_m):
             axes.axvline(row_m, color=style.GREY, linewidth=0.7, linestyle=":", zorder=0)
-        upper.axvline(LENGTH_M, color=style.BLACK, linewidth=1.0, linestyle="--")
-        upper.set_title(title, loc="center")
-        lower.set_xlabel("distance north, m (dotted: rows of obstacles)")
-    grid[0, 0].set(ylabel="share of games that got there", ylim=(0.0, 1.05))
-    grid[1, 0].set_ylabel(f"share of games that ended\nin {BIN_M:g} m")
-    style.shared_legend(figure, grid[0])
-    return report.figure("figure8_distances", figure, FIGURE8)
+        axes.axvline(LENGTH_M, **style.LIMIT)
+        axes.set(title=panel, xlabel="distance north, m", ylabel="share of games", ylim=(0.0, 1.05))
+    plots.label_outer([axes for axes, *_ in panels])
+    style.legend(figure, {"end of the lane": style.LIMIT})
+    alt = f"Falling curves of the share of games by distance, a panel each: {listed(panel for _, panel, _ in panels)}."
+    return report.figure("figure8_distances", figure, FIGURE8, alt)
 
 
 def time_figure(report: Report, cells: pd.DataFrame) -> Picture:
     """Draw the time of a training, the mean of its seeds, by phase (the paper's Figure 9), a panel per command.
 
-    Phases are stacked bars, with rendering as part of the paper's simulation; speed-ups over real time are points on an
-    axis of their own.
+    Phases are stacked bars, with rendering as part of the paper's simulation, the speed-ups over real time beside them.
     """
     phase_s = pd.DataFrame(cells.phase_s.tolist(), cells.index).div(cells.seeds.map(len), axis=0)
     phase_s.insert(0, "simulation (with rendering)", phase_s.pop("simulation") + phase_s.pop("rendering"))
-    panels, shared = cells.sort_values("clock_speed", kind="stable").groupby("panel"), []
-    unit = plots.time_unit(phase_s.sum(axis=1).max())
-    figure = style.new_figure(2.0 + 5.0 * len(panels), 4.6, "Time of the training by phase", _source(report))
-    for axes, (title, panel) in zip(figure.subplots(1, len(panels), squeeze=False)[0], panels, strict=True):
-        speeds = {label: (panel[name], marker) for name, (label, marker) in SPEEDUPS.items()}
-        speed = plots.phases(axes, phase_s.loc[panel.index], unit, speeds)
-        plots.clock_axis(axes, panel.clock_speed)
-        axes.set_title(title, loc="center")
-        axes.set_ylabel(f"{unit} of the training")
-        speed.set_ylabel("effective speed-up")
-        shared += [axes, speed]
-    style.shared_legend(figure, shared)
-    return report.figure("figure9_training_time", figure, FIGURE9)
+    cells, unit = cells.sort_values(["panel", "clock_speed"], kind="stable"), plots.time_unit(phase_s.sum(axis=1).max())
+    most = cells.groupby("panel").size().max()
+    title, height_in = "Time of the training by phase, speed-ups", 0.4 + 0.26 * most
+    figure, panels = plots.facets(cells, "panel", title, across=1, height_in=height_in, sharex=False, sharey=False)
+    for axes, panel, own in panels:
+        bars = phase_s.loc[own.index].set_axis(own.clock_speed.map(clock_label))
+        plots.phases(axes, bars, unit, [fill(speed_ups, cell) for cell in own.to_dict("records")])
+        axes.set_title(panel)
+    style.legend(figure)
+    alt = f"Stacked bars of a training's {unit} by ClockSpeed, a panel each: {listed(panel for _, panel, _ in panels)}."
+    return report.figure("figure9_training_time", figure, FIGURE9, alt)
+
+
+def speed_ups(cell: Mapping[str, Any]) -> str:
+    """Return the speed-ups of simulation and of the whole training, and the paper's, in words."""
+    own = fill("{training_speedup:.3g}x, whole {whole_training_speedup:.3g}x", cell)
+    paper = fill("{paper_training_speedup:g}x, {paper_whole_training_speedup:g}x", cell)
+    return "" if own == "-" else own if paper == "-" else f"{own} (paper {paper})"
 
 
 # --- tables and words -----------------------------------------------------------------------------------------------
@@ -910,16 +908,13 @@ TRAININGS = {
     "success [95 % Wilson]": "{successes} of {games}: {success_ratio:.1%} [{wilson_low:.1%}, {wilson_high:.1%}]",
     "weights (SHA-256)": "{weights_sha256}",
 }
-SPEEDUPS = {
-    "training_speedup": ("speed-up, simulation alone (right)", "o"),
-    "whole_training_speedup": ("speed-up, whole training (right)", "s"),
-    "paper_training_speedup": ("the paper's, simulation alone", "x"),
-    "paper_whole_training_speedup": ("the paper's, whole training", "+"),
-}
 TABLE1 = "Table I as a picture: bars are 95 % intervals over seeds and games, of the paper's Wilson's; dots are seeds."
 POINTS = "A point is a cell, with its 95 % interval over seeds and games; dots are seeds."
 FIGURE8 = "Figure 8. How far the evaluated policies got, seeds pooled."
-FIGURE9 = "Figure 9. Modelled time of a training by phase, mean of its seeds."
+FIGURE9 = (
+    "Figure 9. Modelled time of a training by phase, mean of its seeds; beside it the speed-up over ADSC at 1x of "
+    "simulation alone and of the whole training."
+)
 WHAT_N_TELLS = (
     f"The paper evaluated one training of each kind in {paper_results.GAMES} games; of its differences only the "
     "collapse of ADSC (23 to 1) is significant by Fisher's exact test. Here a training, not a game, is one sample: an "

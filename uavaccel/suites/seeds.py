@@ -15,20 +15,21 @@ from typing import Annotated, Any, Literal, NotRequired
 from pydantic import Field, model_validator
 from typing_extensions import TypedDict
 
-from uavaccel.draw.page import Block, Column, Table, fill
+from uavaccel.draw.page import Block, Column, Table, fill, listed
 from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.task import Task
 from uavaccel.forms import Count, Number
 from uavaccel.limits import MOST_SEEDS, Games, Seed
 from uavaccel.metrics.equivalence import mean_estimate, success_estimate
 from uavaccel.metrics.intervals import Proportion
+from uavaccel.metrics.speedup import timing_provenance
 from uavaccel.records import RunDirectory
 from uavaccel.suites import train
 from uavaccel.suites.experiment import Experiment
 from uavaccel.suites.gpu import on_own_gpu
 from uavaccel.suites.host_time import cumulative_wall_s
 from uavaccel.suites.parts import fly_below, part_run
-from uavaccel.suites.report import Report, Summary, summary_table
+from uavaccel.suites.report import Report, Summary, method_note, summary_table
 from uavaccel.suites.rows import GameRow, Row
 from uavaccel.suites.suite import GameResult, SimpleCase, Suite
 from uavaccel.suites.train import RECENT, TrainConfig, Training, recent_mean
@@ -179,6 +180,10 @@ class Seeds(Suite[SeedsConfig, SeedCase]):
         seeds = f"mean of {count} seeds, with its 95 % interval" if count > 1 else "one seed"
         return f"{QUANTITIES[name]}: {fill(MEAN[name], over[name])}, {seeds}"
 
+    def source(self, report: Report) -> str:
+        seeds = listed(training["seed"] for training in report.summary["trainings"])
+        return f"{timing_provenance(report.config.task.timing)} · {report.config.training.games} games each · seeds {seeds}"
+
     def overview(self, report: Report) -> Table:
         over = report.summary["over_seeds"]
         header = f"of {len(report.games)} seeds", "mean [95 % over seeds]", "least to most"
@@ -187,14 +192,17 @@ class Seeds(Suite[SeedsConfig, SeedCase]):
 
     def page(self, report: Report) -> Iterator[Block | str]:
         yield self.overview(report)
-        yield WHAT_INTERVALS_ARE
         reports = [self.training.report(part_run(report.run, row["case"])) for row in report.rows]
-        yield report.figure("learning_games", train.games_figure(reports), f"{train.OVER_GAMES} {WHAT_BANDS_ARE}")
+        seen = f"Success, return and length of {len(reports)} trainings: {self.headline(report)}"
+        caption = f"{train.OVER_GAMES} {WHAT_BANDS_ARE}"
+        yield report.figure("learning_games", train.games_figure(reports), caption, f"{seen}, over the games.")
         if all(training.timings for training in reports):
             labels = [f"{len(reports)} seeds: {train.OVER_SEEDS}"] * len(reports)
             figure = train.time_figure(reports, labels)
-            yield report.figure("learning_curve", figure, f"{train.OVER_TIME} {WHAT_BANDS_ARE}")
+            caption = f"{train.OVER_TIME} {WHAT_BANDS_ARE}"
+            yield report.figure("learning_curve", figure, caption, f"{seen}, over the wall clock.")
         yield Table.of(report.summary["trainings"], TRAININGS)
+        yield method_note(WHAT_INTERVALS_ARE)
         yield summary_table(report.summary)
 
 

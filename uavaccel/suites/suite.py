@@ -140,6 +140,12 @@ class Suite(ABC, Generic[ConfigType, CaseType]):
         """Return the result in a sentence, which stands on top of the page and is printed when the run ends."""
         return ""
 
+    def source(self, report: Report) -> str:
+        """Return where the page's numbers come from, which it says once: clocks, games, seeds."""
+        from uavaccel.suites.report import source_line
+
+        return source_line(report.games) if "timing" in report.games else ""
+
     def overview(self, report: Report) -> Table | None:
         """Return the result in a small table, which is printed when the run ends."""
         return None

@@ -295,42 +295,55 @@ class Training(Suite[TrainConfig, SimpleCase]):
         return f"Training{task}, {config.algorithm}, seed {config.seed}"
 
     def headline(self, report: Report) -> str:
-        summary = report.summary
-        weights, real_time_s = summary["weights_sha256"], summary.get("modelled_real_time_s")
-        return (
-            f"{summary['successes']} of {summary['games']} training games succeeded, "
-            f"{'weights ' + weights[:12] if weights else 'the training is not over'}"
-            f"{'' if real_time_s is None else f'; in real time {in_words(real_time_s)} (modelled)'}"
-        )
+        """Return how many games were won, and how long they would have taken in real time."""
+        summary, recent = report.summary, report.games.is_success.tail(RECENT)
+        said = f"{'' if summary['weights_sha256'] else 'not over yet: '}the policy won {{}} of {{}} training games"
+        said = said.format(summary["successes"], summary["games"])
+        said += f", {recent.mean():.0%} of the last {RECENT}" if len(report.games) > RECENT else ""
+        real_time_s = summary.get("modelled_real_time_s")
+        return said if real_time_s is None else f"{said}; in real time they take {in_words(real_time_s)} (modelled)"
+
+    def source(self, report: Report) -> str:
+        return _source([timing_provenance(report.config.task.timing)], [report])
 
     def page(self, report: Report) -> Iterator[Block | str]:
         summary, wall_s = report.summary, cumulative_wall_s(report.timings)
         times = {"took": wall_s[-1] if wall_s else None, "modelled": summary.get("modelled_real_time_s")}
         lines = [
             ("games", str(summary["games"]), str(paper_results.TRAINING_GAMES), "counted"),
-            ("wall clock", fill("{took!t}", times), "-", "measured, start-up not counted"),
+            ("wall clock", fill("{took!t}", times), "-", MEASURED),
             ("in real time", fill("{modelled!t}", times), in_words(paper_results.REAL_TIME_S), MODELLED_HERE),
         ]
         if report.config.env_id == LANE:
             yield Table(("", "this training", "the paper's", "how"), lines)
         else:  # which the paper does not train
             yield Table(("", "this training", "how"), [(name, ours, how) for name, ours, _, how in lines[:2]])
-        yield report.figure("learning_games", games_figure([report]), OVER_GAMES)
-        yield report.figure("progress", progress_figure(report), PROGRESS_IS)
+        recent = recent_mean(report.games.is_success)
+        seen = f"Share of games won, of the last {RECENT}: {recent.max():.0%} at most, {recent.iloc[-1]:.0%} at the end"
+        yield report.figure("learning_games", games_figure([report]), OVER_GAMES, f"{seen}, over the games.")
+        progress = progress_figure(report)
+        names = listed(axes.get_title("left") for axes in progress.axes)
+        yield report.figure("progress", progress, PROGRESS_IS, f"Points, a game each, and running means of {names}.")
         if wall_s:
-            yield report.figure("learning_curve", time_figure([report], [report.run.path.name]), OVER_TIME)
+            curve = time_figure([report], [report.run.path.name])
+            yield report.figure("learning_curve", curve, OVER_TIME, f"{seen}, over the wall clock.")
         if "evaluations" in summary:
             yield Table.of(summary["evaluations"], EVALUATED)
-        yield report.figure("figure9_phases", phases_figure([report]), FIGURE9)
+        trainings = phase_times([report])
+        shares = trainings[list(PHASES)].iloc[0] / max(trainings[list(PHASES)].sum(axis=1).iloc[0], 1e-9)
+        alt = f"A bar of the training's time: {listed(f'{name} {share:.0%}' for name, share in shares.items())}."
+        caption = FIGURE9.format(MODELLED if report.config.task.timing == "virtual" else BESIDE)
+        yield report.figure("figure9_phases", phases_figure([report], trainings), caption, alt.replace("_", " "))
         yield summary_table(summary)
 
     def compare(self, runs: Sequence[RunDirectory]) -> list[Path]:
         """Draw the learning curves and Figure 9 of several trainings into the first one's folder."""
         reports = [self.report(run) for run in runs]
-        labels = [label.replace("\n", ", ") for label in phase_times(reports).index]
+        trainings = phase_times(reports)
+        labels = [label.replace("\n", ", ") for label in trainings.index]
         with style.project_style():
             figures = {
-                "figure9_phases_compared": phases_figure(reports),
+                "figure9_phases_compared": phases_figure(reports, trainings),
                 "learning_curves_compared": time_figure(reports, labels),
                 "learning_games_compared": games_figure(reports),
             }
@@ -361,7 +374,9 @@ def _label(report: Report) -> str:
 
 def _source(told: Iterable[str], reports: Sequence[Report]) -> str:
     """Return where numbers come from, each provenance once, and the seeds."""
-    return f"{' and '.join(sorted(set(told)))} · seed {listed(sorted({report.config.seed for report in reports}))}"
+    seeds = listed(sorted({report.config.seed for report in reports}))
+    disturbed = disturbed_words(pd.concat([report.games for report in reports]))
+    return " · ".join([" and ".join(sorted(set(told))), f"seed {seeds}", *disturbed])
 
 
 def recent_mean(values: pd.Series) -> pd.Series:
@@ -403,8 +418,9 @@ def time_figure(reports: Sequence[Report], labels: Sequence[str]) -> Figure:
         axes.text(0.93 * paper_s, 0.5, PAPER, rotation=90, ha="right", va="center")
     axes.set_xscale("log")
     axes.set_xticks(list(TICKS_S.values()), list(TICKS_S))
-    axes.set_xlim(max(0.5 * places.min(), 0.01), 2.0 * longest_s)
+    low_s = max(min(0.5 * places.min(), longest_s / 30), 0.01)
     for axes in figure.axes:
+        axes.set_xlim(low_s, 2.0 * longest_s)
         axes.minorticks_off()
     axes.set_xlabel("wall clock since the first command")
     return figure
@@ -419,14 +435,16 @@ def curves_figure(over: str, lines: Mapping[str, Sequence[tuple[Report, Sequence
     several = sum(map(len, lines.values())) > 1
     names = CURVES if several else {"is_success": CURVES["is_success"]}
     title = f"{'Success, return and length' if several else 'Success'} over the {over}"
-    figure = style.new_figure(8.0, 7.6 if several else 4.0, title, source)
-    panels = figure.subplots(len(names), squeeze=False, sharex=True).ravel()
+    figure, panels = plots.panels(
+        len(names), title, 2.2 if several else 3.0, across=1, source=source if several else "", sharex=True
+    )
     for number, (label, trainings) in enumerate(lines.items()):
-        colour, evaluated = style.colour(number), []
+        command = trainings[0][0].config.task.command
+        colour, evaluated = style.colour(number) if several else style.COMMAND_COLOUR[command], []
         for axes, name in zip(panels, names, strict=True):
             means = [recent_mean(report.games[name]).set_axis(_ends(report, ends)) for report, ends in trainings]
             curves = [mean[RECENT - 1 if len(mean) > RECENT else 0 :] for mean in means]
-            draw_mean(axes, curves, 0.2, color=colour, **({"label": label} if axes is panels[0] else {}))
+            draw_mean(axes, curves, color=colour, **({"label": label} if axes is panels[0] else {}))
         for report, ends in trainings:
             flown = [line for line in evaluations(report.run) if line["games"] <= len(report.games)]
             success = [Proportion(line["successes"], len(line["lanes"])) for line in flown]
@@ -437,7 +455,8 @@ def curves_figure(over: str, lines: Mapping[str, Sequence[tuple[Report, Sequence
     panels[0].set_ylim(-0.02, 1.02)  # so that a line at 0 is seen
     panels[0].yaxis.set_major_formatter("{x:.0%}")
     panels[-1].set_xlabel(over)
-    figure.legend(loc="outside upper right")
+    plots.label_outer(panels)
+    style.legend(figure)
     return figure
 
 
@@ -452,13 +471,13 @@ def draw_evaluated(axes: Axes, seeds: Sequence[pd.Series], colour: str) -> None:
     line = {"color": colour, "linestyle": "--", "marker": "o", "markersize": 4}
     if len(seeds) == 1:
         line |= {"linewidth": 1.0, "label": f"{lanes}, 95 % Wilson interval"}
-        intervals = [success.interval for success in seeds[0]]
-        plots.points(axes, seeds[0].index, ratios[0].tolist(), intervals, **line)
+        low, high = zip(*(success.interval for success in seeds[0]), strict=True)
+        plots.line(axes, seeds[0].index, ratios[0], (low, high), **line)
     elif seeds:
-        draw_mean(axes, ratios, 0.3, label=f"{lanes}: {OVER_SEEDS} of {len(seeds)} seeds", **line)
+        draw_mean(axes, ratios, label=f"{lanes}: {OVER_SEEDS} of {len(seeds)} seeds", **line)
 
 
-def draw_mean(axes: Axes, curves: Sequence[pd.Series], alpha: float, **line: Any) -> None:
+def draw_mean(axes: Axes, curves: Sequence[pd.Series], **look: Any) -> None:
     """Draw the mean of curves, at the places of any of them that lie within all, in the band of their range.
 
     Where none does, those that ended sooner keep their last value, and those that began later have had their first.
@@ -467,9 +486,7 @@ def draw_mean(axes: Axes, curves: Sequence[pd.Series], alpha: float, **line: Any
     places = np.unique(np.concatenate([curve.index for curve in curves]))
     at = places[(places >= first) & (places <= last)] if first <= last else places
     values = np.array([np.interp(at, curve.index, curve.astype(float)) for curve in curves])
-    axes.plot(at, values.mean(axis=0), **line)
-    if len(curves) > 1:
-        axes.fill_between(at, values.min(axis=0), values.max(axis=0), color=line["color"], alpha=alpha, linewidth=0)
+    plots.band(axes, at, values.mean(axis=0), values.min(axis=0), values.max(axis=0), **look)
 
 
 def progress_figure(report: Report) -> Figure:
@@ -478,24 +495,18 @@ def progress_figure(report: Report) -> Figure:
     Points are single games, lines means of the last RECENT.
     """
     games = report.games.reindex(columns=list(PROGRESS)).astype(float).set_axis(range(1, len(report.games) + 1))
-    games = games.loc[:, np.isfinite(games).any()]
-    source, lines = _source([timing_provenance(report.config.task.timing)], [report]), -(-games.shape[1] // 2)
-    figure = style.new_figure(8.0, 1.0 + 1.6 * lines, "Progress of the training", source)
-    grid = figure.subplots(lines, 2, squeeze=False).ravel()
-    for axes in grid[games.shape[1] :]:
-        axes.remove()
-    for axes, (name, values) in zip(grid, games.items(), strict=False):
-        axes.set(ylabel=PROGRESS[str(name)], xlim=(0, len(games) + 1))
+    games, colour = games.loc[:, np.isfinite(games).any()], style.COMMAND_COLOUR[report.config.task.command]
+    figure, grid = plots.panels(games.shape[1], "Progress of the training", 1.5, across=2)
+    for axes, (name, values) in zip(grid, games.items(), strict=True):
+        axes.set_title(PROGRESS[str(name)], loc="left")
+        axes.set(xlabel="games", xlim=(0, len(games) + 1))
         if name == "exploration":
-            axes.plot(values, color=style.BLUE)
+            axes.plot(values, color=colour)
             axes.set_ylim(-0.02, 1.02)
         else:
-            axes.plot(values, ".", color=style.SKY, markersize=2, label="a game")
-            axes.plot(recent_mean(values.dropna()), color=style.BLUE, label=f"mean of the last {RECENT}")
-    for axes in grid[: games.shape[1]][-2:]:  # the lowest of each column
-        axes.set_xlabel("games")
-    figure.align_ylabels()
-    figure.legend(*grid[0].get_legend_handles_labels(), loc="outside upper right", ncols=2)
+            axes.plot(values, ".", color=style.GREY, markersize=2.5, label="a game")
+            axes.plot(recent_mean(values.dropna()), color=colour, label=f"mean of the last {RECENT}")
+    style.legend(figure)
     return figure
 
 
@@ -524,21 +535,16 @@ def phase_times(reports: Sequence[Report]) -> pd.DataFrame:
     return pd.DataFrame.from_dict(trainings, orient="index")
 
 
-def phases_figure(reports: Sequence[Report]) -> Figure:
-    """Draw Figure 9: a bar of stacked phases per training, and the speeds as points on an axis of their own."""
-    trainings, phases = phase_times(reports), list(PHASES)
-    clocks = {"modelled" if report.config.task.timing == "virtual" else BESIDE for report in reports}
-    games, all_games = listed(sorted({len(report.games) for report in reports})), [report.games for report in reports]
-    told = f"{' and '.join(sorted(clocks))} · {games} games"
-    source = " · ".join([_source([told], reports), *disturbed_words(pd.concat(all_games))])
-    longest = max(len(line) for label in trainings.index for line in label.splitlines())
-    bar_in = max(1.5, LETTER_IN * longest)  # labels are not to run into each other
-    figure = style.new_figure(3.2 + bar_in * len(trainings), 4.2, "Time of training by phase", source)
-    axes, unit = figure.subplots(), plots.time_unit(trainings[phases].sum(axis=1).max())
-    axes.set_ylabel(unit)
-    speed = plots.phases(axes, trainings[phases], unit, {"speed (right)": (trainings.speed, "o")})
-    speed.set(ylabel="simulated seconds per wall second", ylim=(0, 1.2 * trainings.speed.max()))
-    figure.legend(loc="outside right upper")
+def phases_figure(reports: Sequence[Report], trainings: pd.DataFrame) -> Figure:
+    """Draw Figure 9: a bar of stacked phases per training, with the simulated seconds that a wall second brought."""
+    clocks = {MODELLED if report.config.task.timing == "virtual" else BESIDE for report in reports}
+    games, phases = listed(sorted({len(report.games) for report in reports})), trainings[list(PHASES)]
+    told = _source([f"{' and '.join(sorted(clocks))} · {games} games"], reports) if len(reports) > 1 else ""
+    height_in = 0.6 + 0.55 * len(trainings)
+    figure, [axes] = plots.panels(1, "Time of training by phase", height_in, source=told)
+    notes = [f"{speed:.3g} simulated s\na wall s" for speed in trainings.speed]
+    plots.phases(axes, phases, plots.time_unit(phases.sum(axis=1).max()), notes)
+    style.legend(figure)
     return figure
 
 
@@ -546,8 +552,7 @@ PAPER = "paper: 5 000 games in real time, 182 h"  # section IV-D: a week, 14 hou
 OVER_SEEDS = "mean, least and most"
 FAR = 30.0  # times the longest training: a mark beyond it would squeeze the curves
 MODELLED_HERE = "ours modelled, the paper's measured"
-MEASURED, BESIDE = "measured, start-up not counted", "measured, learning beside the flight"
-LETTER_IN = 0.085  # width of a letter of a label
+MEASURED, BESIDE, MODELLED = "measured, start-up not counted", "measured, learning beside the flight", "modelled"
 TICKS_S = {"10 ms": 0.01, "100 ms": 0.1, "1 s": 1.0, "10 s": 10.0, "1 min": 60.0, "10 min": 600.0} | {
     f"{hours} h": 3600.0 * hours for hours in (1, 10, 100)
 }
@@ -578,4 +583,4 @@ OVER_TIME = (
     "The same over the wall clock, measured; a dashed line, unless it is far beyond, is the paper's training in real "
     "time."
 )
-FIGURE9 = "Figure 9. Time of the training by phase."
+FIGURE9 = "Figure 9. Time of the training by phase, {}."
