@@ -1,4 +1,4 @@
-"""Uncertainty over games: the bootstrap, Wilson's interval, Student's quantile, the exact tests of McNemar and Fisher."""
+"""Uncertainty over games: bootstrap, Wilson's interval, Student's quantile, the exact tests of McNemar and Fisher."""
 
 from __future__ import annotations
 

@@ -22,6 +22,7 @@ def thinking_share() -> float:
     times faster and the rest, a share o of it, stays, the whole becomes (1 + o) / (1 / s + o) times faster. Either pair
     alone gives .038 and .045.
     """
+
     def slope(share: float) -> float:
         """Return half the derivative of the squared misfits."""
         found = 0.0
