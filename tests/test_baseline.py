@@ -16,7 +16,6 @@ from gymnasium import spaces
 from tests.test_learner import SHAPE, config_of, say_and
 from uavaccel.errors import UserError
 from uavaccel.rl import adapters
-from uavaccel.rl import config as rl_config
 from uavaccel.rl.baseline import Baseline, BatchVecEnv
 from uavaccel.rl.config import check_algorithm
 from uavaccel.rl.policy import weights_sha256
