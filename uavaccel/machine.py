@@ -23,7 +23,7 @@ def describe_run(
 
     `start_time` is ISO 8601 text from a clock, `gl_renderer` the GL_RENDERER of the context in use, if any.
     """
-    versions = {"uavaccel": uavaccel.__version__, "python": platform.python_version()}
+    versions: dict[str, str | None] = {"uavaccel": uavaccel.__version__, "python": platform.python_version()}
     versions |= {package: _version(package) for package in _PACKAGES}
     versions |= {package: at for package in _OF_EXTRAS if (at := _version(package))}
     host = {"platform": platform.platform(), "cpu_model": _cpu_model(), "cores": usable_cores()}
