@@ -171,7 +171,7 @@ def test_columns_have_one_kind_each() -> None:
 def test_parquet_keeps_the_numbers_or_says_what_is_missing(tmp_path: Path) -> None:
     made = run(tmp_path / "run")
     if importlib.util.find_spec("pyarrow") is None:
-        with pytest.raises(UserError, match=r"uavaccel\[parquet\]"):
+        with pytest.raises(UserError, match=r"needs pyarrow: .*\[parquet\]"):
             list(write_tables(made, tmp_path / "out", "parquet"))
         return
     from pyarrow import parquet
