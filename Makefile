@@ -1,5 +1,5 @@
-# `make run` and `make test` set up .venv first; nothing is installed again until pyproject.toml, constraints.txt
-# or this file changes. `make docs` adds what builds the documentation.
+# `make run` sets up .venv first, `make test` and `make docs` add what they need; nothing is installed again until
+# pyproject.toml, constraints.txt or this file changes.
 
 PYTHON ?= python3
 # Linux wheels of torch without CUDA. For the CUDA build: make setup TORCH_INDEX=https://pypi.org/simple
@@ -8,7 +8,6 @@ TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.set-up
-DOCS_STAMP := $(VENV)/.set-up-docs
 # Errors, and no warnings: an index that is out of reach matters only if a package is found nowhere else.
 # pip warns of every index out of reach, however quiet it is told to be: shown where it fails.
 LOG := $(VENV)/set-up.log
@@ -24,20 +23,21 @@ help: ## list these targets
 run: setup ## fly the paper's square at 50x, measured, and write a report
 	$(BIN)/uavaccel run dp1 --clock 50
 
-test: setup ## linter, types and tests
+test: $(STAMP)-dev ## linter, types and tests
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/pytest
 
 # The variable keeps the theme from advertising its successor.
-docs: $(DOCS_STAMP) ## the documentation as a site, in build/docs
+docs: $(STAMP)-docs ## the documentation as a site, in build/docs
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
 	@echo "build/docs/index.html"
 
 setup: $(STAMP) ## an environment in .venv with all that is needed
 
-$(DOCS_STAMP): $(STAMP)
-	@$(PIP) --constraint constraints.txt --editable '.[docs]' 2>$(LOG) || { cat $(LOG) >&2; exit 1; }
+# A group of pyproject.toml's: dev, docs.
+$(STAMP)-%: $(STAMP)
+	@$(PIP) --constraint constraints.txt --group $* 2>$(LOG) || { cat $(LOG) >&2; exit 1; }
 	@touch $@
 
 $(STAMP): pyproject.toml constraints.txt Makefile
@@ -46,8 +46,9 @@ $(STAMP): pyproject.toml constraints.txt Makefile
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV) || \
 		{ echo "no virtual environment: apt-get install python3-venv" >&2; exit 1; }
 	@echo "setting up $(VENV); the first time takes minutes"
+	@$(PIP) --constraint constraints.txt pip 2>$(LOG) || { cat $(LOG) >&2; exit 1; }
 	@$(PIP) --extra-index-url $(TORCH_INDEX) "$(TORCH)" 2>$(LOG) || { cat $(LOG) >&2; exit 1; }
-	@$(PIP) --constraint constraints.txt --editable '.[dev]' 2>$(LOG) || { cat $(LOG) >&2; exit 1; }
+	@$(PIP) --constraint constraints.txt --editable . 2>$(LOG) || { cat $(LOG) >&2; exit 1; }
 	@touch $@
 
 clean: ## remove .venv, builds and caches

@@ -16,7 +16,6 @@ from gymnasium import spaces
 from tests.test_learner import SHAPE, config_of, say_and
 from uavaccel.errors import UserError
 from uavaccel.rl import adapters
-from uavaccel.rl import config as rl_config
 from uavaccel.rl.baseline import Baseline, BatchVecEnv
 from uavaccel.rl.config import check_algorithm
 from uavaccel.rl.policy import weights_sha256
@@ -193,9 +192,8 @@ def test_built_in_trainings_do_not_load_it() -> None:
 
 
 def test_without_it_its_algorithms_are_one_clear_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    for module in (rl_config, adapters):
-        monkeypatch.setattr(module, "find_spec", lambda name: None)
-    with pytest.raises(UserError, match=r"^algorithm = 'sb3_dqn': needs .* pip install 'uavaccel\[sb3\]'$"):
+    monkeypatch.setitem(sys.modules, "stable_baselines3", None)
+    with pytest.raises(UserError, match=r"^algorithm = 'sb3_dqn': needs .* pip install -e '/.*\[sb3\]'$"):
         check_algorithm(config_of(1, {}).model_copy(update={"algorithm": "sb3_dqn"}))
-    with pytest.raises(UserError, match=r"^vec_env: needs stable-baselines3: pip install 'uavaccel\[sb3\]'$"):
+    with pytest.raises(UserError, match=r"^vec_env: needs stable-baselines3: pip install -e '/.*\[sb3\]'$"):
         adapters.vec_env(batch_of_three())

@@ -77,7 +77,7 @@ DRAWS = {"backend": "egl", "name": "a card", "software": False}
     [
         (QUIET, {"uavaccel": "1.0", "numpy": "2.0"}, {"cached": True, "seconds": 0.25}, DRAWS, []),
         (QUIET, {"numpy": "2.0", "ray": None}, {"cached": False, "seconds": 30.0}, DRAWS, ["versions"]),
-        (NOISY, {"numpy": None}, None, {**DRAWS, "software": True}, ["versions", "timing", "hot", "images"]),
+        (NOISY, {"numpy": None}, None, {**DRAWS, "software": True}, ["versions", "timing", "hot"]),
     ],
 )
 def test_the_doctor_marks_and_counts_what_is_to_be_looked_at(

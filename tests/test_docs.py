@@ -258,7 +258,7 @@ def test_commands_are_taken(block: Block, line: str, monkeypatch: pytest.MonkeyP
 
 def test_other_programs_come_with_the_package() -> None:
     shell = [line for block in BLOCKS if block.language == "sh" for line in lines_of(block)]
-    known = {"uavaccel", "python", "make", "cd", "git", "pip", "source"}
+    known = {"uavaccel", "python", "make", "cd", "docker", "git", "pip", "source"}
     others = {line.split()[0] for line in shell} - known
     assert others <= {script.name for script in entry_points(group="console_scripts")}
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import sys
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
@@ -123,8 +122,9 @@ def test_a_cluster_that_does_not_start_is_one_line(monkeypatch: pytest.MonkeyPat
 
 
 def test_an_engine_that_is_unknown_or_missing_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    for engine, said in (("spark", "there are loky, ray, dask"), ("dask", r"pip install 'uavaccel\[dask\]'")):
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    missing = r"needs distributed: pip install -e '/.*\[dask\]'"
+    for engine, said in (("spark", "there are loky, ray, dask"), ("dask", missing)):
         with pytest.raises(UserError, match=said):
             check_engine(engine)
 

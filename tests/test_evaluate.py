@@ -114,6 +114,18 @@ def test_against_another_run_on_the_command_line(
     assert (tmp_path / "run" / FIGURE).stat().st_size > 10_000
 
 
+@pytest.mark.slow
+def test_without_opengl_the_kernels_fly_and_films_are_left_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("MUJOCO_GL", "off")
+    keys = "simulator=kernels", "task.timing=lockstep", "task.max_commands=2"
+    evaluate_agent(request("default", tmp_path / "run", *keys, games=1), None, True)
+    assert "\nwithout films: MUJOCO_GL=off switches images off;" in capsys.readouterr().out
+    assert (tmp_path / "run" / "report.html").is_file()
+    assert not (tmp_path / "run" / "films").exists()
+
+
 @needs_opengl
 def test_films_of_the_best_and_the_worst(tmp_path: Path) -> None:
     evaluate_agent(request("straight", tmp_path / "run", "task.max_commands=4", games=2), None, True)

@@ -449,7 +449,7 @@ def test_refusals_are_one_clear_line(straight: RunDirectory, dp1: RunDirectory, 
 
 
 def test_a_missing_package_is_named(dp1: RunDirectory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "mcap.writer", None)
-    with pytest.raises(UserError, match=r"pip install 'uavaccel\[export\]'"):
+    monkeypatch.setitem(sys.modules, "mcap", None)
+    with pytest.raises(UserError, match=r"^--mcap: needs mcap: pip install -e '/.*\[export\]'$"):
         export(str(dp1.path), mcap=tmp_path / "logs")
     assert not list(tmp_path.iterdir())

@@ -1,4 +1,4 @@
-"""docs/first_flight.ipynb runs from top to bottom, and prints what it was saved with."""
+"""The notebooks run from top to bottom, and print what they were saved with."""
 
 from __future__ import annotations
 
@@ -9,21 +9,23 @@ from typing import Any
 import matplotlib.pyplot as plt
 import pytest
 
-NOTEBOOK = Path(__file__).parents[1] / "docs" / "first_flight.ipynb"
+DOCS = Path(__file__).parents[1] / "docs"
 
 
 @pytest.mark.slow
-@pytest.mark.opengl
-def test_the_notebook_prints_what_it_was_saved_with(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize("name", [pytest.param("first_flight", marks=pytest.mark.opengl), "real_time"])
+def test_a_notebook_prints_what_it_was_saved_with(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Cell by cell in one namespace, as a kernel runs them; its flights are in lockstep or virtual, hence exact."""
     monkeypatch.chdir(tmp_path)
     namespace: dict[str, Any] = {"__name__": "__main__"}
-    cells = [cell for cell in json.loads(NOTEBOOK.read_text("utf-8"))["cells"] if cell["cell_type"] == "code"]
+    cells = [
+        cell for cell in json.loads((DOCS / f"{name}.ipynb").read_text("utf-8"))["cells"] if cell["cell_type"] == "code"
+    ]
     assert any(printed(cell) for cell in cells)
     for cell in cells:
-        exec(compile("".join(cell["source"]), NOTEBOOK.name, "exec"), namespace)
+        exec(compile("".join(cell["source"]), name, "exec"), namespace)
         assert capsys.readouterr().out == printed(cell)
     plt.close("all")
 

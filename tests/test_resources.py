@@ -1,8 +1,10 @@
 """Assets and experiments are found from a source tree and from an installed wheel alike."""
 
+import re
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -27,6 +29,28 @@ def test_every_experiment_says_in_a_line_what_it_is() -> None:
     for name, about in resources.experiments().items():
         assert about.endswith((".", "?")), name
         assert not about.startswith("#"), name
+
+
+@pytest.mark.parametrize(
+    ("origin", "told"),
+    [
+        (None, "'uavaccel[sb3]'"),
+        ('{"url": "file:///a/uavaccel-1-py3-none-any.whl", "archive_info": {}}',
+         "'uavaccel[sb3] @ file:///a/uavaccel-1-py3-none-any.whl'"),
+        ('{"url": "https://example.org/uavaccel.git", "vcs_info": {"vcs": "git", "commit_id": "1"}}',
+         "'uavaccel[sb3] @ git+https://example.org/uavaccel.git'"),
+    ],
+)  # fmt: skip
+def test_what_installs_an_extra_is_where_uavaccel_came_from(
+    origin: str | None, told: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with pytest.raises(UserError, match=f"^a key: needs not-there: pip install -e '{ROOT}\\[sb3\\]'$"):
+        resources.require("not_there", "a key", "sb3", "not-there")
+    monkeypatch.setattr(resources, "source_tree", lambda: None)
+    monkeypatch.setattr(resources, "distribution", lambda name: SimpleNamespace(read_text=lambda file: origin))
+    with pytest.raises(UserError, match=f"^a key: needs not_there: pip install {re.escape(told)}$"):
+        resources.require("not_there", "a key", "sb3")
+    resources.require("json", "a key", "sb3")
 
 
 def test_an_unknown_name_is_refused_with_those_there_are() -> None:

@@ -304,7 +304,7 @@ def test_a_page_beside_a_command_is_there_for_as_long_as_it_flies(
         asked.append(command)
         return contextlib.nullcontext(process)
 
-    for name, stand_in in (("check_viser", lambda: None), ("free_port", lambda *_: 8123), ("start_python", start)):
+    for name, stand_in in (("free_port", lambda *_: 8123), ("start_python", start)):
         monkeypatch.setattr(beside, name, stand_in)
     monkeypatch.setattr(beside, "end_within", lambda *_: None)
     monkeypatch.setattr(beside, "FIRST_SPECTATOR_S", 0.01)
@@ -343,7 +343,6 @@ def test_a_page_that_dies_is_said_in_one_line(
         f"print('{{\"port\": 1}}', flush=True); os.kill(os.getpid(), {end})"
     )
     monkeypatch.setattr(beside, "start_python", lambda *_, **options: lifetime.start_python("-c", dies, **options))
-    monkeypatch.setattr(beside, "check_viser", lambda: None)
     monkeypatch.setattr(lifetime, "POLL_S", 1 / 64)
     watches: list[lifetime.Watch] = []
 
@@ -361,7 +360,7 @@ def test_a_page_that_dies_is_said_in_one_line(
 
 
 def test_a_page_that_does_not_open_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in ("check_viser", "free_port", "end_within"):
+    for name in ("free_port", "end_within"):
         monkeypatch.setattr(beside, name, lambda *_: None)
     with open(os.devnull, "rb") as nothing:
         process = SimpleNamespace(stdout=nothing, terminate=lambda: None)
@@ -387,7 +386,6 @@ def opened(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
         shown["flown"].append((clock_speed, how, named))
         return [straight("a", clock_speed, 4.0)]
 
-    monkeypatch.setattr(beside, "check_viser", lambda: None)
     monkeypatch.setattr(beside, "open_server", lambda host, port: (shown.update(at=(host, port)), server)[1])
     monkeypatch.setattr("uavaccel.watch.page.Page", page)
     monkeypatch.setattr("uavaccel.watch.replay.fly_side_by_side", fly)

@@ -11,10 +11,8 @@ import uavaccel
 from uavaccel.files import Plain
 from uavaccel.resources import source_tree
 
-_PACKAGES = (
-    *("gymnasium", "llvmlite", "mujoco", "numba", "numpy", "opencv-python-headless", "scipy"),
-    *("stable-baselines3", "torch"),
-)
+_PACKAGES = ("gymnasium", "llvmlite", "mujoco", "numba", "numpy", "opencv-python-headless", "torch")
+_OF_EXTRAS = ("stable-baselines3",)  # where it is installed
 _ENVIRONMENT = ("LP_NUM_THREADS", "MUJOCO_GL", "NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 
 
@@ -25,13 +23,15 @@ def describe_run(
 
     `start_time` is ISO 8601 text from a clock, `gl_renderer` the GL_RENDERER of the context in use, if any.
     """
-    versions = {"uavaccel": uavaccel.__version__, "python": platform.python_version()}
+    versions: dict[str, str | None] = {"uavaccel": uavaccel.__version__, "python": platform.python_version()}
+    versions |= {package: _version(package) for package in _PACKAGES}
+    versions |= {package: at for package in _OF_EXTRAS if (at := _version(package))}
     host = {"platform": platform.platform(), "cpu_model": _cpu_model(), "cores": usable_cores()}
     return {
         "command_line": list(command_line),
         "start_time": start_time,
         "seed": seed,
-        "versions": {**versions, **{package: _version(package) for package in _PACKAGES}},
+        "versions": versions,
         "git": _git(),
         "host": {**host, "memory_bytes": memory_bytes()},
         "gl_renderer": gl_renderer,

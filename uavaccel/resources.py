@@ -1,9 +1,12 @@
-"""The files that ship with the package: `assets/` (scenes) and `experiments/` (YAML).
+"""What ships with the package, `assets/` (scenes) and `experiments/` (YAML), and the extras that do not.
 
 A wheel has both folders inside the package; in a source tree, installed editable or not, they are beside it.
 """
 
+import json
+from importlib.metadata import PackageNotFoundError, distribution
 from importlib.resources import files
+from importlib.util import find_spec
 from pathlib import Path
 
 from uavaccel.errors import UserError, suggestion
@@ -15,6 +18,33 @@ def source_tree() -> Path | None:
     """Return the checkout from which the package runs; None where it was installed from a wheel."""
     root = _PACKAGE.parent
     return root if (root / "pyproject.toml").is_file() and (root / "assets").is_dir() else None
+
+
+def require(module: str, what: str, extra: str, package: str = "") -> None:
+    """Raise UserError where a module of an extra is missing; the line says what needs it, and how to install it.
+
+    `package` is named where it is called otherwise than the module.
+    """
+    if find_spec(module) is None:
+        raise UserError(f"{what}: needs {package or module}: pip install {_requirement(extra)}")
+
+
+def _requirement(extra: str) -> str:
+    """Return what pip must be given for an extra: the checkout, or what uavaccel was installed from (PEP 610).
+
+    No package index has uavaccel, unless it was installed by that name.
+    """
+    if (checkout := source_tree()) is not None:
+        return f"-e '{checkout}[{extra}]'"
+    try:
+        origin = json.loads(distribution("uavaccel").read_text("direct_url.json") or "{}")
+    except PackageNotFoundError:  # a folder that was copied
+        origin = {}
+    if "url" not in origin:
+        return f"'uavaccel[{extra}]'"
+    source = origin.get("vcs_info", {})
+    scheme = f"{source['vcs']}+" if source else ""
+    return f"'uavaccel[{extra}] @ {scheme}{origin['url']}'"
 
 
 def asset(name: str) -> Path:

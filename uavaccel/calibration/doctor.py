@@ -93,7 +93,7 @@ def renderer() -> Finding:
     except ProbeError as error:
         return Finding("images", f"none: {error}; install {PACKAGES} (Debian)", True)
     where = ", software on the CPU, slow" if found["software"] else ""
-    return Finding("images", f"{found['backend']}: {found['name']}{where}", found["software"])
+    return Finding("images", f"{found['backend']}: {found['name']}{where}")
 
 
 def probe(program: str) -> dict[str, Plain]:

@@ -214,7 +214,6 @@ def report_run(run: RunDirectory) -> None:
 def evaluate_agent(request: RunRequest, against: Path | None, films: bool) -> None:
     """Evaluate an agent, film, and compare it with another evaluation of the same lanes. Raises UserError."""
     from uavaccel.rl.config import LANE
-    from uavaccel.sim.camera.gl import describe_renderer
     from uavaccel.suites.evaluate import against as compared
     from uavaccel.suites.registry import open_run
 
@@ -227,11 +226,6 @@ def evaluate_agent(request: RunRequest, against: Path | None, films: bool) -> No
             if not (same and theirs & {case.id for case in plan.cases}):
                 games = "lanes" if plan.config.env_id == LANE else "games"
                 raise UserError(f"--against {other.path}: is no evaluation of the same {games}")
-        if films:
-            try:
-                describe_renderer()
-            except UserError as error:
-                raise UserError(f"{error}; or add --no-films") from error
 
     run = run_experiment(request, check, film_extremes if films else None)
     if run is not None and other is not None:
@@ -239,11 +233,17 @@ def evaluate_agent(request: RunRequest, against: Path | None, films: bool) -> No
 
 
 def film_extremes(run: RunDirectory) -> None:
-    """Write films and contact sheets of the best game and the worst, which the report shows."""
+    """Write films and contact sheets of the best game and the worst, which the report shows, where there is OpenGL."""
     from uavaccel.cli.results import film_game
     from uavaccel.envs.simulators import EXACT
+    from uavaccel.sim.camera.gl import describe_renderer
     from uavaccel.suites.evaluate import Evaluation
 
+    try:
+        describe_renderer()
+    except UserError as error:
+        console.print(f"without films: {error}")
+        return
     order = sorted(run.rows(), key=Evaluation().interest)
     if run.config().get("simulator", EXACT) != EXACT:
         console.print("films: both games once more in the exact simulator, where they may end otherwise")

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from importlib.util import find_spec
 from typing import Any, get_args
 
 from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.flyable import CPU, CUDA, Device, Simulator
 from uavaccel.envs.values import Batch
 from uavaccel.errors import UserError
+from uavaccel.resources import require
 
 EXACT, KERNELS = get_args(Simulator)
 OF_LANES = ("processes", "renderer", "tiles")  # keywords of EnvironmentBatch alone
@@ -49,8 +49,7 @@ def check_simulator(simulator: str, device: str) -> None:
     check_names(simulator, device)
     if device == CPU:
         return
-    if find_spec("numba_cuda") is None:
-        raise UserError("device = cuda: needs numba-cuda: pip install 'uavaccel[gpu]'; or take device = cpu")
+    require("numba_cuda", "device = cuda", "gpu", "numba-cuda")
     import torch as th
 
     if not th.cuda.is_available():

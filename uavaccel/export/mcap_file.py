@@ -25,6 +25,7 @@ from uavaccel.errors import UserError
 from uavaccel.export import provenance_of
 from uavaccel.files import inside, read_bounded, replacing, to_json
 from uavaccel.records import RunDirectory
+from uavaccel.resources import require
 from uavaccel.sim.camera.mounted import FRONT_CENTER
 from uavaccel.sim.camera.view import HEIGHT, WIDTH
 from uavaccel.suites.flight import Flight
@@ -33,7 +34,6 @@ from uavaccel.suites.rows import Row
 from uavaccel.suites.suite import choose_row
 from uavaccel.units import NS_PER_S
 
-MISSING = "--mcap needs the package mcap: pip install 'uavaccel[export]'"
 EVENT_RATE_HZ = 100.0  # of the event camera beside the agent's own, where a game is flown again
 FRAMES = (
     "enu: x east, y north, z up; ned: x north, y east, z down; drone: x forward, y right, z down; "
@@ -108,10 +108,7 @@ def write_mcap(run: RunDirectory, path: Path, case: str | None = None) -> Iterat
     memory at a time. Raises UserError where the run has no such game, a file exists or cannot be written, or the
     package mcap is missing.
     """
-    try:
-        import mcap.writer  # noqa: F401 - better said before a game is flown again
-    except ImportError:
-        raise UserError(MISSING) from None
+    require("mcap", "--mcap", "export")  # better said before a game is flown again
     suite = suite_of(run)
     report = suite.report(run)
     rows: list[Row] = list(report.rows) if case is None else [choose_row(suite, report, case)]

@@ -26,6 +26,7 @@ from uavaccel.errors import UserError, naming
 from uavaccel.export import provenance_of
 from uavaccel.files import UNFINISHED, to_json
 from uavaccel.records import RunDirectory
+from uavaccel.resources import require
 from uavaccel.rl.agents import reset_options
 from uavaccel.rl.config import ENVIRONMENTS
 from uavaccel.suites.evaluate import AnyRow, EvaluateConfig, Flyable, game_seed
@@ -47,6 +48,7 @@ def write_minari(run: RunDirectory, folder: Path) -> Iterator[tuple[int, int]]:
     `folder` appears once it is whole. Its name is the dataset's, such as lane-v0. Raises UserError for another name, a
     folder that exists, a run that is no evaluation or was flown in `wall`, and a game that does not repeat.
     """
+    require("h5py", "--minari", "export")
     if not DATASET_ID.fullmatch(folder.name):
         raise UserError(f"--minari {folder}: a dataset's folder is named NAME-vNUMBER, as lane-v0")
     if folder.exists():

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from uavaccel.metrics.intervals import LEVEL, Proportion
+from uavaccel.metrics.intervals import Proportion, student_quantile
 
 Interval = tuple[float, float]
 
@@ -69,14 +69,12 @@ def mean_estimate(values: ArrayLike) -> Estimate:
 
     Raises ValueError without values.
     """
-    from scipy.stats import t
-
     each = np.asarray(values, np.float64)
     if not each.size:
         raise ValueError("a mean needs at least one value")
     mean, width = float(each.mean()), 0.0
     if each.size > 1:
-        width = float(t.ppf((1 + LEVEL) / 2, each.size - 1) * each.std(ddof=1) / np.sqrt(each.size))
+        width = float(student_quantile(each.size - 1) * each.std(ddof=1) / np.sqrt(each.size))
     return Estimate(mean, mean - width, mean + width)
 
 

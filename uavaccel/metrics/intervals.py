@@ -1,13 +1,12 @@
-"""Uncertainty over games: the bootstrap, Wilson's interval, and the exact tests of McNemar and Fisher.
-
-scipy.stats takes long to load, so it is imported where it is used.
-"""
+"""Uncertainty over games: bootstrap, Wilson's interval, Student's quantile, the exact tests of McNemar and Fisher."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
+from math import atan, cos, pi, sin, sqrt
+from math import comb as choose
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,6 +15,8 @@ from numpy.typing import ArrayLike
 RESAMPLES = 2000
 LEVEL = 0.95
 TAILS = (1.0 - LEVEL) / 2.0, 1.0 - (1.0 - LEVEL) / 2.0
+NORMAL_QUANTILE = 1.959963984540054  # below which 97.5 % of a standard normal distribution lie
+LARGEST_QUANTILE = 12.8  # Student's for one degree of freedom is 12.71
 
 
 def bootstrap_interval(
@@ -71,10 +72,10 @@ class Proportion:
     @cached_property
     def interval(self) -> tuple[float, float]:
         """The ends of the 95 % Wilson score interval of the ratio, in [0, 1]."""
-        from scipy.stats import binomtest
-
-        interval = binomtest(self.successes, self.games).proportion_ci(LEVEL, method="wilson")
-        return float(interval.low), float(interval.high)
+        n, p, z = self.games, self.ratio, NORMAL_QUANTILE  # Newcombe, Stat. Med. 17 (1998), method 3
+        denominator = 2 * (n + z**2)
+        centre, half = (2 * n * p + z**2) / denominator, z / denominator * sqrt(4 * n * p * (1 - p) + z**2)
+        return centre - half if self.successes else 0.0, centre + half if self.successes < n else 1.0
 
     def as_summary(self) -> dict[str, float]:
         """Return the keys of a summary for the proportion."""
@@ -106,20 +107,38 @@ def mcnemar_exact(first: ArrayLike, second: ArrayLike) -> McNemar:
 
     Only discordant games count; without any, p is 1. Raises ValueError for arrays of different lengths.
     """
-    from scipy.stats import binomtest
-
     a, b = np.asarray(first, dtype=bool), np.asarray(second, dtype=bool)
     if a.shape != b.shape or a.ndim != 1:
         raise ValueError(f"paired outcomes need one length, got {a.shape} and {b.shape}")
     only_first, only_second = int(np.sum(a & ~b)), int(np.sum(b & ~a))
     discordant = only_first + only_second
-    p_value = float(binomtest(only_first, discordant).pvalue) if discordant else 1.0
-    return McNemar(only_first, only_second, p_value)
+    tail = sum(choose(discordant, wins) for wins in range(min(only_first, only_second) + 1))
+    return McNemar(only_first, only_second, min(1.0, 2 * tail / 2**discordant))
 
 
 def fisher_exact_p(first: tuple[int, int], second: tuple[int, int]) -> float:
     """Return the two-sided p-value of Fisher's exact test that two ratios, (successes, games) each, are equal."""
-    from scipy.stats import fisher_exact
+    (won, games), (others_won, others) = first, second
+    wins = won + others_won
+    ways = [choose(games, k) * choose(others, wins - k) for k in range(max(0, wins - others), min(games, wins) + 1)]
+    seen = choose(games, won) * choose(others, others_won)
+    return sum(way for way in ways if way <= seen) / sum(ways)
 
-    table = np.array([[successes, games - successes] for successes, games in (first, second)])
-    return float(fisher_exact(table).pvalue)
+
+def student_quantile(degrees: int) -> float:
+    """Return the value below which 97.5 % of Student's t distribution lie, to 14 digits. `degrees` is at least 1."""
+    low, high = 0.0, LARGEST_QUANTILE
+    while low < (middle := (low + high) / 2) < high:
+        low, high = (middle, high) if _student_share(middle, degrees) < TAILS[1] else (low, middle)
+    return high
+
+
+def _student_share(value: float, degrees: int) -> float:
+    """Return the share of Student's t distribution below a value >= 0 (Abramowitz and Stegun 26.7.3 and 26.7.4)."""
+    angle = atan(value / sqrt(degrees))
+    odd = degrees % 2
+    term = total = cos(angle) * (degrees > 1) if odd else 1.0
+    for k in range(1 + odd, degrees - 1, 2):
+        term *= cos(angle) ** 2 * k / (k + 1)
+        total += term
+    return 0.5 + ((angle + sin(angle) * total) / pi if odd else sin(angle) * total / 2)

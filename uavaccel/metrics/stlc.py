@@ -17,8 +17,8 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
+from numba import njit
 from numpy.typing import ArrayLike
-from scipy.spatial import cKDTree
 
 from uavaccel.metrics.trajectory import FloatArray, Trajectory, mean_over_references, trajectory
 
@@ -38,7 +38,7 @@ def mean_stlc(games: Sequence[Trajectory], references: Sequence[Trajectory], exc
 
 
 def stlc_matrix(games: Sequence[Trajectory], references: Sequence[Trajectory], lam: float = 0.5) -> FloatArray:
-    """Return the STLC of every game with every reference (games, references); each KD-tree is built once."""
+    """Return the STLC of every game with every reference (games, references)."""
     if not 0.0 <= lam <= 1.0:
         raise ValueError(f"lam must lie in [0, 1], got {lam}")
     space = _spatial_closeness(games, references) + _spatial_closeness(references, games).T
@@ -47,17 +47,44 @@ def stlc_matrix(games: Sequence[Trajectory], references: Sequence[Trajectory], l
 
 
 def _spatial_closeness(flights: Sequence[Trajectory], targets: Sequence[Trajectory]) -> FloatArray:
-    """Return mean_{p in flight} e^{-d(p, target)} (flights, targets), with one query per target over all points."""
+    """Return mean_{p in flight} e^{-d(p, target)} (flights, targets)."""
     result = np.empty((len(flights), len(targets)))
     if result.size == 0:
         return result
     points = np.concatenate([flight.position_m for flight in flights])
     bounds = np.cumsum([0] + [len(flight.position_m) for flight in flights])
     for j, target in enumerate(targets):
-        distance_m, _ = cKDTree(target.position_m).query(points)
-        closeness = np.exp(-distance_m)
+        closeness = np.exp(-_distances_m(points, target.position_m))
         result[:, j] = [closeness[start:end].mean() for start, end in pairwise(bounds)]
     return result
+
+
+@njit(cache=True, nogil=True)
+def _distances_m(points: FloatArray, path: FloatArray) -> FloatArray:
+    """Return the distance of each of `points` (n, 3) from the nearest point of `path` (m, 3).
+
+    A path moves at most its longest step from one point to the next, so that points on it which cannot be nearer than
+    the nearest yet are skipped.
+    """
+    step_m, nearest = 1e-12, 0
+    for j in range(1, len(path)):
+        step_m = max(step_m, (1 + 1e-9) * _distance_m(path[j], path[j - 1]))
+    result = np.empty(len(points))
+    for i in range(len(points)):
+        least_m, j = _distance_m(points[i], path[nearest]), 0  # its neighbour's nearest is near it
+        while j < len(path):
+            distance_m = _distance_m(points[i], path[j])
+            if distance_m < least_m:
+                least_m, nearest = distance_m, j
+            j += 1 + int(min((distance_m - least_m) / step_m, len(path)))
+        result[i] = least_m
+    return result
+
+
+@njit(cache=True, nogil=True)
+def _distance_m(a: FloatArray, b: FloatArray) -> float:
+    x, y, z = a[0] - b[0], a[1] - b[1], a[2] - b[2]
+    return np.sqrt(x * x + y * y + z * z)
 
 
 def _temporal_similarity(games: Sequence[Trajectory], references: Sequence[Trajectory]) -> FloatArray:

@@ -7,14 +7,13 @@ of TorchRL's environments, in plain dictionaries of tensors, and `vec_env` that 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
 import torch as th
 
 from uavaccel.envs.turn_batch import TurnBatch
-from uavaccel.errors import UserError
+from uavaccel.resources import require
 
 Tensors = dict[str, Any]
 
@@ -24,8 +23,7 @@ def vec_env(batch: TurnBatch) -> Any:
 
     Raises UserError without stable-baselines3.
     """
-    if find_spec("stable_baselines3") is None:
-        raise UserError("vec_env: needs stable-baselines3: pip install 'uavaccel[sb3]'")
+    require("stable_baselines3", "vec_env", "sb3", "stable-baselines3")
     from uavaccel.rl.baseline import BatchVecEnv
 
     return BatchVecEnv(batch)

@@ -1,6 +1,6 @@
 """stable-baselines3's algorithms as learners: their networks, one rollout at a time, schedules by games.
 
-Needs stable-baselines3 (`pip install 'uavaccel[sb3]'`). `vec_env` adapts a batch of environments to this library.
+Needs stable-baselines3, the extra `sb3`. `vec_env` adapts a batch of environments to this library.
 """
 
 from __future__ import annotations

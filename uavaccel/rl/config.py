@@ -8,7 +8,6 @@ import math
 from collections.abc import Mapping
 from contextlib import suppress
 from importlib import import_module
-from importlib.util import find_spec
 from typing import TYPE_CHECKING, Annotated, Any
 
 from gymnasium import spaces
@@ -31,6 +30,7 @@ from uavaccel.files import Plain
 from uavaccel.limits import MOST_PROCESSES, Cost, Count, Games, Lanes, Processes, Seed
 from uavaccel.machine import memory_bytes
 from uavaccel.own_code import module_of, own_class, own_module
+from uavaccel.resources import require
 
 if TYPE_CHECKING:
     from stable_baselines3.common.base_class import BaseAlgorithm
@@ -391,8 +391,7 @@ def check_options(config: LearnerConfig) -> int:
         return PPOSettings.of(config).rollout * config.environments
     if config.algorithm not in ALGORITHMS.split(", "):
         raise UserError(f"algorithm = {config.algorithm!r} is unknown; there are {ALGORITHMS}")
-    if find_spec("stable_baselines3") is None:
-        raise UserError(f"algorithm = {config.algorithm!r}: needs stable-baselines3: pip install 'uavaccel[sb3]'")
+    require("stable_baselines3", f"algorithm = {config.algorithm!r}", "sb3", "stable-baselines3")
     from uavaccel.rl.baseline import baseline_class  # loads PyTorch
 
     return _check_keywords(config, baseline_class(config.algorithm))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +16,7 @@ from uavaccel.envs.task import Task
 from uavaccel.envs.values import Observation, rows_of
 from uavaccel.errors import UserError
 from uavaccel.files import TEXT_BYTES, file_sha256, parse_json, read_bounded
+from uavaccel.resources import require
 from uavaccel.rl.agents import Agent, BatchAgent, form_of, kept_keys, refuse_form
 from uavaccel.vision.observation import BLOCK_SIDE, NEUTRAL_LEVEL
 
@@ -35,8 +35,7 @@ class OnnxFile:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        if find_spec("onnxruntime") is None:
-            raise UserError(f"{path}: needs onnxruntime: pip install onnxruntime")
+        require("onnxruntime", str(path), "onnx")
         import onnxruntime
 
         options = onnxruntime.SessionOptions()

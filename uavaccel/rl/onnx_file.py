@@ -1,11 +1,10 @@
 """Export of a policy, with its preprocessing, as an ONNX file that runs without torch and without this package.
 
-PyTorch's exporter needs the package `onnxscript` (`pip install uavaccel[onnx]`).
+PyTorch's exporter needs the package `onnxscript`, the extra `onnx`.
 """
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import logging
 import warnings
@@ -19,12 +18,12 @@ from torch.nn.functional import avg_pool2d
 from uavaccel.envs.sensors import DEPTH_FAR_M, SIZE
 from uavaccel.errors import UserError
 from uavaccel.files import replacing
+from uavaccel.resources import require
 from uavaccel.rl.config import DOUBLE_DQN, PPO
 from uavaccel.rl.onnx_agent import metadata_of
 from uavaccel.rl.policy import Policy, observed_frames
 from uavaccel.vision.observation import BLOCK_SIDE, NEUTRAL_LEVEL
 
-MISSING = "an ONNX file needs the package onnxscript: pip install 'uavaccel[onnx]'"
 CHANNELS = {"dvs": 1, "depth": 1, "colour": 3}
 INPUTS = {
     "dvs": "ON minus OFF events per pixel since the frame before, (n, frames, 144, 256), the oldest first",
@@ -77,8 +76,7 @@ def reduced(seen: th.Tensor, observation: str) -> th.Tensor:
 
 def write_onnx(policy: Policy, path: Path) -> dict[str, str]:
     """Write the file; returns its metadata. Raises UserError without onnxscript."""
-    if importlib.util.find_spec("onnxscript") is None:
-        raise UserError(MISSING)
+    require("onnxscript", "--onnx", "onnx")
     inputs = example(policy)
     names = ["seen", "told"][: len(inputs)]
     logging.getLogger("torch.onnx").setLevel(logging.ERROR)  # it tells of packages that it could do with

@@ -12,7 +12,6 @@ import zipfile
 from collections.abc import Mapping
 from functools import cached_property
 from importlib import import_module
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +24,7 @@ from uavaccel.envs.values import Observation
 from uavaccel.errors import UserError
 from uavaccel.files import ARRAYS_BYTES, TEXT_BYTES, Plain, file_sha256, open_bounded, parse_json
 from uavaccel.own_code import is_trusted
+from uavaccel.resources import require
 from uavaccel.rl.agents import Agent, BatchAgent, form_of, refuse_form
 
 ALGORITHMS = {
@@ -44,8 +44,7 @@ class Sb3File:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        if find_spec("stable_baselines3") is None:
-            raise UserError(f"{path}: needs stable-baselines3: pip install 'uavaccel[sb3]'")
+        require("stable_baselines3", str(path), "sb3", "stable-baselines3")
         try:
             with open_bounded(path, ARRAYS_BYTES) as file, zipfile.ZipFile(file) as archive:
                 if archive.getinfo("data").file_size > TEXT_BYTES:

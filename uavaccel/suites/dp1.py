@@ -255,7 +255,7 @@ SCORES = ["stlc", "position_rmse_m", "position_rmse_vs_lockstep_m", "gap_s", "di
 
 def score_path(run: RunDirectory, games: pd.DataFrame) -> list[pd.DataFrame]:
     """Return the SCORES of each cell of a PATH, NaN where there is nothing to compare with; `gap_s` are lists."""
-    from uavaccel.metrics.stlc import mean_stlc  # loads scipy
+    from uavaccel.metrics.stlc import mean_stlc  # loads numba
 
     arrays = {game["case"]: run.load_arrays(game) for game in games.to_dict("records")}
 

@@ -6,7 +6,6 @@ cluster (RAY_ADDRESS, DASK_SCHEDULER_ADDRESS) a local one of this machine's proc
 
 from __future__ import annotations
 
-import importlib.util
 import os
 import warnings
 from collections.abc import Callable, Iterable, Iterator
@@ -16,6 +15,7 @@ from itertools import islice
 
 from uavaccel.errors import UsageError, UserError
 from uavaccel.processes.lifetime import work_for_parent
+from uavaccel.resources import require
 from uavaccel.suites.suite import GameResult
 
 LOKY = "loky"
@@ -30,8 +30,8 @@ def check_engine(engine: str) -> None:
     if engine not in ENGINES:
         raise UsageError(f"--engine {engine}: is unknown; there are {', '.join(ENGINES)}")
     package = PACKAGES.get(engine)
-    if package is not None and importlib.util.find_spec(package) is None:
-        raise UserError(f"--engine {engine}: needs the package {package}: pip install 'uavaccel[{engine}]'")
+    if package is not None:
+        require(package, f"--engine {engine}", engine)
 
 
 def in_parallel(

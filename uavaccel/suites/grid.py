@@ -571,7 +571,7 @@ class Sweep(PolicyGrid):
         alt = f"Lines of success by the value of each condition. {self.headline(report)}."
         yield report.figure("sweep", figure, caption, alt)
         yield self.overview(report)
-        moved = " Where spacing or gap change, the obstacles stand elsewhere: a lane may be harder or easier for anyone."
+        moved = " Where spacing or gap change, the obstacles stand elsewhere: a lane may be harder for anyone."
         yield method_note(
             f"One condition is changed at a time; the {games} are the same throughout. p is that of McNemar's exact "
             f"test against the flights as trained, {games[:-1]} by {games[:-1]}.{moved if games == 'lanes' else ''}"

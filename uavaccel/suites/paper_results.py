@@ -22,14 +22,19 @@ def thinking_share() -> float:
     times faster and the rest, a share o of it, stays, the whole becomes (1 + o) / (1 / s + o) times faster. Either pair
     alone gives .038 and .045.
     """
-    from scipy.optimize import minimize_scalar
 
-    def misfit(share: float) -> float:
-        return sum(
-            ((1 + share) / (1 / SIMULATION_SPEEDUP[k] + share) - whole) ** 2 for k, whole in TRAINING_SPEEDUP.items()
-        )
+    def slope(share: float) -> float:
+        """Return half the derivative of the squared misfits."""
+        found = 0.0
+        for clock_speed, whole in TRAINING_SPEEDUP.items():
+            simulated = 1 / SIMULATION_SPEEDUP[clock_speed]
+            found += ((1 + share) / (simulated + share) - whole) * (simulated - 1) / (simulated + share) ** 2
+        return found
 
-    return float(minimize_scalar(misfit, bounds=(0.0, 1.0), options={"xatol": 1e-9}).x)
+    low, high = 0.0, 1.0
+    while low < (middle := (low + high) / 2) < high:
+        low, high = (middle, high) if slope(middle) < 0 else (low, middle)
+    return high
 
 
 def phase_hours(clock_speed: float) -> tuple[float, float]:

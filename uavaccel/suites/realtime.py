@@ -9,7 +9,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, closing, nullcontext
 from dataclasses import dataclass
 from functools import lru_cache
-from importlib.util import find_spec
 from itertools import permutations, product
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -29,6 +28,7 @@ from uavaccel.metrics.seeds import hierarchical_interval
 from uavaccel.metrics.speedup import timing_provenance
 from uavaccel.own_code import own_module
 from uavaccel.records import RunDirectory
+from uavaccel.resources import require
 from uavaccel.suites import plots
 from uavaccel.suites.experiment import ClockSpeeds, CommandNames, Experiment, Timing
 from uavaccel.suites.report import Report, Summary, method_note, records
@@ -209,8 +209,7 @@ class Realtime(Suite[RealtimeConfig, Training]):
 
     def check(self, config: RealtimeConfig) -> None:
         """Raise UserError for an environment that cannot be made, and for an agent that cannot act in it."""
-        if find_spec("stable_baselines3") is None:
-            raise UserError("suite realtime: needs stable-baselines3: pip install 'uavaccel[realtime]'")
+        require("stable_baselines3", "suite realtime", "realtime", "stable-baselines3")
         from uavaccel.realtime.plant import is_of_mujoco
         from uavaccel.suites.realtime_agents import timed
 

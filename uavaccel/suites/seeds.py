@@ -182,7 +182,8 @@ class Seeds(Suite[SeedsConfig, SeedCase]):
 
     def source(self, report: Report) -> str:
         seeds = listed(training["seed"] for training in report.summary["trainings"])
-        return f"{timing_provenance(report.config.task.timing)} · {report.config.training.games} games each · seeds {seeds}"
+        games = f"{report.config.training.games} games each"
+        return f"{timing_provenance(report.config.task.timing)} · {games} · seeds {seeds}"
 
     def overview(self, report: Report) -> Table:
         over = report.summary["over_seeds"]

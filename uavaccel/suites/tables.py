@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +17,7 @@ from uavaccel.config import dotted_keys
 from uavaccel.errors import UserError
 from uavaccel.files import inside, replacing
 from uavaccel.records import RunDirectory
+from uavaccel.resources import require
 from uavaccel.suites.report import table_of
 from uavaccel.suites.rows import Row
 
@@ -30,8 +30,8 @@ def write_tables(run: RunDirectory, folder: Path, kind: str) -> Iterator[Path]:
     `kind` is csv or parquet. Raises UserError where the run has no rows, the folder cannot be written, or pyarrow is
     missing.
     """
-    if kind == "parquet" and find_spec("pyarrow") is None:
-        raise UserError("Parquet needs the package pyarrow: pip install 'uavaccel[parquet]'; CSV needs nothing more")
+    if kind == "parquet":
+        require("pyarrow", "--parquet", "parquet")
     rows = run.rows()
     if not rows:
         raise UserError(f"{run.path / 'rows.jsonl'}: holds no finished game")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NotRequired
 
@@ -28,6 +27,7 @@ from uavaccel.limits import Games as GameCount
 from uavaccel.metrics.intervals import Proportion
 from uavaccel.metrics.speedup import timing_provenance
 from uavaccel.records import RunDirectory
+from uavaccel.resources import require
 from uavaccel.rl.agents import first_policy, policy_sha256
 from uavaccel.rl.config import (
     DOUBLE_DQN,
@@ -185,8 +185,8 @@ class Training(Suite[TrainConfig, SimpleCase]):
 
     def check(self, config: TrainConfig) -> None:
         check_algorithm(config)
-        if config.wandb is not None and find_spec("wandb") is None:
-            raise UserError(f"wandb = {config.wandb!r}: needs the package wandb: pip install 'uavaccel[wandb]'")
+        if config.wandb is not None:
+            require("wandb", f"wandb = {config.wandb!r}", "wandb")
         if config.start_from is not None:
             first_policy(config)
 

@@ -6,7 +6,6 @@ their own, by a copy of the policy below policies/: the weights are those of a t
 
 from __future__ import annotations
 
-import os
 import signal
 import threading
 from collections import deque
@@ -20,11 +19,8 @@ from typing import Any
 
 import numpy as np
 import torch as th
-from tensorboard.compat.proto.event_pb2 import Event
-from tensorboard.compat.proto.summary_pb2 import Summary
-from tensorboard.summary.writer.record_writer import RecordWriter
 
-from uavaccel.clock import MonotonicClock, epoch_s
+from uavaccel.clock import MonotonicClock
 from uavaccel.config import validate
 from uavaccel.draw.labels import command_name
 from uavaccel.envs.batch import EnvironmentBatch
@@ -42,6 +38,7 @@ from uavaccel.rl.policy import export_policy, weights_sha256
 from uavaccel.sim.camera.camera import BlankCamera, make_cameras_with
 from uavaccel.suites.evaluate import EvaluateConfig
 from uavaccel.suites.evaluate_lanes import GamesInBatch
+from uavaccel.suites.event_file import EventFile
 from uavaccel.suites.rows import Row, game_row, number_of, with_lane
 from uavaccel.suites.suite import GameResult
 from uavaccel.suites.train import CHECKPOINTS, EVALUATIONS, RECENT, TrainConfig, TrainRow, evaluations, game_case
@@ -166,15 +163,7 @@ class GameRows:
         self._clock = MonotonicClock()
         self._start_ns = self._clock.now_ns()
         self._wandb = None if config.wandb is None else begin_wandb(config, run)
-        folder = run / "tensorboard"
-        folder.mkdir(parents=True, exist_ok=True)
-        # without the thread of TensorBoard's own writer
-        self._curves = RecordWriter((folder / f"events.out.tfevents.{epoch_s():.0f}.{os.getpid()}").open("ab"))
-        self._write(Event(wall_time=epoch_s(), file_version="brain.Event:2"))
-
-    def _write(self, event: Event) -> None:
-        self._curves.write(event.SerializeToString())
-        self._curves.flush()
+        self._curves = EventFile(run / "tensorboard")
 
     def close(self) -> None:
         """Close the curves' file, and end the run of Weights & Biases, which sends what it has yet to send."""
@@ -212,11 +201,10 @@ class GameRows:
             "success_recent": sum(self._recent) / len(self._recent),
             "real_time_factor": self._simulated_s / wall_s,
         }
-        known = {f"games/{name}": value for name, value in curves.items() if value is not None}
-        points = [Summary.Value(tag=tag, simple_value=value) for tag, value in known.items()]
-        self._write(Event(wall_time=epoch_s(), step=game.number + 1, summary=Summary(value=points)))
+        points = {f"games/{name}": value for name, value in curves.items() if value is not None}
+        self._curves.add(game.number + 1, points)
         if self._wandb is not None:
-            self._wandb.log(known, step=game.number + 1)
+            self._wandb.log(points, step=game.number + 1)
         host = {"wall_s": wall_s, "host_phase_s": game.info["host_phase_s"], "learner_s": learning.spent_s()}
         return GameResult(row, host=host)
 

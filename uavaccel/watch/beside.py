@@ -13,7 +13,6 @@ longer reads is dropped; one that reads slowly gets the latest state instead of 
 from __future__ import annotations
 
 import errno
-import importlib.util
 import io
 import json
 import logging
@@ -78,7 +77,6 @@ def page_beside(address: PageAddress | None, waits: bool = True) -> Iterator[Non
     if address is None:
         yield
         return
-    check_viser()
     free_port(address.host, address.port)
     remove_orphaned_files(Path(tempfile.gettempdir()), re.compile(rf"{SCRATCH}(\d+)-"))
 
@@ -146,7 +144,6 @@ def show(
     `square` are its ClockSpeed, the wall seconds that the client thinks, and the seed of its latencies; the spectator
     chooses other ClockSpeeds. Raises UserError for a run without such a game.
     """
-    check_viser()
     from uavaccel.watch.page import Page
     from uavaccel.watch.replay import fly_side_by_side, recorded
     from uavaccel.watch.sources import Replay
@@ -173,12 +170,6 @@ def show(
         server.stop()
 
 
-def check_viser() -> None:
-    """Raise UserError where viser is missing."""
-    if importlib.util.find_spec("viser") is None:
-        raise UserError("watch: needs the package viser: pip install 'uavaccel[watch]'")
-
-
 def free_port(host: str, port: int) -> int:
     """Return the first free port from `port` on; without one, and for a foreign address, viser would wait for ever.
 
@@ -199,9 +190,8 @@ def free_port(host: str, port: int) -> int:
 def open_server(host: str, port: int) -> ViserServer:
     """Open a page, without a word, at the first free port from `port` on.
 
-    Raises UserError where viser is missing, and as `free_port` does.
+    Raises UserError as `free_port` does.
     """
-    check_viser()
     port = free_port(host, port)
     import viser
 

@@ -16,7 +16,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import expm
 
 from uavaccel.errors import UserError
 from uavaccel.sim.lane.layout import LENGTH_M, FloatArray, LaneLayout, clearance_m
@@ -90,8 +89,18 @@ def _response(height_m: float, step_s: float) -> tuple[FloatArray, FloatArray]:
     continuous = np.array(
         [[0, 1, 0, 0], [0, -DRAG_1_S, GRAVITY_M_S2, 0], [0, -gain, -1 / TILT_TIME_S, gain], [0, 0, 0, 0]]
     )
-    steps = np.array([expm(continuous * step_s * (count + 1)) for count in range(CHECKS_PER_COMMAND)])
+    check = _exponential(continuous * step_s)
+    steps = np.array([np.linalg.matrix_power(check, count + 1) for count in range(CHECKS_PER_COMMAND)])
     return steps[:, :3, :3].reshape(-1, 3).T, steps[:, :3, 3]
+
+
+def _exponential(matrix: FloatArray) -> FloatArray:
+    """Return the matrix exponential (n, n) of an n x n matrix by Taylor's series of a 2**10th of it."""
+    term = result = np.eye(len(matrix))
+    for power in range(1, 12):
+        term = term @ matrix / (power * 2**10)
+        result = result + term
+    return np.linalg.matrix_power(result, 2**10)
 
 
 def _extend(

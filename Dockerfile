@@ -1,0 +1,26 @@
+# On CPUs: docker build --tag uavaccel .                       On an NVIDIA GPU too: add --build-arg DEVICE=cuda
+# docker run --rm --publish 8080:8080 uavaccel watch --host 0.0.0.0
+ARG PYTHON=3.11
+FROM python:${PYTHON}-slim-bookworm
+
+RUN apt-get update \
+    && apt-get install --yes --no-install-recommends libegl1 libegl-mesa0 libgl1-mesa-dri \
+    && rm -rf /var/lib/apt/lists/*
+
+ARG DEVICE=cpu
+COPY . /src
+# PyTorch's own wheel on PyPI carries CUDA; with it goes the extra for the kernels on a GPU.
+RUN --mount=type=cache,target=/root/.cache/pip cd /src \
+    && if [ "$DEVICE" = cuda ]; then extra='[gpu]' index=https://pypi.org/simple; \
+       else extra='' index=https://download.pytorch.org/whl/cpu; fi \
+    && pip install --extra-index-url "$index" "$(grep '^torch==' constraints.txt)" \
+    && pip install --constraint constraints.txt ".$extra"
+
+ENV NVIDIA_DRIVER_CAPABILITIES=compute,graphics,utility
+RUN useradd --create-home uavaccel
+USER uavaccel
+WORKDIR /home/uavaccel
+# Compiles the hot loop into numba's cache, and says at the build what the image lacks.
+RUN uavaccel doctor
+ENTRYPOINT ["uavaccel"]
+CMD ["--help"]
