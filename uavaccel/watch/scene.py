@@ -138,19 +138,20 @@ def _striped(model: mujoco.MjModel, geom: int) -> Iterator[tuple[trimesh.Trimesh
 
     if (mesh := geom_mesh(model, geom)) is None:
         return
-    material, colour = int(model.geom_matid[geom]), _colour(model, geom)
+    material = int(model.geom_matid[geom])
     texture = _texture(model, material)
     wide, high = (1.0, 1.0) if material < 0 else model.mat_texrepeat[material].tolist()
-    if texture is None or wide != HALF or Geom(int(model.geom_type[geom])) not in (Geom.mjGEOM_BOX, Geom.mjGEOM_CYLINDER):
-        yield mesh, colour
+    upright = Geom(int(model.geom_type[geom])) in (Geom.mjGEOM_BOX, Geom.mjGEOM_CYLINDER)
+    if texture is None or wide != HALF or not upright:
+        yield mesh, _colour(model, geom)
         return
     bands, (bottom, top) = round(2 * high), mesh.bounds[:, 2]
-    column = texture[[-1, 0], 0] / texture.reshape(-1, 3).mean(axis=0)  # from below: the lower row first
+    colours = np.asarray(np.clip(texture[[-1, 0], 0] * model.mat_rgba[material][:3], 0, 255), np.uint8)  # from below
     band_m = (top - bottom) / bands
     for number in range(bands):
         band: trimesh.Trimesh = mesh.copy()
         band.vertices[:, 2] = bottom + band_m * (number + (band.vertices[:, 2] > 0.0))
-        yield band, np.asarray(np.clip(colour * column[number % 2], 0, 255), np.uint8)
+        yield band, colours[number % 2]
 
 
 def geom_mesh(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh | None:
@@ -293,7 +294,11 @@ class Drone:
 
     def _add_lines(self, name: str, points: Floats, colour: tuple[int, int, int], width: float) -> LineSegmentsHandle:
         return self._page.add_line_segments(
-            f"/{self._name} {name}", points.astype(np.float32), as_light(colour), thickness=width, thickness_units="screen"
+            f"/{self._name} {name}",
+            points.astype(np.float32),
+            as_light(colour),
+            thickness=width,
+            thickness_units="screen",
         )
 
 
