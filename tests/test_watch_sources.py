@@ -94,7 +94,11 @@ def test_a_replay_that_is_scrubbed_draws_its_path_up_to_there_anew_and_stays_pau
     page.update(0.0)
     page.update(3.5)
     replay.toggle()
-    for sought_s, at_s, north_m in ((1.5, 1.5, [0.0, 1.0, 1.5]), (np.nan, 0.0, [0.0]), (9.0, 4.0, [0.0, 1.0, 2.0, 3.0, 4.0])):
+    for sought_s, at_s, north_m in (
+        (1.5, 1.5, [0.0, 1.0, 1.5]),
+        (np.nan, 0.0, [0.0]),
+        (9.0, 4.0, [0.0, 1.0, 2.0, 3.0, 4.0]),
+    ):
         server.added["Time"].choose(sought_s)
         page.update(1.0)
         assert replay.progress_s == (pytest.approx(at_s), pytest.approx(4.0))

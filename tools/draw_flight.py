@@ -30,11 +30,12 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=72, help="of samples")
     options = parser.parse_args()
     _, film = film_of_game(open_run(options.run), options.case)
-    assert film.chase is not None
+    assert (chase := film.chase) is not None
 
     def frame(sample: int) -> Bgr:
-        beside = to_bgr(film.images[sample], BESIDE), dvs_picture(film.on_events[sample], film.off_events[sample], BESIDE)
-        return np.hstack([to_bgr(film.chase(sample), PANEL), np.vstack(beside)])  # type: ignore[misc]
+        events = dvs_picture(film.on_events[sample], film.off_events[sample], BESIDE)
+        beside = np.vstack([to_bgr(film.images[sample], BESIDE), events])
+        return np.hstack([to_bgr(chase(sample), PANEL), beside])
 
     samples = range(options.first, min(options.first + options.count, len(film)))
     first, *others = [Image.fromarray(frame(sample)[..., ::-1]) for sample in samples]

@@ -182,7 +182,8 @@ def write_contact_sheet(film: Film, path: Path) -> Path:
     rows = -(-len(chosen) // SHEET_COLUMNS)
     sheet = blank((SHEET_GAP + SHEET_COLUMNS * cell_width, 44 + rows * cell_height))
     write(sheet, film.title, (SHEET_GAP, 28), 0.62)
-    write(sheet, "camera, and below it DVS: ON blue, OFF red", (sheet.shape[1] - SHEET_GAP, 28), 0.42, FAINT, anchor=1.0)
+    right = sheet.shape[1] - SHEET_GAP
+    write(sheet, "camera, and below it DVS: ON blue, OFF red", (right, 28), 0.42, FAINT, anchor=1.0)
     for place, i in enumerate(chosen):
         x = SHEET_GAP + place % SHEET_COLUMNS * cell_width
         y = 44 + place // SHEET_COLUMNS * cell_height

@@ -118,6 +118,8 @@ class Source(ABC):
     """By drones' names, the path (n, 3) with which one's is compared, in MuJoCo's frame."""
     ideal = ""
     """Whose path that is."""
+    sought_s: float | None = None
+    """Where a spectator has gone, in seconds of a show at 1x."""
     clock_speed: float | None = None
     """Of a recorded flight; None of one that cannot begin anew."""
     fly_at: Callable[[float], None] | None = None
@@ -129,7 +131,8 @@ class Source(ABC):
         return None
 
     def seek(self, at_s: float) -> None:
-        """Show a recorded flight from this place on; nothing of one that is flown."""
+        """Show a recorded flight from this place on."""
+        self.sought_s = at_s
 
     @abstractmethod
     def update(self, passed_s: float, seen: bool) -> Sequence[Moment]:

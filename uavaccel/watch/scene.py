@@ -134,8 +134,6 @@ def _show_solids(
 
 def _striped(model: mujoco.MjModel, geom: int) -> Iterator[tuple[trimesh.Trimesh, NDArray[np.uint8]]]:
     """A geom's surfaces in its own frame with their colours: one, or its bands, if its faces show half a checker."""
-    import trimesh
-
     if (mesh := geom_mesh(model, geom)) is None:
         return
     material = int(model.geom_matid[geom])

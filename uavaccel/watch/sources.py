@@ -41,7 +41,6 @@ class Replay(Source):
     def __init__(self, tracks: Sequence[Track], fly_at: Callable[[float], Sequence[Track]] | None = None) -> None:
         """`fly_at` flies them at another ClockSpeed, which the spectators may then choose."""
         self._begun, self._wanted = 0, list[float]()
-        self._sought_s: float | None = None
         self._fly_at, self.fly_at = fly_at, None if fly_at is None else self._wanted.append
         self._take(tracks)
         places = np.concatenate([track.flight.position_m for track in tracks])
@@ -76,9 +75,6 @@ class Replay(Source):
     def progress_s(self) -> tuple[float, float]:
         return self._at_s * self.clock_speed, self._end_s * self.clock_speed
 
-    def seek(self, at_s: float) -> None:
-        self._sought_s = at_s
-
     def toggle(self) -> None:
         """Pause, or go on; at the end begin anew."""
         if self._at_s < self._end_s:
@@ -95,9 +91,9 @@ class Replay(Source):
         simulated_s = STEP_S * self.steps or (0.0 if self.held or self._fresh else pace * passed_s)
         before_s, self.steps = self._at_s, 0
         self._at_s = min(before_s + simulated_s / self.clock_speed, self._end_s)
-        if self._sought_s is not None:  # the path up to there is drawn anew
+        if self.sought_s is not None:  # the path up to there is drawn anew
             self._begun, before_s, self._fresh = self._begun + 1, 0.0, True
-            self._at_s, self._sought_s = min(max(0.0, self._sought_s / self.clock_speed), self._end_s), None
+            self._at_s, self.sought_s = min(max(0.0, self.sought_s / self.clock_speed), self._end_s), None
         self.held |= self._at_s == self._end_s
         between_s = self._stops_s[(self._stops_s > before_s) & (self._stops_s < self._at_s)]
         between_s = between_s[:: len(between_s) // MOST_STOPS + 1]
