@@ -30,7 +30,8 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=72, help="of samples")
     options = parser.parse_args()
     _, film = film_of_game(open_run(options.run), options.case)
-    assert (chase := film.chase) is not None
+    chase = film.chase
+    assert chase is not None  # in a lane
 
     def frame(sample: int) -> Bgr:
         events = dvs_picture(film.on_events[sample], film.off_events[sample], BESIDE)
