@@ -101,10 +101,13 @@ def test_a_replay_that_is_scrubbed_draws_its_path_up_to_there_anew_and_stays_pau
     ):
         server.added["Time"].choose(sought_s)
         page.update(1.0)
-        assert replay.progress_s == (pytest.approx(at_s), pytest.approx(4.0))
+        assert replay.progress_s == pytest.approx((at_s, 4.0))
         segments = server.path("a")[0]
         assert [segments[0][0][0], *(end[0] for _, end in segments)] == north_m if segments else north_m == [0.0]
     assert replay.held
+    replay.seek(1.0)  # from its end
+    page.update(0.0)
+    assert not replay.held
 
 
 def test_replays_are_side_by_side_around_the_middle_and_held_against_the_last() -> None:

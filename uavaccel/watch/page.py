@@ -214,7 +214,8 @@ class Page:
             self._show([moment for moment in moments if len(moment.drones) == len(self._drones)])
         if self._moment is not None and self._updates % PICTURES_EVERY == 0:
             if self._scrub is not None and (progress := self._source.progress_s) is not None:
-                self._scrub.value, self._scrub.max = (round(seconds, 2) for seconds in progress)
+                shown_s, self._scrub.max = (round(seconds, 2) for seconds in progress)
+                setattr(self._scrub, "value", shown_s)  # noqa: B010  to a type checker it cannot be set
             for (name, eyes), state in zip(self._eyes.items(), self._moment.drones, strict=False):
                 self._images[name].image = eyes.render(state.pose, state.time_s)
         self._updates += 1

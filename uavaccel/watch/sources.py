@@ -91,7 +91,8 @@ class Replay(Source):
         simulated_s = STEP_S * self.steps or (0.0 if self.held or self._fresh else pace * passed_s)
         before_s, self.steps = self._at_s, 0
         self._at_s = min(before_s + simulated_s / self.clock_speed, self._end_s)
-        if self.sought_s is not None:  # the path up to there is drawn anew
+        if self.sought_s is not None:  # the path up to there is drawn anew; what had ended goes on
+            self.held &= self._at_s < self._end_s
             self._begun, before_s, self._fresh = self._begun + 1, 0.0, True
             self._at_s, self.sought_s = min(max(0.0, self.sought_s / self.clock_speed), self._end_s), None
         self.held |= self._at_s == self._end_s
