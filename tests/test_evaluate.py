@@ -132,7 +132,8 @@ def test_films_of_the_best_and_the_worst(tmp_path: Path) -> None:
     made = sorted(path.name for path in (tmp_path / "run/films").iterdir())
     assert made == ["best.mp4", "best.png", "worst.mp4", "worst.png"]
     html = (tmp_path / "run/report.html").read_text()
-    films = re.findall(r'<video [^>]*src="data:video/mp4;base64,([^"]*)"', html)
+    assert len(re.findall(r'<video controls preload="metadata" poster="data:image/jpeg;base64,', html)) == 2
+    films = re.findall(r'<video [^>]* src="data:video/mp4;base64,([^"]*)"', html)
     assert [base64.b64decode(film) for film in films] == [
         (tmp_path / f"run/films/{name}.mp4").read_bytes() for name in ("best", "worst")
     ]

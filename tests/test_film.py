@@ -13,7 +13,7 @@ import pytest
 
 from tests.running import full_device
 from uavaccel.draw import film as films
-from uavaccel.draw.film import IMPACT, Film, dvs_picture, frames, movie, write_contact_sheet, write_video
+from uavaccel.draw.film import IMPACT, Film, dvs_picture, frames, movie, poster, write_contact_sheet, write_video
 from uavaccel.draw.panels import (
     DRONE,
     GOAL,
@@ -183,6 +183,27 @@ def test_a_film_is_h264_that_decodes_to_what_was_drawn(tmp_path: Path) -> None:
     assert data.index(b"moov") < data.index(b"mdat")  # plays before it is all there
     assert len(data) < 10_000 * SAMPLES
     assert write_video(film, tmp_path / "two.mp4", frames_per_s=10).read_bytes() == data
+
+
+def test_no_film_is_larger_than_the_largest_however_noisy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert films.LARGEST == 3_000_000
+    monkeypatch.setattr(films, "LARGEST", 400_000)
+    noise = np.random.default_rng(0).integers(0, 256, (60, 144, 256), np.uint8)
+    path = write_video(replace(flown(samples=60), images=noise), tmp_path / "noise.mp4")
+    assert 250_000 < path.stat().st_size < 400_000
+    with av.open(str(path)) as file:
+        assert len(list(file.decode(video=0))) == 60
+
+
+def test_a_films_poster_is_its_middle_frame(tmp_path: Path) -> None:
+    film = flown()
+    path = write_video(film, tmp_path / "one.mp4")
+    picture = cv2.imdecode(np.frombuffer(poster(path), np.uint8), cv2.IMREAD_COLOR)
+    assert picture is not None
+    drawn = [cv2.resize(frame, (960, 360), interpolation=cv2.INTER_AREA).astype(int) for frame in frames(film)]
+    assert np.argmin([np.abs(frame - picture).mean() for frame in drawn]) in range(13, 18)
+    path.write_bytes(b"no film")
+    assert poster(path) == b""
 
 
 def test_a_film_that_cannot_be_written_leaves_the_old_one(tmp_path: Path) -> None:

@@ -76,6 +76,15 @@ def test_every_page_is_in_the_sites_navigation() -> None:
     assert set(named) == there | {"docs/reference/keys.md"}
 
 
+def test_the_first_page_begins_with_a_moving_picture_that_is_soon_there() -> None:
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    picture = ROOT / re.findall(r"!\[[^]]+\]\(([^)]+)\)", readme.partition("\n## ")[0])[0]
+    data = picture.read_bytes()
+    assert data[:4] == b"RIFF"
+    assert b"ANIM" in data[:64]  # a WebP that moves
+    assert len(data) < 1_500_000
+
+
 def test_every_key_of_the_yaml_files_has_a_meaning() -> None:
     """On the page that docs/site makes of the schemas."""
     path = ROOT / "docs" / "site" / "keys.py"

@@ -106,7 +106,7 @@ def served(folder: Path) -> Iterator[str]:
 @needs_opengl
 @pytest.mark.slow
 @pytest.mark.skipif(not CHROMIUM.exists(), reason="needs Debian's chromium")
-def test_a_browser_pauses_steps_and_replays(tmp_path: Path) -> None:
+def test_a_browser_pauses_steps_and_scrubs(tmp_path: Path) -> None:
     from playwright.sync_api import sync_playwright
 
     shots = Path(os.environ.get(SCREENSHOTS, tmp_path))
@@ -122,7 +122,8 @@ def test_a_browser_pauses_steps_and_replays(tmp_path: Path) -> None:
             if width == 1280:  # a slow browser would miss the end, and its click on Pause begin anew
                 page.get_by_role("combobox", name="Shown at").click()
                 page.get_by_role("option", name="0.25x", exact=True).click()
-            page.get_by_role("button", name="Replay").click()
+            assert page.title() == "ADSC and TCSC fly one square – uavaccel"
+            page.locator(".mantine-Slider-track").click(position={"x": 3, "y": 1})
             if SCREENSHOTS in os.environ:
                 page.wait_for_timeout(12_000)  # some of the path
             page.get_by_role("button", name="Pause").click()
@@ -137,8 +138,21 @@ def test_a_browser_pauses_steps_and_replays(tmp_path: Path) -> None:
             page.locator("#webgl-software-rendering button").click()
             page.wait_for_timeout(1000)
             page.screenshot(path=shots / f"watch_{width}.png", timeout=120_000)
-            page.get_by_role("button", name="Replay").click()
+            button = page.get_by_role("button", name="Step", exact=True)
+            step, scrub = button.bounding_box(), page.locator(".mantine-Slider-track").bounding_box()
+            assert step is not None
+            assert scrub is not None
+            assert step["y"] < scrub["y"] < step["y"] + step["height"]  # one row
+            page.get_by_role("button", name="Play", exact=True).click()
             page.get_by_role("button", name="Pause").wait_for()
+            page.wait_for_function("words => document.querySelector('.clocks').innerText.includes(words)", arg="done")
+            assert button.bounding_box() == step  # whatever the clocks say
+            if width == 390:
+                scene, panel = (page.locator(name).first.bounding_box() for name in ("canvas", ".mantine-Paper-root"))
+                assert scene is not None
+                assert panel is not None
+                assert scene["y"] + scene["height"] == pytest.approx(panel["y"], abs=1.0) == height / 2
+                assert panel["width"] == width
             assert page.evaluate("document.documentElement.scrollWidth") <= width
             page.close()
         page = new_page(browser)

@@ -7,19 +7,20 @@ import threading
 from collections.abc import Sequence
 from types import SimpleNamespace
 from typing import Any
+from urllib.request import urlopen
 
 import mujoco
 import numpy as np
 import pytest
 
-from tests.web_server import Server
+from tests.web_server import BLUE, VERMILION, Server
 from uavaccel.errors import UserError
 from uavaccel.sim.camera.view import HEIGHT, WIDTH
 from uavaccel.watch import beside
 from uavaccel.watch import page as pages
 from uavaccel.watch import scene as scenes
-from uavaccel.watch.page import FLAT_OUT, DroneState, Moment, Page, Source, Views, clock_table
-from uavaccel.watch.scene import COMMANDED, THINKING, Drone, Eyes, Scene
+from uavaccel.watch.page import FLAT_OUT, DroneState, Moment, Page, Source, Views, clock_table, head_of, legend
+from uavaccel.watch.scene import Drone, Eyes, Scene
 
 # A floor of 6 x 4 m whose texture, red above green, repeats thrice northwards and twice westwards; solids of every
 # kind; a hull, a geom far below, and a vehicle that is turned by a quarter and has a rotor beside its middle.
@@ -94,6 +95,27 @@ def test_surroundings_are_what_is_drawn_and_no_vehicle_a_mesh_for_each_colour_an
     assert np.unique(picture.reshape(-1, 3), axis=0).tolist() == [[51, 102, 255]]
 
 
+@pytest.mark.parametrize("shape", ["box", "cylinder"])
+def test_posts_have_their_bands_the_dark_one_at_the_bottom_as_the_camera_sees_them(shape: str) -> None:
+    posts = f"""
+      <mujoco>
+        <asset>
+          <texture name="bands" type="2d" builtin="checker" rgb1="1 1 1" rgb2="0.2 0.2 0.2" width="64" height="64"/>
+          <material name="post" texture="bands" texrepeat="0.5 2" rgba="1 0.5 0 1"/>
+        </asset>
+        <worldbody><geom type="{shape}" size="1 2 2" pos="0 0 2" material="post"/></worldbody>
+      </mujoco>"""
+    model = mujoco.MjModel.from_xml_string(posts)
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    server = Server()
+    scenes.show_surroundings(server, Scene(model, data, {}, np.zeros(3)))  # type: ignore[arg-type]
+    dark, light = (server.added[f"/surroundings/solids {number}"] for number in (0, 1))
+    assert [dark.options["color"], light.options["color"]] == [(51, 25, 0), (255, 127, 0)]
+    for mesh, heights in ((dark, [0.0, 1.0, 2.0, 3.0]), (light, [1.0, 2.0, 3.0, 4.0])):
+        assert np.unique(mesh.arguments[1][:, 2].round(6)).tolist() == heights
+
+
 def test_a_drone_is_its_own_geoms_at_their_size_where_they_are_on_it() -> None:
     server, scene = Server(), scene_of("a", "b")
     for name in "ab":
@@ -122,9 +144,9 @@ def test_a_drone_has_a_path_an_arrow_along_its_command_and_a_shadow_on_what_is_b
     assert server.added["/a ideal"].arguments[1].tolist() == ideal
     arrow, shadow, plumb = (server.added[f"/a {part}"] for part in ("command", "shadow", "plumb line"))
     turn = [0.5, 0.5, 0.5, 0.5]
-    drone.show(np.array([1.0, -1.0, 4.0, *turn]), (0.0, 2.0, 0.0), "a: flies")
+    drone.show(np.array([1.0, -1.0, 4.0, *turn]), (0.0, 2.0, 0.0))
     assert (server.added["/a"].position.tolist(), server.added["/a"].wxyz.tolist()) == ([1.0, 0.0, 4.0], turn)
-    assert server.added["/a/name"].text == "a: flies"
+    assert server.added["/a/name"].arguments[1] == "a"
     np.testing.assert_allclose(arrow.points, [[[1.0, 0.0, 4.0], [1.0, -0.7, 4.0]]])
     assert drone.height_m == pytest.approx(3.5)
     foot = [1.0, 0.0, 0.52]
@@ -135,7 +157,7 @@ def test_a_drone_has_a_path_an_arrow_along_its_command_and_a_shadow_on_what_is_b
         (0.14, (0.0, 0.0, 0.0), (False, True, False)),  # no line where it stands
         (-1.0, None, (False, False, False)),
     ):
-        drone.show(np.array([1.0, -1.0, 0.5 + height_m, *turn]), towards, "")
+        drone.show(np.array([1.0, -1.0, 0.5 + height_m, *turn]), towards)
         assert (arrow.visible, shadow.visible, plumb.visible) == seen
         assert drone.height_m == (None if height_m < 0.0 else pytest.approx(height_m))
 
@@ -149,15 +171,15 @@ def test_a_path_is_sent_in_blocks_forgets_its_oldest_and_begins_anew(monkeypatch
     for number, commanded in enumerate([True, True, True, False, False, True]):
         drone.go_to(np.array([number, 0.0, 0.0]), commanded)
     drone.go_to(np.array([5.0, 0.0, 0.0]), False)  # it stands
-    drone.show(pose, None, "")
+    drone.show(pose, None)
     points, colours = server.path("a")
     assert [[start[0], end[0]] for start, end in points] == [[2, 3], [3, 4], [4, 5]]
-    assert colours == [THINKING, THINKING, COMMANDED]
+    assert colours == [VERMILION, VERMILION, BLUE]
     drone.begin(None)
     assert server.path("a") == ([], [])
     for north in (9.0, 10.0):
         drone.go_to(np.array([north, 0.0, 0.0]), True)
-    drone.show(pose, None, "")
+    drone.show(pose, None)
     assert server.path("a")[0] == [[[9.0, 0.0, 0.0], [10.0, 0.0, 0.0]]]  # not from where it was
 
 
@@ -186,17 +208,17 @@ def test_events_are_of_what_passed_since_the_last_image_and_begin_anew_after_a_j
 # --- views and clocks ------------------------------------------------------------------------------------------------
 
 
-def test_a_view_is_from_behind_and_above_lower_and_farther_on_a_phone_and_goes_along() -> None:
+def test_a_view_is_from_behind_and_above_farther_on_a_phone_and_goes_along() -> None:
     server, begun = Server(2.0, 0.5), list[bool]()
     views = Views(server, lambda: begun.append(True))  # type: ignore[arg-type]
     screen, phone = (client.camera for client in server.clients.values())
     centre, back = np.array([1.0, 2.0, 3.0]), 4.0 * np.array([-1.15, 0.0, 0.85])
-    for wide, times in ((True, 3.0), (False, 1.0)):  # 1.5 times 2, the height over the width
+    for wide, times in ((True, 3.0), (False, 1.0)):  # 1.5 over 0.5
         views.look_at(centre, 4.0, wide)
         for camera in (server.initial_camera, screen):
             np.testing.assert_allclose([camera.position, camera.look_at], [centre + back, centre])
         np.testing.assert_allclose(phone.position, centre + times * back)
-        np.testing.assert_allclose(phone.look_at, centre - [0.0, 0.0, 0.3 * times * np.linalg.norm(back)])
+        np.testing.assert_allclose(phone.look_at, centre)
     screen.position = np.full(3, 9.0)  # as somebody has chosen
     views.follow(centre + np.array([0.01, 0.0, 0.0]))  # less than it is worth
     assert screen.position.tolist() == [9.0, 9.0, 9.0]
@@ -211,17 +233,37 @@ def test_a_view_is_from_behind_and_above_lower_and_farther_on_a_phone_and_goes_a
     assert begun == [True]  # the first browser alone begins the show
 
 
-def test_the_table_of_clocks_has_a_line_for_each_drone_and_its_height_where_there_is_ground() -> None:
+def test_clocks_have_two_lines_for_each_drone_and_its_height_where_there_is_ground() -> None:
     drones = [("a<b", 1.004, 2.46, "flies & thinks"), ("low", 61.5, 0.0, "done"), ("c", 0.0, None, "")]
     table = clock_table(2.5, "0.100 s", drones, "1 < 2")
     rows = [row.split("</tr>")[0] for row in table.split("<tr>")[1:]]
     assert [[cell.split(">", 1)[1].split("</td>")[0] for cell in row.split("<td")[1:]] for row in rows] == [
-        ["<b>a&lt;b</b>", "1.00 s", "2.5 m up", "flies &amp; thinks"],
-        ["<b>low</b>", "61.50 s", "0.0 m up", "done"],
-        ["<b>c</b>", "0.00 s", "", ""],
+        ["<b>a&lt;b</b>", "1.00 s", "2.5 m up"],
+        ["flies &amp; thinks"],
+        ["<b>low</b>", "61.50 s", "0.0 m up"],
+        ["done"],
+        ["<b>c</b>", "0.00 s", ""],
+        [""],
     ]
     assert "ClockSpeed <b>2.5x</b> &nbsp; wall clock <b>0.100 s</b>" in table
-    assert "1 &lt; 2</p>" in table
+    assert "<p class='note'>1 &lt; 2</p>" in table
+    assert "<p class='note'></p>" in clock_table(2.5, "0.100 s", drones)  # its place is kept
+
+
+def test_the_legend_names_every_colour_and_white_only_where_a_path_is_compared() -> None:
+    plain, compared = legend(""), legend("TCSC")
+    for text in ("flies a command", "client thinks", "commanded velocity", "plumb line"):
+        assert text in plain
+        assert text in compared
+    assert [text.count("background:rgb") for text in (plain, compared)] == [4, 5]
+    assert "background:rgb(245, 245, 245)'></i>path of TCSC<" in compared
+    for colour in ("rgb(0, 114, 178)", "rgb(213, 94, 0)"):
+        assert colour in plain
+
+
+def test_the_pages_title_is_the_first_sentence_and_its_style_is_beside_it() -> None:
+    head = head_of("Game `a<b` of **two**: TCSC at 1.5x. More.")
+    assert head.startswith("<title>Game a&lt;b of two: TCSC at 1.5x – uavaccel</title><style>")
 
 
 # --- the page --------------------------------------------------------------------------------------------------------
@@ -242,6 +284,23 @@ class Told(Source):
 
     def begin(self) -> None:
         self.begun += 1
+
+
+class Recorded(Told):
+    """One that can be scrubbed."""
+
+    at_s, length_s = 0.0, 8.123
+
+    def __init__(self, scene: Scene | None) -> None:
+        super().__init__(scene)
+        self.sought: list[float] = []
+
+    @property
+    def progress_s(self) -> tuple[float, float]:
+        return self.at_s, self.length_s
+
+    def seek(self, at_s: float) -> None:
+        self.sought.append(at_s)
 
 
 POSE = [1.0, 2.0, 3.0, 1.0, 0.0, 0.0, 0.0]
@@ -281,10 +340,9 @@ def test_every_drone_is_shown_with_its_own_path_which_begins_anew_with_each_flig
     both, moved = MOMENT._replace(drones=pair), MOMENT._replace(drones=farther(1.0))
     opened.tell(both, moved)
     assert [added[f"/{name}"].position.tolist() for name in "ab"] == [[2.0, 5.0, 4.0], [5.0, 4.0, 7.0]]  # 2 m aside
-    assert [added[f"/{name}/name"].text for name in "ab"] == ["a: x", "b: y"]
     assert [added[f"/{name} command"].visible for name in "ab"] == [True, False]
-    assert opened.server.path("a") == ([[[1.0, 4.0, 3.0], [2.0, 5.0, 4.0]]], [THINKING])
-    assert opened.server.path("b") == ([[[4.0, 3.0, 6.0], [5.0, 4.0, 7.0]]], [COMMANDED])
+    assert opened.server.path("a") == ([[[1.0, 4.0, 3.0], [2.0, 5.0, 4.0]]], [VERMILION])
+    assert opened.server.path("b") == ([[[4.0, 3.0, 6.0], [5.0, 4.0, 7.0]]], [BLUE])
     heights = ["3.5 m up" if abs(y) < 2.0 and abs(x) < 3.0 else "" for x, y in ((2.0, 5.0), (5.0, 4.0))]
     assert heights == ["", ""]  # beyond the floor
     assert opened.server.clocks() == "ClockSpeed 4x wall clock 2.500 s a 10.00 s x b 11.00 s y"
@@ -304,13 +362,13 @@ def test_controls_are_those_of_the_flight_and_tell_its_player() -> None:
     opened = Opened()
     controls, source = opened.server.added, opened.source
     assert "Waits for a flight." in opened.server.clocks()
-    assert not {"Replay", "ClockSpeed"} & controls.keys()  # it goes on, and cannot begin anew
+    assert not {"Time", "ClockSpeed"} & controls.keys()  # it goes on, and cannot begin anew
     opened.tell(MOMENT)  # before it has told its scene
     source.scene = scene_of("a")
     for flight, may_pause in enumerate((False, True, False)):
         opened.tell(MOMENT._replace(flight=flight, may_pause=may_pause))
         assert {controls[name].disabled for name in ("Pause", "Step", "Shown at")} == {not may_pause}
-        assert controls[pages.WITHOUT_PAUSE].visible is not may_pause
+        assert ("Cannot be paused" in opened.server.clocks()) is not may_pause
     for pace, pace_of in (("0.25x", 0.25), ("20x", 20.0), ("1e-9x", 1.0), (FLAT_OUT, None)):
         controls["Shown at"].choose(pace)
         assert source.pace == pace_of
@@ -332,6 +390,24 @@ def test_controls_are_those_of_the_flight_and_tell_its_player() -> None:
     controls["Follow"].choose(True)
     opened.tell(MOMENT._replace(drones=[STATE._replace(pose=STATE.pose + 1.0)]))
     assert opened.server.initial_camera.look_at.tolist() == [2.0, 3.0, 4.0]
+
+
+def test_a_recorded_flight_is_scrubbed_and_the_show_itself_seeks_nothing() -> None:
+    source = Recorded(scene_of("a"))
+    server = Server(2.0)
+    page = Page(server, source, "A title.", lambda: None)  # type: ignore[arg-type]
+    time = server.added["Time"]
+    assert time.arguments[1:3] == (0.0, 8.12)
+    source.told, source.at_s = [MOMENT], 3.456
+    for length_s in (8.12, 4.0):  # it is flown at another ClockSpeed
+        source.length_s = length_s
+        for _ in range(pages.PICTURES_EVERY):
+            page.update(0.1)
+        assert (time.value, time.max) == (3.46, length_s)
+    time.click(client=None)
+    assert source.sought == []
+    time.choose(1.25)
+    assert source.sought == [1.25]
 
 
 def test_drones_of_the_first_body_see_from_their_own_places_every_third_update(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -408,13 +484,15 @@ def asked(port: int, *more: str, host: str = "") -> tuple[socket.socket, bytes]:
 def test_a_foreign_page_gets_nothing_and_one_that_does_not_read_is_dropped(monkeypatch: pytest.MonkeyPatch) -> None:
     viser = pytest.importorskip("viser")
     monkeypatch.setattr(beside, "UNREAD_MS", 100)
-    page = beside.open_server("127.0.0.1", 18180)
+    page = beside.open_server("127.0.0.1", 18180, head_of("What flies."))
     try:
         port = page.get_port()
         socket_of = (
             *("Upgrade: websocket", "Connection: Upgrade", "Sec-WebSocket-Version: 13"),
             *("Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==", f"Sec-WebSocket-Protocol: viser-v{viser.__version__}"),
         )
+        with urlopen(f"http://127.0.0.1:{port}/") as answer:
+            assert b"<title>What flies \xe2\x80\x93 uavaccel</title><style>" in answer.read()
         for more in ((), socket_of):
             for host in ("", "example.org"):
                 connection, status = asked(port, "Origin: http://example.org", *more, host=host)

@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 from tests.test_watch_page import MODEL
-from tests.web_server import Server
+from tests.web_server import BLUE, VERMILION, Server
 from uavaccel.errors import UsageError, UserError
 from uavaccel.files import to_json, write_arrays
 from uavaccel.processes import lifetime
@@ -28,7 +28,6 @@ from uavaccel.watch import page as pages
 from uavaccel.watch.beside import PageAddress, page_beside
 from uavaccel.watch.page import Page
 from uavaccel.watch.replay import Track, recorded, script_track
-from uavaccel.watch.scene import COMMANDED, THINKING
 from uavaccel.watch.sources import Live, Replay, Told
 from uavaccel.wire.page_protocol import FREE, PAGE
 
@@ -79,16 +78,36 @@ def test_a_replay_goes_by_simulated_seconds_pauses_steps_and_begins_anew() -> No
     assert (times(0.1), replay.held) == ([2.0, 2.3], False)
     controls["Shown at"].choose(pages.FLAT_OUT)
     assert (times(0.02), times(1.0), replay.held) == ([3.0, 3.3], [4.0], True)
-    for button in ("Pause", "Replay"):  # at its end both begin anew
-        controls[button].click()
-        controls["Shown at"].choose("1x")
-        assert (times(1.0), times(1.0), replay.held) == ([0.0], [1.0], False)
-    controls["Replay"].click()
+    controls["Pause"].click()  # at its end it begins anew
+    controls["Shown at"].choose("1x")
+    assert (times(1.0), times(1.0), replay.held) == ([0.0], [1.0], False)
+    replay.begin()
     page.update(0.0)
     page.update(3.0)
     assert server.clocks().startswith("ClockSpeed 50x wall clock 60.0 ms a 3.00 s 10.0 m up client thinks, drone")
-    assert server.path("a")[1] == [COMMANDED, COMMANDED, THINKING]
+    assert server.path("a")[1] == [BLUE, BLUE, VERMILION]
     np.testing.assert_allclose(controls["/a"].wxyz, [np.sqrt(0.5), 0.0, 0.0, -np.sqrt(0.5)])
+
+
+def test_a_replay_that_is_scrubbed_draws_its_path_up_to_there_anew_and_stays_paused() -> None:
+    replay, page, server = shown(straight("a", 50.0, 4.0))
+    page.update(0.0)
+    page.update(3.5)
+    replay.toggle()
+    for sought_s, at_s, north_m in (
+        (1.5, 1.5, [0.0, 1.0, 1.5]),
+        (np.nan, 0.0, [0.0]),
+        (9.0, 4.0, [0.0, 1.0, 2.0, 3.0, 4.0]),
+    ):
+        server.added["Time"].choose(sought_s)
+        page.update(1.0)
+        assert replay.progress_s == pytest.approx((at_s, 4.0))
+        segments = server.path("a")[0]
+        assert [segments[0][0][0], *(end[0] for _, end in segments)] == north_m if segments else north_m == [0.0]
+    assert replay.held
+    replay.seek(1.0)  # from its end
+    page.update(0.0)
+    assert not replay.held
 
 
 def test_replays_are_side_by_side_around_the_middle_and_held_against_the_last() -> None:
@@ -386,7 +405,7 @@ def opened(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
         shown["flown"].append((clock_speed, how, named))
         return [straight("a", clock_speed, 4.0)]
 
-    monkeypatch.setattr(beside, "open_server", lambda host, port: (shown.update(at=(host, port)), server)[1])
+    monkeypatch.setattr(beside, "open_server", lambda *at: (shown.update(at=at[:2]), server)[1])
     monkeypatch.setattr("uavaccel.watch.page.Page", page)
     monkeypatch.setattr("uavaccel.watch.replay.fly_side_by_side", fly)
     return shown

@@ -9,6 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from uavaccel.watch.scene import COMMANDED, THINKING, as_light
+
+BLUE, VERMILION = (tuple(as_light(colour).tolist()) for colour in (COMMANDED, THINKING))  # as they are sent
+
 
 class Handle:
     """Something that was added; a browser clicks on it, or chooses a value."""
@@ -26,9 +30,9 @@ class Handle:
 
     on_update = on_click
 
-    def click(self) -> None:
+    def click(self, client: object = "a browser") -> None:
         for act in self._acts:
-            act(None)
+            act(SimpleNamespace(client=client, target=self))
 
     def choose(self, value: Any) -> None:
         self.value = value
@@ -53,7 +57,7 @@ class Server:
         def add(*arguments: Any, **options: Any) -> Handle | None:
             if not call.startswith("add_"):
                 return None
-            name = {"add_html": "clocks"}.get(call, arguments[0])
+            name = re.findall(r"class='(\w+)'", arguments[0])[0] if call == "add_html" else arguments[0]
             handle = Handle(self, options.get("label", name), arguments, options)
             self.added[handle.name] = handle
             return handle

@@ -20,9 +20,10 @@ import keys  # noqa: E402
 import sequence  # noqa: E402
 
 PAGES = ("*.md", "docs/**/*.md", "experiments/*.md", "assets/mjcf/*.md")
-BESIDE_PAGES = ("docs/figures/*.png", "docs/*.ipynb", "docs/site/*.js", "docs/site/*.css")
+PICTURES = (".png", ".webp", ".svg")
+BESIDE_PAGES = (*(f"docs/*/*{kind}" for kind in PICTURES), "docs/*.ipynb", "docs/site/*.js", "docs/site/*.css")
 KEYS = "docs/reference/keys.md"
-WIDE = (KEYS, "docs/results-paper.md", "cli.md")  # pages whose tables take the place of their contents
+WIDE = (KEYS, "docs/results-paper.md")  # pages whose tables take the place of their contents
 BESIDE = InclusionLevel.NOT_IN_NAV
 LINK = re.compile(r"(?<=\]\()(?!https?:|#)([^)#\s]+)")
 EMPTY_HEAD = re.compile(r"<th[^>]*></th>")
@@ -88,7 +89,7 @@ def _sources(page: Path) -> Iterator[Path]:
     """Files and folders of the repository, no pages and no pictures, to which a page links."""
     for link in LINK.findall(page.read_text(encoding="utf-8")):
         target = (page.parent / link).resolve()
-        if target.suffix not in (".md", ".png", ".ipynb") and target.exists():
+        if target.suffix not in (".md", ".ipynb", *PICTURES) and target.exists():
             yield target
 
 

@@ -59,10 +59,12 @@ FULL_COLOUR_FROM = 3  # events per pixel
 
 SHEET_COLUMNS, SHEET_ROWS, SHEET_GAP, SHEET_CAPTION = 5, 4, 10, 24
 THUMB = (256, 144)
+POSTER_WIDTH = 960
 
 # x264's options for images half of text and edges: bits go where the error is, so that counting numbers stay legible.
 # The event of a single pixel is still visible. The preset medium halves the file and takes five times as long.
 X264 = {"crf": "38", "preset": "ultrafast", "aq-mode": "0", "psy": "0", "x264-params": "cabac=1"}
+LARGEST = 3_000_000  # bytes of a game's film: where it would be larger, it is less sharp
 BT709, BT601, LIMITED_RANGE = 1, 6, 1  # as FFmpeg and H.264 number them: players need not guess
 
 
@@ -109,7 +111,8 @@ def write_video(
 
     Raises UserError if it cannot be written.
     """
-    with movie(path, film.size, frames_per_s) as add:
+    seconds = len(film) / frames_per_s + (HELD_S if film.hit else 0.0)
+    with movie(path, film.size, frames_per_s, seconds) as add:
         for picture in frames(film, frames_per_s):
             add(picture)
             written()
@@ -204,11 +207,13 @@ def write_contact_sheet(film: Film, path: Path) -> Path:
     rows = -(-len(chosen) // SHEET_COLUMNS)
     sheet = blank((SHEET_GAP + SHEET_COLUMNS * cell_width, 44 + rows * cell_height))
     write(sheet, film.title, (SHEET_GAP, 28), 0.62)
+    right = sheet.shape[1] - SHEET_GAP
+    write(sheet, "camera, and below it DVS: ON blue, OFF red", (right, 28), 0.42, FAINT, anchor=1.0)
     for place, i in enumerate(chosen):
         x = SHEET_GAP + place % SHEET_COLUMNS * cell_width
         y = 44 + place // SHEET_COLUMNS * cell_height
         hit = film.hit if i == len(film) - 1 else ""
-        write(sheet, f"{_moment(film, i)}{', hit' if hit else ''}", (x, y + 16), 0.42, IMPACT if hit else FAINT)
+        write(sheet, f"{_moment(film, i)}{', hit' if hit else ''}", (x, y + 17), 0.5, IMPACT if hit else INK)
         paste(sheet, to_bgr(film.images[i], THUMB), (x, y + SHEET_CAPTION))
         paste(sheet, dvs_picture(film.on_events[i], film.off_events[i], THUMB), (x, y + SHEET_CAPTION + THUMB[1]))
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -248,9 +253,28 @@ def _places(film: Film) -> NDArray[np.float64]:
     return np.array([*film.position_m[:, :2], *target])
 
 
+def poster(path: Path) -> bytes:
+    """Return the frame in the middle of a film as a JPEG, POSTER_WIDTH wide; nothing of what is no film."""
+    import av
+
+    try:
+        with av.open(str(path)) as file:
+            middle_s = (file.duration or 0) / av.time_base / 2
+            picture = next(frame for frame in file.decode(video=0) if frame.time >= middle_s).to_ndarray(format="bgr24")
+    except (OSError, av.FFmpegError, StopIteration):
+        return b""
+    height = round(POSTER_WIDTH * picture.shape[0] / picture.shape[1])
+    small = cv2.resize(picture, (POSTER_WIDTH, height), interpolation=cv2.INTER_AREA)
+    return cv2.imencode(".jpg", small, (cv2.IMWRITE_JPEG_QUALITY, 80))[1].tobytes()
+
+
 @contextmanager
-def movie(path: Path, size: tuple[int, int], frames_per_s: int) -> Iterator[Callable[[Bgr], None]]:
+def movie(
+    path: Path, size: tuple[int, int], frames_per_s: int, seconds: float | None = None
+) -> Iterator[Callable[[Bgr], None]]:
     """Yield a function that adds an image of `size` (width, height) to an MP4, which is written whole or not at all.
+
+    If it is known how long it will be, `seconds`, it has LARGEST bytes at most.
 
     It is H.264 in 4:2:0 with the index in front, so that it plays from the first byte on, encoded in one thread and
     without dates, so that equal films are equal files. Raises UserError where it cannot be written, at the end too if
@@ -260,18 +284,25 @@ def movie(path: Path, size: tuple[int, int], frames_per_s: int) -> Iterator[Call
 
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with replacing(path) as file, _encoding(file.name, size, frames_per_s) as add:
+        with replacing(path) as file, _encoding(file.name, size, frames_per_s, seconds) as add:
             yield add
     except (OSError, av.FFmpegError, av.codec.codec.UnknownCodecError) as error:
         raise UserError(f"{path}: cannot be written: {error}") from error
 
 
 @contextmanager
-def _encoding(name: str, size: tuple[int, int], frames_per_s: int) -> Iterator[Callable[[Bgr], None]]:
+def _encoding(
+    name: str, size: tuple[int, int], frames_per_s: int, seconds: float | None
+) -> Iterator[Callable[[Bgr], None]]:
     import av
 
+    limit: dict[str, str] = {}
+    if seconds is not None:  # the decoder's buffer holds a second, and is full at first
+        rate = str(int(8 * 0.97 * LARGEST / (seconds + 1.0)))  # without the file's index
+        limit = {"maxrate": rate, "bufsize": rate}
+
     with av.open(name, "w", format="mp4", options={"movflags": "+faststart", "fflags": "+bitexact"}) as file:
-        stream = file.add_stream("libx264", rate=frames_per_s, options=X264)
+        stream = file.add_stream("libx264", rate=frames_per_s, options=X264 | limit)
         stream.width, stream.height, stream.pix_fmt = *size, "yuv420p"
         context = stream.codec_context
         context.thread_count = 1

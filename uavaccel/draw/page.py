@@ -172,12 +172,20 @@ def to_html(title: str, blocks: Sequence[Block]) -> str:
         undefined=StrictUndefined,
     )
     environment.filters["data_url"] = _data_url
+    environment.filters["poster_url"] = _poster_url
     return environment.get_template("page.html.jinja").render(title=title, blocks=blocks)
 
 
 def _data_url(path: Path) -> str:
     kind = "video/mp4" if path.suffix == ".mp4" else "image/png"
     return f"data:{kind};base64,{base64.b64encode(path.read_bytes()).decode('ascii')}"
+
+
+def _poster_url(path: Path) -> str:
+    from uavaccel.draw.film import poster  # with what reads films, of which most pages have none
+
+    picture = poster(path)
+    return f"data:image/jpeg;base64,{base64.b64encode(picture).decode('ascii')}" if picture else ""
 
 
 def _escape_markdown(text: str) -> str:

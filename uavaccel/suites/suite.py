@@ -177,10 +177,13 @@ class Suite(ABC, Generic[ConfigType, CaseType]):
         return Flight.of(f"{game['case']}", float(game.get("clock_speed", 1.0)), arrays)
 
     def interest(self, row: Row) -> Any:
-        """Return a key that sorts games, the most interesting first: references last, the fastest first."""
+        """Return a key that sorts games, the most interesting first: references last, the fastest first, TCSC's first.
+
+        Of these the one with the longest commands, which is long enough to be watched.
+        """
         speed = row.get("clock_speed")
         fast = -float(speed) if isinstance(speed, int | float) else 0.0
-        return row.get("role") != "game", fast, row.get("command") != "tcsc"
+        return row.get("role") != "game", fast, row.get("command") != "tcsc", -float(row.get("t_move_s") or 0.0)
 
     def why_serial(self, config: ConfigType) -> str:
         """Return `serial`; overridden where it depends on the configuration."""

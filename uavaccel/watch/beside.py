@@ -54,8 +54,8 @@ UNREAD_MS = 10_000  # for so long a browser may leave what was sent unread
 BRAND = (0, 114, 178)
 NICENESS = 5  # the flight goes first
 SQUARE = (
-    "One square under both commands. Before each command the client thinks for {think:g} ms. "
-    "Under **ADSC** the drone flies on meanwhile (vermilion); under **TCSC** the simulation is paused."
+    "ADSC and TCSC fly one square. Before each command the client thinks for {think:g} ms. "
+    "Under **ADSC** the drone flies on meanwhile; under **TCSC** the simulation is paused."
 )
 
 
@@ -122,7 +122,7 @@ def main() -> None:
     folder = Path(options["socket"]).parent  # the parent's, and for this alone
     end_with_parent(options["parent"], lambda: shutil.rmtree(folder, ignore_errors=True))
     os.nice(NICENESS)
-    from uavaccel.watch.page import Page
+    from uavaccel.watch.page import Page, head_of
     from uavaccel.watch.sources import Live
 
     def tell(message: dict[str, object]) -> None:
@@ -130,7 +130,7 @@ def main() -> None:
             print(json.dumps(message), flush=True)
 
     source = Live(Path(options["socket"]))
-    server = open_server(options["host"], options["port"])
+    server = open_server(options["host"], options["port"], head_of(options["title"]))
     page = Page(server, source, options["title"], lambda: tell({"opened": True}))
     tell({"port": server.get_port()})
     page.run()
@@ -144,7 +144,7 @@ def show(
     `square` are its ClockSpeed, the wall seconds that the client thinks, and the seed of its latencies; the spectator
     chooses other ClockSpeeds. Raises UserError for a run without such a game.
     """
-    from uavaccel.watch.page import Page
+    from uavaccel.watch.page import Page, head_of
     from uavaccel.watch.replay import fly_side_by_side, recorded
     from uavaccel.watch.sources import Replay
 
@@ -160,7 +160,7 @@ def show(
         raise UsageError("--case, --game: need a run directory")
     else:
         source, title = Replay(fly_at(clock_speed), fly_at), SQUARE.format(think=1000 * think_s)
-    server = open_server(host, port)
+    server = open_server(host, port, head_of(title))
     try:
         page = Page(server, source, title, opened=source.begin)  # whoever comes first has missed nothing
         print(f"watch at http://{host}:{server.get_port()}; Ctrl-C ends", flush=True)
@@ -187,15 +187,15 @@ def free_port(host: str, port: int) -> int:
     raise UserError(f"the page cannot be opened at {host}: no port is free from {port} on")
 
 
-def open_server(host: str, port: int) -> ViserServer:
-    """Open a page, without a word, at the first free port from `port` on.
+def open_server(host: str, port: int, head: str) -> ViserServer:
+    """Open a page, without a word, at the first free port from `port` on; its HTML has `head` in place of a title.
 
     Raises UserError as `free_port` does.
     """
     port = free_port(host, port)
     import viser
 
-    with redirect_stdout(io.StringIO()), _guarded(host):  # it greets, even where it is asked to be silent
+    with redirect_stdout(io.StringIO()), _guarded(host, head):  # it greets, even where it is asked to be silent
         server = viser.ViserServer(host=host, port=port, label="uavaccel watch", verbose=False)
     server.gui.configure_theme(
         control_layout="collapsible", show_logo=False, show_share_button=False, brand_color=BRAND
@@ -225,8 +225,8 @@ def is_ours(headers: Headers, host: str) -> bool:
 
 
 @contextmanager
-def _guarded(host: str) -> Iterator[None]:
-    """Guard the server that viser opens in the `with` block, for which viser has no option.
+def _guarded(host: str, head: str) -> Iterator[None]:
+    """Guard the server that viser opens in the `with` block, and give its HTML a head: it has options for neither.
 
     Raises UserError where viser serves in another way.
     """
@@ -241,7 +241,13 @@ def _guarded(host: str) -> Iterator[None]:
                 return connection.respond(HTTPStatus.FORBIDDEN, "Open the page at its own address.\n")
             if (unread := getattr(socket, "TCP_USER_TIMEOUT", None)) is not None:
                 connection.transport.get_extra_info("socket").setsockopt(socket.IPPROTO_TCP, unread, UNREAD_MS)
-            return process_request(connection, request)
+            request.headers.pop("Accept-Encoding", None)  # its HTML is compressed within
+            response = process_request(connection, request)
+            if response is not None and response.headers.get("Content-Type", "").startswith("text/html"):
+                response.body = re.sub(rb"<title>[^<]*</title>", lambda _: head.encode(), response.body, count=1)
+                del response.headers["Content-Length"]  # set anew it would be there twice
+                response.headers["Content-Length"] = str(len(response.body))
+            return response
 
         guards.append(answer)
         return serve(*arguments, process_request=answer, **options)

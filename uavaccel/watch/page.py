@@ -6,6 +6,7 @@ It shows what a `Source` tells, be that a recorded flight (`watch.show`) or one 
 from __future__ import annotations
 
 import html
+import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import TYPE_CHECKING, NamedTuple
@@ -18,10 +19,24 @@ from uavaccel.kinematics import Vector
 from uavaccel.sim.camera.camera import make_camera
 from uavaccel.sim.camera.view import HEIGHT, WIDTH
 from uavaccel.units import NS_PER_S
-from uavaccel.watch.scene import BLANK, Drone, Eyes, Floats, Scene, light_up, pose_of, show_surroundings
+from uavaccel.watch.scene import (
+    ARROW,
+    BLANK,
+    COMMANDED,
+    IDEAL,
+    PLUMB,
+    THINKING,
+    Drone,
+    Eyes,
+    Floats,
+    Scene,
+    light_up,
+    pose_of,
+    show_surroundings,
+)
 
 if TYPE_CHECKING:
-    from viser import ClientHandle, GuiDropdownHandle, GuiImageHandle, ViserServer
+    from viser import ClientHandle, GuiDropdownHandle, GuiEvent, GuiImageHandle, GuiSliderHandle, ViserServer
 
 UPDATES_PER_S = 30
 PICTURES_EVERY = 3  # updates
@@ -29,15 +44,39 @@ FLAT_OUT = "as fast as it flies"
 PACES = {f"{pace:g}x": pace for pace in (0.25, 0.5, 1.0, 2.0, 5.0, 20.0)}  # and FLAT_OUT
 PACE = "1x"
 CLOCK_SPEEDS = (1.0, 5.0, 10.0, 50.0, 100.0)
-WITHOUT_PAUSE = (
-    "Cannot be paused here: this flight is on the machine's clock, and its client would go on. "
-    "`--timing virtual` or `lockstep` can."
-)
+LAST = 1e6  # in the order of the panel's elements, below the images
+SCRUB_S = 0.01  # of simulated time, to which a spectator goes
+WITHOUT_PAUSE = "Cannot be paused: its client is on the machine's clock. With --timing virtual or lockstep it can."
 FROM_BEHIND = (-1.15, 0.0, 0.85)  # to the first view, in reaches of the flights; x north, y west, z up
-LOWER = 0.3  # of the distance, by which a phone's view looks below the flights
-FARTHER = 1.5  # on a phone, times the height of the screen over its width
+WIDE = 1.5  # width over height, below which a wide scene is seen from farther away
 WORTH_M = 0.02  # a move that the view follows
-NUMBER, WORDS = "text-align:right;white-space:nowrap", "padding-left:0.6em"  # styles of the clocks' cells
+# The panel of viser, with its player in one row, and nothing that moves when words or numbers change; on a phone the
+# scene has the upper half.
+STYLE = """
+:has(> div > .clocks) { display: flex; flex-wrap: wrap }
+:has(> div > .clocks) > * { flex: 0 0 100%; max-width: 100% !important }
+:has(> div > .clocks) > :has(> button) { flex: 1 0 3.4em; margin-inline: 0 0.3em !important }
+:has(> div > .clocks) > div:has(> .clocks) + :has(> button) { margin-left: 0.7em !important }
+:has(> div > .clocks) > :has(> button) > button { padding-inline: 0 }
+:has(> div > .clocks) > :has(.mantine-Slider-root) { flex: 6 0 9em }
+:has(> div > .clocks) > :has(.mantine-Slider-root) div:has(> p > label) { position: absolute !important; opacity: 0 }
+.clocks, .legend { padding: 0 1em; font-size: 0.85em; line-height: 1.4; font-variant-numeric: tabular-nums }
+.clocks p { margin: 0.3em 0; white-space: nowrap; overflow: hidden; text-overflow: ellipsis }
+.clocks .note { height: 2.8em; white-space: normal }
+.clocks table { width: 100%; table-layout: fixed; border-spacing: 0 }
+.clocks td { padding: 0; white-space: nowrap; overflow: hidden; text-overflow: ellipsis }
+.clocks td + td { width: 5.5em; text-align: right }
+.clocks tr + tr td:only-child { opacity: 0.75 }
+.legend { padding-bottom: 0.6em }
+.legend span { display: inline-block; margin-right: 0.9em }
+.legend i { display: inline-block; width: 1.2em; height: 0.4em; margin-right: 0.4em; vertical-align: middle;
+  outline: 1px solid #888 }
+@media (max-width: 36em) {
+  div:has(> canvas[style*="pointer-events: none"]) { bottom: 50% !important }
+  .mantine-Paper-root:has(.clocks) { width: 100% !important; max-height: 50% !important }
+  .mantine-Paper-root:has(.clocks) [style*="width: 20em"] { width: 100% !important }
+}
+"""
 
 
 class DroneState(NamedTuple):
@@ -76,11 +115,24 @@ class Source(ABC):
     note = ""
     """What is to be said of the flight, below its clocks."""
     ideal_m: Mapping[str, Floats] = {}
-    """By drones' names, the path (n, 3) that one was to fly, in MuJoCo's frame."""
+    """By drones' names, the path (n, 3) with which one's is compared, in MuJoCo's frame."""
+    ideal = ""
+    """Whose path that is."""
+    sought_s: float | None = None
+    """Where a spectator has gone, in seconds of a show at 1x."""
     clock_speed: float | None = None
     """Of a recorded flight; None of one that cannot begin anew."""
     fly_at: Callable[[float], None] | None = None
     """Flies it at another ClockSpeed."""
+
+    @property
+    def progress_s(self) -> tuple[float, float] | None:
+        """How far a recorded flight is shown, and its length, in seconds of a show at 1x; None of one that is flown."""
+        return None
+
+    def seek(self, at_s: float) -> None:
+        """Show a recorded flight from this place on."""
+        self.sought_s = at_s
 
     @abstractmethod
     def update(self, passed_s: float, seen: bool) -> Sequence[Moment]:
@@ -116,24 +168,26 @@ class Page:
         light_up(server)
         gui = server.gui
         self._clocks = gui.add_html(clock_table(source.clock_speed or 1.0, "0.000 s", [], "Waits for a flight."))
-        gui.add_markdown(title)
+        self._play = gui.add_button("Pause")
+        self._play.on_click(lambda _: source.toggle())
+        self._step = gui.add_button("Step", hint=f"{source.step_hint}, and pause there")
+        self._step.on_click(lambda _: source.step())
+        self._scrub: GuiSliderHandle[float] | None = None
+        if (progress := source.progress_s) is not None:
+            self._scrub = gui.add_slider("Time", 0.0, round(progress[1], 2), SCRUB_S, 0.0)
+            self._scrub.on_update(self._seek)
+        gui.add_html(legend(source.ideal))
         if (fly_at := source.fly_at) is not None:
             own = f"{source.clock_speed:g}x"
             speeds = {f"{speed:g}x": speed for speed in sorted({*CLOCK_SPEEDS, source.clock_speed or 1.0})}
             menu = gui.add_dropdown("ClockSpeed", list(speeds), initial_value=own)
             menu.on_update(lambda _: fly_at(speeds[chosen(menu, speeds, own)]))
-        self._play = gui.add_button("Pause")
-        self._play.on_click(lambda _: source.toggle())
-        self._step = gui.add_button("Step", hint=f"{source.step_hint}, and pause there")
-        self._step.on_click(lambda _: source.step())
-        if source.clock_speed is not None:
-            gui.add_button("Replay").on_click(lambda _: source.begin())
         paces = [*PACES, FLAT_OUT]
         self._pace = gui.add_dropdown("Shown at", paces, initial_value=PACE, hint="simulated s per second")
         self._pace.on_update(lambda _: setattr(source, "pace", PACES.get(chosen(self._pace, paces, PACE))))
-        self._why_not = gui.add_markdown(WITHOUT_PAUSE, visible=False)
         follows = source.scene is None or source.scene.follows
         self._follow = gui.add_checkbox("Follow", initial_value=follows, hint="the view goes along with the drone")
+        gui.add_markdown(title, order=LAST)
         self._no_images = gui.add_markdown("", visible=False)
         if source.scene is not None:
             self._change_scene(source.scene)
@@ -159,6 +213,9 @@ class Page:
                 self._change_scene(self._source.scene)
             self._show([moment for moment in moments if len(moment.drones) == len(self._drones)])
         if self._moment is not None and self._updates % PICTURES_EVERY == 0:
+            if self._scrub is not None and (progress := self._source.progress_s) is not None:
+                shown_s, self._scrub.max = (round(seconds, 2) for seconds in progress)
+                setattr(self._scrub, "value", shown_s)  # noqa: B010  to a type checker it cannot be set
             for (name, eyes), state in zip(self._eyes.items(), self._moment.drones, strict=False):
                 self._images[name].image = eyes.render(state.pose, state.time_s)
         self._updates += 1
@@ -170,7 +227,6 @@ class Page:
                 for name, drone in self._drones.items():
                     drone.begin(self._source.ideal_m.get(name))
                 self._play.disabled = self._step.disabled = self._pace.disabled = not moment.may_pause
-                self._why_not.visible = not moment.may_pause
             for drone, state in zip(self._drones.values(), moment.drones, strict=True):
                 drone.go_to(state.pose[:3], state.commanded)
             self._moment = moment
@@ -181,12 +237,17 @@ class Page:
             return
         flown = list(zip(self._drones.items(), last.drones, strict=True))
         if moments:
-            for (name, drone), state in flown:
-                drone.show(state.pose, state.towards, f"{name}: {state.does}")
+            for (_, drone), state in flown:
+                drone.show(state.pose, state.towards)
             if self._follow.value:
                 self._views.follow(last.drones[0].pose[:3])
         lines = [(name, state.time_s, drone.height_m, state.does) for (name, drone), state in flown]
-        self._clocks.content = clock_table(last.clock_speed, last.wall, lines, self._source.note)
+        note = self._source.note or ("" if last.may_pause else WITHOUT_PAUSE)
+        self._clocks.content = clock_table(last.clock_speed, last.wall, lines, note)
+
+    def _seek(self, event: GuiEvent[GuiSliderHandle[float]]) -> None:
+        if event.client is not None:  # not where the show itself goes on
+            self._source.seek(event.target.value)
 
     def _change_scene(self, scene: Scene) -> None:
         first, self._scene, self._moment, self._flight = self._scene is None, scene, None, None
@@ -216,7 +277,7 @@ class Page:
 
 
 class Views:
-    """Where the browsers look from: the first view, a phone's, and one that goes along; in MuJoCo's frame.
+    """Where the browsers look from: the first view, and one that goes along; in MuJoCo's frame.
 
     `on_first` is called when a browser opens the page and no other has it open.
     """
@@ -251,11 +312,8 @@ class Views:
         camera.look_at, camera.position = place, place + self._back
 
     def _aim(self, client: ClientHandle) -> None:
-        back, below = self._back, np.zeros(3)
-        if client.camera.aspect < 1.0:  # a phone: the controls take the lower half
-            back = FARTHER * back / client.camera.aspect if self._wide else back
-            below[2] = LOWER * float(np.linalg.norm(back))
-        client.camera.position, client.camera.look_at = self._at + back, self._at - below
+        farther = max(1.0, WIDE / client.camera.aspect) if self._wide else 1.0
+        client.camera.position, client.camera.look_at = self._at + farther * self._back, self._at
 
 
 def clock_table(
@@ -263,17 +321,36 @@ def clock_table(
 ) -> str:
     """Return ClockSpeed and wall clock, name, simulated time, height and state of each drone, and a note, as HTML."""
     rows = "".join(
-        f"<tr><td><b>{html.escape(name)}</b></td><td style='{NUMBER}'>{time_s:.2f} s</td>"
-        f"<td style='{NUMBER}'>{'' if height_m is None else f'{height_m:.1f} m up'}</td>"
-        f"<td style='{WORDS}'>{html.escape(state)}</td></tr>"
+        f"<tr><td><b>{html.escape(name)}</b></td><td>{time_s:.2f} s</td>"
+        f"<td>{'' if height_m is None else f'{height_m:.1f} m up'}</td></tr>"
+        f"<tr><td colspan='3'>{html.escape(state)}</td></tr>"
         for name, time_s, height_m, state in drones
     )
-    below = f"<p style='margin:0.3em 0'>{html.escape(note)}</p>" if note else ""
     return (
-        "<div class='clocks' style='padding:0 1em;font-variant-numeric:tabular-nums;font-size:0.85em'>"
-        f"<p style='margin:0.3em 0'>ClockSpeed <b>{clock_speed:g}x</b> &nbsp; wall clock "
-        f"<b>{wall}</b></p><table style='width:100%;line-height:1.5'>{rows}</table>{below}</div>"
+        f"<div class='clocks'><p>ClockSpeed <b>{clock_speed:g}x</b> &nbsp; wall clock <b>{wall}</b></p>"
+        f"<table>{rows}</table><p class='note'>{html.escape(note)}</p></div>"
     )
+
+
+def legend(ideal: str) -> str:
+    """Return what the colours mean, as HTML; `ideal` is the drone with whose path the others' are compared."""
+    meanings = {
+        COMMANDED: "flies a command; events: brighter",
+        THINKING: "client thinks; events: darker",
+        **({IDEAL: f"path of {ideal}"} if ideal else {}),
+        ARROW: "commanded velocity",
+        PLUMB: "plumb line",
+    }
+    entries = "".join(
+        f"<span><i style='background:rgb{colour}'></i>{html.escape(text)}</span> " for colour, text in meanings.items()
+    )
+    return f"<div class='legend'>{entries}</div>"
+
+
+def head_of(title: str) -> str:
+    """Return what the page's HTML has in its head: its title, the first sentence of this Markdown, and its style."""
+    plain = re.sub("[`*]", "", title.partition(". ")[0].rstrip("."))
+    return f"<title>{html.escape(plain)} – uavaccel</title><style>{STYLE}</style>"
 
 
 def chosen(menu: GuiDropdownHandle[str], known: Collection[str], otherwise: str) -> str:

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import cv2
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from uavaccel.draw.film import dvs_picture
+from uavaccel.draw.panels import BLUE, VERMILION
 from uavaccel.kinematics import Vector
 from uavaccel.sim.camera.camera import FrontCamera
 from uavaccel.sim.camera.view import HEIGHT, WIDTH
@@ -27,11 +28,12 @@ if TYPE_CHECKING:
 SHOWN_GROUPS = (0, 1, 2, APPEARANCE_GROUP)  # those that MuJoCo draws, and a scenery's appearance; hulls are in 3
 DEEPEST_M = 50.0  # below the ground lies what a scene keeps for later
 GROUND_PIXELS = 2048
+HALF = 0.5  # of a texture, across a face
 PLANE_M = 100.0  # half of a plane that MuJoCo draws without an end
 ROTOR_SECTIONS = 40
 SURROUNDINGS = "/surroundings"
 ZENITH, HORIZON = (120, 165, 215), (229, 238, 250)
-COMMANDED, THINKING, IDEAL = (0, 84, 160), (205, 50, 0), (245, 245, 245)  # colours of paths
+COMMANDED, THINKING, IDEAL = BLUE[::-1], VERMILION[::-1], (245, 245, 245)  # colours of paths: red, green, blue
 ARROW, PLUMB, SHADOW = (240, 180, 0), (25, 30, 25), (48, 54, 46)
 PATH_WIDTH, PLUMB_WIDTH, IDEAL_WIDTH = 5.0, 1.5, 2.0  # pixels
 ARROW_M, LABEL_M, SHADOW_M, LIFT_M = 0.7, 0.55, 0.32, 0.02
@@ -116,17 +118,38 @@ def _show_solids(
 
     by_colour: dict[tuple[int, ...], list[trimesh.Trimesh]] = {}
     for geom in geoms:
-        mesh = geom_mesh(model, geom)
-        if mesh is not None and model.geom_group[geom] in SHOWN_GROUPS:
-            pose = np.eye(4)
-            pose[:3, :3], pose[:3, 3] = turns[geom].reshape(3, 3), places[geom]
-            by_colour.setdefault(tuple(_colour(model, geom).tolist()), []).append(mesh.apply_transform(pose))
+        if model.geom_group[geom] not in SHOWN_GROUPS:
+            continue
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = turns[geom].reshape(3, 3), places[geom]
+        for mesh, colour in _striped(model, geom):
+            by_colour.setdefault(tuple(colour.tolist()), []).append(mesh.apply_transform(pose))
     for number, ((red, green, blue), meshes) in enumerate(by_colour.items()):
         joined = trimesh.util.concatenate(meshes)
         assert isinstance(joined, trimesh.Trimesh)
         server.scene.add_mesh_simple(
             f"{name} {number}", joined.vertices, joined.faces, color=(red, green, blue), flat_shading=True
         )
+
+
+def _striped(model: mujoco.MjModel, geom: int) -> Iterator[tuple[trimesh.Trimesh, NDArray[np.uint8]]]:
+    """A geom's surfaces in its own frame with their colours: one, or its bands, if its faces show half a checker."""
+    if (mesh := geom_mesh(model, geom)) is None:
+        return
+    material = int(model.geom_matid[geom])
+    texture = _texture(model, material)
+    wide, high = (1.0, 1.0) if material < 0 else model.mat_texrepeat[material].tolist()
+    upright = Geom(int(model.geom_type[geom])) in (Geom.mjGEOM_BOX, Geom.mjGEOM_CYLINDER)
+    if texture is None or wide != HALF or not upright:
+        yield mesh, _colour(model, geom)
+        return
+    bands, (bottom, top) = round(2 * high), mesh.bounds[:, 2]
+    colours = np.asarray(np.clip(texture[[-1, 0], 0] * model.mat_rgba[material][:3], 0, 255), np.uint8)  # from below
+    band_m = (top - bottom) / bands
+    for number in range(bands):
+        band: trimesh.Trimesh = mesh.copy()
+        band.vertices[:, 2] = bottom + band_m * (number + (band.vertices[:, 2] > 0.0))
+        yield band, colours[number % 2]
 
 
 def geom_mesh(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh | None:
@@ -203,7 +226,7 @@ class Drone:
             mujoco.mju_quat2Mat(turn, quaternion)
         own = np.flatnonzero(model.geom_bodyid == body).tolist()
         _show_solids(server, f"/{name}/body", model, own, model.geom_pos, turns)
-        self._label = add.add_label(f"/{name}/name", name, position=(0.0, 0.0, LABEL_M))
+        add.add_label(f"/{name}/name", name, position=(0.0, 0.0, LABEL_M))
         self._arrow = add.add_arrows(
             f"/{name} command", np.zeros((1, 2, 3)), ARROW, shaft_radius=0.025, head_radius=0.07, head_length=0.16
         )
@@ -243,10 +266,10 @@ class Drone:
             self._block.append(([self._end_m, place], COMMANDED if commanded else THINKING))
         self._end_m = place
 
-    def show(self, pose: Floats, towards_ned: Vector | None, text: str) -> None:
+    def show(self, pose: Floats, towards_ned: Vector | None) -> None:
         """Move it, with an arrow along `towards_ned`, and send the path's last block to the browsers."""
         place = pose[:3] + self._aside_m
-        self._frame.position, self._frame.wxyz, self._label.text = place, pose[3:], text
+        self._frame.position, self._frame.wxyz = place, pose[3:]
         length = 0.0 if towards_ned is None else float(np.linalg.norm(towards_ned))
         self._arrow.visible = length > 0.0
         if towards_ned is not None and length > 0.0:
@@ -265,12 +288,23 @@ class Drone:
         if self._block:
             points, colours = zip(*self._block, strict=True)
             self._blocks[-1].points = np.array(points, np.float32)
-            self._blocks[-1].colors = np.repeat(np.array(colours, np.uint8)[:, None], 2, axis=1)
+            self._blocks[-1].colors = np.repeat(as_light(colours)[:, None], 2, axis=1)
 
     def _add_lines(self, name: str, points: Floats, colour: tuple[int, int, int], width: float) -> LineSegmentsHandle:
         return self._page.add_line_segments(
-            f"/{self._name} {name}", points.astype(np.float32), colour, thickness=width, thickness_units="screen"
+            f"/{self._name} {name}",
+            points.astype(np.float32),
+            as_light(colour),
+            thickness=width,
+            thickness_units="screen",
         )
+
+
+def as_light(colours: ArrayLike) -> NDArray[np.uint8]:
+    """Colours (..., 3) of sRGB as amounts of light, which viser takes those of lines for."""
+    share = np.asarray(colours, float) / 255.0
+    light = np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)  # IEC 61966-2-1
+    return np.asarray(np.rint(255.0 * light), np.uint8)
 
 
 class Eyes:

@@ -23,6 +23,7 @@ from uavaccel.watch.scene import Scene, pose_of
 from uavaccel.wire.page_protocol import FREE, MESSAGE_BYTES, Orders
 
 STEP_S = 0.05  # simulated, of a replay
+MOST_STOPS = 1000  # about, that a path is drawn through at once
 APART_M = 4.6
 FARTHEST_M = 10.0  # of a flight that is seen whole; the view goes along with a longer one
 NEAR_M = 3.0
@@ -62,6 +63,7 @@ class Replay(Source):
         self.clock_speed, self._end_s = ideal.flight.clock_speed, max(track.wall_s for track in tracks)
         stops_s = [np.interp(track.time_s, track.marks[:, 1], track.marks[:, 0]) for track in tracks]
         self._stops_s = np.unique(np.concatenate(stops_s))  # between two of them the drones fly straight on
+        self.ideal = ideal.name if others else ""
         self.ideal_m = {track.name: ned_to_mujoco(ideal.flight.position_m) for track in others}
         self.note = "; ".join(
             f"{track.name} leaves the path of {ideal.name} by up to {track.farthest_from(ideal):.2f} m"
@@ -72,6 +74,10 @@ class Replay(Source):
     def begin(self) -> None:
         """Show it from its beginning."""
         self._begun, self._at_s, self._fresh, self.held = self._begun + 1, 0.0, True, False
+
+    @property
+    def progress_s(self) -> tuple[float, float]:
+        return self._at_s * self.clock_speed, self._end_s * self.clock_speed
 
     def toggle(self) -> None:
         """Pause, or go on; at the end begin anew."""
@@ -89,9 +95,14 @@ class Replay(Source):
         simulated_s = STEP_S * self.steps or (0.0 if self.held or self._fresh else pace * passed_s)
         before_s, self.steps = self._at_s, 0
         self._at_s = min(before_s + simulated_s / self.clock_speed, self._end_s)
+        if self.sought_s is not None:  # the path up to there is drawn anew; what had ended goes on
+            self.held &= self._at_s < self._end_s
+            self._begun, before_s, self._fresh = self._begun + 1, 0.0, True
+            self._at_s, self.sought_s = min(max(0.0, self.sought_s / self.clock_speed), self._end_s), None
         self.held |= self._at_s == self._end_s
-        between_s = self._stops_s[(self._stops_s > before_s) & (self._stops_s < self._at_s)].tolist()
-        walls_s = [*[before_s] * self._fresh, *between_s, *[self._at_s] * (self._at_s > before_s)]
+        between_s = self._stops_s[(self._stops_s > before_s) & (self._stops_s < self._at_s)]
+        between_s = between_s[:: len(between_s) // MOST_STOPS + 1]
+        walls_s = [*[before_s] * self._fresh, *between_s.tolist(), *[self._at_s] * (self._at_s > before_s)]
         self._fresh = False
         return [self._moment(*walls) for walls in zip([before_s, *walls_s], walls_s, strict=False)]
 
