@@ -13,7 +13,7 @@ import stat
 import sys
 import weakref
 import zipfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from io import BufferedReader
 from pathlib import Path
@@ -158,14 +158,17 @@ def _plain(value: object) -> object:
     raise TypeError(f"Object of type {type(value).__name__} is not JSON serializable")
 
 
-def append_line(path: Path, entry: Mapping[str, object], on_disk: bool = True) -> None:
-    """Append a line of JSON; with `on_disk` it is on disk on return, with all lines before it."""
-    line = to_json(entry).encode() + b"\n"
+def append_line(path: Path, entry: Mapping[str, object]) -> None:
+    """Append a line of JSON; it is on disk on return."""
+    append_lines(path, [to_json(entry)])
+
+
+def append_lines(path: Path, lines: Sequence[str]) -> None:
+    """Append lines; they are on disk on return."""
     with naming(path), open(path, "ab", opener=_without_links) as file:
-        file.write(line)
-        if on_disk:
-            file.flush()
-            os.fsync(file.fileno())
+        file.write("".join(f"{line}\n" for line in lines).encode())
+        file.flush()
+        os.fsync(file.fileno())
 
 
 def read_lines(path: Path) -> list[Plain]:

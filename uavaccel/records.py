@@ -23,7 +23,7 @@ from uavaccel.files import (
     UNFINISHED,
     FolderLock,
     Plain,
-    append_line,
+    append_lines,
     drop_cut_line,
     file_sha256,
     inside,
@@ -50,6 +50,7 @@ class RunDirectory:
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         self._lock: FolderLock | None = None
+        self._waiting: dict[str, list[str]] = {"rows.jsonl": [], "timing.jsonl": []}
         if not (self.path / "config.yaml").is_file():
             raise UserError(f"{self.path}: not a run directory: no config.yaml in it")
         self._done = self._cases_of_rows()
@@ -92,15 +93,27 @@ class RunDirectory:
     def append_row(self, row: Mapping[str, object], on_disk: bool = True) -> None:
         """Append the whole row of a finished case; `row["case"]` is the case's id.
 
-        With `on_disk` it is on disk on return, with all rows before it. Keys are sorted, floats read back equal, and
-        one that is not finite is null. Raises ValueError if the case has a row already, UserError if the run's folder
-        no longer exists.
+        With `on_disk` it is on disk on return, with all rows before it; without, it waits for the next that is, or for
+        `write_waiting`. Keys are sorted, floats read back equal, and one that is not finite is null. Raises ValueError
+        if the case has a row already, UserError if the run's folder no longer exists.
         """
         if row["case"] in self._done:
             raise ValueError(f"case {row['case']} has a row already")
-        self._refuse_gone()
-        append_line(self.path / "rows.jsonl", row, on_disk)
+        self._append("rows.jsonl", row, on_disk)
         self._done.add(str(row["case"]))
+
+    def write_waiting(self) -> None:
+        """Put rows and timings that wait on disk."""
+        for name, lines in self._waiting.items():
+            if lines:
+                self._refuse_gone()
+                self._waiting[name] = []
+                append_lines(self.path / name, lines)
+
+    def _append(self, name: str, entry: Mapping[str, object], on_disk: bool) -> None:
+        self._waiting[name].append(to_json(entry))
+        if on_disk:
+            self.write_waiting()
 
     def is_new(self) -> bool:
         """Return whether the run's folder holds nothing but what every run begins with."""
@@ -122,7 +135,7 @@ class RunDirectory:
 
     def append_timing(self, entry: Mapping[str, object], on_disk: bool = True) -> None:
         """Append an entry to timing.jsonl: host times, loads, retries."""
-        append_line(self.path / "timing.jsonl", entry, on_disk)
+        self._append("timing.jsonl", entry, on_disk)
 
     def timings(self) -> list[dict[str, Plain]]:
         """Return every whole entry of timing.jsonl. Raises UserError for times that are no numbers."""

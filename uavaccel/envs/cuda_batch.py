@@ -16,6 +16,7 @@ from gymnasium.vector.utils import batch_space
 
 from uavaccel.envs.arrays import mapped
 from uavaccel.envs.checks import ROUNDING, autoreset_of, make_task, seeds_of
+from uavaccel.envs.cuda_games import SampledAhead
 from uavaccel.envs.cuda_lanes import CudaLanes
 from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.flyable import CUDA, check_flyable
@@ -24,6 +25,7 @@ from uavaccel.sim.state import State
 
 DEVICE = CUDA
 BEHIND = 2  # steps after which the host reads what it must know of one; games sampled ahead last longer
+FAR_BEHIND = 32  # the same where no games are sampled ahead, and only the check of actions is to be read
 Steps = tuple[Any, th.Tensor, th.Tensor, th.Tensor, dict[str, Any]]
 
 
@@ -61,6 +63,7 @@ class CudaBatch(VectorEnv[Any, Any, Any]):
         self._fly = self._lanes.recorded_flight()
         self._actions = _Actions(self.single_action_space, num_envs, self.device)
         self._unread: deque[tuple[Any, th.Tensor, th.Tensor]] = deque()
+        self._behind = BEHIND if isinstance(self._lanes.games, SampledAhead) else FAR_BEHIND
 
     @property
     def object_names(self) -> tuple[str, ...]:
@@ -105,13 +108,13 @@ class CudaBatch(VectorEnv[Any, Any, Any]):
         return mapped(th.clone, lanes.observations), *ended, infos
 
     def _read_an_earlier_step(self) -> None:
-        """Let games be sampled where they have begun, and check the actions, of the step BEHIND steps ago."""
+        """Let games be sampled where they have begun, and check the actions, of the step some steps ago."""
         games = self._lanes.games
         read = th.cuda.Event()  # type: ignore[no-untyped-call]
         parts = (part.to("cpu", non_blocking=True, copy=True) for part in (games.begun, self._actions.wrong))
         self._unread.append((read, *parts))  # type: ignore[arg-type]
         read.record()
-        if len(self._unread) > BEHIND:
+        if len(self._unread) > self._behind:
             read, begun, wrong = self._unread.popleft()
             read.synchronize()
             games.refill(begun.tolist())

@@ -355,6 +355,9 @@ class PPOSettings(Config):
     """Norm to which gradients are clipped."""
     first_deviation: Annotated[float, Field(gt=0.0, le=10.0)] = 0.6
     """Standard deviation of the actions at first."""
+    final_deviation: Annotated[float, Field(gt=0.0, le=10.0)] | None = None
+    """Largest standard deviation at the end, to which it falls linearly, so that the policy learns to do without the
+    noise; None: the deviation is learned freely."""
 
     def check_samples(self, environments: int) -> None:
         """Raise UserError unless the minibatches divide the samples of a rollout in at least two samples each."""

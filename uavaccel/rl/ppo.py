@@ -179,17 +179,25 @@ class PPO:
         self._step = zeros(1, dtype=th.int64)
         self._batch = zeros(count * steps // self.options.minibatches, dtype=th.int64)
         self._tally = zeros(3, dtype=th.float64)  # games ended, games won, sum of rewards
+        self._most = th.full((), math.inf, device=device)
 
     def learn(self) -> Iterator[Progress]:
         """Train until all commands are flown; yield after each round."""
         self.look(self.env.reset(seed=self.options.seed)[0])
         while self.commands < self.options.commands:
-            yield self.advance(1.0 - self.commands / self.options.commands)
+            left = 1.0 - self.commands / self.options.commands
+            self.launch(left, left)
+            yield self.finish()
 
-    def advance(self, rate_share: float) -> Progress:
-        """Fly a rollout and learn from it, at a share of the initial learning rate."""
+    def launch(self, left: float, rate_share: float) -> None:
+        """Fly a rollout and learn from it at a share of the initial learning rate, without waiting for a GPU.
+
+        `left` is the share of the training that is left, from 1 to 0.
+        """
         for group in self.optimizer.param_groups:
             group["lr"].fill_(rate_share * self.options.learning_rate)
+        if (last := self.options.final_deviation) is not None:
+            self._most.fill_(math.log(last + left * (self.options.first_deviation - last)))
         self._tally.zero_()
         self._step.zero_()
         for step in range(self.options.rollout):
@@ -202,8 +210,11 @@ class PPO:
                 self._batch.copy_(batch)
                 self._do_descend()
         self.commands += self._rewards.numel()
+
+    def finish(self) -> Progress:
+        """Return what the launched round brought."""
         games, won, rewards = self._tally.tolist()
-        deviation = float(self.policy.log_deviation.detach().exp().mean())
+        deviation = float(self._log_deviation().detach().exp().mean())
         return Progress(self.commands, int(games), int(won), rewards / self._rewards.numel(), deviation)
 
     def look(self, observations: Any) -> None:
@@ -229,8 +240,7 @@ class PPO:
     def _act(self) -> None:
         """Choose actions for what is seen now, and store all that learning needs of it."""
         mean, value = self.policy(self._now)
-        deviation = self.policy.log_deviation.exp()
-        self._action.copy_(mean + deviation * th.randn_like(mean))
+        self._action.copy_(mean + self._log_deviation().exp() * th.randn_like(mean))
         for name, part in self._now.items():
             self._seen[name].index_copy_(0, self._step, part[None])
         stored = (
@@ -244,8 +254,13 @@ class PPO:
 
     def _chance(self, mean: th.Tensor, action: th.Tensor) -> th.Tensor:
         """Return the log probabilities (n,) of actions (n, actions)."""
-        distance = (action - mean) * (-self.policy.log_deviation).exp()
-        return (-0.5 * distance * distance - self.policy.log_deviation - LOG_ROOT_TWO_PI).sum(1)
+        log_deviation = self._log_deviation()
+        distance = (action - mean) * (-log_deviation).exp()
+        return (-0.5 * distance * distance - log_deviation - LOG_ROOT_TWO_PI).sum(1)
+
+    def _log_deviation(self) -> th.Tensor:
+        """Return the logarithms of the actions' standard deviations, which are learned, and limited by `_most`."""
+        return th.minimum(self.policy.log_deviation, self._most)
 
     @th.no_grad()
     def _estimate(self) -> None:
@@ -270,7 +285,7 @@ class PPO:
         ratio = (self._chance(mean, action) - before).exp()
         gain = (gain - gain.mean()) / (gain.std() + 1e-8)
         objective = th.min(gain * ratio, gain * ratio.clamp(1.0 - options.clip, 1.0 + options.clip)).mean()
-        entropy = (self.policy.log_deviation + LOG_ROOT_TWO_PI_E).sum()
+        entropy = (self._log_deviation() + LOG_ROOT_TWO_PI_E).sum()
         error = ((value - target) ** 2).mean()
         loss = options.value_weight * error - objective - options.entropy_weight * entropy
         self.optimizer.zero_grad(set_to_none=False)

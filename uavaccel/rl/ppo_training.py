@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import deepcopy
 from typing import Any
 
 import numpy as np
@@ -36,7 +37,10 @@ def actor_of(config: LearnerConfig) -> ActorCritic:
 
 
 class PPOTraining:
-    """PPO on a batch of the host, or on a CudaBatch; a checkpoint can be taken between any two rounds."""
+    """PPO on a batch of the host, or on a CudaBatch, which flies the next round while the last one's games are told.
+
+    A checkpoint can be taken between any two rounds, when none is in flight.
+    """
 
     def __init__(self, config: LearnerConfig, lanes: Any) -> None:
         if config.device.startswith("cuda"):
@@ -46,15 +50,12 @@ class PPOTraining:
         self.games, self.returns = 0, [0.0] * lanes.num_envs
         self.exploration_rate = None
         self.holding, self.at_rest = False, True
-        on_host = isinstance(lanes, TurnBatch)
-        self._games: HostGames | DeviceGames = HostGames(self, lanes) if on_host else DeviceGames(self, lanes)
+        self._on_host = isinstance(lanes, TurnBatch)
+        self._games: HostGames | DeviceGames = HostGames(self, lanes) if self._on_host else DeviceGames(self, lanes)
         self._ppo = PPO(self._games, self.options)
         self._begun = False
-
-    @property
-    def policy(self) -> ActorCritic:
-        """The network."""
-        return self._ppo.policy
+        self.policy = self._ppo.policy if self._on_host else deepcopy(self._ppo.policy)
+        """The network after the last round whose games were told."""
 
     def begin(self) -> None:
         """See `Learner`."""
@@ -65,10 +66,20 @@ class PPOTraining:
     def advance(self) -> list[Game]:
         """Fly a rollout and learn from it; returns the games that ended in it."""
         self.begin()
-        left = 1.0 - self.games / self.config.games
         with self.stopwatch.phase("learning"):
-            self._ppo.advance(falling(1.0, self.config.final_learning_rate_share, left))
-        return self._games.pop()
+            if self.at_rest:
+                self._launch()
+            self._ppo.finish()
+            games = self._games.pop()
+            self.policy.load_state_dict(self._ppo.policy.state_dict())
+            self.at_rest = self._on_host or self.holding or self.games == self.config.games
+            if not self.at_rest:
+                self._launch()
+        return games
+
+    def _launch(self) -> None:
+        left = 1.0 - self.games / self.config.games
+        self._ppo.launch(left, falling(1.0, self.config.final_learning_rate_share, left))
 
     def get_state(self) -> LearnerState:
         """Return network, optimizer, counters and generator."""
@@ -81,7 +92,8 @@ class PPOTraining:
 
     def set_state(self, state: LearnerState, observations: Any) -> None:
         """Restore what `get_state` returned; `observations` (lanes, ...) are the lanes' present ones."""
-        self.policy.load_state_dict(state.tensors["policy"])
+        for network in (self.policy, self._ppo.policy):
+            network.load_state_dict(state.tensors["policy"])
         self._ppo.optimizer.load_state_dict(state.tensors["optimizer"])
         self.games, self.returns, self._ppo.commands = (state.counters[n] for n in ("games", "returns", "commands"))
         th.set_rng_state(state.tensors["torch"].cpu())
