@@ -158,7 +158,7 @@ def all_are(value: float) -> dict[str, Any]:
     rl = Trainings(cells, rl.interchange.assign(successes=value), rl.lost.assign(ended_m=value))
     stlc = {"stlc": [value] * GAMES, "command_gap_median_s": value}
     speedup = {"effective_speedup": value, "effective_speedup_interval": [value] * 2}
-    names = dict.fromkeys(("k5", "k10", "k50", "k100"), (value, value))
+    names: dict[str, Any] = dict.fromkeys(("k5", "k10", "k50", "k100"), (value, value))
     return {
         "dp1": trajectories(lambda cell: cell.update(stlc, **speedup)),
         "dp2": images((value, value, 400), **names),

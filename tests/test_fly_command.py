@@ -28,6 +28,9 @@ FLOWN: FlightSummary = {
 NOWHERE: FlightSummary = {**FLOWN, "position_m": None}
 CRASHED: FlightSummary = {**FLOWN, "error": "KeyError: 'pose'"}
 IDLE: Any = {**FLOWN, "calls": 0}
+LOST: Any = {**IDLE, "position_m": None}
+BROKEN: Any = {**CRASHED, **IDLE}
+STOPPED: Any = {**IDLE, "finished": False}
 CHECKED = "checked: flown twice, 7 calls and the trajectory are equal to the byte"
 
 
@@ -144,9 +147,9 @@ def test_a_flight_is_told_in_a_line_and_its_status_is_the_scripts(
         (FlightResult(3, FLOWN), FlightResult(3, FLOWN), 3, f"{CHECKED}; both times the script ended with exit status"),
         (FlightResult(1, CRASHED), FlightResult(1, CRASHED), 1, f"{CHECKED}; both times the script ended with KeyErr"),
         (FlightResult(0, IDLE), None, 0, "not checked: the script ended with exit status 0 before any call"),
-        (FlightResult(3, {**IDLE, "position_m": None}), None, 3, "not checked: the script ended with exit status 3 be"),
-        (FlightResult(1, {**CRASHED, **IDLE}), None, 1, "not checked: the script ended with KeyError: 'pose' before "),
-        (FlightResult(0, {**IDLE, "finished": False}), None, 0, "not checked: the script was stopped by --until befo"),
+        (FlightResult(3, LOST), None, 3, "not checked: the script ended with exit status 3 be"),
+        (FlightResult(1, BROKEN), None, 1, "not checked: the script ended with KeyError: 'pose' before "),
+        (FlightResult(0, STOPPED), None, 0, "not checked: the script was stopped by --until befo"),
         (FlightResult(0, FLOWN), FlightResult(0, FLOWN, differs=True), 1, "8.00 simulated s"),
         (FlightResult(0, FLOWN), FlightResult(5, None), 5, "not checked"),
         (FlightResult(0, FLOWN), FlightResult(130, {"finished": False}), 130, "not checked"),

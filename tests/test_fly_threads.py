@@ -182,7 +182,8 @@ def outcomes(kinds: Any) -> list[Any]:
     """What a script meets that uses locks in ways that are wrong, rare or nested."""
     found: list[Any] = []
     for lock, holds in ((kinds.Lock(), 1), (kinds.RLock(), 3)):  # all of which a wait gives back
-        condition, told = kinds.Condition(lock), []
+        condition = kinds.Condition(lock)
+        told: list[int] = []
         found += [outcome(call) for call in (condition.notify, condition.notify_all, condition.wait, lock.release)]
 
         def tell(condition: Any = condition, told: list[int] = told) -> None:

@@ -57,7 +57,7 @@ def rl_run(path: Path, *trainings: tuple[dict[str, str], dict[str, Any]]) -> str
                 row |= {"command": command, "clock_speed": clock_speed}
                 row |= {"training": TRAINING} if name == "training" else {}
                 won = (np.arange(len(at_m)) >= len(ended_m)) & (name == "training")
-                both = made.interchange if (command, clock_speed, name) == ("tcsc", 1.0, "training") else []
+                both: Any = made.interchange if (command, clock_speed, name) == ("tcsc", 1.0, "training") else []
                 for seed in range(3 if len(both) else 1):  # trainings whose policies flew with both commands
                     outcomes = {command: (at_m, won)}
                     for flown_with, each in both.groupby("flown_with") if len(both) else ():

@@ -366,7 +366,7 @@ def test_reset_brings_all_to_their_starts() -> None:
 @pytest.mark.parametrize("others", [("B",), ("A.1", "A1"), ("A.flight", "A")])
 def test_a_saved_game_holds_them_all(others: tuple[str, ...]) -> None:
     names = ("drone.a", *others)
-    places = {name: {"X": 5 * number, "Y": 5 * number} for number, name in enumerate(names)}
+    places: dict[str, Any] = {name: {"X": 5 * number, "Y": 5 * number} for number, name in enumerate(names)}
     api = fleet(**places)
     dash(api, names[0], 1.0, 0.0, 3.0)
     for name in others:

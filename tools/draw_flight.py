@@ -12,10 +12,9 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from uavaccel.cli.results import film_of_game
 from uavaccel.draw.film import FRAMES_PER_S, PANEL, dvs_picture
 from uavaccel.draw.panels import Bgr, to_bgr
-from uavaccel.suites.registry import open_run
+from uavaccel.suites.flight import film_of, flight_of
 
 LARGEST = 1_000_000  # bytes
 BESIDE = (PANEL[0] // 2, PANEL[1] // 2)
@@ -29,7 +28,7 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=60, help="sample")
     parser.add_argument("--count", type=int, default=72, help="of samples")
     options = parser.parse_args()
-    _, film = film_of_game(open_run(options.run), options.case)
+    film = film_of(flight_of(options.run, options.case, None)[1])
     chase = film.chase
     assert chase is not None  # in a lane
 

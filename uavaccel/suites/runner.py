@@ -209,6 +209,6 @@ def _leave_in_worker(folder: str) -> None:
 def fly_case(suite: AnySuite, config: Experiment, case: Case, opened: Opened) -> GameResult:
     """Fly one case, and add the host's time and load to its result."""
     game, host = timed(lambda: suite.fly(config, case, opened))
-    if own_folder(suite) is not None:
+    if own_folder(suite, config) is not None:
         _check_result(suite, case, game)
     return replace(game, host={**host, **game.host})
