@@ -1,4 +1,4 @@
-"""The RL experiment: cells that a kill does not change, Table I's numbers by hand, figures, several runs together."""
+"""The RL experiment: cells that a kill does not change, Table I's numbers by hand, figures."""
 
 from __future__ import annotations
 
@@ -513,40 +513,6 @@ def test_success_over_the_gap_and_the_time_of_trainings_by_phase(tmp_path: Path,
     assert minutes == pytest.approx(dict(zip(names, np.array([0.55, 0.001, 0.002, 0.007]) * 2.5, strict=True)))
     simulation, whole = (cells["tcsc", 5.0][name] for name in ("training_speedup", "whole_training_speedup"))
     assert texts(tcsc)[1] == f"{number(simulation, 3)}x, whole {number(whole, 3)}x (paper 4x, 3.6x)"
-
-
-def test_several_runs_make_the_report_of_the_one_that_flew_all(tmp_path: Path, drawn: dict[str, Figure]) -> None:
-    rows = made("tcsc", 1.0, [range(30), range(20)]) + made("adsc", 1.0, [range(9)] * 2)
-    rows = [*rows, exact_of(rows[0], range(4))]
-    all_of = report_of(tmp_path / "all", rows, [60.0] * 5)
-    runs = [
-        report_of(tmp_path / name, own, [60.0] * len(own), command=[name], seed=seed, seeds=3).run
-        for name, own, seed in (("tcsc", [*rows[:2], rows[4]], 2), ("adsc", rows[2:4], 7))
-    ]
-    for some in (runs, runs[::-1]):
-        assert Rl().compare(some) == [some[0].path / "together/report.html"]
-        made_one = RunDirectory(some[0].path / "together")
-        summary, config = made_one.read_json("summary.json"), made_one.config()
-        for name in ("cells", "pooled", "exact", "same_weights"):
-            assert sorted(summary[name], key=str) == sorted(all_of.summary[name], key=str)
-        assert (config["seed"], config["seeds"], config["command"]) == (2, 8, [])
-        assert set(made_one.manifest()["runs"]) == {str(run.path) for run in runs}
-        assert "took 300.0 s of this machine" in (made_one.path / "report.md").read_text(encoding="utf-8")
-    Rl().compare(runs)  # again
-    mine = runs[0].path / "together"
-    (mine / "notes.txt").write_text("mine")
-    with pytest.raises(UserError, match=r"together: holds notes.txt, and is where .* move it away$"):
-        Rl().compare(runs)
-    (mine / "config.yaml").unlink()  # as of a folder that no report has made
-    with pytest.raises(UserError, match=r"together: holds figures, and is where .* move it away$"):
-        Rl().compare(runs)
-    assert (mine / "notes.txt").read_text() == "mine"
-    with pytest.raises(UserError, match=r"has -airsim-virtual-tcsc-1.0-0, which .* has too"):
-        Rl().compare([runs[0], runs[0]])
-    other = report_of(tmp_path / "other", made("adsc", 5.0, [[]])).run
-    (other.path / "config.yaml").write_text((other.path / "config.yaml").read_text().replace("games: 3", "games: 4"))
-    with pytest.raises(UserError, match="other: games differs"):
-        Rl().compare([runs[0], other])
 
 
 # --- GPUs -------------------------------------------------------------------------------------------------------

@@ -59,9 +59,6 @@ KEY = ["variant", "profile", "timing", "command", "clock_speed"]
 LEARNED = ("trained_games", "trained_successes", "weights_sha256")
 EVALUATION_SEED = 0  # the same lanes and latencies for every policy
 OF_EXACT = "exact"  # name of an evaluation in the exact simulator
-OF_A_REPORT = {"config.yaml", "manifest.json", "summary.json", "report.md", "report.html", "figures"}
-TOGETHER = "together"  # the folder of the report of several runs, in the first one's
-MAY_DIFFER = {"cells", "command", "clock_speed", "profile", "timing", "seed", "seeds"}  # between these
 THINKING = re.compile(r"_?think_\d+ms$")  # suffix of variants that differ in the duration of a decision alone
 LEAST = 3  # gaps that a run needs for a figure of them, and cells for a line in it
 AGAINST = ("permutation_p", "fisher_p", "mcnemar_p")  # tests against other trainings
@@ -421,46 +418,6 @@ class Rl(Suite[RlConfig, TrainingCase]):
             yield f"{panel_name(family)}: of {seeds} seeds {equal} learned the same weights at {clocks}: {others}."
         yield Table.of(summary["cells"], TRAININGS, folded=f"{len(summary['cells'])} trainings")
         yield method_note(" ".join([WHAT_N_TELLS, *([WHAT_A_GAP_IS] if lines else []), HOW_TIME_IS_MODELLED]))
-
-    def compare(self, runs: Sequence[RunDirectory]) -> list[Path]:
-        """Write one report of the cells of several runs, in the folder `together` of the first."""
-        report = Together([self.report(run) for run in runs])
-        report.write()
-        return [report.run.path / "report.html"]
-
-
-class Together(Report):
-    """The report of several runs as if one had flown the cells of all; it has a folder, but no rows, of its own."""
-
-    def __init__(self, reports: Sequence[Report]) -> None:
-        """Raises UserError where two runs hold the same cell, or were not trained and evaluated alike."""
-        first, configs = reports[0], [report.config for report in reports]
-        alike = first.config.model_dump(exclude=MAY_DIFFER)
-        self._of: dict[str, Report] = {}
-        for report in reports:
-            own = report.config.model_dump(exclude=MAY_DIFFER)
-            if differs := [key for key in alike if own[key] != alike[key]]:
-                other = f"{report.run.path}: {differs[0]} differs from that of {first.run.path}"
-                raise UserError(f"{other}: they make no one table")
-            if twice := [case for case in report.games["case"] if case in self._of]:
-                raise UserError(f"{report.run.path}: has {twice[0]}, which {self._of[twice[0]].run.path} has too")
-            self._of |= dict.fromkeys(report.games["case"], report)
-        blocks = [block for config in configs for block in config.cells]
-        cells = [block for number, block in enumerate(blocks) if block not in blocks[:number]]
-        seed, end = min(config.seed for config in configs), max(config.seed + config.seeds for config in configs)
-        self.suite, self.config = first.suite, RlConfig(**alike, cells=cells, seed=seed, seeds=end - seed)
-        self.games = pd.concat([report.games for report in reports], ignore_index=True)
-        self.timings = [entry for report in reports for entry in report.timings]
-        if (place := first.run.path / TOGETHER).exists():
-            made = (place / "config.yaml").is_file() and "runs" in RunDirectory(place).manifest()
-            if mine := sorted({entry.name for entry in place.iterdir()} - (OF_A_REPORT if made else set())):
-                raise UserError(f"{place}: holds {mine[0]}, and is where the report of several runs goes; move it away")
-            shutil.rmtree(place)
-        made_of = {str(report.run.path): report.run.manifest() for report in reports}
-        self.run = RunDirectory.create(place, self.config, {**first.run.manifest(), "runs": made_of})
-
-    def arrays(self, game: Mapping[str, Any] | pd.Series) -> dict[str, np.ndarray]:
-        return self._of[game["case"]].arrays(game)
 
 
 # --- parts --------------------------------------------------------------------------------------------------------
