@@ -24,7 +24,7 @@ from uavaccel.records import RunDirectory
 from uavaccel.rl.learner import Game
 from uavaccel.suites import trainer
 from uavaccel.suites.report import Report
-from uavaccel.suites.train import Training, game_case, time_figure
+from uavaccel.suites.train import Training, curves_figure, game_case
 from uavaccel.suites.trainer import model_real_time
 from uavaccel.units import NS_PER_S
 from uavaccel.wire.latency import shipped_latency
@@ -215,7 +215,7 @@ def test_learning_curves_are_over_the_wall_clock_of_all_starts(tmp_path: Path, d
     short = trained(tmp_path / "short", won(False, True, True, True), walls(10, 20, 5, 6))  # begun twice
     hundred = trained(tmp_path / "hundred", won(*[True] * 100), walls(*range(40, 140)))
     long = trained(tmp_path / "long", won(*every_third), walls(*long_s))
-    axes, *_ = time_figure([short, long, hundred, short], ["mine", "long", "hundred", "mine"]).axes
+    axes, *_ = curves_figure("wall clock", [short, long, hundred, short], ["mine", "long", "hundred", "mine"]).axes
     lines = labelled(axes)
     assert list(lines) == ["mine", "long", "hundred"]  # of one name, one entry
     assert points(lines["mine"]) == [(10.0, 0.0), (20.0, 0.5), (25.0, round(2 / 3, 12)), (26.0, 0.75)]
@@ -299,7 +299,7 @@ def test_curves_of_seeds_that_share_no_moment_are_drawn_to_the_last_ones_end(tmp
     """A training that compiles begins, by its own clock, when another has ended."""
     quick = trained(tmp_path / "quick", won(False, True), walls(1, 2))
     late = trained(tmp_path / "late", won(True, True), walls(10, 12))
-    axes, *_ = time_figure([quick, late], ["both", "both"]).axes
+    axes, *_ = curves_figure("wall clock", [quick, late], ["both", "both"]).axes
     assert points(axes.lines[0]) == [(1.0, 0.5), (2.0, 0.75), (10.0, 0.75), (12.0, 0.75)]
 
 

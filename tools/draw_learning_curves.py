@@ -10,7 +10,7 @@ from pathlib import Path
 
 from uavaccel.draw import style
 from uavaccel.records import RunDirectory
-from uavaccel.suites.train import Training, time_figure
+from uavaccel.suites.train import Training, curves_figure
 
 
 def main() -> None:
@@ -21,7 +21,7 @@ def main() -> None:
     names, folders = zip(*(run.rpartition("=")[::2] for run in options.runs), strict=True)
     reports = [Training().report(RunDirectory(folder)) for folder in folders]
     with style.project_style():
-        print(style.save(time_figure(reports, names), options.picture))
+        print(style.save(curves_figure("wall clock", reports, names), options.picture))
 
 
 if __name__ == "__main__":

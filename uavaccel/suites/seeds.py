@@ -196,10 +196,10 @@ class Seeds(Suite[SeedsConfig, SeedCase]):
         reports = [self.training.report(part_run(report.run, row["case"])) for row in report.rows]
         seen = f"Success, return and length of {len(reports)} trainings: {self.headline(report)}"
         caption = f"{train.OVER_GAMES} {WHAT_BANDS_ARE}"
-        yield report.figure("learning_games", train.games_figure(reports), caption, f"{seen}, over the games.")
+        figure = train.curves_figure("games", reports)
+        yield report.figure("learning_games", figure, caption, f"{seen}, over the games.")
         if all(training.timings for training in reports):
-            labels = [f"{len(reports)} seeds: {train.OVER_SEEDS}"] * len(reports)
-            figure = train.time_figure(reports, labels)
+            figure = train.curves_figure("wall clock", reports)
             caption = f"{train.OVER_TIME} {WHAT_BANDS_ARE}"
             yield report.figure("learning_curve", figure, caption, f"{seen}, over the wall clock.")
         yield Table.of(report.summary["trainings"], TRAININGS)

@@ -320,13 +320,14 @@ class Training(Suite[TrainConfig, SimpleCase]):
             yield Table(("", "this training", "how"), [(name, ours, how) for name, ours, _, how in lines[:2]])
         recent = recent_mean(report.games.is_success)
         seen = f"Share of games won, of the last {RECENT}: {recent.max():.0%} at most, {recent.iloc[-1]:.0%} at the end"
-        yield report.figure("learning_games", games_figure([report]), OVER_GAMES, f"{seen}, over the games.")
+        figure = curves_figure("games", [report])
+        yield report.figure("learning_games", figure, OVER_GAMES, f"{seen}, over the games.")
         progress = progress_figure(report)
         names = listed(axes.get_title("left") for axes in progress.axes)
         yield report.figure("progress", progress, PROGRESS_IS, f"Points, a game each, and running means of {names}.")
         if wall_s:
-            curve = time_figure([report], [report.run.path.name])
-            yield report.figure("learning_curve", curve, OVER_TIME, f"{seen}, over the wall clock.")
+            figure = curves_figure("wall clock", [report])
+            yield report.figure("learning_curve", figure, OVER_TIME, f"{seen}, over the wall clock.")
         if "evaluations" in summary:
             yield Table.of(summary["evaluations"], EVALUATED)
         trainings = phase_times([report])
@@ -339,13 +340,11 @@ class Training(Suite[TrainConfig, SimpleCase]):
     def compare(self, runs: Sequence[RunDirectory]) -> list[Path]:
         """Draw the learning curves and Figure 9 of several trainings into the first one's folder."""
         reports = [self.report(run) for run in runs]
-        trainings = phase_times(reports)
-        labels = [label.replace("\n", ", ") for label in trainings.index]
         with style.project_style():
             figures = {
-                "figure9_phases_compared": phases_figure(reports, trainings),
-                "learning_curves_compared": time_figure(reports, labels),
-                "learning_games_compared": games_figure(reports),
+                "figure9_phases_compared": phases_figure(reports, phase_times(reports)),
+                "learning_curves_compared": curves_figure("wall clock", reports),
+                "learning_games_compared": curves_figure("games", reports),
             }
         return [style.save(figure, runs[0].file(f"figures/{name}.png")) for name, figure in figures.items()]
 
@@ -384,84 +383,70 @@ def recent_mean(values: pd.Series) -> pd.Series:
     return values.astype(float).rolling(RECENT, min_periods=1).mean()
 
 
-def games_figure(reports: Sequence[Report]) -> Figure:
-    """Draw success over the games, a line for trainings that differ in their seed alone."""
+def curves_figure(over: Literal["games", "wall clock"], reports: Sequence[Report], names: Sequence[str] = ()) -> Figure:
+    """Draw success of the last RECENT games over the games, or over the wall clock of all starts, and evaluations.
+
+    Of several trainings return and length are drawn below. Those that differ in their seed alone, or have one of the
+    `names`, are their mean in the band of their range. Up to RECENT games, where a training has no more, its share is that of all games so far. Raises
+    UserError for a run without wall times.
+    """
     alike: dict[str, list[Report]] = {}
-    for report in reports:
-        alike.setdefault(report.config.model_dump_json(exclude={"seed"}), []).append(report)
-    lines = {}
-    for group in alike.values():
-        more = f" and {len(group) - 1} more seeds: {OVER_SEEDS}" if len(group) > 1 else ""
-        label = f"{_label(group[0])}, {group[0].run.path.name}{more}"
-        lines[label] = [(report, range(1, len(report.games) + 1)) for report in group]
-    told = [timing_provenance(report.config.task.timing) for report in reports]
-    figure = curves_figure("games", lines, _source(told, reports))
-    figure.axes[0].set_xlim(left=0)
-    return figure
-
-
-def time_figure(reports: Sequence[Report], labels: Sequence[str]) -> Figure:
-    """Draw success over the wall clock of all starts, a line for trainings of one label, with the paper's real time.
-
-    Raises UserError for a run without wall times.
-    """
-    lines: dict[str, list[tuple[Report, Sequence[float]]]] = {}
-    for report, label in zip(reports, labels, strict=True):
-        lines.setdefault(label, []).append((report, wall_times(report)))
-    figure = curves_figure("wall clock", lines, _source([MEASURED], reports))
-    axes, paper_s = figure.axes[0], paper_results.REAL_TIME_S
-    places = np.concatenate([line.get_xdata() for line in axes.lines])
-    longest_s = max(wall_s[-1] for line in lines.values() for _, wall_s in line)
-    if FAR * longest_s >= paper_s:
-        longest_s = max(longest_s, paper_s)
-        axes.axvline(paper_s, color=style.BLACK, linewidth=1.2, linestyle="--")
-        axes.text(0.93 * paper_s, 0.5, PAPER, rotation=90, ha="right", va="center")
-    axes.set_xscale("log")
-    axes.set_xticks(list(TICKS_S.values()), list(TICKS_S))
-    low_s = max(min(0.5 * places.min(), longest_s / 30), 0.01)
-    for axes in figure.axes:
-        axes.set_xlim(low_s, 2.0 * longest_s)
-        axes.minorticks_off()
-    axes.set_xlabel("wall clock since the first command")
-    return figure
-
-
-def curves_figure(over: str, lines: Mapping[str, Sequence[tuple[Report, Sequence[float]]]], source: str) -> Figure:
-    """Draw success of the last RECENT games over the ends of games, (n,) of each training's n games, and evaluations.
-
-    Of several trainings return and length are drawn below. Trainings of one label are their mean in the band of their
-    range. Up to RECENT games, where a training has no more, its share is that of all games so far.
-    """
-    several = sum(map(len, lines.values())) > 1
-    names = CURVES if several else {"is_success": CURVES["is_success"]}
+    keys = names or [report.config.model_dump_json(exclude={"seed"}) for report in reports]
+    for key, report in zip(keys, reports, strict=True):
+        alike.setdefault(key, []).append(report)
+    several, by_games = len(reports) > 1, over == "games"
+    shown = CURVES if several else {"is_success": CURVES["is_success"]}
     title = f"{'Success, return and length' if several else 'Success'} over the {over}"
-    figure, panels = plots.panels(
-        len(names), title, 2.2 if several else 3.0, across=1, source=source if several else "", sharex=True
-    )
-    for number, (label, trainings) in enumerate(lines.items()):
-        command = trainings[0][0].config.task.command
-        colour, evaluated = style.colour(number) if several else style.COMMAND_COLOUR[command], []
-        for axes, name in zip(panels, names, strict=True):
-            means = [recent_mean(report.games[name]).set_axis(_ends(report, ends)) for report, ends in trainings]
+    told = [timing_provenance(report.config.task.timing) if by_games else MEASURED for report in reports]
+    source, height_in = (_source(told, reports), 2.2) if several else ("", 3.0)
+    figure, panels = plots.panels(len(shown), title, height_in, across=1, source=source, sharex=True)
+    last_s = 0.0
+    for number, (key, group) in enumerate(alike.items()):
+        more = f" and {len(group) - 1} more seeds: {OVER_SEEDS}" if len(group) > 1 else ""
+        label = key if names else f"{_label(group[0])}, {group[0].run.path.name}{more}"
+        colour = style.colour(number) if several else style.COMMAND_COLOUR[group[0].config.task.command]
+        every = [list(range(1, len(report.games) + 1)) if by_games else wall_times(report) for report in group]
+        last_s = max(last_s, *(ends[-1] for ends in every))
+        for axes, name in zip(panels, shown, strict=True):
+            means = [
+                recent_mean(report.games[name]).set_axis(ends[: len(report.games)])
+                for report, ends in zip(group, every, strict=True)
+            ]
             curves = [mean[RECENT - 1 if len(mean) > RECENT else 0 :] for mean in means]
             draw_mean(axes, curves, color=colour, **({"label": label} if axes is panels[0] else {}))
-        for report, ends in trainings:
+        evaluated = []
+        for report, ends in zip(group, every, strict=True):
             flown = [line for line in evaluations(report.run) if line["games"] <= len(report.games)]
             success = [Proportion(line["successes"], len(line["lanes"])) for line in flown]
             evaluated.append(pd.Series(success, [ends[line["games"] - 1] for line in flown], dtype=object))
         draw_evaluated(panels[0], [seed for seed in evaluated if len(seed)], colour)
-    for axes, label in zip(panels, names.values(), strict=True):
+    if by_games:
+        panels[0].set_xlim(left=0)
+    else:
+        time_axis(panels, last_s)
+    for axes, label in zip(panels, shown.values(), strict=True):
         axes.set_ylabel(label)
     panels[0].set_ylim(-0.02, 1.02)  # so that a line at 0 is seen
     panels[0].yaxis.set_major_formatter("{x:.0%}")
-    panels[-1].set_xlabel(over)
+    panels[-1].set_xlabel("games" if by_games else "wall clock since the first command")
     plots.label_outer(panels)
     style.legend(figure)
     return figure
 
 
-def _ends(report: Report, ends: Sequence[float]) -> list[float]:
-    return list(ends)[: len(report.games)]
+def time_axis(panels: Sequence[Axes], longest_s: float) -> None:
+    """Make the shared axis that of seconds up to the end of the longest training, with the paper's real time."""
+    paper_s, places = paper_results.REAL_TIME_S, np.concatenate([line.get_xdata() for line in panels[0].lines])
+    if FAR * longest_s >= paper_s:
+        longest_s = max(longest_s, paper_s)
+        panels[0].axvline(paper_s, color=style.BLACK, linewidth=1.2, linestyle="--")
+        panels[0].text(0.93 * paper_s, 0.5, PAPER, rotation=90, ha="right", va="center")
+    low_s = max(min(0.5 * places.min(), longest_s / 30), 0.01)
+    for axes in panels:
+        axes.set_xscale("log")
+        axes.set_xticks(list(TICKS_S.values()), list(TICKS_S))
+        axes.set_xlim(low_s, 2.0 * longest_s)
+        axes.minorticks_off()
 
 
 def draw_evaluated(axes: Axes, seeds: Sequence[pd.Series], colour: str) -> None:
