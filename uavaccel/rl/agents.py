@@ -1,6 +1,6 @@
 """Agents that fly an evaluation: a policy of this project or of others, a function, or a baseline without pictures.
 
-`origin_of` says by an agent's name where it comes from: what is known of it before it flies, and how it is made.
+`origin_of` says by an agent's name where it comes from.
 """
 
 from __future__ import annotations
@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import reprlib
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from inspect import signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
@@ -44,12 +44,14 @@ class Agent(Protocol):
     def act(self, observation: Observation, info: Info) -> Action: ...
 
 
-class BatchAgent(ABC):
-    """Chooses actions for many observations at once, without the infos."""
+class BatchAgent:
+    """Chooses actions for many observations at once, without the infos.
 
-    @abstractmethod
-    def act_on(self, observations: Observation) -> NDArray[Any]:
-        """Return the actions, (n,) or (n, size), for observations (n, ...)."""
+    `act_on` returns the actions, (n,) or (n, size), for observations (n, ...).
+    """
+
+    def __init__(self, act_on: Callable[[Observation], NDArray[Any]]) -> None:
+        self.act_on = act_on
 
     def act(self, observation: Observation, info: Info) -> Action:
         """Return a discrete action as an int, a continuous one as an array."""
@@ -61,10 +63,8 @@ class PolicyAgent(BatchAgent):
     """Takes the greedy action of a trained policy."""
 
     def __init__(self, policy: Policy) -> None:
+        super().__init__(policy.act)
         self.policy = policy
-
-    def act_on(self, observations: Observation) -> NDArray[Any]:
-        return self.policy.act(observations)
 
 
 class OffsetAgent:
@@ -104,103 +104,106 @@ def reset_options(env_id: str, lane: int) -> dict[str, object]:
     return {name: lane for name in ("lane", "world") if name in known}
 
 
-class Origin(Protocol):
-    """Where an agent comes from."""
+class Origin(ABC):
+    """Where an agent comes from: what is known of it before it flies, and how it is made."""
 
-    env_id: str | None
+    env_id: str | None = None
     """The environment that it flies; None for an agent that does not say."""
+    file: Path | None = None
+    """What has what was learned; None for a baseline."""
+
+    def __init__(self, name: str) -> None:
+        """Raises UserError if there is no such agent."""
+        self.name = name
 
     def keys(self) -> dict[str, Any]:
         """Return the task's keys that it was trained with, so that an evaluation has them where it says nothing."""
+        return {}
+
+    def forms(self, task: Task) -> Iterator[tuple[str, str, str]]:
+        """Yield "observations" and "actions", as far as their form is known, with the agent's form and the task's."""
+        yield from ()
 
     def check(self, task: Task) -> None:
-        """Raise UserError as `make` does, except for what only reading the weights would show."""
+        """Raise UserError for a task that does not fit, as far as can be told without the weights."""
+        for what, own, of_task in self.forms(task):
+            if own != of_task:
+                raise UserError(
+                    f"{self.name}: its {what} are {own}, the task's {of_task}: name the environment that it was "
+                    "trained in, --set env_id=..., and the keys of its task, --set task.KEY=..."
+                )
 
+    @abstractmethod
     def make(self, task: Task) -> Agent:
-        """Make the agent. Raises UserError if there is none, or if it does not fit observations and actions."""
+        """Make the agent for a task that fits. Raises UserError where its weights cannot be read."""
 
     def sha256(self) -> str | None:
         """Return the hash of the file that has what was learned; None for a baseline."""
+        return self.file and file_sha256(self.file)
 
 
 def origin_of(name: str) -> Origin:
     """Return where the agent of a name comes from. Raises UserError if there is none."""
-    if is_baseline(name):
+    if name == STRAIGHT or name.startswith(OFFSET):
         return Baseline(name)
     if name.endswith(".zip"):
         from uavaccel.rl.sb3_file import Sb3File
 
-        return Sb3File(Path(name))
+        return Sb3File(name)
     if name.endswith(".onnx"):
         from uavaccel.rl.onnx_agent import OnnxFile
 
-        return OnnxFile(Path(name))
-    if ":" in name:
-        return OwnFunction(name)
-    return PolicyFolder(name)
-
-
-def is_baseline(name: str) -> bool:
-    """Return whether the agent is a baseline, which was never trained."""
-    return name == STRAIGHT or name.startswith(OFFSET)
+        return OnnxFile(name)
+    return OwnFunction(name) if ":" in name else PolicyFolder(name)
 
 
 def make_agent(name: str, task: Task) -> Agent:
-    """Make the agent of a name, as its origin does."""
-    return origin_of(name).make(task)
+    """Make the agent of a name. Raises UserError if there is none, or if it does not fit observations and actions."""
+    origin = origin_of(name)
+    origin.check(task)
+    return origin.make(task)
 
 
-def policy_sha256(name: str) -> str | None:
-    """Return the hash of an agent's file, as its origin does."""
-    return origin_of(name).sha256()
+class Baseline(Origin):
+    """`straight` or `offset:METRES`, which was never trained."""
 
-
-class Baseline:
-    """`straight` or `offset:METRES`."""
-
-    env_id: str | None = LANE
-
-    def __init__(self, name: str) -> None:
-        self.name = name
+    env_id = LANE
 
     def keys(self) -> dict[str, Any]:
         """They need no pictures."""
         return {"observation": "state", "history": 1}
 
     def check(self, task: Task) -> None:
-        _offset_m(self.name)
+        if not abs(self._offset_m) <= WIDTH_M:
+            raise UserError(f"{self.name}: must be offset:METRES, as in offset:-1.5, within the lane of {WIDTH_M:g} m")
 
     def make(self, task: Task) -> Agent:
         assert isinstance(task, LaneTask)
-        return OffsetAgent(_offset_m(self.name), task)
+        return OffsetAgent(self._offset_m, task)
 
-    def sha256(self) -> str | None:
-        return None
+    @property
+    def _offset_m(self) -> float:
+        """Metres east of the centre line at which it flies; NaN for what is no number."""
+        try:
+            return 0.0 if self.name == STRAIGHT else float(self.name.removeprefix(OFFSET))
+        except ValueError:
+            return math.nan
 
 
-class OwnFunction:
+class OwnFunction(Origin):
     """A function of one's own, `file.py:function` or `module:function`, of an observation, and of its info if it likes.
 
     It returns an element of the action space. Of its errors, one line names file and line.
     """
 
-    env_id: str | None = None
+    file: Path
 
     def __init__(self, name: str) -> None:
-        self.name = name
-        self._function, self._file = own_function(name, f"agent {name!r}")
-
-    def keys(self) -> dict[str, Any]:
-        return {}
-
-    def check(self, task: Task) -> None:
-        """Any task fits, until the function says otherwise."""
+        super().__init__(name)
+        self._function, self.file = own_function(name, f"agent {name!r}")
 
     def make(self, task: Task) -> Agent:
-        return FunctionAgent(self._function, self._file, self.name, task.action_space())
-
-    def sha256(self) -> str | None:
-        return file_sha256(self._file)
+        return FunctionAgent(self._function, self.file, self.name, task.action_space())
 
 
 class FunctionAgent:
@@ -225,13 +228,15 @@ class FunctionAgent:
         return action if action.ndim else int(action)
 
 
-class PolicyFolder:
+class PolicyFolder(Origin):
     """A training's run directory, another folder with its two files, or `default`, the policy that ships."""
 
     def __init__(self, name: str) -> None:
-        self.name = name
-        self._trained = read_manifest(policy_folder(name))[1]
-        self.env_id: str | None = self._trained.env_id
+        super().__init__(name)
+        self._folder = policy_folder(name)
+        self.file = self._folder / WEIGHTS
+        self._trained = read_manifest(self._folder)[1]
+        self.env_id = self._trained.env_id
 
     def keys(self) -> dict[str, Any]:
         return kept_keys(self._trained.env_id, self._trained.task.model_dump(mode="json"))
@@ -246,11 +251,7 @@ class PolicyFolder:
             )
 
     def make(self, task: Task) -> Agent:
-        self.check(task)
-        return PolicyAgent(load_policy(policy_folder(self.name)))
-
-    def sha256(self) -> str | None:
-        return file_sha256(policy_folder(self.name) / WEIGHTS)
+        return PolicyAgent(load_policy(self._folder))
 
 
 def kept_keys(env_id: str, trained: Mapping[str, Any]) -> dict[str, Any]:
@@ -266,28 +267,6 @@ def form_of(space: spaces.Space[Any]) -> str:
     if isinstance(space, spaces.Dict):
         return ", ".join(f"{name} {form_of(part)}" for name, part in space.spaces.items())
     return str(space.shape)
-
-
-def refuse_form(name: str, what: str, own: str, task: str) -> None:
-    """Raise UserError for an agent whose observations or actions, `what`, are not of the task's form."""
-    if own != task:
-        raise UserError(
-            f"{name}: its {what} are {own}, the task's {task}: name the environment that it was trained in, "
-            "--set env_id=..., and the keys of its task, --set task.KEY=..."
-        )
-
-
-def _offset_m(name: str) -> float:
-    """Return the metres east of the centre line at which a baseline flies. Raises UserError."""
-    if name == STRAIGHT:
-        return 0.0
-    try:
-        offset_m = float(name.removeprefix(OFFSET))
-    except ValueError:
-        offset_m = math.nan
-    if not abs(offset_m) <= WIDTH_M:
-        raise UserError(f"{name}: must be offset:METRES, as in offset:-1.5, within the lane of {WIDTH_M:g} m")
-    return offset_m
 
 
 def _refuse_misfit(name: str, trained: LaneTask, task: LaneTask) -> None:

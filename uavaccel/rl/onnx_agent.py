@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +16,9 @@ from uavaccel.envs.sensors import DEPTH_FAR_M, SIZE
 from uavaccel.envs.task import Task
 from uavaccel.envs.values import Observation, rows_of
 from uavaccel.errors import UserError
-from uavaccel.files import TEXT_BYTES, file_sha256, parse_json, read_bounded
+from uavaccel.files import TEXT_BYTES, parse_json, read_bounded
 from uavaccel.resources import require
-from uavaccel.rl.agents import Agent, BatchAgent, form_of, kept_keys, refuse_form
+from uavaccel.rl.agents import Agent, BatchAgent, Origin, form_of, kept_keys
 from uavaccel.vision.observation import BLOCK_SIDE, NEUTRAL_LEVEL
 
 MOST_BYTES = 64 * TEXT_BYTES
@@ -27,31 +28,32 @@ DTYPES = {"tensor(float)": np.float32, "tensor(double)": np.float64, "tensor(uin
 WHOLE = (SIZE[0] * BLOCK_SIDE, SIZE[1] * BLOCK_SIDE)
 
 
-class OnnxFile:
+class OnnxFile(Origin):
     """An ONNX file. Its inputs are named and shaped as the observations, or it has one; axis 0 is that of the batch.
 
     The output `action`, `actions` or the first is the action or, of discrete ones, a rating of each.
     """
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        require("onnxruntime", str(path), "onnx")
+    def __init__(self, name: str) -> None:
+        super().__init__(name)
+        self.file = Path(name)
+        require("onnxruntime", name, "onnx")
         import onnxruntime
 
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = options.inter_op_num_threads = 1  # results do not depend on the machine's cores
         options.log_severity_level = 4
         try:
-            content = read_bounded(path, MOST_BYTES)
+            content = read_bounded(self.file, MOST_BYTES)
             self._session = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
         except OSError as error:
-            raise UserError(f"{path}: {error.strerror}") from error
+            raise UserError(f"{name}: {error.strerror}") from error
         except UserError:
             raise
         except Exception as error:  # those of the runtime have no base class of their own
-            raise UserError(f"{path}: is no ONNX file that onnxruntime runs: {_line(error)}") from error
+            raise UserError(f"{name}: is no ONNX file that onnxruntime runs: {_line(error)}") from error
         self._about: Mapping[str, str] = self._session.get_modelmeta().custom_metadata_map
-        self.env_id: str | None = self._about.get(ENV_ID)
+        self.env_id = self._about.get(ENV_ID)
 
     def keys(self) -> dict[str, Any]:
         if self.env_id is None:
@@ -59,67 +61,50 @@ class OnnxFile:
         try:
             task = parse_json(self._about[TASK])
         except (KeyError, ValueError) as error:
-            raise UserError(f"{self.path}: its metadata have no {TASK} in JSON; export it anew") from error
+            raise UserError(f"{self.name}: its metadata have no {TASK} in JSON; export it anew") from error
         return kept_keys(self.env_id, task if isinstance(task, Mapping) else {})
 
-    def sha256(self) -> str | None:
-        return file_sha256(self.path)
-
-    def check(self, task: Task) -> None:
+    def forms(self, task: Task) -> Iterator[tuple[str, str, str]]:
         inputs = {each.name: tuple(each.shape[1:]) for each in self._session.get_inputs()}
         own = ", ".join(f"{name} {shape}" if len(inputs) > 1 else str(shape) for name, shape in inputs.items())
-        refuse_form(str(self.path), "observations", own, _form_of_inputs(task, self.env_id is not None))
+        yield "observations", own, _form_of_inputs(task, self.env_id is not None)
         shape, actions = self._output.shape[1:], task.action_space()
         if len(shape) == 1 and isinstance(shape[0], int):
             form = f"one of 0 to {shape[0] - 1}" if isinstance(actions, spaces.Discrete) else f"({shape[0]},)"
-            refuse_form(str(self.path), "actions", form, form_of(actions))
+            yield "actions", form, form_of(actions)
 
     def make(self, task: Task) -> Agent:
-        self.check(task)
-        return OnnxAgent(self._session, self._output.name, task, str(self.path), self.env_id is not None)
+        return BatchAgent(partial(self._act_on, task, task.action_space()))
 
     @property
     def _output(self) -> Any:
         outputs = {each.name: each for each in self._session.get_outputs()}
         return outputs.get("action") or outputs.get("actions") or next(iter(outputs.values()))
 
-
-class OnnxAgent(BatchAgent):
-    """Takes the action that an ONNX file gives."""
-
-    def __init__(self, session: Any, output: str, task: Task, name: str, exported: bool) -> None:
-        self._session, self._output, self._task, self._name = session, output, task, name
-        self._exported = exported
-        self._actions = task.action_space()
-        self._one_by_one = any(isinstance(each.shape[0], int) for each in session.get_inputs())
-
-    def act_on(self, observations: Observation) -> NDArray[Any]:
-        given = _whole(self._task, observations) if self._exported else observations
+    def _act_on(self, task: Task, space: spaces.Space[Any], observations: Observation) -> NDArray[Any]:
+        given = observations if self.env_id is None else _whole(task, observations)
         inputs = self._session.get_inputs()
         parts = given if isinstance(given, Mapping) else {inputs[0].name: given}
         feeds = {each.name: parts[each.name].astype(DTYPES.get(each.type, np.float32)) for each in inputs}
         count = len(next(iter(feeds.values())))
-        groups = [slice(n, n + 1) for n in range(count)] if self._one_by_one else [slice(None)]
+        one_by_one = any(isinstance(each.shape[0], int) for each in inputs)
+        groups = [slice(n, n + 1) for n in range(count)] if one_by_one else [slice(None)]
         try:
-            answers = [self._session.run([self._output], rows_of(feeds, group))[0] for group in groups]
+            answers = [self._session.run([self._output.name], rows_of(feeds, group))[0] for group in groups]
         except Exception as error:  # as above
-            raise UserError(f"{self._name}: cannot be run on these observations: {_line(error)}") from error
-        return self._taken(np.concatenate([np.atleast_1d(answer) for answer in answers]), count)
-
-    def _taken(self, answer: NDArray[Any], count: int) -> NDArray[Any]:
-        space = self._actions
+            raise UserError(f"{self.name}: cannot be run on these observations: {_line(error)}") from error
+        answer = np.concatenate([np.atleast_1d(answer) for answer in answers])
         if isinstance(space, spaces.Discrete):
             if answer.shape == (count, space.n) and space.n > 1:
                 return np.asarray(answer.argmax(axis=1))
-            answer, shape = answer.reshape(len(answer), -1)[:, :1].ravel(), (count,)
-            fits = answer.shape == shape and ((answer >= 0) & (answer < space.n)).all()
+            answer = answer.reshape(len(answer), -1)[:, :1].ravel()
+            taken, fits = answer.astype(np.int64), len(answer) == count and ((answer >= 0) & (answer < space.n)).all()
         else:
+            taken = np.asarray(np.clip(answer, -1.0, 1.0), np.float32)
             fits = answer.shape == (count, *(space.shape or ())) and np.isfinite(answer).all()
         if not fits:
-            raise UserError(f"{self._name}: gives {answer.shape} numbers for {count} actions, each {form_of(space)}")
-        if isinstance(space, spaces.Discrete):
-            return np.asarray(answer, np.int64)
-        return np.asarray(np.clip(answer, -1.0, 1.0), np.float32)
+            raise UserError(f"{self.name}: gives {answer.shape} numbers for {count} actions, each {form_of(space)}")
+        return taken
 
 
 def _form_of_inputs(task: Task, exported: bool) -> str:

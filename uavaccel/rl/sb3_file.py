@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import io
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from functools import cached_property
 from importlib import import_module
 from pathlib import Path
@@ -17,15 +17,13 @@ from typing import Any
 
 import numpy as np
 from gymnasium import spaces
-from numpy.typing import NDArray
 
 from uavaccel.envs.task import Task
-from uavaccel.envs.values import Observation
 from uavaccel.errors import UserError
 from uavaccel.files import ARRAYS_BYTES, TEXT_BYTES, Plain, file_sha256, open_bounded, parse_json
 from uavaccel.own_code import is_trusted
 from uavaccel.resources import require
-from uavaccel.rl.agents import Agent, BatchAgent, form_of, refuse_form
+from uavaccel.rl.agents import Agent, BatchAgent, Origin, form_of
 
 ALGORITHMS = {
     "stable_baselines3.common.policies": "PPO",  # A2C's are the same
@@ -37,65 +35,53 @@ ALGORITHMS = {
 KNOWN = ("torch.nn.", "torch.optim.", "stable_baselines3.")  # begin the names of classes that a keyword may be
 
 
-class Sb3File:
+class Sb3File(Origin):
     """A `model.zip`; it does not say which environment it was trained in."""
 
-    env_id: str | None = None
+    file: Path
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        require("stable_baselines3", str(path), "sb3", "stable-baselines3")
+    def __init__(self, name: str) -> None:
+        super().__init__(name)
+        self.file = Path(name)
+        require("stable_baselines3", name, "sb3", "stable-baselines3")
         try:
-            with open_bounded(path, ARRAYS_BYTES) as file, zipfile.ZipFile(file) as archive:
+            with open_bounded(self.file, ARRAYS_BYTES) as file, zipfile.ZipFile(file) as archive:
                 if archive.getinfo("data").file_size > TEXT_BYTES:
-                    raise UserError(f"{path}: its data have more than {TEXT_BYTES:,} bytes")
+                    raise UserError(f"{name}: its data have more than {TEXT_BYTES:,} bytes")
                 self._data: Mapping[str, Plain] = parse_json(archive.read("data"))
         except FileNotFoundError:
-            raise UserError(f"{path}: no such file") from None
+            raise UserError(f"{name}: no such file") from None
         except (OSError, KeyError, ValueError, zipfile.BadZipFile, NotImplementedError, RuntimeError) as error:
-            raise UserError(f"{path}: is no model that stable-baselines3 has saved: {error}") from error
+            raise UserError(f"{name}: is no model that stable-baselines3 has saved: {error}") from error
 
-    def keys(self) -> dict[str, Any]:
-        return {}
-
-    def sha256(self) -> str | None:
-        return file_sha256(self.path)
-
-    def check(self, task: Task) -> None:
-        for what, key, space in (
-            ("observations", "observation_space", task.observation_space()),
-            ("actions", "action_space", task.action_space()),
-        ):
-            own = self._entry(key)
-            form = (
-                f"one of 0 to {int(own['n']) - 1}"
-                if "n" in own
-                else str(tuple(own["_shape"] or ()))
-                if "_shape" in own
-                else None
-            )
-            if form is not None and not isinstance(space, spaces.Dict):
-                refuse_form(str(self.path), what, form, form_of(space))
+    def forms(self, task: Task) -> Iterator[tuple[str, str, str]]:
+        of_task = {"observation": task.observation_space(), "action": task.action_space()}
+        for what, space in of_task.items():
+            own = {} if isinstance(space, spaces.Dict) else self._entry(f"{what}_space")
+            if "n" in own:
+                yield f"{what}s", f"one of 0 to {int(own['n']) - 1}", form_of(space)
+            elif "_shape" in own:
+                yield f"{what}s", str(tuple(own["_shape"] or ())), form_of(space)
 
     def make(self, task: Task) -> Agent:
-        """Make the agent. Raises UserError for one that does not fit, and where only unpickling would restore it."""
+        """Make the agent. Raises UserError for weights that do not fit, and where only unpickling would restore it."""
         import torch as th
 
-        self.check(task)
         seen, actions = task.observation_space(), task.action_space()
         try:
             policy = self._untrained(seen, actions)
-            with zipfile.ZipFile(self.path) as archive:
+            with zipfile.ZipFile(self.file) as archive:
                 if archive.getinfo("policy.pth").file_size > ARRAYS_BYTES:
-                    raise UserError(f"{self.path}: its weights have more than {ARRAYS_BYTES:,} bytes")
+                    raise UserError(f"{self.name}: its weights have more than {ARRAYS_BYTES:,} bytes")
                 weights = th.load(io.BytesIO(archive.read("policy.pth")), weights_only=True, map_location="cpu")
             policy.load_state_dict(weights)
         except UserError:
             raise
         except Exception as error:  # a file from elsewhere may have anything in it
             said = str(error).partition("\n")[0].rstrip(":")
-            raise UserError(f"{self.path}: its policy cannot be made for this task: {said}") from error
-        return Sb3Agent(policy.eval())
+            raise UserError(f"{self.name}: its policy cannot be made for this task: {said}") from error
+        policy.eval()
+        return BatchAgent(lambda seen: np.asarray(policy.predict(seen, deterministic=True)[0]))
 
     def _entry(self, key: str) -> Mapping[str, Plain]:
         """Return what is said in plain text of an object; empty if nothing is."""
@@ -136,14 +122,14 @@ class Sb3File:
             kind = "MultiInputPolicy" if isinstance(seen, spaces.Dict) else "CnnPolicy" if self._sees else "MlpPolicy"
             make: Any = getattr(stable_baselines3, algorithm).policy_aliases[kind]
             return make(seen, actions, lambda _: 0.0, **keywords, optimizer_class=NoOptimizer)
-        if not is_trusted(self.path.resolve(), file_sha256(self.path)):
+        if not is_trusted(self.file.resolve(), file_sha256(self.file)):
             raise UserError(
-                f"{self.path}: {self._foreign}: only unpickling restores that, which may run any code; if you trust "
+                f"{self.name}: {self._foreign}: only unpickling restores that, which may run any code; if you trust "
                 "the file, add --trust, once"
             )
         from stable_baselines3.common.save_util import load_from_zip_file
 
-        data, _, _ = load_from_zip_file(self.path, device="cpu")
+        data, _, _ = load_from_zip_file(self.file, device="cpu")
         assert data is not None
         return data["policy_class"](seen, actions, lambda _: 0.0, **data["policy_kwargs"])
 
@@ -166,13 +152,3 @@ def _named(text: str) -> Any:
     except ImportError:
         return None
     return found if isinstance(found, type) and issubclass(found, (th.nn.Module, th.optim.Optimizer)) else None
-
-
-class Sb3Agent(BatchAgent):
-    """Takes the deterministic action of a policy of stable-baselines3."""
-
-    def __init__(self, policy: Any) -> None:
-        self._policy = policy
-
-    def act_on(self, observations: Observation) -> NDArray[Any]:
-        return np.asarray(self._policy.predict(observations, deterministic=True)[0])

@@ -38,7 +38,6 @@ from uavaccel.rl.agents import (
     evaluation_keys,
     make_agent,
     origin_of,
-    policy_sha256,
     reset_options,
 )
 from uavaccel.rl.config import ENVIRONMENTS, LANE, AnyTask, EnvId, environment_class, keys_with_task
@@ -225,7 +224,7 @@ class Evaluation(Suite[EvaluateConfig, Game]):
         check_simulator(config.simulator, config.device)
         make_agent(config.agent, config.task)  # the weights too: nothing is written yet
         by = {"simulator": config.simulator, "device": config.device}
-        return {"policy_sha256": policy_sha256(config.agent), **by}
+        return {"policy_sha256": origin_of(config.agent).sha256(), **by}
 
     def status(self, rows: Sequence[Row]) -> str:
         return f"success {sum(row['is_success'] for row in rows) / len(rows):.0%}"

@@ -25,7 +25,7 @@ from uavaccel.envs.values import Action, Info, Observation
 from uavaccel.errors import UserError
 from uavaccel.files import parse_json, to_json
 from uavaccel.records import RunDirectory
-from uavaccel.rl.agents import Agent, PolicyAgent, is_baseline, make_agent, policy_sha256
+from uavaccel.rl.agents import Agent, Baseline, PolicyAgent, make_agent, origin_of
 from uavaccel.rl.config import LANE, environment_class
 from uavaccel.sim.profile import PROFILES
 from uavaccel.suites.evaluate import EvaluateConfig, Flyable, Step, ended, fly_lane, row_of
@@ -126,7 +126,7 @@ def flight_again(
         return flight_of_agent(config, number_of(row), pictures)
     if films:  # they show the agent's decisions, so that it has to be the one that flew
         flew = run.manifest().get("policy_sha256")
-        if flew is not None and flew != policy_sha256(config.agent):
+        if flew is not None and flew != origin_of(config.agent).sha256():
             raise UserError(f"{run.path}: {config.agent} is another policy than the one that flew this run")
         agent = make_agent(config.agent, config.task)
     if event_rate_hz is not None:
@@ -146,7 +146,7 @@ def flight_of_agent(config: EvaluateConfig, lane: int, pictures: bool = True) ->
     th.set_num_threads(1)  # as the evaluation's own games are flown
     agent, task = make_agent(config.agent, config.task), config.task
     if pictures and task.timing == "wall" and task.observation != "dvs":
-        if not is_baseline(config.agent):
+        if not isinstance(origin_of(config.agent), Baseline):
             raise UserError(f"timing = 'wall': of {task.observation} there is no film; take virtual or lockstep")
         task = task.model_copy(update={"observation": "dvs"})
     with closing(environment_class(config.env_id)(**task.model_dump(mode="json"))) as environment:

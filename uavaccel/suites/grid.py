@@ -32,7 +32,7 @@ from uavaccel.metrics.intervals import Proportion, mcnemar_exact
 from uavaccel.metrics.speedup import timing_provenance
 from uavaccel.metrics.trajectory import quartiles
 from uavaccel.records import RunDirectory
-from uavaccel.rl.agents import DEFAULT, agent_name, policy_sha256
+from uavaccel.rl.agents import DEFAULT, agent_name, origin_of
 from uavaccel.sim.recording import RECORDED
 from uavaccel.suites import plots
 from uavaccel.suites.dp1 import SIMILAR_STLC, Dp1, Dp1Config, Dp1Row, Game, summary_cells
@@ -364,7 +364,7 @@ class PolicyGrid(Suite[Any, Point]):
         """Return the policy's hash. Raises UserError for a device that this machine does not have."""
         suite, evaluation = self.first(config)
         suite.provenance(evaluation)
-        return {"policy_sha256": policy_sha256(config.agent)}
+        return {"policy_sha256": origin_of(config.agent).sha256()}
 
     def open(self, config: Any, timing: str, run: RunDirectory) -> AbstractContextManager[RunDirectory]:
         return on_own_gpu(run, self.first(config)[1].device)

@@ -28,7 +28,7 @@ from uavaccel.metrics.intervals import Proportion
 from uavaccel.metrics.speedup import timing_provenance
 from uavaccel.records import RunDirectory
 from uavaccel.resources import require
-from uavaccel.rl.agents import first_policy, policy_sha256
+from uavaccel.rl.agents import first_policy, origin_of
 from uavaccel.rl.config import (
     DOUBLE_DQN,
     LANE,
@@ -245,7 +245,7 @@ class Training(Suite[TrainConfig, SimpleCase]):
                 th.zeros(1, device=config.device)
             except (RuntimeError, AssertionError) as error:
                 raise UserError(f"device = {config.device!r}: {str(error).splitlines()[0]}") from error
-        started = {} if config.start_from is None else {"start_from_sha256": policy_sha256(config.start_from)}
+        started = {} if config.start_from is None else {"start_from_sha256": origin_of(config.start_from).sha256()}
         return {"torch_threads": config.torch_threads, **started}
 
     def status(self, rows: Sequence[Row]) -> str:
@@ -387,8 +387,8 @@ def curves_figure(over: Literal["games", "wall clock"], reports: Sequence[Report
     """Draw success of the last RECENT games over the games, or over the wall clock of all starts, and evaluations.
 
     Of several trainings return and length are drawn below. Those that differ in their seed alone, or have one of the
-    `names`, are their mean in the band of their range. Up to RECENT games, where a training has no more, its share is that of all games so far. Raises
-    UserError for a run without wall times.
+    `names`, are their mean in the band of their range. Up to RECENT games, where a training has no more, its share is
+    that of all games so far. Raises UserError for a run without wall times.
     """
     alike: dict[str, list[Report]] = {}
     keys = names or [report.config.model_dump_json(exclude={"seed"}) for report in reports]
