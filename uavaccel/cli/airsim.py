@@ -15,6 +15,7 @@ import typer
 from uavaccel.cli.options import Profile, Scene, Timing, Watch, check_host
 from uavaccel.errors import UsageError
 from uavaccel.fly.options import THINK_S
+from uavaccel.limits import MOST_SECONDS, MOST_SEEDS
 
 LIKE = 0.8  # of letters that two options have in common, from which on one may be the other mistyped
 
@@ -64,19 +65,26 @@ def fly(
         bool, typer.Option("--check", help="Fly twice; messages and trajectories must be equal to the byte.")
     ] = False,
     until: Annotated[
-        float | None, typer.Option(min=0.0, metavar="S", help="Stop after these simulated seconds, pauses included.")
+        float | None,
+        typer.Option(
+            min=0.0, max=MOST_SECONDS, metavar="S", help="Stop after these simulated seconds, pauses included."
+        ),
     ] = None,
     think: Annotated[
         float | None,
         typer.Option(
             min=0.0,
+            max=MOST_SECONDS,
             metavar="S",
             help="Wall seconds that the script thinks before each call; "
             f"default: {THINK_S['virtual']:g} in virtual, {THINK_S['lockstep']:g} in lockstep.",
         ),
     ] = None,
     seed: Annotated[
-        int | None, typer.Option(metavar="N", help="Random seed of Python, NumPy, PyTorch and Gymnasium.")
+        int | None,
+        typer.Option(
+            min=0, max=MOST_SEEDS - 1, metavar="N", help="Random seed of Python, NumPy, PyTorch and Gymnasium."
+        ),
     ] = None,
     keys: Annotated[
         str | None, typer.Option(metavar="KEY,...", help="Keys to press one after the other, as in w,w,space,q.")

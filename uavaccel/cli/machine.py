@@ -7,24 +7,28 @@ from typing import Annotated
 
 import typer
 
-from uavaccel.cli.options import Latency, Profile, check_number, check_profile
+from uavaccel.cli.options import Latency, Profile
 from uavaccel.cli.terminal import console, print_columns
 from uavaccel.errors import UsageError, UserError
 from uavaccel.suites.keys import KEYS
 
-MOST_COMMANDS, MOST_ROUNDS = 1_000_000, 1000
+MOST_COMMANDS = 1_000_000
 SCHEMA = "train.schema.json"  # the file that the starter's YAML names
 
 
 def calibrate(
     out: Annotated[Path, typer.Option(metavar="FILE", help="YAML file to write.")] = Path("latency.yaml"),
-    commands: Annotated[int, typer.Option(metavar="N", help="Commands of each kind to fly, about.")] = 1500,
+    commands: Annotated[
+        int, typer.Option(metavar="N", min=1, max=MOST_COMMANDS, help="Commands of each kind to fly, about.")
+    ] = 1500,
     profile: Profile = "native",
     check: Annotated[
         bool, typer.Option("--check", help="Compare the same flights on both clocks; write nothing.")
     ] = False,
     latency: Latency = None,
-    games: Annotated[int, typer.Option(metavar="N", help="For --check: flights of each kind.")] = 20,
+    games: Annotated[
+        int, typer.Option(metavar="N", min=1, max=MOST_COMMANDS, help="For --check: flights of each kind.")
+    ] = 20,
 ) -> None:
     """Measure the latencies of --timing virtual, or check them."""
     from uavaccel.calibration.calibrate import AGREEMENT_HEAD, AGREES, check_agreement, measure, model_file
@@ -33,9 +37,7 @@ def calibrate(
     from uavaccel.sim.camera.gl import describe_renderer
     from uavaccel.wire.latency import read_latency, shipped_latency
 
-    check_profile(profile)
     if check:
-        check_number("--games", games, 1, MOST_COMMANDS)
         model = shipped_latency() if latency is None else read_latency(latency)
         console.print(f"machine check: {check_machine()['verdict']}; latency model: {latency or 'the shipped one'}")
         console.print(AGREEMENT_HEAD)
@@ -46,7 +48,6 @@ def calibrate(
         console.print(f"{verdicts.count(AGREES)} of {len(verdicts)} agree")
         return
     check_new_file(out)
-    check_number("--commands", commands, 1, MOST_COMMANDS)
     verdict, images = check_machine()["verdict"], True
     console.print(f"machine check: {verdict}")
     try:
@@ -65,7 +66,7 @@ def calibrate(
 def advise(
     t_move: Annotated[float, typer.Option("--t-move", metavar="S", help=f"{KEYS['t_move_s'].help}.")] = 1.0,
     error: Annotated[float, typer.Option(metavar="M", help="Error that a trajectory may have, in metres.")] = 0.1,
-    rounds: Annotated[int, typer.Option(metavar="N", help="Rounds of the square.")] = 4,
+    rounds: Annotated[int, typer.Option(metavar="N", min=1, max=1000, help="Rounds of the square.")] = 4,
     latency: Latency = None,
     profile: Profile = "native",
 ) -> None:
@@ -76,10 +77,8 @@ def advise(
     from uavaccel.sim.profile import PROFILES
     from uavaccel.wire.latency import read_latency, shipped_latency
 
-    check_profile(profile)
     if not error > 0:
         raise UserError(f"--error {error:g}: must be above 0 metres")
-    check_number("--rounds", rounds, 1, MOST_ROUNDS)
     if not 0.0 < t_move <= MOST_SECONDS:
         raise UserError(f"--t-move {t_move:g}: must be above 0 and at most {MOST_SECONDS:g} seconds")
     PROFILES[profile].check_duration(t_move, "--t-move")

@@ -1,4 +1,4 @@
-"""The options that several commands share, each defined once; what the shell completes; checks of numbers and hosts."""
+"""The options that several commands share, each defined once; what the shell completes; a check of hosts."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Annotated, Any, get_type_hints
 
 import typer
 
-from uavaccel.errors import UsageError, UserError
+from uavaccel.errors import UsageError
 from uavaccel.resources import experiments
 from uavaccel.suites.keys import KEYS, Key
 
@@ -28,9 +28,18 @@ def shipped(incomplete: str) -> list[str]:
 
 
 def _option(*declarations: str, shown: str | None = None, about: str) -> Any:
-    """Return an option; where it shows words with bars between, the shell completes them."""
-    words = shown.split("|") if shown and "|" in shown else ()
-    return typer.Option(*declarations, metavar=shown, help=about, autocompletion=one_of(*words) if words else None)
+    """Return an option; where it shows words with bars between, it takes these alone, and the shell completes them."""
+    if shown is None or "|" not in shown:
+        return typer.Option(*declarations, metavar=shown, help=about)
+    words = shown.split("|")
+
+    def known(given: Any) -> Any:
+        for value in given if isinstance(given, list) else [given]:
+            if value not in (None, *words):
+                raise typer.BadParameter(f"{value}: must be {' or '.join(words)}")
+        return given
+
+    return typer.Option(*declarations, metavar=shown, help=about, autocompletion=one_of(*words), callback=known)
 
 
 def _of_words(key: Key) -> Any:
@@ -112,22 +121,7 @@ def requests(
     return decorate
 
 
-def check_number(option: str, value: float, least: float, most: float) -> None:
-    """Raise UserError for a number outside of these bounds."""
-    if not least <= value <= most:
-        form = "g" if isinstance(value, float) else "d"
-        raise UserError(f"{option} {value:{form}}: must be {least:{form}} to {most:{form}}")
-
-
 def check_host(host: str) -> None:
     """Raise UsageError for an empty address, which sockets take for all addresses of this machine."""
     if not host.strip():
         raise UsageError("--host: is empty; name an address, as in --host 127.0.0.1")
-
-
-def check_profile(profile: str) -> None:
-    """Raise UserError for an unknown profile."""
-    from uavaccel.sim.profile import PROFILES  # heavy
-
-    if profile not in PROFILES:
-        raise UserError(f"--profile {profile}: must be {' or '.join(PROFILES)}")

@@ -12,9 +12,9 @@ from pathlib import Path
 
 from uavaccel.errors import UsageError, UserError
 from uavaccel.fly.messages import DifferenceError
-from uavaccel.fly.options import SCRATCH, THINK_S, FlightOptions, FlightSummary, found_settings
+from uavaccel.fly.options import SCRATCH, FlightOptions, FlightSummary, found_settings
 from uavaccel.fly.runs import FlightResult, check, fly
-from uavaccel.limits import CLOCK_SPEEDS, MOST_SECONDS, MOST_SEEDS
+from uavaccel.limits import CLOCK_SPEEDS
 from uavaccel.processes.lifetime import remove_orphaned_files
 from uavaccel.resources import asset
 
@@ -62,14 +62,6 @@ def fly_script(request: FlyRequest) -> int:
 
 def _check_request(request: FlyRequest) -> None:
     flight = request.flight
-    if flight.timing not in THINK_S:
-        raise UsageError(f"--timing {flight.timing}: there are {', '.join(THINK_S)}")
-    if flight.profile != FlightOptions.profile:
-        from uavaccel.sim.profile import PROFILES  # as heavy as the simulation itself
-
-        if flight.profile not in PROFILES:
-            raise UsageError(f"--profile {flight.profile}: there are {', '.join(PROFILES)}")
-    _check_numbers(flight)
     asset(f"mjcf/{flight.scene}.xml")
     if not flight.script.is_file():
         raise UserError(f"{flight.script}: no such file")
@@ -83,14 +75,6 @@ def _check_request(request: FlyRequest) -> None:
         )
     if flight.film and request.out is None:
         raise UsageError("--film needs --out, a folder for it")
-
-
-def _check_numbers(flight: FlightOptions) -> None:
-    for option, seconds in (("think", flight.think_s), ("until", flight.until_s)):
-        if seconds is not None and not 0.0 <= seconds <= MOST_SECONDS:
-            raise UsageError(f"--{option} {seconds:g}: must be 0 to {MOST_SECONDS:g} s")
-    if flight.seed is not None and not 0 <= flight.seed < MOST_SEEDS:
-        raise UsageError(f"--seed {flight.seed}: must be 0 to {MOST_SEEDS - 1}")
 
 
 def _with_settings(request: FlyRequest, scratch: Path) -> FlyRequest:

@@ -7,8 +7,8 @@ on the same lanes, each evaluation in a run directory of its own below the run's
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, ExitStack, contextmanager
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cache
@@ -38,11 +38,10 @@ from uavaccel.suites import plots
 from uavaccel.suites.dp1 import SIMILAR_STLC, Dp1, Dp1Config, Dp1Row, Game, summary_cells
 from uavaccel.suites.experiment import ClockSpeeds, CommandNames, Experiment, ProfileName, Timing, distinct, timing_of
 from uavaccel.suites.flight import Flight
-from uavaccel.suites.gpu import on_own_gpu
-from uavaccel.suites.parts import OUTCOMES, Part, fly_part, outcomes, part_run, part_suite
+from uavaccel.suites.parts import OUTCOMES, Part, SuiteOfRuns, fly_part, outcomes, part_run, part_suite, simulated_s
 from uavaccel.suites.registry import merged
 from uavaccel.suites.report import Report, Summary, finished, method_note, table_of
-from uavaccel.suites.rows import GameRow, Row
+from uavaccel.suites.rows import GameRow
 from uavaccel.suites.suite import AnySuite, GameResult, SimpleCase, Suite
 
 if TYPE_CHECKING:
@@ -318,12 +317,10 @@ class Point(SimpleCase):
     labels: Mapping[str, object]
 
 
-class PolicyGrid(Suite[Any, Point]):
+class PolicyGrid(SuiteOfRuns[Any, Point]):
     """One policy, evaluated on the same lanes at each point of a grid over the evaluation's keys."""
 
-    batch = 1
     arrays = OUTCOMES
-    unit = "cells"
 
     @abstractmethod
     def points(self, config: Any) -> Iterator[Point]:
@@ -331,34 +328,26 @@ class PolicyGrid(Suite[Any, Point]):
 
     def check(self, config: Any) -> None:
         for point in self.points(config):
-            self.experiment(config, point)
+            self.runs(config, point)
 
     def part(self, config: Any, point: Point) -> Part:
         """Return the evaluation at a point."""
         keys = {"agent": config.agent, "games": config.games, **config.evaluation.keys, **point.keys}
         return Part(experiment=config.evaluation.experiment, keys=keys)
 
-    def experiment(self, config: Any, point: Point) -> tuple[AnySuite, Any]:
-        """Return the suite that flies a point, and its configuration there. Raises UserError, which names the key."""
-        suite, evaluation = part_suite(self.part(config, point), config.seed)
+    def runs(self, config: Any, case: Point) -> list[tuple[AnySuite, Any]]:
+        suite, evaluation = part_suite(self.part(config, case), config.seed)
         if suite.name != "evaluate":
             raise UserError(f"evaluation.experiment = {config.evaluation.experiment}: is no evaluation")
-        return suite, evaluation
+        return [(suite, evaluation)]
 
     def first(self, config: Any) -> tuple[AnySuite, Any]:
         """Return suite and configuration of the first evaluation, which represents all where they do not differ."""
-        return self.experiment(config, next(self.points(config)))
+        return self.runs(config, next(self.points(config)))[0]
 
     def cases(self, config: Any) -> Iterator[Point]:
         typical_s = simulated_s(*self.first(config))
         return (replace(point, typical_s=typical_s) for point in self.points(config))
-
-    def games(self, config: Any, case: Point) -> int:
-        return config.games
-
-    def renders(self, config: Any) -> bool:
-        suite, evaluation = self.first(config)
-        return suite.renders(evaluation)
 
     def provenance(self, config: Any) -> Mapping[str, object]:
         """Return the policy's hash. Raises UserError for a device that this machine does not have."""
@@ -366,21 +355,11 @@ class PolicyGrid(Suite[Any, Point]):
         suite.provenance(evaluation)
         return {"policy_sha256": origin_of(config.agent).sha256()}
 
-    def open(self, config: Any, timing: str, run: RunDirectory) -> AbstractContextManager[RunDirectory]:
-        return on_own_gpu(run, self.first(config)[1].device)
-
     def fly(self, config: Any, case: Point, opened: RunDirectory) -> GameResult:
         """Evaluate; the row has keys of the evaluation's summary, the arrays the outcome of each lane."""
         summary = fly_part(opened, case.id, self.part(config, case), config.seed).summary
         kept = {name: summary[name] for name in KEPT if name in self.row.__annotations__ and name in summary}
         return GameResult({**case.labels, **kept}, outcomes(part_run(opened, case.id)))
-
-    def status(self, rows: Sequence[Row]) -> str:
-        return f"{rows[-1]['case']} won {rows[-1]['successes']} of {rows[-1]['games']}"
-
-
-def simulated_s(suite: AnySuite, config: Any) -> float:
-    return sum(case.simulated_s() for case in suite.cases(config))
 
 
 INFERENCE = Condition("inference", "inference_s", "s")
@@ -480,7 +459,7 @@ class Sweep(PolicyGrid):
 
     def cases(self, config: SweepConfig) -> Iterator[Point]:
         """Yield the evaluations to fly; conditions that change nothing are flown once, as trained."""
-        trained, *departed = [(point, *self.experiment(config, point)) for point in self.points(config)]
+        trained, *departed = [(point, *self.runs(config, point)[0]) for point in self.points(config)]
         same = [point.id for point, _, evaluation in departed if evaluation == trained[2]]
         for point, suite, evaluation in [trained, *departed]:
             if point.id not in same:

@@ -6,8 +6,7 @@ The cases of a run are whole runs of other suites, its parts.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, StringConstraints
@@ -23,11 +22,11 @@ from uavaccel.records import RunDirectory
 from uavaccel.resources import experiment
 from uavaccel.suites import claims, paper_results
 from uavaccel.suites.experiment import Experiment
-from uavaccel.suites.parts import Part, fly_part, part_run, part_suite
+from uavaccel.suites.parts import Part, SuiteOfRuns, fly_part, part_run, part_suite, simulated_s
 from uavaccel.suites.registry import open_run, suite_of
 from uavaccel.suites.report import Report, Summary, method_note, records, table_of
-from uavaccel.suites.rows import GameRow
-from uavaccel.suites.suite import GameResult, SimpleCase, Suite
+from uavaccel.suites.rows import GameRow, Row
+from uavaccel.suites.suite import AnySuite, GameResult, SimpleCase
 
 PROFILES = ("airsim", "native")
 LEVEL = 0.05
@@ -86,14 +85,13 @@ class PaperRow(GameRow):
     """Number of entries in its summary."""
 
 
-class Paper(Suite[PaperConfig, SimpleCase]):
+class Paper(SuiteOfRuns[PaperConfig, SimpleCase]):
     """`uavaccel run paper`. Its report is made of the reports of its parts."""
 
     name = "paper"
     unit = "parts"
     config = PaperConfig
     row = PaperRow
-    batch = 1
 
     def check(self, config: PaperConfig) -> None:
         read_claims(config)
@@ -102,19 +100,13 @@ class Paper(Suite[PaperConfig, SimpleCase]):
 
     def cases(self, config: PaperConfig) -> Iterator[SimpleCase]:
         for name, part in config.parts.items():
-            suite, of_part = part_suite(part, config.seed)
-            yield SimpleCase(name, "virtual", sum(case.simulated_s() for case in suite.cases(of_part)))
+            yield SimpleCase(name, "virtual", simulated_s(*part_suite(part, config.seed)))
 
-    def games(self, config: PaperConfig, case: SimpleCase) -> int:
-        suite, of_part = part_suite(config.parts[case.id], config.seed)
-        return sum(suite.games(of_part, game) for game in suite.cases(of_part))
+    def runs(self, config: PaperConfig, case: SimpleCase) -> list[tuple[AnySuite, Any]]:
+        return [part_suite(config.parts[case.id], config.seed)]
 
-    def renders(self, config: PaperConfig) -> bool:
-        parts = [part_suite(part, config.seed) for part in config.parts.values()]
-        return any(suite.renders(of_part) for suite, of_part in parts)
-
-    def open(self, config: PaperConfig, timing: str, run: RunDirectory) -> AbstractContextManager[RunDirectory]:
-        return nullcontext(run)
+    def status(self, rows: Sequence[Row]) -> str:
+        return ""
 
     def fly(self, config: PaperConfig, case: SimpleCase, opened: RunDirectory) -> GameResult:
         part = fly_part(opened, case.id, config.parts[case.id], config.seed)

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from pydantic import Field
@@ -12,10 +16,12 @@ from uavaccel.files import Plain, inside
 from uavaccel.forms import ArrayForm
 from uavaccel.records import RunDirectory
 from uavaccel.suites.experiment import Experiment
+from uavaccel.suites.gpu import on_own_gpu
 from uavaccel.suites.registry import configuration, find_suite, merged, open_run, read_mapping
 from uavaccel.suites.report import Report
+from uavaccel.suites.rows import Row
 from uavaccel.suites.runner import run_suite, start_run
-from uavaccel.suites.suite import AnySuite
+from uavaccel.suites.suite import AnySuite, CaseType, ConfigType, Suite
 
 
 class Part(Config):
@@ -25,6 +31,35 @@ class Part(Config):
     """Name of an experiment that ships, or of a YAML file."""
     keys: dict[str, Plain] = Field(default_factory=dict)
     """Values by dotted key, as for --set."""
+
+
+class SuiteOfRuns(Suite[ConfigType, CaseType]):
+    """A suite whose cases are runs of other suites, its parts."""
+
+    batch = 1
+    unit = "cells"
+
+    @abstractmethod
+    def runs(self, config: ConfigType, case: CaseType) -> Sequence[tuple[AnySuite, Any]]:
+        """Return suite and configuration of each run of a case. Raises UserError for invalid ones."""
+
+    def games(self, config: ConfigType, case: CaseType) -> int:
+        return sum(suite.games(run, game) for suite, run in self.runs(config, case) for game in suite.cases(run))
+
+    def renders(self, config: ConfigType) -> bool:
+        return any(suite.renders(run) for case in self.cases(config) for suite, run in self.runs(config, case))
+
+    def open(self, config: ConfigType, timing: str, run: RunDirectory) -> AbstractContextManager[RunDirectory]:
+        _, first = self.runs(config, next(self.cases(config)))[0]
+        return on_own_gpu(run, str(getattr(first, "device", "cpu")))
+
+    def status(self, rows: Sequence[Row]) -> str:
+        return f"{rows[-1]['case']} won {rows[-1]['successes']} of {rows[-1]['games']}"
+
+
+def simulated_s(suite: AnySuite, config: Any) -> float:
+    """Estimate the simulated seconds of a run."""
+    return sum(case.simulated_s() for case in suite.cases(config))
 
 
 def part_suite(part: Part, seed: int) -> tuple[AnySuite, Experiment]:

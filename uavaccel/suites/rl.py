@@ -9,7 +9,6 @@ import re
 import shutil
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
@@ -39,12 +38,11 @@ from uavaccel.rl.agents import DEFAULT, FLIGHT, SENSES
 from uavaccel.sim.lane.layout import LENGTH_M, Difficulty, sample_layout
 from uavaccel.suites import paper_results, plots
 from uavaccel.suites.experiment import ClockSpeeds, CommandNames, Experiment, ProfileName, Timing
-from uavaccel.suites.gpu import on_own_gpu
 from uavaccel.suites.host_time import cumulative_wall_s, timed
-from uavaccel.suites.parts import OUTCOMES, Part, fly_part, outcomes, part_folder, part_suite
+from uavaccel.suites.parts import OUTCOMES, Part, SuiteOfRuns, fly_part, outcomes, part_folder, part_suite
 from uavaccel.suites.report import Report, Summary, method_note, table_of
 from uavaccel.suites.rows import GameRow, Phases, Row, subset
-from uavaccel.suites.suite import AnySuite, GameResult, SimpleCase, Suite
+from uavaccel.suites.suite import AnySuite, GameResult, SimpleCase
 from uavaccel.suites.train import CHECKPOINTS
 
 if TYPE_CHECKING:  # it loads what draws
@@ -197,22 +195,20 @@ class TrainingCase(SimpleCase):
     games: int = 0
 
 
-class Rl(Suite[RlConfig, TrainingCase]):
+class Rl(SuiteOfRuns[RlConfig, TrainingCase]):
     """`uavaccel run rl`."""
 
     name = "rl"
-    unit = "cells"
     config = RlConfig
     row = RlRow
     arrays: ClassVar = {f"*_{name}": ArrayForm(form.kinds, ("n",)) for name, form in OUTCOMES.items() if name != "game"}
-    batch: ClassVar[int] = 1
 
     def check(self, config: RlConfig) -> None:
         """Check that training and evaluations of each cell can be configured. Raises UserError."""
         last = {case.exact: case for case in self.cases(config.model_copy(update={"seeds": 1}))}
         if not config.exact_seeds:
             return
-        evaluation, exact = (_configured(config, last[exact])[-1][1] for exact in (False, True))
+        evaluation, exact = (self.runs(config, last[exact])[-1][1] for exact in (False, True))
         if exact.simulator != EXACT or evaluation.simulator == EXACT:
             raise UserError(
                 f"exact_seeds: needs exact.keys.simulator = {EXACT}, not {exact.simulator}, beside an evaluation by "
@@ -235,7 +231,7 @@ class Rl(Suite[RlConfig, TrainingCase]):
                 name = "-".join(filter(None, (*kind, f"seed{seed}", OF_EXACT if exact else "")))
                 case = TrainingCase(name, "virtual", 0.0, *cell, seed, exact)
                 if (exact, *kind) not in sizes:
-                    parts = _configured(config, case)
+                    parts = self.runs(config, case)
                     games_s = [game.simulated_s() for suite, part in parts for game in suite.cases(part)]
                     sizes[exact, *kind] = len(games_s), sum(games_s)
                 games, typical_s = sizes[exact, *kind]
@@ -254,19 +250,18 @@ class Rl(Suite[RlConfig, TrainingCase]):
     def provenance(self, config: RlConfig) -> Mapping[str, Any]:
         """Check that this machine has the devices of training and evaluation. Raises UserError."""
         try:
-            for suite, part in _configured(config, next(self.cases(config)))[:2]:
+            for suite, part in self.runs(config, next(self.cases(config)))[:2]:
                 suite.provenance(part)
         except UserError as error:
             raise UserError(f"{error}; without a GPU: uavaccel run rl_smoke") from error
         return {}
 
     def renders(self, config: RlConfig) -> bool:
-        cases = self.cases(config.model_copy(update={"seeds": 1}))
-        return any(suite.renders(part) for case in cases for suite, part in _configured(config, case))
+        return super().renders(config.model_copy(update={"seeds": 1}))
 
-    def open(self, config: RlConfig, timing: str, run: RunDirectory) -> AbstractContextManager[RunDirectory]:
-        _, training = _configured(config, next(self.cases(config)))[0]
-        return on_own_gpu(run, str(getattr(training, "device", "cpu")))
+    def runs(self, config: RlConfig, case: TrainingCase) -> list[tuple[AnySuite, Any]]:
+        """Return the training of a case and the evaluations of its policy."""
+        return [part_suite(part, seed) for part, seed in parts_of(config, case).values()]
 
     def fly(self, config: RlConfig, case: TrainingCase, opened: RunDirectory) -> GameResult:
         """Train, unless the case evaluates a policy that exists, and evaluate.
@@ -458,11 +453,6 @@ def parts_of(config: RlConfig, case: TrainingCase, agent: str = DEFAULT) -> dict
         name = f"evaluation-{flight_name(command, clock_speed, real_time)}"
         parts[name] = part(config.evaluation, command, clock_speed, keys), EVALUATION_SEED
     return parts
-
-
-def _configured(config: RlConfig, case: TrainingCase) -> list[tuple[AnySuite, Any]]:
-    """Return suites and configurations of a case's training and evaluations. Raises UserError for invalid ones."""
-    return [part_suite(part, seed) for part, seed in parts_of(config, case).values()]
 
 
 # --- numbers ------------------------------------------------------------------------------------------------------

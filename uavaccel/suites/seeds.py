@@ -6,8 +6,7 @@ the report has all as a mean in a band.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal, NotRequired
@@ -26,12 +25,11 @@ from uavaccel.metrics.speedup import timing_provenance
 from uavaccel.records import RunDirectory
 from uavaccel.suites import train
 from uavaccel.suites.experiment import Experiment
-from uavaccel.suites.gpu import on_own_gpu
 from uavaccel.suites.host_time import cumulative_wall_s
-from uavaccel.suites.parts import fly_below, part_run
+from uavaccel.suites.parts import SuiteOfRuns, fly_below, part_run, simulated_s
 from uavaccel.suites.report import Report, Summary, method_note, summary_table
-from uavaccel.suites.rows import GameRow, Row
-from uavaccel.suites.suite import GameResult, SimpleCase, Suite
+from uavaccel.suites.rows import GameRow
+from uavaccel.suites.suite import GameResult, SimpleCase
 from uavaccel.suites.train import RECENT, TrainConfig, Training, recent_mean
 
 
@@ -90,13 +88,12 @@ class SeedCase(SimpleCase):
 RECENTLY = {"success_recent": "is_success", "return_recent": "return", "commands_recent": "commands"}
 
 
-class Seeds(Suite[SeedsConfig, SeedCase]):
+class Seeds(SuiteOfRuns[SeedsConfig, SeedCase]):
     """`uavaccel train --seeds`."""
 
     name = "seeds"
     config = SeedsConfig
     row = SeedRow
-    batch = 1
     unit = "trainings"
     training = Training()
 
@@ -107,12 +104,12 @@ class Seeds(Suite[SeedsConfig, SeedCase]):
         return f"seed{row['seed']}"
 
     def cases(self, config: SeedsConfig) -> Iterator[SeedCase]:
-        typical_s = sum(case.simulated_s() for case in self.training.cases(config.training))
+        typical_s = simulated_s(self.training, config.training)
         for seed in range(config.seed, config.seed + config.seeds):
             yield SeedCase(f"seed{seed}", config.task.timing, typical_s, seed)
 
-    def games(self, config: SeedsConfig, case: SeedCase) -> int:
-        return config.training.games
+    def runs(self, config: SeedsConfig, case: SeedCase) -> list[tuple[Training, TrainConfig]]:
+        return [(self.training, config.training.model_copy(update={"seed": case.seed}))]
 
     def may_grow(self, folder: Path) -> tuple[str, ...]:
         return ("seeds", "training.games")
@@ -125,23 +122,13 @@ class Seeds(Suite[SeedsConfig, SeedCase]):
     def provenance(self, config: SeedsConfig) -> Mapping[str, object]:
         return self.training.provenance(config.training)
 
-    def renders(self, config: SeedsConfig) -> bool:
-        return self.training.renders(config.training)
-
-    def open(self, config: SeedsConfig, timing: str, run: RunDirectory) -> AbstractContextManager[RunDirectory]:
-        return on_own_gpu(run, config.training.device)
-
     def fly(self, config: SeedsConfig, case: SeedCase, opened: RunDirectory) -> GameResult:
-        training = config.training.model_copy(update={"seed": case.seed})
-        report = fly_below(opened, case.id, self.training, training)
+        report = fly_below(opened, case.id, *self.runs(config, case)[0])
         row = {name: report.summary[name] for name in ("seed", "games", "successes", "sim_time_s", "weights_sha256")}
         row |= {name: float(recent_mean(report.games[column]).iloc[-1]) for name, column in RECENTLY.items()}
         if evaluated := report.summary.get("evaluations"):
             row["evaluation"] = {name: evaluated[-1][name] for name in Evaluated.__annotations__}
         return GameResult(row, host={"training_s": (cumulative_wall_s(report.timings) or [0.0])[-1]})
-
-    def status(self, rows: Sequence[Row]) -> str:
-        return f"{rows[-1]['case']} won {rows[-1]['successes']} of {rows[-1]['games']}"
 
     def summary(self, report: Report) -> Summary:
         """Return each training, and over the seeds each number's mean with a 95 % interval, and its range.
