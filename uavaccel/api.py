@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,12 +22,8 @@ if TYPE_CHECKING:  # it loads Gymnasium
     from uavaccel.envs.values import Batch
     from uavaccel.suites.session import RunRequest
 
-SHORT = {
-    "lane": "obstacle_lane:ObstacleLane",
-    "hover": "hover:Hover",
-    "gates": "gates:Gates",
-    "navigate": "navigate:Navigate",
-}
+SHORT = ("lane", "hover", "gates", "navigate")
+"""Names of the environments that ship, in the order of `ENVIRONMENTS`."""
 
 
 def make(
@@ -131,12 +126,11 @@ def _environment(task: Any) -> type[FlightEnv[Any]]:
     if isinstance(task, type) and issubclass(task, Task | FlightEnv):
         own: Any = task
         return environment_of(own)
-    places = SHORT | {f"uavaccel/{place.partition(':')[2]}-v0": place for place in SHORT.values()}
-    if not isinstance(task, str) or task not in places:
+    from uavaccel.rl.config import ENVIRONMENTS, environment_class
+
+    if (env_id := dict(zip(SHORT, ENVIRONMENTS, strict=True)).get(task, task)) not in ENVIRONMENTS:
         raise UserError(f"task {task!r}: is unknown; {suggestion(str(task), [*SHORT, 'a class of Task or FlightEnv'])}")
-    module, _, name = places[task].partition(":")
-    found: type[FlightEnv[Any]] = getattr(import_module(f"uavaccel.envs.{module}"), name)
-    return found
+    return environment_class(env_id)
 
 
 def _flown(request: RunRequest) -> RunDirectory:

@@ -38,7 +38,6 @@ from uavaccel.rl.config import (
     environment_class,
     is_discrete,
     is_symmetric,
-    with_env_id,
 )
 from uavaccel.rl.policy import trained_with
 from uavaccel.suites import paper_results, plots
@@ -127,9 +126,8 @@ def completed(mapping: Mapping[str, Plain]) -> dict[str, Plain]:
 
     Of the obstacle lane both are the defaults.
     """
-    mapping = with_env_id(mapping)
     if (task := _task_of(mapping)) is None or mapping.get("env_id", LANE) == LANE:
-        return mapping
+        return dict(mapping)
     algorithm = DOUBLE_DQN if is_discrete(task) else PPO
     return {"algorithm": algorithm, "mirror": algorithm == PPO or is_symmetric(task), **mapping}
 
