@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+from importlib import import_module
 from typing import Any, get_args
 
 from uavaccel.envs.flight_env import FlightEnv
@@ -70,29 +72,13 @@ def flown_by(simulator: str, device: str) -> str:
     return "" if simulator == EXACT else f"simulator kernels on {'a GPU' if device == CUDA else 'the CPU'}"
 
 
-def obstacle_lanes(num_envs: int = 1, **keys: Any) -> Batch:
-    """`gymnasium.make_vec("uavaccel/ObstacleLane-v0", num_envs=...)`."""
-    from uavaccel.envs.obstacle_lane import ObstacleLane
-
-    return make_batch(ObstacleLane, num_envs, **keys)
-
-
-def hovers(num_envs: int = 1, **keys: Any) -> Batch:
-    """`gymnasium.make_vec("uavaccel/Hover-v0", num_envs=...)`."""
-    from uavaccel.envs.hover import Hover
-
-    return make_batch(Hover, num_envs, **keys)
+def _batch_of(place: str, num_envs: int = 1, **keys: Any) -> Batch:
+    """Make what `gymnasium.make_vec` makes of an environment that ships, by its module and class."""
+    module, _, name = place.partition(":")
+    return make_batch(getattr(import_module(f"uavaccel.envs.{module}"), name), num_envs, **keys)
 
 
-def gates(num_envs: int = 1, **keys: Any) -> Batch:
-    """`gymnasium.make_vec("uavaccel/Gates-v0", num_envs=...)`."""
-    from uavaccel.envs.gates import Gates
-
-    return make_batch(Gates, num_envs, **keys)
-
-
-def navigations(num_envs: int = 1, **keys: Any) -> Batch:
-    """`gymnasium.make_vec("uavaccel/Navigate-v0", num_envs=...)`."""
-    from uavaccel.envs.navigate import Navigate
-
-    return make_batch(Navigate, num_envs, **keys)
+obstacle_lanes, hovers, gates, navigations = (
+    partial(_batch_of, place)
+    for place in ("obstacle_lane:ObstacleLane", "hover:Hover", "gates:Gates", "navigate:Navigate")
+)

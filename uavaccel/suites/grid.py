@@ -498,7 +498,8 @@ class Sweep(PolicyGrid):
     def headline(self, report: Report) -> str:
         """Return the success as trained, and the condition that costs most."""
         summary = report.summary
-        said = [f"{cell['success_ratio']:.1%} of {cell['games']} lanes as trained" for cell in usual_of(summary)]
+        games = flown_in(report.games)
+        said = [f"{cell['success_ratio']:.1%} of {cell['games']} {games} as trained" for cell in usual_of(summary)]
         if departed := [cell for cell in summary["cells"] if cell["condition"]]:
             worst = min(departed, key=lambda cell: float(cell["success_ratio"]))
             where = f"{worst['condition']} = {value_text(worst['value'])}"
@@ -658,7 +659,7 @@ class Robustness(PolicyGrid):
 
     def source(self, report: Report) -> str:
         cells, config = report.summary["cells"], report.config
-        lanes = f"{max(cell['games'] for cell in cells)} lanes each"
+        lanes = f"{max(cell['games'] for cell in cells)} {flown_in(report.games)} each"
         return f"modelled, profile {config.profile} · {len(cells)} points, {lanes} · seed {config.seed}"
 
     def overview(self, report: Report) -> Table:
