@@ -243,12 +243,20 @@ class PolicyFolder(Origin):
 
     def check(self, task: Task) -> None:
         trained: Task = self._trained.task
-        if isinstance(task, LaneTask) and isinstance(trained, LaneTask):
-            _refuse_misfit(self.name, trained, task)
-        elif (task.observation_space(), task.action) != (trained.observation_space(), trained.action):
-            raise UserError(
-                f"task: {self.name} was trained with other observations or actions: omit what they follow from"
-            )
+        if not (isinstance(task, LaneTask) and isinstance(trained, LaneTask)):
+            if (task.observation_space(), task.action) != (trained.observation_space(), trained.action):
+                others = f"{self.name} was trained with other observations or actions"
+                raise UserError(f"task: {others}: omit what they follow from")
+            return
+        was = f"{self.name} was trained with"
+        for key in ("observation", "history", "knows"):
+            if getattr(task, key) != getattr(trained, key):
+                raise UserError(f"task.{key} = {getattr(task, key)!r}: {was} {getattr(trained, key)!r}")
+        if (frames := observed_frames(task)) != (theirs := observed_frames(trained)):
+            sampled = f"task.t_sample_s = {task.t_sample_s:g}: {frames} frames per observation"
+            raise UserError(f"{sampled}, but {was} {theirs}")
+        if (actions := len(task.headings_deg)) != (theirs := len(trained.headings_deg)):
+            raise UserError(f"task.headings_deg: {actions} actions, but {was} {theirs}")
 
     def make(self, task: Task) -> Agent:
         return PolicyAgent(load_policy(self._folder))
@@ -267,22 +275,6 @@ def form_of(space: spaces.Space[Any]) -> str:
     if isinstance(space, spaces.Dict):
         return ", ".join(f"{name} {form_of(part)}" for name, part in space.spaces.items())
     return str(space.shape)
-
-
-def _refuse_misfit(name: str, trained: LaneTask, task: LaneTask) -> None:
-    for key in ("observation", "history", "knows"):
-        if getattr(task, key) != getattr(trained, key):
-            raise UserError(f"task.{key} = {getattr(task, key)!r}: {name} was trained with {getattr(trained, key)!r}")
-    frames, actions = observed_frames(task), len(task.headings_deg)
-    if frames != observed_frames(trained):
-        raise UserError(
-            f"task.t_sample_s = {task.t_sample_s:g}: {frames} frames per observation, but {name} was trained with "
-            f"{observed_frames(trained)}"
-        )
-    if actions != len(trained.headings_deg):
-        raise UserError(
-            f"task.headings_deg: {actions} actions, but {name} was trained with {len(trained.headings_deg)}"
-        )
 
 
 def first_policy(config: LearnerConfig) -> QPolicy:

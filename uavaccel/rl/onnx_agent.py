@@ -67,7 +67,11 @@ class OnnxFile(Origin):
     def forms(self, task: Task) -> Iterator[tuple[str, str, str]]:
         inputs = {each.name: tuple(each.shape[1:]) for each in self._session.get_inputs()}
         own = ", ".join(f"{name} {shape}" if len(inputs) > 1 else str(shape) for name, shape in inputs.items())
-        yield "observations", own, _form_of_inputs(task, self.env_id is not None)
+        of_task = form_of(task.observation_space())
+        if self.env_id is not None and task.observation != "state":  # whole pictures, which it reduces itself
+            planes, told = _planes(task)
+            of_task = f"seen {(planes, *WHOLE)}, told {(told, *SIZE)}" if told else str((planes, *WHOLE))
+        yield "observations", own, of_task
         shape, actions = self._output.shape[1:], task.action_space()
         if len(shape) == 1 and isinstance(shape[0], int):
             form = f"one of 0 to {shape[0] - 1}" if isinstance(actions, spaces.Discrete) else f"({shape[0]},)"
@@ -105,15 +109,6 @@ class OnnxFile(Origin):
         if not fits:
             raise UserError(f"{self.name}: gives {answer.shape} numbers for {count} actions, each {form_of(space)}")
         return taken
-
-
-def _form_of_inputs(task: Task, exported: bool) -> str:
-    """Return the form of a file's inputs for a task's observations, as `form_of` has it."""
-    if not exported or task.observation == "state":
-        return form_of(task.observation_space())
-    planes, told = _planes(task)
-    seen = str((planes, *WHOLE))
-    return f"seen {seen}, told {(told, *SIZE)}" if told else seen
 
 
 def _planes(task: Task) -> tuple[int, int]:

@@ -58,6 +58,7 @@ if TYPE_CHECKING:  # matplotlib is loaded by what draws
 MOST_PANELS = 9
 AHEAD_M = 10.0  # of the farthest end, shown on the map
 COMPARISON = "figures/figure8_survival_compared.png"
+HOW_LOST = {"ended by": "{end}", "commands": "{commands}", "seen with": "--case {case}"}
 SEEN = "Each is flown again and filmed by `uavaccel watch RUN --film FILE` with the option in its line of the table."
 
 
@@ -284,32 +285,25 @@ class Evaluation(Suite[EvaluateConfig, Game]):
 
     def page(self, report: Report) -> Iterator[Block | str]:
         """Yield the success, in the lane beside the paper's, with Figure 8; the games that were lost; the films."""
-        config, run = report.config, report.run
-        lost, name = report.games[~report.games.is_success], agent_name(config.agent)
-        success = Proportion.of(report.summary).text()
-        if config.env_id == LANE:
-            rows = [(name, success, str(len(report.games)), how_flown(config))]
+        config, run, games, in_lane = report.config, report.run, report.games, report.config.env_id == LANE
+        said = agent_name(config.agent), Proportion.of(report.summary).text()
+        if in_lane:
+            rows = [(*said, str(len(games)), how_flown(config))]
             for command, by_clock in paper_results.SUCCESSES.items():
                 theirs = Proportion(max(by_clock.values()), paper_results.GAMES).text()
                 best = f"the paper's best, trained with {command_name(command)}"
                 rows.append((best, theirs, str(paper_results.GAMES), "measured, in AirSim and another lane"))
             yield Table(("", "success [95 %]", "lanes", "how"), rows)
             caption = "Figure 8. Share of the games that got at least so far north, with its 95 % Wilson interval."
-            shares = listed(f"{(report.games.distance_m >= at_m).mean():.0%} got {at_m} m" for at_m in (50, 100, 150))
+            shares = listed(f"{(games.distance_m >= at_m).mean():.0%} got {at_m} m" for at_m in (50, 100, 150))
             alt = f"A falling curve of the share of games by distance north: {shares} far."
             yield report.figure("figure8_survival", survival_figure([report]), caption, alt)
-            if len(lost):
-                yield from lost_lanes(report, lost.sort_values("distance_m", kind="stable"))
         else:
-            returns = f"{report.summary['return_mean']:.4g}"
-            row = (name, success, returns, str(len(report.games)), how_flown(config))
+            row = (*said, f"{report.summary['return_mean']:.4g}", str(len(games)), how_flown(config))
             yield Table(("", "success [95 %]", "mean return", "games", "how"), [row])
-            if len(lost):
-                yield Heading("Lost games")
-                yield f"The least return first. {SEEN}"
-                columns = {"game": "{game}", "return": "{return:.4g}", "ended by": "{end}", "commands": "{commands}"}
-                ended = lost.sort_values("return", kind="stable").assign(end=ends(lost, config))
-                yield Table.of(ended, {**columns, "seen with": "--case {case}"})
+        measure = "distance_m" if in_lane else "return"
+        if len(lost := games[~games.is_success].sort_values(measure, kind="stable")):
+            yield from lost_games(report, lost.assign(end=ends(lost, config)))
         films = {name: (run.path / f"films/{name}.mp4", run.path / f"films/{name}.png") for name in ("best", "worst")}
         made = {name: both for name, both in films.items() if all(path.is_file() for path in both)}
         if made:
@@ -462,17 +456,21 @@ def ends(lost: pd.DataFrame, config: EvaluateConfig) -> pd.Series:
     return pd.Series(words, lost.index)
 
 
-def lost_lanes(report: Report, lost: pd.DataFrame) -> Iterator[Block | str]:
-    """Yield the lanes that were not won with what ended them, and their paths, the shortest flight first.
+def lost_games(report: Report, lost: pd.DataFrame) -> Iterator[Block | str]:
+    """Yield the games that were not won with what ended them, and their paths in the lane, the shortest flight first.
 
     No path can be drawn of what the kernels flew, which record none, nor where a lane is sampled anew with the
     conditions of each game: its obstacles are not known afterwards.
     """
-    lost = lost.assign(end=ends(lost, report.config))
+    if report.config.env_id != LANE:
+        yield Heading("Lost games")
+        yield f"The least return first. {SEEN}"
+        yield Table.of(lost, {"game": "{game}", "return": "{return:.4g}", **HOW_LOST})
+        return
     named = [f"{row.lane} ({row.distance_m:.1f} m, {row.end})" for row in lost.head(MOST_PANELS).itertuples()]
     more = [f"and {len(lost) - len(named)} more"] if len(lost) > len(named) else []
     yield Heading("Lost lanes")
-    yield (f"Lost, the shortest flight first: lanes {', '.join([*named, *more])}. {SEEN}")
+    yield f"Lost, the shortest flight first: lanes {', '.join([*named, *more])}. {SEEN}"
     drawn = lost[lost.path_m.notna()] if "path_m" in lost else lost.head(0)
     if len(drawn) and report.config.task.randomise is None:
         beyond = len(drawn) - MOST_PANELS
@@ -481,8 +479,8 @@ def lost_lanes(report: Report, lost: pd.DataFrame) -> Iterator[Block | str]:
         figure = lost_figure(report, drawn.head(MOST_PANELS))
         alt = f"Lanes from above with obstacles and the path flown: {', '.join(named)}."
         yield report.figure("lost_lanes", figure, caption, alt)
-    columns = {"lane": "{lane}", "distance, m": "{distance_m:.1f}", "ended by": "{end}", "commands": "{commands}"}
-    yield Table.of(lost, {**columns, "seen with": "--case {case}"}, folded=f"{len(lost)} lost lanes")
+    columns = {"lane": "{lane}", "distance, m": "{distance_m:.1f}", **HOW_LOST}
+    yield Table.of(lost, columns, folded=f"{len(lost)} lost lanes")
 
 
 def lost_figure(report: Report, lost: pd.DataFrame) -> Figure:
