@@ -12,7 +12,7 @@ from typing import Annotated
 
 import typer
 
-from uavaccel.cli.options import Profile, Scene, Timing, Watch, check_host
+from uavaccel.cli.options import Profile, Scene, Timing, Watch, check_host, option
 from uavaccel.errors import UsageError
 from uavaccel.fly.options import THINK_S
 from uavaccel.limits import MOST_SECONDS, MOST_SEEDS
@@ -21,21 +21,14 @@ LIKE = 0.8  # of letters that two options have in common, from which on one may 
 
 
 def serve(
-    settings: Annotated[Path | None, typer.Option(metavar="FILE", help="AirSim's settings.json.")] = None,
-    clock: Annotated[float | None, typer.Option(metavar="X", help="ClockSpeed; default: the settings', or 1.")] = None,
-    port: Annotated[
-        int | None, typer.Option(metavar="N", help="Port; default: the settings', or 41451; 0: any free one.")
-    ] = None,
-    host: Annotated[
-        str | None, typer.Option(metavar="ADDRESS", help="Address to listen on; default: this machine alone.")
-    ] = None,
+    settings: Annotated[Path | None, option("FILE", "AirSim's settings.json.")] = None,
+    clock: Annotated[float | None, option("X", "ClockSpeed; default: the settings', or 1.")] = None,
+    port: Annotated[int | None, option("N", "Port; default: the settings', or 41451; 0: any free one.")] = None,
+    host: Annotated[str | None, option("ADDRESS", "Address to listen on; default: this machine alone.")] = None,
     profile: Profile = "native",
     scene: Scene = "blocks",
     recordings: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FOLDER", help="Folder for startRecording; default: the settings', or ~/Documents/AirSim."
-        ),
+        Path | None, option("FOLDER", "Folder for startRecording; default: the settings', or ~/Documents/AirSim.")
     ] = None,
     watch: Watch = False,
 ) -> None:
@@ -57,51 +50,36 @@ def fly(
         list[str] | None,
         typer.Argument(metavar="ARGUMENTS", help="The script's own; what follows -- is passed on unread."),
     ] = None,
-    clock: Annotated[
-        str | None, typer.Option(metavar="X,...", help="ClockSpeed, or several: 1,10,100; default: the settings'.")
-    ] = None,
+    clock: Annotated[str | None, option("X,...", "ClockSpeed, or several: 1,10,100; default: the settings'.")] = None,
     timing: Timing = "virtual",
     check: Annotated[
-        bool, typer.Option("--check", help="Fly twice; messages and trajectories must be equal to the byte.")
+        bool, option(None, "Fly twice; messages and trajectories must be equal to the byte.", "--check")
     ] = False,
     until: Annotated[
-        float | None,
-        typer.Option(
-            min=0.0, max=MOST_SECONDS, metavar="S", help="Stop after these simulated seconds, pauses included."
-        ),
+        float | None, option("S", "Stop after these simulated seconds, pauses included.", min=0.0, max=MOST_SECONDS)
     ] = None,
     think: Annotated[
         float | None,
-        typer.Option(
+        option(
+            "S",
+            "Wall seconds that the script thinks before each call; "
+            f"default: {THINK_S['virtual']:g} in virtual, {THINK_S['lockstep']:g} in lockstep.",
             min=0.0,
             max=MOST_SECONDS,
-            metavar="S",
-            help="Wall seconds that the script thinks before each call; "
-            f"default: {THINK_S['virtual']:g} in virtual, {THINK_S['lockstep']:g} in lockstep.",
         ),
     ] = None,
     seed: Annotated[
-        int | None,
-        typer.Option(
-            min=0, max=MOST_SEEDS - 1, metavar="N", help="Random seed of Python, NumPy, PyTorch and Gymnasium."
-        ),
+        int | None, option("N", "Random seed of Python, NumPy, PyTorch and Gymnasium.", min=0, max=MOST_SEEDS - 1)
     ] = None,
-    keys: Annotated[
-        str | None, typer.Option(metavar="KEY,...", help="Keys to press one after the other, as in w,w,space,q.")
-    ] = None,
+    keys: Annotated[str | None, option("KEY,...", "Keys to press one after the other, as in w,w,space,q.")] = None,
     settings: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE", help="AirSim's settings.json; default: that beside the script or in ~/Documents/AirSim."
-        ),
+        Path | None, option("FILE", "AirSim's settings.json; default: that beside the script or in ~/Documents/AirSim.")
     ] = None,
-    no_settings: Annotated[bool, typer.Option("--no-settings", help="Do not look for a settings.json.")] = False,
+    no_settings: Annotated[bool, option(None, "Do not look for a settings.json.", "--no-settings")] = False,
     profile: Profile = "native",
     scene: Scene = "blocks",
-    out: Annotated[
-        Path | None, typer.Option(metavar="FOLDER", help="New folder for the trajectory and the messages.")
-    ] = None,
-    film: Annotated[bool, typer.Option("--film", help="Film the front camera's view, into --out.")] = False,
+    out: Annotated[Path | None, option("FOLDER", "New folder for the trajectory and the messages.")] = None,
+    film: Annotated[bool, option(None, "Film the front camera's view, into --out.", "--film")] = False,
     watch: Watch = False,
 ) -> None:
     """Fly an unmodified AirSim script on a simulated clock.
@@ -138,8 +116,8 @@ def _own(script: Path, arguments: list[str], options: list[str]) -> tuple[str, .
     """
     end = arguments.index("--") if "--" in arguments else len(arguments)
     for word in (argument.partition("=")[0] for argument in arguments[:end] if argument.startswith("--")):
-        for option in get_close_matches(word, options, n=1, cutoff=LIKE):
-            if word == option or not (script.is_file() and word.encode() in script.read_bytes()):
-                meant = word if word == option else f"{word} (did you mean {option}?)"
+        for ours in get_close_matches(word, options, n=1, cutoff=LIKE):
+            if word == ours or not (script.is_file() and word.encode() in script.read_bytes()):
+                meant = word if word == ours else f"{word} (did you mean {ours}?)"
                 raise UsageError(f"{meant}: comes before the script; what the script itself takes follows --")
     return (*arguments[:end], *arguments[end + 1 :])

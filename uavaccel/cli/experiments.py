@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from uavaccel.cli.options import requests, shipped
+from uavaccel.cli.options import option, requests, shipped
 from uavaccel.cli.terminal import console, show_table, working
 from uavaccel.errors import UsageError, UserError
 from uavaccel.resources import experiments
@@ -35,9 +35,9 @@ def run(
             autocompletion=shipped,
         ),
     ] = None,
-    listed: Annotated[bool, typer.Option("--list", help="List the experiments that ship; fly nothing.")] = False,
+    listed: Annotated[bool, option(None, "List the experiments that ship; fly nothing.", "--list")] = False,
     report: Annotated[
-        bool, typer.Option("--report", help="Compute metrics and figures of finished runs again; fly nothing.")
+        bool, option(None, "Compute metrics and figures of finished runs again; fly nothing.", "--report")
     ] = False,
 ) -> None:
     """Fly an experiment, measure it and draw its figures.
@@ -88,15 +88,11 @@ def evaluate(
             "offset:METRES, or an evaluation's YAML file; default: the bundled policy.",
         ),
     ] = None,
-    against: Annotated[
-        Path | None, typer.Option(metavar="RUN_DIR", help="Another evaluation on the same lanes, to compare with.")
-    ] = None,
-    films: Annotated[bool, typer.Option(help="Film the best and the worst episode.")] = True,
+    against: Annotated[Path | None, option("RUN_DIR", "Another evaluation on the same lanes, to compare with.")] = None,
+    films: Annotated[bool, option(None, "Film the best and the worst episode.")] = True,
     sweep: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="NAME=V,V,...", help="Change one condition at a time, as in wind=0,3,6; repeat for several."
-        ),
+        option("NAME=V,V,...", "Change one condition at a time, as in wind=0,3,6; repeat for several."),
     ] = None,
 ) -> None:
     """Fly a policy in games it has not seen: success ratio, films."""

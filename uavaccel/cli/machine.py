@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from uavaccel.cli.options import Latency, Profile
+from uavaccel.cli.options import Latency, Profile, option
 from uavaccel.cli.terminal import console, print_columns
 from uavaccel.errors import UsageError, UserError
 from uavaccel.suites.keys import KEYS
@@ -17,18 +17,12 @@ SCHEMA = "train.schema.json"  # the file that the starter's YAML names
 
 
 def calibrate(
-    out: Annotated[Path, typer.Option(metavar="FILE", help="YAML file to write.")] = Path("latency.yaml"),
-    commands: Annotated[
-        int, typer.Option(metavar="N", min=1, max=MOST_COMMANDS, help="Commands of each kind to fly, about.")
-    ] = 1500,
+    out: Annotated[Path, option("FILE", "YAML file to write.")] = Path("latency.yaml"),
+    commands: Annotated[int, option("N", "Commands of each kind to fly, about.", min=1, max=MOST_COMMANDS)] = 1500,
     profile: Profile = "native",
-    check: Annotated[
-        bool, typer.Option("--check", help="Compare the same flights on both clocks; write nothing.")
-    ] = False,
+    check: Annotated[bool, option(None, "Compare the same flights on both clocks; write nothing.", "--check")] = False,
     latency: Latency = None,
-    games: Annotated[
-        int, typer.Option(metavar="N", min=1, max=MOST_COMMANDS, help="For --check: flights of each kind.")
-    ] = 20,
+    games: Annotated[int, option("N", "For --check: flights of each kind.", min=1, max=MOST_COMMANDS)] = 20,
 ) -> None:
     """Measure the latencies of --timing virtual, or check them."""
     from uavaccel.calibration.calibrate import AGREEMENT_HEAD, AGREES, check_agreement, measure, model_file
@@ -64,9 +58,9 @@ def calibrate(
 
 
 def advise(
-    t_move: Annotated[float, typer.Option("--t-move", metavar="S", help=f"{KEYS['t_move_s'].help}.")] = 1.0,
-    error: Annotated[float, typer.Option(metavar="M", help="Error that a trajectory may have, in metres.")] = 0.1,
-    rounds: Annotated[int, typer.Option(metavar="N", min=1, max=1000, help="Rounds of the square.")] = 4,
+    t_move: Annotated[float, option("S", f"{KEYS['t_move_s'].help}.", "--t-move")] = 1.0,
+    error: Annotated[float, option("M", "Error that a trajectory may have, in metres.")] = 0.1,
+    rounds: Annotated[int, option("N", "Rounds of the square.", min=1, max=1000)] = 4,
     latency: Latency = None,
     profile: Profile = "native",
 ) -> None:
@@ -128,7 +122,7 @@ def init(
         typer.Argument(metavar="FOLDER", help="A new or an empty folder; with --schema a suite, or your YAML or task."),
     ] = None,
     schema: Annotated[
-        bool, typer.Option("--schema", help="Print the JSON schema of a suite's YAML files, for editors.")
+        bool, option(None, "Print the JSON schema of a suite's YAML files, for editors.", "--schema")
     ] = False,
 ) -> None:
     """Write a folder to begin in: a training, and a task of your own."""

@@ -27,10 +27,14 @@ def shipped(incomplete: str) -> list[str]:
     return one_of(*experiments())(incomplete)
 
 
-def _option(*declarations: str, shown: str | None = None, about: str) -> Any:
-    """Return an option; where it shows words with bars between, it takes these alone, and the shell completes them."""
+def option(shown: str | None, about: str, *declarations: str, **bounds: float) -> Any:
+    """Return an option, `shown` so in the help; where that is words with bars between, it takes these alone.
+
+    The shell completes them. `bounds` are `min` and `max` of a number.
+    """
+    how: dict[str, Any] = {"metavar": shown, "help": about, **bounds}
     if shown is None or "|" not in shown:
-        return typer.Option(*declarations, metavar=shown, help=about)
+        return typer.Option(*declarations, **how)
     words = shown.split("|")
 
     def known(given: Any) -> Any:
@@ -39,32 +43,28 @@ def _option(*declarations: str, shown: str | None = None, about: str) -> Any:
                 raise typer.BadParameter(f"{value}: must be {' or '.join(words)}")
         return given
 
-    return typer.Option(*declarations, metavar=shown, help=about, autocompletion=one_of(*words), callback=known)
+    return typer.Option(*declarations, **how, autocompletion=one_of(*words), callback=known)
 
 
 def _of_words(key: Key) -> Any:
-    return _option(shown=key.shown, about=f"{key.help}.")
+    return option(key.shown, f"{key.help}.")
 
 
 Timing = Annotated[str, _of_words(KEYS["timing"])]
 Profile = Annotated[str, _of_words(KEYS["profile"])]
-Scene = Annotated[str, typer.Option(metavar="NAME", help="A scene of assets/mjcf.")]
-Latency = Annotated[
-    Path | None, typer.Option(metavar="FILE", help="Latencies, as calibrate writes them; default: those that ship.")
-]
+Scene = Annotated[str, option("NAME", "A scene of assets/mjcf.")]
+Latency = Annotated[Path | None, option("FILE", "Latencies, as calibrate writes them; default: those that ship.")]
 Trust = Annotated[
-    bool, typer.Option("--trust", help="Run the code that a run's folder or --set names, and remember that it may run.")
+    bool, option(None, "Run the code that a run's folder or --set names, and remember that it may run.", "--trust")
 ]
-Watch = Annotated[
-    bool, typer.Option("--watch", help="Show the flight in this machine's browser; that changes no flight.")
-]
+Watch = Annotated[bool, option(None, "Show the flight in this machine's browser; that changes no flight.", "--watch")]
 
 
 def _parameter(
     name: str, kind: Any, default: object, about: str, *declarations: str, shown: str | None = None
 ) -> Parameter:
     """Return an option as a parameter of a command."""
-    annotation = Annotated[kind, _option(*declarations, shown=shown, about=about)]
+    annotation = Annotated[kind, option(shown, about, *declarations)]
     return Parameter(name, Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
 
 

@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from uavaccel.cli.options import Trust, check_host
+from uavaccel.cli.options import Trust, check_host, option
 from uavaccel.cli.terminal import LINES, console, working
 from uavaccel.errors import UsageError
 
@@ -23,31 +23,19 @@ def watch(
             help="A run directory, fly's --out, a policy's folder or default; without it ADSC and TCSC fly a square.",
         ),
     ] = None,
-    film: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Write an MP4, and a contact sheet beside it; open no page.")
-    ] = None,
+    film: Annotated[Path | None, option("FILE", "Write an MP4, and a contact sheet beside it; open no page.")] = None,
     case: Annotated[
         str | None,
-        typer.Option(
-            metavar="NAME",
-            help="The flight, as rows.jsonl names it, or a policy's lane; default: the fastest, or the best.",
-        ),
+        option("NAME", "The flight, as rows.jsonl names it, or a policy's lane; default: the fastest, or the best."),
     ] = None,
-    game: Annotated[
-        int | None, typer.Option(min=0, metavar="N", help="The flight by its line in rows.jsonl, from 0.")
-    ] = None,
-    clock: Annotated[float, typer.Option(min=0.01, max=1000.0, metavar="X", help="ClockSpeed of the square.")] = 50.0,
+    game: Annotated[int | None, option("N", "The flight by its line in rows.jsonl, from 0.", min=0)] = None,
+    clock: Annotated[float, option("X", "ClockSpeed of the square.", min=0.01, max=1000.0)] = 50.0,
     think: Annotated[
-        float,
-        typer.Option(
-            min=0.0, max=10.0, metavar="S", help="Wall seconds of thinking before each command of the square."
-        ),
+        float, option("S", "Wall seconds of thinking before each command of the square.", min=0.0, max=10.0)
     ] = 0.012,
-    seed: Annotated[int, typer.Option(min=0, metavar="N", help="Random seed of the square.")] = 0,
-    host: Annotated[str, typer.Option(metavar="ADDRESS", help="Address of the page.")] = "127.0.0.1",
-    port: Annotated[
-        int, typer.Option(min=1, max=65535, metavar="N", help="Port of the page, or the first free one above.")
-    ] = 8080,
+    seed: Annotated[int, option("N", "Random seed of the square.", min=0)] = 0,
+    host: Annotated[str, option("ADDRESS", "Address of the page.")] = "127.0.0.1",
+    port: Annotated[int, option("N", "Port of the page, or the first free one above.", min=1, max=65535)] = 8080,
     trust: Trust = False,
 ) -> None:
     """Watch a flight in the browser, or write its film.
@@ -94,20 +82,14 @@ def export(
     source: Annotated[
         str, typer.Argument(metavar="SOURCE", help="With --onnx a policy's folder, or default; else a run directory.")
     ],
-    onnx: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Write the policy with its pre-processing as ONNX.")
-    ] = None,
-    csv: Annotated[Path | None, typer.Option(metavar="FOLDER", help="Write the run's rows and samples as CSV.")] = None,
-    parquet: Annotated[Path | None, typer.Option(metavar="FOLDER", help="Write the same as Parquet.")] = None,
+    onnx: Annotated[Path | None, option("FILE", "Write the policy with its pre-processing as ONNX.")] = None,
+    csv: Annotated[Path | None, option("FOLDER", "Write the run's rows and samples as CSV.")] = None,
+    parquet: Annotated[Path | None, option("FOLDER", "Write the same as Parquet.")] = None,
     mcap: Annotated[
-        Path | None, typer.Option(metavar="FOLDER", help="Write flights as MCAP; one alone into FOLDER or a file.mcap.")
+        Path | None, option("FOLDER", "Write flights as MCAP; one alone into FOLDER or a file.mcap.")
     ] = None,
-    minari: Annotated[
-        Path | None, typer.Option(metavar="FOLDER", help="Write an evaluation as a Minari dataset, into NAME-vN.")
-    ] = None,
-    case: Annotated[
-        str | None, typer.Option(metavar="NAME", help="For --mcap: one flight alone, as rows.jsonl names it.")
-    ] = None,
+    minari: Annotated[Path | None, option("FOLDER", "Write an evaluation as a Minari dataset, into NAME-vN.")] = None,
+    case: Annotated[str | None, option("NAME", "For --mcap: one flight alone, as rows.jsonl names it.")] = None,
     trust: Trust = False,
 ) -> None:
     """Write a policy as ONNX; a run as tables, MCAP or a Minari dataset."""
