@@ -14,7 +14,7 @@ from uavaccel.errors import UsageError, UserError
 from uavaccel.fly.messages import DifferenceError
 from uavaccel.fly.options import SCRATCH, FlightOptions, FlightSummary, found_settings
 from uavaccel.fly.runs import FlightResult, check, fly
-from uavaccel.limits import CLOCK_SPEEDS
+from uavaccel.limits import CLOCK_SPEEDS, MOST_SECONDS, MOST_SEEDS
 from uavaccel.processes.lifetime import remove_orphaned_files
 from uavaccel.resources import asset
 
@@ -62,6 +62,7 @@ def fly_script(request: FlyRequest) -> int:
 
 def _check_request(request: FlyRequest) -> None:
     flight = request.flight
+    _check_numbers(flight)
     asset(f"mjcf/{flight.scene}.xml")
     if not flight.script.is_file():
         raise UserError(f"{flight.script}: no such file")
@@ -75,6 +76,14 @@ def _check_request(request: FlyRequest) -> None:
         )
     if flight.film and request.out is None:
         raise UsageError("--film needs --out, a folder for it")
+
+
+def _check_numbers(flight: FlightOptions) -> None:
+    for option, seconds in (("think", flight.think_s), ("until", flight.until_s)):
+        if seconds is not None and not 0.0 <= seconds <= MOST_SECONDS:
+            raise UsageError(f"--{option} {seconds:g}: must be 0 to {MOST_SECONDS:g} s")
+    if flight.seed is not None and not 0 <= flight.seed < MOST_SEEDS:
+        raise UsageError(f"--seed {flight.seed}: must be 0 to {MOST_SEEDS - 1}")
 
 
 def _with_settings(request: FlyRequest, scratch: Path) -> FlyRequest:
