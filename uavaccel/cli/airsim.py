@@ -54,9 +54,7 @@ def fly(
     check: Annotated[
         bool, option(None, "Fly twice; messages and trajectories must be equal to the byte.", "--check")
     ] = False,
-    until: Annotated[
-        float | None, option("S", "Stop after these simulated seconds, pauses included.", min=0.0)
-    ] = None,
+    until: Annotated[float | None, option("S", "Stop after these simulated seconds, pauses included.", min=0.0)] = None,
     think: Annotated[
         float | None,
         option(
@@ -66,9 +64,7 @@ def fly(
             min=0.0,
         ),
     ] = None,
-    seed: Annotated[
-        int | None, option("N", "Random seed of Python, NumPy, PyTorch and Gymnasium.")
-    ] = None,
+    seed: Annotated[int | None, option("N", "Random seed of Python, NumPy, PyTorch and Gymnasium.")] = None,
     keys: Annotated[str | None, option("KEY,...", "Keys to press one after the other, as in w,w,space,q.")] = None,
     settings: Annotated[
         Path | None, option("FILE", "AirSim's settings.json; default: that beside the script or in ~/Documents/AirSim.")

@@ -209,19 +209,15 @@ def report_run(run: RunDirectory) -> None:
 
 def evaluate_agent(request: RunRequest, against: Path | None, films: bool) -> None:
     """Evaluate an agent, film, and compare it with another evaluation of the same lanes. Raises UserError."""
-    from uavaccel.rl.config import LANE
     from uavaccel.suites.evaluate import against as compared
+    from uavaccel.suites.evaluate import outcomes_of
     from uavaccel.suites.registry import open_run
 
     other = None if against is None else open_run(against)
 
     def check(plan: Plan) -> None:
         if other is not None:
-            theirs = {row["case"] for row in other.rows() if row.get("suite") == plan.suite.name}
-            same = other.config().get("env_id", LANE) == plan.config.env_id
-            if not (same and theirs & {case.id for case in plan.cases}):
-                games = "lanes" if plan.config.env_id == LANE else "games"
-                raise UserError(f"--against {other.path}: is no evaluation of the same {games}")
+            outcomes_of(other, plan.config.env_id, {case.id for case in plan.cases})
 
     run = run_experiment(request, check, film_extremes if films else None)
     if run is not None and other is not None:

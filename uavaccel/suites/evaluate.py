@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from functools import reduce
@@ -395,20 +395,23 @@ def case_of(number: int, in_lane: bool = True) -> str:
 # --- what its report says ---------------------------------------------------------------------------------------
 
 
+def outcomes_of(other: RunDirectory, env_id: str, cases: Container[str]) -> dict[str, bool]:
+    """Return whether another evaluation won its games of these cases. Raises UserError where it has none of them."""
+    rows = [row for row in other.rows() if row.get("suite") == "evaluate" and row["case"] in cases]
+    if not rows or other.config().get("env_id", LANE) != env_id:
+        games = "lanes" if env_id == LANE else "games"
+        raise UserError(f"--against {other.path}: is no evaluation of the same {games}")
+    return {row["case"]: row["is_success"] for row in rows}
+
+
 def against(run: RunDirectory, other: RunDirectory) -> str:
-    """Return McNemar's test on the games that both evaluations flew, in words. Raises UserError without such games."""
-    won, theirs = (
-        {number_of(row): row["is_success"] for row in flown.rows() if row.get("suite") == "evaluate"}
-        for flown in (run, other)
-    )
-    env_id, other_id = (flown.config().get("env_id", LANE) for flown in (run, other))
-    games = "lanes" if env_id == LANE else "games"
-    if not (same := [number for number in won if number in theirs and env_id == other_id]):
-        raise UserError(f"{other.path}: is no evaluation of the same {games}")
-    first, second = ([outcome[number] for number in same] for outcome in (won, theirs))
+    """Return McNemar's test on the games that both evaluations flew, in words. Raises as `outcomes_of`."""
+    won, env_id = {row["case"]: row["is_success"] for row in run.rows()}, run.config().get("env_id", LANE)
+    theirs = outcomes_of(other, env_id, won)
+    first, second = [won[case] for case in theirs], list(theirs.values())
     return (
-        f"against {other.path} on the same {len(same)} {games}: {sum(first)} v {sum(second)} successes, "
-        f"exact McNemar p = {mcnemar_exact(first, second).p_value:.3g}"
+        f"against {other.path} on the same {len(theirs)} {'lanes' if env_id == LANE else 'games'}: {sum(first)} v "
+        f"{sum(second)} successes, exact McNemar p = {mcnemar_exact(first, second).p_value:.3g}"
     )
 
 
