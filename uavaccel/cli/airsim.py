@@ -12,7 +12,7 @@ from typing import Annotated
 
 import typer
 
-from uavaccel.cli.options import Profile, Scene, Timing, Watch, check_host, option
+from uavaccel.cli.options import Profile, Scene, Timing, Watch, option
 from uavaccel.errors import UsageError
 from uavaccel.fly.options import THINK_S
 
@@ -36,8 +36,6 @@ def serve(
     from uavaccel.wire.service import ServeOptions
     from uavaccel.wire.service import serve as serve_clients
 
-    if host is not None:
-        check_host(host)
     with page_beside(PageAddress() if watch else None, waits=False):
         serve_clients(ServeOptions(settings, clock, port, host, profile, scene, recordings))
 

@@ -1,4 +1,4 @@
-"""The options that several commands share, each defined once; what the shell completes; a check of hosts."""
+"""The options that several commands share, each defined once; what the shell completes."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from typing import Annotated, Any, get_type_hints
 
 import typer
 
-from uavaccel.errors import UsageError
 from uavaccel.resources import experiments
 from uavaccel.suites.keys import KEYS, Key
 
@@ -60,35 +59,39 @@ Trust = Annotated[
 Watch = Annotated[bool, option(None, "Show the flight in this machine's browser; that changes no flight.", "--watch")]
 
 
-def _parameter(
-    name: str, kind: Any, default: object, about: str, *declarations: str, shown: str | None = None
-) -> Parameter:
-    """Return an option as a parameter of a command."""
-    annotation = Annotated[kind, option(shown, about, *declarations)]
-    return Parameter(name, Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
-
-
 def _of_key(name: str, several: bool, about: str | None) -> Parameter:
     """Return the option of a key of the configuration, which is None where it was not given."""
     key = KEYS[name]
     kind: Any = list[key.kind] if several else key.kind  # type: ignore[name-defined]
     about = f"{about or key.help}{'; repeat for several' if several else ''}."
-    return _parameter(name, kind | None, None, about, key.option, shown=key.shown)
+    annotation = Annotated[kind | None, option(key.shown, about, key.option)]
+    return Parameter(name, Parameter.KEYWORD_ONLY, default=None, annotation=annotation)
 
 
-OF_A_REQUEST = (
-    _parameter("jobs", int, 1, "Processes that fly; must be 1 with --timing wall.", shown="N"),
-    _parameter("engine", str, "loky", "What starts the --jobs.", shown="loky|ray|dask"),
-    _parameter("out", Path | None, None, "New run directory; default: one in runs/.", shown="RUN_DIR"),
-    _parameter("resume", bool, False, "Go on with the run in --out, by its own configuration.", "--resume"),
-    Parameter("trust", Parameter.KEYWORD_ONLY, default=False, annotation=Trust),
-    _parameter("dry_run", bool, False, "Say what would be flown; fly nothing.", "--dry-run"),
-    _parameter(
-        *("overrides", list[str] | None, (), "Set any key of the configuration; repeat for several.", "--set"),
-        shown="DOTTED.KEY=VALUE",
-    ),
-    Parameter("watch", Parameter.KEYWORD_ONLY, default=False, annotation=Watch),
-)
+OF_A_REQUEST = [
+    Parameter(name, Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
+    for name, default, annotation in (
+        ("jobs", 1, Annotated[int, option("N", "Processes that fly; must be 1 with --timing wall.")]),
+        ("engine", "loky", Annotated[str, option("loky|ray|dask", "What starts the --jobs.")]),
+        ("out", None, Annotated[Path | None, option("RUN_DIR", "New run directory; default: one in runs/.")]),
+        (
+            "resume",
+            False,
+            Annotated[bool, option(None, "Go on with the run in --out, by its own configuration.", "--resume")],
+        ),
+        ("trust", False, Trust),
+        ("dry_run", False, Annotated[bool, option(None, "Say what would be flown; fly nothing.", "--dry-run")]),
+        (
+            "overrides",
+            (),
+            Annotated[
+                list[str] | None,
+                option("DOTTED.KEY=VALUE", "Set any key of the configuration; repeat for several.", "--set"),
+            ],
+        ),
+        ("watch", False, Watch),
+    )
+]
 """The options of every command that flies an experiment, by the fields of its RunRequest."""
 
 
@@ -119,9 +122,3 @@ def requests(
         return command
 
     return decorate
-
-
-def check_host(host: str) -> None:
-    """Raise UsageError for an empty address, which sockets take for all addresses of this machine."""
-    if not host.strip():
-        raise UsageError("--host: is empty; name an address, as in --host 127.0.0.1")

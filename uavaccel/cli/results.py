@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from uavaccel.cli.options import Trust, check_host, option
+from uavaccel.cli.options import Trust, option
 from uavaccel.cli.terminal import LINES, console, working
 from uavaccel.errors import UsageError
 
@@ -47,7 +47,6 @@ def watch(
     from uavaccel.own_code import trusting
     from uavaccel.watch.beside import show
 
-    check_host(host)
     with trusting(trust):
         if film is None:
             show(run, case, game, (clock, think, seed), host, port)
