@@ -12,7 +12,6 @@ import typer
 
 from benchmarks import batch, images, kernels, speed
 from uavaccel.calibration.doctor import check_machine
-from uavaccel.cli.options import check_number
 from uavaccel.cli.terminal import console
 from uavaccel.clock import calendar_time
 from uavaccel.errors import UsageError, UserError
@@ -40,7 +39,9 @@ app = typer.Typer(pretty_exceptions_enable=False, rich_markup_mode=None, add_com
 @app.command()
 def run(
     names: Annotated[list[str] | None, typer.Argument(help="Names of benchmarks; by default all.")] = None,
-    soak_s: Annotated[float, typer.Option("--soak-s", help="Also load a server for this many seconds.")] = 0.0,
+    soak_s: Annotated[
+        float, typer.Option(min=0.0, max=MOST_SECONDS, help="Also load a server for this many seconds.")
+    ] = 0.0,
     out: Annotated[Path | None, typer.Option(help="JSON file for the measurements.")] = None,
     lanes: Annotated[
         list[int] | None, typer.Option(min=1, help="For `batch`: number of lanes, by default 8; repeatable.")
@@ -59,7 +60,6 @@ def run(
         raise UsageError(f"no bench {unknown[0]!r}; there are {', '.join(BENCHES)}")
     if out is not None:
         check_new_file(out)
-    check_number("--soak-s", soak_s, 0.0, MOST_SECONDS)
     if renderer not in RENDERERS:
         raise UserError(f"--renderer {renderer}: must be {', '.join(RENDERERS)}")
     size = batch.BatchSize(tuple(lanes or [8]), processes, tiles, renderer)

@@ -53,10 +53,11 @@ Timing = Annotated[str, _of_words(KEYS["timing"])]
 Profile = Annotated[str, _of_words(KEYS["profile"])]
 Scene = Annotated[str, option("NAME", "A scene of assets/mjcf.")]
 Latency = Annotated[Path | None, option("FILE", "Latencies, as calibrate writes them; default: those that ship.")]
-Trust = Annotated[
-    bool, option(None, "Run the code that a run's folder or --set names, and remember that it may run.", "--trust")
-]
-Watch = Annotated[bool, option(None, "Show the flight in this machine's browser; that changes no flight.", "--watch")]
+OF_TRUST = option(None, "Run the code that a run's folder or --set names, and remember that it may run.", "--trust")
+OF_WATCH = option(None, "Show the flight in this machine's browser; that changes no flight.", "--watch")
+Trust = Annotated[bool, OF_TRUST]
+Watch = Annotated[bool, OF_WATCH]
+SETS = "Set any key of the configuration; repeat for several."
 
 
 def _of_key(name: str, several: bool, about: str | None) -> Parameter:
@@ -69,27 +70,16 @@ def _of_key(name: str, several: bool, about: str | None) -> Parameter:
 
 
 OF_A_REQUEST = [
-    Parameter(name, Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
-    for name, default, annotation in (
-        ("jobs", 1, Annotated[int, option("N", "Processes that fly; must be 1 with --timing wall.")]),
-        ("engine", "loky", Annotated[str, option("loky|ray|dask", "What starts the --jobs.")]),
-        ("out", None, Annotated[Path | None, option("RUN_DIR", "New run directory; default: one in runs/.")]),
-        (
-            "resume",
-            False,
-            Annotated[bool, option(None, "Go on with the run in --out, by its own configuration.", "--resume")],
-        ),
-        ("trust", False, Trust),
-        ("dry_run", False, Annotated[bool, option(None, "Say what would be flown; fly nothing.", "--dry-run")]),
-        (
-            "overrides",
-            (),
-            Annotated[
-                list[str] | None,
-                option("DOTTED.KEY=VALUE", "Set any key of the configuration; repeat for several.", "--set"),
-            ],
-        ),
-        ("watch", False, Watch),
+    Parameter(name, Parameter.KEYWORD_ONLY, default=default, annotation=Annotated[kind, shown])
+    for name, kind, default, shown in (
+        ("jobs", int, 1, option("N", "Processes that fly; must be 1 with --timing wall.")),
+        ("engine", str, "loky", option("loky|ray|dask", "What starts the --jobs.")),
+        ("out", Path | None, None, option("RUN_DIR", "New run directory; default: one in runs/.")),
+        ("resume", bool, False, option(None, "Go on with the run in --out, by its own configuration.", "--resume")),
+        ("trust", bool, False, OF_TRUST),
+        ("dry_run", bool, False, option(None, "Say what would be flown; fly nothing.", "--dry-run")),
+        ("overrides", list[str] | None, (), option("DOTTED.KEY=VALUE", SETS, "--set")),
+        ("watch", bool, False, OF_WATCH),
     )
 ]
 """The options of every command that flies an experiment, by the fields of its RunRequest."""
