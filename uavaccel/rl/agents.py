@@ -139,7 +139,7 @@ class Origin(ABC):
 
     def sha256(self) -> str | None:
         """Return the hash of the file that has what was learned; None for a baseline."""
-        return self.file and file_sha256(self.file)
+        return None if self.file is None else file_sha256(self.file)
 
 
 def origin_of(name: str) -> Origin:
