@@ -135,9 +135,11 @@ def test_who_reads_no_further_than_the_head_is_told_nothing(arguments: list[str]
     assert (done.returncode, done.stderr) == (0, "")
 
 
-@pytest.mark.parametrize("arguments", [["fly"], ["serve", "--speed", "3"], ["serve", "--clock", "fast"]])
-def test_wrong_usage_is_one_line(arguments: list[str]) -> None:
-    done = uavaccel("-m", "uavaccel", *arguments)
+@pytest.mark.parametrize(
+    "line", ["fly", "serve --speed 3", "serve --clock fast", "timing advise --rounds 0", "train --timing soon"]
+)
+def test_wrong_usage_is_one_line(line: str) -> None:
+    done = uavaccel("-m", "uavaccel", *line.split())
     assert done.returncode == 2
     assert done.stderr.startswith("uavaccel: error: ")
     assert done.stderr.count("\n") == 1
