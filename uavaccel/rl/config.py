@@ -363,14 +363,16 @@ class PPOSettings(Config):
         """Raise UserError unless the minibatches divide the samples of a rollout in at least two samples each."""
         samples = environments * self.rollout
         if samples % self.minibatches or samples < 2 * self.minibatches:
-            must = f"must divide the {samples} samples, 2 or more in each"
-            raise UserError(f"options of {PPO}: minibatches = {self.minibatches}: {must}")
+            raise UserError(f"minibatches = {self.minibatches}: must divide the {samples} samples, 2 or more in each")
 
     @classmethod
     def of(cls, config: LearnerConfig) -> PPOSettings:
         """Return the options of a configuration. Raises UserError for an unknown key or a value that does not fit."""
         settings = validate(cls, config.options, f"options of {config.algorithm}")
-        settings.check_samples(config.environments)
+        try:
+            settings.check_samples(config.environments)
+        except UserError as error:
+            raise UserError(f"options of {config.algorithm}: {error}") from None
         return settings
 
 
