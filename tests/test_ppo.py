@@ -207,7 +207,7 @@ def test_an_evaluation_flies_the_policy_and_repeats(timing: str, trained: RunDir
     assert (config.task.max_commands, config.task.timing) == (6, timing)
     run = fly_into(tmp_path / "flown", Evaluation(), config)
     for lane, row in enumerate(run.rows()):
-        assert (row["lane"], np.shape(row["actions"])) == (lane, (row["commands"], 3))
+        assert (row["game"], np.shape(row["actions"])) == (lane, (row["commands"], 3))
         steps = fly_again(run, config, environment_of(config), row)
         policy = load_policy(trained.path)
         for step in steps:
