@@ -234,10 +234,7 @@ def test_a_sweeps_tests_intervals_table_and_figure(tmp_path: Path, monkeypatch: 
 
 def test_the_page_has_the_table_of_conditions() -> None:
     page = (Path(__file__).parents[1] / "docs" / "training.md").read_text(encoding="utf-8")
-    lines = [
-        f"| `{condition.short}` | `task.{condition.key}` | {condition.unit} |" for condition in CONDITIONS.values()
-    ]
-    assert "\n".join(lines) in page
+    assert not [name for name in CONDITIONS if f"`{name}`" not in page]
 
 
 def test_options_and_overrides_of_evaluate_are_the_conditions_around_which_is_swept(tmp_path: Path) -> None:

@@ -214,7 +214,7 @@ def test_an_evaluation_flies_the_policy_and_repeats(timing: str, trained: RunDir
             np.testing.assert_array_equal(step.action, policy.act(step.given[None])[0])
     report = Evaluation().report(run)
     assert Evaluation().flight(report, run.rows()[0], pictures=False).scene == "blocks"
-    assert " of 2 games (" in Evaluation().headline(report)
+    assert " of 2 games with " in Evaluation().headline(report)
 
 
 def test_the_policy_is_exported_with_its_form(trained: RunDirectory) -> None:
