@@ -157,7 +157,7 @@ def under_attack(server: subprocess.Popen[str], port: int, words: list[str], sec
     return memory_mib, longest_s
 
 
-def main(clients: int = 511, seconds: float = 10.0) -> None:
+def main(clients: int = 15, seconds: float = 10.0) -> None:
     worst_mib = worst_s = 0.0
     for name in ATTACKS:
         with tempfile.TemporaryDirectory() as folder:
