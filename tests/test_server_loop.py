@@ -5,7 +5,7 @@ from __future__ import annotations
 import select
 import selectors
 import socket
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from typing import Any
 
 import msgpack
@@ -65,7 +65,7 @@ def received(client: socket.socket) -> list[Any]:
     return list(unpacker)
 
 
-def replies(client: socket.socket, count: int) -> Iterator[Any]:
+def replies(client: socket.socket, count: int) -> Generator[None, None, list[Any]]:
     """Let the server take turns until so many messages have come; returns them."""
     got: list[Any] = []
     while len(got) < count:
