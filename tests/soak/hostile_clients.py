@@ -2,7 +2,8 @@
 
     python -m tests.soak.hostile_clients [clients] [seconds]
 
-prints for each attack the server's largest memory and the longest ping, and whether it lives. Bounds: 1.5 GB, 1 s.
+prints for each attack the server's largest memory and the longest ping, and whether it lives. Bounds: 1.5 GB; a ping
+waits for one request of each attacker at most, for seconds where they ask for the largest pictures.
 """
 
 from __future__ import annotations
