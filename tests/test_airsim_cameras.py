@@ -14,7 +14,6 @@ from tests.scenes import BLOCKS, Pose, Seen, cast_from
 from uavaccel.wire import rpc
 from uavaccel.wire.cameras import Cameras, CameraSettings
 from uavaccel.wire.segmentation import id_of_name
-from uavaccel.wire.types import EPOCH_NS
 
 pytestmark = pytest.mark.opengl
 
@@ -202,19 +201,11 @@ def test_what_cannot_be_drawn_is_refused_alone_and_all_are_of_one_moment() -> No
     assert first["camera_orientation"] == last["camera_orientation"]
 
 
-def test_many_images_of_a_call_are_of_one_moment_though_others_fly_on_between() -> None:
-    wire = AirSimWire()
-    wire.call("moveByVelocity", 4.0, 1.0, 0.0, 5.0, 0, {"is_rate": True, "yaw_or_rate": 20.0}, "")
-    wire.fly(1.0)
-    asked = [{"camera_name": str(camera), "image_type": PLANAR, "pixels_as_float": True} for camera in range(5)]
-    at_once = wire.call("simGetImages", asked, "", False)
-    steps = wire.api.begin("simGetImages", [asked, "", False], wire.wall_ns)
-    while wire.api.advance(steps, "simGetImages", []):
-        wire.fly(0.01)
-    for one, other in zip(steps.made, at_once, strict=True):
-        assert one["time_stamp"] == other["time_stamp"] < EPOCH_NS + wire.simulation.time_ns
-        assert one["camera_position"] == other["camera_position"]
-        np.testing.assert_array_equal(one["image_data_float"], np.float32(other["image_data_float"]))
+def test_images_that_are_too_much_for_an_answer_are_refused_in_words() -> None:
+    wire = AirSimWire({"CameraDefaults": {"CaptureSettings": [{"ImageType": SCENE, "Width": 2048, "Height": 2048}]}})
+    assert len(wire.images(*[("0", SCENE, False)] * 5)) == 5
+    with pytest.raises(rpc.RpcError, match="the answer would have more than 64 MiB: ask for less at once"):
+        wire.images(*[("0", SCENE, False)] * 6)
 
 
 def test_the_ground_goes_on_beyond_a_hundred_metres() -> None:

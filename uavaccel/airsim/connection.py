@@ -5,8 +5,6 @@ The future's members have the names of msgpack-rpc, which AirSim's scripts use: 
 
 from __future__ import annotations
 
-import selectors
-import socket
 import sys
 import threading
 import weakref
@@ -19,10 +17,8 @@ from uavaccel.clock import MonotonicClock, wait_for_sockets
 from uavaccel.units import NS_PER_S
 from uavaccel.wire import rpc
 from uavaccel.wire.rpc import Received
+from uavaccel.wire.rpc_socket import RpcSocket
 
-_READ_BYTES = 1 << 18
-_MESSAGE_BYTES = 1 << 28  # images are large answers
-_ITEMS = 1 << 24
 _printed: set[str] = set()
 _AS_THEY_ARE = (bool, int, float, str, bytes, type(None))
 
@@ -95,23 +91,12 @@ class SocketConnection:
     """
 
     def __init__(self, host: str, port: int, timeout_s: float) -> None:
-        try:
-            self._socket = socket.create_connection((host, port), timeout=10)
-        except OSError as error:
-            reason = error.strerror or str(error)
-            raise ConnectionError(f"no server at {host}:{port} ({reason}); start one with `uavaccel serve`") from None
-        self._socket.settimeout(None)
-        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        self._selector = selectors.DefaultSelector()
-        self._selector.register(self._socket, selectors.EVENT_READ)
-        self._close = weakref.finalize(self, _close, self._selector, self._socket)  # scripts close nothing
-        self._decoder = rpc.Decoder(_MESSAGE_BYTES, _ITEMS)
+        self._rpc: RpcSocket[Future] = RpcSocket(host, port)
+        self._close = weakref.finalize(self, self._rpc.close)  # scripts close nothing
         self._timeout_ns = round(timeout_s * NS_PER_S)
         self._clock = MonotonicClock()
-        self._state = threading.Condition()  # guards all below
         self._sending = threading.Lock()
-        self._open: dict[int, Future] = {}
-        self._next_id = 0
+        self._state = threading.Condition()  # guards what is below
         self._read_by_somebody = False
 
     def call(self, method: str, *params: object) -> Received:
@@ -127,17 +112,8 @@ class SocketConnection:
 
     def _send(self, method: str, params: tuple[object, ...], wait: Callable[[Future], None]) -> Future:
         future = Future(method, wait)
-        with self._state:
-            self._next_id = message_id = (self._next_id + 1) & 0xFFFFFFFF
-            self._open[message_id] = future
-        try:
-            message = rpc.pack_request(message_id, method, params, default=plain)
-            with self._sending:
-                self._socket.sendall(message)
-        except BaseException:
-            with self._state:
-                del self._open[message_id]
-            raise
+        with self._sending:
+            self._rpc.socket.sendall(self._rpc.request(future, method, params, default=plain))
         return future
 
     def _join(self, future: Future) -> None:
@@ -166,26 +142,13 @@ class SocketConnection:
                     self._state.notify_all()
 
     def _receive(self, future: Future, deadline_ns: int) -> None:
-        if not wait_for_sockets(self._selector, deadline_ns):
+        if not wait_for_sockets(self._rpc.selector, deadline_ns):
             raise TimeoutError(self._late(future))
-        data = self._socket.recv(_READ_BYTES)
-        if not data:
-            raise ConnectionError("the server closed the connection")
-        for message in self._decoder.messages(data):
-            if len(message) == 4 and message[0] == rpc.RESPONSE:
-                _, message_id, error, result = message
-                with self._state:
-                    answered = self._open.pop(message_id, None)
-                if answered is not None:
-                    answered.answer(None if error is None else str(error), result)
+        for answered, error, result in self._rpc.receive():
+            answered.answer(None if error is None else str(error), result)
 
     def _late(self, future: Future) -> str:
         return f"{future.method}: no answer within {self._timeout_ns / NS_PER_S:g} s"
-
-
-def _close(selector: selectors.BaseSelector, connection: socket.socket) -> None:
-    selector.close()
-    connection.close()
 
 
 Connect = Callable[[str, int, float], Connection]

@@ -13,7 +13,7 @@ from pathlib import Path
 from uavaccel.errors import UserError
 from uavaccel.sim.simulation import Simulation
 from uavaccel.wire import rpc
-from uavaccel.wire.calls import BoundCall, CallContext, Calls, PartialResult, WireCall
+from uavaccel.wire.calls import BoundCall, CallContext, Calls, WireCall
 from uavaccel.wire.flight_api import AttitudeApi, FlightApi
 from uavaccel.wire.game_api import GameApi
 from uavaccel.wire.image_api import CameraApi, ImageApi
@@ -66,22 +66,6 @@ class Api:
 
         The simulation must have been advanced to `wall_ns`.
         """
-        result = self.begin(method, params, wall_ns)
-        if not isinstance(result, PartialResult):
-            return result
-        while self.advance(result, method, params):
-            pass
-        return result.made
-
-    def advance(self, partial: PartialResult, method: str, params: Sequence[object]) -> bool:
-        """Make one more item of a result that `begin` returned; False when it is complete. Raises rpc.RpcError."""
-        try:
-            return partial.advance()
-        except Exception as error:  # fails this call alone
-            raise self._failed(method, params, error) from error
-
-    def begin(self, method: str, params: Sequence[object], wall_ns: int) -> Received:
-        """Like `call`, but a long result is returned as a `PartialResult`, to be completed by `advance`."""
         bound = self.methods.get(method)
         if bound is None:
             self.refusals.add(method, "is not known here")

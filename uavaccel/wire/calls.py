@@ -12,7 +12,7 @@ refusal, and its line in docs/airsim-calls.md follow from the declaration.
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import ClassVar, TypeVar, get_type_hints
 
@@ -20,32 +20,11 @@ from uavaccel.wire.arguments import coercion_of
 from uavaccel.wire.latency import DEFAULT, Channel
 from uavaccel.wire.notices import Notices
 from uavaccel.wire.recorder import Recorder
-from uavaccel.wire.rpc import bulk_bytes
 from uavaccel.wire.scenery import Scenery
 
 MOST_IGNORED = 16  # arguments of a call without effect
 Method = TypeVar("Method", bound=Callable[..., object])
 AnyChannel = Channel | Callable[[Sequence[object]], Channel]
-
-
-class PartialResult:
-    """A list result that is made item by item, so that others need not wait for all of it; making an item may raise.
-
-    `buffered_bytes` is about the packed size of the items made so far.
-    """
-
-    def __init__(self, pieces: Iterator[object]) -> None:
-        self._pieces = pieces
-        self.made: list[object] = []
-        self.buffered_bytes = 0
-
-    def advance(self) -> bool:
-        """Make one more item; False when there is none left."""
-        for piece in self._pieces:
-            self.buffered_bytes += bulk_bytes(piece)
-            self.made.append(piece)
-            return True
-        return False
 
 
 class WireCall:

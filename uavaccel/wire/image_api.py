@@ -25,17 +25,15 @@ from uavaccel.sim.lane.layout import Difficulty, LaneLayout, sample_layout
 from uavaccel.sim.poses import Pose
 from uavaccel.wire import types
 from uavaccel.wire.arguments import AnyPose, Truthy, VehicleName, whole
-from uavaccel.wire.calls import Calls, PartialResult, call, without_effect
+from uavaccel.wire.calls import Calls, call, without_effect
 from uavaccel.wire.cameras import NARROWEST_DEG, SCENE, WIDEST_DEG, CameraMount, Cameras
-from uavaccel.wire.pictures import Pixels, Scene, encoded, known_type
-from uavaccel.wire.rpc import Received
+from uavaccel.wire.pictures import Pixels, encoded, known_type
+from uavaccel.wire.rpc import MAX_ANSWER_BYTES, Received, bulk_bytes
 
 NEAR_CM = 10.0  # GNearClippingPlane
 NO_LENS = "cameras here are pinholes; simSetCameraFov sets what they see"
 MOST_IMAGES = 64  # of one call
 OPTICAL_FLOW = (8, 9)  # AirSim's types of image that are not available here
-AT_ONCE = 4  # of more images each is drawn by itself, and the server serves other clients in between
-PIXELS_AT_ONCE = 1 << 18  # the same for pixels
 PICTURES = ("gray", "colour", "depth", "segmentation")
 
 
@@ -154,14 +152,16 @@ class ImageApi(Calls, title="Cameras and images"):
     @call("simGetImages", "image")
     def get_images(
         self, requests: Annotated[list[object], image_requests], vehicle: VehicleName = "", external: Truthy = False
-    ) -> list[dict[str, object]] | PartialResult:
+    ) -> list[dict[str, object]]:
         """Return images of one moment; the response of one that cannot be drawn says why."""
         cameras = self.scenery.cameras(vehicle, external)
-        asked = [image_request(request, cameras) for request in requests]
-        if len(asked) <= AT_ONCE and sum(map(_pixels, asked)) <= PIXELS_AT_ONCE:
-            return [self._response(request, self.scenery.truth(vehicle)) for request in asked]
-        scene, kinematics = self.scenery.pictures.kept(), self.scenery.truth(vehicle)
-        return PartialResult(self._response(request, kinematics, scene) for request in asked)
+        kinematics, room_bytes, responses = self.scenery.truth(vehicle), MAX_ANSWER_BYTES, []
+        for request in [image_request(request, cameras) for request in requests]:
+            responses.append(self._response(request, kinematics))
+            room_bytes -= bulk_bytes(responses[-1])
+            if room_bytes < 0:
+                raise ValueError(f"the answer would have more than {MAX_ANSWER_BYTES >> 20} MiB: ask for less at once")
+        return responses
 
     @call("simGetImage", "image")
     def get_image(
@@ -171,8 +171,8 @@ class ImageApi(Calls, title="Cameras and images"):
         mounted = self.scenery.cameras(vehicle, external).named(camera_name)
         return encoded(".png", self.scenery.pictures.bgr(mounted, image_type))
 
-    def _response(self, request: ImageRequest, kinematics: Kinematics, scene: Scene = None) -> dict[str, object]:
-        image, message = self._drawn(request, scene)
+    def _response(self, request: ImageRequest, kinematics: Kinematics) -> dict[str, object]:
+        image, message = self._drawn(request)
         as_float, compress = request.pixels_as_float, request.compress
         data = b"" if as_float or message else encoded(".png", image) if compress else image.tobytes()
         eye = request.camera.eye(Pose(kinematics.position_m, kinematics.orientation_wxyz))
@@ -194,7 +194,7 @@ class ImageApi(Calls, title="Cameras and images"):
     def _local(self, camera: CameraMount, place_m: Vector) -> Vector:
         return self.simulation.world.vehicles[camera.carrier].local(place_m)
 
-    def _drawn(self, request: ImageRequest, scene: Scene) -> tuple[Pixels, str]:
+    def _drawn(self, request: ImageRequest) -> tuple[Pixels, str]:
         """Return the picture and an empty text; or an empty picture and the reason."""
         try:
             known_type(request.image_type)
@@ -204,12 +204,7 @@ class ImageApi(Calls, title="Cameras and images"):
             return np.empty((0, 0), np.float32), str(error)
         pictures = self.scenery.pictures
         draw = pictures.floats if request.pixels_as_float else pictures.bgr
-        return draw(request.camera, request.image_type, scene), ""
-
-
-def _pixels(request: ImageRequest) -> int:
-    lens = request.camera.lens(request.image_type)
-    return lens.width * lens.height
+        return draw(request.camera, request.image_type), ""
 
 
 def image_request(value: object, cameras: Cameras) -> ImageRequest:

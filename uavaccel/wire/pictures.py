@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from enum import IntEnum
-from typing import TypeAlias
 
 import cv2
 import mujoco
@@ -38,8 +37,6 @@ class ImageType(IntEnum):
     INFRARED = 7
 
 
-Scene: TypeAlias = NDArray[np.float64] | None
-"""The positions of everything at an earlier moment, from `Pictures.kept`; None is the present."""
 MOST_PIXELS = 1 << 24  # of one picture, so that its bytes fit into an answer: more than 4320 x 2160
 RAYS_AT_ONCE = 1 << 16
 DEPTH_VIS_FAR_M = 100.0
@@ -57,21 +54,17 @@ class Pictures:
         self._largest = largest
         self._segmentation = segmentation
         self.render = render
-        self._drawn_later: mujoco.MjData | None = None
 
-    def floats(self, camera: CameraMount, image_type: int, scene: Scene = None) -> NDArray[np.float32]:
-        """Return an image (height, width) of metres, of fractions, or of another type's red channel from 0 to 1.
-
-        It shows the present, or a `scene` from `kept`.
-        """
-        kind, shown = known_type(image_type), self._shown(scene)
+    def floats(self, camera: CameraMount, image_type: int) -> NDArray[np.float32]:
+        """Return an image (height, width) of metres, of fractions, or of another type's red channel from 0 to 1."""
+        kind, shown = known_type(image_type), self._shown()
         if kind in _DEPTHS:
             return self._depth(camera, kind, shown)
-        return (self.bgr(camera, kind, scene)[..., 2] / np.float32(255)).astype(np.float32)
+        return (self.bgr(camera, kind)[..., 2] / np.float32(255)).astype(np.float32)
 
-    def bgr(self, camera: CameraMount, image_type: int, scene: Scene = None) -> NDArray[np.uint8]:
-        """Return an image (height, width, 3) of blue, green and red; it shows the present, or a `scene` from `kept`."""
-        kind, shown = known_type(image_type), self._shown(scene)
+    def bgr(self, camera: CameraMount, image_type: int) -> NDArray[np.uint8]:
+        """Return an image (height, width, 3) of blue, green and red."""
+        kind, shown = known_type(image_type), self._shown()
         if kind == ImageType.SCENE:
             return np.ascontiguousarray(self._pointed(camera, kind, shown).colour(shown)[..., ::-1])
         if kind == ImageType.SEGMENTATION:
@@ -84,11 +77,6 @@ class Pictures:
         if kind in (ImageType.DEPTH_PLANAR, ImageType.DEPTH_PERSPECTIVE):
             share = np.minimum(share / np.float32(DEPTH_VIS_FAR_M), np.float32(1.0))
         return _gray(np.rint(share * 255).astype(np.uint8))
-
-    def kept(self) -> NDArray[np.float64]:
-        """Return the present scene, to be drawn later."""
-        pose: NDArray[np.float64] = self._shown(None).qpos.copy()
-        return pose
 
     def warm_up(self) -> None:
         """Draw once, so that the first requested image takes no longer than others. Raises UserError without OpenGL."""
@@ -146,17 +134,9 @@ class Pictures:
                 f"a picture of {lens.width} x {lens.height} is too large: it may have {MOST_PIXELS:,} pixels"
             )
 
-    def _shown(self, scene: Scene) -> mujoco.MjData:
-        """Return the scene to draw: a kept one, the present, or the frame that a modelled renderer shows."""
-        world = self._simulation.world
-        if scene is None:
-            return self._simulation.frames.scene(world.data)
-        if len(scene) != world.model.nq:
-            raise ValueError("a vehicle was added meanwhile; ask again")
-        if self._drawn_later is None or len(self._drawn_later.qpos) != len(scene):
-            self._drawn_later = mujoco.MjData(world.model)
-        self._drawn_later.qpos[:] = scene
-        return self._drawn_later
+    def _shown(self) -> mujoco.MjData:
+        """Return the scene to draw: the present, or the frame that a modelled renderer shows."""
+        return self._simulation.frames.scene(self._simulation.world.data)
 
 
 def can_render(lens: Lens) -> bool:

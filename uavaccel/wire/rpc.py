@@ -5,7 +5,7 @@ A request is [0, id, method, params], a response [1, id, error, result], a notif
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
@@ -18,7 +18,7 @@ Received: TypeAlias = Any  # a value of a message as msgpack reads it; its reade
 LOOPBACK, PORT = "127.0.0.1", 41451  # where AirSim's servers listen
 REQUEST, RESPONSE, NOTIFY = 0, 1, 2
 MAX_MESSAGE_BYTES = 1 << 20
-MAX_HEAD_BYTES = 128  # the beginning of a message, which has the method's name
+MAX_ANSWER_BYTES = 1 << 26
 MAX_ITEMS = 1 << 14  # of an array: msgpack allocates as many as it announces, at every level of nesting
 _FLOAT32, _ARRAY32 = 0xCA, b"\xdd"  # MessagePack's
 _PACKED_FLOAT = 5  # bytes of one
@@ -92,19 +92,6 @@ def unpack_request(message: bytes) -> RpcRequest:
         raise ProtocolError(f"not msgpack: {error}") from error
 
 
-def method_of(message: bytes) -> str:
-    """Return the method of a whole message that has not been unpacked; empty if it is not a request."""
-    head = msgpack.Unpacker(raw=False, unicode_errors="surrogateescape", max_buffer_size=0)
-    try:
-        head.feed(message[:MAX_HEAD_BYTES])
-        for _ in range(head.read_array_header() - 2):
-            head.skip()
-        method = head.unpack()
-    except (ValueError, msgpack.UnpackException):
-        return ""
-    return method if isinstance(method, str) else ""
-
-
 def parse_request(message: object) -> RpcRequest:
     """Return the request in an unpacked message. Raises ProtocolError if it is none."""
     if not isinstance(message, list):
@@ -134,15 +121,10 @@ def pack_response(message_id: int, error: str | None, result: object) -> bytes:
     return pack([RESPONSE, message_id, error, result])
 
 
-def bulk_bytes(value: object) -> int:
-    """Estimate the packed size of the large parts of a result: the bytes and arrays of images and recordings."""
-    if isinstance(value, np.ndarray):
-        return _PACKED_FLOAT * value.size
-    if isinstance(value, bytes):
-        return len(value)
-    if isinstance(value, dict):
-        return sum(bulk_bytes(part) for part in value.values() if isinstance(part, (bytes, np.ndarray)))
-    return sum(map(bulk_bytes, value)) if isinstance(value, list) and value and type(value[0]) is dict else 0
+def bulk_bytes(fields: Mapping[str, object]) -> int:
+    """Return the packed size of the bytes and arrays in a map, such as an image's."""
+    texts = (len(field) for field in fields.values() if isinstance(field, bytes))
+    return sum(texts) + sum(_PACKED_FLOAT * field.size for field in fields.values() if isinstance(field, np.ndarray))
 
 
 def pack(value: object) -> bytes:
@@ -212,11 +194,6 @@ class Framer:
         self._scanner = msgpack.Unpacker(max_buffer_size=2 * max_message_bytes, strict_map_key=False)
         self._kept = bytearray()
         self._passed = 0  # bytes of the messages that have been returned
-
-    @property
-    def buffered_bytes(self) -> int:
-        """The memory of the bytes that have not been returned, of which the scanner may keep a copy."""
-        return 2 * len(self._kept)
 
     def feed(self, data: bytes) -> None:
         """Add bytes of the stream. Raises ProtocolError if there are too many."""

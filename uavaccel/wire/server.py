@@ -1,34 +1,77 @@
 """The free-running server: one thread that advances the simulation, answers requests, and sleeps.
 
 It wakes for a message, for the end of the next command or continue-for, and often enough in between that few ticks are
-left to fly then. `uavaccel.wire.clients` has the connections.
+left to fly then. What it has received by a wake-up is handled at that wall time, one request per client and turn.
+
+For each of at most MOST_CLIENTS clients it keeps one request and the answers to what came before: a client that sends
+faster than it is served, or does not read, waits in its own socket's buffers. One that sends bad bytes loses its own
+connection and nothing else.
 """
 
 from __future__ import annotations
 
+import logging
 import selectors
+import socket
 from collections.abc import Callable
-from typing import IO
+from typing import IO, NamedTuple
 
-from uavaccel.clock import MonotonicClock, request_fine_timers
+from uavaccel.clock import MonotonicClock, request_fine_timers, wait_for_sockets
+from uavaccel.errors import UserError
 from uavaccel.sim.deferred_reply import DeferredReply
 from uavaccel.sim.simulation import Simulation
 from uavaccel.wire import rpc
 from uavaccel.wire.api import Api
-from uavaccel.wire.calls import PartialResult
-from uavaccel.wire.clients import MAX_ANSWER_BYTES, Answer, Clients, Connection
-from uavaccel.wire.fair_queue import DurationEstimates, FairQueue
+from uavaccel.wire.rpc_socket import set_no_delay, set_quick_ack
 
+MOST_CLIENTS = 16
+READ_BYTES = 1 << 12
 IDLE_NS = 2_000_000  # an idle server advances at least this often: well within what `airsim` catches up
 CHUNK_TICKS = 30  # ticks per wake-up, about: 0.1 ms of computing
 FINAL_NS = 60_000  # just before an end only the clock is polled: polling sockets takes as long as two ticks
 SPIN_NS = 1_000_000  # before an end, poll instead of sleeping: a process wakes late
 BUSY_NS = 200_000  # after a message, poll for the next one
-MAX_UNPACKED, MAX_UNPACKED_BYTES = 8, 1 << 24  # answers that wait to be packed
-TURN_NS = 3_000_000  # wall time for one client's requests before the next client's
-FLIGHT_NS = 5_000_000  # wall time for flying in a round: a slow machine would do nothing else
-LONG_NS = 1_000_000  # a request expected to take longer is long
-ROUND_NS = 10_000_000  # wall time for all clients' requests before the sockets are polled again
+TURNS_NS = 3_000_000  # wall time for requests before the simulation flies and the sockets are polled again
+_LOG = logging.getLogger(__name__)
+
+
+class Connection:
+    """One client: its stream of requests, and the answers that its socket has not taken yet."""
+
+    def __init__(self, connection: socket.socket) -> None:
+        self.socket = connection
+        self.framer = rpc.Framer()
+        self.request: bytes | None = None  # received, and waiting for its turn
+        self.unsent = bytearray()
+
+    @property
+    def asks(self) -> bool:
+        """Whether it has a request that can be served now."""
+        return self.request is not None and not self.unsent
+
+
+class Answer(NamedTuple):
+    """The answer to a request; a `DeferredReply` in it is due by now."""
+
+    connection: Connection
+    message_id: int
+    error: str | None
+    result: object
+
+    def pack(self) -> bytes:
+        """Return the message; an error in place of a result that cannot be packed or is too long."""
+        result = self.result
+        try:
+            if isinstance(result, DeferredReply):
+                result = result.encode(result.value)
+            packed = rpc.pack_response(self.message_id, self.error, result)
+        except Exception as error:
+            _LOG.error("an answer cannot be packed", exc_info=error)
+            return rpc.pack_response(self.message_id, f"the answer cannot be packed: {error}", None)
+        if len(packed) <= rpc.MAX_ANSWER_BYTES:
+            return packed
+        text = f"the answer has {len(packed) >> 20} MiB, more than {rpc.MAX_ANSWER_BYTES >> 20}: ask for less"
+        return rpc.pack_response(self.message_id, text, None)
 
 
 class Server:
@@ -43,13 +86,21 @@ class Server:
     ) -> None:
         self.api = api
         self.clock = MonotonicClock()
-        self.clients = Clients((host, port), self.clock, api.notices.once, stop_at_eof)
-        self.address = self.clients.address
-        self._estimates = DurationEstimates(api.methods)
-        self._queue: FairQueue[Connection] = FairQueue(self._expected_ns)
+        if not 0 <= port < 1 << 16:
+            raise UserError(f"port must be 0 to 65535, not {port}")
+        try:
+            self._listener = socket.create_server((host, port), backlog=MOST_CLIENTS)
+        except OSError as error:
+            reason = (error.strerror or str(error)).partition(" (while")[0]
+            raise UserError(f"cannot listen on {host}:{port}: {reason}; choose another with --port") from None
+        self.address: tuple[str, int] = self._listener.getsockname()[:2]
+        self._listener.setblocking(False)
+        self._selector = selectors.DefaultSelector()
+        self._selector.register(self._listener, selectors.EVENT_READ)
+        if stop_at_eof is not None:
+            self._selector.register(stop_at_eof, selectors.EVENT_READ)
+        self.connected: list[Connection] = []
         self._answers: list[Answer] = []
-        self._unpacked_bytes = 0
-        self._round_end_ns = self._flown_ns = 0  # of wall time
         self._busy_until_ns = 0
         self._stopping = False
 
@@ -59,34 +110,31 @@ class Server:
         simulation = self.api.simulation
         simulation.advance_to(self.clock.now_ns())
         try:
-            while not (self._stopping or self.clients.ended):
-                for connection, events in self.clients.wait(self._wake_ns(simulation)):
-                    self._serve_socket(connection, events)
-                self._serve_turns()
+            while not self._stopping:
+                self._receive(self._wake_ns(simulation))
                 self._wait_for_end(simulation)
-                self._fly()
+                simulation.advance_to(self.clock.now_ns())
                 self._flush()
+                self._serve_turns()
                 each_turn()
         finally:
             self.close()
-
-    def _wait_for_end(self, simulation: Simulation) -> None:
-        """Just before a command or continue-for ends, fly tick by tick: only the last tick is left at its end."""
-        event = simulation.next_event_wall_ns(turns=False)
-        while event is not None and event - FINAL_NS < (now := self.clock.now_ns()) < event:
-            simulation.advance_to(now)
 
     def stop(self) -> None:
         """Let `serve` return after the present wake-up."""
         self._stopping = True
 
     def close(self) -> None:
-        self.clients.close()
+        """Disconnect all clients, and stop listening."""
+        for connection in self.connected.copy():
+            self._drop(connection)
+        self._selector.close()
+        self._listener.close()
 
     def _wake_ns(self, simulation: Simulation) -> int:
         """Return the wall time until which to sleep; in the past if it is time to poll."""
         now = self.clock.now_ns()
-        if now < self._busy_until_ns or self._queue:
+        if now < self._busy_until_ns or any(connection.asks for connection in self.connected):
             return now
         if simulation.paused:
             return now + IDLE_NS
@@ -95,139 +143,138 @@ class Server:
         event = simulation.next_event_wall_ns(turns=False)
         return wake if event is None else min(wake, event - SPIN_NS)
 
-    def _serve_socket(self, connection: Connection, events: int) -> None:
-        if events & selectors.EVENT_WRITE:
-            self._send(connection)
-        if events & selectors.EVENT_READ and connection.asks:
-            self.clients.watch(connection)  # its request waits for a turn
-        elif events & selectors.EVENT_READ and connection.open and self.clients.receive(connection):
-            self._busy_until_ns = connection.heard_ns + BUSY_NS
-            self._ask_again(connection, begins=True)
+    def _wait_for_end(self, simulation: Simulation) -> None:
+        """Just before a command or continue-for ends, fly tick by tick: only the last tick is left at its end."""
+        event = simulation.next_event_wall_ns(turns=False)
+        while event is not None and event - FINAL_NS < (now := self.clock.now_ns()) < event:
+            simulation.advance_to(now)
 
-    def _ask_again(self, connection: Connection, begins: bool = False) -> None:
-        """Queue a client that has a request; disconnect one whose stream is broken."""
-        if connection.open and connection.asks and connection.may_request:
-            self._queue.add(connection, begins)
-        elif connection.open and connection.broken and not connection.asks:
-            self._flush()  # the answers to its good requests
-            self.clients.hang_up(connection, str(connection.broken), connection.broken.message_id)
-        else:
-            self.clients.watch(connection)
+    # --- sockets ----------------------------------------------------------------------------------
+
+    def _receive(self, until_ns: int) -> None:
+        """Wait for sockets that are ready, until a wall time; read from them, or go on sending to them."""
+        ready = wait_for_sockets(self._selector, until_ns)
+        for key, events in sorted(ready, key=lambda each: each[0].data is None):  # who leaves makes room for others
+            connection: Connection | None = key.data
+            if key.fileobj is self._listener:
+                self._accept()
+            elif connection is None:
+                self._stopping = True
+            elif events & selectors.EVENT_WRITE:
+                self._send(connection)
+            elif connection.request is None:
+                self._read(connection)
+
+    def _accept(self) -> None:
+        try:
+            raw, _ = self._listener.accept()
+        except OSError:
+            return  # it has disconnected again
+        if len(self.connected) >= MOST_CLIENTS:
+            self.api.notices.once(f"warning: {MOST_CLIENTS} clients are connected, as many as may be; one was refused")
+            raw.close()
+            return
+        try:
+            raw.setblocking(False)
+            set_no_delay(raw)
+        except OSError:  # disconnected again
+            raw.close()
+            return
+        connection = Connection(raw)
+        self._selector.register(raw, selectors.EVENT_READ, connection)
+        self.connected.append(connection)
+
+    def _read(self, connection: Connection) -> None:
+        try:
+            data = connection.socket.recv(READ_BYTES)
+            set_quick_ack(connection.socket)
+        except BlockingIOError:
+            return
+        except OSError:
+            data = b""
+        if not data:
+            self._drop(connection)
+            return
+        self._busy_until_ns = self.clock.now_ns() + BUSY_NS
+        self._take_next(connection, data)
+
+    def _take_next(self, connection: Connection, data: bytes = b"") -> None:
+        """Take the next whole request out of a stream, extended by `data`; hang up where that is impossible."""
+        try:
+            connection.framer.feed(data)
+            connection.request = connection.framer.next()
+        except rpc.ProtocolError as error:
+            self._hang_up(connection, error)
+
+    def _send(self, connection: Connection) -> None:
+        """Send as much as the socket takes now; the rest is sent when it becomes writable."""
+        try:
+            while connection.unsent:
+                del connection.unsent[: connection.socket.send(connection.unsent)]
+        except BlockingIOError:
+            pass
+        except OSError:
+            self._drop(connection)
+            return
+        events = selectors.EVENT_WRITE if connection.unsent else selectors.EVENT_READ
+        if events != self._selector.get_key(connection.socket).events:
+            self._selector.modify(connection.socket, events, connection)
+
+    def _hang_up(self, connection: Connection, error: rpc.ProtocolError) -> None:
+        """Disconnect a client; its broken request is answered if the socket takes that at once."""
+        if error.message_id is not None and not connection.unsent:
+            connection.unsent += rpc.pack_response(error.message_id, str(error), None)
+            self._send(connection)
+        self._drop(connection)
+
+    def _drop(self, connection: Connection) -> None:
+        """Disconnect a client; its flight command continues."""
+        if connection in self.connected:
+            self.connected.remove(connection)
+            connection.request = None
+            self._selector.unregister(connection.socket)
+            connection.socket.close()
+
+    # --- requests ---------------------------------------------------------------------------------
 
     def _serve_turns(self) -> None:
-        """Serve the queued requests, least-served clients first, for ROUND_NS at most.
+        """Serve one request of each client, and again while there are others, for TURNS_NS and the last turn."""
+        end_ns = self.clock.now_ns() + TURNS_NS
+        while (asking := [each for each in self.connected if each.asks]) and self.clock.now_ns() < end_ns:
+            for connection in asking:
+                if connection.asks:  # still: it may have been disconnected
+                    self._serve(connection)
 
-        Nothing more is read from a client whose request is queued, or that has many answers to read.
-        """
-        self._flown_ns = 0
-        self._round_end_ns = self.clock.now_ns() + ROUND_NS
-        while self._queue:
-            connection = self._queue.next()
-            if self._answers and self._expected_ns(connection) > LONG_NS:
-                self._flush()  # finished answers do not wait for a long request
-            self._serve_requests(connection)
-            self._ask_again(connection)
-            if self.clock.now_ns() >= self._round_end_ns:
-                break
-
-    def _serve_requests(self, connection: Connection) -> None:
-        """Serve one request of a client; more of them, for TURN_NS at most, while no other client waits."""
-        until_ns = self.clock.now_ns() + TURN_NS
-        while connection.open and connection.asks and connection.may_request:
-            if connection.begun:
-                self._go_on(connection, *connection.begun)
-            else:
-                message, connection.request = connection.request, None
-                self._handle(connection, message or b"")
-                if not connection.broken:
-                    connection.take_next()
-            if self._unpacked_bytes > MAX_UNPACKED_BYTES or len(self._answers) >= MAX_UNPACKED:
-                self._flush()  # the client may never read its answers
-            if self._queue or self.clock.now_ns() >= until_ns:
-                break
-
-    def _fly(self) -> int:
-        """Advance the simulation to now, unless the round has flown for FLIGHT_NS; returns its wall time."""
-        begun_ns = self.clock.now_ns()
-        if self._flown_ns < FLIGHT_NS:
-            self.api.simulation.advance_to(begun_ns)
-            self._flown_ns += self.clock.now_ns() - begun_ns
-            self._round_end_ns += 2 * (self.clock.now_ns() - begun_ns)  # and as long for the waiting requests
-        return self.api.simulation.wall_ns
-
-    def _handle(self, connection: Connection, message: bytes) -> None:
-        wall_ns = self._fly()
-        begun_ns = self.clock.now_ns()
+    def _serve(self, connection: Connection) -> None:
+        message, connection.request = connection.request or b"", None
         try:
             request = rpc.unpack_request(message)
         except rpc.ProtocolError as failure:
-            connection.broken = failure
+            self._hang_up(connection, failure)
             return
         try:
-            result, error = self.api.begin(request.method, request.params, wall_ns), None
+            result, error = self.api.call(request.method, request.params, self.api.simulation.wall_ns), None
         except rpc.RpcError as failure:
             result, error = None, str(failure)
-        self._account(connection, request.method, False, begun_ns)  # without the flying, which is for all
-        if isinstance(result, PartialResult):
-            connection.begun = request, result
-        elif request.message_id is not None:
-            self._answer(Answer(connection, request.message_id, error, result))
-
-    def _account(self, connection: Connection, method: str, piece: bool, begun_ns: int) -> None:
-        took_ns = self.clock.now_ns() - begun_ns
-        connection.served_ns += took_ns
-        self._estimates.took(method, piece, took_ns)
-
-    def _expected_ns(self, connection: Connection) -> int:
-        """Return how long a client's next request is expected to take."""
-        return self._estimates.expected_ns(connection.method, connection.begun is not None)
-
-    def _answer(self, answer: Answer) -> None:
-        result = answer.result
-        if isinstance(result, DeferredReply) and result.due_wall_ns is None:
-            answer.connection.waiting += 1
-            result.on_due = lambda _: self._answer_late(answer)
-        else:
-            self._unpacked_bytes += rpc.bulk_bytes(result)
-            self._answers.append(answer)
-
-    def _go_on(self, connection: Connection, request: rpc.RpcRequest, partial: PartialResult) -> None:
-        """Make one more item of a result; answer when it is complete."""
-        error, begun_ns = None, self.clock.now_ns()
-        try:
-            if self.api.advance(partial, request.method, request.params):
-                self._account(connection, request.method, True, begun_ns)
-                self.clients.note_buffered(connection)
-                if partial.buffered_bytes <= MAX_ANSWER_BYTES:
-                    return
-                error = f"the answer would have more than {MAX_ANSWER_BYTES >> 20} MiB: ask for less at once"
-        except rpc.RpcError as failure:
-            error = str(failure)
-        connection.begun = None
-        self.clients.note_buffered(connection)
-        if request.message_id is not None and connection.open:
-            self._answer(Answer(connection, request.message_id, error, None if error else partial.made))
-
-    def _answer_late(self, answer: Answer) -> None:
-        answer.connection.waiting -= 1
-        self._answers.append(answer)
+        if request.message_id is not None:
+            answer = Answer(connection, request.message_id, error, result)
+            if isinstance(result, DeferredReply) and result.due_wall_ns is None:
+                result.on_due = lambda _: self._answers.append(answer)
+            else:
+                self._answers.append(answer)
+        self._flush()
+        if connection in self.connected:
+            self._take_next(connection)
 
     def _flush(self) -> None:
         """Send the finished answers, in one packet per client.
 
         The last answer comes first: of a command and a continue-for that end together the client waits for the latter.
         """
-        answered: set[Connection] = set()
-        self._unpacked_bytes = 0
+        if not self._answers:
+            return
         while self._answers:
             answer = self._answers.pop()
-            if answer.connection.open:
-                answer.connection.unsent += answer.pack()
-                answered.add(answer.connection)
-        for connection in answered:
+            answer.connection.unsent += answer.pack()
+        for connection in self.connected.copy():
             self._send(connection)
-
-    def _send(self, connection: Connection) -> None:
-        """Send the rest of a client's answers; once it has read enough of them it is served again."""
-        self.clients.send(connection)
-        self._ask_again(connection)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import selectors
 import socket
 import struct
 from abc import ABC, abstractmethod
@@ -22,13 +21,10 @@ from uavaccel.wire.api import CALLS, Api
 from uavaccel.wire.broadcast import show_on_page
 from uavaccel.wire.latency import DEFAULT, Channel, Latency
 from uavaccel.wire.rpc import Received
+from uavaccel.wire.rpc_socket import RpcSocket
 from uavaccel.wire.server_watch import SILENCE_POLL_NS, ServerGoneError, ServerSilence, WatchedServer
 
-_QUICKACK = getattr(socket, "TCP_QUICKACK", None)
 POLL_NS = 1_000_000
-_READ_BYTES = 1 << 14
-_CLIENT_MESSAGE_BYTES = 1 << 28  # a recording is a large reply
-_CLIENT_ITEMS = 1 << 24  # so is a picture of floats
 AT_ONCE = {"pause", "continue", "state"}  # channels whose calls keep a server busy for microseconds
 
 
@@ -112,22 +108,6 @@ class Transport(ABC):
         """Release the connection."""
 
 
-def set_no_delay(connection: socket.socket) -> None:
-    """Disable Nagle's algorithm and delayed acknowledgements.
-
-    Together they hold the second of two small messages for 40 ms, such as a continue-for after a command. Linux resets
-    the second option: set it again after every read.
-    """
-    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-    set_quick_ack(connection)
-
-
-def set_quick_ack(connection: socket.socket) -> None:
-    """Acknowledge what was just read at once, where the system can."""
-    if _QUICKACK is not None:
-        connection.setsockopt(socket.IPPROTO_TCP, _QUICKACK, 1)
-
-
 class SocketTransport(Transport):
     """msgpack-rpc over TCP. Raises UserError if no server listens at the address.
 
@@ -138,28 +118,19 @@ class SocketTransport(Transport):
         super().__init__(MonotonicClock(), exclusive)
         self._silence = None if watch is None else ServerSilence(watch, self._ask)
         try:
-            self._socket = socket.create_connection((host, port), timeout=10)
-        except OSError as error:
-            raise UserError(f"no server at {host}:{port} ({error.strerror}); start one with `uavaccel serve`") from None
-        self._socket.settimeout(None)
+            self._rpc: RpcSocket[PendingCall] = RpcSocket(host, port)
+        except ConnectionError as error:
+            raise UserError(str(error)) from None
         if watch is not None:  # a wait without a deadline wakes now and then, which costs nothing otherwise
             interval = struct.pack("ll", SILENCE_POLL_NS // NS_PER_S, 0)
-            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, interval)
-        set_no_delay(self._socket)
-        self._decoder = rpc.Decoder(_CLIENT_MESSAGE_BYTES, _CLIENT_ITEMS)
-        self._open: dict[int, PendingCall] = {}
+            self._rpc.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, interval)
         self._unsent = b""
-        self._next_id = 0
-        self._selector = selectors.DefaultSelector()
-        self._selector.register(self._socket, selectors.EVENT_READ)
 
     def send(self, method: str, params: Sequence[object], blocking: bool, coalesced: bool = False) -> PendingCall:
         self.known.sending(method)
         call = PendingCall(method, params)
         call.sent_ns = self.clock.now_ns()
-        self._next_id = (self._next_id + 1) & 0xFFFFFFFF
-        self._open[self._next_id] = call
-        self._unsent += rpc.pack_request(self._next_id, method, params)
+        self._unsent += self._rpc.request(call, method, params)
         if not coalesced:
             self._flush()
         return call
@@ -168,7 +139,7 @@ class SocketTransport(Transport):
         if self._unsent:
             unsent, self._unsent = self._unsent, b""
             try:
-                self._socket.sendall(unsent)
+                self._rpc.socket.sendall(unsent)
             except ConnectionError as error:
                 raise ServerGoneError(f"the server closed the connection: {error}") from None
 
@@ -195,32 +166,25 @@ class SocketTransport(Transport):
         """Wait until something arrives, or for the deadline, or to ask a silent server whether it is there."""
         look_ns = self.clock.now_ns() + SILENCE_POLL_NS
         if self._silence is None or deadline_ns < look_ns:
-            return bool(wait_for_sockets(self._selector, deadline_ns))
-        if wait_for_sockets(self._selector, look_ns):
+            return bool(wait_for_sockets(self._rpc.selector, deadline_ns))
+        if wait_for_sockets(self._rpc.selector, look_ns):
             return True
         self._silence.goes_on()
         return False
 
     def _receive(self) -> None:
         try:
-            data = self._socket.recv(_READ_BYTES)
+            replies = list(self._rpc.receive())
         except BlockingIOError:  # nothing for SILENCE_POLL_NS
             if self._silence is not None:
                 self._silence.goes_on()
             return
         except ConnectionError as error:
-            raise ServerGoneError(f"the server closed the connection: {error}") from None
-        if not data:
-            raise ServerGoneError("the server closed the connection")
-        set_quick_ack(self._socket)
-        due_ns = []
-        for message in self._decoder.messages(data):
-            _, message_id, text, value = message
-            call = self._open.pop(message_id, None)
-            if call is not None:
-                call.done, call.error, call.value = True, text, value
-                due_ns.append(call.due_ns())
+            raise ServerGoneError(str(error)) from None
+        for call, error_text, value in replies:
+            call.done, call.error, call.value = True, error_text, value
         if self._silence is not None:
+            due_ns = [reply.call.due_ns() for reply in replies]
             self.stalled_ns += self._silence.broken_ns([due for due in due_ns if due is not None])
 
     def _ask(self) -> Callable[[], bool]:
@@ -231,8 +195,7 @@ class SocketTransport(Transport):
     def close(self) -> None:
         with contextlib.suppress(OSError):
             self._flush()
-        self._selector.close()
-        self._socket.close()
+        self._rpc.close()
 
 
 class VirtualTransport(Transport):
