@@ -25,6 +25,7 @@ from uavaccel.envs.environment_processes import BatchError
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.envs.simulators import make_batch
 from uavaccel.errors import UserError
+from uavaccel.sim.camera import gl
 
 NAME = "uavaccel/ObstacleLane-v0"
 COMMANDS = 9
@@ -190,6 +191,18 @@ def test_what_a_batch_is_asked_wrongly_is_one_clear_line(simulator: Any) -> None
         with pytest.raises(UserError, match=r"^reset: options = 3: must be a mapping, of lane$"):
             batch.reset(options=3)
         np.testing.assert_array_equal(batch.reset(seed=0)[0], before)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere OpenGL needs no choice")
+def test_pictures_without_opengl_are_refused_before_a_process_starts(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("MUJOCO_GL", raising=False)
+    monkeypatch.setattr(gl, "_first_that_works", lambda: None)
+    before = descendants(os.getpid())
+    with pytest.raises(UserError, match=r"^no OpenGL here to draw images with: install"):
+        EnvironmentBatch(ObstacleLane, 2)
+    assert descendants(os.getpid()) == before
+    with closing(EnvironmentBatch(ObstacleLane, 2, observation="state")) as batch:
+        batch.reset(seed=0)
 
 
 # --- ends -------------------------------------------------------------------------------------------------------
