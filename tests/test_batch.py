@@ -107,7 +107,7 @@ def test_gymnasium_makes_batches() -> None:
 
 def test_the_same_step_may_end_a_game_and_begin_another_and_close_leaves_nothing() -> None:
     task = {"observation": "state", "max_commands": 1}
-    batch = EnvironmentBatch(ObstacleLane, 2, 1, autoreset_mode="SameStep", **task)  # type: ignore[arg-type]
+    batch = EnvironmentBatch(ObstacleLane, 2, 1, autoreset_mode="SameStep", **task)
     with closing(batch), singles(2, **task) as alone:
         batch.reset(seed=[4, 9])
         batch.step_async([2, 0])

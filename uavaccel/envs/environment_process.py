@@ -117,10 +117,11 @@ def fly(options: ProgramOptions, seats: list[Seat], parent: int | None) -> None:
     end_with_process(parent)
     cv2.setNumThreads(0)  # its pictures are small, and its neighbours many
     shared = SharedObservations(options["observations"], options["memory"])
-    numbers: dict[Any, int] = {Connection(descriptor): number for number, descriptor in seats}
+    numbers = {Connection(descriptor): number for number, descriptor in seats}
     slots: dict[int, Slot] = {}
     while numbers:
-        for connection in wait(list(numbers)):
+        ready: list[Any] = wait(list(numbers))
+        for connection in ready:
             number = numbers[connection]
             try:
                 method, arguments = connection.recv()
