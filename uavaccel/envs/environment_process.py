@@ -23,7 +23,7 @@ import cv2
 from gymnasium.vector import AutoresetMode
 
 from uavaccel.envs.environment_processes import ProgramOptions, Seat, SharedObservations
-from uavaccel.envs.flight_env import environment_of
+from uavaccel.envs.flight_env import FlightEnv, environment_of
 from uavaccel.envs.values import Action, Info, rows_of, write
 from uavaccel.errors import UserError
 from uavaccel.own_code import errors_named, file_of
@@ -41,7 +41,8 @@ class Slot:
     def __init__(self, options: ProgramOptions, shared: SharedObservations, number: int) -> None:
         module, _, name = options["environment"].partition(":")
         found: Any = environment_of(getattr(importlib.import_module(module), name))
-        self.own, self._environment = file_of(found), found(**options["keys"])
+        self.own = file_of(found)
+        self._environment: FlightEnv[Any] = found(**options["keys"])
         self._autoreset, self._over = AutoresetMode(options["autoreset"]), False
         self._seen, self._last = (rows_of(each, number) for each in (shared.present, shared.last))
 
