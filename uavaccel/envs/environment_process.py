@@ -1,4 +1,4 @@
-"""The processes in which the environments of a batch fly, those of one process in turn.
+"""The processes in which the environments of a batch fly, each in a thread, so that one flies while another waits.
 
     python -m uavaccel.envs.environment_process <<< '{"environment": "uavaccel.envs.obstacle_lane:ObstacleLane", ...}'
 
@@ -13,10 +13,12 @@ import json
 import os
 import signal
 import sys
+import threading
 import traceback
 from collections.abc import Mapping
 from functools import partial
-from multiprocessing.connection import Connection, wait
+from multiprocessing.connection import Connection
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -24,7 +26,7 @@ from gymnasium.vector import AutoresetMode
 
 from uavaccel.envs.environment_processes import ProgramOptions, Seat, SharedObservations
 from uavaccel.envs.flight_env import FlightEnv, environment_of
-from uavaccel.envs.values import Action, Info, rows_of, write
+from uavaccel.envs.values import Action, Info, Observation, rows_of, write
 from uavaccel.errors import UserError
 from uavaccel.own_code import errors_named, file_of
 from uavaccel.processes.forks import fork_each
@@ -38,13 +40,12 @@ NICENESS = 5  # the learner, for whom all environments wait, goes first
 class Slot:
     """One environment of a batch; requests over its connection name a method of this class."""
 
-    def __init__(self, options: ProgramOptions, shared: SharedObservations, number: int) -> None:
-        module, _, name = options["environment"].partition(":")
-        found: Any = environment_of(getattr(importlib.import_module(module), name))
-        self.own = file_of(found)
-        self._environment: FlightEnv[Any] = found(**options["keys"])
-        self._autoreset, self._over = AutoresetMode(options["autoreset"]), False
-        self._seen, self._last = (rows_of(each, number) for each in (shared.present, shared.last))
+    def __init__(
+        self, environment: FlightEnv[Any], seen: Observation, last: Observation, autoreset: AutoresetMode
+    ) -> None:
+        self._environment, self._autoreset = environment, autoreset
+        self._seen, self._last = seen, last
+        self._over = False
 
     def reset(self, seed: int | None, options: Mapping[str, object] | None) -> Info:
         """Begin a game and return its info; the observation goes into shared memory."""
@@ -86,6 +87,36 @@ class Slot:
         self._environment.close()
 
 
+def fly(options: ProgramOptions, number: int, descriptor: int) -> None:
+    """Serve slot `number` until its connection ends. Answers are (True, result) or, for errors, (False, kind, text)."""
+    shared, connection = SharedObservations(options["observations"], options["memory"]), Connection(descriptor)
+    module, _, name = options["environment"].partition(":")
+    slot: Slot | None = None
+    own: Path | None = None
+    try:
+        while True:
+            method, arguments = connection.recv()
+            try:
+                if slot is None:
+                    found: Any = environment_of(getattr(importlib.import_module(module), name))
+                    environment, own = found(**options["keys"]), file_of(found)
+                    autoreset = AutoresetMode(options["autoreset"])
+                    seen, last = (rows_of(each, number) for each in (shared.present, shared.last))
+                    slot = Slot(environment, seen, last, autoreset)
+                with errors_named(own):
+                    answer = getattr(slot, method)(*arguments)
+                connection.send((True, answer))
+            except (UserError, AttributeError) as error:
+                connection.send((False, type(error).__name__, str(error)))
+            except Exception:
+                connection.send((False, "", traceback.format_exc()))
+    except (EOFError, OSError):  # nobody listens any more
+        pass
+    finally:
+        if slot is not None:
+            slot.close()
+
+
 def main() -> None:
     options = json.load(sys.stdin)
     if options["folder"] is not None:
@@ -94,12 +125,12 @@ def main() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's
     parent = descriptor_of_parent(options["parent"])
     if options["reports"] is None:
-        fly(options, options["processes"][0], parent)
+        fly_together(options, options["processes"][0], parent)
         return
     load(options["environment"])
     processes = options["processes"]
     descriptors = [{options["memory"], *(connection for _, connection in process)} for process in processes]
-    fork_each(descriptors, options["reports"], lambda number: fly(options, processes[number], parent))
+    fork_each(descriptors, options["reports"], lambda number: fly_together(options, processes[number], parent))
 
 
 def load(environment: str) -> None:
@@ -110,36 +141,15 @@ def load(environment: str) -> None:
     World("blocks", NATIVE).advance(1)
 
 
-def fly(options: ProgramOptions, seats: list[Seat], parent: int | None) -> None:
-    """Fly the environments of one process, a request at a time, until their connections end, or the parent does.
-
-    Answers are (True, result) or, for errors, (False, kind, text).
-    """
+def fly_together(options: ProgramOptions, seats: list[Seat], parent: int | None) -> None:
+    """Fly the environments of one process until their connections end, or the parent does."""
     end_with_process(parent)
     cv2.setNumThreads(0)  # its pictures are small, and its neighbours many
-    shared = SharedObservations(options["observations"], options["memory"])
-    numbers = {Connection(descriptor): number for number, descriptor in seats}
-    slots: dict[int, Slot] = {}
-    while numbers:
-        ready: list[Any] = wait(list(numbers))
-        for connection in ready:
-            number = numbers[connection]
-            try:
-                method, arguments = connection.recv()
-                try:
-                    if number not in slots:
-                        slots[number] = Slot(options, shared, number)
-                    with errors_named(slots[number].own):
-                        answer = getattr(slots[number], method)(*arguments)
-                    connection.send((True, answer))
-                except (UserError, AttributeError) as error:
-                    connection.send((False, type(error).__name__, str(error)))
-                except Exception:
-                    connection.send((False, "", traceback.format_exc()))
-            except (EOFError, OSError):  # nobody listens any more
-                del numbers[connection]
-    for slot in slots.values():
-        slot.close()
+    threads = [threading.Thread(target=fly, args=(options, *seat)) for seat in seats]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
 
 
 if __name__ == "__main__":
