@@ -437,6 +437,6 @@ def test_a_policy_that_was_exported_flies_as_the_policy_does(task: dict[str, Any
 
 
 def test_without_onnxruntime_an_onnx_file_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("uavaccel.rl.onnx_agent.find_spec", lambda name: None)
-    with pytest.raises(UserError, match=r"^model.onnx: needs onnxruntime: pip install onnxruntime$"):
+    monkeypatch.setattr("uavaccel.resources.find_spec", lambda name: None)
+    with pytest.raises(UserError, match=r"^model.onnx: needs onnxruntime: pip install .*\[onnx\]'$"):
         origin_of("model.onnx")

@@ -25,6 +25,7 @@ from uavaccel.cli.terminal import columns_within
 from uavaccel.draw.page import Table
 from uavaccel.errors import Interrupted, UsageError, UserError
 from uavaccel.records import RunDirectory
+from uavaccel.rl.config import LANE
 from uavaccel.suites.keys import KEYS
 from uavaccel.suites.registry import SUITES, find_suite
 from uavaccel.suites.session import Plan, RunRequest, configure, planned, resumable, resumption_notes
@@ -509,31 +510,38 @@ def test_the_best_and_the_worst_game_are_filmed_under_their_names(
 ) -> None:
     games = {"far": (False, 3, 9.0), "slow": (True, 30, 50.0), "near": (False, 3, 1.0), "quick": (True, 20, 50.0)}
     names = ("is_success", "commands", "distance_m")
-    rows = [{"case": case, **dict(zip(names, game, strict=True))} for case, game in games.items()]
+    rows = [{"case": case, "lane": 0, **dict(zip(names, game, strict=True))} for case, game in games.items()]
     monkeypatch.setattr("uavaccel.cli.results.film_game", lambda *filmed: print(*filmed))
+    monkeypatch.setattr("uavaccel.sim.camera.gl.describe_renderer", lambda: None)
     config = {} if simulator is None else {"simulator": simulator}
     run: Any = SimpleNamespace(path="run", rows=lambda: rows, config=lambda: config, file=str)
     experiments.film_extremes(run)
     said = capsys.readouterr().out.splitlines()
-    assert said[-2:] == ["run quick None films/best.mp4", "run near None films/worst.mp4"]
+    assert said[-3::2] == ["run quick None films/best.mp4", "run near None films/worst.mp4"]
     assert ("exact simulator" in said[0]) == (simulator == "kernels")
 
 
-EVALUATED = [{"suite": "evaluate", "lane": lane} for lane in (2, 3)]
-OF_ANOTHER = [{"suite": "dp2", "lane": lane} for lane in (0, 1, 2)]
+EVALUATED = [{"suite": "evaluate", "case": f"lane-{lane}"} for lane in (2, 3)]
+OF_ANOTHER = [{"suite": "dp2", "case": f"lane-{lane}"} for lane in (0, 1, 2)]
+HOVER = "uavaccel/Hover-v0"
 
 
 @pytest.mark.parametrize(
-    ("rows", "games", "comparable"),
-    [(EVALUATED, 3, True), (EVALUATED, 2, False), (OF_ANOTHER, 3, False), ([], 3, False)],
+    ("rows", "env_id", "games", "comparable"),
+    [
+        *((EVALUATED, LANE, 3, True), (EVALUATED, LANE, 2, False), (EVALUATED, HOVER, 3, False)),
+        *((OF_ANOTHER, LANE, 3, False), ([], LANE, 3, False)),
+    ],
 )
 def test_evaluations_are_compared_where_they_have_a_lane_in_common(
-    monkeypatch: pytest.MonkeyPatch, rows: list[dict[str, Any]], games: int, comparable: bool
+    monkeypatch: pytest.MonkeyPatch, rows: list[dict[str, Any]], env_id: str, games: int, comparable: bool
 ) -> None:
     """Which is found out before anything is flown."""
-    monkeypatch.setattr("uavaccel.suites.registry.open_run", lambda path: SimpleNamespace(path=path, rows=lambda: rows))
-    cases = [SimpleNamespace(lane=lane) for lane in range(games)]
-    plan = SimpleNamespace(suite=SimpleNamespace(name="evaluate"), cases=cases)
+    other = SimpleNamespace(path="other", rows=lambda: rows, config=lambda: {"env_id": env_id})
+    monkeypatch.setattr("uavaccel.suites.registry.open_run", lambda path: other)
+    cases = [SimpleNamespace(id=f"lane-{lane}") for lane in range(games)]
+    config = SimpleNamespace(env_id=LANE)
+    plan = SimpleNamespace(suite=SimpleNamespace(name="evaluate"), cases=cases, config=config)
     flown: list[RunRequest] = []
 
     def run_experiment(request: RunRequest, check: Any, films: Any) -> None:

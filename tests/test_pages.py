@@ -93,9 +93,10 @@ def test_every_key_of_the_yaml_files_has_a_meaning() -> None:
     assert [row for row in rows if row.rstrip(" |").count(" | ") != 3] == []
 
 
-def test_every_suite_is_among_the_experiments() -> None:
+def test_every_suite_that_ships_is_among_the_experiments() -> None:
     readme = (ROOT / "experiments" / "README.md").read_text(encoding="utf-8")
-    assert [name for name in SUITES if f"[{name}.yaml]" not in readme] == []
+    shipped = [name for name in SUITES if (ROOT / "experiments" / f"{name}.yaml").exists()]
+    assert [name for name in shipped if f"[{name}.yaml]" not in readme] == []
 
 
 def test_the_drawing_of_the_rooms_is_the_rule_of_imports() -> None:

@@ -125,9 +125,9 @@ uavaccel.train("hover_ppo", seeds=3, games=200, task={"reach_m": 2.0}, options={
 
 
 @pytest.mark.slow
-def test_a_strict_type_checker_passes_the_quickstart_and_finds_mistakes(tmp_path: Path) -> None:
+def test_a_strict_type_checker_passes_the_tutorial_and_finds_mistakes(tmp_path: Path) -> None:
     """As a stranger's project has it: its own settings, without the plugin of pydantic."""
-    for block in blocks_of(ROOT / "docs/quickstart.md"):
+    for block in blocks_of(ROOT / "docs/tutorial.md"):
         if block.title:
             (tmp_path / block.title).write_text(block.code)
     start = "import uavaccel\nfrom slalom import Slalom\nfrom uavaccel.envs.hover import Hover\n"

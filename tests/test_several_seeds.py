@@ -74,7 +74,7 @@ def test_numbers_over_seeds_have_a_mean_with_its_interval_and_a_range(tmp_path: 
     evaluated = summary["over_seeds"]["evaluation_success"]
     assert (evaluated["mean"], evaluated["low"], evaluated["high"]) == (0.5, 0.0, 1.0)
     assert report.headline() == (
-        "evaluation lanes won after the last game: 50.0% [0.0%, 100.0%], mean of 3 seeds, with its 95 % interval"
+        "Evaluation lanes won after the last game: 50.0% [0.0%, 100.0%], mean of 3 seeds, with its 95 % interval"
     )
     table = report.overview()
     assert table is not None

@@ -46,7 +46,7 @@ class Rows:
         """Key, values, default and meaning of each property, those of inner mappings below it."""
         for key, value in part["properties"].items():
             name = f"{prefix}{key}"
-            if name == "suite":
+            if key == "suite":
                 continue
             about = " ".join(value.get("description", "").split())
             inner = self._mapping(value)

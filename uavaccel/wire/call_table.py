@@ -12,7 +12,7 @@ OWN = "uavaccel"  # prefix of the calls that are not AirSim's
 HEAD = """# AirSim's calls
 
 Every call of AirSim v1.8.1's Python client, by its name on the wire. *Done*: it does here what it does there.
-*Accepted*: it is answered and has no effect; the server names it once on its terminal. *Refused*: the caller gets an
+*Accepted*: it is answered without effect, and the server names it once on its terminal. *Refused*: the caller gets an
 error that names it. Made by `python -m uavaccel.wire.call_table`.
 """
 
@@ -35,8 +35,10 @@ def page() -> str:
     )
     lines = [HEAD, f"Of {len(answers)} calls {done} are done, {accepted} accepted, {refused} refused."]
     for title, calls in sections().items():
-        rows = [f"| `{call.name}` | {call.status} |" for call in calls]
-        lines += ["", f"## {title}", "", "| call | here |", "|---|---|", *rows]
+        named: dict[str, list[str]] = {}
+        for call in calls:
+            named.setdefault(call.status, []).append(f"`{call.name}`")
+        lines += ["", f"## {title}", "", *(f"- *{status}*: {', '.join(names)}" for status, names in named.items())]
     return "\n".join(lines) + "\n"
 
 

@@ -6,7 +6,7 @@ from functools import cached_property
 
 from uavaccel.kinematics import Kinematics
 from uavaccel.sim.flight.pilot import Pilot
-from uavaccel.sim.scene.name_pattern import NamePattern
+from uavaccel.sim.scene.name_pattern import matching
 from uavaccel.sim.scene.objects import SceneObjects
 from uavaccel.sim.simulation import Simulation
 from uavaccel.sim.vehicle.vehicle import Vehicle
@@ -87,8 +87,7 @@ class Scenery:
 
     def named_like(self, pattern: str) -> list[str]:
         """List the objects, then the vehicles, whose whole name matches. Raises ValueError for a wrong pattern."""
-        expression = NamePattern(pattern)
-        return [name for name in self._all_names() if expression.matches(name)]
+        return matching(pattern, self._all_names())
 
     def _all_names(self) -> list[str]:
         return [*self.objects.names(), *self._names()]
