@@ -19,7 +19,6 @@ from uavaccel.files import check_new_file
 from uavaccel.limits import MOST_SECONDS
 from uavaccel.machine import describe_run
 
-RENDERERS = ("shared", "own", "auto")
 Bench = Callable[[], Iterator[speed.Measurement]]
 BENCHES: dict[str, Bench] = {
     "hot-loop": speed.bench_hot_loop,
@@ -47,12 +46,8 @@ def run(
         list[int] | None, typer.Option(min=1, help="For `batch`: number of lanes, by default 8; repeatable.")
     ] = None,
     processes: Annotated[
-        int | None, typer.Option(min=1, help="For `batch`: number of processes, by default one per core.")
+        int | None, typer.Option(min=1, help="For `batch`: number of processes, by default at most two per core.")
     ] = None,
-    tiles: Annotated[
-        int | None, typer.Option(min=1, help="For `batch`: images rendered at once, by default one per lane.")
-    ] = None,
-    renderer: Annotated[str, typer.Option(help="For `batch`: shared, own or auto.")] = "shared",
 ) -> None:
     """Measure this machine: hot loop, round trips, TCSC, rendering, batches, kernels."""
     names = names or []
@@ -60,10 +55,7 @@ def run(
         raise UsageError(f"no bench {unknown[0]!r}; there are {', '.join(BENCHES)}")
     if out is not None:
         check_new_file(out)
-    if renderer not in RENDERERS:
-        raise UserError(f"--renderer {renderer}: must be {', '.join(RENDERERS)}")
-    size = batch.BatchSize(tuple(lanes or [8]), processes, tiles, renderer)
-    benches: dict[str, Bench] = {**BENCHES, "batch": partial(batch.bench_batch, size)}
+    benches: dict[str, Bench] = {**BENCHES, "batch": partial(batch.bench_batch, lanes or [8], processes)}
     machine = check_machine()
     console.print(f"machine check: {machine['verdict']}")
     measurements = [each for name in names or BENCHES for each in _measured(benches[name])]

@@ -71,7 +71,7 @@ def test_the_state_is_that_of_the_next_decision_and_nothing_after_a_collision() 
 def test_a_batch_observes_what_its_environments_do() -> None:
     keys = {**SMALL, "also_state": True, "max_commands": 2}
     with (
-        closing(EnvironmentBatch(Navigate, 2, autoreset_mode="SameStep", renderer="own", **keys)) as batch,
+        closing(EnvironmentBatch(Navigate, 2, autoreset_mode="SameStep", **keys)) as batch,
         closing(Navigate(**keys)) as one,
     ):
         seen, _ = batch.reset(seed=7)

@@ -177,7 +177,7 @@ timing advise --t-move nan -> --t-move; timing advise --t-move 1e308 -> --t-move
 timing advise --error nan -> --error; timing advise --rounds 0 -> --rounds; timing advise --rounds 1001 -> --rounds
 timing advise --profile unreal -> --profile; timing advise --latency nowhere.yaml -> nowhere.yaml
 bench nothing -> nothing; bench --soak-s -1 -> --soak-s; bench --soak-s nan -> --soak-s
-bench batch --lanes 0 -> --lanes; bench batch --renderer none -> --renderer
+bench batch --lanes 0 -> --lanes
 bench hot-loop --out nowhere/bench.json -> --out; serve --clock 0 -> clock
 serve --clock nan -> clock; serve --port 99999 -> port; serve --port -1 -> port
 serve --host nowhere.invalid -> nowhere.invalid; serve --profile unreal -> profile; serve --scene moon -> moon

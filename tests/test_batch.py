@@ -1,4 +1,4 @@
-"""Batches: each environment flies as it would alone, whoever draws; and nothing of them is left behind."""
+"""Batches: each environment flies as it would alone; and nothing of them is left behind."""
 
 from __future__ import annotations
 
@@ -25,17 +25,14 @@ from uavaccel.envs.environment_processes import BatchError
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.envs.simulators import make_batch
 from uavaccel.errors import UserError
-from uavaccel.sim.rendering.service import RenderService
+from uavaccel.sim.camera import gl
 
 NAME = "uavaccel/ObstacleLane-v0"
 COMMANDS = 9
-FLOWN: list[tuple[tuple[int, int, str, int], dict[str, Any]]] = [  # lanes, processes, renderer, tiles
-    ((5, 2, "shared", 3), {}),
-    (
-        (3, 1, "shared", 2),
-        {"observation": "colour", "history": 2, "difficulty": {"scenery": "forest"}, "image_noise": 2.0},
-    ),
-    ((2, 2, "own", 1), {"observation": "depth", "timing": "virtual", "command": "adsc", "clock_speed": 5.0}),
+FLOWN: list[tuple[tuple[int, int], dict[str, Any]]] = [  # lanes, processes
+    ((5, 2), {}),
+    ((3, 1), {"observation": "colour", "history": 2, "difficulty": {"scenery": "forest"}, "image_noise": 2.0}),
+    ((2, 2), {"observation": "depth", "timing": "virtual", "command": "adsc", "clock_speed": 5.0}),
 ]
 
 
@@ -79,7 +76,7 @@ def assert_flies_as_alone(batch: EnvironmentBatch, alone: list[ObstacleLane], co
 @needs_opengl
 @pytest.mark.slow
 @pytest.mark.parametrize(("size", "keys"), FLOWN)
-def test_a_batch_flies_as_single_environments_do(size: tuple[int, int, Any, int], keys: dict[str, Any]) -> None:
+def test_a_batch_flies_as_single_environments_do(size: tuple[int, int], keys: dict[str, Any]) -> None:
     task = {"max_commands": 6, **keys}
     batch, lanes = EnvironmentBatch(ObstacleLane, *size, **task), size[0]
     with closing(batch), singles(lanes, **task) as alone:
@@ -110,7 +107,7 @@ def test_gymnasium_makes_batches() -> None:
 
 def test_the_same_step_may_end_a_game_and_begin_another_and_close_leaves_nothing() -> None:
     task = {"observation": "state", "max_commands": 1}
-    batch = EnvironmentBatch(ObstacleLane, 2, 1, autoreset_mode="SameStep", **task)  # type: ignore[arg-type]
+    batch = EnvironmentBatch(ObstacleLane, 2, 1, autoreset_mode="SameStep", **task)
     with closing(batch), singles(2, **task) as alone:
         batch.reset(seed=[4, 9])
         batch.step_async([2, 0])
@@ -160,12 +157,10 @@ def test_lanes_answer_by_themselves_until_one_dies() -> None:
         ({"num_envs": "2"}, "num_envs = '2': must be a whole number"),
         ({"num_envs": "2", "simulator": "kernels"}, "num_envs = '2': must be a whole number"),
         ({"num_envs": 2, "processes": "x"}, "processes = 'x': must be a whole number"),
-        ({"num_envs": 2, "tiles": 1.5}, "tiles = 1.5: must be a whole number"),
         ({"num_envs": 2, "simulator": "kernels", "threads": 0}, "threads = 0: must be a whole number, at least 1"),
         ({"num_envs": 2, "autoreset_mode": "x"}, "autoreset_mode = 'x' is unknown; there are NextStep, SameStep"),
         ({"num_envs": 2, "autoreset_mode": "x", "simulator": "kernels"}, "autoreset_mode = 'x' is unknown"),
         ({"num_envs": 1, "render_mode": "x"}, "render_mode = 'x' is unknown; there are None, rgb_array"),
-        ({"num_envs": 2, "renderer": "mine"}, "renderer = 'mine' is unknown; there are auto, shared, own"),
         ({"num_envs": 2, "timing": "wall"}, "a batch flies in virtual or lockstep"),
         ({"num_envs": 2, "speed": 3.0}, "speed"),
     ],
@@ -198,28 +193,19 @@ def test_what_a_batch_is_asked_wrongly_is_one_clear_line(simulator: Any) -> None
         np.testing.assert_array_equal(batch.reset(seed=0)[0], before)
 
 
-# --- ends -------------------------------------------------------------------------------------------------------
-
-
-@needs_opengl
-@pytest.mark.slow
-@pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
-@pytest.mark.parametrize(("end", "how"), [
-    (signal.SIGKILL, "ended with status -9"),
-    (signal.SIGSTOP, "hangs: it was stopped"),
-])  # fmt: skip
-def test_a_renderer_that_draws_no_more_is_said_in_one_line(
-    end: signal.Signals, how: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(environment_processes, "POLL_S", 0.1)
-    with closing(EnvironmentBatch(ObstacleLane, 2, 1, "shared")) as batch:
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere OpenGL needs no choice")
+def test_pictures_without_opengl_are_refused_before_a_process_starts(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("MUJOCO_GL", raising=False)
+    monkeypatch.setattr(gl, "_first_that_works", lambda: None)
+    before = descendants(os.getpid())
+    with pytest.raises(UserError, match=r"^no OpenGL here to draw images with: install"):
+        EnvironmentBatch(ObstacleLane, 2)
+    assert descendants(os.getpid()) == before
+    with closing(EnvironmentBatch(ObstacleLane, 2, observation="state")) as batch:
         batch.reset(seed=0)
-        assert batch.service is not None
-        batch.service.process.send_signal(end)
-        with pytest.raises(BatchError, match=f"^the renderer of all environments {how}$"):
-            batch.step([2, 2])
-        pids = [*batch.process_ids, batch.service.process.pid]
-    assert not left_after(pids, 0.0)
+
+
+# --- ends -------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
@@ -275,24 +261,11 @@ def test_a_batch_closes_though_its_processes_are_stopped(gone: bool) -> None:
     assert not left_after([loaded, *pids], 1.0)
 
 
-@needs_opengl
-def test_a_renderer_that_is_killed_before_it_draws_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    start = RenderService.__init__
-
-    def killed(self: RenderService, *arguments: Any) -> None:
-        start(self, *arguments)
-        self.process.kill()
-
-    monkeypatch.setattr(RenderService, "__init__", killed)
-    with pytest.raises(BatchError, match=r"^the renderer ended with status -9 before it could draw$"):
-        EnvironmentBatch(ObstacleLane, 2, 2, "shared")
-
-
 FLYING = """
 import numpy as np, sys
 from uavaccel.envs.batch import EnvironmentBatch
 from uavaccel.envs.obstacle_lane import ObstacleLane
-batch = EnvironmentBatch(ObstacleLane, 2, 1, "shared")
+batch = EnvironmentBatch(ObstacleLane, 2, 1)
 batch.reset(seed=0)
 print("flying", flush=True)
 while True:
@@ -316,7 +289,7 @@ def test_nothing_is_left_when_the_program_is_killed() -> None:
     assert program.stdout is not None
     assert program.stdout.readline() == "flying\n"
     started = descendants(program.pid)
-    assert len(started) == 2  # one for the lanes, one that draws
+    assert len(started) == 1
     assert not named_memory([program.pid, *started])
     program.kill()
     program.wait()

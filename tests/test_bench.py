@@ -70,12 +70,12 @@ def test_benches_are_run_in_their_order_and_kept_and_one_that_cannot_is_left_out
 
     known = {"first": lambda: measured("first"), "broken": lambda: measured("broken"), "batch": None}
     given(bench, BENCHES=known, check_machine=lambda: {"verdict": "noisy"})
-    given(batch, bench_batch=lambda size: measured("batch", size))
+    given(batch, bench_batch=lambda *size: measured("batch", *size))
     given(speed, bench_soak=lambda seconds: measured("soak", seconds))
     out, line = tmp_path / "bench.json", "first 1,234.50 per s of 2,000.00 noted"
-    options = f"--out {out} --lanes 4 --lanes 16 --processes 2 --tiles 3 --renderer own"
+    options = f"--out {out} --lanes 4 --lanes 16 --processes 2"
     assert typed(f"bench batch first {options}")[-1] == line
-    assert ran == [("batch", ((4, 16), 2, 3, "own")), ("first",)]
+    assert ran == [("batch", [4, 16], 2), ("first",)]
     kept = json.loads(out.read_text())
     assert [each["name"] for each in kept["measurements"]] == ["batch", "first"]
     expected = {"name": "first", "value": 1234.5, "unit": "per s", "bound": 2000.0, "note": "noted"}
@@ -85,7 +85,7 @@ def test_benches_are_run_in_their_order_and_kept_and_one_that_cannot_is_left_out
     ran.clear()
     both = ["batch 1,234.50 per s noted", "soak 1,234.50 per s noted"]
     assert typed("bench --soak-s 2.5") == [line, "left out: no card", *both]
-    assert ran == [("first",), ("broken",), ("batch", ((8,), None, None, "shared")), ("soak", 2.5)]
+    assert ran == [("first",), ("broken",), ("batch", [8], None), ("soak", 2.5)]
 
 
 # --- flight -----------------------------------------------------------------------------------------------------------
@@ -154,10 +154,9 @@ def test_a_soak_calls_at_its_rate_and_holds_memory_against_that_after_a_tenth(gi
 def test_a_batch_is_counted_in_commands_and_in_pictures_of_all_lanes(given: Callable[..., None]) -> None:
     """As if each measurement took half a second."""
     made: list[Any] = []
-    drawn: list[Any] = []
 
     class Lanes:
-        service, processes, tiles, process_ids = None, 2, 4, ()
+        processes, process_ids = 2, ()
 
         def __init__(self, kind: Any, lanes: int, *how: Any, **task: float) -> None:
             self.commands, self.lanes = 0, lanes
@@ -171,16 +170,9 @@ def test_a_batch_is_counted_in_commands_and_in_pictures_of_all_lanes(given: Call
         def reset(self, seed: int) -> None: ...
         def close(self) -> None: ...
 
-    tiles = SimpleNamespace(
-        renderer=SimpleNamespace(name="nobody"), render=lambda *how: drawn.append(how),
-        read=lambda *_: nullcontext(), close=lambda: None,
-    )  # fmt: skip
-    given(batch, 0.5, EnvironmentBatch=Lanes, Tiles=lambda *_: tiles)
-    found = by_name(batch.bench_batch(batch.BatchSize((8,), tiles=4)))
-    assert len(drawn) == 2 * 30 * 4  # to warm up, and measured
-    pictures, bare = 5 * 8 * 50 / 0.5, 30 * 4 / 0.5
-    assert numbers(found["8 lanes: pictures"]) == (pictures, bare)
-    assert found["8 lanes: over the bare loop"].value == pytest.approx(pictures / bare)
+    given(batch, 0.5, EnvironmentBatch=Lanes)
+    found = by_name(batch.bench_batch())
+    assert found["8 lanes: pictures"].value == 5 * 8 * 50 / 0.5
     assert found["8 lanes: commands"].value == 30 * 8 / 0.5
     assert [each.commands for each in made] == [3 + 5, 3 + 30]
 

@@ -23,12 +23,9 @@ from uavaccel.cli.main import app
 from uavaccel.cli.options import one_of, shipped
 from uavaccel.cli.terminal import columns_within
 from uavaccel.draw.page import Table
-from uavaccel.envs import batch
-from uavaccel.envs.obstacle_lane import LaneTask
 from uavaccel.errors import Interrupted, UsageError, UserError
 from uavaccel.records import RunDirectory
 from uavaccel.rl.config import LANE
-from uavaccel.sim.camera import gl
 from uavaccel.suites.keys import KEYS
 from uavaccel.suites.registry import SUITES, find_suite
 from uavaccel.suites.session import Plan, RunRequest, configure, planned, resumable, resumption_notes
@@ -164,17 +161,6 @@ print(*sys.modules, file=sys.stderr)
     done = uavaccel("-c", program)
     assert done.returncode == 0
     assert not {"scipy.stats", "torch._dynamo"} & set(done.stderr.split())
-
-
-def test_no_renderer_is_started_where_this_process_knows_that_software_draws(monkeypatch: pytest.MonkeyPatch) -> None:
-    def started(*arguments: object) -> None:
-        raise AssertionError("a renderer was started")
-
-    monkeypatch.setattr(batch, "RenderService", started)
-    monkeypatch.setattr(gl, "_found", gl.GlRenderer("egl", "llvmpipe", software=True))
-    assert batch._service(LaneTask(), 2, 2, "auto") is None
-    with pytest.raises(AssertionError, match="started"):
-        batch._service(LaneTask(), 2, 2, "shared")
 
 
 # --- what is typed is what is asked for -------------------------------------------------------------------------------

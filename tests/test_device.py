@@ -97,7 +97,7 @@ def test_make_vec_says_which_simulator_flies() -> None:
             {"simulator": "kernels", "device": "cuda"},
             "device = cuda: (needs numba-cuda: pip install|PyTorch finds no GPU)",
         ),
-        ({"simulator": "kernels", "renderer": "own"}, "renderer: needs simulator = mujoco"),
+        ({"simulator": "kernels", "processes": 2}, "processes: needs simulator = mujoco"),
         ({"simulator": "kernels", "render_mode": "rgb_array"}, "render_mode: needs simulator = mujoco"),
         ({"simulator": "kernels", "timing": "wall"}, "simulator = kernels: timing wall"),
     ],

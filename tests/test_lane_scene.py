@@ -17,8 +17,6 @@ from uavaccel.resources import asset
 from uavaccel.sim.lane.file import layout_from
 from uavaccel.sim.lane.layout import HULL_RADIUS_M, LENGTH_M, MAX_OBSTACLES, LaneLayout, clearance_m, sample_layout
 from uavaccel.sim.lane.scene import apply_layout, obstacle_geoms
-from uavaccel.sim.rendering.slots import read_appearance, slot_dtype, write_appearance
-from uavaccel.sim.scene.model import load_scene
 from uavaccel.sim.vehicle.goal import of_velocity
 from uavaccel.sim.world import World
 
@@ -243,30 +241,3 @@ def test_obstacles_have_their_own_shapes_and_the_rest_is_not_seen(lane_world: Wo
     assert depth_m[edge] - near == pytest.approx(bulge, abs=0.09)
     seen = object_names(lane_world.model, camera.segmentation(data))
     assert seen == ["ground", "obstacle_00", "wall_east", "wall_west"]
-
-
-@pytest.mark.parametrize("scenery", ["plain", "forest"])
-def test_a_renderer_elsewhere_is_told_all_of_a_layout_that_can_be_seen(scenery: str) -> None:
-    """Posts and trunks of several sizes, colours and light; only what contacts alone need stays behind."""
-    obstacles = [
-        {"x_m": 20.0, "y_m": -2.0, "half_side_m": 0.3, "texture": "blue"},
-        {"x_m": 30.0, "y_m": 1.0, "radius_m": 0.9},
-    ]
-    lane = {"obstacles": obstacles, "wall_texture": "brick", "ground_texture": "grass", "light": 0.3}
-    layout = layout_from(lane | {"sun_azimuth_rad": -0.7, "scenery": scenery}, "test")
-    here, there, untouched = (load_scene("lane", scenery=scenery) for _ in range(3))
-    apply_layout(here, mujoco.MjData(here), layout)
-    looks = np.zeros(slot_dtype(here)["looks"].shape, np.uint8)
-    write_appearance(here, looks)
-    read_appearance(looks, there)
-    changed = {name for name, values in arrays(here).items() if not np.array_equal(values, arrays(untouched)[name])}
-    behind = {name for name in changed if not np.array_equal(arrays(here)[name], arrays(there)[name])}
-    assert {"geom_pos", "geom_matid", "geom_rgba", "light_dir", "light_ambient", "light_diffuse"} < changed
-    assert ("geom_dataid" in changed) == (scenery == "forest")
-    assert behind <= {"geom_aabb", "bvh_aabb"}
-
-
-def arrays(model: mujoco.MjModel) -> dict[str, NDArray[Any]]:
-    """All arrays of a model by name."""
-    fields = {name: getattr(model, name) for name in dir(model)}
-    return {name: value for name, value in fields.items() if isinstance(value, np.ndarray)}

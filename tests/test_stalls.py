@@ -69,13 +69,8 @@ def test_one_that_works_does_not_until_it_is_stopped(start: Start) -> None:
     assert found == [[]] * (STOPPED_POLLS - 1) + [[pid]]
 
 
-def test_the_work_of_a_helper_and_of_a_child_counts(start: Start) -> None:
-    waiting, helper, stalls = start(WAITS), start(WORKS), StallDetector()
-    for _ in range(2 * IDLE_POLLS):
-        work_a_little(helper)
-        assert stalls.poll([waiting], helper) == []
-    assert stalls.poll([waiting], start(WAITS), polls=3) == []
-    parent = start(PARENT)
+def test_the_work_of_a_child_counts(start: Start) -> None:
+    parent, stalls = start(PARENT), StallDetector()
     (child,) = descendants(parent)
     for _ in range(2 * IDLE_POLLS):
         work_a_little(child)

@@ -1,51 +1,35 @@
 """Vectorised environments of one task in the exact simulator, in several processes.
 
-Each environment flies as it would alone, to the last bit. If OpenGL has a GPU, one process renders for all of them,
-since contexts only take turns on it; with a software renderer each process renders for itself.
+Each environment flies as it would alone, to the last bit, and draws in its own process.
 """
 
 from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
 from uavaccel.envs.checks import actions_of, autoreset_of, check_render_mode, make_task, whole_number
-from uavaccel.envs.environment_processes import (
-    BatchError,
-    BatchOptions,
-    EnvironmentProcesses,
-    SharedObservations,
-    form_of,
-)
+from uavaccel.envs.environment_processes import BatchOptions, EnvironmentProcesses, SharedObservations, form_of
 from uavaccel.envs.flight_env import FlightEnv
-from uavaccel.envs.sensors import PICTURE_SIZE
-from uavaccel.envs.task import Task
 from uavaccel.envs.turn_batch import TurnBatch
 from uavaccel.envs.values import Actions, Answer, Info, Observation, Steps, copied, rows_of
 from uavaccel.errors import UserError
 from uavaccel.limits import MOST_GAMES, MOST_PROCESSES
 from uavaccel.machine import usable_cores
 from uavaccel.own_code import folder_of
-from uavaccel.sim.camera.gl import known_renderer
-from uavaccel.sim.rendering.camera import RendererGoneError
-from uavaccel.sim.rendering.service import RenderService
-
-Renderer = Literal["auto", "shared", "own"]
-RENDERERS = ("auto", "shared", "own")
-MOST_TILES = 64
+from uavaccel.sim.camera.gl import choose_backend
 
 
 class EnvironmentBatch(TurnBatch):
     """`num_envs` environments of the class `environment`, a FlightEnv, with that class's keywords.
 
-    They fly in `processes` processes, by default at most two per core. The `renderer` is "shared", or each process has
-    its "own"; "auto" shares one if there is a GPU. Up to `tiles` pictures are rendered at once. Raises UserError for
-    keywords that do not fit; methods raise UserError or BatchError for errors in an environment.
+    They fly in `processes` processes, by default at most two per core. Raises UserError for keywords that do not fit,
+    and without OpenGL if they observe pictures; methods raise UserError or BatchError for errors in an environment.
     """
 
     def __init__(
@@ -53,22 +37,21 @@ class EnvironmentBatch(TurnBatch):
         environment: type[FlightEnv[Any]],
         num_envs: int = 1,
         processes: int | None = None,
-        renderer: Renderer = "auto",
-        tiles: int | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         **keys: Any,
     ) -> None:
         self.render_mode = check_render_mode(keys.pop("render_mode", None))
         task = make_task(environment.task_class, keys, environment.__name__)
-        _check(num_envs, processes, renderer, tiles, task.timing)
-        self.task, self.num_envs, self.tiles = task, num_envs, min(tiles or num_envs, MOST_TILES)
+        _check(num_envs, processes, task.timing)
+        self.task, self.num_envs = task, num_envs
         self.metadata = {**environment.metadata, "autoreset_mode": autoreset_of(autoreset_mode)}
         self.single_observation_space = task.observation_space()
         self.single_action_space = task.action_space()
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
+        if task.sensor().picture is not None:
+            choose_backend()  # for all processes
         self._observations = SharedObservations(form_of(self.single_observation_space, num_envs))
-        self.service = _service(task, num_envs, self.tiles, renderer)
         self.processes = min(processes or 2 * usable_cores(), num_envs)
         options: BatchOptions = {
             "environment": f"{environment.__module__}:{environment.__qualname__}",
@@ -78,9 +61,7 @@ class EnvironmentBatch(TurnBatch):
             "observations": self._observations.form,
             "autoreset": self.metadata["autoreset_mode"].value,
         }
-        self._slots = EnvironmentProcesses(options, num_envs, self.processes, self.service)
-        if self.service is not None:
-            self.service.handed_out()
+        self._slots = EnvironmentProcesses(options, num_envs, self.processes)
 
     # --- Gymnasium --------------------------------------------------------------------------------
 
@@ -107,8 +88,6 @@ class EnvironmentBatch(TurnBatch):
         if hasattr(self, "_slots"):
             self._slots.close()
             os.close(self._observations.descriptor)
-        if (service := getattr(self, "service", None)) is not None:
-            service.close()
 
     def __del__(self) -> None:
         self.close()
@@ -167,33 +146,9 @@ class EnvironmentBatch(TurnBatch):
         return range(self.num_envs) if slots is None else slots
 
 
-def _check(num_envs: int, processes: int | None, renderer: str, tiles: int | None, timing: str) -> None:
+def _check(num_envs: int, processes: int | None, timing: str) -> None:
     whole_number("num_envs", num_envs, MOST_GAMES)
-    for name, value in (("processes", processes), ("tiles", tiles)):
-        if value is not None:
-            whole_number(name, value, MOST_PROCESSES)
-    if renderer not in RENDERERS:
-        raise UserError(f"renderer = {renderer!r} is unknown; there are {', '.join(RENDERERS)}")
+    if processes is not None:
+        whole_number("processes", processes, MOST_PROCESSES)
     if timing == "wall" and num_envs > 1:
         raise UserError("timing = 'wall': a batch flies in virtual or lockstep, neighbours would disturb the clock")
-
-
-def _service(task: Task, cameras: int, tiles: int, renderer: str) -> RenderService | None:
-    known = known_renderer()
-    if renderer == "own" or (renderer == "auto" and known is not None and known.software):
-        return None  # known without starting a process
-    if task.sensor().picture is None or task.picture_size != PICTURE_SIZE:  # a shared one draws one size
-        return None
-    service = RenderService(task.scene, cameras, tiles, task.scenery)
-    try:
-        rendered_by = service.ready()
-    except RendererGoneError as error:
-        service.close()
-        raise BatchError(str(error)) from None
-    except BaseException:
-        service.close()
-        raise
-    if renderer == "auto" and rendered_by.software:
-        service.close()
-        return None
-    return service

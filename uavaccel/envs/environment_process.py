@@ -17,29 +17,24 @@ import threading
 import traceback
 from collections.abc import Mapping
 from functools import partial
-from itertools import chain
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
 import cv2
-import mujoco
 from gymnasium.vector import AutoresetMode
 
-from uavaccel.envs.environment_processes import ProgramOptions, SharedObservations, SlotOptions, descriptors_of
+from uavaccel.envs.environment_processes import ProgramOptions, Seat, SharedObservations
 from uavaccel.envs.flight_env import FlightEnv, environment_of
 from uavaccel.envs.values import Action, Info, Observation, rows_of, write
 from uavaccel.errors import UserError
 from uavaccel.own_code import errors_named, file_of
 from uavaccel.processes.forks import fork_each
 from uavaccel.processes.lifetime import descriptor_of_parent, end_with_process
-from uavaccel.sim.camera.camera import make_cameras_with
-from uavaccel.sim.camera.view import HEIGHT, WIDTH
 from uavaccel.sim.profile import NATIVE
-from uavaccel.sim.rendering.camera import RemoteCamera
 from uavaccel.sim.world import World
 
-NICENESS = 5  # the renderer and the learner, for whom all environments wait, go first
+NICENESS = 5  # the learner, for whom all environments wait, goes first
 
 
 class Slot:
@@ -92,12 +87,9 @@ class Slot:
         self._environment.close()
 
 
-def fly(options: ProgramOptions, place: SlotOptions) -> None:
-    """Serve one slot until its connection ends. Answers are (True, result) or, for errors, (False, kind, text)."""
-    if place["renderer"] is not None:
-        make_cameras_with(partial(_remote_camera, place["renderer"]))
-    shared, number = (SharedObservations(options["observations"], options["memory"]), place["slot"])
-    connection = Connection(place["connection"])
+def fly(options: ProgramOptions, number: int, descriptor: int) -> None:
+    """Serve slot `number` until its connection ends. Answers are (True, result) or, for errors, (False, kind, text)."""
+    shared, connection = SharedObservations(options["observations"], options["memory"]), Connection(descriptor)
     module, _, name = options["environment"].partition(":")
     slot: Slot | None = None
     own: Path | None = None
@@ -125,12 +117,6 @@ def fly(options: ProgramOptions, place: SlotOptions) -> None:
             slot.close()
 
 
-def _remote_camera(renderer: dict[str, int], model: mujoco.MjModel, width: int, height: int) -> RemoteCamera:
-    if (width, height) != (WIDTH, HEIGHT):
-        raise UserError(f"pictures of {width} x {height} need renderer = own: a shared one draws 256 x 144")
-    return RemoteCamera(model, **renderer)
-
-
 def main() -> None:
     options = json.load(sys.stdin)
     if options["folder"] is not None:
@@ -143,7 +129,7 @@ def main() -> None:
         return
     load(options["environment"])
     processes = options["processes"]
-    descriptors = [{options["memory"], *chain.from_iterable(map(descriptors_of, process))} for process in processes]
+    descriptors = [{options["memory"], *(connection for _, connection in process)} for process in processes]
     fork_each(descriptors, options["reports"], lambda number: fly_together(options, processes[number], parent))
 
 
@@ -155,11 +141,11 @@ def load(environment: str) -> None:
     World("blocks", NATIVE).advance(1)
 
 
-def fly_together(options: ProgramOptions, places: list[SlotOptions], parent: int | None) -> None:
+def fly_together(options: ProgramOptions, seats: list[Seat], parent: int | None) -> None:
     """Fly the environments of one process until their connections end, or the parent does."""
     end_with_process(parent)
     cv2.setNumThreads(0)  # its pictures are small, and its neighbours many
-    threads = [threading.Thread(target=fly, args=(options, place)) for place in places]
+    threads = [threading.Thread(target=fly, args=(options, *seat)) for seat in seats]
     for thread in threads:
         thread.start()
     for thread in threads:

@@ -8,9 +8,9 @@ import os
 import select
 import socket
 import subprocess
+import tempfile
 from collections.abc import Sequence
 from contextlib import suppress
-from itertools import chain
 from multiprocessing.connection import Connection, wait
 from typing import Any, TypedDict
 
@@ -21,12 +21,14 @@ from uavaccel.clock import MonotonicClock
 from uavaccel.envs.values import Answer, Observation
 from uavaccel.errors import UserError
 from uavaccel.processes.forks import CAN_FORK, WITHOUT_THREADS, Fork, Forks
-from uavaccel.processes.lifetime import Process, single_core_rendering, start_python
+from uavaccel.processes.lifetime import Process, end_within, single_core_rendering, start_python
 from uavaccel.processes.stalls import FIRST_POLLS, IDLE_POLLS, POLL_S, StallDetector, is_stopped
-from uavaccel.sim.rendering.camera import RendererGoneError
-from uavaccel.sim.rendering.service import RenderService, stop
-from uavaccel.sim.rendering.slots import anonymous_memory
 from uavaccel.units import NS_PER_S
+
+STOP_S = 3.0  # for all processes, from the end of their connections to their own
+
+Seat = tuple[int, int]
+"""The slot of an environment, and the file descriptor of its end of the connection."""
 
 
 def _poll_of(connection: Connection) -> select.poll:
@@ -64,24 +66,21 @@ class SharedObservations:
         fields = [(name or "all", kind, tuple(shape)) for name, kind, shape in form["parts"]]
         dtype = np.dtype(fields, align=True)
         size = 2 * form["slots"] * dtype.itemsize
-        self.descriptor = anonymous_memory(size) if descriptor is None else descriptor
+        self.descriptor = _anonymous_memory(size) if descriptor is None else descriptor
         both = np.frombuffer(mmap.mmap(self.descriptor, size), dtype).reshape(2, form["slots"])
         views: list[Observation] = [{name: each[name] for name, _, _ in fields} for each in both]
         self.present, self.last = views if form["parts"][0][0] else (view["all"] for view in views)
 
 
-class SlotOptions(TypedDict):
-    """Options of one environment: its slot, its end of a connection, and RemoteCamera's keywords or None."""
-
-    slot: int
-    connection: int
-    renderer: dict[str, int] | None
-
-
-def descriptors_of(place: SlotOptions) -> list[int]:
-    """Return the file descriptors of an environment's connection and of its camera."""
-    renderer = place["renderer"] or {}
-    return [place["connection"], *(renderer[name] for name in ("memory", "requests", "replies") if name in renderer)]
+def _anonymous_memory(size: int) -> int:
+    """Return a file descriptor of `size` zero bytes, of which nothing remains after the last process that has it."""
+    if hasattr(os, "memfd_create"):
+        descriptor = os.memfd_create("uavaccel")
+    else:
+        descriptor, path = tempfile.mkstemp()
+        os.unlink(path)
+    os.ftruncate(descriptor, size)
+    return descriptor
 
 
 class BatchOptions(TypedDict):
@@ -101,7 +100,7 @@ class BatchOptions(TypedDict):
 class ProgramOptions(BatchOptions):
     """Options of the program that flies the environments of one process, or forks a process for each of several."""
 
-    processes: list[list[SlotOptions]]
+    processes: list[list[Seat]]
     parent: int
     reports: int | None
     """Pipe in which it reports about the processes that it forks."""
@@ -114,10 +113,9 @@ class BatchError(RuntimeError):
 class EnvironmentProcesses:
     """`slots` environments distributed over `processes` processes; raises BatchError if one ends or hangs."""
 
-    def __init__(self, options: BatchOptions, slots: int, processes: int, service: RenderService | None) -> None:
+    def __init__(self, options: BatchOptions, slots: int, processes: int) -> None:
         self._connections: list[Connection] = []
         self._asked = [False] * slots
-        self._service = service
         theirs = []
         for _ in range(slots):
             mine, other = socket.socketpair()
@@ -128,8 +126,7 @@ class EnvironmentProcesses:
         self._stalls, self._clock = StallDetector(), MonotonicClock()
         self._polled_ns = self._clock.now_ns()
         self._process_of = [slot % processes for slot in range(slots)]
-        places = [self._slot_options(slot, connection) for slot, connection in enumerate(theirs)]
-        flown = [places[process::processes] for process in range(processes)]
+        flown = [list(enumerate(theirs))[process::processes] for process in range(processes)]
         self._processes: list[Process | Fork] = []
         self._forks: Forks | None = None
         if CAN_FORK and processes > 1:
@@ -140,29 +137,23 @@ class EnvironmentProcesses:
         for descriptor in theirs:
             os.close(descriptor)
 
-    def _slot_options(self, slot: int, connection: int) -> SlotOptions:
-        renderer = None
-        if self._service is not None:
-            renderer = {"number": slot, "count": self._service.cameras, **self._service.descriptors(slot)}
-        return {"slot": slot, "connection": connection, "renderer": renderer}
-
-    def _start_forks(self, options: BatchOptions, flown: list[list[SlotOptions]]) -> Forks:
+    def _start_forks(self, options: BatchOptions, flown: list[list[Seat]]) -> Forks:
         """Start the processes as forks of one, which loads for all of them."""
         reports, theirs = os.pipe()
         template = self._start(options, flown, theirs)
         os.close(theirs)
         return Forks(template, len(flown), reports)
 
-    def _start(self, options: BatchOptions, flown: list[list[SlotOptions]], reports: int | None = None) -> Process:
+    def _start(self, options: BatchOptions, flown: list[list[Seat]], reports: int | None = None) -> Process:
         program: ProgramOptions = {**options, "processes": flown, "parent": os.getpid(), "reports": reports}
-        inherited = {options["memory"], *chain.from_iterable(map(descriptors_of, chain.from_iterable(flown)))}
+        inherited = [options["memory"], *(connection for process in flown for _, connection in process)]
         if reports is not None:
-            inherited.add(reports)
+            inherited.append(reports)
         process = start_python(
             *("-m", "uavaccel.envs.environment_process"),
             environment={**WITHOUT_THREADS, **single_core_rendering()},
             stdin=subprocess.PIPE,  # a thousand environments' options are too long for an argument
-            pass_fds=sorted(inherited),
+            pass_fds=inherited,
         )
         assert process.stdin is not None
         with suppress(BrokenPipeError), process.stdin:  # where it has ended, its connections will say so
@@ -214,14 +205,9 @@ class EnvironmentProcesses:
         self._polled_ns = self._clock.now_ns()
         waiting = {self._process_of[slot] for slot, asked in enumerate(self._asked) if asked}
         pids = {self._processes[number].pid: number for number in waiting}
-        renderer = self._service.process if self._service is not None else None
-        polls = IDLE_POLLS if self._answered_once else FIRST_POLLS
-        standing = self._stalls.poll(pids, None if renderer is None else renderer.pid, polls)
+        standing = self._stalls.poll(pids, IDLE_POLLS if self._answered_once else FIRST_POLLS)
         if not standing:
             return
-        if renderer is not None and is_stopped(renderer.pid):
-            renderer.kill()
-            raise BatchError("the renderer of all environments hangs: it was stopped")
         slots = [slot for slot, number in enumerate(self._process_of) if self._processes[number].pid in standing]
         how = "was stopped" if is_stopped(standing[0]) else "waits for what does not come"
         for pid in standing:
@@ -257,8 +243,6 @@ class EnvironmentProcesses:
             return UserError(text)
         if kind == "AttributeError":
             return AttributeError(text)
-        if self._service is not None and RendererGoneError.__name__ in text:  # as the wire's own error, too
-            return BatchError(f"the renderer of all environments {self._service.status()}")
         return BatchError(f"environment {slot} failed:\n{text}")
 
     @property
@@ -273,7 +257,9 @@ class EnvironmentProcesses:
         if any(self._asked):  # a request may be a whole game, and nobody waits for its answer any more
             for process in self._processes:
                 process.terminate()
-        stop(*self._processes)
+        end_ns = self._clock.now_ns() + round(STOP_S * NS_PER_S)
+        for process in self._processes:
+            end_within(process, max(end_ns - self._clock.now_ns(), 0) / NS_PER_S)
         if self._forks is not None:
             self._forks.close()
         self._processes, self._forks = [], None

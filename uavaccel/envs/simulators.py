@@ -13,7 +13,6 @@ from uavaccel.errors import UserError
 from uavaccel.resources import require
 
 EXACT, KERNELS = get_args(Simulator)
-OF_LANES = ("processes", "renderer", "tiles")  # keywords of EnvironmentBatch alone
 
 
 def make_batch(
@@ -32,9 +31,8 @@ def make_batch(
         from uavaccel.envs.batch import EnvironmentBatch
 
         return EnvironmentBatch(environment, num_envs, **keys)
-    for name in OF_LANES:
-        if keys.pop(name, None) is not None:
-            raise UserError(f"{name}: needs simulator = mujoco; the kernels fly in one process, without OpenGL")
+    if keys.pop("processes", None) is not None:
+        raise UserError("processes: needs simulator = mujoco; the kernels fly in one process")
     if keys.pop("render_mode", None) is not None:
         raise UserError("render_mode: needs simulator = mujoco; the kernels render observations only")
     if device == CUDA:

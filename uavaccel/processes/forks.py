@@ -81,8 +81,6 @@ class Forks:
 class Fork:
     """One of the processes of `Forks`, as subprocess.Popen has it."""
 
-    stdout = None
-
     def __init__(self, forks: Forks, number: int) -> None:
         self._forks, self._number = forks, number
 

@@ -17,8 +17,12 @@ import threading
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from uavaccel.processes.stalls import is_stopped
+
+if TYPE_CHECKING:
+    from uavaccel.processes.forks import Fork
 
 Process = subprocess.Popen[bytes]
 POLL_S = 0.25
@@ -56,7 +60,7 @@ def single_core_rendering() -> dict[str, str]:
     return {"LP_NUM_THREADS": os.environ.get("LP_NUM_THREADS", "0")}
 
 
-def end_within(process: Process, seconds: float) -> None:
+def end_within(process: Process | Fork, seconds: float) -> None:
     """Wait for a process that is about to end; kill it after `seconds`, and at once where it is stopped."""
     if is_stopped(process.pid):
         process.kill()

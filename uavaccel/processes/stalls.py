@@ -71,16 +71,13 @@ class StallDetector:
         self._cpu_s: dict[int, list[float | None]] = {}
         self._idle: dict[int, int] = {}
 
-    def poll(self, pids: Collection[int], helper: int | None = None, polls: int = IDLE_POLLS) -> list[int]:
+    def poll(self, pids: Collection[int], polls: int = IDLE_POLLS) -> list[int]:
         """Return the processes that have been stopped or idle for so many successive looks.
 
-        The work of its children counts as a process's own, and, unless it is stopped, so does that of a `helper`, for
-        which it may wait.
+        The work of its children counts as a process's own.
         """
-        helped = helper is not None and self._worked(helper)
         for pid in pids:
-            worked = self._worked(pid)
-            idle = is_stopped(pid) or not (worked or helped)
+            idle = not self._worked(pid) or is_stopped(pid)
             self._idle[pid] = self._idle.get(pid, 0) + 1 if idle else 0
         for pid in set(self._idle) - set(pids):  # nobody waits for it
             del self._idle[pid]

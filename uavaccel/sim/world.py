@@ -149,8 +149,6 @@ class World:
 
     def surroundings_changed(self) -> None:
         """Note that objects of the model were moved, added or removed, or look different."""
-        for camera in self._cameras.values():
-            camera.scene_changed()
         self.revision += 1
         mujoco.mj_kinematics(self.model, self.data)
         self.clearance.surroundings_changed()

@@ -74,7 +74,7 @@ class EvaluateConfig(Experiment):
     first_lane: Annotated[int, Field(ge=0)] = 0
     """The number of the first evaluation lane, or of the first game."""
     environments: Processes = 1
-    """Lanes flown in parallel, with one renderer where there is a GPU; 1 with wall. It does not change the rows."""
+    """Lanes flown in parallel, by several processes; 1 with wall. It does not change the rows."""
     simulator: Simulator = "mujoco"
     """mujoco: exact, rendered with OpenGL; kernels: all lanes as one batch of arrays (docs/kernels.md)."""
     device: Device = "cpu"

@@ -39,7 +39,7 @@ _GL_RGBA, _GL_UNSIGNED_BYTE = 0x1908, 0x1401
 
 
 class FrontCamera(ABC):
-    """Pictures (height, width) of a world's front camera, rendered in this process or in another one."""
+    """Pictures (height, width) of a world's front camera."""
 
     def __init__(self, model: mujoco.MjModel, width: int, height: int, half_width: float) -> None:
         """`half_width` is the tangent of half the horizontal field of view."""
@@ -75,9 +75,6 @@ class FrontCamera(ABC):
     @abstractmethod
     def render_again(self, out: Image) -> None:
         """Render the last scene again in colour, bottom row first: the bare cost, for benchmarks."""
-
-    def scene_changed(self) -> None:  # noqa: B027 - only a camera of another process keeps anything
-        """Note that objects of the model were moved or look different."""
 
     @abstractmethod
     def close(self) -> None:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import threading
-from collections.abc import MutableMapping
+from collections.abc import Callable
+from functools import partial
 
 import mujoco
 import numpy as np
@@ -22,12 +23,10 @@ class Canvas:
     """An OpenGL context of `width` x `height` pixels with the textures and meshes of a model.
 
     Uploading the textures of a lane takes .2 s in software, so that many environments of one process share one. It
-    belongs to the thread that made it, and is freed when the last of its cameras leaves it. Made without `open` it is
-    its maker's alone. Raises UserError if OpenGL is missing.
+    belongs to the thread that made it by `open`, and is freed when the last of its cameras leaves it.
     """
 
-    def __init__(self, model: mujoco.MjModel, width: int, height: int) -> None:
-        set_quality(model, width, height)
+    def __init__(self, model: mujoco.MjModel, width: int, height: int, left: Callable[[], object]) -> None:
         self._gl, self.renderer = gl.make_context(width, height)
         self.turns = gl.turns(self.renderer)
         with self.turns:
@@ -38,8 +37,7 @@ class Canvas:
             mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self.context)
             self.read_pixels = gl.pixel_reader()
         self.context.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR
-        self._users = 0
-        self._shared: tuple[MutableMapping[Key, Canvas], Key] | None = None
+        self._users, self._left = 0, left
 
     def bind(self) -> None:
         """Make it current in this thread. Raises UserError in a process forked from one that has rendered."""
@@ -52,9 +50,7 @@ class Canvas:
         self._users -= 1
         if self._users > 0 or not gl.survives():
             return
-        if self._shared is not None:
-            canvases, key = self._shared
-            del canvases[key]
+        self._left()
         self.bind()
         with self.turns:
             self.context.free()  # before its GL context, or it would free what is another's
@@ -72,8 +68,7 @@ class Canvas:
         key = (width, height, appearance(model))
         canvas = canvases.get(key)
         if canvas is None:
-            canvas = canvases[key] = cls(model, width, height)
-            canvas._shared = canvases, key
+            canvas = canvases[key] = cls(model, width, height, partial(canvases.pop, key))
         canvas._users += 1
         return canvas
 

@@ -145,11 +145,6 @@ def describe_renderer() -> GlRenderer:
     return renderer
 
 
-def known_renderer() -> GlRenderer | None:
-    """Return the renderer of this process and its children if it is known already, else None."""
-    return _found
-
-
 def bind(context: mujoco.GLContext) -> None:
     """Make a context current in this thread unless it is, which the driver takes 10 µs to find out."""
     if getattr(_in_thread, "context", None) is not context:

@@ -85,13 +85,13 @@ class View:
             self._set_field_of_view()
         return self.scene
 
-    def geoms(self, drawn: NDArray[np.integer], out: GeomImage | None = None) -> GeomImage:
+    def geoms(self, drawn: NDArray[np.integer]) -> GeomImage:
         """Decode the geoms' ids in a picture (height, width, 3 or more) rendered `as_ids`; -1 for the sky."""
         segments = drawn[..., :3].astype(np.int32) @ np.array([1, 1 << 8, 1 << 16], np.int32)
         ids = np.full(self.scene.ngeom + 1, -1, np.int32)
         for geom in self.scene.geoms[: self.scene.ngeom]:
             ids[geom.segid + 1] = geom.objid
-        return np.take(ids, segments, out=out)
+        return ids[segments]
 
     def _show_appearance(self, on: bool) -> None:
         """Show a scenery's looks, or its bodies instead."""
