@@ -92,6 +92,17 @@ def test_a_seed_repeats_and_another_does_not() -> None:
     assert np.abs(flown[0]).max() <= 1.0
 
 
+def test_the_noise_of_the_actions_falls_where_it_is_limited() -> None:
+    free, limited = (
+        [each.deviation for each in PPO(Toy(), options(commands=2048, first_deviation=0.5, **keys)).learn()]
+        for keys in ({}, {"final_deviation": 0.1})
+    )
+    assert len(free) == len(limited) == 8
+    assert min(free) > 0.4
+    for done, deviation in enumerate(limited):
+        assert deviation <= 0.1 + 0.4 * (1.0 - done / 8) + 1e-6
+
+
 def test_advantages_are_sums_of_discounted_surprises() -> None:
     """A(t) is the sum over k of (gamma lambda)^k times the surprise of step t + k, up to the game's end."""
     ppo = PPO(Toy(count=4, steps=3), options(commands=64, rollout=8, minibatches=1, gamma=0.9, smoothing=0.8))

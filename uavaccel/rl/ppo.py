@@ -259,8 +259,9 @@ class PPO:
         return (-0.5 * distance * distance - log_deviation - LOG_ROOT_TWO_PI).sum(1)
 
     def _log_deviation(self) -> th.Tensor:
-        """Return the logarithms of the actions' standard deviations, which are learned, and limited by `_most`."""
-        return th.minimum(self.policy.log_deviation, self._most)
+        """Return the logarithms of the actions' standard deviations: what is learned, at most what is left of them."""
+        learned = self.policy.log_deviation
+        return learned if self.options.final_deviation is None else th.minimum(learned, self._most)
 
     @th.no_grad()
     def _estimate(self) -> None:
