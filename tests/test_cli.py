@@ -133,7 +133,11 @@ def test_who_reads_no_further_than_the_head_is_told_nothing(arguments: list[str]
 
 
 @pytest.mark.parametrize(
-    "line", ["fly", "serve --speed 3", "serve --clock fast", "timing advise --rounds 0", "train --timing soon"]
+    "line",
+    [
+        *("fly", "serve --speed 3", "serve --clock fast", "train --timing soon", "timing advise --rounds 0"),
+        *("timing advise --profile px4", "timing calibrate --commands 0", "timing calibrate --check --games 0"),
+    ],
 )
 def test_wrong_usage_is_one_line(line: str) -> None:
     done = uavaccel("-m", "uavaccel", *line.split())

@@ -170,7 +170,7 @@ def test_a_scripts_exception_is_its_own_traceback(tmp_path: Path) -> None:
     (["none.py"], "none.py: no such file", 1),
     (["--clock", "1,x", "none.py"], "--clock 1,x: should be numbers with commas between", 2),
     (["--clock", "0", "none.py"], "every ClockSpeed must be above 0", 2),
-    (["--timing", "real", "none.py"], "--timing real: there are wall, virtual, lockstep", 2),
+    (["--timing", "real", "none.py"], "'--timing': real: must be wall or virtual or lockstep", 2),
     (["--check", "--timing", "wall", "tests/scenes.py"], "--check flies one ClockSpeed twice", 2),
     (["--film", "tests/scenes.py"], "--film needs --out", 2),
     (["--think", "1", "--timing", "wall", "tests/scenes.py"], "--film and --think need --timing virtual", 2),
