@@ -292,7 +292,7 @@ def test_a_browser_holds_a_flight_of_a_simulated_clock_and_looks_on_at_one_of_th
         assert (tmp_path / "flight" / "trajectory.npz").exists()
         with commanded(tmp_path, *served) as (address, process):
             page.goto(address)
-            page.get_by_text("Cannot be paused here").wait_for()
+            page.get_by_text("Cannot be paused").wait_for()
             assert page.get_by_role("button", name="Pause").is_disabled()
             before = simulated_s(clocks.inner_text())
             page.wait_for_timeout(1000)
