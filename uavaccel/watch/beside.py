@@ -197,9 +197,8 @@ def open_server(host: str, port: int, head: str) -> ViserServer:
 
     with redirect_stdout(io.StringIO()), _guarded(host, head):  # it greets, even where it is asked to be silent
         server = viser.ViserServer(host=host, port=port, label="uavaccel watch", verbose=False)
-    server.gui.configure_theme(
-        control_layout="collapsible", show_logo=False, show_share_button=False, brand_color=BRAND
-    )
+    server.gui.configure_theme(show_logo=False, show_share_button=False, brand_color=BRAND)
+    server.gui.main_panel.dock_right()
     server.gui.set_panel_label("uavaccel watch")
     return server
 
