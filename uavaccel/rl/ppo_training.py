@@ -71,8 +71,9 @@ class PPOTraining:
                 self._launch()
             self._ppo.finish()
             games = self._games.pop()
-            self.policy.load_state_dict(self._ppo.policy.state_dict())
-            self.at_rest = self._on_host or self.holding or self.games == self.config.games
+            if not self._on_host:
+                self.policy.load_state_dict(self._ppo.policy.state_dict())
+                self.at_rest = self.holding or self.games == self.config.games
             if not self.at_rest:
                 self._launch()
         return games
