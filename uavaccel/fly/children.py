@@ -160,7 +160,8 @@ def ended_by_refusals(progress: Callable[[], int]) -> Iterator[None]:
         signal.setitimer(signal.ITIMER_REAL, 0)
         del os.environ[FLIGHT]
         for number, handler in before.items():
-            signal.signal(number, handler)
+            late = number == signal.SIGUSR2 and handler == signal.SIG_DFL  # a pool's next process may still be refused
+            signal.signal(number, signal.SIG_IGN if late else handler)
 
 
 def _show(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
