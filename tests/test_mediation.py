@@ -12,6 +12,7 @@ import pandas as pd
 import pytest
 
 from tests.running import configured, run_into
+from tools.fit_gap_law import LAWS, compare, largest_gap
 from uavaccel.config import parse_yaml
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.errors import UserError
@@ -121,7 +122,7 @@ def test_each_policy_is_flown_under_every_value_of_every_factor(tmp_path: Path) 
     assert "Shares of the loss" in (tmp_path / "run/report.md").read_text()
 
 
-@pytest.mark.parametrize("experiment", ["mediation", "mediation_flight"])
+@pytest.mark.parametrize("experiment", ["mediation", "mediation_flight", "mediation_law"])
 def test_shipped_mediations_can_be_flown(experiment: str) -> None:
     config = configured(experiment)
     cases = [*Mediation().policies_of(config)]
@@ -167,3 +168,21 @@ def test_a_part_of_a_loss_is_a_share_with_an_interval_over_trainings_and_lanes()
     seeds = {"a/usual": cell(lanes >= 0), "b/whole": cell(lanes < 0, lanes >= 0), "c/part": cell(lanes % 2)}
     apart: dict[str, Any] = share_of_loss(seeds, Share(usual="a/usual", whole="b/whole", parts=()), "c/part")
     assert (apart["share"], apart["low"]) == (1.0, None)  # the other training loses nothing
+
+
+# --- the law ----------------------------------------------------------------------------------------------------
+
+
+def test_the_largest_gap_is_where_success_has_dropped_by_five_points() -> None:
+    gaps_s = np.array([0.0, 0.2, 0.4, 1.2])
+    assert largest_gap(gaps_s, np.array([1.0, 1.0, 0.9, 0.2])) == pytest.approx(0.3)
+    assert largest_gap(gaps_s, np.array([0.9, 0.8, 0.95, 0.0])) == pytest.approx(0.1)
+    assert largest_gap(gaps_s, np.array([0.9, 0.9, 0.86, 0.85])) == 1.2
+
+
+def test_a_law_is_fitted_on_every_other_condition_and_judged_on_the_rest() -> None:
+    table = pd.DataFrame({"t_move_s": [0.5, 1.0, 2.0, 3.0], "speed_m_s": 1.0, "min_gap_m": 2.0, "row_spacing_m": 10.0})
+    law, factor, of_rest, of_constant = compare(table.assign(largest_gap_s=0.4 * table.t_move_s))
+    assert (law, factor, of_rest) == ("T_move", pytest.approx(0.4), pytest.approx(1.0))
+    assert of_constant > 1.5
+    assert set(LAWS) > {"seconds", law}

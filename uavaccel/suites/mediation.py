@@ -47,6 +47,8 @@ class Factor(Config):
     """Dotted keys of the evaluation that are moved together; the figure's axis is the first one's."""
     values: Annotated[tuple[tuple[Plain, ...], ...], Field(min_length=1)]
     """The values of these keys, a list for each cell."""
+    also: Keys = Field(default_factory=dict)
+    """Dotted keys that are set in all of its cells."""
 
     @model_validator(mode="after")
     def _values_fit(self) -> Factor:
@@ -90,7 +92,7 @@ class MediationConfig(Experiment):
     def flown(self) -> dict[str, Keys]:
         """Return the keys of each flight by its name, that in which nothing is moved first."""
         cells = {
-            f"{name}-{values[0]:g}": dict(zip(factor.keys, values, strict=True))
+            f"{name}-{values[0]:g}": factor.also | dict(zip(factor.keys, values, strict=True))
             for name, factor in self.flights.items()
             for values in factor.values
         }
