@@ -35,6 +35,7 @@ from uavaccel.wire.session import open_session
 
 INFERENCE_S = 0.038  # of Table I (experiments/rl.yaml)
 CLOCK_SPEEDS = (1.0, 5.0, 10.0, 50.0, 100.0)
+MORE_GAPS_S = (0.074, 0.386, 0.776, 1.2, 2.0)  # that experiments/mediation_flight.yaml flies
 COMMANDS_FLOWN, FIRST = 25, 5
 NORTH = VelocityGoal((1.0, 0.0, 0.0))
 
@@ -86,5 +87,6 @@ def averages(flown: Recording, seen_s: NDArray[np.float64]) -> dict[str, float]:
 
 if __name__ == "__main__":
     adsc = [parts_of("adsc", clock_speed) for clock_speed in CLOCK_SPEEDS]
-    tcsc = [parts_of("tcsc", 1.0)] + [parts_of("tcsc", 1.0, round(each["gap_s"] / 0.002) * 0.002) for each in adsc]
+    gaps_s = [0.0, *(round(each["gap_s"] / 0.002) * 0.002 for each in adsc), *MORE_GAPS_S]
+    tcsc = [parts_of("tcsc", 1.0, gap_s) for gap_s in sorted(gaps_s)]
     pd.DataFrame(adsc + tcsc).round(4).to_csv(sys.stdout, index=False)
