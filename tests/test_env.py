@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 import subprocess
 import sys
@@ -367,29 +366,6 @@ def test_time_passes_for_adsc_alone_while_the_agent_thinks(command: str) -> None
         assert info["phase_s"]["inference"] == pytest.approx(5 * thought_s)
         ends_m.append(info["distance_m"])
     assert ends_m[1] < ends_m[0] - 0.5 if command == "adsc" else ends_m[1] == ends_m[0]
-
-
-@needs_opengl
-@pytest.mark.parametrize("timing", ["lockstep", "virtual"])
-@pytest.mark.parametrize("task", [{"dvs_preset": "noisy", "history": 2}, {"command": "adsc"}], ids=str)
-def test_a_saved_game_goes_on_elsewhere_to_the_same_bytes(timing: str, task: dict[str, Any]) -> None:
-    task = {**task, "timing": timing, "clock_speed": 10.0, "difficulty": {"wind_m_s": 2.0}}
-    with lane(**task) as first, lane(**task) as second:
-        fly(first, [2, 1], seed=4)
-        first.charge(0.01, "learning")
-        seen = first.step(3)[0]
-        first.charge(0.004)
-        file = io.BytesIO()
-        np.savez(file, **first.get_state())
-        file.seek(0)
-        np.testing.assert_array_equal(second.set_state(np.load(file)), seen)
-        ends = []
-        for environment in (first, second):
-            flown = [environment.step(action) for action in (2, 0, 0, 4)]
-            start = environment.reset()
-            flown += [environment.step(HARD_WEST)]
-            ends.append(([(step[0].tobytes(), *step[1:]) for step in flown], start[0].tobytes(), start[1]))
-        assert ends[0] == ends[1]
 
 
 # --- mistakes ---------------------------------------------------------------------------------------------------

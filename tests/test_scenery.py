@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import closing
 from typing import Any
 
 import numpy as np
@@ -127,16 +126,6 @@ def test_clients_change_the_scenery_and_find_the_same_objects() -> None:
     plain, forest = seen
     assert forest[:3] == plain[:3]
     assert (forest[3] != plain[3]).mean() > 0.9
-
-
-@pytest.mark.opengl
-def test_a_saved_game_goes_on_in_its_wood() -> None:
-    first, other = ObstacleLane(**FOREST), ObstacleLane(**FOREST)
-    with closing(first), closing(other):
-        first.reset(seed=1)
-        first.step(2)
-        other.set_state(first.get_state())
-        np.testing.assert_array_equal(first.step(3)[0], other.step(3)[0])
 
 
 def test_sceneries_that_there_are_not_are_refused() -> None:

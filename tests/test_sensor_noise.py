@@ -174,16 +174,6 @@ def test_event_noise_is_of_the_game_where_there_is_any() -> None:
 
 
 @pytest.mark.opengl
-def test_a_saved_game_goes_on_with_its_noise() -> None:
-    keys = {**NOISES, "dvs_rate_hz": 20.0, "dvs_hot_pixels": 0.01}
-    with closing(ObstacleLane(**keys)) as first, closing(ObstacleLane(**keys)) as other:
-        first.reset(seed=2)
-        first.step(2)
-        other.set_state({name: np.asarray(value) for name, value in first.get_state().items()})
-        np.testing.assert_array_equal(first.step(1)[0], other.step(1)[0])
-
-
-@pytest.mark.opengl
 def test_hot_pixels_are_hot_in_flight() -> None:
     """Among pixels whose view changes by less than a threshold: as many ON events as a second of 10 Hz has."""
     counts = []

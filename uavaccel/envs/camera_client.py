@@ -11,11 +11,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from uavaccel.envs.sensors import PICTURE_SIZE, from_arrays
+from uavaccel.envs.sensors import PICTURE_SIZE
 from uavaccel.envs.stopwatch import Stopwatch
 from uavaccel.kinematics import FlightGoal, Kinematics
 from uavaccel.sim.camera.view import AnyImage
-from uavaccel.sim.state import SavedState, State
 from uavaccel.vision.guard import GuardSettings, GuardState, acquire
 from uavaccel.vision.image_noise import ImageNoise
 from uavaccel.vision.perturb import AutoExposure, PerturbationSettings, perturb_share
@@ -188,12 +187,3 @@ class FlightClient(GuardedClient):
     def _switch(self, phase: str) -> None:
         for stopwatch in self._stopwatches:
             stopwatch.switch(phase)
-
-    def get_state(self) -> State:
-        """Return the guard's state, for np.savez."""
-        state = self._guard_state._asdict()
-        return {name: value for name, value in state.items() if value is not None}
-
-    def set_state(self, state: SavedState) -> None:
-        """Restore what `get_state` returned."""
-        self._guard_state = GuardState(**from_arrays(state))

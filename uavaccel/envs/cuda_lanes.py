@@ -21,13 +21,12 @@ from uavaccel.envs.flyable import CUDA, check_flyable, passes_together, profile_
 from uavaccel.envs.judging import COLLISION, TICK, Flown, Judge, Running
 from uavaccel.envs.kernel_plan import since_ns_of, slices_of
 from uavaccel.envs.stopwatch import PHASES
-from uavaccel.envs.values import Info
+from uavaccel.envs.values import Info, State
 from uavaccel.kernels import cuda as kernels
 from uavaccel.kernels import lanes
 from uavaccel.kernels.fields import DVS, STATE
 from uavaccel.kernels.flight import TOUCHED
 from uavaccel.kernels.recording import recorded
-from uavaccel.sim.state import State
 from uavaccel.sim.vehicle.quadrotor import FLIGHT_DTYPE, KINEMATICS
 
 

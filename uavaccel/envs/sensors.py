@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from uavaccel.envs.values import Course, Frame, Number
 from uavaccel.kinematics import Kinematics
 from uavaccel.sim.camera.view import HEIGHT, WIDTH, AnyImage
-from uavaccel.sim.state import SavedState, State
 from uavaccel.vision.dvs_sensor import DvsParameters, make_sensor
 from uavaccel.vision.observation import BLOCK_SIDE, NEUTRAL_LEVEL, dvs_observation
 
@@ -28,7 +27,7 @@ Features = Callable[[Kinematics, Course], NDArray[np.float32]]
 
 
 class Sensor(ABC):
-    """Turns samples into frames; a sensor with a memory replaces `reset`, `get_state` and `set_state`.
+    """Turns samples into frames; a sensor with a memory replaces `reset`.
 
     `picture` is the kind of picture it needs, None for none; `blank` stands for a missing frame.
     """
@@ -45,14 +44,6 @@ class Sensor(ABC):
     @abstractmethod
     def frame(self, state: Kinematics, image: AnyImage, course: Course) -> Frame:
         """Return the frame of a sample, with the shape and type of `blank`."""
-
-    def get_state(self) -> State:
-        """Return what it remembers of the running game, for np.savez."""
-        return {}
-
-    def set_state(self, state: SavedState) -> None:
-        """Restore what `get_state` returned."""
-        assert not state
 
 
 class EventCamera(Sensor):
@@ -86,12 +77,6 @@ class EventCamera(Sensor):
             counts: Frame = np.clip(NEUTRAL_LEVEL + on.astype(np.int64) - off, 0, 255).astype(np.uint8)[None]
             return counts
         return dvs_observation(on, off)[None]
-
-    def get_state(self) -> State:
-        return self.counter.get_state()
-
-    def set_state(self, state: SavedState) -> None:
-        self.counter.set_state(from_arrays(state))
 
 
 class ColourCamera(Sensor):
@@ -130,12 +115,6 @@ def blank_frame(picture: Literal["dvs", "colour", "depth"], size: tuple[int, int
     rows_columns = SIZE if size == PICTURE_SIZE else size[::-1]
     planes = 3 if picture == "colour" else 1
     return np.full((planes, *rows_columns), NEUTRAL_LEVEL if picture == "dvs" else 0, np.uint8)
-
-
-def from_arrays(state: SavedState) -> State:
-    """Turn arrays without a shape, as which np.load returns numbers, into numbers; other arrays stay."""
-    arrays = {name: np.asarray(value) for name, value in state.items()}
-    return {name: array if array.ndim else array.item() for name, array in arrays.items()}
 
 
 def state_fields(state: Kinematics) -> list[Number]:

@@ -14,7 +14,6 @@ from dataclasses import dataclass, field
 
 import mujoco
 
-from uavaccel.sim.state import SavedState, State
 from uavaccel.units import ceil_div
 
 
@@ -56,17 +55,6 @@ class Frames:
     def scene(self, data: mujoco.MjData) -> mujoco.MjData:
         """Return what a camera renders: the pose shown last or, without any, the present `data`."""
         return self._shown or data
-
-    def get_state(self) -> State:
-        """Return the pose shown, empty before the first."""
-        return {"shown": [] if self._shown is None else self._shown.qpos.tolist()}
-
-    def set_state(self, state: SavedState, data: mujoco.MjData) -> None:
-        """Restore what `get_state` returned; `data` is of the same scene."""
-        self.forget()
-        if len(state["shown"]):
-            self._shown = mujoco.MjData(data.model)
-            self._shown.qpos[:] = state["shown"]
 
     def forget(self) -> None:
         """Forget the pose shown, for a new game."""

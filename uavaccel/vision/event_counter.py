@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -73,23 +70,6 @@ class EventCounter:
         """Return the events (n, 4) since the last call: rows (t in s, x, y, p) as in step_with_events."""
         taken, self._events = self._events, None if self._events is None else []
         return np.concatenate([NO_EVENTS, *(taken or [])])
-
-    def get_state(self) -> dict[str, object]:
-        """Return all but the listed events, for np.savez."""
-        assert self._state is not None
-        state: dict[str, object] = {"start_ns": self._start_ns, **self._state._asdict()}
-        if self._counts is not None:
-            state |= {"on": self._counts[0], "off": self._counts[1], "seen_ns": self._seen_ns}
-        return state
-
-    def set_state(self, state: Mapping[str, Any]) -> None:
-        """Restore what `get_state` returned: arrays and plain numbers."""
-        fields = dict(state)
-        self._start_ns, self._seen_ns = fields.pop("start_ns"), fields.pop("seen_ns", None)
-        on, off = fields.pop("on", None), fields.pop("off", None)
-        self._counts = None if on is None else (on, off)
-        self._state = DvsState(**fields)
-        self.pop_events()
 
 
 def count_events(

@@ -16,7 +16,6 @@ from pydantic import Field, field_validator, model_validator
 
 from uavaccel.config import Config
 from uavaccel.limits import Share
-from uavaccel.sim.state import SavedState, State
 
 FloatArray = NDArray[np.float64]
 Split = Literal["training", "evaluation"]
@@ -208,16 +207,3 @@ def is_walled_off(layout: LaneLayout) -> bool:
     for _ in range(len(layout)):
         reached = reached | closed[reached].any(axis=0)
     return bool((reached & (layout.y_m > to_wall)).any())
-
-
-_NONE = np.zeros(0)
-_NO_LANE = LaneLayout(_NONE, _NONE, _NONE, _NONE.astype(bool), _NONE.astype(int))
-
-
-def layout_of(state: SavedState) -> LaneLayout:
-    """Make a layout from the fields in a saved state."""
-    fields: State = {}
-    for name, like in vars(_NO_LANE).items():
-        value = np.asarray(state.get(name, like))
-        fields[name] = value.astype(like.dtype) if isinstance(like, np.ndarray) else type(like)(value.tolist())
-    return LaneLayout(**fields)

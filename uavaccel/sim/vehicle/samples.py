@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from uavaccel.sim.state import SavedState, State, record_fields, set_record_fields
 from uavaccel.sim.vehicle import hotloop
 from uavaccel.sim.vehicle.quadrotor import NEVER
 
@@ -48,11 +47,3 @@ class Samples:
         rows = self.rows()
         self.record["count"] = 0
         return rows
-
-    def get_state(self) -> State:
-        return record_fields(self.record) | {"rows": self.rows()}
-
-    def set_state(self, state: SavedState) -> None:
-        set_record_fields(self.record, state)
-        rows = np.asarray(state["rows"], float).reshape(-1, hotloop.SAMPLE_COLUMNS)
-        self.buffer[: len(rows)] = rows

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from uavaccel.kinematics import Kinematics, Quaternion, Vector
 from uavaccel.sim.profile import Profile
-from uavaccel.sim.state import SavedState, State, prefixed, record_fields, set_record_fields, without_prefix
 from uavaccel.sim.vehicle import autopilot, hotloop
 from uavaccel.sim.vehicle.collisions import ContactLog
 from uavaccel.sim.vehicle.goal import IDLE, Goal
@@ -76,6 +75,7 @@ class Vehicle:
         self._kinematics = self._flight.view(np.float64)[1 : 1 + KINEMATICS]
         self._parameters = np.zeros(1, PARAMETERS_DTYPE)
         self._time_s = np.zeros(1)
+        self.contact_log = ContactLog()
 
     @property
     def body(self) -> str:
@@ -103,7 +103,7 @@ class Vehicle:
         self._warm_start = data.qacc_warmstart[motion : motion + 6]
         self._contact = data.sensordata[sensor : sensor + 1]
         self.model, self.data = model, data
-        self.contact_log = ContactLog(data, self.body_id, model, name_of)
+        self.contact_log.bind(model, data, self.body_id, name_of)
         self.handles = self._addresses(model, data)
         self._handles_pointer = self.handles.ctypes.data_as(ctypes.POINTER(ctypes.c_int64))
 
@@ -288,16 +288,13 @@ class Vehicle:
             self.qvel[:] = goal - half * np.concatenate(gained)
         self.refresh()
 
-    def carry(self) -> State:
-        """Return the part of the flight's state that is in the model, for `restore_from` into the next one."""
-        arrays = {"qpos": self.qpos, "qvel": self.qvel, "_force": self._force, "_push": self._push}
-        return {name: array.copy() for name, array in arrays.items()} | {"touches": self.contact_log.get_state()}
+    def carry(self) -> tuple[NDArray[np.float64], ...]:
+        """Return what of its flight is in the model, to be put by `fly_on` into the next one."""
+        return tuple(array.copy() for array in (self.qpos, self.qvel, self._force, self._push))
 
-    def restore_from(self, carried: SavedState) -> None:
-        """Restore what `carry` returned; static geoms keep their ids, since vehicles are added behind them."""
-        for name in ("qpos", "qvel", "_force", "_push"):
-            getattr(self, name)[:] = carried[name]
-        self.contact_log.set_state(carried["touches"])
+    def fly_on(self, carried: tuple[NDArray[np.float64], ...]) -> None:
+        """Go on with the flight that `carry` returned."""
+        self.qpos[:], self.qvel[:], self._force[:], self._push[:] = carried
 
     def refresh(self) -> None:
         """Update the flight state after MuJoCo's pose or velocity was changed from outside."""
@@ -317,19 +314,6 @@ class Vehicle:
     def rest(self, ticks: int) -> int:
         """Let ticks pass without moving."""
         return int(hotloop.ENTRY_POINTS.rest.ctypes(self._handles_pointer, ticks))
-
-    # --- saving -----------------------------------------------------------------------------------
-
-    def get_state(self) -> State:
-        """Return flight state, contacts and gains; the pose is part of MuJoCo's state."""
-        state = prefixed("flight", record_fields(self._flight)) | prefixed("touches", self.contact_log.get_state())
-        return state | prefixed("gains", {name: self.parameters[name].copy() for name in GAINS})
-
-    def set_state(self, state: SavedState) -> None:
-        set_record_fields(self._flight, without_prefix("flight", state))
-        self.contact_log.set_state(without_prefix("touches", state))
-        for name, gains in without_prefix("gains", state).items():
-            self.parameters[name] = gains
 
 
 def set_airframe(
