@@ -13,8 +13,7 @@ from uavaccel.clock import VirtualClock
 from uavaccel.commands import COMMANDS
 from uavaccel.config import validate
 from uavaccel.errors import UserError
-from uavaccel.sim.frames import Frames
-from uavaccel.sim.profile import AIRSIM, NATIVE, Executor
+from uavaccel.sim.profile import AIRSIM, NATIVE, Executor, Frames
 from uavaccel.sim.simulation import Simulation
 from uavaccel.wire.api import Api
 from uavaccel.wire.client import Client

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from tests.airsim_wire import AirSimWire
 from tests.scenes import BLOCKS, COLUMNS, ROWS, Pose, cast_rays
-from uavaccel.sim.camera.mounted import MOST_LENSES, Lens, MountedCamera
-from uavaccel.sim.deferred_reply import DeferredReply
+from uavaccel.sim.camera.camera import MOST_LENSES, Lens, MountedCamera
+from uavaccel.sim.flight.pilot import DeferredReply
 from uavaccel.sim.profile import NATIVE
 from uavaccel.sim.simulation import Simulation
 from uavaccel.sim.world import World

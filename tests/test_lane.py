@@ -16,16 +16,18 @@ from tests.lanes import free_distance_m
 from uavaccel.config import load_yaml, validate
 from uavaccel.envs.obstacle_lane import LaneTask
 from uavaccel.errors import UserError
-from uavaccel.sim.lane.file import LaneFile, layout_from, parse_lane
 from uavaccel.sim.lane.layout import (
     EVALUATION_SEEDS,
     LENGTH_M,
     MAX_OBSTACLES,
     WIDTH_M,
     Difficulty,
+    LaneFile,
     LaneLayout,
     Split,
     lane_seed,
+    layout_from,
+    parse_lane,
     sample_layout,
 )
 from uavaccel.wire.image_api import lane_layout

@@ -13,11 +13,10 @@ from uavaccel import open_session
 from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
 from uavaccel.errors import UserError
 from uavaccel.kinematics import VelocityGoal
-from uavaccel.sim.lane.file import layout_from
-from uavaccel.sim.lane.layout import Difficulty, sample_layout
+from uavaccel.sim.lane.layout import Difficulty, layout_from, sample_layout
 from uavaccel.sim.lane.scene import named
 from uavaccel.sim.profile import NATIVE
-from uavaccel.sim.state import physics_state
+from uavaccel.sim.scene.model import physics_state
 from uavaccel.sim.vehicle.goal import of_velocity
 from uavaccel.sim.world import World
 from uavaccel.units import mujoco_to_ned

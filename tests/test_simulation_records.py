@@ -16,7 +16,7 @@ from uavaccel.sim import recording as recordings
 from uavaccel.sim.profile import AIRSIM, NATIVE, Profile
 from uavaccel.sim.recording import Recording
 from uavaccel.sim.simulation import MOST_CATCH_UP_TICKS, Simulation
-from uavaccel.sim.vehicle import samples
+from uavaccel.sim.vehicle import vehicle as samples
 from uavaccel.sim.world import World
 
 TICK_NS = NATIVE.tick_ns
@@ -322,5 +322,3 @@ def test_the_trace_tells_what_happened_when() -> None:
         ("end", 1_002_000, 100_000_000),
         ("pause", 2_002_000, 200_000_000),
     ]
-
-

@@ -180,7 +180,7 @@ def test_where_nothing_can_fly_nothing_is_put(place: Any, text: str) -> None:
             with pytest.raises(UserError, match=text):
                 simulation.reset(simulation.wall_ns, place)
         go_to(simulation, 1000)
-        ends.append(simulation.kinematics())
+        ends.append(simulation.world.lead.kinematics())
     assert ends[0] == ends[1], "a refusal changes nothing"
 
 

@@ -19,8 +19,7 @@ from uavaccel.sim.sensors.earth import geographic
 from uavaccel.sim.simulation import Simulation
 from uavaccel.sim.vehicle import autopilot, goal
 from uavaccel.sim.vehicle.goal import Yaw
-from uavaccel.sim.vehicle.samples import Samples
-from uavaccel.sim.vehicle.vehicle import AddedVehicle, Start, Vehicle
+from uavaccel.sim.vehicle.vehicle import AddedVehicle, Samples, Start, Vehicle
 from uavaccel.sim.world import START_M, World
 from uavaccel.wire import rpc
 from uavaccel.wire.api import Api

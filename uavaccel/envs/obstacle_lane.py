@@ -23,16 +23,17 @@ from uavaccel.envs.values import Course, Info, Number
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Vector
 from uavaccel.limits import Count, Height, Seconds
-from uavaccel.sim.lane.file import LaneFile, parse_lane
 from uavaccel.sim.lane.layout import (
     EVALUATION_SEEDS,
     HULL_RADIUS_M,
     LENGTH_M,
     WIDTH_M,
     Difficulty,
+    LaneFile,
     Split,
     is_walled_off,
     lane_seed,
+    parse_lane,
     sample_layout,
 )
 

@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from uavaccel.kernels.fields import COLUMNS as WIDTH
 from uavaccel.kernels.fields import ROWS as HEIGHT
 from uavaccel.kernels.operands import Operand
-from uavaccel.sim.parts import part
-from uavaccel.sim.rounding import times
+from uavaccel.sim.parts import part, times
 from uavaccel.vision import dvs_kernels as pixel
 from uavaccel.vision.dvs import HOT_RATE_HZ, LIN_LOG, RELATIVE_INTENSITY, SHOT_NOISE_AT_WHITE, DvsParameters
 from uavaccel.vision.dvs_sensor import MIN_THRESHOLD, Draws

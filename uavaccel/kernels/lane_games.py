@@ -17,9 +17,8 @@ from uavaccel.kernels.lanes import EVENT_SEED, PICTURE_SEED, Games
 from uavaccel.kernels.operands import Operand
 from uavaccel.sim.lane.layout import EVALUATION_SEEDS, WIDTH_M
 from uavaccel.sim.lane.scene import AMBIENT, DAYLIGHT, SUN_ELEVATION_RAD
-from uavaccel.sim.parts import part
+from uavaccel.sim.parts import part, times
 from uavaccel.sim.pcg64 import ONE, STREAM_FIELDS, below, first_word, pool_of, spawned, start, unit, word
-from uavaccel.sim.rounding import times
 from uavaccel.vision.image_noise import APART
 
 OWN, OF_LAYOUT, BEFORE = range(

@@ -14,11 +14,9 @@ from fractions import Fraction
 
 from uavaccel.clock import Pacer, positive_clock_speed
 from uavaccel.kinematics import Kinematics, Quaternion, Vector
-from uavaccel.sim.deferred_reply import DeferredReply
-from uavaccel.sim.flight.pilot import Pilot
-from uavaccel.sim.frames import Frames
+from uavaccel.sim.flight.pilot import DeferredReply, Pilot
 from uavaccel.sim.poses import LEVEL
-from uavaccel.sim.profile import UNBOUND, Executor, Profile
+from uavaccel.sim.profile import UNBOUND, Executor, Frames, Profile
 from uavaccel.sim.recording import Recording
 from uavaccel.sim.vehicle.vehicle import AddedVehicle
 from uavaccel.sim.world import FlightError, World

@@ -12,25 +12,21 @@ from numpy.typing import NDArray
 
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Quaternion, Vector
-from uavaccel.sim.clutter.layout import ClutterLayout
-from uavaccel.sim.clutter.scene import apply_clutter
+from uavaccel.sim.clutter import ClutterLayout, apply_clutter
 from uavaccel.sim.lane.layout import PLAIN, LaneLayout
 from uavaccel.sim.lane.scene import apply_layout, object_name
+from uavaccel.sim.poses import DEEPEST_M, check_apart, check_bounds, check_name, check_wind
 from uavaccel.sim.profile import Profile
-from uavaccel.sim.scene.bounds import DEEPEST_M, check_apart, check_bounds, check_name, check_wind
-from uavaccel.sim.scene.model import load_scene, scene_path
+from uavaccel.sim.scene.model import load_scene, physics_state, restore_physics, scene_path
 from uavaccel.sim.scene.objects import restore_from
-from uavaccel.sim.state import physics_state, restore_physics
 from uavaccel.sim.vehicle import hotloop
 from uavaccel.sim.vehicle.clearance import Clearance
 from uavaccel.sim.vehicle.resting import beside_objects, depth, on_the_ground, stand
-from uavaccel.sim.vehicle.samples import Samples
-from uavaccel.sim.vehicle.vehicle import HERE, LEVEL, AddedVehicle, Start, Vehicle
+from uavaccel.sim.vehicle.vehicle import HERE, LEVEL, AddedVehicle, Samples, Start, Vehicle
 from uavaccel.units import NS_PER_S
 
 if TYPE_CHECKING:
-    from uavaccel.sim.camera.camera import FrontCamera
-    from uavaccel.sim.camera.mounted import MountedCamera
+    from uavaccel.sim.camera.camera import FrontCamera, MountedCamera
 
 START_M = (0.0, 0.0, -10.0)  # a game starts from a settled hover 10 m up
 VEHICLE = "SimpleFlight"
@@ -110,7 +106,7 @@ class World:
 
     def mounted_camera(self, width: int, height: int) -> MountedCamera:
         """Return a camera that can be placed anywhere, for pictures up to a size. Raises UserError without OpenGL."""
-        from uavaccel.sim.camera.mounted import MountedCamera
+        from uavaccel.sim.camera.camera import MountedCamera
 
         camera = self._mounted_camera
         if camera is None or camera.width_most < width or camera.height_most < height:

@@ -27,8 +27,7 @@ from uavaccel.limits import Seconds, Seed
 from uavaccel.metrics.dvs_ed import dvs_ed_percent
 from uavaccel.metrics.speedup import timing_provenance
 from uavaccel.sim.camera.view import HEIGHT, WIDTH
-from uavaccel.sim.lane.file import Lane
-from uavaccel.sim.lane.layout import LaneLayout
+from uavaccel.sim.lane.layout import Lane, LaneLayout
 from uavaccel.sim.lane.path import plan_path
 from uavaccel.sim.profile import PROFILES
 from uavaccel.suites import plots

@@ -18,7 +18,7 @@ from uavaccel.units import NS_PER_S, to_ns
 if TYPE_CHECKING:  # they load what draws
     from uavaccel.draw.film import Film
     from uavaccel.draw.panels import Decisions
-    from uavaccel.sim.clutter.layout import ClutterLayout
+    from uavaccel.sim.clutter import ClutterLayout
     from uavaccel.vision.dvs import DvsParameters
 
 ARRAYS = ("time_s", "position_m", "orientation_wxyz", "command_start_s", "command_end_s")

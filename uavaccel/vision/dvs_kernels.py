@@ -11,8 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from uavaccel.sim.parts import njit, part
-from uavaccel.sim.rounding import times
+from uavaccel.sim.parts import njit, part, times
 from uavaccel.vision.observation import BLOCK_SIDE, NEUTRAL_LEVEL
 
 ONE = np.float32(1.0)

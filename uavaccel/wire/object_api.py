@@ -14,11 +14,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from uavaccel.sim.camera.mounted import Lens
-from uavaccel.sim.poses import Pose
-from uavaccel.sim.scene.bounds import LONGEST_NAME
-from uavaccel.sim.scene.objects import ASSETS
-from uavaccel.sim.scene.rays import cast
+from uavaccel.sim.camera.camera import Lens
+from uavaccel.sim.poses import LONGEST_NAME, Pose
+from uavaccel.sim.scene.objects import ASSETS, cast
 from uavaccel.sim.sensors.earth import geographic
 from uavaccel.wire import types
 from uavaccel.wire.arguments import AnyPose, FinitePose, ObjectName, Truthy, Vector3r, VehicleName, finite

@@ -14,9 +14,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from uavaccel.sim.camera.mounted import FRONT_CENTER, Lens, MountedCamera
+from uavaccel.sim.camera.camera import FRONT_CENTER, Lens, MountedCamera
 from uavaccel.sim.camera.view import vehicle_pose
-from uavaccel.sim.scene.rays import cast
+from uavaccel.sim.scene.objects import cast
 from uavaccel.sim.simulation import Simulation
 from uavaccel.wire.cameras import CameraMount
 from uavaccel.wire.segmentation import Segmentation, colours

@@ -16,10 +16,11 @@ from uavaccel.sim.sensors.field import (
     BarometerSettings,
     Gps,
     GpsSettings,
+    Imu,
+    ImuSettings,
     Magnetometer,
     MagnetometerSettings,
 )
-from uavaccel.sim.sensors.inertial import Imu, ImuSettings
 from uavaccel.sim.sensors.ranging import DistanceSensor, Lidar
 from uavaccel.wire import types
 from uavaccel.wire.arguments import VehicleName

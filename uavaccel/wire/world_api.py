@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from uavaccel.kinematics import Vector
-from uavaccel.sim.scene.rays import sees
+from uavaccel.sim.scene.objects import sees
 from uavaccel.sim.sensors.earth import GRAVITY_M_S2, GeoPoint, atmosphere, geographic, local
 from uavaccel.sim.vehicle.vehicle import BODY
 from uavaccel.wire import types

@@ -1,7 +1,7 @@
-"""The drone's off-screen camera: AirSim's front camera, 256 x 144 pixels and 90 degrees wide.
+"""Off-screen cameras: AirSim's front camera, 256 x 144 pixels and 90 degrees wide, and those of any pose and size.
 
 A picture shows the pose in `data.qpos` at the moment of the call, and rendering never changes the flight. Pictures have
-the top row first, unlike OpenGL's.
+the top row first, unlike OpenGL's. A thread's cameras of worlds that look alike draw on one canvas.
 """
 
 from __future__ import annotations
@@ -9,18 +9,20 @@ from __future__ import annotations
 import atexit
 import contextlib
 import ctypes
+import hashlib
+import threading
 import weakref
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from contextvars import ContextVar
-from typing import Self
+from functools import partial
+from typing import NamedTuple, Self
 
 import cv2
 import mujoco
 import numpy as np
 
 from uavaccel.sim.camera import gl
-from uavaccel.sim.camera.canvas import Canvas
 from uavaccel.sim.camera.view import (
     FOV_DEG,
     HEIGHT,
@@ -32,8 +34,85 @@ from uavaccel.sim.camera.view import (
     View,
     far_m,
     ray_lengths,
+    set_quality,
     to_metres,
 )
+from uavaccel.sim.poses import Pose
+
+# What `mjr_makeContext` copies from the model; everything else comes with the scene of each picture.
+UPLOADED = ("tex_", "mat_tex", "mesh_", "hfield_", "skin_")
+Key = tuple[int, int, bytes]
+_of_thread = threading.local()  # .canvases: those that are open, by Key
+
+
+class Canvas:
+    """An OpenGL context of `width` x `height` pixels with the textures and meshes of a model.
+
+    Uploading the textures of a lane takes .2 s in software, so that many environments of one process share one. It
+    belongs to the thread that made it by `open`, and is freed when the last of its cameras leaves it.
+    """
+
+    def __init__(self, model: mujoco.MjModel, width: int, height: int, left: Callable[[], object]) -> None:
+        self._gl, self.renderer = gl.make_context(width, height)
+        self.turns = gl.turns(self.renderer)
+        with self.turns:
+            self.context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_50)
+            gl.sample_textures_fast(self.context)
+            if self.renderer.software:
+                gl.drop_stencil(self.context, width, height)
+            mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self.context)
+            self.read_pixels = gl.pixel_reader()
+        self.context.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR
+        self._users, self._left = 0, left
+
+    def bind(self) -> None:
+        """Make it current in this thread. Raises UserError in a process forked from one that has rendered."""
+        gl.check_process()
+        with self.turns:
+            gl.bind(self._gl)
+
+    def leave(self) -> None:
+        """Free it if no other camera draws with it; nothing is freed in a forked process."""
+        self._users -= 1
+        if self._users > 0 or not gl.survives():
+            return
+        self._left()
+        self.bind()
+        with self.turns:
+            self.context.free()  # before its GL context, or it would free what is another's
+            gl.release(self._gl)
+
+    @classmethod
+    def open(cls, model: mujoco.MjModel, width: int, height: int) -> Canvas:
+        """Return this thread's canvas for such a model, made if there is none; each caller has to `leave` it.
+
+        Raises UserError if OpenGL is missing.
+        """
+        gl.check_process()
+        set_quality(model, width, height)  # part of what is compared
+        canvases: dict[Key, Canvas] = _of_thread.__dict__.setdefault("canvases", {})
+        key = (width, height, appearance(model))
+        canvas = canvases.get(key)
+        if canvas is None:
+            canvas = canvases[key] = cls(model, width, height, partial(canvases.pop, key))
+        canvas._users += 1
+        return canvas
+
+
+def appearance(model: mujoco.MjModel) -> bytes:
+    """Return a digest of what MuJoCo uploads of a model: equal digests draw equal pictures of equal scenes."""
+    digest = hashlib.blake2b(repr((model.vis.quality, model.vis.map, float(model.stat.extent))).encode())
+    plane = model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE
+    of_planes = model.geom_matid[plane]  # a lane's ground changes, but not how its textures repeat
+    repeats = model.mat_texrepeat[of_planes], model.mat_texuniform[of_planes], of_planes >= 0
+    for array in (model.geom_size[plane], model.geom_dataid[plane], *repeats):
+        digest.update(np.ascontiguousarray(array).tobytes())
+    for name in sorted(dir(model)):
+        if name.startswith(UPLOADED):
+            array = np.ascontiguousarray(getattr(model, name))
+            digest.update(f"{name}{array.shape}".encode() + array.tobytes())
+    return digest.digest()
+
 
 _GL_RGBA, _GL_UNSIGNED_BYTE = 0x1908, 0x1401
 
@@ -235,3 +314,59 @@ def _close_all() -> None:
     for camera in list(_open_cameras):
         with contextlib.suppress(Exception):
             camera.close()
+
+
+MOST_LENSES = 8  # whose ray lengths are cached
+SKY_M = 65504.0  # AirSim's depth of the sky: the largest half-precision number
+FRONT_CENTER = Pose((0.46, 0.0, 0.0))  # quadrotor.xml's own camera
+
+
+class Lens(NamedTuple):
+    """Size of a picture in pixels, and its horizontal field of view in degrees."""
+
+    width: int = WIDTH
+    height: int = HEIGHT
+    fov_deg: float = FOV_DEG
+
+
+class MountedCamera(Camera):
+    """A camera that is pointed for each picture, of at most `width` x `height` pixels.
+
+    The vehicle that carries it is visible. Raises UserError if OpenGL is missing.
+    """
+
+    def __init__(self, model: mujoco.MjModel, width: int = WIDTH, height: int = HEIGHT) -> None:
+        super().__init__(model, width, height)
+        self.width_most, self.height_most = width, height
+        self._lens = Lens(width, height)
+        self._view.show_everything()
+        self._rays: dict[Lens, DepthImage] = {}
+
+    def point(self, eye: Pose | None, lens: Lens) -> None:
+        """Take the next pictures from `eye`, NED, or from the model's own camera if None, through `lens`."""
+        self._view.look_from(eye, lens.width, lens.height, lens.fov_deg)
+        if lens != self._lens:
+            self._lens = lens
+            self.width, self.height = lens.width, lens.height
+            self._rectangle = mujoco.MjrRect(0, 0, lens.width, lens.height)
+            self._pixels: Image = np.empty((lens.height, lens.width, 4), np.uint8)
+            self._address = self._pixels.ctypes.data_as(ctypes.c_void_p)
+
+    def depth(self, data: mujoco.MjData) -> DepthImage:
+        """Render metres along the optical axis, SKY_M for the sky; (height, width) float32."""
+        picture = self._read_depths(data)
+        sky = picture == 0.0
+        depth = to_metres(self.model, picture)
+        depth[sky] = SKY_M
+        return depth
+
+    def depth_perspective(self, data: mujoco.MjData) -> DepthImage:
+        """Render metres along each pixel's ray, SKY_M for the sky; (height, width) float32."""
+        depth = self.depth(data)
+        if self._lens not in self._rays:
+            half_width = float(np.tan(np.radians(self._lens.fov_deg) / 2))
+            if len(self._rays) >= MOST_LENSES:  # clients may set any field of view
+                self._rays.clear()
+            self._rays[self._lens] = ray_lengths(self.width, self.height, half_width)
+        np.minimum(depth * self._rays[self._lens], np.float32(SKY_M), out=depth)
+        return depth

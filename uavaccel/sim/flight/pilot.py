@@ -6,19 +6,36 @@ effect (OffboardApi.hpp).
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
 from uavaccel.kinematics import Kinematics
-from uavaccel.sim.deferred_reply import DeferredReply
 from uavaccel.sim.flight.tasks import FlightTask, MoveByManual
 from uavaccel.sim.profile import Profile
 from uavaccel.sim.recording import CommandLog
 from uavaccel.sim.vehicle.goal import IDLE, STICKS, VALID, Goal, Sticks, stick_goal
 from uavaccel.sim.vehicle.vehicle import Vehicle
 from uavaccel.units import NS_PER_S
+
+
+class DeferredReply:
+    """The pending reply of a command's `join`, or of a continue-for: due later than its call, and resolved in time."""
+
+    def __init__(self) -> None:
+        self.value: object = None
+        self.encode: Callable[[Any], object] = lambda value: value  # to the form of the wire
+        self.due_wall_ns: int | None = None
+        self.on_due: Callable[[DeferredReply], None] | None = None
+
+    def resolve(self, value: object, wall_ns: int) -> None:
+        """Set the value, and the wall time before which the reply may not be sent."""
+        self.value, self.due_wall_ns = value, wall_ns
+        if self.on_due is not None:
+            self.on_due(self)
+
 
 OTHERS_LOG_LENGTH = 64  # of vehicles whose log is not recorded
 LONGEST_TICKS = 1 << 40  # of a command whose end is not known

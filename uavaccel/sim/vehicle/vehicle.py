@@ -1,4 +1,4 @@
-"""A quadrotor of a world: its views of MuJoCo's arrays, its flight state, and its contacts.
+"""A quadrotor of a world: its views of MuJoCo's arrays, its flight state, its contacts, and its recorder.
 
 Its poses and goals are in its own frame: NED, in metres from `origin_m`, a point of the world (NedTransform.cpp).
 """
@@ -21,8 +21,48 @@ from uavaccel.sim.vehicle import autopilot, hotloop
 from uavaccel.sim.vehicle.collisions import ContactLog
 from uavaccel.sim.vehicle.goal import IDLE, Goal
 from uavaccel.sim.vehicle.quadrotor import FLIGHT_DTYPE, KINEMATICS, NEVER, PARAMETERS_DTYPE, Record, parameters
-from uavaccel.sim.vehicle.samples import Samples
 from uavaccel.units import mujoco_to_ned, ned_to_mujoco, quaternion_ned_to_mujoco
+
+SAMPLE_CAPACITY = 1 << 16
+
+
+class Samples:
+    """Rows (n, 14) that the hot loop writes: tick, position, wxyz, velocity, body rate."""
+
+    def __init__(self, period_ticks: int, capacity: int | None = None) -> None:
+        self.record = np.zeros(1, hotloop.RECORDER_DTYPE)
+        self.buffer = np.empty((SAMPLE_CAPACITY if capacity is None else capacity, hotloop.SAMPLE_COLUMNS))
+        self.record["period"] = period_ticks
+        self.stop()
+
+    @property
+    def active(self) -> bool:
+        return int(self.record["next_tick"][0]) != NEVER
+
+    @property
+    def dropped(self) -> int:
+        """Number of samples for which the buffer had no room."""
+        return int(self.record["dropped"][0])
+
+    def start(self, tick: int) -> None:
+        """Empty the buffer; the next sample is due at `tick`."""
+        self.record["count"] = self.record["dropped"] = 0
+        self.record["next_tick"] = tick
+
+    def stop(self) -> None:
+        """Stop recording; the rows stay."""
+        self.record["next_tick"] = NEVER
+
+    def rows(self) -> NDArray[np.float64]:
+        """Return a copy of the recorded rows."""
+        return self.buffer[: int(self.record["count"][0])].copy()
+
+    def take(self) -> NDArray[np.float64]:
+        """Return the rows and empty the buffer; recording continues."""
+        rows = self.rows()
+        self.record["count"] = 0
+        return rows
+
 
 AT_REST_M_S = 0.05
 LEVEL = (1.0, 0.0, 0.0, 0.0)
