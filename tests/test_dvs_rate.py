@@ -23,8 +23,7 @@ from uavaccel.sim.world import World
 from uavaccel.suites.dp2 import Dp2
 from uavaccel.suites.evaluate import EvaluateConfig, Evaluation
 from uavaccel.units import to_ns
-from uavaccel.vision.dvs import PRESETS, make_sensor, sensor_from_maps
-from uavaccel.vision.event_counter import EventCounter, count_events
+from uavaccel.vision.dvs import PRESETS, EventCounter, count_events, make_sensor, sensor_from_maps
 
 LANE, TICK_S, SAMPLES = 3, 0.002, (165, 330, 500)  # ticks of a command's samples
 AHEAD = 2

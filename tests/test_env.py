@@ -28,7 +28,7 @@ from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.envs.sensors import DEPTH_FAR_M
 from uavaccel.errors import UserError
 from uavaccel.sim.lane.layout import EVALUATION_SEEDS, Difficulty, lane_seed, sample_layout
-from uavaccel.vision.observation import NEUTRAL_LEVEL
+from uavaccel.vision.dvs_sensor import NEUTRAL_LEVEL
 
 NAME = "uavaccel/ObstacleLane-v0"
 IMAGE = (3, 36, 64)

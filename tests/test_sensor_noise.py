@@ -15,7 +15,7 @@ from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
 from uavaccel.errors import UserError
 from uavaccel.vision import noise as numbers
 from uavaccel.vision.dvs import PRESETS, DvsParameters, init_state, make_sensor, step
-from uavaccel.vision.image_noise import ImageNoise, noise_seed
+from uavaccel.vision.noise import ImageNoise, noise_seed
 
 SHAPE = (144, 256)
 NOISES: dict[str, Any] = {"dvs_shot_noise_hz": 1.0, "dvs_leak_hz": 0.5, "image_noise": 4.0}

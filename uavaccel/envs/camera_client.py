@@ -16,15 +16,14 @@ from uavaccel.envs.stopwatch import Stopwatch
 from uavaccel.kinematics import FlightGoal, Kinematics
 from uavaccel.sim.camera.view import AnyImage
 from uavaccel.vision.guard import GuardSettings, GuardState, acquire
-from uavaccel.vision.image_noise import ImageNoise
+from uavaccel.vision.noise import ImageNoise
 from uavaccel.vision.perturb import AutoExposure, PerturbationSettings, perturb_share
 from uavaccel.wire.client import Client
 from uavaccel.wire.game_api import Collision
 from uavaccel.wire.transport import PendingCall
 
 if TYPE_CHECKING:  # they load what is compiled, and the simulation
-    from uavaccel.vision.dvs import Counts, DvsSensor
-    from uavaccel.vision.event_counter import EventCounter
+    from uavaccel.vision.dvs import Counts, DvsSensor, EventCounter
     from uavaccel.wire.session import Session
 
 
@@ -125,7 +124,7 @@ class EventClient(CameraClient):
 
     def count(self, sensor: DvsSensor, every_ticks: int, noise_seed: int) -> None:
         """Count the sensor's events from the first sample on, of frames at each sample and every so many ticks."""
-        from uavaccel.vision.event_counter import EventCounter
+        from uavaccel.vision.dvs import EventCounter
 
         self._counter, self._noise_seed = EventCounter(sensor), noise_seed
         self.close = self._session.watch(every_ticks, self._see)

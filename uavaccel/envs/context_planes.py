@@ -18,7 +18,7 @@ from uavaccel.envs.arrays import cast, constant, namespace_of
 from uavaccel.envs.sensors import SIZE
 from uavaccel.envs.values import Number
 from uavaccel.units import NS_PER_S
-from uavaccel.vision.observation import NEUTRAL_LEVEL
+from uavaccel.vision.dvs_sensor import NEUTRAL_LEVEL
 
 ContextKind = Literal["last_action", "frame_age"]
 FULL_LEVEL = 255

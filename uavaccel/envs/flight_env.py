@@ -51,7 +51,7 @@ class FlightEnv(gymnasium.Env[Observation, Action], Generic[TaskT]):
     task_class: type[TaskT]
 
     def __init__(self, render_mode: str | None = None, **keys: object) -> None:
-        from uavaccel.vision.image_noise import ImageNoise
+        from uavaccel.vision.noise import ImageNoise
 
         self.task: TaskT = make_task(self.task_class, keys, type(self).__name__)
         self.episode_task: TaskT = self.task
@@ -206,7 +206,7 @@ class FlightEnv(gymnasium.Env[Observation, Action], Generic[TaskT]):
 
     def _seed_noise(self, client: FlightClient, seed: int, start_ns: int) -> None:
         """Seed the noise of this game's pictures and events."""
-        from uavaccel.vision.image_noise import ImageNoise
+        from uavaccel.vision.noise import ImageNoise
 
         self._noise = client.noise = ImageNoise(self.episode_task.image_noise, seed, start_ns)
         if isinstance(self.sensor, EventCamera):
@@ -253,7 +253,7 @@ class FlightEnv(gymnasium.Env[Observation, Action], Generic[TaskT]):
 
     def _start_game(self, course: Course, latencies: np.random.SeedSequence) -> None:
         from uavaccel.envs.observer import Game
-        from uavaccel.vision.image_noise import noise_seed
+        from uavaccel.vision.noise import noise_seed
         from uavaccel.wire.rpc import RpcError
 
         session, self._stopwatches = self._opened(), []

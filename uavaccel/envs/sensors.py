@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from uavaccel.envs.values import Course, Frame, Number
 from uavaccel.kinematics import Kinematics
 from uavaccel.sim.camera.view import HEIGHT, WIDTH, AnyImage
-from uavaccel.vision.dvs_sensor import DvsParameters, make_sensor
-from uavaccel.vision.observation import BLOCK_SIDE, NEUTRAL_LEVEL, dvs_observation
+from uavaccel.vision.dvs_sensor import BLOCK_SIDE, NEUTRAL_LEVEL, DvsParameters, dvs_observation, make_sensor
 
 SIZE = (HEIGHT // BLOCK_SIDE, WIDTH // BLOCK_SIDE)  # rows, columns
 PICTURE_SIZE = (WIDTH, HEIGHT)  # columns, rows
@@ -58,7 +57,7 @@ class EventCamera(Sensor):
     def __init__(
         self, parameters: DvsParameters, seed: int, listed: bool = False, size: tuple[int, int] = PICTURE_SIZE
     ) -> None:
-        from uavaccel.vision.event_counter import EventCounter  # compiled
+        from uavaccel.vision.dvs import EventCounter  # compiled
 
         super().__init__(blank_frame("dvs", size))
         self.counter = EventCounter(make_sensor(parameters, size[::-1], seed), listed)

@@ -40,8 +40,8 @@ from uavaccel.sim.parts import times
 from uavaccel.sim.pcg64 import STREAM_FIELDS, advance
 from uavaccel.sim.vehicle.quadrotor import FLIGHT_DTYPE, NEVER, PARAMETERS_DTYPE
 from uavaccel.vision.dvs_kernels import count_double_pixel
+from uavaccel.vision.dvs_sensor import BLOCK_SIDE, NEUTRAL_LEVEL
 from uavaccel.vision.noise import READ_NOISE, normal_block
-from uavaccel.vision.observation import BLOCK_SIDE, NEUTRAL_LEVEL
 
 BLOCK_ROWS, BLOCK_COLUMNS = at.ROWS // BLOCK_SIDE, at.COLUMNS // BLOCK_SIDE
 BLOCKS = BLOCK_ROWS * BLOCK_COLUMNS

@@ -19,7 +19,7 @@ from uavaccel.sim.lane.layout import EVALUATION_SEEDS, WIDTH_M
 from uavaccel.sim.lane.scene import AMBIENT, DAYLIGHT, SUN_ELEVATION_RAD
 from uavaccel.sim.parts import part, times
 from uavaccel.sim.pcg64 import ONE, STREAM_FIELDS, below, first_word, pool_of, spawned, start, unit, word
-from uavaccel.vision.image_noise import APART
+from uavaccel.vision.noise import APART
 
 OWN, OF_LAYOUT, BEFORE = range(
     3

@@ -19,7 +19,7 @@ from uavaccel.errors import UserError
 from uavaccel.files import TEXT_BYTES, parse_json, read_bounded
 from uavaccel.resources import require
 from uavaccel.rl.agents import Agent, BatchAgent, Origin, form_of, kept_keys
-from uavaccel.vision.observation import BLOCK_SIDE, NEUTRAL_LEVEL
+from uavaccel.vision.dvs_sensor import BLOCK_SIDE, NEUTRAL_LEVEL
 
 MOST_BYTES = 64 * TEXT_BYTES
 ENV_ID, TASK = "env_id", "task"

@@ -103,8 +103,7 @@ def windows_of(
     images: NDArray[np.uint8], time_ns: Times, parameters: DvsParameters, sensor_seed: int
 ) -> Iterator[Window]:
     """Yield the events between gray images (n, H, W) taken at times (n,); n - 1 windows."""
-    from uavaccel.vision.dvs import make_sensor
-    from uavaccel.vision.event_counter import EventCounter
+    from uavaccel.vision.dvs import EventCounter, make_sensor
 
     counter = EventCounter(make_sensor(parameters, images.shape[1:], sensor_seed), listed=True)
     counter.start(images[0], int(time_ns[0]), sensor_seed)
