@@ -26,7 +26,7 @@ from uavaccel.sim.vehicle.vehicle import HERE, LEVEL, AddedVehicle, Samples, Sta
 from uavaccel.units import NS_PER_S
 
 if TYPE_CHECKING:
-    from uavaccel.sim.camera.camera import FrontCamera, MountedCamera
+    from uavaccel.sim.camera.camera import Camera, MountedCamera
 
 START_M = (0.0, 0.0, -10.0)  # a game starts from a settled hover 10 m up
 VEHICLE = "SimpleFlight"
@@ -57,7 +57,7 @@ class World:
         self.scene, self.scenery = scene, PLAIN
         self.lane: LaneLayout | None = None
         self.clutter: ClutterLayout | None = None
-        self._cameras: dict[tuple[int, int], FrontCamera] = {}
+        self._cameras: dict[tuple[int, int], Camera] = {}
         self._observers: list[tuple[int, int, Callable[[int], None]]] = []
         self.revision = 0
         """Grows whenever objects or vehicles were added, removed or moved, or look different."""
@@ -96,7 +96,7 @@ class World:
 
     # --- scene ------------------------------------------------------------------------------------
 
-    def camera(self, width: int, height: int) -> FrontCamera:
+    def camera(self, width: int, height: int) -> Camera:
         """Return the front camera of a size, made at the first request. Raises UserError without OpenGL."""
         from uavaccel.sim.camera.camera import make_camera  # without images no OpenGL is needed
 

@@ -1,17 +1,13 @@
-"""What AirSim's sensors have in common: keys of their settings, what they measure, the table of all kinds, and noise.
+"""What AirSim's sensors have in common: keys of their settings, what they measure, and noise.
 
 Noise depends only on a seed and on the time of a reading, not on earlier readings.
 """
 
 from __future__ import annotations
 
-import importlib
 import math
-import pkgutil
 import zlib
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any, NamedTuple, TypeAlias, TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,32 +37,8 @@ class AirSimKeys(Config):
         return value
 
 
-Settings: TypeAlias = Any  # an AirSimKeys of its own for each class of sensors
-MakeSensor = Callable[[Settings, int, str], object]
-Made = TypeVar("Made", bound=MakeSensor)
 Checked = TypeVar("Checked")
 LEAST, MOST = 1e-12, 1e12
-_sensors: dict[type[AirSimKeys], MakeSensor] = {}
-
-
-def sensor(settings: type[AirSimKeys]) -> Callable[[Made], Made]:
-    """Register a class of sensors, whose constructor takes these settings, a noise seed and a name.
-
-    The settings have `sensor_type`, AirSim's number of the kind, and `enabled`.
-    """
-
-    def register(made: Made) -> Made:
-        _sensors[settings] = made
-        return made
-
-    return register
-
-
-def sensors() -> dict[type[AirSimKeys], MakeSensor]:
-    """Return all classes of sensors by their settings, in the order of AirSim's numbers."""
-    for module in pkgutil.iter_modules([str(Path(__file__).parent)], f"{__package__}."):
-        importlib.import_module(module.name)
-    return dict(sorted(_sensors.items(), key=lambda each: int(each[0].model_fields["sensor_type"].default)))
 
 
 class Truth(NamedTuple):

@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import Field
 
 from uavaccel.kinematics import Vector
-from uavaccel.sim.sensors.base import UPDATES_PER_S, AirSimKeys, Drift, Truth, White, seeds_of, sensor
+from uavaccel.sim.sensors.base import UPDATES_PER_S, AirSimKeys, Drift, Truth, White, seeds_of
 from uavaccel.sim.sensors.earth import (
     GRAVITY_M_S2,
     SEA_LEVEL_PA,
@@ -51,7 +51,6 @@ class ImuReading(NamedTuple):
     linear_acceleration_m_s2: Vector
 
 
-@sensor(ImuSettings)
 class Imu:
     """Reads rate and force at every tick, with white noise and random-walk biases."""
 
@@ -98,7 +97,6 @@ class BarometerReading(NamedTuple):
     qnh_hpa: float = SEA_LEVEL_PA / 100
 
 
-@sensor(BarometerSettings)
 class Barometer:
     """Reads the standard atmosphere's pressure with a drift since the last reset, and white noise.
 
@@ -130,7 +128,6 @@ class MagnetometerSettings(AirSimKeys):
     noise_bias: NotNegative = 0.0
 
 
-@sensor(MagnetometerSettings)
 class Magnetometer:
     """Reads the dipole's field at the vehicle, with a constant bias and white noise."""
 
@@ -174,7 +171,6 @@ class GpsReading(NamedTuple):
     fix: int
 
 
-@sensor(GpsSettings)
 class Gps:
     """Reads a delayed true position without noise, and dilutions that fall after a reset.
 

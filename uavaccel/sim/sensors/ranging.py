@@ -15,7 +15,7 @@ from pydantic import Field, model_validator
 
 from uavaccel.sim.poses import Pose, from_degrees
 from uavaccel.sim.scene.objects import cast
-from uavaccel.sim.sensors.base import AirSimKeys, Truth, White, sensor
+from uavaccel.sim.sensors.base import AirSimKeys, Truth, White
 from uavaccel.sim.sensors.field import NotNegative, Positive
 
 MOST_POINTS = 100_000  # of one scan, as in AirSim
@@ -57,7 +57,6 @@ class DistanceSettings(_Mounted):
         return self
 
 
-@sensor(DistanceSettings)
 class DistanceSensor:
     """Reads the distance to the first object ahead, at most the largest distance."""
 
@@ -97,7 +96,6 @@ class Scan(NamedTuple):
     pose: Pose
 
 
-@sensor(LidarSettings)
 class Lidar:
     """Reads the points of one period, all from the vehicle's present pose."""
 
