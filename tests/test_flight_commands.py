@@ -535,12 +535,17 @@ def test_motors_turn_as_told_and_say_so() -> None:
     assert [rotor["torque_scaler"] for rotor in rotors] == pytest.approx(torques, rel=1e-4)
 
 
-def test_after_throttle_the_vertical_integrator_is_new() -> None:
+def test_after_throttle_and_new_gains_the_vertical_integrator_is_new() -> None:
     api = hovering()
     fly(api, "moveByVelocity", 0.0, 0.0, -1.0, 2.0, MAX_DOF, STRAIGHT)
     assert abs(api.simulation.world.lead.state["z_integral"]) > 0.05
     fly(api, "moveByRollPitchYawThrottle", 0.0, 0.0, 0.0, 0.6, 0.02)
     call(api, "moveByVelocity", 0.0, 0.0, -1.0, 2.0, MAX_DOF, STRAIGHT)
+    go_on(api, 0.002)
+    assert api.simulation.world.lead.state["z_integral"] == 0.0
+    go_on(api, 1.0)
+    assert abs(api.simulation.world.lead.state["z_integral"]) > 0.05
+    call(api, "setPositionControllerGains", [0.25] * 3, [0.0] * 3, [0.0] * 3)
     go_on(api, 0.002)
     assert api.simulation.world.lead.state["z_integral"] == 0.0
 

@@ -380,6 +380,10 @@ def test_vehicles_that_start_in_the_air_are_handed_over_at_rest(profile: Profile
     assert api.simulation.time_ns == 0
     for name, high_m in (("A", 2.0), ("B", 0.1)):
         assert place(api, name) == pytest.approx((0.0, 0.0, high_m), abs=2e-3)
+        told = call(api, "getMultirotorState", name)
+        assert told["landed_state"] == 0
+        forces = told["kinematics_estimated"]["linear_acceleration"]
+        assert list(forces.values()) == pytest.approx([0.0] * 3, abs=1e-3)
         call(api, "enableApiControl", True, name)
         call(api, "takeoff", 20.0, name)  # refused while a vehicle moves
     go_on(api, 5.0)
