@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from tests.running import configured
+from uavaccel.draw import chase
 from uavaccel.draw.film import frames
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
-from uavaccel.sim import chase
 from uavaccel.sim.lane.layout import LaneLayout, sample_layout
 from uavaccel.suites import evaluate_again
 from uavaccel.suites.dp1 import Dp1
