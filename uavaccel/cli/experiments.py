@@ -226,10 +226,10 @@ def evaluate_agent(request: RunRequest, against: Path | None, films: bool) -> No
 
 def film_extremes(run: RunDirectory) -> None:
     """Write films and contact sheets of the best game and the worst, which the report shows, where there is OpenGL."""
-    from uavaccel.cli.results import film_game
     from uavaccel.envs.simulators import EXACT
     from uavaccel.sim.camera.gl import describe_renderer
     from uavaccel.suites.evaluate import Evaluation
+    from uavaccel.suites.flight import film_game
 
     try:
         describe_renderer()
@@ -241,7 +241,8 @@ def film_extremes(run: RunDirectory) -> None:
         console.print("films: both games once more in the exact simulator, where they may end otherwise")
     for number, (name, row) in enumerate({"best": order[0], "worst": order[-1]}.items(), start=1):
         console.print(f"film {number} of 2, before the report: {row['case']}, the {name} game, flown again")
-        film_game(run.path, row["case"], None, run.file(f"films/{name}.mp4"))
+        for path in film_game(run.path, row["case"], None, run.file(f"films/{name}.mp4"), working):
+            console.print(str(path))
 
 
 def sweep_agent(request: RunRequest, sweep: list[str], against: Path | None) -> None:
