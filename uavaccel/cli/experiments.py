@@ -27,6 +27,7 @@ GRIDS = ("clock_speed", "command", "t_move_s", "rounds")
 @requests(*KEYS, several=GRIDS)
 def run(
     request: RunRequest,
+    context: typer.Context,
     names: Annotated[
         list[str] | None,
         typer.Argument(
@@ -51,8 +52,10 @@ def run(
         for name, about in experiments().items():
             console.print(f"{name:20}  {about}")
     elif report:
-        if request.overrides or replace(request, overrides=(), trust=False) != type(request)(None, dict.fromkeys(KEYS)):
-            raise UsageError("--report: flies nothing; beside run directories it takes --trust alone")
+        sources = {each.opts[0]: context.get_parameter_source(each.name or "") for each in context.command.params}
+        given = [option for option, source in sources.items() if source is not None and source.name == "COMMANDLINE"]
+        if others := [option for option in given if option not in ("names", "--report", "--trust")]:
+            raise UsageError(f"--report: flies nothing; beside run directories it takes --trust alone, not {others[0]}")
         report_runs(list(map(Path, names)), request.trust)
     elif len(names) > 1:
         raise UsageError(f"run: flies one experiment, not {len(names)}: {', '.join(names)}")
