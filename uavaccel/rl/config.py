@@ -51,7 +51,9 @@ Ratio = Annotated[float, Field(ge=0.0, le=1.0)]
 Weight = Annotated[float, Field(ge=0.0, le=1e3)]
 
 LANE = "uavaccel/ObstacleLane-v0"
-ENVIRONMENTS = (LANE, "uavaccel/Hover-v0", "uavaccel/Gates-v0", "uavaccel/Navigate-v0")
+SHORT = {"lane": LANE, "hover": "uavaccel/Hover-v0", "gates": "uavaccel/Gates-v0", "navigate": "uavaccel/Navigate-v0"}
+"""The environments that ship, by the names that Python takes too."""
+ENVIRONMENTS = tuple(SHORT.values())
 
 
 def environment_class(env_id: str) -> type[FlightEnv[Any]]:
