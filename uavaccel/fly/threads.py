@@ -33,6 +33,16 @@ POOL = ("ApplyResult", "MapResult", "IMapIterator", "IMapUnorderedIterator", "Po
 QUEUES = ("Queue", "LifoQueue", "PriorityQueue", "_PySimpleQueue")
 
 
+class Moment(int):
+    """A time in ns, to which Python's modules add seconds: of floats the rest of a wait would never be 0."""
+
+    def __add__(self, seconds: float) -> Moment:
+        return Moment(int(self) + round(seconds * NS_PER_S))
+
+    def __sub__(self, other: int) -> float:  # type: ignore[override]
+        return (int(self) - int(other)) / NS_PER_S
+
+
 def rebuilt(kind: type, names: dict[str, Any]) -> type:
     """Return a class of Python's once more, whose methods and bases are looked up among `names`."""
     own = CellType()  # where `super()` finds the class
@@ -55,8 +65,8 @@ class ThreadModules:
     """The modules of threads for the scripts of one flight."""
 
     def __init__(self, turns: Turns) -> None:
-        def now_s() -> float:
-            return turns.now_ns() / NS_PER_S
+        def now() -> Moment:
+            return Moment(turns.now_ns())
 
         def start_new_thread(function: Callable[..., object], args: Iterable[object], *kwargs: Any) -> int:
             thread = self.threading.Thread(None, function, None, args, *kwargs, daemon=True)
@@ -64,7 +74,7 @@ class ThreadModules:
             return thread.ident or 0
 
         lock, thread = bound(Lock, turns), bound(Thread, turns)
-        names = {**vars(threading), "_time": now_s, "_allocate_lock": lock, "Lock": lock, "Thread": thread}
+        names = {**vars(threading), "_time": now, "_allocate_lock": lock, "Lock": lock, "Thread": thread}
         for name in LOCKS:
             names[name] = rebuilt(getattr(threading, name), names)
         names["RLock"] = names["_RLock"]
@@ -72,7 +82,7 @@ class ThreadModules:
         own["enumerate"] = lambda: [threading.main_thread(), *turns.running]
         own["active_count"] = own["activeCount"] = lambda: 1 + len(turns.running)
         self.threading = changed(threading, **own)
-        names = {**vars(queue), "threading": self.threading, "time": now_s}
+        names = {**vars(queue), "threading": self.threading, "time": now}
         kinds = {name: rebuilt(getattr(queue, name), names) for name in QUEUES}
         kinds["SimpleQueue"] = kinds.pop("_PySimpleQueue")
         names |= kinds
@@ -176,7 +186,7 @@ class SharedModules:
         self._patches.set(module.BaseSelectorEventLoop, "__init__", init)
 
     def _leave_ends_unsaid(self, module: ModuleType) -> None:
-        """Keep a pool or an event loop from logging the end of the flight, which reaches its workers as an exception."""
+        """Keep a pool or an event loop from logging the end of the flight, an exception in its workers."""
         logger = module.LOGGER if hasattr(module, "LOGGER") else module.logger
         logger.addFilter(_is_no_end)
         self._patches.undo(lambda: logger.removeFilter(_is_no_end))
