@@ -21,9 +21,8 @@ from gymnasium import spaces
 from uavaccel.fly import children, process, wall
 from uavaccel.fly.messages import FILE_NAME as MESSAGES
 from uavaccel.fly.messages import DifferenceError, MessageLog
-from uavaccel.fly.modules import named_module, of_a_script
+from uavaccel.fly.modules import Patches, named_module, of_a_script
 from uavaccel.fly.options import SUMMARY, FlightOptions, found_settings
-from uavaccel.fly.patches import Patches
 from uavaccel.fly.script import ScriptResult, run_script
 
 # --- the process -----------------------------------------------------------------------------------------------------

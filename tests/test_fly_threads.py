@@ -27,7 +27,7 @@ from typing import Any
 import pytest
 
 from uavaccel.clock import VirtualClock, time_module
-from uavaccel.fly.patches import Patches
+from uavaccel.fly.modules import Patches
 from uavaccel.fly.script import FlightOver
 from uavaccel.fly.simulated import READING_NS
 from uavaccel.fly.threads import SharedModules, ThreadModules

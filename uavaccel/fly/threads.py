@@ -18,8 +18,7 @@ from types import CellType, FunctionType, ModuleType, SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 from uavaccel.clock import changed
-from uavaccel.fly.modules import called_by_a_script
-from uavaccel.fly.patches import Patches
+from uavaccel.fly.modules import Patches, called_by_a_script
 from uavaccel.fly.script import FlightOver
 from uavaccel.fly.turns import Lock, Thread, Turns, bound
 from uavaccel.units import NS_PER_S
