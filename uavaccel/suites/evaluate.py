@@ -41,7 +41,7 @@ from uavaccel.rl.agents import (
     reset_options,
 )
 from uavaccel.rl.config import ENVIRONMENTS, LANE, AnyTask, EnvId, environment_class, keys_with_task
-from uavaccel.sim.lane.layout import EVALUATION_SEEDS, LENGTH_M, WIDTH_M
+from uavaccel.sim.lane.layout import SPLIT_SIZE, LENGTH_M, WIDTH_M
 from uavaccel.suites import paper_results, plots
 from uavaccel.suites.experiment import Experiment
 from uavaccel.suites.flight import Flight
@@ -98,9 +98,9 @@ class EvaluateConfig(Experiment):
 
     @model_validator(mode="after")
     def _fits(self) -> EvaluateConfig:
-        if self.first_lane + self.games > EVALUATION_SEEDS:
+        if self.first_lane + self.games > SPLIT_SIZE:
             raise ValueError(
-                f"first_lane = {self.first_lane} and games = {self.games}: lanes are 0 to {EVALUATION_SEEDS - 1}"
+                f"first_lane = {self.first_lane} and games = {self.games}: lanes are 0 to {SPLIT_SIZE - 1}"
             )
         if self.simulator == KERNELS and self.environments > 1:
             raise ValueError("environments needs simulator mujoco: the kernels fly all lanes as one batch")

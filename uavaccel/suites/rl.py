@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 import shutil
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
@@ -30,9 +30,9 @@ from uavaccel.envs.stopwatch import PHASES
 from uavaccel.errors import UserError
 from uavaccel.forms import ArrayForm, Count, NotNegative, Positive
 from uavaccel.limits import ClockSpeed, CommandName, Games, Seed
-from uavaccel.metrics.equivalence import success_estimate
 from uavaccel.metrics.intervals import Proportion, fisher_exact_p, mcnemar_exact
 from uavaccel.metrics.seeds import permutation_p, sign_flip_p
+from uavaccel.metrics.success import Success
 from uavaccel.records import RunDirectory
 from uavaccel.rl.agents import DEFAULT, FLIGHT, SENSES
 from uavaccel.sim.lane.layout import LENGTH_M, Difficulty, sample_layout
@@ -50,7 +50,7 @@ if TYPE_CHECKING:  # it loads what draws
 
 SimulatedTiming = Literal["virtual", "lockstep"]
 Flights: TypeAlias = pd.DataFrame
-"""Flights of policies, a row each, as `Rl.score` returns them."""
+"""Flights of policies, a row each, as `flights_of` returns them."""
 
 KEY = ["variant", "profile", "timing", "command", "clock_speed"]
 """The conditions of a training; trainings that have them in common differ in their seed alone."""
@@ -295,29 +295,7 @@ class Rl(SuiteOfRuns[RlConfig, TrainingCase]):
         return f"{rows[-1]['case']} won {flown['successes']} of {flown['games']}"
 
     def score(self, report: Report) -> Flights:
-        """Return a row for each flight of a policy, the one in real time with its own command, flight 0, first.
-
-        It has the conditions of the training, `with` and `at`, command and ClockSpeed of the flight, `success`, a
-        Proportion, `won`, the outcome by lane, and `distance_m`; and, unless `exact`, the numbers of the training, its
-        seconds by phase, `simulation_s`, which as in the paper has rendering, and `wall_s`.
-        """
-        flights = []
-        for game in report.games.to_dict("records"):
-            arrays, exact, evaluations = report.arrays(game), game.get("training") is None, game["evaluations"]
-            learned = {} if exact else {**game["training"], **game["training"]["phase_s"]}
-            shared = {key: game[key] for key in (*KEY, "seed")} | {"exact": exact}
-            shared |= {f"trained_{name}": learned.get(name) for name in ("games", "successes")}
-            shared |= {name: learned.get(name) for name in ("commands", "sim_time_s", "weights_sha256", *PHASES)}
-            for number, flown in enumerate(evaluations):
-                command, clock_speed = flown["command"], flown["clock_speed"]
-                name = OF_EXACT if exact else flight_name(command, clock_speed, evaluations[0]["clock_speed"])
-                own = {"flight": number, "with": command, "at": clock_speed}
-                own |= {"success": Proportion.of(flown), "ratio": flown["successes"] / flown["games"]}
-                own["won"] = pd.Series(arrays[f"{name}_is_success"], arrays[f"{name}_lane"])
-                flights.append({**shared, **own, "distance_m": arrays[f"{name}_distance_m"]})
-        table = table_of(flights)
-        simulation_s, wall_s = (table[list(phases)].sum(axis=1) for phases in (PHASES[:2], PHASES))
-        return table.assign(simulation_s=simulation_s, wall_s=wall_s)
+        return flights_of(report.games.to_dict("records"), report.arrays)
 
     def summary(self, report: Report) -> Summary:
         """Summarise each training, the seeds of each condition pooled, and the comparisons between conditions."""
@@ -458,6 +436,33 @@ def parts_of(config: RlConfig, case: TrainingCase, agent: str = DEFAULT) -> dict
 # --- numbers ------------------------------------------------------------------------------------------------------
 
 
+def flights_of(rows: Iterable[Mapping[str, Any]], arrays_of: Callable[[Any], Mapping[str, np.ndarray]]) -> Flights:
+    """Return a row for each flight of a policy, the one in real time with its own command, flight 0, first.
+
+    It has the conditions of the training, `with` and `at`, command and ClockSpeed of the flight, `success`, a
+    Proportion, `won`, the outcome by lane, and `distance_m`; and, unless `exact`, the numbers of the training, its
+    seconds by phase, `simulation_s`, which as in the paper has rendering, and `wall_s`. Where `arrays_of` a run's row
+    is empty, as of rows that were kept alone, `won` and `distance_m` are None.
+    """
+    flights = []
+    for row in rows:
+        arrays, exact, evaluations = arrays_of(row), row.get("training") is None, row["evaluations"]
+        learned = {} if exact else {**row["training"], **row["training"]["phase_s"]}
+        shared = {key: row[key] for key in (*KEY, "seed")} | {"exact": exact}
+        shared |= {f"trained_{name}": learned.get(name) for name in ("games", "successes")}
+        shared |= {name: learned.get(name) for name in ("commands", "sim_time_s", "weights_sha256", *PHASES)}
+        for number, flown in enumerate(evaluations):
+            command, clock_speed = flown["command"], flown["clock_speed"]
+            name = OF_EXACT if exact else flight_name(command, clock_speed, evaluations[0]["clock_speed"])
+            own = {"flight": number, "with": command, "at": clock_speed}
+            own |= {"success": Proportion.of(flown), "ratio": flown["successes"] / flown["games"]}
+            own["won"] = pd.Series(arrays[f"{name}_is_success"], arrays[f"{name}_lane"]) if arrays else None
+            flights.append({**shared, **own, "distance_m": arrays.get(f"{name}_distance_m")})
+    table = table_of(flights)
+    simulation_s, wall_s = (table[list(phases)].sum(axis=1) for phases in (PHASES[:2], PHASES))
+    return table.assign(simulation_s=simulation_s, wall_s=wall_s)
+
+
 def where(flights: Flights, **wanted: Any) -> Flights:
     """Return the flights that have these values in these columns."""
     return flights[np.logical_and.reduce([flights[name] == value for name, value in wanted.items()])]
@@ -472,11 +477,19 @@ def _success(flights: Flights) -> dict[str, Any]:
     """Return the success of all seeds together, with two 95 % intervals.
 
     `wilson_low` and `wilson_high` are of the games of these very policies; `seeds_low` and `seeds_high` also cover what
-    trainings with other seeds would have given (`success_estimate`).
+    trainings with other seeds would have given on other lanes (`Success.estimate`).
     """
-    success = flights.success.tolist()
-    over_seeds = success_estimate(success)
-    return {**Proportion.pooled(success).as_summary(), "seeds_low": over_seeds.low, "seeds_high": over_seeds.high}
+    success = success_of(flights)
+    low, high = success.estimate.interval
+    return {**success.pooled.as_summary(), "seeds_low": low, "seeds_high": high}
+
+
+def success_of(flights: Flights) -> Success:
+    """Return the success of the policies of some flights, lane by lane where all flew the same ones."""
+    first, *others = flights.won.tolist()
+    if first is None or not all(first.index.equals(won.index) for won in others):
+        return Success(tuple(flights.success))
+    return Success.on_lanes([first, *others])
 
 
 def _compare(some: Flights, others: Flights, *wanted: str) -> dict[str, Any]:
