@@ -18,9 +18,9 @@ from uavaccel.envs.obstacle_lane import LaneTask
 from uavaccel.errors import UserError
 from uavaccel.sim.lane.file import LaneFile, layout_from, parse_lane
 from uavaccel.sim.lane.layout import (
-    SPLIT_SIZE,
     LENGTH_M,
     MAX_OBSTACLES,
+    SPLIT_SIZE,
     WIDTH_M,
     Difficulty,
     LaneLayout,

@@ -25,9 +25,9 @@ from uavaccel.kinematics import Vector
 from uavaccel.limits import Count, Height, Seconds
 from uavaccel.sim.lane.file import LaneFile, parse_lane
 from uavaccel.sim.lane.layout import (
-    SPLIT_SIZE,
     HULL_RADIUS_M,
     LENGTH_M,
+    SPLIT_SIZE,
     WIDTH_M,
     Difficulty,
     Split,

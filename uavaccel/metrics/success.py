@@ -1,4 +1,4 @@
-"""Success of policies that were trained alike: what other trainings would win on other lanes, and how two kinds compare.
+"""Success of policies trained alike: what other trainings would win on other lanes, and how two kinds compare.
 
 A training and a lane are one sample each: all policies fly the same lanes, of which some are hard for all. Intervals
 therefore cover trainings, lanes and single games, and those of a ratio or a difference are paired over the lanes.

@@ -398,7 +398,7 @@ class Trainings(NamedTuple):
     def of(
         cls, rows: Iterable[Mapping[str, Any]], profile: str, arrays: Callable[[Any], Mapping[str, FloatArray]]
     ) -> Trainings:
-        """Take those of a profile from a run's rows and what `arrays` returns of one: nothing, where only rows are kept.
+        """Take those of a profile from a run's rows, and from what `arrays` returns of one: nothing of rows kept alone.
 
         Without the arrays nothing is known of lanes, nor of where games ended.
         """

@@ -30,6 +30,7 @@ from uavaccel.envs.stopwatch import PHASES
 from uavaccel.errors import UserError
 from uavaccel.forms import ArrayForm, Count, NotNegative, Positive
 from uavaccel.limits import ClockSpeed, CommandName, Games, Seed
+from uavaccel.metrics.equivalence import Estimate
 from uavaccel.metrics.intervals import Proportion, fisher_exact_p, mcnemar_exact
 from uavaccel.metrics.seeds import permutation_p, sign_flip_p
 from uavaccel.metrics.success import Success
@@ -59,7 +60,7 @@ EVALUATION_SEED = 0  # the same lanes and latencies for every policy
 OF_EXACT = "exact"  # name of an evaluation in the exact simulator
 THINKING = re.compile(r"_?think_\d+ms$")  # suffix of variants that differ in the duration of a decision alone
 LEAST = 3  # gaps that a run needs for a figure of them, and cells for a line in it
-AGAINST = ("permutation_p", "fisher_p", "mcnemar_p")  # tests against other trainings
+AGAINST = ("difference", "permutation_p", "fisher_p", "mcnemar_p")  # tests against other trainings
 COLLAPSED = 0.5  # share of the best success on the lane
 
 
@@ -492,11 +493,12 @@ def success_of(flights: Flights) -> Success:
     return Success.on_lanes([first, *others])
 
 
-def _compare(some: Flights, others: Flights, *wanted: str) -> dict[str, Any]:
+def _compare(some: Flights, others: Flights, *wanted: str, same_policies: bool = False) -> dict[str, Any]:
     """Return the wanted tests of the difference between two groups of flights; None without flights in both.
 
     `permutation_p` and, between equal seeds, `sign_flip_p` take trainings as their samples. Fisher's test of the pooled
-    games and McNemar's of equal seeds and `lanes` compare these very policies alone.
+    games and McNemar's of equal seeds and `lanes` compare these very policies alone. `difference` is the first success
+    less the second with its interval over trainings and lanes, paired over lanes and, of the same policies, these.
     """
     if some.empty or others.empty:
         return dict.fromkeys(wanted)
@@ -504,9 +506,10 @@ def _compare(some: Flights, others: Flights, *wanted: str) -> dict[str, Any]:
     first, second = pd.concat(outcomes, axis=1, join="inner").to_numpy(bool).T
     pairs = mcnemar_exact(first, second)
     won = [Proportion.pooled(flights.success.tolist()) for flights in (some, others)]
-    tests: dict[str, Callable[[], float | None]] = {
+    tests: dict[str, Callable[[], Any]] = {
         "permutation_p": lambda: permutation_p(some.ratio, others.ratio),
         "sign_flip_p": lambda: sign_flip_p((some.set_index("seed").ratio - others.set_index("seed").ratio).dropna()),
+        "difference": lambda: _difference(some, others, same_policies)._asdict(),
         "fisher_p": lambda: fisher_exact_p(*((success.successes, success.games) for success in won)),
         "mcnemar_p": lambda: pairs.p_value if len(first) else None,
         "only_first": lambda: pairs.only_first,
@@ -515,6 +518,15 @@ def _compare(some: Flights, others: Flights, *wanted: str) -> dict[str, Any]:
         "same_end": lambda: int((first == second).sum()),
     }
     return {name: tests[name]() for name in wanted}
+
+
+def _difference(some: Flights, others: Flights, same_policies: bool) -> Estimate:
+    """Return the difference of two successes; of the same policies, of those that flew both ways."""
+    if same_policies:
+        some, others = (
+            one[one.seed.isin(other.seed)].sort_values("seed") for one, other in ((some, others), (others, some))
+        )
+    return success_of(some).difference(success_of(others), same_policies)
 
 
 def _at_1x(cell: Flights, own: Flights, command: str) -> Flights:
@@ -590,7 +602,9 @@ def interchange(group: Flights, clock_speed: float) -> Iterator[dict[str, Any]]:
             "seeds": both[0].seed.tolist(),
             "flown_at": clock_speed,
             "flown_with": [{"command": flown["with"].iloc[0], **_success(flown)} for flown in both],
-            **_compare(*both, "only_first", "only_second", "mcnemar_p", "sign_flip_p"),
+            **_compare(
+                *both, "difference", "only_first", "only_second", "mcnemar_p", "sign_flip_p", same_policies=True
+            ),
         }
 
 
@@ -610,7 +624,7 @@ def as_trained(group: Flights, trained: Flights) -> Iterator[dict[str, Any]]:
             "seeds": slow.seed.tolist(),
             "real_time": _success(slow) | _compare(slow, plain_slow, *AGAINST),
             "as_trained": _success(fast) | _compare(fast, plain_fast, *AGAINST),
-            **_compare(slow, fast, "sign_flip_p"),
+            **_compare(slow, fast, "difference", "sign_flip_p", same_policies=True),
         }
 
 
@@ -809,6 +823,7 @@ def over_seeds(entry: str = "") -> str:
     return f"{{{ratio}:.1%}} [{{{low}:.1%}}, {{{high}:.1%}}]"
 
 
+DIFFERENCE = "{difference[value]:+.1%} [{difference[low]:+.1%}, {difference[high]:+.1%}]"
 CELL: dict[str, Column] = {"trained with": panel_name, "ClockSpeed": "{clock_speed:g}x"}
 TRAINED = {**CELL, "seeds": "{seeds!l}"}
 OVERVIEW = {
@@ -832,6 +847,7 @@ INTERCHANGED = {
     "flown at": "{flown_at:g}x",
     "with its own command [95 %]": over_seeds("flown_with[0]"),
     "with the other one": over_seeds("flown_with[1]"),
+    "difference [95 %]": DIFFERENCE,
     "lanes won with one alone": "{only_first}, {only_second}",
     "p over seeds": "{sign_flip_p:.2g}",
     "of these policies: McNemar": "{mcnemar_p:.2g}",
@@ -842,7 +858,8 @@ AS_TRAINED = {
     "p against the plain one, over seeds": "{real_time[permutation_p]:.2g}",
     "at the ClockSpeed of the training": over_seeds("as_trained"),
     "p against the plain one there": "{as_trained[permutation_p]:.2g}",
-    "p of the two, over seeds": "{sign_flip_p:.2g}",
+    "difference of the two [95 %]": DIFFERENCE,
+    "its p, over seeds": "{sign_flip_p:.2g}",
 }
 EXACT_TOO = {
     **TRAINED,
@@ -878,8 +895,9 @@ FIGURE9 = (
 WHAT_N_TELLS = (
     f"The paper evaluated one training of each kind in {paper_results.GAMES} games; of its differences only the "
     "collapse of ADSC (23 to 1) is significant by Fisher's exact test. Here a training, not a game, is one sample: an "
-    "interval covers both Wilson's over all games and Student's over the trainings (of a single seed it is Wilson's), "
-    "and differences are tested by permuting the trainings. McNemar's test compares these very policies on the same "
+    "interval covers Wilson's over all games, Student's over the trainings (of a single seed it is Wilson's) and the "
+    "lanes, which all fly; that of a difference is paired over lanes and, where the same policies flew twice, over these. "
+    "Differences are tested by permuting the trainings. McNemar's test compares these very policies on the same "
     "lanes and says nothing about other seeds."
 )
 WHAT_A_GAP_IS = (
