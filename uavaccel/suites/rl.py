@@ -60,6 +60,7 @@ EVALUATION_SEED = 0  # the same lanes and latencies for every policy
 OF_EXACT = "exact"  # name of an evaluation in the exact simulator
 THINKING = re.compile(r"_?think_\d+ms$")  # suffix of variants that differ in the duration of a decision alone
 LEAST = 3  # gaps that a run needs for a figure of them, and cells for a line in it
+OF_SAME_POLICIES = ("difference", "only_first", "only_second", "mcnemar_p", "sign_flip_p")
 AGAINST = ("difference", "permutation_p", "fisher_p", "mcnemar_p")  # tests against other trainings
 COLLAPSED = 0.5  # share of the best success on the lane
 
@@ -602,9 +603,7 @@ def interchange(group: Flights, clock_speed: float) -> Iterator[dict[str, Any]]:
             "seeds": both[0].seed.tolist(),
             "flown_at": clock_speed,
             "flown_with": [{"command": flown["with"].iloc[0], **_success(flown)} for flown in both],
-            **_compare(
-                *both, "difference", "only_first", "only_second", "mcnemar_p", "sign_flip_p", same_policies=True
-            ),
+            **_compare(*both, *OF_SAME_POLICIES, same_policies=True),
         }
 
 
@@ -896,7 +895,7 @@ WHAT_N_TELLS = (
     f"The paper evaluated one training of each kind in {paper_results.GAMES} games; of its differences only the "
     "collapse of ADSC (23 to 1) is significant by Fisher's exact test. Here a training, not a game, is one sample: an "
     "interval covers Wilson's over all games, Student's over the trainings (of a single seed it is Wilson's) and the "
-    "lanes, which all fly; that of a difference is paired over lanes and, where the same policies flew twice, over these. "
+    "lanes, which all fly; a difference is paired over lanes and, where the same policies flew twice, over these. "
     "Differences are tested by permuting the trainings. McNemar's test compares these very policies on the same "
     "lanes and says nothing about other seeds."
 )
