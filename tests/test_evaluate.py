@@ -108,7 +108,7 @@ def test_against_another_run_on_the_command_line(
 ) -> None:
     evaluate_agent(request("offset:1", tmp_path / "run", games=2), straight.path, False)
     said = capsys.readouterr().out
-    assert "on the same 2 lanes: 0 v 0 successes, exact McNemar p = 1" in said
+    assert "on the same 2 lanes: 0 v 0 successes, +0.0 [-65.8, +65.8] points, exact McNemar p = 1" in said
     assert re.search(r"0 of 2 lanes with TCSC at 1x \(0\.0%, 95 % Wilson interval 0\.0% to 65\.8%\)", said)
     assert (tmp_path / "run" / FIGURE).stat().st_size > 10_000
 
