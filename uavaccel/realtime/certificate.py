@@ -85,6 +85,11 @@ class Certificate:
         object.__setattr__(self, "document", {**self.setup, **found, "rows_sha256": hashlib.sha256(lines).hexdigest()})
 
     @property
+    def failed(self) -> int:
+        """How many episodes failed."""
+        return sum("error" in row for row in self.rows)
+
+    @property
     def line(self) -> str:
         """The certificate in one line."""
         said, cells, holds = self.document, self.document["cells"], self.document["holds"]
@@ -93,10 +98,11 @@ class Certificate:
         hashes = {"policy": policy["sha256"], **({"times": by["sha256"]} if by else {}), "rows": said["rows_sha256"]}
         short = ", ".join(f"{name} {'of unknown hash' if of is None else of[:12]}" for name, of in hashes.items())
         tail = f"{said['episodes']} episodes a latency from seed {said['seed']}; {short}"
-        if failed := sum(cell["errors"] for cell in cells):
-            return f"{head}: no certificate: {failed} of {len(self.rows)} episodes failed; {tail}"
+        if self.failed:
+            return f"{head}: no certificate: {self.failed} of {len(self.rows)} episodes failed; {tail}"
         best, until = _scored(cells[0]["mean"], said["score"]), f"{1e3 * holds['latency_s']:.4g} ms"
         until += f", {holds['latency']:g} times {by['file']}" if by else ""
+        until += ", the longest tried" if holds["latency"] == cells[-1]["latency"] else ""
         more = f"holds {SHARE:.0%} of its {said['score']} without latency, {best}, up to {until}"
         return f"{head}: {more} ({tail})"
 

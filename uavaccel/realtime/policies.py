@@ -10,6 +10,7 @@ import hashlib
 import reprlib
 import socket
 import sys
+import weakref
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Protocol
@@ -217,6 +218,7 @@ class RemotePolicy:
         except (OSError, OverflowError) as error:
             said = getattr(error, "strerror", None) or error
             raise UserError(f"{self.name}: no policy server answers there: {said}") from error
+        weakref.finalize(self, self._socket.close)
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         about = self._ask("hello", Frame("hello", {"version": VERSION, **self._spec})).entries
         try:
@@ -242,10 +244,16 @@ class RemotePolicy:
             self._connect()
         assert self._socket is not None
         deadline_ns = self._clock.now_ns() + round(self._answer_s * NS_PER_S)
+
+        def left_s() -> float:
+            if (left_ns := deadline_ns - self._clock.now_ns()) > 0:
+                return left_ns / NS_PER_S
+            raise TimeoutError
+
         try:
             self._socket.settimeout(self._answer_s)
             self._socket.sendall(question.packed())
-            answer = read_frame(lambda count: self._read(count, deadline_ns))
+            answer = read_frame(self._socket, left_s)
             if answer.kind not in (kind, "error"):
                 raise StreamError(f"answered {one_line(answer.kind)!r}, not {kind!r}")
         except TimeoutError:
@@ -261,17 +269,3 @@ class RemotePolicy:
         if answer.kind == "error":
             raise UserError(f"{self.name}: {one_line(answer.entries.get('line', 'an error'))}")
         return answer
-
-    def _read(self, count: int, deadline_ns: int) -> bytes:
-        assert self._socket is not None
-        content = bytearray()
-        while len(content) < count:
-            left_ns = deadline_ns - self._clock.now_ns()
-            if left_ns <= 0:
-                raise TimeoutError
-            self._socket.settimeout(left_ns / NS_PER_S)
-            found = self._socket.recv(min(count - len(content), 1 << 20))
-            if not found:
-                raise ConnectionResetError
-            content += found
-        return bytes(content)

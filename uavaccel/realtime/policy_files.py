@@ -263,8 +263,9 @@ class OnnxFile(PolicyFile):
         yield "observations", self.inputs, form_of(seen)
         shape = self._output.shape[1:]
         if len(shape) == 1 and isinstance(shape[0], int):
-            form = f"one of 0 to {shape[0] - 1}" if isinstance(actions, spaces.Discrete) else f"({shape[0]},)"
-            yield "actions", form, form_of(actions)
+            first = actions.start if isinstance(actions, spaces.Discrete) else None
+            own = f"({shape[0]},)" if first is None else form_of(spaces.Discrete(shape[0], start=first))
+            yield "actions", own, form_of(actions)
 
     def policy(self, seen: Space, actions: Space) -> BatchPolicy:
         return lambda observations: actions_of(*self._answer(observations), actions, self.name)
@@ -302,10 +303,13 @@ class TorchScriptFile(PolicyFile):
     It answers as `module_policy` has it, on the CPU.
     """
 
-    def policy(self, seen: Space, actions: Space) -> BatchPolicy:
+    def __init__(self, name: str) -> None:
+        super().__init__(name)
         if not self.file.is_file():
-            raise UserError(f"{self.name}: no such file")
-        require("torch", self.name, "realtime")
+            raise UserError(f"{name}: no such file")
+        require("torch", name, "realtime")
+
+    def policy(self, seen: Space, actions: Space) -> BatchPolicy:
         _check_trusted(self.file, "a TorchScript file is a program")
         import torch as th
 

@@ -33,6 +33,7 @@ import traceback
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
+from itertools import chain, repeat
 from pathlib import Path
 from typing import Any, Self
 
@@ -46,7 +47,7 @@ LOOPBACK = "127.0.0.1"
 VERSION = 1
 MAGIC = b"UAPS"
 HEAD = struct.Struct("<4sII")
-HEADER_BYTES, BODY_BYTES = 1 << 16, 1 << 26
+HEADER_BYTES, BODY_BYTES, READ_BYTES = 1 << 16, 1 << 26, 1 << 18
 DTYPES = ("bool", *(f"{kind}{bits}" for kind in ("int", "uint") for bits in (8, 16, 32, 64)))
 DTYPES += ("float16", "float32", "float64")
 MOST_AXES = 16
@@ -81,8 +82,21 @@ class Frame:
         return HEAD.pack(MAGIC, len(header), len(body)) + header + body
 
 
-def read_frame(read: Callable[[int], bytes]) -> Frame:
-    """Return the frame that `read` gives, which returns as many bytes as it is asked for. Raises StreamError."""
+def read_frame(connection: socket.socket, patience_s: Callable[[], float | None]) -> Frame:
+    """Return the frame that arrives; `patience_s` says before each read how long it may take, None: for ever.
+
+    Raises StreamError for what is no frame, and OSError where the connection has ended or the patience has.
+    """
+
+    def read(count: int) -> bytes:
+        content = bytearray()
+        while len(content) < count:
+            connection.settimeout(patience_s())
+            if not (found := connection.recv(min(count - len(content), READ_BYTES))):
+                raise ConnectionResetError
+            content += found
+        return bytes(content)
+
     magic, header_bytes, body_bytes = HEAD.unpack(read(HEAD.size))
     if magic != MAGIC:
         raise StreamError("does not speak the policy server's protocol")
@@ -216,8 +230,8 @@ class PolicyServer(socketserver.ThreadingTCPServer):
 def serve(policy: Any, port: int = 0, host: str = LOOPBACK, env: Any = None) -> None:
     """Serve a policy, as a `PolicyServer`, until Ctrl-C; the first line on standard output is its address."""
     server = PolicyServer(policy, port, host, env)
-    print(server.address, flush=True)
     with suppress(KeyboardInterrupt):
+        print(server.address, flush=True)
         server.serve_forever()
     server.server_close()
 
@@ -232,10 +246,10 @@ class _Conversation(socketserver.BaseRequestHandler):
         self.request.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         with suppress(OSError):  # the client has gone, or stays silent in the middle of a frame
             try:
-                self._check_version(read_frame(self._read))
+                self._check_version(self._read())
                 self._send(Frame("hello", self.server.about).packed())
                 while True:
-                    self._send(self._answer_to(read_frame(self._read)))
+                    self._send(self._answer_to(self._read()))
             except StreamError as error:
                 self._send(_refusal(f"the client {error}"))
 
@@ -261,20 +275,13 @@ class _Conversation(socketserver.BaseRequestHandler):
             traceback.print_exc(file=sys.stderr)
             return _refusal(f"the policy raised {type(error).__name__}: {error}")
 
+    def _read(self) -> Frame:
+        """Return the next question, for which is waited as long as the client likes, but not within it."""
+        return read_frame(self.request, chain([None], repeat(PATIENCE_S)).__next__)
+
     def _send(self, answer: bytes) -> None:
         self.request.settimeout(PATIENCE_S)
         self.request.sendall(answer)
-        self.request.settimeout(None)
-
-    def _read(self, count: int) -> bytes:
-        content = bytearray()
-        while len(content) < count:
-            found = self.request.recv(min(count - len(content), 1 << 16))
-            if not found:
-                raise ConnectionResetError
-            content += found
-            self.request.settimeout(PATIENCE_S)
-        return bytes(content)
 
 
 def _refusal(said: str) -> bytes:
