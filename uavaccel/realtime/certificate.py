@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import math
 import statistics
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
 from functools import partial
@@ -212,9 +212,10 @@ class Sweep:
                 raise UserError(f"{name}: must be {least} to {most:,}, not {given!r}")
             setattr(self, name, count)
         by_file, given = self.calibration is not None, self.latencies
-        given = list((FACTORS if by_file else LATENCIES_S) if given is None else given)
+        given = (FACTORS if by_file else LATENCIES_S) if given is None else given
+        given = list(given) if isinstance(given, Iterable) else [None]
         known = {seconds for each in given if (seconds := real(each)) is not None and 0 <= seconds <= MOST_S}
-        if not known or len(known) < len(set(given)):
+        if not known or len(known) < len({*given}):
             raise UserError(f"latencies: must be numbers, 0 to {MOST_S:g}, not {self.latencies!r}")
         self.latencies = sorted({0.0, *known})
         self.source = None if self.calibration is None else calibrated(self.calibration)
