@@ -147,11 +147,20 @@ def _as_ctrl_c(number: int, frame: FrameType | None) -> None:
 def _status_of(error: Exception) -> int:
     """Print the line of a user's mistake, and return its exit status. Raises any other error."""
     if hasattr(error, "format_message"):  # an error of the command line's library
-        return _complain(error.format_message(), 2)
+        return _complain(_usage(error), 2)
     mistake = mistake_of(error)
     if mistake is None:
         raise error
     return _complain(str(mistake), mistake.exit_status)
+
+
+def _usage(error: Any) -> str:
+    """Return what the command line's library says, with the option's value where that does not fit."""
+    if not hasattr(error.__cause__, "errors"):
+        return str(error.format_message())
+    (first, *_) = error.__cause__.errors()  # pydantic's
+    wanted = first["msg"].removeprefix("Input ").partition(",")[0]
+    return f"{error.param.opts[0]} {first['input']}: {wanted}"
 
 
 def _complain(message: str, status: int) -> int:

@@ -15,7 +15,7 @@ from uavaccel.errors import UserError
 from uavaccel.files import parse_json
 from uavaccel.realtime.policy_files import OnnxFile
 from uavaccel.rl.agents import Agent, AgentFile, BatchAgent, kept_keys
-from uavaccel.vision.observation import BLOCK_SIDE, NEUTRAL_LEVEL
+from uavaccel.vision.dvs_sensor import BLOCK_SIDE, NEUTRAL_LEVEL
 
 ENV_ID, TASK = "env_id", "task"
 """The metadata of this project's own exports: the environment, and the keys of the training's task as JSON."""
