@@ -28,10 +28,10 @@ ROOMS: dict[str, set[str]] = {
     "metrics": GROUND,
     "airsim": {"units", "errors", "clock", "wire"},
     "kernels": GROUND | {"clock", "sim", "vision"},
-    "realtime": GROUND | {"clock", "wire"},
+    "realtime": GROUND | {"clock", "wire", "metrics"},
 }
 ROOMS["envs"] = set(ROOMS) - {"__init__", "airsim", "realtime"}
-ROOMS["rl"] = ROOMS["envs"] | {"envs"}
+ROOMS["rl"] = ROOMS["envs"] | {"envs", "realtime"}
 ROOMS["draw"] = GROUND | {"sim", "vision", "metrics"}  # arrays in, files out
 ROOMS["calibration"] = GROUND | {"clock", "sim", "wire", "commands", "metrics"}
 ROOMS["suites"] = ROOMS["rl"] | {"rl", "draw", "calibration", "realtime"}
