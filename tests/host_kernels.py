@@ -139,6 +139,10 @@ class Kernels:
         for lane in which:
             lanes.command(lane, goals, modes, now)
 
+    def run_resume(self, which: Any, before: Any, share: float, games: Any, now: Any) -> None:
+        for lane in which:
+            lanes.resume(lane, lane, before.state, before.body, share, games, now)
+
     def run_fly(self, which: Any, ticks: Any, games: Any, now: Any, hull: Any, threads: int) -> None:
         for lane in which:
             lanes.fly(lane, int(ticks[lane]), games, now, hull)

@@ -20,7 +20,7 @@ from uavaccel.sim.vehicle.vehicle import BODY
 from uavaccel.sim.world import World
 from uavaccel.wire import rpc
 from uavaccel.wire.api import Api
-from uavaccel.wire.segmentation import colours
+from uavaccel.wire.pictures import colours
 from uavaccel.wire.settings import Settings
 
 NORTH = np.array([[1.0, 0.0, 0.0]])

@@ -21,8 +21,7 @@ from uavaccel.sim.world import World
 from uavaccel.wire import rpc
 from uavaccel.wire.api import Api
 from uavaccel.wire.image_api import decode_image
-from uavaccel.wire.pictures import can_render
-from uavaccel.wire.segmentation import colours, id_of_name
+from uavaccel.wire.pictures import can_render, colours, id_of_name
 from uavaccel.wire.types import EPOCH_NS
 
 pytestmark = pytest.mark.opengl

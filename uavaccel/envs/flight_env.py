@@ -22,12 +22,12 @@ from uavaccel.envs.checks import RENDER_MODES, TaskT, check_render_mode, known_o
 from uavaccel.envs.own_task import check_reward
 from uavaccel.envs.sensors import EventCamera
 from uavaccel.envs.stopwatch import Stopwatch
-from uavaccel.envs.task import Moment, Task
+from uavaccel.envs.task import Mediation, Moment, Task
 from uavaccel.envs.values import Action, Course, Frame, Info, Observation, State
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Kinematics
 from uavaccel.sim.camera import gl
-from uavaccel.units import NS_PER_S, plain
+from uavaccel.units import NS_PER_S, plain, seconds_to_ns
 
 if TYPE_CHECKING:  # a task can be made without what flies it
     from uavaccel.envs.camera_client import FlightClient, FlightSample
@@ -287,7 +287,10 @@ class FlightEnv(gymnasium.Env[Observation, Action], Generic[TaskT]):
         goal = task.goal(action.astype(np.float64) if isinstance(self.action_space, spaces.Box) else action)
         missing = task.frames_per_command
         taken_ns, gathered_ns, ended_ns = [], 0, 0
-        for sample in self._command.fly(client, goal, task.t_move_s, task.t_sample_s, task.t_th_ns):
+        if task.mediation != Mediation():
+            self._fly_gap(client, task.mediation)
+        times = task.t_move_s, task.t_sample_s, task.t_th_ns, seconds_to_ns(task.mediation.image_age_s)
+        for sample in self._command.fly(client, goal, *times):
             gathered_ns = client.now_ns()
             for observer in self._observers:
                 observer.sample_taken(sample, now.commands)
@@ -307,6 +310,15 @@ class FlightEnv(gymnasium.Env[Observation, Action], Generic[TaskT]):
             present_ns = ended_ns + round(since_ns * task.clock_speed)
             self._context.update(action, taken_ns, missing, present_ns)
         return now._replace(commands=now.commands + 1)
+
+    def _fly_gap(self, client: FlightClient, gap: Mediation) -> None:
+        """Fly on before a command, and begin it as `gap` says."""
+        assert self._session is not None
+        before = None if gap.start_speed is None else self._session.motion()
+        if gap.gap_s:
+            client.continue_for(seconds_to_ns(gap.gap_s))
+        if before is not None and gap.start_speed is not None:
+            self._session.resume(before, gap.start_speed)
 
     def _observe(self, sample: FlightSample) -> Frame:
         self._switch("image_processing")

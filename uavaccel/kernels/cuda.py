@@ -211,6 +211,13 @@ def command_lanes(going, goals, modes, now):  # type: ignore[no-untyped-def]
         lanes.command(lane, goals, modes, now)
 
 
+def resume_lanes(going, before, share, games, now):  # type: ignore[no-untyped-def]
+    """Let every lane whose flag in `going` (L,) is set fly on from where it is as it did `before`, in Flights."""
+    lane = cuda.grid(1)
+    if lane < len(going) and going[lane] != 0:
+        lanes.resume(lane, lane, before.state, before.body, share, games, now)
+
+
 @cuda.jit(device=True, inline="always")
 def store_flight(lane, watch, state, pose, motion, now):  # type: ignore[no-untyped-def]
     """Write a lane's state, pose and velocity from registers back to memory.
@@ -725,6 +732,7 @@ class Kernels(NamedTuple):
     deal: Launchable
     begin: Launchable
     command: Launchable
+    resume: Launchable
     fly: Launchable
     project: Launchable
     find: Launchable
@@ -752,6 +760,7 @@ def compiled(nominal: Operand) -> Kernels:
         deal_games,
         start_lanes,
         command_lanes,
+        resume_lanes,
         flying(nominal),
         project_lanes,
         find_shown,

@@ -22,7 +22,7 @@ from uavaccel.sim.scene.objects import restore_from
 from uavaccel.sim.vehicle import hotloop
 from uavaccel.sim.vehicle.clearance import Clearance
 from uavaccel.sim.vehicle.resting import beside_objects, depth, on_the_ground, stand
-from uavaccel.sim.vehicle.vehicle import HERE, LEVEL, AddedVehicle, Samples, Start, Vehicle
+from uavaccel.sim.vehicle.vehicle import HERE, LEVEL, AddedVehicle, Motion, Samples, Start, Vehicle
 from uavaccel.units import NS_PER_S
 
 if TYPE_CHECKING:
@@ -267,6 +267,15 @@ class World:
         if self.freeze_on_collision:
             vehicle.clear_contacts()
         self._moved()
+
+    def resume(self, motion: Motion, share: float) -> None:
+        """Let the first vehicle fly on from where it is as it did in `motion`, its velocity scaled by `share`.
+
+        A vehicle that a contact has frozen stays as it is.
+        """
+        if not self._frozen:
+            self.lead.resume(motion, share)
+            self.clearance.check_now()
 
     def check_place(
         self, position_m: Vector, orientation_wxyz: Quaternion = LEVEL, vehicle: Vehicle | None = None

@@ -23,9 +23,9 @@ from uavaccel.config import Config, load_yaml, validate
 from uavaccel.errors import UserError, suggestion
 from uavaccel.limits import MOST_LATENCY_US, MOST_SCALE
 from uavaccel.resources import experiment
+from uavaccel.units import QUANTILES as QUANTILES
 from uavaccel.wire.platform import FaultConfig, PlatformConfig, delays_ns
 
-QUANTILES = (0.0, 0.01, 0.05, 0.1, 0.25, 0.5, 0.75, 0.9, 0.95, 0.99, 0.999, 1.0)
 Channel = Literal["call", "pause", "continue", "move", "continue_for", "state", "image"]
 CHANNELS: tuple[Channel, ...] = get_args(Channel)
 DEFAULT: Final = "call"

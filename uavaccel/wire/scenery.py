@@ -10,8 +10,7 @@ from uavaccel.sim.scene.objects import SceneObjects, matching
 from uavaccel.sim.simulation import Simulation
 from uavaccel.sim.vehicle.vehicle import Vehicle
 from uavaccel.wire.cameras import Cameras
-from uavaccel.wire.pictures import Pictures, can_render
-from uavaccel.wire.segmentation import Segmentation
+from uavaccel.wire.pictures import Pictures, Segmentation, can_render
 from uavaccel.wire.settings import Settings
 
 

@@ -16,6 +16,7 @@ from uavaccel.resources import asset
 from uavaccel.sim.camera.view import HEIGHT, WIDTH
 from uavaccel.sim.profile import PROFILES, Profile
 from uavaccel.sim.simulation import Simulation
+from uavaccel.sim.vehicle.vehicle import Motion
 from uavaccel.sim.world import World
 from uavaccel.wire.api import Api
 from uavaccel.wire.client import START_HEIGHT_M, Client
@@ -72,6 +73,14 @@ class Session(ABC):
         """Return the front camera's gray picture of this tick: taken inside the simulation, in `wall` by a message."""
 
     @abstractmethod
+    def motion(self) -> Motion:
+        """Return how the vehicle moves at this tick, for `resume`. Raises UserError in `wall`."""
+
+    @abstractmethod
+    def resume(self, motion: Motion, share: float) -> None:
+        """Let the vehicle fly on from where it is as it did then, its velocity and turn rate scaled by `share`."""
+
+    @abstractmethod
     def close(self) -> None:
         """End the session; its client cannot be used any more."""
 
@@ -114,6 +123,12 @@ class WallSession(Session):
 
     def picture(self, size: tuple[int, int] = (WIDTH, HEIGHT)) -> NDArray[np.uint8]:
         return self._client.image("gray", size)
+
+    def motion(self) -> Motion:
+        raise UserError("timing = 'wall': nobody moves a vehicle between its messages; take virtual or lockstep")
+
+    def resume(self, motion: Motion, share: float) -> None:
+        self.motion()
 
     def close(self) -> None:
         if len(self._cores) > 1:
@@ -158,6 +173,12 @@ class VirtualSession(Session):
     def picture(self, size: tuple[int, int] = (WIDTH, HEIGHT)) -> NDArray[np.uint8]:
         world = self._present().world
         return world.camera(*size).gray(world.data)
+
+    def motion(self) -> Motion:
+        return self._present().world.lead.motion()
+
+    def resume(self, motion: Motion, share: float) -> None:
+        self._present().world.resume(motion, share)
 
     def close(self) -> None:
         for world in self._worlds.values():

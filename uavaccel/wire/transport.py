@@ -19,8 +19,7 @@ from uavaccel.wire import rpc
 from uavaccel.wire.api import CALLS, Api
 from uavaccel.wire.broadcast import show_on_page
 from uavaccel.wire.latency import DEFAULT, Channel, Latency
-from uavaccel.wire.rpc import Received
-from uavaccel.wire.rpc_socket import RpcSocket
+from uavaccel.wire.rpc import Received, RpcSocket
 from uavaccel.wire.server_watch import SILENCE_POLL_NS, ServerGoneError, ServerSilence, WatchedServer
 
 POLL_NS = 1_000_000

@@ -22,7 +22,7 @@ from uavaccel.limits import Seed, Share
 from uavaccel.sim.poses import check_wind
 
 FloatArray = NDArray[np.float64]
-Split = Literal["training", "evaluation"]
+Split = Literal["training", "evaluation", "test"]
 Scenery = Literal["plain", "forest"]
 
 LENGTH_M = 150.0  # the game is won at this distance north of the start (paper, section III-C1)
@@ -36,7 +36,9 @@ WALL_TEXTURES = ("concrete", "brick")
 GROUND_TEXTURES = ("asphalt", "grass")
 PLAIN = "plain"  # the scenery of assets/mjcf/lane.xml; others have a folder there
 
-EVALUATION_SEEDS = 1_000_000  # lower seeds are evaluation lanes, all others training lanes
+SPLIT_SIZE = 1_000_000  # lanes of each split
+# Policies learn on training lanes, variants are chosen on evaluation lanes, and published numbers are of test lanes.
+FIRST_SEEDS: dict[Split, int] = {"evaluation": 0, "training": SPLIT_SIZE, "test": 2 * SPLIT_SIZE}
 
 
 class Difficulty(Config):
@@ -123,9 +125,9 @@ class LaneLayout:
 
 def lane_seed(split: Split, index: int) -> int:
     """Return the seed of lane `index` of a split. Raises ValueError unless 0 <= index < 1 000 000."""
-    if not 0 <= index < EVALUATION_SEEDS:
-        raise ValueError(f"lane index {index} must be at least 0 and below {EVALUATION_SEEDS}")
-    return index if split == "evaluation" else EVALUATION_SEEDS + index
+    if not 0 <= index < SPLIT_SIZE:
+        raise ValueError(f"lane index {index} must be at least 0 and below {SPLIT_SIZE}")
+    return FIRST_SEEDS[split] + index
 
 
 def sample_layout(seed: int, difficulty: Difficulty | None = None) -> LaneLayout:

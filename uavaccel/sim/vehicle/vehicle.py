@@ -93,6 +93,13 @@ class AddedVehicle(NamedTuple):
     origin_m: Vector = HERE
 
 
+class Motion(NamedTuple):
+    """How a vehicle moves at a tick: its flight state, and MuJoCo's pose, velocity, force and acceleration."""
+
+    flight: NDArray[np.void]
+    body: tuple[NDArray[np.float64], ...]
+
+
 class Vehicle:
     """A quadrotor flown by SimpleFlight's cascade; `prefix` begins its names in the MJCF model."""
 
@@ -331,6 +338,20 @@ class Vehicle:
     def carry(self) -> tuple[NDArray[np.float64], ...]:
         """Return what of its flight is in the model, to be put by `fly_on` into the next one."""
         return tuple(array.copy() for array in (self.qpos, self.qvel, self._force, self._push))
+
+    def motion(self) -> Motion:
+        """Return how it moves at this tick, for `resume`."""
+        arrays = self.qpos, self.qvel, self._force, self._warm_start
+        return Motion(self._flight.copy(), tuple(array.copy() for array in arrays))
+
+    def resume(self, motion: Motion, share: float) -> None:
+        """Fly on from the present place as in `motion`, with `share` of its velocity and turn rate."""
+        tick, (pose, velocity, force, acceleration) = self.tick, motion.body
+        self._flight[:] = motion.flight
+        self.field["tick"][0] = tick
+        self.qpos[3:], self.qvel[:] = pose[3:], velocity * share
+        self._force[:], self._warm_start[:] = force, acceleration
+        self.refresh()
 
     def fly_on(self, carried: tuple[NDArray[np.float64], ...]) -> None:
         """Go on with the flight that `carry` returned."""
