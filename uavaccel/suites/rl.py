@@ -316,7 +316,7 @@ class Rl(SuiteOfRuns[RlConfig, TrainingCase]):
                     **subset(training, *KEY, "seed", *LEARNED),
                     **training["success"].as_summary(),
                     "distance_m_median": float(np.median(training["distance_m"])),
-                    **_times(own.loc[[number]], own),
+                    **times_of(own.loc[[number]], own),
                 }
                 for number, training in own.iterrows()
             ],
@@ -535,7 +535,7 @@ def _at_1x(cell: Flights, own: Flights, command: str) -> Flights:
     return where(where(own, **key_of(cell) | {"command": command, "clock_speed": 1.0}), timing="virtual")
 
 
-def _times(cell: Flights, own: Flights) -> dict[str, Any]:
+def times_of(cell: Flights, own: Flights) -> dict[str, Any]:
     """Return the modelled seconds of the trainings of a cell, those of as many commands of ADSC at 1x, and speed-ups.
 
     Speed-ups are of a command's mean time, as trainings that learn differently fly games of different length, over that
@@ -569,7 +569,7 @@ def summary_of_seeds(cell: Flights, own: Flights) -> dict[str, Any]:
         "trained_games": cell.trained_games.sum(),
         "paper_successes": paper_results.successes(*conditions),
         **_compare(cell, slow[slow.clock_speed != key["clock_speed"]], *AGAINST),
-        **_times(cell, own),
+        **times_of(cell, own),
         "gap_s": gap_s(cell),
         "paper_training_speedup": simulation,
         "paper_whole_training_speedup": whole,
