@@ -29,6 +29,7 @@ from uavaccel.suites.rl import flights_of, gap_s, success_of, times_of, where
 from uavaccel.wire.latency import shipped_latency
 
 CLOCKS = paper_results.CLOCKS
+OTHER = {"tcsc": "adsc", "adsc": "tcsc"}
 TABLES = ROOT / "docs/tables"
 Text = Iterator[str]
 
@@ -218,10 +219,9 @@ def interchanged() -> Text:
     """In real time, and at the ClockSpeed of the training, with the own command and with the other one."""
     for clock in CLOCKS:
         both = {command: policies("rl_table1", command, clock) for command in ("tcsc", "adsc")}
-        other = {"tcsc": "adsc", "adsc": "tcsc"}
-        swapped = [percent(flown(of, other[command]), 1) for command, of in both.items()]
+        swapped = [percent(flown(of, OTHER[command]), 1) for command, of in both.items()]
         fast = [
-            ", ".join(percent(flown(of, other[command] if swap else None, clock), 1) for command, of in both.items())
+            ", ".join(percent(flown(of, OTHER[command] if swap else None, clock), 1) for command, of in both.items())
             for swap in (False, True)
         ]
         yield f"| {clock:g}x | {', '.join(swapped)} |{' | |' if clock == 1 else f' {fast[0]} | {fast[1]} |'}"
@@ -369,8 +369,53 @@ SETTINGS = (
 PAPERS_OWN: tuple[str, ...] = ()  # numbers of the paper
 
 
+# --- results.md, real-time.md ---------------------------------------------------------------------------------------
+
+
 def results() -> Page:
-    return Page((), SETTINGS)
+    return Page((text for of in (dp1_under_native, dp2_under_native) for text in of()), SETTINGS)
+
+
+def dp1_under_native() -> Text:
+    flown_games = evidence("dp1-native")
+    cells = pd.DataFrame(flown_games.summary["cells"])
+    each = f"{len(flown_games.scores) // len(CLOCKS) // 2} games each"
+    yield f"{len(flown_games.scores) // 1000} {len(flown_games.scores) % 1000} games"
+    yield f"The worst cell of each ClockSpeed, {each}:"
+    by = {command: [cells[(cells.command == command) & (cells.clock_speed == k)] for k in CLOCKS] for command in OTHER}
+    worst = {command: [(own.stlc_median.min(), own.position_rmse_m.max()) for own in of] for command, of in by.items()}
+    yield f"| ADSC, lowest median STLC | {' | '.join(f'{stlc:.3f}' for stlc, _ in worst['adsc'])} |"
+    yield f"| ADSC, largest median position RMSE, m | {' | '.join(short(rmse, 3) for _, rmse in worst['adsc'])} |"
+    both = [f"{stlc:.3f}; {short(rmse, 3)}" for stlc, rmse in worst["tcsc"]]
+    yield f"| TCSC, lowest median STLC; RMSE | {' | '.join(both)} |"
+    for command, name in (("adsc", "| ADSC, effective speed-up at 24 rounds, T_move .1 / .2 / .5 / 1 s"), ("tcsc", "| TCSC, the same")):
+        found = []
+        for own in by[command]:
+            speedups = own[own["rounds"] == 24].sort_values("t_move_s").effective_speedup
+            texts = [f"{value:.{int(value < 20)}f}" for value in speedups]
+            found.append("1" if set(texts) == {"1.0"} else " / ".join(texts))
+        yield f"{name} | {' | '.join(found)} |"
+
+
+def dp2_under_native() -> Text:
+    summary = evidence("dp2-native").summary
+    cells = pd.DataFrame(summary["cells"])
+    images = int(cells.images.iloc[0]) - 1
+    yield f"A planned path of {images // 3} commands through a lane, T_move 1 s, T_sample .33 s, {images} images, against the run at 1x:"
+    numbers = ["position_error_m_median", "position_error_m_max", "attitude_error_deg_max"]
+    numbers += ["dvs_ed_percent_median", "dvs_ed_percent_max"]
+    assert not cells[cells.command == "tcsc"][numbers].to_numpy().any()
+    yield "| TCSC, `virtual`, 1x to 100x | 0, 0 m | 0° | 0, 0 % |"
+    for k in (10.0, 50.0, 100.0):
+        own = cells[(cells.command == "adsc") & (cells.clock_speed == k)].iloc[0]
+        error, most, turned, median, largest = own[numbers]
+        angle = short(turned, 3 if turned < 0.01 else 2)
+        yield f"| ADSC, `virtual`, {k:g}x | {short(error, 2)}, {short(most, 2)} m | {angle}° | {short(median, 1)}, {largest:.1f} % |"
+    study = summary["guard_study"]
+    passed = {kind: 100 * each["on"]["share_passed"] for kind, each in study["by_kind"].items()}
+    yield f"The image guard on {study['streams']} streams of these images, {100 * study['share']:.0f} % of them perturbed"
+    yield f"salt-and-pepper noise passes in {passed['salt_and_pepper']:.0f} % of the cases"
+    yield f"changed colours in {passed['colours']:.0f} %, changed brightness in {passed['brightness']:.0f} %, empty images in {passed['empty']:.1f} %."
 
 
 def real_time() -> Page:

@@ -216,8 +216,11 @@ class Rl(SuiteOfRuns[RlConfig, TrainingCase]):
                 f"exact_seeds: needs exact.keys.simulator = {EXACT}, not {exact.simulator}, beside an evaluation by "
                 f"the kernels, not by {evaluation.simulator}; or exact_seeds = 0"
             )
-        if (exact.first_lane, exact.games) != (evaluation.first_lane, evaluation.games):
-            raise UserError("exact.keys: games and first_lane must be those of evaluation.keys, lane for lane")
+        flown = [(each.task.split, each.first_lane, each.games) for each in (exact, evaluation)]
+        if flown[0] != flown[1]:
+            raise UserError(
+                "exact.keys: games, first_lane and task.split must be those of evaluation.keys, lane for lane"
+            )
 
     def cases(self, config: RlConfig) -> Iterator[TrainingCase]:
         """Yield the cases seed by seed, so that an interrupted run has complete tables of fewer seeds.
