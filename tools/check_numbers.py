@@ -15,14 +15,13 @@ import re
 import sys
 from collections.abc import Iterable, Iterator
 from difflib import SequenceMatcher
+from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parents[1]
 MARKED = re.compile(r"<!-- (?:made by: (.+?)|no results) -->\n+(?:.+\n)+")
-NO_TEXT = re.compile(
-    r"^```.*?^```$|<!--.*?-->|`[^`]+`|\]\([^)\n]*\)|^#[^\n]*$|^!\[[^\n]*$", re.DOTALL | re.MULTILINE
-)
+NO_TEXT = re.compile(r"^```.*?^```$|<!--.*?-->|`[^`]+`|\]\([^)\n]*\)|^#[^\n]*$|^!\[[^\n]*$", re.DOTALL | re.MULTILINE)
 NUMBER = re.compile(r"(?<![\w.])[-−+]?(?:\d[\d.]*|\.\d+)(?: \d{3})*")
 
 
@@ -65,7 +64,7 @@ def check(text: str, page: Page) -> Checked:
 def nearest(text: str, said: str) -> str:
     """Return the line, or the two lines, of a text that are most like what should be said."""
     lines = [line.strip() for line in text.splitlines()]
-    both = [*lines, *(" ".join(pair) for pair in zip(lines, lines[1:], strict=False))]
+    both = [*lines, *(" ".join(pair) for pair in pairwise(lines))]
     return max(both, key=lambda line: SequenceMatcher(None, said, line, autojunk=False).ratio())
 
 

@@ -9,7 +9,7 @@ import time
 
 import airsim
 
-GAPS_S = 0.0, 0.1, 0.2, 0.4, 0.75, 1.2, 2.0, 3.7, 4.9, 11.6  # the last but two are ADSC's at 50 and 100x
+GAPS_S = 0.0, 0.066, 0.2, 0.33, 0.66, 1.2, 2.0, 3.7, 4.9, 11.6
 
 client = airsim.MultirotorClient()
 print("gap_s,speed_m_s,way_m")
