@@ -20,7 +20,7 @@ from tools.check_numbers import ROOT, Page
 from tools.fit_agent import agent_costs, command_wall_s
 from tools.fit_airsim import Parameters, model
 from uavaccel.metrics.equivalence import Estimate
-from uavaccel.metrics.intervals import fisher_exact_p
+from uavaccel.metrics.intervals import Proportion, fisher_exact_p
 from uavaccel.metrics.seeds import permutation_p
 from uavaccel.suites import claims, paper_results
 from uavaccel.suites.paper import Claim, PaperConfig, read_claims, verdict
@@ -408,7 +408,7 @@ SETTINGS = (
 
 
 def results() -> Page:
-    return Page((text for of in (dp1_under_native, dp2_under_native) for text in of()), SETTINGS)
+    return Page((text for of in (dp1_under_native, dp2_under_native, the_policy_that_ships) for text in of()), SETTINGS)
 
 
 def dp1_under_native() -> Text:
@@ -457,6 +457,13 @@ def dp2_under_native() -> Text:
     yield f"salt-and-pepper noise passes in {passed['salt_and_pepper']:.0f} % of the cases"
     yield f"changed colours in {passed['colours']:.0f} %, changed brightness in {passed['brightness']:.0f} %"
     yield f"empty images in {passed['empty']:.1f} %."
+
+
+def the_policy_that_ships() -> Text:
+    won_of = Proportion.pooled([Proportion(int(row["is_success"]), 1) for row in rows_of("shipped_test")])
+    low, high = (100 * end for end in won_of.interval)
+    yield f"Of the first {won_of.games} test lanes, on which nothing was chosen, it wins {won_of.successes}"
+    yield f"wins {won_of.successes} ({100 * won_of.ratio:.1f} %, {low:.1f} to {high:.1f} %) in the kernels"
 
 
 def real_time() -> Page:
