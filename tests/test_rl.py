@@ -202,8 +202,9 @@ def test_a_cell_learns_from_pictures(tmp_path: Path) -> None:
         (["evaluation.keys.gamess=1"], {}, "evaluate.yaml: unknown key 'gamess'"),
         (["training.keys.environment=2"], {}, "train.yaml: unknown key 'environment'"),
         (["cells.2={profile: airsim, clock_speed: [5]}"], {}, "airsim virtual tcsc at 5x twice; give one a `variant`"),
-        (["exact.keys.games=3"], {}, r"exact\.keys: games and first_lane must be those of evaluation\.keys"),
-        (["exact.keys.first_lane=3"], {}, r"exact\.keys: games and first_lane must be those of evaluation\.keys"),
+        (["exact.keys.games=3"], {}, r"exact\.keys: games, first_lane and task\.split must be those of evaluation"),
+        (["exact.keys.first_lane=3"], {}, r"exact\.keys: games, first_lane and task\.split must be those"),
+        (["exact.keys.task.split=test"], {}, r"exact\.keys: games, first_lane and task\.split must be those"),
         (["evaluation.keys.simulator=mujoco"], {}, r"exact_seeds: needs .* beside an evaluation .* not by mujoco"),
     ],
 )
