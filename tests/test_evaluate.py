@@ -14,11 +14,14 @@ import numpy as np
 import pytest
 import torch as th
 
+from tests import made_runs as made
 from tests.lanes import free_distance_m
 from tests.learning import tiny_config, train_into
+from tests.made_runs import ended_at
 from tests.opengl import needs_opengl
 from tests.running import configured, fly_into, run_into
 from uavaccel.cli.experiments import evaluate_agent
+from uavaccel.config import validate
 from uavaccel.envs.observer import SecondEventCamera
 from uavaccel.envs.obstacle_lane import LaneTask
 from uavaccel.errors import UserError
@@ -32,11 +35,12 @@ from uavaccel.rl.lanes import make_lanes
 from uavaccel.rl.learner import make_learner
 from uavaccel.rl.policy import MANIFEST, WEIGHTS, Policy, export_policy, load_policy, make_policy, trained_with
 from uavaccel.sim.lane.layout import lane_seed, sample_layout
-from uavaccel.suites.evaluate import Evaluation
+from uavaccel.suites.evaluate import EvaluateConfig, Evaluation, against, game_seed
 from uavaccel.suites.evaluate_again import flight_of_agent
 from uavaccel.suites.flight import film_game, film_of
 from uavaccel.suites.report import Summary
 from uavaccel.suites.session import RunRequest
+from uavaccel.suites.suite import choose_row
 
 LANES = 4
 FIGURE = "figures/figure8_survival.png"
@@ -409,3 +413,38 @@ def test_what_a_network_cannot_take_is_refused_before_anything_is_written(
     with pytest.raises(UserError, match=f"^{re.escape(said)}$"):
         evaluate_agent(request("default", tmp_path / "run", override, games=1), None, False)
     assert not (tmp_path / "run").exists()
+
+
+# --- reports: tests/test_reports.py has their numbers -----------------------------------------------------------
+
+
+def test_a_game_has_a_seed_of_its_lane_and_the_run() -> None:
+    configs = [validate(EvaluateConfig, {"agent": "straight", "seed": seed}, "test") for seed in (0, 1)]
+    assert len({game_seed(config, lane) for config in configs for lane in range(50)}) == 100
+    assert game_seed(configs[0], 3) == np.random.SeedSequence([0, 3]).generate_state(1)[0]
+
+
+def test_the_paired_comparison_is_mcnemars_on_the_lanes_that_both_flew(tmp_path: Path) -> None:
+    run = made.evaluated(tmp_path / "run", *ended_at(150.0, 150.0, 150.0, 20.0, 150.0))
+    other = made.evaluated(tmp_path / "other", *({"lane": lane, "is_success": lane == 3} for lane in (4, 3, 1, 2, 9)))
+    # Of lanes 1 to 4 three were won by the first alone, one by the other alone: 2 * (1 + 4) / 2**4.
+    assert against(run.run, other.run) == (
+        f"against {other.run.path} on the same 4 lanes: 3 v 1 successes, exact McNemar p = 0.625"
+    )
+    with pytest.raises(UserError, match="elsewhere: is no evaluation of the same lanes"):
+        against(run.run, made.evaluated(tmp_path / "elsewhere", {"lane": 77}).run)
+
+
+def test_the_best_game_is_shown_unless_one_is_named(tmp_path: Path) -> None:
+    """From the success in the fewest commands to the failure with the least distance."""
+    order = [(True, 20, 150.0), (True, 30, 150.0), (False, 9, 90.0), (False, 3, 1.0)]
+    rows = [{"is_success": won, "commands": n, "distance_m": m} for won, n, m in order[::-1]]
+    suite, report = Evaluation(), made.evaluated(tmp_path / "run", *rows)
+    assert choose_row(suite, report)["commands"] == 20
+    assert [row["lane"] for row in sorted(report.rows, key=suite.interest)] == [3, 2, 1, 0]
+    assert choose_row(suite, report, "lane-000001")["lane"] == choose_row(suite, report, number=1)["lane"] == 1
+    with pytest.raises(UserError, match=r"--case lane-99: not in"):
+        choose_row(suite, report, "lane-99")
+    for number in (-1, 4):
+        with pytest.raises(UserError, match=rf"--game {number}: .* has 4 games, from 0 to 3"):
+            choose_row(suite, report, number=number)

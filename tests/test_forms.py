@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.dp1_games import line_arrays, line_row
+from tests.made_runs import line_arrays, line_row
 from uavaccel.cli.experiments import report_runs
 from uavaccel.cli.results import export
 from uavaccel.config import to_yaml, validate

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.dp1_games import line_row
+from tests.made_runs import line_row
 from tests.running import configured
 from tests.test_claims import images, only, trained, trajectories
 from uavaccel.config import validate

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.drawing import labelled, points, record_figures
+from tests import made_runs as made
+from tests.made_runs import thinking_row
 from tests.running import configured, fly_into
 from uavaccel.errors import UserError
 from uavaccel.own_code import trusting
@@ -278,34 +279,25 @@ def test_a_drone_flies_with_the_command_and_the_clock_speed_of_the_case() -> Non
 # --- reports --------------------------------------------------------------------------------------
 
 
-def row_of(agent: str, command: str, latency_s: float, clock_speed: float, mean: float, **keys: Any) -> Any:
-    """An evaluation of two episodes that return 2 less and 2 more than the mean."""
-    case = f"{agent}-{command}-{latency_s:g}-{clock_speed:g}-{keys.get('seed', 0)}"
-    row = {"suite": "realtime", "kind": "evaluation", "case": case, "timing": "virtual", "environment": "pendulum"}
-    under = {"agent": agent, "seed": 0, "command": command, "latency_s": latency_s, "clock_speed": clock_speed}
-    flown = {"returns": [mean - 2, mean + 2], "delays_s": [latency_s * clock_speed] * 2, "late_s": 0.0}
-    return row | under | flown | keys
-
-
-def made(path: Path, *rows: Any, **options: Any) -> RunDirectory:
-    run = RunDirectory.create(
-        path, configured("realtime_smoke", *TINY, "agents={naive: {}, chunk: {chunk: 2}}", **options), {}
-    )
-    for row in rows:
-        run.append_row(row)
-    return run
-
-
 def summary_of(path: Path, *rows: Any) -> Any:
-    return Realtime().report(made(path, *rows)).summary
+    return made.realtime(path, *rows).summary
 
 
 def ranking_of(path: Path, means: dict[tuple[str, float], float]) -> Any:
     """The ranking of agents by their means by agent and ClockSpeed, each within 2 of it."""
-    rows = [row_of(agent, "adsc", 0.05, speed, mean) for (agent, speed), mean in means.items()]
-    stopped = [row_of("c", "tcsc", 0.05, speed, 99.0) for speed in (1.0, 5.0)]  # rankings are of ADSC
+    rows = [thinking_row(agent, "adsc", 0.05, speed, mean) for (agent, speed), mean in means.items()]
+    stopped = [thinking_row("c", "tcsc", 0.05, speed, 99.0) for speed in (1.0, 5.0)]  # rankings are of ADSC
     (ranking,) = summary_of(path, *rows, *stopped)["rankings"]
     return ranking
+
+
+def test_tcsc_is_held_against_its_own_at_every_clock_speed(tmp_path: Path) -> None:
+    rows = [thinking_row("a", "tcsc", 0.0, 1.0, 2.0), thinking_row("a", "tcsc", 0.0, 1.0, 8.0, seed=1)]
+    fast = [*rows, *(row | {"clock_speed": 5.0, "case": f"{row['case']}-fast"} for row in rows)]
+    equal = summary_of(tmp_path / "equal", *fast, thinking_row("a", "adsc", 0.0, 5.0, 7.0))
+    other = summary_of(tmp_path / "other", *fast, thinking_row("a", "tcsc", 0.0, 9.0, 2.5))
+    found = [each["tcsc_equal_at_every_clock_speed"] for each in (summary_of(tmp_path / "one", *rows), equal, other)]
+    assert found == [None, True, False]
 
 
 def test_a_ranking_holds_until_two_agents_change_places_for_sure(tmp_path: Path) -> None:
@@ -333,88 +325,12 @@ def test_a_ranking_holds_up_to_the_last_clock_speed_before_the_first_change(
     assert found == [(speed, "b", "a") for speed in reversed_at]
 
 
-def test_a_cell_is_of_all_trainings_and_tcsc_is_held_against_its_own(tmp_path: Path) -> None:
-    rows = [row_of("a", "tcsc", 0.0, 1.0, 2.0, delays_s=[0.0, 0.1]), row_of("a", "tcsc", 0.0, 1.0, 8.0, seed=1)]
-    rows[1] |= {"delays_s": [0.5, 0.1], "late_s": 0.3}
-    alone = summary_of(tmp_path / "alone", *rows)
-    (cell,) = alone["cells"]
-    assert (cell["return_mean"], cell["seeds"], cell["episodes"], cell["late_s"]) == (5.0, 2, 4, 0.3)
-    assert 0.0 <= cell["return_low"] < 5.0 < cell["return_high"] <= 10.0
-    assert cell["delay_s"] == pytest.approx(0.1)
-    rows += [row | {"clock_speed": 5.0, "case": f"{row['case']}-fast"} for row in rows]
-    equal = summary_of(tmp_path / "equal", *rows, row_of("a", "adsc", 0.0, 5.0, 7.0))
-    other = summary_of(tmp_path / "other", *rows, row_of("a", "tcsc", 0.0, 9.0, 2.5))
-    assert [each["tcsc_equal_at_every_clock_speed"] for each in (alone, equal, other)] == [None, True, False]
-
-
 def test_a_run_without_an_evaluation_has_no_report_yet(run: RunDirectory, tmp_path: Path) -> None:
-    begun = made(tmp_path / "begun", {key: value for key, value in run.rows()[0].items() if "arrays" not in key})
-    with pytest.raises(UserError, match="holds no finished evaluation yet"):
-        Realtime().report(begun).write()
-
-
-def test_the_page_tells_each_return_and_ranking_in_its_column(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of two agents the naive one is ahead in real time, and behind at 4x where latency is 50 ms."""
-    drawn, rows = record_figures(monkeypatch), []
-    for latency_s in (0.3, 0.0, 0.05):
-        for speed in (1.0, 4.0):
-            mean = 3 if (latency_s, speed) == (0.05, 4.0) else 20
-            rows.append(row_of("naive", "adsc", latency_s, speed, mean))
-            rows.append(row_of("chunk", "adsc", latency_s, speed, 10, late_s=0.004))
-    rows += [row_of("naive", "tcsc", 0.3, speed, 19 + speed, delays_s=[0.0, 0.0]) for speed in (1, 4)]
-    report = Realtime().report(made(tmp_path / "run", *rows))
-    report.write()
-    page = (report.run.path / "report.md").read_text(encoding="utf-8")
-    change = "at 4x chunk is ahead of naive, which beats it at 1x"
-    assert report.headline() == (
-        f"With 50 ms to think, in pendulum the ranking holds up to 1x ({change}); under TCSC returns DIFFER at every "
-        "ClockSpeed"
+    begun = made.realtime(
+        tmp_path / "begun", {key: value for key, value in run.rows()[0].items() if "arrays" not in key}
     )
-    ahead, late, shown = ("20", "18 to 22", "-"), ("10", "8 to 12", "0.004"), report.overview()
-    assert shown
-    assert shown.rows == [
-        ("pendulum", agent, "ADSC", f"{1e3 * latency_s:g}", "1x", f"{latency_s:g}", *found)
-        for latency_s in (0.0, 0.05)
-        for agent, found in (("naive", ahead), ("chunk", late))
-    ]
-    for line in (
-        ("pendulum", "0", "4x", "1.00", "none"),
-        ("pendulum", "50", "1x", "-1.00", change),
-        ("pendulum", "300", "4x", "1.00", "none"),
-        ("pendulum", "naive", "TCSC", "300", "4x", "0", "23", "21 to 25", "-"),
-    ):
-        assert f"| {' | '.join(line)} |" in page
-    assert {label: points(line) for label, line in labelled(drawn["rankings"].axes[0]).items()} == {
-        "0 ms": [(0.0, 1.0), (1.0, 1.0)],
-        "50 ms": [(0.0, 1.0), (1.0, -1.0)],
-        "300 ms": [(0.0, 1.0), (1.0, 1.0)],
-    }
-    naive = labelled(drawn["returns"].axes[0])["naive"]
-    assert points(naive) == [(0.0, 20.0), (0.05, 20.0), (0.2, 3.0), (0.3, 20.0), (1.2, 20.0)]
-
-
-def test_the_machines_clock_is_held_against_the_simulated_one_in_either_order(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    drawn, keys = record_figures(monkeypatch), {"late_s": 0.03, "delays_s": [0.1, 0.1]}
-    chunk, later = row_of("chunk", "adsc", 0.05, 1.0, 4.0), row_of("naive", "adsc", 0.05, 4.0, 99.0)
-    still = row_of("naive", "tcsc", 0.05, 1.0, 10.0, delays_s=[0.0, 0.0])
-    modelled = made(tmp_path / "virtual", row_of("naive", "adsc", 0.05, 1.0, 10.0), chunk, still, later)
-    real = made(tmp_path / "wall", row_of("naive", "adsc", 0.05, 1.0, 8.0, **keys), chunk, still, timing="wall")
-    for given in ((modelled, real), (real, modelled)):
-        assert Realtime().compare(given) == [tmp_path / "wall/figures/agreement.png"]
-        shown = {label: points(line) for label, line in labelled(drawn["agreement"].axes[0]).items()}
-        assert shown == {"naive": [(10.0, 8.0), (10.0, 10.0)], "chunk": [(4.0, 4.0)]}
-        assert real.read_json("agreement.json") == {
-            "cells": 3,
-            "return_difference_median": 0.0,  # of 0.2, 0 and 0
-            "delay_difference_median": pytest.approx(0.5),  # of 1 and 0; where there is none it says nothing
-            "kendall_tau_mean": 1.0,
-            "kendall_tau_least": 1.0,
-            "late_s": 0.03,
-        }
-    with pytest.raises(UserError, match="compares a run with timing virtual and one with timing wall"):
-        Realtime().compare([modelled, modelled])
+    with pytest.raises(UserError, match="holds no finished evaluation yet"):
+        begun.write()
 
 
 @pytest.mark.wall_clock
