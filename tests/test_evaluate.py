@@ -54,7 +54,7 @@ def evaluated(agent: str, out: Path, *overrides: str, **options: Any) -> Summary
 
 def request(agent: str, out: Path, *overrides: str, **options: Any) -> RunRequest:
     """What the command line asks for."""
-    shell = {key: options.pop(key) for key in ("jobs", "resume") if key in options}
+    shell = {key: options.pop(key) for key in ("resume",) if key in options}
     return RunRequest("evaluate", {"agent": agent, "games": LANES, **options}, overrides, out=out, **shell)
 
 
@@ -100,9 +100,8 @@ def test_an_offset_agent_turns_towards_its_offset(y_m: float, heading_deg: float
 # --- results ----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
-def test_the_same_bytes_twice_whatever_the_jobs(tmp_path: Path, straight: RunDirectory) -> None:
-    evaluate_agent(request("straight", tmp_path / "run", jobs=2), None, False)
+def test_the_same_bytes_twice(tmp_path: Path, straight: RunDirectory) -> None:
+    evaluate_agent(request("straight", tmp_path / "run"), None, False)
     for name in ("rows.jsonl", "summary.json", "config.yaml", FIGURE):
         assert (tmp_path / "run" / name).read_bytes() == (straight.path / name).read_bytes()
 

@@ -284,11 +284,8 @@ def test_an_evaluation_is_flown_again_and_logged_with_its_collision(tmp_path: Pa
     run = evaluated(tmp_path / "run", "task.max_commands=12", "first_lane=2", games=1)
     assert run.rows()[0]["collision"] == "obstacle_01"
     export(str(run.path), mcap=tmp_path / "logs")
-    export(str(run.path), mcap=tmp_path / "again")
     for row in run.rows():
-        path = tmp_path / "logs" / f"{row['case']}.mcap"
-        assert path.read_bytes() == (tmp_path / "again" / path.name).read_bytes()
-        log = read(path)
+        log = read(tmp_path / "logs" / f"{row['case']}.mcap")
         asked = vectors(log.messages["/drone/command"], "velocity_m_s")
         headings = np.radians(np.array([-60.0, -30.0, 0.0, 30.0, 60.0])[row["actions"]])
         speed_m_s = run.config()["task"]["speed_m_s"]

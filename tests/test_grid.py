@@ -134,36 +134,6 @@ def test_a_cell_is_an_evaluation_under_its_latency(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "override", "said"),
-    [
-        ("ablation", "variants=[{name: a, changes: {latency.platform.tik_us: 1.0}}]", "variant 'a'.*tik_us.*tick_us"),
-        ("ablation", "variants=[{name: a}, {name: a}]", "has a twice"),
-        ("ablation", "variants=[]", "variants"),
-        ("ablation", "base.rounds=[0]", "base: rounds"),
-        ("sweep", "sweep={wind: [99]}", "task.difficulty.wind_m_s = 99"),
-        ("sweep", "sweep={wind: [1, 1.0]}", "each once"),
-        ("sweep", "sweep={wind: []}", "needs values"),
-        ("sweep", "sweep={nothing: [1]}", "is unknown"),
-        (
-            "sweep",
-            "sweep={task.nothing: [1]}",
-            "--sweep task.nothing: uavaccel/ObstacleLane-v0 has no task.nothing; known: wind, ",
-        ),
-        ("sweep", "sweep={command: [fly]}", "task.command"),
-        ("robustness", "latency_scale=[-1]", "latency_scale.0 = -1: should be greater than or equal to 0"),
-        ("robustness", "latency_scale=[1, 1]", "has 1 twice"),
-        ("robustness", "evaluation.keys={task.histry: 1}", "unknown key 'task.histry'"),
-        ("robustness", "evaluation.experiment=dp1", "evaluation.experiment = dp1|unknown key"),
-        ("robustness", "agent=nowhere", "nowhere: holds no policy"),
-    ],
-)
-def test_a_grid_that_cannot_be_flown_is_refused_in_one_line(name: str, override: str, said: str) -> None:
-    with pytest.raises(UserError, match=said) as caught:
-        configured(name, override)
-    assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize(
     ("text", "said"),
     [
         ("wnd=1", "did you mean 'wind'"),
