@@ -301,7 +301,7 @@ def test_bad_input_is_one_line_and_nothing_is_written(
 
 
 @pytest.mark.parametrize("number", ["-1", "0"])
-def test_threads_with_which_numba_cannot_be_imported_are_one_line(
+def test_threads_that_numba_cannot_have_are_one_line(
     number: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("NUMBA_NUM_THREADS", number)

@@ -51,9 +51,7 @@ def given(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
 # --- the command ------------------------------------------------------------------------------------------------------
 
 
-def test_benches_are_run_in_their_order_and_kept_and_one_that_cannot_is_left_out(
-    given: Callable[..., None], tmp_path: Path
-) -> None:
+def test_benches_run_in_order_and_one_that_cannot_is_left_out(given: Callable[..., None], tmp_path: Path) -> None:
     ran: list[Any] = []
 
     def measured(name: str, *how: Any) -> Iterator[Measurement]:
@@ -131,7 +129,7 @@ def test_a_commands_speed_is_simulated_time_over_wall_time(given: Callable[..., 
     assert flown == [96 * 10**9] * 2
 
 
-def test_a_soak_calls_at_its_rate_and_holds_memory_against_that_after_a_tenth(given: Callable[..., None]) -> None:
+def test_a_soak_calls_at_its_rate_and_watches_memory(given: Callable[..., None]) -> None:
     memory = iter([90.0, 80.0, *range(50, 68)])  # the first two of twenty readings are of the start
     slept: list[int] = []
     asked: list[int] = []
@@ -184,7 +182,7 @@ def round_s(lanes: int, **keys: Any) -> float:
     return 0.0001 + 50 * {"state": 0.0, "colour": 0.0001, "dvs": 0.0003}[seen]
 
 
-def test_commands_on_cores_are_held_against_flight_and_then_frames(given: Callable[..., None]) -> None:
+def test_commands_on_cores_are_held_against_flight_and_frames(given: Callable[..., None]) -> None:
     """A command of a second has three frames."""
     ticks_s, seen_s = iter([3e-6, 1e-6, 2e-6]), iter([0.02, 0.05, 0.03])
     exact = SimpleNamespace(advance=lambda ticks: range(ticks)[999], close=lambda: None)
@@ -202,7 +200,7 @@ def test_commands_on_cores_are_held_against_flight_and_then_frames(given: Callab
 
 
 @pytest.mark.parametrize(("frame_s", "bound_s"), [(0.0003, 0.002), (0.001, 0.003)])
-def test_commands_on_a_gpu_are_held_against_the_longer_of_flight_and_frames(
+def test_commands_on_a_gpu_are_held_against_the_longer_part(
     given: Callable[..., None], monkeypatch: pytest.MonkeyPatch, frame_s: float, bound_s: float
 ) -> None:
     torch = SimpleNamespace(cuda=SimpleNamespace(get_device_name=lambda: "a card"))
@@ -233,7 +231,7 @@ def test_pictures_are_those_that_the_event_camera_sees(rate_hz: float | None, pi
     environment.close()
 
 
-def test_frame_rates_are_of_the_best_pass_and_their_ratio_of_the_middle_one(given: Callable[..., None]) -> None:
+def test_frame_rates_are_of_the_best_pass_ratios_of_the_middle(given: Callable[..., None]) -> None:
     """150 frames a pass; bare and ours took so many seconds."""
     passes = iter([(3, 4), (1, 5), (2, 2)])
     camera = nullcontext(SimpleNamespace(renderer="a card"))

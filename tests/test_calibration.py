@@ -126,7 +126,7 @@ def test_a_probe_answers_in_json_within_its_time(monkeypatch: pytest.MonkeyPatch
 # --- calibrate --------------------------------------------------------------------------------------------------------
 
 
-def test_a_calibration_is_a_latency_model_and_its_medians_are_told(
+def test_a_calibration_is_a_latency_model_with_its_medians_told(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     """Of 0, 1, ... 1000 us the quantiles are 1000 times their shares."""
@@ -274,7 +274,7 @@ def flown(offset_m: float, wall_s: float, gap_s: np.ndarray) -> SquareGame:
     return SquareGame(trajectory([0.0, 1.0], places), gap_s, wall_s)
 
 
-def test_each_game_is_flown_on_the_machines_clock_the_model_and_again(
+def test_each_game_is_flown_measured_modelled_and_measured_again(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     """As if the model were twice as slow as the first run, and the second one three times; within 80 columns."""
@@ -341,7 +341,7 @@ def test_without_latency_both_fly_alike_and_with_it_adsc_is_off() -> None:
     assert of(again, "adsc", "error_m") != errors_m
 
 
-def test_commands_are_held_against_the_ideal_flight_and_real_time(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_commands_are_held_against_ideal_flight_and_real_time(monkeypatch: pytest.MonkeyPatch) -> None:
     """Five games of each, off by squares: their median, and their mean wall time, are in the middle of nothing else."""
     asked = []
 

@@ -51,7 +51,7 @@ def game(command: str, t_move_s: float, rounds: int, **keys: Any) -> tuple[Any, 
 # --- the grid -----------------------------------------------------------------------------------------------
 
 
-def test_the_papers_grid_has_4800_games_and_79200_simulated_seconds() -> None:
+def test_the_papers_grid_has_4800_games_and_79200_seconds() -> None:
     cases = cases_of(config_of())
     grid = [case for case in cases if case.role in ("game", "reference")]
     assert len(grid) == 4_800
@@ -192,9 +192,7 @@ def test_a_run_without_rows_or_arrays_is_the_users_mistake(tmp_path: Path) -> No
         lost.write_summary()
 
 
-def test_summaries_are_the_same_in_any_order_and_number_of_processes(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_summaries_are_the_same_in_any_order_and_processes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     rows, written = accelerated_rows()[:11], set()
     for name, order, least in (("a", 1, 400), ("b", -1, 400), ("c", 1, 0)):
         monkeypatch.setattr(dp1, "PARALLEL_FROM_GAMES", least)

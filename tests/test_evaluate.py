@@ -141,7 +141,7 @@ def test_films_of_the_best_and_the_worst(tmp_path: Path) -> None:
     ]
 
 
-def test_a_second_event_camera_has_the_noise_of_the_game_it_watches() -> None:
+def test_a_second_event_camera_has_the_noise_of_its_game() -> None:
     """With its own seed where there is noise, from its start, and at its own pace until the next game."""
     done: list[Any] = []
     camera: Any = SecondEventCamera(LaneTask(), 5)
@@ -258,7 +258,7 @@ def test_an_exported_policy_acts_as_the_model(tmp_path: Path, task: dict[str, An
         ("state", (4, 13), "state"),
     ],
 )
-def test_a_manifest_describes_what_is_observed_done_and_was_trained(
+def test_a_manifest_describes_what_is_observed_and_done(
     observation: str, shape: tuple[int, ...], said: str, tmp_path: Path
 ) -> None:
     """Two frames of a command, of the last two commands; the file has the online network alone."""
@@ -361,7 +361,7 @@ def test_an_agent_that_is_none_is_one_clear_line(tmp_path: Path, agent: str, sai
 # --- keys of the task -------------------------------------------------------------------------------------------
 
 
-def test_an_agent_flies_with_what_it_was_trained_with_unless_told_otherwise() -> None:
+def test_an_agent_flies_with_what_it_was_trained_with() -> None:
     trained = load_policy(asset("policies/default")).config.task
     task = configured("evaluate", "task.dvs_preset=noisy", "task.speed_m_s=1.5").task
     assert (task.dvs_preset, task.speed_m_s) == ("noisy", 1.5)
@@ -369,7 +369,7 @@ def test_an_agent_flies_with_what_it_was_trained_with_unless_told_otherwise() ->
     assert {key: getattr(task, key) for key in kept} == {key: getattr(trained, key) for key in kept}
 
 
-def test_senses_and_flight_are_those_of_the_training_and_nothing_else_is(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_senses_and_flight_alone_are_those_of_the_training(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each of them another than where nothing is said; what a policy is tried under stays the evaluation's."""
     like_trained: dict[str, Any] = {
         "observation": "dvs", "history": 2, "knows": ["frame_age"], "blank_images": True, "dvs_preset": "noisy",
@@ -406,9 +406,7 @@ def test_a_noisy_sensor_is_what_flies(tmp_path: Path) -> None:
         ("task.headings_deg=[-30, 0, 30]", "task.headings_deg: 3 actions, but default was trained with 5"),
     ],
 )
-def test_what_a_network_cannot_take_is_refused_before_anything_is_written(
-    tmp_path: Path, override: str, said: str
-) -> None:
+def test_what_a_network_cannot_take_is_refused_at_once(tmp_path: Path, override: str, said: str) -> None:
     with pytest.raises(UserError, match=f"^{re.escape(said)}$"):
         evaluate_agent(request("default", tmp_path / "run", override, games=1), None, False)
     assert not (tmp_path / "run").exists()
@@ -423,7 +421,7 @@ def test_a_game_has_a_seed_of_its_lane_and_the_run() -> None:
     assert game_seed(configs[0], 3) == np.random.SeedSequence([0, 3]).generate_state(1)[0]
 
 
-def test_the_paired_comparison_is_mcnemars_on_the_lanes_that_both_flew(tmp_path: Path) -> None:
+def test_the_paired_comparison_is_mcnemars_on_common_lanes(tmp_path: Path) -> None:
     run = made.evaluated(tmp_path / "run", *ended_at(150.0, 150.0, 150.0, 20.0, 150.0))
     other = made.evaluated(tmp_path / "other", *({"lane": lane, "is_success": lane == 3} for lane in (4, 3, 1, 2, 9)))
     # Of lanes 1 to 4 three were won by the first alone, one by the other alone: 2 * (1 + 4) / 2**4.

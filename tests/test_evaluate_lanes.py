@@ -113,7 +113,7 @@ def test_lanes_on_a_gpu_fly_and_decide_as_on_cores(
     assert rows_of(evaluated(tmp_path / "gpu", KERNELS, SHORT, *keys, agent=agent)) == rows_of(cores)
 
 
-def test_a_lanes_place_among_those_rated_together_depends_on_it_alone() -> None:
+def test_a_lanes_place_among_others_depends_on_it_alone() -> None:
     found = blocks([32, 33, 64, 31], np.array([0, 2, 3]))
     assert [(members.tolist(), rows.tolist()) for members, rows in found] == [([3], [31]), ([0], [0]), ([2], [0])]
 

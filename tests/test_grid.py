@@ -66,7 +66,7 @@ def test_variants_fly_the_games_of_dp1_with_its_seeds(tmp_path: Path) -> None:
     assert flight.title == "ADSC at 10x"
 
 
-def test_a_condition_is_an_evaluation_with_one_key_changed_and_none_is_flown_twice(tmp_path: Path) -> None:
+def test_a_condition_is_an_evaluation_with_one_key_changed(tmp_path: Path) -> None:
     summary = run_into(tmp_path / "run", Sweep(), configured("sweep", *BLIND, sweep={"wind": [0, 8], "speed": [2]}))
     run = RunDirectory(tmp_path / "run")
     assert [row["case"] for row in run.rows()] == ["as-trained", "wind-8", "speed-2"]
@@ -80,7 +80,7 @@ def test_a_condition_is_an_evaluation_with_one_key_changed_and_none_is_flown_twi
     assert summary["cells"][1]["distance_m_median"] == summary["cells"][0]["distance_m_median"]
 
 
-def test_every_shipped_condition_is_an_evaluation_that_can_be_flown() -> None:
+def test_every_shipped_condition_can_be_flown() -> None:
     config = configured("sweep", "agent=straight")
     assert set(CONDITIONS) - set(config.sweep) == {"profile"}
     trained, *flown = Sweep().cases(config)
@@ -98,7 +98,7 @@ def test_the_page_has_the_table_of_conditions() -> None:
     assert not [name for name in CONDITIONS if f"`{name}`" not in page]
 
 
-def test_options_and_overrides_of_evaluate_are_the_conditions_around_which_is_swept(tmp_path: Path) -> None:
+def test_a_sweep_is_around_the_options_of_evaluate(tmp_path: Path) -> None:
     options = {"agent": "straight", "games": 2, "clock_speed": 5.0, "seed": None}
     request = RunRequest(
         "evaluate", options, ["task.max_commands=3", "task.difficulty.wind_m_s=2"], out=tmp_path / "run"

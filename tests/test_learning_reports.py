@@ -56,7 +56,7 @@ def test_real_time_has_flight_pictures_decisions_and_learning() -> None:
     assert model_real_time(tiny_config(state, **on_policy))["command_s"] == pytest.approx(blind + 0.25)
 
 
-def test_real_time_is_modelled_with_the_trainings_flight_and_senses(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_real_time_is_modelled_with_the_trainings_flight(monkeypatch: pytest.MonkeyPatch) -> None:
     """Twenty commands straight ahead in an empty lane; all else is AirSim's: its profile, ClockSpeed and latencies."""
     made: list[Any] = []
 
@@ -87,7 +87,7 @@ def test_real_time_is_modelled_with_the_trainings_flight_and_senses(monkeypatch:
     assert made[1:] == [*[("inference", 0.25), ("learning", 2.0 / 4), 2] * 20, "closed"]
 
 
-def test_a_training_tells_its_latest_success_and_its_disturbed_games(tmp_path: Path) -> None:
+def test_a_training_tells_its_latest_success(tmp_path: Path) -> None:
     rows = won(*[True] * 150, *[False] * 75, *[True] * 25)
     assert Training().status(rows) == "success of the last 100: 25%"
     assert Training().status(rows[148:152]) == "success of the last 4: 50%"
@@ -103,9 +103,7 @@ def test_wall_times_that_are_missing_are_one_line(tmp_path: Path) -> None:
             curves_figure("wall clock", [report])
 
 
-def test_curves_of_games_count_from_this_start_and_leave_out_evaluations(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_curves_count_from_this_start_without_evaluations(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Success of the last 100, an earlier start's among them; simulated over wall time of this start's.
 
     They are what TensorBoard reads.

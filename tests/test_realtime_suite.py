@@ -96,7 +96,7 @@ def test_a_run_that_was_interrupted_ends_with_the_same_bytes(
     assert (again.path / "rows.jsonl").read_bytes() == (run.path / "rows.jsonl").read_bytes()
 
 
-def test_an_evaluation_is_its_case_flown_with_the_weights_and_seeds_of_the_run(run: RunDirectory) -> None:
+def test_an_evaluation_flies_the_weights_and_seeds_of_the_run(run: RunDirectory) -> None:
     """Episodes begin with other seeds than any training's; under TCSC neither latency nor ClockSpeed counts."""
     rows = {row["case"]: row for row in run.rows()}
     weights = run.load_arrays(rows["pendulum-naive-s0"])
@@ -153,7 +153,7 @@ def test_a_policy_is_its_weights_on_normalised_observations(run: RunDirectory) -
 
 
 @pytest.mark.parametrize("ends", ["lost", "out"])
-def test_an_episode_has_its_return_its_median_delay_and_its_worst_lateness(ends: str) -> None:
+def test_an_episode_has_its_return_delay_and_lateness(ends: str) -> None:
     """Each action is decided upon what the one before has made of the environment; only a real clock is late."""
     script = [(1.0, 0.1, {}), (2.0, 0.9, {"late_s": 0.75}), (4.0, 0.3, {"late_s": 0.25}), (-0.5, 0.2, {})]
     left, met = list(script), []
@@ -187,7 +187,7 @@ class Echo(Policy):
 
 
 @pytest.mark.parametrize("clock_speed", [1.0, 2.0])
-def test_who_looks_ahead_decides_upon_what_will_be_when_the_action_is_applied(clock_speed: float) -> None:
+def test_who_looks_ahead_decides_upon_what_will_be(clock_speed: float) -> None:
     env = timed(PENDULUM, AgentBlock(), 0.03, "adsc", clock_speed)
     echo, inside = Echo(), env.unwrapped
     ahead = LookAhead(echo, env, PENDULUM, 0.03, clock_speed)
@@ -207,7 +207,7 @@ def test_who_looks_ahead_decides_upon_what_will_be_when_the_action_is_applied(cl
     np.testing.assert_allclose(echo.shown, applied[steps - 1 :: steps], atol=1e-12)
 
 
-def test_a_trainings_return_is_the_mean_of_its_last_hundred_episodes() -> None:
+def test_a_trainings_return_is_of_its_last_hundred_episodes() -> None:
     """A lane's episodes have two steps, and each brings 1 more than the one before."""
     returns, rewards = agents._Returns(), np.zeros(agents.LANES)
     returns.model = SimpleNamespace(get_env=lambda: SimpleNamespace(get_original_reward=lambda: rewards))  # type: ignore
@@ -238,9 +238,7 @@ def test_a_training_meets_one_delay_an_episode_from_its_range() -> None:
         (AgentBlock(chunk=2, observe_age=True, observe_actions=2), 4 + 1 + 2 * 2, (2, 1)),
     ],
 )
-def test_an_agent_sees_and_plans_in_its_training_and_its_evaluation_what_its_block_says(
-    agent: AgentBlock, numbers: int, planned: tuple[int, ...]
-) -> None:
+def test_an_agent_sees_and_plans_what_its_block_says(agent: AgentBlock, numbers: int, planned: tuple[int, ...]) -> None:
     """Of the actions that it plans one is applied, for 40 ms, before it observes again."""
     for env in (timed(PENDULUM, agent, 0.0, "adsc", 1.0), training(PENDULUM, agent, seed=0)):
         observation, _ = env.reset(seed=0)
@@ -256,7 +254,7 @@ def test_on_the_machines_clock_an_agent_has_the_same_options(monkeypatch: pytest
     assert met == [(("tcsc", 4.0), {**of_agent, "period_s": 0.5, "default_action": 1})]
 
 
-def test_an_environment_has_the_default_action_and_the_period_of_its_block() -> None:
+def test_an_environment_has_the_keys_of_its_block() -> None:
     """The pushes of 40 ms before the first action move the cart; a step of the other cart is said to take 0.5 s."""
     for push in (2.0, -2.0):
         env = timed(PENDULUM.model_copy(update={"default_action": (push,)}), AgentBlock(), 0.04, "adsc", 1.0)
@@ -268,7 +266,7 @@ def test_an_environment_has_the_default_action_and_the_period_of_its_block() -> 
     assert (info["meanwhile_s"], info["simulated_s"]) == (0.5, 1.0)
 
 
-def test_a_drone_flies_with_the_command_and_the_clock_speed_of_the_case() -> None:
+def test_a_drone_flies_with_the_command_of_the_case() -> None:
     """In training always with ADSC in real time, whose delays are of simulated time."""
     drones = timed(DRONE, AgentBlock(), 0.0, "tcsc", 2.0), training(DRONE, AgentBlock(), seed=0)
     tasks: Any = [getattr(env.unwrapped, "task") for env in drones]  # noqa: B009  it has no type
@@ -314,7 +312,7 @@ def test_a_ranking_holds_until_two_agents_change_places_for_sure(tmp_path: Path)
 
 
 @pytest.mark.parametrize(("reversed_at", "holds_to"), [((), 50), ((5, 20), 1), ((20, 50), 5), ((5,), 1)])
-def test_a_ranking_holds_up_to_the_last_clock_speed_before_the_first_change(
+def test_a_ranking_holds_up_to_its_first_change(
     tmp_path: Path, reversed_at: tuple[float, ...], holds_to: float
 ) -> None:
     pairs = [(agent, speed) for speed in (50.0, 1.0, 20.0, 5.0) for agent in ("a", "b")]
@@ -335,7 +333,7 @@ def test_a_run_without_an_evaluation_has_no_report_yet(run: RunDirectory, tmp_pa
 
 @pytest.mark.wall_clock
 @pytest.mark.slow
-def test_on_the_machines_clock_it_flies_what_the_simulated_one_models(run: RunDirectory, tmp_path: Path) -> None:
+def test_what_is_flown_is_what_the_simulated_clock_models(run: RunDirectory, tmp_path: Path) -> None:
     """Delays cannot be shorter than the agent's thinking; how much longer depends on the machine."""
     keys = "agents={naive: {}}", "latency_s=[0.05]", "clock_speed=[1]", "command=[adsc]", "episodes=1"
     measured = flown(tmp_path / "wall", *keys, "timing=wall")
@@ -371,9 +369,7 @@ def test_what_does_not_fit_is_one_line(override: str, said: str) -> None:
     assert "\n" not in str(caught.value)
 
 
-def test_a_module_with_environments_is_the_projects_and_runs_when_told(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_module_with_environments_runs_when_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     own = "import gymnasium\ngymnasium.register('Own-v0', 'gymnasium.envs.classic_control:CartPoleEnv')\n"
     (tmp_path / "own_environments.py").write_text(own)
     monkeypatch.setattr(sys, "path", [*sys.path])

@@ -52,7 +52,7 @@ def whole(trainings_here: None, tmp_path_factory: pytest.TempPathFactory) -> Run
 
 
 @pytest.mark.slow
-def test_killed_moved_and_interrupted_it_ends_with_the_same_bytes(
+def test_killed_moved_interrupted_it_ends_with_equal_bytes(
     tmp_path: Path, whole: RunDirectory, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Rows of a cell: three of its training, two of each of its evaluations, its own; each policy is flown twice."""
@@ -86,7 +86,7 @@ def test_killed_moved_and_interrupted_it_ends_with_the_same_bytes(
 
 
 @pytest.mark.slow
-def test_policies_fly_in_real_time_on_the_clock_and_the_profile_of_their_training(whole: RunDirectory) -> None:
+def test_policies_fly_in_real_time_as_they_were_trained(whole: RunDirectory) -> None:
     """The lanes of seed 0; with the other command, and in the exact simulator."""
     weights: dict[str, str] = {}
     for row in whole.rows():
@@ -114,7 +114,7 @@ def test_policies_fly_in_real_time_on_the_clock_and_the_profile_of_their_trainin
         (("as_trained=true", "exact_seeds=0"), "adsc at 1, tcsc at 1, adsc-5x: adsc at 5, tcsc-5x: tcsc at 5"),
     ],
 )
-def test_a_policy_is_flown_as_it_was_trained_and_with_the_other_command(overrides: Any, flown: str) -> None:
+def test_a_policy_is_flown_with_the_other_command_too(overrides: Any, flown: str) -> None:
     """A decision takes its time in evaluations too; the lanes are of seed 0, and the policy keeps its own senses."""
     keys = "training: {inference_s: 0.03, learning_s: 0.5}, task: {t_move_s: .8, difficulty.wind_m_s: 3.0}"
     config = small(f"cells=[{{profile: airsim, clock_speed: [5], {keys}}}]", *overrides, command=["adsc"], seed=4)
@@ -158,9 +158,7 @@ def test_seeds_are_outermost_and_options_choose_cells() -> None:
         ("rl_latency", {}, 15),
     ],
 )
-def test_shipped_experiments_can_be_flown_and_count_the_games_of_all_parts(
-    experiment: str, options: dict[str, Any], games: Any
-) -> None:
+def test_shipped_experiments_count_the_games_of_all_parts(experiment: str, options: dict[str, Any], games: Any) -> None:
     config = configured(experiment, "seeds=1", **options)  # which checks it
     found = [Rl().games(config, case) for case in Rl().cases(config)]
     assert games in (found, len(found))
@@ -191,9 +189,7 @@ def test_a_cell_learns_from_pictures(tmp_path: Path) -> None:
         (["evaluation.keys.simulator=mujoco"], {}, r"exact_seeds: needs .* beside an evaluation .* not by mujoco"),
     ],
 )
-def test_what_cannot_be_is_one_clear_line_before_anything_is_flown(
-    overrides: list[str], options: dict[str, Any], said: str
-) -> None:
+def test_cells_that_cannot_be_are_one_clear_line(overrides: list[str], options: dict[str, Any], said: str) -> None:
     with pytest.raises(UserError, match=said) as caught:
         small(*overrides, **options)
     assert "\n" not in str(caught.value)
@@ -210,7 +206,7 @@ def thought(command: str, variant: str, gap: float, won: int, **keys: Any) -> di
     return {**conditions, "gap_s": gap, "success_ratio": won / 100, **keys}
 
 
-def test_the_gap_from_which_a_policy_fails_is_the_one_that_success_never_recovers_from() -> None:
+def test_the_gap_of_collapse_is_one_without_recovery() -> None:
     """.2 s, where it fails but .3 s does not, is no collapse; half of the best is none either."""
     won = {0.0: 80, 0.1: 96, 0.2: 30, 0.3: 48, 0.4: 47, 0.9: 2}
     cells = [thought("adsc", f"think_{1000 * gap:.0f}ms", gap, count) for gap, count in reversed(won.items())]
@@ -230,7 +226,7 @@ def test_the_gap_from_which_a_policy_fails_is_the_one_that_success_never_recover
     assert "no gap was flown" in collapse(over_gaps([*hard, failing]))
 
 
-def test_the_headline_tells_success_after_the_slowest_and_the_fastest_training(tmp_path: Path) -> None:
+def test_the_headline_tells_slowest_and_fastest_training(tmp_path: Path) -> None:
     """Of trainings without a variant; where there are none, the gap at which policies fail."""
     report = made.rl(tmp_path / "run", rows := made.rl_rows("tcsc", 1.0, [range(30), range(20)]))
     clocks = (("tcsc", 1.0, 0.0, 21), ("adsc", 100.0, 9.0, 0), ("adsc", 5.0, 0.4, 64), ("adsc", 1.0, 0.1, 23))
@@ -263,9 +259,7 @@ def taken(device: str, gpus: int, monkeypatch: pytest.MonkeyPatch) -> list[str |
     return [os.environ.get(gpu.VISIBLE), os.environ.get(gpu.EGL_DEVICE), *map(str, cores)]
 
 
-def test_each_process_takes_a_gpu_of_its_own_where_there_is_a_choice(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_each_process_takes_a_gpu_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A place is a lock, which another opening of the file in this process meets as another process would."""
     monkeypatch.setattr("tempfile.gettempdir", lambda: str(tmp_path))
     first, second = ["0", "0", "{0, 1}"], ["1", "1", "{2, 3}"]

@@ -71,7 +71,7 @@ def test_an_option_makes_a_training_one_over_seeds(tmp_path: Path) -> None:
         configure(RunRequest(None, out=tmp_path / "run", resume=True, suite="evaluate"))
 
 
-def test_fewer_games_than_were_asked_for_are_refused_before_a_plan_is_told(tmp_path: Path) -> None:
+def test_fewer_games_than_before_are_refused_at_once(tmp_path: Path) -> None:
     RunDirectory.create(tmp_path / "run", TRAINING, {})
     (tmp_path / "run/checkpoints/0000004").mkdir(parents=True)
     for file in ("learner.pt", "state.json"):

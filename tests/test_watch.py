@@ -78,7 +78,7 @@ def test_looking_on_changes_no_flight(both: list[Track]) -> None:
     assert alone["orientation_wxyz"].tobytes() == both[0].flight.orientation_wxyz.tobytes()
 
 
-def test_the_faster_the_clock_the_farther_adsc_leaves_the_path_of_tcsc(both: list[Track]) -> None:
+def test_the_faster_the_clock_the_farther_adsc_strays(both: list[Track]) -> None:
     slow, fast = (fly_side_by_side(speed, think_s=0.012, rounds=1, seed=0) for speed in (1.0, 100.0))
     apart_m = [adsc.farthest_from(tcsc) for adsc, tcsc in (slow, both, fast)]
     assert apart_m == sorted(apart_m)

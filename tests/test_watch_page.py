@@ -119,7 +119,7 @@ def test_a_drone_has_its_geoms_path_arrow_and_shadow() -> None:
     assert_as_recorded("watch_drone", "\n".join([*said, ""]))
 
 
-def test_a_path_is_sent_in_blocks_forgets_its_oldest_and_begins_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_path_is_sent_in_blocks_and_begins_anew(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(scenes, "BLOCK", 2)
     monkeypatch.setattr(scenes, "MOST_BLOCKS", 2)
     server, pose = Server(), np.array([0.0, 0.0, 5.0, 1.0, 0.0, 0.0, 0.0])
@@ -247,7 +247,7 @@ def without_camera(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pages, "make_camera", make_camera)
 
 
-def test_every_drone_has_its_own_path_which_begins_anew_with_each_flight() -> None:
+def test_every_drone_has_its_own_path_in_each_flight() -> None:
     opened, said = Opened("a", "b", apart_m=4.0), list[str]()
     pair = [STATE._replace(does="x"), DroneState(11.0, np.array([4.0, 5.0, 6.0, 0, 1.0, 0, 0]), False, None, "y")]
 
@@ -307,7 +307,7 @@ def test_controls_are_those_of_the_flight_and_tell_its_player() -> None:
     assert_as_recorded("watch_controls", "\n".join([*said, ""]))
 
 
-def test_a_recorded_flight_is_scrubbed_and_the_show_itself_seeks_nothing() -> None:
+def test_a_recorded_flight_is_scrubbed_by_spectators_alone() -> None:
     opened = Opened("a", source=Recorded)
     source: Any = opened.source
     time = opened.server.added["Time"]

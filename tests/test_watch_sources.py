@@ -96,7 +96,7 @@ def test_a_replay_goes_by_simulated_seconds_pauses_and_steps() -> None:
     assert_as_recorded("watch_replay", "\n".join([*said, ""]))
 
 
-def test_a_replay_that_is_scrubbed_draws_its_path_anew_and_stays_paused() -> None:
+def test_a_replay_that_is_scrubbed_stays_paused() -> None:
     replay, page, server = shown(straight("a", 50.0, 4.0))
     page.update(0.0)
     page.update(3.5)
@@ -135,7 +135,7 @@ def test_a_flight_is_seen_whole_or_gone_along_with(metres: float, centre: float,
     assert "wall clock 2.000 s" in server.clocks()
 
 
-def test_another_clock_speed_is_flown_and_shown_from_its_beginning() -> None:
+def test_another_clock_speed_is_shown_from_its_beginning() -> None:
     replay, page, server = shown(straight("a", 20.0, 4.0), fly_at=lambda speed: [straight("a", speed, 4.0)])
     for passed_s in (0.0, 1.0):
         page.update(passed_s)
@@ -146,7 +146,7 @@ def test_another_clock_speed_is_flown_and_shown_from_its_beginning() -> None:
     assert replay.update(1.0, True)[-1].wall == "10.0 ms"
 
 
-def test_a_clock_that_stands_while_the_client_thinks_is_told_and_a_pose_is_between_samples() -> None:
+def test_a_clock_that_stands_while_the_client_thinks_is_told() -> None:
     marks = np.array([[0.0, 0.0], [0.2, 2.0], [0.3, 2.05], [0.5, 4.0]])  # it stands: a twentieth of ClockSpeed 10
     track = straight("a", 10.0, 4.0, marks=marks)
     said = {0.1: "flies its command", 0.25: "client thinks, clock paused", 0.4: "client thinks, drone flies on"}
@@ -244,7 +244,7 @@ def test_a_scene_and_its_moments_are_as_the_flight_has_them(live: tuple[Live, li
     assert flights[0] != flights[1] == flights[2]
 
 
-def test_a_flight_obeys_the_page_that_shows_it_while_somebody_looks(live: tuple[Live, list[Teller]]) -> None:
+def test_a_flight_obeys_the_page_while_somebody_looks(live: tuple[Live, list[Teller]]) -> None:
     source, (shown, other) = live
     assert (shown.orders(), other.orders()) == ([FREE], [FREE])
     orders = {"seen": True, "held": False, "pace": 1.0, "refreshes": 0}
@@ -271,7 +271,7 @@ def test_a_flight_obeys_the_page_that_shows_it_while_somebody_looks(live: tuple[
     assert [world.moments for world in source.worlds] == [[]]
 
 
-def test_the_first_flight_is_shown_until_it_is_silent_or_has_ended(live: tuple[Live, list[Teller]]) -> None:
+def test_the_first_flight_is_shown_until_it_is_silent(live: tuple[Live, list[Teller]]) -> None:
     source, tellers = live
     for teller in tellers:
         teller.send(teller.scene)
@@ -304,7 +304,7 @@ def test_the_first_flight_is_shown_until_it_is_silent_or_has_ended(live: tuple[L
 
 
 @pytest.mark.parametrize(("waits", "opened"), [(True, True), (True, False), (False, True)])
-def test_a_page_beside_a_command_is_there_for_as_long_as_it_flies(
+def test_a_page_beside_a_command_is_there_while_it_flies(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], waits: bool, opened: bool
 ) -> None:
     """The command waits for its first spectator where that was asked for, and not for ever."""
@@ -407,7 +407,7 @@ def opened(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     return shown
 
 
-def test_the_square_is_flown_as_asked_for_and_at_every_clock_speed_that_is_chosen(
+def test_the_square_is_flown_at_every_clock_speed_chosen(
     opened: dict[str, Any], capsys: pytest.CaptureFixture[str]
 ) -> None:
     beside.show(None, None, None, (50.0, 0.0125, 7), "127.0.0.9", 8100)
@@ -457,7 +457,7 @@ def script_flight(folder: Path, *messages: dict[str, Any], **summary: Any) -> Pa
     return folder
 
 
-def test_a_scripts_commands_end_with_their_answers_or_at_the_next_one(tmp_path: Path) -> None:
+def test_a_scripts_commands_end_with_answers_or_the_next_one(tmp_path: Path) -> None:
     """Answered in time, answered after the next command had begun, and never asked for."""
 
     def call(number: int, wall_s: float, method: str, *params: Any) -> dict[str, Any]:
@@ -491,7 +491,7 @@ def test_a_scripts_commands_end_with_their_answers_or_at_the_next_one(tmp_path: 
     assert (replay.flight.scene, replay.marks.tolist()) == ("lane", track.marks.tolist())
 
 
-def test_a_flight_on_the_machines_clock_took_its_time_over_its_clock_speed(tmp_path: Path) -> None:
+def test_a_measured_flight_took_its_time_over_its_clock_speed(tmp_path: Path) -> None:
     ping: dict[str, Any] = {"call": 1, "wall_ns": 5, "time_ns": None, "method": "ping", "params": []}
     track = script_track(script_flight(tmp_path / "flight", ping))
     assert track.marks.tolist() == [[0.0, 0.0], [2.0, 4.0]]
