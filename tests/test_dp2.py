@@ -21,11 +21,10 @@ from uavaccel.draw.page import Table
 from uavaccel.files import read_arrays
 from uavaccel.records import RunDirectory
 from uavaccel.sim.lane.layout import LENGTH_M
-from uavaccel.suites import dp2
+from uavaccel.suites import dp2, guard_study
 from uavaccel.suites.dp2 import Dp2, Dp2Config, Game
 from uavaccel.suites.rows import subset
 from uavaccel.suites.session import RunRequest
-from uavaccel.vision import guard_study
 from uavaccel.vision.perturb import PerturbationKind, PerturbationSettings, perturb_share
 
 SHORT_PATH = "path=[[1, 0], [1, 0], [0.5, 0.8], [1, 0]]"

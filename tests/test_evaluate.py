@@ -111,7 +111,7 @@ def test_against_another_run_on_the_command_line(
 ) -> None:
     evaluate_agent(request("offset:1", tmp_path / "run", games=2), straight.path, False)
     said = capsys.readouterr().out
-    assert "on the same 2 lanes: 0 v 0 successes, exact McNemar p = 1" in said
+    assert "on the same 2 lanes: 0 v 0 successes, +0.0 [-65.8, +65.8] points, exact McNemar p = 1" in said
     assert re.search(r"0 of 2 lanes with TCSC at 1x \(0\.0%, 95 % Wilson interval 0\.0% to 65\.8%\)", said)
     assert (tmp_path / "run" / FIGURE).stat().st_size > 10_000
 
@@ -426,7 +426,8 @@ def test_the_paired_comparison_is_mcnemars_on_common_lanes(tmp_path: Path) -> No
     other = made.evaluated(tmp_path / "other", *({"lane": lane, "is_success": lane == 3} for lane in (4, 3, 1, 2, 9)))
     # Of lanes 1 to 4 three were won by the first alone, one by the other alone: 2 * (1 + 4) / 2**4.
     assert against(run.run, other.run) == (
-        f"against {other.run.path} on the same 4 lanes: 3 v 1 successes, exact McNemar p = 0.625"
+        f"against {other.run.path} on the same 4 lanes: 3 v 1 successes, +50.0 [-39.9, +90.9] points, "
+        "exact McNemar p = 0.625"
     )
     with pytest.raises(UserError, match="elsewhere: is no evaluation of the same lanes"):
         against(run.run, made.evaluated(tmp_path / "elsewhere", {"lane": 77}).run)

@@ -42,7 +42,7 @@ class Passed(NamedTuple):
 
 @runtime_checkable
 class HasWallClock(Protocol):
-    """An environment that models the wall clock itself, as this package's drones do."""
+    """An environment that models the wall clock itself, as uavaccel's own do."""
 
     task: Any
 

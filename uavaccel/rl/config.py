@@ -202,6 +202,8 @@ class LearnerConfig(Config):
 
     @model_validator(mode="after")
     def _lanes_fit(self) -> LearnerConfig:
+        if getattr(self.task, "split", None) == "test":
+            raise ValueError("task.split must be training: test lanes are kept for the numbers that are published")
         if self.task.timing == "wall" and self.environments > 1:
             raise ValueError("environments must be 1 with timing wall, and turns 1: neighbours would disturb the clock")
         if self.simulator == "mujoco" and self.environments > MOST_PROCESSES:

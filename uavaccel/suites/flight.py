@@ -20,7 +20,7 @@ from uavaccel.units import NS_PER_S, to_ns
 if TYPE_CHECKING:  # they load what draws
     from uavaccel.draw.film import Film
     from uavaccel.draw.panels import Decisions
-    from uavaccel.sim.clutter.layout import ClutterLayout
+    from uavaccel.sim.clutter import ClutterLayout
     from uavaccel.vision.dvs import DvsParameters
 
 ARRAYS = ("time_s", "position_m", "orientation_wxyz", "command_start_s", "command_end_s")
@@ -106,8 +106,7 @@ def windows_of(
     images: NDArray[np.uint8], time_ns: Times, parameters: DvsParameters, sensor_seed: int
 ) -> Iterator[Window]:
     """Yield the events between gray images (n, H, W) taken at times (n,); n - 1 windows."""
-    from uavaccel.vision.dvs import make_sensor
-    from uavaccel.vision.event_counter import EventCounter
+    from uavaccel.vision.dvs import EventCounter, make_sensor
 
     counter = EventCounter(make_sensor(parameters, images.shape[1:], sensor_seed), listed=True)
     counter.start(images[0], int(time_ns[0]), sensor_seed)
