@@ -14,14 +14,13 @@ from tests.simulating import simulate
 from uavaccel.resources import asset
 from uavaccel.sim.profile import NATIVE
 from uavaccel.sim.scene.model import SPARES, airsim_spec, park_spares
-from uavaccel.sim.scene.objects import SceneObjects, restore_from
-from uavaccel.sim.scene.rays import cast
+from uavaccel.sim.scene.objects import SceneObjects, cast, restore_from
 from uavaccel.sim.simulation import Simulation
 from uavaccel.sim.vehicle.vehicle import BODY
 from uavaccel.sim.world import World
 from uavaccel.wire import rpc
 from uavaccel.wire.api import Api
-from uavaccel.wire.segmentation import colours
+from uavaccel.wire.pictures import colours
 from uavaccel.wire.settings import Settings
 
 NORTH = np.array([[1.0, 0.0, 0.0]])

@@ -19,7 +19,7 @@ from typer.testing import CliRunner
 from tools.write_cli_reference import reference
 from uavaccel import __version__
 from uavaccel.cli import experiments, terminal
-from uavaccel.cli.main import app
+from uavaccel.cli.main import app, main
 from uavaccel.cli.options import one_of, shipped
 from uavaccel.cli.terminal import columns_within
 from uavaccel.draw.page import Table
@@ -147,6 +147,27 @@ def test_wrong_usage_is_one_line(line: str) -> None:
     assert done.stderr.count("\n") == 1
 
 
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("watch --game -1", "--game -1: should be greater than or equal to 0"),
+        ("watch --port 70000", "--port 70000: should be less than or equal to 65535"),
+        ("train --seed 1.5", "--seed 1.5: should be a valid integer"),
+        ("run dp1 --clock 5 --clock x", "--clock x: should be a valid number"),
+        ("run --report runs/a --jobs 1 --set a=1",
+         "--report: flies nothing; beside run directories it takes --trust alone, not --jobs"),
+    ],
+)  # fmt: skip
+def test_a_value_that_does_not_fit_is_named(
+    line: str, said: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["uavaccel", *line.split()])
+    monkeypatch.setattr("uavaccel.cli.main.guard_children", lambda tell: None)
+    with pytest.raises(SystemExit) as end:
+        main()
+    assert (end.value.code, capsys.readouterr().err) == (2, f"uavaccel: error: {said}\n")
+
+
 def test_words_of_options_and_experiments_are_completed() -> None:
     words = one_of("wall", "virtual", "lockstep")  # each of which has an l
     assert [words(typed) for typed in ("l", "lockstep", "k")] == [["lockstep"], ["lockstep"], []]
@@ -201,14 +222,14 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
     calls: list[tuple[Any, ...]] = []
 
     def stand_in(place: str) -> None:
-        def call(*how: Any) -> int:
+        def call(*how: Any) -> Any:
             calls.append((place.rpartition(".")[2], *how))
-            return 0
+            return () if place.endswith("film_game") else 0
 
         monkeypatch.setattr(f"uavaccel.{place}", call)
 
     for place in (
-        "cli.experiments.run_experiment", "cli.experiments.evaluate_agent", "cli.results.film_game",
+        "cli.experiments.run_experiment", "cli.experiments.evaluate_agent", "suites.flight.film_game",
         "watch.beside.show", "wire.service.serve", "fly.command.fly_script",
     ):  # fmt: skip
         stand_in(place)
@@ -271,8 +292,8 @@ SQUARE = (50.0, 0.012, 0)
 @pytest.mark.parametrize(
     ("line", "call"),
     [
-        ("watch default --film f.mp4", ("film_game", "default", None, None, Path("f.mp4"))),
-        ("watch run --case a --film f.mp4", ("film_game", "run", "a", None, Path("f.mp4"))),
+        ("watch default --film f.mp4", ("film_game", "default", None, None, Path("f.mp4"), terminal.working)),
+        ("watch run --case a --film f.mp4", ("film_game", "run", "a", None, Path("f.mp4"), terminal.working)),
         ("watch", ("show", None, None, None, SQUARE, "127.0.0.1", 8080)),
         ("watch run --case a --game 2 --clock 5 --think 0.5 --seed 3 --host ::1 --port 9",
          ("show", "run", "a", 2, (5.0, 0.5, 3), "::1", 9)),
@@ -518,7 +539,7 @@ def test_the_best_and_the_worst_game_are_filmed_under_their_names(
     games = {"far": (False, 3, 9.0), "slow": (True, 30, 50.0), "near": (False, 3, 1.0), "quick": (True, 20, 50.0)}
     names = ("is_success", "commands", "distance_m")
     rows = [{"case": case, "lane": 0, **dict(zip(names, game, strict=True))} for case, game in games.items()]
-    monkeypatch.setattr("uavaccel.cli.results.film_game", lambda *filmed: print(*filmed))
+    monkeypatch.setattr("uavaccel.suites.flight.film_game", lambda *filmed: [" ".join(map(str, filmed[:-1]))])
     monkeypatch.setattr("uavaccel.sim.camera.gl.describe_renderer", lambda: None)
     config = {} if simulator is None else {"simulator": simulator}
     run: Any = SimpleNamespace(path="run", rows=lambda: rows, config=lambda: config, file=str)

@@ -390,13 +390,13 @@ def test_overview_and_headline_are_of_each_commands_cells() -> None:
     )
     assert Dp1().headline(report) == (
         "At 50x ADSC strays up to 0.25 m (RMSE; median STLC 1.90, above 1.8 counts as alike). At 10x TCSC strays up to "
-        "0.004 m (RMSE; median STLC 1.90, above 1.8 counts as alike). Times as fast as in real time: ADSC 20 to 30, "
+        "0.004 m (RMSE; median STLC 1.90, above 1.8 counts as alike). Speed-up over real time: ADSC 20 to 30, "
         "TCSC 8"
     )
     same = cells_of(("adsc", 50.0, 1.66, 2.8512, 40.0), ("tcsc", 50.0, 2.0, 0.0, 45.25))
     assert Dp1().headline(same) == (
         "At 50x ADSC strays up to 2.85 m (RMSE; median STLC 1.66, above 1.8 counts as alike). TCSC is identical to "
-        "real time. Times as fast as in real time: ADSC 40, TCSC 45.2"
+        "real time. Speed-up over real time: ADSC 40, TCSC 45.2"
     )
     few = cells_of(("adsc", 1.0, 2.0, 0.0, 1.0), ("adsc", 5.0, None, 0.0, 1.0))
     assert Dp1().headline(few) == "8 games, none of them accelerated and comparable with real time"

@@ -17,11 +17,10 @@ from tests.running import configured
 from uavaccel.draw import style
 from uavaccel.draw.page import Table
 from uavaccel.records import RunDirectory
-from uavaccel.suites import dp2
+from uavaccel.suites import dp2, guard_study
 from uavaccel.suites.dp2 import ERRORS, Dp2
 from uavaccel.suites.report import Report
 from uavaccel.suites.rows import subset
-from uavaccel.vision import guard_study
 from uavaccel.vision.perturb import PerturbationKind, PerturbationSettings, perturb_share
 from uavaccel.wire.latency import LatencyConfig
 

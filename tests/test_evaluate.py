@@ -19,7 +19,6 @@ from tests.learning import tiny_config, train_into
 from tests.opengl import needs_opengl
 from tests.running import configured, fly_into, run_into
 from uavaccel.cli.experiments import evaluate_agent
-from uavaccel.cli.results import film_game
 from uavaccel.envs.observer import SecondEventCamera
 from uavaccel.envs.obstacle_lane import LaneTask
 from uavaccel.errors import UserError
@@ -35,7 +34,7 @@ from uavaccel.rl.policy import MANIFEST, WEIGHTS, Policy, export_policy, load_po
 from uavaccel.sim.lane.layout import lane_seed, sample_layout
 from uavaccel.suites.evaluate import Evaluation
 from uavaccel.suites.evaluate_again import flight_of_agent
-from uavaccel.suites.flight import film_of
+from uavaccel.suites.flight import film_game, film_of
 from uavaccel.suites.report import Summary
 from uavaccel.suites.session import RunRequest
 
@@ -109,7 +108,7 @@ def test_against_another_run_on_the_command_line(
 ) -> None:
     evaluate_agent(request("offset:1", tmp_path / "run", games=2), straight.path, False)
     said = capsys.readouterr().out
-    assert "on the same 2 lanes: 0 v 0 successes, exact McNemar p = 1" in said
+    assert "on the same 2 lanes: 0 v 0 successes, +0.0 [-65.8, +65.8] points, exact McNemar p = 1" in said
     assert re.search(r"0 of 2 lanes with TCSC at 1x \(0\.0%, 95 % Wilson interval 0\.0% to 65\.8%\)", said)
     assert (tmp_path / "run" / FIGURE).stat().st_size > 10_000
 
@@ -205,9 +204,8 @@ def test_the_speed_is_that_of_the_games_own_clock(
 def test_an_evaluated_game_is_filmed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run = tmp_path / "run"
     evaluated("offset:3", run, "task.max_commands=10", games=2)
-    capsys.readouterr()
-    film_game(run, None, None, tmp_path / "films/best.mp4")
-    assert capsys.readouterr().out.split() == [str(tmp_path / f"films/best.{kind}") for kind in ("mp4", "png")]
+    made = film_game(run, None, None, tmp_path / "films/best.mp4")
+    assert made == (tmp_path / "films/best.mp4", tmp_path / "films/best.png")
     assert (tmp_path / "films/best.mp4").stat().st_size > 10_000
     with pytest.raises(UserError, match="--case lane-99: not in"):
         film_game(run, "lane-99", None, tmp_path / "none.mp4")
@@ -333,9 +331,7 @@ def test_a_trainings_run_directory_is_an_agent_and_is_filmed(
     train_into(training, tiny_config({"max_commands": 4}, games=1))
     summary = evaluated(str(training), tmp_path / "run", "task.max_commands=3", games=1)
     assert summary["games"] == 1
-    capsys.readouterr()
-    film_game(training, "lane-000004", None, tmp_path / "lane.mp4")
-    assert capsys.readouterr().out.split() == [str(tmp_path / f"lane.{kind}") for kind in ("mp4", "png")]
+    assert film_game(training, "lane-000004", None, tmp_path / "lane.mp4")[1] == tmp_path / "lane.png"
     with pytest.raises(UserError, match="--case 4: must be an evaluation lane, as lane-000007"):
         film_game(training, "4", None, tmp_path / "lane.mp4")
 

@@ -95,7 +95,8 @@ def test_a_policys_games_are_the_same_whoever_flies_beside_them(
 @pytest.mark.slow
 @pytest.mark.usefixtures("host_kernels")
 @pytest.mark.parametrize(
-    ("agent", "keys"), [("default", [LOCKSTEP]), ("offset:1.5", ["task.timing=virtual", "task.command=adsc"])]
+    ("agent", "keys"),
+    [("default", [LOCKSTEP, "task.split=test"]), ("offset:1.5", ["task.timing=virtual", "task.command=adsc"])],
 )
 def test_lanes_on_a_gpu_fly_and_decide_as_on_cores(
     agent: str, keys: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -137,7 +137,8 @@ def test_the_paired_comparison_is_mcnemars_on_the_lanes_that_both_flew(tmp_path:
     other = run_of(tmp_path / "other", *({"lane": lane, "is_success": lane == 3} for lane in (4, 3, 1, 2, 9)))
     # Of lanes 1 to 4 three were won by the first alone, one by the other alone: 2 * (1 + 4) / 2**4.
     assert against(run, other) == (
-        f"against {other.path} on the same 4 lanes: 3 v 1 successes, exact McNemar p = 0.625"
+        f"against {other.path} on the same 4 lanes: 3 v 1 successes, +50.0 [-39.9, +90.9] points, "
+        "exact McNemar p = 0.625"
     )
     with pytest.raises(UserError, match="elsewhere: is no evaluation of the same lanes"):
         against(run, run_of(tmp_path / "elsewhere", {"lane": 77}))

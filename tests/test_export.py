@@ -24,7 +24,7 @@ from uavaccel.records import RunDirectory
 from uavaccel.rl.onnx_file import OnnxPolicy, described, example, reduced, write_onnx
 from uavaccel.rl.policy import Policy, make_policy
 from uavaccel.suites.tables import row_table, sample_tables, write_tables
-from uavaccel.vision.observation import dvs_observation
+from uavaccel.vision.dvs_sensor import dvs_observation
 
 
 def policy(algorithm: str = "double_dqn", mirrored_decisions: bool = False, **task: Any) -> Policy:

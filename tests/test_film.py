@@ -36,7 +36,7 @@ from uavaccel.draw.panels import (
 )
 from uavaccel.errors import UserError
 from uavaccel.files import UNFINISHED
-from uavaccel.sim.clutter.layout import Clutter, ClutterLayout, sample_world
+from uavaccel.sim.clutter import Clutter, ClutterLayout, sample_world
 from uavaccel.sim.lane.layout import sample_layout
 
 SAMPLES = 30

@@ -392,18 +392,6 @@ def test_a_vehicle_in_the_air_falls_from_the_first_tick() -> None:
     assert told["kinematics_estimated"]["linear_acceleration"]["z_val"] == pytest.approx(8.7, abs=0.1)
 
 
-def test_a_saved_vehicle_stands_on(grounded: Api) -> None:
-    """Saved at its first tick, in another world."""
-    again = Simulation(World("blocks", NATIVE))
-    other = Api(again, ON_THE_GROUND, render=False)
-    again.set_state({key: np.array(value) for key, value in grounded.simulation.get_state().items()})
-    for api in (grounded, other):
-        assert call(api, "getMultirotorState")["landed_state"] == 0
-        call(api, "takeoff", 20.0)
-        go_on(api, 2.0)
-    assert place(grounded).tobytes() == place(other).tobytes()
-
-
 def test_home_is_where_the_vehicle_began_and_reset_brings_it_back(grounded: Api) -> None:
     fly(grounded, "takeoff", 20.0)
     fly(grounded, "moveToPosition", 6.0, 4.0, -3.0, 3.0, FOR_EVER, MAX_DOF, STRAIGHT, AUTO, ADAPTIVE)
@@ -827,29 +815,6 @@ def test_flights_are_the_same_on_every_run(profile: str) -> None:
     assert tracks[0].samples[-1, 1] > 4.0
 
 
-@PROFILES
-@pytest.mark.parametrize(("method", "params"), [
-    ("moveOnPath", ([point(6, 0, -9), point(6, 6, -11)], 3.0, 60.0, MAX_DOF, STRAIGHT, AUTO, ADAPTIVE)),
-    ("rotateToYaw", (90.0, 20.0, 2.0)),
-    ("land", (3.0,)),
-    ("moveByManual", (3.0, 3.0, -10.0, 3.0, MAX_DOF, STRAIGHT)),
-])  # fmt: skip
-def test_a_saved_flight_goes_on_to_the_same_bytes(method: str, params: Any, profile: Profile) -> None:
-    api = hovering(profile)
-    call(api, "moveByRC", {"pitch": 5000.0, "is_valid": True})
-    call(api, method, *params)
-    go_on(api, 1.0)
-    state = {key: np.array(value) for key, value in api.simulation.get_state().items()}
-    ends = []
-    for _ in range(2):
-        go_on(api, 4.0)
-        ends.append((place(api).tobytes(), api.simulation.world.tick, list(api.simulation.lead.log)))
-        again = simulate(profile=profile)
-        again.set_state(state)
-        api = Api(again, render=False)
-    assert ends[0] == ends[1]
-
-
 def test_the_log_says_when_each_command_began_and_ended() -> None:
     """One that completes its way, one with a duration, one that the next interrupts, and one that is cancelled."""
     api, expected = hovering(), []
@@ -873,19 +838,14 @@ def test_the_log_says_when_each_command_began_and_ended() -> None:
     assert lasted_s == [0.5, 0.3, 0.2]
 
 
-def test_position_hold_sets_in_after_the_last_goal_of_a_saved_command_too() -> None:
-    """The sticks end the goals, and the game is saved before the command's next turn, which finds none."""
+def test_position_hold_sets_in_after_the_last_goal_of_a_command() -> None:
+    """The sticks end the goals; the command's next turn finds none."""
     api = hovering()
     call(api, "moveByRC", {"pitch": 10_000.0, "is_valid": True})
     call(api, "moveByManual", 3.0, 3.0, -10.0, 3.0, MAX_DOF, STRAIGHT)
     go_on(api, 1.0)
     call(api, "moveByRC", {"is_valid": False})
-    go_on(api, 0.01)
-    state = {key: np.array(value) for key, value in api.simulation.get_state().items()}
-    again = simulate()
-    again.set_state(state)
-    api = Api(again, render=False)
-    go_on(api, 0.048)
+    go_on(api, 0.058)
     assert api.simulation.world.lead.state["xy_mode"] == autopilot.VELOCITY
     go_on(api, 0.004)
     assert api.simulation.world.lead.state["xy_mode"] == autopilot.POSITION

@@ -18,8 +18,9 @@ import numpy as np
 import pytest
 
 from tests.running import full_device
-from uavaccel.airsim import LandedState, MultirotorClient
+from uavaccel.airsim import MultirotorClient
 from uavaccel.airsim.connection import as_received
+from uavaccel.airsim.types import LandedState
 from uavaccel.clock import datetime_module, time_module
 from uavaccel.errors import UserError
 from uavaccel.files import UNFINISHED
@@ -30,7 +31,7 @@ from uavaccel.fly.modules import client_modules, importing
 from uavaccel.fly.options import SUMMARY, FlightOptions
 from uavaccel.fly.script import FlightOver, run_script
 from uavaccel.fly.simulated import FREE_CALLS, READING_NS, SimulatedFlight
-from uavaccel.fly.threads import ThreadClasses
+from uavaccel.fly.threads import ThreadModules
 from uavaccel.fly.trajectory import FILE_NAME as TRAJECTORY
 from uavaccel.fly.trajectory import TABLE_NAME as TABLE
 from uavaccel.fly.trajectory import Trajectory, equal, largest_difference_m, write_trajectory
@@ -542,15 +543,14 @@ def test_a_wait_without_an_end_is_worth_a_line(
 
 def test_a_flight_waits_for_the_scripts_threads_but_not_for_its_daemons(flight_in: FlightMaker, tmp_path: Path) -> None:
     flight = flight_in(tmp_path)
-    kinds = ThreadClasses(flight._turns)
-    make = kinds.modules()["threading"].Thread
+    make = ThreadModules(flight._turns).threading.Thread  # type: ignore[attr-defined]
     make(target=lambda: flight.pass_time(9.0), daemon=True).start()
-    make(target=lambda: flight.pass_time(2.0)).start()
-    flight._outlive(kinds)
+    make(target=lambda: make(target=lambda: flight.pass_time(2.0)).start()).start()  # whose own thread is none
+    flight._outlive()
     assert flight.summary()["script_s"] == 2.0
     make(target=lambda: flight.pass_time(8.0)).start()  # in which the daemon ends too
-    flight._outlive(kinds)
-    assert (flight.summary()["script_s"], kinds.running) == (10.0, [])
+    flight._outlive()
+    assert (flight.summary()["script_s"], flight._turns.running) == (10.0, [])
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals")

@@ -1,12 +1,10 @@
-"""The parts of `uavaccel fly` one by one: its process, its server, what a script's programs inherit, its threads."""
+"""The parts of `uavaccel fly` one by one: its process, its server, what a script's programs inherit."""
 
 from __future__ import annotations
 
 import io
 import json
-import logging
 import os
-import queue
 import random
 import sys
 import sysconfig
@@ -20,16 +18,12 @@ import numpy as np
 import pytest
 from gymnasium import spaces
 
-from uavaccel.clock import VirtualClock
-from uavaccel.fly import children, executors, process, wall
+from uavaccel.fly import children, process, wall
 from uavaccel.fly.messages import FILE_NAME as MESSAGES
 from uavaccel.fly.messages import DifferenceError, MessageLog
-from uavaccel.fly.modules import named_module, of_a_script
+from uavaccel.fly.modules import Patches, named_module, of_a_script
 from uavaccel.fly.options import SUMMARY, FlightOptions, found_settings
-from uavaccel.fly.patches import Patches
-from uavaccel.fly.script import FlightOver, ScriptResult, run_script
-from uavaccel.fly.threads import Condition, ThreadClasses, bound
-from uavaccel.fly.turns import Turns
+from uavaccel.fly.script import ScriptResult, run_script
 
 # --- the process -----------------------------------------------------------------------------------------------------
 
@@ -348,63 +342,3 @@ def test_a_module_is_changed_when_it_is_imported_and_at_once_where_it_has_been(
         assert imported_later.value == 1
         assert changed[1:] == ["imported_later: 1"] * 2
     sys.modules.pop("imported_later")
-
-
-# --- threads ---------------------------------------------------------------------------------------------------------
-
-
-def test_who_no_longer_waits_takes_no_ones_notification() -> None:
-    """One has given up waiting; the next notification is another's."""
-    turns = Turns(VirtualClock())
-    condition = bound(Condition, turns)()
-    woken: list[str] = []
-
-    def sleeper() -> None:
-        turns.begin(turn)
-        with condition:
-            woken.append(f"second: {condition.wait(5.0)}")
-        turns.end()
-
-    with condition:
-        assert not condition.wait(1.0)
-    turn = turns.announce()
-    thread = threading.Thread(target=sleeper)
-    thread.start()
-    turns.wait_until(turns.now_ns() + 1_000_000_000)
-    with condition:
-        condition.notify()
-    turns.wait_until(turns.now_ns() + 1_000_000_000)
-    thread.join(5.0)
-    assert woken == ["second: True"]
-
-
-@pytest.mark.parametrize(("end", "lines"), [(FlightOver(), 0), (ValueError("no"), 1), (None, 1)])
-def test_a_pool_says_nothing_of_the_flights_end_and_everything_else(
-    capsys: pytest.CaptureFixture[str], end: BaseException | None, lines: int
-) -> None:
-    logger = logging.Logger("of a pool")
-    said: list[logging.LogRecord] = []
-    handler = logging.Handler()
-    handler.emit = said.append  # type: ignore[assignment,method-assign]
-    logger.addHandler(handler)
-    with Patches() as patches:
-        executors._leave_ends_unsaid(named_module("pools", LOGGER=logger), patches)
-        logger.error("a worker has ended", exc_info=end)
-        assert len(said) == lines
-    logger.error("a worker has ended", exc_info=end)
-    assert len(said) == lines + 1  # after the flight it is as before
-
-
-def test_a_queue_is_full_or_empty_by_its_size() -> None:
-    turns = Turns(VirtualClock())
-    made: Any = ThreadClasses(turns).modules()["queue"].Queue(2)
-    for item in "ab":
-        made.put(item)
-    for block in (False, True):
-        with pytest.raises(queue.Full):
-            made.put("c", block, 0.5)
-    assert [made.get(), made.get(), made.unfinished_tasks] == ["a", "b", 2]
-    for block in (False, True):
-        with pytest.raises(queue.Empty):
-            made.get(block, 0.5)
-    assert turns.now_ns() == 1_000_000_000  # half a second for each that would wait

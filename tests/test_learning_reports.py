@@ -380,10 +380,10 @@ def test_curves_of_games_count_from_this_start_and_leave_out_evaluations(
         "is_success": False, "distance_m": 7.0, "collision": None, "lane": 3, "commands": 16,
         "phase_s": {}, "host_phase_s": {},
     }  # fmt: skip
-    first = rows.finished(Game(40, 1, info, -2.5, 0.25), stopwatch)
+    (first,) = rows.finished([Game(40, 1, info, -2.5, 0.25)], stopwatch)
     with rows.clock_stopped():
         pass
-    rows.finished(Game(41, 0, info, 1.0, None, 0.5, 2.0), stopwatch)
+    rows.finished([Game(41, 0, info, 1.0, None, 0.5, 2.0)], stopwatch)
     rows.close()
     assert (first.row["sim_time_s"], first.host["wall_s"]) == (8.0, 4.0)
     read = EventAccumulator(str(tmp_path / "tensorboard"))

@@ -17,8 +17,7 @@ from uavaccel.errors import UsageError
 from uavaccel.fly import old_gym, shims
 from uavaccel.fly.keyboard import Keyboard, parse_keys
 from uavaccel.fly.keys import key_modules
-from uavaccel.fly.modules import importing
-from uavaccel.fly.patches import Patches
+from uavaccel.fly.modules import Patches, importing
 
 pytestmark = pytest.mark.skipif("gym" not in shims.old_modules(), reason="a gym is installed")
 

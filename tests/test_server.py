@@ -16,7 +16,7 @@ import pytest
 from tests.airsim_client import MultirotorClient, RPCError
 from tests.mutated import changed_bytes, mutated_calls, send
 from tests.serving import running_server
-from uavaccel.wire import rpc, rpc_socket
+from uavaccel.wire import rpc
 from uavaccel.wire.server import Server
 
 pytestmark = pytest.mark.wall_clock
@@ -291,7 +291,7 @@ def test_small_messages_leave_and_are_acknowledged_at_once(
     acknowledged: list[tuple[str, int]] = []
 
     def set_quick_ack(connection: socket.socket) -> None:
-        rpc_socket.set_quick_ack(connection)
+        rpc.set_quick_ack(connection)
         acknowledged.append(connection.getpeername())
 
     monkeypatch.setattr("uavaccel.wire.server.set_quick_ack", set_quick_ack)
@@ -302,7 +302,7 @@ def test_small_messages_leave_and_are_acknowledged_at_once(
 
 def test_both_ends_set_both_options(running: Server) -> None:
     with stranger(running) as connection:
-        rpc_socket.set_no_delay(connection)
+        rpc.set_no_delay(connection)
         assert connection.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
         if hasattr(socket, "TCP_QUICKACK"):
             assert connection.getsockopt(socket.IPPROTO_TCP, socket.TCP_QUICKACK)

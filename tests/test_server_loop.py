@@ -14,7 +14,7 @@ import pytest
 from tests.simulating import simulate
 from uavaccel.clock import MonotonicClock, VirtualClock, wait_for_sockets
 from uavaccel.errors import UserError
-from uavaccel.sim.deferred_reply import DeferredReply
+from uavaccel.sim.flight.pilot import DeferredReply
 from uavaccel.sim.profile import AIRSIM, NATIVE
 from uavaccel.wire import rpc
 from uavaccel.wire.api import Api

@@ -15,8 +15,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from typing import Annotated, Any
 
-from uavaccel.airsim.calls import CameraName, Mirrored, Untyped, remote
-from uavaccel.airsim.connection import Connection, Future, connect
+from uavaccel.airsim.connection import CameraName, Connection, Future, Mirrored, Untyped, connect, remote
 from uavaccel.airsim.types import (
     AngleLevelControllerGains,
     AngleRateControllerGains,

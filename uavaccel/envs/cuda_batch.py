@@ -22,8 +22,8 @@ from uavaccel.envs.cuda_games import SampledAhead
 from uavaccel.envs.cuda_lanes import CudaLanes
 from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.flyable import CUDA, check_flyable
+from uavaccel.envs.values import State
 from uavaccel.errors import UserError
-from uavaccel.sim.state import State
 
 DEVICE = CUDA
 BEHIND = 2  # steps after which the host reads what it must know of one; games sampled ahead last longer

@@ -23,13 +23,13 @@ from uavaccel.envs.kernel_games import Drawn, GameMaker, keys_of
 from uavaccel.envs.navigate import NavigateTask
 from uavaccel.envs.obstacle_lane import LaneTask
 from uavaccel.envs.task import Task
+from uavaccel.envs.values import State
 from uavaccel.kernels import clutter_games, lane_games
 from uavaccel.kernels import cuda as kernels
 from uavaccel.kernels.fields import NO_APPEARANCE, Appearance
 from uavaccel.kernels.scene import Scene
 from uavaccel.sim.lane.layout import WIDTH_M, lane_seed
 from uavaccel.sim.pcg64 import stream_of
-from uavaccel.sim.state import State
 
 AHEAD = 4  # games per lane: the one being flown, and those sampled ahead
 

@@ -29,7 +29,7 @@ from uavaccel.envs.sensors import blank_frame
 from uavaccel.envs.stopwatch import PHASES
 from uavaccel.envs.task import Task
 from uavaccel.envs.turn_batch import TurnBatch
-from uavaccel.envs.values import Actions, Answer, Frame, Info, Observation, Steps
+from uavaccel.envs.values import Actions, Answer, Frame, Info, Observation, SavedState, State, Steps
 from uavaccel.errors import UserError
 from uavaccel.kernels import cpu, events, timeline
 from uavaccel.kernels import lanes as rows
@@ -37,7 +37,6 @@ from uavaccel.kernels.fields import DVS, STATE
 from uavaccel.kernels.flight import TOUCHED
 from uavaccel.limits import MOST_PROCESSES
 from uavaccel.machine import usable_cores
-from uavaccel.sim.state import SavedState, State
 from uavaccel.sim.vehicle.quadrotor import KINEMATICS
 from uavaccel.units import NS_PER_S
 from uavaccel.vision.dvs_sensor import sample_pixels

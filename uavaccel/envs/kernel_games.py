@@ -26,7 +26,7 @@ from uavaccel.kernels.scene import empty_scene
 from uavaccel.kernels.still import read_scene
 from uavaccel.sim.lane.layout import PLAIN, LaneLayout
 from uavaccel.sim.world import World
-from uavaccel.vision.image_noise import noise_seed
+from uavaccel.vision.noise import noise_seed
 
 
 class Drawn(NamedTuple):

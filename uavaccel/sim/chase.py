@@ -15,9 +15,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from uavaccel.sim.camera.mounted import Lens, MountedCamera
-from uavaccel.sim.clutter.layout import ClutterLayout
-from uavaccel.sim.clutter.scene import apply_clutter
+from uavaccel.sim.camera.camera import Lens, MountedCamera
+from uavaccel.sim.clutter import ClutterLayout, apply_clutter
 from uavaccel.sim.lane.layout import PLAIN, LaneLayout
 from uavaccel.sim.lane.scene import OBSTACLE_HALF_HEIGHT_M, apply_layout, sunlight
 from uavaccel.sim.poses import Pose, from_degrees

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Annotated
 
-from uavaccel.sim.deferred_reply import DeferredReply
+from uavaccel.sim.flight.pilot import DeferredReply
 from uavaccel.wire.arguments import number
 from uavaccel.wire.calls import Calls, call, without_effect
 from uavaccel.wire.flight_api import LONGEST_S

@@ -2,7 +2,7 @@
 
 Pillars, boxes and cylinders, stand on the ground; spheres and ellipsoids hang in the air. Start and goal are clear.
 Metres, MuJoCo's axes (x north, y west, z up). There is no sine in it, only IEEE arithmetic with products that are
-rounded before a sum (sim/rounding), so that every machine samples the same bits.
+rounded before a sum (sim/parts), so that every machine samples the same bits.
 """
 
 from __future__ import annotations
@@ -12,15 +12,18 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal, Self, get_args
 
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from uavaccel.config import Config
+from uavaccel.errors import UserError
 from uavaccel.limits import Share
-from uavaccel.sim.parts import njit, part
+from uavaccel.sim.lane.scene import named
+from uavaccel.sim.parts import njit, part, times
 from uavaccel.sim.pcg64 import STREAM_FIELDS, pool_of, start, unit
-from uavaccel.sim.rounding import times
+from uavaccel.sim.scene.model import refit_bounding_boxes
 from uavaccel.sim.vehicle.hotloop import sources
 
 Numbers = NDArray[np.float64]
@@ -232,3 +235,39 @@ def _compile(stamp: int) -> Callable[[Numbers, np.uint64, float, float, Numbers]
 
 
 _sample = _compile(sources(__name__))
+
+
+GEOMS = {
+    BOX: mujoco.mjtGeom.mjGEOM_BOX,
+    CYLINDER: mujoco.mjtGeom.mjGEOM_CYLINDER,
+    ELLIPSOID: mujoco.mjtGeom.mjGEOM_ELLIPSOID,
+    CAPSULE: mujoco.mjtGeom.mjGEOM_SPHERE,
+}
+
+
+def apply_clutter(model: mujoco.MjModel, data: mujoco.MjData, layout: ClutterLayout) -> None:
+    """Place the layout's shapes in clutter.xml. Raises UserError if the scene has fewer, as all but the clutter do."""
+    geoms, rows = named(model, "clutter_"), layout.rows
+    if len(rows) > len(geoms):
+        raise UserError(f"the clutter has {len(rows)} shapes, the scene {len(geoms)}: leave some out")
+    used = geoms[: len(rows)]
+    model.geom_pos[geoms, 2], model.geom_rgba[geoms, 3] = PARKED_Z_M, 0.0  # not drawn
+    half, kind = rows[:, [HALF_X, HALF_Y, HALF_Z]], rows[:, KIND]
+    round_, upright = kind == CAPSULE, kind == CYLINDER
+    model.geom_type[used] = [int(GEOMS[int(each)]) for each in kind]
+    boxes = np.where(round_[:, None], half[:, :1], half)
+    model.geom_aabb[used, :3], model.geom_aabb[used, 3:] = 0.0, boxes
+    model.geom_size[used] = np.where(upright[:, None], half[:, [0, 2, 2]], half)
+    model.geom_size[used[round_], 1:] = 0.0
+    model.geom_size[used[upright], 2] = 0.0
+    across = np.where(kind == BOX, np.hypot(half[:, 0], half[:, 1]), np.maximum(half[:, 0], half[:, 1]))
+    bound = np.where(kind == ELLIPSOID, np.maximum(across, half[:, 2]), np.hypot(across, half[:, 2]))
+    model.geom_rbound[used] = bound
+    model.geom_pos[used] = rows[:, X : Z + 1]
+    cosine, sine = rows[:, COS], rows[:, SIN]
+    along = np.sqrt((1.0 + cosine) / 2.0)  # the cosine of half the yaw, which is at most an eighth of a turn
+    model.geom_quat[used] = np.stack([along, 0 * sine, 0 * sine, sine / (2.0 * along)], axis=1)
+    model.geom_sameframe[used] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE  # else their turn goes unnoticed
+    model.geom_rgba[used] = np.stack([*[rows[:, GREY]] * 3, layout.standing * 1.0], axis=1)
+    refit_bounding_boxes(model, set(geoms.tolist()))
+    mujoco.mj_kinematics(model, data)
