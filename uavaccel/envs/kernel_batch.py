@@ -184,6 +184,11 @@ class KernelBatch(TurnBatch):
             duration_ns = round(duration_s * NS_PER_S)
             timeline.charge.py_func(self._clocks.row[lane], duration_ns, PHASES.index(phase))
 
+    def charge_each(self, durations_ns: NDArray[np.int64]) -> None:
+        """As `TurnBatch` has it, all at once."""
+        if self.task.timing == "virtual" and self._drawn:
+            timeline.charge.py_func(self._clocks.row.T, durations_ns, PHASES.index("inference"))
+
     def observations(self) -> Observation:
         """Return the present observation of every environment."""
         return mapped(np.copy, self._running.observations)
