@@ -19,8 +19,7 @@ from uavaccel.realtime.policies import load_policy
 from uavaccel.realtime.server import one_line
 from uavaccel.realtime.thinking import MEASURED, Measured
 from uavaccel.realtime.wrapper import RealTime
-from uavaccel.units import whole
-from uavaccel.wire.latency import QUANTILES
+from uavaccel.units import QUANTILES, whole
 
 Env = gymnasium.Env[Any, Any]
 MakesEnv = str | Callable[[], Env]
