@@ -133,11 +133,21 @@ def test_a_calibration_file_is_replayed_and_stretched() -> None:
     assert {row["thinking_s"] for row in certificate.rows[:2]} == {0.0}
 
 
+def test_delays_in_control_periods_are_those_in_seconds() -> None:
+    """Whatever the ClockSpeed, at which so many seconds of thinking are another number of periods."""
+    steps = certify(Count, same, delay_steps=[1, 2, 3, 4], episodes=3, clock_speed=8)
+    seconds = certify(Count, same, [at / 8 for at in DELAYS], episodes=3, clock_speed=8)
+    without = [[{**row, "latency": None} for row in each.rows] for each in (steps, seconds)]
+    assert without[0] == without[1]
+    assert "up to 1.25 ms, 1 step (3 episodes" in steps.line
+    assert steps.table()[0][0] == "steps"
+
+
 def test_the_score_against_latency_is_drawn() -> None:
     certificate = certify(Count, same, DELAYS, episodes=2)
     assert certificate.figure("figure.png").read_bytes().startswith(b"\x89PNG")
     header, lines = certificate.table()
-    assert header == ["latency s", "median ms", "success", "95 %", "failed"]
+    assert header == ["seconds", "median ms", "success", "95 %", "failed"]
     assert lines[1] == ["0.01", "10", "100.0%", "34.2% to 100.0%", "0"]
 
 
@@ -299,6 +309,8 @@ def test_an_episode_that_failed_forbids_a_certificate() -> None:
         ({"latencies": [-1]}, r"latencies: must be numbers, 0 to 3600, not \[-1\]"),
         ({"latencies": "fast"}, "latencies: must be numbers, 0 to 3600, not 'fast'"),
         ({"latencies": 0.1}, "latencies: must be numbers, 0 to 3600, not 0.1"),
+        ({"delay_steps": [0.5]}, r"delay_steps: must be counts, 0 to 3600, not \[0.5\]"),
+        ({"delay_steps": [1], "latencies": [1]}, "delay_steps: is given beside seconds; leave out latencies"),
         ({"episodes": 0}, "episodes: must be 1 to 1,000,000, not 0"),
         ({"seed": -1}, "seed: must be 0 to "),
         ({"calibration": "none.json"}, "none.json: No such file"),
@@ -409,6 +421,6 @@ def test_a_certificate_is_what_its_rows_say() -> None:
         for seed, won in enumerate([True] * wins + [False] * (10 - wins))
     ]
     setup = {"policy": {"name": "p", "sha256": None}, "environment": {"id": "E"}, "calibration": None}
-    certificate = Certificate({**setup, "episodes": 10, "seed": 0}, rows)
+    certificate = Certificate({**setup, "unit": "seconds", "episodes": 10, "seed": 0}, rows)
     assert certificate.document["holds"]["latency_s"] == 0.1  # what comes after the first that does not hold is not
     assert "policy of unknown hash" in certificate.line

@@ -54,6 +54,7 @@ def certify(
         list[str] | None, option("LATENCY", "Seconds; repeat for several. Or a calibration file.")
     ] = None,
     factor: Annotated[list[float] | None, option("X", "Of the file's times; repeat for several.", min=0)] = None,
+    delay: Annotated[list[int] | None, option("N", "Control periods; repeat for several.", min=0)] = None,
     episodes: Annotated[int, option("N", "Episodes at each latency.", min=1)] = 20,
     seed: Seed = 0,
     success: Annotated[str | None, option("KEY", "What the last info calls it; default: is_success, success.")] = None,
@@ -70,6 +71,7 @@ def certify(
     make, keys = _environment(env, overrides)
     with trusting(trust), working("episodes") as advance:
         how: dict[str, Any] = {"episodes": episodes, "seed": seed, "success": success, "out": out, "resume": resume}
+        how["delay_steps"] = delay or None
         found = certified(make, _policy(policy, make), seconds, file, **how, told=lambda row: advance(), **keys)
     print_columns(*found.table())
     if found.failed:

@@ -44,6 +44,7 @@ from uavaccel.units import real, whole
 Row = dict[str, Plain]
 VERSION = 1
 LATENCIES_S = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2)
+UNITS = ("seconds", "factors", "steps")
 FACTORS = (0.0, 0.5, 1.0, 2.0, 4.0)
 SHARE = 0.9  # of the score without latency that has to be left
 SUCCESS = ("is_success", "success")
@@ -102,6 +103,8 @@ class Certificate:
             return f"{head}: no certificate: {self.failed} of {len(self.rows)} episodes failed; {tail}"
         best, until = _scored(cells[0]["mean"], said["score"]), f"{1e3 * holds['latency_s']:.4g} ms"
         until += f", {holds['latency']:g} times {by['file']}" if by else ""
+        if said["unit"] == UNITS[2]:
+            until += f", {holds['latency']} step{'s' * (holds['latency'] != 1)}"
         until += ", the longest tried" if holds["latency"] == cells[-1]["latency"] else ""
         more = f"holds {SHARE:.0%} of its {said['score']} without latency, {best}, up to {until}"
         return f"{head}: {more} ({tail})"
@@ -109,7 +112,7 @@ class Certificate:
     def table(self) -> tuple[list[str], list[list[str]]]:
         """Return a header and a line for each latency."""
         score = self.document["score"]
-        header = ["factor" if self.setup["calibration"] else "latency s", "median ms", score, "95 %", "failed"]
+        header = [self.setup["unit"], "median ms", score, "95 %", "failed"]
         lines = []
         for cell in self.document["cells"]:
             known = ["-"] * 3
@@ -194,14 +197,15 @@ def _scored(value: float, score: str) -> str:
 
 @dataclass
 class Sweep:
-    """What is evaluated: latencies in seconds or, with a `calibration` file, factors on its times, and episodes.
+    """What is evaluated: latencies, 0 always among them, and episodes, at each latency those with the same seeds.
 
-    At each latency, 0 always among them, so many episodes with the seeds from `seed` on are played. Raises UserError
-    for values that do not fit.
+    Latencies are seconds, with a `calibration` file factors on its times, or `delay_steps`, counts of control periods.
+    Raises UserError for values that do not fit.
     """
 
     latencies: Any = None
     calibration: str | Path | None = None
+    delay_steps: Any = None
     episodes: int = 20
     seed: int = 0
     success: str | None = None
@@ -211,18 +215,28 @@ class Sweep:
             if (count := whole(given := getattr(self, name))) is None or not least <= count <= most:
                 raise UserError(f"{name}: must be {least} to {most:,}, not {given!r}")
             setattr(self, name, count)
-        by_file, given = self.calibration is not None, self.latencies
-        given = (FACTORS if by_file else LATENCIES_S) if given is None else given
-        given = list(given) if isinstance(given, Iterable) else [None]
-        known = {seconds for each in given if (seconds := real(each)) is not None and 0 <= seconds <= MOST_S}
-        if not known or len(known) < len({*given}):
-            raise UserError(f"latencies: must be numbers, 0 to {MOST_S:g}, not {self.latencies!r}")
-        self.latencies = sorted({0.0, *known})
+        if self.delay_steps is not None and (self.latencies, self.calibration) != (None, None):
+            raise UserError("delay_steps: is given beside seconds; leave out latencies and calibration, or this")
+        self.unit = UNITS[1 if self.calibration is not None else 2 if self.delay_steps is not None else 0]
         self.source = None if self.calibration is None else calibrated(self.calibration)
+        self.latencies = self._sorted()
 
-    def thinking(self, latency: float) -> object:
-        """Return what `RealTime` takes for one of the latencies."""
-        return latency if self.source is None else Scaled(self.source, latency)
+    def _sorted(self) -> list[float]:
+        steps = self.delay_steps is not None
+        name, given = ("delay_steps", self.delay_steps) if steps else ("latencies", self.latencies)
+        if given is None:
+            return list(LATENCIES_S if self.source is None else FACTORS)
+        listed = list(given) if isinstance(given, Iterable) else [None]
+        known = [each for one in listed if (each := whole(one) if steps else real(one)) is not None]
+        if not known or len(known) < len(listed) or not all(0 <= each <= MOST_S for each in known):
+            raise UserError(f"{name}: must be {'counts' if steps else 'numbers'}, 0 to {MOST_S:g}, not {given!r}")
+        return sorted({0 if steps else 0.0, *known})
+
+    def thinking(self, latency: float) -> dict[str, Any]:
+        """Return the arguments of `RealTime` for one of the latencies."""
+        if self.delay_steps is not None:
+            return {"delay_steps": latency}
+        return {"latency_s": latency if self.source is None else Scaled(self.source, latency)}
 
     def plan(self) -> list[tuple[float, int]]:
         """Return the latency and the seed of each episode, in the order of the rows."""
@@ -232,8 +246,8 @@ class Sweep:
         """Return what a certificate says of it."""
         name = self.calibration
         times = None if name is None else {"file": str(name), "sha256": file_sha256(Path(name))}
-        counts = {"episodes": self.episodes, "seed": self.seed}
-        return {"latencies": self.latencies, "calibration": times, **counts, "success": self.success}
+        swept = {"latencies": self.latencies, "unit": self.unit, "calibration": times}
+        return {**swept, "episodes": self.episodes, "seed": self.seed, "success": self.success}
 
 
 def certify(
@@ -242,6 +256,7 @@ def certify(
     latencies: Sequence[float] | None = None,
     calibration: str | Path | None = None,
     *,
+    delay_steps: Sequence[int] | None = None,
     episodes: int = 20,
     seed: int = 0,
     success: str | None = None,
@@ -254,10 +269,11 @@ def certify(
     """Evaluate a policy at several latencies, by default 0 to 200 ms, on the same episodes; the same bytes every time.
 
     `env` is the id of an environment or makes one; `policy` is what `load_policy` takes. `latencies` are seconds or,
-    with a `calibration` file, factors on its times, by default 0 to 4. At each of them `episodes` with the seeds from
-    `seed` on are played; 0 is always among them. An environment begins anew with `reset(seed=...)`, as Gymnasium has
-    it, and a policy that draws or remembers with its own `reset`. `success` is the key of the last info that says
-    whether an episode was won, by default is_success or success. `real_time` are further arguments of `RealTime`.
+    with a `calibration` file, factors on its times, by default 0 to 4; or `delay_steps` are counts of control periods.
+    At each of them, 0 always among them, `episodes` with the seeds from `seed` on are played. An environment begins
+    anew with `reset(seed=...)`, as Gymnasium has it, and a policy that draws or remembers with its own `reset`.
+    `success` is the key of the last info that says whether an episode was won, by default is_success or success.
+    `real_time` are further arguments of `RealTime`.
 
     With `out`, a new folder, rows are on disk as they come, and `resume` goes on with it: whole rows stay, failed ones
     are played again. An episode in which the policy fails, as one whose server has ended, has a row with `error`.
@@ -265,7 +281,7 @@ def certify(
 
     Raises UserError for what does not fit, for a folder of another evaluation, and after three failures in a row.
     """
-    sweep, folder = Sweep(latencies, calibration, episodes, seed, success), _Folder(out, resume)
+    sweep, folder = Sweep(latencies, calibration, delay_steps, episodes, seed, success), _Folder(out, resume)
     with closing(RealTime(made(env), latency_s=0.0, **real_time)) as flown:
         loaded = load_policy(policy, flown, trust)
         setup = {
@@ -299,7 +315,7 @@ def _play(
     try:
         while len(rows) < len(plan):
             latency = plan[len(rows)][0]
-            with closing(RealTime(made(env), latency_s=sweep.thinking(latency), **real_time)) as flown:
+            with closing(RealTime(made(env), **sweep.thinking(latency), **real_time)) as flown:
                 for seed in [seed for at, seed in plan[len(rows) :] if at == latency]:
                     rows.append({"latency": latency, "seed": seed, **_episode(flown, policy, seed, sweep.success)})
                     folder.append(rows[-1])
