@@ -63,7 +63,7 @@ def certify(
     trust: Trust = False,
     overrides: Sets = None,
 ) -> None:
-    """Certify how much latency a policy bears: its score at several latencies, the same bytes every time."""
+    """Certify how much latency a policy bears."""
     from uavaccel.own_code import trusting
     from uavaccel.realtime import certify as certified
 
