@@ -22,7 +22,7 @@ from gymnasium import spaces
 from tests.processes import state_of
 from uavaccel.clock import MonotonicClock
 from uavaccel.errors import UserError
-from uavaccel.realtime import PolicyServer, RealTime, RemotePolicy, load_policy
+from uavaccel.realtime import PolicyServer, RealTime, RemotePolicy, load_policy, measure
 from uavaccel.realtime.server import BODY_BYTES, MAGIC, Frame, read_frame
 
 PACKAGE = Path(__file__).parents[1]
@@ -190,6 +190,19 @@ def test_a_server_says_what_it_serves_and_resets_its_policy() -> None:
         policy.reset()
         np.testing.assert_array_equal(policy(SEEN), SEEN[:2])
     assert (policy.name, policy.sha256, begun) == (server.address, "ab" * 32, [5, None])
+
+
+def test_a_slow_servers_round_trips_are_measured_as_such() -> None:
+    clock, slow_ns = MonotonicClock(), 20_000_000
+
+    def slow(seen: Any) -> list[float]:
+        clock.sleep_until(clock.now_ns() + slow_ns)
+        return [0.0]
+
+    with PolicyServer(slow) as server:
+        found = measure("InvertedPendulum-v5", server.address, steps=10, warm_up=1)
+    assert min(found.taken_ns) >= slow_ns
+    assert found.about["policy"]["name"] == server.address
 
 
 # --- it fails, in one line ------------------------------------------------------------------------------------------
