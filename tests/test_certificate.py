@@ -18,6 +18,7 @@ import pytest
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from tests.opengl import needs_opengl
 from tests.test_policy_server import PACKAGE, process
 from uavaccel.cli.main import app
 from uavaccel.errors import Interrupted, UsageError, UserError
@@ -25,6 +26,7 @@ from uavaccel.files import file_sha256
 from uavaccel.metrics.intervals import Proportion
 from uavaccel.realtime import Certificate, RealTime, certify, measure
 from uavaccel.realtime.thinking import thinking_time
+from uavaccel.rl.agents import origin_of
 from uavaccel.wire.latency import read_latency
 
 PERIOD_S = 0.01
@@ -241,9 +243,10 @@ def test_another_evaluation_does_not_go_on_in_its_folder() -> None:
     with pytest.raises(UserError, match=r"^other: no evaluation of a policy, but not empty; take another folder$"):
         certify(Count, same, out="other", resume=True)
     rows = Path("out/rows.jsonl").read_text().splitlines()
-    Path("out/rows.jsonl").write_text("\n".join(reversed(rows)) + "\n")
-    with pytest.raises(UserError, match=r"^out/rows.jsonl: its rows are not those of this evaluation"):
-        certify(Count, same, [0.01], episodes=2, out="out", resume=True)
+    for changed in (rows[::-1], [row.replace("thinking_s", "thought_s") for row in rows]):
+        Path("out/rows.jsonl").write_text("\n".join(changed) + "\n")
+        with pytest.raises(UserError, match=r"^out/rows.jsonl: its rows are not those of this evaluation"):
+            certify(Count, same, [0.01], episodes=2, out="out", resume=True)
 
 
 # --- a policy that fails ----------------------------------------------------------------------------------------------
@@ -404,14 +407,16 @@ def test_an_option_that_does_not_fit_is_one_line(words: str, error: type[UserErr
         ran(f"timing certify pilot.py:act CartPole-v1 {words}")
 
 
-def test_a_policy_of_this_project_is_certified_in_its_environment() -> None:
-    keys = "--set env.timing=virtual --set env.observation=state --set env.max_commands=2"
-    from uavaccel import envs  # noqa: F401
-
-    with pytest.raises(UserError, match=r"^default: flies environments of this package alone, not "):
+@needs_opengl
+def test_the_policy_that_ships_is_certified_in_its_environment() -> None:
+    """Whose task it had in its training; the drone keeps its own clock."""
+    with pytest.raises(UserError, match=r"^default: flies uavaccel/ObstacleLane-v0, not CartPole-v1$"):
         ran("timing certify default CartPole-v1")
-    with pytest.raises(UserError, match=r"was trained with"):
-        ran(f"timing certify default uavaccel/ObstacleLane-v0 --episodes 1 --latency 0.1 {keys}")
+    keys = "--set env.timing=virtual --set env.command=adsc --set env.max_commands=2"
+    assert not ran(f"timing certify default uavaccel/ObstacleLane-v0 --episodes 1 --latency 0.1 {keys}")
+    document = json.loads(Path("certificate/certificate.json").read_text())
+    assert document["policy"]["sha256"] == origin_of("default").sha256()
+    assert [cell["latency_s"] for cell in document["cells"]] == [0, 0.1]
 
 
 def test_a_certificate_is_what_its_rows_say() -> None:

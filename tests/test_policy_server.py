@@ -17,11 +17,13 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
+import stable_baselines3 as sb3
 from gymnasium import spaces
 
 from tests.processes import state_of
 from uavaccel.clock import MonotonicClock
 from uavaccel.errors import UserError
+from uavaccel.files import file_sha256
 from uavaccel.realtime import PolicyServer, RealTime, RemotePolicy, load_policy, measure
 from uavaccel.realtime.server import BODY_BYTES, MAGIC, Frame, read_frame
 
@@ -190,6 +192,17 @@ def test_a_server_says_what_it_serves_and_resets_its_policy() -> None:
         policy.reset()
         np.testing.assert_array_equal(policy(SEEN), SEEN[:2])
     assert (policy.name, policy.sha256, begun) == (server.address, "ab" * 32, [5, None])
+
+
+def test_a_file_is_served_by_its_name_and_hash(tmp_path: Path) -> None:
+    env: Any = gymnasium.make("CartPole-v1")
+    model = sb3.PPO("MlpPolicy", env, policy_kwargs={"net_arch": [4]}, device="cpu")
+    model.save(file := tmp_path / "model.zip")
+    with PolicyServer(load_policy(file, env), env=env) as server:
+        policy = load_policy(server.address, env)
+        assert (policy.sha256, server.about["name"]) == (file_sha256(file), str(file))
+        for seen in np.random.default_rng(0).normal(size=(5, 4)).astype(np.float32):
+            assert policy(seen) == model.predict(seen, deterministic=True)[0]
 
 
 def test_a_slow_servers_round_trips_are_measured_as_such() -> None:
