@@ -12,16 +12,14 @@ import pytest
 from numpy.typing import NDArray
 
 from tests.flying import FOR_EVER, STRAIGHT, call, fly, go_on, hovering, place, point, wait
-from uavaccel.calibration.calibrate import Samples
 from uavaccel.errors import UserError
-from uavaccel.forms import Start
 from uavaccel.sim.profile import AIRSIM, NATIVE, Profile
 from uavaccel.sim.scene.model import DRONE_GROUP, OTHERS_GROUP
 from uavaccel.sim.sensors.earth import geographic
 from uavaccel.sim.simulation import Simulation
 from uavaccel.sim.vehicle import autopilot, goal
 from uavaccel.sim.vehicle.goal import Yaw
-from uavaccel.sim.vehicle.vehicle import AddedVehicle, Vehicle
+from uavaccel.sim.vehicle.vehicle import AddedVehicle, Samples, Start, Vehicle
 from uavaccel.sim.world import START_M, World
 from uavaccel.wire import rpc
 from uavaccel.wire.api import Api
