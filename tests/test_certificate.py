@@ -19,7 +19,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from tests.opengl import needs_opengl
-from tests.test_policy_server import PACKAGE, process
+from tests.test_policy_server import PACKAGE, STRANGER, process
 from uavaccel.cli.main import app
 from uavaccel.errors import Interrupted, UsageError, UserError
 from uavaccel.files import file_sha256
@@ -417,6 +417,27 @@ def test_the_policy_that_ships_is_certified_in_its_environment() -> None:
     document = json.loads(Path("certificate/certificate.json").read_text())
     assert document["policy"]["sha256"] == origin_of("default").sha256()
     assert [cell["latency_s"] for cell in document["cells"]] == [0, 0.1]
+
+
+ALONE = """
+import uavaccel.realtime
+from uavaccel.realtime import *
+
+def policy(seen):
+    return 1
+
+everything = [getattr(uavaccel.realtime, name) for name in uavaccel.realtime.__all__]
+measure("CartPole-v1", policy, 5, default_action=0).save("times.json")
+print(certify("CartPole-v1", policy, calibration="times.json", episodes=1, default_action=0).line)
+"""
+
+
+def test_all_of_it_needs_gymnasium_and_numpy_alone() -> None:
+    with_gymnasium = ["numpy", "gymnasium", "cloudpickle", "typing_extensions", "farama_notifications"]
+    program = STRANGER.replace("INSTALLED", repr(with_gymnasium)) + ALONE
+    environment = {**os.environ, "PYTHONPATH": str(PACKAGE)}
+    done = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True)
+    assert done.stdout.startswith("policy in CartPole-v1: holds 90% of its return without latency, ")
 
 
 def test_a_certificate_is_what_its_rows_say() -> None:

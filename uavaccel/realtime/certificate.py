@@ -103,6 +103,7 @@ class Certificate:
             axes.legend(frameon=False)
         score = self.document["score"]
         axes.set(xlabel="latency, ms", ylabel="share of successes" if score == "success" else "return")
+        axes.set(**{"ylim": (-0.02, 1.02)} if score == "success" else {})
         axes.set_title(f"{self.setup['policy']['name']} in {self.setup['environment']['id']}", fontsize=10)
         with replacing(written := Path(path)) as file:
             figure.savefig(file, format=written.suffix[1:] or "png", metadata={"Software": None})
