@@ -66,7 +66,10 @@ def test_help_loads_nothing_heavy() -> None:
 COMMANDS = ["init", "train", "evaluate", "watch", "export", "fly", "serve", "run", "doctor", "timing"]
 
 
-@pytest.mark.parametrize("name", ["", *COMMANDS, "timing advise", "timing calibrate"])
+TIMING = [f"timing {name}" for name in ("advise", "calibrate", "measure", "certify")]
+
+
+@pytest.mark.parametrize("name", ["", *COMMANDS, *TIMING])
 def test_help_is_short_and_fits_a_terminal(name: str) -> None:
     lines = typed(f"{name} -h").splitlines()
     assert lines == typed(f"{name} --help").splitlines()
