@@ -252,7 +252,7 @@ def test_answers_are_airsims_types(
         assert (plain(getattr(found, key)) if isinstance(value, dict) else getattr(found, key)) == value
 
 
-def test_an_answer_is_taken_whole_whatever_its_order_and_what_it_lacks_has_its_default() -> None:
+def test_answers_keep_unknown_fields_and_default_missing_ones() -> None:
     """Fields that AirSim's own types do not have stay; vectors are in the order of x, y, z all the same."""
     backwards = dict(reversed(TURN.items()))
     told = {"extra": 7, "has_collided": True, "normal": {"z_val": 3.0, "y_val": 2.0, "x_val": 1.0}}
@@ -389,7 +389,7 @@ def test_the_client_before_1_2_has_the_helpers_of_the_module(name: str) -> None:
     assert getattr(old_client.AirSimClientBase, name) is getattr(airsim, HELPERS[name])
 
 
-def test_the_client_before_1_2_waits_for_the_end_of_what_has_a_time_limit(recorder: Recorder) -> None:
+def test_the_old_client_waits_for_commands_with_a_limit(recorder: Recorder) -> None:
     client = old_client.MultirotorClient()
     recorder.answer = False
     for command in (lambda: client.takeoff(0), lambda: client.moveByVelocity(1, 0, 0, 1)):

@@ -210,7 +210,7 @@ FILTERS: dict[str, tuple[str, int, str, bool]] = {  # camera, type of image, veh
 
 
 @pytest.mark.parametrize("chosen", FILTERS)
-def test_a_filter_is_of_one_type_of_image_of_one_camera_of_one_vehicle(chosen: str) -> None:
+def test_a_filter_is_of_one_camera_and_type_of_image(chosen: str) -> None:
     """Names, radius and their removal; all look at block_north, whose middle is more than 30 m away."""
     settings = {
         "Vehicles": {"A": {"X": 0, "Y": 0, "Z": -6}, "B": {"X": 0, "Y": 5, "Z": -6}},
@@ -236,7 +236,7 @@ def test_a_filter_is_of_one_type_of_image_of_one_camera_of_one_vehicle(chosen: s
     assert detecting() == [name for name in FILTERS if name != chosen]
 
 
-def test_the_scene_of_airsims_scripts_leaves_their_path_free_and_has_what_they_name() -> None:
+def test_the_scene_fits_airsims_scripts() -> None:
     """path.py flies 125 m north, 130 m west, and back, 5 m up; objects.py and detection.py name objects of Blocks."""
     world = World("blocks", NATIVE, airsim=True)
     corners = np.array([(0.0, 0.0, -5.0), (125.0, 0.0, -5.0), (125.0, -130.0, -5.0), (0.0, -130.0, -5.0)])

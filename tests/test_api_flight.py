@@ -210,7 +210,7 @@ def test_pause_run_and_continue() -> None:
 
 
 @pytest.mark.parametrize(("method", "amount"), [("simContinueForTime", 0.002), ("uavaccelContinueFor", 20 * MS)])
-def test_airsims_continue_for_counts_wall_seconds_and_ours_simulated_nanoseconds(method: str, amount: Any) -> None:
+def test_airsims_continue_for_is_wall_time_and_ours_simulated(method: str, amount: Any) -> None:
     api = new_api(10.0)
     result_of(api, "simPause", [True])
     reply = result_of(api, method, [amount], 1 * MS)
@@ -224,7 +224,7 @@ def test_airsims_continue_for_counts_wall_seconds_and_ours_simulated_nanoseconds
     assert result_of(api, "simIsPaused", [], 9 * MS) is True
 
 
-def test_a_game_begins_paused_controlled_recording_at_its_height_and_speed() -> None:
+def test_a_game_begins_paused_controlled_and_recording() -> None:
     api = flown()
     running = api.simulation.lead.command
     assert running is not None

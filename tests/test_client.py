@@ -69,7 +69,7 @@ def test_two_clients_of_a_connection_know_the_same() -> None:
     assert first.kinematics().time_ns == end.time_ns + 500 * MS
 
 
-def test_a_known_state_is_not_asked_for_and_a_command_travels_with_its_continue_for() -> None:
+def test_a_known_state_saves_messages() -> None:
     client, transport = new_client()
     state = client.continue_for(100 * MS)
     transport.sent.clear()

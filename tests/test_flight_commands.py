@@ -124,7 +124,7 @@ def test_paths_are_followed_as_airsim_does(path: list[Any], speed: float, profil
     [(2.0, 2.0, 2.0), (2.0, 0.5, 2.0), (3.0, 0.0, 3.0), (AUTO, 0.5, 0.6 * 3.0), (AUTO, 0.0, 0.8 * 3.0)],
 )
 @pytest.mark.parametrize("method", ["moveOnPath", "moveToPosition", "moveToZ"])
-def test_the_lookahead_grows_by_the_share_of_the_distance_from_the_path_that_was_asked_for(
+def test_the_lookahead_adapts_to_the_distance_from_the_path(
     method: str, given_m: float, adaptive: float, ahead_m: float
 ) -> None:
     """Around corners, and in a wind from the west that pushes the vehicle off a straight way."""
@@ -342,7 +342,7 @@ def test_from_the_ground_up_and_down_again(grounded: Api) -> None:
 
 @PROFILES
 @pytest.mark.parametrize("x_m", [3.0, 4.0, 6.0])
-def test_a_landing_out_of_a_hover_that_has_settled_level_ends_on_the_ground(x_m: float, profile: Profile) -> None:
+def test_a_landing_from_a_level_hover_ends_on_the_ground(x_m: float, profile: Profile) -> None:
     """MuJoCo's contact of a cylinder with a plane throws it up where it is upright but for rounding errors."""
     api = hovering(profile)
     fly(api, "moveToPosition", x_m, 0.0, -5.0, 2.0, FOR_EVER, MAX_DOF, STRAIGHT, AUTO, ADAPTIVE)
@@ -356,7 +356,7 @@ STARTS = {"on the ground": 0.0, "in the ground": 0.03, "on a block": -6.0}
 
 @PROFILES
 @pytest.mark.parametrize("z", STARTS.values(), ids=list(STARTS))
-def test_a_vehicle_that_stands_is_landed_and_at_rest_from_the_first_tick(z: float, profile: Profile) -> None:
+def test_a_standing_vehicle_is_landed_from_the_first_tick(z: float, profile: Profile) -> None:
     """After the start, after each reset, and as a newcomer; AirSim's ground lock has accelerations of 0 too."""
     x = -45.0 if z < 0 else 3.0  # block_south's middle
     world = World("blocks", profile)
@@ -614,7 +614,7 @@ def test_manual_flight_follows_the_sticks() -> None:
 
 @pytest.mark.parametrize("valid", [True, False])
 @pytest.mark.parametrize("controlled", [True, False])
-def test_sticks_move_nothing_unless_they_are_valid_and_no_program_has_control(valid: bool, controlled: bool) -> None:
+def test_sticks_need_to_be_valid_and_no_program_in_control(valid: bool, controlled: bool) -> None:
     api = hovering()
     call(api, "enableApiControl", controlled)
     call(api, "moveByRC", {"roll": 0.25, "throttle": 0.6, "is_valid": valid})
@@ -625,7 +625,7 @@ def test_sticks_move_nothing_unless_they_are_valid_and_no_program_has_control(va
     assert (told["roll"], told["is_valid"], told["is_initialized"]) == (0.25, valid, valid)
 
 
-def test_sticks_fly_on_through_commands_without_control_and_until_a_reset() -> None:
+def test_sticks_fly_on_until_a_reset() -> None:
     api = hovering()
     call(api, "enableApiControl", False)
     call(api, "moveByRC", {"roll": 0.25, "throttle": 0.6, "is_valid": True})
@@ -673,7 +673,7 @@ FREE, AT_THIRTY = Yaw(), Yaw(math.radians(30.0), False)
         ((0, 10_000, 0, 0), 0, True, FREE, (0.0, 2.0, -7.0, 0.0)),
     ],
 )
-def test_a_stick_is_a_share_of_its_own_greatest_speed_in_the_frame_at_the_beginning(
+def test_a_stick_is_a_share_of_its_greatest_speed(
     sticks: tuple[float, ...], begun_deg: float, forward_only: bool, yaw: Yaw, expected: tuple[float, ...]
 ) -> None:
     """AirSim's: 3 m/s by pitch, which is its vy_max, 2 m/s by roll, 4 m up by throttle, 100 degrees by yaw."""
@@ -706,7 +706,7 @@ def moving(yaw_deg: float = 0.0, down_m_s: float = 0.0, turning_rad_s: float = 0
         ([0.0] * 6 + [0.2] + [0.0] * 6 + [0.2] + [0.0] * 20, 25),
     ],
 )
-def test_a_landing_is_over_after_eleven_turns_in_a_row_without_a_descent(down_m_s: list[float], ends: int) -> None:
+def test_a_landing_ends_after_eleven_turns_without_descent(down_m_s: list[float], ends: int) -> None:
     """Of more than 0.05 m/s; what was counted before a descent does not count after it."""
     land = Land(60.0)
     for number, speed in enumerate(down_m_s, start=1):
@@ -739,7 +739,7 @@ def test_a_landing_that_descends_ends_at_its_timeout(timeout_s: float, results: 
         (0.0, 0.0, 180.0, (False, 180.0), None),
     ],
 )
-def test_a_turn_arrives_within_its_margin_and_no_longer_turning_either_way(
+def test_a_turn_arrives_within_its_margin_and_at_rest(
     yaw_deg: float, turning_rad_s: float, to_deg: float, expected: tuple[bool, float], result: bool | None
 ) -> None:
     task = RotateToYaw((7.0, 8.0, -9.0), math.radians(to_deg), math.radians(5.0), 2.0)
@@ -779,7 +779,7 @@ def test_without_gains_a_reset_still_begins_a_hover(level: str) -> None:
     assert np.isfinite(api.simulation.world.lead.state["goal"]).all()
 
 
-def test_an_integral_gain_closes_what_a_wind_leaves_open_and_a_derivative_damps() -> None:
+def test_an_integral_gain_beats_wind_and_a_derivative_damps() -> None:
     """Against 10 m/s from the north a proportional controller is pushed off; wind-up is what an integral is for."""
     drift, overshoot = {}, {}
     for ki, kd in ((0.0, 0.0), (0.05, 0.0), (0.0, 0.1)):
@@ -873,7 +873,7 @@ def test_the_log_says_when_each_command_began_and_ended() -> None:
     assert lasted_s == [0.5, 0.3, 0.2]
 
 
-def test_position_hold_sets_in_after_the_last_goal_of_a_saved_command_too() -> None:
+def test_position_hold_sets_in_after_a_saved_command_too() -> None:
     """The sticks end the goals, and the game is saved before the command's next turn, which finds none."""
     api = hovering()
     call(api, "moveByRC", {"pitch": 10_000.0, "is_valid": True})

@@ -66,7 +66,7 @@ def flown(monkeypatch: pytest.MonkeyPatch, request: FlyRequest, *results: tuple[
     return fly_script(request), flights.asked
 
 
-def test_flights_at_several_clock_speeds_are_held_against_the_first_and_the_worst_status_stays(
+def test_flights_at_several_clock_speeds_are_compared_with_the_first(
     asked: FlyRequest, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     results = [
@@ -98,7 +98,7 @@ def test_flights_at_several_clock_speeds_are_held_against_the_first_and_the_wors
         ([FlightResult(130, FLOWN), FlightResult(0, FLOWN)], 2, 130),  # the script's own status
     ],
 )
-def test_of_flights_at_several_clock_speeds_one_without_an_end_is_the_last(
+def test_no_clock_speed_is_flown_after_a_flight_without_an_end(
     asked: FlyRequest,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
@@ -184,7 +184,7 @@ def test_flights_whose_scripts_end_differently_are_told_apart(
         flown(monkeypatch, replace(asked, check=True), (FlightResult(1, CRASHED), 0.0), (again, 0.0))
 
 
-def test_a_flight_that_connects_where_the_first_did_not_is_held_against_none(
+def test_a_first_flight_without_a_client_is_compared_with_none(
     asked: FlyRequest, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     results = [(FlightResult(0, summary), 0.0) for summary in (NOWHERE, FLOWN)]
@@ -234,7 +234,7 @@ def test_a_request_of_a_flight_travels_whole(tmp_path: Path) -> None:
         ("wall", None, 0.0),
     ],
 )
-def test_a_script_thinks_as_long_as_it_is_said_to_or_as_its_timing_has_it(
+def test_thinking_time_is_the_options_or_the_timings(
     timing: str, given_s: float | None, thinks_s: float
 ) -> None:
     assert FlightOptions(Path("a.py"), (), Path(), timing, think_s=given_s).thinks_s == thinks_s
@@ -251,7 +251,7 @@ def test_a_folder_is_taken_that_is_new_or_empty(asked: FlyRequest, monkeypatch: 
 
 
 @pytest.mark.parametrize(("ended", "status"), [(0, 0), (3, 3), (-9, 137), (-15, 143)])
-def test_a_process_that_a_signal_has_ended_has_the_status_that_shells_give_it(ended: int, status: int) -> None:
+def test_a_process_ended_by_a_signal_has_a_shells_status(ended: int, status: int) -> None:
     process: Any = SimpleNamespace(pid=0, poll=lambda: ended, wait=lambda *_: ended)
     assert _wait(process, None) == status
 
@@ -259,7 +259,7 @@ def test_a_process_that_a_signal_has_ended_has_the_status_that_shells_give_it(en
 # --- the film --------------------------------------------------------------------------------------------------------
 
 
-def test_a_frame_of_the_film_has_blue_first_and_says_when_where_and_how_fast(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_frame_of_the_film_says_when_where_and_how_fast(monkeypatch: pytest.MonkeyPatch) -> None:
     said: list[str] = []
     monkeypatch.setattr(cv2, "putText", lambda frame, text, *how: said.append(text))
     picture = np.zeros((360, 640, 3), np.uint8)

@@ -109,7 +109,7 @@ def test_a_seed_is_that_of_generators_that_are_made_without_one() -> None:
     ("in_settings", "asked", "flown"),
     [(None, None, 1.0), (None, 20.0, 20.0), (5.0, None, 5.0), (5.0, 20.0, 20.0), (5.0, 0.5, 0.5)],
 )
-def test_the_clock_speed_that_is_asked_for_comes_before_that_of_the_settings(
+def test_the_option_for_clock_speed_precedes_the_settings(
     fly: Any, tmp_path: Path, in_settings: float | None, asked: float | None, flown: float
 ) -> None:
     (tmp_path / "settings.json").write_text(json.dumps({"SettingsVersion": 1.2, "ClockSpeed": in_settings or 1.0}))
@@ -145,7 +145,7 @@ def test_only_an_interrupted_flight_may_end_before_its_reference(
         assert (kept["status"], kept["finished"]) == (130, False)
 
 
-def test_a_call_is_logged_with_the_wall_time_before_the_simulated_and_an_answer_with_its_own(tmp_path: Path) -> None:
+def test_calls_and_answers_are_logged_with_their_times(tmp_path: Path) -> None:
     log = MessageLog(tmp_path)
     assert [log.call(30, 10, "ping", []), log.call(60, None, "move", [1.5, "x"])] == [1, 2]
     log.answer(1, 40, None, True)
@@ -225,7 +225,7 @@ def test_settings_are_airsims_by_one_of_their_keys(
 
 
 @pytest.mark.parametrize("settings", [None, Path("own.json")])
-def test_a_flight_in_wall_time_has_a_server_of_its_kind_and_passes_its_warnings_on(
+def test_a_flight_in_wall_time_starts_a_server_and_passes_on_warnings(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], settings: Path | None
 ) -> None:
     said = b"listening on 127.0.0.1:8123: scene lane, profile airsim, ClockSpeed 2.5\nSimpleFlight hovers\n"
@@ -261,7 +261,7 @@ def test_a_flight_in_wall_time_has_a_server_of_its_kind_and_passes_its_warnings_
 
 @pytest.mark.parametrize("own", [None, "mine", os.pathsep.join(["mine", "yours"])])
 @pytest.mark.parametrize("port", [None, 8123])
-def test_a_scripts_programs_find_our_client_before_what_they_found_already(
+def test_a_scripts_programs_find_our_client_first(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, own: str | None, port: int | None
 ) -> None:
     monkeypatch.delenv(children.PORT, raising=False)
@@ -322,7 +322,7 @@ def test_patches_leave_everything_as_they_found_it() -> None:
     assert undone == ["undone"]
 
 
-def test_a_module_is_changed_when_it_is_imported_and_at_once_where_it_has_been(
+def test_a_module_is_changed_on_import_or_at_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "imported_later.py").write_text("value = 1\n")

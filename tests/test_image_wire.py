@@ -118,7 +118,7 @@ def test_depth_is_how_far_each_ray_goes(blocks: Wire, pose: Pose) -> None:
 
 
 @pytest.mark.parametrize("pose", POSES)
-def test_segmentation_has_one_colour_for_each_object_and_black_for_the_sky(blocks: Wire, pose: Pose) -> None:
+def test_segmentation_has_a_colour_per_object(blocks: Wire, pose: Pose) -> None:
     blocks.move(pose)
     seen, ids = cast_rays(pose, BLOCKS), blocks.picture("segmentation")
     expected = np.array([*(blocks.world.model.geom(name).id for name in BLOCKS), -1])[seen.box]
@@ -135,7 +135,7 @@ def test_segmentation_has_one_colour_for_each_object_and_black_for_the_sky(block
     assert len(np.unique(colours(), axis=0)) == len(colours()) == 256
 
 
-def test_a_picture_is_blue_green_red_as_bytes_and_as_png_and_red_green_blue_as_our_own(lane: Wire) -> None:
+def test_pictures_are_blue_first_and_ours_red_first(lane: Wire) -> None:
     """A blue post to the left and a red one to the right, its top above the horizon, the ground below."""
     places = {"blue": -1.5, "red": 1.5}
     lane.call(
@@ -283,7 +283,7 @@ def test_a_picture_that_is_too_large_is_refused_before_it_is_drawn(kind: int, as
         wire.images(("0", kind, as_float))
 
 
-def test_normals_of_a_large_picture_are_those_of_one_row_after_another() -> None:
+def test_normals_of_a_large_picture_are_those_row_by_row() -> None:
     wide = {"ImageType": 6, "Width": 400, "Height": 300}
     wire = AirSimWire({"CameraDefaults": {"CaptureSettings": [wide]}})
     with pytest.MonkeyPatch.context() as patch:

@@ -142,7 +142,7 @@ def drawn_of(latency: Latency, count: int = 30) -> list[int]:
     ]
 
 
-def test_saved_latencies_go_on_with_the_next_numbers_after_the_same_wait() -> None:
+def test_saved_latencies_go_on_with_the_next_numbers() -> None:
     rising = {key: {"call": RISING_US, "pause@20ms": always(7.0)} for key in ("request_us", "reply_us")}
     config = validate(LatencyConfig, {**LIKELY, **rising, "timer_us": RISING_US}, "test")
     first, second = latency_of(config, 3, 1), latency_of(config)
@@ -156,7 +156,7 @@ def test_saved_latencies_go_on_with_the_next_numbers_after_the_same_wait() -> No
     assert drawn_of(latency_of(config, 3, 1), 2000) != expected
 
 
-def test_faults_of_requests_are_those_of_a_connection_on_which_nobody_answers() -> None:
+def test_faults_of_requests_are_independent_of_replies() -> None:
     config = validate(LatencyConfig, LIKELY, "test")
     silent, answered = latency_of(config), latency_of(config)
     requests = [silent.request_ns("call") for _ in range(50)]
@@ -292,7 +292,7 @@ def test_each_profile_has_a_model_that_ships() -> None:
     assert Dp1Config(suite="dp1", clock_speed=(5,), profile="airsim", latency=ZERO_LATENCY).latency == ZERO_LATENCY
 
 
-def test_a_resolved_configuration_holds_the_block_and_editors_know_both(tmp_path: Path) -> None:
+def test_a_resolved_configuration_holds_the_block(tmp_path: Path) -> None:
     task = validate(Task, {"latency": str(write(tmp_path, BLOCK))}, "task")
     again = tmp_path / "config.yaml"
     again.write_text(to_yaml(task))
