@@ -15,8 +15,7 @@ import msgpack
 import pytest
 
 from uavaccel import airsim
-from uavaccel.airsim import client as client_module
-from uavaccel.airsim import old_client, types
+from uavaccel.airsim import old_client, types, vehicle_client
 from uavaccel.airsim.connection import Future, plain
 
 TABLE = Path(__file__).parent / "data" / "airsim_client_calls.txt"
@@ -313,7 +312,7 @@ def test_what_the_client_does_with_several_calls_or_none(
 
 def test_a_client_connects_to_where_airsim_listens(monkeypatch: pytest.MonkeyPatch) -> None:
     told: list[tuple[Any, ...]] = []
-    monkeypatch.setattr(client_module, "connect", lambda *given: told.append(given))
+    monkeypatch.setattr(vehicle_client, "connect", lambda *given: told.append(given))
     airsim.MultirotorClient()
     airsim.VehicleClient("10.0.0.1", 5, timeout_value=2)
     assert told == [("127.0.0.1", 41451, 3600), ("10.0.0.1", 5, 2)]
