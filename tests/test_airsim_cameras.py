@@ -219,21 +219,6 @@ def test_the_ground_goes_on_beyond_a_hundred_metres() -> None:
     assert (floats(response)[rows < 0] == SKY_M).all()
 
 
-@pytest.mark.parametrize(("method", "params", "said"), [
-    ("simSetCameraPose", ["0", level_pose(0, 0, 0), "Nobody"], "there is 'Eye'"),
-    ("simGetCameraInfo", ["nose"], r"no camera 'nose'; there are front_center \(0\), .*, tail"),
-    ("simSetCameraFov", ["0", 0], "fov_degrees must be 0.1 to 179"),
-    ("simGetImages", [[{"image_type": 2**70}]], "image_type must be a whole number of 32 bits"),
-    ("getImuData", [["imu"]], "a sensor's name must be a text, not list"),
-    ("simSetDistortionParam", ["0", {}, 0.1], "no distortion parameter"),
-    ("simSetDistortionParam", ["0", "K9", 0.1], "no distortion parameter 'K9'; there are K1"),
-    ("simGetFocalLength", ["0"], "simGetFocalLength is not available: cameras here are pinholes"),
-])  # fmt: skip
-def test_mistakes_are_named(method: str, params: list[Any], said: str) -> None:
-    with pytest.raises(rpc.RpcError, match=said):
-        AirSimWire(SETTINGS).call(method, *params)
-
-
 def test_distortion_is_kept_and_told_and_said_to_be_without_effect() -> None:
     wire = AirSimWire()
     for _ in range(2):

@@ -183,8 +183,6 @@ def test_a_distance_is_that_of_the_first_thing_ahead() -> None:
     for name in ("Off", "Sideways"):
         with pytest.raises(rpc.RpcError, match=f"No distance sensor with name {name} exist on vehicle; there is Down"):
             wire.call("getDistanceSensorData", name, "")
-    with pytest.raises(rpc.RpcError, match="No lidar with name  exist on vehicle; the settings' Sensors give none"):
-        AirSimWire().call("getLidarData", "", "")
 
 
 def test_a_lidar_scans_its_channels_in_its_frame() -> None:
@@ -346,15 +344,11 @@ def test_wind_acts_at_the_next_tick_as_in_airsims_physics() -> None:
         assert now.position_m[0] == pytest.approx(way, rel=1e-4, abs=1e-12)
 
 
-def test_wind_blows_the_vehicle_and_absurd_wind_is_refused() -> None:
+def test_wind_blows_the_vehicle() -> None:
     wire = AirSimWire()
     wire.call("simSetWind", vector(0.0, 6.0, 0.0))
     wire.fly(1.0)
     assert wire.simulation.kinematics().position_m[1] > 0.05
-    with pytest.raises(rpc.RpcError, match="wind must be at most 100 m/s, not 1000"):
-        wire.call("simSetWind", vector(1000.0, 0.0, 0.0))
-    with pytest.raises(rpc.RpcError, match=r"wind\.x_val must be finite"):
-        wire.call("simSetWind", vector(math.nan, 0.0, 0.0))
 
 
 def test_lines_of_sight_and_extents_are_geographic() -> None:
@@ -397,8 +391,6 @@ def test_what_has_no_effect_and_what_is_refused_is_said_once() -> None:
             wire.call(name, "")
     assert len(wire.said) == len(accepted) + len(refused)
     assert wire.call("simLoadLevel", "blocks")
-    with pytest.raises(rpc.RpcError, match="the scene is 'blocks' and stays"):
-        wire.call("simLoadLevel", "City")
 
 
 def test_one_question_per_episode_is_enough_to_learn_of_each_crash() -> None:
@@ -504,9 +496,7 @@ def test_a_fix_follows_from_the_horizontal_dilution_alone(shares: tuple[float, f
 
 
 @pytest.mark.parametrize(("seconds", "first_deg"), [(0.0, 0), (0.1, 72), (0.19, 72), (0.3, 216), (0.5, 0), (0.7, 144)])
-def test_a_slow_lidar_goes_on_where_its_last_scan_ended(
-    seconds: float, first_deg: float
-) -> None:
+def test_a_slow_lidar_goes_on_where_its_last_scan_ended(seconds: float, first_deg: float) -> None:
     """Two turns and ten scans a second, each of a fifth of a circle: 200 rays of 0.36 degrees in a channel."""
     keys = {"RotationsPerSecond": 2, "PointsPerSecond": 4000, "NumberOfChannels": 2, "HorizontalFOVEnd": 360}
     wire = with_sensors(Slow=LIDAR | keys | {"DataFrame": "SensorLocalFrame"})

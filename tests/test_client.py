@@ -14,6 +14,7 @@ from uavaccel.clock import VirtualClock
 from uavaccel.kinematics import VelocityGoal
 from uavaccel.sim.profile import NATIVE
 from uavaccel.sim.simulation import Simulation
+from uavaccel.wire import rpc
 from uavaccel.wire.api import Api
 from uavaccel.wire.client import Client
 from uavaccel.wire.latency import ZERO_LATENCY, Latency
@@ -109,6 +110,15 @@ def test_what_may_change_the_state_makes_it_unknown(call: tuple[Any, ...]) -> No
     state = client.kinematics()
     assert transport.methods() == ["uavaccelState"]
     assert state == transport._api.simulation.kinematics()
+
+
+def test_a_call_that_nobody_knows_makes_the_state_unknown() -> None:
+    """It may be one of a server that is newer than its client."""
+    client, transport = new_client()
+    client.continue_for(100 * MS)
+    with pytest.raises(rpc.RpcError):
+        client.call("uavaccelNobodyKnows")
+    assert transport.known.state is None
 
 
 def test_nothing_is_known_where_others_may_fly_too() -> None:

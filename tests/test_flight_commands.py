@@ -245,22 +245,6 @@ def test_forward_only_faces_the_way() -> None:
     assert attitude(api)[2] == pytest.approx(math.pi / 2, abs=0.1)
 
 
-REFUSED = [
-    ((0.0, 1.0), MAX_DOF, STRAIGHT, "lookahead distance cannot be 0"),
-    ((0.01, 1.0), MAX_DOF, STRAIGHT, "lookahead value 0.010000 is too small for velocity 2.000000. It must be at"),
-    ((0.2, 1.0), MAX_DOF, STRAIGHT, "is smaller than drone's distance accuracy 0.500000"),
-    ((AUTO, 1.0), FORWARD_ONLY, STRAIGHT, "Yaw cannot be specified as rate if drivetrain is ForwardOnly"),
-]
-
-
-@pytest.mark.parametrize(("ahead", "drivetrain", "yaw", "text"), REFUSED)
-def test_a_path_that_cannot_be_followed_is_refused_in_airsims_words(
-    ahead: tuple[float, float], drivetrain: int, yaw: Any, text: str
-) -> None:
-    with pytest.raises(rpc.RpcError, match=text):
-        call(hovering(), "moveOnPath", [point(1, 1, -9)], 2.0, 60.0, drivetrain, yaw, *ahead)
-
-
 @pytest.mark.parametrize(
     ("given_m", "velocity_m_s", "adaptive", "ahead_m"),
     [  # AirSim's own: 30 or 40 periods of 20 ms, and 0.75 m at least
@@ -764,10 +748,6 @@ def test_gains_act_until_the_next_simulation() -> None:
     assert tilts[0] < 1.5 * tilts[1] < 0.0
     again = Simulation(world_of(NATIVE))
     assert again.world.lead.parameters["velocity_gain"].tolist() == [0.2, 0.2, 2.0], "AirSim's own"
-    with pytest.raises(rpc.RpcError, match="kp must be a list of three gains"):
-        call(api, "setAngleRateControllerGains", [0.25], [0.0] * 3, [0.0] * 3)
-    with pytest.raises(rpc.RpcError, match="ki must be within 1000, not"):
-        call(api, "setPositionControllerGains", [0.25] * 3, [0.0, 1e30, 0.0], [0.0] * 3)
 
 
 @pytest.mark.parametrize("level", ["Velocity", "Position", "AngleLevel", "AngleRate"])
@@ -900,5 +880,3 @@ def test_frames_are_sixtieths_of_a_second_on_the_wall(clock_speed: float) -> Non
     assert wait(api, reply) is not None
     assert (api.simulation.time_ns - begun_ns) / NS_PER_S == 0.5 * clock_speed
     assert api.simulation.paused
-    with pytest.raises(rpc.RpcError, match="frames must be a whole number"):
-        call(api, "simContinueForFrames", 1.5)

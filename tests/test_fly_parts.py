@@ -6,6 +6,7 @@ import io
 import json
 import os
 import random
+import signal
 import sys
 import sysconfig
 import threading
@@ -281,6 +282,31 @@ def test_a_scripts_programs_find_our_client_first(
         assert (dict(os.environ), sys.path) == (before, path)
 
 
+def test_a_refusal_after_the_flight_is_ignored() -> None:
+    """A pool's next process may still be refused while the flight is written."""
+    handled = signal.getsignal(signal.SIGUSR2)
+    try:
+        with children.ended_by_refusals(lambda: 0):
+            os.kill(os.getpid(), signal.SIGUSR2)
+            assert signal.getitimer(signal.ITIMER_REAL)[1] == children.POLL_S
+        os.kill(os.getpid(), signal.SIGUSR2)  # which would end this process
+        assert signal.getitimer(signal.ITIMER_REAL) == (0.0, 0.0)
+    finally:
+        signal.signal(signal.SIGUSR2, handled)
+
+
+def test_a_forked_process_logs_and_compares_nothing(tmp_path: Path) -> None:
+    """Its parent writes the lines that it has a copy of."""
+    for name in ("first", "second"):
+        (tmp_path / name).mkdir()
+    (tmp_path / "first" / MESSAGES).write_text("another\n")
+    log = MessageLog(tmp_path / "second", tmp_path / "first")
+    log.abandon()
+    log.call(0, 0, "ping", [])
+    log.close()
+    assert (tmp_path / "second" / MESSAGES).read_text() == ""
+
+
 # --- modules and patches ---------------------------------------------------------------------------------------------
 
 
@@ -322,9 +348,7 @@ def test_patches_leave_everything_as_they_found_it() -> None:
     assert undone == ["undone"]
 
 
-def test_a_module_is_changed_on_import_or_at_once(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_module_is_changed_on_import_or_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "imported_later.py").write_text("value = 1\n")
     monkeypatch.syspath_prepend(str(tmp_path))
     changed: list[str] = []

@@ -231,29 +231,6 @@ def test_a_pose_is_taken_and_told_and_nan_leaves_its_part(blocks: Wire) -> None:
     assert list(told["orientation"].values()) == [1.0, 0.0, 0.0, 0.0]
 
 
-@pytest.mark.parametrize(
-    ("method", "params", "said"),
-    [
-        ("simGetImages", [[{}] * 65], "at most 64"),
-        ("simGetImages", [{}], "must be a list"),
-        ("simGetImages", [[3]], "must be a map"),
-        ("simGetImages", [[{"camera_name": "tail"}]], "no camera 'tail'"),
-        ("simGetImages", [[{"image_type": "scene"}]], "image_type must be a number"),
-        ("simGetImage", ["5", 0], "no camera '5'; there are front_center \\(0\\), front_right"),
-        ("simGetImage", ["0", 8], "image type 8 is not available; there are 0 scene, 1 depth_planar"),
-        ("simGetImages", [[{}], "Drone9"], "Vehicle API for 'Drone9' is not available.*'SimpleFlight'"),
-        ("simGetImages", [[{}], "", True], "no camera ''; there are none"),
-        ("simGetCameraInfo", ["7"], "no camera '7'"),
-        ("simSetCameraPose", ["tail", POSES[0].message()], "no camera 'tail'"),
-        ("simSetCameraFov", ["0", 180.0], "0.1 to 179"),
-        ("uavaccelImage", ["far_m"], "no picture 'far_m'; there are gray, colour, depth, segmentation"),
-    ],
-)
-def test_what_is_no_image_is_refused_and_named(blocks: Wire, method: str, params: list[Any], said: str) -> None:
-    with pytest.raises(rpc.RpcError, match=said):
-        blocks.call(method, *params)
-
-
 def test_switched_off_images_are_refused_by_every_call(blocks: Wire) -> None:
     api = Api(blocks.simulation, render=False)
     for method, params in (

@@ -156,6 +156,12 @@ def test_saved_latencies_go_on_with_the_next_numbers() -> None:
     assert drawn_of(latency_of(config, 3, 1), 2000) != expected
 
 
+@pytest.mark.parametrize(("fault", "late_ms"), [("dropped", 200), ("stalled", 40), ("late", 10)])
+def test_a_fault_delays_a_message_by_its_own_time(fault: str, late_ms: int) -> None:
+    latency = latency_of(validate(LatencyConfig, {"platform": {"faults": {fault: 1.0}}}, "test"))
+    assert [latency.request_ns("call"), latency.reply_ns("call")] == [late_ms * MS] * 2
+
+
 def test_faults_of_requests_are_independent_of_replies() -> None:
     config = validate(LatencyConfig, LIKELY, "test")
     silent, answered = latency_of(config), latency_of(config)

@@ -205,60 +205,6 @@ def test_half_a_message_and_a_client_gone(running: Server, witness: MultirotorCl
             connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
 
 
-@pytest.mark.parametrize(("method", "params", "text"), [
-    ("fly", [], "rpclib: server could not find function 'fly' with argument count 0."),
-    ("", [1, 2], "rpclib: server could not find function '' with argument count 2."),
-    ("simPause", [], "rpclib: Function 'simPause' was called with an invalid number of arguments. Expected: 1, got: 0"),
-    ("ping", [1], "rpclib: Function 'ping' was called with an invalid number of arguments. Expected: 0, got: 1"),
-    ("enableApiControl", [True, "Nobody"], "rpclib: function 'enableApiControl' (called with 2 arg(s)) threw an "
-     "exception. The exception contained this information: Vehicle API for 'Nobody' is not available. This could "
-     "either because this is simulation-only API or this vehicle does not exist; there is 'SimpleFlight'."),
-    ("simContinueForTime", [-1.0], "rpclib: function 'simContinueForTime' (called with 1 arg(s)) threw an exception. "
-     "The exception contained this information: seconds must not be negative, not -1."),
-])  # fmt: skip
-def test_error_texts(witness: MultirotorClient, method: str, params: list[Any], text: str) -> None:
-    with pytest.raises(RPCError) as caught:
-        witness.call(method, *params)
-    assert str(caught.value) == text
-
-
-@pytest.mark.parametrize(("method", "params", "named"), [
-    ("moveByVelocity", [NAN, 0, 0, 1, 0, YAW, ""], "vx"),
-    ("moveByVelocity", [0, INF, 0, 1, 0, YAW, ""], "vy"),
-    ("moveByVelocity", [0, 0, 1e300, 1, 0, YAW, ""], "vz"),
-    ("moveByVelocity", ["fast", 0, 0, 1, 0, YAW, ""], "vx"),
-    ("moveByVelocity", [None, 0, 0, 1, 0, YAW, ""], "vx"),
-    ("moveByVelocity", [True, 0, 0, 1, 0, YAW, ""], "vx"),
-    ("moveByVelocity", [0, 0, 0, NAN, 0, YAW, ""], "duration"),
-    ("moveByVelocity", [0, 0, 0, 0.0301, 0, YAW, "", True], "duration"),
-    ("moveByVelocity", [0, 0, 0, 1, "forward", YAW, ""], "drivetrain"),
-    ("moveByVelocity", [0, 0, 0, 1, 0, 3, ""], "yaw_mode"),
-    ("moveByVelocity", [0, 0, 0, 1, 0, {"yaw_or_rate": NAN}, ""], "yaw_mode.yaw_or_rate"),
-    ("moveByVelocity", [0, 0, 0, 1, 0, YAW, ["SimpleFlight"]], "SimpleFlight"),
-    ("moveByVelocityZ", [0, 0, -INF, 1, 0, YAW, ""], "z"),
-    ("simPause", ["yes"], "is_paused"),
-    ("simContinueForTime", [INF], "seconds"),
-    ("uavaccelContinueFor", [0.5], "duration_ns"),
-    ("uavaccelSetClockSpeed", [0], "clock_speed"),
-    ("uavaccelSetClockSpeed", [1e9], "clock_speed"),
-    ("uavaccelStartGame", [1, -1e9], "height_m"),
-    ("simGetImages", [[{}] * 1000], "requests"),
-    ("simSetVehiclePose", [{"position": 1}, True], "pose"),
-])  # fmt: skip
-def test_bad_arguments_are_named(witness: MultirotorClient, method: str, params: list[Any], named: str) -> None:
-    with pytest.raises(RPCError, match=named):
-        witness.call(method, *params)
-
-
-def test_extreme_goals_are_flown_within_the_drones_limits(witness: MultirotorClient) -> None:
-    assert witness.moveByVelocityAsync(3e38, -3e38, -3e38, 2.0).get() is True
-    assert witness.call("uavaccelSpeed")["failure"] is None
-    forever = witness.moveByVelocityZAsync(0, 0, -3e38, 3e38)
-    witness.call("uavaccelRecording")
-    witness.call("cancelLastTask")
-    assert forever.get() is False
-
-
 def test_a_pause_releases_another_clients_continue_for(running: Server, witness: MultirotorClient) -> None:
     witness.simPause(True)
     with MultirotorClient(port=running.address[1]) as other:
