@@ -276,8 +276,11 @@ def test_who_flies_faster_than_3_m_s_past_the_end_turns_back_at_1_m_s(velocity_m
         assert result is None
 
 
-def test_a_path_of_no_points_is_followed_at_once() -> None:
-    assert call(hovering(), "moveOnPath", [], 2.0, 60.0, MAX_DOF, STRAIGHT, AUTO, ADAPTIVE) is True
+def test_a_path_of_no_points_ends_what_runs_and_is_followed() -> None:
+    api = hovering()
+    running = call(api, "moveByVelocity", 1.0, 0.0, 0.0, 5.0, MAX_DOF, STRAIGHT)
+    assert call(api, "moveOnPath", [], 2.0, 60.0, MAX_DOF, STRAIGHT, AUTO, ADAPTIVE) is True
+    assert running.value is False
 
 
 def test_geographic_places() -> None:
