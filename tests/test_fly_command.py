@@ -15,10 +15,11 @@ import numpy as np
 import pytest
 
 from uavaccel.errors import UserError
-from uavaccel.fly import command, film
+from uavaccel.fly import command, film, runs
 from uavaccel.fly.command import FlyRequest, fly_script
+from uavaccel.fly.messages import DifferenceError
 from uavaccel.fly.options import FlightOptions, FlightSummary, found_settings
-from uavaccel.fly.runs import FlightResult, _wait
+from uavaccel.fly.runs import FlightResult, _wait, check
 from uavaccel.fly.trajectory import write_trajectory
 
 FLOWN: FlightSummary = {
@@ -195,6 +196,35 @@ def test_a_first_flight_without_a_client_is_compared_with_none(
     ]
 
 
+@pytest.mark.parametrize(("second_m", "differs"), [(1.0, False), (1.0 + 1e-15, True), (2.0, True)])
+def test_the_second_flight_is_held_against_the_first(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, second_m: float, differs: bool
+) -> None:
+    first, _ = tmp_path / "first", (tmp_path / "first").mkdir()
+    write_trajectory(first, np.arange(3), np.ones((3, 10)))
+    asked = FlightOptions(Path("script.py"), (), tmp_path / "again")
+    flown: list[tuple[FlightOptions, bool]] = []
+
+    def fly(options: FlightOptions, quiet: bool = False) -> FlightResult:
+        flown.append((options, quiet))
+        options.folder.mkdir()
+        write_trajectory(options.folder, np.arange(3), np.full((3, 10), second_m))
+        return FlightResult(0, {"finished": True})
+
+    monkeypatch.setattr(runs, "fly", fly)
+    if differs:
+        with pytest.raises(DifferenceError, match="the messages of both flights are equal, but the trajectories"):
+            check(asked, first)
+    else:
+        assert check(asked, first).status == 0
+    assert flown == [(replace(asked, reference=first), True)]
+
+
+def test_flights_that_flew_nothing_are_equal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(runs, "fly", lambda options, quiet: FlightResult(0, {"finished": True}))
+    assert check(FlightOptions(Path("script.py"), (), tmp_path / "again"), tmp_path / "first").status == 0
+
+
 def test_settings_beside_the_script_come_before_those_of_the_home(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -206,9 +236,8 @@ def test_settings_beside_the_script_come_before_those_of_the_home(
         path.parent.mkdir(parents=True)
         path.write_text(json.dumps({"ClockSpeed": 2}))
         assert found_settings(script) == path
-    for other in ('{"editor.fontSize": 12}', "[]", "no JSON"):
-        beside.write_text(other)
-        assert found_settings(script) == own
+    beside.write_text("{}")
+    assert found_settings(script) == own
     beside.write_text("\ufeff" + json.dumps({"Vehicles": {}}))
     assert found_settings(script) == beside
 
@@ -234,9 +263,7 @@ def test_a_request_of_a_flight_travels_whole(tmp_path: Path) -> None:
         ("wall", None, 0.0),
     ],
 )
-def test_thinking_time_is_the_options_or_the_timings(
-    timing: str, given_s: float | None, thinks_s: float
-) -> None:
+def test_thinking_time_is_the_options_or_the_timings(timing: str, given_s: float | None, thinks_s: float) -> None:
     assert FlightOptions(Path("a.py"), (), Path(), timing, think_s=given_s).thinks_s == thinks_s
 
 
