@@ -24,7 +24,7 @@ from uavaccel.kernels import clutter_games, cpu, events, lane_clocks, lane_games
 from uavaccel.kernels.clutter_worlds import put_clutter
 from uavaccel.kernels.fields import COLOUR, COLUMNS, ROWS
 from uavaccel.kernels.spans import make_scratch
-from uavaccel.sim.clutter.layout import sample_clutter
+from uavaccel.sim.clutter import sample_clutter
 
 SIZE = ROWS, COLUMNS
 SIGNED: dict[Any, Any] = {np.dtype(np.uint32): np.int32, np.dtype(np.uint64): np.int64}

@@ -22,15 +22,15 @@ from uavaccel.envs.judging import COLLISION, TICK, Flown, Judge, Running
 from uavaccel.envs.kernel_plan import plan_of, since_ns_of, slices_of
 from uavaccel.envs.stopwatch import PHASES
 from uavaccel.envs.task import Mediation
-from uavaccel.envs.values import Info
+from uavaccel.envs.values import Info, State
 from uavaccel.kernels import cuda as kernels
 from uavaccel.kernels import cuda_clocks as clock_kernels
 from uavaccel.kernels import lanes
 from uavaccel.kernels.fields import DVS, STATE
 from uavaccel.kernels.flight import TOUCHED
 from uavaccel.kernels.recording import recorded
-from uavaccel.sim.state import State
 from uavaccel.sim.vehicle.quadrotor import FLIGHT_DTYPE, KINEMATICS
+from uavaccel.units import NS_PER_S
 
 
 class Ended(NamedTuple):
@@ -212,7 +212,7 @@ class CudaLanes:
     def charge(self, flown: th.Tensor, duration_s: float, phase: str) -> None:
         """In timing `virtual`, charge the lanes in `flown` (L,) uint8 for their agent's work; with ADSC they fly on."""
         if self.clocks is not None and self.task.timing == "virtual":
-            self.clocks.charge(flown, duration_s, phase)
+            self.clocks.charge(flown.long() * round(duration_s * NS_PER_S), phase)
 
     def _fly_together(self) -> list[th.Tensor]:
         """Fly the same ticks in all lanes, and return the samples' states (L, KINEMATICS)."""
@@ -386,7 +386,7 @@ class CudaLanes:
             self.running = self.running._replace(course=mapped(th.clone, select(self.games.starts, self._rows)))
         for name, tensor in self._state_tensors().items():
             tensor[..., lane] = th.from_numpy(np.ascontiguousarray(state[name])).to(self.device)
-        return self.observations[lane].cpu().numpy()
+        return mapped(lambda seen: seen[lane].cpu().numpy(), self.observations)
 
     def _state_tensors(self) -> dict[str, th.Tensor]:
         """Return all tensors that change in a game, with the lane as the last axis."""

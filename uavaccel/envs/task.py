@@ -41,7 +41,7 @@ from uavaccel.vision.dvs_sensor import PRESETS, DvsParameters, with_noise, with_
 from uavaccel.wire.latency import LatencyModel, of_the_profile
 
 if TYPE_CHECKING:  # which compiles
-    from uavaccel.sim.clutter.layout import ClutterLayout
+    from uavaccel.sim.clutter import ClutterLayout
 
 NotNegative = Annotated[float, Field(ge=0.0, le=1e6)]
 Positive = Annotated[float, Field(gt=0.0, le=1e6)]

@@ -52,7 +52,7 @@ def fill_thresholds(nominal: float, sigma: float, normal: Operand, out: Operand)
 
 @part(error_model="numpy")
 def add_read_noise(picture: Operand, sigma: float, seed: int, moment_ns: int) -> None:
-    """Add read noise to an image (values,) of 8-bit levels, in place (vision/image_noise)."""
+    """Add read noise to an image (values,) of 8-bit levels, in place (vision/noise)."""
     drawn, deviation = np.empty(len(picture), np.float32), np.float32(sigma)
     fill_normal(drawn, np.uint64(seed), np.uint64(moment_ns), READ_NOISE)
     for value in range(len(picture)):

@@ -134,7 +134,7 @@ def message(row: Operand, scale: float, timing: Timing, direction: int, channel:
 
 @part
 def with_frame(row: Operand, timing: Timing, asked_ns: int) -> int:
-    """Return the time at which a frame requested at `asked_ns` is ready (sim/frames)."""
+    """Return the time at which a frame requested at `asked_ns` is ready (sim/profile)."""
     return asked_ns + draw(row, timing, wire.FRAME) if timing.rules[FRAME_NS] > 0 else asked_ns
 
 

@@ -22,8 +22,8 @@ from uavaccel.draw.page import Block, Column, Heading, Picture, Table
 from uavaccel.files import Plain
 from uavaccel.forms import ArrayForm, Count
 from uavaccel.limits import Games, Seed
-from uavaccel.metrics.equivalence import success_estimate
-from uavaccel.metrics.intervals import RESAMPLES, TAILS, Proportion
+from uavaccel.metrics.intervals import RESAMPLES, TAILS
+from uavaccel.metrics.success import Success
 from uavaccel.records import RunDirectory
 from uavaccel.suites import plots
 from uavaccel.suites.experiment import Experiment
@@ -219,8 +219,8 @@ class Mediation(SuiteOfRuns[MediationConfig, PolicyCase]):
         """Return each cell's success, its seeds pooled, and the shares of the losses that are asked for."""
         cells = []
         for (policy, flight), own in report.scores.groupby(["policy", "flight"], sort=False):
-            success = [Proportion(int(won.sum()), len(won)) for won in own.won]
-            over = success_estimate(success)
+            success = Success.on_lanes(own.won.tolist())
+            over = success.estimate
             cells.append(
                 {
                     "policy": policy,
@@ -228,8 +228,8 @@ class Mediation(SuiteOfRuns[MediationConfig, PolicyCase]):
                     "factor": own.factor.iloc[0],
                     "value": own.value.iloc[0],
                     "seeds": own.seed.tolist(),
-                    "successes_by_seed": [each.successes for each in success],
-                    **Proportion.pooled(success).as_summary(),
+                    "successes_by_seed": [each.successes for each in success.policies],
+                    **success.pooled.as_summary(),
                     "seeds_low": over.low,
                     "seeds_high": over.high,
                     "distance_m_median": float(np.median(np.concatenate(own.distance_m.tolist()))),
