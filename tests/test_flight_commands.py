@@ -118,8 +118,8 @@ WAYS: dict[str, tuple[list[Any], tuple[Any, ...], tuple[Any, ...]]] = {  # by me
     ("given_m", "adaptive", "ahead_m"),
     [(2.0, 2.0, 2.0), (2.0, 0.5, 2.0), (3.0, 0.0, 3.0), (AUTO, 0.5, 0.6 * 3.0), (AUTO, 0.0, 0.8 * 3.0)],
 )
-@pytest.mark.parametrize("method", WAYS)
-def test_the_lookahead_grows_with_the_distance_from_the_path(
+@pytest.mark.parametrize("method", ["moveOnPath", "moveToPosition", "moveToZ"])
+def test_the_lookahead_adapts_to_the_distance_from_the_path(
     method: str, given_m: float, adaptive: float, ahead_m: float
 ) -> None:
     """By the share that was asked for; around corners, and in a wind that pushes the vehicle off a straight way."""
@@ -232,26 +232,18 @@ def test_forward_only_faces_the_way() -> None:
     assert attitude(api)[2] == pytest.approx(math.pi / 2, abs=0.1)
 
 
-REFUSED = [
-    ((0.0, 1.0), MAX_DOF, STRAIGHT, "lookahead distance cannot be 0"),
-    ((0.01, 1.0), MAX_DOF, STRAIGHT, "lookahead value 0.010000 is too small for velocity 2.000000. It must be at"),
-    ((0.2, 1.0), MAX_DOF, STRAIGHT, "is smaller than drone's distance accuracy 0.500000"),
-    ((AUTO, 1.0), FORWARD_ONLY, STRAIGHT, "Yaw cannot be specified as rate if drivetrain is ForwardOnly"),
-]
-
-
-@pytest.mark.parametrize(("ahead", "drivetrain", "yaw", "text"), REFUSED)
-def test_a_path_that_cannot_be_followed_is_refused_in_airsims_words(
-    ahead: tuple[float, float], drivetrain: int, yaw: Any, text: str
-) -> None:
-    with pytest.raises(rpc.RpcError, match=text):
-        call(hovering(), "moveOnPath", [point(1, 1, -9)], 2.0, 60.0, drivetrain, yaw, *ahead)
-
-
-@pytest.mark.parametrize(("given_m", "velocity_m_s", "adaptive", "ahead_m"), [
-    (-1.0, 10.0, 1.0, 6.0), (-1.0, 10.0, 0.0, 8.0), (-1.0, 10.0, -1.0, 8.0), (-1.0, 1.0, 1.0, 0.75),
-    (-1.0, 1.0, 0.0, 0.8), (3.0, 10.0, 1.0, 3.0), (0.5, 25.0, 1.0, 0.5),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("given_m", "velocity_m_s", "adaptive", "ahead_m"),
+    [  # AirSim's own: 30 or 40 periods of 20 ms, and 0.75 m at least
+        (-1.0, 10.0, 1.0, 6.0),
+        (-1.0, 10.0, 0.0, 8.0),
+        (-1.0, 10.0, -1.0, 8.0),
+        (-1.0, 1.0, 1.0, 0.75),
+        (-1.0, 1.0, 0.0, 0.8),
+        (3.0, 10.0, 1.0, 3.0),
+        (0.5, 25.0, 1.0, 0.5),
+    ],
+)
 def test_a_path_looks_as_far_ahead_as_it_is_told_or_as_airsim_does(
     given_m: float, velocity_m_s: float, adaptive: float, ahead_m: float
 ) -> None:
@@ -272,8 +264,11 @@ def test_who_flies_faster_than_3_m_s_past_the_end_turns_back_at_1_m_s(velocity_m
         assert result is None
 
 
-def test_a_path_of_no_points_is_followed_at_once() -> None:
-    assert call(hovering(), "moveOnPath", [], 2.0, 60.0, MAX_DOF, STRAIGHT, AUTO, ADAPTIVE) is True
+def test_a_path_of_no_points_ends_what_runs_and_is_followed() -> None:
+    api = hovering()
+    running = call(api, "moveByVelocity", 1.0, 0.0, 0.0, 5.0, MAX_DOF, STRAIGHT)
+    assert call(api, "moveOnPath", [], 2.0, 60.0, MAX_DOF, STRAIGHT, AUTO, ADAPTIVE) is True
+    assert running.value is False
 
 
 def test_geographic_places() -> None:
@@ -322,7 +317,7 @@ def test_from_the_ground_up_and_down_again(grounded: Api) -> None:
 
 @PROFILES
 @pytest.mark.parametrize("x_m", [3.0, 4.0, 6.0])
-def test_a_landing_out_of_a_hover_that_has_settled_level_ends_on_the_ground(x_m: float, profile: Profile) -> None:
+def test_a_landing_from_a_level_hover_ends_on_the_ground(x_m: float, profile: Profile) -> None:
     """MuJoCo's contact of a cylinder with a plane throws it up where it is upright but for rounding errors."""
     api = hovering(profile)
     fly(api, "moveToPosition", x_m, 0.0, -5.0, 2.0, FOR_EVER, MAX_DOF, STRAIGHT, AUTO, ADAPTIVE)
@@ -336,7 +331,7 @@ STARTS = {"on the ground": 0.0, "in the ground": 0.03, "on a block": -6.0}
 
 @PROFILES
 @pytest.mark.parametrize("z", STARTS.values(), ids=list(STARTS))
-def test_a_vehicle_that_stands_is_landed_and_at_rest_from_the_first_tick(z: float, profile: Profile) -> None:
+def test_a_standing_vehicle_is_landed_from_the_first_tick(z: float, profile: Profile) -> None:
     """After the start, after each reset, and as a newcomer; AirSim's ground lock has accelerations of 0 too."""
     x = -45.0 if z < 0 else 3.0  # block_south's middle
     world = World("blocks", profile)
@@ -610,17 +605,20 @@ def turned_by(degrees: float) -> tuple[float, float, float, float]:
 FREE, AT_THIRTY = Yaw(), Yaw(math.radians(30.0), False)
 
 
-@pytest.mark.parametrize(("sticks", "begun_deg", "forward_only", "yaw", "expected"), [
-    ((5000, 0, 0, 0), 0, False, FREE, (1.5, 0.0, -7.0, 0.0)),
-    ((0, 5000, 0, 0), 0, False, FREE, (0.0, 1.0, -7.0, 0.0)),
-    ((10_000, -5000, 0, 0), 90, False, FREE, (-1.0, -3.0, -7.0, 0.0)),
-    ((0, 0, 2500, 0), 0, False, FREE, (0.0, 0.0, -8.0, 0.0)),
-    ((0, 0, 0, 10_000), 0, False, FREE, (0.0, 0.0, -7.0, math.radians(100))),
-    ((0, 0, 0, -5000), 0, False, AT_THIRTY, (0.0, 0.0, -7.0, math.radians(-20))),
-    ((0, 10_000, 0, 0), 0, True, AT_THIRTY, (0.0, 2.0, -7.0, math.radians(120))),
-    ((0, 10_000, 0, 0), 0, True, FREE, (0.0, 2.0, -7.0, 0.0)),
-])  # fmt: skip
-def test_a_stick_is_a_share_of_its_own_greatest_speed_in_the_first_frame(
+@pytest.mark.parametrize(
+    ("sticks", "begun_deg", "forward_only", "yaw", "expected"),
+    [  # pitch, roll, throttle and yaw out of 10 000; north, east, NED z, yaw in rad or rad/s
+        ((5000, 0, 0, 0), 0, False, FREE, (1.5, 0.0, -7.0, 0.0)),
+        ((0, 5000, 0, 0), 0, False, FREE, (0.0, 1.0, -7.0, 0.0)),
+        ((10_000, -5000, 0, 0), 90, False, FREE, (-1.0, -3.0, -7.0, 0.0)),
+        ((0, 0, 2500, 0), 0, False, FREE, (0.0, 0.0, -8.0, 0.0)),
+        ((0, 0, 0, 10_000), 0, False, FREE, (0.0, 0.0, -7.0, math.radians(100))),
+        ((0, 0, 0, -5000), 0, False, AT_THIRTY, (0.0, 0.0, -7.0, math.radians(-20))),
+        ((0, 10_000, 0, 0), 0, True, AT_THIRTY, (0.0, 2.0, -7.0, math.radians(120))),
+        ((0, 10_000, 0, 0), 0, True, FREE, (0.0, 2.0, -7.0, 0.0)),
+    ],
+)
+def test_a_stick_is_a_share_of_its_greatest_speed(
     sticks: tuple[float, ...], begun_deg: float, forward_only: bool, yaw: Yaw, expected: tuple[float, ...]
 ) -> None:
     """AirSim's: 3 m/s by pitch, which is its vy_max, 2 m/s by roll, 4 m up by throttle, 100 degrees by yaw.
@@ -643,11 +641,18 @@ def moving(yaw_deg: float = 0.0, down_m_s: float = 0.0, turning_rad_s: float = 0
     return Kinematics(0, (1.0, 2.0, -3.0), turned_by(yaw_deg), (0.4, 0.0, down_m_s), (0.0, 0.0, turning_rad_s))
 
 
-@pytest.mark.parametrize(("down_m_s", "ends"), [
-    ([0.0] * 20, 11), ([0.05] * 20, 11), ([-0.3] * 20, 11), ([0.2] * 7 + [0.0] * 20, 18),
-    ([0.0] * 10 + [0.06] + [0.0] * 20, 22), ([0.0] * 6 + [0.2] + [0.0] * 6 + [0.2] + [0.0] * 20, 25),
-])  # fmt: skip
-def test_a_landing_is_over_after_eleven_turns_in_a_row_without_a_descent(down_m_s: list[float], ends: int) -> None:
+@pytest.mark.parametrize(
+    ("down_m_s", "ends"),
+    [
+        ([0.0] * 20, 11),
+        ([0.05] * 20, 11),
+        ([-0.3] * 20, 11),
+        ([0.2] * 7 + [0.0] * 20, 18),
+        ([0.0] * 10 + [0.06] + [0.0] * 20, 22),
+        ([0.0] * 6 + [0.2] + [0.0] * 6 + [0.2] + [0.0] * 20, 25),
+    ],
+)
+def test_a_landing_ends_after_eleven_turns_without_descent(down_m_s: list[float], ends: int) -> None:
     """Of more than 0.05 m/s; what was counted before a descent does not count after it."""
     land = Land(60.0)
     turns = [land.turn(moving(down_m_s=speed), 0.02 * number) for number, speed in enumerate(down_m_s[:ends], start=1)]
@@ -661,14 +666,21 @@ def test_a_landing_that_descends_ends_at_its_timeout(timeout_s: float, results: 
     assert [land.turn(moving(down_m_s=0.2), at_s).result for at_s in (0.98, 1.0, 1.02)] == results
 
 
-@pytest.mark.parametrize(("yaw_deg", "turning_rad_s", "to_deg", "expected", "result"), [
-    (24.0, 0.0, 30.0, (False, 30.0), None), (36.0, 0.0, 30.0, (False, 30.0), None),
-    (26.0, 0.009, 30.0, (True, 0.0), True), (34.0, -0.009, 30.0, (True, 0.0), True),
-    (30.0, 0.011, 30.0, (True, 0.0), None), (30.0, -0.011, 30.0, (True, 0.0), None),
-    (178.0, 0.0, -178.0, (True, 0.0), True), (-174.0, 0.0, 178.0, (False, 178.0), None),
-    (0.0, 0.0, 180.0, (False, 180.0), None),
-])  # fmt: skip
-def test_a_turn_arrives_within_its_margin_and_no_longer_turning_either_way(
+@pytest.mark.parametrize(
+    ("yaw_deg", "turning_rad_s", "to_deg", "expected", "result"),
+    [  # within 5 degrees it turns no further, and it has arrived once it turns by less than 0.01 rad/s
+        (24.0, 0.0, 30.0, (False, 30.0), None),
+        (36.0, 0.0, 30.0, (False, 30.0), None),
+        (26.0, 0.009, 30.0, (True, 0.0), True),
+        (34.0, -0.009, 30.0, (True, 0.0), True),
+        (30.0, 0.011, 30.0, (True, 0.0), None),
+        (30.0, -0.011, 30.0, (True, 0.0), None),
+        (178.0, 0.0, -178.0, (True, 0.0), True),
+        (-174.0, 0.0, 178.0, (False, 178.0), None),
+        (0.0, 0.0, 180.0, (False, 180.0), None),
+    ],
+)
+def test_a_turn_arrives_within_its_margin_and_at_rest(
     yaw_deg: float, turning_rad_s: float, to_deg: float, expected: tuple[bool, float], result: bool | None
 ) -> None:
     """Within 5 degrees it turns no further, and it has arrived once it turns by less than 0.01 rad/s."""
@@ -693,10 +705,6 @@ def test_gains_act_until_the_next_simulation() -> None:
     assert tilts[0] < 1.5 * tilts[1] < 0.0
     again = Simulation(world_of(NATIVE))
     assert again.world.lead.parameters["velocity_gain"].tolist() == [0.2, 0.2, 2.0], "AirSim's own"
-    with pytest.raises(rpc.RpcError, match="kp must be a list of three gains"):
-        call(api, "setAngleRateControllerGains", [0.25], [0.0] * 3, [0.0] * 3)
-    with pytest.raises(rpc.RpcError, match="ki must be within 1000, not"):
-        call(api, "setPositionControllerGains", [0.25] * 3, [0.0, 1e30, 0.0], [0.0] * 3)
 
 
 @pytest.mark.parametrize("level", ["Velocity", "Position", "AngleLevel", "AngleRate"])
@@ -725,7 +733,7 @@ def test_a_controller_of_another_mode_is_a_new_one() -> None:
     assert not state["pid_integral"][level].any()
 
 
-def test_an_integral_gain_closes_what_a_wind_leaves_open_and_a_derivative_damps() -> None:
+def test_an_integral_gain_beats_wind_and_a_derivative_damps() -> None:
     """Against 10 m/s from the north a proportional controller is pushed off; wind-up is what an integral is for."""
     drift, overshoot = {}, {}
     for ki, kd in ((0.0, 0.0), (0.05, 0.0), (0.0, 0.1)):
@@ -805,5 +813,3 @@ def test_frames_are_sixtieths_of_a_second_on_the_wall(clock_speed: float) -> Non
     assert wait(api, reply) is not None
     assert (api.simulation.time_ns - begun_ns) / NS_PER_S == 0.5 * clock_speed
     assert api.simulation.paused
-    with pytest.raises(rpc.RpcError, match="frames must be a whole number"):
-        call(api, "simContinueForFrames", 1.5)

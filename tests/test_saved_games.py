@@ -159,7 +159,7 @@ def test_whoever_looks_on_sees_the_game_from_its_beginning() -> None:
 
 @pytest.mark.parametrize("change", ["action", "charge", "seed", "task"])
 def test_a_game_that_comes_out_differently_is_one_clear_line(change: str) -> None:
-    with closing(Hover(timing="virtual")) as here:
+    with closing(Hover(timing="virtual", clock_speed=1.0)) as here:
         here.reset(seed=1)
         here.step(here.action_space.sample())
         here.charge(0.01)
@@ -171,7 +171,7 @@ def test_a_game_that_comes_out_differently_is_one_clear_line(change: str) -> Non
         flown[1][1] += 1e-9
     elif change == "seed":
         state["generator"] = json.dumps(np.random.default_rng(5).bit_generator.state)
-    there = Hover(timing="virtual", **({"clock_speed": 2.0} if change == "task" else {}))
+    there = Hover(timing="virtual", clock_speed=2.0 if change == "task" else 1.0)
     with closing(there), pytest.raises(UserError, match="flown again, did not end as it was saved") as caught:
         there.set_state({**state, "flown": json.dumps(flown)})
     assert "\n" not in str(caught.value)

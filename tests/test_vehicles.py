@@ -32,36 +32,33 @@ STILL = point(0, 0, 0)
 PLACE = [0.0, 0.0, -9.0]
 LEVEL = {"position": point(0, 0, -9), "orientation": {"w_val": 1.0, "x_val": 0.0, "y_val": 0.0, "z_val": 0.0}}
 PLACED = {**LEVEL, "linear_velocity": STILL, "angular_velocity": STILL}
-ARGUMENTS: dict[str, list[Any]] = {  # of every call that names a vehicle
-    method: params
-    for methods, params in {
-        "isApiControlEnabled getMultirotorState simGetGroundTruthKinematics simGetVehiclePose simGetCollisionInfo": [],
-        "hover cancelLastTask getRotorStates simGetGroundTruthEnvironment getHomeGeoPoint": [],
-        "enableApiControl armDisarm": [True],
-        "simSetVehiclePose": [LEVEL, True],
-        "simSetKinematics": [PLACED, True],
-        "takeoff land goHome": [1.0],
-        "moveToPosition": [*PLACE, 1.0, 1.0, 0, STRAIGHT, -1, 1],
-        "moveToZ": [-9.0, 1.0, 1.0, STRAIGHT, -1, 1],
-        "moveToGPS": [47.6, -122.1, 130.0, 1.0, 1.0, 0, STRAIGHT, -1, 1],
-        "moveOnPath": [[point(0, 0, -9)], 1.0, 1.0, 0, STRAIGHT, -1, 1],
-        "rotateToYaw": [1.0] * 3,
-        "rotateByYawRate": [1.0] * 2,
-        "moveByVelocity moveByVelocityZ moveByManual": [*PLACE, 1.0, 0, STRAIGHT],
-        "moveByVelocityBodyFrame moveByVelocityZBodyFrame": [*PLACE, 1.0, 0, STRAIGHT],
-        "moveByMotorPWMs moveByRollPitchYawZ moveByRollPitchYawThrottle moveByRollPitchYawrateZ": [0.1] * 5,
-        "moveByRollPitchYawrateThrottle moveByAngleRatesZ moveByAngleRatesThrottle": [0.1] * 5,
-        "moveByRC": [{}],
-        "setAngleRateControllerGains setAngleLevelControllerGains": [[0.2] * 3] * 3,
-        "setVelocityControllerGains setPositionControllerGains": [[0.2] * 3] * 3,
-        "simGetImages": [[]],
-        "simGetImage": ["0", 0],
-        "simGetCameraInfo": ["0"],
-        "getImuData getGpsData getLidarData": [""],
-        "simTestLineOfSightToPoint": [{"latitude": 47.0, "longitude": -122.0, "altitude": 130.0}],
-    }.items()
-    for method in methods.split()
+BY_CALLS: dict[str, list[Any]] = {  # parameters of every call that names a vehicle
+    "isApiControlEnabled getMultirotorState simGetGroundTruthKinematics simGetVehiclePose simGetCollisionInfo": [],
+    "hover cancelLastTask getRotorStates simGetGroundTruthEnvironment getHomeGeoPoint": [],
+    "enableApiControl armDisarm": [True],
+    "simSetVehiclePose": [LEVEL, True],
+    "simSetKinematics": [PLACED, True],
+    "takeoff land goHome": [1.0],
+    "moveToPosition": [*PLACE, 1.0, 1.0, 0, STRAIGHT, -1, 1],
+    "moveToZ": [-9.0, 1.0, 1.0, STRAIGHT, -1, 1],
+    "moveToGPS": [47.6, -122.1, 130.0, 1.0, 1.0, 0, STRAIGHT, -1, 1],
+    "moveOnPath": [[point(0, 0, -9)], 1.0, 1.0, 0, STRAIGHT, -1, 1],
+    "rotateToYaw": [1.0] * 3,
+    "rotateByYawRate": [1.0] * 2,
+    "moveByVelocity moveByVelocityZ moveByManual": [*PLACE, 1.0, 0, STRAIGHT],
+    "moveByVelocityBodyFrame moveByVelocityZBodyFrame": [*PLACE, 1.0, 0, STRAIGHT],
+    "moveByMotorPWMs moveByRollPitchYawZ moveByRollPitchYawThrottle moveByRollPitchYawrateZ": [0.1] * 5,
+    "moveByRollPitchYawrateThrottle moveByAngleRatesZ moveByAngleRatesThrottle": [0.1] * 5,
+    "moveByRC": [{}],
+    "setAngleRateControllerGains setAngleLevelControllerGains": [[0.2] * 3] * 3,
+    "setVelocityControllerGains setPositionControllerGains": [[0.2] * 3] * 3,
+    "simGetImages": [[]],
+    "simGetImage": ["0", 0],
+    "simGetCameraInfo": ["0"],
+    "getImuData getGpsData getLidarData": [""],
+    "simTestLineOfSightToPoint": [{"latitude": 47.0, "longitude": -122.0, "altitude": 130.0}],
 }
+ARGUMENTS = {method: params for methods, params in BY_CALLS.items() for method in methods.split()}
 
 
 PROFILES = pytest.mark.parametrize("profile", [NATIVE, AIRSIM], ids=["native", "airsim"])
@@ -151,7 +148,7 @@ GOALS: dict[str, tuple[list[Any], tuple[float, ...]]] = {  # as B's autopilot ge
 
 
 @pytest.mark.parametrize("method", GOALS)
-def test_a_command_begins_where_its_own_vehicle_is_and_as_that_is_turned(method: str) -> None:
+def test_a_command_begins_at_its_own_vehicle(method: str) -> None:
     """B faces east, 2 m north, 1 m east of and 4 m above its origin; A is elsewhere, faces north, and stays."""
     api = fleet(A={"X": -6, "Y": 2, "Z": -3}, B={"X": 20, "Y": 10, "Z": -1})
     call(api, "simSetVehiclePose", pose(2.0, 1.0, -4.0, w_val=0.5**0.5, z_val=0.5**0.5), True, "B")
@@ -218,13 +215,6 @@ def test_all_fly_in_the_same_air() -> None:
     assert np.array(lifts_m_s2[0]) / lifts_m_s2[1] == pytest.approx([0.909 / 1.211] * 3, rel=0.02)
 
 
-def test_an_unknown_vehicle_is_refused_in_every_call_with_the_known_ones() -> None:
-    api = fleet(A={}, B=ASIDE)
-    for method, params in ARGUMENTS.items():
-        with pytest.raises(rpc.RpcError, match=r"Vehicle API for 'C' is not available.*there is 'A', 'B'"):
-            call(api, method, *params, "C")
-
-
 def test_one_may_be_added_while_others_fly() -> None:
     """A flight goes on to the bit; the newcomer stands, and its name is taken."""
     ends = []
@@ -241,17 +231,10 @@ def test_one_may_be_added_while_others_fly() -> None:
     call(api, "enableApiControl", True, "New")
     fly(api, "takeoff", 20.0, "New")
     np.testing.assert_allclose(place(api, "New"), (0.0, 0.0, -2.0), atol=0.6)
-    for bad, text in (
-        (("New", "simpleflight", pose(9.0, 9.0, 0.0)), "a vehicle cannot be called 'New'"),
-        (("Car", "physxcar", pose(9.0, 9.0, 0.0)), "vehicle type 'physxcar' is not available; there is SimpleFlight"),
-        (("Deep", "simpleflight", pose(45.0, 0.0, -3.0)), "inside block_north"),
-    ):
-        with pytest.raises(rpc.RpcError, match=text):
-            call(api, "simAddVehicle", *bad)
     assert call(api, "listVehicles") == ["New", "SimpleFlight"]
 
 
-def test_a_newcomer_stands_level_where_its_pose_is_and_faces_as_it_does() -> None:
+def test_a_newcomer_stands_level_at_its_pose() -> None:
     """A quarter turn to the right and on its side: of the latter nothing is left; its own frame is not turned."""
     api, half = hovering_alone(), 0.5**0.5
     tilted = {"w_val": half * half, "x_val": half * half, "y_val": half * half, "z_val": half * half}
@@ -315,7 +298,7 @@ def test_two_that_meet_have_touched_each_other() -> None:
         assert np.linalg.norm(impact - where) < 0.5
 
 
-def test_a_games_collision_is_its_first_in_the_frame_of_the_vehicle_that_leads() -> None:
+def test_a_games_collision_is_its_first_in_the_leads_frame() -> None:
     api = fleet(A={"X": -6, "Y": 2})
     first_ns = None
     for north in (3.0, 9.0):
@@ -391,7 +374,7 @@ def test_vehicles_that_start_in_the_air_are_handed_over_at_rest(profile: Profile
     assert in_world(api, "A")[2] == pytest.approx(-2.0, abs=0.55)
 
 
-def test_a_pose_inside_an_object_is_beside_it_where_collisions_are_ignored() -> None:
+def test_a_pose_inside_an_object_becomes_one_beside_it() -> None:
     api, inside = hovering_alone(), pose(45.0, 0.0, -6.0)
     with pytest.raises(rpc.RpcError, match="inside block_north"):
         call(api, "simSetVehiclePose", inside, False)
@@ -438,9 +421,9 @@ def test_in_computer_vision_mode_a_vehicle_is_a_camera_that_stays() -> None:
         go_on(api, 2.0)
         assert call(api, "simGetVehiclePose")["position"] == point(*place(api)) == point(7.0, 1.0, down)
     assert api.simulation.time_ns == 4_000_000_000
-    for method in ("takeoff", "enableApiControl", "getMultirotorState"):
+    for method, params in (("takeoff", [1.0]), ("enableApiControl", [True]), ("getMultirotorState", [])):
         with pytest.raises(rpc.RpcError, match="this is simulation-only API or this vehicle does not exist"):
-            call(api, method, *ARGUMENTS[method])
+            call(api, method, *params)
 
 
 def test_each_senses_for_itself() -> None:
@@ -501,7 +484,7 @@ def in_world(api: Api, name: str) -> NDArray[np.float64]:
 
 
 @pytest.mark.parametrize("frame", ["VehicleInertialFrame", "SensorLocalFrame"])
-def test_a_lidar_scans_around_its_own_vehicle_in_the_frame_that_is_asked_for(frame: str) -> None:
+def test_a_lidar_scans_around_its_own_vehicle(frame: str) -> None:
     """All of a scan: as many azimuths for each channel, the upmost channel first; the ground where it is."""
     lidar = {
         "SensorType": 6, "NumberOfChannels": 4, "PointsPerSecond": 4_000, "HorizontalFOVEnd": 360, "DataFrame": frame,
@@ -538,7 +521,7 @@ def test_a_lidar_sees_other_vehicles_and_not_the_one_that_carries_it() -> None:
     assert down["B"] < 4.3
 
 
-def test_a_distance_is_measured_from_the_vehicle_that_carries_the_sensor_and_through_it() -> None:
+def test_a_distance_is_measured_through_its_own_vehicle() -> None:
     """From its middle: down to the ground, up into nothing, and from above down to the other vehicle's upper side."""
     quiet = {"SensorType": 5, "UncorrelatedNoiseSigma": 0.0}
     sensors = {"Sensors": {"Down": quiet | {"Pitch": -90}, "Up": quiet | {"Pitch": 90, "MaxDistance": 30}}}
@@ -557,7 +540,7 @@ def test_a_distance_is_measured_from_the_vehicle_that_carries_the_sensor_and_thr
 def test_a_vehicle_sees_past_itself_and_not_past_others() -> None:
     api = fleet(A={}, B=ASIDE)
 
-    def sees(vehicle: str, *place_m: float) -> bool:
+    def sees(vehicle: str, *place_m: Any) -> bool:
         return bool(
             call(api, "simTestLineOfSightToPoint", geographic(place_m, api.scenery.settings.home)._asdict(), vehicle)
         )
@@ -573,11 +556,11 @@ def test_a_vehicle_sees_past_itself_and_not_past_others() -> None:
     assert sees("A", 5.0, 5.0, -14.0)
 
 
-def test_a_camera_within_its_vehicle_sees_out_of_it_and_one_outside_sees_the_vehicle() -> None:
+def test_a_camera_sees_through_its_own_vehicle_alone() -> None:
     """By rays: what is detected, and the normals of surfaces, of which the sky has none."""
     mast = {"X": 5, "Y": 5, "Z": -30, "Pitch": -90}
     small = [{"ImageType": 6, "Width": 33, "Height": 33, "FOV_Degrees": 20}]
-    settings = {"CameraDefaults": {"CaptureSettings": small}, "ExternalCameras": {"mast": mast}}
+    settings: dict[str, Any] = {"CameraDefaults": {"CaptureSettings": small}, "ExternalCameras": {"mast": mast}}
     api = made(render=True, **settings, Vehicles={"A": {"X": -30, "Y": -30}, "B": ASIDE})
 
     def normals(camera: str, vehicle: str, external: bool) -> NDArray[np.uint8]:
@@ -715,23 +698,7 @@ def test_newcomers_below_the_ground_and_where_others_are_stand_on_it_side_by_sid
     assert len(api.simulation.pilots) == len(api.simulation.world.vehicles) == 4
 
 
-@pytest.mark.parametrize(("method", "params", "text"), [
-    ("simSetVehiclePose", [pose(1.1e4, 0, -10), True], "north and east have to be within 10000 m"),
-    ("simSetVehiclePose", [pose(0, 0, -3e4), True], "NED z has to be"),
-    ("simSetKinematics", [pose(0, 0, -10) | {"linear_velocity": point(0, -600, 0), "angular_velocity": STILL}, True],
-     "linear_velocity must be at most 500"),
-    ("simSetKinematics", [pose(0, 0, -10), True], "linear_velocity must be a Vector3r"),
-    ("simSetKinematics", [3, True], "state must be a KinematicsState"),
-])  # fmt: skip
-def test_poses_that_physics_cannot_bear_are_refused(method: str, params: list[Any], text: str) -> None:
-    api = hovering()
-    with pytest.raises(rpc.RpcError, match=text):
-        call(api, method, *params)
-    go_on(api, 0.1)
-    np.testing.assert_allclose(place(api), START_M, atol=1e-3)
-
-
-@PROFILES
+@pytest.mark.parametrize("profile", [NATIVE, AIRSIM], ids=["native", "airsim"])
 def test_no_wind_that_is_allowed_ends_the_flight(profile: Profile) -> None:
     api = hovering(profile)
     for wind in ((100.0, 0.0, 0.0), (0.0, 0.0, -100.0), (57.0, -57.0, 57.0)):
