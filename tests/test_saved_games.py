@@ -96,7 +96,7 @@ def test_a_saved_game_goes_on_to_the_same_bytes(
         assert what_follows(here, [3, 1]) == what_follows(there, [3, 1])
 
 
-def test_a_game_goes_on_into_its_collision_and_with_actions_that_are_numbers() -> None:
+def test_a_game_goes_on_into_its_collision_and_by_numbers() -> None:
     with closing(ObstacleLane(**LANE, lane=POST)) as here, closing(ObstacleLane(**LANE, lane=POST)) as there:
         here.reset(seed=1)
         here.step(2)

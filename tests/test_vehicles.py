@@ -683,7 +683,7 @@ def test_a_pose_in_the_ground_is_on_it(z: float, turn: dict[str, float]) -> None
             assert -hull_m - 0.02 < place(api)[2] < 0.0
 
 
-def test_newcomers_below_the_ground_and_where_others_are_stand_on_it_side_by_side() -> None:
+def test_newcomers_stand_on_the_ground_side_by_side() -> None:
     """As Unreal adjusts what it spawns; of several at once one that is too near to another is refused with all."""
     api = hovering_alone()
     for name in ("Second", "Third", "Fourth"):
