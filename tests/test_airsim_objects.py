@@ -14,8 +14,7 @@ from tests.simulating import simulate
 from uavaccel.resources import asset
 from uavaccel.sim.profile import NATIVE
 from uavaccel.sim.scene.model import SPARES, airsim_spec, park_spares
-from uavaccel.sim.scene.objects import SceneObjects, restore_from
-from uavaccel.sim.scene.rays import cast
+from uavaccel.sim.scene.objects import SceneObjects, cast, restore_from
 from uavaccel.sim.simulation import Simulation
 from uavaccel.sim.vehicle.vehicle import BODY
 from uavaccel.sim.world import World

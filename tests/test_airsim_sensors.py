@@ -14,11 +14,9 @@ from tests.scenes import Pose
 from uavaccel.kinematics import Kinematics
 from uavaccel.sim.poses import Pose as ScenePose
 from uavaccel.sim.profile import AIRSIM
-from uavaccel.sim.sensors.base import Truth
+from uavaccel.sim.sensors.base import Drift, Truth
 from uavaccel.sim.sensors.earth import GeoPoint, atmosphere, geographic, local, magnetic_field_gauss
-from uavaccel.sim.sensors.field import Gps, GpsSettings, Magnetometer, MagnetometerSettings
-from uavaccel.sim.sensors.inertial import Imu, ImuSettings
-from uavaccel.sim.sensors.noise import Drift
+from uavaccel.sim.sensors.field import Gps, GpsSettings, Imu, ImuSettings, Magnetometer, MagnetometerSettings
 from uavaccel.sim.sensors.ranging import LidarSettings, directions
 from uavaccel.sim.world import World
 from uavaccel.wire import rpc

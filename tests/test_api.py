@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from uavaccel.errors import UserError
-from uavaccel.sim.deferred_reply import DeferredReply
+from uavaccel.sim.flight.pilot import DeferredReply
 from uavaccel.sim.profile import PROFILES
 from uavaccel.sim.simulation import Simulation
 from uavaccel.sim.world import World

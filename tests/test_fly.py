@@ -18,8 +18,9 @@ import numpy as np
 import pytest
 
 from tests.running import full_device
-from uavaccel.airsim import LandedState, MultirotorClient
+from uavaccel.airsim import MultirotorClient
 from uavaccel.airsim.connection import as_received
+from uavaccel.airsim.types import LandedState
 from uavaccel.clock import datetime_module, time_module
 from uavaccel.errors import UserError
 from uavaccel.files import UNFINISHED

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from tests.airsim_wire import AirSimWire
 from tests.scenes import BLOCKS, COLUMNS, ROWS, Pose, cast_rays
-from uavaccel.sim.camera.mounted import MOST_LENSES, Lens, MountedCamera
-from uavaccel.sim.deferred_reply import DeferredReply
+from uavaccel.sim.camera.camera import Lens, MountedCamera
+from uavaccel.sim.flight.pilot import DeferredReply
 from uavaccel.sim.profile import NATIVE
 from uavaccel.sim.simulation import Simulation
 from uavaccel.sim.world import World
@@ -268,15 +268,6 @@ def test_normals_of_a_large_picture_are_those_row_by_row() -> None:
         patch.setattr("uavaccel.wire.pictures.RAYS_AT_ONCE", 1)
         assert wire.images(("0", 6, False))[0]["image_data_uint8"] == whole
     assert len(set(whole)) > 2
-
-
-def test_rays_of_a_camera_are_kept_for_a_few_lenses(blocks: Wire) -> None:
-    """A client may set any field of view, and had the server keep the rays of each."""
-    for fov_deg in range(60, 80):
-        blocks.call("simSetCameraFov", "0", float(fov_deg))
-        blocks.response(2, as_float=True)
-    camera = blocks.world.mounted_camera(1, 1)
-    assert len(camera._rays) <= MOST_LENSES
 
 
 @pytest.mark.opengl

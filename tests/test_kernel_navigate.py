@@ -19,8 +19,8 @@ from uavaccel.envs.kernel_batch import KernelBatch
 from uavaccel.envs.kernel_games import GameMaker
 from uavaccel.envs.navigate import Navigate, NavigateTask
 from uavaccel.kernels import scene as at
-from uavaccel.sim.clutter import layout as of
-from uavaccel.sim.clutter.layout import Clutter, sample_world
+from uavaccel.sim import clutter as of
+from uavaccel.sim.clutter import Clutter, sample_world
 
 LANES = 3
 FAST: dict[str, Any] = {"speed_m_s": 6.0, "clutter": {"shapes": 250}, "max_commands": 12}

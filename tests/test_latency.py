@@ -142,20 +142,6 @@ def drawn_of(latency: Latency, count: int = 30) -> list[int]:
     ]
 
 
-def test_saved_latencies_go_on_with_the_next_numbers() -> None:
-    rising = {key: {"call": RISING_US, "pause@20ms": always(7.0)} for key in ("request_us", "reply_us")}
-    config = validate(LatencyConfig, {**LIKELY, **rising, "timer_us": RISING_US}, "test")
-    first, second = latency_of(config, 3, 1), latency_of(config)
-    for wait_ns in (20 * MS, 5 * MS, 20 * MS):
-        first.waited(wait_ns)
-        drawn_of(first)
-    state = {name: np.asarray(value) for name, value in first.get_state().items()}
-    expected = drawn_of(first, 2000)
-    second.set_state(state)
-    assert drawn_of(second, 2000) == expected
-    assert drawn_of(latency_of(config, 3, 1), 2000) != expected
-
-
 @pytest.mark.parametrize(("fault", "late_ms"), [("dropped", 200), ("stalled", 40), ("late", 10)])
 def test_a_fault_delays_a_message_by_its_own_time(fault: str, late_ms: int) -> None:
     latency = latency_of(validate(LatencyConfig, {"platform": {"faults": {fault: 1.0}}}, "test"))

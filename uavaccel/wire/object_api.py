@@ -15,11 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.kinematics import Vector
-from uavaccel.sim.camera.mounted import Lens
-from uavaccel.sim.poses import Pose
-from uavaccel.sim.scene.bounds import LONGEST_NAME
-from uavaccel.sim.scene.objects import ASSETS
-from uavaccel.sim.scene.rays import cast, sees
+from uavaccel.sim.camera.camera import Lens
+from uavaccel.sim.poses import LONGEST_NAME, Pose
+from uavaccel.sim.scene.objects import ASSETS, cast, sees
 from uavaccel.sim.sensors.earth import GRAVITY_M_S2, GeoPoint, atmosphere, geographic, local
 from uavaccel.sim.vehicle.vehicle import BODY
 from uavaccel.wire import types

@@ -19,10 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.resources import asset
-from uavaccel.sim.camera.mounted import FRONT_CENTER, Lens, MountedCamera
+from uavaccel.sim.camera.camera import FRONT_CENTER, Lens, MountedCamera
 from uavaccel.sim.camera.view import GeomImage, vehicle_pose
-from uavaccel.sim.scene.objects import SceneObjects
-from uavaccel.sim.scene.rays import cast
+from uavaccel.sim.scene.objects import SceneObjects, cast
 from uavaccel.sim.simulation import Simulation
 from uavaccel.sim.world import World
 from uavaccel.wire.cameras import CameraMount

@@ -6,8 +6,7 @@ from functools import cached_property
 
 from uavaccel.kinematics import Kinematics
 from uavaccel.sim.flight.pilot import Pilot
-from uavaccel.sim.scene.name_pattern import matching
-from uavaccel.sim.scene.objects import SceneObjects
+from uavaccel.sim.scene.objects import SceneObjects, matching
 from uavaccel.sim.simulation import Simulation
 from uavaccel.sim.vehicle.vehicle import Vehicle
 from uavaccel.wire.cameras import Cameras

@@ -15,8 +15,7 @@ from typing import Annotated, NamedTuple
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Quaternion, Vector
 from uavaccel.sim.flight.pilot import Pilot
-from uavaccel.sim.poses import Pose
-from uavaccel.sim.scene.bounds import APART_M, check_name
+from uavaccel.sim.poses import APART_M, Pose, check_name
 from uavaccel.sim.sensors.earth import geographic
 from uavaccel.sim.simulation import Simulation
 from uavaccel.sim.vehicle.vehicle import HERE, AddedVehicle, Start
