@@ -152,7 +152,7 @@ def readme_says() -> Text:
 
 def results_paper() -> Page:
     says = (headline, table_1, table_1_bullets, claims_table, notes_on_table_1, interchanged, times, gaps, one_changed)
-    more = (what_helps, what_the_gap_does, the_model)
+    more = (what_helps, the_model)
     return Page((text for of in (*says, *more) for text in of()), SETTINGS)
 
 
@@ -344,19 +344,6 @@ def what_helps() -> Text:
         yield f"| {name} | {' | '.join(found)} |"
     swapped = flown(policies("rl_latency", "tcsc", 5.0), "adsc", 5.0)
     yield f"flown at 5x, ADSC takes TCSC's policies to {percent(swapped)} %."
-
-
-def what_the_gap_does() -> Text:
-    rows = rows_of("gaps")
-    gaps_in_flight = [f"{row['gap_s']:g}".removeprefix("0") or "0" for row in rows]
-    yield f"| gap after a command, simulated s | {' | '.join(gaps_in_flight)} |"
-    yield f"| speed when the next one begins, m/s | {' | '.join(short(row['speed_m_s'], 2) for row in rows)} |"
-    yield f"| metres per command and gap | {' | '.join(short(row['way_m'], 2) for row in rows)} |"
-    gaps_s = [gap_s(flown(policies("rl_table1", "adsc", k))) for k in CLOCKS]
-    real, slow, fast = (short(gap, 2) for gap in gaps_s[:3])
-    yield f"the rows have {real}, {slow} and {fast} s, and {gaps_s[3]:.1f} and {gaps_s[4]:.1f} s at 50 and 100x"
-    least, more = (percent(flown(policies("rl_table1", "adsc", k)), 1) for k in (50.0, 100.0))
-    yield f"the policies win {least} and {more} %"
 
 
 def the_model() -> Text:
