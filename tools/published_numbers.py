@@ -191,6 +191,11 @@ def table_1_bullets() -> Text:
     )
     yield f"ADSC's policies of 10x win {own} % of the lanes flown as they were trained"
     yield f"{float(other):.0f} % of the same lanes with TCSC, and {float(real):.0f} % in real time."
+    alike = trainings("rl_table1").query("profile == 'native' and command == 'tcsc' and flight == 0").groupby("seed")
+    same = alike.weights_sha256.nunique()[alike.size() == len(CLOCKS)]
+    yield f"Under `native` {in_words(int((same == 1).sum()))} seeds of TCSC learn the same weights at 1 to 100x"
+    wins = zip(*(won(flown(policies("rl_table1", "adsc", k))) for k in (50.0, 100.0)), strict=True)
+    yield f"than those of 50x, with each of the {in_words(sum(fewer < more for fewer, more in wins))} seeds"
     native = [float(percent(flown(policies("rl_table1", "adsc", k, profile="native")), 1)) for k in CLOCKS]
     yield f"ADSC's policies win {min(native):.0f} to {max(native):.0f} % at every ClockSpeed."
     tcsc, adsc = (won(flown(policies("rl_latency", command, 5.0))) for command in ("tcsc", "adsc"))
