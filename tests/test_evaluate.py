@@ -431,6 +431,10 @@ def test_the_paired_comparison_is_mcnemars_on_common_lanes(tmp_path: Path) -> No
     )
     with pytest.raises(UserError, match="elsewhere: is no evaluation of the same lanes"):
         against(run.run, made.evaluated(tmp_path / "elsewhere", {"lane": 77}).run)
+    test = made.evaluated(tmp_path / "test", *ended_at(150.0, 20.0), task={"split": "test"})
+    assert test.headline().startswith("The agent straight wins 1 of 2 test lanes with TCSC at 1x")
+    with pytest.raises(UserError, match="test: is no evaluation of the same lanes"):
+        against(run.run, test.run)  # whose numbers are the same
 
 
 def test_the_best_game_is_shown_unless_one_is_named(tmp_path: Path) -> None:
