@@ -138,7 +138,8 @@ def lognormal(median_s: float, p99_s: float) -> ThinkingTime:
 
     def draw(generator: np.random.Generator, count: int) -> NDArray[np.int64]:
         drawn_s = median * np.exp(sigma * generator.standard_normal(count))
-        return np.rint(np.minimum(drawn_s, MOST_S) * NS_PER_S).astype(np.int64)
+        drawn_ns: NDArray[np.int64] = np.rint(np.minimum(drawn_s, MOST_S) * NS_PER_S).astype(np.int64)
+        return drawn_ns
 
     return Drawn(draw)
 
