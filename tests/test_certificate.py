@@ -18,13 +18,15 @@ import pytest
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from tests.test_policy_server import PACKAGE, process
+from tests.opengl import needs_opengl
+from tests.test_policy_server import PACKAGE, STRANGER, process
 from uavaccel.cli.main import app
 from uavaccel.errors import Interrupted, UsageError, UserError
 from uavaccel.files import file_sha256
 from uavaccel.metrics.intervals import Proportion
 from uavaccel.realtime import Certificate, RealTime, certify, measure
 from uavaccel.realtime.thinking import thinking_time
+from uavaccel.rl.agents import origin_of
 from uavaccel.wire.latency import read_latency
 
 PERIOD_S = 0.01
@@ -133,11 +135,21 @@ def test_a_calibration_file_is_replayed_and_stretched() -> None:
     assert {row["thinking_s"] for row in certificate.rows[:2]} == {0.0}
 
 
+def test_delays_in_control_periods_are_those_in_seconds() -> None:
+    """Whatever the ClockSpeed, at which so many seconds of thinking are another number of periods."""
+    steps = certify(Count, same, delay_steps=[1, 2, 3, 4], episodes=3, clock_speed=8)
+    seconds = certify(Count, same, [at / 8 for at in DELAYS], episodes=3, clock_speed=8)
+    without = [[{**row, "latency": None} for row in each.rows] for each in (steps, seconds)]
+    assert without[0] == without[1]
+    assert "up to 1.25 ms, 1 step (3 episodes" in steps.line
+    assert steps.table()[0][0] == "steps"
+
+
 def test_the_score_against_latency_is_drawn() -> None:
     certificate = certify(Count, same, DELAYS, episodes=2)
     assert certificate.figure("figure.png").read_bytes().startswith(b"\x89PNG")
     header, lines = certificate.table()
-    assert header == ["latency s", "median ms", "success", "95 %", "failed"]
+    assert header == ["seconds", "median ms", "success", "95 %", "failed"]
     assert lines[1] == ["0.01", "10", "100.0%", "34.2% to 100.0%", "0"]
 
 
@@ -231,9 +243,10 @@ def test_another_evaluation_does_not_go_on_in_its_folder() -> None:
     with pytest.raises(UserError, match=r"^other: no evaluation of a policy, but not empty; take another folder$"):
         certify(Count, same, out="other", resume=True)
     rows = Path("out/rows.jsonl").read_text().splitlines()
-    Path("out/rows.jsonl").write_text("\n".join(reversed(rows)) + "\n")
-    with pytest.raises(UserError, match=r"^out/rows.jsonl: its rows are not those of this evaluation"):
-        certify(Count, same, [0.01], episodes=2, out="out", resume=True)
+    for changed in (rows[::-1], [row.replace("thinking_s", "thought_s") for row in rows]):
+        Path("out/rows.jsonl").write_text("\n".join(changed) + "\n")
+        with pytest.raises(UserError, match=r"^out/rows.jsonl: its rows are not those of this evaluation"):
+            certify(Count, same, [0.01], episodes=2, out="out", resume=True)
 
 
 # --- a policy that fails ----------------------------------------------------------------------------------------------
@@ -299,6 +312,8 @@ def test_an_episode_that_failed_forbids_a_certificate() -> None:
         ({"latencies": [-1]}, r"latencies: must be numbers, 0 to 3600, not \[-1\]"),
         ({"latencies": "fast"}, "latencies: must be numbers, 0 to 3600, not 'fast'"),
         ({"latencies": 0.1}, "latencies: must be numbers, 0 to 3600, not 0.1"),
+        ({"delay_steps": [0.5]}, r"delay_steps: must be counts, 0 to 3600, not \[0.5\]"),
+        ({"delay_steps": [1], "latencies": [1]}, "delay_steps: is given beside seconds; leave out latencies"),
         ({"episodes": 0}, "episodes: must be 1 to 1,000,000, not 0"),
         ({"seed": -1}, "seed: must be 0 to "),
         ({"calibration": "none.json"}, "none.json: No such file"),
@@ -392,14 +407,37 @@ def test_an_option_that_does_not_fit_is_one_line(words: str, error: type[UserErr
         ran(f"timing certify pilot.py:act CartPole-v1 {words}")
 
 
-def test_a_policy_of_this_project_is_certified_in_its_environment() -> None:
-    keys = "--set env.timing=virtual --set env.observation=state --set env.max_commands=2"
-    from uavaccel import envs  # noqa: F401
-
-    with pytest.raises(UserError, match=r"^default: flies environments of this package alone, not "):
+@needs_opengl
+def test_the_policy_that_ships_is_certified_in_its_environment() -> None:
+    """Whose task it had in its training; the drone keeps its own clock."""
+    with pytest.raises(UserError, match=r"^default: flies uavaccel/ObstacleLane-v0, not CartPole-v1$"):
         ran("timing certify default CartPole-v1")
-    with pytest.raises(UserError, match=r"was trained with"):
-        ran(f"timing certify default uavaccel/ObstacleLane-v0 --episodes 1 --latency 0.1 {keys}")
+    keys = "--set env.timing=virtual --set env.command=adsc --set env.max_commands=2"
+    assert not ran(f"timing certify default uavaccel/ObstacleLane-v0 --episodes 1 --latency 0.1 {keys}")
+    document = json.loads(Path("certificate/certificate.json").read_text())
+    assert document["policy"]["sha256"] == origin_of("default").sha256()
+    assert [cell["latency_s"] for cell in document["cells"]] == [0, 0.1]
+
+
+ALONE = """
+import uavaccel.realtime
+from uavaccel.realtime import *
+
+def policy(seen):
+    return 1
+
+everything = [getattr(uavaccel.realtime, name) for name in uavaccel.realtime.__all__]
+measure("CartPole-v1", policy, 5, default_action=0).save("times.json")
+print(certify("CartPole-v1", policy, calibration="times.json", episodes=1, default_action=0).line)
+"""
+
+
+def test_all_of_it_needs_gymnasium_and_numpy_alone() -> None:
+    with_gymnasium = ["numpy", "gymnasium", "cloudpickle", "typing_extensions", "farama_notifications"]
+    program = STRANGER.replace("INSTALLED", repr(with_gymnasium)) + ALONE
+    environment = {**os.environ, "PYTHONPATH": str(PACKAGE)}
+    done = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True)
+    assert done.stdout.startswith("policy in CartPole-v1: holds 90% of its return without latency, ")
 
 
 def test_a_certificate_is_what_its_rows_say() -> None:
@@ -409,6 +447,6 @@ def test_a_certificate_is_what_its_rows_say() -> None:
         for seed, won in enumerate([True] * wins + [False] * (10 - wins))
     ]
     setup = {"policy": {"name": "p", "sha256": None}, "environment": {"id": "E"}, "calibration": None}
-    certificate = Certificate({**setup, "episodes": 10, "seed": 0}, rows)
+    certificate = Certificate({**setup, "unit": "seconds", "episodes": 10, "seed": 0}, rows)
     assert certificate.document["holds"]["latency_s"] == 0.1  # what comes after the first that does not hold is not
     assert "policy of unknown hash" in certificate.line

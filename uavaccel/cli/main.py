@@ -83,7 +83,7 @@ _add(bench, app, OF_OTHERS, hidden=True)
 timing = _group()
 for command in (advise, calibrate, measure, certify):
     _add(command, timing)
-ABOUT_TIMING = "What messages take: calibrate; ADSC's errors: advise; a policy in real time: measure, certify."
+ABOUT_TIMING = "Latency of messages: calibrate, advise; policies: measure, certify."
 app.add_typer(timing, name=TIMING, help=ABOUT_TIMING, short_help=ABOUT_TIMING, rich_help_panel="Machine")
 
 

@@ -37,7 +37,7 @@ def measure(
     from uavaccel.realtime import measure as measured
 
     check_new_file(out)
-    make, keys = _environment(env, overrides)
+    make, keys = _environment(env, policy, overrides)
     with trusting(trust):
         found = measured(make, _policy(policy, make), steps, warm_up, seed, **keys)
     for line in found.lines():
@@ -54,6 +54,7 @@ def certify(
         list[str] | None, option("LATENCY", "Seconds; repeat for several. Or a calibration file.")
     ] = None,
     factor: Annotated[list[float] | None, option("X", "Of the file's times; repeat for several.", min=0)] = None,
+    delay: Annotated[list[int] | None, option("N", "Control periods; repeat for several.", min=0)] = None,
     episodes: Annotated[int, option("N", "Episodes at each latency.", min=1)] = 20,
     seed: Seed = 0,
     success: Annotated[str | None, option("KEY", "What the last info calls it; default: is_success, success.")] = None,
@@ -62,14 +63,15 @@ def certify(
     trust: Trust = False,
     overrides: Sets = None,
 ) -> None:
-    """Certify how much latency a policy bears: its score at several latencies, the same bytes every time."""
+    """Certify how much latency a policy bears."""
     from uavaccel.own_code import trusting
     from uavaccel.realtime import certify as certified
 
     seconds, file = _latencies(latency or [], factor or [])
-    make, keys = _environment(env, overrides)
+    make, keys = _environment(env, policy, overrides)
     with trusting(trust), working("episodes") as advance:
         how: dict[str, Any] = {"episodes": episodes, "seed": seed, "success": success, "out": out, "resume": resume}
+        how["delay_steps"] = delay or None
         found = certified(make, _policy(policy, make), seconds, file, **how, told=lambda row: advance(), **keys)
     print_columns(*found.table())
     if found.failed:
@@ -93,8 +95,8 @@ def _latencies(given: Sequence[str], factors: Sequence[float]) -> tuple[list[flo
     return list(factors) or seconds or None, files[0] if files else None
 
 
-def _environment(env_id: str, overrides: list[str] | None) -> tuple[Callable[[], Any], dict[str, Any]]:
-    """Return what makes an environment, and further arguments of RealTime."""
+def _environment(env_id: str, policy: str, overrides: list[str] | None) -> tuple[Callable[[], Any], dict[str, Any]]:
+    """Return what makes an environment, by default as a policy of this project had it, and RealTime's arguments."""
     from dataclasses import fields
 
     import gymnasium
@@ -109,6 +111,13 @@ def _environment(env_id: str, overrides: list[str] | None) -> tuple[Callable[[],
     of_env, known = keys.pop("env", {}), [each.name for each in fields(LoopOptions) if each.init]
     if not isinstance(of_env, dict):
         raise UsageError(f"--set env={of_env}: must be env.KEY=VALUE")
+    if _is_of_this_project(policy):
+        from uavaccel.rl.agents import origin_of
+
+        origin = origin_of(policy)
+        if origin.env_id != env_id:
+            raise UserError(f"{policy}: flies {origin.env_id}, not {env_id}")
+        of_env = {**origin.keys(), **of_env}
     for key in keys.keys() - known:
         raise UserError(f"--set {key}: RealTime has no such argument; {suggestion(key, [*known, 'env.KEY'])}")
 
@@ -123,16 +132,16 @@ def _environment(env_id: str, overrides: list[str] | None) -> tuple[Callable[[],
 
 def _policy(name: str, make: Callable[[], Any]) -> Any:
     """Return a policy of this project, in a run's folder, for the environment's task; what else it is, by its name."""
-    from uavaccel.rl.agents import DEFAULT
-
-    if name != DEFAULT and not Path(name).is_dir():
+    if not _is_of_this_project(name):
         return name
     from uavaccel.realtime import Policy
     from uavaccel.rl.agents import make_agent, origin_of
 
     env = make()
-    if (task := getattr(env.unwrapped, "task", None)) is None:
-        raise UserError(f"{name}: flies environments of this package alone, not {env}")
-    agent = make_agent(name, task)
+    agent = make_agent(name, env.unwrapped.task)
     env.close()
     return Policy(name, origin_of(name).sha256(), lambda seen: agent.act(seen, {}), env.action_space)
+
+
+def _is_of_this_project(policy: str) -> bool:
+    return policy == "default" or Path(policy).is_dir()

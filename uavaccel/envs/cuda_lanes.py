@@ -386,7 +386,7 @@ class CudaLanes:
             self.running = self.running._replace(course=mapped(th.clone, select(self.games.starts, self._rows)))
         for name, tensor in self._state_tensors().items():
             tensor[..., lane] = th.from_numpy(np.ascontiguousarray(state[name])).to(self.device)
-        return self.observations[lane].cpu().numpy()
+        return mapped(lambda seen: seen[lane].cpu().numpy(), self.observations)
 
     def _state_tensors(self) -> dict[str, th.Tensor]:
         """Return all tensors that change in a game, with the lane as the last axis."""

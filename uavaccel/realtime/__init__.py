@@ -7,7 +7,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from uavaccel.realtime.certificate import Certificate, certify
+    from uavaccel.realtime.certificate import Certificate
+    from uavaccel.realtime.evaluation import certify
     from uavaccel.realtime.measuring import Measurement, measure
     from uavaccel.realtime.policies import Policy, RemotePolicy, load_policy
     from uavaccel.realtime.process import RealTimeProcess
@@ -30,7 +31,8 @@ _HOMES = {
     **dict.fromkeys(("Policy", "RemotePolicy", "load_policy"), "policies"),
     **dict.fromkeys(("PolicyServer", "serve"), "server"),
     **dict.fromkeys(("Measurement", "measure"), "measuring"),
-    **dict.fromkeys(("Certificate", "certify"), "certificate"),
+    "Certificate": "certificate",
+    "certify": "evaluation",
 }
 
 if not TYPE_CHECKING:  # which would know any name

@@ -13,14 +13,13 @@ import numpy as np
 
 from uavaccel.clock import calendar_time
 from uavaccel.errors import UserError
-from uavaccel.files import Plain, file_sha256, replacing, to_json
+from uavaccel.files import Plain, file_sha256, read_json, replacing, to_json
 from uavaccel.machine import host, version_of, versions
 from uavaccel.realtime.policies import load_policy
 from uavaccel.realtime.server import one_line
 from uavaccel.realtime.thinking import MEASURED, Measured
 from uavaccel.realtime.wrapper import RealTime
 from uavaccel.units import whole
-from uavaccel.wire.latency import QUANTILES
 
 Env = gymnasium.Env[Any, Any]
 MakesEnv = str | Callable[[], Env]
@@ -45,19 +44,15 @@ class Measurement:
         return [_us(np.median(part)) for part in np.array_split(self.taken_ns, min(PARTS, len(self.taken_ns)))]
 
     def save(self, path: str | Path) -> Path:
-        """Write the calibration file: under `latency` the quantiles without the warm-up, under `measured` the rest.
-
-        It is JSON, and so YAML too.
-        """
-        row_us = [_us(each) for each in np.quantile(self.taken_ns, QUANTILES)]
-        name = f"thinking times of {self.about['policy']['name']} in {self.about['environment']['id']}"
-        rows = {"request_us": {"call": row_us}, "reply_us": {"call": [0.0] * len(QUANTILES)}}
-        measured = {"calls": len(self.taken_ns), "warm_up_us": [_us(each) for each in self.warm_up_ns]}
-        document = {
-            "latency": {"name": name, "quantiles": QUANTILES, **rows},
-            "measured": {**self.about, **measured, "drift_us": self.drift_us},
-        }
-        with replacing(written := Path(path)) as file:
+        """Write the calibration file, as `Measured.save` does, without the warm-up; under `measured` is the rest."""
+        times = Measured()
+        times.taken_ns = list(self.taken_ns)
+        written = times.save(
+            path, f"thinking times of {self.about['policy']['name']} in {self.about['environment']['id']}"
+        )
+        measured = {"warm_up_us": [_us(each) for each in self.warm_up_ns], "drift_us": self.drift_us}
+        with replacing(written) as file:
+            document = {**read_json(written), "measured": {**self.about, **measured}}
             file.write(f"{to_json(document, indent=1)}\n".encode())
         return written
 

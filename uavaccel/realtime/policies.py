@@ -107,7 +107,7 @@ def _named(name: str, env: Spaces, answer_s: float) -> Policy:
         for what, own, of_env in file.forms(seen, actions):
             if own != of_env:
                 raise UserError(f"{name}: its {what} are {own}, the environment's {of_env}")
-        return Policy(name, file_sha256(file.file), _of_one(file.policy(seen, actions)), actions)
+        return Policy(name, file_sha256(file.file), _of_one(file.load(seen, actions)), actions)
     if ":" not in name:
         wanted = "a file (.zip, .onnx, .pt), file.py:function, module:function or tcp://host:port"
         raise UserError(f"policy {name!r}: is none that is known: name {wanted}")

@@ -80,7 +80,7 @@ class PolicyFile(ABC):
         yield from ()
 
     @abstractmethod
-    def policy(self, seen: Space, actions: Space) -> BatchPolicy:
+    def load(self, seen: Space, actions: Space) -> BatchPolicy:
         """Make the policy for two spaces. Raises UserError for weights that do not fit, and code that is not trusted.
 
         So does the policy, for answers that are no actions.
@@ -142,7 +142,7 @@ class Sb3File(PolicyFile):
             elif "_shape" in own:
                 yield f"{what}s", str(tuple(own["_shape"] or ())), form_of(space)
 
-    def policy(self, seen: Space, actions: Space) -> BatchPolicy:
+    def load(self, seen: Space, actions: Space) -> BatchPolicy:
         """Make the policy. Raises UserError for weights that do not fit, and where only unpickling would restore it."""
         import torch as th
 
@@ -267,7 +267,7 @@ class OnnxFile(PolicyFile):
             own = f"({shape[0]},)" if first is None else form_of(spaces.Discrete(shape[0], start=first))
             yield "actions", own, form_of(actions)
 
-    def policy(self, seen: Space, actions: Space) -> BatchPolicy:
+    def load(self, seen: Space, actions: Space) -> BatchPolicy:
         return lambda observations: actions_of(*self._answer(observations), actions, self.name)
 
     @property
@@ -309,7 +309,7 @@ class TorchScriptFile(PolicyFile):
             raise UserError(f"{name}: no such file")
         require("torch", name, "realtime")
 
-    def policy(self, seen: Space, actions: Space) -> BatchPolicy:
+    def load(self, seen: Space, actions: Space) -> BatchPolicy:
         _check_trusted(self.file, "a TorchScript file is a program")
         import torch as th
 

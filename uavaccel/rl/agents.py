@@ -233,7 +233,7 @@ class AgentFile(Origin):
         yield from self.policy.forms(task.observation_space(), task.action_space())
 
     def make(self, task: Task) -> Agent:
-        return BatchAgent(self.policy.policy(task.observation_space(), task.action_space()))
+        return BatchAgent(self.policy.load(task.observation_space(), task.action_space()))
 
 
 class PolicyFolder(Origin):

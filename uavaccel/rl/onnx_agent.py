@@ -49,7 +49,7 @@ class OnnxAgentFile(AgentFile):
         yield from actions
 
     def make(self, task: Task) -> Agent:
-        act_on = self.policy.policy(task.observation_space(), task.action_space())
+        act_on = self.policy.load(task.observation_space(), task.action_space())
         return BatchAgent(act_on if self.env_id is None else lambda observations: act_on(_whole(task, observations)))
 
 
