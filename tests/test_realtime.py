@@ -265,8 +265,8 @@ def test_a_value_that_does_not_fit_is_one_line(keys: dict[str, Any], said: str) 
         ("CartPole-v1", {}, {}, "default_action: a Discrete has no neutral action"),
         ("FrozenLake-v1", {}, {}, "period_s: FrozenLakeEnv does not say how long"),
         ("FrozenLake-v1", {}, {"command": "tcsc", "period_s": 1, "observe_age": True},
-         r"observe_age, observe_actions: need a Box of observations, not Discrete\(16\)"),
-        ("uavaccel/Hover-v0", {}, {}, "Hover: timing = lockstep: make it with timing='virtual' to fly it in real time"),
+         r"observe_age, observe_actions, observe_planned: need a Box of observations, not Discrete\(16\)"),
+        ("uavaccel/Hover-v0", {}, {}, "Hover: timing = lockstep: make it with timing='virtual' for real time"),
         ("uavaccel/Hover-v0", HOVER, {}, "command: 'adsc' here, but 'tcsc' in Hover; give both the same"),
         ("CartPole-v1", {}, {"default_action": 0, "chunk": 2, "ensemble": 0.0}, "ensemble: actions of a Discrete have"),
         *(
