@@ -141,7 +141,8 @@ def test_a_physics_step_is_a_tick_there_too_and_gymnasium_makes_the_same() -> No
     assert together(wrapped, actions) == expected  # type: ignore[arg-type]
 
 
-OWN: dict[str, Any] = {"timing": "virtual", "command": "adsc", "clock_speed": 3.0}
+# Messages take no time, as each simulator draws the time of its own ones.
+OWN: dict[str, Any] = {"timing": "virtual", "command": "adsc", "clock_speed": 3.0, "latency": {"scale": 0.0}}
 
 
 def batch_of(simulator: str) -> Any:
