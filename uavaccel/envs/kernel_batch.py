@@ -187,7 +187,8 @@ class KernelBatch(TurnBatch):
     def charge_each(self, durations_ns: NDArray[np.int64]) -> None:
         """As `TurnBatch` has it, all at once."""
         if self.task.timing == "virtual" and self._drawn:
-            timeline.charge.py_func(self._clocks.row.T, durations_ns, PHASES.index("inference"))
+            every_ns: Any = durations_ns  # where the function takes one lane's
+            timeline.charge.py_func(self._clocks.row.T, every_ns, PHASES.index("inference"))
 
     def observations(self) -> Observation:
         """Return the present observation of every environment."""
