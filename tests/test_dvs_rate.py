@@ -97,36 +97,6 @@ def test_every_frame_between_two_samples_counts(rate_hz: float, commands: int) -
     assert 0.0 < events[0, 0] <= events[-1, 0] <= commands
 
 
-@needs_opengl
-def test_the_flight_is_the_same_and_goes_on_from_a_saved_game() -> None:
-    with closing(ObstacleLane()) as slow, closing(ObstacleLane(dvs_rate_hz=50.0)) as fast:
-        infos = []
-        for environment in (slow, fast):
-            environment.reset(seed=1)
-            infos.append([environment.step(action)[4] for action in (2, 0, 4)])
-        assert infos[0] == infos[1]
-        state = fast.get_state()
-        after = fast.step(3)[0]
-        with closing(ObstacleLane(dvs_rate_hz=50.0)) as other:
-            other.set_state(state)
-            assert other.step(3)[0].tobytes() == after.tobytes()
-
-
-@pytest.mark.parametrize(
-    ("keys", "message"),
-    [
-        ({"dvs_rate_hz": 300.0}, "does not divide the 500 steps per second of the physics; 250 does"),
-        ({"dvs_rate_hz": 900.0}, "500 does"),
-        ({"dvs_rate_hz": 100.0, "observation": "depth"}, "need observation dvs"),
-        ({"dvs_rate_hz": 100.0, "timing": "wall"}, "timing virtual or lockstep"),
-        ({"dvs_rate_hz": -1.0}, "dvs_rate_hz"),
-    ],
-)
-def test_what_rate_cannot_be(keys: dict[str, Any], message: str) -> None:
-    with pytest.raises(UserError, match=message):
-        ObstacleLane(**keys)
-
-
 def test_events_are_listed_only_on_request() -> None:
     with closing(ObstacleLane()) as environment, pytest.raises(UserError, match="list_events must be true"):
         environment.pop_events()
@@ -226,11 +196,6 @@ def test_dp2_counts_between_its_samples_and_flies_as_ever() -> None:
             rest = Pixels.log(image) - pixels.base - up * pixels.positive + down * pixels.negative
             assert (rest < pixels.positive + 1e-4).all()
             assert (-rest < pixels.negative + 1e-4).all()
-
-
-def test_dp2_refuses_a_rate_on_the_machines_clock() -> None:
-    with pytest.raises(UserError, match="dvs_rate_hz needs timing and reference_timing virtual or lockstep"):
-        configured("dp2", "dvs_rate_hz=100", timing="wall")
 
 
 @needs_opengl

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 import subprocess
 import sys
@@ -27,7 +26,6 @@ from tests.lanes import free_distance_m
 from tests.opengl import needs_opengl
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.envs.sensors import DEPTH_FAR_M
-from uavaccel.errors import UserError
 from uavaccel.sim.lane.layout import EVALUATION_SEEDS, Difficulty, lane_seed, sample_layout
 from uavaccel.vision.observation import NEUTRAL_LEVEL
 
@@ -61,14 +59,6 @@ def crash(environment: ObstacleLane, index: int) -> tuple[Any, float, bool, bool
 # --- Gymnasium --------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", [NAME, f"uavaccel.envs:{NAME}"])
-def test_gymnasium_makes_it_by_name(name: str) -> None:
-    environment = gymnasium.make(name, observation="state", max_commands=1)
-    environment.reset(seed=0)
-    assert environment.step(AHEAD)[3]
-    environment.close()
-
-
 @pytest.mark.parametrize(
     ("first", "name"),
     [
@@ -100,18 +90,6 @@ def test_the_checkers_accept_the_state() -> None:
     check_env(environment.unwrapped, skip_render_check=True)
     check_env_for_learning(environment)
     environment.close()
-
-
-@needs_opengl
-def test_vectors_of_it_fly_different_lanes() -> None:
-    vector = gymnasium.make_vec(NAME, num_envs=2, vectorization_mode="sync", max_commands=5)
-    observations, infos = vector.reset(seed=3)
-    assert observations.shape == (2, *IMAGE)
-    assert infos["lane"][0] != infos["lane"][1]
-    observations, _, _, _, infos = vector.step(np.array([AHEAD, HARD_WEST]))
-    assert infos["position_m"][0][1] == pytest.approx(0, abs=1e-3)
-    assert infos["position_m"][1][1] < -0.1
-    vector.close()
 
 
 class Recorder:
@@ -232,11 +210,6 @@ def test_a_lane_of_ones_own_is_flown_in_every_game(tmp_path: Path, written: str)
             assert info["collision"] == "obstacle_00"
 
 
-def test_a_lane_that_does_not_exist_is_one_clear_line() -> None:
-    with lane(observation="state") as environment, pytest.raises(UserError, match="lane 1000000 does not exist"):
-        environment.reset(options={"lane": EVALUATION_SEEDS})
-
-
 # --- a game's ends ----------------------------------------------------------------------------------------------
 
 
@@ -268,13 +241,6 @@ def test_the_end_of_the_lane_is_a_success() -> None:
     assert (terminated, truncated, info["is_success"], info["collision"]) == (True, False, True, None)
     assert 150.0 <= info["distance_m"] < 151.0
     assert reward == pytest.approx(3.1, abs=0.01)
-
-
-def test_too_many_commands_truncate() -> None:
-    with lane(observation="state", max_commands=3) as environment:
-        environment.reset(seed=0)
-        ends = [environment.step(AHEAD)[2:4] for _ in range(3)]
-    assert ends == [(False, False), (False, False), (False, True)]
 
 
 @needs_opengl
@@ -369,55 +335,7 @@ def test_time_passes_for_adsc_alone_while_the_agent_thinks(command: str) -> None
     assert ends_m[1] < ends_m[0] - 0.5 if command == "adsc" else ends_m[1] == ends_m[0]
 
 
-@needs_opengl
-@pytest.mark.parametrize("timing", ["lockstep", "virtual"])
-@pytest.mark.parametrize("task", [{"dvs_preset": "noisy", "history": 2}, {"command": "adsc"}], ids=str)
-def test_a_saved_game_goes_on_elsewhere_to_the_same_bytes(timing: str, task: dict[str, Any]) -> None:
-    task = {**task, "timing": timing, "clock_speed": 10.0, "difficulty": {"wind_m_s": 2.0}}
-    with lane(**task) as first, lane(**task) as second:
-        fly(first, [2, 1], seed=4)
-        first.charge(0.01, "learning")
-        seen = first.step(3)[0]
-        first.charge(0.004)
-        file = io.BytesIO()
-        np.savez(file, **first.get_state())
-        file.seek(0)
-        np.testing.assert_array_equal(second.set_state(np.load(file)), seen)
-        ends = []
-        for environment in (first, second):
-            flown = [environment.step(action) for action in (2, 0, 0, 4)]
-            start = environment.reset()
-            flown += [environment.step(HARD_WEST)]
-            ends.append(([(step[0].tobytes(), *step[1:]) for step in flown], start[0].tobytes(), start[1]))
-        assert ends[0] == ends[1]
-
-
 # --- mistakes ---------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("task", "said"),
-    [
-        ({"observaton": "dvs"}, "unknown key 'observaton'; did you mean 'observation'?"),
-        ({"observation": "lidar"}, "observation = 'lidar'"),
-        ({"dvs_preset": "foggy"}, "dvs_preset = 'foggy'"),
-        ({"headings_deg": []}, "headings_deg = []: needs at least one heading"),
-        ({"max_commands": 0}, "max_commands = 0"),
-        ({"lane": {"obstacles": [{"x_m": 12, "y_m": 0.2}]}}, "should have radius_m"),
-        ({"lane": "nowhere.yaml"}, "nowhere.yaml"),
-        ({"difficulty": {"obstacles_per_row": 4, "min_gap_m": 5.0}}, "the lane is 10 m wide"),
-    ],
-)
-def test_a_wrong_keyword_is_one_clear_line(task: dict[str, Any], said: str) -> None:
-    with pytest.raises(UserError) as caught:
-        ObstacleLane(**task)
-    assert said in str(caught.value)
-    assert "\n" not in str(caught.value)
-
-
-def test_the_first_step_needs_a_reset() -> None:
-    with lane(observation="state") as environment, pytest.raises(UserError, match="reset the environment"):
-        environment.step(AHEAD)
 
 
 def test_an_empty_difficulty_is_the_published_one() -> None:

@@ -243,7 +243,12 @@ NAMES = ("observations", "actions", "rewards", "next_observations", "over", "cut
 @pytest.mark.parametrize("keys", [{"turns": 1}, {"turns": 3}, {"kind": DeviceDQN}], ids=str)
 def test_each_lane_pays_its_share_of_learning_and_each_decision(keys: dict[str, Any]) -> None:
     """Three gradient steps after every second command of three lanes: one for each lane, before its next command."""
-    told = {"commands_per_gradient_step": 2, "learning_s": 0.25, "inference_s": 0.125, "task": {"timing": "virtual"}}
+    told: dict[str, Any] = {
+        "commands_per_gradient_step": 2,
+        "learning_s": 0.25,
+        "inference_s": 0.125,
+        "task": {"timing": "virtual"},
+    }
     learner, lanes = learning(3, games=30, **told, **keys)
     train(learner)
     for log in lanes.log:
