@@ -29,7 +29,7 @@ from uavaccel.kernels import lanes as rows
 from uavaccel.kernels.fields import COLUMNS, DVS, ROWS, STATE
 from uavaccel.kernels.spans import make_scratch
 from uavaccel.machine import usable_cores
-from uavaccel.sim.clutter.layout import Clutter
+from uavaccel.sim.clutter import Clutter
 from uavaccel.sim.profile import NATIVE
 from uavaccel.sim.world import World
 from uavaccel.vision.dvs_sensor import sample_pixels

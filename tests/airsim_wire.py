@@ -9,7 +9,7 @@ from typing import Any
 import msgpack
 
 from tests.scenes import BLOCKS
-from uavaccel.sim.deferred_reply import DeferredReply
+from uavaccel.sim.flight.pilot import DeferredReply
 from uavaccel.sim.poses import Pose as ScenePose
 from uavaccel.sim.profile import NATIVE
 from uavaccel.sim.scene.objects import SceneObjects

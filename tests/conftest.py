@@ -18,7 +18,7 @@ from tests.scenes import Scene
 from uavaccel.errors import UserError
 from uavaccel.resources import asset
 from uavaccel.sim.camera import gl
-from uavaccel.sim.lane.file import layout_from
+from uavaccel.sim.lane.layout import layout_from
 from uavaccel.sim.profile import NATIVE
 from uavaccel.sim.world import World
 

@@ -24,7 +24,7 @@ from uavaccel.kernels import clutter_games, cpu, events, lane_clocks, lane_games
 from uavaccel.kernels.clutter_worlds import put_clutter
 from uavaccel.kernels.fields import COLOUR, COLUMNS, ROWS
 from uavaccel.kernels.spans import make_scratch
-from uavaccel.sim.clutter.layout import sample_clutter
+from uavaccel.sim.clutter import sample_clutter
 
 SIZE = ROWS, COLUMNS
 SIGNED: dict[Any, Any] = {np.dtype(np.uint32): np.int32, np.dtype(np.uint64): np.int64}
@@ -138,6 +138,10 @@ class Kernels:
     def run_command(self, which: Any, goals: Any, modes: Any, now: Any) -> None:
         for lane in which:
             lanes.command(lane, goals, modes, now)
+
+    def run_resume(self, which: Any, before: Any, share: float, games: Any, now: Any) -> None:
+        for lane in which:
+            lanes.resume(lane, lane, before.state, before.body, share, games, now)
 
     def run_fly(self, which: Any, ticks: Any, games: Any, now: Any, hull: Any, threads: int) -> None:
         for lane in which:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.kinematics import VelocityGoal
-from uavaccel.sim.deferred_reply import DeferredReply
+from uavaccel.sim.flight.pilot import DeferredReply
 from uavaccel.sim.profile import NATIVE, Profile
 from uavaccel.sim.simulation import Simulation
 from uavaccel.sim.vehicle.goal import of_velocity

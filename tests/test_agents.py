@@ -436,6 +436,20 @@ def test_a_policy_that_was_exported_flies_as_the_policy_does(task: dict[str, Any
     np.testing.assert_array_equal(agent.act_on(seen), policy.act(seen))
 
 
+def test_a_torchscript_file_flies_once_it_is_trusted() -> None:
+    network = th.nn.Linear(13, 3)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)
+        th.jit.save(th.jit.script(network), "policy.pt")  # type: ignore[no-untyped-call]
+    with pytest.raises(UserError, match=r"^policy.pt: a TorchScript file is a program; .* add --trust, once$"):
+        make_agent("policy.pt", HoverTask())
+    with trusting():
+        agent = make_agent("policy.pt", HoverTask())
+    seen = np.ones(13, np.float32)
+    with th.inference_mode():
+        np.testing.assert_array_equal(agent.act(seen, {}), network(th.from_numpy(seen)).clamp(-1.0, 1.0).numpy())
+
+
 def test_without_onnxruntime_an_onnx_file_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("uavaccel.resources.find_spec", lambda name: None)
     with pytest.raises(UserError, match=r"^model.onnx: needs onnxruntime: pip install .*\[onnx\]'$"):

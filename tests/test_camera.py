@@ -18,8 +18,7 @@ from uavaccel.resources import asset
 from uavaccel.sim.camera import gl
 from uavaccel.sim.camera.camera import Camera
 from uavaccel.sim.camera.view import HEIGHT, WIDTH
-from uavaccel.sim.lane.file import layout_from
-from uavaccel.sim.lane.layout import sample_layout
+from uavaccel.sim.lane.layout import layout_from, sample_layout
 from uavaccel.sim.lane.scene import apply_layout
 from uavaccel.sim.profile import NATIVE
 from uavaccel.sim.vehicle.goal import of_velocity

@@ -14,8 +14,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from uavaccel.kinematics import VelocityGoal
-from uavaccel.sim.lane.file import layout_from
-from uavaccel.sim.lane.layout import sample_layout
+from uavaccel.sim.lane.layout import layout_from, sample_layout
 from uavaccel.sim.profile import AIRSIM, NATIVE
 from uavaccel.sim.vehicle import clearance
 from uavaccel.sim.vehicle.clearance import Clearance

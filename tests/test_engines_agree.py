@@ -97,7 +97,17 @@ def timings() -> st.SearchStrategy[Keys]:
     both["clock_speed"] = st.sampled_from([1.0, 3.0, 7.5, 30.0])
     virtual = {"timing": st.just("virtual"), "latency": constant_latencies()}
     virtual["image_processing_s"] = st.sampled_from([0.0, 0.0003, 0.05])
-    return st.one_of(st.just({}), st.fixed_dictionaries(both), st.fixed_dictionaries({**both, **virtual}))
+    gaps = mediations().map(lambda gap: {"mediation": gap, "clock_speed": 3.0})
+    return st.one_of(st.just({}), gaps, st.fixed_dictionaries(both), st.fixed_dictionaries({**both, **virtual}))
+
+
+def mediations() -> st.SearchStrategy[Keys]:
+    """Gaps between commands, whole or in part; images are older than some commands' first samples."""
+    late_s = st.sampled_from([0.0, 0.002, 0.016])
+    return st.fixed_dictionaries(
+        {"gap_s": st.sampled_from([0.0, 0.04, 0.3, 1.1]), "image_age_s": late_s},
+        optional={"start_speed": st.sampled_from([0.0, 0.4, 1.0])},
+    )
 
 
 def durations(*pairs: tuple[float, float]) -> st.SearchStrategy[Keys]:
@@ -185,6 +195,10 @@ def seen_cases(draw: st.DrawFn) -> Case:
     if "dvs_rate_hz" in keys and keys.get("profile") == "airsim":
         keys["dvs_rate_hz"] = 1000 / 12  # which divides both profiles' steps
     short = durations((0.1, 0.1), (0.24, 0.12)) if "dvs_rate_hz" in keys else durations((0.3, 0.3), (0.4, 0.2))
+    if "mediation" in keys:
+        keys["mediation"] = {**keys["mediation"], "image_age_s": draw(st.sampled_from([0.0, 0.05, 0.2, 0.25]))}
+        keys.pop("dvs_rate_hz", None)
+        short = durations((0.3, 0.3), (0.4, 0.2))
     keys |= draw(short) | {"max_commands": draw(st.integers(2, 4)), "speed_m_s": draw(st.sampled_from([1.0, 6.0]))}
     work_s = draw(st.sampled_from([0.0, 0.003]))  # ADSC flies on meanwhile, and the camera sees it
     return Case(ObstacleLane, keys, draw(st.integers(0, 2**16)), 5, 0.5, work_s, draw(EVENTS), draw(st.booleans()))

@@ -1,495 +1,596 @@
-"""Threads of a script on a simulated clock: in order of time, one at a time, and never stuck."""
+"""Threads under `uavaccel fly`: small programs do on the simulated clock what they do on Python's own threads.
 
-import concurrent.futures
+The programs of `PROGRAMS` run both ways, and must say the same. What Python leaves to chance, the simulated clock
+decides: the tests after them hold its order, its times, and what becomes of a script that waits for nobody.
+"""
+
+from __future__ import annotations
+
+import _thread
+import asyncio
+import logging
 import multiprocessing
+import multiprocessing.dummy
 import multiprocessing.pool
+import queue
+import re
+import sched
 import threading
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import FIRST_COMPLETED, FIRST_EXCEPTION, ThreadPoolExecutor, as_completed
+from concurrent.futures import wait as wait_for_futures
 from functools import partial
-from types import ModuleType, SimpleNamespace
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 from uavaccel.clock import VirtualClock, time_module
-from uavaccel.fly.executors import let_executors_take_turns
-from uavaccel.fly.patches import Patches
+from uavaccel.fly.modules import Patches
 from uavaccel.fly.script import FlightOver
-from uavaccel.fly.threads import ThreadClasses
+from uavaccel.fly.simulated import READING_NS
+from uavaccel.fly.threads import SharedModules, ThreadModules
 from uavaccel.fly.turns import Turns
 from uavaccel.units import NS_PER_S
 
+UNIT_S = 0.2  # long enough for a busy machine to get every thread to its place
+LATER_S = 60.0  # a time-out that does not pass
+Program = Callable[[Any], None]
+PROGRAMS: dict[str, Program] = {}
 
-@pytest.fixture
-def script() -> Any:
-    """What a script with threads has: its modules, its clock, and what it writes down."""
-    clock = VirtualClock()
-    turns = Turns(clock)
-    kinds = ThreadClasses(turns)
-    modules, running = kinds.modules(), kinds.running
-    written: list[Any] = []
 
-    def sleep(seconds: float) -> None:
-        turns.wait_until(clock.now_ns() + round(seconds * NS_PER_S))
+def program(declared: Program) -> Program:
+    PROGRAMS[declared.__name__] = declared
+    return declared
 
-    def start(*targets: Any) -> list[Any]:
-        threads = [modules["threading"].Thread(target=target) for target in targets]
+
+class Script:
+    """What a program has: modules, a clock, and `said`, where it notes what it meets."""
+
+    def __init__(self, modules: dict[str, Any], sleep: Callable[[float], None], now_s: Callable[[], float]) -> None:
+        self.threading, self.queue, self.thread = (modules[name] for name in ("threading", "queue", "_thread"))
+        self.sleep, self.now_s = sleep, now_s
+        self.said: list[Any] = []
+        self.shared = SimpleNamespace(pool=multiprocessing.pool.ThreadPool, dummy=multiprocessing.dummy)
+
+    def units(self, count: float) -> None:
+        self.sleep(count * UNIT_S)
+
+    def say(self, *what: Any) -> None:
+        self.said.append(what)
+
+    def ask(self, *calls: Callable[[], Any]) -> None:
+        """Note what each call returns, or the exception that it raises."""
+        for call in calls:
+            try:
+                answer = call()
+            except Exception as error:
+                answer = type(error).__name__, re.sub(" at 0x[0-9a-f]+", "", str(error))
+            self.said.append(answer)
+
+    def start(self, *targets: Callable[[], Any], **how: Any) -> list[threading.Thread]:
+        threads = [self.threading.Thread(target=target, **how) for target in targets]
         for thread in threads:
             thread.start()
         return threads
 
-    return SimpleNamespace(
-        **modules, turns=turns, kinds=kinds, clock=clock, running=running, written=written, sleep=sleep, start=start
-    )
+    def run(self, *targets: Callable[[], Any]) -> None:
+        for thread in self.start(*targets):
+            thread.join()
 
 
-@pytest.fixture
-def pools(script: Any) -> Iterator[Any]:
-    """The same, where Python's pools take turns too; `wait` is a call that takes as long as it is told."""
-    with Patches() as patches:
-        clock = time_module(script.clock.now_ns, script.sleep)
-        let_executors_take_turns(patches, script.turns, script.kinds, clock)
-
-        def wait(given_s: float) -> float:
-            script.sleep(given_s)
-            return given_s
-
-        script.wait, script.ThreadPool = wait, multiprocessing.pool.ThreadPool
-        yield script
+# --- programs ------------------------------------------------------------------------------------------------------
 
 
-def seconds(script: Any) -> float:
-    return round(script.clock.now_ns() / NS_PER_S, 2)
+@program
+def locks(s: Script) -> None:
+    for lock in (s.threading.Lock(), s.thread.allocate_lock()):
+        take = lock.acquire
+        s.ask(
+            lock.locked, take, lock.locked, partial(take, False), partial(take, timeout=0.01), partial(take, timeout=0)
+        )
+        s.ask(partial(take, False, 1.0), partial(take, timeout=-2), lock.release, lock.release, lock.__enter__)
+        s.ask(partial(lock.__exit__, None, None, None), lock.locked)
 
 
-def test_they_run_in_order_of_the_time_for_which_they_wait(script: Any) -> None:
-    def beat(name: str, period_s: float) -> None:
-        for _ in range(3):
-            script.sleep(period_s)
-            script.written.append((name, seconds(script)))
-
-    threads = script.start(lambda: beat("slow", 0.5), lambda: beat("fast", 0.2))
-    for thread in threads:
-        thread.join()
-    assert script.written == [
-        ("fast", 0.2), ("fast", 0.4), ("slow", 0.5), ("fast", 0.6), ("slow", 1.0), ("slow", 1.5),
-    ]  # fmt: skip
-    assert not script.running
-    assert not any(thread.is_alive() for thread in threads)
+@program
+def locks_that_may_be_taken_again(s: Script) -> None:
+    lock = s.threading.RLock()
+    s.ask(lock.acquire, lock.acquire, lock.release)
+    s.run(lambda: s.ask(partial(lock.acquire, False), partial(lock.acquire, timeout=0.01), lock.release))
+    s.ask(lock.release, lock.release, partial(lock.acquire, False, 1.0))
+    s.run(lambda: s.ask(lock.acquire, lock.acquire, lock.release, lock.release))
 
 
-def test_a_lock_lets_one_in_at_a_time(script: Any) -> None:
-    lock = script.threading.Lock()
+@program
+def who_waits_first_is_let_in_first(s: Script) -> None:
+    lock = s.threading.Lock()
 
     def work(name: int) -> None:
+        s.units(name)
         with lock:
-            script.sleep(1.0)
-            script.written.append((name, seconds(script)))
+            s.say(name)
+            s.units(4)
 
-    for thread in script.start(*(lambda name=name: work(name) for name in range(3))):
-        thread.join()
-    names, times = zip(*script.written, strict=True)
-    assert names == (0, 1, 2)
-    assert times == (1.0, 2.0, 3.0)
-    assert lock.acquire(timeout=0.1)
-    assert not lock.acquire(blocking=False)
-    assert not lock.acquire(timeout=0.5)
+    s.run(*(partial(work, name) for name in range(3)))
 
 
-def test_events_conditions_and_queues_wake_who_waits(script: Any) -> None:
-    event, full = script.threading.Event(), script.queue.Queue(maxsize=2)
-    condition = script.threading.Condition()
-
-    def produce() -> None:
-        event.wait()
-        for item in range(5):
-            full.put(item)
-        with condition:
-            condition.notify_all()
-
-    [thread] = script.start(produce)
-    assert event.wait(0.3) is False
-    with pytest.raises(script.queue.Empty):
-        full.get(timeout=0.1)
-    event.set()
-    assert [full.get() for _ in range(3)] == [0, 1, 2]
-    with condition:
-        assert condition.wait(5.0)
-    thread.join()
-    assert [full.get_nowait(), full.get_nowait(), full.empty()] == [3, 4, True]
-
-
-def test_a_lock_that_may_be_taken_again_is_free_once_it_was_given_back_as_often(script: Any) -> None:
-    lock = script.threading.RLock()
-
-    def take(name: str) -> None:
-        with lock:
-            script.written.append((name, seconds(script)))
-
-    with lock:
-        with lock:
-            [thread] = script.start(lambda: take("other"))
-            script.sleep(1.0)
-        script.sleep(1.0)
-        script.written.append(("mine", seconds(script)))
-    thread.join()
-    assert script.written == [("mine", 2.0), ("other", 2.0)]
-    with pytest.raises(RuntimeError, match="un-acquired"):
-        lock.release()
-
-
-def test_who_waited_first_is_woken_first_and_no_more_than_are_to_be(script: Any) -> None:
-    condition, places = script.threading.Condition(), script.threading.Semaphore(0)
-
-    def wait(name: int) -> None:
-        with condition:
-            script.written.append((name, condition.wait(3.0), seconds(script)))
-
-    def take(name: str) -> None:
-        script.written.append((name, places.acquire(timeout=3.0), seconds(script)))
-
-    threads = script.start(*(lambda name=name: wait(name) for name in range(3)))
-    script.sleep(1.0)
-    with condition:
-        condition.notify()
-    script.sleep(1.0)
-    with condition:
-        condition.notify()
-    for thread in threads:
-        thread.join()
-    assert script.written == [(0, True, 1.0), (1, True, 2.0), (2, False, 3.0)]
-    script.written.clear()
-    threads = script.start(*(lambda name=name: take(name) for name in "abc"))
-    script.sleep(1.0)
-    places.release(2)
-    for thread in threads:
-        thread.join()
-    assert script.written == [("a", True, 4.0), ("b", True, 4.0), ("c", False, 6.0)]
-    with condition:
-        assert condition.wait_for(lambda: False, 0.5) is False
-    assert seconds(script) == 6.5
-
-
-def outcome(call: Any) -> Any:
-    """What a call returns, or the error that it raises."""
-    try:
-        return call()
-    except (RuntimeError, ValueError) as error:
-        return type(error), str(error)
-
-
-def outcomes(kinds: Any) -> list[Any]:
-    """What a script meets that uses locks in ways that are wrong, rare or nested."""
-    found: list[Any] = []
-    for lock, holds in ((kinds.Lock(), 1), (kinds.RLock(), 3)):  # all of which a wait gives back
-        condition = kinds.Condition(lock)
+@program
+def conditions(s: Script) -> None:
+    for lock, holds in ((None, 3), (s.threading.Lock(), 1), (s.threading.RLock(), 2)):
+        condition = s.threading.Condition(lock)
         told: list[int] = []
-        found += [outcome(call) for call in (condition.notify, condition.notify_all, condition.wait, lock.release)]
+        s.ask(condition.notify, condition.notify_all, condition.wait, condition.release)
 
         def tell(condition: Any = condition, told: list[int] = told) -> None:
             with condition:
                 told.append(1)
                 condition.notify()
 
-        for wait in (condition.wait, partial(condition.wait_for, lambda told=told: len(told) == 2)):
-            thread = kinds.Thread(target=tell)
+        waits = (condition.wait, partial(condition.wait_for, lambda told=told: len(told) == 2))
+        for wait in waits:  # which gives back all that is held
             for _ in range(holds):
-                lock.acquire()
-            thread.start()
-            found += [outcome(lambda wait=wait: wait(timeout=20.0)), len(told)]
+                condition.acquire()
+            [thread] = s.start(tell)
+            s.ask(partial(wait, timeout=LATER_S), lambda told=told: len(told))
             for _ in range(holds):
-                lock.release()
+                condition.release()
             thread.join()
-            found.append(outcome(lock.release))
+            s.ask(condition.release)
         with condition:
-            found += [condition.wait(0.01), condition.wait_for(lambda: 0, 0.01), condition.wait_for(lambda: 7)]
-    for kind in (kinds.Semaphore, kinds.BoundedSemaphore):
+            s.ask(partial(condition.wait, 0.01), partial(condition.wait, 0), partial(condition.wait, -1))
+            s.ask(partial(condition.wait_for, lambda: 0, 0.01), partial(condition.wait_for, lambda: 7))
+        s.ask(partial(condition.acquire, False), condition.release)
+
+
+@program
+def notifications_go_to_who_waits_longest(s: Script) -> None:
+    condition, woken = s.threading.Condition(), list[Any]()
+
+    def wait(name: int) -> None:
+        s.units(name)
+        with condition:
+            woken.append((name, condition.wait(12 * UNIT_S if name == 3 else LATER_S)))
+
+    threads = s.start(*(partial(wait, name) for name in range(5)))
+    with condition:
+        s.ask(partial(condition.wait, 0.01))  # who no longer waits takes no notification
+    for notify in (condition.notify, partial(condition.notify, 2), condition.notify_all):
+        s.units(6)
+        with condition:
+            notify()
+        s.units(1)
+        s.say(sorted(woken))
+    for thread in threads:
+        thread.join()
+
+
+@program
+def events(s: Script) -> None:
+    event = s.threading.Event()
+    s.ask(partial(event.wait, 0.01), partial(event.wait, 0), partial(event.wait, -1), event.is_set)
+    threads = s.start(*[lambda: s.ask(partial(event.wait, LATER_S))] * 2)
+    event.set()
+    for thread in threads:
+        thread.join()
+    s.ask(event.wait, event.is_set, event.clear, event.is_set, partial(event.wait, 0.01))
+
+
+@program
+def semaphores(s: Script) -> None:
+    for kind in (s.threading.Semaphore, s.threading.BoundedSemaphore):
         places = kind(2)
         take, give = places.acquire, places.release
-        calls = [take, take, partial(take, False), partial(take, False, 1.0), partial(take, timeout=0.01)]
-        calls += [give, give, partial(give, 0), give, partial(kind, -1)]
-        found += [outcome(call) for call in calls]
-    return found
+        s.ask(take, take, partial(take, False), partial(take, False, 1.0), partial(take, timeout=0.01))
+        [thread] = s.start(partial(s.ask, partial(take, timeout=LATER_S)))
+        s.ask(give)
+        thread.join()
+        s.ask(give, give, partial(give, 0), give, partial(kind, -1))
 
 
-def test_locks_answer_as_the_standard_librarys_do(script: Any) -> None:
-    assert outcomes(script.threading) == outcomes(threading)
+@program
+def barriers(s: Script) -> None:
+    barrier = s.threading.Barrier(3, lambda: s.say("open"), timeout=LATER_S)
+    places: list[int] = []
+    s.run(*[lambda: places.append(barrier.wait())] * 3)
+    s.say(sorted(places), barrier.parties, barrier.n_waiting, barrier.broken)
+    s.ask(partial(barrier.wait, 0.01), barrier.wait, lambda: barrier.broken, barrier.reset, lambda: barrier.broken)
+    [thread] = s.start(lambda: s.ask(barrier.wait))
+    s.units(1)
+    s.ask(barrier.abort)
+    thread.join()
+    s.ask(barrier.wait)
 
 
-def test_a_queue_holds_as_much_as_it_may_and_is_done_when_its_tasks_are(script: Any) -> None:
-    tasks = script.queue.Queue(maxsize=1)
+@program
+def timers(s: Script) -> None:
+    timer = s.threading.Timer(UNIT_S, lambda *a, **k: s.say(a, k), ("a", 2), {"key": 3})
+    other = s.threading.Timer(UNIT_S, s.say, ("never",))
+    timer.start()
+    other.start()
+    other.cancel()
+    s.ask(timer.finished.is_set, partial(timer.finished.wait, LATER_S), timer.join, timer.is_alive)
+    s.ask(other.join, other.finished.is_set, timer.start)
+
+
+@program
+def threads(s: Script) -> None:
+    own = s.threading.local()
+    own.value = "first"
+    inside: list[Any] = []
+    thread = s.threading.Thread(target=lambda: inside.extend((vars(own), s.threading.current_thread().name)), name="T")
+    s.ask(thread.is_alive, thread.join, lambda: (thread.name, thread.ident, thread.daemon), thread.start, thread.join)
+    s.ask(lambda: inside, thread.is_alive, thread.start, lambda: setattr(thread, "daemon", True))
+
+    def inner() -> None:
+        s.ask(s.threading.current_thread().join, lambda: s.threading.current_thread().daemon)
+        s.ask(lambda: s.threading.Thread().daemon, lambda: s.threading.current_thread().is_alive())
+
+    for daemon in (False, True, None):
+        [thread] = s.start(inner, daemon=daemon)
+        thread.join()
+        s.say(thread.daemon, thread.is_alive())
+    [thread] = s.start(partial(s.units, 3))
+    s.ask(
+        partial(thread.join, 0.01), thread.is_alive, thread.join, thread.is_alive, thread.join, partial(thread.join, -1)
+    )
+
+    class Own(s.threading.Thread):  # type: ignore[name-defined,misc]
+        def __init__(self, number: int) -> None:
+            super().__init__(daemon=True)
+            self.number = number
+
+        def run(self) -> None:
+            s.say("own", self.number)
+
+    own_thread = Own(5)
+    own_thread.start()
+    own_thread.join()
+
+
+@program
+def threads_of_the_lowest_kind(s: Script) -> None:
+    done = s.thread.allocate_lock()
+    done.acquire()
+
+    def work(a: int, b: int = 0) -> None:
+        s.say(a, b)
+        done.release()
+
+    s.ask(lambda: type(s.thread.start_new_thread(work, (1,), {"b": 2})), done.acquire)
+    s.ask(lambda: type(s.thread.start_new_thread(work, (3,))), done.acquire)
+
+
+@program
+def queues(s: Script) -> None:
+    for kind in ("Queue", "LifoQueue", "PriorityQueue", "SimpleQueue"):
+        items = getattr(s.queue, kind)()
+        for item in (2, 3, 1):
+            items.put(item)
+        s.ask(items.qsize, items.get, items.get, items.get_nowait, items.empty, items.get_nowait)
+        s.ask(partial(items.get, timeout=0.01), partial(items.get, timeout=-1), partial(items.get, False))
+        [thread] = s.start(lambda items=items: s.ask(partial(items.get, timeout=LATER_S)))
+        items.put("late")
+        thread.join()
+    full = s.queue.Queue(maxsize=1)
+    s.ask(partial(full.put, "one"), full.full, partial(full.put_nowait, "two"), partial(full.put, "two", timeout=0.01))
+    [thread] = s.start(lambda: s.ask(partial(full.put, "two")))
+    s.ask(full.get)
+    thread.join()
 
     def work() -> None:
-        for _ in range(2):
-            script.sleep(1.0)
-            tasks.get()
-            script.sleep(1.0)
-            tasks.task_done()
+        full.get()
+        full.task_done()
+        full.task_done()
 
-    [thread] = script.start(work)
-    tasks.put("one")
-    with pytest.raises(script.queue.Full):
-        tasks.put("two", timeout=0.5)
-    tasks.put("two")
-    script.written.append(seconds(script))
-    tasks.join()
-    script.written.append(seconds(script))
+    [thread] = s.start(work)
+    s.ask(full.join, full.task_done)
     thread.join()
-    assert script.written == [1.0, 4.0]
-    simple, bounded = script.queue.SimpleQueue(), script.threading.BoundedSemaphore()
-    with pytest.raises(script.queue.Empty):
-        simple.get(timeout=1.0)
-    assert (bounded.acquire(), bounded.acquire(timeout=1.0)) == (True, False)
-    assert seconds(script) == 6.0
 
 
-def test_who_waits_for_nobody_is_told() -> None:
-    """Whatever else the process did before the script, such as a library's thread that waits for its own work."""
-    done = threading.Event()
-    threading.Thread(target=done.wait, daemon=True).start()
-    turns = Turns(VirtualClock())
-    modules = ThreadClasses(turns).modules()
-    with pytest.raises(RuntimeError, match="would wait for ever"):
-        modules["threading"].Event().wait()
-    done.set()
+@program
+def executors(s: Script) -> None:
+    def wait(units: float) -> float:
+        s.units(units)
+        if units == 2:
+            raise ValueError("two")
+        return units
+
+    with ThreadPoolExecutor(3) as pool:
+        s.ask(lambda: list(pool.map(wait, (3, 1, 4))), lambda: list(pool.map(wait, (1, 2, 3))))
+        futures = [pool.submit(wait, units) for units in (6, 0, 3)]
+        s.say([future.result() for future in as_completed(futures)])
+        slow = pool.submit(wait, 8)
+        s.ask(
+            partial(slow.result, 0.01), lambda: list(as_completed([slow], 0.01)), slow.running, slow.cancel, slow.result
+        )
+        failed = pool.submit(wait, 2)
+        failed.add_done_callback(lambda future: s.say("callback", future is failed))
+        s.ask(failed.result, lambda: type(failed.exception()), failed.done)
+        for when, units in ((FIRST_COMPLETED, (6, 1)), (FIRST_EXCEPTION, (6, 2)), ("ALL_COMPLETED", (1, 3))):
+            done, rest = wait_for_futures([pool.submit(wait, each) for each in units], return_when=when)
+            s.say(len(done), len(rest))
+    s.ask(partial(pool.submit, abs, 1))
+    pool = ThreadPoolExecutor(1, initializer=s.say, initargs=("begun",))
+    begun = pool.submit(wait, 4)
+    waiting = [pool.submit(wait, 0) for _ in range(2)]
+    s.units(1)
+    s.ask(waiting[0].cancel, partial(pool.shutdown, wait=True, cancel_futures=True), begun.result)
+    s.say([each.cancelled() for each in waiting])
+    broken = ThreadPoolExecutor(1, initializer=lambda: 1 / 0)
+    s.ask(lambda: type(broken.submit(abs, 1).exception()).__name__)
 
 
-def test_what_waits_without_end_ends_with_the_flight() -> None:
+@program
+def pools(s: Script) -> None:
+    def wait(units: float) -> float:
+        s.units(units)
+        return 6 / (units - 2)
+
+    with s.shared.pool(3, s.say, ("begun",)) as pool:
+        s.ask(partial(pool.map, wait, (5, 1, 3)), lambda: list(pool.imap(wait, (5, 1, 3))))
+        s.ask(lambda: list(pool.imap_unordered(wait, (5, 1, 3))), partial(pool.starmap, pow, [(2, 3), (3, 2)]))
+        s.ask(
+            partial(pool.apply, int, ("11",), {"base": 2}), partial(pool.map, wait, (1, 2)), partial(pool.map, abs, [])
+        )
+        for units in ((4, 3), (1, 2)):
+            told: list[Any] = []
+            result = pool.map_async(
+                wait, units, callback=told.append, error_callback=lambda e, t=told: t.append(type(e))
+            )
+            s.ask(partial(result.get, timeout=0.01), result.ready, result.successful, result.wait, result.ready)
+            s.ask(result.successful, result.get, lambda told=told: told)
+        s.ask(lambda: pool.apply_async(wait, (3,)).get(LATER_S), lambda: next(pool.imap(wait, [8])))
+    for end, each in (("close", 1), ("terminate", 1)):
+        ended: list[int] = []
+        pool = s.shared.pool(1)
+        s.ask(pool.join)
+        for number in range(3):
+            pool.apply_async(lambda number=number, ended=ended: (s.units(3), ended.append(number)))
+        s.units(each)
+        s.ask(getattr(pool, end), pool.join, partial(pool.apply, abs, (1,)))
+        if end == "close":
+            s.say(ended)
+    s.ask(partial(s.shared.pool, 0))
+
+
+@program
+def processes_that_are_threads(s: Script) -> None:
+    dummy = s.shared.dummy
+    tasks = dummy.JoinableQueue()
+    process = dummy.Process(target=lambda: (s.units(1), tasks.put(1)))
+    s.ask(lambda: process.exitcode, process.start, process.is_alive, tasks.get, process.join, lambda: process.exitcode)
+    lock = dummy.Lock()
+    s.ask(lock.acquire, partial(lock.acquire, False), lock.release)
+    with dummy.Pool(2) as pool:
+        s.ask(partial(pool.map, abs, [-1, 2]))
+
+
+@program
+def event_loops(s: Script) -> None:
+    async def after(units: float) -> float:
+        await asyncio.sleep(units * UNIT_S)
+        return units
+
+    async def tasks() -> None:
+        loop, items = asyncio.get_running_loop(), asyncio.Queue[int]()
+        s.say(await asyncio.gather(after(3), after(1), after(2)))
+        for each in asyncio.as_completed([after(5), after(0), after(2)]):
+            s.say(await each)
+        try:
+            await asyncio.wait_for(asyncio.sleep(LATER_S), 0.01)
+        except TimeoutError:
+            s.say("time-out")
+        s.say(await asyncio.to_thread(lambda: (s.units(1), "thread")[1]))
+        s.say(await loop.run_in_executor(None, pow, 2, 5))
+        [thread] = s.start(lambda: (s.units(1), loop.call_soon_threadsafe(items.put_nowait, 7)))
+        s.say(await items.get())
+        thread.join()
+        with ThreadPoolExecutor(1) as pool:
+            s.say(await loop.run_in_executor(pool, lambda: (s.units(1), "own")[1]))
+        loop.call_later(UNIT_S, s.say, "later")
+        await after(3)
+
+    asyncio.run(tasks())
+
+
+@program
+def schedulers(s: Script) -> None:
+    for scheduler in (sched.scheduler(), sched.scheduler(s.now_s, s.sleep)):
+        scheduler.enter(3 * UNIT_S, 1, s.say, ("second",))
+        scheduler.enter(UNIT_S, 1, s.say, ("first",))
+        never = scheduler.enter(2 * UNIT_S, 1, s.say, ("never",))
+        scheduler.cancel(never)
+        scheduler.run()
+
+
+# --- both ways -----------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def on_pythons_threads() -> dict[str, list[Any]]:
+    """What the programs say on Python's own threads, all at the same time."""
+    modules = {"threading": threading, "queue": queue, "_thread": _thread}
+
+    def run(each: Program) -> list[Any]:
+        script = Script(modules, time.sleep, time.monotonic)
+        each(script)
+        return script.said
+
+    with ThreadPoolExecutor(len(PROGRAMS)) as pool:
+        return dict(zip(PROGRAMS, pool.map(run, PROGRAMS.values()), strict=True))
+
+
+@pytest.fixture
+def script() -> Iterator[Any]:
+    """A script on a simulated clock, whose `turns`, `clock` and `running` threads tests look at."""
     clock = VirtualClock()
-    event = ThreadClasses(Turns(clock, limit_ns=3 * NS_PER_S)).modules()["threading"].Event()
+    turns = Turns(clock)
+    modules = ThreadModules(turns)
+
+    def sleep(seconds: float) -> None:
+        turns.wait_until(clock.now_ns() + round(seconds * NS_PER_S))
+
+    def read_ns() -> int:
+        clock.charge(READING_NS)
+        return clock.now_ns()
+
+    with Patches() as patches:
+        own_time: Any = time_module(read_ns, sleep)
+        SharedModules(patches, turns, modules, own_time)
+        made: Any = Script(modules.in_scripts(), sleep, own_time.monotonic)
+        made.turns, made.clock, made.running = turns, clock, turns.running
+        yield made
+
+
+@pytest.mark.wall_clock
+@pytest.mark.parametrize("name", PROGRAMS)
+def test_a_program_says_what_it_says_on_pythons_threads(
+    script: Any, on_pythons_threads: dict[str, list[Any]], name: str
+) -> None:
+    PROGRAMS[name](script)
+    assert script.said == on_pythons_threads[name]
+    assert len(script.said) > 2
+
+
+# --- the simulated clock -------------------------------------------------------------------------------------------
+
+
+def seconds(script: Any) -> float:
+    return round(script.clock.now_ns() / NS_PER_S, 3)
+
+
+def test_threads_run_in_the_order_of_the_times_they_wait_for(script: Any) -> None:
+    def beat(name: str, period_s: float) -> None:
+        for _ in range(3):
+            script.sleep(period_s)
+            script.say(name, seconds(script))
+
+    threads = script.start(partial(beat, "slow", 0.5), partial(beat, "fast", 0.2))
+    assert (script.threading.active_count(), script.threading.enumerate()[1:]) == (3, threads)
+    for thread in threads:
+        thread.join()
+    assert script.said == [
+        ("fast", 0.2), ("fast", 0.4), ("slow", 0.5), ("fast", 0.6), ("slow", 1.0), ("slow", 1.5),
+    ]  # fmt: skip
+    assert (script.running, script.threading.active_count()) == ([], 1)
+
+
+def test_each_wait_takes_the_time_it_says_and_a_try_none(script: Any) -> None:
+    """To the nanosecond: time-outs of locks, queues, conditions and joins, and calls that do not wait."""
+    lock, full, condition = script.threading.Lock(), script.queue.Queue(1), script.threading.Condition()
+    lock.acquire()
+    full.put(1)
+    [thread] = script.start(partial(script.sleep, 100.0))
+    places, event, simple = script.threading.Semaphore(0), script.threading.Event(), script.queue.SimpleQueue()
+    with condition:
+        for timeout_s, wait in (
+            (0.5, lambda s: lock.acquire(timeout=s)), (0.25, lambda s: full.put(2, timeout=s)), (2.0, condition.wait),
+            (1.5, lambda s: condition.wait_for(lambda: False, s)), (0.125, lambda s: places.acquire(timeout=s)),
+            (3.0, event.wait), (1.0, lambda s: simple.get(timeout=s)), (4.0, thread.join), (7.0, script.sleep),
+            (0.0, lambda s: lock.acquire(False)), (0.0, lambda s: places.acquire(False)),
+            (0.0, lambda s: full.put(2, False)), (0.0, lambda s: simple.get(False)), (0.0, event.wait),
+        ):  # fmt: skip
+            begun_ns = script.clock.now_ns()
+            script.ask(partial(wait, timeout_s))
+            assert script.clock.now_ns() - begun_ns == timeout_s * NS_PER_S
+    thread.join()
+    assert seconds(script) == 100.0
+
+
+def test_pools_take_the_time_of_their_longest_calls(script: Any) -> None:
+    def wait(given_s: float) -> float:
+        script.sleep(given_s)
+        return given_s
+
+    told: list[Any] = []
+    with script.shared.pool(3) as pool:
+        for give in (pool.imap, pool.imap_unordered):
+            told.append([(value, seconds(script)) for value in give(wait, (3, 1, 2))])
+    with ThreadPoolExecutor(2) as executor:
+        told.append(
+            [(future.result(), seconds(script)) for future in as_completed(map(executor.submit, [wait] * 3, (2, 1, 4)))]
+        )
+    assert told == [
+        [(3, 3.0), (1, 3.0), (2, 3.0)], [(1, 4.0), (2, 5.0), (3, 6.0)], [(1, 7.0), (2, 8.0), (4, 11.0)],
+    ]  # fmt: skip
+
+
+def test_a_thread_that_waits_is_not_looked_after_before_it_wakes(script: Any) -> None:
+    """A pool's idle workers would cost a look a millisecond."""
+    event = script.threading.Event()
+    [thread] = script.start(lambda: (event.wait(), script.say(script.clock.now_ns())))
+    script.sleep(3600.0)
+    waited = script.turns._order
+    event.set()
+    thread.join()
+    assert script.said == [(3600 * NS_PER_S,)]
+    assert waited < 10
+
+
+def test_a_librarys_pools_keep_pythons_threads(script: Any) -> None:
+    from joblib import Parallel, delayed
+
+    for _ in range(2):
+        assert Parallel(n_jobs=2, backend="threading")(delayed(abs)(-number) for number in range(3)) == [0, 1, 2]
+    assert (seconds(script), script.turns._order) == (0.0, 0)
+
+
+def test_an_exception_ends_its_thread_alone(script: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(threading, "excepthook", lambda event: script.say(str(event.exc_value), event.thread.name))
+    [thread] = script.start(lambda: 1 / 0, name="T")
+    thread.join()
+    assert script.said == [("division by zero", "T")]
+    assert script.turns.is_mine()
+
+
+@pytest.mark.parametrize(("end", "lines"), [(FlightOver(), 0), (ValueError("no"), 1), (None, 1)])
+def test_pools_log_errors_but_not_the_end_of_the_flight(
+    script: Any, caplog: pytest.LogCaptureFixture, end: BaseException | None, lines: int
+) -> None:
+    logging.getLogger("concurrent.futures").error("a worker has ended", exc_info=end)
+    assert len(caplog.records) == lines
+
+
+# --- waits without an end ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("others", [0, 1])
+def test_who_waits_for_nobody_is_told(script: Any, monkeypatch: pytest.MonkeyPatch, others: int) -> None:
+    """Whatever else the process did before, such as a library's thread that waits for its own work."""
+    done = threading.Event()
+    stranger = threading.Thread(target=done.wait, daemon=True)
+    stranger.start()
+    turns = Turns(VirtualClock())
+    modules: Any = ThreadModules(turns).threading
+    told: list[str] = []
+    monkeypatch.setattr(threading, "excepthook", lambda event: told.append(str(event.exc_value)))
+    threads = [modules.Thread(target=modules.Event().wait) for _ in range(others)]
+    for thread in threads:
+        thread.start()
+    with pytest.raises(RuntimeError, match="would wait for ever"):
+        modules.Event().wait()
+    for thread in threads:
+        thread.join()
+    done.set()
+    assert ["would wait for ever" in text for text in told] == [True] * others
+
+
+def test_a_wait_without_an_end_ends_with_the_flight() -> None:
+    clock = VirtualClock()
+    event = ThreadModules(Turns(clock, limit_ns=3 * NS_PER_S)).threading.Event()  # type: ignore[attr-defined]
     assert event.wait(1.0) is False
     with pytest.raises(FlightOver):
         event.wait()
     assert clock.now_ns() == 3 * NS_PER_S
 
 
-def test_a_forked_process_waits_by_its_own_clock_beyond_the_flights_end() -> None:
+def test_a_forked_process_waits_by_its_own_clock(script: Any) -> None:
+    """Beyond the flight's end, and without the threads that it does not have."""
     turns, own = Turns(VirtualClock(), limit_ns=3 * NS_PER_S), VirtualClock(5 * NS_PER_S)
-    event = ThreadClasses(turns).modules()["threading"].Event()
-    turns.announce(7 * NS_PER_S)  # a thread that the new process does not have
+    event = ThreadModules(turns).threading.Event()  # type: ignore[attr-defined]
+    turns.announce(7 * NS_PER_S)
     turns.forked(own)
     assert event.wait(4.0) is False
-    assert own.now_ns() == 9 * NS_PER_S
-
-
-def test_who_all_wait_for_each_other_are_told(script: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(threading, "excepthook", lambda event: script.written.append(str(event.exc_value)))
-    [thread] = script.start(script.threading.Event().wait)
-    with pytest.raises(RuntimeError, match="would wait for ever"):
-        script.threading.Event().wait()
-    thread.join()
-    assert ["would wait for ever" in text for text in script.written] == [True]
-
-
-def test_who_waits_wakes_at_that_moment_and_is_not_looked_after_before(script: Any) -> None:
-    """A pool's idle workers would cost a look a millisecond."""
-    event = script.threading.Event()
-
-    def wait() -> None:
-        event.wait()
-        script.written.append(script.clock.now_ns())
-
-    [thread] = script.start(wait)
-    script.sleep(3600.0)
-    waited = script.turns._order
-    event.set()
-    thread.join()
-    assert script.written == [3600 * NS_PER_S]
-    assert waited < 10
-
-
-@pytest.mark.parametrize(
-    ("kind", "given"),
-    [("Queue", [2, 3, 1]), ("SimpleQueue", [2, 3, 1]), ("LifoQueue", [1, 3, 2]), ("PriorityQueue", [1, 2, 3])],
-)
-def test_queues_give_the_first_the_last_or_the_least(script: Any, kind: str, given: list[int]) -> None:
-    items = getattr(script.queue, kind)()
-    for item in (2, 3, 1):
-        items.put(item)
-    assert [items.get() for _ in range(3)] == given
-    with pytest.raises(script.queue.Empty):
-        items.get(block=False)
-    assert seconds(script) == 0.0
-
-
-def test_what_is_tried_without_waiting_takes_no_time(script: Any) -> None:
-    lock, again, places = script.threading.Lock(), script.threading.RLock(), script.threading.Semaphore(2)
-    full, event = script.queue.Queue(maxsize=1), script.threading.Event()
-    full.put("one")
-    tried: list[Any] = [lock.acquire(), lock.acquire(timeout=0), lock.acquire(blocking=False), lock.locked()]
-    tried += [places.acquire(blocking=False) for _ in range(3)] + [event.wait(0), event.wait(-1.0)]
-    assert tried == [True, False, False, True, True, True, False, False, False]
-    for put in (lambda: full.put("two", block=False), lambda: full.put_nowait("two")):
-        with pytest.raises(script.queue.Full):
-            put()
-    again.acquire()
-    script.start(lambda: script.written.append(again.acquire(blocking=False)))[0].join()
-    assert script.written == [False]
-    lock.release()
-    with pytest.raises(RuntimeError, match="unlocked"):
-        lock.release()
-    assert seconds(script) == 0.0
-
-
-def test_who_waits_for_a_thread_waits_no_longer_than_told(script: Any) -> None:
-    [thread] = script.start(lambda: script.sleep(2.0))
-    for timeout_s, alive, then_s in ((0.5, True, 0.5), (None, False, 2.0), (1.0, False, 2.0)):
-        thread.join(timeout_s)
-        assert (thread.is_alive(), seconds(script)) == (alive, then_s)
-
-
-def test_who_has_waited_for_a_condition_holds_its_lock_again_whether_it_came_or_not(script: Any) -> None:
-    condition, ripe = script.threading.Condition(), []
-
-    def take(name: str) -> None:
-        with condition:
-            script.written.append((name, seconds(script)))
-            ripe.append(name)
-            condition.notify()
-
-    with condition:
-        assert condition.wait(1.0) is False
-        threads = script.start(lambda: take("after the time-out"))
-        script.sleep(1.0)
-        script.written.append(("mine", seconds(script)))
-        assert condition.wait_for(lambda: ripe, 5.0) == ["after the time-out"]
-        threads += script.start(lambda: take("after the condition"))
-        script.sleep(1.0)
-        script.written.append(("mine", seconds(script)))
-    for thread in threads:
-        thread.join()
-    assert script.written == [
-        ("mine", 2.0), ("after the time-out", 2.0), ("mine", 3.0), ("after the condition", 3.0),
-    ]  # fmt: skip
-
-
-def test_who_meets_at_a_barrier_goes_on_when_all_have_come_and_not_for_ever(script: Any) -> None:
-    barrier = script.threading.Barrier(3, lambda: script.written.append("open"), timeout=2.0)
-
-    def come(after_s: float) -> None:
-        script.sleep(after_s)
-        place = barrier.wait()
-        script.written.append((place, seconds(script)))
-
-    for thread in script.start(lambda: come(0.5), lambda: come(1.5), lambda: come(1.0)):
-        thread.join()
-    assert script.written[0] == "open"
-    assert sorted(script.written[1:]) == [(0, 1.5), (1, 1.5), (2, 1.5)]
-    with pytest.raises(threading.BrokenBarrierError):
-        barrier.wait()
-    assert seconds(script) == 3.5
-
-
-def test_a_timer_is_told_what_to_call_with_and_says_when_it_has(script: Any) -> None:
-    def call(*told: Any, **named: Any) -> None:
-        script.written.append((told, named, seconds(script)))
-
-    timer = script.threading.Timer(1.5, call, ("a", 2), {"key": 3})
-    timer.start()
-    assert timer.finished.wait(1.0) is False
-    assert timer.finished.wait(1.0) is True
-    assert script.written == [(("a", 2), {"key": 3}, 1.5)]
-
-
-# --- Python's pools ------------------------------------------------------------------------------------------------
-
-
-def test_a_pool_gives_values_in_the_order_of_its_calls_or_as_they_end(pools: Any) -> None:
-    told = []
-    with pools.ThreadPool(3) as pool:
-        for give in (pool.imap, pool.imap_unordered):
-            told.append([(value, seconds(pools)) for value in give(pools.wait, (3, 1, 2))])
-        assert pool.map(pools.wait, (0.2, 0.1)) == [0.2, 0.1]
-        assert pool.starmap(pow, [(2, 3), (3, 2)]) == [8, 9]
-        assert pool.apply(int, ("11",), {"base": 2}) == 3
-    assert told == [[(3, 3.0), (1, 3.0), (2, 3.0)], [(1, 4.0), (2, 5.0), (3, 6.0)]]
-    assert seconds(pools) == 6.2
-
-
-def test_a_pool_makes_as_many_calls_at_once_as_it_has_threads_each_begun_as_told(pools: Any) -> None:
-    with pools.ThreadPool(2, pools.written.append, ("begun",)) as pool:
-        pool.map(pools.wait, (1, 1, 1))
-    assert (seconds(pools), pools.written) == (2.0, ["begun", "begun"])
-
-
-def test_a_result_of_a_pool_is_told_once_when_its_last_call_has_ended(pools: Any) -> None:
-    told: list[Any] = []
-
-    def tell(value: Any) -> None:
-        told.append((value, seconds(pools)))
-
-    with pools.ThreadPool(2) as pool:
-        result = pool.map_async(pools.wait, (0.5, 1.5), callback=tell, error_callback=told.append)
-        with pytest.raises(multiprocessing.TimeoutError):
-            result.get(timeout=1.0)
-        with pytest.raises(ValueError, match="not ready"):
-            result.successful()
-        result.wait(0.25)
-        assert (seconds(pools), result.ready(), told) == (1.25, False, [])
-        assert (result.get(), result.successful(), told) == ([0.5, 1.5], True, [([0.5, 1.5], 1.5)])
-        single = pool.apply_async(pools.wait, (0.5,), callback=tell)
-        assert (single.get(), told[1:]) == (0.5, [(0.5, 2.0)])
-
-
-def test_a_result_of_which_one_call_has_failed_has_failed(pools: Any) -> None:
-    told: list[Any] = []
-    with pools.ThreadPool(2) as pool:
-        result = pool.map_async(lambda x: 1 / x, (1, 0, 2), callback=told.append, error_callback=told.append)
-        with pytest.raises(ZeroDivisionError):
-            result.get()
-        assert (result.ready(), result.successful()) == (True, False)
-    assert [type(each) for each in told] == [ZeroDivisionError]
-
-
-@pytest.mark.parametrize(("end", "ended"), [("close", [1.0, 2.0, 3.0]), ("terminate", [1.0])])
-def test_a_pool_that_is_closed_makes_its_calls_and_one_that_is_terminated_only_those_begun(
-    pools: Any, end: str, ended: list[float]
-) -> None:
-    pool = pools.ThreadPool(1)
-    for _ in range(3):
-        pool.apply_async(lambda: pools.written.append(seconds(pools)) if pools.wait(1) else None)
-    pools.sleep(0.5)
-    getattr(pool, end)()
-    assert seconds(pools) == 0.5
-    pool.join()
-    assert pools.written == ended
-
-
-def test_an_executor_waits_in_the_scripts_time(pools: Any) -> None:
-    with concurrent.futures.ThreadPoolExecutor(2) as pool:
-        futures = [pool.submit(pools.wait, given_s) for given_s in (2, 1)]
-        with pytest.raises(concurrent.futures.TimeoutError):
-            futures[0].result(timeout=0.5)
-        done, rest = concurrent.futures.wait(futures, return_when=concurrent.futures.FIRST_COMPLETED)
-        assert (done, rest, seconds(pools)) == ({futures[1]}, {futures[0]}, 1.0)
-    assert seconds(pools) == 2.0
-
-
-# --- timers, exceptions ---------------------------------------------------------------------------------------------
-
-
-def test_a_timer_calls_unless_cancelled(script: Any) -> None:
-    timers = [script.threading.Timer(period_s, script.written.append, (period_s,)) for period_s in (1.0, 2.0)]
-    for timer in timers:
-        timer.start()
-    timers[1].cancel()
-    script.sleep(3.0)
-    assert script.written == [1.0]
-
-
-def test_an_exception_ends_its_thread_alone(script: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(threading, "excepthook", lambda event: script.written.append(event.exc_value))
-
-    def fall() -> None:
-        raise ValueError("down")
-
-    [thread] = script.start(fall)
-    thread.join()
-    assert [str(error) for error in script.written] == ["down"]
-    assert script.turns.is_mine()
-
-
-def test_the_rest_of_the_modules_is_pythons(script: Any) -> None:
-    assert isinstance(script.threading, ModuleType)
-    assert script.threading.current_thread() is threading.main_thread()
-    assert isinstance(script.threading.Thread(), threading.Thread)
+    assert (own.now_ns(), turns.running) == (9 * NS_PER_S, [])

@@ -166,16 +166,42 @@ def events(pictures: NDArray[np.uint8]) -> NDArray[np.int64]:
 
 
 @njit(error_model="numpy")
+def covers(faces: Any, face: Any, column: Any, row: Any) -> bool:
+    """Return whether a pixel is inside a face's edges."""
+    inside = True
+    for edge in range(4):
+        inside = inside and rays.linear(faces, face, at.EDGES + 3 * edge, column, row) >= rays.ZERO
+    extra = int(faces[face, at.EXTRA])
+    if inside and extra > 0:
+        for edge in range(8):
+            inside = inside and rays.linear(faces, extra, 3 * edge, column, row) >= rays.ZERO
+    return inside
+
+
+@njit(error_model="numpy")
+def nearest_face(faces: Any, row: Any, column: Any) -> Any:
+    """Return the face that a pixel shows, 0 for the sky."""
+    x, y = np.float32(column), np.float32(row)
+    near, best, shown = faces[0, at.NEAR_W], faces[0, at.FAR_W], 0
+    for face in range(1, int(faces[0, at.COUNT])):
+        if faces[face, at.NEAREST_W] > best:
+            w = rays.linear(faces, face, at.W, x, y)
+            if w > best and w <= near and covers(faces, face, x, y):
+                best, shown = w, face
+    return shown
+
+
+@njit(error_model="numpy")
 def luma_at(faces: Any, texels: Any, textures: Any, row: int, column: int) -> Any:
     """Return the luma of a pixel."""
-    red, green, blue = rays.colour_of(faces, rays.nearest_face(faces, row, column), texels, textures, row, column)
+    red, green, blue = rays.colour_of(faces, nearest_face(faces, row, column), texels, textures, row, column)
     return rays.luma(red, green, blue)
 
 
 @njit(error_model="numpy")
 def depth_at(faces: Any, row: int, column: int) -> Any:
     """Return the depth of a pixel, metres along the optical axis."""
-    face = rays.nearest_face(faces, row, column)
+    face = nearest_face(faces, row, column)
     w = rays.linear(faces, face, at.W, np.float32(column), np.float32(row)) if face else faces[0, at.FAR_W]
     return rays.ONE / w
 
@@ -214,7 +240,7 @@ def test_tiles_touch_every_face_that_they_show(appearance: Appearance) -> None:
             ends = [np.float32(end) for end in (48 * top, 48 * top + 47, 64 * left, 64 * left + 63)]
             touched = {face for face in range(1, count) if rays.touches(faces, face, *ends)}
             corners = [(48 * top + row, 64 * left + column) for row in (0, 13, 47) for column in (0, 29, 63)]
-            assert {rays.nearest_face(faces, *pixel) for pixel in corners} <= touched | {0}
+            assert {nearest_face(faces, *pixel) for pixel in corners} <= touched | {0}
 
 
 @needs_opengl

@@ -16,16 +16,18 @@ from tests.lanes import free_distance_m
 from uavaccel.config import load_yaml, validate
 from uavaccel.envs.obstacle_lane import LaneTask
 from uavaccel.errors import UserError
-from uavaccel.sim.lane.file import LaneFile, layout_from, parse_lane
 from uavaccel.sim.lane.layout import (
-    EVALUATION_SEEDS,
     LENGTH_M,
     MAX_OBSTACLES,
+    SPLIT_SIZE,
     WIDTH_M,
     Difficulty,
+    LaneFile,
     LaneLayout,
     Split,
     lane_seed,
+    layout_from,
+    parse_lane,
     sample_layout,
 )
 from uavaccel.wire.image_api import lane_layout
@@ -55,10 +57,10 @@ def test_layouts_are_reproducible_and_differ_by_seed() -> None:
     assert not equal(sample_layout(7), sample_layout(7, Difficulty(row_spacing_m=6.0)))
 
 
-@pytest.mark.parametrize(("split", "first"), [("evaluation", 0), ("training", 1_000_000)])
-def test_a_million_lanes_belong_to_each_split_and_none_to_both(split: Split, first: int) -> None:
+@pytest.mark.parametrize(("split", "first"), [("evaluation", 0), ("training", 1_000_000), ("test", 2_000_000)])
+def test_a_million_lanes_belong_to_each_split_and_none_to_two(split: Split, first: int) -> None:
     assert [lane_seed(split, index) for index in (0, 1, 999_999)] == [first, first + 1, first + 999_999]
-    for index in (-1, EVALUATION_SEEDS):
+    for index in (-1, SPLIT_SIZE):
         with pytest.raises(ValueError, match="must be at least 0"):
             lane_seed(split, index)
 

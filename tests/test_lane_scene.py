@@ -14,8 +14,15 @@ from tests.scenes import COLUMNS, ROWS, Pose, Scene, cast_rays, object_names
 from uavaccel.errors import UserError
 from uavaccel.kinematics import VelocityGoal
 from uavaccel.resources import asset
-from uavaccel.sim.lane.file import layout_from
-from uavaccel.sim.lane.layout import HULL_RADIUS_M, LENGTH_M, MAX_OBSTACLES, LaneLayout, clearance_m, sample_layout
+from uavaccel.sim.lane.layout import (
+    HULL_RADIUS_M,
+    LENGTH_M,
+    MAX_OBSTACLES,
+    LaneLayout,
+    clearance_m,
+    layout_from,
+    sample_layout,
+)
 from uavaccel.sim.lane.scene import apply_layout, obstacle_geoms
 from uavaccel.sim.vehicle.goal import of_velocity
 from uavaccel.sim.world import World

@@ -6,9 +6,19 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy import stats
+from scipy.spatial import KDTree
 
-from uavaccel.metrics.intervals import Proportion, bootstrap_interval, mcnemar_exact, median_interval
+from uavaccel.metrics.intervals import (
+    Proportion,
+    bootstrap_interval,
+    fisher_exact_p,
+    mcnemar_exact,
+    median_interval,
+    student_quantile,
+)
 from uavaccel.metrics.speedup import combined_provenance, speedup_interval, timing_provenance
+from uavaccel.metrics.stlc import stlc
 from uavaccel.metrics.trajectory import (
     Trajectory,
     command_gaps_s,
@@ -140,3 +150,33 @@ def test_mcnemar_counts_discordant_games_only() -> None:
 def test_mcnemar_needs_pairs() -> None:
     with pytest.raises(ValueError, match="paired"):
         mcnemar_exact([True], [True, False])
+
+
+# --- what SciPy computes, which the package does without --------------------------------------------------------------
+
+OUTCOMES = st.lists(st.tuples(st.booleans(), st.booleans()), min_size=1, max_size=80)
+
+
+@given(OUTCOMES, st.integers(1, 400))
+def test_intervals_and_exact_tests_are_scipys(outcomes: list[tuple[bool, bool]], degrees: int) -> None:
+    first, second = np.array(outcomes).T
+    (a, b), games = (int(first.sum()), int(second.sum())), len(outcomes)
+    wilson = stats.binomtest(a, games).proportion_ci(method="wilson")
+    assert Proportion(a, games).interval == pytest.approx((wilson.low, wilson.high), abs=1e-12)
+    found = mcnemar_exact(first, second)
+    assert (found.only_first, found.only_second) == (int((first > second).sum()), int((second > first).sum()))
+    decided = found.only_first + found.only_second
+    assert found.p_value == pytest.approx(stats.binomtest(found.only_first, decided).pvalue if decided else 1.0)
+    fisher = stats.fisher_exact([[a, games - a], [b, games + 5 - b]]).pvalue
+    assert fisher_exact_p((a, games), (b, games + 5)) == pytest.approx(fisher)
+    assert student_quantile(degrees) == pytest.approx(stats.t.ppf(0.975, degrees), rel=1e-10)
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 200), st.integers(1, 200))
+def test_stlc_in_space_is_that_of_scipys_nearest_neighbours(seed: int, count: int, others: int) -> None:
+    """Of ways that wander, which the search passes over in steps as long as it knows to be safe."""
+    random = np.random.default_rng(seed)
+    one, two = (np.cumsum(random.normal(size=(length, 3)), axis=0) for length in (count, others))
+    nearest = (np.exp(-KDTree(there).query(here)[0]).mean() for here, there in ((one, two), (two, one)))
+    found = stlc(np.arange(count), one, np.arange(others), two, lam=1.0)
+    assert found == pytest.approx(sum(nearest), abs=1e-12)

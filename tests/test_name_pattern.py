@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.airsim_wire import AirSimWire
-from uavaccel.sim.scene.name_pattern import matching
+from uavaccel.sim.scene.objects import matching
 from uavaccel.wire import rpc
 
 NAMES = ["", "a", "ab", "aab", "B", "TemplateCube_Rounded_45", "Ground", "x.y-z", "a{2}", "1 b", "Rück_ß"]

@@ -14,8 +14,8 @@ from uavaccel.envs.navigate import Navigate, NavigateTask
 from uavaccel.errors import UserError
 from uavaccel.kernels import fields
 from uavaccel.kernels import scene as in_scene
-from uavaccel.sim.clutter import layout as at
-from uavaccel.sim.clutter.layout import Clutter, sample_world
+from uavaccel.sim import clutter as at
+from uavaccel.sim.clutter import Clutter, sample_world
 from uavaccel.sim.profile import PROFILES
 from uavaccel.sim.world import World
 from uavaccel.wire.image_api import clutter_layout

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from uavaccel.vision.observation import dvs_observation
+from uavaccel.vision.dvs_sensor import dvs_observation
 
 
 def test_without_events_the_image_is_neutral_grey() -> None:

@@ -210,7 +210,7 @@ def test_what_was_measured_is_replayed_as_a_distribution(tmp_path: Path) -> None
     replayed = drawn_s(thinking_time(str(kept)))
     assert np.median(replayed) == pytest.approx(0.02, rel=0.05)
     assert np.quantile(replayed, 0.9) == pytest.approx(0.028, rel=0.05)
-    kept.write_text(kept.read_text().replace("latency:\n", "latency:\n  scale: 2.0\n"))
+    kept.write_text(kept.read_text().replace('"latency": {', '"latency": {"scale": 2.0,'))
     np.testing.assert_allclose(drawn_s(thinking_time(kept)), 2 * replayed, atol=2e-9)
 
 
@@ -226,7 +226,17 @@ HOVER: dict[str, Any] = {"timing": "virtual"}
         ({"latency_s": "nowhere.yaml"}, "nowhere.yaml: No such file or directory"),
         ({"latency_s": []}, r"latency_s: a sample is a list of seconds, not \[\]"),
         ({"latency_s": ["0.1"]}, r"latency_s: a sample is a list of seconds, not \['0.1'\]"),
-        ({"latency_s": None}, "latency_s: must be seconds, a list of them, a calibration file"),
+        ({"latency_s": {}}, "latency_s: must be seconds, a list of them, a calibration file"),
+        ({"delay_steps": 1}, "latency_s, delay_steps: each says how long the agent thinks; give one of them"),
+        ({"latency_s": None, "delay_steps": 0.5}, "delay_steps: must be a count of control periods, or a list .* 0.5"),
+        ({"latency_s": None, "delay_steps": [1, -1]}, r"delay_steps: must be a count .* not \[1, -1\]"),
+        ({"latency_s": None, "delay_steps": []}, r"delay_steps: must be a count .* not \[\]"),
+        ({"latency_s": None, "delay_steps": 10**6}, "delay_steps: 1000000 are 20000 seconds; at most 3600 may pass"),
+        ({"chunk": 4, "execute": 2, "early": 2}, "early: must be less than execute = 2, not 2"),
+        ({"chunk": 4, "early": 1, "overlap": True}, "early, overlap: each says when the agent observes again"),
+        ({"chunk": 4, "ensemble": -1}, "ensemble: must be a number of 0 or more, such as 0.01, not -1"),
+        ({"ensemble": 0.01}, "ensemble: needs a chunk of 2 or more actions"),
+        ({"frozen_prefix": True}, "frozen_prefix: needs a chunk of 2 or more actions"),
         ({"latency_s": Drawing(-1)}, "Drawing.sample_ns: must be 0 to 3.6e.12 nanosec"),
         ({"latency_s": Drawing(float("nan"))}, "Drawing.sample_ns: .* not nan"),
         ({"command": "stop"}, "command: must be 'adsc' or 'tcsc', not 'stop'"),
@@ -258,9 +268,10 @@ def test_a_value_that_does_not_fit_is_one_line(keys: dict[str, Any], said: str) 
          r"observe_age, observe_actions: need a Box of observations, not Discrete\(16\)"),
         ("uavaccel/Hover-v0", {}, {}, "Hover: timing = lockstep: make it with timing='virtual' to fly it in real time"),
         ("uavaccel/Hover-v0", HOVER, {}, "command: 'adsc' here, but 'tcsc' in Hover; give both the same"),
+        ("CartPole-v1", {}, {"default_action": 0, "chunk": 2, "ensemble": 0.0}, "ensemble: actions of a Discrete have"),
         *(
             ("uavaccel/Hover-v0", HOVER, {"command": "tcsc", **keys}, f"{next(iter(keys))}: leave it out: Hover's own")
-            for keys in ({"period_s": 5}, {"meanwhile": "default"}, {"chunk": 2}, {"overlap": True})
+            for keys in ({"period_s": 5}, {"meanwhile": "default"}, {"chunk": 2}, {"head_start": True})
         ),
     ],
 )  # fmt: skip

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
@@ -84,6 +83,8 @@ def drawn(generator: np.random.Generator) -> Drawn:
     number = one_of(float, np.float32, np.float64)
     latencies = [float(each) for each in generator.choice([0, 0.005, 0.02, 0.05, 0.1, 0.37], 3)]
     chunk = int(one_of(1, 1, 2, 3, 5))
+    execute = int(generator.integers(1, chunk + 1))
+    starts = one_of({"overlap": False}, {"overlap": True}, {"early": int(generator.integers(0, execute))})
     keys: dict[str, Any] = {
         "latency_s": one_of(number(latencies[0]), latencies, tuple(latencies), np.array(latencies, np.float32)),
         "command": one_of("adsc", "adsc", "adsc", "tcsc"),
@@ -91,10 +92,14 @@ def drawn(generator: np.random.Generator) -> Drawn:
         "meanwhile": one_of("hold", "default"),
         "default_action": one_of(None, [-0.5], np.full(1, 0.25, np.float64)),
         "chunk": np.int64(chunk),
-        "execute": one_of(None, int(generator.integers(1, chunk + 1))),
-        "overlap": one_of(False, True),
+        "execute": one_of(None, execute) if "overlap" in starts else execute,
+        **starts,
+        "head_start": one_of(False, False, True),
+        "frozen_prefix": chunk > 1 and one_of(False, True),
+        "ensemble": one_of(None, None, 0, 0.3) if chunk > 1 else None,
         "observe_age": one_of(False, True),
         "observe_actions": np.int32(one_of(0, 1, 3)),
+        "observe_planned": np.int32(one_of(0, 0, 2)),
     }
     tick_s, period, refused = float(one_of(0.02, 0.05, 0.03)), 1, ""
     kind = one_of("dt", "tau", "period_s", "physical", "physical", "fixed")
@@ -115,6 +120,10 @@ def drawn(generator: np.random.Generator) -> Drawn:
     elif kind == "fixed":
         refused = "has made"
     listed = latencies[:1] if np.ndim(keys["latency_s"]) == 0 else latencies
+    if one_of(False, False, True):
+        steps = [int(each) for each in generator.integers(0, 7, 3)]
+        keys |= {"latency_s": None, "delay_steps": one_of(np.int64(steps[0]), steps, tuple(steps))}
+        listed = [each * period * tick_s / float(str(keys["clock_speed"])) for each in steps]
     return Drawn(env, keys, tick_s, period, min([10**9, *limits]), listed, refused)
 
 
@@ -126,55 +135,63 @@ class Reference:
         default = given.keys["default_action"]
         self.default = 0.0 if default is None else float(default[0])
         self.ticks: list[float] = []
-        self.plan: list[float] = []  # actions of the ticks to come
+        self.chunks: list[tuple[int, list[float]]] = []  # the tick at which each begins, and its actions
         self.latest = [0.0] * int(given.keys["observe_actions"] * given.keys["chunk"])
-        self.terminated = self.truncated = False
+        self.terminated = self.truncated = self.has_acted = False
         self.paused_s = 0.0
 
-    def pieces(self, ticks: int) -> Iterator[list[float]]:
-        """Yield the actions of so many ticks in calls of the environment: at most a period, and of one action."""
-        while ticks > 0:
-            period = self.given.period
-            if self.plan:
-                count = min((len(self.plan) - 1) % period + 1, ticks)
-                piece, self.plan = self.plan[:count], self.plan[count:]
-            else:
-                held = self.ticks[-1] if self.ticks else self.default
-                idle = held if self.keys["meanwhile"] == "hold" else self.default
-                piece = [idle] * min(period, ticks)
-            ticks -= len(piece)
-            yield piece
+    def at(self, tick: int) -> tuple[float, int]:
+        """Return the action of a tick as planned now, and the ticks for which it stays, at most a period."""
+        period, holds = self.given.period, self.keys["meanwhile"] == "hold"
+        there = [(tick - begin, chunk) for begin, chunk in self.chunks if tick - begin < len(chunk) * period]
+        if there:
+            actions = [chunk[since // period] for since, chunk in there]
+            weights = [math.exp(-(self.keys["ensemble"] or 0.0) * place) for place in range(len(actions))]
+            mean = sum(weight * action for weight, action in zip(weights, actions, strict=True)) / sum(weights)
+            return mean, min(period - since % period for since, _ in there)
+        last = self.ticks[-1] if self.ticks else self.default
+        if self.chunks and len(self.ticks) - self.chunks[-1][0] < len(self.chunks[-1][1]) * period:
+            last = self.chunks[-1][1][-1]
+        return (last if holds else self.default), period
 
     def pass_on(self, ticks: int) -> int:
-        """Let ticks pass until the episode ends; return how many have."""
+        """Let ticks pass until the episode ends, in calls of the environment; return how many have."""
         before = len(self.ticks)
-        for piece in self.pieces(ticks):
-            self.ticks += piece
+        while ticks > 0 and not (self.terminated or self.truncated):
+            action, stays = self.at(len(self.ticks))
+            piece = min(stays, ticks)
+            self.ticks += [action] * piece
+            ticks -= piece
             self.terminated = len(self.ticks) >= self.given.env.unwrapped.end  # type: ignore[attr-defined]
             self.truncated = len(self.ticks) // self.given.period >= self.given.limit
-            if self.terminated or self.truncated:
-                break
         return len(self.ticks) - before
+
+    def planned(self, periods: int) -> list[float]:
+        return [self.at(len(self.ticks) + place * self.given.period)[0] for place in range(periods)]
 
     def step(self, chunk: list[float], latency_s: float) -> Result:
         """Return the observation, the two ends, and reward, thinking, meanwhile, simulated and wall seconds."""
         given, keys, start = self.given, self.keys, len(self.ticks)
-        speed = float(str(keys["clock_speed"]))
-        due = math.ceil(round(latency_s * speed / given.tick_s, 9)) if keys["command"] == "adsc" else 0
-        thought = self.pass_on(due)
+        speed, early = float(str(keys["clock_speed"])), keys.get("early", 0)
+        paused = keys["command"] == "tcsc" or (keys["head_start"] and not self.has_acted)
+        due = 0 if paused else math.ceil(round(latency_s * speed / given.tick_s, 9))
+        waited = self.pass_on(max(due, early * given.period if self.has_acted else 0))
         if not (self.terminated or self.truncated):
-            self.plan = [each for each in chunk for _ in range(given.period)]
-            acts = (keys["execute"] or len(chunk)) * given.period
-            self.pass_on(max(acts - due, 0) if keys["overlap"] else acts)
+            begin = len(self.ticks) - (waited if keys["frozen_prefix"] else 0)
+            self.chunks = [*(self.chunks if keys["ensemble"] is not None else []), (begin, chunk)]
+            acts = ((keys["execute"] or len(chunk)) - early) * given.period
+            self.pass_on(max(acts - waited, 0) if keys.get("overlap") else acts)
+            self.has_acted = True
         observation = [float(len(self.ticks))]
         if keys["observe_age"]:
-            observation.append(thought * given.tick_s)
+            observation.append(waited * given.tick_s)
         self.latest = [*self.latest, *chunk][len(chunk) :] if self.latest else []
         reward = sum(self.ticks[start:]) / given.period
         simulated_s = len(self.ticks) * given.tick_s
-        self.paused_s += latency_s * (keys["command"] == "tcsc")
-        told = [reward, latency_s, thought * given.tick_s, simulated_s, simulated_s / speed + self.paused_s]
-        return [*observation, *self.latest], self.terminated, self.truncated, told
+        self.paused_s += latency_s * paused
+        told = [reward, latency_s, waited * given.tick_s, simulated_s, simulated_s / speed + self.paused_s]
+        seen = [*observation, *self.latest, *self.planned(int(keys["observe_planned"]))]
+        return seen, self.terminated, self.truncated, told
 
 
 def differences(seed: int) -> str:
@@ -203,12 +220,15 @@ def episode_differs(env: Any, given: Drawn, generator: np.random.Generator) -> s
         assert env.observation_space.contains(observation)
         observation, reward, terminated, truncated, info = env.step(buffer)
         buffer[:] = 0.875
-        if not np.isclose(given.latencies_s, info["thinking_s"], rtol=0, atol=1e-12).any():
+        if not np.isclose(given.latencies_s, info["thinking_s"], rtol=0, atol=2e-9).any():
             return f"{info['thinking_s']} is not in {given.latencies_s}"
         expected = reference.step(values, info["thinking_s"])
         told = [*observation.ravel().tolist(), reward, *(info[key] for key in TOLD)]
         same = np.allclose(told, [*expected[0], *expected[3]], rtol=1e-6, atol=1e-8)
-        if not same or (terminated, truncated) != expected[1:3] or inside.ticks != reference.ticks:
+        same = same and len(inside.ticks) == len(reference.ticks) and np.allclose(inside.ticks, reference.ticks)
+        if given.keys["frozen_prefix"]:
+            same = same and np.allclose(info["planned"].ravel(), reference.planned(int(given.keys["chunk"])))
+        if not same or (terminated, truncated) != expected[1:3]:
             return f"{told} {terminated} {truncated} {inside.ticks}, expected {expected} {reference.ticks}"
         if terminated or truncated:
             break

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import closing
 from typing import Any
 
 import numpy as np
@@ -14,11 +13,10 @@ from uavaccel import open_session
 from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
 from uavaccel.errors import UserError
 from uavaccel.kinematics import VelocityGoal
-from uavaccel.sim.lane.file import layout_from
-from uavaccel.sim.lane.layout import Difficulty, sample_layout
+from uavaccel.sim.lane.layout import Difficulty, layout_from, sample_layout
 from uavaccel.sim.lane.scene import named
 from uavaccel.sim.profile import NATIVE
-from uavaccel.sim.state import physics_state
+from uavaccel.sim.scene.model import physics_state
 from uavaccel.sim.vehicle.goal import of_velocity
 from uavaccel.sim.world import World
 from uavaccel.units import mujoco_to_ned
@@ -127,16 +125,6 @@ def test_clients_change_the_scenery_and_find_the_same_objects() -> None:
     plain, forest = seen
     assert forest[:3] == plain[:3]
     assert (forest[3] != plain[3]).mean() > 0.9
-
-
-@pytest.mark.opengl
-def test_a_saved_game_goes_on_in_its_wood() -> None:
-    first, other = ObstacleLane(**FOREST), ObstacleLane(**FOREST)
-    with closing(first), closing(other):
-        first.reset(seed=1)
-        first.step(2)
-        other.set_state(first.get_state())
-        np.testing.assert_array_equal(first.step(3)[0], other.step(3)[0])
 
 
 def test_sceneries_that_there_are_not_are_refused() -> None:

@@ -44,28 +44,7 @@ def test_a_seed_is_a_games_latencies_and_wall_time_begins_anew() -> None:
     assert len(set(games[0])) == 4
 
 
-def test_a_game_that_goes_on_elsewhere_knows_what_it_knew() -> None:
-    """The state in which a continue-for left it needs no question; what may have changed is asked for."""
-    with open_session("virtual", latency=SLOW) as first, open_session("virtual", latency=SLOW) as other:
-        client = first.start_game(5.0)
-        client.move_async(VelocityGoal((1.0, 0.0, 0.0)), 1.0)
-        state = client.continue_for(100 * MS)
-        for is_known in (True, False):
-            if not is_known:
-                client.run()
-                client.pause()
-            saved = first.get_state()
-            assert saved is not None
-            again = other.set_state(saved)
-            begun_ns = again.now_ns()
-            assert (begun_ns, again.clock_speed) == (client.now_ns(), 5.0)
-            now = again.kinematics()
-            assert again.now_ns() - begun_ns == (0 if is_known else 1_500_000)
-            assert (now == state) is is_known
-            assert now == client.kinematics()
-
-
-def test_a_game_is_at_its_height_and_speed_and_alone_on_its_connection() -> None:
+def test_a_game_has_its_height_speed_and_connection() -> None:
     with VirtualSession("blocks", "native") as session:
         client = session.start_game(5.0, height_m=-3.0)
         assert client.clock_speed == client.speed()["clock_speed"] == 5.0

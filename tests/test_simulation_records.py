@@ -16,7 +16,8 @@ from uavaccel.sim import recording as recordings
 from uavaccel.sim.profile import AIRSIM, NATIVE, Profile
 from uavaccel.sim.recording import Recording
 from uavaccel.sim.simulation import MOST_CATCH_UP_TICKS, Simulation
-from uavaccel.sim.vehicle import samples
+from uavaccel.sim.vehicle import vehicle as samples
+from uavaccel.sim.vehicle.vehicle import AddedVehicle, Start
 from uavaccel.sim.world import World
 
 TICK_NS = NATIVE.tick_ns
@@ -118,9 +119,7 @@ def test_a_full_command_log_keeps_the_first_commands_as_the_samples_do(monkeypat
     fly_velocity(simulation, NORTH, 1.0, go_to(simulation, 120))
     simulation.lead.end(False, go_to(simulation, 130))
     assert log.ticks().tolist() == [[10, 20], [30, 40], [50, 60]]
-    copy = type(log)()
-    copy.set_state(log.get_state())
-    assert (copy.last_goal(130, 7), copy.dropped, len(copy)) == (127, 3, 3)
+    assert (log.last_goal(130, 7), log.dropped, len(log)) == (127, 3, 3)
 
 
 # --- speed ----------------------------------------------------------------------------------------------
@@ -167,6 +166,29 @@ def test_no_more_is_made_good_at_once_than_others_can_wait_for(clock_speed: floa
     speed = simulation.speed
     made_good_ns = simulation.world.tick * TICK_NS / clock_speed
     assert speed.wall_ns - speed.lost_wall_ns == pytest.approx(made_good_ns, rel=1e-3)
+
+
+def test_several_vehicles_make_good_as_much_together_as_one() -> None:
+    simulation = Simulation(World("blocks", NATIVE), 1000.0, catch_up_wall_ns=CATCH_UP_NS)
+    simulation.add_vehicles([AddedVehicle(f"V{n}", Start((3.0 * n, 5.0, -9.0))) for n in range(4)])
+    simulation.advance_to(CATCH_UP_NS)
+    assert simulation.world.tick == MOST_CATCH_UP_TICKS // 5 + 1
+
+
+def test_whoever_watches_is_called_at_its_own_ticks() -> None:
+    """Counted from its first one; one that ends itself is called no more."""
+    world = simulate().world
+    seen: dict[str, list[int]] = {"all": [], "once": []}
+    ends = [world.watch(10, seen["all"].append, first_tick=3), world.watch(4, lambda tick: once(tick))]
+
+    def once(tick: int) -> None:
+        seen["once"].append(tick)
+        ends[1]()
+
+    assert [world.advance(ticks) for ticks in (5, 20, 8)] == [5, 20, 8]
+    ends[0]()
+    world.advance(20)
+    assert seen == {"all": [3, 13, 23, 33], "once": [4]}
 
 
 held_up = st.lists(st.integers(0, 3 * CATCH_UP_NS), min_size=1, max_size=12)
@@ -324,34 +346,3 @@ def test_the_trace_tells_what_happened_when() -> None:
         ("end", 1_002_000, 100_000_000),
         ("pause", 2_002_000, 200_000_000),
     ]
-
-
-# --- going on after a stop ------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("profile", [NATIVE, AIRSIM])
-def test_a_saved_simulation_ends_its_continue_for_when_it_would_have(profile: Profile) -> None:
-    """At a tick, or by a wall timer; the wall time of a pause is no time in which it ran."""
-    flown = []
-    for saved in (False, True):
-        simulation = simulate(3.0, profile)
-        simulation.pause(0)
-        simulation.advance_to(40_000_000)
-        simulation.continue_for(90 * profile.tick_ns, 40_000_000)
-        simulation.advance_to(50_000_000)
-        if saved:
-            state = {name: np.asarray(value) for name, value in simulation.get_state().items()}
-            simulation = simulate(1.0, profile)
-            simulation.set_state(state)
-        assert not simulation.paused
-        event_ns = simulation.next_event_wall_ns()
-        assert event_ns == 40_000_000 + 30 * profile.tick_ns
-        simulation.advance_to(event_ns - 1)
-        assert not simulation.paused
-        simulation.advance_to(event_ns)
-        simulation.advance_to(event_ns + 70_000_000)
-        assert (simulation.paused, simulation.world.tick) == (True, 90)
-        assert (simulation.speed.simulated_ns, simulation.speed.wall_ns) == (90 * profile.tick_ns, 30 * profile.tick_ns)
-        assert simulation.speed.real_time_factor == 3.0
-        flown.append(position(simulation).tolist())
-    assert flown[0] == flown[1]

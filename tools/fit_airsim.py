@@ -36,7 +36,7 @@ T_MOVES_S = (0.1, 0.2, 0.5, 1.0)
 SIGMA = 0.5  # of the logarithm of every latency: its 95 % quantile is 2.3 times its median; chosen, not fitted
 GAMES = 2  # of each cell
 TAIL = 0.9999  # where a log-normal distribution, which has no largest value, is cut off
-FRAMES = FrameConfig(hz=60.0, stale_pose=True)  # of Unreal, for images; not fitted: sources in uavaccel.sim.frames
+FRAMES = FrameConfig(hz=60.0, stale_pose=True)  # of Unreal, for images; not fitted: sources in uavaccel.sim.simulation
 ISSUE_US = 100.0  # of Python's msgpack-rpc client: packing and sending without waiting; measured elsewhere, not fitted
 
 

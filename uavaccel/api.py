@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 
 from uavaccel.config import Config, dotted_keys
 from uavaccel.errors import UserError, suggestion
-from uavaccel.files import inside
 from uavaccel.own_code import file_of
 from uavaccel.records import RunDirectory
 
@@ -21,9 +20,6 @@ if TYPE_CHECKING:  # it loads Gymnasium
     from uavaccel.envs.task import Task
     from uavaccel.envs.values import Batch
     from uavaccel.suites.session import RunRequest
-
-SHORT = ("lane", "hover", "gates", "navigate")
-"""Names of the environments that ship, in the order of `ENVIRONMENTS`."""
 
 
 def make(
@@ -107,16 +103,9 @@ def film(source: str | Path | RunDirectory, case: str | None = None, out: str | 
     It is `out` or below films/ in the run, a contact sheet beside it. Raises UserError where there is no such game or
     no images, and where nothing can draw.
     """
-    from uavaccel.draw.film import write_contact_sheet, write_video
-    from uavaccel.sim.camera.gl import describe_renderer
-    from uavaccel.suites.flight import film_of, flight_of
+    from uavaccel.suites.flight import film_game
 
-    describe_renderer()
-    name, flight = flight_of(folder := _folder(source), case)
-    movie, shown = _path(out) or inside(Path(folder), f"films/{name}.mp4"), film_of(flight)
-    movie.parent.mkdir(parents=True, exist_ok=True)
-    write_contact_sheet(shown, movie.with_suffix(".png"))
-    return write_video(shown, movie)
+    return film_game(_folder(source), case, movie=_path(out))[0]
 
 
 def _environment(task: Any) -> type[FlightEnv[Any]]:
@@ -126,9 +115,9 @@ def _environment(task: Any) -> type[FlightEnv[Any]]:
     if isinstance(task, type) and issubclass(task, Task | FlightEnv):
         own: Any = task
         return environment_of(own)
-    from uavaccel.rl.config import ENVIRONMENTS, environment_class
+    from uavaccel.rl.config import ENVIRONMENTS, SHORT, environment_class
 
-    if (env_id := dict(zip(SHORT, ENVIRONMENTS, strict=True)).get(task, task)) not in ENVIRONMENTS:
+    if (env_id := SHORT.get(task, task)) not in ENVIRONMENTS:
         raise UserError(f"task {task!r}: is unknown; {suggestion(str(task), [*SHORT, 'a class of Task or FlightEnv'])}")
     return environment_class(env_id)
 

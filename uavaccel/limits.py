@@ -4,9 +4,10 @@ from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Field
 
+from uavaccel.units import CLOCK_SPEEDS
+
 MOST_GAMES = 1_000_000
 MOST_ROUNDS = 100_000
-CLOCK_SPEEDS = (1e-3, 1e5)
 MOST_SPEED_M_S = 1_000.0
 MOST_HEIGHT_M = 4_000.0  # in the thinner air above, the quadrotor soon cannot hover
 MOST_SECONDS = 86_400.0
@@ -15,7 +16,6 @@ MOST_SCALE = 1_000.0
 MOST_PROCESSES = 1_024
 MOST_LANES = 65_536  # over arrays
 MOST_SEEDS = 1 << 32
-MOST_ACTIONS = 4_096  # of a chunk, or observed
 
 CommandName = Annotated[
     Literal["adsc", "tcsc"], BeforeValidator(lambda name: name.lower() if isinstance(name, str) else name)

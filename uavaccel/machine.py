@@ -12,7 +12,7 @@ from uavaccel.files import Plain
 from uavaccel.resources import source_tree
 
 _PACKAGES = ("gymnasium", "llvmlite", "mujoco", "numba", "numpy", "opencv-python-headless", "torch")
-_OF_EXTRAS = ("stable-baselines3",)  # where it is installed
+_OF_EXTRAS = ("onnxruntime", "stable-baselines3")  # where it is installed
 _ENVIRONMENT = ("LP_NUM_THREADS", "MUJOCO_GL", "NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 
 
@@ -23,23 +23,32 @@ def describe_run(
 
     `start_time` is ISO 8601 text from a clock, `gl_renderer` the GL_RENDERER of the context in use, if any.
     """
-    versions: dict[str, str | None] = {"uavaccel": uavaccel.__version__, "python": platform.python_version()}
-    versions |= {package: _version(package) for package in _PACKAGES}
-    versions |= {package: at for package in _OF_EXTRAS if (at := _version(package))}
-    host = {"platform": platform.platform(), "cpu_model": _cpu_model(), "cores": usable_cores()}
     return {
         "command_line": list(command_line),
         "start_time": start_time,
         "seed": seed,
-        "versions": versions,
+        "versions": versions(),
         "git": _git(),
-        "host": {**host, "memory_bytes": memory_bytes()},
+        "host": {**host(), "memory_bytes": memory_bytes()},
         "gl_renderer": gl_renderer,
         "environment": {name: os.environ.get(name) for name in _ENVIRONMENT},
     }
 
 
-def _version(package: str) -> str | None:
+def versions() -> dict[str, str | None]:
+    """Return the versions of uavaccel, of Python and of the packages that fly, None for one that is not installed."""
+    found: dict[str, str | None] = {"uavaccel": uavaccel.__version__, "python": platform.python_version()}
+    found |= {package: version_of(package) for package in _PACKAGES}
+    return found | {package: at for package in _OF_EXTRAS if (at := version_of(package))}
+
+
+def host() -> dict[str, Plain]:
+    """Return what is known of this machine's system and processor."""
+    return {"platform": platform.platform(), "cpu_model": _cpu_model(), "cores": usable_cores()}
+
+
+def version_of(package: str) -> str | None:
+    """Return the version of an installed package; None for one that is not."""
     try:
         return version(package)
     except PackageNotFoundError:

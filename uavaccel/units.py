@@ -18,6 +18,10 @@ from numpy.typing import ArrayLike, NDArray
 from uavaccel.errors import UserError
 
 NS_PER_S = 1_000_000_000
+CLOCK_SPEEDS = (1e-3, 1e5)
+"""Least and most simulated seconds per second of wall time: far beyond any use."""
+QUANTILES = (0.0, 0.01, 0.05, 0.1, 0.25, 0.5, 0.75, 0.9, 0.95, 0.99, 0.999, 1.0)
+"""Of measured times, those that a calibration file keeps."""
 _FLIP_VECTOR = np.array([1.0, -1.0, -1.0])
 _FLIP_QUATERNION = np.array([1.0, 1.0, -1.0, -1.0])
 

@@ -1,23 +1,33 @@
-"""A client's connection to a server: calls that block, and calls that return a future.
+"""A client's connection to a server, and the declaration of AirSim's calls over it.
 
-The future's members have the names of msgpack-rpc, which AirSim's scripts use: `join`, `get`, `result`, `error`.
+A call blocks, or returns a future, whose members have the names of msgpack-rpc, which AirSim's scripts use: `join`,
+`get`, `result`, `error`. A method's signature says what is sent, its annotations how arguments and answer convert:
+
+@remote
+def simGetVehiclePose(self, vehicle_name: str = "") -> Pose: ...
 """
 
 from __future__ import annotations
 
+import functools
+import inspect
+import operator
 import sys
 import threading
 import weakref
 from collections.abc import Callable, Mapping
-from typing import Protocol
+from typing import TYPE_CHECKING, Annotated, Protocol, TypeVar, get_args, get_origin, get_type_hints
 
 import numpy as np
 
+from uavaccel.airsim.types import MsgpackMixin
 from uavaccel.clock import MonotonicClock, wait_for_sockets
 from uavaccel.units import NS_PER_S
 from uavaccel.wire import rpc
-from uavaccel.wire.rpc import Received
-from uavaccel.wire.rpc_socket import RpcSocket
+from uavaccel.wire.rpc import Received, RpcSocket
+
+if TYPE_CHECKING:
+    from uavaccel.airsim.client import VehicleClient
 
 _printed: set[str] = set()
 _AS_THEY_ARE = (bool, int, float, str, bytes, type(None))
@@ -182,3 +192,79 @@ def as_received(value: object) -> object:
     if isinstance(value, dict) and any(isinstance(inner, np.ndarray) for inner in value.values()):
         return {key: as_received(inner) for key, inner in value.items()}
     return value
+
+
+CameraName = Annotated[str | int, str]
+Mirrored = Annotated[float, operator.neg]
+"""An angle or a rate whose sign is the opposite one on the wire."""
+Declared = TypeVar("Declared", bound=Callable[..., object])
+
+
+def remote(declared: Declared) -> Declared:
+    """Make a declared method send the call of its name, without "Async", and its arguments in their order.
+
+    An argument annotated with `Annotated` is converted by the annotation's function before it is sent. The answer is
+    converted to the annotated return type; a method annotated to return a `Future` returns it at once.
+    """
+    name = declared.__name__.removesuffix("Async")
+    _, *parameters = inspect.signature(declared).parameters.values()
+    defaults = tuple(parameter.default for parameter in parameters if parameter.default is not parameter.empty)
+    required = len(parameters) - len(defaults)
+    hints = get_type_hints(declared, include_extras=True)
+    annotated = [(place, hints.get(parameter.name)) for place, parameter in enumerate(parameters)]
+    conversions = [
+        (place, hint.__metadata__[0]) for place, hint in annotated if hint is not None and get_origin(hint) is Annotated
+    ]
+    answer = _answer(hints["return"])
+
+    @functools.wraps(declared)
+    def call(self: VehicleClient, *arguments: object, **named: object) -> object:
+        if named or not required <= len(arguments) <= len(parameters):
+            declared(self, *arguments, **named)  # raises TypeError where they do not fit
+            rest = parameters[len(arguments) :]
+            arguments += tuple(named.get(each.name, each.default) for each in rest)
+        params = [*arguments, *defaults[len(arguments) - required :]]
+        for place, convert in conversions:
+            params[place] = convert(params[place])
+        if answer is None:
+            return self.client.call_async(name, *params)
+        return answer(self.client.call(name, *params))
+
+    return call  # type: ignore[return-value]
+
+
+class Untyped:
+    """Declares the call of its attribute's name by required parameters and defaults; nothing is converted."""
+
+    def __init__(self, *required: str, **defaults: object) -> None:
+        kind = inspect.Parameter.POSITIONAL_OR_KEYWORD
+        parameters = [inspect.Parameter(each, kind) for each in ("self", *required)]
+        parameters += [inspect.Parameter(default, kind, default=value) for default, value in defaults.items()]
+        self._signature = signature = inspect.Signature(parameters)
+
+        def declared(*arguments: object, **named: object) -> object:
+            return signature.bind(*arguments, **named)
+
+        declared.__signature__ = signature  # type: ignore[attr-defined]
+        self._declared = declared
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self._declared.__name__ = name
+        self._declared.__qualname__ = f"{owner.__name__}.{name}"
+        setattr(owner, name, remote(self._declared))
+
+
+def _answer(annotation: type) -> Callable[[Received], object] | None:
+    """Return what converts a server's answer to the annotated type; None for a `Future`, which is awaited."""
+    if annotation is Future:
+        return None
+    if annotation is object:
+        return lambda answer: answer
+    if annotation is type(None):
+        return lambda answer: None
+    if get_origin(annotation) is list:
+        (each,) = get_args(annotation)
+        if issubclass(each, MsgpackMixin):
+            return lambda answers: [each.from_msgpack(one) for one in answers]
+        return list
+    return annotation.from_msgpack if issubclass(annotation, MsgpackMixin) else annotation

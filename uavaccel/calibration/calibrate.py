@@ -24,7 +24,7 @@ from uavaccel.clock import calendar_time
 from uavaccel.commands import COMMANDS, SynchronousCommand, VelocityGoal
 from uavaccel.config import dump_yaml
 from uavaccel.files import Plain
-from uavaccel.machine import describe_run
+from uavaccel.machine import host
 from uavaccel.metrics.trajectory import mean_position_rmse
 from uavaccel.units import NS_PER_S
 from uavaccel.wire.client import Client
@@ -166,10 +166,10 @@ class Latencies:
 
 def model_file(latencies: Latencies, profile: str, verdict: str) -> str:
     """Return the YAML of a latency model, with what it was measured on in comments."""
-    host = describe_run([], 0, "")["host"]
+    machine = host()
     return (
         f"# Measured by `uavaccel timing calibrate`, profile {profile}, on {calendar_time()}; machine: {verdict}\n"
-        f"# {host['cpu_model']}, {host['cores']} cores, {host['platform']}\n# {latencies.counts()}\n"
+        f"# {machine['cpu_model']}, {machine['cores']} cores, {machine['platform']}\n# {latencies.counts()}\n"
         + dump_yaml({"latency": latencies.block()})
     )
 

@@ -27,6 +27,7 @@ GRIDS = ("clock_speed", "command", "t_move_s", "rounds")
 @requests(*KEYS, several=GRIDS)
 def run(
     request: RunRequest,
+    context: typer.Context,
     names: Annotated[
         list[str] | None,
         typer.Argument(
@@ -51,8 +52,10 @@ def run(
         for name, about in experiments().items():
             console.print(f"{name:20}  {about}")
     elif report:
-        if request.overrides or replace(request, overrides=(), trust=False) != type(request)(None, dict.fromkeys(KEYS)):
-            raise UsageError("--report: flies nothing; beside run directories it takes --trust alone")
+        sources = {each.opts[0]: context.get_parameter_source(each.name or "") for each in context.command.params}
+        given = [option for option, source in sources.items() if source is not None and source.name == "COMMANDLINE"]
+        if others := [option for option in given if option not in ("names", "--report", "--trust")]:
+            raise UsageError(f"--report: flies nothing; beside run directories it takes --trust alone, not {others[0]}")
         report_runs(list(map(Path, names)), request.trust)
     elif len(names) > 1:
         raise UsageError(f"run: flies one experiment, not {len(names)}: {', '.join(names)}")
@@ -226,10 +229,10 @@ def evaluate_agent(request: RunRequest, against: Path | None, films: bool) -> No
 
 def film_extremes(run: RunDirectory) -> None:
     """Write films and contact sheets of the best game and the worst, which the report shows, where there is OpenGL."""
-    from uavaccel.cli.results import film_game
     from uavaccel.envs.simulators import EXACT
     from uavaccel.sim.camera.gl import describe_renderer
     from uavaccel.suites.evaluate import Evaluation
+    from uavaccel.suites.flight import film_game
 
     try:
         describe_renderer()
@@ -241,7 +244,8 @@ def film_extremes(run: RunDirectory) -> None:
         console.print("films: both games once more in the exact simulator, where they may end otherwise")
     for number, (name, row) in enumerate({"best": order[0], "worst": order[-1]}.items(), start=1):
         console.print(f"film {number} of 2, before the report: {row['case']}, the {name} game, flown again")
-        film_game(run.path, row["case"], None, run.file(f"films/{name}.mp4"))
+        for path in film_game(run.path, row["case"], None, run.file(f"films/{name}.mp4"), working):
+            console.print(str(path))
 
 
 def sweep_agent(request: RunRequest, sweep: list[str], against: Path | None) -> None:

@@ -21,6 +21,7 @@ from uavaccel import __version__
 from uavaccel.cli.airsim import fly, serve
 from uavaccel.cli.experiments import evaluate, run, train
 from uavaccel.cli.machine import advise, bench, calibrate, doctor, init
+from uavaccel.cli.realtime import certify, measure
 from uavaccel.cli.results import export, watch
 from uavaccel.errors import UsageError, UserError, mistake_of
 from uavaccel.processes.stalls import guard_children
@@ -80,9 +81,9 @@ for panel, commands in PANELS.items():
         _add(command, app, {"allow_interspersed_args": command is not fly}, rich_help_panel=panel)
 _add(bench, app, OF_OTHERS, hidden=True)
 timing = _group()
-for command in (advise, calibrate):
+for command in (advise, calibrate, measure, certify):
     _add(command, timing)
-ABOUT_TIMING = "How fast may ADSC fly: advise; what do messages take: calibrate."
+ABOUT_TIMING = "Latency of messages: calibrate, advise; policies: measure, certify."
 app.add_typer(timing, name=TIMING, help=ABOUT_TIMING, short_help=ABOUT_TIMING, rich_help_panel="Machine")
 
 
@@ -146,11 +147,20 @@ def _as_ctrl_c(number: int, frame: FrameType | None) -> None:
 def _status_of(error: Exception) -> int:
     """Print the line of a user's mistake, and return its exit status. Raises any other error."""
     if hasattr(error, "format_message"):  # an error of the command line's library
-        return _complain(error.format_message(), 2)
+        return _complain(_usage(error), 2)
     mistake = mistake_of(error)
     if mistake is None:
         raise error
     return _complain(str(mistake), mistake.exit_status)
+
+
+def _usage(error: Any) -> str:
+    """Return what the command line's library says, with the option's value where that does not fit."""
+    if not hasattr(error.__cause__, "errors"):
+        return str(error.format_message())
+    (first, *_) = error.__cause__.errors()  # pydantic's
+    wanted = first["msg"].removeprefix("Input ").partition(",")[0]
+    return f"{error.param.opts[0]} {first['input']}: {wanted}"
 
 
 def _complain(message: str, status: int) -> int:

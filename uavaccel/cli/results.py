@@ -57,24 +57,10 @@ def watch(
         elif Path(run, TRAJECTORY).is_file():
             raise UsageError(f"--film: {run} has no images; fly the script with uavaccel fly --out FOLDER --film")
         else:
-            film_game(run, case, game, film)
+            from uavaccel.suites.flight import film_game
 
-
-def film_game(source: str | Path, case: str | None, game: int | None, movie: Path) -> None:
-    """Write the film of a game, as `flight_of` finds it, and its contact sheet beside it, and print their paths.
-
-    Raises UserError where nothing can draw, there is no such game, or it has no images.
-    """
-    from uavaccel.draw.film import write_contact_sheet, write_video
-    from uavaccel.sim.camera.gl import describe_renderer
-    from uavaccel.suites.flight import film_of, flight_of
-
-    describe_renderer()  # where nothing can draw, this says so
-    with working("the game"):
-        film = film_of(flight_of(source, case, game)[1])
-    with working(movie.name, len(film)) as written:
-        console.print(str(write_video(film, movie, written=written)))
-    console.print(str(write_contact_sheet(film, movie.with_suffix(".png"))))
+            for path in film_game(run, case, game, film, working):
+                console.print(str(path))
 
 
 def export(

@@ -114,12 +114,12 @@ class Progress:
 
 
 @contextmanager
-def working(name: str, steps: int | None = None) -> Iterator[Callable[[], object]]:
+def working(name: str, steps: int = 0) -> Iterator[Callable[[], object]]:
     """Show on a terminal what is worked on, and yield the function that counts a step of it.
 
     Without `steps` the bar only moves. Elsewhere than on a terminal nothing is shown.
     """
     columns = BarColumn(), TextColumn("{task.description}", markup=False)
     with Bar(*columns, console=console, disable=not console.is_terminal, transient=True) as bar:
-        task = bar.add_task(name, total=steps)
+        task = bar.add_task(name, total=steps or None)
         yield lambda: bar.advance(task)

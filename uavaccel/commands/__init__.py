@@ -25,6 +25,7 @@ class Fly(Protocol):
         t_move_s: float,
         t_sample_s: float,
         t_th_ns: int = 0,
+        late_ns: int = 0,
     ) -> Iterator[SampleT]: ...
 
 

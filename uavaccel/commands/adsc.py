@@ -18,9 +18,14 @@ def begin(client: Pausable) -> None:
 
 
 def adsc(
-    client: MissionClient[FutureT, SampleT], goal: FlightGoal, t_move_s: float, t_sample_s: float, t_th_ns: int = 0
+    client: MissionClient[FutureT, SampleT],
+    goal: FlightGoal,
+    t_move_s: float,
+    t_sample_s: float,
+    t_th_ns: int = 0,
+    late_ns: int = 0,
 ) -> Iterator[SampleT]:
-    """Fly `goal` for T_move, join, and yield a sample every T_sample; `t_th_ns` is for TCSC, and ignored.
+    """Fly `goal` for T_move, join, and yield a sample every T_sample; the last two arguments are TCSC's, and ignored.
 
     One thread: it waits for the future or the next sample, whichever is due first. Every sample is taken by
     pause, gather, continue, the last one after the join.

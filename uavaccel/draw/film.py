@@ -41,7 +41,7 @@ from uavaccel.draw.panels import (
 )
 from uavaccel.errors import UserError, naming
 from uavaccel.files import replacing
-from uavaccel.sim.clutter.layout import ClutterLayout
+from uavaccel.sim.clutter import ClutterLayout
 from uavaccel.sim.lane.layout import LaneLayout
 
 FRAMES_PER_S = 12

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from uavaccel.sim.clutter.layout import BOX, COS, HALF_X, HALF_Y, KIND, SIN, ClutterLayout, X, Y
+from uavaccel.sim.clutter import BOX, COS, HALF_X, HALF_Y, KIND, SIN, ClutterLayout, X, Y
 from uavaccel.sim.lane.layout import HULL_RADIUS_M, LENGTH_M, WIDTH_M, LaneLayout
 
 Bgr = NDArray[np.uint8]  # (H, W, 3): blue, green, red, as OpenCV has them

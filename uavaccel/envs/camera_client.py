@@ -11,21 +11,19 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from uavaccel.envs.sensors import PICTURE_SIZE, from_arrays
+from uavaccel.envs.sensors import PICTURE_SIZE
 from uavaccel.envs.stopwatch import Stopwatch
 from uavaccel.kinematics import FlightGoal, Kinematics
 from uavaccel.sim.camera.view import AnyImage
-from uavaccel.sim.state import SavedState, State
 from uavaccel.vision.guard import GuardSettings, GuardState, acquire
-from uavaccel.vision.image_noise import ImageNoise
+from uavaccel.vision.noise import ImageNoise
 from uavaccel.vision.perturb import AutoExposure, PerturbationSettings, perturb_share
 from uavaccel.wire.client import Client
 from uavaccel.wire.game_api import Collision
 from uavaccel.wire.transport import PendingCall
 
 if TYPE_CHECKING:  # they load what is compiled, and the simulation
-    from uavaccel.vision.dvs import Counts, DvsSensor
-    from uavaccel.vision.event_counter import EventCounter
+    from uavaccel.vision.dvs import Counts, DvsSensor, EventCounter
     from uavaccel.wire.session import Session
 
 
@@ -126,7 +124,7 @@ class EventClient(CameraClient):
 
     def count(self, sensor: DvsSensor, every_ticks: int, noise_seed: int) -> None:
         """Count the sensor's events from the first sample on, of frames at each sample and every so many ticks."""
-        from uavaccel.vision.event_counter import EventCounter
+        from uavaccel.vision.dvs import EventCounter
 
         self._counter, self._noise_seed = EventCounter(sensor), noise_seed
         self.close = self._session.watch(every_ticks, self._see)
@@ -188,12 +186,3 @@ class FlightClient(GuardedClient):
     def _switch(self, phase: str) -> None:
         for stopwatch in self._stopwatches:
             stopwatch.switch(phase)
-
-    def get_state(self) -> State:
-        """Return the guard's state, for np.savez."""
-        state = self._guard_state._asdict()
-        return {name: value for name, value in state.items() if value is not None}
-
-    def set_state(self, state: SavedState) -> None:
-        """Restore what `get_state` returned."""
-        self._guard_state = GuardState(**from_arrays(state))

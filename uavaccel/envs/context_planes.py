@@ -17,9 +17,8 @@ from numpy.typing import NDArray
 from uavaccel.envs.arrays import cast, constant, namespace_of
 from uavaccel.envs.sensors import SIZE
 from uavaccel.envs.values import Number
-from uavaccel.sim.state import SavedState, State
 from uavaccel.units import NS_PER_S
-from uavaccel.vision.observation import NEUTRAL_LEVEL
+from uavaccel.vision.dvs_sensor import NEUTRAL_LEVEL
 
 ContextKind = Literal["last_action", "frame_age"]
 FULL_LEVEL = 255
@@ -72,15 +71,6 @@ class ContextPlanes:
         aged = age_levels(ages_ns)[:, constant(self._frame_of_row, actions)][:, :, None]
         both = {"last_action": shown, "frame_age": xp.broadcast_to(cast(aged, "uint8"), shown.shape)}
         return xp.stack([both[know] for know in self.knows], 1)
-
-    def get_state(self) -> State:
-        """Return what it remembers of the running game, for np.savez."""
-        return {"action": self._action, "now_ns": self._now_ns, "taken_ns": list(self._taken_ns)}
-
-    def set_state(self, state: SavedState) -> None:
-        """Restore what `get_state` returned."""
-        self._action, self._now_ns = int(state["action"]), int(state["now_ns"])
-        self._taken_ns.extend(int(each) for each in state["taken_ns"])
 
 
 def age_levels(ages_ns: Number) -> Number:

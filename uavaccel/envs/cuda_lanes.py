@@ -19,16 +19,18 @@ from uavaccel.envs.cuda_view import view_of
 from uavaccel.envs.flight_env import CONDITIONS
 from uavaccel.envs.flyable import CUDA, check_flyable, passes_together, profile_of
 from uavaccel.envs.judging import COLLISION, TICK, Flown, Judge, Running
-from uavaccel.envs.kernel_plan import since_ns_of, slices_of
+from uavaccel.envs.kernel_plan import plan_of, since_ns_of, slices_of
 from uavaccel.envs.stopwatch import PHASES
-from uavaccel.envs.values import Info
+from uavaccel.envs.task import Mediation
+from uavaccel.envs.values import Info, State
 from uavaccel.kernels import cuda as kernels
+from uavaccel.kernels import cuda_clocks as clock_kernels
 from uavaccel.kernels import lanes
 from uavaccel.kernels.fields import DVS, STATE
 from uavaccel.kernels.flight import TOUCHED
 from uavaccel.kernels.recording import recorded
-from uavaccel.sim.state import State
 from uavaccel.sim.vehicle.quadrotor import FLIGHT_DTYPE, KINEMATICS
+from uavaccel.units import NS_PER_S
 
 
 class Ended(NamedTuple):
@@ -105,13 +107,22 @@ class CudaLanes:
 
     def _allocate_commands(self) -> None:
         count, task, device = self.count, self.task, self.device
-        self.slices, wall_ns = slices_of(task)
-        self._slice_wall_ns = th.tensor(np.cumsum(wall_ns), device=device)
-        self._ends = th.tensor(np.cumsum(self.slices), device=device)
-        self._slice_ticks = [th.full((count,), int(ticks), device=device) for ticks in self.slices]
+        self.slices = slices_of(task)
+        self._slice_wall_ns = th.tensor(np.cumsum(self.slices.wall_ns), device=device)
+        self._ends = th.tensor(self.slices.gap_ticks + np.cumsum(self.slices.ticks), device=device)
+        flown = self.slices.ticks.copy()
+        flown[self.slices.acts_in] -= self.slices.late_ticks
+        every = (*flown.tolist(), self.slices.gap_ticks, self.slices.late_ticks)
+        legs = [th.full((count,), ticks, device=device) for ticks in every]
+        *self._slice_ticks, self._gap_ticks, self._late_ticks = legs
         self._render_stream = kernels.SideStream()
         concurrent = self.kind != STATE and self.clocks is None and not task.dvs_ticks
-        self._moments = [self._moment() for _ in self.slices if concurrent]
+        self._moments = [self._moment() for _ in self.slices.ticks if concurrent]
+        self._mediated = task.mediation != Mediation()
+        if self._mediated:
+            self._before, self._before_arrays = kernels.on_device(lanes.flights(count), device)
+            self._take = clock_kernels.compiled().take
+            self._hold_ticks = plan_of(task, np.zeros(3), self.judge.modes, self.kind != STATE).hold_ticks
         space = task.action_space()
         self._modes = th.tensor(self.judge.modes, device=device)
         self._goals = th.zeros((count, 4), dtype=th.float64, device=device)
@@ -201,14 +212,16 @@ class CudaLanes:
     def charge(self, flown: th.Tensor, duration_s: float, phase: str) -> None:
         """In timing `virtual`, charge the lanes in `flown` (L,) uint8 for their agent's work; with ADSC they fly on."""
         if self.clocks is not None and self.task.timing == "virtual":
-            self.clocks.charge(flown, duration_s, phase)
+            self.clocks.charge(flown.long() * round(duration_s * NS_PER_S), phase)
 
     def _fly_together(self) -> list[th.Tensor]:
         """Fly the same ticks in all lanes, and return the samples' states (L, KINEMATICS)."""
-        goals = kernels.shared(self._goals), kernels.shared(self._modes)
-        self._launch("command", self.going, *goals, self._now_arrays)
         states: list[th.Tensor] = []
+        if self._mediated:
+            self._fly_gap()
         for sample, ticks in enumerate(self._slice_ticks):
+            if sample == self.slices.acts_in:
+                self._begin_to_act()
             if self.kind == DVS and self.task.dvs_ticks:
                 self._fly_recording_events(sample, self.task.dvs_ticks)
             else:
@@ -218,6 +231,27 @@ class CudaLanes:
             states.append(self._flight[:, 1 : 1 + KINEMATICS].clone())
         self._render_stream.join()
         return states
+
+    def _fly_gap(self) -> None:
+        """Fly on before a command, and begin it as the task's mediation says."""
+        start_speed = self.task.mediation.start_speed
+        if start_speed is not None:
+            self._before.state.copy_(self.now.state)
+            self._before.body.copy_(self.now.body)
+        self._advance(self.going, self._gap_ticks)
+        if start_speed is not None:
+            flights = self._before_arrays, start_speed, self.games.arrays, self._now_arrays
+            self._launch("resume", self.going, *flights)
+
+    def _begin_to_act(self) -> None:
+        """Let the commands' goals act; only a gap lets position hold take over after them."""
+        goals = kernels.shared(self._goals), kernels.shared(self._modes)
+        if not self._mediated:
+            self._launch("command", self.going, *goals, self._now_arrays)
+            return
+        self._advance(self.going, self._late_ticks)
+        grid = kernels.grid(self.count, kernels.FLYING_THREADS)
+        self._take[grid](kernels.shared(self.going), self._hold_ticks, *goals, self._now_arrays)
 
     def _look_concurrently(self, sample: int) -> None:
         """Render the lanes' present images while they fly on."""
@@ -229,8 +263,8 @@ class CudaLanes:
     def _fly_recording_events(self, sample: int, every: int) -> None:
         """Fly to a sample with an event camera that records a frame `every` so many ticks."""
         left = self._slice_ticks[sample].clone()
-        at_samples = not (self.slices % every).any()  # whose frame is the sample's own
-        for _ in range(-(-int(self.slices[sample]) // every) - at_samples):  # as many as there can be before it
+        at_samples = not (self.slices.ticks % every).any()  # whose frame is the sample's own
+        for _ in range(-(-int(self.slices.ticks[sample]) // every) - at_samples):  # as many as there can be before it
             to_frame = every - self._ticks_of[:, TICK] % every
             recording = self.going * (to_frame < left)
             self._advance(recording, to_frame)
@@ -244,7 +278,7 @@ class CudaLanes:
         self._pictures.copy_(self.blank.expand_as(self._pictures))
         clocks.issue(self.going, self._goals)
         states: list[th.Tensor] = []
-        for sample in range(len(self.slices)):
+        for sample in range(len(self.slices.ticks)):
             clocks.reach(self.going, sample)
             if self.kind != STATE:
                 clocks.render(self._pictures[sample])

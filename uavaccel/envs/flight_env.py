@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections import deque
 from collections.abc import Mapping
 from contextlib import ExitStack
-from dataclasses import astuple, replace
+from dataclasses import replace
 from functools import cache
 from typing import TYPE_CHECKING, Any, Final, Generic
 
@@ -21,13 +22,12 @@ from uavaccel.envs.checks import RENDER_MODES, TaskT, check_render_mode, known_o
 from uavaccel.envs.own_task import check_reward
 from uavaccel.envs.sensors import EventCamera
 from uavaccel.envs.stopwatch import Stopwatch
-from uavaccel.envs.task import Moment, Task
-from uavaccel.envs.values import Action, Course, Frame, Info, Number, Observation
+from uavaccel.envs.task import Mediation, Moment, Task
+from uavaccel.envs.values import Action, Course, Frame, Info, Observation, State
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Kinematics
 from uavaccel.sim.camera import gl
-from uavaccel.sim.state import SavedState, State, prefixed, without_prefix
-from uavaccel.units import NS_PER_S
+from uavaccel.units import NS_PER_S, plain, seconds_to_ns
 
 if TYPE_CHECKING:  # a task can be made without what flies it
     from uavaccel.envs.camera_client import FlightClient, FlightSample
@@ -51,7 +51,7 @@ class FlightEnv(gymnasium.Env[Observation, Action], Generic[TaskT]):
     task_class: type[TaskT]
 
     def __init__(self, render_mode: str | None = None, **keys: object) -> None:
-        from uavaccel.vision.image_noise import ImageNoise
+        from uavaccel.vision.noise import ImageNoise
 
         self.task: TaskT = make_task(self.task_class, keys, type(self).__name__)
         self.episode_task: TaskT = self.task
@@ -70,6 +70,7 @@ class FlightEnv(gymnasium.Env[Observation, Action], Generic[TaskT]):
         self._observers: list[Observer] = []
         self._stopwatches: list[Stopwatch] = []
         self._now: Moment
+        self._flown: list[tuple[Any, ...]] = []  # what changed the running game: a method and its arguments
 
     # --- Gymnasium --------------------------------------------------------------------------------
 
@@ -81,9 +82,11 @@ class FlightEnv(gymnasium.Env[Observation, Action], Generic[TaskT]):
         Raises UserError for options that the task does not know, and for a lane that cannot be built.
         """
         super().reset(seed=seed_of(seed))
-        course = self.task.sample(self.np_random, known_options(options, self.task.reset_options))
+        options = known_options(options, self.task.reset_options)
+        self._games, self._flown = self._games + 1 if seed is None else 1, []
+        self._begun: State = {**self._next_game(), "options": json.dumps(options, default=plain)}
+        course = self.task.sample(self.np_random, options)
         latencies = np.random.SeedSequence(int(self.np_random.integers(2**63)))
-        self._games = self._games + 1 if seed is None else 1
         conditions = self.task.sample_conditions(self.np_random, self._games - 1)
         self._start_game({**course, CONDITIONS: conditions} if conditions else course, latencies)
         return self._observation(), self._info()
@@ -93,6 +96,7 @@ class FlightEnv(gymnasium.Env[Observation, Action], Generic[TaskT]):
         if self._client is None:
             raise UserError("reset the environment before its first step")
         action, before = within(self.action_space, action), self._now
+        self._flown.append(("step", plain(action)))
         self._switch("simulation")
         now = self._fly(self._client, action)
         self._switch(None)
@@ -108,6 +112,7 @@ class FlightEnv(gymnasium.Env[Observation, Action], Generic[TaskT]):
         """Return the front camera's picture (144, 256, 3) uint8; None without a render mode."""
         if self._client is None or self.render_mode is None:
             return None
+        self._flown.append(("render",))
         return self._client.client.image("colour")
 
     def pop_events(self) -> NDArray[np.float32]:
@@ -123,6 +128,7 @@ class FlightEnv(gymnasium.Env[Observation, Action], Generic[TaskT]):
         """Return the present game's path and commands so far. Raises UserError before the first `reset`."""
         if self._client is None:
             raise UserError("reset the environment before asking for its recording")
+        self._flown.append(("recording",))
         return self._client.client.recording()
 
     def add_observer(self, observer: Observer) -> None:
@@ -140,54 +146,52 @@ class FlightEnv(gymnasium.Env[Observation, Action], Generic[TaskT]):
         """Charge the agent's work since the last command to the wall clock of `virtual`; no effect in other timings."""
         if self.task.timing != "virtual" or self._client is None:
             return
+        self._flown.append(("charge", duration_s, phase))
         self._client.client.transport.clock.charge(round(duration_s * NS_PER_S))
         self._stopwatches[0].add(phase, duration_s)
 
     def get_state(self) -> State:
-        """Return the running game's state, between two steps, for np.savez.
+        """Return what the running game was flown from, between two steps, for np.savez: texts and numbers.
 
-        Another environment of this task continues from it to the same bytes. In `wall`, where a game cannot be
-        suspended, it is only the generator from which the next game is sampled.
+        Another environment of this task flies it again. In `wall`, where that cannot be done, and before the first
+        game it is only what the next game is sampled from.
         """
-        state: State = {"generator": json.dumps(self.np_random.bit_generator.state)}
-        if self.episode_task is not self.task:
-            state["games"] = self._games
-        session = self._session.get_state() if self._session is not None and self._client is not None else None
-        if session is None or self._client is None:
-            return state
-        game = self._now._asdict() | {"state": astuple(self._now.state), "start_ns": self._start_ns}
-        game["began_ns"] = self._began_ns
-        state["game"] = json.dumps(game)
-        state["phases_ns"] = json.dumps([stopwatch.get_state() for stopwatch in self._stopwatches])
-        state["frames"] = np.stack(self._frames)
-        if self.episode_task.image_noise:
-            state |= prefixed("noise", {"seed": self._noise.seed, "start_ns": self._noise.start_ns})
-        if self._context is not None:
-            state |= prefixed("told", self._context.get_state())
-        state |= prefixed("session", session) | prefixed("sensor", self.sensor.get_state())
-        return state | prefixed("guard", self._client.get_state())
+        if self.task.timing == "wall" or self._client is None:
+            return {**self._next_game(), "games": self._games}
+        return {**self._begun, "flown": json.dumps(self._flown, default=plain), "digest": self._digest()}
 
-    def set_state(self, state: SavedState) -> Observation:
-        """Continue from what `get_state` returned, or begin a game if none was running; returns the observation."""
+    def set_state(self, state: Mapping[str, Any]) -> Observation:
+        """Fly the game of `get_state` again, or begin one if none was running; returns the last observation.
+
+        Observers see it from its beginning; pictures are drawn again. Raises UserError where it does not end in the
+        same state.
+        """
         self.np_random.bit_generator.state = json.loads(str(state["generator"]))
-        self._games = int(state.get("games", 0))
-        if "game" not in state:
-            return self.reset()[0]
-        session, game = self._opened(), json.loads(str(state["game"]))
-        self._apply_conditions(game["course"])
-        client = self._connect(session.set_state(without_prefix("session", state)), game.pop("start_ns"))
-        self._began_ns = game.pop("began_ns")
-        for stopwatch, spent in zip(self._stopwatches, json.loads(str(state["phases_ns"])), strict=True):
-            stopwatch.set_state(spent)
-        numbers: list[Number] = [tuple(value) if isinstance(value, list) else value for value in game.pop("state")]
-        self._now = Moment(Kinematics(*numbers), tuple(game.pop("position_m")), **game)
-        self.sensor.set_state(without_prefix("sensor", state))
-        if self._context is not None:
-            self._context.set_state(without_prefix("told", state))
-        client.set_state(without_prefix("guard", state))
-        self._seed_noise(client, int(state.get("noise.seed", 0)), int(state.get("noise.start_ns", 0)))
-        self._frames.extend(state["frames"])
-        return self._observation()
+        self._games = int(state["games"])
+        observation, _ = self.reset(options=json.loads(str(state.get("options", "{}"))))
+        if "flown" not in state:
+            return observation
+        for name, *arguments in json.loads(str(state["flown"])):
+            if name == "step":
+                observation = self.step(np.asarray(arguments[0], self.action_space.dtype))[0]
+            else:
+                getattr(self, name)(*arguments)
+        if self._digest() != str(state["digest"]):
+            raise UserError(
+                "a saved game, flown again, did not end as it was saved: go on with the versions and on the kind of "
+                "machine that saved it, or begin anew"
+            )
+        return observation
+
+    def _next_game(self) -> State:
+        """Return what a game is sampled from that begins now."""
+        return {"generator": json.dumps(self.np_random.bit_generator.state), "games": self._games - 1}
+
+    def _digest(self) -> str:
+        """Return a hash of where the game is: its moment, its wall clock, and what the next game is sampled from."""
+        assert self._client is not None
+        reached = self._now, self._client.now_ns(), self.np_random.bit_generator.state
+        return hashlib.sha256(repr(reached).encode()).hexdigest()
 
     # --- a game -----------------------------------------------------------------------------------
 
@@ -202,7 +206,7 @@ class FlightEnv(gymnasium.Env[Observation, Action], Generic[TaskT]):
 
     def _seed_noise(self, client: FlightClient, seed: int, start_ns: int) -> None:
         """Seed the noise of this game's pictures and events."""
-        from uavaccel.vision.image_noise import ImageNoise
+        from uavaccel.vision.noise import ImageNoise
 
         self._noise = client.noise = ImageNoise(self.episode_task.image_noise, seed, start_ns)
         if isinstance(self.sensor, EventCamera):
@@ -249,7 +253,7 @@ class FlightEnv(gymnasium.Env[Observation, Action], Generic[TaskT]):
 
     def _start_game(self, course: Course, latencies: np.random.SeedSequence) -> None:
         from uavaccel.envs.observer import Game
-        from uavaccel.vision.image_noise import noise_seed
+        from uavaccel.vision.noise import noise_seed
         from uavaccel.wire.rpc import RpcError
 
         session, self._stopwatches = self._opened(), []
@@ -283,7 +287,10 @@ class FlightEnv(gymnasium.Env[Observation, Action], Generic[TaskT]):
         goal = task.goal(action.astype(np.float64) if isinstance(self.action_space, spaces.Box) else action)
         missing = task.frames_per_command
         taken_ns, gathered_ns, ended_ns = [], 0, 0
-        for sample in self._command.fly(client, goal, task.t_move_s, task.t_sample_s, task.t_th_ns):
+        if task.mediation != Mediation():
+            self._fly_gap(client, task.mediation)
+        times = task.t_move_s, task.t_sample_s, task.t_th_ns, seconds_to_ns(task.mediation.image_age_s)
+        for sample in self._command.fly(client, goal, *times):
             gathered_ns = client.now_ns()
             for observer in self._observers:
                 observer.sample_taken(sample, now.commands)
@@ -303,6 +310,15 @@ class FlightEnv(gymnasium.Env[Observation, Action], Generic[TaskT]):
             present_ns = ended_ns + round(since_ns * task.clock_speed)
             self._context.update(action, taken_ns, missing, present_ns)
         return now._replace(commands=now.commands + 1)
+
+    def _fly_gap(self, client: FlightClient, gap: Mediation) -> None:
+        """Fly on before a command, and begin it as `gap` says."""
+        assert self._session is not None
+        before = None if gap.start_speed is None else self._session.motion()
+        if gap.gap_s:
+            client.continue_for(seconds_to_ns(gap.gap_s))
+        if before is not None and gap.start_speed is not None:
+            self._session.resume(before, gap.start_speed)
 
     def _observe(self, sample: FlightSample) -> Frame:
         self._switch("image_processing")

@@ -17,7 +17,7 @@ from uavaccel.units import exact
 from uavaccel.wire.latency import ZERO_LATENCY, LatencyConfig
 
 if TYPE_CHECKING:  # which compiles
-    from uavaccel.sim.clutter.layout import Clutter
+    from uavaccel.sim.clutter import Clutter
 
 # Largest numerator or denominator of a ClockSpeed: products with hours of nanoseconds must fit in 64 bits.
 MOST_DIGITS = 1_000_000

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
@@ -27,7 +26,7 @@ from uavaccel.kernels.scene import empty_scene
 from uavaccel.kernels.still import read_scene
 from uavaccel.sim.lane.layout import PLAIN, LaneLayout
 from uavaccel.sim.world import World
-from uavaccel.vision.image_noise import noise_seed
+from uavaccel.vision.noise import noise_seed
 
 
 class Drawn(NamedTuple):
@@ -109,11 +108,6 @@ class GameMaker:
         data = world.data
         body = np.concatenate([data.qpos, data.qvel, data.qfrc_applied, np.zeros(6)])
         return world.lead.parameters.copy(), world.lead.state.copy(), body
-
-
-def options_text(options: Mapping[str, object] | None) -> str:
-    """Return the options of a reset as JSON, also those in NumPy's numbers and arrays."""
-    return json.dumps(options, default=lambda value: value.tolist())
 
 
 def keys_of(task: Task, games: Sequence[Drawn]) -> dict[str, NDArray[np.float64]]:

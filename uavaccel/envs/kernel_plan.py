@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,19 +17,42 @@ from uavaccel.kernels.fields import DEPTH
 from uavaccel.kernels.latencies import Latencies
 from uavaccel.kernels.timeline import Command, Timing
 from uavaccel.sim.profile import PROFILES
-from uavaccel.units import NS_PER_S, ceil_div, exact
+from uavaccel.units import NS_PER_S, ceil_div, exact, seconds_to_ns
 from uavaccel.wire.latency import BETWEEN_NS, DEFAULT, WAITS_MS, LatencyConfig
 from uavaccel.wire.platform import RESENT_NS, STALLED_NS, FaultConfig
 
 
-def slices_of(task: Task) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return ticks (S,) of a command's slices, and the simulated wall ns (S,) that each takes in lockstep."""
-    profile = PROFILES[task.profile]
+class Slices(NamedTuple):
+    """What is flown in each command where no message takes time (flyable.passes_together), S samples."""
+
+    ticks: NDArray[np.int64]
+    """(S,): ticks from each sample to the next, the first from the command's beginning."""
+    wall_ns: NDArray[np.int64]
+    """(S,): wall time that each takes in lockstep, the gap before a command with its first."""
+    gap_ticks: int
+    acts_in: int
+    """The slice in which the command's goal begins to act, `late_ticks` after the slice's beginning."""
+    late_ticks: int
+
+
+def slices_of(task: Task) -> Slices:
+    """Return what a task's commands fly, gaps included."""
+    tick_ns, speed = PROFILES[task.profile].tick_ns, exact(task.clock_speed)
     due_ns = [0, *samples_due(task.t_move_s, task.t_sample_s)]
-    ticks = [(later - earlier) // profile.tick_ns for earlier, later in pairwise(due_ns)]
-    speed = exact(task.clock_speed)
-    wall_ns = [ceil_div(tick * profile.tick_ns * speed.denominator, speed.numerator) for tick in ticks]
-    return np.array(ticks), np.array(wall_ns)
+    gap_ns, late_ns = gap_of(task)
+    acts_in = max(number for number, begin_ns in enumerate(due_ns[:-1]) if begin_ns <= late_ns)
+    late_ns -= due_ns[acts_in]
+    legs_ns = [[later - earlier] for earlier, later in pairwise(due_ns)]
+    legs_ns[acts_in] = [late_ns, legs_ns[acts_in][0] - late_ns]
+    legs_ns[0].append(gap_ns)
+    wall_ns = [sum(ceil_div(leg_ns * speed.denominator, speed.numerator) for leg_ns in legs) for legs in legs_ns]
+    ticks = np.diff(due_ns) // tick_ns
+    return Slices(ticks, np.array(wall_ns), gap_ns // tick_ns, acts_in, late_ns // tick_ns)
+
+
+def gap_of(task: Task) -> tuple[int, int]:
+    """Return the simulated ns for which a vehicle flies on before each command, and for which a command acts late."""
+    return seconds_to_ns(task.mediation.gap_s), seconds_to_ns(task.mediation.image_age_s)
 
 
 def plan_of(task: Task, hull: NDArray[np.float64], modes: NDArray[np.int64], pictures: bool) -> Command:
@@ -39,7 +63,10 @@ def plan_of(task: Task, hull: NDArray[np.float64], modes: NDArray[np.int64], pic
     profile = profile_of(task)
     hold = profile.command_ticks(task.t_move_s) + profile.hover_after_ticks
     timing = timing_of(task, pictures)
-    return Command(slices_of(task)[0], task.dvs_ticks or 0, profile.tick_ns, hull, modes, hold, timing)
+    kept = task.mediation.start_speed
+    start_speed = np.nan if kept is None else kept
+    ticks = slices_of(task).ticks
+    return Command(ticks, task.dvs_ticks or 0, profile.tick_ns, hull, modes, hold, start_speed, timing)
 
 
 def since_ns_of(task: Task) -> int:
@@ -75,6 +102,7 @@ def _rules(task: Task, pictures: bool) -> NDArray[np.int64]:
     rules[timeline.LAYS_OUT] = task.layout(task.sample(np.random.default_rng(0), {})) is not None
     rules[timeline.LATENCY] = virtual
     rules[timeline.FAULTS] = platform.faults != FaultConfig()
+    rules[timeline.GAP_NS], rules[timeline.LATE_NS] = gap_of(task)
     return rules
 
 

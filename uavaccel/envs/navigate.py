@@ -16,8 +16,8 @@ from uavaccel.envs.values import Course, Info, Number
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Kinematics
 from uavaccel.limits import Count, Height, Speed
-from uavaccel.sim.clutter.layout import ASIDE_M, NORTH_M, Clutter, ClutterLayout, sample_world
-from uavaccel.sim.lane.layout import EVALUATION_SEEDS, Split, lane_seed
+from uavaccel.sim.clutter import ASIDE_M, NORTH_M, Clutter, ClutterLayout, sample_world
+from uavaccel.sim.lane.layout import SPLIT_SIZE, Split, lane_seed
 
 NEAR_M, FAR_M = 15.0, 2.0  # the distance that counts as 1, and the most that is told
 GOAL_MOST_M = 43.0
@@ -45,7 +45,7 @@ class NavigateTask(Task):
     picture_size: tuple[Pixels, Pixels] = (64, 36)
     """Columns and rows of pictures, which are frames as they are; those of 256 x 144 are reduced to 64 x 36."""
     split: Split = "training"
-    """Which worlds are flown: those for training or those kept for evaluation."""
+    """Which worlds are flown: those for training, for evaluation, or for the test of what was chosen in these."""
     goal_m: tuple[Positive, Positive] = (20.0, 40.0)
     """Range of distances from start to goal, metres."""
     goal_bearing_deg: Annotated[float, Field(ge=0.0, le=30.0)] = 30.0
@@ -62,13 +62,13 @@ class NavigateTask(Task):
         return self
 
     def sample(self, random: np.random.Generator, options: Mapping[str, object]) -> Course:
-        world, far, aside = int(random.integers(EVALUATION_SEEDS)), float(random.random()), float(random.random())
+        world, far, aside = int(random.integers(SPLIT_SIZE)), float(random.random()), float(random.random())
         try:
             world = operator.index(options.get("world", world))  # type: ignore[arg-type]
             lane_seed(self.split, world)
         except (TypeError, ValueError):
             raise UserError(
-                f"reset: option world = {options['world']!r}: must be an index from 0 to {EVALUATION_SEEDS - 1}"
+                f"reset: option world = {options['world']!r}: must be an index from 0 to {SPLIT_SIZE - 1}"
             ) from None
         goal_m = self.goal_m[0] + far * (self.goal_m[1] - self.goal_m[0])
         bearing = math.radians(self.goal_bearing_deg) * (2.0 * aside - 1.0)

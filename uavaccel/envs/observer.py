@@ -16,9 +16,8 @@ from uavaccel.envs.camera_client import FlightSample
 from uavaccel.envs.task import Task
 from uavaccel.kinematics import Kinematics, Quaternion, Vector
 from uavaccel.sim.camera.view import HEIGHT, WIDTH
-from uavaccel.vision.dvs import make_sensor
-from uavaccel.vision.event_counter import EventCounter
-from uavaccel.vision.image_noise import ImageNoise
+from uavaccel.vision.dvs import EventCounter, make_sensor
+from uavaccel.vision.noise import ImageNoise
 from uavaccel.wire.session import Session
 
 NO_IMAGE = np.zeros((0, 0), np.uint8)

@@ -23,16 +23,17 @@ from uavaccel.envs.values import Course, Info, Number
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Vector
 from uavaccel.limits import Count, Height, Seconds
-from uavaccel.sim.lane.file import LaneFile, parse_lane
 from uavaccel.sim.lane.layout import (
-    EVALUATION_SEEDS,
     HULL_RADIUS_M,
     LENGTH_M,
+    SPLIT_SIZE,
     WIDTH_M,
     Difficulty,
+    LaneFile,
     Split,
     is_walled_off,
     lane_seed,
+    parse_lane,
     sample_layout,
 )
 
@@ -50,7 +51,8 @@ class LaneTask(Task):
     sees_start: ClassVar[bool] = False
 
     split: Split = "training"
-    """Set from which lanes are sampled; training and evaluation share no lane."""
+    """Set from which lanes are sampled: training, evaluation, on which variants are chosen, or test, for numbers that
+    are published. They share no lane."""
     difficulty: Difficulty = Difficulty()
     """Distribution of the sampled lanes."""
     lane: LaneFile | None = None
@@ -163,8 +165,8 @@ class LaneTask(Task):
         return {"seed": self._seed_of(index), "difficulty": self.difficulty.model_dump(mode="json")}
 
     def _seed_of(self, index: int) -> int:
-        if not 0 <= index < EVALUATION_SEEDS:
-            raise UserError(f"lane {index} does not exist: lanes are 0 to {EVALUATION_SEEDS - 1}")
+        if not 0 <= index < SPLIT_SIZE:
+            raise UserError(f"lane {index} does not exist: lanes are 0 to {SPLIT_SIZE - 1}")
         return lane_seed(self.split, index)
 
     def action_space(self) -> spaces.Discrete:
@@ -183,7 +185,7 @@ class LaneTask(Task):
 
     def sample(self, random: np.random.Generator, options: Mapping[str, Any]) -> Course:
         """Sample a lane of the split, or take the one that the options name."""
-        sampled = int(random.integers(EVALUATION_SEEDS))
+        sampled = int(random.integers(SPLIT_SIZE))
         try:
             return {"lane": operator.index(options.get("lane", sampled))}
         except TypeError:

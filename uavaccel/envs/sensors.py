@@ -15,9 +15,7 @@ from numpy.typing import NDArray
 from uavaccel.envs.values import Course, Frame, Number
 from uavaccel.kinematics import Kinematics
 from uavaccel.sim.camera.view import HEIGHT, WIDTH, AnyImage
-from uavaccel.sim.state import SavedState, State
-from uavaccel.vision.dvs_sensor import DvsParameters, make_sensor
-from uavaccel.vision.observation import BLOCK_SIDE, NEUTRAL_LEVEL, dvs_observation
+from uavaccel.vision.dvs_sensor import BLOCK_SIDE, NEUTRAL_LEVEL, DvsParameters, dvs_observation, make_sensor
 
 SIZE = (HEIGHT // BLOCK_SIDE, WIDTH // BLOCK_SIDE)  # rows, columns
 PICTURE_SIZE = (WIDTH, HEIGHT)  # columns, rows
@@ -28,7 +26,7 @@ Features = Callable[[Kinematics, Course], NDArray[np.float32]]
 
 
 class Sensor(ABC):
-    """Turns samples into frames; a sensor with a memory replaces `reset`, `get_state` and `set_state`.
+    """Turns samples into frames; a sensor with a memory replaces `reset`.
 
     `picture` is the kind of picture it needs, None for none; `blank` stands for a missing frame.
     """
@@ -46,14 +44,6 @@ class Sensor(ABC):
     def frame(self, state: Kinematics, image: AnyImage, course: Course) -> Frame:
         """Return the frame of a sample, with the shape and type of `blank`."""
 
-    def get_state(self) -> State:
-        """Return what it remembers of the running game, for np.savez."""
-        return {}
-
-    def set_state(self, state: SavedState) -> None:
-        """Restore what `get_state` returned."""
-        assert not state
-
 
 class EventCamera(Sensor):
     """Event images (1, 36, 64): 128 plus ON minus OFF events since the last sample, summed over 4 x 4 pixels.
@@ -67,7 +57,7 @@ class EventCamera(Sensor):
     def __init__(
         self, parameters: DvsParameters, seed: int, listed: bool = False, size: tuple[int, int] = PICTURE_SIZE
     ) -> None:
-        from uavaccel.vision.event_counter import EventCounter  # compiled
+        from uavaccel.vision.dvs import EventCounter  # compiled
 
         super().__init__(blank_frame("dvs", size))
         self.counter = EventCounter(make_sensor(parameters, size[::-1], seed), listed)
@@ -86,12 +76,6 @@ class EventCamera(Sensor):
             counts: Frame = np.clip(NEUTRAL_LEVEL + on.astype(np.int64) - off, 0, 255).astype(np.uint8)[None]
             return counts
         return dvs_observation(on, off)[None]
-
-    def get_state(self) -> State:
-        return self.counter.get_state()
-
-    def set_state(self, state: SavedState) -> None:
-        self.counter.set_state(from_arrays(state))
 
 
 class ColourCamera(Sensor):
@@ -130,12 +114,6 @@ def blank_frame(picture: Literal["dvs", "colour", "depth"], size: tuple[int, int
     rows_columns = SIZE if size == PICTURE_SIZE else size[::-1]
     planes = 3 if picture == "colour" else 1
     return np.full((planes, *rows_columns), NEUTRAL_LEVEL if picture == "dvs" else 0, np.uint8)
-
-
-def from_arrays(state: SavedState) -> State:
-    """Turn arrays without a shape, as which np.load returns numbers, into numbers; other arrays stay."""
-    arrays = {name: np.asarray(value) for name, value in state.items()}
-    return {name: array if array.ndim else array.item() for name, array in arrays.items()}
 
 
 def state_fields(state: Kinematics) -> list[Number]:

@@ -50,13 +50,6 @@ class Stopwatch:
         """Add a duration that was not measured here."""
         self._spent_ns[phase] += round(duration_s * NS_PER_S)
 
-    def get_state(self) -> dict[str, int]:
-        """Return the nanoseconds by phase, to be called outside any phase."""
-        return dict(self._spent_ns)
-
-    def set_state(self, state: dict[str, int]) -> None:
-        self._spent_ns = dict(state)
-
     def spent_s(self) -> dict[str, float]:
         """Return the seconds by phase."""
         return {phase: spent / NS_PER_S for phase, spent in self._spent_ns.items()}

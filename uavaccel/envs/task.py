@@ -41,7 +41,7 @@ from uavaccel.vision.dvs_sensor import PRESETS, DvsParameters, with_noise, with_
 from uavaccel.wire.latency import LatencyModel, of_the_profile
 
 if TYPE_CHECKING:  # which compiles
-    from uavaccel.sim.clutter.layout import ClutterLayout
+    from uavaccel.sim.clutter import ClutterLayout
 
 NotNegative = Annotated[float, Field(ge=0.0, le=1e6)]
 Positive = Annotated[float, Field(gt=0.0, le=1e6)]
@@ -115,6 +115,23 @@ class Moments(NamedTuple):
     @property
     def free(self) -> Number:
         return self.collision.index < 0
+
+
+class Mediation(Config):
+    """What ADSC's gap between two commands changes, under TCSC and without latencies: all of it, or one part alone.
+
+    All are simulated seconds of whole physics steps, which need command tcsc, timing lockstep and profile native.
+    """
+
+    gap_s: Annotated[float, Field(ge=0.0, le=60.0)] = 0.0
+    """Time for which the vehicle flies on before each command, after the agent has observed: as under ADSC its last
+    command's goal holds for 60 ms more, then its position."""
+    start_speed: Annotated[float, Field(ge=-1.0, le=1.0)] | None = None
+    """Share of its velocity and turn rate at the last command's end with which it begins the next one, with attitude,
+    autopilot and rotors as they were then; its position is the one after the gap. None: all as the gap leaves it."""
+    image_age_s: NotNegative = 0.0
+    """Age of the images when a command begins to act, less than T_move: until then the last one acts, for T_move in
+    all, and samples are taken when they were."""
 
 
 AnyLayout: TypeAlias = "LaneLayout | ClutterLayout"
@@ -199,6 +216,8 @@ class Task(Config):
     """Latency model of timing virtual, or the YAML file of one; by default the one that ships for the profile."""
     image_processing_s: Cost = 0.0003
     """Seconds that the event camera takes for a frame on the simulated wall clock of timing virtual."""
+    mediation: Mediation = Field(default_factory=Mediation)
+    """What of ADSC's gap is in TCSC's commands; by default nothing."""
     report_host_times: bool = False
     """Whether infos include `host_phase_s`, seconds measured on this machine's clock, which differ from run to run."""
 
@@ -237,6 +256,20 @@ class Task(Config):
     def _noise_is_of_pictures(self) -> Self:
         if self.image_noise and self.observation == "depth":
             raise ValueError("image_noise is of grey levels: it needs observation dvs or colour")
+        return self
+
+    @model_validator(mode="after")
+    def _gap_is_mediated_alone(self) -> Self:
+        gap = self.mediation
+        if gap == Mediation():
+            return self
+        if (self.command, self.timing, self.profile) != ("tcsc", "lockstep", "native") or self.dvs_rate_hz is not None:
+            raise ValueError("mediation needs command tcsc, timing lockstep, profile native, and no dvs_rate_hz")
+        if gap.image_age_s >= self.t_move_s:
+            raise ValueError(f"mediation.image_age_s = {gap.image_age_s:g}: must be less than t_move_s")
+        for name in ("gap_s", "image_age_s"):
+            if seconds := getattr(gap, name):
+                PROFILES[self.profile].check_duration(seconds, f"mediation.{name}")
         return self
 
     @property

@@ -39,6 +39,12 @@ Batch = VectorEnv[Observation, Actions, Outcomes]
 Steps = tuple[Observation, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], list[Info]]
 """Observations, rewards, terminations, truncations and infos of many environments."""
 
+State = dict[str, Any]
+"""What a saved game is restored from: texts, numbers and arrays by name, for np.savez."""
+
+SavedState = Mapping[str, Any]
+"""A `State` as it was, or as np.load returns it."""
+
 Answer: TypeAlias = Any
 """Result of a method of an environment, or value of its attribute."""
 

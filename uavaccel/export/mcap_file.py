@@ -26,7 +26,7 @@ from uavaccel.export import provenance_of
 from uavaccel.files import inside, read_bounded, replacing, to_json
 from uavaccel.records import RunDirectory
 from uavaccel.resources import require
-from uavaccel.sim.camera.mounted import FRONT_CENTER
+from uavaccel.sim.camera.camera import FRONT_CENTER
 from uavaccel.sim.camera.view import HEIGHT, WIDTH
 from uavaccel.suites.flight import Flight
 from uavaccel.suites.registry import suite_of

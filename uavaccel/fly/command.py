@@ -14,9 +14,10 @@ from uavaccel.errors import UsageError, UserError
 from uavaccel.fly.messages import DifferenceError
 from uavaccel.fly.options import SCRATCH, FlightOptions, FlightSummary, found_settings
 from uavaccel.fly.runs import FlightResult, check, fly
-from uavaccel.limits import CLOCK_SPEEDS, MOST_SECONDS, MOST_SEEDS
+from uavaccel.limits import MOST_SECONDS, MOST_SEEDS
 from uavaccel.processes.lifetime import remove_orphaned_files
 from uavaccel.resources import asset
+from uavaccel.units import CLOCK_SPEEDS
 
 
 @dataclass(frozen=True)

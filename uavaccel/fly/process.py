@@ -20,8 +20,8 @@ from typing import TYPE_CHECKING
 
 from uavaccel.errors import UserError, mistake_of
 from uavaccel.fly.messages import DifferenceError, MessageLog
+from uavaccel.fly.modules import Patches
 from uavaccel.fly.options import DIFFERENCE, INTERRUPT_SEEN, SUMMARY, FlightOptions
-from uavaccel.fly.patches import Patches
 from uavaccel.fly.script import INTERRUPTED, checked_output, compiled, flush_output, unraisable
 from uavaccel.processes.lifetime import end_with_parent
 

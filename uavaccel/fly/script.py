@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from uavaccel.clock import MonotonicClock
 from uavaccel.errors import UserError
 from uavaccel.files import read_bounded
-from uavaccel.fly.patches import Patches
+from uavaccel.fly.modules import Patches
 from uavaccel.units import NS_PER_S
 
 if TYPE_CHECKING:

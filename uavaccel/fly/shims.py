@@ -23,9 +23,8 @@ from typing import TYPE_CHECKING
 from uavaccel.fly.children import client_for_children, forked_children
 from uavaccel.fly.keyboard import KEY_S, NAMED, Keyboard
 from uavaccel.fly.keys import key_modules
-from uavaccel.fly.modules import ModuleFinder, Modules, client_modules, importing, named_module
+from uavaccel.fly.modules import ModuleFinder, Modules, Patches, client_modules, importing, named_module
 from uavaccel.fly.options import ANSWERS, FlightOptions
-from uavaccel.fly.patches import Patches
 from uavaccel.fly.script import hide_frames_everywhere
 
 if TYPE_CHECKING:

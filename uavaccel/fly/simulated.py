@@ -9,12 +9,11 @@ from typing import TYPE_CHECKING
 
 from uavaccel.clock import MonotonicClock, VirtualClock, WallClock, datetime_module, time_module
 from uavaccel.fly.children import ended_by_refusals, refusal
-from uavaccel.fly.executors import end_pools, let_executors_take_turns
 from uavaccel.fly.messages import MessageLog
 from uavaccel.fly.options import THINK_S, FlightOptions, FlightSummary
 from uavaccel.fly.script import FlightOver, ScriptResult, run_script
 from uavaccel.fly.shims import script_environment
-from uavaccel.fly.threads import ThreadClasses
+from uavaccel.fly.threads import SharedModules, ThreadModules, end_pools
 from uavaccel.fly.turns import TURN_POLL_NS, Turns
 from uavaccel.units import NS_PER_S
 
@@ -72,19 +71,19 @@ class SimulatedFlight:
 
     def run(self) -> ScriptResult:
         """Run the script in its environment. Raises UserError."""
-        kinds, options = ThreadClasses(self._turns), self._options
+        modules, options = ThreadModules(self._turns), self._options
         clock = time_module(self.epoch_now_ns, self.pass_time)
-        in_scripts = {"time": clock, "datetime": datetime_module(self.epoch_now_ns)} | kinds.modules()
+        in_scripts = {"time": clock, "datetime": datetime_module(self.epoch_now_ns)} | modules.in_scripts()
         with contextlib.ExitStack() as stack:
             environment = script_environment(self._connect, in_scripts, options, None, self._forked)
             patches, client = stack.enter_context(environment)
             stack.enter_context(ended_by_refusals(lambda: self._log.calls))
-            let_executors_take_turns(patches, self._turns, kinds, clock)
+            SharedModules(patches, self._turns, modules, clock)
             if options.film:
                 from uavaccel.fly.film import filming
 
                 stack.enter_context(filming(self._world.simulation, self._world.world, options.folder))
-            outcome = run_script(options.script, options.arguments, lambda: self._outlive(kinds))
+            outcome = run_script(options.script, options.arguments, self._outlive)
             self._catch_up()  # to the end of the script's last wait
             return outcome._replace(wall_s=outcome.wall_s - self._made_s - client.spent_s)
 
@@ -220,10 +219,10 @@ class SimulatedFlight:
         waited = f"the script has waited {PATIENCE_NS / NS_PER_S:g} simulated s for {method}"
         warn(f"{waited}; the vehicle is at {self._world.whereabouts()}")
 
-    def _outlive(self, kinds: ThreadClasses) -> None:
+    def _outlive(self) -> None:
         """Wait for the script's other threads, except daemons, when its first one is done."""
         end_pools()
-        self._turns.until(lambda: all(thread.is_daemon for thread in kinds.running))
+        self._turns.until(lambda: all(thread.daemon for thread in self._turns.running))
 
     def _catch_up(self) -> None:
         if self._has_world():

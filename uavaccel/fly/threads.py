@@ -1,272 +1,250 @@
-"""Stand-ins for `threading` and `queue` whose threads take turns on a simulated clock (uavaccel.fly.turns).
+"""Python's own threading, queues, pools, event loops and scheduler on a simulated clock.
 
-Only one thread of a script runs at a time, so that locks are plain flags.
+They wait through a lock, a thread and a clock that their modules have imported. A script gets their classes over those
+that take turns (uavaccel.fly.turns), and everyone else, such as a library with its own pools, Python's.
 """
 
 from __future__ import annotations
 
+import _thread
+import concurrent.futures
+import logging
 import queue
+import selectors
+import sys
 import threading
-from collections import deque
 from collections.abc import Callable, Iterable, Mapping
-from functools import partial
-from types import ModuleType
-from typing import Any, TypeVar
+from types import CellType, FunctionType, ModuleType, SimpleNamespace
+from typing import TYPE_CHECKING, Any
 
 from uavaccel.clock import changed
-from uavaccel.fly.script import FlightOver, hide_ours
-from uavaccel.fly.turns import Turn, Turns
+from uavaccel.fly.modules import Patches, called_by_a_script
+from uavaccel.fly.script import FlightOver
+from uavaccel.fly.turns import Lock, Thread, Turns, bound
 from uavaccel.units import NS_PER_S
 
-Class = TypeVar("Class", bound=type)
-Result = TypeVar("Result")
+if TYPE_CHECKING:
+    import asyncio
+
+FREE_TURNS = 100  # of a loop while the clock is paused; each further one reads the clock, so that polling ends
+LOCKS = ("_RLock", "Condition", "Semaphore", "BoundedSemaphore", "Event", "Barrier", "Timer")
+POOL = ("ApplyResult", "MapResult", "IMapIterator", "IMapUnorderedIterator", "Pool", "ThreadPool")
+QUEUES = ("Queue", "LifoQueue", "PriorityQueue", "_PySimpleQueue")
 
 
-def bound(kind: Class, turns: Turns) -> Class:
-    """Return a subclass whose objects wait through `turns`."""
-    return type(kind.__name__, (kind,), {"turns": turns})  # type: ignore[return-value]
+class Moment(int):
+    """A time in ns, to which Python's modules add seconds: of floats the rest of a wait would never be 0."""
+
+    def __add__(self, seconds: float) -> Moment:
+        return Moment(int(self) + round(seconds * NS_PER_S))
+
+    def __sub__(self, other: int) -> float:  # type: ignore[override]
+        return (int(self) - int(other)) / NS_PER_S
 
 
-class Lock:
-    turns: Turns
+def rebuilt(kind: type, names: dict[str, Any]) -> type:
+    """Return a class of Python's once more, whose methods and bases are looked up among `names`."""
+    own = CellType()  # where `super()` finds the class
 
-    def __init__(self) -> None:
-        self._held = False
+    def again(value: object) -> object:
+        if isinstance(value, classmethod | staticmethod):
+            return type(value)(again(value.__func__))
+        if not isinstance(value, FunctionType):
+            return value
+        closure = (own,) if value.__closure__ else None
+        return FunctionType(value.__code__, names, value.__name__, value.__defaults__, closure)
 
-    def acquire(self, blocking: bool = True, timeout: float = -1) -> bool:
-        if self._held and not (blocking and self.turns.until(self._is_free, None if timeout < 0 else timeout)):
-            return False
-        self._held = True
-        return True
-
-    def release(self) -> None:
-        if not self._held:
-            raise RuntimeError("release unlocked lock")
-        self._held = False
-
-    def __enter__(self) -> bool:
-        return self.acquire()
-
-    def __exit__(self, *exception: object) -> None:
-        self.release()
-
-    def locked(self) -> bool:
-        return self._held
-
-    def _is_free(self) -> bool:
-        return not self._held
+    body = {name: again(value) for name, value in vars(kind).items() if name not in ("__dict__", "__weakref__")}
+    made = type(kind.__name__, tuple(names.get(base.__name__, base) for base in kind.__bases__), body)
+    own.cell_contents = made
+    return made
 
 
-class RLock(Lock):
-    def __init__(self) -> None:
-        super().__init__()
-        self._owner, self._depth = 0, 0
-
-    def acquire(self, blocking: bool = True, timeout: float = -1) -> bool:
-        me = threading.get_ident()
-        if self._owner != me and not super().acquire(blocking, timeout):
-            return False
-        self._owner, self._depth = me, self._depth + 1
-        return True
-
-    def release(self) -> None:
-        if self._owner != threading.get_ident():
-            raise RuntimeError("cannot release un-acquired lock")
-        self._depth -= 1
-        if self._depth == 0:
-            self._owner = 0
-            super().release()
-
-    def _is_owned(self) -> bool:
-        return self._owner == threading.get_ident()
-
-    def _release_save(self) -> int:
-        depth, self._depth = self._depth, 1
-        self.release()
-        return depth
-
-    def _acquire_restore(self, depth: int) -> None:
-        self.acquire()
-        self._depth = depth
-
-
-class Condition(threading.Condition):
-    turns: Turns
-    _waiters: deque[Lock]
-    _is_owned: Callable[[], bool]
-    _release_save: Callable[[], Any]
-    _acquire_restore: Callable[[Any], None]
-
-    def __init__(self, lock: Lock | None = None) -> None:
-        super().__init__(bound(RLock, self.turns)() if lock is None else lock)  # type: ignore[arg-type]
-
-    def wait(self, timeout: float | None = None) -> bool:
-        if not self._is_owned():
-            raise RuntimeError("cannot wait on un-acquired lock")
-        me = bound(Lock, self.turns)()
-        me.acquire()
-        self._waiters.append(me)  # `notify` releases it
-        depth = self._release_save()
-        try:
-            return me.acquire(timeout=-1 if timeout is None else max(timeout, 0.0))
-        finally:
-            if me in self._waiters:
-                self._waiters.remove(me)
-            self._acquire_restore(depth)
-
-    def wait_for(self, predicate: Callable[[], Result], timeout: float | None = None) -> Result:
-        end_ns = None if timeout is None else self.turns.now_ns() + round(timeout * NS_PER_S)
-        while not (found := predicate()):
-            if not self.wait(None if end_ns is None else (end_ns - self.turns.now_ns()) / NS_PER_S):
-                return predicate()
-        return found
-
-
-class Event(threading.Event):
-    turns: Turns
-
-    def __init__(self) -> None:
-        super().__init__()
-        self._cond = bound(Condition, self.turns)()
-
-    def wait(self, timeout: float | None = None) -> bool:
-        return self.turns.until(self.is_set, timeout)
-
-
-class Semaphore(threading.Semaphore):
-    turns: Turns
-
-    def __init__(self, value: int = 1) -> None:
-        super().__init__(value)
-        self._cond = bound(Condition, self.turns)()
-
-    def acquire(self, blocking: bool = True, timeout: float | None = None) -> bool:
-        if not blocking and timeout is not None:
-            raise ValueError("can't specify timeout for non-blocking acquire")
-        if self._value == 0 and not (blocking and self.turns.until(lambda: self._value > 0, timeout)):
-            return False
-        self._value -= 1
-        return True
-
-    __enter__ = acquire
-
-
-class BoundedSemaphore(Semaphore, threading.BoundedSemaphore):
-    pass
-
-
-class Barrier(threading.Barrier):
-    turns: Turns
-
-    def __init__(self, parties: int, action: Callable[[], None] | None = None, timeout: float | None = None) -> None:
-        super().__init__(parties, action, timeout)
-        self._cond = bound(Condition, self.turns)()
-
-
-class Thread(threading.Thread):
-    """A thread that runs in turns. Not the process but the flight waits for its end, unless it is a daemon."""
-
-    turns: Turns
-    running: list[Thread]
-    is_daemon = False
-    over = False
-
-    def start(self) -> None:
-        turn, run = self.turns.announce(), self.run
-        self.run = lambda: self._in_turns(turn, run)  # type: ignore[method-assign]
-        self.is_daemon, self.daemon = self.daemon, True
-        self.running.append(self)
-        super().start()
-
-    def _in_turns(self, turn: Turn, run: Callable[[], None]) -> None:
-        self.turns.begin(turn)
-        try:
-            run()
-        except FlightOver:
-            pass
-        except BaseException as error:
-            hide_ours(error)
-            error.__traceback__ = error.__traceback__ and error.__traceback__.tb_next  # without this frame
-            threading.excepthook(threading.ExceptHookArgs((type(error), error, error.__traceback__, self)))
-        finally:
-            self.over = True
-            self.running.remove(self)
-            self.turns.end()
-
-    def is_alive(self) -> bool:
-        return super().is_alive() and not self.over
-
-    def join(self, timeout: float | None = None) -> None:
-        self.turns.until(lambda: self.over, timeout)
-
-
-class Timer(Thread):
-    def __init__(
-        self,
-        interval: float,
-        function: Callable[..., object],
-        args: Iterable[object] | None = None,
-        kwargs: Mapping[str, object] | None = None,
-    ) -> None:
-        super().__init__()
-        self.finished = bound(Event, self.turns)()
-        self._call = partial(function, *(args or ()), **(kwargs or {}))
-        self._interval = interval
-
-    def cancel(self) -> None:
-        self.finished.set()
-
-    def run(self) -> None:
-        if not self.finished.wait(self._interval):
-            self._call()
-        self.finished.set()
-
-
-class Queue(queue.Queue[object]):
-    turns: Turns
-
-    def put(self, item: object, block: bool = True, timeout: float | None = None) -> None:
-        def has_room() -> bool:
-            return self.maxsize <= 0 or self._qsize() < self.maxsize
-
-        if not has_room() and not (block and self.turns.until(has_room, timeout)):
-            raise queue.Full
-        self._put(item)
-        self.unfinished_tasks += 1
-
-    def get(self, block: bool = True, timeout: float | None = None) -> object:
-        if not self._qsize() and not (block and self.turns.until(lambda: self._qsize() > 0, timeout)):
-            raise queue.Empty
-        return self._get()
-
-    def join(self) -> None:
-        self.turns.until(lambda: self.unfinished_tasks == 0)
-
-
-class LifoQueue(Queue, queue.LifoQueue[object]):
-    pass
-
-
-class PriorityQueue(Queue, queue.PriorityQueue[object]):  # type: ignore[type-var]  # what a script orders
-    pass
-
-
-class ThreadClasses:
-    """The stand-ins by module and name, bound to one flight, and the script's running threads."""
+class ThreadModules:
+    """The modules of threads for the scripts of one flight."""
 
     def __init__(self, turns: Turns) -> None:
-        self.running: list[Thread] = []
-        kinds: tuple[type, ...] = (Lock, RLock, Condition, Event, Semaphore, BoundedSemaphore, Barrier)
-        kinds += (Queue, LifoQueue, PriorityQueue)
-        own = {kind.__name__: bound(kind, turns) for kind in kinds}
-        own["SimpleQueue"] = own["Queue"]
-        for kind in (Thread, Timer):
-            own[kind.__name__] = thread = bound(kind, turns)
-            thread.running = self.running
-        self.own = {
-            module: {name: kind for name, kind in own.items() if hasattr(module, name)} for module in (threading, queue)
+        def now() -> Moment:
+            return Moment(turns.now_ns())
+
+        def start_new_thread(function: Callable[..., object], args: Iterable[object], *kwargs: Any) -> int:
+            thread = self.threading.Thread(None, function, None, args, *kwargs, daemon=True)
+            thread.start()
+            return thread.ident or 0
+
+        lock, thread = bound(Lock, turns), bound(Thread, turns)
+        names = {**vars(threading), "_time": now, "_allocate_lock": lock, "Lock": lock, "Thread": thread}
+        for name in LOCKS:
+            names[name] = rebuilt(getattr(threading, name), names)
+        names["RLock"] = names["_RLock"]
+        own = {name: names[name] for name in ("Lock", "RLock", "Thread", *LOCKS[1:])}
+        own["enumerate"] = lambda: [threading.main_thread(), *turns.running]
+        own["active_count"] = own["activeCount"] = lambda: 1 + len(turns.running)
+        self.threading = changed(threading, **own)
+        names = {**vars(queue), "threading": self.threading, "time": now}
+        kinds = {name: rebuilt(getattr(queue, name), names) for name in QUEUES}
+        kinds["SimpleQueue"] = kinds.pop("_PySimpleQueue")
+        names |= kinds
+        begin = {"start_new_thread": start_new_thread, "start_new": start_new_thread}
+        self.own: dict[ModuleType, dict[str, Any]] = {
+            threading: own,
+            queue: kinds,
+            _thread: {"allocate_lock": lock, "LockType": lock, **begin},
         }
 
-    def modules(self) -> dict[str, ModuleType]:
-        """Return the modules `threading` and `queue` for a script."""
-        return {module.__name__: changed(module, **kinds) for module, kinds in self.own.items()}
+    def in_scripts(self) -> dict[str, ModuleType]:
+        """Return the modules `threading`, `queue` and `_thread` for a script."""
+        own = {module.__name__: changed(module, **kinds) for module, kinds in self.own.items()}
+        return own | {"threading": self.threading}
+
+
+# --- modules that everybody shares ---------------------------------------------------------------------------------
+
+
+class SharedModules:
+    """Lets Python's modules that wait for threads do so in turns where a script calls them.
+
+    `clock` is the script's module `time`.
+    """
+
+    def __init__(self, patches: Patches, turns: Turns, modules: ThreadModules, clock: ModuleType) -> None:
+        self._patches, self._turns, self._modules, self._clock = patches, turns, modules, clock
+        waits = {name: getattr(clock, name) for name in ("monotonic", "sleep", "time")}
+        self._stand_ins = {
+            module: changed(module, **self._chosen(module, own))
+            for module, own in {**modules.own, sys.modules["time"]: waits}.items()
+        }
+        for name in ("concurrent.futures._base", "asyncio.log"):
+            patches.when_imported(name, self._leave_ends_unsaid)
+        for name in ("concurrent.futures._base", "concurrent.futures.thread", "asyncio.base_events"):
+            patches.when_imported(name, self._change)
+        patches.when_imported("concurrent.futures.process", self._wait_for_the_machine)
+        patches.when_imported("multiprocessing.dummy", self._change_dummy)
+        patches.when_imported("multiprocessing.pool", self._change_pool)
+        patches.when_imported("asyncio.selector_events", self._change_loops)
+        patches.when_imported("sched", self._change_scheduler)
+
+    def _is_for_a_script(self) -> bool:
+        return self._turns.is_mine() and called_by_a_script()
+
+    def _chosen(self, module: ModuleType, own: Mapping[str, Any]) -> dict[str, Callable[..., object]]:
+        """Return functions that call a script's `own` for a script, and the module's for everyone else."""
+
+        def chosen(name: str, theirs: Callable[..., object]) -> Callable[..., object]:
+            return lambda *given, **named: (own[name] if self._is_for_a_script() else theirs)(*given, **named)
+
+        return {name: chosen(name, getattr(module, name)) for name in own}
+
+    def _change(self, module: ModuleType) -> None:
+        for original, stand_in in self._stand_ins.items():
+            if vars(module).get(original.__name__) is original:
+                self._patches.set(module, original.__name__, stand_in)
+
+    def _change_dummy(self, module: ModuleType) -> None:
+        """Change multiprocessing.dummy, whose processes are threads."""
+        own = {name: kind for kinds in self._modules.own.values() for name, kind in kinds.items()}
+        names = {**vars(module), "Thread": own["Thread"], "threading": self._modules.threading}
+        own |= {"Process": rebuilt(module.DummyProcess, names), "JoinableQueue": own["Queue"]}
+        own = {name: kind for name, kind in own.items() if name in vars(module)}
+        for name, kind in self._chosen(module, own).items():
+            self._patches.set(module, name, kind)
+
+    def _change_pool(self, module: ModuleType) -> None:
+        """Change multiprocessing.pool, whose ThreadPool tells its threads of changes through a pipe."""
+        turns, kinds = self._turns, self._modules.in_scripts()
+        changes = type("SimpleQueue", (kinds["queue"].SimpleQueue,), {"_reader": property(lambda self: self)})
+        names = {**vars(module), **kinds, "time": self._clock}
+        names["get_context"] = lambda: SimpleNamespace(SimpleQueue=changes)
+        names["wait"] = lambda ready, timeout=None: turns.until(lambda: not ready[0].empty(), timeout)
+        for name in POOL:
+            names[name] = rebuilt(getattr(module, name), names)
+
+        def new(cls: type, *arguments: object, **options: object) -> object:
+            if not self._is_for_a_script():
+                return object.__new__(cls)
+            return names["ThreadPool"](*arguments, **options)
+
+        self._patches.set(module, "ThreadPool", type("ThreadPool", (module.ThreadPool,), {"__new__": new}))
+
+    def _change_scheduler(self, module: ModuleType) -> None:
+        defaults = tuple(getattr(self._clock, name) for name in ("monotonic", "sleep"))
+        self._patches.set(module.scheduler.__init__, "__defaults__", defaults)
+
+    def _change_loops(self, module: ModuleType) -> None:
+        """Put the event loops of asyncio.selector_events that a script makes on its clock."""
+        original: Callable[..., None] = module.BaseSelectorEventLoop.__init__
+        turns, clock = self._turns, self._clock
+
+        def init(loop: asyncio.BaseEventLoop, selector: selectors.BaseSelector | None = None) -> None:
+            if not self._is_for_a_script():
+                return original(loop, selector)
+            loop.time = lambda: turns.now_ns() / NS_PER_S  # type: ignore[method-assign]
+            selector = selector or selectors.DefaultSelector()
+            return original(loop, SimulatedSelector(selector, turns, clock.monotonic))
+
+        self._patches.set(module.BaseSelectorEventLoop, "__init__", init)
+
+    def _leave_ends_unsaid(self, module: ModuleType) -> None:
+        """Keep a pool or an event loop from logging the end of the flight, an exception in its workers."""
+        logger = module.LOGGER if hasattr(module, "LOGGER") else module.logger
+        logger.addFilter(_is_no_end)
+        self._patches.undo(lambda: logger.removeFilter(_is_no_end))
+
+    def _wait_for_the_machine(self, module: ModuleType) -> None:
+        """Wait for the futures of processes in the machine's time, in which they compute."""
+        condition = threading.Condition
+
+        class Future(concurrent.futures.Future[object]):
+            def __init__(self) -> None:
+                super().__init__()
+                self._condition = condition()
+
+        self._patches.set(module, "_base", changed(module._base, Future=Future))
+
+
+class SimulatedSelector:
+    """The selector in which an event loop waits; `poll` charges what reading the clock costs.
+
+    Data on sockets and pipes arrive in the machine's time: they are waited for when nothing else can continue.
+    """
+
+    def __init__(self, selector: selectors.BaseSelector, turns: Turns, poll: Callable[[], object]) -> None:
+        self._selector, self._turns, self._poll = selector, turns, poll
+        self._stood_ns, self._turns_since = 0, 0
+
+    def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
+        ready: list[tuple[selectors.SelectorKey, int]] = []
+
+        def happened() -> bool:
+            ready[:] = self._selector.select(0)
+            return bool(ready)
+
+        if timeout is not None and timeout <= 0:
+            self._let_others_run()
+            happened()
+        else:
+            self._turns.until(happened, timeout, lambda: self._selector.select(None))
+        return ready
+
+    def _let_others_run(self) -> None:
+        now_ns = self._turns.now_ns()
+        self._turns_since = self._turns_since + 1 if now_ns == self._stood_ns else 0
+        if self._turns_since > FREE_TURNS:
+            self._poll()
+        self._stood_ns = self._turns.now_ns()
+        self._turns.wait_until(self._stood_ns)
+
+    def __getattr__(self, name: str) -> object:
+        return getattr(self._selector, name)
+
+
+def _is_no_end(record: logging.LogRecord) -> bool:
+    """Return whether a log record is about anything but the end of the flight."""
+    return not (record.exc_info and isinstance(record.exc_info[1], FlightOver))
+
+
+def end_pools() -> None:
+    """Let executors finish that nobody has shut down, as Python does at its end."""
+    if (pools := sys.modules.get("concurrent.futures.thread")) is not None:
+        pools._python_exit()
+        vars(pools)["_shutdown"] = False

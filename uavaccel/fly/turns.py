@@ -1,6 +1,8 @@
-"""Schedules the threads of a script on a simulated clock: one runs until it waits, then the next one to wake runs.
+"""The threads of a script on a simulated clock: one runs until it waits, then the next one to wake runs.
 
-The simulated clock alone decides which thread runs when, so that a script with threads flies the same every time.
+The simulated clock alone decides which thread runs when, so that a script with threads flies the same every time. A
+lock and a thread that wait in this way are all that Python's own conditions, queues and pools are made of
+(uavaccel.fly.threads).
 """
 
 from __future__ import annotations
@@ -9,16 +11,18 @@ import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from math import inf
+from typing import TypeVar
 from weakref import WeakSet
 
 from uavaccel.clock import WallClock
 from uavaccel.errors import UserError
-from uavaccel.fly.script import FlightOver
+from uavaccel.fly.script import FlightOver, hide_ours
 from uavaccel.processes.lifetime import END_WITH_PARENT
 from uavaccel.units import NS_PER_S
 
 FOREIGN_S = 1e-3  # the machine's time between two checks of what threads outside of the turns have done
 OURS = {END_WITH_PARENT}  # names of such threads that do nothing for a script
+Class = TypeVar("Class", bound=type)
 TURN_POLL_NS = 1_000_000  # a thread whose answer depends on another thread polls at this interval
 
 
@@ -55,6 +59,7 @@ class Turns:
         self._order = 0
         self._threads = {threading.get_ident()}
         self._strangers = WeakSet(threading.enumerate())  # threads older than the script do nothing for it
+        self.running: list[Thread] = []
 
     def now_ns(self) -> int:
         return self._clock.now_ns()
@@ -124,6 +129,7 @@ class Turns:
         """In a forked process, go on with its only thread on another clock."""
         self._clock, self._limit_ns = clock, inf
         self._waiting.clear()
+        self.running.clear()
         self._threads = {threading.get_ident()}
 
     def _wait(self, mine: Turn) -> None:
@@ -158,3 +164,84 @@ class Turns:
         else:
             return False
         return True
+
+
+class Lock:
+    """threading.Lock, as a plain flag; `turns` are those of a flight (`bound`)."""
+
+    turns: Turns
+
+    def __init__(self) -> None:
+        self._held = False
+
+    def acquire(self, blocking: bool = True, timeout: float = -1) -> bool:
+        if timeout != -1 and not blocking:
+            raise ValueError("can't specify a timeout for a non-blocking call")
+        if timeout < 0 and timeout != -1:
+            raise ValueError("timeout value must be positive")
+        timeout_s = None if timeout == -1 else timeout
+        if self._held and not (blocking and self.turns.until(lambda: not self._held, timeout_s)):
+            return False
+        self._held = True
+        return True
+
+    def release(self) -> None:
+        if not self._held:
+            raise RuntimeError("release unlocked lock")
+        self._held = False
+
+    def locked(self) -> bool:
+        return self._held
+
+    __enter__ = acquire
+
+    def __exit__(self, *exception: object) -> None:
+        self.release()
+
+
+class Thread(threading.Thread):
+    """A thread that runs in turns. Not the process but the flight waits for its end, unless it is a daemon."""
+
+    turns: Turns
+    over = False
+
+    def start(self) -> None:
+        if self.ident is None:  # otherwise it has been started, and the next line says so
+            turn, run = self.turns.announce(), self.run
+            self.run = lambda: self._run_in_turns(turn, run)  # type: ignore[method-assign]
+        daemon, self._daemonic = self._daemonic, True  # for the process, which ends without it
+        try:
+            super().start()
+        finally:
+            self._daemonic = daemon
+        self.turns.running.append(self)
+
+    def _run_in_turns(self, turn: Turn, run: Callable[[], None]) -> None:
+        self.turns.begin(turn)
+        try:
+            run()
+        except FlightOver:
+            pass
+        except BaseException as error:
+            hide_ours(error)
+            error.__traceback__ = error.__traceback__ and error.__traceback__.tb_next  # without this frame
+            threading.excepthook(threading.ExceptHookArgs((type(error), error, error.__traceback__, self)))
+        finally:
+            self.over = True
+            self.turns.running.remove(self)
+            self.turns.end()
+
+    def is_alive(self) -> bool:
+        return super().is_alive() and not self.over
+
+    def join(self, timeout: float | None = None) -> None:
+        if self.ident is None:
+            raise RuntimeError("cannot join thread before it is started")
+        if self is threading.current_thread():
+            raise RuntimeError("cannot join current thread")
+        self.turns.until(lambda: self.over, timeout)
+
+
+def bound(kind: Class, turns: Turns) -> Class:
+    """Return a subclass whose objects wait through `turns`."""
+    return type(kind.__name__, (kind,), {"turns": turns, "__module__": "threading"})  # type: ignore[return-value]

@@ -35,12 +35,11 @@ from uavaccel.kernels.fields import (
     UNIFORM,
     Looks,
 )  # fmt: skip
+from uavaccel.kernels.operands import Float, Vector, cross, dot
 from uavaccel.kernels.rays import Colour, level_of, lit, luma, sky_index, texel_index
 from uavaccel.kernels.scene import Scene, Shape
 from uavaccel.sim.parts import part
 
-Float: TypeAlias = Any
-Vector: TypeAlias = tuple[Float, Float, Float]
 Span: TypeAlias = tuple[Float, Float]
 Eye: TypeAlias = tuple[Vector, tuple[Vector, Vector, Vector], Float]
 
@@ -55,20 +54,10 @@ NOTHING, NONE = -1, (ZERO, ZERO, ZERO)
 
 
 @part(error_model="numpy")
-def dot(a: Vector, b: Vector) -> Float:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-@part(error_model="numpy")
 def along(origin: Vector, direction: Vector, distance: Float) -> Vector:
     """Return the point at a distance along a ray."""
     x, y, z = origin
     return x + distance * direction[0], y + distance * direction[1], z + distance * direction[2]
-
-
-@part(error_model="numpy")
-def cross(a: Vector, b: Vector) -> Vector:
-    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
 @part(error_model="numpy")

@@ -10,10 +10,9 @@ import numpy as np
 from uavaccel.kernels.lane_games import INDICES, OF_LAYOUT, OWN, STREAMS, deal_index, deal_seeds
 from uavaccel.kernels.lanes import Games
 from uavaccel.kernels.operands import Operand
-from uavaccel.sim.clutter.layout import CLUTTER_FIELDS
-from uavaccel.sim.parts import part
+from uavaccel.sim.clutter import CLUTTER_FIELDS
+from uavaccel.sim.parts import part, times
 from uavaccel.sim.pcg64 import STREAM_FIELDS, pool_of, start, unit
-from uavaccel.sim.rounding import times
 
 # Numbers of a distribution, float64.
 FIRST_SEED, NOISY_EVENTS, NEAR_M, SPAN_M, ASIDE_RAD, ALTITUDE_M = range(6)
@@ -26,7 +25,7 @@ class Distribution(NamedTuple):
     numbers: Operand
     """(NUMBERS,) float64."""
     clutter: Operand
-    """(sim/clutter/layout.NUMBERS,) float64: Clutter.numbers()."""
+    """(sim/clutter.NUMBERS,) float64: Clutter.numbers()."""
 
 
 class Deals(NamedTuple):
@@ -39,7 +38,7 @@ class Deals(NamedTuple):
     goals: Operand
     """(L, 3) float64: goals of the latest games, NED, m."""
     layouts: Operand
-    """(L, n, CLUTTER_FIELDS) float64: their worlds (sim/clutter/layout)."""
+    """(L, n, CLUTTER_FIELDS) float64: their worlds (sim/clutter)."""
 
 
 def deals(lanes: int, shapes: int) -> Deals:

@@ -14,10 +14,9 @@ from numba import njit
 
 from uavaccel.kernels import scene as at
 from uavaccel.kernels.scene import CELLS_A_SHAPE, Scene, as_seen, empty_scene, list_shapes
-from uavaccel.sim.clutter import layout as of
-from uavaccel.sim.clutter.layout import Clutter, reach_of
-from uavaccel.sim.parts import part
-from uavaccel.sim.rounding import times
+from uavaccel.sim import clutter as of
+from uavaccel.sim.clutter import Clutter, reach_of
+from uavaccel.sim.parts import part, times
 from uavaccel.sim.vehicle.hotloop import sources
 
 

@@ -11,7 +11,18 @@ from numba.extending import overload
 from uavaccel.kernels import casting, events, timeline
 from uavaccel.kernels.fields import COLOUR, DEPTH, DVS, SEEN_FAR_M, STATE, Appearance, Looks
 from uavaccel.kernels.lane_clocks import save_shown, turn_to_shown
-from uavaccel.kernels.lanes import EVENT_SEED, PICTURE_SEED, Flights, Games, begin, command, fly, refresh, touched
+from uavaccel.kernels.lanes import (
+    EVENT_SEED,
+    PICTURE_SEED,
+    Flights,
+    Games,
+    begin,
+    command,
+    fly,
+    refresh,
+    resume,
+    touched,
+)  # fmt: skip
 from uavaccel.kernels.operands import Launchable, Operand
 from uavaccel.kernels.project import project
 from uavaccel.kernels.spans import make_scratch, render_channels, render_depths, transpose_colour, transpose_gray
@@ -41,7 +52,7 @@ def fill_thresholds(nominal: float, sigma: float, normal: Operand, out: Operand)
 
 @part(error_model="numpy")
 def add_read_noise(picture: Operand, sigma: float, seed: int, moment_ns: int) -> None:
-    """Add read noise to an image (values,) of 8-bit levels, in place (vision/image_noise)."""
+    """Add read noise to an image (values,) of 8-bit levels, in place (vision/noise)."""
     drawn, deviation = np.empty(len(picture), np.float32), np.float32(sigma)
     fill_normal(drawn, np.uint64(seed), np.uint64(moment_ns), READ_NOISE)
     for value in range(len(picture)):
@@ -483,12 +494,21 @@ def _fly_lanes(
     scratch, picture = make_scratch(), np.empty(view.size, np.uint8)
     for lane in lanes:
         row, scale, timing = clocks.row[lane], clocks.scale[lane], plan.timing
+        before, body = now.state[lane : lane + 1].copy(), now.body[lane : lane + 1].copy()
         tick = timeline.issue(row, scale, timing)
         fly_to(lane, tick, view, games, now, plan, clocks, scratch, picture)
-        command(lane, goals, plan.modes, now)
-        now.state[lane].hover_tick = tick + plan.hold_ticks
-        sample = 0
+        if not np.isnan(plan.start_speed):
+            resume(lane, 0, before, body, plan.start_speed, games, now)
+        acts_ns, sample = row[timeline.DUE] + timing.rules[timeline.LATE_NS], 0
         while row[timeline.LAST] == 0:
+            if acts_ns < row[timeline.DUE] + timing.slices_ns[sample]:
+                left_ns = acts_ns - tick * plan.tick_ns
+                if left_ns > 0:
+                    tick = timeline.wait(row, scale, timing, left_ns)
+                    fly_to(lane, tick, view, games, now, plan, clocks, scratch, picture)
+                command(lane, goals, plan.modes, now)
+                now.state[lane].hover_tick = tick + plan.hold_ticks
+                acts_ns = timeline.NEVER
             tick = timeline.reach(row, scale, timing, sample)
             seen = fly_to(lane, tick, view, games, now, plan, clocks, scratch, picture)
             take_state(lane, now, samples[lane, sample])

@@ -3,7 +3,7 @@
 One to 32 threads fly a lane, one thread resolves visibility in a column of an image, and one thread shades 4 x 2 pixels
 and computes their events. All data stays on the device, and kernels are launched on PyTorch's current stream, so that a
 round of them can be recorded as a CUDA graph. numba-cuda cannot disable fused multiply-adds: flights differ from the
-CPU's in their last bits, events do not (sim/rounding).
+CPU's in their last bits, events do not (sim/parts).
 """
 
 from __future__ import annotations
@@ -35,13 +35,13 @@ from uavaccel.kernels.quads import BELOW, RIGHT, quad_lumas, quick_count, update
 from uavaccel.kernels.rays import colour_of, linear
 from uavaccel.kernels.scene import LOOSE, add_to, sort_cell, visit, world_of
 from uavaccel.kernels.touching import NOTHING, around, deepest_of_all, least_of_all
-from uavaccel.sim.clutter.layout import DRAWS, GAP, keep_gaps, sample_shape
+from uavaccel.sim.clutter import DRAWS, GAP, keep_gaps, sample_shape
+from uavaccel.sim.parts import times
 from uavaccel.sim.pcg64 import STREAM_FIELDS, advance
-from uavaccel.sim.rounding import times
 from uavaccel.sim.vehicle.quadrotor import FLIGHT_DTYPE, NEVER, PARAMETERS_DTYPE
 from uavaccel.vision.dvs_kernels import count_double_pixel
+from uavaccel.vision.dvs_sensor import BLOCK_SIDE, NEUTRAL_LEVEL
 from uavaccel.vision.noise import READ_NOISE, normal_block
-from uavaccel.vision.observation import BLOCK_SIDE, NEUTRAL_LEVEL
 
 BLOCK_ROWS, BLOCK_COLUMNS = at.ROWS // BLOCK_SIDE, at.COLUMNS // BLOCK_SIDE
 BLOCKS = BLOCK_ROWS * BLOCK_COLUMNS
@@ -209,6 +209,13 @@ def command_lanes(going, goals, modes, now):  # type: ignore[no-untyped-def]
     lane = cuda.grid(1)
     if lane < len(going) and going[lane] != 0:
         lanes.command(lane, goals, modes, now)
+
+
+def resume_lanes(going, before, share, games, now):  # type: ignore[no-untyped-def]
+    """Let every lane whose flag in `going` (L,) is set fly on from where it is as it did `before`, in Flights."""
+    lane = cuda.grid(1)
+    if lane < len(going) and going[lane] != 0:
+        lanes.resume(lane, lane, before.state, before.body, share, games, now)
 
 
 @cuda.jit(device=True, inline="always")
@@ -725,6 +732,7 @@ class Kernels(NamedTuple):
     deal: Launchable
     begin: Launchable
     command: Launchable
+    resume: Launchable
     fly: Launchable
     project: Launchable
     find: Launchable
@@ -752,6 +760,7 @@ def compiled(nominal: Operand) -> Kernels:
         deal_games,
         start_lanes,
         command_lanes,
+        resume_lanes,
         flying(nominal),
         project_lanes,
         find_shown,

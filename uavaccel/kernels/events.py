@@ -1,7 +1,7 @@
 """The event cameras of many lanes, pixel by pixel, on the functions of vision/dvs_kernels.
 
 The cameras of different lanes differ only in their parameters: the per-pixel random numbers of the sensor are shared.
-Events are summed over blocks of 4 x 4 pixels (vision/observation) until an observation takes them.
+Events are summed over blocks of 4 x 4 pixels (vision/dvs_sensor) until an observation takes them.
 """
 
 from __future__ import annotations
@@ -16,13 +16,11 @@ from numpy.typing import NDArray
 from uavaccel.kernels.fields import COLUMNS as WIDTH
 from uavaccel.kernels.fields import ROWS as HEIGHT
 from uavaccel.kernels.operands import Operand
-from uavaccel.sim.parts import part
-from uavaccel.sim.rounding import times
+from uavaccel.sim.parts import part, times
 from uavaccel.vision import dvs_kernels as pixel
 from uavaccel.vision.dvs import HOT_RATE_HZ, LIN_LOG, RELATIVE_INTENSITY, SHOT_NOISE_AT_WHITE, DvsParameters
-from uavaccel.vision.dvs_sensor import MIN_THRESHOLD, Draws
+from uavaccel.vision.dvs_sensor import BLOCK_SIDE, MIN_THRESHOLD, NEUTRAL_LEVEL, Draws
 from uavaccel.vision.noise import LEAK_JITTER, SHOT_NOISE, normal_block, uniform_block
-from uavaccel.vision.observation import BLOCK_SIDE, NEUTRAL_LEVEL
 
 # A lane's camera, float64 (CAMERA_FIELDS,): DVS parameters, and the standard deviation of its images' read noise.
 POSITIVE, NEGATIVE, SIGMA, TAU, LEAK, JITTER, SHOT, REFRACTORY, HOT, READ = range(10)

@@ -16,28 +16,17 @@ from numpy.typing import NDArray
 
 from uavaccel.kernels import fields as at
 from uavaccel.kernels.fields import Appearance, Scenes
+from uavaccel.kernels.operands import Vector, dot, plus
 from uavaccel.kernels.rays import Faces, touches
 from uavaccel.sim.parts import part
 
 Floats = NDArray[np.floating]
-Vector = tuple[float, float, float]
 View = tuple[Vector, Vector, Vector, Vector]  # eye; the ray: per column, per row, of pixel (0, 0)
 Span = tuple[float, float]
 
 X, Y, Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
 APOTHEM, HALF_SIDE = math.cos(math.pi / at.SLICES), math.sin(math.pi / at.SLICES)  # of a prism of radius 1
 SKY_SHARE = 0.70  # distance of the sky in MuJoCo's renderer, as a share of the far plane's
-
-
-@part(error_model="numpy")
-def dot(a: Vector, b: Vector) -> float:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-@part(error_model="numpy")
-def plus(a: Vector, b: Vector, times: float) -> Vector:
-    """Return a + b * times."""
-    return a[0] + b[0] * times, a[1] + b[1] * times, a[2] + b[2] * times
 
 
 @part(error_model="numpy")

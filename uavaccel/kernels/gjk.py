@@ -12,10 +12,10 @@ from typing import TypeAlias
 
 from uavaccel.kernels import scene as at
 from uavaccel.kernels.fields import BOX, CYLINDER
+from uavaccel.kernels.operands import Vector, cross, dot, plus
 from uavaccel.kernels.scene import Scene, Shape
 from uavaccel.sim.parts import part
 
-Vector: TypeAlias = tuple[float, float, float]
 Simplex: TypeAlias = tuple[Vector, Vector, Vector, Vector]
 Nearest: TypeAlias = tuple[Vector, int, Simplex]
 """The point of a simplex next to 0, and the smallest simplex that has it: its number of corners, and these."""
@@ -31,24 +31,8 @@ O = (0.0, 0.0, 0.0)  # noqa: E741
 
 
 @part(error_model="numpy")
-def dot(a: Vector, b: Vector) -> float:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-@part(error_model="numpy")
 def minus(a: Vector, b: Vector) -> Vector:
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
-
-
-@part(error_model="numpy")
-def plus(a: Vector, b: Vector, times: float) -> Vector:
-    """Return a + b * times."""
-    return a[0] + b[0] * times, a[1] + b[1] * times, a[2] + b[2] * times
-
-
-@part(error_model="numpy")
-def cross(a: Vector, b: Vector) -> Vector:
-    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
 @part(error_model="numpy")

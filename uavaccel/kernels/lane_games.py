@@ -15,12 +15,11 @@ import numpy as np
 from uavaccel.kernels import fields as at
 from uavaccel.kernels.lanes import EVENT_SEED, PICTURE_SEED, Games
 from uavaccel.kernels.operands import Operand
-from uavaccel.sim.lane.layout import EVALUATION_SEEDS, WIDTH_M
+from uavaccel.sim.lane.layout import SPLIT_SIZE, WIDTH_M
 from uavaccel.sim.lane.scene import AMBIENT, DAYLIGHT, SUN_ELEVATION_RAD
-from uavaccel.sim.parts import part
+from uavaccel.sim.parts import part, times
 from uavaccel.sim.pcg64 import ONE, STREAM_FIELDS, below, first_word, pool_of, spawned, start, unit, word
-from uavaccel.sim.rounding import times
-from uavaccel.vision.image_noise import APART
+from uavaccel.vision.noise import APART
 
 OWN, OF_LAYOUT, BEFORE = range(
     3
@@ -32,7 +31,7 @@ FIRST_SEED, ROWS, PER_ROW, SLACK_M, PITCH_M, VARIED = range(6)
 (LIGHT_LOW, LIGHT_SPAN, WIND_M_S, LIT, NOISY_EVENTS) = range(6, 11)
 NUMBERS = 11
 
-INDICES, TEXTURES, WALLS, GROUNDS = np.uint64(EVALUATION_SEEDS), np.uint64(4), np.uint64(2), np.uint64(2)
+INDICES, TEXTURES, WALLS, GROUNDS = np.uint64(SPLIT_SIZE), np.uint64(4), np.uint64(2), np.uint64(2)
 NOISE_KEY = np.uint64(APART)
 LEVEL, DOWNWARDS = math.cos(SUN_ELEVATION_RAD), math.sin(SUN_ELEVATION_RAD)
 

@@ -114,6 +114,22 @@ def command(lane: int, goals: Operand, modes: Operand, now: Flights) -> None:
     state.hover_tick = NEVER
 
 
+@part
+def resume(lane: int, row: int, before: Operand, bodies: Operand, share: float, games: Games, now: Flights) -> None:
+    """Let a lane's vehicle fly on from where it is as it did in this `row` of states and bodies, its motion scaled."""
+    if touched(lane, now):
+        return
+    tick, body = now.state[lane].tick, now.body[lane]
+    now.state[lane] = before[row]
+    now.state[lane].tick = tick
+    for field in range(3, BODY_FIELDS):
+        body[field] = bodies[row, field]
+    for field in range(MOTION, FORCE):
+        body[field] *= share
+    now.watch[lane, NEXT_CHECK] = 0
+    refresh(games.parameters[now.game[lane]], now.state[lane], body)
+
+
 @part(inline=False)
 def fly(lane: int, ticks: int, games: Games, now: Flights, hull: Operand) -> None:
     """Fly a lane for `ticks`."""

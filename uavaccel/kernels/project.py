@@ -15,14 +15,11 @@ from uavaccel.kernels.faces import (
     HALF_SIDE,
     SKY_SHARE,
     Floats,
-    Vector,
     View,
     X,
     Y,
     Z,
     begin,
-    dot,
-    plus,
     put_face,
     put_light,
     put_prism,
@@ -30,6 +27,7 @@ from uavaccel.kernels.faces import (
     view_of,
 )
 from uavaccel.kernels.fields import Appearance, Scenes
+from uavaccel.kernels.operands import Vector, dot, plus
 from uavaccel.kernels.rays import Faces
 from uavaccel.sim.parts import part
 

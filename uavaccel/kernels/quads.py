@@ -39,7 +39,7 @@ from uavaccel.kernels.rays import (
     texel_index,
 )
 from uavaccel.kernels.spans import HUGE
-from uavaccel.sim.rounding import times
+from uavaccel.sim.parts import times
 from uavaccel.vision.dvs_kernels import count_single_pixel
 from uavaccel.vision.dvs_sensor import MIN_THRESHOLD
 

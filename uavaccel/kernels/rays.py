@@ -44,19 +44,6 @@ def linear(faces: Faces, face: Integer, field: int, column: Float, row: Float) -
 
 
 @part(error_model="numpy")
-def covers(faces: Faces, face: Integer, column: Float, row: Float) -> bool:
-    """Return whether a pixel is inside a face's edges."""
-    inside = True
-    for edge in range(4):
-        inside = inside and linear(faces, face, at.EDGES + 3 * edge, column, row) >= ZERO
-    extra = int(faces[face, at.EXTRA])
-    if inside and extra > 0:
-        for edge in range(8):
-            inside = inside and linear(faces, extra, 3 * edge, column, row) >= ZERO
-    return inside
-
-
-@part(error_model="numpy")
 def touches(faces: Faces, face: Integer, row0: Float, row1: Float, column0: Float, column1: Float) -> bool:
     """Return whether a face may be visible in a rectangle of pixels, ends included; never wrongly False."""
     if faces[face, at.NEAREST_W] <= ZERO:
@@ -67,19 +54,6 @@ def touches(faces: Faces, face: Integer, row0: Float, row1: Float, column0: Floa
         most = max(a * column0, a * column1) + max(b * row0, b * row1) + c
         seen = seen and most >= -np.float32(1e-6)
     return seen
-
-
-@part(error_model="numpy")
-def nearest_face(faces: Faces, row: int, column: int) -> Integer:
-    """Return the face that a pixel shows, 0 for the sky."""
-    x, y = np.float32(column), np.float32(row)
-    near, best, shown = faces[0, at.NEAR_W], faces[0, at.FAR_W], 0
-    for face in range(1, int(faces[0, at.COUNT])):
-        if faces[face, at.NEAREST_W] > best:
-            w = linear(faces, face, at.W, x, y)
-            if w > best and w <= near and covers(faces, face, x, y):
-                best, shown = w, face
-    return shown
 
 
 @part(error_model="numpy")

@@ -10,7 +10,8 @@ from typing import Any, TypeAlias
 
 from uavaccel.kernels import scene as at
 from uavaccel.kernels.fields import CYLINDER, PLANE
-from uavaccel.kernels.gjk import NO_CELL, Hull, Vector, distance, dot
+from uavaccel.kernels.gjk import NO_CELL, Hull, distance
+from uavaccel.kernels.operands import Vector, dot
 from uavaccel.kernels.scene import Scene, Shape
 from uavaccel.sim.parts import part
 

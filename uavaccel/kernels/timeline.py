@@ -44,7 +44,8 @@ FIELDS = FIRST_PHASE + PHASE_COUNT
 (IS_ADSC, EXACT_PAUSES, TICK_NS, SPEED, TICK_WALL, ASKED, ASKED_UNDER, COMMAND_TICKS, T_TH_NS) = range(9)
 (STALL_NS, FRAME_NS, STALE_POSE, AFTER_CONTINUE, IMAGES, GUARDED, PROCESSING_NS, LAYS_OUT) = range(9, 17)
 (LATENCY, FAULTS) = range(17, 19)
-RULES = 19
+(GAP_NS, LATE_NS) = range(19, 21)  # simulated: before a command (task.Mediation), and until it acts
+RULES = 21
 
 
 class Timing(NamedTuple):
@@ -73,6 +74,8 @@ class Command(NamedTuple):
     """(3,) int64: what the numbers of all goals are (kernels/lanes.command)."""
     hold_ticks: int
     """Ticks after which position hold takes over unless another command has come."""
+    start_speed: float
+    """Share of the velocity at the last command's end with which the next one begins; NaN: that after the gap."""
     timing: Timing
 
 
@@ -131,7 +134,7 @@ def message(row: Operand, scale: float, timing: Timing, direction: int, channel:
 
 @part
 def with_frame(row: Operand, timing: Timing, asked_ns: int) -> int:
-    """Return the time at which a frame requested at `asked_ns` is ready (sim/frames)."""
+    """Return the time at which a frame requested at `asked_ns` is ready (sim/profile)."""
     return asked_ns + draw(row, timing, wire.FRAME) if timing.rules[FRAME_NS] > 0 else asked_ns
 
 
@@ -374,11 +377,21 @@ def request_image(row: Operand, scale: float, timing: Timing, suspect: bool) -> 
 def issue(row: Operand, scale: float, timing: Timing) -> int:
     """Issue a command and return the tick at which it takes effect."""
     switch(row, SIMULATION)
+    if timing.rules[GAP_NS] > 0:
+        wait(row, scale, timing, timing.rules[GAP_NS])
     row[ISSUED], row[PAUSED_NS], row[LAST] = row[NOW], 0, 0
     if timing.rules[IS_ADSC] == 0 and row[KNOWN] == 0:
         call(row, scale, timing, wire.STATE)
     row[DUE] = row[TICK] * timing.rules[TICK_NS]
     move(row, scale, timing)
+    return int(row[TICK])
+
+
+@part
+def wait(row: Operand, scale: float, timing: Timing, duration_ns: int) -> int:
+    """Continue for a simulated duration, after which TCSC's client knows the state, and return the tick."""
+    continue_for(row, scale, timing, duration_ns)
+    row[KNOWN] = 1
     return int(row[TICK])
 
 
@@ -391,8 +404,7 @@ def reach(row: Operand, scale: float, timing: Timing, sample: int) -> int:
         row[DUE] += timing.slices_ns[sample]
         left = row[DUE] - row[TICK] * timing.rules[TICK_NS]
         while left > timing.rules[T_TH_NS]:
-            continue_for(row, scale, timing, left)
-            row[KNOWN] = 1
+            wait(row, scale, timing, left)
             left = row[DUE] - row[TICK] * timing.rules[TICK_NS]
         row[LAST] = 1 if sample == timing.slices_ns.shape[0] - 1 else 0
     call(row, scale, timing, wire.CALL)  # the client asks for collisions

@@ -7,13 +7,13 @@ by two one-sided tests (Schuirmann, J. Pharmacokinet. Biopharm. 15, 1987), each 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from uavaccel.metrics.intervals import Proportion, student_quantile
+from uavaccel.metrics.intervals import student_quantile
 
 Interval = tuple[float, float]
 
@@ -78,24 +78,19 @@ def mean_estimate(values: ArrayLike) -> Estimate:
     return Estimate(mean, mean - width, mean + width)
 
 
-def success_estimate(trainings: Sequence[Proportion]) -> Estimate:
-    """Return the success of policies that were trained alike, each evaluated in games of its own.
-
-    Games tell how well a policy flies, not what another training would have given. For several trainings the interval
-    is therefore the hull of Wilson's over all games and Student's over the trainings; for one it is Wilson's, and holds
-    for that policy alone. It has a width at 0 and 100 % too, as Wilson's has. Raises ValueError without trainings.
+def difference_estimate(first: Estimate, second: Estimate, correlation: float = 0.0) -> Estimate:
+    """Return first - second with the interval that follows from theirs (MOVER), for shares of the same games that of
+    Newcombe, Stat. Med. 17 (1998), method 10 of the paired ones.
     """
-    if not trainings:
-        raise ValueError("success needs at least one training")
-    pooled = Proportion.pooled(trainings)
-    low, high = pooled.interval
-    if len(trainings) > 1:
-        over = mean_estimate([training.ratio for training in trainings])
-        low, high = max(0.0, min(low, over.low)), min(1.0, max(high, over.high))
-    return Estimate(pooled.ratio, low, high)
+    (p, low_p, high_p), (q, low_q, high_q) = first, second
+
+    def width(one: float, other: float) -> float:
+        return float(np.sqrt(max(0.0, one**2 - 2.0 * correlation * one * other + other**2)))
+
+    return Estimate(p - q, p - q - width(p - low_p, high_q - q), p - q + width(high_p - p, q - low_q))
 
 
-def ratio_estimate(first: Estimate, second: Estimate) -> Estimate:
+def ratio_estimate(first: Estimate, second: Estimate, correlation: float = 0.0) -> Estimate:
     """Return first / second with the interval that follows from theirs (MOVER-R: Donner and Zou, Stat. Methods Med.
     Res. 21, 2012). Neither quantity can be negative; the upper end is infinite where the second may be 0.
 
@@ -104,12 +99,15 @@ def ratio_estimate(first: Estimate, second: Estimate) -> Estimate:
     (p, low_p, high_p), (q, low_q, high_q) = first, second
     if q <= 0.0:
         raise ValueError("a ratio to 0 is unknown")
-    return Estimate(p / q, _end(p, q, low_p, high_q, -1.0), _end(p, q, high_p, low_q, 1.0))
+    lower, upper = (_end(p, q, *ends, correlation) for ends in ((low_p, high_q, -1.0), (high_p, low_q, 1.0)))
+    return Estimate(p / q, lower, upper)
 
 
-def _end(p: float, q: float, end_p: float, end_q: float, sign: float) -> float:
+def _end(p: float, q: float, end_p: float, end_q: float, sign: float, correlation: float) -> float:
     """Return the lower end of a ratio from the lower end of p and the upper of q (sign -1), or its upper end (1)."""
     product, denominator = p * q, end_q * (2 * q - end_q)
+    if min(paired := product - correlation * (p - end_p) * (end_q - q), denominator) > 0:
+        product = paired  # elsewhere the quadratic has no root between: the unpaired end is the wider one
     root = np.sqrt(max(0.0, product**2 - end_p * (2 * p - end_p) * denominator))
     if abs(denominator) > 1e-12:
         return float(max(0.0, (product + sign * root) / denominator))

@@ -51,29 +51,23 @@ class RealTimeProcess(gymnasium.Env[Any, Any]):
         theirs.close()
         # before multiprocessing waits at this program's end, for a stopped one for ever
         self._end = Finalize(self, _end, (self._connection, self._process), exitpriority=0)
-        observation, single, self.metadata, self._tick_ns = self._answer()
+        self.observation_space, single, self.metadata, self._tick_ns = self._answer()
         self.action_space = options.action_space(single)
-        self._extras = Extras(observation, self.action_space, options)
-        self.observation_space = self._extras.space
         self.thinking = Measured()
 
     def reset(self, *, seed: int | None = None, options: Mapping[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Begin an episode; under "adsc" its time runs from here on."""
         super().reset(seed=seed)
-        observation, info = self._ask("reset", seed, options)
-        self._extras.begin()
-        return self._extras.added(observation, 0.0), info
+        result: tuple[Any, dict[str, Any]] = self._ask("reset", seed, options)
+        return result
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Send an action, and wait for the observation after it."""
-        passed, thinking_ns, thought, late_ns = self._ask("step", action)
-        self._extras.note(action)
+        passed, thinking_ns, waited, late_ns = self._ask("step", action)
         self.thinking.taken_ns.append(thinking_ns)
-        age_s = thought * self._tick_ns / NS_PER_S
-        info = {**passed.info, "thinking_s": thinking_ns / NS_PER_S, "meanwhile_s": age_s}
-        info["late_s"] = late_ns / NS_PER_S
-        observation = self._extras.added(passed.observation, age_s)
-        return observation, passed.reward, passed.terminated, passed.truncated, info
+        info = {**passed.info, "thinking_s": thinking_ns / NS_PER_S, "late_s": late_ns / NS_PER_S}
+        info["meanwhile_s"] = waited * self._tick_ns / NS_PER_S
+        return passed.observation, passed.reward, passed.terminated, passed.truncated, info
 
     def close(self) -> None:
         self._end()
@@ -114,6 +108,7 @@ class _Server:
 
     def __init__(self, connection: Connection, loop: ControlLoop, env: gymnasium.Env[Any, Any]) -> None:
         self._connection, self._loop, self._env = connection, loop, env
+        self.extras = Extras(env.observation_space, env.action_space, loop.options)
         self._clock = MonotonicClock()
         self._pacer = Pacer(loop.options.speed, loop.plant.tick_ns)
         self._thinks = False  # the agent, about an observation that it has
@@ -121,26 +116,29 @@ class _Server:
         self._thought = self._since_ns = self._arrived_ns = 0
 
     def reset(self, seed: int | None, options: Mapping[str, Any] | None) -> tuple[Any, dict[str, Any]]:
-        result = self._env.reset(seed=seed, options=None if options is None else dict(options))
+        observation, info = self._env.reset(seed=seed, options=None if options is None else dict(options))
         self._loop.begin()
+        self.extras.begin()
+        observation = self.extras.told(observation, info, 0.0, self._loop)
         self._hand_over(self._clock.now_ns())
         self._thinks = True
-        return result
+        return observation, info
 
     def step(self, action: Any) -> tuple[Passed, int, int, int]:
-        """Return the result, the thinking time in ns and in ticks, and the lateness in ns."""
-        loop, thought = self._loop, self._thought
-        passed, thinking_ns = self._meanwhile, self._arrived_ns - self._since_ns
+        """Return the result, the thinking time in ns, the ticks up to the action, and the lateness in ns."""
+        loop, thinking_ns = self._loop, self._arrived_ns - self._since_ns
         if not loop.goes_on:
             self._pacer.anchor(self._arrived_ns, 0)
-        if passed is None or not passed.over:
-            passed = loop.act(action, loop.act_ticks(thought), passed)
+        self.extras.note(action)
+        passed = loop.act(action, self._thought, self._meanwhile)
+        age_s = loop.waited * loop.plant.tick_ns / NS_PER_S
+        passed = passed._replace(observation=self.extras.told(passed.observation, passed.info, age_s, loop))
         due_ns = self._pacer.wall_due(passed.ticks)
         late_ns = max(self._clock.now_ns() - due_ns, 0)
         self._clock.sleep_until(due_ns)
         self._hand_over(due_ns + late_ns)
         self._thinks = not passed.over
-        return passed, thinking_ns, thought, late_ns
+        return passed, thinking_ns, loop.waited, late_ns
 
     def wait(self) -> tuple[Any, ...]:
         """Return the agent's next message; the environment goes on until it comes."""
@@ -181,7 +179,7 @@ def _serve(connection: Connection, make_env: MakeEnv, options: LoopOptions, pare
         env = make_env()
         loop = ControlLoop(plant_of(env, options.period_s), options, env.action_space)
         server = _Server(connection, loop, env)
-        connection.send((env.observation_space, env.action_space, env.metadata, loop.plant.tick_ns))
+        connection.send((server.extras.space, env.action_space, env.metadata, loop.plant.tick_ns))
         while True:
             name, *arguments = server.wait()
             connection.send(getattr(server, name)(*arguments))

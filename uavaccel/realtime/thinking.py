@@ -2,23 +2,32 @@
 
 from __future__ import annotations
 
+import json
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
-from typing import Final, Protocol
+from typing import Any, Final, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from uavaccel.clock import MonotonicClock
-from uavaccel.config import dump_yaml
 from uavaccel.errors import UserError
-from uavaccel.units import NS_PER_S, real, seconds_to_ns
-from uavaccel.wire.latency import DEFAULT, QUANTILES, LatencyConfig, read_latency
+from uavaccel.files import read_bounded
+from uavaccel.units import NS_PER_S, QUANTILES, real, seconds_to_ns, whole
 
 MEASURED: Final = "measured"
+LATENCY_S = 0.05
 MOST_S = 3600.0
 _MOST_NS = MOST_S * NS_PER_S
+_STREAM = 0x7EA1  # of the generator of thinking times, which leaves the environment's draws as they are
+
+
+def thinking_generator(seed: int) -> np.random.Generator:
+    """Return the generator from which the thinking times of an environment with this seed are drawn."""
+    return np.random.default_rng([_STREAM, seed])
 
 
 class ThinkingTime(Protocol):
@@ -34,17 +43,17 @@ class ThinkingTime(Protocol):
 
 
 @dataclass
-class _Drawn(ThinkingTime):
-    """Nanoseconds that a function draws with a generator."""
+class Drawn(ThinkingTime):
+    """Nanoseconds that a function draws with a generator, so many at once, the same as one by one."""
 
-    draw: Callable[[np.random.Generator], int]
+    draw: Callable[[np.random.Generator, int], NDArray[np.int64]]
 
     def sample_ns(self, generator: np.random.Generator) -> int:
-        return self.draw(generator)
+        return int(self.draw(generator, 1)[0])
 
 
 class Measured(ThinkingTime):
-    """The time that the agent really takes, by the machine's monotonic clock. A flight with it does not repeat.
+    """The time that the agent really takes, by the machine's monotonic clock. An episode with it does not repeat.
 
     `save` keeps what was measured as a calibration file, whose name as `latency_s` replays it as a distribution.
     """
@@ -63,14 +72,16 @@ class Measured(ThinkingTime):
         return self.taken_ns[-1]
 
     def save(self, path: str | Path, name: str = "measured thinking times") -> Path:
-        """Write the quantiles of all times so far as a calibration file. Raises UserError before the first action."""
+        """Write the quantiles of all times so far as a calibration file, in JSON, which is YAML too.
+
+        Raises UserError before the first action.
+        """
         if not self.taken_ns:
             raise UserError(f"{path}: no thinking time has been measured yet; take some steps first")
         taken_us = np.quantile(np.asarray(self.taken_ns) / 1e3, QUANTILES).tolist()
-        model = LatencyConfig(name=name, request_us={DEFAULT: tuple(taken_us)})
-        block = model.model_dump(mode="json", include={"name", "quantiles", "request_us", "reply_us"})
+        model = {"name": name, "quantiles": QUANTILES, "request_us": {"call": taken_us}}
         written = Path(path)
-        written.write_text(f"# {len(self.taken_ns)} thinking times\n{dump_yaml({'latency': block})}")
+        written.write_text(json.dumps({"latency": model, "thinking_times": len(self.taken_ns)}, indent=1) + "\n")
         return written
 
 
@@ -86,10 +97,33 @@ def samples(times_s: Iterable[float]) -> ThinkingTime:
     for seconds in taken:
         if not 0 <= seconds <= MOST_S:
             raise UserError(f"latency_s: must be 0 to {MOST_S:g} seconds, not {seconds:g}")
-    times_ns = [seconds_to_ns(seconds) for seconds in taken]
+    return _one_of([seconds_to_ns(seconds) for seconds in taken])
+
+
+def periods(counts: object, wall_ns: Callable[[int], int]) -> ThinkingTime:
+    """Return thinking times of a count of control periods, or drawn from a list of counts; `wall_ns` says how long.
+
+    Raises UserError for anything else, and for a time that no thinking time may take.
+    """
+    given: Any = counts if isinstance(counts, Sequence | np.ndarray) else [counts]
+    taken = [count for one in given if (count := whole(one)) is not None and count >= 0]
+    if not taken or len(taken) < len(given):
+        raise UserError(f"delay_steps: must be a count of control periods, or a list of them, not {counts!r}")
+    if (longest_ns := wall_ns(max(taken))) > _MOST_NS:
+        raise UserError(f"delay_steps: {max(taken)} are {longest_ns / NS_PER_S:g} seconds; at most {MOST_S:g} may pass")
+    return _one_of([wall_ns(count) for count in taken])
+
+
+def _one_of(times_ns: list[int]) -> ThinkingTime:
     if len(times_ns) == 1:  # nothing is drawn
-        return _Drawn(lambda _: times_ns[0])
-    return _Drawn(lambda generator: times_ns[int(generator.integers(len(times_ns)))])
+        return Drawn(lambda _, count: np.full(count, times_ns[0]))
+    listed_ns: NDArray[np.int64] = np.asarray(times_ns)
+
+    def draw(generator: np.random.Generator, count: int) -> NDArray[np.int64]:
+        drawn: NDArray[np.int64] = listed_ns[generator.integers(len(listed_ns), size=count)]
+        return drawn
+
+    return Drawn(draw)
 
 
 def lognormal(median_s: float, p99_s: float) -> ThinkingTime:
@@ -101,25 +135,85 @@ def lognormal(median_s: float, p99_s: float) -> ThinkingTime:
     if median is None or p99 is None or not 0 < median <= p99 <= MOST_S:
         raise UserError(f"lognormal: needs 0 < median_s <= p99_s <= {MOST_S:g}, not {median_s!r} and {p99_s!r}")
     sigma = math.log(p99 / median) / 2.3263478740408408  # standard deviations up to the 99th percentile
-    return _Drawn(lambda generator: seconds_to_ns(min(median * math.exp(sigma * generator.standard_normal()), MOST_S)))
+
+    def draw(generator: np.random.Generator, count: int) -> NDArray[np.int64]:
+        drawn_s = median * np.exp(sigma * generator.standard_normal(count))
+        return np.rint(np.minimum(drawn_s, MOST_S) * NS_PER_S).astype(np.int64)
+
+    return Drawn(draw)
 
 
 def calibrated(path: str | Path) -> ThinkingTime:
     """Return the thinking times of a calibration file: a message with the action and one with the observation.
 
-    Each is drawn by its quantiles, between which times are interpolated. The channels are `move` on the way out and
-    `image` on the way back, or "call" where the file has neither. Raises UserError that names the file and the key.
+    The file, JSON or YAML, has under `latency` the `quantiles`, and in `request_us` and `reply_us` microseconds at
+    these by channel: `move` on the way out and `image` on the way back, or "call" where it has neither; and a `scale`.
+    Each is drawn by its quantiles, between which times are interpolated. Raises UserError that names file and key.
     """
-    model = read_latency(Path(path))
-    tables_us = (
-        tables.get(channel, tables[DEFAULT])
-        for tables, channel in ((model.request_us, "move"), (model.reply_us, "image"))
-    )
-    scaled_s = [[model.scale * us / 1e6 for us in table] for table in tables_us]
-    tables_ns = [np.asarray(table) * NS_PER_S for table in scaled_s if any(table)]
-    return _Drawn(
-        lambda generator: sum(round(np.interp(generator.random(), model.quantiles, table)) for table in tables_ns)
-    )
+    block = _mapping(_document(Path(path)), "latency", path)
+    quantiles = _rising(block.get("quantiles", QUANTILES), f"{path}: latency.quantiles")
+    if (quantiles[0], quantiles[-1]) != (0.0, 1.0):
+        raise UserError(f"{path}: latency.quantiles must begin with 0 and end with 1")
+    if (scale := real(block.get("scale", 1.0))) is None or not 0 <= scale < math.inf:
+        raise UserError(f"{path}: latency.scale must be a number of 0 or more, not {block['scale']!r}")
+    rows_ns = []
+    for direction, channel in (("request_us", "move"), ("reply_us", "image")):
+        rows = _mapping(block, direction, path) if direction in block else {}
+        name = channel if channel in rows else "call"
+        if name in rows:
+            row = _rising(rows[name], f"{path}: latency.{direction}.{name}", len(quantiles))
+            rows_ns.append(scale * row * 1e3)
+    longest_ns = sum(float(row[-1]) for row in rows_ns)
+    if not rows_ns or longest_ns > _MOST_NS:
+        raise UserError(f"{path}: latency.request_us.call: needs microseconds at the quantiles, up to {MOST_S:g} s")
+    rows_ns = [row for row in rows_ns if row.any()]
+
+    def draw(generator: np.random.Generator, count: int) -> NDArray[np.int64]:
+        uniform = generator.random((count, len(rows_ns)))
+        drawn = [np.rint(np.interp(uniform[:, place], quantiles, row)) for place, row in enumerate(rows_ns)]
+        return np.sum(drawn, axis=0, initial=0, dtype=np.int64) if drawn else np.zeros(count, np.int64)
+
+    return Drawn(draw)
+
+
+def _document(path: Path) -> Any:
+    """Return what a JSON or YAML file holds; only YAML that is no JSON needs PyYAML."""
+    try:
+        text = read_bounded(path).decode("utf-8")
+    except OSError as error:
+        raise UserError(f"{path}: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise UserError(f"{path}: not UTF-8 text") from error
+    try:
+        return json.loads(text)
+    except (ValueError, RecursionError):
+        pass
+    try:
+        import yaml
+    except ImportError:
+        raise UserError(f"{path}: no JSON, and to read YAML PyYAML is needed: pip install pyyaml") from None
+    try:
+        return yaml.safe_load(text)
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        raise UserError(f"{path}: neither JSON nor YAML: {str(error).splitlines()[0]}") from error
+
+
+def _mapping(parent: object, key: str, path: str | Path) -> Mapping[str, Any]:
+    found = parent.get(key) if isinstance(parent, Mapping) else None
+    if not isinstance(found, Mapping):
+        raise UserError(f"{path}: {key} must be a mapping; {MEASURED!r} and its save() write such a file")
+    return found
+
+
+def _rising(row: object, name: str, count: int | None = None) -> NDArray[np.float64]:
+    """Return a list of numbers that do not fall, from 0 or more on. Raises UserError for anything else."""
+    numbers = [real(one) for one in row] if isinstance(row, list | tuple) else []
+    values = [number for number in numbers if number is not None and 0 <= number < math.inf]
+    if len(values) < 2 or len(values) < len(numbers) or any(later < earlier for earlier, later in pairwise(values)):
+        raise UserError(f"{name} must be a list of numbers, 0 or more, that do not fall")
+    if count not in (None, len(values)):
+        raise UserError(f"{name} needs {count} values, one for each of the quantiles, not {len(values)}")
+    return np.array(values)
 
 
 def thinking_time(latency_s: object) -> ThinkingTime:

@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import math
-import reprlib
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
 from inspect import signature
@@ -24,6 +23,8 @@ from uavaccel.envs.values import Action, Info, Observation, batch_of
 from uavaccel.errors import UserError
 from uavaccel.files import file_sha256
 from uavaccel.own_code import errors_named, own_function
+from uavaccel.realtime.policies import fitting
+from uavaccel.realtime.policy_files import OnnxFile, PolicyFile, policy_file
 from uavaccel.resources import asset
 from uavaccel.rl.config import LANE, LearnerConfig, environment_class
 from uavaccel.rl.policy import MANIFEST, WEIGHTS, Policy, load_policy, observed_frames, read_manifest
@@ -146,14 +147,12 @@ def origin_of(name: str) -> Origin:
     """Return where the agent of a name comes from. Raises UserError if there is none."""
     if name == STRAIGHT or name.startswith(OFFSET):
         return Baseline(name)
-    if name.endswith(".zip"):
-        from uavaccel.rl.sb3_file import Sb3File
-
-        return Sb3File(name)
     if name.endswith(".onnx"):
-        from uavaccel.rl.onnx_agent import OnnxFile
+        from uavaccel.rl.onnx_agent import OnnxAgentFile
 
-        return OnnxFile(name)
+        return OnnxAgentFile(OnnxFile(name))
+    if (file := policy_file(name)) is not None:
+        return AgentFile(file)
     return OwnFunction(name) if ":" in name else PolicyFolder(name)
 
 
@@ -217,15 +216,24 @@ class FunctionAgent:
     def act(self, observation: Observation, info: Info) -> Action:
         with errors_named(self._file, self._name):
             given = self._function(observation) if self._one else self._function(observation, info)
-        action = np.asarray(given)
-        space = self._actions
-        if isinstance(space, spaces.Discrete):
-            fits = action.shape == () and space.contains(given if isinstance(given, int) else action.tolist())
-        else:
-            fits = action.shape == space.shape and action.dtype.kind in "fiu" and bool(np.isfinite(action).all())
-        if not fits:
-            raise UserError(f"{self._name}: returned {reprlib.repr(given)}, where an action is {form_of(space)}")
-        return action if action.ndim else int(action)
+        action = fitting(given, self._actions, self._name)
+        return action if np.ndim(action) else int(action)
+
+
+class AgentFile(Origin):
+    """A file of stable-baselines3, ONNX or TorchScript; it does not say which environment it was trained in."""
+
+    file: Path
+
+    def __init__(self, policy: PolicyFile) -> None:
+        super().__init__(policy.name)
+        self.policy, self.file = policy, policy.file
+
+    def forms(self, task: Task) -> Iterator[tuple[str, str, str]]:
+        yield from self.policy.forms(task.observation_space(), task.action_space())
+
+    def make(self, task: Task) -> Agent:
+        return BatchAgent(self.policy.load(task.observation_space(), task.action_space()))
 
 
 class PolicyFolder(Origin):
@@ -266,15 +274,6 @@ def kept_keys(env_id: str, trained: Mapping[str, Any]) -> dict[str, Any]:
     """Return the keys of a training's task that an evaluation keeps: senses and flight, outside of the lane more."""
     kept = SENSES + FLIGHT if env_id == LANE else tuple(key for key in trained if key not in CLOCK)
     return {key: trained[key] for key in kept if key in trained}
-
-
-def form_of(space: spaces.Space[Any]) -> str:
-    """Return the form of observations or actions in words, as in "(13,)" or "one of 5"."""
-    if isinstance(space, spaces.Discrete):
-        return f"one of 0 to {space.n - 1}"
-    if isinstance(space, spaces.Dict):
-        return ", ".join(f"{name} {form_of(part)}" for name, part in space.spaces.items())
-    return str(space.shape)
 
 
 def first_policy(config: LearnerConfig) -> QPolicy:

@@ -32,6 +32,7 @@ from uavaccel.envs.turn_batch import TurnBatch
 from uavaccel.envs.values import Action, Answer, Frame
 from uavaccel.errors import UserError
 from uavaccel.files import Plain
+from uavaccel.realtime.policy_files import NoOptimizer
 from uavaccel.rl.config import SB3, LearnerConfig
 from uavaccel.rl.learner import (
     Game,
@@ -88,12 +89,6 @@ def policy_keywords(config: LearnerConfig) -> dict[str, object]:
             "features_extractor_kwargs": {"channels": list(config.channels)},
         }
     return keywords
-
-
-class NoOptimizer:
-    """Stands for the optimizer of a policy that only flies: PyTorch's load its compiler, most of the start-up time."""
-
-    def __init__(self, parameters: Iterable[th.nn.Parameter], **_: object) -> None: ...
 
 
 def make_baseline_policy(config: LearnerConfig) -> BasePolicy:

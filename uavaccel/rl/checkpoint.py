@@ -20,11 +20,10 @@ import torch as th
 from numpy.typing import NDArray
 
 from uavaccel.envs.turn_batch import TurnBatch
-from uavaccel.envs.values import stacked_observations
+from uavaccel.envs.values import State, stacked_observations
 from uavaccel.errors import UserError, naming
 from uavaccel.files import Plain, open_bounded, parse_json, read_bounded, replacing
 from uavaccel.rl.learner import Learner, LearnerState
-from uavaccel.sim.state import State, prefixed, without_prefix
 
 _COMPLETE = "state.json"
 MOST_BYTES = 1 << 40  # of a replay buffer
@@ -115,7 +114,7 @@ def _save_games(path: Path, lanes: Any) -> None:
     """Save the running games, with the keys of lane n prefixed by "n."."""
     games: list[State] = _call_each(lanes, "get_state", [()] * lanes.num_envs)
     with naming(path), path.open("wb") as file:
-        np.savez(file, **{key: each for n, game in enumerate(games) for key, each in prefixed(str(n), game).items()})
+        np.savez(file, **{f"{n}.{key}": each for n, game in enumerate(games) for key, each in game.items()})
 
 
 def _load_games(path: Path, lanes: Any) -> Any:
@@ -124,7 +123,7 @@ def _load_games(path: Path, lanes: Any) -> Any:
     count = len({name.partition(".")[0] for name in state})
     if lanes.num_envs != count:
         raise UserError(f"the checkpoint has {count} environments; go on with as many")
-    games = [(without_prefix(str(n), state),) for n in range(count)]
+    games = [({key.partition(".")[2]: state[key] for key in state if key.startswith(f"{n}.")},) for n in range(count)]
     return stacked_observations(_call_each(lanes, "set_state", games))
 
 

@@ -51,7 +51,9 @@ Ratio = Annotated[float, Field(ge=0.0, le=1.0)]
 Weight = Annotated[float, Field(ge=0.0, le=1e3)]
 
 LANE = "uavaccel/ObstacleLane-v0"
-ENVIRONMENTS = (LANE, "uavaccel/Hover-v0", "uavaccel/Gates-v0", "uavaccel/Navigate-v0")
+SHORT = {"lane": LANE, "hover": "uavaccel/Hover-v0", "gates": "uavaccel/Gates-v0", "navigate": "uavaccel/Navigate-v0"}
+"""The environments that ship, by the names that Python takes too."""
+ENVIRONMENTS = tuple(SHORT.values())
 
 
 def environment_class(env_id: str) -> type[FlightEnv[Any]]:
@@ -200,6 +202,8 @@ class LearnerConfig(Config):
 
     @model_validator(mode="after")
     def _lanes_fit(self) -> LearnerConfig:
+        if getattr(self.task, "split", None) == "test":
+            raise ValueError("task.split must be training: test lanes are kept for the numbers that are published")
         if self.task.timing == "wall" and self.environments > 1:
             raise ValueError("environments must be 1 with timing wall, and turns 1: neighbours would disturb the clock")
         if self.simulator == "mujoco" and self.environments > MOST_PROCESSES:

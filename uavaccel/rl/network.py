@@ -10,7 +10,7 @@ import torch as th
 from gymnasium import spaces
 from torch import nn
 
-from uavaccel.vision.observation import NEUTRAL_LEVEL
+from uavaccel.vision.dvs_sensor import NEUTRAL_LEVEL
 
 HALF_CONTRAST = 24.0  # grey levels from neutral that are seen at half strength
 

@@ -22,7 +22,7 @@ from uavaccel.resources import require
 from uavaccel.rl.config import DOUBLE_DQN, PPO
 from uavaccel.rl.onnx_agent import metadata_of
 from uavaccel.rl.policy import Policy, observed_frames
-from uavaccel.vision.observation import BLOCK_SIDE, NEUTRAL_LEVEL
+from uavaccel.vision.dvs_sensor import BLOCK_SIDE, NEUTRAL_LEVEL
 
 CHANNELS = {"dvs": 1, "depth": 1, "colour": 3}
 INPUTS = {

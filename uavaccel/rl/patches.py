@@ -16,7 +16,7 @@ from torch.nn import functional
 
 from uavaccel.kernels.cuda import grid, shared
 from uavaccel.rl.network import HALF_CONTRAST, LaneFeatures, QNetwork
-from uavaccel.vision.observation import NEUTRAL_LEVEL
+from uavaccel.vision.dvs_sensor import NEUTRAL_LEVEL
 
 LOW = th.bfloat16
 KERNEL, STRIDE, PADDING = 8, 4, 2  # the network's first convolution (rl/network.LaneFeatures)

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.forms import ArrayForm
-from uavaccel.sim.state import SavedState, State, load_optional, store_optional
 from uavaccel.units import NS_PER_S
 
 COMMAND_LOG_LENGTH = 1 << 16
@@ -68,16 +67,6 @@ class CommandLog:
     def ticks(self) -> NDArray[np.int64]:
         """Return the first and last ticks of c commands (c, 2)."""
         return np.array(self._ticks, dtype=np.int64).reshape(-1, 2)
-
-    def get_state(self) -> State:
-        state: State = {"origin_tick": store_optional(self.origin_tick), "ticks": self.ticks()}
-        return state | {"latest": np.array(self._latest), "dropped": self.dropped}
-
-    def set_state(self, state: SavedState) -> None:
-        self.origin_tick = load_optional(state["origin_tick"])
-        self._ticks = [(int(first), int(last)) for first, last in state["ticks"]]
-        first, last = state.get("latest", self._ticks[-1] if self._ticks else (0, 0))
-        self._latest, self.dropped = (int(first), int(last)), int(state.get("dropped", 0))
 
 
 @dataclass(frozen=True)

@@ -14,13 +14,10 @@ from fractions import Fraction
 
 from uavaccel.clock import Pacer, positive_clock_speed
 from uavaccel.kinematics import Kinematics, Quaternion, Vector
-from uavaccel.sim.deferred_reply import DeferredReply
-from uavaccel.sim.flight.pilot import Pilot
-from uavaccel.sim.frames import Frames
+from uavaccel.sim.flight.pilot import DeferredReply, Pilot
 from uavaccel.sim.poses import LEVEL
-from uavaccel.sim.profile import UNBOUND, Executor, Profile
+from uavaccel.sim.profile import UNBOUND, Executor, Frames, Profile
 from uavaccel.sim.recording import Recording
-from uavaccel.sim.state import SavedState, State, load_optional, prefixed, store_optional, without_prefix
 from uavaccel.sim.vehicle.vehicle import AddedVehicle
 from uavaccel.sim.world import FlightError, World
 from uavaccel.units import NS_PER_S, exact
@@ -330,46 +327,3 @@ class Simulation:
         rows[:, 0] -= origin
         dropped = (self.world.recorder.dropped, self.lead.log.dropped)
         return Recording(rows, log - origin, self.profile.tick_ns, *dropped)
-
-    # --- saving -----------------------------------------------------------------------------------
-
-    def get_state(self) -> State:
-        """Return all that the flight depends on, the world's state included; see World.get_state.
-
-        Pending replies and the trace are not included: save between two commands of a client.
-        """
-        state: State = {"clock_speed": str(self.clock_speed), "anchor": list(self.pacer.anchored)}
-        state |= {"time0_ns": self.time0_ns, "wall_ns": self.wall_ns}
-        state |= {"paused": self.paused, "api_control": self.lead.api_control}
-        state |= {"failure": self.failure or "", "speed": list(vars(self.speed).values())}
-        period = self.period
-        state |= {"running.period_end_tick": store_optional(period.end_tick if period else None)}
-        state |= {"running.period_end_wall_ns": store_optional(period.end_wall_ns if period else None)}
-        state |= prefixed("running", self.lead.get_state()) | prefixed("commands", self.lead.log.get_state())
-        for number, pilot in enumerate(self.pilots[1:]):
-            kept = pilot.get_state() | {"api_control": pilot.api_control}
-            kept |= prefixed("log", pilot.log.get_state())
-            state |= prefixed(f"pilots.{number}", kept)
-        return state | prefixed("frames", self.frames.get_state()) | prefixed("world", self.world.get_state())
-
-    def set_state(self, state: SavedState) -> None:
-        """Restore what `get_state` returned. Raises UserError for another scene or profile."""
-        self.world.set_state(without_prefix("world", state))
-        self.clock_speed, tick_ns = Fraction(str(state["clock_speed"])), self.profile.tick_ns
-        self.pacer = Pacer(self.executor.speed(self.clock_speed, tick_ns), tick_ns)
-        self.pacer.anchor(*(int(number) for number in state["anchor"]))
-        self.time0_ns, self.wall_ns = int(state["time0_ns"]), int(state["wall_ns"])
-        self.paused, self.failure = bool(state["paused"]), str(state["failure"]) or None
-        self.speed = Speed(*(int(number) for number in state["speed"]))
-        self.frames.set_state(without_prefix("frames", state), self.world.data)
-        running = without_prefix("running", state)
-        ends = [load_optional(running[f"period_end_{unit}"]) for unit in ("tick", "wall_ns")]
-        self.period = None if ends == [None, None] else ContinueFor(DeferredReply(), *ends)
-        self.lead.set_state(running)
-        self.lead.log.set_state(without_prefix("commands", state))
-        self.lead.api_control = bool(state["api_control"])
-        for number, pilot in enumerate(self.pilots[1:]):
-            kept = without_prefix(f"pilots.{number}", state)
-            pilot.set_state(kept)
-            pilot.log.set_state(without_prefix("log", kept))
-            pilot.api_control = bool(kept["api_control"])

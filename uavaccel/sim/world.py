@@ -12,25 +12,21 @@ from numpy.typing import NDArray
 
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Quaternion, Vector
-from uavaccel.sim.clutter.layout import CLUTTER_FIELDS, ClutterLayout
-from uavaccel.sim.clutter.scene import apply_clutter
-from uavaccel.sim.lane.layout import PLAIN, LaneLayout, layout_of
+from uavaccel.sim.clutter import ClutterLayout, apply_clutter
+from uavaccel.sim.lane.layout import PLAIN, LaneLayout
 from uavaccel.sim.lane.scene import apply_layout, object_name
+from uavaccel.sim.poses import DEEPEST_M, check_apart, check_bounds, check_name, check_wind
 from uavaccel.sim.profile import Profile
-from uavaccel.sim.scene.bounds import DEEPEST_M, check_apart, check_bounds, check_name, check_wind
-from uavaccel.sim.scene.model import load_scene, scene_path
+from uavaccel.sim.scene.model import load_scene, physics_state, restore_physics, scene_path
 from uavaccel.sim.scene.objects import restore_from
-from uavaccel.sim.state import SavedState, State, physics_state, prefixed, restore_physics, without_prefix
 from uavaccel.sim.vehicle import hotloop
 from uavaccel.sim.vehicle.clearance import Clearance
 from uavaccel.sim.vehicle.resting import beside_objects, depth, on_the_ground, stand
-from uavaccel.sim.vehicle.samples import Samples
-from uavaccel.sim.vehicle.vehicle import HERE, LEVEL, AddedVehicle, Start, Vehicle
+from uavaccel.sim.vehicle.vehicle import HERE, LEVEL, AddedVehicle, Motion, Samples, Start, Vehicle
 from uavaccel.units import NS_PER_S
 
 if TYPE_CHECKING:
-    from uavaccel.sim.camera.camera import FrontCamera
-    from uavaccel.sim.camera.mounted import MountedCamera
+    from uavaccel.sim.camera.camera import Camera, MountedCamera
 
 START_M = (0.0, 0.0, -10.0)  # a game starts from a settled hover 10 m up
 VEHICLE = "SimpleFlight"
@@ -61,7 +57,7 @@ class World:
         self.scene, self.scenery = scene, PLAIN
         self.lane: LaneLayout | None = None
         self.clutter: ClutterLayout | None = None
-        self._cameras: dict[tuple[int, int], FrontCamera] = {}
+        self._cameras: dict[tuple[int, int], Camera] = {}
         self._observers: list[tuple[int, int, Callable[[int], None]]] = []
         self.revision = 0
         """Grows whenever objects or vehicles were added, removed or moved, or look different."""
@@ -100,7 +96,7 @@ class World:
 
     # --- scene ------------------------------------------------------------------------------------
 
-    def camera(self, width: int, height: int) -> FrontCamera:
+    def camera(self, width: int, height: int) -> Camera:
         """Return the front camera of a size, made at the first request. Raises UserError without OpenGL."""
         from uavaccel.sim.camera.camera import make_camera  # without images no OpenGL is needed
 
@@ -110,7 +106,7 @@ class World:
 
     def mounted_camera(self, width: int, height: int) -> MountedCamera:
         """Return a camera that can be placed anywhere, for pictures up to a size. Raises UserError without OpenGL."""
-        from uavaccel.sim.camera.mounted import MountedCamera
+        from uavaccel.sim.camera.camera import MountedCamera
 
         camera = self._mounted_camera
         if camera is None or camera.width_most < width or camera.height_most < height:
@@ -145,7 +141,7 @@ class World:
         self.scenery = scenery
         self._adopt(*self._build(self.vehicles))
         restore_physics(self.model, self.data, physics)
-        self.lead.restore_from(carried)
+        self.lead.fly_on(carried)
 
     def surroundings_changed(self) -> None:
         """Note that objects of the model were moved, added or removed, or look different."""
@@ -185,7 +181,7 @@ class World:
         self._adopt(*made)
         restore_from(before, self.model)
         for old, kept in zip(self.vehicles, carried, strict=False):
-            old.restore_from(kept)
+            old.fly_on(kept)
         for vehicle in new:
             vehicle.state["wind"] = wind
             vehicle.parameters["ground_altitude_m"] = self.lead.parameters["ground_altitude_m"]
@@ -271,6 +267,15 @@ class World:
         if self.freeze_on_collision:
             vehicle.clear_contacts()
         self._moved()
+
+    def resume(self, motion: Motion, share: float) -> None:
+        """Let the first vehicle fly on from where it is as it did in `motion`, its velocity scaled by `share`.
+
+        A vehicle that a contact has frozen stays as it is.
+        """
+        if not self._frozen:
+            self.lead.resume(motion, share)
+            self.clearance.check_now()
 
     def check_place(
         self, position_m: Vector, orientation_wxyz: Quaternion = LEVEL, vehicle: Vehicle | None = None
@@ -388,46 +393,7 @@ class World:
         field["contacts_changed"][0] = 0
         vehicle.contact_log.log(int(field["contact_tick"][0]), field["contact_position"][0])
 
-    # --- saving -----------------------------------------------------------------------------------
-
-    def get_state(self) -> State:
-        """Return all that the flight depends on, for np.savez or, with units.plain, JSON.
-
-        `World(scene, profile).set_state(world.get_state())` continues to the same bytes, in another process too. The
-        lane's layout and the recorded samples are included.
-        """
-        state: State = {"scene": self.scene, "profile": self.profile.name, "failed": self.failed}
-        state |= {"physics": physics_state(self.model, self.data), "warnings": self.warnings.copy()}
-        state |= self.lead.get_state() | prefixed("samples", self.recorder.get_state())
-        state |= prefixed("contacts", self.clearance.get_state())
-        state |= {"vehicles": [vehicle.name for vehicle in self.vehicles[1:]]}
-        for number, vehicle in enumerate(self.vehicles[1:]):  # whose names may contain dots
-            state |= prefixed(f"vehicles.{number}", vehicle.get_state())
-        state |= {} if self.clutter is None else {"clutter": self.clutter.rows}
-        return state | (prefixed("lane", vars(self.lane)) if self.lane else {})
-
-    def set_state(self, state: SavedState) -> None:
-        """Restore what `get_state` returned. Raises UserError for another scene, profile or set of vehicles."""
-        saved = [str(name) for name in state.get("vehicles", [])]
-        for name, found, own in (
-            ("scene", str(state["scene"]), self.scene),
-            ("profile", str(state["profile"]), self.profile.name),
-            ("vehicles", saved, [vehicle.name for vehicle in self.vehicles[1:]]),
-        ):
-            if found != own:
-                raise UserError(f"the saved state's {name} is {found}, not {own}")
-        self.failed = bool(state["failed"])
-        if lane := without_prefix("lane", state):
-            self.set_lane(layout_of(lane))
-        if "clutter" in state:
-            self.set_clutter(ClutterLayout(np.asarray(state["clutter"], float).reshape(-1, CLUTTER_FIELDS)))
-        restore_physics(self.model, self.data, state["physics"])
-        self.warnings[:] = state["warnings"]
-        self.lead.set_state(state)
-        for number, vehicle in enumerate(self.vehicles[1:]):
-            vehicle.set_state(without_prefix(f"vehicles.{number}", state))
-        self.recorder.set_state(without_prefix("samples", state))
-        self.clearance.set_state(without_prefix("contacts", state))
+    # --- recording --------------------------------------------------------------------------------
 
     @property
     def recording(self) -> bool:

@@ -7,7 +7,7 @@ and is undecided where it straddles an end of the margins, or where too few game
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -15,7 +15,6 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from uavaccel.commands import COMMANDS
 from uavaccel.metrics.equivalence import (
     Estimate,
     Interval,
@@ -24,11 +23,10 @@ from uavaccel.metrics.equivalence import (
     mean_estimate,
     opposite,
     ratio_estimate,
-    success_estimate,
     within,
 )
 from uavaccel.metrics.intervals import Proportion, bootstrap_interval, median_interval
-from uavaccel.records import RunDirectory
+from uavaccel.metrics.success import Success
 from uavaccel.sim.lane.layout import LENGTH_M, Difficulty, sample_layout
 from uavaccel.suites import paper_results
 from uavaccel.suites.dp1 import CELL
@@ -195,7 +193,7 @@ def command_delay_grows(dp1: Flown) -> Finding:
     if len({len(gaps) for gaps in gaps_ms}) > 1:
         raise NoEvidence
     rises = [median_interval(later - earlier, dp1.summary["seed"]) for earlier, later in pairwise(gaps_ms)]
-    text = " < ".join(f"{np.median(gaps):.3g}" for gaps in gaps_ms) + " ms"
+    text = " < ".join(f"{float(f'{np.median(gaps):.3g}'):g}" for gaps in gaps_ms) + " ms"
     return Finding(text, all_of(exceeds(interval, 0.0) for interval in rises))
 
 
@@ -346,7 +344,7 @@ def images_beyond_10x(dp2: Flown) -> Finding:
 
         numbers = [np.arange(len(slow[0]), dtype=float), np.arange(len(fast[0]), dtype=float)]
         distance, dvs_ed = growth(*numbers)
-        texts.append(f"+{dvs_ed:.2g} % v +{distance:.2g} cm")
+        texts.append(f"{dvs_ed:+.2g} % v {distance:+.0f} cm")
         for statistic in (lambda *which: growth(*which)[0], lambda *which: np.subtract(*growth(*which)[::-1])):
             grow.append(exceeds(bootstrap_interval(numbers, statistic, dp2.summary["seed"]), 0.0))
     return Finding(", ".join(texts), all_of(grow))
@@ -377,7 +375,7 @@ def guard_keeps_out(dp2: Flown) -> Finding:
         raise NoEvidence
     without, guarded = (Proportion(round(shares[state] * count), count) for state in ("off", "on"))
     enough(without.successes, LEAST_IMAGES, "perturbed images")
-    kept = ratio(success_estimate([guarded]), success_estimate([without]))
+    kept = ratio(Success((guarded,)).estimate, Success((without,)).estimate)
     text = f"{without.ratio:.1%} to {guarded.ratio:.1%}: {kept.text(' of them', 2)}"
     return Finding(text, within(kept.interval, (0.0, 0.8)))
 
@@ -389,45 +387,60 @@ class Trainings(NamedTuple):
     """Trainings without a variant, of one profile on the virtual clock, as a run of the suite `rl` has them."""
 
     cells: pd.DataFrame
-    """The cells of its summary."""
+    """A line for each training, with its times; `successes` of `games` of its policy in real time, and `won`, the
+    outcome of each lane, where it is known."""
     interchange: pd.DataFrame
-    """`successes` of `games` of each training in real time, by the command that it was `flown_with`."""
+    """The same successes of each training by the command that its policy was `flown_with`."""
     lost: pd.DataFrame
     """`ended_m`, distance north, of each evaluation game that ended before the goal, with `command`, `clock_speed`."""
 
     @classmethod
-    def of(cls, run: RunDirectory, profile: str) -> Trainings:
-        """Read those of a profile. Raises UserError for damaged files."""
+    def of(
+        cls, rows: Iterable[Mapping[str, Any]], profile: str, arrays: Callable[[Any], Mapping[str, FloatArray]]
+    ) -> Trainings:
+        """Take those of a profile from a run's rows, and from what `arrays` returns of one: nothing of rows kept alone.
 
-        def own(entries: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
-            kind = {"profile": profile, "timing": "virtual", "variant": ""}
-            return [entry for entry in entries if kind.items() <= {key: entry[key] for key in kind}.items()]
-
-        lost, flown, summary = [pd.DataFrame()], [], run.read_json("summary.json")
-        for row in own(run.rows()):
-            if "training" in row:  # rows without one fly the same lanes in the exact simulator
-                arrays, command = run.load_arrays(row), row["command"]
-                ended_m = arrays[f"{command}_distance_m"][~arrays[f"{command}_is_success"]]
-                keys = {"command": command, "clock_speed": row["clock_speed"]}
+        Without the arrays nothing is known of lanes, nor of where games ended.
+        """
+        cells, flown, lost = [], [], [pd.DataFrame()]
+        kind = {"profile": profile, "timing": "virtual", "variant": ""}.items()
+        for row in rows:
+            if not kind <= {key: row[key] for key, _ in kind}.items() or not row.get("training"):
+                continue  # rows without a training fly the same lanes in the exact simulator
+            training, kept = row["training"], arrays(row)
+            keys = {key: row[key] for key in ("command", "clock_speed")}
+            in_real_time = [
+                {
+                    **keys,
+                    "flown_with": flown_with["command"],
+                    **{key: flown_with[key] for key in ("successes", "games")},
+                    "won": kept.get(f"{flown_with['command']}_is_success"),
+                }
+                for flown_with in row["evaluations"]
+                if flown_with["clock_speed"] == row["evaluations"][0]["clock_speed"]
+            ]
+            flown += in_real_time
+            learned = {"trained_games": training["games"], **{key: training[key] for key in ("commands", "phase_s")}}
+            cells.append({**in_real_time[0], **learned})
+            if kept:
+                ended_m = kept[f"{row['command']}_distance_m"][~kept[f"{row['command']}_is_success"]]
                 lost.append(pd.DataFrame({**keys, "ended_m": ended_m}))
-                for name in COMMANDS:
-                    if (outcome := arrays.get(f"{name}_is_success")) is not None:
-                        won = {"successes": int(outcome.sum()), "games": len(outcome)}
-                        flown.append({**keys, "flown_with": name, **won})
-        return cls(pd.DataFrame(own(summary["cells"])), pd.DataFrame(flown), pd.concat(lost))
+        return cls(pd.DataFrame(cells), pd.DataFrame(flown), pd.concat(lost))
 
 
-def won(rl: Trainings, command: str, clock_speed: float) -> list[Proportion]:
+def won(rl: Trainings, command: str, clock_speed: float) -> Success:
     """Return the evaluation games won by each training. Raises as `games_won` does."""
     return games_won(at(rl.cells, command, clock_speed), f"of {command.upper()} at {clock_speed:g}x")
 
 
-def games_won(cells: pd.DataFrame, of: str) -> list[Proportion]:
-    """Return the games won of each training. Raises Undecided for too few games or trainings."""
+def games_won(cells: pd.DataFrame, of: str) -> Success:
+    """Return the games won by each training. Raises Undecided for too few games or trainings."""
     known(cells[["successes", "games"]])
     enough(cells.games.sum(), LEAST_GAMES, f"games {of}")
     enough(len(cells), LEAST_TRAININGS, f"trainings {of}")
-    return [Proportion.of(cell) for cell in cells[cells.games > 0].to_dict("records")]
+    if "won" in cells and cells.won.notna().all():
+        return Success.on_lanes(cells.won.tolist())
+    return Success(tuple(Proportion.of(cell) for cell in cells[cells.games > 0].to_dict("records")))
 
 
 def command_s(
@@ -452,26 +465,27 @@ def training_speedup(rl: Trainings, clock_speed: float, phases: Sequence[str] = 
     return ratio(command_s(rl, "adsc", 1.0, phases), accelerated)
 
 
-def share(trainings: list[Proportion]) -> str:
+def share(success: Success) -> str:
     """Return the games won, as in "290 of 300 (97%)" or, of several trainings, "2900 of 3000 (97%, 10 trainings)"."""
-    pooled = Proportion.pooled(trainings)
-    several = f", {len(trainings)} trainings" if len(trainings) > 1 else ""
+    pooled, trainings = success.pooled, len(success.policies)
+    several = f", {trainings} trainings" if trainings > 1 else ""
     return f"{pooled.successes} of {pooled.games} ({pooled.ratio:.0%}{several})"
 
 
 def ratio_within(
-    margins: str, name: str, real: list[Proportion], other: list[Proportion], form: str = "{} v {}: {}"
+    margins: str, name: str, real: Success, other: Success, form: str = "{} v {}: {}", same_policies: bool = False
 ) -> Finding:
-    """Whether the success of other trainings over that of real ones lies within the MARGINS of this name.
+    """Whether the success of other trainings over that of real ones, on the same lanes, lies within the MARGINS of this
+    name.
 
     Raises Undecided where the real ones win too little to be compared, or so much that nothing could exceed them.
     """
-    before, after = success_estimate(real), success_estimate(other)
+    before = real.estimate
     if not exceeds(before.interval, FLIES):
         raise Undecided(f"{name} won {share(real)}, not surely above {FLIES:.0%}")
     if before.high * (least := MARGINS[margins][0]) > 1:
         raise Undecided(f"{share(real)} leaves no room for {least:g} times as much")
-    kept = ratio(after, before)
+    kept = other.ratio(real, same_policies)
     text = form.format(share(real), share(other), kept.text(" times", 2))
     return Finding(text, within(kept.interval, MARGINS[margins]))
 
@@ -493,19 +507,18 @@ def adsc_fails_accelerated(rl: Trainings) -> Finding:
 
 
 def policy_flies_with_both(rl: Trainings) -> Finding:
-    """Policies trained with TCSC in real time have equal success with both commands.
-
-    As the lanes are the same, the interval of the ratio is wider than necessary.
-    """
+    """Policies trained with TCSC in real time have equal success with both commands."""
     flown = at(rl.interchange, "tcsc", 1.0)
     tcsc, adsc = (games_won(at(flown, "tcsc", flown_with=name), f"with {name.upper()}") for name in ("tcsc", "adsc"))
-    return ratio_within("alike", "TCSC at 1x", tcsc, adsc, "TCSC {} v ADSC {}: {}")
+    return ratio_within("alike", "TCSC at 1x", tcsc, adsc, "TCSC {} v ADSC {}: {}", same_policies=True)
 
 
 def lines_peak_at_obstacles(rl: Trainings) -> Finding:
     """At each ClockSpeed, of TCSC's games that end before the goal more end within 1 m of a row of obstacles than the
     rows' share of the lane.
     """
+    if rl.lost.empty:
+        raise NoEvidence
     rows_m = np.unique(sample_layout(0, Difficulty()).x_m)
     by_chance, texts, peaks = len(rows_m) * 2.0 / LENGTH_M, [], []
     for k in sorted(set(at(rl.cells, "tcsc").clock_speed)):
@@ -515,7 +528,7 @@ def lines_peak_at_obstacles(rl: Trainings) -> Finding:
             raise Undecided(f"no game of TCSC at {k:g}x ended before the goal")
         near_m = np.abs(known(lost.ended_m)[:, None] - rows_m).min(axis=1)
         near = Proportion(int(np.sum(near_m <= 1.0)), len(lost))
-        texts.append(f"{k:g}x {share([near])}")
+        texts.append(f"{k:g}x {share(Success((near,)))}")
         peaks.append(exceeds(near.interval, by_chance))
     return Finding(f"{', '.join(texts)}; by chance {by_chance:.0%}", all_of(peaks))
 

@@ -211,7 +211,7 @@ class Dp1(PathSuite[Dp1Config, Game]):
             speeds.append(f"{name} {plots.span(own.effective_speedup, '{:.3g}')}")
         if not said:
             return f"{cells.games.sum()} games, none of them accelerated and comparable with real time"
-        return f"{'. '.join(said)}. Times as fast as in real time: {', '.join(speeds)}"
+        return f"{'. '.join(said)}. Speed-up over real time: {', '.join(speeds)}"
 
     def overview(self, report: Report) -> Table:
         return plots.span_table(cells_of(report), ["command", "clock_speed", "timing"], COLUMNS)

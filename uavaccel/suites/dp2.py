@@ -27,22 +27,20 @@ from uavaccel.limits import Seconds, Seed
 from uavaccel.metrics.dvs_ed import dvs_ed_percent
 from uavaccel.metrics.speedup import timing_provenance
 from uavaccel.sim.camera.view import HEIGHT, WIDTH
-from uavaccel.sim.lane.file import Lane
-from uavaccel.sim.lane.layout import LaneLayout
-from uavaccel.sim.lane.path import plan_path
+from uavaccel.sim.lane.layout import Lane, LaneLayout
 from uavaccel.sim.profile import PROFILES
 from uavaccel.suites import plots
 from uavaccel.suites.experiment import FlightExperiment, Timing
 from uavaccel.suites.flight import Commands, Flight, Window, windows_of
+from uavaccel.suites.guard_study import study_guard
+from uavaccel.suites.lane_path import plan_path
 from uavaccel.suites.path_suite import FlightCase, FlightRow, PathSuite, flight_row, fly_path, reference_of
 from uavaccel.suites.report import Report, Summary, finished, method_note, warnings
 from uavaccel.suites.rows import named_seed, subset
 from uavaccel.suites.suite import GameResult
 from uavaccel.units import NS_PER_S, attitude_difference_rad, to_ns
-from uavaccel.vision.dvs import PRESETS, luma, make_sensor
-from uavaccel.vision.event_counter import count_events
+from uavaccel.vision.dvs import PRESETS, count_events, luma, make_sensor
 from uavaccel.vision.guard import GuardSettings
-from uavaccel.vision.guard_study import study_guard
 from uavaccel.vision.perturb import AutoExposure, PerturbationConfig
 from uavaccel.wire.image_api import lane_layout
 

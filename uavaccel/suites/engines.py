@@ -39,7 +39,8 @@ def in_parallel(
 ) -> Iterator[GameResult]:
     """Yield the results of joblib's delayed calls, in order, from `jobs` workers that take `batch` calls at once.
 
-    Workers that outlive the run call `leave` at its end. Raises UserError where a worker is lost.
+    Workers that outlive the run, Dask's on a cluster that goes on, call `leave` at its end. Raises UserError where a
+    worker is lost.
     """
     if engine == LOKY:
         return _on_this_machine(jobs, batch, calls)
@@ -93,7 +94,7 @@ def _on_cluster(
 
 @contextmanager
 def _ray(jobs: int) -> Iterator[None]:
-    """Join or start a cluster, whose worker processes are this run's own, and end with it."""
+    """Join or start a cluster, whose worker processes are this run's own, and leave what they opened as they end."""
     import ray
     from ray.util.joblib import register_ray
 

@@ -29,6 +29,7 @@ from uavaccel.forms import Count, NotNegative, Number
 from uavaccel.limits import Cost, Games, Processes
 from uavaccel.metrics.intervals import Proportion, mcnemar_exact
 from uavaccel.metrics.speedup import timing_provenance
+from uavaccel.metrics.success import Success
 from uavaccel.records import RunDirectory
 from uavaccel.rl.agents import (
     DEFAULT,
@@ -41,7 +42,7 @@ from uavaccel.rl.agents import (
     reset_options,
 )
 from uavaccel.rl.config import ENVIRONMENTS, LANE, AnyTask, EnvId, environment_class, keys_with_task
-from uavaccel.sim.lane.layout import EVALUATION_SEEDS, LENGTH_M, WIDTH_M
+from uavaccel.sim.lane.layout import LENGTH_M, SPLIT_SIZE, WIDTH_M
 from uavaccel.suites import paper_results, plots
 from uavaccel.suites.experiment import Experiment
 from uavaccel.suites.flight import Flight
@@ -98,9 +99,9 @@ class EvaluateConfig(Experiment):
 
     @model_validator(mode="after")
     def _fits(self) -> EvaluateConfig:
-        if self.first_lane + self.games > EVALUATION_SEEDS:
+        if self.first_lane + self.games > SPLIT_SIZE:
             raise ValueError(
-                f"first_lane = {self.first_lane} and games = {self.games}: lanes are 0 to {EVALUATION_SEEDS - 1}"
+                f"first_lane = {self.first_lane} and games = {self.games}: lanes are 0 to {SPLIT_SIZE - 1}"
             )
         if self.simulator == KERNELS and self.environments > 1:
             raise ValueError("environments needs simulator mujoco: the kernels fly all lanes as one batch")
@@ -405,13 +406,18 @@ def outcomes_of(other: RunDirectory, env_id: str, cases: Container[str]) -> dict
 
 
 def against(run: RunDirectory, other: RunDirectory) -> str:
-    """Return McNemar's test on the games that both evaluations flew, in words. Raises as `outcomes_of`."""
+    """Return the difference on the games that both evaluations flew, paired, and McNemar's test of it, in words.
+
+    Raises as `outcomes_of`.
+    """
     won, env_id = {row["case"]: row["is_success"] for row in run.rows()}, run.config().get("env_id", LANE)
     theirs = outcomes_of(other, env_id, won)
     first, second = [won[case] for case in theirs], list(theirs.values())
+    paired = Success.on_lanes([first]).difference(Success.on_lanes([second]))
+    points = "{:+.1f} [{:+.1f}, {:+.1f}]".format(*(100 * each for each in paired))
     return (
         f"against {other.path} on the same {len(theirs)} {'lanes' if env_id == LANE else 'games'}: {sum(first)} v "
-        f"{sum(second)} successes, exact McNemar p = {mcnemar_exact(first, second).p_value:.3g}"
+        f"{sum(second)} successes, {points} points, exact McNemar p = {mcnemar_exact(first, second).p_value:.3g}"
     )
 
 

@@ -1,4 +1,4 @@
-"""TensorBoard's event files, written without it: curves by step, each record in the file as soon as it is known.
+"""TensorBoard's event files, written without it: curves by step.
 
 A record is the length of its data, a checksum of that, the data, and a checksum of them (TFRecord, with Castagnoli's
 CRC-32); its data are a protocol buffer `Event` (tensorboard/compat/proto/event.proto and summary.proto).
@@ -9,7 +9,11 @@ from __future__ import annotations
 import os
 import struct
 from collections.abc import Mapping
+from functools import lru_cache
 from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
 
 from uavaccel.clock import epoch_s
 
@@ -24,21 +28,21 @@ class EventFile:
     def __init__(self, folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         self._file = (folder / f"events.out.tfevents.{epoch_s():.0f}.{os.getpid()}").open("ab")
-        self._write(_counted(FILE_VERSION, b"brain.Event:2"))
+        self._add(_counted(FILE_VERSION, b"brain.Event:2"))
+        self.write_waiting()
 
     def add(self, step: int, values: Mapping[str, float]) -> None:
-        """Write the value of each curve at a step."""
-        points = (
-            _counted(TAG, name.encode()) + struct.pack("<Bf", SIMPLE_VALUE, value) for name, value in values.items()
-        )
-        summary = b"".join(_counted(VALUE, point) for point in points)
-        self._write(bytes([STEP]) + _varint(step) + _counted(SUMMARY, summary))
+        """Add the value of each curve at a step, which waits for `write_waiting`."""
+        summary = b"".join(_before_value(name) + struct.pack("<f", value) for name, value in values.items())
+        self._add(bytes([STEP]) + _varint(step) + _counted(SUMMARY, summary))
 
-    def _write(self, fields: bytes) -> None:
-        data = struct.pack("<Bd", WALL_TIME, epoch_s()) + fields
-        length = struct.pack("<Q", len(data))
-        self._file.write(length + _checksum(length) + data + _checksum(data))
+    def write_waiting(self) -> None:
+        """Put the points that wait into the file."""
         self._file.flush()
+
+    def _add(self, fields: bytes) -> None:
+        data = struct.pack("<Bd", WALL_TIME, epoch_s()) + fields
+        self._file.write(_checked_length(len(data)) + data + _checksum(data))
 
     def close(self) -> None:
         self._file.close()
@@ -46,6 +50,12 @@ class EventFile:
 
 def _counted(key: int, data: bytes) -> bytes:
     return bytes([key]) + _varint(len(data)) + data
+
+
+@lru_cache(maxsize=64)
+def _before_value(name: str) -> bytes:
+    point = _counted(TAG, name.encode()) + bytes([SIMPLE_VALUE])
+    return bytes([VALUE]) + _varint(len(point) + 4) + point
 
 
 def _varint(number: int) -> bytes:
@@ -57,19 +67,27 @@ def _varint(number: int) -> bytes:
     return bytes([*groups, number])
 
 
+@lru_cache(maxsize=64)
+def _checked_length(octets: int) -> bytes:
+    length = struct.pack("<Q", octets)
+    return length + _checksum(length)
+
+
 def _checksum(data: bytes) -> bytes:
-    """Return Castagnoli's CRC-32, rotated and offset as TFRecord has it."""
-    crc = 0xFFFFFFFF
-    for byte in data:
-        crc = _REMAINDERS[(crc ^ byte) & 0xFF] ^ crc >> 8
-    crc ^= 0xFFFFFFFF
+    """Return Castagnoli's CRC-32 of at least four bytes, rotated and offset as TFRecord has it."""
+    octets = np.frombuffer(data, np.uint8).copy()
+    octets[:4] ^= 0xFF  # what the register begins with
+    crc = 0xFFFFFFFF ^ int(np.bitwise_xor.reduce(_remainders(len(data))[np.arange(len(data)), octets]))
     return struct.pack("<I", ((crc >> 15 | crc << 17) + 0xA282EAD8) & 0xFFFFFFFF)
 
 
-def _remainder(byte: int) -> int:
+@lru_cache(maxsize=64)
+def _remainders(length: int) -> NDArray[np.uint32]:
+    """Return the remainder of each octet at each place of so many (length, 256): that of all is their exclusive or."""
+    one = np.arange(256, dtype=np.uint32)
     for _ in range(8):
-        byte = byte >> 1 ^ (POLYNOMIAL if byte & 1 else 0)
-    return byte
-
-
-_REMAINDERS = [_remainder(byte) for byte in range(256)]
+        one = one >> 1 ^ np.where(one & 1, np.uint32(POLYNOMIAL), np.uint32(0))
+    places = [one]
+    for _ in range(length - 1):
+        places.append(places[-1] >> 8 ^ one[places[-1] & 0xFF])
+    return np.stack(places[::-1])

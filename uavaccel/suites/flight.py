@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -12,13 +13,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from uavaccel.errors import UsageError, UserError
+from uavaccel.files import inside
 from uavaccel.sim.lane.layout import LaneLayout
 from uavaccel.units import NS_PER_S, to_ns
 
 if TYPE_CHECKING:  # they load what draws
     from uavaccel.draw.film import Film
     from uavaccel.draw.panels import Decisions
-    from uavaccel.sim.clutter.layout import ClutterLayout
+    from uavaccel.sim.clutter import ClutterLayout
     from uavaccel.vision.dvs import DvsParameters
 
 ARRAYS = ("time_s", "position_m", "orientation_wxyz", "command_start_s", "command_end_s")
@@ -26,6 +28,7 @@ ARRAYS = ("time_s", "position_m", "orientation_wxyz", "command_start_s", "comman
 Times = NDArray[np.int64]
 Floats = NDArray[np.float64]
 Counts = NDArray[np.integer]
+NOT_SHOWN = nullcontext[Callable[[], object]](lambda: None)
 
 
 class Commands(NamedTuple):
@@ -103,8 +106,7 @@ def windows_of(
     images: NDArray[np.uint8], time_ns: Times, parameters: DvsParameters, sensor_seed: int
 ) -> Iterator[Window]:
     """Yield the events between gray images (n, H, W) taken at times (n,); n - 1 windows."""
-    from uavaccel.vision.dvs import make_sensor
-    from uavaccel.vision.event_counter import EventCounter
+    from uavaccel.vision.dvs import EventCounter, make_sensor
 
     counter = EventCounter(make_sensor(parameters, images.shape[1:], sensor_seed), listed=True)
     counter.start(images[0], int(time_ns[0]), sensor_seed)
@@ -157,10 +159,36 @@ def _of_policy(policy: str, case: str | None, pictures: bool) -> tuple[str, Flig
     return case, flight_of_agent(config, int(number[1]), pictures)
 
 
+def film_game(
+    source: str | Path,
+    case: str | None = None,
+    game: int | None = None,
+    movie: Path | None = None,
+    working: Callable[[str, int], AbstractContextManager[Callable[[], object]]] = lambda name, steps: NOT_SHOWN,
+) -> tuple[Path, Path]:
+    """Write the film of a game, as `flight_of` finds it, and its contact sheet beside it, and return their paths.
+
+    By default they are below films/ in the run. `working` opens what shows the progress of so many steps, 0 if their
+    number is unknown, and gives what is called after each. Raises UserError where nothing can draw, there is no such
+    game, or it has no images.
+    """
+    from uavaccel.draw.film import write_contact_sheet, write_video
+    from uavaccel.sim.camera.gl import describe_renderer
+
+    describe_renderer()  # where nothing can draw, this says so
+    with working("the game", 0):
+        name, flight = flight_of(source, case, game)
+        movie, film = movie or inside(Path(source), f"films/{name}.mp4"), film_of(flight)
+    movie.parent.mkdir(parents=True, exist_ok=True)
+    with working(movie.name, len(film)) as written:
+        write_video(film, movie, written=written)
+    return movie, write_contact_sheet(film, movie.with_suffix(".png"))
+
+
 def film_of(flight: Flight) -> Film:
     """Return the film of a flight, a frame for each of its images. Raises UserError for one without images."""
+    from uavaccel.draw.chase import ChaseView
     from uavaccel.draw.film import PANEL, Film
-    from uavaccel.sim.chase import ChaseView
 
     if not len(flight.images):
         raise UserError(f"{flight.title}: has no images to film")

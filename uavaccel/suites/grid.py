@@ -72,6 +72,8 @@ class AblationConfig(Experiment):
     """Label of the figure's axis: the quantity whose values are the variants' names."""
     times_clock_speed: bool = False
     """Whether the figure's axis is the variants' value times ClockSpeed."""
+    band: bool = False
+    """Whether the figure has ClockSpeed as its axis, and the first variant as a line in the range of all."""
     base: dict[str, Plain]
     """A DP1 configuration; `suite` and `seed` may be left out. Its latency is a block or what ships for the profile."""
     variants: tuple[Variant, ...]
@@ -218,7 +220,8 @@ class Ablation(Suite[AblationConfig, VariantGame]):
         if len(entries := entries_of(report.summary)):
             alt = f"Lines of STLC, position error and speed-up by {report.config.axis}. {self.headline(report)}."
             caption = f"{report.config.title}. {ABOUT_ENTRIES}"
-            yield report.figure("ablation", ablation_figure(report.config, entries), caption, alt)
+            figure = (band_figure if report.config.band else ablation_figure)(report.config, entries)
+            yield report.figure("ablation", figure, caption, alt)
 
 
 ENTRIES: dict[str, Column] = {
@@ -246,6 +249,25 @@ def entries_of(summary: Summary) -> pd.DataFrame:
     """Return the entries of an ablation's summary as a table, which has the median `stlc` too."""
     medians = [entry["stlc_quartiles"][1] if entry["stlc_quartiles"] else np.nan for entry in summary["entries"]]
     return table_of(summary["entries"]).assign(stlc=medians)
+
+
+def band_figure(config: AblationConfig, entries: pd.DataFrame) -> Figure:
+    """Draw STLC, error and speed-up over ClockSpeed: the first variant's as lines, all variants' as bands."""
+    figure, grid = plots.panels(len(PANELS), config.title, 2.6)
+    clocks, first = sorted(entries.clock_speed.unique()), config.variants[0].name
+    for axes, (column, label) in zip(grid, PANELS.items(), strict=True):
+        for command, own in entries.groupby("command"):
+            look: style.LineStyle = {"color": style.COMMAND_COLOUR[str(command)]}
+            by_clock = own.groupby("clock_speed")[column]
+            axes.fill_between(range(len(clocks)), by_clock.min(), by_clock.max(), alpha=0.3, linewidth=0, **look)
+            line = own[own.variant == first].sort_values("clock_speed")
+            axes.plot(
+                range(len(clocks)), line[column], marker="o", label=f"{command_name(str(command))}, {first}", **look
+            )
+        plots.clock_axis(axes, clocks)
+        axes.set_title(label)
+    style.legend(figure)
+    return figure
 
 
 def ablation_figure(config: AblationConfig, entries: pd.DataFrame) -> Figure:

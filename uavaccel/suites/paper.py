@@ -123,7 +123,7 @@ class Paper(SuiteOfRuns[PaperConfig, SimpleCase]):
         if report.config.with_run is not None:
             run = training_run(report.config.with_run)
             for profile, found in evidence.items():
-                found["rl"] = claims.Trainings.of(run, profile)
+                found["rl"] = claims.Trainings.of(run.rows(), profile, run.load_arrays)
             phases = claims.training_phases(evidence["airsim"]["rl"])
         judged = [
             {

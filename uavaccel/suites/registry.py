@@ -30,6 +30,7 @@ SUITES = {
     "seeds": "uavaccel.suites.seeds:Seeds",
     "ablation": "uavaccel.suites.grid:Ablation",
     "rl": "uavaccel.suites.rl:Rl",
+    "mediation": "uavaccel.suites.mediation:Mediation",
     "robustness": "uavaccel.suites.grid:Robustness",
     "sweep": "uavaccel.suites.grid:Sweep",
     "paper": "uavaccel.suites.paper:Paper",

@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 import shutil
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
@@ -30,9 +30,10 @@ from uavaccel.envs.stopwatch import PHASES
 from uavaccel.errors import UserError
 from uavaccel.forms import ArrayForm, Count, NotNegative, Positive
 from uavaccel.limits import ClockSpeed, CommandName, Games, Seed
-from uavaccel.metrics.equivalence import success_estimate
+from uavaccel.metrics.equivalence import Estimate
 from uavaccel.metrics.intervals import Proportion, fisher_exact_p, mcnemar_exact
 from uavaccel.metrics.seeds import permutation_p, sign_flip_p
+from uavaccel.metrics.success import Success
 from uavaccel.records import RunDirectory
 from uavaccel.rl.agents import DEFAULT, FLIGHT, SENSES
 from uavaccel.sim.lane.layout import LENGTH_M, Difficulty, sample_layout
@@ -50,7 +51,7 @@ if TYPE_CHECKING:  # it loads what draws
 
 SimulatedTiming = Literal["virtual", "lockstep"]
 Flights: TypeAlias = pd.DataFrame
-"""Flights of policies, a row each, as `Rl.score` returns them."""
+"""Flights of policies, a row each, as `flights_of` returns them."""
 
 KEY = ["variant", "profile", "timing", "command", "clock_speed"]
 """The conditions of a training; trainings that have them in common differ in their seed alone."""
@@ -59,7 +60,8 @@ EVALUATION_SEED = 0  # the same lanes and latencies for every policy
 OF_EXACT = "exact"  # name of an evaluation in the exact simulator
 THINKING = re.compile(r"_?think_\d+ms$")  # suffix of variants that differ in the duration of a decision alone
 LEAST = 3  # gaps that a run needs for a figure of them, and cells for a line in it
-AGAINST = ("permutation_p", "fisher_p", "mcnemar_p")  # tests against other trainings
+OF_SAME_POLICIES = ("difference", "only_first", "only_second", "mcnemar_p", "sign_flip_p")
+AGAINST = ("difference", "permutation_p", "fisher_p", "mcnemar_p")  # tests against other trainings
 COLLAPSED = 0.5  # share of the best success on the lane
 
 
@@ -214,8 +216,11 @@ class Rl(SuiteOfRuns[RlConfig, TrainingCase]):
                 f"exact_seeds: needs exact.keys.simulator = {EXACT}, not {exact.simulator}, beside an evaluation by "
                 f"the kernels, not by {evaluation.simulator}; or exact_seeds = 0"
             )
-        if (exact.first_lane, exact.games) != (evaluation.first_lane, evaluation.games):
-            raise UserError("exact.keys: games and first_lane must be those of evaluation.keys, lane for lane")
+        flown = [(each.task.split, each.first_lane, each.games) for each in (exact, evaluation)]
+        if flown[0] != flown[1]:
+            raise UserError(
+                "exact.keys: games, first_lane and task.split must be those of evaluation.keys, lane for lane"
+            )
 
     def cases(self, config: RlConfig) -> Iterator[TrainingCase]:
         """Yield the cases seed by seed, so that an interrupted run has complete tables of fewer seeds.
@@ -295,29 +300,7 @@ class Rl(SuiteOfRuns[RlConfig, TrainingCase]):
         return f"{rows[-1]['case']} won {flown['successes']} of {flown['games']}"
 
     def score(self, report: Report) -> Flights:
-        """Return a row for each flight of a policy, the one in real time with its own command, flight 0, first.
-
-        It has the conditions of the training, `with` and `at`, command and ClockSpeed of the flight, `success`, a
-        Proportion, `won`, the outcome by lane, and `distance_m`; and, unless `exact`, the numbers of the training, its
-        seconds by phase, `simulation_s`, which as in the paper has rendering, and `wall_s`.
-        """
-        flights = []
-        for game in report.games.to_dict("records"):
-            arrays, exact, evaluations = report.arrays(game), game.get("training") is None, game["evaluations"]
-            learned = {} if exact else {**game["training"], **game["training"]["phase_s"]}
-            shared = {key: game[key] for key in (*KEY, "seed")} | {"exact": exact}
-            shared |= {f"trained_{name}": learned.get(name) for name in ("games", "successes")}
-            shared |= {name: learned.get(name) for name in ("commands", "sim_time_s", "weights_sha256", *PHASES)}
-            for number, flown in enumerate(evaluations):
-                command, clock_speed = flown["command"], flown["clock_speed"]
-                name = OF_EXACT if exact else flight_name(command, clock_speed, evaluations[0]["clock_speed"])
-                own = {"flight": number, "with": command, "at": clock_speed}
-                own |= {"success": Proportion.of(flown), "ratio": flown["successes"] / flown["games"]}
-                own["won"] = pd.Series(arrays[f"{name}_is_success"], arrays[f"{name}_lane"])
-                flights.append({**shared, **own, "distance_m": arrays[f"{name}_distance_m"]})
-        table = table_of(flights)
-        simulation_s, wall_s = (table[list(phases)].sum(axis=1) for phases in (PHASES[:2], PHASES))
-        return table.assign(simulation_s=simulation_s, wall_s=wall_s)
+        return flights_of(report.games.to_dict("records"), report.arrays)
 
     def summary(self, report: Report) -> Summary:
         """Summarise each training, the seeds of each condition pooled, and the comparisons between conditions."""
@@ -336,7 +319,7 @@ class Rl(SuiteOfRuns[RlConfig, TrainingCase]):
                     **subset(training, *KEY, "seed", *LEARNED),
                     **training["success"].as_summary(),
                     "distance_m_median": float(np.median(training["distance_m"])),
-                    **_times(own.loc[[number]], own),
+                    **times_of(own.loc[[number]], own),
                 }
                 for number, training in own.iterrows()
             ],
@@ -458,6 +441,33 @@ def parts_of(config: RlConfig, case: TrainingCase, agent: str = DEFAULT) -> dict
 # --- numbers ------------------------------------------------------------------------------------------------------
 
 
+def flights_of(rows: Iterable[Mapping[str, Any]], arrays_of: Callable[[Any], Mapping[str, np.ndarray]]) -> Flights:
+    """Return a row for each flight of a policy, the one in real time with its own command, flight 0, first.
+
+    It has the conditions of the training, `with` and `at`, command and ClockSpeed of the flight, `success`, a
+    Proportion, `won`, the outcome by lane, and `distance_m`; and, unless `exact`, the numbers of the training, its
+    seconds by phase, `simulation_s`, which as in the paper has rendering, and `wall_s`. Where `arrays_of` a run's row
+    is empty, as of rows that were kept alone, `won` and `distance_m` are None.
+    """
+    flights = []
+    for row in rows:
+        arrays, exact, evaluations = arrays_of(row), row.get("training") is None, row["evaluations"]
+        learned = {} if exact else {**row["training"], **row["training"]["phase_s"]}
+        shared = {key: row[key] for key in (*KEY, "seed")} | {"exact": exact}
+        shared |= {f"trained_{name}": learned.get(name) for name in ("games", "successes")}
+        shared |= {name: learned.get(name) for name in ("commands", "sim_time_s", "weights_sha256", *PHASES)}
+        for number, flown in enumerate(evaluations):
+            command, clock_speed = flown["command"], flown["clock_speed"]
+            name = OF_EXACT if exact else flight_name(command, clock_speed, evaluations[0]["clock_speed"])
+            own = {"flight": number, "with": command, "at": clock_speed}
+            own |= {"success": Proportion.of(flown), "ratio": flown["successes"] / flown["games"]}
+            own["won"] = pd.Series(arrays[f"{name}_is_success"], arrays[f"{name}_lane"]) if arrays else None
+            flights.append({**shared, **own, "distance_m": arrays.get(f"{name}_distance_m")})
+    table = table_of(flights)
+    simulation_s, wall_s = (table[list(phases)].sum(axis=1) for phases in (PHASES[:2], PHASES))
+    return table.assign(simulation_s=simulation_s, wall_s=wall_s)
+
+
 def where(flights: Flights, **wanted: Any) -> Flights:
     """Return the flights that have these values in these columns."""
     return flights[np.logical_and.reduce([flights[name] == value for name, value in wanted.items()])]
@@ -472,18 +482,27 @@ def _success(flights: Flights) -> dict[str, Any]:
     """Return the success of all seeds together, with two 95 % intervals.
 
     `wilson_low` and `wilson_high` are of the games of these very policies; `seeds_low` and `seeds_high` also cover what
-    trainings with other seeds would have given (`success_estimate`).
+    trainings with other seeds would have given on other lanes (`Success.estimate`).
     """
-    success = flights.success.tolist()
-    over_seeds = success_estimate(success)
-    return {**Proportion.pooled(success).as_summary(), "seeds_low": over_seeds.low, "seeds_high": over_seeds.high}
+    success = success_of(flights)
+    low, high = success.estimate.interval
+    return {**success.pooled.as_summary(), "seeds_low": low, "seeds_high": high}
 
 
-def _compare(some: Flights, others: Flights, *wanted: str) -> dict[str, Any]:
+def success_of(flights: Flights) -> Success:
+    """Return the success of the policies of some flights, lane by lane where all flew the same ones."""
+    first, *others = flights.won.tolist()
+    if first is None or not all(first.index.equals(won.index) for won in others):
+        return Success(tuple(flights.success))
+    return Success.on_lanes([first, *others])
+
+
+def _compare(some: Flights, others: Flights, *wanted: str, same_policies: bool = False) -> dict[str, Any]:
     """Return the wanted tests of the difference between two groups of flights; None without flights in both.
 
     `permutation_p` and, between equal seeds, `sign_flip_p` take trainings as their samples. Fisher's test of the pooled
-    games and McNemar's of equal seeds and `lanes` compare these very policies alone.
+    games and McNemar's of equal seeds and `lanes` compare these very policies alone. `difference` is the first success
+    less the second with its interval over trainings and lanes, paired over lanes and, of the same policies, these.
     """
     if some.empty or others.empty:
         return dict.fromkeys(wanted)
@@ -491,9 +510,10 @@ def _compare(some: Flights, others: Flights, *wanted: str) -> dict[str, Any]:
     first, second = pd.concat(outcomes, axis=1, join="inner").to_numpy(bool).T
     pairs = mcnemar_exact(first, second)
     won = [Proportion.pooled(flights.success.tolist()) for flights in (some, others)]
-    tests: dict[str, Callable[[], float | None]] = {
+    tests: dict[str, Callable[[], Any]] = {
         "permutation_p": lambda: permutation_p(some.ratio, others.ratio),
         "sign_flip_p": lambda: sign_flip_p((some.set_index("seed").ratio - others.set_index("seed").ratio).dropna()),
+        "difference": lambda: _difference(some, others, same_policies)._asdict(),
         "fisher_p": lambda: fisher_exact_p(*((success.successes, success.games) for success in won)),
         "mcnemar_p": lambda: pairs.p_value if len(first) else None,
         "only_first": lambda: pairs.only_first,
@@ -504,12 +524,21 @@ def _compare(some: Flights, others: Flights, *wanted: str) -> dict[str, Any]:
     return {name: tests[name]() for name in wanted}
 
 
+def _difference(some: Flights, others: Flights, same_policies: bool) -> Estimate:
+    """Return the difference of two successes; of the same policies, of those that flew both ways."""
+    if same_policies:
+        some, others = (
+            one[one.seed.isin(other.seed)].sort_values("seed") for one, other in ((some, others), (others, some))
+        )
+    return success_of(some).difference(success_of(others), same_policies)
+
+
 def _at_1x(cell: Flights, own: Flights, command: str) -> Flights:
     """Return the trainings with that command at 1x; none in lockstep, or where they were not run."""
     return where(where(own, **key_of(cell) | {"command": command, "clock_speed": 1.0}), timing="virtual")
 
 
-def _times(cell: Flights, own: Flights) -> dict[str, Any]:
+def times_of(cell: Flights, own: Flights) -> dict[str, Any]:
     """Return the modelled seconds of the trainings of a cell, those of as many commands of ADSC at 1x, and speed-ups.
 
     Speed-ups are of a command's mean time, as trainings that learn differently fly games of different length, over that
@@ -543,7 +572,7 @@ def summary_of_seeds(cell: Flights, own: Flights) -> dict[str, Any]:
         "trained_games": cell.trained_games.sum(),
         "paper_successes": paper_results.successes(*conditions),
         **_compare(cell, slow[slow.clock_speed != key["clock_speed"]], *AGAINST),
-        **_times(cell, own),
+        **times_of(cell, own),
         "gap_s": gap_s(cell),
         "paper_training_speedup": simulation,
         "paper_whole_training_speedup": whole,
@@ -577,7 +606,7 @@ def interchange(group: Flights, clock_speed: float) -> Iterator[dict[str, Any]]:
             "seeds": both[0].seed.tolist(),
             "flown_at": clock_speed,
             "flown_with": [{"command": flown["with"].iloc[0], **_success(flown)} for flown in both],
-            **_compare(*both, "only_first", "only_second", "mcnemar_p", "sign_flip_p"),
+            **_compare(*both, *OF_SAME_POLICIES, same_policies=True),
         }
 
 
@@ -597,7 +626,7 @@ def as_trained(group: Flights, trained: Flights) -> Iterator[dict[str, Any]]:
             "seeds": slow.seed.tolist(),
             "real_time": _success(slow) | _compare(slow, plain_slow, *AGAINST),
             "as_trained": _success(fast) | _compare(fast, plain_fast, *AGAINST),
-            **_compare(slow, fast, "sign_flip_p"),
+            **_compare(slow, fast, "difference", "sign_flip_p", same_policies=True),
         }
 
 
@@ -796,6 +825,7 @@ def over_seeds(entry: str = "") -> str:
     return f"{{{ratio}:.1%}} [{{{low}:.1%}}, {{{high}:.1%}}]"
 
 
+DIFFERENCE = "{difference[value]:+.1%} [{difference[low]:+.1%}, {difference[high]:+.1%}]"
 CELL: dict[str, Column] = {"trained with": panel_name, "ClockSpeed": "{clock_speed:g}x"}
 TRAINED = {**CELL, "seeds": "{seeds!l}"}
 OVERVIEW = {
@@ -819,6 +849,7 @@ INTERCHANGED = {
     "flown at": "{flown_at:g}x",
     "with its own command [95 %]": over_seeds("flown_with[0]"),
     "with the other one": over_seeds("flown_with[1]"),
+    "difference [95 %]": DIFFERENCE,
     "lanes won with one alone": "{only_first}, {only_second}",
     "p over seeds": "{sign_flip_p:.2g}",
     "of these policies: McNemar": "{mcnemar_p:.2g}",
@@ -829,7 +860,8 @@ AS_TRAINED = {
     "p against the plain one, over seeds": "{real_time[permutation_p]:.2g}",
     "at the ClockSpeed of the training": over_seeds("as_trained"),
     "p against the plain one there": "{as_trained[permutation_p]:.2g}",
-    "p of the two, over seeds": "{sign_flip_p:.2g}",
+    "difference of the two [95 %]": DIFFERENCE,
+    "its p, over seeds": "{sign_flip_p:.2g}",
 }
 EXACT_TOO = {
     **TRAINED,
@@ -865,8 +897,9 @@ FIGURE9 = (
 WHAT_N_TELLS = (
     f"The paper evaluated one training of each kind in {paper_results.GAMES} games; of its differences only the "
     "collapse of ADSC (23 to 1) is significant by Fisher's exact test. Here a training, not a game, is one sample: an "
-    "interval covers both Wilson's over all games and Student's over the trainings (of a single seed it is Wilson's), "
-    "and differences are tested by permuting the trainings. McNemar's test compares these very policies on the same "
+    "interval covers Wilson's over all games, Student's over the trainings (of a single seed it is Wilson's) and the "
+    "lanes, which all fly; a difference is paired over lanes and, where the same policies flew twice, over these. "
+    "Differences are tested by permuting the trainings. McNemar's test compares these very policies on the same "
     "lanes and says nothing about other seeds."
 )
 WHAT_A_GAP_IS = (

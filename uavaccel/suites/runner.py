@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import os
 import threading
 from collections import Counter
@@ -196,6 +197,7 @@ def _fly_in_worker(config: Experiment, case: Case, folder: Path, place: Path | N
             suite = suite_of(run)
             left = ExitStack()
             _OPENED[key] = suite, left.enter_context(suite.open(config, case.timing, run)), left
+            atexit.register(_leave_in_worker, str(folder))  # where this process ends with the run
         suite, opened, _ = _OPENED[key]
         return fly_case(suite, config, case, opened)
 

@@ -19,9 +19,10 @@ from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.task import Task
 from uavaccel.forms import Count, Number
 from uavaccel.limits import MOST_SEEDS, Games, Seed
-from uavaccel.metrics.equivalence import mean_estimate, success_estimate
+from uavaccel.metrics.equivalence import mean_estimate
 from uavaccel.metrics.intervals import Proportion
 from uavaccel.metrics.speedup import timing_provenance
+from uavaccel.metrics.success import Success
 from uavaccel.records import RunDirectory
 from uavaccel.suites import train
 from uavaccel.suites.experiment import Experiment
@@ -133,7 +134,7 @@ class Seeds(SuiteOfRuns[SeedsConfig, SeedCase]):
     def summary(self, report: Report) -> Summary:
         """Return each training, and over the seeds each number's mean with a 95 % interval, and its range.
 
-        The intervals are Student's over seeds; those of success also cover its games (`success_estimate`).
+        The intervals are Student's over seeds; those of success also cover its games (`Success.estimate`).
         """
         trainings = [
             {name: row[name] for name in SeedRow.__annotations__ if name in row and name not in GameRow.__annotations__}
@@ -144,10 +145,10 @@ class Seeds(SuiteOfRuns[SeedsConfig, SeedCase]):
         estimates = {name: mean_estimate(values) for name, values in over.items()}
         recent = [min(each["games"], RECENT) for each in trainings]
         won = [Proportion(round(ratio * n), n) for ratio, n in zip(over["success_recent"], recent, strict=True)]
-        estimates["success_recent"] = success_estimate(won)
+        estimates["success_recent"] = Success(tuple(won)).estimate
         if success:
             over["evaluation_success"] = [each.ratio for each in success]
-            estimates["evaluation_success"] = success_estimate(success)
+            estimates["evaluation_success"] = Success(tuple(success)).estimate
         over_seeds = {
             name: {"mean": mean, "low": low, "high": high, "least": min(over[name]), "most": max(over[name])}
             for name, (mean, low, high) in estimates.items()

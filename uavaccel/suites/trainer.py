@@ -85,7 +85,7 @@ class Trainer:
                 self._saved = learner.games
                 if self._interrupted:
                     raise KeyboardInterrupt
-            self._finished.extend(self._rows.finished(game, learner.stopwatch) for game in learner.advance())
+            self._finished.extend(self._rows.finished(learner.advance(), learner.stopwatch))
             if self._evaluations.due(learner.games):
                 with self._rows.clock_stopped():
                     self._evaluations.fly(learner)
@@ -180,8 +180,13 @@ class GameRows:
         finally:
             self._start_ns += self._clock.now_ns() - begun_ns
 
-    def finished(self, game: Game, learning: Stopwatch) -> GameResult:
-        """Return a finished game's row, and times since this start of the training: wall, the lane's, the learner's."""
+    def finished(self, games: Sequence[Game], learning: Stopwatch) -> list[GameResult]:
+        """Return the rows of games, and times since this start of the training: wall, the lane's, the learner's."""
+        results = [self._finished(game, learning) for game in games]
+        self._curves.write_waiting()
+        return results
+
+    def _finished(self, game: Game, learning: Stopwatch) -> GameResult:
         wall_s = (self._clock.now_ns() - self._start_ns) / NS_PER_S
         info = with_lane(game.info, game.number)
         row: TrainRow = {

@@ -11,9 +11,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from uavaccel.sim.parts import njit, part
-from uavaccel.sim.rounding import times
-from uavaccel.vision.observation import BLOCK_SIDE, NEUTRAL_LEVEL
+from uavaccel.sim.parts import njit, part, times
+from uavaccel.vision.dvs_sensor import BLOCK_SIDE, NEUTRAL_LEVEL
 
 ONE = np.float32(1.0)
 
@@ -213,17 +212,6 @@ def shoot(
             chance_on = shot_chance(chance, nominal[0], positive[y, x])
             noise = shot(draws[y, x], chance_on, shot_chance(chance, nominal[1], negative[y, x]))
             on[y, x], off[y, x] = noise > 0, noise < 0 or noise == 2
-    return on, off
-
-
-@njit(nogil=True, cache=True, error_model="numpy")
-def split_polarities(signed: Counts) -> tuple[Counts, Counts]:
-    """Split signed counts into ON and OFF counts."""
-    on, off = np.empty_like(signed), np.empty_like(signed)
-    for y in range(signed.shape[0]):
-        for x in range(signed.shape[1]):
-            on[y, x] = max(signed[y, x], 0)
-            off[y, x] = max(-signed[y, x], 0)
     return on, off
 
 

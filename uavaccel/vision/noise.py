@@ -7,6 +7,7 @@ threads and on a GPU. A block is four pixels in a row.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -98,3 +99,37 @@ def normal(shape: tuple[int, ...], seed: int, frame: int, stream: int) -> NDArra
     out = np.empty(shape, np.float32)
     fill_normal(out.ravel(), np.uint64(seed), np.uint64(frame), stream)
     return out
+
+
+Image = NDArray[np.uint8]
+APART = 0x6E01  # makes a game's noise independent of its other random numbers
+
+
+@dataclass(frozen=True)
+class ImageNoise:
+    """A camera's read noise: Gaussian and independent for each pixel, channel and time (EMVA 1288's dark noise).
+
+    Its standard deviation is `sigma` in grey levels of 255, in a game that began at `start_ns`. It is a pure function
+    of image, seed and time, so that a game flown again has the same noise.
+    """
+
+    sigma: float = 0.0
+    seed: int = 0
+    start_ns: int = 0
+
+    def add(self, image: Image, time_ns: int) -> Image:
+        """Return a copy of a uint8 image with the noise of that time, rounded and clipped to 0..255.
+
+        If the deviation is 0 it is the image itself.
+        """
+        if self.sigma == 0.0:
+            return image
+        moment = time_ns - self.start_ns
+        noisy = image + np.float32(self.sigma) * normal(image.shape, self.seed, moment, READ_NOISE)
+        return np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
+
+
+def noise_seed(game: np.random.SeedSequence) -> int:
+    """Return the noise seed of a game, independent of other random numbers from the game's seed."""
+    apart = np.random.SeedSequence(game.entropy, spawn_key=(*game.spawn_key, APART))
+    return int(apart.generate_state(1, np.uint32)[0])

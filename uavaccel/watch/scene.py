@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from uavaccel.draw.film import dvs_picture
 from uavaccel.draw.panels import BLUE, VERMILION
 from uavaccel.kinematics import Vector
-from uavaccel.sim.camera.camera import FrontCamera
+from uavaccel.sim.camera.camera import Camera
 from uavaccel.sim.camera.view import HEIGHT, WIDTH
 from uavaccel.sim.lane.scene import APPEARANCE_GROUP
 from uavaccel.units import ned_to_mujoco
@@ -313,7 +313,7 @@ class Eyes:
     The drone is the one whose pose is `data.qpos[pose]`.
     """
 
-    def __init__(self, camera: FrontCamera, data: mujoco.MjData, pose: slice) -> None:
+    def __init__(self, camera: Camera, data: mujoco.MjData, pose: slice) -> None:
         self._camera, self._data, self._pose = camera, data, pose
         self._sensor = make_sensor(DvsParameters(), (HEIGHT, WIDTH), seed=0)
         self._state: DvsState | None = None

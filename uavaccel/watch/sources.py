@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 
 from uavaccel.files import Plain
-from uavaccel.sim.clutter.layout import ClutterLayout
+from uavaccel.sim.clutter import ClutterLayout
 from uavaccel.sim.profile import PROFILES
 from uavaccel.sim.world import World
 from uavaccel.units import NS_PER_S, ned_to_mujoco

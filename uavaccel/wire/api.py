@@ -2,6 +2,10 @@
 
 The socket server and the in-process transport share it, so that a call means the same in every timing.
 Source of names, parameter orders and error texts: AirSim v1.8.1, RpcLibServerBase.cpp, MultirotorRpcLibServer.cpp.
+
+    python -m uavaccel.wire.api > docs/airsim-calls.md
+
+writes which of AirSim's calls are done, accepted or refused.
 """
 
 from __future__ import annotations
@@ -13,21 +17,17 @@ from pathlib import Path
 from uavaccel.errors import UserError
 from uavaccel.sim.simulation import Simulation
 from uavaccel.wire import rpc
-from uavaccel.wire.calls import BoundCall, CallContext, Calls, WireCall
+from uavaccel.wire.calls import BoundCall, CallContext, Calls, Notices, Refusals, WireCall
 from uavaccel.wire.flight_api import AttitudeApi, FlightApi
-from uavaccel.wire.game_api import GameApi
+from uavaccel.wire.game_api import GameApi, RecordingApi, SimulatorApi
 from uavaccel.wire.image_api import CameraApi, ImageApi
-from uavaccel.wire.notices import Notices, Refusals
-from uavaccel.wire.object_api import DetectionApi, ObjectApi
+from uavaccel.wire.object_api import DetectionApi, ObjectApi, WorldApi
 from uavaccel.wire.recorder import Recorder
 from uavaccel.wire.rpc import Received
 from uavaccel.wire.scenery import Scenery
 from uavaccel.wire.sensor_api import SensorApi
 from uavaccel.wire.settings import Settings
-from uavaccel.wire.simulator_api import RecordingApi, SimulatorApi
-from uavaccel.wire.vehicle_api import VehicleApi
-from uavaccel.wire.vehicles import populate
-from uavaccel.wire.world_api import WorldApi
+from uavaccel.wire.vehicle_api import VehicleApi, populate
 
 GROUPS: tuple[type[Calls], ...] = (
     *(SimulatorApi, VehicleApi, FlightApi, AttitudeApi, ImageApi, CameraApi, ObjectApi, DetectionApi),
@@ -94,3 +94,41 @@ class Api:
             self._logged.add((method, type(error)))
             _LOG.error("%s failed", method, exc_info=error)
         return rpc.threw(method, len(params), f"{type(error).__name__}: {error}")
+
+
+OWN = "uavaccel"  # prefix of the calls that are not AirSim's
+HEAD = """# AirSim's calls
+
+Every call of AirSim v1.8.1's Python client, by its name on the wire. *Done*: it does here what it does there.
+*Accepted*: it is answered without effect, and the server names it once on its terminal. *Refused*: the caller gets an
+error that names it. Made by `python -m uavaccel.wire.api`.
+"""
+
+
+def sections() -> dict[str, list[WireCall]]:
+    """AirSim's calls by section, in the order of the code."""
+    found: dict[str, list[WireCall]] = {}
+    for group in GROUPS:
+        calls = [call for call in group.calls.values() if not call.name.startswith(OWN)]
+        if calls:
+            found.setdefault(group.title, []).extend(calls)
+    return found
+
+
+def page() -> str:
+    """Return the page in Markdown."""
+    answers = [call.status for calls in sections().values() for call in calls]
+    done, accepted, refused = (
+        sum(answer.startswith(word) for answer in answers) for word in ("done", "accepted", "refused")
+    )
+    lines = [HEAD, f"Of {len(answers)} calls {done} are done, {accepted} accepted, {refused} refused."]
+    for title, calls in sections().items():
+        named: dict[str, list[str]] = {}
+        for call in calls:
+            named.setdefault(call.status, []).append(f"`{call.name}`")
+        lines += ["", f"## {title}", "", *(f"- *{status}*: {', '.join(names)}" for status, names in named.items())]
+    return "\n".join(lines) + "\n"
+
+
+if __name__ == "__main__":
+    print(page(), end="")

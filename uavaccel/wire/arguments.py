@@ -10,8 +10,7 @@ from collections.abc import Callable, Mapping
 from typing import Annotated, TypeVar, get_origin
 
 from uavaccel.kinematics import Vector
-from uavaccel.sim.poses import Pose
-from uavaccel.sim.scene.bounds import LONGEST_NAME, STRONGEST_WIND_M_S
+from uavaccel.sim.poses import LONGEST_NAME, STRONGEST_WIND_M_S, Pose
 from uavaccel.sim.sensors.earth import GeoPoint
 from uavaccel.sim.vehicle.goal import Yaw
 from uavaccel.wire.rpc import Received

@@ -11,7 +11,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from uavaccel.sim.camera.mounted import FRONT_CENTER, Lens
+from uavaccel.sim.camera.camera import FRONT_CENTER, Lens
 from uavaccel.sim.poses import Pose, from_degrees
 from uavaccel.sim.sensors.base import AirSimKeys
 from uavaccel.sim.vehicle.vehicle import Vehicle

@@ -14,8 +14,7 @@ from typing import Annotated
 import numpy as np
 
 from uavaccel.kinematics import Kinematics, Vector
-from uavaccel.sim.deferred_reply import DeferredReply
-from uavaccel.sim.flight.pilot import Pilot
+from uavaccel.sim.flight.pilot import DeferredReply, Pilot
 from uavaccel.sim.flight.tasks import AT_REST_M_S, FollowPath, Land, MoveByManual, RotateToYaw, check_lookahead
 from uavaccel.sim.flight.tasks import facing as facing_along
 from uavaccel.sim.sensors.earth import GeoPoint, geographic, ned_of

@@ -17,11 +17,10 @@ from pydantic import Field
 
 from uavaccel.config import Config, validate
 from uavaccel.kinematics import Kinematics, Vector
-from uavaccel.sim.camera.mounted import Lens
+from uavaccel.sim.camera.camera import Lens
 from uavaccel.sim.camera.view import HEIGHT, WIDTH, AnyImage
-from uavaccel.sim.clutter.layout import Clutter, ClutterLayout, sample_world
-from uavaccel.sim.lane.file import layout_from
-from uavaccel.sim.lane.layout import Difficulty, LaneLayout, sample_layout
+from uavaccel.sim.clutter import Clutter, ClutterLayout, sample_world
+from uavaccel.sim.lane.layout import Difficulty, LaneLayout, layout_from, sample_layout
 from uavaccel.sim.poses import Pose
 from uavaccel.wire import types
 from uavaccel.wire.arguments import AnyPose, Truthy, VehicleName, whole

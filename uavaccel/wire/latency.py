@@ -23,10 +23,9 @@ from uavaccel.config import Config, load_yaml, validate
 from uavaccel.errors import UserError, suggestion
 from uavaccel.limits import MOST_LATENCY_US, MOST_SCALE
 from uavaccel.resources import experiment
-from uavaccel.sim.state import SavedState, State, load_optional, prefixed, store_optional, without_prefix
+from uavaccel.units import QUANTILES as QUANTILES
 from uavaccel.wire.platform import FaultConfig, PlatformConfig, delays_ns
 
-QUANTILES = (0.0, 0.01, 0.05, 0.1, 0.25, 0.5, 0.75, 0.9, 0.95, 0.99, 0.999, 1.0)
 Channel = Literal["call", "pause", "continue", "move", "continue_for", "state", "image"]
 CHANNELS: tuple[Channel, ...] = get_args(Channel)
 DEFAULT: Final = "call"
@@ -221,7 +220,6 @@ class Latency:
         self._config = config
         self._seed = seed
         self._streams: dict[tuple[str, str], Iterator[int]] = {}
-        self._drawn: dict[tuple[str, str], int] = {}
         self._wait_ns: int | None = None
         self._faults = None if config.platform.faults == _NO_FAULTS else config.platform.faults
         self.stall_ns = round(config.platform.stall_us * 1e3)
@@ -255,9 +253,7 @@ class Latency:
         if faults is None:
             return 0
         if key not in self._streams:
-            drawn = self._drawn.setdefault(key, 0)
-            self._streams[key] = delays_ns(faults, self._generator(f"fault {direction}", drawn))
-        self._drawn[key] += 1
+            self._streams[key] = delays_ns(faults, self._generator(f"fault {direction}"))
         return next(self._streams[key])
 
     def _draw(self, kind: str, channel: str, tables: Tables) -> int:
@@ -268,43 +264,20 @@ class Latency:
             name = channel if channel in tables else DEFAULT
         stream = self._streams.get((kind, name))
         if stream is None:
-            drawn = self._drawn.setdefault((kind, name), 0)
-            stream = self._streams[kind, name] = self._stream(f"{kind} {name}", tables[name], drawn)
-        self._drawn[kind, name] += 1
+            stream = self._streams[kind, name] = self._stream(f"{kind} {name}", tables[name])
         return next(stream)
 
-    def _stream(self, name: str, table: Numbers, drawn: int) -> Iterator[int]:
-        """Yield one channel's latencies after the first `drawn` ones."""
+    def _stream(self, name: str, table: Numbers) -> Iterator[int]:
+        """Yield one channel's latencies."""
         if not any(table):
             while True:
                 yield 0
-        generator = self._generator(name, drawn)
+        generator = self._generator(name)
         while True:
             uniform = generator.random(_BLOCK)
             yield from np.rint(1e3 * np.interp(uniform, self._config.quantiles, table)).astype(int).tolist()
 
-    def _generator(self, name: str, drawn: int) -> np.random.Generator:
-        """Return the generator of this name, advanced by `drawn` numbers: one step each."""
+    def _generator(self, name: str) -> np.random.Generator:
+        """Return the generator of this name."""
         key = (*self._seed.spawn_key, zlib.crc32(name.encode()))
-        generator = np.random.default_rng(np.random.SeedSequence(self._seed.entropy, spawn_key=key))
-        generator.bit_generator.advance(drawn)  # type: ignore[attr-defined]
-        return generator
-
-    def get_state(self) -> State:
-        """Return the state of all generators, and the quantiles from which they draw."""
-        entropy = np.atleast_1d(np.asarray(self._seed.entropy, object))
-        state: State = {"config": self._config.model_dump_json(), "wait_ns": store_optional(self._wait_ns)}
-        state |= {"entropy": [str(number) for number in entropy], "spawn_key": list(self._seed.spawn_key)}
-        return state | prefixed("drawn", {" ".join(key): count for key, count in self._drawn.items()})
-
-    def set_state(self, state: SavedState) -> None:
-        """Restore what `get_state` returned. Raises UserError if it was taken with other quantiles."""
-        if str(state["config"]) != self._config.model_dump_json():
-            raise UserError("latency: the state was saved with other quantiles; open the session with those")
-        entropy = [int(number) for number in state["entropy"]]
-        spawn_key = tuple(int(number) for number in state["spawn_key"])
-        self._seed = np.random.SeedSequence(entropy if len(entropy) > 1 else entropy[0], spawn_key=spawn_key)
-        self._wait_ns = load_optional(state["wait_ns"])
-        self._streams.clear()
-        drawn = {key.partition(" "): int(count) for key, count in without_prefix("drawn", state).items()}
-        self._drawn = {(kind, name): count for (kind, _, name), count in drawn.items()}
+        return np.random.default_rng(np.random.SeedSequence(self._seed.entropy, spawn_key=key))

@@ -1,7 +1,7 @@
-"""AirSim's calls about a scene's objects: poses, scales, spawning, segmentation IDs, and detection by cameras.
+"""AirSim's calls about a scene: its objects, what cameras detect of them, environment, wind, lines of sight, weather.
 
-Sources: AirSim v1.8.1, WorldSimApi.cpp (returns and error texts), DetectionComponent.cpp. An object is detected if a
-ray from the camera meets it at one of the points of its bounding box.
+Sources: AirSim v1.8.1, WorldSimApi.cpp (returns and error texts), DetectionComponent.cpp, Environment.hpp,
+PawnSimApi.cpp. An object is detected if a ray from the camera meets it at one of the points of its bounding box.
 """
 
 from __future__ import annotations
@@ -14,18 +14,29 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from uavaccel.sim.camera.mounted import Lens
-from uavaccel.sim.poses import Pose
-from uavaccel.sim.scene.bounds import LONGEST_NAME
-from uavaccel.sim.scene.objects import ASSETS
-from uavaccel.sim.scene.rays import cast
-from uavaccel.sim.sensors.earth import geographic
+from uavaccel.kinematics import Vector
+from uavaccel.sim.camera.camera import Lens
+from uavaccel.sim.poses import LONGEST_NAME, Pose
+from uavaccel.sim.scene.objects import ASSETS, cast, sees
+from uavaccel.sim.sensors.earth import GRAVITY_M_S2, GeoPoint, atmosphere, geographic, local
+from uavaccel.sim.vehicle.vehicle import BODY
 from uavaccel.wire import types
-from uavaccel.wire.arguments import AnyPose, FinitePose, ObjectName, Truthy, Vector3r, VehicleName, finite
+from uavaccel.wire.arguments import (
+    AnyPose,
+    FinitePose,
+    ObjectName,
+    Point,
+    Truthy,
+    Vector3r,
+    VehicleName,
+    Wind,
+    coordinate,
+    finite,
+)
 from uavaccel.wire.calls import CallContext, Calls, call, without_effect
 from uavaccel.wire.cameras import CameraMount
 from uavaccel.wire.pictures import known_type
-from uavaccel.wire.vehicles import in_world_frame
+from uavaccel.wire.vehicle_api import in_world_frame
 
 NAN = math.nan
 NO_POSE = Pose((NAN, NAN, NAN), (NAN, NAN, NAN, NAN))
@@ -221,3 +232,66 @@ def picture_box(corners: NDArray[np.float64], lens: Lens) -> tuple[list[float], 
     pixels = size / 2 + focal * ahead[:, 1:] / ahead[:, :1]
     low, high = np.clip(pixels.min(axis=0), 0, size), np.clip(pixels.max(axis=0), 0, size)
     return None if (low >= high).any() else (low.tolist(), high.tolist())
+
+
+class WorldApi(Calls, title="World"):
+    @call("simGetGroundTruthEnvironment")
+    def environment(self, vehicle: VehicleName = "") -> dict[str, object]:
+        """Return the environment at a vehicle, in SI units."""
+        position = self.scenery.truth(vehicle).position_m
+        place = geographic(position, self.scenery.settings.home)
+        air = atmosphere(place.altitude)
+        return {
+            "position": types.vector_map(self.scenery.vehicle(vehicle).local(position)),
+            "geo_point": types.geo_map(place),
+            "gravity": types.vector_map((0.0, 0.0, GRAVITY_M_S2)),
+            "air_pressure": air.pressure_pa,
+            "temperature": air.temperature_k,
+            "air_density": air.density,
+        }
+
+    @call("getHomeGeoPoint")
+    def home(self, vehicle: VehicleName = "") -> dict[str, float]:
+        """Return the geographic position of the vehicle's NED origin."""
+        return types.geo_map(geographic(self.scenery.vehicle(vehicle).origin_m, self.scenery.settings.home))
+
+    @call("simSetWind")
+    def set_wind(self, wind: Wind) -> None:
+        """Set the wind in m/s NED, until it is set again."""
+        self.simulation.world.set_wind(wind)
+
+    @call("simTestLineOfSightToPoint")
+    def has_line_of_sight_to(self, point: Point, vehicle: VehicleName = "") -> bool:
+        """Return whether the line of sight from the vehicle to a point is free."""
+        own = self.scenery.vehicle(vehicle).body
+        return self._sees(self.scenery.truth(vehicle).position_m, self._local(point), own)
+
+    @call("simTestLineOfSightBetweenPoints")
+    def has_line_of_sight(self, point1: Point, point2: Point) -> bool:
+        return self._sees(self._local(point1), self._local(point2), BODY)
+
+    def _sees(self, start_m: Vector, end_m: Vector, exclude: str) -> bool:
+        world = self.simulation.world
+        return sees(world.model, world.data, start_m, end_m, exclude=exclude)
+
+    def _local(self, point: GeoPoint | Vector) -> Vector:
+        """Return a point in the world's frame, which a Vector3r is in already: AirSim reads that as 0 degrees."""
+        if not isinstance(point, GeoPoint):
+            return point
+        north, east, down = local(point, self.scenery.settings.home)
+        return coordinate(north, "point"), coordinate(east, "point"), coordinate(down, "point")
+
+    @call("simGetWorldExtents")
+    def extents(self) -> list[dict[str, float]]:
+        """Return the lowest south-western and the highest north-eastern corner of all objects."""
+        objects = self.scenery.objects
+        corners = np.vstack([objects.corners(name) for name in objects.names()])
+        low, high = corners.min(axis=0), corners.max(axis=0)
+        lowest = geographic((float(low[0]), float(low[1]), float(high[2])), self.scenery.settings.home)
+        highest = geographic((float(high[0]), float(high[1]), float(low[2])), self.scenery.settings.home)
+        return [types.geo_map(lowest), types.geo_map(highest)]
+
+    ignored = (
+        *without_effect("simSetTimeOfDay", "simEnableWeather", "simSetWeatherParameter"),
+        *without_effect("simSetLightIntensity", "simRunConsoleCommand", answer=True),
+    )

@@ -10,8 +10,7 @@ from pydantic import Field, field_validator, model_validator
 
 from uavaccel.config import Config
 from uavaccel.limits import LatencyUs, Share
-from uavaccel.sim.frames import Frames
-from uavaccel.sim.profile import AIRSIM, PROFILES, Executor, Profile, airsim_variant
+from uavaccel.sim.profile import AIRSIM, PROFILES, Executor, Frames, Profile, airsim_variant
 from uavaccel.units import seconds_to_ns
 
 RESENT_NS = 200_000_000  # Linux's least time-out before TCP sends a lost segment again (TCP_RTO_MIN)
@@ -19,7 +18,7 @@ STALLED_NS = 40_000_000  # Linux's delayed acknowledgement, which Nagle's algori
 
 
 class FrameConfig(Config):
-    """The model of Unreal's frames (uavaccel.sim.frames)."""
+    """The model of Unreal's frames (uavaccel.sim.simulation)."""
 
     hz: Annotated[float, Field(ge=0.0, le=1e5)] = 0.0
     """Frames per wall second; with 0 an image is drawn when it is requested."""

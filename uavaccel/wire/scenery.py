@@ -6,13 +6,11 @@ from functools import cached_property
 
 from uavaccel.kinematics import Kinematics
 from uavaccel.sim.flight.pilot import Pilot
-from uavaccel.sim.scene.name_pattern import matching
-from uavaccel.sim.scene.objects import SceneObjects
+from uavaccel.sim.scene.objects import SceneObjects, matching
 from uavaccel.sim.simulation import Simulation
 from uavaccel.sim.vehicle.vehicle import Vehicle
 from uavaccel.wire.cameras import Cameras
-from uavaccel.wire.pictures import Pictures, can_render
-from uavaccel.wire.segmentation import Segmentation
+from uavaccel.wire.pictures import Pictures, Segmentation, can_render
 from uavaccel.wire.settings import Settings
 
 

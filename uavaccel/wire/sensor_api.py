@@ -5,28 +5,38 @@ Sources: AirSim v1.8.1, RpcLibAdaptorsBase.hpp (fields), VehicleApiBase.hpp (nam
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import TypeVar
+from collections.abc import Callable, Mapping
+from typing import Any, TypeVar
 
 import numpy as np
 
-from uavaccel.sim.sensors.base import Truth
+from uavaccel.sim.sensors.base import AirSimKeys, Truth
 from uavaccel.sim.sensors.field import (
     Barometer,
     BarometerSettings,
     Gps,
     GpsSettings,
+    Imu,
+    ImuSettings,
     Magnetometer,
     MagnetometerSettings,
 )
-from uavaccel.sim.sensors.inertial import Imu, ImuSettings
-from uavaccel.sim.sensors.ranging import DistanceSensor, Lidar
+from uavaccel.sim.sensors.ranging import DistanceSensor, DistanceSettings, Lidar, LidarSettings
 from uavaccel.wire import types
 from uavaccel.wire.arguments import VehicleName
 from uavaccel.wire.calls import CallContext, Calls, call
-from uavaccel.wire.settings import SENSORS, SensorSettings
+from uavaccel.wire.settings import SensorSettings
 
 Kind = TypeVar("Kind")
+SENSORS: dict[type[AirSimKeys], Callable[[Any, int, str], object]] = {
+    ImuSettings: Imu,
+    BarometerSettings: Barometer,
+    MagnetometerSettings: Magnetometer,
+    GpsSettings: Gps,
+    DistanceSettings: DistanceSensor,
+    LidarSettings: Lidar,
+}
+"""The class of sensors for each kind of settings; it takes these, a noise seed and a name."""
 DEFAULTS: dict[str, SensorSettings] = {
     "imu": ImuSettings(),
     "magnetometer": MagnetometerSettings(),

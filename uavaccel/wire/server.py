@@ -18,11 +18,11 @@ from typing import IO, NamedTuple
 
 from uavaccel.clock import MonotonicClock, request_fine_timers, wait_for_sockets
 from uavaccel.errors import UserError
-from uavaccel.sim.deferred_reply import DeferredReply
+from uavaccel.sim.flight.pilot import DeferredReply
 from uavaccel.sim.simulation import Simulation
 from uavaccel.wire import rpc
 from uavaccel.wire.api import Api
-from uavaccel.wire.rpc_socket import set_no_delay, set_quick_ack
+from uavaccel.wire.rpc import set_no_delay, set_quick_ack
 
 MOST_CLIENTS = 16
 READ_BYTES = 1 << 12

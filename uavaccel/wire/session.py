@@ -16,11 +16,10 @@ from uavaccel.resources import asset
 from uavaccel.sim.camera.view import HEIGHT, WIDTH
 from uavaccel.sim.profile import PROFILES, Profile
 from uavaccel.sim.simulation import Simulation
-from uavaccel.sim.state import SavedState, State
+from uavaccel.sim.vehicle.vehicle import Motion
 from uavaccel.sim.world import World
 from uavaccel.wire.api import Api
 from uavaccel.wire.client import START_HEIGHT_M, Client
-from uavaccel.wire.game_api import decode_state, encode_state
 from uavaccel.wire.latency import ZERO_LATENCY, Latency, LatencyConfig
 from uavaccel.wire.rpc import LOOPBACK
 from uavaccel.wire.server_watch import WatchedServer
@@ -74,17 +73,12 @@ class Session(ABC):
         """Return the front camera's gray picture of this tick: taken inside the simulation, in `wall` by a message."""
 
     @abstractmethod
-    def get_state(self) -> State | None:
-        """Return the whole state of the present game; None in `wall`, where a game cannot be saved.
-
-        To be taken between two commands: `np.savez("game.npz", **session.get_state())`; then, in any process,
-        `client = open_session("virtual", ...).set_state(np.load("game.npz"))` for the same profile, scene and
-        latency, and the client flies on to the same bytes. With units.plain applied to its values it is JSON.
-        """
+    def motion(self) -> Motion:
+        """Return how the vehicle moves at this tick, for `resume`. Raises UserError in `wall`."""
 
     @abstractmethod
-    def set_state(self, state: SavedState) -> Client:
-        """Return the client that continues a saved game. Raises UserError in `wall`."""
+    def resume(self, motion: Motion, share: float) -> None:
+        """Let the vehicle fly on from where it is as it did then, its velocity and turn rate scaled by `share`."""
 
     @abstractmethod
     def close(self) -> None:
@@ -130,11 +124,11 @@ class WallSession(Session):
     def picture(self, size: tuple[int, int] = (WIDTH, HEIGHT)) -> NDArray[np.uint8]:
         return self._client.image("gray", size)
 
-    def get_state(self) -> State | None:
-        return None
+    def motion(self) -> Motion:
+        raise UserError("timing = 'wall': nobody moves a vehicle between its messages; take virtual or lockstep")
 
-    def set_state(self, state: SavedState) -> Client:
-        raise UserError("timing = 'wall': a game cannot go on from a saved state; take virtual or lockstep")
+    def resume(self, motion: Motion, share: float) -> None:
+        self.motion()
 
     def close(self) -> None:
         if len(self._cores) > 1:
@@ -165,9 +159,7 @@ class VirtualSession(Session):
     def _connect(self, clock_speed: float, seed: np.random.SeedSequence) -> Client:
         clock, latency = VirtualClock(), Latency(self._latency, seed)
         self._simulation = modelled_simulation(self._world(clock_speed), clock_speed, latency)
-        self._transport = VirtualTransport(Api(self._simulation), clock, latency, exclusive=True)
-        self._client = Client(self._transport, clock_speed)
-        return self._client
+        return Client(VirtualTransport(Api(self._simulation), clock, latency, exclusive=True), clock_speed)
 
     def watch(self, every_ticks: int, observe: Callable[[int], None]) -> Callable[[], None]:
         begun = self._simulation
@@ -182,18 +174,11 @@ class VirtualSession(Session):
         world = self._present().world
         return world.camera(*size).gray(world.data)
 
-    def get_state(self) -> State:
-        state: State = {"client.clock_speed": self._client.clock_speed}
-        known = self._transport.known.state
-        state["client.known_state"] = [] if known is None else encode_state(known)
-        return state | self._transport.get_state()
+    def motion(self) -> Motion:
+        return self._present().world.lead.motion()
 
-    def set_state(self, state: SavedState) -> Client:
-        client = self._connect(float(state["client.clock_speed"]), np.random.SeedSequence(0))
-        self._transport.set_state(state)
-        known = [float(number) for number in state["client.known_state"]]
-        self._transport.known.state = decode_state([int(known[0]), *known[1:]]) if known else None
-        return client
+    def resume(self, motion: Motion, share: float) -> None:
+        self._present().world.resume(motion, share)
 
     def close(self) -> None:
         for world in self._worlds.values():

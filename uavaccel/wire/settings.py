@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from math import floor, hypot
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, Union
+from typing import Annotated, Literal
 
 from pydantic import BaseModel, Field
 from pydantic.alias_generators import to_pascal
@@ -18,22 +18,21 @@ from pydantic.alias_generators import to_pascal
 from uavaccel.config import validate
 from uavaccel.errors import UserError
 from uavaccel.files import parse_json, read_bounded
+from uavaccel.sim.poses import STRONGEST_WIND_M_S
 from uavaccel.sim.profile import Profile
-from uavaccel.sim.scene.bounds import STRONGEST_WIND_M_S
-from uavaccel.sim.sensors.base import AirSimKeys, sensors
+from uavaccel.sim.sensors.base import AirSimKeys
 from uavaccel.sim.sensors.earth import GeoPoint
-from uavaccel.sim.sensors.field import BarometerSettings, GpsSettings, MagnetometerSettings
-from uavaccel.sim.sensors.inertial import ImuSettings
+from uavaccel.sim.sensors.field import BarometerSettings, GpsSettings, ImuSettings, MagnetometerSettings
+from uavaccel.sim.sensors.ranging import DistanceSettings, LidarSettings
 from uavaccel.sim.world import MOST_VEHICLES, VEHICLE, World
 from uavaccel.units import NS_PER_S, exact, ticks_exactly
 from uavaccel.wire.cameras import CameraSettings
 from uavaccel.wire.rpc import LOOPBACK, PORT
 
-SENSORS = sensors()
-if TYPE_CHECKING:
-    SensorSettings = BarometerSettings | GpsSettings | ImuSettings | MagnetometerSettings
-else:
-    SensorSettings = Annotated[Union[tuple(SENSORS)], Field(discriminator="sensor_type")]  # noqa: UP007  not yet known
+SensorSettings = Annotated[
+    BarometerSettings | ImuSettings | GpsSettings | MagnetometerSettings | DistanceSettings | LidarSettings,
+    Field(discriminator="sensor_type"),
+]
 COMPUTER_VISION = "ComputerVision"
 LARGEST_BYTES = 1 << 20
 _NOTES = {"SettingsVersion", "SeeDocsAt"}  # keys for people and other programs, which need no effect

@@ -11,17 +11,15 @@ from collections.abc import Callable, Sequence
 from uavaccel.clock import MonotonicClock, VirtualClock, WallClock, wait_for_sockets
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Kinematics
-from uavaccel.sim.deferred_reply import DeferredReply
+from uavaccel.sim.flight.pilot import DeferredReply
 from uavaccel.sim.simulation import Simulation
-from uavaccel.sim.state import SavedState, State, prefixed, without_prefix
 from uavaccel.sim.world import World
 from uavaccel.units import NS_PER_S
 from uavaccel.wire import rpc
 from uavaccel.wire.api import CALLS, Api
 from uavaccel.wire.broadcast import show_on_page
 from uavaccel.wire.latency import DEFAULT, Channel, Latency
-from uavaccel.wire.rpc import Received
-from uavaccel.wire.rpc_socket import RpcSocket
+from uavaccel.wire.rpc import Received, RpcSocket
 from uavaccel.wire.server_watch import SILENCE_POLL_NS, ServerGoneError, ServerSilence, WatchedServer
 
 POLL_NS = 1_000_000
@@ -284,19 +282,6 @@ class VirtualTransport(Transport):
             simulation.advance_to(timer)
         self._handled_ns = max(self._handled_ns, wall_ns)
         simulation.advance_to(self._handled_ns)
-
-    def get_state(self) -> State:
-        """Return the state of wall clock, latencies and simulation between two calls, without pending replies."""
-        state: State = {"wall_ns": self.clock.now_ns(), "handled_ns": self._handled_ns}
-        state |= prefixed("latency", self._latency.get_state())
-        return state | prefixed("simulation", self._api.simulation.get_state())
-
-    def set_state(self, state: SavedState) -> None:
-        """Restore what `get_state` returned; the clock of this transport must be new, at 0."""
-        self.clock.sleep_until(int(state["wall_ns"]))
-        self._handled_ns = int(state["handled_ns"])
-        self._latency.set_state(without_prefix("latency", state))
-        self._api.simulation.set_state(without_prefix("simulation", state))
 
 
 def modelled_simulation(world: World, clock_speed: float, latency: Latency) -> Simulation:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any, TypeVar
 
 import mujoco
@@ -137,9 +138,10 @@ def to_metres(model: mujoco.MjModel, depth: DepthImage) -> DepthImage:
     return depth
 
 
-def ray_lengths(width: int, height: int, half_width: float) -> DepthImage:
+@lru_cache(maxsize=8)  # clients may set any field of view
+def ray_lengths(width: int, height: int, fov_deg: float) -> DepthImage:
     """Return the length of each pixel's ray to the plane one metre ahead; (height, width)."""
-    pixel = 2 * half_width / width
+    pixel = 2 * float(np.tan(np.radians(fov_deg) / 2)) / width
     right = (np.arange(width) + 0.5 - width / 2) * pixel
     down = (np.arange(height) + 0.5 - height / 2) * pixel
     return np.sqrt(1 + right[None, :] ** 2 + down[:, None] ** 2).astype(np.float32)

@@ -6,20 +6,36 @@ effect (OffboardApi.hpp).
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
 from uavaccel.kinematics import Kinematics
-from uavaccel.sim.deferred_reply import DeferredReply
-from uavaccel.sim.flight.tasks import FlightTask, MoveByManual, state_of, task_of
+from uavaccel.sim.flight.tasks import FlightTask, MoveByManual
 from uavaccel.sim.profile import Profile
 from uavaccel.sim.recording import CommandLog
-from uavaccel.sim.state import SavedState, State, load_optional, store_optional
 from uavaccel.sim.vehicle.goal import IDLE, STICKS, VALID, Goal, Sticks, stick_goal
 from uavaccel.sim.vehicle.vehicle import Vehicle
 from uavaccel.units import NS_PER_S
+
+
+class DeferredReply:
+    """The pending reply of a command's `join`, or of a continue-for: due later than its call, and resolved in time."""
+
+    def __init__(self) -> None:
+        self.value: object = None
+        self.encode: Callable[[Any], object] = lambda value: value  # to the form of the wire
+        self.due_wall_ns: int | None = None
+        self.on_due: Callable[[DeferredReply], None] | None = None
+
+    def resolve(self, value: object, wall_ns: int) -> None:
+        """Set the value, and the wall time before which the reply may not be sent."""
+        self.value, self.due_wall_ns = value, wall_ns
+        if self.on_due is not None:
+            self.on_due(self)
+
 
 OTHERS_LOG_LENGTH = 64  # of vehicles whose log is not recorded
 LONGEST_TICKS = 1 << 40  # of a command whose end is not known
@@ -130,14 +146,11 @@ class Pilot:
 
     def _hold_after(self, command: RunningCommand) -> None:
         """Schedule position hold a goal timeout after the command's last goal, if it has set any."""
-        last = self._last_goal(command)
+        last = command.goal_tick
+        if command.task is None:
+            last = self.log.last_goal(self.vehicle.tick, self._profile.goal_period_ticks)
         if self.api_control and last is not None:
             self.vehicle.hold_from(last + self._profile.hover_after_ticks)
-
-    def _last_goal(self, command: RunningCommand) -> int | None:
-        if command.task is not None:
-            return command.goal_tick
-        return self.log.last_goal(self.vehicle.tick, self._profile.goal_period_ticks)
 
     def arm(self, armed: bool) -> bool:
         """Arm or disarm the rotors; returns whether that was granted (OffboardApi::arm, disarm).
@@ -160,22 +173,3 @@ class Pilot:
             self.command.task.sticks = sticks
         if sticks[VALID] and not self.api_control:
             self._set(stick_goal(sticks))
-
-    def get_state(self) -> State:
-        """Return the running command, without its pending reply, and the sticks."""
-        command = self.command
-        state: State = {"command_end_tick": store_optional(command.end_tick if command else None)}
-        state["sticks"] = self.sticks
-        if command is not None and command.task is not None:
-            state |= state_of(command.task)
-            state |= {"begin_tick": command.begin_tick, "goal_tick": store_optional(command.goal_tick)}
-        return state
-
-    def set_state(self, state: SavedState) -> None:
-        """Restore what `get_state` returned; nobody waits for the command's reply."""
-        end_tick = load_optional(state["command_end_tick"])
-        self.sticks = np.array(state["sticks"], float)
-        self.command = None
-        if end_tick is not None:
-            begin, last = int(state.get("begin_tick", 0)), load_optional(state.get("goal_tick", ()))
-            self.command = RunningCommand(end_tick, DeferredReply(), task_of(state), begin, last)

@@ -8,15 +8,13 @@ braking distance. There is no thread here: `Pilot` asks a task for its next goal
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.kinematics import Kinematics, Quaternion, Vector
-from uavaccel.sim.state import SavedState, SavedValue, State, prefixed, without_prefix
 from uavaccel.sim.vehicle import goal as goals
 from uavaccel.sim.vehicle.goal import PITCH, ROLL, STRAIGHT_ON, THROTTLE, VALID, YAW, Goal, Sticks, Yaw
 from uavaccel.sim.vehicle.quadrotor import world_to_body
@@ -44,7 +42,7 @@ class Turn(NamedTuple):
 
 
 class FlightTask(Protocol):
-    """A command's loop, a dataclass of numbers, vectors and arrays, which is how a saved game stores it."""
+    """A command's loop."""
 
     def turn(self, now: Kinematics, elapsed_s: float) -> Turn:
         """Do the loop's next turn, `elapsed_s` of simulated time after the first."""
@@ -112,7 +110,7 @@ class MoveByManual:
         asked = (float(north) / LARGEST_STICK, float(east) / LARGEST_STICK, 0.0)
         heading = world_to_body(np.array(self.begun_at), asked)
         turned = self.yaw_value + math.radians(self.sticks[YAW] * YAW_STICK_DEG / LARGEST_STICK)
-        yaw = facing(heading, bool(self.forward_only), Yaw(turned, bool(self.yaw_is_rate)))
+        yaw = facing(heading, self.forward_only, Yaw(turned, self.yaw_is_rate))
         climb = self.sticks[THROTTLE] / LARGEST_STICK * self.z_min_m
         return goals.velocity_z(heading[0], heading[1], float(climb) + now.position_m[2], yaw)
 
@@ -221,7 +219,7 @@ class FollowPath:
         """Return the velocity towards the carrot: 0 within the accuracy, no climb or descent within half a metre."""
         way = carrot - np.array(now.position_m)
         distance = float(np.linalg.norm(way))
-        yaw = facing(tuple(way.tolist()), bool(self.forward_only), Yaw(self.yaw_value, bool(self.yaw_is_rate)))
+        yaw = facing(tuple(way.tolist()), self.forward_only, Yaw(self.yaw_value, self.yaw_is_rate))
         if distance < ACCURACY_M:
             velocity = np.zeros(3)
         else:
@@ -233,37 +231,3 @@ class FollowPath:
         """Return the requested speed; beyond the end a fast vehicle turns back slowly."""
         beyond = self.segment == len(self._lengths) and self.velocity_m_s > BRAKE_ABOVE_M_S
         return BRAKING_M_S if beyond else self.velocity_m_s
-
-
-TASKS: dict[str, type[FlightTask]] = {kind.__name__: kind for kind in (FollowPath, Land, MoveByManual, RotateToYaw)}
-
-
-def _numbers(value: Iterable[float]) -> tuple[float, ...]:
-    return tuple(float(number) for number in value)
-
-
-_READ: dict[str, Callable[[SavedValue], object]] = {  # by the annotation of a task's field
-    "float": float,
-    "int": int,
-    "bool": bool,
-    "Vector": _numbers,
-    "Quaternion": _numbers,
-    "Array": np.array,
-    "Sticks": np.array,
-}
-
-
-def state_of(task: FlightTask | None) -> State:
-    """Return a task's class name and fields; empty for None."""
-    if task is None:
-        return {}
-    kept = {field.name: np.asarray(getattr(task, field.name)) for field in fields(task)}  # type: ignore[arg-type]
-    return {"task": type(task).__name__} | prefixed("task", kept)
-
-
-def task_of(state: SavedState) -> FlightTask | None:
-    """Make the task that `state_of` described; None without one."""
-    if "task" not in state:
-        return None
-    kind, kept = TASKS[str(state["task"])], without_prefix("task", state)
-    return kind(**{field.name: _READ[str(field.type)](kept[field.name]) for field in fields(kind)})  # type: ignore[arg-type]

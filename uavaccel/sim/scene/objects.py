@@ -2,21 +2,29 @@
 
 An object is a geom of the world body, changed in place, so that neither the model nor a GL context is made anew.
 Positions are NED, of the object's centre. Spawned objects use spare geoms (uavaccel.sim.scene.model); they are static.
+
+A client's regular expression is matched against whole names in bounded time, by the package `regex`, which takes a time
+limit: std::regex_match with icase, in the syntax of ECMA-262, 15.10, with the POSIX classes of std::regex; what `regex`
+has beyond it is refused.
 """
 
 from __future__ import annotations
 
+import math
 import re
-from typing import Protocol
+from collections.abc import Iterable
+from typing import NamedTuple, Protocol
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
+import regex
+from numpy.typing import ArrayLike, NDArray
 
+from uavaccel.clock import MonotonicClock
 from uavaccel.sim.lane.scene import APPEARANCE_GROUP
 from uavaccel.sim.poses import Pose
 from uavaccel.sim.scene.model import PARKED_M, SPARE, refit_bounding_boxes
-from uavaccel.units import mujoco_to_ned, ned_to_mujoco, quaternion_mujoco_to_ned, quaternion_ned_to_mujoco
+from uavaccel.units import NS_PER_S, mujoco_to_ned, ned_to_mujoco, quaternion_mujoco_to_ned, quaternion_ned_to_mujoco
 
 Scale = tuple[float, float, float]
 
@@ -55,7 +63,8 @@ class SceneObjects:
 
     def __init__(self, world: SceneWorld) -> None:
         self._world = world
-        named = {self._model.geom(geom).name: geom for geom in self._still_geoms()}
+        still = (self._model.geom_bodyid == 0) & (self._model.geom_group != APPEARANCE_GROUP)
+        named = {self._model.geom(int(geom)).name: int(geom) for geom in np.flatnonzero(still)}
         self._spares = sorted(geom for name, geom in named.items() if name.startswith(SPARE))
         self._geoms = {name: geom for name, geom in named.items() if name and not name.startswith(SPARE)}
         self._kinds = {geom: int(self._model.geom_type[geom]) for geom in self._geoms.values()}
@@ -65,10 +74,6 @@ class SceneObjects:
     @property
     def _model(self) -> mujoco.MjModel:
         return self._world.model
-
-    def _still_geoms(self) -> list[int]:
-        still = (self._model.geom_bodyid == 0) & (self._model.geom_group != APPEARANCE_GROUP)
-        return [int(geom) for geom in np.flatnonzero(still)]
 
     def names(self) -> list[str]:
         """Return the names of all objects, sorted."""
@@ -209,3 +214,118 @@ def restore_from(old: mujoco.MjModel, new: mujoco.MjModel) -> None:
     for name in _FIELDS:
         getattr(new, f"geom_{name}")[geoms] = getattr(old, f"geom_{name}")[geoms]
     refit_bounding_boxes(new, set(geoms.tolist()))
+
+
+NEAR_END_M = 1e-3
+# Those of depth pictures: neither the vehicles' hulls nor looks.
+_GROUPS = np.array([1, 1, 1, 0, 0, 1], np.uint8)
+
+
+class Hits(NamedTuple):
+    """Hits of n rays: metres (n,), inf for none; geoms (n,), -1 for none; outward normals (n, 3), NED."""
+
+    distance_m: NDArray[np.float64]
+    geoms: NDArray[np.int32]
+    normals: NDArray[np.float64]
+
+
+def cast(
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    start_m: ArrayLike,
+    directions: NDArray[np.float64],
+    longest_m: float = np.inf,
+    *,
+    exclude: str | None,
+) -> Hits:
+    """Cast rays from a position along unit vectors (n, 3), through the body `exclude`, if any."""
+    mujoco.mj_kinematics(model, data)  # mj_step leaves the positions of the step's beginning
+    count = len(directions)
+    geoms, distance_m, normals = np.full(count, -1, np.int32), np.full(count, -1.0), np.zeros((count, 3))
+    cutoff = min(longest_m, mujoco.mjMAXVAL)
+    mujoco.mj_multiRay(
+        model,
+        data,
+        ned_to_mujoco(start_m),
+        ned_to_mujoco(directions).ravel(),
+        _GROUPS,
+        True,
+        -1 if exclude is None else model.body(exclude).id,
+        geoms,
+        distance_m,
+        normals.reshape(-1),
+        count,
+        cutoff,
+    )
+    missed = (geoms < 0) | (distance_m < 0) | (distance_m > longest_m)
+    distance_m[missed], geoms[missed] = np.inf, -1
+    return Hits(distance_m, geoms, mujoco_to_ned(normals))
+
+
+def sees(model: mujoco.MjModel, data: mujoco.MjData, start_m: ArrayLike, end_m: ArrayLike, *, exclude: str) -> bool:
+    """Return whether only the body `exclude` is between two positions, except for what touches the second."""
+    way = np.asarray(end_m, float) - np.asarray(start_m, float)
+    length_m = float(np.linalg.norm(way))
+    if length_m <= NEAR_END_M:
+        return True
+    hits = cast(model, data, start_m, (way / length_m)[None], length_m - NEAR_END_M, exclude=exclude)
+    return bool(np.isinf(hits.distance_m[0]))
+
+
+LONGEST_NS = NS_PER_S // 10  # for all names
+MOST_STEPS = 100_000  # of a compiled expression, each of which takes about 300 bytes
+FLAGS = regex.VERSION0 | regex.ASCII | regex.IGNORECASE  # \w, \d and \b are ASCII's
+TOKEN = re.compile(
+    r"(?P<own>\\0|\[\^?\]|[$.]|\{(?!\d+(?:,\d*)?\}))"
+    r"|(?P<unknown>\(\?(?![:=!]).?|\(\*|[*+?}]\+)"
+    r"|(?P<same>\\[bBdDfnrsStuvwWx1-9]|\[(?:\[:\w*:\]|\\.|[^]\\])+\])"
+    r"|\\(?P<letter>.)",
+    re.DOTALL,
+)
+OWN = {"$": r"\Z", ".": r"[^\n\r\u2028\u2029]", "{": r"\{", "[]": "(?!)", "[^]": r"[\s\S]", r"\0": r"\x00"}
+POSIX = {"d": r"\d", "s": r"\s", "w": r"\w", "upper": "[:alpha:]", "lower": "[:alpha:]"}
+
+
+def matching(text: str, names: Iterable[str]) -> list[str]:
+    """Return the names that match as a whole, ignoring case. Raises ValueError for a wrong or slow expression."""
+    clock = MonotonicClock()
+    end_ns = clock.now_ns() + LONGEST_NS
+    try:
+        _check_size(text)
+        pattern = regex.compile(TOKEN.sub(_translated, _folded(text)), FLAGS, cache_pattern=False)
+        return [
+            name
+            for name in names
+            if pattern.fullmatch(_folded(name), timeout=max(end_ns - clock.now_ns(), 0) / NS_PER_S)
+        ]
+    except TimeoutError:
+        raise ValueError(f"{text!r} takes too long to match; make it simpler") from None
+    except RecursionError:
+        raise ValueError(f"{text!r} is no regular expression: nested too deeply") from None
+    except (regex.error, ValueError) as error:
+        raise ValueError(f"{text!r} is no regular expression: {getattr(error, 'msg', error)}") from None
+    finally:
+        regex.purge()  # it remembers something of every expression, without a bound
+
+
+def _check_size(text: str) -> None:
+    """Raise ValueError for an expression that might get too long, as `regex` writes out what it has to repeat."""
+    groups = [int(least or 1) + 1 for least in re.findall(r"\)(?:\+|\{(\d+))", text)]
+    letters = [int(least) for least in re.findall(r"[^)]\{(\d+)", text)]
+    if len(text) * math.prod(groups) * max([1, *letters]) > MOST_STEPS:
+        raise ValueError(f"longer than {MOST_STEPS} steps, its repetitions written out")
+
+
+def _folded(text: str) -> str:
+    return "".join(letter if letter.isascii() else letter.lower() for letter in text)
+
+
+def _translated(token: re.Match[str]) -> str:
+    """Return what `regex` understands as a token of ECMA-262. Raises ValueError where there is no such token."""
+    if token["unknown"]:
+        raise ValueError(f"{token['unknown']} is not known")
+    if token["own"]:
+        return OWN[token["own"]]
+    if token["letter"]:
+        return re.escape(token["letter"])
+    return re.sub(r"\[:(\w+):\]", lambda known: POSIX.get(known[1], known[0]), token["same"])

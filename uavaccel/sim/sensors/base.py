@@ -1,13 +1,16 @@
-"""What AirSim's sensors have in common: keys of their settings, what they measure, and the table of all kinds."""
+"""What AirSim's sensors have in common: keys of their settings, what they measure, and noise.
+
+Noise depends only on a seed and on the time of a reading, not on earlier readings.
+"""
 
 from __future__ import annotations
 
-import importlib
-import pkgutil
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any, NamedTuple, TypeAlias, TypeVar
+import math
+import zlib
+from typing import NamedTuple, TypeVar
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import ConfigDict, field_validator
 from pydantic.alias_generators import to_pascal
 
@@ -34,32 +37,8 @@ class AirSimKeys(Config):
         return value
 
 
-Settings: TypeAlias = Any  # an AirSimKeys of its own for each class of sensors
-MakeSensor = Callable[[Settings, int, str], object]
-Made = TypeVar("Made", bound=MakeSensor)
 Checked = TypeVar("Checked")
 LEAST, MOST = 1e-12, 1e12
-_sensors: dict[type[AirSimKeys], MakeSensor] = {}
-
-
-def sensor(settings: type[AirSimKeys]) -> Callable[[Made], Made]:
-    """Register a class of sensors, whose constructor takes these settings, a noise seed and a name.
-
-    The settings have `sensor_type`, AirSim's number of the kind, and `enabled`.
-    """
-
-    def register(made: Made) -> Made:
-        _sensors[settings] = made
-        return made
-
-    return register
-
-
-def sensors() -> dict[type[AirSimKeys], MakeSensor]:
-    """Return all classes of sensors by their settings, in the order of AirSim's numbers."""
-    for module in pkgutil.iter_modules([str(Path(__file__).parent)], f"{__package__}."):
-        importlib.import_module(module.name)
-    return dict(sorted(_sensors.items(), key=lambda each: int(each[0].model_fields["sensor_type"].default)))
 
 
 class Truth(NamedTuple):
@@ -89,3 +68,61 @@ class Truth(NamedTuple):
     def place(self) -> GeoPoint:
         """Geographic position of the vehicle."""
         return geographic(self.kinematics.position_m, self.home)
+
+
+UPDATES_PER_S = 50  # of a drift: BarometerSimpleParams' update_frequency
+
+
+def seeds_of(seed: int, sensor: str) -> np.random.SeedSequence:
+    """Return the seed sequence of a sensor, by its name."""
+    return np.random.SeedSequence([seed, zlib.crc32(sensor.encode())])
+
+
+class White:
+    """White noise: independent standard normal numbers for each sample."""
+
+    def __init__(self, seed: int, sensor: str, size: int) -> None:
+        self._key = seeds_of(seed, sensor).generate_state(2, np.uint64)
+        self._size = size
+
+    def at(self, sample: int) -> NDArray[np.float64]:
+        """Return the noise (size,) of sample number `sample`, 0 or more."""
+        generator = np.random.Generator(np.random.Philox(key=self._key, counter=[0, 0, 0, sample]))
+        return generator.standard_normal(self._size)
+
+
+class Drift:
+    """A first-order process that begins at 0; each step multiplies it by `keep` and adds `gain` times a normal number.
+
+    It has UPDATES_PER_S steps, as AirSim's barometer.
+    """
+
+    def __init__(self, seed: int, sensor: str, size: int, keep: float, gain: float) -> None:
+        self._white, self._size = White(seed, sensor, UPDATES_PER_S * size), size
+        self._keep, self._gain = keep, gain
+        self._shares = gain * keep ** np.arange(UPDATES_PER_S - 1, -1, -1.0)[:, None]  # at a second's end
+        self._begin()
+
+    def _begin(self) -> None:
+        self._second, self._first = 0, np.zeros(self._size)
+        self._values: list[NDArray[np.float64]] = []  # of this second, once they are asked for
+
+    def at(self, time_s: float) -> NDArray[np.float64]:
+        """Return the value (size,) at a time, 0 s or more."""
+        second, update = divmod(math.floor(time_s * UPDATES_PER_S + 1e-6), UPDATES_PER_S)
+        if second < self._second:  # a reset, or a saved state was gone back to
+            self._begin()
+        while self._second < second:
+            gained = (self._shares * self._drawn()).sum(axis=0)
+            self._first = self._keep**UPDATES_PER_S * self._first + gained
+            self._second += 1
+            self._values = []
+        if not self._values:
+            self._values = [self._first]
+            for drawn in self._drawn():
+                self._values.append(self._keep * self._values[-1] + self._gain * drawn)
+        return self._values[update].copy()
+
+    def _drawn(self) -> NDArray[np.float64]:
+        """Return the normal numbers (UPDATES_PER_S, size) of the present second."""
+        return self._white.at(self._second).reshape(UPDATES_PER_S, self._size)

@@ -14,10 +14,9 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from uavaccel.sim.poses import Pose, from_degrees
-from uavaccel.sim.scene.rays import cast
-from uavaccel.sim.sensors.base import AirSimKeys, Truth, sensor
-from uavaccel.sim.sensors.inertial import NotNegative, Positive
-from uavaccel.sim.sensors.noise import White
+from uavaccel.sim.scene.objects import cast
+from uavaccel.sim.sensors.base import AirSimKeys, Truth, White
+from uavaccel.sim.sensors.field import NotNegative, Positive
 
 MOST_POINTS = 100_000  # of one scan, as in AirSim
 NOISE_M = 0.2  # of a distance, DistanceSimpleParams's uncorrelated_noise_sigma
@@ -58,7 +57,6 @@ class DistanceSettings(_Mounted):
         return self
 
 
-@sensor(DistanceSettings)
 class DistanceSensor:
     """Reads the distance to the first object ahead, at most the largest distance."""
 
@@ -98,7 +96,6 @@ class Scan(NamedTuple):
     pose: Pose
 
 
-@sensor(LidarSettings)
 class Lidar:
     """Reads the points of one period, all from the vehicle's present pose."""
 

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.sim.parts import njit, part
-from uavaccel.sim.state import SavedState, State
 from uavaccel.sim.vehicle.quadrotor import Record
 
 PLANE = int(mujoco.mjtGeom.mjGEOM_PLANE)
@@ -73,14 +72,6 @@ class Clearance:
     def left_out(self) -> bool:
         """Whether contact detection is off."""
         return bool(self._model.opt.disableflags != self._with_contacts)
-
-    def get_state(self) -> State:
-        return {"next_look_tick": self._next_check_tick, "left_out": self.left_out}
-
-    def set_state(self, state: SavedState) -> None:
-        self._next_check_tick = int(state["next_look_tick"])
-        left_out = bool(state["left_out"])
-        self._model.opt.disableflags = self._without_contacts if left_out else self._with_contacts
 
     def free_s(self, parameters: Record, state: Record) -> float:
         """Return the seconds of flight, 0 or more, in which no contact is possible, whatever the autopilot does."""

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.kinematics import Vector
-from uavaccel.sim.state import SavedState, State
 from uavaccel.units import mujoco_to_ned
 
 
@@ -35,10 +34,15 @@ class ContactLog:
     A contact is counted when it begins; while it lasts, it is not counted again.
     """
 
-    def __init__(self, data: mujoco.MjData, body: int, model: mujoco.MjModel, name_of: Callable[[int], str]) -> None:
-        """`body` is the vehicle's; `name_of` returns the name of what a geom belongs to."""
-        self._model, self._data, self._body, self._name_of = model, data, body, name_of
+    def __init__(self) -> None:
         self.clear()
+
+    def bind(self, model: mujoco.MjModel, data: mujoco.MjData, body: int, name_of: Callable[[int], str]) -> None:
+        """Log the contacts of `body` in this model from now on; `name_of` returns the name of what a geom belongs to.
+
+        Geoms of the world keep their ids from one model to the next.
+        """
+        self._model, self._data, self._body, self._name_of = model, data, body, name_of
 
     def clear(self) -> None:
         self.count = 0
@@ -77,21 +81,6 @@ class ContactLog:
         unread, self._unread = self._unread, False
         return unread
 
-    def get_state(self) -> State:
-        state: State = {"count": self.count, "unread": self._unread}
-        state["in_touch"] = np.array(sorted(self._present), np.int64)
-        for name, touch in (("first", self.first), ("latest", self.latest)):
-            if touch is not None:
-                numbers = (*touch.position_m, *touch.impact_point_m, *touch.normal, touch.penetration_m)
-                state |= {f"{name}.tick": touch.tick, f"{name}.object": touch.object}
-                state[f"{name}.numbers"] = np.array(numbers)
-        return state
-
-    def set_state(self, state: SavedState) -> None:
-        self.count, self._unread = int(state["count"]), bool(state["unread"])
-        self._present = frozenset(int(geom) for geom in state["in_touch"])
-        self.first, self.latest = _touch(state, "first"), _touch(state, "latest")
-
 
 def deepest_contact(model: mujoco.MjModel, data: mujoco.MjData, vehicle: int) -> tuple[float, int]:
     """Return the deepest penetration, m, of a vehicle's body in `data.contact`, and the geom; (0, -1) without any."""
@@ -107,14 +96,6 @@ def _contacts(model: mujoco.MjModel, data: mujoco.MjData, vehicle: int) -> list[
         if vehicle in bodies:
             found.append((int(contact.geom[1 - bodies.index(vehicle)]), contact))
     return found
-
-
-def _touch(state: SavedState, name: str) -> Contact | None:
-    if f"{name}.tick" not in state:
-        return None
-    n = [float(number) for number in state[f"{name}.numbers"]]
-    vectors = (_vector(n[0:3]), _vector(n[3:6]), _vector(n[6:9]))
-    return Contact(int(state[f"{name}.tick"]), str(state[f"{name}.object"]), *vectors, n[9])
 
 
 def _vector(numbers: Iterable[float]) -> Vector:

@@ -9,8 +9,8 @@ from __future__ import annotations
 import mujoco
 
 from uavaccel.kinematics import Quaternion, Vector
-from uavaccel.sim.scene.bounds import DEEPEST_M
-from uavaccel.sim.state import physics_state, restore_physics
+from uavaccel.sim.poses import DEEPEST_M
+from uavaccel.sim.scene.model import physics_state, restore_physics
 from uavaccel.sim.vehicle.clearance import PLANE
 from uavaccel.sim.vehicle.collisions import deepest_contact
 from uavaccel.sim.vehicle.vehicle import HERE, Vehicle

@@ -1,4 +1,4 @@
-"""A quadrotor of a world: its views of MuJoCo's arrays, its flight state, and its contacts.
+"""A quadrotor of a world: its views of MuJoCo's arrays, its flight state, its contacts, and its recorder.
 
 Its poses and goals are in its own frame: NED, in metres from `origin_m`, a point of the world (NedTransform.cpp).
 """
@@ -17,13 +17,52 @@ from numpy.typing import NDArray
 
 from uavaccel.kinematics import Kinematics, Quaternion, Vector
 from uavaccel.sim.profile import Profile
-from uavaccel.sim.state import SavedState, State, prefixed, record_fields, set_record_fields, without_prefix
 from uavaccel.sim.vehicle import autopilot, hotloop
 from uavaccel.sim.vehicle.collisions import ContactLog
 from uavaccel.sim.vehicle.goal import IDLE, Goal
 from uavaccel.sim.vehicle.quadrotor import FLIGHT_DTYPE, KINEMATICS, NEVER, PARAMETERS_DTYPE, Record, parameters
-from uavaccel.sim.vehicle.samples import Samples
 from uavaccel.units import mujoco_to_ned, ned_to_mujoco, quaternion_ned_to_mujoco
+
+SAMPLE_CAPACITY = 1 << 16
+
+
+class Samples:
+    """Rows (n, 14) that the hot loop writes: tick, position, wxyz, velocity, body rate."""
+
+    def __init__(self, period_ticks: int, capacity: int | None = None) -> None:
+        self.record = np.zeros(1, hotloop.RECORDER_DTYPE)
+        self.buffer = np.empty((SAMPLE_CAPACITY if capacity is None else capacity, hotloop.SAMPLE_COLUMNS))
+        self.record["period"] = period_ticks
+        self.stop()
+
+    @property
+    def active(self) -> bool:
+        return int(self.record["next_tick"][0]) != NEVER
+
+    @property
+    def dropped(self) -> int:
+        """Number of samples for which the buffer had no room."""
+        return int(self.record["dropped"][0])
+
+    def start(self, tick: int) -> None:
+        """Empty the buffer; the next sample is due at `tick`."""
+        self.record["count"] = self.record["dropped"] = 0
+        self.record["next_tick"] = tick
+
+    def stop(self) -> None:
+        """Stop recording; the rows stay."""
+        self.record["next_tick"] = NEVER
+
+    def rows(self) -> NDArray[np.float64]:
+        """Return a copy of the recorded rows."""
+        return self.buffer[: int(self.record["count"][0])].copy()
+
+    def take(self) -> NDArray[np.float64]:
+        """Return the rows and empty the buffer; recording continues."""
+        rows = self.rows()
+        self.record["count"] = 0
+        return rows
+
 
 AT_REST_M_S = 0.05
 LEVEL = (1.0, 0.0, 0.0, 0.0)
@@ -54,6 +93,13 @@ class AddedVehicle(NamedTuple):
     origin_m: Vector = HERE
 
 
+class Motion(NamedTuple):
+    """How a vehicle moves at a tick: its flight state, and MuJoCo's pose, velocity, force and acceleration."""
+
+    flight: NDArray[np.void]
+    body: tuple[NDArray[np.float64], ...]
+
+
 class Vehicle:
     """A quadrotor flown by SimpleFlight's cascade; `prefix` begins its names in the MJCF model."""
 
@@ -76,6 +122,7 @@ class Vehicle:
         self._kinematics = self._flight.view(np.float64)[1 : 1 + KINEMATICS]
         self._parameters = np.zeros(1, PARAMETERS_DTYPE)
         self._time_s = np.zeros(1)
+        self.contact_log = ContactLog()
 
     @property
     def body(self) -> str:
@@ -103,7 +150,7 @@ class Vehicle:
         self._warm_start = data.qacc_warmstart[motion : motion + 6]
         self._contact = data.sensordata[sensor : sensor + 1]
         self.model, self.data = model, data
-        self.contact_log = ContactLog(data, self.body_id, model, name_of)
+        self.contact_log.bind(model, data, self.body_id, name_of)
         self.handles = self._addresses(model, data)
         self._handles_pointer = self.handles.ctypes.data_as(ctypes.POINTER(ctypes.c_int64))
 
@@ -288,16 +335,27 @@ class Vehicle:
             self.qvel[:] = goal - half * np.concatenate(gained)
         self.refresh()
 
-    def carry(self) -> State:
-        """Return the part of the flight's state that is in the model, for `restore_from` into the next one."""
-        arrays = {"qpos": self.qpos, "qvel": self.qvel, "_force": self._force, "_push": self._push}
-        return {name: array.copy() for name, array in arrays.items()} | {"touches": self.contact_log.get_state()}
+    def carry(self) -> tuple[NDArray[np.float64], ...]:
+        """Return what of its flight is in the model, to be put by `fly_on` into the next one."""
+        return tuple(array.copy() for array in (self.qpos, self.qvel, self._force, self._push))
 
-    def restore_from(self, carried: SavedState) -> None:
-        """Restore what `carry` returned; static geoms keep their ids, since vehicles are added behind them."""
-        for name in ("qpos", "qvel", "_force", "_push"):
-            getattr(self, name)[:] = carried[name]
-        self.contact_log.set_state(carried["touches"])
+    def motion(self) -> Motion:
+        """Return how it moves at this tick, for `resume`."""
+        arrays = self.qpos, self.qvel, self._force, self._warm_start
+        return Motion(self._flight.copy(), tuple(array.copy() for array in arrays))
+
+    def resume(self, motion: Motion, share: float) -> None:
+        """Fly on from the present place as in `motion`, with `share` of its velocity and turn rate."""
+        tick, (pose, velocity, force, acceleration) = self.tick, motion.body
+        self._flight[:] = motion.flight
+        self.field["tick"][0] = tick
+        self.qpos[3:], self.qvel[:] = pose[3:], velocity * share
+        self._force[:], self._warm_start[:] = force, acceleration
+        self.refresh()
+
+    def fly_on(self, carried: tuple[NDArray[np.float64], ...]) -> None:
+        """Go on with the flight that `carry` returned."""
+        self.qpos[:], self.qvel[:], self._force[:], self._push[:] = carried
 
     def refresh(self) -> None:
         """Update the flight state after MuJoCo's pose or velocity was changed from outside."""
@@ -317,19 +375,6 @@ class Vehicle:
     def rest(self, ticks: int) -> int:
         """Let ticks pass without moving."""
         return int(hotloop.ENTRY_POINTS.rest.ctypes(self._handles_pointer, ticks))
-
-    # --- saving -----------------------------------------------------------------------------------
-
-    def get_state(self) -> State:
-        """Return flight state, contacts and gains; the pose is part of MuJoCo's state."""
-        state = prefixed("flight", record_fields(self._flight)) | prefixed("touches", self.contact_log.get_state())
-        return state | prefixed("gains", {name: self.parameters[name].copy() for name in GAINS})
-
-    def set_state(self, state: SavedState) -> None:
-        set_record_fields(self._flight, without_prefix("flight", state))
-        self.contact_log.set_state(without_prefix("touches", state))
-        for name, gains in without_prefix("gains", state).items():
-            self.parameters[name] = gains
 
 
 def set_airframe(

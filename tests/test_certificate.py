@@ -1,0 +1,452 @@
+"""Measured and certified: what a policy is worth against latency, the same bytes every time, whatever interrupts it."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from tests.opengl import needs_opengl
+from tests.test_policy_server import PACKAGE, STRANGER, process
+from uavaccel.cli.main import app
+from uavaccel.errors import Interrupted, UsageError, UserError
+from uavaccel.files import file_sha256
+from uavaccel.metrics.intervals import Proportion
+from uavaccel.realtime import Certificate, RealTime, certify, measure
+from uavaccel.realtime.thinking import thinking_time
+from uavaccel.rl.agents import origin_of
+from uavaccel.wire.latency import read_latency
+
+PERIOD_S = 0.01
+
+
+class Count(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
+    """It counts periods, from a number that the seed draws; an action is right within 3 of the count when applied.
+
+    Under the last action that was right when it was chosen, and a delay of n periods, actions are 0 to 2n off.
+    """
+
+    observation_space = spaces.Box(-np.inf, np.inf, (1,), np.float32)
+    action_space = spaces.Box(-np.inf, np.inf, (1,), np.float32)
+    dt = PERIOD_S
+
+    def __init__(self, worth: float = 1.0, tells: bool = True) -> None:
+        self._worth, self._tells = worth, tells
+
+    def reset(self, *, seed: int | None = None, options: Any = None) -> tuple[NDArray[np.float32], dict[str, Any]]:
+        super().reset(seed=seed)
+        self._count = self._first = int(self.np_random.integers(3))
+        self._right = True
+        return np.full(1, self._count, np.float32), {}
+
+    def step(self, action: NDArray[np.float32]) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
+        right = abs(float(action[0]) - self._count) <= 3
+        self._right &= right
+        self._count += 1
+        over = self._count - self._first >= 30
+        info = {"is_success": self._right} if self._tells else {}
+        return np.full(1, self._count, np.float32), self._worth * right, over, False, info
+
+
+def same(seen: NDArray[np.float32]) -> NDArray[np.float32]:
+    return seen
+
+
+DELAYS = [n * PERIOD_S for n in range(5)]
+
+
+@pytest.fixture(autouse=True)
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    monkeypatch.setattr("uavaccel.own_code._here", {})
+    monkeypatch.delitem(sys.modules, "pilot", raising=False)
+    return tmp_path
+
+
+def contents(folder: str) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in sorted(Path(folder).iterdir())}
+
+
+# --- what it says -----------------------------------------------------------------------------------------------------
+
+
+def test_a_certificate_is_exact_where_the_delay_is() -> None:
+    """With a delay of one period all actions are right, with two every third is not, with four most."""
+    certificate = certify(Count, same, DELAYS, episodes=6, seed=4, out="out")
+    cells, holds = certificate.document["cells"], certificate.document["holds"]
+    assert [cell["latency_s"] for cell in cells] == DELAYS
+    assert [cell["mean"] for cell in cells] == [1, 1, 0, 0, 0]
+    assert [(cell["low"], cell["high"]) for cell in cells[:2]] == [Proportion(6, 6).interval] * 2
+    assert (holds["latency_s"], holds["least"], holds["surely_s"]) == (PERIOD_S, 0.9, None)
+    rows = [json.loads(line) for line in Path("out/rows.jsonl").read_text().splitlines()]
+    assert rows == certificate.rows
+    assert [(row["latency"], row["seed"]) for row in rows[4:8]] == [(0, 8), (0, 9), (PERIOD_S, 4), (PERIOD_S, 5)]
+    assert {row["return"] for row in rows[:12]} == {30}
+    policy = file_sha256(Path(__file__))
+    hashes = f"policy {policy[:12]}, rows {file_sha256(Path('out/rows.jsonl'))[:12]}"
+    assert certificate.line == (
+        "same in Count: holds 90% of its success without latency, 100.0%, up to 10 ms "
+        f"(6 episodes a latency from seed 4; {hashes})"
+    )
+    said = json.loads(Path("out/certificate.json").read_text())
+    assert said == json.loads(json.dumps(certificate.document))
+    assert said["policy"] == {"name": "same", "sha256": policy}
+    assert said["environment"] == {"id": "Count", "kwargs": {}, "sha256": policy}
+    assert {"gymnasium", "numpy", "python", "uavaccel"} <= said["versions"].keys()
+
+
+def test_without_successes_the_score_is_the_return_also_below_zero() -> None:
+    right = certify(partial(Count, tells=False), same, DELAYS, episodes=2)
+    assert (right.document["score"], right.document["holds"]["latency_s"]) == ("return", PERIOD_S)
+    assert [row["success"] for row in right.rows] == [None] * 10
+    wrong = certify(
+        partial(Count, -1.0, False), lambda seen: seen - [0, 9][int(seen[0]) % 15 == 0], [0, 0.01], episodes=5
+    )
+    (zero, one), holds = wrong.document["cells"], wrong.document["holds"]
+    assert zero["mean"] == pytest.approx(-28)
+    assert holds["least"] == pytest.approx(1.1 * zero["mean"])
+    assert (holds["latency_s"] > 0) == (one["mean"] >= holds["least"])
+
+
+def test_a_calibration_file_is_replayed_and_stretched() -> None:
+    times_us = [20_000.0] * 6 + [20_100.0] * 6
+    Path("times.json").write_text(json.dumps({"latency": {"request_us": {"call": times_us}}}))
+    certificate = certify(Count, same, calibration="times.json", episodes=2)
+    cells = certificate.document["cells"]
+    assert [cell["latency"] for cell in cells] == [0, 0.5, 1, 2, 4]
+    assert [cell["latency_s"] for cell in cells] == pytest.approx([0, 0.01, 0.02, 0.04, 0.08], rel=0.01)
+    assert certificate.document["calibration"] == {"file": "times.json", "sha256": file_sha256(Path("times.json"))}
+    assert f"times {file_sha256(Path('times.json'))[:12]}" in certificate.line
+    assert "0 times times.json" in certificate.line  # half of it is more than a period
+    assert {row["thinking_s"] for row in certificate.rows[:2]} == {0.0}
+
+
+def test_delays_in_control_periods_are_those_in_seconds() -> None:
+    """Whatever the ClockSpeed, at which so many seconds of thinking are another number of periods."""
+    steps = certify(Count, same, delay_steps=[1, 2, 3, 4], episodes=3, clock_speed=8)
+    seconds = certify(Count, same, [at / 8 for at in DELAYS], episodes=3, clock_speed=8)
+    without = [[{**row, "latency": None} for row in each.rows] for each in (steps, seconds)]
+    assert without[0] == without[1]
+    assert "up to 1.25 ms, 1 step (3 episodes" in steps.line
+    assert steps.table()[0][0] == "steps"
+
+
+def test_the_score_against_latency_is_drawn() -> None:
+    certificate = certify(Count, same, DELAYS, episodes=2)
+    assert certificate.figure("figure.png").read_bytes().startswith(b"\x89PNG")
+    header, lines = certificate.table()
+    assert header == ["seconds", "median ms", "success", "95 %", "failed"]
+    assert lines[1] == ["0.01", "10", "100.0%", "34.2% to 100.0%", "0"]
+
+
+# --- the same bytes ---------------------------------------------------------------------------------------------------
+
+
+class Drawing:
+    """A policy that draws: it begins anew with the seed of an episode."""
+
+    name, sha256 = "drawing", None
+
+    def __init__(self, before: Callable[[int], None] = lambda call: None) -> None:
+        self._before, self._calls = before, 0
+
+    def reset(self, seed: int) -> None:
+        self._generator = np.random.default_rng(seed)
+
+    def __call__(self, seen: NDArray[np.float32]) -> NDArray[np.float32]:
+        self._before(self._calls)
+        self._calls += 1
+        return seen + self._generator.normal(0, 2, 1)
+
+
+TIMES: dict[str, Any] = {"calibration": "times.json", "latencies": [0, 1, 2], "episodes": 5}
+
+
+@pytest.fixture
+def times() -> None:
+    spread_us = [float(us) for us in range(0, 60_000, 5_000)]
+    Path("times.json").write_text(json.dumps({"latency": {"request_us": {"call": spread_us}}}))
+
+
+@pytest.mark.usefixtures("times")
+@pytest.mark.parametrize("call", [0, 40, 149, 160])
+def test_an_evaluation_that_was_interrupted_ends_with_the_same_bytes(call: int) -> None:
+    def interrupt(now: int) -> None:
+        if now == call:
+            raise KeyboardInterrupt
+
+    certify(Count, Drawing(), out="whole", **TIMES)
+    certify(Count, Drawing(), out="again", **TIMES)
+    assert contents("again") == contents("whole")
+    with pytest.raises(
+        Interrupted, match=r"^interrupted after \d+ of 15 episodes; go on with it, in part, by --resume"
+    ):
+        certify(Count, Drawing(interrupt), out="part", **TIMES)
+    with open("part/rows.jsonl", "a") as file:
+        file.write('{"latency": 0')  # as a crash leaves it
+    certify(Count, Drawing(), out="part", resume=True, **TIMES)
+    assert contents("part") == contents("whole")
+    certify(Count, Drawing(), out="part", resume=True, **TIMES)
+    assert contents("part") == contents("whole")
+
+
+KILLED = """
+import sys
+from uavaccel.realtime import certify
+
+def policy(seen):
+    return [3.0 * seen[1] + 0.5 * seen[3]]
+
+certify("InvertedPendulum-v5", policy, [0.02], episodes=30, out=sys.argv[1], resume=True)
+"""
+
+
+@pytest.mark.slow
+def test_an_evaluation_that_was_killed_ends_with_the_same_bytes() -> None:
+    Path("killed.py").write_text(KILLED)
+    environment, command = {**os.environ, "PYTHONPATH": str(PACKAGE)}, [sys.executable, "killed.py"]
+    rows = Path("part/rows.jsonl")
+    with subprocess.Popen([*command, "part"], env=environment) as killed:
+        while not (rows.exists() and rows.stat().st_size):
+            assert killed.poll() is None
+        killed.send_signal(signal.SIGKILL)
+    assert len(rows.read_text().splitlines()) < 60
+    for folder in ("part", "whole"):
+        subprocess.run([*command, folder], env=environment, check=True)
+    assert contents("part") == contents("whole")
+
+
+def test_another_evaluation_does_not_go_on_in_its_folder() -> None:
+    certify(Count, same, [0.01], episodes=2, out="out")
+    with pytest.raises(UserError, match=r"^out: exists; take another --out, or --resume"):
+        certify(Count, same, [0.01], episodes=2, out="out")
+    with pytest.raises(UserError, match=r"^out: is another evaluation, with another episodes, latencies; take another"):
+        certify(Count, same, [0.02], episodes=3, out="out", resume=True)
+    with pytest.raises(UserError, match=r"^out: is another evaluation, with another policy, real_time; take another"):
+        certify(Count, Drawing(), [0.01], episodes=2, out="out", resume=True, clock_speed=2)
+    Path("other").mkdir()
+    Path("other/mine.txt").touch()
+    with pytest.raises(UserError, match=r"^other: no evaluation of a policy, but not empty; take another folder$"):
+        certify(Count, same, out="other", resume=True)
+    rows = Path("out/rows.jsonl").read_text().splitlines()
+    for changed in (rows[::-1], [row.replace("thinking_s", "thought_s") for row in rows]):
+        Path("out/rows.jsonl").write_text("\n".join(changed) + "\n")
+        with pytest.raises(UserError, match=r"^out/rows.jsonl: its rows are not those of this evaluation"):
+            certify(Count, same, [0.01], episodes=2, out="out", resume=True)
+
+
+# --- a policy that fails ----------------------------------------------------------------------------------------------
+
+SERVER = """
+import os, signal
+from uavaccel.realtime import serve
+
+calls = 0
+
+def policy(seen):
+    global calls
+    calls += 1
+    if calls == CALL:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return seen
+
+serve(policy, PORT)
+"""
+
+
+def test_an_episode_whose_server_was_killed_says_so_and_is_played_again() -> None:
+    program = SERVER.replace("CALL", "70")
+    with process(program.replace("PORT", "0")) as (_, address):
+        port = address.rpartition(":")[2]
+        evaluation: dict[str, Any] = {"latencies": [0.01], "episodes": 4, "out": "out"}
+        with pytest.raises(
+            UserError, match=rf"^{address}: no policy .* refused: 3 episodes in a row have failed; go on"
+        ):
+            certify(Count, address, **evaluation)
+    rows = [json.loads(line) for line in Path("out/rows.jsonl").read_text().splitlines()]
+    assert [row["seed"] for row in rows] == [0, 1, 2, 3, 0]
+    assert [row.get("error", "")[len(address) :] for row in rows] == [
+        *("", ""),
+        ": the policy server has closed the connection",
+        *[": no policy server answers there: Connection refused"] * 2,
+    ]
+    with process(SERVER.replace("CALL", "-1").replace("PORT", port)) as (_, again):
+        assert again == address
+        certify(Count, address, **evaluation, resume=True)
+        certify(Count, address, **{**evaluation, "out": "whole"})
+    assert contents("out") == contents("whole")
+
+
+def test_an_episode_that_failed_forbids_a_certificate() -> None:
+    def at_times(seen: NDArray[np.float32]) -> NDArray[np.float32]:
+        return seen if seen[0] != 31 else seen * np.float32(np.nan)
+
+    certificate = certify(Count, at_times, [PERIOD_S], episodes=4, seed=20, out="out")
+    begin_at_2 = [seed for seed in range(20, 24) if Count().reset(seed=seed)[0] == 2]
+    failed = [(row["latency"], row["seed"]) for row in certificate.rows if "error" in row]
+    assert failed == [(0, seed) for seed in begin_at_2] == [(0, 20), (0, 22)]  # with a delay every other count is seen
+    said = "at_times: returned float32 (1,) with NaN or infinity, where an action is (1,)"
+    assert all(certificate.rows[seed - 20]["error"].endswith(said) for _, seed in failed)
+    assert ": no certificate: 2 of 8 episodes failed; 4 episodes a latency from seed 20; " in certificate.line
+    assert certificate.document["holds"]["latency_s"] is None
+    assert [cell["errors"] for cell in certificate.document["cells"]] == [2, 0]
+
+
+@pytest.mark.parametrize(
+    ("keys", "said"),
+    [
+        ({"latencies": [-1]}, r"latencies: must be numbers, 0 to 3600, not \[-1\]"),
+        ({"latencies": "fast"}, "latencies: must be numbers, 0 to 3600, not 'fast'"),
+        ({"latencies": 0.1}, "latencies: must be numbers, 0 to 3600, not 0.1"),
+        ({"delay_steps": [0.5]}, r"delay_steps: must be counts, 0 to 3600, not \[0.5\]"),
+        ({"delay_steps": [1], "latencies": [1]}, "delay_steps: is given beside seconds; leave out latencies"),
+        ({"episodes": 0}, "episodes: must be 1 to 1,000,000, not 0"),
+        ({"seed": -1}, "seed: must be 0 to "),
+        ({"calibration": "none.json"}, "none.json: No such file"),
+        ({"success": "won"}, "success = 'won': the last info of an episode has no such key; it has is_success, "),
+        ({"chunk": 0}, "chunk: must be a count of actions"),
+        ({"env": "Nowhere-v0"}, "environment 'Nowhere-v0': Environment `Nowhere` doesn't exist"),
+        ({"env": 7}, "env: must be the id of an environment, or a function that makes one, not 7"),
+    ],
+)
+def test_what_does_not_fit_is_one_line(keys: dict[str, Any], said: str) -> None:
+    with pytest.raises(UserError, match=f"^{said}") as caught:
+        certify(keys.pop("env", Count), same, **keys)
+    assert "\n" not in str(caught.value)
+
+
+# --- measured ---------------------------------------------------------------------------------------------------------
+
+
+def test_what_was_measured_is_replayed_without_the_warm_up() -> None:
+    found = measure(Count, same, steps=50, warm_up=5, seed=1)
+    assert (len(found.warm_up_ns), len(found.taken_ns), len(found.drift_us)) == (5, 50, 10)
+    kept = found.save("times.json")
+    said = json.loads(kept.read_text())["measured"]
+    assert said["policy"] == {"name": "same", "sha256": file_sha256(Path(__file__))}
+    assert said["machine"].keys() == {"platform", "cpu_model", "cores"}
+    assert "gymnasium" in said["versions"]
+    assert said["warm_up_us"] == [round(each / 1e3, 3) for each in found.warm_up_ns]
+    generator = np.random.default_rng(0)
+    for times in (thinking_time("times.json"), thinking_time(str(kept))):
+        drawn = [times.sample_ns(generator) for _ in range(200)]
+        assert min(found.taken_ns) - 1 <= min(drawn) <= max(drawn) <= max(found.taken_ns) + 1
+    assert read_latency(kept).request_us["call"][5] == pytest.approx(np.median(found.taken_ns) / 1e3, abs=1e-3)
+    env = RealTime(Count(), latency_s="times.json")
+    env.reset(seed=0)
+    assert env.step(np.zeros(1, np.float32))[-1]["thinking_s"] > 0
+    assert [line.partition(":")[0] for line in found.lines()] == ["50 thinking times", "warm-up, left out", "drift"]
+
+
+@pytest.mark.parametrize(
+    ("keys", "said"), [({"steps": 0}, "steps: must be 1 to"), ({"warm_up": -1}, "warm_up: must be")]
+)
+def test_a_count_that_does_not_fit_is_one_line(keys: dict[str, int], said: str) -> None:
+    with pytest.raises(UserError, match=f"^{said}"):
+        measure(Count, same, **keys)
+
+
+# --- the commands -----------------------------------------------------------------------------------------------------
+
+
+def ran(words: str) -> int:
+    return int(app(words.split(), standalone_mode=False) or 0)
+
+
+def test_a_policy_is_measured_and_certified_by_commands(capsys: pytest.CaptureFixture[str]) -> None:
+    Path("pilot.py").write_text("def act(seen):\n    return 1\n")
+    named = "pilot.py:act CartPole-v1"
+    with pytest.raises(UserError, match=r"^default_action: a Discrete has no neutral action; name one$"):
+        ran(f"timing measure {named}")
+    named += " --set default_action=0"
+    with pytest.raises(UserError, match=r"add --trust, once$"):
+        ran(f"timing measure {named}")
+    assert not ran(f"timing measure {named} --steps 30 --warm-up 2 --trust")
+    assert not ran(f"timing certify {named} --latency thinking.json --factor 2 --episodes 2 --set command=tcsc")
+    said = capsys.readouterr().out.splitlines()
+    assert said[0].startswith("30 thinking times: median ")
+    assert said[3].startswith("thinking.json: replay it with RealTime(env, latency_s='thinking.json')")
+    assert said[-2].startswith("pilot.py:act in CartPole-v1: holds 90% of its return without latency, ")
+    assert said[-1] == "certificate: certificate/certificate.json; figure: certificate/certificate.png"
+    document = json.loads(Path("certificate/certificate.json").read_text())
+    assert (document["latencies"], document["real_time"]) == ([0, 2], {"command": "tcsc", "default_action": 0})
+    with pytest.raises(UserError, match=r"^thinking.json: exists; take another --out$"):
+        ran(f"timing measure {named}")
+
+
+@pytest.mark.parametrize(
+    ("words", "error", "said"),
+    [
+        (
+            "--latency 0.1 --latency a.json",
+            UsageError,
+            "--latency a.json: takes seconds, several of them, or one calib",
+        ),
+        ("--latency 0.1 --factor 2", UsageError, "--factor 2: is a factor on the times of a calibration file"),
+        ("--set chnk=2", UserError, "--set chnk: RealTime has no such argument; did you mean 'chunk'"),
+        ("--set env=2", UsageError, "--set env=2: must be env.KEY=VALUE"),
+        ("--set env.wind=2", UserError, r"CartPole-v1: --set env.KEY: CartPoleEnv.__init__\(\) got an unexpected"),
+    ],
+)
+def test_an_option_that_does_not_fit_is_one_line(words: str, error: type[UserError], said: str) -> None:
+    with pytest.raises(error, match=f"^{said}"):
+        ran(f"timing certify pilot.py:act CartPole-v1 {words}")
+
+
+@needs_opengl
+def test_the_policy_that_ships_is_certified_in_its_environment() -> None:
+    """Whose task it had in its training; the drone keeps its own clock."""
+    with pytest.raises(UserError, match=r"^default: flies uavaccel/ObstacleLane-v0, not CartPole-v1$"):
+        ran("timing certify default CartPole-v1")
+    keys = "--set env.timing=virtual --set env.command=adsc --set env.max_commands=2"
+    assert not ran(f"timing certify default uavaccel/ObstacleLane-v0 --episodes 1 --latency 0.1 {keys}")
+    document = json.loads(Path("certificate/certificate.json").read_text())
+    assert document["policy"]["sha256"] == origin_of("default").sha256()
+    assert [cell["latency_s"] for cell in document["cells"]] == [0, 0.1]
+
+
+ALONE = """
+import uavaccel.realtime
+from uavaccel.realtime import *
+
+def policy(seen):
+    return 1
+
+everything = [getattr(uavaccel.realtime, name) for name in uavaccel.realtime.__all__]
+measure("CartPole-v1", policy, 5, default_action=0).save("times.json")
+print(certify("CartPole-v1", policy, calibration="times.json", episodes=1, default_action=0).line)
+"""
+
+
+def test_all_of_it_needs_gymnasium_and_numpy_alone() -> None:
+    with_gymnasium = ["numpy", "gymnasium", "cloudpickle", "typing_extensions", "farama_notifications"]
+    program = STRANGER.replace("INSTALLED", repr(with_gymnasium)) + ALONE
+    environment = {**os.environ, "PYTHONPATH": str(PACKAGE)}
+    done = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True)
+    assert done.stdout.startswith("policy in CartPole-v1: holds 90% of its return without latency, ")
+
+
+def test_a_certificate_is_what_its_rows_say() -> None:
+    rows = [
+        {"latency": at, "seed": seed, "return": 1.0, "success": won, "thinking_s": at}
+        for at, wins in ((0.0, 10), (0.1, 9), (0.2, 8), (0.3, 10))
+        for seed, won in enumerate([True] * wins + [False] * (10 - wins))
+    ]
+    setup = {"policy": {"name": "p", "sha256": None}, "environment": {"id": "E"}, "calibration": None}
+    certificate = Certificate({**setup, "unit": "seconds", "episodes": 10, "seed": 0}, rows)
+    assert certificate.document["holds"]["latency_s"] == 0.1  # what comes after the first that does not hold is not
+    assert "policy of unknown hash" in certificate.line

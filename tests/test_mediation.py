@@ -1,0 +1,190 @@
+"""What of ADSC's gap is moved alone: in a command of the exact simulator, and in the suite that compares policies."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from numpy.typing import ArrayLike
+
+from tests.running import configured, run_into
+from tools.fit_gap_law import LAWS, compare, largest_gap
+from uavaccel.config import parse_yaml
+from uavaccel.envs.obstacle_lane import ObstacleLane
+from uavaccel.errors import UserError
+from uavaccel.records import RunDirectory
+from uavaccel.suites.mediation import Mediation, MediationConfig, Share, share_of_loss
+
+pytestmark = pytest.mark.usefixtures("trainings_here")
+
+LEFT, AHEAD = 0, 2
+EMPTY: dict[str, Any] = {"observation": "state", "lane": {"obstacles": []}, "t_sample_s": 0.1}
+NORTH_SPEED, EAST_SPEED = 7, 8  # columns of a frame of the state
+
+
+def flown(actions: Sequence[int], **mediation: float) -> np.ndarray:
+    """Position, attitude and velocity of each sample of some commands (commands, samples, numbers)."""
+    environment = ObstacleLane(**EMPTY, mediation=mediation)
+    environment.reset(seed=0)
+    frames = np.stack([environment.step(action)[0] for action in actions])
+    environment.close()
+    return frames
+
+
+def test_position_hold_brakes_in_a_gap_once_the_goal_has_held() -> None:
+    plain, brief, long = (flown([AHEAD] * 3, **keys) for keys in ({}, {"gap_s": 0.06}, {"gap_s": 0.776}))
+    speeds = [frames[2, 0, NORTH_SPEED] for frames in (plain, brief, long)]
+    assert speeds[1] > speeds[0] - 0.01
+    assert speeds[2] < 0.3 * speeds[0]
+
+
+def test_a_command_begins_with_a_share_of_the_speed_where_the_last_one_ended() -> None:
+    plain, rests = flown([AHEAD] * 3), flown([AHEAD] * 3, start_speed=0.0)
+    np.testing.assert_allclose(rests[0], plain[0], atol=1e-6)  # which begins at rest in any case
+    assert rests[1, 0, NORTH_SPEED] < 0.2 < 0.6 < plain[1, 0, NORTH_SPEED]
+    assert 0.0 < rests[1, 0, 0] - rests[0, -1, 0] < 0.02
+
+
+def test_the_way_of_a_gap_is_gone_and_the_motion_before_it_kept() -> None:
+    plain, way = flown([AHEAD] * 2), flown([AHEAD] * 2, gap_s=0.776, start_speed=1.0)
+    np.testing.assert_allclose(way[1, :, NORTH_SPEED], plain[1, :, NORTH_SPEED], atol=1e-3)
+    gone = way[1, :, 0] - plain[1, :, 0]  # a centimetre of height is gone too, which the command makes good
+    assert gone.min() > 0.2
+    np.testing.assert_allclose(gone, gone[0], atol=1e-3)
+
+
+def test_images_of_an_age_shift_the_flight_and_not_its_samples() -> None:
+    actions = [AHEAD, LEFT, AHEAD]
+    plain, late = (flown(actions, image_age_s=age).reshape(-1, 13) for age in (0.0, 0.2))
+    np.testing.assert_allclose(late[2:], plain[:-2], atol=1e-9)
+    assert abs(late[11, EAST_SPEED]) < 1e-9 < -late[12, EAST_SPEED]
+
+
+@pytest.mark.parametrize(
+    ("keys", "said"),
+    [
+        ({"mediation": {"gap_s": 0.1}, "command": "adsc"}, "mediation needs command tcsc, timing lockstep"),
+        ({"mediation": {"gap_s": 0.1}, "timing": "virtual"}, "mediation needs command tcsc, timing lockstep"),
+        ({"mediation": {"image_age_s": 1.0}}, r"mediation.image_age_s = 1: must be less than t_move_s"),
+        ({"mediation": {"gap_s": 0.0011}}, r"mediation.gap_s"),
+        ({"mediation": {"start_speed": 1.5}}, r"mediation.start_speed"),
+    ],
+)
+def test_what_cannot_be_mediated_is_refused(keys: dict[str, Any], said: str) -> None:
+    with pytest.raises(UserError, match=said):
+        ObstacleLane(**keys)
+
+
+# --- the suite --------------------------------------------------------------------------------------------------
+
+SMALL = """{
+    policies: {blind: {agent: straight}, small: {task.mediation.gap_s: 0.074}, brief: {games: 2}},
+    training: {experiment: train, keys: {games: 3, environments: 1, turns: 1, checkpoint_games: 1, channels: [4, 4],
+        hidden: [16], mirror: false, task.observation: state, task.max_commands: 12,
+        options: {learning_starts: 8, batch_size: 8, buffer_size: 300}}},
+    evaluation: {experiment: evaluate,
+        keys: {games: 2, simulator: kernels, task.timing: lockstep, task.max_commands: 12, task.t_move_s: 1.0}},
+    flights: {gap: {label: s, keys: [task.mediation.gap_s], values: [[0.776], [2.0]]},
+        slow: {label: s, keys: [task.t_move_s, task.speed_m_s], values: [[2.0, 0.5]]}},
+    shares: [{usual: small/usual, whole: small/gap-2, parts: [brief/gap-2, small/slow-2]}]}"""
+
+
+def small(*overrides: str, **options: Any) -> MediationConfig:
+    keys = parse_yaml(SMALL, "SMALL")
+    given = [f"{key}={json.dumps(value)}" for key, value in keys.items()]
+    config = configured("mediation_flight", *given, *overrides, **options)
+    assert isinstance(config, MediationConfig)
+    return config
+
+
+@pytest.mark.slow
+def test_each_policy_is_flown_under_every_value_of_every_factor(tmp_path: Path) -> None:
+    summary = run_into(tmp_path / "run", Mediation(), small(seeds=2))
+    rows = RunDirectory(tmp_path / "run").rows()
+    flights = ["usual", "gap-0.776", "gap-2", "slow-2"]
+    trained = [f"{policy}-seed{seed}" for seed in (0, 1) for policy in ("small", "brief")]
+    assert [row["case"] for row in rows] == ["blind-seed0", *trained]
+    assert all(list(row["successes"]) == flights and row["games"] == 2 for row in rows)
+    assert [row.get("trained_games") for row in rows] == [None, 3, 2, 3, 2]
+    assert len({row["weights_sha256"] for row in rows[1:]}) == 4
+    cells = {(cell["policy"], cell["flight"]): cell for cell in summary["cells"]}
+    assert len(cells) == 3 * len(flights)
+    assert (cells["small", "gap-2"]["seeds"], cells["blind", "usual"]["seeds"]) == ([0, 1], [0])
+    assert [share["part"] for share in summary["shares"]] == ["brief/gap-2", "small/slow-2"]
+    for row in rows:
+        part = RunDirectory(tmp_path / f"run/parts/{row['case']}/gap-2")
+        assert part.config()["task"]["mediation"]["gap_s"] == 2.0
+        assert (part.config()["agent"] == "straight") == (row["policy"] == "blind")
+    assert "Shares of the loss" in (tmp_path / "run/report.md").read_text()
+
+
+@pytest.mark.parametrize("experiment", ["mediation", "mediation_flight", "mediation_law"])
+def test_shipped_mediations_can_be_flown(experiment: str) -> None:
+    config = configured(experiment)
+    cases = [*Mediation().policies_of(config)]
+    assert len({case.id for case in cases}) == len(cases) == config.seeds * len(config.policies)
+
+
+@pytest.mark.parametrize(
+    ("override", "said"),
+    [
+        ("shares.0.whole=small/gap-3", r"shares: small/gap-3 is no cell; cells are POLICY/FLIGHT, as in blind/gap-0"),
+        ("flights.gap.values=[[0.1, 0.2]]", r"values has \[0.1, 0.2\]: needs a value for each of task"),
+        ("flights.gap.values=[[0.2], [0.2]]", "each value of task.mediation.gap_s once"),
+        ("flights.gap.values=[[fast]]", "those of task.mediation.gap_s must be numbers"),
+        ("flights.gap.keys=[task.mediation.gab_s]", r"gab_s"),
+    ],
+)
+def test_a_mistake_in_a_mediation_is_named(override: str, said: str) -> None:
+    with pytest.raises(UserError, match=said):
+        small(override)
+
+
+def cell(*won: ArrayLike) -> pd.DataFrame:
+    return pd.DataFrame({"won": [np.array(lanes, bool) for lanes in won]})
+
+
+def test_a_part_of_a_loss_is_a_share_with_an_interval_over_trainings_and_lanes() -> None:
+    lanes = np.arange(200)
+    cells = {
+        "a/usual": cell(lanes >= 0),
+        "a/none": cell(lanes >= 0),
+        "a/whole": cell(lanes % 2),
+        "a/part": cell(lanes % 4),
+    }
+    share = Share(usual="a/usual", whole="a/whole", parts=("a/part",))
+    found: dict[str, Any] = share_of_loss(cells, share, "a/part")
+    assert (found["loss"], found["alone"], found["share"]) == (0.5, 0.25, 0.5)
+    assert 0.35 < found["low"] < 0.5 < found["high"] < 0.65
+    same: dict[str, Any] = share_of_loss(cells, share, "a/whole")
+    assert (same["share"], same["low"], same["high"]) == (1.0, 1.0, 1.0)
+    assert share_of_loss(cells, share, "a/none")["share"] == 0.0
+    nothing = share_of_loss(cells, Share(usual="a/usual", whole="a/none", parts=()), "a/part")
+    assert (nothing["share"], nothing["low"], nothing["high"]) == (None, None, None)
+    seeds = {"a/usual": cell(lanes >= 0), "b/whole": cell(lanes < 0, lanes >= 0), "c/part": cell(lanes % 2)}
+    apart: dict[str, Any] = share_of_loss(seeds, Share(usual="a/usual", whole="b/whole", parts=()), "c/part")
+    assert (apart["share"], apart["low"]) == (1.0, None)  # the other training loses nothing
+
+
+# --- the law ----------------------------------------------------------------------------------------------------
+
+
+def test_the_largest_gap_is_where_success_has_dropped_by_five_points() -> None:
+    gaps_s = np.array([0.0, 0.2, 0.4, 1.2])
+    assert largest_gap(gaps_s, np.array([1.0, 1.0, 0.9, 0.2])) == pytest.approx(0.3)
+    assert largest_gap(gaps_s, np.array([0.9, 0.8, 0.95, 0.0])) == pytest.approx(0.1)
+    assert largest_gap(gaps_s, np.array([0.9, 0.9, 0.86, 0.85])) == 1.2
+
+
+def test_a_law_is_fitted_on_every_other_condition_and_judged_on_the_rest() -> None:
+    table = pd.DataFrame({"t_move_s": [0.5, 1.0, 2.0, 3.0], "speed_m_s": 1.0, "min_gap_m": 2.0, "row_spacing_m": 10.0})
+    law, factor, of_rest, of_constant = compare(table.assign(largest_gap_s=0.4 * table.t_move_s))
+    assert law == "T_move"
+    assert (factor, of_rest) == (pytest.approx(0.4), pytest.approx(1.0))
+    assert of_constant > 1.5
+    assert set(LAWS) > {"seconds", law}

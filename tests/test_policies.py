@@ -1,0 +1,207 @@
+"""Policies as they are deployed: functions, PyTorch's modules, files; what is trusted, and what is refused."""
+
+from __future__ import annotations
+
+import sys
+import warnings
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+import stable_baselines3 as sb3
+import torch as th
+from gymnasium import spaces
+
+from uavaccel.errors import UserError
+from uavaccel.realtime import load_policy
+
+Env = gymnasium.Env[Any, Any]
+
+
+@pytest.fixture(autouse=True)
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty working directory of a user who has trusted nothing."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    monkeypatch.setattr("uavaccel.own_code._here", {})
+    monkeypatch.delitem(sys.modules, "pilot", raising=False)
+    return tmp_path
+
+
+class Space:
+    """What a policy is loaded for: no more than two spaces."""
+
+    def __init__(self, seen: spaces.Space[Any], actions: spaces.Space[Any]) -> None:
+        self.observation_space, self.action_space = seen, actions
+
+
+REACH = Space(spaces.Box(-1.0, 1.0, (4,), np.float64), spaces.Box(-0.5, 0.5, (2,), np.float32))
+PICK = Space(spaces.Box(-1.0, 1.0, (4,), np.float64), spaces.Discrete(3, start=2))
+PARTS = Space(spaces.Dict({"at": spaces.Box(-1.0, 1.0, (4,)), "to": spaces.Box(-1.0, 1.0, (2,))}), REACH.action_space)
+
+
+class Sum(th.nn.Module):
+    def forward(self, seen: dict[str, th.Tensor]) -> th.Tensor:
+        return seen["at"][:, :2] + seen["to"]
+
+
+def scripted(module: th.nn.Module) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)
+        th.jit.save(th.jit.script(module), "policy.pt")  # type: ignore[no-untyped-call]
+
+
+# --- what acts as it does at home -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("algorithm", "env_id"), [("PPO", "CartPole-v1"), ("SAC", "Pendulum-v1")])
+def test_a_model_of_stable_baselines3_acts_in_any_environment(algorithm: str, env_id: str) -> None:
+    env = gymnasium.make(env_id)
+    model = getattr(sb3, algorithm)("MlpPolicy", env, policy_kwargs={"net_arch": [8]}, device="cpu")
+    model.save("model.zip")
+    policy, (seen, _) = load_policy("model.zip", env), env.reset(seed=0)
+    for _ in range(5):
+        action = policy(seen)
+        np.testing.assert_array_equal(action, model.predict(seen, deterministic=True)[0])
+        seen, *_ = env.step(action)
+
+
+@pytest.mark.parametrize("kind", ["module", "file"])
+@pytest.mark.parametrize("env", [REACH, PICK, PARTS], ids=["vector", "discrete", "dictionary"])
+def test_a_module_of_pytorch_acts_on_batches_of_one(env: Space, kind: str) -> None:
+    """Vectors are clipped to their bounds, and of ratings the best is taken; so it is as a TorchScript file."""
+    th.manual_seed(0)
+    module = Sum() if env is PARTS else th.nn.Linear(4, 3 if env is PICK else 2)
+    if kind == "file":
+        scripted(module)
+    policy = load_policy(module if kind == "module" else "policy.pt", env, trust=True)
+    env.observation_space.seed(1)
+    for _ in range(5):
+        seen = env.observation_space.sample()
+        parts = seen if isinstance(seen, dict) else {"": seen}
+        tensors = {name: th.as_tensor(part[None], dtype=th.float32) for name, part in parts.items()}
+        with th.no_grad():
+            answer = module(tensors.get("", tensors))[0].numpy()
+        expected = 2 + answer.argmax() if env is PICK else np.clip(answer, -0.5, 0.5)
+        np.testing.assert_array_equal(policy(seen), expected)
+        assert env.action_space.contains(policy(seen))
+
+
+def test_an_onnx_file_acts_in_any_environment() -> None:
+    for package in ("onnxscript", "onnxruntime"):
+        pytest.importorskip(package)
+    network = th.nn.Linear(4, 3).eval()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        program: Any = th.onnx.export(network, (th.zeros(1, 4),), dynamo=True, verbose=False)
+    Path("policy.onnx").write_bytes(program.model_proto.SerializeToString())
+    policy, seen = load_policy("policy.onnx", PICK), np.array([0.1, -0.2, 0.3, 0.4])
+    with th.no_grad():
+        assert policy(seen) == 2 + int(network(th.as_tensor(seen, dtype=th.float32)[None])[0].argmax())
+    with pytest.raises(UserError, match=r"^policy\.onnx: its observations are \(4,\), the environment's \(1,\)$"):
+        load_policy("policy.onnx", Space(spaces.Box(0, 1, (1,)), PICK.action_space))
+
+
+def test_weights_have_a_hash_and_so_has_the_file_of_a_function() -> None:
+    first, second = th.nn.Linear(4, 2), th.nn.Linear(4, 2)
+    again = th.nn.Linear(4, 2)
+    again.load_state_dict(first.state_dict())
+    hashes = [load_policy(each, REACH).sha256 for each in (first, second, again)]
+    assert hashes[0] == hashes[2] != hashes[1]
+    Path("pilot.py").write_text("def act(seen):\n    return seen[:2]\n")
+    policy = load_policy("pilot.py:act", REACH, trust=True)
+    assert (policy.name, len(policy.sha256 or "")) == ("pilot.py:act", 64)
+    np.testing.assert_array_equal(policy(np.arange(4.0)), [0.0, 1.0])
+
+
+def test_an_episode_begins_with_the_policys_reset_and_its_seed() -> None:
+    begun: list[Any] = []
+
+    class Seeded:
+        def __call__(self, seen: Any) -> Any:
+            return seen[:2]
+
+        def reset(self, seed: int | None) -> None:
+            begun.append(seed)
+
+    class Bare(Seeded):
+        def reset(self) -> None:  # type: ignore[override]
+            begun.append("bare")
+
+    for policy in (Seeded(), Bare(), lambda seen: seen[:2]):
+        load_policy(policy, REACH).reset(7)
+    assert begun == [7, "bare"]
+
+
+# --- what is refused, in one line -------------------------------------------------------------------------------------
+
+
+def test_only_what_is_trusted_runs() -> None:
+    """A function, and a TorchScript file, which PyTorch tells to take for a program."""
+    scripted(th.nn.Linear(4, 2))
+    Path("pilot.py").write_text(
+        "from pathlib import Path\nPath('sprung').touch()\ndef act(seen):\n    return seen[:2]\n"
+    )
+    for name in ("policy.pt", "pilot.py:act", "pilot:act"):
+        with pytest.raises(UserError, match=r"add --trust, once$"):
+            load_policy(name, REACH)
+    assert not Path("sprung").exists()
+    for name in ("policy.pt", "pilot.py:act"):
+        load_policy(name, REACH, trust=True)
+        load_policy(name, REACH)  # as remembered
+
+
+@pytest.mark.parametrize(
+    ("policy", "said"),
+    [
+        ("policy", r"policy 'policy': is none that is known: name a file \(\.zip, \.onnx, \.pt\), file\.py:function, "),
+        ("none.zip", "none.zip: no such file"),
+        ("none.pt", "none.pt: no such file"),
+        ("text.pt", "text.pt: is no TorchScript file: "),
+        ("text.zip", "text.zip: is no model that stable-baselines3 has saved: "),
+        ("none.py:act", "policy 'none.py:act': no module 'none' in "),
+        ("tcp://here", "policy 'tcp://here': must be tcp://host:port, as in "),
+        ("tcp://127.0.0.1:99999", "policy 'tcp://127.0.0.1:99999': must be tcp://host:port, as in "),
+        (7, "policy: must be a function of an observation, a file or tcp://host:port, not 7"),
+    ],
+)
+def test_what_is_no_policy_is_one_line(policy: Any, said: str) -> None:
+    for name in ("text.pt", "text.zip"):
+        Path(name).write_text("{}")
+    with pytest.raises(UserError, match=f"^{said}") as caught:
+        load_policy(policy, REACH, trust=True)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_model_of_other_spaces_is_one_line() -> None:
+    sb3.PPO("MlpPolicy", gymnasium.make("CartPole-v1"), policy_kwargs={"net_arch": [8]}, device="cpu").save("model.zip")
+    with pytest.raises(UserError, match=r"^model\.zip: its observations are \(4,\), the environment's \(3,\)$"):
+        load_policy("model.zip", gymnasium.make("Pendulum-v1"))
+    with pytest.raises(UserError, match=r"^Linear: cannot be run on these observations: mat1 and mat2 shapes"):
+        load_policy(th.nn.Linear(9, 2), REACH)(np.zeros(4))
+    with pytest.raises(UserError, match=r"^Linear: gives \(1, 9\) numbers for 1 actions, each \(2,\)$"):
+        load_policy(th.nn.Linear(4, 9), REACH)(np.zeros(4))
+
+
+@pytest.mark.parametrize(
+    ("env", "given", "said"),
+    [
+        (REACH, [0.1], r"float64 \(1,\), where an action is \(2,\)"),
+        (REACH, 0.1, r"0.1, where an action is \(2,\)"),
+        (REACH, [0.1, float("nan")], r"float64 \(2,\) with NaN or infinity, where an action is \(2,\)"),
+        (REACH, ["a", "b"], r"<U1 \(2,\), where an action is \(2,\)"),
+        (REACH, [[0.1], [0.1, 0.2]], r"\[\[0.1\], \[0.1, 0.2\]\], where an action is \(2,\)"),
+        (REACH, None, r"None, where an action is \(2,\)"),
+        (PICK, 1, "1, where an action is one of 2 to 4"),
+        (PICK, 2.0, "2.0, where an action is one of 2 to 4"),
+        (PICK, [2], r"int64 \(1,\), where an action is one of 2 to 4"),
+    ],
+)
+def test_an_answer_that_is_no_action_is_one_line(env: Space, given: Any, said: str) -> None:
+    policy = load_policy(lambda seen: given, env)
+    with pytest.raises(UserError, match=f"<lambda>: returned {said}$") as caught:
+        policy(np.zeros(4))
+    assert "\n" not in str(caught.value)

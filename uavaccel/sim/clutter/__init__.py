@@ -1,1 +1,0 @@
-"""Worlds of randomly placed shapes, one per game, with a clear start and goal."""

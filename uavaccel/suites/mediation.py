@@ -1,0 +1,341 @@
+"""Mediation: what of ADSC's gap makes a policy fail, each part of it moved alone, in training and in flight.
+
+Each case is a policy, trained or given, which is flown under every value of every factor, on the same lanes. Trainings
+and evaluations are runs of other suites below parts/, resumed where they stopped.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Annotated, Any, ClassVar, Literal, NotRequired
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from uavaccel.config import Config
+from uavaccel.draw import style
+from uavaccel.draw.page import Block, Column, Heading, Picture, Table
+from uavaccel.files import Plain
+from uavaccel.forms import ArrayForm, Count
+from uavaccel.limits import Games, Seed
+from uavaccel.metrics.intervals import RESAMPLES, TAILS
+from uavaccel.metrics.success import Success
+from uavaccel.records import RunDirectory
+from uavaccel.suites import plots
+from uavaccel.suites.experiment import Experiment
+from uavaccel.suites.parts import OUTCOMES, Part, SuiteOfRuns, fly_part, outcomes, part_folder, part_suite
+from uavaccel.suites.report import Report, Summary, method_note, table_of
+from uavaccel.suites.rows import GameRow, Row
+from uavaccel.suites.suite import AnySuite, GameResult, SimpleCase
+from uavaccel.suites.train import CHECKPOINTS
+
+Name = Annotated[str, Field(pattern=r"^[a-z0-9_]+$")]
+Keys = dict[str, Plain]
+USUAL = "usual"  # the flight in which nothing is moved
+
+
+class Factor(Config):
+    """What is moved in flight, value by value."""
+
+    label: str
+    """What its axis shows, with a unit."""
+    keys: Annotated[tuple[str, ...], Field(min_length=1)]
+    """Dotted keys of the evaluation that are moved together; the figure's axis is the first one's."""
+    values: Annotated[tuple[tuple[Plain, ...], ...], Field(min_length=1)]
+    """The values of these keys, a list for each cell."""
+    also: Keys = Field(default_factory=dict)
+    """Dotted keys that are set in all of its cells."""
+
+    @model_validator(mode="after")
+    def _values_fit(self) -> Factor:
+        if wrong := [line for line in self.values if len(line) != len(self.keys)]:
+            raise ValueError(f"values has {list(wrong[0])}: needs a value for each of {', '.join(self.keys)}")
+        if any(not isinstance(line[0], int | float) for line in self.values):
+            raise ValueError(f"values: those of {self.keys[0]} must be numbers")
+        if len({line[0] for line in self.values}) < len(self.values):
+            raise ValueError(f"values: each value of {self.keys[0]} once")
+        return self
+
+
+class Share(Config):
+    """A question: how much of what `whole` loses does each of `parts` lose alone? Cells are POLICY/FLIGHT."""
+
+    usual: str
+    """The cell in which nothing is lost."""
+    whole: str
+    """The cell that loses."""
+    parts: tuple[str, ...]
+    """Cells that move a part of it."""
+
+
+class MediationConfig(Experiment):
+    """`suite: mediation`."""
+
+    suite: Literal["mediation"]
+    seeds: Annotated[int, Field(ge=1, le=1000)] = 1
+    """Trainings of each policy, with seeds `seed`, `seed` + 1 and so on."""
+    policies: Annotated[dict[Name, Keys], Field(min_length=1)]
+    """Dotted keys of each policy's training that differ from `training`; `agent` alone names a policy that exists."""
+    flights: Annotated[dict[Name, Factor], Field(min_length=1)]
+    """What is moved in flight; each policy flies with every value, and as `evaluation` has it."""
+    shares: tuple[Share, ...] = ()
+    """Which cells' losses are compared; a flight is named FACTOR-VALUE or usual."""
+    training: Part = Part(experiment="train_kernels")
+    """How policies are trained: an experiment, and keys that differ from it."""
+    evaluation: Part = Part(experiment="evaluate")
+    """How policies are flown: an experiment, and keys that differ from it."""
+
+    def flown(self) -> dict[str, Keys]:
+        """Return the keys of each flight by its name, that in which nothing is moved first."""
+        cells = {
+            f"{name}-{values[0]:g}": factor.also | dict(zip(factor.keys, values, strict=True))
+            for name, factor in self.flights.items()
+            for values in factor.values
+        }
+        return {USUAL: {}, **cells}
+
+    @model_validator(mode="after")
+    def _shares_are_of_cells(self) -> MediationConfig:
+        cells = {f"{policy}/{flight}" for policy in self.policies for flight in self.flown()}
+        for share in self.shares:
+            if unknown := [each for each in (share.usual, share.whole, *share.parts) if each not in cells]:
+                raise ValueError(f"shares: {unknown[0]} is no cell; cells are POLICY/FLIGHT, as in {min(cells)}")
+        return self
+
+
+class MediationRow(GameRow):
+    """The row of a policy: what it won in each flight."""
+
+    policy: str
+    seed: Seed
+    games: Games
+    successes: dict[str, Count]
+    """Games won by flight."""
+    trained_games: NotRequired[Games]
+    trained_successes: NotRequired[Count]
+    weights_sha256: NotRequired[str]
+
+
+@dataclass(frozen=True)
+class PolicyCase(SimpleCase):
+    """A policy, trained with a seed or given."""
+
+    policy: str
+    seed: int
+
+
+class Mediation(SuiteOfRuns[MediationConfig, PolicyCase]):
+    """`uavaccel run mediation`."""
+
+    name = "mediation"
+    config = MediationConfig
+    row = MediationRow
+    arrays: ClassVar = {f"*_{name}": ArrayForm(form.kinds, ("n",)) for name, form in OUTCOMES.items() if name != "game"}
+
+    def check(self, config: MediationConfig) -> None:
+        """Check that each policy's training and each flight can be configured. Raises UserError."""
+        for case in self.policies_of(config.model_copy(update={"seeds": 1})):
+            self.runs(config, case)
+
+    def policies_of(self, config: MediationConfig) -> Iterator[PolicyCase]:
+        """Yield the cases seed by seed, without estimates; a policy that exists has one."""
+        for seed in range(config.seed, config.seed + config.seeds):
+            for policy, keys in config.policies.items():
+                if "agent" not in keys or seed == config.seed:
+                    yield PolicyCase(f"{policy}-seed{seed}", "lockstep", 0.0, policy, seed)
+
+    def cases(self, config: MediationConfig) -> Iterator[PolicyCase]:
+        sizes: dict[str, float] = {}
+        for case in self.policies_of(config):
+            if case.policy not in sizes:
+                runs = self.runs(config, case)
+                sizes[case.policy] = sum(game.simulated_s() for suite, run in runs for game in suite.cases(run))
+            yield replace(case, typical_s=sizes[case.policy])
+
+    def parts(self, config: MediationConfig, case: PolicyCase, agent: str) -> dict[str, Part]:
+        """Return the training of a policy, unless it exists, and the flights of `agent`, by name."""
+        keys, flying = config.policies[case.policy], config.evaluation
+        training = {} if "agent" in keys else {"training": Part(experiment=config.training.experiment, keys={
+            **config.training.keys, **keys, "seed": case.seed})}  # fmt: skip
+        return training | {
+            flight: Part(experiment=flying.experiment, keys={**flying.keys, **moved, "agent": agent})
+            for flight, moved in config.flown().items()
+        }
+
+    def runs(self, config: MediationConfig, case: PolicyCase) -> list[tuple[AnySuite, Any]]:
+        agent = str(config.policies[case.policy].get("agent", "default"))
+        parts = self.parts(config, case, agent)
+        return [part_suite(part, config.seed) for part in parts.values()]
+
+    def may_grow(self, folder: Any) -> tuple[str, ...]:
+        return ("seeds",)
+
+    def provenance(self, config: MediationConfig) -> Mapping[str, Any]:
+        """Check that this machine has the devices of training and flights. Raises UserError."""
+        runs = self.runs(config, next(self.policies_of(config)))
+        for suite, run in (runs[0], runs[-1]):
+            suite.provenance(run)
+        return {}
+
+    def renders(self, config: MediationConfig) -> bool:
+        return any(suite.renders(run) for suite, run in self.runs(config, next(self.policies_of(config))))
+
+    def fly(self, config: MediationConfig, case: PolicyCase, opened: RunDirectory) -> GameResult:
+        """Train, unless the policy exists, and fly it under each condition."""
+        own = part_folder(opened, f"{case.id}/training").resolve()
+        row: dict[str, Any] = {"policy": case.policy, "seed": case.seed, "successes": {}}
+        arrays: dict[str, np.ndarray] = {}
+        for name, part in self.parts(config, case, str(config.policies[case.policy].get("agent", own))).items():
+            report = fly_part(opened, f"{case.id}/{name}", part, config.seed, pages=False)
+            if name == "training":
+                shutil.rmtree(own / CHECKPOINTS, ignore_errors=True)
+                row |= {f"trained_{key}": report.summary[key] for key in ("games", "successes")}
+                row["weights_sha256"] = report.summary["weights_sha256"]
+                continue
+            row["games"], row["successes"][name] = report.summary["games"], report.summary["successes"]
+            arrays |= {f"{name}_{key}": values for key, values in outcomes(report.run).items()}
+        return GameResult(row, arrays)
+
+    def status(self, rows: Sequence[Row]) -> str:
+        return f"{rows[-1]['case']} won {rows[-1]['successes'][USUAL]} of {rows[-1]['games']}"
+
+    def score(self, report: Report) -> pd.DataFrame:
+        """Return a row for each policy and flight: `factor`, `value`, `won` (games,) bool, and `distance_m`."""
+        factors = {name: (*split_name(name), keys) for name, keys in report.config.flown().items()}
+        cells = []
+        for row in report.games.to_dict("records"):
+            arrays = report.arrays(row)
+            for flight, (factor, value, _) in factors.items():
+                own = {"flight": flight, "factor": factor, "value": value, "won": arrays[f"{flight}_is_success"]}
+                own["distance_m"] = arrays[f"{flight}_distance_m"]
+                cells.append({**{key: row[key] for key in ("policy", "seed")}, **own})
+        return table_of(cells)
+
+    def summary(self, report: Report) -> Summary:
+        """Return each cell's success, its seeds pooled, and the shares of the losses that are asked for."""
+        cells = []
+        for (policy, flight), own in report.scores.groupby(["policy", "flight"], sort=False):
+            success = Success.on_lanes(own.won.tolist())
+            over = success.estimate
+            cells.append(
+                {
+                    "policy": policy,
+                    "flight": flight,
+                    "factor": own.factor.iloc[0],
+                    "value": own.value.iloc[0],
+                    "seeds": own.seed.tolist(),
+                    "successes_by_seed": [each.successes for each in success.policies],
+                    **success.pooled.as_summary(),
+                    "seeds_low": over.low,
+                    "seeds_high": over.high,
+                    "distance_m_median": float(np.median(np.concatenate(own.distance_m.tolist()))),
+                }
+            )
+        outcomes = {f"{policy}/{flight}": own for (policy, flight), own in report.scores.groupby(["policy", "flight"])}
+        shares = [
+            {"usual": share.usual, "whole": share.whole, "part": part, **share_of_loss(outcomes, share, part)}
+            for share in report.config.shares
+            for part in share.parts
+            if all(cell in outcomes for cell in (share.usual, share.whole, part))
+        ]
+        return {"suite": self.name, "seed": report.config.seed, "cells": cells, "shares": shares}
+
+    def title(self, report: Report) -> str:
+        return "What of the gap makes a policy fail"
+
+    def headline(self, report: Report) -> str:
+        """Return the best and the worst cell."""
+        worst, *_, best = sorted(report.summary["cells"], key=lambda cell: float(cell["success_ratio"])) * 2
+        said = [f"{cell['success_ratio']:.1%} by {cell['policy']} in {cell['flight']}" for cell in (best, worst)]
+        return f"success is {' and '.join(said)}"
+
+    def source(self, report: Report) -> str:
+        policies, lanes = len(report.games), report.games.games.iloc[0]
+        return f"modelled, without latency · {policies} policies, {lanes} lanes each · seed {report.config.seed}"
+
+    def overview(self, report: Report) -> Table:
+        return Table.of(report.summary["cells"], CELLS)
+
+    def page(self, report: Report) -> Iterator[Block | str]:
+        yield self.figure(report)
+        if shares := report.summary["shares"]:
+            yield Heading("Shares of the loss")
+            yield Table.of(shares, SHARES)
+        yield Heading("Success")
+        yield self.overview(report)
+        yield method_note(
+            "All flights of a policy are on the same lanes. Brackets are 95 % intervals: of success over seeds and "
+            "games, of a single training Wilson's, over its games alone; of shares a bootstrap over trainings and "
+            "lanes. A share of 1 loses as much alone as the whole does; shares need not add up to 1."
+        )
+
+    def figure(self, report: Report) -> Picture:
+        """Draw success over the values of each factor, a panel each, a line for each policy."""
+        cells, flights = pd.DataFrame(report.summary["cells"]), report.config.flights
+        figure, panels = plots.panels(len(flights), self.title(report), 2.2, sharey=True)
+        for axes, (name, factor) in zip(panels, flights.items(), strict=True):
+            for number, (policy, own) in enumerate(cells.groupby("policy", sort=False)):
+                line, usual = own[own.factor == name].sort_values("value"), own[own.flight == USUAL].iloc[0]
+                look = {"color": style.shade(number, cells.policy.nunique()), "marker": style.marker(number)}
+                ends = line.seeds_low, line.seeds_high
+                plots.line(axes, line.value, line.success_ratio, ends, label=str(policy), **look)
+                axes.axhline(usual.success_ratio, color=look["color"], linestyle=":", linewidth=1.0)
+            axes.set(title=name.replace("_", " "), xlabel=factor.label, ylim=(-0.03, 1.03))
+            axes.yaxis.set_major_formatter("{x:.0%}")
+        plots.label_outer(panels)
+        style.legend(figure)
+        caption = "Success with 95 % intervals; dotted, nothing is moved."
+        return report.figure("mediation", figure, caption, f"Lines of success. {report.headline()}.")
+
+
+def split_name(flight: str) -> tuple[str, float | None]:
+    """Return factor and value of a flight's name."""
+    factor, _, value = flight.partition("-")
+    return factor, float(value) if value else None
+
+
+def share_of_loss(cells: Mapping[str, pd.DataFrame], share: Share, part: str) -> dict[str, float | None]:
+    """Return the share of the success that `whole` loses which `part` loses alone, with a 95 % interval.
+
+    It is resampled over trainings, of each policy once for all its flights, and over the lanes that all cells share.
+    The ends are None where a loss of `whole` is not certain.
+    """
+    names, random = (share.usual, share.whole, part), np.random.default_rng(0)
+    won = {name: np.stack(cells[name].won.tolist()).astype(float) for name in names}
+    seeds = {name.partition("/")[0]: len(values) for name, values in won.items()}
+    lanes = next(iter(won.values())).shape[1]
+
+    def losses(chosen: Mapping[str, NDArray[np.int64]], at: NDArray[np.int64]) -> tuple[float, float]:
+        means = [won[name][np.ix_(chosen[name.partition("/")[0]], at)].mean() for name in names]
+        return means[0] - means[1], means[0] - means[2]
+
+    def resampled(count: int) -> NDArray[np.int64]:
+        return random.integers(count, size=(count,))
+
+    whole, alone = losses({policy: np.arange(count) for policy, count in seeds.items()}, np.arange(lanes))
+    resamples = [{policy: resampled(count) for policy, count in seeds.items()} for _ in range(RESAMPLES)]
+    drawn = np.array([losses(chosen, resampled(lanes)) for chosen in resamples])
+    known = whole > 0.0 and np.quantile(drawn[:, 0], TAILS[0]) > 0.0
+    low, high = np.quantile(drawn[:, 1] / drawn[:, 0], TAILS) if known else (None, None)
+    return {"loss": whole, "alone": alone, "share": alone / whole if whole > 0.0 else None, "low": low, "high": high}
+
+
+CELLS: dict[str, Column] = {
+    "policy": "{policy}",
+    "flight": "{flight}",
+    "games won": "{successes} of {games}",
+    "success [95 %]": "{success_ratio:.1%} [{seeds_low:.1%}, {seeds_high:.1%}]",
+    "by seed": "{successes_by_seed!l}",
+    "median distance, m": "{distance_m_median:.1f}",
+}
+SHARES: dict[str, Column] = {
+    "the whole": "{whole}",
+    "it loses": "{loss:.1%}",
+    "moved alone": "{part}",
+    "it loses ": "{alone:.1%}",
+    "share [95 %]": "{share:.2f} [{low:.2f}, {high:.2f}]",
+}
