@@ -27,7 +27,7 @@ AHEAD = np.array([1.0, 0.1, 0.0], np.float32)
 
 
 @needs_opengl
-def test_pictures_are_those_without_it_and_the_state_is_that_of_observation_state() -> None:
+def test_pictures_and_state_are_those_of_either_alone() -> None:
     kinds: tuple[dict[str, Any], ...] = ({"also_state": True}, {}, {"observation": "state"})
     both, pictures, state = (Navigate(**SMALL, **keys) for keys in kinds)
     space = both.observation_space
@@ -47,7 +47,7 @@ def test_pictures_are_those_without_it_and_the_state_is_that_of_observation_stat
 
 
 @needs_opengl
-def test_the_state_is_that_of_the_next_decision_and_nothing_after_a_collision() -> None:
+def test_the_state_is_of_the_next_decision_none_after_a_touch() -> None:
     """Where the goal is as seen from the end of the command."""
     with closing(Navigate(**SMALL, also_state=True)) as env:
         env.reset(seed=0)

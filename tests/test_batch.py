@@ -122,7 +122,7 @@ def test_lanes_answer_by_themselves_until_one_dies() -> None:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere OpenGL needs no choice")
-def test_pictures_without_opengl_are_refused_before_a_process_starts(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_pictures_without_opengl_are_refused_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("MUJOCO_GL", raising=False)
     monkeypatch.setattr(gl, "_first_that_works", lambda: None)
     before = descendants(os.getpid())
@@ -137,7 +137,7 @@ def test_pictures_without_opengl_are_refused_before_a_process_starts(monkeypatch
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
-def test_the_first_answer_is_not_waited_for_while_a_lane_stands_still(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_answer_comes_while_another_lane_stands_still(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(environment_processes, "POLL_S", 0.1)
     with closing(EnvironmentBatch(ObstacleLane, 2, 2, observation="state")) as batch:
         batch.reset(seed=0)

@@ -74,7 +74,7 @@ def test_it_is_registered_as_the_documentation_says(first: str, name: str) -> No
 
 @needs_opengl
 @pytest.mark.parametrize("observation", ["dvs", "colour", "depth"])
-def test_the_checkers_of_gymnasium_and_stable_baselines_find_nothing(observation: str) -> None:
+def test_checkers_of_gymnasium_and_baselines_find_nothing(observation: str) -> None:
     environment = gymnasium.make(NAME, observation=observation, max_commands=5)
     check_env(environment.unwrapped)
     check_env_for_learning(environment)
@@ -152,7 +152,7 @@ print(multiprocessing.active_children())
 
 @needs_opengl
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere nothing is forked")
-def test_workers_forked_from_a_process_that_has_drawn_say_what_to_do() -> None:
+def test_workers_forked_after_drawing_say_what_to_do() -> None:
     """And spawned ones find the environment of a program without a file, as a notebook's, by its name alone."""
     done = subprocess.run([sys.executable, "-c", FORKED], check=True, capture_output=True, text=True, timeout=300)
     forked, spawned, left = done.stdout.splitlines()
@@ -207,7 +207,7 @@ def test_a_lane_of_ones_own_is_flown_in_every_game(tmp_path: Path, written: str)
 
 
 @needs_opengl
-def test_a_collision_ends_the_game_and_blanks_the_frames_that_are_missing() -> None:
+def test_a_collision_ends_the_game_and_blanks_missing_frames() -> None:
     with lane(split="evaluation") as environment:
         observation, reward, terminated, truncated, info = crash(environment, 2)
     free_m = free_distance_m(sample_layout(lane_seed("evaluation", 2)), 0.0)

@@ -82,9 +82,7 @@ COSTLY = {**constant({"tick_us": 3000.0}), "timer_us": [0.0, 6000.0]}
         ("tcsc", "native", {"latency": FAULTY}),
     ],
 )
-def test_latencies_are_those_of_the_exact_simulator_in_distribution(
-    command: str, profile: str, more: dict[str, Any]
-) -> None:
+def test_latencies_are_distributed_as_the_exact_simulators(command: str, profile: str, more: dict[str, Any]) -> None:
     task = {"timing": "virtual", "command": command, "profile": profile, "clock_speed": 10.0, **more}
     ours, exact = walls_s(Hover, {**task, "max_commands": 100}, 100, 20)
     assert ks_2samp(ours, exact).pvalue > 0.01
@@ -113,7 +111,7 @@ def test_no_latency_reaches_native_tcsc() -> None:
         assert (found[4]["wall_s"] != expected[4]["wall_s"]).all()
 
 
-def test_the_machines_time_of_a_batch_is_shared_by_the_lanes_that_flew(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_machines_time_is_shared_by_the_lanes_that_flew(monkeypatch: pytest.MonkeyPatch) -> None:
     """On a clock that goes on by a second whenever it is looked at, of two lanes and then of three."""
     seconds = count(0)
     clock = SimpleNamespace(now_ns=lambda: next(seconds) * 1_000_000_000)
@@ -128,7 +126,7 @@ def test_the_machines_time_of_a_batch_is_shared_by_the_lanes_that_flew(monkeypat
             assert all(set(info["host_phase_s"].values()) == {0.0} for info in infos)
 
 
-def test_ages_are_those_at_the_collision_which_leaves_nothing_to_process() -> None:
+def test_ages_are_those_at_the_collision() -> None:
     """ADSC in front of a post: pictures at 330 and 660 ms of a second, in levels of 20 ms, and one that is missing."""
     lane = {"obstacles": [{"x_m": 1.0, "y_m": 0.0, "half_side_m": 0.4}]}
     still: dict[str, Any] = {"quantiles": [0, 1], "issue_us": [0, 0], "timer_us": [0, 0]}

@@ -23,7 +23,7 @@ from uavaccel.wire.image_api import clutter_layout
 GOAL_M = (30.0, 5.0, -2.0)
 
 
-def test_a_world_is_a_function_of_its_seed_and_takes_numpys_numbers() -> None:
+def test_a_world_is_a_function_of_its_seed() -> None:
     once, again, other = (sample_world(seed, Clutter(), GOAL_M).rows for seed in (3, 3, 4))
     assert once.tobytes() == again.tobytes() != other.tobytes()
     drawn = np.random.default_rng(3).random((len(once), 9))

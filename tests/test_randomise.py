@@ -38,7 +38,7 @@ def lane(**keys: Any) -> ObstacleLane:
     return ObstacleLane(**{"observation": "state", "timing": "virtual", "command": "adsc", **keys})
 
 
-def test_a_seed_draws_the_same_lane_whether_or_not_conditions_are_drawn_too() -> None:
+def test_a_seed_draws_the_same_lane_under_any_conditions() -> None:
     with_ranges, without = lane(randomise=RANGES), lane()
     _, drawn = with_ranges.reset(seed=5)
     _, usual = without.reset(seed=5)
@@ -90,7 +90,7 @@ def test_light_and_thresholds_are_those_of_the_game() -> None:
     environment.close()
 
 
-def test_a_heavier_vehicle_accelerates_as_its_thrust_over_its_mass() -> None:
+def test_a_vehicle_accelerates_as_its_thrust_over_its_mass() -> None:
     """At full throttle from a hover, in numpy: a = g - 4 T / m, with the rotors' own lag long over."""
     world = World("lane", PROFILES["native"])
     for mass, thrust in ((1.0, 1.0), (1.3, 1.0), (1.3, 1.2), (1.0, 1.0)):
@@ -158,7 +158,7 @@ def test_evaluation_lanes_have_the_whole_ranges_at_once() -> None:
     assert environment.reset(seed=0)[1]["conditions"]["wind_m_s"] >= 5
 
 
-def test_a_seed_begins_the_widening_anew_alone_and_in_a_batch_over_arrays() -> None:
+def test_a_seed_begins_the_widening_anew() -> None:
     """Of an environment's games: the first has the usual wind, and each is drawn from wider ranges than the last."""
     keys: dict[str, Any] = {
         "observation": "state", "max_commands": 1, "randomise": {"wind_m_s": [8, 8], "widen_over_games": 4},
@@ -174,9 +174,7 @@ def test_a_seed_begins_the_widening_anew_alone_and_in_a_batch_over_arrays() -> N
 
 
 @pytest.mark.slow
-def test_rows_of_a_training_tell_the_conditions_and_an_interruption_changes_none(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_rows_tell_the_conditions_also_after_an_interruption(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     task = {"observation": "state", "randomise": {"wind_m_s": [0, 6], "widen_over_games": 3}}
     config = tiny_config(task, mirror=False)
     train_into(tmp_path / "whole", config)

@@ -144,7 +144,7 @@ def cluttered(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytes
 
 
 @pytest.mark.usefixtures("cluttered")
-def test_flights_among_turned_shapes_are_those_of_the_exact_simulator() -> None:
+def test_flights_among_turned_shapes_are_the_exact_simulators() -> None:
     """The same bytes until the first touch, at the same tick, of the same object."""
     task: dict[str, Any] = {"altitude_m": 2.0, "radius_m": 0.3, "max_commands": 25, "speed_m_s": 3.0}
     count = 8

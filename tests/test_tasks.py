@@ -53,7 +53,7 @@ def test_the_lanes_reward_is_progress_a_collision_and_the_goal() -> None:
 
 
 @given(east_m=st.floats(-5.0, 5.0))
-def test_the_reward_at_a_wall_falls_with_the_square_of_the_distance_from_the_middle(east_m: float) -> None:
+def test_the_reward_at_a_wall_falls_with_the_distance_squared(east_m: float) -> None:
     task = LaneTask(progress_reward=0.0, wall_reward=-0.4)
     before = moment((10.0, 0.0, -2.0), {"lane": 3})
     assert task.reward(before, moment((11.0, east_m, -2.0), {"lane": 3})) == pytest.approx(-0.4 * east_m**2 / 25)
@@ -120,7 +120,7 @@ def test_hovers_reward_is_approach_time_held_and_its_end() -> None:
     assert task.reward(hovering(0.0, 0.0), hovering(1.0, 0.0, "block_north")) == pytest.approx(1.0 - 1.0)
 
 
-def test_hover_is_won_when_held_long_enough_and_lost_by_touching_something() -> None:
+def test_hover_is_won_when_held_and_lost_by_a_touch() -> None:
     task = HoverTask(hold_s=1.0)
     ends = [
         (task.success(now), task.failure(now)) for now in (hovering(3, 0.8), hovering(3, 1.0), hovering(3, 1.0, "x"))
@@ -201,7 +201,7 @@ def test_gates_end(passed: int, missed: bool, hit: str | None, success: bool, fa
     assert GatesTask().info(now)["passed"] == passed
 
 
-def test_the_next_two_gates_are_seen_and_their_posts_stand_beside_them() -> None:
+def test_the_next_two_gates_are_seen_and_have_posts() -> None:
     task = GatesTask(half_width_m=1.1)
     state = replace(AT_REST, position_m=(5.0, 1.0, -2.5), linear_velocity_m_s=(7.0, 8.0, 9.0))
     ways = [task.features(state, {**TWO, "passed": passed})[:6].tolist() for passed in (0, 1, 2)]
@@ -212,7 +212,7 @@ def test_the_next_two_gates_are_seen_and_their_posts_stand_beside_them() -> None
     assert posts == {(6.0, 2.3): 0.2, (6.0, -0.3): 0.2, (12.0, 0.3): 0.2, (12.0, -2.3): 0.2}
 
 
-def test_gates_are_drawn_within_the_spread_at_the_height_of_the_start() -> None:
+def test_gates_are_drawn_within_the_spread_at_one_height() -> None:
     task = GatesTask(gates=20, spacing_m=5.0, spread_m=1.5, altitude_m=3.0)
     gates = np.array(task.sample(np.random.default_rng(0), {})["gates_m"])
     np.testing.assert_array_equal(gates[:, 0], 5.0 * np.arange(1, 21))
@@ -242,7 +242,7 @@ def made(name: str, seed: int = 0, options: dict[str, Any] | None = None, **keys
 
 @pytest.mark.filterwarnings("ignore:.*Box observation space m:UserWarning")  # a position has no bounds
 @pytest.mark.parametrize("name", NEW)
-def test_the_checkers_of_gymnasium_and_stable_baselines_find_nothing(name: str) -> None:
+def test_checkers_of_gymnasium_and_baselines_find_nothing(name: str) -> None:
     environment = gymnasium.make(f"uavaccel/{name}-v0", max_commands=5)
     check_env(environment.unwrapped, skip_render_check=True)
     check_env_for_learning(environment)
@@ -306,7 +306,7 @@ def shown(**keys: Any) -> Iterator[ShownEnv]:
     environment.close()
 
 
-def test_observations_are_the_frames_of_the_last_commands_oldest_first() -> None:
+def test_observations_are_the_last_frames_oldest_first() -> None:
     with shown(history=2) as environment:
         start = environment.reset(seed=0)[0]
         first, second = (environment.step(STILL)[0] for _ in range(2))

@@ -96,7 +96,7 @@ def test_pictures_and_flight_stay_as_they_were(flown: dict[str, Any]) -> None:
     told.close()
 
 
-def test_a_policy_that_was_told_does_not_fly_a_task_that_does_not() -> None:
+def test_a_policy_that_was_told_flies_no_task_that_tells_less() -> None:
     assert origin_of("default").keys()["knows"] == ["last_action"]
     with pytest.raises(UserError, match=r"task.knows = \(\): default was trained with \('last_action',\)"):
         make_agent("default", LaneTask(history=2))

@@ -171,7 +171,7 @@ def test_an_unknown_keyword_is_also_pythons_error() -> None:
 
 
 @pytest.mark.parametrize("kind", [ObstacleLane, Hover])
-def test_actions_outside_the_space_and_steps_before_a_reset_are_refused(kind: type[Any]) -> None:
+def test_wrong_actions_and_steps_before_a_reset_are_refused(kind: type[Any]) -> None:
     headings, velocities = [-1, 5, 1.0, "north", None], [[0.0, 0.0], [0.0, 0.0, 1.1], [0.0, 0.0, np.nan], ["a"] * 3, 0]
     environment = kind(observation="state")
     with pytest.raises(UserError, match="reset the environment"):
