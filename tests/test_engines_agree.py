@@ -438,7 +438,7 @@ FIXTURES = settings(suppress_health_check=[HealthCheck.function_scoped_fixture, 
 
 
 @pytest.mark.slow
-@settings(FIXTURES, max_examples=25)
+@settings(FIXTURES, max_examples=16)
 @given(cases())
 @pytest.mark.usefixtures("host_kernels")
 def test_games_are_the_same_in_all_simulators(case: Case) -> None:
@@ -446,7 +446,7 @@ def test_games_are_the_same_in_all_simulators(case: Case) -> None:
 
 
 @pytest.mark.slow
-@settings(FIXTURES, max_examples=15)
+@settings(FIXTURES, max_examples=10)
 @given(seen_cases())
 @pytest.mark.usefixtures("host_kernels", "kernels_pictures")
 def test_cameras_see_the_same_in_all_simulators(case: Case) -> None:
@@ -454,7 +454,7 @@ def test_cameras_see_the_same_in_all_simulators(case: Case) -> None:
 
 
 @pytest.mark.slow
-@settings(FIXTURES, max_examples=6)
+@settings(FIXTURES, max_examples=4)
 @given(worlds())
 @pytest.mark.usefixtures("host_kernels")
 def test_clutter_is_the_same_for_cores_and_a_gpu(case: Case) -> None:
