@@ -186,6 +186,16 @@ def test_a_model_of_other_spaces_is_one_line() -> None:
         load_policy(th.nn.Linear(4, 9), REACH)(np.zeros(4))
 
 
+def test_an_action_stays_what_it_is() -> None:
+    single = Space(REACH.observation_space, spaces.Box(-1.0, 1.0, ()))
+    assert load_policy(lambda seen: 0.5, single)(np.zeros(4)) == 0.5
+    assert load_policy(lambda seen: np.int8(3), PICK)(np.zeros(4)) == 3
+    several = Space(REACH.observation_space, spaces.MultiDiscrete([2, 3]))
+    assert load_policy(lambda seen: [1, 2], several)(np.zeros(4)) == [1, 2]
+    with pytest.raises(UserError, match=r"returned \[2, 2\], where an action is one of MultiDiscrete\(\[2 3\]\)$"):
+        load_policy(lambda seen: [2, 2], several)(np.zeros(4))
+
+
 @pytest.mark.parametrize(
     ("env", "given", "said"),
     [
