@@ -51,7 +51,7 @@ class Sum(th.nn.Module):
 def scripted(module: th.nn.Module) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)
-        th.jit.save(th.jit.script(module), "policy.pt")  # type: ignore[no-untyped-call]
+        th.jit.save(th.jit.script(module), "policy.pt")
 
 
 # --- what acts as it does at home -------------------------------------------------------------------------------------

@@ -127,7 +127,8 @@ def flown(policy: Any) -> tuple[list[bytes], float]:
     """Observations and return of an episode in real time."""
     env = RealTime(gymnasium.make("InvertedPendulum-v5"), latency_s=0.02)
     loaded = load_policy(policy, env)
-    (seen, _), total, observations, over = env.reset(seed=3), 0.0, [], False
+    (seen, _), total, over = env.reset(seed=3), 0.0, False
+    observations: list[bytes] = []
     loaded.reset(3)
     while not over and len(observations) < 50:
         seen, reward, terminated, truncated, _ = env.step(loaded(seen))
@@ -364,8 +365,12 @@ def test_a_server_of_other_spaces_is_one_line() -> None:
         with pytest.raises(UserError, match=f"^{server.address}: {said}$"):
             load_policy(server.address, Spaces())
     said = r"its actions are '.x1b\[2J', the environment's float32"
-    escaping = impostor(lambda to: (received(to), to.sendall(hello(action="\x1b[2J"))))
-    with escaping as address, pytest.raises(UserError, match=f"^{address}: {said}"):
+
+    def escape(connection: socket.socket) -> None:
+        received(connection)
+        connection.sendall(hello(action="\x1b[2J"))
+
+    with impostor(escape) as address, pytest.raises(UserError, match=f"^{address}: {said}"):
         load_policy(address, Spaces())
     env = Spaces()
     env.observation_space = spaces.Text(5)

@@ -215,7 +215,7 @@ class RemotePolicy:
 
     def _connect(self) -> None:
         try:
-            self._socket = socket.create_connection(self._at, self._answer_s)  # type: ignore[arg-type]
+            self._socket = socket.create_connection(self._at, self._answer_s)
         except (OSError, OverflowError) as error:
             said = getattr(error, "strerror", None) or error
             raise UserError(f"{self.name}: no policy server answers there: {said}") from error
