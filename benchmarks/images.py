@@ -19,11 +19,11 @@ from uavaccel.resources import asset
 from uavaccel.sim.camera.camera import Camera
 from uavaccel.sim.camera.gl import GlRenderer, describe_renderer
 from uavaccel.sim.lane.layout import sample_layout
-from uavaccel.sim.lane.path import plan_path
 from uavaccel.sim.lane.scene import apply_layout
 from uavaccel.sim.profile import NATIVE
 from uavaccel.sim.vehicle.goal import of_velocity
 from uavaccel.sim.world import World
+from uavaccel.suites.lane_path import plan_path
 from uavaccel.units import NS_PER_S
 from uavaccel.vision.dvs import PRESETS, init_state, make_sensor, step
 from uavaccel.wire.session import WallSession

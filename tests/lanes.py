@@ -1,13 +1,18 @@
-"""What lanes over arrays must agree with: the obstacle lane in plain geometry, and environments that fly alone."""
+"""What batches must agree with: the obstacle lane in plain geometry, and environments that fly alone."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import io
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import mujoco
 import numpy as np
+from gymnasium.vector import AutoresetMode
 
+from uavaccel.envs.arrays import select
+from uavaccel.envs.flight_env import FlightEnv
+from uavaccel.envs.values import Info
 from uavaccel.sim.lane.layout import HULL_RADIUS_M, LENGTH_M, WIDTH_M, LaneLayout
 from uavaccel.sim.lane.scene import object_name
 
@@ -35,27 +40,87 @@ def collision_object(model: mujoco.MjModel, data: mujoco.MjData) -> str:
     return name
 
 
-def collisions_side_by_side(batch: Any, alone: Sequence[Any], seed: int, actions: Iterable[Any]) -> list[str | None]:
-    """Fly a batch and single environments to the end of their games, to the same bytes; what each collided with."""
-    hit: list[str | None] = []
-    seen, over = batch.reset(seed=seed)[0], [False] * len(alone)
-    for lane, environment in enumerate(alone):
-        assert environment.reset(seed=seed + lane)[0].tobytes() == seen[lane].tobytes()
-    for given in actions:
-        batch.step_async(given)
-        seen, rewards, terminated, truncated, infos = batch.step_wait()
-        for lane, environment in enumerate(alone):
-            if over[lane]:
-                continue
-            expected = environment.step(given[lane])
-            assert infos[lane] == expected[4]
-            assert seen[lane].tobytes() == expected[0].tobytes()
-            assert (rewards[lane], terminated[lane], truncated[lane]) == expected[1:4]
-            over[lane] = bool(expected[2] or expected[3])
-            hit += [expected[4]["collision"]] * over[lane]
-        if all(over):
-            break
-    assert all(over)
-    for environment in alone:
-        environment.close()
-    return hit
+def assert_same(ours: Any, theirs: Any) -> None:
+    """Observations, to the byte; also in mappings."""
+    if isinstance(theirs, dict):
+        assert ours.keys() == theirs.keys()
+        for name, array in theirs.items():
+            assert_same(ours[name], array)
+    else:
+        assert ours.dtype == theirs.dtype
+        assert ours.tobytes() == theirs.tobytes()
+
+
+class SideBySide:
+    """A batch and the same environments alone, each of whose commands give the same to the last bit.
+
+    `ends` are the infos of the games that ended, in their order; `same` compares observations.
+    """
+
+    def __init__(
+        self, batch: Any, alone: Sequence[FlightEnv[Any]], same: Callable[[Any, Any], None] = assert_same
+    ) -> None:
+        self.batch, self.alone, self._same = batch, alone, same
+        self._waits = batch.metadata["autoreset_mode"] == AutoresetMode.NEXT_STEP
+        self._over = [False] * len(alone)
+        self.ends: list[Info] = []
+
+    def reset(self, seed: int | None = None, options: Any = None) -> Any:
+        """Begin games everywhere; the batch's observations."""
+        seen, _ = self.batch.reset(seed=seed, options=options)
+        for lane, environment in enumerate(self.alone):
+            begun = environment.reset(seed=None if seed is None else seed + lane, options=options)
+            self._same(select(seen, lane), begun[0])
+        self._over = [False] * len(self.alone)
+        return seen
+
+    def charge(self, spent_s: float, phase: str = "inference") -> None:
+        self.batch.call_each("charge", [(spent_s, phase)] * self.batch.num_envs)
+        for environment in self.alone:
+            environment.charge(spent_s, phase)
+
+    def step(self, actions: Any, lanes: Sequence[int] | None = None) -> Any:
+        """Fly a command in these lanes, by default all; what the batch says of it."""
+        which = range(self.batch.num_envs) if lanes is None else lanes
+        self.batch.step_async(actions[list(which)], lanes)
+        flown = self.batch.step_wait(lanes)
+        for place, lane in enumerate(which):
+            if lane < len(self.alone):
+                self._compare(lane, actions[lane], select(flown[0], place), *(part[place] for part in flown[1:]))
+        return flown
+
+    def _compare(self, lane: int, action: Any, seen: Any, *told: Any) -> None:
+        environment, ended = self.alone[lane], self._over[lane]
+        if ended:  # and begins anew with this command
+            begun = environment.reset()
+            expected: Any = (begun[0], 0.0, False, False, begun[1])
+        else:
+            expected = environment.step(action)
+        over, found = bool(expected[2] or expected[3]), told[3]
+        self.ends += [expected[4]] * over
+        assert told[:3] == expected[1:4]
+        if over and not self._waits:
+            self._same(found["final_obs"], expected[0])
+            assert found["final_info"] == expected[4]
+            found = {name: value for name, value in found.items() if not name.startswith("final")}
+            expected = environment.reset()
+        self._same(seen, expected[0])
+        assert found == expected[-1]
+        self._over[lane] = over and self._waits
+
+    def move(self, batch: Any, alone: Sequence[FlightEnv[Any]]) -> None:
+        """Go on in another batch and other environments, from files of the running games."""
+        for lane, state in enumerate(self.batch.call_each("get_state", [()] * batch.num_envs)):
+            (seen,) = batch.call_each("set_state", [(stored(state),)], [lane])
+            self._same(seen, select(self.batch.observations(), lane))
+        for before, environment in zip(self.alone, alone, strict=True):
+            environment.set_state(stored(before.get_state()))
+        self.batch, self.alone = batch, alone
+
+
+def stored(state: Any) -> Any:
+    """A saved game, read from a file."""
+    file = io.BytesIO()
+    np.savez(file, **state)
+    file.seek(0)
+    return dict(np.load(file))

@@ -15,8 +15,7 @@ import msgpack
 import pytest
 
 from uavaccel import airsim
-from uavaccel.airsim import client as client_module
-from uavaccel.airsim import old_client, types
+from uavaccel.airsim import old_client, types, vehicle_client
 from uavaccel.airsim.connection import Future, plain
 
 TABLE = Path(__file__).parent / "data" / "airsim_client_calls.txt"
@@ -252,7 +251,7 @@ def test_answers_are_airsims_types(
         assert (plain(getattr(found, key)) if isinstance(value, dict) else getattr(found, key)) == value
 
 
-def test_an_answer_is_taken_whole_whatever_its_order_and_what_it_lacks_has_its_default() -> None:
+def test_answers_keep_unknown_fields_and_default_missing_ones() -> None:
     """Fields that AirSim's own types do not have stay; vectors are in the order of x, y, z all the same."""
     backwards = dict(reversed(TURN.items()))
     told = {"extra": 7, "has_collided": True, "normal": {"z_val": 3.0, "y_val": 2.0, "x_val": 1.0}}
@@ -313,7 +312,7 @@ def test_what_the_client_does_with_several_calls_or_none(
 
 def test_a_client_connects_to_where_airsim_listens(monkeypatch: pytest.MonkeyPatch) -> None:
     told: list[tuple[Any, ...]] = []
-    monkeypatch.setattr(client_module, "connect", lambda *given: told.append(given))
+    monkeypatch.setattr(vehicle_client, "connect", lambda *given: told.append(given))
     airsim.MultirotorClient()
     airsim.VehicleClient("10.0.0.1", 5, timeout_value=2)
     assert told == [("127.0.0.1", 41451, 3600), ("10.0.0.1", 5, 2)]
@@ -389,7 +388,7 @@ def test_the_client_before_1_2_has_the_helpers_of_the_module(name: str) -> None:
     assert getattr(old_client.AirSimClientBase, name) is getattr(airsim, HELPERS[name])
 
 
-def test_the_client_before_1_2_waits_for_the_end_of_what_has_a_time_limit(recorder: Recorder) -> None:
+def test_the_old_client_waits_for_commands_with_a_limit(recorder: Recorder) -> None:
     client = old_client.MultirotorClient()
     recorder.answer = False
     for command in (lambda: client.takeoff(0), lambda: client.moveByVelocity(1, 0, 0, 1)):

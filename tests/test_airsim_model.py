@@ -74,7 +74,7 @@ def test_lost_time_is_never_made_good() -> None:
     assert simulation.clock_speed == 100, "as it was asked for"
 
 
-def test_a_continue_for_asks_for_wall_time_at_the_speed_that_was_asked_for() -> None:
+def test_a_continue_for_is_wall_time_at_the_requested_speed() -> None:
     """So one at 100x brings 62.5x of it, and TCSC goes on with the difference."""
     simulation = simulate(100.0, AIRSIM, executor=Executor(48 * US))
     simulation.pause(0)
@@ -136,7 +136,7 @@ def test_the_pose_shown_is_a_copy_and_is_forgotten() -> None:
 # --- the client's connection --------------------------------------------------------------------------------
 
 
-def test_a_request_behind_an_unanswered_command_is_held_for_the_acknowledgement() -> None:
+def test_a_request_behind_an_unanswered_command_is_held() -> None:
     """TCSC at 1x: the command is handled at 1 ms, so its continue-for at 41; it flies 504 ms, and a reply is 1 ms."""
     walls = []
     for stall_us in (0.0, 40_000.0):
@@ -197,7 +197,7 @@ def test_a_platform_that_cannot_be_is_refused(bad: dict[str, Any]) -> None:
 # --- frames -------------------------------------------------------------------------------------------------
 
 
-def test_the_game_ticks_on_multiples_of_the_period_after_a_moment_up_to_another() -> None:
+def test_the_game_ticks_on_multiples_of_the_period() -> None:
     frames = Frames(16 * MS, stale_pose=True)
     assert list(frames.ticks(0, 48 * MS)) == [16 * MS, 32 * MS, 48 * MS]
     assert list(frames.ticks(16 * MS, 31 * MS)) == []
@@ -260,7 +260,7 @@ def test_the_platform_leaves_the_profiles_as_they_are() -> None:
     assert PlatformConfig(scalable_clock=True).profile("native", 50.0) is NATIVE
 
 
-def test_the_scalable_clock_stretches_the_step_and_keeps_the_wall_period() -> None:
+def test_the_scalable_clock_stretches_the_step() -> None:
     """At 5x a step of 15 ms: the 20 ms loop falls on 30, the timeout beyond 60 on 75, the recorder on 60."""
     profile = PlatformConfig(scalable_clock=True).profile("airsim", 5.0)
     tick_ms = profile.tick_ns / MS

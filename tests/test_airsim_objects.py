@@ -63,8 +63,6 @@ def test_objects_are_found_by_whole_names_whatever_their_case(wire: AirSimWire) 
     assert np.isnan(xyz(nowhere["position"])).all()
     assert np.isnan(nowhere["orientation"]["w_val"])
     assert not wire.call("simSetObjectPose", "Nowhere", nowhere, True)
-    with pytest.raises(rpc.RpcError, match="is no regular expression"):
-        wire.call("simListSceneObjects", "(")
 
 
 def test_an_object_is_where_it_is_put_and_as_large_as_it_is_made(wire: AirSimWire) -> None:
@@ -82,8 +80,6 @@ def test_an_object_is_where_it_is_put_and_as_large_as_it_is_made(wire: AirSimWir
     for method, value in (("simSetObjectPose", level_pose(0, 0, 0)), ("simSetObjectScale", ONE)):
         assert not wire.call(method, "ground", value)
         assert not wire.call(method, "nothing", value)
-    with pytest.raises(rpc.RpcError, match="scale must be positive"):
-        wire.call("simSetObjectScale", BLOCK, vector(1.0, 0.0, 1.0))
 
 
 @pytest.mark.parametrize(("asset", "scale", "half_m"), [
@@ -117,8 +113,6 @@ def test_what_is_spawned_has_its_form_stops_the_vehicle_and_goes(
 
 def test_names_are_numbered_and_there_is_room_again(wire: AirSimWire) -> None:
     assert [spawn(wire, "box", "Cube", (30.0, 30.0, -20.0)) for _ in range(3)] == ["box", "box1", "box2"]
-    with pytest.raises(rpc.RpcError, match="no objects with name Tree found in the Registry; there are Cube"):
-        spawn(wire, "tree", "Tree", (0.0, 0.0, 0.0))
     for _ in range(SPARES - 3):
         spawn(wire, "box", "Cube", (30.0, 30.0, -20.0))
     with pytest.raises(rpc.RpcError, match="there is no room for another object"):
@@ -151,8 +145,6 @@ def test_segmentation_ids_are_airsims_until_they_are_set(wire: AirSimWire) -> No
     assert len(np.unique(colours(), axis=0)) == 256
     assert wire.call("simSetSegmentationObjectID", BLOCK, -1, False)
     assert middle() == [0, 0, 0]
-    with pytest.raises(rpc.RpcError, match="object_id must be -1 to 255, not 256"):
-        wire.call("simSetSegmentationObjectID", BLOCK, 256, False)
 
 
 def test_objects_stay_what_they_are_in_a_model_with_more_vehicles(wire: AirSimWire) -> None:
@@ -209,7 +201,7 @@ FILTERS: dict[str, tuple[str, int, str, bool]] = {  # camera, type of image, veh
 
 
 @pytest.mark.parametrize("chosen", FILTERS)
-def test_a_filter_is_of_one_type_of_image_of_one_camera_of_one_vehicle(chosen: str) -> None:
+def test_a_filter_is_of_one_camera_and_type_of_image(chosen: str) -> None:
     """Names, radius and their removal; all look at block_north, whose middle is more than 30 m away."""
     settings = {
         "Vehicles": {"A": {"X": 0, "Y": 0, "Z": -6}, "B": {"X": 0, "Y": 5, "Z": -6}},
@@ -235,7 +227,7 @@ def test_a_filter_is_of_one_type_of_image_of_one_camera_of_one_vehicle(chosen: s
     assert detecting() == [name for name in FILTERS if name != chosen]
 
 
-def test_the_scene_of_airsims_scripts_leaves_their_path_free_and_has_what_they_name() -> None:
+def test_the_scene_fits_airsims_scripts() -> None:
     """path.py flies 125 m north, 130 m west, and back, 5 m up; objects.py and detection.py name objects of Blocks."""
     world = World("blocks", NATIVE, airsim=True)
     corners = np.array([(0.0, 0.0, -5.0), (125.0, 0.0, -5.0), (125.0, -130.0, -5.0), (0.0, -130.0, -5.0)])

@@ -104,14 +104,14 @@ def test_on_move_what_turns_has_moved(tmp_path: Path) -> None:
     ({"CameraName": "nose"}, "no camera 'nose'"),
     ({"ImageType": 12}, "image type 12 is not available"),
 ])  # fmt: skip
-def test_an_image_that_cannot_be_taken_is_refused_before_anything_flies(
+def test_an_image_that_cannot_be_taken_is_refused_at_the_start(
     tmp_path: Path, image: dict[str, object], reason: str
 ) -> None:
     with pytest.raises(UserError, match=rf"^Recording\.Cameras\.1: {reason}"):
         recorder(tmp_path, Cameras=[{}, image])
 
 
-def test_a_disk_that_takes_no_more_images_ends_neither_recording_nor_flight(tmp_path: Path) -> None:
+def test_a_full_disk_ends_images_but_not_the_flight(tmp_path: Path) -> None:
     wire = recorder(tmp_path)
     wire.call("startRecording")
     [images] = tmp_path.glob("*/images")

@@ -42,7 +42,7 @@ def with_sensors(**sensors: Any) -> AirSimWire:
     return AirSimWire({"Vehicles": {"Drone": {"Sensors": sensors or SENSORS}}})
 
 
-def test_an_imu_feels_the_specific_force_and_the_body_rate_with_the_noise_of_its_kind() -> None:
+def test_an_imu_measures_specific_force_and_rate_with_its_noise() -> None:
     wire = AirSimWire()
     readings = []
     for _ in range(400):
@@ -73,7 +73,7 @@ def test_a_tilted_imu_feels_the_force_along_its_own_axes() -> None:
 
 
 @pytest.mark.parametrize("method", ["getImuData", "getBarometerData", "getMagnetometerData"])
-def test_noise_is_that_of_the_tick_and_the_seed_whoever_asks_how_often(method: str) -> None:
+def test_noise_depends_on_tick_and_seed_alone(method: str) -> None:
     def after_a_second(seed: int = 0, asking_before: bool = False) -> AirSimWire:
         wire = AirSimWire({"SensorSeed": seed})
         for _ in range(10):
@@ -138,7 +138,7 @@ def test_a_receiver_is_late_and_finds_its_satellites_after_a_while() -> None:
     assert xyz(told["gnss"]["velocity"])[0] == pytest.approx(5.0, abs=0.2)
 
 
-def test_a_receivers_dilutions_fall_each_at_its_rate_and_its_velocity_is_as_late_as_its_place() -> None:
+def test_a_gps_converges_and_is_as_late_in_velocity_as_in_place() -> None:
     wire = with_sensors(Gps={"SensorType": 3, "EPV_TimeConstant": 1.8, "EpvInitial": 50.0})
     wire.call("moveByVelocity", 5.0, 0.0, 0.0, 20.0, 0, {"is_rate": True, "yaw_or_rate": 0.0}, "")
     wire.fly(0.5)
@@ -181,11 +181,9 @@ def test_a_distance_is_that_of_the_first_thing_ahead() -> None:
     for name in ("Off", "Sideways"):
         with pytest.raises(rpc.RpcError, match=f"No distance sensor with name {name} exist on vehicle; there is Down"):
             wire.call("getDistanceSensorData", name, "")
-    with pytest.raises(rpc.RpcError, match="No lidar with name  exist on vehicle; the settings' Sensors give none"):
-        AirSimWire().call("getLidarData", "", "")
 
 
-def test_a_lidar_scans_its_channels_around_and_tells_points_in_its_frame() -> None:
+def test_a_lidar_scans_its_channels_in_its_frame() -> None:
     wire = with_sensors()
     wire.call("simSetVehiclePose", TILTED.message(), True, "")
     told = wire.call("getLidarData", "Lidar", "")
@@ -209,7 +207,7 @@ def test_a_lidar_scans_its_channels_around_and_tells_points_in_its_frame() -> No
     assert wire.api.settings.without_effect() == ["Vehicles.Drone.Sensors.Local.DrawDebugPoints"]
 
 
-def test_a_lidar_looks_within_its_field_of_view_and_says_nothing_of_nothing() -> None:
+def test_a_lidar_keeps_to_its_field_of_view() -> None:
     wire = with_sensors()
     wire.call("simSetVehiclePose", level_pose(0.0, 0.0, -6.0), True, "")
     points = np.array(wire.call("getLidarData", "Half", "")["point_cloud"]).reshape(-1, 3)
@@ -290,7 +288,7 @@ def test_a_barometers_first_reading_is_right_but_for_its_white_noise() -> None:
     assert 0.15 < np.std(first) <= 0.3
 
 
-def test_a_barometer_drifts_from_nothing_as_airsims_gauss_markov_process() -> None:
+def test_a_barometer_drifts_as_airsims_gauss_markov_process() -> None:
     """Each fiftieth of a second keeps exp(-dt/tau) and gains the rest of a normal number; anew with a reset."""
     keep, sigma = math.exp(-0.02 / 2.0), 0.05
     wire = drifting(2.0)
@@ -344,15 +342,11 @@ def test_wind_acts_at_the_next_tick_as_in_airsims_physics() -> None:
         assert now.position_m[0] == pytest.approx(way, rel=1e-4, abs=1e-12)
 
 
-def test_wind_blows_the_vehicle_and_absurd_wind_is_refused() -> None:
+def test_wind_blows_the_vehicle() -> None:
     wire = AirSimWire()
     wire.call("simSetWind", vector(0.0, 6.0, 0.0))
     wire.fly(1.0)
     assert wire.simulation.kinematics().position_m[1] > 0.05
-    with pytest.raises(rpc.RpcError, match="wind must be at most 100 m/s, not 1000"):
-        wire.call("simSetWind", vector(1000.0, 0.0, 0.0))
-    with pytest.raises(rpc.RpcError, match=r"wind\.x_val must be finite"):
-        wire.call("simSetWind", vector(math.nan, 0.0, 0.0))
 
 
 def test_lines_of_sight_and_extents_are_geographic() -> None:
@@ -395,8 +389,6 @@ def test_what_has_no_effect_and_what_is_refused_is_said_once() -> None:
             wire.call(name, "")
     assert len(wire.said) == len(accepted) + len(refused)
     assert wire.call("simLoadLevel", "blocks")
-    with pytest.raises(rpc.RpcError, match="the scene is 'blocks' and stays"):
-        wire.call("simLoadLevel", "City")
 
 
 def test_one_question_per_episode_is_enough_to_learn_of_each_crash() -> None:
@@ -425,7 +417,7 @@ def test_magnetometers_of_one_vehicle_have_biases_of_their_own() -> None:
     assert all(0.0 < abs(tail - mast) <= 0.6 for tail, mast in zip(read["Tail"], read["Mast"], strict=True))
 
 
-def test_a_magnetometers_bias_is_anything_within_its_bound_in_either_direction_and_not_scaled() -> None:
+def test_a_magnetometers_bias_is_uniform_within_its_bound() -> None:
     level = Kinematics(0, (0, 0, 0), (1, 0, 0, 0), *[(0.0, 0.0, 0.0)] * 4)
     truth = Truth(level, 0.002, 0.0, GeoPoint(*HOME.values()))
     keys = {"NoiseSigma": 0.0, "ScaleFactor": 3.0, "NoiseBias": 0.3}
@@ -436,7 +428,7 @@ def test_a_magnetometers_bias_is_anything_within_its_bound_in_either_direction_a
     np.testing.assert_allclose(bias.std(axis=0), 0.3 / math.sqrt(3), rtol=0.1)
 
 
-def test_what_sensors_add_to_the_truth_is_of_the_size_of_their_own_setting() -> None:
+def test_noise_has_the_size_of_its_setting() -> None:
     """Each by itself: pascals, gauss and metres; the others are switched off."""
     wire = with_sensors(
         Air={"SensorType": 1, "PressureFactorSigma": 0.0, "UncorrelatedNoiseSigma": 50.0},
@@ -502,9 +494,7 @@ def test_a_fix_follows_from_the_horizontal_dilution_alone(shares: tuple[float, f
 
 
 @pytest.mark.parametrize(("seconds", "first_deg"), [(0.0, 0), (0.1, 72), (0.19, 72), (0.3, 216), (0.5, 0), (0.7, 144)])
-def test_a_lidar_that_turns_slower_than_it_scans_goes_on_where_its_last_scan_ended(
-    seconds: float, first_deg: float
-) -> None:
+def test_a_slow_lidar_goes_on_where_its_last_scan_ended(seconds: float, first_deg: float) -> None:
     """Two turns and ten scans a second, each of a fifth of a circle: 200 rays of 0.36 degrees in a channel."""
     keys = {"RotationsPerSecond": 2, "PointsPerSecond": 4000, "NumberOfChannels": 2, "HorizontalFOVEnd": 360}
     wire = with_sensors(Slow=LIDAR | keys | {"DataFrame": "SensorLocalFrame"})

@@ -17,7 +17,7 @@ from uavaccel.sim.simulation import Simulation
 from uavaccel.sim.world import World
 from uavaccel.wire import rpc
 from uavaccel.wire.api import CALLS, Api
-from uavaccel.wire.calls import Calls, call
+from uavaccel.wire.calls import Calls, Refusals, call
 from uavaccel.wire.recorder import COLUMNS, FILE_NAME
 from uavaccel.wire.settings import Settings
 from uavaccel.wire.types import EPOCH_NS
@@ -79,12 +79,6 @@ def test_any_arguments(call: tuple[str, list[Any]]) -> None:
         msgpack.packb(result)
 
 
-@pytest.mark.parametrize("method", sorted(CALLS))
-def test_arity_is_checked_before_anything_else(method: str) -> None:
-    with pytest.raises(rpc.RpcError, match="invalid number of arguments"):
-        result_of(new_api(), method, [object()] * 99)
-
-
 def test_an_error_in_a_handler_costs_the_caller_its_call() -> None:
     api = new_api()
     api.methods["ping"].handler = lambda: dict[str, int]()["pong"]
@@ -114,6 +108,19 @@ def test_a_clients_mistake_is_no_bug(caplog: pytest.LogCaptureFixture) -> None:
         with pytest.raises(rpc.RpcError):
             api.call(name, params, 0)
     assert not caplog.records
+
+
+def test_refusals_are_told_once_each_and_no_more_than_200_kinds() -> None:
+    """Names and texts come from clients, on one line each."""
+    refusals, said = Refusals(), list[str]()
+    refusals.say = said.append
+    for number in (*range(250), 0, 0):
+        refusals.add(f"call{number}", "is\nunknown")
+    assert len(said) == 201
+    assert (said[0], said[-1]) == ("call0 is?unknown", "other calls were refused")
+    assert refusals.lines()[:3] == [
+        "50 x other calls were refused", "3 x call0 is?unknown", "1 x call1 is?unknown",
+    ]  # fmt: skip
 
 
 def test_a_method_says_all_about_its_call() -> None:

@@ -14,7 +14,7 @@ from uavaccel.kinematics import Kinematics, VelocityGoal
 from uavaccel.sim.profile import AIRSIM, NATIVE, Profile
 from uavaccel.sim.sensors.earth import geographic
 from uavaccel.sim.vehicle.goal import Goal, of_velocity
-from uavaccel.wire import arguments, rpc
+from uavaccel.wire import arguments
 from uavaccel.wire.api import Api
 from uavaccel.wire.flight_api import facing
 from uavaccel.wire.game_api import decode_state, encode_state
@@ -210,7 +210,7 @@ def test_pause_run_and_continue() -> None:
 
 
 @pytest.mark.parametrize(("method", "amount"), [("simContinueForTime", 0.002), ("uavaccelContinueFor", 20 * MS)])
-def test_airsims_continue_for_counts_wall_seconds_and_ours_simulated_nanoseconds(method: str, amount: Any) -> None:
+def test_airsims_continue_for_is_wall_time_and_ours_simulated(method: str, amount: Any) -> None:
     api = new_api(10.0)
     result_of(api, "simPause", [True])
     reply = result_of(api, method, [amount], 1 * MS)
@@ -224,7 +224,7 @@ def test_airsims_continue_for_counts_wall_seconds_and_ours_simulated_nanoseconds
     assert result_of(api, "simIsPaused", [], 9 * MS) is True
 
 
-def test_a_game_begins_paused_controlled_recording_at_its_height_and_speed() -> None:
+def test_a_game_begins_paused_controlled_and_recording() -> None:
     api = flown()
     running = api.simulation.lead.command
     assert running is not None
@@ -250,8 +250,6 @@ def test_speed_is_counted_since_the_reset() -> None:
         "lost_wall_ns": 0,
         "failure": None,
     }
-    with pytest.raises(rpc.RpcError, match="clock_speed must be at most 10000, not 10001"):
-        result_of(api, "uavaccelSetClockSpeed", [10001], 3 * MS)
 
 
 def test_airsims_wall_timer_notes_when_it_was_due_and_when_it_ended() -> None:
@@ -277,18 +275,11 @@ def test_a_pose_is_taken_apart_and_its_attitude_made_a_unit() -> None:
         (1.0, 2.0, -3.0),
         (0.0, 0.0, 0.6, 0.8),
     )
-    for bad in ({**turned, "y_val": 0.0, "z_val": 0.0}, {**turned, "w_val": math.inf}):
-        with pytest.raises(ValueError, match="orientation finite and not zero"):
-            arguments.pose({"position": place, "orientation": bad}, "pose")
-    with pytest.raises(ValueError, match="within 1e\\+06 m"):
-        arguments.pose({"position": {**place, "x_val": -1.1e6}, "orientation": turned}, "pose")
 
 
 @pytest.mark.parametrize("value", [-1e6, 0, 1e6])
 def test_places_within_a_thousand_kilometres(value: float) -> None:
     assert arguments.coordinate(value, "z") == value
-    with pytest.raises(ValueError, match="z must be within"):
-        arguments.coordinate(value * 1.01 if value else 1e7, "z")
 
 
 def test_flags_may_be_numbers_and_yaw_is_in_degrees() -> None:

@@ -18,6 +18,37 @@ LAUGHS = "a: &a [1,1,1,1,1,1,1,1,1,1]\n" + "".join(
     f"{name}: &{name} [{','.join(['*' + before] * 10)}]\n" for before, name in zip("abcdefgh", "bcdefghi", strict=True)
 )  # fmt: skip
 
+# What belongs together and does not fit: a line of the command, and what is said of it.
+COMBINATIONS = """
+run ablation --set variants=[{name: a, changes: {latency.platform.tik_us: 1.0}}] -> 'tick_us'
+run ablation --set variants=[{name: a}, {name: a}] -> has a twice
+run ablation --set variants=[] -> variants
+run ablation --set base.rounds=[0] -> base: rounds
+run sweep --set sweep={wind: [99]} -> task.difficulty.wind_m_s = 99
+run sweep --set sweep={wind: [1, 1.0]} -> each once
+run sweep --set sweep={wind: []} -> needs values
+run sweep --set sweep={nothing: [1]} -> is unknown
+run sweep --set sweep={task.nothing: [1]} -> --sweep task.nothing: uavaccel/ObstacleLane-v0 has no task.nothing; known:
+run sweep --set sweep={command: [fly]} -> task.command
+run robustness --set latency_scale=[-1] -> latency_scale.0 = -1: should be greater than or equal to 0
+run robustness --set latency_scale=[1, 1] -> has 1 twice
+run robustness --set evaluation.keys={task.histry: 1} -> unknown key 'task.histry'
+run robustness --set evaluation.experiment=dp1 -> dp1
+run robustness --set agent=nowhere -> nowhere: holds no policy
+train --set task.timing=wall --set environments=2 -> environments must be 1 with timing wall
+train --set algorithm=sb3_ppo --set start_from=default -> start_from needs algorithm double_dqn, not sb3_ppo
+train --set algorithm=sb3_dqn --set mirror=false --set mirrored_decisions=true -> needs algorithm double_dqn
+train --set task.observation=state -> mirror must be false
+train --set task.headings_deg=[0.0, 30.0] -> mirror must be false
+train --set gamess=3 -> unknown key 'gamess'; did you mean 'games'?
+evaluate straight --set simulator=kernels --set task.timing=wall -> timing wall needs a server of its own
+evaluate straight --set simulator=kernels --set task.timing=lockstep --set environments=2 -> needs simulator mujoco
+evaluate straight --set device=cuda -> device = cuda: simulator = mujoco flies on the CPU
+evaluate straight --set simulator=airsim -> simulator
+evaluate straight --set environments=2 --set task.timing=wall -> environments must be 1 with timing wall
+evaluate straight --set first_lane=999_999 --set games=2 -> first_lane = 999999 and games = 2: lanes are 0 to 999999
+"""
+
 # By command: a key and the values that it refuses, whose complaint has the key's last word.
 CONFIGURATIONS = {
     "run dp1 --set": """
@@ -203,6 +234,9 @@ def table() -> Iterator[tuple[str, str]]:
     for entry in OPTIONS.strip().replace("\n", "; ").split("; "):
         line, _, word = entry.partition(" -> ")
         yield line, word
+    for entry in COMBINATIONS.strip().splitlines():
+        line, _, said = entry.partition(" -> ")
+        yield line, said
     yield from (*OTHERS, *FILES)
 
 
@@ -267,7 +301,7 @@ def test_bad_input_is_one_line_and_nothing_is_written(
 
 
 @pytest.mark.parametrize("number", ["-1", "0"])
-def test_threads_with_which_numba_cannot_be_imported_are_one_line(
+def test_threads_that_numba_cannot_have_are_one_line(
     number: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("NUMBA_NUM_THREADS", number)

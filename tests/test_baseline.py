@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from gymnasium import spaces
 
-from tests.test_learner import SHAPE, config_of, say_and
+from tests.test_learner import SHAPE, config_of
 from uavaccel.errors import UserError
 from uavaccel.rl import adapters
 from uavaccel.rl.baseline import Baseline, BatchVecEnv
@@ -55,6 +55,11 @@ class ThreeCommands:
 def baseline(algorithm: str, options: dict[str, Any], lanes: int = 2, **keys: Any) -> Any:
     config = config_of(lanes, {}, **keys).model_copy(update={"algorithm": algorithm, "options": options})
     return Baseline(config, ThreeCommands(lanes))  # type: ignore[arg-type]
+
+
+def say_and(said: list[Any], word: Any, work: Any) -> Any:
+    said.append(word)
+    return work()
 
 
 DQN = {"learning_rate": 2e-3, "learning_starts": 0, "batch_size": 4, "buffer_size": 40}

@@ -11,7 +11,6 @@ from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
 
-import numpy as np
 import pytest
 from typer.testing import CliRunner
 
@@ -52,9 +51,7 @@ def given(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
 # --- the command ------------------------------------------------------------------------------------------------------
 
 
-def test_benches_are_run_in_their_order_and_kept_and_one_that_cannot_is_left_out(
-    given: Callable[..., None], tmp_path: Path
-) -> None:
+def test_benches_run_in_order_and_one_that_cannot_is_left_out(given: Callable[..., None], tmp_path: Path) -> None:
     ran: list[Any] = []
 
     def measured(name: str, *how: Any) -> Iterator[Measurement]:
@@ -132,7 +129,7 @@ def test_a_commands_speed_is_simulated_time_over_wall_time(given: Callable[..., 
     assert flown == [96 * 10**9] * 2
 
 
-def test_a_soak_calls_at_its_rate_and_holds_memory_against_that_after_a_tenth(given: Callable[..., None]) -> None:
+def test_a_soak_calls_at_its_rate_and_watches_memory(given: Callable[..., None]) -> None:
     memory = iter([90.0, 80.0, *range(50, 68)])  # the first two of twenty readings are of the start
     slept: list[int] = []
     asked: list[int] = []
@@ -149,32 +146,6 @@ def test_a_soak_calls_at_its_rate_and_holds_memory_against_that_after_a_tenth(gi
 
 
 # --- batches ----------------------------------------------------------------------------------------------------------
-
-
-def test_a_batch_is_counted_in_commands_and_in_pictures_of_all_lanes(given: Callable[..., None]) -> None:
-    """As if each measurement took half a second."""
-    made: list[Any] = []
-
-    class Lanes:
-        processes, process_ids = 2, ()
-
-        def __init__(self, kind: Any, lanes: int, *how: Any, **task: float) -> None:
-            self.commands, self.lanes = 0, lanes
-            made.append(self)
-
-        def step_async(self, actions: Any) -> None:
-            assert len(actions) == self.lanes
-            self.commands += 1
-
-        def step_wait(self) -> None: ...
-        def reset(self, seed: int) -> None: ...
-        def close(self) -> None: ...
-
-    given(batch, 0.5, EnvironmentBatch=Lanes)
-    found = by_name(batch.bench_batch())
-    assert found["8 lanes: pictures"].value == 5 * 8 * 50 / 0.5
-    assert found["8 lanes: commands"].value == 30 * 8 / 0.5
-    assert [each.commands for each in made] == [3 + 5, 3 + 30]
 
 
 HOLDS_64_MIB_TWICE = """
@@ -211,7 +182,7 @@ def round_s(lanes: int, **keys: Any) -> float:
     return 0.0001 + 50 * {"state": 0.0, "colour": 0.0001, "dvs": 0.0003}[seen]
 
 
-def test_commands_on_cores_are_held_against_flight_and_then_frames(given: Callable[..., None]) -> None:
+def test_commands_on_cores_are_held_against_flight_and_frames(given: Callable[..., None]) -> None:
     """A command of a second has three frames."""
     ticks_s, seen_s = iter([3e-6, 1e-6, 2e-6]), iter([0.02, 0.05, 0.03])
     exact = SimpleNamespace(advance=lambda ticks: range(ticks)[999], close=lambda: None)
@@ -229,7 +200,7 @@ def test_commands_on_cores_are_held_against_flight_and_then_frames(given: Callab
 
 
 @pytest.mark.parametrize(("frame_s", "bound_s"), [(0.0003, 0.002), (0.001, 0.003)])
-def test_commands_on_a_gpu_are_held_against_the_longer_of_flight_and_frames(
+def test_commands_on_a_gpu_are_held_against_the_longer_part(
     given: Callable[..., None], monkeypatch: pytest.MonkeyPatch, frame_s: float, bound_s: float
 ) -> None:
     torch = SimpleNamespace(cuda=SimpleNamespace(get_device_name=lambda: "a card"))
@@ -250,22 +221,6 @@ def test_commands_on_a_gpu_are_held_against_the_longer_of_flight_and_frames(
         assert found[f"GPU: a command of {lanes} lanes"].value == pytest.approx(4.0)  # ms
 
 
-def test_a_lane_is_timed_per_tick_and_per_picture(given: Callable[..., None], monkeypatch: pytest.MonkeyPatch) -> None:
-    flown: list[int] = []
-    worked: list[int] = []
-    bare = SimpleNamespace(games=0, now=0, plan=SimpleNamespace(hull=0))
-    monkeypatch.setattr("uavaccel.kernels.lanes.fly", lambda lane, ticks, *_: flown.append(ticks))
-    given(kernels, 0.5, TICKS=200, one_lane=lambda task: bare)
-    assert kernels._tick_s() == 0.5 / 200
-    assert flown == [1, 200]  # the first one compiles
-    given(kernels, 9.0, 1.0, 2.0, PICTURES=3)
-    assert kernels._each_s(worked.append) == 2.0
-    assert worked == [1, 2, 3]
-
-
-# --- cameras ----------------------------------------------------------------------------------------------------------
-
-
 @needs_opengl
 @pytest.mark.parametrize(("rate_hz", "pictures"), [(None, 3), (10.0, 12), (100.0, 100)])
 def test_pictures_are_those_that_the_event_camera_sees(rate_hz: float | None, pictures: int) -> None:
@@ -276,7 +231,7 @@ def test_pictures_are_those_that_the_event_camera_sees(rate_hz: float | None, pi
     environment.close()
 
 
-def test_frame_rates_are_of_the_best_pass_and_their_ratio_of_the_middle_one(given: Callable[..., None]) -> None:
+def test_frame_rates_are_of_the_best_pass_ratios_of_the_middle(given: Callable[..., None]) -> None:
     """150 frames a pass; bare and ours took so many seconds."""
     passes = iter([(3, 4), (1, 5), (2, 2)])
     camera = nullcontext(SimpleNamespace(renderer="a card"))
@@ -286,77 +241,3 @@ def test_frame_rates_are_of_the_best_pass_and_their_ratio_of_the_middle_one(give
     given(images, frame_rates=lambda: (90.0, 120.0, 0.7, SimpleNamespace(name="a card")))
     frames, over = images.bench_camera()
     assert (*numbers(frames), over.value) == (90.0, 120.0, 0.7)
-
-
-def test_a_pass_times_the_bare_loop_apart_from_ours(given: Callable[..., None]) -> None:
-    """As if a bare frame took 2 ns and one of ours 5, at fifteen places with ten frames each."""
-    now = SimpleNamespace(ns=0)
-    places: list[float] = []
-
-    class Camera:
-        height, width = 144, 256
-
-        def colour(self, data: Any) -> None:
-            now.ns += 5
-            places.append(float(data.qpos[0]))
-
-        def render_again(self, picture: Any) -> None:
-            now.ns += 2
-
-    given(images, MonotonicClock=lambda: SimpleNamespace(now_ns=lambda: now.ns))
-    camera: Any = Camera()
-    assert images._pass(camera, SimpleNamespace(qpos=np.zeros(7))) == (15 * 10 * 2, 15 * 10 * 5)
-    assert sorted(set(places)) == [10.0 * number for number in range(15)]
-
-
-def test_what_the_wire_adds_to_a_picture_is_its_time_less_the_bare_one(given: Callable[..., None]) -> None:
-    asked: list[str] = []
-    session = nullcontext(SimpleNamespace(start_game=lambda *_, lane: SimpleNamespace(image=asked.append)))
-    camera = SimpleNamespace(colour=lambda data: None, render_again=lambda out: asked.append("bare"))
-    world = SimpleNamespace(set_lane=lambda _: None, camera=lambda *_: camera, data=None, close=lambda: None)
-    took_s = (0.004, 0.003, 0.009, 0.001, 0.0015, 0.002)
-    given(images, *took_s, PICTURES=3, WallSession=lambda *_: session, World=lambda *_: world)
-    wire, added = images.bench_image()
-    assert asked == ["gray"] * 4 + ["bare"] * 3  # the first one makes the context
-    assert (*numbers(wire), *numbers(added)) == pytest.approx((4.0, 1.5, 2.5, 0.8))
-
-
-def test_the_dvs_is_timed_frame_by_frame_at_the_times_of_the_samples(given: Callable[..., None]) -> None:
-    now, took_ns = SimpleNamespace(ns=0), iter([400_000, 100_000, 300_000])
-    stepped: list[float] = []
-
-    def step(sensor: Any, state: Any, frame: Any, time_s: float) -> Any:
-        now.ns += next(took_ns)
-        stepped.extend((int(frame[0, 0]), time_s))
-        return state, None, None
-
-    frames = [np.full((144, 256), number, np.uint8) for number in range(4)]
-    clock = SimpleNamespace(now_ns=lambda: now.ns)
-    given(images, lane_frames=lambda: frames, step=step, MonotonicClock=lambda: clock)
-    [found] = images.bench_dvs()
-    assert numbers(found) == pytest.approx((0.3, 0.6))
-    assert found.unit == "ms"
-    assert stepped == pytest.approx([1, 0.33, 2, 0.66, 3, 0.99])
-
-
-def test_an_event_camera_is_timed_per_simulated_second_and_per_picture(given: Callable[..., None]) -> None:
-    """Five commands of a second after one to warm up; as if they took 0.1 to 0.5 s."""
-
-    class Lane:
-        def __init__(self, dvs_rate_hz: float | None) -> None:
-            self.per_command, self.frames = int(dvs_rate_hz or 3), 1
-
-        def reset(self, **how: Any) -> None: ...
-        def close(self) -> None: ...
-        def step(self, action: int) -> None:
-            self.frames += self.per_command
-
-    card = SimpleNamespace(name="a card")
-    given(images, 0.5, 0.1, 0.3, 0.2, 0.4, describe_renderer=lambda: card, ObstacleLane=Lane)
-    given(images, count_frames=lambda lane: lane.frames)
-    assert [each[:2] + each[4:] for each in images.bench_event_camera()] == [
-        (f"event camera at {what}", 300.0, f"{note} ms each, flight included; a card")
-        for what, note in (
-            ("the samples", "3 pictures, 100.00"), ("100 Hz", "100 pictures, 3.00"), ("500 Hz", "500 pictures, 0.60"),
-        )
-    ]  # fmt: skip

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.opengl import needs_opengl
-from uavaccel.sim.chase import ChaseView
+from uavaccel.draw.chase import ChaseView
 from uavaccel.sim.clutter import Clutter, sample_world
 from uavaccel.sim.lane.layout import sample_layout
 from uavaccel.sim.lane.scene import SUN_ELEVATION_RAD

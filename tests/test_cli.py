@@ -7,6 +7,7 @@ import re
 import shutil
 import subprocess
 import sys
+from dataclasses import is_dataclass
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Annotated, Any, Literal, get_args, get_origin
@@ -16,6 +17,7 @@ from pydantic import BaseModel
 from rich.console import Console
 from typer.testing import CliRunner
 
+from tests.golden import assert_as_recorded
 from tools.write_cli_reference import reference
 from uavaccel import __version__
 from uavaccel.cli import experiments, terminal
@@ -180,7 +182,7 @@ def test_words_of_options_and_experiments_are_completed() -> None:
 
 
 @pytest.mark.parametrize("command", ["train", "evaluate"])
-def test_a_command_does_not_load_what_only_its_report_or_a_compiler_needs(command: str) -> None:
+def test_a_command_loads_nothing_for_reports_and_compilers(command: str) -> None:
     program = f"""
 import sys
 from uavaccel.cli.main import app
@@ -239,76 +241,48 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
     return calls
 
 
-NOTHING = dict.fromkeys(("clock_speed", "command", "timing", "profile", "games", "seed"))
-UNSEEDED = NOTHING | {"seeds": None}
 ON_ALL = "--timing virtual --profile airsim --games 7 --seed 9 --out folder --resume --dry-run --set a.b=1 --set c=2"
-FLOWN: dict[str, Any] = {"timing": "virtual", "profile": "airsim", "games": 7, "seed": 9}
-REQUEST = {"overrides": ["a.b=1", "c=2"], "out": Path("folder"), "resume": True, "dry_run": True}
 RUN_ALL = "--clock 5 --clock 10 --command adsc --t-move 0.5 --rounds 3 --seeds 4 --with past --jobs 6 --engine ray"
-SEVERAL = {
-    "clock_speed": [5.0, 10.0],
-    "command": ["adsc"],
-    "t_move_s": [0.5],
-    "rounds": [3],
-    "seeds": 4,
-    "with_run": "past",
-}
-ONE = {"clock_speed": 5.0, "command": "tcsc"}
-EVALUATE = "evaluate straight --clock 5 --command tcsc --jobs 6 --engine dask --against other --no-films"
-SWEEP = "evaluate straight --sweep wind=0,3 --sweep light=1 --games 2 --timing virtual --set task.speed_m_s=2"
-SWEPT = {"experiment": "evaluate", "keys": {"task.timing": "virtual", "task.speed_m_s": 2}}
+NOTHING: tuple[Any, ...] = (None, False, (), [], {})
+TYPED = f"""
+run dp1
+run dp1 --watch --trust {RUN_ALL} {ON_ALL}
+train
+train --resume
+train own.yaml --seeds 5 --jobs 2 --clock 5 --command tcsc --watch {ON_ALL}
+evaluate straight --clock 5 --command tcsc --jobs 6 --engine dask --against other --no-films {ON_ALL}
+evaluate --resume
+evaluate own.yaml
+evaluate straight --sweep wind=0,3 --sweep light=1 --games 2 --timing virtual --set task.speed_m_s=2
+watch default --film f.mp4
+watch run --case a --film f.mp4
+watch
+watch run --case a --game 2 --clock 5 --think 0.5 --seed 3 --host ::1 --port 9
+serve
+serve --settings s.json --clock 5 --port 9 --host ::1 --profile airsim --scene lane --recordings r
+fly script.py --altitude 3 -- --film
+fly --clock 2,5 --timing lockstep --check --until 8 --think 0.25 --seed 3 --settings s.json --no-settings \
+--profile airsim --scene lane --out o --film --watch script.py -- --seed 4
+"""
 
 
-@pytest.mark.parametrize(
-    ("line", "experiment", "options", "others"),
-    [
-        ("run dp1", "dp1", dict.fromkeys(KEYS), {}),
-        (f"run dp1 --watch --trust {RUN_ALL} {ON_ALL}", "dp1", FLOWN | SEVERAL,
-         {"jobs": 6, "engine": "ray", "watch": True, "trust": True, **REQUEST}),
-        ("train", "train", UNSEEDED, {"suite": "train"}),
-        ("train --resume", None, UNSEEDED, {"suite": "train", "resume": True}),
-        (f"train own.yaml --seeds 5 --jobs 2 --clock 5 --command tcsc --watch {ON_ALL}", "own.yaml",
-         FLOWN | ONE | {"seeds": 5}, {"suite": "train", "jobs": 2, "watch": True, **REQUEST}),
-        (f"{EVALUATE} {ON_ALL}", "evaluate", FLOWN | ONE | {"agent": "straight"},
-         {"suite": "evaluate", "jobs": 6, "engine": "dask", **REQUEST}),
-        ("evaluate --resume", None, NOTHING | {"agent": None}, {"suite": "evaluate", "resume": True}),
-        (SWEEP, "sweep", {"agent": "straight", "games": 2, "seed": None,
-                          "sweep": {"wind": (0, 3), "light": (1,)}, "evaluation": SWEPT}, {}),
-    ],
-)  # fmt: skip
-def test_a_run_is_asked_for_with_every_option_and_no_other(
-    asked: list[tuple[Any, ...]], line: str, experiment: str | None, options: dict[str, Any], others: dict[str, Any]
-) -> None:
-    typed(line)
-    [(name, request, *more)] = asked
-    if "sweep" in options:
-        request.options["sweep"].update({name: tuple(values) for name, values in request.options["sweep"].items()})
-    expected = RunRequest(experiment, options, **{"overrides": [], **others})
-    assert vars(request) | {"overrides": list(request.overrides)} == vars(expected)
-    if name == "evaluate_agent":
-        assert more == ([Path("other"), False] if "--against" in line else [None, True])
+def test_a_command_asks_for_what_is_typed_and_no_more(asked: list[tuple[Any, ...]]) -> None:
+    """What is not given is left out of the recording."""
+    said = []
+    for line in TYPED.strip().splitlines():
+        typed(line)
+        (name, *given) = asked.pop()
+        said.append(f"uavaccel {line}\n    {name}: {'; '.join(map(given_text, given))}")
+    assert_as_recorded("asked", "\n".join([*said, ""]))
 
 
-SQUARE = (50.0, 0.012, 0)
-
-
-@pytest.mark.parametrize(
-    ("line", "call"),
-    [
-        ("watch default --film f.mp4", ("film_game", "default", None, None, Path("f.mp4"), terminal.working)),
-        ("watch run --case a --film f.mp4", ("film_game", "run", "a", None, Path("f.mp4"), terminal.working)),
-        ("watch", ("show", None, None, None, SQUARE, "127.0.0.1", 8080)),
-        ("watch run --case a --game 2 --clock 5 --think 0.5 --seed 3 --host ::1 --port 9",
-         ("show", "run", "a", 2, (5.0, 0.5, 3), "::1", 9)),
-        ("serve", ("serve", None, None, None, None, "native", "blocks", None)),
-        ("serve --settings s.json --clock 5 --port 9 --host ::1 --profile airsim --scene lane --recordings r",
-         ("serve", Path("s.json"), 5.0, 9, "::1", "airsim", "lane", Path("r"))),
-    ],
-)  # fmt: skip
-def test_a_command_hands_on_what_it_was_given(asked: list[tuple[Any, ...]], line: str, call: tuple[Any, ...]) -> None:
-    typed(line)
-    [(name, *given)] = asked
-    assert (name, *(vars(given[0]).values() if name == "serve" else given)) == call
+def given_text(value: Any) -> str:
+    """The fields of a record that say something, with those of records in it."""
+    if is_dataclass(value):
+        return f"{type(value).__name__} {given_text(vars(value))}"
+    if isinstance(value, dict):
+        return f"({', '.join(f'{name} {given_text(each)}' for name, each in value.items() if each not in NOTHING)})"
+    return getattr(value, "__name__", type(value).__name__) if callable(value) else str(value)
 
 
 @pytest.mark.parametrize(
@@ -333,29 +307,7 @@ def test_an_option_that_the_script_names_itself_is_its_own(asked: list[Any], tmp
     assert asked[0][1].flight.arguments == ("--speed", "3", "--altitude", "2", "-h")
 
 
-def test_options_before_a_script_are_the_flights_and_those_after_it_its_own(asked: list[tuple[Any, ...]]) -> None:
-    typed("fly script.py --altitude 3 -- --film")
-    typed(
-        "fly --clock 2,5 --timing lockstep --check --until 8 --think 0.25 --seed 3 --settings s.json --no-settings "
-        "--profile airsim --scene lane --out o --film --watch script.py -- --seed 4"
-    )
-    [(_, plain), (_, full)] = asked
-    assert (plain.clocks, plain.check, plain.find_settings, plain.out, plain.page) == ((), False, True, None, None)
-    assert plain.flight.arguments == ("--altitude", "3", "--film")
-    assert (plain.flight.timing, plain.flight.film, plain.flight.seed) == ("virtual", False, None)
-    assert (full.clocks, full.check, full.find_settings, full.out) == ((2.0, 5.0), True, False, Path("o"))
-    assert full.page is not None
-    flight = {name: value for name, value in vars(full.flight).items() if value}
-    assert flight == {
-        "script": Path("script.py"), "arguments": ("--seed", "4"), "folder": Path(), "timing": "lockstep",
-        "profile": "airsim", "scene": "lane", "settings": Path("s.json"), "think_s": 0.25, "seed": 3,
-        "until_s": 8.0, "film": True,
-    }  # fmt: skip
-
-
-def test_several_runs_of_a_suite_are_compared_and_one_alone_is_not(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_several_runs_of_a_suite_are_compared(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     done: list[tuple[str, ...]] = []
 
     def compare(runs: list[Any]) -> list[Path]:
@@ -411,7 +363,7 @@ BEGUN, GONE_ON = {"commit": "a" * 40}, {"commit": "b" * 40}
         ({"git": None}, {"git": GONE_ON}, []),
     ],
 )  # fmt: skip
-def test_a_run_that_goes_on_says_what_has_changed_since_its_last_start(
+def test_a_run_that_goes_on_says_what_has_changed_since(
     manifest: dict[str, Any], now: dict[str, Any], warned: list[str]
 ) -> None:
     run: Any = SimpleNamespace(path=Path("out"), rows=lambda: [{}, {}], manifest=lambda: manifest)
@@ -423,9 +375,7 @@ def test_a_run_that_goes_on_says_what_has_changed_since_its_last_start(
 
 @pytest.mark.parametrize("clocks", [[], [5.0], [5.0, 10.0]])
 @pytest.mark.parametrize("given", [None, "virtual"])
-def test_an_experiment_at_one_clock_speed_is_quick_and_measured_unless_told_otherwise(
-    clocks: list[float], given: str | None
-) -> None:
+def test_one_clock_speed_makes_a_quick_measured_experiment(clocks: list[float], given: str | None) -> None:
     suite, config = configure(RunRequest("dp1", {"clock_speed": clocks or None, "timing": given}))
     quick = len(clocks) == 1
     assert config.timing == (given or ("wall" if quick else "virtual"))
@@ -474,9 +424,7 @@ def test_a_quick_run_says_so_and_with_which_keys() -> None:
 
 
 @pytest.mark.parametrize(("suite", "command"), [("train", "train"), ("evaluate", "evaluate"), (None, "run")])
-def test_an_interrupted_run_goes_on_by_the_command_that_was_typed(
-    suite: str | None, command: str, tmp_path: Path
-) -> None:
+def test_an_interrupted_run_says_which_command_goes_on(suite: str | None, command: str, tmp_path: Path) -> None:
     (tmp_path / "config.yaml").touch()
     plan: Any = SimpleNamespace(out=tmp_path, request=RunRequest("train", suite=suite))
     expected = re.escape(f"interrupted; go on with: uavaccel {command} --resume --out {tmp_path}")
@@ -484,7 +432,7 @@ def test_an_interrupted_run_goes_on_by_the_command_that_was_typed(
         raise KeyboardInterrupt
 
 
-def test_set_has_the_last_word_over_an_option_and_may_change_what_it_set() -> None:
+def test_set_has_the_last_word_over_an_option() -> None:
     request = RunRequest("dp1", {"clock_speed": [5.0, 10.0], "games": 3}, ["games=4", "clock_speed.1=20"])
     config = configure(request)[1]
     assert (config.games, config.clock_speed) == (4, (5.0, 20.0))
@@ -513,7 +461,7 @@ def test_a_table_shows_the_columns_that_fit_uncut(width: int, columns: int) -> N
     assert columns_within(TABLE, width) == columns
 
 
-def test_the_time_left_is_that_of_the_games_to_come_at_the_pace_of_this_starts(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_time_left_is_at_the_pace_of_this_start(monkeypatch: pytest.MonkeyPatch) -> None:
     """Ten cells, two at a time, on a clock that moves by hand: two were flown before, and eight are to come."""
     now = SimpleNamespace(s=1000.0)
     clock = SimpleNamespace(now_ns=lambda: int(now.s * NS_PER_S))
@@ -536,7 +484,7 @@ def test_the_time_left_is_that_of_the_games_to_come_at_the_pace_of_this_starts(m
 
 
 @pytest.mark.parametrize("simulator", [None, "mujoco", "kernels"])
-def test_the_best_and_the_worst_game_are_filmed_under_their_names(
+def test_best_and_worst_game_are_filmed_under_their_names(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], simulator: str | None
 ) -> None:
     games = {"far": (False, 3, 9.0), "slow": (True, 30, 50.0), "near": (False, 3, 1.0), "quick": (True, 20, 50.0)}
@@ -564,7 +512,7 @@ HOVER = "uavaccel/Hover-v0"
         *((OF_ANOTHER, LANE, 3, False), ([], LANE, 3, False)),
     ],
 )
-def test_evaluations_are_compared_where_they_have_a_lane_in_common(
+def test_evaluations_with_a_lane_in_common_are_compared(
     monkeypatch: pytest.MonkeyPatch, rows: list[dict[str, Any]], env_id: str, games: int, comparable: bool
 ) -> None:
     """Which is found out before anything is flown."""

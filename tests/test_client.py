@@ -14,6 +14,7 @@ from uavaccel.clock import VirtualClock
 from uavaccel.kinematics import VelocityGoal
 from uavaccel.sim.profile import NATIVE
 from uavaccel.sim.simulation import Simulation
+from uavaccel.wire import rpc
 from uavaccel.wire.api import Api
 from uavaccel.wire.client import Client
 from uavaccel.wire.latency import ZERO_LATENCY, Latency
@@ -69,7 +70,7 @@ def test_two_clients_of_a_connection_know_the_same() -> None:
     assert first.kinematics().time_ns == end.time_ns + 500 * MS
 
 
-def test_a_known_state_is_not_asked_for_and_a_command_travels_with_its_continue_for() -> None:
+def test_a_known_state_saves_messages() -> None:
     client, transport = new_client()
     state = client.continue_for(100 * MS)
     transport.sent.clear()
@@ -109,6 +110,15 @@ def test_what_may_change_the_state_makes_it_unknown(call: tuple[Any, ...]) -> No
     state = client.kinematics()
     assert transport.methods() == ["uavaccelState"]
     assert state == transport._api.simulation.kinematics()
+
+
+def test_a_call_that_nobody_knows_makes_the_state_unknown() -> None:
+    """It may be one of a server that is newer than its client."""
+    client, transport = new_client()
+    client.continue_for(100 * MS)
+    with pytest.raises(rpc.RpcError):
+        client.call("uavaccelNobodyKnows")
+    assert transport.known.state is None
 
 
 def test_nothing_is_known_where_others_may_fly_too() -> None:

@@ -128,7 +128,7 @@ def test_a_table_without_a_name_for_a_column_has_no_empty_header() -> None:
         (lambda entry: entry["lost"], "-"),
     ],
 )
-def test_a_tables_cell_is_its_template_filled_in_or_a_dash_for_what_is_not_known(column: Column, cell: str) -> None:
+def test_a_tables_cell_is_its_template_filled_in_or_a_dash(column: Column, cell: str) -> None:
     entry = {"won": 3, "games": 4, "name": "adsc", "clocks": [1, 2.5], "error": 0.5, "took": 12.0, "failed": 0}
     entry |= {"sum": 671.8800000001, "small": 0.00123, "lost": None, "unknown": math.nan}
     assert Table.of([entry], {"header": column}) == Table(("header",), [(cell,)])

@@ -9,12 +9,18 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
+from tests import made_runs as made
+from tests.made_runs import line_row
+from tests.test_reports import ALIKE, accelerated_rows
 from uavaccel.commands import COMMANDS, SynchronousCommand
 from uavaccel.config import validate
+from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
+from uavaccel.suites import dp1
 from uavaccel.suites.dp1 import Dp1, Dp1Config, Game
 from uavaccel.suites.path_suite import fly_path
 from uavaccel.suites.registry import merged, read_mapping
+from uavaccel.suites.rows import disturbances
 from uavaccel.wire.session import VirtualSession, open_session
 
 
@@ -45,7 +51,7 @@ def game(command: str, t_move_s: float, rounds: int, **keys: Any) -> tuple[Any, 
 # --- the grid -----------------------------------------------------------------------------------------------
 
 
-def test_the_papers_grid_has_4800_games_and_79200_simulated_seconds() -> None:
+def test_the_papers_grid_has_4800_games_and_79200_seconds() -> None:
     cases = cases_of(config_of())
     grid = [case for case in cases if case.role in ("game", "reference")]
     assert len(grid) == 4_800
@@ -170,3 +176,115 @@ def test_a_flight_that_diverges_is_a_row_with_an_error(tmp_path: Path, monkeypat
         session._world(1.0).lead.state["wind"] = 0.0
         again = Dp1().fly(config, case, session)
     assert (again.row["error"], bool(np.isfinite(again.arrays["position_m"]).all())) == (None, True)
+
+
+# --- reports: tests/test_reports.py has their numbers -----------------------------------------------------------
+
+
+def test_a_run_without_rows_or_arrays_is_the_users_mistake(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match=r"rows\.jsonl: holds no finished game of dp1"):
+        made.dp1(tmp_path / "none", [])
+    with pytest.raises(UserError, match="path: has no games but those of Figure 2 yet"):
+        made.dp1(tmp_path / "path", [line_row("figure2", "adsc", 5.0, 0, 0.0)]).write_summary()
+    lost = made.dp1(tmp_path / "lost", ALIKE)
+    (lost.run.path / lost.games.arrays[0]).unlink()
+    with pytest.raises(UserError, match=ALIKE[0]["case"]):
+        lost.write_summary()
+
+
+def test_summaries_are_the_same_in_any_order_and_processes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    rows, written = accelerated_rows()[:11], set()
+    for name, order, least in (("a", 1, 400), ("b", -1, 400), ("c", 1, 0)):
+        monkeypatch.setattr(dp1, "PARALLEL_FROM_GAMES", least)
+        report = made.dp1(tmp_path / name, rows[::order])
+        report.write_summary()
+        written.add((report.run.path / "summary.json").read_bytes())
+    keys = [[cell[name] for name in dp1.CELL] for cell in report.summary["cells"]]
+    assert (len(written), keys) == (1, sorted(keys))
+
+
+# --- figures ------------------------------------------------------------------------------------------------------
+
+
+def report_of_cells(*cells: tuple[Any, ...]) -> Any:
+    """A report whose summary has these cells: command, ClockSpeed, STLC, error, speed-up, and the timing if another."""
+    names = ("command", "clock_speed", "stlc_median", "position_rmse_m", "effective_speedup")
+    found = []
+    for *values, timing in [(*cell, "virtual")[:6] for cell in cells]:
+        other = {"t_move_s": 0.5, "rounds": 4, "games": 4, "failed_games": 0, "timing": timing}
+        other |= {"provenance": "measured" if timing == "wall" else "modelled", "effective_speedup_provenance": None}
+        cell = dict(zip(names, values, strict=True)) | other
+        found.append({**cell, "position_rmse_vs_lockstep_m": 0.0, "real_time_factor": values[1] - 0.25})
+    return SimpleNamespace(summary={"cells": found})
+
+
+def test_overview_and_headline_are_of_each_commands_cells() -> None:
+    """As in real time up to the last ClockSpeed before a cell that is not; error and speed-up are at the fastest."""
+    report = report_of_cells(
+        *(("tcsc", 5.0, 1.5, 0.3, 4.0), ("tcsc", 10.0, 1.9, 0.004, 8.0), ("adsc", 1.0, 1.0, 5.0, 1.0)),
+        *(("adsc", 2.0, 1.9, 0.1, 2.0), ("adsc", 5.0, 1.81, 0.2, 4.0), ("adsc", 10.0, 1.99, 0.9, 8.0)),
+        *(("adsc", 10.0, 1.8, 0.9, 8.0), ("adsc", 50.0, 1.9, 0.25, 30.0), ("adsc", 50.0, 1.9, 0.125, 20.0)),
+        ("adsc", 100.0, 0.1, 9.0, 99.0, "lockstep"),
+    )
+    assert Dp1().headline(report) == (
+        "At 50x ADSC strays up to 0.25 m (RMSE; median STLC 1.90, above 1.8 counts as alike). At 10x TCSC strays up to "
+        "0.004 m (RMSE; median STLC 1.90, above 1.8 counts as alike). Speed-up over real time: ADSC 20 to 30, "
+        "TCSC 8"
+    )
+    same = report_of_cells(("adsc", 50.0, 1.66, 2.8512, 40.0), ("tcsc", 50.0, 2.0, 0.0, 45.25))
+    assert Dp1().headline(same) == (
+        "At 50x ADSC strays up to 2.85 m (RMSE; median STLC 1.66, above 1.8 counts as alike). TCSC is identical to "
+        "real time. Speed-up over real time: ADSC 40, TCSC 45.2"
+    )
+    few = report_of_cells(("adsc", 1.0, 2.0, 0.0, 1.0), ("adsc", 5.0, None, 0.0, 1.0))
+    assert Dp1().headline(few) == "8 games, none of them accelerated and comparable with real time"
+    wall = [("tcsc", 5.0, *numbers, "wall") for numbers in ((1.99, 0.01, 3.0), (1.8, 0.5, 4.0), (None, None, None))]
+    few.summary["cells"] += report_of_cells(*wall).summary["cells"]
+    few.summary["cells"][-1] |= {"rounds": 8, "disturbed_games": 2, "effective_speedup_provenance": "mixed"}
+    path = ("0.5", "4", "4", "0", "0")
+    assert Dp1().overview(few).rows == [
+        ["ADSC", "1x", "modelled", *path, "2.000", "0", "0", "1.00", "0.75", "-"],
+        ["ADSC", "5x", "modelled", *path, "-", "0", "0", "1.00", "4.75", "-"],
+        ["TCSC", "5x", "measured", "0.5", "4 to 8", "4", "0", "0 to 2", "1.800 to 1.990", "0.01 to 0.5",
+         "0", "3.00 to 4.00", "4.75", "mixed"],
+    ]  # fmt: skip
+
+
+def test_a_flight_has_the_commands_of_its_path(tmp_path: Path) -> None:
+    rows = [line_row("game", "tcsc", 50.0, 0, 0.1), line_row("figure2", "adsc", 5.0, 0, 0.2)]
+    report = made.dp1(tmp_path / "run", rows, speed_m_s=2.0)
+    square, forward = (Dp1().flight(report, game) for _, game in report.games.iterrows())
+    assert (square.title, square.clock_speed, square.position_m[0, 1]) == ("TCSC at 50x", 50.0, 0.1)
+    assert square.commands.velocity_m_s.tolist() == [[2, 0, 0], [0, 2, 0], [-2, 0, 0], [0, -2, 0]]
+    assert square.commands.end_ns.tolist() == [second * 10**9 for second in (1, 2, 3, 4)]
+    assert forward.commands.velocity_m_s.tolist() == [[2, 0, 0], [2, 0, 0], [-2, 0, 0]]
+
+
+@pytest.mark.parametrize(
+    ("row", "restarts", "marks"),
+    [
+        ({"lost_wall_s": 0.0, "restarts": 0}, 0, {}),
+        *((row, 0, {"disturbed": True}) for row in ({"lost_wall_s": 0.25}, {"stalled_wall_s": 0.5}, {"restarts": 1})),
+        ({"lost_wall_s": 0.0}, 2, {"restarts": 2, "disturbed": True}),
+    ],
+)
+def test_a_measured_game_is_marked_by_what_disturbed_it(row: dict[str, Any], restarts: int, marks: Any) -> None:
+    assert disturbances(row, restarts) == marks
+
+
+@pytest.mark.parametrize(
+    ("damaged", "complaint"),
+    [
+        ("no JSON", "not JSON"),
+        ("[]", "List should have at least 1 item"),
+        ('[{"event": "run"}]', "key '0.source' is missing"),
+    ],
+)
+def test_a_damaged_trace_is_the_users_mistake(damaged: str, complaint: str, tmp_path: Path) -> None:
+    report = made.dp1(tmp_path / "run", ALIKE)
+    report.run.write_text("traces/tcsc.json", damaged)
+    with pytest.raises(UserError, match=rf"tcsc\.json: {complaint}"):
+        dp1.trellis_figure(report)
+
+
+# --- the page -----------------------------------------------------------------------------------------------------

@@ -2,24 +2,30 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
+from tests import made_runs as made
+from tests.made_runs import SIZE, active, dp2_game, hit, uncounted, yaw
 from tests.opengl import needs_opengl
 from tests.running import configured
 from uavaccel.cli.experiments import run_experiment
 from uavaccel.commands import COMMANDS, SynchronousCommand
+from uavaccel.draw.page import Table
 from uavaccel.files import read_arrays
 from uavaccel.records import RunDirectory
 from uavaccel.sim.lane.layout import LENGTH_M
-from uavaccel.suites import dp2
+from uavaccel.suites import dp2, guard_study
 from uavaccel.suites.dp2 import Dp2, Dp2Config, Game
 from uavaccel.suites.rows import subset
 from uavaccel.suites.session import RunRequest
+from uavaccel.vision.perturb import PerturbationKind, PerturbationSettings, perturb_share
 
 SHORT_PATH = "path=[[1, 0], [1, 0], [0.5, 0.8], [1, 0]]"
 SAMPLES = 13  # the start, and three of each command
@@ -50,7 +56,7 @@ def fly(config: Dp2Config, case: Game) -> tuple[Any, dict[str, np.ndarray]]:
 # --- the grid -----------------------------------------------------------------------------------------------------
 
 
-def test_the_papers_dp2_flies_each_clock_speed_once_to_the_lanes_end() -> None:
+def test_the_papers_dp2_flies_each_clock_speed_to_the_lanes_end() -> None:
     config = configured("dp2")
     games = [f"{command}-k{clock}" for command in ("tcsc", "adsc") for clock in (1, 5, 10, 50, 100)]
     flown = [f"reference-{name}" if name.endswith("k1") else name for name in games]
@@ -113,9 +119,7 @@ def test_games_alone_are_perturbed_the_more_the_faster_the_clock(monkeypatch: py
 
 
 @pytest.mark.parametrize("exposed", [False, True])
-def test_without_perturbation_images_are_gray_and_exposure_is_of_every_game(
-    exposed: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_perturbation_images_are_gray(exposed: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     found = cameras(monkeypatch, f"auto_exposure={str(exposed).lower()}", "clock_speed=[1, 50]").values()
     assert [settings[0] for settings in found] == ["colour", "gray", "gray"]
     assert [(settings[2], settings[3] is not None) for settings in found] == [(None, exposed)] * 3
@@ -205,3 +209,103 @@ def test_a_collision_ends_the_game_and_its_samples(command: str) -> None:
 def test_a_lane_of_ones_own_may_have_wind() -> None:
     lane = "lane={obstacles: [{x_m: 3.0, y_m: 0.0, half_side_m: 0.5}], wind_m_s: [1.0, 0.0, 0.5]}"
     assert config_of(lane).layout().wind_m_s == (1.0, 0.0, 0.5)
+
+
+# --- reports: tests/test_reports.py has their numbers -----------------------------------------------------------
+
+
+@pytest.mark.parametrize(("turned", "equal"), [(0.0, True), (1e-9, False)])
+def test_poses_are_equal_to_the_last_bit_of_the_attitude(turned: float, equal: bool, tmp_path: Path) -> None:
+    report = made.dp2(tmp_path / "run", [dp2_game("lockstep"), dp2_game("game", ORIENTATION_WXYZ=yaw(0, turned))])
+    assert report.summary["cells"][0]["poses_equal_lockstep"] is equal
+
+
+def test_events_that_are_counted_later_are_of_one_sensor(tmp_path: Path) -> None:
+    """A ramp of brightness, over which thresholds that differ by pixel make other events."""
+    dark = np.full(SIZE, 100, np.uint8)
+    ramp = np.linspace(100, 150, dark.size).astype(np.uint8).reshape(SIZE)
+    images = {"reference": [ramp, ramp, dark], "game": [dark, ramp, dark]}
+    games = [
+        uncounted(dp2_game(role, "tcsc", 1.0, (0, 0.0), (0, 0.0), IMAGE=np.array(image)))
+        for role, image in images.items()
+    ]
+    keys: list[dict[str, Any]] = [{}, {"seed": 9}, {"sensor_seed": 1}, {"dvs_preset": "noisy"}]
+    reports = [made.dp2(tmp_path / f"{n}", games, **own) for n, own in enumerate(keys)]
+    one, other_run, other_sensor, noisy = (report.scores.dvs_ed_percent.iloc[1] for report in reports)
+    assert 20.0 < one[0] < 80.0, "the first image makes no events, the second does"
+    assert other_run == one
+    assert other_sensor != one != noisy
+
+
+def test_a_command_starts_at_its_first_sample(tmp_path: Path) -> None:
+    """Two commands of three samples, of which the first came late and a collision ended the second."""
+    late: dict[str, Any] = {"SAMPLE_INDEX": np.array([0, 1, 3, 4]), "TIME_S": np.array([0.0, 0.34, 1.02, 1.4])}
+    late |= {"POSITION_M": np.zeros((4, 3)), "IMAGE": np.full((4, *SIZE), 100, np.uint8)}
+    late |= {"COMMAND_VELOCITY_M_S": np.array([[1.0, 0.0], [0.5, -0.5]]), "DVS_ON": active(0, 1, 2, 3)}
+    crashed = dp2_game("game", "adsc", 10.0, **late, DVS_OFF=active(0, 0, 1, 1), **hit("post"))
+    report = made.dp2(tmp_path / "run", [crashed])
+    flight = Dp2().flight(report, report.games.iloc[0])
+    commands = flight.commands
+    assert flight.collision == (500_000_000, "post")
+    assert (commands.start_ns / 1e9).tolist() == [0.0, 1.02]
+    assert (commands.end_ns / 1e9).tolist() == [1.0, 1.4]
+    assert commands.velocity_m_s.tolist() == [[1.0, 0.0, 0.0], [0.5, -0.5, 0.0]]
+
+
+# --- page ---------------------------------------------------------------------------------------------------------
+
+
+def brightness(image: NDArray[np.uint8]) -> float:
+    return float((image @ np.array([0.299, 0.587, 0.114])).mean())
+
+
+def sent_through(images: NDArray[np.uint8], share: float, retries: int, seed: int) -> tuple[Counter[Any], Counter[Any]]:
+    """The images sent and handed on by kind, None for clean: the guard's rules written down once more."""
+    perturbed = PerturbationSettings(share, seed=seed)
+    sent, passed, reference = Counter[Any](), Counter[Any](), None
+    for scene in images:
+        before = None
+        for attempt in range(retries + 1):
+            image, kind = perturb_share(scene, perturbed, sent.total())
+            sent[kind] += 1
+            level = brightness(image)
+            fine = level >= 10 and (reference is None or abs(level - reference) <= 0.1 * reference)
+            if fine or attempt == retries or (before is not None and (image == before).all()):
+                break
+            before = image
+        passed[kind] += 1
+        reference = level
+    return sent, passed
+
+
+def test_the_guard_study_sums_up_streams_of_the_runs_own_images(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(guard_study, "SHARE", 0.4)
+    monkeypatch.setattr(guard_study, "STREAMS", 3)
+    levels = np.array([90, 94, 98, 130, 100, 100, 104, 70, 72, 74], np.uint8)
+    colour = levels[:, None, None, None] + np.random.default_rng(0).integers(0, 60, (10, *SIZE, 3), np.uint8)
+    calm = dp2_game("lockstep", "tcsc", 1.0, *[(0, 0.0)] * 9, COLOUR=colour)
+    report = made.dp2(tmp_path / "run", [calm, dp2_game("reference")], "guard.max_retries=2", seed=5)
+    study, lines = report.summary["guard_study"], dict[str, list[str]]()
+    for name, retries in (("off", 0), ("on", 2)):
+        streams = [sent_through(colour, 0.4, retries, 5 + n) for n in range(3)]
+        sent, passed = (sum(counted, Counter[Any]()) for counted in zip(*streams, strict=True))
+        for kind in PerturbationKind:
+            share = passed[kind] / sent[kind] if sent[kind] else None
+            assert study["by_kind"][kind][name] == {"sent": sent[kind], "passed": passed[kind], "share_passed": share}
+            lines.setdefault(kind, []).append("-" if share is None else f"{share:.1%}")
+        assert study["perturbed_share_handed_on"][name] == pytest.approx(1 - passed[None] / 30)
+    alarms = sent_through(colour, 0.0, 2, 5)
+    assert study["clean_false_alarms"] == study["clean_retries"] == alarms[0][None] - alarms[1][None] > 0
+    assert [study[key] for key in ("modelled", "images", "share", "streams")] == [True, 10, 0.4, 3]
+    monkeypatch.setattr("uavaccel.draw.style.save", lambda figure, path: path)
+    *_, table, said, _ = Dp2().page(report)
+    assert isinstance(table, Table)
+    assert [[kind, *shares] for kind, _, *shares in table.rows] == [
+        [kind.replace("_", " "), *shares] for kind, shares in lines.items()
+    ]
+    assert str(said).startswith(f"False alarms: {study['clean_false_alarms']} of 10 clean images. With 40% of the")
+
+
+# --- figure 7 -----------------------------------------------------------------------------------------------------

@@ -43,7 +43,7 @@ def threads_as_ray(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("threads_as_ray")
-def test_results_come_in_order_though_they_are_handed_out_in_parts(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_results_come_in_order_though_handed_out_in_parts(monkeypatch: pytest.MonkeyPatch) -> None:
     """And one set of workers has all parts: to start them takes seconds each."""
     started: list[int] = []
     start = ThreadingBackend.configure
@@ -103,7 +103,7 @@ def test_a_local_cluster_flies_the_bytes_of_one_process(engine: str, tmp_path: P
 
 
 @pytest.mark.usefixtures("threads_as_ray")
-def test_a_lost_worker_is_one_line_and_other_errors_are_left_alone() -> None:
+def test_a_lost_worker_is_one_line_other_errors_are_raised() -> None:
     class WorkerCrashedError(Exception):
         __module__ = "ray.exceptions"
 

@@ -14,11 +14,14 @@ import numpy as np
 import pytest
 import torch as th
 
+from tests import made_runs as made
 from tests.lanes import free_distance_m
 from tests.learning import tiny_config, train_into
+from tests.made_runs import ended_at
 from tests.opengl import needs_opengl
 from tests.running import configured, fly_into, run_into
 from uavaccel.cli.experiments import evaluate_agent
+from uavaccel.config import validate
 from uavaccel.envs.observer import SecondEventCamera
 from uavaccel.envs.obstacle_lane import LaneTask
 from uavaccel.errors import UserError
@@ -32,11 +35,12 @@ from uavaccel.rl.lanes import make_lanes
 from uavaccel.rl.learner import make_learner
 from uavaccel.rl.policy import MANIFEST, WEIGHTS, Policy, export_policy, load_policy, make_policy, trained_with
 from uavaccel.sim.lane.layout import lane_seed, sample_layout
-from uavaccel.suites.evaluate import Evaluation
+from uavaccel.suites.evaluate import EvaluateConfig, Evaluation, against, game_seed
 from uavaccel.suites.evaluate_again import flight_of_agent
 from uavaccel.suites.flight import film_game, film_of
 from uavaccel.suites.report import Summary
 from uavaccel.suites.session import RunRequest
+from uavaccel.suites.suite import choose_row
 
 LANES = 4
 FIGURE = "figures/figure8_survival.png"
@@ -50,7 +54,7 @@ def evaluated(agent: str, out: Path, *overrides: str, **options: Any) -> Summary
 
 def request(agent: str, out: Path, *overrides: str, **options: Any) -> RunRequest:
     """What the command line asks for."""
-    shell = {key: options.pop(key) for key in ("jobs", "resume") if key in options}
+    shell = {key: options.pop(key) for key in ("resume",) if key in options}
     return RunRequest("evaluate", {"agent": agent, "games": LANES, **options}, overrides, out=out, **shell)
 
 
@@ -96,9 +100,8 @@ def test_an_offset_agent_turns_towards_its_offset(y_m: float, heading_deg: float
 # --- results ----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
-def test_the_same_bytes_twice_whatever_the_jobs(tmp_path: Path, straight: RunDirectory) -> None:
-    evaluate_agent(request("straight", tmp_path / "run", jobs=2), None, False)
+def test_the_same_bytes_twice(tmp_path: Path, straight: RunDirectory) -> None:
+    evaluate_agent(request("straight", tmp_path / "run"), None, False)
     for name in ("rows.jsonl", "summary.json", "config.yaml", FIGURE):
         assert (tmp_path / "run" / name).read_bytes() == (straight.path / name).read_bytes()
 
@@ -138,7 +141,7 @@ def test_films_of_the_best_and_the_worst(tmp_path: Path) -> None:
     ]
 
 
-def test_a_second_event_camera_has_the_noise_of_the_game_it_watches() -> None:
+def test_a_second_event_camera_has_the_noise_of_its_game() -> None:
     """With its own seed where there is noise, from its start, and at its own pace until the next game."""
     done: list[Any] = []
     camera: Any = SecondEventCamera(LaneTask(), 5)
@@ -255,7 +258,7 @@ def test_an_exported_policy_acts_as_the_model(tmp_path: Path, task: dict[str, An
         ("state", (4, 13), "state"),
     ],
 )
-def test_a_manifest_describes_what_is_observed_done_and_was_trained(
+def test_a_manifest_describes_what_is_observed_and_done(
     observation: str, shape: tuple[int, ...], said: str, tmp_path: Path
 ) -> None:
     """Two frames of a command, of the last two commands; the file has the online network alone."""
@@ -358,7 +361,7 @@ def test_an_agent_that_is_none_is_one_clear_line(tmp_path: Path, agent: str, sai
 # --- keys of the task -------------------------------------------------------------------------------------------
 
 
-def test_an_agent_flies_with_what_it_was_trained_with_unless_told_otherwise() -> None:
+def test_an_agent_flies_with_what_it_was_trained_with() -> None:
     trained = load_policy(asset("policies/default")).config.task
     task = configured("evaluate", "task.dvs_preset=noisy", "task.speed_m_s=1.5").task
     assert (task.dvs_preset, task.speed_m_s) == ("noisy", 1.5)
@@ -366,7 +369,7 @@ def test_an_agent_flies_with_what_it_was_trained_with_unless_told_otherwise() ->
     assert {key: getattr(task, key) for key in kept} == {key: getattr(trained, key) for key in kept}
 
 
-def test_senses_and_flight_are_those_of_the_training_and_nothing_else_is(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_senses_and_flight_alone_are_those_of_the_training(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each of them another than where nothing is said; what a policy is tried under stays the evaluation's."""
     like_trained: dict[str, Any] = {
         "observation": "dvs", "history": 2, "knows": ["frame_age"], "blank_images": True, "dvs_preset": "noisy",
@@ -403,9 +406,43 @@ def test_a_noisy_sensor_is_what_flies(tmp_path: Path) -> None:
         ("task.headings_deg=[-30, 0, 30]", "task.headings_deg: 3 actions, but default was trained with 5"),
     ],
 )
-def test_what_a_network_cannot_take_is_refused_before_anything_is_written(
-    tmp_path: Path, override: str, said: str
-) -> None:
+def test_what_a_network_cannot_take_is_refused_at_once(tmp_path: Path, override: str, said: str) -> None:
     with pytest.raises(UserError, match=f"^{re.escape(said)}$"):
         evaluate_agent(request("default", tmp_path / "run", override, games=1), None, False)
     assert not (tmp_path / "run").exists()
+
+
+# --- reports: tests/test_reports.py has their numbers -----------------------------------------------------------
+
+
+def test_a_game_has_a_seed_of_its_lane_and_the_run() -> None:
+    configs = [validate(EvaluateConfig, {"agent": "straight", "seed": seed}, "test") for seed in (0, 1)]
+    assert len({game_seed(config, lane) for config in configs for lane in range(50)}) == 100
+    assert game_seed(configs[0], 3) == np.random.SeedSequence([0, 3]).generate_state(1)[0]
+
+
+def test_the_paired_comparison_is_mcnemars_on_common_lanes(tmp_path: Path) -> None:
+    run = made.evaluated(tmp_path / "run", *ended_at(150.0, 150.0, 150.0, 20.0, 150.0))
+    other = made.evaluated(tmp_path / "other", *({"lane": lane, "is_success": lane == 3} for lane in (4, 3, 1, 2, 9)))
+    # Of lanes 1 to 4 three were won by the first alone, one by the other alone: 2 * (1 + 4) / 2**4.
+    assert against(run.run, other.run) == (
+        f"against {other.run.path} on the same 4 lanes: 3 v 1 successes, +50.0 [-39.9, +90.9] points, "
+        "exact McNemar p = 0.625"
+    )
+    with pytest.raises(UserError, match="elsewhere: is no evaluation of the same lanes"):
+        against(run.run, made.evaluated(tmp_path / "elsewhere", {"lane": 77}).run)
+
+
+def test_the_best_game_is_shown_unless_one_is_named(tmp_path: Path) -> None:
+    """From the success in the fewest commands to the failure with the least distance."""
+    order = [(True, 20, 150.0), (True, 30, 150.0), (False, 9, 90.0), (False, 3, 1.0)]
+    rows = [{"is_success": won, "commands": n, "distance_m": m} for won, n, m in order[::-1]]
+    suite, report = Evaluation(), made.evaluated(tmp_path / "run", *rows)
+    assert choose_row(suite, report)["commands"] == 20
+    assert [row["lane"] for row in sorted(report.rows, key=suite.interest)] == [3, 2, 1, 0]
+    assert choose_row(suite, report, "lane-000001")["lane"] == choose_row(suite, report, number=1)["lane"] == 1
+    with pytest.raises(UserError, match=r"--case lane-99: not in"):
+        choose_row(suite, report, "lane-99")
+    for number in (-1, 4):
+        with pytest.raises(UserError, match=rf"--game {number}: .* has 4 games, from 0 to 3"):
+            choose_row(suite, report, number=number)

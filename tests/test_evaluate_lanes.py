@@ -22,11 +22,16 @@ from uavaccel.suites.evaluate import Evaluation
 from uavaccel.suites.evaluate_lanes import GamesInBatch, blocks
 from uavaccel.suites.runner import check_jobs
 
-LOCKSTEP, KERNELS, SHORT = "task.timing=lockstep", "simulator=kernels", "task.max_commands=14"
+BLIND, LOCKSTEP, KERNELS, SHORT = (
+    "task.observation=state",
+    "task.timing=lockstep",
+    "simulator=kernels",
+    "task.max_commands=6",
+)
 
 
 def evaluated(out: Path, *overrides: str, resume: bool = False, **options: Any) -> RunDirectory:
-    config = configured("evaluate", *overrides, **{"agent": "offset:1.5", "games": 5, **options})
+    config = configured("evaluate", *overrides, **{"agent": "offset:1.5", "games": 3, **options})
     return fly_into(out, Evaluation(), config, resume)
 
 
@@ -37,10 +42,10 @@ def rows_of(run: RunDirectory) -> bytes:
 @pytest.mark.slow
 @needs_opengl
 def test_rows_of_a_policy_are_those_of_single_environments(tmp_path: Path) -> None:
-    single = evaluated(tmp_path / "1", "task.max_commands=12", agent="default")
-    batch = evaluated(tmp_path / "3", "task.max_commands=12", "environments=3", agent="default")
+    single = evaluated(tmp_path / "1", SHORT, agent="default")
+    batch = evaluated(tmp_path / "2", SHORT, "environments=2", agent="default")
     assert rows_of(batch) == rows_of(single)
-    assert [row["lane"] for row in batch.rows()] == [0, 1, 2, 3, 4]
+    assert [row["lane"] for row in batch.rows()] == [0, 1, 2]
     assert len({tuple(row["actions"]) for row in batch.rows()}) > 1
     assert all(entry["wall_s"] >= entry["host_wall_s"] for entry in batch.timings())
 
@@ -58,14 +63,15 @@ def test_a_killed_process_is_one_line_and_rows_stay(tmp_path: Path, monkeypatch:
 
     monkeypatch.setattr(GamesInBatch, "game", killing)
     said = r"^the process of environment \d ended with status -9; go on with --resume$"
+    keys: dict[str, Any] = {"agent": "straight", "games": games}
     with pytest.raises(UserError, match=said):
-        evaluated(tmp_path / "run", "environments=2", agent="straight", games=games)
+        evaluated(tmp_path / "run", BLIND, "environments=2", **keys)
     monkeypatch.undo()
     lanes = [row["lane"] for row in RunDirectory(tmp_path / "run").rows()]
     assert lanes == list(range(len(lanes)))  # more than two: rows that were there when the processes died
     assert 2 <= len(lanes) < games
-    resumed = evaluated(tmp_path / "run", "environments=2", agent="straight", games=games, resume=True)
-    assert rows_of(resumed) == rows_of(evaluated(tmp_path / "single", agent="straight", games=games))
+    resumed = evaluated(tmp_path / "run", BLIND, "environments=2", resume=True, **keys)
+    assert rows_of(resumed) == rows_of(evaluated(tmp_path / "single", BLIND, **keys))
 
 
 @pytest.mark.slow
@@ -108,26 +114,9 @@ def test_lanes_on_a_gpu_fly_and_decide_as_on_cores(
     assert rows_of(evaluated(tmp_path / "gpu", KERNELS, SHORT, *keys, agent=agent)) == rows_of(cores)
 
 
-def test_a_lanes_place_among_those_rated_together_depends_on_it_alone() -> None:
+def test_a_lanes_place_among_others_depends_on_it_alone() -> None:
     found = blocks([32, 33, 64, 31], np.array([0, 2, 3]))
     assert [(members.tolist(), rows.tolist()) for members, rows in found] == [([3], [31]), ([0], [0]), ([2], [0])]
-
-
-@pytest.mark.parametrize(
-    ("overrides", "message"),
-    [
-        ([KERNELS, "task.timing=wall"], "simulator = kernels: timing wall needs a server of its own"),
-        ([KERNELS, LOCKSTEP, "environments=2"], "environments needs simulator mujoco"),
-        (["device=cuda"], "device = cuda: simulator = mujoco flies on the CPU"),
-        (["simulator=airsim"], "simulator.*mujoco.*kernels"),
-        (["environments=2", "task.timing=wall"], "environments must be 1 with timing wall"),
-        (["first_lane=999_999", "games=2"], "first_lane = 999999 and games = 2: lanes are 0 to 999999"),
-    ],
-)
-def test_what_cannot_be_flown_is_one_clear_line(overrides: list[str], message: str) -> None:
-    with pytest.raises(UserError, match=message) as raised:
-        configured("evaluate", *overrides, agent="straight")
-    assert "\n" not in str(raised.value)
 
 
 def test_a_gpu_that_is_not_there_is_missed_before_a_run_begins(monkeypatch: pytest.MonkeyPatch) -> None:

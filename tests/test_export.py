@@ -45,7 +45,7 @@ def test_events_are_reduced_as_the_environment_reduces_them() -> None:
     assert expected.max() == 255
 
 
-def test_depth_and_colour_are_reduced_as_the_environment_reduces_them() -> None:
+def test_depth_and_colour_are_reduced_as_in_the_environment() -> None:
     random = np.random.default_rng(0)
     depth = random.uniform(0, 80, (144, 256)).astype(np.float32)
     seen = reduced(th.from_numpy(depth)[None, None], "depth")[0].numpy()
@@ -59,7 +59,7 @@ def test_depth_and_colour_are_reduced_as_the_environment_reduces_them() -> None:
     )
 
 
-def test_a_policy_that_decides_both_ways_does_in_the_mirror_the_mirrored() -> None:
+def test_a_policy_that_decides_both_ways_is_symmetric() -> None:
     """And rates by the mean of both; without, the mirror changes more than the sides."""
     seen = np.random.default_rng(0).integers(0, 256, (50, 3, 36, 64), dtype=np.uint8)
     in_mirror = np.ascontiguousarray(seen[..., ::-1])
@@ -181,7 +181,7 @@ def test_parquet_keeps_the_numbers_or_says_what_is_missing(tmp_path: Path) -> No
     assert str(parquet.read_table(paths[1]).schema.field("speed").type) == "float"
 
 
-def test_export_says_what_it_can_write_and_refuses_what_is_no_source(tmp_path: Path) -> None:
+def test_export_says_what_it_writes_and_refuses_no_source(tmp_path: Path) -> None:
     refused: tuple[tuple[str, dict[str, Any], str], ...] = (
         ("default", {}, "say what to write"),
         (str(tmp_path), {"csv": tmp_path / "out"}, "not a run directory"),

@@ -111,7 +111,7 @@ def test_below_are_the_view_from_behind_and_what_was_decided() -> None:
 
 
 @pytest.mark.parametrize("world", [None, sample_world(1, Clutter(), (30.0, 10.0, -2.0))], ids=["nothing", "clutter"])
-def test_outside_of_a_lane_the_map_is_of_the_whole_flight_with_its_target(
+def test_outside_of_a_lane_the_map_is_of_the_whole_flight(
     world: ClutterLayout | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     said: list[str] = []
@@ -231,7 +231,7 @@ def test_a_full_disk_is_one_line_whatever_is_caught(tmp_path: Path) -> None:
     assert not [*tmp_path.iterdir()]
 
 
-def test_a_contact_sheet_shows_moments_from_the_second_to_the_last(tmp_path: Path) -> None:
+def test_a_contact_sheet_shows_moments_to_the_last(tmp_path: Path) -> None:
     film = flown()
     sheet = cv2.imread(str(write_contact_sheet(film, tmp_path / "sheets" / "one.png")))
     assert sheet is not None

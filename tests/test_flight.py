@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from tests.running import configured
+from uavaccel.draw import chase
 from uavaccel.draw.film import frames
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
-from uavaccel.sim import chase
 from uavaccel.sim.lane.layout import LaneLayout, sample_layout
 from uavaccel.suites import evaluate_again
 from uavaccel.suites.dp1 import Dp1
@@ -43,7 +43,7 @@ def run_with(path: Path, config: Any, row: dict[str, Any], arrays: dict[str, Any
 # --- from a row -------------------------------------------------------------------------------------------------
 
 
-def test_a_suite_that_keeps_a_recordings_arrays_has_flights_for_free(tmp_path: Path) -> None:
+def test_a_suite_that_keeps_recordings_has_flights_for_free(tmp_path: Path) -> None:
     arrays = POSES | {"command_start_s": np.array([0.0, 0.7]), "command_end_s": np.array([0.5, 1.5])}
     run, row = run_with(tmp_path / "run", configured("dp1"), {"clock_speed": 4}, arrays)
     report: Any = SimpleNamespace(run=run)
@@ -61,7 +61,7 @@ def test_a_suite_that_keeps_a_recordings_arrays_has_flights_for_free(tmp_path: P
         Suite.flight(Dp1(), SimpleNamespace(run=run), row)  # type: ignore[arg-type]
 
 
-def test_what_is_compared_is_shown_before_what_it_is_compared_with() -> None:
+def test_what_is_compared_is_shown_first() -> None:
     games = [("game", 50.0, "tcsc"), ("game", 50.0, "adsc"), ("game", 1.0, "tcsc"), ("reference", 100.0, "tcsc")]
     rows = [{"role": role, "clock_speed": k, "command": command} for role, k, command in games]
     assert sorted([rows[n] for n in (3, 1, 2, 0)], key=Dp1().interest) == rows
@@ -195,7 +195,7 @@ def test_an_evaluations_times_are_since_the_start_of_its_game(
     assert flight.windows[-1].time_ns == last_ms * MS
 
 
-def test_events_are_of_the_window_that_ends_with_them_and_counted_by_pixel_and_sign() -> None:
+def test_events_are_of_the_window_that_ends_with_them() -> None:
     rows = np.array([  # s, x, y, sign
         [0.01, 3, 2, 1], [0.05, 3, 2, 1], [0.05, 4, 2, -1], [0.051, 3, 2, -1], [0.12, 0, 0, -1],
     ])  # fmt: skip
@@ -230,7 +230,7 @@ def nothing_behind(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("nothing_behind")
-def test_a_film_shows_each_picture_with_the_events_up_to_it_where_it_was_taken() -> None:
+def test_a_film_shows_each_picture_with_the_events_up_to_it() -> None:
     film = film_of(flight())
     assert (film.title, film.hit, film.layout) == ("who", "", None)
     assert film.time_s.tolist() == [0.0, 1.0, 2.0]
@@ -244,7 +244,7 @@ def test_a_film_shows_each_picture_with_the_events_up_to_it_where_it_was_taken()
 
 @pytest.mark.usefixtures("nothing_behind")
 @pytest.mark.parametrize(("hit_ms", "marked"), [(3000, True), (3001, False)])
-def test_a_film_marks_an_impact_that_its_last_picture_has_reached(hit_ms: int, marked: bool) -> None:
+def test_a_film_marks_an_impact_that_it_has_reached(hit_ms: int, marked: bool) -> None:
     assert film_of(replace(flight(), collision=(hit_ms * MS, "wall"))).hit == ("wall" if marked else "")
 
 

@@ -45,19 +45,6 @@ def grounded() -> Api:
     return api
 
 
-def test_rotors_tell_thrust_torque_and_speed_in_airsims_order() -> None:
-    """At full power 4.1794 N, .0556 N m and 669.857 rad/s, which goes with the root of them (RotorParams.hpp)."""
-    api, shares = hovering(), (0.6, 0.59, 0.58, 0.57)
-    call(api, "moveByMotorPWMs", *shares, 1.0)
-    go_on(api, 0.2)  # forty of a motor's time constants
-    rotors = call(api, "getRotorStates", "")["rotors"]
-    assert [rotor["thrust"] for rotor in rotors] == pytest.approx([4.179446 * share for share in shares])
-    signs = (-1, -1, 1, 1)
-    torques = [sign * 0.0555624 * share for sign, share in zip(signs, shares, strict=True)]
-    assert [rotor["torque_scaler"] for rotor in rotors] == pytest.approx(torques, rel=1e-4)
-    assert [rotor["speed"] for rotor in rotors] == pytest.approx([669.857 * share**0.5 for share in shares])
-
-
 # --- paths ----------------------------------------------------------------------------------------
 
 
@@ -119,36 +106,36 @@ def test_paths_are_followed_as_airsim_does(path: list[Any], speed: float, profil
     np.testing.assert_allclose(place(api), where, atol=1e-6)
 
 
+CORNERS = [(10.0, 0.0, -10.0), (10.0, 10.0, -9.0), (0.0, 0.0, -10.0)]
+WAYS: dict[str, tuple[list[Any], tuple[Any, ...], tuple[Any, ...]]] = {  # by method: path, its parameters, and the turn
+    "moveOnPath": (CORNERS, ([point(*corner) for corner in CORNERS],), (MAX_DOF, STRAIGHT)),
+    "moveToPosition": ([(12.0, -5.0, -13.0)], (12.0, -5.0, -13.0), (MAX_DOF, STRAIGHT)),
+    "moveToZ": ([(0.0, 0.0, -14.0)], (-14.0,), (STRAIGHT,)),
+}
+
+
 @pytest.mark.parametrize(
     ("given_m", "adaptive", "ahead_m"),
     [(2.0, 2.0, 2.0), (2.0, 0.5, 2.0), (3.0, 0.0, 3.0), (AUTO, 0.5, 0.6 * 3.0), (AUTO, 0.0, 0.8 * 3.0)],
 )
 @pytest.mark.parametrize("method", ["moveOnPath", "moveToPosition", "moveToZ"])
-def test_the_lookahead_grows_by_the_share_of_the_distance_from_the_path_that_was_asked_for(
+def test_the_lookahead_adapts_to_the_distance_from_the_path(
     method: str, given_m: float, adaptive: float, ahead_m: float
 ) -> None:
-    """Around corners, and in a wind from the west that pushes the vehicle off a straight way."""
-    path: list[Any] = {
-        "moveOnPath": [(10.0, 0.0, -10.0), (10.0, 10.0, -9.0), (0.0, 0.0, -10.0)],
-        "moveToPosition": [(12.0, -5.0, -13.0)],
-        "moveToZ": [(0.0, 0.0, -14.0)],
-    }[method]
-    towards: dict[str, Any] = {
-        "moveOnPath": ([point(*corner) for corner in path],),
-        "moveToPosition": path[0],
-        "moveToZ": path[0][2:],
-    }
-    turn = (STRAIGHT,) if method == "moveToZ" else (MAX_DOF, STRAIGHT)
-    api = hovering()
-    api.simulation.world.set_wind((0.0, 10.0, 0.0))
-    where, took_s = followed(api.simulation, path, 3.0, ahead_m, adaptive)
-    api.simulation.world.set_wind((0.0, 0.0, 0.0))  # which a new simulation of the world would keep
-    api = hovering()
-    api.simulation.world.set_wind((0.0, 10.0, 0.0))
-    _, seconds = fly(api, method, *towards[method], 3.0, 60.0, *turn, given_m, adaptive)
-    api.simulation.world.set_wind((0.0, 0.0, 0.0))
-    assert seconds == pytest.approx(took_s, abs=1e-9)
-    np.testing.assert_allclose(place(api), where, atol=1e-6)
+    """By the share that was asked for; around corners, and in a wind that pushes the vehicle off a straight way."""
+    (path, towards, turn), ends = WAYS[method], []
+    for ours in (True, False):
+        api = hovering()
+        world = api.simulation.world
+        world.set_wind((0.0, 10.0, 0.0))
+        if ours:
+            where, seconds = followed(api.simulation, path, 3.0, ahead_m, adaptive)
+        else:
+            _, seconds = fly(api, method, *towards, 3.0, 60.0, *turn, given_m, adaptive)
+            where = place(api)
+        world.set_wind((0.0, 0.0, 0.0))  # which a new simulation of the world would keep
+        ends.append([*where, seconds])
+    assert ends[0] == pytest.approx(ends[1], abs=1e-6)
 
 
 @PROFILES
@@ -245,22 +232,6 @@ def test_forward_only_faces_the_way() -> None:
     assert attitude(api)[2] == pytest.approx(math.pi / 2, abs=0.1)
 
 
-REFUSED = [
-    ((0.0, 1.0), MAX_DOF, STRAIGHT, "lookahead distance cannot be 0"),
-    ((0.01, 1.0), MAX_DOF, STRAIGHT, "lookahead value 0.010000 is too small for velocity 2.000000. It must be at"),
-    ((0.2, 1.0), MAX_DOF, STRAIGHT, "is smaller than drone's distance accuracy 0.500000"),
-    ((AUTO, 1.0), FORWARD_ONLY, STRAIGHT, "Yaw cannot be specified as rate if drivetrain is ForwardOnly"),
-]
-
-
-@pytest.mark.parametrize(("ahead", "drivetrain", "yaw", "text"), REFUSED)
-def test_a_path_that_cannot_be_followed_is_refused_in_airsims_words(
-    ahead: tuple[float, float], drivetrain: int, yaw: Any, text: str
-) -> None:
-    with pytest.raises(rpc.RpcError, match=text):
-        call(hovering(), "moveOnPath", [point(1, 1, -9)], 2.0, 60.0, drivetrain, yaw, *ahead)
-
-
 @pytest.mark.parametrize(
     ("given_m", "velocity_m_s", "adaptive", "ahead_m"),
     [  # AirSim's own: 30 or 40 periods of 20 ms, and 0.75 m at least
@@ -276,6 +247,7 @@ def test_a_path_that_cannot_be_followed_is_refused_in_airsims_words(
 def test_a_path_looks_as_far_ahead_as_it_is_told_or_as_airsim_does(
     given_m: float, velocity_m_s: float, adaptive: float, ahead_m: float
 ) -> None:
+    """AirSim's own: 30 or 40 periods of 20 ms, and 0.75 m at least."""
     assert check_lookahead(given_m, velocity_m_s, adaptive) == pytest.approx(ahead_m)
 
 
@@ -292,8 +264,11 @@ def test_who_flies_faster_than_3_m_s_past_the_end_turns_back_at_1_m_s(velocity_m
         assert result is None
 
 
-def test_a_path_of_no_points_is_followed_at_once() -> None:
-    assert call(hovering(), "moveOnPath", [], 2.0, 60.0, MAX_DOF, STRAIGHT, AUTO, ADAPTIVE) is True
+def test_a_path_of_no_points_ends_what_runs_and_is_followed() -> None:
+    api = hovering()
+    running = call(api, "moveByVelocity", 1.0, 0.0, 0.0, 5.0, MAX_DOF, STRAIGHT)
+    assert call(api, "moveOnPath", [], 2.0, 60.0, MAX_DOF, STRAIGHT, AUTO, ADAPTIVE) is True
+    assert running.value is False
 
 
 def test_geographic_places() -> None:
@@ -342,7 +317,7 @@ def test_from_the_ground_up_and_down_again(grounded: Api) -> None:
 
 @PROFILES
 @pytest.mark.parametrize("x_m", [3.0, 4.0, 6.0])
-def test_a_landing_out_of_a_hover_that_has_settled_level_ends_on_the_ground(x_m: float, profile: Profile) -> None:
+def test_a_landing_from_a_level_hover_ends_on_the_ground(x_m: float, profile: Profile) -> None:
     """MuJoCo's contact of a cylinder with a plane throws it up where it is upright but for rounding errors."""
     api = hovering(profile)
     fly(api, "moveToPosition", x_m, 0.0, -5.0, 2.0, FOR_EVER, MAX_DOF, STRAIGHT, AUTO, ADAPTIVE)
@@ -356,7 +331,7 @@ STARTS = {"on the ground": 0.0, "in the ground": 0.03, "on a block": -6.0}
 
 @PROFILES
 @pytest.mark.parametrize("z", STARTS.values(), ids=list(STARTS))
-def test_a_vehicle_that_stands_is_landed_and_at_rest_from_the_first_tick(z: float, profile: Profile) -> None:
+def test_a_standing_vehicle_is_landed_from_the_first_tick(z: float, profile: Profile) -> None:
     """After the start, after each reset, and as a newcomer; AirSim's ground lock has accelerations of 0 too."""
     x = -45.0 if z < 0 else 3.0  # block_south's middle
     world = World("blocks", profile)
@@ -384,14 +359,6 @@ def test_a_vehicle_that_stands_is_landed_and_at_rest_from_the_first_tick(z: floa
     np.testing.assert_allclose(places, 0.0, atol=1e-6)
 
 
-def test_a_vehicle_in_the_air_falls_from_the_first_tick() -> None:
-    settings = Settings.model_validate({"Vehicles": {"Drone": {"X": 3, "Z": -2}}})
-    api = Api(Simulation(World("blocks", NATIVE)), settings, render=False)
-    told = call(api, "getMultirotorState")
-    assert told["landed_state"] == 1
-    assert told["kinematics_estimated"]["linear_acceleration"]["z_val"] == pytest.approx(8.7, abs=0.1)
-
-
 def test_home_is_where_the_vehicle_began_and_reset_brings_it_back(grounded: Api) -> None:
     fly(grounded, "takeoff", 20.0)
     fly(grounded, "moveToPosition", 6.0, 4.0, -3.0, 3.0, FOR_EVER, MAX_DOF, STRAIGHT, AUTO, ADAPTIVE)
@@ -407,6 +374,11 @@ def test_home_is_where_the_vehicle_began_and_reset_brings_it_back(grounded: Api)
 
 
 def test_land_in_the_air_takes_its_time() -> None:
+    """Idle rotors hold nothing: from the first tick the vehicle falls."""
+    settings = Settings.model_validate({"Vehicles": {"Drone": {"X": 3, "Z": -2}}})
+    told = call(Api(Simulation(World("blocks", NATIVE)), settings, render=False), "getMultirotorState")
+    assert told["landed_state"] == 1
+    assert told["kinematics_estimated"]["linear_acceleration"]["z_val"] == pytest.approx(8.7, abs=0.1)
     api = hovering()
     assert fly(api, "land", 3.0) == (False, 3.0)
     assert place(api)[2] == pytest.approx(-10.0 + 0.2 * 3.0, abs=0.1)
@@ -544,22 +516,21 @@ def test_attitudes_and_rates_are_reached(profile: Profile) -> None:
 
 
 def test_motors_turn_as_told_and_say_so() -> None:
-    api = hovering()
-    world = api.simulation.world
+    """At full power 4.1794 N, .0556 N m and 669.857 rad/s, which goes with the root of them (RotorParams.hpp)."""
+    api, shares = hovering(), (0.2, 0.4, 0.6, 1.0)
     hover = call(api, "getRotorStates")
-    lift = sum(rotor["thrust"] for rotor in hover["rotors"]) * density_ratio(world.lead.parameters, -10.0)
-    assert lift == pytest.approx(9.80665, rel=1e-4)
+    lift = sum(rotor["thrust"] for rotor in hover["rotors"])
+    assert lift * density_ratio(api.simulation.world.lead.parameters, -10.0) == pytest.approx(9.80665, rel=1e-4)
     assert hover["timestamp"] == EPOCH_NS + api.simulation.time_ns
     fly(api, "moveByMotorPWMs", 0.2, 0.4, 0.6, 2.0, 0.1)
     rotors = call(api, "getRotorStates")["rotors"]
-    shares = [0.2, 0.4, 0.6, 1.0]
     assert [rotor["thrust"] for rotor in rotors] == pytest.approx([4.1794453 * u for u in shares], rel=1e-6)
     assert [rotor["speed"] for rotor in rotors] == pytest.approx([669.857 * u**0.5 for u in shares], rel=1e-6)
-    signs = np.sign([rotor["torque_scaler"] for rotor in rotors]).tolist()
-    assert signs == [-1, -1, 1, 1]
+    torques = [sign * 0.0555624 * u for sign, u in zip((-1, -1, 1, 1), shares, strict=True)]
+    assert [rotor["torque_scaler"] for rotor in rotors] == pytest.approx(torques, rel=1e-4)
 
 
-def test_after_throttle_the_vertical_integrator_is_new() -> None:
+def test_after_throttle_and_new_gains_the_vertical_integrator_is_new() -> None:
     api = hovering()
     fly(api, "moveByVelocity", 0.0, 0.0, -1.0, 2.0, MAX_DOF, STRAIGHT)
     assert abs(api.simulation.world.lead.state["z_integral"]) > 0.05
@@ -567,25 +538,38 @@ def test_after_throttle_the_vertical_integrator_is_new() -> None:
     call(api, "moveByVelocity", 0.0, 0.0, -1.0, 2.0, MAX_DOF, STRAIGHT)
     go_on(api, 0.002)
     assert api.simulation.world.lead.state["z_integral"] == 0.0
+    go_on(api, 1.0)
+    assert abs(api.simulation.world.lead.state["z_integral"]) > 0.05
+    call(api, "setPositionControllerGains", [0.25] * 3, [0.0] * 3, [0.0] * 3)
+    go_on(api, 0.002)
+    assert api.simulation.world.lead.state["z_integral"] == 0.0
 
 
-def test_sticks_fly_where_no_program_has_control() -> None:
-    api = hovering()
-    sticks = {"roll": 0.25, "pitch": 0.1, "throttle": 0.6, "yaw": 0.0, "is_valid": True}
-    call(api, "moveByRC", sticks)
+def test_sticks_fly_where_no_program_has_control_and_until_a_reset() -> None:
+    """Valid ones, through commands too, which have no effect; the lowest switch asks for rates."""
+    tilt, api = math.pi / 5.5, hovering()
+    for controlled, valid in ((True, True), (True, False), (False, False), (False, True)):
+        call(api, "reset")
+        call(api, "enableApiControl", controlled)
+        sticks = {"roll": 0.25, "pitch": 0.1, "throttle": 0.6, "yaw": 0.0, "is_valid": valid}
+        call(api, "moveByRC", sticks, "SimpleFlight")
+        go_on(api, 1.0)
+        flown = (0.25 * tilt, -0.1 * tilt) if valid and not controlled else (0.0, 0.0)
+        assert attitude(api)[:2] == pytest.approx(flown, abs=0.01)
+        told = call(api, "getMultirotorState")["rc_data"]
+        assert [told[name] for name in sticks] == list(sticks.values())
+        assert told["is_initialized"] is valid
+    assert fly(api, "moveByVelocity", 0.0, 0.0, 0.0, 0.5, MAX_DOF, STRAIGHT) == (True, 0.5)
+    assert attitude(api)[:2] == pytest.approx((0.25 * tilt, -0.1 * tilt), abs=0.01)
+    call(api, "moveByRC", {"roll": 0.25, "throttle": 0.6, "switches": 3, "is_valid": True})
     go_on(api, 1.0)
-    assert attitude(api)[0] == pytest.approx(0.0, abs=0.01), "a program has control"
-    call(api, "enableApiControl", False)
-    call(api, "moveByRC", sticks, "SimpleFlight")
-    go_on(api, 1.0)
-    assert attitude(api)[:2] == pytest.approx((0.25 * math.pi / 5.5, -0.1 * math.pi / 5.5), abs=0.01)
-    told = call(api, "getMultirotorState")["rc_data"]
-    assert (told["roll"], told["pitch"], told["throttle"], told["is_valid"]) == (0.25, 0.1, 0.6, True)
-    call(api, "moveByRC", {"roll": 0.25, "throttle": 0.6, "switches": 3, "is_valid": True})  # its lowest bit: rates
-    go_on(api, 1.0)
-    rates = api.simulation.kinematics().angular_velocity_rad_s
-    assert rates == pytest.approx((0.25 * math.pi / 5.5, 0.0, 0.0), abs=0.01)
+    assert api.simulation.kinematics().angular_velocity_rad_s == pytest.approx((0.25 * tilt, 0.0, 0.0), abs=0.01)
     assert call(api, "getMultirotorState")["rc_data"]["switches"] == 1
+    call(api, "reset")
+    told = call(api, "getMultirotorState")["rc_data"]
+    assert (told["roll"], told["throttle"], told["is_valid"]) == (0.0, 0.0, False)
+    go_on(api, 1.0)
+    assert attitude(api) == pytest.approx((0.0, 0.0, 0.0), abs=1e-3)
 
 
 def test_manual_flight_follows_the_sticks() -> None:
@@ -598,33 +582,6 @@ def test_manual_flight_follows_the_sticks() -> None:
     fly(straight, "moveByVelocityZ", 3.0, 0.0, -10.0, 3.0, MAX_DOF, STRAIGHT)
     assert north == pytest.approx(place(straight)[0], rel=0.05)
     assert abs(east) < 0.01
-
-
-@pytest.mark.parametrize("valid", [True, False])
-@pytest.mark.parametrize("controlled", [True, False])
-def test_sticks_move_nothing_unless_they_are_valid_and_no_program_has_control(valid: bool, controlled: bool) -> None:
-    api = hovering()
-    call(api, "enableApiControl", controlled)
-    call(api, "moveByRC", {"roll": 0.25, "throttle": 0.6, "is_valid": valid})
-    go_on(api, 1.0)
-    flown = valid and not controlled
-    assert attitude(api)[0] == pytest.approx(0.25 * math.pi / 5.5 if flown else 0.0, abs=0.01)
-    told = call(api, "getMultirotorState")["rc_data"]
-    assert (told["roll"], told["is_valid"], told["is_initialized"]) == (0.25, valid, valid)
-
-
-def test_sticks_fly_on_through_commands_without_control_and_until_a_reset() -> None:
-    api = hovering()
-    call(api, "enableApiControl", False)
-    call(api, "moveByRC", {"roll": 0.25, "throttle": 0.6, "is_valid": True})
-    assert fly(api, "moveByVelocity", 0.0, 0.0, 0.0, 0.5, MAX_DOF, STRAIGHT) == (True, 0.5)
-    go_on(api, 0.5)
-    assert attitude(api)[0] == pytest.approx(0.25 * math.pi / 5.5, abs=0.01)
-    call(api, "reset")
-    told = call(api, "getMultirotorState")["rc_data"]
-    assert (told["roll"], told["throttle"], told["is_valid"]) == (0.0, 0.0, False)
-    go_on(api, 1.0)
-    assert attitude(api) == pytest.approx((0.0, 0.0, 0.0), abs=1e-3)
 
 
 def test_arming_what_is_armed_changes_nothing_and_what_was_not_idles() -> None:
@@ -661,22 +618,23 @@ FREE, AT_THIRTY = Yaw(), Yaw(math.radians(30.0), False)
         ((0, 10_000, 0, 0), 0, True, FREE, (0.0, 2.0, -7.0, 0.0)),
     ],
 )
-def test_a_stick_is_a_share_of_its_own_greatest_speed_in_the_frame_at_the_beginning(
+def test_a_stick_is_a_share_of_its_greatest_speed(
     sticks: tuple[float, ...], begun_deg: float, forward_only: bool, yaw: Yaw, expected: tuple[float, ...]
 ) -> None:
-    """AirSim's: 3 m/s by pitch, which is its vy_max, 2 m/s by roll, 4 m up by throttle, 100 degrees by yaw."""
+    """AirSim's: 3 m/s by pitch, which is its vy_max, 2 m/s by roll, 4 m up by throttle, 100 degrees by yaw.
+
+    Sticks are out of 10 000: pitch, roll, throttle, yaw; expected are north, east, NED z, and yaw in rad or rad/s.
+    """
     pitch, roll, throttle, turn = sticks
     now = Kinematics(0, (5.0, 6.0, -7.0), turned_by(-50.0), (0, 0, 0), (0, 0, 0))
-    positions = np.array([roll, pitch, throttle, turn, 0.0, 1.0])
-    begun = turned_by(begun_deg)
+    positions, begun = np.array([roll, pitch, throttle, turn, 0.0, 1.0]), turned_by(begun_deg)
     task = MoveByManual(positions, 2.0, 3.0, -4.0, 1.0, forward_only, yaw.value, yaw.is_rate, begun)
     goal, result = task.turn(now, 0.9)
     assert goal is not None
     assert goal.values == pytest.approx(expected)
     assert (goal.xy_mode, goal.z_mode) == (autopilot.VELOCITY, autopilot.POSITION)
     assert goal.yaw_mode == (autopilot.RATE if yaw.is_rate else autopilot.ANGLE)
-    assert result is None
-    assert task.turn(now, 1.0).result is True
+    assert (result, task.turn(now, 1.0).result) == (None, True)
 
 
 def moving(yaw_deg: float = 0.0, down_m_s: float = 0.0, turning_rad_s: float = 0.0) -> Kinematics:
@@ -694,17 +652,12 @@ def moving(yaw_deg: float = 0.0, down_m_s: float = 0.0, turning_rad_s: float = 0
         ([0.0] * 6 + [0.2] + [0.0] * 6 + [0.2] + [0.0] * 20, 25),
     ],
 )
-def test_a_landing_is_over_after_eleven_turns_in_a_row_without_a_descent(down_m_s: list[float], ends: int) -> None:
+def test_a_landing_ends_after_eleven_turns_without_descent(down_m_s: list[float], ends: int) -> None:
     """Of more than 0.05 m/s; what was counted before a descent does not count after it."""
     land = Land(60.0)
-    for number, speed in enumerate(down_m_s, start=1):
-        goal, result = land.turn(moving(down_m_s=speed), 0.02 * number)
-        assert goal is not None
-        assert goal.values == (0.0, 0.0, 0.2, 0.0)
-        assert result is (True if number == ends else None)
-        if result:
-            return
-    pytest.fail("it did not end")
+    turns = [land.turn(moving(down_m_s=speed), 0.02 * number) for number, speed in enumerate(down_m_s[:ends], start=1)]
+    assert [turn.result for turn in turns] == [None] * (ends - 1) + [True]
+    assert {turn.goal.values for turn in turns if turn.goal} == {(0.0, 0.0, 0.2, 0.0)}
 
 
 @pytest.mark.parametrize(("timeout_s", "results"), [(1.0, [None, False, False]), (0.0, [False] * 3)])
@@ -727,14 +680,14 @@ def test_a_landing_that_descends_ends_at_its_timeout(timeout_s: float, results: 
         (0.0, 0.0, 180.0, (False, 180.0), None),
     ],
 )
-def test_a_turn_arrives_within_its_margin_and_no_longer_turning_either_way(
+def test_a_turn_arrives_within_its_margin_and_at_rest(
     yaw_deg: float, turning_rad_s: float, to_deg: float, expected: tuple[bool, float], result: bool | None
 ) -> None:
+    """Within 5 degrees it turns no further, and it has arrived once it turns by less than 0.01 rad/s."""
     task = RotateToYaw((7.0, 8.0, -9.0), math.radians(to_deg), math.radians(5.0), 2.0)
-    now = moving(yaw_deg, turning_rad_s=turning_rad_s)
+    now, (is_rate, to) = moving(yaw_deg, turning_rad_s=turning_rad_s), expected
     goal, ended = task.turn(now, 1.98)
     assert goal is not None
-    is_rate, to = expected
     assert goal.yaw_mode == (autopilot.RATE if is_rate else autopilot.ANGLE)
     assert goal.values == pytest.approx((7.0, 8.0, -9.0, math.radians(to)))
     assert ended is result
@@ -752,10 +705,6 @@ def test_gains_act_until_the_next_simulation() -> None:
     assert tilts[0] < 1.5 * tilts[1] < 0.0
     again = Simulation(world_of(NATIVE))
     assert again.world.lead.parameters["velocity_gain"].tolist() == [0.2, 0.2, 2.0], "AirSim's own"
-    with pytest.raises(rpc.RpcError, match="kp must be a list of three gains"):
-        call(api, "setAngleRateControllerGains", [0.25], [0.0] * 3, [0.0] * 3)
-    with pytest.raises(rpc.RpcError, match="ki must be within 1000, not"):
-        call(api, "setPositionControllerGains", [0.25] * 3, [0.0, 1e30, 0.0], [0.0] * 3)
 
 
 @pytest.mark.parametrize("level", ["Velocity", "Position", "AngleLevel", "AngleRate"])
@@ -767,7 +716,7 @@ def test_without_gains_a_reset_still_begins_a_hover(level: str) -> None:
     assert np.isfinite(api.simulation.world.lead.state["goal"]).all()
 
 
-def test_an_integral_gain_closes_what_a_wind_leaves_open_and_a_derivative_damps() -> None:
+def test_an_integral_gain_beats_wind_and_a_derivative_damps() -> None:
     """Against 10 m/s from the north a proportional controller is pushed off; wind-up is what an integral is for."""
     drift, overshoot = {}, {}
     for ki, kd in ((0.0, 0.0), (0.05, 0.0), (0.0, 0.1)):
@@ -838,19 +787,6 @@ def test_the_log_says_when_each_command_began_and_ended() -> None:
     assert lasted_s == [0.5, 0.3, 0.2]
 
 
-def test_position_hold_sets_in_after_the_last_goal_of_a_command() -> None:
-    """The sticks end the goals; the command's next turn finds none."""
-    api = hovering()
-    call(api, "moveByRC", {"pitch": 10_000.0, "is_valid": True})
-    call(api, "moveByManual", 3.0, 3.0, -10.0, 3.0, MAX_DOF, STRAIGHT)
-    go_on(api, 1.0)
-    call(api, "moveByRC", {"is_valid": False})
-    go_on(api, 0.058)
-    assert api.simulation.world.lead.state["xy_mode"] == autopilot.VELOCITY
-    go_on(api, 0.004)
-    assert api.simulation.world.lead.state["xy_mode"] == autopilot.POSITION
-
-
 @pytest.mark.parametrize("clock_speed", [1.0, 4.0])
 def test_frames_are_sixtieths_of_a_second_on_the_wall(clock_speed: float) -> None:
     api = Api(simulate(clock_speed), render=False)
@@ -860,5 +796,3 @@ def test_frames_are_sixtieths_of_a_second_on_the_wall(clock_speed: float) -> Non
     assert wait(api, reply) is not None
     assert (api.simulation.time_ns - begun_ns) / NS_PER_S == 0.5 * clock_speed
     assert api.simulation.paused
-    with pytest.raises(rpc.RpcError, match="frames must be a whole number"):
-        call(api, "simContinueForFrames", 1.5)

@@ -357,7 +357,7 @@ def test_a_flight_that_ends_before_its_reference_differs(tmp_path: Path, more: l
             log.close()
 
 
-def test_a_value_of_more_than_200_bytes_is_logged_by_its_length_and_digest() -> None:
+def test_long_values_are_logged_by_length_and_digest() -> None:
     """On the wire a text of that length has a head of two bytes: its kind, and its length."""
     assert brief("a" * 198) == "a" * 198
     digest = hashlib.sha256(b"\xd9\xc7" + b"a" * 199).hexdigest()
@@ -392,7 +392,7 @@ def test_refused_commands_are_told_once(
 # --- imports -------------------------------------------------------------------------------------------------------
 
 
-def test_a_script_imports_our_client_and_its_clock_and_libraries_theirs(tmp_path: Path) -> None:
+def test_a_script_imports_our_client_and_its_own_clock(tmp_path: Path) -> None:
     (tmp_path / "helper.py").write_text("from time import monotonic\nimport random\nseen = monotonic()\n")
     path = script(tmp_path, """
         import airsim, cosysairsim, setup_path, helper, time, logging, sys, os
@@ -473,7 +473,7 @@ def test_flights_that_share_only_some_times_are_compared_at_those(tmp_path: Path
     assert largest_difference_m(tmp_path / "a", tmp_path / "late") == 0.0
 
 
-def test_a_trajectory_has_places_attitudes_and_velocities_as_arrays_and_as_a_table(tmp_path: Path) -> None:
+def test_a_trajectory_is_written_as_arrays_and_as_a_table(tmp_path: Path) -> None:
     rows, time_ns = np.arange(20.0).reshape(2, 10), np.array([0, 50_000_000])
     write_trajectory(tmp_path, time_ns, rows)
     with np.load(tmp_path / "trajectory.npz") as kept:
@@ -541,7 +541,7 @@ def test_a_wait_without_an_end_is_worth_a_line(
     assert capsys.readouterr().err.count(line) == lines
 
 
-def test_a_flight_waits_for_the_scripts_threads_but_not_for_its_daemons(flight_in: FlightMaker, tmp_path: Path) -> None:
+def test_a_flight_waits_for_threads_but_not_for_daemons(flight_in: FlightMaker, tmp_path: Path) -> None:
     flight = flight_in(tmp_path)
     make = ThreadModules(flight._turns).threading.Thread  # type: ignore[attr-defined]
     make(target=lambda: flight.pass_time(9.0), daemon=True).start()

@@ -15,10 +15,11 @@ import numpy as np
 import pytest
 
 from uavaccel.errors import UserError
-from uavaccel.fly import command, film
+from uavaccel.fly import command, film, runs
 from uavaccel.fly.command import FlyRequest, fly_script
+from uavaccel.fly.messages import DifferenceError
 from uavaccel.fly.options import FlightOptions, FlightSummary, found_settings
-from uavaccel.fly.runs import FlightResult, _wait
+from uavaccel.fly.runs import FlightResult, _wait, check
 from uavaccel.fly.trajectory import write_trajectory
 
 FLOWN: FlightSummary = {
@@ -66,7 +67,7 @@ def flown(monkeypatch: pytest.MonkeyPatch, request: FlyRequest, *results: tuple[
     return fly_script(request), flights.asked
 
 
-def test_flights_at_several_clock_speeds_are_held_against_the_first_and_the_worst_status_stays(
+def test_flights_at_several_clock_speeds_are_compared_with_the_first(
     asked: FlyRequest, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     results = [
@@ -98,7 +99,7 @@ def test_flights_at_several_clock_speeds_are_held_against_the_first_and_the_wors
         ([FlightResult(130, FLOWN), FlightResult(0, FLOWN)], 2, 130),  # the script's own status
     ],
 )
-def test_of_flights_at_several_clock_speeds_one_without_an_end_is_the_last(
+def test_no_clock_speed_is_flown_after_a_flight_without_an_end(
     asked: FlyRequest,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
@@ -184,7 +185,7 @@ def test_flights_whose_scripts_end_differently_are_told_apart(
         flown(monkeypatch, replace(asked, check=True), (FlightResult(1, CRASHED), 0.0), (again, 0.0))
 
 
-def test_a_flight_that_connects_where_the_first_did_not_is_held_against_none(
+def test_a_first_flight_without_a_client_is_compared_with_none(
     asked: FlyRequest, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     results = [(FlightResult(0, summary), 0.0) for summary in (NOWHERE, FLOWN)]
@@ -193,6 +194,35 @@ def test_a_flight_that_connects_where_the_first_did_not_is_held_against_none(
         "clock 1: no client connected, nothing was flown",
         "clock 2: 8.00 simulated s in 0.50 s, 16 per wall second",
     ]
+
+
+@pytest.mark.parametrize(("second_m", "differs"), [(1.0, False), (1.0 + 1e-15, True), (2.0, True)])
+def test_the_second_flight_is_held_against_the_first(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, second_m: float, differs: bool
+) -> None:
+    first, _ = tmp_path / "first", (tmp_path / "first").mkdir()
+    write_trajectory(first, np.arange(3), np.ones((3, 10)))
+    asked = FlightOptions(Path("script.py"), (), tmp_path / "again")
+    flown: list[tuple[FlightOptions, bool]] = []
+
+    def fly(options: FlightOptions, quiet: bool = False) -> FlightResult:
+        flown.append((options, quiet))
+        options.folder.mkdir()
+        write_trajectory(options.folder, np.arange(3), np.full((3, 10), second_m))
+        return FlightResult(0, {"finished": True})
+
+    monkeypatch.setattr(runs, "fly", fly)
+    if differs:
+        with pytest.raises(DifferenceError, match="the messages of both flights are equal, but the trajectories"):
+            check(asked, first)
+    else:
+        assert check(asked, first).status == 0
+    assert flown == [(replace(asked, reference=first), True)]
+
+
+def test_flights_that_flew_nothing_are_equal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(runs, "fly", lambda options, quiet: FlightResult(0, {"finished": True}))
+    assert check(FlightOptions(Path("script.py"), (), tmp_path / "again"), tmp_path / "first").status == 0
 
 
 def test_settings_beside_the_script_come_before_those_of_the_home(
@@ -206,9 +236,8 @@ def test_settings_beside_the_script_come_before_those_of_the_home(
         path.parent.mkdir(parents=True)
         path.write_text(json.dumps({"ClockSpeed": 2}))
         assert found_settings(script) == path
-    for other in ('{"editor.fontSize": 12}', "[]", "no JSON"):
-        beside.write_text(other)
-        assert found_settings(script) == own
+    beside.write_text("{}")
+    assert found_settings(script) == own
     beside.write_text("\ufeff" + json.dumps({"Vehicles": {}}))
     assert found_settings(script) == beside
 
@@ -234,9 +263,7 @@ def test_a_request_of_a_flight_travels_whole(tmp_path: Path) -> None:
         ("wall", None, 0.0),
     ],
 )
-def test_a_script_thinks_as_long_as_it_is_said_to_or_as_its_timing_has_it(
-    timing: str, given_s: float | None, thinks_s: float
-) -> None:
+def test_thinking_time_is_the_options_or_the_timings(timing: str, given_s: float | None, thinks_s: float) -> None:
     assert FlightOptions(Path("a.py"), (), Path(), timing, think_s=given_s).thinks_s == thinks_s
 
 
@@ -251,7 +278,7 @@ def test_a_folder_is_taken_that_is_new_or_empty(asked: FlyRequest, monkeypatch: 
 
 
 @pytest.mark.parametrize(("ended", "status"), [(0, 0), (3, 3), (-9, 137), (-15, 143)])
-def test_a_process_that_a_signal_has_ended_has_the_status_that_shells_give_it(ended: int, status: int) -> None:
+def test_a_process_ended_by_a_signal_has_a_shells_status(ended: int, status: int) -> None:
     process: Any = SimpleNamespace(pid=0, poll=lambda: ended, wait=lambda *_: ended)
     assert _wait(process, None) == status
 
@@ -259,7 +286,7 @@ def test_a_process_that_a_signal_has_ended_has_the_status_that_shells_give_it(en
 # --- the film --------------------------------------------------------------------------------------------------------
 
 
-def test_a_frame_of_the_film_has_blue_first_and_says_when_where_and_how_fast(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_frame_of_the_film_says_when_where_and_how_fast(monkeypatch: pytest.MonkeyPatch) -> None:
     said: list[str] = []
     monkeypatch.setattr(cv2, "putText", lambda frame, text, *how: said.append(text))
     picture = np.zeros((360, 640, 3), np.uint8)

@@ -6,6 +6,7 @@ import io
 import json
 import os
 import random
+import signal
 import sys
 import sysconfig
 import threading
@@ -109,7 +110,7 @@ def test_a_seed_is_that_of_generators_that_are_made_without_one() -> None:
     ("in_settings", "asked", "flown"),
     [(None, None, 1.0), (None, 20.0, 20.0), (5.0, None, 5.0), (5.0, 20.0, 20.0), (5.0, 0.5, 0.5)],
 )
-def test_the_clock_speed_that_is_asked_for_comes_before_that_of_the_settings(
+def test_the_option_for_clock_speed_precedes_the_settings(
     fly: Any, tmp_path: Path, in_settings: float | None, asked: float | None, flown: float
 ) -> None:
     (tmp_path / "settings.json").write_text(json.dumps({"SettingsVersion": 1.2, "ClockSpeed": in_settings or 1.0}))
@@ -145,7 +146,7 @@ def test_only_an_interrupted_flight_may_end_before_its_reference(
         assert (kept["status"], kept["finished"]) == (130, False)
 
 
-def test_a_call_is_logged_with_the_wall_time_before_the_simulated_and_an_answer_with_its_own(tmp_path: Path) -> None:
+def test_calls_and_answers_are_logged_with_their_times(tmp_path: Path) -> None:
     log = MessageLog(tmp_path)
     assert [log.call(30, 10, "ping", []), log.call(60, None, "move", [1.5, "x"])] == [1, 2]
     log.answer(1, 40, None, True)
@@ -225,7 +226,7 @@ def test_settings_are_airsims_by_one_of_their_keys(
 
 
 @pytest.mark.parametrize("settings", [None, Path("own.json")])
-def test_a_flight_in_wall_time_has_a_server_of_its_kind_and_passes_its_warnings_on(
+def test_a_flight_in_wall_time_starts_a_server_and_passes_on_warnings(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], settings: Path | None
 ) -> None:
     said = b"listening on 127.0.0.1:8123: scene lane, profile airsim, ClockSpeed 2.5\nSimpleFlight hovers\n"
@@ -261,7 +262,7 @@ def test_a_flight_in_wall_time_has_a_server_of_its_kind_and_passes_its_warnings_
 
 @pytest.mark.parametrize("own", [None, "mine", os.pathsep.join(["mine", "yours"])])
 @pytest.mark.parametrize("port", [None, 8123])
-def test_a_scripts_programs_find_our_client_before_what_they_found_already(
+def test_a_scripts_programs_find_our_client_first(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, own: str | None, port: int | None
 ) -> None:
     monkeypatch.delenv(children.PORT, raising=False)
@@ -279,6 +280,31 @@ def test_a_scripts_programs_find_our_client_before_what_they_found_already(
     assert (dict(os.environ), sys.path) == (before, path)
     with children.client_for_children(None, port):
         assert (dict(os.environ), sys.path) == (before, path)
+
+
+def test_a_refusal_after_the_flight_is_ignored() -> None:
+    """A pool's next process may still be refused while the flight is written."""
+    handled = signal.getsignal(signal.SIGUSR2)
+    try:
+        with children.ended_by_refusals(lambda: 0):
+            os.kill(os.getpid(), signal.SIGUSR2)
+            assert signal.getitimer(signal.ITIMER_REAL)[1] == children.POLL_S
+        os.kill(os.getpid(), signal.SIGUSR2)  # which would end this process
+        assert signal.getitimer(signal.ITIMER_REAL) == (0.0, 0.0)
+    finally:
+        signal.signal(signal.SIGUSR2, handled)
+
+
+def test_a_forked_process_logs_and_compares_nothing(tmp_path: Path) -> None:
+    """Its parent writes the lines that it has a copy of."""
+    for name in ("first", "second"):
+        (tmp_path / name).mkdir()
+    (tmp_path / "first" / MESSAGES).write_text("another\n")
+    log = MessageLog(tmp_path / "second", tmp_path / "first")
+    log.abandon()
+    log.call(0, 0, "ping", [])
+    log.close()
+    assert (tmp_path / "second" / MESSAGES).read_text() == ""
 
 
 # --- modules and patches ---------------------------------------------------------------------------------------------
@@ -322,9 +348,7 @@ def test_patches_leave_everything_as_they_found_it() -> None:
     assert undone == ["undone"]
 
 
-def test_a_module_is_changed_when_it_is_imported_and_at_once_where_it_has_been(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_module_is_changed_on_import_or_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "imported_later.py").write_text("value = 1\n")
     monkeypatch.syspath_prepend(str(tmp_path))
     changed: list[str] = []

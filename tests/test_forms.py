@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.dp1_games import line_arrays, line_row
+from tests.made_runs import line_arrays, line_row
 from uavaccel.cli.experiments import report_runs
 from uavaccel.cli.results import export
 from uavaccel.config import to_yaml, validate
@@ -134,7 +134,7 @@ def test_a_wrong_array_is_a_line_that_names_file_and_array(tmp_path: Path, name:
         run.load_arrays(run.rows()[0])
 
 
-def test_times_that_fall_and_commands_that_the_row_does_not_count_are_refused(tmp_path: Path) -> None:
+def test_times_that_fall_and_uncounted_commands_are_refused(tmp_path: Path) -> None:
     row, arrays = whole_game()
     run = write(tmp_path / "falls", row, {**arrays, "time_s": arrays["time_s"][::-1]})
     with pytest.raises(UserError, match="time_s: has to ascend"):

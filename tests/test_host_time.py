@@ -22,7 +22,7 @@ def timings(*readings_s: float | None) -> list[dict[str, float]]:
     ([1.0, 3.0, 3.0], [1.0, 3.0, 3.0]),
     ([1.0, None, 3.0, 2.0, 5.0, 0.5], [1.0, 3.0, 5.0, 8.0, 8.5]),  # it was resumed twice
 ])  # fmt: skip
-def test_the_wall_time_of_a_run_goes_on_where_its_stopwatch_starts_again(
+def test_wall_time_goes_on_where_a_stopwatch_starts_again(
     readings_s: list[float | None], over_all_s: list[float]
 ) -> None:
     assert cumulative_wall_s(timings(*readings_s)) == over_all_s
@@ -48,7 +48,7 @@ def test_a_duration_is_told_in_seconds_minutes_or_hours() -> None:
     assert {seconds: in_words(seconds) for seconds in told} == told
 
 
-def test_work_is_timed_by_the_machines_clock_from_its_start_to_its_end(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_work_is_timed_by_the_machines_clock(monkeypatch: pytest.MonkeyPatch) -> None:
     clock: Any = SimpleNamespace(read_ns=5_000_000_000, now_ns=lambda: clock.read_ns)
 
     def work() -> str:

@@ -134,7 +134,7 @@ print(*sys.modules)
     assert not {"torch._dynamo", "sympy", "numba", "scipy"} & set(done.stdout.split())
 
 
-def test_modules_of_the_world_do_not_import_each_other_in_circles() -> None:
+def test_modules_of_the_world_do_not_import_in_circles() -> None:
     """Imports for types alone count too."""
     files = {name_of(path).removesuffix(".py"): path for path in MODULES if room_of(path) == "sim"}
     left = {

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from uavaccel.errors import UserError
 from uavaccel.kinematics import VelocityGoal
 from uavaccel.sim.lane.layout import LENGTH_M, LaneLayout, clearance_m, lane_seed, layout_from, sample_layout
-from uavaccel.sim.lane.path import plan_path
 from uavaccel.sim.vehicle.goal import of_velocity
 from uavaccel.sim.world import World
+from uavaccel.suites.lane_path import plan_path
 
 
 def evaluation_lane(index: int) -> LaneLayout:

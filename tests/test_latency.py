@@ -142,7 +142,13 @@ def drawn_of(latency: Latency, count: int = 30) -> list[int]:
     ]
 
 
-def test_faults_of_requests_are_those_of_a_connection_on_which_nobody_answers() -> None:
+@pytest.mark.parametrize(("fault", "late_ms"), [("dropped", 200), ("stalled", 40), ("late", 10)])
+def test_a_fault_delays_a_message_by_its_own_time(fault: str, late_ms: int) -> None:
+    latency = latency_of(validate(LatencyConfig, {"platform": {"faults": {fault: 1.0}}}, "test"))
+    assert [latency.request_ns("call"), latency.reply_ns("call")] == [late_ms * MS] * 2
+
+
+def test_faults_of_requests_are_independent_of_replies() -> None:
     config = validate(LatencyConfig, LIKELY, "test")
     silent, answered = latency_of(config), latency_of(config)
     requests = [silent.request_ns("call") for _ in range(50)]
@@ -278,7 +284,7 @@ def test_each_profile_has_a_model_that_ships() -> None:
     assert Dp1Config(suite="dp1", clock_speed=(5,), profile="airsim", latency=ZERO_LATENCY).latency == ZERO_LATENCY
 
 
-def test_a_resolved_configuration_holds_the_block_and_editors_know_both(tmp_path: Path) -> None:
+def test_a_resolved_configuration_holds_the_block(tmp_path: Path) -> None:
     task = validate(Task, {"latency": str(write(tmp_path, BLOCK))}, "task")
     again = tmp_path / "config.yaml"
     again.write_text(to_yaml(task))

@@ -29,7 +29,7 @@ signal.pause()
 """
 
 
-def test_a_process_whose_parent_is_killed_ends_and_heeds_no_ctrl_c() -> None:
+def test_a_process_whose_parent_is_killed_ends() -> None:
     with subprocess.Popen([sys.executable, "-c", PARENT, CHILD], stdout=subprocess.PIPE) as parent:
         assert parent.stdout is not None
         child = int(parent.stdout.readline().split()[0])
@@ -39,7 +39,7 @@ def test_a_process_whose_parent_is_killed_ends_and_heeds_no_ctrl_c() -> None:
     assert not left_after([child], 60.0)
 
 
-def test_one_whose_parent_was_killed_before_it_could_look_ends_at_once() -> None:
+def test_one_whose_parent_was_killed_before_ends_at_once() -> None:
     """It has another parent by then, which may live for ever."""
     with subprocess.Popen([sys.executable, "-c", ""]) as gone:
         pass
@@ -69,7 +69,7 @@ else:
 
 @pytest.mark.wall_clock
 @pytest.mark.parametrize("how", ["looks", "waits", "ends"])
-def test_a_stopped_child_is_ended_after_some_looks_at_ctrl_c_and_at_the_end(how: str) -> None:
+def test_a_stopped_child_is_ended_after_some_looks(how: str) -> None:
     """Only the first is worth a line: otherwise the command ends as well."""
     command = [sys.executable, "-c", GUARDED, how]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as program:

@@ -108,7 +108,7 @@ def test_stable_baselines_sees_gymnasiums_interface(gym: ModuleType) -> None:
     assert observation.tolist() == [[1]]  # reset
 
 
-def test_a_library_is_told_apart_what_is_over_and_what_is_cut_short_and_seeds_what_it_resets(gym: ModuleType) -> None:
+def test_libraries_see_terminated_truncated_and_seeds(gym: ModuleType) -> None:
     class Cut(Walk):
         seeds: ClassVar[list[int]] = []
 
@@ -137,7 +137,7 @@ def test_a_module_named_before_the_id_is_imported_and_registers_it(
     del sys.modules["walks_of_a_script"]
 
 
-def test_options_of_a_reset_reach_the_environment_through_its_wrappers(gym: ModuleType) -> None:
+def test_options_of_a_reset_pass_through_wrappers(gym: ModuleType) -> None:
     class Placed(Walk):
         def reset(self, place: int = 0) -> Any:
             self.place = place
@@ -148,7 +148,7 @@ def test_options_of_a_reset_reach_the_environment_through_its_wrappers(gym: Modu
     assert wrapped.reset(place=2).tolist() == [2.5]
 
 
-def test_a_wrapper_has_what_its_environment_has_and_passes_on_what_it_is_told(gym: ModuleType) -> None:
+def test_a_wrapper_passes_on_attributes_and_calls(gym: ModuleType) -> None:
     class Drawn(Walk):
         told: ClassVar[list[Any]] = []
 
@@ -308,7 +308,7 @@ def test_what_is_no_key_is_one_line(text: str) -> None:
 
 
 @WITHOUT_KEYS
-def test_keys_have_the_same_numbers_by_each_of_their_names_and_no_two_the_same() -> None:
+def test_each_key_has_one_number_of_its_own() -> None:
     text = """
 import pygame
 from pygame.locals import *
@@ -354,7 +354,7 @@ def test_a_backend_that_draws_on_a_screen_is_not_chosen() -> None:
     mpl.use(before)
 
 
-def test_images_of_old_scipy_are_red_first_and_reach_from_black_to_white(tmp_path: Path) -> None:
+def test_images_of_old_scipy_are_red_first_and_rescaled(tmp_path: Path) -> None:
     misc = shims.old_modules()["scipy.misc"]()
     red = np.zeros((2, 3, 3), np.uint8)
     red[..., 0] = 200

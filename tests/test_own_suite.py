@@ -15,11 +15,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.running import run_into
 from uavaccel import VelocityGoal, open_session, own_code, tcsc
 from uavaccel.cli import main as cli
 from uavaccel.errors import UserError
 from uavaccel.own_code import folder_of, trusting
 from uavaccel.suites.registry import find_suite
+from uavaccel.suites.session import RunRequest, reading
 
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs" / "own-suite.md").read_text(encoding="utf-8")
@@ -94,7 +96,7 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", [*sys.path])
     monkeypatch.setattr(own_code, "_here", {})
-    for module in ("stranger", "foreign", "wrong_suites"):
+    for module in ("stranger", "foreign", "wrong_suites", "toy"):
         monkeypatch.delitem(sys.modules, module, raising=False)
     return tmp_path
 
@@ -113,12 +115,11 @@ def said(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) ->
     return run
 
 
-@pytest.mark.slow
-def test_what_is_no_block_of_a_page_is_named(home: Path, tmp_path: Path) -> None:
-    (tmp_path / "toy.py").write_text((home / "toy.py").read_text().replace("axes.legend()", "yield 3"))
-    (tmp_path / "toy.yaml").write_text(BLOCKS["yaml"])
-    ended = subprocess.run([*COMMAND, *RUN], cwd=tmp_path, env=environment(), capture_output=True, text=True)
-    assert "TypeError: Toy.page: 3 is no block of a page: a text, Heading, " in ended.stderr
+def test_what_is_no_block_of_a_page_is_named(here: Path) -> None:
+    (here / "toy.py").write_text(BLOCKS["python"].replace("axes.legend()", "yield 3"))
+    (here / "toy.yaml").write_text(BLOCKS["yaml"])
+    with reading(RunRequest("toy.yaml")) as (suite, config), pytest.raises(TypeError, match="3 is no block"):
+        run_into(here / "run", suite, config)
 
 
 @pytest.mark.parametrize(

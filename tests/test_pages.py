@@ -76,7 +76,7 @@ def test_every_page_is_in_the_sites_navigation() -> None:
     assert set(named) == there | {"docs/reference/keys.md"}
 
 
-def test_the_first_page_begins_with_a_moving_picture_that_is_soon_there() -> None:
+def test_the_first_page_begins_with_a_small_moving_picture() -> None:
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     picture = ROOT / re.findall(r"!\[[^]]+\]\(([^)]+)\)", readme.partition("\n## ")[0])[0]
     data = picture.read_bytes()
@@ -112,7 +112,7 @@ def test_the_drawing_of_the_rooms_is_the_rule_of_imports() -> None:
         below |= rooms
 
 
-def test_the_way_of_a_command_goes_through_files_and_functions_that_there_are() -> None:
+def test_the_way_of_a_command_goes_through_real_functions() -> None:
     files = dict(re.findall(r"participant (\w+) as (\S+)", ARCHITECTURE))
     names = {key: _defined(ROOT / "uavaccel" / file) for key, file in files.items()}
     calls = re.findall(r"^ +\w->>(\w): (\w+)\(", ARCHITECTURE, re.MULTILINE)

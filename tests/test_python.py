@@ -86,7 +86,7 @@ def test_a_class_without_a_file_of_its_own_is_not_trained() -> None:
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("trainings_here")
-def test_a_training_and_its_evaluation_are_flown_without_the_command_line(tmp_path: Path) -> None:
+def test_trainings_and_evaluations_are_flown_from_python(tmp_path: Path) -> None:
     """Mappings are merged into the YAML's; a run goes on, here with more games."""
     run = uavaccel.train(out=tmp_path / "run", checkpoint_games=1, **TINY)
     assert (run.path, run.summary["games"]) == (tmp_path / "run", 2)
@@ -125,7 +125,7 @@ uavaccel.train("hover_ppo", seeds=3, games=200, task={"reach_m": 2.0}, options={
 
 
 @pytest.mark.slow
-def test_a_strict_type_checker_passes_the_tutorial_and_finds_mistakes(tmp_path: Path) -> None:
+def test_a_strict_type_checker_passes_the_tutorial(tmp_path: Path) -> None:
     """As a stranger's project has it: its own settings, without the plugin of pydantic."""
     for block in blocks_of(ROOT / "docs/tutorial.md"):
         if block.title:

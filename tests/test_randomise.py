@@ -124,6 +124,8 @@ def test_a_heavier_vehicle_accelerates_as_its_thrust_over_its_mass() -> None:
         gained = (world.lead.kinematics().linear_velocity_m_s[2] - before_m_s) / PROFILES["native"].tick_s
         assert gained == pytest.approx(9.80665 * (1 - output / hover), abs=0.2)
         assert hover == pytest.approx(0.5935 * mass / thrust, rel=1e-3)
+        craft = world.lead.parameters
+        assert craft["max_torque_n_m"] / craft["max_thrust_n"] == pytest.approx(0.0555624 / 4.179446, rel=1e-4)
 
 
 @settings(max_examples=40)

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.drawing import labelled, points, record_figures
+from tests import made_runs as made
+from tests.made_runs import thinking_row
 from tests.running import configured, fly_into
 from uavaccel.errors import UserError
 from uavaccel.own_code import trusting
@@ -95,7 +96,7 @@ def test_a_run_that_was_interrupted_ends_with_the_same_bytes(
     assert (again.path / "rows.jsonl").read_bytes() == (run.path / "rows.jsonl").read_bytes()
 
 
-def test_an_evaluation_is_its_case_flown_with_the_weights_and_seeds_of_the_run(run: RunDirectory) -> None:
+def test_an_evaluation_flies_the_weights_and_seeds_of_the_run(run: RunDirectory) -> None:
     """Episodes begin with other seeds than any training's; under TCSC neither latency nor ClockSpeed counts."""
     rows = {row["case"]: row for row in run.rows()}
     weights = run.load_arrays(rows["pendulum-naive-s0"])
@@ -152,7 +153,7 @@ def test_a_policy_is_its_weights_on_normalised_observations(run: RunDirectory) -
 
 
 @pytest.mark.parametrize("ends", ["lost", "out"])
-def test_an_episode_has_its_return_its_median_delay_and_its_worst_lateness(ends: str) -> None:
+def test_an_episode_has_its_return_delay_and_lateness(ends: str) -> None:
     """Each action is decided upon what the one before has made of the environment; only a real clock is late."""
     script = [(1.0, 0.1, {}), (2.0, 0.9, {"late_s": 0.75}), (4.0, 0.3, {"late_s": 0.25}), (-0.5, 0.2, {})]
     left, met = list(script), []
@@ -186,7 +187,7 @@ class Echo(Policy):
 
 
 @pytest.mark.parametrize("clock_speed", [1.0, 2.0])
-def test_who_looks_ahead_decides_upon_what_will_be_when_the_action_is_applied(clock_speed: float) -> None:
+def test_who_looks_ahead_decides_upon_what_will_be(clock_speed: float) -> None:
     env = timed(PENDULUM, AgentBlock(), 0.03, "adsc", clock_speed)
     echo, inside = Echo(), env.unwrapped
     ahead = LookAhead(echo, env, PENDULUM, 0.03, clock_speed)
@@ -206,7 +207,7 @@ def test_who_looks_ahead_decides_upon_what_will_be_when_the_action_is_applied(cl
     np.testing.assert_allclose(echo.shown, applied[steps - 1 :: steps], atol=1e-12)
 
 
-def test_a_trainings_return_is_the_mean_of_its_last_hundred_episodes() -> None:
+def test_a_trainings_return_is_of_its_last_hundred_episodes() -> None:
     """A lane's episodes have two steps, and each brings 1 more than the one before."""
     returns, rewards = agents._Returns(), np.zeros(agents.LANES)
     returns.model = SimpleNamespace(get_env=lambda: SimpleNamespace(get_original_reward=lambda: rewards))  # type: ignore
@@ -237,9 +238,7 @@ def test_a_training_meets_one_delay_an_episode_from_its_range() -> None:
         (AgentBlock(chunk=2, observe_age=True, observe_actions=2), 4 + 1 + 2 * 2, (2, 1)),
     ],
 )
-def test_an_agent_sees_and_plans_in_its_training_and_its_evaluation_what_its_block_says(
-    agent: AgentBlock, numbers: int, planned: tuple[int, ...]
-) -> None:
+def test_an_agent_sees_and_plans_what_its_block_says(agent: AgentBlock, numbers: int, planned: tuple[int, ...]) -> None:
     """Of the actions that it plans one is applied, for 40 ms, before it observes again."""
     for env in (timed(PENDULUM, agent, 0.0, "adsc", 1.0), training(PENDULUM, agent, seed=0)):
         observation, _ = env.reset(seed=0)
@@ -255,7 +254,7 @@ def test_on_the_machines_clock_an_agent_has_the_same_options(monkeypatch: pytest
     assert met == [(("tcsc", 4.0), {**of_agent, "period_s": 0.5, "default_action": 1})]
 
 
-def test_an_environment_has_the_default_action_and_the_period_of_its_block() -> None:
+def test_an_environment_has_the_keys_of_its_block() -> None:
     """The pushes of 40 ms before the first action move the cart; a step of the other cart is said to take 0.5 s."""
     for push in (2.0, -2.0):
         env = timed(PENDULUM.model_copy(update={"default_action": (push,)}), AgentBlock(), 0.04, "adsc", 1.0)
@@ -267,7 +266,7 @@ def test_an_environment_has_the_default_action_and_the_period_of_its_block() -> 
     assert (info["meanwhile_s"], info["simulated_s"]) == (0.5, 1.0)
 
 
-def test_a_drone_flies_with_the_command_and_the_clock_speed_of_the_case() -> None:
+def test_a_drone_flies_with_the_command_of_the_case() -> None:
     """In training always with ADSC in real time, whose delays are of simulated time."""
     drones = timed(DRONE, AgentBlock(), 0.0, "tcsc", 2.0), training(DRONE, AgentBlock(), seed=0)
     tasks: Any = [getattr(env.unwrapped, "task") for env in drones]  # noqa: B009  it has no type
@@ -278,34 +277,25 @@ def test_a_drone_flies_with_the_command_and_the_clock_speed_of_the_case() -> Non
 # --- reports --------------------------------------------------------------------------------------
 
 
-def row_of(agent: str, command: str, latency_s: float, clock_speed: float, mean: float, **keys: Any) -> Any:
-    """An evaluation of two episodes that return 2 less and 2 more than the mean."""
-    case = f"{agent}-{command}-{latency_s:g}-{clock_speed:g}-{keys.get('seed', 0)}"
-    row = {"suite": "realtime", "kind": "evaluation", "case": case, "timing": "virtual", "environment": "pendulum"}
-    under = {"agent": agent, "seed": 0, "command": command, "latency_s": latency_s, "clock_speed": clock_speed}
-    flown = {"returns": [mean - 2, mean + 2], "delays_s": [latency_s * clock_speed] * 2, "late_s": 0.0}
-    return row | under | flown | keys
-
-
-def made(path: Path, *rows: Any, **options: Any) -> RunDirectory:
-    run = RunDirectory.create(
-        path, configured("realtime_smoke", *TINY, "agents={naive: {}, chunk: {chunk: 2}}", **options), {}
-    )
-    for row in rows:
-        run.append_row(row)
-    return run
-
-
 def summary_of(path: Path, *rows: Any) -> Any:
-    return Realtime().report(made(path, *rows)).summary
+    return made.realtime(path, *rows).summary
 
 
 def ranking_of(path: Path, means: dict[tuple[str, float], float]) -> Any:
     """The ranking of agents by their means by agent and ClockSpeed, each within 2 of it."""
-    rows = [row_of(agent, "adsc", 0.05, speed, mean) for (agent, speed), mean in means.items()]
-    stopped = [row_of("c", "tcsc", 0.05, speed, 99.0) for speed in (1.0, 5.0)]  # rankings are of ADSC
+    rows = [thinking_row(agent, "adsc", 0.05, speed, mean) for (agent, speed), mean in means.items()]
+    stopped = [thinking_row("c", "tcsc", 0.05, speed, 99.0) for speed in (1.0, 5.0)]  # rankings are of ADSC
     (ranking,) = summary_of(path, *rows, *stopped)["rankings"]
     return ranking
+
+
+def test_tcsc_is_held_against_its_own_at_every_clock_speed(tmp_path: Path) -> None:
+    rows = [thinking_row("a", "tcsc", 0.0, 1.0, 2.0), thinking_row("a", "tcsc", 0.0, 1.0, 8.0, seed=1)]
+    fast = [*rows, *(row | {"clock_speed": 5.0, "case": f"{row['case']}-fast"} for row in rows)]
+    equal = summary_of(tmp_path / "equal", *fast, thinking_row("a", "adsc", 0.0, 5.0, 7.0))
+    other = summary_of(tmp_path / "other", *fast, thinking_row("a", "tcsc", 0.0, 9.0, 2.5))
+    found = [each["tcsc_equal_at_every_clock_speed"] for each in (summary_of(tmp_path / "one", *rows), equal, other)]
+    assert found == [None, True, False]
 
 
 def test_a_ranking_holds_until_two_agents_change_places_for_sure(tmp_path: Path) -> None:
@@ -322,7 +312,7 @@ def test_a_ranking_holds_until_two_agents_change_places_for_sure(tmp_path: Path)
 
 
 @pytest.mark.parametrize(("reversed_at", "holds_to"), [((), 50), ((5, 20), 1), ((20, 50), 5), ((5,), 1)])
-def test_a_ranking_holds_up_to_the_last_clock_speed_before_the_first_change(
+def test_a_ranking_holds_up_to_its_first_change(
     tmp_path: Path, reversed_at: tuple[float, ...], holds_to: float
 ) -> None:
     pairs = [(agent, speed) for speed in (50.0, 1.0, 20.0, 5.0) for agent in ("a", "b")]
@@ -333,93 +323,17 @@ def test_a_ranking_holds_up_to_the_last_clock_speed_before_the_first_change(
     assert found == [(speed, "b", "a") for speed in reversed_at]
 
 
-def test_a_cell_is_of_all_trainings_and_tcsc_is_held_against_its_own(tmp_path: Path) -> None:
-    rows = [row_of("a", "tcsc", 0.0, 1.0, 2.0, delays_s=[0.0, 0.1]), row_of("a", "tcsc", 0.0, 1.0, 8.0, seed=1)]
-    rows[1] |= {"delays_s": [0.5, 0.1], "late_s": 0.3}
-    alone = summary_of(tmp_path / "alone", *rows)
-    (cell,) = alone["cells"]
-    assert (cell["return_mean"], cell["seeds"], cell["episodes"], cell["late_s"]) == (5.0, 2, 4, 0.3)
-    assert 0.0 <= cell["return_low"] < 5.0 < cell["return_high"] <= 10.0
-    assert cell["delay_s"] == pytest.approx(0.1)
-    rows += [row | {"clock_speed": 5.0, "case": f"{row['case']}-fast"} for row in rows]
-    equal = summary_of(tmp_path / "equal", *rows, row_of("a", "adsc", 0.0, 5.0, 7.0))
-    other = summary_of(tmp_path / "other", *rows, row_of("a", "tcsc", 0.0, 9.0, 2.5))
-    assert [each["tcsc_equal_at_every_clock_speed"] for each in (alone, equal, other)] == [None, True, False]
-
-
 def test_a_run_without_an_evaluation_has_no_report_yet(run: RunDirectory, tmp_path: Path) -> None:
-    begun = made(tmp_path / "begun", {key: value for key, value in run.rows()[0].items() if "arrays" not in key})
-    with pytest.raises(UserError, match="holds no finished evaluation yet"):
-        Realtime().report(begun).write()
-
-
-def test_the_page_tells_each_return_and_ranking_in_its_column(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of two agents the naive one is ahead in real time, and behind at 4x where latency is 50 ms."""
-    drawn, rows = record_figures(monkeypatch), []
-    for latency_s in (0.3, 0.0, 0.05):
-        for speed in (1.0, 4.0):
-            mean = 3 if (latency_s, speed) == (0.05, 4.0) else 20
-            rows.append(row_of("naive", "adsc", latency_s, speed, mean))
-            rows.append(row_of("chunk", "adsc", latency_s, speed, 10, late_s=0.004))
-    rows += [row_of("naive", "tcsc", 0.3, speed, 19 + speed, delays_s=[0.0, 0.0]) for speed in (1, 4)]
-    report = Realtime().report(made(tmp_path / "run", *rows))
-    report.write()
-    page = (report.run.path / "report.md").read_text(encoding="utf-8")
-    change = "at 4x chunk is ahead of naive, which beats it at 1x"
-    assert report.headline() == (
-        f"With 50 ms to think, in pendulum the ranking holds up to 1x ({change}); under TCSC returns DIFFER at every "
-        "ClockSpeed"
+    begun = made.realtime(
+        tmp_path / "begun", {key: value for key, value in run.rows()[0].items() if "arrays" not in key}
     )
-    ahead, late, shown = ("20", "18 to 22", "-"), ("10", "8 to 12", "0.004"), report.overview()
-    assert shown
-    assert shown.rows == [
-        ("pendulum", agent, "ADSC", f"{1e3 * latency_s:g}", "1x", f"{latency_s:g}", *found)
-        for latency_s in (0.0, 0.05)
-        for agent, found in (("naive", ahead), ("chunk", late))
-    ]
-    for line in (
-        ("pendulum", "0", "4x", "1.00", "none"),
-        ("pendulum", "50", "1x", "-1.00", change),
-        ("pendulum", "300", "4x", "1.00", "none"),
-        ("pendulum", "naive", "TCSC", "300", "4x", "0", "23", "21 to 25", "-"),
-    ):
-        assert f"| {' | '.join(line)} |" in page
-    assert {label: points(line) for label, line in labelled(drawn["rankings"].axes[0]).items()} == {
-        "0 ms": [(0.0, 1.0), (1.0, 1.0)],
-        "50 ms": [(0.0, 1.0), (1.0, -1.0)],
-        "300 ms": [(0.0, 1.0), (1.0, 1.0)],
-    }
-    naive = labelled(drawn["returns"].axes[0])["naive"]
-    assert points(naive) == [(0.0, 20.0), (0.05, 20.0), (0.2, 3.0), (0.3, 20.0), (1.2, 20.0)]
-
-
-def test_the_machines_clock_is_held_against_the_simulated_one_in_either_order(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    drawn, keys = record_figures(monkeypatch), {"late_s": 0.03, "delays_s": [0.1, 0.1]}
-    chunk, later = row_of("chunk", "adsc", 0.05, 1.0, 4.0), row_of("naive", "adsc", 0.05, 4.0, 99.0)
-    still = row_of("naive", "tcsc", 0.05, 1.0, 10.0, delays_s=[0.0, 0.0])
-    modelled = made(tmp_path / "virtual", row_of("naive", "adsc", 0.05, 1.0, 10.0), chunk, still, later)
-    real = made(tmp_path / "wall", row_of("naive", "adsc", 0.05, 1.0, 8.0, **keys), chunk, still, timing="wall")
-    for given in ((modelled, real), (real, modelled)):
-        assert Realtime().compare(given) == [tmp_path / "wall/figures/agreement.png"]
-        shown = {label: points(line) for label, line in labelled(drawn["agreement"].axes[0]).items()}
-        assert shown == {"naive": [(10.0, 8.0), (10.0, 10.0)], "chunk": [(4.0, 4.0)]}
-        assert real.read_json("agreement.json") == {
-            "cells": 3,
-            "return_difference_median": 0.0,  # of 0.2, 0 and 0
-            "delay_difference_median": pytest.approx(0.5),  # of 1 and 0; where there is none it says nothing
-            "kendall_tau_mean": 1.0,
-            "kendall_tau_least": 1.0,
-            "late_s": 0.03,
-        }
-    with pytest.raises(UserError, match="compares a run with timing virtual and one with timing wall"):
-        Realtime().compare([modelled, modelled])
+    with pytest.raises(UserError, match="holds no finished evaluation yet"):
+        begun.write()
 
 
 @pytest.mark.wall_clock
 @pytest.mark.slow
-def test_on_the_machines_clock_it_flies_what_the_simulated_one_models(run: RunDirectory, tmp_path: Path) -> None:
+def test_what_is_flown_is_what_the_simulated_clock_models(run: RunDirectory, tmp_path: Path) -> None:
     """Delays cannot be shorter than the agent's thinking; how much longer depends on the machine."""
     keys = "agents={naive: {}}", "latency_s=[0.05]", "clock_speed=[1]", "command=[adsc]", "episodes=1"
     measured = flown(tmp_path / "wall", *keys, "timing=wall")
@@ -455,9 +369,7 @@ def test_what_does_not_fit_is_one_line(override: str, said: str) -> None:
     assert "\n" not in str(caught.value)
 
 
-def test_a_module_with_environments_is_the_projects_and_runs_when_told(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_module_with_environments_runs_when_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     own = "import gymnasium\ngymnasium.register('Own-v0', 'gymnasium.envs.classic_control:CartPoleEnv')\n"
     (tmp_path / "own_environments.py").write_text(own)
     monkeypatch.setattr(sys, "path", [*sys.path])

@@ -210,7 +210,7 @@ def test_a_row_cut_short_anywhere_is_flown_again(run: RunDirectory, kept: int) -
         assert (run.path / name).read_bytes() == whole
 
 
-def test_a_crash_between_arrays_and_row_leaves_the_case_to_be_flown(run: RunDirectory) -> None:
+def test_a_crash_before_its_row_leaves_a_case_to_be_flown(run: RunDirectory) -> None:
     run.save_arrays("a", {"time_s": np.zeros(3)})
     (run.path / "arrays" / "b.npz.unfinished").write_bytes(b"PK half")
     again = resume(run)
@@ -220,7 +220,7 @@ def test_a_crash_between_arrays_and_row_leaves_the_case_to_be_flown(run: RunDire
     np.testing.assert_array_equal(again.load_arrays(again.rows()[0])["time_s"], np.ones(3))
 
 
-def test_a_crash_before_the_configuration_was_whole_starts_afresh(tmp_path: Path) -> None:
+def test_a_crash_before_a_whole_configuration_starts_afresh(tmp_path: Path) -> None:
     path = tmp_path / "run"
     path.mkdir()
     (path / "config.yaml.unfinished").write_text("gam")

@@ -1,4 +1,4 @@
-"""Bad bytes and bad clients cost themselves their own connection; simulated time and everybody else go on."""
+"""A server's answers and their order; bad bytes and bad clients cost themselves their own connection alone."""
 
 import contextlib
 import random
@@ -16,8 +16,13 @@ import pytest
 from tests.airsim_client import MultirotorClient, RPCError
 from tests.mutated import changed_bytes, mutated_calls, send
 from tests.serving import running_server
+from tests.simulating import simulate
+from uavaccel.errors import UserError
+from uavaccel.sim.flight.pilot import DeferredReply
 from uavaccel.wire import rpc
+from uavaccel.wire.api import Api
 from uavaccel.wire.server import Server
+from uavaccel.wire.transport import SocketTransport
 
 pytestmark = pytest.mark.wall_clock
 
@@ -77,6 +82,92 @@ def send_for_ever(connection: socket.socket, data: bytes) -> None:
         connection.sendall(data)
 
 
+def answers(connection: socket.socket, requests: list[tuple[int, str, list[Any]]]) -> list[Any]:
+    """Send requests in one packet, and return as many messages in the order in which they come."""
+    connection.sendall(b"".join(rpc.pack_request(*request) for request in requests))
+    unpacker, got = msgpack.Unpacker(), list[Any]()
+    while len(got) < len(requests):
+        unpacker.feed(connection.recv(1 << 16))
+        got += unpacker
+    return got
+
+
+# --- answers ------------------------------------------------------------------------------------------------------
+
+
+def test_a_deferred_answer_comes_when_due_and_the_last_one_first(running: Server, witness: MultirotorClient) -> None:
+    """Where a command and its continue-for end together, the client waits for the latter."""
+    witness.simPause(True)
+    start_s, second_ns = time_s(witness), 1_000_000_000
+    move = [1.0, 0.0, 0.0, 1.0, 0, YAW, ""]
+    with stranger(running) as connection:
+        requests = [(1, "moveByVelocity", move), (2, "uavaccelContinueFor", [second_ns]), (3, "ping", [])]
+        got = answers(connection, requests)
+    assert [message[:3] for message in got] == [[rpc.RESPONSE, number, None] for number in (3, 2, 1)]
+    assert time_s(witness) - start_s == pytest.approx(1.0)
+    witness.simPause(False)
+
+
+def test_errors_and_what_is_over_at_once_are_answered_in_turn(running: Server, witness: MultirotorClient) -> None:
+    with stranger(running) as connection:
+        first, second, third = answers(connection, [(7, "uavaccelContinueFor", [0]), (8, "fly", []), (9, "ping", [])])
+    assert (first[:3], len(first[3])) == ([rpc.RESPONSE, 7, None], 20)
+    assert second[1:] == [8, "rpclib: server could not find function 'fly' with argument count 0.", None]
+    assert third == [rpc.RESPONSE, 9, None, True]
+    witness.simPause(False)
+
+
+def test_a_notification_is_heeded_and_gets_no_answer(running: Server, witness: MultirotorClient) -> None:
+    with stranger(running) as connection:
+        for method in ("simPause", "fly"):
+            connection.sendall(msgpack.packb([rpc.NOTIFY, method, [True]]))
+        assert answers(connection, [(1, "ping", [])]) == [[rpc.RESPONSE, 1, None, True]]
+    assert witness.simIsPause()
+    witness.simPause(False)
+
+
+def test_an_answer_that_cannot_be_packed_is_an_error(
+    running: Server, witness: MultirotorClient, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    late = DeferredReply()
+    late.encode = lambda value: value.missing
+    late.resolve(None, 0)
+    results = iter((1 << 80, object(), late, True))
+    with monkeypatch.context() as patch, stranger(running) as connection:
+        patch.setattr(running.api.methods["ping"], "handler", lambda: next(results))
+        *failed, good = answers(connection, [(number, "ping", []) for number in range(4)])
+    assert good == [rpc.RESPONSE, 3, None, True]
+    assert [number for _, number, text, _ in failed if "cannot be packed" in text] == [0, 1, 2]
+
+
+def test_a_client_that_floods_leaves_others_their_turns(running: Server, witness: MultirotorClient) -> None:
+    with stranger(running) as connection:
+        flood = rpc.pack_request(1, "getMultirotorState", [""])
+        connection.settimeout(0)
+        with contextlib.suppress(BlockingIOError):
+            send_for_ever(connection, flood)
+        for _ in range(5):
+            assert witness.ping()
+
+
+@pytest.mark.parametrize("port", [-1, 65536])
+def test_a_port_that_there_cannot_be_is_one_line(port: int) -> None:
+    with pytest.raises(UserError, match=f"port must be 0 to 65535, not {port}"):
+        Server(Api(simulate()), port=port)
+
+
+def test_a_port_in_use_and_one_without_a_server_are_one_line() -> None:
+    server = Server(Api(simulate()), port=0)
+    with pytest.raises(UserError, match=r"^cannot listen on .*: Address already in use; choose another with --port$"):
+        Server(Api(simulate()), port=server.address[1])
+    server.close()
+    with pytest.raises(UserError, match="start one with `uavaccel serve`"):
+        SocketTransport(*server.address)
+
+
+# --- bad bytes, bad clients ---------------------------------------------------------------------------------------
+
+
 @pytest.mark.parametrize("data", [
     b"GET / HTTP/1.1\r\n\r\n",
     b"\xc1",
@@ -112,60 +203,6 @@ def test_half_a_message_and_a_client_gone(running: Server, witness: MultirotorCl
         connection.sendall(PING[:3])
         if not polite:  # close with a reset instead of an end
             connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
-
-
-@pytest.mark.parametrize(("method", "params", "text"), [
-    ("fly", [], "rpclib: server could not find function 'fly' with argument count 0."),
-    ("", [1, 2], "rpclib: server could not find function '' with argument count 2."),
-    ("simPause", [], "rpclib: Function 'simPause' was called with an invalid number of arguments. Expected: 1, got: 0"),
-    ("ping", [1], "rpclib: Function 'ping' was called with an invalid number of arguments. Expected: 0, got: 1"),
-    ("enableApiControl", [True, "Nobody"], "rpclib: function 'enableApiControl' (called with 2 arg(s)) threw an "
-     "exception. The exception contained this information: Vehicle API for 'Nobody' is not available. This could "
-     "either because this is simulation-only API or this vehicle does not exist; there is 'SimpleFlight'."),
-    ("simContinueForTime", [-1.0], "rpclib: function 'simContinueForTime' (called with 1 arg(s)) threw an exception. "
-     "The exception contained this information: seconds must not be negative, not -1."),
-])  # fmt: skip
-def test_error_texts(witness: MultirotorClient, method: str, params: list[Any], text: str) -> None:
-    with pytest.raises(RPCError) as caught:
-        witness.call(method, *params)
-    assert str(caught.value) == text
-
-
-@pytest.mark.parametrize(("method", "params", "named"), [
-    ("moveByVelocity", [NAN, 0, 0, 1, 0, YAW, ""], "vx"),
-    ("moveByVelocity", [0, INF, 0, 1, 0, YAW, ""], "vy"),
-    ("moveByVelocity", [0, 0, 1e300, 1, 0, YAW, ""], "vz"),
-    ("moveByVelocity", ["fast", 0, 0, 1, 0, YAW, ""], "vx"),
-    ("moveByVelocity", [None, 0, 0, 1, 0, YAW, ""], "vx"),
-    ("moveByVelocity", [True, 0, 0, 1, 0, YAW, ""], "vx"),
-    ("moveByVelocity", [0, 0, 0, NAN, 0, YAW, ""], "duration"),
-    ("moveByVelocity", [0, 0, 0, 0.0301, 0, YAW, "", True], "duration"),
-    ("moveByVelocity", [0, 0, 0, 1, "forward", YAW, ""], "drivetrain"),
-    ("moveByVelocity", [0, 0, 0, 1, 0, 3, ""], "yaw_mode"),
-    ("moveByVelocity", [0, 0, 0, 1, 0, {"yaw_or_rate": NAN}, ""], "yaw_mode.yaw_or_rate"),
-    ("moveByVelocity", [0, 0, 0, 1, 0, YAW, ["SimpleFlight"]], "SimpleFlight"),
-    ("moveByVelocityZ", [0, 0, -INF, 1, 0, YAW, ""], "z"),
-    ("simPause", ["yes"], "is_paused"),
-    ("simContinueForTime", [INF], "seconds"),
-    ("uavaccelContinueFor", [0.5], "duration_ns"),
-    ("uavaccelSetClockSpeed", [0], "clock_speed"),
-    ("uavaccelSetClockSpeed", [1e9], "clock_speed"),
-    ("uavaccelStartGame", [1, -1e9], "height_m"),
-    ("simGetImages", [[{}] * 1000], "requests"),
-    ("simSetVehiclePose", [{"position": 1}, True], "pose"),
-])  # fmt: skip
-def test_bad_arguments_are_named(witness: MultirotorClient, method: str, params: list[Any], named: str) -> None:
-    with pytest.raises(RPCError, match=named):
-        witness.call(method, *params)
-
-
-def test_extreme_goals_are_flown_within_the_drones_limits(witness: MultirotorClient) -> None:
-    assert witness.moveByVelocityAsync(3e38, -3e38, -3e38, 2.0).get() is True
-    assert witness.call("uavaccelSpeed")["failure"] is None
-    forever = witness.moveByVelocityZAsync(0, 0, -3e38, 3e38)
-    witness.call("uavaccelRecording")
-    witness.call("cancelLastTask")
-    assert forever.get() is False
 
 
 def test_a_pause_releases_another_clients_continue_for(running: Server, witness: MultirotorClient) -> None:
@@ -260,7 +297,7 @@ def test_half_a_message_costs_what_was_sent(running: Server, witness: Multirotor
         tracemalloc.stop()
 
 
-def test_messages_that_are_nearly_requests_leave_a_server_that_answers(tmp_path: Path) -> None:
+def test_a_server_survives_messages_that_are_nearly_requests(tmp_path: Path) -> None:
     """By the million: `python -m tests.soak.mutated_messages`."""
     choose = random.Random(0)
     with running_server(render=False, recordings=tmp_path) as server:

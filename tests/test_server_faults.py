@@ -100,7 +100,7 @@ def test_a_long_command_is_no_silence_of_a_dead_server(monkeypatch: pytest.Monke
     assert silence.broken_ns([2_500_000_000]) == 2 * STALL_NS
 
 
-def test_a_short_stop_is_seen_where_simulated_time_stands_and_counted_once() -> None:
+def test_a_short_stop_is_seen_and_counted_once() -> None:
     """The simulation loses nothing then, and says nothing: only the client knows."""
     with WallSession("blocks", "native") as session:
         client = session.start_game(50.0)
@@ -147,7 +147,7 @@ def test_a_game_whose_server_was_killed_is_flown_again_and_flagged(
     assert all(server.returncode is not None for server in servers)
 
 
-def test_a_server_that_dies_in_every_attempt_ends_the_run_with_one_line(tmp_path: Path) -> None:
+def test_a_server_that_always_dies_ends_the_run_with_a_line(tmp_path: Path) -> None:
     class Dying(Dp1):
         attempts = 0
 

@@ -44,7 +44,7 @@ def test_a_seed_is_a_games_latencies_and_wall_time_begins_anew() -> None:
     assert len(set(games[0])) == 4
 
 
-def test_a_game_is_at_its_height_and_speed_and_alone_on_its_connection() -> None:
+def test_a_game_has_its_height_speed_and_connection() -> None:
     with VirtualSession("blocks", "native") as session:
         client = session.start_game(5.0, height_m=-3.0)
         assert client.clock_speed == client.speed()["clock_speed"] == 5.0

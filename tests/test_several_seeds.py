@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import pytest
 from matplotlib.figure import Figure
@@ -57,30 +56,6 @@ def test_a_seeds_run_is_that_of_a_training_with_this_seed_alone(
     assert [len(part_run(RunDirectory(run), f"seed{seed}").rows()) for seed in (7, 8, 9)] == [6, 6, 6]
 
 
-def test_numbers_over_seeds_have_a_mean_with_its_interval_and_a_range(tmp_path: Path) -> None:
-    run = RunDirectory.create(tmp_path / "run", over(3), {})
-    for seed, won, returned in ((7, 1, 2.0), (8, 2, 4.0), (9, 0, 6.0)):
-        shared = {"suite": "seeds", "case": f"seed{seed}", "seed": seed, "games": 4, "successes": won}
-        recent = {"success_recent": won / 4, "return_recent": returned, "commands_recent": 12.0}
-        evaluated = {"evaluation": {"lanes": 2, "successes": won}}
-        run.append_row(shared | recent | evaluated | {"sim_time_s": 48.0, "weights_sha256": f"{seed}" * 64})
-    report = Seeds().report(run)
-    summary: Any = report.summary
-    assert [each["seed"] for each in summary["trainings"]] == [7, 8, 9]
-    assert (summary["seeds"], summary["training_games"], summary["command"]) == (3, 4, "tcsc")
-    of_return = summary["over_seeds"]["return_recent"]
-    # Student's with 2 degrees of freedom: 4.302653 standard errors of 2 / sqrt(3)
-    assert of_return == pytest.approx({"mean": 4.0, "low": -0.968275, "high": 8.968275, "least": 2.0, "most": 6.0})
-    evaluated = summary["over_seeds"]["evaluation_success"]
-    assert (evaluated["mean"], evaluated["low"], evaluated["high"]) == (0.5, 0.0, 1.0)
-    assert report.headline() == (
-        "Evaluation lanes won after the last game: 50.0% [0.0%, 100.0%], mean of 3 seeds, with its 95 % interval"
-    )
-    table = report.overview()
-    assert table is not None
-    assert ("return, mean of the last 100 games", "4 [-0.9683, 8.968]", "2 to 6") in table.rows
-
-
 def test_an_option_makes_a_training_one_over_seeds(tmp_path: Path) -> None:
     """Its other options and keys are the training's, on the way there as when it goes on."""
     config = configured("train", "task.speed_m_s=2", seeds=3, seed=5, games=4)
@@ -96,7 +71,7 @@ def test_an_option_makes_a_training_one_over_seeds(tmp_path: Path) -> None:
         configure(RunRequest(None, out=tmp_path / "run", resume=True, suite="evaluate"))
 
 
-def test_fewer_games_than_were_asked_for_are_refused_before_a_plan_is_told(tmp_path: Path) -> None:
+def test_fewer_games_than_before_are_refused_at_once(tmp_path: Path) -> None:
     RunDirectory.create(tmp_path / "run", TRAINING, {})
     (tmp_path / "run/checkpoints/0000004").mkdir(parents=True)
     for file in ("learner.pt", "state.json"):

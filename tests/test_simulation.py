@@ -225,6 +225,17 @@ def test_a_continue_for_is_rounded_to_a_tick(duration_ns: int, ticks: int) -> No
     assert simulation.world.tick == ticks
 
 
+@pytest.mark.parametrize(("duration_ns", "ticks"), [(0, 0), (1, 1), (2_999_999, 1), (3_000_000, 1), (6_000_000, 2)])
+def test_airsims_continue_for_runs_a_tick_at_least(duration_ns: int, ticks: int) -> None:
+    """AirSim looks at its timer after a tick; without a duration it is over at once."""
+    simulation = simulate(1.0, AIRSIM)
+    simulation.pause(0)
+    simulation.continue_for(duration_ns, 0)
+    while (due_ns := simulation.next_event_wall_ns()) is not None:
+        simulation.advance_to(due_ns)
+    assert (simulation.paused, simulation.world.tick) == (True, ticks)
+
+
 @pytest.mark.parametrize("resume", [False, True])
 def test_pausing_or_running_in_a_continue_for_releases_its_reply(resume: bool) -> None:
     simulation = simulate()

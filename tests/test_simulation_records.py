@@ -17,6 +17,7 @@ from uavaccel.sim.profile import AIRSIM, NATIVE, Profile
 from uavaccel.sim.recording import Recording
 from uavaccel.sim.simulation import MOST_CATCH_UP_TICKS, Simulation
 from uavaccel.sim.vehicle import vehicle as samples
+from uavaccel.sim.vehicle.vehicle import AddedVehicle, Start
 from uavaccel.sim.world import World
 
 TICK_NS = NATIVE.tick_ns
@@ -165,6 +166,29 @@ def test_no_more_is_made_good_at_once_than_others_can_wait_for(clock_speed: floa
     speed = simulation.speed
     made_good_ns = simulation.world.tick * TICK_NS / clock_speed
     assert speed.wall_ns - speed.lost_wall_ns == pytest.approx(made_good_ns, rel=1e-3)
+
+
+def test_several_vehicles_make_good_as_much_together_as_one() -> None:
+    simulation = Simulation(World("blocks", NATIVE), 1000.0, catch_up_wall_ns=CATCH_UP_NS)
+    simulation.add_vehicles([AddedVehicle(f"V{n}", Start((3.0 * n, 5.0, -9.0))) for n in range(4)])
+    simulation.advance_to(CATCH_UP_NS)
+    assert simulation.world.tick == MOST_CATCH_UP_TICKS // 5 + 1
+
+
+def test_whoever_watches_is_called_at_its_own_ticks() -> None:
+    """Counted from its first one; one that ends itself is called no more."""
+    world = simulate().world
+    seen: dict[str, list[int]] = {"all": [], "once": []}
+    ends = [world.watch(10, seen["all"].append, first_tick=3), world.watch(4, lambda tick: once(tick))]
+
+    def once(tick: int) -> None:
+        seen["once"].append(tick)
+        ends[1]()
+
+    assert [world.advance(ticks) for ticks in (5, 20, 8)] == [5, 20, 8]
+    ends[0]()
+    world.advance(20)
+    assert seen == {"all": [3, 13, 23, 33], "once": [4]}
 
 
 held_up = st.lists(st.integers(0, 3 * CATCH_UP_NS), min_size=1, max_size=12)

@@ -107,7 +107,7 @@ class Found:
     ("found", "over"),
     [("T" * 16, 0), ("T" * 17, 1), ("T" * 16 + "S" + "T" * 16, 0), ("T" * 3 + "S" + "T" * 17, 1), ("TS" * 20, 0)],
 )
-def test_patience_is_over_after_more_than_four_seconds_without_a_break(
+def test_patience_is_over_after_four_seconds_without_a_break(
     found: str, over: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Looks are a quarter of a second apart; whoever is stopped now and then is waited for."""
@@ -127,7 +127,7 @@ def test_patience_is_over_after_more_than_four_seconds_without_a_break(
         (["S", *"T" * 17], "the server was stopped"),
     ],
 )
-def test_a_watch_kills_what_stays_stopped_and_tells_once_who_is_gone(
+def test_a_watch_kills_what_stays_stopped_and_tells_once(
     found: list[str | int], lost: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     process: Any = Found(*found)

@@ -10,9 +10,11 @@ import pytest
 from tests.simulating import fly_velocity, go_to, simulate
 from uavaccel.errors import UserError
 from uavaccel.kinematics import VelocityGoal
+from uavaccel.sim.poses import LEVEL
 from uavaccel.sim.profile import AIRSIM, NATIVE, Profile
 from uavaccel.sim.simulation import Simulation
 from uavaccel.sim.vehicle.quadrotor import air_density
+from uavaccel.sim.world import World
 from uavaccel.wire import rpc
 from uavaccel.wire.api import Api
 from uavaccel.wire.types import EPOCH_NS
@@ -128,6 +130,27 @@ def test_a_vehicle_on_the_ground_is_at_rest_and_landed(profile: Profile) -> None
         np.testing.assert_allclose(now.linear_velocity_m_s, 0.0, atol=1e-4)
         np.testing.assert_allclose(now.angular_acceleration_rad_s2, 0.0, atol=1e-2)
     assert states == [0, 1]
+
+
+def test_a_teleport_leaves_the_vehicle_where_it_was_told_to_be() -> None:
+    """A little inside of a block's top too, which is no ground."""
+    world = simulate().world
+    for place in ((3.0, 4.0, -7.0), (-45.0, 0.0, -6.0), (-45.0, 0.0, -6.001)):
+        world.teleport(world.lead, place, LEVEL)
+        assert world.lead.place_m == place
+    world.teleport(world.lead, (3.0, 4.0, 5.0), LEVEL)
+    assert world.lead.place_m == pytest.approx((3.0, 4.0, -HULL_HALF_HEIGHT_M), abs=1e-9)
+
+
+def test_in_the_lane_a_teleport_ends_a_collision() -> None:
+    world = World("lane", NATIVE)
+    world.place((5.0, 4.0, -2.0), velocity_m_s=(0.0, 8.0, 0.0))
+    assert world.advance(500) < 500
+    assert world.lead.collision_tick is not None
+    world.teleport(world.lead, (5.0, 0.0, -2.0), LEVEL, (0.0, 0.0, 0.0))
+    assert (world.lead.collision_tick, world.lead.contact_log.count) == (None, 0)
+    assert world.advance(100) == 100
+    assert world.lead.place_m == pytest.approx((5.0, 0.0, -2.0), abs=0.2)
 
 
 def test_in_free_fall_it_is_not_landed_and_the_acceleration_is_gravitys() -> None:

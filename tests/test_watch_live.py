@@ -101,7 +101,7 @@ class Flight:
         return self.arrays
 
 
-def test_a_held_flight_stands_steps_and_goes_on_to_the_same_bytes(feed: Live) -> None:
+def test_a_held_flight_steps_and_goes_on_to_the_same_bytes(feed: Live) -> None:
     """And tells clocks, pose and command."""
     assert round(REFRESH_NS / 2_000_000) * 0.002 == POLL_S
     flight = Flight(feed)
@@ -182,7 +182,7 @@ def test_a_lanes_obstacles_and_a_further_game_are_told(feed: Live) -> None:
 
 
 @pytest.mark.wall_clock
-def test_a_server_on_the_machines_clock_is_heard_and_cannot_be_held(feed: Live) -> None:
+def test_a_server_on_the_machines_clock_cannot_be_held(feed: Live) -> None:
     thread = threading.Thread(target=lambda: flown(timing="wall"))
     thread.start()
     heard: list[Moment] = []
@@ -266,7 +266,7 @@ def commanded(folder: Path, *arguments: str) -> Iterator[tuple[str, subprocess.P
 
 @pytest.mark.slow
 @pytest.mark.skipif(not CHROMIUM.exists(), reason="needs Debian's chromium")
-def test_a_browser_holds_a_flight_of_a_simulated_clock_and_looks_on_at_one_of_the_machines(tmp_path: Path) -> None:
+def test_a_browser_holds_a_simulated_flight_and_sees_a_real_one(tmp_path: Path) -> None:
     from playwright.sync_api import sync_playwright
 
     (tmp_path / "script.py").write_text(SCRIPT)

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.dp1_games import line_row
 from tests.learning import tiny_config, train_into
+from tests.made_runs import line_row
 from tests.running import configured, fly_into
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.errors import UsageError, UserError

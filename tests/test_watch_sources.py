@@ -17,8 +17,9 @@ import mujoco
 import numpy as np
 import pytest
 
+from tests.golden import assert_as_recorded, numbers
 from tests.test_watch_page import MODEL
-from tests.web_server import BLUE, VERMILION, Server
+from tests.web_server import Server
 from uavaccel.errors import UsageError, UserError
 from uavaccel.files import to_json, write_arrays
 from uavaccel.processes import lifetime
@@ -59,69 +60,64 @@ def without_camera(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pages, "make_camera", make_camera)
 
 
-def test_a_replay_goes_by_simulated_seconds_pauses_steps_and_begins_anew() -> None:
-    """Four seconds at 50x took 80 ms."""
+def test_a_replay_goes_by_simulated_seconds_pauses_and_steps() -> None:
+    """Four seconds at 50x took 80 ms; at its end it begins anew."""
     replay, page, server = shown(straight("a", 50.0, 4.0))
-    controls = server.added
+    controls, said = server.added, list[str]()
 
-    def times(passed_s: float) -> list[float]:
-        return [round(moment.drones[0].time_s, 9) for moment in replay.update(passed_s, True)]
+    def go(passed_s: float) -> None:
+        times = [round(moment.drones[0].time_s, 9) for moment in replay.update(passed_s, True)]
+        said.append(f"{passed_s} s later: {times}, held {replay.held}")
 
-    assert times(1.0) == [0.0]  # its beginning
-    assert times(0.5) == [0.5]
-    controls["Shown at"].choose("5x")
-    assert times(0.25) == [1.0, 1.75]  # by way of its samples
-    controls["Step"].click()
-    assert times(1.0) == [1.8]
-    assert times(1.0) == []
-    controls["Pause"].click()
-    assert (times(0.1), replay.held) == ([2.0, 2.3], False)
-    controls["Shown at"].choose(pages.FLAT_OUT)
-    assert (times(0.02), times(1.0), replay.held) == ([3.0, 3.3], [4.0], True)
-    controls["Pause"].click()  # at its end it begins anew
-    controls["Shown at"].choose("1x")
-    assert (times(1.0), times(1.0), replay.held) == ([0.0], [1.0], False)
+    def after(control: str, value: str | None = None) -> None:
+        said.append(f"{control} {value or ''}".strip())
+        controls[control].click() if value is None else controls[control].choose(value)
+
+    go(1.0)
+    go(0.5)
+    after("Shown at", "5x")
+    go(0.25)
+    after("Step")
+    go(1.0)
+    go(1.0)
+    after("Pause")
+    go(0.1)
+    after("Shown at", pages.FLAT_OUT)
+    go(0.02)
+    go(1.0)
+    after("Pause")
+    after("Shown at", "1x")
+    go(1.0)
+    go(1.0)
     replay.begin()
     page.update(0.0)
     page.update(3.0)
-    assert server.clocks().startswith("ClockSpeed 50x wall clock 60.0 ms a 3.00 s 10.0 m up client thinks, drone")
-    assert server.path("a")[1] == [BLUE, BLUE, VERMILION]
-    np.testing.assert_allclose(controls["/a"].wxyz, [np.sqrt(0.5), 0.0, 0.0, -np.sqrt(0.5)])
+    said += [server.clocks(), *server.shown("/a path"), *list(server.shown("/a"))[:1]]
+    assert_as_recorded("watch_replay", "\n".join([*said, ""]))
 
 
-def test_a_replay_that_is_scrubbed_draws_its_path_up_to_there_anew_and_stays_paused() -> None:
+def test_a_replay_that_is_scrubbed_stays_paused() -> None:
     replay, page, server = shown(straight("a", 50.0, 4.0))
     page.update(0.0)
     page.update(3.5)
     replay.toggle()
-    for sought_s, at_s, north_m in (
-        (1.5, 1.5, [0.0, 1.0, 1.5]),
-        (np.nan, 0.0, [0.0]),
-        (9.0, 4.0, [0.0, 1.0, 2.0, 3.0, 4.0]),
-    ):
+    said = []
+    for sought_s in (1.5, np.nan, 9.0):
         server.added["Time"].choose(sought_s)
         page.update(1.0)
-        assert replay.progress_s == pytest.approx((at_s, 4.0))
-        segments = server.path("a")[0]
-        assert [segments[0][0][0], *(end[0] for _, end in segments)] == north_m if segments else north_m == [0.0]
-    assert replay.held
+        said += [f"to {sought_s}: {numbers(replay.progress_s)}, held {replay.held}", *server.shown("/a path")]
     replay.seek(1.0)  # from its end
     page.update(0.0)
     assert not replay.held
+    assert_as_recorded("watch_scrubbed", "\n".join([*said, ""]))
 
 
-def test_replays_are_side_by_side_around_the_middle_and_held_against_the_last() -> None:
+def test_replays_are_side_by_side_and_held_against_the_last() -> None:
     tracks = [straight("a", 50.0, 4.0, aside_m=3.0), straight("b", 50.0, 5.0), straight("c", 50.0, 4.0)]
     _, page, server = shown(*tracks)
     page.update(0.0)
-    places = [server.added[f"/{name}"].position.round(9).tolist() for name in "abc"]
-    assert places == [[0.0, 1.6, 10.0], [0.0, 0.0, 10.0], [0.0, -4.6, 10.0]]
-    ideal = server.added["/a ideal"].arguments[1][-1]
-    np.testing.assert_allclose(ideal, [[3.0, 4.6, 10.0], [4.0, 4.6, 10.0]], rtol=1e-6)
-    assert "/c ideal" not in server.added
-    assert server.clocks().endswith("a leaves the path of c by up to 3.00 m; b leaves the path of c by up to 1.00 m")
-    camera = server.initial_camera
-    np.testing.assert_allclose(camera.position - camera.look_at, (2.5 + 4.6) * np.array([-1.15, 0.0, 0.85]))
+    places = [line for line in server.shown() if line.count("/") == 1 and (" ideal" in line or " " not in line[:3])]
+    assert_as_recorded("watch_side_by_side", "\n".join([server.clocks(), server.views(), *places, ""]))
 
 
 @pytest.mark.parametrize(
@@ -139,7 +135,7 @@ def test_a_flight_is_seen_whole_or_gone_along_with(metres: float, centre: float,
     assert "wall clock 2.000 s" in server.clocks()
 
 
-def test_another_clock_speed_is_flown_and_shown_from_its_beginning() -> None:
+def test_another_clock_speed_is_shown_from_its_beginning() -> None:
     replay, page, server = shown(straight("a", 20.0, 4.0), fly_at=lambda speed: [straight("a", speed, 4.0)])
     for passed_s in (0.0, 1.0):
         page.update(passed_s)
@@ -150,7 +146,7 @@ def test_another_clock_speed_is_flown_and_shown_from_its_beginning() -> None:
     assert replay.update(1.0, True)[-1].wall == "10.0 ms"
 
 
-def test_a_clock_that_stands_while_the_client_thinks_is_told_and_a_pose_is_between_samples() -> None:
+def test_a_clock_that_stands_while_the_client_thinks_is_told() -> None:
     marks = np.array([[0.0, 0.0], [0.2, 2.0], [0.3, 2.05], [0.5, 4.0]])  # it stands: a twentieth of ClockSpeed 10
     track = straight("a", 10.0, 4.0, marks=marks)
     said = {0.1: "flies its command", 0.25: "client thinks, clock paused", 0.4: "client thinks, drone flies on"}
@@ -248,7 +244,7 @@ def test_a_scene_and_its_moments_are_as_the_flight_has_them(live: tuple[Live, li
     assert flights[0] != flights[1] == flights[2]
 
 
-def test_a_flight_obeys_the_page_that_shows_it_while_somebody_looks(live: tuple[Live, list[Teller]]) -> None:
+def test_a_flight_obeys_the_page_while_somebody_looks(live: tuple[Live, list[Teller]]) -> None:
     source, (shown, other) = live
     assert (shown.orders(), other.orders()) == ([FREE], [FREE])
     orders = {"seen": True, "held": False, "pace": 1.0, "refreshes": 0}
@@ -275,7 +271,7 @@ def test_a_flight_obeys_the_page_that_shows_it_while_somebody_looks(live: tuple[
     assert [world.moments for world in source.worlds] == [[]]
 
 
-def test_the_first_flight_is_shown_until_it_is_silent_or_has_ended(live: tuple[Live, list[Teller]]) -> None:
+def test_the_first_flight_is_shown_until_it_is_silent(live: tuple[Live, list[Teller]]) -> None:
     source, tellers = live
     for teller in tellers:
         teller.send(teller.scene)
@@ -308,7 +304,7 @@ def test_the_first_flight_is_shown_until_it_is_silent_or_has_ended(live: tuple[L
 
 
 @pytest.mark.parametrize(("waits", "opened"), [(True, True), (True, False), (False, True)])
-def test_a_page_beside_a_command_is_there_for_as_long_as_it_flies(
+def test_a_page_beside_a_command_is_there_while_it_flies(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], waits: bool, opened: bool
 ) -> None:
     """The command waits for its first spectator where that was asked for, and not for ever."""
@@ -411,7 +407,7 @@ def opened(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     return shown
 
 
-def test_the_square_is_flown_as_asked_for_and_at_every_clock_speed_that_is_chosen(
+def test_the_square_is_flown_at_every_clock_speed_chosen(
     opened: dict[str, Any], capsys: pytest.CaptureFixture[str]
 ) -> None:
     beside.show(None, None, None, (50.0, 0.0125, 7), "127.0.0.9", 8100)
@@ -461,7 +457,7 @@ def script_flight(folder: Path, *messages: dict[str, Any], **summary: Any) -> Pa
     return folder
 
 
-def test_a_scripts_commands_end_with_their_answers_or_at_the_next_one(tmp_path: Path) -> None:
+def test_a_scripts_commands_end_with_answers_or_the_next_one(tmp_path: Path) -> None:
     """Answered in time, answered after the next command had begun, and never asked for."""
 
     def call(number: int, wall_s: float, method: str, *params: Any) -> dict[str, Any]:
@@ -495,7 +491,7 @@ def test_a_scripts_commands_end_with_their_answers_or_at_the_next_one(tmp_path: 
     assert (replay.flight.scene, replay.marks.tolist()) == ("lane", track.marks.tolist())
 
 
-def test_a_flight_on_the_machines_clock_took_its_time_over_its_clock_speed(tmp_path: Path) -> None:
+def test_a_measured_flight_took_its_time_over_its_clock_speed(tmp_path: Path) -> None:
     ping: dict[str, Any] = {"call": 1, "wall_ns": 5, "time_ns": None, "method": "ping", "params": []}
     track = script_track(script_flight(tmp_path / "flight", ping))
     assert track.marks.tolist() == [[0.0, 0.0], [2.0, 4.0]]

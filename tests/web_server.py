@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from contextlib import nullcontext
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 
-from uavaccel.watch.scene import COMMANDED, THINKING, as_light
+from tests.golden import numbers
+from uavaccel.watch.scene import COMMANDED, IDEAL, THINKING, as_light
 
-BLUE, VERMILION = (tuple(as_light(colour).tolist()) for colour in (COMMANDED, THINKING))  # as they are sent
+MEANT = {"flies": COMMANDED, "thinks": THINKING, "ideal": IDEAL}
+LIGHTS = {tuple(as_light(colour).tolist()): name for name, colour in MEANT.items()}  # as they are sent
 
 
 class Handle:
@@ -22,7 +25,6 @@ class Handle:
         self.label: Any = name
         self.content: Any = arguments[0]
         self.value, self.visible, self.disabled = options.get("initial_value"), options.get("visible", True), False
-        self.points: Any = None
         self._acts: list[Any] = []
 
     def on_click(self, act: Any) -> None:
@@ -40,6 +42,26 @@ class Handle:
 
     def remove(self) -> None:
         del self._server.added[self.name]
+
+    def told(self) -> str:
+        """What a browser would be shown of it: where it is, how large, in which colour."""
+        said = []
+        for name, value in {**self.options, **vars(self)}.items():
+            if isinstance(value, np.ndarray) or name in ("position", "wxyz", "color", "points", "colors"):
+                said.append(f"{name} {_colour(value) if name.startswith('color') else numbers(value)}")
+        for value in self.arguments[1:]:
+            if isinstance(value, np.ndarray) and value.ndim == 2:  # of a mesh, whose order is its library's
+                said.append(f"{value.shape} from {numbers(value.min(0))} to {numbers(value.max(0))}")
+            elif isinstance(value, np.ndarray):
+                said.append(f"{value.shape} {numbers(value)}")
+            else:
+                said.append(str(value))
+        return "; ".join([self.name, *said, *["hidden"] * (not self.visible)])
+
+
+def _colour(value: Any) -> str:
+    rows = [tuple(each) for each in np.reshape(value, (-1, 3)).tolist()]
+    return " ".join(LIGHTS.get(row, str(row)) for row in rows[::2] or rows)
 
 
 class Server:
@@ -80,8 +102,13 @@ class Server:
         """The table of clocks in words."""
         return " ".join(re.sub("<[^>]*>|&nbsp;", " ", self.added["clocks"].content).split())
 
-    def path(self, name: str) -> tuple[list[Any], list[Any]]:
-        """The path of a drone: its segments' ends, and their colours."""
-        blocks = [handle for other, handle in self.added.items() if other.startswith(f"/{name} path")]
-        points = [segment for block in blocks for segment in block.points.round(6).tolist()]
-        return points, [tuple(colour[0]) for block in blocks for colour in block.colors.tolist()]
+    def shown(self, below: str = "/") -> Iterator[str]:
+        """What a browser is shown of the scene, by line."""
+        for name, handle in self.added.items():
+            if str(name).startswith(below) and not str(name).startswith("/light"):
+                yield handle.told()
+
+    def views(self) -> str:
+        """Where the browsers look from and at: the next one, and those that are there."""
+        cameras = [self.initial_camera, *(client.camera for client in self.clients.values())]
+        return ", ".join(f"{numbers(each.position)} at {numbers(getattr(each, 'look_at', []))}" for each in cameras)

@@ -9,24 +9,15 @@ Source of names, defaults and parameter orders: AirSim v1.1, PythonClient/AirSim
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Sequence
+import inspect
+from collections.abc import Callable
 from typing import ParamSpec
 
 from uavaccel.airsim import client, utils
-from uavaccel.airsim.client import FOR_EVER, NO_TURN, TURN_FREELY
+from uavaccel.airsim.client import FOR_EVER
 from uavaccel.airsim.connection import Future
 from uavaccel.airsim.types import *
-from uavaccel.airsim.types import (
-    CameraInfo,
-    CollisionInfo,
-    GeoPoint,
-    ImageType,
-    Pose,
-    Quaternionr,
-    RCData,
-    Vector3r,
-    YawMode,
-)
+from uavaccel.airsim.types import CameraInfo, CollisionInfo, GeoPoint, ImageType, Pose, Quaternionr, RCData, Vector3r
 from uavaccel.airsim.utils import *
 
 AirSimImageType = ImageType
@@ -34,10 +25,27 @@ AirSimImageType = ImageType
 Arguments = ParamSpec("Arguments")
 
 
-def _waited(command: Callable[[float], Future], max_wait_s: float) -> bool:
-    """Return the result of a command with a time-out; True at once for a time-out of 0. Raises RpcError."""
-    begun = command(max_wait_s if max_wait_s > 0 else FOR_EVER)
-    return bool(begun.get()) if max_wait_s > 0 else True
+def _waited(command: Callable[..., Future], limit_s: float) -> Callable[..., bool]:
+    """Return a command whose `timeout_sec` is its `max_wait_seconds`, by default `limit_s`, and is waited for.
+
+    It returns the command's result; True at once for 0. Raises RpcError.
+    """
+    declared = inspect.signature(command)
+    given = declared.parameters.copy()
+    parameters = [each.replace(default=limit_s) if name == "timeout_sec" else each for name, each in given.items()]
+    renamed = [each.replace(name=each.name.replace("timeout_sec", "max_wait_seconds")) for each in parameters]
+    signature = declared.replace(parameters=[each for each in renamed if each.name != "vehicle_name"])
+
+    def wait(*arguments: object, **named: object) -> bool:
+        bound = signature.bind(*arguments, **named)
+        bound.apply_defaults()
+        limit_s: float = bound.arguments["max_wait_seconds"]
+        bound.arguments["max_wait_seconds"] = limit_s if limit_s > 0 else FOR_EVER
+        begun = command(*bound.args)
+        return bool(begun.get()) if limit_s > 0 else True
+
+    wait.__signature__ = signature  # type: ignore[attr-defined]
+    return wait
 
 
 def _begun(command: Callable[Arguments, Future]) -> Callable[Arguments, bool]:
@@ -91,14 +99,15 @@ class AirSimClientBase(client.VehicleClient):
 class MultirotorClient(AirSimClientBase, client.MultirotorClient):
     """The calls of a multirotor, whose commands return whether they succeeded."""
 
-    def takeoff(self, max_wait_seconds: float = 15) -> bool:
-        return _waited(self.takeoffAsync, max_wait_seconds)
-
-    def land(self, max_wait_seconds: float = 60) -> bool:
-        return _waited(self.landAsync, max_wait_seconds)
+    takeoff = _waited(client.MultirotorClient.takeoffAsync, 15)
+    land = _waited(client.MultirotorClient.landAsync, 60)
+    moveOnPath = _waited(client.MultirotorClient.moveOnPathAsync, 60)
+    moveToZ = _waited(client.MultirotorClient.moveToZAsync, 60)
+    moveToPosition = _waited(client.MultirotorClient.moveToPositionAsync, 60)
+    rotateToYaw = _waited(client.MultirotorClient.rotateToYawAsync, 60)
 
     def goHome(self) -> bool:
-        return _waited(self.goHomeAsync, FOR_EVER)
+        return bool(self.goHomeAsync().get())
 
     def hover(self) -> bool:
         return bool(self.hoverAsync().get())
@@ -153,32 +162,6 @@ class MultirotorClient(AirSimClientBase, client.MultirotorClient):
     moveByVelocityZ = _begun(client.MultirotorClient.moveByVelocityZAsync)
     moveByManual = _begun(client.MultirotorClient.moveByManualAsync)
     rotateByYawRate = _begun(client.MultirotorClient.rotateByYawRateAsync)
-
-    def moveOnPath(
-        self, path: Sequence[Vector3r], velocity: float, max_wait_seconds: float = 60,
-        drivetrain: int = TURN_FREELY, yaw_mode: YawMode = NO_TURN, lookahead: float = -1,
-        adaptive_lookahead: float = 1,
-    ) -> bool:  # fmt: skip
-        how = (drivetrain, yaw_mode, lookahead, adaptive_lookahead)
-        return _waited(lambda limit_s: self.moveOnPathAsync(path, velocity, limit_s, *how), max_wait_seconds)
-
-    def moveToZ(
-        self, z: float, velocity: float, max_wait_seconds: float = 60, yaw_mode: YawMode = NO_TURN,
-        lookahead: float = -1, adaptive_lookahead: float = 1,
-    ) -> bool:  # fmt: skip
-        how = (yaw_mode, lookahead, adaptive_lookahead)
-        return _waited(lambda limit_s: self.moveToZAsync(z, velocity, limit_s, *how), max_wait_seconds)
-
-    def moveToPosition(
-        self, x: float, y: float, z: float, velocity: float, max_wait_seconds: float = 60,
-        drivetrain: int = TURN_FREELY, yaw_mode: YawMode = NO_TURN, lookahead: float = -1,
-        adaptive_lookahead: float = 1,
-    ) -> bool:  # fmt: skip
-        how = (drivetrain, yaw_mode, lookahead, adaptive_lookahead)
-        return _waited(lambda limit_s: self.moveToPositionAsync(x, y, z, velocity, limit_s, *how), max_wait_seconds)
-
-    def rotateToYaw(self, yaw: float, max_wait_seconds: float = 60, margin: float = 5) -> bool:
-        return _waited(lambda limit_s: self.rotateToYawAsync(yaw, limit_s, margin), max_wait_seconds)
 
 
 CarClient = client.CarClient

@@ -9,10 +9,12 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
 import torch as th
 from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
 
 from uavaccel.envs.arrays import mapped
 from uavaccel.envs.checks import ROUNDING, autoreset_of, make_task, seeds_of
@@ -106,6 +108,11 @@ class CudaBatch(VectorEnv[Any, Any, Any]):
         infos |= {"final_info": _with_masks(lanes.final_info, over), "_final_info": over}
         ended = lanes.rewards.clone(), lanes.terminated.clone(), lanes.truncated.clone()
         return mapped(th.clone, lanes.observations), *ended, infos
+
+    def charge_each(self, durations_ns: NDArray[np.int64]) -> None:
+        """In timing `virtual`, charge each environment (N,) for its agent's work since its last command."""
+        if self._lanes.clocks is not None and self.task.timing == "virtual":
+            self._lanes.clocks.charge(th.as_tensor(durations_ns, device=self.device), "inference")
 
     def _read_an_earlier_step(self) -> None:
         """Let games be sampled where they have begun, and check the actions, of the step some steps ago."""

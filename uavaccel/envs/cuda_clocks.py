@@ -19,7 +19,6 @@ from uavaccel.kernels import cuda as kernels
 from uavaccel.kernels import cuda_clocks as clock_kernels
 from uavaccel.kernels import timeline
 from uavaccel.kernels.fields import STATE
-from uavaccel.units import NS_PER_S
 
 Advance = Callable[[th.Tensor, th.Tensor], None]
 """Flies the lanes selected by a flag (L,) uint8 for ticks (L,) int64."""
@@ -85,11 +84,10 @@ class DeviceClocks:
 
     # --- times ----------------------------------------------------------------------------
 
-    def charge(self, going: th.Tensor, duration_s: float, phase: str) -> None:
-        """Charge the lanes for their agents' work between two commands; with ADSC they fly on meanwhile."""
-        spent = going.long() * round(duration_s * NS_PER_S)
-        self.tensors.row[:, timeline.NOW] += spent
-        self.tensors.row[:, timeline.FIRST_PHASE + PHASES.index(phase)] += spent
+    def charge(self, spent_ns: th.Tensor, phase: str) -> None:
+        """Charge the lanes (L,) for their agents' work between two commands; with ADSC they fly on meanwhile."""
+        self.tensors.row[:, timeline.NOW] += spent_ns
+        self.tensors.row[:, timeline.FIRST_PHASE + PHASES.index(phase)] += spent_ns
 
     @property
     def wall_ns(self) -> th.Tensor:

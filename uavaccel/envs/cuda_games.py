@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from uavaccel.envs.arrays import mapped, stacked
 from uavaccel.envs.checks import known_options
 from uavaccel.envs.flight_env import CONDITIONS
-from uavaccel.envs.kernel_games import Drawn, GameMaker, keys_of
+from uavaccel.envs.kernel_games import Drawn, GameMaker, keys_of, options_text
 from uavaccel.envs.navigate import NavigateTask
 from uavaccel.envs.obstacle_lane import LaneTask
 from uavaccel.envs.task import Task
@@ -232,7 +232,10 @@ class SampledAhead(LaneGames):
         self._generators: list[Any] = [None] * count
         self._games = [0] * count
         self._drawn: list[dict[int, Drawn]] = [{} for _ in range(count)]
-        self._generator_states: list[dict[int, Mapping[str, Any]]] = [{} for _ in range(count)]
+        # State of the generator before each of these games, and the options that it was sampled with.
+        self._sampled_by: list[dict[int, tuple[Mapping[str, Any], Mapping[str, Any] | None]]] = [
+            {} for _ in range(count)
+        ]
         self._written = [0] * count
 
     @property
@@ -259,8 +262,13 @@ class SampledAhead(LaneGames):
         self._send([self._draw(lane, each[lane]) for lane in range(self.count)])
 
     def discard(self) -> None:
-        """Let no lane begin a game that was sampled so far."""
-        self.begun.copy_(self.available)
+        """Forget the games that were sampled ahead, as if they had not been."""
+        for lane, begun in enumerate(self.begun.tolist()):
+            if begun < self._written[lane]:
+                self._generators[lane].bit_generator.state = self._sampled_by[lane][begun][0]
+                self._games[lane] -= self._written[lane] - begun
+                self._written[lane] = begun
+        self.available.copy_(self.begun)
 
     def refill(self, begun: Sequence[int]) -> None:
         """Sample games until all rows are in use again, given how many games each lane has begun; transfer them."""
@@ -284,8 +292,10 @@ class SampledAhead(LaneGames):
         """Return what a lane's running game and its next ones are sampled from."""
         flown, written = int(self.begun[lane]) - 1, self._written[lane]
         games = self._games[lane] - (written - flown)
+        generator, options = self._sampled_by[lane][flown]
         return {
-            "drawn_by": json.dumps(self._generator_states[lane][flown]),
+            "drawn_by": json.dumps(generator),
+            "options": options_text(options),
             "flown": flown,
             "written": written,
             "games": games,
@@ -297,7 +307,8 @@ class SampledAhead(LaneGames):
         generator.bit_generator.state = json.loads(str(state["drawn_by"]))
         flown, written = int(state["flown"]), int(state["written"])
         self._games[lane], self._written[lane] = int(state["games"]), flown
-        self._send([self._draw(lane) for _ in range(flown, written)])
+        options = json.loads(str(state["options"]))
+        self._send([self._draw(lane, None if number > flown else options) for number in range(flown, written)])
         self.begun[lane], self.available[lane] = flown + 1, written
 
     def _draw(self, lane: int, options: Mapping[str, Any] | None = None) -> int:
@@ -308,9 +319,10 @@ class SampledAhead(LaneGames):
         self._games[lane] += 1
         row = lane * AHEAD + number % AHEAD
         self.maker.write(drawn, self._host, row)
-        for latest in (self._drawn[lane], self._generator_states[lane]):
+        latest: dict[int, Any]
+        for latest in (self._drawn[lane], self._sampled_by[lane]):
             latest.pop(number - AHEAD, None)
-        self._drawn[lane][number], self._generator_states[lane][number] = drawn, before
+        self._drawn[lane][number], self._sampled_by[lane][number] = drawn, (before, options)
         self._written[lane] = number + 1
         return row
 

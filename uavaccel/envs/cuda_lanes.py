@@ -30,6 +30,7 @@ from uavaccel.kernels.fields import DVS, STATE
 from uavaccel.kernels.flight import TOUCHED
 from uavaccel.kernels.recording import recorded
 from uavaccel.sim.vehicle.quadrotor import FLIGHT_DTYPE, KINEMATICS
+from uavaccel.units import NS_PER_S
 
 
 class Ended(NamedTuple):
@@ -211,7 +212,7 @@ class CudaLanes:
     def charge(self, flown: th.Tensor, duration_s: float, phase: str) -> None:
         """In timing `virtual`, charge the lanes in `flown` (L,) uint8 for their agent's work; with ADSC they fly on."""
         if self.clocks is not None and self.task.timing == "virtual":
-            self.clocks.charge(flown, duration_s, phase)
+            self.clocks.charge(flown.long() * round(duration_s * NS_PER_S), phase)
 
     def _fly_together(self) -> list[th.Tensor]:
         """Fly the same ticks in all lanes, and return the samples' states (L, KINEMATICS)."""
@@ -385,7 +386,7 @@ class CudaLanes:
             self.running = self.running._replace(course=mapped(th.clone, select(self.games.starts, self._rows)))
         for name, tensor in self._state_tensors().items():
             tensor[..., lane] = th.from_numpy(np.ascontiguousarray(state[name])).to(self.device)
-        return self.observations[lane].cpu().numpy()
+        return mapped(lambda seen: seen[lane].cpu().numpy(), self.observations)
 
     def _state_tensors(self) -> dict[str, th.Tensor]:
         """Return all tensors that change in a game, with the lane as the last axis."""

@@ -23,7 +23,7 @@ from uavaccel.envs.context_planes import NO_ACTION
 from uavaccel.envs.flight_env import CONDITIONS, FlightEnv
 from uavaccel.envs.flyable import CPU, check_flyable, kind_of, profile_of
 from uavaccel.envs.judging import Flown, Judge, Judged, Running
-from uavaccel.envs.kernel_games import Drawn, GameMaker, keys_of
+from uavaccel.envs.kernel_games import Drawn, GameMaker, keys_of, options_text
 from uavaccel.envs.kernel_plan import plan_of, since_ns_of
 from uavaccel.envs.sensors import blank_frame
 from uavaccel.envs.stopwatch import PHASES
@@ -82,8 +82,8 @@ class KernelBatch(TurnBatch):
         self._games = [0] * num_envs
         self._drawn: list[Drawn] = []
         self._running: Running
-        # States of the generators before the running games were sampled.
-        self._generator_states: list[Mapping[str, object] | None] = [None] * num_envs
+        # States of the generators before the running games were sampled, and the options that these were sampled with.
+        self._sampled_by: list[tuple[Mapping[str, object], Mapping[str, object] | None]] = [({}, None)] * num_envs
 
     def _allocate(self) -> None:
         count, task = self.num_envs, self.task
@@ -184,6 +184,11 @@ class KernelBatch(TurnBatch):
             duration_ns = round(duration_s * NS_PER_S)
             timeline.charge.py_func(self._clocks.row[lane], duration_ns, PHASES.index(phase))
 
+    def charge_each(self, durations_ns: NDArray[np.int64]) -> None:
+        """As `TurnBatch` has it, all at once."""
+        if self.task.timing == "virtual" and self._drawn:
+            timeline.charge.py_func(self._clocks.row.T, durations_ns, PHASES.index("inference"))
+
     def observations(self) -> Observation:
         """Return the present observation of every environment."""
         return mapped(np.copy, self._running.observations)
@@ -203,7 +208,8 @@ class KernelBatch(TurnBatch):
     def _get_state(self, lane: int) -> State:
         """Return a lane's running game for np.savez: another batch of this task continues it to the same bytes."""
         state: State = {"generator": json.dumps(self._generators[lane].bit_generator.state)}
-        state |= {"drawn_by": json.dumps(self._generator_states[lane]), "games": self._games[lane]}
+        before, options = self._sampled_by[lane]
+        state |= {"drawn_by": json.dumps(before), "options": options_text(options), "games": self._games[lane]}
         return state | {name: array[lane].copy() for name, array in self._state_arrays().items()}
 
     def _set_state(self, lane: int, state: SavedState) -> Observation:
@@ -214,7 +220,7 @@ class KernelBatch(TurnBatch):
         if not self._drawn:
             self._drawn = [self._maker.sample(np.random.default_rng(0), 0)] * self.num_envs  # none of them is flown
             self._running = self._blank_games()
-        self._drawn[lane] = self._draw(lane)
+        self._drawn[lane] = self._draw(lane, json.loads(str(state["options"])))
         generator.bit_generator.state = json.loads(str(state["generator"]))
         for name, array in self._state_arrays().items():
             array[lane] = state[name]
@@ -231,7 +237,7 @@ class KernelBatch(TurnBatch):
     # --- inside -----------------------------------------------------------------------------------
 
     def _draw(self, lane: int, options: Mapping[str, object] | None = None) -> Drawn:
-        self._generator_states[lane] = self._generators[lane].bit_generator.state
+        self._sampled_by[lane] = self._generators[lane].bit_generator.state, options
         drawn = self._maker.sample(self._generators[lane], self._games[lane] - 1, options)
         self._maker.write(drawn, self._rows, lane)
         return drawn

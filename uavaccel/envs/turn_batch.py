@@ -5,11 +5,12 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 
-from numpy import bool_, float64
+from numpy import bool_, float64, int64
 from numpy.typing import NDArray
 
 from uavaccel.envs.checks import seeds_of
 from uavaccel.envs.values import Actions, Answer, Batch, Info, Observation, Steps
+from uavaccel.units import NS_PER_S
 
 
 class TurnBatch(Batch, ABC):
@@ -60,6 +61,11 @@ class TurnBatch(Batch, ABC):
         self, name: str, arguments: Sequence[tuple[object, ...]], slots: Sequence[int] | None = None
     ) -> list[Answer]:
         """Call a method of `slots`, by default all, each with its own arguments; return the results."""
+
+    def charge_each(self, durations_ns: NDArray[int64]) -> None:
+        """In timing `virtual`, charge each environment (N,) for its agent's work since its last command."""
+        charged = durations_ns.nonzero()[0].tolist()
+        self.call_each("charge", [(durations_ns[slot] / NS_PER_S,) for slot in charged], charged)
 
     @abstractmethod
     def observations(self) -> Observation:

@@ -167,8 +167,8 @@ class SharedModules:
         self._patches.set(module, "ThreadPool", type("ThreadPool", (module.ThreadPool,), {"__new__": new}))
 
     def _change_scheduler(self, module: ModuleType) -> None:
-        clock: Any = self._clock
-        self._patches.set(module.scheduler.__init__, "__defaults__", (clock.monotonic, clock.sleep))
+        defaults = tuple(getattr(self._clock, name) for name in ("monotonic", "sleep"))
+        self._patches.set(module.scheduler.__init__, "__defaults__", defaults)
 
     def _change_loops(self, module: ModuleType) -> None:
         """Put the event loops of asyncio.selector_events that a script makes on its clock."""

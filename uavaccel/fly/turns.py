@@ -207,7 +207,8 @@ class Thread(threading.Thread):
 
     def start(self) -> None:
         if self.ident is None:  # otherwise it has been started, and the next line says so
-            self._turn = self.turns.announce()
+            turn, run = self.turns.announce(), self.run
+            self.run = lambda: self._run_in_turns(turn, run)  # type: ignore[method-assign]
         daemon, self._daemonic = self._daemonic, True  # for the process, which ends without it
         try:
             super().start()
@@ -215,14 +216,10 @@ class Thread(threading.Thread):
             self._daemonic = daemon
         self.turns.running.append(self)
 
-    def _bootstrap_inner(self) -> None:
-        self._run, self.run = self.run, self._run_in_turns  # type: ignore[method-assign]
-        super()._bootstrap_inner()  # type: ignore[misc]
-
-    def _run_in_turns(self) -> None:
-        self.turns.begin(self._turn)
+    def _run_in_turns(self, turn: Turn, run: Callable[[], None]) -> None:
+        self.turns.begin(turn)
         try:
-            self._run()
+            run()
         except FlightOver:
             pass
         except BaseException as error:

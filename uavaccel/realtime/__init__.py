@@ -1,7 +1,6 @@
 """Real time for any Gymnasium environment: while an agent thinks, the environment goes on.
 
-Neither PyTorch nor OpenGL is imported here; what is imported from here loads only what it needs: `serve` needs NumPy
-alone.
+Gymnasium and NumPy are all that it needs, and what is imported from here loads only what it needs: `serve` NumPy alone.
 """
 
 from importlib import import_module
@@ -15,10 +14,11 @@ if TYPE_CHECKING:
     from uavaccel.realtime.process import RealTimeProcess
     from uavaccel.realtime.server import PolicyServer, serve
     from uavaccel.realtime.thinking import Measured, ThinkingTime, lognormal, samples
+    from uavaccel.realtime.vector import RealTimeVector
     from uavaccel.realtime.wrapper import RealTime
 
 __all__ = [  # noqa: RUF022  what a program begins with, in its order
-    "RealTime", "RealTimeProcess", "ThinkingTime", "Measured", "lognormal", "samples",
+    "RealTime", "RealTimeVector", "RealTimeProcess", "ThinkingTime", "Measured", "lognormal", "samples",
     "load_policy", "Policy", "RemotePolicy", "PolicyServer", "serve",
     "measure", "Measurement", "certify", "Certificate",
 ]  # fmt: skip
@@ -26,6 +26,7 @@ __all__ = [  # noqa: RUF022  what a program begins with, in its order
 _HOMES = {
     "RealTime": "wrapper",
     "RealTimeProcess": "process",
+    "RealTimeVector": "vector",
     **dict.fromkeys(("Measured", "ThinkingTime", "lognormal", "samples"), "thinking"),
     **dict.fromkeys(("Policy", "RemotePolicy", "load_policy"), "policies"),
     **dict.fromkeys(("PolicyServer", "serve"), "server"),

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple, Protocol, SupportsFloat, cast, runtime_check
 import gymnasium
 import numpy as np
 from gymnasium.wrappers import TimeLimit
+from numpy.typing import NDArray
 
 from uavaccel.errors import UserError
 from uavaccel.units import NS_PER_S, exact, real, whole
@@ -47,6 +48,17 @@ class HasWallClock(Protocol):
     task: Any
 
     def charge(self, duration_s: float, phase: str = ...) -> None: ...
+
+
+@runtime_checkable
+class HasWallClocks(Protocol):
+    """A batch of such environments."""
+
+    task: Any
+
+    def charge_each(self, durations_ns: NDArray[np.int64]) -> None:
+        """Charge each environment for its agent's work since the last step."""
+        ...
 
 
 class Plant:

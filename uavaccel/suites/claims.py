@@ -193,7 +193,7 @@ def command_delay_grows(dp1: Flown) -> Finding:
     if len({len(gaps) for gaps in gaps_ms}) > 1:
         raise NoEvidence
     rises = [median_interval(later - earlier, dp1.summary["seed"]) for earlier, later in pairwise(gaps_ms)]
-    text = " < ".join(f"{np.median(gaps):.3g}" for gaps in gaps_ms) + " ms"
+    text = " < ".join(f"{float(f'{np.median(gaps):.3g}'):g}" for gaps in gaps_ms) + " ms"
     return Finding(text, all_of(exceeds(interval, 0.0) for interval in rises))
 
 
@@ -344,7 +344,7 @@ def images_beyond_10x(dp2: Flown) -> Finding:
 
         numbers = [np.arange(len(slow[0]), dtype=float), np.arange(len(fast[0]), dtype=float)]
         distance, dvs_ed = growth(*numbers)
-        texts.append(f"+{dvs_ed:.2g} % v +{distance:.2g} cm")
+        texts.append(f"{dvs_ed:+.2g} % v {distance:+.0f} cm")
         for statistic in (lambda *which: growth(*which)[0], lambda *which: np.subtract(*growth(*which)[::-1])):
             grow.append(exceeds(bootstrap_interval(numbers, statistic, dp2.summary["seed"]), 0.0))
     return Finding(", ".join(texts), all_of(grow))

@@ -28,12 +28,12 @@ from uavaccel.metrics.dvs_ed import dvs_ed_percent
 from uavaccel.metrics.speedup import timing_provenance
 from uavaccel.sim.camera.view import HEIGHT, WIDTH
 from uavaccel.sim.lane.layout import Lane, LaneLayout
-from uavaccel.sim.lane.path import plan_path
 from uavaccel.sim.profile import PROFILES
 from uavaccel.suites import plots
 from uavaccel.suites.experiment import FlightExperiment, Timing
 from uavaccel.suites.flight import Commands, Flight, Window, windows_of
 from uavaccel.suites.guard_study import study_guard
+from uavaccel.suites.lane_path import plan_path
 from uavaccel.suites.path_suite import FlightCase, FlightRow, PathSuite, flight_row, fly_path, reference_of
 from uavaccel.suites.report import Report, Summary, finished, method_note, warnings
 from uavaccel.suites.rows import named_seed, subset

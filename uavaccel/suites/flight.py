@@ -187,8 +187,8 @@ def film_game(
 
 def film_of(flight: Flight) -> Film:
     """Return the film of a flight, a frame for each of its images. Raises UserError for one without images."""
+    from uavaccel.draw.chase import ChaseView
     from uavaccel.draw.film import PANEL, Film
-    from uavaccel.sim.chase import ChaseView
 
     if not len(flight.images):
         raise UserError(f"{flight.title}: has no images to film")

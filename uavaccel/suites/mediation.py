@@ -309,17 +309,16 @@ def share_of_loss(cells: Mapping[str, pd.DataFrame], share: Share, part: str) ->
     seeds = {name.partition("/")[0]: len(values) for name, values in won.items()}
     lanes = next(iter(won.values())).shape[1]
 
-    def ratio(chosen: Mapping[str, NDArray[np.int64]], at: NDArray[np.int64]) -> tuple[float, float]:
+    def losses(chosen: Mapping[str, NDArray[np.int64]], at: NDArray[np.int64]) -> tuple[float, float]:
         means = [won[name][np.ix_(chosen[name.partition("/")[0]], at)].mean() for name in names]
         return means[0] - means[1], means[0] - means[2]
 
-    every = {policy: np.arange(count) for policy, count in seeds.items()}
-    whole, alone = ratio(every, np.arange(lanes))
-    drawn = np.array([
-        ratio({policy: random.integers(count, size=count) for policy, count in seeds.items()},
-              random.integers(lanes, size=lanes))
-        for _ in range(RESAMPLES)
-    ])  # fmt: skip
+    def resampled(count: int) -> NDArray[np.int64]:
+        return random.integers(count, size=(count,))
+
+    whole, alone = losses({policy: np.arange(count) for policy, count in seeds.items()}, np.arange(lanes))
+    resamples = [{policy: resampled(count) for policy, count in seeds.items()} for _ in range(RESAMPLES)]
+    drawn = np.array([losses(chosen, resampled(lanes)) for chosen in resamples])
     known = whole > 0.0 and np.quantile(drawn[:, 0], TAILS[0]) > 0.0
     low, high = np.quantile(drawn[:, 1] / drawn[:, 0], TAILS) if known else (None, None)
     return {"loss": whole, "alone": alone, "share": alone / whole if whole > 0.0 else None, "low": low, "high": high}

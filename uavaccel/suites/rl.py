@@ -216,8 +216,11 @@ class Rl(SuiteOfRuns[RlConfig, TrainingCase]):
                 f"exact_seeds: needs exact.keys.simulator = {EXACT}, not {exact.simulator}, beside an evaluation by "
                 f"the kernels, not by {evaluation.simulator}; or exact_seeds = 0"
             )
-        if (exact.first_lane, exact.games) != (evaluation.first_lane, evaluation.games):
-            raise UserError("exact.keys: games and first_lane must be those of evaluation.keys, lane for lane")
+        flown = [(each.task.split, each.first_lane, each.games) for each in (exact, evaluation)]
+        if flown[0] != flown[1]:
+            raise UserError(
+                "exact.keys: games, first_lane and task.split must be those of evaluation.keys, lane for lane"
+            )
 
     def cases(self, config: RlConfig) -> Iterator[TrainingCase]:
         """Yield the cases seed by seed, so that an interrupted run has complete tables of fewer seeds.
@@ -316,7 +319,7 @@ class Rl(SuiteOfRuns[RlConfig, TrainingCase]):
                     **subset(training, *KEY, "seed", *LEARNED),
                     **training["success"].as_summary(),
                     "distance_m_median": float(np.median(training["distance_m"])),
-                    **_times(own.loc[[number]], own),
+                    **times_of(own.loc[[number]], own),
                 }
                 for number, training in own.iterrows()
             ],
@@ -535,7 +538,7 @@ def _at_1x(cell: Flights, own: Flights, command: str) -> Flights:
     return where(where(own, **key_of(cell) | {"command": command, "clock_speed": 1.0}), timing="virtual")
 
 
-def _times(cell: Flights, own: Flights) -> dict[str, Any]:
+def times_of(cell: Flights, own: Flights) -> dict[str, Any]:
     """Return the modelled seconds of the trainings of a cell, those of as many commands of ADSC at 1x, and speed-ups.
 
     Speed-ups are of a command's mean time, as trainings that learn differently fly games of different length, over that
@@ -569,7 +572,7 @@ def summary_of_seeds(cell: Flights, own: Flights) -> dict[str, Any]:
         "trained_games": cell.trained_games.sum(),
         "paper_successes": paper_results.successes(*conditions),
         **_compare(cell, slow[slow.clock_speed != key["clock_speed"]], *AGAINST),
-        **_times(cell, own),
+        **times_of(cell, own),
         "gap_s": gap_s(cell),
         "paper_training_speedup": simulation,
         "paper_whole_training_speedup": whole,

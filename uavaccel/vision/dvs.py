@@ -150,12 +150,15 @@ def _advance(
     sensor: DvsSensor, state: DvsState, frame: Frame, t_s: float, listed: bool
 ) -> tuple[DvsState, Counts, Counts, Events]:
     _check_frame(sensor, frame)
-    _check_time(state, t_s)
+    if not t_s >= state.time_s:
+        raise ValueError(f"a frame at {t_s} s cannot follow one at {state.time_s} s")
     frame, dt_s, index = np.ascontiguousarray(frame), t_s - state.time_s, state.frame_index + 1
     log = _photoreceptor(sensor.parameters, state.filtered_log, frame, dt_s)
     base = _leaked(sensor, state.base_log, dt_s, state.noise_seed, index)
     due = _due_events(sensor, state, log, base, t_s, listed)
-    kept, last_event_s = _after_refractory(due)
+    kept, last_event_s = due.signed, due.last_event_s
+    if not math.isinf(due.refractory_s):
+        kept, last_event_s = kernels.drop_refractory(*due)
     base = kernels.advance_base(kept, base, sensor.positive_threshold, sensor.negative_threshold)
     on, off = np.maximum(kept, 0), np.maximum(-kept, 0)
     shots = _shot_noise(sensor, frame, dt_s, state.noise_seed, index)
@@ -198,12 +201,6 @@ def _due_events(
     return _FrameEvents(signed, stamps_s, state.last_event_s, np.float32(refractory_s))
 
 
-def _after_refractory(due: _FrameEvents) -> tuple[Counts, NDArray[np.float32]]:
-    if math.isinf(due.refractory_s):
-        return due.signed, due.last_event_s
-    return kernels.drop_refractory(*due)
-
-
 def _shot_noise(sensor: DvsSensor, frame: Frame, dt_s: float, seed: int, index: int) -> tuple[Mask, Mask] | None:
     parameters = sensor.parameters
     if parameters.shot_noise_rate_hz <= 0:
@@ -239,11 +236,6 @@ def _check_frame(sensor: DvsSensor, frame: Frame) -> None:
     shape = sensor.positive_threshold.shape
     if frame.dtype != np.uint8 or frame.shape != shape:
         raise ValueError(f"a frame must be uint8 of shape {shape}, not {frame.dtype} of {frame.shape}")
-
-
-def _check_time(state: DvsState, t_s: float) -> None:
-    if not t_s >= state.time_s:
-        raise ValueError(f"a frame at {t_s} s cannot follow one at {state.time_s} s")
 
 
 NS = 1e-9

@@ -19,7 +19,7 @@ from uavaccel.sim.simulation import Simulation
 from uavaccel.wire import rpc
 from uavaccel.wire.calls import BoundCall, CallContext, Calls, Notices, Refusals, WireCall
 from uavaccel.wire.flight_api import AttitudeApi, FlightApi
-from uavaccel.wire.game_api import GameApi
+from uavaccel.wire.game_api import GameApi, RecordingApi, SimulatorApi
 from uavaccel.wire.image_api import CameraApi, ImageApi
 from uavaccel.wire.object_api import DetectionApi, ObjectApi, WorldApi
 from uavaccel.wire.recorder import Recorder
@@ -27,7 +27,6 @@ from uavaccel.wire.rpc import Received
 from uavaccel.wire.scenery import Scenery
 from uavaccel.wire.sensor_api import SensorApi
 from uavaccel.wire.settings import Settings
-from uavaccel.wire.simulator_api import RecordingApi, SimulatorApi
 from uavaccel.wire.vehicle_api import VehicleApi, populate
 
 GROUPS: tuple[type[Calls], ...] = (

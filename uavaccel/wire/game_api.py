@@ -1,19 +1,23 @@
-"""Our own calls for games: they start a game in a lane, fly it for simulated time, and read its results.
+"""Calls about the simulator: AirSim's on versions, settings, reset, clock, recording and drawing, and ours for games.
 
-A state on the wire is a flat list of numbers (`encode_state`), smaller and packed faster than AirSim's maps.
+Ours start a game in a lane, fly it for simulated time, and read its results. A state on the wire is a flat list of
+numbers (`encode_state`), smaller and packed faster than AirSim's maps. Source of AirSim's names, parameter orders and
+error texts: AirSim v1.8.1, RpcLibServerBase.cpp.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Annotated, TypedDict
 
 from uavaccel.kinematics import Kinematics
 from uavaccel.sim.flight.pilot import DeferredReply
 from uavaccel.sim.world import START_M
 from uavaccel.wire.arguments import Coordinate, number
-from uavaccel.wire.calls import Calls, call
+from uavaccel.wire.calls import Calls, call, without_effect
+from uavaccel.wire.flight_api import LONGEST_S
 from uavaccel.wire.image_api import clutter_layout, lane_layout
+from uavaccel.wire.latency import Channel
 from uavaccel.wire.rpc import Received
 
 FASTEST = 1e4  # ClockSpeed; ten times what one core can fly
@@ -163,3 +167,96 @@ def decode_state(numbers: Received) -> Kinematics:
     """Invert `encode_state`."""
     n = tuple(numbers)
     return Kinematics(n[0], n[1:4], n[4:8], n[8:11], n[11:14], n[14:17], n[17:20])
+
+
+SERVER_VERSION = 4  # satisfies AirSim's client (1) and Cosys-AirSim's (4)
+MIN_CLIENT_VERSION = 1
+FRAMES_PER_S, MOST_FRAMES = 60, 1e9
+
+
+def wall_seconds(value: object, name: str) -> float:
+    """A duration in seconds, 0 or more, at most LONGEST_S."""
+    seconds = number(value, name)
+    if seconds < 0:
+        raise ValueError(f"{name} must not be negative, not {seconds:g}")
+    return min(seconds, LONGEST_S)
+
+
+def frame_count(value: object, name: str) -> float:
+    """A whole number of frames."""
+    count = number(value, name)
+    if count != int(count) or not 0 <= count <= MOST_FRAMES:
+        raise ValueError(f"{name} must be a whole number from 0 to {MOST_FRAMES:g}, not {value}")
+    return count
+
+
+def pause_channel(params: Sequence[object]) -> Channel:
+    """simPause's kind of latency: to pause or to continue."""
+    return "pause" if params and params[0] else "continue"
+
+
+class SimulatorApi(Calls, title="Connection and time"):
+    @call("ping", leaves_state=True)
+    def ping(self) -> bool:
+        return True
+
+    @call("getServerVersion")
+    def server_version(self) -> int:
+        return SERVER_VERSION
+
+    @call("getMinRequiredClientVersion")
+    def min_client_version(self) -> int:
+        return MIN_CLIENT_VERSION
+
+    @call("getSettingsString")
+    def settings(self) -> str:
+        return self.scenery.settings.as_json(float(self.simulation.clock_speed))
+
+    @call("reset")
+    def reset(self) -> None:
+        """Reset every vehicle; a recording continues, as in AirSim."""
+        self.context.recorder.go_through(lambda recording: self.simulation.reset(self.wall_ns, recording=recording))
+
+    @call("simPause", pause_channel)
+    def pause(self, is_paused: bool) -> None:
+        if is_paused:
+            self.simulation.pause(self.wall_ns)
+        else:
+            self.simulation.run(self.wall_ns)
+
+    @call("simIsPaused")
+    def is_paused(self) -> bool:
+        return self.simulation.paused
+
+    @call("simContinueForTime")
+    def continue_for_time(self, seconds: Annotated[float, wall_seconds]) -> DeferredReply:
+        reply = self.simulation.continue_for_wall(seconds, self.wall_ns)
+        reply.encode = lambda _: None
+        return reply
+
+    @call("simContinueForFrames")
+    def continue_for_frames(self, frames: Annotated[float, frame_count]) -> DeferredReply:
+        """Run for the wall time in which Unreal draws these frames, 60 per second, then pause."""
+        return self.continue_for_time(frames / FRAMES_PER_S)
+
+
+class RecordingApi(Calls, title="Recording, drawing, messages"):
+    @call("startRecording")
+    def start(self) -> None:
+        self.context.recorder.start(self.wall_ns)
+
+    @call("stopRecording")
+    def stop(self) -> None:
+        self.context.recorder.stop()
+
+    @call("isRecording")
+    def is_recording(self) -> bool:
+        return self.simulation.world.recording
+
+    ignored = (
+        *without_effect(
+            *("simPrintLogMessage", "simSetTraceLine", "simFlushPersistentMarkers", "simPlotPoints"),
+            *("simPlotLineStrip", "simPlotLineList", "simPlotArrows", "simPlotStrings"),
+            *("simPlotTransforms", "simPlotTransformsWithNames"),
+        ),
+    )

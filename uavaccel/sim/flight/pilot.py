@@ -146,14 +146,11 @@ class Pilot:
 
     def _hold_after(self, command: RunningCommand) -> None:
         """Schedule position hold a goal timeout after the command's last goal, if it has set any."""
-        last = self._last_goal(command)
+        last = command.goal_tick
+        if command.task is None:
+            last = self.log.last_goal(self.vehicle.tick, self._profile.goal_period_ticks)
         if self.api_control and last is not None:
             self.vehicle.hold_from(last + self._profile.hover_after_ticks)
-
-    def _last_goal(self, command: RunningCommand) -> int | None:
-        if command.task is not None:
-            return command.goal_tick
-        return self.log.last_goal(self.vehicle.tick, self._profile.goal_period_ticks)
 
     def arm(self, armed: bool) -> bool:
         """Arm or disarm the rotors; returns whether that was granted (OffboardApi::arm, disarm).

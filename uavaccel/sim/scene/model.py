@@ -59,8 +59,8 @@ def load_scene(scene: str, others: Sequence[str] = (), airsim: bool = False, sce
 
 def _compiled(path: Path, others: Sequence[str], airsim: bool) -> mujoco.MjModel:
     """Return the model of a scene's file. Raises ValueError where it is no MJCF that MuJoCo compiles."""
-    if not others:
-        return airsim_model(path) if airsim else mujoco.MjModel.from_xml_path(str(path))
+    if not (others or airsim):
+        return mujoco.MjModel.from_xml_path(str(path))
     spec = airsim_spec(path) if airsim else mujoco.MjSpec.from_file(str(path))
     attach_quadrotors(spec, others)
     model = spec.compile()
@@ -78,15 +78,11 @@ def attach_quadrotors(spec: mujoco.MjSpec, prefixes: Sequence[str]) -> None:
         spec.attach(quadrotor, frame=spec.worldbody.add_frame(), prefix=prefix)
 
 
-def airsim_model(scene: Path) -> mujoco.MjModel:
-    """Compile the scene in a file for AirSim's clients, with invisible spare geoms without contacts."""
-    model = airsim_spec(scene).compile()
-    park_spares(model)
-    return model
-
-
 def airsim_spec(scene: Path) -> mujoco.MjSpec:
-    """Make the same uncompiled; its spare geoms have contacts, or MuJoCo would omit them from its trees."""
+    """Make the scene in a file for AirSim's clients; its invisible spare geoms have contacts until it is compiled.
+
+    Without them MuJoCo would omit these geoms from its trees.
+    """
     own = scene.with_name(f"{scene.stem}_airsim.xml")
     path = own if own.exists() else scene
     plain = mujoco.MjModel.from_xml_path(str(path))

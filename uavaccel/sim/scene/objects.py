@@ -63,7 +63,8 @@ class SceneObjects:
 
     def __init__(self, world: SceneWorld) -> None:
         self._world = world
-        named = {self._model.geom(geom).name: geom for geom in self._still_geoms()}
+        still = (self._model.geom_bodyid == 0) & (self._model.geom_group != APPEARANCE_GROUP)
+        named = {self._model.geom(int(geom)).name: int(geom) for geom in np.flatnonzero(still)}
         self._spares = sorted(geom for name, geom in named.items() if name.startswith(SPARE))
         self._geoms = {name: geom for name, geom in named.items() if name and not name.startswith(SPARE)}
         self._kinds = {geom: int(self._model.geom_type[geom]) for geom in self._geoms.values()}
@@ -73,10 +74,6 @@ class SceneObjects:
     @property
     def _model(self) -> mujoco.MjModel:
         return self._world.model
-
-    def _still_geoms(self) -> list[int]:
-        still = (self._model.geom_bodyid == 0) & (self._model.geom_group != APPEARANCE_GROUP)
-        return [int(geom) for geom in np.flatnonzero(still)]
 
     def names(self) -> list[str]:
         """Return the names of all objects, sorted."""

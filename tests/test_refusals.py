@@ -1,0 +1,106 @@
+"""What a simulation refuses on the wire, and in which words: one table of calls, and of the reason that each is given.
+
+Nothing flies while a call is refused. rpclib's phrase around a reason is the same for all (`PHRASE`).
+"""
+
+from __future__ import annotations
+
+import inspect
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.airsim_wire import AirSimWire, level_pose, vector
+from uavaccel.sim.flight.pilot import DeferredReply
+from uavaccel.sim.world import START_M
+from uavaccel.wire import rpc
+from uavaccel.wire.api import CALLS
+
+NAN, INF, HUGE = float("nan"), float("inf"), 1 << 70
+YAW = {"is_rate": True, "yaw_or_rate": 0.0}
+HERE = level_pose(0.0, 0.0, -10.0)
+PATH = (2.0, 60.0, 0, YAW)
+MOVING = {"linear_velocity": vector(0.0, 0.0, 0.0), "angular_velocity": vector(0.0, 0.0, 0.0)}
+NOBODY = (
+    "Vehicle API for 'Nobody' is not available. This could either because this is simulation-only API or this vehicle "
+    "does not exist; there is 'SimpleFlight'"
+)
+CAMERAS = "front_center (0), front_right (1), front_left (2), bottom_center (3), back_center (4)"
+TYPES = (
+    "0 scene, 1 depth_planar, 2 depth_perspective, 3 depth_vis, 4 disparity_normalized, 5 segmentation, "
+    "6 surface_normals, 7 infrared"
+)
+PHRASE = (
+    "rpclib: function '{method}' (called with {count} arg(s)) threw an exception. The exception contained this "
+    "information: {reason}."
+)
+PARAMETERS: dict[str, Any] = {  # of calls that name a vehicle, by their names
+    "yaw_mode": YAW, "path": [vector(0, 0, -9)], "pose": HERE, "state": {**HERE, **MOVING}, "rcdata": {},
+    "requests": [{}], "kp": [0.2] * 3, "ki": [0.0] * 3, "kd": [0.0] * 3, "param_name": "K1",
+    "point": vector(1, 0, -9), "latitude": 47.64, "longitude": -122.14, "altitude": 130.0, "lookahead": -1.0,
+}  # fmt: skip
+
+
+def refusals() -> list[tuple[str, str]]:
+    """The calls and their reasons in tests/data/refusals.txt, on two lines each."""
+    lines = (Path(__file__).parent / "data" / "refusals.txt").read_text(encoding="utf-8").splitlines()
+    return list(zip(lines[::2], map(str.strip, lines[1::2]), strict=True))
+
+
+@pytest.mark.parametrize(("call", "reason"), refusals())
+def test_a_call_is_refused_in_these_words(call: str, reason: str) -> None:
+    wire, (method, _, params) = AirSimWire(), call.partition("(")
+    before, values = wire.simulation.kinematics(), eval(f"[{params[:-1]}]", globals())
+    with pytest.raises(rpc.RpcError) as refused:
+        wire.call(method, *values)
+    for name in ("NOBODY", "CAMERAS", "TYPES"):
+        reason = reason.replace(f"{{{name}}}", globals()[name])
+    assert str(refused.value) == PHRASE.format(method=method, count=len(values), reason=reason)
+    assert wire.simulation.kinematics() == before
+    assert wire.call("listVehicles") == ["SimpleFlight"]
+
+
+@pytest.mark.parametrize(("method", "params", "text"), [
+    ("fly", [], "rpclib: server could not find function 'fly' with argument count 0."),
+    ("", [1, 2], "rpclib: server could not find function '' with argument count 2."),
+    ("simPause", [], "rpclib: Function 'simPause' was called with an invalid number of arguments. Expected: 1, got: 0"),
+    ("ping", [1], "rpclib: Function 'ping' was called with an invalid number of arguments. Expected: 0, got: 1"),
+])  # fmt: skip
+def test_an_unknown_call_is_refused_in_rpclibs_words(method: str, params: list[Any], text: str) -> None:
+    with pytest.raises(rpc.RpcError) as refused:
+        AirSimWire().call(method, *params)
+    assert str(refused.value) == text
+
+
+@pytest.mark.parametrize("method", sorted(CALLS))
+def test_the_number_of_arguments_is_checked_first(method: str) -> None:
+    with pytest.raises(rpc.RpcError, match="invalid number of arguments"):
+        AirSimWire().call(method, *[object()] * 99)
+
+
+def test_every_call_that_names_a_vehicle_refuses_an_unknown_one() -> None:
+    """Whatever else it is told: the arguments of a call are those that it is declared with."""
+    wire, named = AirSimWire(), 0
+    good: dict[str, Any] = {
+        "float": 0.5, "int": 0, "bool": True, "Truthy": False, "object": "0", "str": "x", "ObjectName": "x",
+    }  # fmt: skip
+    for method, call in CALLS.items():
+        parameters = list(inspect.signature(call.method).parameters.values())[1:]
+        if "vehicle" not in [each.name for each in parameters]:
+            continue
+        until = parameters[: [each.name for each in parameters].index("vehicle")]
+        params = [PARAMETERS.get(each.name, good.get(str(each.annotation), 1.0)) for each in until]
+        with pytest.raises(rpc.RpcError, match=r"Vehicle API for 'Nobody' is not available.*there is 'SimpleFlight'"):
+            wire.call(method, *params, "Nobody")
+        named += 1
+    assert named > 50
+
+
+def test_what_is_extreme_is_flown_within_the_drones_limits() -> None:
+    wire = AirSimWire()
+    reply = wire.call("moveByVelocity", 3e38, -3e38, -3e38, 0.5, 0, YAW, "")
+    wire.fly(0.6)
+    assert isinstance(reply, DeferredReply)
+    assert (reply.value, wire.simulation.failure) == (True, None)
+    assert wire.simulation.kinematics().position_m != START_M

@@ -1,0 +1,478 @@
+"""What the pages say of rows in docs/tables, worded with the numbers that these give; see check_numbers.py.
+
+A page may say more than is here; what is here it has to say, word for word. A line of a table is a text like any other.
+"""
+
+from __future__ import annotations
+
+import csv
+import gzip
+import json
+from collections import Counter
+from collections.abc import Iterator
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from tools.check_numbers import ROOT, Page
+from tools.fit_agent import agent_costs, command_wall_s
+from tools.fit_airsim import Parameters, model
+from uavaccel.metrics.equivalence import Estimate
+from uavaccel.metrics.intervals import Proportion, fisher_exact_p
+from uavaccel.metrics.seeds import permutation_p
+from uavaccel.suites import claims, paper_results
+from uavaccel.suites.paper import Claim, PaperConfig, read_claims, verdict
+from uavaccel.suites.parts import Part
+from uavaccel.suites.report import table_of
+from uavaccel.suites.rl import flights_of, gap_s, success_of, times_of, where
+from uavaccel.wire.latency import shipped_latency
+
+CLOCKS = paper_results.CLOCKS
+OTHER = {"tcsc": "adsc", "adsc": "tcsc"}
+TABLES = ROOT / "docs/tables"
+Text = Iterator[str]
+
+# --- rows -----------------------------------------------------------------------------------------------------------
+
+
+@cache
+def rows_of(name: str) -> list[dict[str, Any]]:
+    """Return the rows of docs/tables/NAME.csv, as `uavaccel export --csv` has made it: keys with dots are nested."""
+    rows = []
+    with (TABLES / f"{name}.csv").open(newline="", encoding="utf-8") as file:
+        for line in csv.DictReader(file):
+            row: dict[str, Any] = {"timing": "virtual"}
+            for key, value in line.items():
+                *path, last = key.split(".")
+                at = row
+                for part in path:
+                    at = at.setdefault(part, {})
+                try:
+                    at[last] = json.loads(value)
+                except ValueError:
+                    at[last] = value
+            rows.append(row)
+    return rows
+
+
+@cache
+def trainings(name: str) -> pd.DataFrame:
+    """Return the flights of the policies of a table; of lanes and distances nothing is known."""
+    return flights_of(rows_of(name), lambda row: {})
+
+
+def policies(table: str, command: str, clock_speed: float, variant: str = "", profile: str = "airsim") -> pd.DataFrame:
+    """Return the flights of the policies of one training, seed by seed."""
+    keys = {"command": command, "clock_speed": clock_speed, "variant": variant, "profile": profile}
+    return where(trainings(table), **keys)
+
+
+def flown(which: pd.DataFrame, command: str | None = None, at: float = 1.0) -> pd.DataFrame:
+    """Return those flown with a command, by default that of the training, at a ClockSpeed, by default in real time."""
+    return where(which, **{"with": command or which.command.iloc[0], "at": at})
+
+
+def won(flights: pd.DataFrame) -> list[int]:
+    """Return how many games each policy won."""
+    return [success.successes for success in flights.success]
+
+
+@cache
+def evidence(part: str) -> claims.Flown:
+    """Return what `uavaccel run paper` has found of a part: evidence/PART.json of its run."""
+    kept = json.loads(gzip.decompress((TABLES / f"paper/{part}.json.gz").read_bytes()))
+    return claims.Flown(table_of(kept["games"]), kept["summary"])
+
+
+@cache
+def verdicts(profile: str) -> dict[str, dict[str, str]]:
+    """Return the verdict on each claim, and what decides it."""
+    found = {kind: evidence(f"{kind}-{profile}") for kind in ("dp1", "dp2")}
+    found["rl"] = claims.Trainings.of(rows_of("rl_table1"), profile, lambda row: {})
+    return {claim.id: verdict(claim, found) for claim in claims_of_the_paper()}
+
+
+def claims_of_the_paper() -> tuple[Claim, ...]:
+    return read_claims(PaperConfig(suite="paper", parts={"dp1-airsim": Part(experiment="dp1")})).claims
+
+
+# --- words ----------------------------------------------------------------------------------------------------------
+
+
+def short(value: float, digits: int) -> str:
+    """Return a number as the pages have it, without a zero before its point, .31."""
+    text = f"{value:.{digits}f}".replace("-", "−")
+    return "0" if float(text.replace("−", "")) == 0 else text.replace("0.", ".", 1) if abs(value) < 1 else text
+
+
+def percent(flights: pd.DataFrame, digits: int = 0) -> str:
+    return f"{100 * success_of(flights).pooled.ratio:.{digits}f}" if any(won(flights)) else "0"
+
+
+def over_seeds(estimate: Estimate) -> str:
+    value, low, high = (f"{100 * each:.1f}" for each in estimate)
+    return f"{value} % [{low}, {high}]"
+
+
+def counted(values: list[int]) -> str:
+    return ", ".join(map(str, values))
+
+
+NUMBERS = ("none", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten", "eleven", "twelve")
+
+
+def in_words(count: int) -> str:
+    return NUMBERS[count] if count < len(NUMBERS) else str(count)
+
+
+# --- README.md ------------------------------------------------------------------------------------------------------
+
+
+def readme() -> Page:
+    return Page(readme_says(), (*SETTINGS, r"Python 3\.11", r"SIMUL 2022"))
+
+
+def readme_says() -> Text:
+    (slow, real), (calm, fast) = ([policies("rl_table1", each, k) for each in ("tcsc", "adsc")] for k in (1.0, 10.0))
+    yield f"policies win {percent(flown(slow))} % (TCSC) and {percent(flown(real))} % (ADSC) of unseen lanes"
+    yield f"at 10x, they win {percent(flown(fast))} % with ADSC and {percent(flown(calm))} % with TCSC."
+    as_trained, other = flown(fast, at=10.0), flown(fast, "tcsc")
+    yield f"The same ADSC policies of 10x win {percent(as_trained, 1)} % of the lanes flown as they were trained"
+    yield f"{percent(other)} % with TCSC"
+    scripts = (ROOT / "docs/airsim-scripts.md").read_text(encoding="utf-8")
+    lines = [line.split(" | ") for line in scripts.splitlines() if ".py | " in line]
+    words = Counter(line[1].strip("*").split(":")[0].rstrip("*") for line in lines)
+    yield f"[{words['passes']} of AirSim's {words['passes'] + words['fails']} example scripts]"
+
+
+# --- results-paper.md -----------------------------------------------------------------------------------------------
+
+
+def results_paper() -> Page:
+    says = (headline, table_1, table_1_bullets, claims_table, notes_on_table_1, interchanged, times, gaps, one_changed)
+    more = (what_helps, what_the_gap_does, the_model)
+    return Page((text for of in (*says, *more) for text in of()), SETTINGS)
+
+
+def headline() -> Text:
+    held = Counter(each["verdict"] for each in verdicts("airsim").values())
+    native = Counter(each["verdict"] for each in verdicts("native").values())
+    adsc, tcsc = (percent(flown(policies("rl_table1", command, 10.0))) for command in ("adsc", "tcsc"))
+    yield f"**Trained with ADSC at 10x, policies win {adsc} % of unseen lanes in real time"
+    yield f"trained with TCSC they win {tcsc} %, and {held['holds']} of the paper's {held.total()} claims hold under"
+    yield (
+        f"Of the paper's {held.total()} claims, {held['holds']} hold under `airsim`, {in_words(held['fails'])} fail, "
+        f"{in_words(held['undecided'])} are undecided and {in_words(held['pending'])} has no rows.**"
+    )
+    yield (
+        f"Without AirSim's latencies (`native`) {native['holds']} hold, {in_words(native['fails'])} fail, "
+        f"{in_words(native['undecided'])} are undecided and {in_words(native['pending'])} has no rows."
+    )
+
+
+def table_1() -> Text:
+    for clock in CLOCKS:
+        cells = []
+        for command in ("tcsc", "adsc"):
+            of, real = (flown(policies("rl_table1", command, k)) for k in (clock, 1.0))
+            p = permutation_p(of.ratio, real.ratio) if clock > 1 else None
+            digits = 2 if p and p > 0.01 else 5
+            cells.append(f"{over_seeds(success_of(of).estimate)} |{'' if p is None else ' ' + short(p, digits)} |")
+        paper = [paper_results.SUCCESSES[command][clock] for command in ("tcsc", "adsc")]
+        yield f"| {clock:g}x | {cells[0]} {paper[0]} | {cells[1]} {paper[1]} |"
+
+
+def table_1_bullets() -> Text:
+    fast = policies("rl_table1", "adsc", 10.0)
+    own, other, real = (
+        percent(flown(fast, command, at), 1) for command, at in ((None, 10.0), ("tcsc", 1.0), (None, 1.0))
+    )
+    yield f"ADSC's policies of 10x win {own} % of the lanes flown as they were trained"
+    yield f"{float(other):.0f} % of the same lanes with TCSC, and {float(real):.0f} % in real time."
+    native = [float(percent(flown(policies("rl_table1", "adsc", k, profile="native")), 1)) for k in CLOCKS]
+    yield f"ADSC's policies win {min(native):.0f} to {max(native):.0f} % at every ClockSpeed."
+    tcsc, adsc = (won(flown(policies("rl_latency", command, 5.0))) for command in ("tcsc", "adsc"))
+    p = {n: fisher_exact_p((21, 100), (n, 100)) for n in (30, 13)}
+    assert f"{p[30]:.2g}" == f"{p[13]:.2g}"
+    yield f"(Fisher's exact test, p = {fisher_exact_p((23, 100), (1, 100)):.0e}"
+    yield f"21 against 30 and 13 have p = {short(p[30], 2)})"
+    yield f"At 1x, {percent(flown(policies('rl_table1', 'tcsc', 1.0)))} % succeed here"
+    yield f"its policies win {min(tcsc)} to {max(tcsc)} of 300 at 5x, ADSC's {min(adsc)} to {max(adsc)}."
+
+
+def claims_table() -> Text:
+    airsim, native = verdicts("airsim"), verdicts("native")
+    for claim in claims_of_the_paper():
+        here, there = airsim[claim.id], native[claim.id]
+        words = {"pending": "no rows"}
+        value = f": {here['value']}" if here["value"] else ""
+        judged = f"{words.get(here['verdict'], here['verdict'])}{value}".replace("<", r"\<")
+        basis = "" if claim.basis == "predicted" else f", {claim.basis}"
+        yield f"| {claim.says} ({claim.place}{basis}) | {judged} | {words.get(there['verdict'], there['verdict'])} |"
+
+
+def notes_on_table_1() -> Text:
+    yield f"{len(rows_of('rl_table1'))} trainings"
+    for clock in CLOCKS:
+        tcsc, adsc = (counted(won(flown(policies("rl_table1", command, clock)))) for command in ("tcsc", "adsc"))
+        yield f"| {clock:g}x | {tcsc} | {adsc} |"
+    native = [success_of(flown(policies("rl_table1", "adsc", k, profile="native"))).estimate for k in CLOCKS]
+    *most, last = map(over_seeds, native)
+    yield f"ADSC's ten seeds win {', '.join(most)} and {last} at 1 to 100x"
+    (pair,) = {tuple(won(flown(policies("rl_table1", "tcsc", k, profile="native")))[:2]) for k in CLOCKS}
+    yield f"TCSC's seeds 0 and 1 win {pair[0]} and {pair[1]} of 300 at each."
+
+
+def interchanged() -> Text:
+    """In real time, and at the ClockSpeed of the training, with the own command and with the other one."""
+    for clock in CLOCKS:
+        both = {command: policies("rl_table1", command, clock) for command in ("tcsc", "adsc")}
+        swapped = [percent(flown(of, OTHER[command]), 1) for command, of in both.items()]
+        fast = [
+            ", ".join(percent(flown(of, OTHER[command] if swap else None, clock), 1) for command, of in both.items())
+            for swap in (False, True)
+        ]
+        yield f"| {clock:g}x | {', '.join(swapped)} |{' | |' if clock == 1 else f' {fast[0]} | {fast[1]} |'}"
+
+
+def times() -> Text:
+    own = where(trainings("rl_table1"), flight=0)
+    for clock in CLOCKS:
+        found = {command: times_of(flown(policies("rl_table1", command, clock)), own) for command in ("tcsc", "adsc")}
+        hours = [each["training_wall_s"] / 36_000 for each in found.values()]  # of ten seeds
+        one, whole = (
+            ", ".join(f"{each[name]:.3g}x" for each in found.values())
+            for name in ("training_speedup", "whole_training_speedup")
+        )
+        paper = paper_results.SIMULATION_SPEEDUP.get(clock), paper_results.TRAINING_SPEEDUP.get(clock)
+        theirs = [
+            f" {each:g}x{fitted} |" if each else " |" for each, fitted in zip(paper, ("", " (fitted)"), strict=True)
+        ]
+        hours_of = ", ".join(f"{each:.{int(each < 100)}f}" for each in hours)
+        yield f"| {clock:g}x | {hours_of} | {one} |{theirs[0]} {whole} |{theirs[1]}"
+
+
+GAPS = {
+    "1x with 0 to .2 s of thinking, 5x with none": [(1.0, 0), (1.0, 50), (1.0, 100), (1.0, 200), (5.0, 0)],
+    "10x with none": [(10.0, 0)],
+    "5x, .05 s; 1x, .4 s": [(5.0, 50), (1.0, 400)],
+    "5x, .1 s": [(5.0, 100)],
+    "10x, .05 s": [(10.0, 50)],
+    "5x, .2 s": [(5.0, 200)],
+    "10x, .1 s": [(10.0, 100)],
+    "5x, .4 s; 10x, .2 and .4 s": [(5.0, 400), (10.0, 200), (10.0, 400)],
+}
+THOUGHT_MS = (0, 50, 100, 200, 400)
+
+
+def thinking(command: str, clock: float, ms: int, lane: str = "") -> pd.DataFrame:
+    return policies("rl_collapse", command, clock, f"{lane}think_{ms}ms")
+
+
+def gaps() -> Text:
+    for name, cells in GAPS.items():
+        of = [flown(thinking("adsc", *cell)) for cell in cells]
+        left, counts = sorted(map(gap_s, of)), [won(each) for each in of]
+        every = sorted(n for each in counts for n in each)
+        many = f"{every[0]} to {every[-1]}, median {np.median(every):.0f}"
+        gap = " to ".join(short(each, 2) for each in dict.fromkeys((left[0], left[-1])))
+        yield f"| {gap} s ({name}) | {many if len(counts) > 3 else '; '.join(map(counted, counts))} |"
+    clocks = (1.0, 5.0, 10.0)
+    tcsc = [n for k in clocks for ms in THOUGHT_MS for n in won(flown(thinking("tcsc", k, ms)))]
+    yield f"TCSC's {len(tcsc)} policies won {min(tcsc)} to {max(tcsc)} (median {np.median(tcsc):.0f})"
+    short_gaps = [(5.0, 0), (5.0, 50), (5.0, 100), (5.0, 200), (10.0, 0), (10.0, 50)]
+    as_trained = [n for k, ms in short_gaps for n in won(flown(thinking("adsc", k, ms), at=k))]
+    yield f"still fly as they were trained ({min(as_trained)} to {max(as_trained)} of 300 at 5 and 10x)"
+    hard_cells = [won(flown(thinking("tcsc", k, ms, "hard_"))) for k in clocks for ms in THOUGHT_MS]
+    *others, worst = sorted(map(list, zip(*hard_cells, strict=True)), reverse=True)
+    rest = [n for each in others for n in each]
+    yield f"TCSC wins {min(worst)} to {max(worst)} with one seed and {min(rest)} to {max(rest)} with the others"
+    hard = {k: [flown(thinking("adsc", k, 400, "hard_")).ratio.to_numpy() * 100] for k in clocks}
+    yield "with .4 s of thinking, ADSC wins " + ", ".join(
+        f"{short(ratio[0].min(), 1 if k > 1 else 0)} to {short(ratio[0].max(), 1 if k > 1 else 0)} % "
+        f"{'of it ' if k == 1 else ''}at {k:g}x"
+        for k, ratio in hard.items()
+    )
+    for ms in (200, 400):
+        kept = [
+            percent_of(flown(thinking("adsc", 5.0, ms, lane)), flown(thinking("adsc", 1.0, ms, lane)))
+            for lane in ("", "hard_")
+        ]
+        yield (
+            f"{kept[0]} of the success at 1x is left (hard lane {kept[1]})"
+            if ms == 200
+            else f"{kept[0]} (hard lane {kept[1]})"
+        )
+
+
+def percent_of(some: pd.DataFrame, others: pd.DataFrame) -> str:
+    ratio = success_of(some).pooled.ratio / success_of(others).pooled.ratio
+    return short(ratio, 2 if ratio > 0.1 else 3)
+
+
+CHANGES = {
+    "nothing": "think_200ms",
+    "images at 15 Hz, two frames of 60 Hz older": "late_pictures",
+    "gradient steps stall the agent for another .2 s": "learning_stalls",
+    "plain DQN": "plain_dqn",
+    "a reward for arriving only": "sparse_reward",
+    "commands of .33 s": "short_commands",
+}
+
+
+def one_changed() -> Text:
+    for name, variant in CHANGES.items():
+        of = policies("rl_collapse", "adsc", 5.0, variant)
+        yield f"| {name} | {counted(won(flown(of)))} | {counted(won(flown(of, at=5.0)))} |"
+
+
+HELP = {
+    "ADSC": ("adsc", "", None),
+    "ADSC, observing last action and frames' age": ("adsc", "told", None),
+    "ADSC, observing two commands' frames": ("adsc", "history_2", None),
+    "ADSC, random latencies, 0 to 8 times as long": ("adsc", "random_latency", None),
+    "TCSC": ("tcsc", "", None),
+    "TCSC, flown with ADSC": ("tcsc", "", "adsc"),
+}
+
+
+def what_helps() -> Text:
+    for name, (command, variant, by) in HELP.items():
+        found = [counted(won(flown(policies("rl_latency", command, k, variant), by))) for k in (5.0, 10.0, 50.0)]
+        yield f"| {name} | {' | '.join(found)} |"
+    swapped = flown(policies("rl_latency", "tcsc", 5.0), "adsc", 5.0)
+    yield f"flown at 5x, ADSC takes TCSC's policies to {percent(swapped)} %."
+
+
+def what_the_gap_does() -> Text:
+    rows = rows_of("gaps")
+    gaps_in_flight = [f"{row['gap_s']:g}".removeprefix("0") or "0" for row in rows]
+    yield f"| gap after a command, simulated s | {' | '.join(gaps_in_flight)} |"
+    yield f"| speed when the next one begins, m/s | {' | '.join(short(row['speed_m_s'], 2) for row in rows)} |"
+    yield f"| metres per command and gap | {' | '.join(short(row['way_m'], 2) for row in rows)} |"
+    gaps_s = [gap_s(flown(policies("rl_table1", "adsc", k))) for k in CLOCKS]
+    real, slow, fast = (short(gap, 2) for gap in gaps_s[:3])
+    yield f"the rows have {real}, {slow} and {fast} s, and {gaps_s[3]:.1f} and {gaps_s[4]:.1f} s at 50 and 100x"
+    least, more = (percent(flown(policies("rl_table1", "adsc", k)), 1) for k in (50.0, 100.0))
+    yield f"the policies win {least} and {more} %"
+
+
+def the_model() -> Text:
+    fitted = Parameters(tick_us=45.0, call_ms=0.38, callback_ms=28.0)
+    shipped = shipped_latency("airsim")
+    assert shipped.model_dump(exclude={"name"}) == model(fitted).model_dump(exclude={"name"}), "fitted anew"
+    yield f"{fitted.tick_us:g} µs of wall time, so at most {3000 / fitted.tick_us:.1f}x"
+    yield f"| {fitted.call_ms:g} ms, half request, half reply |"
+    yield f"| {fitted.callback_ms:g} ms |"
+    cells = pd.DataFrame(evidence("dp1-airsim").summary["cells"])
+    longest = cells[(cells.command == "tcsc") & (cells.clock_speed == 100) & (cells["rounds"] == 24)]
+    found = longest[longest.t_move_s == 1].effective_speedup.item()
+    yield f"{found:.1f}x for 62x (TCSC at 100x, T_move 1 s, 24 rounds)"
+    yield f"{longest.effective_speedup.mean():.0f}x for 50x (averaged over T_move"
+    yield f"a pooled STLC of {claims.median(evidence('dp1-airsim'), 'adsc', 5.0).value:.3f} for 1.78 (ADSC at 5x)"
+    own = where(trainings("rl_table1"), flight=0)
+    whole = [times_of(flown(policies("rl_table1", "tcsc", k)), own)["whole_training_speedup"] for k in (5.0, 10.0)]
+    yield f"whole trainings are {whole[0]:.3g}x and {whole[1]:.3g}x as fast at 5x and 10x."
+    dp2 = pd.DataFrame(evidence("dp2-airsim").summary["cells"]).query("command == 'tcsc'")
+    yield f"TCSC's attitude differs by at most {short(dp2.attitude_error_deg_max.max(), 2)}° from that at 1x."
+    yield f"with it the largest DVS-ED at 50x is {dp2[dp2.clock_speed == 50].dvs_ed_percent_max.item():.0f} %."
+    yield f"| the paper | {' | '.join(f'{each:g}' for each in paper_results.SIMULATION_SPEEDUP.values())} |"
+    yield f"TCSC's worst cell has {cells[cells.command == 'tcsc'].stlc_median.min():.3f}."
+    command_s = command_wall_s("adsc", 1.0, shipped)
+    thinking_s = paper_results.thinking_share() * command_s
+    yield f"{1e3 * thinking_s:.1f} ms of {command_s:.3f} s outside the simulation"
+    yield f"{1e3 * agent_costs(shipped)['inference_s']:.0f} ms per decision"
+    for hz in (30.0, 60.0, 120.0):
+        frames = shipped.platform.frames.model_copy(update={"hz": hz})
+        at = shipped.model_copy(update={"platform": shipped.platform.model_copy(update={"frames": frames})})
+        real_s = command_wall_s("adsc", 1.0, at)
+        speedups = [f"{real_s / command_wall_s('tcsc', k, at):.1f}" for k in CLOCKS[1:]]
+        yield f"| {hz:g} | {' | '.join(speedups)} |"
+
+
+# --- elsewhere ------------------------------------------------------------------------------------------------------
+
+SETTINGS = (
+    r"[Aa]gents that think for \.2 s|with \.[24] s of thinking",
+    r"of 300|Figures? \d|23 successes to 1|gap of 1\.17 s|47\.8 ms, ADSC|T_move (?:\.2 and )?1 s",
+    r"per cent of 3 000 lanes|hours of 5 000 games|gaps of 1\.2 m and rows 7 m apart",
+    r"(?<![\d.])(?:1|5|10|50|100)x",
+    r"(?<![\d.])1 to 100x|1, 5 and 10x|50 and 100x|5 and 10x|5, 10, 50 and 100x",
+    r"95 % (?:Wilson )?intervals?",
+)
+
+
+# --- results.md, real-time.md ---------------------------------------------------------------------------------------
+
+
+def results() -> Page:
+    return Page((text for of in (dp1_under_native, dp2_under_native, the_policy_that_ships) for text in of()), SETTINGS)
+
+
+def dp1_under_native() -> Text:
+    flown_games = evidence("dp1-native")
+    cells = pd.DataFrame(flown_games.summary["cells"])
+    each = f"{len(flown_games.scores) // len(CLOCKS) // 2} games each"
+    yield f"{len(flown_games.scores) // 1000} {len(flown_games.scores) % 1000} games"
+    yield f"The worst cell of each ClockSpeed, {each}:"
+    by = {command: [cells[(cells.command == command) & (cells.clock_speed == k)] for k in CLOCKS] for command in OTHER}
+    worst = {command: [(own.stlc_median.min(), own.position_rmse_m.max()) for own in of] for command, of in by.items()}
+    yield f"| ADSC, lowest median STLC | {' | '.join(f'{stlc:.3f}' for stlc, _ in worst['adsc'])} |"
+    yield f"| ADSC, largest median position RMSE, m | {' | '.join(short(rmse, 3) for _, rmse in worst['adsc'])} |"
+    both = [f"{stlc:.3f}; {short(rmse, 3)}" for stlc, rmse in worst["tcsc"]]
+    yield f"| TCSC, lowest median STLC; RMSE | {' | '.join(both)} |"
+    for command, name in (
+        ("adsc", "| ADSC, effective speed-up at 24 rounds, T_move .1 / .2 / .5 / 1 s"),
+        ("tcsc", "| TCSC, the same"),
+    ):
+        found = []
+        for own in by[command]:
+            speedups = own[own["rounds"] == 24].sort_values("t_move_s").effective_speedup
+            texts = [f"{value:.{int(value < 20)}f}" for value in speedups]
+            found.append("1" if set(texts) == {"1.0"} else " / ".join(texts))
+        yield f"{name} | {' | '.join(found)} |"
+
+
+def dp2_under_native() -> Text:
+    summary = evidence("dp2-native").summary
+    cells = pd.DataFrame(summary["cells"])
+    images = int(cells.images.iloc[0]) - 1
+    yield f"A planned path of {images // 3} commands through a lane, T_move 1 s, T_sample .33 s, {images} images,"
+    numbers = ["position_error_m_median", "position_error_m_max", "attitude_error_deg_max"]
+    numbers += ["dvs_ed_percent_median", "dvs_ed_percent_max"]
+    assert not cells[cells.command == "tcsc"][numbers].to_numpy().any()
+    yield "| TCSC, `virtual`, 1x to 100x | 0, 0 m | 0° | 0, 0 % |"
+    for k in (10.0, 50.0, 100.0):
+        own = cells[(cells.command == "adsc") & (cells.clock_speed == k)].iloc[0]
+        error, most, turned, median, largest = own[numbers]
+        angle = short(turned, 3 if turned < 0.01 else 2)
+        dvs_ed = f"{short(median, 1)}, {largest:.1f} %"
+        yield f"| ADSC, `virtual`, {k:g}x | {short(error, 2)}, {short(most, 2)} m | {angle}° | {dvs_ed} |"
+    study = summary["guard_study"]
+    passed = {kind: 100 * each["on"]["share_passed"] for kind, each in study["by_kind"].items()}
+    perturbed = f"{100 * study['share']:.0f} % of them perturbed"
+    yield f"The image guard on {study['streams']} streams of these images, {perturbed}"
+    yield f"salt-and-pepper noise passes in {passed['salt_and_pepper']:.0f} % of the cases"
+    yield f"changed colours in {passed['colours']:.0f} %, changed brightness in {passed['brightness']:.0f} %"
+    yield f"empty images in {passed['empty']:.1f} %."
+
+
+def the_policy_that_ships() -> Text:
+    won_of = Proportion.pooled([Proportion(int(row["is_success"]), 1) for row in rows_of("shipped_test")])
+    low, high = (100 * end for end in won_of.interval)
+    yield f"Of the first {won_of.games} test lanes, on which nothing was chosen, it wins {won_of.successes}"
+    yield f"wins {won_of.successes} ({100 * won_of.ratio:.1f} %, {low:.1f} to {high:.1f} %) in the kernels"
+
+
+def real_time() -> Page:
+    return Page((), SETTINGS)
+
+
+PAGES = {
+    "README.md": readme,
+    "docs/results-paper.md": results_paper,
+    "docs/results.md": results,
+    "docs/real-time.md": real_time,
+}
