@@ -440,7 +440,7 @@ def test_a_torchscript_file_flies_once_it_is_trusted() -> None:
     network = th.nn.Linear(13, 3)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)
-        th.jit.save(th.jit.script(network), "policy.pt")  # type: ignore[no-untyped-call]
+        th.jit.save(th.jit.script(network), "policy.pt")
     with pytest.raises(UserError, match=r"^policy.pt: a TorchScript file is a program; .* add --trust, once$"):
         make_agent("policy.pt", HoverTask())
     with trusting():
