@@ -480,7 +480,11 @@ ALONE = {
     "the age of the pictures: .95 s": "age-0.95",
     "the time: a metre takes 3 s": "duration-3",
 }
-OF_MEDIATION = (r"(?:gap of|after|[Aa]t|of|in) 2 s\b", r"63 ms", r"of 1 s north at 1 m/s", r"lanes 0 to 99", r"300 commands")
+OF_MEDIATION = (
+    r"(?:gap of|after|[Aa]t|of|in|what) 2 s\b|63 ms|of 1 s north at 1 m/s|lanes 0 to 99|300 commands|\.95 m in \.95 s",
+    r"100 evaluation lanes|won, of 100|0 is at rest|`start_speed: 1`|a command of \.3 s|lasts \.3 s",
+    r"Up to \.78 s|a fifth of the games at 1x, here 97 %",
+)
 
 
 def why() -> Page:
@@ -495,6 +499,8 @@ def parts_of_gaps() -> Text:
         lasts, gap, age = (f"{row[name]:.3g}" for name in ("seconds_per_command", "gap_s", "picture_age_s"))
         gap, age = gap.removeprefix("0"), age.removeprefix("0")
         yield f"| {row['clock_speed']:g}x | {gap} | {speed} | {metres} | {lasts} | {age} | {unseen} |"
+    most = max(row["unseen_m"] for (command, _), row in rows.items() if command == "tcsc")
+    yield f"at most {short(most, 2)} m are unseen, and {short(rows['tcsc', 2.0]['unseen_m'], 2)} m in 2 s."
     yield f"after 2 s the drone flies backwards at {short(-rows['tcsc', 2.0]['start_speed_m_s'], 2)} m/s."
     slow, fast = adsc[-2:]
     unseen, metres = ([short(row[name], 2) for row in (fast, slow)] for name in ("unseen_m", "metres_per_command"))
@@ -517,7 +523,9 @@ def moved_in_flight() -> Text:
             line += "{} [{}, {}] |".format(*(short(found[name], 2) for name in ("share", "low", "high")))
         yield line
     yield f"it wins {won_of['gap-0.776']}. At 1.2 s it wins {won_of['gap-1.2']}, at 2 s {won_of['gap-2']}."
-    yield f"the policy wins {won_of['way-2']}"
+    yield f"remain, the policy wins {won_of['way-2']}."
+    yield f"at 50x and 100x, it wins {won_of['start-0']}."
+    yield f"none of {len(lanes)} lanes is won, where the whole gap leaves {won_of['gap-2']}." if not won_of["start--0.584"] else ""
 
 
 PAGES = {
