@@ -525,7 +525,8 @@ def moved_in_flight() -> Text:
     yield f"it wins {won_of['gap-0.776']}. At 1.2 s it wins {won_of['gap-1.2']}, at 2 s {won_of['gap-2']}."
     yield f"remain, the policy wins {won_of['way-2']}."
     yield f"at 50x and 100x, it wins {won_of['start-0']}."
-    yield f"none of {len(lanes)} lanes is won, where the whole gap leaves {won_of['gap-2']}." if not won_of["start--0.584"] else ""
+    none = won_of["start--0.584"] or "none"
+    yield f"{none} of {len(lanes)} lanes is won, where the whole gap leaves {won_of['gap-2']}."
 
 
 PAGES = {
