@@ -503,9 +503,9 @@ def parts_of_gaps() -> Text:
     yield f"at most {short(most, 2)} m are unseen, and {short(rows['tcsc', 2.0]['unseen_m'], 2)} m in 2 s."
     yield f"after 2 s the drone flies backwards at {short(-rows['tcsc', 2.0]['start_speed_m_s'], 2)} m/s."
     slow, fast = adsc[-2:]
-    unseen, metres = ([short(row[name], 2) for row in (fast, slow)] for name in ("unseen_m", "metres_per_command"))
+    dark, ways = ([short(row[name], 2) for row in (fast, slow)] for name in ("unseen_m", "metres_per_command"))
     ends = [f"{300 * row['metres_per_command']:.0f}" for row in (fast, slow)]
-    yield f"({unseen[0]} m unseen against {unseen[1]} m), commands advance {metres[0]} m instead of {metres[1]} m"
+    yield f"({dark[0]} m unseen against {dark[1]} m), commands advance {ways[0]} m instead of {ways[1]} m"
     yield f"reach {ends[0]} m instead of {ends[1]} m of the lane"
 
 
