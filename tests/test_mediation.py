@@ -109,7 +109,7 @@ def test_each_policy_is_flown_under_every_value_of_every_factor(tmp_path: Path) 
     flights = ["usual", "gap-0.776", "gap-2", "slow-1.98"]
     trained = [f"{policy}-seed{seed}" for seed in (0, 1) for policy in ("small", "brief")]
     assert [row["case"] for row in rows] == ["blind-seed0", *trained]
-    assert all(list(row["successes"]) == flights and row["games"] == 2 for row in rows)
+    assert all(set(row["successes"]) == set(flights) and row["games"] == 2 for row in rows)
     assert [row.get("trained_games") for row in rows] == [None, 3, 2, 3, 2]
     assert len({row["weights_sha256"] for row in rows[1:]}) == 4
     cells = {(cell["policy"], cell["flight"]): cell for cell in summary["cells"]}
