@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
 import pytest
 
 from tests.running import configured, fly_into, run_into
@@ -16,7 +17,7 @@ from uavaccel.records import RunDirectory
 from uavaccel.resources import experiment
 from uavaccel.suites.dp1 import Dp1, Dp1Config
 from uavaccel.suites.evaluate import Evaluation
-from uavaccel.suites.grid import Ablation, Point, Robustness, Sweep, parse_sweep
+from uavaccel.suites.grid import Ablation, Point, Robustness, Sweep, band_figure, parse_sweep
 from uavaccel.suites.session import RunRequest
 
 BASE = "base={profile: airsim, command: [adsc], clock_speed: [1, 10], t_move_s: [0.2], rounds: [2], games: 2, reference_games: 2}"  # noqa: E501
@@ -64,6 +65,24 @@ def test_variants_fly_the_games_of_dp1_with_its_seeds(tmp_path: Path) -> None:
     report = Ablation().report(RunDirectory(tmp_path / "ablation"))
     flight = Ablation().flight(report, report.games.iloc[-1])
     assert flight.title == "ADSC at 10x"
+
+
+def test_a_band_is_the_range_of_all_variants_about_the_first(tmp_path: Path) -> None:
+    clocks, medians = [1.0, 10.0], {"as fitted": (1.9, 1.5), "slow": (1.8, 1.1), "fast": (1.95, 1.4)}
+    variants = [{"name": name} for name in medians]
+    entries = pd.DataFrame(
+        [
+            ("adsc", clock, name, stlc[place], 0.1, 5.0)
+            for name, stlc in medians.items()
+            for place, clock in enumerate(clocks)
+        ],
+        columns=["command", "clock_speed", "variant", "stlc", "position_rmse_m_median", "effective_speedup"],
+    )
+    axes = band_figure(ablation(*variants, band=True), entries).axes[0]
+    (line,), (band,) = axes.lines, axes.collections
+    assert line.get_ydata().tolist() == [1.9, 1.5]
+    ends = {(x, round(y, 6)) for x, y in band.get_paths()[0].vertices}
+    assert {(0, 1.8), (0, 1.95), (1, 1.1), (1, 1.5)} == ends
 
 
 def test_a_condition_is_an_evaluation_with_one_key_changed(tmp_path: Path) -> None:

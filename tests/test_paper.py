@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from tests.made_runs import line_row
@@ -17,6 +18,7 @@ from uavaccel.config import validate
 from uavaccel.envs.stopwatch import PHASES
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
+from uavaccel.suites import claims
 from uavaccel.suites.dp1 import Dp1
 from uavaccel.suites.dp2 import Dp2
 from uavaccel.suites.paper import Paper, PaperConfig
@@ -155,6 +157,22 @@ def test_parts_are_scored_once_for_the_same_games(report: Report, monkeypatch: p
     part.append_row(line_row("game", "adsc", 5.0, 1, 0.0))
     with pytest.raises(AssertionError, match="scored again"):
         assert Paper().report(report.run).summary
+
+
+def test_rows_alone_decide_all_but_where_games_ended(report: Report) -> None:
+    """Without their arrays nobody knows who won which lane: intervals are those of unpaired games."""
+    run = RunDirectory(Path(report.config.with_run))
+    whole = claims.Trainings.of(run.rows(), "airsim", run.load_arrays)
+    alone = claims.Trainings.of(run.rows(), "airsim", lambda row: {})
+    columns = ["command", "clock_speed", "successes", "games", "trained_games", "commands"]
+    pd.testing.assert_frame_equal(alone.cells[columns], whole.cells[columns])
+    assert claims.won(whole, "tcsc", 5.0).won is not None
+    assert claims.won(alone, "tcsc", 5.0).won is None
+    with pytest.raises(claims.NoEvidence):
+        claims.lines_peak_at_obstacles(alone)
+    paired, plain = (claims.policy_flies_with_both(rl).value.rpartition("times ")[2] for rl in (whole, alone))
+    low, high, least, most = (float(end) for text in (paired, plain) for end in text.strip("[]").split(", "))
+    assert least < low <= high < most
 
 
 def test_without_trainings_their_claims_are_pending(report: Report) -> None:

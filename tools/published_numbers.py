@@ -152,7 +152,7 @@ def readme_says() -> Text:
 
 def results_paper() -> Page:
     says = (headline, table_1, table_1_bullets, claims_table, notes_on_table_1, interchanged, times, gaps, one_changed)
-    more = (what_helps, what_the_gap_does, the_model)
+    more = (what_helps, the_model)
     return Page((text for of in (*says, *more) for text in of()), SETTINGS)
 
 
@@ -191,6 +191,11 @@ def table_1_bullets() -> Text:
     )
     yield f"ADSC's policies of 10x win {own} % of the lanes flown as they were trained"
     yield f"{float(other):.0f} % of the same lanes with TCSC, and {float(real):.0f} % in real time."
+    alike = trainings("rl_table1").query("profile == 'native' and command == 'tcsc' and flight == 0").groupby("seed")
+    same = alike.weights_sha256.nunique()[alike.size() == len(CLOCKS)]
+    yield f"Under `native` {in_words(int((same == 1).sum()))} seeds of TCSC learn the same weights at 1 to 100x"
+    wins = zip(*(won(flown(policies("rl_table1", "adsc", k))) for k in (50.0, 100.0)), strict=True)
+    yield f"than those of 50x, with each of the {in_words(sum(fewer < more for fewer, more in wins))} seeds"
     native = [float(percent(flown(policies("rl_table1", "adsc", k, profile="native")), 1)) for k in CLOCKS]
     yield f"ADSC's policies win {min(native):.0f} to {max(native):.0f} % at every ClockSpeed."
     tcsc, adsc = (won(flown(policies("rl_latency", command, 5.0))) for command in ("tcsc", "adsc"))
@@ -344,19 +349,6 @@ def what_helps() -> Text:
         yield f"| {name} | {' | '.join(found)} |"
     swapped = flown(policies("rl_latency", "tcsc", 5.0), "adsc", 5.0)
     yield f"flown at 5x, ADSC takes TCSC's policies to {percent(swapped)} %."
-
-
-def what_the_gap_does() -> Text:
-    rows = rows_of("gaps")
-    gaps_in_flight = [f"{row['gap_s']:g}".removeprefix("0") or "0" for row in rows]
-    yield f"| gap after a command, simulated s | {' | '.join(gaps_in_flight)} |"
-    yield f"| speed when the next one begins, m/s | {' | '.join(short(row['speed_m_s'], 2) for row in rows)} |"
-    yield f"| metres per command and gap | {' | '.join(short(row['way_m'], 2) for row in rows)} |"
-    gaps_s = [gap_s(flown(policies("rl_table1", "adsc", k))) for k in CLOCKS]
-    real, slow, fast = (short(gap, 2) for gap in gaps_s[:3])
-    yield f"the rows have {real}, {slow} and {fast} s, and {gaps_s[3]:.1f} and {gaps_s[4]:.1f} s at 50 and 100x"
-    least, more = (percent(flown(policies("rl_table1", "adsc", k)), 1) for k in (50.0, 100.0))
-    yield f"the policies win {least} and {more} %"
 
 
 def the_model() -> Text:

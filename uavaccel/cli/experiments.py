@@ -220,7 +220,7 @@ def evaluate_agent(request: RunRequest, against: Path | None, films: bool) -> No
 
     def check(plan: Plan) -> None:
         if other is not None:
-            outcomes_of(other, plan.config.env_id, {case.id for case in plan.cases})
+            outcomes_of(other, plan.config.model_dump(mode="json"), {case.id for case in plan.cases})
 
     run = run_experiment(request, check, film_extremes if films else None)
     if run is not None and other is not None:

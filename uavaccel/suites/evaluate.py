@@ -275,6 +275,7 @@ class Evaluation(Suite[EvaluateConfig, Game]):
     def headline(self, report: Report) -> str:
         """Return the success with its interval, and what was flown, in a sentence."""
         summary, flown = report.summary, "lanes" if report.config.env_id == LANE else "games"
+        flown = f"test {flown}" if getattr(report.config.task, "split", None) == "test" else flown
         mean = ", mean return {return_mean:.4g}" if "return_mean" in summary else ""
         return (
             f"{agent_name(summary['agent'])} wins {{successes}} of {{games}} {flown} with {command_at_clock(summary)} "
@@ -396,11 +397,19 @@ def case_of(number: int, in_lane: bool = True) -> str:
 # --- what its report says ---------------------------------------------------------------------------------------
 
 
-def outcomes_of(other: RunDirectory, env_id: str, cases: Container[str]) -> dict[str, bool]:
-    """Return whether another evaluation won its games of these cases. Raises UserError where it has none of them."""
+def worlds_of(config: Mapping[str, Any]) -> tuple[str, str | None]:
+    """Return the environment of an evaluation, and the split that its lanes are of; None where there are no splits."""
+    return config.get("env_id", LANE), (config.get("task") or {}).get("split")
+
+
+def outcomes_of(other: RunDirectory, config: Mapping[str, Any], cases: Container[str]) -> dict[str, bool]:
+    """Return whether another evaluation won its games of these cases of an evaluation of this configuration.
+
+    Raises UserError where it has none of them, or is of another environment or split.
+    """
     rows = [row for row in other.rows() if row.get("suite") == "evaluate" and row["case"] in cases]
-    if not rows or other.config().get("env_id", LANE) != env_id:
-        games = "lanes" if env_id == LANE else "games"
+    if not rows or worlds_of(other.config()) != worlds_of(config):
+        games = "lanes" if worlds_of(config)[0] == LANE else "games"
         raise UserError(f"--against {other.path}: is no evaluation of the same {games}")
     return {row["case"]: row["is_success"] for row in rows}
 
@@ -410,14 +419,15 @@ def against(run: RunDirectory, other: RunDirectory) -> str:
 
     Raises as `outcomes_of`.
     """
-    won, env_id = {row["case"]: row["is_success"] for row in run.rows()}, run.config().get("env_id", LANE)
-    theirs = outcomes_of(other, env_id, won)
+    won, config = {row["case"]: row["is_success"] for row in run.rows()}, run.config()
+    theirs = outcomes_of(other, config, won)
     first, second = [won[case] for case in theirs], list(theirs.values())
     paired = Success.on_lanes([first]).difference(Success.on_lanes([second]))
     points = "{:+.1f} [{:+.1f}, {:+.1f}]".format(*(100 * each for each in paired))
     return (
-        f"against {other.path} on the same {len(theirs)} {'lanes' if env_id == LANE else 'games'}: {sum(first)} v "
-        f"{sum(second)} successes, {points} points, exact McNemar p = {mcnemar_exact(first, second).p_value:.3g}"
+        f"against {other.path} on the same {len(theirs)} {'lanes' if worlds_of(config)[0] == LANE else 'games'}: "
+        f"{sum(first)} v {sum(second)} successes, {points} points, "
+        f"exact McNemar p = {mcnemar_exact(first, second).p_value:.3g}"
     )
 
 
