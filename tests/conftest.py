@@ -5,7 +5,8 @@ from __future__ import annotations
 import os
 import re
 import signal
-from collections.abc import Iterator
+import sys
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import mujoco
@@ -15,6 +16,8 @@ from xdist.remote import Producer
 from xdist.scheduler import LoadScopeScheduling
 
 from tests.scenes import Scene
+from uavaccel import own_code
+from uavaccel.cli import main as cli
 from uavaccel.errors import UserError
 from uavaccel.resources import asset
 from uavaccel.sim.camera import gl
@@ -53,18 +56,22 @@ def signals_as_before() -> Iterator[None]:
 
 # Those that need the lanes' kernels, which take a minute of one core to compile on a fresh clone: one process does.
 KERNELS = re.compile(
-    r"test_(kernel_\w+|device|engines_agree|rl)\.py|\[docs/(kernels|tutorial|reference/python)|of_the_kernels"
+    r"test_(kernel_\w+|device|engines_agree|navigate|still_scenes|rl)\.py|\[docs/(kernels|tutorial|reference/python)|of_the_kernels"
 )
 # The longest begin, or the last one would keep one core busy alone.
 FIRST = (
     "kernels",
+    "test_docs",
+    "test_watch",
+    "test_watch_live",
     "test_batch",
     "test_training",
     "test_fly_scripts",
-    "test_docs",
-    "test_killed_at_random",
     "test_evaluate",
-    "test_watch_live",
+    "test_evaluate_lanes",
+    "test_python",
+    "test_reports",
+    "test_killed_at_random",
     "test_env",
     "test_server_faults",
     "test_fly_deaths",
@@ -144,3 +151,40 @@ def trainings_here() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         fly_here(patch.setattr)
         yield
+
+
+# --- code of one's own ------------------------------------------------------------------------------------------
+
+
+def forget_own_code(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As in a process of its own: nothing is trusted or imported yet."""
+    for name, nothing in (("_here", {}), ("_imported", {}), ("_noted", [])):
+        monkeypatch.setattr(own_code, name, nothing)
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """A working directory whose own code is forgotten at the end."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    forget_own_code(monkeypatch)
+    yield tmp_path
+    for name, module in list(sys.modules.items()):
+        if str(getattr(module, "__file__", None) or "").startswith(f"{tmp_path}/"):
+            del sys.modules[name]
+
+
+@pytest.fixture
+def said(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[[str], str]:
+    """What a command line complains about, in one line, when it ends."""
+
+    def run(line: str) -> str:
+        own_code._here.clear()
+        monkeypatch.setattr(sys, "argv", ["uavaccel", *line.split()])
+        with pytest.raises(SystemExit):
+            cli.main()
+        error = capsys.readouterr().err
+        assert error.count("\n") <= 1, error
+        return error.removeprefix("uavaccel: error: ").strip()
+
+    return run

@@ -74,7 +74,7 @@ def _axes(axes: Any) -> Iterator[str]:
 
 def _artist(artist: Any) -> str:
     if isinstance(artist, Line2D):
-        data = artist.get_data_3d() if hasattr(artist, "get_data_3d") else artist.get_data()
+        data: Any = artist.get_data_3d() if hasattr(artist, "get_data_3d") else artist.get_data()
         look = f"{to_hex(artist.get_color())} {artist.get_linestyle()} {artist.get_marker()} {artist.get_drawstyle()}"
         alpha = "" if artist.get_alpha() is None else f" {artist.get_alpha():.3g}"
         return f"line {look}{alpha}: {' | '.join(map(numbers, data))}" if len(data[0]) else ""
@@ -140,4 +140,4 @@ def _plain(value: Any) -> str:
         return str(value)
     if _is_list(value):
         return f"[{', '.join(map(_plain, value))}]"
-    return _number(float(value)) if np.isscalar(value) else str(value)
+    return _number(float(value)) if isinstance(value, int | float | np.number) else str(value)

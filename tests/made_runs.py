@@ -192,7 +192,7 @@ def walls(*walls_s: float) -> list[Row]:
 def evaluated(path: Path, *rows: Row, task: dict[str, Any] | None = None, **keys: Any) -> Report:
     """A run with a row for each game, of lanes 0, 1, ... and lost by default."""
     plain = {"agent": "straight", "task": {"split": "evaluation", "timing": "virtual", **(task or {})}} | keys
-    usual = {"collision": None, "commands": 3, "is_success": False, "wall_s": 0.5, "distance_m": 9.0}
+    usual: Row = {"collision": None, "commands": 3, "is_success": False, "wall_s": 0.5, "distance_m": 9.0}
     usual |= {"phase_s": dict.fromkeys(PHASES, 0.1)}
     flown = [
         usual
@@ -273,7 +273,7 @@ def rl(path: Path, rows: Sequence[Row], took_s: Sequence[float] = (), **options:
 def thinking_row(agent: str, command: str, latency_s: float, clock_speed: float, mean: float, **keys: Any) -> Row:
     """An evaluation of two episodes that return 2 less and 2 more than the mean."""
     case = f"{agent}-{command}-{latency_s:g}-{clock_speed:g}-{keys.get('seed', 0)}"
-    row = {"kind": "evaluation", "case": case, "timing": "virtual", "environment": "pendulum", "agent": agent}
+    row: Row = {"kind": "evaluation", "case": case, "timing": "virtual", "environment": "pendulum", "agent": agent}
     row |= {"seed": 0, "command": command, "latency_s": latency_s, "clock_speed": clock_speed, "late_s": 0.0}
     return row | {"returns": [mean - 2, mean + 2], "delays_s": [latency_s * clock_speed] * 2} | keys
 

@@ -112,8 +112,10 @@ def test_what_is_spawned_has_its_form_stops_the_vehicle_and_goes(
 
 
 def test_names_are_numbered_and_there_is_room_again(wire: AirSimWire) -> None:
-    assert [spawn(wire, "box", "Cube", (30.0, 30.0, -20.0)) for _ in range(3)] == ["box", "box1", "box2"]
-    for _ in range(SPARES - 3):
+    names = ["box", "box", "box", "hut7", "hut"]
+    spawned = [spawn(wire, name, "Cube", (30.0, 30.0, -20.0)) for name in names]
+    assert spawned == ["box", "box1", "box2", "hut7", "hut8"]
+    for _ in range(SPARES - len(names)):
         spawn(wire, "box", "Cube", (30.0, 30.0, -20.0))
     with pytest.raises(rpc.RpcError, match="there is no room for another object"):
         spawn(wire, "box", "Cube", (30.0, 30.0, -20.0))

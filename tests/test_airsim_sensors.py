@@ -150,6 +150,16 @@ def test_a_gps_converges_and_is_as_late_in_velocity_as_in_place() -> None:
     assert xyz(told["velocity"]) == pytest.approx(velocity - 0.2 * acceleration)
 
 
+@pytest.mark.parametrize(("since_reset_s", "ago_s"), [(0.0, 0.0), (0.05, 0.05), (0.3, 0.2)])
+def test_a_receiver_is_no_later_than_the_last_reset(since_reset_s: float, ago_s: float) -> None:
+    """5 m/s north, and 1 m/s² faster each second."""
+    home, still = GeoPoint(*HOME.values()), (0.0, 0.0, 0.0)
+    now = Kinematics(10**9, still, (1, 0, 0, 0), (5.0, 0.0, 0.0), still, (1.0, 0.0, 0.0), still)
+    read = Gps(GpsSettings(), 0, "gps").read(Truth(now, 0.002, since_reset_s, home))
+    assert local(read.place, home)[0] == pytest.approx(-5.0 * ago_s + ago_s**2 / 2, abs=1e-6)
+    assert read.velocity_m_s[0] == pytest.approx(5.0 - ago_s)
+
+
 def test_a_vehicles_own_sensors_stand_in_for_the_default_ones() -> None:
     settings: dict[str, Any] = {"DefaultSensors": {"Common": {"SensorType": 1}}}
     AirSimWire(settings).call("getBarometerData", "Common", "")

@@ -32,7 +32,8 @@ SAMPLES = 13  # the start, and three of each command
 
 
 def config_of(*overrides: str, **options: Any) -> Dp2Config:
-    config: Dp2Config = configured("dp2", SHORT_PATH, *overrides, **options)
+    """On a simulated clock, which a single ClockSpeed would leave."""
+    config: Dp2Config = configured("dp2", SHORT_PATH, *overrides, **{"timing": "virtual", **options})
     return config
 
 

@@ -84,8 +84,8 @@ def test_straight_flight_gets_as_far_as_the_lane_is_free(straight: RunDirectory)
 
 
 def test_an_offset_is_reached_and_kept(tmp_path: Path) -> None:
-    evaluated("offset:-1.5", tmp_path / "run")
-    for row in RunDirectory(tmp_path / "run").rows():
+    config = configured("evaluate", agent="offset:-1.5", games=LANES)
+    for row in fly_into(tmp_path / "run", Evaluation(), config).rows():
         near = [free_m(row["lane"], -1.5 + off) for off in np.linspace(-0.35, 0.35, 15)]
         assert min(near) - 0.1 <= row["distance_m"] <= max(near) + 0.1
 
@@ -139,6 +139,8 @@ def test_films_of_the_best_and_the_worst(tmp_path: Path) -> None:
     assert [base64.b64decode(film) for film in films] == [
         (tmp_path / f"run/films/{name}.mp4").read_bytes() for name in ("best", "worst")
     ]
+    with pytest.raises(UserError, match="--case lane-99: not in"):
+        film_game(tmp_path / "run", "lane-99", None, tmp_path / "none.mp4")
 
 
 def test_a_second_event_camera_has_the_noise_of_its_game() -> None:
@@ -200,21 +202,6 @@ def test_the_speed_is_that_of_the_games_own_clock(
     speed = summary["sim_time_s"] / summary["wall_s"]
     assert summary["simulated_s_per_wall_s"] == speed
     assert least < speed < most
-
-
-@pytest.mark.slow
-@needs_opengl
-def test_an_evaluated_game_is_filmed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    run = tmp_path / "run"
-    evaluated("offset:3", run, "task.max_commands=10", games=2)
-    made = film_game(run, None, None, tmp_path / "films/best.mp4")
-    assert made == (tmp_path / "films/best.mp4", tmp_path / "films/best.png")
-    assert (tmp_path / "films/best.mp4").stat().st_size > 10_000
-    with pytest.raises(UserError, match="--case lane-99: not in"):
-        film_game(run, "lane-99", None, tmp_path / "none.mp4")
-
-
-# --- policies ---------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.slow
@@ -389,10 +376,8 @@ def test_a_noisy_sensor_is_what_flies(tmp_path: Path) -> None:
     """What is recorded as flown was flown: another sensor leads to other actions."""
     runs = []
     for preset in ("clean", "noisy"):
-        evaluated(
-            "default", tmp_path / preset, f"task.dvs_preset={preset}", "task.max_commands=12", "first_lane=4", games=2
-        )
-        runs.append(RunDirectory(tmp_path / preset))
+        keys = f"task.dvs_preset={preset}", "task.max_commands=12", "first_lane=4", "games=1"
+        runs.append(fly_into(tmp_path / preset, Evaluation(), configured("evaluate", *keys, agent="default")))
     assert runs[1].config()["task"]["dvs_preset"] == "noisy"
     assert runs[0].rows()[0]["actions"] != runs[1].rows()[0]["actions"]
 

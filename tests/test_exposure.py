@@ -63,7 +63,7 @@ def test_bright_pixels_saturate_and_colours_keep_their_order() -> None:
     assert image[0, 0, 0] < image[0, 0, 1] < image[0, 0, 2]
 
 
-def test_a_camera_is_exposed_for_the_wall_time_that_its_simulation_ran() -> None:
+def test_a_camera_is_exposed_for_the_time_that_it_ran() -> None:
     """At 10x a simulated second is a tenth of one: three tenths of a stop up, as the picture is half as bright."""
     images = iter((grey(80), grey(40)))
     client: Any = SimpleNamespace(clock_speed=10.0, image=lambda kind, size: next(images))

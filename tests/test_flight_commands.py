@@ -716,6 +716,23 @@ def test_without_gains_a_reset_still_begins_a_hover(level: str) -> None:
     assert np.isfinite(api.simulation.world.lead.state["goal"]).all()
 
 
+def test_a_controller_of_another_mode_is_a_new_one() -> None:
+    """It has no error of an update before, from which a derivative would be, and nothing integrated."""
+    api = hovering()
+    call(api, "setVelocityControllerGains", [0.2, 0.2, 2.0], [0.05, 0.05, 2.0], [0.1, 0.1, 0.0])
+    fly(api, "moveByVelocity", 3.0, 2.0, 0.0, 0.3, MAX_DOF, STRAIGHT)
+    state = api.simulation.world.lead.state
+    level = slice(3 * autopilot.VELOCITY_LEVEL, 3 * autopilot.VELOCITY_LEVEL + 2)
+    assert state["pid_error"][level].all()
+    assert state["pid_integral"][level].all()
+    call(api, "hover")
+    api.simulation.world.lead.hold_from(api.simulation.world.tick + 1)
+    go_on(api, 0.002)
+    assert state["xy_mode"] == autopilot.POSITION
+    assert not state["pid_error"][level].any()
+    assert not state["pid_integral"][level].any()
+
+
 def test_an_integral_gain_beats_wind_and_a_derivative_damps() -> None:
     """Against 10 m/s from the north a proportional controller is pushed off; wind-up is what an integral is for."""
     drift, overshoot = {}, {}

@@ -34,6 +34,7 @@ from uavaccel.fly.threads import SharedModules, ThreadModules
 from uavaccel.fly.turns import Turns
 from uavaccel.units import NS_PER_S
 
+pytestmark = pytest.mark.timeout(120)  # what waits wrongly waits for ever
 UNIT_S = 0.2  # long enough for a busy machine to get every thread to its place
 LATER_S = 60.0  # a time-out that does not pass
 Program = Callable[[Any], None]
@@ -586,11 +587,11 @@ def test_a_wait_without_an_end_ends_with_the_flight() -> None:
     assert clock.now_ns() == 3 * NS_PER_S
 
 
-def test_a_forked_process_waits_by_its_own_clock(script: Any) -> None:
+def test_a_forked_process_waits_by_its_own_clock() -> None:
     """Beyond the flight's end, and without the threads that it does not have."""
     turns, own = Turns(VirtualClock(), limit_ns=3 * NS_PER_S), VirtualClock(5 * NS_PER_S)
-    event = ThreadModules(turns).threading.Event()  # type: ignore[attr-defined]
-    turns.announce(7 * NS_PER_S)
+    modules: Any = ThreadModules(turns).threading
+    modules.Thread(target=modules.Event().wait).start()
     turns.forked(own)
-    assert event.wait(4.0) is False
+    assert modules.Event().wait(4.0) is False
     assert (own.now_ns(), turns.running) == (9 * NS_PER_S, [])

@@ -167,7 +167,7 @@ def test_intervals_and_exact_tests_are_scipys(outcomes: list[tuple[bool, bool]],
     assert (found.only_first, found.only_second) == (int((first > second).sum()), int((second > first).sum()))
     decided = found.only_first + found.only_second
     assert found.p_value == pytest.approx(stats.binomtest(found.only_first, decided).pvalue if decided else 1.0)
-    fisher = stats.fisher_exact([[a, games - a], [b, games + 5 - b]]).pvalue
+    fisher = stats.fisher_exact(np.array([[a, games - a], [b, games + 5 - b]])).pvalue
     assert fisher_exact_p((a, games), (b, games + 5)) == pytest.approx(fisher)
     assert student_quantile(degrees) == pytest.approx(stats.t.ppf(0.975, degrees), rel=1e-10)
 

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import json
 import signal
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from tests.conftest import forget_own_code
 from tests.running import fly_into, run_into
-from uavaccel import own_code
-from uavaccel.cli import main as cli
 from uavaccel.records import RunDirectory
 from uavaccel.rl.agents import make_agent
 from uavaccel.suites.evaluate import Evaluation
@@ -88,38 +86,14 @@ OPTIONS = {
 }
 
 
-@pytest.fixture
-def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A working directory with two tasks, of which nothing is trusted or imported yet."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "path", [*sys.path])
-    for name in ("_here", "_imported"):
-        monkeypatch.setattr(own_code, name, {})
-    monkeypatch.setattr(own_code, "_noted", [])
-    for module in ("post", "mine"):
-        monkeypatch.delitem(sys.modules, module, raising=False)
-    (tmp_path / "post.py").write_text(POST + MORE)
-    return tmp_path
+@pytest.fixture(autouse=True)
+def _two_tasks(here: Path) -> None:
+    (here / "post.py").write_text(POST + MORE)
 
 
 def yaml_of(here: Path, task: str, simulator: str = "mujoco") -> str:
     (here / "own.yaml").write_text(YAML.format(task=task, simulator=simulator, options=OPTIONS[task]))
     return "own.yaml"
-
-
-@pytest.fixture
-def said(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[[str], str]:
-    """What a command line complains about, in one line."""
-
-    def run(line: str) -> str:
-        monkeypatch.setattr(sys, "argv", ["uavaccel", *line.split()])
-        with pytest.raises(SystemExit):
-            cli.main()
-        error = capsys.readouterr().err
-        assert error.count("\n") <= 1, error
-        return error.removeprefix("uavaccel: error: ").strip()
-
-    return run
 
 
 @pytest.mark.parametrize("simulator", ["mujoco", "kernels"])
@@ -145,7 +119,7 @@ def test_its_policy_flies_from_another_folder(
     elsewhere = here / "elsewhere"
     elsewhere.mkdir()
     monkeypatch.chdir(elsewhere)
-    own_code._imported.clear()
+    forget_own_code(monkeypatch)
     with reading(RunRequest("evaluate", {"agent": "../run", "games": 2})) as (evaluation, evaluated):
         assert evaluated.env_id == f"post.py:{task}"
         run = fly_into(here / "flown", Evaluation(), evaluated)

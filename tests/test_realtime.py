@@ -265,8 +265,8 @@ def test_a_value_that_does_not_fit_is_one_line(keys: dict[str, Any], said: str) 
         ("CartPole-v1", {}, {}, "default_action: a Discrete has no neutral action"),
         ("FrozenLake-v1", {}, {}, "period_s: FrozenLakeEnv does not say how long"),
         ("FrozenLake-v1", {}, {"command": "tcsc", "period_s": 1, "observe_age": True},
-         r"observe_age, observe_actions: need a Box of observations, not Discrete\(16\)"),
-        ("uavaccel/Hover-v0", {}, {}, "Hover: timing = lockstep: make it with timing='virtual' to fly it in real time"),
+         r"observe_age, observe_actions, observe_planned: need a Box of observations, not Discrete\(16\)"),
+        ("uavaccel/Hover-v0", {}, {}, "Hover: timing = lockstep: make it with timing='virtual' for real time"),
         ("uavaccel/Hover-v0", HOVER, {}, "command: 'adsc' here, but 'tcsc' in Hover; give both the same"),
         ("CartPole-v1", {}, {"default_action": 0, "chunk": 2, "ensemble": 0.0}, "ensemble: actions of a Discrete have"),
         *(
@@ -369,6 +369,14 @@ def chosen(values: float | list[float]) -> NDArray[np.float32]:
          [(2, 20, 1, 0), (2, 20, 1, 0)], 100),
         ({"chunk": 3, "execute": 2, "overlap": True}, 0, [(20, [0.1, 0.2, 0.3]), (60, [0.4, 0.5, 0.6])],
          [0, 0.1, 0.2, 0.4], [(2, 20, 1, 0), (2, 20, 1, 0)], 80),
+        # a frozen prefix: the chunk's action for the period in which it was thought of is dropped
+        ({"chunk": 3, "execute": 2, "overlap": True, "frozen_prefix": True}, 0,
+         [(20, [0.1, 0.2, 0.3]), (60, [0.4, 0.5, 0.6])], [0, 0.2, 0.3, 0.5], [(2, 20, 1, 0), (2, 20, 1, 0)], 80),
+        # no time passes before the first actions; the next ones wait for those that are left, or these for them
+        ({"chunk": 3, "execute": 2, "early": 1, "head_start": True}, 0, [(50, [0.1, 0.2, 0.3]), (75, [0.4, 0.5, 0.6])],
+         [0.1, 0.2, 0.4], [(1, 50, 0, 0), (2, 5, 1, 0)], 110),
+        ({"chunk": 3, "execute": 2, "early": 1, "head_start": True}, 0, [(50, [0.1, 0.2, 0.3]), (115, [0.4, 0.5, 0.6])],
+         [0.1, 0.2, 0.3, 0.3, 0.4], [(1, 50, 0, 0), (4, 45, 3, 0)], 150),
         # steps of 30 ms are 10 ms late each; the agent thinks from when it has its observation
         ({"command": "tcsc"}, 30, [(0, 0.1), (35, 0.2)], [0.1, 0.2], [(1, 0, 0, 10), (1, 5, 0, 10)], 65),
         ({}, 30, [(0, 0.1), (30, 0.2)], [0.1, 0.2], [(1, 0, 0, 10), (1, 0, 0, 10)], 60),

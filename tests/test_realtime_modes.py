@@ -211,8 +211,8 @@ def test_a_queue_of_actions_runs_dry_and_is_refilled(
 
 def test_what_is_planned_is_what_is_applied_if_nothing_else_arrives() -> None:
     """An agent that observes the next actions, and is told them, finds in them what its world was given meanwhile."""
-    keys = {"delay_steps": [0, 1, 2, 5], "chunk": 4, "execute": 2, "overlap": True, "frozen_prefix": True}
-    env = RealTime(World(), period_s=0.1, observe_planned=4, **keys)
+    keys: dict[str, Any] = {"delay_steps": [0, 1, 2, 5], "chunk": 4, "execute": 2, "overlap": True}
+    env = RealTime(World(), period_s=0.1, frozen_prefix=True, observe_planned=4, **keys)
     observation, info = env.reset(seed=3)
     inside: Any = env.unwrapped
     for _ in range(30):

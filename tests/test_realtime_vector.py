@@ -5,16 +5,20 @@ from __future__ import annotations
 from collections.abc import Callable
 from copy import deepcopy
 from functools import partial
+from importlib import import_module
 from typing import Any
 
 import gymnasium
 import numpy as np
 import pytest
+import torch as th
 from gymnasium import spaces
 from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv
 from numpy.typing import NDArray
 
 import uavaccel
+from tests.host_kernels import host_kernels  # noqa: F401 - a fixture
+from uavaccel.envs.hover import Hover
 from uavaccel.errors import UserError
 from uavaccel.realtime import RealTime, RealTimeVector, ThinkingTime, lognormal
 
@@ -137,31 +141,40 @@ def test_a_physics_step_is_a_tick_there_too_and_gymnasium_makes_the_same() -> No
     assert together(wrapped, actions) == expected  # type: ignore[arg-type]
 
 
-OWN: dict[str, Any] = {"timing": "virtual", "command": "adsc", "clock_speed": 3.0}
+# Messages take no time, as each simulator draws the time of its own ones.
+OWN: dict[str, Any] = {"timing": "virtual", "command": "adsc", "clock_speed": 3.0, "latency": {"scale": 0.0}}
+
+
+def batch_of(simulator: str) -> Any:
+    if simulator == "device":
+        return import_module("uavaccel.envs.cuda_batch").CudaBatch(Hover, 2, **OWN)  # which the fixture has exchanged
+    return uavaccel.make_vec("hover", 2, simulator=simulator, **OWN)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("simulator", ["mujoco", "kernels"])
-@pytest.mark.parametrize("source", [LATENCIES, Alternating()], ids=["list", "own"])
-def test_a_batch_with_clocks_of_its_own_is_charged_as_one_is(simulator: str, source: Any) -> None:
-    """As many thinking times as steps, each on its own environment's clock; over arrays within their rounding."""
-    keys: dict[str, Any] = {"latency_s": source, "clock_speed": 3.0}
-    vector = RealTimeVector(uavaccel.make_vec("hover", 2, simulator=simulator, **OWN), **keys)
-    singles = [RealTime(uavaccel.make("hover", **OWN), **deepcopy(keys)) for _ in range(2)]
-    vector.reset(seed=SEED)
-    for place, single in enumerate(singles):
-        single.reset(seed=SEED + place)
-    generator = np.random.default_rng(0)
-    for _ in range(8):
-        action = generator.uniform(-1, 1, vector.action_space.shape or ()).astype(np.float32)
-        observations, rewards, terminated, _, infos = vector.step(action)
+@pytest.mark.usefixtures("host_kernels")
+@pytest.mark.parametrize("simulator", ["mujoco", "kernels", "device"])
+def test_a_batch_with_clocks_of_its_own_is_charged_as_one_is(simulator: str) -> None:
+    """Each environment's thinking times on its own clock, from a list or a source; a device's tensors stay there."""
+    for source in (LATENCIES, Alternating()):
+        keys: dict[str, Any] = {"latency_s": source, "clock_speed": 3.0}
+        vector = RealTimeVector(batch_of(simulator), **keys)
+        singles = [RealTime(uavaccel.make("hover", **OWN), **deepcopy(keys)) for _ in range(2)]
+        vector.reset(seed=SEED)
         for place, single in enumerate(singles):
-            observation, reward, over, _, info = single.step(action[place])
-            assert terminated[place] == over
-            np.testing.assert_allclose(observations[place], observation, rtol=0, atol=1e-6)
-            np.testing.assert_allclose(rewards[place], reward, atol=1e-6)
-            for key in ("thinking_s", "meanwhile_s", "wall_s"):
-                assert infos[key][place] == pytest.approx(info[key], abs=1e-12)
+            single.reset(seed=SEED + place)
+        generator = np.random.default_rng(0)
+        for _ in range(6):
+            action = generator.uniform(-1, 1, vector.action_space.shape or ()).astype(np.float32)
+            observations, _, terminated, _, infos = vector.step(action)
+            assert isinstance(observations, th.Tensor) == (simulator == "device")
+            for place, single in enumerate(singles):
+                observation, _, over, _, info = single.step(action[place])
+                assert terminated[place] == over
+                np.testing.assert_allclose(np.asarray(observations[place]), observation, rtol=0, atol=1e-6)
+                for key in {"thinking_s", "meanwhile_s", "wall_s"} & infos.keys():
+                    assert infos[key][place] == pytest.approx(info[key], abs=1e-12)
+        vector.close()
 
 
 @pytest.mark.parametrize(

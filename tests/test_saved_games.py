@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from tests.opengl import needs_opengl
 from uavaccel.envs.flight_env import FlightEnv
-from uavaccel.envs.hover import Hover
+from uavaccel.envs.hover import Hover, HoverTask
 from uavaccel.envs.navigate import Navigate
 from uavaccel.envs.observer import Game, Observer
 from uavaccel.envs.obstacle_lane import ObstacleLane
@@ -96,7 +96,7 @@ def test_a_saved_game_goes_on_to_the_same_bytes(
         assert what_follows(here, [3, 1]) == what_follows(there, [3, 1])
 
 
-def test_a_game_goes_on_into_its_collision_and_with_actions_that_are_numbers() -> None:
+def test_a_game_goes_on_into_its_collision_and_by_numbers() -> None:
     with closing(ObstacleLane(**LANE, lane=POST)) as here, closing(ObstacleLane(**LANE, lane=POST)) as there:
         here.reset(seed=1)
         here.step(2)
@@ -157,21 +157,25 @@ def test_whoever_looks_on_sees_the_game_from_its_beginning() -> None:
     assert looking[0].seen == looking[1].seen != []
 
 
-@pytest.mark.parametrize("change", ["action", "charge", "seed", "task"])
-def test_a_game_that_comes_out_differently_is_one_clear_line(change: str) -> None:
-    with closing(Hover(timing="virtual")) as here:
+@pytest.mark.parametrize("change", ["action", "charge", "seed", "task", "draws"])
+def test_a_game_that_comes_out_differently_is_one_clear_line(change: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """So is one after which another game would come, as a task draws more numbers than it did."""
+    with closing(Hover(timing="virtual", clock_speed=1.0)) as here:
+        here.action_space.seed(0)
         here.reset(seed=1)
         here.step(here.action_space.sample())
         here.charge(0.01)
         state = here.get_state()
     flown = json.loads(state["flown"])
     if change == "action":
-        flown[0][1] = [-value for value in flown[0][1]] if isinstance(flown[0][1], list) else flown[0][1] ^ 1
+        flown[0][1] = [-value for value in flown[0][1]]
     elif change == "charge":
         flown[1][1] += 1e-9
     elif change == "seed":
         state["generator"] = json.dumps(np.random.default_rng(5).bit_generator.state)
-    there = Hover(timing="virtual", **({"clock_speed": 2.0} if change == "task" else {}))
+    elif change == "draws":
+        monkeypatch.setattr(HoverTask, "sample_conditions", lambda task, random, games: dict(random.random(1)[1:]))
+    there = Hover(timing="virtual", clock_speed=2.0 if change == "task" else 1.0)
     with closing(there), pytest.raises(UserError, match="flown again, did not end as it was saved") as caught:
         there.set_state({**state, "flown": json.dumps(flown)})
     assert "\n" not in str(caught.value)

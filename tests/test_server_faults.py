@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import io
 import math
 import os
 import select
 import signal
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
@@ -19,6 +21,7 @@ from uavaccel.processes.lifetime import start_python
 from uavaccel.suites.dp1 import Dp1
 from uavaccel.suites.runner import MOST_RESTARTS, run_suite, start_run
 from uavaccel.suites.suite import GameResult
+from uavaccel.units import NS_PER_S
 from uavaccel.wire import server_watch
 from uavaccel.wire.server_watch import SILENCE_POLL_NS, STALL_NS, ServerGoneError, ServerSilence, WatchedServer
 from uavaccel.wire.session import WallSession
@@ -70,6 +73,35 @@ def test_a_server_that_is_stopped_while_it_starts_is_noticed_at_once(monkeypatch
         WatchedServer({})
 
 
+@pytest.mark.parametrize(("computes", "patient_s"), [(True, 60), (False, 2)])
+def test_a_silent_server_is_given_longer_while_it_computes(
+    monkeypatch: pytest.MonkeyPatch, computes: bool, patient_s: int
+) -> None:
+    """For up to a minute, as of a first picture on a loaded machine; of one that does nothing 2.5 s are enough."""
+    clock, cpu_s, killed = VirtualClock(), [0.0], list[bool]()
+    process = SimpleNamespace(
+        pid=0, poll=lambda: None, kill=lambda: killed.append(True), stdout=io.BytesIO(b'{"port": 7}')
+    )
+    given = {
+        "start_python": lambda *_, **__: process,
+        "MonotonicClock": lambda: clock,
+        "cpu_time_s": lambda _: cpu_s[0],
+    }
+    for name, value in (given | {"is_stopped": lambda _: False}).items():
+        monkeypatch.setattr(server_watch, name, value)
+    monkeypatch.setattr(select, "select", lambda *_: ([True], [], []))
+    server = WatchedServer({})
+    for _ in range(patient_s):
+        clock.charge(NS_PER_S)
+        cpu_s[0] += computes
+        server.check()
+    clock.charge(NS_PER_S)
+    cpu_s[0] += computes
+    with pytest.raises(ServerGoneError, match=rf"did not answer for {patient_s + 1}\.0 s"):
+        server.check()
+    assert killed == [True]
+
+
 def test_a_long_command_is_no_silence_of_a_dead_server(monkeypatch: pytest.MonkeyPatch) -> None:
     """One of 2.5 s: at 1 s the server is asked whether it is there, and says so; its answer comes when it is due."""
     clock, looks, answered = VirtualClock(), list[int](), False
@@ -102,7 +134,9 @@ def test_a_long_command_is_no_silence_of_a_dead_server(monkeypatch: pytest.Monke
 
 def test_a_short_stop_is_seen_and_counted_once() -> None:
     """The simulation loses nothing then, and says nothing: only the client knows."""
+    cores = os.sched_getaffinity(0)
     with WallSession("blocks", "native") as session:
+        assert os.sched_getaffinity(0) | os.sched_getaffinity(session.server.pid) == cores
         client = session.start_game(50.0)
         transport = client.transport
         stop(session.server.pid)
@@ -113,6 +147,7 @@ def test_a_short_stop_is_seen_and_counted_once() -> None:
         transport.wait(call)
         assert 150_000_000 <= transport.stalled_ns <= transport.clock.now_ns() - call.sent_ns
         assert client.speed()["lost_wall_ns"] == 0
+    assert os.sched_getaffinity(0) == cores, "its own core is left to others again"
 
 
 def stop(pid: int) -> None:

@@ -141,7 +141,7 @@ def test_position_hold_brings_the_drone_to_rest() -> None:
     np.testing.assert_allclose(simulation.world.lead.state["velocity"], 0.0, atol=1e-2)
 
 
-def test_without_api_control_a_command_takes_its_time_and_does_nothing() -> None:
+def test_without_api_control_a_command_only_takes_its_time() -> None:
     hovering = simulate()
     go_to(hovering, 300)
     expected = position(hovering)
@@ -174,7 +174,7 @@ def test_disarmed_rotors_stop() -> None:
     assert not simulation.world.lead.state["rotor_input"].any()
 
 
-def test_a_time_the_step_does_not_divide_is_refused_and_the_command_before_it_flies_on() -> None:
+def test_a_time_the_step_does_not_divide_is_refused_without_a_trace() -> None:
     simulation = simulate()
     reply = fly_velocity(simulation, NORTH, 0.1, 0)
     with pytest.raises(UserError, match="not a positive multiple of the physics step of 2 ms"):
@@ -186,7 +186,7 @@ def test_a_time_the_step_does_not_divide_is_refused_and_the_command_before_it_fl
 # --- pause and continue-for -----------------------------------------------------------------------------
 
 
-def test_a_paused_world_stands_still_and_its_command_goes_on_afterwards() -> None:
+def test_a_paused_world_stands_still_and_its_command_goes_on() -> None:
     simulation = simulate()
     reply = fly_velocity(simulation, NORTH, 0.1, 0)
     simulation.pause(go_to(simulation, 20))

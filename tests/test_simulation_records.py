@@ -103,7 +103,7 @@ def test_a_reset_ends_the_recording_and_empties_the_log() -> None:
     assert recording.commands.shape == (0, 2)
 
 
-def test_a_full_command_log_keeps_the_first_commands_as_the_samples_do(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_command_log_keeps_the_first_commands(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(recordings, "COMMAND_LOG_LENGTH", 3)
     simulation = simulate()
     simulation.world.start_recording()
@@ -246,7 +246,7 @@ def test_a_simulated_wall_clock_is_never_late() -> None:
 
 
 @pytest.mark.parametrize("poison", [np.nan, np.inf, 1e12])
-def test_a_flight_that_cannot_be_integrated_is_a_failure_and_no_wait_for_ever(
+def test_a_flight_that_cannot_be_integrated_is_a_failure(
     poison: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)  # MuJoCo writes a log

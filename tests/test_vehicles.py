@@ -32,36 +32,33 @@ STILL = point(0, 0, 0)
 PLACE = [0.0, 0.0, -9.0]
 LEVEL = {"position": point(0, 0, -9), "orientation": {"w_val": 1.0, "x_val": 0.0, "y_val": 0.0, "z_val": 0.0}}
 PLACED = {**LEVEL, "linear_velocity": STILL, "angular_velocity": STILL}
-ARGUMENTS: dict[str, list[Any]] = {  # of every call that names a vehicle
-    method: params
-    for methods, params in {
-        "isApiControlEnabled getMultirotorState simGetGroundTruthKinematics simGetVehiclePose simGetCollisionInfo": [],
-        "hover cancelLastTask getRotorStates simGetGroundTruthEnvironment getHomeGeoPoint": [],
-        "enableApiControl armDisarm": [True],
-        "simSetVehiclePose": [LEVEL, True],
-        "simSetKinematics": [PLACED, True],
-        "takeoff land goHome": [1.0],
-        "moveToPosition": [*PLACE, 1.0, 1.0, 0, STRAIGHT, -1, 1],
-        "moveToZ": [-9.0, 1.0, 1.0, STRAIGHT, -1, 1],
-        "moveToGPS": [47.6, -122.1, 130.0, 1.0, 1.0, 0, STRAIGHT, -1, 1],
-        "moveOnPath": [[point(0, 0, -9)], 1.0, 1.0, 0, STRAIGHT, -1, 1],
-        "rotateToYaw": [1.0] * 3,
-        "rotateByYawRate": [1.0] * 2,
-        "moveByVelocity moveByVelocityZ moveByManual": [*PLACE, 1.0, 0, STRAIGHT],
-        "moveByVelocityBodyFrame moveByVelocityZBodyFrame": [*PLACE, 1.0, 0, STRAIGHT],
-        "moveByMotorPWMs moveByRollPitchYawZ moveByRollPitchYawThrottle moveByRollPitchYawrateZ": [0.1] * 5,
-        "moveByRollPitchYawrateThrottle moveByAngleRatesZ moveByAngleRatesThrottle": [0.1] * 5,
-        "moveByRC": [{}],
-        "setAngleRateControllerGains setAngleLevelControllerGains": [[0.2] * 3] * 3,
-        "setVelocityControllerGains setPositionControllerGains": [[0.2] * 3] * 3,
-        "simGetImages": [[]],
-        "simGetImage": ["0", 0],
-        "simGetCameraInfo": ["0"],
-        "getImuData getGpsData getLidarData": [""],
-        "simTestLineOfSightToPoint": [{"latitude": 47.0, "longitude": -122.0, "altitude": 130.0}],
-    }.items()
-    for method in methods.split()
+BY_CALLS: dict[str, list[Any]] = {  # parameters of every call that names a vehicle
+    "isApiControlEnabled getMultirotorState simGetGroundTruthKinematics simGetVehiclePose simGetCollisionInfo": [],
+    "hover cancelLastTask getRotorStates simGetGroundTruthEnvironment getHomeGeoPoint": [],
+    "enableApiControl armDisarm": [True],
+    "simSetVehiclePose": [LEVEL, True],
+    "simSetKinematics": [PLACED, True],
+    "takeoff land goHome": [1.0],
+    "moveToPosition": [*PLACE, 1.0, 1.0, 0, STRAIGHT, -1, 1],
+    "moveToZ": [-9.0, 1.0, 1.0, STRAIGHT, -1, 1],
+    "moveToGPS": [47.6, -122.1, 130.0, 1.0, 1.0, 0, STRAIGHT, -1, 1],
+    "moveOnPath": [[point(0, 0, -9)], 1.0, 1.0, 0, STRAIGHT, -1, 1],
+    "rotateToYaw": [1.0] * 3,
+    "rotateByYawRate": [1.0] * 2,
+    "moveByVelocity moveByVelocityZ moveByManual": [*PLACE, 1.0, 0, STRAIGHT],
+    "moveByVelocityBodyFrame moveByVelocityZBodyFrame": [*PLACE, 1.0, 0, STRAIGHT],
+    "moveByMotorPWMs moveByRollPitchYawZ moveByRollPitchYawThrottle moveByRollPitchYawrateZ": [0.1] * 5,
+    "moveByRollPitchYawrateThrottle moveByAngleRatesZ moveByAngleRatesThrottle": [0.1] * 5,
+    "moveByRC": [{}],
+    "setAngleRateControllerGains setAngleLevelControllerGains": [[0.2] * 3] * 3,
+    "setVelocityControllerGains setPositionControllerGains": [[0.2] * 3] * 3,
+    "simGetImages": [[]],
+    "simGetImage": ["0", 0],
+    "simGetCameraInfo": ["0"],
+    "getImuData getGpsData getLidarData": [""],
+    "simTestLineOfSightToPoint": [{"latitude": 47.0, "longitude": -122.0, "altitude": 130.0}],
 }
+ARGUMENTS = {method: params for methods, params in BY_CALLS.items() for method in methods.split()}
 
 
 PROFILES = pytest.mark.parametrize("profile", [NATIVE, AIRSIM], ids=["native", "airsim"])
@@ -543,7 +540,7 @@ def test_a_distance_is_measured_through_its_own_vehicle() -> None:
 def test_a_vehicle_sees_past_itself_and_not_past_others() -> None:
     api = fleet(A={}, B=ASIDE)
 
-    def sees(vehicle: str, *place_m: float) -> bool:
+    def sees(vehicle: str, *place_m: Any) -> bool:
         return bool(
             call(api, "simTestLineOfSightToPoint", geographic(place_m, api.scenery.settings.home)._asdict(), vehicle)
         )
@@ -563,7 +560,7 @@ def test_a_camera_sees_through_its_own_vehicle_alone() -> None:
     """By rays: what is detected, and the normals of surfaces, of which the sky has none."""
     mast = {"X": 5, "Y": 5, "Z": -30, "Pitch": -90}
     small = [{"ImageType": 6, "Width": 33, "Height": 33, "FOV_Degrees": 20}]
-    settings = {"CameraDefaults": {"CaptureSettings": small}, "ExternalCameras": {"mast": mast}}
+    settings: dict[str, Any] = {"CameraDefaults": {"CaptureSettings": small}, "ExternalCameras": {"mast": mast}}
     api = made(render=True, **settings, Vehicles={"A": {"X": -30, "Y": -30}, "B": ASIDE})
 
     def normals(camera: str, vehicle: str, external: bool) -> NDArray[np.uint8]:
@@ -686,7 +683,7 @@ def test_a_pose_in_the_ground_is_on_it(z: float, turn: dict[str, float]) -> None
             assert -hull_m - 0.02 < place(api)[2] < 0.0
 
 
-def test_newcomers_below_the_ground_and_where_others_are_stand_on_it_side_by_side() -> None:
+def test_newcomers_stand_on_the_ground_side_by_side() -> None:
     """As Unreal adjusts what it spawns; of several at once one that is too near to another is refused with all."""
     api = hovering_alone()
     for name in ("Second", "Third", "Fourth"):

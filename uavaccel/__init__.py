@@ -8,6 +8,7 @@ it registers the environments; `import uavaccel.envs` does that in any order, an
 
 import sys
 from importlib import import_module
+from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -54,5 +55,5 @@ def __dir__() -> list[str]:
     return sorted({*globals(), *__all__})
 
 
-if "gymnasium" in sys.modules:
+if "gymnasium" in sys.modules and find_spec("uavaccel.envs"):  # which uavaccel.realtime's own wheel has not
     import_module("uavaccel.envs")

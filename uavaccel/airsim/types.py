@@ -11,7 +11,12 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from uavaccel.airsim import vectors
-from uavaccel.airsim.vectors import GeoPoint, MsgpackMixin, Pose, Quaternionr, Vector2r, Vector3r
+from uavaccel.airsim.vectors import GeoPoint as GeoPoint
+from uavaccel.airsim.vectors import MsgpackMixin as MsgpackMixin
+from uavaccel.airsim.vectors import Pose as Pose
+from uavaccel.airsim.vectors import Quaternionr as Quaternionr
+from uavaccel.airsim.vectors import Vector2r as Vector2r
+from uavaccel.airsim.vectors import Vector3r as Vector3r
 
 
 @dataclass

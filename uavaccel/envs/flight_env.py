@@ -84,7 +84,7 @@ class FlightEnv(gymnasium.Env[Observation, Action], Generic[TaskT]):
         super().reset(seed=seed_of(seed))
         options = known_options(options, self.task.reset_options)
         self._games, self._flown = self._games + 1 if seed is None else 1, []
-        self._begun: State = {**self._next_game(), "options": json.dumps(options, default=plain)}
+        self._begun, self._options = self._next_game(), options
         course = self.task.sample(self.np_random, options)
         latencies = np.random.SeedSequence(int(self.np_random.integers(2**63)))
         conditions = self.task.sample_conditions(self.np_random, self._games - 1)
@@ -158,7 +158,9 @@ class FlightEnv(gymnasium.Env[Observation, Action], Generic[TaskT]):
         """
         if self.task.timing == "wall" or self._client is None:
             return {**self._next_game(), "games": self._games}
-        return {**self._begun, "flown": json.dumps(self._flown, default=plain), "digest": self._digest()}
+        flown = {"options": self._options, "flown": self._flown}
+        texts = {name: json.dumps(each, default=plain) for name, each in flown.items()}
+        return {**self._begun, **texts, "digest": self._digest()}
 
     def set_state(self, state: Mapping[str, Any]) -> Observation:
         """Fly the game of `get_state` again, or begin one if none was running; returns the last observation.

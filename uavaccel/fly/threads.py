@@ -52,7 +52,9 @@ def rebuilt(kind: type, names: dict[str, Any]) -> type:
         if not isinstance(value, FunctionType):
             return value
         closure = (own,) if value.__closure__ else None
-        return FunctionType(value.__code__, names, value.__name__, value.__defaults__, closure)
+        made = FunctionType(value.__code__, names, value.__name__, value.__defaults__, closure)
+        made.__kwdefaults__, made.__doc__ = value.__kwdefaults__, value.__doc__
+        return made
 
     body = {name: again(value) for name, value in vars(kind).items() if name not in ("__dict__", "__weakref__")}
     made = type(kind.__name__, tuple(names.get(base.__name__, base) for base in kind.__bases__), body)

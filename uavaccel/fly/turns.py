@@ -175,10 +175,8 @@ class Lock:
         self._held = False
 
     def acquire(self, blocking: bool = True, timeout: float = -1) -> bool:
-        if timeout != -1 and not blocking:
-            raise ValueError("can't specify a timeout for a non-blocking call")
-        if timeout < 0 and timeout != -1:
-            raise ValueError("timeout value must be positive")
+        if timeout != -1 and (timeout < 0 or not blocking):
+            threading.Lock().acquire(blocking, timeout)  # raises ValueError, in this Python's words
         timeout_s = None if timeout == -1 else timeout
         if self._held and not (blocking and self.turns.until(lambda: not self._held, timeout_s)):
             return False

@@ -250,7 +250,8 @@ class Extras:
         if not self._any:
             return
         if not isinstance(observation, spaces.Box):
-            raise UserError(f"observe_age, observe_actions: need a Box of observations, not {observation}")
+            asked = "observe_age, observe_actions, observe_planned"
+            raise UserError(f"{asked}: need a Box of observations, not {observation}")
         bounds = [(observation.low.ravel(), observation.high.ravel())]
         if self._age:
             bounds.append((np.zeros(1), np.full(1, np.inf)))

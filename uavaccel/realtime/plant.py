@@ -181,7 +181,7 @@ def plant_of(env: gymnasium.Env[Any, Any], period_s: float | None) -> Plant:
     refuse_real_time_in(env)
     inside: Any = env.unwrapped
     if isinstance(inside, HasWallClock):
-        raise UserError(f"{type(inside).__name__} keeps its own wall clock: fly it as it is, made with timing='wall'")
+        raise UserError(f"{type(inside).__name__} keeps its own wall clock: use it as it is, made with timing='wall'")
     if period_s is not None:
         return Plant(env, period_s)
     if is_of_mujoco(env):

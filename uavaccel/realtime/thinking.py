@@ -44,12 +44,16 @@ class ThinkingTime(Protocol):
 
 @dataclass
 class Drawn(ThinkingTime):
-    """Nanoseconds that a function draws with a generator, so many at once, the same as one by one."""
+    """Nanoseconds that a function draws with a generator, so many at once, the same as one by one.
+
+    `only` is the time where there is but one, and nothing is drawn.
+    """
 
     draw: Callable[[np.random.Generator, int], NDArray[np.int64]]
+    only: int | None = None
 
     def sample_ns(self, generator: np.random.Generator) -> int:
-        return int(self.draw(generator, 1)[0])
+        return int(self.draw(generator, 1)[0]) if self.only is None else self.only
 
 
 class Measured(ThinkingTime):
@@ -115,8 +119,8 @@ def periods(counts: object, wall_ns: Callable[[int], int]) -> ThinkingTime:
 
 
 def _one_of(times_ns: list[int]) -> ThinkingTime:
-    if len(times_ns) == 1:  # nothing is drawn
-        return Drawn(lambda _, count: np.full(count, times_ns[0]))
+    if len(times_ns) == 1:
+        return Drawn(lambda _, count: np.full(count, times_ns[0]), only=times_ns[0])
     listed_ns: NDArray[np.int64] = np.asarray(times_ns)
 
     def draw(generator: np.random.Generator, count: int) -> NDArray[np.int64]:
@@ -138,7 +142,8 @@ def lognormal(median_s: float, p99_s: float) -> ThinkingTime:
 
     def draw(generator: np.random.Generator, count: int) -> NDArray[np.int64]:
         drawn_s = median * np.exp(sigma * generator.standard_normal(count))
-        return np.rint(np.minimum(drawn_s, MOST_S) * NS_PER_S).astype(np.int64)
+        drawn_ns: NDArray[np.int64] = np.rint(np.minimum(drawn_s, MOST_S) * NS_PER_S).astype(np.int64)
+        return drawn_ns
 
     return Drawn(draw)
 

@@ -115,7 +115,7 @@ class _OwnClocks(VectorWrapper[Any, Any, Any, Any]):
             if own is not None:
                 self._generators[place], self._taken[place] = thinking_generator(own), AHEAD
         self._going[:] = True
-        return self.env.reset(seed=seed, options=options)
+        return self.env.reset(seed=cast(Any, seed), options=options)
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         """Charge the thinking times, then step; infos gain `thinking_s` and `meanwhile_s` (N,), on the host."""

@@ -1,4 +1,4 @@
-"""Real time on a simulated wall clock, for any Gymnasium environment: the same flight to the byte, every time."""
+"""Real time on a simulated wall clock, for any Gymnasium environment: the same episode to the byte, every time."""
 
 from __future__ import annotations
 
@@ -139,7 +139,7 @@ def check_clocks(inside: Any, options: LoopOptions) -> None:
     """Raise UserError where an environment with clocks of its own, or a batch of them, differs from the options."""
     task, name = inside.task, type(inside).__name__
     if task.timing != "virtual":
-        raise UserError(f"{name}: timing = {task.timing}: make it with timing='virtual' to fly it in real time")
+        raise UserError(f"{name}: timing = {task.timing}: make it with timing='virtual' for real time")
     for key in ("command", "clock_speed"):
         if (there := getattr(task, key)) != (here := getattr(options, key)):
             raise UserError(f"{key}: {here!r} here, but {there!r} in {name}; give both the same")
