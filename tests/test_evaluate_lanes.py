@@ -42,8 +42,9 @@ def rows_of(run: RunDirectory) -> bytes:
 @pytest.mark.slow
 @needs_opengl
 def test_rows_of_a_policy_are_those_of_single_environments(tmp_path: Path) -> None:
-    single = evaluated(tmp_path / "1", SHORT, agent="default")
-    batch = evaluated(tmp_path / "2", SHORT, "environments=2", agent="default")
+    keys = "task.max_commands=12", "games=3"
+    single = evaluated(tmp_path / "1", *keys, agent="default")
+    batch = evaluated(tmp_path / "2", *keys, "environments=2", agent="default")
     assert rows_of(batch) == rows_of(single)
     assert [row["lane"] for row in batch.rows()] == [0, 1, 2]
     assert len({tuple(row["actions"]) for row in batch.rows()}) > 1
