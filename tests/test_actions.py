@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 import uavaccel.envs  # noqa: F401 - registers
 from uavaccel.envs.actions import HOVER_THROTTLE
 from uavaccel.envs.hover import HoverTask
-from uavaccel.errors import UserError
 from uavaccel.kinematics import AttitudeGoal, BodyRatesGoal, MotorsGoal
 
 KINDS = ("attitude", "rates", "motors")
@@ -90,11 +89,3 @@ def test_tcsc_flies_them_the_same_at_any_clock_speed(kind: str, timing: str) -> 
     np.testing.assert_array_equal(flights[0], flights[1])
     adsc = states_of(list(actions), "Gates", action=kind, timing="virtual", command="adsc", clock_speed=50.0)
     assert np.abs(adsc - flights[0]).max() > 0.01
-
-
-def test_what_takes_no_such_actions_is_one_line() -> None:
-    with pytest.raises(UserError, match=r"action = rates: the lane's actions are headings") as caught:
-        gymnasium.make("uavaccel/ObstacleLane-v0", action="rates")
-    assert "\n" not in str(caught.value)
-    with pytest.raises(UserError, match=r"action"):
-        gymnasium.make("uavaccel/Hover-v0", action="thrust")

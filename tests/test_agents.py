@@ -105,7 +105,7 @@ def hovering(**keywords: Any) -> None:
     sb3.PPO("MlpPolicy", gymnasium.make("uavaccel/Hover-v0"), policy_kwargs=keywords, device="cpu").save("model.zip")
 
 
-def test_a_model_flies_the_environment_that_is_named_and_by_default_the_lane() -> None:
+def test_a_model_flies_the_environment_that_is_named() -> None:
     hovering(net_arch=[8])
     run = evaluated("model.zip", HOVER)
     assert [(row["case"], row["game"], "lane" in row) for row in run.rows()] == [
@@ -238,7 +238,7 @@ class Up(Task):
 """
 
 
-def test_a_task_of_ones_own_is_evaluated_compared_swept_and_exported(capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_own_task_is_evaluated_compared_swept_and_exported(capsys: pytest.CaptureFixture[str]) -> None:
     """By its name in `--set task`, in one process and in several, with the same rows."""
     Path("my_task.py").write_text(OWN_TASK)
     Path("climb.py").write_text("def act(observation):\n    return [0.0, 0.0, -1.0]\n")
@@ -440,7 +440,7 @@ def test_a_torchscript_file_flies_once_it_is_trusted() -> None:
     network = th.nn.Linear(13, 3)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)
-        th.jit.save(th.jit.script(network), "policy.pt")  # type: ignore[no-untyped-call]
+        th.jit.save(th.jit.script(network), "policy.pt")
     with pytest.raises(UserError, match=r"^policy.pt: a TorchScript file is a program; .* add --trust, once$"):
         make_agent("policy.pt", HoverTask())
     with trusting():

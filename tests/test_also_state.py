@@ -14,10 +14,8 @@ from tests.learning import train_into
 from tests.opengl import needs_opengl
 from tests.running import configured, fly_into
 from uavaccel.config import validate
-from uavaccel.envs.batch import EnvironmentBatch
 from uavaccel.envs.navigate import Navigate
 from uavaccel.envs.obstacle_lane import ObstacleLane
-from uavaccel.errors import UserError
 from uavaccel.export.minari_dataset import write_minari
 from uavaccel.rl.policy import load_policy
 from uavaccel.suites.evaluate import Evaluation
@@ -29,7 +27,7 @@ AHEAD = np.array([1.0, 0.1, 0.0], np.float32)
 
 
 @needs_opengl
-def test_pictures_are_those_without_it_and_the_state_is_that_of_observation_state() -> None:
+def test_pictures_and_state_are_those_of_either_alone() -> None:
     kinds: tuple[dict[str, Any], ...] = ({"also_state": True}, {}, {"observation": "state"})
     both, pictures, state = (Navigate(**SMALL, **keys) for keys in kinds)
     space = both.observation_space
@@ -49,7 +47,7 @@ def test_pictures_are_those_without_it_and_the_state_is_that_of_observation_stat
 
 
 @needs_opengl
-def test_the_state_is_that_of_the_next_decision_and_nothing_after_a_collision() -> None:
+def test_the_state_is_of_the_next_decision_none_after_a_touch() -> None:
     """Where the goal is as seen from the end of the command."""
     with closing(Navigate(**SMALL, also_state=True)) as env:
         env.reset(seed=0)
@@ -65,28 +63,6 @@ def test_the_state_is_that_of_the_next_decision_and_nothing_after_a_collision() 
         assert info["collision"]
         assert not seen["state"].any()
         assert seen["state"].shape == (13,)
-
-
-@needs_opengl
-def test_a_batch_observes_what_its_environments_do() -> None:
-    keys = {**SMALL, "also_state": True, "max_commands": 2}
-    with (
-        closing(EnvironmentBatch(Navigate, 2, autoreset_mode="SameStep", **keys)) as batch,
-        closing(Navigate(**keys)) as one,
-    ):
-        seen, _ = batch.reset(seed=7)
-        for slot in range(2):
-            first = one.reset(seed=7 + slot)[0]
-            assert all((seen[name][slot] == first[name]).all() for name in first)
-        one.reset(seed=7)
-        for _ in range(2):
-            now, _, _, cut, infos = batch.step(np.tile(AHEAD, (2, 1)))
-            last = one.step(AHEAD)[0]
-        assert cut.all()
-        begun = one.reset()[0]
-        for name, part in last.items():
-            np.testing.assert_array_equal(infos["final_obs"][0][name], part)
-            np.testing.assert_array_equal(now[name][0], begun[name])
 
 
 @needs_opengl
@@ -115,17 +91,3 @@ def test_ppo_learns_from_both_and_its_games_are_exported(tmp_path: Path) -> None
         assert stored["image"].shape == (len(steps) + 1, 1, 18, 32)
         np.testing.assert_array_equal(stored["state"][0], steps[0].given["state"])
         assert file["episode_0/actions"].dtype == np.float32
-
-
-@pytest.mark.parametrize(
-    ("make", "said"),
-    [
-        (lambda: Navigate(observation="state", also_state=True), "also_state needs pictures"),
-        (lambda: configured("train", "task.also_state=true"), "task.also_state needs algorithm ppo, not double_dqn"),
-    ],
-)
-def test_what_it_does_not_fit_is_one_clear_line(make: Any, said: str) -> None:
-    with pytest.raises(UserError) as caught:
-        make()
-    assert said in str(caught.value)
-    assert "\n" not in str(caught.value)

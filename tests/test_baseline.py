@@ -65,7 +65,7 @@ def say_and(said: list[Any], word: Any, work: Any) -> Any:
 DQN = {"learning_rate": 2e-3, "learning_starts": 0, "batch_size": 4, "buffer_size": 40}
 
 
-def test_a_baselines_learning_rate_falls_with_games_and_its_weights_are_of_the_seed() -> None:
+def test_a_baselines_learning_rate_falls_and_its_seed_draws() -> None:
     """To the share of the initial one that the training names, as that of this project's own algorithm."""
     options = {"learning_rate": 2e-3, "n_steps": 3, "batch_size": 3, "n_epochs": 1}
     learner = baseline("sb3_ppo", options, games=9, final_learning_rate_share=0.1)
@@ -79,7 +79,7 @@ def test_a_baselines_learning_rate_falls_with_games_and_its_weights_are_of_the_s
     assert first == again != other
 
 
-def test_a_baseline_with_a_replay_buffer_learns_as_often_as_it_is_to_and_pays() -> None:
+def test_a_baseline_learns_as_often_as_it_is_to_and_pays() -> None:
     """Two lanes and a gradient step every six commands: after every third command of both."""
     keys: dict[str, Any] = {"task": {"timing": "virtual"}, "learning_s": 0.5, "inference_s": 0.125}
     learner = baseline("sb3_dqn", DQN, games=100, commands_per_gradient_step=6, **keys)
@@ -96,7 +96,7 @@ def test_a_baseline_learns_from_no_game_beyond_the_last_one() -> None:
     assert (learner.algorithm.num_timesteps, learner.algorithm._n_updates) == (2 * 6, 0)
 
 
-def test_a_baselines_phases_are_timed_and_its_games_have_the_loss_before_them() -> None:
+def test_a_baselines_phases_are_timed_and_its_games_have_a_loss() -> None:
     learner = baseline("sb3_dqn", DQN, games=100, commands_per_gradient_step=6)
     phases: list[str] = []
     learner.stopwatch = SimpleNamespace(phase=lambda name: say_and(phases, name, nullcontext))
@@ -138,7 +138,7 @@ def batch_of_three(**methods: Any) -> Any:
     return SimpleNamespace(num_envs=3, render_mode=None, **spaces_of, **methods)
 
 
-def test_a_game_that_is_over_at_its_time_limit_is_over_and_not_cut_short() -> None:
+def test_a_game_that_is_over_at_its_limit_is_not_cut_short() -> None:
     """Its last observation and info are the ended game's, the observation that is returned the next one's."""
     ends = np.array([[True, True, False], [True, False, True]])  # terminated, truncated
     infos = [{"final_info": {"game": lane}, "final_obs": 9 + lane, "next": True} for lane in range(3)]

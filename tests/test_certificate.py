@@ -167,7 +167,7 @@ class Drawing:
     def reset(self, seed: int) -> None:
         self._generator = np.random.default_rng(seed)
 
-    def __call__(self, seen: NDArray[np.float32]) -> NDArray[np.float32]:
+    def __call__(self, seen: NDArray[np.float32]) -> NDArray[np.float64]:
         self._before(self._calls)
         self._calls += 1
         return seen + self._generator.normal(0, 2, 1)
@@ -355,7 +355,7 @@ def test_what_was_measured_is_replayed_without_the_warm_up() -> None:
 @pytest.mark.parametrize(
     ("keys", "said"), [({"steps": 0}, "steps: must be 1 to"), ({"warm_up": -1}, "warm_up: must be")]
 )
-def test_a_count_that_does_not_fit_is_one_line(keys: dict[str, int], said: str) -> None:
+def test_a_count_that_does_not_fit_is_one_line(keys: dict[str, Any], said: str) -> None:
     with pytest.raises(UserError, match=f"^{said}"):
         measure(Count, same, **keys)
 

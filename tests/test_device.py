@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import gc
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing
 from copy import deepcopy
 from typing import Any
 
@@ -18,42 +17,12 @@ import uavaccel.envs  # noqa: F401 - registers
 from tests.host_kernels import host_kernels  # noqa: F401 - a fixture
 from uavaccel.config import validate
 from uavaccel.envs.kernel_batch import KernelBatch
-from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
+from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.errors import UserError
-from uavaccel.kernels.recording import recording
 from uavaccel.rl.double_dqn import DeviceDQN
 from uavaccel.rl.learner import Game
 from uavaccel.rl.policy import weights_sha256
 from uavaccel.suites.train import TrainConfig
-
-LANES = 3
-WIDENING = {"randomise": {"wind_m_s": [4.0, 6.0], "widen_over_games": 12}}
-
-
-@pytest.mark.parametrize("keys", [{"timing": "lockstep"}, {"timing": "virtual", "command": "adsc"}, WIDENING])
-@pytest.mark.usefixtures("host_kernels")
-def test_saved_lanes_go_on_elsewhere_to_the_same_bytes(keys: dict[str, Any]) -> None:
-    """In the middle of games, some drawn ahead, some begun at other times than their neighbours'."""
-    from uavaccel.envs.cuda_lanes import CudaLanes
-
-    task = LaneTask(observation="state", max_commands=4, difficulty={"first_row_m": 3.0}, **keys)
-    lanes, others = (CudaLanes(task, LANES, th.device("cpu")) for _ in range(2))
-    actions = th.from_numpy(np.random.default_rng(1).integers(5, size=(12, LANES)))
-    lanes.seed(7)
-    lanes.begin()
-    for flown in actions[:6]:
-        lanes.fly(flown)
-        lanes.games.refill(lanes.games.begun.tolist())
-    saved = [{name: np.array(value) for name, value in state.items()} for state in lanes.env_method("get_state")]
-    seen = [others.env_method("set_state", state, indices=[lane])[0] for lane, state in enumerate(saved)]
-    np.testing.assert_array_equal(np.stack(seen), lanes.observations.numpy())
-    for flown in actions[6:]:
-        for each in (lanes, others):
-            each.fly(flown)
-            each.games.refill(each.games.begun.tolist())
-        for name in ("observations", "rewards", "ended"):
-            np.testing.assert_array_equal(getattr(others, name).numpy(), getattr(lanes, name).numpy())
-    assert lanes.games.begun.min() > 2
 
 
 @pytest.mark.usefixtures("host_kernels")
@@ -85,30 +54,6 @@ def test_make_vec_says_which_simulator_flies() -> None:
         made = gymnasium.make_vec(name, num_envs=2, simulator="kernels")
         with closing(made) as batch:
             assert isinstance(batch, KernelBatch)
-
-
-@pytest.mark.parametrize(
-    ("keys", "message"),
-    [
-        ({"simulator": "kernel"}, "simulator = 'kernel' is unknown; there are mujoco, kernels"),
-        ({"simulator": "kernels", "device": "gpu"}, "device = 'gpu' is unknown; there are cpu, cuda"),
-        ({"device": "cuda"}, "device = cuda: simulator = mujoco flies on the CPU"),
-        (
-            {"simulator": "kernels", "device": "cuda"},
-            "device = cuda: (needs numba-cuda: pip install|PyTorch finds no GPU)",
-        ),
-        ({"simulator": "kernels", "processes": 2}, "processes: needs simulator = mujoco"),
-        ({"simulator": "kernels", "render_mode": "rgb_array"}, "render_mode: needs simulator = mujoco"),
-        ({"simulator": "kernels", "timing": "wall"}, "simulator = kernels: timing wall"),
-    ],
-)
-def test_what_no_simulator_flies_is_one_clear_line(
-    keys: dict[str, Any], message: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(th.cuda, "is_available", lambda: False)
-    with pytest.raises(UserError, match=f"^{message}") as raised:
-        gymnasium.make_vec("uavaccel/ObstacleLane-v0", num_envs=2, **keys)
-    assert "\n" not in str(raised.value)
 
 
 # --- the learner beside them, rounds as they are, none of them recorded ---------------------------------------------
@@ -191,22 +136,3 @@ def test_a_learner_goes_on_from_a_checkpoint_to_the_same_weights() -> None:
         (game.number, game.lane, game.reward) for game in games[-len(again) :]
     ]
     assert weights_sha256(other.policy) == weights_sha256(learner.policy)
-
-
-def test_no_garbage_is_collected_while_a_graph_is_recorded(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A graph that is freed meanwhile, of an evaluation before in the same process, would invalidate the recording."""
-    before = gc.isenabled()
-    asked: list[str] = []
-
-    @contextmanager
-    def graph(recorded: Any) -> Iterator[None]:
-        asked.append(f"recorded, collecting: {gc.isenabled()}")
-        yield
-
-    monkeypatch.setattr(th.cuda, "graph", graph)
-    monkeypatch.setattr(th.cuda, "synchronize", lambda: asked.append("waited"))
-    monkeypatch.setattr(gc, "collect", lambda: asked.append("collected"))
-    with pytest.raises(ZeroDivisionError), recording(None):  # type: ignore[arg-type]
-        asked.append(str(1 / 0))
-    assert asked == ["waited", "collected", "recorded, collecting: False"]
-    assert gc.isenabled() == before

@@ -27,6 +27,17 @@ def test_the_first_image_is_taken_as_it_is_and_sets_the_aim() -> None:
     assert (exposure.expose(grey(80), 9 * S) == 80).all()
 
 
+def test_an_image_counts_from_the_one_before_it() -> None:
+    """Ten a second: each goes 0.3 of a stop further."""
+    exposure = AutoExposure()
+    exposure.expose(grey(200), 0)
+    reached = []
+    for tenth in range(1, 4):
+        exposure.expose(grey(20), tenth * S // 10)
+        reached.append(exposure.stops)
+    assert reached == pytest.approx([0.3, 0.6, 0.9])
+
+
 @pytest.mark.parametrize(
     ("level", "ran_s", "stops"),
     [
@@ -63,7 +74,7 @@ def test_bright_pixels_saturate_and_colours_keep_their_order() -> None:
     assert image[0, 0, 0] < image[0, 0, 1] < image[0, 0, 2]
 
 
-def test_a_camera_is_exposed_for_the_wall_time_that_its_simulation_ran() -> None:
+def test_a_camera_is_exposed_for_the_time_that_it_ran() -> None:
     """At 10x a simulated second is a tenth of one: three tenths of a stop up, as the picture is half as bright."""
     images = iter((grey(80), grey(40)))
     client: Any = SimpleNamespace(clock_speed=10.0, image=lambda kind, size: next(images))

@@ -543,7 +543,7 @@ def test_a_wait_without_an_end_is_worth_a_line(
 
 def test_a_flight_waits_for_threads_but_not_for_daemons(flight_in: FlightMaker, tmp_path: Path) -> None:
     flight = flight_in(tmp_path)
-    make = ThreadModules(flight._turns).threading.Thread  # type: ignore[attr-defined]
+    make = ThreadModules(flight._turns).threading.Thread
     make(target=lambda: flight.pass_time(9.0), daemon=True).start()
     make(target=lambda: make(target=lambda: flight.pass_time(2.0)).start()).start()  # whose own thread is none
     flight._outlive()

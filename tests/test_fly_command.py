@@ -200,7 +200,7 @@ def test_a_first_flight_without_a_client_is_compared_with_none(
 def test_the_second_flight_is_held_against_the_first(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, second_m: float, differs: bool
 ) -> None:
-    first, _ = tmp_path / "first", (tmp_path / "first").mkdir()
+    (first := tmp_path / "first").mkdir()
     write_trajectory(first, np.arange(3), np.ones((3, 10)))
     asked = FlightOptions(Path("script.py"), (), tmp_path / "again")
     flown: list[tuple[FlightOptions, bool]] = []

@@ -55,8 +55,9 @@ class Script:
         self.said: list[Any] = []
         self.shared = SimpleNamespace(pool=multiprocessing.pool.ThreadPool, dummy=multiprocessing.dummy)
 
-    def units(self, count: float) -> None:
+    def units(self, count: float) -> float:
         self.sleep(count * UNIT_S)
+        return count
 
     def say(self, *what: Any) -> None:
         self.said.append(what)
@@ -134,7 +135,7 @@ def conditions(s: Script) -> None:
             for _ in range(holds):
                 condition.acquire()
             [thread] = s.start(tell)
-            s.ask(partial(wait, timeout=LATER_S), lambda told=told: len(told))
+            s.ask(partial(wait, timeout=LATER_S), partial(len, told))
             for _ in range(holds):
                 condition.release()
             thread.join()
@@ -237,7 +238,7 @@ def threads(s: Script) -> None:
         partial(thread.join, 0.01), thread.is_alive, thread.join, thread.is_alive, thread.join, partial(thread.join, -1)
     )
 
-    class Own(s.threading.Thread):  # type: ignore[name-defined,misc]
+    class Own(s.threading.Thread):  # type: ignore[name-defined]
         def __init__(self, number: int) -> None:
             super().__init__(daemon=True)
             self.number = number
@@ -271,7 +272,7 @@ def queues(s: Script) -> None:
             items.put(item)
         s.ask(items.qsize, items.get, items.get, items.get_nowait, items.empty, items.get_nowait)
         s.ask(partial(items.get, timeout=0.01), partial(items.get, timeout=-1), partial(items.get, False))
-        [thread] = s.start(lambda items=items: s.ask(partial(items.get, timeout=LATER_S)))
+        [thread] = s.start(partial(s.ask, partial(items.get, timeout=LATER_S)))
         items.put("late")
         thread.join()
     full = s.queue.Queue(maxsize=1)
@@ -341,7 +342,7 @@ def pools(s: Script) -> None:
                 wait, units, callback=told.append, error_callback=lambda e, t=told: t.append(type(e))
             )
             s.ask(partial(result.get, timeout=0.01), result.ready, result.successful, result.wait, result.ready)
-            s.ask(result.successful, result.get, lambda told=told: told)
+            s.ask(result.successful, result.get, partial(list, told))
         s.ask(lambda: pool.apply_async(wait, (3,)).get(LATER_S), lambda: next(pool.imap(wait, [8])))
     for end, each in (("close", 1), ("terminate", 1)):
         ended: list[int] = []
@@ -580,7 +581,7 @@ def test_who_waits_for_nobody_is_told(script: Any, monkeypatch: pytest.MonkeyPat
 
 def test_a_wait_without_an_end_ends_with_the_flight() -> None:
     clock = VirtualClock()
-    event = ThreadModules(Turns(clock, limit_ns=3 * NS_PER_S)).threading.Event()  # type: ignore[attr-defined]
+    event = ThreadModules(Turns(clock, limit_ns=3 * NS_PER_S)).threading.Event()
     assert event.wait(1.0) is False
     with pytest.raises(FlightOver):
         event.wait()

@@ -111,7 +111,7 @@ def test_a_lanes_camera_has_each_parameter_under_its_name() -> None:
     assert dict(enumerate(camera.tolist())) == pytest.approx(expected)
 
 
-def test_a_pixel_rises_by_the_one_threshold_and_falls_by_the_other() -> None:
+def test_a_pixel_rises_by_one_threshold_and_falls_by_the_other() -> None:
     """Of 0.25 and 0.5 without a spread, from 50 to 100, by 0.693, and back: two whole steps up, one down."""
     parameters, shape = DvsParameters(0.25, 0.5, threshold_sigma=0.0), (at.ROWS, at.COLUMNS)
     sensor, row = events.sensor_of(sample_pixels(parameters, shape, 3)), events.camera_row(parameters, 0.0)

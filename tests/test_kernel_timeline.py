@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import closing
+from itertools import count
 from types import SimpleNamespace
 from typing import Any
 
@@ -14,11 +15,6 @@ from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.hover import Hover
 from uavaccel.envs.kernel_batch import KernelBatch
 from uavaccel.envs.obstacle_lane import ObstacleLane
-from uavaccel.errors import UserError
-from uavaccel.kernels import cpu, lane_clocks, timeline
-from uavaccel.kernels import latencies as wire
-from uavaccel.kernels.fields import COLOUR, COLUMNS, DVS, ROWS
-from uavaccel.wire.latency import Latency
 
 CHANNELS_US = {
     "call": 31.0,
@@ -40,10 +36,6 @@ def constant(platform: dict[str, Any] | None = None, scale: float = 1.0, factor:
     reply = {name: [1.7 * factor * each] * 2 for name, each in CHANNELS_US.items()}
     tables = {"quantiles": [0.0, 1.0], "request_us": request, "reply_us": reply, "scale": scale}
     return {**tables, "issue_us": [10.3] * 2, "timer_us": [61.0] * 2, "platform": platform or {}}
-
-
-def pair(kind: type[FlightEnv], task: dict[str, Any], count: int) -> Any:
-    return KernelBatch(kind, count, threads=1, **task), [kind(**task) for _ in range(count)]
 
 
 def actions_of(environment: Any, count: int, commands: int) -> Any:
@@ -90,9 +82,7 @@ COSTLY = {**constant({"tick_us": 3000.0}), "timer_us": [0.0, 6000.0]}
         ("tcsc", "native", {"latency": FAULTY}),
     ],
 )
-def test_latencies_are_those_of_the_exact_simulator_in_distribution(
-    command: str, profile: str, more: dict[str, Any]
-) -> None:
+def test_latencies_are_distributed_as_the_exact_simulators(command: str, profile: str, more: dict[str, Any]) -> None:
     task = {"timing": "virtual", "command": command, "profile": profile, "clock_speed": 10.0, **more}
     ours, exact = walls_s(Hover, {**task, "max_commands": 100}, 100, 20)
     assert ks_2samp(ours, exact).pvalue > 0.01
@@ -121,75 +111,30 @@ def test_no_latency_reaches_native_tcsc() -> None:
         assert (found[4]["wall_s"] != expected[4]["wall_s"]).all()
 
 
-FRAMES = {"timing": "virtual", "profile": "airsim", "knows": ("last_action", "frame_age")}
-SHOWN: list[dict[str, Any]] = [
-    {"observation": "colour", "command": "adsc", "clock_speed": 20.0, **FRAMES},
-    {"observation": "dvs", "command": "tcsc", "clock_speed": 20.0, "t_sample_s": 0.33, **FRAMES},
-    {"observation": "dvs", "command": "adsc", "dvs_rate_hz": 200 / 3, "clock_speed": 9.0, **FRAMES},
-    {"observation": "colour", "difficulty": {"light": [0.1, 0.1]}, **FRAMES, "profile": "native"},
-]
+def test_the_machines_time_is_shared_by_the_lanes_that_flew(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a clock that goes on by a second whenever it is looked at, of two lanes and then of three."""
+    seconds = count(0)
+    clock = SimpleNamespace(now_ns=lambda: next(seconds) * 1_000_000_000)
+    monkeypatch.setattr("uavaccel.envs.kernel_batch.MonotonicClock", lambda: clock)
+    with closing(KernelBatch(ObstacleLane, 5, observation="state", report_host_times=True)) as batch:
+        batch.reset(seed=0)
+        for lanes in ([0, 3], [1, 2, 4]):
+            batch.step_async([2] * len(lanes), lanes)
+            infos = batch.step_wait(lanes)[4]
+            spent_s = [info["host_phase_s"].pop("simulation") for info in infos]
+            assert spent_s == pytest.approx([1.0 / len(lanes)] * len(lanes))
+            assert all(set(info["host_phase_s"].values()) == {0.0} for info in infos)
 
 
-@pytest.mark.parametrize("task", SHOWN)
-def test_pictures_are_of_the_frame_shown_and_cost_what_they_cost(
-    task: dict[str, Any], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Clocks and ages equal the exact simulator's, a guard's second looks too; pictures of other poses would not do."""
-    wait_ns, frames = 20_000_000, {"hz": 60.0, "stale_pose": True, "after_continue": True}
-    monkeypatch.setattr(Latency, "frame_ns", lambda _: wait_ns)
-    latency = constant({"frames": frames} if task["profile"] == "airsim" else None)
-    batch, alone = pair(ObstacleLane, {**task, "latency": latency}, 1)
-    batch._plan.timing.latencies.tables_us[wire.FRAME] = wait_ns / 1e3
-    told = -len(task["knows"])
-    with closing(batch), closing(alone[0]) as environment:
-        batch.reset(seed=3)
-        environment.reset(seed=3)
-        for action in actions_of(batch, 1, 8):
-            batch.call_each("charge", [(0.02, "inference")])
-            environment.charge(0.02, "inference")
-            batch.step_async(action)
-            observations, *_, infos = batch.step_wait()
-            seen, *_, info = environment.step(action[0])
-            assert infos[0] == info
-            assert (observations[0][told:] == seen[told:]).all()
-            assert np.abs(observations[0][:told] - seen[:told].astype(float)).mean() < 0.3
-
-
-def test_a_clock_that_does_not_fit_is_refused() -> None:
-    with pytest.raises(UserError, match=r"simulator = kernels: clock_speed = 1\.23456789 has more digits"):
-        KernelBatch(Hover, 1, clock_speed=1.23456789)
-
-
-@pytest.mark.parametrize(
-    ("kind", "levels", "last", "brightness", "suspect"),
-    [
-        (DVS, (18, -1, -1), np.nan, 18.0, False),  # the first one has nothing to differ from
-        (DVS, (18, -1, -1), 16.0, 18.0, True),  # by an eighth
-        (DVS, (18, -1, -1), 17.0, 18.0, False),
-        (DVS, (9, -1, -1), np.nan, 9.0, True),  # too dark
-        (DVS, (10, -1, -1), np.nan, 10.0, False),
-        (COLOUR, (100, 0, 0), 29.0, 29.9, False),
-        (COLOUR, (0, 100, 0), 50.0, 58.7, True),
-        (COLOUR, (0, 0, 100), 11.0, 11.4, False),
-        (COLOUR, (10, 20, 30), 18.0, 18.15, False),
-        (COLOUR, (30, 20, 10), 18.0, 21.85, True),
-    ],
-)
-def test_the_guard_weighs_colours_and_remembers_the_last_pictures_brightness(
-    kind: int, levels: tuple[int, int, int], last: float, brightness: float, suspect: bool
-) -> None:
-    """On both devices alike, by 0.299 of red, 0.587 of green and 0.114 of blue; of one lane alone."""
-    sums = np.array([[0, 0, 0], [level * ROWS * COLUMNS if level >= 0 else -1 for level in levels]])
-    channels: Any = np.maximum(levels, 0)[:, None, None] * np.ones((1, COLUMNS, ROWS), int)
-    timing: Any = SimpleNamespace(rules=np.zeros(timeline.RULES, np.int64))
-    on_cpu, on_gpu = timeline.clocks(2, 1), timeline.clocks(2, 1)
-    for clocks in (on_cpu, on_gpu):
-        clocks.brightness[1] = last
-    assert not lane_clocks.guard.py_func(1, sums, timing, on_gpu)
-    np.testing.assert_array_equal(on_gpu.brightness, [0.0, last])
-    timing.rules[timeline.GUARDED] = 1
-    assert lane_clocks.guard.py_func(1, sums, timing, on_gpu) == suspect
-    bright = cpu.brightness_in_lane.py_func(kind, SimpleNamespace(channels=channels))
-    assert timeline.is_suspect.py_func(1, bright, on_cpu) == suspect
-    for clocks in (on_cpu, on_gpu):
-        np.testing.assert_allclose(clocks.brightness, [0.0, brightness])
+def test_ages_are_those_at_the_collision() -> None:
+    """ADSC in front of a post: pictures at 330 and 660 ms of a second, in levels of 20 ms, and one that is missing."""
+    lane = {"obstacles": [{"x_m": 1.0, "y_m": 0.0, "half_side_m": 0.4}]}
+    still: dict[str, Any] = {"quantiles": [0, 1], "issue_us": [0, 0], "timer_us": [0, 0]}
+    still |= {"request_us": {"call": [0, 0]}, "reply_us": {"call": [0, 0]}}
+    task: dict[str, Any] = {"command": "adsc", "timing": "virtual", "image_processing_s": 0.05, "latency": still}
+    with closing(KernelBatch(ObstacleLane, 1, lane=lane, knows=["frame_age"], **task)) as batch:
+        batch.reset(seed=0)
+        seen, _, over, _, infos = batch.step([2])
+        assert (over.tolist(), infos["collision"].tolist()) == ([True], ["obstacle_00"])
+        bands = seen[0, -1].reshape(3, 12, 64)
+        assert [np.unique(band).tolist() for band in bands] == [[128 + 33], [128 + 17], [128]]

@@ -58,5 +58,5 @@ def test_the_kernels_learn_from_pictures_without_opengl(tmp_path: Path, monkeypa
         (("simulator=kernels", "evaluate_every_games=5", STATE, "mirror=false"), False),
     ],
 )
-def test_opengl_is_asked_for_where_the_exact_simulator_shows_pictures(overrides: tuple[str, ...], needed: bool) -> None:
+def test_opengl_is_asked_for_where_pictures_need_it(overrides: tuple[str, ...], needed: bool) -> None:
     assert Training().renders(configured("train", *overrides)) == needed

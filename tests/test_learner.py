@@ -243,7 +243,12 @@ NAMES = ("observations", "actions", "rewards", "next_observations", "over", "cut
 @pytest.mark.parametrize("keys", [{"turns": 1}, {"turns": 3}, {"kind": DeviceDQN}], ids=str)
 def test_each_lane_pays_its_share_of_learning_and_each_decision(keys: dict[str, Any]) -> None:
     """Three gradient steps after every second command of three lanes: one for each lane, before its next command."""
-    told = {"commands_per_gradient_step": 2, "learning_s": 0.25, "inference_s": 0.125, "task": {"timing": "virtual"}}
+    told: dict[str, Any] = {
+        "commands_per_gradient_step": 2,
+        "learning_s": 0.25,
+        "inference_s": 0.125,
+        "task": {"timing": "virtual"},
+    }
     learner, lanes = learning(3, games=30, **told, **keys)
     train(learner)
     for log in lanes.log:
@@ -357,7 +362,7 @@ def weights_of(net: Any) -> np.ndarray:
 
 
 @pytest.mark.parametrize("limit", [10.0, 0.05])
-def test_a_step_moves_the_weights_down_the_gradient_worked_out_by_hand(limit: float) -> None:
+def test_a_step_follows_the_gradient_worked_out_by_hand(limit: float) -> None:
     """Two networks, of which one rates highest what the other rates lowest; each second window is seen in a mirror."""
     learner, random, weights = learning(1, {"max_grad_norm": limit})[0], np.random.default_rng(0), [1.0, 0.0, 1.0, 1.0]
     th.manual_seed(0)
@@ -438,7 +443,7 @@ def test_a_hash_is_of_every_weights_name_shape_and_bytes() -> None:
         ("ppo", {"rollout": 50, "minibatches": 5}, {"rollout": 51, "minibatches": 2}),  # of each of two lanes
     ],
 )
-def test_what_takes_more_memory_than_there_is_is_refused_beforehand(
+def test_what_takes_too_much_memory_is_refused_beforehand(
     algorithm: str, fits: dict[str, int], too_large: dict[str, int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("uavaccel.rl.config.memory_bytes", lambda: 100 * math.prod(SHAPE) * 4)  # of float32
@@ -465,7 +470,7 @@ def test_the_ratio_of_learning_is_exact(commands: int, environments: int, rhythm
     assert rhythm[1] * commands == rhythm[0] * environments
 
 
-def test_statistics_are_means_over_the_gradient_steps_between_two_reads() -> None:
+def test_statistics_are_means_over_the_steps_between_reads() -> None:
     statistics = StepStatistics(th.device("cpu"))
     statistics.read(statistics.sums)
     assert (statistics.loss, statistics.mean_q) == (None, None)

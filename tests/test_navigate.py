@@ -1,13 +1,19 @@
 """Navigate: worlds of clutter, the goal, and what ends a game."""
 
-import gymnasium
+from contextlib import closing
+from typing import Any
+
 import numpy as np
 import pytest
 
 import uavaccel.envs  # noqa: F401 - registers
+from tests.test_still_scenes import HULL, cast_all, touch_all
+from uavaccel.envs.kernel_batch import KernelBatch
+from uavaccel.envs.kernel_games import GameMaker
 from uavaccel.envs.navigate import Navigate, NavigateTask
 from uavaccel.errors import UserError
 from uavaccel.kernels import fields
+from uavaccel.kernels import scene as in_scene
 from uavaccel.sim import clutter as at
 from uavaccel.sim.clutter import Clutter, sample_world
 from uavaccel.sim.profile import PROFILES
@@ -17,7 +23,7 @@ from uavaccel.wire.image_api import clutter_layout
 GOAL_M = (30.0, 5.0, -2.0)
 
 
-def test_a_world_is_a_function_of_its_seed_and_takes_numpys_numbers() -> None:
+def test_a_world_is_a_function_of_its_seed() -> None:
     once, again, other = (sample_world(seed, Clutter(), GOAL_M).rows for seed in (3, 3, 4))
     assert once.tobytes() == again.tobytes() != other.tobytes()
     drawn = np.random.default_rng(3).random((len(once), 9))
@@ -54,6 +60,8 @@ def test_mujoco_has_the_shapes_where_the_layout_has_them() -> None:
         geom = world.data.geom(f"clutter_{name:03}")
         assert np.allclose(geom.xmat.reshape(3, 3)[:2, 0], row[[at.COS, at.SIN]], atol=1e-12)
         assert (geom.xpos == row[at.X : at.Z + 1]).all()
+        radii = row[[at.HALF_X] * 3] if row[at.KIND] == at.CAPSULE else row[at.HALF_X : at.HALF_Z + 1]
+        assert world.model.geom_aabb[geom.id].tolist() == [0.0, 0.0, 0.0, *radii]
     row = made.rows[made.standing & (made.rows[:, at.KIND] == at.CYLINDER)][0]
     hit = np.zeros(1, np.int32)
     start = row[[at.X, at.Y]] - (3.0, 0.0)
@@ -91,23 +99,6 @@ def test_a_gap_is_kept_to_what_stands_and_not_to_what_was_left_out() -> None:
     assert left_out > 50
 
 
-def test_games_are_a_function_of_the_seed_and_go_on_from_a_state() -> None:
-    paths = []
-    for _ in range(2):
-        made = gymnasium.make("uavaccel/Navigate-v0", observation="state").unwrapped
-        assert isinstance(made, Navigate)
-        env = made
-        first, info = env.reset(seed=5)
-        assert first.shape == (7,)
-        assert 20.0 <= info["distance_m"] <= 40.0
-        paths.append((info["goal_m"], [env.step(np.array([0.3, 0.1, 0.0], np.float32))[0].tobytes() for _ in range(3)]))
-    assert paths[0] == paths[1]
-    other = Navigate(observation="state")
-    other.set_state(env.get_state())
-    action = np.array([0.5, 0.0, 0.0], np.float32)
-    assert (other.step(action)[0] == env.step(action)[0]).all()
-
-
 @pytest.mark.parametrize(
     ("wire", "said"),
     [
@@ -119,11 +110,6 @@ def test_games_are_a_function_of_the_seed_and_go_on_from_a_state() -> None:
 def test_untrusted_clutter_is_refused_in_one_line(wire: dict[str, object], said: str) -> None:
     with pytest.raises(UserError, match=said):
         clutter_layout(wire)
-
-
-def test_a_wrong_world_is_refused() -> None:
-    with pytest.raises(UserError, match="world"):
-        NavigateTask().sample(np.random.default_rng(0), {"world": -1})
 
 
 @pytest.mark.opengl
@@ -138,3 +124,69 @@ def test_pictures_have_the_size_that_is_asked_for(kind: str, size: tuple[int, in
     assert env.observation_space.contains(seen)
     assert seen.std() > 0.3
     env.close()
+
+
+# --- over arrays -----------------------------------------------------------------------------------------------------
+
+
+def test_the_grid_of_a_world_hides_nothing() -> None:
+    """Rays and bounds through the cells are those of all shapes, one after the other."""
+    maker, random = GameMaker(NavigateTask(clutter=Clutter(half_m=(0.3, 3.0)))), np.random.default_rng(0)
+    games = maker.rows(2)
+    drawn = maker.sample(random, 0)
+    maker.write(drawn, games, 0)
+    parked = [games.solids.shapes[0, 1:, in_scene.BOUND] == 0.0, drawn.layout.rows[:, at.Z] == at.PARKED_Z_M]  # type: ignore[union-attr]
+    np.testing.assert_array_equal(*parked)
+    seen, solid = (scene._replace(frame=scene.frame.copy()) for scene in (games.scenes, games.solids))
+    for each in (seen, solid):
+        each.frame[:, in_scene.LOOSE] = each.frame[:, in_scene.SHAPES]
+        each.shapes[0, 1:][parked[1], in_scene.CENTRE + 2] = -1e3
+    rays = random.normal(size=(2000, 3)) * (1.0, 1.0, 0.3)
+    rays = (rays / np.linalg.norm(rays, axis=1, keepdims=True)).astype(np.float32)
+    for _ in range(4):
+        origin = random.uniform((-4, -20, 0.2), (40, 20, 8)).astype(np.float32)
+        through, all_ = (
+            (np.zeros(2000, np.float32), np.zeros(2000, np.int64), np.zeros((2000, 3), np.float32)) for _ in range(2)
+        )
+        cast_all(games.scenes, origin, rays, *through)
+        cast_all(seen, origin, rays, *all_)
+        np.testing.assert_array_equal(through[0], all_[0])
+    poses = np.zeros((300, 7))
+    poses[:, :3], poses[:, 3] = random.uniform((-4, -24, 0.1), (44, 24, 8), (300, 3)), 1.0
+    found, bounds = np.zeros((2, 300), np.int64), np.zeros((2, 300))
+    for row, scene in enumerate((games.solids, solid)):
+        touch_all(scene, poses, *HULL, found[row], bounds[row])
+    np.testing.assert_array_equal(*(found >= 0))  # of several that are touched as deeply, any may be named
+    assert (bounds[0] <= bounds[1]).all()
+
+
+def test_gaps_are_kept() -> None:
+    made = sample_world(3, Clutter(shapes=256, gap_m=1.0), (30.0, 0.0, -2.0))
+    rows = made.rows[made.standing]
+    reach = np.where(rows[:, at.KIND] == at.BOX, np.hypot(rows[:, at.HALF_X], rows[:, at.HALF_Y]),
+                     rows[:, [at.HALF_X, at.HALF_Y]].max(axis=1))  # fmt: skip
+    places = rows[:, [at.X, at.Y]]
+    apart = np.linalg.norm(places[:, None] - places, axis=2) - reach - reach[:, None]
+    assert (apart[~np.eye(len(rows), dtype=bool)] >= 1.0).all()
+    assert 50 < len(rows) < sample_world(3, Clutter(shapes=256), (30.0, 0.0, -2.0)).standing.sum()
+
+
+@pytest.mark.opengl
+@pytest.mark.parametrize(
+    ("kind", "size", "most_apart", "share"),
+    [("depth", (64, 36), 1, 0.01), ("colour", (80, 44), 4, 0.02), ("dvs", (64, 36), 1, 0.05)],
+)
+def test_pictures_are_nearly_those_of_opengl(kind: str, size: tuple[int, int], most_apart: int, share: float) -> None:
+    random = np.random.default_rng(2)
+    keys: dict[str, Any] = {"observation": kind, "picture_size": size, "also_state": True}
+    alone = Navigate(**keys)
+    with closing(KernelBatch(Navigate, 1, **keys)) as batch:
+        ours, theirs, apart = batch.reset(seed=4)[0], alone.reset(seed=4)[0], []
+        for _ in range(4):
+            assert ours["image"].shape[1:] == theirs["image"].shape
+            assert ours["state"][0].tobytes() == theirs["state"].tobytes()
+            apart.append(np.abs(ours["image"][0].astype(int) - theirs["image"]) > most_apart)
+            given = random.uniform((0.2, -1.0, -0.3), (1.0, 1.0, 0.3), (1, 3)).astype(np.float32)
+            ours, theirs = batch.step(given)[0], alone.step(given[0])[0]
+    alone.close()
+    assert np.mean(apart) <= share

@@ -51,7 +51,7 @@ class Sum(th.nn.Module):
 def scripted(module: th.nn.Module) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)
-        th.jit.save(th.jit.script(module), "policy.pt")  # type: ignore[no-untyped-call]
+        th.jit.save(th.jit.script(module), "policy.pt")
 
 
 # --- what acts as it does at home -------------------------------------------------------------------------------------
@@ -184,6 +184,16 @@ def test_a_model_of_other_spaces_is_one_line() -> None:
         load_policy(th.nn.Linear(9, 2), REACH)(np.zeros(4))
     with pytest.raises(UserError, match=r"^Linear: gives \(1, 9\) numbers for 1 actions, each \(2,\)$"):
         load_policy(th.nn.Linear(4, 9), REACH)(np.zeros(4))
+
+
+def test_an_action_stays_what_it_is() -> None:
+    single = Space(REACH.observation_space, spaces.Box(-1.0, 1.0, ()))
+    assert load_policy(lambda seen: 0.5, single)(np.zeros(4)) == 0.5
+    assert load_policy(lambda seen: np.int8(3), PICK)(np.zeros(4)) == 3
+    several = Space(REACH.observation_space, spaces.MultiDiscrete([2, 3]))
+    assert load_policy(lambda seen: [1, 2], several)(np.zeros(4)) == [1, 2]
+    with pytest.raises(UserError, match=r"returned \[2, 2\], where an action is one of MultiDiscrete\(\[2 3\]\)$"):
+        load_policy(lambda seen: [2, 2], several)(np.zeros(4))
 
 
 @pytest.mark.parametrize(

@@ -127,7 +127,8 @@ def flown(policy: Any) -> tuple[list[bytes], float]:
     """Observations and return of an episode in real time."""
     env = RealTime(gymnasium.make("InvertedPendulum-v5"), latency_s=0.02)
     loaded = load_policy(policy, env)
-    (seen, _), total, observations, over = env.reset(seed=3), 0.0, [], False
+    (seen, _), total, over = env.reset(seed=3), 0.0, False
+    observations: list[bytes] = []
     loaded.reset(3)
     while not over and len(observations) < 50:
         seen, reward, terminated, truncated, _ = env.step(loaded(seen))
@@ -248,6 +249,33 @@ def test_a_server_that_was_stopped_is_one_line_and_goes_on_later() -> None:
         assert policy(np.ones(4)) == 3.5
 
 
+def test_an_answer_that_comes_late_is_not_taken_for_the_next() -> None:
+    asked = threading.Event()
+
+    def slow(seen: Any) -> Any:
+        if seen[0] > 0:
+            asked.set()
+            clock = MonotonicClock()
+            clock.sleep_until(clock.now_ns() + 500_000_000)
+        return seen[:2]
+
+    def interrupt() -> None:
+        asked.wait()
+        os.kill(os.getpid(), signal.SIGINT)
+
+    with PolicyServer(slow) as server:
+        policy = load_policy(server.address, Spaces())
+        impatient = load_policy(server.address, Spaces(), answer_s=0.2)
+        with pytest.raises(UserError, match="has not answered"):
+            impatient(SEEN)
+        asked.clear()
+        threading.Thread(target=interrupt, daemon=True).start()
+        with pytest.raises(KeyboardInterrupt):
+            policy(SEEN)
+        for each in (policy, load_policy(server.address, Spaces())):
+            np.testing.assert_array_equal(each(-SEEN), -SEEN[:2])
+
+
 def test_a_server_that_only_dribbles_is_not_waited_for() -> None:
     def dribble(connection: socket.socket) -> None:
         received(connection)
@@ -272,10 +300,10 @@ def too_large(seen: Any) -> Any:
     ("policy", "said"),
     [
         (lambda seen: np.zeros(3), r"returned float64 \(3,\), where an action is \(2,\)"),
-        (lambda seen: ["a", "b"], r"the policy's action: what is <U1 \(2,\), no array of numbers"),
-        (lambda seen: [1j, 0j], r"the policy's action: what is complex128 \(2,\), no array of numbers"),
+        (lambda seen: ["a", "b"], r"the policy's action: it is <U1 \(2,\), no array of numbers"),
+        (lambda seen: [1j, 0j], r"the policy's action: it is complex128 \(2,\), no array of numbers"),
         (lambda seen: [True, False], r"returned bool \(2,\), where an action is \(2,\)"),
-        (lambda seen: None, r"the policy's action: what is object \(\), no array of numbers"),
+        (lambda seen: None, r"the policy's action: it is object \(\), no array of numbers"),
         (lambda seen: [np.nan, 0.0], r"returned float64 \(2,\) with NaN or infinity, where an action is \(2,\)"),
         (too_large, r"the policy's action: a frame of \d+ \+ 67,108,872 bytes is too large: at most .*"),
         (nothing, "the policy raised ValueError: nothing to say"),
@@ -337,8 +365,12 @@ def test_a_server_of_other_spaces_is_one_line() -> None:
         with pytest.raises(UserError, match=f"^{server.address}: {said}$"):
             load_policy(server.address, Spaces())
     said = r"its actions are '.x1b\[2J', the environment's float32"
-    escaping = impostor(lambda to: (received(to), to.sendall(hello(action="\x1b[2J"))))
-    with escaping as address, pytest.raises(UserError, match=f"^{address}: {said}"):
+
+    def escape(connection: socket.socket) -> None:
+        received(connection)
+        connection.sendall(hello(action="\x1b[2J"))
+
+    with impostor(escape) as address, pytest.raises(UserError, match=f"^{address}: {said}"):
         load_policy(address, Spaces())
     env = Spaces()
     env.observation_space = spaces.Text(5)

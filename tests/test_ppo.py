@@ -174,7 +174,7 @@ def weights_of(run: RunDirectory) -> str:
     return str(trained_with(run.path)["weights_sha256"])
 
 
-def test_a_training_repeats_to_the_byte_and_goes_on_to_the_same_weights(trained: RunDirectory, tmp_path: Path) -> None:
+def test_a_training_repeats_and_goes_on_to_the_same_weights(trained: RunDirectory, tmp_path: Path) -> None:
     def stop(case: Any, row: Any) -> None:
         if row["game"] == 3:
             raise RuntimeError("stopped")
@@ -264,7 +264,7 @@ def test_lanes_pay_for_decisions_and_learning() -> None:
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("host_kernels")
-def test_a_batch_of_tensors_teaches_what_the_host_does_and_goes_on() -> None:
+def test_a_batch_of_tensors_teaches_what_the_host_does() -> None:
     """Flight there is equal to the host's, and so are the games and the weights; its games are read once a round."""
     from uavaccel.envs.cuda_batch import CudaBatch
     from uavaccel.envs.kernel_batch import KernelBatch
@@ -285,7 +285,7 @@ def test_a_batch_of_tensors_teaches_what_the_host_does_and_goes_on() -> None:
         learner.lanes.close()
 
 
-def test_a_loop_of_dictionaries_shows_the_last_observation_of_a_game_and_the_first_of_the_next() -> None:
+def test_a_loop_of_dictionaries_shows_last_and_first_frames() -> None:
     seen, last = np.array([[1.0], [2.0]]), np.array([None, np.array([9.0])], object)
     ends = np.array([False, True])
     batch = SimpleNamespace(

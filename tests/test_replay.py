@@ -137,7 +137,7 @@ def test_batches_divide_windows() -> None:
     assert [batch.lane.tolist() for batch in windows.split(3)] == [[20, 21, 22], [23, 24, 25]]
 
 
-def test_mirrored_pictures_are_turned_left_to_right_and_numbers_are_as_they_are() -> None:
+def test_mirrored_pictures_are_turned_and_numbers_are_not() -> None:
     picture = th.arange(12, dtype=th.uint8).reshape(1, 2, 1, 2, 3)  # a row of two lanes
     seen = Levels().look(picture, th.tensor([0, 0]), th.tensor([1, 0]), th.tensor([True, False]))
     np.testing.assert_array_equal(seen, contrast(th.stack([picture[0, 1].flip(-1), picture[0, 0]]).float()))

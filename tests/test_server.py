@@ -101,7 +101,7 @@ def test_a_deferred_answer_comes_when_due_and_the_last_one_first(running: Server
     start_s, second_ns = time_s(witness), 1_000_000_000
     move = [1.0, 0.0, 0.0, 1.0, 0, YAW, ""]
     with stranger(running) as connection:
-        requests = [(1, "moveByVelocity", move), (2, "uavaccelContinueFor", [second_ns]), (3, "ping", [])]
+        requests: list[Any] = [(1, "moveByVelocity", move), (2, "uavaccelContinueFor", [second_ns]), (3, "ping", [])]
         got = answers(connection, requests)
     assert [message[:3] for message in got] == [[rpc.RESPONSE, number, None] for number in (3, 2, 1)]
     assert time_s(witness) - start_s == pytest.approx(1.0)

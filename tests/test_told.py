@@ -96,29 +96,7 @@ def test_pictures_and_flight_stay_as_they_were(flown: dict[str, Any]) -> None:
     told.close()
 
 
-@needs_opengl
-def test_it_travels_with_a_saved_game() -> None:
-    first, second = (ObstacleLane(knows=KNOWS, command="adsc", timing="virtual") for _ in range(2))
-    first.reset(seed=1)
-    seen = first.step(1)[0]
-    np.testing.assert_array_equal(second.set_state(first.get_state()), seen)
-    np.testing.assert_array_equal(second.step(3)[0], first.step(3)[0])
-    first.close()
-    second.close()
-
-
-@pytest.mark.parametrize(("keys", "said"), [
-    ({"observation": "state"}, "knows needs pictures"),
-    ({"knows": ["last_action", "last_action"]}, "must not name one thing twice"),
-    ({"knows": ["last_acton"]}, "last_acton"),
-])  # fmt: skip
-def test_what_cannot_be_told_is_one_clear_line(keys: dict[str, Any], said: str) -> None:
-    with pytest.raises(UserError, match=said) as caught:
-        ObstacleLane(**{"knows": list(KNOWS), **keys})
-    assert "\n" not in str(caught.value)
-
-
-def test_a_policy_that_was_told_does_not_fly_a_task_that_does_not() -> None:
+def test_a_policy_that_was_told_flies_no_task_that_tells_less() -> None:
     assert origin_of("default").keys()["knows"] == ["last_action"]
     with pytest.raises(UserError, match=r"task.knows = \(\): default was trained with \('last_action',\)"):
         make_agent("default", LaneTask(history=2))

@@ -37,6 +37,7 @@ PAIRS: dict[Any, Any] = {**LOGIC, ast.Add: ast.Sub, ast.Mult: ast.Div}
 SWAPS = PAIRS | {other: one for one, other in PAIRS.items()} | {ast.FloorDiv: ast.Div, ast.Mod: ast.Mult}
 SAME = {"min", "max", "minimum", "maximum", "strict", "dtype"}  # functions and options with which nothing would change
 PYTEST = "-m pytest -n0 -x -q -rfE --tb=no -p no:cacheprovider --hypothesis-seed=0"
+LIMIT_S = 1800.0  # after which the tests that still run have heard the change
 NEAR, FAR = 2, 5  # imports from a test file to what it tests: all that are as near, and the nearest as far as this
 
 
@@ -98,7 +99,9 @@ def changes(node: Any) -> Iterator[tuple[str, str]]:
             yield "slice", f"{ast.unparse(node.lower) if node.lower else ''}:{ast.unparse(upper)} + 1"
         case ast.Call() if ast.unparse(node.func).rpartition(".")[2] not in SAME:
             yield from _other_calls(node)
-        case ast.stmt() if _goes_on_without(node):
+        case ast.Assign(targets=[ast.Attribute() | ast.Subscript()]) | ast.Expr(value=ast.Call()) | ast.AugAssign():
+            yield "statement", "pass"
+        case ast.Raise() | ast.Continue() | ast.Break():
             yield "statement", "pass"
 
 
@@ -108,13 +111,6 @@ def _other_calls(node: ast.Call) -> Iterator[tuple[str, str]]:
     for keyword in node.keywords:
         if keyword.arg and keyword.arg not in SAME:
             yield "option", _with(node, keywords=[each for each in node.keywords if each is not keyword])
-
-
-def _goes_on_without(node: ast.stmt) -> bool:
-    if isinstance(node, ast.Assign):
-        return isinstance(node.targets[0], (ast.Attribute, ast.Subscript))
-    called = isinstance(node, ast.Expr) and isinstance(node.value, ast.Call)
-    return called or isinstance(node, (ast.AugAssign, ast.Raise, ast.Continue, ast.Break))
 
 
 def _with(node: Any, **fields: Any) -> str:
@@ -137,9 +133,12 @@ def in_turns(found: list[Mutant], seed: int) -> Iterator[Mutant]:
 
 def changed_lines(reference: str) -> dict[str, set[int]]:
     """Return the lines of the tree that differ from a commit's, by path."""
-    command = ["git", "diff", "--unified=0", "--no-color", "--no-ext-diff", "--relative", reference]
+    command = ["git", "diff", "--unified=0", "--no-color", "--no-ext-diff", "--relative", reference, "--"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    if done.returncode:
+        sys.exit(f"--diff {reference}: {done.stderr.strip().splitlines()[0]}")
     found: dict[str, set[int]] = {}
-    for line in subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout.splitlines():
+    for line in done.stdout.splitlines():
         if line.startswith("+++ "):
             lines = found.setdefault(line.removeprefix("+++ b/"), set())
         elif hunk := re.match(r"@@ .*\+(\d+)(?:,(\d+))? @@", line):
@@ -188,8 +187,8 @@ def nearest_tests(path: str) -> list[str]:
 class Runs:
     """A copy of the tree in which tests run on changes, and the file that keeps which test failed."""
 
-    def __init__(self, folder: Path, kept: Path, limit_s: float, options: list[str]) -> None:
-        self._tree, self._kept, self._options, self._limit_s = folder / "tree", kept, options, limit_s
+    def __init__(self, folder: Path, kept: Path, options: list[str]) -> None:
+        self._tree, self._kept, self._options = folder / "tree", kept, options
         shutil.copytree(ROOT, self._tree, ignore=NOT_COPIED)
         lines = kept.read_text(encoding="utf-8").splitlines() if kept.exists() else []
         self._known = {each["key"]: each for each in map(json.loads, lines)}
@@ -211,7 +210,7 @@ class Runs:
         file = self._tree / mutant.path
         before, moment = file.read_bytes(), file.stat()
         env = {**os.environ, "PYTHONPATH": str(self._tree), "PYTHONDONTWRITEBYTECODE": "1"}
-        where: dict[str, Any] = {"cwd": self._tree, "env": env, "timeout": self._limit_s}
+        where: dict[str, Any] = {"cwd": self._tree, "env": env, "timeout": LIMIT_S}
         shutil.rmtree(self._tree / ".hypothesis", ignore_errors=True)
         command = [sys.executable, *PYTEST.split(), *self._options, *tests]
         try:
@@ -244,9 +243,10 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--sample", type=int, metavar="N", help="make N of the changes")
     parser.add_argument("--seed", type=int, default=0, help="of their order")
     parser.add_argument("--list", action="store_true", help="only print the changes, and the tests nearest to them")
-    parser.add_argument("--limit-s", type=float, default=900.0, help="after which tests that run have heard it")
     parser.add_argument("--out", type=Path, default=ROOT / "build/mutants.jsonl", help="file that keeps the results")
     given, options = parser.parse_args(arguments[:end]), arguments[end + 1 :]
+    if missing := [str(path) for path in given.paths if not path.exists()]:
+        parser.error(f"{missing[0]}: no such file or folder")
     named = any(option.partition("::")[0].endswith(".py") for option in options)
     plan = [(mutant, [] if named else nearest_tests(mutant.path)) for mutant in chosen(given)]
     if given.list:
@@ -255,10 +255,9 @@ def main(arguments: list[str]) -> int:
     given.out.parent.mkdir(parents=True, exist_ok=True)
     heard: Counter[str] = Counter()
     with tempfile.TemporaryDirectory() as folder:
-        runs = Runs(Path(folder), given.out, given.limit_s, options)
-        if failed := runs.failed(
-            Mutant("uavaccel/__init__.py", 0, "", 0, 0, ""), sorted({test for _, tests in plan for test in tests})
-        ):
+        runs = Runs(Path(folder), given.out, options)
+        every = sorted({test for _, tests in plan for test in tests})
+        if failed := runs.failed(Mutant("uavaccel/__init__.py", 0, "", 0, 0, ""), every):
             print(f"fails without a change: {failed}")
             return 1
         for mutant, tests in plan:

@@ -89,7 +89,7 @@ def evidence(part: str) -> claims.Flown:
 @cache
 def verdicts(profile: str) -> dict[str, dict[str, str]]:
     """Return the verdict on each claim, and what decides it."""
-    found = {kind: evidence(f"{kind}-{profile}") for kind in ("dp1", "dp2")}
+    found: dict[str, Any] = {kind: evidence(f"{kind}-{profile}") for kind in ("dp1", "dp2")}
     found["rl"] = claims.Trainings.of(rows_of("rl_table1"), profile, lambda row: {})
     return {claim.id: verdict(claim, found) for claim in claims_of_the_paper()}
 

@@ -77,7 +77,7 @@ class CudaBatch(VectorEnv[Any, Any, Any]):
     ) -> tuple[Any, dict[str, Any]]:
         """Begin a game in every environment; environment i gets `seed` + i, or the i-th of several seeds.
 
-        Without a seed the environments' random sequences continue. With `options`, games sampled ahead are discarded.
+        Without a seed the environments' random sequences continue.
         """
         seeds, games = seeds_of(seed, self.num_envs), self._lanes.games
         self._unread.clear()

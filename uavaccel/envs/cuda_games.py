@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from uavaccel.envs.arrays import mapped, stacked
 from uavaccel.envs.checks import known_options
 from uavaccel.envs.flight_env import CONDITIONS
-from uavaccel.envs.kernel_games import Drawn, GameMaker, keys_of, options_text
+from uavaccel.envs.kernel_games import Drawn, GameMaker, keys_of
 from uavaccel.envs.navigate import NavigateTask
 from uavaccel.envs.obstacle_lane import LaneTask
 from uavaccel.envs.task import Task
@@ -30,6 +30,7 @@ from uavaccel.kernels.fields import NO_APPEARANCE, Appearance
 from uavaccel.kernels.scene import Scene
 from uavaccel.sim.lane.layout import WIDTH_M, lane_seed
 from uavaccel.sim.pcg64 import stream_of
+from uavaccel.units import plain
 
 AHEAD = 4  # games per lane: the one being flown, and those sampled ahead
 
@@ -295,7 +296,7 @@ class SampledAhead(LaneGames):
         generator, options = self._sampled_by[lane][flown]
         return {
             "drawn_by": json.dumps(generator),
-            "options": options_text(options),
+            "options": json.dumps(options, default=plain),
             "flown": flown,
             "written": written,
             "games": games,

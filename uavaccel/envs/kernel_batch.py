@@ -23,7 +23,7 @@ from uavaccel.envs.context_planes import NO_ACTION
 from uavaccel.envs.flight_env import CONDITIONS, FlightEnv
 from uavaccel.envs.flyable import CPU, check_flyable, kind_of, profile_of
 from uavaccel.envs.judging import Flown, Judge, Judged, Running
-from uavaccel.envs.kernel_games import Drawn, GameMaker, keys_of, options_text
+from uavaccel.envs.kernel_games import Drawn, GameMaker, keys_of
 from uavaccel.envs.kernel_plan import plan_of, since_ns_of
 from uavaccel.envs.sensors import blank_frame
 from uavaccel.envs.stopwatch import PHASES
@@ -38,7 +38,7 @@ from uavaccel.kernels.flight import TOUCHED
 from uavaccel.limits import MOST_PROCESSES
 from uavaccel.machine import usable_cores
 from uavaccel.sim.vehicle.quadrotor import KINEMATICS
-from uavaccel.units import NS_PER_S
+from uavaccel.units import NS_PER_S, plain
 from uavaccel.vision.dvs_sensor import sample_pixels
 
 
@@ -210,7 +210,11 @@ class KernelBatch(TurnBatch):
         """Return a lane's running game for np.savez: another batch of this task continues it to the same bytes."""
         state: State = {"generator": json.dumps(self._generators[lane].bit_generator.state)}
         before, options = self._sampled_by[lane]
-        state |= {"drawn_by": json.dumps(before), "options": options_text(options), "games": self._games[lane]}
+        state |= {
+            "drawn_by": json.dumps(before),
+            "options": json.dumps(options, default=plain),
+            "games": self._games[lane],
+        }
         return state | {name: array[lane].copy() for name, array in self._state_arrays().items()}
 
     def _set_state(self, lane: int, state: SavedState) -> Observation:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
@@ -109,11 +108,6 @@ class GameMaker:
         data = world.data
         body = np.concatenate([data.qpos, data.qvel, data.qfrc_applied, np.zeros(6)])
         return world.lead.parameters.copy(), world.lead.state.copy(), body
-
-
-def options_text(options: Mapping[str, object] | None) -> str:
-    """Return the options of a reset as JSON, also those in NumPy's numbers and arrays."""
-    return json.dumps(options, default=lambda value: value.tolist())
 
 
 def keys_of(task: Task, games: Sequence[Drawn]) -> dict[str, NDArray[np.float64]]:

@@ -46,7 +46,7 @@ def rebuilt(kind: type, names: dict[str, Any]) -> type:
     """Return a class of Python's once more, whose methods and bases are looked up among `names`."""
     own = CellType()  # where `super()` finds the class
 
-    def again(value: object) -> object:
+    def again(value: Any) -> Any:
         if isinstance(value, classmethod | staticmethod):
             return type(value)(again(value.__func__))
         if not isinstance(value, FunctionType):

@@ -202,6 +202,7 @@ class Thread(threading.Thread):
 
     turns: Turns
     over = False
+    _daemonic: bool
 
     def start(self) -> None:
         if self.ident is None:  # otherwise it has been started, and the next line says so

@@ -6,7 +6,6 @@ import hashlib
 import statistics
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -120,7 +119,7 @@ def _cell(rows: Sequence[Row], score: str) -> Row:
     if score == "success":
         low, high = Proportion(round(sum(values)), len(values)).interval
     else:
-        low, high = bootstrap_interval((values,), partial(np.mean, axis=-1), seed=0)
+        low, high = bootstrap_interval((values,), lambda each: np.asarray(each.mean(axis=-1)), seed=0)
     latency_s = statistics.median(row["thinking_s"] for row in whole_rows)
     return {**cell, "latency_s": latency_s, "mean": statistics.fmean(values), "low": low, "high": high}
 

@@ -83,17 +83,16 @@ class Sweep:
         self.latencies = self._sorted()
 
     def _sorted(self) -> list[float]:
-        kind, name, given = real, "latencies", self.latencies
-        if self.unit == STEPS:
-            kind, name, given = whole, "delay_steps", self.delay_steps
-        elif given is None:
+        kind: Callable[[object], float | None] = whole if self.unit == STEPS else real
+        name = "delay_steps" if self.unit == STEPS else "latencies"
+        if (given := getattr(self, name)) is None:
             return USUAL[self.unit]
         listed = list(given) if isinstance(given, Iterable) else [None]
         known = [each for one in listed if (each := kind(one)) is not None and 0 <= each <= MOST_S]
         if not known or len(known) < len(listed):
             what = "counts" if self.unit == STEPS else "numbers"
             raise UserError(f"{name}: must be {what}, 0 to {MOST_S:g}, not {given!r}")
-        return sorted({kind(0), *known})
+        return sorted({0 if self.unit == STEPS else 0.0, *known})
 
     def thinking(self, latency: float) -> dict[str, Any]:
         """Return the arguments of `RealTime` for one of the latencies."""

@@ -77,10 +77,11 @@ class Policy:
 def load_policy(policy: Any, env: Spaces, trust: bool = False, answer_s: float = ANSWER_S) -> Policy:
     """Return the policy for an environment.
 
-    `policy` is a function or another callable; a module of PyTorch, which is given batches of one; or a text: a file of
-    stable-baselines3 (.zip), ONNX (.onnx) or TorchScript (.pt, .pth, .ts), a function of one's own, as in
-    `file.py:function` and `module:function`, or `tcp://host:port`, a policy server, which has `answer_s` for an answer.
-    A function, a TorchScript file, and what has to be unpickled, is code: it runs once it is trusted; `trust` says so.
+    `policy` is a function or another callable; a module of PyTorch, which is set to evaluate and given batches of one;
+    or a text: a file of stable-baselines3 (.zip), ONNX (.onnx) or TorchScript (.pt, .pth, .ts), a function of one's
+    own, as in `file.py:function` and `module:function`, or `tcp://host:port`, a policy server, which has `answer_s` for
+    an answer. A function, a TorchScript file, and what has to be unpickled, is code: it runs once it is trusted, as
+    `trust` says.
 
     Raises UserError where there is no such policy, where it is not trusted, and where it does not fit the environment.
     """
@@ -159,7 +160,7 @@ def fitting(given: Any, space: Space, name: str) -> Any:
     else:
         fits = action.shape == space.shape and action.dtype.kind in "fiu" and bool(np.isfinite(action).all())
     if fits:
-        return action if action.ndim else int(action)
+        return int(action) if isinstance(space, spaces.Discrete) else action
     what = f"{action.dtype} {action.shape}" if action.ndim else reprlib.repr(given)
     if action.shape == space.shape and action.dtype.kind == "f":
         what = f"{what} with NaN or infinity" if action.ndim else what
@@ -214,7 +215,7 @@ class RemotePolicy:
 
     def _connect(self) -> None:
         try:
-            self._socket = socket.create_connection(self._at, self._answer_s)  # type: ignore[arg-type]
+            self._socket = socket.create_connection(self._at, self._answer_s)
         except (OSError, OverflowError) as error:
             said = getattr(error, "strerror", None) or error
             raise UserError(f"{self.name}: no policy server answers there: {said}") from error
@@ -256,16 +257,19 @@ class RemotePolicy:
             answer = read_frame(self._socket, left_s)
             if answer.kind not in (kind, "error"):
                 raise StreamError(f"answered {one_line(answer.kind)!r}, not {kind!r}")
-        except TimeoutError:
-            self.close()
-            raise UserError(f"{self.name}: has not answered within {self._answer_s:g} s") from None
-        except OSError as error:
-            self.close()
-            said = f": {error.strerror}" if error.strerror else ""
-            raise UserError(f"{self.name}: the policy server has closed the connection{said}") from error
-        except StreamError as error:
-            self.close()
-            raise UserError(f"{self.name}: {error}") from error
+        except BaseException as error:
+            self.close()  # an answer that comes late is not one to the next question
+            if (said := self._failure(error)) is None:
+                raise
+            raise UserError(f"{self.name}: {said}") from error
         if answer.kind == "error":
             raise UserError(f"{self.name}: {one_line(answer.entries.get('line', 'an error'))}")
         return answer
+
+    def _failure(self, error: BaseException) -> str | None:
+        """Return what an error of the connection means; None for any other."""
+        if isinstance(error, TimeoutError):
+            return f"has not answered within {self._answer_s:g} s"
+        if isinstance(error, OSError):
+            return f"the policy server has closed the connection{f': {error.strerror}' if error.strerror else ''}"
+        return str(error) if isinstance(error, StreamError) else None

@@ -93,6 +93,7 @@ def actions_of(answer: Any, count: int, space: Space, name: str) -> NDArray[Any]
     Vectors are clipped to the bounds of their space. Raises UserError for an answer of another shape.
     """
     answer = np.atleast_1d(np.asarray(answer))
+    taken: NDArray[Any]
     if isinstance(space, spaces.Discrete):
         if answer.shape == (count, space.n) and space.n > 1:
             return np.asarray(answer.argmax(axis=1) + space.start)

@@ -74,7 +74,7 @@ class Frame:
         arrays = {name: np.asarray(part, order="C") for name, part in self.parts.items()}
         for name, array in arrays.items():
             if array.dtype.name not in DTYPES or array.ndim > MOST_AXES:
-                raise StreamError(f"{name or 'what'} is {array.dtype} {array.shape}, no array of numbers")
+                raise StreamError(f"{name or 'it'} is {array.dtype} {array.shape}, no array of numbers")
         forms = [[name, array.dtype.name, array.shape] for name, array in arrays.items()]
         header = json.dumps({**self.entries, "kind": self.kind, "parts": forms}).encode()
         body = b"".join(array.astype(array.dtype.newbyteorder("<")).tobytes() for array in arrays.values())
