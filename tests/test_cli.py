@@ -412,7 +412,10 @@ def test_an_unknown_experiment_is_told_those_there_are(tmp_path: Path) -> None:
         configure(RunRequest(str(tmp_path)))
 
 
-def test_a_quick_run_says_so_and_with_which_keys() -> None:
+def test_a_quick_run_says_so_and_with_which_keys(tmp_path: Path) -> None:
+    """A file of one's own is flown as it says."""
+    (tmp_path / "own.yaml").write_text("{suite: dp1, games: 7}")
+    assert configure(RunRequest(str(tmp_path / "own.yaml"), {"clock_speed": [50.0]}))[1].games == 7
     quick = RunRequest("dp1", {"clock_speed": [50.0], "games": 20})
     with planned(quick) as plan:
         assert list(plan.lines())[1] == (

@@ -173,6 +173,23 @@ def test_maps_of_another_emulator_are_taken_over() -> None:
     np.testing.assert_array_equal(sensor.leak_rate_factor, 1)
 
 
+def test_a_pixel_rests_up_to_its_refractory_period_and_fires_after_it() -> None:
+    """0.75 s after its event at 0.5 s; a frame of the same time as the last one is none too early."""
+    sensor = dvs.make_sensor(replace(CLEAN, threshold_sigma=0.0, refractory_s=0.75), (1, 1), seed=0)
+    for last_s, fires in ((1.25, 0), (1.265625, 1)):
+        state, on, _ = dvs.step(sensor, dvs.init_state(sensor, np.full((1, 1), 100, np.uint8)), bright(125), 0.5)
+        assert on.sum() == 1
+        for now_s in (1.125, 1.125):
+            state, on, _ = dvs.step(sensor, state, bright(125), now_s)
+            assert on.sum() == 0
+        _, on, _ = dvs.step(sensor, state, bright(155), last_s)
+        assert on.sum() == fires
+
+
+def bright(level: int) -> NDArray:
+    return np.full((1, 1), level, np.uint8)
+
+
 @pytest.mark.parametrize(
     ("frame", "t_s", "message"),
     [

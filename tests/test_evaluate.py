@@ -35,7 +35,7 @@ from uavaccel.rl.lanes import make_lanes
 from uavaccel.rl.learner import make_learner
 from uavaccel.rl.policy import MANIFEST, WEIGHTS, Policy, export_policy, load_policy, make_policy, trained_with
 from uavaccel.sim.lane.layout import lane_seed, sample_layout
-from uavaccel.suites.evaluate import EvaluateConfig, Evaluation, against, game_seed
+from uavaccel.suites.evaluate import EvaluateConfig, Evaluation, against, game_seed, row_of
 from uavaccel.suites.evaluate_again import flight_of_agent
 from uavaccel.suites.flight import film_game, film_of
 from uavaccel.suites.report import Summary
@@ -114,6 +114,11 @@ def test_against_another_run_on_the_command_line(
     assert "on the same 2 lanes: 0 v 0 successes, +0.0 [-65.8, +65.8] points, exact McNemar p = 1" in said
     assert re.search(r"0 of 2 lanes with TCSC at 1x \(0\.0%, 95 % Wilson interval 0\.0% to 65\.8%\)", said)
     assert (tmp_path / "run" / FIGURE).stat().st_size > 10_000
+    assert "host_check" not in straight.manifest()  # which is of the machine's clock
+    elsewhere = request("straight", tmp_path / "elsewhere", "first_lane=100", games=1)
+    with pytest.raises(UserError, match="is no evaluation of the same lanes"):
+        evaluate_agent(elsewhere, straight.path, False)
+    assert not (tmp_path / "elsewhere").exists()
 
 
 @pytest.mark.slow
@@ -202,6 +207,20 @@ def test_the_speed_is_that_of_the_games_own_clock(
     speed = summary["sim_time_s"] / summary["wall_s"]
     assert summary["simulated_s_per_wall_s"] == speed
     assert least < speed < most
+
+
+def test_a_decision_takes_wall_time_and_lost_games_keep_their_path(tmp_path: Path) -> None:
+    keys = ("task.observation=state", "task.max_commands=3", "games=1")
+    took_s = []
+    for inference_s in (0.0, 0.5):
+        config = configured("evaluate", *keys, agent="straight")
+        config = config.model_copy(update={"inference_s": inference_s})
+        [row] = fly_into(tmp_path / f"{inference_s}", Evaluation(), config).rows()
+        took_s.append(row["wall_s"])
+    assert took_s[1] - took_s[0] == pytest.approx(3 * 0.5)
+    ended = {"commands": 2, "collision": None, "phase_s": {}, "distance_m": 9.0, "wall_s": 1.0, "path_m": [[1.0, 2.0]]}
+    rows = [row_of(config, 3, ended | {"is_success": won}, [2, 2]) for won in (True, False)]
+    assert ["path_m" in row for row in rows] == [False, True]
 
 
 @pytest.mark.slow

@@ -42,8 +42,9 @@ def rows_of(run: RunDirectory) -> bytes:
 @pytest.mark.slow
 @needs_opengl
 def test_rows_of_a_policy_are_those_of_single_environments(tmp_path: Path) -> None:
-    single = evaluated(tmp_path / "1", SHORT, agent="default")
-    batch = evaluated(tmp_path / "2", SHORT, "environments=2", agent="default")
+    keys = "task.max_commands=12", "games=3"
+    single = evaluated(tmp_path / "1", *keys, agent="default")
+    batch = evaluated(tmp_path / "2", *keys, "environments=2", agent="default")
     assert rows_of(batch) == rows_of(single)
     assert [row["lane"] for row in batch.rows()] == [0, 1, 2]
     assert len({tuple(row["actions"]) for row in batch.rows()}) > 1
@@ -90,7 +91,7 @@ def test_rows_of_the_kernels_are_the_exact_simulators(tmp_path: Path) -> None:
 def test_a_policys_games_are_the_same_whoever_flies_beside_them(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    keys = LOCKSTEP, KERNELS, SHORT, "first_lane=30"
+    keys = LOCKSTEP, KERNELS, "task.max_commands=14", "first_lane=30"
     whole = evaluated(tmp_path / "whole", *keys, agent="default", games=6)
     assert len({tuple(row["actions"]) for row in whole.rows()}) > 1
     evaluated(tmp_path / "grown", *keys, agent="default", games=2)

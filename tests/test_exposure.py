@@ -27,6 +27,17 @@ def test_the_first_image_is_taken_as_it_is_and_sets_the_aim() -> None:
     assert (exposure.expose(grey(80), 9 * S) == 80).all()
 
 
+def test_an_image_counts_from_the_one_before_it() -> None:
+    """Ten a second: each goes 0.3 of a stop further."""
+    exposure = AutoExposure()
+    exposure.expose(grey(200), 0)
+    reached = []
+    for tenth in range(1, 4):
+        exposure.expose(grey(20), tenth * S // 10)
+        reached.append(exposure.stops)
+    assert reached == pytest.approx([0.3, 0.6, 0.9])
+
+
 @pytest.mark.parametrize(
     ("level", "ran_s", "stops"),
     [

@@ -28,7 +28,7 @@ ROOMS: dict[str, set[str]] = {
     "metrics": GROUND,
     "airsim": {"units", "errors", "clock", "wire"},
     "kernels": GROUND | {"clock", "sim", "vision"},
-    "realtime": GROUND | {"clock", "wire", "metrics"},
+    "realtime": GROUND | {"clock", "metrics"},
 }
 ROOMS["envs"] = set(ROOMS) - {"__init__", "airsim", "realtime"}
 ROOMS["rl"] = ROOMS["envs"] | {"envs", "realtime"}

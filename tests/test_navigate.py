@@ -60,6 +60,8 @@ def test_mujoco_has_the_shapes_where_the_layout_has_them() -> None:
         geom = world.data.geom(f"clutter_{name:03}")
         assert np.allclose(geom.xmat.reshape(3, 3)[:2, 0], row[[at.COS, at.SIN]], atol=1e-12)
         assert (geom.xpos == row[at.X : at.Z + 1]).all()
+        radii = row[[at.HALF_X] * 3] if row[at.KIND] == at.CAPSULE else row[at.HALF_X : at.HALF_Z + 1]
+        assert world.model.geom_aabb[geom.id].tolist() == [0.0, 0.0, 0.0, *radii]
     row = made.rows[made.standing & (made.rows[:, at.KIND] == at.CYLINDER)][0]
     hit = np.zeros(1, np.int32)
     start = row[[at.X, at.Y]] - (3.0, 0.0)

@@ -210,8 +210,33 @@ def test_what_was_measured_is_replayed_as_a_distribution(tmp_path: Path) -> None
     replayed = drawn_s(thinking_time(str(kept)))
     assert np.median(replayed) == pytest.approx(0.02, rel=0.05)
     assert np.quantile(replayed, 0.9) == pytest.approx(0.028, rel=0.05)
+    (own := tmp_path / "own.yaml").write_text("latency: {quantiles: [0, 1], request_us: {call: [1e3, 1.0e3]}}")
+    assert set(drawn_s(thinking_time(own), 3)) == {0.001}
     kept.write_text(kept.read_text().replace('"latency": {', '"latency": {"scale": 2.0,'))
     np.testing.assert_allclose(drawn_s(thinking_time(kept)), 2 * replayed, atol=2e-9)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("[1", "neither JSON nor YAML: "),
+        ("[1, 2]", "latency must be a mapping; 'measured' and its save"),
+        ("latency: {request_us: 7}", "request_us must be a mapping"),
+        ("latency: {name: none}", "latency.request_us.call: needs microseconds at the quantiles"),
+        ("latency: {quantiles: [0, 1], request_us: {call: [1, 9e12]}}", "latency.request_us.call: .* up to 3600 s"),
+        ("latency: {quantiles: [0, 1], request_us: {call: [1]}}", "latency.request_us.call must be a list of numbers"),
+        ("latency: {quantiles: [0, 1], request_us: {call: [1, 2, 3]}}", "latency.request_us.call needs 2 values, one"),
+        ("latency: {quantiles: [0, 1], reply_us: {image: [2, 1]}}", "latency.reply_us.image must be .* do not fall"),
+        ("latency: {quantiles: [0, 1], request_us: {move: [-1, 1]}}", "latency.request_us.move must be a list of numb"),
+        ("latency: {quantiles: [0, 0.5], request_us: {call: [1, 2]}}", "latency.quantiles must begin with 0 and end"),
+        ('{"latency": {"quantiles": [0, 1], "scale": NaN}}', "latency.scale must be a number of 0 or more, not nan"),
+    ],
+)
+def test_a_calibration_file_that_does_not_fit_is_one_line(text: str, said: str, tmp_path: Path) -> None:
+    (tmp_path / "own.yaml").write_text(text)
+    with pytest.raises(UserError, match=f"own.yaml: {said}") as caught:
+        thinking_time(tmp_path / "own.yaml")
+    assert "\n" not in str(caught.value)
 
 
 HOVER: dict[str, Any] = {"timing": "virtual"}

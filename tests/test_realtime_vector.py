@@ -142,7 +142,8 @@ def test_a_physics_step_is_a_tick_there_too_and_gymnasium_makes_the_same() -> No
 
 
 # Messages take no time, as each simulator draws the time of its own ones.
-OWN: dict[str, Any] = {"timing": "virtual", "command": "adsc", "clock_speed": 3.0, "latency": {"scale": 0.0}}
+OWN: dict[str, Any] = {"timing": "virtual", "command": "adsc", "clock_speed": 3.0, "max_commands": 3}
+OWN |= {"latency": {"scale": 0.0}}
 
 
 def batch_of(simulator: str) -> Any:
@@ -163,17 +164,24 @@ def test_a_batch_with_clocks_of_its_own_is_charged_as_one_is(simulator: str) -> 
         vector.reset(seed=SEED)
         for place, single in enumerate(singles):
             single.reset(seed=SEED + place)
-        generator = np.random.default_rng(0)
-        for _ in range(6):
+        generator, over = np.random.default_rng(0), np.zeros(2, bool)
+        same_step = vector.metadata["autoreset_mode"] == AutoresetMode.SAME_STEP
+        for _ in range(7):
             action = generator.uniform(-1, 1, vector.action_space.shape or ()).astype(np.float32)
-            observations, _, terminated, _, infos = vector.step(action)
+            observations, _, terminated, truncated, infos = vector.step(action)
             assert isinstance(observations, th.Tensor) == (simulator == "device")
             for place, single in enumerate(singles):
-                observation, _, over, _, info = single.step(action[place])
-                assert terminated[place] == over
+                waits, over[place] = over[place], False  # for the next episode, which begins in this step
+                assert infos["_thinking_s"][place] == (not waits)
+                if not waits:
+                    observation, _, *ends, info = single.step(action[place])
+                    assert [bool(terminated[place]), bool(truncated[place])] == ends
+                    for key in ("thinking_s", "meanwhile_s"):
+                        assert infos[key][place] == pytest.approx(info[key], abs=1e-12)
+                    over[place] = any(ends) and not same_step
+                if waits or (any(ends) and same_step):
+                    observation, _ = single.reset()
                 np.testing.assert_allclose(np.asarray(observations[place]), observation, rtol=0, atol=1e-6)
-                for key in {"thinking_s", "meanwhile_s", "wall_s"} & infos.keys():
-                    assert infos[key][place] == pytest.approx(info[key], abs=1e-12)
         vector.close()
 
 

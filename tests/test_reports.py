@@ -481,8 +481,8 @@ def seeds(path: Path) -> Report:
     plain = {"seed": 7, "seeds": 3, "training": tiny_config(made.STATE, mirror=False).model_dump(mode="json")}
     rows = []
     for seed, wins, returned in ((7, 1, 2.0), (8, 2, 4.0), (9, 0, 6.0)):
-        row: Row = {"case": f"seed{seed}", "seed": seed, "games": 4, "successes": wins, "sim_time_s": 48.0}
-        row |= {"success_recent": wins / 4, "return_recent": returned, "commands_recent": 12.0}
+        row: Row = {"case": f"seed{seed}", "seed": seed, "games": 400, "successes": wins, "sim_time_s": 48.0}
+        row |= {"success_recent": 0.5, "return_recent": returned, "commands_recent": 12.0}
         rows.append(row | {"evaluation": {"lanes": 2, "successes": wins}, "weights_sha256": f"{seed}" * 64})
         training = tiny_config(made.STATE, mirror=False, seed=seed)
         part = RunDirectory.create(path / f"parts/seed{seed}", training, {})

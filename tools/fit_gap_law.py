@@ -1,6 +1,6 @@
 """Looks for the law of the largest gap: fits on half of the conditions of a run, predicts the other half.
 
-    python tools/fit_gap_law.py runs/mediation-law docs/figures/gap_law.png > docs/tables/gap_law.csv
+    python -m tools.fit_gap_law runs/mediation-law docs/figures/gap_law.png > docs/tables/gap_law.csv
 
 The largest gap of a condition is the one at which success has dropped by five points below that without a gap, between
 flown gaps by linear interpolation. A law says that it is in proportion to something: constant in seconds, to T_move, to

@@ -1,6 +1,6 @@
 """Measures what ADSC's gap changes at each ClockSpeed, and what TCSC's gap of the same length does, as a CSV.
 
-    python tools/measure_gaps.py > docs/tables/gap_parts.csv
+    python -m tools.measure_gaps > docs/tables/gap_parts.csv
 
 Both fly commands of 1 s north with three pictures each: ADSC as in Table I, under the model of AirSim with an agent
 that takes 38 ms, and 3.2 ms more for each picture; TCSC under the native profile without latency, flying on after each

@@ -23,6 +23,7 @@ from uavaccel.metrics.equivalence import Estimate
 from uavaccel.metrics.intervals import Proportion, fisher_exact_p
 from uavaccel.metrics.seeds import permutation_p
 from uavaccel.suites import claims, paper_results
+from uavaccel.suites.mediation import Share, share_of_loss
 from uavaccel.suites.paper import Claim, PaperConfig, read_claims, verdict
 from uavaccel.suites.parts import Part
 from uavaccel.suites.report import table_of
@@ -89,7 +90,7 @@ def evidence(part: str) -> claims.Flown:
 @cache
 def verdicts(profile: str) -> dict[str, dict[str, str]]:
     """Return the verdict on each claim, and what decides it."""
-    found = {kind: evidence(f"{kind}-{profile}") for kind in ("dp1", "dp2")}
+    found: dict[str, Any] = {kind: evidence(f"{kind}-{profile}") for kind in ("dp1", "dp2")}
     found["rl"] = claims.Trainings.of(rows_of("rl_table1"), profile, lambda row: {})
     return {claim.id: verdict(claim, found) for claim in claims_of_the_paper()}
 
@@ -152,7 +153,7 @@ def readme_says() -> Text:
 
 def results_paper() -> Page:
     says = (headline, table_1, table_1_bullets, claims_table, notes_on_table_1, interchanged, times, gaps, one_changed)
-    more = (what_helps, the_model)
+    more = (what_helps, the_model, what_was_fitted)
     return Page((text for of in (*says, *more) for text in of()), SETTINGS)
 
 
@@ -386,6 +387,20 @@ def the_model() -> Text:
 
 # --- elsewhere ------------------------------------------------------------------------------------------------------
 
+def what_was_fitted() -> Text:
+    rows = pd.DataFrame(rows_of("ablation_fitted"))
+    for name, command, clock, column, digits in (
+        ("ADSC at 5x, STLC", "adsc", 5.0, "stlc", 3),
+        ("ADSC at 100x, STLC", "adsc", 100.0, "stlc", 3),
+        ("TCSC at 100x, STLC", "tcsc", 100.0, "stlc", 3),
+        ("TCSC at 100x, speed-up, mean over T_move", "tcsc", 100.0, "effective_speedup", 1),
+        ("ADSC at 100x, the same", "adsc", 100.0, "effective_speedup", 1),
+    ):
+        of = rows[(rows.command == command) & (rows.clock_speed == clock)].set_index("variant")[column].astype(float)
+        least, most = (f"{of[at]:.{digits}f}, {at}" for at in (of.idxmin(), of.idxmax()))
+        yield f"| {name} | {of['as fitted']:.{digits}f} | {least} | {most} |"
+
+
 SETTINGS = (
     r"[Aa]gents that think for \.2 s|with \.[24] s of thinking",
     r"of 300|Figures? \d|23 successes to 1|gap of 1\.17 s|47\.8 ms, ADSC|T_move (?:\.2 and )?1 s",
@@ -462,9 +477,76 @@ def real_time() -> Page:
     return Page((), SETTINGS)
 
 
+# --- why.md ---------------------------------------------------------------------------------------------------------
+
+WHOLE = {
+    "nothing": "usual",
+    "a gap of .074 s": "gap-0.074",
+    "a gap of .39 s": "gap-0.386",
+    "a gap of .78 s": "gap-0.776",
+    "a gap of 1.2 s": "gap-1.2",
+    "a gap of 2 s": "gap-2",
+}
+ALONE = {
+    "the speed at the start, .58 of it backwards as after 2 s": "start--0.584",
+    "the speed at the start: at rest": "start-0",
+    "the way unseen in 2 s, the speed kept": "way-2",
+    "the age of the pictures: .95 s": "age-0.95",
+    "the time: a metre takes 3 s": "duration-3",
+}
+OF_MEDIATION = (
+    r"(?:gap of|after|[Aa]t|of|in|what) 2 s\b|63 ms|of 1 s north at 1 m/s|lanes 0 to 99|300 commands|\.95 m in \.95 s",
+    r"100 evaluation lanes|won, of 100|0 is at rest|`start_speed: 1`|a command of \.3 s|lasts \.3 s",
+    r"Up to \.78 s|a fifth of the games at 1x, here 97 %",
+)
+
+
+def why() -> Page:
+    return Page((text for of in (parts_of_gaps, moved_in_flight) for text in of()), (*SETTINGS, *OF_MEDIATION))
+
+
+def parts_of_gaps() -> Text:
+    rows = {(row["command"], round(row["gap_s"], 1)): row for row in rows_of("gap_parts")}
+    adsc = [row for (command, _), row in rows.items() if command == "adsc"]
+    for row in adsc:
+        speed, unseen, metres = (short(row[name], 2) for name in ("start_speed_m_s", "unseen_m", "metres_per_command"))
+        lasts, gap, age = (f"{row[name]:.3g}" for name in ("seconds_per_command", "gap_s", "picture_age_s"))
+        gap, age = gap.removeprefix("0"), age.removeprefix("0")
+        yield f"| {row['clock_speed']:g}x | {gap} | {speed} | {metres} | {lasts} | {age} | {unseen} |"
+    most = max(row["unseen_m"] for (command, _), row in rows.items() if command == "tcsc")
+    yield f"at most {short(most, 2)} m are unseen, and {short(rows['tcsc', 2.0]['unseen_m'], 2)} m in 2 s."
+    yield f"after 2 s the drone flies backwards at {short(-rows['tcsc', 2.0]['start_speed_m_s'], 2)} m/s."
+    slow, fast = adsc[-2:]
+    dark, ways = ([short(row[name], 2) for row in (fast, slow)] for name in ("unseen_m", "metres_per_command"))
+    ends = [f"{300 * row['metres_per_command']:.0f}" for row in (fast, slow)]
+    yield f"({dark[0]} m unseen against {dark[1]} m), commands advance {ways[0]} m instead of {ways[1]} m"
+    yield f"reach {ends[0]} m instead of {ends[1]} m of the lane"
+
+
+def moved_in_flight() -> Text:
+    """Of the lanes in docs/tables/mediation_flight.csv, which has columns for each flight's outcome."""
+    lanes = pd.read_csv(TABLES / "mediation_flight.csv")
+    won_of = {flight: int(lanes[f"{flight}_is_success"].sum()) for flight in (WHOLE | ALONE).values()}
+    cells = {f"shipped/{flight}": pd.DataFrame({"won": [lanes[f"{flight}_is_success"]]}) for flight in won_of}
+    asked = Share(usual="shipped/usual", whole="shipped/gap-2", parts=())
+    for label, flight in (WHOLE | ALONE).items():
+        low, high = (100 * end for end in Proportion(won_of[flight], len(lanes)).interval)
+        line = f"| {label} | {won_of[flight]} | {low:.0f} to {high:.0f} % | "
+        if label in ALONE:
+            found: Any = share_of_loss(cells, asked, f"shipped/{flight}")
+            line += "{} [{}, {}] |".format(*(short(found[name], 2) for name in ("share", "low", "high")))
+        yield line
+    yield f"it wins {won_of['gap-0.776']}. At 1.2 s it wins {won_of['gap-1.2']}, at 2 s {won_of['gap-2']}."
+    yield f"remain, the policy wins {won_of['way-2']}."
+    yield f"at 50x and 100x, it wins {won_of['start-0']}."
+    none = won_of["start--0.584"] or "none"
+    yield f"{none} of {len(lanes)} lanes is won, where the whole gap leaves {won_of['gap-2']}."
+
+
 PAGES = {
     "README.md": readme,
     "docs/results-paper.md": results_paper,
     "docs/results.md": results,
     "docs/real-time.md": real_time,
+    "docs/why.md": why,
 }

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import hypot, sqrt
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -33,7 +33,7 @@ class Success:
             raise ValueError("success needs at least one training")
 
     @classmethod
-    def on_lanes(cls, outcomes: Sequence[ArrayLike]) -> Success:
+    def on_lanes(cls, outcomes: Sequence[ArrayLike] | NDArray[Any]) -> Success:
         """Return that of the outcomes (lanes,) of each policy, all on the same lanes in the same order."""
         won = np.array(outcomes, np.float64)
         return cls(tuple(Proportion(int(each.sum()), each.size) for each in won), won)

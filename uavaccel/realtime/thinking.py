@@ -159,7 +159,7 @@ def calibrated(path: str | Path) -> ThinkingTime:
     quantiles = _rising(block.get("quantiles", QUANTILES), f"{path}: latency.quantiles")
     if (quantiles[0], quantiles[-1]) != (0.0, 1.0):
         raise UserError(f"{path}: latency.quantiles must begin with 0 and end with 1")
-    if (scale := real(block.get("scale", 1.0))) is None or not 0 <= scale < math.inf:
+    if (scale := _number(block.get("scale", 1.0))) is None or not 0 <= scale < math.inf:
         raise UserError(f"{path}: latency.scale must be a number of 0 or more, not {block['scale']!r}")
     rows_ns = []
     for direction, channel in (("request_us", "move"), ("reply_us", "image")):
@@ -210,9 +210,17 @@ def _mapping(parent: object, key: str, path: str | Path) -> Mapping[str, Any]:
     return found
 
 
+def _number(value: object) -> float | None:
+    """Return a number, also 1e3, which YAML 1.2 has and PyYAML takes for text; None for anything else."""
+    try:
+        return float(value) if isinstance(value, str) else real(value)
+    except ValueError:
+        return None
+
+
 def _rising(row: object, name: str, count: int | None = None) -> NDArray[np.float64]:
     """Return a list of numbers that do not fall, from 0 or more on. Raises UserError for anything else."""
-    numbers = [real(one) for one in row] if isinstance(row, list | tuple) else []
+    numbers = [_number(one) for one in row] if isinstance(row, list | tuple) else []
     values = [number for number in numbers if number is not None and 0 <= number < math.inf]
     if len(values) < 2 or len(values) < len(numbers) or any(later < earlier for earlier, later in pairwise(values)):
         raise UserError(f"{name} must be a list of numbers, 0 or more, that do not fall")

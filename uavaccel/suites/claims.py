@@ -396,7 +396,7 @@ class Trainings(NamedTuple):
 
     @classmethod
     def of(
-        cls, rows: Iterable[Mapping[str, Any]], profile: str, arrays: Callable[[Any], Mapping[str, FloatArray]]
+        cls, rows: Iterable[Mapping[str, Any]], profile: str, arrays: Callable[[Any], Mapping[str, NDArray[Any]]]
     ) -> Trainings:
         """Take those of a profile from a run's rows, and from what `arrays` returns of one: nothing of rows kept alone.
 

@@ -286,7 +286,6 @@ class Mediation(SuiteOfRuns[MediationConfig, PolicyCase]):
                 axes.axhline(usual.success_ratio, color=look["color"], linestyle=":", linewidth=1.0)
             axes.set(title=name.replace("_", " "), xlabel=factor.label, ylim=(-0.03, 1.03))
             axes.yaxis.set_major_formatter("{x:.0%}")
-        plots.label_outer(panels)
         style.legend(figure)
         caption = "Success with 95 % intervals; dotted, nothing is moved."
         return report.figure("mediation", figure, caption, f"Lines of success. {report.headline()}.")
