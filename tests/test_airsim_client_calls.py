@@ -388,6 +388,24 @@ def test_the_client_before_1_2_has_the_helpers_of_the_module(name: str) -> None:
     assert getattr(old_client.AirSimClientBase, name) is getattr(airsim, HELPERS[name])
 
 
+def test_arguments_keep_their_places_whatever_is_named(client: airsim.MultirotorClient, recorder: Recorder) -> None:
+    """What is left out before or between has its default."""
+    still = {"is_rate": True, "yaw_or_rate": 0.0}
+    client.moveByVelocityAsync(1, 2, 3, 4, vehicle_name="B")
+    client.moveByVelocityAsync(1, duration=4, vz=3, vy=2, drivetrain=1)
+    client.simSetCameraFov(camera_name=1, fov_degrees=80, external=True)
+    assert recorder.sent == [
+        ("moveByVelocity", 1, 2, 3, 4, 0, still, "B"),
+        ("moveByVelocity", 1, 2, 3, 4, 1, still, ""),
+        ("simSetCameraFov", "1", 80, "", True),
+    ]
+    old_client.MultirotorClient().moveToZ(-3, max_wait_seconds=5, velocity=1)
+    assert recorder.sent[-1] == ("moveToZ", -3, 1, 5, still, -1, 1, "")
+    for call in (lambda: client.moveByVelocityAsync(1, 2, 3), lambda: client.ping(1), lambda: client.ping(a=1)):  # type: ignore[call-arg]
+        with pytest.raises(TypeError):
+            call()
+
+
 def test_the_old_client_waits_for_commands_with_a_limit(recorder: Recorder) -> None:
     client = old_client.MultirotorClient()
     recorder.answer = False

@@ -91,7 +91,7 @@ def test_rows_of_the_kernels_are_the_exact_simulators(tmp_path: Path) -> None:
 def test_a_policys_games_are_the_same_whoever_flies_beside_them(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    keys = LOCKSTEP, KERNELS, SHORT, "first_lane=30"
+    keys = LOCKSTEP, KERNELS, "task.max_commands=14", "first_lane=30"
     whole = evaluated(tmp_path / "whole", *keys, agent="default", games=6)
     assert len({tuple(row["actions"]) for row in whole.rows()}) > 1
     evaluated(tmp_path / "grown", *keys, agent="default", games=2)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 import pytest
 
@@ -80,8 +81,9 @@ def test_a_band_is_the_range_of_all_variants_about_the_first(tmp_path: Path) -> 
     )
     axes = band_figure(ablation(*variants, band=True), entries).axes[0]
     (line,), (band,) = axes.lines, axes.collections
-    assert line.get_ydata().tolist() == [1.9, 1.5]
-    ends = {(x, round(y, 6)) for x, y in band.get_paths()[0].vertices}
+    corners: Any = band.get_paths()[0].vertices
+    assert [*np.asarray(line.get_ydata())] == [1.9, 1.5]
+    ends = {(x, round(y, 6)) for x, y in corners}
     assert {(0, 1.8), (0, 1.95), (1, 1.1), (1, 1.5)} == ends
 
 

@@ -14,6 +14,7 @@ from uavaccel.sim.poses import LEVEL
 from uavaccel.sim.profile import AIRSIM, NATIVE, Profile
 from uavaccel.sim.simulation import Simulation
 from uavaccel.sim.vehicle.quadrotor import air_density
+from uavaccel.sim.vehicle.vehicle import AddedVehicle, Start
 from uavaccel.sim.world import World
 from uavaccel.wire import rpc
 from uavaccel.wire.api import Api
@@ -266,6 +267,19 @@ def test_a_vehicle_that_is_placed_has_touched_nothing() -> None:
     world.place((0.0, 0.0, -5.0))
     assert (world.lead.collision_tick, world.lead.contact_log.count) == (None, 0)
     assert (world.lead.contact_log.first, world.lead.contact_log.read()) == (None, False)
+
+
+def test_what_was_touched_is_known_after_another_vehicle_came() -> None:
+    world = World("blocks", NATIVE)
+    world.place((0.0, 0.0, -0.5))
+    world.lead.state["armed"] = 0
+    world.advance(500)
+    log = world.lead.contact_log
+    before = log.count, log.first, log.latest
+    assert before[0] > 0
+    world.add_vehicles([AddedVehicle("Second", Start((5.0, 0.0, -3.0)))])
+    assert (world.lead.contact_log.count, world.lead.contact_log.first, world.lead.contact_log.latest) == before
+    assert world.lead.contact_log.read()
 
 
 def test_gains_are_restored_whichever_were_set() -> None:

@@ -153,7 +153,7 @@ def readme_says() -> Text:
 
 def results_paper() -> Page:
     says = (headline, table_1, table_1_bullets, claims_table, notes_on_table_1, interchanged, times, gaps, one_changed)
-    more = (what_helps, the_model)
+    more = (what_helps, the_model, what_was_fitted)
     return Page((text for of in (*says, *more) for text in of()), SETTINGS)
 
 
@@ -386,6 +386,20 @@ def the_model() -> Text:
 
 
 # --- elsewhere ------------------------------------------------------------------------------------------------------
+
+def what_was_fitted() -> Text:
+    rows = pd.DataFrame(rows_of("ablation_fitted"))
+    for name, command, clock, column, digits in (
+        ("ADSC at 5x, STLC", "adsc", 5.0, "stlc", 3),
+        ("ADSC at 100x, STLC", "adsc", 100.0, "stlc", 3),
+        ("TCSC at 100x, STLC", "tcsc", 100.0, "stlc", 3),
+        ("TCSC at 100x, speed-up, mean over T_move", "tcsc", 100.0, "effective_speedup", 1),
+        ("ADSC at 100x, the same", "adsc", 100.0, "effective_speedup", 1),
+    ):
+        of = rows[(rows.command == command) & (rows.clock_speed == clock)].set_index("variant")[column].astype(float)
+        least, most = (f"{of[at]:.{digits}f}, {at}" for at in (of.idxmin(), of.idxmax()))
+        yield f"| {name} | {of['as fitted']:.{digits}f} | {least} | {most} |"
+
 
 SETTINGS = (
     r"[Aa]gents that think for \.2 s|with \.[24] s of thinking",
