@@ -84,9 +84,9 @@ def _checksum(data: bytes) -> bytes:
 @lru_cache(maxsize=64)
 def _remainders(length: int) -> NDArray[np.uint32]:
     """Return the remainder of each octet at each place of so many (length, 256): that of all is their exclusive or."""
-    one = np.arange(256, dtype=np.uint32)
+    one: NDArray[np.uint32] = np.arange(256, dtype=np.uint32)
     for _ in range(8):
-        one = one >> 1 ^ np.where(one & 1, np.uint32(POLYNOMIAL), np.uint32(0))
+        one = (one >> 1 ^ (one & 1) * np.uint32(POLYNOMIAL)).astype(np.uint32)
     places = [one]
     for _ in range(length - 1):
         places.append(places[-1] >> 8 ^ one[places[-1] & 0xFF])
