@@ -218,7 +218,14 @@ def test_a_decision_takes_wall_time_and_lost_games_keep_their_path(tmp_path: Pat
         [row] = fly_into(tmp_path / f"{inference_s}", Evaluation(), config).rows()
         took_s.append(row["wall_s"])
     assert took_s[1] - took_s[0] == pytest.approx(3 * 0.5)
-    ended: dict[str, Any] = {"commands": 2, "collision": None, "phase_s": {}, "distance_m": 9.0, "wall_s": 1.0, "path_m": [[1.0, 2.0]]}
+    ended: dict[str, Any] = {
+        "commands": 2,
+        "collision": None,
+        "phase_s": {},
+        "distance_m": 9.0,
+        "wall_s": 1.0,
+        "path_m": [[1.0, 2.0]],
+    }
     rows = [row_of(config, 3, ended | {"is_success": won}, [2, 2]) for won in (True, False)]
     assert ["path_m" in row for row in rows] == [False, True]
 

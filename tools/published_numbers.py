@@ -387,6 +387,7 @@ def the_model() -> Text:
 
 # --- elsewhere ------------------------------------------------------------------------------------------------------
 
+
 def what_was_fitted() -> Text:
     rows = pd.DataFrame(rows_of("ablation_fitted"))
     for name, command, clock, column, digits in (
