@@ -179,3 +179,11 @@ def test_a_game_that_comes_out_differently_is_one_clear_line(change: str, monkey
     with closing(there), pytest.raises(UserError, match="flown again, did not end as it was saved") as caught:
         there.set_state({**state, "flown": json.dumps(flown)})
     assert "\n" not in str(caught.value)
+
+
+def test_a_saved_game_calls_nothing_but_what_games_are_flown_by() -> None:
+    with closing(Hover()) as here:
+        here.reset(seed=1)
+        state = {**here.get_state(), "flown": json.dumps([["close"]])}
+        with pytest.raises(UserError, match="a saved game: 'close' is no part of one"):
+            here.set_state(state)

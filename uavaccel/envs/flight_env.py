@@ -176,8 +176,10 @@ class FlightEnv(gymnasium.Env[Observation, Action], Generic[TaskT]):
         for name, *arguments in json.loads(str(state["flown"])):
             if name == "step":
                 observation = self.step(np.asarray(arguments[0], self.action_space.dtype))[0]
-            else:
+            elif name in ("charge", "recording", "render"):
                 getattr(self, name)(*arguments)
+            else:
+                raise UserError(f"a saved game: {name!r} is no part of one")
         if self._digest() != str(state["digest"]):
             raise UserError(
                 "a saved game, flown again, did not end as it was saved: go on with the versions and on the kind of "
