@@ -242,8 +242,8 @@ class Engines:
 
     def __init__(self, case: Case, stack: ExitStack) -> None:
         self._case, self._stack = case, stack
-        same = pictures_alike if case.keys.get("observation") in ("colour", "depth") else assert_same
-        self.lanes = SideBySide(*self._made(), same)
+        reduced = case.kind is ObstacleLane and case.keys.get("observation") in ("colour", "depth")
+        self.lanes = SideBySide(*self._made(), pictures_alike if reduced else assert_same)
         self.device = self._made_device()
         self._returns = np.zeros(LANES)
 
