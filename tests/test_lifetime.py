@@ -80,7 +80,7 @@ def test_a_stopped_child_is_ended_after_some_looks(how: str) -> None:
                 pass
             program.send_signal(signal.SIGINT)
         said = program.stdout.read()
-    assert not left_after([child], 1.0)
+    assert not left_after([child], 60.0)
     assert program.returncode == (-signal.SIGINT if how == "waits" else 0)
     if how == "looks":
         assert said.startswith(f"process {child} (")
