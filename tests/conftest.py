@@ -164,14 +164,21 @@ def forget_own_code(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """A working directory whose own code is forgotten at the end."""
+    """A working directory whose own code is forgotten at the end, as that of other tests is here."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", [*sys.path])
     forget_own_code(monkeypatch)
+    for name in modules_below(tmp_path.parent):
+        monkeypatch.delitem(sys.modules, name)
     yield tmp_path
-    for name, module in list(sys.modules.items()):
-        if str(getattr(module, "__file__", None) or "").startswith(f"{tmp_path}/"):
-            del sys.modules[name]
+    for name in modules_below(tmp_path):
+        del sys.modules[name]
+
+
+def modules_below(folder: Path) -> list[str]:
+    """The names of the modules that were imported from there."""
+    files = {name: str(getattr(module, "__file__", None) or "") for name, module in sys.modules.items()}
+    return [name for name, file in files.items() if file.startswith(f"{folder}/")]
 
 
 @pytest.fixture

@@ -522,7 +522,7 @@ def test_evaluations_with_a_lane_in_common_are_compared(
     other = SimpleNamespace(path="other", rows=lambda: rows, config=lambda: {"env_id": env_id})
     monkeypatch.setattr("uavaccel.suites.registry.open_run", lambda path: other)
     cases = [SimpleNamespace(id=f"lane-{lane}") for lane in range(games)]
-    config = SimpleNamespace(env_id=LANE)
+    config = SimpleNamespace(model_dump=lambda mode: {"env_id": LANE})
     plan = SimpleNamespace(suite=SimpleNamespace(name="evaluate"), cases=cases, config=config)
     flown: list[RunRequest] = []
 
