@@ -268,9 +268,9 @@ class Mediation(SuiteOfRuns[MediationConfig, PolicyCase]):
         yield Heading("Success")
         yield self.overview(report)
         yield method_note(
-            "All flights of a policy are on the same lanes. Brackets are 95 % intervals: of success over seeds and "
-            "games, of a single training Wilson's, over its games alone; of shares a bootstrap over trainings and "
-            "lanes. A share of 1 loses as much alone as the whole does; shares need not add up to 1."
+            "All flights of a policy are on the same lanes. Brackets are 95 % intervals: of success over trainings, "
+            "lanes and games, of a single training Wilson's, over its games alone; of shares a bootstrap over "
+            "trainings and lanes. A share of 1 loses as much alone as the whole does; shares need not add up to 1."
         )
 
     def figure(self, report: Report) -> Picture:
