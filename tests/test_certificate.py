@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -279,11 +280,13 @@ def test_an_episode_whose_server_was_killed_says_so_and_is_played_again() -> Non
             certify(Count, address, **evaluation)
     rows = [json.loads(line) for line in Path("out/rows.jsonl").read_text().splitlines()]
     assert [row["seed"] for row in rows] == [0, 1, 2, 3, 0]
-    assert [row.get("error", "")[len(address) :] for row in rows] == [
-        *("", ""),
+    killed, *refused = [row.get("error", "")[len(address) :] for row in rows[2:]]
+    assert (killed, ["error" in row for row in rows[:2]]) == (
         ": the policy server has closed the connection",
-        *[": no policy server answers there: Connection refused"] * 2,
-    ]
+        [False] * 2,
+    )
+    gone = ": (no policy server answers there: Connection refused|the policy server has closed the connection.*)"
+    assert all(re.fullmatch(gone, error) for error in refused)  # while a process dies, it may still take a connection
     with process(SERVER.replace("CALL", "-1").replace("PORT", port)) as (_, again):
         assert again == address
         certify(Count, address, **evaluation, resume=True)

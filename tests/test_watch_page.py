@@ -318,10 +318,12 @@ def test_a_recorded_flight_is_scrubbed_by_spectators_alone() -> None:
         for _ in range(pages.PICTURES_EVERY):
             opened.tell(MOMENT)
         assert (time.value, time.max) == (3.46, length_s)
-    time.click(client=None)
     assert source.sought == []
     time.choose(1.25)
+    for _ in range(pages.PICTURES_EVERY):
+        opened.tell(MOMENT)
     assert source.sought == [1.25]
+    assert time.value == 3.46  # where the source is
 
 
 def test_drones_see_from_their_own_places_every_third_update(monkeypatch: pytest.MonkeyPatch) -> None:

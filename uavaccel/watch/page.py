@@ -36,7 +36,7 @@ from uavaccel.watch.scene import (
 )
 
 if TYPE_CHECKING:
-    from viser import ClientHandle, GuiDropdownHandle, GuiEvent, GuiImageHandle, GuiSliderHandle, ViserServer
+    from viser import ClientHandle, GuiDropdownHandle, GuiImageHandle, GuiSliderHandle, ViserServer
 
 UPDATES_PER_S = 30
 PICTURES_EVERY = 3  # updates
@@ -173,9 +173,10 @@ class Page:
         self._step = gui.add_button("Step", hint=f"{source.step_hint}, and pause there")
         self._step.on_click(lambda _: source.step())
         self._scrub: GuiSliderHandle[float] | None = None
+        self._scrubbed_s = 0.0  # where the show has put the slider
         if (progress := source.progress_s) is not None:
             self._scrub = gui.add_slider("Time", 0.0, round(progress[1], 2), SCRUB_S, 0.0)
-            self._scrub.on_update(self._seek)
+            self._scrubbed_s = self._scrub.value
         gui.add_html(legend(source.ideal))
         if (fly_at := source.fly_at) is not None:
             own = f"{source.clock_speed:g}x"
@@ -204,6 +205,7 @@ class Page:
     def update(self, passed_s: float) -> None:
         """Show what has happened in the last `passed_s` seconds, while somebody looks."""
         seen = bool(self._server.get_clients())
+        self._seek()
         moments = self._source.update(passed_s, seen)
         if not seen:
             self._flight = self._moment = None  # the path begins anew for whoever opens the page next
@@ -215,7 +217,9 @@ class Page:
         if self._moment is not None and self._updates % PICTURES_EVERY == 0:
             if self._scrub is not None and (progress := self._source.progress_s) is not None:
                 shown_s, self._scrub.max = (round(seconds, 2) for seconds in progress)
-                setattr(self._scrub, "value", shown_s)  # noqa: B010  to a type checker it cannot be set
+                if self._scrub.value == self._scrubbed_s:  # not where a spectator has just moved it
+                    self._scrubbed_s = shown_s
+                    setattr(self._scrub, "value", shown_s)  # noqa: B010  to a type checker it cannot be set
             for (name, eyes), state in zip(self._eyes.items(), self._moment.drones, strict=False):
                 self._images[name].image = eyes.render(state.pose, state.time_s)
         self._updates += 1
@@ -245,9 +249,11 @@ class Page:
         note = self._source.note or ("" if last.may_pause else WITHOUT_PAUSE)
         self._clocks.content = clock_table(last.clock_speed, last.wall, lines, note)
 
-    def _seek(self, event: GuiEvent[GuiSliderHandle[float]]) -> None:
-        if event.client is not None:  # not where the show itself goes on
-            self._source.seek(event.target.value)
+    def _seek(self) -> None:
+        """Go where a spectator has moved the slider; a callback, in a thread, may find what the show has set since."""
+        if self._scrub is not None and self._scrub.value != self._scrubbed_s:
+            self._scrubbed_s = self._scrub.value
+            self._source.seek(self._scrubbed_s)
 
     def _change_scene(self, scene: Scene) -> None:
         first, self._scene, self._moment, self._flight = self._scene is None, scene, None, None
