@@ -2,6 +2,7 @@
 
 import os
 import re
+import socket
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -92,7 +93,9 @@ def test_the_faster_the_clock_the_farther_adsc_strays(both: list[Track]) -> None
 @contextmanager
 def served(folder: Path) -> Iterator[str]:
     """The address of a page that the command line has opened."""
-    command = [sys.executable, "-m", "uavaccel", "watch", "--port", "18080"]
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    command = [sys.executable, "-m", "uavaccel", "watch", "--port", str(port)]
     with subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, text=True) as process:
         try:
             assert process.stdout is not None
