@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import sys
 import warnings
 import zipfile
 from pathlib import Path
@@ -36,20 +35,9 @@ from uavaccel.suites.evaluate import Evaluation
 from uavaccel.suites.report import Report, Summary
 from uavaccel.suites.session import RunRequest
 
+pytestmark = pytest.mark.usefixtures("here")
 HOVER = "env_id=uavaccel/Hover-v0"
 SMALL = {"net_arch": [8], "activation_fn": th.nn.ReLU}
-
-
-@pytest.fixture(autouse=True)
-def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """An empty working directory of a user who has trusted nothing; no module stays that was imported from it."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
-    monkeypatch.setattr(sys, "path", [*sys.path])
-    monkeypatch.setattr("uavaccel.own_code._here", {})
-    for module in ("pilot", "climb", "my_task"):
-        monkeypatch.delitem(sys.modules, module, raising=False)
-    return tmp_path
 
 
 def evaluated(agent: str, *overrides: str, **options: Any) -> RunDirectory:

@@ -30,6 +30,7 @@ from uavaccel.realtime.thinking import thinking_time
 from uavaccel.rl.agents import origin_of
 from uavaccel.wire.latency import read_latency
 
+pytestmark = pytest.mark.usefixtures("here")
 PERIOD_S = 0.01
 
 
@@ -66,16 +67,6 @@ def same(seen: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 DELAYS = [n * PERIOD_S for n in range(5)]
-
-
-@pytest.fixture(autouse=True)
-def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
-    monkeypatch.setattr(sys, "path", [*sys.path])
-    monkeypatch.setattr("uavaccel.own_code._here", {})
-    monkeypatch.delitem(sys.modules, "pilot", raising=False)
-    return tmp_path
 
 
 def contents(folder: str) -> dict[str, bytes]:
@@ -178,9 +169,9 @@ TIMES: dict[str, Any] = {"calibration": "times.json", "latencies": [0, 1, 2], "e
 
 
 @pytest.fixture
-def times() -> None:
+def times(here: Path) -> None:
     spread_us = [float(us) for us in range(0, 60_000, 5_000)]
-    Path("times.json").write_text(json.dumps({"latency": {"request_us": {"call": spread_us}}}))
+    (here / "times.json").write_text(json.dumps({"latency": {"request_us": {"call": spread_us}}}))
 
 
 @pytest.mark.usefixtures("times")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import warnings
 from pathlib import Path
 from typing import Any
@@ -17,18 +16,8 @@ from gymnasium import spaces
 from uavaccel.errors import UserError
 from uavaccel.realtime import load_policy
 
+pytestmark = pytest.mark.usefixtures("here")
 Env = gymnasium.Env[Any, Any]
-
-
-@pytest.fixture(autouse=True)
-def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """An empty working directory of a user who has trusted nothing."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
-    monkeypatch.setattr(sys, "path", [*sys.path])
-    monkeypatch.setattr("uavaccel.own_code._here", {})
-    monkeypatch.delitem(sys.modules, "pilot", raising=False)
-    return tmp_path
 
 
 class Space:
