@@ -5,9 +5,11 @@ Agents are trained, then evaluated with weights from the run (realtime_agents.py
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, closing, nullcontext
 from dataclasses import dataclass
+from fnmatch import fnmatchcase
 from functools import lru_cache
 from itertools import permutations, product
 from pathlib import Path
@@ -31,9 +33,12 @@ from uavaccel.records import RunDirectory
 from uavaccel.resources import require
 from uavaccel.suites import plots
 from uavaccel.suites.experiment import ClockSpeeds, CommandNames, Experiment, Timing
+from uavaccel.suites.gpu import acquire_gpu
+from uavaccel.suites.parts import Part, fly_part, part_folder, part_suite
 from uavaccel.suites.report import Report, Summary, method_note, records
 from uavaccel.suites.rows import GameRow, Row
 from uavaccel.suites.suite import GameResult, SimpleCase, Suite
+from uavaccel.suites.train import CHECKPOINTS, recent_mean
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -66,6 +71,22 @@ class EnvironmentBlock(Config):
     """Applied before the first action; 0 where actions are a Box, and needed where they are not."""
     period_s: Seconds | None = None
     """Simulated seconds of a step, where the environment does not say."""
+    scale: tuple[float, float] | None = None
+    """Returns that have score 0 and score 1; None: the score is the return."""
+
+    def score(self, value: float) -> float:
+        """Return the score of a return."""
+        low, high = self.scale or (0.0, 1.0)
+        return (value - low) / (high - low)
+
+
+class FlightBlock(Config):
+    """A task of this package whose agents `uavaccel train` trains; its return is 1 for a game that is won, else 0."""
+
+    trainings: Annotated[dict[str, Part], Field(min_length=1)]
+    """By the agent: the experiment of its training, and keys that differ from it. Other agents do not fly it."""
+    evaluation: Part = Part(experiment="evaluate", keys={"simulator": "kernels", "games": 100})
+    """How each is evaluated: its `inference_s`, command and ClockSpeed are those of a cell."""
 
 
 class AgentBlock(Config):
@@ -79,6 +100,10 @@ class AgentBlock(Config):
     """How many of its latest actions it sees."""
     chunk: Annotated[int, Field(ge=1, le=64)] = 1
     """Actions that it plans at once, a control period each; the first is applied, the rest while it thinks."""
+    frozen_prefix: bool = False
+    """Whether a chunk begins at its observation: its actions for the periods until it arrives are dropped."""
+    observe_planned: Annotated[int, Field(ge=0, le=64)] = 0
+    """Of how many next periods it sees the actions that are applied unless others arrive."""
     look_ahead: bool = False
     """Whether it decides upon what the simulator itself predicts for the moment at which its action is applied."""
     hidden: Layers = (64, 64)
@@ -103,8 +128,10 @@ class RealtimeConfig(Experiment):
     suite: Literal["realtime"]
     timing: Literal["virtual", "wall"] = "virtual"
     """virtual: the wall clock is simulated, and flights repeat; wall: measured, in a process of its own."""
+    flights: dict[str, FlightBlock] = Field(default_factory=dict)
+    """Tasks of this package that are learned by `uavaccel train`, by the names that rows and figures have for them."""
     environments: Annotated[dict[str, EnvironmentBlock], Field(min_length=1)]
-    """What is flown, by the names that rows and figures have for it."""
+    """What else is flown, by the names that rows and figures have for it."""
     agents: Annotated[dict[str, AgentBlock], Field(min_length=1)]
     """Who flies it, by the names that rows and figures have for them."""
     latency_s: Annotated[tuple[Delay, ...], Field(min_length=1)] = (0.0, 0.02, 0.05, 0.1, 0.2)
@@ -116,11 +143,25 @@ class RealtimeConfig(Experiment):
     seeds: Annotated[int, Field(ge=1, le=1000)] = 3
     """Trainings of each agent in each environment."""
     episodes: Games = 10
-    """Of each trained agent under each latency, ClockSpeed and command."""
+    """Of each trained agent under each latency, ClockSpeed and command; flights have the games of their evaluation."""
+    cells: tuple[str, ...] = ()
+    """Fly these cells alone, and the trainings that they need: names such as hopper-naive-adsc-20ms-5x, in which * is
+    anything; without any, all."""
+
+    @model_validator(mode="after")
+    def _flights_fit(self) -> RealtimeConfig:
+        if self.flights and self.timing == "wall":
+            raise ValueError("flights need timing virtual: their clock is simulated")
+        if both := sorted(self.flights.keys() & self.environments.keys()):
+            raise ValueError(f"flights.{both[0]}: one of the environments has the same name")
+        for name, flight in self.flights.items():
+            if unknown := [agent for agent in flight.trainings if agent not in self.agents]:
+                raise ValueError(f"flights.{name}.trainings: {unknown[0]} is none of the agents, {listed(self.agents)}")
+        return self
 
     @model_validator(mode="after")
     def _cases_differ(self) -> RealtimeConfig:
-        for name in (*self.environments, *self.agents):
+        for name in (*self.flights, *self.environments, *self.agents):
             if not name.replace("_", "").isalnum():
                 raise ValueError(f"{name!r} names files: letters, digits and _ alone")
         if self.timing == "wall" and any(agent.look_ahead for agent in self.agents.values()):
@@ -228,17 +269,21 @@ class Realtime(Suite[RealtimeConfig, Training]):
 
     def cases(self, config: RealtimeConfig) -> Iterator[Training]:
         """Yield all trainings, then all evaluations. Under TCSC delays change nothing: one latency stands for all."""
-        flown = [(*pair, seed) for pair, seed in product(_pairs(config), range(config.seeds))]
-        for environment, agent, seed in flown:
-            if _trained_as(config, environment, agent) == agent:
-                yield Training(f"{environment}-{agent}-s{seed}", "virtual", 0.0, environment, agent, seed)
-        for (environment, agent, seed), command in product(flown, config.command):
-            trained = f"{environment}-{_trained_as(config, environment, agent)}-s{seed}"
-            latencies_s = config.latency_s if command == "adsc" else config.latency_s[-1:]
-            for latency_s, speed in product(latencies_s, config.clock_speed):
-                case = f"{environment}-{agent}-s{seed}-{command}-{latency_s * 1e3:g}ms-{speed:g}x"
-                of = case, config.timing, config.episodes * EPISODE_S, environment, agent, seed
-                yield Evaluation(*of, trained, latency_s, speed, command)
+        evaluations = list(_evaluations(config))
+        needed = {case.trained for case in evaluations}
+        for environment, agent, seed in _flown(config):
+            if (name := f"{environment}-{agent}-s{seed}") in needed:
+                yield Training(name, "virtual", 0.0, environment, agent, seed)
+        yield from evaluations
+
+    def provenance(self, config: RealtimeConfig) -> Mapping[str, object]:
+        """Check that this machine has what the trainings of flights need. Raises UserError."""
+        trained = dict.fromkeys((case.environment, case.agent) for case in self.cases(config) if not self.stage(case))
+        for name, agent in trained:
+            if name in config.flights:
+                suite, part = part_suite(config.flights[name].trainings[agent], config.seed)
+                suite.provenance(part)
+        return {}
 
     def stage(self, case: Training) -> int:
         return int(isinstance(case, Evaluation))
@@ -250,23 +295,29 @@ class Realtime(Suite[RealtimeConfig, Training]):
         return ("seeds",)
 
     def games(self, config: RealtimeConfig, case: Training) -> int:
-        return config.episodes if isinstance(case, Evaluation) else 1
+        if not isinstance(case, Evaluation):
+            return 1
+        flight = config.flights.get(case.environment)
+        return config.episodes if flight is None else int(flight.evaluation.keys.get("games", 1))
 
     def open(self, config: RealtimeConfig, timing: str, run: RunDirectory) -> AbstractContextManager[Any]:
-        """Open what loads the weights of a training, those of the latest one once for all of its evaluations."""
+        """Open the run, and what loads the weights of a training, the latest ones once for all of its evaluations."""
         _import_modules(config)  # in this worker
 
         @lru_cache(maxsize=1)
         def weights(case: str) -> Mapping[str, np.ndarray]:
             return run.load_arrays(next(row for row in run.rows() if row["case"] == case))
 
-        return nullcontext(weights)
+        return nullcontext((run, weights))
 
     def fly(self, config: RealtimeConfig, case: Training, opened: Any) -> GameResult:
         kind = "evaluation" if isinstance(case, Evaluation) else "training"
         row: dict[str, Any] = {"kind": kind, "environment": case.environment, "agent": case.agent, "seed": case.seed}
+        run, weights_of = opened
+        if case.environment in config.flights:
+            return GameResult(row | flown(config, case, run))
         if isinstance(case, Evaluation):
-            return GameResult(row | evaluated(config, case, opened(case.trained)))
+            return GameResult(row | evaluated(config, case, weights_of(case.trained)))
         from uavaccel.suites import realtime_agents
 
         block, agent = config.environments[case.environment], config.agents[case.agent]
@@ -364,8 +415,28 @@ def _pairs(config: RealtimeConfig) -> list[tuple[str, str]]:
     return [pair for pair in product(config.environments, config.agents) if flies(config, *pair)]
 
 
+def _flown(config: RealtimeConfig) -> list[tuple[str, str, int]]:
+    """Return each flight or environment with each agent that flies it, and each training's seed."""
+    flights = [(name, agent) for name, flight in config.flights.items() for agent in flight.trainings]
+    return [(*pair, seed) for pair, seed in product([*flights, *_pairs(config)], range(config.seeds))]
+
+
+def _evaluations(config: RealtimeConfig) -> Iterator[Evaluation]:
+    for (environment, agent, seed), command in product(_flown(config), config.command):
+        trained = f"{environment}-{_trained_as(config, environment, agent)}-s{seed}"
+        latencies_s = config.latency_s if command == "adsc" else config.latency_s[-1:]
+        for latency_s, speed in product(latencies_s, config.clock_speed):
+            under = f"{command}-{latency_s * 1e3:g}ms-{speed:g}x"
+            if config.cells and not any(fnmatchcase(f"{environment}-{agent}-{under}", cell) for cell in config.cells):
+                continue
+            of = config.timing, config.episodes * EPISODE_S, environment, agent, seed
+            yield Evaluation(f"{environment}-{agent}-s{seed}-{under}", *of, trained, latency_s, speed, command)
+
+
 def _trained_as(config: RealtimeConfig, environment: str, agent: str) -> str:
     """Return the first agent with the same training in the environment, in which the agent can fly."""
+    if environment in config.flights:
+        return agent
     training, pairs = config.agents[agent].training_keys(), _pairs(config)
     others = (other for name, other in pairs if name == environment)
     return next(other for other in others if config.agents[other].training_keys() == training)
@@ -386,10 +457,36 @@ def evaluated(config: RealtimeConfig, case: Evaluation, weights: Mapping[str, np
         ahead = agent.look_ahead and case.command == "adsc"
         actor = agents.LookAhead(policy, env, block, delay_s, case.clock_speed) if ahead else policy
         seeds = range(EVALUATION_SEED + config.seed, EVALUATION_SEED + config.seed + config.episodes)
-        flown = [agents.fly_episode(env, actor, seed, delay_s if wall else 0.0) for seed in seeds]
-    returns, delays_s, late_s = (list(each) for each in zip(*flown, strict=True))
-    under = {name: getattr(case, name) for name in ("timing", "latency_s", "clock_speed", "command")}
-    return {**under, "returns": returns, "delays_s": delays_s, "late_s": max(late_s)}
+        met = [agents.fly_episode(env, actor, seed, delay_s if wall else 0.0) for seed in seeds]
+    returns, delays_s, late_s = (list(each) for each in zip(*met, strict=True))
+    return {**_under(case), "returns": returns, "delays_s": delays_s, "late_s": max(late_s)}
+
+
+def _under(case: Evaluation) -> dict[str, Any]:
+    return {name: getattr(case, name) for name in ("timing", "latency_s", "clock_speed", "command")}
+
+
+def flown(config: RealtimeConfig, case: Training, run: RunDirectory) -> dict[str, Any]:
+    """Train an agent of a flight below parts/, or fly its games, and return what its row has beside the common keys."""
+    from uavaccel.suites.evaluate_lanes import GamesInBatch
+
+    flight = config.flights[case.environment]
+    if not isinstance(case, Evaluation):
+        part = flight.trainings[case.agent]
+        acquire_gpu(str(part_suite(part, 0)[1].device))
+        report = fly_part(run, case.id, part, config.seed + case.seed, pages=False)
+        shutil.rmtree(report.run.path / CHECKPOINTS, ignore_errors=True)
+        learned = {"steps": report.summary["commands"], "agent_sha256": report.summary["weights_sha256"]}
+        return {**learned, "last_return": float(recent_mean(report.games["return"]).iloc[-1])}
+    agent = str(part_folder(run, case.trained).resolve())
+    keys = flight.evaluation.keys | {"agent": agent, "inference_s": case.latency_s, "task.mediation": {}}
+    keys |= {f"task.{name}": getattr(case, name) for name in OF_THE_CASES}
+    evaluation: Any = part_suite(Part(experiment=flight.evaluation.experiment, keys=keys), config.seed)[1]
+    lanes = range(evaluation.first_lane, evaluation.first_lane + evaluation.games)
+    with closing(GamesInBatch(evaluation, lanes)) as batch:
+        won = [float(batch.game(lane).row["is_success"]) for lane in lanes]
+    delay_s = case.latency_s * case.clock_speed if case.command == "adsc" else 0.0
+    return {**_under(case), "returns": won, "delays_s": [delay_s] * len(won), "late_s": 0.0}
 
 
 def cells_of(report: Report) -> pd.DataFrame:

@@ -54,8 +54,8 @@ def _warned(text: str) -> None:
 
 def options(block: EnvironmentBlock, agent: AgentBlock) -> dict[str, Any]:
     """Return the agent's options of the control loop; it applies one action of a chunk before it observes again."""
-    chosen = {"chunk": agent.chunk, "execute": 1} if agent.chunk > 1 else {}
-    chosen |= {"observe_age": agent.observe_age, "observe_actions": agent.observe_actions}
+    chosen: dict[str, Any] = {"chunk": agent.chunk, "execute": 1} if agent.chunk > 1 else {}
+    chosen |= agent.model_dump(include={"frozen_prefix", "observe_age", "observe_actions", "observe_planned"})
     return {**chosen, "period_s": block.period_s, "default_action": block.default_action}
 
 
