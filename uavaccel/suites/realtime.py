@@ -188,7 +188,8 @@ class TrainingRow(GameRow):
     agent: str
     seed: Seed
     steps: Count
-    last_return: Number
+    last_return: Number | None
+    """The mean of its last hundred episodes; None where none was finished."""
     agent_sha256: str
 
 

@@ -131,9 +131,9 @@ class _Returns(BaseCallback):
             self._running[lane] = 0.0
         return True
 
-    def last(self) -> float:
-        """Return the mean return of the last episodes; NaN where none was finished."""
-        return float(np.mean(self._finished[-LAST_EPISODES:])) if self._finished else float("nan")
+    def last(self) -> float | None:
+        """Return the mean return of the last episodes; None where none was finished."""
+        return float(np.mean(self._finished[-LAST_EPISODES:])) if self._finished else None
 
 
 class Policy:
