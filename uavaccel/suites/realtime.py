@@ -256,6 +256,10 @@ class Realtime(Suite[RealtimeConfig, Training]):
         from uavaccel.suites.realtime_agents import timed
 
         _import_modules(config)
+        for name, flight in config.flights.items():
+            for agent, part in flight.trainings.items():
+                if (of := part_suite(part, config.seed)[0].name) != "train":
+                    raise UserError(f"flights.{name}.trainings.{agent}: {part.experiment} is of {of}, not of train")
         for name, agent in _pairs(config):
             block = config.environments[name]
             try:
