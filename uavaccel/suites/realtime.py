@@ -11,47 +11,58 @@ from contextlib import AbstractContextManager, closing, nullcontext
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from functools import lru_cache
-from itertools import permutations, product
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 import pandas as pd
-from pydantic import Discriminator, Field, model_validator
+from pydantic import Discriminator, Field, field_validator, model_validator
 
 from uavaccel.config import Config
 from uavaccel.draw import style
-from uavaccel.draw.labels import clock_label
-from uavaccel.draw.page import Block, Column, Heading, Picture, Table, listed
+from uavaccel.draw.page import Block, Heading, Table, listed
 from uavaccel.errors import UserError
 from uavaccel.forms import ArrayForm, Count, NotNegative, Number, Positive
 from uavaccel.limits import CommandName, Games, Seconds, Seed
-from uavaccel.metrics.seeds import hierarchical_interval
 from uavaccel.metrics.speedup import timing_provenance
 from uavaccel.own_code import own_module
+from uavaccel.realtime.policies import TCP
 from uavaccel.records import RunDirectory
 from uavaccel.resources import require
 from uavaccel.suites import plots
 from uavaccel.suites.experiment import ClockSpeeds, CommandNames, Experiment, Timing
 from uavaccel.suites.gpu import acquire_gpu
 from uavaccel.suites.parts import Part, fly_part, part_folder, part_suite
+from uavaccel.suites.realtime_report import (
+    CELL,
+    COUNTS,
+    READING,
+    RETURNS,
+    TRAINING,
+    agreement,
+    agreement_figure,
+    cells_of,
+    ranking,
+    rankings_figure,
+    rankings_table,
+    results,
+    returns_figure,
+    tcsc_equal,
+    up_to_which_speed,
+)
 from uavaccel.suites.report import Report, Summary, method_note, records
 from uavaccel.suites.rows import GameRow, Row
 from uavaccel.suites.suite import GameResult, SimpleCase, Suite
 from uavaccel.suites.train import CHECKPOINTS, recent_mean
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+    pass
 
 DRONES = "uavaccel/"
 OF_THE_CASES = {"timing", "command", "clock_speed"}  # keys of a drone's environment
 EPISODE_S = 20.0  # simulated seconds of an evaluation's episode, about
 EVALUATION_SEED = 1_000_000  # episodes of an evaluation begin with others than those of trainings
-PLACE = ["environment", "command", "latency_s", "clock_speed"]
-CELL = ["environment", "agent", "command", "latency_s", "clock_speed"]
-"""What the evaluations of a cell have in common: they are of one agent's trainings."""
-TRAINING = ["environment", "agent", "seed", "steps", "last_return", "agent_sha256"]
 
 Delay = Annotated[float, Field(ge=0.0, le=60.0)]
 Layers = tuple[Annotated[int, Field(ge=1, le=4096)], ...]
@@ -72,16 +83,18 @@ class EnvironmentBlock(Config):
     period_s: Seconds | None = None
     """Simulated seconds of a step, where the environment does not say."""
     scale: tuple[float, float] | None = None
-    """Returns that have score 0 and score 1; None: the score is the return."""
+    """Returns that have score 0 and score 1; None: there are no scores."""
 
-    def score(self, value: float) -> float:
-        """Return the score of a return."""
-        low, high = self.scale or (0.0, 1.0)
-        return (value - low) / (high - low)
+    @field_validator("scale")
+    @classmethod
+    def _scale_rises(cls, scale: tuple[float, float] | None) -> tuple[float, float] | None:
+        if scale is not None and not scale[0] < scale[1]:
+            raise ValueError(f"must rise, not {list(scale)}")
+        return scale
 
 
 class FlightBlock(Config):
-    """A task of this package whose agents `uavaccel train` trains; its return is 1 for a game that is won, else 0."""
+    """A task of this package whose agents `uavaccel train` trains; return and score are 1 for a game won, else 0."""
 
     trainings: Annotated[dict[str, Part], Field(min_length=1)]
     """By the agent: the experiment of its training, and keys that differ from it. Other agents do not fly it."""
@@ -90,7 +103,14 @@ class FlightBlock(Config):
 
 
 class AgentBlock(Config):
-    """An agent: what it is trained on, what it sees, and how much longer than others it thinks. PPO throughout."""
+    """An agent: what it is trained on, what it sees, and how much longer than others it thinks.
+
+    It is trained by PPO, unless it has policies of its own.
+    """
+
+    policies: dict[str, str] = Field(default_factory=dict)
+    """Files with what it is, by the environment, which it flies without a training: .zip of stable-baselines3, .onnx,
+    .pt of TorchScript, or file.py:function. It flies no others."""
 
     training_delay_s: tuple[Delay, Delay] = (0.0, 0.0)
     """Range of simulated seconds from an observation to its action, one drawn for each episode of the training."""
@@ -110,6 +130,13 @@ class AgentBlock(Config):
     """Units of its network's layers."""
     latency_factor: Annotated[float, Field(gt=0.0, le=100.0)] = 1.0
     """It thinks so many times the latency of a cell: of a larger network, say."""
+
+    @field_validator("policies")
+    @classmethod
+    def _policies_are_files(cls, policies: dict[str, str]) -> dict[str, str]:
+        if servers := [place for place in policies.values() if place.startswith(TCP)]:
+            raise ValueError(f"{servers[0]}: no server, whose answers nobody can repeat; name a file")
+        return policies
 
     @model_validator(mode="after")
     def _range_rises(self) -> AgentBlock:
@@ -164,6 +191,9 @@ class RealtimeConfig(Experiment):
         for name in (*self.flights, *self.environments, *self.agents):
             if not name.replace("_", "").isalnum():
                 raise ValueError(f"{name!r} names files: letters, digits and _ alone")
+        for name, agent in self.agents.items():
+            if unknown := sorted(agent.policies.keys() - self.environments.keys()):
+                raise ValueError(f"agents.{name}.policies: {unknown[0]} is none of the environments")
         if self.timing == "wall" and any(agent.look_ahead for agent in self.agents.values()):
             raise ValueError("look_ahead needs timing virtual: it looks into the simulator")
         if self.timing == "wall" and any(block.id.startswith(DRONES) for block in self.environments.values()):
@@ -178,6 +208,24 @@ class RealtimeConfig(Experiment):
     def delay_s(self, agent: str, latency_s: float) -> float:
         """Return the wall time for which an agent thinks where others think for `latency_s`."""
         return latency_s * self.agents[agent].latency_factor
+
+    def scale(self, name: str) -> tuple[float, float] | None:
+        """Return the returns that have score 0 and 1 in a flight or an environment; None where there are no scores."""
+        return (0.0, 1.0) if name in self.flights else self.environments[name].scale
+
+    def flies(self, environment: str, agent: str) -> bool:
+        """Return whether an agent can fly there: a drone takes no chunks, and has no model to look ahead with."""
+        block, drone = self.agents[agent], self.environments[environment].id.startswith(DRONES)
+        there = not block.policies or environment in block.policies
+        return there and not (drone and (block.chunk > 1 or block.look_ahead))
+
+    def trained_as(self, environment: str, agent: str) -> str:
+        """Return the first agent with the same training there that can fly there."""
+        if environment in self.flights:
+            return agent
+        training = self.agents[agent].training_keys()
+        others = (other for other in self.agents if self.flies(environment, other))
+        return next(other for other in others if self.agents[other].training_keys() == training)
 
 
 class TrainingRow(GameRow):
@@ -253,7 +301,7 @@ class Realtime(Suite[RealtimeConfig, Training]):
         """Raise UserError for an environment that cannot be made, and for an agent that cannot act in it."""
         require("stable_baselines3", "suite realtime", "realtime", "stable-baselines3")
         from uavaccel.realtime.plant import is_of_mujoco
-        from uavaccel.suites.realtime_agents import timed
+        from uavaccel.suites.realtime_agents import Given, timed
 
         _import_modules(config)
         for name, flight in config.flights.items():
@@ -266,6 +314,8 @@ class Realtime(Suite[RealtimeConfig, Training]):
                 with closing(timed(block, config.agents[agent], 0.0, "adsc", 1.0)) as env:
                     if config.agents[agent].look_ahead and not is_of_mujoco(env):
                         raise UserError("look_ahead: looks into Gymnasium's MuJoCo environments alone")
+                    if (policy := config.agents[agent].policies.get(name)) is not None:
+                        Given(policy, env)
             except UserError as error:
                 raise UserError(f"environments.{name}, agents.{agent}: {error}") from error
             except Exception as error:  # whatever a user's environment raises
@@ -311,7 +361,8 @@ class Realtime(Suite[RealtimeConfig, Training]):
 
         @lru_cache(maxsize=1)
         def weights(case: str) -> Mapping[str, np.ndarray]:
-            return run.load_arrays(next(row for row in run.rows() if row["case"] == case))
+            trained = next(row for row in run.rows() if row["case"] == case)
+            return run.load_arrays(trained) if "arrays" in trained else {}
 
         return nullcontext((run, weights))
 
@@ -326,6 +377,10 @@ class Realtime(Suite[RealtimeConfig, Training]):
         from uavaccel.suites import realtime_agents
 
         block, agent = config.environments[case.environment], config.agents[case.agent]
+        if (policy := agent.policies.get(case.environment)) is not None:
+            with closing(realtime_agents.timed(block, agent, 0.0, "adsc", 1.0)) as env:
+                digest = realtime_agents.Given(policy, env).sha256
+            return GameResult(row | {"steps": 0, "last_return": None, "agent_sha256": digest})
         weights, learned = realtime_agents.train(block, agent, config.seed + case.seed)
         return GameResult(row | learned, weights)
 
@@ -343,11 +398,9 @@ class Realtime(Suite[RealtimeConfig, Training]):
             "suite": "realtime",
             "seed": config.seed,
             "provenance": timing_provenance(config.timing),
-            "cells": cells.to_dict("records"),
-            "rankings": [
-                dict(zip(("environment", "latency_s"), key, strict=True)) | _ranking(own) for key, own in adsc
-            ],
-            "tcsc_equal_at_every_clock_speed": _tcsc_equal(report.scores),
+            "cells": records(cells),
+            "rankings": [dict(zip(("environment", "latency_s"), key, strict=True)) | ranking(own) for key, own in adsc],
+            "tcsc_equal_at_every_clock_speed": tcsc_equal(report.scores),
             "trainings": records(games[games.kind == "training"].reindex(columns=TRAINING)),
         }
 
@@ -357,9 +410,9 @@ class Realtime(Suite[RealtimeConfig, Training]):
     def headline(self, report: Report) -> str:
         """Return up to which ClockSpeed each ranking at the middle latency holds, and whether TCSC's returns do."""
         rankings, equal = report.summary["rankings"], report.summary["tcsc_equal_at_every_clock_speed"]
-        latencies = sorted({ranking["latency_s"] for ranking in rankings})
+        latencies = sorted({each["latency_s"] for each in rankings})
         middle = latencies[len(latencies) // 2] if latencies else 0.0
-        said = [_up_to_which_speed(ranking) for ranking in rankings if ranking["latency_s"] == middle]
+        said = [up_to_which_speed(each) for each in rankings if each["latency_s"] == middle]
         said = [f"with {1e3 * middle:g} ms to think, {'; '.join(said)}"] if said else []
         if equal is not None:
             said.append(f"under TCSC returns {'are the same to the bit' if equal else 'DIFFER'} at every ClockSpeed")
@@ -380,13 +433,14 @@ class Realtime(Suite[RealtimeConfig, Training]):
 
     def page(self, report: Report) -> Iterator[Block | str]:
         cells = pd.DataFrame(report.summary["cells"])
-        several = [ranking for ranking in report.summary["rankings"] if len(ranking["clock_speeds"]) > 1]
+        several = [each for each in report.summary["rankings"] if len(each["clock_speeds"]) > 1]
         if (cells.command == "adsc").any():
             yield returns_figure(report, cells)
         if several:
             yield rankings_figure(report)
             yield Heading("How fast may one simulate before the ranking changes?")
             yield rankings_table(several)
+        report.run.write_text("results.csv", results(report))
         yield Heading("All cells")
         yield Table.of(cells, RETURNS, folded="all returns")
         yield method_note(READING)
@@ -410,25 +464,23 @@ class Realtime(Suite[RealtimeConfig, Training]):
         return str(rows[-1]["case"])
 
 
-def flies(config: RealtimeConfig, environment: str, agent: str) -> bool:
-    """Return whether an agent can fly there: a drone takes no chunks, and has no model to look ahead with."""
-    block, drone = config.agents[agent], config.environments[environment].id.startswith(DRONES)
-    return not (drone and (block.chunk > 1 or block.look_ahead))
-
-
 def _pairs(config: RealtimeConfig) -> list[tuple[str, str]]:
-    return [pair for pair in product(config.environments, config.agents) if flies(config, *pair)]
+    return [pair for pair in product(config.environments, config.agents) if config.flies(*pair)]
 
 
 def _flown(config: RealtimeConfig) -> list[tuple[str, str, int]]:
     """Return each flight or environment with each agent that flies it, and each training's seed."""
     flights = [(name, agent) for name, flight in config.flights.items() for agent in flight.trainings]
-    return [(*pair, seed) for pair, seed in product([*flights, *_pairs(config)], range(config.seeds))]
+    return [
+        (environment, agent, seed)
+        for environment, agent in [*flights, *_pairs(config)]
+        for seed in range(1 if config.agents[agent].policies else config.seeds)
+    ]
 
 
 def _evaluations(config: RealtimeConfig) -> Iterator[Evaluation]:
     for (environment, agent, seed), command in product(_flown(config), config.command):
-        trained = f"{environment}-{_trained_as(config, environment, agent)}-s{seed}"
+        trained = f"{environment}-{config.trained_as(environment, agent)}-s{seed}"
         latencies_s = config.latency_s if command == "adsc" else config.latency_s[-1:]
         for latency_s, speed in product(latencies_s, config.clock_speed):
             under = f"{command}-{latency_s * 1e3:g}ms-{speed:g}x"
@@ -436,15 +488,6 @@ def _evaluations(config: RealtimeConfig) -> Iterator[Evaluation]:
                 continue
             of = config.timing, config.episodes * EPISODE_S, environment, agent, seed
             yield Evaluation(f"{environment}-{agent}-s{seed}-{under}", *of, trained, latency_s, speed, command)
-
-
-def _trained_as(config: RealtimeConfig, environment: str, agent: str) -> str:
-    """Return the first agent with the same training in the environment, in which the agent can fly."""
-    if environment in config.flights:
-        return agent
-    training, pairs = config.agents[agent].training_keys(), _pairs(config)
-    others = (other for name, other in pairs if name == environment)
-    return next(other for other in others if config.agents[other].training_keys() == training)
 
 
 def evaluated(config: RealtimeConfig, case: Evaluation, weights: Mapping[str, np.ndarray]) -> dict[str, Any]:
@@ -458,7 +501,8 @@ def evaluated(config: RealtimeConfig, case: Evaluation, weights: Mapping[str, np
     else:
         env = agents.timed(block, agent, delay_s, case.command, case.clock_speed)
     with closing(env):
-        policy = agents.Policy(env, agent, weights)
+        given = agent.policies.get(case.environment)
+        policy = agents.Policy(env, agent, weights) if given is None else agents.Given(given, env)
         ahead = agent.look_ahead and case.command == "adsc"
         actor = agents.LookAhead(policy, env, block, delay_s, case.clock_speed) if ahead else policy
         seeds = range(EVALUATION_SEED + config.seed, EVALUATION_SEED + config.seed + config.episodes)
@@ -492,217 +536,3 @@ def flown(config: RealtimeConfig, case: Training, run: RunDirectory) -> dict[str
         won = [float(batch.game(lane).row["is_success"]) for lane in lanes]
     delay_s = case.latency_s * case.clock_speed if case.command == "adsc" else 0.0
     return {**_under(case), "returns": won, "delays_s": [delay_s] * len(won), "late_s": 0.0}
-
-
-def cells_of(report: Report) -> pd.DataFrame:
-    """Return a cell for each agent, latency, ClockSpeed and command, in the order of the rows.
-
-    `delay_s` is the median of simulated seconds from an observation to its action; intervals are over trainings and
-    episodes.
-    """
-
-    def cell(own: pd.DataFrame) -> dict[str, Any]:
-        returns = own.returns.tolist()
-        low, high = hierarchical_interval(returns, report.config.seed)
-        return {
-            "delay_s": float(np.median(np.concatenate(own.delays_s.tolist()))),
-            "seeds": len(own),
-            "episodes": sum(map(len, returns)),
-            "return_mean": float(np.mean([np.mean(each) for each in returns])),
-            "return_low": low,
-            "return_high": high,
-            "late_s": own.late_s.max(),
-        }
-
-    groups = report.scores.groupby(CELL, sort=False)
-    return pd.DataFrame([dict(zip(CELL, key, strict=True)) | cell(own) for key, own in groups])
-
-
-def _ranking(cells: pd.DataFrame) -> dict[str, Any]:
-    """Return the order of the agents at each ClockSpeed, best first, and how far it is that at the slowest.
-
-    `holds_to` is the largest ClockSpeed up to which no two agents change places.
-    """
-    by_speed = {speed: own.set_index("agent") for speed, own in cells.groupby("clock_speed")}
-    speeds, slowest = list(by_speed), next(iter(by_speed.values()))
-    reversals = [each for speed in speeds[1:] for each in _reversals(slowest, by_speed[speed], speed)]
-    broken = min((reversal["clock_speed"] for reversal in reversals), default=np.inf)
-    means = [own.return_mean for own in by_speed.values()]
-    return {
-        "clock_speeds": speeds,
-        "orders": [here.sort_values(ascending=False, kind="stable").index.tolist() for here in means],
-        "kendall_tau": [kendall_tau(means[0], here) for here in means],
-        "holds_to": max(speed for speed in speeds if speed < broken),
-        "reversals": reversals,
-    }
-
-
-def kendall_tau(first: pd.Series, second: pd.Series) -> float | None:
-    """Return Kendall's tau-b of the agents, the index of both, by their returns; None where either ranks nothing."""
-    tau = first.corr(second, method="kendall", min_periods=2)
-    return None if np.isnan(tau) else float(tau)
-
-
-def _reversals(before: pd.DataFrame, after: pd.DataFrame, clock_speed: float) -> Iterator[dict[str, Any]]:
-    """Yield the pairs of agents, the index, whose order is reversed and whose intervals are disjoint both times."""
-    both = [agent for agent in before.index if agent in after.index]
-    for ahead, behind in sorted(permutations(both, 2), key=lambda pair: sorted(map(both.index, pair))):
-        was_behind = before.return_low[behind] > before.return_high[ahead]
-        if was_behind and after.return_low[ahead] > after.return_high[behind]:
-            yield {"clock_speed": clock_speed, "ahead": ahead, "behind": behind}
-
-
-def _tcsc_equal(evaluations: pd.DataFrame) -> bool | None:
-    """Return whether under TCSC every agent's returns are bit-identical at all ClockSpeeds; None for a single one."""
-    by_tcsc = evaluations[evaluations.command == "tcsc"]
-    groups = [own.returns.tolist() for _, own in by_tcsc.groupby(["environment", "agent", "seed"])]
-    if max(map(len, groups), default=0) < 2:
-        return None
-    return all(returns == group[0] for group in groups for returns in group)
-
-
-def agreement(pairs: pd.DataFrame) -> dict[str, Any]:
-    """Return how far returns, delays and the agents' rankings (Kendall's tau) agree between modelled and measured."""
-    groups = [own.set_index("agent") for _, own in pairs.groupby(PLACE)]
-    found = [kendall_tau(own.return_mean, own.return_mean_measured) for own in groups]
-    taus = [tau for tau in found if tau is not None]
-
-    def off(pairs: pd.DataFrame, name: str) -> float | None:
-        modelled, measured = pairs[name], pairs[f"{name}_measured"]
-        return float((abs(measured - modelled) / np.maximum(abs(modelled), 1e-9)).median()) if len(pairs) else None
-
-    return {
-        "cells": len(pairs),
-        "return_difference_median": off(pairs, "return_mean"),
-        "delay_difference_median": off(pairs[pairs.delay_s > 0], "delay_s"),
-        "kendall_tau_mean": float(np.mean(taus)) if taus else None,
-        "kendall_tau_least": min(taus, default=None),
-        "late_s": pairs.late_s_measured.max(),
-    }
-
-
-def _up_to_which_speed(ranking: Mapping[str, Any]) -> str:
-    """Return up to which ClockSpeed a ranking holds, as in "in hopper the ranking holds up to 5x; at 20x ..."."""
-    where, speeds = f"in {ranking['environment']}", ranking["clock_speeds"]
-    if len(speeds) < 2:
-        return f"{where} {' > '.join(ranking['orders'][0])}"
-    if not ranking["reversals"]:
-        return f"{where} no two agents change places up to {clock_label(speeds[-1])}, the fastest flown"
-    return f"{where} the ranking holds up to {clock_label(ranking['holds_to'])} ({_first_change(ranking)})"
-
-
-def _first_change(ranking: Mapping[str, Any]) -> str:
-    """Return the first change of places in words, or "none"."""
-    if not ranking["reversals"]:
-        return "none"
-    first, slowest = ranking["reversals"][0], clock_label(ranking["clock_speeds"][0])
-    at = clock_label(first["clock_speed"])
-    return f"at {at} {first['ahead']} is ahead of {first['behind']}, which beats it at {slowest}"
-
-
-def rankings_table(rankings: Sequence[Mapping[str, Any]]) -> Table:
-    """Return the table of rankings at several ClockSpeeds."""
-
-    def taus(ranking: Mapping[str, Any]) -> str:
-        return ", ".join("-" if tau is None else f"{tau:.2f}" for tau in ranking["kendall_tau"][1:])
-
-    speeds = ", ".join(map(clock_label, rankings[0]["clock_speeds"][1:]))
-    return Table.of(
-        rankings,
-        {
-            "environment": "{environment}",
-            "latency, ms": _latency_ms,
-            "ranking holds up to": "{holds_to:g}x",
-            f"Kendall's tau at {speeds}": taus,
-            "first change": _first_change,
-        },
-    )
-
-
-def _latency_ms(entry: Mapping[str, Any]) -> str:
-    return f"{1e3 * entry['latency_s']:g}"
-
-
-def panels_figure(
-    cells: pd.DataFrame, x: str, y: str, by: str, title: str, line: str = "-", ends: bool = False, source: str = ""
-) -> tuple[Figure, list[Axes]]:
-    """Draw column `y` over `x`, a panel per environment and a line per value of `by`, with its interval if `ends`."""
-    labels = cells[by].unique()
-    options = {"across": 2, "height_in": 2.4, "sharey": False, "source": source}
-    figure, panels = plots.facets(cells, "environment", title, **options)
-    for axes, name, own in panels:
-        axes.set_title(name)
-        for number, label in enumerate(labels):
-            of = own[own[by] == label].sort_values(x)
-            look = {"color": style.colour(number), "marker": style.marker(number), "markersize": 4}
-            look |= {"linestyle": line, "linewidth": 1.2, "elinewidth": 0.8, "label": label.replace("_", " ")}
-            if len(of):
-                plots.line(axes, of[x], of[y], (of.return_low, of.return_high) if ends else None, **look)
-    style.legend(figure)
-    return figure, [axes for axes, *_ in panels]
-
-
-def returns_figure(report: Report, cells: pd.DataFrame) -> Picture:
-    """Draw return over the simulated delay; of cells with equal delays one, since their flights are identical."""
-    title = "Return over the delay from observation to action"
-    adsc = cells[cells.command == "adsc"].assign(delay_s=cells.delay_s.round(6)).sort_values("delay_s", kind="stable")
-    adsc = adsc.drop_duplicates(["environment", "agent", "delay_s"], keep="last").sort_index()
-    figure, panels = panels_figure(adsc, "delay_s", "return_mean", "agent", title, ends=True)
-    for axes in panels:
-        axes.set_xscale("symlog", linthresh=0.01)
-        axes.xaxis.set_major_formatter("{x:g}")
-        axes.set(xlabel="delay, simulated s", ylabel="return", xlim=(-0.001, None))
-    plots.label_outer(panels)
-    caption = f"{title}, means with 95 % intervals over trainings and episodes."
-    alt = f"Lines of return by delay, an agent each, in {listed(adsc.environment.unique())}. {report.headline()}."
-    return report.figure("returns", figure, caption, alt)
-
-
-def rankings_figure(report: Report) -> Picture:
-    """Draw Kendall's tau against the slowest ClockSpeed."""
-    title = "Rankings over ClockSpeed"
-    rankings = pd.DataFrame(report.summary["rankings"]).sort_values("latency_s", kind="stable")
-    taus = rankings.assign(latency=[f"{1e3 * latency_s:g} ms" for latency_s in rankings.latency_s])
-    taus = taus.explode(["clock_speeds", "kendall_tau"]).astype({"clock_speeds": float, "kendall_tau": float})
-    clocks = sorted(taus.clock_speeds.unique())
-    taus["place"] = np.searchsorted(clocks, taus.clock_speeds)
-    figure, panels = panels_figure(taus, "place", "kendall_tau", "latency", title)
-    for axes in panels:
-        plots.clock_axis(axes, clocks)
-        axes.set(ylabel="Kendall's tau", ylim=(-1.1, 1.1))
-    plots.label_outer(panels)
-    least = plots.span(taus.kendall_tau)
-    alt = f"Lines of Kendall's tau by ClockSpeed, a latency each, in {listed(taus.environment.unique())}: {least}."
-    return report.figure("rankings", figure, f"{title}{RANKINGS}", alt)
-
-
-def agreement_figure(pairs: pd.DataFrame, source: str) -> Figure:
-    """Return the plot of the mean return on the machine's clock over that on the simulated one, by environment."""
-    with style.project_style():
-        title, names = "The machine's clock against the simulated one", ("return_mean", "return_mean_measured")
-        figure, panels = panels_figure(pairs, *names, "agent", title, line="none", source=source)
-        for axes in panels:
-            axes.plot(axes.get_xlim(), axes.get_xlim(), **style.LIMIT)
-            axes.set(xlabel="modelled return", ylabel="measured return")
-    return figure
-
-
-COUNTS = {"seeds": "trainings", "episodes": "episodes"}
-RETURNS: dict[str, Column] = {
-    "environment": "{environment}",
-    "agent": "{agent}",
-    "command": "{command!u}",
-    "latency, ms": _latency_ms,
-    "ClockSpeed": "{clock_speed:g}x",
-    "delay, simulated s": "{delay_s:.3g}",
-    "return": "{return_mean:g}",
-    "95 % interval": "{return_low:g} to {return_high:g}",
-    "late at most, s": lambda cell: f"{cell['late_s']:.3f}" if cell["late_s"] else "-",
-}
-RANKINGS = ": Kendall's tau of the agents' ranking against the slowest ClockSpeed, for each latency."
-READING = (
-    "Between an observation and its action an agent thinks for the latency, on a wall clock that runs ClockSpeed times "
-    "slower than the simulation: the environment goes on for their product (ADSC) or is paused (TCSC). Two agents "
-    "change places where one is ahead of the other at the slowest ClockSpeed and behind it here, and their 95 % "
-    "intervals are apart both times; Kendall's tau compares the order of the means alone."
-)
