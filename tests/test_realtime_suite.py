@@ -251,6 +251,7 @@ def test_on_the_machines_clock_an_agent_has_the_same_options(monkeypatch: pytest
     monkeypatch.setattr(agents, "RealTimeProcess", lambda make, *at, **keys: met.append((at, keys)))
     measured(CART, AgentBlock(chunk=3, observe_age=True, observe_actions=2), "tcsc", 4.0)
     of_agent = {"chunk": 3, "execute": 1, "observe_age": True, "observe_actions": 2}
+    of_agent |= {"frozen_prefix": False, "observe_planned": 0}
     assert met == [(("tcsc", 4.0), {**of_agent, "period_s": 0.5, "default_action": 1})]
 
 
