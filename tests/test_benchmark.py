@@ -65,8 +65,8 @@ def test_a_run_that_was_interrupted_ends_with_equal_bytes(
 
 
 @pytest.mark.slow
-def test_a_cell_alone_is_that_of_the_whole(smoke: RunDirectory, tmp_path: Path) -> None:
-    """Its own trainings come with it."""
+def test_cells_can_be_flown_in_parts(smoke: RunDirectory, tmp_path: Path) -> None:
+    """Their trainings come with them, and they are those of the whole."""
     cells = "cells=[pendulum-look_ahead-adsc-50ms-5x, hover-delayed-*-1x]"
     alone = flown(tmp_path / "cell", cells)
     names = ["hover-delayed-s0", "pendulum-naive-s0"]
@@ -74,9 +74,13 @@ def test_a_cell_alone_is_that_of_the_whole(smoke: RunDirectory, tmp_path: Path) 
     names.append("pendulum-look_ahead-s0-adsc-50ms-5x")
     rows = {row["case"]: row for row in smoke.rows()}
     assert alone.rows() == [rows[name] for name in names]
-    lines = results(Realtime().report(alone)).splitlines()
+    lines, source = results(Realtime().report(alone)).splitlines(), Realtime().source(Realtime().report(alone))
     assert len(lines) == 1 + 3
     assert set(lines) <= set(results(Realtime().report(smoke)).splitlines())
+    more = Realtime().report(flown(tmp_path / "cell", resume=True))  # all others, into the same folder
+    assert results(more) == results(Realtime().report(smoke))
+    assert " of 32 cells" not in Realtime().source(more)
+    assert " · 3 of 32 cells · " in source
 
 
 @pytest.mark.slow

@@ -346,7 +346,7 @@ class Realtime(Suite[RealtimeConfig, Training]):
         return "neighbours would spoil the measurement on the wall clock" if config.timing == "wall" else ""
 
     def may_grow(self, folder: Path) -> tuple[str, ...]:
-        return ("seeds",)
+        return ("seeds", "cells")
 
     def games(self, config: RealtimeConfig, case: Training) -> int:
         if not isinstance(case, Evaluation):
@@ -423,7 +423,9 @@ class Realtime(Suite[RealtimeConfig, Training]):
     def source(self, report: Report) -> str:
         cells = pd.DataFrame(report.summary["cells"])
         counts = [f"{plots.span(cells[name], '{}')} {what}" for name, what in COUNTS.items()]
-        return f"{report.summary['provenance']} · {', '.join(counts)} a cell · seed {report.summary['seed']}"
+        every = len({case.cell for case in _evaluations(report.config)})
+        some = f" · {len(cells)} of {every} cells" if len(cells) < every else ""
+        return f"{report.summary['provenance']} · {', '.join(counts)} a cell{some} · seed {report.summary['seed']}"
 
     def overview(self, report: Report) -> Table:
         """Return ADSC's cells at the slowest ClockSpeed, at the least latency and at the middle one."""
