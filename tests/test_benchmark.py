@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -11,12 +10,14 @@ import pandas as pd
 import pytest
 
 from tests.running import configured, fly_into
+from uavaccel.config import load_yaml
 from uavaccel.errors import UserError
 from uavaccel.files import to_json
 from uavaccel.records import RunDirectory
-from uavaccel.resources import source_tree
-from uavaccel.suites.realtime import Realtime
-from uavaccel.suites.realtime_report import results
+from uavaccel.resources import experiment, source_tree
+from uavaccel.suites.realtime import Evaluation, Realtime
+from uavaccel.suites.realtime_report import CELL, RESULTS, results
+from uavaccel.suites.session import RunRequest, planned
 
 PENDULUM = "environments={pendulum: {id: InvertedPendulum-v5, train_steps: 2048, scale: [10, 60]}}"
 NO_FLIGHTS = "flights={}", PENDULUM
@@ -100,19 +101,24 @@ def test_scores_and_hashes_are_in_the_results(smoke: RunDirectory) -> None:
 
 
 def test_version_1_is_frozen() -> None:
-    """A change of what is flown is another version, with a file and a table of its own."""
-    keys = configured("benchmark_v1").model_dump(mode="json")
-    assert hashlib.sha256(to_json(keys).encode()).hexdigest()[:16] == "to be filled in"
+    """A change of what is flown, here or in the trainings that it names, is another version with a file of its own."""
+    names = ("benchmark_v1", "navigate_ppo", "train_kernels", "hover_ppo", "evaluate")
+    said = {name: load_yaml(experiment(f"{name}.yaml")) for name in names}
+    flights = said["benchmark_v1"]["flights"].values()
+    parts = [part for flight in flights for part in (*flight["trainings"].values(), flight["evaluation"])]
+    assert {part["experiment"] for part in parts} == set(names[1:])
+    assert hashlib.sha256(to_json(said).encode()).hexdigest()[:16] == "8800b5f0df40311e"
 
 
-def test_the_table_of_version_1_has_its_cells() -> None:
+def test_the_published_cells_are_of_version_1() -> None:
+    """Each with all of its trainings and a score, in the order of results.csv, so that runs can be compared by diff."""
     config = configured("benchmark_v1")
-    pairs = [(name, agent) for name, flight in config.flights.items() for agent in flight.trainings]
-    pairs += product(config.environments, config.agents)
-    under = product(config.command, config.latency_s, config.clock_speed)
+    cells = {case.cell for case in Realtime().cases(config) if isinstance(case, Evaluation)}
     table = pd.read_csv((source_tree() or Path()) / "docs/tables/benchmark_v1.csv")
-    found = table[["environment", "agent", "command", "latency_s", "clock_speed"]].itertuples(index=False, name=None)
-    assert list(found) == sorted((*pair, *rest) for pair, rest in product(pairs, list(under)))
+    assert list(table.columns) == [*RESULTS, "policies"]
+    found = list(table[CELL].itertuples(index=False, name=None))
+    assert found == sorted(set(found))
+    assert {f"{a}-{b}-{c}-{1e3 * latency_s:g}ms-{speed:g}x" for a, b, c, latency_s, speed in found} <= cells
     assert set(table.seeds) == {config.seeds}
     assert table.score_mean.notna().all()
 
@@ -130,8 +136,6 @@ def test_a_policy_of_ones_own_flies_where_it_can(tmp_path: Path, monkeypatch: py
     environments = "environments={pendulum: {id: InvertedPendulum-v5}, hopper: {id: Hopper-v5}}"
     yaml = tmp_path / "mine.yaml"
     yaml.write_text("suite: realtime\nagents: {mine: {policies: {pendulum: 'mine.py:policy'}}}\n")
-    from uavaccel.suites.session import RunRequest, planned
-
     more = (environments, "latency_s=[0, 0.1]", "episodes=2", "command=[adsc]")
     with planned(RunRequest(str(yaml), {}, more, out=tmp_path / "run")) as plan:
         run = plan.begin(lambda line: None)
