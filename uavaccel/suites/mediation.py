@@ -20,7 +20,7 @@ from uavaccel.config import Config
 from uavaccel.draw import style
 from uavaccel.draw.page import Block, Column, Heading, Picture, Table
 from uavaccel.files import Plain
-from uavaccel.forms import ArrayForm, Count
+from uavaccel.forms import Count
 from uavaccel.limits import Games, Seed
 from uavaccel.metrics.intervals import RESAMPLES, TAILS
 from uavaccel.metrics.success import Success
