@@ -20,11 +20,12 @@ from uavaccel.config import Config
 from uavaccel.draw import style
 from uavaccel.draw.page import Block, Column, Heading, Picture, Table
 from uavaccel.files import Plain
-from uavaccel.forms import ArrayForm, Count
+from uavaccel.forms import Count
 from uavaccel.limits import Games, Seed
 from uavaccel.metrics.intervals import RESAMPLES, TAILS
 from uavaccel.metrics.success import Success
 from uavaccel.records import RunDirectory
+from uavaccel.rl.config import LANE
 from uavaccel.suites import plots
 from uavaccel.suites.experiment import Experiment
 from uavaccel.suites.parts import OUTCOMES, Part, SuiteOfRuns, fly_part, outcomes, part_folder, part_suite
@@ -79,7 +80,8 @@ class MediationConfig(Experiment):
     seeds: Annotated[int, Field(ge=1, le=1000)] = 1
     """Trainings of each policy, with seeds `seed`, `seed` + 1 and so on."""
     policies: Annotated[dict[Name, Keys], Field(min_length=1)]
-    """Dotted keys of each policy's training that differ from `training`; `agent` alone names a policy that exists."""
+    """Dotted keys of each policy's training that differ from `training`, or from the experiment that its key
+    `experiment` names instead; beside `agent`, which names a policy that exists, keys of all its flights."""
     flights: Annotated[dict[Name, Factor], Field(min_length=1)]
     """What is moved in flight; each policy flies with every value, and as `evaluation` has it."""
     shares: tuple[Share, ...] = ()
@@ -134,7 +136,7 @@ class Mediation(SuiteOfRuns[MediationConfig, PolicyCase]):
     name = "mediation"
     config = MediationConfig
     row = MediationRow
-    arrays: ClassVar = {f"*_{name}": ArrayForm(form.kinds, ("n",)) for name, form in OUTCOMES.items() if name != "game"}
+    arrays: ClassVar = {f"*_{name}": replace(form, shape=("n",)) for name, form in OUTCOMES.items()}
 
     def check(self, config: MediationConfig) -> None:
         """Check that each policy's training and each flight can be configured. Raises UserError."""
@@ -158,18 +160,25 @@ class Mediation(SuiteOfRuns[MediationConfig, PolicyCase]):
 
     def parts(self, config: MediationConfig, case: PolicyCase, agent: str) -> dict[str, Part]:
         """Return the training of a policy, unless it exists, and the flights of `agent`, by name."""
-        keys, flying = config.policies[case.policy], config.evaluation
-        training = {} if "agent" in keys else {"training": Part(experiment=config.training.experiment, keys={
-            **config.training.keys, **keys, "seed": case.seed})}  # fmt: skip
+        keys, flying, also, training = dict(config.policies[case.policy]), config.evaluation, {}, {}
+        if "agent" in keys:
+            also = {key: value for key, value in keys.items() if key != "agent"}
+        else:
+            own = {} if "experiment" in keys else config.training.keys
+            experiment = str(keys.pop("experiment", config.training.experiment))
+            training = {"training": Part(experiment=experiment, keys={**own, **keys, "seed": case.seed})}
         return training | {
-            flight: Part(experiment=flying.experiment, keys={**flying.keys, **moved, "agent": agent})
+            flight: Part(experiment=flying.experiment, keys={**flying.keys, **also, **moved, "agent": agent})
             for flight, moved in config.flown().items()
         }
 
     def runs(self, config: MediationConfig, case: PolicyCase) -> list[tuple[AnySuite, Any]]:
+        """Return a policy's training and flights; of one to be trained in another environment, its training alone."""
         agent = str(config.policies[case.policy].get("agent", "default"))
-        parts = self.parts(config, case, agent)
-        return [part_suite(part, config.seed) for part in parts.values()]
+        parts = [*self.parts(config, case, agent).values()]
+        first: tuple[AnySuite, Any] = part_suite(parts[0], config.seed)
+        known = first[0].name != "train" or first[1].env_id == LANE
+        return [first, *(part_suite(part, config.seed) for part in parts[1:] if known)]
 
     def may_grow(self, folder: Any) -> tuple[str, ...]:
         return ("seeds",)
@@ -204,14 +213,14 @@ class Mediation(SuiteOfRuns[MediationConfig, PolicyCase]):
         return f"{rows[-1]['case']} won {rows[-1]['successes'][USUAL]} of {rows[-1]['games']}"
 
     def score(self, report: Report) -> pd.DataFrame:
-        """Return a row for each policy and flight: `factor`, `value`, `won` (games,) bool, and `distance_m`."""
+        """Return a row for each policy and flight: `factor`, `value`, `won` (games,) bool, and `distance_m` or None."""
         factors = {name: (*split_name(name), keys) for name, keys in report.config.flown().items()}
         cells = []
         for row in report.games.to_dict("records"):
             arrays = report.arrays(row)
             for flight, (factor, value, _) in factors.items():
                 own = {"flight": flight, "factor": factor, "value": value, "won": arrays[f"{flight}_is_success"]}
-                own["distance_m"] = arrays[f"{flight}_distance_m"]
+                own["distance_m"] = arrays.get(f"{flight}_distance_m")
                 cells.append({**{key: row[key] for key in ("policy", "seed")}, **own})
         return table_of(cells)
 
@@ -220,7 +229,7 @@ class Mediation(SuiteOfRuns[MediationConfig, PolicyCase]):
         cells = []
         for (policy, flight), own in report.scores.groupby(["policy", "flight"], sort=False):
             success = Success.on_lanes(own.won.tolist())
-            over = success.estimate
+            over, distance_m = success.estimate, [each for each in own.distance_m if each is not None]
             cells.append(
                 {
                     "policy": policy,
@@ -232,7 +241,7 @@ class Mediation(SuiteOfRuns[MediationConfig, PolicyCase]):
                     **success.pooled.as_summary(),
                     "seeds_low": over.low,
                     "seeds_high": over.high,
-                    "distance_m_median": float(np.median(np.concatenate(own.distance_m.tolist()))),
+                    "distance_m_median": float(np.median(np.concatenate(distance_m))) if distance_m else None,
                 }
             )
         outcomes = {f"{policy}/{flight}": own for (policy, flight), own in report.scores.groupby(["policy", "flight"])}
@@ -254,8 +263,8 @@ class Mediation(SuiteOfRuns[MediationConfig, PolicyCase]):
         return f"success is {' and '.join(said)}"
 
     def source(self, report: Report) -> str:
-        policies, lanes = len(report.games), report.games.games.iloc[0]
-        return f"modelled, without latency · {policies} policies, {lanes} lanes each · seed {report.config.seed}"
+        policies, games = len(report.games), report.games.games.iloc[0]
+        return f"modelled, without latency · {policies} policies, {games} games each · seed {report.config.seed}"
 
     def overview(self, report: Report) -> Table:
         return Table.of(report.summary["cells"], CELLS)
