@@ -37,6 +37,7 @@ from uavaccel.suites.train import CHECKPOINTS
 Name = Annotated[str, Field(pattern=r"^[a-z0-9_]+$")]
 Keys = dict[str, Plain]
 USUAL = "usual"  # the flight in which nothing is moved
+MOST_LINES = 7  # policies that lines in a panel keep apart
 
 
 class Factor(Config):
@@ -267,7 +268,9 @@ class Mediation(SuiteOfRuns[MediationConfig, PolicyCase]):
         return f"modelled, without latency · {policies} policies, {games} games each · seed {report.config.seed}"
 
     def overview(self, report: Report) -> Table:
-        return Table.of(report.summary["cells"], CELLS)
+        """Return what is asked for, or all cells."""
+        shares = report.summary["shares"]
+        return Table.of(shares, SHARES) if shares else Table.of(report.summary["cells"], CELLS)
 
     def page(self, report: Report) -> Iterator[Block | str]:
         yield self.figure(report)
@@ -275,7 +278,7 @@ class Mediation(SuiteOfRuns[MediationConfig, PolicyCase]):
             yield Heading("Shares of the loss")
             yield Table.of(shares, SHARES)
         yield Heading("Success")
-        yield self.overview(report)
+        yield Table.of(report.summary["cells"], CELLS)
         yield method_note(
             "All flights of a policy are on the same lanes. Brackets are 95 % intervals: of success over trainings, "
             "lanes and games, of a single training Wilson's, over its games alone; of shares a bootstrap over "
@@ -283,6 +286,28 @@ class Mediation(SuiteOfRuns[MediationConfig, PolicyCase]):
         )
 
     def figure(self, report: Report) -> Picture:
+        """Draw lines of a few policies, and of many a map."""
+        return self.map(report) if len(report.config.policies) > MOST_LINES else self.lines(report)
+
+    def map(self, report: Report) -> Picture:
+        """Draw the success of each policy, a row each, in each flight, a column each."""
+        cells = pd.DataFrame(report.summary["cells"])
+        success = cells.pivot(index="policy", columns="flight", values="success_ratio")
+        ratios = success.reindex(index=cells.policy.unique(), columns=cells.flight.unique())
+        figure = style.new_figure(1.4 + 0.26 * len(ratios), self.title(report), self.source(report))
+        axes = figure.subplots()
+        axes.imshow(ratios, "cividis", aspect="auto", vmin=0.0, vmax=1.0)
+        for (row, column), ratio in np.ndenumerate(ratios):
+            ink = "white" if ratio < 0.5 else "black"
+            axes.annotate(f"{100 * ratio:.0f}", (column, row), ha="center", va="center", color=ink, fontsize=8)
+        axes.set_xticks(range(ratios.shape[1]), [written(name) for name in ratios.columns], rotation=60, ha="right")
+        axes.set_yticks(range(len(ratios)), [str(name).replace("_", " ") for name in ratios.index], fontsize=8)
+        axes.grid(visible=False)
+        axes.set(xlabel="flown with", ylabel="trained with")
+        caption = "Success in per cent, all seeds and lanes pooled."
+        return report.figure("mediation", figure, caption, f"A map of success. {report.headline()}.")
+
+    def lines(self, report: Report) -> Picture:
         """Draw success over the values of each factor, a panel each, a line for each policy."""
         cells, flights = pd.DataFrame(report.summary["cells"]), report.config.flights
         figure, panels = plots.panels(len(flights), self.title(report), 2.2, sharey=True)
@@ -298,6 +323,16 @@ class Mediation(SuiteOfRuns[MediationConfig, PolicyCase]):
         style.legend(figure)
         caption = "Success with 95 % intervals; dotted, nothing is moved."
         return report.figure("mediation", figure, caption, f"Lines of success. {report.headline()}.")
+
+
+def written(flight: str) -> str:
+    """Return a flight's name as a label: `gap 2`, `start −0.584`."""
+    name, value = split_name(flight)
+    return (
+        name.replace("_", " ")
+        if value is None
+        else f"{name.replace('_', ' ')} {value:g}".replace("-", "\N{MINUS SIGN}")
+    )
 
 
 def split_name(flight: str) -> tuple[str, float | None]:
