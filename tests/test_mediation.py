@@ -129,7 +129,8 @@ def test_policies_of_another_task_and_ones_with_their_own_flights_are_flown(tmp_
     hover = "{experiment: hover_ppo, games: 4, environments: 2, options.rollout: 8, task.max_commands: 4}"
     policies = f"policies={{hover: {hover}, slow: {{agent: straight, task.speed_m_s: 0.5}}}}"
     flights = "flights={gap: {label: s, keys: [task.mediation.gap_s], values: [[0.4]]}}"
-    run_into(tmp_path / "run", Mediation(), small(policies, flights, "shares=[]"))
+    keys = "evaluation.keys={games: 2, simulator: kernels, task.timing: lockstep, task.max_commands: 4}"
+    run_into(tmp_path / "run", Mediation(), small(policies, flights, keys, "shares=[]"))
     flown = [RunDirectory(tmp_path / f"run/parts/{name}-seed0/gap-0.4").config() for name in ("hover", "slow")]
     assert [config["env_id"] for config in flown] == ["uavaccel/Hover-v0", "uavaccel/ObstacleLane-v0"]
     assert flown[1]["task"]["speed_m_s"] == 0.5
