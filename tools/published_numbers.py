@@ -560,12 +560,12 @@ def moved_in_training() -> Text:
     own = [f"{count / 3:.0f}" for count in wins("gap_50x_long", "gap-3.572")]
     yield f"those of 50x win {' and '.join(own)} % with the gap that they were trained with"
     yield f"and {' and '.join(map(str, wins('gap_50x_long')))} of 300 lanes in real time"
-    ends = []
-    for flight in ("start-0.062", "gap-0.068"):
-        seen = [count / 3 for policy in FROM_REST for count in wins(policy, flight)]
-        ends.append(f"{min(seen):.0f} to {max(seen):.0f} %")
-    yield f"({in_words(len(FROM_REST))} kinds, {in_words(len(seen))} trainings), policies win {ends[0]} from rest"
-    yield f"and {ends[1]} in real time"
+    rested, real = (
+        [count / 3 for policy in FROM_REST for count in wins(policy, flight)] for flight in ("start-0.062", "gap-0.068")
+    )
+    kinds_of = f"{in_words(len(FROM_REST))} kinds, {in_words(len(real))} trainings"
+    yield f"({kinds_of}), policies win {min(rested):.0f} to {max(rested):.0f} % from rest"
+    yield f"and {min(real):.0f} to {max(real):.0f} % in real time"
     yield f"policies win {' and '.join(map(str, wins('age_1s')))}."
     ten = wins("gap_10x")
     yield f"its policies win {counted(ten[:-1])} and {ten[-1]}."
