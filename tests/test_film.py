@@ -61,9 +61,8 @@ def test_a_frame_shows_camera_events_and_map() -> None:
     for i, frame in ((0, first), (1, second)):
         assert frame.shape == (480, 1280, 3)
         assert np.array_equal(frame[64:352:2, 12:524:2], film.images[i, :, :, ::-1])  # RGB there, BGR here
-        assert np.array_equal(
-            frame[64:352, 536:1048], np.kron(dvs_picture(film.on_events[i], film.off_events[i]), TWICE)
-        )
+        events = dvs_picture(film.on_events[i], film.off_events[i])
+        assert np.array_equal(frame[64:352, 536:1048], np.kron(events, TWICE))
     left, right = second[200, 600].astype(int), second[200, 1000].astype(int)
     assert left[0] > left[2] + 100  # ON is blue
     assert right[2] > right[0] + 100  # OFF is red
