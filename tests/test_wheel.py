@@ -86,7 +86,7 @@ def test_an_installed_wheel_runs_trains_flies_and_watches(site: Path, tmp_path: 
         (f"{grid} --out path", "report: path/report.html"),
         ("fly script.py", "north 1.2"),
         (f"train --games 2 {small} --set mirror=false --out learned", "report: learned/report.html"),
-        ("evaluate learned --games 1 --out evaluated", "without films: films: needs av: pip install"),
+        ("evaluate learned --games 1 --out evaluated", "without films: MP4: needs av: pip install"),
     ):
         with uavaccel(site, tmp_path, *command.split()) as process:
             output = process.communicate()[0]

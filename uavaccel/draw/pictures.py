@@ -18,8 +18,8 @@ FULL_COLOUR_FROM = 3  # events per pixel
 
 def check_films() -> None:
     """Raise UserError where no film can be made: without OpenGL, or without the extra `film`."""
-    require("av", "films", "film")
-    require("cv2", "films", "film", "opencv-python-headless")
+    require("av", "MP4", "film")
+    require("cv2", "MP4", "film", "opencv-python-headless")
     describe_renderer()
 
 
