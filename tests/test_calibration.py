@@ -282,11 +282,12 @@ def test_agreements_are_told_one_by_one(monkeypatch: pytest.MonkeyPatch) -> None
     before: list[int] = []
 
     def agreements(*_: Any) -> Any:
-        for _ in range(2):
+        for _again in range(2):
             output: Any = sys.stdout
             output.flush()
             before.append(output.buffer.getvalue().count(b"TCSC"))
-            yield Agreement("tcsc", 100.0, 0.33, "error, m", *[np.array([1.2, 12.3, 100.0])] * 3)
+            runs = np.array([1.2, 12.3, 100.0])
+            yield Agreement("tcsc", 100.0, 0.33, "error, m", runs, runs, runs)
 
     monkeypatch.setattr(calibrate, "check_agreement", agreements)
     table = printed("timing calibrate --check").splitlines()[1:]

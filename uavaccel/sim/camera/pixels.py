@@ -92,8 +92,8 @@ def _add_blocks(planes: AnyImage, sums: NDArray[np.generic]) -> None:
                     sums[row, column, channel] += four
 
 
-def png(picture: Image) -> bytes:
-    """Return the PNG file of a grey (H, W) or RGB picture (H, W, 3)."""
+def png(picture: NDArray[Any]) -> bytes:
+    """Return the PNG file of a grey (H, W) or RGB picture (H, W, 3), uint8."""
     from PIL import Image as Pillow
 
     file = BytesIO()
