@@ -14,7 +14,6 @@ from tests.simulating import EAST, NORTH, answer, fly_velocity, go_to, position,
 from uavaccel.errors import UserError
 from uavaccel.sim import recording as recordings
 from uavaccel.sim.profile import AIRSIM, NATIVE, Profile
-from uavaccel.sim.recording import Recording
 from uavaccel.sim.simulation import MOST_CATCH_UP_TICKS, Simulation
 from uavaccel.sim.vehicle import vehicle as samples
 from uavaccel.sim.vehicle.vehicle import AddedVehicle, Start
@@ -92,17 +91,6 @@ def test_a_full_recorder_drops_and_counts(monkeypatch: pytest.MonkeyPatch) -> No
     assert (len(simulation.recording().samples), simulation.recording().dropped) == (1, 0)
 
 
-def test_a_reset_ends_the_recording_and_empties_the_log() -> None:
-    simulation = simulate()
-    simulation.world.start_recording()
-    fly_velocity(simulation, NORTH, 0.1, 0)
-    simulation.reset(go_to(simulation, 100))
-    assert not simulation.world.recording
-    go_to(simulation, 100)
-    recording: Recording = simulation.recording()
-    assert recording.commands.shape == (0, 2)
-
-
 def test_a_full_command_log_keeps_the_first_commands(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(recordings, "COMMAND_LOG_LENGTH", 3)
     simulation = simulate()
@@ -123,37 +111,6 @@ def test_a_full_command_log_keeps_the_first_commands(monkeypatch: pytest.MonkeyP
 
 
 # --- speed ----------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("clock_speed", [0.5, 1.5, 100.0])
-def test_speed_counts_the_time_in_which_the_clock_ran(clock_speed: float) -> None:
-    simulation = simulate(clock_speed)
-    assert simulation.speed.real_time_factor == 0.0
-    simulation.advance_to(10**9)
-    simulation.pause(10**9)
-    simulation.run(5 * 10**9)
-    simulation.advance_to(6 * 10**9)
-    speed = simulation.speed
-    assert (speed.wall_ns, speed.simulated_ns, speed.lost_wall_ns) == (2 * 10**9, clock_speed * 2 * 10**9, 0)
-    assert speed.real_time_factor == clock_speed
-    simulation.reset(7 * 10**9)
-    assert simulation.speed.simulated_ns == 0
-
-
-def test_a_continue_for_is_never_faster_than_the_clock() -> None:
-    simulation = simulate(7)
-    simulation.pause(0)
-    simulation.continue_for(100_000_000, 0)
-    simulation.advance_to(10**9)
-    assert simulation.speed.simulated_ns == 100_000_000
-    assert simulation.speed.wall_ns * 7 >= 100_000_000
-
-
-def test_a_backlog_within_bounds_is_made_good() -> None:
-    simulation = simulate(100, catch_up_wall_ns=CATCH_UP_NS)
-    simulation.advance_to(CATCH_UP_NS)
-    assert simulation.world.tick == 5000
-    assert simulation.speed.lost_wall_ns == 0
 
 
 @pytest.mark.parametrize("clock_speed", [1_000.0, 10_000.0])
@@ -236,12 +193,6 @@ def test_lost_time_never_changes_the_step() -> None:
     assert slow.world.model.opt.timestep == 0.002
 
 
-def test_a_simulated_wall_clock_is_never_late() -> None:
-    simulation = simulate(1)
-    simulation.advance_to(100 * 10**9)
-    assert (simulation.world.tick, simulation.speed.lost_wall_ns) == (50_000, 0)
-
-
 # --- failure ----------------------------------------------------------------------------------------------
 
 
@@ -322,27 +273,3 @@ def test_how_often_one_looks_changes_nothing(looks_ns: list[int], clock_speed: f
     samples = flown(looks_ns)
     assert len(samples) == 16
     assert np.array_equal(samples, flown([]))
-
-
-def test_a_game_starts_from_a_settled_hover() -> None:
-    for profile in (NATIVE, AIRSIM):
-        simulation = simulate(1, profile)
-        go_to(simulation, 2000)
-        np.testing.assert_allclose(position(simulation), [0.0, 0.0, -10.0], atol=1e-6)
-        np.testing.assert_allclose(simulation.world.lead.state["velocity"], 0.0, atol=1e-6)
-
-
-def test_the_trace_tells_what_happened_when() -> None:
-    simulation = simulate(100)
-    simulation.pause(0)
-    simulation.trace.enabled = True
-    fly_velocity(simulation, NORTH, 0.1, 1_000)
-    simulation.continue_for(200_000_000, 2_000)
-    simulation.advance_to(10**9)
-    zero_ns = simulation.time_of(0)
-    assert [(event, wall, now - zero_ns) for event, wall, now in simulation.trace.events] == [
-        ("accept", 1_000, 0),
-        ("run", 2_000, 0),
-        ("end", 1_002_000, 100_000_000),
-        ("pause", 2_002_000, 200_000_000),
-    ]
