@@ -1,7 +1,6 @@
 """DVS-ED: pixels with events, by polarity and sample index, as a percentage of all pixels."""
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -37,8 +36,3 @@ def test_images_are_paired_by_index_as_far_as_both_runs_have_them() -> None:
 def test_a_run_does_not_differ_from_itself(seed: int) -> None:
     run = random_run(seed)
     np.testing.assert_array_equal(dvs_ed_percent(*run, *run), 0.0)
-
-
-def test_images_of_different_size_are_refused() -> None:
-    with pytest.raises(ValueError, match="n, H, W"):
-        dvs_ed_percent(*np.zeros((2, 1, 4, 5)), *np.zeros((2, 1, 5, 4)))

@@ -14,7 +14,6 @@ from tests.opengl import needs_opengl
 from tests.running import configured, fly_into
 from uavaccel.config import validate
 from uavaccel.envs.obstacle_lane import ObstacleLane
-from uavaccel.errors import UserError
 from uavaccel.kinematics import VelocityGoal
 from uavaccel.sim.lane.layout import lane_seed, sample_layout
 from uavaccel.sim.profile import NATIVE
@@ -104,11 +103,6 @@ def test_a_faster_camera_does_not_change_the_flight() -> None:
             environment.reset(seed=1)
             infos.append([environment.step(action)[4] for action in (2, 0, 4)])
         assert infos[0] == infos[1]
-
-
-def test_events_are_listed_only_on_request() -> None:
-    with closing(ObstacleLane()) as environment, pytest.raises(UserError, match="list_events must be true"):
-        environment.pop_events()
 
 
 LEVELS = (100, 170, 110, 170)  # of which a threshold of 0.2 makes 2 ON, 1 OFF and 1 ON

@@ -2,7 +2,6 @@
 
 import itertools
 from collections.abc import Callable, Iterable
-from typing import Any
 
 import numpy as np
 import pytest
@@ -117,9 +116,3 @@ def test_brightness_is_the_mean_luma_of_grey_and_colour() -> None:
     rgb = np.random.default_rng(0).integers(0, 256, (9, 7, 3), np.uint8)
     assert mean_brightness(rgb) == pytest.approx(float((rgb @ np.array([0.299, 0.587, 0.114])).mean()))
     assert mean_brightness(rgb[:, :, 0]) == pytest.approx(float(rgb[:, :, 0].mean()))
-
-
-@pytest.mark.parametrize("limit", [{"max_change": -0.1}, {"min_brightness": -1}, {"max_retries": -1}])
-def test_negative_limits_are_refused(limit: dict[str, Any]) -> None:
-    with pytest.raises(ValueError, match="greater than or equal to 0"):
-        GuardSettings(**limit)

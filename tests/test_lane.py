@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from tests.lanes import free_distance_m
 from uavaccel.config import load_yaml, validate
-from uavaccel.envs.obstacle_lane import LaneTask
 from uavaccel.errors import UserError
 from uavaccel.sim.lane.layout import (
     LENGTH_M,
@@ -202,15 +201,6 @@ def test_a_lane_is_a_seed_a_seed_with_a_difficulty_or_a_mapping() -> None:
             lane_layout(wrong)
     with pytest.raises(UserError, match=r"difficulty: .*wind_m_s"):
         lane_layout({"seed": 5, "difficulty": {"wind_m_s": -1.0}})
-
-
-def test_a_lane_that_obstacles_close_from_wall_to_wall_is_no_task() -> None:
-    """Square posts and a column, before and beside one another; it is open once the column stands aside."""
-    posts = [{"x_m": 30.0, "y_m": y, "half_side_m": 0.7} for y in (-4.2, -2.2, 2.2, 4.2)]
-    closed, open_ = ({"obstacles": [*posts, {"x_m": x, "y_m": 0.0, "radius_m": 0.9}]} for x in (30.5, 33.0))
-    with pytest.raises(UserError, match=r"lane: obstacles close it from wall to wall; .* gap above 0\.6836 m"):
-        validate(LaneTask, {"lane": closed}, "task")
-    validate(LaneTask, {"lane": open_}, "task")
 
 
 @pytest.mark.parametrize(

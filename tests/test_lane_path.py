@@ -99,9 +99,3 @@ def test_the_simulator_flies_a_planned_path_to_the_end(lane_world: World) -> Non
     assert lane_world.lead.collision_tick is None
     assert lane_world.lead.kinematics().position_m[0] >= LENGTH_M
     assert min(clearance) > 0.2
-
-
-def test_a_walled_off_lane_has_no_path() -> None:
-    posts = [{"x_m": 20.0, "y_m": y, "half_side_m": 1.0} for y in range(-4, 5, 2)]
-    with pytest.raises(UserError, match=r"no path through this lane keeps 0\.25 m"):
-        plan_path(layout_from({"obstacles": posts}, "test"))

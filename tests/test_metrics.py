@@ -77,12 +77,6 @@ def test_gaps_and_quartiles() -> None:
     assert quartiles([1.0, 2.0, 3.0, 4.0, 5.0]) == (2.0, 3.0, 4.0)
 
 
-@pytest.mark.parametrize("wall_s", [[], [0.0], [-1.0], [float("nan")]])
-def test_speedup_refuses_senseless_wall_times(wall_s: list[float]) -> None:
-    with pytest.raises(ValueError, match="wall times"):
-        speedup_interval([1.0], wall_s, 0)
-
-
 @given(st.lists(st.floats(0.1, 10.0), min_size=2, max_size=20), st.integers(0, 2**32))
 def test_speedup_interval_holds_the_estimate_of_constant_baselines(wall_s: list[float], seed: int) -> None:
     low, high = speedup_interval([10.0, 10.0], wall_s, seed)
@@ -133,11 +127,6 @@ def test_a_proportion_in_a_summary_and_in_words() -> None:
     assert (won.text(), won.text(0, 1)) == ("23.0% [16, 32]", "23% [15.8, 32.2]")
 
 
-def test_wilson_refuses_impossible_counts() -> None:
-    with pytest.raises(ValueError, match="successes"):
-        Proportion(3, 2)
-
-
 def test_mcnemar_counts_discordant_games_only() -> None:
     first = [True] * 10 + [True] * 6 + [False] * 4
     second = [True] * 10 + [False] * 6 + [False] * 4
@@ -145,11 +134,6 @@ def test_mcnemar_counts_discordant_games_only() -> None:
     assert (result.only_first, result.only_second) == (6, 0)
     assert result.p_value == pytest.approx(2 * 0.5**6)
     assert mcnemar_exact(first, first).p_value == 1.0
-
-
-def test_mcnemar_needs_pairs() -> None:
-    with pytest.raises(ValueError, match="paired"):
-        mcnemar_exact([True], [True, False])
 
 
 # --- what SciPy computes, which the package does without --------------------------------------------------------------

@@ -1,7 +1,6 @@
 """The event image that the policy network sees."""
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -20,9 +19,3 @@ def test_blocks_are_summed_and_clipped(seed: int, dtype: type) -> None:
     on, off = np.random.default_rng(seed).integers(0, 30, (2, 12, 20)).astype(dtype)
     sums = (on.astype(int) - off).reshape(3, 4, 5, 4).sum(axis=(1, 3))
     np.testing.assert_array_equal(dvs_observation(on, off), np.clip(128 + sums, 0, 255))
-
-
-@pytest.mark.parametrize("shape", [(6, 8), (8, 6), (8,)])
-def test_shapes_that_blocks_do_not_tile_are_refused(shape: tuple[int, ...]) -> None:
-    with pytest.raises(ValueError, match="multiples of 4"):
-        dvs_observation(np.zeros(shape, np.int32), np.zeros(shape, np.int32))

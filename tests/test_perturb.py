@@ -98,14 +98,3 @@ def test_salt_and_pepper_hit_their_share_of_the_pixels() -> None:
     for level in (0, 255):  # all three channels of a pixel, black as often as white
         assert (noisy == level).all(axis=2).mean() == pytest.approx(0.05 / 2, rel=0.1)
     assert (noisy == 90).all(axis=2).mean() == pytest.approx(0.95, rel=0.01)
-
-
-@pytest.mark.parametrize("share", [-0.1, 1.1, float("nan")])
-def test_a_share_outside_0_to_1_is_refused(share: float) -> None:
-    with pytest.raises(ValueError, match="share"):
-        PerturbationSettings(share=share)
-
-
-def test_grey_images_are_refused() -> None:
-    with pytest.raises(ValueError, match="H, W, 3"):
-        perturb(np.zeros((4, 4), np.uint8), PerturbationKind.EMPTY, np.random.default_rng(0))

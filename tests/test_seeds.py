@@ -47,12 +47,6 @@ def test_seeds_weigh_the_same_whatever_their_games() -> None:
     assert (low, high) == (0.0, 1.0)
 
 
-@pytest.mark.parametrize("samples", [[], [[1.0], []]])
-def test_an_interval_needs_seeds_with_games(samples: list[list[float]]) -> None:
-    with pytest.raises(ValueError, match="at least one seed, and games of each"):
-        hierarchical_interval(samples, 0)
-
-
 @given(ratios, ratios)
 def test_a_permutation_test_is_scipys(first: list[float], second: list[float]) -> None:
     expected = permutation_test(

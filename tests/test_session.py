@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -74,16 +72,6 @@ def test_a_lane_is_laid_out_before_the_game() -> None:
         windy = session.start_game(1.0, height_m=-2.0, lane=lane).continue_for(1000 * MS)
     assert abs(calm.position_m[1]) < 1e-3
     assert windy.position_m[1] > 0.01
-
-
-@pytest.mark.parametrize(("options", "text"), [
-    ({"timing": "real"}, "timing = 'real' is unknown; there are wall, virtual, lockstep"),
-    ({"profile": "unreal"}, "profile = 'unreal' is unknown; there are native, airsim"),
-    ({"scene": "city"}, "no 'mjcf/city.xml' among the assets"),
-])  # fmt: skip
-def test_an_unknown_name_is_one_line(options: dict[str, Any], text: str) -> None:
-    with pytest.raises(UserError, match=f"^{text}"):
-        open_session(**options)
 
 
 def test_a_clock_speed_is_a_number() -> None:

@@ -102,22 +102,3 @@ def test_the_matrix_is_bit_equal_to_single_pairs(games: list[Trajectory], refere
     matrix = stlc_matrix(games, references)
     single = [[stlc(*game, *reference) for reference in references] for game in games]
     assert np.array_equal(matrix, np.array(single))
-
-
-@pytest.mark.parametrize(
-    ("time_s", "position_m"),
-    [
-        ([], np.zeros((0, 3))),
-        ([0.0, 1.0], np.zeros((1, 3))),
-        ([1.0, 0.0], np.zeros((2, 3))),
-        ([0.0], np.full((1, 3), np.nan)),
-    ],
-)
-def test_misshapen_flights_are_refused(time_s: list[float], position_m: np.ndarray) -> None:
-    with pytest.raises(ValueError, match="trajectory"):
-        stlc(time_s, position_m, [0.0], np.zeros((1, 3)))
-
-
-def test_lambda_outside_the_unit_interval_is_refused() -> None:
-    with pytest.raises(ValueError, match="lam"):
-        stlc([0.0], np.zeros((1, 3)), [0.0], np.zeros((1, 3)), lam=1.5)

@@ -29,11 +29,6 @@ def test_trainings_that_all_fail_are_no_surer_than_their_games() -> None:
     assert Success.on_lanes(np.ones((3, 4))).estimate.interval == Proportion(12, 12).interval
 
 
-def test_success_of_no_training_is_refused() -> None:
-    with pytest.raises(ValueError, match="at least one"):
-        Success(())
-
-
 def test_of_one_training_the_lanes_are_its_games() -> None:
     won = np.arange(300) < 250
     alone = Success.on_lanes([won])
