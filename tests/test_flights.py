@@ -10,7 +10,7 @@ from __future__ import annotations
 import difflib
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -139,11 +139,17 @@ def plain(value: Any) -> str:
     return f"{round(value, 6) + 0.0:.5g}" if isinstance(value, float) else str(value)
 
 
-def flown(scenario: Scenario) -> Iterator[str]:
-    flight = Flight(**scenario.options)
-    yield from (f"## {scenario.heading}", *(f"- {key}: {value!r}" for key, value in scenario.options.items()))
-    for line in scenario.calls:
-        yield from (line, "  " + flight.do(line))
+def assert_scenario_as_recorded(file: Path, scenario: Scenario, do: Callable[[str], str]) -> None:
+    """Make its calls, and hold what `do` says of each against what stands below it in the file."""
+    options = [f"- {key}: {value!r}" for key, value in scenario.options.items()]
+    made = [part for line in scenario.calls for part in (line, f"  {do(line)}")]
+    now, text = "\n".join([f"## {scenario.heading}", *options, *made]), file.read_text(encoding="utf-8")
+    [recorded] = re.findall(rf"^## {re.escape(scenario.heading)}$(?:\n.+)*", text, re.MULTILINE)
+    if os.environ.get("RECORD"):
+        file.write_text(text.replace(recorded, now), encoding="utf-8")
+        recorded = now
+    changes = difflib.unified_diff(recorded.splitlines(), now.splitlines(), "recorded", "now", lineterm="", n=0)
+    assert recorded == now, "\n".join(["RECORD=1 pytest writes it anew; read the change:", *changes])
 
 
 FLIGHTS = {scenario.heading: (file, scenario) for file in sorted(FOLDER.glob("*.txt")) for scenario in scenarios(file)}
@@ -152,10 +158,4 @@ FLIGHTS = {scenario.heading: (file, scenario) for file in sorted(FOLDER.glob("*.
 @pytest.mark.parametrize("heading", FLIGHTS)
 def test_a_flight_is_as_recorded(heading: str) -> None:
     file, scenario = FLIGHTS[heading]
-    now, text = "\n".join(flown(scenario)), file.read_text(encoding="utf-8")
-    [recorded] = re.findall(rf"^## {re.escape(heading)}$(?:\n.+)*", text, re.MULTILINE)
-    if os.environ.get("RECORD"):
-        file.write_text(text.replace(recorded, now), encoding="utf-8")
-        recorded = now
-    changes = difflib.unified_diff(recorded.splitlines(), now.splitlines(), "recorded", "now", lineterm="", n=0)
-    assert recorded == now, "\n".join(["RECORD=1 pytest writes it anew; read the change:", *changes])
+    assert_scenario_as_recorded(file, scenario, Flight(**scenario.options).do)
