@@ -51,34 +51,6 @@ def test_zero_hovers(kind: str) -> None:
     np.testing.assert_allclose(states[:, :3], [[0.0, 0.0, -10.0]] * 100, atol=0.05)
 
 
-@pytest.mark.parametrize(
-    ("kind", "share", "axis", "sign"),
-    [
-        ("attitude", [1, 0, 0, 0], 4, 1),  # roll to the right flies east
-        ("attitude", [0, 1, 0, 0], 3, -1),  # nose up flies back
-        ("attitude", [0, 0, 0, 1], 5, -1),  # full throttle climbs
-        ("attitude", [0, 0, 1, 0], 8, 1),  # yaw to the right
-        ("rates", [1, 0, 0, 0], 6, 1),
-        ("rates", [0, 1, 0, 0], 7, 1),
-        ("rates", [0, 0, 1, 0], 8, 1),
-        ("motors", [-0.2, 0, 0, -0.2], 6, 1),  # less on the right rolls right
-        ("motors", [0.2, 0, 0.2, 0], 7, 1),  # more in front lifts the nose
-        ("motors", [0.2, 0.2, 0, 0], 8, 1),  # front right and rear left turn against their drag: yaw to the right
-        ("motors", [-1, -1, -1, -1], 5, 1),
-    ],
-)
-def test_each_number_moves_what_it_names(kind: str, share: list[float], axis: int, sign: int) -> None:
-    states = states_of([share] * 8, action=kind, rate_deg_s=60.0)
-    assert sign * states[-1, axis] > 0.02
-    others = [each for each in (6, 7, 8) if each != axis]
-    assert np.abs(states[:, others]).max() < 0.05 or kind == "attitude"
-
-
-def test_body_rates_are_reached() -> None:
-    states = states_of([[0.0, 0.0, 0.5, 0.0]] * 40, action="rates", rate_deg_s=60.0)
-    np.testing.assert_allclose(states[-5:, 8], np.radians(30), rtol=0.1)
-
-
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("timing", ["virtual", "lockstep"])
 def test_tcsc_flies_them_the_same_at_any_clock_speed(kind: str, timing: str) -> None:
