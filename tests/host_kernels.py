@@ -285,6 +285,13 @@ def host_kernels(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     _forget()
 
 
+@pytest.fixture
+def a_gpu(request: pytest.FixtureRequest) -> None:
+    """This machine's GPU, or `host_kernels` where there is none."""
+    if not th.cuda.is_available():
+        request.getfixturevalue("host_kernels")
+
+
 def _forget() -> None:
     for room, names in ABOVE.items():
         for name in names:

@@ -115,6 +115,16 @@ def test_lanes_on_a_gpu_fly_and_decide_as_on_cores(
     assert rows_of(evaluated(tmp_path / "gpu", KERNELS, SHORT, *keys, agent=agent)) == rows_of(cores)
 
 
+@pytest.mark.skipif(not th.cuda.is_available(), reason="needs a GPU")
+def test_the_bundled_policy_flies_on_a_gpu_as_on_cores(tmp_path: Path) -> None:
+    keys = KERNELS, LOCKSTEP, "task.mediation.gap_s=0.4", "games=40"
+    cores, gpu = (
+        evaluated(tmp_path / device, *keys, f"device={device}", agent="default").rows() for device in ("cpu", "cuda")
+    )
+    assert [row["actions"] for row in gpu] == [row["actions"] for row in cores]
+    assert [row["distance_m"] for row in gpu] == pytest.approx([row["distance_m"] for row in cores], abs=1e-9)
+
+
 def test_a_lanes_place_among_others_depends_on_it_alone() -> None:
     found = blocks([32, 33, 64, 31], np.array([0, 2, 3]))
     assert [(members.tolist(), rows.tolist()) for members, rows in found] == [([3], [31]), ([0], [0]), ([2], [0])]

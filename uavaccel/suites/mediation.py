@@ -20,11 +20,12 @@ from uavaccel.config import Config
 from uavaccel.draw import style
 from uavaccel.draw.page import Block, Column, Heading, Picture, Table
 from uavaccel.files import Plain
-from uavaccel.forms import ArrayForm, Count
+from uavaccel.forms import Count
 from uavaccel.limits import Games, Seed
 from uavaccel.metrics.intervals import RESAMPLES, TAILS
 from uavaccel.metrics.success import Success
 from uavaccel.records import RunDirectory
+from uavaccel.rl.config import LANE
 from uavaccel.suites import plots
 from uavaccel.suites.experiment import Experiment
 from uavaccel.suites.parts import OUTCOMES, Part, SuiteOfRuns, fly_part, outcomes, part_folder, part_suite
@@ -36,6 +37,7 @@ from uavaccel.suites.train import CHECKPOINTS
 Name = Annotated[str, Field(pattern=r"^[a-z0-9_]+$")]
 Keys = dict[str, Plain]
 USUAL = "usual"  # the flight in which nothing is moved
+MOST_LINES = 7  # policies that lines in a panel keep apart
 
 
 class Factor(Config):
@@ -79,7 +81,8 @@ class MediationConfig(Experiment):
     seeds: Annotated[int, Field(ge=1, le=1000)] = 1
     """Trainings of each policy, with seeds `seed`, `seed` + 1 and so on."""
     policies: Annotated[dict[Name, Keys], Field(min_length=1)]
-    """Dotted keys of each policy's training that differ from `training`; `agent` alone names a policy that exists."""
+    """Dotted keys of each policy's training that differ from `training`, or from the experiment that its key
+    `experiment` names instead; beside `agent`, which names a policy that exists, keys of all its flights."""
     flights: Annotated[dict[Name, Factor], Field(min_length=1)]
     """What is moved in flight; each policy flies with every value, and as `evaluation` has it."""
     shares: tuple[Share, ...] = ()
@@ -134,7 +137,7 @@ class Mediation(SuiteOfRuns[MediationConfig, PolicyCase]):
     name = "mediation"
     config = MediationConfig
     row = MediationRow
-    arrays: ClassVar = {f"*_{name}": ArrayForm(form.kinds, ("n",)) for name, form in OUTCOMES.items() if name != "game"}
+    arrays: ClassVar = {f"*_{name}": replace(form, shape=("n",)) for name, form in OUTCOMES.items()}
 
     def check(self, config: MediationConfig) -> None:
         """Check that each policy's training and each flight can be configured. Raises UserError."""
@@ -158,18 +161,25 @@ class Mediation(SuiteOfRuns[MediationConfig, PolicyCase]):
 
     def parts(self, config: MediationConfig, case: PolicyCase, agent: str) -> dict[str, Part]:
         """Return the training of a policy, unless it exists, and the flights of `agent`, by name."""
-        keys, flying = config.policies[case.policy], config.evaluation
-        training = {} if "agent" in keys else {"training": Part(experiment=config.training.experiment, keys={
-            **config.training.keys, **keys, "seed": case.seed})}  # fmt: skip
+        keys, flying, also, training = dict(config.policies[case.policy]), config.evaluation, {}, {}
+        if "agent" in keys:
+            also = {key: value for key, value in keys.items() if key != "agent"}
+        else:
+            own = {} if "experiment" in keys else config.training.keys
+            experiment = str(keys.pop("experiment", config.training.experiment))
+            training = {"training": Part(experiment=experiment, keys={**own, **keys, "seed": case.seed})}
         return training | {
-            flight: Part(experiment=flying.experiment, keys={**flying.keys, **moved, "agent": agent})
+            flight: Part(experiment=flying.experiment, keys={**flying.keys, **also, **moved, "agent": agent})
             for flight, moved in config.flown().items()
         }
 
     def runs(self, config: MediationConfig, case: PolicyCase) -> list[tuple[AnySuite, Any]]:
+        """Return a policy's training and flights; of one to be trained in another environment, its training alone."""
         agent = str(config.policies[case.policy].get("agent", "default"))
-        parts = self.parts(config, case, agent)
-        return [part_suite(part, config.seed) for part in parts.values()]
+        parts = [*self.parts(config, case, agent).values()]
+        first: tuple[AnySuite, Any] = part_suite(parts[0], config.seed)
+        known = first[0].name != "train" or first[1].env_id == LANE
+        return [first, *(part_suite(part, config.seed) for part in parts[1:] if known)]
 
     def may_grow(self, folder: Any) -> tuple[str, ...]:
         return ("seeds",)
@@ -204,14 +214,14 @@ class Mediation(SuiteOfRuns[MediationConfig, PolicyCase]):
         return f"{rows[-1]['case']} won {rows[-1]['successes'][USUAL]} of {rows[-1]['games']}"
 
     def score(self, report: Report) -> pd.DataFrame:
-        """Return a row for each policy and flight: `factor`, `value`, `won` (games,) bool, and `distance_m`."""
+        """Return a row for each policy and flight: `factor`, `value`, `won` (games,) bool, and `distance_m` or None."""
         factors = {name: (*split_name(name), keys) for name, keys in report.config.flown().items()}
         cells = []
         for row in report.games.to_dict("records"):
             arrays = report.arrays(row)
             for flight, (factor, value, _) in factors.items():
                 own = {"flight": flight, "factor": factor, "value": value, "won": arrays[f"{flight}_is_success"]}
-                own["distance_m"] = arrays[f"{flight}_distance_m"]
+                own["distance_m"] = arrays.get(f"{flight}_distance_m")
                 cells.append({**{key: row[key] for key in ("policy", "seed")}, **own})
         return table_of(cells)
 
@@ -220,7 +230,7 @@ class Mediation(SuiteOfRuns[MediationConfig, PolicyCase]):
         cells = []
         for (policy, flight), own in report.scores.groupby(["policy", "flight"], sort=False):
             success = Success.on_lanes(own.won.tolist())
-            over = success.estimate
+            over, distance_m = success.estimate, [each for each in own.distance_m if each is not None]
             cells.append(
                 {
                     "policy": policy,
@@ -232,7 +242,7 @@ class Mediation(SuiteOfRuns[MediationConfig, PolicyCase]):
                     **success.pooled.as_summary(),
                     "seeds_low": over.low,
                     "seeds_high": over.high,
-                    "distance_m_median": float(np.median(np.concatenate(own.distance_m.tolist()))),
+                    "distance_m_median": float(np.median(np.concatenate(distance_m))) if distance_m else None,
                 }
             )
         outcomes = {f"{policy}/{flight}": own for (policy, flight), own in report.scores.groupby(["policy", "flight"])}
@@ -254,11 +264,13 @@ class Mediation(SuiteOfRuns[MediationConfig, PolicyCase]):
         return f"success is {' and '.join(said)}"
 
     def source(self, report: Report) -> str:
-        policies, lanes = len(report.games), report.games.games.iloc[0]
-        return f"modelled, without latency · {policies} policies, {lanes} lanes each · seed {report.config.seed}"
+        policies, games = len(report.games), report.games.games.iloc[0]
+        return f"modelled, without latency · {policies} policies, {games} games each · seed {report.config.seed}"
 
     def overview(self, report: Report) -> Table:
-        return Table.of(report.summary["cells"], CELLS)
+        """Return what is asked for, or all cells."""
+        shares = report.summary["shares"]
+        return Table.of(shares, SHARES) if shares else Table.of(report.summary["cells"], CELLS)
 
     def page(self, report: Report) -> Iterator[Block | str]:
         yield self.figure(report)
@@ -266,7 +278,7 @@ class Mediation(SuiteOfRuns[MediationConfig, PolicyCase]):
             yield Heading("Shares of the loss")
             yield Table.of(shares, SHARES)
         yield Heading("Success")
-        yield self.overview(report)
+        yield Table.of(report.summary["cells"], CELLS)
         yield method_note(
             "All flights of a policy are on the same lanes. Brackets are 95 % intervals: of success over trainings, "
             "lanes and games, of a single training Wilson's, over its games alone; of shares a bootstrap over "
@@ -274,6 +286,28 @@ class Mediation(SuiteOfRuns[MediationConfig, PolicyCase]):
         )
 
     def figure(self, report: Report) -> Picture:
+        """Draw lines of a few policies, and of many a map."""
+        return self.map(report) if len(report.config.policies) > MOST_LINES else self.lines(report)
+
+    def map(self, report: Report) -> Picture:
+        """Draw the success of each policy, a row each, in each flight, a column each."""
+        cells = pd.DataFrame(report.summary["cells"])
+        success = cells.pivot(index="policy", columns="flight", values="success_ratio")
+        ratios = success.reindex(index=cells.policy.unique(), columns=cells.flight.unique())
+        figure = style.new_figure(1.4 + 0.26 * len(ratios), self.title(report), self.source(report))
+        axes = figure.subplots()
+        axes.imshow(ratios, "cividis", aspect="auto", vmin=0.0, vmax=1.0)
+        for (row, column), ratio in np.ndenumerate(ratios):
+            ink = "white" if ratio < 0.5 else "black"
+            axes.annotate(f"{100 * ratio:.0f}", (column, row), ha="center", va="center", color=ink, fontsize=8)
+        axes.set_xticks(range(ratios.shape[1]), [written(name) for name in ratios.columns], rotation=60, ha="right")
+        axes.set_yticks(range(len(ratios)), [str(name).replace("_", " ") for name in ratios.index], fontsize=8)
+        axes.grid(visible=False)
+        axes.set(xlabel="flown with", ylabel="trained with")
+        caption = "Success in per cent, all seeds and lanes pooled."
+        return report.figure("mediation", figure, caption, f"A map of success. {report.headline()}.")
+
+    def lines(self, report: Report) -> Picture:
         """Draw success over the values of each factor, a panel each, a line for each policy."""
         cells, flights = pd.DataFrame(report.summary["cells"]), report.config.flights
         figure, panels = plots.panels(len(flights), self.title(report), 2.2, sharey=True)
@@ -289,6 +323,16 @@ class Mediation(SuiteOfRuns[MediationConfig, PolicyCase]):
         style.legend(figure)
         caption = "Success with 95 % intervals; dotted, nothing is moved."
         return report.figure("mediation", figure, caption, f"Lines of success. {report.headline()}.")
+
+
+def written(flight: str) -> str:
+    """Return a flight's name as a label: `gap 2`, `start −0.584`."""
+    name, value = split_name(flight)
+    return (
+        name.replace("_", " ")
+        if value is None
+        else f"{name.replace('_', ' ')} {value:g}".replace("-", "\N{MINUS SIGN}")
+    )
 
 
 def split_name(flight: str) -> tuple[str, float | None]:
