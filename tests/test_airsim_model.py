@@ -195,14 +195,6 @@ def test_every_message_is_delayed_by_a_fault_that_always_comes() -> None:
 # --- frames -------------------------------------------------------------------------------------------------
 
 
-def test_the_game_ticks_on_multiples_of_the_period() -> None:
-    frames = Frames(16 * MS, stale_pose=True)
-    assert list(frames.ticks(0, 48 * MS)) == [16 * MS, 32 * MS, 48 * MS]
-    assert list(frames.ticks(16 * MS, 31 * MS)) == []
-    assert list(Frames(16 * MS).ticks(0, 48 * MS)) == []
-    assert list(Frames(stale_pose=True).ticks(0, 48 * MS)) == []
-
-
 def test_an_image_and_a_continue_for_wait_for_their_frames_paused() -> None:
     """The request 1 ms, the frame, the reply 1 ms; and no simulated time passes meanwhile."""
     client = new_client(10.0, frames={"hz": 62.5, "after_continue": True})
@@ -286,13 +278,6 @@ def test_exact_pauses_end_on_the_tick_and_wait_for_all_of_them() -> None:
     simulation.advance_to(5 * MS)
     assert answer(reply).time_ns - start_ns == 300 * MS
     assert reply.due_wall_ns == 4800 * US
-
-
-def test_a_scaled_model_scales_requests_and_replies() -> None:
-    call = {"call": always(1000.0)}
-    config = LatencyConfig(request_us=call, reply_us=call, issue_us=always(50.0), scale=2.5)
-    draws = Latency(config, np.random.SeedSequence(0))
-    assert [draws.request_ns("state"), draws.reply_ns("state"), draws.issue_ns()] == [2_500_000, 2_500_000, 50_000]
 
 
 def test_a_scale_is_of_messages_and_of_nothing_that_the_platform_adds() -> None:

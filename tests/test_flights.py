@@ -28,6 +28,7 @@ from uavaccel.wire.api import Api
 from uavaccel.wire.rpc import RpcError
 from uavaccel.wire.settings import Settings
 
+DEGREES = ("latitude", "longitude")
 FOLDER = Path(__file__).parent / "data/flights"
 
 
@@ -57,11 +58,13 @@ def scenarios(file: Path) -> Iterator[Scenario]:
 class Flight(dict[str, Any]):
     """The names that a call may use: AirSim's calls, times to wait for, and parameters in short."""
 
-    def __init__(self, profile: str = "native", clock: float = 1.0, settings: Any = None, show: str = "") -> None:
+    def __init__(
+        self, profile: str = "native", clock: float = 1.0, settings: Any = None, show: str = "", airsim: bool = False
+    ) -> None:
         super().__init__(point=point, pose=pose, moving=moving, FOR_EVER=FOR_EVER, STRAIGHT=STRAIGHT)
         self |= {"go": self.go, "to": self.to, "settle": self.settle}
         self |= {"ANY": (0, STRAIGHT), "ROUTE": (0, STRAIGHT, -1, 1)}  # the way it faces, and how it follows a path
-        self.simulation = Simulation(World("blocks", PROFILES[profile]), clock)
+        self.simulation = Simulation(World("blocks", PROFILES[profile], airsim=airsim), clock)
         read = Settings.model_validate(settings or {})
         read.prepare(self.simulation.world)
         self.api = Api(self.simulation, read, render=False)
@@ -131,12 +134,13 @@ def digits(values: Any, decimals: int) -> str:
 
 
 def plain(value: Any) -> str:
-    """An answer in short: numbers with five digits, but for counts and times."""
+    """An answer in short: numbers with five digits, places on the earth with nine, counts and times with all."""
     if isinstance(value, dict):
-        return "{" + ", ".join(f"{key.removesuffix('_val')} {plain(each)}" for key, each in value.items()) + "}"
-    if isinstance(value, list | tuple):
+        parts = [(key, f"{each:.9g}" if key in DEGREES else plain(each)) for key, each in value.items()]
+        return "{" + ", ".join(f"{key.removesuffix('_val')} {text}" for key, text in parts) + "}"
+    if isinstance(value, list | tuple | np.ndarray):
         return "[" + " ".join(map(plain, value)) + "]"
-    return f"{round(value, 6) + 0.0:.5g}" if isinstance(value, float) else str(value)
+    return f"{round(float(value), 6) + 0.0:.5g}" if isinstance(value, float | np.floating) else str(value)
 
 
 def assert_scenario_as_recorded(file: Path, scenario: Scenario, do: Callable[[str], str]) -> None:
