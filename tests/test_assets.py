@@ -69,9 +69,7 @@ def test_a_scene_that_cannot_be_flown_is_one_line(
     assert "\n" not in str(caught.value)
 
 
-def test_for_airsims_clients_the_ground_reaches_the_horizon_in_squares_of_the_same_size(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_ground_for_airsims_clients_reaches_the_horizon(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Stretched 50 times over 200 m, a texture is 5000 times over 20 km; a uniform one counts per metre anyway."""
     plane = """
       <mujoco><include file="quadrotor.xml"/><asset><texture name="t" type="2d" builtin="checker" width="8" height="8"/>
@@ -147,7 +145,7 @@ def test_it_is_darker_in_less_light() -> None:
 
 
 @pytest.mark.parametrize("azimuth_rad", [0.0, 0.9, -0.6])
-def test_trunks_stand_where_the_posts_do_and_cast_shadows_away_from_the_sun(azimuth_rad: float) -> None:
+def test_trunks_stand_where_posts_do_and_shadow_away_from_the_sun(azimuth_rad: float) -> None:
     world = World("lane", NATIVE)
     lane = {"obstacles": POSTS, "scenery": "forest", "sun_azimuth_rad": azimuth_rad}
     world.set_lane(layout_from(lane, "test"))
@@ -169,7 +167,7 @@ def test_trunks_stand_where_the_posts_do_and_cast_shadows_away_from_the_sun(azim
     assert not model.geom_contype[named(model, "trunk_")].any()
 
 
-def test_a_vehicle_flies_on_and_hits_the_same_when_the_scenery_changes() -> None:
+def test_a_vehicle_hits_the_same_when_the_scenery_changes() -> None:
     flown = []
     for sceneries in (["plain"], ["forest"], ["plain", "forest"], ["forest", "plain"]):
         world = World("lane", NATIVE)

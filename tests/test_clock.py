@@ -166,7 +166,7 @@ def test_another_clocks_time_is_told_in_utc_and_where_the_machine_is() -> None:
 
 
 @pytest.mark.usefixtures("east")
-def test_another_clocks_dates_are_told_in_utc_and_where_the_machine_is() -> None:
+def test_another_clocks_dates_are_in_utc_and_where_the_machine_is() -> None:
     module = datetime_module(lambda: NOW_NS)
     there = module.datetime(1970, 1, 2, 3, 30, 0, 500_000)
     assert module.datetime.now() == module.datetime.today() == there
@@ -178,7 +178,7 @@ def test_another_clocks_dates_are_told_in_utc_and_where_the_machine_is() -> None
     assert module.timedelta is datetime.timedelta
 
 
-def test_another_clocks_dates_and_those_that_libraries_make_are_of_each_others_classes() -> None:
+def test_dates_of_another_clock_and_of_libraries_share_classes() -> None:
     module = datetime_module(lambda: NOW_NS)
 
     class Holiday(module.date):  # type: ignore[name-defined]

@@ -70,7 +70,7 @@ def test_counts_are_numpys_floor_division_next_to_whole_thresholds(cutoff_hz: fl
     np.testing.assert_array_equal(count(log, np.zeros_like(log), positive, negative), expected)
 
 
-def test_quotient_that_is_rounded_up_to_a_whole_number_counts_one_less() -> None:
+def test_a_quotient_that_is_rounded_up_counts_one_less() -> None:
     change, threshold = np.array([[1.7825321262297023]]), np.array([[0.16204837511179113]])
     assert change / threshold == 11
     assert kernels.count_double(change, np.zeros_like(change), threshold, threshold) == 10

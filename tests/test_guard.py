@@ -58,7 +58,7 @@ def test_a_perturbed_image_is_requested_again_and_the_next_accepted() -> None:
     assert taken.state.suspect is None
 
 
-def test_fallback_is_the_last_received_image_and_becomes_the_reference() -> None:
+def test_the_fallback_is_the_last_image_and_becomes_the_reference() -> None:
     taken = acquire(GuardState(100.0), camera([grey(200), grey(201), grey(202), grey(203)]), AIRSIM)
     assert (taken.image[0, 0, 0], taken.retries, taken.reason) == (203, 3, Verdict.EXHAUSTED)
     assert acquire(taken.state, camera([grey(205)]), AIRSIM).retries == 0
@@ -71,7 +71,7 @@ def test_identical_re_render_is_accepted_at_once_in_native_alone() -> None:
     assert acquire(GuardState(100.0), camera(bright), AIRSIM).reason is Verdict.EXHAUSTED
 
 
-def test_a_camera_that_reuses_its_buffer_is_not_taken_for_an_identical_image() -> None:
+def test_a_reused_buffer_is_not_taken_for_an_identical_image() -> None:
     buffer, levels = grey(0), iter([200, 100])
 
     def request() -> NDArray:
@@ -90,7 +90,7 @@ def test_an_image_is_identical_to_the_one_just_before_alone() -> None:
     assert (taken.retries, taken.reason) == (2, Verdict.STEADY)
 
 
-def test_suspects_leave_the_reference_as_it_is_and_the_accepted_one_becomes_it() -> None:
+def test_suspects_leave_the_reference_and_the_accepted_one_becomes_it() -> None:
     state, verdict = judge(GuardState(100.0), grey(200), GuardSettings())
     assert (verdict, state.reference_brightness, state.retries) == (Verdict.RETRY, 100.0, 1)
     state, verdict = judge(state, grey(200), GuardSettings())
@@ -108,9 +108,7 @@ def test_suspects_leave_the_reference_as_it_is_and_the_accepted_one_becomes_it()
         (GuardSettings(max_change=0.0), 100, "steady"),
     ],
 )
-def test_limits_are_relative_to_the_reference_and_the_floor_is_absolute(
-    settings: GuardSettings, level: int, verdict: str
-) -> None:
+def test_limits_are_relative_and_the_floor_is_absolute(settings: GuardSettings, level: int, verdict: str) -> None:
     reference = mean_brightness(grey(100))
     assert judge(GuardState(reference), grey(level), settings)[1] == verdict
 
@@ -153,7 +151,7 @@ def test_off_by_default() -> None:
     assert kind is None
 
 
-def test_the_share_grows_with_clock_speed_from_none_at_1x_to_all_of_it() -> None:
+def test_the_share_grows_with_clock_speed_from_none_to_all_of_it() -> None:
     shares = [share_at(clock_speed, 0.08, 25.0) for clock_speed in (0.5, 1.0, 6.0, 26.0, 76.0, 1e9)]
     assert shares == pytest.approx([0.0, 0.0, 0.08 / 6, 0.04, 0.06, 0.08])
     assert share_at(1.0, 0.08, None) == share_at(100.0, 0.08, None) == 0.08

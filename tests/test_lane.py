@@ -281,7 +281,7 @@ def test_every_lane_has_a_path(index: int) -> None:
     assert 150 <= len(plan_path(evaluation_lane(index))) <= 175
 
 
-def test_a_path_is_straight_where_nothing_is_near_and_keeps_off_where_there_is_room() -> None:
+def test_a_path_is_straight_or_keeps_off_where_there_is_room() -> None:
     empty = layout_from({"obstacles": []}, "test")
     assert set(plan_path(empty)) == {(1.0, 0.0)}
     beside = layout_from({"obstacles": [{"x_m": 40.0, "y_m": 1.0, "half_side_m": 0.3}]}, "test")

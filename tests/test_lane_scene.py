@@ -80,7 +80,7 @@ def test_clearance_is_to_the_nearest_of_posts_and_walls() -> None:
     np.testing.assert_allclose(clearance_m(layout_from({"obstacles": []}, "test"), places), walls - hull)
 
 
-def test_walls_and_ground_are_hit_and_named_and_the_deepest_contact_counts(lane_scene: Scene) -> None:
+def test_walls_and_ground_are_hit_by_name_the_deepest_contact_counts(lane_scene: Scene) -> None:
     apply_layout(*lane_scene, one_post(30.0, 4.0, 0.4))
     assert touched(lane_scene, 3.0, 4.7) == "wall_east"
     assert touched(lane_scene, 3.0, -4.7) == "wall_west"

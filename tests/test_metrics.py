@@ -63,7 +63,7 @@ def test_mean_rmse_over_references() -> None:
     assert mean_position_rmse(references, references, exclude_self=True) == pytest.approx([0.2, 0.1, 0.1])
 
 
-def test_a_mean_needs_references_which_are_the_games_where_these_are_excluded() -> None:
+def test_a_mean_needs_references_and_games_that_are_among_them() -> None:
     with pytest.raises(ValueError, match="exclude_self"):
         mean_position_rmse([straight(1)], [straight(1), straight(2)], exclude_self=True)
     with pytest.raises(ValueError, match="reference"):

@@ -37,7 +37,7 @@ def unit(quaternion: Array) -> Array:
 
 
 @given(quaternions, vectors)
-def test_north_east_down_is_forward_left_up_for_attitudes_and_vectors_alike(quaternion: Array, body: Array) -> None:
+def test_north_east_down_becomes_forward_left_up(quaternion: Array, body: Array) -> None:
     """Body to world and then to MuJoCo's axes, or the other way round: the same."""
     assert units.ned_to_mujoco([1.0, 2.0, 3.0]).tolist() == [1.0, -2.0, -3.0]
     assert np.array_equal(units.mujoco_to_ned(units.ned_to_mujoco(body)), body)
@@ -56,7 +56,7 @@ def test_euler_angles_are_roll_pitch_yaw(roll: float, pitch: float, yaw: float) 
 
 
 @given(quaternions, quaternions)
-def test_attitude_difference_is_the_angle_between_and_nothing_between_equal_ones(a: Array, b: Array) -> None:
+def test_an_attitude_difference_is_the_angle_between(a: Array, b: Array) -> None:
     """Nor does the float32 that an attitude may have passed through count for more than it is."""
     expected = (rotation(a).inv() * rotation(b)).magnitude()
     first, second = unit(a), unit(b)
@@ -117,7 +117,7 @@ poses = st.builds(
 
 
 @given(poses, poses, poses)
-def test_poses_are_put_upon_each_other_in_any_grouping_and_taken_off_again(a: Pose, b: Pose, c: Pose) -> None:
+def test_poses_are_composed_in_any_grouping_and_taken_off_again(a: Pose, b: Pose, c: Pose) -> None:
     left, right = a.of(b).of(c), a.of(b.of(c))
     np.testing.assert_allclose(left.position_m, right.position_m, atol=1e-7)
     np.testing.assert_allclose(left.matrix(), right.matrix(), atol=1e-9)
