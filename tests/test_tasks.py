@@ -12,8 +12,6 @@ import numpy as np
 import pytest
 from gymnasium import spaces
 from gymnasium.utils.env_checker import check_env
-from hypothesis import given
-from hypothesis import strategies as st
 from numpy.typing import NDArray
 from stable_baselines3.common.env_checker import check_env as check_env_for_learning
 
@@ -24,7 +22,6 @@ from uavaccel.envs.checks import within
 from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.gates import GatesTask
 from uavaccel.envs.hover import HoverTask
-from uavaccel.envs.obstacle_lane import LaneTask
 from uavaccel.envs.sensors import DepthCamera, blank_frame
 from uavaccel.envs.stopwatch import Stopwatch
 from uavaccel.envs.task import AT_REST, Moment, Task
@@ -40,13 +37,6 @@ def moment(position_m: tuple[float, float, float], course: Course, commands: int
 
 
 # --- the lane -------------------------------------------------------------------------------------------------------
-
-
-@given(east_m=st.floats(-5.0, 5.0))
-def test_the_reward_at_a_wall_falls_with_the_distance_squared(east_m: float) -> None:
-    task = LaneTask(progress_reward=0.0, wall_reward=-0.4)
-    before = moment((10.0, 0.0, -2.0), {"lane": 3})
-    assert task.reward(before, moment((11.0, east_m, -2.0), {"lane": 3})) == pytest.approx(-0.4 * east_m**2 / 25)
 
 
 def test_beside_pictures_gates_are_to_be_seen() -> None:

@@ -31,16 +31,6 @@ def dropped(profile: Profile, height_m: float) -> tuple[Simulation, Api]:
     return simulation, Api(simulation)
 
 
-def test_a_teleport_leaves_the_vehicle_where_it_was_told_to_be() -> None:
-    """A little inside of a block's top too, which is no ground."""
-    world = simulate().world
-    for place in ((3.0, 4.0, -7.0), (-45.0, 0.0, -6.0), (-45.0, 0.0, -6.001)):
-        world.teleport(world.lead, place, LEVEL)
-        assert world.lead.place_m == place
-    world.teleport(world.lead, (3.0, 4.0, 5.0), LEVEL)
-    assert world.lead.place_m == pytest.approx((3.0, 4.0, -HULL_HALF_HEIGHT_M), abs=1e-9)
-
-
 def test_in_the_lane_a_teleport_ends_a_collision() -> None:
     world = World("lane", NATIVE)
     world.place((5.0, 4.0, -2.0), velocity_m_s=(0.0, 8.0, 0.0))
