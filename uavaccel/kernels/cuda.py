@@ -20,7 +20,7 @@ from numba.cuda import libdevice
 from numba.cuda.extending import overload
 from numba.np.numpy_support import from_dtype
 
-from uavaccel.kernels import casting, clutter_games, events, lane_games, lanes, touching
+from uavaccel.kernels import casting, clutter_games, events, lane_games, lanes, tiles, touching
 from uavaccel.kernels import fields as at
 from uavaccel.kernels.clutter_worlds import put_in_both
 from uavaccel.kernels.columns import MOST_INTERVALS, MOST_PIECES, Column, add_interval, fill_column, settle
@@ -32,7 +32,7 @@ from uavaccel.kernels.lanes import EVENT_SEED, PICTURE_SEED
 from uavaccel.kernels.operands import Launchable, Operand
 from uavaccel.kernels.project import project_solid
 from uavaccel.kernels.quads import BELOW, RIGHT, quad_lumas, quick_count, update_quad
-from uavaccel.kernels.rays import colour_of, linear
+from uavaccel.kernels.rays import ONE, colour_of, linear, luma
 from uavaccel.kernels.scene import LOOSE, add_to, sort_cell, visit, world_of
 from uavaccel.kernels.touching import NOTHING, around, deepest_of_all, least_of_all
 from uavaccel.sim.clutter import DRAWS, GAP, keep_gaps, sample_shape
@@ -48,7 +48,8 @@ BLOCKS = BLOCK_ROWS * BLOCK_COLUMNS
 WARP, WHOLE_WARP = 32, 0xFFFFFFFF
 FLYING_THREADS, COLUMN_THREADS, SEEING_THREADS = 32, 64, 128  # per thread block
 SEEING_THREADS_A_LANE, PIXELS_A_LANE = at.ROWS * at.COLUMNS // 8, np.uintp(at.ROWS * at.COLUMNS)
-DEALING_THREADS = 128  # of a world of clutter
+DEALING_THREADS = 128  # of a world of clutter, or of what a camera may see
+STEP_ENDS = tiles.STEPS + 1
 FLYING_WARPS = 2  # per multiprocessor: a quarter of its registers, which leaves the rest to the learner
 BOX_SLOTS, CYLINDER_SLOTS = 3, 6  # largest number of rows that a solid fills (kernels/project)
 SLOTS = 1 + CYLINDER_SLOTS * at.SOLIDS
@@ -610,59 +611,128 @@ def pixel_of_thread(rows, columns):  # type: ignore[no-untyped-def]
     return lane, 4 * (tile // across) + mine // 8, 8 * (tile % across) + mine % 8
 
 
-def look(going, looks, now, eyes):  # type: ignore[no-untyped-def]
-    """Write where the cameras of the lanes that are `going` are, and how they are turned, to `eyes` (L, EYE_FIELDS)."""
-    lane = cuda.grid(1)
-    if lane < len(going) and going[lane] != 0:
-        state = now.state[lane]
-        casting.put_eye(eyes[lane], casting.eye_of(looks.camera, state.position, state.quaternion))
+def look(going, size, looks, games, now, sight):  # type: ignore[no-untyped-def]
+    """Write what the cameras of the lanes that are `going` may see to `sight`: DEALING_THREADS a lane. `size`: (2,)."""
+    lane, mine = cuda.blockIdx.x, cuda.threadIdx.x
+    if lane >= len(going) or going[lane] == 0:
+        return
+    state, scene = now.state[lane], games.scenes
+    eye, world = casting.eye_of(looks.camera, state.position, state.quaternion), world_of(scene, now.game[lane])
+    ends = cuda.shared.array(STEP_ENDS, types.int32)
+    for step in range(mine, STEP_ENDS, DEALING_THREADS):
+        ends[step] = 0
+    cuda.syncthreads()
+    for listing in range(2):
+        for item in range(mine, scene.shapes.shape[1], DEALING_THREADS):
+            shape = scene.shapes[world, item]
+            covered = tiles.tiles_of(shape, looks.camera, eye, size)
+            if covered < 0:
+                continue
+            step = tiles.step_of(shape, eye)
+            place = cuda.atomic.add(ends, step, 1 - 2 * listing) - 1
+            if listing:
+                sight.items[lane, place], sight.tiles[lane, place] = item, covered
+                sight.nears[lane, place] = np.float32(step) * tiles.STEP_M
+        cuda.syncthreads()
+        if listing == 0:
+            sum_counts(mine, ends, tiles.STEPS)
+            if mine == 0:
+                sight.counts[lane] = ends[tiles.STEPS]
+                casting.put_eye(sight.eyes[lane], eye)
 
 
-def cast_depth(going, side, looks, games, now, eyes, frames):  # type: ignore[no-untyped-def]
+@cuda.jit(device=True)
+def first_met(scene, world, sight, lane, tile, origin, direction, far_m):  # type: ignore[no-untyped-def]
+    """Do as `casting.first_met` for this thread's ray, with the other rays of its warp, which are those of a tile."""
+    met, mine, count = (far_m, casting.NOTHING), cuda.laneid, sight.counts[lane]
+    for first in range(0, count, WARP):
+        if not cuda.any_sync(WHOLE_WARP, met[0] >= sight.nears[lane, first]):
+            break
+        place = first + mine
+        found = place < count and tiles.covers(sight.tiles[lane, place], tile[1], tile[0])
+        mask = np.int64(cuda.ballot_sync(WHOLE_WARP, found)) & WHOLE_WARP
+        while mask != 0:
+            place = first + cuda.ffs(mask) - 1
+            mask &= mask - 1
+            if met[0] >= sight.nears[lane, place]:
+                item = np.int64(sight.items[lane, place])
+                met = casting.nearer(met, (casting.meet(scene, world, item, origin, direction, met[0]), item))
+    return met
+
+
+@cuda.jit(device=True)
+def summed(number, side):  # type: ignore[no-untyped-def]
+    """Return the sum of a number over the `side` x `side` pixels around this thread's, row by row, in its tile."""
+    mine, total = cuda.laneid, number * 0
+    row, column = mine // tiles.TILE_COLUMNS // side * side, mine % tiles.TILE_COLUMNS // side * side
+    for pixel in range(side * side):
+        source = (row + pixel // side) * tiles.TILE_COLUMNS + column + pixel % side
+        total += cuda.shfl_sync(WHOLE_WARP, number, source)
+    return total
+
+
+def cast_depth(going, side, looks, games, now, sight, frames):  # type: ignore[no-untyped-def]
     """Write depth frames (L, 1, rows, columns), means of `side` x `side` pixels; 0 after a touch."""
-    rows, columns = frames.shape[2], frames.shape[3]
+    rows, columns = frames.shape[2] * side, frames.shape[3] * side
     lane, y, x = pixel_of_thread(rows, columns)
-    if lane >= len(going) or going[lane] == 0 or y >= rows or x >= columns:
+    if lane >= len(going) or going[lane] == 0:
         return
-    level = 0
+    level, scene = 0, games.scenes
     if now.state[lane].collision_tick == NEVER:
-        scene, eye, size = games.scenes, casting.get_eye(eyes[lane]), (rows * side, columns * side)
-        level = casting.depth_level(scene, world_of(scene, now.game[lane]), looks, eye, y, x, size, side)
-    frames[lane, 0, y, x] = level
+        origin, axes, far_m = casting.get_eye(sight.eyes[lane])
+        ray, scale = casting.ray_of(looks.camera, axes, y, x, rows, columns)
+        far_m = far_m / scale if y < rows and x < columns else -ONE
+        tile = y // tiles.TILE_ROWS, x // tiles.TILE_COLUMNS
+        met = first_met(scene, world_of(scene, now.game[lane]), sight, lane, tile, origin, ray, far_m)
+        level = casting.depth_level(summed(min(met[0] * scale, at.SEEN_FAR_M), side), side * side)
+    if y % side == 0 and x % side == 0 and y < rows and x < columns:
+        frames[lane, 0, y // side, x // side] = level
 
 
-def cast_colour(going, tick_ns, side, looks, games, now, eyes, frames):  # type: ignore[no-untyped-def]
+@cuda.jit(device=True)
+def colour_of_thread(lane, y, x, size, looks, games, now, sight):  # type: ignore[no-untyped-def]
+    """Return red, green and blue of this thread's pixel; without meaning if it is beside the picture."""
+    scene, eye = games.scenes, casting.get_eye(sight.eyes[lane])
+    world, tile = world_of(scene, now.game[lane]), (y // tiles.TILE_ROWS, x // tiles.TILE_COLUMNS)
+    ray, _ = casting.ray_of(looks.camera, eye[1], y, x, size[0], size[1])
+    far_m = eye[2] * casting.SKY if y < size[0] and x < size[1] else -ONE
+    met = first_met(scene, world, sight, lane, tile, eye[0], ray, far_m)
+    return casting.colour_of(scene, world, looks, eye, (y, x), size, ray, met)
+
+
+def cast_colour(going, tick_ns, side, looks, games, now, sight, frames):  # type: ignore[no-untyped-def]
     """Write colour frames (L, 3, rows, columns), means of `side` x `side` pixels; 0 after a touch."""
-    rows, columns = frames.shape[2], frames.shape[3]
+    rows, columns = frames.shape[2] * side, frames.shape[3] * side
     lane, y, x = pixel_of_thread(rows, columns)
-    if lane >= len(going) or going[lane] == 0 or y >= rows or x >= columns:
+    if lane >= len(going) or going[lane] == 0:
         return
-    state, game, scene = now.state[lane], now.game[lane], games.scenes
-    eye, size, world = casting.get_eye(eyes[lane]), (rows * side, columns * side), world_of(scene, game)
-    camera, seeds, moment_ns = camera_of(games, game), games.seeds[game], state.tick * tick_ns
-    red_sum = green_sum = blue_sum = 0
-    for pixel in range(side * side if state.collision_tick == NEVER else 0):
-        row, column = side * y + pixel // side, side * x + pixel % side
-        red, green, blue = casting.colour_at(scene, world, looks, eye, row, column, size)
+    state, game = now.state[lane], now.game[lane]
+    red = green = blue = 0
+    if state.collision_tick == NEVER:
+        colour = colour_of_thread(lane, y, x, (rows, columns), looks, games, now, sight)
+        red, green, blue = int(colour[0]), int(colour[1]), int(colour[2])
+        camera = camera_of(games, game)
         if camera[events.READ] > 0.0:
-            value = 3 * (row * size[1] + column)
-            red = noisy_at(int(red), camera, seeds, moment_ns, value)
-            green = noisy_at(int(green), camera, seeds, moment_ns, value + 1)
-            blue = noisy_at(int(blue), camera, seeds, moment_ns, value + 2)
-        red_sum, green_sum, blue_sum = red_sum + int(red), green_sum + int(green), blue_sum + int(blue)
-    frames[lane, 0, y, x] = round(red_sum / (side * side))
-    frames[lane, 1, y, x] = round(green_sum / (side * side))
-    frames[lane, 2, y, x] = round(blue_sum / (side * side))
+            seeds, moment_ns, value = games.seeds[game], state.tick * tick_ns, 3 * (y * columns + x)
+            red = noisy_at(red, camera, seeds, moment_ns, value)
+            green = noisy_at(green, camera, seeds, moment_ns, value + 1)
+            blue = noisy_at(blue, camera, seeds, moment_ns, value + 2)
+    red, green, blue = summed(red, side), summed(green, side), summed(blue, side)
+    if y % side == 0 and x % side == 0 and y < rows and x < columns:
+        frames[lane, 0, y // side, x // side] = round(red / (side * side))
+        frames[lane, 1, y // side, x // side] = round(green / (side * side))
+        frames[lane, 2, y // side, x // side] = round(blue / (side * side))
 
 
-def cast_gray(going, looks, games, now, eyes, gray):  # type: ignore[no-untyped-def]
+def cast_gray(going, looks, games, now, sight, gray):  # type: ignore[no-untyped-def]
     """Write luma `gray` (L, rows, columns) uint8 of the lanes that are `going`."""
     size = gray.shape[1], gray.shape[2]
     lane, y, x = pixel_of_thread(size[0], size[1])
-    if lane < len(going) and going[lane] != 0 and y < size[0] and x < size[1]:
-        scene = games.scenes
-        world, eye = world_of(scene, now.game[lane]), casting.get_eye(eyes[lane])
-        gray[lane, y, x] = casting.gray_at(scene, world, looks, eye, y, x, size)
+    if lane >= len(going) or going[lane] == 0:
+        return
+    red, green, blue = colour_of_thread(lane, y, x, size, looks, games, now, sight)
+    if y < size[0] and x < size[1]:
+        gray[lane, y, x] = luma(red, green, blue)
 
 
 @cuda.jit(device=True)
