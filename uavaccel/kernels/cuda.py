@@ -604,11 +604,23 @@ def add_colours(going, faces, shown, plan, sums):  # type: ignore[no-untyped-def
 
 @cuda.jit(device=True)
 def pixel_of_thread(rows, columns):  # type: ignore[no-untyped-def]
-    """Return this thread's lane, row and column; a warp has 8 x 4 pixels, whose rays stay together."""
-    thread, across, down = cuda.grid(1), (columns + 7) // 8, (rows + 3) // 4
-    lane, place = thread // (across * down * WARP), thread % (across * down * WARP)
-    tile, mine = place // WARP, place % WARP
-    return lane, 4 * (tile // across) + mine // 8, 8 * (tile % across) + mine % 8
+    """Return this thread's lane, row and column; a warp has a tile, 8 x 4 pixels, whose rays stay together.
+
+    As for all quotients here numbers are unsigned and of 32 bits: a division of 64 bits takes a hundred instructions.
+    """
+    tile, across = np.uint32(cuda.grid(1)) >> np.uint32(5), np.uint32((columns + tiles.TILE_COLUMNS - 1) >> 3)
+    of_lane = across * np.uint32((rows + tiles.TILE_ROWS - 1) >> 2)
+    lane = divided(tile, of_lane)
+    place, mine = np.uint32(tile - lane * of_lane), np.int32(cuda.laneid)
+    down = divided(place, across)
+    row, column = np.int32(down << 2), np.int32((place - down * across) << 3)
+    return np.intp(lane), np.int32(row + (mine >> 3)), np.int32(column + (mine & 7))
+
+
+@cuda.jit(device=True)
+def divided(number, by):  # type: ignore[no-untyped-def]
+    """Return a quotient, rounded down, of numbers that are not negative."""
+    return np.uint32(np.uint32(number) // np.uint32(by))
 
 
 def look(going, size, looks, games, now, sight):  # type: ignore[no-untyped-def]
@@ -662,11 +674,10 @@ def first_met(scene, world, sight, lane, tile, origin, direction, far_m):  # typ
 
 @cuda.jit(device=True)
 def summed(number, side):  # type: ignore[no-untyped-def]
-    """Return the sum of a number over the `side` x `side` pixels around this thread's, row by row, in its tile."""
-    mine, total = cuda.laneid, number * 0
-    row, column = mine // tiles.TILE_COLUMNS // side * side, mine % tiles.TILE_COLUMNS // side * side
-    for pixel in range(side * side):
-        source = (row + pixel // side) * tiles.TILE_COLUMNS + column + pixel % side
+    """Return the sum of a number over the `side` x `side` pixels from this thread's on, row by row; all in one tile."""
+    source, total = np.int32(cuda.laneid), number
+    for pixel in range(1, side * side):
+        source += np.int32(1) if pixel & (side - 1) else np.int32(tiles.TILE_COLUMNS + 1 - side)
         total += cuda.shfl_sync(WHOLE_WARP, number, source)
     return total
 
@@ -682,18 +693,18 @@ def cast_depth(going, side, looks, games, now, sight, frames):  # type: ignore[n
         origin, axes, far_m = casting.get_eye(sight.eyes[lane])
         ray, scale = casting.ray_of(looks.camera, axes, y, x, rows, columns)
         far_m = far_m / scale if y < rows and x < columns else -ONE
-        tile = y // tiles.TILE_ROWS, x // tiles.TILE_COLUMNS
+        tile = y >> 2, x >> 3
         met = first_met(scene, world_of(scene, now.game[lane]), sight, lane, tile, origin, ray, far_m)
         level = casting.depth_level(summed(min(met[0] * scale, at.SEEN_FAR_M), side), side * side)
-    if y % side == 0 and x % side == 0 and y < rows and x < columns:
-        frames[lane, 0, y // side, x // side] = level
+    if (y | x) & (side - 1) == 0 and y < rows and x < columns:
+        frames[lane, 0, divided(y, side), divided(x, side)] = level
 
 
 @cuda.jit(device=True)
 def colour_of_thread(lane, y, x, size, looks, games, now, sight):  # type: ignore[no-untyped-def]
     """Return red, green and blue of this thread's pixel; without meaning if it is beside the picture."""
     scene, eye = games.scenes, casting.get_eye(sight.eyes[lane])
-    world, tile = world_of(scene, now.game[lane]), (y // tiles.TILE_ROWS, x // tiles.TILE_COLUMNS)
+    world, tile = world_of(scene, now.game[lane]), (y >> 2, x >> 3)
     ray, _ = casting.ray_of(looks.camera, eye[1], y, x, size[0], size[1])
     far_m = eye[2] * casting.SKY if y < size[0] and x < size[1] else -ONE
     met = first_met(scene, world, sight, lane, tile, eye[0], ray, far_m)
@@ -718,10 +729,11 @@ def cast_colour(going, tick_ns, side, looks, games, now, sight, frames):  # type
             green = noisy_at(green, camera, seeds, moment_ns, value + 1)
             blue = noisy_at(blue, camera, seeds, moment_ns, value + 2)
     red, green, blue = summed(red, side), summed(green, side), summed(blue, side)
-    if y % side == 0 and x % side == 0 and y < rows and x < columns:
-        frames[lane, 0, y // side, x // side] = round(red / (side * side))
-        frames[lane, 1, y // side, x // side] = round(green / (side * side))
-        frames[lane, 2, y // side, x // side] = round(blue / (side * side))
+    if (y | x) & (side - 1) == 0 and y < rows and x < columns:
+        y, x = divided(y, side), divided(x, side)
+        frames[lane, 0, y, x] = round(red / (side * side))
+        frames[lane, 1, y, x] = round(green / (side * side))
+        frames[lane, 2, y, x] = round(blue / (side * side))
 
 
 def cast_gray(going, looks, games, now, sight, gray):  # type: ignore[no-untyped-def]
@@ -748,21 +760,21 @@ def noisy_gray(gray, lane, y, x, tick_ns, games, now):  # type: ignore[no-untype
 
 def start_cast(going, gray, sensor, games, now, pixels):  # type: ignore[no-untyped-def]
     """Initialise the event cameras of the lanes that are `going` with their first image, which causes no events."""
-    rows, columns, side = gray.shape[1], gray.shape[2], gray.shape[1] // pixels.gathered.shape[1]
+    rows, columns, side = gray.shape[1], gray.shape[2], divided(gray.shape[1], pixels.gathered.shape[1])
     lane, y, x = pixel_of_thread(rows, columns)
     if lane >= len(going) or going[lane] == 0 or y >= rows or x >= columns:
         return
     level, camera = noisy_gray(gray, lane, y, x, 0, games, now), camera_of(games, now.game[lane])
     start_pixel(level, camera, sensor, pixels, lane, y, x)
-    if y % side == 0 and x % side == 0:
-        pixels.gathered[lane, y // side, x // side] = 0
+    if (y | x) & (side - 1) == 0:
+        pixels.gathered[lane, divided(y, side), divided(x, side)] = 0
     if y == 0 and x == 0:
         pixels.clock[lane], pixels.time_s[lane] = 0, 0.0
 
 
 def cast_events(going, tick_ns, gray, sensor, games, now, pixels):  # type: ignore[no-untyped-def]
     """Compute the events of the lanes that are `going`, a thread a pixel, and add them to those of their blocks."""
-    rows, columns, side = gray.shape[1], gray.shape[2], gray.shape[1] // pixels.gathered.shape[1]
+    rows, columns, side = gray.shape[1], gray.shape[2], divided(gray.shape[1], pixels.gathered.shape[1])
     lane, y, x = pixel_of_thread(rows, columns)
     if lane >= len(going) or going[lane] == 0 or y >= rows or x >= columns:
         return
@@ -771,13 +783,14 @@ def cast_events(going, tick_ns, gray, sensor, games, now, pixels):  # type: igno
         return
     level, camera = noisy_gray(gray, lane, y, x, tick_ns, games, now), camera_of(games, game)
     place, dt_s = y * columns + x, state.tick * tick_ns * events.NS - pixels.time_s[lane]
-    seed, index = games.seeds[game, EVENT_SEED], pixels.clock[lane] + 1
-    normals, draws = events.block_draws(camera, seed, index, place // BLOCK_SIDE)
-    draw = normals[place % BLOCK_SIDE], draws[place % BLOCK_SIDE]
+    seed, index, draw = games.seeds[game, EVENT_SEED], pixels.clock[lane] + 1, (np.float32(0.0), np.float32(0.0))
+    if camera[events.LEAK] > 0.0 or camera[events.SHOT] > 0.0:
+        normals, draws = events.block_draws(camera, seed, index, place // BLOCK_SIDE)
+        draw = normals[place % BLOCK_SIDE], draws[place % BLOCK_SIDE]
     filtered = pixels.filtered[lane] if pixels.filtered.size else pixels.filtered[0:0, 0]
     signed = events.update_pixel(level, camera, sensor, pixels.base[lane], filtered, draw, y, x, dt_s)
     if signed != 0:
-        cuda.atomic.add(pixels.gathered, (lane, y // side, x // side), np.int32(signed))
+        cuda.atomic.add(pixels.gathered, (lane, divided(y, side), divided(x, side)), np.int32(signed))
 
 
 def take_frames(going, now, pixels, frames):  # type: ignore[no-untyped-def]
