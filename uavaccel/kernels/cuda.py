@@ -805,7 +805,7 @@ def take_frames(going, now, pixels, frames):  # type: ignore[no-untyped-def]
         pixels.gathered[lane, y, x] = 0
 
 
-LIMITS: dict[Any, int] = {update_events: 72, cast_depth: 64, cast_colour: 80, cast_gray: 80}
+LIMITS: dict[Any, int] = {update_events: 72, look: 80, cast_depth: 64, cast_colour: 80, cast_gray: 64}
 """Registers per thread: fewer of them let more threads wait for memory at the same time."""
 
 
