@@ -15,7 +15,7 @@ from uavaccel.envs.task import Task
 from uavaccel.kernels import cuda as kernels
 from uavaccel.kernels import events, tiles
 from uavaccel.kernels.fields import COLUMNS, DEPTH, DVS, FIELDS, ROWS, STATE, Looks
-from uavaccel.vision.dvs_sensor import sample_pixels
+from uavaccel.vision.dvs_sensor import BLOCK_SIDE, sample_pixels
 
 
 class View(ABC):
@@ -89,7 +89,9 @@ class SceneView(View):
             self._launch(name, self._size)(going, *tick_ns, self._side, *seen)
             return
         seeing = kernels.shared(self._gray), self.plan.sensor, self._games, now, self._pixels
-        self._launch("cast_events", self._size)(going, self._tick_ns, *seeing)
+        blocks = -(-self._size[0] * self._size[1] // BLOCK_SIDE)
+        threads = kernels.grid(self._count * blocks, kernels.SEEING_THREADS)
+        self._kernels.cast_events[threads](going, self._tick_ns, *seeing)
         self._finish(going, now)
         if take:
             self._launch("take_frames", self._frame)(going, now, self._pixels, kernels.shared(frames[:, 0]))

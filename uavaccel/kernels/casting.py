@@ -269,10 +269,9 @@ def meet_heights(scene: Scene, shape: Shape, origin: Vector, direction: Vector, 
 
 
 @part(error_model="numpy")
-def meet(scene: Scene, world: int, item: int, origin: Vector, direction: Vector, best: Float) -> Float:
+def meet(scene: Scene, shape: Shape, origin: Vector, direction: Vector, best: Float) -> Float:
     """Return the distance at which a ray of unit direction meets a shape; HUGE for nowhere, or surely after `best`."""
-    shape = scene.shapes[world, item]
-    kind, bound = int(shape[at.KIND]), shape[at.BOUND]
+    kind, bound = np.int32(shape[at.KIND]), shape[at.BOUND]
     if kind == PLANE:
         return meet_plane(shape, origin, direction)
     if kind == at.HEIGHTS:
@@ -390,7 +389,7 @@ def first_met(scene: Scene, world: int, origin: Vector, direction: Vector, far_m
     while True:
         for entry in range(first, last):
             found = int(scene.items[world, entry]) if listed else entry
-            met = nearer(met, (meet(scene, world, found, origin, direction, met[0]), found))
+            met = nearer(met, (meet(scene, scene.shapes[world, found], origin, direction, met[0]), found))
         if listed and to_x < to_y:
             enter, to_x, column = to_x, to_x + abs(cell * back_x), column + way_x
         elif listed:
@@ -416,13 +415,20 @@ def narrow(v: tuple[float, float, float]) -> Vector:
 
 
 @part(error_model="numpy")
-def ray_of(camera: Any, axes: Any, row: int, column: int, rows: int, columns: int) -> tuple[Vector, Float]:
-    """Return a pixel's ray, of unit length, and how many metres of depth it gains per metre."""
-    u = np.float32(camera[HALF_WIDTH]) * (np.float32(2 * column + 1) / np.float32(columns) - ONE)
-    v = np.float32(camera[HALF_HEIGHT]) * (ONE - np.float32(2 * row + 1) / np.float32(rows))
+def ray_through(camera: Any, axes: Any, row: int, column: int, rows: int, columns: int) -> tuple[Vector, Float]:
+    """Return a pixel's ray to a metre of depth, and the square of its length."""
+    u = np.float32(camera[HALF_WIDTH]) * (np.float32(np.int32(2 * column + 1)) / np.float32(np.int32(columns)) - ONE)
+    v = np.float32(camera[HALF_HEIGHT]) * (ONE - np.float32(np.int32(2 * row + 1)) / np.float32(np.int32(rows)))
     right, up, back = axes
     ray = u * right[0] + v * up[0] - back[0], u * right[1] + v * up[1] - back[1], u * right[2] + v * up[2] - back[2]
-    scale = ONE / math.sqrt(ONE + u * u + v * v)
+    return ray, ONE + u * u + v * v
+
+
+@part(error_model="numpy")
+def ray_of(camera: Any, axes: Any, row: int, column: int, rows: int, columns: int) -> tuple[Vector, Float]:
+    """Return a pixel's ray, of unit length, and how many metres of depth it gains per metre."""
+    ray, squared = ray_through(camera, axes, row, column, rows, columns)
+    scale = ONE / math.sqrt(squared)
     return (ray[0] * scale, ray[1] * scale, ray[2] * scale), scale
 
 
@@ -496,7 +502,7 @@ def texels_at(
 ) -> Span:
     """Return where a pixel's ray meets the plane of a side, in texels of level 0 (kernels/faces.put_texture)."""
     (axis, place), (origin, axes, _) = side, eye
-    ray, _ = ray_of(looks.camera, axes, pixel[0], pixel[1], size[0], size[1])
+    ray, _ = ray_through(looks.camera, axes, pixel[0], pixel[1], size[0], size[1])
     p, d = into(shape, minus(origin, triple(shape, at.CENTRE))), into(shape, ray)
     found = along(p, d, (place - p[axis]) / (d[axis] if abs(d[axis]) > TINY else TINY))
     row, log2_size = looks.materials[material], looks.textures[int(looks.materials[material, TEXTURE_ID]), LOG2_SIZE]

@@ -611,10 +611,10 @@ def pixel_of_thread(rows, columns):  # type: ignore[no-untyped-def]
     tile, across = np.uint32(cuda.grid(1)) >> np.uint32(5), np.uint32((columns + tiles.TILE_COLUMNS - 1) >> 3)
     of_lane = across * np.uint32((rows + tiles.TILE_ROWS - 1) >> 2)
     lane = divided(tile, of_lane)
-    place, mine = np.uint32(tile - lane * of_lane), np.int32(cuda.laneid)
+    place, mine = np.uint32(tile - lane * of_lane), np.uint32(cuda.laneid)
     down = divided(place, across)
-    row, column = np.int32(down << 2), np.int32((place - down * across) << 3)
-    return np.intp(lane), np.int32(row + (mine >> 3)), np.int32(column + (mine & 7))
+    row, column = (down << 2) + (mine >> 3), ((place - down * across) << 3) + (mine & 7)
+    return np.uintp(lane), np.uint32(row), np.uint32(column)
 
 
 @cuda.jit(device=True)
@@ -654,47 +654,47 @@ def look(going, size, looks, games, now, sight):  # type: ignore[no-untyped-def]
 
 
 @cuda.jit(device=True)
-def first_met(scene, world, sight, lane, tile, origin, direction, far_m):  # type: ignore[no-untyped-def]
+def first_met(scene, world, sight, lane, pixel, origin, direction, far_m):  # type: ignore[no-untyped-def]
     """Do as `casting.first_met` for this thread's ray, with the other rays of its warp, which are those of a tile."""
-    met, mine, count = (far_m, casting.NOTHING), cuda.laneid, sight.counts[lane]
-    for first in range(0, count, WARP):
-        if not cuda.any_sync(WHOLE_WARP, met[0] >= sight.nears[lane, first]):
-            break
-        place = first + mine
-        found = place < count and tiles.covers(sight.tiles[lane, place], tile[1], tile[0])
-        mask = np.int64(cuda.ballot_sync(WHOLE_WARP, found)) & WHOLE_WARP
+    met, first = (far_m, np.int32(casting.NOTHING)), np.uint32(0)
+    mine, count = np.uint32(cuda.laneid), np.uint32(sight.counts[lane])
+    down, across = np.uint32(pixel[0] >> np.uint32(2)), np.uint32(pixel[1] >> np.uint32(3))
+    items, covered, nears, shapes = sight.items[lane], sight.tiles[lane], sight.nears[lane], scene.shapes[world]
+    while first < count and cuda.any_sync(WHOLE_WARP, met[0] >= nears[first]):
+        place = np.uint32(first + mine)
+        mask = cuda.ballot_sync(WHOLE_WARP, place < count and tiles.covers(np.uint32(covered[place]), across, down))
         while mask != 0:
-            place = first + cuda.ffs(mask) - 1
-            mask &= mask - 1
-            if met[0] >= sight.nears[lane, place]:
-                item = np.int64(sight.items[lane, place])
-                met = casting.nearer(met, (casting.meet(scene, world, item, origin, direction, met[0]), item))
+            place = np.uint32(first + np.uint32(cuda.ffs(mask) - 1))
+            mask = np.int32(mask & (mask - 1))
+            if met[0] >= nears[place]:
+                item = items[place]
+                shape = shapes[np.uint32(item)]
+                met = casting.nearer(met, (casting.meet(scene, shape, origin, direction, met[0]), item))
+        first = np.uint32(first + np.uint32(WARP))
     return met
 
 
 @cuda.jit(device=True)
 def summed(number, side):  # type: ignore[no-untyped-def]
-    """Return the sum of a number over the `side` x `side` pixels from this thread's on, row by row; all in one tile."""
-    source, total = np.int32(cuda.laneid), number
-    for pixel in range(1, side * side):
-        source += np.int32(1) if pixel & (side - 1) else np.int32(tiles.TILE_COLUMNS + 1 - side)
-        total += cuda.shfl_sync(WHOLE_WARP, number, source)
-    return total
+    """Return the sum of a number over the `side` x `side` pixels, 1 or 4, of this thread's block, all in one tile."""
+    if side > 1:
+        for distance in (1, 2, 8, 16):
+            number += cuda.shfl_xor_sync(WHOLE_WARP, number, distance)
+    return number
 
 
 def cast_depth(going, side, looks, games, now, sight, frames):  # type: ignore[no-untyped-def]
     """Write depth frames (L, 1, rows, columns), means of `side` x `side` pixels; 0 after a touch."""
     rows, columns = frames.shape[2] * side, frames.shape[3] * side
     lane, y, x = pixel_of_thread(rows, columns)
-    if lane >= len(going) or going[lane] == 0:
+    if lane >= np.uintp(len(going)) or going[lane] == 0:
         return
     level, scene = 0, games.scenes
     if now.state[lane].collision_tick == NEVER:
         origin, axes, far_m = casting.get_eye(sight.eyes[lane])
         ray, scale = casting.ray_of(looks.camera, axes, y, x, rows, columns)
         far_m = far_m / scale if y < rows and x < columns else -ONE
-        tile = y >> 2, x >> 3
-        met = first_met(scene, world_of(scene, now.game[lane]), sight, lane, tile, origin, ray, far_m)
+        met = first_met(scene, world_of(scene, now.game[lane]), sight, lane, (y, x), origin, ray, far_m)
         level = casting.depth_level(summed(min(met[0] * scale, at.SEEN_FAR_M), side), side * side)
     if (y | x) & (side - 1) == 0 and y < rows and x < columns:
         frames[lane, 0, divided(y, side), divided(x, side)] = level
@@ -704,10 +704,10 @@ def cast_depth(going, side, looks, games, now, sight, frames):  # type: ignore[n
 def colour_of_thread(lane, y, x, size, looks, games, now, sight):  # type: ignore[no-untyped-def]
     """Return red, green and blue of this thread's pixel; without meaning if it is beside the picture."""
     scene, eye = games.scenes, casting.get_eye(sight.eyes[lane])
-    world, tile = world_of(scene, now.game[lane]), (y >> 2, x >> 3)
+    world = world_of(scene, now.game[lane])
     ray, _ = casting.ray_of(looks.camera, eye[1], y, x, size[0], size[1])
     far_m = eye[2] * casting.SKY if y < size[0] and x < size[1] else -ONE
-    met = first_met(scene, world, sight, lane, tile, eye[0], ray, far_m)
+    met = first_met(scene, world, sight, lane, (y, x), eye[0], ray, far_m)
     return casting.colour_of(scene, world, looks, eye, (y, x), size, ray, met)
 
 
@@ -715,7 +715,7 @@ def cast_colour(going, tick_ns, side, looks, games, now, sight, frames):  # type
     """Write colour frames (L, 3, rows, columns), means of `side` x `side` pixels; 0 after a touch."""
     rows, columns = frames.shape[2] * side, frames.shape[3] * side
     lane, y, x = pixel_of_thread(rows, columns)
-    if lane >= len(going) or going[lane] == 0:
+    if lane >= np.uintp(len(going)) or going[lane] == 0:
         return
     state, game = now.state[lane], now.game[lane]
     red = green = blue = 0
@@ -740,7 +740,7 @@ def cast_gray(going, looks, games, now, sight, gray):  # type: ignore[no-untyped
     """Write luma `gray` (L, rows, columns) uint8 of the lanes that are `going`."""
     size = gray.shape[1], gray.shape[2]
     lane, y, x = pixel_of_thread(size[0], size[1])
-    if lane >= len(going) or going[lane] == 0:
+    if lane >= np.uintp(len(going)) or going[lane] == 0:
         return
     red, green, blue = colour_of_thread(lane, y, x, size, looks, games, now, sight)
     if y < size[0] and x < size[1]:
@@ -762,7 +762,7 @@ def start_cast(going, gray, sensor, games, now, pixels):  # type: ignore[no-unty
     """Initialise the event cameras of the lanes that are `going` with their first image, which causes no events."""
     rows, columns, side = gray.shape[1], gray.shape[2], divided(gray.shape[1], pixels.gathered.shape[1])
     lane, y, x = pixel_of_thread(rows, columns)
-    if lane >= len(going) or going[lane] == 0 or y >= rows or x >= columns:
+    if lane >= np.uintp(len(going)) or going[lane] == 0 or y >= rows or x >= columns:
         return
     level, camera = noisy_gray(gray, lane, y, x, 0, games, now), camera_of(games, now.game[lane])
     start_pixel(level, camera, sensor, pixels, lane, y, x)
@@ -773,31 +773,35 @@ def start_cast(going, gray, sensor, games, now, pixels):  # type: ignore[no-unty
 
 
 def cast_events(going, tick_ns, gray, sensor, games, now, pixels):  # type: ignore[no-untyped-def]
-    """Compute the events of the lanes that are `going`, a thread a pixel, and add them to those of their blocks."""
+    """Compute the events of the lanes that are `going`, BLOCK_SIDE pixels a thread, and add them to their blocks'."""
     rows, columns, side = gray.shape[1], gray.shape[2], divided(gray.shape[1], pixels.gathered.shape[1])
-    lane, y, x = pixel_of_thread(rows, columns)
-    if lane >= len(going) or going[lane] == 0 or y >= rows or x >= columns:
+    thread, threads = np.uint32(cuda.grid(1)), np.uint32((rows * columns + BLOCK_SIDE - 1) // BLOCK_SIDE)
+    lane = np.uintp(divided(thread, threads))
+    if lane >= np.uintp(len(going)) or going[lane] == 0 or now.state[lane].collision_tick != NEVER:
         return
-    state, game = now.state[lane], now.game[lane]
-    if state.collision_tick != NEVER:
-        return
-    level, camera = noisy_gray(gray, lane, y, x, tick_ns, games, now), camera_of(games, game)
-    place, dt_s = y * columns + x, state.tick * tick_ns * events.NS - pixels.time_s[lane]
-    seed, index, draw = games.seeds[game, EVENT_SEED], pixels.clock[lane] + 1, (np.float32(0.0), np.float32(0.0))
-    if camera[events.LEAK] > 0.0 or camera[events.SHOT] > 0.0:
-        normals, draws = events.block_draws(camera, seed, index, place // BLOCK_SIDE)
-        draw = normals[place % BLOCK_SIDE], draws[place % BLOCK_SIDE]
+    game, block = now.game[lane], np.uint32(thread - np.uint32(lane) * threads)
+    y = divided(block * np.uint32(BLOCK_SIDE), columns)
+    x, camera = np.uint32(block * np.uint32(BLOCK_SIDE) - y * np.uint32(columns)), camera_of(games, game)
+    dt_s = now.state[lane].tick * tick_ns * events.NS - pixels.time_s[lane]
+    normals, draws = events.block_draws(camera, games.seeds[game, EVENT_SEED], pixels.clock[lane] + 1, block)
     filtered = pixels.filtered[lane] if pixels.filtered.size else pixels.filtered[0:0, 0]
-    signed = events.update_pixel(level, camera, sensor, pixels.base[lane], filtered, draw, y, x, dt_s)
-    if signed != 0:
-        cuda.atomic.add(pixels.gathered, (lane, divided(y, side), divided(x, side)), np.int32(signed))
+    for number in range(BLOCK_SIDE):
+        if y >= rows:
+            return
+        level, draw = noisy_gray(gray, lane, y, x, tick_ns, games, now), (normals[number], draws[number])
+        signed = events.update_pixel(level, camera, sensor, pixels.base[lane], filtered, draw, y, x, dt_s)
+        if signed != 0:
+            cuda.atomic.add(pixels.gathered, (lane, divided(y, side), divided(x, side)), np.int32(signed))
+        x = np.uint32(x + np.uint32(1))
+        if x == columns:
+            x, y = np.uint32(0), np.uint32(y + np.uint32(1))
 
 
 def take_frames(going, now, pixels, frames):  # type: ignore[no-untyped-def]
     """Move the events since the last call to `frames` (L, rows, columns) of the lanes that are `going`."""
     rows, columns = frames.shape[1], frames.shape[2]
     lane, y, x = pixel_of_thread(rows, columns)
-    if lane >= len(going) or going[lane] == 0 or y >= rows or x >= columns:
+    if lane >= np.uintp(len(going)) or going[lane] == 0 or y >= rows or x >= columns:
         return
     hit = now.state[lane].collision_tick != NEVER
     frames[lane, y, x] = NEUTRAL_LEVEL if hit else events.level_of(pixels.gathered[lane, y, x])
@@ -805,7 +809,7 @@ def take_frames(going, now, pixels, frames):  # type: ignore[no-untyped-def]
         pixels.gathered[lane, y, x] = 0
 
 
-LIMITS: dict[Any, int] = {update_events: 72, look: 80, cast_depth: 64, cast_colour: 80, cast_gray: 64}
+LIMITS: dict[Any, int] = {update_events: 72, look: 64, cast_depth: 64, cast_colour: 80, cast_gray: 64}
 """Registers per thread: fewer of them let more threads wait for memory at the same time."""
 
 
