@@ -82,7 +82,8 @@ def measured(gaps_s: Numbers, success: Numbers) -> dict[str, float]:
         found.append(largest_gap(gaps_s, success[:, chosen[0]][:, :, chosen[1]].mean(axis=(1, 2))))
     low, high = np.quantile(np.nan_to_num(found, nan=gaps_s[-1]), TAILS)
     means = success.mean(axis=(1, 2))
-    return {"without_gap": float(means[0]), "largest_gap_s": largest_gap(gaps_s, means), "low": low, "high": high}
+    counts = {"trainings": success.shape[1], "games": success.shape[2], "without_gap": float(means[0])}
+    return {**counts, "largest_gap_s": largest_gap(gaps_s, means), "low": float(low), "high": float(high)}
 
 
 def room_m(task: Any) -> float:
