@@ -16,11 +16,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from tools import fit_gap_law
 from tools.check_numbers import ROOT, Page
 from tools.fit_agent import agent_costs, command_wall_s
 from tools.fit_airsim import Parameters, model
 from uavaccel.metrics.equivalence import Estimate
-from uavaccel.metrics.intervals import Proportion, fisher_exact_p
+from uavaccel.metrics.intervals import TAILS, Proportion, fisher_exact_p
 from uavaccel.metrics.seeds import permutation_p
 from uavaccel.suites import claims, paper_results
 from uavaccel.suites.mediation import Share, share_of_loss
@@ -503,7 +504,8 @@ OF_MEDIATION = (
 
 
 def why() -> Page:
-    return Page((text for of in (parts_of_gaps, moved_in_flight) for text in of()), (*SETTINGS, *OF_MEDIATION))
+    told = (parts_of_gaps, moved_in_flight, law_of_gaps)
+    return Page((text for of in told for text in of()), (*SETTINGS, *OF_MEDIATION))
 
 
 def parts_of_gaps() -> Text:
@@ -542,6 +544,33 @@ def moved_in_flight() -> Text:
     yield f"at 50x and 100x, it wins {won_of['start-0']}."
     none = won_of["start--0.584"] or "none"
     yield f"{none} of {len(lanes)} lanes is won, where the whole gap leaves {won_of['gap-2']}."
+
+
+def law_of_gaps() -> Text:
+    table = fit_gap_law.judged(pd.read_csv(TABLES / "gap_law.csv"))
+    of = table.set_index("condition")
+
+    def gap(row: Any) -> str:
+        if row.at_least_s == 0.0:
+            return f"below {short(row.below_s, 3).rstrip('0')}"
+        return f"above {short(row.at_least_s, 2)}" if np.isinf(row.below_s) else short(row.at_least_s, 3).rstrip("0")
+
+    for task, own in table.groupby("task", sort=False):
+        commands = ", ".join(f"{each:g}".removeprefix("0") for each in own.control_s)
+        yield f"| {task} | {commands} | {', '.join(gap(row) for row in own.itertuples())} |"
+    others = tuple(set(table.task) - set(fit_gap_law.PREDICTED))
+    there, back = (fit_gap_law.fit(table, half) for half in (fit_gap_law.PREDICTED, others))
+    assert there.law == back.law == ("control_s",)
+    yield f"it predicts the other four to a factor of {there.error:.1f}, a constant to {there.constant:.0f}"
+    yield f"the other way to {back.error:.1f} and {back.constant:.0f}"
+    errors = [found.error for found in fit_gap_law.halves(table)]
+    low, high = np.quantile(errors, TAILS)
+    yield f"over all halves to {np.median(errors):.1f} [{low:.1f}, {high:.1f}]"
+    plain, long, fast, small = (gap(of.loc[name]) for name in ("hover", "hover_long", "hover_fast", "hover_small"))
+    yield f"commands of .2 and .5 s bear {plain} and {long} s; half of the room, by speed or radius, {fast} and {small} s"
+    yield f"Two trainings by motors differ by a factor of {of.at_least_s.motors / of.at_least_s.motors_near:.1f}"
+    every = fit_gap_law.fit(table, ())
+    yield f"{every.factor:.2f} T_move".removeprefix("0")
 
 
 PAGES = {
