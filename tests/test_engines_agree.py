@@ -2,7 +2,7 @@
 
 Tasks, actions, conditions, latencies and seeds are random. The exact simulator's pictures are here the kernels', so
 that what an event camera makes of them is compared to the bit; tests/test_kernel_looks.py compares them with OpenGL's.
-Where there is a GPU it flies; elsewhere its kernels run on the CPU (tests/host_kernels.py).
+The GPU's kernels run on the CPU (tests/host_kernels.py) unless UAVACCEL_TEST_GPU=1 asks for the GPU itself.
 """
 
 from __future__ import annotations
@@ -147,6 +147,7 @@ FLIGHTS = st.fixed_dictionaries(
         "wall_reward": st.just(-0.1),
     }
 )
+SCALES = st.sampled_from([[0.0, 4.0], [2.5, 2.5]])  # of a game's latencies
 PLACED = {"lane": {"obstacles": [{"x_m": 3, "y_m": 0.6, "radius_m": 0.5}, {"x_m": 4, "y_m": -1.0, "half_side_m": 0.4}]}}
 NOISE = st.fixed_dictionaries(
     {"dvs_preset": st.sampled_from(["clean", "constructor", "command_line", "noisy"])},
@@ -182,6 +183,8 @@ def cases(draw: st.DrawFn) -> Case:
         Navigate: [st.just({**WORLDS, "observation": "state"}), CONTINUOUS],
     }
     keys: Keys = {name: value for part in (timings(), *parts[kind]) for name, value in draw(part).items()}
+    if kind is ObstacleLane and keys.get("timing") == "virtual" and "lane" not in keys:
+        keys["randomise"] = {**keys.get("randomise", {}), "latency_scale": draw(SCALES)}
     noise = draw(st.sampled_from([0.1, 0.4, 1.0]))
     return Case(kind, keys, draw(st.integers(0, 2**16)), 10, noise, draw(work()), draw(EVENTS), draw(st.booleans()))
 
