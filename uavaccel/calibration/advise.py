@@ -23,8 +23,8 @@ CLOCK_SPEEDS = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0)
 GAMES = 5
 T_TH_WALL_S = 0.001  # as in the experiments' configurations
 T_MOVES, ERROR = 0.87, 3.5
-"""The gap, in commands' T_move, at which policies lose five points of success, and the factor by which that misses tasks
-that were not fitted: `python -m tools.fit_gap_law`, docs/tables/gap_law.csv (docs/why.md)."""
+"""The gap, in T_move, at which policies lose five points of success, and the factor by which that misses tasks that
+were not fitted: tools/fit_gap_law.py, of docs/tables/gap_law.csv (docs/why.md)."""
 
 
 class SquareGame(NamedTuple):
@@ -101,6 +101,6 @@ def policy_sentence(t_move_s: float, thinking_s: float) -> str:
     speed, low, high = (f"{float(f'{each:.2g}'):g}" for each in (middle, middle / spread, middle * spread))
     return (
         f"Policies trained without a gap lose five points of success at one of about {T_MOVES:g} T_move: with "
-        f"{thinking_s:g} s of thinking and messages at ClockSpeed {speed} (95 %: {low} to {high}). A rule of thumb, which "
-        f"missed tasks that it was not fitted on by a factor of {ERROR:g} (docs/why.md)."
+        f"{thinking_s:g} s of thinking and messages at ClockSpeed {speed} (95 %: {low} to {high}). A rule of thumb, "
+        f"which missed tasks that it was not fitted on by a factor of {ERROR:g} (docs/why.md)."
     )
