@@ -160,7 +160,7 @@ def misses(law: tuple[str, ...], factors: Numbers, of: pd.DataFrame) -> Numbers:
     predicted = factors * times[:, None]
     nearest = np.clip(predicted, of[["at_least_s"]].to_numpy(), of[["below_s"]].to_numpy())
     squared = pd.DataFrame(np.log(predicted / nearest) ** 2)
-    return squared.groupby(of.task.to_numpy()).mean().mean().to_numpy()
+    return np.asarray(squared.groupby(of.task.to_numpy()).mean().mean())
 
 
 def fit(table: pd.DataFrame, predicted: tuple[str, ...]) -> Fit:
