@@ -520,7 +520,7 @@ OF_MEDIATION = (
     r"won, of 100|0 is at rest|`start_speed: 1`|\.3 s at full speed|3 000 games|300 (?:lanes|commands)|, of 300",
     r"1 000 commands|Pictures \.96 s old|are\s+2\.08 s|win 41 %|23 of 100 games|under 18 conditions|150 m of obstacles",
     r"20 (?:effects|trainings)|is \.062 of the velocity|leaves \+\.04 m/s\s+where ADSC's leaves −\.02|ClockSpeed 1,",
-    r"lane, at 1 and 2 m/s|for 60 ms, after motors",
+    r"second at 2 m/s|for 60 ms",
 )
 
 
