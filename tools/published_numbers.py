@@ -28,8 +28,10 @@ from uavaccel.suites import claims, paper_results
 from uavaccel.suites.mediation import Contrast, Share, effect, share_of_loss
 from uavaccel.suites.paper import Claim, PaperConfig, read_claims, verdict
 from uavaccel.suites.parts import Part
+from uavaccel.suites.realtime import Evaluation, Realtime
 from uavaccel.suites.report import table_of
 from uavaccel.suites.rl import flights_of, gap_s, success_of, times_of, where
+from uavaccel.suites.session import RunRequest, configure
 from uavaccel.wire.latency import shipped_latency
 
 CLOCKS = paper_results.CLOCKS
@@ -481,6 +483,28 @@ def real_time() -> Page:
     return Page((), SETTINGS)
 
 
+# --- benchmark.md ---------------------------------------------------------------------------------------------------
+
+BENCHMARK = "benchmark_v1"
+DELAYS = [(0.0, 1.0), (0.02, 1.0), (0.05, 1.0), (0.1, 1.0), (0.05, 5.0), (0.05, 20.0)]
+"""The columns of its table: seconds of thinking, and ClockSpeed."""
+
+
+def benchmark() -> Page:
+    return Page(benchmark_says(), (*SETTINGS, r"(?:20|50|100) ms|\(\.25 s\)|\(1 s\)"))
+
+
+def benchmark_says() -> Text:
+    table = pd.read_csv(TABLES / f"{BENCHMARK}.csv").set_index(["environment", "agent", "latency_s", "clock_speed"])
+    config = configure(RunRequest(BENCHMARK))[1]
+    cells = dict.fromkeys(case.cell for case in Realtime().cases(config) if isinstance(case, Evaluation))
+    yield f"{len(table)} of its {len(cells)} cells"
+    for task, agent in dict.fromkeys((*cell.split("-")[:2],) for cell in cells):
+        if (task, agent, *DELAYS[0]) in table.index:
+            scores = (short(table.score_mean[(task, agent, *at)], 2) for at in DELAYS)
+            yield f"| {task}, {agent} | {' | '.join(scores)} |".replace("_", " ")
+
+
 # --- why.md ---------------------------------------------------------------------------------------------------------
 
 WHOLE = {"a gap of .78 s": "gap-0.776", "a gap of 1.2 s": "gap-1.2", "a gap of 2 s": "gap-2"}
@@ -663,5 +687,6 @@ PAGES = {
     "docs/results-paper.md": results_paper,
     "docs/results.md": results,
     "docs/real-time.md": real_time,
+    "docs/benchmark.md": benchmark,
     "docs/why.md": why,
 }
