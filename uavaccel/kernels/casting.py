@@ -282,7 +282,7 @@ def meet(scene: Scene, shape: Shape, origin: Vector, direction: Vector, best: Fl
         return HUGE
     middle = dot(away, direction)
     p = along((-away[0], -away[1], -away[2]), direction, middle)
-    if dot(p, p) > bound * bound * WIDER or middle - bound > best or middle + bound < ZERO:
+    if dot(p, p) > bound * bound * WIDER or middle - bound * WIDER > best or middle + bound < ZERO:
         return HUGE
     if kind == at.TRIANGLE:
         corner, one, two = triple(shape, at.AXES), triple(shape, at.AXES + 3), triple(shape, at.AXES + 6)
@@ -569,5 +569,5 @@ def gray_at(scene: Scene, world: int, looks: Looks, eye: Eye, row: int, column: 
 
 @part(error_model="numpy")
 def depth_level(total: Float, number: int) -> int:
-    """Return the level of a depth frame's pixel: the mean of `number` depths, where SEEN_FAR_M is 255, from their sum."""
+    """Return the level of a depth frame's pixel from the sum of `number` depths; SEEN_FAR_M is 255."""
     return round(total / np.float32(number) * LEVELS_A_M)

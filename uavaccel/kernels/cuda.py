@@ -1,9 +1,9 @@
 """Lanes on one GPU: the functions of the CPU, compiled as CUDA kernels by numba-cuda.
 
-One to 32 threads fly a lane, one thread resolves visibility in a column of an image, and one thread shades 4 x 2 pixels
-and computes their events. All data stays on the device, and kernels are launched on PyTorch's current stream, so that a
-round of them can be recorded as a CUDA graph. numba-cuda cannot disable fused multiply-adds: flights differ from the
-CPU's in their last bits, events do not (sim/parts).
+One to 32 threads fly a lane. In the lane's pictures one thread resolves visibility in a column, and one shades 4 x 2
+pixels and computes their events; in other scenes a thread casts a pixel's ray. All data stays on the device, and kernels
+are launched on PyTorch's current stream, so that a round of them can be recorded as a CUDA graph. numba-cuda cannot
+disable fused multiply-adds: flights differ from the CPU's in their last bits, events do not (sim/parts).
 """
 
 from __future__ import annotations

@@ -8,12 +8,12 @@ until all of them have met something nearer than the rest. Rays through a scene'
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple, TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
 from uavaccel.kernels import scene as at
-from uavaccel.kernels.casting import EYE_FIELDS, HALF, HUGE, ONE, TWO, ZERO, Eye, into, minus, triple
+from uavaccel.kernels.casting import EYE_FIELDS, HALF, HUGE, ONE, ZERO, Eye, into, minus, triple
 from uavaccel.kernels.fields import HALF_HEIGHT, HALF_WIDTH
 from uavaccel.kernels.operands import Float, Operand, Vector, dot, plus
 from uavaccel.kernels.scene import Shape
