@@ -36,13 +36,13 @@ from uavaccel.kernels.fields import (
     Looks,
 )  # fmt: skip
 from uavaccel.kernels.operands import Float, Vector, cross, dot
-from uavaccel.kernels.rays import Colour, level_of, lit, luma, sky_index, texel_index
+from uavaccel.kernels.rays import Colour, Integer, level_of, lit, luma, sky_index, texel_index
 from uavaccel.kernels.scene import Scene, Shape
 from uavaccel.sim.parts import part
 
 Span: TypeAlias = tuple[Float, Float]
 Eye: TypeAlias = tuple[Vector, tuple[Vector, Vector, Vector], Float]
-Met: TypeAlias = tuple[Float, int]
+Met: TypeAlias = tuple[Float, Integer]
 """A distance, and the index of the shape there."""
 
 ZERO, HALF, ONE, TWO = (np.float32(number) for number in (0.0, 0.5, 1.0, 2.0))
@@ -271,7 +271,8 @@ def meet_heights(scene: Scene, shape: Shape, origin: Vector, direction: Vector, 
 @part(error_model="numpy")
 def meet(scene: Scene, shape: Shape, origin: Vector, direction: Vector, best: Float) -> Float:
     """Return the distance at which a ray of unit direction meets a shape; HUGE for nowhere, or surely after `best`."""
-    kind, bound = np.int32(shape[at.KIND]), shape[at.BOUND]
+    kind: Integer = np.int32(shape[at.KIND])
+    bound = shape[at.BOUND]
     if kind == PLANE:
         return meet_plane(shape, origin, direction)
     if kind == at.HEIGHTS:

@@ -1,7 +1,7 @@
 """Lanes on one GPU: the functions of the CPU, compiled as CUDA kernels by numba-cuda.
 
 One to 32 threads fly a lane. In the lane's pictures one thread resolves visibility in a column, and one shades 4 x 2
-pixels and computes their events; in other scenes a thread casts a pixel's ray. All data stays on the device, and kernels
+pixels and computes their events; in other scenes a thread casts a pixel's ray. All data stays on the device; kernels
 are launched on PyTorch's current stream, so that a round of them can be recorded as a CUDA graph. numba-cuda cannot
 disable fused multiply-adds: flights differ from the CPU's in their last bits, events do not (sim/parts).
 """
@@ -783,13 +783,13 @@ def cast_events(going, tick_ns, gray, sensor, games, now, pixels):  # type: igno
     y = divided(block * np.uint32(BLOCK_SIDE), columns)
     x, camera = np.uint32(block * np.uint32(BLOCK_SIDE) - y * np.uint32(columns)), camera_of(games, game)
     dt_s = now.state[lane].tick * tick_ns * events.NS - pixels.time_s[lane]
-    normals, draws = events.block_draws(camera, games.seeds[game, EVENT_SEED], pixels.clock[lane] + 1, block)
+    normals, draws = events.block_draws(camera, games.seeds[game, EVENT_SEED], pixels.clock[lane] + 1, int(block))
     filtered = pixels.filtered[lane] if pixels.filtered.size else pixels.filtered[0:0, 0]
     for number in range(BLOCK_SIDE):
         if y >= rows:
             return
         level, draw = noisy_gray(gray, lane, y, x, tick_ns, games, now), (normals[number], draws[number])
-        signed = events.update_pixel(level, camera, sensor, pixels.base[lane], filtered, draw, y, x, dt_s)
+        signed = events.update_pixel(level, camera, sensor, pixels.base[lane], filtered, draw, int(y), int(x), dt_s)
         if signed != 0:
             cuda.atomic.add(pixels.gathered, (lane, divided(y, side), divided(x, side)), np.int32(signed))
         x = np.uint32(x + np.uint32(1))
