@@ -809,7 +809,7 @@ def take_frames(going, now, pixels, frames):  # type: ignore[no-untyped-def]
         pixels.gathered[lane, y, x] = 0
 
 
-LIMITS: dict[Any, int] = {update_events: 72, look: 64, cast_depth: 64, cast_colour: 80, cast_gray: 64}
+LIMITS: dict[Any, int] = {update_events: 72, look: 64, cast_depth: 64, cast_colour: 80, cast_gray: 64, cast_events: 64}
 """Registers per thread: fewer of them let more threads wait for memory at the same time."""
 
 
