@@ -260,7 +260,7 @@ serve(policy, PORT)
 """
 
 
-def test_an_episode_whose_server_was_killed_says_so_and_is_played_again() -> None:
+def test_an_episode_whose_server_was_killed_is_played_again() -> None:
     program = SERVER.replace("CALL", "70")
     with process(program.replace("PORT", "0")) as (_, address):
         port = address.rpartition(":")[2]
@@ -399,6 +399,11 @@ def test_a_policy_is_measured_and_certified_by_commands(capsys: pytest.CaptureFi
 def test_an_option_that_does_not_fit_is_one_line(words: str, error: type[UserError], said: str) -> None:
     with pytest.raises(error, match=f"^{said}"):
         ran(f"timing certify pilot.py:act CartPole-v1 {words}")
+
+
+def test_a_policy_server_has_the_time_of_the_option() -> None:
+    with pytest.raises(UserError, match=r"^answer_s: must be above 0 and at most 3600 seconds, not 0.0$"):
+        ran("timing certify tcp://127.0.0.1:1 CartPole-v1 --answer 0 --set default_action=0")
 
 
 @needs_opengl

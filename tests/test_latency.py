@@ -26,6 +26,7 @@ from uavaccel.wire.latency import (
     read_latency,
     shipped_latency,
 )
+from uavaccel.wire.platform import PlatformConfig
 from uavaccel.wire.transport import PendingCall
 
 MS = 1_000_000
@@ -133,15 +134,6 @@ def test_channels_are_independent(others: list[str], seed: int) -> None:
 LIKELY = {"platform": {"faults": {"dropped": 0.2, "stalled": 0.3, "late": 0.4}}}
 
 
-def drawn_of(latency: Latency, count: int = 30) -> list[int]:
-    """Of messages in both directions, faults among them, and of a timer."""
-    return [
-        each
-        for _ in range(count)
-        for each in (latency.request_ns("pause"), latency.reply_ns("pause"), latency.timer_ns())
-    ]
-
-
 @pytest.mark.parametrize(("fault", "late_ms"), [("dropped", 200), ("stalled", 40), ("late", 10)])
 def test_a_fault_delays_a_message_by_its_own_time(fault: str, late_ms: int) -> None:
     latency = latency_of(validate(LatencyConfig, {"platform": {"faults": {fault: 1.0}}}, "test"))
@@ -226,6 +218,16 @@ def test_a_block_without_quantiles_changes_the_model_that_ships() -> None:
         Dp1Config, {"suite": "dp1", "clock_speed": [5], "latency": {"reply_us": {"call": [1.0] * 12}}}, "dp1"
     )
     assert own.latency == LatencyConfig(reply_us={"call": (1.0,) * 12}), "quantiles of one's own: all of it"
+
+
+def test_quantiles_of_ones_own_lose_no_platform_in_silence(tmp_path: Path) -> None:
+    keys = {"suite": "dp1", "clock_speed": [5], "profile": "airsim"}
+    for own in (BLOCK, str(write(tmp_path, BLOCK))):
+        with pytest.raises(UserError, match=r"own replace airsim's whole model: add its `platform`, or another$"):
+            validate(Dp1Config, {**keys, "latency": own}, "dp1")
+    for platform in ({}, {"tick_us": 70.0}):
+        found = validate(Dp1Config, {**keys, "latency": {**BLOCK, "platform": platform}}, "dp1").latency
+        assert found.platform == PlatformConfig.model_validate(platform)
 
 
 def changed_latency(profile: str, **latency: Any) -> LatencyConfig:

@@ -36,8 +36,9 @@ from uavaccel.kernels.fields import (
     Looks,
 )  # fmt: skip
 from uavaccel.kernels.operands import Float, Vector, cross, dot
-from uavaccel.kernels.rays import Colour, Integer, level_of, lit, luma, sky_index, texel_index
+from uavaccel.kernels.rays import Colour, Integer, level_of, lit, sky_index, texel_index
 from uavaccel.kernels.scene import Scene, Shape
+from uavaccel.sim.camera.pixels import luma_of
 from uavaccel.sim.parts import part
 
 Span: TypeAlias = tuple[Float, Float]
@@ -565,7 +566,7 @@ def colour_at(scene: Scene, world: int, looks: Looks, eye: Eye, row: int, column
 def gray_at(scene: Scene, world: int, looks: Looks, eye: Eye, row: int, column: int, size: tuple[int, int]) -> Any:
     """Return a pixel's luma (0 to 255)."""
     red, green, blue = colour_at(scene, world, looks, eye, row, column, size)
-    return luma(red, green, blue)
+    return luma_of(red, green, blue)
 
 
 @part(error_model="numpy")

@@ -32,9 +32,10 @@ from uavaccel.kernels.lanes import EVENT_SEED, PICTURE_SEED
 from uavaccel.kernels.operands import Launchable, Operand
 from uavaccel.kernels.project import project_solid
 from uavaccel.kernels.quads import BELOW, RIGHT, quad_lumas, quick_count, update_quad
-from uavaccel.kernels.rays import ONE, colour_of, linear, luma
+from uavaccel.kernels.rays import ONE, colour_of, linear
 from uavaccel.kernels.scene import LOOSE, add_to, sort_cell, visit, world_of
 from uavaccel.kernels.touching import NOTHING, around, deepest_of_all, least_of_all
+from uavaccel.sim.camera.pixels import luma_of
 from uavaccel.sim.clutter import DRAWS, GAP, keep_gaps, sample_shape
 from uavaccel.sim.parts import times
 from uavaccel.sim.pcg64 import STREAM_FIELDS, advance
@@ -744,7 +745,7 @@ def cast_gray(going, looks, games, now, sight, gray):  # type: ignore[no-untyped
         return
     red, green, blue = colour_of_thread(lane, y, x, size, looks, games, now, sight)
     if y < size[0] and x < size[1]:
-        gray[lane, y, x] = luma(red, green, blue)
+        gray[lane, y, x] = luma_of(red, green, blue)
 
 
 @cuda.jit(device=True)
