@@ -25,8 +25,8 @@ from uavaccel.sim.lane.layout import layout_from
 from uavaccel.sim.profile import NATIVE
 from uavaccel.sim.world import World
 
-# How long an example takes says something about the machine's other work alone.
-settings.register_profile("untimed", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+# How long an example takes says something about the machine's other work alone. Each run draws other examples.
+settings.register_profile("untimed", max_examples=50, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("untimed")
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     # In the background of a shell Ctrl-C is ignored, by the programs that tests start too.

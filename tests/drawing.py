@@ -47,16 +47,6 @@ def labelled(axes: Any) -> dict[str, Any]:
     return dict(zip(labels, handles, strict=True))
 
 
-def legend_texts(legend: Any) -> list[str]:
-    """The legend's entries, in order."""
-    return [text.get_text() for text in legend.get_texts()]
-
-
-def tick_texts(axis: Any) -> list[str]:
-    """The labels of an axis's major ticks."""
-    return [label.get_text() for label in axis.get_ticklabels()]
-
-
 def boxes(axes: Any) -> dict[float, dict[str, Any]]:
     """Boxplots by place: lower and upper quartile, median, whiskers' ends and colour."""
     found: dict[float, dict[str, Any]] = {}

@@ -260,7 +260,7 @@ serve(policy, PORT)
 """
 
 
-def test_an_episode_whose_server_was_killed_says_so_and_is_played_again() -> None:
+def test_an_episode_whose_server_was_killed_is_played_again() -> None:
     program = SERVER.replace("CALL", "70")
     with process(program.replace("PORT", "0")) as (_, address):
         port = address.rpartition(":")[2]

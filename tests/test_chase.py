@@ -69,7 +69,7 @@ def test_the_drones_shadow_falls_away_from_the_sun() -> None:
 
 @needs_opengl
 @pytest.mark.parametrize("scene", ["blocks", "clutter"])
-def test_other_scenes_are_seen_from_behind_too_with_what_is_to_be_reached(scene: str) -> None:
+def test_other_scenes_are_seen_from_behind_with_their_goals(scene: str) -> None:
     """Its sphere is where it says, ahead and to the right, and what stands in the clutter is there."""
     world = sample_world(1, Clutter(), (30.0, 0.0, -2.0)) if scene == "clutter" else None
     level = np.array([[1.0, 0.0, 0.0, 0.0]])

@@ -169,7 +169,7 @@ def test_nothing_arrives_before_its_time(distance_m: float, speed_m_s: float, st
     velocity_m_s=st.tuples(*[st.floats(-15, 15)] * 3),
     wind_m_s=st.tuples(*[st.floats(-10, 10)] * 3),
 )
-def test_the_free_time_is_that_to_the_nearest_of_ground_walls_and_posts(
+def test_the_free_time_is_to_the_nearest_of_ground_walls_and_posts(
     north_m: float,
     east_m: float,
     height_m: float,

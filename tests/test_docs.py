@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 import gymnasium
 import pytest
 
-from tests.test_pages import parse
+from tests.test_document import parse
 from uavaccel.cli import experiments as cli_experiments
 from uavaccel.cli.machine import init
 from uavaccel.cli.main import app

@@ -1,4 +1,4 @@
-"""The DVS model against v2e's own emulator (recorded in tests/data/v2e_clean.npz), and its properties."""
+"""The event camera's model against v2e's own emulator (recorded in tests/data/v2e_clean.npz); and DVS-ED, its error."""
 
 from dataclasses import replace
 from fractions import Fraction
@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
 
+from uavaccel.metrics.dvs_ed import active_pixels, dvs_ed_percent
 from uavaccel.vision import dvs
 from uavaccel.vision import dvs_kernels as kernels
 
@@ -69,7 +70,7 @@ def test_counts_are_numpys_floor_division_next_to_whole_thresholds(cutoff_hz: fl
     np.testing.assert_array_equal(count(log, np.zeros_like(log), positive, negative), expected)
 
 
-def test_quotient_that_is_rounded_up_to_a_whole_number_counts_one_less() -> None:
+def test_a_quotient_that_is_rounded_up_counts_one_less() -> None:
     change, threshold = np.array([[1.7825321262297023]]), np.array([[0.16204837511179113]])
     assert change / threshold == 11
     assert kernels.count_double(change, np.zeros_like(change), threshold, threshold) == 10
@@ -228,3 +229,36 @@ def test_stamps_late_in_a_long_game_are_torchs(
         exact = exact if rising else Fraction(float(end)) - spacing * (count - 1 - place)
         around = (np.nextafter(stamp, np.float32(-np.inf)), stamp, np.nextafter(stamp, np.float32(np.inf)))
         assert min(around, key=lambda value: abs(Fraction(float(value)) - exact)) == stamp
+
+
+# --- DVS-ED -----------------------------------------------------------------------------------------------------------
+
+
+def random_run(seed: int, images: int = 3) -> NDArray:
+    return np.random.default_rng(seed).integers(0, 3, (2, images, 4, 5))
+
+
+def test_it_counts_pixels_not_events() -> None:
+    on, off = np.zeros((2, 1, 10, 10), int)
+    on[0, :2, :3], off[0, 5, 5] = 7, 1
+    nothing = np.zeros((1, 10, 10), int)
+    assert active_pixels(on)[0] == 6
+    assert dvs_ed_percent(on, off, nothing, nothing)[0] == 7.0
+
+
+def test_polarities_do_not_cancel() -> None:
+    one, none = np.ones((1, 2, 2), int), np.zeros((1, 2, 2), int)
+    assert dvs_ed_percent(one, none, none, one)[0] == 200.0
+
+
+def test_images_are_paired_by_index_as_far_as_both_runs_have_them() -> None:
+    run, reference = random_run(1, images=5), random_run(2, images=3)
+    shorter = dvs_ed_percent(*run[:, :3], *reference)
+    np.testing.assert_array_equal(dvs_ed_percent(*run, *reference), shorter)
+    np.testing.assert_array_equal(dvs_ed_percent(*reference, *run), shorter)
+
+
+@given(st.integers(0, 999))
+def test_a_run_does_not_differ_from_itself(seed: int) -> None:
+    run = random_run(seed)
+    np.testing.assert_array_equal(dvs_ed_percent(*run, *run), 0.0)

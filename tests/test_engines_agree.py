@@ -2,7 +2,7 @@
 
 Tasks, actions, conditions, latencies and seeds are random. The exact simulator's pictures are here the kernels', so
 that what an event camera makes of them is compared to the bit; tests/test_kernel_looks.py compares them with OpenGL's.
-The GPU's kernels run on the CPU (tests/host_kernels.py).
+The GPU's kernels run on the CPU (tests/host_kernels.py) unless UAVACCEL_TEST_GPU=1 asks for the GPU itself.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import torch as th
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from tests.host_kernels import host_kernels  # noqa: F401 - a fixture
+from tests.host_kernels import a_gpu, host_kernels  # noqa: F401 - fixtures
 from tests.lanes import SideBySide, assert_same, stored
 from tests.own_tasks import Post, Spin
 from uavaccel.envs import kernel_plan
@@ -147,6 +147,7 @@ FLIGHTS = st.fixed_dictionaries(
         "wall_reward": st.just(-0.1),
     }
 )
+SCALES = st.sampled_from([[0.0, 4.0], [2.5, 2.5]])  # of a game's latencies
 PLACED = {"lane": {"obstacles": [{"x_m": 3, "y_m": 0.6, "radius_m": 0.5}, {"x_m": 4, "y_m": -1.0, "half_side_m": 0.4}]}}
 NOISE = st.fixed_dictionaries(
     {"dvs_preset": st.sampled_from(["clean", "constructor", "command_line", "noisy"])},
@@ -182,6 +183,8 @@ def cases(draw: st.DrawFn) -> Case:
         Navigate: [st.just({**WORLDS, "observation": "state"}), CONTINUOUS],
     }
     keys: Keys = {name: value for part in (timings(), *parts[kind]) for name, value in draw(part).items()}
+    if kind is ObstacleLane and keys.get("timing") == "virtual" and "lane" not in keys:
+        keys["randomise"] = {**keys.get("randomise", {}), "latency_scale": draw(SCALES)}
     noise = draw(st.sampled_from([0.1, 0.4, 1.0]))
     return Case(kind, keys, draw(st.integers(0, 2**16)), 10, noise, draw(work()), draw(EVENTS), draw(st.booleans()))
 
@@ -311,9 +314,10 @@ class Engines:
 
         lanes, over = self.device._lanes, flown[2] | flown[3]
         self._returns += flown[1]
-        np.testing.assert_array_equal(lanes.ended[:, AT.over] > 0.0, over)
+        ended = lanes.ended.cpu()
+        np.testing.assert_array_equal(ended[:, AT.over] > 0.0, over)
         for lane in np.flatnonzero(over).tolist():
-            outcome, expected = lanes.ended[lane].tolist(), flown[4][lane]["final_info"]
+            outcome, expected = ended[lane].tolist(), flown[4][lane]["final_info"]
             found = lanes.info(lane, outcome)
             assert outcome[AT.reward] == pytest.approx(self._returns[lane], abs=1e-9)
             assert found["collision"] == expected["collision"]
@@ -345,15 +349,17 @@ def compare_batch(device: Any, flown: Any, steps: Any) -> None:
     """A batch of tensors with the CPU's."""
     observations, rewards, terminated, truncated, infos = flown
     mapped(assert_seen, observations, steps[0])
-    np.testing.assert_allclose(rewards.numpy(), steps[1], rtol=0, atol=1e-12)
-    np.testing.assert_array_equal(terminated.numpy(), steps[2])
-    np.testing.assert_array_equal(truncated.numpy(), steps[3])
+    np.testing.assert_allclose(rewards.cpu().numpy(), steps[1], rtol=0, atol=1e-12)
+    np.testing.assert_array_equal(terminated.cpu(), steps[2])
+    np.testing.assert_array_equal(truncated.cpu(), steps[3])
     over = steps[2] | steps[3]
     for mask in ("_final_obs", "_final_info"):
-        np.testing.assert_array_equal(infos[mask].numpy(), over)
+        np.testing.assert_array_equal(infos[mask].cpu(), over)
     for lane in range(LANES):
         if not over[lane]:
-            np.testing.assert_allclose(infos["position_m"][lane], steps[4][lane]["position_m"], rtol=0, atol=1e-12)
+            np.testing.assert_allclose(
+                infos["position_m"][lane].cpu(), steps[4][lane]["position_m"], rtol=0, atol=1e-12
+            )
             assert infos["commands"][lane] == steps[4][lane]["commands"]
             continue
         mapped(assert_seen, select(infos["final_obs"], lane), steps[4][lane]["final_obs"])
@@ -369,9 +375,14 @@ def pictures_alike(ours: Any, theirs: Any) -> None:
 
 
 def assert_seen(ours: Any, theirs: Any) -> None:
-    """Pictures to the bit, and numbers but for their last."""
-    tolerance = 0.0 if theirs.dtype == np.uint8 else 1e-6
-    np.testing.assert_allclose(ours.numpy().astype(float), theirs, rtol=tolerance, atol=tolerance)
+    """Pictures to the bit, but for single pixels of a GPU's own arithmetic, and numbers but for their last."""
+    found = ours.cpu().numpy().astype(float)
+    if theirs.dtype != np.uint8:
+        np.testing.assert_allclose(found, theirs, rtol=1e-6, atol=1e-6)
+    elif ours.is_cuda:
+        assert np.mean(np.abs(found - theirs) > 1.0) < 2e-3
+    else:
+        np.testing.assert_array_equal(found, theirs)
 
 
 def one_lane(info: Any, lane: int) -> Any:
@@ -440,7 +451,7 @@ FIXTURES = settings(suppress_health_check=[HealthCheck.function_scoped_fixture, 
 @pytest.mark.slow
 @settings(FIXTURES, max_examples=16)
 @given(cases())
-@pytest.mark.usefixtures("host_kernels")
+@pytest.mark.usefixtures("a_gpu")
 def test_games_are_the_same_in_all_simulators(case: Case) -> None:
     fly_everywhere(case)
 
@@ -448,7 +459,7 @@ def test_games_are_the_same_in_all_simulators(case: Case) -> None:
 @pytest.mark.slow
 @settings(FIXTURES, max_examples=10)
 @given(seen_cases())
-@pytest.mark.usefixtures("host_kernels", "kernels_pictures")
+@pytest.mark.usefixtures("a_gpu", "kernels_pictures")
 def test_cameras_see_the_same_in_all_simulators(case: Case) -> None:
     fly_everywhere(case)
 
@@ -456,12 +467,12 @@ def test_cameras_see_the_same_in_all_simulators(case: Case) -> None:
 @pytest.mark.slow
 @settings(FIXTURES, max_examples=4)
 @given(worlds())
-@pytest.mark.usefixtures("host_kernels")
+@pytest.mark.usefixtures("a_gpu")
 def test_clutter_is_the_same_for_cores_and_a_gpu(case: Case) -> None:
     fly_everywhere(case)
 
 
-@pytest.mark.usefixtures("host_kernels", "kernels_pictures")
+@pytest.mark.usefixtures("a_gpu", "kernels_pictures")
 def test_depth_is_asked_for_once_wherever_it_is_flown() -> None:
     """On the wall clock of all three: of the lane's depths, whose mean is often below ten metres, and changes."""
     taken = {"request_us": {"call": [0.0, 0.0], "image": [1e6, 1e6]}, "reply_us": {"call": [0.0, 0.0]}}
@@ -493,7 +504,7 @@ def own_task_of_the_page() -> Any:
     return named["Beacon"]
 
 
-@pytest.mark.usefixtures("host_kernels")
+@pytest.mark.usefixtures("a_gpu")
 def test_the_task_of_the_page_is_the_same_in_all_simulators() -> None:
     keys: Keys = {"max_commands": 8, "t_move_s": 0.4}
     assert len(fly_everywhere(Case(own_task_of_the_page(), keys, 3, 25, 0.3, 0.0))) >= 4

@@ -164,26 +164,6 @@ def test_workers_forked_after_drawing_say_what_to_do() -> None:
 # --- lanes ------------------------------------------------------------------------------------------------------
 
 
-def test_the_splits_fly_different_lanes_of_one_index() -> None:
-    ends = []
-    for split in ("training", "evaluation", "test"):
-        with lane(split=split, observation="state") as environment:
-            ends.append(crash(environment, 2)[4]["distance_m"])
-        free_m = free_distance_m(sample_layout(lane_seed(split, 2)), 0.0)
-        assert ends[-1] == pytest.approx(free_m, abs=0.02)
-    assert len({round(end, 1) for end in ends}) == 3
-
-
-def test_the_seed_draws_the_lanes() -> None:
-    drawn = []
-    for seed in (1, 1, 2):
-        with lane(observation="state") as environment:
-            infos = [environment.reset(seed=seed)[1], *(environment.reset()[1] for _ in range(4))]
-        drawn.append([info["lane"] for info in infos])
-    assert drawn[0] == drawn[1]
-    assert len({*drawn[0], *drawn[2]}) == 10
-
-
 OWN_LANE = {
     "obstacles": [{"x_m": 12, "y_m": 0.2, "half_side_m": 0.5}, {"x_m": 20, "y_m": -2, "radius_m": 0.6}],
     "wind_m_s": [0.5, 0.0, 0.0],
@@ -217,23 +197,6 @@ def test_a_collision_ends_the_game_and_blanks_missing_frames() -> None:
     assert -1.0 < reward < -0.9
     assert np.ptp(observation[0]) > 0  # it was still on its way at the first sample
     assert (observation[1:] == NEUTRAL_LEVEL).all()
-
-
-def test_the_walls_end_a_game_too() -> None:
-    with lane(observation="state", difficulty=NO_LANE) as environment:
-        environment.reset(seed=0)
-        while not (last := environment.step(HARD_WEST))[2]:
-            pass
-    assert last[4]["position_m"][1] == pytest.approx(-(5.0 - 0.342), abs=0.02)
-    assert "wall" in last[4]["collision"]
-
-
-def test_the_end_of_the_lane_is_a_success() -> None:
-    with lane(observation="state", difficulty=NO_LANE, goal_reward=3.0) as environment:
-        _, reward, terminated, truncated, info = crash(environment, 0)
-    assert (terminated, truncated, info["is_success"], info["collision"]) == (True, False, True, None)
-    assert 150.0 <= info["distance_m"] < 151.0
-    assert reward == pytest.approx(3.1, abs=0.01)
 
 
 @needs_opengl
@@ -283,17 +246,6 @@ def test_colour_and_depth_show_the_lane() -> None:
     np.testing.assert_allclose(metres, metres[::-1], atol=0.6)
 
 
-def test_the_state_is_that_of_the_vehicle() -> None:
-    with lane(observation="state") as environment:
-        environment.reset(seed=0)
-        seen, _, _, _, info = environment.step(AHEAD)
-    assert seen.shape == (3, 13)
-    assert seen.dtype == np.float32
-    np.testing.assert_allclose(seen[-1, :3], info["position_m"], rtol=1e-6)
-    np.testing.assert_allclose(np.linalg.norm(seen[:, 3:7], axis=1), 1.0, rtol=1e-6)
-    assert (np.diff(seen[:, 7]) > 0).all()  # it gains speed
-
-
 @needs_opengl
 def test_blank_images_show_nothing() -> None:
     with lane(blank_images=True) as environment:
@@ -311,21 +263,6 @@ def test_tcsc_sees_the_same_at_any_clock_speed() -> None:
             seen = fly(environment, [2, 3, 1, 4, 2, 2])
         flights.append([observation.tobytes() for observation in seen])
     assert flights[0] == flights[1] == flights[2]
-
-
-@pytest.mark.parametrize("command", ["adsc", "tcsc"])
-def test_time_passes_for_adsc_alone_while_the_agent_thinks(command: str) -> None:
-    task = {"observation": "state", "timing": "virtual", "clock_speed": 50.0, "difficulty": NO_LANE}
-    ends_m = []
-    for thought_s in (0.0, 0.02):  # at 50x the longer one is a simulated second, in which the vehicle brakes
-        with lane(**task, command=command) as environment:
-            environment.reset(seed=0)
-            for _ in range(5):
-                environment.charge(thought_s)
-                info = environment.step(AHEAD)[4]
-        assert info["phase_s"]["inference"] == pytest.approx(5 * thought_s)
-        ends_m.append(info["distance_m"])
-    assert ends_m[1] < ends_m[0] - 0.5 if command == "adsc" else ends_m[1] == ends_m[0]
 
 
 # --- mistakes ---------------------------------------------------------------------------------------------------

@@ -150,7 +150,7 @@ def test_the_bench_measures_ours_and_the_bare_loop() -> None:
     assert renderer == gl.describe_renderer()
 
 
-def test_a_gl_that_is_not_there_is_one_line_wherever_mujoco_is_imported() -> None:
+def test_a_missing_gl_is_one_line_wherever_mujoco_is_imported() -> None:
     command = [sys.executable, "-m", "uavaccel", "run", "dp1", "--dry-run"]
     done = subprocess.run(command, env={**os.environ, "MUJOCO_GL": "glsl"}, capture_output=True, text=True, check=False)
     assert done.returncode == 1

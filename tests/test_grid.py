@@ -13,12 +13,12 @@ from tests.running import configured, fly_into, run_into
 from uavaccel.cli.experiments import sweep_agent
 from uavaccel.config import validate
 from uavaccel.envs.conditions import CONDITIONS
-from uavaccel.errors import UsageError, UserError
+from uavaccel.errors import UsageError
 from uavaccel.records import RunDirectory
 from uavaccel.resources import experiment
 from uavaccel.suites.dp1 import Dp1, Dp1Config
 from uavaccel.suites.evaluate import Evaluation
-from uavaccel.suites.grid import Ablation, Point, Robustness, Sweep, band_figure, parse_sweep
+from uavaccel.suites.grid import Ablation, Point, Robustness, Sweep, band_figure
 from uavaccel.suites.session import RunRequest
 
 BASE = "base={profile: airsim, command: [adsc], clock_speed: [1, 10], t_move_s: [0.2], rounds: [2], games: 2, reference_games: 2}"  # noqa: E501
@@ -152,22 +152,6 @@ def test_a_cell_is_an_evaluation_under_its_latency(tmp_path: Path) -> None:
     assert rows["latency0-adsc-50x"]["lane"].tolist() == [0, 1]
     assert rows["latency0-adsc-50x"]["distance_m"].tolist() != rows["latency1-adsc-50x"]["distance_m"].tolist()
     assert [cell["successes"] for cell in summary["cells"]] == [0] * 4
-
-
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("wnd=1", "did you mean 'wind'"),
-        ("wind", "NAME=VALUE"),
-        ("wind=", "NAME=VALUE"),
-        ("=1", "NAME=VALUE"),
-        ("agent=straight", "is unknown"),
-        ("wind=[", "--sweep wind"),
-    ],
-)
-def test_a_sweep_that_cannot_be_read_is_one_line(text: str, said: str) -> None:
-    with pytest.raises(UserError, match=said):
-        parse_sweep(text)
 
 
 def test_a_sweep_on_the_wall_clock_is_flown_in_one_process() -> None:

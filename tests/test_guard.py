@@ -1,16 +1,33 @@
-"""The image guard: what it accepts, refuses, and falls back on."""
+"""What becomes of images: modelled perturbations, the guard that notices them, and auto-exposure."""
+
+from __future__ import annotations
 
 import itertools
+from collections import Counter
 from collections.abc import Callable, Iterable
+from dataclasses import replace
+from itertools import permutations
+from types import SimpleNamespace
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from uavaccel.envs.camera_client import CameraClient
+from uavaccel.envs.task import AT_REST
 from uavaccel.vision.guard import GuardSettings, GuardState, Verdict, acquire, judge, mean_brightness
+from uavaccel.vision.perturb import (
+    AutoExposure,
+    PerturbationKind,
+    PerturbationSettings,
+    perturb,
+    perturb_share,
+    share_at,
+)
 
 AIRSIM = GuardSettings(accept_identical=False)
 
@@ -41,7 +58,7 @@ def test_a_perturbed_image_is_requested_again_and_the_next_accepted() -> None:
     assert taken.state.suspect is None
 
 
-def test_fallback_is_the_last_received_image_and_becomes_the_reference() -> None:
+def test_the_fallback_is_the_last_image_and_becomes_the_reference() -> None:
     taken = acquire(GuardState(100.0), camera([grey(200), grey(201), grey(202), grey(203)]), AIRSIM)
     assert (taken.image[0, 0, 0], taken.retries, taken.reason) == (203, 3, Verdict.EXHAUSTED)
     assert acquire(taken.state, camera([grey(205)]), AIRSIM).retries == 0
@@ -54,7 +71,7 @@ def test_identical_re_render_is_accepted_at_once_in_native_alone() -> None:
     assert acquire(GuardState(100.0), camera(bright), AIRSIM).reason is Verdict.EXHAUSTED
 
 
-def test_a_camera_that_reuses_its_buffer_is_not_taken_for_an_identical_image() -> None:
+def test_a_reused_buffer_is_not_taken_for_an_identical_image() -> None:
     buffer, levels = grey(0), iter([200, 100])
 
     def request() -> NDArray:
@@ -73,7 +90,7 @@ def test_an_image_is_identical_to_the_one_just_before_alone() -> None:
     assert (taken.retries, taken.reason) == (2, Verdict.STEADY)
 
 
-def test_suspects_leave_the_reference_as_it_is_and_the_accepted_one_becomes_it() -> None:
+def test_suspects_leave_the_reference_and_the_accepted_one_becomes_it() -> None:
     state, verdict = judge(GuardState(100.0), grey(200), GuardSettings())
     assert (verdict, state.reference_brightness, state.retries) == (Verdict.RETRY, 100.0, 1)
     state, verdict = judge(state, grey(200), GuardSettings())
@@ -91,9 +108,7 @@ def test_suspects_leave_the_reference_as_it_is_and_the_accepted_one_becomes_it()
         (GuardSettings(max_change=0.0), 100, "steady"),
     ],
 )
-def test_limits_are_relative_to_the_reference_and_the_floor_is_absolute(
-    settings: GuardSettings, level: int, verdict: str
-) -> None:
+def test_limits_are_relative_and_the_floor_is_absolute(settings: GuardSettings, level: int, verdict: str) -> None:
     reference = mean_brightness(grey(100))
     assert judge(GuardState(reference), grey(level), settings)[1] == verdict
 
@@ -119,7 +134,168 @@ def test_brightness_is_the_mean_luma_of_grey_and_colour() -> None:
     assert mean_brightness(rgb[:, :, 0]) == pytest.approx(float(rgb[:, :, 0].mean()))
 
 
-@pytest.mark.parametrize("limit", [{"max_change": -0.1}, {"min_brightness": -1}, {"max_retries": -1}])
-def test_negative_limits_are_refused(limit: dict[str, Any]) -> None:
-    with pytest.raises(ValueError, match="greater than or equal to 0"):
-        GuardSettings(**limit)
+# --- perturbations ----------------------------------------------------------------------------------------------------
+
+
+def flight(images: int, seed: int = 0) -> list[NDArray[np.uint8]]:
+    """Views of a coloured texture sliding by."""
+    texture = np.random.default_rng(seed).integers(0, 256, (72, 128 + 2 * images, 3), np.uint8)
+    texture = cv2.GaussianBlur(texture, (0, 0), 3) * np.array([1.0, 0.8, 0.5])
+    return [texture[:, 2 * i : 2 * i + 128].astype(np.uint8) for i in range(images)]
+
+
+def test_off_by_default() -> None:
+    image = flight(1)[0]
+    same, kind = perturb_share(image, PerturbationSettings(), 0)
+    assert same is image
+    assert kind is None
+
+
+def test_the_share_grows_with_clock_speed_from_none_to_all_of_it() -> None:
+    shares = [share_at(clock_speed, 0.08, 25.0) for clock_speed in (0.5, 1.0, 6.0, 26.0, 76.0, 1e9)]
+    assert shares == pytest.approx([0.0, 0.0, 0.08 / 6, 0.04, 0.06, 0.08])
+    assert share_at(1.0, 0.08, None) == share_at(100.0, 0.08, None) == 0.08
+
+
+def test_share_and_kinds_are_met_and_follow_the_seed() -> None:
+    image, settings = flight(1)[0], PerturbationSettings(share=0.2, seed=3)
+    kinds = [perturb_share(image, settings, i)[1] for i in range(2000)]
+    assert kinds == [perturb_share(image, settings, i)[1] for i in range(2000)]
+    assert 2000 - kinds.count(None) == pytest.approx(400, abs=4 * 320**0.5)
+    for kind in PerturbationKind:
+        assert kinds.count(kind) == pytest.approx(100, abs=40)
+
+
+@pytest.mark.parametrize("kind", PerturbationKind)
+def test_a_perturbed_image_is_a_changed_copy(kind: PerturbationKind) -> None:
+    image = flight(1)[0]
+    before = image.copy()
+    changed = perturb(image, kind, np.random.default_rng(1))
+    np.testing.assert_array_equal(image, before)
+    assert (changed.shape, changed.dtype) == (image.shape, image.dtype)
+    assert (changed != image).any()
+
+
+def test_a_changed_image_follows_its_index_and_its_seed() -> None:
+    image, salt = flight(1)[0], (PerturbationKind.SALT_AND_PEPPER,)
+    settings = PerturbationSettings(share=1.0, kinds=salt, seed=3)
+    [once, again, next_, other] = [
+        perturb_share(image, changed, index)
+        for changed, index in (
+            (settings, 0), (settings, 0), (settings, 1), (PerturbationSettings(1.0, salt, seed=4), 0),
+        )
+    ]  # fmt: skip
+    assert {kind for _, kind in (once, again, next_, other)} == set(salt)
+    np.testing.assert_array_equal(once[0], again[0])
+    assert (once[0] != next_[0]).any()
+    assert (once[0] != other[0]).any()
+
+
+def test_brightness_is_a_gain_that_darkens_as_often_as_it_brightens() -> None:
+    """0.4 to 0.8 or 1.25 to 2, evenly, and clipped."""
+    rng, image = np.random.default_rng(2), np.zeros((2, 2, 3), np.uint8)
+    image[0, 0], image[1, 1] = 100, 250
+    changed = np.array([perturb(image, PerturbationKind.BRIGHTNESS, rng) for _ in range(4000)], float)
+    gains = changed[:, 0, 0, 0] / 100
+    assert not changed[:, 0, 1].any()
+    np.testing.assert_allclose(changed[:, 1, 1, 1], np.minimum(250 * gains, 255), atol=2.0)
+    darker, brighter = gains[gains < 1], gains[gains > 1]
+    assert len(darker) == pytest.approx(2000, abs=130)
+    for group, low, high in ((darker, 0.4, 0.8), (brighter, 1.25, 2.0)):
+        assert (group.min(), group.max()) == pytest.approx((low, high), abs=0.006)
+        assert group.mean() == pytest.approx((low + high) / 2, abs=4 * (high - low) / 12**0.5 / 2000**0.5)
+
+
+def test_colours_are_every_wrong_order_of_the_channels_equally_often() -> None:
+    rng = np.random.default_rng(2)
+    image = np.array([[[10, 20, 30]]], np.uint8)
+    orders = Counter(tuple(perturb(image, PerturbationKind.COLOURS, rng)[0, 0].tolist()) for _ in range(2000))
+    assert set(orders) == set(permutations((10, 20, 30))) - {(10, 20, 30)}
+    assert min(orders.values()) > 400 - 4 * 320**0.5
+
+
+def test_an_empty_image_is_black() -> None:
+    assert not perturb(flight(1)[0], PerturbationKind.EMPTY, np.random.default_rng(0)).any()
+
+
+def test_salt_and_pepper_hit_their_share_of_the_pixels() -> None:
+    grey = np.full((400, 400, 3), 90, np.uint8)
+    noisy = perturb(grey, PerturbationKind.SALT_AND_PEPPER, np.random.default_rng(1))
+    for level in (0, 255):  # all three channels of a pixel, black as often as white
+        assert (noisy == level).all(axis=2).mean() == pytest.approx(0.05 / 2, rel=0.1)
+    assert (noisy == 90).all(axis=2).mean() == pytest.approx(0.95, rel=0.01)
+
+
+# --- auto-exposure ----------------------------------------------------------------------------------------------------
+
+
+S = 1_000_000_000
+
+
+def level_image(level: int) -> np.ndarray:
+    return np.full((4, 6), level, np.uint8)
+
+
+def test_the_first_image_is_taken_as_it_is_and_sets_the_aim() -> None:
+    exposure = AutoExposure()
+    assert (exposure.expose(level_image(80), 5 * S) == 80).all()
+    assert (exposure.expose(level_image(80), 9 * S) == 80).all()
+
+
+def test_an_image_counts_from_the_one_before_it() -> None:
+    """Ten a second: each goes 0.3 of a stop further."""
+    exposure = AutoExposure()
+    exposure.expose(level_image(200), 0)
+    reached = []
+    for tenth in range(1, 4):
+        exposure.expose(level_image(20), tenth * S // 10)
+        reached.append(exposure.stops)
+    assert reached == pytest.approx([0.3, 0.6, 0.9])
+
+
+@pytest.mark.parametrize(
+    ("level", "ran_s", "stops"),
+    [
+        (40, 0.1, 0.3),  # half as bright: one stop up at 3 stops per second
+        (40, 1.0, 1.0),  # and no further than that
+        (160, 0.1, -0.1),  # down at 1 stop per second
+        (160, 0.0, 0.0),  # a pause holds it
+        (5, 60.0, 2.0),  # 4 stops are more than there are
+        (0, 0.1, 0.3),  # night too
+    ],
+)
+def test_it_follows_by_so_many_stops_per_second(level: int, ran_s: float, stops: float) -> None:
+    exposure = AutoExposure()
+    exposure.expose(level_image(80), 2 * S)
+    image = exposure.expose(level_image(level), round((2 + ran_s) * S))
+    assert exposure.stops == pytest.approx(stops)
+    assert (image == round(level * 2**stops)).all()
+
+
+def test_a_faster_clock_leaves_it_less_time() -> None:
+    """The same simulated second, at 1x and at 100x."""
+    slow, fast = AutoExposure(), AutoExposure()
+    for exposure, clock_speed in ((slow, 1), (fast, 100)):
+        exposure.expose(level_image(80), 0)
+        exposure.expose(level_image(40), S // clock_speed)
+    assert (slow.stops, fast.stops) == pytest.approx((1.0, 0.03))
+
+
+def test_bright_pixels_saturate_and_colours_keep_their_order() -> None:
+    exposure = AutoExposure()
+    exposure.expose(np.full((2, 2, 3), 100, np.uint8), 0)
+    image = exposure.expose(np.array([[[20, 40, 60], [20, 40, 200]]], np.uint8), 10 * S)
+    assert image[0, 1, 2] == 255
+    assert image[0, 0, 0] < image[0, 0, 1] < image[0, 0, 2]
+
+
+def test_a_camera_is_exposed_for_the_time_that_it_ran() -> None:
+    """At 10x a simulated second is a tenth of one: three tenths of a stop up, as the picture is half as bright."""
+    images = iter((level_image(80), level_image(40)))
+    client: Any = SimpleNamespace(clock_speed=10.0, image=lambda kind, size: next(images))
+    exposure = AutoExposure()
+    camera = CameraClient(client, guard=GuardSettings(max_retries=0), exposure=exposure)
+    for time_ns in (0, S):
+        sample = camera.take(replace(AT_REST, time_ns=time_ns))
+    assert exposure.stops == pytest.approx(0.3)
+    assert (sample.image == round(40 * 2**0.3)).all()

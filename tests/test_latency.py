@@ -134,15 +134,6 @@ def test_channels_are_independent(others: list[str], seed: int) -> None:
 LIKELY = {"platform": {"faults": {"dropped": 0.2, "stalled": 0.3, "late": 0.4}}}
 
 
-def drawn_of(latency: Latency, count: int = 30) -> list[int]:
-    """Of messages in both directions, faults among them, and of a timer."""
-    return [
-        each
-        for _ in range(count)
-        for each in (latency.request_ns("pause"), latency.reply_ns("pause"), latency.timer_ns())
-    ]
-
-
 @pytest.mark.parametrize(("fault", "late_ms"), [("dropped", 200), ("stalled", 40), ("late", 10)])
 def test_a_fault_delays_a_message_by_its_own_time(fault: str, late_ms: int) -> None:
     latency = latency_of(validate(LatencyConfig, {"platform": {"faults": {fault: 1.0}}}, "test"))

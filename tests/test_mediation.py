@@ -12,13 +12,15 @@ import pandas as pd
 import pytest
 from numpy.typing import ArrayLike
 
+from tests.made_runs import run_of
 from tests.running import configured, run_into
-from tools.fit_gap_law import LAWS, compare, largest_gap
+from tools.fit_gap_law import conditions, fit, halves, judged, largest_gap, over_tasks
 from uavaccel.config import parse_yaml
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
-from uavaccel.suites.mediation import Mediation, MediationConfig, Share, share_of_loss
+from uavaccel.suites.mediation import Contrast, Mediation, MediationConfig, Share, effect, share_of_loss
+from uavaccel.suites.realtime import Realtime
 
 pytestmark = pytest.mark.usefixtures("trainings_here")
 
@@ -91,6 +93,7 @@ SMALL = """{
         keys: {games: 2, simulator: kernels, task.timing: lockstep, task.max_commands: 12, task.t_move_s: 1.0}},
     flights: {gap: {label: s, keys: [task.mediation.gap_s], values: [[0.776], [2.0]]},
         slow: {label: s, keys: [task.t_move_s, task.t_sample_s, task.speed_m_s], values: [[1.98, 0.66, 0.5]]}},
+    contrasts: [{label: games, without: [small/usual], moved: [brief/usual]}],
     shares: [{usual: small/usual, whole: small/gap-2, parts: [brief/gap-2, small/slow-1.98]}]}"""
 
 
@@ -121,6 +124,19 @@ def test_each_policy_is_flown_under_every_value_of_every_factor(tmp_path: Path) 
         assert part.config()["task"]["mediation"]["gap_s"] == 2.0
         assert (part.config()["agent"] == "straight") == (row["policy"] == "blind")
     assert "Shares of the loss" in (tmp_path / "run/report.md").read_text()
+    assert summary["contrasts"][0]["trainings"] == 4
+
+
+def test_policies_of_another_task_and_ones_with_their_own_flights_are_flown(tmp_path: Path) -> None:
+    hover = "{experiment: hover_ppo, games: 4, environments: 2, options.rollout: 8, task.max_commands: 4}"
+    policies = f"policies={{hover: {hover}, slow: {{agent: straight, task.speed_m_s: 0.5}}}}"
+    flights = "flights={gap: {label: s, keys: [task.mediation.gap_s], values: [[0.4]]}}"
+    keys = "evaluation.keys={games: 2, simulator: kernels, task.timing: lockstep, task.max_commands: 4}"
+    run_into(tmp_path / "run", Mediation(), small(policies, flights, keys, "shares=[]", "contrasts=[]"))
+    flown = [RunDirectory(tmp_path / f"run/parts/{name}-seed0/gap-0.4").config() for name in ("hover", "slow")]
+    assert [config["env_id"] for config in flown] == ["uavaccel/Hover-v0", "uavaccel/ObstacleLane-v0"]
+    assert flown[1]["task"]["speed_m_s"] == 0.5
+    assert [config["task"]["mediation"]["gap_s"] for config in flown] == [0.4, 0.4]
 
 
 @pytest.mark.parametrize("experiment", ["mediation", "mediation_flight", "mediation_law"])
@@ -134,6 +150,8 @@ def test_shipped_mediations_can_be_flown(experiment: str) -> None:
     ("override", "said"),
     [
         ("shares.0.whole=small/gap-3", r"shares: small/gap-3 is no cell; cells are POLICY/FLIGHT, as in blind/gap-0"),
+        ("contrasts=[{label: a, without: [small/gap-3], moved: [small/usual]}]", "contrasts: small/gap-3 is no cell"),
+        ("contrasts=[{label: a, without: [small/usual, brief/usual], moved: [small/gap-2]}]", "a needs as many cells"),
         ("flights.gap.values=[[0.1, 0.2]]", r"values has \[0.1, 0.2\]: needs a value for each of task"),
         ("flights.gap.values=[[0.2], [0.2]]", "each value of task.mediation.gap_s once"),
         ("flights.gap.values=[[fast]]", "those of task.mediation.gap_s must be numbers"),
@@ -171,21 +189,120 @@ def test_a_part_of_a_loss_is_a_share_with_an_interval_over_trainings_and_lanes()
     assert (apart["share"], apart["low"]) == (1.0, None)  # the other training loses nothing
 
 
+def test_an_effect_is_that_of_one_factor_over_all_cells_of_the_others() -> None:
+    lanes = np.arange(200)
+    won = {"a/x": 200, "b/x": 180, "a/y": 100, "b/y": 40}
+    cells = {name: cell(lanes < count, lanes < count - 20) for name, count in won.items()}
+    two_by_two = Contrast(label="y", without=("a/x", "b/x"), moved=("a/y", "b/y"))
+    found = effect(cells, two_by_two)
+    assert (found["without"], found["moved"]) == pytest.approx((0.9, 0.3))
+    # each training is .05 off its cell's mean: the error of a mean of four cells of two, and Student's for 4 degrees
+    width = 2.7764 * np.sqrt(0.005 * 4 / 2) / 2
+    assert (found["low"], found["effect"], found["high"]) == pytest.approx((-0.6 - width, -0.6, -0.6 + width), abs=1e-4)
+    assert found["trainings"] == 4
+    alone = effect({name: cell(lanes < count) for name, count in won.items()}, two_by_two)
+    assert (alone["effect"], alone["low"], alone["high"]) == (pytest.approx(-0.6), None, None)
+
+
 # --- the law ----------------------------------------------------------------------------------------------------
+
+GAPS_S = np.array([0.0, 0.1, 0.2, 0.4, 0.8, 1.6])
+
+
+def drops_at(gap_s: float, games: int = 200) -> np.ndarray:
+    """Outcomes (gaps, games) of which five of a hundred more are lost with each `gap_s`, half a period apart."""
+    lost = np.round(0.05 * games * GAPS_S / gap_s)
+    return np.arange(games) % games >= lost[:, None]
+
+
+def made_sweep(path: Path, largest_s: dict[str, float], t_move_s: dict[str, float]) -> RunDirectory:
+    """A run of commands of several lengths, whose success drops at known gaps."""
+    policies = {
+        name: {"agent": "straight", "task.t_move_s": each, "task.t_sample_s": each} for name, each in t_move_s.items()
+    }
+    values = [[float(gap_s)] for gap_s in GAPS_S[1:]]
+    flights = {"gap": {"label": "s", "keys": ["task.mediation.gap_s"], "values": values}}
+    config = small(f"policies={json.dumps(policies)}", f"flights={json.dumps(flights)}", "shares=[]", "contrasts=[]")
+    rows = []
+    for policy, gap_s in largest_s.items():
+        won = dict(zip(["usual", *(f"gap-{value:g}" for [value] in values)], drops_at(gap_s), strict=True))
+        arrays = {f"{flight}_is_success": each for flight, each in won.items()}
+        successes = {flight: int(each.sum()) for flight, each in won.items()}
+        row = {"case": f"{policy}-seed0", "policy": policy, "seed": 0, "games": 200, "successes": successes}
+        rows.append({**row, "arrays": arrays})
+    return run_of(path, Mediation(), config, rows).run
+
+
+def made_delays(path: Path, largest_s: float) -> RunDirectory:
+    """A run of an agent at Gymnasium's pendulum, whose return drops by 5 % with each `largest_s`."""
+    config = configured(
+        "realtime_law", "environments={pole: {id: InvertedPendulum-v5}}", f"latency_s={GAPS_S.tolist()}"
+    )
+    cell = {"kind": "evaluation", "environment": "pole", "agent": "naive", "timing": "virtual", "command": "adsc"}
+    rows = [
+        {
+            **cell,
+            "case": f"pole-naive-s{seed}-adsc-{gap_s * 1e3:g}ms-1x",
+            "seed": seed,
+            "latency_s": gap_s,
+            "clock_speed": 1.0,
+            "returns": [1000.0 * (1.0 - 0.05 * gap_s / largest_s)] * 3,
+            "delays_s": [gap_s] * 3,
+            "late_s": 0.0,
+        }
+        for seed in range(2)
+        for gap_s in GAPS_S.tolist()
+    ]
+    return run_of(path, Realtime(), config, rows).run
 
 
 def test_the_largest_gap_is_where_success_has_dropped_by_five_points() -> None:
     gaps_s = np.array([0.0, 0.2, 0.4, 1.2])
     assert largest_gap(gaps_s, np.array([1.0, 1.0, 0.9, 0.2])) == pytest.approx(0.3)
     assert largest_gap(gaps_s, np.array([0.9, 0.8, 0.95, 0.0])) == pytest.approx(0.1)
-    assert largest_gap(gaps_s, np.array([0.9, 0.9, 0.86, 0.85])) == 1.2
+    assert np.isnan(largest_gap(gaps_s, np.array([0.9, 0.9, 0.86, 0.85])))
 
 
-def test_a_law_is_fitted_on_every_other_condition_and_judged_on_the_rest() -> None:
-    table = pd.DataFrame({"t_move_s": [0.5, 1.0, 2.0, 3.0], "speed_m_s": 1.0, "min_gap_m": 2.0, "row_spacing_m": 10.0})
-    law, factor, of_rest, of_constant = compare(table.assign(largest_gap_s=0.4 * table.t_move_s))
-    assert law == "T_move"
-    assert factor == pytest.approx(0.4)
-    assert of_rest == pytest.approx(1.0)
-    assert of_constant > 1.5
-    assert set(LAWS) > {"seconds", law}
+def test_runs_of_policies_and_of_delays_give_a_largest_gap_for_each_condition(tmp_path: Path) -> None:
+    sweep = made_sweep(
+        tmp_path / "a", {"brief": 0.2, "long": 0.4, "never": 1e6}, {"brief": 0.5, "long": 1.0, "never": 2.0}
+    )
+    found = conditions([sweep.path, made_delays(tmp_path / "b", 0.3).path]).set_index("condition")
+    assert found.task.to_dict() == {
+        **dict.fromkeys(["brief", "long", "never"], "ObstacleLane"),
+        "pole": "InvertedPendulum",
+    }
+    assert found.control_s.tolist() == pytest.approx([0.5, 1.0, 2.0, 0.04])
+    assert found.largest_gap_s.tolist() == pytest.approx([0.2, 0.4, np.nan, 0.3], rel=0.02, nan_ok=True)
+    assert np.isnan(found.largest_gap_s["never"])
+    assert found.low["never"] == 1.6
+    within = found.loc[["brief", "long"]]
+    assert (within.low < within.largest_gap_s).all()
+    assert (within.largest_gap_s < within.high).all()
+    assert (found.low["pole"], found.high["pole"]) == pytest.approx((0.3, 0.3))  # whose returns do not vary
+    assert judged(found.reset_index()).condition.tolist() == ["brief", "long", "pole"]
+
+
+def law_table(**columns: Any) -> pd.DataFrame:
+    """Conditions of four tasks, of the first three conditions; what they need is three times its command."""
+    table = pd.DataFrame(
+        {"task": [*"aaabcd"], "control_s": [0.1, 0.2, 0.4, 0.05, 1.0, 2.0], "own_s": [0.5] * 5 + [0.2]}
+    )
+    table = table.assign(room_s=[1.0, 0.3, 0.2, 0.3, 0.4, 0.3], largest_gap_s=3 * table.control_s, without_gap=1.0)
+    return table.assign(**columns)
+
+
+def test_a_law_that_holds_is_found_on_half_of_the_tasks_and_predicts_the_rest() -> None:
+    found = fit(law_table(), ("b", "d"))
+    assert found.law == ("control_s",)
+    assert found.factor == pytest.approx(3.0)
+    assert found.error == pytest.approx(1.0)
+    assert found.constant > 1.5
+    assert len(halves(law_table())) == 6
+    assert {each.law for each in halves(law_table())} >= {("control_s",)}
+
+
+def test_every_task_counts_alike_however_many_conditions_it_has() -> None:
+    table = law_table(control_s=1.0, own_s=1.0, room_s=1.0, largest_gap_s=[1.0, 1.0, 1.0, 4.0, 1.0, 1.0])
+    assert fit(table, ("c", "d")).factor == pytest.approx(2.0)
+    assert over_tasks(table) == pytest.approx((1.0, 1.0, 4.0))

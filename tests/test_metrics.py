@@ -1,13 +1,16 @@
-"""Position errors, speed-ups and intervals against values known by hand."""
+"""Errors, speed-ups, intervals, STLC and success, against values, definitions and formulas known by hand."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from numpy.typing import NDArray
 from scipy import stats
 from scipy.spatial import KDTree
+from scipy.stats import t
 
 from uavaccel.metrics.intervals import (
     Proportion,
@@ -18,7 +21,8 @@ from uavaccel.metrics.intervals import (
     student_quantile,
 )
 from uavaccel.metrics.speedup import combined_provenance, speedup_interval, timing_provenance
-from uavaccel.metrics.stlc import stlc
+from uavaccel.metrics.stlc import mean_stlc, stlc, stlc_matrix
+from uavaccel.metrics.success import Success, covariance
 from uavaccel.metrics.trajectory import (
     Trajectory,
     command_gaps_s,
@@ -26,6 +30,7 @@ from uavaccel.metrics.trajectory import (
     mean_position_rmse,
     position_rmse,
     quartiles,
+    trajectory,
 )
 
 
@@ -58,7 +63,7 @@ def test_mean_rmse_over_references() -> None:
     assert mean_position_rmse(references, references, exclude_self=True) == pytest.approx([0.2, 0.1, 0.1])
 
 
-def test_a_mean_needs_references_which_are_the_games_where_these_are_excluded() -> None:
+def test_a_mean_needs_references_and_games_that_are_among_them() -> None:
     with pytest.raises(ValueError, match="exclude_self"):
         mean_position_rmse([straight(1)], [straight(1), straight(2)], exclude_self=True)
     with pytest.raises(ValueError, match="reference"):
@@ -75,12 +80,6 @@ def test_distinct_keeps_order_and_counts_bytes_not_values() -> None:
 def test_gaps_and_quartiles() -> None:
     assert command_gaps_s([0.0, 1.2, 2.3], [1.0, 2.2, 3.3]) == pytest.approx([0.2, 0.1])
     assert quartiles([1.0, 2.0, 3.0, 4.0, 5.0]) == (2.0, 3.0, 4.0)
-
-
-@pytest.mark.parametrize("wall_s", [[], [0.0], [-1.0], [float("nan")]])
-def test_speedup_refuses_senseless_wall_times(wall_s: list[float]) -> None:
-    with pytest.raises(ValueError, match="wall times"):
-        speedup_interval([1.0], wall_s, 0)
 
 
 @given(st.lists(st.floats(0.1, 10.0), min_size=2, max_size=20), st.integers(0, 2**32))
@@ -133,11 +132,6 @@ def test_a_proportion_in_a_summary_and_in_words() -> None:
     assert (won.text(), won.text(0, 1)) == ("23.0% [16, 32]", "23% [15.8, 32.2]")
 
 
-def test_wilson_refuses_impossible_counts() -> None:
-    with pytest.raises(ValueError, match="successes"):
-        Proportion(3, 2)
-
-
 def test_mcnemar_counts_discordant_games_only() -> None:
     first = [True] * 10 + [True] * 6 + [False] * 4
     second = [True] * 10 + [False] * 6 + [False] * 4
@@ -145,11 +139,6 @@ def test_mcnemar_counts_discordant_games_only() -> None:
     assert (result.only_first, result.only_second) == (6, 0)
     assert result.p_value == pytest.approx(2 * 0.5**6)
     assert mcnemar_exact(first, first).p_value == 1.0
-
-
-def test_mcnemar_needs_pairs() -> None:
-    with pytest.raises(ValueError, match="paired"):
-        mcnemar_exact([True], [True, False])
 
 
 # --- what SciPy computes, which the package does without --------------------------------------------------------------
@@ -180,3 +169,206 @@ def test_stlc_in_space_is_that_of_scipys_nearest_neighbours(seed: int, count: in
     nearest = (np.exp(-KDTree(there).query(here)[0]).mean() for here, there in ((one, two), (two, one)))
     found = stlc(np.arange(count), one, np.arange(others), two, lam=1.0)
     assert found == pytest.approx(sum(nearest), abs=1e-12)
+
+
+# --- STLC -------------------------------------------------------------------------------------------------------------
+
+
+LAMBDAS = st.floats(0.0, 1.0)
+
+
+@st.composite
+def flights(draw: st.DrawFn) -> Trajectory:
+    n = draw(st.integers(1, 12))
+    times = np.sort(draw(arrays(np.float64, n, elements=st.floats(0.0, 30.0))))
+    points = draw(arrays(np.float64, (n, 3), elements=st.floats(-20.0, 20.0)))
+    return trajectory(times, points)
+
+
+def square_laps(laps: float, speed_m_s: float = 1.0, side_m: float = 1.0) -> Trajectory:
+    """A square flown exactly, sampled every 50 ms."""
+    time_s = np.arange(0, laps * 4 * side_m / speed_m_s + 1e-9, 0.05)
+    corners = side_m * np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 0]], dtype=float)
+    phase = (time_s * speed_m_s / side_m) % 4
+    position_m = np.column_stack([np.interp(phase, range(5), corners[:, axis]) for axis in range(3)])
+    return Trajectory(time_s, position_m)
+
+
+def brute_force(r: Trajectory, s: Trajectory, lam: float) -> float:
+    distance = np.linalg.norm(r.position_m[:, None] - s.position_m[None], axis=-1)
+    gap = np.abs(r.time_s[:, None] - s.time_s[None])
+    space = np.exp(-distance.min(1)).mean() + np.exp(-distance.min(0)).mean()
+    time = np.exp(-gap.min(1)).mean() + np.exp(-gap.min(0)).mean()
+    return float(lam * space + (1 - lam) * time)
+
+
+@given(flights(), LAMBDAS)
+def test_identical_flights_score_exactly_two_for_every_lambda(flight: Trajectory, lam: float) -> None:
+    assert stlc(*flight, *flight, lam) == 2.0
+
+
+@given(flights(), flights(), LAMBDAS)
+def test_symmetry_is_exact(r: Trajectory, s: Trajectory, lam: float) -> None:
+    assert stlc(*r, *s, lam) == stlc(*s, *r, lam)
+
+
+@settings(max_examples=200)
+@given(flights(), flights(), LAMBDAS)
+def test_equals_its_definition(r: Trajectory, s: Trajectory, lam: float) -> None:
+    assert stlc(*r, *s, lam) == pytest.approx(brute_force(r, s, lam), abs=1e-12)
+
+
+@given(flights(), flights(), LAMBDAS)
+def test_lies_between_zero_and_two(r: Trajectory, s: Trajectory, lam: float) -> None:
+    assert 0.0 <= stlc(*r, *s, lam) <= 2.0
+
+
+@pytest.mark.parametrize(("offset_m", "expected"), [(0.1, 1.905), (0.223, 1.800), (1.0, 1.368)])
+def test_constant_offset_on_a_shared_grid(offset_m: float, expected: float) -> None:
+    flight = square_laps(1)
+    above = flight.position_m - np.array([0, 0, offset_m])
+    score = stlc(*flight, flight.time_s, above)
+    assert score == pytest.approx(1 + np.exp(-offset_m), abs=1e-12)
+    assert score == pytest.approx(expected, abs=5e-4)
+
+
+def test_a_missed_lap_is_invisible_to_stlc_and_plain_to_rmse() -> None:
+    """The drone hovers at the start for the first of eight laps, and for half a lap of another flight."""
+    reference = square_laps(8)
+    for missed_samples in (40, 80):
+        hover = np.repeat(reference.position_m[:1], missed_samples, axis=0)
+        position_m = np.concatenate([hover, reference.position_m[:-missed_samples]])
+        assert stlc(*reference, reference.time_s, position_m) == pytest.approx(2.0, abs=1e-9)
+        assert position_rmse(reference, Trajectory(reference.time_s, position_m)) > 0.25
+
+
+def test_mean_over_references_and_without_itself() -> None:
+    base = square_laps(1)
+    references = [Trajectory(base.time_s, base.position_m + dz) for dz in (0.0, 0.1, 0.3)]
+    matrix = stlc_matrix(references, references)
+    assert mean_stlc(references[:1], references) == pytest.approx([matrix[0].mean()])
+    without = mean_stlc(references, references, exclude_self=True)
+    assert without == pytest.approx([(matrix[i].sum() - 2.0) / 2 for i in range(3)])
+
+
+def test_identical_replicas_score_exactly_two() -> None:
+    games = [square_laps(2) for _ in range(5)]
+    assert np.array_equal(mean_stlc(games, games, exclude_self=True), np.full(5, 2.0))
+
+
+def test_a_lone_reference_has_nothing_to_compare_with() -> None:
+    assert np.isnan(mean_stlc([square_laps(1)], [square_laps(1)], exclude_self=True)).all()
+
+
+@given(st.lists(flights(), min_size=1, max_size=4), st.lists(flights(), min_size=1, max_size=4))
+def test_the_matrix_is_bit_equal_to_single_pairs(games: list[Trajectory], references: list[Trajectory]) -> None:
+    matrix = stlc_matrix(games, references)
+    single = [[stlc(*game, *reference) for reference in references] for game in games]
+    assert np.array_equal(matrix, np.array(single))
+
+
+# --- success over trainings and lanes ---------------------------------------------------------------------------------
+
+
+Won = NDArray[np.bool_]
+
+
+def test_trainings_and_not_games_decide_where_there_are_several() -> None:
+    ratios = [0.9, 0.5, 0.7]
+    several = Success(tuple(Proportion(round(1000 * ratio), 1000) for ratio in ratios)).estimate
+    width = t.ppf(0.975, 2) * np.std(ratios, ddof=1) / np.sqrt(3)
+    assert several.value == pytest.approx(0.7)
+    assert several.interval == pytest.approx((0.7 - width, 1.0))
+    pooled = Success((Proportion(2100, 3000),)).estimate
+    assert pooled.interval == Proportion(2100, 3000).interval
+    assert several.low < pooled.low < pooled.high < several.high
+
+
+def test_trainings_that_all_fail_are_no_surer_than_their_games() -> None:
+    assert Success((Proportion(0, 4),) * 3).estimate.interval == Proportion(0, 12).interval
+    assert Success.on_lanes(np.ones((3, 4))).estimate.interval == Proportion(12, 12).interval
+
+
+def test_of_one_training_the_lanes_are_its_games() -> None:
+    won = np.arange(300) < 250
+    alone = Success.on_lanes([won])
+    assert alone.estimate.interval == alone.pooled.interval == Proportion(250, 300).interval
+
+
+def test_lanes_that_are_hard_for_all_widen_the_interval() -> None:
+    """Ten trainings that each win 240 of 300: different lanes, or all the same ones, which count as one training's."""
+    apart, alike = (
+        Success.on_lanes([np.roll(np.arange(300) < 240, shift * number) for number in range(10)]).estimate
+        for shift in (30, 0)
+    )
+    assert apart.interval == Proportion(2400, 3000).interval
+    assert alike.interval == pytest.approx(Proportion(240, 300).interval, abs=0.005)
+
+
+def test_the_more_trainings_differ_the_wider_the_interval() -> None:
+    widths = []
+    for apart in (0, 5, 20, 60):
+        of = [np.roll(np.arange(300) < 200 + apart * step, 37 * number) for number, step in enumerate((-1, 0, 1))]
+        low, high = Success.on_lanes(of).estimate.interval
+        widths.append(high - low)
+    assert widths == sorted(widths)
+    assert widths[-1] > 3 * widths[0]
+
+
+def flown(rng: np.random.Generator, easy: NDArray[np.float64], policies: int, lanes: float, skill: float) -> Won:
+    """Games of policies whose skills scatter, on lanes (n,) of different ease."""
+    skills = skill * rng.standard_normal((policies, 1))
+    return rng.random((policies, len(easy))) < 1 / (1 + np.exp(-(2 + skills + lanes * easy)))
+
+
+@pytest.mark.parametrize(("lanes", "skill"), [(0.0, 0.0), (1.5, 0.0), (0.0, 0.5), (1.5, 0.5)])
+@pytest.mark.parametrize("policies", [3, 10])
+def test_intervals_cover_what_other_trainings_win_on_other_lanes(policies: int, lanes: float, skill: float) -> None:
+    rng = np.random.default_rng(0)
+    true = float(np.mean(1 / (1 + np.exp(-(2 + np.hypot(lanes, skill) * rng.standard_normal(400_000))))))
+    ends = [
+        Success.on_lanes(flown(rng, rng.standard_normal(100), policies, lanes, skill)).estimate.interval
+        for _ in range(400)
+    ]
+    assert np.mean([low <= true <= high for low, high in ends]) > 0.91  # of 400
+    assert true == pytest.approx(np.mean(ends), abs=0.04)
+
+
+@pytest.mark.parametrize("same_policies", [False, True])
+def test_ratios_and_differences_cover_and_are_narrower_in_pairs(same_policies: bool) -> None:
+    """Of two kinds of policies, or of the same ones flown in two ways; the truth is 1, or 0."""
+    rng, covered, widths = np.random.default_rng(1), [], []
+    for _ in range(300):
+        easy = rng.standard_normal(100)
+        skills = 0.7 * rng.standard_normal((2, 5, 1))
+        chance = 1 / (1 + np.exp(-(2 + skills[[0, 0 if same_policies else 1]] + 1.5 * easy)))
+        first, second = (Success.on_lanes(won) for won in rng.random(chance.shape) < chance)
+        unpaired = Success(second.policies)
+        for true, paired, plain in (
+            (1.0, first.ratio(second, same_policies), first.ratio(unpaired)),
+            (0.0, first.difference(second, same_policies), first.difference(unpaired)),
+        ):
+            covered.append(paired.low <= true <= paired.high)
+            widths.append((paired.high - paired.low) / (plain.high - plain.low))
+    assert np.mean(covered) > 0.93
+    assert np.mean(widths) < (0.75 if same_policies else 0.99)
+
+
+def test_a_policy_against_itself_does_not_differ() -> None:
+    won = Success.on_lanes([np.arange(300) < 195 + 2 * number for number in range(5)])
+    assert won.difference(won, same_policies=True).value == 0.0
+    low, high = won.difference(won, same_policies=True).interval
+    assert high - low < 0.1 * (won.difference(won).high - won.difference(won).low)
+
+
+def test_lanes_that_are_not_the_same_are_not_paired() -> None:
+    short, long = (Success.on_lanes([np.arange(count) < 40]) for count in (50, 100))
+    assert long.ratio(short) == long.ratio(Success(short.policies))
+
+
+def test_the_parts_of_a_variance_add_up() -> None:
+    """Of policies that win all or nothing, of lanes that all win or none, and of games by turns."""
+    policies, lanes = np.eye(2)[0][:, None].repeat(4, 1), np.tile([0.0, 1.0, 0.0, 1.0], (2, 1))
+    assert covariance(policies, policies) == pytest.approx((0.25, 0.0, 0.0))
+    assert covariance(lanes, lanes) == pytest.approx((0.0, 1 / 12, 0.0))
+    assert covariance(policies, lanes) == pytest.approx((0.0, 0.0, 0.0))

@@ -11,14 +11,12 @@ from tests.test_still_scenes import HULL, cast_all, touch_all
 from uavaccel.envs.kernel_batch import KernelBatch
 from uavaccel.envs.kernel_games import GameMaker
 from uavaccel.envs.navigate import Navigate, NavigateTask
-from uavaccel.errors import UserError
 from uavaccel.kernels import fields
 from uavaccel.kernels import scene as in_scene
 from uavaccel.sim import clutter as at
 from uavaccel.sim.clutter import Clutter, sample_world
 from uavaccel.sim.profile import PROFILES
 from uavaccel.sim.world import World
-from uavaccel.wire.image_api import clutter_layout
 
 GOAL_M = (30.0, 5.0, -2.0)
 
@@ -97,19 +95,6 @@ def test_a_gap_is_kept_to_what_stands_and_not_to_what_was_left_out() -> None:
         assert np.flatnonzero(kept.standing).tolist() == stand
         left_out += int(drawn.standing.sum()) - len(stand)
     assert left_out > 50
-
-
-@pytest.mark.parametrize(
-    ("wire", "said"),
-    [
-        ({"clutter": {"shapes": 1000}, "seed": 1, "goal_m": [20, 0, -2]}, "clutter.shapes = 1000"),
-        ({"clutter": {}, "seed": -1, "goal_m": [20, 0, -2]}, "seed = -1"),
-        ({"clutter": {}, "seed": 1, "goal_m": "x"}, "goal_m = 'x'"),
-    ],
-)
-def test_untrusted_clutter_is_refused_in_one_line(wire: dict[str, object], said: str) -> None:
-    with pytest.raises(UserError, match=said):
-        clutter_layout(wire)
 
 
 @pytest.mark.opengl

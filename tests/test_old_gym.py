@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 from gymnasium import spaces
 
-from uavaccel.errors import UsageError
 from uavaccel.fly import old_gym, shims
 from uavaccel.fly.keyboard import Keyboard, parse_keys
 from uavaccel.fly.keys import key_modules
@@ -299,12 +298,6 @@ def test_keys_are_pressed_in_turn_each_until_it_is_noticed() -> None:
     assert [str(key) for key in names["heard"]] == ["'b'", "Key.esc"]
     assert names["heard"][0] == names["keys"].KeyCode.from_char("b")
     assert names["hooked"] == ["z"]
-
-
-@pytest.mark.parametrize("text", ["c,,x", "c, x", "home", ","])
-def test_what_is_no_key_is_one_line(text: str) -> None:
-    with pytest.raises(UsageError, match=r"--keys .*is no key; there are single characters, enter, esc"):
-        parse_keys(text)
 
 
 @WITHOUT_KEYS

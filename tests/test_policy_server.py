@@ -222,7 +222,7 @@ def test_a_slow_servers_round_trips_are_measured_as_such() -> None:
 # --- it fails, in one line ------------------------------------------------------------------------------------------
 
 
-def test_a_server_that_was_killed_is_one_line_and_its_successor_is_found() -> None:
+def test_a_killed_server_is_one_line_and_its_successor_is_found() -> None:
     with process(POLICY) as (server, address):
         policy = RemotePolicy(address, gymnasium.make("InvertedPendulum-v5"))
         server.send_signal(signal.SIGKILL)

@@ -133,7 +133,7 @@ def test_on_the_machines_clock_an_agent_sleeps_for_its_latency(monkeypatch: pyte
     monkeypatch.setattr(agents, "fly_episode", noting((1.0, 0.0, 0.0)))
     config = configured("realtime_smoke", *TINY, "agents={slow: {latency_factor: 3}}", timing="wall")
     case = next(case for case in Realtime().cases(config) if case.id == "pendulum-slow-s0-adsc-50ms-4x")
-    Realtime().fly(config, case, lambda trained: {})
+    Realtime().fly(config, case, (None, lambda trained: {}))
     asleep_s = pytest.approx(0.15)
     assert met == [("adsc", 4.0), (1_000_000, asleep_s), (1_000_001, asleep_s)]
 
@@ -170,7 +170,7 @@ def test_an_episode_has_its_return_delay_and_lateness(ends: str) -> None:
         )
 
     env: Any = SimpleNamespace(reset=lambda seed: (seed, {}), step=step)
-    actor: Any = SimpleNamespace(begin=lambda: None, act=lambda observation: 10 * observation)
+    actor: Any = SimpleNamespace(begin=lambda seed: None, act=lambda observation: 10 * observation)
     assert agents.fly_episode(env, actor, 7, 0.0) == (6.5, 0.25, 0.75)
     assert met == [70, 710, 7110, 71110]
 
@@ -200,7 +200,7 @@ def test_who_looks_ahead_decides_upon_what_will_be(clock_speed: float) -> None:
     inside.do_simulation = watched  # type: ignore[attr-defined]
     for seed in (3, 4):
         observation, _ = env.reset(seed=seed)
-        ahead.begin()
+        ahead.begin(seed)
         for _ in range(4):
             observation, *_ = env.step(ahead.act(observation))
     steps = len(applied) // 8  # of each decision the last one begins where its action is applied
@@ -211,7 +211,7 @@ def test_a_trainings_return_is_of_its_last_hundred_episodes() -> None:
     """A lane's episodes have two steps, and each brings 1 more than the one before."""
     returns, rewards = agents._Returns(), np.zeros(agents.LANES)
     returns.model = SimpleNamespace(get_env=lambda: SimpleNamespace(get_original_reward=lambda: rewards))  # type: ignore
-    assert np.isnan(returns.last())
+    assert returns.last() is None
     for step in range(300):
         rewards[:] = step // 2 / 2
         returns.locals = {"dones": np.arange(agents.LANES) == (0 if step % 2 else -1)}
@@ -251,6 +251,7 @@ def test_on_the_machines_clock_an_agent_has_the_same_options(monkeypatch: pytest
     monkeypatch.setattr(agents, "RealTimeProcess", lambda make, *at, **keys: met.append((at, keys)))
     measured(CART, AgentBlock(chunk=3, observe_age=True, observe_actions=2), "tcsc", 4.0)
     of_agent = {"chunk": 3, "execute": 1, "observe_age": True, "observe_actions": 2}
+    of_agent |= {"frozen_prefix": False, "observe_planned": 0}
     assert met == [(("tcsc", 4.0), {**of_agent, "period_s": 0.5, "default_action": 1})]
 
 

@@ -54,15 +54,6 @@ def test_what_installs_an_extra_is_where_uavaccel_came_from(
     resources.require("json", "a key", "sb3")
 
 
-def test_an_unknown_name_is_refused_with_those_there_are() -> None:
-    with pytest.raises(UserError, match=r"^no 'dp7\.yaml' among the experiments; did you mean 'dp2'\?$"):
-        resources.experiment("dp7.yaml")
-    with pytest.raises(UserError, match=r"^no 'zebra\.yaml' among the experiments; known: ablation, .*train_gpu"):
-        resources.experiment("zebra.yaml")
-    with pytest.raises(UserError, match=r"^no 'none/at_all' among the assets; known: none$"):
-        resources.asset("none/at_all")
-
-
 @pytest.fixture
 def installed(tmp_path: Path) -> Path:
     """A folder laid out as a wheel leaves it: the assets inside the package, no project beside it."""

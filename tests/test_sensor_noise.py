@@ -12,13 +12,11 @@ import pytest
 from numpy.typing import NDArray
 
 from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
-from uavaccel.errors import UserError
 from uavaccel.vision import noise as numbers
 from uavaccel.vision.dvs import PRESETS, DvsParameters, init_state, make_sensor, step
 from uavaccel.vision.noise import ImageNoise, noise_seed
 
 SHAPE = (144, 256)
-NOISES: dict[str, Any] = {"dvs_shot_noise_hz": 1.0, "dvs_leak_hz": 0.5, "image_noise": 4.0}
 
 
 def events_per_s(grey: int, frames_per_s: int, duration_s: float = 1.0, **keys: Any) -> NDArray[np.float64]:
@@ -205,19 +203,3 @@ def test_noise_is_drawn_for_each_game_and_seen() -> None:
     with closing(ObstacleLane(**drawn)) as environment:
         environment.reset(seed=0, options={"lane": lane})
         np.testing.assert_array_equal(environment.step(2)[0], seen)
-
-
-@pytest.mark.parametrize(
-    ("keys", "said"),
-    [
-        ({"image_noise": -1}, "image_noise"),
-        ({"image_noise": 2, "observation": "depth"}, "needs observation dvs or colour"),
-        ({"dvs_hot_pixels": 1.5}, "dvs_hot_pixels"),
-        ({"dvs_shot_noise_hz": 1e9}, "dvs_shot_noise_hz"),
-        ({"dvs_spread_ratio": float("nan")}, "dvs_spread_ratio"),
-        ({"randomise": {"image_noise": [0, 999]}}, "image_noise"),
-    ],
-)
-def test_noise_that_cannot_be_is_refused(keys: dict[str, Any], said: str) -> None:
-    with pytest.raises(UserError, match=said):
-        ObstacleLane(**keys)

@@ -24,7 +24,6 @@ from uavaccel.wire.service import (
     address_of,
     clock_speed_of,
     recordings_of,
-    serve,
     simulation_of,
 )
 from uavaccel.wire.settings import Settings
@@ -119,20 +118,6 @@ def test_a_machine_that_does_not_keep_up_says_so() -> None:
         lines = [line_of(process, with_busy=True) for _ in range(3)]
         assert lines[2].startswith(f"{BUSY}; requested 10000x, achieved ")
         assert "of wall time lost" in lines[2]
-
-
-@pytest.mark.parametrize(("options", "text"), [
-    (ServeOptions(port=65536), "port must be 0 to 65535, not 65536"),
-    (ServeOptions(clock_speed=0.0), "clock_speed must be a finite number above 0"),
-    (ServeOptions(clock_speed=1e-300), "clock_speed must be a finite number above 0"),
-    (ServeOptions(clock_speed=1e9), "ClockSpeed must be at most 10000"),
-    (ServeOptions(profile="unreal"), "--profile unreal: there are native, airsim"),
-    (ServeOptions(scene="city"), "no 'mjcf/city.xml' among the assets"),
-    (ServeOptions(settings=Path("none.json")), "none.json: cannot be read"),
-])  # fmt: skip
-def test_mistakes_are_refused(options: ServeOptions, text: str) -> None:
-    with pytest.raises(UserError, match=f"^{text}"):
-        serve(options)
 
 
 def test_it_listens_beyond_this_machine_only_if_told_so_here() -> None:

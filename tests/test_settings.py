@@ -93,22 +93,11 @@ def test_what_contradicts_is_refused(tmp_path: Path, content: Any, text: str) ->
     assert "\n" not in line
 
 
-def test_a_file_that_is_not_there(tmp_path: Path) -> None:
-    with pytest.raises(UserError, match="cannot be read: No such file"):
-        read_settings(tmp_path / "none.json")
-
-
 def test_an_interval_that_the_step_does_not_divide() -> None:
     settings = Settings.model_validate({"Recording": {"RecordInterval": 0.033}})
     with pytest.raises(UserError, match=r"Recording\.RecordInterval: 0\.033 s .* 0\.032 and 0\.034 s are"):
         settings.recorder_of(NATIVE)
     assert settings.recorder_of(AIRSIM).recorder_ticks == 12  # AirSim waits for more than the interval
-
-
-@pytest.mark.skipif(not Path("/dev/zero").exists(), reason="no such device")
-def test_a_file_without_end_is_not_read_to_it() -> None:
-    with pytest.raises(UserError, match="/dev/zero: no regular file"):
-        read_settings(Path("/dev/zero"))
 
 
 def test_a_wind_that_nothing_withstands_is_refused() -> None:

@@ -1,177 +1,28 @@
-"""The simulation between wall time and ticks: when commands, continue-fors and goals begin and end."""
+"""Between wall time and ticks: when commands and pauses begin and end; what is kept, failures, and repeatability."""
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from tests.simulating import EAST, NORTH, answer, fly_velocity, go_to, position, simulate
 from uavaccel.errors import UserError
-from uavaccel.kinematics import Kinematics
+from uavaccel.sim import recording as recordings
 from uavaccel.sim.profile import AIRSIM, NATIVE, Profile
-from uavaccel.sim.vehicle import autopilot
-from uavaccel.wire.api import Api
+from uavaccel.sim.simulation import MOST_CATCH_UP_TICKS, Simulation
+from uavaccel.sim.vehicle import vehicle as samples
+from uavaccel.sim.vehicle.vehicle import AddedVehicle, Start
+from uavaccel.sim.world import World
 
 TICK_NS = NATIVE.tick_ns
 
 
 # --- commands -----------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("clock_speed", [0.5, 1.0, 1.5, 100.0])
-def test_a_command_ends_at_its_tick_and_not_a_nanosecond_before(clock_speed: float) -> None:
-    simulation = simulate(clock_speed)
-    reply = fly_velocity(simulation, NORTH, 0.1, 0)
-    end_ns = simulation.pacer.wall_due(50)
-    simulation.advance_to(end_ns - 1)
-    assert (simulation.world.tick, reply.due_wall_ns) == (49, None)
-    assert simulation.next_event_wall_ns() == end_ns
-    simulation.advance_to(end_ns)
-    assert (simulation.world.tick, answer(reply), reply.due_wall_ns) == (50, True, end_ns)
-    assert simulation.next_event_wall_ns() is None
-
-
-@pytest.mark.parametrize("looked_at", [50, 500])
-def test_an_end_is_seen_before_the_next_tick_however_late_one_looks(looked_at: int) -> None:
-    simulation = simulate()
-    seen = []
-    reply = fly_velocity(simulation, NORTH, 0.1, 0)
-    reply.on_due = lambda reply: seen.append((simulation.world.tick, reply.due_wall_ns))
-    go_to(simulation, looked_at)
-    assert seen == [(50, 50 * TICK_NS)]
-    assert simulation.world.tick == looked_at
-
-
-def test_the_latest_command_wins() -> None:
-    simulation = simulate()
-    first = fly_velocity(simulation, NORTH, 1.0, 0)
-    second = fly_velocity(simulation, EAST, 1.0, 0)
-    assert (answer(first), first.due_wall_ns) == (False, 0)
-    third = fly_velocity(simulation, NORTH, 0.5, go_to(simulation, 500 - 1))
-    assert (answer(second), second.due_wall_ns) == (False, 499 * TICK_NS)
-    go_to(simulation, 499 + 249)
-    assert third.due_wall_ns is None
-    go_to(simulation, 499 + 250)
-    assert answer(third) is True
-    assert [tuple(command) for command in simulation.lead.log] == [(0, 0), (0, 499), (499, 749)]
-
-
-def test_commands_of_one_instant_take_effect_in_their_order() -> None:
-    last_east = simulate()
-    fly_velocity(last_east, NORTH, 0.1, 0)
-    fly_velocity(last_east, EAST, 0.1, 0)
-    go_to(last_east, 100)
-    there = position(last_east)
-    only_east = simulate()
-    fly_velocity(only_east, EAST, 0.1, 0)
-    go_to(only_east, 100)
-    assert np.array_equal(there, position(only_east))
-
-
-def test_cancel_and_reset_answer_false() -> None:
-    simulation = simulate()
-    cancelled = fly_velocity(simulation, NORTH, 1.0, 0)
-    simulation.lead.end(False, go_to(simulation, 10))
-    assert (answer(cancelled), cancelled.due_wall_ns) == (False, 10 * TICK_NS)
-    assert list(simulation.lead.log) == [(0, 10)]
-    forgotten = fly_velocity(simulation, NORTH, 1.0, go_to(simulation, 20))
-    waiting = simulation.continue_for(10**9, 20 * TICK_NS)
-    before_ns = simulation.time_ns
-    simulation.reset(go_to(simulation, 30))
-    assert answer(forgotten) is False
-    assert isinstance(answer(waiting), Kinematics)
-    assert (simulation.world.tick, simulation.lead.api_control, len(simulation.lead.log)) == (0, False, 0)
-    assert simulation.time_ns == before_ns + 10 * TICK_NS  # simulated time never goes back
-    simulation.lead.end(False, 31 * TICK_NS)  # of nothing
-
-
-def test_a_goal_acts_from_the_next_tick() -> None:
-    simulation = simulate()
-    wall_ns = go_to(simulation, 7)
-    hovering = np.array(simulation.world.lead.state["rotor_input"])
-    fly_velocity(simulation, NORTH, 0.1, wall_ns)
-    assert np.array_equal(simulation.world.lead.state["rotor_input"], hovering)
-    go_to(simulation, 8)
-    front, rear = simulation.world.lead.state["rotor_input"][[0, 1]]
-    assert front < hovering[0] < rear  # nose down
-
-
-@pytest.mark.parametrize("gap_ticks", [0, 1, 29, 30, 31])
-def test_position_hold_sets_in_60_ms_after_the_last_goal(gap_ticks: int) -> None:
-    """At tick 30 after the end, unless a new goal came before that tick; the goal that holds until then is the last."""
-    simulation = simulate()
-    fly_velocity(simulation, NORTH, 0.2, 0)
-    go_to(simulation, 100 + 29)
-    assert simulation.world.lead.state["xy_mode"] == autopilot.VELOCITY
-    simulation = simulate()
-    fly_velocity(simulation, NORTH, 0.2, 0)
-    wall_ns = go_to(simulation, 100 + gap_ticks)
-    held = bool(simulation.world.lead.state["xy_mode"] == autopilot.POSITION)
-    assert held == (gap_ticks >= 30)
-    fly_velocity(simulation, NORTH, 0.2, wall_ns)
-    go_to(simulation, 100 + gap_ticks + 99)
-    assert simulation.world.lead.state["xy_mode"] == autopilot.VELOCITY
-
-
-@pytest.mark.parametrize(
-    ("profile", "cancelled", "held"), [(NATIVE, 40, 70)] + [(AIRSIM, 42 + n, 63) for n in range(7)] + [(AIRSIM, 49, 70)]
-)
-@pytest.mark.parametrize("call", ["cancelLastTask", "hover"])
-def test_after_a_cancel_position_hold_counts_from_the_last_goal(
-    profile: Profile, cancelled: int, held: int, call: str
-) -> None:
-    """Every tick sets it anew in `native`, every seventh after the acceptance in `airsim`: 20 ms on a grid of 3 ms."""
-    simulation = simulate(1.0, profile)
-    wall_ns = go_to(simulation, 5)
-    fly_velocity(simulation, NORTH, 5.0, wall_ns)
-    Api(simulation).call(call, [], go_to(simulation, 5 + cancelled))
-    go_to(simulation, 5 + held - 1)
-    assert simulation.world.lead.state["xy_mode"] == autopilot.VELOCITY
-    go_to(simulation, 5 + held)
-    assert simulation.world.lead.state["xy_mode"] == autopilot.POSITION
-
-
-def test_position_hold_brings_the_drone_to_rest() -> None:
-    simulation = simulate()
-    fly_velocity(simulation, NORTH, 1.0, 0)
-    go_to(simulation, 530)
-    held_at = position(simulation)
-    go_to(simulation, 10_000)
-    np.testing.assert_allclose(position(simulation), held_at, atol=2e-2)
-    np.testing.assert_allclose(simulation.world.lead.state["velocity"], 0.0, atol=1e-2)
-
-
-def test_without_api_control_a_command_only_takes_its_time() -> None:
-    hovering = simulate()
-    go_to(hovering, 300)
-    expected = position(hovering)
-    ignored = simulate()
-    ignored.lead.api_control = False
-    reply = fly_velocity(ignored, NORTH, 0.1, 0)
-    go_to(ignored, 300)
-    assert (answer(reply), reply.due_wall_ns) == (True, 50 * TICK_NS)
-    assert np.array_equal(position(ignored), expected)
-    assert ignored.lead.arm(False) is False
-    assert ignored.world.lead.state["armed"] == 1
-
-
-def test_giving_up_api_control_ends_the_command_and_the_vehicle_stops() -> None:
-    simulation = simulate()
-    api = Api(simulation)
-    reply = fly_velocity(simulation, NORTH, 5.0, 0)
-    wall_ns = go_to(simulation, 500)
-    api.call("enableApiControl", [False], wall_ns)
-    assert answer(reply) is False
-    go_to(simulation, 5000)
-    assert abs(simulation.world.lead.state["velocity"][0]) < 0.05
-
-
-def test_disarmed_rotors_stop() -> None:
-    simulation = simulate()
-    assert simulation.lead.arm(False) is True
-    go_to(simulation, 100)
-    assert simulation.world.lead.state["velocity"][2] > 1.5
-    assert not simulation.world.lead.state["rotor_input"].any()
 
 
 def test_a_time_the_step_does_not_divide_is_refused_without_a_trace() -> None:
@@ -186,45 +37,6 @@ def test_a_time_the_step_does_not_divide_is_refused_without_a_trace() -> None:
 # --- pause and continue-for -----------------------------------------------------------------------------
 
 
-def test_a_paused_world_stands_still_and_its_command_goes_on() -> None:
-    simulation = simulate()
-    reply = fly_velocity(simulation, NORTH, 0.1, 0)
-    simulation.pause(go_to(simulation, 20))
-    simulation.advance_to(10**12)
-    assert (simulation.world.tick, simulation.next_event_wall_ns()) == (20, None)
-    simulation.run(10**12)
-    simulation.advance_to(10**12 + 30 * TICK_NS - 1)
-    assert reply.due_wall_ns is None
-    simulation.advance_to(10**12 + 30 * TICK_NS)
-    assert answer(reply) is True
-
-
-@pytest.mark.parametrize("clock_speed", [0.1, 1.5, 100.0])
-def test_a_continue_for_ends_paused_at_the_exact_tick(clock_speed: float) -> None:
-    simulation = simulate(clock_speed)
-    simulation.pause(0)
-    reply = simulation.continue_for(330_000_000, 5_000)
-    end_ns = simulation.next_event_wall_ns()
-    assert end_ns == simulation.pacer.wall_due(165)
-    simulation.advance_to(end_ns + 10**9)
-    assert simulation.paused
-    assert simulation.world.tick == 165
-    assert (answer(reply), reply.due_wall_ns) == (simulation.kinematics(), end_ns)
-
-
-@pytest.mark.parametrize(
-    ("duration_ns", "ticks"), [(0, 0), (999_999, 0), (1_000_001, 1), (2_999_999, 1), (3_000_001, 2)]
-)
-def test_a_continue_for_is_rounded_to_a_tick(duration_ns: int, ticks: int) -> None:
-    simulation = simulate()
-    simulation.pause(0)
-    reply = simulation.continue_for(duration_ns, 0)
-    assert (reply.due_wall_ns == 0) == (ticks == 0)
-    simulation.advance_to(10**9)
-    answer(reply)
-    assert simulation.world.tick == ticks
-
-
 @pytest.mark.parametrize(("duration_ns", "ticks"), [(0, 0), (1, 1), (2_999_999, 1), (3_000_000, 1), (6_000_000, 2)])
 def test_airsims_continue_for_runs_a_tick_at_least(duration_ns: int, ticks: int) -> None:
     """AirSim looks at its timer after a tick; without a duration it is over at once."""
@@ -234,46 +46,6 @@ def test_airsims_continue_for_runs_a_tick_at_least(duration_ns: int, ticks: int)
     while (due_ns := simulation.next_event_wall_ns()) is not None:
         simulation.advance_to(due_ns)
     assert (simulation.paused, simulation.world.tick) == (True, ticks)
-
-
-@pytest.mark.parametrize("resume", [False, True])
-def test_pausing_or_running_in_a_continue_for_releases_its_reply(resume: bool) -> None:
-    simulation = simulate()
-    reply = simulation.continue_for(10**9, 0)
-    wall_ns = go_to(simulation, 100)
-    (simulation.run if resume else simulation.pause)(wall_ns)
-    assert reply.due_wall_ns == wall_ns
-    assert answer(reply).time_ns == simulation.time_ns
-    simulation.advance_to(10**10)
-    assert simulation.world.tick == (5000 if resume else 100)
-
-
-def test_a_second_continue_for_replaces_the_first() -> None:
-    simulation = simulate()
-    first = simulation.continue_for(10**9, 0)
-    second = simulation.continue_for(10**9, go_to(simulation, 100))
-    assert (first.due_wall_ns, second.due_wall_ns) == (100 * TICK_NS, None)
-    simulation.advance_to(10**10)
-    assert answer(second).time_ns - answer(first).time_ns == 10**9
-    assert simulation.world.tick == 600
-
-
-def test_a_command_and_a_continue_for_end_together() -> None:
-    simulation = simulate(100)
-    simulation.pause(0)
-    command = fly_velocity(simulation, NORTH, 0.5, 0)
-    period = simulation.continue_for(500_000_000, 0)
-    simulation.advance_to(10**9)
-    assert answer(command) is True
-    assert command.due_wall_ns == period.due_wall_ns
-    assert simulation.world.tick == 250
-
-
-def test_airsims_continue_for_time_counts_wall_seconds() -> None:
-    simulation = simulate(50)
-    simulation.continue_for_wall(0.01, 0)
-    simulation.advance_to(10**9)
-    assert simulation.world.tick == 250
 
 
 @pytest.mark.parametrize(("late_ns", "ticks"), [(0, 33), (90_000, 33), (300_000, 34), (3_000_000, 43)])
@@ -289,3 +61,261 @@ def test_in_airsim_a_continue_for_is_a_wall_timer(late_ns: int, ticks: int) -> N
     answer(reply)
     assert (reply.due_wall_ns, simulation.world.tick) == (due_ns, ticks)
     assert simulation.paused
+
+
+# --- what is kept -----------------------------------------------------------------------------------------------------
+
+
+CATCH_UP_NS = NATIVE.catch_up_wall_ns
+
+
+# --- recorder -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("profile", [NATIVE, AIRSIM])
+def test_samples_lie_on_exact_ticks_from_the_first_command_on(profile: Profile) -> None:
+    """The recorder runs from the game's start and starts again when the first command is accepted."""
+    simulation = simulate(100, profile)
+    simulation.world.start_recording()
+    wall_ns = go_to(simulation, 37)
+    assert len(simulation.recording().samples) > 1
+    fly_velocity(simulation, NORTH, 1.0, wall_ns)
+    simulation.advance_to(wall_ns + 10_000_003)  # 1 s and 0.3 us
+    recording = simulation.recording()
+    period = profile.recorder_ticks
+    ticks = recording.samples[:, 0]
+    assert np.array_equal(ticks, np.arange(0, simulation.world.tick - 37 + 1, period))
+    assert recording.commands.tolist()[0][0] == 0
+    np.testing.assert_allclose(recording.samples[0, 1:4], [0.0, 0.0, -10.0], atol=1e-6)
+    fly_velocity(simulation, EAST, 1.0, wall_ns + 10_000_003)
+    assert len(simulation.recording().samples) == len(ticks), "a second command starts nothing"
+
+
+def test_samples_are_the_states_at_their_ticks() -> None:
+    simulation = simulate()
+    simulation.world.start_recording()
+    fly_velocity(simulation, NORTH, 1.0, 0)
+    states = []
+    for tick in range(0, 501, 25):
+        go_to(simulation, tick)
+        now = simulation.kinematics()
+        numbers = (now.position_m, now.orientation_wxyz, now.linear_velocity_m_s, now.angular_velocity_rad_s)
+        states.append([tick, *(number for vector in numbers for number in vector)])
+    assert np.array_equal(simulation.recording().samples, states)
+
+
+def test_arrays_of_a_recording_have_decimal_times() -> None:
+    simulation = simulate()
+    simulation.world.start_recording()
+    for tick in (5, 505):
+        fly_velocity(simulation, NORTH, 1.0, go_to(simulation, tick))
+    go_to(simulation, 1005)
+    arrays = simulation.recording().arrays()
+    assert arrays["time_s"].tolist() == [round(0.05 * i, 2) for i in range(41)]
+    assert arrays["command_start_s"].tolist() == [0.0, 1.0]
+    assert arrays["command_end_s"].tolist() == [1.0, 2.0]
+    assert {name: array.shape[1:] for name, array in arrays.items()} == {
+        "time_s": (),
+        "position_m": (3,),
+        "orientation_wxyz": (4,),
+        "linear_velocity_m_s": (3,),
+        "angular_velocity_rad_s": (3,),
+        "command_start_s": (),
+        "command_end_s": (),
+    }
+
+
+def test_a_full_recorder_drops_and_counts(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(samples, "SAMPLE_CAPACITY", 8)
+    simulation = Simulation(World("blocks", NATIVE))
+    simulation.world.start_recording()
+    go_to(simulation, 11 * NATIVE.recorder_ticks)
+    recording = simulation.recording()
+    assert recording.samples[:, 0].tolist() == [25 * i for i in range(8)]
+    assert recording.dropped == 4
+    simulation.world.start_recording()
+    assert (len(simulation.recording().samples), simulation.recording().dropped) == (1, 0)
+
+
+def test_a_full_command_log_keeps_the_first_commands(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(recordings, "COMMAND_LOG_LENGTH", 3)
+    simulation = simulate()
+    simulation.world.start_recording()
+    for tick in (10, 30, 50, 70, 90):
+        fly_velocity(simulation, NORTH, 0.02, go_to(simulation, tick))
+    go_to(simulation, 110)
+    kept = simulation.recording()
+    assert kept.commands.tolist() == [[0, 10], [20, 30], [40, 50]]
+    assert kept.samples[:, 0].tolist() == [0, 25, 50, 75, 100]
+    assert kept.commands_dropped == 2
+    log = simulation.lead.log
+    assert log.last_goal(105, 10) == 100, "of the latest, for which there was no room"
+    fly_velocity(simulation, NORTH, 1.0, go_to(simulation, 120))
+    simulation.lead.end(False, go_to(simulation, 130))
+    assert log.ticks().tolist() == [[10, 20], [30, 40], [50, 60]]
+    assert (log.last_goal(130, 7), log.dropped, len(log)) == (127, 3, 3)
+
+
+# --- speed ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("clock_speed", [1_000.0, 10_000.0])
+def test_no_more_is_made_good_at_once_than_others_can_wait_for(clock_speed: float) -> None:
+    """At a ClockSpeed of 10 000, 0.1 s are half a million ticks, seconds of computing, at every request."""
+    simulation = simulate(1.0, catch_up_wall_ns=CATCH_UP_NS)
+    simulation.set_clock_speed(clock_speed, 0)
+    simulation.advance_to(CATCH_UP_NS)
+    assert simulation.world.tick == MOST_CATCH_UP_TICKS + 1
+    speed = simulation.speed
+    made_good_ns = simulation.world.tick * TICK_NS / clock_speed
+    assert speed.wall_ns - speed.lost_wall_ns == pytest.approx(made_good_ns, rel=1e-3)
+
+
+def test_several_vehicles_make_good_as_much_together_as_one() -> None:
+    simulation = Simulation(World("blocks", NATIVE), 1000.0, catch_up_wall_ns=CATCH_UP_NS)
+    simulation.add_vehicles([AddedVehicle(f"V{n}", Start((3.0 * n, 5.0, -9.0))) for n in range(4)])
+    simulation.advance_to(CATCH_UP_NS)
+    assert simulation.world.tick == MOST_CATCH_UP_TICKS // 5 + 1
+
+
+def test_whoever_watches_is_called_at_its_own_ticks() -> None:
+    """Counted from its first one; one that ends itself is called no more."""
+    world = simulate().world
+    seen: dict[str, list[int]] = {"all": [], "once": []}
+    ends = [world.watch(10, seen["all"].append, first_tick=3), world.watch(4, lambda tick: once(tick))]
+
+    def once(tick: int) -> None:
+        seen["once"].append(tick)
+        ends[1]()
+
+    assert [world.advance(ticks) for ticks in (5, 20, 8)] == [5, 20, 8]
+    ends[0]()
+    world.advance(20)
+    assert seen == {"all": [3, 13, 23, 33], "once": [4]}
+
+
+held_up = st.lists(st.integers(0, 3 * CATCH_UP_NS), min_size=1, max_size=12)
+
+
+@settings(max_examples=50)
+@given(held_up, st.sampled_from([0.5, 1.0, 1.5]))
+def test_what_is_not_flown_is_counted_as_lost(waits_ns: list[int], clock_speed: float) -> None:
+    """Simulated time is ClockSpeed times the wall time that was not lost, to a tick, however often some was lost."""
+    simulation = simulate(clock_speed, catch_up_wall_ns=CATCH_UP_NS)
+    wall_ns = 0
+    for wait_ns in waits_ns:
+        wall_ns += wait_ns
+        before = simulation.world.tick
+        simulation.advance_to(wall_ns)
+        flown = simulation.world.tick - before
+        assert flown <= CATCH_UP_NS * clock_speed / TICK_NS + 1
+    speed = simulation.speed
+    assert speed.wall_ns == wall_ns
+    missing_ns = (speed.wall_ns - speed.lost_wall_ns) * clock_speed - speed.simulated_ns
+    assert -len(waits_ns) < missing_ns < TICK_NS + len(waits_ns)  # anchors are whole nanoseconds
+    assert (speed.lost_wall_ns > 0) or max(waits_ns) <= CATCH_UP_NS + TICK_NS / clock_speed
+
+
+def test_lost_time_never_changes_the_step() -> None:
+    """The flight of a machine that is held up is the same flight, later."""
+
+    def positions(wait_ns: int) -> tuple[NDArray[np.float64], Simulation]:
+        simulation = simulate(10, catch_up_wall_ns=CATCH_UP_NS)
+        simulation.world.start_recording()
+        fly_velocity(simulation, NORTH, 20.0, 0)
+        wall_ns = 0
+        while simulation.world.tick < 10_000:
+            wall_ns += wait_ns
+            simulation.advance_to(wall_ns)
+        return simulation.recording().samples[:401], simulation
+
+    prompt, quick = positions(1_000_000)
+    assert quick.speed.lost_wall_ns == 0
+    assert quick.speed.real_time_factor == 10
+    delayed, slow = positions(250_000_000)
+    assert slow.speed.lost_wall_ns > 10**9
+    assert slow.speed.real_time_factor == pytest.approx(4, rel=0.01)
+    assert np.array_equal(prompt, delayed)
+    assert slow.world.model.opt.timestep == 0.002
+
+
+# --- failure ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("poison", [np.nan, np.inf, 1e12])
+def test_a_flight_that_cannot_be_integrated_is_a_failure(
+    poison: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)  # MuJoCo writes a log
+    simulation = simulate(100)
+    simulation.world.start_recording()
+    command = fly_velocity(simulation, NORTH, 1.0, 0)
+    wall_ns = go_to(simulation, 100)
+    simulation.world.data.qvel[0] = poison
+    go_to(simulation, 200)
+    assert simulation.failure is not None
+    assert "MuJoCo warned of mjWARN_BAD" in simulation.failure
+    assert not simulation.paused
+    period = simulation.continue_for(10**9, go_to(simulation, 300))
+    simulation.advance_to(wall_ns + 10**10)
+    assert answer(command) is False
+    assert answer(period).time_ns == simulation.time_of(800)
+    assert list(simulation.lead.log) == [(0, 500)]
+    simulation.run(2 * 10**10)
+    later = fly_velocity(simulation, EAST, 1.0, 2 * 10**10)
+    simulation.advance_to(3 * 10**10)
+    assert answer(later) is False
+    assert len(simulation.recording().samples) > 1000, "time and the recorder go on"
+
+
+def test_a_reset_starts_anew_after_a_failure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    simulation = simulate()
+    simulation.world.data.qpos[2] = np.nan
+    go_to(simulation, 10)
+    assert simulation.failure
+    simulation.reset(go_to(simulation, 20))
+    go_to(simulation, 1000)
+    np.testing.assert_allclose(position(simulation), [0.0, 0.0, -10.0], atol=1e-6)
+    assert not simulation.failure
+
+
+# --- repeatability ----------------------------------------------------------------------------------------
+
+
+def test_another_speed_goes_on_from_here() -> None:
+    simulation = simulate(1)
+    simulation.set_clock_speed(100, go_to(simulation, 100))
+    simulation.advance_to(100 * TICK_NS + 10 * TICK_NS)
+    assert simulation.world.tick == 100 + 1000
+    with pytest.raises(UserError, match="clock_speed"):
+        simulation.set_clock_speed(0, 10**9)
+    assert simulation.clock_speed == 100
+
+
+looks = st.lists(st.integers(0, 3 * 10**7), max_size=20).map(sorted)
+
+
+@settings(max_examples=30)
+@given(looks, st.sampled_from([0.5, 1.5, 100.0]))
+def test_how_often_one_looks_changes_nothing(looks_ns: list[int], clock_speed: float) -> None:
+    """Two commands, a gap with position hold, a continue-for: the same samples, bit for bit."""
+
+    def flown(looks_ns: list[int]) -> NDArray[np.float64]:
+        simulation = simulate(clock_speed)
+        simulation.world.start_recording()
+        ends = [simulation.pacer.wall_due(tick) for tick in (100, 180)]
+        fly_velocity(simulation, NORTH, 0.2, 0)
+        for wall_ns in [look for look in looks_ns if look < ends[1]]:
+            simulation.advance_to(wall_ns)
+        simulation.advance_to(ends[1])
+        fly_velocity(simulation, EAST, 0.2, ends[1])
+        simulation.continue_for(400_000_000, ends[1])
+        for look_ns in looks_ns:
+            simulation.advance_to(ends[1] + look_ns)
+        simulation.advance_to(ends[1] + 10**10)
+        return simulation.recording().samples
+
+    samples = flown(looks_ns)
+    assert len(samples) == 16
+    assert np.array_equal(samples, flown([]))

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from tests.running import fly_into
-from tests.test_pages import parse
+from tests.test_document import parse
 from uavaccel.cli.machine import SCHEMA, init, schema_text
 from uavaccel.config import load_yaml
 from uavaccel.errors import UserError

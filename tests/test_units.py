@@ -1,10 +1,11 @@
-"""Frames and units against SciPy's rotations, and decimals that stay what was written."""
+"""Frames, units and poses against SciPy's rotations; decimals that stay as written; arrays and places on the wire."""
 
 from __future__ import annotations
 
 from fractions import Fraction
 from typing import Any
 
+import msgpack
 import numpy as np
 import pytest
 from hypothesis import example, given
@@ -15,6 +16,10 @@ from scipy.spatial.transform import Rotation
 
 from uavaccel import units
 from uavaccel.errors import UserError
+from uavaccel.sim.poses import Pose, from_degrees
+from uavaccel.sim.sensors.earth import GeoPoint, geographic, local
+from uavaccel.units import euler_from_quaternion
+from uavaccel.wire import rpc
 
 finite = st.floats(-1e6, 1e6)
 vectors = arrays(np.float64, (4, 3), elements=finite)
@@ -32,7 +37,7 @@ def unit(quaternion: Array) -> Array:
 
 
 @given(quaternions, vectors)
-def test_north_east_down_is_forward_left_up_for_attitudes_and_vectors_alike(quaternion: Array, body: Array) -> None:
+def test_north_east_down_becomes_forward_left_up(quaternion: Array, body: Array) -> None:
     """Body to world and then to MuJoCo's axes, or the other way round: the same."""
     assert units.ned_to_mujoco([1.0, 2.0, 3.0]).tolist() == [1.0, -2.0, -3.0]
     assert np.array_equal(units.mujoco_to_ned(units.ned_to_mujoco(body)), body)
@@ -51,7 +56,7 @@ def test_euler_angles_are_roll_pitch_yaw(roll: float, pitch: float, yaw: float) 
 
 
 @given(quaternions, quaternions)
-def test_attitude_difference_is_the_angle_between_and_nothing_between_equal_ones(a: Array, b: Array) -> None:
+def test_an_attitude_difference_is_the_angle_between(a: Array, b: Array) -> None:
     """Nor does the float32 that an attitude may have passed through count for more than it is."""
     expected = (rotation(a).inv() * rotation(b)).magnitude()
     first, second = unit(a), unit(b)
@@ -98,3 +103,45 @@ def test_seconds_and_plain_numbers() -> None:
     assert units.plain(np.float32(0.5)) == 0.5
     assert units.plain(np.arange(3)) == [0, 1, 2]
     assert units.plain("text") == "text"
+
+
+# --- poses ------------------------------------------------------------------------------------------------------------
+
+
+metres = st.floats(-1e4, 1e4)
+degrees = st.floats(-179.0, 179.0)
+poses = st.builds(
+    lambda x, y, z, roll, pitch, yaw: Pose((x, y, z), from_degrees(roll, pitch, yaw)),
+    *[metres] * 3, degrees, st.floats(-89.0, 89.0), degrees,
+)  # fmt: skip
+
+
+@given(poses, poses, poses)
+def test_poses_are_composed_in_any_grouping_and_taken_off_again(a: Pose, b: Pose, c: Pose) -> None:
+    left, right = a.of(b).of(c), a.of(b.of(c))
+    np.testing.assert_allclose(left.position_m, right.position_m, atol=1e-7)
+    np.testing.assert_allclose(left.matrix(), right.matrix(), atol=1e-9)
+    back = a.inwards_pose(a.of(b))
+    np.testing.assert_allclose(back.position_m, b.position_m, atol=1e-7)
+    np.testing.assert_allclose(back.matrix(), b.matrix(), atol=1e-9)
+    np.testing.assert_allclose(a.of(b).matrix(), a.matrix() @ b.matrix(), atol=1e-9)
+
+
+@given(degrees, st.floats(-89.0, 89.0), degrees)
+def test_angles_are_turned_by_yaw_pitch_roll(roll: float, pitch: float, yaw: float) -> None:
+    told = np.degrees(euler_from_quaternion(from_degrees(roll, pitch, yaw)))
+    np.testing.assert_allclose(told, (roll, pitch, yaw), atol=1e-6)
+
+
+@given(st.floats(-80.0, 80.0), st.floats(-179.0, 179.0), st.tuples(metres, metres, metres))
+def test_places_around_any_home_come_back(latitude: float, longitude: float, place: tuple[float, float, float]) -> None:
+    home = GeoPoint(latitude, longitude, 100.0)
+    assert local(geographic(place, home), home) == pytest.approx(place, abs=1e-4)
+
+
+@given(arrays(np.float32, st.integers(0, 300), elements=st.floats(width=32)), st.text(), st.binary())
+def test_arrays_are_packed_as_lists_among_anything_else(numbers: np.ndarray, text: str, data: bytes) -> None:
+    value = [{"name": text, "pixels": numbers, "more": [data, None, numbers]}, 3, True]
+    plain = [{"name": text, "pixels": numbers.tolist(), "more": [data, None, numbers.tolist()]}, 3, True]
+    told = msgpack.unpackb(rpc.pack(value))
+    assert repr(told) == repr(plain)  # not a number is no number's equal

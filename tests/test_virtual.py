@@ -86,13 +86,6 @@ def test_tcsc_in_native_loses_nothing_at_any_clock_speed(clock_speed: float, t_s
         assert equal(flown, lockstep)
 
 
-def test_tcsc_flies_exact_commands_without_gaps() -> None:
-    arrays = fly(start(100, NASTY), "tcsc", t_move_s=0.1)
-    assert arrays["command_start_s"].tolist() == [0.0, 0.1, 0.2, 0.3]
-    assert arrays["command_end_s"].tolist() == [0.1, 0.2, 0.3, 0.4]
-    assert arrays["time_s"].tolist() == [round(0.05 * i, 2) for i in range(9)]
-
-
 def test_adsc_error_grows_with_clock_speed() -> None:
     lockstep = fly(start(1.0), "tcsc", SQUARE * 8)
     errors_m = [

@@ -105,25 +105,6 @@ def test_a_join_is_never_early_and_a_cancelled_command_answers_false(session: Se
     assert cancelled.result() is False
 
 
-def test_the_latest_command_wins_in_socket_order(session: Session) -> None:
-    client = session.start_game(100, SEED)
-    futures = [client.move_async(NORTH, t_move_s) for t_move_s in (100.0, 50.0, 0.1)]
-    client.run()
-    for future in futures:
-        client.join(future)
-    assert [future.result() for future in futures] == [False, False, True]
-    log = client.recording().commands
-    assert log.tolist() == [[0, 0], [0, 0], [0, 50]]
-
-
-def test_a_pause_releases_a_continue_for(session: Session) -> None:
-    client = session.start_game(1, SEED)
-    period = client.transport.send("uavaccelContinueFor", (10**12,), True)
-    client.pause()
-    assert client.transport.wait(period)
-    assert period.result()[0] == client.kinematics().time_ns
-
-
 def test_the_server_ends_with_its_session(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(server_watch, "END_S", 60.0)  # by itself, on however busy a machine
     session = WallSession("blocks", "native")

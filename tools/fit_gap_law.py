@@ -1,112 +1,238 @@
-"""Looks for the law of the largest gap: fits on half of the conditions of a run, predicts the other half.
+"""Looks for the law of the largest gap: fits on half of the tasks, predicts the other half.
 
-    python -m tools.fit_gap_law runs/mediation-law docs/figures/gap_law.png > docs/tables/gap_law.csv
+    uavaccel run mediation_law --jobs 8 --out runs/mediation-law
+    uavaccel run realtime_law --jobs 8 --out runs/realtime-law
+    python -m tools.fit_gap_law runs/mediation-law runs/realtime-law docs/figures/gap_law.png > docs/tables/gap_law.csv
 
 The largest gap of a condition is the one at which success has dropped by five points below that without a gap, between
-flown gaps by linear interpolation. A law says that it is in proportion to something: constant in seconds, to T_move, to
-the time in which a drone crosses the clear width beside its hull, to that between two rows, or to the roots of their
-products with the time that position hold takes to brake. Each is fitted on every other condition, the one with the
-least error there is told, and its error on the rest, beside that of the constant. An error is the root mean square of
-the logarithms of predicted over found, as a factor.
+flown gaps by linear interpolation. It is at least the last gap where success never drops (`below_s` is inf), and below
+the first one where it drops at once (`at_least_s` is 0). Of Gymnasium's environments the gap is the delay from an
+observation to its action, whole physics steps, and success the return, divided by that without a delay. A condition
+that wins less than half without a gap is not judged.
+
+A law says that the largest gap is in proportion to one of three times, or to the geometric mean of several:
+
+- `control_s`, a command's or a control period's;
+- `own_s`, the body's own: of drones that in which position hold takes half of the speed, of others the root of their
+  height over g;
+- `room_s`, that in which a drone at its speed leaves the room that its task gives it; of others it is `own_s`.
+
+The law that errs least on the fitted tasks is judged on the rest, beside a constant. An error is the root mean square
+of the logarithms by which predictions miss what was found, as a factor; every task counts alike.
 """
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Iterator
+from contextlib import closing
+from itertools import combinations
+from math import sqrt
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
 from uavaccel.draw import style
-from uavaccel.metrics.intervals import TAILS
+from uavaccel.metrics.intervals import RESAMPLES, TAILS
+from uavaccel.records import RunDirectory
+from uavaccel.sim.clutter import ASIDE_M
 from uavaccel.sim.lane.layout import HULL_RADIUS_M
 from uavaccel.suites.mediation import USUAL, Mediation
+from uavaccel.suites.realtime import Realtime
 from uavaccel.suites.registry import open_run
 
-DROP, BRAKING_S = 0.05, 0.5  # the first is the question; the second is the time in which a gap takes half of the speed
-Law = Callable[[pd.DataFrame], NDArray[np.float64]]
-LAWS: Mapping[str, Law] = {
-    "seconds": lambda of: np.ones(len(of)),
-    "T_move": lambda of: of.t_move_s.to_numpy(),
-    "clear width / speed": lambda of: clear_s(of),
-    "row spacing / speed": lambda of: (of.row_spacing_m / of.speed_m_s).to_numpy(),
-    "root of braking and clear width / speed": lambda of: np.sqrt(BRAKING_S * clear_s(of)),
-    "root of braking and T_move": lambda of: np.sqrt(BRAKING_S * of.t_move_s.to_numpy()),
-}
+DROP, LEAST = 0.05, 0.5  # of success: what is asked for; what a condition must win without a gap
+BRAKING_S, GRAVITY_M_S2 = 0.5, 9.81
+HEIGHTS_M = {"InvertedPendulum": 0.6, "Hopper": 1.25, "HalfCheetah": 0.7}  # the pole; the torsos, at the start
+TIMES = ("control_s", "own_s", "room_s")
+LAWS = [law for count in range(len(TIMES) + 1) for law in combinations(TIMES, count)]
+PREDICTED = ("Hover motors", "Gates", "Navigate", "InvertedPendulum", "Hopper")  # chosen before any was flown
+Numbers = NDArray[np.float64]
 
 
-def clear_s(of: pd.DataFrame) -> NDArray[np.float64]:
-    """Return the time in which a drone at its speed crosses half of a gap, less its hull."""
-    return np.asarray((of.min_gap_m / 2 - HULL_RADIUS_M) / of.speed_m_s)
+FACTORS = np.geomspace(1e-4, 1e4, 2001)  # of a law, in steps of .9 %
 
 
-def largest_gap(gaps_s: NDArray[np.float64], success: NDArray[np.float64]) -> float:
-    """Return the gap at which success drops DROP below its first value; the last one, where it does not."""
-    below = np.flatnonzero(success < success[0] - DROP)
-    if not len(below):
-        return float(gaps_s[-1])
-    last = below[0]
-    (low, high), (left, right) = gaps_s[last - 1 : last + 1], success[last - 1 : last + 1]
-    return float(low + (high - low) * (left - success[0] + DROP) / (left - right))
+class Fit(NamedTuple):
+    """A law, the factor before it, and its error and the constant's on the tasks that were not fitted."""
+
+    law: tuple[str, ...]
+    factor: float
+    error: float
+    constant: float
 
 
-def conditions(folder: Path) -> pd.DataFrame:
-    """Return a row for each condition of a run: what was set, its largest gap, and that gap's 95 % interval."""
-    report = Mediation().report(open_run(folder))
-    usual = {"t_move_s": 1.0, "speed_m_s": 1.0, "min_gap_m": 2.0, "row_spacing_m": 10.0}
-    cells, random, found = report.scores[report.scores.flight != USUAL], np.random.default_rng(0), []
-    for name, factor in report.config.flights.items():
-        own = cells[cells.factor == name].sort_values("value")
-        gaps_s, won = own.value.to_numpy(float), np.stack(own.won.tolist()).astype(float)
-        lanes = random.integers(won.shape[1], size=(2000, won.shape[1]))
-        low, high = np.quantile([largest_gap(gaps_s, won[:, chosen].mean(axis=1)) for chosen in lanes], TAILS)
-        set_to = {key.rpartition(".")[2]: value for key, value in factor.also.items()}
-        kept = {key: value for key, value in set_to.items() if key in usual}
-        largest = largest_gap(gaps_s, won.mean(axis=1))
-        found.append({"condition": name, **usual, **kept, "largest_gap_s": largest, "low": low, "high": high})
-    return pd.DataFrame(found)
+def largest_gap(gaps_s: Numbers, success: Numbers) -> tuple[float, float]:
+    """Return the largest gap, twice; where it is not between two gaps, what it is at least, and below."""
+    dropped = np.flatnonzero(success < success[0] - DROP)
+    if not len(dropped):
+        return float(gaps_s[-1]), np.inf
+    first = dropped[0]
+    if first == 1:
+        return 0.0, float(gaps_s[1])
+    (low, high), (left, right) = gaps_s[first - 1 : first + 1], success[first - 1 : first + 1]
+    return (float(low + (high - low) * (left - success[0] + DROP) / (left - right)),) * 2
 
 
-def compare(table: pd.DataFrame) -> tuple[str, float, float, float]:
-    """Return the law that fits every other condition best, its factor, and its error and the constant's on the rest."""
-    fitted, rest = table.iloc[::2], table.iloc[1::2]
+def measured(gaps_s: Numbers, success: Numbers) -> dict[str, float]:
+    """Return the largest gap and its 95 % bootstrap interval, of success (gaps, trainings, games) from the gap 0 on.
 
-    def error(law: Law, of: pd.DataFrame) -> tuple[float, float]:
-        factor = float(np.exp(np.log(fitted.largest_gap_s / law(fitted)).mean()))
-        return factor, float(np.exp(np.sqrt((np.log(of.largest_gap_s / (factor * law(of))) ** 2).mean())))
+    Trainings and games are resampled, the same for all gaps.
+    """
+    random, found = np.random.default_rng(0), []
+    for _ in range(RESAMPLES):
+        chosen = [random.integers(size, size=size) for size in success.shape[1:]]
+        found.append(largest_gap(gaps_s, success[:, chosen[0]][:, :, chosen[1]].mean(axis=(1, 2))))
+    means, ends = success.mean(axis=(1, 2)), np.array(found)
+    at_least, below = largest_gap(gaps_s, means)
+    low, high = (np.quantile(ends[:, end], TAILS[end], method="nearest") for end in (0, 1))
+    counts = {"trainings": success.shape[1], "games": success.shape[2], "without_gap": float(means[0])}
+    return {**counts, "at_least_s": at_least, "below_s": below, "low": float(low), "high": float(high)}
 
-    best = min(LAWS, key=lambda name: error(LAWS[name], fitted)[1])
-    factor, of_rest = error(LAWS[best], rest)
-    return best, factor, of_rest, error(LAWS["seconds"], rest)[1]
+
+def room_m(task: Any) -> float:
+    """Return the room that a task gives a drone to either side, less its hull."""
+    if hasattr(task, "difficulty"):
+        return float(task.difficulty.min_gap_m / 2 - HULL_RADIUS_M)
+    if hasattr(task, "clutter"):  # half of what is between two shapes of their mean size, were they on a grid
+        apart_m, wide_m = 2 * ASIDE_M / sqrt(task.clutter.shapes), sum(task.clutter.half_m)
+        return float((apart_m - wide_m) / 2 - HULL_RADIUS_M)
+    return float(task.half_width_m - HULL_RADIUS_M if hasattr(task, "half_width_m") else task.radius_m)
 
 
-def draw(table: pd.DataFrame, best: str, factor: float, path: Path) -> None:
-    """Draw found over predicted, the conditions of the fit hollow."""
+def of_drones(run: RunDirectory) -> Iterator[dict[str, Any]]:
+    """Yield the conditions of a run of the suite `mediation`, its policies; the gap is its only factor."""
+    suite = Mediation()
+    report = suite.report(run)
+    for case in suite.policies_of(report.config):
+        own = report.scores[report.scores.policy == case.policy]
+        if own.empty:
+            continue
+        flown: Any = suite.runs(report.config, case)[0][1]
+        kind = "" if flown.task.action == "velocity" else f" {flown.task.action}"
+        swept = own.assign(value=own.value.where(own.flight != USUAL, 0.0)).sort_values("value")
+        success = np.stack(swept.won.tolist()).astype(float)[:, None]
+        yield {
+            "condition": case.policy,
+            "task": flown.env_id.removeprefix("uavaccel/").partition("-")[0] + kind,
+            "control_s": flown.task.t_move_s,
+            "own_s": BRAKING_S,
+            "room_s": room_m(flown.task) / flown.task.speed_m_s,
+            **measured(swept.value.to_numpy(float), success),
+        }
+
+
+def of_others(run: RunDirectory) -> Iterator[dict[str, Any]]:
+    """Yield the conditions of a run of the suite `realtime`, its environments, flown by the first agent under ADSC."""
+    from uavaccel.suites.realtime_agents import make
+
+    report = Realtime().report(run)
+    scores = report.scores[
+        (report.scores.command == "adsc") & (report.scores.agent == next(iter(report.config.agents)))
+    ]
+    for name, own in scores.groupby("environment", sort=False):
+        block = report.config.environments[str(name)]
+        delays = own.assign(delay_s=own.delays_s.map(np.median).round(9)).drop_duplicates(["delay_s", "seed"])
+        swept = [each.sort_values("seed")["returns"].tolist() for _, each in delays.groupby("delay_s")]
+        returns, gaps_s = np.array(swept), np.sort(delays.delay_s.unique())
+        with closing(make(block, "adsc", 1.0)) as env:
+            control_s = float(env.unwrapped.dt)  # type: ignore[attr-defined]
+        task = block.id.partition("-")[0]
+        own_s = sqrt(HEIGHTS_M[task] / GRAVITY_M_S2)
+        times = {"control_s": control_s, "own_s": own_s, "room_s": own_s}
+        yield {"condition": name, "task": task, **times, **measured(gaps_s, returns / returns[0].mean())}
+
+
+def conditions(folders: list[Path]) -> pd.DataFrame:
+    """Return a row for each condition of the runs: its times, its success without a gap, and its largest gap."""
+    runs = [open_run(folder) for folder in folders]
+    return pd.DataFrame(
+        row for run in runs for row in (of_drones if run.config()["suite"] == Mediation.name else of_others)(run)
+    )
+
+
+def judged(table: pd.DataFrame) -> pd.DataFrame:
+    """Return the conditions that say something of a gap."""
+    return table[table.without_gap >= LEAST].reset_index(drop=True)
+
+
+def misses(law: tuple[str, ...], factors: Numbers, of: pd.DataFrame) -> Numbers:
+    """Return by how much a law with each factor (n,) misses: the mean over tasks of squared logarithms (n,)."""
+    times = np.exp(np.log(of[list(law)]).mean(axis=1)).to_numpy() if law else np.ones(len(of))
+    predicted = factors * times[:, None]
+    nearest = np.clip(predicted, of[["at_least_s"]].to_numpy(), of[["below_s"]].to_numpy())
+    squared = pd.DataFrame(np.log(predicted / nearest) ** 2)
+    return squared.groupby(of.task.to_numpy()).mean().mean().to_numpy()
+
+
+def fit(table: pd.DataFrame, predicted: tuple[str, ...]) -> Fit:
+    """Return the law that errs least on the other tasks, judged on those predicted; without any, on all of them."""
+    held = table.task.isin(predicted)
+    fitted, rest = table[~held], table[held] if predicted else table
+    missed = {law: misses(law, FACTORS, fitted) for law in LAWS}
+    factors = {law: np.exp(np.log(FACTORS[each <= each.min() + 1e-12]).mean()) for law, each in missed.items()}
+
+    def error(law: tuple[str, ...]) -> float:
+        return float(np.exp(np.sqrt(misses(law, np.array([factors[law]]), rest)[0])))
+
+    best = min(LAWS, key=lambda law: missed[law].min())
+    return Fit(best, float(factors[best]), error(best), error(()))
+
+
+def halves(table: pd.DataFrame) -> list[Fit]:
+    """Return the fits on every half of the tasks, judged on the other half."""
+    tasks = table.task.unique()
+    return [fit(table, chosen) for chosen in combinations(tasks, len(tasks) // 2)]
+
+
+def words(found: Fit) -> str:
+    """Return a law and its errors in words."""
+    law = " and ".join(found.law) or "a constant, s"
+    return f"{found.factor:.3g} x {law}: off by {found.error:.2f} on the rest, a constant by {found.constant:.2f}"
+
+
+def draw(table: pd.DataFrame, found: Fit, path: Path) -> None:
+    """Draw the largest gaps, a colour for each task, over each of the three times, and the law where it is of one."""
+    never, at_once = np.isinf(table.below_s), table.at_least_s == 0.0
+    shown = table.at_least_s.where(~at_once, table.below_s)
+    bars = [
+        (shown - table.low.where(~at_once, shown)).clip(0.0),
+        table.high.where(~np.isinf(table.high), shown) - shown,
+    ]
+    marks = (("o", ~never & ~at_once), ("^", never), ("v", at_once))
     with style.project_style():
-        figure = style.new_figure(4.0, f"Largest gap and {factor:.2g} times {best}")
-        axes: Any = figure.subplots()
-        predicted = factor * LAWS[best](table)
-        for first, label, face in ((0, "fitted", "none"), (1, "predicted", style.BLUE)):
-            own, x = table.iloc[first::2], predicted[first::2]
-            bars = np.abs(own[["low", "high"]].to_numpy().T - own.largest_gap_s.to_numpy())
-            axes.errorbar(x, own.largest_gap_s, bars, fmt="o", color=style.BLUE, markerfacecolor=face, label=label)
-        ends = [0.0, float(max(predicted.max(), table.high.max()))]
-        axes.plot(ends, ends, **style.LIMIT)
-        axes.set(xlabel="predicted, s", ylabel="largest gap, s")
+        title = "The largest gap before success drops by five points; upward, more; downward, less"
+        figure = style.new_figure(4.2, title)
+        panels: Any = figure.subplots(1, len(TIMES), sharey=True, sharex=True)
+        for axes, name in zip(panels, TIMES, strict=True):
+            for number, task in enumerate(table.task.unique()):
+                look: Any = {"color": style.shade(number, table.task.nunique()), "markersize": 5, "linestyle": "none"}
+                axes.plot([], [], "s", label=task, **look)
+                for mark, kind in marks:
+                    of = kind & (table.task == task)
+                    ends = [each[of].clip(0.0) for each in bars]
+                    axes.errorbar(table[name][of], shown[of], ends, marker=mark, elinewidth=0.9, **look)
+            if found.law == (name,):
+                ends = np.array([table[name].min(), table[name].max()])
+                axes.plot(ends, found.factor * ends, **style.LIMIT)
+            axes.set(xscale="log", yscale="log", xlabel=f"{name.removesuffix('_s')} time, s")
+        panels[0].set(ylabel="largest gap, s")
         style.legend(figure)
         style.save(figure, path)
 
 
 if __name__ == "__main__":
-    found = conditions(Path(sys.argv[1]))
-    name, times, ours, constant = compare(found)
-    draw(found, name, times, Path(sys.argv[2]))
-    found.round(4).to_csv(sys.stdout, index=False)
-    verdict = "there is none" if ours >= constant and name != "seconds" else "predicts"
-    print(
-        f"{verdict}: {times:.3g} x {name}, off by {ours:.2f} on the rest; a constant by {constant:.2f}", file=sys.stderr
-    )
+    *runs, picture = map(Path, sys.argv[1:])
+    every = conditions(runs)
+    every.round(4).to_csv(sys.stdout, index=False)
+    kept = judged(every)
+    draw(kept, fit(kept, ()), picture)
+    others = tuple(set(kept.task) - set(PREDICTED))
+    for half, rest in ((PREDICTED, others), (others, PREDICTED)):
+        print(f"fitted on {', '.join(rest)}: {words(fit(kept, half))}", file=sys.stderr)
+    errors = np.array([[found.error, found.constant] for found in halves(kept)])
+    print(f"errors over all halves, and the constant's: {np.quantile(errors, (*TAILS, 0.5), axis=0)}", file=sys.stderr)
+    print(f"all tasks: {words(fit(kept, ()))}", file=sys.stderr)

@@ -96,7 +96,9 @@ def rated_both_ways(rate: Callable[[th.Tensor], th.Tensor], seen: th.Tensor, tur
     both = rate(th.cat([seen, seen.flip(-1)]))
     count = seen.shape[0]  # not len(): the exporter to ONNX would take it for fixed
     straight, mirrored = both[:count], both[count:]
-    return (straight + mirrored[:, list(turned)]) / 2
+    # not by a list as an index, which no graph could copy to a GPU
+    back = th.stack([mirrored[:, action] for action in turned], dim=1)
+    return (straight + back) / 2
 
 
 class Adam(th.optim.Adam):

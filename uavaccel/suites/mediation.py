@@ -20,11 +20,12 @@ from uavaccel.config import Config
 from uavaccel.draw import style
 from uavaccel.draw.page import Block, Column, Heading, Picture, Table
 from uavaccel.files import Plain
-from uavaccel.forms import ArrayForm, Count
+from uavaccel.forms import Count
 from uavaccel.limits import Games, Seed
-from uavaccel.metrics.intervals import RESAMPLES, TAILS
+from uavaccel.metrics.intervals import RESAMPLES, TAILS, student_quantile
 from uavaccel.metrics.success import Success
 from uavaccel.records import RunDirectory
+from uavaccel.rl.config import LANE
 from uavaccel.suites import plots
 from uavaccel.suites.experiment import Experiment
 from uavaccel.suites.parts import OUTCOMES, Part, SuiteOfRuns, fly_part, outcomes, part_folder, part_suite
@@ -36,6 +37,7 @@ from uavaccel.suites.train import CHECKPOINTS
 Name = Annotated[str, Field(pattern=r"^[a-z0-9_]+$")]
 Keys = dict[str, Plain]
 USUAL = "usual"  # the flight in which nothing is moved
+MOST_LINES = 7  # policies that lines in a panel keep apart
 
 
 class Factor(Config):
@@ -72,6 +74,17 @@ class Share(Config):
     """Cells that move a part of it."""
 
 
+class Contrast(Config):
+    """A question: what does one factor do, whatever the others are? Cells are POLICY/FLIGHT, and pair by pair alike."""
+
+    label: str
+    """The factor."""
+    without: Annotated[tuple[str, ...], Field(min_length=1)]
+    """Cells in which it is not moved."""
+    moved: Annotated[tuple[str, ...], Field(min_length=1)]
+    """As many in which it is."""
+
+
 class MediationConfig(Experiment):
     """`suite: mediation`."""
 
@@ -79,11 +92,14 @@ class MediationConfig(Experiment):
     seeds: Annotated[int, Field(ge=1, le=1000)] = 1
     """Trainings of each policy, with seeds `seed`, `seed` + 1 and so on."""
     policies: Annotated[dict[Name, Keys], Field(min_length=1)]
-    """Dotted keys of each policy's training that differ from `training`; `agent` alone names a policy that exists."""
+    """Dotted keys of each policy's training that differ from `training`, or from the experiment that its key
+    `experiment` names instead; beside `agent`, which names a policy that exists, keys of all its flights."""
     flights: Annotated[dict[Name, Factor], Field(min_length=1)]
     """What is moved in flight; each policy flies with every value, and as `evaluation` has it."""
     shares: tuple[Share, ...] = ()
     """Which cells' losses are compared; a flight is named FACTOR-VALUE or usual."""
+    contrasts: tuple[Contrast, ...] = ()
+    """Factors whose mean effect is asked for, each over cells of several trainings."""
     training: Part = Part(experiment="train_kernels")
     """How policies are trained: an experiment, and keys that differ from it."""
     evaluation: Part = Part(experiment="evaluate")
@@ -101,9 +117,16 @@ class MediationConfig(Experiment):
     @model_validator(mode="after")
     def _shares_are_of_cells(self) -> MediationConfig:
         cells = {f"{policy}/{flight}" for policy in self.policies for flight in self.flown()}
-        for share in self.shares:
-            if unknown := [each for each in (share.usual, share.whole, *share.parts) if each not in cells]:
-                raise ValueError(f"shares: {unknown[0]} is no cell; cells are POLICY/FLIGHT, as in {min(cells)}")
+        named = {
+            "shares": [cell for share in self.shares for cell in (share.usual, share.whole, *share.parts)],
+            "contrasts": [cell for contrast in self.contrasts for cell in (*contrast.without, *contrast.moved)],
+        }
+        for key, names in named.items():
+            if unknown := [name for name in names if name not in cells]:
+                raise ValueError(f"{key}: {unknown[0]} is no cell; cells are POLICY/FLIGHT, as in {min(cells)}")
+        for contrast in self.contrasts:
+            if len(contrast.without) != len(contrast.moved):
+                raise ValueError(f"contrasts: {contrast.label} needs as many cells moved as without")
         return self
 
 
@@ -134,7 +157,7 @@ class Mediation(SuiteOfRuns[MediationConfig, PolicyCase]):
     name = "mediation"
     config = MediationConfig
     row = MediationRow
-    arrays: ClassVar = {f"*_{name}": ArrayForm(form.kinds, ("n",)) for name, form in OUTCOMES.items() if name != "game"}
+    arrays: ClassVar = {f"*_{name}": replace(form, shape=("n",)) for name, form in OUTCOMES.items()}
 
     def check(self, config: MediationConfig) -> None:
         """Check that each policy's training and each flight can be configured. Raises UserError."""
@@ -158,18 +181,25 @@ class Mediation(SuiteOfRuns[MediationConfig, PolicyCase]):
 
     def parts(self, config: MediationConfig, case: PolicyCase, agent: str) -> dict[str, Part]:
         """Return the training of a policy, unless it exists, and the flights of `agent`, by name."""
-        keys, flying = config.policies[case.policy], config.evaluation
-        training = {} if "agent" in keys else {"training": Part(experiment=config.training.experiment, keys={
-            **config.training.keys, **keys, "seed": case.seed})}  # fmt: skip
+        keys, flying, also, training = dict(config.policies[case.policy]), config.evaluation, {}, {}
+        if "agent" in keys:
+            also = {key: value for key, value in keys.items() if key != "agent"}
+        else:
+            own = {} if "experiment" in keys else config.training.keys
+            experiment = str(keys.pop("experiment", config.training.experiment))
+            training = {"training": Part(experiment=experiment, keys={**own, **keys, "seed": case.seed})}
         return training | {
-            flight: Part(experiment=flying.experiment, keys={**flying.keys, **moved, "agent": agent})
+            flight: Part(experiment=flying.experiment, keys={**flying.keys, **also, **moved, "agent": agent})
             for flight, moved in config.flown().items()
         }
 
     def runs(self, config: MediationConfig, case: PolicyCase) -> list[tuple[AnySuite, Any]]:
+        """Return a policy's training and flights; of one to be trained in another environment, its training alone."""
         agent = str(config.policies[case.policy].get("agent", "default"))
-        parts = self.parts(config, case, agent)
-        return [part_suite(part, config.seed) for part in parts.values()]
+        parts = [*self.parts(config, case, agent).values()]
+        first: tuple[AnySuite, Any] = part_suite(parts[0], config.seed)
+        known = first[0].name != "train" or first[1].env_id == LANE
+        return [first, *(part_suite(part, config.seed) for part in parts[1:] if known)]
 
     def may_grow(self, folder: Any) -> tuple[str, ...]:
         return ("seeds",)
@@ -204,14 +234,14 @@ class Mediation(SuiteOfRuns[MediationConfig, PolicyCase]):
         return f"{rows[-1]['case']} won {rows[-1]['successes'][USUAL]} of {rows[-1]['games']}"
 
     def score(self, report: Report) -> pd.DataFrame:
-        """Return a row for each policy and flight: `factor`, `value`, `won` (games,) bool, and `distance_m`."""
+        """Return a row for each policy and flight: `factor`, `value`, `won` (games,) bool, and `distance_m` or None."""
         factors = {name: (*split_name(name), keys) for name, keys in report.config.flown().items()}
         cells = []
         for row in report.games.to_dict("records"):
             arrays = report.arrays(row)
             for flight, (factor, value, _) in factors.items():
                 own = {"flight": flight, "factor": factor, "value": value, "won": arrays[f"{flight}_is_success"]}
-                own["distance_m"] = arrays[f"{flight}_distance_m"]
+                own["distance_m"] = arrays.get(f"{flight}_distance_m")
                 cells.append({**{key: row[key] for key in ("policy", "seed")}, **own})
         return table_of(cells)
 
@@ -220,7 +250,7 @@ class Mediation(SuiteOfRuns[MediationConfig, PolicyCase]):
         cells = []
         for (policy, flight), own in report.scores.groupby(["policy", "flight"], sort=False):
             success = Success.on_lanes(own.won.tolist())
-            over = success.estimate
+            over, distance_m = success.estimate, [each for each in own.distance_m if each is not None]
             cells.append(
                 {
                     "policy": policy,
@@ -232,7 +262,7 @@ class Mediation(SuiteOfRuns[MediationConfig, PolicyCase]):
                     **success.pooled.as_summary(),
                     "seeds_low": over.low,
                     "seeds_high": over.high,
-                    "distance_m_median": float(np.median(np.concatenate(own.distance_m.tolist()))),
+                    "distance_m_median": float(np.median(np.concatenate(distance_m))) if distance_m else None,
                 }
             )
         outcomes = {f"{policy}/{flight}": own for (policy, flight), own in report.scores.groupby(["policy", "flight"])}
@@ -242,7 +272,13 @@ class Mediation(SuiteOfRuns[MediationConfig, PolicyCase]):
             for part in share.parts
             if all(cell in outcomes for cell in (share.usual, share.whole, part))
         ]
-        return {"suite": self.name, "seed": report.config.seed, "cells": cells, "shares": shares}
+        contrasts = [
+            {"label": contrast.label, **effect(outcomes, contrast)}
+            for contrast in report.config.contrasts
+            if all(cell in outcomes for cell in (*contrast.without, *contrast.moved))
+        ]
+        told = {"cells": cells, "shares": shares, "contrasts": contrasts}
+        return {"suite": self.name, "seed": report.config.seed, **told}
 
     def title(self, report: Report) -> str:
         return "What of the gap makes a policy fail"
@@ -254,26 +290,57 @@ class Mediation(SuiteOfRuns[MediationConfig, PolicyCase]):
         return f"success is {' and '.join(said)}"
 
     def source(self, report: Report) -> str:
-        policies, lanes = len(report.games), report.games.games.iloc[0]
-        return f"modelled, without latency · {policies} policies, {lanes} lanes each · seed {report.config.seed}"
+        policies, games = len(report.games), report.games.games.iloc[0]
+        return f"modelled, without latency · {policies} policies, {games} games each · seed {report.config.seed}"
 
     def overview(self, report: Report) -> Table:
+        """Return what is asked for, or all cells."""
+        for asked, columns in (("contrasts", EFFECTS), ("shares", SHARES)):
+            if found := report.summary[asked]:
+                return Table.of(found, columns)
         return Table.of(report.summary["cells"], CELLS)
 
     def page(self, report: Report) -> Iterator[Block | str]:
         yield self.figure(report)
+        if contrasts := report.summary["contrasts"]:
+            yield Heading("Effects")
+            yield Table.of(contrasts, EFFECTS)
         if shares := report.summary["shares"]:
             yield Heading("Shares of the loss")
             yield Table.of(shares, SHARES)
         yield Heading("Success")
-        yield self.overview(report)
+        yield Table.of(report.summary["cells"], CELLS)
         yield method_note(
             "All flights of a policy are on the same lanes. Brackets are 95 % intervals: of success over trainings, "
             "lanes and games, of a single training Wilson's, over its games alone; of shares a bootstrap over "
-            "trainings and lanes. A share of 1 loses as much alone as the whole does; shares need not add up to 1."
+            "trainings and lanes. A share of 1 loses as much alone as the whole does; shares need not add up to 1. An "
+            "effect is a difference of means over cells, its interval Student's over trainings, whose variance is that "
+            "within cells."
         )
 
     def figure(self, report: Report) -> Picture:
+        """Draw lines of a few policies, and of many a map."""
+        return self.map(report) if len(report.config.policies) > MOST_LINES else self.lines(report)
+
+    def map(self, report: Report) -> Picture:
+        """Draw the success of each policy, a row each, in each flight, a column each."""
+        cells = pd.DataFrame(report.summary["cells"])
+        success = cells.pivot(index="policy", columns="flight", values="success_ratio")
+        ratios = success.reindex(index=cells.policy.unique(), columns=cells.flight.unique())
+        figure = style.new_figure(1.4 + 0.26 * len(ratios), self.title(report), self.source(report))
+        axes = figure.subplots()
+        axes.imshow(ratios, "cividis", aspect="auto", vmin=0.0, vmax=1.0)
+        for (row, column), ratio in np.ndenumerate(ratios):
+            ink = "white" if ratio < 0.5 else "black"
+            axes.annotate(f"{100 * ratio:.0f}", (column, row), ha="center", va="center", color=ink, fontsize=8)
+        axes.set_xticks(range(ratios.shape[1]), [written(name) for name in ratios.columns], rotation=60, ha="right")
+        axes.set_yticks(range(len(ratios)), [str(name).replace("_", " ") for name in ratios.index], fontsize=8)
+        axes.grid(visible=False)
+        axes.set(xlabel="flown with", ylabel="trained with")
+        caption = "Success in per cent, all seeds and lanes pooled."
+        return report.figure("mediation", figure, caption, f"A map of success. {report.headline()}.")
+
+    def lines(self, report: Report) -> Picture:
         """Draw success over the values of each factor, a panel each, a line for each policy."""
         cells, flights = pd.DataFrame(report.summary["cells"]), report.config.flights
         figure, panels = plots.panels(len(flights), self.title(report), 2.2, sharey=True)
@@ -289,6 +356,16 @@ class Mediation(SuiteOfRuns[MediationConfig, PolicyCase]):
         style.legend(figure)
         caption = "Success with 95 % intervals; dotted, nothing is moved."
         return report.figure("mediation", figure, caption, f"Lines of success. {report.headline()}.")
+
+
+def written(flight: str) -> str:
+    """Return a flight's name as a label: `gap 2`, `start −0.584`."""
+    name, value = split_name(flight)
+    return (
+        name.replace("_", " ")
+        if value is None
+        else f"{name.replace('_', ' ')} {value:g}".replace("-", "\N{MINUS SIGN}")
+    )
 
 
 def split_name(flight: str) -> tuple[str, float | None]:
@@ -323,6 +400,24 @@ def share_of_loss(cells: Mapping[str, pd.DataFrame], share: Share, part: str) ->
     return {"loss": whole, "alone": alone, "share": alone / whole if whole > 0.0 else None, "low": low, "high": high}
 
 
+def effect(cells: Mapping[str, pd.DataFrame], contrast: Contrast) -> dict[str, Any]:
+    """Return what a factor adds to success on average over its cells, and a 95 % interval over trainings.
+
+    Student's, with the variance of trainings within cells; its ends are None where each cell has a single training.
+    """
+    success = {name: np.array([won.mean() for won in cells[name].won]) for name in (*contrast.without, *contrast.moved)}
+    without, moved = (np.mean([success[name].mean() for name in names]) for names in (contrast.without, contrast.moved))
+    freedom = sum(len(values) - 1 for values in success.values())
+    told = {"without": without, "moved": moved, "effect": moved - without, "low": None, "high": None}
+    if freedom:
+        variance = sum(values.var() * len(values) for values in success.values()) / freedom
+        error = np.sqrt(variance * sum(1.0 / len(values) for values in success.values())) / len(contrast.moved)
+        width = student_quantile(freedom) * error
+        told |= {"low": moved - without - width, "high": moved - without + width}
+    trained = {(name.partition("/")[0], number) for name, values in success.items() for number in range(len(values))}
+    return told | {"trainings": len(trained)}
+
+
 CELLS: dict[str, Column] = {
     "policy": "{policy}",
     "flight": "{flight}",
@@ -337,4 +432,11 @@ SHARES: dict[str, Column] = {
     "moved alone": "{part}",
     "it loses ": "{alone:.1%}",
     "share [95 %]": "{share:.2f} [{low:.2f}, {high:.2f}]",
+}
+EFFECTS: dict[str, Column] = {
+    "moved": "{label}",
+    "success without": "{without:.1%}",
+    "success with it": "{moved:.1%}",
+    "effect [95 %]": "{effect:+.1%} [{low:+.1%}, {high:+.1%}]",
+    "trainings": "{trainings}",
 }

@@ -5,48 +5,64 @@ Agents are trained, then evaluated with weights from the run (realtime_agents.py
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, closing, nullcontext
 from dataclasses import dataclass
+from fnmatch import fnmatchcase
 from functools import lru_cache
-from itertools import permutations, product
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 import pandas as pd
-from pydantic import Discriminator, Field, model_validator
+from pydantic import Discriminator, Field, field_validator, model_validator
 
 from uavaccel.config import Config
 from uavaccel.draw import style
-from uavaccel.draw.labels import clock_label
-from uavaccel.draw.page import Block, Column, Heading, Picture, Table, listed
+from uavaccel.draw.page import Block, Heading, Table, listed
 from uavaccel.errors import UserError
 from uavaccel.forms import ArrayForm, Count, NotNegative, Number, Positive
 from uavaccel.limits import CommandName, Games, Seconds, Seed
-from uavaccel.metrics.seeds import hierarchical_interval
 from uavaccel.metrics.speedup import timing_provenance
 from uavaccel.own_code import own_module
+from uavaccel.realtime.policies import TCP
 from uavaccel.records import RunDirectory
 from uavaccel.resources import require
 from uavaccel.suites import plots
 from uavaccel.suites.experiment import ClockSpeeds, CommandNames, Experiment, Timing
+from uavaccel.suites.gpu import acquire_gpu
+from uavaccel.suites.parts import Part, fly_part, part_folder, part_suite
+from uavaccel.suites.realtime_report import (
+    CELL,
+    COUNTS,
+    READING,
+    RETURNS,
+    TRAINING,
+    agreement,
+    agreement_figure,
+    cells_of,
+    ranking,
+    rankings_figure,
+    rankings_table,
+    results,
+    returns_figure,
+    tcsc_equal,
+    up_to_which_speed,
+)
 from uavaccel.suites.report import Report, Summary, method_note, records
 from uavaccel.suites.rows import GameRow, Row
 from uavaccel.suites.suite import GameResult, SimpleCase, Suite
+from uavaccel.suites.train import CHECKPOINTS, recent_mean
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+    pass
 
 DRONES = "uavaccel/"
 OF_THE_CASES = {"timing", "command", "clock_speed"}  # keys of a drone's environment
 EPISODE_S = 20.0  # simulated seconds of an evaluation's episode, about
 EVALUATION_SEED = 1_000_000  # episodes of an evaluation begin with others than those of trainings
-PLACE = ["environment", "command", "latency_s", "clock_speed"]
-CELL = ["environment", "agent", "command", "latency_s", "clock_speed"]
-"""What the evaluations of a cell have in common: they are of one agent's trainings."""
-TRAINING = ["environment", "agent", "seed", "steps", "last_return", "agent_sha256"]
 
 Delay = Annotated[float, Field(ge=0.0, le=60.0)]
 Layers = tuple[Annotated[int, Field(ge=1, le=4096)], ...]
@@ -66,10 +82,35 @@ class EnvironmentBlock(Config):
     """Applied before the first action; 0 where actions are a Box, and needed where they are not."""
     period_s: Seconds | None = None
     """Simulated seconds of a step, where the environment does not say."""
+    scale: tuple[float, float] | None = None
+    """Returns that have score 0 and score 1; None: there are no scores."""
+
+    @field_validator("scale")
+    @classmethod
+    def _scale_rises(cls, scale: tuple[float, float] | None) -> tuple[float, float] | None:
+        if scale is not None and not scale[0] < scale[1]:
+            raise ValueError(f"must rise, not {list(scale)}")
+        return scale
+
+
+class FlightBlock(Config):
+    """A task of this package whose agents `uavaccel train` trains; return and score are 1 for a game won, else 0."""
+
+    trainings: Annotated[dict[str, Part], Field(min_length=1)]
+    """By the agent: the experiment of its training, and keys that differ from it. Other agents do not fly it."""
+    evaluation: Part = Part(experiment="evaluate", keys={"simulator": "kernels", "games": 100})
+    """How each is evaluated: its `inference_s`, command and ClockSpeed are those of a cell."""
 
 
 class AgentBlock(Config):
-    """An agent: what it is trained on, what it sees, and how much longer than others it thinks. PPO throughout."""
+    """An agent: what it is trained on, what it sees, and how much longer than others it thinks.
+
+    It is trained by PPO, unless it has policies of its own.
+    """
+
+    policies: dict[str, str] = Field(default_factory=dict)
+    """Files with what it is, by the environment, which it flies without a training: .zip of stable-baselines3, .onnx,
+    .pt of TorchScript, or file.py:function. It flies no others."""
 
     training_delay_s: tuple[Delay, Delay] = (0.0, 0.0)
     """Range of simulated seconds from an observation to its action, one drawn for each episode of the training."""
@@ -79,12 +120,23 @@ class AgentBlock(Config):
     """How many of its latest actions it sees."""
     chunk: Annotated[int, Field(ge=1, le=64)] = 1
     """Actions that it plans at once, a control period each; the first is applied, the rest while it thinks."""
+    frozen_prefix: bool = False
+    """Whether a chunk begins at its observation: its actions for the periods until it arrives are dropped."""
+    observe_planned: Annotated[int, Field(ge=0, le=64)] = 0
+    """Of how many next periods it sees the actions that are applied unless others arrive."""
     look_ahead: bool = False
     """Whether it decides upon what the simulator itself predicts for the moment at which its action is applied."""
     hidden: Layers = (64, 64)
     """Units of its network's layers."""
     latency_factor: Annotated[float, Field(gt=0.0, le=100.0)] = 1.0
     """It thinks so many times the latency of a cell: of a larger network, say."""
+
+    @field_validator("policies")
+    @classmethod
+    def _policies_are_files(cls, policies: dict[str, str]) -> dict[str, str]:
+        if servers := [place for place in policies.values() if place.startswith(TCP)]:
+            raise ValueError(f"{servers[0]}: no server, whose answers nobody can repeat; name a file")
+        return policies
 
     @model_validator(mode="after")
     def _range_rises(self) -> AgentBlock:
@@ -103,8 +155,10 @@ class RealtimeConfig(Experiment):
     suite: Literal["realtime"]
     timing: Literal["virtual", "wall"] = "virtual"
     """virtual: the wall clock is simulated, and flights repeat; wall: measured, in a process of its own."""
+    flights: dict[str, FlightBlock] = Field(default_factory=dict)
+    """Tasks of this package that are learned by `uavaccel train`, by the names that rows and figures have for them."""
     environments: Annotated[dict[str, EnvironmentBlock], Field(min_length=1)]
-    """What is flown, by the names that rows and figures have for it."""
+    """What else is flown, by the names that rows and figures have for it."""
     agents: Annotated[dict[str, AgentBlock], Field(min_length=1)]
     """Who flies it, by the names that rows and figures have for them."""
     latency_s: Annotated[tuple[Delay, ...], Field(min_length=1)] = (0.0, 0.02, 0.05, 0.1, 0.2)
@@ -116,13 +170,30 @@ class RealtimeConfig(Experiment):
     seeds: Annotated[int, Field(ge=1, le=1000)] = 3
     """Trainings of each agent in each environment."""
     episodes: Games = 10
-    """Of each trained agent under each latency, ClockSpeed and command."""
+    """Of each trained agent under each latency, ClockSpeed and command; flights have the games of their evaluation."""
+    cells: tuple[str, ...] = ()
+    """Fly these cells alone, and the trainings that they need: names such as hopper-naive-adsc-20ms-5x, in which * is
+    anything; without any, all."""
+
+    @model_validator(mode="after")
+    def _flights_fit(self) -> RealtimeConfig:
+        if self.flights and self.timing == "wall":
+            raise ValueError("flights need timing virtual: their clock is simulated")
+        if both := sorted(self.flights.keys() & self.environments.keys()):
+            raise ValueError(f"flights.{both[0]}: one of the environments has the same name")
+        for name, flight in self.flights.items():
+            if unknown := [agent for agent in flight.trainings if agent not in self.agents]:
+                raise ValueError(f"flights.{name}.trainings: {unknown[0]} is none of the agents, {listed(self.agents)}")
+        return self
 
     @model_validator(mode="after")
     def _cases_differ(self) -> RealtimeConfig:
-        for name in (*self.environments, *self.agents):
+        for name in (*self.flights, *self.environments, *self.agents):
             if not name.replace("_", "").isalnum():
                 raise ValueError(f"{name!r} names files: letters, digits and _ alone")
+        for name, agent in self.agents.items():
+            if unknown := sorted(agent.policies.keys() - self.environments.keys()):
+                raise ValueError(f"agents.{name}.policies: {unknown[0]} is none of the environments")
         if self.timing == "wall" and any(agent.look_ahead for agent in self.agents.values()):
             raise ValueError("look_ahead needs timing virtual: it looks into the simulator")
         if self.timing == "wall" and any(block.id.startswith(DRONES) for block in self.environments.values()):
@@ -138,6 +209,24 @@ class RealtimeConfig(Experiment):
         """Return the wall time for which an agent thinks where others think for `latency_s`."""
         return latency_s * self.agents[agent].latency_factor
 
+    def scale(self, name: str) -> tuple[float, float] | None:
+        """Return the returns that have score 0 and 1 in a flight or an environment; None where there are no scores."""
+        return (0.0, 1.0) if name in self.flights else self.environments[name].scale
+
+    def flies(self, environment: str, agent: str) -> bool:
+        """Return whether an agent can fly there: a drone takes no chunks, and has no model to look ahead with."""
+        block, drone = self.agents[agent], self.environments[environment].id.startswith(DRONES)
+        there = not block.policies or environment in block.policies
+        return there and not (drone and (block.chunk > 1 or block.look_ahead))
+
+    def trained_as(self, environment: str, agent: str) -> str:
+        """Return the first agent with the same training there that can fly there."""
+        if environment in self.flights:
+            return agent
+        training = self.agents[agent].training_keys()
+        others = (other for other in self.agents if self.flies(environment, other))
+        return next(other for other in others if self.agents[other].training_keys() == training)
+
 
 class TrainingRow(GameRow):
     """The row of a training."""
@@ -147,7 +236,8 @@ class TrainingRow(GameRow):
     agent: str
     seed: Seed
     steps: Count
-    last_return: Number
+    last_return: Number | None
+    """The mean of its last hundred episodes; None where none was finished."""
     agent_sha256: str
 
 
@@ -211,15 +301,21 @@ class Realtime(Suite[RealtimeConfig, Training]):
         """Raise UserError for an environment that cannot be made, and for an agent that cannot act in it."""
         require("stable_baselines3", "suite realtime", "realtime", "stable-baselines3")
         from uavaccel.realtime.plant import is_of_mujoco
-        from uavaccel.suites.realtime_agents import timed
+        from uavaccel.suites.realtime_agents import Given, timed
 
         _import_modules(config)
+        for name, flight in config.flights.items():
+            for agent, part in flight.trainings.items():
+                if (of := part_suite(part, config.seed)[0].name) != "train":
+                    raise UserError(f"flights.{name}.trainings.{agent}: {part.experiment} is of {of}, not of train")
         for name, agent in _pairs(config):
             block = config.environments[name]
             try:
                 with closing(timed(block, config.agents[agent], 0.0, "adsc", 1.0)) as env:
                     if config.agents[agent].look_ahead and not is_of_mujoco(env):
                         raise UserError("look_ahead: looks into Gymnasium's MuJoCo environments alone")
+                    if (policy := config.agents[agent].policies.get(name)) is not None:
+                        Given(policy, env)
             except UserError as error:
                 raise UserError(f"environments.{name}, agents.{agent}: {error}") from error
             except Exception as error:  # whatever a user's environment raises
@@ -228,17 +324,21 @@ class Realtime(Suite[RealtimeConfig, Training]):
 
     def cases(self, config: RealtimeConfig) -> Iterator[Training]:
         """Yield all trainings, then all evaluations. Under TCSC delays change nothing: one latency stands for all."""
-        flown = [(*pair, seed) for pair, seed in product(_pairs(config), range(config.seeds))]
-        for environment, agent, seed in flown:
-            if _trained_as(config, environment, agent) == agent:
-                yield Training(f"{environment}-{agent}-s{seed}", "virtual", 0.0, environment, agent, seed)
-        for (environment, agent, seed), command in product(flown, config.command):
-            trained = f"{environment}-{_trained_as(config, environment, agent)}-s{seed}"
-            latencies_s = config.latency_s if command == "adsc" else config.latency_s[-1:]
-            for latency_s, speed in product(latencies_s, config.clock_speed):
-                case = f"{environment}-{agent}-s{seed}-{command}-{latency_s * 1e3:g}ms-{speed:g}x"
-                of = case, config.timing, config.episodes * EPISODE_S, environment, agent, seed
-                yield Evaluation(*of, trained, latency_s, speed, command)
+        evaluations = list(_evaluations(config))
+        needed = {case.trained for case in evaluations}
+        for environment, agent, seed in _flown(config):
+            if (name := f"{environment}-{agent}-s{seed}") in needed:
+                yield Training(name, "virtual", 0.0, environment, agent, seed)
+        yield from evaluations
+
+    def provenance(self, config: RealtimeConfig) -> Mapping[str, object]:
+        """Check that this machine has what the trainings of flights need. Raises UserError."""
+        trained = dict.fromkeys((case.environment, case.agent) for case in self.cases(config) if not self.stage(case))
+        for name, agent in trained:
+            if name in config.flights:
+                suite, part = part_suite(config.flights[name].trainings[agent], config.seed)
+                suite.provenance(part)
+        return {}
 
     def stage(self, case: Training) -> int:
         return int(isinstance(case, Evaluation))
@@ -250,26 +350,37 @@ class Realtime(Suite[RealtimeConfig, Training]):
         return ("seeds",)
 
     def games(self, config: RealtimeConfig, case: Training) -> int:
-        return config.episodes if isinstance(case, Evaluation) else 1
+        if not isinstance(case, Evaluation):
+            return 1
+        flight = config.flights.get(case.environment)
+        return config.episodes if flight is None else int(flight.evaluation.keys.get("games", 1))
 
     def open(self, config: RealtimeConfig, timing: str, run: RunDirectory) -> AbstractContextManager[Any]:
-        """Open what loads the weights of a training, those of the latest one once for all of its evaluations."""
+        """Open the run, and what loads the weights of a training, the latest ones once for all of its evaluations."""
         _import_modules(config)  # in this worker
 
         @lru_cache(maxsize=1)
         def weights(case: str) -> Mapping[str, np.ndarray]:
-            return run.load_arrays(next(row for row in run.rows() if row["case"] == case))
+            trained = next(row for row in run.rows() if row["case"] == case)
+            return run.load_arrays(trained) if "arrays" in trained else {}
 
-        return nullcontext(weights)
+        return nullcontext((run, weights))
 
     def fly(self, config: RealtimeConfig, case: Training, opened: Any) -> GameResult:
         kind = "evaluation" if isinstance(case, Evaluation) else "training"
         row: dict[str, Any] = {"kind": kind, "environment": case.environment, "agent": case.agent, "seed": case.seed}
+        run, weights_of = opened
+        if case.environment in config.flights:
+            return GameResult(row | flown(config, case, run))
         if isinstance(case, Evaluation):
-            return GameResult(row | evaluated(config, case, opened(case.trained)))
+            return GameResult(row | evaluated(config, case, weights_of(case.trained)))
         from uavaccel.suites import realtime_agents
 
         block, agent = config.environments[case.environment], config.agents[case.agent]
+        if (policy := agent.policies.get(case.environment)) is not None:
+            with closing(realtime_agents.timed(block, agent, 0.0, "adsc", 1.0)) as env:
+                digest = realtime_agents.Given(policy, env).sha256
+            return GameResult(row | {"steps": 0, "last_return": None, "agent_sha256": digest})
         weights, learned = realtime_agents.train(block, agent, config.seed + case.seed)
         return GameResult(row | learned, weights)
 
@@ -287,11 +398,9 @@ class Realtime(Suite[RealtimeConfig, Training]):
             "suite": "realtime",
             "seed": config.seed,
             "provenance": timing_provenance(config.timing),
-            "cells": cells.to_dict("records"),
-            "rankings": [
-                dict(zip(("environment", "latency_s"), key, strict=True)) | _ranking(own) for key, own in adsc
-            ],
-            "tcsc_equal_at_every_clock_speed": _tcsc_equal(report.scores),
+            "cells": records(cells),
+            "rankings": [dict(zip(("environment", "latency_s"), key, strict=True)) | ranking(own) for key, own in adsc],
+            "tcsc_equal_at_every_clock_speed": tcsc_equal(report.scores),
             "trainings": records(games[games.kind == "training"].reindex(columns=TRAINING)),
         }
 
@@ -301,9 +410,9 @@ class Realtime(Suite[RealtimeConfig, Training]):
     def headline(self, report: Report) -> str:
         """Return up to which ClockSpeed each ranking at the middle latency holds, and whether TCSC's returns do."""
         rankings, equal = report.summary["rankings"], report.summary["tcsc_equal_at_every_clock_speed"]
-        latencies = sorted({ranking["latency_s"] for ranking in rankings})
+        latencies = sorted({each["latency_s"] for each in rankings})
         middle = latencies[len(latencies) // 2] if latencies else 0.0
-        said = [_up_to_which_speed(ranking) for ranking in rankings if ranking["latency_s"] == middle]
+        said = [up_to_which_speed(each) for each in rankings if each["latency_s"] == middle]
         said = [f"with {1e3 * middle:g} ms to think, {'; '.join(said)}"] if said else []
         if equal is not None:
             said.append(f"under TCSC returns {'are the same to the bit' if equal else 'DIFFER'} at every ClockSpeed")
@@ -324,13 +433,14 @@ class Realtime(Suite[RealtimeConfig, Training]):
 
     def page(self, report: Report) -> Iterator[Block | str]:
         cells = pd.DataFrame(report.summary["cells"])
-        several = [ranking for ranking in report.summary["rankings"] if len(ranking["clock_speeds"]) > 1]
+        several = [each for each in report.summary["rankings"] if len(each["clock_speeds"]) > 1]
         if (cells.command == "adsc").any():
             yield returns_figure(report, cells)
         if several:
             yield rankings_figure(report)
             yield Heading("How fast may one simulate before the ranking changes?")
             yield rankings_table(several)
+        report.run.write_text("results.csv", results(report))
         yield Heading("All cells")
         yield Table.of(cells, RETURNS, folded="all returns")
         yield method_note(READING)
@@ -354,21 +464,30 @@ class Realtime(Suite[RealtimeConfig, Training]):
         return str(rows[-1]["case"])
 
 
-def flies(config: RealtimeConfig, environment: str, agent: str) -> bool:
-    """Return whether an agent can fly there: a drone takes no chunks, and has no model to look ahead with."""
-    block, drone = config.agents[agent], config.environments[environment].id.startswith(DRONES)
-    return not (drone and (block.chunk > 1 or block.look_ahead))
-
-
 def _pairs(config: RealtimeConfig) -> list[tuple[str, str]]:
-    return [pair for pair in product(config.environments, config.agents) if flies(config, *pair)]
+    return [pair for pair in product(config.environments, config.agents) if config.flies(*pair)]
 
 
-def _trained_as(config: RealtimeConfig, environment: str, agent: str) -> str:
-    """Return the first agent with the same training in the environment, in which the agent can fly."""
-    training, pairs = config.agents[agent].training_keys(), _pairs(config)
-    others = (other for name, other in pairs if name == environment)
-    return next(other for other in others if config.agents[other].training_keys() == training)
+def _flown(config: RealtimeConfig) -> list[tuple[str, str, int]]:
+    """Return each flight or environment with each agent that flies it, and each training's seed."""
+    flights = [(name, agent) for name, flight in config.flights.items() for agent in flight.trainings]
+    return [
+        (environment, agent, seed)
+        for environment, agent in [*flights, *_pairs(config)]
+        for seed in range(1 if config.agents[agent].policies else config.seeds)
+    ]
+
+
+def _evaluations(config: RealtimeConfig) -> Iterator[Evaluation]:
+    for (environment, agent, seed), command in product(_flown(config), config.command):
+        trained = f"{environment}-{config.trained_as(environment, agent)}-s{seed}"
+        latencies_s = config.latency_s if command == "adsc" else config.latency_s[-1:]
+        for latency_s, speed in product(latencies_s, config.clock_speed):
+            under = f"{command}-{latency_s * 1e3:g}ms-{speed:g}x"
+            if config.cells and not any(fnmatchcase(f"{environment}-{agent}-{under}", cell) for cell in config.cells):
+                continue
+            of = config.timing, config.episodes * EPISODE_S, environment, agent, seed
+            yield Evaluation(f"{environment}-{agent}-s{seed}-{under}", *of, trained, latency_s, speed, command)
 
 
 def evaluated(config: RealtimeConfig, case: Evaluation, weights: Mapping[str, np.ndarray]) -> dict[str, Any]:
@@ -382,225 +501,38 @@ def evaluated(config: RealtimeConfig, case: Evaluation, weights: Mapping[str, np
     else:
         env = agents.timed(block, agent, delay_s, case.command, case.clock_speed)
     with closing(env):
-        policy = agents.Policy(env, agent, weights)
+        given = agent.policies.get(case.environment)
+        policy = agents.Policy(env, agent, weights) if given is None else agents.Given(given, env)
         ahead = agent.look_ahead and case.command == "adsc"
         actor = agents.LookAhead(policy, env, block, delay_s, case.clock_speed) if ahead else policy
         seeds = range(EVALUATION_SEED + config.seed, EVALUATION_SEED + config.seed + config.episodes)
-        flown = [agents.fly_episode(env, actor, seed, delay_s if wall else 0.0) for seed in seeds]
-    returns, delays_s, late_s = (list(each) for each in zip(*flown, strict=True))
-    under = {name: getattr(case, name) for name in ("timing", "latency_s", "clock_speed", "command")}
-    return {**under, "returns": returns, "delays_s": delays_s, "late_s": max(late_s)}
+        met = [agents.fly_episode(env, actor, seed, delay_s if wall else 0.0) for seed in seeds]
+    returns, delays_s, late_s = (list(each) for each in zip(*met, strict=True))
+    return {**_under(case), "returns": returns, "delays_s": delays_s, "late_s": max(late_s)}
 
 
-def cells_of(report: Report) -> pd.DataFrame:
-    """Return a cell for each agent, latency, ClockSpeed and command, in the order of the rows.
-
-    `delay_s` is the median of simulated seconds from an observation to its action; intervals are over trainings and
-    episodes.
-    """
-
-    def cell(own: pd.DataFrame) -> dict[str, Any]:
-        returns = own.returns.tolist()
-        low, high = hierarchical_interval(returns, report.config.seed)
-        return {
-            "delay_s": float(np.median(np.concatenate(own.delays_s.tolist()))),
-            "seeds": len(own),
-            "episodes": sum(map(len, returns)),
-            "return_mean": float(np.mean([np.mean(each) for each in returns])),
-            "return_low": low,
-            "return_high": high,
-            "late_s": own.late_s.max(),
-        }
-
-    groups = report.scores.groupby(CELL, sort=False)
-    return pd.DataFrame([dict(zip(CELL, key, strict=True)) | cell(own) for key, own in groups])
+def _under(case: Evaluation) -> dict[str, Any]:
+    return {name: getattr(case, name) for name in ("timing", "latency_s", "clock_speed", "command")}
 
 
-def _ranking(cells: pd.DataFrame) -> dict[str, Any]:
-    """Return the order of the agents at each ClockSpeed, best first, and how far it is that at the slowest.
+def flown(config: RealtimeConfig, case: Training, run: RunDirectory) -> dict[str, Any]:
+    """Train an agent of a flight below parts/, or fly its games, and return what its row has beside the common keys."""
+    from uavaccel.suites.evaluate_lanes import GamesInBatch
 
-    `holds_to` is the largest ClockSpeed up to which no two agents change places.
-    """
-    by_speed = {speed: own.set_index("agent") for speed, own in cells.groupby("clock_speed")}
-    speeds, slowest = list(by_speed), next(iter(by_speed.values()))
-    reversals = [each for speed in speeds[1:] for each in _reversals(slowest, by_speed[speed], speed)]
-    broken = min((reversal["clock_speed"] for reversal in reversals), default=np.inf)
-    means = [own.return_mean for own in by_speed.values()]
-    return {
-        "clock_speeds": speeds,
-        "orders": [here.sort_values(ascending=False, kind="stable").index.tolist() for here in means],
-        "kendall_tau": [kendall_tau(means[0], here) for here in means],
-        "holds_to": max(speed for speed in speeds if speed < broken),
-        "reversals": reversals,
-    }
-
-
-def kendall_tau(first: pd.Series, second: pd.Series) -> float | None:
-    """Return Kendall's tau-b of the agents, the index of both, by their returns; None where either ranks nothing."""
-    tau = first.corr(second, method="kendall", min_periods=2)
-    return None if np.isnan(tau) else float(tau)
-
-
-def _reversals(before: pd.DataFrame, after: pd.DataFrame, clock_speed: float) -> Iterator[dict[str, Any]]:
-    """Yield the pairs of agents, the index, whose order is reversed and whose intervals are disjoint both times."""
-    both = [agent for agent in before.index if agent in after.index]
-    for ahead, behind in sorted(permutations(both, 2), key=lambda pair: sorted(map(both.index, pair))):
-        was_behind = before.return_low[behind] > before.return_high[ahead]
-        if was_behind and after.return_low[ahead] > after.return_high[behind]:
-            yield {"clock_speed": clock_speed, "ahead": ahead, "behind": behind}
-
-
-def _tcsc_equal(evaluations: pd.DataFrame) -> bool | None:
-    """Return whether under TCSC every agent's returns are bit-identical at all ClockSpeeds; None for a single one."""
-    by_tcsc = evaluations[evaluations.command == "tcsc"]
-    groups = [own.returns.tolist() for _, own in by_tcsc.groupby(["environment", "agent", "seed"])]
-    if max(map(len, groups), default=0) < 2:
-        return None
-    return all(returns == group[0] for group in groups for returns in group)
-
-
-def agreement(pairs: pd.DataFrame) -> dict[str, Any]:
-    """Return how far returns, delays and the agents' rankings (Kendall's tau) agree between modelled and measured."""
-    groups = [own.set_index("agent") for _, own in pairs.groupby(PLACE)]
-    found = [kendall_tau(own.return_mean, own.return_mean_measured) for own in groups]
-    taus = [tau for tau in found if tau is not None]
-
-    def off(pairs: pd.DataFrame, name: str) -> float | None:
-        modelled, measured = pairs[name], pairs[f"{name}_measured"]
-        return float((abs(measured - modelled) / np.maximum(abs(modelled), 1e-9)).median()) if len(pairs) else None
-
-    return {
-        "cells": len(pairs),
-        "return_difference_median": off(pairs, "return_mean"),
-        "delay_difference_median": off(pairs[pairs.delay_s > 0], "delay_s"),
-        "kendall_tau_mean": float(np.mean(taus)) if taus else None,
-        "kendall_tau_least": min(taus, default=None),
-        "late_s": pairs.late_s_measured.max(),
-    }
-
-
-def _up_to_which_speed(ranking: Mapping[str, Any]) -> str:
-    """Return up to which ClockSpeed a ranking holds, as in "in hopper the ranking holds up to 5x; at 20x ..."."""
-    where, speeds = f"in {ranking['environment']}", ranking["clock_speeds"]
-    if len(speeds) < 2:
-        return f"{where} {' > '.join(ranking['orders'][0])}"
-    if not ranking["reversals"]:
-        return f"{where} no two agents change places up to {clock_label(speeds[-1])}, the fastest flown"
-    return f"{where} the ranking holds up to {clock_label(ranking['holds_to'])} ({_first_change(ranking)})"
-
-
-def _first_change(ranking: Mapping[str, Any]) -> str:
-    """Return the first change of places in words, or "none"."""
-    if not ranking["reversals"]:
-        return "none"
-    first, slowest = ranking["reversals"][0], clock_label(ranking["clock_speeds"][0])
-    at = clock_label(first["clock_speed"])
-    return f"at {at} {first['ahead']} is ahead of {first['behind']}, which beats it at {slowest}"
-
-
-def rankings_table(rankings: Sequence[Mapping[str, Any]]) -> Table:
-    """Return the table of rankings at several ClockSpeeds."""
-
-    def taus(ranking: Mapping[str, Any]) -> str:
-        return ", ".join("-" if tau is None else f"{tau:.2f}" for tau in ranking["kendall_tau"][1:])
-
-    speeds = ", ".join(map(clock_label, rankings[0]["clock_speeds"][1:]))
-    return Table.of(
-        rankings,
-        {
-            "environment": "{environment}",
-            "latency, ms": _latency_ms,
-            "ranking holds up to": "{holds_to:g}x",
-            f"Kendall's tau at {speeds}": taus,
-            "first change": _first_change,
-        },
-    )
-
-
-def _latency_ms(entry: Mapping[str, Any]) -> str:
-    return f"{1e3 * entry['latency_s']:g}"
-
-
-def panels_figure(
-    cells: pd.DataFrame, x: str, y: str, by: str, title: str, line: str = "-", ends: bool = False, source: str = ""
-) -> tuple[Figure, list[Axes]]:
-    """Draw column `y` over `x`, a panel per environment and a line per value of `by`, with its interval if `ends`."""
-    labels = cells[by].unique()
-    options = {"across": 2, "height_in": 2.4, "sharey": False, "source": source}
-    figure, panels = plots.facets(cells, "environment", title, **options)
-    for axes, name, own in panels:
-        axes.set_title(name)
-        for number, label in enumerate(labels):
-            of = own[own[by] == label].sort_values(x)
-            look = {"color": style.colour(number), "marker": style.marker(number), "markersize": 4}
-            look |= {"linestyle": line, "linewidth": 1.2, "elinewidth": 0.8, "label": label.replace("_", " ")}
-            if len(of):
-                plots.line(axes, of[x], of[y], (of.return_low, of.return_high) if ends else None, **look)
-    style.legend(figure)
-    return figure, [axes for axes, *_ in panels]
-
-
-def returns_figure(report: Report, cells: pd.DataFrame) -> Picture:
-    """Draw return over the simulated delay; of cells with equal delays one, since their flights are identical."""
-    title = "Return over the delay from observation to action"
-    adsc = cells[cells.command == "adsc"].assign(delay_s=cells.delay_s.round(6)).sort_values("delay_s", kind="stable")
-    adsc = adsc.drop_duplicates(["environment", "agent", "delay_s"], keep="last").sort_index()
-    figure, panels = panels_figure(adsc, "delay_s", "return_mean", "agent", title, ends=True)
-    for axes in panels:
-        axes.set_xscale("symlog", linthresh=0.01)
-        axes.xaxis.set_major_formatter("{x:g}")
-        axes.set(xlabel="delay, simulated s", ylabel="return", xlim=(-0.001, None))
-    plots.label_outer(panels)
-    caption = f"{title}, means with 95 % intervals over trainings and episodes."
-    alt = f"Lines of return by delay, an agent each, in {listed(adsc.environment.unique())}. {report.headline()}."
-    return report.figure("returns", figure, caption, alt)
-
-
-def rankings_figure(report: Report) -> Picture:
-    """Draw Kendall's tau against the slowest ClockSpeed."""
-    title = "Rankings over ClockSpeed"
-    rankings = pd.DataFrame(report.summary["rankings"]).sort_values("latency_s", kind="stable")
-    taus = rankings.assign(latency=[f"{1e3 * latency_s:g} ms" for latency_s in rankings.latency_s])
-    taus = taus.explode(["clock_speeds", "kendall_tau"]).astype({"clock_speeds": float, "kendall_tau": float})
-    clocks = sorted(taus.clock_speeds.unique())
-    taus["place"] = np.searchsorted(clocks, taus.clock_speeds)
-    figure, panels = panels_figure(taus, "place", "kendall_tau", "latency", title)
-    for axes in panels:
-        plots.clock_axis(axes, clocks)
-        axes.set(ylabel="Kendall's tau", ylim=(-1.1, 1.1))
-    plots.label_outer(panels)
-    least = plots.span(taus.kendall_tau)
-    alt = f"Lines of Kendall's tau by ClockSpeed, a latency each, in {listed(taus.environment.unique())}: {least}."
-    return report.figure("rankings", figure, f"{title}{RANKINGS}", alt)
-
-
-def agreement_figure(pairs: pd.DataFrame, source: str) -> Figure:
-    """Return the plot of the mean return on the machine's clock over that on the simulated one, by environment."""
-    with style.project_style():
-        title, names = "The machine's clock against the simulated one", ("return_mean", "return_mean_measured")
-        figure, panels = panels_figure(pairs, *names, "agent", title, line="none", source=source)
-        for axes in panels:
-            axes.plot(axes.get_xlim(), axes.get_xlim(), **style.LIMIT)
-            axes.set(xlabel="modelled return", ylabel="measured return")
-    return figure
-
-
-COUNTS = {"seeds": "trainings", "episodes": "episodes"}
-RETURNS: dict[str, Column] = {
-    "environment": "{environment}",
-    "agent": "{agent}",
-    "command": "{command!u}",
-    "latency, ms": _latency_ms,
-    "ClockSpeed": "{clock_speed:g}x",
-    "delay, simulated s": "{delay_s:.3g}",
-    "return": "{return_mean:g}",
-    "95 % interval": "{return_low:g} to {return_high:g}",
-    "late at most, s": lambda cell: f"{cell['late_s']:.3f}" if cell["late_s"] else "-",
-}
-RANKINGS = ": Kendall's tau of the agents' ranking against the slowest ClockSpeed, for each latency."
-READING = (
-    "Between an observation and its action an agent thinks for the latency, on a wall clock that runs ClockSpeed times "
-    "slower than the simulation: the environment goes on for their product (ADSC) or is paused (TCSC). Two agents "
-    "change places where one is ahead of the other at the slowest ClockSpeed and behind it here, and their 95 % "
-    "intervals are apart both times; Kendall's tau compares the order of the means alone."
-)
+    flight = config.flights[case.environment]
+    if not isinstance(case, Evaluation):
+        part = flight.trainings[case.agent]
+        acquire_gpu(str(part_suite(part, 0)[1].device))
+        report = fly_part(run, case.id, part, config.seed + case.seed, pages=False)
+        shutil.rmtree(report.run.path / CHECKPOINTS, ignore_errors=True)
+        learned = {"steps": report.summary["commands"], "agent_sha256": report.summary["weights_sha256"]}
+        return {**learned, "last_return": float(recent_mean(report.games["return"]).iloc[-1])}
+    agent = str(part_folder(run, case.trained).resolve())
+    keys = flight.evaluation.keys | {"agent": agent, "inference_s": case.latency_s, "task.mediation": {}}
+    keys |= {f"task.{name}": getattr(case, name) for name in OF_THE_CASES}
+    evaluation: Any = part_suite(Part(experiment=flight.evaluation.experiment, keys=keys), config.seed)[1]
+    lanes = range(evaluation.first_lane, evaluation.first_lane + evaluation.games)
+    with closing(GamesInBatch(evaluation, lanes)) as batch:
+        won = [float(batch.game(lane).row["is_success"]) for lane in lanes]
+    delay_s = case.latency_s * case.clock_speed if case.command == "adsc" else 0.0
+    return {**_under(case), "returns": won, "delays_s": [delay_s] * len(won), "late_s": 0.0}

@@ -6,7 +6,7 @@ import hashlib
 import sys
 from collections.abc import Mapping
 from functools import partial
-from typing import Any
+from typing import Any, Protocol
 
 import gymnasium
 import mujoco
@@ -24,6 +24,7 @@ from uavaccel.clock import MonotonicClock
 from uavaccel.realtime import RealTime, RealTimeProcess, samples
 from uavaccel.realtime.control_loop import Command, ControlLoop, LoopOptions
 from uavaccel.realtime.plant import MujocoPlant
+from uavaccel.realtime.policies import load_policy
 from uavaccel.suites.realtime import DRONES, AgentBlock, EnvironmentBlock
 from uavaccel.units import seconds_to_ns
 
@@ -54,8 +55,8 @@ def _warned(text: str) -> None:
 
 def options(block: EnvironmentBlock, agent: AgentBlock) -> dict[str, Any]:
     """Return the agent's options of the control loop; it applies one action of a chunk before it observes again."""
-    chosen = {"chunk": agent.chunk, "execute": 1} if agent.chunk > 1 else {}
-    chosen |= {"observe_age": agent.observe_age, "observe_actions": agent.observe_actions}
+    chosen: dict[str, Any] = {"chunk": agent.chunk, "execute": 1} if agent.chunk > 1 else {}
+    chosen |= agent.model_dump(include={"frozen_prefix", "observe_age", "observe_actions", "observe_planned"})
     return {**chosen, "period_s": block.period_s, "default_action": block.default_action}
 
 
@@ -131,9 +132,16 @@ class _Returns(BaseCallback):
             self._running[lane] = 0.0
         return True
 
-    def last(self) -> float:
-        """Return the mean return of the last episodes; NaN where none was finished."""
-        return float(np.mean(self._finished[-LAST_EPISODES:])) if self._finished else float("nan")
+    def last(self) -> float | None:
+        """Return the mean return of the last episodes; None where none was finished."""
+        return float(np.mean(self._finished[-LAST_EPISODES:])) if self._finished else None
+
+
+class Actor(Protocol):
+    """What flies an episode."""
+
+    def begin(self, seed: int, /) -> None: ...
+    def act(self, observation: Any, /) -> Any: ...
 
 
 class Policy:
@@ -147,7 +155,7 @@ class Policy:
         policy.load_state_dict({name: th.as_tensor(weights[name]) for name in policy.state_dict()})
         self._policy = policy.eval()
 
-    def begin(self) -> None:
+    def begin(self, seed: int) -> None:
         """Begin an episode."""
 
     def act(self, observation: NDArray[Any]) -> Any:
@@ -157,6 +165,15 @@ class Policy:
         return self._policy.predict(seen, deterministic=True)[0]
 
 
+class Given:
+    """A policy of one's own, from a file. Raises UserError where there is none, or none that fits the environment."""
+
+    def __init__(self, place: str, env: Env) -> None:
+        th.set_num_threads(1)
+        policy = load_policy(place, env)
+        self.sha256, self.begin, self.act = policy.sha256, policy.reset, policy
+
+
 class LookAhead:
     """An agent that acts on the observation predicted for the moment at which its action will be applied.
 
@@ -164,7 +181,7 @@ class LookAhead:
     timed one of Gymnasium's MuJoCo environments.
     """
 
-    def __init__(self, policy: Policy, env: Env, block: EnvironmentBlock, delay_s: float, clock_speed: float) -> None:
+    def __init__(self, policy: Actor, env: Env, block: EnvironmentBlock, delay_s: float, clock_speed: float) -> None:
         self._policy, self._real = policy, env.unwrapped
         self._model: Any = gymnasium.make(block.id, **block.keys).unwrapped
         self._model.reset(seed=0)
@@ -174,8 +191,9 @@ class LookAhead:
         self._ticks = self._loop.ticks_within(round(delay_s * 1e9))
         self._held = self._idle
 
-    def begin(self) -> None:
+    def begin(self, seed: int) -> None:
         """Begin an episode, in which the idle action is held at first."""
+        self._policy.begin(seed)
         self._held = self._idle
 
     def act(self, observation: NDArray[Any]) -> Any:
@@ -189,11 +207,11 @@ class LookAhead:
         return self._held
 
 
-def fly_episode(env: Env, actor: Policy | LookAhead, seed: int, thinks_s: float) -> tuple[float, float, float]:
+def fly_episode(env: Env, actor: Actor, seed: int, thinks_s: float) -> tuple[float, float, float]:
     """Fly an episode of decisions that take `thinks_s` of wall time; return its return, median delay and lateness."""
     clock = MonotonicClock()
     observation, _ = env.reset(seed=seed)
-    actor.begin()
+    actor.begin(seed)
     total, delays_s, late_s, over = 0.0, list[float](), 0.0, False
     while not over:
         since_ns = clock.now_ns()
