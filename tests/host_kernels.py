@@ -5,6 +5,7 @@ So what is tensors about lanes on a GPU, and what stands on them, is tested wher
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import nullcontext
@@ -27,6 +28,7 @@ from uavaccel.kernels.spans import make_scratch
 from uavaccel.sim.clutter import sample_clutter
 
 SIZE = ROWS, COLUMNS
+ON_A_GPU = bool(os.environ.get("UAVACCEL_TEST_GPU"))
 SIGNED: dict[Any, Any] = {np.dtype(np.uint32): np.int32, np.dtype(np.uint64): np.int64}
 NAME, CLOCKS = "uavaccel.kernels.cuda", "uavaccel.kernels.cuda_clocks"
 ABOVE = {
@@ -287,8 +289,8 @@ def host_kernels(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 @pytest.fixture
 def a_gpu(request: pytest.FixtureRequest) -> None:
-    """This machine's GPU, or `host_kernels` where there is none."""
-    if not th.cuda.is_available():
+    """This machine's GPU, where UAVACCEL_TEST_GPU asks for it, or `host_kernels`."""
+    if not ON_A_GPU:
         request.getfixturevalue("host_kernels")
 
 

@@ -301,6 +301,7 @@ def test_films_are_announced_and_made_before_the_only_report(
         f"film 2 of 2, before the report: {worst}, the worst game, flown again",
     ]
     assert "report: run/report.html" in said
+    assert re.fullmatch(r"[0-9.]+ \w+ in all, from this start to the report", said[-1])
     assert Path("run/report.md").read_text().count(".mp4)") == 2
 
 

@@ -207,6 +207,7 @@ timing calibrate --check --latency nowhere.yaml -> nowhere.yaml; timing advise -
 timing advise --t-move nan -> --t-move; timing advise --t-move 1e308 -> --t-move; timing advise --error 0 -> --error
 timing advise --error nan -> --error; timing advise --rounds 0 -> --rounds; timing advise --rounds 1001 -> --rounds
 timing advise --profile unreal -> --profile; timing advise --latency nowhere.yaml -> nowhere.yaml
+timing advise --thinking 0 -> --thinking; timing advise --thinking nan -> --thinking
 bench nothing -> nothing; bench --soak-s -1 -> --soak-s; bench --soak-s nan -> --soak-s
 bench batch --lanes 0 -> --lanes
 bench hot-loop --out nowhere/bench.json -> --out; serve --clock 0 -> clock

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections import Counter
 from contextlib import nullcontext
 from functools import partial
@@ -15,6 +16,7 @@ import pytest
 from typer.testing import CliRunner
 
 from tests.golden import assert_as_recorded
+from tests.running import configured
 from uavaccel.calibration import advise as advice
 from uavaccel.calibration import calibrate, doctor
 from uavaccel.calibration.advise import SquareGame, advise, fly_square, sentence
@@ -145,6 +147,10 @@ def test_a_calibration_is_a_latency_model_with_its_medians_told(
     monkeypatch.setattr(doctor, "check_machine", lambda: NOISY)
     monkeypatch.setattr("uavaccel.sim.camera.gl.describe_renderer", draws_nothing)
     said = printed(f"timing calibrate --out {(file := tmp_path / 'latency.yaml')} --commands 70 --profile airsim")
+    key = said.split()[-1].strip("`")  # which train and evaluate know
+    assert key == f"task.latency={file}"
+    airsims = configured("train", "task.timing=virtual", "task.profile=airsim", key).task.latency
+    assert (airsims, airsims.platform) == (read_latency(file), shipped_latency("airsim").platform)
     head, _, *model = file.read_text().splitlines()
     assert "profile airsim, on 20" in head
     assert head.endswith(NOISY["verdict"])
@@ -269,6 +275,24 @@ def flown(offset_m: float, wall_s: float, gap_s: np.ndarray) -> SquareGame:
     """A flight of two places, each so far off the ideal one."""
     places = np.array([[0.0, offset_m, 0.0], [100.0, offset_m, 0.0]])
     return SquareGame(trajectory([0.0, 1.0], places), gap_s, wall_s)
+
+
+def test_agreements_are_told_one_by_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each takes seconds."""
+    before: list[int] = []
+
+    def agreements(*_: Any) -> Any:
+        for _again in range(2):
+            output: Any = sys.stdout
+            output.flush()
+            before.append(output.buffer.getvalue().count(b"TCSC"))
+            runs = np.array([1.2, 12.3, 100.0])
+            yield Agreement("tcsc", 100.0, 0.33, "error, m", runs, runs, runs)
+
+    monkeypatch.setattr(calibrate, "check_agreement", agreements)
+    table = printed("timing calibrate --check").splitlines()[1:]
+    assert max(map(len, table)) <= 80
+    assert before == [0, 1]
 
 
 def test_each_game_is_flown_measured_modelled_and_measured_again(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from typing import Any, cast
 
+import cv2
 import mujoco
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from tests.scenes import Scene, object_names
 from uavaccel.errors import UserError
 from uavaccel.kinematics import VelocityGoal
 from uavaccel.resources import asset
-from uavaccel.sim.camera import gl
+from uavaccel.sim.camera import gl, pixels
 from uavaccel.sim.camera.camera import Camera
 from uavaccel.sim.camera.view import HEIGHT, WIDTH
 from uavaccel.sim.lane.layout import layout_from, sample_layout
@@ -89,6 +90,20 @@ def test_gray_is_the_luma_of_the_colours(posts: mujoco.MjModel, eye: Camera) -> 
 
 
 @needs_opengl
+def test_pictures_are_opencvs_to_the_bit() -> None:
+    random = np.random.default_rng(0)
+    for shape in ((144, 256, 3), (144, 256), (8, 12, 3)):
+        picture, small = random.integers(0, 256, shape, np.uint8), (shape[1] // 4, shape[0] // 4)
+        for kind in (picture, random.random(shape, np.float32) * np.float32(50)):
+            np.testing.assert_array_equal(pixels.quartered(kind), cv2.resize(kind, small, interpolation=cv2.INTER_AREA))
+        assert pixels.means(picture) == list(cv2.mean(picture))[: 3 if picture.ndim == 3 else 1]
+    drawn = random.integers(0, 256, (9, 7, 4), np.uint8)
+    np.testing.assert_array_equal(pixels.luma(drawn, turned=True)[::-1], cv2.cvtColor(drawn, cv2.COLOR_RGBA2GRAY))
+    np.testing.assert_array_equal(pixels.turned_colours(drawn), drawn[::-1, :, :3])
+    file = cv2.imdecode(np.frombuffer(pixels.png(drawn[..., :3]), np.uint8), cv2.IMREAD_COLOR)
+    np.testing.assert_array_equal(np.asarray(file)[..., ::-1], drawn[..., :3])
+
+
 def test_depth_is_in_metres(posts: mujoco.MjModel, eye: Camera) -> None:
     data = mujoco.MjData(posts)
     planar, along_rays = eye.depth(data), eye.depth_perspective(data)

@@ -401,6 +401,11 @@ def test_an_option_that_does_not_fit_is_one_line(words: str, error: type[UserErr
         ran(f"timing certify pilot.py:act CartPole-v1 {words}")
 
 
+def test_a_policy_server_has_the_time_of_the_option() -> None:
+    with pytest.raises(UserError, match=r"^answer_s: must be above 0 and at most 3600 seconds, not 0.0$"):
+        ran("timing certify tcp://127.0.0.1:1 CartPole-v1 --answer 0 --set default_action=0")
+
+
 @needs_opengl
 def test_the_policy_that_ships_is_certified_in_its_environment() -> None:
     """Whose task it had in its training; the drone keeps its own clock."""

@@ -2,7 +2,7 @@
 
 Tasks, actions, conditions, latencies and seeds are random. The exact simulator's pictures are here the kernels', so
 that what an event camera makes of them is compared to the bit; tests/test_kernel_looks.py compares them with OpenGL's.
-Where there is a GPU it flies; elsewhere its kernels run on the CPU (tests/host_kernels.py).
+The GPU's kernels run on the CPU (tests/host_kernels.py) unless UAVACCEL_TEST_GPU=1 asks for the GPU itself.
 """
 
 from __future__ import annotations

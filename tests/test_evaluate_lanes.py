@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import torch as th
 
-from tests.host_kernels import host_kernels  # noqa: F401 - a fixture
+from tests.host_kernels import ON_A_GPU, host_kernels  # noqa: F401 - a fixture
 from tests.opengl import needs_opengl
 from tests.running import configured, fly_into
 from uavaccel.errors import UsageError, UserError
@@ -115,7 +115,7 @@ def test_lanes_on_a_gpu_fly_and_decide_as_on_cores(
     assert rows_of(evaluated(tmp_path / "gpu", KERNELS, SHORT, *keys, agent=agent)) == rows_of(cores)
 
 
-@pytest.mark.skipif(not th.cuda.is_available(), reason="needs a GPU")
+@pytest.mark.skipif(not ON_A_GPU, reason="UAVACCEL_TEST_GPU=1 flies it on this machine's GPU")
 def test_the_bundled_policy_flies_on_a_gpu_as_on_cores(tmp_path: Path) -> None:
     keys = KERNELS, LOCKSTEP, "task.mediation.gap_s=0.4", "games=40"
     cores, gpu = (

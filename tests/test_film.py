@@ -13,7 +13,7 @@ import pytest
 
 from tests.running import full_device
 from uavaccel.draw import film as films
-from uavaccel.draw.film import IMPACT, Film, dvs_picture, frames, movie, poster, write_contact_sheet, write_video
+from uavaccel.draw.film import IMPACT, Film, frames, movie, poster, write_contact_sheet, write_video
 from uavaccel.draw.panels import (
     DRONE,
     GOAL,
@@ -24,7 +24,6 @@ from uavaccel.draw.panels import (
     TRACK,
     UNTAKEN,
     WALL,
-    Decisions,
     View,
     around,
     draw_lane,
@@ -34,12 +33,14 @@ from uavaccel.draw.panels import (
     follow,
     whole_lane,
 )
+from uavaccel.draw.pictures import Decisions, dvs_picture
 from uavaccel.errors import UserError
 from uavaccel.files import UNFINISHED
 from uavaccel.sim.clutter import Clutter, ClutterLayout, sample_world
 from uavaccel.sim.lane.layout import sample_layout
 
 SAMPLES = 30
+TWICE = np.ones((2, 2, 1), np.uint8)
 
 
 def flown(samples: int = SAMPLES, colour: bool = False) -> Film:
@@ -60,7 +61,8 @@ def test_a_frame_shows_camera_events_and_map() -> None:
     for i, frame in ((0, first), (1, second)):
         assert frame.shape == (480, 1280, 3)
         assert np.array_equal(frame[64:352:2, 12:524:2], film.images[i, :, :, ::-1])  # RGB there, BGR here
-        assert np.array_equal(frame[64:352, 536:1048], dvs_picture(film.on_events[i], film.off_events[i], (512, 288)))
+        events = dvs_picture(film.on_events[i], film.off_events[i])
+        assert np.array_equal(frame[64:352, 536:1048], np.kron(events, TWICE))
     left, right = second[200, 600].astype(int), second[200, 1000].astype(int)
     assert left[0] > left[2] + 100  # ON is blue
     assert right[2] > right[0] + 100  # OFF is red
@@ -155,8 +157,8 @@ def test_an_impact_is_marked_and_held() -> None:
     ],
 )
 def test_more_events_have_a_deeper_colour(on: int, off: int, bgr: tuple[int, int, int]) -> None:
-    picture = dvs_picture(np.full((2, 3), on), np.full((2, 3), off), (6, 4))
-    assert picture.shape == (4, 6, 3)
+    picture = dvs_picture(np.full((2, 3), on), np.full((2, 3), off))
+    assert picture.shape == (2, 3, 3)
     assert np.abs(picture.astype(int) - bgr).max() <= 1
 
 
@@ -240,7 +242,7 @@ def test_a_contact_sheet_shows_moments_to_the_last(tmp_path: Path) -> None:
         x, y = 10 + place % 5 * 266, 44 + place // 5 * 322 + 24
         camera, events = sheet[y : y + 144, x : x + 256], sheet[y + 144 : y + 288, x : x + 256]
         assert np.array_equal(camera, np.repeat(film.images[i, :, :, None], 3, axis=2))
-        assert np.array_equal(events, dvs_picture(film.on_events[i], film.off_events[i], (256, 144)))
+        assert np.array_equal(events, dvs_picture(film.on_events[i], film.off_events[i]))
     short = cv2.imread(str(write_contact_sheet(flown(samples=1), tmp_path / "two.png")))
     assert short is not None
     assert short.shape[0] == 44 + 322

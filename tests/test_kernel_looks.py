@@ -24,6 +24,7 @@ from uavaccel.kernels.pictures import render_colour, render_depth, render_gray
 from uavaccel.kernels.project import project
 from uavaccel.resources import asset
 from uavaccel.sim.camera.camera import Camera, make_cameras_with
+from uavaccel.sim.camera.pixels import luma_of
 from uavaccel.sim.lane.layout import Difficulty, LaneLayout, lane_seed, sample_layout
 from uavaccel.sim.lane.scene import apply_layout
 from uavaccel.units import mujoco_to_ned, ned_to_mujoco, quaternion_mujoco_to_ned, quaternion_ned_to_mujoco
@@ -195,7 +196,7 @@ def nearest_face(faces: Any, row: Any, column: Any) -> Any:
 def luma_at(faces: Any, texels: Any, textures: Any, row: int, column: int) -> Any:
     """Return the luma of a pixel."""
     red, green, blue = rays.colour_of(faces, nearest_face(faces, row, column), texels, textures, row, column)
-    return rays.luma(red, green, blue)
+    return luma_of(red, green, blue)
 
 
 @njit(error_model="numpy")

@@ -26,6 +26,7 @@ from uavaccel.wire.latency import (
     read_latency,
     shipped_latency,
 )
+from uavaccel.wire.platform import PlatformConfig
 from uavaccel.wire.transport import PendingCall
 
 MS = 1_000_000
@@ -217,6 +218,16 @@ def test_a_block_without_quantiles_changes_the_model_that_ships() -> None:
         Dp1Config, {"suite": "dp1", "clock_speed": [5], "latency": {"reply_us": {"call": [1.0] * 12}}}, "dp1"
     )
     assert own.latency == LatencyConfig(reply_us={"call": (1.0,) * 12}), "quantiles of one's own: all of it"
+
+
+def test_quantiles_of_ones_own_lose_no_platform_in_silence(tmp_path: Path) -> None:
+    keys = {"suite": "dp1", "clock_speed": [5], "profile": "airsim"}
+    for own in (BLOCK, str(write(tmp_path, BLOCK))):
+        with pytest.raises(UserError, match=r"own replace airsim's whole model: add its `platform`, or another$"):
+            validate(Dp1Config, {**keys, "latency": own}, "dp1")
+    for platform in ({}, {"tick_us": 70.0}):
+        found = validate(Dp1Config, {**keys, "latency": {**BLOCK, "platform": platform}}, "dp1").latency
+        assert found.platform == PlatformConfig.model_validate(platform)
 
 
 def changed_latency(profile: str, **latency: Any) -> LatencyConfig:

@@ -19,7 +19,7 @@ from uavaccel.config import parse_yaml
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
-from uavaccel.suites.mediation import Mediation, MediationConfig, Share, share_of_loss
+from uavaccel.suites.mediation import Contrast, Mediation, MediationConfig, Share, effect, share_of_loss
 from uavaccel.suites.realtime import Realtime
 
 pytestmark = pytest.mark.usefixtures("trainings_here")
@@ -93,6 +93,7 @@ SMALL = """{
         keys: {games: 2, simulator: kernels, task.timing: lockstep, task.max_commands: 12, task.t_move_s: 1.0}},
     flights: {gap: {label: s, keys: [task.mediation.gap_s], values: [[0.776], [2.0]]},
         slow: {label: s, keys: [task.t_move_s, task.t_sample_s, task.speed_m_s], values: [[1.98, 0.66, 0.5]]}},
+    contrasts: [{label: games, without: [small/usual], moved: [brief/usual]}],
     shares: [{usual: small/usual, whole: small/gap-2, parts: [brief/gap-2, small/slow-1.98]}]}"""
 
 
@@ -123,6 +124,7 @@ def test_each_policy_is_flown_under_every_value_of_every_factor(tmp_path: Path) 
         assert part.config()["task"]["mediation"]["gap_s"] == 2.0
         assert (part.config()["agent"] == "straight") == (row["policy"] == "blind")
     assert "Shares of the loss" in (tmp_path / "run/report.md").read_text()
+    assert summary["contrasts"][0]["trainings"] == 4
 
 
 def test_policies_of_another_task_and_ones_with_their_own_flights_are_flown(tmp_path: Path) -> None:
@@ -130,7 +132,7 @@ def test_policies_of_another_task_and_ones_with_their_own_flights_are_flown(tmp_
     policies = f"policies={{hover: {hover}, slow: {{agent: straight, task.speed_m_s: 0.5}}}}"
     flights = "flights={gap: {label: s, keys: [task.mediation.gap_s], values: [[0.4]]}}"
     keys = "evaluation.keys={games: 2, simulator: kernels, task.timing: lockstep, task.max_commands: 4}"
-    run_into(tmp_path / "run", Mediation(), small(policies, flights, keys, "shares=[]"))
+    run_into(tmp_path / "run", Mediation(), small(policies, flights, keys, "shares=[]", "contrasts=[]"))
     flown = [RunDirectory(tmp_path / f"run/parts/{name}-seed0/gap-0.4").config() for name in ("hover", "slow")]
     assert [config["env_id"] for config in flown] == ["uavaccel/Hover-v0", "uavaccel/ObstacleLane-v0"]
     assert flown[1]["task"]["speed_m_s"] == 0.5
@@ -148,6 +150,8 @@ def test_shipped_mediations_can_be_flown(experiment: str) -> None:
     ("override", "said"),
     [
         ("shares.0.whole=small/gap-3", r"shares: small/gap-3 is no cell; cells are POLICY/FLIGHT, as in blind/gap-0"),
+        ("contrasts=[{label: a, without: [small/gap-3], moved: [small/usual]}]", "contrasts: small/gap-3 is no cell"),
+        ("contrasts=[{label: a, without: [small/usual, brief/usual], moved: [small/gap-2]}]", "a needs as many cells"),
         ("flights.gap.values=[[0.1, 0.2]]", r"values has \[0.1, 0.2\]: needs a value for each of task"),
         ("flights.gap.values=[[0.2], [0.2]]", "each value of task.mediation.gap_s once"),
         ("flights.gap.values=[[fast]]", "those of task.mediation.gap_s must be numbers"),
@@ -185,6 +189,21 @@ def test_a_part_of_a_loss_is_a_share_with_an_interval_over_trainings_and_lanes()
     assert (apart["share"], apart["low"]) == (1.0, None)  # the other training loses nothing
 
 
+def test_an_effect_is_that_of_one_factor_over_all_cells_of_the_others() -> None:
+    lanes = np.arange(200)
+    won = {"a/x": 200, "b/x": 180, "a/y": 100, "b/y": 40}
+    cells = {name: cell(lanes < count, lanes < count - 20) for name, count in won.items()}
+    two_by_two = Contrast(label="y", without=("a/x", "b/x"), moved=("a/y", "b/y"))
+    found = effect(cells, two_by_two)
+    assert (found["without"], found["moved"]) == pytest.approx((0.9, 0.3))
+    # each training is .05 off its cell's mean: the error of a mean of four cells of two, and Student's for 4 degrees
+    width = 2.7764 * np.sqrt(0.005 * 4 / 2) / 2
+    assert (found["low"], found["effect"], found["high"]) == pytest.approx((-0.6 - width, -0.6, -0.6 + width), abs=1e-4)
+    assert found["trainings"] == 4
+    alone = effect({name: cell(lanes < count) for name, count in won.items()}, two_by_two)
+    assert (alone["effect"], alone["low"], alone["high"]) == (pytest.approx(-0.6), None, None)
+
+
 # --- the law ----------------------------------------------------------------------------------------------------
 
 GAPS_S = np.array([0.0, 0.1, 0.2, 0.4, 0.8, 1.6])
@@ -203,7 +222,7 @@ def made_sweep(path: Path, largest_s: dict[str, float], t_move_s: dict[str, floa
     }
     values = [[float(gap_s)] for gap_s in GAPS_S[1:]]
     flights = {"gap": {"label": "s", "keys": ["task.mediation.gap_s"], "values": values}}
-    config = small(f"policies={json.dumps(policies)}", f"flights={json.dumps(flights)}", "shares=[]")
+    config = small(f"policies={json.dumps(policies)}", f"flights={json.dumps(flights)}", "shares=[]", "contrasts=[]")
     rows = []
     for policy, gap_s in largest_s.items():
         won = dict(zip(["usual", *(f"gap-{value:g}" for [value] in values)], drops_at(gap_s), strict=True))

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
 import matplotlib.pyplot as plt
 import pytest
+
+from tools import colab
 
 DOCS = Path(__file__).parents[1] / "docs"
 
@@ -28,6 +31,26 @@ def test_a_notebook_prints_what_it_was_saved_with(
         exec(compile("".join(cell["source"]), name, "exec"), namespace)
         assert capsys.readouterr().out == printed(cell)
     plt.close("all")
+
+
+@pytest.mark.parametrize("name", ["first_flight", "real_time"])
+def test_a_notebook_opens_in_colab_and_installs_itself_there(name: str, tmp_path: Path) -> None:
+    """Whatever address it had before; its own cells stay as they are."""
+    notebook = Path(shutil.copy(DOCS / f"{name}.ipynb", tmp_path))
+    own = json.loads(notebook.read_text("utf-8"))["cells"]
+    for repository in ("someone/else", "an.owner/uavaccel"):
+        colab.write(notebook, repository)
+    badge, install, *others = json.loads(notebook.read_text("utf-8"))["cells"]
+    assert others == own
+    assert (
+        f"](https://colab.research.google.com/github/an.owner/uavaccel/blob/main/docs/{name}.ipynb)"
+        in badge["source"][0]
+    )
+    assert install["source"][-1].strip() == '%pip install --quiet "uavaccel @ git+https://github.com/an.owner/uavaccel"'
+    elsewhere: dict[str, Any] = {}
+    exec("".join(install["source"]).replace("%pip", "assert False, '%pip'  #"), elsewhere)  # no Colab here
+    with pytest.raises(ValueError, match="must be OWNER/NAME"):
+        colab.write(notebook, "https://example.org")
 
 
 def printed(cell: dict[str, Any]) -> str:

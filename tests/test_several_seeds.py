@@ -9,11 +9,13 @@ from matplotlib.figure import Figure
 
 from tests.drawing import labelled, record_figures
 from tests.learning import kill_at_row, tiny_config, train_into
+from tests.made_runs import run_of
 from tests.running import configured, run_into
 from uavaccel.config import validate
 from uavaccel.errors import UsageError, UserError
 from uavaccel.records import RunDirectory
 from uavaccel.suites.parts import part_run
+from uavaccel.suites.rows import Row
 from uavaccel.suites.seeds import Seeds, SeedsConfig
 from uavaccel.suites.session import RunRequest, configure, planned
 from uavaccel.suites.train import TrainConfig
@@ -56,6 +58,21 @@ def test_a_seeds_run_is_that_of_a_training_with_this_seed_alone(
     assert [len(part_run(RunDirectory(run), f"seed{seed}").rows()) for seed in (7, 8, 9)] == [6, 6, 6]
 
 
+def test_an_interval_of_evaluations_covers_the_lanes(tmp_path: Path) -> None:
+    """Ten lanes that all policies win or lose alike are ten samples, and not 200."""
+    shared = {"games": 4, "successes": 2, "sim_time_s": 9.0, "weights_sha256": "a", "success_recent": 0.5}
+    shared |= {"return_recent": 1.0, "commands_recent": 2.0, "evaluation": {"lanes": 10, "successes": 5}}
+    widths = []
+    for name, won in (("by_lane", {"won": [True, False] * 5}), ("counts", {})):
+        rows: list[Row] = [{"case": f"seed{seed}", "seed": seed, **shared, **won} for seed in range(20)]
+        summary = run_of(tmp_path / name, Seeds(), over(20, seed=0), rows).summary
+        found = summary["over_seeds"]["evaluation_success"]
+        widths.append((found["mean"] - found["low"], found["high"] - found["mean"]))
+        assert "won" not in summary["trainings"][0]
+    assert widths[0] == pytest.approx([1.96 * (0.25 / 9) ** 0.5] * 2, rel=1e-4)
+    assert widths[1] == pytest.approx([0.0688] * 2, abs=1e-3)
+
+
 def test_an_option_makes_a_training_one_over_seeds(tmp_path: Path) -> None:
     """Its other options and keys are the training's, on the way there as when it goes on."""
     config = configured("train", "task.speed_m_s=2", seeds=3, seed=5, games=4)
@@ -67,7 +84,7 @@ def test_an_option_makes_a_training_one_over_seeds(tmp_path: Path) -> None:
     more = {"seeds": 4, "games": 6, "clock_speed": 1.0}
     again = configure(RunRequest(None, more, out=tmp_path / "run", resume=True, suite="train"))[1]
     assert (again.seeds, again.training.games) == (4, 6)
-    with pytest.raises(UsageError, match="is of seeds, not of evaluate"):
+    with pytest.raises(UsageError, match="is of seeds, not of evaluate; take `uavaccel train`"):
         configure(RunRequest(None, out=tmp_path / "run", resume=True, suite="evaluate"))
 
 

@@ -18,9 +18,10 @@ from tests.clutter import KINDS, clutter
 from tests.lanes import SideBySide
 from uavaccel.envs.hover import Hover
 from uavaccel.envs.kernel_batch import KernelBatch
-from uavaccel.kernels import casting
+from uavaccel.kernels import casting, tiles
 from uavaccel.kernels import scene as at
 from uavaccel.kernels.bodies import read_surroundings
+from uavaccel.kernels.fields import HALF_HEIGHT, HALF_WIDTH
 from uavaccel.kernels.scene import Scene
 from uavaccel.kernels.scene_touching import NOTHING, deepest_shape, nearest_shape
 from uavaccel.kernels.still import read_scene
@@ -46,6 +47,22 @@ def touch_all(scene: Any, poses: Any, radius: float, half: float, found: Any, bo
     for pose in range(len(poses)):
         found[pose], _ = deepest_shape(scene, 0, poses[pose], radius, half, (0, 1))
         bounds[pose] = nearest_shape(scene, 0, poses[pose], (0, 1))
+
+
+@njit(error_model="numpy")
+def not_in_tiles(scene: Any, camera: Any, eye: Any, size: Any, met: Any) -> int:
+    """How many pixels see what is not in their tile, or nearer than it is listed; with shapes and distances `met`."""
+    missed = 0
+    for row in range(size[0]):
+        for column in range(size[1]):
+            ray, _ = casting.ray_of(camera, eye[1], row, column, size[0], size[1])
+            distance, item = casting.first_met(scene, 0, eye[0], ray, eye[2])
+            met[row, column] = item
+            if item != NOTHING:
+                shape = scene.shapes[0, item]
+                there = tiles.covers(tiles.tiles_of(shape, camera, eye, size), column // 8, row // 4)
+                missed += not (there and tiles.step_of(shape, eye) * tiles.STEP_M <= distance)
+    return missed
 
 
 def kinematic(model: mujoco.MjModel) -> mujoco.MjData:
@@ -80,6 +97,22 @@ def test_rays_meet_what_mujocos_rays_meet(kind: str) -> None:
         assert np.mean(np.abs(facing) > 0.999) > 0.99
         assert np.all(np.einsum("ni,ni->n", normals, rays)[met] <= 1e-6)
     assert others <= 8, "silhouettes"
+
+
+def test_a_picture_sees_only_what_its_tiles_have() -> None:
+    """Also with the eye next to shapes, or within one."""
+    model, camera, size = mujoco.MjModel.from_xml_string(clutter(3)), np.zeros(16), (36, 64)
+    scene, random = read_scene(model, seen=True), np.random.default_rng(1)
+    camera[HALF_WIDTH], camera[HALF_HEIGHT], seen = 1.0, 36 / 64, set()
+    for number in range(24):
+        place = scene.shapes[0, random.integers(scene.shapes.shape[1]), at.CENTRE : at.AXES]
+        place = place + random.normal(size=3) * (0.2 if number % 2 else 4.0)
+        axes = np.linalg.qr(random.normal(size=(3, 3)))[0]
+        eye = tuple(place.astype(np.float32)), tuple(map(tuple, axes.astype(np.float32))), np.float32(FAR_M)
+        met = np.zeros(size, np.int64)
+        assert not_in_tiles(scene, camera, eye, size, met) == 0
+        seen |= set(met.ravel().tolist())
+    assert len(seen) > 60
 
 
 def poses_at_touch(model: mujoco.MjModel, data: mujoco.MjData, seed: int, count: int) -> NDArray[np.float64]:

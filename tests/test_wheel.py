@@ -19,6 +19,7 @@ pytest.importorskip("hatchling", reason="without network, a wheel is built by th
 
 ROOT = Path(__file__).parents[1]
 AS_ANY_USER = (shutil.which("setpriv"), "--bounding-set=-dac_override,-fowner")  # root may write where nobody else may
+OF_EXTRAS = ["av", "cv2", "h5py", "mcap", "scipy", "stable_baselines3", "tensorboard"]
 SCRIPT = """
 import airsim
 client = airsim.MultirotorClient()
@@ -59,11 +60,12 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @contextmanager
 def uavaccel(site: Path, folder: Path, *arguments: str) -> Iterator[subprocess.Popen[str]]:
-    """A command of the wheel: nothing is on its PATH, a compiler neither, and its home is new."""
+    """A command of the wheel without extras: nothing is on its PATH, a compiler neither, and its home is new."""
+    (folder / "sitecustomize.py").write_text(f"import sys\nsys.modules.update(dict.fromkeys({OF_EXTRAS}))\n")
     unprivileged = AS_ANY_USER if os.geteuid() == 0 and AS_ANY_USER[0] else ()
     command = [*map(str, unprivileged), sys.executable, "-m", "uavaccel", *arguments]
     environment = {key: value for key, value in os.environ.items() if not key.startswith(("NUMBA_", "XDG_"))}
-    environment |= {"PYTHONPATH": str(site), "PATH": str(folder), "HOME": str(folder), "PYTHONUNBUFFERED": "1"}
+    environment |= {"PYTHONPATH": f"{site}:{folder}", "PATH": str(folder), "HOME": str(folder), "PYTHONUNBUFFERED": "1"}
     with subprocess.Popen(
         command, cwd=folder, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
     ) as process:
@@ -84,6 +86,7 @@ def test_an_installed_wheel_runs_trains_flies_and_watches(site: Path, tmp_path: 
         (f"{grid} --out path", "report: path/report.html"),
         ("fly script.py", "north 1.2"),
         (f"train --games 2 {small} --set mirror=false --out learned", "report: learned/report.html"),
+        ("evaluate learned --games 1 --out evaluated", "without films: MP4: needs av: pip install"),
     ):
         with uavaccel(site, tmp_path, *command.split()) as process:
             output = process.communicate()[0]

@@ -5,9 +5,10 @@
     python -m tools.fit_gap_law runs/mediation-law runs/realtime-law docs/figures/gap_law.png > docs/tables/gap_law.csv
 
 The largest gap of a condition is the one at which success has dropped by five points below that without a gap, between
-flown gaps by linear interpolation; of Gymnasium's environments it is the delay from an observation to its action, and
-success the return, divided by that without a delay. A condition that wins less than half without a gap is left out, and
-so is one that never drops: its line has no largest gap.
+flown gaps by linear interpolation. It is at least the last gap where success never drops (`below_s` is inf), and below
+the first one where it drops at once (`at_least_s` is 0). Of Gymnasium's environments the gap is the delay from an
+observation to its action, whole physics steps, and success the return, divided by that without a delay. A condition
+that wins less than half without a gap is not judged.
 
 A law says that the largest gap is in proportion to one of three times, or to the geometric mean of several:
 
@@ -17,7 +18,7 @@ A law says that the largest gap is in proportion to one of three times, or to th
 - `room_s`, that in which a drone at its speed leaves the room that its task gives it; of others it is `own_s`.
 
 The law that errs least on the fitted tasks is judged on the rest, beside a constant. An error is the root mean square
-of the logarithms of found over predicted, as a factor; every task counts alike.
+of the logarithms by which predictions miss what was found, as a factor; every task counts alike.
 """
 
 from __future__ import annotations
@@ -52,6 +53,9 @@ PREDICTED = ("Hover motors", "Gates", "Navigate", "InvertedPendulum", "Hopper") 
 Numbers = NDArray[np.float64]
 
 
+FACTORS = np.geomspace(1e-4, 1e4, 2001)  # of a law, in steps of .9 %
+
+
 class Fit(NamedTuple):
     """A law, the factor before it, and its error and the constant's on the tasks that were not fitted."""
 
@@ -61,28 +65,32 @@ class Fit(NamedTuple):
     constant: float
 
 
-def largest_gap(gaps_s: Numbers, success: Numbers) -> float:
-    """Return the gap at which success drops DROP below its first value; NaN, where it does not."""
-    below = np.flatnonzero(success < success[0] - DROP)
-    if not len(below):
-        return np.nan
-    last = below[0]
-    (low, high), (left, right) = gaps_s[last - 1 : last + 1], success[last - 1 : last + 1]
-    return float(low + (high - low) * (left - success[0] + DROP) / (left - right))
+def largest_gap(gaps_s: Numbers, success: Numbers) -> tuple[float, float]:
+    """Return the largest gap, twice; where it is not between two gaps, what it is at least, and below."""
+    dropped = np.flatnonzero(success < success[0] - DROP)
+    if not len(dropped):
+        return float(gaps_s[-1]), np.inf
+    first = dropped[0]
+    if first == 1:
+        return 0.0, float(gaps_s[1])
+    (low, high), (left, right) = gaps_s[first - 1 : first + 1], success[first - 1 : first + 1]
+    return (float(low + (high - low) * (left - success[0] + DROP) / (left - right)),) * 2
 
 
 def measured(gaps_s: Numbers, success: Numbers) -> dict[str, float]:
     """Return the largest gap and its 95 % bootstrap interval, of success (gaps, trainings, games) from the gap 0 on.
 
-    Trainings and games are resampled, the same for all gaps; a resample that does not drop counts as the last gap.
+    Trainings and games are resampled, the same for all gaps.
     """
     random, found = np.random.default_rng(0), []
     for _ in range(RESAMPLES):
         chosen = [random.integers(size, size=size) for size in success.shape[1:]]
         found.append(largest_gap(gaps_s, success[:, chosen[0]][:, :, chosen[1]].mean(axis=(1, 2))))
-    low, high = np.quantile(np.nan_to_num(found, nan=gaps_s[-1]), TAILS)
-    means = success.mean(axis=(1, 2))
-    return {"without_gap": float(means[0]), "largest_gap_s": largest_gap(gaps_s, means), "low": low, "high": high}
+    means, ends = success.mean(axis=(1, 2)), np.array(found)
+    at_least, below = largest_gap(gaps_s, means)
+    low, high = (np.quantile(ends[:, end], TAILS[end], method="nearest") for end in (0, 1))
+    counts = {"trainings": success.shape[1], "games": success.shape[2], "without_gap": float(means[0])}
+    return {**counts, "at_least_s": at_least, "below_s": below, "low": float(low), "high": float(high)}
 
 
 def room_m(task: Any) -> float:
@@ -126,14 +134,16 @@ def of_others(run: RunDirectory) -> Iterator[dict[str, Any]]:
         (report.scores.command == "adsc") & (report.scores.agent == next(iter(report.config.agents)))
     ]
     for name, own in scores.groupby("environment", sort=False):
-        block, latencies = report.config.environments[str(name)], np.sort(own.latency_s.unique())
-        returns = np.array([own[own.latency_s == each].sort_values("seed")["returns"].tolist() for each in latencies])
+        block = report.config.environments[str(name)]
+        delays = own.assign(delay_s=own.delays_s.map(np.median).round(9)).drop_duplicates(["delay_s", "seed"])
+        swept = [each.sort_values("seed")["returns"].tolist() for _, each in delays.groupby("delay_s")]
+        returns, gaps_s = np.array(swept), np.sort(delays.delay_s.unique())
         with closing(make(block, "adsc", 1.0)) as env:
             control_s = float(env.unwrapped.dt)  # type: ignore[attr-defined]
         task = block.id.partition("-")[0]
         own_s = sqrt(HEIGHTS_M[task] / GRAVITY_M_S2)
         times = {"control_s": control_s, "own_s": own_s, "room_s": own_s}
-        yield {"condition": name, "task": task, **times, **measured(latencies, returns / returns[0].mean())}
+        yield {"condition": name, "task": task, **times, **measured(gaps_s, returns / returns[0].mean())}
 
 
 def conditions(folders: list[Path]) -> pd.DataFrame:
@@ -145,32 +155,31 @@ def conditions(folders: list[Path]) -> pd.DataFrame:
 
 
 def judged(table: pd.DataFrame) -> pd.DataFrame:
-    """Return the conditions that can be fitted."""
-    return table[(table.without_gap >= LEAST) & table.largest_gap_s.notna()]
+    """Return the conditions that say something of a gap."""
+    return table[table.without_gap >= LEAST].reset_index(drop=True)
 
 
-def logarithms(law: tuple[str, ...], of: pd.DataFrame) -> Numbers:
-    """Return those of found over the law's times, whose mean is that of its factor."""
-    times = np.log(of[list(law)]).mean(axis=1) if law else 0.0
-    return np.asarray(np.log(of.largest_gap_s) - times)
-
-
-def by_task(values: Numbers, of: pd.DataFrame) -> float:
-    """Return the mean over tasks of the means of their conditions."""
-    return float(pd.Series(values, of.index).groupby(of.task).mean().mean())
+def misses(law: tuple[str, ...], factors: Numbers, of: pd.DataFrame) -> Numbers:
+    """Return by how much a law with each factor (n,) misses: the mean over tasks of squared logarithms (n,)."""
+    times = np.exp(np.log(of[list(law)]).mean(axis=1)).to_numpy() if law else np.ones(len(of))
+    predicted = factors * times[:, None]
+    nearest = np.clip(predicted, of[["at_least_s"]].to_numpy(), of[["below_s"]].to_numpy())
+    squared = pd.DataFrame(np.log(predicted / nearest) ** 2)
+    return squared.groupby(of.task.to_numpy()).mean().mean().to_numpy()
 
 
 def fit(table: pd.DataFrame, predicted: tuple[str, ...]) -> Fit:
     """Return the law that errs least on the other tasks, judged on those predicted; without any, on all of them."""
     held = table.task.isin(predicted)
     fitted, rest = table[~held], table[held] if predicted else table
-    factors = {law: by_task(logarithms(law, fitted), fitted) for law in LAWS}
+    missed = {law: misses(law, FACTORS, fitted) for law in LAWS}
+    factors = {law: np.exp(np.log(FACTORS[each <= each.min() + 1e-12]).mean()) for law, each in missed.items()}
 
-    def error(law: tuple[str, ...], of: pd.DataFrame) -> float:
-        return float(np.exp(np.sqrt(by_task((logarithms(law, of) - factors[law]) ** 2, of))))
+    def error(law: tuple[str, ...]) -> float:
+        return float(np.exp(np.sqrt(misses(law, np.array([factors[law]]), rest)[0])))
 
-    best = min(LAWS, key=lambda law: error(law, fitted))
-    return Fit(best, float(np.exp(factors[best])), error(best, rest), error((), rest))
+    best = min(LAWS, key=lambda law: missed[law].min())
+    return Fit(best, float(factors[best]), error(best), error(()))
 
 
 def halves(table: pd.DataFrame) -> list[Fit]:
@@ -179,28 +188,36 @@ def halves(table: pd.DataFrame) -> list[Fit]:
     return [fit(table, chosen) for chosen in combinations(tasks, len(tasks) // 2)]
 
 
-def over_tasks(table: pd.DataFrame) -> tuple[float, float, float]:
-    """Return the least, median and largest of the tasks' largest gaps, each the geometric mean of its conditions."""
-    of_tasks = np.exp(np.log(table.largest_gap_s).groupby(table.task).mean())
-    return float(of_tasks.min()), float(of_tasks.median()), float(of_tasks.max())
-
-
 def words(found: Fit) -> str:
     """Return a law and its errors in words."""
     law = " and ".join(found.law) or "a constant, s"
     return f"{found.factor:.3g} x {law}: off by {found.error:.2f} on the rest, a constant by {found.constant:.2f}"
 
 
-def draw(table: pd.DataFrame, path: Path) -> None:
-    """Draw the largest gaps, a colour for each task, over each of the three times."""
+def draw(table: pd.DataFrame, found: Fit, path: Path) -> None:
+    """Draw the largest gaps, a colour for each task, over each of the three times, and the law where it is of one."""
+    never, at_once = np.isinf(table.below_s), table.at_least_s == 0.0
+    shown = table.at_least_s.where(~at_once, table.below_s)
+    bars = [
+        (shown - table.low.where(~at_once, shown)).clip(0.0),
+        table.high.where(~np.isinf(table.high), shown) - shown,
+    ]
+    marks = (("o", ~never & ~at_once), ("^", never), ("v", at_once))
     with style.project_style():
-        figure = style.new_figure(4.2, "The largest gap before success drops by five points")
-        panels: Any = figure.subplots(1, len(TIMES), sharey=True)
+        title = "The largest gap before success drops by five points; upward, more; downward, less"
+        figure = style.new_figure(4.2, title)
+        panels: Any = figure.subplots(1, len(TIMES), sharey=True, sharex=True)
         for axes, name in zip(panels, TIMES, strict=True):
-            for number, (task, own) in enumerate(table.groupby("task", sort=False)):
-                bars = np.abs(own[["low", "high"]].to_numpy().T - own.largest_gap_s.to_numpy())
-                look: Any = {"fmt": style.marker(number), "color": style.colour(number), "markersize": 4}
-                axes.errorbar(own[name], own.largest_gap_s, bars, **look, elinewidth=0.8, label=task)
+            for number, task in enumerate(table.task.unique()):
+                look: Any = {"color": style.shade(number, table.task.nunique()), "markersize": 5, "linestyle": "none"}
+                axes.plot([], [], "s", label=task, **look)
+                for mark, kind in marks:
+                    of = kind & (table.task == task)
+                    ends = [each[of].clip(0.0) for each in bars]
+                    axes.errorbar(table[name][of], shown[of], ends, marker=mark, elinewidth=0.9, **look)
+            if found.law == (name,):
+                ends = np.array([table[name].min(), table[name].max()])
+                axes.plot(ends, found.factor * ends, **style.LIMIT)
             axes.set(xscale="log", yscale="log", xlabel=f"{name.removesuffix('_s')} time, s")
         panels[0].set(ylabel="largest gap, s")
         style.legend(figure)
@@ -212,13 +229,10 @@ if __name__ == "__main__":
     every = conditions(runs)
     every.round(4).to_csv(sys.stdout, index=False)
     kept = judged(every)
-    draw(kept, picture)
+    draw(kept, fit(kept, ()), picture)
     others = tuple(set(kept.task) - set(PREDICTED))
-    for named, half in (
-        ("fitted on the rest, judged on " + ", ".join(PREDICTED), PREDICTED),
-        ("the other way", others),
-    ):
-        print(f"{named}: {words(fit(kept, half))}", file=sys.stderr)
+    for half, rest in ((PREDICTED, others), (others, PREDICTED)):
+        print(f"fitted on {', '.join(rest)}: {words(fit(kept, half))}", file=sys.stderr)
     errors = np.array([[found.error, found.constant] for found in halves(kept)])
     print(f"errors over all halves, and the constant's: {np.quantile(errors, (*TAILS, 0.5), axis=0)}", file=sys.stderr)
-    print(f"all tasks: {words(fit(kept, ()))}; least, median, largest: {over_tasks(kept)}", file=sys.stderr)
+    print(f"all tasks: {words(fit(kept, ()))}", file=sys.stderr)

@@ -19,11 +19,12 @@ import pandas as pd
 from tools.check_numbers import ROOT, Page
 from tools.fit_agent import agent_costs, command_wall_s
 from tools.fit_airsim import Parameters, model
+from uavaccel.config import parse_yaml, validate
 from uavaccel.metrics.equivalence import Estimate
 from uavaccel.metrics.intervals import Proportion, fisher_exact_p
 from uavaccel.metrics.seeds import permutation_p
 from uavaccel.suites import claims, paper_results
-from uavaccel.suites.mediation import Share, share_of_loss
+from uavaccel.suites.mediation import Contrast, Share, effect, share_of_loss
 from uavaccel.suites.paper import Claim, PaperConfig, read_claims, verdict
 from uavaccel.suites.parts import Part
 from uavaccel.suites.report import table_of
@@ -142,6 +143,8 @@ def readme_says() -> Text:
     as_trained, other = flown(fast, at=10.0), flown(fast, "tcsc")
     yield f"The same ADSC policies of 10x win {percent(as_trained, 1)} % of the lanes flown as they were trained"
     yield f"{percent(other)} % with TCSC"
+    start, rest = (told for _, told in effects()[:2])
+    yield f"costs {points(start)} of success, all else that 50x's gap changes {points(rest).replace(' points', '')}"
     scripts = (ROOT / "docs/airsim-scripts.md").read_text(encoding="utf-8")
     lines = [line.split(" | ") for line in scripts.splitlines() if ".py | " in line]
     words = Counter(line[1].strip("*").split(":")[0].rstrip("*") for line in lines)
@@ -495,15 +498,83 @@ ALONE = {
     "the age of the pictures: .95 s": "age-0.95",
     "the time: a metre takes 3 s": "duration-3",
 }
+FLOWN = ("TCSC's policies", "policies trained from rest")
+FROM_REST = ("gap_100x", "gap_50x_long", "gap_100x_long", "start_50x", "start_50x_long")
 OF_MEDIATION = (
-    r"(?:gap of|after|[Aa]t|of|in|what) 2 s\b|63 ms|of 1 s north at 1 m/s|lanes 0 to 99|300 commands|\.95 m in \.95 s",
-    r"100 evaluation lanes|won, of 100|0 is at rest|`start_speed: 1`|a command of \.3 s|lasts \.3 s",
-    r"Up to \.78 s|a fifth of the games at 1x, here 97 %",
+    r"(?:gap of|after|[Aa]t|of|in|what) 2 s\b|63 ms|of 1 s north at 1 m/s|lanes 0 to 99|300 commands|a gap of \.068 s",
+    r"won, of 100|0 is at rest|`start_speed: 1`|a command of \.3 s|lasts \.3 s|Commands of \.3 s|3 000 games",
+    r"1 000 commands a game|A constant gap of \.71 s|Up to \.78 s|pictures \.96 s old|23 of 100 games",
+    r"on 300 lanes|, of 300|in 18 ways|win 41 %",
 )
 
 
 def why() -> Page:
-    return Page((text for of in (parts_of_gaps, moved_in_flight) for text in of()), (*SETTINGS, *OF_MEDIATION))
+    said = (text for of in (parts_of_gaps, moved_in_training, moved_in_flight) for text in of())
+    return Page(said, (*SETTINGS, *OF_MEDIATION))
+
+
+@cache
+def matrix() -> pd.DataFrame:
+    return pd.read_csv(TABLES / "mediation_matrix.csv")
+
+
+def won_by(policy: str, flight: str = "gap-0.068") -> list[int]:
+    """Return the games, of 300, that each training of a kind won in a flight, by default in real time."""
+    found: list[int] = matrix()[matrix().policy == policy][f"successes.{flight}"].tolist()
+    return found
+
+
+@cache
+def effects() -> list[tuple[str, dict[str, Any]]]:
+    """Return the contrasts of experiments/mediation.yaml by their labels."""
+    experiment = parse_yaml((ROOT / "experiments/mediation.yaml").read_text("utf-8"), "mediation.yaml")
+    contrasts = [validate(Contrast, each, "contrasts") for each in experiment["contrasts"]]
+    cells = {cell: won_by(*cell.split("/")) for each in contrasts for cell in (*each.without, *each.moved)}
+    tables = {cell: pd.DataFrame({"won": [np.array([count / 300]) for count in wins]}) for cell, wins in cells.items()}
+    return [(each.label, effect(tables, each)) for each in contrasts]
+
+
+def points(told: dict[str, Any]) -> str:
+    """Return what is lost, in points, with its interval."""
+    lost, low, high = (short(-100 * told[name], 0) for name in ("effect", "high", "low"))
+    return f"{lost} points [{low}, {high}]"
+
+
+def moved_in_training() -> Text:
+    """Of the policies in docs/tables/mediation_matrix.csv, a row for each training."""
+    rows, found, wins = matrix(), effects(), won_by
+    for label, told in found:
+        added, low, high = (f"{100 * told[name]:+.0f}".replace("-", "−") for name in ("effect", "low", "high"))
+        ends = f"{100 * told['without']:.0f} % | {100 * told['moved']:.0f} % | {added} [{low}, {high}]"
+        yield f"| {label} | {ends} | {told['trainings']} |"
+    start, rest = (told for _, told in found[:2])
+    yield f"costs {points(start)}, the rest of the gap {points(rest).replace(' points', '')}"
+    alone, restored = ([f"{count / 3:.0f}" for count in wins(name)] for name in ("start_50x", "way_50x"))
+    yield f"policies win {' and '.join(alone)} % of lanes in real time"
+    yield f"with the speed of before restored, {' and '.join(restored)} %"
+    yield f"| no gap (the left is TCSC) | {counted(wins('tcsc'))} | {counted(wins('start_50x'))} |"
+    yield f"| the gap of 50x (the right is ADSC) | {counted(wins('way_50x'))} | {counted(wins('gap_50x'))} |"
+    kinds = rows.policy.nunique()
+    yield f"{kinds} kinds of trainings"
+    yield f"{len(rows)} of its {10 * kinds} policies were flown"
+    own = [f"{count / 3:.0f}" for count in wins("gap_50x_long", "gap-3.572")]
+    yield f"those of 50x win {' and '.join(own)} % with the gap that they were trained with"
+    yield f"and {' and '.join(map(str, wins('gap_50x_long')))} of 300 lanes in real time"
+    rested, real = (
+        [count / 3 for policy in FROM_REST for count in wins(policy, flight)] for flight in ("start-0.062", "gap-0.068")
+    )
+    kinds_of = f"{in_words(len(FROM_REST))} kinds, {in_words(len(real))} trainings"
+    yield f"({kinds_of}), policies win {min(rested):.0f} to {max(rested):.0f} % from rest"
+    yield f"and {min(real):.0f} to {max(real):.0f} % in real time"
+    yield f"policies win {' and '.join(map(str, wins('age_1s')))}."
+    ten = wins("gap_10x")
+    yield f"its policies win {counted(ten[:-1])} and {ten[-1]}."
+    yield f"which advance as little, win {' and '.join(map(str, wins('metres_50x')))}:"
+    slower = {label: told["effect"] for label, told in found}
+    lost, gained = (100 * abs(slower[f"the speed of 50x at the start, in flight, of {of}"]) for of in FLOWN)
+    yield f"policies of the matrix lose {lost:.0f} points to 50x's speed alone, and those from rest gain {gained:.0f}."
+    for games in (1200, 1400, 1600, 1800, 2000):
+        yield f"| {games} | {counted(wins(f'weak_{games}'))} | {counted(wins(f'weak_5x_{games}'))} |"
 
 
 def parts_of_gaps() -> Text:
@@ -514,14 +585,9 @@ def parts_of_gaps() -> Text:
         lasts, gap, age = (f"{row[name]:.3g}" for name in ("seconds_per_command", "gap_s", "picture_age_s"))
         gap, age = gap.removeprefix("0"), age.removeprefix("0")
         yield f"| {row['clock_speed']:g}x | {gap} | {speed} | {metres} | {lasts} | {age} | {unseen} |"
-    most = max(row["unseen_m"] for (command, _), row in rows.items() if command == "tcsc")
-    yield f"at most {short(most, 2)} m are unseen, and {short(rows['tcsc', 2.0]['unseen_m'], 2)} m in 2 s."
     yield f"after 2 s the drone flies backwards at {short(-rows['tcsc', 2.0]['start_speed_m_s'], 2)} m/s."
-    slow, fast = adsc[-2:]
-    dark, ways = ([short(row[name], 2) for row in (fast, slow)] for name in ("unseen_m", "metres_per_command"))
-    ends = [f"{300 * row['metres_per_command']:.0f}" for row in (fast, slow)]
-    yield f"({dark[0]} m unseen against {dark[1]} m), commands advance {ways[0]} m instead of {ways[1]} m"
-    yield f"reach {ends[0]} m instead of {ends[1]} m of the lane"
+    metres = next(row["metres_per_command"] for row in adsc if row["clock_speed"] == 50)
+    yield f"at {short(metres, 2)} m a command, 300 commands end after {300 * metres:.0f} m"
 
 
 def moved_in_flight() -> Text:
@@ -537,11 +603,6 @@ def moved_in_flight() -> Text:
             found: Any = share_of_loss(cells, asked, f"shipped/{flight}")
             line += "{} [{}, {}] |".format(*(short(found[name], 2) for name in ("share", "low", "high")))
         yield line
-    yield f"it wins {won_of['gap-0.776']}. At 1.2 s it wins {won_of['gap-1.2']}, at 2 s {won_of['gap-2']}."
-    yield f"remain, the policy wins {won_of['way-2']}."
-    yield f"at 50x and 100x, it wins {won_of['start-0']}."
-    none = won_of["start--0.584"] or "none"
-    yield f"{none} of {len(lanes)} lanes is won, where the whole gap leaves {won_of['gap-2']}."
 
 
 PAGES = {

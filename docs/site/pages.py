@@ -94,9 +94,13 @@ def _sources(page: Path) -> Iterator[Path]:
 
 
 def _listing(source: Path) -> str:
-    """A file as a block of code; a folder as its files, one below the other."""
+    """A file as a block of code, of a compressed one its name; a folder as its files, one below the other."""
     files = sorted(path for path in source.iterdir() if path.is_file()) if source.is_dir() else [source]
-    blocks = [f"`{_uri(file)}`\n\n````{_language(file)}\n{file.read_text('utf-8')}````\n" for file in files]
+    blocks = [
+        f"`{_uri(file)}`\n"
+        + ("" if file.suffix == ".gz" else f"\n````{_language(file)}\n{file.read_text('utf-8')}````\n")
+        for file in files
+    ]
     return "\n".join([f"# {source.name}\n", *blocks])
 
 

@@ -84,10 +84,12 @@ def write_file(filename: str | Path, bstr: bytes) -> None:
 
 
 def write_png(filename: str | Path, image: NDArray[np.integer | np.floating]) -> None:
-    """Write an array (height, width, channels), blue first, as PNG."""
-    import cv2
+    """Write bytes (height, width, channels), blue first, as PNG."""
+    from PIL import Image
 
-    if not cv2.imwrite(str(filename), image):
+    try:
+        Image.fromarray(image[..., ::-1].copy() if image.ndim == 3 else image).save(filename, "PNG")
+    except OSError:
         logging.error("Writing PNG file %s failed", filename)
 
 

@@ -1,4 +1,4 @@
-"""The ClockSpeed that ADSC tolerates under a latency model, and TCSC's gain over it, both modelled on a square path."""
+"""The ClockSpeed that ADSC tolerates: of a path under a latency model, with TCSC's gain over it, and of a policy."""
 
 from __future__ import annotations
 
@@ -21,6 +21,9 @@ from uavaccel.wire.session import Session, VirtualSession
 CLOCK_SPEEDS = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0)
 GAMES = 5
 T_TH_WALL_S = 0.001  # as in the experiments' configurations
+TASKS, LARGEST_GAPS_S = 9, (0.03, 0.2, 1.0)
+"""Tasks that were flown, and the least, median and largest gap at which one's policies lose five points of success:
+`over_tasks` of tools/fit_gap_law.py on docs/tables/gap_law.csv (docs/why.md)."""
 
 
 class SquareGame(NamedTuple):
@@ -89,3 +92,13 @@ def sentence(advice: pd.DataFrame, error_m: float, t_move_s: float) -> str:
     if "tcsc" in fastest.index:
         fast = "TCSC up to {clock_speed:g}, {speedup:.1f}x".format(**fastest.loc["tcsc"])
     return f"With commands of {t_move_s:g} s {slow}; {fast}. Modelled."
+
+
+def policy_sentence(thinking_s: float) -> str:
+    """Return in words the ClockSpeed at which a policy loses five points of success, over the tasks that were flown."""
+    least, median, largest = (gap_s / thinking_s for gap_s in LARGEST_GAPS_S)
+    return (
+        f"Policies that think for {thinking_s:g} s, messages included, lose five points of success at ClockSpeed "
+        f"{least:.2g} to {largest:.2g}, {median:.2g} in the median of {TASKS} tasks. Flown without latency; no law "
+        "predicts a task's (docs/why.md)."
+    )

@@ -28,7 +28,7 @@ from uavaccel.machine import host
 from uavaccel.metrics.trajectory import mean_position_rmse
 from uavaccel.units import NS_PER_S
 from uavaccel.wire.client import Client
-from uavaccel.wire.latency import QUANTILES, LatencyConfig, after_wait
+from uavaccel.wire.latency import QUANTILES, LatencyConfig, after_wait, shipped_latency
 from uavaccel.wire.session import Session, VirtualSession, WallSession
 from uavaccel.wire.transport import PendingCall, Transport
 
@@ -165,12 +165,13 @@ class Latencies:
 
 
 def model_file(latencies: Latencies, profile: str, verdict: str) -> str:
-    """Return the YAML of a latency model, with what it was measured on in comments."""
-    machine = host()
+    """Return the YAML of a latency model, with what it was measured on in comments; its platform is the profile's."""
+    machine, platform = host(), shipped_latency(profile).platform.model_dump(mode="json", exclude_defaults=True)
+    block = latencies.block() | ({"platform": platform} if platform else {})
     return (
         f"# Measured by `uavaccel timing calibrate`, profile {profile}, on {calendar_time()}; machine: {verdict}\n"
         f"# {machine['cpu_model']}, {machine['cores']} cores, {machine['platform']}\n# {latencies.counts()}\n"
-        + dump_yaml({"latency": latencies.block()})
+        + dump_yaml({"latency": block})
     )
 
 

@@ -228,14 +228,14 @@ def evaluate_agent(request: RunRequest, against: Path | None, films: bool) -> No
 
 
 def film_extremes(run: RunDirectory) -> None:
-    """Write films and contact sheets of the best game and the worst, which the report shows, where there is OpenGL."""
+    """Write films and contact sheets of the best game and the worst, for the report, where films can be made."""
+    from uavaccel.draw.pictures import check_films
     from uavaccel.envs.simulators import EXACT
-    from uavaccel.sim.camera.gl import describe_renderer
     from uavaccel.suites.evaluate import Evaluation
     from uavaccel.suites.flight import film_game
 
     try:
-        describe_renderer()
+        check_films()
     except UserError as error:
         console.print(f"without films: {error}")
         return

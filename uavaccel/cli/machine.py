@@ -61,18 +61,21 @@ def advise(
     t_move: Annotated[float, option("S", f"{KEYS['t_move_s'].help}.", "--t-move")] = 1.0,
     error: Annotated[float, option("M", "Error that a trajectory may have, in metres.")] = 0.1,
     rounds: Annotated[int, option("N", "Rounds of the square.", min=1, max=1000)] = 4,
+    thinking: Annotated[float, option("S", "Wall seconds between two commands: thinking and messages.")] = 0.02,
     latency: Latency = None,
     profile: Profile = "native",
 ) -> None:
-    """Say how fast ADSC may fly within an error, and what TCSC gains."""
+    """Say how fast ADSC may fly within an error, and a policy fly at all."""
     from uavaccel.calibration.advise import advise as advised
-    from uavaccel.calibration.advise import sentence
+    from uavaccel.calibration.advise import policy_sentence, sentence
     from uavaccel.limits import MOST_SECONDS
     from uavaccel.sim.profile import PROFILES
     from uavaccel.wire.latency import read_latency, shipped_latency
 
     if not error > 0:
         raise UserError(f"--error {error:g}: must be above 0 metres")
+    if not 0.0 < thinking <= MOST_SECONDS:
+        raise UserError(f"--thinking {thinking:g}: must be above 0 and at most {MOST_SECONDS:g} seconds")
     if not 0.0 < t_move <= MOST_SECONDS:
         raise UserError(f"--t-move {t_move:g}: must be above 0 and at most {MOST_SECONDS:g} seconds")
     PROFILES[profile].check_duration(t_move, "--t-move")
@@ -84,6 +87,7 @@ def advise(
         rows.append((f"{clock:g}x", *(f"{score:.3g}" for score in scores)))
     print_columns(header, rows)
     console.print(sentence(found, error, t_move))
+    console.print(policy_sentence(thinking))
 
 
 def bench(context: typer.Context) -> None:

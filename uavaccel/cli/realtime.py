@@ -15,6 +15,7 @@ from uavaccel.errors import UsageError, UserError
 SHOWN = ".zip (SB3), .onnx, .pt (TorchScript), file.py:function, module:function, tcp://host:port, or a run's folder."
 Named = Annotated[str, typer.Argument(metavar="POLICY", help=SHOWN)]
 Environment = Annotated[str, typer.Argument(metavar="ENV", help="The id of a Gymnasium environment.")]
+Answer = Annotated[float, option("S", "Seconds that a policy server has to answer.")]
 Seed = Annotated[int, option("N", "Seed of the first episode.", min=0)]
 Sets = Annotated[
     list[str] | None, option("KEY=VALUE", "An argument of RealTime, or env.KEY of the environment.", "--set")
@@ -28,6 +29,7 @@ def measure(
     warm_up: Annotated[int, option("N", "Calls before them, kept apart.", "--warm-up", min=0)] = 20,
     seed: Seed = 0,
     out: Annotated[Path, option("FILE", "Calibration file to write.")] = Path("thinking.json"),
+    answer: Answer = 10.0,
     trust: Trust = False,
     overrides: Sets = None,
 ) -> None:
@@ -39,7 +41,7 @@ def measure(
     check_new_file(out)
     make, keys = _environment(env, policy, overrides)
     with trusting(trust):
-        found = measured(make, _policy(policy, make), steps, warm_up, seed, **keys)
+        found = measured(make, _policy(policy, make), steps, warm_up, seed, answer_s=answer, **keys)
     for line in found.lines():
         console.print(line)
     console.print(
@@ -60,6 +62,7 @@ def certify(
     success: Annotated[str | None, option("KEY", "What the last info calls it; default: is_success, success.")] = None,
     out: Annotated[Path, option("DIR", "New folder for setup, rows, certificate and figure.")] = Path("certificate"),
     resume: Annotated[bool, option(None, "Go on with the folder in --out.", "--resume")] = False,
+    answer: Answer = 10.0,
     trust: Trust = False,
     overrides: Sets = None,
 ) -> None:
@@ -71,7 +74,7 @@ def certify(
     make, keys = _environment(env, policy, overrides)
     with trusting(trust), working("episodes") as advance:
         how: dict[str, Any] = {"episodes": episodes, "seed": seed, "success": success, "out": out, "resume": resume}
-        how["delay_steps"] = delay or None
+        how |= {"delay_steps": delay or None, "answer_s": answer}
         found = certified(make, _policy(policy, make), seconds, file, **how, told=lambda row: advance(), **keys)
     print_columns(*found.table())
     if found.failed:

@@ -19,12 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.draw.panels import (
-    BLUE,
     FAINT,
     INK,
-    VERMILION,
-    Bgr,
-    Decisions,
     around,
     blank,
     draw_given,
@@ -33,12 +29,14 @@ from uavaccel.draw.panels import (
     draw_ratings,
     draw_target,
     draw_track,
+    enlarged,
     follow,
     paste,
     to_bgr,
     whole_lane,
     write,
 )
+from uavaccel.draw.pictures import VERMILION, Bgr, Decisions, dvs_picture
 from uavaccel.errors import UserError, naming
 from uavaccel.files import replacing
 from uavaccel.sim.clutter import ClutterLayout
@@ -53,9 +51,7 @@ SECOND_ROW = 328  # pixels lower than the first; the lane is as much lower where
 MARGIN = 14  # pixels below the first row where there is no lane, above another
 HELD_S = 2.0  # seconds of film for which the frame of an impact is held
 
-NO_EVENT, ON, OFF = (246, 246, 246), BLUE, VERMILION
 IMPACT = VERMILION
-FULL_COLOUR_FROM = 3  # events per pixel
 
 SHEET_COLUMNS, SHEET_ROWS, SHEET_GAP, SHEET_CAPTION = 5, 4, 10, 24
 THUMB = (256, 144)
@@ -141,7 +137,7 @@ def frames(film: Film, frames_per_s: int = FRAMES_PER_S) -> Iterator[Bgr]:
         caption = f"hit {hit}: {_moment(film, i)}" if hit else f"{_moment(film, i)}, shown at {playback:.1f}x"
         write(picture, caption, (WIDTH - 12, 26), 0.62, IMPACT if hit else INK, anchor=1.0)
         paste(picture, to_bgr(film.images[i], PANEL), CAMERA_AT)
-        paste(picture, dvs_picture(film.on_events[i], film.off_events[i], PANEL), DVS_AT)
+        paste(picture, enlarged(dvs_picture(film.on_events[i], film.off_events[i]), PANEL), DVS_AT)
         if ground is None:
             near_view = follow(track[-1], NEAR_SIZE)
         near = draw_track(draw_lane(film.layout, near_view) if ground is None else ground.copy(), near_view, track)
@@ -215,29 +211,15 @@ def write_contact_sheet(film: Film, path: Path) -> Path:
         hit = film.hit if i == len(film) - 1 else ""
         write(sheet, f"{_moment(film, i)}{', hit' if hit else ''}", (x, y + 17), 0.5, IMPACT if hit else INK)
         paste(sheet, to_bgr(film.images[i], THUMB), (x, y + SHEET_CAPTION))
-        paste(sheet, dvs_picture(film.on_events[i], film.off_events[i], THUMB), (x, y + SHEET_CAPTION + THUMB[1]))
+        paste(
+            sheet,
+            enlarged(dvs_picture(film.on_events[i], film.off_events[i]), THUMB),
+            (x, y + SHEET_CAPTION + THUMB[1]),
+        )
     path.parent.mkdir(parents=True, exist_ok=True)
     if not cv2.imwrite(str(path), sheet):
         raise UserError(f"{path}: cannot be written")
     return path
-
-
-def dvs_picture(on: NDArray[np.integer], off: NDArray[np.integer], size: tuple[int, int]) -> Bgr:
-    """Return event counts (H, W) as an image of `size` (width, height): the more events, the deeper the colour."""
-    shade = np.minimum(on, FULL_COLOUR_FROM) * (FULL_COLOUR_FROM + 1) + np.minimum(off, FULL_COLOUR_FROM)
-    small = np.take(_SHADES, shade, axis=0)
-    return np.asarray(cv2.resize(small, size, interpolation=cv2.INTER_NEAREST), np.uint8)
-
-
-def _shades() -> Bgr:
-    """Return the colour of each pair of counts up to FULL_COLOUR_FROM, OFF varying fastest; (16, 3)."""
-    depth = np.linspace(0.0, 1.0, FULL_COLOUR_FROM + 1)[:, None]
-    on, off = (depth * (np.array(colour) - NO_EVENT) for colour in (ON, OFF))
-    shades = (NO_EVENT + on[:, None] + off[None]).reshape(-1, 3)
-    return np.clip(shades, 0, 255).astype(np.uint8)
-
-
-_SHADES = _shades()
 
 
 def _moment(film: Film, i: int) -> str:

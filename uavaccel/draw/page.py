@@ -182,8 +182,10 @@ def _data_url(path: Path) -> str:
 
 
 def _poster_url(path: Path) -> str:
-    from uavaccel.draw.film import poster  # with what reads films, of which most pages have none
-
+    try:
+        from uavaccel.draw.film import poster  # with what reads films, of which most pages have none
+    except ImportError:  # without the extra `film` the page shows the film's first frame
+        return ""
     picture = poster(path)
     return f"data:image/jpeg;base64,{base64.b64encode(picture).decode('ascii')}" if picture else ""
 

@@ -4,20 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from uavaccel.draw.pictures import BLUE, GREEN, VERMILION, Bgr, Decisions
 from uavaccel.sim.clutter import BOX, COS, HALF_X, HALF_Y, KIND, SIN, ClutterLayout, X, Y
 from uavaccel.sim.lane.layout import HULL_RADIUS_M, LENGTH_M, WIDTH_M, LaneLayout
 
-Bgr = NDArray[np.uint8]  # (H, W, 3): blue, green, red, as OpenCV has them
-
 PAPER, INK, FAINT = (255, 255, 255), (40, 40, 40), (120, 120, 120)
-BLUE, VERMILION, GREEN = (178, 114, 0), (0, 94, 213), (115, 158, 0)  # those of draw/style.py
 
 
 def blank(size: tuple[int, int], colour: Sequence[int] = PAPER) -> Bgr:
@@ -37,8 +34,12 @@ def paste(page: Bgr, picture: Bgr, at: tuple[int, int]) -> None:
 def to_bgr(image: NDArray[np.uint8], size: tuple[int, int]) -> Bgr:
     """Return an image, gray (H, W) or RGB (H, W, 3), as BGR at `size` (width, height), without interpolation."""
     code = cv2.COLOR_GRAY2BGR if image.ndim == 2 else cv2.COLOR_RGB2BGR
-    picture = cv2.resize(np.asarray(cv2.cvtColor(image, code), np.uint8), size, interpolation=cv2.INTER_NEAREST)
-    return np.asarray(picture, np.uint8)
+    return enlarged(np.asarray(cv2.cvtColor(image, code), np.uint8), size)
+
+
+def enlarged(picture: Bgr, size: tuple[int, int]) -> Bgr:
+    """Return an image at `size` (width, height), without interpolation."""
+    return np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_NEAREST), np.uint8)
 
 
 def write(
@@ -180,22 +181,6 @@ def _disc(picture: Bgr, view: View, place_m: ArrayLike, radius_m: float, colour:
 TAKEN, UNTAKEN = BLUE, (200, 200, 200)
 LEAST = 0.1  # height of the worst action's bar, relative to the film's largest difference
 MARGIN, FOOT = 24, 40  # pixels above the bars for their values, and below for their headings
-
-
-@dataclass(frozen=True)
-class Decisions:
-    """The decisions of m commands: ratings of the actions (m, actions), the action taken (m,), and the observation.
-
-    `given` (m, planes, H, W) uint8 is the network's input, oldest plane first; None where it is no image. `rated_as`
-    says what the ratings are. Sample i of the film's n was taken during command `of_sample[i]`.
-    """
-
-    ratings: NDArray[np.float64]
-    taken: NDArray[np.int64]
-    headings_deg: tuple[float, ...]
-    of_sample: NDArray[np.int64]
-    rated_as: str
-    given: NDArray[np.uint8] | None = None
 
 
 def draw_given(planes: NDArray[np.uint8], size: tuple[int, int]) -> Bgr:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from textwrap import fill
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -120,11 +121,14 @@ def survival(distances_m: ArrayLike, length_m: float) -> tuple[NDArray[np.float6
     return np.concatenate([[0.0], reached]), 1.0 - np.arange(len(reached) + 1) / len(reached)
 
 
-LETTER_IN = 0.078  # width of a letter of a legend
+LETTER_IN, LINE_IN = 0.078, 0.17  # width of a letter of a legend, height of a line of its heading
 
 
 def legend(figure: Figure, more: Mapping[str, LineStyle] = MappingProxyType({})) -> None:
-    """Draw one legend below all axes of a figure, with an entry for each label, and `more`; no width is an area."""
+    """Draw one legend below all axes of a figure, with an entry for each label, and `more`; no width is an area.
+
+    Where the figure has a source, it becomes the legend's heading: at the bottom they would lie on each other.
+    """
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
@@ -137,7 +141,11 @@ def legend(figure: Figure, more: Mapping[str, LineStyle] = MappingProxyType({}))
         handles[label] = Patch(color=look["color"], label=label) if area else Line2D([], [], label=label, **look)
     if handles:
         columns = int(WIDTH_IN / (0.5 + LETTER_IN * max(map(len, handles))))
-        figure.legend(list(handles.values()), list(handles), ncols=max(columns, 1), loc="outside lower center")
+        heading = fill(figure.get_supxlabel(), int(WIDTH_IN / LETTER_IN))
+        figure.supxlabel("")
+        figure.set_figheight(figure.get_figheight() + LINE_IN * (len(heading.splitlines()) + 1) * bool(heading))
+        look = {"ncols": max(columns, 1), "loc": "outside lower center", "title": heading or None, "title_fontsize": 9}
+        figure.legend(list(handles.values()), list(handles), **look)
 
 
 LEAST_SPAN_M, LEAST_HEIGHT_SPAN_M = 0.2, 0.5  # millimetres of altitude are not to look like a climb

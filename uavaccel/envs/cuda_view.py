@@ -13,10 +13,9 @@ from uavaccel.envs.kernel_games import GameMaker
 from uavaccel.envs.sensors import blank_frame
 from uavaccel.envs.task import Task
 from uavaccel.kernels import cuda as kernels
-from uavaccel.kernels import events
-from uavaccel.kernels.casting import EYE_FIELDS
+from uavaccel.kernels import events, tiles
 from uavaccel.kernels.fields import COLUMNS, DEPTH, DVS, FIELDS, ROWS, STATE, Looks
-from uavaccel.vision.dvs_sensor import sample_pixels
+from uavaccel.vision.dvs_sensor import BLOCK_SIDE, sample_pixels
 
 
 class View(ABC):
@@ -74,7 +73,7 @@ class SceneView(View):
         self, task: Task, maker: GameMaker, count: int, device: th.device, games: Any, now: Any, tick_ns: int
     ) -> None:
         super().__init__(task, maker, count, device, games, now, tick_ns)
-        self._eyes = th.zeros((count, EYE_FIELDS), device=device)
+        self.sight, self._sight = kernels.on_device(tiles.sight_of(count, games.scenes.shapes.shape[1]), device)
         self._gray = th.zeros((count if self.kind == DVS else 0, *self._size), dtype=th.uint8, device=device)
 
     def start(self, which: th.Tensor) -> None:
@@ -86,22 +85,23 @@ class SceneView(View):
         going = self._look(which, now)
         if self.kind != DVS:
             name, tick_ns = ("cast_depth", ()) if self.kind == DEPTH else ("cast_colour", (self._tick_ns,))
-            seen = self.plan.appearance, self._games, now, kernels.shared(self._eyes), kernels.shared(frames)
-            self._launch(name, self._frame)(going, *tick_ns, self._side, *seen)
+            seen = self.plan.appearance, self._games, now, self._sight, kernels.shared(frames)
+            self._launch(name, self._size)(going, *tick_ns, self._side, *seen)
             return
         seeing = kernels.shared(self._gray), self.plan.sensor, self._games, now, self._pixels
-        self._launch("cast_events", self._size)(going, self._tick_ns, *seeing)
+        blocks = -(-self._size[0] * self._size[1] // BLOCK_SIDE)
+        threads = kernels.grid(self._count * blocks, kernels.SEEING_THREADS)
+        self._kernels.cast_events[threads](going, self._tick_ns, *seeing)
         self._finish(going, now)
         if take:
             self._launch("take_frames", self._frame)(going, now, self._pixels, kernels.shared(frames[:, 0]))
 
     def _look(self, which: th.Tensor, now: Any) -> Any:
-        """Find where the cameras are, and for event cameras what they see in grey; return the selected lanes."""
-        going, eyes = kernels.shared(which), kernels.shared(self._eyes)
-        per_lane = kernels.grid(self._count, kernels.FLYING_THREADS)
-        self._kernels.look[per_lane](going, self.plan.appearance, now, eyes)
+        """Find what the cameras may see, and for event cameras what they see in grey; return the selected lanes."""
+        going, seen = kernels.shared(which), (self.plan.appearance, self._games, now, self._sight)
+        a_lane = kernels.grid(self._count * kernels.DEALING_THREADS, kernels.DEALING_THREADS)
+        self._kernels.look[a_lane](going, self._size, *seen)
         if self.kind == DVS:
-            seen = self.plan.appearance, self._games, now, eyes
             self._launch("cast_gray", self._size)(going, *seen, kernels.shared(self._gray))
         return going
 

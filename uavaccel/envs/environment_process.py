@@ -21,7 +21,6 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
-import cv2
 from gymnasium.vector import AutoresetMode
 
 from uavaccel.envs.environment_processes import ProgramOptions, Seat, SharedObservations
@@ -144,7 +143,6 @@ def load(environment: str) -> None:
 def fly_together(options: ProgramOptions, seats: list[Seat], parent: int | None) -> None:
     """Fly the environments of one process until their connections end, or the parent does."""
     end_with_process(parent)
-    cv2.setNumThreads(0)  # its pictures are small, and its neighbours many
     threads = [threading.Thread(target=fly, args=(options, *seat)) for seat in seats]
     for thread in threads:
         thread.start()

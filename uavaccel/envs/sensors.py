@@ -122,9 +122,6 @@ def state_fields(state: Kinematics) -> list[Number]:
 
 
 def _reduced(image: AnyImage, like: Frame) -> AnyImage:
-    import cv2
+    from uavaccel.sim.camera.pixels import quartered  # compiled
 
-    rows, columns = like.shape[1:]
-    if image.shape[:2] == (rows, columns):
-        return image
-    return np.asarray(cv2.resize(image, (columns, rows), interpolation=cv2.INTER_AREA))
+    return image if image.shape[:2] == like.shape[1:] else quartered(image)

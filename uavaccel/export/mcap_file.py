@@ -16,17 +16,17 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from uavaccel.draw.film import dvs_picture
+from uavaccel.draw.pictures import dvs_picture
 from uavaccel.errors import UserError
 from uavaccel.export import provenance_of
 from uavaccel.files import inside, read_bounded, replacing, to_json
 from uavaccel.records import RunDirectory
 from uavaccel.resources import require
 from uavaccel.sim.camera.camera import FRONT_CENTER
+from uavaccel.sim.camera.pixels import png
 from uavaccel.sim.camera.view import HEIGHT, WIDTH
 from uavaccel.suites.flight import Flight
 from uavaccel.suites.registry import suite_of
@@ -188,8 +188,7 @@ def _commands(game: Flight) -> Iterator[Entry]:
 
 def _images(game: Flight) -> Iterator[Entry]:
     for at, picture in zip(game.image_ns.tolist(), game.images, strict=True):
-        shown = picture if picture.ndim == 2 else cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)
-        yield Entry(at, "/camera/front_center", _image(at, shown))
+        yield Entry(at, "/camera/front_center", _image(at, picture))
 
 
 def _events(game: Flight) -> Iterator[Entry]:
@@ -198,7 +197,7 @@ def _events(game: Flight) -> Iterator[Entry]:
         if window.rows is not None:
             yield Entry(at, "/dvs/events", _stamped(at, frame_id="front_center", **event_columns(window.rows)))
         counts = window.per_pixel((HEIGHT, WIDTH))
-        yield Entry(at, "/dvs/image", _image(at, dvs_picture(*counts, (WIDTH, HEIGHT))))
+        yield Entry(at, "/dvs/image", _image(at, dvs_picture(*counts)[..., ::-1]))
 
 
 def _log(row: Row, game: Flight) -> Iterator[Entry]:
@@ -228,9 +227,8 @@ def _velocity(time_ns: int, velocity_m_s: Sequence[float]) -> Json:
 
 
 def _image(time_ns: int, picture: NDArray[np.uint8]) -> Json:
-    """Return a picture, gray or BGR, as PNG."""
-    _, png = cv2.imencode(".png", picture)
-    return _stamped(time_ns, frame_id="front_center", data=b64encode(png.tobytes()).decode(), format="png")
+    """Return a picture, gray or RGB, as PNG."""
+    return _stamped(time_ns, frame_id="front_center", data=b64encode(png(picture)).decode(), format="png")
 
 
 def event_columns(rows: NDArray[np.floating]) -> Json:

@@ -77,6 +77,10 @@ def _check_request(request: FlyRequest) -> None:
         )
     if flight.film and request.out is None:
         raise UsageError("--film needs --out, a folder for it")
+    if flight.film:
+        from uavaccel.draw.pictures import check_films  # with what draws
+
+        check_films()
 
 
 def _check_numbers(flight: FlightOptions) -> None:

@@ -183,8 +183,8 @@ class Patches:
 
     def when_imported(self, name: str, act: Act) -> None:
         """Call `act(module)` now if the module has been imported, and otherwise when it is."""
-        if name in sys.modules:
-            act(sys.modules[name])
+        if (module := sys.modules.get(name)) is not None:
+            act(module)
         else:
             self._finder.acts.setdefault(name, []).append(act)
 

@@ -188,24 +188,25 @@ def _gym(name: str) -> ModuleType:
 
 def _read_image(name: str) -> NDArray[np.generic]:
     """Return the pixels of an image file, red first. Raises FileNotFoundError if there is no image."""
-    import cv2
+    import numpy as np
+    from PIL import Image, UnidentifiedImageError
 
-    pixels = cv2.imread(str(name))
-    if pixels is None:
-        raise FileNotFoundError(f"no image in {name}")
-    return pixels[..., ::-1]
+    try:
+        return np.asarray(Image.open(name).convert("RGB"))
+    except UnidentifiedImageError:
+        raise FileNotFoundError(f"no image in {name}") from None
 
 
 def _save_image(name: str, image: ArrayLike) -> None:
     """Write an image, red first; one that is not of bytes is scaled to 0 to 255."""
-    import cv2
     import numpy as np
+    from PIL import Image
 
     pixels = np.asarray(image)
     if pixels.dtype != np.uint8:
         low, high = float(pixels.min()), float(pixels.max())
         pixels = ((pixels - low) * (255 / ((high - low) or 1.0))).astype(np.uint8)
-    cv2.imwrite(str(name), pixels[..., ::-1] if pixels.ndim == 3 else pixels)
+    Image.fromarray(pixels).save(name)
 
 
 def answering(kept: Path | None = None) -> Callable[[object], str]:

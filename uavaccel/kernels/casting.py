@@ -36,12 +36,15 @@ from uavaccel.kernels.fields import (
     Looks,
 )  # fmt: skip
 from uavaccel.kernels.operands import Float, Vector, cross, dot
-from uavaccel.kernels.rays import Colour, level_of, lit, luma, sky_index, texel_index
+from uavaccel.kernels.rays import Colour, level_of, lit, sky_index, texel_index
 from uavaccel.kernels.scene import Scene, Shape
+from uavaccel.sim.camera.pixels import luma_of
 from uavaccel.sim.parts import part
 
 Span: TypeAlias = tuple[Float, Float]
 Eye: TypeAlias = tuple[Vector, tuple[Vector, Vector, Vector], Float]
+Met: TypeAlias = tuple[Float, int]
+"""A distance, and the index of the shape there."""
 
 ZERO, HALF, ONE, TWO = (np.float32(number) for number in (0.0, 0.5, 1.0, 2.0))
 HUGE, TINY = np.float32(1e30), np.float32(1e-12)
@@ -236,13 +239,13 @@ def height_at(scene: Scene, shape: Shape, x: Float, y: Float) -> Float:
 
 @part(inline=False, error_model="numpy")
 def meet_heights(scene: Scene, shape: Shape, origin: Vector, direction: Vector, best: Float) -> Float:
-    """Return where a ray meets a height field, its sides or its base; `best` if that is not before."""
+    """Return where a ray meets a height field, its sides or its base; HUGE if that is not before `best`."""
     p, d = into(shape, minus(origin, triple(shape, at.CENTRE))), into(shape, direction)
     half_x, half_y, top, base = shape[at.HALF], shape[at.HALF + 1], shape[at.HALF + 2], shape[at.BASE]
     middle = HALF * (top - base)
     near, far = in_box((p[0], p[1], p[2] - middle), d, (half_x, half_y, HALF * (top + base)))
-    if far < near or far < ZERO or near >= best:
-        return best
+    if far < near or far < ZERO or near > best:
+        return HUGE
     wide, high = steps_of(shape)
     columns, rows = int(shape[at.COUNT]) - 1, int(shape[at.LINES]) - 1
     near = max(near, ZERO)
@@ -255,45 +258,50 @@ def meet_heights(scene: Scene, shape: Shape, origin: Vector, direction: Vector, 
     to_x = (np.float32(column + (way_x > 0)) * wide - half_x - p[0]) * back_x
     to_y = (np.float32(row + (way_y > 0)) * high - half_y - p[1]) * back_y
     enter = near
-    while 0 <= column < columns and 0 <= row < rows and enter <= far and enter < best:
+    while 0 <= column < columns and 0 <= row < rows and enter <= far and enter <= best:
         found = enter + meet_cell(scene, shape, column, row, along(p, d, enter), d)
-        if found < best:
+        if found <= best:
             return max(found, ZERO)
         if to_x < to_y:
             enter, to_x, column = to_x, to_x + abs(wide * back_x), column + way_x
         else:
             enter, to_y, row = to_y, to_y + abs(high * back_y), row + way_y
-    return best
+    return HUGE
 
 
 @part(error_model="numpy")
-def meet(scene: Scene, world: int, item: int, origin: Vector, direction: Vector, best: Float) -> Float:
-    """Return the distance at which a ray of unit direction meets a shape; `best` if that is not before."""
-    shape = scene.shapes[world, item]
-    kind, bound = int(shape[at.KIND]), shape[at.BOUND]
+def meet(scene: Scene, shape: Shape, origin: Vector, direction: Vector, best: Float) -> Float:
+    """Return the distance at which a ray of unit direction meets a shape; HUGE for nowhere, or surely after `best`."""
+    kind, bound = np.int32(shape[at.KIND]), shape[at.BOUND]
     if kind == PLANE:
-        return min(meet_plane(shape, origin, direction), best)
+        return meet_plane(shape, origin, direction)
     if kind == at.HEIGHTS:
         return meet_heights(scene, shape, origin, direction, best)
     away = minus(triple(shape, at.CENTRE), origin)
     aside, reach = away[0] * direction[1] - away[1] * direction[0], shape[at.REACH]
     if aside * aside > reach * reach * (direction[0] * direction[0] + direction[1] * direction[1]):
-        return best
+        return HUGE
     middle = dot(away, direction)
     p = along((-away[0], -away[1], -away[2]), direction, middle)
-    if dot(p, p) > bound * bound * WIDER or middle - bound >= best or middle + bound < ZERO:
-        return best
+    if dot(p, p) > bound * bound * WIDER or middle - bound > best or middle + bound < ZERO:
+        return HUGE
     if kind == at.TRIANGLE:
         corner, one, two = triple(shape, at.AXES), triple(shape, at.AXES + 3), triple(shape, at.AXES + 6)
         found = middle + meet_triangle(p, direction, corner, one, two)
-        return found if ZERO <= found < best else best
+        return found if found >= ZERO else HUGE
     near, far = within(shape, kind, into(shape, p), into(shape, direction))
     if near > far:
-        return best
+        return HUGE
     found = middle + near
     if found < ZERO:
         found = middle + far
-    return found if ZERO <= found < best else best
+    return found if found >= ZERO else HUGE
+
+
+@part(error_model="numpy")
+def nearer(met: Met, other: Met) -> Met:
+    """Return what is met first; of two at the same distance that of the lower index, in whatever order they are met."""
+    return other if other[0] < met[0] or (other[0] == met[0] and other[1] < met[1]) else met
 
 
 @part(error_model="numpy")
@@ -357,12 +365,12 @@ def normal_at(scene: Scene, world: int, item: int, point: Vector, direction: Vec
 
 
 @part(error_model="numpy")
-def first_met(scene: Scene, world: int, origin: Vector, direction: Vector, far_m: Float) -> tuple[Float, int]:
-    """Return distance and item of what a ray of unit direction meets first; `far_m` and NOTHING if nothing is.
+def first_met(scene: Scene, world: int, origin: Vector, direction: Vector, far_m: Float) -> Met:
+    """Return what a ray of unit direction meets first; `far_m` and NOTHING if nothing is.
 
     The shapes in no cell come first, then those of cell after cell; a GPU's compiler copies what is called twice.
     """
-    frame, best, item = scene.frame[world], far_m, NOTHING
+    frame, met = scene.frame[world], (far_m, NOTHING)
     cell, columns, rows = frame[at.CELL], int(frame[at.COLUMNS]), int(frame[at.ROWS])
     half = HALF * cell * np.float32(columns), HALF * cell * np.float32(rows), HALF * (frame[at.TOP] - frame[at.BOTTOM])
     p = (
@@ -382,15 +390,13 @@ def first_met(scene: Scene, world: int, origin: Vector, direction: Vector, far_m
     while True:
         for entry in range(first, last):
             found = int(scene.items[world, entry]) if listed else entry
-            distance = meet(scene, world, found, origin, direction, best)
-            if distance < best:
-                best, item = distance, found
+            met = nearer(met, (meet(scene, scene.shapes[world, found], origin, direction, met[0]), found))
         if listed and to_x < to_y:
             enter, to_x, column = to_x, to_x + abs(cell * back_x), column + way_x
         elif listed:
             enter, to_y, row = to_y, to_y + abs(cell * back_y), row + way_y
-        if not (0 <= column < columns and 0 <= row < rows and enter < best and enter <= leave):
-            return best, item
+        if not (0 <= column < columns and 0 <= row < rows and enter <= met[0] and enter <= leave):
+            return met
         place = row * columns + column
         first, last, listed = int(scene.start[world, place]), int(scene.start[world, place + 1]), True
 
@@ -410,13 +416,20 @@ def narrow(v: tuple[float, float, float]) -> Vector:
 
 
 @part(error_model="numpy")
-def ray_of(camera: Any, axes: Any, row: int, column: int, rows: int, columns: int) -> tuple[Vector, Float]:
-    """Return a pixel's ray, of unit length, and how many metres of depth it gains per metre."""
-    u = np.float32(camera[HALF_WIDTH]) * (np.float32(2 * column + 1) / np.float32(columns) - ONE)
-    v = np.float32(camera[HALF_HEIGHT]) * (ONE - np.float32(2 * row + 1) / np.float32(rows))
+def ray_through(camera: Any, axes: Any, row: int, column: int, rows: int, columns: int) -> tuple[Vector, Float]:
+    """Return a pixel's ray to a metre of depth, and the square of its length."""
+    u = np.float32(camera[HALF_WIDTH]) * (np.float32(np.int32(2 * column + 1)) / np.float32(np.int32(columns)) - ONE)
+    v = np.float32(camera[HALF_HEIGHT]) * (ONE - np.float32(np.int32(2 * row + 1)) / np.float32(np.int32(rows)))
     right, up, back = axes
     ray = u * right[0] + v * up[0] - back[0], u * right[1] + v * up[1] - back[1], u * right[2] + v * up[2] - back[2]
-    scale = ONE / math.sqrt(ONE + u * u + v * v)
+    return ray, ONE + u * u + v * v
+
+
+@part(error_model="numpy")
+def ray_of(camera: Any, axes: Any, row: int, column: int, rows: int, columns: int) -> tuple[Vector, Float]:
+    """Return a pixel's ray, of unit length, and how many metres of depth it gains per metre."""
+    ray, squared = ray_through(camera, axes, row, column, rows, columns)
+    scale = ONE / math.sqrt(squared)
     return (ray[0] * scale, ray[1] * scale, ray[2] * scale), scale
 
 
@@ -490,7 +503,7 @@ def texels_at(
 ) -> Span:
     """Return where a pixel's ray meets the plane of a side, in texels of level 0 (kernels/faces.put_texture)."""
     (axis, place), (origin, axes, _) = side, eye
-    ray, _ = ray_of(looks.camera, axes, pixel[0], pixel[1], size[0], size[1])
+    ray, _ = ray_through(looks.camera, axes, pixel[0], pixel[1], size[0], size[1])
     p, d = into(shape, minus(origin, triple(shape, at.CENTRE))), into(shape, ray)
     found = along(p, d, (place - p[axis]) / (d[axis] if abs(d[axis]) > TINY else TINY))
     row, log2_size = looks.materials[material], looks.textures[int(looks.materials[material, TEXTURE_ID]), LOG2_SIZE]
@@ -525,36 +538,37 @@ def texel_of(shape: Shape, looks: Looks, material: int, point: Vector, eye: Eye,
 
 
 @part(error_model="numpy")
+def colour_of(scene: Scene, world: int, looks: Looks, eye: Eye, pixel: Any, size: Any, ray: Vector, met: Met) -> Colour:
+    """Return red, green and blue (0 to 255) of a pixel, row and column, whose ray has met something, or NOTHING."""
+    distance, item = met
+    if item == NOTHING:
+        index = sky_index(ray[0], ray[1], ray[2], looks.textures[0, BASE], looks.textures[0, LOG2_SIZE])
+        return lit(np.int32(looks.texels[np.uint32(index)]), ONE, ONE, ONE)
+    shape, point = scene.shapes[world, item], along(eye[0], ray, distance)
+    material = int(shape[at.MATERIAL])
+    red, green, blue = shade(shape, looks, normal_at(scene, world, item, point, ray), material)
+    if material < 0 or looks.materials[material, TEXTURE_ID] <= ZERO:
+        return lit(WHITE, red, green, blue)
+    return lit(np.int32(texel_of(shape, looks, material, point, eye, pixel, size)), red, green, blue)
+
+
+@part(error_model="numpy")
 def colour_at(scene: Scene, world: int, looks: Looks, eye: Eye, row: int, column: int, size: tuple[int, int]) -> Colour:
     """Return red, green and blue (0 to 255) of a pixel. `size`: rows, columns."""
     origin, axes, far_m = eye
     ray, _ = ray_of(looks.camera, axes, row, column, size[0], size[1])
-    distance, item, normal = cast(scene, world, origin, ray, far_m * SKY)
-    if item == NOTHING:
-        index = sky_index(ray[0], ray[1], ray[2], looks.textures[0, BASE], looks.textures[0, LOG2_SIZE])
-        return lit(np.int32(looks.texels[np.uint32(index)]), ONE, ONE, ONE)
-    shape = scene.shapes[world, item]
-    material = int(shape[at.MATERIAL])
-    red, green, blue = shade(shape, looks, normal, material)
-    if material < 0 or looks.materials[material, TEXTURE_ID] <= ZERO:
-        return lit(WHITE, red, green, blue)
-    point = along(origin, ray, distance)
-    texel = texel_of(shape, looks, material, point, eye, (row, column), size)
-    return lit(np.int32(texel), red, green, blue)
+    met = first_met(scene, world, origin, ray, far_m * SKY)
+    return colour_of(scene, world, looks, eye, (row, column), size, ray, met)
 
 
 @part(error_model="numpy")
 def gray_at(scene: Scene, world: int, looks: Looks, eye: Eye, row: int, column: int, size: tuple[int, int]) -> Any:
     """Return a pixel's luma (0 to 255)."""
     red, green, blue = colour_at(scene, world, looks, eye, row, column, size)
-    return luma(red, green, blue)
+    return luma_of(red, green, blue)
 
 
 @part(error_model="numpy")
-def depth_level(scene: Scene, world: int, looks: Looks, eye: Eye, row: int, column: int, size: Any, side: int) -> int:
-    """Return the level of a depth frame's pixel: the mean of `side` x `side` pixels, of SEEN_FAR_M at most as 255."""
-    total = ZERO
-    for y in range(side * row, side * row + side):
-        for x in range(side * column, side * column + side):
-            total += min(depth_at(scene, world, looks, eye, y, x, size), SEEN_FAR_M)
-    return round(total / np.float32(side * side) * LEVELS_A_M)
+def depth_level(total: Float, number: int) -> int:
+    """Return the level of a depth frame's pixel: the mean of `number` depths, where SEEN_FAR_M is 255, from their sum."""
+    return round(total / np.float32(number) * LEVELS_A_M)

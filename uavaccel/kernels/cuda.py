@@ -20,7 +20,7 @@ from numba.cuda import libdevice
 from numba.cuda.extending import overload
 from numba.np.numpy_support import from_dtype
 
-from uavaccel.kernels import casting, clutter_games, events, lane_games, lanes, touching
+from uavaccel.kernels import casting, clutter_games, events, lane_games, lanes, tiles, touching
 from uavaccel.kernels import fields as at
 from uavaccel.kernels.clutter_worlds import put_in_both
 from uavaccel.kernels.columns import MOST_INTERVALS, MOST_PIECES, Column, add_interval, fill_column, settle
@@ -32,7 +32,7 @@ from uavaccel.kernels.lanes import EVENT_SEED, PICTURE_SEED
 from uavaccel.kernels.operands import Launchable, Operand
 from uavaccel.kernels.project import project_solid
 from uavaccel.kernels.quads import BELOW, RIGHT, quad_lumas, quick_count, update_quad
-from uavaccel.kernels.rays import colour_of, linear
+from uavaccel.kernels.rays import ONE, colour_of, linear, luma
 from uavaccel.kernels.scene import LOOSE, add_to, sort_cell, visit, world_of
 from uavaccel.kernels.touching import NOTHING, around, deepest_of_all, least_of_all
 from uavaccel.sim.clutter import DRAWS, GAP, keep_gaps, sample_shape
@@ -48,7 +48,8 @@ BLOCKS = BLOCK_ROWS * BLOCK_COLUMNS
 WARP, WHOLE_WARP = 32, 0xFFFFFFFF
 FLYING_THREADS, COLUMN_THREADS, SEEING_THREADS = 32, 64, 128  # per thread block
 SEEING_THREADS_A_LANE, PIXELS_A_LANE = at.ROWS * at.COLUMNS // 8, np.uintp(at.ROWS * at.COLUMNS)
-DEALING_THREADS = 128  # of a world of clutter
+DEALING_THREADS = 128  # of a world of clutter, or of what a camera may see
+STEP_ENDS = tiles.STEPS + 1
 FLYING_WARPS = 2  # per multiprocessor: a quarter of its registers, which leaves the rest to the learner
 BOX_SLOTS, CYLINDER_SLOTS = 3, 6  # largest number of rows that a solid fills (kernels/project)
 SLOTS = 1 + CYLINDER_SLOTS * at.SOLIDS
@@ -603,66 +604,147 @@ def add_colours(going, faces, shown, plan, sums):  # type: ignore[no-untyped-def
 
 @cuda.jit(device=True)
 def pixel_of_thread(rows, columns):  # type: ignore[no-untyped-def]
-    """Return this thread's lane, row and column; a warp has 8 x 4 pixels, whose rays stay together."""
-    thread, across, down = cuda.grid(1), (columns + 7) // 8, (rows + 3) // 4
-    lane, place = thread // (across * down * WARP), thread % (across * down * WARP)
-    tile, mine = place // WARP, place % WARP
-    return lane, 4 * (tile // across) + mine // 8, 8 * (tile % across) + mine % 8
+    """Return this thread's lane, row and column; a warp has a tile, 8 x 4 pixels, whose rays stay together.
+
+    As for all quotients here numbers are unsigned and of 32 bits: a division of 64 bits takes a hundred instructions.
+    """
+    tile, across = np.uint32(cuda.grid(1)) >> np.uint32(5), np.uint32((columns + tiles.TILE_COLUMNS - 1) >> 3)
+    of_lane = across * np.uint32((rows + tiles.TILE_ROWS - 1) >> 2)
+    lane = divided(tile, of_lane)
+    place, mine = np.uint32(tile - lane * of_lane), np.uint32(cuda.laneid)
+    down = divided(place, across)
+    row, column = (down << 2) + (mine >> 3), ((place - down * across) << 3) + (mine & 7)
+    return np.uintp(lane), np.uint32(row), np.uint32(column)
 
 
-def look(going, looks, now, eyes):  # type: ignore[no-untyped-def]
-    """Write where the cameras of the lanes that are `going` are, and how they are turned, to `eyes` (L, EYE_FIELDS)."""
-    lane = cuda.grid(1)
-    if lane < len(going) and going[lane] != 0:
-        state = now.state[lane]
-        casting.put_eye(eyes[lane], casting.eye_of(looks.camera, state.position, state.quaternion))
+@cuda.jit(device=True)
+def divided(number, by):  # type: ignore[no-untyped-def]
+    """Return a quotient, rounded down, of numbers that are not negative."""
+    return np.uint32(np.uint32(number) // np.uint32(by))
 
 
-def cast_depth(going, side, looks, games, now, eyes, frames):  # type: ignore[no-untyped-def]
+def look(going, size, looks, games, now, sight):  # type: ignore[no-untyped-def]
+    """Write what the cameras of the lanes that are `going` may see to `sight`: DEALING_THREADS a lane. `size`: (2,)."""
+    lane, mine = cuda.blockIdx.x, cuda.threadIdx.x
+    if lane >= len(going) or going[lane] == 0:
+        return
+    state, scene = now.state[lane], games.scenes
+    eye, world = casting.eye_of(looks.camera, state.position, state.quaternion), world_of(scene, now.game[lane])
+    ends = cuda.shared.array(STEP_ENDS, types.int32)
+    for step in range(mine, STEP_ENDS, DEALING_THREADS):
+        ends[step] = 0
+    cuda.syncthreads()
+    for listing in range(2):
+        for item in range(mine, scene.shapes.shape[1], DEALING_THREADS):
+            shape = scene.shapes[world, item]
+            covered = tiles.tiles_of(shape, looks.camera, eye, size)
+            if covered < 0:
+                continue
+            step = tiles.step_of(shape, eye)
+            place = cuda.atomic.add(ends, step, 1 - 2 * listing) - 1
+            if listing:
+                sight.items[lane, place], sight.tiles[lane, place] = item, covered
+                sight.nears[lane, place] = np.float32(step) * tiles.STEP_M
+        cuda.syncthreads()
+        if listing == 0:
+            sum_counts(mine, ends, tiles.STEPS)
+            if mine == 0:
+                sight.counts[lane] = ends[tiles.STEPS]
+                casting.put_eye(sight.eyes[lane], eye)
+
+
+@cuda.jit(device=True)
+def first_met(scene, world, sight, lane, pixel, origin, direction, far_m):  # type: ignore[no-untyped-def]
+    """Do as `casting.first_met` for this thread's ray, with the other rays of its warp, which are those of a tile."""
+    met, first = (far_m, np.int32(casting.NOTHING)), np.uint32(0)
+    mine, count = np.uint32(cuda.laneid), np.uint32(sight.counts[lane])
+    down, across = np.uint32(pixel[0] >> np.uint32(2)), np.uint32(pixel[1] >> np.uint32(3))
+    items, covered, nears, shapes = sight.items[lane], sight.tiles[lane], sight.nears[lane], scene.shapes[world]
+    while first < count and cuda.any_sync(WHOLE_WARP, met[0] >= nears[first]):
+        place = np.uint32(first + mine)
+        mask = cuda.ballot_sync(WHOLE_WARP, place < count and tiles.covers(np.uint32(covered[place]), across, down))
+        while mask != 0:
+            place = np.uint32(first + np.uint32(cuda.ffs(mask) - 1))
+            mask = np.int32(mask & (mask - 1))
+            if met[0] >= nears[place]:
+                item = items[place]
+                shape = shapes[np.uint32(item)]
+                met = casting.nearer(met, (casting.meet(scene, shape, origin, direction, met[0]), item))
+        first = np.uint32(first + np.uint32(WARP))
+    return met
+
+
+@cuda.jit(device=True)
+def summed(number, side):  # type: ignore[no-untyped-def]
+    """Return the sum of a number over the `side` x `side` pixels, 1 or 4, of this thread's block, all in one tile."""
+    if side > 1:
+        for distance in (1, 2, 8, 16):
+            number += cuda.shfl_xor_sync(WHOLE_WARP, number, distance)
+    return number
+
+
+def cast_depth(going, side, looks, games, now, sight, frames):  # type: ignore[no-untyped-def]
     """Write depth frames (L, 1, rows, columns), means of `side` x `side` pixels; 0 after a touch."""
-    rows, columns = frames.shape[2], frames.shape[3]
+    rows, columns = frames.shape[2] * side, frames.shape[3] * side
     lane, y, x = pixel_of_thread(rows, columns)
-    if lane >= len(going) or going[lane] == 0 or y >= rows or x >= columns:
+    if lane >= np.uintp(len(going)) or going[lane] == 0:
         return
-    level = 0
+    level, scene = 0, games.scenes
     if now.state[lane].collision_tick == NEVER:
-        scene, eye, size = games.scenes, casting.get_eye(eyes[lane]), (rows * side, columns * side)
-        level = casting.depth_level(scene, world_of(scene, now.game[lane]), looks, eye, y, x, size, side)
-    frames[lane, 0, y, x] = level
+        origin, axes, far_m = casting.get_eye(sight.eyes[lane])
+        ray, scale = casting.ray_of(looks.camera, axes, y, x, rows, columns)
+        far_m = far_m / scale if y < rows and x < columns else -ONE
+        met = first_met(scene, world_of(scene, now.game[lane]), sight, lane, (y, x), origin, ray, far_m)
+        level = casting.depth_level(summed(min(met[0] * scale, at.SEEN_FAR_M), side), side * side)
+    if (y | x) & (side - 1) == 0 and y < rows and x < columns:
+        frames[lane, 0, divided(y, side), divided(x, side)] = level
 
 
-def cast_colour(going, tick_ns, side, looks, games, now, eyes, frames):  # type: ignore[no-untyped-def]
+@cuda.jit(device=True)
+def colour_of_thread(lane, y, x, size, looks, games, now, sight):  # type: ignore[no-untyped-def]
+    """Return red, green and blue of this thread's pixel; without meaning if it is beside the picture."""
+    scene, eye = games.scenes, casting.get_eye(sight.eyes[lane])
+    world = world_of(scene, now.game[lane])
+    ray, _ = casting.ray_of(looks.camera, eye[1], y, x, size[0], size[1])
+    far_m = eye[2] * casting.SKY if y < size[0] and x < size[1] else -ONE
+    met = first_met(scene, world, sight, lane, (y, x), eye[0], ray, far_m)
+    return casting.colour_of(scene, world, looks, eye, (y, x), size, ray, met)
+
+
+def cast_colour(going, tick_ns, side, looks, games, now, sight, frames):  # type: ignore[no-untyped-def]
     """Write colour frames (L, 3, rows, columns), means of `side` x `side` pixels; 0 after a touch."""
-    rows, columns = frames.shape[2], frames.shape[3]
+    rows, columns = frames.shape[2] * side, frames.shape[3] * side
     lane, y, x = pixel_of_thread(rows, columns)
-    if lane >= len(going) or going[lane] == 0 or y >= rows or x >= columns:
+    if lane >= np.uintp(len(going)) or going[lane] == 0:
         return
-    state, game, scene = now.state[lane], now.game[lane], games.scenes
-    eye, size, world = casting.get_eye(eyes[lane]), (rows * side, columns * side), world_of(scene, game)
-    camera, seeds, moment_ns = camera_of(games, game), games.seeds[game], state.tick * tick_ns
-    red_sum = green_sum = blue_sum = 0
-    for pixel in range(side * side if state.collision_tick == NEVER else 0):
-        row, column = side * y + pixel // side, side * x + pixel % side
-        red, green, blue = casting.colour_at(scene, world, looks, eye, row, column, size)
+    state, game = now.state[lane], now.game[lane]
+    red = green = blue = 0
+    if state.collision_tick == NEVER:
+        colour = colour_of_thread(lane, y, x, (rows, columns), looks, games, now, sight)
+        red, green, blue = int(colour[0]), int(colour[1]), int(colour[2])
+        camera = camera_of(games, game)
         if camera[events.READ] > 0.0:
-            value = 3 * (row * size[1] + column)
-            red = noisy_at(int(red), camera, seeds, moment_ns, value)
-            green = noisy_at(int(green), camera, seeds, moment_ns, value + 1)
-            blue = noisy_at(int(blue), camera, seeds, moment_ns, value + 2)
-        red_sum, green_sum, blue_sum = red_sum + int(red), green_sum + int(green), blue_sum + int(blue)
-    frames[lane, 0, y, x] = round(red_sum / (side * side))
-    frames[lane, 1, y, x] = round(green_sum / (side * side))
-    frames[lane, 2, y, x] = round(blue_sum / (side * side))
+            seeds, moment_ns, value = games.seeds[game], state.tick * tick_ns, 3 * (y * columns + x)
+            red = noisy_at(red, camera, seeds, moment_ns, value)
+            green = noisy_at(green, camera, seeds, moment_ns, value + 1)
+            blue = noisy_at(blue, camera, seeds, moment_ns, value + 2)
+    red, green, blue = summed(red, side), summed(green, side), summed(blue, side)
+    if (y | x) & (side - 1) == 0 and y < rows and x < columns:
+        y, x = divided(y, side), divided(x, side)
+        frames[lane, 0, y, x] = round(red / (side * side))
+        frames[lane, 1, y, x] = round(green / (side * side))
+        frames[lane, 2, y, x] = round(blue / (side * side))
 
 
-def cast_gray(going, looks, games, now, eyes, gray):  # type: ignore[no-untyped-def]
+def cast_gray(going, looks, games, now, sight, gray):  # type: ignore[no-untyped-def]
     """Write luma `gray` (L, rows, columns) uint8 of the lanes that are `going`."""
     size = gray.shape[1], gray.shape[2]
     lane, y, x = pixel_of_thread(size[0], size[1])
-    if lane < len(going) and going[lane] != 0 and y < size[0] and x < size[1]:
-        scene = games.scenes
-        world, eye = world_of(scene, now.game[lane]), casting.get_eye(eyes[lane])
-        gray[lane, y, x] = casting.gray_at(scene, world, looks, eye, y, x, size)
+    if lane >= np.uintp(len(going)) or going[lane] == 0:
+        return
+    red, green, blue = colour_of_thread(lane, y, x, size, looks, games, now, sight)
+    if y < size[0] and x < size[1]:
+        gray[lane, y, x] = luma(red, green, blue)
 
 
 @cuda.jit(device=True)
@@ -678,43 +760,48 @@ def noisy_gray(gray, lane, y, x, tick_ns, games, now):  # type: ignore[no-untype
 
 def start_cast(going, gray, sensor, games, now, pixels):  # type: ignore[no-untyped-def]
     """Initialise the event cameras of the lanes that are `going` with their first image, which causes no events."""
-    rows, columns, side = gray.shape[1], gray.shape[2], gray.shape[1] // pixels.gathered.shape[1]
+    rows, columns, side = gray.shape[1], gray.shape[2], divided(gray.shape[1], pixels.gathered.shape[1])
     lane, y, x = pixel_of_thread(rows, columns)
-    if lane >= len(going) or going[lane] == 0 or y >= rows or x >= columns:
+    if lane >= np.uintp(len(going)) or going[lane] == 0 or y >= rows or x >= columns:
         return
     level, camera = noisy_gray(gray, lane, y, x, 0, games, now), camera_of(games, now.game[lane])
     start_pixel(level, camera, sensor, pixels, lane, y, x)
-    if y % side == 0 and x % side == 0:
-        pixels.gathered[lane, y // side, x // side] = 0
+    if (y | x) & (side - 1) == 0:
+        pixels.gathered[lane, divided(y, side), divided(x, side)] = 0
     if y == 0 and x == 0:
         pixels.clock[lane], pixels.time_s[lane] = 0, 0.0
 
 
 def cast_events(going, tick_ns, gray, sensor, games, now, pixels):  # type: ignore[no-untyped-def]
-    """Compute the events of the lanes that are `going`, a thread a pixel, and add them to those of their blocks."""
-    rows, columns, side = gray.shape[1], gray.shape[2], gray.shape[1] // pixels.gathered.shape[1]
-    lane, y, x = pixel_of_thread(rows, columns)
-    if lane >= len(going) or going[lane] == 0 or y >= rows or x >= columns:
+    """Compute the events of the lanes that are `going`, BLOCK_SIDE pixels a thread, and add them to their blocks'."""
+    rows, columns, side = gray.shape[1], gray.shape[2], divided(gray.shape[1], pixels.gathered.shape[1])
+    thread, threads = np.uint32(cuda.grid(1)), np.uint32((rows * columns + BLOCK_SIDE - 1) // BLOCK_SIDE)
+    lane = np.uintp(divided(thread, threads))
+    if lane >= np.uintp(len(going)) or going[lane] == 0 or now.state[lane].collision_tick != NEVER:
         return
-    state, game = now.state[lane], now.game[lane]
-    if state.collision_tick != NEVER:
-        return
-    level, camera = noisy_gray(gray, lane, y, x, tick_ns, games, now), camera_of(games, game)
-    place, dt_s = y * columns + x, state.tick * tick_ns * events.NS - pixels.time_s[lane]
-    seed, index = games.seeds[game, EVENT_SEED], pixels.clock[lane] + 1
-    normals, draws = events.block_draws(camera, seed, index, place // BLOCK_SIDE)
-    draw = normals[place % BLOCK_SIDE], draws[place % BLOCK_SIDE]
+    game, block = now.game[lane], np.uint32(thread - np.uint32(lane) * threads)
+    y = divided(block * np.uint32(BLOCK_SIDE), columns)
+    x, camera = np.uint32(block * np.uint32(BLOCK_SIDE) - y * np.uint32(columns)), camera_of(games, game)
+    dt_s = now.state[lane].tick * tick_ns * events.NS - pixels.time_s[lane]
+    normals, draws = events.block_draws(camera, games.seeds[game, EVENT_SEED], pixels.clock[lane] + 1, block)
     filtered = pixels.filtered[lane] if pixels.filtered.size else pixels.filtered[0:0, 0]
-    signed = events.update_pixel(level, camera, sensor, pixels.base[lane], filtered, draw, y, x, dt_s)
-    if signed != 0:
-        cuda.atomic.add(pixels.gathered, (lane, y // side, x // side), np.int32(signed))
+    for number in range(BLOCK_SIDE):
+        if y >= rows:
+            return
+        level, draw = noisy_gray(gray, lane, y, x, tick_ns, games, now), (normals[number], draws[number])
+        signed = events.update_pixel(level, camera, sensor, pixels.base[lane], filtered, draw, y, x, dt_s)
+        if signed != 0:
+            cuda.atomic.add(pixels.gathered, (lane, divided(y, side), divided(x, side)), np.int32(signed))
+        x = np.uint32(x + np.uint32(1))
+        if x == columns:
+            x, y = np.uint32(0), np.uint32(y + np.uint32(1))
 
 
 def take_frames(going, now, pixels, frames):  # type: ignore[no-untyped-def]
     """Move the events since the last call to `frames` (L, rows, columns) of the lanes that are `going`."""
     rows, columns = frames.shape[1], frames.shape[2]
     lane, y, x = pixel_of_thread(rows, columns)
-    if lane >= len(going) or going[lane] == 0 or y >= rows or x >= columns:
+    if lane >= np.uintp(len(going)) or going[lane] == 0 or y >= rows or x >= columns:
         return
     hit = now.state[lane].collision_tick != NEVER
     frames[lane, y, x] = NEUTRAL_LEVEL if hit else events.level_of(pixels.gathered[lane, y, x])
@@ -722,7 +809,7 @@ def take_frames(going, now, pixels, frames):  # type: ignore[no-untyped-def]
         pixels.gathered[lane, y, x] = 0
 
 
-LIMITS: dict[Any, int] = {update_events: 72, cast_depth: 64, cast_colour: 80, cast_gray: 80}
+LIMITS: dict[Any, int] = {update_events: 72, look: 64, cast_depth: 64, cast_colour: 80, cast_gray: 64}
 """Registers per thread: fewer of them let more threads wait for memory at the same time."""
 
 

@@ -34,11 +34,11 @@ from uavaccel.kernels.rays import (
     level_of,
     linear,
     lit,
-    luma,
     sky_index,
     texel_index,
 )
 from uavaccel.kernels.spans import HUGE
+from uavaccel.sim.camera.pixels import luma_of
 from uavaccel.sim.parts import times
 from uavaccel.vision.dvs_kernels import count_single_pixel
 from uavaccel.vision.dvs_sensor import MIN_THRESHOLD
@@ -73,7 +73,7 @@ def texel_on(patch: Patch, place: Place) -> np.uint32:
 def luma_on(texel: Integer, light: Light, along: Float) -> Integer:
     """Return the luma of a texel lit at `along` metres from a face's low edge."""
     red, green, blue = lit(texel, light[0] + light[3] * along, light[1] + light[4] * along, light[2] + light[5] * along)
-    return luma(red, green, blue)
+    return luma_of(red, green, blue)
 
 
 @njit(error_model="numpy")
@@ -124,7 +124,7 @@ def sky_texel(faces: Faces, x: Float, y: Float, base: Integer, size: Integer) ->
 def plain_luma(texel: Integer) -> Integer:
     """Return the luma of an unlit texel."""
     red, green = np.int32(texel & BYTE), np.int32(np.int32(texel >> I8) & BYTE)
-    return luma(red, green, np.int32(np.int32(texel >> I16) & BYTE))
+    return luma_of(red, green, np.int32(np.int32(texel >> I16) & BYTE))
 
 
 @njit(error_model="numpy")

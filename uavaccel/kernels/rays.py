@@ -34,7 +34,6 @@ MOST_TEXELS = np.float32(8e6)  # float32 has all integers up to here
 # Squared distances between texels from which on a mipmap level is nearer than the one before.
 LEVEL_1, LEVEL_2, LEVEL_3, LEVEL_4, LEVEL_5, LEVEL_6, LEVEL_7 = (np.float32(2.0 ** (2 * n + 1)) for n in range(7))
 I0, I1, I2, I3, I4, I5, I8, I15, I16, BYTE = (np.int32(n) for n in (0, 1, 2, 3, 4, 5, 8, 15, 16, 255))
-OF_RED, OF_GREEN, OF_BLUE, LUMA_HALF, LUMA_BITS = (np.int32(number) for number in (9798, 19235, 3735, 16384, 15))
 
 
 @part(error_model="numpy")
@@ -95,13 +94,6 @@ def lit(texel: Integer, red: Float, green: Float, blue: Float) -> Colour:
         np.int32(np.float32(np.int32(np.int32(texel >> I8) & BYTE)) * green + HALF),
         np.int32(np.float32(np.int32(np.int32(texel >> I16) & BYTE)) * blue + HALF),
     )
-
-
-@part(error_model="numpy")
-def luma(red: Integer, green: Integer, blue: Integer) -> Integer:
-    """Return ITU-R BT.601 luma in the fixed-point arithmetic of OpenCV's COLOR_RGBA2GRAY."""
-    weighted = np.int32(np.int32(red * OF_RED) + np.int32(green * OF_GREEN)) + np.int32(blue * OF_BLUE)
-    return np.int32(np.int32(weighted + LUMA_HALF) >> LUMA_BITS)
 
 
 @part(error_model="numpy")

@@ -28,10 +28,10 @@ from uavaccel.kernels.rays import (
     Textures,
     level_of,
     lit,
-    luma,
     sky_index,
     texel_index,
 )
+from uavaccel.sim.camera.pixels import luma_of
 from uavaccel.sim.parts import part
 
 HUGE = np.float32(1e30)
@@ -212,7 +212,7 @@ def gray_column(texels: Texels, floats: Floats, integers: Integers, column: int,
         integers[TEXEL, row] = texels[np.uint32(integers[PLACE, row])]
     for row in range(at.ROWS):
         red, green, blue = lit(integers[TEXEL, row], floats[RED, row], floats[GREEN, row], floats[BLUE, row])
-        channels[0, column, row] = luma(red, green, blue)
+        channels[0, column, row] = luma_of(red, green, blue)
 
 
 @part(error_model="numpy")

@@ -33,7 +33,7 @@ from uavaccel.files import (
 )
 from uavaccel.realtime.certificate import FACTORS, SECONDS, STEPS, Certificate, Row
 from uavaccel.realtime.measuring import MOST_STEPS, MakesEnv, environment_identity, made, plain_or_text, versions_with
-from uavaccel.realtime.policies import Policy, load_policy
+from uavaccel.realtime.policies import ANSWER_S, Policy, load_policy
 from uavaccel.realtime.thinking import MOST_S, ThinkingTime, calibrated
 from uavaccel.realtime.wrapper import RealTime
 from uavaccel.units import real, whole
@@ -125,15 +125,17 @@ def certify(
     out: str | Path | None = None,
     resume: bool = False,
     trust: bool = False,
+    answer_s: float = ANSWER_S,
     told: Callable[[Row], object] = lambda row: None,
     **real_time: Any,
 ) -> Certificate:
     """Evaluate a policy at several latencies, by default 0 to 200 ms, on the same episodes; the same bytes every time.
 
-    `env` is the id of an environment or makes one; `policy` is what `load_policy` takes. `latencies` are seconds or,
-    with a `calibration` file, factors on its times, by default 0 to 4; or `delay_steps` are counts of control periods.
-    At each of them, 0 always among them, `episodes` with the seeds from `seed` on are played. An environment begins
-    anew with `reset(seed=...)`, as Gymnasium has it, and a policy that draws or remembers with its own `reset`.
+    `env` is the id of an environment or makes one; `policy`, `trust` and `answer_s` are what `load_policy` takes.
+    `latencies` are seconds or, with a `calibration` file, factors on its times, by default 0 to 4; or `delay_steps` are
+    counts of control periods. At each of them, 0 always among them, `episodes` with the seeds from `seed` on are
+    played. An environment begins anew with `reset(seed=...)`, as Gymnasium has it, and a policy that draws or remembers
+    with its own `reset`.
     `success` is the key of the last info that says whether an episode was won, by default is_success or success.
     `real_time` are further arguments of `RealTime`.
 
@@ -145,7 +147,7 @@ def certify(
     """
     sweep, folder = Sweep(latencies, calibration, delay_steps, episodes, seed, success), _Folder(out, resume)
     with closing(RealTime(made(env), latency_s=0.0, **real_time)) as flown:
-        loaded = load_policy(policy, flown, trust)
+        loaded = load_policy(policy, flown, trust, answer_s)
         setup = {
             "certificate": VERSION,
             "policy": {"name": loaded.name, "sha256": loaded.sha256},

@@ -15,7 +15,7 @@ from uavaccel.clock import calendar_time
 from uavaccel.errors import UserError
 from uavaccel.files import Plain, file_sha256, read_json, replacing, to_json
 from uavaccel.machine import host, version_of, versions
-from uavaccel.realtime.policies import load_policy
+from uavaccel.realtime.policies import ANSWER_S, load_policy
 from uavaccel.realtime.server import one_line
 from uavaccel.realtime.thinking import MEASURED, Measured
 from uavaccel.realtime.wrapper import RealTime
@@ -82,20 +82,21 @@ def measure(
     warm_up: int = 20,
     seed: int = 0,
     trust: bool = False,
+    answer_s: float = ANSWER_S,
     **real_time: Any,
 ) -> Measurement:
     """Let a policy act in an environment which goes on while it thinks, and measure each thinking time on this machine.
 
-    `policy` is what `load_policy` takes; a policy server's time is that of the round trip. The first `warm_up` calls
-    are kept apart. `real_time` are further arguments of `RealTime`. Raises UserError as these do, and for counts that
-    do not fit.
+    `policy`, `trust` and `answer_s` are what `load_policy` takes; a policy server's time is that of the round trip. The
+    first `warm_up` calls are kept apart. `real_time` are further arguments of `RealTime`. Raises UserError as these do,
+    and for counts that do not fit.
     """
     for name, given, least in (("steps", steps, 1), ("warm_up", warm_up, 0)):
         if (count := whole(given)) is None or not least <= count <= MOST_STEPS:
             raise UserError(f"{name}: must be {least} to {MOST_STEPS:,} calls, not {given!r}")
     inside = made(env)
     flown = RealTime(inside, latency_s=MEASURED, **real_time)
-    loaded = load_policy(policy, flown, trust)
+    loaded = load_policy(policy, flown, trust, answer_s)
     assert isinstance(flown.thinking, Measured)
     try:
         over = True

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from uavaccel.config import validate
 from uavaccel.draw.labels import command_at_clock
-from uavaccel.draw.panels import Decisions
+from uavaccel.draw.pictures import Decisions
 from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.kernel_batch import KernelBatch
 from uavaccel.envs.observer import Onlooker, SecondEventCamera

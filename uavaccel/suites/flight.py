@@ -19,7 +19,7 @@ from uavaccel.units import NS_PER_S, to_ns
 
 if TYPE_CHECKING:  # they load what draws
     from uavaccel.draw.film import Film
-    from uavaccel.draw.panels import Decisions
+    from uavaccel.draw.pictures import Decisions
     from uavaccel.sim.clutter import ClutterLayout
     from uavaccel.vision.dvs import DvsParameters
 
@@ -172,10 +172,11 @@ def film_game(
     number is unknown, and gives what is called after each. Raises UserError where nothing can draw, there is no such
     game, or it has no images.
     """
-    from uavaccel.draw.film import write_contact_sheet, write_video
-    from uavaccel.sim.camera.gl import describe_renderer
+    from uavaccel.draw.pictures import check_films
 
-    describe_renderer()  # where nothing can draw, this says so
+    check_films()
+    from uavaccel.draw.film import write_contact_sheet, write_video
+
     with working("the game", 0):
         name, flight = flight_of(source, case, game)
         movie, film = movie or inside(Path(source), f"films/{name}.mp4"), film_of(flight)

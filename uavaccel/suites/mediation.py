@@ -22,7 +22,7 @@ from uavaccel.draw.page import Block, Column, Heading, Picture, Table
 from uavaccel.files import Plain
 from uavaccel.forms import Count
 from uavaccel.limits import Games, Seed
-from uavaccel.metrics.intervals import RESAMPLES, TAILS
+from uavaccel.metrics.intervals import RESAMPLES, TAILS, student_quantile
 from uavaccel.metrics.success import Success
 from uavaccel.records import RunDirectory
 from uavaccel.rl.config import LANE
@@ -74,6 +74,17 @@ class Share(Config):
     """Cells that move a part of it."""
 
 
+class Contrast(Config):
+    """A question: what does one factor do, whatever the others are? Cells are POLICY/FLIGHT, and pair by pair alike."""
+
+    label: str
+    """The factor."""
+    without: Annotated[tuple[str, ...], Field(min_length=1)]
+    """Cells in which it is not moved."""
+    moved: Annotated[tuple[str, ...], Field(min_length=1)]
+    """As many in which it is."""
+
+
 class MediationConfig(Experiment):
     """`suite: mediation`."""
 
@@ -87,6 +98,8 @@ class MediationConfig(Experiment):
     """What is moved in flight; each policy flies with every value, and as `evaluation` has it."""
     shares: tuple[Share, ...] = ()
     """Which cells' losses are compared; a flight is named FACTOR-VALUE or usual."""
+    contrasts: tuple[Contrast, ...] = ()
+    """Factors whose mean effect is asked for, each over cells of several trainings."""
     training: Part = Part(experiment="train_kernels")
     """How policies are trained: an experiment, and keys that differ from it."""
     evaluation: Part = Part(experiment="evaluate")
@@ -104,9 +117,16 @@ class MediationConfig(Experiment):
     @model_validator(mode="after")
     def _shares_are_of_cells(self) -> MediationConfig:
         cells = {f"{policy}/{flight}" for policy in self.policies for flight in self.flown()}
-        for share in self.shares:
-            if unknown := [each for each in (share.usual, share.whole, *share.parts) if each not in cells]:
-                raise ValueError(f"shares: {unknown[0]} is no cell; cells are POLICY/FLIGHT, as in {min(cells)}")
+        named = {
+            "shares": [cell for share in self.shares for cell in (share.usual, share.whole, *share.parts)],
+            "contrasts": [cell for contrast in self.contrasts for cell in (*contrast.without, *contrast.moved)],
+        }
+        for key, names in named.items():
+            if unknown := [name for name in names if name not in cells]:
+                raise ValueError(f"{key}: {unknown[0]} is no cell; cells are POLICY/FLIGHT, as in {min(cells)}")
+        for contrast in self.contrasts:
+            if len(contrast.without) != len(contrast.moved):
+                raise ValueError(f"contrasts: {contrast.label} needs as many cells moved as without")
         return self
 
 
@@ -252,7 +272,13 @@ class Mediation(SuiteOfRuns[MediationConfig, PolicyCase]):
             for part in share.parts
             if all(cell in outcomes for cell in (share.usual, share.whole, part))
         ]
-        return {"suite": self.name, "seed": report.config.seed, "cells": cells, "shares": shares}
+        contrasts = [
+            {"label": contrast.label, **effect(outcomes, contrast)}
+            for contrast in report.config.contrasts
+            if all(cell in outcomes for cell in (*contrast.without, *contrast.moved))
+        ]
+        told = {"cells": cells, "shares": shares, "contrasts": contrasts}
+        return {"suite": self.name, "seed": report.config.seed, **told}
 
     def title(self, report: Report) -> str:
         return "What of the gap makes a policy fail"
@@ -269,11 +295,16 @@ class Mediation(SuiteOfRuns[MediationConfig, PolicyCase]):
 
     def overview(self, report: Report) -> Table:
         """Return what is asked for, or all cells."""
-        shares = report.summary["shares"]
-        return Table.of(shares, SHARES) if shares else Table.of(report.summary["cells"], CELLS)
+        for asked, columns in (("contrasts", EFFECTS), ("shares", SHARES)):
+            if found := report.summary[asked]:
+                return Table.of(found, columns)
+        return Table.of(report.summary["cells"], CELLS)
 
     def page(self, report: Report) -> Iterator[Block | str]:
         yield self.figure(report)
+        if contrasts := report.summary["contrasts"]:
+            yield Heading("Effects")
+            yield Table.of(contrasts, EFFECTS)
         if shares := report.summary["shares"]:
             yield Heading("Shares of the loss")
             yield Table.of(shares, SHARES)
@@ -282,7 +313,9 @@ class Mediation(SuiteOfRuns[MediationConfig, PolicyCase]):
         yield method_note(
             "All flights of a policy are on the same lanes. Brackets are 95 % intervals: of success over trainings, "
             "lanes and games, of a single training Wilson's, over its games alone; of shares a bootstrap over "
-            "trainings and lanes. A share of 1 loses as much alone as the whole does; shares need not add up to 1."
+            "trainings and lanes. A share of 1 loses as much alone as the whole does; shares need not add up to 1. An "
+            "effect is a difference of means over cells, its interval Student's over trainings, whose variance is that "
+            "within cells."
         )
 
     def figure(self, report: Report) -> Picture:
@@ -367,6 +400,24 @@ def share_of_loss(cells: Mapping[str, pd.DataFrame], share: Share, part: str) ->
     return {"loss": whole, "alone": alone, "share": alone / whole if whole > 0.0 else None, "low": low, "high": high}
 
 
+def effect(cells: Mapping[str, pd.DataFrame], contrast: Contrast) -> dict[str, Any]:
+    """Return what a factor adds to success on average over its cells, and a 95 % interval over trainings.
+
+    Student's, with the variance of trainings within cells; its ends are None where each cell has a single training.
+    """
+    success = {name: np.array([won.mean() for won in cells[name].won]) for name in (*contrast.without, *contrast.moved)}
+    without, moved = (np.mean([success[name].mean() for name in names]) for names in (contrast.without, contrast.moved))
+    freedom = sum(len(values) - 1 for values in success.values())
+    told = {"without": without, "moved": moved, "effect": moved - without, "low": None, "high": None}
+    if freedom:
+        variance = sum(values.var() * len(values) for values in success.values()) / freedom
+        error = np.sqrt(variance * sum(1.0 / len(values) for values in success.values())) / len(contrast.moved)
+        width = student_quantile(freedom) * error
+        told |= {"low": moved - without - width, "high": moved - without + width}
+    trained = {(name.partition("/")[0], number) for name, values in success.items() for number in range(len(values))}
+    return told | {"trainings": len(trained)}
+
+
 CELLS: dict[str, Column] = {
     "policy": "{policy}",
     "flight": "{flight}",
@@ -381,4 +432,11 @@ SHARES: dict[str, Column] = {
     "moved alone": "{part}",
     "it loses ": "{alone:.1%}",
     "share [95 %]": "{share:.2f} [{low:.2f}, {high:.2f}]",
+}
+EFFECTS: dict[str, Column] = {
+    "moved": "{label}",
+    "success without": "{without:.1%}",
+    "success with it": "{moved:.1%}",
+    "effect [95 %]": "{effect:+.1%} [{low:+.1%}, {high:+.1%}]",
+    "trainings": "{trainings}",
 }

@@ -77,6 +77,8 @@ class SeedRow(GameRow):
     sim_time_s: Number
     weights_sha256: str
     evaluation: NotRequired[Evaluated]
+    won: NotRequired[list[bool]]
+    """Whether each lane of the evaluation was won, in their order, which is that of every seed."""
 
 
 @dataclass(frozen=True)
@@ -129,17 +131,17 @@ class Seeds(SuiteOfRuns[SeedsConfig, SeedCase]):
         row |= {name: float(recent_mean(report.games[column]).iloc[-1]) for name, column in RECENTLY.items()}
         if evaluated := report.summary.get("evaluations"):
             row["evaluation"] = {name: evaluated[-1][name] for name in Evaluated.__annotations__}
+            row["won"] = train.evaluations(report.run)[-1]["is_success"]
         return GameResult(row, host={"training_s": (cumulative_wall_s(report.timings) or [0.0])[-1]})
 
     def summary(self, report: Report) -> Summary:
         """Return each training, and over the seeds each number's mean with a 95 % interval, and its range.
 
-        The intervals are Student's over seeds; those of success also cover its games (`Success.estimate`).
+        The intervals are Student's over seeds; those of success also cover its games, and its evaluation's the lanes,
+        which are the same for all (`Success.estimate`).
         """
-        trainings = [
-            {name: row[name] for name in SeedRow.__annotations__ if name in row and name not in GameRow.__annotations__}
-            for row in report.rows
-        ]
+        kept = [name for name in SeedRow.__annotations__ if name != "won" and name not in GameRow.__annotations__]
+        trainings = [{name: row[name] for name in kept if name in row} for row in report.rows]
         success = [evaluated for each in trainings if (evaluated := evaluation_of(each))]
         over = {name: [each[name] for each in trainings] for name in RECENTLY}
         estimates = {name: mean_estimate(values) for name, values in over.items()}
@@ -148,7 +150,9 @@ class Seeds(SuiteOfRuns[SeedsConfig, SeedCase]):
         estimates["success_recent"] = Success(tuple(won)).estimate
         if success:
             over["evaluation_success"] = [each.ratio for each in success]
-            estimates["evaluation_success"] = Success(tuple(success)).estimate
+            by_lane = [row.get("won") for row in report.rows]
+            known = len({each and len(each) for each in by_lane}) == 1 and all(by_lane)
+            estimates["evaluation_success"] = (Success.on_lanes(by_lane) if known else Success(tuple(success))).estimate
         over_seeds = {
             name: {"mean": mean, "low": low, "high": high, "least": min(over[name]), "most": max(over[name])}
             for name, (mean, low, high) in estimates.items()
@@ -222,6 +226,7 @@ TRAININGS: dict[str, Column] = {
 }
 WHAT_INTERVALS_ARE = (
     "A training is one sample: intervals are Student's of the mean over the seeds, and those of success also cover "
-    "Wilson's over all games. With two or three seeds they are wide, as they have to be."
+    "Wilson's over all games; on evaluation lanes, also that these are hard or easy for all. With two or three seeds "
+    "they are wide, as they have to be."
 )
 WHAT_BANDS_ARE = "Lines are means over the seeds, bands reach from the least seed to the most."

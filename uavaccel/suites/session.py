@@ -68,7 +68,9 @@ def reading(request: RunRequest) -> Iterator[tuple[AnySuite, Any]]:
         else:
             suite = find_suite(dict(map(parse_override, request.overrides)).get("suite", mapping.get("suite")), source)
         if request.suite not in (None, suite.name, PART_OF.get(suite.name)):
-            raise UsageError(f"{source}: is of {suite.name}, not of {request.suite}; take `uavaccel run`")
+            named = PART_OF.get(suite.name, suite.name)
+            command = named if named in ("train", "evaluate") else "run"
+            raise UsageError(f"{source}: is of {suite.name}, not of {request.suite}; take `uavaccel {command}`")
         options = {key: value for key, value in request.options.items() if value is not None}
         if "env_id" in suite.config.model_fields:
             from uavaccel.rl.config import with_env_id  # loads Gymnasium

@@ -15,10 +15,10 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from uavaccel.sim.camera.pixels import luma
 from uavaccel.vision import dvs_kernels as kernels
 from uavaccel.vision import noise
 from uavaccel.vision.dvs_sensor import HOT_RATE_HZ, PRESETS, DvsParameters, DvsSensor, make_sensor, sensor_from_maps
@@ -79,11 +79,6 @@ def _lin_log_table() -> NDArray[np.float32]:
 
 LIN_LOG = _lin_log_table()
 RELATIVE_INTENSITY = (np.arange(256) + 20) / 275.0
-
-
-def luma(rgb: NDArray[np.uint8]) -> Frame:
-    """Convert an RGB image (H, W, 3) to luma (H, W) as OpenCV does, and v2e for its BGR frames."""
-    return np.asarray(cv2.cvtColor(np.ascontiguousarray(rgb), cv2.COLOR_RGB2GRAY), np.uint8)
 
 
 def init_state(sensor: DvsSensor, frame: Frame, t_s: float = 0.0, noise_seed: int = 0) -> DvsState:

@@ -13,12 +13,12 @@ from collections.abc import Callable
 from enum import StrEnum
 from typing import Annotated, NamedTuple
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
 from uavaccel.config import Config
+from uavaccel.sim.camera.pixels import means
 
 Image = NDArray[np.uint8]
 NotNegative = Annotated[float, Field(ge=0.0)]
@@ -67,10 +67,8 @@ class Acquisition(NamedTuple):
 
 def mean_brightness(image: Image) -> float:
     """Return the mean luma, 0..255, of a grey (H, W) or RGB image (H, W, 3)."""
-    means = cv2.mean(image)
-    if image.ndim == 2:
-        return float(means[0])
-    return float(np.dot(means[:3], LUMA_WEIGHTS))
+    found = means(image)
+    return found[0] if image.ndim == 2 else float(np.dot(found[:3], LUMA_WEIGHTS))
 
 
 def judge(state: GuardState, image: Image, settings: GuardSettings) -> tuple[GuardState, Verdict]:

@@ -6,13 +6,12 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import cv2
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from PIL import Image
 
-from uavaccel.draw.film import dvs_picture
-from uavaccel.draw.panels import BLUE, VERMILION
+from uavaccel.draw.pictures import BLUE, VERMILION, dvs_picture
 from uavaccel.kinematics import Vector
 from uavaccel.sim.camera.camera import Camera
 from uavaccel.sim.camera.view import HEIGHT, WIDTH
@@ -183,7 +182,8 @@ def plane_picture(model: mujoco.MjModel, geom: int) -> NDArray[np.uint8]:
         return np.tile(_colour(model, geom), (8, 8, 1))
     repeats = np.maximum(np.round(model.mat_texrepeat[material]), 1).astype(int)
     columns, rows = np.maximum(GROUND_PIXELS // repeats, 2).tolist()
-    tile = cv2.resize(texture, (columns, rows), interpolation=cv2.INTER_AREA) * model.mat_rgba[material][:3]
+    tile = np.asarray(Image.fromarray(texture).resize((columns, rows), Image.Resampling.BOX))
+    tile = tile * model.mat_rgba[material][:3]
     return np.tile(np.asarray(np.clip(tile, 0, 255), np.uint8), (*repeats[::-1].tolist(), 1))
 
 
@@ -329,6 +329,6 @@ class Eyes:
             self._state, self._began_s = init_state(self._sensor, frame), time_s
         elif passed_s > 0.0:  # while the clock is paused, nothing changes
             self._state, on, off = step(self._sensor, self._state, frame, time_s - self._began_s)
-            self._events = np.ascontiguousarray(dvs_picture(on, off, (WIDTH, HEIGHT))[..., ::-1])
+            self._events = np.ascontiguousarray(dvs_picture(on, off)[..., ::-1])
         self._seen_s = time_s
         return np.vstack([image, self._events])

@@ -18,6 +18,7 @@ from pydantic import Field
 from uavaccel.config import Config, validate
 from uavaccel.kinematics import Kinematics, Vector
 from uavaccel.sim.camera.camera import Lens
+from uavaccel.sim.camera.pixels import png
 from uavaccel.sim.camera.view import HEIGHT, WIDTH, AnyImage
 from uavaccel.sim.clutter import Clutter, ClutterLayout, sample_world
 from uavaccel.sim.lane.layout import Difficulty, LaneLayout, layout_from, sample_layout
@@ -26,7 +27,7 @@ from uavaccel.wire import types
 from uavaccel.wire.arguments import AnyPose, Truthy, VehicleName, whole
 from uavaccel.wire.calls import Calls, call, without_effect
 from uavaccel.wire.cameras import NARROWEST_DEG, SCENE, WIDEST_DEG, CameraMount, Cameras
-from uavaccel.wire.pictures import Pixels, encoded, known_type
+from uavaccel.wire.pictures import Pixels, known_type
 from uavaccel.wire.rpc import MAX_ANSWER_BYTES, Received, bulk_bytes
 
 NEAR_CM = 10.0  # GNearClippingPlane
@@ -168,12 +169,12 @@ class ImageApi(Calls, title="Cameras and images"):
     ) -> bytes:
         """Return one image as PNG."""
         mounted = self.scenery.cameras(vehicle, external).named(camera_name)
-        return encoded(".png", self.scenery.pictures.bgr(mounted, image_type))
+        return png(self.scenery.pictures.bgr(mounted, image_type)[..., ::-1])
 
     def _response(self, request: ImageRequest, kinematics: Kinematics) -> dict[str, object]:
         image, message = self._drawn(request)
         as_float, compress = request.pixels_as_float, request.compress
-        data = b"" if as_float or message else encoded(".png", image) if compress else image.tobytes()
+        data = b"" if as_float or message else png(image[..., ::-1]) if compress else image.tobytes()
         eye = request.camera.eye(Pose(kinematics.position_m, kinematics.orientation_wxyz))
         return {
             "image_data_uint8": data,

@@ -17,7 +17,14 @@ from pathlib import Path
 from typing import Annotated, Final, Literal, get_args
 
 import numpy as np
-from pydantic import BeforeValidator, Field, ValidationInfo, field_validator
+from pydantic import (
+    BeforeValidator,
+    Field,
+    ValidationInfo,
+    ValidatorFunctionWrapHandler,
+    WrapValidator,
+    field_validator,
+)
 
 from uavaccel.config import Config, load_yaml, validate
 from uavaccel.errors import UserError, suggestion
@@ -191,20 +198,26 @@ def _changes_what_ships(block: Mapping[str, object]) -> bool:
     )
 
 
-def _from_block_or_file(value: object, info: ValidationInfo) -> object:
+def _from_block_or_file(value: object, validated: ValidatorFunctionWrapHandler, info: ValidationInfo) -> LatencyConfig:
+    is_given = isinstance(value, str | Path | Mapping)
     if isinstance(value, Mapping) and "profile" in info.data and _changes_what_ships(value):
-        return _completed(value, of_the_profile(info.data).model_dump(mode="json"))
-    if not isinstance(value, str | Path):
-        return value
-    try:
-        return read_latency(Path(value))
-    except UserError as error:
-        raise UserError(f"latency: {error}") from None
+        value = _completed(value, of_the_profile(info.data).model_dump(mode="json"))
+    if isinstance(value, str | Path):
+        try:
+            value = read_latency(Path(value))
+        except UserError as error:
+            raise UserError(f"latency: {error}") from None
+    model: LatencyConfig = validated(value)
+    if is_given and "platform" not in model.model_fields_set and "profile" in info.data:
+        profile = info.data["profile"]
+        if shipped_latency(profile).platform != model.platform:
+            raise ValueError(f"quantiles of one's own replace {profile}'s whole model: add its `platform`, or another")
+    return model
 
 
 LatencyModel = Annotated[
     LatencyConfig,
-    BeforeValidator(_from_block_or_file, json_schema_input_type=LatencyConfig | str),
+    WrapValidator(_from_block_or_file, json_schema_input_type=LatencyConfig | str),
     Field(default_factory=of_the_profile),
 ]
 """Type of a configuration's field `latency`: a block or a YAML file's name; where none is given, the model that ships

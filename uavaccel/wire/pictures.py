@@ -13,7 +13,6 @@ from collections.abc import Iterable
 from enum import IntEnum
 from functools import cache
 
-import cv2
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
@@ -171,12 +170,10 @@ def _gray(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return np.repeat(image[..., None], 3, axis=2)
 
 
-def encoded(suffix: str, image: Pixels) -> bytes:
-    """Return the bytes of an image file of blue, green, red pixels: ".png" or ".ppm". Raises ValueError."""
-    done, data = cv2.imencode(suffix, image)
-    if not done:
-        raise ValueError("the image could not be compressed")
-    return data.tobytes()
+def ppm(bgr: NDArray[np.uint8]) -> bytes:
+    """Return a portable pixmap of blue, green, red pixels (H, W, 3)."""
+    height, width = bgr.shape[:2]
+    return f"P6\n{width} {height}\n255\n".encode() + bgr[..., ::-1].tobytes()
 
 
 def pfm(numbers: NDArray[np.float32]) -> bytes:

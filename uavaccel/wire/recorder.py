@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 
 from uavaccel.clock import calendar_time
 from uavaccel.errors import UserError
+from uavaccel.sim.camera.pixels import png
 from uavaccel.units import NS_PER_S
 from uavaccel.wire import types
-from uavaccel.wire.pictures import encoded, known_type, pfm
+from uavaccel.wire.pictures import known_type, pfm, ppm
 from uavaccel.wire.scenery import Scenery
 
 COLUMNS = ("VehicleName", "TimeStamp", "POS_X", "POS_Y", "POS_Z", "Q_W", "Q_X", "Q_Y", "Q_Z", "ImageFile")
@@ -151,7 +152,8 @@ class Recorder:
             if wanted.pixels_as_float:
                 content = pfm(pictures.floats(camera, wanted.image_type))
             else:
-                content = encoded(suffix, pictures.bgr(camera, wanted.image_type))
+                bgr = pictures.bgr(camera, wanted.image_type)
+                content = png(bgr[..., ::-1]) if wanted.compress else ppm(bgr)
             parts = (self._vehicle, camera.name, str(wanted.image_type), str(stamp))
             name = "_".join(["img", *(re.sub(r"[^\w-]", "_", part) for part in parts)]) + suffix
             (folder / name).write_bytes(content)

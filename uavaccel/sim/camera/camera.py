@@ -17,16 +17,15 @@ from contextvars import ContextVar
 from functools import partial
 from typing import NamedTuple, Self
 
-import cv2
 import mujoco
 import numpy as np
 
 from uavaccel.sim.camera import gl
+from uavaccel.sim.camera.pixels import luma, turned_colours
 from uavaccel.sim.camera.view import (
     FOV_DEG,
     HEIGHT,
     WIDTH,
-    AnyImage,
     DepthImage,
     GeomImage,
     Image,
@@ -181,12 +180,12 @@ class Camera:
     def gray(self, data: mujoco.MjData) -> Image:
         """Render luma (ITU-R BT.601, as OpenCV and v2e compute it); (height, width) uint8."""
         self._read_colours(data)
-        return _turned_over(cv2.cvtColor(self._pixels, cv2.COLOR_RGBA2GRAY))
+        return luma(self._pixels, turned=True)
 
     def colour(self, data: mujoco.MjData) -> Image:
         """Render red, green, blue; (height, width, 3) uint8."""
         self._read_colours(data)
-        return _turned_over(cv2.cvtColor(self._pixels, cv2.COLOR_RGBA2RGB))
+        return turned_colours(self._pixels)
 
     def depth(self, data: mujoco.MjData) -> DepthImage:
         """Render metres along the optical axis (AirSim's DepthPlanar), `far_m` for the sky; (height, width) float32."""
@@ -212,7 +211,7 @@ class Camera:
         picture = np.empty((self.height, self.width), np.float32)
         with self._turns:
             mujoco.mjr_readPixels(None, picture, self._rectangle, self._context)
-        return _turned_over(picture)
+        return np.ascontiguousarray(picture[::-1])
 
     def _read_colours(self, data: mujoco.MjData, as_ids: bool = False) -> None:
         """Read red, green, blue, alpha: with three bytes per pixel the driver takes five times as long."""
@@ -262,12 +261,6 @@ class BlankCamera(Camera):
 
     def segmentation(self, data: mujoco.MjData) -> GeomImage:
         return np.full((self.height, self.width), -1, np.int32)
-
-
-def _turned_over(picture: AnyImage) -> AnyImage:
-    """Flip the picture upside down in place, which is three times as fast as into a second array."""
-    cv2.flip(picture, 0, dst=picture)
-    return picture
 
 
 _open_cameras: weakref.WeakSet[Camera] = weakref.WeakSet()
