@@ -125,6 +125,7 @@ def test_each_policy_is_flown_under_every_value_of_every_factor(tmp_path: Path) 
         assert (part.config()["agent"] == "straight") == (row["policy"] == "blind")
     assert "Shares of the loss" in (tmp_path / "run/report.md").read_text()
     assert summary["contrasts"][0]["trainings"] == 4
+    assert "Effects" in (tmp_path / "run/report.md").read_text()
 
 
 def test_policies_of_another_task_and_ones_with_their_own_flights_are_flown(tmp_path: Path) -> None:
@@ -191,17 +192,32 @@ def test_a_part_of_a_loss_is_a_share_with_an_interval_over_trainings_and_lanes()
 
 def test_an_effect_is_that_of_one_factor_over_all_cells_of_the_others() -> None:
     lanes = np.arange(200)
-    won = {"a/x": 200, "b/x": 180, "a/y": 100, "b/y": 40}
-    cells = {name: cell(lanes < count, lanes < count - 20) for name, count in won.items()}
-    two_by_two = Contrast(label="y", without=("a/x", "b/x"), moved=("a/y", "b/y"))
-    found = effect(cells, two_by_two)
-    assert (found["without"], found["moved"]) == pytest.approx((0.9, 0.3))
-    # each training is .05 off its cell's mean: the error of a mean of four cells of two, and Student's for 4 degrees
-    width = 2.7764 * np.sqrt(0.005 * 4 / 2) / 2
-    assert (found["low"], found["effect"], found["high"]) == pytest.approx((-0.6 - width, -0.6, -0.6 + width), abs=1e-4)
-    assert found["trainings"] == 4
-    alone = effect({name: cell(lanes < count) for name, count in won.items()}, two_by_two)
-    assert (alone["effect"], alone["low"], alone["high"]) == (pytest.approx(-0.6), None, None)
+
+    def trained(*won: int) -> pd.DataFrame:
+        return cell(*(lanes < count for count in won))
+
+    cells = {"a/x": trained(200, 180), "b/x": trained(180, 160), "c/x": trained(100, 80), "d/x": trained(40, 20)}
+    found = effect(cells, Contrast(label="y", without=("a/x", "b/x"), moved=("c/x", "d/x")))
+    assert (found["without"], found["moved"], found["trainings"]) == (pytest.approx(0.9), pytest.approx(0.3), 8)
+    # each training is .05 off its policy's mean: four variances of .0025 of halved means, and four degrees in all
+    width = 2.7764 * np.sqrt(4 * 0.0025 / 4)
+    assert (found["low"], found["high"]) == pytest.approx((-0.6 - width, -0.6 + width), abs=1e-4)
+    alone = {name: own.iloc[:1] for name, own in cells.items()}
+    single = effect(alone, Contrast(label="y", without=("a/x",), moved=("c/x",)))
+    assert (single["effect"], single["low"]) == (pytest.approx(-0.5), None)
+
+
+def test_an_effect_in_flight_compares_each_training_with_itself() -> None:
+    lanes = np.arange(200)
+    cells = {
+        "a/x": cell(*(lanes < count for count in (200, 100, 50))),
+        "a/y": cell(*(lanes < c for c in (180, 78, 31))),
+    }
+    found = effect(cells, Contrast(label="y", without=("a/x",), moved=("a/y",)))
+    losses = np.array([0.1, 0.11, 0.095])
+    width = 4.3027 * losses.std(ddof=1) / np.sqrt(3)
+    assert (found["low"], found["high"]) == pytest.approx((-losses.mean() - width, -losses.mean() + width), abs=1e-4)
+    assert found["trainings"] == 3
 
 
 # --- the law ----------------------------------------------------------------------------------------------------

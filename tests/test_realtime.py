@@ -224,11 +224,21 @@ def test_what_was_measured_is_replayed_as_a_distribution(tmp_path: Path) -> None
         ("latency: {request_us: 7}", "request_us must be a mapping"),
         ("latency: {name: none}", "latency.request_us.call: needs microseconds at the quantiles"),
         ("latency: {quantiles: [0, 1], request_us: {call: [1, 9e12]}}", "latency.request_us.call: .* up to 3600 s"),
-        ("latency: {quantiles: [0, 1], request_us: {call: [1]}}", "latency.request_us.call must be a list of numbers"),
-        ("latency: {quantiles: [0, 1], request_us: {call: [1, 2, 3]}}", "latency.request_us.call needs 2 values, one"),
-        ("latency: {quantiles: [0, 1], reply_us: {image: [2, 1]}}", "latency.reply_us.image must be .* do not fall"),
-        ("latency: {quantiles: [0, 1], request_us: {move: [-1, 1]}}", "latency.request_us.move must be a list of numb"),
-        ("latency: {quantiles: [0, 0.5], request_us: {call: [1, 2]}}", "latency.quantiles must begin with 0 and end"),
+        (
+            "latency: {quantiles: [0, 1], request_us: {call: [1]}}",
+            "latency.request_us.call: needs 2 values, one for each",
+        ),
+        (
+            "latency: {quantiles: [0, 1], request_us: {call: [1, 2, 3]}}",
+            "latency.request_us.call: needs 2 values, one for",
+        ),
+        ("latency: {quantiles: [0, 1], reply_us: {image: [2, 1]}}", "latency.reply_us.image: .* must not fall"),
+        ("latency: {quantiles: [0, .5, .5, 1], request_us: {call: [1, 2, 3, 4]}}", "latency.quantiles: must rise"),
+        (
+            "latency: {quantiles: [0, 1], request_us: {move: [-1, 1]}}",
+            "latency.request_us.move: quantiles must be 0 or",
+        ),
+        ("latency: {quantiles: [0, 0.5], request_us: {call: [1, 2]}}", "latency.quantiles: must begin with 0 and end"),
         ('{"latency": {"quantiles": [0, 1], "scale": NaN}}', "latency.scale must be a number of 0 or more, not nan"),
     ],
 )

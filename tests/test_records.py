@@ -48,6 +48,10 @@ class Flight(Config):
     clock: Clock = Clock()
 
 
+class Chosen(Config):
+    cells: tuple[str, ...] = ()
+
+
 MANIFEST = {"seed": 7}
 FINITE = st.floats(allow_nan=False, allow_infinity=False)
 SCALARS = st.none() | st.booleans() | st.integers() | FINITE | st.text()
@@ -100,7 +104,7 @@ def test_resume_keeps_the_rows_and_says_what_it_was_gone_on_with(run: RunDirecto
     assert again.manifest() == {"seed": 7, "resumed": [{"seed": 8}, {"seed": 9}]}
 
 
-def test_resume_with_another_configuration_names_what_differs(run: RunDirectory) -> None:
+def test_resume_with_another_configuration_names_what_differs(run: RunDirectory, tmp_path: Path) -> None:
     before = (run.path / "config.yaml").read_bytes()
     other = Flight(games=5, clock=Clock(speed=50.0))
     with pytest.raises(UserError, match=r"clock\.speed \(1\.0 there, 50\.0 here\), games \(3 there, 5 here\)"):
@@ -115,6 +119,12 @@ def test_resume_with_another_configuration_names_what_differs(run: RunDirectory)
     assert (run.path / "config.yaml").read_bytes() == before
     grown = RunDirectory.create(run.path, Flight(games=5), MANIFEST, resume=True, may_grow=["games"])
     assert (run.path / "config.yaml").read_bytes() == before.replace(b"games: 3", b"games: 5")
+    for some, more in ((("a",), ("a", "b")), (("a", "b"), ())):  # none are all there are
+        for cells in (some, more):
+            resumed = RunDirectory.create(tmp_path / "cells", Chosen(cells=cells), {}, resume=True, may_grow=["cells"])
+    assert resumed.config() == {"cells": []}
+    with pytest.raises(UserError, match=r'cells = \["a"\]: \[\] were asked for before'):
+        RunDirectory.create(tmp_path / "cells", Chosen(cells=("a",)), {}, resume=True, may_grow=["cells"])
     (run.path / "config.yaml").write_text("games: 5\n")  # of a version that had no clock
     assert resume(grown, Flight(games=5)).config() == {"games": 5}
 

@@ -67,7 +67,8 @@ class RunDirectory:
         """Start a run at `path`, or with `resume` continue the one that is there, if any.
 
         To continue, a truncated line is dropped, and `manifest` is added to the run's. As long as the result exists, no
-        other process can continue the run. Numbers of the keys `may_grow` may be larger than the run's. Raises
+        other process can continue the run. The keys `may_grow` may be more than the run's: a larger number, a list with
+        more in it, or an empty one, which is all there is. Raises
         UserError if the folder exists and `resume` is False, if the run has another configuration, or if another
         process is flying it.
         """
@@ -273,7 +274,7 @@ def _write_config(path: Path, config: Config) -> None:
 
 
 def refuse_other_config(path: Path, config: Config, may_grow: Collection[str]) -> list[str]:
-    """Return the keys whose numbers have grown. Raises UserError for other differences."""
+    """Return the keys that have grown. Raises UserError for other differences."""
     mapping = load_yaml(path / "config.yaml")
     with suppress(UserError):  # one that is no longer valid is compared as it is, others with later keys' defaults
         mapping = validate(type(config), mapping, "config.yaml").model_dump(mode="json")
@@ -286,13 +287,21 @@ def refuse_other_config(path: Path, config: Config, may_grow: Collection[str]) -
             f"{path}: is a run of another suite, {there.get('suite')}, not of {here['suite']}; take another --out"
         )
     other = [key for key in sorted(there.keys() | here.keys()) if there.get(key) != here.get(key)]
-    grown = [key for key in other if key in may_grow and key in there and int(there[key]) < int(here[key])]
+    both = [key for key in other if key in may_grow and key in there and key in here]
+    grown = [key for key in both if _is_more(json.loads(there[key]), json.loads(here[key]))]
     differing = [
         f"{key} ({there.get(key, 'unset')} there, {here.get(key, 'unset')} here)" for key in other if key not in grown
     ]
-    if shrunk := [key for key in other if key in may_grow and key not in grown and key in there and key in here]:
+    if shrunk := [key for key in both if key not in grown]:
         said = [f"{key} = {here[key]}: {there[key]} were asked for before" for key in shrunk]
         raise UserError(f"{path}: {', '.join(said)}, and a run that goes on can only have more; leave it out to go on")
     if differing:
         raise UserError(f"{path}: has another configuration: {', '.join(differing)}; take another --out")
     return grown
+
+
+def _is_more(there: Plain, here: Plain) -> bool:
+    """Return whether a number is larger, or a list has all of the other one and more; an empty one stands for all."""
+    if isinstance(there, list) and isinstance(here, list):
+        return bool(there) and (not here or set(there) < set(here))
+    return int(there) < int(here)

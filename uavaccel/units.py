@@ -8,8 +8,9 @@ Simulated time is an integer count of nanoseconds or of physics steps ("ticks").
 from __future__ import annotations
 
 import operator
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from fractions import Fraction
+from itertools import pairwise
 from numbers import Real
 
 import numpy as np
@@ -123,3 +124,19 @@ def plain(value: object) -> object:
 def to_ns(seconds: ArrayLike) -> NDArray[np.int64]:
     """Return times in seconds (...) in whole nanoseconds."""
     return np.rint(np.asarray(seconds, np.float64) * NS_PER_S).astype(np.int64)
+
+
+def check_quantiles(shares: Sequence[float]) -> None:
+    """Raise ValueError unless the shares at which a distribution has its quantiles rise from 0 to 1."""
+    if len(shares) < 2 or (shares[0], shares[-1]) != (0.0, 1.0):
+        raise ValueError("must begin with 0 and end with 1")
+    if any(later <= earlier for earlier, later in pairwise(shares)):
+        raise ValueError("must rise")
+
+
+def check_quantile_row(row: Sequence[float], count: int) -> None:
+    """Raise ValueError unless a distribution has `count` quantiles, of 0 or more, that do not fall."""
+    if len(row) != count:
+        raise ValueError(f"needs {count} values, one for each of the quantiles, not {len(row)}")
+    if any(later < earlier for earlier, later in pairwise(row)) or min(row, default=0.0) < 0:
+        raise ValueError("quantiles must be 0 or more and must not fall")

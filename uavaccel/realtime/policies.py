@@ -87,7 +87,7 @@ def load_policy(policy: Any, env: Spaces, trust: bool = False, answer_s: float =
     """
     with trusting(trust):
         if isinstance(policy, str | Path):
-            return _named(str(policy), env, answer_s)
+            return _found(str(policy), env, answer_s)
     if isinstance(policy, Policy):
         return policy
     name, sha256 = identity_of(policy)
@@ -99,7 +99,7 @@ def load_policy(policy: Any, env: Spaces, trust: bool = False, answer_s: float =
     return Policy(name, sha256, policy, env.action_space, policy)
 
 
-def _named(name: str, env: Spaces, answer_s: float) -> Policy:
+def _found(name: str, env: Spaces, answer_s: float) -> Policy:
     seen, actions = env.observation_space, env.action_space
     if name.startswith(f"{TCP}:"):
         remote = RemotePolicy(name, env, answer_s)

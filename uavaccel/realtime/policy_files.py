@@ -174,7 +174,7 @@ class Sb3File(PolicyFile):
         if module not in ALGORITHMS:
             return f"its policy_class is of {module}"
         for key, value in self._keywords.items():
-            if isinstance(value, str) and not _named(value):
+            if isinstance(value, str) and not _known_class(value):
                 return f"its policy_kwargs have {key} = {value}"
         return ""
 
@@ -190,7 +190,7 @@ class Sb3File(PolicyFile):
 
             algorithm = ALGORITHMS[self._entry("policy_class")["__module__"]]
             keywords = {
-                key: _named(value) if isinstance(value, str) else value
+                key: _known_class(value) if isinstance(value, str) else value
                 for key, value in self._keywords.items()
                 if not key.startswith("optimizer_")
             }
@@ -217,7 +217,7 @@ def _check_trusted(file: Path, why: str) -> None:
         raise UserError(f"{file}: {why}; if you trust the file, add --trust, once")
 
 
-def _named(text: str) -> Any:
+def _known_class(text: str) -> Any:
     """Return the module or optimizer of PyTorch or stable-baselines3 that Python prints so; None for anything else."""
     import torch as th
 

@@ -6,7 +6,7 @@ import json
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from functools import partial
 from pathlib import Path
 from typing import Any, Final, Protocol
 
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from uavaccel.clock import MonotonicClock
 from uavaccel.errors import UserError
 from uavaccel.files import read_bounded
-from uavaccel.units import NS_PER_S, QUANTILES, real, seconds_to_ns, whole
+from uavaccel.units import NS_PER_S, QUANTILES, check_quantile_row, check_quantiles, real, seconds_to_ns, whole
 
 MEASURED: Final = "measured"
 LATENCY_S = 0.05
@@ -156,9 +156,8 @@ def calibrated(path: str | Path) -> ThinkingTime:
     Each is drawn by its quantiles, between which times are interpolated. Raises UserError that names file and key.
     """
     block = _mapping(_document(Path(path)), "latency", path)
-    quantiles = _rising(block.get("quantiles", QUANTILES), f"{path}: latency.quantiles")
-    if (quantiles[0], quantiles[-1]) != (0.0, 1.0):
-        raise UserError(f"{path}: latency.quantiles must begin with 0 and end with 1")
+    quantiles = _numbers(block.get("quantiles", QUANTILES), f"{path}: latency.quantiles", check_quantiles)
+    check_row = partial(check_quantile_row, count=len(quantiles))
     if (scale := _number(block.get("scale", 1.0))) is None or not 0 <= scale < math.inf:
         raise UserError(f"{path}: latency.scale must be a number of 0 or more, not {block['scale']!r}")
     rows_ns = []
@@ -166,8 +165,8 @@ def calibrated(path: str | Path) -> ThinkingTime:
         rows = _mapping(block, direction, path) if direction in block else {}
         name = channel if channel in rows else "call"
         if name in rows:
-            row = _rising(rows[name], f"{path}: latency.{direction}.{name}", len(quantiles))
-            rows_ns.append(scale * row * 1e3)
+            row = _numbers(rows[name], f"{path}: latency.{direction}.{name}", check_row)
+            rows_ns.append(scale * np.array(row) * 1e3)
     longest_ns = sum(float(row[-1]) for row in rows_ns)
     if not rows_ns or longest_ns > _MOST_NS:
         raise UserError(f"{path}: latency.request_us.call: needs microseconds at the quantiles, up to {MOST_S:g} s")
@@ -218,15 +217,17 @@ def _number(value: object) -> float | None:
         return None
 
 
-def _rising(row: object, name: str, count: int | None = None) -> NDArray[np.float64]:
-    """Return a list of numbers that do not fall, from 0 or more on. Raises UserError for anything else."""
+def _numbers(row: object, name: str, check: Callable[[Sequence[float]], None]) -> list[float]:
+    """Return a list of numbers that passes a check. Raises UserError for anything else."""
     numbers = [_number(one) for one in row] if isinstance(row, list | tuple) else []
-    values = [number for number in numbers if number is not None and 0 <= number < math.inf]
-    if len(values) < 2 or len(values) < len(numbers) or any(later < earlier for earlier, later in pairwise(values)):
-        raise UserError(f"{name} must be a list of numbers, 0 or more, that do not fall")
-    if count not in (None, len(values)):
-        raise UserError(f"{name} needs {count} values, one for each of the quantiles, not {len(values)}")
-    return np.array(values)
+    values = [number for number in numbers if number is not None and abs(number) < math.inf]
+    if not values or len(values) < len(numbers):
+        raise UserError(f"{name} must be a list of numbers")
+    try:
+        check(values)
+    except ValueError as error:
+        raise UserError(f"{name}: {error}") from None
+    return values
 
 
 def thinking_time(latency_s: object) -> ThinkingTime:

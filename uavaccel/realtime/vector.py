@@ -16,7 +16,15 @@ from numpy.typing import NDArray
 from uavaccel.errors import UserError
 from uavaccel.realtime.control_loop import Command, LoopOptions
 from uavaccel.realtime.plant import HasWallClocks
-from uavaccel.realtime.thinking import LATENCY_S, Drawn, Measured, sampled_ns, thinking_generator, thinking_time
+from uavaccel.realtime.thinking import (
+    LATENCY_S,
+    Drawn,
+    Measured,
+    ThinkingTime,
+    sampled_ns,
+    thinking_generator,
+    thinking_time,
+)
 from uavaccel.realtime.wrapper import RealTime, check_clocks, passing
 from uavaccel.units import NS_PER_S
 
@@ -45,7 +53,8 @@ class RealTimeVector(VectorWrapper[Any, Any, Any, Any]):
         delay_steps: object = None,
         **keys: Any,
     ) -> None:
-        if delay_steps is None and isinstance(thinking_time(LATENCY_S if latency_s is None else latency_s), Measured):
+        source = thinking_time(LATENCY_S if latency_s is None else latency_s) if delay_steps is None else None
+        if isinstance(source, Measured):
             raise UserError(
                 "latency_s: a batch's agent thinks about all environments at once; "
                 "measure one with RealTime, and give the file that its thinking.save() writes"
@@ -55,7 +64,7 @@ class RealTimeVector(VectorWrapper[Any, Any, Any, Any]):
         inside, kinds = envs.unwrapped, (SyncVectorEnv, AsyncVectorEnv)
         kind = next((kind for kind in kinds if isinstance(inside, kind)), None)
         if isinstance(inside, HasWallClocks):
-            super().__init__(_OwnClocks(envs, inside, **given))
+            super().__init__(_OwnClocks(envs, inside, source, command, clock_speed, **keys))
         elif kind is None or envs is not inside:
             known = "a SyncVectorEnv, an AsyncVectorEnv or a batch of uavaccel's; other wrappers go outside"
             raise UserError(f"RealTimeVector: needs {known}, not {type(envs).__name__}")
@@ -87,18 +96,24 @@ class _OwnClocks(VectorWrapper[Any, Any, Any, Any]):
     """A batch of environments that keep clocks of their own, which are charged with thinking times."""
 
     def __init__(
-        self, envs: Vector, inside: HasWallClocks, latency_s: object, delay_steps: object, **keys: Any
+        self,
+        envs: Vector,
+        inside: HasWallClocks,
+        source: ThinkingTime | None,
+        command: Command,
+        clock_speed: float,
+        **keys: Any,
     ) -> None:
+        """`source` is None where `delay_steps` are given, which such a batch refuses."""
         super().__init__(envs)
-        options, name = LoopOptions(**keys), type(inside).__name__
+        options, name = LoopOptions(command, clock_speed, **keys), type(inside).__name__
         check_clocks(inside, options)
         for key in ("observe_age", "observe_actions"):
             if getattr(options, key):
                 raise UserError(f"{key}: leave it out: observations of {name} stay as they are, on their device")
-        if delay_steps is not None:
+        if source is None:
             raise UserError(f"delay_steps: {name}'s own task says how long a step is; give latency_s")
         self._inside, self._passing = inside, passing(inside)
-        source = thinking_time(LATENCY_S if latency_s is None else latency_s)
         self._sources = [deepcopy(source) for _ in range(self.num_envs)]
         self._same_step = self.metadata["autoreset_mode"] == AutoresetMode.SAME_STEP
         self._generators = [np.random.default_rng() for _ in range(self.num_envs)]

@@ -22,7 +22,7 @@ from pydantic import Discriminator, Field, field_validator, model_validator
 from uavaccel.config import Config
 from uavaccel.draw import style
 from uavaccel.draw.page import Block, Heading, Table, listed
-from uavaccel.errors import UserError
+from uavaccel.errors import UserError, suggestion
 from uavaccel.forms import ArrayForm, Count, NotNegative, Number, Positive
 from uavaccel.limits import CommandName, Games, Seconds, Seed
 from uavaccel.metrics.speedup import timing_provenance
@@ -49,6 +49,7 @@ from uavaccel.suites.realtime_report import (
     results,
     returns_figure,
     tcsc_equal,
+    told,
     up_to_which_speed,
 )
 from uavaccel.suites.report import Report, Summary, method_note, records
@@ -278,6 +279,12 @@ class Evaluation(Training):
     clock_speed: float
     command: str
 
+    @property
+    def cell(self) -> str:
+        """The name of its cell, as the key `cells` has it."""
+        under = f"{self.command}-{self.latency_s * 1e3:g}ms-{self.clock_speed:g}x"
+        return f"{self.environment}-{self.agent}-{under}"
+
 
 def _import_modules(config: RealtimeConfig) -> None:
     """Import the modules that register environments, as in "module:Name-v0". Raises UserError as `own_module` does."""
@@ -300,31 +307,23 @@ class Realtime(Suite[RealtimeConfig, Training]):
     def check(self, config: RealtimeConfig) -> None:
         """Raise UserError for an environment that cannot be made, and for an agent that cannot act in it."""
         require("stable_baselines3", "suite realtime", "realtime", "stable-baselines3")
-        from uavaccel.realtime.plant import is_of_mujoco
-        from uavaccel.suites.realtime_agents import Given, timed
-
         _import_modules(config)
         for name, flight in config.flights.items():
             for agent, part in flight.trainings.items():
                 if (of := part_suite(part, config.seed)[0].name) != "train":
                     raise UserError(f"flights.{name}.trainings.{agent}: {part.experiment} is of {of}, not of train")
+        known = dict.fromkeys(case.cell for case in _evaluations(config))
+        for pattern in config.cells:
+            if not any(fnmatchcase(cell, pattern) for cell in known):
+                raise UserError(f"cells: none is called {pattern}; {suggestion(pattern, list(known))}")
         for name, agent in _pairs(config):
-            block = config.environments[name]
-            try:
-                with closing(timed(block, config.agents[agent], 0.0, "adsc", 1.0)) as env:
-                    if config.agents[agent].look_ahead and not is_of_mujoco(env):
-                        raise UserError("look_ahead: looks into Gymnasium's MuJoCo environments alone")
-                    if (policy := config.agents[agent].policies.get(name)) is not None:
-                        Given(policy, env)
-            except UserError as error:
-                raise UserError(f"environments.{name}, agents.{agent}: {error}") from error
-            except Exception as error:  # whatever a user's environment raises
-                said = (str(error) or type(error).__name__).splitlines()[0]
-                raise UserError(f"environments.{name}: {block.id} cannot be made: {said}") from error
+            _check_agent(config, name, agent)
 
     def cases(self, config: RealtimeConfig) -> Iterator[Training]:
         """Yield all trainings, then all evaluations. Under TCSC delays change nothing: one latency stands for all."""
-        evaluations = list(_evaluations(config))
+        every = _evaluations(config)
+        wanted = config.cells or ("*",)
+        evaluations = [case for case in every if any(fnmatchcase(case.cell, cell) for cell in wanted)]
         needed = {case.trained for case in evaluations}
         for environment, agent, seed in _flown(config):
             if (name := f"{environment}-{agent}-s{seed}") in needed:
@@ -347,7 +346,7 @@ class Realtime(Suite[RealtimeConfig, Training]):
         return "neighbours would spoil the measurement on the wall clock" if config.timing == "wall" else ""
 
     def may_grow(self, folder: Path) -> tuple[str, ...]:
-        return ("seeds",)
+        return ("seeds", "cells")
 
     def games(self, config: RealtimeConfig, case: Training) -> int:
         if not isinstance(case, Evaluation):
@@ -409,7 +408,10 @@ class Realtime(Suite[RealtimeConfig, Training]):
 
     def headline(self, report: Report) -> str:
         """Return up to which ClockSpeed each ranking at the middle latency holds, and whether TCSC's returns do."""
+        if len(report.summary["cells"]) == 1:
+            return told(report.summary["cells"][0])
         rankings, equal = report.summary["rankings"], report.summary["tcsc_equal_at_every_clock_speed"]
+        rankings = [each for each in rankings if len(each["orders"][0]) > 1]
         latencies = sorted({each["latency_s"] for each in rankings})
         middle = latencies[len(latencies) // 2] if latencies else 0.0
         said = [up_to_which_speed(each) for each in rankings if each["latency_s"] == middle]
@@ -421,7 +423,9 @@ class Realtime(Suite[RealtimeConfig, Training]):
     def source(self, report: Report) -> str:
         cells = pd.DataFrame(report.summary["cells"])
         counts = [f"{plots.span(cells[name], '{}')} {what}" for name, what in COUNTS.items()]
-        return f"{report.summary['provenance']} · {', '.join(counts)} a cell · seed {report.summary['seed']}"
+        every = len({case.cell for case in _evaluations(report.config)})
+        some = f" · {len(cells)} of {every} cells" if len(cells) < every else ""
+        return f"{report.summary['provenance']} · {', '.join(counts)} a cell{some} · seed {report.summary['seed']}"
 
     def overview(self, report: Report) -> Table:
         """Return ADSC's cells at the slowest ClockSpeed, at the least latency and at the middle one."""
@@ -464,6 +468,25 @@ class Realtime(Suite[RealtimeConfig, Training]):
         return str(rows[-1]["case"])
 
 
+def _check_agent(config: RealtimeConfig, name: str, agent: str) -> None:
+    """Raise UserError for an environment that cannot be made, and for an agent that cannot act in it."""
+    from uavaccel.realtime.plant import is_of_mujoco
+    from uavaccel.suites.realtime_agents import Given, timed
+
+    block = config.environments[name]
+    try:
+        with closing(timed(block, config.agents[agent], 0.0, "adsc", 1.0)) as env:
+            if config.agents[agent].look_ahead and not is_of_mujoco(env):
+                raise UserError("look_ahead: looks into Gymnasium's MuJoCo environments alone")
+            if (policy := config.agents[agent].policies.get(name)) is not None:
+                Given(policy, env)
+    except UserError as error:
+        raise UserError(f"environments.{name}, agents.{agent}: {error}") from error
+    except Exception as error:  # whatever a user's environment raises
+        said = (str(error) or type(error).__name__).splitlines()[0]
+        raise UserError(f"environments.{name}: {block.id} cannot be made: {said}") from error
+
+
 def _pairs(config: RealtimeConfig) -> list[tuple[str, str]]:
     return [pair for pair in product(config.environments, config.agents) if config.flies(*pair)]
 
@@ -483,11 +506,9 @@ def _evaluations(config: RealtimeConfig) -> Iterator[Evaluation]:
         trained = f"{environment}-{config.trained_as(environment, agent)}-s{seed}"
         latencies_s = config.latency_s if command == "adsc" else config.latency_s[-1:]
         for latency_s, speed in product(latencies_s, config.clock_speed):
-            under = f"{command}-{latency_s * 1e3:g}ms-{speed:g}x"
-            if config.cells and not any(fnmatchcase(f"{environment}-{agent}-{under}", cell) for cell in config.cells):
-                continue
-            of = config.timing, config.episodes * EPISODE_S, environment, agent, seed
-            yield Evaluation(f"{environment}-{agent}-s{seed}-{under}", *of, trained, latency_s, speed, command)
+            case = f"{environment}-{agent}-s{seed}-{command}-{latency_s * 1e3:g}ms-{speed:g}x"
+            of = case, config.timing, config.episodes * EPISODE_S, environment, agent, seed
+            yield Evaluation(*of, trained, latency_s, speed, command)
 
 
 def evaluated(config: RealtimeConfig, case: Evaluation, weights: Mapping[str, np.ndarray]) -> dict[str, Any]:
@@ -522,7 +543,8 @@ def flown(config: RealtimeConfig, case: Training, run: RunDirectory) -> dict[str
     flight = config.flights[case.environment]
     if not isinstance(case, Evaluation):
         part = flight.trainings[case.agent]
-        acquire_gpu(str(part_suite(part, 0)[1].device))
+        training: Any = part_suite(part, 0)[1]
+        acquire_gpu(training.device)
         report = fly_part(run, case.id, part, config.seed + case.seed, pages=False)
         shutil.rmtree(report.run.path / CHECKPOINTS, ignore_errors=True)
         learned = {"steps": report.summary["commands"], "agent_sha256": report.summary["weights_sha256"]}

@@ -143,6 +143,14 @@ def agreement(pairs: pd.DataFrame) -> dict[str, Any]:
     }
 
 
+def told(cell: Mapping[str, Any]) -> str:
+    """Return the result of a cell, as in "hopper-naive: return 70.2 (95 % interval 60 to 80) with 20 ms ..."."""
+    of = "score" if cell.get("score_mean") is not None else "return"
+    mean, low, high = (f"{cell[f'{of}_{name}']:.4g}" for name in ("mean", "low", "high"))
+    under = f"{_latency_ms(cell)} ms to think, {cell['command'].upper()} at {clock_label(cell['clock_speed'])}"
+    return f"{cell['environment']}, {cell['agent']}: {of} {mean} (95 % interval {low} to {high}) with {under}"
+
+
 def up_to_which_speed(ranking: Mapping[str, Any]) -> str:
     """Return up to which ClockSpeed a ranking holds, as in "in hopper the ranking holds up to 5x; at 20x ..."."""
     where, speeds = f"in {ranking['environment']}", ranking["clock_speeds"]

@@ -31,6 +31,7 @@ from uavaccel.errors import UserError, suggestion
 from uavaccel.limits import MOST_LATENCY_US, MOST_SCALE
 from uavaccel.resources import experiment
 from uavaccel.units import QUANTILES as QUANTILES
+from uavaccel.units import check_quantile_row, check_quantiles
 from uavaccel.wire.platform import FaultConfig, PlatformConfig, delays_ns
 
 Channel = Literal["call", "pause", "continue", "move", "continue_for", "state", "image"]
@@ -112,10 +113,7 @@ class LatencyConfig(Config):
     @field_validator("quantiles")
     @classmethod
     def _rise_within_0_and_1(cls, quantiles: tuple[float, ...]) -> tuple[float, ...]:
-        if len(quantiles) < 2 or (quantiles[0], quantiles[-1]) != (0.0, 1.0):
-            raise ValueError("must begin with 0 and end with 1")
-        if any(later <= earlier for earlier, later in pairwise(quantiles)):
-            raise ValueError("must rise")
+        check_quantiles(quantiles)
         return quantiles
 
     @field_validator("request_us", "reply_us", "issue_us", "timer_us")
@@ -123,10 +121,7 @@ class LatencyConfig(Config):
     def _fit_the_quantiles(cls, value: Tables, info: ValidationInfo) -> Tables:
         count = len(info.data.get("quantiles", ()))
         for table in value.values() if isinstance(value, dict) else [value]:
-            if count and len(table) != count:
-                raise ValueError(f"needs {count} values, one for each of the quantiles, not {len(table)}")
-            if any(later < earlier for earlier, later in pairwise(table)) or min(table, default=0.0) < 0:
-                raise ValueError("quantiles must be 0 or more and must not fall")
+            check_quantile_row(table, count or len(table))
             if max(table, default=0.0) > MOST_LATENCY_US:
                 raise ValueError(f"must be at most {MOST_LATENCY_US:g} us, a minute, not {max(table):g}")
         return value
