@@ -160,7 +160,8 @@ def misses(law: tuple[str, ...], factors: Numbers, of: pd.DataFrame) -> Numbers:
     predicted = factors * times[:, None]
     nearest = np.clip(predicted, of[["at_least_s"]].to_numpy(), of[["below_s"]].to_numpy())
     squared = pd.DataFrame(np.log(predicted / nearest) ** 2)
-    return np.asarray(squared.groupby(of.task.to_numpy()).mean().mean())
+    missed: Numbers = squared.groupby(of.task.to_numpy()).mean().mean().to_numpy(float)
+    return missed
 
 
 def fit(table: pd.DataFrame, predicted: tuple[str, ...]) -> Fit:
