@@ -48,7 +48,7 @@ $(STAMP): pyproject.toml constraints.txt Makefile
 	@echo "setting up $(VENV); the first time takes minutes"
 	@$(PIP) --constraint constraints.txt pip 2>$(LOG) || { cat $(LOG) >&2; exit 1; }
 	@$(PIP) --extra-index-url $(TORCH_INDEX) "$(TORCH)" 2>$(LOG) || { cat $(LOG) >&2; exit 1; }
-	@$(PIP) --constraint constraints.txt --editable '.[film]' 2>$(LOG) || { cat $(LOG) >&2; exit 1; }
+	@$(PIP) --constraint constraints.txt --editable '.[film,learn]' 2>$(LOG) || { cat $(LOG) >&2; exit 1; }
 	@touch $@
 
 clean: ## remove .venv, builds and caches

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from collections import Counter
 from contextlib import nullcontext
@@ -17,9 +18,11 @@ from typer.testing import CliRunner
 
 from tests.golden import assert_as_recorded
 from tests.running import configured
+from tools.check_numbers import ROOT
+from tools.fit_gap_law import PREDICTED, fit, judged
 from uavaccel.calibration import advise as advice
 from uavaccel.calibration import calibrate, doctor
-from uavaccel.calibration.advise import SquareGame, advise, fly_square, sentence
+from uavaccel.calibration.advise import SquareGame, advise, fly_square, policy_sentence, sentence
 from uavaccel.calibration.calibrate import Agreement, ClientEvent, Latencies, quantiles_us, record_trace
 from uavaccel.cli.main import app
 from uavaccel.commands import COMMANDS
@@ -347,6 +350,24 @@ def test_the_sentence_names_the_fastest_within_the_error() -> None:
     adsc = "ADSC stays within 0.1 m up to ClockSpeed 10, 9.0x real time; TCSC up to 50, 50.0x"
     assert sentence(found, 0.1, 1.0) == f"With commands of 1 s {adsc}. Modelled."
     assert "ADSC leaves 0.1 m at any ClockSpeed" in sentence(advised((1.0, 0.2, 0.9, 0.0, 1.0)), 0.1, 1.0)
+
+
+def test_a_policy_is_advised_a_clock_speed_with_its_interval() -> None:
+    middle = 100.0 * advice.T_MOVES
+    low, high = middle / advice.ERROR**1.96, middle * advice.ERROR**1.96
+    told = [
+        float(each)
+        for each in re.findall(r"ClockSpeed ([\d.]+) \(95 %: ([\d.]+) to ([\d.]+)\)", policy_sentence(1.0, 0.01))[0]
+    ]
+    assert told == pytest.approx([middle, low, high], rel=0.05)
+    assert policy_sentence(0.2, 0.02) == policy_sentence(0.1, 0.01).replace("0.01 s", "0.02 s")
+
+
+def test_the_advice_rests_on_the_published_rows() -> None:
+    table = judged(pd.read_csv(ROOT / "docs/tables/gap_law.csv"))
+    assert round(fit(table, ()).factor, 2) == advice.T_MOVES
+    others = tuple(set(table.task) - set(PREDICTED))
+    assert round(max(fit(table, half).error for half in (PREDICTED, others)), 1) == advice.ERROR
 
 
 def test_without_latency_both_fly_alike_and_with_it_adsc_is_off() -> None:

@@ -93,9 +93,9 @@ class Flight(dict[str, Any]):
         if isinstance(answer, DeferredReply):
             reply, answer = answer, "later"
             while line[0] == ">" and reply.due_wall_ns is None:
-                due = self.simulation.next_event_wall_ns()
-                assert due is not None, "nothing will ever end"
-                self.simulation.advance_to(due)
+                due_ns = self.simulation.next_event_wall_ns()
+                assert due_ns is not None, "nothing will ever end"
+                self.simulation.advance_to(due_ns)
             if line[0] == ">":
                 answer = reply.encode(reply.value)
             else:

@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 import pytest
 
+from tests.golden import assert_as_recorded
 from uavaccel.errors import UserError
 from uavaccel.fly import command, film, runs
 from uavaccel.fly.command import FlyRequest, fly_script
@@ -32,7 +33,6 @@ IDLE: Any = {**FLOWN, "calls": 0}
 LOST: Any = {**IDLE, "position_m": None}
 BROKEN: Any = {**CRASHED, **IDLE}
 STOPPED: Any = {**IDLE, "finished": False}
-CHECKED = "checked: flown twice, 7 calls and the trajectory are equal to the byte"
 
 
 class Flights:
@@ -51,6 +51,9 @@ class Flights:
         write_trajectory(options.folder, np.array([0, 50_000_000]), rows)
         return result
 
+    def check(self, options: FlightOptions, first: Path) -> FlightResult:
+        return self.fly(replace(options, reference=first))
+
 
 @pytest.fixture
 def asked(tmp_path: Path) -> FlyRequest:
@@ -59,141 +62,64 @@ def asked(tmp_path: Path) -> FlyRequest:
     return FlyRequest(flight, find_settings=False, out=tmp_path / "out")
 
 
-def flown(monkeypatch: pytest.MonkeyPatch, request: FlyRequest, *results: tuple[FlightResult, float]) -> Any:
-    """The exit status, and the flights."""
-    flights = Flights(*results)
-    monkeypatch.setattr(command, "fly", flights.fly)
-    monkeypatch.setattr(command, "check", lambda options, first: flights.fly(replace(options, reference=first)))
-    return fly_script(request), flights.asked
+SLEPT: FlightSummary = {**FLOWN, "slept_s": 1.0}
+TWO, CHECK = {"clocks": (1.0, 2.0)}, {"check": True}
+RUNS: dict[str, tuple[dict[str, Any], list[FlightResult]]] = {  # what is asked for, and how each flight ends
+    "clocks are compared with the first": (
+        {"clocks": (2.0, 50.0, 1.5)},
+        [FlightResult(0, FLOWN), FlightResult(3, FLOWN), FlightResult(1, {**FLOWN, "simulated_s": 4.0, "wall_s": 2.0})],
+    ),
+    "the first sleeps": (TWO, [FlightResult(0, SLEPT), FlightResult(0, FLOWN)]),
+    "the second sleeps": (TWO, [FlightResult(0, FLOWN), FlightResult(0, SLEPT)]),
+    "neither flies": (TWO, [FlightResult(0, NOWHERE)] * 2),
+    "the first flies nothing": (TWO, [FlightResult(0, NOWHERE), FlightResult(0, FLOWN)]),
+    "the first has no end": (TWO, [FlightResult(1, None)]),
+    "the first is interrupted": (TWO, [FlightResult(130, {**FLOWN, "finished": False})]),
+    "a status of the script's own": (TWO, [FlightResult(130, FLOWN), FlightResult(0, FLOWN)]),
+    "one": ({"clocks": (5.0,)}, [FlightResult(0, FLOWN)]),
+    "one that thinks": ({}, [FlightResult(4, {**FLOWN, "think_s": 0.0025})]),
+    "one that --until stops": ({}, [FlightResult(0, {**NOWHERE, "finished": False})]),
+    "one that is interrupted": ({}, [FlightResult(130, {**NOWHERE, "finished": False})]),
+    "one without an end": ({}, [FlightResult(2, None)]),
+    "equal flights": (CHECK, [FlightResult(0, FLOWN)] * 2),
+    "equal flights that end with a status": (CHECK, [FlightResult(3, FLOWN)] * 2),
+    "equal flights that crash": (CHECK, [FlightResult(1, CRASHED)] * 2),
+    "flights that end differently": (CHECK, [FlightResult(1, CRASHED), FlightResult(0, FLOWN)]),
+    "flights that crash differently": (
+        CHECK,
+        [FlightResult(1, CRASHED), FlightResult(1, {**FLOWN, "error": "ValueError: none"})],
+    ),
+    "no call": (CHECK, [FlightResult(0, IDLE)]),
+    "no call, and a status": (CHECK, [FlightResult(3, LOST)]),
+    "no call, and a crash": (CHECK, [FlightResult(1, BROKEN)]),
+    "no call before --until": (CHECK, [FlightResult(0, STOPPED)]),
+    "flights that differ": (CHECK, [FlightResult(0, FLOWN), FlightResult(0, FLOWN, differs=True)]),
+    "a second flight without an end": (CHECK, [FlightResult(0, FLOWN), FlightResult(5, None)]),
+    "a second flight that is interrupted": (CHECK, [FlightResult(0, FLOWN), FlightResult(130, {"finished": False})]),
+    "a check that is interrupted": (CHECK, [FlightResult(130, {**FLOWN, "finished": False})]),
+}
 
 
-def test_flights_at_several_clock_speeds_are_compared_with_the_first(
+def test_what_is_flown_and_said_is_as_recorded(
     asked: FlyRequest, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    results = [
-        (FlightResult(0, FLOWN), 0.0),
-        (FlightResult(3, FLOWN), 0.25),
-        (FlightResult(1, {**FLOWN, "simulated_s": 4.0, "wall_s": 2.0}), 1.5),
-    ]
-    request = replace(asked, clocks=(2.0, 50.0, 1.5))
-    status, flights = flown(monkeypatch, request, *results)
-    assert status == 3
-    assert capsys.readouterr().out.splitlines() == [
-        "clock 2: 8.00 simulated s in 0.50 s, 16 per wall second",
-        "clock 50: 8.00 simulated s in 0.50 s, 16 per wall second, at most 0.250 m from 2x at equal times",
-        "clock 1.5: 4.00 simulated s in 2.00 s, 2 per wall second, at most 1.500 m from 2x at equal times",
-    ]
-    assert [options.folder.name for options, _ in flights] == ["clock-2", "clock-50", "clock-1.5"]
-    assert [options.clock_speed for options, _ in flights] == [2.0, 50.0, 1.5]
-    assert [quiet for _, quiet in flights] == [False, True, True]
-
-
-@pytest.mark.parametrize(
-    ("results", "lines", "status"),
-    [
-        ([FlightResult(0, {**FLOWN, "slept_s": 1.0}), FlightResult(0, FLOWN)], 3, 0),  # a line on its sleeps
-        ([FlightResult(0, FLOWN), FlightResult(0, {**FLOWN, "slept_s": 1.0})], 3, 0),
-        ([FlightResult(0, NOWHERE), FlightResult(0, NOWHERE)], 2, 0),
-        ([FlightResult(1, None)], 0, 1),  # not flown to an end: no further one
-        ([FlightResult(130, {**FLOWN, "finished": False})], 0, 130),
-        ([FlightResult(130, FLOWN), FlightResult(0, FLOWN)], 2, 130),  # the script's own status
-    ],
-)
-def test_no_clock_speed_is_flown_after_a_flight_without_an_end(
-    asked: FlyRequest,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    results: list[FlightResult],
-    lines: int,
-    status: int,
-) -> None:
-    request = replace(asked, clocks=(1.0, 2.0))
-    told, flights = flown(monkeypatch, request, *((result, 0.0) for result in results))
-    said = capsys.readouterr().out.splitlines()
-    assert (told, len(said), len(flights)) == (status, lines, len(results))
-    assert any("the script sleeps" in line for line in said) == (lines == 3)
-    assert any("at equal times" in line for line in said) == (lines > 0 and results[0].summary != NOWHERE)
-
-
-@pytest.mark.parametrize(
-    ("result", "said"),
-    [
-        (FlightResult(0, FLOWN), "8.00 simulated s in 0.50 s, 16 per wall second; 7 calls; at 1.00 -2.00 -10.13 m"),
-        (
-            FlightResult(4, {**FLOWN, "think_s": 0.0025}),
-            "8.00 simulated s in 0.50 s, 16 per wall second; 7 calls, 2.5 ms of thinking before each; "
-            "at 1.00 -2.00 -10.13 m",
-        ),
-        (FlightResult(0, {**NOWHERE, "finished": False}), "stopped by --until; no client connected, nothing was flown"),
-        (FlightResult(130, {**NOWHERE, "finished": False}), "interrupted; no client connected, nothing was flown"),
-        (FlightResult(2, None), ""),
-    ],
-)  # fmt: skip
-def test_a_flight_is_told_in_a_line_and_its_status_is_the_scripts(
-    asked: FlyRequest,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    result: FlightResult,
-    said: str,
-) -> None:
-    status, [(options, quiet)] = flown(monkeypatch, replace(asked, clocks=(5.0,)), (result, 0.0))
-    assert (status, capsys.readouterr().out.strip()) == (result.status, said)
-    assert (options.clock_speed, options.folder, quiet) == (5.0, asked.out, False)
-
-
-@pytest.mark.parametrize(
-    ("first", "again", "status", "last"),
-    [
-        (FlightResult(0, FLOWN), FlightResult(0, FLOWN), 0, "checked: flown twice, 7 calls and the trajectory are"),
-        (FlightResult(3, FLOWN), FlightResult(3, FLOWN), 3, f"{CHECKED}; both times the script ended with exit status"),
-        (FlightResult(1, CRASHED), FlightResult(1, CRASHED), 1, f"{CHECKED}; both times the script ended with KeyErr"),
-        (FlightResult(0, IDLE), None, 0, "not checked: the script ended with exit status 0 before any call"),
-        (FlightResult(3, LOST), None, 3, "not checked: the script ended with exit status 3 be"),
-        (FlightResult(1, BROKEN), None, 1, "not checked: the script ended with KeyError: 'pose' before "),
-        (FlightResult(0, STOPPED), None, 0, "not checked: the script was stopped by --until befo"),
-        (FlightResult(0, FLOWN), FlightResult(0, FLOWN, differs=True), 1, "8.00 simulated s"),
-        (FlightResult(0, FLOWN), FlightResult(5, None), 5, "not checked"),
-        (FlightResult(0, FLOWN), FlightResult(130, {"finished": False}), 130, "not checked"),
-        (FlightResult(130, {**FLOWN, "finished": False}), None, 130, "interrupted; 8.00"),
-    ],
-)
-def test_a_check_flies_again_without_a_film_and_beside_the_first(
-    asked: FlyRequest,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    first: FlightResult,
-    again: FlightResult | None,
-    status: int,
-    last: str,
-) -> None:
-    request = replace(asked, check=True, flight=replace(asked.flight, film=True, seed=3))
-    results = [(each, 0.0) for each in (first, again) if each is not None]
-    told, flights = flown(monkeypatch, request, *results)
-    assert told == status
-    assert capsys.readouterr().out.splitlines()[-1].startswith(last)
-    assert [options.film for options, _ in flights] == [True, False][: len(results)]
-    assert {options.seed for options, _ in flights} == {3}
-    for options, _ in flights[1:]:
-        assert (options.reference, options.folder.name) == (asked.out, "again")
-
-
-@pytest.mark.parametrize("again", [FlightResult(0, FLOWN), FlightResult(1, {**FLOWN, "error": "ValueError: none"})])
-def test_flights_whose_scripts_end_differently_are_told_apart(
-    asked: FlyRequest, monkeypatch: pytest.MonkeyPatch, again: FlightResult
-) -> None:
-    with pytest.raises(UserError, match=f"the first flight's script ended with KeyError: 'pose', .* {again.ending}"):
-        flown(monkeypatch, replace(asked, check=True), (FlightResult(1, CRASHED), 0.0), (again, 0.0))
-
-
-def test_a_first_flight_without_a_client_is_compared_with_none(
-    asked: FlyRequest, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    results = [(FlightResult(0, summary), 0.0) for summary in (NOWHERE, FLOWN)]
-    assert flown(monkeypatch, replace(asked, clocks=(1.0, 2.0)), *results)[0] == 0
-    assert capsys.readouterr().out.splitlines() == [
-        "clock 1: no client connected, nothing was flown",
-        "clock 2: 8.00 simulated s in 0.50 s, 16 per wall second",
-    ]
+    """Trajectories lie 0, 0.25 and 1.5 m east; only the first flight makes a film."""
+    text, flight = list[str](), replace(asked.flight, film=True, seed=3)
+    for number, (name, (keys, results)) in enumerate(RUNS.items()):
+        flights = Flights(*zip(results, (0.0, 0.25, 1.5), strict=False))
+        monkeypatch.setattr(command, "fly", flights.fly)
+        monkeypatch.setattr(command, "check", flights.check)
+        try:
+            status = fly_script(replace(asked, out=asked.flight.script.parent / f"{number}/out", flight=flight, **keys))
+            end = f"status {status}"
+        except UserError as error:
+            end = f"refused: {error}"
+        text += ["", f"## {name}", *capsys.readouterr().out.splitlines(), end]
+        for options, quiet in flights.asked:
+            how = ", film" * options.film + ", quiet" * quiet
+            beside = f", beside {options.reference.name}" if options.reference else ""
+            text.append(f"- {options.folder.name} at {options.clock_speed}, seed {options.seed}{how}{beside}")
+    assert_as_recorded("fly_command", "\n".join(text) + "\n")
 
 
 @pytest.mark.parametrize(("second_m", "differs"), [(1.0, False), (1.0 + 1e-15, True), (2.0, True)])

@@ -25,7 +25,9 @@ def posts(*east_m: float) -> list[dict[str, float]]:
 def mistakes() -> Iterator[tuple[str, str, str]]:
     for block in TABLE.read_text(encoding="utf-8").split("\n\n"):
         module, *lines = block.splitlines()
-        yield from ((module, *line.split(" -> ")) for line in lines)
+        for line in lines:
+            call, said = line.split(" -> ")
+            yield module, call, said
 
 
 @pytest.mark.parametrize(("module", "call", "said"), [*mistakes()])

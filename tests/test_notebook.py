@@ -46,7 +46,10 @@ def test_a_notebook_opens_in_colab_and_installs_itself_there(name: str, tmp_path
         f"](https://colab.research.google.com/github/an.owner/uavaccel/blob/main/docs/{name}.ipynb)"
         in badge["source"][0]
     )
-    assert install["source"][-1].strip() == '%pip install --quiet "uavaccel @ git+https://github.com/an.owner/uavaccel"'
+    assert (
+        install["source"][-1].strip()
+        == '%pip install --quiet "uavaccel[learn] @ git+https://github.com/an.owner/uavaccel"'
+    )
     elsewhere: dict[str, Any] = {}
     exec("".join(install["source"]).replace("%pip", "assert False, '%pip'  #"), elsewhere)  # no Colab here
     with pytest.raises(ValueError, match="must be OWNER/NAME"):

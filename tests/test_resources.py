@@ -10,6 +10,7 @@ import pytest
 
 from uavaccel import resources
 from uavaccel.errors import UserError
+from uavaccel.suites.session import RunRequest, configure
 
 ROOT = Path(__file__).parents[1]
 
@@ -78,3 +79,12 @@ def test_a_wheel_carries_them_inside_the_package(installed: Path) -> None:
         str(package / "experiments" / "dp1.yaml"),
         "None",
     ]
+
+
+@pytest.mark.parametrize("experiment", ["train", "evaluate", "sweep", "rl_smoke"])
+def test_what_needs_pytorch_says_so_before_anything_is_written(
+    experiment: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "torch", None)
+    with pytest.raises(UserError, match=r"^(training|evaluation): needs PyTorch: pip install -e '.*\[learn\]'$"):
+        configure(RunRequest(experiment))

@@ -19,7 +19,8 @@ pytest.importorskip("hatchling", reason="without network, a wheel is built by th
 
 ROOT = Path(__file__).parents[1]
 AS_ANY_USER = (shutil.which("setpriv"), "--bounding-set=-dac_override,-fowner")  # root may write where nobody else may
-OF_EXTRAS = ["av", "cv2", "h5py", "mcap", "scipy", "stable_baselines3", "tensorboard"]
+OF_EXTRAS = ["av", "cv2", "h5py", "mcap", "scipy", "stable_baselines3", "tensorboard", "torch"]
+LEARNING = ("train", "evaluate")  # with PyTorch
 SCRIPT = """
 import airsim
 client = airsim.MultirotorClient()
@@ -60,8 +61,9 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @contextmanager
 def uavaccel(site: Path, folder: Path, *arguments: str) -> Iterator[subprocess.Popen[str]]:
-    """A command of the wheel without extras: nothing is on its PATH, a compiler neither, and its home is new."""
-    (folder / "sitecustomize.py").write_text(f"import sys\nsys.modules.update(dict.fromkeys({OF_EXTRAS}))\n")
+    """A command of the wheel without extras that it does not need; PATH has nothing, no compiler; its home is new."""
+    missing = [name for name in OF_EXTRAS if name != "torch" or arguments[0] not in LEARNING]
+    (folder / "sitecustomize.py").write_text(f"import sys\nsys.modules.update(dict.fromkeys({missing}))\n")
     unprivileged = AS_ANY_USER if os.geteuid() == 0 and AS_ANY_USER[0] else ()
     command = [*map(str, unprivileged), sys.executable, "-m", "uavaccel", *arguments]
     environment = {key: value for key, value in os.environ.items() if not key.startswith(("NUMBA_", "XDG_"))}

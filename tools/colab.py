@@ -27,7 +27,7 @@ def cells(name: str, repository: str) -> Iterator[dict[str, Any]]:
         "import sys\n",
         "\n",
         'if "google.colab" in sys.modules:\n',
-        f'    %pip install --quiet "uavaccel @ git+https://github.com/{repository}"',
+        f'    %pip install --quiet "uavaccel[learn] @ git+https://github.com/{repository}"',
     ]
     yield {"cell_type": "code", "execution_count": None, "outputs": [], "source": installs}
 

@@ -12,8 +12,9 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from uavaccel.draw.film import FRAMES_PER_S, PANEL, dvs_picture
-from uavaccel.draw.panels import Bgr, to_bgr
+from uavaccel.draw.film import FRAMES_PER_S, PANEL
+from uavaccel.draw.panels import enlarged, to_bgr
+from uavaccel.draw.pictures import Bgr, dvs_picture
 from uavaccel.suites.flight import film_of, flight_of
 
 LARGEST = 1_000_000  # bytes
@@ -33,7 +34,7 @@ def main() -> None:
     assert chase is not None  # in a lane
 
     def frame(sample: int) -> Bgr:
-        events = dvs_picture(film.on_events[sample], film.off_events[sample], BESIDE)
+        events = enlarged(dvs_picture(film.on_events[sample], film.off_events[sample]), BESIDE)
         beside = np.vstack([to_bgr(film.images[sample], BESIDE), events])
         return np.hstack([to_bgr(chase(sample), PANEL), beside])
 

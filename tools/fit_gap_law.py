@@ -49,11 +49,9 @@ BRAKING_S, GRAVITY_M_S2 = 0.5, 9.81
 HEIGHTS_M = {"InvertedPendulum": 0.6, "Hopper": 1.25, "HalfCheetah": 0.7}  # the pole; the torsos, at the start
 TIMES = ("control_s", "own_s", "room_s")
 LAWS = [law for count in range(len(TIMES) + 1) for law in combinations(TIMES, count)]
-PREDICTED = ("Hover motors", "Gates", "Navigate", "InvertedPendulum", "Hopper")  # chosen before any was flown
-Numbers = NDArray[np.float64]
-
-
 FACTORS = np.geomspace(1e-4, 1e4, 2001)  # of a law, in steps of .9 %
+PREDICTED = ("Hover motors", "Gates", "Navigate", "InvertedPendulum", "Hopper")  # chosen before any of them was flown
+Numbers = NDArray[np.float64]
 
 
 class Fit(NamedTuple):
@@ -107,21 +105,18 @@ def of_drones(run: RunDirectory) -> Iterator[dict[str, Any]]:
     """Yield the conditions of a run of the suite `mediation`, its policies; the gap is its only factor."""
     suite = Mediation()
     report = suite.report(run)
-    for case in suite.policies_of(report.config):
-        own = report.scores[report.scores.policy == case.policy]
-        if own.empty:
-            continue
-        flown: Any = suite.runs(report.config, case)[0][1]
+    first = {case.policy: case for case in reversed([*suite.policies_of(report.config)])}
+    for policy, own in report.scores.groupby("policy", sort=False):
+        flown: Any = suite.runs(report.config, first[str(policy)])[0][1]
         kind = "" if flown.task.action == "velocity" else f" {flown.task.action}"
-        swept = own.assign(value=own.value.where(own.flight != USUAL, 0.0)).sort_values("value")
-        success = np.stack(swept.won.tolist()).astype(float)[:, None]
+        of_gaps = own.groupby(own.value.where(own.flight != USUAL, 0.0))
         yield {
-            "condition": case.policy,
+            "condition": policy,
             "task": flown.env_id.removeprefix("uavaccel/").partition("-")[0] + kind,
             "control_s": flown.task.t_move_s,
             "own_s": BRAKING_S,
             "room_s": room_m(flown.task) / flown.task.speed_m_s,
-            **measured(swept.value.to_numpy(float), success),
+            **measured(np.array([*of_gaps.groups], float), np.array([each.won.tolist() for _, each in of_gaps], float)),
         }
 
 
@@ -165,7 +160,8 @@ def misses(law: tuple[str, ...], factors: Numbers, of: pd.DataFrame) -> Numbers:
     predicted = factors * times[:, None]
     nearest = np.clip(predicted, of[["at_least_s"]].to_numpy(), of[["below_s"]].to_numpy())
     squared = pd.DataFrame(np.log(predicted / nearest) ** 2)
-    return squared.groupby(of.task.to_numpy()).mean().mean().to_numpy()
+    missed: Numbers = squared.groupby(of.task.to_numpy()).mean().mean().to_numpy(float)
+    return missed
 
 
 def fit(table: pd.DataFrame, predicted: tuple[str, ...]) -> Fit:
@@ -198,14 +194,12 @@ def draw(table: pd.DataFrame, found: Fit, path: Path) -> None:
     """Draw the largest gaps, a colour for each task, over each of the three times, and the law where it is of one."""
     never, at_once = np.isinf(table.below_s), table.at_least_s == 0.0
     shown = table.at_least_s.where(~at_once, table.below_s)
-    bars = [
-        (shown - table.low.where(~at_once, shown)).clip(0.0),
-        table.high.where(~np.isinf(table.high), shown) - shown,
-    ]
+    ends_s = (table.low.where(~at_once, shown), table.high.where(~np.isinf(table.high), shown))
+    bars = [(end - shown).abs() for end in ends_s]
     marks = (("o", ~never & ~at_once), ("^", never), ("v", at_once))
     with style.project_style():
-        title = "The largest gap before success drops by five points; upward, more; downward, less"
-        figure = style.new_figure(4.2, title)
+        source = "95 % intervals; pointing up: more than the largest that was flown; down: less than the least"
+        figure = style.new_figure(4.4, "The largest gap before success drops by five points", source)
         panels: Any = figure.subplots(1, len(TIMES), sharey=True, sharex=True)
         for axes, name in zip(panels, TIMES, strict=True):
             for number, task in enumerate(table.task.unique()):
@@ -213,8 +207,8 @@ def draw(table: pd.DataFrame, found: Fit, path: Path) -> None:
                 axes.plot([], [], "s", label=task, **look)
                 for mark, kind in marks:
                     of = kind & (table.task == task)
-                    ends = [each[of].clip(0.0) for each in bars]
-                    axes.errorbar(table[name][of], shown[of], ends, marker=mark, elinewidth=0.9, **look)
+                    both = [each[of] for each in bars]
+                    axes.errorbar(table[name][of], shown[of], both, marker=mark, elinewidth=0.9, **look)
             if found.law == (name,):
                 ends = np.array([table[name].min(), table[name].max()])
                 axes.plot(ends, found.factor * ends, **style.LIMIT)

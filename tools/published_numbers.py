@@ -16,12 +16,13 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from tools import fit_gap_law
 from tools.check_numbers import ROOT, Page
 from tools.fit_agent import agent_costs, command_wall_s
 from tools.fit_airsim import Parameters, model
 from uavaccel.config import parse_yaml, validate
 from uavaccel.metrics.equivalence import Estimate
-from uavaccel.metrics.intervals import Proportion, fisher_exact_p
+from uavaccel.metrics.intervals import TAILS, Proportion, fisher_exact_p
 from uavaccel.metrics.seeds import permutation_p
 from uavaccel.suites import claims, paper_results
 from uavaccel.suites.mediation import Contrast, Share, effect, share_of_loss
@@ -145,8 +146,7 @@ def readme_says() -> Text:
     as_trained, other = flown(fast, at=10.0), flown(fast, "tcsc")
     yield f"The same ADSC policies of 10x win {percent(as_trained, 1)} % of the lanes flown as they were trained"
     yield f"{percent(other)} % with TCSC"
-    start, rest = (told for _, told in effects()[:2])
-    yield f"costs {points(start)} of success, all else that 50x's gap changes {points(rest).replace(' points', '')}"
+    yield f"at 50x it costs {points(effects()[0][1])} of success in real time"
     scripts = (ROOT / "docs/airsim-scripts.md").read_text(encoding="utf-8")
     lines = [line.split(" | ") for line in scripts.splitlines() if ".py | " in line]
     words = Counter(line[1].strip("*").split(":")[0].rstrip("*") for line in lines)
@@ -507,34 +507,50 @@ def benchmark_says() -> Text:
 
 # --- why.md ---------------------------------------------------------------------------------------------------------
 
-WHOLE = {
-    "nothing": "usual",
-    "a gap of .074 s": "gap-0.074",
-    "a gap of .39 s": "gap-0.386",
-    "a gap of .78 s": "gap-0.776",
-    "a gap of 1.2 s": "gap-1.2",
-    "a gap of 2 s": "gap-2",
-}
+WHOLE = {"a gap of .78 s": "gap-0.776", "a gap of 1.2 s": "gap-1.2", "a gap of 2 s": "gap-2"}
 ALONE = {
-    "the speed at the start, .58 of it backwards as after 2 s": "start--0.584",
     "the speed at the start: at rest": "start-0",
     "the way unseen in 2 s, the speed kept": "way-2",
     "the age of the pictures: .95 s": "age-0.95",
     "the time: a metre takes 3 s": "duration-3",
 }
-FLOWN = ("TCSC's policies", "policies trained from rest")
-FROM_REST = ("gap_100x", "gap_50x_long", "gap_100x_long", "start_50x", "start_50x_long")
+FROM_REST = ("gap_50x", "gap_100x", "gap_50x_long", "gap_100x_long", "start_50x", "start_50x_long")
+TEN = "10x's whole gap"
+SHOWN = (
+    "50x's speed at the start",
+    "the same, from rest with 1 000 commands a game",
+    TEN,
+    "5x's whole gap",
+    "5x's whole gap, in trainings of 1 200 to 2 000 games",
+    "100x's gap instead of 50x's",
+    "100x's gap instead of 50x's, with 1 000 commands a game",
+    "in flight, 50x's speed at the start",
+    "in flight, the rest of 50x's gap",
+    "in flight, pictures .96 s old",
+)
+ALONE_IN_TRAINING = {
+    "pictures .96 s old": "age_1s",
+    "a metre takes 4.56 s, as at 50x": "duration_50x",
+    "commands of .3 s: 50x's metres": "metres_50x",
+    "commands of .42 s: 100x's metres": "metres_100x",
+    "5x's gap": "gap_5x",
+    "10x's gap": "gap_10x",
+    "its speed at the start alone": "start_10x",
+    "its rest alone": "way_10x",
+    "100x's gap": "gap_100x",
+}
 OF_MEDIATION = (
-    r"(?:gap of|after|[Aa]t|of|in|what) 2 s\b|63 ms|of 1 s north at 1 m/s|lanes 0 to 99|300 commands|a gap of \.068 s",
-    r"won, of 100|0 is at rest|`start_speed: 1`|a command of \.3 s|lasts \.3 s|Commands of \.3 s|3 000 games",
-    r"1 000 commands a game|A constant gap of \.71 s|Up to \.78 s|pictures \.96 s old|23 of 100 games",
-    r"on 300 lanes|, of 300|in 18 ways|win 41 %",
+    r"(?:gap of|after|[Aa]t|of|in|what|that of) 2 s\b|63 ms|of 1 s north at 1 m/s|lanes 0 to 99|gap of \.068 s",
+    r"won, of 100|0 is at rest|`start_speed: 1`|\.3 s at full speed|3 000 games|300 (?:lanes|commands)|, of 300",
+    r"1 000 commands|Pictures \.96 s old|are\s+2\.08 s|win 41 %|23 of 100 games|under 18 conditions|150 m of obstacles",
+    r"20 (?:effects|trainings)|is \.062 of the velocity|leaves \+\.04 m/s\s+where ADSC's leaves −\.02|ClockSpeed 1,",
+    r"second at 2 m/s|for 60 ms",
 )
 
 
 def why() -> Page:
-    said = (text for of in (parts_of_gaps, moved_in_training, moved_in_flight) for text in of())
-    return Page(said, (*SETTINGS, *OF_MEDIATION))
+    told = (parts_of_gaps, moved_in_training, moved_in_flight, law_of_gaps)
+    return Page((text for of in told for text in of()), (*SETTINGS, *OF_MEDIATION))
 
 
 @cache
@@ -567,36 +583,43 @@ def points(told: dict[str, Any]) -> str:
 def moved_in_training() -> Text:
     """Of the policies in docs/tables/mediation_matrix.csv, a row for each training."""
     rows, found, wins = matrix(), effects(), won_by
-    for label, told in found:
+    shown = dict(found)
+    for label in SHOWN:
+        told = shown[label]
         added, low, high = (f"{100 * told[name]:+.0f}".replace("-", "−") for name in ("effect", "low", "high"))
         ends = f"{100 * told['without']:.0f} % | {100 * told['moved']:.0f} % | {added} [{low}, {high}]"
         yield f"| {label} | {ends} | {told['trainings']} |"
-    start, rest = (told for _, told in found[:2])
-    yield f"costs {points(start)}, the rest of the gap {points(rest).replace(' points', '')}"
-    alone, restored = ([f"{count / 3:.0f}" for count in wins(name)] for name in ("start_50x", "way_50x"))
-    yield f"policies win {' and '.join(alone)} % of lanes in real time"
-    yield f"with the speed of before restored, {' and '.join(restored)} %"
-    yield f"| no gap (the left is TCSC) | {counted(wins('tcsc'))} | {counted(wins('start_50x'))} |"
-    yield f"| the gap of 50x (the right is ADSC) | {counted(wins('way_50x'))} | {counted(wins('gap_50x'))} |"
+    yield f"the start costs {points(found[0][1]).replace('points', 'points of success')}"
+    yield f"policies win {' and '.join(map(str, wins('start_50x')))} of 300 lanes in real time"
+    restored, slow = wins("way_50x"), wins("tcsc")
+    yield f"restored, {' and '.join(map(str, restored))}; with TCSC {counted(slow[:-1])} and {slow[-1]}."
+    yield f"| no gap | {counted(slow)} (this is TCSC) | {counted(wins('start_50x'))} |"
+    yield f"| 50x's gap of 3.57 s | {counted(restored)} | {counted(wins('gap_50x'))} |"
+    for label, policy in ALONE_IN_TRAINING.items():
+        yield f"| {label} | {counted(wins(policy))} |"
     kinds = rows.policy.nunique()
-    yield f"{kinds} kinds of trainings"
-    yield f"{len(rows)} of its {10 * kinds} policies were flown"
-    own = [f"{count / 3:.0f}" for count in wins("gap_50x_long", "gap-3.572")]
-    yield f"those of 50x win {' and '.join(own)} % with the gap that they were trained with"
-    yield f"and {' and '.join(map(str, wins('gap_50x_long')))} of 300 lanes in real time"
+    yield f"has {kinds} training conditions of 3 000 games"
+    third = in_words(len(rows) - 2 * kinds)
+    yield f"{len(rows)} of its {10 * kinds} policies, two seeds of all conditions and a third of {third}."
     rested, real = (
         [count / 3 for policy in FROM_REST for count in wins(policy, flight)] for flight in ("start-0.062", "gap-0.068")
     )
-    kinds_of = f"{in_words(len(FROM_REST))} kinds, {in_words(len(real))} trainings"
-    yield f"({kinds_of}), policies win {min(rested):.0f} to {max(rested):.0f} % from rest"
-    yield f"and {min(real):.0f} to {max(real):.0f} % in real time"
-    yield f"policies win {' and '.join(map(str, wins('age_1s')))}."
-    ten = wins("gap_10x")
-    yield f"its policies win {counted(ten[:-1])} and {ten[-1]}."
-    yield f"which advance as little, win {' and '.join(map(str, wins('metres_50x')))}:"
-    slower = {label: told["effect"] for label, told in found}
-    lost, gained = (100 * abs(slower[f"the speed of 50x at the start, in flight, of {of}"]) for of in FLOWN)
-    yield f"policies of the matrix lose {lost:.0f} points to 50x's speed alone, and those from rest gain {gained:.0f}."
+    yield f"The {in_words(len(FROM_REST))} kinds whose commands begin nearly at rest, {len(real)} trainings, win"
+    yield f"win {min(rested):.0f} to {max(rested):.0f} % from 50x's speed"
+    yield f"and {min(real):.0f} to {max(real):.0f} % in real time."
+    longer, own = (" and ".join(map(str, wins(policy))) for policy in ("start_50x_long", "gap_50x_long"))
+    yield f"the policies still win {longer}, with the gap {own}."
+    yield f"cover as little, and win {' and '.join(map(str, wins('metres_50x')))}."
+    at_speed, at_rest = (shown[f"the rest of 50x's gap, {where}"]["effect"] for where in ("at speed", "from rest"))
+    yield f"costs nothing at speed ({100 * at_speed:+.0f} points); from rest, {-100 * at_rest:.0f}."
+    yield f"a constant gap costs {-100 * shown[TEN]['effect']:.0f} points"
+    usual, old, gap, start, way, ten = (
+        f"{sum(wins('tcsc', flight)) / 9:.0f}"
+        for flight in ("usual", "age-0.96", "gap-2", "start-0.062", "way-0.712", "gap-0.712")
+    )
+    yield f"(.96 s: from {usual} to {old} %), then by the whole gap of 2 s ({gap} %)"
+    yield f"and by the speed of 50x ({start} %)."
+    yield f"The rest of 10x's gap alone ({way} %) loses what the whole gap of 10x ({ten} %) does not"
     for games in (1200, 1400, 1600, 1800, 2000):
         yield f"| {games} | {counted(wins(f'weak_{games}'))} | {counted(wins(f'weak_5x_{games}'))} |"
 
@@ -617,7 +640,7 @@ def parts_of_gaps() -> Text:
 def moved_in_flight() -> Text:
     """Of the lanes in docs/tables/mediation_flight.csv, which has columns for each flight's outcome."""
     lanes = pd.read_csv(TABLES / "mediation_flight.csv")
-    won_of = {flight: int(lanes[f"{flight}_is_success"].sum()) for flight in (WHOLE | ALONE).values()}
+    won_of = {flight: int(lanes[f"{flight}_is_success"].sum()) for flight in ("usual", *(WHOLE | ALONE).values())}
     cells = {f"shipped/{flight}": pd.DataFrame({"won": [lanes[f"{flight}_is_success"]]}) for flight in won_of}
     asked = Share(usual="shipped/usual", whole="shipped/gap-2", parts=())
     for label, flight in (WHOLE | ALONE).items():
@@ -627,6 +650,36 @@ def moved_in_flight() -> Text:
             found: Any = share_of_loss(cells, asked, f"shipped/{flight}")
             line += "{} [{}, {}] |".format(*(short(found[name], 2) for name in ("share", "low", "high")))
         yield line
+
+
+def law_of_gaps() -> Text:
+    table = fit_gap_law.judged(pd.read_csv(TABLES / "gap_law.csv"))
+    of = table.set_index("condition")
+
+    def seconds(value: float) -> str:
+        return f"{value:.2g}".removeprefix("0")
+
+    def gap(row: Any) -> str:
+        if row.at_least_s == 0.0:
+            return f"below {row.below_s:g}".replace("0.", ".")
+        return f"above {row.at_least_s:g}".replace(" 0.", " .") if np.isinf(row.below_s) else seconds(row.at_least_s)
+
+    for _, own in table.groupby("task", sort=False):
+        yield f"| {', '.join(map(seconds, own.control_s))} | {', '.join(gap(row) for row in own.itertuples())} |"
+    others = tuple(set(table.task) - set(fit_gap_law.PREDICTED))
+    there, back = (fit_gap_law.fit(table, half) for half in (fit_gap_law.PREDICTED, others))
+    assert there.law == back.law == ("control_s",)
+    yield f"errs least, and predicts the others to a factor of {there.error:.1f}, a constant to {there.constant:.0f};"
+    yield f"the other way to {back.error:.1f} and {back.constant:.0f}"
+    every = fit_gap_law.halves(table)
+    low, high = np.quantile([found.error for found in every], TAILS)
+    chosen = sum(found.law == ("control_s",) for found in every)
+    yield f"{chosen} of all {len(every)} halves choose it; their median error is"
+    yield f"{np.median([found.error for found in every]):.1f}, 95 % are between {low:.1f} and {high:.1f}"
+    plain, long, fast, small = (gap(of.loc[name]) for name in ("hover", "hover_long", "hover_fast", "hover_small"))
+    yield f"commands of .2 and .5 s bear {plain} and {long} s; half of the room, by speed or radius, {fast} and {small}"
+    yield f"two trainings by motors differ by a factor of {of.at_least_s.motors / of.at_least_s.motors_near:.1f}"
+    yield f"about {seconds(fit_gap_law.fit(table, ()).factor)} T_move"
 
 
 PAGES = {

@@ -11,8 +11,8 @@ import uavaccel
 from uavaccel.files import Plain
 from uavaccel.resources import source_tree
 
-_PACKAGES = ("gymnasium", "llvmlite", "mujoco", "numba", "numpy", "torch")
-_OF_EXTRAS = ("onnxruntime", "opencv-python-headless", "stable-baselines3")  # where it is installed
+_PACKAGES = ("gymnasium", "llvmlite", "mujoco", "numba", "numpy")
+_OF_EXTRAS = ("onnxruntime", "opencv-python-headless", "stable-baselines3", "torch")  # where it is installed
 _ENVIRONMENT = ("LP_NUM_THREADS", "MUJOCO_GL", "NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 
 

@@ -11,6 +11,7 @@ import pandas as pd
 from uavaccel.commands import COMMANDS, VelocityGoal
 from uavaccel.commands.paths import velocities
 from uavaccel.files import Plain
+from uavaccel.metrics.intervals import NORMAL_QUANTILE
 from uavaccel.metrics.stlc import mean_stlc
 from uavaccel.metrics.trajectory import Trajectory, command_gaps_s, mean_position_rmse, trajectory
 from uavaccel.sim.profile import PROFILES
@@ -21,9 +22,9 @@ from uavaccel.wire.session import Session, VirtualSession
 CLOCK_SPEEDS = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0)
 GAMES = 5
 T_TH_WALL_S = 0.001  # as in the experiments' configurations
-TASKS, LARGEST_GAPS_S = 9, (0.03, 0.2, 1.0)
-"""Tasks that were flown, and the least, median and largest gap at which one's policies lose five points of success:
-`over_tasks` of tools/fit_gap_law.py on docs/tables/gap_law.csv (docs/why.md)."""
+T_MOVES, ERROR = 0.82, 3.7
+"""The gap, in T_move, at which policies lose five points of success, and the factor by which that misses tasks that
+were not fitted: tools/fit_gap_law.py, of docs/tables/gap_law.csv (docs/why.md)."""
 
 
 class SquareGame(NamedTuple):
@@ -94,11 +95,12 @@ def sentence(advice: pd.DataFrame, error_m: float, t_move_s: float) -> str:
     return f"With commands of {t_move_s:g} s {slow}; {fast}. Modelled."
 
 
-def policy_sentence(thinking_s: float) -> str:
-    """Return in words the ClockSpeed at which a policy loses five points of success, over the tasks that were flown."""
-    least, median, largest = (gap_s / thinking_s for gap_s in LARGEST_GAPS_S)
+def policy_sentence(t_move_s: float, thinking_s: float) -> str:
+    """Return in words the ClockSpeed at which a policy loses five points of success, with its 95 % interval."""
+    spread, middle = ERROR**NORMAL_QUANTILE, T_MOVES * t_move_s / thinking_s
+    speed, low, high = (f"{float(f'{each:.2g}'):g}" for each in (middle, middle / spread, middle * spread))
     return (
-        f"Policies that think for {thinking_s:g} s, messages included, lose five points of success at ClockSpeed "
-        f"{least:.2g} to {largest:.2g}, {median:.2g} in the median of {TASKS} tasks. Flown without latency; no law "
-        "predicts a task's (docs/why.md)."
+        f"Policies trained without a gap lose five points of success at one of about {T_MOVES:g} T_move: with "
+        f"{thinking_s:g} s of thinking and messages at ClockSpeed {speed} (95 %: {low} to {high}). A rule of thumb, "
+        f"which missed tasks that it was not fitted on by a factor of {ERROR:g} (docs/why.md)."
     )

@@ -87,7 +87,7 @@ def advise(
         rows.append((f"{clock:g}x", *(f"{score:.3g}" for score in scores)))
     print_columns(header, rows)
     console.print(sentence(found, error, t_move))
-    console.print(policy_sentence(thinking))
+    console.print(policy_sentence(t_move, thinking))
 
 
 def bench(context: typer.Context) -> None:

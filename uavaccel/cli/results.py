@@ -79,6 +79,7 @@ def export(
 ) -> None:
     """Write a policy as ONNX; a run as tables, MCAP or a Minari dataset."""
     from uavaccel.own_code import trusting
+    from uavaccel.resources import require
     from uavaccel.suites.registry import open_run
 
     if onnx is csv is parquet is mcap is minari is None:
@@ -89,6 +90,7 @@ def export(
         raise UsageError("--case: goes with --mcap; the other formats take all games of a run")
     with trusting(trust):
         if onnx is not None:
+            require("torch", "--onnx", "onnx", "PyTorch")
             from uavaccel.rl.agents import policy_folder
             from uavaccel.rl.onnx_file import write_onnx
             from uavaccel.rl.policy import load_policy

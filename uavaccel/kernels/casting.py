@@ -36,14 +36,14 @@ from uavaccel.kernels.fields import (
     Looks,
 )  # fmt: skip
 from uavaccel.kernels.operands import Float, Vector, cross, dot
-from uavaccel.kernels.rays import Colour, level_of, lit, sky_index, texel_index
+from uavaccel.kernels.rays import Colour, Integer, level_of, lit, sky_index, texel_index
 from uavaccel.kernels.scene import Scene, Shape
 from uavaccel.sim.camera.pixels import luma_of
 from uavaccel.sim.parts import part
 
 Span: TypeAlias = tuple[Float, Float]
 Eye: TypeAlias = tuple[Vector, tuple[Vector, Vector, Vector], Float]
-Met: TypeAlias = tuple[Float, int]
+Met: TypeAlias = tuple[Float, Integer]
 """A distance, and the index of the shape there."""
 
 ZERO, HALF, ONE, TWO = (np.float32(number) for number in (0.0, 0.5, 1.0, 2.0))
@@ -272,7 +272,8 @@ def meet_heights(scene: Scene, shape: Shape, origin: Vector, direction: Vector, 
 @part(error_model="numpy")
 def meet(scene: Scene, shape: Shape, origin: Vector, direction: Vector, best: Float) -> Float:
     """Return the distance at which a ray of unit direction meets a shape; HUGE for nowhere, or surely after `best`."""
-    kind, bound = np.int32(shape[at.KIND]), shape[at.BOUND]
+    kind: Integer = np.int32(shape[at.KIND])
+    bound = shape[at.BOUND]
     if kind == PLANE:
         return meet_plane(shape, origin, direction)
     if kind == at.HEIGHTS:
@@ -283,7 +284,7 @@ def meet(scene: Scene, shape: Shape, origin: Vector, direction: Vector, best: Fl
         return HUGE
     middle = dot(away, direction)
     p = along((-away[0], -away[1], -away[2]), direction, middle)
-    if dot(p, p) > bound * bound * WIDER or middle - bound > best or middle + bound < ZERO:
+    if dot(p, p) > bound * bound * WIDER or middle - bound * WIDER > best or middle + bound < ZERO:
         return HUGE
     if kind == at.TRIANGLE:
         corner, one, two = triple(shape, at.AXES), triple(shape, at.AXES + 3), triple(shape, at.AXES + 6)
@@ -570,5 +571,5 @@ def gray_at(scene: Scene, world: int, looks: Looks, eye: Eye, row: int, column: 
 
 @part(error_model="numpy")
 def depth_level(total: Float, number: int) -> int:
-    """Return the level of a depth frame's pixel: the mean of `number` depths, where SEEN_FAR_M is 255, from their sum."""
+    """Return the level of a depth frame's pixel from the sum of `number` depths; SEEN_FAR_M is 255."""
     return round(total / np.float32(number) * LEVELS_A_M)

@@ -1,9 +1,9 @@
 """Lanes on one GPU: the functions of the CPU, compiled as CUDA kernels by numba-cuda.
 
-One to 32 threads fly a lane, one thread resolves visibility in a column of an image, and one thread shades 4 x 2 pixels
-and computes their events. All data stays on the device, and kernels are launched on PyTorch's current stream, so that a
-round of them can be recorded as a CUDA graph. numba-cuda cannot disable fused multiply-adds: flights differ from the
-CPU's in their last bits, events do not (sim/parts).
+One to 32 threads fly a lane. In the lane's pictures one thread resolves visibility in a column, and one shades 4 x 2
+pixels and computes their events; in other scenes a thread casts a pixel's ray. All data stays on the device; kernels
+are launched on PyTorch's current stream, so that a round of them can be recorded as a CUDA graph. numba-cuda cannot
+disable fused multiply-adds: flights differ from the CPU's in their last bits, events do not (sim/parts).
 """
 
 from __future__ import annotations
@@ -32,9 +32,10 @@ from uavaccel.kernels.lanes import EVENT_SEED, PICTURE_SEED
 from uavaccel.kernels.operands import Launchable, Operand
 from uavaccel.kernels.project import project_solid
 from uavaccel.kernels.quads import BELOW, RIGHT, quad_lumas, quick_count, update_quad
-from uavaccel.kernels.rays import ONE, colour_of, linear, luma
+from uavaccel.kernels.rays import ONE, colour_of, linear
 from uavaccel.kernels.scene import LOOSE, add_to, sort_cell, visit, world_of
 from uavaccel.kernels.touching import NOTHING, around, deepest_of_all, least_of_all
+from uavaccel.sim.camera.pixels import luma_of
 from uavaccel.sim.clutter import DRAWS, GAP, keep_gaps, sample_shape
 from uavaccel.sim.parts import times
 from uavaccel.sim.pcg64 import STREAM_FIELDS, advance
@@ -744,7 +745,7 @@ def cast_gray(going, looks, games, now, sight, gray):  # type: ignore[no-untyped
         return
     red, green, blue = colour_of_thread(lane, y, x, size, looks, games, now, sight)
     if y < size[0] and x < size[1]:
-        gray[lane, y, x] = luma(red, green, blue)
+        gray[lane, y, x] = luma_of(red, green, blue)
 
 
 @cuda.jit(device=True)
@@ -783,13 +784,13 @@ def cast_events(going, tick_ns, gray, sensor, games, now, pixels):  # type: igno
     y = divided(block * np.uint32(BLOCK_SIDE), columns)
     x, camera = np.uint32(block * np.uint32(BLOCK_SIDE) - y * np.uint32(columns)), camera_of(games, game)
     dt_s = now.state[lane].tick * tick_ns * events.NS - pixels.time_s[lane]
-    normals, draws = events.block_draws(camera, games.seeds[game, EVENT_SEED], pixels.clock[lane] + 1, block)
+    normals, draws = events.block_draws(camera, games.seeds[game, EVENT_SEED], pixels.clock[lane] + 1, int(block))
     filtered = pixels.filtered[lane] if pixels.filtered.size else pixels.filtered[0:0, 0]
     for number in range(BLOCK_SIDE):
         if y >= rows:
             return
         level, draw = noisy_gray(gray, lane, y, x, tick_ns, games, now), (normals[number], draws[number])
-        signed = events.update_pixel(level, camera, sensor, pixels.base[lane], filtered, draw, y, x, dt_s)
+        signed = events.update_pixel(level, camera, sensor, pixels.base[lane], filtered, draw, int(y), int(x), dt_s)
         if signed != 0:
             cuda.atomic.add(pixels.gathered, (lane, divided(y, side), divided(x, side)), np.int32(signed))
         x = np.uint32(x + np.uint32(1))
@@ -809,7 +810,7 @@ def take_frames(going, now, pixels, frames):  # type: ignore[no-untyped-def]
         pixels.gathered[lane, y, x] = 0
 
 
-LIMITS: dict[Any, int] = {update_events: 72, look: 64, cast_depth: 64, cast_colour: 80, cast_gray: 64}
+LIMITS: dict[Any, int] = {update_events: 72, look: 64, cast_depth: 64, cast_colour: 80, cast_gray: 64, cast_events: 64}
 """Registers per thread: fewer of them let more threads wait for memory at the same time."""
 
 

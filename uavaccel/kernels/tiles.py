@@ -8,14 +8,15 @@ until all of them have met something nearer than the rest. Rays through a scene'
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple, TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
 from uavaccel.kernels import scene as at
-from uavaccel.kernels.casting import EYE_FIELDS, HALF, HUGE, ONE, TWO, ZERO, Eye, into, minus, triple
+from uavaccel.kernels.casting import EYE_FIELDS, HALF, HUGE, ONE, ZERO, Eye, into, minus, triple
 from uavaccel.kernels.fields import HALF_HEIGHT, HALF_WIDTH
 from uavaccel.kernels.operands import Float, Operand, Vector, dot, plus
+from uavaccel.kernels.rays import Integer
 from uavaccel.kernels.scene import Shape
 from uavaccel.sim.parts import part
 
@@ -153,7 +154,7 @@ def tiles_of(shape: Shape, camera: Operand, eye: Eye, size: tuple[int, int]) -> 
 
 
 @part(error_model="numpy")
-def covers(tiles: int, across: int, down: int) -> bool:
+def covers(tiles: Integer, across: Integer, down: Integer) -> bool:
     """Return whether `packed` tiles have one among them."""
     within = (tiles & 255) <= across <= (tiles >> 8 & 255)
     return within and (tiles >> 16 & 255) <= down <= (tiles >> 24)

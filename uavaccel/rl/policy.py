@@ -23,6 +23,7 @@ from uavaccel.errors import UserError
 from uavaccel.files import ARRAYS_BYTES, Plain, file_sha256, open_bounded, parse_json, read_bounded, replacing, to_json
 from uavaccel.forms import check
 from uavaccel.own_code import folder_of, look_also_in
+from uavaccel.resources import require
 from uavaccel.rl.config import DOUBLE_DQN, PPO, LearnerConfig, check_options
 
 if TYPE_CHECKING:  # a manifest is read without PyTorch
@@ -244,6 +245,7 @@ def _parsed_manifest(path: Path) -> Mapping[str, Plain]:
 
 def _read_weights(path: Path) -> Mapping[str, th.Tensor]:
     """Read the tensors in a file. Raises UserError if it holds anything else, or numbers that are not finite."""
+    require("torch", str(path), "learn", "PyTorch")
     import torch as th
 
     try:

@@ -157,7 +157,7 @@ class PPO:
         on_gpu = self.device.type == "cuda"
         policy = ActorCritic(env.single_observation_space, space.shape[0], options, sees)
         order = th.channels_last if on_gpu else th.preserve_format  # the order in which a GPU convolves
-        self.policy = policy.to(self.device, memory_format=order)
+        self.policy = policy.to(self.device, memory_format=order)  # type: ignore[call-overload]
         rate = th.tensor(options.learning_rate, device=self.device)
         self.optimizer = Adam(self.policy.parameters(), rate, eps=1e-5, capturable=on_gpu, fused=on_gpu or None)
         self.commands = 0

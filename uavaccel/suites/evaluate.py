@@ -31,6 +31,7 @@ from uavaccel.metrics.intervals import Proportion, mcnemar_exact
 from uavaccel.metrics.speedup import timing_provenance
 from uavaccel.metrics.success import Success
 from uavaccel.records import RunDirectory
+from uavaccel.resources import require
 from uavaccel.rl.agents import (
     DEFAULT,
     Agent,
@@ -172,6 +173,7 @@ class Evaluation(Suite[EvaluateConfig, Game]):
         return case_of(number_of(row), "lane" in row)
 
     def check(self, config: EvaluateConfig) -> None:
+        require("torch", "evaluation", "learn", "PyTorch")
         origin = origin_of(config.agent)
         origin.check(config.task)
         check_names(config.simulator, config.device)

@@ -25,6 +25,7 @@ from uavaccel.envs.values import Action, Info, Observation
 from uavaccel.errors import UserError
 from uavaccel.files import parse_json, to_json
 from uavaccel.records import RunDirectory
+from uavaccel.resources import require
 from uavaccel.rl.agents import Agent, Baseline, PolicyAgent, make_agent, origin_of
 from uavaccel.rl.config import LANE, environment_class
 from uavaccel.sim.profile import PROFILES
@@ -141,6 +142,7 @@ def flight_of_agent(config: EvaluateConfig, lane: int, pictures: bool = True) ->
 
     Raises UserError in `wall` for a policy whose observation has no events: only messages can request images there.
     """
+    require("torch", config.agent, "learn", "PyTorch")
     import torch as th
 
     th.set_num_threads(1)  # as the evaluation's own games are flown

@@ -314,8 +314,8 @@ class Mediation(SuiteOfRuns[MediationConfig, PolicyCase]):
             "All flights of a policy are on the same lanes. Brackets are 95 % intervals: of success over trainings, "
             "lanes and games, of a single training Wilson's, over its games alone; of shares a bootstrap over "
             "trainings and lanes. A share of 1 loses as much alone as the whole does; shares need not add up to 1. An "
-            "effect is a difference of means over cells, its interval Student's over trainings, whose variance is that "
-            "within cells."
+            "effect is a difference of means over cells, its interval Welch's over trainings; cells of one policy are "
+            "compared training by training. Intervals are not corrected for their number."
         )
 
     def figure(self, report: Report) -> Picture:
@@ -334,10 +334,12 @@ class Mediation(SuiteOfRuns[MediationConfig, PolicyCase]):
             ink = "white" if ratio < 0.5 else "black"
             axes.annotate(f"{100 * ratio:.0f}", (column, row), ha="center", va="center", color=ink, fontsize=8)
         axes.set_xticks(range(ratios.shape[1]), [written(name) for name in ratios.columns], rotation=60, ha="right")
-        axes.set_yticks(range(len(ratios)), [str(name).replace("_", " ") for name in ratios.index], fontsize=8)
+        trained = cells[cells.flight == USUAL].set_index("policy").seeds
+        rows = [f"{str(name).replace('_', ' ')} ({len(trained[name])})" for name in ratios.index]
+        axes.set_yticks(range(len(ratios)), rows, fontsize=8)
         axes.grid(visible=False)
-        axes.set(xlabel="flown with", ylabel="trained with")
-        caption = "Success in per cent, all seeds and lanes pooled."
+        axes.set(xlabel="flown with", ylabel="trained with (number of trainings)")
+        caption = "Success in per cent, all trainings and lanes of a cell pooled."
         return report.figure("mediation", figure, caption, f"A map of success. {report.headline()}.")
 
     def lines(self, report: Report) -> Picture:
@@ -403,19 +405,26 @@ def share_of_loss(cells: Mapping[str, pd.DataFrame], share: Share, part: str) ->
 def effect(cells: Mapping[str, pd.DataFrame], contrast: Contrast) -> dict[str, Any]:
     """Return what a factor adds to success on average over its cells, and a 95 % interval over trainings.
 
-    Student's, with the variance of trainings within cells; its ends are None where each cell has a single training.
+    Welch's, with a variance for each policy; cells of a policy are compared training by training. Its ends are None
+    where a policy has a single training.
     """
-    success = {name: np.array([won.mean() for won in cells[name].won]) for name in (*contrast.without, *contrast.moved)}
-    without, moved = (np.mean([success[name].mean() for name in names]) for names in (contrast.without, contrast.moved))
-    freedom = sum(len(values) - 1 for values in success.values())
+    count = len(contrast.moved)
+    added: dict[str, NDArray[np.float64]] = {}
+    means = []
+    for sign, names in ((-1.0, contrast.without), (1.0, contrast.moved)):
+        success = {name: np.array([won.mean() for won in cells[name].won]) for name in names}
+        means.append(float(np.mean([values.mean() for values in success.values()])))
+        for name, values in success.items():
+            policy = name.partition("/")[0]
+            added[policy] = added.get(policy, 0.0) + sign * values / count
+    without, moved = means
     told = {"without": without, "moved": moved, "effect": moved - without, "low": None, "high": None}
-    if freedom:
-        variance = sum(values.var() * len(values) for values in success.values()) / freedom
-        error = np.sqrt(variance * sum(1.0 / len(values) for values in success.values())) / len(contrast.moved)
-        width = student_quantile(freedom) * error
-        told |= {"low": moved - without - width, "high": moved - without + width}
-    trained = {(name.partition("/")[0], number) for name, values in success.items() for number in range(len(values))}
-    return told | {"trainings": len(trained)}
+    squared = [values.var(ddof=1) / len(values) for values in added.values() if len(values) > 1]
+    if len(squared) == len(added) and sum(squared) > 0.0:
+        spread = [square**2 / (len(values) - 1) for square, values in zip(squared, added.values(), strict=True)]
+        width = student_quantile(max(1, int(sum(squared) ** 2 / sum(spread)))) * np.sqrt(sum(squared))
+        told |= {"low": max(-1.0, moved - without - width), "high": min(1.0, moved - without + width)}
+    return told | {"trainings": sum(map(len, added.values()))}
 
 
 CELLS: dict[str, Column] = {

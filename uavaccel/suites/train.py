@@ -182,6 +182,7 @@ class Training(Suite[TrainConfig, SimpleCase]):
         return game_case(row["game"])
 
     def check(self, config: TrainConfig) -> None:
+        require("torch", "training", "learn", "PyTorch")
         check_algorithm(config)
         if config.wandb is not None:
             require("wandb", f"wandb = {config.wandb!r}", "wandb")
