@@ -19,8 +19,9 @@ from uavaccel.own_code import trusting
 from uavaccel.records import RunDirectory
 from uavaccel.resources import experiment
 from uavaccel.suites import realtime_agents as agents
-from uavaccel.suites.realtime import AgentBlock, EnvironmentBlock, Evaluation, Realtime
+from uavaccel.suites.realtime import Evaluation, Realtime
 from uavaccel.suites.realtime_agents import LookAhead, Policy, measured, timed, train, training
+from uavaccel.suites.realtime_config import AgentBlock, EnvironmentBlock
 
 PENDULUM = EnvironmentBlock(id="InvertedPendulum-v5", train_steps=512)
 CART = EnvironmentBlock(id="CartPole-v1", default_action=1, period_s=0.5)

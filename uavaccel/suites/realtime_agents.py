@@ -25,7 +25,7 @@ from uavaccel.realtime import RealTime, RealTimeProcess, samples
 from uavaccel.realtime.control_loop import Command, ControlLoop, LoopOptions
 from uavaccel.realtime.plant import MujocoPlant
 from uavaccel.realtime.policies import load_policy
-from uavaccel.suites.realtime import DRONES, AgentBlock, EnvironmentBlock
+from uavaccel.suites.realtime_config import DRONES, AgentBlock, EnvironmentBlock
 from uavaccel.units import seconds_to_ns
 
 Env = gymnasium.Env[Any, Any]
