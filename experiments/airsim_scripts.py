@@ -377,16 +377,11 @@ def last_line(output: str) -> str:
 
 
 def page(rows: Sequence[tuple[Plan, Result | None, Result | None]]) -> str:
-    """The table in Markdown; scripts that do the same in both ways are listed below it."""
+    """The table in Markdown."""
     lines = [HEADER, "| script | `uavaccel fly` | AirSim's client over TCP |", "|---|---|---|"]
-    alike: dict[str, list[str]] = {}
     for plan, fly, wire in rows:
         cells = [plan.unfit or cell(fly), plan.unfit or plan.not_by_wire or cell(wire)]
-        if cells[0] == cells[1]:
-            alike.setdefault(cells[0], []).append(plan.script)
-        else:
-            lines.append("| " + " | ".join([plan.script, *(text.replace("|", "/") for text in cells)]) + " |")
-    lines += [f"\nThe same in both ways, {text}: {', '.join(scripts)}." for text, scripts in alike.items()]
+        lines.append("| " + " | ".join([plan.script, *(text.replace("|", "/") for text in cells)]) + " |")
     for name, results in (("fly", [row[1] for row in rows]), ("over TCP", [row[2] for row in rows])):
         tried = [result for result in results if result is not None]
         passed = sum(result.passed for result in tried)
