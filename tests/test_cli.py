@@ -403,7 +403,7 @@ def test_commands_are_taken_in_any_case_and_kept_in_lower_case(typed_as: str, tm
 def test_an_unknown_experiment_is_told_those_there_are(tmp_path: Path) -> None:
     with pytest.raises(UserError, match=r"^dp7: no such experiment; did you mean 'dp2'\?$"):
         configure(RunRequest("dp7"))
-    with pytest.raises(UserError, match=r"^zebra: no such experiment; known: ablation, dp1, ") as refused:
+    with pytest.raises(UserError, match=r"^zebra: no such experiment; known: ablation, benchmark_smoke, ") as refused:
         configure(RunRequest("zebra"))
     assert "latency" not in str(refused.value).replace("rl_latency", "")
     assert "claims" not in str(refused.value)
