@@ -32,6 +32,7 @@ from http import HTTPStatus
 from ipaddress import ip_address
 from pathlib import Path
 from select import select
+from threading import Event
 from typing import IO, TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
@@ -131,8 +132,10 @@ def main() -> None:
 
     source = Live(Path(options["socket"]))
     server = open_server(options["host"], options["port"], head_of(options["title"]))
-    page = Page(server, source, options["title"], lambda: tell({"opened": True}))
+    told = Event()  # a tab of an earlier page may come back before the port is told
+    page = Page(server, source, options["title"], lambda: tell({"opened": told.wait()}))
     tell({"port": server.get_port()})
+    told.set()
     page.run()
 
 
