@@ -11,9 +11,9 @@ ARG DEVICE=cpu
 COPY . /src
 # PyTorch's own wheel on PyPI carries CUDA; with it goes the extra for the kernels on a GPU.
 RUN --mount=type=cache,target=/root/.cache/pip cd /src \
-    && if [ "$DEVICE" = cuda ]; then extra='[film,learn,gpu]' index=https://pypi.org/simple; \
-       else extra='[film,learn]' index=https://download.pytorch.org/whl/cpu; fi \
-    && pip install --extra-index-url "$index" "$(grep '^torch==' constraints.txt)" \
+    && if [ "$DEVICE" = cuda ]; then extra='[film,learn,gpu]'; \
+       else extra='[film,learn]'; export PIP_EXTRA_INDEX_URL=https://download.pytorch.org/whl/cpu; fi \
+    && pip install "$(grep '^torch==' constraints.txt)" \
     && pip install --constraint constraints.txt ".$extra"
 
 ENV NVIDIA_DRIVER_CAPABILITIES=compute,graphics,utility

@@ -2,7 +2,7 @@
 # pyproject.toml, constraints.txt or this file changes.
 
 PYTHON ?= python3
-# Linux wheels of torch without CUDA. For the CUDA build: make setup TORCH_INDEX=https://pypi.org/simple
+# Linux wheels of torch without CUDA. For the CUDA build: make setup TORCH_INDEX=
 TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 
 VENV := .venv
@@ -47,7 +47,7 @@ $(STAMP): pyproject.toml constraints.txt Makefile
 		{ echo "no virtual environment: apt-get install python3-venv" >&2; exit 1; }
 	@echo "setting up $(VENV); the first time takes minutes"
 	@$(PIP) --constraint constraints.txt pip 2>$(LOG) || { cat $(LOG) >&2; exit 1; }
-	@$(PIP) --extra-index-url $(TORCH_INDEX) "$(TORCH)" 2>$(LOG) || { cat $(LOG) >&2; exit 1; }
+	@$(PIP) $(TORCH_INDEX:%=--extra-index-url %) "$(TORCH)" 2>$(LOG) || { cat $(LOG) >&2; exit 1; }
 	@$(PIP) --constraint constraints.txt --editable '.[film,learn]' 2>$(LOG) || { cat $(LOG) >&2; exit 1; }
 	@touch $@
 
