@@ -114,6 +114,8 @@ def test_a_task_of_ones_own_judges_each_drone() -> None:
         ({"drones": 1}, r"^Swarm: drones = 1: "),
         ({"command": "adsc"}, r"command = 'adsc': several drones fly with 'tcsc' alone"),
         ({"history": 2}, r"history = 2: several drones fly with 1 alone"),
+        ({"observation": "colour", "image_noise": 2.0}, r"image_noise = 2.0: several drones fly with 0.0 alone"),
+        ({"observation": "dvs", "list_events": True}, r"list_events = True: several drones fly with False alone"),
         ({"timing": "virtual"}, r"timing = 'virtual'"),
         ({"t_move_s": 0.4}, "t_sample_s equal to t_move_s"),
         ({"drone": 3}, "unknown key 'drone'"),

@@ -17,7 +17,7 @@ from uavaccel.envs.checks import make_task, seed_of, within
 from uavaccel.envs.judging import autopilot_goal
 from uavaccel.envs.own_task import check_reward
 from uavaccel.envs.sensors import Sensor
-from uavaccel.envs.task import AT_REST, AnyMoment, Mediation, Moment, Positive, Task, distance
+from uavaccel.envs.task import AT_REST, AnyMoment, Mediation, Moment, Positive, Task, distance, position_option
 from uavaccel.envs.values import Action, Course, Info, Number, Observation
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Kinematics
@@ -37,6 +37,19 @@ require("pettingzoo", "several drones", "swarm")
 
 from pettingzoo import ParallelEnv  # type: ignore[import-untyped] # noqa: E402
 
+ALONE_WITH = {
+    "command": "tcsc",
+    "profile": "native",
+    "history": 1,
+    "blank_images": False,
+    "image_noise": 0.0,
+    "dvs_rate_hz": None,
+    "dvs_shot_noise_hz": 0.0,
+    "dvs_leak_hz": 0.0,
+    "list_events": False,
+    "report_host_times": False,
+}
+"""Keys of other tasks that several drones do not follow, and what they have to be."""
 AWAY_M = 500.0  # from the middle: where drones are whose games are over
 
 
@@ -62,7 +75,7 @@ class SwarmTask(Task):
 
     @model_validator(mode="after")
     def _flies_together(self) -> Self:
-        for key, only in (("command", "tcsc"), ("profile", "native"), ("history", 1), ("dvs_rate_hz", None)):
+        for key, only in ALONE_WITH.items():
             if getattr(self, key) != only:
                 raise ValueError(f"{key} = {getattr(self, key)!r}: several drones fly with {only!r} alone")
         if self.mediation != Mediation() or self.frames_per_command != 1:
@@ -81,14 +94,10 @@ class SwarmTask(Task):
         }
 
     def _places(self, options: Mapping[str, object], name: str, drawn: NDArray[np.float64]) -> list[list[float]]:
-        try:
-            places = np.array(options.get(name, drawn), float)
-        except (TypeError, ValueError):
-            places = np.array(np.nan)
-        if places.shape != drawn.shape or not np.isfinite(places).all():
+        places: list[list[float]] = position_option(options, name, drawn)
+        if len(places) != self.drones:
             raise UserError(f"reset: option {name} must be {self.drones} places [north, east, down] in metres")
-        found: list[list[float]] = places.tolist()
-        return found
+        return places
 
     def course_of(self, drone: int, course: Course) -> Course:
         """Return a drone's own course: its goal, and the others, who are told by `fields`."""
@@ -123,10 +132,10 @@ class Swarm(ParallelEnv):  # type: ignore[misc]
     """Drones that cross a ring, `drone_0` and so on; the keywords are the task's keys.
 
     `reset` takes `options={"starts_m": ..., "goals_m": ...}`, places (drones, 3), NED in metres; it ignores others,
-    which PettingZoo's own test passes. A drone that has
-    reached its goal, or touched something, leaves the world, and `agents`. Its last info has `is_success`, `position_m`
-    and `collision`, what it touched: "ground" or another drone's name. Raises UserError for keywords that do not fit,
-    for actions outside the space and for a step before the first reset.
+    which PettingZoo's own test passes. A drone that has reached its goal, or touched something, leaves the world, and
+    `agents`. Its last info has `is_success`, `position_m` and `collision`, what it touched: "ground" or another drone's
+    name. Raises UserError for keywords that do not fit, for actions outside the space and for a step before the first
+    reset.
     """
 
     metadata: ClassVar[Info] = {"name": "uavaccel_swarm_v0", "render_modes": [], "is_parallelizable": True}
@@ -142,7 +151,7 @@ class Swarm(ParallelEnv):  # type: ignore[misc]
         self._ticks = round(task.t_move_s / PROFILES[task.profile].tick_s)
         self._random = np.random.default_rng()
         self._world: World | None = None
-        self._sensors: dict[str, Sensor] = {}
+        self._sensors: dict[str, Sensor] = {agent: task.sensor() for agent in self.possible_agents}
         self._moments: dict[str, Moment] = {}
 
     def observation_space(self, agent: str) -> Any:
@@ -160,7 +169,6 @@ class Swarm(ParallelEnv):  # type: ignore[misc]
         course = self.task.sample(self._random, options or {})
         self._place(course["starts_m"])
         self.agents = list(self.possible_agents)
-        self._sensors = {agent: self.task.sensor() for agent in self.agents}
         self._moments = {}
         for number, agent in enumerate(self.agents):
             state = self._vehicle(agent).kinematics(in_world=True)
@@ -210,6 +218,8 @@ class Swarm(ParallelEnv):  # type: ignore[misc]
     def _place(self, starts_m: Sequence[Sequence[float]]) -> None:
         starts = [Start((north, east, down)) for north, east, down in starts_m]
         if self._world is None:
+            if self.task.observation != "state":
+                gl.check_process()
             world = World(self.task.scene, PROFILES[self.task.profile])
             world.add_vehicles([*map(AddedVehicle, self.possible_agents[1:], starts[1:])])
             self._world = world
@@ -272,7 +282,6 @@ class Swarm(ParallelEnv):  # type: ignore[misc]
     def _picture(self, agent: str, kind: str) -> Any:
         """Draw what a drone's front camera sees, the others included."""
         assert self._world is not None
-        gl.check_process()
         width, height = self.task.picture_size
         camera = self._world.mounted_camera(width, height)
         pose = vehicle_pose(self._world.data, self.possible_agents.index(agent))
