@@ -730,11 +730,10 @@ class Robustness(PolicyGrid):
         for axes, command, own in panels:
             success = own.pivot(index="latency_scale", columns="clock_speed", values="success_ratio")
             ratios = success.reindex(index=scales, columns=clocks)
-            # a map of colours that the common colour-vision deficiencies keep apart
-            axes.imshow(ratios, "cividis", aspect="auto", origin="lower", vmin=0.0, vmax=1.0)
+            plots.success_map(axes, ratios, origin="lower")
             for cell in own.to_dict("records"):
                 place = clocks.index(cell["clock_speed"]), scales.index(cell["latency_scale"])
-                text: dict[str, Any] = {"ha": "center", "color": "white" if cell["success_ratio"] < 0.5 else "black"}
+                text: dict[str, Any] = {"ha": "center", "color": plots.ink_on(cell["success_ratio"])}
                 axes.annotate(f"{cell['success_ratio']:.0%}", place, va="bottom", fontweight="bold", **text)
                 interval = f"{100 * cell['wilson_low']:.0f}–{100 * cell['wilson_high']:.0f}"
                 text |= {"xytext": (0, -2), "textcoords": "offset points", "va": "top", "fontsize": 8}
@@ -742,7 +741,6 @@ class Robustness(PolicyGrid):
             axes.set_title(command_name(command))
             plots.clock_axis(axes, clocks)
             axes.set_yticks(range(len(scales)), [f"×{scale:g}" for scale in scales])
-            axes.grid(visible=False)
             if FITTED in scales:
                 corner = -0.5, scales.index(FITTED) - 0.5
                 frame = Rectangle(corner, len(clocks), 1.0, fill=False, edgecolor=style.BLACK, linewidth=2.0)

@@ -329,15 +329,14 @@ class Mediation(SuiteOfRuns[MediationConfig, PolicyCase]):
         ratios = success.reindex(index=cells.policy.unique(), columns=cells.flight.unique())
         figure = style.new_figure(1.4 + 0.26 * len(ratios), self.title(report), self.source(report))
         axes = figure.subplots()
-        axes.imshow(ratios, "cividis", aspect="auto", vmin=0.0, vmax=1.0)
+        plots.success_map(axes, ratios)
         for (row, column), ratio in np.ndenumerate(ratios):
-            ink = "white" if ratio < 0.5 else "black"
-            axes.annotate(f"{100 * ratio:.0f}", (column, row), ha="center", va="center", color=ink, fontsize=8)
+            look: dict[str, Any] = {"ha": "center", "va": "center", "color": plots.ink_on(ratio), "fontsize": 8}
+            axes.annotate(f"{100 * ratio:.0f}", (column, row), **look)
         axes.set_xticks(range(ratios.shape[1]), [written(name) for name in ratios.columns], rotation=60, ha="right")
         trained = cells[cells.flight == USUAL].set_index("policy").seeds
         rows = [f"{str(name).replace('_', ' ')} ({len(trained[name])})" for name in ratios.index]
         axes.set_yticks(range(len(ratios)), rows, fontsize=8)
-        axes.grid(visible=False)
         axes.set(xlabel="flown with", ylabel="trained with (number of trainings)")
         caption = "Success in per cent, all trainings and lanes of a cell pooled."
         return report.figure("mediation", figure, caption, f"A map of success. {report.headline()}.")
@@ -363,11 +362,8 @@ class Mediation(SuiteOfRuns[MediationConfig, PolicyCase]):
 def written(flight: str) -> str:
     """Return a flight's name as a label: `gap 2`, `start −0.584`."""
     name, value = split_name(flight)
-    return (
-        name.replace("_", " ")
-        if value is None
-        else f"{name.replace('_', ' ')} {value:g}".replace("-", "\N{MINUS SIGN}")
-    )
+    words = name.replace("_", " ")
+    return words if value is None else f"{words} {value:g}".replace("-", "\N{MINUS SIGN}")
 
 
 def split_name(flight: str) -> tuple[str, float | None]:

@@ -118,6 +118,20 @@ def band(
     )
 
 
+def success_map(axes: Axes, ratios: ArrayLike, **options: Any) -> None:
+    """Colour a table of success (rows, columns), by colours that the common colour-vision deficiencies keep apart.
+
+    The `options` are those of `Axes.imshow`.
+    """
+    axes.imshow(ratios, "cividis", aspect="auto", vmin=0.0, vmax=1.0, **options)
+    axes.grid(visible=False)
+
+
+def ink_on(ratio: float) -> str:
+    """Return the colour of text on a cell of `success_map`."""
+    return "white" if ratio < 0.5 else "black"
+
+
 def clock_axis(axes: Axes, clocks: Sequence[float]) -> None:
     """Label places 0, 1, ... with ClockSpeeds, which are at equal distances so that the highest can be told apart."""
     axes.set_xticks(range(len(clocks)), [clock_label(clock) for clock in clocks])
