@@ -19,7 +19,7 @@ import pytest
 
 from tests.flying import FOR_EVER, STRAIGHT, point
 from uavaccel.errors import UserError
-from uavaccel.sim.flight.pilot import DeferredReply, Pilot
+from uavaccel.sim.flight import DeferredReply, Pilot
 from uavaccel.sim.profile import PROFILES
 from uavaccel.sim.simulation import Simulation
 from uavaccel.sim.world import World

@@ -8,8 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from uavaccel.commands import COMMANDS, VelocityGoal
-from uavaccel.commands.paths import velocities
+from uavaccel.commands import COMMANDS, VelocityGoal, velocities
 from uavaccel.files import Plain
 from uavaccel.metrics.intervals import NORMAL_QUANTILE
 from uavaccel.metrics.stlc import mean_stlc

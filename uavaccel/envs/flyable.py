@@ -11,8 +11,8 @@ from uavaccel.envs.task import Task
 from uavaccel.errors import UserError
 from uavaccel.kernels.fields import COLOUR, DEPTH, DVS, STATE
 from uavaccel.limits import MOST_GAMES
-from uavaccel.sim.lane.layout import PLAIN
 from uavaccel.sim.profile import Profile
+from uavaccel.sim.scene import PLAIN
 from uavaccel.units import exact
 from uavaccel.wire.latency import ZERO_LATENCY, LatencyConfig
 

@@ -24,7 +24,8 @@ from uavaccel.kernels.fields import NO_APPEARANCE, NO_LOOKS, STATE, Appearance, 
 from uavaccel.kernels.lanes import Games, game_rows
 from uavaccel.kernels.scene import empty_scene
 from uavaccel.kernels.still import read_scene
-from uavaccel.sim.lane.layout import PLAIN, LaneLayout
+from uavaccel.sim.lane import LaneLayout
+from uavaccel.sim.scene import PLAIN
 from uavaccel.sim.world import World
 from uavaccel.vision.noise import noise_seed
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from uavaccel.commands.slices import samples_due
+from uavaccel.commands import samples_due
 from uavaccel.envs.flyable import kind_of, latency_of, profile_of, speed_of
 from uavaccel.envs.task import Task
 from uavaccel.kernels import latencies as wire

@@ -23,7 +23,7 @@ from uavaccel.envs.values import Course, Info, Number
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Vector
 from uavaccel.limits import Count, Height, Seconds
-from uavaccel.sim.lane.layout import (
+from uavaccel.sim.lane import (
     HULL_RADIUS_M,
     LENGTH_M,
     SPLIT_SIZE,

@@ -16,7 +16,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from uavaccel.commands.slices import check_times, samples_due
+from uavaccel.commands import check_times, samples_due
 from uavaccel.config import Config
 from uavaccel.envs.actions import SIZES, ActionKind, chosen, low_level_goal
 from uavaccel.envs.context_planes import ContextPlanes
@@ -34,8 +34,9 @@ from uavaccel.envs.values import Action, Course, Info, Number
 from uavaccel.errors import UserError
 from uavaccel.kinematics import FlightGoal, Kinematics, Vector, VelocityGoal
 from uavaccel.limits import ClockSpeed, CommandName, Cost, Count, Height, Seconds, Seed, Speed
-from uavaccel.sim.lane.layout import PLAIN, LaneLayout
+from uavaccel.sim.lane import LaneLayout
 from uavaccel.sim.profile import PROFILES
+from uavaccel.sim.scene import PLAIN
 from uavaccel.units import NS_PER_S
 from uavaccel.vision.dvs_sensor import PRESETS, DvsParameters, with_noise, with_thresholds
 from uavaccel.wire.latency import LatencyModel, of_the_profile

@@ -14,7 +14,7 @@ from fractions import Fraction
 
 from uavaccel.clock import Pacer, positive_clock_speed
 from uavaccel.kinematics import Kinematics, Quaternion, Vector
-from uavaccel.sim.flight.pilot import DeferredReply, Pilot
+from uavaccel.sim.flight import DeferredReply, Pilot
 from uavaccel.sim.poses import LEVEL
 from uavaccel.sim.profile import UNBOUND, Executor, Frames, Profile
 from uavaccel.sim.recording import Recording

@@ -13,8 +13,7 @@ import pandas as pd
 from pydantic import AfterValidator, Field, model_validator
 from typing_extensions import TypedDict
 
-from uavaccel.commands.paths import velocities
-from uavaccel.commands.slices import check_times
+from uavaccel.commands import check_times, velocities
 from uavaccel.draw import style
 from uavaccel.draw.labels import clock_label, command_at_clock, command_name, metres, rounds_label
 from uavaccel.draw.page import Block, Heading, Picture, Table, unknown

@@ -16,7 +16,7 @@ from pydantic import Field, model_validator
 from typing_extensions import TypedDict
 
 from uavaccel import limits
-from uavaccel.commands.slices import check_times, samples_due
+from uavaccel.commands import check_times, samples_due
 from uavaccel.draw import style
 from uavaccel.draw.labels import clock_label, command_name, metres, number
 from uavaccel.draw.page import Block, Heading, Picture, Table, unknown
@@ -27,7 +27,7 @@ from uavaccel.limits import Seconds, Seed
 from uavaccel.metrics.dvs_ed import dvs_ed_percent
 from uavaccel.metrics.speedup import timing_provenance
 from uavaccel.sim.camera.view import HEIGHT, WIDTH
-from uavaccel.sim.lane.layout import Lane, LaneLayout
+from uavaccel.sim.lane import Lane, LaneLayout
 from uavaccel.sim.profile import PROFILES
 from uavaccel.suites import plots
 from uavaccel.suites.experiment import FlightExperiment, Timing
