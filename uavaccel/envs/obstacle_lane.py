@@ -16,8 +16,8 @@ from pydantic import Field, field_validator, model_validator
 
 from uavaccel.config import validate
 from uavaccel.envs.conditions import LATENCY, OF_DIFFICULTY, OF_TASK, Ranges, corners, keys_of
-from uavaccel.envs.context_planes import ContextKind, ContextPlanes
 from uavaccel.envs.flight_env import CONDITIONS, FlightEnv
+from uavaccel.envs.sensors import ContextKind, ContextPlanes
 from uavaccel.envs.task import AnyLayout, AnyMoment, Task
 from uavaccel.envs.values import Course, Info, Number
 from uavaccel.errors import UserError

@@ -13,9 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from uavaccel.envs.checks import make_task, seed_of, within
+from uavaccel.envs.checks import check_reward, make_task, seed_of, within
 from uavaccel.envs.judging import autopilot_goal
-from uavaccel.envs.own_task import check_reward
 from uavaccel.envs.sensors import Sensor
 from uavaccel.envs.task import AT_REST, AnyMoment, Mediation, Moment, Positive, Task, distance, position_option
 from uavaccel.envs.values import Action, Course, Info, Number, Observation

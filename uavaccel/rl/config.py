@@ -22,8 +22,8 @@ from pydantic import (
 )
 
 from uavaccel.config import Config, KeyTree, validate
-from uavaccel.envs.flyable import Simulator, check_flyable
 from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
+from uavaccel.envs.simulators import Simulator, check_flyable
 from uavaccel.envs.task import Positive, Task
 from uavaccel.errors import UserError, suggestion
 from uavaccel.files import Plain
@@ -129,7 +129,7 @@ def _of_the_environment(task: Any, handler: ValidatorFunctionWrapHandler, info: 
         return handler(task)  # which refuses it
     made = task_class.model_validate_json(json.dumps(task), strict=True)
     if ":" in info.data["env_id"]:
-        from uavaccel.envs.own_task import check_functions
+        from uavaccel.envs.checks import check_functions
 
         check_functions(made)
     return made

@@ -19,9 +19,18 @@ from uavaccel.config import KeyTree
 from uavaccel.draw import style
 from uavaccel.draw.labels import command_at_clock, command_name
 from uavaccel.draw.page import Block, Heading, Movie, Table, listed
-from uavaccel.envs.flyable import CUDA, Device, Simulator, check_flyable
 from uavaccel.envs.obstacle_lane import LaneTask
-from uavaccel.envs.simulators import EXACT, KERNELS, check_names, check_simulator, flown_by
+from uavaccel.envs.simulators import (
+    CUDA,
+    EXACT,
+    KERNELS,
+    Device,
+    Simulator,
+    check_flyable,
+    check_names,
+    check_simulator,
+    flown_by,
+)
 from uavaccel.envs.values import Action, Info, Observation
 from uavaccel.errors import UserError
 from uavaccel.files import Plain

@@ -588,8 +588,8 @@ def gap_s(cell: Flights) -> float:
     first = cell.iloc[0]
     if first.command == "tcsc":
         return 0.0
-    from uavaccel.envs.flyable import speed_of
     from uavaccel.envs.obstacle_lane import LaneTask
+    from uavaccel.envs.simulators import speed_of
 
     speed = speed_of(LaneTask(timing=first.timing, profile=first.profile, clock_speed=first.clock_speed))
     running_s = cell.wall_s.sum() - cell.rendering.sum()

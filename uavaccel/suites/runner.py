@@ -151,7 +151,7 @@ def _games(
 
 
 def _one_by_one(suite: AnySuite, config: Experiment, run: RunDirectory, cases: Sequence[Case]) -> Iterator[GameResult]:
-    from uavaccel.envs.environment_processes import BatchError
+    from uavaccel.envs.environment_process import BatchError
 
     try:
         with _own_errors(config), suite.open(config, cases[0].timing, run) as opened:
