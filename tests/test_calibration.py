@@ -22,8 +22,18 @@ from tools.check_numbers import ROOT
 from tools.fit_gap_law import PREDICTED, fit, judged
 from uavaccel.calibration import advise as advice
 from uavaccel.calibration import calibrate, doctor
-from uavaccel.calibration.advise import SquareGame, advise, fly_square, policy_sentence, sentence
-from uavaccel.calibration.calibrate import Agreement, ClientEvent, Latencies, quantiles_us, record_trace
+from uavaccel.calibration.calibrate import (
+    Agreement,
+    ClientEvent,
+    Latencies,
+    SquareGame,
+    advise,
+    fly_square,
+    policy_sentence,
+    quantiles_us,
+    record_trace,
+    sentence,
+)
 from uavaccel.cli.main import app
 from uavaccel.commands import COMMANDS
 from uavaccel.errors import UserError

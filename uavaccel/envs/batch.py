@@ -13,13 +13,13 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
+from uavaccel.config import MOST_GAMES, MOST_PROCESSES
 from uavaccel.envs.checks import actions_of, autoreset_of, check_render_mode, make_task, whole_number
 from uavaccel.envs.environment_processes import BatchOptions, EnvironmentProcesses, SharedObservations, form_of
 from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.turn_batch import TurnBatch
 from uavaccel.envs.values import Actions, Answer, Info, Observation, Steps, copied, rows_of
 from uavaccel.errors import UserError
-from uavaccel.limits import MOST_GAMES, MOST_PROCESSES
 from uavaccel.machine import usable_cores
 from uavaccel.own_code import folder_of
 from uavaccel.sim.camera.gl import choose_backend

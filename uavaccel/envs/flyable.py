@@ -5,12 +5,12 @@ from __future__ import annotations
 from fractions import Fraction
 from typing import TYPE_CHECKING, Literal, get_args
 
+from uavaccel.config import MOST_GAMES
 from uavaccel.envs.checks import whole_number
 from uavaccel.envs.sensors import PICTURE_SIZE
 from uavaccel.envs.task import Task
 from uavaccel.errors import UserError
 from uavaccel.kernels.fields import COLOUR, DEPTH, DVS, STATE
-from uavaccel.limits import MOST_GAMES
 from uavaccel.sim.lane.layout import PLAIN
 from uavaccel.sim.profile import Profile
 from uavaccel.units import exact

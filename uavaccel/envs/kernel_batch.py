@@ -17,6 +17,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from uavaccel.clock import MonotonicClock
+from uavaccel.config import MOST_PROCESSES
 from uavaccel.envs.arrays import assign, mapped, named_leaves, one_of, select, stacked
 from uavaccel.envs.checks import actions_of, autoreset_of, make_task, whole_number
 from uavaccel.envs.context_planes import NO_ACTION
@@ -35,7 +36,6 @@ from uavaccel.kernels import cpu, events, timeline
 from uavaccel.kernels import lanes as rows
 from uavaccel.kernels.fields import DVS, STATE
 from uavaccel.kernels.flight import TOUCHED
-from uavaccel.limits import MOST_PROCESSES
 from uavaccel.machine import usable_cores
 from uavaccel.sim.vehicle.quadrotor import KINEMATICS
 from uavaccel.units import NS_PER_S, plain

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from uavaccel.commands.slices import check_times, samples_due
-from uavaccel.config import Config
+from uavaccel.config import ClockSpeed, CommandName, Config, Cost, Count, Height, Seconds, Seed, Speed
 from uavaccel.envs.actions import SIZES, ActionKind, chosen, low_level_goal
 from uavaccel.envs.context_planes import ContextPlanes
 from uavaccel.envs.sensors import (
@@ -33,7 +33,6 @@ from uavaccel.envs.sensors import (
 from uavaccel.envs.values import Action, Course, Info, Number
 from uavaccel.errors import UserError
 from uavaccel.kinematics import FlightGoal, Kinematics, Vector, VelocityGoal
-from uavaccel.limits import ClockSpeed, CommandName, Cost, Count, Height, Seconds, Seed, Speed
 from uavaccel.sim.lane.layout import PLAIN, LaneLayout
 from uavaccel.sim.profile import PROFILES
 from uavaccel.units import NS_PER_S

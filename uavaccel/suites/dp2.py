@@ -17,15 +17,14 @@ from typing_extensions import TypedDict
 
 from uavaccel import limits
 from uavaccel.commands.slices import check_times, samples_due
+from uavaccel.config import Seconds, Seed
 from uavaccel.draw import style
-from uavaccel.draw.labels import clock_label, command_name, metres, number
-from uavaccel.draw.page import Block, Heading, Picture, Table, unknown
+from uavaccel.draw.page import Block, Heading, Picture, Table, clock_label, command_name, metres, number, unknown
 from uavaccel.envs.camera_client import EventClient, Sample
 from uavaccel.envs.task import rate_ticks
 from uavaccel.forms import ArrayForm, Count, NotNegative, Number, Positive
-from uavaccel.limits import Seconds, Seed
-from uavaccel.metrics.dvs_ed import dvs_ed_percent
-from uavaccel.metrics.speedup import timing_provenance
+from uavaccel.metrics.trajectory import dvs_ed_percent
+from uavaccel.records import timing_provenance
 from uavaccel.sim.camera.view import HEIGHT, WIDTH
 from uavaccel.sim.lane.layout import Lane, LaneLayout
 from uavaccel.sim.profile import PROFILES
