@@ -1,4 +1,4 @@
-"""Uncertainty over games and trainings: bootstraps, Wilson's interval, Student's quantile, exact and permutation tests."""
+"""Uncertainty over games and trainings: bootstraps, Wilson and Student, exact tests and permutations."""
 
 from __future__ import annotations
 
