@@ -28,7 +28,7 @@ from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
 from uavaccel.envs.sensors import ContextPlanes
 from uavaccel.envs.task import HOVER_THROTTLE
 from uavaccel.errors import UserError
-from uavaccel.export.minari_dataset import write_minari
+from uavaccel.export import write_minari
 from uavaccel.kinematics import AttitudeGoal, BodyRatesGoal, MotorsGoal
 from uavaccel.rl.agents import make_agent, origin_of
 from uavaccel.rl.double_dqn import HostDQN

@@ -17,6 +17,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from uavaccel.clock import MonotonicClock
+from uavaccel.config import MOST_PROCESSES
 from uavaccel.envs.batch import TurnBatch
 from uavaccel.envs.checks import actions_of, autoreset_of, make_task, whole_number
 from uavaccel.envs.flight_env import CONDITIONS, FlightEnv
@@ -47,7 +48,6 @@ from uavaccel.kernels import cpu, events, timeline
 from uavaccel.kernels import lanes as rows
 from uavaccel.kernels.fields import DVS, STATE
 from uavaccel.kernels.flight import TOUCHED
-from uavaccel.limits import MOST_PROCESSES
 from uavaccel.machine import usable_cores
 from uavaccel.sim.vehicle.quadrotor import KINEMATICS
 from uavaccel.units import NS_PER_S, plain

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 import numpy as np
 from gymnasium import spaces
 
+from uavaccel.config import MOST_GAMES
 from uavaccel.envs.checks import whole_number
 from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.sensors import PICTURE_SIZE
@@ -18,7 +19,6 @@ from uavaccel.envs.values import Batch, cast, full, joined, stacked
 from uavaccel.errors import UserError
 from uavaccel.kernels.fields import COLOUR, DEPTH, DVS, STATE
 from uavaccel.kinematics import FlightGoal, Kinematics
-from uavaccel.limits import MOST_GAMES
 from uavaccel.resources import require
 from uavaccel.sim.lane.layout import PLAIN
 from uavaccel.sim.profile import Profile

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from uavaccel.commands.slices import check_times, samples_due
-from uavaccel.config import Config
+from uavaccel.config import ClockSpeed, CommandName, Config, Cost, Count, Height, Seconds, Seed, Speed
 from uavaccel.envs.sensors import (
     PICTURE_SIZE,
     ColourCamera,
@@ -32,7 +32,6 @@ from uavaccel.envs.sensors import (
 from uavaccel.envs.values import Action, Course, Info, Number, constant
 from uavaccel.errors import UserError
 from uavaccel.kinematics import AttitudeGoal, BodyRatesGoal, FlightGoal, Kinematics, MotorsGoal, Vector, VelocityGoal
-from uavaccel.limits import ClockSpeed, CommandName, Cost, Count, Height, Seconds, Seed, Speed
 from uavaccel.sim.lane.layout import PLAIN, LaneLayout
 from uavaccel.sim.profile import PROFILES
 from uavaccel.units import NS_PER_S
