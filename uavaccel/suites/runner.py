@@ -13,9 +13,9 @@ from functools import partial
 from itertools import groupby, islice
 from pathlib import Path
 
+from uavaccel.config import MOST_GAMES, MOST_PROCESSES
 from uavaccel.errors import UsageError, UserError
 from uavaccel.files import is_file_name, to_json
-from uavaccel.limits import MOST_GAMES, MOST_PROCESSES
 from uavaccel.own_code import errors_named, file_of, trusted_folder, trusting
 from uavaccel.processes.lifetime import remove_orphaned_files, work_for_parent
 from uavaccel.processes.workers import LOKY, check_count
@@ -146,7 +146,7 @@ def _games(
 
 
 def _one_by_one(suite: AnySuite, config: Experiment, run: RunDirectory, cases: Sequence[Case]) -> Iterator[GameResult]:
-    from uavaccel.envs.environment_processes import BatchError
+    from uavaccel.envs.environment_process import BatchError
 
     try:
         with _own_errors(config), suite.open(config, cases[0].timing, run) as opened:

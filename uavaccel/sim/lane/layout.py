@@ -17,8 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import BeforeValidator, Field, field_validator, model_validator
 
-from uavaccel.config import Config, load_yaml, validate
-from uavaccel.limits import Seed, Share
+from uavaccel.config import Config, Seed, Share, load_yaml, validate
 from uavaccel.sim.poses import check_wind
 
 FloatArray = NDArray[np.float64]
