@@ -33,7 +33,7 @@ from uavaccel.draw.panels import (
     follow,
     whole_lane,
 )
-from uavaccel.draw.pictures import Decisions, dvs_picture
+from uavaccel.draw.style import Decisions, dvs_picture
 from uavaccel.errors import UserError
 from uavaccel.files import UNFINISHED
 from uavaccel.sim.clutter import Clutter, ClutterLayout, sample_world

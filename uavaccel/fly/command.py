@@ -10,11 +10,11 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from uavaccel.config import MOST_SECONDS, MOST_SEEDS
 from uavaccel.errors import UsageError, UserError
 from uavaccel.fly.messages import DifferenceError
 from uavaccel.fly.options import SCRATCH, FlightOptions, FlightSummary, found_settings
 from uavaccel.fly.runs import FlightResult, check, fly
-from uavaccel.limits import MOST_SECONDS, MOST_SEEDS
 from uavaccel.processes.lifetime import remove_orphaned_files
 from uavaccel.resources import asset
 from uavaccel.units import CLOCK_SPEEDS
@@ -78,7 +78,7 @@ def _check_request(request: FlyRequest) -> None:
     if flight.film and request.out is None:
         raise UsageError("--film needs --out, a folder for it")
     if flight.film:
-        from uavaccel.draw.pictures import check_films  # with what draws
+        from uavaccel.draw.style import check_films  # with what draws
 
         check_films()
 

@@ -26,9 +26,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import BeforeValidator, Field, field_validator, model_validator
 
-from uavaccel.config import Config, load_yaml, validate
+from uavaccel.config import Config, Seed, Share, load_yaml, validate
 from uavaccel.errors import UserError
-from uavaccel.limits import Seed, Share
 from uavaccel.sim.poses import check_wind
 from uavaccel.sim.scene import PLAIN, refit_bounding_boxes
 from uavaccel.units import ned_to_mujoco

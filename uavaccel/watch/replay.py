@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.commands import COMMANDS, VelocityGoal, velocities
-from uavaccel.draw.labels import clock_label, command_name
+from uavaccel.draw.page import clock_label, command_name
 from uavaccel.errors import UsageError, UserError
 from uavaccel.files import read_arrays, read_json, read_lines
 from uavaccel.fly.messages import FILE_NAME as MESSAGES

@@ -26,9 +26,8 @@ from pydantic import (
     field_validator,
 )
 
-from uavaccel.config import Config, load_yaml, validate
+from uavaccel.config import MOST_LATENCY_US, MOST_SCALE, Config, load_yaml, validate
 from uavaccel.errors import UserError, suggestion
-from uavaccel.limits import MOST_LATENCY_US, MOST_SCALE
 from uavaccel.resources import experiment
 from uavaccel.units import QUANTILES as QUANTILES
 from uavaccel.units import check_quantile_row, check_quantiles

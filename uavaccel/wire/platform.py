@@ -8,8 +8,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
-from uavaccel.config import Config
-from uavaccel.limits import LatencyUs, Share
+from uavaccel.config import Config, LatencyUs, Share
 from uavaccel.sim.profile import AIRSIM, PROFILES, Executor, Frames, Profile, airsim_variant
 from uavaccel.units import seconds_to_ns
 
