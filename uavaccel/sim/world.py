@@ -20,7 +20,7 @@ from uavaccel.sim.profile import Profile
 from uavaccel.sim.scene import PLAIN, load_scene, physics_state, restore_physics, scene_path
 from uavaccel.sim.vehicle import hotloop
 from uavaccel.sim.vehicle.clearance import Clearance
-from uavaccel.sim.vehicle.contacts import beside_objects, depth, on_the_ground, stand
+from uavaccel.sim.vehicle.resting import beside_objects, depth, on_the_ground, stand
 from uavaccel.sim.vehicle.vehicle import AddedVehicle, Motion, Samples, Start, Vehicle
 from uavaccel.units import NS_PER_S
 

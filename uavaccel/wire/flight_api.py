@@ -21,16 +21,15 @@ from uavaccel.sim.flight import (
     RATE_MODE,
     STICKS,
     VALID,
-    DeferredReply,
     FollowPath,
     Land,
     MoveByManual,
-    Pilot,
     RotateToYaw,
     Sticks,
     check_lookahead,
 )
 from uavaccel.sim.flight import facing as facing_along
+from uavaccel.sim.simulation import DeferredReply, Pilot
 from uavaccel.sim.vehicle.autopilot import POSITION, THROTTLE, Goal, Yaw
 from uavaccel.units import euler_from_quaternion
 from uavaccel.wire.arguments import Coordinate, VehicleName, YawMode, coordinate, flag, number, place

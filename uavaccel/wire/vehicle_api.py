@@ -15,9 +15,8 @@ from typing import Annotated, NamedTuple
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Quaternion, Vector
 from uavaccel.sim.earth import geographic
-from uavaccel.sim.flight import Pilot
 from uavaccel.sim.poses import APART_M, HERE, Pose, check_name
-from uavaccel.sim.simulation import Simulation
+from uavaccel.sim.simulation import Pilot, Simulation
 from uavaccel.sim.vehicle.vehicle import AddedVehicle, Start
 from uavaccel.sim.world import START_M
 from uavaccel.units import euler_from_quaternion
