@@ -93,7 +93,7 @@ class Recorder:
 
     def stop(self) -> None:
         """Stop the recording, and write all samples to the file."""
-        self._simulation.world.stop_recording()
+        self._simulation.world.recorder.stop()
         self._stop_watching()
         self._stop_watching = lambda: None
         self.keep()
@@ -105,7 +105,7 @@ class Recorder:
         """Write the samples to the file; to be called before the buffer is full or a reset empties it."""
         if self._file is None:
             return
-        rows = self._simulation.world.pop_samples()
+        rows = self._simulation.world.recorder.take()
         try:
             self._file.writelines(self._line(row) for row in rows if self._is_new(row))
             self._file.flush()
@@ -116,8 +116,8 @@ class Recorder:
     def go_through(self, reset: Callable[[bool], None]) -> None:
         """Call `reset` with whether there is a recording; a recording continues with a new grid of sampling times."""
         self.keep()
-        reset(self._simulation.world.recording)
-        if self._simulation.world.recording:
+        reset(self._simulation.world.recorder.active)
+        if self._simulation.world.recorder.active:
             self._watch()
 
     def _watch(self) -> None:
