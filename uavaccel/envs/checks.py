@@ -78,7 +78,7 @@ def whole_number(name: str, value: object, most: int) -> int:
     return int(value)
 
 
-def autoreset_of(mode: AutoresetMode | str) -> AutoresetMode:
+def autoreset_of(mode: object) -> AutoresetMode:
     """Return the mode of that name. Raises UserError for an unknown one."""
     try:
         return AutoresetMode(mode)

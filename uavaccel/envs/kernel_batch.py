@@ -13,13 +13,12 @@ from typing import Any
 import numpy as np
 from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode
-from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from uavaccel.clock import MonotonicClock
 from uavaccel.config import MOST_PROCESSES
-from uavaccel.envs.batch import TurnBatch
-from uavaccel.envs.checks import actions_of, autoreset_of, make_task, whole_number
+from uavaccel.envs.batch import TurnBatch, set_up
+from uavaccel.envs.checks import actions_of, whole_number
 from uavaccel.envs.flight_env import CONDITIONS, FlightEnv
 from uavaccel.envs.judging import Flown, Judge, Judged, Running
 from uavaccel.envs.kernel_games import Drawn, GameMaker, keys_of, plan_of, since_ns_of
@@ -69,18 +68,13 @@ class KernelBatch(TurnBatch):
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         **keys: object,
     ) -> None:
-        self.task: Task = make_task(environment.task_class, keys, environment.__name__)
+        self.task: Task = set_up(self, environment, num_envs, autoreset_mode, keys)
         check_flyable(self.task, num_envs, CPU)
         if threads is not None:
             whole_number("threads", threads, MOST_PROCESSES)
-        self.num_envs, self.render_mode = num_envs, None
-        self.metadata = {**environment.metadata, "autoreset_mode": autoreset_of(autoreset_mode)}
+        self.render_mode = None
         self._same_step = self.metadata["autoreset_mode"] == AutoresetMode.SAME_STEP
         self._next_step = self.metadata["autoreset_mode"] == AutoresetMode.NEXT_STEP
-        self.single_observation_space = self.task.observation_space()
-        self.single_action_space = self.task.action_space()
-        self.observation_space = batch_space(self.single_observation_space, num_envs)
-        self.action_space = batch_space(self.single_action_space, num_envs)
         self._maker = GameMaker(self.task)
         around = self._maker.surroundings
         self._judge = Judge(self.task, around, profile_of(self.task).tick_ns, since_ns_of(self.task))
