@@ -14,8 +14,8 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 
 from uavaccel.config import validate
-from uavaccel.envs.task import AT_REST, Moment, Task
-from uavaccel.envs.values import Action, Actions
+from uavaccel.envs.task import Task
+from uavaccel.envs.values import AT_REST, Action, Actions, Moment
 from uavaccel.errors import UserError
 from uavaccel.kinematics import FlightGoal, Kinematics
 from uavaccel.own_code import errors_named, file_of
