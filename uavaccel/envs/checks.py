@@ -196,10 +196,9 @@ def _check_features(task: Task, call: Functions, state: Kinematics, course: Mapp
 
 def check_reward(task: Task, reward: Any) -> None:
     """Raise UserError for a reward, or an array of rewards, that is no finite number."""
-    wrong: list[Any] = []
     if isinstance(reward, np.ndarray):
-        wrong = reward[~np.isfinite(reward)].tolist()
-    elif not (isinstance(reward, Real) and math.isfinite(reward)):
-        wrong = [reward]
+        wrong: list[Any] = reward[~np.isfinite(reward)].tolist()
+    else:
+        wrong = [] if isinstance(reward, Real) and math.isfinite(reward) else [reward]
     if wrong:
         raise Functions(task).wrong("reward", f"returned {wrong[0]!r}: must be a finite number")
