@@ -92,7 +92,7 @@ class CudaBatch(VectorEnv[Any, Any, Any]):
         it: the error comes with a later step, and meanwhile its actions have been clipped.
         """
         lanes = self._lanes
-        if not lanes.has_begun:
+        if not lanes.games.has_games:
             raise UserError("reset the environments before their first step")
         self._fly(self._actions.checked(actions))
         self._read_an_earlier_step()
