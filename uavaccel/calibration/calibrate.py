@@ -23,8 +23,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from uavaccel.clock import calendar_time
-from uavaccel.commands import COMMANDS, SynchronousCommand, VelocityGoal
-from uavaccel.commands.paths import velocities
+from uavaccel.commands import COMMANDS, SynchronousCommand, VelocityGoal, velocities
 from uavaccel.config import dump_yaml
 from uavaccel.files import Plain
 from uavaccel.machine import host

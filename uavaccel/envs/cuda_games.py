@@ -27,7 +27,7 @@ from uavaccel.kernels import clutter_games, lane_games
 from uavaccel.kernels import cuda as kernels
 from uavaccel.kernels.fields import NO_APPEARANCE, Appearance
 from uavaccel.kernels.scene import Scene
-from uavaccel.sim.lane.layout import WIDTH_M, lane_seed
+from uavaccel.sim.lane import WIDTH_M, lane_seed
 from uavaccel.sim.pcg64 import stream_of
 from uavaccel.units import plain
 

@@ -23,9 +23,8 @@ from uavaccel.errors import UserError
 from uavaccel.kernels.bodies import Surroundings
 from uavaccel.kinematics import AttitudeGoal, BodyRatesGoal, FlightGoal, Kinematics, VelocityGoal
 from uavaccel.own_code import file_of
-from uavaccel.sim.vehicle import goal as goals
-from uavaccel.sim.vehicle.autopilot import THROTTLE
-from uavaccel.sim.vehicle.goal import Goal, Yaw
+from uavaccel.sim import flight as goals
+from uavaccel.sim.vehicle.autopilot import THROTTLE, Goal, Yaw
 from uavaccel.sim.vehicle.quadrotor import FLIGHT_DTYPE, KINEMATICS, NEVER
 from uavaccel.units import NS_PER_S
 

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from uavaccel.commands.slices import samples_due
+from uavaccel.commands import samples_due
 from uavaccel.envs.checks import known_options
 from uavaccel.envs.flight_env import CONDITIONS
 from uavaccel.envs.sensors import PICTURE_SIZE
@@ -30,8 +30,9 @@ from uavaccel.kernels.latencies import Latencies
 from uavaccel.kernels.scene import empty_scene
 from uavaccel.kernels.still import read_scene
 from uavaccel.kernels.timeline import Command, Timing
-from uavaccel.sim.lane.layout import PLAIN, LaneLayout
+from uavaccel.sim.lane import LaneLayout
 from uavaccel.sim.profile import PROFILES
+from uavaccel.sim.scene import PLAIN
 from uavaccel.sim.world import World
 from uavaccel.units import NS_PER_S, ceil_div, exact, seconds_to_ns
 from uavaccel.vision.noise import noise_seed

@@ -22,7 +22,7 @@ from uavaccel.envs.task import AnyLayout, Task
 from uavaccel.envs.values import AnyMoment, Course, Info, Number
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Vector
-from uavaccel.sim.lane.layout import (
+from uavaccel.sim.lane import (
     HULL_RADIUS_M,
     LENGTH_M,
     SPLIT_SIZE,

@@ -20,8 +20,8 @@ from uavaccel.errors import UserError
 from uavaccel.kernels.fields import COLOUR, DEPTH, DVS, STATE
 from uavaccel.kinematics import FlightGoal, Kinematics
 from uavaccel.resources import require
-from uavaccel.sim.lane.layout import PLAIN
 from uavaccel.sim.profile import Profile
+from uavaccel.sim.scene import PLAIN
 from uavaccel.units import exact
 from uavaccel.wire.latency import ZERO_LATENCY, LatencyConfig
 

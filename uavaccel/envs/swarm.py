@@ -25,11 +25,11 @@ from uavaccel.resources import require
 from uavaccel.sim.camera import gl
 from uavaccel.sim.camera.camera import FRONT_CENTER, Lens
 from uavaccel.sim.camera.view import vehicle_pose
-from uavaccel.sim.poses import check_apart
+from uavaccel.sim.flight import velocity
+from uavaccel.sim.poses import HERE, LEVEL, check_apart
 from uavaccel.sim.profile import PROFILES
-from uavaccel.sim.vehicle.collisions import Contact
-from uavaccel.sim.vehicle.goal import velocity
-from uavaccel.sim.vehicle.vehicle import HERE, LEVEL, AddedVehicle, Start, Vehicle
+from uavaccel.sim.vehicle.contacts import Contact
+from uavaccel.sim.vehicle.vehicle import AddedVehicle, Start, Vehicle
 from uavaccel.sim.world import World
 
 require("pettingzoo", "several drones", "swarm")

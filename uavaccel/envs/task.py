@@ -16,7 +16,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from uavaccel.commands.slices import check_times, samples_due
+from uavaccel.commands import check_times, samples_due
 from uavaccel.config import ClockSpeed, CommandName, Config, Cost, Count, Height, Seconds, Seed, Speed
 from uavaccel.envs.sensors import (
     PICTURE_SIZE,
@@ -32,8 +32,9 @@ from uavaccel.envs.sensors import (
 from uavaccel.envs.values import AT_REST, Action, AnyMoment, Course, Info, Moment, Number, constant
 from uavaccel.errors import UserError
 from uavaccel.kinematics import AttitudeGoal, BodyRatesGoal, FlightGoal, Kinematics, MotorsGoal, Vector, VelocityGoal
-from uavaccel.sim.lane.layout import PLAIN, LaneLayout
+from uavaccel.sim.lane import LaneLayout
 from uavaccel.sim.profile import PROFILES
+from uavaccel.sim.scene import PLAIN
 from uavaccel.units import NS_PER_S
 from uavaccel.vision.dvs_sensor import PRESETS, DvsParameters, with_noise, with_thresholds
 from uavaccel.wire.latency import LatencyModel, of_the_profile

@@ -9,16 +9,20 @@ from __future__ import annotations
 
 import hashlib
 import math
+import os
+import pickle
 import statistics
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import closing
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
+from itertools import chain, groupby
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from uavaccel.errors import Interrupted, UserError
+from uavaccel.errors import Interrupted, UsageError, UserError
 from uavaccel.files import (
     Plain,
     append_line,
@@ -33,8 +37,10 @@ from uavaccel.files import (
     to_json,
 )
 from uavaccel.metrics.intervals import Proportion, bootstrap_interval
+from uavaccel.processes.workers import check_count, on_this_machine
 from uavaccel.realtime.measuring import MOST_STEPS, MakesEnv, environment_identity, made, plain_or_text, versions_with
-from uavaccel.realtime.policies import ANSWER_S, Policy, load_policy
+from uavaccel.realtime.policies import ANSWER_S, TCP, Policy, load_policy
+from uavaccel.realtime.server import one_line
 from uavaccel.realtime.thinking import MOST_S, ThinkingTime, calibrated
 from uavaccel.realtime.wrapper import RealTime
 from uavaccel.resources import require
@@ -184,6 +190,9 @@ USUAL: dict[str, list[float]] = {SECONDS: [0.0, 0.01, 0.02, 0.05, 0.1, 0.2], FAC
 SUCCESS = ("is_success", "success")
 MOST_FAILURES = 3  # in a row
 MOST_EPISODES = 1_000_000
+Plan = Sequence[tuple[float, int]]
+"""Latency and seed of each episode."""
+PART = 5  # episodes that a worker process plays at once
 
 
 @dataclass
@@ -241,7 +250,7 @@ class Sweep:
             return {"delay_steps": latency}
         return {"latency_s": latency if self.source is None else Scaled(self.source, latency)}
 
-    def plan(self) -> list[tuple[float, int]]:
+    def plan(self) -> Plan:
         """Return the latency and the seed of each episode, in the order of the rows."""
         return [(latency, self.seed + number) for latency in self.latencies for number in range(self.episodes)]
 
@@ -267,6 +276,7 @@ def certify(
     resume: bool = False,
     trust: bool = False,
     answer_s: float = ANSWER_S,
+    jobs: int = 1,
     told: Callable[[Row], object] = lambda row: None,
     **real_time: Any,
 ) -> Certificate:
@@ -282,10 +292,15 @@ def certify(
 
     With `out`, a new folder, rows are on disk as they come, and `resume` goes on with it: whole rows stay, failed ones
     are played again. An episode in which the policy fails, as one whose server has ended, has a row with `error`.
-    `told` is called with each row.
+    `told` is called with each row. With `jobs` above 1 so many processes fly, with joblib, the same bytes: policy and
+    environment are sent to them, and an id that only this program has registered is unknown there.
 
-    Raises UserError for what does not fit, for a folder of another evaluation, and after three failures in a row.
+    Raises UserError for what does not fit, for a folder of another evaluation, after three failures in a row, and where
+    a process is lost.
     """
+    check_count(jobs)
+    if jobs > 1 and isinstance(policy, str) and policy.startswith(f"{TCP}:"):
+        raise UsageError(f"--jobs must be 1 with {policy}: a server answers one client after the other")
     sweep, folder = Sweep(latencies, calibration, delay_steps, episodes, seed, success), _Folder(out, resume)
     with closing(RealTime(made(env), latency_s=0.0, **real_time)) as flown:
         loaded = load_policy(policy, flown, trust, answer_s)
@@ -297,39 +312,77 @@ def certify(
             **sweep.setup(),
             "versions": versions_with(flown),
         }
-    with closing(loaded):
-        rows = folder.begin(setup, sweep.plan())
-        _play(env, loaded, sweep, rows, folder, told, real_time)
+    games = _Games(env, policy, sweep, real_time, Path.cwd())
+    with closing(loaded), _one_thread():
+        rows, plan = folder.begin(setup, sweep.plan()), sweep.plan()
+        left = plan[len(rows) :]
+        try:
+            for row in games.rows(loaded, left) if jobs == 1 else games.in_processes(jobs, left):
+                rows.append(row)
+                folder.append(row)
+                told(row)
+                if len(rows) >= MOST_FAILURES and all("error" in row for row in rows[-MOST_FAILURES:]):
+                    raise UserError(f"{row['error']}: {MOST_FAILURES} episodes in a row have failed{folder.more}")
+        except KeyboardInterrupt:
+            raise Interrupted(f"interrupted after {len(rows)} of {len(plan)} episodes{folder.more}") from None
     certificate = Certificate(setup, rows)
     if folder.path is not None:
         certificate.save(folder.path / "certificate.json")
     return certificate
 
 
-def _play(
-    env: MakesEnv,
-    policy: Policy,
-    sweep: Sweep,
-    rows: list[Row],
-    folder: _Folder,
-    told: Callable[[Row], object],
-    real_time: Mapping[str, Any],
-) -> None:
-    """Play the episodes that have no row yet, in an environment for each latency."""
-    plan = sweep.plan()
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """Let PyTorch, where it is loaded, compute in one thread: its results depend on their number."""
+    if (torch := sys.modules.get("torch")) is None:
+        yield
+        return
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
     try:
-        while len(rows) < len(plan):
-            latency = plan[len(rows)][0]
-            with closing(RealTime(made(env), **sweep.thinking(latency), **real_time)) as flown:
-                for seed in [seed for at, seed in plan[len(rows) :] if at == latency]:
-                    rows.append({"latency": latency, "seed": seed, **_episode(flown, policy, seed, sweep.success)})
-                    folder.append(rows[-1])
-                    told(rows[-1])
-                    if len(rows) >= MOST_FAILURES and all("error" in row for row in rows[-MOST_FAILURES:]):
-                        many = f"{MOST_FAILURES} episodes in a row have failed"
-                        raise UserError(f"{rows[-1]['error']}: {many}{folder.more}")
-    except KeyboardInterrupt:
-        raise Interrupted(f"interrupted after {len(rows)} of {len(plan)} episodes{folder.more}") from None
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
+@dataclass
+class _Games:
+    """What plays the episodes of a plan: in this process, or sent to others, which have its working directory."""
+
+    env: MakesEnv
+    policy: Any
+    sweep: Sweep
+    real_time: Mapping[str, Any]
+    folder: Path
+
+    def rows(self, policy: Policy | None, plan: Plan) -> Iterator[Row]:
+        """Play the episodes, in an environment for each latency; a policy that is loaded here was trusted before."""
+        for latency, games in groupby(plan, lambda game: game[0]):
+            with closing(RealTime(made(self.env), **self.sweep.thinking(latency), **self.real_time)) as flown:
+                policy = policy or load_policy(self.policy, flown, trust=True)
+                for _, seed in games:
+                    yield {"latency": latency, "seed": seed, **_episode(flown, policy, seed, self.sweep.success)}
+
+    def in_processes(self, jobs: int, plan: Plan) -> Iterator[Row]:
+        """Play the episodes in parallel, in their order."""
+        require("joblib", "jobs above 1", "realtime")
+        from cloudpickle import dumps  # which Gymnasium needs
+        from joblib import delayed
+
+        try:
+            packed = dumps(self)
+        except Exception as error:  # whatever a policy of anybody's raises
+            what = "the policy or the environment cannot be sent to another process"
+            raise UsageError(f"--jobs must be 1: {what}: {one_line(error)}") from error
+        calls = (delayed(_rows_in_worker)(packed, plan[at : at + PART]) for at in range(0, len(plan), PART))
+        return chain.from_iterable(on_this_machine(jobs, 1, calls))
+
+
+def _rows_in_worker(packed: bytes, plan: Plan) -> list[Row]:
+    """Play a part of the episodes, in the parent's working directory."""
+    games: _Games = pickle.loads(packed)
+    os.chdir(games.folder)
+    return list(games.rows(None, plan))
 
 
 def _episode(env: RealTime, policy: Policy, seed: int, success: str | None) -> Row:
@@ -373,7 +426,7 @@ class _Folder:
             check_new_folder(self.path, resume)
             self.rows = self.path / "rows.jsonl"
 
-    def begin(self, setup: Mapping[str, Plain], plan: Sequence[tuple[float, int]]) -> list[Row]:
+    def begin(self, setup: Mapping[str, Plain], plan: Plan) -> list[Row]:
         """Write the setup, or compare it with that which is there, and return the rows before the first failure.
 
         Raises UserError for another evaluation's folder, and for rows that are not those of the plan.

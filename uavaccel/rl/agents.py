@@ -28,7 +28,7 @@ from uavaccel.realtime.policy_files import OnnxFile, PolicyFile, policy_file
 from uavaccel.resources import asset
 from uavaccel.rl.config import LANE, LearnerConfig, environment_class
 from uavaccel.rl.policy import MANIFEST, WEIGHTS, Policy, load_policy, observed_frames, read_manifest
-from uavaccel.sim.lane.layout import WIDTH_M
+from uavaccel.sim.lane import WIDTH_M
 
 if TYPE_CHECKING:
     from uavaccel.rl.network import QPolicy

@@ -49,7 +49,7 @@ from uavaccel.rl.agents import (
     reset_options,
 )
 from uavaccel.rl.config import ENVIRONMENTS, LANE, AnyTask, EnvId, environment_class, keys_with_task
-from uavaccel.sim.lane.layout import LENGTH_M, SPLIT_SIZE, WIDTH_M
+from uavaccel.sim.lane import LENGTH_M, SPLIT_SIZE, WIDTH_M
 from uavaccel.suites import paper_results, plots
 from uavaccel.suites.experiment import Experiment
 from uavaccel.suites.flight import Flight

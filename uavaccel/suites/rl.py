@@ -32,7 +32,7 @@ from uavaccel.metrics.estimates import Estimate, Success
 from uavaccel.metrics.intervals import Proportion, fisher_exact_p, mcnemar_exact, permutation_p, sign_flip_p
 from uavaccel.records import RunDirectory
 from uavaccel.rl.agents import DEFAULT, FLIGHT, SENSES
-from uavaccel.sim.lane.layout import LENGTH_M, Difficulty, sample_layout
+from uavaccel.sim.lane import LENGTH_M, Difficulty, sample_layout
 from uavaccel.suites import paper_results, plots
 from uavaccel.suites.experiment import ClockSpeeds, CommandNames, Experiment, ProfileName, Timing
 from uavaccel.suites.host_time import cumulative_wall_s, timed

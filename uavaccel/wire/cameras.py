@@ -13,7 +13,7 @@ from pydantic import Field
 
 from uavaccel.sim.camera.camera import FRONT_CENTER, Lens
 from uavaccel.sim.poses import Pose, from_degrees
-from uavaccel.sim.sensors.base import AirSimKeys
+from uavaccel.sim.sensors import AirSimKeys
 from uavaccel.sim.vehicle.vehicle import Vehicle
 
 SCENE = 0

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from uavaccel.resources import asset
 from uavaccel.sim.camera.camera import FRONT_CENTER, Lens, MountedCamera
 from uavaccel.sim.camera.view import GeomImage, vehicle_pose
-from uavaccel.sim.scene.objects import SceneObjects, cast
+from uavaccel.sim.objects import SceneObjects, cast
 from uavaccel.sim.simulation import Simulation
 from uavaccel.sim.world import World
 from uavaccel.wire.cameras import CameraMount

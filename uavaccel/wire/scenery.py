@@ -5,9 +5,8 @@ from __future__ import annotations
 from functools import cached_property
 
 from uavaccel.kinematics import Kinematics
-from uavaccel.sim.flight.pilot import Pilot
-from uavaccel.sim.scene.objects import SceneObjects, matching
-from uavaccel.sim.simulation import Simulation
+from uavaccel.sim.objects import SceneObjects, matching
+from uavaccel.sim.simulation import Pilot, Simulation
 from uavaccel.sim.vehicle.vehicle import Vehicle
 from uavaccel.wire.cameras import Cameras
 from uavaccel.wire.pictures import Pictures, Segmentation, can_render

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from uavaccel.kinematics import Kinematics, Quaternion, Vector
+from uavaccel.sim.earth import GeoPoint
 from uavaccel.sim.poses import Pose
-from uavaccel.sim.sensors.earth import GeoPoint
 
 EPOCH_NS = 1_577_836_800_000_000_000  # 1 January 2020, 0 h UTC: when simulated time begins on AirSim's calls
 
