@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -178,14 +177,14 @@ def _page(plan: Plan) -> Callable[[], AbstractContextManager[object]]:
         return nullcontext
     from uavaccel.envs.simulators import KERNELS
     from uavaccel.suites.engines import LOKY
-    from uavaccel.watch.beside import PageAddress, free_port, page_beside
+    from uavaccel.watch.beside import LOOPBACK, PORT, free_port, page_beside
 
     if getattr(plan.config, "simulator", None) == KERNELS:
         raise UsageError("--watch: the kernels fly numbers, without a scene to look at: --set simulator=mujoco")
     if plan.request.engine != LOKY:
         raise UsageError(f"--watch: sees flights of this machine only, none of a cluster: --engine {LOKY}")
-    free_port(PageAddress.host, PageAddress.port)
-    return partial(page_beside, PageAddress())
+    free_port(LOOPBACK, PORT)
+    return page_beside
 
 
 def report_run(run: RunDirectory) -> None:
