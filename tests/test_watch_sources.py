@@ -415,7 +415,7 @@ def test_the_square_is_flown_at_every_clock_speed_chosen(
     assert "thinks for 12.5 ms" in opened["title"]
     opened["source"].fly_at(5.0)
     opened["source"].update(0.1, True)
-    assert opened["flown"] == [(speed, (0.0125,), {"rounds": 1, "seed": 7}) for speed in (50.0, 5.0)]
+    assert opened["flown"] == [(speed, (), {"think_s": 0.0125, "rounds": 1, "seed": 7}) for speed in (50.0, 5.0)]
     assert opened["opened"] == opened["source"].begin  # who comes first has missed nothing
     assert opened["stopped"]
     assert capsys.readouterr().out == "watch at http://127.0.0.9:8123; Ctrl-C ends\n"

@@ -20,7 +20,7 @@ import numpy as np
 from uavaccel.errors import Interrupted, UserError
 from uavaccel.files import (
     Plain,
-    append_line,
+    append_lines,
     check_new_folder,
     drop_cut_line,
     file_sha256,
@@ -263,7 +263,7 @@ class _Folder:
 
     def append(self, row: Row) -> None:
         if self.path is not None:
-            append_line(self.rows, row)
+            append_lines(self.rows, [to_json(row)])
 
 
 def _is_row(row: Row) -> bool:
