@@ -99,6 +99,7 @@ finally:
         ("doctor", set()),
         ("run dp1 --dry-run", {"mujoco"}),
         ("train --dry-run", {"gymnasium", "mujoco"}),
+        ("evaluate --dry-run", {"gymnasium", "mujoco", "numba", "scipy"}),
         ("fly print.py", set()),
     ],
 )
