@@ -200,10 +200,8 @@ def report_run(run: RunDirectory) -> None:
         show_table(table)
     cells = summary.get("cells", ())
     if lost := [cell["lost_wall_s"] for cell in cells if cell.get("lost_wall_s")]:
-        console.print(
-            f"warning: the machine did not keep up: {sum(lost):.3f} s of wall time lost "
-            f"in {len(lost)} of {len(cells)} cells"
-        )
+        share = f"{sum(lost):.3f} s of wall time lost in {len(lost)} of {len(cells)} cells"
+        console.print(f"warning: the machine did not keep up: {share}")
     for path in sorted((run.path / "figures").glob("*.png")):
         console.print(str(path))
     console.print(f"report: {run.path / 'report.html'}")
