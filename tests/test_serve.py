@@ -206,7 +206,7 @@ def test_a_recording_that_cannot_go_on_is_told_and_the_flight_does(
     def full() -> None:
         raise OSError("no space left")
 
-    monkeypatch.setattr(server.api.recorder, "keep", full)
+    monkeypatch.setattr(server.api.scenery.recorder, "keep", full)
     server.pass_time(PERIOD_NS)
     report.each_turn()
     assert capsys.readouterr().out == "warning: the recording ends here: no space left\n"

@@ -22,9 +22,9 @@ from uavaccel.suites.dp1 import Dp1
 from uavaccel.suites.runner import MOST_RESTARTS, run_suite, start_run
 from uavaccel.suites.suite import GameResult
 from uavaccel.units import NS_PER_S
-from uavaccel.wire import server_watch
-from uavaccel.wire.server_watch import SILENCE_POLL_NS, STALL_NS, ServerGoneError, ServerSilence, WatchedServer
+from uavaccel.wire import transport
 from uavaccel.wire.session import WallSession
+from uavaccel.wire.transport import SILENCE_POLL_NS, STALL_NS, ServerGoneError, ServerSilence, WatchedServer
 
 pytestmark = pytest.mark.wall_clock
 
@@ -65,10 +65,10 @@ def test_a_server_that_is_stopped_while_it_starts_is_noticed_at_once(monkeypatch
         stop(process.pid)
         return process
 
-    monkeypatch.setattr(server_watch, "start_python", start)
+    monkeypatch.setattr(transport, "start_python", start)
     monkeypatch.setattr(select, "select", lambda *_: ([], [], []))  # whatever a look takes
-    monkeypatch.setattr(server_watch, "START_S", math.inf)
-    monkeypatch.setattr(server_watch, "IDLE_START_S", math.inf)
+    monkeypatch.setattr(transport, "START_S", math.inf)
+    monkeypatch.setattr(transport, "IDLE_START_S", math.inf)
     with pytest.raises(ServerGoneError, match="did not answer"):
         WatchedServer({})
 
@@ -88,7 +88,7 @@ def test_a_silent_server_is_given_longer_while_it_computes(
         "cpu_time_s": lambda _: cpu_s[0],
     }
     for name, value in (given | {"is_stopped": lambda _: False}).items():
-        monkeypatch.setattr(server_watch, name, value)
+        monkeypatch.setattr(transport, name, value)
     monkeypatch.setattr(select, "select", lambda *_: ([True], [], []))
     server = WatchedServer({})
     for _ in range(patient_s):
@@ -113,7 +113,7 @@ def test_a_long_command_is_no_silence_of_a_dead_server(monkeypatch: pytest.Monke
         def check(self) -> None:
             raise ServerGoneError("a server that answers is not suspected")
 
-    monkeypatch.setattr(server_watch, "MonotonicClock", lambda: clock)
+    monkeypatch.setattr(transport, "MonotonicClock", lambda: clock)
     silence = ServerSilence(cast(WatchedServer, Server()), lambda: lambda: answered)
     clock.charge(SILENCE_POLL_NS)
     silence.goes_on()
@@ -138,14 +138,14 @@ def test_a_short_stop_is_seen_and_counted_once() -> None:
     with WallSession("blocks", "native") as session:
         assert os.sched_getaffinity(0) | os.sched_getaffinity(session.server.pid) == cores
         client = session.start_game(50.0)
-        transport = client.transport
+        sent = client.transport
         stop(session.server.pid)
-        call = transport.send("simPause", (True,), blocking=True)
-        asked_ns = transport.clock.now_ns()
-        assert not transport.wait(call, asked_ns + 150_000_000)
+        call = sent.send("simPause", (True,), blocking=True)
+        asked_ns = sent.clock.now_ns()
+        assert not sent.wait(call, asked_ns + 150_000_000)
         os.kill(session.server.pid, signal.SIGCONT)
-        transport.wait(call)
-        assert 150_000_000 <= transport.stalled_ns <= transport.clock.now_ns() - call.sent_ns
+        sent.wait(call)
+        assert 150_000_000 <= sent.stalled_ns <= sent.clock.now_ns() - call.sent_ns
         assert client.speed()["lost_wall_ns"] == 0
     assert os.sched_getaffinity(0) == cores, "its own core is left to others again"
 

@@ -22,8 +22,8 @@ from uavaccel.sim.profile import AIRSIM, NATIVE, Profile
 from uavaccel.sim.simulation import Simulation
 from uavaccel.wire import rpc
 from uavaccel.wire.api import Api
-from uavaccel.wire.client import Client
 from uavaccel.wire.latency import QUANTILES, Latency, LatencyConfig
+from uavaccel.wire.session import Client
 from uavaccel.wire.transport import SocketTransport, VirtualTransport
 
 US, MS = 1_000, 1_000_000

@@ -16,8 +16,7 @@ from uavaccel.commands.paths import SQUARE
 from uavaccel.kinematics import VelocityGoal
 from uavaccel.sim.profile import NATIVE
 from uavaccel.wire import server_watch
-from uavaccel.wire.client import Client
-from uavaccel.wire.session import Session, VirtualSession, WallSession
+from uavaccel.wire.session import Client, Session, VirtualSession, WallSession
 
 pytestmark = pytest.mark.wall_clock
 

@@ -34,8 +34,7 @@ from uavaccel.watch import beside
 from uavaccel.watch.beside import PageAddress, page_beside
 from uavaccel.watch.page import Moment
 from uavaccel.watch.sources import Live, Told
-from uavaccel.wire.broadcast import REFRESH_NS, heading
-from uavaccel.wire.page_protocol import FREE, PAGE
+from uavaccel.wire.broadcast import FREE, PAGE, REFRESH_NS, heading
 from uavaccel.wire.session import open_session
 
 POLL_S = 16 * 0.002  # 16 ticks, the whole number nearest to REFRESH_NS

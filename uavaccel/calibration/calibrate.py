@@ -27,9 +27,8 @@ from uavaccel.files import Plain
 from uavaccel.machine import host
 from uavaccel.metrics.trajectory import mean_position_rmse
 from uavaccel.units import NS_PER_S
-from uavaccel.wire.client import Client
 from uavaccel.wire.latency import QUANTILES, LatencyConfig, after_wait, shipped_latency
-from uavaccel.wire.session import Session, VirtualSession, WallSession
+from uavaccel.wire.session import Client, Session, VirtualSession, WallSession
 from uavaccel.wire.transport import PendingCall, Transport
 
 CLOCK_SPEEDS = (50.0, 100.0)

@@ -33,8 +33,7 @@ if TYPE_CHECKING:  # a task can be made without what flies it
     from uavaccel.envs.camera_client import FlightClient, FlightSample
     from uavaccel.envs.observer import Observer
     from uavaccel.sim.recording import Recording
-    from uavaccel.wire.client import Client
-    from uavaccel.wire.session import Session
+    from uavaccel.wire.session import Client, Session
 
 CONDITIONS: Final = "conditions"  # key in the course of a game with sampled conditions
 

@@ -18,8 +18,7 @@ from uavaccel.kernels.latencies import Latencies
 from uavaccel.kernels.timeline import Command, Timing
 from uavaccel.sim.profile import PROFILES
 from uavaccel.units import NS_PER_S, ceil_div, exact, seconds_to_ns
-from uavaccel.wire.latency import BETWEEN_NS, DEFAULT, WAITS_MS, LatencyConfig
-from uavaccel.wire.platform import RESENT_NS, STALLED_NS, FaultConfig
+from uavaccel.wire.latency import BETWEEN_NS, DEFAULT, RESENT_NS, STALLED_NS, WAITS_MS, FaultConfig, LatencyConfig
 
 
 class Slices(NamedTuple):

@@ -93,7 +93,7 @@ class SimulatedFlight:
         if not self._has_world():
             return
         api = self._world.api
-        api.recorder.stop()
+        api.scenery.recorder.stop()
         self._world.trajectory.write(self._options.folder)
         if refused := api.refusals.lines():
             print("uavaccel: refused calls:", *refused, sep="\n  ", file=sys.stderr)

@@ -42,7 +42,7 @@ class ScriptWorld:
         trajectory.add(simulation.kinematics())
         tick_ns = simulation.profile.tick_ns
         self.world.watch(INTERVAL_NS // tick_ns, lambda _: trajectory.add(simulation.kinematics()))
-        self.world.watch(KEEP_NS // tick_ns, lambda _: self.api.recorder.keep())
+        self.world.watch(KEEP_NS // tick_ns, lambda _: self.api.scenery.recorder.keep())
         return trajectory
 
     def whereabouts(self) -> str:

@@ -22,8 +22,8 @@ from uavaccel.sim.vehicle import goal as goals
 from uavaccel.sim.vehicle.autopilot import POSITION, THROTTLE
 from uavaccel.sim.vehicle.goal import RATE_MODE, STICKS, VALID, Goal, Sticks, Yaw
 from uavaccel.units import euler_from_quaternion
-from uavaccel.wire.arguments import Coordinate, VehicleName, YawMode, coordinate, flag, number, place
 from uavaccel.wire.calls import Calls, call, command
+from uavaccel.wire.types import Coordinate, VehicleName, YawMode, coordinate, flag, number, place
 
 FORWARD_ONLY = 1
 LONGEST_S = 1e9  # longer durations are cut to this: AirSim's clients send 3e38 for ever

@@ -13,12 +13,12 @@ from typing import Annotated, TypedDict
 from uavaccel.kinematics import Kinematics
 from uavaccel.sim.flight.pilot import DeferredReply
 from uavaccel.sim.world import START_M
-from uavaccel.wire.arguments import Coordinate, number
 from uavaccel.wire.calls import Calls, call, without_effect
 from uavaccel.wire.flight_api import LONGEST_S
 from uavaccel.wire.image_api import clutter_layout, lane_layout
 from uavaccel.wire.latency import Channel
 from uavaccel.wire.rpc import Received
+from uavaccel.wire.types import Coordinate, number
 
 FASTEST = 1e4  # ClockSpeed; ten times what one core can fly
 
@@ -78,7 +78,7 @@ class GameApi(Calls, title="Games"):
         """Start a game in a settled hover at a NED z, paused, recording, with API control; returns the state."""
         simulation, wall_ns = self.simulation, self.wall_ns
         simulation.set_clock_speed(clock_speed, wall_ns)
-        self.context.recorder.keep()
+        self.scenery.recorder.keep()
         simulation.records_game = True
         simulation.pause(wall_ns)
         simulation.reset(wall_ns, (START_M[0], START_M[1], height_m), recording=True)
@@ -215,7 +215,7 @@ class SimulatorApi(Calls, title="Connection and time"):
     @call("reset")
     def reset(self) -> None:
         """Reset every vehicle; a recording continues, as in AirSim."""
-        self.context.recorder.go_through(lambda recording: self.simulation.reset(self.wall_ns, recording=recording))
+        self.scenery.recorder.go_through(lambda recording: self.simulation.reset(self.wall_ns, recording=recording))
 
     @call("simPause", pause_channel)
     def pause(self, is_paused: bool) -> None:
@@ -243,11 +243,11 @@ class SimulatorApi(Calls, title="Connection and time"):
 class RecordingApi(Calls, title="Recording, drawing, messages"):
     @call("startRecording")
     def start(self) -> None:
-        self.context.recorder.start(self.wall_ns)
+        self.scenery.recorder.start(self.wall_ns)
 
     @call("stopRecording")
     def stop(self) -> None:
-        self.context.recorder.stop()
+        self.scenery.recorder.stop()
 
     @call("isRecording")
     def is_recording(self) -> bool:

@@ -24,11 +24,10 @@ from uavaccel.sim.clutter import Clutter, ClutterLayout, sample_world
 from uavaccel.sim.lane.layout import Difficulty, LaneLayout, layout_from, sample_layout
 from uavaccel.sim.poses import Pose
 from uavaccel.wire import types
-from uavaccel.wire.arguments import AnyPose, Truthy, VehicleName, whole
 from uavaccel.wire.calls import Calls, call, without_effect
-from uavaccel.wire.cameras import NARROWEST_DEG, SCENE, WIDEST_DEG, CameraMount, Cameras
-from uavaccel.wire.pictures import Pixels, known_type
+from uavaccel.wire.pictures import NARROWEST_DEG, SCENE, WIDEST_DEG, CameraMount, Cameras, Pixels, known_type
 from uavaccel.wire.rpc import MAX_ANSWER_BYTES, Received, bulk_bytes
+from uavaccel.wire.types import AnyPose, Truthy, VehicleName, whole
 
 NEAR_CM = 10.0  # GNearClippingPlane
 NO_LENS = "cameras here are pinholes; simSetCameraFov sets what they see"
@@ -84,7 +83,7 @@ class CameraApi(Calls, title="Cameras and images"):
         if not isinstance(param_name, str) or param_name not in known:
             raise ValueError(f"no distortion parameter {param_name!r}; there are {', '.join(known)}")
         known[param_name] = value
-        self.notices.once("simSetDistortionParam: accepted; pictures stay undistorted")
+        self.scenery.say_once("simSetDistortionParam: accepted; pictures stay undistorted")
 
     def _named(self, camera: object, vehicle: str, external: bool) -> CameraMount:
         return self.scenery.cameras(vehicle, external).named(camera)
@@ -200,7 +199,7 @@ class ImageApi(Calls, title="Cameras and images"):
             known_type(request.image_type)
         except ValueError as error:
             if request.image_type in OPTICAL_FLOW:
-                self.notices.once("simGetImages: images of types 8 and 9 (optical flow) are empty")
+                self.scenery.say_once("simGetImages: images of types 8 and 9 (optical flow) are empty")
             return np.empty((0, 0), np.float32), str(error)
         pictures = self.scenery.pictures
         draw = pictures.floats if request.pixels_as_float else pictures.bgr

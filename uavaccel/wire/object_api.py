@@ -21,7 +21,9 @@ from uavaccel.sim.scene.objects import ASSETS, cast, sees
 from uavaccel.sim.sensors.earth import GRAVITY_M_S2, GeoPoint, atmosphere, geographic, local
 from uavaccel.sim.vehicle.vehicle import BODY
 from uavaccel.wire import types
-from uavaccel.wire.arguments import (
+from uavaccel.wire.calls import Calls, Scenery, call, without_effect
+from uavaccel.wire.pictures import CameraMount, known_type
+from uavaccel.wire.types import (
     AnyPose,
     FinitePose,
     ObjectName,
@@ -33,9 +35,6 @@ from uavaccel.wire.arguments import (
     coordinate,
     finite,
 )
-from uavaccel.wire.calls import CallContext, Calls, call, without_effect
-from uavaccel.wire.cameras import CameraMount
-from uavaccel.wire.pictures import known_type
 from uavaccel.wire.vehicle_api import in_world_frame
 
 NAN = math.nan
@@ -92,7 +91,7 @@ class ObjectApi(Calls, title="Objects"):
         name = self.scenery.objects.spawn(object_name, asset_name, pose, scale)
         self.scenery.segmentation.spawned(name)
         if physics_enabled:
-            self.notices.once("simSpawnObject: physics_enabled is without effect; objects stand still")
+            self.scenery.say_once("simSpawnObject: physics_enabled is without effect; objects stand still")
         return name
 
     @call("simDestroyObject")
@@ -143,8 +142,8 @@ class DetectionFilter:
 
 
 class DetectionApi(Calls, title="Objects"):
-    def __init__(self, context: CallContext) -> None:
-        super().__init__(context)
+    def __init__(self, scenery: Scenery) -> None:
+        super().__init__(scenery)
         self._filters: dict[tuple[str, bool, int, int], DetectionFilter] = defaultdict(DetectionFilter)
 
     @call("simAddDetectionFilterMeshName")

@@ -10,7 +10,7 @@ import itertools
 import re
 from collections.abc import Callable
 from pathlib import Path
-from typing import IO
+from typing import IO, TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,9 @@ from uavaccel.sim.camera.pixels import png
 from uavaccel.units import NS_PER_S
 from uavaccel.wire import types
 from uavaccel.wire.pictures import known_type, pfm, ppm
-from uavaccel.wire.scenery import Scenery
+
+if TYPE_CHECKING:
+    from uavaccel.wire.calls import Scenery
 
 COLUMNS = ("VehicleName", "TimeStamp", "POS_X", "POS_Y", "POS_Z", "Q_W", "Q_X", "Q_Y", "Q_Z", "ImageFile")
 FILE_NAME = "airsim_rec.txt"

@@ -23,9 +23,9 @@ from uavaccel.sim.sensors.field import (
 )
 from uavaccel.sim.sensors.ranging import DistanceSensor, DistanceSettings, Lidar, LidarSettings
 from uavaccel.wire import types
-from uavaccel.wire.arguments import VehicleName
-from uavaccel.wire.calls import CallContext, Calls, call
+from uavaccel.wire.calls import Calls, Scenery, call
 from uavaccel.wire.settings import SensorSettings
+from uavaccel.wire.types import VehicleName
 
 Kind = TypeVar("Kind")
 SENSORS: dict[type[AirSimKeys], Callable[[Any, int, str], object]] = {
@@ -74,8 +74,8 @@ class Sensors:
 class SensorApi(Calls, title="Sensors"):
     """Calls about sensors; an empty name selects the first sensor of its kind."""
 
-    def __init__(self, context: CallContext) -> None:
-        super().__init__(context)
+    def __init__(self, scenery: Scenery) -> None:
+        super().__init__(scenery)
         self._sensors: dict[int, Sensors] = {}
 
     def _of(self, vehicle: str) -> Sensors:

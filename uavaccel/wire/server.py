@@ -22,7 +22,6 @@ from uavaccel.sim.flight.pilot import DeferredReply
 from uavaccel.sim.simulation import Simulation
 from uavaccel.wire import rpc
 from uavaccel.wire.api import Api
-from uavaccel.wire.rpc import set_no_delay, set_quick_ack
 
 MOST_CLIENTS = 16
 READ_BYTES = 1 << 12
@@ -44,9 +43,8 @@ class Connection:
         self.request: bytes | None = None  # received, and waiting for its turn
         self.unsent = bytearray()
 
-    @property
     def asks(self) -> bool:
-        """Whether it has a request that can be served now."""
+        """Return whether it has a request that can be served now."""
         return self.request is not None and not self.unsent
 
 
@@ -112,7 +110,10 @@ class Server:
         try:
             while not self._stopping:
                 self._receive(self._wake_ns(simulation))
-                self._wait_for_end(simulation)
+                # just before a command or continue-for ends, fly tick by tick: only the last one is left at its end
+                event = simulation.next_event_wall_ns(turns=False)
+                while event is not None and event - FINAL_NS < (now := self.clock.now_ns()) < event:
+                    simulation.advance_to(now)
                 simulation.advance_to(self.clock.now_ns())
                 self._flush()
                 self._serve_turns()
@@ -134,7 +135,7 @@ class Server:
     def _wake_ns(self, simulation: Simulation) -> int:
         """Return the wall time until which to sleep; in the past if it is time to poll."""
         now = self.clock.now_ns()
-        if now < self._busy_until_ns or any(connection.asks for connection in self.connected):
+        if now < self._busy_until_ns or any(connection.asks() for connection in self.connected):
             return now
         if simulation.paused:
             return now + IDLE_NS
@@ -142,12 +143,6 @@ class Server:
         # waking for every turn of a task would be polling
         event = simulation.next_event_wall_ns(turns=False)
         return wake if event is None else min(wake, event - SPIN_NS)
-
-    def _wait_for_end(self, simulation: Simulation) -> None:
-        """Just before a command or continue-for ends, fly tick by tick: only the last tick is left at its end."""
-        event = simulation.next_event_wall_ns(turns=False)
-        while event is not None and event - FINAL_NS < (now := self.clock.now_ns()) < event:
-            simulation.advance_to(now)
 
     # --- sockets ----------------------------------------------------------------------------------
 
@@ -168,16 +163,18 @@ class Server:
     def _accept(self) -> None:
         try:
             raw, _ = self._listener.accept()
-        except OSError:
-            return  # it has disconnected again
+        except OSError:  # it has disconnected again
+            return
         if len(self.connected) >= MOST_CLIENTS:
-            self.api.notices.once(f"warning: {MOST_CLIENTS} clients are connected, as many as may be; one was refused")
+            self.api.scenery.say_once(
+                f"warning: {MOST_CLIENTS} clients are connected, as many as may be; one was refused"
+            )
             raw.close()
             return
         try:
             raw.setblocking(False)
-            set_no_delay(raw)
-        except OSError:  # disconnected again
+            rpc.set_no_delay(raw)
+        except OSError:
             raw.close()
             return
         connection = Connection(raw)
@@ -187,7 +184,7 @@ class Server:
     def _read(self, connection: Connection) -> None:
         try:
             data = connection.socket.recv(READ_BYTES)
-            set_quick_ack(connection.socket)
+            rpc.set_quick_ack(connection.socket)
         except BlockingIOError:
             return
         except OSError:
@@ -201,8 +198,7 @@ class Server:
     def _take_next(self, connection: Connection, data: bytes = b"") -> None:
         """Take the next whole request out of a stream, extended by `data`; hang up where that is impossible."""
         try:
-            connection.framer.feed(data)
-            connection.request = connection.framer.next()
+            connection.request = connection.framer.next(data)
         except rpc.ProtocolError as error:
             self._hang_up(connection, error)
 
@@ -240,9 +236,9 @@ class Server:
     def _serve_turns(self) -> None:
         """Serve one request of each client, and again while there are others, for TURNS_NS and the last turn."""
         end_ns = self.clock.now_ns() + TURNS_NS
-        while (asking := [each for each in self.connected if each.asks]) and self.clock.now_ns() < end_ns:
+        while (asking := [each for each in self.connected if each.asks()]) and self.clock.now_ns() < end_ns:
             for connection in asking:
-                if connection.asks:  # still: it may have been disconnected
+                if connection.asks():  # still: it may have been disconnected
                     self._serve(connection)
 
     def _serve(self, connection: Connection) -> None:

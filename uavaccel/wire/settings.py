@@ -26,7 +26,7 @@ from uavaccel.sim.sensors.field import BarometerSettings, GpsSettings, ImuSettin
 from uavaccel.sim.sensors.ranging import DistanceSettings, LidarSettings
 from uavaccel.sim.world import MOST_VEHICLES, VEHICLE, World
 from uavaccel.units import NS_PER_S, exact, ticks_exactly
-from uavaccel.wire.cameras import CameraSettings
+from uavaccel.wire.pictures import CameraSettings
 from uavaccel.wire.rpc import LOOPBACK, PORT
 
 SensorSettings = Annotated[

@@ -1,16 +1,25 @@
-"""The two transports from a client to a simulation: a socket, and in-process calls under a simulated wall clock."""
+"""The two transports from a client to a simulation: a socket, and in-process calls under a simulated wall clock.
+
+The socket's may watch the server's process: it starts it, sees whether it responds, and ends it in any state.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import json
+import os
+import select
 import socket
 import struct
+import subprocess
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 
 from uavaccel.clock import MonotonicClock, VirtualClock, WallClock, wait_for_sockets
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Kinematics
+from uavaccel.processes.lifetime import end_within, single_core_rendering, start_python
+from uavaccel.processes.stalls import STOPPED_POLLS, cpu_time_s, is_stopped
 from uavaccel.sim.flight.pilot import DeferredReply
 from uavaccel.sim.simulation import Simulation
 from uavaccel.sim.world import World
@@ -19,11 +28,123 @@ from uavaccel.wire import rpc
 from uavaccel.wire.api import CALLS, Api
 from uavaccel.wire.broadcast import show_on_page
 from uavaccel.wire.latency import DEFAULT, Channel, Latency
-from uavaccel.wire.rpc import Received, RpcSocket
-from uavaccel.wire.server_watch import SILENCE_POLL_NS, ServerGoneError, ServerSilence, WatchedServer
+from uavaccel.wire.rpc import Received, ServerGoneError
 
+START_S, IDLE_START_S = 600.0, 60.0  # to compile the hot loop; of that without using any CPU
+IDLE_S = 2.5  # a server that is silent for longer and uses no CPU has been stopped, or waits for ever
+BUSY_S = 60.0  # longest silence of a busy server: its first picture, drawn in software on a loaded machine
+END_S = 3.0
+SILENCE_POLL_NS = 1_000_000_000  # silence after which the server is pinged
+STALL_NS = 100_000_000  # a responsive server answers a ping sooner
 POLL_NS = 1_000_000
 AT_ONCE = {"pause", "continue", "state"}  # channels whose calls keep a server busy for microseconds
+
+
+class WatchedServer:
+    """A process of uavaccel.wire.service, listening on `port`. Raises ServerGoneError if it never listens."""
+
+    def __init__(self, options: dict[str, object]) -> None:
+        self._clock = MonotonicClock()
+        self._process = start_python(
+            *("-m", "uavaccel.wire.service", json.dumps({**options, "parent": os.getpid()})),
+            environment=single_core_rendering(),
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+        )
+        self.pid = self._process.pid
+        self.answered()
+        try:
+            self.port: int = json.loads(self._first_line())["port"]
+        except BaseException:
+            self._process.kill()  # it does not heed the end of its standard input before it listens
+            self.end()
+            raise
+
+    @property
+    def returncode(self) -> int | None:
+        return self._process.returncode
+
+    def answered(self) -> None:
+        """Count its silence from now on."""
+        self._stopped_looks = 0
+        self._heard_ns = self._worked_ns = self._clock.now_ns()
+        self._cpu_s = cpu_time_s(self.pid)
+
+    def check(self, idle_s: float = IDLE_S, busy_s: float = BUSY_S) -> None:
+        """Raise ServerGoneError if it has ended, or has been silent for `busy_s`, or for `idle_s` without using CPU.
+
+        So it does, whatever these are, for one that a signal has stopped at more than STOPPED_POLLS calls in a row. To
+        be called about once a second while an answer is overdue.
+        """
+        status = self._process.poll()
+        if status is not None:
+            raise ServerGoneError(f"the server's process ended with status {status}")
+        now_ns, cpu_s = self._clock.now_ns(), cpu_time_s(self.pid)
+        if cpu_s != self._cpu_s:
+            self._cpu_s, self._worked_ns = cpu_s, now_ns
+        self._stopped_looks = self._stopped_looks + 1 if is_stopped(self.pid) else 0
+        idle_ns, silent_ns = now_ns - self._worked_ns, now_ns - self._heard_ns
+        stopped = self._stopped_looks > STOPPED_POLLS
+        if stopped or idle_ns > idle_s * NS_PER_S or silent_ns > busy_s * NS_PER_S:
+            self._process.kill()  # it would not end by itself
+            raise ServerGoneError(f"the server's process did not answer for {silent_ns / NS_PER_S:.1f} s")
+
+    def _first_line(self) -> bytes:
+        stdout = self._process.stdout
+        assert stdout is not None
+        while not select.select([stdout], [], [], 1.0)[0]:
+            self.check(IDLE_START_S, START_S)
+        line = stdout.readline()
+        if not line:
+            raise ServerGoneError(f"the server's process ended with status {self._process.wait()} before it listened")
+        return line
+
+    def end(self) -> None:
+        """End it by closing its standard input, or by force."""
+        for pipe in (self._process.stdin, self._process.stdout):
+            if pipe is not None:
+                pipe.close()
+        end_within(self._process, END_S)
+
+
+class ServerSilence:
+    """Decides whether a silent server is busy flying or gone.
+
+    `ask` sends it a ping, and returns a function that says whether that has been answered.
+    """
+
+    def __init__(self, server: WatchedServer, ask: Callable[[], Callable[[], bool]]) -> None:
+        self._server, self._ask = server, ask
+        self._clock = MonotonicClock()
+        self._answered: Callable[[], bool] | None = None
+        self._asked_ns = 0
+        self._counted_ns = 0
+
+    def goes_on(self) -> None:
+        """Call after every SILENCE_POLL_NS of silence: pings, then checks the process. Raises ServerGoneError."""
+        if self._answered is not None:
+            self._server.check()
+            return
+        self._server.answered()
+        self._answered, self._asked_ns = self._ask(), self._clock.now_ns()
+
+    def broken_ns(self, due_ns: Sequence[int]) -> int:
+        """To be called when answers arrive: for how long the server had not responded, 0 if it only flew.
+
+        `due_ns` are the times at which these answers were due. No wall time is counted twice.
+        """
+        since = list(due_ns)
+        if self._answered is not None and self._answered():
+            self._answered = None
+            since.append(self._asked_ns)
+        if not since:
+            return 0
+        now_ns = self._clock.now_ns()
+        silent_ns = now_ns - max(min(since), self._counted_ns)
+        if silent_ns <= STALL_NS:
+            return 0
+        self._counted_ns = now_ns
+        return silent_ns
 
 
 class PendingCall:
@@ -56,7 +177,7 @@ class PendingCall:
 
 
 class KnownState:
-    """The paused simulation's state as far as one connection knows it; all clients of the connection share it.
+    """The paused simulation's `state` as far as one connection knows it; all clients of the connection share it.
 
     `exclusive` promises that no other connection runs the simulation. The state in which a continue-for left it then
     stays the present one until this connection sends a call that may change it, and need not be requested.
@@ -67,13 +188,11 @@ class KnownState:
         self.state: Kinematics | None = None
 
     def paused_at(self, state: Kinematics) -> None:
-        """Keep the state in which the simulation has been paused."""
         self.state = state if self.exclusive else None
 
     def sending(self, method: str) -> None:
         """Forget the state if the call that is about to be sent may change it."""
-        called = CALLS.get(method)
-        if called is None or not called.leaves_state:
+        if (called := CALLS.get(method)) is None or not called.leaves_state:
             self.state = None
 
 
@@ -114,9 +233,9 @@ class SocketTransport(Transport):
 
     def __init__(self, host: str, port: int, exclusive: bool = False, watch: WatchedServer | None = None) -> None:
         super().__init__(MonotonicClock(), exclusive)
-        self._silence = None if watch is None else ServerSilence(watch, self._ask)
+        self._silence = None if watch is None else ServerSilence(watch, self._ping)
         try:
-            self._rpc: RpcSocket[PendingCall] = RpcSocket(host, port)
+            self._rpc: rpc.RpcSocket[PendingCall] = rpc.RpcSocket(host, port)
         except ConnectionError as error:
             raise UserError(str(error)) from None
         if watch is not None:  # a wait without a deadline wakes now and then, which costs nothing otherwise
@@ -143,22 +262,17 @@ class SocketTransport(Transport):
 
     def wait(self, call: PendingCall, deadline_ns: int | None = None) -> bool:
         self._flush()
-        if call.expected_ns is not None:
-            self._poll_around(call, call.expected_ns, deadline_ns)
+        if (expected_ns := call.expected_ns) is not None:  # poll around it: a sleeping process wakes late
+            last_ns = expected_ns + POLL_NS if deadline_ns is None else min(expected_ns + POLL_NS, deadline_ns)
+            while not call.done and self.clock.now_ns() < last_ns:
+                if self._readable(min(expected_ns - POLL_NS, last_ns)):
+                    self._receive()
         while not call.done:
             if deadline_ns is None or self._readable(deadline_ns):
                 self._receive()
             elif self.clock.now_ns() >= deadline_ns:
                 return False
         return True
-
-    def _poll_around(self, call: PendingCall, expected_ns: int, deadline_ns: int | None) -> None:
-        """Poll around the expected time: a sleeping process wakes tens of microseconds late."""
-        last_ns = expected_ns + POLL_NS if deadline_ns is None else min(expected_ns + POLL_NS, deadline_ns)
-        wake_ns = expected_ns - POLL_NS
-        while not call.done and self.clock.now_ns() < last_ns:
-            if self._readable(min(wake_ns, last_ns)):
-                self._receive()
 
     def _readable(self, deadline_ns: int) -> bool:
         """Wait until something arrives, or for the deadline, or to ask a silent server whether it is there."""
@@ -185,8 +299,7 @@ class SocketTransport(Transport):
             due_ns = [reply.call.due_ns() for reply in replies]
             self.stalled_ns += self._silence.broken_ns([due for due in due_ns if due is not None])
 
-    def _ask(self) -> Callable[[], bool]:
-        """Ping the server; the returned function says whether it has answered."""
+    def _ping(self) -> Callable[[], bool]:
         ping = self.send("ping", (), blocking=True)
         return lambda: ping.done
 

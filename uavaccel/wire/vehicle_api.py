@@ -22,10 +22,10 @@ from uavaccel.sim.vehicle.vehicle import HERE, AddedVehicle, Start
 from uavaccel.sim.world import START_M
 from uavaccel.units import euler_from_quaternion
 from uavaccel.wire import types
-from uavaccel.wire.arguments import AnyPose, FinitePose, VehicleName, place, pose
 from uavaccel.wire.calls import Calls, call
 from uavaccel.wire.flight_api import stick_map
 from uavaccel.wire.settings import Settings, VehicleSettings
+from uavaccel.wire.types import AnyPose, FinitePose, VehicleName, place, pose
 
 FASTEST_M_S, FASTEST_RAD_S = 500.0, 100.0  # beyond these a tick's drag or turn is not a small change
 KIND = "simpleflight"
