@@ -7,7 +7,7 @@ error texts: AirSim v1.8.1, RpcLibServerBase.cpp.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Annotated, TypedDict
 
 from uavaccel.kinematics import Kinematics
@@ -16,7 +16,6 @@ from uavaccel.sim.world import START_M
 from uavaccel.wire.calls import Calls, call, without_effect
 from uavaccel.wire.flight_api import LONGEST_S
 from uavaccel.wire.image_api import clutter_layout, lane_layout
-from uavaccel.wire.latency import Channel
 from uavaccel.wire.rpc import Received
 from uavaccel.wire.types import Coordinate, number
 
@@ -176,23 +175,16 @@ FRAMES_PER_S, MOST_FRAMES = 60, 1e9
 
 def wall_seconds(value: object, name: str) -> float:
     """A duration in seconds, 0 or more, at most LONGEST_S."""
-    seconds = number(value, name)
-    if seconds < 0:
+    if (seconds := number(value, name)) < 0:
         raise ValueError(f"{name} must not be negative, not {seconds:g}")
     return min(seconds, LONGEST_S)
 
 
 def frame_count(value: object, name: str) -> float:
-    """A whole number of frames."""
     count = number(value, name)
     if count != int(count) or not 0 <= count <= MOST_FRAMES:
         raise ValueError(f"{name} must be a whole number from 0 to {MOST_FRAMES:g}, not {value}")
     return count
-
-
-def pause_channel(params: Sequence[object]) -> Channel:
-    """simPause's kind of latency: to pause or to continue."""
-    return "pause" if params and params[0] else "continue"
 
 
 class SimulatorApi(Calls, title="Connection and time"):
@@ -217,12 +209,9 @@ class SimulatorApi(Calls, title="Connection and time"):
         """Reset every vehicle; a recording continues, as in AirSim."""
         self.scenery.recorder.go_through(lambda recording: self.simulation.reset(self.wall_ns, recording=recording))
 
-    @call("simPause", pause_channel)
+    @call("simPause", lambda params: "pause" if params and params[0] else "continue")
     def pause(self, is_paused: bool) -> None:
-        if is_paused:
-            self.simulation.pause(self.wall_ns)
-        else:
-            self.simulation.run(self.wall_ns)
+        (self.simulation.pause if is_paused else self.simulation.run)(self.wall_ns)
 
     @call("simIsPaused")
     def is_paused(self) -> bool:

@@ -14,7 +14,7 @@ import logging
 import selectors
 import socket
 from collections.abc import Callable
-from typing import IO, NamedTuple
+from typing import IO
 
 from uavaccel.clock import MonotonicClock, request_fine_timers, wait_for_sockets
 from uavaccel.errors import UserError
@@ -48,28 +48,22 @@ class Connection:
         return self.request is not None and not self.unsent
 
 
-class Answer(NamedTuple):
-    """The answer to a request; a `DeferredReply` in it is due by now."""
+def packed(message_id: int, error: str | None, result: object) -> bytes:
+    """Return an answer's message; an error in place of a result that cannot be packed or is too long.
 
-    connection: Connection
-    message_id: int
-    error: str | None
-    result: object
-
-    def pack(self) -> bytes:
-        """Return the message; an error in place of a result that cannot be packed or is too long."""
-        result = self.result
-        try:
-            if isinstance(result, DeferredReply):
-                result = result.encode(result.value)
-            packed = rpc.pack_response(self.message_id, self.error, result)
-        except Exception as error:
-            _LOG.error("an answer cannot be packed", exc_info=error)
-            return rpc.pack_response(self.message_id, f"the answer cannot be packed: {error}", None)
-        if len(packed) <= rpc.MAX_ANSWER_BYTES:
-            return packed
-        text = f"the answer has {len(packed) >> 20} MiB, more than {rpc.MAX_ANSWER_BYTES >> 20}: ask for less"
-        return rpc.pack_response(self.message_id, text, None)
+    A `DeferredReply` in it is due by now.
+    """
+    try:
+        if isinstance(result, DeferredReply):
+            result = result.encode(result.value)
+        message = rpc.pack_response(message_id, error, result)
+    except Exception as failure:
+        _LOG.error("an answer cannot be packed", exc_info=failure)
+        return rpc.pack_response(message_id, f"the answer cannot be packed: {failure}", None)
+    if len(message) <= rpc.MAX_ANSWER_BYTES:
+        return message
+    text = f"the answer has {len(message) >> 20} MiB, more than {rpc.MAX_ANSWER_BYTES >> 20}: ask for less"
+    return rpc.pack_response(message_id, text, None)
 
 
 class Server:
@@ -98,7 +92,7 @@ class Server:
         if stop_at_eof is not None:
             self._selector.register(stop_at_eof, selectors.EVENT_READ)
         self.connected: list[Connection] = []
-        self._answers: list[Answer] = []
+        self._answers: list[tuple[Connection, int, str | None, object]] = []
         self._busy_until_ns = 0
         self._stopping = False
 
@@ -253,7 +247,7 @@ class Server:
         except rpc.RpcError as failure:
             result, error = None, str(failure)
         if request.message_id is not None:
-            answer = Answer(connection, request.message_id, error, result)
+            answer = connection, request.message_id, error, result
             if isinstance(result, DeferredReply) and result.due_wall_ns is None:
                 result.on_due = lambda _: self._answers.append(answer)
             else:
@@ -270,7 +264,7 @@ class Server:
         if not self._answers:
             return
         while self._answers:
-            answer = self._answers.pop()
-            answer.connection.unsent += answer.pack()
+            connection, *answer = self._answers.pop()
+            connection.unsent += packed(*answer)
         for connection in self.connected.copy():
             self._send(connection)

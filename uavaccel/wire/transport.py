@@ -13,13 +13,13 @@ import socket
 import struct
 import subprocess
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 from uavaccel.clock import MonotonicClock, VirtualClock, WallClock, wait_for_sockets
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Kinematics
 from uavaccel.processes.lifetime import end_within, single_core_rendering, start_python
-from uavaccel.processes.stalls import STOPPED_POLLS, cpu_time_s, is_stopped
+from uavaccel.processes.stalls import FIRST_POLLS, StallDetector
 from uavaccel.sim.flight.pilot import DeferredReply
 from uavaccel.sim.simulation import Simulation
 from uavaccel.sim.world import World
@@ -30,8 +30,8 @@ from uavaccel.wire.broadcast import show_on_page
 from uavaccel.wire.latency import DEFAULT, Channel, Latency
 from uavaccel.wire.rpc import Received, ServerGoneError
 
-START_S, IDLE_START_S = 600.0, 60.0  # to compile the hot loop; of that without using any CPU
-IDLE_S = 2.5  # a server that is silent for longer and uses no CPU has been stopped, or waits for ever
+START_S = 600.0  # to compile the hot loop
+SILENT_POLLS = 2  # a server that is silent and uses no CPU for so many seconds has been stopped, or waits for ever
 BUSY_S = 60.0  # longest silence of a busy server: its first picture, drawn in software on a loaded machine
 END_S = 3.0
 SILENCE_POLL_NS = 1_000_000_000  # silence after which the server is pinged
@@ -66,26 +66,18 @@ class WatchedServer:
 
     def answered(self) -> None:
         """Count its silence from now on."""
-        self._stopped_looks = 0
-        self._heard_ns = self._worked_ns = self._clock.now_ns()
-        self._cpu_s = cpu_time_s(self.pid)
+        self._detector, self._heard_ns = StallDetector(), self._clock.now_ns()
 
-    def check(self, idle_s: float = IDLE_S, busy_s: float = BUSY_S) -> None:
-        """Raise ServerGoneError if it has ended, or has been silent for `busy_s`, or for `idle_s` without using CPU.
+    def check(self, idle_polls: int = SILENT_POLLS, busy_s: float = BUSY_S) -> None:
+        """Raise ServerGoneError if it has ended, is stopped, or was idle at so many calls, or silent for `busy_s`.
 
-        So it does, whatever these are, for one that a signal has stopped at more than STOPPED_POLLS calls in a row. To
-        be called about once a second while an answer is overdue.
+        To be called about once a second while an answer is overdue.
         """
         status = self._process.poll()
         if status is not None:
             raise ServerGoneError(f"the server's process ended with status {status}")
-        now_ns, cpu_s = self._clock.now_ns(), cpu_time_s(self.pid)
-        if cpu_s != self._cpu_s:
-            self._cpu_s, self._worked_ns = cpu_s, now_ns
-        self._stopped_looks = self._stopped_looks + 1 if is_stopped(self.pid) else 0
-        idle_ns, silent_ns = now_ns - self._worked_ns, now_ns - self._heard_ns
-        stopped = self._stopped_looks > STOPPED_POLLS
-        if stopped or idle_ns > idle_s * NS_PER_S or silent_ns > busy_s * NS_PER_S:
+        silent_ns = self._clock.now_ns() - self._heard_ns
+        if self._detector.poll([self.pid], idle_polls) or silent_ns > busy_s * NS_PER_S:
             self._process.kill()  # it would not end by itself
             raise ServerGoneError(f"the server's process did not answer for {silent_ns / NS_PER_S:.1f} s")
 
@@ -93,7 +85,7 @@ class WatchedServer:
         stdout = self._process.stdout
         assert stdout is not None
         while not select.select([stdout], [], [], 1.0)[0]:
-            self.check(IDLE_START_S, START_S)
+            self.check(FIRST_POLLS, START_S)
         line = stdout.readline()
         if not line:
             raise ServerGoneError(f"the server's process ended with status {self._process.wait()} before it listened")
@@ -105,46 +97,6 @@ class WatchedServer:
             if pipe is not None:
                 pipe.close()
         end_within(self._process, END_S)
-
-
-class ServerSilence:
-    """Decides whether a silent server is busy flying or gone.
-
-    `ask` sends it a ping, and returns a function that says whether that has been answered.
-    """
-
-    def __init__(self, server: WatchedServer, ask: Callable[[], Callable[[], bool]]) -> None:
-        self._server, self._ask = server, ask
-        self._clock = MonotonicClock()
-        self._answered: Callable[[], bool] | None = None
-        self._asked_ns = 0
-        self._counted_ns = 0
-
-    def goes_on(self) -> None:
-        """Call after every SILENCE_POLL_NS of silence: pings, then checks the process. Raises ServerGoneError."""
-        if self._answered is not None:
-            self._server.check()
-            return
-        self._server.answered()
-        self._answered, self._asked_ns = self._ask(), self._clock.now_ns()
-
-    def broken_ns(self, due_ns: Sequence[int]) -> int:
-        """To be called when answers arrive: for how long the server had not responded, 0 if it only flew.
-
-        `due_ns` are the times at which these answers were due. No wall time is counted twice.
-        """
-        since = list(due_ns)
-        if self._answered is not None and self._answered():
-            self._answered = None
-            since.append(self._asked_ns)
-        if not since:
-            return 0
-        now_ns = self._clock.now_ns()
-        silent_ns = now_ns - max(min(since), self._counted_ns)
-        if silent_ns <= STALL_NS:
-            return 0
-        self._counted_ns = now_ns
-        return silent_ns
 
 
 class PendingCall:
@@ -233,7 +185,9 @@ class SocketTransport(Transport):
 
     def __init__(self, host: str, port: int, exclusive: bool = False, watch: WatchedServer | None = None) -> None:
         super().__init__(MonotonicClock(), exclusive)
-        self._silence = None if watch is None else ServerSilence(watch, self._ping)
+        self._watch = watch
+        self._ping: PendingCall | None = None
+        self._asked_ns = self._counted_ns = 0
         try:
             self._rpc: rpc.RpcSocket[PendingCall] = rpc.RpcSocket(host, port)
         except ConnectionError as error:
@@ -277,31 +231,48 @@ class SocketTransport(Transport):
     def _readable(self, deadline_ns: int) -> bool:
         """Wait until something arrives, or for the deadline, or to ask a silent server whether it is there."""
         look_ns = self.clock.now_ns() + SILENCE_POLL_NS
-        if self._silence is None or deadline_ns < look_ns:
+        if self._watch is None or deadline_ns < look_ns:
             return bool(wait_for_sockets(self._rpc.selector, deadline_ns))
         if wait_for_sockets(self._rpc.selector, look_ns):
             return True
-        self._silence.goes_on()
+        self._look()
         return False
 
     def _receive(self) -> None:
         try:
             replies = list(self._rpc.receive())
         except BlockingIOError:  # nothing for SILENCE_POLL_NS
-            if self._silence is not None:
-                self._silence.goes_on()
+            self._look()
             return
         except ConnectionError as error:
             raise ServerGoneError(str(error)) from None
         for call, error_text, value in replies:
             call.done, call.error, call.value = True, error_text, value
-        if self._silence is not None:
-            due_ns = [reply.call.due_ns() for reply in replies]
-            self.stalled_ns += self._silence.broken_ns([due for due in due_ns if due is not None])
+        if self._watch is not None:
+            self._count_silence([reply.call.due_ns() for reply in replies])
 
-    def _ping(self) -> Callable[[], bool]:
-        ping = self.send("ping", (), blocking=True)
-        return lambda: ping.done
+    def _look(self) -> None:
+        """Ping a watched server after SILENCE_POLL_NS of silence; later see whether its process has gone."""
+        if self._watch is not None and self._ping is not None:
+            self._watch.check()
+        elif self._watch is not None:
+            self._watch.answered()
+            self._ping, self._asked_ns = self.send("ping", (), blocking=True), self.clock.now_ns()
+
+    def _count_silence(self, due_ns: Sequence[int | None]) -> None:
+        """When answers arrive, add for how long the server had not responded; a server that only flies answers pings.
+
+        `due_ns` are the times at which these answers were due. No wall time is counted twice.
+        """
+        since = [due for due in due_ns if due is not None]
+        if self._ping is not None and self._ping.done:
+            self._ping = None
+            since.append(self._asked_ns)
+        now_ns = self.clock.now_ns()
+        silent_ns = now_ns - max(min(since, default=now_ns), self._counted_ns)
+        if silent_ns > STALL_NS:
+            self._counted_ns = now_ns
+            self.stalled_ns += silent_ns
 
     def close(self) -> None:
         with contextlib.suppress(OSError):

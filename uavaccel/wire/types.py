@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from typing import Annotated, TypeVar, get_origin
+from typing import Annotated, get_origin
 
 from uavaccel.kinematics import Kinematics, Quaternion, Vector
 from uavaccel.sim.poses import LONGEST_NAME, STRONGEST_WIND_M_S, Pose
@@ -18,7 +18,6 @@ from uavaccel.wire.rpc import Received
 LARGEST = 3.4028235e38  # of single precision, AirSim's real_T
 FARTHEST_M = 1e6  # the farthest place that the physics resolves
 Coercion = Callable[[object, str], object]
-Same = TypeVar("Same")
 EPOCH_NS = 1_577_836_800_000_000_000  # 1 January 2020, 0 h UTC: when simulated time begins on AirSim's calls
 
 
@@ -54,27 +53,6 @@ def geo_map(point: GeoPoint) -> dict[str, float]:
     return {"latitude": point.latitude, "longitude": point.longitude, "altitude": point.altitude}
 
 
-def no_collision_map() -> dict[str, object]:
-    """Return the CollisionInfo of a vehicle that has not collided."""
-    zero = vector_map((0.0, 0.0, 0.0))
-    return {
-        "has_collided": False,
-        "penetration_depth": 0.0,
-        "time_stamp": 0,
-        "normal": zero,
-        "impact_point": zero,
-        "position": zero,
-        "object_name": "",
-        "object_id": -1,
-    }
-
-
-def rc_data_map() -> dict[str, object]:
-    """Return the RCData of a vehicle without a remote control."""
-    sticks = dict.fromkeys(("pitch", "roll", "throttle", "yaw", "left_z", "right_z"), 0.0)
-    return {"timestamp": 0, **sticks, "switches": 0, "vendor_id": "", "is_initialized": False, "is_valid": False}
-
-
 def coercion_of(annotation: object) -> Coercion:
     """The coercion of an annotated type, or of one in `PLAIN`. Raises TypeError for any other."""
     if get_origin(annotation) is Annotated:
@@ -83,11 +61,6 @@ def coercion_of(annotation: object) -> Coercion:
     if annotation not in PLAIN:
         raise TypeError(f"no client's value becomes {annotation}; there are {', '.join(map(str, PLAIN))}")
     return PLAIN[annotation]
-
-
-def unchanged(value: Same, name: str) -> Same:
-    """Any value: the call itself checks it."""
-    return value
 
 
 def number(value: object, name: str) -> float:
@@ -114,20 +87,13 @@ def flag(value: object, name: str) -> bool:
     return bool(value)
 
 
-def truthy(value: object, name: str) -> bool:
-    """The truth value of anything, by Python's rules."""
-    return bool(value)
-
-
 def text(value: object, name: str) -> str:
-    """A text."""
     if not isinstance(value, str):
         raise ValueError(f"{name} must be a text, not {type(value).__name__}")
     return value
 
 
 def object_name(value: object, name: str) -> str:
-    """A text that can be the name of an object."""
     named = text(value, name)
     if len(named) > LONGEST_NAME:
         raise ValueError(f"{name} must have at most {LONGEST_NAME} characters, not {len(named)}")
@@ -135,7 +101,6 @@ def object_name(value: object, name: str) -> str:
 
 
 def coordinate(value: object, name: str) -> float:
-    """A distance from the origin in metres."""
     metres = number(value, name)
     if abs(metres) > FARTHEST_M:
         raise ValueError(f"{name} must be within {FARTHEST_M:g} m, not {metres:g}")
@@ -143,7 +108,6 @@ def coordinate(value: object, name: str) -> float:
 
 
 def place(value: object, name: str) -> Vector:
-    """A Vector3r in metres."""
     if not isinstance(value, Mapping):
         raise ValueError(f"{name} must be a Vector3r, not {type(value).__name__}")
     x, y, z = (coordinate(value.get(key), f"{name}.{key}") for key in ("x_val", "y_val", "z_val"))
@@ -151,7 +115,6 @@ def place(value: object, name: str) -> Vector:
 
 
 def vector(value: Received, name: str) -> Vector:
-    """A Vector3r of finite numbers."""
     try:
         x, y, z = (number(value[key], f"{name}.{key}") for key in ("x_val", "y_val", "z_val"))
     except (KeyError, TypeError, IndexError) as error:
@@ -182,26 +145,21 @@ def finite(given: Pose) -> Pose:
 
 
 def finite_pose(value: object, name: str) -> Pose:
-    """A Pose with its orientation normalised, without NaN."""
     return finite(pose(value, name))
 
 
-def geo_point(value: Received, name: str) -> GeoPoint:
-    """A GeoPoint on the Earth."""
+def point(value: Received, name: str) -> GeoPoint | Vector:
+    """A GeoPoint on the Earth, or a Vector3r in metres of the world, which scripts send in its place."""
+    if isinstance(value, Mapping) and "x_val" in value:
+        return place(value, name)
     try:
         latitude, longitude, altitude = (number(value[key], key) for key in ("latitude", "longitude", "altitude"))
     except (KeyError, TypeError, IndexError) as error:
         raise ValueError("a point must be {latitude, longitude, altitude}") from error
     if abs(latitude) > 90.0 or abs(longitude) > 360.0:
-        raise ValueError(
-            f"a point must have a latitude within 90 degrees and a longitude within 360, not {[latitude, longitude]}"
-        )
+        within = "a latitude within 90 degrees and a longitude within 360"
+        raise ValueError(f"a point must have {within}, not {[latitude, longitude]}")
     return GeoPoint(latitude, longitude, altitude)
-
-
-def geo_point_or_place(value: Received, name: str) -> GeoPoint | Vector:
-    """A GeoPoint, or a Vector3r in metres of the world, which scripts send in its place."""
-    return place(value, name) if isinstance(value, Mapping) and "x_val" in value else geo_point(value, name)
 
 
 def wind(value: object, name: str) -> Vector:
@@ -220,20 +178,14 @@ def yaw_mode(value: object, name: str) -> Yaw:
     return Yaw(math.radians(number(value.get("yaw_or_rate", 0.0), f"{name}.yaw_or_rate")), is_rate)
 
 
-def vehicle_name(value: object, name: str) -> str:
-    """Any value as a vehicle's name: the call itself refuses an unknown one."""
-    return value if isinstance(value, str) else str(value)
-
-
-PLAIN: dict[object, Coercion] = {float: number, int: whole, bool: flag, str: text, object: unchanged}
-Truthy = Annotated[bool, truthy]
+PLAIN: dict[object, Coercion] = {float: number, int: whole, bool: flag, str: text, object: lambda value, _: value}
+Truthy = Annotated[bool, lambda value, _: bool(value)]
 ObjectName = Annotated[str, object_name]
-VehicleName = Annotated[str, vehicle_name]
+VehicleName = Annotated[str, lambda value, _: str(value)]  # the call itself refuses an unknown one
 Coordinate = Annotated[float, coordinate]
-Place = Annotated[Vector, place]
 Vector3r = Annotated[Vector, vector]
 Wind = Annotated[Vector, wind]
 AnyPose = Annotated[Pose, pose]
 FinitePose = Annotated[Pose, finite_pose]
-Point = Annotated[GeoPoint | Vector, geo_point_or_place]
+Point = Annotated[GeoPoint | Vector, point]
 YawMode = Annotated[Yaw, yaw_mode]
