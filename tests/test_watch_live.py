@@ -23,8 +23,8 @@ from uavaccel.cli.experiments import run_experiment
 from uavaccel.commands import COMMANDS, VelocityGoal
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.errors import UsageError
+from uavaccel.fly.command import fly
 from uavaccel.fly.options import FlightOptions
-from uavaccel.fly.runs import fly
 from uavaccel.records import RunDirectory
 from uavaccel.suites.dp1 import Dp1
 from uavaccel.suites.evaluate import Evaluation

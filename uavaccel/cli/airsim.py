@@ -79,7 +79,7 @@ def fly(
     That is fast, needs no window, and repeats to the byte. Options come before the script, its own arguments after it.
     """
     from uavaccel.fly.command import FlyRequest, fly_script, parse_clocks
-    from uavaccel.fly.keyboard import parse_keys
+    from uavaccel.fly.keys import parse_keys
     from uavaccel.fly.options import FlightOptions
     from uavaccel.watch.beside import PageAddress, page_beside
 

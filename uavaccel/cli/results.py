@@ -43,7 +43,7 @@ def watch(
     The page shows the drone in its scene, clocks, camera and events; pause, step, replay. The film shows camera,
     events, map, the view from behind and what a policy decided.
     """
-    from uavaccel.fly.trajectory import FILE_NAME as TRAJECTORY
+    from uavaccel.fly.log import TRAJECTORY
     from uavaccel.own_code import trusting
     from uavaccel.watch.beside import show
 
