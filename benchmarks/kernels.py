@@ -16,13 +16,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from benchmarks.speed import Measurement, elapsed_s
-from uavaccel.envs.flyable import CUDA
 from uavaccel.envs.kernel_batch import KernelBatch
-from uavaccel.envs.kernel_games import GameMaker
-from uavaccel.envs.kernel_plan import plan_of, slices_of
+from uavaccel.envs.kernel_games import GameMaker, plan_of, slices_of
 from uavaccel.envs.navigate import NavigateTask
 from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
-from uavaccel.envs.simulators import KERNELS, check_simulator
+from uavaccel.envs.simulators import CUDA, KERNELS, check_simulator
 from uavaccel.envs.task import Task
 from uavaccel.kernels import cpu, events, timeline
 from uavaccel.kernels import lanes as rows

@@ -8,10 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.kinematics import VelocityGoal
-from uavaccel.sim.flight.pilot import DeferredReply
+from uavaccel.sim.flight import of_velocity
 from uavaccel.sim.profile import NATIVE, Profile
-from uavaccel.sim.simulation import Simulation
-from uavaccel.sim.vehicle.goal import of_velocity
+from uavaccel.sim.simulation import DeferredReply, Simulation
 from uavaccel.sim.world import World
 
 NORTH, EAST = VelocityGoal((1.0, 0.0, 0.0)), VelocityGoal((0.0, 1.0, 0.0))

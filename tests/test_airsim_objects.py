@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 
 from tests.airsim_wire import AirSimWire, level_pose, vector
 from uavaccel.resources import asset
+from uavaccel.sim.objects import SceneObjects, cast, matching, restore_from
 from uavaccel.sim.profile import NATIVE
-from uavaccel.sim.scene.model import SPARES, airsim_spec, park_spares
-from uavaccel.sim.scene.objects import SceneObjects, cast, matching, restore_from
+from uavaccel.sim.scene import SPARES, airsim_spec, park_spares
 from uavaccel.sim.vehicle.vehicle import BODY
 from uavaccel.sim.world import World
 from uavaccel.wire import rpc

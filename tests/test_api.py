@@ -16,10 +16,9 @@ from hypothesis import strategies as st
 from tests.simulating import simulate
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Kinematics
-from uavaccel.sim.flight.pilot import DeferredReply
+from uavaccel.sim.earth import geographic
 from uavaccel.sim.profile import NATIVE, PROFILES, Profile
-from uavaccel.sim.sensors.earth import geographic
-from uavaccel.sim.simulation import Simulation
+from uavaccel.sim.simulation import DeferredReply, Simulation
 from uavaccel.sim.world import World
 from uavaccel.wire import rpc, types
 from uavaccel.wire.api import CALLS, Api, page, sections

@@ -14,11 +14,11 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from uavaccel.kinematics import VelocityGoal
-from uavaccel.sim.lane.layout import layout_from, sample_layout
+from uavaccel.sim.flight import of_velocity
+from uavaccel.sim.lane import layout_from, sample_layout
 from uavaccel.sim.profile import AIRSIM, NATIVE
 from uavaccel.sim.vehicle import clearance
 from uavaccel.sim.vehicle.clearance import Clearance
-from uavaccel.sim.vehicle.goal import of_velocity
 from uavaccel.sim.world import World
 
 

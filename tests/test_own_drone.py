@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 
 from uavaccel import VelocityGoal, open_session, resources, tcsc
 from uavaccel.errors import UserError
+from uavaccel.sim import flight as goals
 from uavaccel.sim.profile import NATIVE
 from uavaccel.sim.vehicle import autopilot
-from uavaccel.sim.vehicle import goal as goals
+from uavaccel.sim.vehicle.autopilot import Yaw
 from uavaccel.sim.vehicle.free_body import HUGE, free_step
-from uavaccel.sim.vehicle.goal import Yaw
 from uavaccel.sim.vehicle.quadrotor import parameters
 from uavaccel.sim.vehicle.vehicle import set_airframe
 from uavaccel.sim.world import FlightError, World

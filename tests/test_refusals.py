@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from tests.airsim_wire import AirSimWire, level_pose, vector
-from uavaccel.sim.flight.pilot import DeferredReply
+from uavaccel.sim.simulation import DeferredReply
 from uavaccel.sim.world import START_M
 from uavaccel.wire import rpc
 from uavaccel.wire.api import CALLS

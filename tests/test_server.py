@@ -18,7 +18,7 @@ from tests.mutated import changed_bytes, mutated_calls, send
 from tests.serving import running_server
 from tests.simulating import simulate
 from uavaccel.errors import UserError
-from uavaccel.sim.flight.pilot import DeferredReply
+from uavaccel.sim.simulation import DeferredReply
 from uavaccel.wire import rpc
 from uavaccel.wire.api import Api
 from uavaccel.wire.server import Server

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from tests.simulating import world_of
 from uavaccel.clock import VirtualClock
-from uavaccel.commands import COMMANDS
-from uavaccel.commands.paths import SQUARE, TWO_FORWARD_ONE_BACK
+from uavaccel.commands import COMMANDS, SQUARE, TWO_FORWARD_ONE_BACK
 from uavaccel.kinematics import Vector, VelocityGoal
 from uavaccel.sim.profile import AIRSIM, NATIVE, Profile
 from uavaccel.sim.simulation import Simulation

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from uavaccel.commands import COMMANDS
-from uavaccel.commands.paths import SQUARE
+from uavaccel.commands import COMMANDS, SQUARE
 from uavaccel.kinematics import VelocityGoal
 from uavaccel.sim.profile import NATIVE
 from uavaccel.wire import transport

@@ -13,8 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from uavaccel.commands import COMMANDS
-from uavaccel.commands.paths import SQUARE
+from uavaccel.commands import COMMANDS, SQUARE
 from uavaccel.config import dump_yaml
 from uavaccel.kinematics import Kinematics, VelocityGoal
 from uavaccel.sim.profile import PROFILES

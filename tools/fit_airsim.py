@@ -20,9 +20,8 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.stats import norm
 
-from uavaccel.config import dump_yaml
+from uavaccel.config import CommandName, dump_yaml
 from uavaccel.draw import style
-from uavaccel.limits import CommandName
 from uavaccel.metrics.stlc import mean_stlc
 from uavaccel.metrics.trajectory import Trajectory, trajectory
 from uavaccel.suites import plots

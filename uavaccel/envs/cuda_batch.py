@@ -16,13 +16,12 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from uavaccel.envs.arrays import mapped
 from uavaccel.envs.checks import ROUNDING, autoreset_of, make_task, seeds_of
 from uavaccel.envs.cuda_games import SampledAhead
 from uavaccel.envs.cuda_lanes import CudaLanes
 from uavaccel.envs.flight_env import FlightEnv
-from uavaccel.envs.flyable import CUDA, check_flyable
-from uavaccel.envs.values import State
+from uavaccel.envs.simulators import CUDA, check_flyable
+from uavaccel.envs.values import State, mapped
 from uavaccel.errors import UserError
 
 DEVICE = CUDA

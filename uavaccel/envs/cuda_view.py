@@ -8,9 +8,9 @@ from typing import Any
 
 import torch as th
 
-from uavaccel.envs.flyable import kind_of
 from uavaccel.envs.kernel_games import GameMaker
 from uavaccel.envs.sensors import blank_frame
+from uavaccel.envs.simulators import kind_of
 from uavaccel.envs.task import Task
 from uavaccel.kernels import cuda as kernels
 from uavaccel.kernels import events, tiles
@@ -109,7 +109,7 @@ class SceneView(View):
         self.render(which, frames)
 
     def add_levels(self, which: th.Tensor, sums: th.Tensor) -> None:
-        """Raise NotImplementedError: what the guard judges is refused before (envs/flyable)."""
+        """Raise NotImplementedError: what the guard judges is refused before (envs/simulators)."""
         raise NotImplementedError
 
     def _launch(self, name: str, size: Sequence[int]) -> Any:

@@ -18,8 +18,16 @@ from numpy.typing import NDArray
 
 from uavaccel.clock import MonotonicClock
 from uavaccel.commands import COMMANDS
-from uavaccel.envs.checks import RENDER_MODES, TaskT, check_render_mode, known_options, make_task, seed_of, within
-from uavaccel.envs.own_task import check_reward
+from uavaccel.envs.checks import (
+    RENDER_MODES,
+    TaskT,
+    check_render_mode,
+    check_reward,
+    known_options,
+    make_task,
+    seed_of,
+    within,
+)
 from uavaccel.envs.sensors import EventCamera
 from uavaccel.envs.stopwatch import Stopwatch
 from uavaccel.envs.task import Mediation, Moment, Task

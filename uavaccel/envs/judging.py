@@ -15,20 +15,17 @@ from typing import Any, NamedTuple
 import numpy as np
 from gymnasium import spaces
 
-from uavaccel.envs.actions import RAD
-from uavaccel.envs.arrays import cast, full, joined, mapped, namespace_of
-from uavaccel.envs.context_planes import NO_ACTION
-from uavaccel.envs.own_task import check_reward
+from uavaccel.envs.checks import check_reward
+from uavaccel.envs.sensors import NO_ACTION
 from uavaccel.envs.stopwatch import PHASES
-from uavaccel.envs.task import Collisions, Moments, Task
-from uavaccel.envs.values import Action, Info, Number
+from uavaccel.envs.task import RAD, Collisions, Moments, Task
+from uavaccel.envs.values import Action, Info, Number, cast, full, joined, mapped, namespace_of
 from uavaccel.errors import UserError
 from uavaccel.kernels.bodies import Surroundings
 from uavaccel.kinematics import AttitudeGoal, BodyRatesGoal, FlightGoal, Kinematics, VelocityGoal
 from uavaccel.own_code import file_of
-from uavaccel.sim.vehicle import goal as goals
-from uavaccel.sim.vehicle.autopilot import THROTTLE
-from uavaccel.sim.vehicle.goal import Goal, Yaw
+from uavaccel.sim import flight as goals
+from uavaccel.sim.vehicle.autopilot import THROTTLE, Goal, Yaw
 from uavaccel.sim.vehicle.quadrotor import FLIGHT_DTYPE, KINEMATICS, NEVER
 from uavaccel.units import NS_PER_S
 
@@ -275,7 +272,7 @@ class Judge:
         return {"image": games.observations, "state": xp.where(free, state, xp.zeros_like(state))}
 
     def _with_context(self, frames: Number, actions: Number, ages_ns: Number) -> Number:
-        """Return frames with the task's context planes (envs/context_planes) behind them."""
+        """Return frames with the task's context planes (envs/sensors) behind them."""
         if self._context is None:
             return frames
         return namespace_of(frames).concatenate([frames, self._context.observe_many(actions, ages_ns)], 1)

@@ -17,25 +17,37 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from uavaccel.clock import MonotonicClock
-from uavaccel.envs.arrays import assign, mapped, named_leaves, one_of, select, stacked
+from uavaccel.config import MOST_PROCESSES
+from uavaccel.envs.batch import TurnBatch
 from uavaccel.envs.checks import actions_of, autoreset_of, make_task, whole_number
-from uavaccel.envs.context_planes import NO_ACTION
 from uavaccel.envs.flight_env import CONDITIONS, FlightEnv
-from uavaccel.envs.flyable import CPU, check_flyable, kind_of, profile_of
 from uavaccel.envs.judging import Flown, Judge, Judged, Running
-from uavaccel.envs.kernel_games import Drawn, GameMaker, keys_of
-from uavaccel.envs.kernel_plan import plan_of, since_ns_of
-from uavaccel.envs.sensors import blank_frame
+from uavaccel.envs.kernel_games import Drawn, GameMaker, keys_of, plan_of, since_ns_of
+from uavaccel.envs.sensors import NO_ACTION, blank_frame
+from uavaccel.envs.simulators import CPU, check_flyable, kind_of, profile_of
 from uavaccel.envs.stopwatch import PHASES
 from uavaccel.envs.task import Task
-from uavaccel.envs.turn_batch import TurnBatch
-from uavaccel.envs.values import Actions, Answer, Frame, Info, Observation, SavedState, State, Steps
+from uavaccel.envs.values import (
+    Actions,
+    Answer,
+    Frame,
+    Info,
+    Observation,
+    SavedState,
+    State,
+    Steps,
+    assign,
+    mapped,
+    named_leaves,
+    one_of,
+    select,
+    stacked,
+)
 from uavaccel.errors import UserError
 from uavaccel.kernels import cpu, events, timeline
 from uavaccel.kernels import lanes as rows
 from uavaccel.kernels.fields import DVS, STATE
 from uavaccel.kernels.flight import TOUCHED
-from uavaccel.limits import MOST_PROCESSES
 from uavaccel.machine import usable_cores
 from uavaccel.sim.vehicle.quadrotor import KINEMATICS
 from uavaccel.units import NS_PER_S, plain

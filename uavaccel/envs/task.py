@@ -16,13 +16,12 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from uavaccel.commands.slices import check_times, samples_due
-from uavaccel.config import Config
-from uavaccel.envs.actions import SIZES, ActionKind, chosen, low_level_goal
-from uavaccel.envs.context_planes import ContextPlanes
+from uavaccel.commands import check_times, samples_due
+from uavaccel.config import ClockSpeed, CommandName, Config, Cost, Count, Height, Seconds, Seed, Speed
 from uavaccel.envs.sensors import (
     PICTURE_SIZE,
     ColourCamera,
+    ContextPlanes,
     DepthCamera,
     EventCamera,
     Sensor,
@@ -30,18 +29,52 @@ from uavaccel.envs.sensors import (
     blank_frame,
     state_fields,
 )  # fmt: skip
-from uavaccel.envs.values import Action, Course, Info, Number
+from uavaccel.envs.values import Action, Course, Info, Number, constant
 from uavaccel.errors import UserError
-from uavaccel.kinematics import FlightGoal, Kinematics, Vector, VelocityGoal
-from uavaccel.limits import ClockSpeed, CommandName, Cost, Count, Height, Seconds, Seed, Speed
-from uavaccel.sim.lane.layout import PLAIN, LaneLayout
+from uavaccel.kinematics import AttitudeGoal, BodyRatesGoal, FlightGoal, Kinematics, MotorsGoal, Vector, VelocityGoal
+from uavaccel.sim.lane import LaneLayout
 from uavaccel.sim.profile import PROFILES
+from uavaccel.sim.scene import PLAIN
 from uavaccel.units import NS_PER_S
 from uavaccel.vision.dvs_sensor import PRESETS, DvsParameters, with_noise, with_thresholds
 from uavaccel.wire.latency import LatencyModel, of_the_profile
 
 if TYPE_CHECKING:  # which compiles
     from uavaccel.sim.clutter import ClutterLayout
+
+ActionKind = Literal["velocity", "attitude", "rates", "motors"]
+SIZES: dict[ActionKind, int] = {"velocity": 3, "attitude": 4, "rates": 4, "motors": 4}
+"""Numbers of an action."""
+HOVER_THROTTLE = 0.5941
+"""Throttle that carries AirSim's generic quadrotor (1 kg, four rotors of 4.1794 N) 10 m above its default home."""
+RAD = math.pi / 180.0  # as in math.radians
+
+
+def throttle(share: Number) -> Number:
+    """Return the throttle, 0 to 1, of a share from -1 to 1: 0 carries the vehicle's weight."""
+    sinking, climbing = HOVER_THROTTLE * (1.0 + share), HOVER_THROTTLE + (1.0 - HOVER_THROTTLE) * share
+    return sinking * (share < 0.0) + climbing * (share >= 0.0)
+
+
+def low_level_goal(kind: ActionKind, shares: Sequence[Number], tilt_deg: Number, rate_deg_s: Number) -> FlightGoal:
+    """Return the goal of four shares, -1 to 1, of the largest tilt, turn rate and throttle.
+
+    "attitude": roll, pitch (nose up), yaw rate, throttle; "rates": roll, pitch and yaw rate, throttle, all FRD;
+    "motors": front right, rear left, front left, rear right.
+    """
+    first, second, third, fourth = shares
+    tilt, rate = tilt_deg * RAD, rate_deg_s * RAD
+    if kind == "attitude":
+        return AttitudeGoal(first * tilt, second * tilt, third * rate, throttle(fourth))
+    if kind == "rates":
+        return BodyRatesGoal(first * rate, second * rate, third * rate, throttle(fourth))
+    return MotorsGoal(throttle(first), throttle(second), throttle(third), throttle(fourth))
+
+
+def chosen(table: Sequence[Vector], action: Number) -> Number:
+    """Return the columns of a table's row `action`, or with an array or tensor (n,) of rows: three arrays (n,)."""
+    return constant(np.array(table), action)[action].T
+
 
 NotNegative = Annotated[float, Field(ge=0.0, le=1e6)]
 Positive = Annotated[float, Field(gt=0.0, le=1e6)]
@@ -364,7 +397,7 @@ class Task(Config):
     # --- actions: by default a velocity ---------------------------------------------------------------
 
     def action_space(self) -> spaces.Space[Action]:
-        """Return the space of actions: shares, -1 to 1, of what `action` says (envs/actions)."""
+        """Return the space of actions: shares, -1 to 1, of what `action` says (envs/task)."""
         return spaces.Box(-1.0, 1.0, (SIZES[self.action],), np.float32)
 
     @property

@@ -15,6 +15,7 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from uavaccel.config import MOST_SECONDS, MOST_SEEDS
 from uavaccel.errors import UsageError, UserError
 from uavaccel.fly.log import TRAJECTORY, DifferenceError, equal, largest_difference_m
 from uavaccel.fly.options import (
@@ -28,7 +29,6 @@ from uavaccel.fly.options import (
     found_settings,
 )
 from uavaccel.fly.script import INTERRUPTED
-from uavaccel.limits import MOST_SECONDS, MOST_SEEDS
 from uavaccel.processes.lifetime import POLL_S, Patience, describe_end, remove_orphaned_files, start_python
 from uavaccel.resources import asset
 from uavaccel.units import CLOCK_SPEEDS
@@ -103,7 +103,7 @@ def _check_request(request: FlyRequest) -> None:
 
 
 def _check_film(out: Path | None) -> None:
-    from uavaccel.draw.pictures import check_films  # with what draws
+    from uavaccel.draw.style import check_films  # with what draws
 
     if out is None:
         raise UsageError("--film needs --out, a folder for it")

@@ -19,8 +19,7 @@ from uavaccel.kernels.scene import GEOM, Scene
 from uavaccel.kernels.still import read_scene, touchable
 from uavaccel.kernels.touching import SOLID_FIELDS
 from uavaccel.sim.clutter import ClutterLayout
-from uavaccel.sim.lane.layout import MAX_OBSTACLES, LaneLayout
-from uavaccel.sim.lane.scene import OBSTACLE_HALF_HEIGHT_M, named, object_name, obstacle_geoms
+from uavaccel.sim.lane import MAX_OBSTACLES, OBSTACLE_HALF_HEIGHT_M, LaneLayout, named, object_name, obstacle_geoms
 from uavaccel.sim.vehicle.vehicle import BODY
 
 KINDS = {

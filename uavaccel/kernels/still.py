@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from uavaccel.errors import UserError
 from uavaccel.kernels import scene as at
 from uavaccel.kernels.scene import Scene
-from uavaccel.sim.lane.scene import APPEARANCE_GROUP, BODIES_GROUP, object_name
-from uavaccel.sim.scene.model import DRONE_GROUP
+from uavaccel.sim.lane import APPEARANCE_GROUP, BODIES_GROUP, object_name
+from uavaccel.sim.scene import DRONE_GROUP
 from uavaccel.sim.vehicle.vehicle import BODY
 
 HIDDEN_GROUP = 3  # of collision geometry

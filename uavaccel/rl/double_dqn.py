@@ -27,8 +27,8 @@ from numpy.typing import NDArray
 from torch.nn import functional
 
 from uavaccel.clock import MonotonicClock
+from uavaccel.envs.batch import TurnBatch
 from uavaccel.envs.stopwatch import PHASES, Stopwatch
-from uavaccel.envs.turn_batch import TurnBatch
 from uavaccel.envs.values import Frame
 from uavaccel.kernels.recording import recorded
 from uavaccel.rl.agents import first_policy

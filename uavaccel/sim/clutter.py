@@ -17,13 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from uavaccel.config import Config
+from uavaccel.config import Config, Share
 from uavaccel.errors import UserError
-from uavaccel.limits import Share
-from uavaccel.sim.lane.scene import named
+from uavaccel.sim.lane import named
 from uavaccel.sim.parts import njit, part, times
 from uavaccel.sim.pcg64 import STREAM_FIELDS, pool_of, start, unit
-from uavaccel.sim.scene.model import refit_bounding_boxes
+from uavaccel.sim.scene import refit_bounding_boxes
 from uavaccel.sim.vehicle.hotloop import sources
 
 Numbers = NDArray[np.float64]

@@ -13,16 +13,15 @@ from numpy.typing import NDArray
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Quaternion, Vector
 from uavaccel.sim.clutter import ClutterLayout, apply_clutter
-from uavaccel.sim.lane.layout import PLAIN, LaneLayout
-from uavaccel.sim.lane.scene import apply_layout, object_name
-from uavaccel.sim.poses import DEEPEST_M, check_apart, check_bounds, check_name, check_wind
+from uavaccel.sim.lane import LaneLayout, apply_layout, object_name
+from uavaccel.sim.objects import restore_from
+from uavaccel.sim.poses import DEEPEST_M, HERE, LEVEL, check_apart, check_bounds, check_name, check_wind
 from uavaccel.sim.profile import Profile
-from uavaccel.sim.scene.model import load_scene, physics_state, restore_physics, scene_path
-from uavaccel.sim.scene.objects import restore_from
+from uavaccel.sim.scene import PLAIN, load_scene, physics_state, restore_physics, scene_path
 from uavaccel.sim.vehicle import hotloop
 from uavaccel.sim.vehicle.clearance import Clearance
 from uavaccel.sim.vehicle.resting import beside_objects, depth, on_the_ground, stand
-from uavaccel.sim.vehicle.vehicle import HERE, LEVEL, AddedVehicle, Motion, Samples, Start, Vehicle
+from uavaccel.sim.vehicle.vehicle import AddedVehicle, Motion, Samples, Start, Vehicle
 from uavaccel.units import NS_PER_S
 
 if TYPE_CHECKING:
@@ -42,7 +41,7 @@ class FlightError(RuntimeError):
 class World:
     """A scene of assets/mjcf with its quadrotors, flown by SimpleFlight's cascade.
 
-    `airsim` prepares the scene for AirSim's clients (uavaccel.sim.scene.model). In the lane a vehicle freezes at its
+    `airsim` prepares the scene for AirSim's clients (uavaccel.sim.scene). In the lane a vehicle freezes at its
     first contact, which ends a game; in other scenes MuJoCo's contact forces act. Methods without a vehicle refer to
     the first one, `lead`.
     """

@@ -8,12 +8,11 @@ from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeVar
 
 from uavaccel.commands import COMMANDS
+from uavaccel.config import CommandName, Seed
 from uavaccel.files import Plain
 from uavaccel.forms import Positive
 from uavaccel.kinematics import Vector, VelocityGoal
-from uavaccel.limits import CommandName, Seed
-from uavaccel.metrics.speedup import timing_provenance
-from uavaccel.records import RunDirectory
+from uavaccel.records import RunDirectory, timing_provenance
 from uavaccel.sim.profile import PROFILES
 from uavaccel.suites.experiment import FlightExperiment, ProfileName, Timing
 from uavaccel.suites.rows import GameRow

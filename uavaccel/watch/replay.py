@@ -9,9 +9,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from uavaccel.commands import COMMANDS, VelocityGoal
-from uavaccel.commands.paths import velocities
-from uavaccel.draw.labels import clock_label, command_name
+from uavaccel.commands import COMMANDS, VelocityGoal, velocities
+from uavaccel.draw.page import clock_label, command_name
 from uavaccel.errors import UsageError, UserError
 from uavaccel.files import read_arrays, read_json, read_lines
 from uavaccel.fly.log import MESSAGES, TRAJECTORY

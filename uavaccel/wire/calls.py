@@ -20,9 +20,8 @@ from pathlib import Path
 from typing import ClassVar, TypeVar, get_type_hints
 
 from uavaccel.kinematics import Kinematics
-from uavaccel.sim.flight.pilot import Pilot
-from uavaccel.sim.scene.objects import SceneObjects, matching
-from uavaccel.sim.simulation import Simulation
+from uavaccel.sim.objects import SceneObjects, matching
+from uavaccel.sim.simulation import Pilot, Simulation
 from uavaccel.sim.vehicle.vehicle import Vehicle
 from uavaccel.wire.latency import DEFAULT, Channel
 from uavaccel.wire.pictures import Cameras, Pictures, Segmentation, can_render

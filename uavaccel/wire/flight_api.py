@@ -14,13 +14,23 @@ from typing import Annotated
 import numpy as np
 
 from uavaccel.kinematics import Kinematics, Vector
-from uavaccel.sim.flight.pilot import DeferredReply, Pilot
-from uavaccel.sim.flight.tasks import AT_REST_M_S, FollowPath, Land, MoveByManual, RotateToYaw, check_lookahead
-from uavaccel.sim.flight.tasks import facing as facing_along
-from uavaccel.sim.sensors.earth import GeoPoint, geographic, ned_of
-from uavaccel.sim.vehicle import goal as goals
-from uavaccel.sim.vehicle.autopilot import POSITION, THROTTLE
-from uavaccel.sim.vehicle.goal import RATE_MODE, STICKS, VALID, Goal, Sticks, Yaw
+from uavaccel.sim import flight as goals
+from uavaccel.sim.earth import GeoPoint, geographic, ned_of
+from uavaccel.sim.flight import (
+    AT_REST_M_S,
+    RATE_MODE,
+    STICKS,
+    VALID,
+    FollowPath,
+    Land,
+    MoveByManual,
+    RotateToYaw,
+    Sticks,
+    check_lookahead,
+)
+from uavaccel.sim.flight import facing as facing_along
+from uavaccel.sim.simulation import DeferredReply, Pilot
+from uavaccel.sim.vehicle.autopilot import POSITION, THROTTLE, Goal, Yaw
 from uavaccel.units import euler_from_quaternion
 from uavaccel.wire.calls import Calls, call, command
 from uavaccel.wire.types import Coordinate, VehicleName, YawMode, coordinate, flag, number, place

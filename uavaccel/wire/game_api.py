@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from typing import Annotated, TypedDict
 
 from uavaccel.kinematics import Kinematics
-from uavaccel.sim.flight.pilot import DeferredReply
+from uavaccel.sim.simulation import DeferredReply
 from uavaccel.sim.world import START_M
 from uavaccel.wire.calls import Calls, call, without_effect
 from uavaccel.wire.flight_api import LONGEST_S

@@ -21,7 +21,7 @@ from uavaccel.sim.camera.camera import Lens
 from uavaccel.sim.camera.pixels import png
 from uavaccel.sim.camera.view import HEIGHT, WIDTH, AnyImage
 from uavaccel.sim.clutter import Clutter, ClutterLayout, sample_world
-from uavaccel.sim.lane.layout import Difficulty, LaneLayout, layout_from, sample_layout
+from uavaccel.sim.lane import Difficulty, LaneLayout, layout_from, sample_layout
 from uavaccel.sim.poses import Pose
 from uavaccel.wire import types
 from uavaccel.wire.calls import Calls, call, without_effect

@@ -28,9 +28,8 @@ from pydantic import (
     model_validator,
 )
 
-from uavaccel.config import Config, load_yaml, validate
+from uavaccel.config import MOST_LATENCY_US, MOST_SCALE, Config, LatencyUs, Share, load_yaml, validate
 from uavaccel.errors import UserError, suggestion
-from uavaccel.limits import MOST_LATENCY_US, MOST_SCALE, LatencyUs, Share
 from uavaccel.resources import experiment
 from uavaccel.sim.profile import AIRSIM, PROFILES, Executor, Frames, Profile, airsim_variant
 from uavaccel.units import QUANTILES as QUANTILES

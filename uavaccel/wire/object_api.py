@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from uavaccel.kinematics import Vector
 from uavaccel.sim.camera.camera import Lens
+from uavaccel.sim.earth import GRAVITY_M_S2, GeoPoint, atmosphere, geographic, local
+from uavaccel.sim.objects import ASSETS, cast, sees
 from uavaccel.sim.poses import LONGEST_NAME, Pose
-from uavaccel.sim.scene.objects import ASSETS, cast, sees
-from uavaccel.sim.sensors.earth import GRAVITY_M_S2, GeoPoint, atmosphere, geographic, local
 from uavaccel.sim.vehicle.vehicle import BODY
 from uavaccel.wire import types
 from uavaccel.wire.calls import Calls, Scenery, call, without_effect

@@ -24,9 +24,9 @@ from pydantic import Field
 from uavaccel.resources import asset
 from uavaccel.sim.camera.camera import FRONT_CENTER, Lens, MountedCamera
 from uavaccel.sim.camera.view import GeomImage, vehicle_pose
+from uavaccel.sim.objects import SceneObjects, cast
 from uavaccel.sim.poses import Pose, from_degrees
-from uavaccel.sim.scene.objects import SceneObjects, cast
-from uavaccel.sim.sensors.base import AirSimKeys
+from uavaccel.sim.sensors import AirSimKeys
 from uavaccel.sim.simulation import Simulation
 from uavaccel.sim.vehicle.vehicle import Vehicle
 from uavaccel.sim.world import World

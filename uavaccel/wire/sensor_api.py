@@ -10,18 +10,22 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from uavaccel.sim.sensors.base import AirSimKeys, Truth
-from uavaccel.sim.sensors.field import (
+from uavaccel.sim.sensors import (
+    AirSimKeys,
     Barometer,
     BarometerSettings,
+    DistanceSensor,
+    DistanceSettings,
     Gps,
     GpsSettings,
     Imu,
     ImuSettings,
+    Lidar,
+    LidarSettings,
     Magnetometer,
     MagnetometerSettings,
+    Truth,
 )
-from uavaccel.sim.sensors.ranging import DistanceSensor, DistanceSettings, Lidar, LidarSettings
 from uavaccel.wire import types
 from uavaccel.wire.calls import Calls, Scenery, call
 from uavaccel.wire.settings import SensorSettings

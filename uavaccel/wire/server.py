@@ -18,8 +18,7 @@ from typing import IO
 
 from uavaccel.clock import MonotonicClock, request_fine_timers, wait_for_sockets
 from uavaccel.errors import UserError
-from uavaccel.sim.flight.pilot import DeferredReply
-from uavaccel.sim.simulation import Simulation
+from uavaccel.sim.simulation import DeferredReply, Simulation
 from uavaccel.wire import rpc
 from uavaccel.wire.api import Api
 

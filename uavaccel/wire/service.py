@@ -65,7 +65,7 @@ def main() -> None:
 def ready_simulation(scene: str, profile: Profile, clock_speed: float = 1.0, airsim: bool = False) -> Simulation:
     """Return a settled hover on the machine's clock, with everything compiled and loaded that could delay it later.
 
-    `airsim` prepares the scene for AirSim's clients (uavaccel.sim.scene.model).
+    `airsim` prepares the scene for AirSim's clients (uavaccel.sim.scene).
     """
     world = World(scene, profile, airsim)
     world.advance(1)  # compiles the hot loop, or loads it

@@ -20,8 +20,7 @@ from uavaccel.errors import UserError
 from uavaccel.kinematics import Kinematics
 from uavaccel.processes.lifetime import end_within, single_core_rendering, start_python
 from uavaccel.processes.stalls import FIRST_POLLS, StallDetector
-from uavaccel.sim.flight.pilot import DeferredReply
-from uavaccel.sim.simulation import Simulation
+from uavaccel.sim.simulation import DeferredReply, Simulation
 from uavaccel.sim.world import World
 from uavaccel.units import NS_PER_S
 from uavaccel.wire import rpc

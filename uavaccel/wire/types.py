@@ -10,9 +10,9 @@ from collections.abc import Callable, Mapping
 from typing import Annotated, get_origin
 
 from uavaccel.kinematics import Kinematics, Quaternion, Vector
+from uavaccel.sim.earth import GeoPoint
 from uavaccel.sim.poses import LONGEST_NAME, STRONGEST_WIND_M_S, Pose
-from uavaccel.sim.sensors.earth import GeoPoint
-from uavaccel.sim.vehicle.goal import Yaw
+from uavaccel.sim.vehicle.autopilot import Yaw
 from uavaccel.wire.rpc import Received
 
 LARGEST = 3.4028235e38  # of single precision, AirSim's real_T

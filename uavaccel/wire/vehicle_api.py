@@ -14,11 +14,10 @@ from typing import Annotated, NamedTuple
 
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Quaternion, Vector
-from uavaccel.sim.flight.pilot import Pilot
-from uavaccel.sim.poses import APART_M, Pose, check_name
-from uavaccel.sim.sensors.earth import geographic
-from uavaccel.sim.simulation import Simulation
-from uavaccel.sim.vehicle.vehicle import HERE, AddedVehicle, Start
+from uavaccel.sim.earth import geographic
+from uavaccel.sim.poses import APART_M, HERE, Pose, check_name
+from uavaccel.sim.simulation import Pilot, Simulation
+from uavaccel.sim.vehicle.vehicle import AddedVehicle, Start
 from uavaccel.sim.world import START_M
 from uavaccel.units import euler_from_quaternion
 from uavaccel.wire import types

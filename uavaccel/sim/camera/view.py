@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.errors import UserError
-from uavaccel.sim.lane.scene import APPEARANCE_GROUP, BODIES_GROUP
+from uavaccel.sim.lane import APPEARANCE_GROUP, BODIES_GROUP
 from uavaccel.sim.poses import Pose
-from uavaccel.sim.scene.model import DRONE_GROUP
+from uavaccel.sim.scene import DRONE_GROUP
 from uavaccel.units import mujoco_to_ned, ned_to_mujoco, quaternion_mujoco_to_ned
 
 Image = NDArray[np.uint8]

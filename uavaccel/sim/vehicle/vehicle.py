@@ -16,10 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.kinematics import Kinematics, Quaternion, Vector
+from uavaccel.sim.poses import HERE, LEVEL
 from uavaccel.sim.profile import Profile
 from uavaccel.sim.vehicle import autopilot, hotloop
-from uavaccel.sim.vehicle.collisions import ContactLog
-from uavaccel.sim.vehicle.goal import IDLE, Goal
+from uavaccel.sim.vehicle.autopilot import IDLE, Goal
+from uavaccel.sim.vehicle.contacts import ContactLog
 from uavaccel.sim.vehicle.quadrotor import FLIGHT_DTYPE, KINEMATICS, NEVER, PARAMETERS_DTYPE, Record, parameters
 from uavaccel.units import mujoco_to_ned, ned_to_mujoco, quaternion_ned_to_mujoco
 
@@ -65,8 +66,6 @@ class Samples:
 
 
 AT_REST_M_S = 0.05
-LEVEL = (1.0, 0.0, 0.0, 0.0)
-HERE = (0.0, 0.0, 0.0)
 BODY, SENSOR = "quadrotor", "collision"
 UNCOUNTED = -1.0  # contacts exist, but the hot loop has not counted them yet
 GAINS = (

@@ -18,8 +18,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from uavaccel.errors import UserError
 from uavaccel.resources import asset
-from uavaccel.sim.lane.layout import PLAIN
 
+PLAIN = "plain"  # the scenery of assets/mjcf/NAME.xml; others have a folder there
 QUADROTOR = "quadrotor"
 DRONE_GROUP = 1  # of quadrotor.xml's visible geoms, which its own camera does not render
 OTHERS_GROUP = 2  # of other quadrotors' visible geoms

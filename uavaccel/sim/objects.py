@@ -1,7 +1,7 @@
 """The objects of a scene for AirSim's clients, which find them by name, move, scale, spawn and destroy them.
 
 An object is a geom of the world body, changed in place, so that neither the model nor a GL context is made anew.
-Positions are NED, of the object's centre. Spawned objects use spare geoms (uavaccel.sim.scene.model); they are static.
+Positions are NED, of the object's centre. Spawned objects use spare geoms (uavaccel.sim.scene); they are static.
 
 A client's regular expression is matched against whole names in bounded time, by the package `regex`, which takes a time
 limit: std::regex_match with icase, in the syntax of ECMA-262, 15.10, with the POSIX classes of std::regex; what `regex`
@@ -21,9 +21,9 @@ import regex
 from numpy.typing import ArrayLike, NDArray
 
 from uavaccel.clock import MonotonicClock
-from uavaccel.sim.lane.scene import APPEARANCE_GROUP
+from uavaccel.sim.lane import APPEARANCE_GROUP
 from uavaccel.sim.poses import Pose
-from uavaccel.sim.scene.model import PARKED_M, SPARE, refit_bounding_boxes
+from uavaccel.sim.scene import PARKED_M, SPARE, refit_bounding_boxes
 from uavaccel.units import NS_PER_S, mujoco_to_ned, ned_to_mujoco, quaternion_mujoco_to_ned, quaternion_ned_to_mujoco
 
 Scale = tuple[float, float, float]
