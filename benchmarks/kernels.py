@@ -219,7 +219,7 @@ def _round_s(lanes: int, task: Task | None = None, **keys: Any) -> float:
 
     task = task or LaneTask(**keys)
     flying = CudaLanes(task, lanes, th.device(CUDA), renews=False)
-    flying.seed(range(lanes))
+    flying.games.seed(range(lanes))
     flying.begin()
     shape = task.action_space().shape or ()
     actions = th.full((lanes, *shape), 0.1 if shape else AHEAD, device=CUDA)
