@@ -240,7 +240,7 @@ class RecordingApi(Calls, title="Recording, drawing, messages"):
 
     @call("isRecording")
     def is_recording(self) -> bool:
-        return self.simulation.world.recording
+        return self.simulation.world.recorder.active
 
     ignored = (
         *without_effect(

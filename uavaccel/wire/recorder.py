@@ -82,7 +82,7 @@ class Recorder:
 
     def stop(self) -> None:
         """Stop the recording, and write all samples to the file."""
-        self._simulation.world.stop_recording()
+        self._simulation.world.recorder.stop()
         self._stop_watching()
         self._stop_watching = lambda: None
         self.keep()
@@ -95,7 +95,7 @@ class Recorder:
         if self._file is None:
             return
         lines, moved_only = [], self._settings.record_on_move
-        for row in self._simulation.world.pop_samples():
+        for row in self._simulation.world.recorder.take():
             pose, before = row[1:8].tolist(), self._last_pose
             self._last_pose = pose
             if not (moved_only and pose == before):
@@ -110,8 +110,8 @@ class Recorder:
     def go_through(self, reset: Callable[[bool], None]) -> None:
         """Call `reset` with whether there is a recording; a recording continues with a new grid of sampling times."""
         self.keep()
-        reset(self._simulation.world.recording)
-        if self._simulation.world.recording:
+        reset(self._simulation.world.recorder.active)
+        if self._simulation.world.recorder.active:
             self._watch()
 
     def _watch(self) -> None:
