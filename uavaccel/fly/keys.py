@@ -68,7 +68,6 @@ class Keyboard:
         self._place, self._noticed_s, self._told = 0, inf, False
 
     def down(self) -> str | None:
-        """Return the key that is down now."""
         if self._place < len(self.keys):
             since_s = self.now_s() - self._noticed_s
             if since_s < HELD_S:

@@ -104,7 +104,6 @@ def sections() -> dict[str, list[WireCall]]:
 
 
 def page() -> str:
-    """Return the page in Markdown."""
     answers = [call.status for calls in sections().values() for call in calls]
     done, accepted, refused = (
         sum(answer.startswith(word) for answer in answers) for word in ("done", "accepted", "refused")

@@ -128,7 +128,6 @@ class Calls:
         return self.scenery.wall_ns
 
     def bound(self) -> dict[str, BoundCall]:
-        """Return the group's calls by wire name, bound to this object."""
         return {name: BoundCall(each, each.method.__get__(self)) for name, each in self.calls.items()}
 
 

@@ -46,7 +46,6 @@ STICK_NAMES = ("roll", "pitch", "throttle", "yaw")  # in the order of manual.Sti
 
 
 def places(value: object, name: str) -> list[Vector]:
-    """A list of Vector3r in metres."""
     if not isinstance(value, list):
         raise ValueError(f"{name} must be a list of Vector3r")
     return [place(point, name) for point in value]
@@ -250,7 +249,6 @@ def turned(now: Kinematics, ahead: float, right: float) -> tuple[float, float]:
 
 
 def gains(value: object, name: str) -> Vector:
-    """The gains of three axes."""
     if not isinstance(value, list) or len(value) != 3:
         raise ValueError(f"{name} must be a list of three gains")
     a, b, c = (number(each, name) for each in value)

@@ -62,7 +62,6 @@ class CameraApi(Calls, title="Cameras and images"):
     def set_fov(
         self, camera_name: object, fov_degrees: float, vehicle: VehicleName = "", external: Truthy = False
     ) -> None:
-        """Set the horizontal field of view of all types of image."""
         mounted = self._named(camera_name, vehicle, external)
         if not NARROWEST_DEG <= fov_degrees <= WIDEST_DEG:
             raise ValueError(f"fov_degrees must be {NARROWEST_DEG:g} to {WIDEST_DEG:g}, not {fov_degrees:g}")
@@ -161,7 +160,6 @@ class ImageApi(Calls, title="Cameras and images"):
     def get_image(
         self, camera_name: object, image_type: int, vehicle: VehicleName = "", external: Truthy = False
     ) -> bytes:
-        """Return one image as PNG."""
         mounted = self.scenery.cameras(vehicle, external).named(camera_name)
         return png(self.scenery.pictures.bgr(mounted, image_type)[..., ::-1])
 
@@ -233,6 +231,5 @@ def clutter_layout(world: Mapping[str, object]) -> ClutterLayout:
 
 
 def decode_image(reply: Received) -> AnyImage:
-    """Return the picture in a `raw_image` reply."""
     image: AnyImage = np.frombuffer(reply["data"], reply["dtype"]).reshape(reply["shape"])
     return image

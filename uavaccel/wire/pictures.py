@@ -107,7 +107,6 @@ class CameraMount:
         return self.lenses.get(image_type, Lens())
 
     def set_fov(self, fov_deg: float) -> None:
-        """Set the field of view of all types of image, as AirSim does."""
         types = {SCENE, *range(10), *self.lenses}
         self.lenses = {kind: self.lens(kind)._replace(fov_deg=fov_deg) for kind in types}
 
@@ -257,7 +256,6 @@ class Pictures:
 
 
 def can_render(lens: Lens) -> bool:
-    """Return whether a lens's pictures have at most MOST_PIXELS."""
     return lens.width * lens.height <= MOST_PIXELS
 
 

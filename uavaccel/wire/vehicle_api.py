@@ -106,7 +106,6 @@ class VehicleApi(Calls, title="Vehicles"):
 
     @call("simGetVehiclePose")
     def pose(self, vehicle: VehicleName = "") -> dict[str, dict[str, float]]:
-        """Return the vehicle's pose at the present tick."""
         return types.pose_map(self.scenery.pilot(vehicle).kinematics())
 
     @call("simSetVehiclePose")
@@ -241,7 +240,6 @@ def room_m(position_m: Vector, taken_m: Sequence[Vector]) -> float:
 
 
 def east_of(position_m: Vector, metres: float) -> Vector:
-    """Return the position so many metres to the east."""
     return position_m[0], position_m[1] + metres, position_m[2]
 
 
