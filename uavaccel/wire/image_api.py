@@ -161,7 +161,7 @@ class ImageApi(Calls, title="Cameras and images"):
         self, camera_name: object, image_type: int, vehicle: VehicleName = "", external: Truthy = False
     ) -> bytes:
         mounted = self.scenery.cameras(vehicle, external).named(camera_name)
-        return png(self.scenery.pictures.bgr(mounted, image_type)[..., ::-1])
+        return png(self.scenery.pictures.rgb(mounted, image_type))
 
     def _response(self, request: ImageRequest, kinematics: Kinematics) -> dict[str, object]:
         camera, name, image_type, as_float, compress = request
@@ -174,11 +174,12 @@ class ImageApi(Calls, title="Cameras and images"):
             if image_type in OPTICAL_FLOW:
                 self.scenery.say_once("simGetImages: images of types 8 and 9 (optical flow) are empty")
         else:
-            image = (pictures.floats if as_float else pictures.bgr)(camera, image_type)
+            image = (pictures.floats if as_float else pictures.rgb)(camera, image_type)
         eye = camera.eye(Pose(kinematics.position_m, kinematics.orientation_wxyz))
         carrier = self.simulation.world.vehicles[camera.carrier]
+        data = b"" if as_float or message else png(image) if compress else image[..., ::-1].tobytes()
         return {
-            "image_data_uint8": b"" if as_float or message else png(image[..., ::-1]) if compress else image.tobytes(),
+            "image_data_uint8": data,
             "image_data_float": image.ravel() if as_float else [],
             "camera_position": types.vector_map(carrier.local(eye.position_m)),
             "camera_name": name,
