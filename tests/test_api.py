@@ -93,7 +93,7 @@ def test_a_bug_in_a_call_leaves_its_traceback_in_the_log_once(caplog: pytest.Log
         return dict[str, int]()["pong"]
 
     for name in ("ping", "reset"):
-        api.methods[name].handler = broken
+        api.handlers[name] = broken
         for _ in range(2):
             with pytest.raises(rpc.RpcError, match=r"threw an exception.* KeyError: 'pong'\."):
                 api.call(name, [], 0)
@@ -299,4 +299,4 @@ def test_the_page_is_that_of_the_table() -> None:
 def test_every_call_of_airsims_client_is_in_it_once() -> None:
     names = [call.name for calls in sections().values() for call in calls]
     assert len(names) == len(set(names)) == 122
-    assert {*names} == {name for name in Api(simulate()).methods if not name.startswith("uavaccel")}
+    assert {*names} == {name for name in Api(simulate()).handlers if not name.startswith("uavaccel")}
