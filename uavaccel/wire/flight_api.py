@@ -340,7 +340,7 @@ class AttitudeApi(Calls, title="Flight"):
 
 def rc_data_map(sticks: Sticks) -> dict[str, object]:
     """Return the RCData of a vehicle, whose sticks are those of moveByRC."""
-    valid, unused = bool(sticks[VALID]), dict.fromkeys(("left_z", "right_z"), 0.0)
     moved = dict(zip(STICK_NAMES, sticks[: len(STICK_NAMES)].tolist(), strict=True))
-    state = {"switches": int(sticks[RATE_MODE]), "is_initialized": valid, "is_valid": valid}
-    return {"timestamp": 0, **unused, "vendor_id": "", **moved, **state}
+    axes = {name: moved.get(name, 0.0) for name in ("pitch", "roll", "throttle", "yaw", "left_z", "right_z")}
+    how = {"switches": int(sticks[RATE_MODE]), "vendor_id": "", "is_initialized": (valid := bool(sticks[VALID]))}
+    return {"timestamp": 0, **axes, **how, "is_valid": valid}
