@@ -20,11 +20,10 @@ from uavaccel.envs.hover import Hover
 from uavaccel.envs.kernel_batch import KernelBatch
 from uavaccel.kernels import casting, tiles
 from uavaccel.kernels import scene as at
-from uavaccel.kernels.bodies import read_surroundings
+from uavaccel.kernels.bodies import read_scene, read_surroundings
 from uavaccel.kernels.fields import HALF_HEIGHT, HALF_WIDTH
 from uavaccel.kernels.scene import Scene
 from uavaccel.kernels.scene_touching import NOTHING, deepest_shape, nearest_shape
-from uavaccel.kernels.still import read_scene
 from uavaccel.sim.scene import model as scenes
 
 SEEN = np.array([1, 0, 1, 0, 1, 1], np.uint8)  # groups that the drone's camera may see

@@ -24,10 +24,9 @@ from uavaccel.envs.stopwatch import PHASES
 from uavaccel.envs.task import Mediation
 from uavaccel.envs.values import Info, State
 from uavaccel.kernels import cuda as kernels
-from uavaccel.kernels import cuda_clocks as clock_kernels
 from uavaccel.kernels import lanes
 from uavaccel.kernels.fields import DVS, STATE
-from uavaccel.kernels.flight import TOUCHED
+from uavaccel.kernels.lanes import TOUCHED
 from uavaccel.kernels.recording import recorded
 from uavaccel.sim.vehicle.quadrotor import FLIGHT_DTYPE, KINEMATICS
 from uavaccel.units import NS_PER_S
@@ -121,7 +120,6 @@ class CudaLanes:
         self._mediated = task.mediation != Mediation()
         if self._mediated:
             self._before, self._before_arrays = kernels.on_device(lanes.flights(count), device)
-            self._take = clock_kernels.compiled().take
             self._hold_ticks = plan_of(task, np.zeros(3), self.judge.modes, self.kind != STATE).hold_ticks
         space = task.action_space()
         self._modes = th.tensor(self.judge.modes, device=device)
@@ -251,7 +249,7 @@ class CudaLanes:
             return
         self._advance(self.going, self._late_ticks)
         grid = kernels.grid(self.count, kernels.FLYING_THREADS)
-        self._take[grid](kernels.shared(self.going), self._hold_ticks, *goals, self._now_arrays)
+        self.kernels.take[grid](kernels.shared(self.going), self._hold_ticks, *goals, self._now_arrays)
 
     def _look_concurrently(self, sample: int) -> None:
         """Render the lanes' present images while they fly on."""

@@ -28,7 +28,7 @@ class View(ABC):
         self, task: Task, maker: GameMaker, count: int, device: th.device, games: Any, now: Any, tick_ns: int
     ) -> None:
         self.kind, self._count, self._tick_ns = kind_of(task), count, tick_ns
-        self._kernels, self._games, self._now = kernels.compiled(maker.nominal), games, now
+        self.kernels, self._games, self._now = kernels.compiled(maker.nominal), games, now
         parameters, size = task.dvs_parameters, task.picture_size[::-1]
         frame = blank_frame("dvs", task.picture_size).shape[1:]
         self._size, self._frame, self._side = size, frame, size[0] // frame[0]
@@ -63,7 +63,7 @@ class View(ABC):
 
     def _finish(self, which: Any, now: Any) -> None:
         per_lane = kernels.grid(self._count, kernels.FLYING_THREADS)
-        self._kernels.finish[per_lane](which, self._tick_ns, now, self._pixels)
+        self.kernels.finish[per_lane](which, self._tick_ns, now, self._pixels)
 
 
 class SceneView(View):
@@ -91,7 +91,7 @@ class SceneView(View):
         seeing = kernels.shared(self._gray), self.plan.sensor, self._games, now, self._pixels
         blocks = -(-self._size[0] * self._size[1] // BLOCK_SIDE)
         threads = kernels.grid(self._count * blocks, kernels.SEEING_THREADS)
-        self._kernels.cast_events[threads](going, self._tick_ns, *seeing)
+        self.kernels.cast_events[threads](going, self._tick_ns, *seeing)
         self._finish(going, now)
         if take:
             self._launch("take_frames", self._frame)(going, now, self._pixels, kernels.shared(frames[:, 0]))
@@ -100,7 +100,7 @@ class SceneView(View):
         """Find what the cameras may see, and for event cameras what they see in grey; return the selected lanes."""
         going, seen = kernels.shared(which), (self.plan.appearance, self._games, now, self._sight)
         a_lane = kernels.grid(self._count * kernels.DEALING_THREADS, kernels.DEALING_THREADS)
-        self._kernels.look[a_lane](going, self._size, *seen)
+        self.kernels.look[a_lane](going, self._size, *seen)
         if self.kind == DVS:
             self._launch("cast_gray", self._size)(going, *seen, kernels.shared(self._gray))
         return going
@@ -114,7 +114,7 @@ class SceneView(View):
 
     def _launch(self, name: str, size: Sequence[int]) -> Any:
         tiles = -(-size[0] // 4) * -(-size[1] // 8)
-        return getattr(self._kernels, name)[kernels.grid(self._count * tiles * kernels.WARP, kernels.SEEING_THREADS)]
+        return getattr(self.kernels, name)[kernels.grid(self._count * tiles * kernels.WARP, kernels.SEEING_THREADS)]
 
 
 class LaneView(View):
@@ -156,24 +156,24 @@ class LaneView(View):
             self._launch_quads("add_grey")(*pictures)
             return
         grid = kernels.grid(self._count * COLUMNS, kernels.COLUMN_THREADS)
-        self._kernels.add_colours[grid](*pictures)
+        self.kernels.add_colours[grid](*pictures)
 
     def _show(self, which: th.Tensor, frames: th.Tensor, now: Any) -> None:
         going, faces, shown = self._looked_at(which)
         grid = kernels.grid(self._count * kernels.BLOCKS, kernels.SEEING_THREADS)
         picture = (faces, shown, self.plan, self._games, now, kernels.shared(frames))
-        self._kernels.show[grid](going, self.kind, self._tick_ns, *picture)
+        self.kernels.show[grid](going, self.kind, self._tick_ns, *picture)
 
     def _project(self, which: th.Tensor, now: Any) -> None:
         grid = kernels.grid(self._count * kernels.WARP, kernels.SEEING_THREADS)
         going, faces, shown = self._looked_at(which)
-        self._kernels.project[grid](going, self.kind != DEPTH, self.plan.appearance, self._games, now, faces)
+        self.kernels.project[grid](going, self.kind != DEPTH, self.plan.appearance, self._games, now, faces)
         grid = kernels.grid(self._count * COLUMNS, kernels.COLUMN_THREADS)
-        self._kernels.find[grid](going, faces, shown)
+        self.kernels.find[grid](going, faces, shown)
 
     def _launch_quads(self, name: str) -> Any:
         grid = kernels.grid(self._count * kernels.SEEING_THREADS_A_LANE, kernels.SEEING_THREADS)
-        return getattr(self._kernels, name)[grid]
+        return getattr(self.kernels, name)[grid]
 
     def _looked_at(self, which: th.Tensor) -> tuple[Any, Any, Any]:
         """Return the selected lanes, their faces, and the face that each pixel shows, as numba arrays."""

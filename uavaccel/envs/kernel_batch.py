@@ -34,7 +34,7 @@ from uavaccel.errors import UserError
 from uavaccel.kernels import cpu, events, timeline
 from uavaccel.kernels import lanes as rows
 from uavaccel.kernels.fields import DVS, STATE
-from uavaccel.kernels.flight import TOUCHED
+from uavaccel.kernels.lanes import TOUCHED
 from uavaccel.limits import MOST_PROCESSES
 from uavaccel.machine import usable_cores
 from uavaccel.sim.vehicle.quadrotor import KINEMATICS
@@ -277,7 +277,7 @@ class KernelBatch(TurnBatch):
         if not self.task.sees_start or self._view.kind in (STATE, DVS):
             return None
         frames = np.empty((self.num_envs, 1, *self._blank.shape), self._blank.dtype)
-        cpu.CPU.show(lanes, self._view, self._rows, self._now, self._plan, frames)
+        cpu.CPU.show(lanes, self._view, self._rows, self._now, self._plan, self._clocks, frames)
         drawn: Frame = frames[lanes, 0]
         return drawn
 

@@ -16,14 +16,13 @@ from uavaccel.envs.flyable import clutter_of, kind_of, profile_of
 from uavaccel.envs.sensors import PICTURE_SIZE
 from uavaccel.envs.task import AnyLayout, Task
 from uavaccel.envs.values import Course
-from uavaccel.kernels.appearance import fill_scene, read_appearance, read_looks
-from uavaccel.kernels.bodies import Surroundings, read_surroundings
-from uavaccel.kernels.clutter_worlds import clutter_worlds
+from uavaccel.kernels.appearance import fill_scenes, read_appearance, read_looks
+from uavaccel.kernels.bodies import Surroundings, read_scene, read_surroundings
+from uavaccel.kernels.clutter_games import clutter_worlds
 from uavaccel.kernels.events import camera_row
 from uavaccel.kernels.fields import NO_APPEARANCE, NO_LOOKS, STATE, Appearance, Looks
 from uavaccel.kernels.lanes import Games, game_rows
 from uavaccel.kernels.scene import empty_scene
-from uavaccel.kernels.still import read_scene
 from uavaccel.sim.lane.layout import PLAIN, LaneLayout
 from uavaccel.sim.world import World
 from uavaccel.vision.noise import noise_seed
@@ -93,7 +92,9 @@ class GameMaker:
         games.start["wind"][row] = 0.0 if layout is None else layout.wind_m_s
         games.counts[row] = self.surroundings.put(drawn.layout, games, row)
         if isinstance(self.looks, Appearance) and self.sees and layout is not None:
-            fill_scene(self.looks, games.scenes, row, replace(layout, scenery=PLAIN))  # whose depths are all sceneries'
+            fill_scenes(
+                self.looks, games.scenes, [row], [replace(layout, scenery=PLAIN)]
+            )  # whose depths are all sceneries'
         games.cameras[row] = camera_row(task.dvs_parameters, task.image_noise)
         seed = noise_seed(drawn.latencies)
         games.seeds[row] = seed, task.events_seed(seed)

@@ -11,11 +11,9 @@ from numpy.typing import NDArray
 from uavaccel.commands.slices import samples_due
 from uavaccel.envs.flyable import kind_of, latency_of, profile_of, speed_of
 from uavaccel.envs.task import Task
-from uavaccel.kernels import latencies as wire
 from uavaccel.kernels import timeline
 from uavaccel.kernels.fields import DEPTH
-from uavaccel.kernels.latencies import Latencies
-from uavaccel.kernels.timeline import Command, Timing
+from uavaccel.kernels.timeline import Command, Latencies, Timing
 from uavaccel.sim.profile import PROFILES
 from uavaccel.units import NS_PER_S, ceil_div, exact, seconds_to_ns
 from uavaccel.wire.latency import BETWEEN_NS, DEFAULT, WAITS_MS, LatencyConfig
@@ -108,14 +106,14 @@ def _rules(task: Task, pictures: bool) -> NDArray[np.int64]:
 
 def _tables(latency: LatencyConfig) -> Latencies:
     """Tabulate the quantiles of latencies by channel and wait (wire/latency.Latency)."""
-    tables = np.zeros((wire.TABLES, len(latency.quantiles)))
-    for first, of in ((wire.REQUEST, latency.request_us), (wire.REPLY, latency.reply_us)):
-        for place, channel in enumerate(wire.CHANNELS):
+    tables = np.zeros((timeline.TABLES, len(latency.quantiles)))
+    for first, of in ((timeline.REQUEST, latency.request_us), (timeline.REPLY, latency.reply_us)):
+        for place, channel in enumerate(timeline.CHANNELS):
             for wait, name in enumerate([channel, *(f"{channel}@{each}ms" for each in WAITS_MS)]):
                 known = name if name in of else channel if channel in of else DEFAULT
-                tables[first + place * wire.WAITS + wait] = of[known]
-    tables[wire.ISSUE], tables[wire.TIMER] = latency.issue_us, latency.timer_us
-    tables[wire.FRAME] = 2 * latency.platform.frame_ns() / 1e3 * np.array(latency.quantiles)
+                tables[first + place * timeline.WAITS + wait] = of[known]
+    tables[timeline.ISSUE], tables[timeline.TIMER] = latency.issue_us, latency.timer_us
+    tables[timeline.FRAME] = 2 * latency.platform.frame_ns() / 1e3 * np.array(latency.quantiles)
     faults = latency.platform.faults
     shares = np.cumsum([faults.dropped, faults.stalled, faults.late])
     delays = np.array([RESENT_NS, STALLED_NS, round(faults.late_us * 1e3), 0])

@@ -33,10 +33,12 @@ from uavaccel.kernels.fields import (
     TEXTURE_ID,
     TOWARDS,
     UNIFORM,
+    Float,
+    Integer,
     Looks,
+    Vector,
 )  # fmt: skip
-from uavaccel.kernels.operands import Float, Vector, cross, dot
-from uavaccel.kernels.rays import Colour, Integer, level_of, lit, sky_index, texel_index
+from uavaccel.kernels.rays import Colour, cross, dot, level_of, lit, minus, sky_index, texel_index
 from uavaccel.kernels.scene import Scene, Shape
 from uavaccel.sim.camera.pixels import luma_of
 from uavaccel.sim.parts import part
@@ -198,11 +200,6 @@ def corner_of(scene: Scene, shape: Shape, column: int, row: int, p: Vector) -> V
     wide, high = steps_of(shape)
     x, y = np.float32(column) * wide - shape[at.HALF], np.float32(row) * high - shape[at.HALF + 1]
     return x - p[0], y - p[1], height_of(scene, shape, column, row) - p[2]
-
-
-@part(error_model="numpy")
-def minus(a: Vector, b: Vector) -> Vector:
-    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 
 @part(error_model="numpy")

@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 from uavaccel.kernels import fields as at
+from uavaccel.kernels.fields import Operand
 from uavaccel.kernels.lanes import EVENT_SEED, PICTURE_SEED, Games
-from uavaccel.kernels.operands import Operand
 from uavaccel.sim.lane.layout import SPLIT_SIZE, WIDTH_M
 from uavaccel.sim.lane.scene import AMBIENT, DAYLIGHT, SUN_ELEVATION_RAD
 from uavaccel.sim.parts import part, times

@@ -19,8 +19,7 @@ from numba import types
 from numba.extending import overload
 from numpy.typing import NDArray
 
-from uavaccel.kernels.fields import CYLINDER, PLANE
-from uavaccel.kernels.operands import Operand
+from uavaccel.kernels.fields import CYLINDER, PLANE, Operand
 from uavaccel.kernels.scene import world_of
 from uavaccel.kernels.scene_touching import NOTHING, Share, deepest_shape, nearest_shape
 from uavaccel.sim.parts import part
