@@ -39,7 +39,7 @@ from uavaccel.kernels.fields import (
     Vector,
 )  # fmt: skip
 from uavaccel.kernels.rays import Colour, cross, dot, level_of, lit, minus, sky_index, texel_index
-from uavaccel.kernels.scene import Scene, Shape
+from uavaccel.kernels.scene import Scene, Shape, into, triple
 from uavaccel.sim.camera.pixels import luma_of
 from uavaccel.sim.parts import part
 
@@ -63,23 +63,6 @@ def along(origin: Vector, direction: Vector, distance: Float) -> Vector:
     """Return the point at a distance along a ray."""
     x, y, z = origin
     return x + distance * direction[0], y + distance * direction[1], z + distance * direction[2]
-
-
-@part(error_model="numpy")
-def triple(shape: Shape, field: int) -> Vector:
-    """Return three fields of a shape from `field` on."""
-    return shape[field], shape[field + 1], shape[field + 2]
-
-
-@part(error_model="numpy")
-def into(shape: Shape, v: Vector) -> Vector:
-    """Turn a vector of the world into a shape's axes."""
-    a = at.AXES
-    return (
-        shape[a] * v[0] + shape[a + 3] * v[1] + shape[a + 6] * v[2],
-        shape[a + 1] * v[0] + shape[a + 4] * v[1] + shape[a + 7] * v[2],
-        shape[a + 2] * v[0] + shape[a + 5] * v[1] + shape[a + 8] * v[2],
-    )
 
 
 @part(error_model="numpy")
@@ -397,15 +380,6 @@ def first_met(scene: Scene, world: int, origin: Vector, direction: Vector, far_m
             return met
         place = row * columns + column
         first, last, listed = int(scene.start[world, place]), int(scene.start[world, place + 1]), True
-
-
-@part(error_model="numpy")
-def cast(scene: Scene, world: int, origin: Vector, direction: Vector, far_m: Float) -> tuple[Float, int, Vector]:
-    """Do as `first_met`, and return the normal there too, on the side from which the ray comes."""
-    distance, item = first_met(scene, world, origin, direction, far_m)
-    if item == NOTHING:
-        return distance, item, NONE
-    return distance, item, normal_at(scene, world, item, along(origin, direction, distance), direction)
 
 
 @part(error_model="numpy")

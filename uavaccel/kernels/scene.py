@@ -15,7 +15,9 @@ from numba import njit
 from numba.extending import overload
 from numpy.typing import NDArray
 
-from uavaccel.kernels.fields import CYLINDER
+from uavaccel.kernels.fields import BOX as BOX
+from uavaccel.kernels.fields import CYLINDER, Vector
+from uavaccel.kernels.fields import PLANE as PLANE
 from uavaccel.sim.parts import part
 
 Shape: TypeAlias = NDArray[np.floating]
@@ -83,6 +85,23 @@ def as_seen(scene: Scene) -> Scene:
 def world_of(scene: Scene, game: int) -> int:
     """Return a game's world: that of its row, or the only one."""
     return min(game, len(scene.shapes) - 1)
+
+
+@part(error_model="numpy")
+def triple(shape: Shape, field: int) -> Vector:
+    """Return three fields of a shape from `field` on."""
+    return shape[field], shape[field + 1], shape[field + 2]
+
+
+@part(error_model="numpy")
+def into(shape: Shape, v: Vector) -> Vector:
+    """Turn a vector of the world into a shape's axes."""
+    a = AXES
+    return (
+        shape[a] * v[0] + shape[a + 3] * v[1] + shape[a + 6] * v[2],
+        shape[a + 1] * v[0] + shape[a + 4] * v[1] + shape[a + 7] * v[2],
+        shape[a + 2] * v[0] + shape[a + 5] * v[1] + shape[a + 8] * v[2],
+    )
 
 
 @part(error_model="numpy")

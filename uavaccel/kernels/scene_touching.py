@@ -11,7 +11,7 @@ from typing import Any, TypeAlias
 from uavaccel.kernels import scene as at
 from uavaccel.kernels.fields import BOX, CYLINDER, PLANE, Vector
 from uavaccel.kernels.rays import cross, dot, minus, plus
-from uavaccel.kernels.scene import Scene, Shape
+from uavaccel.kernels.scene import Scene, Shape, into
 from uavaccel.sim.parts import part
 
 Simplex: TypeAlias = tuple[Vector, Vector, Vector, Vector]
@@ -198,21 +198,10 @@ LESS_M = 0.02  # metres by which a hull shrinks, to find which of several shapes
 
 
 @part(error_model="numpy")
-def into(shape: Shape, x: float, y: float, z: float) -> Vector:
-    """Turn a vector of the world into a shape's axes."""
-    a = at.AXES
-    return (
-        shape[a] * x + shape[a + 3] * y + shape[a + 6] * z,
-        shape[a + 1] * x + shape[a + 4] * y + shape[a + 7] * z,
-        shape[a + 2] * x + shape[a + 5] * y + shape[a + 8] * z,
-    )
-
-
-@part(error_model="numpy")
 def seen_from(shape: Shape, place: Any) -> Vector:
     """Return a place in a shape's axes, from its centre."""
     c = at.CENTRE
-    return into(shape, place[0] - shape[c], place[1] - shape[c + 1], place[2] - shape[c + 2])
+    return into(shape, (place[0] - shape[c], place[1] - shape[c + 1], place[2] - shape[c + 2]))
 
 
 @part(error_model="numpy")
@@ -303,7 +292,7 @@ def hull_of(shape: Shape, place: Any, radius_m: float, half_m: float) -> Hull:
     """Return a hull at a pose (7,) in a shape's axes."""
     w, i, j, k = place[3], place[4], place[5], place[6]
     ax, ay, az = 2 * (i * k + w * j), 2 * (j * k - w * i), w * w - i * i - j * j + k * k
-    return seen_from(shape, place), into(shape, ax, ay, az), radius_m, half_m
+    return seen_from(shape, place), into(shape, (ax, ay, az)), radius_m, half_m
 
 
 @part(error_model="numpy")
