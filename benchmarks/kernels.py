@@ -16,13 +16,11 @@ from typing import Any
 import numpy as np
 
 from benchmarks.speed import Measurement, elapsed_s
-from uavaccel.envs.flyable import CUDA
 from uavaccel.envs.kernel_batch import KernelBatch
-from uavaccel.envs.kernel_games import GameMaker
-from uavaccel.envs.kernel_plan import plan_of, slices_of
+from uavaccel.envs.kernel_games import GameMaker, plan_of, slices_of
 from uavaccel.envs.navigate import NavigateTask
 from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
-from uavaccel.envs.simulators import KERNELS, check_simulator
+from uavaccel.envs.simulators import CUDA, KERNELS, check_simulator
 from uavaccel.envs.task import Task
 from uavaccel.kernels import cpu, events, timeline
 from uavaccel.kernels import lanes as rows
@@ -212,7 +210,7 @@ def _round_s(lanes: int, task: Task | None = None, **keys: Any) -> float:
 
     task = task or LaneTask(**keys)
     flying = CudaLanes(task, lanes, th.device(CUDA), renews=False)
-    flying.seed(range(lanes))
+    flying.games.seed(range(lanes))
     flying.begin()
     shape = task.action_space().shape or ()
     actions = th.full((lanes, *shape), 0.1 if shape else AHEAD, device=CUDA)

@@ -16,12 +16,11 @@ from hypothesis import strategies as st
 from tests.simulating import simulate
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Kinematics
-from uavaccel.sim.flight.pilot import DeferredReply
+from uavaccel.sim.earth import geographic
 from uavaccel.sim.profile import NATIVE, PROFILES, Profile
-from uavaccel.sim.sensors.earth import geographic
-from uavaccel.sim.simulation import Simulation
+from uavaccel.sim.simulation import DeferredReply, Simulation
 from uavaccel.sim.world import World
-from uavaccel.wire import arguments, rpc
+from uavaccel.wire import rpc, types
 from uavaccel.wire.api import CALLS, Api, page, sections
 from uavaccel.wire.calls import Calls, Refusals, call
 from uavaccel.wire.flight_api import facing
@@ -283,7 +282,7 @@ def test_gps_is_a_sphere_around_airsims_origin() -> None:
 def test_yaw_follows_the_direction_of_travel_if_asked_to(
     velocity: tuple[float, float, float], drivetrain: int, mode: Any, yaw: float, is_rate: bool
 ) -> None:
-    found = facing(*velocity[:2], drivetrain, arguments.yaw_mode(mode, "yaw_mode"))
+    found = facing(*velocity[:2], drivetrain, types.yaw_mode(mode, "yaw_mode"))
     assert found[0] == pytest.approx(yaw)
     assert found[1] is is_rate
 
@@ -294,16 +293,13 @@ def test_yaw_follows_the_direction_of_travel_if_asked_to(
 def test_a_pose_is_taken_apart_and_its_attitude_made_a_unit() -> None:
     place = {"x_val": 1, "y_val": 2.0, "z_val": -3.0}
     turned = {"w_val": 0.0, "x_val": 0.0, "y_val": 3.0, "z_val": 4.0}
-    assert arguments.pose({"position": place, "orientation": turned}, "pose") == (
-        (1.0, 2.0, -3.0),
-        (0.0, 0.0, 0.6, 0.8),
-    )
+    assert types.pose({"position": place, "orientation": turned}, "pose") == ((1.0, 2.0, -3.0), (0.0, 0.0, 0.6, 0.8))
 
 
 def test_flags_may_be_numbers_and_yaw_is_in_degrees() -> None:
-    assert [arguments.flag(value, "it") for value in (True, False, 1, 0)] == [True, False, True, False]
-    assert arguments.yaw_mode({"is_rate": False, "yaw_or_rate": 180}, "it") == (math.pi, False)
-    assert arguments.yaw_mode({}, "it") == (0.0, True)
+    assert [types.flag(value, "it") for value in (True, False, 1, 0)] == [True, False, True, False]
+    assert types.yaw_mode({"is_rate": False, "yaw_or_rate": 180}, "it") == (math.pi, False)
+    assert types.yaw_mode({}, "it") == (0.0, True)
 
 
 # --- the table of calls -----------------------------------------------------------------------------------------------

@@ -17,9 +17,8 @@ from uavaccel.sim.profile import NATIVE
 from uavaccel.sim.simulation import Simulation
 from uavaccel.wire import rpc
 from uavaccel.wire.api import Api
-from uavaccel.wire.client import Client
 from uavaccel.wire.latency import QUANTILES, ZERO_LATENCY, Latency, LatencyConfig
-from uavaccel.wire.session import VirtualSession, open_session
+from uavaccel.wire.session import Client, VirtualSession, open_session
 from uavaccel.wire.transport import VirtualTransport
 
 MS = 1_000_000

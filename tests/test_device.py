@@ -93,7 +93,7 @@ def learner_of(config: TrainConfig) -> Any:
     from uavaccel.envs.cuda_lanes import CudaLanes
 
     learner = DeviceDQN(config, CudaLanes(config.task, LEARNING_LANES, th.device("cpu")))
-    learner.lanes.seed(3)
+    learner.lanes.games.seed(3)
     return learner
 
 
@@ -116,9 +116,10 @@ def test_a_learner_goes_on_from_a_checkpoint_to_the_same_weights() -> None:
     first = weights_sha256(learner.policy)
     games = learn(learner, 1)
     assert learner.lanes.going.any(), "in the middle of games"
+    running = range(LEARNING_LANES)
     saved = (
         deepcopy(learner.get_state()),  # whose tensors are the learner's own
-        [{name: np.array(value) for name, value in state.items()} for state in learner.lanes.env_method("get_state")],
+        [{name: np.array(value) for name, value in each.items()} for each in map(learner.lanes.get_state, running)],
     )
     games += learn(learner, 8)
     assert [game.number for game in games] == list(range(8))
@@ -128,7 +129,7 @@ def test_a_learner_goes_on_from_a_checkpoint_to_the_same_weights() -> None:
 
     other = learner_of(config.model_copy(update={"seed": 1}))
     other.config = config
-    seen = [other.lanes.env_method("set_state", state, indices=[lane])[0] for lane, state in enumerate(saved[1])]
+    seen = [other.lanes.set_state(lane, state) for lane, state in enumerate(saved[1])]
     other.set_state(saved[0], np.stack(seen))
     again = learn(other, 8)
     assert len(again) > 1

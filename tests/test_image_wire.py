@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 from tests.airsim_wire import AirSimWire
 from tests.scenes import BLOCKS, COLUMNS, ROWS, Pose, cast_rays
 from uavaccel.sim.camera.camera import Lens, MountedCamera
-from uavaccel.sim.flight.pilot import DeferredReply
 from uavaccel.sim.profile import NATIVE
-from uavaccel.sim.simulation import Simulation
+from uavaccel.sim.simulation import DeferredReply, Simulation
 from uavaccel.sim.world import World
 from uavaccel.wire import rpc
 from uavaccel.wire.api import Api

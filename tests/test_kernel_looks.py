@@ -25,8 +25,7 @@ from uavaccel.kernels.pictures import render_colour, render_depth, render_gray
 from uavaccel.resources import asset
 from uavaccel.sim.camera.camera import Camera, make_cameras_with
 from uavaccel.sim.camera.pixels import luma_of
-from uavaccel.sim.lane.layout import Difficulty, LaneLayout, lane_seed, sample_layout
-from uavaccel.sim.lane.scene import apply_layout
+from uavaccel.sim.lane import Difficulty, LaneLayout, apply_layout, lane_seed, sample_layout
 from uavaccel.units import mujoco_to_ned, ned_to_mujoco, quaternion_mujoco_to_ned, quaternion_ned_to_mujoco
 from uavaccel.vision.dvs import PRESETS, init_state, make_sensor, step
 

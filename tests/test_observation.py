@@ -22,13 +22,13 @@ from tests.learning import tiny_config, train_into
 from tests.opengl import needs_opengl
 from tests.running import configured, fly_into
 from uavaccel.config import validate
-from uavaccel.envs.actions import HOVER_THROTTLE
-from uavaccel.envs.context_planes import ContextPlanes
 from uavaccel.envs.hover import HoverTask
 from uavaccel.envs.navigate import Navigate
 from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
+from uavaccel.envs.sensors import ContextPlanes
+from uavaccel.envs.task import HOVER_THROTTLE
 from uavaccel.errors import UserError
-from uavaccel.export.minari_dataset import write_minari
+from uavaccel.export import write_minari
 from uavaccel.kinematics import AttitudeGoal, BodyRatesGoal, MotorsGoal
 from uavaccel.rl.agents import make_agent, origin_of
 from uavaccel.rl.double_dqn import HostDQN

@@ -24,7 +24,7 @@ from uavaccel.kernels.bodies import read_scene, read_surroundings
 from uavaccel.kernels.fields import HALF_HEIGHT, HALF_WIDTH
 from uavaccel.kernels.scene import Scene
 from uavaccel.kernels.scene_touching import NOTHING, deepest_shape, nearest_shape
-from uavaccel.sim.scene import model as scenes
+from uavaccel.sim import scene as scenes
 
 SEEN = np.array([1, 0, 1, 0, 1, 1], np.uint8)  # groups that the drone's camera may see
 HULL = (0.3418, 0.045)

@@ -12,7 +12,7 @@ import numpy as np
 import torch as th
 
 from uavaccel.envs.cuda_view import View
-from uavaccel.envs.kernel_plan import plan_of
+from uavaccel.envs.kernel_games import plan_of
 from uavaccel.envs.stopwatch import PHASES
 from uavaccel.envs.task import Task
 from uavaccel.kernels import cuda as kernels

@@ -14,16 +14,15 @@ import numpy as np
 from gymnasium import spaces
 from pydantic import Field, field_validator, model_validator
 
-from uavaccel.config import validate
+from uavaccel.config import Count, Height, Seconds, validate
 from uavaccel.envs.conditions import LATENCY, OF_DIFFICULTY, OF_TASK, Ranges, corners, keys_of
-from uavaccel.envs.context_planes import ContextKind, ContextPlanes
 from uavaccel.envs.flight_env import CONDITIONS, FlightEnv
-from uavaccel.envs.task import AnyLayout, AnyMoment, Task
-from uavaccel.envs.values import Course, Info, Number
+from uavaccel.envs.sensors import ContextKind, ContextPlanes
+from uavaccel.envs.task import AnyLayout, Task
+from uavaccel.envs.values import AnyMoment, Course, Info, Number
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Vector
-from uavaccel.limits import Count, Height, Seconds
-from uavaccel.sim.lane.layout import (
+from uavaccel.sim.lane import (
     HULL_RADIUS_M,
     LENGTH_M,
     SPLIT_SIZE,

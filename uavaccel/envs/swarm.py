@@ -13,24 +13,23 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from uavaccel.envs.checks import make_task, seed_of, within
+from uavaccel.config import Count, Speed
+from uavaccel.envs.checks import check_reward, make_task, seed_of, within
 from uavaccel.envs.judging import autopilot_goal
-from uavaccel.envs.own_task import check_reward
 from uavaccel.envs.sensors import Sensor
-from uavaccel.envs.task import AT_REST, AnyMoment, Mediation, Moment, Positive, Task, distance, position_option
-from uavaccel.envs.values import Action, Course, Info, Number, Observation
+from uavaccel.envs.task import Mediation, Positive, Task, distance, position_option, told_of
+from uavaccel.envs.values import AT_REST, Action, AnyMoment, Course, Info, Moment, Number, Observation
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Kinematics
-from uavaccel.limits import Count, Speed
 from uavaccel.resources import require
 from uavaccel.sim.camera import gl
 from uavaccel.sim.camera.camera import FRONT_CENTER, Lens
 from uavaccel.sim.camera.view import vehicle_pose
-from uavaccel.sim.poses import check_apart
+from uavaccel.sim.flight import velocity
+from uavaccel.sim.poses import HERE, LEVEL, check_apart
 from uavaccel.sim.profile import PROFILES
-from uavaccel.sim.vehicle.collisions import Contact
-from uavaccel.sim.vehicle.goal import velocity
-from uavaccel.sim.vehicle.vehicle import HERE, LEVEL, AddedVehicle, Start, Vehicle
+from uavaccel.sim.vehicle.contacts import Contact
+from uavaccel.sim.vehicle.vehicle import AddedVehicle, Start, Vehicle
 from uavaccel.sim.world import World
 
 require("pettingzoo", "several drones", "swarm")
@@ -289,18 +288,8 @@ class Swarm(ParallelEnv):  # type: ignore[misc]
         return getattr(camera, kind)(self._world.data)
 
     def _infos(self) -> dict[str, Info]:
-        task = self.task
-        return {
-            agent: {
-                "is_success": bool(task.success(now)),
-                "position_m": [float(each) for each in now.position_m],
-                "collision": now.collision,
-                "commands": now.commands,
-                **task.info(now),
-            }
-            for agent, now in self._moments.items()
-            if agent in self.agents
-        }
+        flying = {agent: now for agent, now in self._moments.items() if agent in self.agents}
+        return {agent: {**told_of(self.task, now), **self.task.info(now)} for agent, now in flying.items()}
 
 
 def beside(there: Kinematics, here: Kinematics) -> list[float]:

@@ -1,7 +1,7 @@
 """The appearance of a lane, read from its MuJoCo model as OpenGL receives it, and the visible geometry of layouts.
 
 Textures, materials, camera, sky, walls and ground come from the model, mipmaps are computed as glGenerateMipmap does.
-The layout determines obstacles, their textures and the sunlight, as in sim/lane/scene.py.
+The layout determines obstacles, their textures and the sunlight, as in sim/lane.py.
 """
 
 from __future__ import annotations
@@ -18,9 +18,17 @@ from uavaccel.kernels.bodies import KINDS, SOLIDS
 from uavaccel.kernels.fields import NO_APPEARANCE, Appearance, Looks, Operand, Scenes
 from uavaccel.kernels.fields import empty_scenes as empty_scenes
 from uavaccel.sim.camera.view import HEIGHT, WIDTH, far_m
-from uavaccel.sim.lane.layout import GROUND_TEXTURES, OBSTACLE_TEXTURES, PLAIN, WALL_TEXTURES, LaneLayout
-from uavaccel.sim.lane.scene import OBSTACLE_HALF_HEIGHT_M, obstacle_geoms, sunlight
-from uavaccel.sim.scene.model import DRONE_GROUP
+from uavaccel.sim.lane import (
+    GROUND_TEXTURES,
+    OBSTACLE_HALF_HEIGHT_M,
+    OBSTACLE_TEXTURES,
+    PLAIN,
+    WALL_TEXTURES,
+    LaneLayout,
+    obstacle_geoms,
+    sunlight,
+)
+from uavaccel.sim.scene import DRONE_GROUP
 
 WORN = (("obstacle", OBSTACLE_TEXTURES), ("wall", WALL_TEXTURES), ("ground", GROUND_TEXTURES))
 

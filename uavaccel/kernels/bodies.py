@@ -20,16 +20,17 @@ from uavaccel.kernels.lanes import Games
 from uavaccel.kernels.scene import GEOM, Scene
 from uavaccel.kernels.touching import SOLID_FIELDS
 from uavaccel.sim.clutter import ClutterLayout
-from uavaccel.sim.lane.layout import MAX_OBSTACLES, LaneLayout
-from uavaccel.sim.lane.scene import (
+from uavaccel.sim.lane import (
     APPEARANCE_GROUP,
     BODIES_GROUP,
+    MAX_OBSTACLES,
     OBSTACLE_HALF_HEIGHT_M,
+    LaneLayout,
     named,
     object_name,
     obstacle_geoms,
 )
-from uavaccel.sim.scene.model import DRONE_GROUP
+from uavaccel.sim.scene import DRONE_GROUP
 from uavaccel.sim.vehicle.vehicle import BODY
 
 HIDDEN_GROUP = 3  # of collision geometry

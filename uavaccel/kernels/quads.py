@@ -2,7 +2,7 @@
 
 Scalar functions, for loops on the CPU and for CUDA threads. What the pixels share is computed once: a face's
 coefficients, and its mipmap level, from the texel positions of three of the pixels. The arithmetic is that of
-`kernels.spans` and `kernels.events`.
+`kernels.pictures` and `kernels.events`.
 """
 
 from __future__ import annotations

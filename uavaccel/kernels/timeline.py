@@ -1,6 +1,6 @@
 """The simulated wall clock of lanes over arrays: how long a client's calls take, and which ticks pass meanwhile.
 
-A game's clock is a row of integers. The functions replay the calls of commands/adsc and tcsc through wire/transport's
+A game's clock is a row of integers. The functions replay the calls of commands.py through wire/transport's
 `VirtualTransport` to sim/simulation, in order, without messages and without a flight: which ticks pass depends on the
 latencies alone. In `lockstep` all latencies are 0. The functions are scalar, for the CPU and a GPU.
 """
@@ -378,7 +378,7 @@ def call_run(row: Operand, scale: float, timing: Timing) -> None:
     answer(row, scale, timing, CONTINUE)
 
 
-# --- the client (envs/flight_env, commands/adsc, commands/tcsc) ------------------------------------------
+# --- the client (envs/flight_env, commands.py) -----------------------------------------------------------
 
 
 @part

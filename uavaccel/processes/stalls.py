@@ -81,7 +81,7 @@ class StallDetector:
             self._idle[pid] = self._idle.get(pid, 0) + 1 if idle else 0
         for pid in set(self._idle) - set(pids):  # nobody waits for it
             del self._idle[pid]
-        return [pid for pid in pids if self._idle[pid] >= (STOPPED_POLLS if is_stopped(pid) else polls)]
+        return [pid for pid in pids if self._idle[pid] >= (min(STOPPED_POLLS, polls) if is_stopped(pid) else polls)]
 
     def _worked(self, pid: int) -> bool:
         """Return whether a process has worked since the last poll, or may have."""

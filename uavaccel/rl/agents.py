@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from uavaccel.envs.conditions import OF_SENSOR
 from uavaccel.envs.obstacle_lane import LaneTask
 from uavaccel.envs.task import Task
-from uavaccel.envs.values import Action, Info, Observation, batch_of
+from uavaccel.envs.values import Action, Info, Observation, select
 from uavaccel.errors import UserError
 from uavaccel.files import file_sha256
 from uavaccel.own_code import errors_named, own_function
@@ -28,7 +28,7 @@ from uavaccel.realtime.policy_files import OnnxFile, PolicyFile, policy_file
 from uavaccel.resources import asset
 from uavaccel.rl.config import LANE, LearnerConfig, environment_class
 from uavaccel.rl.policy import MANIFEST, WEIGHTS, Policy, load_policy, observed_frames, read_manifest
-from uavaccel.sim.lane.layout import WIDTH_M
+from uavaccel.sim.lane import WIDTH_M
 
 if TYPE_CHECKING:
     from uavaccel.rl.network import QPolicy
@@ -56,7 +56,7 @@ class BatchAgent:
 
     def act(self, observation: Observation, info: Info) -> Action:
         """Return a discrete action as an int, a continuous one as an array."""
-        action = self.act_on(batch_of(observation))[0]
+        action = self.act_on(select(observation, None))[0]
         return action if np.ndim(action) else int(action)
 
 

@@ -19,7 +19,7 @@ import numpy as np
 import torch as th
 from numpy.typing import NDArray
 
-from uavaccel.envs.turn_batch import TurnBatch
+from uavaccel.envs.batch import TurnBatch
 from uavaccel.envs.values import State, stacked_observations
 from uavaccel.errors import UserError, naming
 from uavaccel.files import Plain, open_bounded, parse_json, read_bounded, replacing

@@ -21,13 +21,12 @@ from pydantic import (
     model_validator,
 )
 
-from uavaccel.config import Config, KeyTree, validate
-from uavaccel.envs.flyable import Simulator, check_flyable
+from uavaccel.config import MOST_PROCESSES, Config, Cost, Count, Games, KeyTree, Lanes, Processes, Seed, validate
 from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
+from uavaccel.envs.simulators import Simulator, check_flyable
 from uavaccel.envs.task import Positive, Task
 from uavaccel.errors import UserError, suggestion
 from uavaccel.files import Plain
-from uavaccel.limits import MOST_PROCESSES, Cost, Count, Games, Lanes, Processes, Seed
 from uavaccel.machine import memory_bytes
 from uavaccel.own_code import module_of, own_class, own_module
 from uavaccel.resources import require
@@ -129,7 +128,7 @@ def _of_the_environment(task: Any, handler: ValidatorFunctionWrapHandler, info: 
         return handler(task)  # which refuses it
     made = task_class.model_validate_json(json.dumps(task), strict=True)
     if ":" in info.data["env_id"]:
-        from uavaccel.envs.own_task import check_functions
+        from uavaccel.envs.checks import check_functions
 
         check_functions(made)
     return made

@@ -27,8 +27,8 @@ from numpy.typing import NDArray
 from torch.nn import functional
 
 from uavaccel.clock import MonotonicClock
+from uavaccel.envs.batch import TurnBatch
 from uavaccel.envs.stopwatch import PHASES, Stopwatch
-from uavaccel.envs.turn_batch import TurnBatch
 from uavaccel.envs.values import Frame
 from uavaccel.kernels.recording import recorded
 from uavaccel.rl.agents import first_policy
@@ -357,7 +357,7 @@ class DeviceDQN(DoubleDQN):
 
         compute_the_same_each_time()
         super().__init__(config, lanes, lanes.device, recorded=True)
-        lanes.seed(first_seed(config.seed))
+        lanes.games.seed(first_seed(config.seed))
         self._at, device, count = AT, lanes.device, lanes.count
         shape: Any = tuple(lanes.observations.shape[1:])
         rows = max(self.options.buffer_size // count, self.options.n_steps + 2)
@@ -387,7 +387,7 @@ class DeviceDQN(DoubleDQN):
 
     def begin(self) -> None:
         """See `Learner`; also sample the games after the first."""
-        if not self.lanes.has_begun:
+        if not self.lanes.games.has_games:
             self.lanes.begin()
             self.lanes.games.refill([1] * self.lanes.count)
 

@@ -9,8 +9,8 @@ import numpy as np
 import torch as th
 
 from uavaccel.clock import MonotonicClock
+from uavaccel.envs.batch import TurnBatch
 from uavaccel.envs.stopwatch import PHASES, Stopwatch
-from uavaccel.envs.turn_batch import TurnBatch
 from uavaccel.rl.config import LearnerConfig, PPOSettings
 from uavaccel.rl.learner import (
     Game,

@@ -15,9 +15,10 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from uavaccel.metrics.equivalence import (
+from uavaccel.metrics.estimates import (
     Estimate,
     Interval,
+    Success,
     all_of,
     exceeds,
     mean_estimate,
@@ -26,8 +27,7 @@ from uavaccel.metrics.equivalence import (
     within,
 )
 from uavaccel.metrics.intervals import Proportion, bootstrap_interval, median_interval
-from uavaccel.metrics.success import Success
-from uavaccel.sim.lane.layout import LENGTH_M, Difficulty, sample_layout
+from uavaccel.sim.lane import LENGTH_M, Difficulty, sample_layout
 from uavaccel.suites import paper_results
 from uavaccel.suites.dp1 import CELL
 from uavaccel.suites.report import finished

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.config import validate
-from uavaccel.draw.labels import command_at_clock
-from uavaccel.draw.pictures import Decisions
+from uavaccel.draw.page import command_at_clock
+from uavaccel.draw.style import Decisions
 from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.kernel_batch import KernelBatch
 from uavaccel.envs.observer import Onlooker, SecondEventCamera

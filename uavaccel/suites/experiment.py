@@ -6,8 +6,7 @@ from typing import Annotated, Literal, TypeVar
 
 from pydantic import AfterValidator
 
-from uavaccel.config import Config
-from uavaccel.limits import ClockSpeed, CommandName, Cost, Seed
+from uavaccel.config import ClockSpeed, CommandName, Config, Cost, Seed
 from uavaccel.wire.latency import LatencyModel
 
 Timing = Literal["wall", "virtual", "lockstep"]

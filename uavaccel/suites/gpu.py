@@ -9,7 +9,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TextIO, TypeVar
 
-from uavaccel.limits import MOST_PROCESSES
+from uavaccel.config import MOST_PROCESSES
 
 VISIBLE, EGL_DEVICE = "CUDA_VISIBLE_DEVICES", "MUJOCO_EGL_DEVICE_ID"
 

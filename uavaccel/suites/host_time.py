@@ -9,7 +9,7 @@ from itertools import accumulate, pairwise
 from typing import Any, TypeAlias, TypeVar
 
 from uavaccel.clock import MonotonicClock
-from uavaccel.draw.labels import in_words as in_words
+from uavaccel.draw.page import in_words as in_words
 from uavaccel.units import NS_PER_S
 
 Result = TypeVar("Result")

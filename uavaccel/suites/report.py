@@ -18,8 +18,7 @@ from uavaccel.draw import style
 from uavaccel.draw.page import KINDS, Block, Heading, Listing, Paragraph, Picture, Table, fill, to_html, to_markdown
 from uavaccel.errors import UserError
 from uavaccel.files import Plain, read_bounded
-from uavaccel.metrics.speedup import timing_provenance
-from uavaccel.records import RunDirectory
+from uavaccel.records import RunDirectory, timing_provenance
 from uavaccel.suites.host_time import pace_of
 
 if TYPE_CHECKING:  # matplotlib is loaded by what draws
