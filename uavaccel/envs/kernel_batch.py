@@ -46,7 +46,7 @@ from uavaccel.errors import UserError
 from uavaccel.kernels import cpu, events, timeline
 from uavaccel.kernels import lanes as rows
 from uavaccel.kernels.fields import DVS, STATE
-from uavaccel.kernels.flight import TOUCHED
+from uavaccel.kernels.lanes import TOUCHED
 from uavaccel.machine import usable_cores
 from uavaccel.sim.vehicle.quadrotor import KINEMATICS
 from uavaccel.units import NS_PER_S, plain
@@ -282,7 +282,7 @@ class KernelBatch(TurnBatch):
         if not self.task.sees_start or self._view.kind in (STATE, DVS):
             return None
         frames = np.empty((self.num_envs, 1, *self._blank.shape), self._blank.dtype)
-        cpu.CPU.show(lanes, self._view, self._rows, self._now, self._plan, frames)
+        cpu.CPU.show(lanes, self._view, self._rows, self._now, self._plan, self._clocks, frames)
         drawn: Frame = frames[lanes, 0]
         return drawn
 
