@@ -94,7 +94,7 @@ def learner_of(config: TrainConfig) -> Any:
     from uavaccel.envs.cuda_lanes import CudaLanes
 
     learner = DeviceDQN(config, CudaLanes(config.task, LEARNING_LANES, th.device("cpu")))
-    learner.lanes.seed(3)
+    learner.lanes.games.seed(3)
     return learner
 
 
@@ -122,9 +122,10 @@ def test_a_learner_goes_on_from_a_checkpoint_to_the_same_weights(seen: dict[str,
     first = weights_sha256(learner.policy)
     games = learn(learner, 1)
     assert learner.lanes.going.any(), "in the middle of games"
+    running = range(LEARNING_LANES)
     saved = (
         deepcopy(learner.get_state()),  # whose tensors are the learner's own
-        [{name: np.array(value) for name, value in state.items()} for state in learner.lanes.env_method("get_state")],
+        [{name: np.array(value) for name, value in each.items()} for each in map(learner.lanes.get_state, running)],
     )
     games += learn(learner, 8)
     assert [game.number for game in games] == list(range(8))
@@ -134,7 +135,7 @@ def test_a_learner_goes_on_from_a_checkpoint_to_the_same_weights(seen: dict[str,
 
     other = learner_of(config.model_copy(update={"seed": 1}))
     other.config = config
-    now = [other.lanes.env_method("set_state", state, indices=[lane])[0] for lane, state in enumerate(saved[1])]
+    now = [other.lanes.set_state(lane, state) for lane, state in enumerate(saved[1])]
     other.set_state(saved[0], stacked_observations(now))
     again = learn(other, 8)
     assert len(again) > 1

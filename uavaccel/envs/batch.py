@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from uavaccel.config import MOST_GAMES, MOST_PROCESSES
 from uavaccel.envs.checks import actions_of, autoreset_of, check_render_mode, make_task, seeds_of, whole_number
-from uavaccel.envs.environment_process import BatchOptions, EnvironmentProcesses, SharedObservations, form_of
+from uavaccel.envs.environment_process import EnvironmentProcesses, observations_of
 from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.values import Actions, Answer, Batch, Info, Observation, Steps, mapped, select
 from uavaccel.errors import UserError
@@ -27,6 +27,17 @@ from uavaccel.machine import usable_cores
 from uavaccel.own_code import folder_of
 from uavaccel.sim.camera.gl import choose_backend
 from uavaccel.units import NS_PER_S
+
+
+def set_up(batch: Any, environment: type[FlightEnv[Any]], num_envs: int, mode: object, keys: Mapping[str, Any]) -> Any:
+    """Give a batch what Gymnasium's vectors have, and its task, which is returned. Raises UserError for wrong keys."""
+    batch.task = task = make_task(environment.task_class, keys, environment.__name__)
+    whole_number("num_envs", num_envs, MOST_GAMES)
+    batch.num_envs, batch.metadata = num_envs, {**environment.metadata, "autoreset_mode": autoreset_of(mode)}
+    batch.single_observation_space, batch.single_action_space = task.observation_space(), task.action_space()
+    batch.observation_space = batch_space(batch.single_observation_space, num_envs)
+    batch.action_space = batch_space(batch.single_action_space, num_envs)
+    return task
 
 
 class TurnBatch(Batch, ABC):
@@ -104,24 +115,21 @@ class EnvironmentBatch(TurnBatch):
         **keys: Any,
     ) -> None:
         self.render_mode = check_render_mode(keys.pop("render_mode", None))
-        task = make_task(environment.task_class, keys, environment.__name__)
-        _check(num_envs, processes, task.timing)
-        self.task, self.num_envs = task, num_envs
-        self.metadata = {**environment.metadata, "autoreset_mode": autoreset_of(autoreset_mode)}
-        self.single_observation_space = task.observation_space()
-        self.single_action_space = task.action_space()
-        self.observation_space = batch_space(self.single_observation_space, num_envs)
-        self.action_space = batch_space(self.single_action_space, num_envs)
+        task = set_up(self, environment, num_envs, autoreset_mode, keys)
+        if processes is not None:
+            whole_number("processes", processes, MOST_PROCESSES)
+        if task.timing == "wall" and num_envs > 1:
+            raise UserError("timing = 'wall': a batch flies in virtual or lockstep, neighbours would disturb the clock")
         if task.sensor().picture is not None:
             choose_backend()  # for all processes
-        self._observations = SharedObservations(form_of(self.single_observation_space, num_envs))
+        self._observations = observations_of(self.single_observation_space, num_envs)
         self.processes = min(processes or 2 * usable_cores(), num_envs)
-        options: BatchOptions = {
+        options = {
             "environment": f"{environment.__module__}:{environment.__qualname__}",
             "folder": str(folder) if (folder := folder_of(environment)) else None,
             "keys": {**task.model_dump(mode="json"), "render_mode": self.render_mode},
-            "memory": self._observations.descriptor,
-            "observations": self._observations.form,
+            "memory": self._observations.memory,
+            "form": self._observations.form,
             "autoreset": self.metadata["autoreset_mode"].value,
         }
         self._slots = EnvironmentProcesses(options, num_envs, self.processes)
@@ -143,14 +151,13 @@ class EnvironmentBatch(TurnBatch):
     def set_attr(self, name: str, values: object) -> None:
         """Set an attribute to one value or, from a list, to one for each environment."""
         each = values if isinstance(values, (list, tuple)) else [values] * self.num_envs
-        for slot, value in enumerate(each):
-            self.set_each(name, value, [slot])
+        self._slots.request_all("set_attribute", [(name, value) for value in each], range(self.num_envs))
 
     def close_extras(self, **_: object) -> None:
         """End the processes."""
         if hasattr(self, "_slots"):
             self._slots.close()
-            os.close(self._observations.descriptor)
+            os.close(self._observations.memory)
 
     def __del__(self) -> None:
         self.close()
@@ -197,21 +204,9 @@ class EnvironmentBatch(TurnBatch):
         slot = self._slots.first_answered()
         return slot, self._slots.answer(slot)
 
-    def set_each(self, name: str, value: object, slots: Sequence[int] | None = None) -> None:
-        """Set an attribute of `slots`, by default all, to a value."""
-        self._slots.request_all("set_attribute", [(name, value)] * len(self._all(slots)), self._all(slots))
-
     def observations(self) -> Observation:
         """Return the present observations of all environments."""
         return mapped(np.copy, self._observations.present)
 
     def _all(self, slots: Sequence[int] | None) -> Sequence[int]:
         return range(self.num_envs) if slots is None else slots
-
-
-def _check(num_envs: int, processes: int | None, timing: str) -> None:
-    whole_number("num_envs", num_envs, MOST_GAMES)
-    if processes is not None:
-        whole_number("processes", processes, MOST_PROCESSES)
-    if timing == "wall" and num_envs > 1:
-        raise UserError("timing = 'wall': a batch flies in virtual or lockstep, neighbours would disturb the clock")

@@ -14,8 +14,8 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 
 from uavaccel.config import validate
-from uavaccel.envs.task import AT_REST, Moment, Task
-from uavaccel.envs.values import Action, Actions
+from uavaccel.envs.task import Task
+from uavaccel.envs.values import AT_REST, Action, Actions, Moment
 from uavaccel.errors import UserError
 from uavaccel.kinematics import FlightGoal, Kinematics
 from uavaccel.own_code import errors_named, file_of
@@ -78,7 +78,7 @@ def whole_number(name: str, value: object, most: int) -> int:
     return int(value)
 
 
-def autoreset_of(mode: AutoresetMode | str) -> AutoresetMode:
+def autoreset_of(mode: object) -> AutoresetMode:
     """Return the mode of that name. Raises UserError for an unknown one."""
     try:
         return AutoresetMode(mode)
@@ -196,10 +196,9 @@ def _check_features(task: Task, call: Functions, state: Kinematics, course: Mapp
 
 def check_reward(task: Task, reward: Any) -> None:
     """Raise UserError for a reward, or an array of rewards, that is no finite number."""
-    wrong: list[Any] = []
     if isinstance(reward, np.ndarray):
-        wrong = reward[~np.isfinite(reward)].tolist()
-    elif not (isinstance(reward, Real) and math.isfinite(reward)):
-        wrong = [reward]
+        wrong: list[Any] = reward[~np.isfinite(reward)].tolist()
+    else:
+        wrong = [] if isinstance(reward, Real) and math.isfinite(reward) else [reward]
     if wrong:
         raise Functions(task).wrong("reward", f"returned {wrong[0]!r}: must be a finite number")

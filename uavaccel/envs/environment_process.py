@@ -21,11 +21,10 @@ import threading
 import traceback
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from functools import partial
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from select import POLLIN, poll
-from typing import Any, TypedDict
+from typing import Any
 
 import numpy as np
 from gymnasium import spaces
@@ -51,77 +50,49 @@ from uavaccel.sim.world import World
 from uavaccel.units import NS_PER_S
 
 STOP_S = 3.0  # for all processes, from the end of their connections to their own
+NICENESS = 5  # the learner, for whom all environments wait, goes first
 
 Seat = tuple[int, int]
 """The slot of an environment, and the file descriptor of its end of the connection."""
 
-
-class ObservationForm(TypedDict):
-    """Number of environments, and shape and type of each part of an observation; of the only part the name is ""."""
-
-    slots: int
-    parts: list[tuple[str, str, tuple[int, ...]]]
-
-
-def form_of(space: spaces.Space[Any], slots: int) -> ObservationForm:
-    """Return the form of the observations of a space."""
-    parts = space.spaces if isinstance(space, spaces.Dict) else {"": space}
-    return {
-        "slots": slots,
-        "parts": [(name, np.dtype(each.dtype).str, each.shape or ()) for name, each in parts.items()],
-    }
+Options = dict[str, Any]
+"""Options of all processes of a batch: `environment`, module and class, as "module:class", of an environment or of its
+task; `folder`, from which the module is imported, or None; `keys`; `autoreset`; and of the `SharedObservations` the
+`memory` and the `form`. Of one program beside these its `processes`, the seats of each; its `parent`; and `reports`, a
+pipe in which it reports about the processes that it forks, or None.
+"""
 
 
 class SharedObservations:
     """Observations of all environments in memory that the processes share: (slots, *shape), or a mapping of these.
 
-    `present` are the current ones; `last` are the final ones of games that an autoreset has replaced. `descriptor` is
-    the memory's file descriptor; without one new memory is made.
+    `form` is the number of slots, and name, type and shape of each part, "" the name of the only one. `present` are the
+    current ones; `last` are the final ones of games that an autoreset has replaced. `memory` is the file descriptor of
+    the memory; without one new memory is made, of which nothing remains after the last process that has it.
     """
 
-    def __init__(self, form: ObservationForm, descriptor: int | None = None) -> None:
-        self.form = form
-        fields = [(name or "all", kind, tuple(shape)) for name, kind, shape in form["parts"]]
-        dtype = np.dtype(fields, align=True)
-        size = 2 * form["slots"] * dtype.itemsize
-        self.descriptor = _anonymous_memory(size) if descriptor is None else descriptor
-        both = np.frombuffer(mmap.mmap(self.descriptor, size), dtype).reshape(2, form["slots"])
-        views: list[Observation] = [{name: each[name] for name, _, _ in fields} for each in both]
-        self.present, self.last = views if form["parts"][0][0] else (view["all"] for view in views)
+    def __init__(self, form: tuple[int, list[tuple[str, str, tuple[int, ...]]]], memory: int | None = None) -> None:
+        slots, parts = self.form = form
+        dtype = np.dtype([(name or "all", kind, tuple(shape)) for name, kind, shape in parts], align=True)
+        size = 2 * slots * dtype.itemsize
+        if memory is None:
+            if hasattr(os, "memfd_create"):
+                memory = os.memfd_create("uavaccel")
+            else:
+                memory, path = tempfile.mkstemp()
+                os.unlink(path)
+            os.ftruncate(memory, size)
+        self.memory, both = memory, np.frombuffer(mmap.mmap(memory, size), dtype).reshape(2, slots)
+        views: list[Observation] = [{name: each[name] for name in dtype.names or ()} for each in both]
+        self.present, self.last = views if parts[0][0] else (view["all"] for view in views)
 
 
-def _anonymous_memory(size: int) -> int:
-    """Return a file descriptor of `size` zero bytes, of which nothing remains after the last process that has it."""
-    if hasattr(os, "memfd_create"):
-        descriptor = os.memfd_create("uavaccel")
-    else:
-        descriptor, path = tempfile.mkstemp()
-        os.unlink(path)
-    os.ftruncate(descriptor, size)
-    return descriptor
-
-
-class BatchOptions(TypedDict):
-    """Options of all processes of a batch."""
-
-    environment: str
-    """Module and class, as "module:class", of an environment or of its task."""
-    folder: str | None
-    """Folder from which the module is imported; None for one of this package."""
-    keys: dict[str, object]
-    memory: int
-    """File descriptor of the SharedObservations."""
-    observations: ObservationForm
-    autoreset: str
-
-
-class ProgramOptions(BatchOptions):
-    """Options of the program that flies the environments of one process, or forks a process for each of several."""
-
-    processes: list[list[Seat]]
-    parent: int
-    reports: int | None
-    """Pipe in which it reports about the processes that it forks."""
+def observations_of(space: spaces.Space[Any], slots: int) -> SharedObservations:
+    """Make the memory for observations of a space."""
+    parts = space.spaces if isinstance(space, spaces.Dict) else {"": space}
+    return SharedObservations(
+        (slots, [(name, np.dtype(each.dtype).str, each.shape or ()) for name, each in parts.items()])
+    )
 
 
 class BatchError(RuntimeError):
@@ -131,14 +102,13 @@ class BatchError(RuntimeError):
 class EnvironmentProcesses:
     """`slots` environments distributed over `processes` processes; raises BatchError if one ends or hangs."""
 
-    def __init__(self, options: BatchOptions, slots: int, processes: int) -> None:
-        self._connections: list[Connection] = []
+    def __init__(self, options: Options, slots: int, processes: int) -> None:
         self._asked = [False] * slots
-        theirs = []
-        for _ in range(slots):
-            mine, other = socket.socketpair()
-            self._connections.append(Connection(mine.detach()))
-            theirs.append(other.detach())
+        pairs = [socket.socketpair() for _ in range(slots)]
+        self._connections, theirs = (
+            [Connection(mine.detach()) for mine, _ in pairs],
+            [each.detach() for _, each in pairs],
+        )
         self._polls = [poll() for _ in self._connections]  # cheaper than Connection.poll
         for each, connection in zip(self._polls, self._connections, strict=True):
             each.register(connection.fileno(), POLLIN)
@@ -150,30 +120,24 @@ class EnvironmentProcesses:
         self._processes: list[Process | Fork] = []
         self._forks: Forks | None = None
         if CAN_FORK and processes > 1:
-            self._forks = self._start_forks(options, flown)
+            reports, told = os.pipe()
+            self._forks = Forks(self._start(options, flown, told), processes, reports)
             self._processes += self._forks.each()
+            os.close(told)
         else:
             self._processes += [self._start(options, [each]) for each in flown]
         for descriptor in theirs:
             os.close(descriptor)
 
-    def _start_forks(self, options: BatchOptions, flown: list[list[Seat]]) -> Forks:
-        """Start the processes as forks of one, which loads for all of them."""
-        reports, theirs = os.pipe()
-        template = self._start(options, flown, theirs)
-        os.close(theirs)
-        return Forks(template, len(flown), reports)
-
-    def _start(self, options: BatchOptions, flown: list[list[Seat]], reports: int | None = None) -> Process:
-        program: ProgramOptions = {**options, "processes": flown, "parent": os.getpid(), "reports": reports}
+    def _start(self, options: Options, flown: list[list[Seat]], reports: int | None = None) -> Process:
+        """Start a process that flies these seats, or with `reports` one that forks, and loads for, all of them."""
+        program = {**options, "processes": flown, "parent": os.getpid(), "reports": reports}
         inherited = [options["memory"], *(connection for process in flown for _, connection in process)]
-        if reports is not None:
-            inherited.append(reports)
         process = start_python(
             *("-m", "uavaccel.envs.environment_process"),
             environment={**WITHOUT_THREADS, **single_core_rendering()},
             stdin=subprocess.PIPE,  # a thousand environments' options are too long for an argument
-            pass_fds=inherited,
+            pass_fds=inherited if reports is None else [*inherited, reports],
         )
         assert process.stdin is not None
         with suppress(BrokenPipeError), process.stdin:  # where it has ended, its connections will say so
@@ -207,7 +171,9 @@ class EnvironmentProcesses:
         self._answered_once = True
         if answer[0]:
             return answer[1]
-        raise self._error(slot, *answer[1:])
+        kind, text = answer[1:]
+        known = {"UserError": UserError, "AttributeError": AttributeError}
+        raise known[kind](text) if kind in known else BatchError(f"environment {slot} failed:\n{text}")
 
     def first_answered(self) -> int:
         """Wait for the first slot that answers, and return it. Raises BatchError if none was asked."""
@@ -258,13 +224,6 @@ class EnvironmentProcesses:
         process = self._processes[self._process_of[slot]]
         return BatchError(f"the process of environment {slot} ended with status {process.wait()}")
 
-    def _error(self, slot: int, kind: str, text: str) -> Exception:
-        if kind == "UserError":
-            return UserError(text)
-        if kind == "AttributeError":
-            return AttributeError(text)
-        return BatchError(f"environment {slot} failed:\n{text}")
-
     @property
     def process_ids(self) -> list[int]:
         return [process.pid for process in self._processes]
@@ -285,9 +244,6 @@ class EnvironmentProcesses:
         self._processes, self._forks = [], None
 
 
-NICENESS = 5  # the learner, for whom all environments wait, goes first
-
-
 class Slot:
     """One environment of a batch; requests over its connection name a method of this class."""
 
@@ -295,8 +251,7 @@ class Slot:
         self, environment: FlightEnv[Any], seen: Observation, last: Observation, autoreset: AutoresetMode
     ) -> None:
         self._environment, self._autoreset = environment, autoreset
-        self._seen, self._last = seen, last
-        self._over = False
+        self._seen, self._last, self._over = seen, last, False
 
     def reset(self, seed: int | None, options: Mapping[str, object] | None) -> Info:
         """Begin a game and return its info; the observation goes into shared memory."""
@@ -322,9 +277,9 @@ class Slot:
     def call(self, name: str, *arguments: object) -> object:
         """Call a method of the environment, or a function "module:name" with it, or return an attribute's value."""
         module, _, function = name.rpartition(":")
-        attribute: Any = None if module else getattr(self._environment, name)
         if module:
-            attribute = partial(getattr(importlib.import_module(module), function), self._environment)
+            return getattr(importlib.import_module(module), function)(self._environment, *arguments)
+        attribute = getattr(self._environment, name)
         result = attribute(*arguments) if callable(attribute) else attribute
         if name == "set_state":  # which returns the game's last observation
             assign(self._seen, ..., result)
@@ -338,9 +293,9 @@ class Slot:
         self._environment.close()
 
 
-def fly(options: ProgramOptions, number: int, descriptor: int) -> None:
+def fly(options: Options, number: int, descriptor: int) -> None:
     """Serve slot `number` until its connection ends. Answers are (True, result) or, for errors, (False, kind, text)."""
-    shared, connection = SharedObservations(options["observations"], options["memory"]), Connection(descriptor)
+    shared, connection = SharedObservations(options["form"], options["memory"]), Connection(descriptor)
     module, _, name = options["environment"].partition(":")
     slot: Slot | None = None
     own: Path | None = None
@@ -378,21 +333,16 @@ def main() -> None:
     if options["reports"] is None:
         fly_together(options, options["processes"][0], parent)
         return
-    load(options["environment"])
+    module, _, _ = options["environment"].partition(":")
+    if module.startswith("uavaccel."):  # another's may start threads, and what has threads cannot be forked
+        importlib.import_module(module)
+    World("blocks", NATIVE).advance(1)  # the machine code of a flight
     processes = options["processes"]
     descriptors = [{options["memory"], *(connection for _, connection in process)} for process in processes]
     fork_each(descriptors, options["reports"], lambda number: fly_together(options, processes[number], parent))
 
 
-def load(environment: str) -> None:
-    """Load what every process needs: modules, if they are this package's own, and the machine code of a flight."""
-    module, _, _ = environment.partition(":")
-    if module.startswith("uavaccel."):  # another's may start threads, and what has threads cannot be forked
-        importlib.import_module(module)
-    World("blocks", NATIVE).advance(1)
-
-
-def fly_together(options: ProgramOptions, seats: list[Seat], parent: int | None) -> None:
+def fly_together(options: Options, seats: list[Seat], parent: int | None) -> None:
     """Fly the environments of one process until their connections end, or the parent does."""
     end_with_process(parent)
     threads = [threading.Thread(target=fly, args=(options, *seat)) for seat in seats]

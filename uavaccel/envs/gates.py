@@ -10,8 +10,8 @@ from pydantic import Field, model_validator
 
 from uavaccel.config import Height, Speed
 from uavaccel.envs.flight_env import FlightEnv
-from uavaccel.envs.task import AnyMoment, NotNegative, Positive, Task, distance, position_option
-from uavaccel.envs.values import Course, Number
+from uavaccel.envs.task import NotNegative, Positive, Task, distance, position_option
+from uavaccel.envs.values import AnyMoment, Course, Number
 from uavaccel.kinematics import Kinematics
 from uavaccel.sim.lane import HULL_RADIUS_M, LENGTH_M, MAX_OBSTACLES, WIDTH_M
 

@@ -18,8 +18,8 @@ from uavaccel.config import Count, Height, Seconds, validate
 from uavaccel.envs.conditions import LATENCY, OF_DIFFICULTY, OF_TASK, Ranges, corners, keys_of
 from uavaccel.envs.flight_env import CONDITIONS, FlightEnv
 from uavaccel.envs.sensors import ContextKind, ContextPlanes
-from uavaccel.envs.task import AnyLayout, AnyMoment, Task
-from uavaccel.envs.values import Course, Info, Number
+from uavaccel.envs.task import AnyLayout, Task
+from uavaccel.envs.values import AnyMoment, Course, Info, Number
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Vector
 from uavaccel.sim.lane import (

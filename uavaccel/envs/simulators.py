@@ -14,8 +14,8 @@ from uavaccel.config import MOST_GAMES
 from uavaccel.envs.checks import whole_number
 from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.sensors import PICTURE_SIZE
-from uavaccel.envs.task import Collisions, Moments, Task
-from uavaccel.envs.values import Batch, cast, full, joined, stacked
+from uavaccel.envs.task import Task
+from uavaccel.envs.values import Batch, Collisions, Moments, cast, full, joined, stacked
 from uavaccel.errors import UserError
 from uavaccel.kernels.fields import COLOUR, DEPTH, DVS, STATE
 from uavaccel.kinematics import FlightGoal, Kinematics
@@ -44,10 +44,35 @@ EXACT, KERNELS = get_args(Simulator)
 def check_flyable(task: Task, lanes: int, device: str) -> None:
     """Raise UserError for a task that only the exact simulator flies, or on "cuda" only the CPU."""
     whole_number("num_envs", lanes, MOST_GAMES)
-    if why := _why_not(task) or _why_no_clock(task):
+    kind, size, scene = kind_of(task), task.picture_size, task.scene
+    digits = max(max(speed.as_integer_ratio()) for speed in (speed_of(task), exact(task.clock_speed)))
+    reasons = {
+        "timing wall needs a server of its own": task.timing == "wall",
+        "list_events needs single events, which the kernels do not keep": task.list_events,
+        f"difficulty.scenery = {task.scenery}: its looks are textured meshes; depth and state fly there": (
+            task.scenery != PLAIN and kind in (DVS, COLOUR)
+        ),
+        "scene = clutter needs a task with the key clutter, the distribution of its worlds": (
+            scene == "clutter" and clutter_of(task) is None
+        ),
+        f"picture_size = {list(size)}: the lane is rendered in [256, 144] only": (
+            scene == "lane" and size != PICTURE_SIZE and kind != STATE
+        ),
+        f"clock_speed = {task.clock_speed} has more digits than lanes' clocks": digits > MOST_DIGITS,
+    }
+    if why := next((reason for reason, holds in reasons.items() if holds), None):
         raise UserError(f"simulator = kernels: {why}; use simulator = mujoco")
-    if device.startswith(CUDA) and (why := _why_not_on_gpu(task)):
-        raise UserError(f"device = cuda: {why}; use device = cpu")
+    if not device.startswith(CUDA) or passes_together(task):
+        return
+    if task.dvs_ticks:
+        raise UserError(
+            "device = cuda: dvs_rate_hz needs command = tcsc, timing = lockstep and profile = native; use device = cpu"
+        )
+    if task.timing == "virtual" and kind in (DVS, COLOUR) and scene != "lane":
+        raise UserError(
+            "device = cuda: in timing = virtual event cameras and colour images need the guard, which a GPU has in the "
+            "lane only; use device = cpu"
+        )
 
 
 def kind_of(task: Task) -> int:
@@ -63,37 +88,6 @@ def clutter_of(task: Task) -> Clutter | None:
 def passes_together(task: Task) -> bool:
     """Return whether all lanes advance by the same ticks, since messages take no time."""
     return (task.timing, task.profile, task.command) == ("lockstep", "native", "tcsc")
-
-
-def _why_not(task: Task) -> str:
-    if task.timing == "wall":
-        return "timing wall needs a server of its own"
-    if task.list_events:
-        return "list_events needs single events, which the kernels do not keep"
-    if task.scenery != PLAIN and kind_of(task) in (DVS, COLOUR):
-        return f"difficulty.scenery = {task.scenery}: its looks are textured meshes; depth and state fly there"
-    if task.scene == "clutter" and clutter_of(task) is None:
-        return "scene = clutter needs a task with the key clutter, the distribution of its worlds"
-    if task.scene == "lane" and task.picture_size != PICTURE_SIZE and kind_of(task) != STATE:
-        return f"picture_size = {list(task.picture_size)}: the lane is rendered in [256, 144] only"
-    return ""
-
-
-def _why_not_on_gpu(task: Task) -> str:
-    if passes_together(task):
-        return ""
-    if task.dvs_ticks:
-        return "dvs_rate_hz needs command = tcsc, timing = lockstep and profile = native"
-    if task.timing == "virtual" and kind_of(task) in (DVS, COLOUR) and task.scene != "lane":
-        return "in timing = virtual event cameras and colour images need the guard, which a GPU has in the lane only"
-    return ""
-
-
-def _why_no_clock(task: Task) -> str:
-    speeds = speed_of(task), exact(task.clock_speed)
-    if any(max(speed.as_integer_ratio()) > MOST_DIGITS for speed in speeds):
-        return f"clock_speed = {task.clock_speed} has more digits than lanes' clocks"
-    return ""
 
 
 def latency_of(task: Task) -> LatencyConfig:

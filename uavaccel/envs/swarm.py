@@ -17,8 +17,8 @@ from uavaccel.config import Count, Speed
 from uavaccel.envs.checks import check_reward, make_task, seed_of, within
 from uavaccel.envs.judging import autopilot_goal
 from uavaccel.envs.sensors import Sensor
-from uavaccel.envs.task import AT_REST, AnyMoment, Mediation, Moment, Positive, Task, distance, position_option
-from uavaccel.envs.values import Action, Course, Info, Number, Observation
+from uavaccel.envs.task import Mediation, Positive, Task, distance, position_option, told_of
+from uavaccel.envs.values import AT_REST, Action, AnyMoment, Course, Info, Moment, Number, Observation
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Kinematics
 from uavaccel.resources import require
@@ -288,18 +288,8 @@ class Swarm(ParallelEnv):  # type: ignore[misc]
         return getattr(camera, kind)(self._world.data)
 
     def _infos(self) -> dict[str, Info]:
-        task = self.task
-        return {
-            agent: {
-                "is_success": bool(task.success(now)),
-                "position_m": [float(each) for each in now.position_m],
-                "collision": now.collision,
-                "commands": now.commands,
-                **task.info(now),
-            }
-            for agent, now in self._moments.items()
-            if agent in self.agents
-        }
+        flying = {agent: now for agent, now in self._moments.items() if agent in self.agents}
+        return {agent: {**told_of(self.task, now), **self.task.info(now)} for agent, now in flying.items()}
 
 
 def beside(there: Kinematics, here: Kinematics) -> list[float]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple, Self, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, TypeAlias
 
 import numpy as np
 from gymnasium import spaces
@@ -29,7 +29,7 @@ from uavaccel.envs.sensors import (
     blank_frame,
     state_fields,
 )  # fmt: skip
-from uavaccel.envs.values import Action, Course, Info, Number, constant
+from uavaccel.envs.values import AT_REST, Action, AnyMoment, Course, Info, Moment, Number, constant
 from uavaccel.errors import UserError
 from uavaccel.kinematics import AttitudeGoal, BodyRatesGoal, FlightGoal, Kinematics, MotorsGoal, Vector, VelocityGoal
 from uavaccel.sim.lane import LaneLayout
@@ -80,74 +80,6 @@ NotNegative = Annotated[float, Field(ge=0.0, le=1e6)]
 Positive = Annotated[float, Field(gt=0.0, le=1e6)]
 
 RATE_ROUNDING = 1e-4  # of a rate that is written with few digits, as 333.33
-AT_REST = Kinematics(0, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
-
-
-class Moment(NamedTuple):
-    """A game's state at its start or at the end of a command.
-
-    The functions of a task take the `Moment` of one game or the `Moments` of many: they compute with plain arithmetic,
-    which is the same for a float and for an array.
-    """
-
-    state: Kinematics
-    """State of the last sample, of those before a collision."""
-    position_m: Vector
-    """Position of the vehicle or, after a collision, of its first contact: NED."""
-    collision: str | None
-    """Name of the object it hit; None without a collision."""
-    commands: int
-    """Commands flown so far."""
-    course: Course
-    """The task's own variables, sampled at reset and updated by `advance`: plain numbers, lists and mappings."""
-
-    @property
-    def touched(self) -> bool:
-        return self.collision is not None
-
-    @property
-    def free(self) -> bool:
-        return self.collision is None
-
-
-class Collisions:
-    """What the vehicles of n games hit: `== "ground"` is an array (n,), as it is a bool for the name of one game's.
-
-    `index` (n,) is that of the name in `objects`, -1 without a collision, for which `touched` and `free` ask.
-    """
-
-    __hash__ = None  # type: ignore[assignment]
-
-    def __init__(self, index: Number, objects: tuple[str, ...]) -> None:
-        self.index, self.objects = index, objects
-
-    def __eq__(self, name: object) -> Number:
-        if not isinstance(name, str):
-            raise TypeError("a collision is compared with the name of an object; touched and free say if there is any")
-        return self.index == (self.objects.index(name) if name in self.objects else len(self.objects))
-
-    def __ne__(self, name: object) -> Number:
-        return ~(self == name)
-
-
-class Moments(NamedTuple):
-    """The state of n games: where `Moment` has a number, a NumPy array or a PyTorch tensor (n,)."""
-
-    state: Kinematics
-    position_m: Sequence[Number]
-    """Three arrays: north, east, down."""
-    collision: Collisions
-    commands: Number
-    course: Course
-    """A list of numbers in a game's course is a list of arrays here."""
-
-    @property
-    def touched(self) -> Number:
-        return self.collision.index >= 0
-
-    @property
-    def free(self) -> Number:
-        return self.collision.index < 0
 
 
 class Mediation(Config):
@@ -168,7 +100,6 @@ class Mediation(Config):
 
 
 AnyLayout: TypeAlias = "LaneLayout | ClutterLayout"
-AnyMoment: TypeAlias = Any  # a Moment or Moments; a user's task may handle only one of them
 
 
 class Task(Config):
@@ -255,40 +186,29 @@ class Task(Config):
     """Whether infos include `host_phase_s`, seconds measured on this machine's clock, which differ from run to run."""
 
     @model_validator(mode="after")
-    def _times_fit(self) -> Self:
-        profile = PROFILES[self.profile]
-        check_times(self.t_move_s, self.t_sample_s, profile.check_duration)
-        return self
-
-    @model_validator(mode="after")
-    def _events_come_from_a_dvs(self) -> Self:
-        if self.dvs_rate_hz is None and not self.list_events:
-            return self
-        if self.observation != "dvs" or self.timing == "wall":
-            raise ValueError("dvs_rate_hz and list_events need observation dvs, and timing virtual or lockstep")
-        period_s = (self.dvs_ticks or 0) * PROFILES[self.profile].tick_s
-        if period_s > self.t_sample_s * (1 + RATE_ROUNDING):
+    def _keys_fit(self) -> Self:
+        check_times(self.t_move_s, self.t_sample_s, PROFILES[self.profile].check_duration)
+        listed, size = self.dvs_rate_hz is not None or self.list_events, self.picture_size
+        wrong = {
+            "dvs_rate_hz and list_events need observation dvs, and timing virtual or lockstep": (
+                listed and (self.observation != "dvs" or self.timing == "wall")
+            ),
+            f"picture_size = {list(size)}: context planes need [256, 144]": (
+                size != PICTURE_SIZE and self.context_planes() is not None
+            ),
+            "also_state needs pictures, beside which the state is: observation dvs, colour or depth": (
+                self.also_state and self.observation == "state"
+            ),
+            "image_noise is of grey levels: it needs observation dvs or colour": (
+                self.image_noise and self.observation == "depth"
+            ),
+        }
+        if why := next((why for why, holds in wrong.items() if holds), None):
+            raise ValueError(why)
+        if (self.dvs_ticks or 0) * PROFILES[self.profile].tick_s > self.t_sample_s * (1 + RATE_ROUNDING):
             raise ValueError(
                 f"dvs_rate_hz = {self.dvs_rate_hz:g}: must give a frame in each sample of {self.t_sample_s:g} s"
             )
-        return self
-
-    @model_validator(mode="after")
-    def _context_fits_pictures(self) -> Self:
-        if self.picture_size != PICTURE_SIZE and self.context_planes() is not None:
-            raise ValueError(f"picture_size = {list(self.picture_size)}: context planes need [256, 144]")
-        return self
-
-    @model_validator(mode="after")
-    def _state_is_beside_pictures(self) -> Self:
-        if self.also_state and self.observation == "state":
-            raise ValueError("also_state needs pictures, beside which the state is: observation dvs, colour or depth")
-        return self
-
-    @model_validator(mode="after")
-    def _noise_is_of_pictures(self) -> Self:
-        if self.image_noise and self.observation == "depth":
-            raise ValueError("image_noise is of grey levels: it needs observation dvs or colour")
         return self
 
     @model_validator(mode="after")
@@ -512,3 +432,10 @@ def distance(a: Sequence[Number], b: Sequence[Number]) -> Number:
     if isinstance(squared, np.ndarray):  # whose powers of 0.5 are not the square roots' bits on every processor
         return np.sqrt(squared)
     return math.sqrt(squared) if isinstance(squared, float) else squared.sqrt()
+
+
+def told_of(task: Task, now: Moment) -> Info:
+    """Return what infos say of a game's moment, beside the task's own items."""
+    place = [float(each) for each in now.position_m]
+    flown = {"position_m": place, "collision": now.collision, "commands": now.commands}
+    return {"is_success": task.success(now), **flown}

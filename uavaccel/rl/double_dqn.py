@@ -357,7 +357,7 @@ class DeviceDQN(DoubleDQN):
 
         compute_the_same_each_time()
         super().__init__(config, lanes, lanes.device, recorded=True)
-        lanes.seed(first_seed(config.seed))
+        lanes.games.seed(first_seed(config.seed))
         self._at, device, count = AT, lanes.device, lanes.count
         rows = max(self.options.buffer_size // count, self.options.n_steps + 2)
         self.replay = Replay(rows, count, config.task.observation_space(), device)
@@ -389,7 +389,7 @@ class DeviceDQN(DoubleDQN):
 
     def begin(self) -> None:
         """See `Learner`; also sample the games after the first."""
-        if not self.lanes.has_begun:
+        if not self.lanes.games.has_games:
             self.lanes.begin()
             self.lanes.games.refill([1] * self.lanes.count)
 

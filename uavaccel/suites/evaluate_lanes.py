@@ -220,7 +220,7 @@ class LanesOnGpu:
 
         self._at, device, self._inference_s = AT, th.device(GPU), config.inference_s
         self._lanes = CudaLanes(config.task, len(lanes), device, renews=False)
-        self._lanes.seed([game_seed(config, lane) for lane in lanes])
+        self._lanes.games.seed([game_seed(config, lane) for lane in lanes])
         self._lanes.games.sample_games([reset_options(config.env_id, lane) for lane in lanes])
         self._lanes.begin()
         self._agent: Agent = make_agent(config.agent, config.task)
