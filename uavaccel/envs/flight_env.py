@@ -38,7 +38,7 @@ from uavaccel.sim.camera import gl
 from uavaccel.units import NS_PER_S, plain, seconds_to_ns
 
 if TYPE_CHECKING:  # a task can be made without what flies it
-    from uavaccel.envs.camera_client import FlightClient, FlightSample
+    from uavaccel.envs.camera_client import FlightClient, Sample
     from uavaccel.envs.observer import Observer
     from uavaccel.sim.recording import Recording
     from uavaccel.wire.session import Session
@@ -316,7 +316,7 @@ class FlightEnv(gymnasium.Env[Observation, Action], Generic[TaskT]):
         if before is not None and gap.start_speed is not None:
             self._session.resume(before, gap.start_speed)
 
-    def _observe(self, sample: FlightSample) -> Frame:
+    def _observe(self, sample: Sample) -> Frame:
         self._switch("image_processing")
         frame = self.sensor.blank
         if not self.task.blank_images:
