@@ -114,7 +114,7 @@ def test_a_drone_of_ones_own_flies_as_in_mujoco_or_is_refused(drone: Callable[..
         again = drone(inertial)
         np.testing.assert_allclose(fast, manoeuvre(again, again.lead.fly), rtol=0, atol=1e-9)
         again.lead.fly(1)  # MuJoCo's acceleration of the kick that was computed before
-        np.testing.assert_allclose(again.lead._gained[3:] * (1, -1, -1), expected, rtol=0, atol=1e-8)
+        np.testing.assert_allclose(again.lead.gained[3:] * (1, -1, -1), expected, rtol=0, atol=1e-8)
     assert 5 < flown < 15
     assert all('blocks.xml: body "quadrotor": ' in line and "\n" not in line for line in refused)
 

@@ -32,9 +32,8 @@ from uavaccel.metrics.stlc import mean_stlc
 from uavaccel.metrics.trajectory import Trajectory, command_gaps_s, mean_position_rmse, trajectory
 from uavaccel.sim.profile import PROFILES
 from uavaccel.units import NS_PER_S
-from uavaccel.wire.client import Client
 from uavaccel.wire.latency import QUANTILES, LatencyConfig, after_wait, shipped_latency
-from uavaccel.wire.session import Session, VirtualSession, WallSession
+from uavaccel.wire.session import Client, Session, VirtualSession, WallSession
 from uavaccel.wire.transport import PendingCall, Transport
 
 ADVISED_SPEEDS = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0)

@@ -18,8 +18,8 @@ from uavaccel.sim.camera.view import AnyImage
 from uavaccel.vision.guard import GuardSettings, GuardState, acquire
 from uavaccel.vision.noise import ImageNoise
 from uavaccel.vision.perturb import AutoExposure, PerturbationSettings, perturb_share
-from uavaccel.wire.client import Client
 from uavaccel.wire.game_api import Collision
+from uavaccel.wire.session import Client
 
 if TYPE_CHECKING:  # they load what is compiled, and the simulation
     from uavaccel.vision.dvs import Counts, DvsSensor, EventCounter

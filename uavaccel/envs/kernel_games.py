@@ -18,26 +18,22 @@ from uavaccel.envs.sensors import PICTURE_SIZE
 from uavaccel.envs.simulators import clutter_of, kind_of, latency_of, profile_of, speed_of
 from uavaccel.envs.task import AnyLayout, Task
 from uavaccel.envs.values import Course
-from uavaccel.kernels import latencies as wire
 from uavaccel.kernels import timeline
-from uavaccel.kernels.appearance import fill_scene, read_appearance, read_looks
-from uavaccel.kernels.bodies import Surroundings, read_surroundings
-from uavaccel.kernels.clutter_worlds import clutter_worlds
+from uavaccel.kernels.appearance import fill_scenes, read_appearance, read_looks
+from uavaccel.kernels.bodies import Surroundings, read_scene, read_surroundings
+from uavaccel.kernels.clutter_games import clutter_worlds
 from uavaccel.kernels.events import camera_row
 from uavaccel.kernels.fields import DEPTH, NO_APPEARANCE, NO_LOOKS, STATE, Appearance, Looks
 from uavaccel.kernels.lanes import Games, game_rows
-from uavaccel.kernels.latencies import Latencies
 from uavaccel.kernels.scene import empty_scene
-from uavaccel.kernels.still import read_scene
-from uavaccel.kernels.timeline import Command, Timing
+from uavaccel.kernels.timeline import Command, Latencies, Timing
 from uavaccel.sim.lane import LaneLayout
 from uavaccel.sim.profile import PROFILES
 from uavaccel.sim.scene import PLAIN
 from uavaccel.sim.world import World
 from uavaccel.units import NS_PER_S, ceil_div, exact, seconds_to_ns
 from uavaccel.vision.noise import noise_seed
-from uavaccel.wire.latency import BETWEEN_NS, DEFAULT, WAITS_MS, LatencyConfig
-from uavaccel.wire.platform import RESENT_NS, STALLED_NS, FaultConfig
+from uavaccel.wire.latency import BETWEEN_NS, DEFAULT, RESENT_NS, STALLED_NS, WAITS_MS, FaultConfig, LatencyConfig
 
 
 class Drawn(NamedTuple):
@@ -97,7 +93,8 @@ class GameMaker:
         games.start["wind"][row] = 0.0 if layout is None else layout.wind_m_s
         games.counts[row] = self.surroundings.put(drawn.layout, games, row)
         if isinstance(self.looks, Appearance) and self.sees and layout is not None:
-            fill_scene(self.looks, games.scenes, row, replace(layout, scenery=PLAIN))  # whose depths are all sceneries'
+            plain = replace(layout, scenery=PLAIN)  # whose depths are all sceneries'
+            fill_scenes(self.looks, games.scenes, [row], [plain])
         games.cameras[row] = camera_row(task.dvs_parameters, task.image_noise)
         seed = noise_seed(drawn.latencies)
         games.seeds[row] = seed, task.events_seed(seed)
@@ -198,14 +195,14 @@ def timing_of(task: Task, pictures: bool) -> Timing:
 
 def _tables(latency: LatencyConfig) -> Latencies:
     """Tabulate the quantiles of latencies by channel and wait (wire/latency.Latency)."""
-    tables = np.zeros((wire.TABLES, len(latency.quantiles)))
-    for first, of in ((wire.REQUEST, latency.request_us), (wire.REPLY, latency.reply_us)):
-        for place, channel in enumerate(wire.CHANNELS):
+    tables = np.zeros((timeline.TABLES, len(latency.quantiles)))
+    for first, of in ((timeline.REQUEST, latency.request_us), (timeline.REPLY, latency.reply_us)):
+        for place, channel in enumerate(timeline.CHANNELS):
             for wait, name in enumerate([channel, *(f"{channel}@{each}ms" for each in WAITS_MS)]):
                 known = name if name in of else channel if channel in of else DEFAULT
-                tables[first + place * wire.WAITS + wait] = of[known]
-    tables[wire.ISSUE], tables[wire.TIMER] = latency.issue_us, latency.timer_us
-    tables[wire.FRAME] = 2 * latency.platform.frame_ns() / 1e3 * np.array(latency.quantiles)
+                tables[first + place * timeline.WAITS + wait] = of[known]
+    tables[timeline.ISSUE], tables[timeline.TIMER] = latency.issue_us, latency.timer_us
+    tables[timeline.FRAME] = 2 * latency.platform.frame_ns() / 1e3 * np.array(latency.quantiles)
     faults = latency.platform.faults
     shares = np.cumsum([faults.dropped, faults.stalled, faults.late])
     delays = np.array([RESENT_NS, STALLED_NS, round(faults.late_us * 1e3), 0])

@@ -143,14 +143,17 @@ def lane_seed(split: Split, index: int) -> int:
 def sample_layout(seed: int, difficulty: Difficulty | None = None) -> LaneLayout:
     """Sample the lane of a seed; the same seed and difficulty give the same arrays on every machine."""
     difficulty = difficulty or Difficulty()
-    rng = np.random.default_rng(seed)
-    rows_m = _row_distances(difficulty.first_row_m, difficulty.row_spacing_m, difficulty.obstacles_per_row)
-    y_m = _sample_rows(rng, len(rows_m), difficulty)
-    count, varied = len(y_m), difficulty.texture_variation
+    rng, each, pitch_m = np.random.default_rng(seed), difficulty.obstacles_per_row, difficulty.pitch_m
+    rows_m = _row_distances(difficulty.first_row_m, difficulty.row_spacing_m, each)
+    # lateral positions row by row, uniform over all with gaps of at least `min_gap_m`; obstacles may reach into the
+    # walls, so that the way along a wall is blocked as often as that down the middle
+    aside_m = rng.uniform(0.0, WIDTH_M - max(each - 1, 0) * pitch_m, (len(rows_m), each))
+    aside_m.sort(axis=1)
+    count, varied = len(rows_m) * each, difficulty.texture_variation
     direction = rng.uniform(-np.pi, np.pi)
     return LaneLayout(
-        x_m=rows_m.repeat(difficulty.obstacles_per_row),
-        y_m=y_m,
+        x_m=rows_m.repeat(each),
+        y_m=(aside_m + pitch_m * np.arange(each) - WIDTH_M / 2).reshape(-1),
         half_width_m=np.full(count, difficulty.half_width_m),
         round=np.zeros(count, dtype=bool),
         texture=_sample_textures(rng, count, len(OBSTACLE_TEXTURES), varied),
@@ -171,18 +174,6 @@ def _row_distances(first_m: float, spacing_m: float, each: int) -> FloatArray:
     rows = np.arange(first_m, LENGTH_M - spacing_m / 2, spacing_m)[: MAX_OBSTACLES // max(each, 1)]
     rows.flags.writeable = False
     return rows
-
-
-def _sample_rows(rng: np.random.Generator, rows: int, difficulty: Difficulty) -> FloatArray:
-    """Sample lateral positions row by row, uniformly over all with gaps of at least `min_gap_m`.
-
-    Obstacles may reach into the walls, so that the way along a wall is blocked as often as that down the middle.
-    """
-    count, pitch = difficulty.obstacles_per_row, difficulty.pitch_m
-    slack = WIDTH_M - max(count - 1, 0) * pitch
-    drawn = rng.uniform(0.0, slack, (rows, count))
-    drawn.sort(axis=1)
-    return (drawn + pitch * np.arange(count) - WIDTH_M / 2).reshape(-1)
 
 
 def _sample_textures(rng: np.random.Generator, count: int, kinds: int, varied: float) -> NDArray[np.int64]:
@@ -213,10 +204,8 @@ def clearance_m(layout: LaneLayout, position_m: ArrayLike) -> FloatArray:
 def is_walled_off(layout: LaneLayout) -> bool:
     """Return whether obstacles with gaps that are too narrow for the hull reach from one wall to the other."""
     flat = np.where(layout.round, 0.0, layout.half_width_m)
-    radius = layout.half_width_m - flat
-    north, east = (
-        np.maximum(np.abs(at[:, None] - at) - (flat[:, None] + flat), 0.0) for at in (layout.x_m, layout.y_m)
-    )
+    radius, of_both = layout.half_width_m - flat, flat[:, None] + flat
+    north, east = (np.maximum(np.abs(at[:, None] - at) - of_both, 0.0) for at in (layout.x_m, layout.y_m))
     closed = np.hypot(north, east) - (radius[:, None] + radius) < 2 * HULL_RADIUS_M
     to_wall = WIDTH_M / 2 - layout.half_width_m - 2 * HULL_RADIUS_M
     reached = layout.y_m < -to_wall  # joined to the western wall, directly or through others
@@ -350,14 +339,23 @@ def apply_layout(model: mujoco.MjModel, data: mujoco.MjData, layout: LaneLayout)
     if len(layout) > len(geoms):
         raise UserError(f"the layout has {len(layout)} obstacles, the scene {len(geoms)}: leave some out")
     used, parked = geoms[: len(layout)], geoms[len(layout) :]
-    _set_shapes(model, used, layout)
-    _set_positions(model, used, layout.x_m, layout.y_m)
-    _set_positions(model, parked, model.geom_pos[parked, 0], np.zeros(len(parked)), z_m=PARKED_Z_M)
+    half, tall = layout.half_width_m, np.full(len(layout), OBSTACLE_HALF_HEIGHT_M)
+    model.geom_type[used] = np.where(layout.round, int(mujoco.mjtGeom.mjGEOM_CYLINDER), int(mujoco.mjtGeom.mjGEOM_BOX))
+    model.geom_size[used] = np.stack([half, np.where(layout.round, tall, half), tall], axis=1)
+    model.geom_aabb[used, 3:] = np.stack([half, half, tall], axis=1)
+    model.geom_rbound[used] = np.sqrt(half**2 * np.where(layout.round, 1, 2) + tall**2)
+    model.geom_pos[used] = ned_to_mujoco(np.stack([layout.x_m, layout.y_m, -tall], axis=1))
+    model.geom_pos[parked, 1:] = (0.0, -PARKED_Z_M)
     model.geom_rgba[used] = (0.5, 0.5, 0.5, 1.0)  # MuJoCo's default, which lets the material's colour through
     model.geom_rgba[parked, 3] = 0.0  # not drawn
-    _set_materials(model, used, layout)
-    _set_light(model, layout)
-    set_appearance(model, used, layout)
+    materials = np.array([model.material(f"obstacle_{name}").id for name in OBSTACLE_TEXTURES])
+    model.geom_matid[used] = materials[layout.texture]
+    for wall in ("wall_west", "wall_east"):
+        model.geom(wall).matid = model.material(f"wall_{WALL_TEXTURES[layout.wall_texture]}").id
+    model.geom("ground").matid = model.material(f"ground_{GROUND_TEXTURES[layout.ground_texture]}").id
+    sun = model.light("sun")
+    sun.dir, sun.ambient, sun.diffuse = sunlight(layout)
+    _set_appearance(model, used, layout)
     refit_bounding_boxes(model, set(geoms.tolist()))
     mujoco.mj_kinematics(model, data)
 
@@ -413,43 +411,26 @@ def object_name(model: mujoco.MjModel, geom: int) -> str:
     return str(model.geom(geom).name or model.body(int(model.geom_bodyid[geom])).name)
 
 
-def set_appearance(model: mujoco.MjModel, obstacles: NDArray[np.int64], layout: LaneLayout) -> None:
-    """Let the looks of a scenery's model follow its bodies, which have been placed; the plain lane has none.
-
-    `obstacles` are the geoms of the layout's obstacles, in its order.
-    """
+def _set_appearance(model: mujoco.MjModel, obstacles: NDArray[np.int64], layout: LaneLayout) -> None:
+    """Let the looks of a scenery follow the geoms of the layout's obstacles; the plain lane has none."""
     trunks = named(model, "trunk_")
     if not len(trunks):
         return
-    used, meshes = trunks[: len(obstacles)], _trunk_meshes(model, layout)
+    kinds = np.array([mesh for mesh in range(model.nmesh) if model.mesh(mesh).name.startswith("trunk_")])
+    wanted = layout.half_width_m * np.where(layout.round, 1.0, TRUNK_RATIO)
+    nearest = np.abs(np.log(wanted[:, None] / model.numeric("trunk_radii_m").data)).argmin(axis=1)
+    used, meshes = trunks[: len(obstacles)], kinds[nearest]
     model.geom_rgba[trunks] = (0.5, 0.5, 0.5, 0.0)  # MuJoCo's default lets the material's colour through
     model.geom_rgba[used, 3] = 1.0
     model.geom_dataid[used], model.geom_matid[used] = meshes, model.geom_matid[obstacles]
     model.geom_sameframe[used] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE  # else their turn goes unnoticed
     away_from_sun = np.array([np.cos(layout.sun_azimuth_rad / 2), 0.0, 0.0, -np.sin(layout.sun_azimuth_rad / 2)])
-    for geom, mesh, obstacle in zip(used, meshes, obstacles, strict=True):
-        _place(model, geom, mesh, model.geom_pos[obstacle, :2], away_from_sun)
+    for geom, mesh, obstacle in zip(used, meshes, obstacles, strict=True):  # MuJoCo's meshes have their inertia's frame
+        mujoco.mju_rotVecQuat(model.geom_pos[geom], model.mesh_pos[mesh], away_from_sun)
+        model.geom_pos[geom, :2] += model.geom_pos[obstacle, :2]
+        mujoco.mju_mulQuat(model.geom_quat[geom], away_from_sun, model.mesh_quat[mesh])
     for side in ("west", "east"):
         model.geom(f"edge_{side}").matid = model.geom(f"wall_{side}").matid
-
-
-def _trunk_meshes(model: mujoco.MjModel, layout: LaneLayout) -> NDArray[np.int64]:
-    """Return the mesh of the trunk nearest in size to each obstacle."""
-    meshes = [mesh for mesh in range(model.nmesh) if model.mesh(mesh).name.startswith("trunk_")]
-    radii_m = model.numeric("trunk_radii_m").data
-    wanted = layout.half_width_m * np.where(layout.round, 1.0, TRUNK_RATIO)
-    nearest = np.abs(np.log(wanted[:, None] / radii_m)).argmin(axis=1)
-    chosen: NDArray[np.int64] = np.array(meshes)[nearest]
-    return chosen
-
-
-def _place(
-    model: mujoco.MjModel, geom: int, mesh: int, place_m: NDArray[np.float64], turn: NDArray[np.float64]
-) -> None:
-    """Place a mesh's origin on the ground; MuJoCo stores meshes in the frame of their inertia."""
-    mujoco.mju_rotVecQuat(model.geom_pos[geom], model.mesh_pos[mesh], turn)
-    model.geom_pos[geom, :2] += place_m
-    mujoco.mju_mulQuat(model.geom_quat[geom], turn, model.mesh_quat[mesh])
 
 
 def named(model: mujoco.MjModel, beginning: str) -> NDArray[np.int64]:

@@ -414,29 +414,21 @@ class Lidar:
 def directions(settings: LidarSettings, start_deg: float) -> NDArray[np.float64]:
     """Return unit vectors (n, 3) of a scan's rays in the sensor's frame, by channel from the top, clockwise.
 
-    All channels have the same azimuths, from `start_deg` on, without those outside the horizontal field of view. There
-    are none if a channel has less than half a point (UnrealLidarSensor::getPointCloud).
+    All channels have the same azimuths, from `start_deg` on, without those outside the horizontal field of view, which
+    is the full circle if its ends are equal (VectorMath::isAngleBetweenAngles). There are none if a channel has less
+    than half a point (UnrealLidarSensor::getPointCloud).
     """
-    azimuths_deg = azimuths(settings, start_deg)
-    channels_deg = np.linspace(settings.vertical_fov_upper, settings.vertical_fov_lower, settings.number_of_channels)
-    pitch = np.radians(np.repeat(channels_deg, len(azimuths_deg)))
-    yaw = np.radians(np.tile(azimuths_deg, settings.number_of_channels))
-    return np.stack([np.cos(pitch) * np.cos(yaw), np.cos(pitch) * np.sin(yaw), -np.sin(pitch)], axis=1)
-
-
-def azimuths(settings: LidarSettings, start_deg: float) -> NDArray[np.float64]:
-    """Return the azimuths (m,), 0 to 360 degrees, of each channel's rays within the horizontal field of view.
-
-    A field of view with equal ends is the full circle (VectorMath::isAngleBetweenAngles).
-    """
-    period_s = 1.0 / settings.update_frequency
+    period_s, channels = 1.0 / settings.update_frequency, settings.number_of_channels
     points = min(_half_up(settings.points_per_second * period_s), MOST_POINTS)
-    of_one = _half_up(points / settings.number_of_channels)
+    of_one = _half_up(points / channels)
     turn_deg = settings.rotations_per_second * 360.0 * period_s
-    ray_deg = (start_deg + turn_deg * np.arange(of_one) / max(of_one, 1)) % 360.0
+    azimuths_deg = (start_deg + turn_deg * np.arange(of_one) / max(of_one, 1)) % 360.0
     first, last = settings.horizontal_fov_start % 360.0, settings.horizontal_fov_end % 360.0
-    after, before = ray_deg >= first, ray_deg <= last
-    return ray_deg[after & before if first < last else after | before]
+    after, before = azimuths_deg >= first, azimuths_deg <= last
+    azimuths_deg = azimuths_deg[after & before if first < last else after | before]
+    channels_deg = np.linspace(settings.vertical_fov_upper, settings.vertical_fov_lower, channels)
+    pitch, yaw = np.radians(np.repeat(channels_deg, len(azimuths_deg))), np.radians(np.tile(azimuths_deg, channels))
+    return np.stack([np.cos(pitch) * np.cos(yaw), np.cos(pitch) * np.sin(yaw), -np.sin(pitch)], axis=1)
 
 
 def _half_up(count: float) -> int:

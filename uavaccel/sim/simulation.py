@@ -466,12 +466,12 @@ class Simulation:
 
     def begin_recording(self, pilot: Pilot) -> None:
         """Restart an active recording at the first vehicle's first command, whose tick is the recording's t = 0."""
-        if self.records_game and pilot is self.lead and not pilot.log and self.world.recording:
+        if self.records_game and pilot is self.lead and not pilot.log and self.world.recorder.active:
             self.world.start_recording()
 
     def recording(self) -> Recording:
         """Return samples and commands since the first command after the last reset."""
-        rows, log, origin = self.world.samples(), self.lead.log.ticks(), self.lead.log.origin_tick or 0
+        rows, log, origin = self.world.recorder.rows(), self.lead.log.ticks(), self.lead.log.origin_tick or 0
         rows[:, 0] -= origin
         dropped = (self.world.recorder.dropped, self.lead.log.dropped)
         return Recording(rows, log - origin, self.profile.tick_ns, *dropped)

@@ -30,7 +30,7 @@ def stand(vehicle: Vehicle) -> None:
     def borne(height: float) -> bool:
         vehicle.set_pose((x, y, height), attitude)
         mujoco.mj_forward(vehicle.model, vehicle.data)
-        return vehicle.rises
+        return bool(vehicle.gained[2] >= 0.0)
 
     before, low, high = physics_state(vehicle.model, vehicle.data), z + GIVE_M, z - DEEPEST_M
     stands = borne(low) and not borne(high)
