@@ -18,10 +18,11 @@ from numpy import bool_, float64, int64
 from numpy.typing import NDArray
 
 from uavaccel.config import MOST_GAMES, MOST_PROCESSES
+from uavaccel.envs.arrays import mapped, select
 from uavaccel.envs.checks import actions_of, check_render_mode, make_task, seeds_of, whole_number
 from uavaccel.envs.environment_process import EnvironmentProcesses, observations_of
 from uavaccel.envs.flight_env import FlightEnv
-from uavaccel.envs.values import Actions, Answer, Batch, Info, Observation, Steps, mapped, select
+from uavaccel.envs.values import Actions, Answer, Batch, Info, Observation, Steps
 from uavaccel.errors import UserError
 from uavaccel.machine import usable_cores
 from uavaccel.own_code import folder_of

@@ -14,11 +14,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from gymnasium import spaces
 
+from uavaccel.envs.arrays import cast, full, joined, mapped, namespace_of
 from uavaccel.envs.checks import check_reward
 from uavaccel.envs.sensors import NO_ACTION
 from uavaccel.envs.stopwatch import PHASES
 from uavaccel.envs.task import RAD, Task
-from uavaccel.envs.values import Action, Collisions, Info, Moments, Number, cast, full, joined, mapped, namespace_of
+from uavaccel.envs.values import Action, Collisions, Info, Moments, Number
 from uavaccel.errors import UserError
 from uavaccel.kernels.bodies import Surroundings
 from uavaccel.kinematics import AttitudeGoal, BodyRatesGoal, FlightGoal, Kinematics, VelocityGoal

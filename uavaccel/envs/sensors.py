@@ -14,7 +14,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from uavaccel.envs.values import Course, Frame, Number, cast, constant, namespace_of
+from uavaccel.envs.arrays import cast, constant, namespace_of
+from uavaccel.envs.values import Course, Frame, Number
 from uavaccel.kinematics import Kinematics
 from uavaccel.sim.camera.view import HEIGHT, WIDTH, AnyImage
 from uavaccel.units import NS_PER_S

@@ -18,6 +18,7 @@ from pydantic import Field, model_validator
 
 from uavaccel.commands import check_times, samples_due
 from uavaccel.config import ClockSpeed, CommandName, Config, Cost, Count, Height, Seconds, Seed, Speed
+from uavaccel.envs.arrays import constant
 from uavaccel.envs.sensors import (
     PICTURE_SIZE,
     STATE_FIELDS,
@@ -29,7 +30,7 @@ from uavaccel.envs.sensors import (
     StateSensor,
     blank_frame,
 )
-from uavaccel.envs.values import AT_REST, Action, AnyMoment, Course, Info, Moment, Number, constant
+from uavaccel.envs.values import AT_REST, Action, AnyMoment, Course, Info, Moment, Number
 from uavaccel.errors import UserError
 from uavaccel.kinematics import AttitudeGoal, BodyRatesGoal, FlightGoal, Kinematics, MotorsGoal, Vector, VelocityGoal
 from uavaccel.sim.lane import LaneLayout
