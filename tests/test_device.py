@@ -16,9 +16,9 @@ from torch.nn import functional
 import uavaccel.envs  # noqa: F401 - registers
 from tests.host_kernels import host_kernels  # noqa: F401 - a fixture
 from uavaccel.config import validate
+from uavaccel.envs.arrays import stacked_observations
 from uavaccel.envs.kernel_batch import KernelBatch
 from uavaccel.envs.obstacle_lane import ObstacleLane
-from uavaccel.envs.values import stacked_observations
 from uavaccel.errors import UserError
 from uavaccel.rl.double_dqn import DeviceDQN
 from uavaccel.rl.learner import Game

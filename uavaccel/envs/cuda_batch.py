@@ -15,13 +15,14 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv
 from numpy.typing import NDArray
 
+from uavaccel.envs.arrays import mapped
 from uavaccel.envs.batch import set_up
 from uavaccel.envs.checks import ROUNDING, seeds_of
 from uavaccel.envs.cuda_games import SampledAhead
 from uavaccel.envs.cuda_lanes import CudaLanes
 from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.simulators import CUDA
-from uavaccel.envs.values import State, mapped
+from uavaccel.envs.values import State
 from uavaccel.errors import UserError
 
 DEVICE = CUDA

@@ -27,9 +27,10 @@ from numpy.typing import NDArray
 from torch.nn import functional
 
 from uavaccel.clock import MonotonicClock
+from uavaccel.envs.arrays import assign, mapped, select
 from uavaccel.envs.batch import TurnBatch
 from uavaccel.envs.stopwatch import PHASES, Stopwatch
-from uavaccel.envs.values import Observation, assign, mapped, select
+from uavaccel.envs.values import Observation
 from uavaccel.kernels.recording import recorded
 from uavaccel.rl.agents import first_policy
 from uavaccel.rl.config import DqnOptions, LearnerConfig

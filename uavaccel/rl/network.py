@@ -11,7 +11,7 @@ import torch as th
 from gymnasium import spaces
 from torch import nn
 
-from uavaccel.envs.values import picture_of
+from uavaccel.envs.arrays import picture_of
 from uavaccel.vision.dvs_sensor import NEUTRAL_LEVEL
 
 HALF_CONTRAST = 24.0  # grey levels from neutral that are seen at half strength

@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 from typing_extensions import TypedDict
 
 from uavaccel.config import validate
+from uavaccel.envs.arrays import mapped
 from uavaccel.envs.obstacle_lane import LaneTask
 from uavaccel.envs.task import Task
-from uavaccel.envs.values import Observation, mapped
+from uavaccel.envs.values import Observation
 from uavaccel.errors import UserError
 from uavaccel.files import ARRAYS_BYTES, Plain, file_sha256, open_bounded, parse_json, read_bounded, replacing, to_json
 from uavaccel.forms import check

@@ -14,7 +14,7 @@ import torch as th
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from uavaccel.envs.values import mapped, named_leaves, picture_of
+from uavaccel.envs.arrays import mapped, named_leaves, picture_of
 from uavaccel.rl.network import QNetwork, contrast
 
 

@@ -17,11 +17,12 @@ from numpy.typing import NDArray
 from uavaccel.config import validate
 from uavaccel.draw.page import command_at_clock
 from uavaccel.draw.style import Decisions
+from uavaccel.envs.arrays import picture_of, select
 from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.kernel_batch import KernelBatch
 from uavaccel.envs.observer import Onlooker, SecondEventCamera
 from uavaccel.envs.simulators import EXACT, KERNELS
-from uavaccel.envs.values import Action, Info, Observation, picture_of, select
+from uavaccel.envs.values import Action, Info, Observation
 from uavaccel.errors import UserError
 from uavaccel.files import parse_json, to_json
 from uavaccel.records import RunDirectory
