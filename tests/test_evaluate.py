@@ -34,7 +34,7 @@ from uavaccel.rl.config import LearnerConfig
 from uavaccel.rl.lanes import make_lanes
 from uavaccel.rl.learner import make_learner
 from uavaccel.rl.policy import MANIFEST, WEIGHTS, Policy, export_policy, load_policy, make_policy, trained_with
-from uavaccel.sim.lane.layout import lane_seed, sample_layout
+from uavaccel.sim.lane import lane_seed, sample_layout
 from uavaccel.suites.evaluate import EvaluateConfig, Evaluation, against, game_seed, row_of
 from uavaccel.suites.evaluate_again import flight_of_agent
 from uavaccel.suites.flight import film_game, film_of

@@ -18,7 +18,7 @@ from tests.running import configured
 from uavaccel.cli.flights import export
 from uavaccel.config import Config
 from uavaccel.envs.sensors import ColourCamera, DepthCamera, blank_frame
-from uavaccel.envs.task import AT_REST
+from uavaccel.envs.values import AT_REST
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
 from uavaccel.rl.onnx_file import OnnxPolicy, described, example, reduced, write_onnx

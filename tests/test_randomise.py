@@ -17,9 +17,9 @@ from uavaccel.envs.kernel_batch import KernelBatch
 from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
 from uavaccel.kinematics import VelocityGoal
 from uavaccel.records import RunDirectory
-from uavaccel.sim.lane.layout import Difficulty, sample_layout
+from uavaccel.sim.flight import of_velocity
+from uavaccel.sim.lane import Difficulty, sample_layout
 from uavaccel.sim.profile import PROFILES
-from uavaccel.sim.vehicle.goal import of_velocity
 from uavaccel.sim.world import World
 
 RANGES: dict[str, Any] = {

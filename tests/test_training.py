@@ -81,8 +81,9 @@ def test_adsc_does_not(tmp_path: Path) -> None:
 
 
 @needs_opengl
-def test_a_killed_training_ends_with_the_same_weights(tmp_path: Path) -> None:
-    config = tiny_config({"timing": "virtual"}, games=6)
+@pytest.mark.parametrize("seen", [{}, {"observation": "depth", "also_state": True}], ids=["events", "depth, state"])
+def test_a_killed_training_ends_with_the_same_weights(tmp_path: Path, seen: dict[str, Any]) -> None:
+    config = tiny_config({"timing": "virtual", **seen}, games=6, mirror=not seen)
     kill_at_row(tmp_path / "killed", config, 5)
     assert len(RunDirectory(tmp_path / "killed").rows()) == 5
     assert checkpointed(tmp_path / "killed") == 4

@@ -31,7 +31,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from uavaccel.draw.style import dvs_picture
-from uavaccel.envs.values import stacked_observations
+from uavaccel.envs.arrays import stacked_observations
 from uavaccel.errors import UserError, naming
 from uavaccel.files import UNFINISHED, inside, read_bounded, replacing, to_json
 from uavaccel.records import RunDirectory, provenance_of

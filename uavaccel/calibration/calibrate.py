@@ -23,8 +23,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from uavaccel.clock import calendar_time
-from uavaccel.commands import COMMANDS, SynchronousCommand, VelocityGoal
-from uavaccel.commands.paths import velocities
+from uavaccel.commands import COMMANDS, SynchronousCommand, VelocityGoal, velocities
 from uavaccel.config import dump_yaml
 from uavaccel.files import Plain
 from uavaccel.machine import host
@@ -33,9 +32,8 @@ from uavaccel.metrics.stlc import mean_stlc
 from uavaccel.metrics.trajectory import Trajectory, command_gaps_s, mean_position_rmse, trajectory
 from uavaccel.sim.profile import PROFILES
 from uavaccel.units import NS_PER_S
-from uavaccel.wire.client import Client
 from uavaccel.wire.latency import QUANTILES, LatencyConfig, after_wait, shipped_latency
-from uavaccel.wire.session import Session, VirtualSession, WallSession
+from uavaccel.wire.session import Client, Session, VirtualSession, WallSession
 from uavaccel.wire.transport import PendingCall, Transport
 
 ADVISED_SPEEDS = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0)

@@ -80,7 +80,7 @@ def fly(
     That is fast, needs no window, and repeats to the byte. Options come before the script, its own arguments after it.
     """
     from uavaccel.fly.command import FlyRequest, fly_script, parse_clocks
-    from uavaccel.fly.keyboard import parse_keys
+    from uavaccel.fly.keys import parse_keys
     from uavaccel.fly.options import FlightOptions
     from uavaccel.watch.beside import page_beside
 
@@ -144,7 +144,7 @@ def watch(
     The page shows the drone in its scene, clocks, camera and events; pause, step, replay. The film shows camera,
     events, map, the view from behind and what a policy decided.
     """
-    from uavaccel.fly.trajectory import FILE_NAME as TRAJECTORY
+    from uavaccel.fly.log import TRAJECTORY
     from uavaccel.own_code import trusting
     from uavaccel.watch.beside import show
 

@@ -209,6 +209,7 @@ def certify(
     success: Annotated[str | None, option("KEY", "What the last info calls it; default: is_success, success.")] = None,
     out: Annotated[Path, option("DIR", "New folder for setup, rows, certificate and figure.")] = Path("certificate"),
     resume: Annotated[bool, option(None, "Go on with the folder in --out.", "--resume")] = False,
+    jobs: Annotated[int, option("N", "Processes that play the episodes.")] = 1,
     answer: Answer = 10.0,
     trust: Trust = False,
     overrides: Sets = None,
@@ -221,7 +222,7 @@ def certify(
     make, keys = _environment(env, policy, overrides)
     with trusting(trust), working("episodes") as advance:
         how: dict[str, Any] = {"episodes": episodes, "seed": seed, "success": success, "out": out, "resume": resume}
-        how |= {"delay_steps": delay or None, "answer_s": answer}
+        how |= {"delay_steps": delay or None, "answer_s": answer, "jobs": jobs}
         found = certified(make, _policy(policy, make), seconds, file, **how, told=lambda row: advance(), **keys)
     print_columns(*found.table())
     if found.failed:
@@ -255,8 +256,6 @@ def _environment(env_id: str, policy: str, overrides: list[str] | None) -> tuple
     from uavaccel.errors import suggestion
     from uavaccel.realtime.control_loop import LoopOptions
 
-    if env_id.startswith("uavaccel/"):
-        import uavaccel.envs  # noqa: F401  registers them
     keys = apply_overrides({}, overrides or ())
     of_env, known = keys.pop("env", {}), [each.name for each in fields(LoopOptions) if each.init]
     if not isinstance(of_env, dict):
@@ -272,6 +271,8 @@ def _environment(env_id: str, policy: str, overrides: list[str] | None) -> tuple
         raise UserError(f"--set {key}: RealTime has no such argument; {suggestion(key, [*known, 'env.KEY'])}")
 
     def make() -> Any:
+        if env_id.startswith("uavaccel/"):
+            import uavaccel.envs  # noqa: F401  registers them
         try:
             return gymnasium.make(env_id, **of_env)
         except TypeError as error:

@@ -40,7 +40,7 @@ from uavaccel.draw.style import VERMILION, Bgr, Decisions, bgr, dvs_picture
 from uavaccel.errors import UserError, naming
 from uavaccel.files import replacing
 from uavaccel.sim.clutter import ClutterLayout
-from uavaccel.sim.lane.layout import LaneLayout
+from uavaccel.sim.lane import LaneLayout
 
 FRAMES_PER_S = 12
 WIDTH, HEIGHT = 1280, 480

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from uavaccel.draw.style import BLUE, GREEN, VERMILION, Bgr, Decisions, bgr
 from uavaccel.sim.clutter import BOX, COS, HALF_X, HALF_Y, KIND, SIN, ClutterLayout, X, Y
-from uavaccel.sim.lane.layout import HULL_RADIUS_M, LENGTH_M, WIDTH_M, LaneLayout
+from uavaccel.sim.lane import HULL_RADIUS_M, LENGTH_M, WIDTH_M, LaneLayout
 
 PAPER, INK, FAINT = (255, 255, 255), (40, 40, 40), (120, 120, 120)
 

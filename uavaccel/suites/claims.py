@@ -27,7 +27,7 @@ from uavaccel.metrics.estimates import (
     within,
 )
 from uavaccel.metrics.intervals import Proportion, bootstrap_interval, median_interval
-from uavaccel.sim.lane.layout import LENGTH_M, Difficulty, sample_layout
+from uavaccel.sim.lane import LENGTH_M, Difficulty, sample_layout
 from uavaccel.suites import paper_results
 from uavaccel.suites.dp1 import CELL
 from uavaccel.suites.report import finished

@@ -13,8 +13,7 @@ import pandas as pd
 from pydantic import AfterValidator, Field, model_validator
 from typing_extensions import TypedDict
 
-from uavaccel.commands.paths import velocities
-from uavaccel.commands.slices import check_times
+from uavaccel.commands import check_times, velocities
 from uavaccel.config import MOST_HEIGHT_M, MOST_ROUNDS, Games, Seconds, Speed, Velocity
 from uavaccel.draw import style
 from uavaccel.draw.page import (

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 from typing_extensions import TypedDict
 
-from uavaccel.commands.slices import check_times, samples_due
+from uavaccel.commands import check_times, samples_due
 from uavaccel.config import MOST_HEIGHT_M, Seconds, Seed
 from uavaccel.config import Velocity as Component
 from uavaccel.draw import style
@@ -26,7 +26,7 @@ from uavaccel.forms import ArrayForm, Count, NotNegative, Number, Positive
 from uavaccel.metrics.trajectory import dvs_ed_percent
 from uavaccel.records import timing_provenance
 from uavaccel.sim.camera.view import HEIGHT, WIDTH
-from uavaccel.sim.lane.layout import Lane, LaneLayout
+from uavaccel.sim.lane import Lane, LaneLayout
 from uavaccel.sim.profile import PROFILES
 from uavaccel.suites import plots
 from uavaccel.suites.experiment import FlightExperiment, Timing

@@ -7,21 +7,18 @@ cluster (RAY_ADDRESS, DASK_SCHEDULER_ADDRESS) a local one of this machine's proc
 from __future__ import annotations
 
 import os
-import warnings
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from functools import partial
 from itertools import islice
 
 from uavaccel.errors import UsageError, UserError
-from uavaccel.processes.lifetime import work_for_parent
+from uavaccel.processes.workers import LOKY, Delayed, on_this_machine
 from uavaccel.resources import require
 from uavaccel.suites.suite import GameResult
 
-LOKY = "loky"
 PACKAGES = {"ray": "ray", "dask": "distributed"}
 ENGINES = (LOKY, *PACKAGES)
-Delayed = tuple[Callable[..., GameResult], tuple[object, ...], dict[str, object]]  # joblib's
 AHEAD = 2  # batches per worker that are submitted at once
 
 
@@ -43,30 +40,8 @@ def in_parallel(
     worker is lost.
     """
     if engine == LOKY:
-        return _on_this_machine(jobs, batch, calls)
+        return on_this_machine(jobs, batch, calls)
     return _on_cluster(engine, jobs, batch, calls, leave)
-
-
-def _on_this_machine(jobs: int, batch: int, calls: Iterable[Delayed]) -> Iterator[GameResult]:
-    from joblib import Parallel, parallel_config
-    from joblib.externals.loky.process_executor import TerminatedWorkerError
-
-    # workers end with this process from the start, before they import what takes seconds
-    bound = {"initializer": work_for_parent, "initargs": (os.getpid(),)}
-    with parallel_config(backend=LOKY, inner_max_num_threads=1, **bound):
-        ahead = f"{batch}*n_jobs"  # a longer queue would delay an interruption
-        games = Parallel(jobs, return_as="generator", pre_dispatch=ahead, batch_size=batch)(calls)
-        try:
-            for game in games:  # noqa: UP028  `yield from` would close them before, and loudly
-                yield game
-        except TerminatedWorkerError:
-            raise UserError(
-                "a worker process was killed, by its user or for memory; go on with --resume, perhaps with fewer --jobs"
-            ) from None
-        finally:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # of games that an interruption cancels
-                games.close()
 
 
 def _on_cluster(

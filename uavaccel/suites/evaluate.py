@@ -18,9 +18,18 @@ from typing_extensions import TypedDict
 from uavaccel.config import Cost, Games, KeyTree, Processes
 from uavaccel.draw import style
 from uavaccel.draw.page import Block, Heading, Movie, Table, command_at_clock, command_name, listed
-from uavaccel.envs.flyable import CUDA, Device, Simulator, check_flyable
 from uavaccel.envs.obstacle_lane import LaneTask
-from uavaccel.envs.simulators import EXACT, KERNELS, check_names, check_simulator, flown_by
+from uavaccel.envs.simulators import (
+    CUDA,
+    EXACT,
+    KERNELS,
+    Device,
+    Simulator,
+    check_flyable,
+    check_names,
+    check_simulator,
+    flown_by,
+)
 from uavaccel.envs.values import Action, Info, Observation
 from uavaccel.errors import UserError
 from uavaccel.files import Plain
@@ -40,7 +49,7 @@ from uavaccel.rl.agents import (
     reset_options,
 )
 from uavaccel.rl.config import ENVIRONMENTS, LANE, AnyTask, EnvId, environment_class, keys_with_task
-from uavaccel.sim.lane.layout import LENGTH_M, SPLIT_SIZE, WIDTH_M
+from uavaccel.sim.lane import LENGTH_M, SPLIT_SIZE, WIDTH_M
 from uavaccel.suites import paper_results, plots
 from uavaccel.suites.experiment import Experiment
 from uavaccel.suites.flight import Flight

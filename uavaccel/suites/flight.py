@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from uavaccel.errors import UsageError, UserError
 from uavaccel.files import inside
-from uavaccel.sim.lane.layout import LaneLayout
+from uavaccel.sim.lane import LaneLayout
 from uavaccel.units import NS_PER_S, to_ns
 
 if TYPE_CHECKING:  # they load what draws

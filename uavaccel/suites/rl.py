@@ -32,7 +32,7 @@ from uavaccel.metrics.estimates import Estimate, Success
 from uavaccel.metrics.intervals import Proportion, fisher_exact_p, mcnemar_exact, permutation_p, sign_flip_p
 from uavaccel.records import RunDirectory
 from uavaccel.rl.agents import DEFAULT, FLIGHT, SENSES
-from uavaccel.sim.lane.layout import LENGTH_M, Difficulty, sample_layout
+from uavaccel.sim.lane import LENGTH_M, Difficulty, sample_layout
 from uavaccel.suites import paper_results, plots
 from uavaccel.suites.experiment import ClockSpeeds, CommandNames, Experiment, ProfileName, Timing
 from uavaccel.suites.host_time import cumulative_wall_s, timed
@@ -584,8 +584,8 @@ def gap_s(cell: Flights) -> float:
     first = cell.iloc[0]
     if first.command == "tcsc":
         return 0.0
-    from uavaccel.envs.flyable import speed_of
     from uavaccel.envs.obstacle_lane import LaneTask
+    from uavaccel.envs.simulators import speed_of
 
     speed = speed_of(LaneTask(timing=first.timing, profile=first.profile, clock_speed=first.clock_speed))
     running_s = cell.wall_s.sum() - cell.rendering.sum()

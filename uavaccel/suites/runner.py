@@ -16,19 +16,18 @@ from pathlib import Path
 from uavaccel.config import MOST_GAMES, MOST_PROCESSES
 from uavaccel.errors import UsageError, UserError
 from uavaccel.files import is_file_name, to_json
-from uavaccel.machine import usable_cores
 from uavaccel.own_code import errors_named, file_of, trusted_folder, trusting
 from uavaccel.processes.lifetime import remove_orphaned_files, work_for_parent
+from uavaccel.processes.workers import LOKY, check_count
 from uavaccel.records import RunDirectory
-from uavaccel.suites.engines import LOKY, check_engine, in_parallel
+from uavaccel.suites.engines import check_engine, in_parallel
 from uavaccel.suites.experiment import Experiment, timing_of
 from uavaccel.suites.host_time import timed
 from uavaccel.suites.registry import own_folder, suite_of
 from uavaccel.suites.rows import disturbances
 from uavaccel.suites.suite import AnySuite, Case, GameResult, OnGame, Opened
-from uavaccel.wire.server_watch import ServerGoneError
+from uavaccel.wire.rpc import ServerGoneError
 
-MOST_JOBS_PER_CORE = 8  # where more would take memory, and wait for each other
 MOST_RESTARTS = 3  # of the server in a game
 
 
@@ -38,11 +37,7 @@ def check_jobs(suite: AnySuite, config: Experiment, jobs: int, engine: str = LOK
     Raises as `check_engine` does, too.
     """
     check_engine(engine)
-    if jobs < 1:
-        raise UsageError(f"--jobs {jobs}: must be 1 or more")
-    most = MOST_JOBS_PER_CORE * usable_cores() if engine == LOKY else MOST_PROCESSES
-    if jobs > most:
-        raise UsageError(f"--jobs {jobs}: must be at most {most} on this machine's {usable_cores()} cores")
+    check_count(jobs, None if engine == LOKY else MOST_PROCESSES)
     if jobs > 1 and timing_of(config) == "wall":
         raise UsageError("--jobs must be 1 with timing wall: neighbours would spoil the measurement")
     if jobs > 1 and (why := suite.why_serial(config)):
@@ -151,7 +146,7 @@ def _games(
 
 
 def _one_by_one(suite: AnySuite, config: Experiment, run: RunDirectory, cases: Sequence[Case]) -> Iterator[GameResult]:
-    from uavaccel.envs.environment_processes import BatchError
+    from uavaccel.envs.environment_process import BatchError
 
     try:
         with _own_errors(config), suite.open(config, cases[0].timing, run) as opened:

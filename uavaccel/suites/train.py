@@ -16,8 +16,8 @@ from uavaccel.config import MOST_GAMES, validate
 from uavaccel.config import Games as GameCount
 from uavaccel.draw import style
 from uavaccel.draw.page import Block, Column, Table, clock_label, command_name, fill, in_words, listed
-from uavaccel.envs.own_task import check_functions, flies_over_arrays
-from uavaccel.envs.simulators import EXACT, KERNELS
+from uavaccel.envs.checks import check_functions
+from uavaccel.envs.simulators import EXACT, KERNELS, flies_over_arrays
 from uavaccel.envs.stopwatch import PHASES
 from uavaccel.errors import UserError
 from uavaccel.files import Plain, read_lines

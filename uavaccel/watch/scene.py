@@ -15,7 +15,7 @@ from uavaccel.draw.style import BLUE, VERMILION, bgr, dvs_picture
 from uavaccel.kinematics import Vector
 from uavaccel.sim.camera.camera import Camera
 from uavaccel.sim.camera.view import HEIGHT, WIDTH
-from uavaccel.sim.lane.scene import APPEARANCE_GROUP
+from uavaccel.sim.lane import APPEARANCE_GROUP
 from uavaccel.units import ned_to_mujoco
 from uavaccel.vision.dvs import DvsState, init_state, luma, step
 from uavaccel.vision.dvs_sensor import DvsParameters, make_sensor

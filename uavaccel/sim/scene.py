@@ -9,7 +9,7 @@ nothing can be touched, and what that cannot fly exactly is refused here.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 
 import mujoco
@@ -18,8 +18,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from uavaccel.errors import UserError
 from uavaccel.resources import asset
-from uavaccel.sim.lane.layout import PLAIN
 
+PLAIN = "plain"  # the scenery of assets/mjcf/NAME.xml; others have a folder there
 QUADROTOR = "quadrotor"
 DRONE_GROUP = 1  # of quadrotor.xml's visible geoms, which its own camera does not render
 OTHERS_GROUP = 2  # of other quadrotors' visible geoms
@@ -62,20 +62,15 @@ def _compiled(path: Path, others: Sequence[str], airsim: bool) -> mujoco.MjModel
     if not (others or airsim):
         return mujoco.MjModel.from_xml_path(str(path))
     spec = airsim_spec(path) if airsim else mujoco.MjSpec.from_file(str(path))
-    attach_quadrotors(spec, others)
-    model = spec.compile()
-    if airsim:
-        park_spares(model)
-    return model
-
-
-def attach_quadrotors(spec: mujoco.MjSpec, prefixes: Sequence[str]) -> None:
-    """Add a quadrotor for each prefix, with which its names begin; existing elements keep their ids."""
-    for prefix in prefixes:
+    for prefix in others:  # with which the names of another quadrotor begin; existing elements keep their ids
         quadrotor = mujoco.MjSpec.from_file(str(asset(f"mjcf/{QUADROTOR}.xml")))
         for geom in quadrotor.geoms:
             geom.group = OTHERS_GROUP if geom.group == DRONE_GROUP else geom.group
         spec.attach(quadrotor, frame=spec.worldbody.add_frame(), prefix=prefix)
+    model = spec.compile()
+    if airsim:
+        park_spares(model)
+    return model
 
 
 def airsim_spec(scene: Path) -> mujoco.MjSpec:
@@ -85,10 +80,19 @@ def airsim_spec(scene: Path) -> mujoco.MjSpec:
     """
     own = scene.with_name(f"{scene.stem}_airsim.xml")
     path = own if own.exists() else scene
-    plain = mujoco.MjModel.from_xml_path(str(path))
-    spec = mujoco.MjSpec.from_file(str(path))
-    _widen_ground(spec)
-    _add_spares(spec)
+    plain, spec = mujoco.MjModel.from_xml_path(str(path)), mujoco.MjSpec.from_file(str(path))
+    wide: set[str] = set()
+    for geom in spec.worldbody.geoms:  # planes extend to the horizon; their textures keep their scale
+        if geom.type == mujoco.mjtGeom.mjGEOM_PLANE:
+            times = GROUND_HALF_M / geom.size[0]
+            geom.size = [GROUND_HALF_M, GROUND_HALF_M * geom.size[1] / geom.size[0], GROUND_HALF_M]
+            material = spec.material(geom.material)
+            if material is not None and not material.texuniform and material.name not in wide:
+                wide.add(material.name)
+                material.texrepeat = [repeat * times for repeat in material.texrepeat]
+    box, half_m, grey = mujoco.mjtGeom.mjGEOM_BOX, [0.5, 0.5, 0.5], [0.6, 0.6, 0.6, 0.0]
+    for number in range(SPARES):
+        spec.worldbody.add_geom(name=f"{SPARE}{number:02}", type=box, size=half_m, pos=PARKED_M, rgba=grey)
     spec.visual.quality.numslices, spec.visual.quality.numstacks = 24, 12  # spawned spheres are round
     spec.stat.extent, spec.stat.center = plain.stat.extent, plain.stat.center
     spec.visual.map.znear, spec.visual.map.zfar = NEAR_M / plain.stat.extent, FAR_M / plain.stat.extent
@@ -99,30 +103,6 @@ def park_spares(model: mujoco.MjModel) -> None:
     """Switch off the contacts of a compiled model's spare geoms."""
     spares = [geom for geom in range(model.ngeom) if model.geom(geom).name.startswith(SPARE)]
     model.geom_contype[spares] = model.geom_conaffinity[spares] = 0
-
-
-def _widen_ground(spec: mujoco.MjSpec) -> None:
-    """Extend planes to the horizon; their textures keep their scale."""
-    wide: set[str] = set()
-    for geom in spec.worldbody.geoms:
-        if geom.type == mujoco.mjtGeom.mjGEOM_PLANE:
-            times = GROUND_HALF_M / geom.size[0]
-            geom.size = [GROUND_HALF_M, GROUND_HALF_M * geom.size[1] / geom.size[0], GROUND_HALF_M]
-            material = spec.material(geom.material)
-            if material is not None and not material.texuniform and material.name not in wide:
-                wide.add(material.name)
-                material.texrepeat = [repeat * times for repeat in material.texrepeat]
-
-
-def _add_spares(spec: mujoco.MjSpec) -> None:
-    for number in range(SPARES):
-        spec.worldbody.add_geom(
-            name=f"{SPARE}{number:02}",
-            type=mujoco.mjtGeom.mjGEOM_BOX,
-            size=[0.5, 0.5, 0.5],
-            pos=PARKED_M,
-            rgba=[0.6, 0.6, 0.6, 0.0],
-        )
 
 
 def refit_bounding_boxes(model: mujoco.MjModel, moved: Collection[int]) -> None:
@@ -144,10 +124,23 @@ def refit_bounding_boxes(model: mujoco.MjModel, moved: Collection[int]) -> None:
 
 def _box(model: mujoco.MjModel, geom: int) -> NDArray[np.float64]:
     """Return centre and half sizes (6,) of a geom's box along the axes of its body."""
-    flat, own = np.empty(9), model.geom_aabb[geom]
-    mujoco.mju_quat2Mat(flat, model.geom_quat[geom])
-    turn = flat.reshape(3, 3)
+    turn, own = _matrix(model.geom_quat[geom]), model.geom_aabb[geom]
     return np.concatenate([model.geom_pos[geom] + turn @ own[:3], np.abs(turn) @ own[3:]])
+
+
+def _matrix(quaternion: NDArray[np.float64]) -> NDArray[np.float64]:
+    flat = np.empty(9)
+    mujoco.mju_quat2Mat(flat, quaternion)
+    return flat.reshape(3, 3)
+
+
+def copy_objects(old: mujoco.MjModel, new: mujoco.MjModel) -> None:
+    """Copy the world's geoms as they are into a model with more vehicles, where they have the same ids."""
+    geoms = np.flatnonzero(old.geom_bodyid == 0)
+    copied = ("pos", "quat", "size", "type", "aabb", "rbound", "rgba", "matid", "contype", "conaffinity", "sameframe")
+    for name in copied:
+        getattr(new, f"geom_{name}")[geoms] = getattr(old, f"geom_{name}")[geoms]
+    refit_bounding_boxes(new, set(geoms.tolist()))
 
 
 PHYSICS = int(mujoco.mjtState.mjSTATE_INTEGRATION)
@@ -195,8 +188,8 @@ def check_airframes(model: mujoco.MjModel, spec: mujoco.MjSpec, names: Sequence[
 
 def _align(model: mujoco.MjModel, body: int, name: str) -> bool:
     """Check one inertial; return whether its inertia had to be written about the body's axes."""
-    for child in _children(model, body):
-        if model.body_mass[child]:
+    for child in range(body + 1, model.nbody):
+        if model.body_rootid[child] == body and model.body_mass[child]:
             inner = model.body(child).name or "a child"
             raise ValueError(
                 f'body "{name}": its child body "{inner}" has a mass of {model.body_mass[child]:.3g} kg: add '
@@ -207,7 +200,8 @@ def _align(model: mujoco.MjModel, body: int, name: str) -> bool:
             f'body "{name}": inertial pos="{_text(model.body_ipos[body])}": the centre of mass must be the '
             'body\'s origin, pos="0 0 0", about which the rotors push; move the geoms instead'
         )
-    inertia = _inertia(model, body)
+    turn = _matrix(model.body_iquat[body])
+    inertia = turn @ np.diag(model.body_inertia[body]) @ turn.T
     own = np.diagonal(inertia)
     if np.abs(inertia - np.diag(own)).max() > ALIGNED * own.max():
         raise ValueError(
@@ -219,18 +213,6 @@ def _align(model: mujoco.MjModel, body: int, name: str) -> bool:
     model.body_inertia[body], model.body_iquat[body] = own, (1.0, 0.0, 0.0, 0.0)
     model.body_sameframe[body] = mujoco.mjtSameFrame.mjSAMEFRAME_BODY
     return True
-
-
-def _children(model: mujoco.MjModel, body: int) -> Iterator[int]:
-    return (child for child in range(body + 1, model.nbody) if model.body_rootid[child] == body)
-
-
-def _inertia(model: mujoco.MjModel, body: int) -> NDArray[np.float64]:
-    """Return the inertia (3, 3), kg m², about the body's axes."""
-    flat = np.empty(9)
-    mujoco.mju_quat2Mat(flat, model.body_iquat[body])
-    turn = flat.reshape(3, 3)
-    return np.asarray(turn @ np.diag(model.body_inertia[body]) @ turn.T)
 
 
 def _is_free(model: mujoco.MjModel, body: int) -> bool:

@@ -1,8 +1,10 @@
-"""AirSim's flight commands that choose their goal anew in a loop at 50 Hz, as its API thread does.
+"""AirSim's flight commands: goals for the autopilot, tasks that choose them in a loop, and the pilots that fly both.
 
-Source: AirSim v1.8.1, MultirotorApiBase.cpp (waitForFunction, moveByManual, moveOnPath, moveToPathPosition,
-setNextPathPosition, adjustYaw), Waiter.hpp, and SimpleFlightApi.hpp for its distance accuracy of 0.5 m without a
-braking distance. There is no thread here: `Pilot` asks a task for its next goal at the ticks of AirSim's loop.
+Sources: AirSim v1.8.1, SimpleFlightApi.hpp (command* methods, each a value and a mode per axis; setRCData; a distance
+accuracy of 0.5 m without a braking distance), RemoteControl.hpp (updateGoal; sticks hold until moved: their age is
+ignored), MultirotorApiBase.cpp (waitForFunction, moveByManual, moveOnPath, moveToPathPosition, setNextPathPosition,
+adjustYaw), Waiter.hpp, OffboardApi.hpp. There is no thread here as in AirSim, whose loop runs at 50 Hz: `Pilot` asks a
+task for its next goal at the ticks of that loop.
 """
 
 from __future__ import annotations
@@ -14,11 +16,69 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from uavaccel.kinematics import Kinematics, Quaternion, Vector
-from uavaccel.sim.vehicle import goal as goals
-from uavaccel.sim.vehicle.goal import PITCH, ROLL, STRAIGHT_ON, THROTTLE, VALID, YAW, Goal, Sticks, Yaw
+from uavaccel.kinematics import Kinematics, Quaternion, Vector, VelocityGoal
+from uavaccel.sim.vehicle import autopilot
+from uavaccel.sim.vehicle.autopilot import STRAIGHT_ON, Goal, Yaw
 from uavaccel.sim.vehicle.quadrotor import world_to_body
 from uavaccel.units import euler_from_quaternion
+
+
+def of_velocity(goal: VelocityGoal) -> Goal:
+    """Make the goal of commandVelocity or, if it holds a height, commandVelocityZ."""
+    yaw = Yaw(goal.yaw, goal.yaw_is_rate)
+    if goal.height_m is None:
+        return velocity(goal.velocity_m_s, yaw)
+    return velocity_z(*goal.velocity_m_s[:2], goal.height_m, yaw)
+
+
+def velocity(velocity_m_s: Vector, yaw: Yaw = STRAIGHT_ON) -> Goal:
+    """Make the goal of commandVelocity: NED, m/s."""
+    return Goal((*velocity_m_s, yaw.value), autopilot.VELOCITY, autopilot.VELOCITY, yaw.mode)
+
+
+def velocity_z(vx_m_s: float, vy_m_s: float, z_m: float, yaw: Yaw = STRAIGHT_ON) -> Goal:
+    """Make the goal of commandVelocityZ: horizontal m/s and NED z in m."""
+    return Goal((vx_m_s, vy_m_s, z_m, yaw.value), autopilot.VELOCITY, autopilot.POSITION, yaw.mode)
+
+
+def position(position_m: Vector, yaw: Yaw = STRAIGHT_ON) -> Goal:
+    """Make the goal of commandPosition: NED, m."""
+    return Goal((*position_m, yaw.value), autopilot.POSITION, autopilot.POSITION, yaw.mode)
+
+
+def attitude(roll_rad: float, pitch_rad: float, yaw: Yaw, z: float, z_mode: int) -> Goal:
+    """Make the goal of commandRollPitchYaw*: `z` is NED z in m or, with autopilot.THROTTLE, a throttle from 0 to 1."""
+    return Goal((roll_rad, pitch_rad, z, yaw.value), autopilot.TILT, z_mode, yaw.mode)
+
+
+def body_rates(roll_rad_s: float, pitch_rad_s: float, yaw_rad_s: float, z: float, z_mode: int) -> Goal:
+    """Make the goal of commandAngleRates*; `z` as in `attitude`."""
+    return Goal((roll_rad_s, pitch_rad_s, z, yaw_rad_s), autopilot.TILT_RATE, z_mode, autopilot.RATE)
+
+
+def motors(front_right: float, rear_left: float, front_left: float, rear_right: float) -> Goal:
+    """Make the goal of commandMotorPWMs: each motor from 0 to 1, without cascade and mixer."""
+    values = (front_right, rear_left, front_left, rear_right)
+    return Goal(values, autopilot.MOTORS, autopilot.THROTTLE, autopilot.RATE)
+
+
+ROLL, PITCH, THROTTLE, YAW, RATE_MODE, VALID = range(6)
+STICKS = 6
+RATE_SWITCH = 0.3
+TILT_LIMIT_RAD = math.pi / 5.5
+
+Sticks = NDArray[np.float64]  # roll, pitch, throttle, yaw, rate switch, validity
+
+
+def stick_goal(sticks: Sticks) -> Goal:
+    """Return the sticks' goal while no program has API control: angles or, with the switch, rates."""
+    throttle = max(sticks[THROTTLE], autopilot.IDLE_THROTTLE)
+    roll, pitch = sticks[ROLL] * TILT_LIMIT_RAD, -sticks[PITCH] * TILT_LIMIT_RAD
+    yaw_rate = sticks[YAW] * math.pi
+    if sticks[RATE_MODE] >= RATE_SWITCH:
+        return body_rates(roll, pitch, yaw_rate, throttle, autopilot.THROTTLE)
+    return attitude(roll, pitch, Yaw(yaw_rate), throttle, autopilot.THROTTLE)
+
 
 LANDING_M_S = 0.2
 AT_REST_M_S = 0.05  # approx_zero_vel_
@@ -60,7 +120,7 @@ class Land:
         if self.timeout_s <= 0:  # waitForFunction does not begin
             return Turn(None, False)
         self.still = self.still + 1 if now.linear_velocity_m_s[2] <= AT_REST_M_S else 0
-        goal = goals.velocity((0.0, 0.0, LANDING_M_S))
+        goal = velocity((0.0, 0.0, LANDING_M_S))
         if self.still > LANDED_LOOPS:
             return Turn(goal, True)
         return Turn(goal, False if elapsed_s >= self.timeout_s else None)
@@ -81,7 +141,7 @@ class RotateToYaw:
     def turn(self, now: Kinematics, elapsed_s: float) -> Turn:
         yaw = euler_from_quaternion(now.orientation_wxyz)[2]
         there = abs(math.remainder(yaw - self.yaw_rad, 2 * math.pi)) <= self.margin_rad
-        goal = goals.position(self.place_m, STRAIGHT_ON if there else Yaw(self.yaw_rad, False))
+        goal = position(self.place_m, STRAIGHT_ON if there else Yaw(self.yaw_rad, False))
         if there and abs(now.angular_velocity_rad_s[2]) <= NOT_TURNING_RAD_S:
             return Turn(goal, True)
         return Turn(goal, False if elapsed_s >= self.timeout_s else None)
@@ -112,7 +172,7 @@ class MoveByManual:
         turned = self.yaw_value + math.radians(self.sticks[YAW] * YAW_STICK_DEG / LARGEST_STICK)
         yaw = facing(heading, self.forward_only, Yaw(turned, self.yaw_is_rate))
         climb = self.sticks[THROTTLE] / LARGEST_STICK * self.z_min_m
-        return goals.velocity_z(heading[0], heading[1], float(climb) + now.position_m[2], yaw)
+        return velocity_z(heading[0], heading[1], float(climb) + now.position_m[2], yaw)
 
 
 def check_lookahead(lookahead_m: float, velocity_m_s: float, adaptive: float) -> float:
@@ -220,14 +280,9 @@ class FollowPath:
         way = carrot - np.array(now.position_m)
         distance = float(np.linalg.norm(way))
         yaw = facing(tuple(way.tolist()), self.forward_only, Yaw(self.yaw_value, self.yaw_is_rate))
-        if distance < ACCURACY_M:
-            velocity = np.zeros(3)
-        else:
-            velocity = way / distance * min(self._speed(), distance / COMMAND_PERIOD_S)
-        vx, vy, vz = velocity.tolist()
-        return goals.velocity((vx, vy, 0.0 if abs(way[2]) <= ACCURACY_M else vz), yaw)
-
-    def _speed(self) -> float:
-        """Return the requested speed; beyond the end a fast vehicle turns back slowly."""
-        beyond = self.segment == len(self._lengths) and self.velocity_m_s > BRAKE_ABOVE_M_S
-        return BRAKING_M_S if beyond else self.velocity_m_s
+        vx, vy, vz = 0.0, 0.0, 0.0
+        if distance >= ACCURACY_M:
+            beyond = self.segment == len(self._lengths) and self.velocity_m_s > BRAKE_ABOVE_M_S
+            speed = BRAKING_M_S if beyond else self.velocity_m_s  # beyond the end a fast vehicle turns back slowly
+            vx, vy, vz = (way / distance * min(speed, distance / COMMAND_PERIOD_S)).tolist()
+        return velocity((vx, vy, 0.0 if abs(way[2]) <= ACCURACY_M else vz), yaw)

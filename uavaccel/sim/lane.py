@@ -1,7 +1,15 @@
-"""Layouts of the obstacle lane, sampled from a seed or written by a user: pure geometry, without MuJoCo.
+"""The obstacle lane: layouts, sampled from a seed or written by a user, and its scene in MuJoCo, assets/mjcf/lane.xml.
 
 The paper gives only the lane's length (150 m, section III-C1); the rest of its geometry is this project's own choice.
 Rows of obstacles stand at fixed distances; their lateral positions are random. The lane runs north (NED frame).
+
+Obstacles are geoms of the world body, moved in place: a new lane needs neither a new model nor a new GL context. As
+bodies of their own they would raise the cost of a physics step from 2 µs to 12 µs or more. MuJoCo finds contacts
+through a bounding-volume tree that it builds only once, so that tree is refitted.
+
+A scenery has looks in place of the lane's bodies: trunks for its obstacles, a forest edge for its walls. The bodies are
+those of the plain lane, and contacts, depth and segmentation use them; looks are seen only in colour and by the event
+camera.
 """
 
 from __future__ import annotations
@@ -13,12 +21,16 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
+import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import BeforeValidator, Field, field_validator, model_validator
 
 from uavaccel.config import Config, Seed, Share, load_yaml, validate
+from uavaccel.errors import UserError
 from uavaccel.sim.poses import check_wind
+from uavaccel.sim.scene import PLAIN, refit_bounding_boxes
+from uavaccel.units import ned_to_mujoco
 
 FloatArray = NDArray[np.float64]
 Split = Literal["training", "evaluation", "test"]
@@ -33,7 +45,6 @@ MAX_OBSTACLES = 64  # as many as lane.xml provides
 OBSTACLE_TEXTURES = ("red", "white", "yellow", "blue")
 WALL_TEXTURES = ("concrete", "brick")
 GROUND_TEXTURES = ("asphalt", "grass")
-PLAIN = "plain"  # the scenery of assets/mjcf/lane.xml; others have a folder there
 
 SPLIT_SIZE = 1_000_000  # lanes of each split
 # Policies learn on training lanes, variants are chosen on evaluation lanes, and published numbers are of test lanes.
@@ -132,14 +143,17 @@ def lane_seed(split: Split, index: int) -> int:
 def sample_layout(seed: int, difficulty: Difficulty | None = None) -> LaneLayout:
     """Sample the lane of a seed; the same seed and difficulty give the same arrays on every machine."""
     difficulty = difficulty or Difficulty()
-    rng = np.random.default_rng(seed)
-    rows_m = _row_distances(difficulty.first_row_m, difficulty.row_spacing_m, difficulty.obstacles_per_row)
-    y_m = _sample_rows(rng, len(rows_m), difficulty)
-    count, varied = len(y_m), difficulty.texture_variation
+    rng, each, pitch_m = np.random.default_rng(seed), difficulty.obstacles_per_row, difficulty.pitch_m
+    rows_m = _row_distances(difficulty.first_row_m, difficulty.row_spacing_m, each)
+    # lateral positions row by row, uniform over all with gaps of at least `min_gap_m`; obstacles may reach into the
+    # walls, so that the way along a wall is blocked as often as that down the middle
+    aside_m = rng.uniform(0.0, WIDTH_M - max(each - 1, 0) * pitch_m, (len(rows_m), each))
+    aside_m.sort(axis=1)
+    count, varied = len(rows_m) * each, difficulty.texture_variation
     direction = rng.uniform(-np.pi, np.pi)
     return LaneLayout(
-        x_m=rows_m.repeat(difficulty.obstacles_per_row),
-        y_m=y_m,
+        x_m=rows_m.repeat(each),
+        y_m=(aside_m + pitch_m * np.arange(each) - WIDTH_M / 2).reshape(-1),
         half_width_m=np.full(count, difficulty.half_width_m),
         round=np.zeros(count, dtype=bool),
         texture=_sample_textures(rng, count, len(OBSTACLE_TEXTURES), varied),
@@ -160,18 +174,6 @@ def _row_distances(first_m: float, spacing_m: float, each: int) -> FloatArray:
     rows = np.arange(first_m, LENGTH_M - spacing_m / 2, spacing_m)[: MAX_OBSTACLES // max(each, 1)]
     rows.flags.writeable = False
     return rows
-
-
-def _sample_rows(rng: np.random.Generator, rows: int, difficulty: Difficulty) -> FloatArray:
-    """Sample lateral positions row by row, uniformly over all with gaps of at least `min_gap_m`.
-
-    Obstacles may reach into the walls, so that the way along a wall is blocked as often as that down the middle.
-    """
-    count, pitch = difficulty.obstacles_per_row, difficulty.pitch_m
-    slack = WIDTH_M - max(count - 1, 0) * pitch
-    drawn = rng.uniform(0.0, slack, (rows, count))
-    drawn.sort(axis=1)
-    return (drawn + pitch * np.arange(count) - WIDTH_M / 2).reshape(-1)
 
 
 def _sample_textures(rng: np.random.Generator, count: int, kinds: int, varied: float) -> NDArray[np.int64]:
@@ -202,10 +204,8 @@ def clearance_m(layout: LaneLayout, position_m: ArrayLike) -> FloatArray:
 def is_walled_off(layout: LaneLayout) -> bool:
     """Return whether obstacles with gaps that are too narrow for the hull reach from one wall to the other."""
     flat = np.where(layout.round, 0.0, layout.half_width_m)
-    radius = layout.half_width_m - flat
-    north, east = (
-        np.maximum(np.abs(at[:, None] - at) - (flat[:, None] + flat), 0.0) for at in (layout.x_m, layout.y_m)
-    )
+    radius, of_both = layout.half_width_m - flat, flat[:, None] + flat
+    north, east = (np.maximum(np.abs(at[:, None] - at) - of_both, 0.0) for at in (layout.x_m, layout.y_m))
     closed = np.hypot(north, east) - (radius[:, None] + radius) < 2 * HULL_RADIUS_M
     to_wall = WIDTH_M / 2 - layout.half_width_m - 2 * HULL_RADIUS_M
     reached = layout.y_m < -to_wall  # joined to the western wall, directly or through others
@@ -319,3 +319,121 @@ def layout_from(mapping: Mapping[str, object], source: str) -> LaneLayout:
     Raises UserError for a wrong key or value, or for an obstacle at the drone's start.
     """
     return validate(LaneFile, mapping, source).layout()
+
+
+OBSTACLE_HALF_HEIGHT_M = 10.0
+PARKED_Z_M = 100.0  # NED: below the ground, out of reach and out of sight
+SUN_ELEVATION_RAD = 0.9
+DAYLIGHT = 0.65  # the sun's share of full daylight; AMBIENT is that of the sky
+AMBIENT = 0.45
+APPEARANCE_GROUP, BODIES_GROUP = 4, 5  # visible only in colour, and in all but colour; other groups always are
+TRUNK_RATIO = 1.25  # a trunk's radius over a square post's half side: between its sides and its corners
+
+
+def apply_layout(model: mujoco.MjModel, data: mujoco.MjData, layout: LaneLayout) -> None:
+    """Move the scene's obstacles and set its textures and light, in place.
+
+    Raises UserError if the scene has fewer obstacles than the layout, as all scenes but the lane do.
+    """
+    geoms = obstacle_geoms(model)
+    if len(layout) > len(geoms):
+        raise UserError(f"the layout has {len(layout)} obstacles, the scene {len(geoms)}: leave some out")
+    used, parked = geoms[: len(layout)], geoms[len(layout) :]
+    half, tall = layout.half_width_m, np.full(len(layout), OBSTACLE_HALF_HEIGHT_M)
+    model.geom_type[used] = np.where(layout.round, int(mujoco.mjtGeom.mjGEOM_CYLINDER), int(mujoco.mjtGeom.mjGEOM_BOX))
+    model.geom_size[used] = np.stack([half, np.where(layout.round, tall, half), tall], axis=1)
+    model.geom_aabb[used, 3:] = np.stack([half, half, tall], axis=1)
+    model.geom_rbound[used] = np.sqrt(half**2 * np.where(layout.round, 1, 2) + tall**2)
+    model.geom_pos[used] = ned_to_mujoco(np.stack([layout.x_m, layout.y_m, -tall], axis=1))
+    model.geom_pos[parked, 1:] = (0.0, -PARKED_Z_M)
+    model.geom_rgba[used] = (0.5, 0.5, 0.5, 1.0)  # MuJoCo's default, which lets the material's colour through
+    model.geom_rgba[parked, 3] = 0.0  # not drawn
+    materials = np.array([model.material(f"obstacle_{name}").id for name in OBSTACLE_TEXTURES])
+    model.geom_matid[used] = materials[layout.texture]
+    for wall in ("wall_west", "wall_east"):
+        model.geom(wall).matid = model.material(f"wall_{WALL_TEXTURES[layout.wall_texture]}").id
+    model.geom("ground").matid = model.material(f"ground_{GROUND_TEXTURES[layout.ground_texture]}").id
+    sun = model.light("sun")
+    sun.dir, sun.ambient, sun.diffuse = sunlight(layout)
+    _set_appearance(model, used, layout)
+    refit_bounding_boxes(model, set(geoms.tolist()))
+    mujoco.mj_kinematics(model, data)
+
+
+def obstacle_geoms(model: mujoco.MjModel) -> NDArray[np.int64]:
+    """Return the ids of the geoms that a layout moves, in order of their names; empty in other scenes."""
+    return named(model, "obstacle_")
+
+
+def _set_shapes(model: mujoco.MjModel, geoms: NDArray[np.int64], layout: LaneLayout) -> None:
+    half, tall = layout.half_width_m, np.full(len(layout), OBSTACLE_HALF_HEIGHT_M)
+    box, cylinder = int(mujoco.mjtGeom.mjGEOM_BOX), int(mujoco.mjtGeom.mjGEOM_CYLINDER)
+    model.geom_type[geoms] = np.where(layout.round, cylinder, box)
+    model.geom_size[geoms] = np.stack([half, np.where(layout.round, tall, half), tall], axis=1)
+    model.geom_aabb[geoms, 3:] = np.stack([half, half, tall], axis=1)
+    model.geom_rbound[geoms] = np.sqrt(half**2 * np.where(layout.round, 1, 2) + tall**2)
+
+
+def _set_positions(
+    model: mujoco.MjModel,
+    geoms: NDArray[np.int64],
+    x_m: NDArray[np.float64],
+    y_m: NDArray[np.float64],
+    z_m: float = -OBSTACLE_HALF_HEIGHT_M,
+) -> None:
+    model.geom_pos[geoms] = ned_to_mujoco(np.stack([x_m, y_m, np.full(len(geoms), z_m)], axis=1))
+
+
+def _set_materials(model: mujoco.MjModel, geoms: NDArray[np.int64], layout: LaneLayout) -> None:
+    materials = np.array([model.material(f"obstacle_{name}").id for name in OBSTACLE_TEXTURES])
+    model.geom_matid[geoms] = materials[layout.texture]
+    for wall in ("wall_west", "wall_east"):
+        model.geom(wall).matid = model.material(f"wall_{WALL_TEXTURES[layout.wall_texture]}").id
+    model.geom("ground").matid = model.material(f"ground_{GROUND_TEXTURES[layout.ground_texture]}").id
+
+
+def _set_light(model: mujoco.MjModel, layout: LaneLayout) -> None:
+    sun = model.light("sun")
+    sun.dir, sun.ambient, sun.diffuse = sunlight(layout)
+
+
+def sunlight(layout: LaneLayout) -> tuple[NDArray[np.float64], float, float]:
+    """Return a lane's light: the sun's direction in MuJoCo's axes, the ambient and the diffuse level."""
+    level, azimuth = np.cos(SUN_ELEVATION_RAD), layout.sun_azimuth_rad
+    direction = [level * np.cos(azimuth), level * np.sin(azimuth), np.sin(SUN_ELEVATION_RAD)]
+    return ned_to_mujoco(direction), layout.light * AMBIENT, layout.light * DAYLIGHT
+
+
+def object_name(model: mujoco.MjModel, geom: int) -> str:
+    """Return the name of a geom or, if it has none, of its body; "" for -1, the sky."""
+    if geom < 0:
+        return ""
+    return str(model.geom(geom).name or model.body(int(model.geom_bodyid[geom])).name)
+
+
+def _set_appearance(model: mujoco.MjModel, obstacles: NDArray[np.int64], layout: LaneLayout) -> None:
+    """Let the looks of a scenery follow the geoms of the layout's obstacles; the plain lane has none."""
+    trunks = named(model, "trunk_")
+    if not len(trunks):
+        return
+    kinds = np.array([mesh for mesh in range(model.nmesh) if model.mesh(mesh).name.startswith("trunk_")])
+    wanted = layout.half_width_m * np.where(layout.round, 1.0, TRUNK_RATIO)
+    nearest = np.abs(np.log(wanted[:, None] / model.numeric("trunk_radii_m").data)).argmin(axis=1)
+    used, meshes = trunks[: len(obstacles)], kinds[nearest]
+    model.geom_rgba[trunks] = (0.5, 0.5, 0.5, 0.0)  # MuJoCo's default lets the material's colour through
+    model.geom_rgba[used, 3] = 1.0
+    model.geom_dataid[used], model.geom_matid[used] = meshes, model.geom_matid[obstacles]
+    model.geom_sameframe[used] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE  # else their turn goes unnoticed
+    away_from_sun = np.array([np.cos(layout.sun_azimuth_rad / 2), 0.0, 0.0, -np.sin(layout.sun_azimuth_rad / 2)])
+    for geom, mesh, obstacle in zip(used, meshes, obstacles, strict=True):  # MuJoCo's meshes have their inertia's frame
+        mujoco.mju_rotVecQuat(model.geom_pos[geom], model.mesh_pos[mesh], away_from_sun)
+        model.geom_pos[geom, :2] += model.geom_pos[obstacle, :2]
+        mujoco.mju_mulQuat(model.geom_quat[geom], away_from_sun, model.mesh_quat[mesh])
+    for side in ("west", "east"):
+        model.geom(f"edge_{side}").matid = model.geom(f"wall_{side}").matid
+
+
+def named(model: mujoco.MjModel, beginning: str) -> NDArray[np.int64]:
+    """Return the ids of the geoms whose names have that beginning, in order of their names."""
+    names = [model.geom(geom).name for geom in range(model.ngeom)]
+    return np.array([geom for geom, name in enumerate(names) if name.startswith(beginning)], int)

@@ -1,7 +1,7 @@
 """The objects of a scene for AirSim's clients, which find them by name, move, scale, spawn and destroy them.
 
 An object is a geom of the world body, changed in place, so that neither the model nor a GL context is made anew.
-Positions are NED, of the object's centre. Spawned objects use spare geoms (uavaccel.sim.scene.model); they are static.
+Positions are NED, of the object's centre. Spawned objects use spare geoms (uavaccel.sim.scene); they are static.
 
 A client's regular expression is matched against whole names in bounded time, by the package `regex`, which takes a time
 limit: std::regex_match with icase, in the syntax of ECMA-262, 15.10, with the POSIX classes of std::regex; what `regex`
@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -21,9 +21,10 @@ import regex
 from numpy.typing import ArrayLike, NDArray
 
 from uavaccel.clock import MonotonicClock
-from uavaccel.sim.lane.scene import APPEARANCE_GROUP
+from uavaccel.sim.lane import APPEARANCE_GROUP
 from uavaccel.sim.poses import Pose
-from uavaccel.sim.scene.model import PARKED_M, SPARE, refit_bounding_boxes
+from uavaccel.sim.scene import PARKED_M, SPARE, refit_bounding_boxes
+from uavaccel.sim.world import World
 from uavaccel.units import NS_PER_S, mujoco_to_ned, ned_to_mujoco, quaternion_mujoco_to_ned, quaternion_ned_to_mujoco
 
 Scale = tuple[float, float, float]
@@ -43,25 +44,12 @@ ASSETS: dict[str, tuple[int, Scale]] = {
     "Plane": (BOX, (0.5, 0.5, 0.005)),
 }
 LARGEST_HALF_M = 1e4
-_FIELDS = (  # of a geom, all that an object's pose, scale and presence change
-    *("pos", "quat", "size", "type", "aabb", "rbound"),
-    *("rgba", "matid", "contype", "conaffinity", "sameframe"),
-)
-
-
-class SceneWorld(Protocol):
-    """The part of a World that its objects use; its model may be replaced."""
-
-    model: mujoco.MjModel
-
-    def surroundings_changed(self) -> None:
-        """Note that objects were moved, added or removed, or look different."""
 
 
 class SceneObjects:
     """The objects of a world. Methods raise ValueError for what is not possible."""
 
-    def __init__(self, world: SceneWorld) -> None:
+    def __init__(self, world: World) -> None:
         self._world = world
         still = (self._model.geom_bodyid == 0) & (self._model.geom_group != APPEARANCE_GROUP)
         named = {self._model.geom(int(geom)).name: int(geom) for geom in np.flatnonzero(still)}
@@ -131,7 +119,9 @@ class SceneObjects:
             )
         if not self._spares:
             raise ValueError("there is no room for another object; destroy one with simDestroyObject first")
-        name = self._free_name(name)
+        if taken := [other for other in self.names() if name in other]:
+            numbers = [int(found[0]) for other in taken if (found := re.findall(r"\d+$", other))]
+            name += str(max(numbers, default=0) + 1)
         geom = self._spares[0]
         self._kinds[geom], self._full_size[geom] = ASSETS[asset]
         self._resize(geom, scale)
@@ -164,13 +154,6 @@ class SceneObjects:
         signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
         pose = self.pose(name) or Pose()
         return np.asarray((signs * np.array(half) + middle) @ pose.matrix().T + np.array(pose.position_m))
-
-    def _free_name(self, name: str) -> str:
-        taken = [other for other in self.names() if name in other]
-        if not taken:
-            return name
-        numbers = [int(found[0]) for other in taken if (found := re.findall(r"\d+$", other))]
-        return f"{name}{max(numbers, default=0) + 1}"
 
     def _place(self, geom: int, pose: Pose) -> None:
         self._model.geom_pos[geom] = ned_to_mujoco(pose.position_m)
@@ -206,14 +189,6 @@ class SceneObjects:
 def _half_sizes(model: mujoco.MjModel, geom: int) -> Scale:
     x, y, z = (float(half) for half in model.geom_aabb[geom, 3:])
     return x, y, z
-
-
-def restore_from(old: mujoco.MjModel, new: mujoco.MjModel) -> None:
-    """Copy all objects into a model with more vehicles; the world's geoms keep their ids, which come first."""
-    geoms = np.flatnonzero(old.geom_bodyid == 0)
-    for name in _FIELDS:
-        getattr(new, f"geom_{name}")[geoms] = getattr(old, f"geom_{name}")[geoms]
-    refit_bounding_boxes(new, set(geoms.tolist()))
 
 
 NEAR_END_M = 1e-3
@@ -291,7 +266,10 @@ def matching(text: str, names: Iterable[str]) -> list[str]:
     clock = MonotonicClock()
     end_ns = clock.now_ns() + LONGEST_NS
     try:
-        _check_size(text)
+        groups = [int(least or 1) + 1 for least in re.findall(r"\)(?:\+|\{(\d+))", text)]
+        letters = [int(least) for least in re.findall(r"[^)]\{(\d+)", text)]
+        if len(text) * math.prod(groups) * max([1, *letters]) > MOST_STEPS:  # `regex` writes repetitions out
+            raise ValueError(f"longer than {MOST_STEPS} steps, its repetitions written out")
         pattern = regex.compile(TOKEN.sub(_translated, _folded(text)), FLAGS, cache_pattern=False)
         return [
             name
@@ -306,14 +284,6 @@ def matching(text: str, names: Iterable[str]) -> list[str]:
         raise ValueError(f"{text!r} is no regular expression: {getattr(error, 'msg', error)}") from None
     finally:
         regex.purge()  # it remembers something of every expression, without a bound
-
-
-def _check_size(text: str) -> None:
-    """Raise ValueError for an expression that might get too long, as `regex` writes out what it has to repeat."""
-    groups = [int(least or 1) + 1 for least in re.findall(r"\)(?:\+|\{(\d+))", text)]
-    letters = [int(least) for least in re.findall(r"[^)]\{(\d+)", text)]
-    if len(text) * math.prod(groups) * max([1, *letters]) > MOST_STEPS:
-        raise ValueError(f"longer than {MOST_STEPS} steps, its repetitions written out")
 
 
 def _folded(text: str) -> str:
