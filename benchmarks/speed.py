@@ -18,8 +18,7 @@ from uavaccel.commands import COMMANDS, VelocityGoal, velocities
 from uavaccel.sim.profile import NATIVE
 from uavaccel.sim.world import World
 from uavaccel.units import NS_PER_S
-from uavaccel.wire.client import Client
-from uavaccel.wire.session import Session, VirtualSession, WallSession
+from uavaccel.wire.session import Client, Session, VirtualSession, WallSession
 
 STEPS = 100_000
 REPEATS = 5

@@ -23,6 +23,7 @@ from tests.host_kernels import a_gpu, host_kernels  # noqa: F401 - fixtures
 from tests.lanes import SideBySide, assert_same, stored
 from tests.own_tasks import Post, Spin
 from uavaccel.envs import kernel_games
+from uavaccel.envs.arrays import mapped, select
 from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.gates import Gates
 from uavaccel.envs.hover import Hover
@@ -30,10 +31,9 @@ from uavaccel.envs.kernel_batch import KernelBatch
 from uavaccel.envs.navigate import Navigate
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.envs.simulators import CUDA, check_flyable
-from uavaccel.envs.values import mapped, select
 from uavaccel.errors import UserError
-from uavaccel.kernels import latencies as wire
-from uavaccel.kernels.appearance import empty_scenes, fill_scene, read_appearance
+from uavaccel.kernels import timeline as wire
+from uavaccel.kernels.appearance import empty_scenes, fill_scenes, read_appearance
 from uavaccel.kernels.pictures import render_colour, render_depth, render_gray
 from uavaccel.resources import asset
 from uavaccel.sim.camera import gl
@@ -413,7 +413,7 @@ def kernels_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
     def set_lane(world: World, layout: Any) -> None:
         lay_out(world, layout)
         scenes = empty_scenes(1)
-        fill_scene(appearance, scenes, 0, layout)
+        fill_scenes(appearance, scenes, [0], [layout])
         vars(world)["scenes"] = scenes
 
     class Camera:

@@ -23,19 +23,18 @@ from uavaccel.cli.experiments import run_experiment
 from uavaccel.commands import COMMANDS, VelocityGoal
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.errors import UsageError
+from uavaccel.fly.command import fly
 from uavaccel.fly.options import FlightOptions
-from uavaccel.fly.runs import fly
 from uavaccel.records import RunDirectory
 from uavaccel.suites.dp1 import Dp1
 from uavaccel.suites.evaluate import Evaluation
 from uavaccel.suites.session import RunRequest
 from uavaccel.suites.train import Training
 from uavaccel.watch import beside
-from uavaccel.watch.beside import PageAddress, page_beside
+from uavaccel.watch.beside import page_beside
 from uavaccel.watch.page import Moment
 from uavaccel.watch.sources import Live, Told
-from uavaccel.wire.broadcast import REFRESH_NS, heading
-from uavaccel.wire.page_protocol import FREE, PAGE
+from uavaccel.wire.broadcast import FREE, PAGE, REFRESH_NS, heading
 from uavaccel.wire.session import open_session
 
 POLL_S = 16 * 0.002  # 16 ticks, the whole number nearest to REFRESH_NS
@@ -229,7 +228,7 @@ def test_watching_changes_no_byte_of_runs_and_scripts(tmp_path: Path, monkeypatc
         return {str(file.relative_to(out)): file.read_bytes() for file in files}
 
     alone = all_bytes("alone", jobs=1)
-    with page_beside(PageAddress(port=18090)):
+    with page_beside(port=18090):
         watched = all_bytes("watched", jobs=2)
     assert PAGE not in os.environ
     assert len(alone) > 10

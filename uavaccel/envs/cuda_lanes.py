@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch as th
 
+from uavaccel.envs.arrays import assign_where, joined, mapped, named_leaves, one_of, select, stacked
 from uavaccel.envs.cuda_clocks import DeviceClocks
 from uavaccel.envs.cuda_games import games_of
 from uavaccel.envs.cuda_view import view_of
@@ -21,12 +22,11 @@ from uavaccel.envs.kernel_games import plan_of, since_ns_of, slices_of
 from uavaccel.envs.simulators import CUDA, check_flyable, passes_together, profile_of
 from uavaccel.envs.stopwatch import PHASES
 from uavaccel.envs.task import Mediation
-from uavaccel.envs.values import Info, State, assign_where, joined, mapped, named_leaves, one_of, select, stacked
+from uavaccel.envs.values import Info, State
 from uavaccel.kernels import cuda as kernels
-from uavaccel.kernels import cuda_clocks as clock_kernels
 from uavaccel.kernels import lanes
 from uavaccel.kernels.fields import DVS, STATE
-from uavaccel.kernels.flight import TOUCHED
+from uavaccel.kernels.lanes import TOUCHED
 from uavaccel.kernels.recording import recorded
 from uavaccel.sim.vehicle.quadrotor import FLIGHT_DTYPE, KINEMATICS
 from uavaccel.units import NS_PER_S
@@ -121,7 +121,6 @@ class CudaLanes:
         self._mediated = task.mediation != Mediation()
         if self._mediated:
             self._before, self._before_arrays = kernels.on_device(lanes.flights(self.count), device)
-            self._take = clock_kernels.compiled().take
             self._hold_ticks = plan_of(task, np.zeros(3), self.judge.modes, self.kind != STATE).hold_ticks
         self._modes, self._goals = th.tensor(self.judge.modes, device=device), self._zeros(th.float64, 4)
         self._actions = self._zeros(getattr(th, np.dtype(space.dtype).name), *(space.shape or ()))
@@ -235,7 +234,7 @@ class CudaLanes:
             self._launch(self.kernels.command, self.going, *goals)
             return
         self._advance(self.going, self._late_ticks)
-        self._launch(self._take, self.going, self._hold_ticks, *goals)
+        self._launch(self.kernels.take, self.going, self._hold_ticks, *goals)
 
     def _fly_recording_events(self, sample: int, every: int) -> None:
         """Fly to a sample with an event camera that records a frame `every` so many ticks."""

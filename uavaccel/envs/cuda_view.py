@@ -28,7 +28,7 @@ class View(ABC):
         self, task: Task, maker: GameMaker, count: int, device: th.device, games: Any, now: Any, tick_ns: int
     ) -> None:
         self.kind, self._count, self._device, self._tick_ns = kind_of(task), count, device, tick_ns
-        self._kernels, self._games, self._now = kernels.compiled(maker.nominal), games, now
+        self.kernels, self._games, self._now = kernels.compiled(maker.nominal), games, now
         parameters, size = task.dvs_parameters, task.picture_size[::-1]
         frame = blank_frame("dvs", task.picture_size).shape[1:]
         self._size, self._frame, self._side = size, frame, size[0] // frame[0]
@@ -66,7 +66,7 @@ class View(ABC):
 
     def _kernel(self, name: str, threads: int, per_block: int = kernels.SEEING_THREADS) -> Any:
         """Return a kernel, to be launched with so many threads a lane."""
-        return getattr(self._kernels, name)[kernels.grid(self._count * threads, per_block)]
+        return getattr(self.kernels, name)[kernels.grid(self._count * threads, per_block)]
 
     def _finish(self, which: Any, now: Any) -> None:
         self._kernel("finish", 1, kernels.FLYING_THREADS)(which, self._tick_ns, now, self._pixels)

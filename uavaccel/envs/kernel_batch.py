@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from uavaccel.clock import MonotonicClock
 from uavaccel.config import MOST_PROCESSES
+from uavaccel.envs.arrays import assign, mapped, named_leaves, one_of, select, stacked
 from uavaccel.envs.batch import TurnBatch, set_up
 from uavaccel.envs.checks import actions_of, whole_number
 from uavaccel.envs.flight_env import CONDITIONS, FlightEnv
@@ -26,27 +27,12 @@ from uavaccel.envs.sensors import NO_ACTION, blank_frame
 from uavaccel.envs.simulators import CPU, check_flyable, kind_of, profile_of
 from uavaccel.envs.stopwatch import PHASES
 from uavaccel.envs.task import Task
-from uavaccel.envs.values import (
-    Actions,
-    Answer,
-    Frame,
-    Info,
-    Observation,
-    SavedState,
-    State,
-    Steps,
-    assign,
-    mapped,
-    named_leaves,
-    one_of,
-    select,
-    stacked,
-)
+from uavaccel.envs.values import Actions, Answer, Frame, Info, Observation, SavedState, State, Steps
 from uavaccel.errors import UserError
 from uavaccel.kernels import cpu, events, timeline
 from uavaccel.kernels import lanes as rows
 from uavaccel.kernels.fields import DVS, STATE
-from uavaccel.kernels.flight import TOUCHED
+from uavaccel.kernels.lanes import TOUCHED
 from uavaccel.machine import usable_cores
 from uavaccel.sim.vehicle.quadrotor import KINEMATICS
 from uavaccel.units import NS_PER_S, plain
@@ -282,7 +268,7 @@ class KernelBatch(TurnBatch):
         if not self.task.sees_start or self._view.kind in (STATE, DVS):
             return None
         frames = np.empty((self.num_envs, 1, *self._blank.shape), self._blank.dtype)
-        cpu.CPU.show(lanes, self._view, self._rows, self._now, self._plan, frames)
+        cpu.CPU.show(lanes, self._view, self._rows, self._now, self._plan, self._clocks, frames)
         drawn: Frame = frames[lanes, 0]
         return drawn
 

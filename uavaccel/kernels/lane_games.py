@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 from uavaccel.kernels import fields as at
+from uavaccel.kernels.fields import Operand
 from uavaccel.kernels.lanes import EVENT_SEED, PICTURE_SEED, Games
-from uavaccel.kernels.operands import Operand
 from uavaccel.sim.lane import AMBIENT, DAYLIGHT, SPLIT_SIZE, SUN_ELEVATION_RAD, WIDTH_M
 from uavaccel.sim.parts import part, times
 from uavaccel.sim.pcg64 import ONE, STREAM_FIELDS, below, first_word, pool_of, spawned, start, unit, word

@@ -22,8 +22,7 @@ from uavaccel.units import NS_PER_S
 if TYPE_CHECKING:  # they load the simulation
     from uavaccel.sim.recording import Recording
     from uavaccel.suites.report import Report
-    from uavaccel.wire.client import Client
-    from uavaccel.wire.session import Session
+    from uavaccel.wire.session import Client, Session
 
 Role = Literal["reference", "lockstep", "game", "figure2"]
 

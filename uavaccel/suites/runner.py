@@ -26,7 +26,7 @@ from uavaccel.suites.host_time import timed
 from uavaccel.suites.registry import own_folder, suite_of
 from uavaccel.suites.rows import disturbances
 from uavaccel.suites.suite import AnySuite, Case, GameResult, OnGame, Opened
-from uavaccel.wire.server_watch import ServerGoneError
+from uavaccel.wire.rpc import ServerGoneError
 
 MOST_RESTARTS = 3  # of the server in a game
 

@@ -32,7 +32,7 @@ from uavaccel.sim.sensors import (
 )
 from uavaccel.sim.world import MOST_VEHICLES, VEHICLE, World
 from uavaccel.units import NS_PER_S, exact, ticks_exactly
-from uavaccel.wire.cameras import CameraSettings
+from uavaccel.wire.pictures import CameraSettings
 from uavaccel.wire.rpc import LOOPBACK, PORT
 
 SensorSettings = Annotated[
