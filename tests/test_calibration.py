@@ -440,18 +440,6 @@ def test_advice_is_of_the_profiles_latencies_or_ones_own(monkeypatch: pytest.Mon
         assert_as_recorded("advise", said)
 
 
-@pytest.mark.parametrize(
-    ("line", "said"),
-    [
-        ("timing advise --t-move 0.333", "--t-move: 0.333 s is not a positive multiple"),
-        ("timing advise --error 0", "--error 0: must be above 0"),
-    ],
-)
-def test_what_cannot_be_advised_or_measured_is_one_line(line: str, said: str) -> None:
-    with pytest.raises(UserError, match=said):
-        printed(line)
-
-
 @pytest.mark.parametrize(("t_th_ns", "command_s"), [(0, 0.0103), (999_999, 0.0103), (1_000_000, 0.01)])
 def test_a_square_is_flown_without_the_rests_that_it_may_leave(t_th_ns: int, command_s: float) -> None:
     """0.1 s at 10x are 33 of AirSim's ticks of 3 ms and a rest of 1 ms, for which another tick would be flown."""

@@ -28,7 +28,6 @@ from uavaccel.cli.terminal import columns_within
 from uavaccel.draw.page import Table
 from uavaccel.errors import Interrupted, UsageError, UserError
 from uavaccel.records import RunDirectory
-from uavaccel.rl.config import LANE
 from uavaccel.suites.keys import KEYS
 from uavaccel.suites.registry import SUITES, find_suite
 from uavaccel.suites.session import Plan, RunRequest, configure, planned, resumable, resumption_notes
@@ -453,39 +452,3 @@ def test_best_and_worst_game_are_filmed_under_their_names(
     said = capsys.readouterr().out.splitlines()
     assert said[-3::2] == ["run quick None films/best.mp4", "run near None films/worst.mp4"]
     assert ("exact simulator" in said[0]) == (simulator == "kernels")
-
-
-EVALUATED = [{"suite": "evaluate", "case": f"lane-{lane}", "is_success": True} for lane in (2, 3)]
-OF_ANOTHER = [{"suite": "dp2", "case": f"lane-{lane}"} for lane in (0, 1, 2)]
-HOVER = "uavaccel/Hover-v0"
-
-
-@pytest.mark.parametrize(
-    ("rows", "env_id", "games", "comparable"),
-    [
-        *((EVALUATED, LANE, 3, True), (EVALUATED, LANE, 2, False), (EVALUATED, HOVER, 3, False)),
-        *((OF_ANOTHER, LANE, 3, False), ([], LANE, 3, False)),
-    ],
-)
-def test_evaluations_with_a_lane_in_common_are_compared(
-    monkeypatch: pytest.MonkeyPatch, rows: list[dict[str, Any]], env_id: str, games: int, comparable: bool
-) -> None:
-    """Which is found out before anything is flown."""
-    other = SimpleNamespace(path="other", rows=lambda: rows, config=lambda: {"env_id": env_id})
-    monkeypatch.setattr("uavaccel.suites.registry.open_run", lambda path: other)
-    cases = [SimpleNamespace(id=f"lane-{lane}") for lane in range(games)]
-    config = SimpleNamespace(model_dump=lambda mode: {"env_id": LANE})
-    plan = SimpleNamespace(suite=SimpleNamespace(name="evaluate"), cases=cases, config=config)
-    flown: list[RunRequest] = []
-
-    def run_experiment(request: RunRequest, check: Any, films: Any) -> None:
-        check(plan)
-        flown.append(request)
-
-    monkeypatch.setattr(experiments, "run_experiment", run_experiment)
-    if comparable:
-        experiments.evaluate_agent(RunRequest("evaluate"), Path("other"), films=False)
-    else:
-        with pytest.raises(UserError, match="is no evaluation of the same lanes"):
-            experiments.evaluate_agent(RunRequest("evaluate"), Path("other"), films=False)
-    assert bool(flown) == comparable
