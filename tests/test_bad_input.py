@@ -180,7 +180,8 @@ run dp1 --jobs 1000 --timing virtual -> --jobs; evaluate straight --jobs 1000 ->
 run dp1 --jobs 2 --timing wall -> --jobs; run train --jobs 2 -> --jobs; run dp1 --jobs two -> --jobs
 run dp1 --clock fast -> --clock; run dp1 --clock 0 -> clock_speed; run dp1 --clock nan -> clock_speed
 run dp1 --clock inf -> clock_speed; run dp1 --rounds 0 -> rounds; run dp1 --t-move 0 -> t_move_s
-run dp1 --games -1 -> games; run dp1 --command fly -> command; run dp1 --seeds 2 -> --seeds
+run dp1 --games -1 -> games; run dp1 --command tcsc --command fly -> fly: must be adsc or tcsc
+run dp1 --seeds 2 -> --seeds
 run dp1 --with x -> --with; run dp2 --rounds 2 -> --rounds; run train --clock 1 --clock 2 -> --clock
 run dp1 --set games -> --set; run dp1 --set =3 -> --set; run dp1 --set .games=3 -> --set
 run dp1 --set games.=3 -> --set; run dp1 --set games.more=3 -> games; run dp1 --set clock_speed.9=3 -> clock_speed

@@ -452,3 +452,16 @@ def test_best_and_worst_game_are_filmed_under_their_names(
     said = capsys.readouterr().out.splitlines()
     assert said[-3::2] == ["run quick None films/best.mp4", "run near None films/worst.mp4"]
     assert ("exact simulator" in said[0]) == (simulator == "kernels")
+
+
+def test_a_run_is_reported_even_where_its_films_fail(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def breaks(run: RunDirectory) -> None:
+        assert not run.file("report.html").exists()
+        raise OSError("no room")
+
+    monkeypatch.setattr(experiments, "film_extremes", breaks)
+    keys = ["task.observation=state", "task.max_commands=1"]
+    request = RunRequest("evaluate", {"agent": "straight", "games": 1}, keys, out=tmp_path / "run", suite="evaluate")
+    with pytest.raises(OSError, match="no room"):
+        experiments.evaluate_agent(request, None, films=True)
+    assert (tmp_path / "run" / "report.html").is_file()
