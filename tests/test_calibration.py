@@ -416,6 +416,7 @@ def test_commands_are_held_against_ideal_flight_and_real_time(monkeypatch: pytes
             assert of(found, command, name) == pytest.approx([value] * len(advice.ADVISED_SPEEDS))
         assert of(found, command, "speedup") == pytest.approx([gain * speed for speed in advice.ADVISED_SPEEDS])
         assert of(found, command, "clock_speed") == list(advice.ADVISED_SPEEDS)
+    assert found.command.tolist() == ["adsc", "tcsc"] * len(advice.ADVISED_SPEEDS)  # as the table's header has them
     assert {seed for command, speed, seed, _ in asked[1:]} == {15, 16, 17, 18, 19}  # none of them another seed's
     latest_ns = {speed: t_th_ns for _, speed, _, t_th_ns in asked}
     assert (latest_ns[1.0], latest_ns[50.0], latest_ns[200.0]) == (3_000_000, 50_000_000, 100_000_000)
