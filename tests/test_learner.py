@@ -121,14 +121,12 @@ class OnDevice(TwoStates):
         self.observations = th.from_numpy(self._seen(range(lanes)))
         self.rewards, self.terminated, self.truncated = th.zeros(lanes), *(th.zeros(lanes).bool() for _ in range(2))
         self.going, self.ended = th.ones(lanes, dtype=th.uint8), th.zeros((lanes, AT.columns), dtype=th.float64)
-        self.returns, self.has_begun = np.zeros(lanes), False
-        self.games = SimpleNamespace(begun=th.zeros(lanes), refill=lambda begun: None)
-
-    def seed(self, seed: int) -> None:
-        self.seeds.append(seed)
+        self.returns = np.zeros(lanes)
+        self.games = SimpleNamespace(begun=th.zeros(lanes), seed=self.seeds.append, has_games=False)
+        self.games.refill = lambda begun: None
 
     def begin(self) -> None:
-        self.has_begun = True
+        self.games.has_games = True
 
     def fly(self, actions: th.Tensor) -> None:
         lanes = range(self.count)

@@ -175,8 +175,11 @@ def _by_stamps(read: Callable[[Path], R]) -> Callable[[Path], R]:
         return read(path)
 
     def stamp(file: Path) -> tuple[int, int] | None:
-        found = file.stat() if file.exists() else None
-        return None if found is None else (found.st_mtime_ns, found.st_size)
+        try:
+            found = file.stat()
+        except OSError:
+            return None
+        return found.st_mtime_ns, found.st_size
 
     return wraps(read)(lambda path: cached(path, stamp(path / MANIFEST), stamp(path / WEIGHTS)))
 
