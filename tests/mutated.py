@@ -76,7 +76,7 @@ CALM = b"".join(  # else it would soon do nothing but fly
 
 def mutated_calls(api: Api, choose: random.Random) -> Iterator[bytes]:
     """Packed calls without end: framed as they should be, with whatever inside. Every id is above 0."""
-    methods = sorted(api.methods)
+    methods = sorted(api.handlers)
     number = 0
     while True:
         number = number % 0xFFFFFFF0 + 1

@@ -111,14 +111,9 @@ def test_what_may_change_the_state_makes_it_unknown(call: tuple[Any, ...]) -> No
     state = client.kinematics()
     assert transport.methods() == ["uavaccelState"]
     assert state == transport._api.simulation.kinematics()
-
-
-def test_a_call_that_nobody_knows_makes_the_state_unknown() -> None:
-    """It may be one of a server that is newer than its client."""
-    client, transport = new_client()
-    client.continue_for(100 * MS)
+    client.continue_for(2 * MS)
     with pytest.raises(rpc.RpcError):
-        client.call("uavaccelNobodyKnows")
+        client.call("uavaccelNobodyKnows")  # it may be one of a server that is newer than its client
     assert transport.known.state is None
 
 

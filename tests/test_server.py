@@ -134,7 +134,7 @@ def test_an_answer_that_cannot_be_packed_is_an_error(
     late.resolve(None, 0)
     results = iter((1 << 80, object(), late, True))
     with monkeypatch.context() as patch, stranger(running) as connection:
-        patch.setattr(running.api.methods["ping"], "handler", lambda: next(results))
+        patch.setitem(running.api.handlers, "ping", lambda: next(results))
         *failed, good = answers(connection, [(number, "ping", []) for number in range(4)])
     assert good == [1, 3, None, True]
     assert [number for _, number, text, _ in failed if "cannot be packed" in text] == [0, 1, 2]
@@ -246,7 +246,7 @@ def test_a_client_that_does_not_read_is_asked_for_nothing_more(
         made += 1
         return reply
 
-    monkeypatch.setattr(running.api.methods["uavaccelRecording"], "handler", recording)
+    monkeypatch.setitem(running.api.handlers, "uavaccelRecording", recording)
     with stranger(running) as connection:
         connection.sendall(rpc.pack_request(1, "uavaccelRecording", []) * 40)
         while made == 0:
@@ -258,22 +258,19 @@ def test_a_client_that_does_not_read_is_asked_for_nothing_more(
     assert made == 40
 
 
-def test_what_is_too_long_is_refused_in_words(running: Server, witness: MultirotorClient) -> None:
+def test_what_is_too_long_is_refused_in_words(
+    running: Server, witness: MultirotorClient, monkeypatch: pytest.MonkeyPatch
+) -> None:
     with stranger(running) as connection:
         with contextlib.suppress(ConnectionError):
             connection.sendall(rpc.pack_request(41, "ping", ["x" * (rpc.MAX_MESSAGE_BYTES + 1)]))
         refusal = rpc.pack_response(41, "a message may have 1 MiB, not more", None)
         assert receive(connection, len(refusal) + 1) == refusal
     with MultirotorClient(port=running.address[1]) as client:
-        running.api.methods["ping"].handler, ping = (
-            lambda: bytes(rpc.MAX_ANSWER_BYTES),
-            running.api.methods["ping"].handler,
-        )
-        try:
+        with monkeypatch.context() as patch:
+            patch.setitem(running.api.handlers, "ping", lambda: bytes(rpc.MAX_ANSWER_BYTES))
             with pytest.raises(RPCError, match="the answer has 64 MiB, more than 64: ask for less"):
                 client.ping()
-        finally:
-            running.api.methods["ping"].handler = ping
         assert client.ping()
 
 

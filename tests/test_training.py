@@ -22,7 +22,7 @@ from tests.running import configured
 from uavaccel.config import to_yaml
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.errors import UserError
-from uavaccel.files import append_line
+from uavaccel.files import append_lines, to_json
 from uavaccel.records import RunDirectory
 from uavaccel.resources import asset
 from uavaccel.rl import lanes
@@ -80,8 +80,9 @@ def test_adsc_does_not(tmp_path: Path) -> None:
 
 
 @needs_opengl
-def test_a_killed_training_ends_with_the_same_weights(tmp_path: Path) -> None:
-    config = tiny_config({"timing": "virtual"}, games=6)
+@pytest.mark.parametrize("seen", [{}, {"observation": "depth", "also_state": True}], ids=["events", "depth, state"])
+def test_a_killed_training_ends_with_the_same_weights(tmp_path: Path, seen: dict[str, Any]) -> None:
+    config = tiny_config({"timing": "virtual", **seen}, games=6, mirror=not seen)
     kill_at_row(tmp_path / "killed", config, 5)
     assert len(RunDirectory(tmp_path / "killed").rows()) == 5
     assert checkpointed(tmp_path / "killed") == 4
@@ -203,7 +204,7 @@ def test_evaluations_are_due_after_every_so_many_games(tmp_path: Path) -> None:
         run: Any = SimpleNamespace(path=tmp_path / f"{every}-{done}")
         for earlier in sorted({1, done}) if done else []:
             run.path.mkdir(exist_ok=True)
-            append_line(run.path / EVALUATIONS, line | {"games": earlier})
+            append_lines(run.path / EVALUATIONS, [to_json(line | {"games": earlier})])
         waiting = Evaluations(tiny_config(STATE, mirror=False, games=8, evaluate_every_games=every), run)
         assert [each for each in range(9) if waiting.due(each)] == games, (every, done)
 

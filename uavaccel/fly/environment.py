@@ -225,14 +225,9 @@ def old_modules() -> Modules:
     """scipy.misc, whose image functions SciPy 1.2 removed; gym 0.21 and its adapter where no gym is installed."""
     found: Modules = {"scipy.misc": lambda: named_module("scipy.misc", imsave=_save_image, imread=_read_image)}
     if importlib.util.find_spec("gym") is None:
-        found |= {name: functools.partial(_gym, name) for name in GYM}
+        gym = functools.partial(importlib.import_module, "uavaccel.fly.old_gym")
+        found |= {name: lambda name=name: gym().modules()[name] for name in GYM}  # type: ignore[misc]
     return found
-
-
-def _gym(name: str) -> ModuleType:
-    from uavaccel.fly import old_gym
-
-    return old_gym.modules()[name]
 
 
 def _read_image(name: str) -> NDArray[np.generic]:
@@ -295,17 +290,14 @@ def client_for_children(scratch: Path | None, port: int | None) -> Iterator[None
     names = {name.partition(".")[0] for name in client_modules()} | {*LIBRARIES, "cv2", "gym", "matplotlib"}
     text = _MODULE.format(root=str(Path(__file__).parents[2]), folder=str(folder), names=names)
     (folder / "sitecustomize.py").write_text(text, encoding="utf-8")
-    before = {name: os.environ.get(name) for name in ("PYTHONPATH", PORT)}
-    path = before["PYTHONPATH"]
-    os.environ["PYTHONPATH"] = os.pathsep.join([str(folder), *([path] if path else [])])
-    os.environ[PORT] = "" if port is None else str(port)
+    path = os.environ.get("PYTHONPATH")
+    os.environ |= {"PYTHONPATH": os.pathsep.join(filter(None, [str(folder), path])), PORT: str(port or "")}
     try:
         yield
     finally:
-        for name, value in before.items():
-            os.environ.pop(name)
-            if value is not None:
-                os.environ[name] = value
+        del os.environ[PORT], os.environ["PYTHONPATH"]
+        if path is not None:
+            os.environ["PYTHONPATH"] = path
 
 
 def enter() -> None:

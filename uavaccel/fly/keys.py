@@ -68,7 +68,6 @@ class Keyboard:
         self._place, self._noticed_s, self._told = 0, inf, False
 
     def down(self) -> str | None:
-        """Return the key that is down now."""
         if self._place < len(self.keys):
             since_s = self.now_s() - self._noticed_s
             if since_s < HELD_S:
@@ -180,23 +179,21 @@ def key_modules(keyboard: Keyboard) -> Iterator[None]:
     Those of libraries do not: one may try an import and manage without it.
     """
 
+    def made(name: str) -> ModuleType:
+        if "." not in name:
+            keys = "only those of --keys are pressed" if keyboard.keys else "no key is ever pressed (--keys)"
+            why = "" if keyboard.keys else " is not installed"
+            print(f"uavaccel: {name}{why}: a stand-in takes its place, and {keys}", file=sys.stderr, flush=True)
+        module = StubModule(name)
+        vars(module).update(NAMES[name](keyboard) if name in NAMES else {})
+        return module
+
     def find(name: str) -> Callable[[], ModuleType] | None:
-        if name.partition(".")[0] in ROOTS and called_by_a_script({"importlib", "_frozen_importlib"}):
-            return partial(_made, name, keyboard)
-        return None
+        wanted = name.partition(".")[0] in ROOTS and called_by_a_script({"importlib", "_frozen_importlib"})
+        return partial(made, name) if wanted else None
 
     with ModuleFinder(find).finding(0 if keyboard.keys else len(sys.meta_path)):
         yield
-
-
-def _made(name: str, keyboard: Keyboard) -> ModuleType:
-    if "." not in name:
-        keys = "only those of --keys are pressed" if keyboard.keys else "no key is ever pressed (--keys)"
-        why = "" if keyboard.keys else " is not installed"
-        print(f"uavaccel: {name}{why}: a stand-in takes its place, and {keys}", file=sys.stderr, flush=True)
-    module = StubModule(name)
-    vars(module).update(NAMES[name](keyboard) if name in NAMES else {})
-    return module
 
 
 class Hooks:
@@ -337,17 +334,18 @@ class Pressed(Stub):
 class Clock:
     """pygame.time.Clock: `tick` waits for the end of a frame."""
 
+    get_fps = staticmethod(float)
+
     def __init__(self, keyboard: Keyboard) -> None:
         self._sleep, self._now_s, self._ticked_s = keyboard.pass_time, keyboard.now_s, keyboard.now_s()
 
     def tick(self, framerate: float = 0) -> int:
         """Wait until 1 / `framerate` seconds after the last tick; returns the milliseconds since then."""
-        over_s = self._ticked_s + (1 / framerate if framerate else 0.0)
-        self._sleep(max(0.0, over_s - self._now_s()))
+        self._sleep(max(0.0, self._ticked_s + (1 / framerate if framerate else 0.0) - self._now_s()))
         before_s, self._ticked_s = self._ticked_s, self._now_s()
         return round(1000 * (self._ticked_s - before_s))
 
-    tick_busy_loop, get_fps = tick, staticmethod(float)
+    tick_busy_loop = tick
 
 
 class KeyCode(NamedTuple):

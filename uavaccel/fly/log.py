@@ -166,7 +166,6 @@ def largest_difference_m(folder: Path, reference: Path) -> float:
 
 
 def equal(folder: Path, reference: Path) -> bool:
-    """Return whether two flights' samples are the same bytes."""
     return (folder / TRAJECTORY).read_bytes() == (reference / TRAJECTORY).read_bytes()
 
 

@@ -84,7 +84,6 @@ class FlightOptions:
 
     @classmethod
     def from_json(cls, text: str) -> Self:
-        """Invert `to_json`."""
         values = json.loads(text)
         for field in fields(cls):
             if "Path" in str(field.type) and values[field.name] is not None:

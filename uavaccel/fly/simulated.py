@@ -69,7 +69,6 @@ class ScriptWorld:
 
 
 def warn(line: str) -> None:
-    """Print a warning on standard error."""
     print(f"uavaccel: warning: {line}", file=sys.stderr, flush=True)
 
 
@@ -268,5 +267,4 @@ class SimulatedFlight:
 
 
 def earliest(*times_ns: int | None) -> int | None:
-    """Return the earliest of those times that are not None."""
     return min((time_ns for time_ns in times_ns if time_ns is not None), default=None)

@@ -57,8 +57,7 @@ class LoggedConnection:
         self._start_ns = self._clock.now_ns()
 
     def call(self, method: str, *params: object) -> Received:
-        future = self.call_async(method, *params)
-        return future.get()
+        return self.call_async(method, *params).get()
 
     def call_async(self, method: str, *params: object) -> Future:
         if os.getpid() != self._pid:
@@ -172,7 +171,13 @@ def serving(
         line = lines.readline()
         if "listening on" not in line:
             raise UserError(f"the server did not start: {line.strip() or 'see above'}")
-        printer = threading.Thread(target=_print_warnings, args=(lines,), daemon=True)
+
+        def print_warnings() -> None:
+            for each in lines:
+                if each.startswith(("warning", "  ", "stopped")):
+                    print(f"uavaccel: {each.rstrip()}", file=sys.stderr, flush=True)
+
+        printer = threading.Thread(target=print_warnings, daemon=True)
         printer.start()
         with _stopped_by(signal.SIGUSR1):
             first = threading.main_thread().ident or 0
@@ -198,12 +203,6 @@ def _stopped_by(number: int) -> Iterator[None]:
         yield
     finally:
         signal.signal(number, before)
-
-
-def _print_warnings(lines: Iterator[str]) -> None:
-    for line in lines:
-        if line.startswith(("warning", "  ", "stopped")):
-            print(f"uavaccel: {line.rstrip()}", file=sys.stderr, flush=True)
 
 
 def recorded(folder: Path) -> tuple[np.ndarray, np.ndarray]:

@@ -29,7 +29,6 @@ def cpu_time_s(pid: int) -> float | None:
 
 
 def is_stopped(pid: int) -> bool:
-    """Return whether a process has been stopped by a signal."""
     fields = _stat(pid)
     return fields is not None and fields[0] in "Tt"
 
@@ -109,7 +108,6 @@ def guard_children(say: Callable[[str], object]) -> None:
 
 
 def end_stopped() -> None:
-    """End every process below this one that is stopped."""
     for pid in _stopped():
         _kill(pid)
 

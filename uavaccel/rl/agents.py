@@ -17,10 +17,11 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from uavaccel.envs.arrays import select
 from uavaccel.envs.conditions import OF_SENSOR
 from uavaccel.envs.obstacle_lane import LaneTask
 from uavaccel.envs.task import Task
-from uavaccel.envs.values import Action, Info, Observation, select
+from uavaccel.envs.values import Action, Info, Observation
 from uavaccel.errors import UserError
 from uavaccel.files import file_sha256
 from uavaccel.own_code import errors_named, own_function
@@ -91,7 +92,10 @@ class OffsetAgent:
         return self._east if error_m > 0 else self._west
 
 
-SENSES = (*("observation", "history", "knows", "blank_images", "dvs_preset", "dvs_seed"), *(*OF_SENSOR, "dvs_rate_hz"))
+SENSES = (
+    *("observation", "also_state", "picture_size", "history", "knows", "blank_images", "dvs_preset", "dvs_seed"),
+    *(*OF_SENSOR, "dvs_rate_hz"),
+)
 CLOCK = ("timing", "command", "clock_speed", "profile", "latency", "report_host_times")  # an evaluation has its own
 FLIGHT = ("t_move_s", "t_sample_s", "speed_m_s", "headings_deg", "altitude_m")
 
@@ -257,7 +261,7 @@ class PolicyFolder(Origin):
                 raise UserError(f"task: {others}: omit what they follow from")
             return
         was = f"{self.name} was trained with"
-        for key in ("observation", "history", "knows"):
+        for key in ("observation", "also_state", "picture_size", "history", "knows"):
             if getattr(task, key) != getattr(trained, key):
                 raise UserError(f"task.{key} = {getattr(task, key)!r}: {was} {getattr(trained, key)!r}")
         if (frames := observed_frames(task)) != (theirs := observed_frames(trained)):
@@ -342,7 +346,7 @@ class OnnxAgentFile(AgentFile):
 def _planes(task: Task) -> tuple[int, int]:
     """Return how many of an observation's planes are of pictures, and how many are context planes."""
     context = task.context_planes()
-    told = 0 if context is None else context.planes
+    told = 0 if context is None else len(context.knows)
     return int(task.frames_space().shape[0]) - told, told
 
 

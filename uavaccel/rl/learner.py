@@ -26,9 +26,10 @@ import torch as th
 from numpy.typing import NDArray
 
 from uavaccel.clock import MonotonicClock
+from uavaccel.envs.arrays import stacked_observations
 from uavaccel.envs.batch import TurnBatch
 from uavaccel.envs.stopwatch import Stopwatch
-from uavaccel.envs.values import Info, State, stacked_observations
+from uavaccel.envs.values import Info, State
 from uavaccel.errors import UserError, naming
 from uavaccel.files import Plain, open_bounded, parse_json, read_bounded, replacing
 from uavaccel.rl.config import DOUBLE_DQN, PPO, LearnerConfig, check_options

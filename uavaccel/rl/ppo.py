@@ -34,6 +34,7 @@ from uavaccel.kernels.recording import recorded
 from uavaccel.rl.config import LearnerConfig, PPOSettings
 from uavaccel.rl.learner import Game, Learner, LearnerState, compute_the_same_each_time, falling, first_seed
 from uavaccel.rl.network import Adam, contrast
+from uavaccel.units import NS_PER_S
 
 Parts: TypeAlias = dict[str, th.Tensor]
 
@@ -330,6 +331,8 @@ class PPOTraining(Learner):
         self._games: HostGames | DeviceGames = (HostGames if self._on_host else DeviceGames)(self)
         self._ppo = PPO(self._games, self.options)
         self.optimizer, self._begun = self._ppo.optimizer, False
+        self.seconds_of_learning = self.options.epochs * self.options.minibatches / lanes.num_envs * config.learning_s
+        """What a round's gradient steps cost each lane."""
         self.policy = self._ppo.policy if self._on_host else deepcopy(self._ppo.policy)
 
     @property
@@ -406,9 +409,7 @@ class HostGames(Games):
 
     def pop(self) -> list[Game]:
         """Return the games that ended since the last call, and charge the lanes for what was learned since."""
-        learner = self._learner
-        steps = learner.options.epochs * learner.options.minibatches
-        learner.charge(steps / self.num_envs * learner.config.learning_s, "learning")
+        self._learner.charge(self._learner.seconds_of_learning, "learning")
         ended, self._ended = self._ended, []
         return ended
 
@@ -430,12 +431,17 @@ class DeviceGames(Games):
             self._returns = th.tensor(self._learner.returns, dtype=th.float64, device=self.device)
         over, returns = terminated | truncated, self._returns + rewards
         self._unread.append((over, returns, infos["final_info"]))
+        self._charge(self._learner.config.inference_s, "inference")
         self._returns = th.where(over, 0.0, returns)
         return stepped
 
+    def _charge(self, duration_s: float, phase: str) -> None:
+        self._lanes.charge_each(np.full(self.num_envs, round(duration_s * NS_PER_S)), phase)
+
     def pop(self) -> list[Game]:
-        """Return the games that ended since the last call, up to the configured number."""
+        """Return the games that ended since the last call, up to the configured number, and charge as `HostGames`."""
         learner, games = self._learner, []
+        self._charge(learner.seconds_of_learning, "learning")
         ends = th.stack([over for over, _, _ in self._unread]).cpu().numpy()
         for (_, returns, infos), over in zip(self._unread, ends, strict=True):
             told = _on_host(infos) if over.any() else {}

@@ -24,10 +24,11 @@ from numpy.typing import NDArray
 
 from uavaccel.clock import MonotonicClock
 from uavaccel.config import validate
+from uavaccel.envs.arrays import select
 from uavaccel.envs.batch import EnvironmentBatch
 from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.simulators import CUDA, KERNELS
-from uavaccel.envs.values import Action, Info, Observation, select
+from uavaccel.envs.values import Action, Info, Observation
 from uavaccel.machine import usable_cores
 from uavaccel.own_code import folder_of, trusted_folder, trusting
 from uavaccel.rl.agents import Agent, BatchAgent, PolicyAgent, make_agent, reset_options

@@ -27,7 +27,7 @@ from uavaccel.envs.batch import EnvironmentBatch
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.envs.stopwatch import Stopwatch
 from uavaccel.errors import UserError
-from uavaccel.files import append_line, to_json
+from uavaccel.files import append_lines, to_json
 from uavaccel.records import RunDirectory
 from uavaccel.rl.agents import FLIGHT, evaluation_keys
 from uavaccel.rl.config import learns_from_a_buffer
@@ -264,7 +264,7 @@ class Evaluations:
             "is_success": [row["is_success"] for row in rows],
             **({"distance_m": [row["distance_m"] for row in rows]} if "distance_m" in rows[0] else {}),
         }
-        append_line(self._run.file(EVALUATIONS), line)
+        append_lines(self._run.file(EVALUATIONS), [to_json(line)])
         self._done = learner.games
 
     def close(self) -> None:

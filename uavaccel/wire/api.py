@@ -11,13 +11,13 @@ writes which of AirSim's calls are done, accepted or refused.
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from uavaccel.errors import UserError
 from uavaccel.sim.simulation import Simulation
 from uavaccel.wire import rpc
-from uavaccel.wire.calls import BoundCall, Calls, Refusals, Say, Scenery, WireCall
+from uavaccel.wire.calls import Calls, Refusals, Say, Scenery, WireCall
 from uavaccel.wire.flight_api import AttitudeApi, FlightApi
 from uavaccel.wire.game_api import GameApi, RecordingApi, SimulatorApi
 from uavaccel.wire.image_api import CameraApi, ImageApi
@@ -51,24 +51,23 @@ class Api:
         self.scenery = Scenery(simulation, self.settings, render, recordings, say)
         self.refusals = Refusals()
         self._logged: set[tuple[str, type[Exception]]] = set()
-        self.methods: dict[str, BoundCall] = {}
+        self.handlers: dict[str, Callable[..., object]] = {}
         for group in GROUPS:
-            self.methods |= group(self.scenery).bound()
+            self.handlers |= group(self.scenery).handlers()
 
     def call(self, method: str, params: Sequence[object], wall_ns: int) -> Received:
         """Return a call's result, or a DeferredReply. Raises rpc.RpcError with the text for the client."""
-        bound = self.methods.get(method)
-        if bound is None:
+        handler, call = self.handlers.get(method), CALLS.get(method)
+        if handler is None or call is None:
             self.refusals.add(method, "is not known here")
             raise rpc.unknown_method(method, len(params))
-        call = bound.call
         if not call.required <= len(params) <= call.most:
             raise self._refused(call, rpc.wrong_arity(method, call.most, len(params)))
         self.scenery.wall_ns = wall_ns
         if self.simulation.trace.enabled:
             self.simulation.note(f"handle {method}", wall_ns)
         try:
-            return bound.handler(*call.arguments(params)) if params else bound.handler()
+            return handler(*call.arguments(params)) if params else handler()
         except (ValueError, UserError) as error:
             raise self._refused(call, rpc.threw(method, len(params), str(error))) from error
         except Exception as error:  # no mistake of the client; fails this call alone, as in rpclib
@@ -104,7 +103,6 @@ def sections() -> dict[str, list[WireCall]]:
 
 
 def page() -> str:
-    """Return the page in Markdown."""
     answers = [call.status for calls in sections().values() for call in calls]
     done, accepted, refused = (
         sum(answer.startswith(word) for answer in answers) for word in ("done", "accepted", "refused")

@@ -14,7 +14,6 @@ from __future__ import annotations
 import inspect
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import ClassVar, TypeVar, get_type_hints
@@ -127,17 +126,8 @@ class Calls:
         """The wall time at which the present call is handled."""
         return self.scenery.wall_ns
 
-    def bound(self) -> dict[str, BoundCall]:
-        """Return the group's calls by wire name, bound to this object."""
-        return {name: BoundCall(each, each.method.__get__(self)) for name, each in self.calls.items()}
-
-
-@dataclass
-class BoundCall:
-    """A call, and the bound method that answers it."""
-
-    call: WireCall
-    handler: Callable[..., object]
+    def handlers(self) -> dict[str, Callable[..., object]]:
+        return {name: each.method.__get__(self) for name, each in self.calls.items()}
 
 
 class Scenery:

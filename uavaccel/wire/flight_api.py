@@ -46,7 +46,6 @@ STICK_NAMES = ("roll", "pitch", "throttle", "yaw")  # in the order of manual.Sti
 
 
 def places(value: object, name: str) -> list[Vector]:
-    """A list of Vector3r in metres."""
     if not isinstance(value, list):
         raise ValueError(f"{name} must be a list of Vector3r")
     return [place(point, name) for point in value]
@@ -250,7 +249,6 @@ def turned(now: Kinematics, ahead: float, right: float) -> tuple[float, float]:
 
 
 def gains(value: object, name: str) -> Vector:
-    """The gains of three axes."""
     if not isinstance(value, list) or len(value) != 3:
         raise ValueError(f"{name} must be a list of three gains")
     a, b, c = (number(each, name) for each in value)
@@ -342,7 +340,7 @@ class AttitudeApi(Calls, title="Flight"):
 
 def rc_data_map(sticks: Sticks) -> dict[str, object]:
     """Return the RCData of a vehicle, whose sticks are those of moveByRC."""
-    valid, unused = bool(sticks[VALID]), dict.fromkeys(("left_z", "right_z"), 0.0)
     moved = dict(zip(STICK_NAMES, sticks[: len(STICK_NAMES)].tolist(), strict=True))
-    state = {"switches": int(sticks[RATE_MODE]), "is_initialized": valid, "is_valid": valid}
-    return {"timestamp": 0, **unused, "vendor_id": "", **moved, **state}
+    axes = {name: moved.get(name, 0.0) for name in ("pitch", "roll", "throttle", "yaw", "left_z", "right_z")}
+    how = {"switches": int(sticks[RATE_MODE]), "vendor_id": "", "is_initialized": (valid := bool(sticks[VALID]))}
+    return {"timestamp": 0, **axes, **how, "is_valid": valid}

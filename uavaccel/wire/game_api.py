@@ -62,7 +62,6 @@ class SpeedReport(TypedDict):
 class GameApi(Calls, title="Games"):
     @call("uavaccelState", "state")
     def state(self) -> list[float]:
-        """Return the present state (`encode_state`)."""
         return encode_state(self.simulation.kinematics())
 
     @call("uavaccelContinueFor", "continue_for")

@@ -62,7 +62,6 @@ class CameraApi(Calls, title="Cameras and images"):
     def set_fov(
         self, camera_name: object, fov_degrees: float, vehicle: VehicleName = "", external: Truthy = False
     ) -> None:
-        """Set the horizontal field of view of all types of image."""
         mounted = self._named(camera_name, vehicle, external)
         if not NARROWEST_DEG <= fov_degrees <= WIDEST_DEG:
             raise ValueError(f"fov_degrees must be {NARROWEST_DEG:g} to {WIDEST_DEG:g}, not {fov_degrees:g}")
@@ -161,9 +160,8 @@ class ImageApi(Calls, title="Cameras and images"):
     def get_image(
         self, camera_name: object, image_type: int, vehicle: VehicleName = "", external: Truthy = False
     ) -> bytes:
-        """Return one image as PNG."""
         mounted = self.scenery.cameras(vehicle, external).named(camera_name)
-        return png(self.scenery.pictures.bgr(mounted, image_type)[..., ::-1])
+        return png(self.scenery.pictures.rgb(mounted, image_type))
 
     def _response(self, request: ImageRequest, kinematics: Kinematics) -> dict[str, object]:
         camera, name, image_type, as_float, compress = request
@@ -176,11 +174,12 @@ class ImageApi(Calls, title="Cameras and images"):
             if image_type in OPTICAL_FLOW:
                 self.scenery.say_once("simGetImages: images of types 8 and 9 (optical flow) are empty")
         else:
-            image = (pictures.floats if as_float else pictures.bgr)(camera, image_type)
+            image = (pictures.floats if as_float else pictures.rgb)(camera, image_type)
         eye = camera.eye(Pose(kinematics.position_m, kinematics.orientation_wxyz))
         carrier = self.simulation.world.vehicles[camera.carrier]
+        data = b"" if as_float or message else png(image) if compress else image[..., ::-1].tobytes()
         return {
-            "image_data_uint8": b"" if as_float or message else png(image[..., ::-1]) if compress else image.tobytes(),
+            "image_data_uint8": data,
             "image_data_float": image.ravel() if as_float else [],
             "camera_position": types.vector_map(carrier.local(eye.position_m)),
             "camera_name": name,
@@ -233,6 +232,5 @@ def clutter_layout(world: Mapping[str, object]) -> ClutterLayout:
 
 
 def decode_image(reply: Received) -> AnyImage:
-    """Return the picture in a `raw_image` reply."""
     image: AnyImage = np.frombuffer(reply["data"], reply["dtype"]).reshape(reply["shape"])
     return image

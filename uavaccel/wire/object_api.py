@@ -50,7 +50,6 @@ class ObjectApi(Calls, title="Objects"):
 
     @call("simListSceneObjects")
     def listed(self, name_regex: ObjectName = ".*") -> list[str]:
-        """List the objects and vehicles whose names match."""
         return self.scenery.named_like(name_regex)
 
     @call("simGetObjectPose")

@@ -107,7 +107,6 @@ class CameraMount:
         return self.lenses.get(image_type, Lens())
 
     def set_fov(self, fov_deg: float) -> None:
-        """Set the field of view of all types of image, as AirSim does."""
         types = {SCENE, *range(10), *self.lenses}
         self.lenses = {kind: self.lens(kind)._replace(fov_deg=fov_deg) for kind in types}
 
@@ -177,15 +176,15 @@ class Pictures:
         kind, shown = known_type(image_type), self._shown()
         if kind in _DEPTHS:
             return self._depth(camera, kind, shown)
-        return (self.bgr(camera, kind)[..., 2] / np.float32(255)).astype(np.float32)
+        return (self.rgb(camera, kind)[..., 0] / np.float32(255)).astype(np.float32)
 
-    def bgr(self, camera: CameraMount, image_type: int) -> NDArray[np.uint8]:
-        """Return an image (height, width, 3) of blue, green and red."""
+    def rgb(self, camera: CameraMount, image_type: int) -> NDArray[np.uint8]:
+        """Return an image (height, width, 3) of red, green and blue."""
         kind, shown = known_type(image_type), self._shown()
         if kind == ImageType.SCENE:
-            return np.ascontiguousarray(self._pointed(camera, kind, shown).colour(shown)[..., ::-1])
+            return self._pointed(camera, kind, shown).colour(shown)
         if kind == ImageType.SEGMENTATION:
-            return np.ascontiguousarray(colours()[self._object_ids(camera, kind, shown)][..., ::-1])
+            return colours()[self._object_ids(camera, kind, shown)]
         if kind == ImageType.INFRARED:
             return _gray(self._object_ids(camera, kind, shown).astype(np.uint8))
         if kind == ImageType.SURFACE_NORMALS:
@@ -199,7 +198,7 @@ class Pictures:
         """Draw once, so that the first requested image takes no longer than others. Raises UserError without OpenGL."""
         front = CameraMount("front_center", FRONT_CENTER, {})
         for image_type in (ImageType.SCENE, ImageType.SEGMENTATION, ImageType.DEPTH_PERSPECTIVE):
-            self.bgr(front, image_type)
+            self.rgb(front, image_type)
 
     def _depth(self, camera: CameraMount, kind: ImageType, scene: mujoco.MjData) -> NDArray[np.float32]:
         """Return the depth image of a type: metres, or fractions from 0 to 1 for DEPTH_VIS and DISPARITY_NORMALIZED."""
@@ -229,7 +228,7 @@ class Pictures:
             hits = cast(world.model, scene, eye.position_m, directions.reshape(-1, 3), exclude=carrier)
             rgb = np.rint((hits.normals * (1.0, 1.0, -1.0) + 1.0) * 127.5).astype(np.uint8)
             rgb[hits.geoms < 0] = 0
-            picture[top : top + rows] = rgb.reshape(-1, lens.width, 3)[..., ::-1]
+            picture[top : top + rows] = rgb.reshape(-1, lens.width, 3)
         return picture
 
     def _pointed(self, camera: CameraMount, image_type: int, scene: mujoco.MjData) -> MountedCamera:
@@ -257,7 +256,6 @@ class Pictures:
 
 
 def can_render(lens: Lens) -> bool:
-    """Return whether a lens's pictures have at most MOST_PIXELS."""
     return lens.width * lens.height <= MOST_PIXELS
 
 
@@ -283,10 +281,10 @@ def _gray(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return np.repeat(image[..., None], 3, axis=2)
 
 
-def ppm(bgr: NDArray[np.uint8]) -> bytes:
-    """Return a portable pixmap of blue, green, red pixels (H, W, 3)."""
-    height, width = bgr.shape[:2]
-    return f"P6\n{width} {height}\n255\n".encode() + bgr[..., ::-1].tobytes()
+def ppm(rgb: NDArray[np.uint8]) -> bytes:
+    """Return a portable pixmap of red, green, blue pixels (H, W, 3)."""
+    height, width = rgb.shape[:2]
+    return f"P6\n{width} {height}\n255\n".encode() + rgb.tobytes()
 
 
 def pfm(numbers: NDArray[np.float32]) -> bytes:

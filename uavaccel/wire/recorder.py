@@ -146,8 +146,7 @@ class Recorder:
             if wanted.pixels_as_float:
                 content = pfm(pictures.floats(camera, wanted.image_type))
             else:
-                bgr = pictures.bgr(camera, wanted.image_type)
-                content = png(bgr[..., ::-1]) if wanted.compress else ppm(bgr)
+                content = (png if wanted.compress else ppm)(pictures.rgb(camera, wanted.image_type))
             parts = (self._vehicle, camera.name, str(wanted.image_type), str(stamp))
             name = "_".join(["img", *(re.sub(r"[^\w-]", "_", part) for part in parts)]) + suffix
             (folder / name).write_bytes(content)

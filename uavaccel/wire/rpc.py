@@ -86,7 +86,6 @@ def pack_request(number: int, method: str, params: Sequence[object], default: De
 
 
 def pack_response(message_id: int, error: str | None, result: object) -> bytes:
-    """Return a response's bytes."""
     if error is not None:  # it may quote bytes that are not valid text
         error = error.encode("utf-8", "replace").decode()
     return pack([1, message_id, error, result])
@@ -126,20 +125,20 @@ def _pieces(packer: msgpack.Packer, value: object) -> Iterator[bytes]:
         yield packer.pack(value)
 
 
+# --- errors in the words of rpclib
+
+
 def unknown_method(method: str, count: int) -> RpcError:
-    """rpclib's error for a method that the server does not have."""
     return RpcError(f"rpclib: server could not find function '{method}' with argument count {count}.")
 
 
 def wrong_arity(method: str, expected: int, got: int) -> RpcError:
-    """rpclib's error for a wrong number of arguments."""
     return RpcError(
         f"rpclib: Function '{method}' was called with an invalid number of arguments. Expected: {expected}, got: {got}"
     )
 
 
 def threw(method: str, count: int, message: str) -> RpcError:
-    """rpclib's error for a method that threw an exception."""
     return RpcError(
         f"rpclib: function '{method}' (called with {count} arg(s)) threw an exception. "
         f"The exception contained this information: {message}.",

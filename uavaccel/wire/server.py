@@ -109,7 +109,11 @@ class Server:
                     simulation.advance_to(now)
                 simulation.advance_to(self.clock.now_ns())
                 self._flush()
-                self._serve_turns()
+                # one request of each client, and again while there are others, for TURNS_NS and the last turn
+                end_ns = self.clock.now_ns() + TURNS_NS
+                while (asking := [each for each in self.connected if each.asks()]) and self.clock.now_ns() < end_ns:
+                    for connection in asking:
+                        self._serve(connection)
                 each_turn()
         finally:
             self.close()
@@ -226,15 +230,9 @@ class Server:
 
     # --- requests ---------------------------------------------------------------------------------
 
-    def _serve_turns(self) -> None:
-        """Serve one request of each client, and again while there are others, for TURNS_NS and the last turn."""
-        end_ns = self.clock.now_ns() + TURNS_NS
-        while (asking := [each for each in self.connected if each.asks()]) and self.clock.now_ns() < end_ns:
-            for connection in asking:
-                if connection.asks():  # still: it may have been disconnected
-                    self._serve(connection)
-
     def _serve(self, connection: Connection) -> None:
+        if not connection.asks():  # any more: it may have been disconnected
+            return
         message, connection.request = connection.request or b"", None
         try:
             request = rpc.unpack_request(message)
@@ -263,7 +261,7 @@ class Server:
         if not self._answers:
             return
         while self._answers:
-            connection, *answer = self._answers.pop()
-            connection.unsent += packed(*answer)
+            connection, number, error, result = self._answers.pop()
+            connection.unsent += packed(number, error, result)
         for connection in self.connected.copy():
             self._send(connection)

@@ -30,18 +30,6 @@ FASTEST_M_S, FASTEST_RAD_S = 500.0, 100.0  # beyond these a tick's drag or turn 
 KIND = "simpleflight"
 TURNS = (-1, -1, 1, 1)  # AirSim's signs of the rotors' torques
 MAX_SPEED_RAD_S = 669.857
-NOWHERE = types.vector_map((0.0, 0.0, 0.0))
-NO_COLLISION = {
-    "has_collided": False,
-    "penetration_depth": 0.0,
-    "time_stamp": 0,
-    "normal": NOWHERE,
-    "impact_point": NOWHERE,
-    "position": NOWHERE,
-    "object_name": "",
-    "object_id": -1,
-}
-"""The CollisionInfo of a vehicle that has not collided."""
 
 
 class SettableKinematics(NamedTuple):
@@ -106,7 +94,6 @@ class VehicleApi(Calls, title="Vehicles"):
 
     @call("simGetVehiclePose")
     def pose(self, vehicle: VehicleName = "") -> dict[str, dict[str, float]]:
-        """Return the vehicle's pose at the present tick."""
         return types.pose_map(self.scenery.pilot(vehicle).kinematics())
 
     @call("simSetVehiclePose")
@@ -138,7 +125,7 @@ class VehicleApi(Calls, title="Vehicles"):
         kinematics = pilot.kinematics()
         position_m = pilot.vehicle.in_world(kinematics.position_m)
         return {
-            "collision": NO_COLLISION,  # AirSim never fills it here
+            "collision": no_collision(),  # AirSim never fills it here
             "kinematics_estimated": types.kinematics_map(kinematics),
             "gps_location": types.geo_map(geographic(position_m, self.scenery.settings.home)),
             "timestamp": types.stamp(kinematics.time_ns),
@@ -169,7 +156,7 @@ class VehicleApi(Calls, title="Vehicles"):
         """
         flown = self.scenery.vehicle(vehicle)
         touches = flown.contact_log
-        info = NO_COLLISION | {"has_collided": touches.read(), "collision_count": touches.count}
+        info = no_collision() | {"has_collided": touches.read(), "collision_count": touches.count}
         if touch := touches.latest:
             info |= {"time_stamp": types.stamp(self.simulation.time_of(touch.tick))}
             info |= {"object_name": self.scenery.objects.name_of(touch.object)}
@@ -179,6 +166,13 @@ class VehicleApi(Calls, title="Vehicles"):
             info |= {"position": types.vector_map(flown.local(touch.position_m))}
             info |= {"impact_point": types.vector_map(flown.local(touch.impact_point_m))}
         return info
+
+
+def no_collision() -> dict[str, object]:
+    """Return the CollisionInfo of a vehicle that has not collided."""
+    places = {name: types.vector_map((0.0, 0.0, 0.0)) for name in ("normal", "impact_point", "position")}
+    what = {"object_name": "", "object_id": -1}
+    return {"has_collided": False, "penetration_depth": 0.0, "time_stamp": 0, **places, **what}
 
 
 STANDING_M = -0.045  # NED z of a vehicle that stands on the ground, where the player starts
@@ -241,7 +235,6 @@ def room_m(position_m: Vector, taken_m: Sequence[Vector]) -> float:
 
 
 def east_of(position_m: Vector, metres: float) -> Vector:
-    """Return the position so many metres to the east."""
     return position_m[0], position_m[1] + metres, position_m[2]
 
 
