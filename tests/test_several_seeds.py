@@ -14,8 +14,8 @@ from tests.running import configured, run_into
 from uavaccel.config import validate
 from uavaccel.errors import UsageError, UserError
 from uavaccel.records import RunDirectory
+from uavaccel.suites.experiment import Row
 from uavaccel.suites.parts import part_run
-from uavaccel.suites.rows import Row
 from uavaccel.suites.seeds import Seeds, SeedsConfig
 from uavaccel.suites.session import RunRequest, configure, planned
 from uavaccel.suites.train import TrainConfig

@@ -28,9 +28,9 @@ from uavaccel.resources import require
 from uavaccel.sim.camera.camera import FRONT_CENTER
 from uavaccel.sim.camera.pixels import png
 from uavaccel.sim.camera.view import HEIGHT, WIDTH
+from uavaccel.suites.experiment import Row
 from uavaccel.suites.flight import Flight
 from uavaccel.suites.registry import suite_of
-from uavaccel.suites.rows import Row
 from uavaccel.suites.suite import choose_row
 from uavaccel.units import NS_PER_S
 

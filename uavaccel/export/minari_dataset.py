@@ -31,7 +31,7 @@ from uavaccel.rl.agents import reset_options
 from uavaccel.rl.config import ENVIRONMENTS
 from uavaccel.suites.evaluate import AnyRow, EvaluateConfig, Flyable, game_seed
 from uavaccel.suites.evaluate_again import environment_of, evaluation_of, fly_again
-from uavaccel.suites.rows import number_of
+from uavaccel.suites.experiment import number_of
 
 if TYPE_CHECKING:
     import h5py

@@ -28,11 +28,10 @@ from uavaccel.records import RunDirectory
 from uavaccel.sim.profile import PROFILES
 from uavaccel.sim.recording import RECORDED
 from uavaccel.suites import experiment, plots
-from uavaccel.suites.experiment import FlightExperiment, Timing
+from uavaccel.suites.experiment import FlightExperiment, Timing, named_seed, subset
 from uavaccel.suites.flight import Flight
 from uavaccel.suites.path_suite import FlightCase, FlightRow, PathSuite, flight_row, fly_path, reference_of
 from uavaccel.suites.report import Report, Summary, disturbed_games, finished, method_note, warnings
-from uavaccel.suites.rows import named_seed, subset
 from uavaccel.suites.suite import GameResult
 from uavaccel.units import NS_PER_S
 
@@ -284,8 +283,7 @@ def summary_cells(scores: pd.DataFrame, seed: int) -> list[dict[str, Any]]:
     for key, cell in scores.groupby(CELL):
         keys, own, itself = dict(zip(CELL, key, strict=True)), finished(cell), bool((cell.role == "reference").all())
         real = references.get(tuple(keys[name] for name in PATH), own.head(0))
-        provenance, disturbed = timing_provenance(keys["timing"]), disturbed_games(own)
-        reference, interval, mixed = None, None, None
+        provenance, reference, interval, mixed = timing_provenance(keys["timing"]), None, None, None
         if len(real):
             game = real.iloc[0]
             reference = reference_of(game, itself, command=game.command, games=len(real))
@@ -301,7 +299,7 @@ def summary_cells(scores: pd.DataFrame, seed: int) -> list[dict[str, Any]]:
             "provenance": provenance,
             "seed": seed,
             "reference": reference,
-            **({"disturbed_games": disturbed} if disturbed else {}),
+            **disturbed_games(own),
             "stlc_median": stlc.median(),
             "stlc_q25": stlc.quantile(0.25),
             "stlc_q75": stlc.quantile(0.75),

@@ -45,10 +45,9 @@ from uavaccel.rl.agents import (
 from uavaccel.rl.config import ENVIRONMENTS, LANE, AnyTask, EnvId, environment_class, keys_with_task
 from uavaccel.sim.lane.layout import LENGTH_M, SPLIT_SIZE, WIDTH_M
 from uavaccel.suites import paper_results, plots
-from uavaccel.suites.experiment import Experiment
+from uavaccel.suites.experiment import Experiment, LaneRow, OutcomeRow, ReturnRow, Row, game_row, number_of, subset
 from uavaccel.suites.flight import Flight
 from uavaccel.suites.report import Report, disturbed_games, disturbed_words, summary_table
-from uavaccel.suites.rows import LaneRow, OutcomeRow, Row, game_row, number_of
 from uavaccel.suites.suite import GameResult, SimpleCase, Suite
 from uavaccel.wire.image_api import lane_layout
 
@@ -139,11 +138,7 @@ class EvaluateRow(LaneRow, Evaluated):
     """The row of a game in the obstacle lane."""
 
 
-# "return" is a word of Python's
-_Return = TypedDict("_Return", {"return": Number})
-
-
-class OtherRow(OutcomeRow, Evaluated, _Return):
+class OtherRow(OutcomeRow, Evaluated, ReturnRow):
     """The row of a game in another environment: its number, from which its seed follows, and the sum of its rewards."""
 
     game: Count
@@ -253,13 +248,13 @@ class Evaluation(Suite[EvaluateConfig, Game]):
     def summary(self, report: Report) -> dict[str, Any]:
         """Return the success ratio with its 95 % Wilson interval, and the distances or the returns."""
         games, config, task = report.games, report.config, report.config.task
-        sim_time_s, wall_s, disturbed = float(games.sim_time_s.sum()), float(games.wall_s.sum()), disturbed_games(games)
+        sim_time_s, wall_s = float(games.sim_time_s.sum()), float(games.wall_s.sum())
         return {
-            **({"disturbed_games": disturbed} if disturbed else {}),
+            **disturbed_games(games),
             "suite": "evaluate",
             "agent": config.agent,
             **({} if config.env_id == LANE else {"env_id": config.env_id}),
-            **{key: getattr(task, key) for key in ("profile", "command", "clock_speed", "timing")},
+            **subset(vars(task), "profile", "command", "clock_speed", "timing"),
             "simulator": config.simulator,
             **({} if config.simulator == EXACT else {"device": config.device}),
             "seed": config.seed,

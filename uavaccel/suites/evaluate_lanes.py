@@ -34,8 +34,7 @@ from uavaccel.own_code import folder_of, trusted_folder, trusting
 from uavaccel.rl.agents import Agent, BatchAgent, PolicyAgent, make_agent, reset_options
 from uavaccel.rl.config import DOUBLE_DQN, PPO
 from uavaccel.suites.evaluate import AnyRow, EvaluateConfig, fly_game, game_seed, row_of
-from uavaccel.suites.host_time import timed
-from uavaccel.suites.rows import number_of
+from uavaccel.suites.experiment import number_of, timed
 from uavaccel.suites.suite import GameResult
 from uavaccel.units import NS_PER_S
 

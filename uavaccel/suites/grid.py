@@ -36,12 +36,21 @@ from uavaccel.rl.agents import DEFAULT, agent_name, origin_of
 from uavaccel.sim.recording import RECORDED
 from uavaccel.suites import plots
 from uavaccel.suites.dp1 import SIMILAR_STLC, Dp1, Dp1Config, Dp1Row, Game, summary_cells
-from uavaccel.suites.experiment import ClockSpeeds, CommandNames, Experiment, ProfileName, Timing, distinct, timing_of
+from uavaccel.suites.experiment import (
+    ClockSpeeds,
+    CommandNames,
+    Experiment,
+    GameRow,
+    ProfileName,
+    Timing,
+    distinct,
+    subset,
+    timing_of,
+)
 from uavaccel.suites.flight import Flight
 from uavaccel.suites.parts import OUTCOMES, Part, SuiteOfRuns, fly_part, outcomes, part_run, part_suite, simulated_s
 from uavaccel.suites.registry import merged
 from uavaccel.suites.report import Report, Summary, finished, method_note, table_of
-from uavaccel.suites.rows import GameRow
 from uavaccel.suites.suite import AnySuite, GameResult, SimpleCase, Suite
 
 if TYPE_CHECKING:
@@ -258,12 +267,10 @@ def band_figure(config: AblationConfig, entries: pd.DataFrame) -> Figure:
     for axes, (column, label) in zip(grid, PANELS.items(), strict=True):
         for command, own in entries.groupby("command"):
             look: style.LineStyle = {"color": style.COMMAND_COLOUR[str(command)]}
-            by_clock = own.groupby("clock_speed")[column]
+            by_clock, label_of = own.groupby("clock_speed")[column], f"{command_name(str(command))}, {first}"
             axes.fill_between(range(len(clocks)), by_clock.min(), by_clock.max(), alpha=0.3, linewidth=0, **look)
             line = own[own.variant == first].sort_values("clock_speed")
-            axes.plot(
-                range(len(clocks)), line[column], marker="o", label=f"{command_name(str(command))}, {first}", **look
-            )
+            axes.plot(range(len(clocks)), line[column], marker="o", label=label_of, **look)
         plots.clock_axis(axes, clocks)
         axes.set_title(label)
     style.legend(figure)
@@ -352,43 +359,34 @@ class PolicyGrid(SuiteOfRuns[Any, Point]):
         for point in self.points(config):
             self.runs(config, point)
 
-    def part(self, config: Any, point: Point) -> Part:
-        """Return the evaluation at a point."""
-        keys = {"agent": config.agent, "games": config.games, **config.evaluation.keys, **point.keys}
-        return Part(experiment=config.evaluation.experiment, keys=keys)
-
     def runs(self, config: Any, case: Point) -> list[tuple[AnySuite, Any]]:
-        suite, evaluation = part_suite(self.part(config, case), config.seed)
-        if suite.name != "evaluate":
+        keys = {"agent": config.agent, "games": config.games, **config.evaluation.keys, **case.keys}
+        part = part_suite(Part(experiment=config.evaluation.experiment, keys=keys), config.seed)
+        if part[0].name != "evaluate":
             raise UserError(f"evaluation.experiment = {config.evaluation.experiment}: is no evaluation")
-        return [(suite, evaluation)]
+        return [part]
 
     def first(self, config: Any) -> tuple[AnySuite, Any]:
         """Return suite and configuration of the first evaluation, which represents all where they do not differ."""
         return self.runs(config, next(self.points(config)))[0]
 
     def cases(self, config: Any) -> Iterator[Point]:
-        typical_s = simulated_s(*self.first(config))
+        typical_s = simulated_s(self.first(config))
         return (replace(point, typical_s=typical_s) for point in self.points(config))
 
     def provenance(self, config: Any) -> Mapping[str, object]:
         """Return the policy's hash. Raises UserError for a device that this machine does not have."""
-        suite, evaluation = self.first(config)
-        suite.provenance(evaluation)
-        return {"policy_sha256": origin_of(config.agent).sha256()}
+        return {**super().provenance(config), "policy_sha256": origin_of(config.agent).sha256()}
 
     def fly(self, config: Any, case: Point, opened: RunDirectory) -> GameResult:
         """Evaluate; the row has keys of the evaluation's summary, the arrays the outcome of each lane."""
-        summary = fly_part(opened, case.id, self.part(config, case), config.seed).summary
+        summary = fly_part(opened, case.id, *self.runs(config, case)).summary
         kept = {name: summary[name] for name in KEPT if name in self.row.__annotations__ and name in summary}
         return GameResult({**case.labels, **kept}, outcomes(part_run(opened, case.id)))
 
 
 INFERENCE = Condition("inference", "inference_s", "s")
 """The condition that is a key of the evaluation, not of its task: how long a decision takes."""
-
-
-UNITS = {**CONDITIONS, INFERENCE.short: INFERENCE}
 
 
 def key_of(name: str) -> str:
@@ -486,7 +484,7 @@ class Sweep(PolicyGrid):
         for point, suite, evaluation in [trained, *departed]:
             if point.id not in same:
                 labels = {**point.labels, "same": same if point.id == AS_TRAINED else []}
-                yield Point(point.id, timing_of(evaluation), simulated_s(suite, evaluation), point.keys, labels)
+                yield Point(point.id, timing_of(evaluation), simulated_s((suite, evaluation)), point.keys, labels)
 
     def why_serial(self, config: SweepConfig) -> str:
         suite, evaluation = self.first(config)
@@ -535,22 +533,18 @@ class Sweep(PolicyGrid):
     def overview(self, report: Report) -> Table:
         games = flown_in(report.games)
         measure = (
-            {"median distance, m": "{distance_m_median:.1f}"}
-            if games == "lanes"
-            else {"mean return": "{return_mean:.4g}"}
+            ("median distance, m", "{distance_m_median:.1f}") if in_lanes else ("mean return", "{return_mean:.4g}")
         )
-        return Table.of(
-            conditions_of(report.summary),
-            {
-                "condition": "{name}",
-                "value": "{text}",
-                "success": "{success_ratio:.1%}",
-                "95 % interval": "{wilson_low:.1%} to {wilson_high:.1%}",
-                games: "{successes} of {games}",
-                **measure,
-                "p": lambda cell: "" if unknown(cell["mcnemar_p"]) else f"{cell['mcnemar_p']:.2g}",
-            },
-        )
+        columns: dict[str, Column] = {
+            "condition": "{name}",
+            "value": "{text}",
+            "success": "{success_ratio:.1%}",
+            "95 % interval": "{wilson_low:.1%} to {wilson_high:.1%}",
+            games: "{successes} of {games}",
+            **(distance if games == "lanes" else mean),
+            "p": lambda cell: "" if unknown(cell["mcnemar_p"]) else f"{cell['mcnemar_p']:.2g}",
+        }
+        return Table.of(conditions_of(report.summary), columns)
 
     def page(self, report: Report) -> Iterator[Block | str]:
         """Yield success at each value, a panel per condition, and the same as a table."""
@@ -592,7 +586,8 @@ def usual_of(summary: Summary) -> list[Any]:
 
 def conditions_of(summary: Summary) -> pd.DataFrame:
     """Return the cells of a sweep's summary as a table, with the condition's name and unit and the value as a text."""
-    names = {"": "as trained"} | {name: f"{name}, {known.unit}" for name, known in UNITS.items() if known.unit}
+    known = [*CONDITIONS.values(), INFERENCE]
+    names = {"": "as trained"} | {each.short: f"{each.short}, {each.unit}" for each in known if each.unit}
     cells = table_of(summary["cells"])
     texts = [value_text(cell["value"]) if cell["condition"] else "" for cell in summary["cells"]]
     return cells.assign(name=cells.condition.replace(names), text=texts)
@@ -665,8 +660,8 @@ class Robustness(PolicyGrid):
             above, below = max(line.index[~fallen], default=None), min(line.index[fallen], default=None)
             found = {"command": command, "clock_speed": clock_speed, "fitted": line.get(FITTED), "real_time": real_time}
             collapses.append(found | {"above": None if real_time is None else above, "below": below})
-        shared = {key: getattr(report.config, key) for key in ("agent", "profile", "seed")}
-        return {"suite": self.name, **shared, "cells": cells, "collapses": collapses}
+        shared = subset(vars(report.config), "suite", "agent", "profile", "seed")
+        return {**shared, "cells": cells, "collapses": collapses}
 
     def title(self, report: Report) -> str:
         return f"Success of {report.config.who} over latency and ClockSpeed"

@@ -21,11 +21,10 @@ from uavaccel.metrics.intervals import fisher_exact_p
 from uavaccel.records import RunDirectory
 from uavaccel.resources import experiment
 from uavaccel.suites import claims, paper_results
-from uavaccel.suites.experiment import Experiment
+from uavaccel.suites.experiment import Experiment, GameRow, Row
 from uavaccel.suites.parts import Part, SuiteOfRuns, fly_part, part_run, part_suite, simulated_s
 from uavaccel.suites.registry import open_run, suite_of
 from uavaccel.suites.report import Report, Summary, method_note, records, table_of
-from uavaccel.suites.rows import GameRow, Row
 from uavaccel.suites.suite import AnySuite, GameResult, SimpleCase
 
 PROFILES = ("airsim", "native")
@@ -109,7 +108,7 @@ class Paper(SuiteOfRuns[PaperConfig, SimpleCase]):
         return ""
 
     def fly(self, config: PaperConfig, case: SimpleCase, opened: RunDirectory) -> GameResult:
-        part = fly_part(opened, case.id, config.parts[case.id], config.seed)
+        part = fly_part(opened, case.id, *self.runs(config, case))
         flown(opened, case.id, part)
         return GameResult({"cells": len(part.summary["cells"])})
 

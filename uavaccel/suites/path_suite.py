@@ -15,8 +15,7 @@ from uavaccel.limits import CommandName, Seed
 from uavaccel.metrics.speedup import timing_provenance
 from uavaccel.records import RunDirectory
 from uavaccel.sim.profile import PROFILES
-from uavaccel.suites.experiment import FlightExperiment, ProfileName, Timing
-from uavaccel.suites.rows import GameRow
+from uavaccel.suites.experiment import FlightExperiment, GameRow, ProfileName, Timing
 from uavaccel.suites.suite import Suite
 from uavaccel.units import NS_PER_S
 

@@ -18,8 +18,7 @@ from uavaccel.forms import RowForm
 from uavaccel.own_code import folder_of, look_also_in, own_class
 from uavaccel.records import RunDirectory
 from uavaccel.resources import experiment, experiments
-from uavaccel.suites.experiment import Experiment
-from uavaccel.suites.rows import GameRow
+from uavaccel.suites.experiment import Experiment, GameRow
 from uavaccel.suites.suite import AnySuite, CaseType, ConfigType, Suite
 
 # A line per suite; its module is imported on demand.

@@ -30,7 +30,6 @@ from uavaccel.envs.stopwatch import PHASES
 from uavaccel.errors import UserError
 from uavaccel.forms import ArrayForm, Count, NotNegative, Positive
 from uavaccel.limits import ClockSpeed, CommandName, Games, Seed
-from uavaccel.metrics.equivalence import Estimate
 from uavaccel.metrics.intervals import Proportion, fisher_exact_p, mcnemar_exact
 from uavaccel.metrics.seeds import permutation_p, sign_flip_p
 from uavaccel.metrics.success import Success
@@ -38,13 +37,32 @@ from uavaccel.records import RunDirectory
 from uavaccel.rl.agents import DEFAULT, FLIGHT, SENSES
 from uavaccel.sim.lane.layout import LENGTH_M, Difficulty, sample_layout
 from uavaccel.suites import paper_results, plots
-from uavaccel.suites.experiment import ClockSpeeds, CommandNames, Experiment, ProfileName, Timing
-from uavaccel.suites.host_time import cumulative_wall_s, timed
-from uavaccel.suites.parts import OUTCOMES, Part, SuiteOfRuns, fly_part, outcomes, part_folder, part_suite
+from uavaccel.suites.experiment import (
+    ClockSpeeds,
+    CommandNames,
+    Experiment,
+    GameRow,
+    Phases,
+    ProfileName,
+    Row,
+    Timing,
+    cumulative_wall_s,
+    subset,
+    timed,
+)
+from uavaccel.suites.parts import (
+    OUTCOMES,
+    Part,
+    SuiteOfRuns,
+    fly_part,
+    outcomes,
+    part_folder,
+    part_suite,
+    simulated_s,
+    train_part,
+)
 from uavaccel.suites.report import Report, Summary, method_note, table_of
-from uavaccel.suites.rows import GameRow, Phases, Row, subset
 from uavaccel.suites.suite import AnySuite, GameResult, SimpleCase
-from uavaccel.suites.train import CHECKPOINTS
 
 if TYPE_CHECKING:  # it loads what draws
     from matplotlib.axes import Axes
@@ -56,6 +74,7 @@ Flights: TypeAlias = pd.DataFrame
 KEY = ["variant", "profile", "timing", "command", "clock_speed"]
 """The conditions of a training; trainings that have them in common differ in their seed alone."""
 LEARNED = ("trained_games", "trained_successes", "weights_sha256")
+OTHER: dict[str, CommandName] = {"adsc": "tcsc", "tcsc": "adsc"}
 EVALUATION_SEED = 0  # the same lanes and latencies for every policy
 OF_EXACT = "exact"  # name of an evaluation in the exact simulator
 THINKING = re.compile(r"_?think_\d+ms$")  # suffix of variants that differ in the duration of a decision alone
@@ -236,9 +255,7 @@ class Rl(SuiteOfRuns[RlConfig, TrainingCase]):
                 name = "-".join(filter(None, (*kind, f"seed{seed}", OF_EXACT if exact else "")))
                 case = TrainingCase(name, "virtual", 0.0, *cell, seed, exact)
                 if (exact, *kind) not in sizes:
-                    parts = self.runs(config, case)
-                    games_s = [game.simulated_s() for suite, part in parts for game in suite.cases(part)]
-                    sizes[exact, *kind] = len(games_s), sum(games_s)
+                    sizes[exact, *kind] = super().games(config, case), simulated_s(*self.runs(config, case))
                 games, typical_s = sizes[exact, *kind]
                 yield replace(case, games=games, typical_s=typical_s)
 
@@ -253,13 +270,10 @@ class Rl(SuiteOfRuns[RlConfig, TrainingCase]):
         return int(case.exact)
 
     def provenance(self, config: RlConfig) -> Mapping[str, Any]:
-        """Check that this machine has the devices of training and evaluation. Raises UserError."""
         try:
-            for suite, part in self.runs(config, next(self.cases(config)))[:2]:
-                suite.provenance(part)
+            return super().provenance(config)
         except UserError as error:
             raise UserError(f"{error}; without a GPU: uavaccel run rl_smoke") from error
-        return {}
 
     def renders(self, config: RlConfig) -> bool:
         return super().renders(config.model_copy(update={"seeds": 1}))
@@ -273,26 +287,25 @@ class Rl(SuiteOfRuns[RlConfig, TrainingCase]):
 
         The row has the summaries of both, the arrays the outcome of each evaluated lane.
         """
-        row: dict[str, Any] = {name: getattr(case.block, name) for name in ("variant", "profile", "timing")}
-        row |= {name: getattr(case, name) for name in ("command", "clock_speed", "seed")} | {"evaluations": []}
+        row = subset(vars(case.block), "variant", "profile", "timing")
+        row |= subset(vars(case), "command", "clock_speed", "seed") | {"evaluations": []}
         arrays: dict[str, np.ndarray] = {}
         host, policy = {"evaluations_s": 0.0}, case.id.removesuffix(f"-{OF_EXACT}")
         agent = str(part_folder(opened, f"{policy}/training").resolve())
         for name, (part, seed) in parts_of(config, case, agent).items():
             folder = part_folder(opened, place := f"{policy}/{name}")
-            begun = name != "training" and (folder / "config.yaml").is_file()
-            if begun and RunDirectory(folder).config().get("agent") != agent:
-                shutil.rmtree(folder)  # begun before the run was moved, it names its policy by another path
-            report, took = timed(partial(fly_part, opened, place, part, seed, pages=False))
             if name == "training":
-                shutil.rmtree(folder / CHECKPOINTS, ignore_errors=True)  # gigabytes, of no use once it is over
-                row["training"] = {key: report.summary[key] for key in TrainingResult.__annotations__}
+                report = train_part(opened, place, part_suite(part, seed))
+                row["training"] = subset(report.summary, *TrainingResult.__annotations__)
                 host["training_s"] = (cumulative_wall_s(report.timings) or [0.0])[-1]
-            else:
-                row["evaluations"].append({key: report.summary[key] for key in EvaluationResult.__annotations__})
-                flight = name.removeprefix("evaluation-")
-                arrays |= {f"{flight}_{key}": values for key, values in outcomes(report.run).items()}
-                host["evaluations_s"] += took["host_wall_s"]
+                continue
+            if (folder / "config.yaml").is_file() and RunDirectory(folder).config().get("agent") != agent:
+                shutil.rmtree(folder)  # begun before the run was moved, it names its policy by another path
+            report, took = timed(partial(fly_part, opened, place, part_suite(part, seed), pages=False))
+            row["evaluations"].append(subset(report.summary, *EvaluationResult.__annotations__))
+            flight = name.removeprefix("evaluation-")
+            arrays |= {f"{flight}_{key}": values for key, values in outcomes(report.run).items()}
+            host["evaluations_s"] += took["host_wall_s"]
         return GameResult(row, arrays, host)
 
     def status(self, rows: Sequence[Row]) -> str:
@@ -401,10 +414,6 @@ class Rl(SuiteOfRuns[RlConfig, TrainingCase]):
 # --- parts --------------------------------------------------------------------------------------------------------
 
 
-def other_command(command: str) -> CommandName:
-    return "adsc" if command == "tcsc" else "tcsc"
-
-
 def flight_name(command: str, clock_speed: float, real_time: float) -> str:
     """Return the name of an evaluation: the suffix of its folder, and the prefix of its arrays' names."""
     return command if clock_speed == real_time else f"{command}-{clock_speed:g}x"
@@ -431,7 +440,7 @@ def parts_of(config: RlConfig, case: TrainingCase, agent: str = DEFAULT) -> dict
     learned = {"games": config.games, **task, **block.training}
     parts = {"training": (part(config.training, case.command, case.clock_speed, learned), case.seed)}
     clocks = dict.fromkeys([real_time, case.clock_speed] if config.as_trained else [real_time])
-    commands = [case.command, other_command(case.command)] if config.interchange else [case.command]
+    commands = [case.command, OTHER[case.command]] if config.interchange else [case.command]
     for clock_speed, command in product(clocks, commands):
         name = f"evaluation-{flight_name(command, clock_speed, real_time)}"
         parts[name] = part(config.evaluation, command, clock_speed, keys), EVALUATION_SEED
@@ -453,7 +462,7 @@ def flights_of(rows: Iterable[Mapping[str, Any]], arrays_of: Callable[[Any], Map
     for row in rows:
         arrays, exact, evaluations = arrays_of(row), row.get("training") is None, row["evaluations"]
         learned = {} if exact else {**row["training"], **row["training"]["phase_s"]}
-        shared = {key: row[key] for key in (*KEY, "seed")} | {"exact": exact}
+        shared = subset(row, *KEY, "seed") | {"exact": exact}
         shared |= {f"trained_{name}": learned.get(name) for name in ("games", "successes")}
         shared |= {name: learned.get(name) for name in ("commands", "sim_time_s", "weights_sha256", *PHASES)}
         for number, flown in enumerate(evaluations):
@@ -475,7 +484,7 @@ def where(flights: Flights, **wanted: Any) -> Flights:
 
 def key_of(flights: Flights) -> dict[str, Any]:
     """Return the conditions that the trainings of some flights have in common."""
-    return {key: flights[key].iloc[0] for key in KEY}
+    return subset(flights.iloc[0], *KEY)
 
 
 def _success(flights: Flights) -> dict[str, Any]:
@@ -510,10 +519,17 @@ def _compare(some: Flights, others: Flights, *wanted: str, same_policies: bool =
     first, second = pd.concat(outcomes, axis=1, join="inner").to_numpy(bool).T
     pairs = mcnemar_exact(first, second)
     won = [Proportion.pooled(flights.success.tolist()) for flights in (some, others)]
+
+    def difference() -> dict[str, Any]:
+        one, other = some, others
+        if same_policies:  # of those that flew both ways
+            one, other = (own[own.seed.isin({*some.seed} & {*others.seed})].sort_values("seed") for own in (one, other))
+        return success_of(one).difference(success_of(other), same_policies)._asdict()
+
     tests: dict[str, Callable[[], Any]] = {
         "permutation_p": lambda: permutation_p(some.ratio, others.ratio),
         "sign_flip_p": lambda: sign_flip_p((some.set_index("seed").ratio - others.set_index("seed").ratio).dropna()),
-        "difference": lambda: _difference(some, others, same_policies)._asdict(),
+        "difference": difference,
         "fisher_p": lambda: fisher_exact_p(*((success.successes, success.games) for success in won)),
         "mcnemar_p": lambda: pairs.p_value if len(first) else None,
         "only_first": lambda: pairs.only_first,
@@ -522,15 +538,6 @@ def _compare(some: Flights, others: Flights, *wanted: str, same_policies: bool =
         "same_end": lambda: int((first == second).sum()),
     }
     return {name: tests[name]() for name in wanted}
-
-
-def _difference(some: Flights, others: Flights, same_policies: bool) -> Estimate:
-    """Return the difference of two successes; of the same policies, of those that flew both ways."""
-    if same_policies:
-        some, others = (
-            one[one.seed.isin(other.seed)].sort_values("seed") for one, other in ((some, others), (others, some))
-        )
-    return success_of(some).difference(success_of(others), same_policies)
 
 
 def _at_1x(cell: Flights, own: Flights, command: str) -> Flights:
@@ -561,8 +568,6 @@ def times_of(cell: Flights, own: Flights) -> dict[str, Any]:
 def summary_of_seeds(cell: Flights, own: Flights) -> dict[str, Any]:
     """Summarise all seeds of one training, compared with the same command at 1x and with the paper."""
     key = key_of(cell)
-    conditions = [key[name] for name in ("profile", "variant", "command", "clock_speed")]
-    simulation, whole = paper_results.speedups(*conditions)
     slow = _at_1x(cell, own, key["command"])
     return {
         **key,
@@ -570,12 +575,10 @@ def summary_of_seeds(cell: Flights, own: Flights) -> dict[str, Any]:
         "successes_by_seed": [success.successes for success in cell.success],
         **_success(cell),
         "trained_games": cell.trained_games.sum(),
-        "paper_successes": paper_results.successes(*conditions),
         **_compare(cell, slow[slow.clock_speed != key["clock_speed"]], *AGAINST),
         **times_of(cell, own),
         "gap_s": gap_s(cell),
-        "paper_training_speedup": simulation,
-        "paper_whole_training_speedup": whole,
+        **paper_results.of_training(key["profile"], key["variant"], key["command"], key["clock_speed"]),
     }
 
 
@@ -598,8 +601,8 @@ def gap_s(cell: Flights) -> float:
 
 def interchange(group: Flights, clock_speed: float) -> Iterator[dict[str, Any]]:
     """Yield the comparison of the flights with either command at a ClockSpeed, if there are any."""
-    commands = group.command.iloc[0], other_command(group.command.iloc[0])
-    both = [where(group, **{"with": command, "at": clock_speed}) for command in commands]
+    command = group.command.iloc[0]
+    both = [where(group, **{"with": each, "at": clock_speed}) for each in (command, OTHER[command])]
     if all(map(len, both)):
         yield {
             **key_of(group),

@@ -20,8 +20,7 @@ from uavaccel.errors import UserError, suggestion
 from uavaccel.files import Plain
 from uavaccel.forms import ArrayForm, RowForm
 from uavaccel.records import RunDirectory
-from uavaccel.suites.experiment import Experiment
-from uavaccel.suites.rows import GameRow, Row
+from uavaccel.suites.experiment import Experiment, GameRow, Row
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -41,10 +41,8 @@ from uavaccel.rl.config import (
 )
 from uavaccel.rl.policy import trained_with
 from uavaccel.suites import paper_results, plots
-from uavaccel.suites.experiment import Experiment
-from uavaccel.suites.host_time import cumulative_wall_s, over_all_starts
+from uavaccel.suites.experiment import Experiment, LaneRow, ReturnRow, Row, cumulative_wall_s, over_all_starts, subset
 from uavaccel.suites.report import Report, Summary, disturbed_games, disturbed_words, summary_table
-from uavaccel.suites.rows import LaneRow, Row
 from uavaccel.suites.suite import GameResult, SimpleCase, Suite
 
 if TYPE_CHECKING:  # they load what draws, and PyTorch
@@ -79,10 +77,7 @@ class TrainConfig(LearnerConfig, Experiment):
         return self
 
 
-_Return = TypedDict("_Return", {"return": Number})  # a keyword of Python's
-
-
-class TrainRow(LaneRow, _Return):
+class TrainRow(LaneRow, ReturnRow):
     """The row of a game of a training."""
 
     game: Count
@@ -103,15 +98,6 @@ class EvaluationLine(TypedDict):
     is_success: list[bool]
     """By lane, or game of another environment, as is `distance_m`, in metres north, or as the environment has it."""
     distance_m: NotRequired[list[Number]]
-
-
-def _of_its_lanes(line: EvaluationLine) -> EvaluationLine:
-    lanes = len(line["lanes"])
-    if not lanes or {len(line["is_success"]), len(line.get("distance_m", line["lanes"]))} != {lanes}:
-        raise ValueError("lanes, is_success and distance_m should have one entry for each lane")
-    if line["successes"] != sum(line["is_success"]):
-        raise ValueError("successes should be the number of lanes won")
-    return line
 
 
 class RealTime(TypedDict):
@@ -258,11 +244,11 @@ class Training(Suite[TrainConfig, SimpleCase]):
         """
         games, task = report.games, report.config.task
         trained, evaluated = trained_with(report.run.path), evaluations(report.run)
-        over, disturbed = trained.get("games") == len(games), disturbed_games(games)
+        over = trained.get("games") == len(games)
         summary = {
-            **({"disturbed_games": disturbed} if disturbed else {}),
+            **disturbed_games(games),
             "suite": "train",
-            **{name: getattr(task, name) for name in ("profile", "command", "clock_speed", "timing")},
+            **subset(vars(task), "profile", "command", "clock_speed", "timing"),
             "seed": report.config.seed,
             "games": len(games),
             "successes": sum(games.is_success.tolist()),
@@ -350,8 +336,17 @@ class Training(Suite[TrainConfig, SimpleCase]):
 
 def evaluations(run: RunDirectory) -> list[EvaluationLine]:
     """Return the lines of evaluations.jsonl, in order. Raises UserError, naming the line, for one of another form."""
+
+    def of_its_lanes(line: EvaluationLine) -> EvaluationLine:
+        lanes = len(line["lanes"])
+        if not lanes or {len(line["is_success"]), len(line.get("distance_m", line["lanes"]))} != {lanes}:
+            raise ValueError("lanes, is_success and distance_m should have one entry for each lane")
+        if line["successes"] != sum(line["is_success"]):
+            raise ValueError("successes should be the number of lanes won")
+        return line
+
     lines: list[EvaluationLine] = read_lines(run.path / EVALUATIONS)
-    check_all(Annotated[EvaluationLine, AfterValidator(_of_its_lanes)], lines, run.path / EVALUATIONS)
+    check_all(Annotated[EvaluationLine, AfterValidator(of_its_lanes)], lines, run.path / EVALUATIONS)
     return lines
 
 

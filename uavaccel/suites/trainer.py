@@ -9,7 +9,7 @@ from __future__ import annotations
 import signal
 import threading
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import copy_context
 from dataclasses import replace
@@ -25,7 +25,6 @@ from uavaccel.config import validate
 from uavaccel.draw.labels import command_name
 from uavaccel.envs.batch import EnvironmentBatch
 from uavaccel.envs.obstacle_lane import ObstacleLane
-from uavaccel.envs.stopwatch import Stopwatch
 from uavaccel.errors import UserError
 from uavaccel.files import append_line, to_json
 from uavaccel.records import RunDirectory
@@ -39,7 +38,7 @@ from uavaccel.sim.camera.camera import BlankCamera, make_cameras_with
 from uavaccel.suites.evaluate import EvaluateConfig
 from uavaccel.suites.evaluate_lanes import GamesInBatch
 from uavaccel.suites.event_file import EventFile
-from uavaccel.suites.rows import Row, game_row, number_of, with_lane
+from uavaccel.suites.experiment import Row, game_row, number_of
 from uavaccel.suites.suite import GameResult
 from uavaccel.suites.train import CHECKPOINTS, EVALUATIONS, RECENT, TrainConfig, TrainRow, evaluations, game_case
 from uavaccel.units import NS_PER_S
@@ -85,7 +84,8 @@ class Trainer:
                 self._saved = learner.games
                 if self._interrupted:
                     raise KeyboardInterrupt
-            self._finished.extend(self._rows.finished(learner.advance(), learner.stopwatch))
+            games = learner.advance()
+            self._finished.extend(self._rows.finished(games, learner.stopwatch.spent_s()))
             if self._evaluations.due(learner.games):
                 with self._rows.clock_stopped():
                     self._evaluations.fly(learner)
@@ -162,7 +162,15 @@ class GameRows:
         self._simulated_s = 0.0
         self._clock = MonotonicClock()
         self._start_ns = self._clock.now_ns()
-        self._wandb = None if config.wandb is None else begin_wandb(config, run)
+        self._wandb: Any = None
+        if config.wandb is not None:  # a run for each start; its own settings say where it goes
+            import wandb
+
+            keys = config.model_dump(mode="json", exclude={"task": {"latency"}})
+            try:
+                self._wandb = wandb.init(project=config.wandb, name=str(run), dir=str(run), config=keys)
+            except wandb.Error as error:
+                raise UserError(f"wandb = {config.wandb!r}: {str(error).partition(chr(10))[0]}") from error
         self._curves = EventFile(run / "tensorboard")
 
     def close(self) -> None:
@@ -180,19 +188,18 @@ class GameRows:
         finally:
             self._start_ns += self._clock.now_ns() - begun_ns
 
-    def finished(self, games: Sequence[Game], learning: Stopwatch) -> list[GameResult]:
+    def finished(self, games: Sequence[Game], learner_s: Mapping[str, float]) -> list[GameResult]:
         """Return the rows of games, and times since this start of the training: wall, the lane's, the learner's."""
-        results = [self._finished(game, learning) for game in games]
+        results = [self._finished(game, learner_s) for game in games]
         self._curves.write_waiting()
         return results
 
-    def _finished(self, game: Game, learning: Stopwatch) -> GameResult:
-        wall_s = (self._clock.now_ns() - self._start_ns) / NS_PER_S
-        info = with_lane(game.info, game.number)
+    def _finished(self, game: Game, learner_s: Mapping[str, float]) -> GameResult:
+        wall_s, info = (self._clock.now_ns() - self._start_ns) / NS_PER_S, game.info
         row: TrainRow = {
             **game_row("train", game_case(game.number), info, self._t_move_s),
-            "lane": info["lane"],
-            "distance_m": info["distance_m"],
+            "lane": info.get("lane", game.number),  # environments without lanes have neither
+            "distance_m": info["distance_m"] if "distance_m" in info else info["position_m"][0],
             "game": game.number,
             "environment": game.lane,
             "return": game.reward,
@@ -210,22 +217,7 @@ class GameRows:
         self._curves.add(game.number + 1, points)
         if self._wandb is not None:
             self._wandb.log(points, step=game.number + 1)
-        host = {"wall_s": wall_s, "host_phase_s": game.info["host_phase_s"], "learner_s": learning.spent_s()}
-        return GameResult(row, host=host)
-
-
-def begin_wandb(config: TrainConfig, run: Path) -> Any:
-    """Begin a run of Weights & Biases, one for each start of a training; its files are below the run's folder.
-
-    Its own settings say where it goes (WANDB_MODE=offline: nowhere). Raises UserError where it refuses.
-    """
-    import wandb
-
-    try:
-        keys = config.model_dump(mode="json", exclude={"task": {"latency"}})
-        return wandb.init(project=config.wandb, name=str(run), dir=str(run), config=keys)
-    except wandb.Error as error:
-        raise UserError(f"wandb = {config.wandb!r}: {str(error).partition(chr(10))[0]}") from error
+        return GameResult(row, host={"wall_s": wall_s, "host_phase_s": info["host_phase_s"], "learner_s": learner_s})
 
 
 class Evaluations:
@@ -247,11 +239,8 @@ class Evaluations:
     def fly(self, learner: Learner) -> None:
         """Evaluate the greedy policy on every lane, and write the line."""
         folder = self._run.file(f"policies/{learner.games:07d}/policy.pt").parent
-        sha256 = export_learned(folder, learner, self._config)
-        config, lanes = (
-            evaluation_of(self._config, folder),
-            range(FIRST_LANE, FIRST_LANE + self._config.evaluation_games),
-        )
+        sha256, config = export_learned(folder, learner, self._config), evaluation_of(self._config, folder)
+        lanes = range(FIRST_LANE, FIRST_LANE + self._config.evaluation_games)
         if self._batch is None:
             self._batch = GamesInBatch(config, lanes)
         else:
