@@ -532,9 +532,7 @@ class Sweep(PolicyGrid):
 
     def overview(self, report: Report) -> Table:
         games = flown_in(report.games)
-        measure = (
-            ("median distance, m", "{distance_m_median:.1f}") if in_lanes else ("mean return", "{return_mean:.4g}")
-        )
+        distance, mean = {"median distance, m": "{distance_m_median:.1f}"}, {"mean return": "{return_mean:.4g}"}
         columns: dict[str, Column] = {
             "condition": "{name}",
             "value": "{text}",
