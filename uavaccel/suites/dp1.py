@@ -169,10 +169,7 @@ class Dp1(PathSuite[Dp1Config, Game]):
         return Flight.of(command_at_clock(game), game["clock_speed"], arrays, flown)
 
     def score(self, report: Report) -> pd.DataFrame:
-        """Add each game's likeness to real time, its error against the flight without latency, and its gaps.
-
-        Raises UserError for a run that has flown nothing but Figure 2 yet.
-        """
+        """Add each game's SCORES. Raises UserError for a run that has flown nothing but Figure 2 yet."""
         from joblib import Parallel, cpu_count, delayed
 
         games = report.games[report.games.role != "figure2"].sort_values([*CELL, "game"], kind="stable")
@@ -186,11 +183,10 @@ class Dp1(PathSuite[Dp1Config, Game]):
         return games[games.role != "lockstep"].join(found)
 
     def summary(self, report: Report) -> Summary:
-        """Return a cell for each command, ClockSpeed, T_move, number of rounds and timing.
+        """Return a cell for each CELL: medians over games of each game's mean over the references, itself left out.
 
-        Accuracies are medians over games of each game's mean over the references, itself left out; durations and wall
-        times are compared with the references' means; intervals are 95 % bootstrap intervals over games. Numbers that
-        cannot be known (no reference in the run, a lone reference) are None.
+        Durations and wall times are compared with the references' means; intervals are 95 % bootstrap intervals over
+        games. Numbers that cannot be known (no reference in the run, a lone reference) are None.
         """
         keys = subset(vars(report.config), "suite", "profile", "seed")
         return {**keys, "cells": summary_cells(report.scores, report.config.seed)}
@@ -417,10 +413,7 @@ RUNNING: style.LineStyle = {"color": style.GREEN, "linewidth": 6, "solid_capstyl
 
 
 def trellis_figure(report: Report) -> Picture:
-    """Draw Figure 4 from the traces that the run recorded: TCSC first, as in the paper.
-
-    Time runs downwards by events, not to scale. Raises UserError for a damaged trace.
-    """
+    """Draw Figure 4 from the recorded traces, by events, not to scale. Raises UserError for a damaged trace."""
     traces: dict[str, Any] = {}
     for command in ("tcsc", "adsc"):
         name = f"traces/{command}.json"
@@ -450,8 +443,7 @@ def trellis_figure(report: Report) -> Picture:
 def messages(events: Sequence[str]) -> Iterator[tuple[int, int]]:
     """Yield the arrows between events by their places: from each call to its handling, and from there to its return.
 
-    Calls of one method are handled, and return, in order. A deferred reply leaves at the last "end" between handling
-    and return.
+    Those of one method come in order. A deferred reply leaves at the last "end" between handling and return.
     """
     places = pd.Series(range(len(events)), events).groupby(level=0).agg(list)
     for method in [event.removeprefix("call ") for event in places.index if event.startswith("call ")]:

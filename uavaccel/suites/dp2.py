@@ -262,9 +262,8 @@ class Dp2(PathSuite[Dp2Config, Game]):
     def score(self, report: Report) -> pd.DataFrame:
         """Return the finished games by command and ClockSpeed, with the ERRORS of their images as lists.
 
-        `reference` is the case of the run at 1x, `equal_poses` and `equal_counts` say whether poses and DVS counts are
-        those of the game without latency to the last bit; they are None where the run has no such game. Only three
-        games are held in memory at a time.
+        `reference` is the case of the run at 1x, `equal_poses` and `equal_counts` say whether these are those of the
+        game without latency to the last bit; None where there is none. Three games at a time are held in memory.
         """
         games, scores = finished(report.games), list[dict[str, Any]]()
         calm = next((observe(report, game) for game in games[games.role == "lockstep"].to_dict("records")), None)
@@ -283,8 +282,7 @@ class Dp2(PathSuite[Dp2Config, Game]):
     def summary(self, report: Report) -> Summary:
         """Return an entry for each command and ClockSpeed, and the guard study on the images that are in colour.
 
-        Errors are those of the images that a game shares with the same command's run at 1x: the images of a game that
-        collides end at its collision. Numbers that cannot be known are None.
+        Errors are of the images that a game, up to a collision, shares with the same command's at 1x; unknown is None.
         """
         config, games, cells = report.config, finished(report.games).set_index("case"), list[dict[str, Any]]()
         kept = ["command", "clock_speed", "t_move_s", "timing", "guard_retries", "collision", "distance_m"]
@@ -365,10 +363,7 @@ class Dp2(PathSuite[Dp2Config, Game]):
 
 
 def fly_to_the_end(config: Dp2Config, case: Game, camera: EventClient) -> tuple[list[Sample], list[int], int, float]:
-    """Fly the path to its end or to a collision, and return samples, their indices, the commands and the wall time, s.
-
-    An index is 0 at the start, then the place in the path, the same in every game.
-    """
+    """Fly the path to its end or to a collision; return samples, their places in the path, the commands and wall s."""
     samples, indices, commands, slots = [camera.read_sample(camera.kinematics())], [0], 0, config.slots
     path = [(*velocity, 0.0) for velocity in config.velocities]
     start_ns, flights = fly_path(case, config, camera, path, config.t_move_s, config.t_sample_s)
@@ -414,10 +409,9 @@ def compare(seen: Arrays, at_1x: Arrays | None, calm: Arrays | None) -> dict[str
 
 
 def study_guard(images: NDArray[np.uint8], guard: GuardSettings, seed: int) -> dict[str, Any]:
-    """Count what the guard accepts (MODELLED) where a share of a run's images (n, H, W, 3) is perturbed, by kind.
+    """Count what the guard accepts (MODELLED) where a SHARE of a run's images (n, H, W, 3) is perturbed, by kind.
 
-    The images are sent STREAMS times, perturbed with another seed each time, as one stream has too few of each
-    kind. An image that the guard requests again may be perturbed again, so with the guard more are sent.
+    The images are sent STREAMS times, perturbed with another seed each time, as one stream has too few of each kind.
     """
     perturbed = [PerturbationSettings(SHARE, seed=seed + n) for n in range(STREAMS)]
     by_kind: dict[str, Any] = {str(kind): {} for kind in PerturbationKind}
@@ -436,10 +430,7 @@ def study_guard(images: NDArray[np.uint8], guard: GuardSettings, seed: int) -> d
 
 
 def pass_guard(images: NDArray[np.uint8], perturbed: PerturbationSettings, guard: GuardSettings) -> pd.DataFrame:
-    """Return each image sent: its `kind` of perturbation, "" for none, and whether it `passed` the guard.
-
-    The scene is static while an image is requested again; each request may be perturbed anew.
-    """
+    """Return each image sent, also those requested again: its `kind` of perturbation or "", and whether it `passed`."""
     state, kinds, passed = GuardState(), list[str](), list[bool]()
 
     def receive(scene: NDArray[np.uint8]) -> NDArray[np.uint8]:

@@ -216,10 +216,7 @@ class Evaluation(Suite[EvaluateConfig, Game]):
         return config.task.observation != "state" and config.simulator != KERNELS
 
     def provenance(self, config: EvaluateConfig) -> Mapping[str, object]:
-        """Return the policy's hash and the simulator.
-
-        Raises UserError for a device that this machine does not have, and for weights that cannot be read.
-        """
+        """Return the policy's hash and the simulator. Raises UserError for unreadable weights or a missing device."""
         check_simulator(config.simulator, config.device)
         make_agent(config.agent, config.task)  # the weights too: nothing is written yet
         by = {"simulator": config.simulator, "device": config.device}
@@ -238,8 +235,8 @@ class Evaluation(Suite[EvaluateConfig, Game]):
     ) -> Flight:
         """Fly the game again by the actions of its row; it has to make the same row.
 
-        Where that cannot be, as the kernels or the machine's own clock have flown it, its agent flies once more in the
-        exact simulator, for a film, or where the kernels flew to be watched, and the title says so. Raises UserError.
+        What does not repeat, flown by kernels or on the wall clock, its agent flies once more in the exact simulator, and
+        the title says so. Raises UserError.
         """
         from uavaccel.suites.evaluate_again import flight_again
 
@@ -400,10 +397,7 @@ def worlds_of(config: Mapping[str, Any]) -> tuple[str, str | None]:
 
 
 def outcomes_of(other: RunDirectory, config: Mapping[str, Any], cases: Container[str]) -> dict[str, bool]:
-    """Return whether another evaluation won its games of these cases of an evaluation of this configuration.
-
-    Raises UserError where it has none of them, or is of another environment or split.
-    """
+    """Return whether another evaluation won the games of these cases. Raises UserError where it flew no such games."""
     rows = [row for row in other.rows() if row.get("suite") == "evaluate" and row["case"] in cases]
     if not rows or worlds_of(other.config()) != worlds_of(config):
         games = "lanes" if worlds_of(config)[0] == LANE else "games"
@@ -412,10 +406,7 @@ def outcomes_of(other: RunDirectory, config: Mapping[str, Any], cases: Container
 
 
 def against(run: RunDirectory, other: RunDirectory) -> str:
-    """Return the difference on the games that both evaluations flew, paired, and McNemar's test of it, in words.
-
-    Raises as `outcomes_of`.
-    """
+    """Return in words the paired difference on the games that both evaluations flew. Raises as `outcomes_of`."""
     won, config = {row["case"]: row["is_success"] for row in run.rows()}, run.config()
     theirs = outcomes_of(other, config, won)
     first, second = [won[case] for case in theirs], list(theirs.values())
@@ -473,10 +464,9 @@ def ends(lost: pd.DataFrame, config: EvaluateConfig) -> pd.Series:
 
 
 def lost_games(report: Report, lost: pd.DataFrame) -> Iterator[Block | str]:
-    """Yield the games that were not won with what ended them, and their paths in the lane, the shortest flight first.
+    """Yield the games that were not won, what ended them, and their paths in the lane, the shortest flight first.
 
-    No path can be drawn of what the kernels flew, which record none, nor where a lane is sampled anew with the
-    conditions of each game: its obstacles are not known afterwards.
+    The kernels record no path, and of a lane that is sampled anew with each game's conditions none is known.
     """
     if report.config.env_id != LANE:
         yield Heading("Lost games")

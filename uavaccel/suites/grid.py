@@ -177,10 +177,9 @@ class Ablation(Suite[AblationConfig, VariantGame]):
         return pd.concat([self.dp1.score(self._under(report, name)) for name in report.games.variant.unique()])
 
     def summary(self, report: Report) -> Summary:
-        """Return an entry for each variant, command and ClockSpeed, with the games of all T_moves and rounds pooled.
+        """Return an entry for each variant, command and ClockSpeed, of all T_moves and rounds but those in lockstep.
 
-        Games in lockstep are left out. The speed-up is the mean over the T_moves of the most rounds, as in the paper.
-        Numbers that cannot be known are None.
+        The speed-up is the mean over the T_moves of the most rounds, as in the paper; what is unknown is None.
         """
         config, entries = report.config, []
         for variant in config.variants:

@@ -192,10 +192,7 @@ def training_run(path: str) -> RunDirectory:
 
 
 def flown(run: RunDirectory, name: str, report: Report | None = None) -> claims.Flown:
-    """Return what a part tells, from evidence/NAME.json where that is of its games and this version.
-
-    Else the part is scored, which takes long, unless its `report` has been, and the file is written.
-    """
+    """Return what a part tells, from evidence/NAME.json if that is of its games and this version; else it is scored."""
     part, file, kind = part_run(run, name), f"evidence/{name}.json", name.partition("-")[0]
     of = [__version__, *(file_sha256(part.path / kept) for kept in ("config.yaml", "rows.jsonl"))]
     kept = run.read_json(file) if report is None and (run.path / file).is_file() else {}
@@ -208,10 +205,7 @@ def flown(run: RunDirectory, name: str, report: Report | None = None) -> claims.
 
 
 def verdict(claim: Claim, evidence: Mapping[str, Any]) -> dict[str, str]:
-    """Return the verdict on a claim, and the number that decides it or the reason why nothing does.
-
-    It is pending until somebody has trained, and not flown where the run lacks its part.
-    """
+    """Return the verdict on a claim, and the number that decides it or the reason why nothing does."""
     lacking = {"value": "", "verdict": "pending" if "rl" in claim.decided_by else "not flown"}
     if any(kind not in evidence for kind in claim.decided_by):
         return lacking

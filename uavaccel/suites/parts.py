@@ -95,10 +95,7 @@ def part_suite(part: Part, seed: int) -> tuple[AnySuite, Experiment]:
 
 
 def fly_part(run: RunDirectory, name: str, part: tuple[AnySuite, Experiment], pages: bool = True) -> Report:
-    """Fly, in this process, what a part still lacks, and return its report, which has been written.
-
-    Without `pages` summary.json alone is written; `uavaccel run --report` makes the rest.
-    """
+    """Fly what a part still lacks, and return its report, of which without `pages` summary.json alone is written."""
     suite, config = part
     manifest = {key: value for key, value in run.manifest().items() if key != "resumed"}
     flown = start_run(suite, config, part_folder(run, name), manifest, resume=True)

@@ -74,10 +74,7 @@ class Report:
         return self.suite.summary(self)
 
     def figure(self, name: str, figure: Figure, caption: str, alt: str, games: Games | None = None) -> Picture:
-        """Save a figure as figures/NAME.png, and return it as a block: its caption, and what is seen in it.
-
-        In a run on several clocks the caption ends with those of the `games` that the figure shows.
-        """
+        """Save a figure as figures/NAME.png, and return its block; of several clocks the caption names the games'."""
         timings = known(games, "timing") if games is not None else []
         if timings and self.games["timing"].nunique() > 1:
             clocks = " and ".join(map(clock_words, timings))
@@ -259,10 +256,7 @@ def row_table(rows: Sequence[Row]) -> pd.DataFrame:
 
 
 def sample_tables(arrays: Mapping[str, NDArray[Any]]) -> Iterator[tuple[int, pd.DataFrame]]:
-    """Yield the arrays (n, ...) of a game by length n, with a column for each number of a line, such as position_m.0.
-
-    Images, whose lines have more than 64 numbers, are left out.
-    """
+    """Yield the arrays (n, ...) of a game, but images, by length n: a column for each number, as position_m.0."""
     lines = {name: array for name, array in arrays.items() if array.ndim and array.size and array[:1].size <= WIDEST}
     for length in sorted({len(array) for array in lines.values()}):
         columns: dict[str, NDArray[Any]] = {}

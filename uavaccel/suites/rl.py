@@ -203,7 +203,7 @@ class RlRow(GameRow):
 
 @dataclass(frozen=True)
 class TrainingCase(SimpleCase):
-    """A training and the evaluations of its policy, or, if `exact`, its policy's evaluation in the exact simulator.
+    """A training and its policy's evaluations, or, if `exact`, the policy's evaluation in the exact simulator.
 
     `timing` is virtual in all, so that cells run side by side whichever simulated clock they have.
     """
@@ -242,10 +242,9 @@ class Rl(SuiteOfRuns[RlConfig, TrainingCase]):
             )
 
     def cases(self, config: RlConfig) -> Iterator[TrainingCase]:
-        """Yield the cases seed by seed, so that an interrupted run has complete tables of fewer seeds.
+        """Yield the cases seed by seed, block by block, slow clocks first; then evaluations in the exact simulator.
 
-        Those of a seed are in the order of the blocks, slow clocks first. The evaluations in the exact simulator
-        follow, in the same order.
+        An interrupted run has complete tables of fewer seeds.
         """
         sizes: dict[tuple[object, ...], tuple[int, float]] = {}  # of trainings that differ in their seed alone
         for exact, seeds in ((False, config.seeds), (True, min(config.exact_seeds, config.seeds))):
@@ -283,10 +282,7 @@ class Rl(SuiteOfRuns[RlConfig, TrainingCase]):
         return [part_suite(part, seed) for part, seed in parts_of(config, case).values()]
 
     def fly(self, config: RlConfig, case: TrainingCase, opened: RunDirectory) -> GameResult:
-        """Train, unless the case evaluates a policy that exists, and evaluate.
-
-        The row has the summaries of both, the arrays the outcome of each evaluated lane.
-        """
+        """Train, unless a policy exists, and evaluate; the row has the summaries, the arrays each lane's outcome."""
         row = subset(vars(case.block), "variant", "profile", "timing")
         row |= subset(vars(case), "command", "clock_speed", "seed") | {"evaluations": []}
         arrays: dict[str, np.ndarray] = {}
@@ -348,10 +344,7 @@ class Rl(SuiteOfRuns[RlConfig, TrainingCase]):
         return "Policies by the command and ClockSpeed of their training"
 
     def headline(self, report: Report) -> str:
-        """Return the success after the slowest and the fastest training of each kind.
-
-        Where all trainings are variants it is the gap from which on success collapses.
-        """
+        """Return the success after each kind's slowest and fastest training; of variants alone the collapse."""
         plain: dict[str, list[str]] = {}
         for cell in sorted(report.summary["pooled"], key=lambda cell: cell["clock_speed"]):
             if not cell["variant"]:
@@ -422,8 +415,7 @@ def flight_name(command: str, clock_speed: float, real_time: float) -> str:
 def parts_of(config: RlConfig, case: TrainingCase, agent: str = DEFAULT) -> dict[str, tuple[Part, int]]:
     """Return the training of a case, and the evaluations of the policy `agent`, by folder, each with its seed.
 
-    Evaluations are in real time with the cell's own command, then the other, then both as trained, on the clock of the
-    training and with the policy's own observation.
+    Evaluations are in real time with the cell's own command, then the other, then with both as trained.
     """
     block, real_time = case.block, config.evaluation_clock_speed
     flown_in = {"task.timing": block.timing, "task.profile": block.profile}
@@ -490,8 +482,7 @@ def key_of(flights: Flights) -> dict[str, Any]:
 def _success(flights: Flights) -> dict[str, Any]:
     """Return the success of all seeds together, with two 95 % intervals.
 
-    `wilson_low` and `wilson_high` are of the games of these very policies; `seeds_low` and `seeds_high` also cover what
-    trainings with other seeds would have given on other lanes (`Success.estimate`).
+    Wilson's is of the games of these very policies; that over seeds also covers other trainings on other lanes.
     """
     success = success_of(flights)
     low, high = success.estimate.interval
@@ -546,10 +537,9 @@ def _at_1x(cell: Flights, own: Flights, command: str) -> Flights:
 
 
 def times_of(cell: Flights, own: Flights) -> dict[str, Any]:
-    """Return the modelled seconds of the trainings of a cell, those of as many commands of ADSC at 1x, and speed-ups.
+    """Return the modelled seconds of a cell's trainings, those of as many commands of ADSC at 1x, and speed-ups.
 
-    Speed-ups are of a command's mean time, as trainings that learn differently fly games of different length, over that
-    of ADSC at 1x, as in the paper.
+    Speed-ups are of a command's mean time, as other trainings fly games of other length, over that of ADSC at 1x.
     """
     baseline, phase_s = _at_1x(cell, own, "adsc"), {phase: cell[phase].sum() for phase in PHASES}
     known, commands = len(baseline) > 0, cell.commands.sum()
@@ -583,10 +573,9 @@ def summary_of_seeds(cell: Flights, own: Flights) -> dict[str, Any]:
 
 
 def gap_s(cell: Flights) -> float:
-    """Return the mean gap (WHAT_A_GAP_IS) in the trainings of a cell, at the speed that the profile's platform reaches.
+    """Return the mean gap (WHAT_A_GAP_IS) in a cell's trainings, at the speed that the profile's platform reaches.
 
-    A few calls of a millisecond that ADSC makes in its pauses are counted too, and a command that a collision ends
-    early counts as a whole one.
+    A command that a collision ends early counts as a whole one, and ADSC's calls in a pause count too.
     """
     first = cell.iloc[0]
     if first.command == "tcsc":
@@ -614,10 +603,7 @@ def interchange(group: Flights, clock_speed: float) -> Iterator[dict[str, Any]]:
 
 
 def as_trained(group: Flights, trained: Flights) -> Iterator[dict[str, Any]]:
-    """Yield the comparison of flights at the training's ClockSpeed with those of trainings without the variant.
-
-    There is none where policies were flown in real time alone.
-    """
+    """Yield the comparison of flights at the training's ClockSpeed, if any, with those without the variant."""
     key = key_of(group)
     plain = where(trained, **key | {"variant": ""}) if key["variant"] else group[:0]
     own = {"with": key["command"], "at": key["clock_speed"]}
@@ -707,10 +693,7 @@ def draw_line(axes: Axes, cells: pd.DataFrame, places: Any, aside: float = 0.0, 
 
 
 def success_figure(report: Report, cells: pd.DataFrame) -> Picture:
-    """Draw success over ClockSpeed (the paper's Table I), the lines shifted aside a little; dots are seeds.
-
-    There is a line for each command, profile and variant, and the paper's own numbers for its profile.
-    """
+    """Draw success over ClockSpeed (Table I), the paper's own too, lines shifted a little; dots are seeds."""
     cells = cells.assign(kind=cells.profile + cells.timing + cells.variant).sort_values("clock_speed", kind="stable")
     clocks, kinds, lines = sorted(cells.clock_speed.unique()), cells.kind.unique(), []
     figure, [axes] = plots.panels(1, "Success by training", 3.4)
@@ -737,8 +720,7 @@ def success_figure(report: Report, cells: pd.DataFrame) -> Picture:
 def gaps_figure(report: Report, lines: Mapping[str, pd.DataFrame]) -> Picture:
     """Draw success over the gap between two commands, linear up to .1 s and logarithmic beyond; dots are seeds.
 
-    Only the dots of two seeds are drawn, since an interval over two spans nearly everything, and only the points of
-    cells that share a gap, as all of TCSC do: their intervals would hide one another.
+    The intervals of two seeds, which span nearly everything, and of cells with equal gaps are left out.
     """
     title = "Success in real time over the gap of the training"
     figure, [axes] = plots.panels(1, title, 3.4)
@@ -758,10 +740,7 @@ def gaps_figure(report: Report, lines: Mapping[str, pd.DataFrame]) -> Picture:
 
 
 def distances_figure(report: Report) -> Picture:
-    """Draw the share of games that got so far down the lane (the paper's Figure 8), a line per ClockSpeed.
-
-    Rows of obstacles are marked.
-    """
+    """Draw the share of games that got so far down the lane (Figure 8), a line per ClockSpeed; rows are marked."""
     flights = where(report.scores, exact=False, flight=0)
     flights, clocks = flights.assign(panel=flights.apply(panel_name, axis=1)), sorted(flights.clock_speed.unique())
     figure, panels = plots.facets(flights, "panel", "Distance travelled", across=2, height_in=2.4)
@@ -781,10 +760,7 @@ def distances_figure(report: Report) -> Picture:
 
 
 def time_figure(report: Report, cells: pd.DataFrame) -> Picture:
-    """Draw the time of a training, the mean of its seeds, by phase (the paper's Figure 9), a panel per command.
-
-    Phases are stacked bars, with rendering as part of the paper's simulation, the speed-ups over real time beside them.
-    """
+    """Draw the time of a training, the mean of its seeds, by phase (Figure 9), rendering as part of simulation."""
     phase_s = pd.DataFrame(cells.phase_s.tolist(), cells.index).div(cells.seeds.map(len), axis=0)
     phase_s.insert(0, "simulation (with rendering)", phase_s.pop("simulation") + phase_s.pop("rendering"))
     cells, unit = cells.sort_values(["panel", "clock_speed"], kind="stable"), plots.time_unit(phase_s.sum(axis=1).max())

@@ -50,10 +50,7 @@ def check_engine(engine: str) -> None:
 
 
 def check_jobs(suite: AnySuite, config: Experiment, jobs: int, engine: str = LOKY) -> None:
-    """Raise UsageError for a number of processes that is out of range, or that the suite or its timing excludes.
-
-    Raises as `check_engine` does, too.
-    """
+    """Raise UsageError for a number of processes out of range, or that suite or timing exclude, or a bad engine."""
     check_engine(engine)
     if jobs < 1:
         raise UsageError(f"--jobs {jobs}: must be 1 or more")
@@ -67,10 +64,7 @@ def check_jobs(suite: AnySuite, config: Experiment, jobs: int, engine: str = LOK
 
 
 def cases_of(suite: AnySuite, config: Experiment) -> list[Case]:
-    """Return all cases of a run.
-
-    Raises UserError for too many, for equal names, and for names that files cannot have.
-    """
+    """Return all cases. Raises UserError for too many, for equal names, and for names that files cannot have."""
     cases = list(islice(suite.cases(config), MOST_GAMES + 1))
     if len(cases) > MOST_GAMES:
         raise UserError(f"more than {MOST_GAMES} games in all: fewer games, or fewer values to combine")
@@ -106,8 +100,7 @@ def run_suite(
 
     Games on the machine's own clock are flown one by one, whatever `jobs`, since parallel games would disturb them.
     Where their server dies or hangs it is started again, and the game flown again; the key `restarts` of its row says
-    how often. `engine` is one of engines.ENGINES. `on_game` is called after each game. Raises UserError, and UsageError
-    as `check_jobs` does.
+    how often. `on_game` is called after each game. Raises UserError, and as `check_jobs` does.
     """
     check_jobs(suite, config, jobs, engine)
     remove_orphaned_files()
@@ -176,10 +169,7 @@ _OPENED: dict[tuple[str, str], tuple[AnySuite, Opened, ExitStack]] = {}  # by th
 
 
 def _fly_in_worker(config: Experiment, case: Case, folder: Path, place: Path | None) -> GameResult:
-    """Fly a case in this worker process, which keeps what it opened; the parent handles Ctrl-C.
-
-    Own code runs, of the parent's working directory and of `place`: the parent has refused what it should not.
-    """
+    """Fly a case in this worker process, which keeps what it opened; own code runs, also of `place`."""
     key = (str(folder), case.timing)
     with trusting(beside=place), _own_errors(config):
         if key not in _OPENED:
@@ -203,10 +193,7 @@ def _leave_in_worker(folder: str) -> None:
 
 
 def fly_case(suite: AnySuite, config: Experiment, case: Case, opened: Opened) -> GameResult:
-    """Fly one case, and add the host's time and load to its result.
-
-    Raises UserError where the `fly` of a suite of one's own returned no valid result.
-    """
+    """Fly a case, and add the host's time and load. Raises UserError where a custom suite's result is none."""
     game, host = timed(lambda: suite.fly(config, case, opened))
     if own_folder(suite, config) is not None:
         where = f"{suite.name}: fly of {case.id}"
@@ -229,8 +216,7 @@ def in_parallel(
 ) -> Iterator[GameResult]:
     """Yield the results of joblib's delayed calls, in order, from `jobs` workers that take `batch` calls at once.
 
-    Workers that outlive the run, Dask's on a cluster that goes on, call `leave` at its end. Raises UserError where a
-    worker is lost.
+    Workers that outlive the run, as Dask's may, call `leave` at its end. Raises UserError where a worker is lost.
     """
     if engine == LOKY:
         return _on_this_machine(jobs, batch, calls)

@@ -116,10 +116,7 @@ def _of_the_run(request: RunRequest) -> tuple[dict[str, Plain], str]:
 
 
 def _place(suite: AnySuite, name: str, value: object) -> tuple[str, object]:
-    """Return the dotted key of an option, at the top of the configuration or in its task, and the value for that key.
-
-    Raises UsageError if the suite has no such key, or takes one value and was given several.
-    """
+    """Return the dotted key of an option, in the configuration or its task, and its value. Raises UsageError."""
     option = KEYS[name].option if name in KEYS else f"--{name}"
     for above in ((), ("task",), ("training",), ("training", "task")):
         fields, prefix = suite.config.model_fields, "".join(f"{key}." for key in above)

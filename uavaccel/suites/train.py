@@ -108,10 +108,7 @@ class RealTime(TypedDict):
 
 
 def completed(mapping: Mapping[str, Plain]) -> dict[str, Plain]:
-    """Return a training's mapping with what follows from its environment: what learns it, whether it is mirrored.
-
-    Of the obstacle lane both are the defaults.
-    """
+    """Return a training's mapping with what follows from its environment: its algorithm, whether it is mirrored."""
     if (task := _task_of(mapping)) is None or mapping.get("env_id", LANE) == LANE:
         return dict(mapping)
     algorithm = DOUBLE_DQN if is_discrete(task) else PPO
@@ -238,10 +235,7 @@ class Training(Suite[TrainConfig, SimpleCase]):
         return f"success of the last {len(recent)}: {sum(recent) / len(recent):.0%}"
 
     def summary(self, report: Report) -> Summary:
-        """Return sums over all games, evaluations, and the weights of a training that is over.
-
-        Sums are Python's, to the last bit those in the rows of the suite `rl`.
-        """
+        """Return sums over all games, Python's, as the suite `rl` has them; evaluations; weights if it is over."""
         games, task = report.games, report.config.task
         trained, evaluated = trained_with(report.run.path), evaluations(report.run)
         over = trained.get("games") == len(games)
@@ -457,10 +451,7 @@ def draw_evaluated(axes: Axes, seeds: Sequence[pd.Series], colour: str) -> None:
 
 
 def draw_mean(axes: Axes, curves: Sequence[pd.Series], **look: Any) -> None:
-    """Draw the mean of curves, at the places of any of them that lie within all, in the band of their range.
-
-    Where none does, those that ended sooner keep their last value, and those that began later have had their first.
-    """
+    """Draw the mean of curves, where all have values, in the band of their range; where none does, ends are held."""
     first, last = max(curve.index[0] for curve in curves), min(curve.index[-1] for curve in curves)
     places = np.unique(np.concatenate([curve.index for curve in curves]))
     at = places[(places >= first) & (places <= last)] if first <= last else places
@@ -469,10 +460,7 @@ def draw_mean(axes: Axes, curves: Sequence[pd.Series], **look: Any) -> None:
 
 
 def progress_figure(report: Report) -> Figure:
-    """Draw return, length, loss, mean Q and the share of random actions over the games, where the algorithm has them.
-
-    Points are single games, lines means of the last RECENT.
-    """
+    """Draw what the algorithm has of PROGRESS over the games: points are games, lines means of the last RECENT."""
     games = report.games.reindex(columns=list(PROGRESS)).astype(float).set_axis(range(1, len(report.games) + 1))
     games, colour = games.loc[:, np.isfinite(games).any()], style.COMMAND_COLOUR[report.config.task.command]
     figure, grid = plots.panels(games.shape[1], "Progress of the training", 1.5, across=2)
@@ -492,7 +480,7 @@ def progress_figure(report: Report) -> Figure:
 def phase_times(reports: Sequence[Report]) -> pd.DataFrame:
     """Return the seconds of each training by phase, summed over its lanes, and its `speed`, by its label.
 
-    They are of its simulated clock if it has one, else of the machine's. Equal labels are followed by the run's folder.
+    They are of its simulated clock if it has one, else of the machine's.
     """
     trainings = {}
     labels = [f"{_label(report)}\n{report.config.task.timing}, seed {report.config.seed}" for report in reports]

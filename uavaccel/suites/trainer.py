@@ -71,10 +71,7 @@ class Trainer:
         self._saved = self._learner.games
 
     def next_game(self) -> GameResult:
-        """Fly and learn until another game is over, and return it.
-
-        Raises KeyboardInterrupt on Ctrl-C, after saving a checkpoint.
-        """
+        """Fly and learn until another game is over, and return it; a checkpoint is saved before KeyboardInterrupt."""
         learner = self._learner
         while not self._finished:
             learner.holding = self._interrupted or learner.games - self._saved >= self._config.checkpoint_games
@@ -108,10 +105,7 @@ class Trainer:
 
 @contextmanager
 def open_trainer(config: TrainConfig, run: RunDirectory, begun: EnvironmentBatch | None = None) -> Iterator[Trainer]:
-    """Yield a trainer that saves a checkpoint on Ctrl-C or SIGTERM, unless another process handles these signals.
-
-    Its lanes are those of the batch `begun`, or new ones.
-    """
+    """Yield a trainer, on the lanes `begun` or new ones, that saves a checkpoint on Ctrl-C or SIGTERM where it may."""
     trainer = Trainer(config, run, begun)
     kinds = (signal.SIGINT, signal.SIGTERM) if threading.current_thread() is threading.main_thread() else ()
     heeded = {kind: before for kind in kinds if callable(before := signal.getsignal(kind))}
@@ -133,10 +127,7 @@ def export_learned(folder: Path, learner: Learner, config: TrainConfig) -> str:
 
 
 def drop_games_after_checkpoint(run: RunDirectory) -> None:
-    """Drop the rows and evaluations after the last checkpoint, since they will be flown again.
-
-    Raises UserError where rows from before the checkpoint are missing.
-    """
+    """Drop rows and evaluations after the last checkpoint, which are flown again. Raises UserError where rows lack."""
     checkpoint = find_checkpoint(run.path / CHECKPOINTS)
     games, rows = 0 if checkpoint is None else games_of(checkpoint), len(run.rows())
     if rows < games:
@@ -151,10 +142,7 @@ def drop_games_after_checkpoint(run: RunDirectory) -> None:
 
 
 class GameRows:
-    """Makes the rows of games, and writes their curves: TensorBoard's into the run's folder, and those of `wandb`.
-
-    `rows` are those of earlier starts. Raises UserError where Weights & Biases refuses the run.
-    """
+    """Makes the rows of games, after the `rows` of earlier starts, and writes curves for TensorBoard and `wandb`."""
 
     def __init__(self, config: TrainConfig, run: Path, rows: Sequence[Row]) -> None:
         self._t_move_s = config.task.t_move_s
@@ -281,8 +269,7 @@ def evaluation_of(config: TrainConfig, folder: Path) -> EvaluateConfig:
 def model_real_time(config: TrainConfig) -> dict[str, Any]:
     """Return the wall seconds of a command, from a short game straight ahead in an empty lane in the modelled AirSim.
 
-    Images, DVS, decisions and learning are charged to its wall clock, as the phases of the paper's Figure 9.
-    Algorithms without a replay buffer are charged no learning, as in training.
+    Images, DVS, decisions and, with a replay buffer, learning are charged to its wall clock, as in Figure 9.
     """
     task = config.task
     buffered = learns_from_a_buffer(config.algorithm)
