@@ -16,7 +16,7 @@ from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
 from uavaccel.suites import parts
 from uavaccel.suites.grid import Sweep
-from uavaccel.suites.parts import Part, part_suite
+from uavaccel.suites.parts import Part
 from uavaccel.suites.rl import Rl, RlConfig, collapse, over_gaps, parts_of
 
 pytestmark = pytest.mark.usefixtures("trainings_here")
@@ -121,7 +121,7 @@ def test_a_policy_is_flown_with_the_other_command_too(overrides: Any, flown: str
     found = []
     for case in Rl().cases(config):
         for name, (part, seed) in parts_of(config, case).items():
-            trained, made = name == "training", part_suite(part, seed)[1].model_dump()
+            trained, made = name == "training", part.resolve(seed)[1].model_dump()
             assert (made["inference_s"], made["task"]["difficulty"]["wind_m_s"]) == (0.03, 3.0)
             assert (made["task"]["t_move_s"], "learning_s" in part.keys) == ((0.8, True) if trained else (1.0, False))
             assert (seed, part.keys.get("agent")) == ((4, None) if trained else (0, "default"))
@@ -165,7 +165,7 @@ def test_shipped_experiments_count_the_games_of_all_parts(experiment: str, optio
     found = [Rl().games(config, case) for case in Rl().cases(config)]
     assert games in (found, len(found))
     for keys, seed in (({}, 3), ({"seed": 9}, 9)):
-        assert part_suite(Part(experiment="evaluate", keys=keys), 3)[1].seed == seed
+        assert Part(experiment="evaluate", keys=keys).resolve(3)[1].seed == seed
 
 
 @pytest.mark.slow

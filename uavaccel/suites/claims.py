@@ -15,16 +15,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from uavaccel.metrics.equivalence import (
-    Estimate,
-    Interval,
-    all_of,
-    exceeds,
-    mean_estimate,
-    opposite,
-    ratio_estimate,
-    within,
-)
+from uavaccel.metrics.equivalence import Estimate, all_of, exceeds, mean_estimate, opposite, ratio_estimate, within
 from uavaccel.metrics.intervals import Proportion, bootstrap_interval, median_interval
 from uavaccel.metrics.success import Success
 from uavaccel.sim.lane.layout import LENGTH_M, Difficulty, sample_layout
@@ -50,12 +41,7 @@ SAME_PLACE_M = 0.05  # within which the paper's images at 5x and 10x are (sectio
 # Margins of success over that at 1x. Alike are the margins of bioequivalence, 80 to 125 %: the paper's 21 to 23 lies
 # within, its 21 to 13 and 21 to 30 outside. A collapse keeps at most a third: the interval of 23 to 1 of 100 games
 # reaches to a quarter. In between lies a loss, such as 38 %.
-MARGINS: dict[str, Interval] = {
-    "collapse": (0.0, 1 / 3),
-    "loss": (1 / 3, 0.8),
-    "alike": (0.8, 1.25),
-    "gain": (1.25, np.inf),
-}
+MARGINS = {"collapse": (0.0, 1 / 3), "loss": (1 / 3, 0.8), "alike": (0.8, 1.25), "gain": (1.25, np.inf)}
 FLIES = 0.1  # success that a policy trained at 1x needs for a comparison
 
 

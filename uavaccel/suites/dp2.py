@@ -37,15 +37,9 @@ from uavaccel.suites.path_suite import FlightCase, FlightRow, PathSuite, flight_
 from uavaccel.suites.report import Report, Summary, finished, method_note, warnings
 from uavaccel.suites.suite import GameResult
 from uavaccel.units import NS_PER_S, attitude_difference_rad, to_ns
+from uavaccel.vision import perturb
 from uavaccel.vision.dvs import PRESETS, count_events, luma, make_sensor
 from uavaccel.vision.guard import GuardSettings, GuardState, acquire
-from uavaccel.vision.perturb import (
-    AutoExposure,
-    PerturbationConfig,
-    PerturbationKind,
-    PerturbationSettings,
-    perturb_share,
-)
 from uavaccel.wire.image_api import lane_layout
 
 if TYPE_CHECKING:
@@ -80,7 +74,7 @@ class Dp2Config(FlightExperiment):
     """Timing of the game at 1x that each command is compared with, unless the run flies that one anyway."""
     guard: GuardSettings = GuardSettings()
     """The check of an image's mean brightness, and what follows a rejection."""
-    perturbation: PerturbationConfig = PerturbationConfig()
+    perturbation: perturb.PerturbationConfig = perturb.PerturbationConfig()
     """Perturbation of the games' images; those that they are compared with stay clean."""
     auto_exposure: bool = False
     """A MODEL of a game engine's auto-exposure (uavaccel.vision.exposure), in every game; the paper switched it off."""
@@ -194,7 +188,7 @@ class Dp2(PathSuite[Dp2Config, Game]):
             perturbation = config.perturbation.at(case.clock_speed, int(seed.generate_state(1)[0]))
         # in colour where colours may be perturbed, and once per run for the guard study
         kind = "colour" if case.role == "lockstep" or perturbation else "gray"
-        exposure = AutoExposure() if config.auto_exposure else None
+        exposure = perturb.AutoExposure() if config.auto_exposure else None
         with closing(EventClient(opened, client, kind, config.guard, perturbation, exposure)) as camera:
             if config.dvs_rate_hz is not None:
                 sensor = make_sensor(PRESETS[config.dvs_preset], (HEIGHT, WIDTH), config.sensor_seed)
@@ -413,8 +407,8 @@ def study_guard(images: NDArray[np.uint8], guard: GuardSettings, seed: int) -> d
 
     The images are sent STREAMS times, perturbed with another seed each time, as one stream has too few of each kind.
     """
-    perturbed = [PerturbationSettings(SHARE, seed=seed + n) for n in range(STREAMS)]
-    by_kind: dict[str, Any] = {str(kind): {} for kind in PerturbationKind}
+    perturbed = [perturb.PerturbationSettings(SHARE, seed=seed + n) for n in range(STREAMS)]
+    by_kind: dict[str, Any] = {str(kind): {} for kind in perturb.PerturbationKind}
     handed_on = dict[str, float]()
     for name, used in {"off": GuardSettings(max_retries=0), "on": guard}.items():
         sent = pd.concat(pass_guard(images, own, used) for own in perturbed)
@@ -423,18 +417,18 @@ def study_guard(images: NDArray[np.uint8], guard: GuardSettings, seed: int) -> d
             passed = sent.passed[sent.kind == kind]
             share = float(passed.mean()) if len(passed) else None
             of_kind[name] = {"sent": len(passed), "passed": int(passed.sum()), "share_passed": share}
-    alarms = int((~pass_guard(images, PerturbationSettings(), guard).passed).sum())
+    alarms = int((~pass_guard(images, perturb.PerturbationSettings(), guard).passed).sum())
     found: dict[str, Any] = {"modelled": True, "images": len(images), "share": SHARE, "streams": STREAMS}
     found |= {"by_kind": by_kind, "clean_false_alarms": alarms, "clean_retries": alarms}
     return found | {"perturbed_share_handed_on": handed_on}
 
 
-def pass_guard(images: NDArray[np.uint8], perturbed: PerturbationSettings, guard: GuardSettings) -> pd.DataFrame:
+def pass_guard(images: NDArray[np.uint8], perturbed: Any, guard: GuardSettings) -> pd.DataFrame:
     """Return each image sent, also those requested again: its `kind` of perturbation or "", and whether it `passed`."""
     state, kinds, passed = GuardState(), list[str](), list[bool]()
 
     def receive(scene: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        image, kind = perturb_share(scene, perturbed, len(kinds))
+        image, kind = perturb.perturb_share(scene, perturbed, len(kinds))
         kinds.append(kind or "")
         return image
 

@@ -235,7 +235,7 @@ class Evaluation(Suite[EvaluateConfig, Game]):
     ) -> Flight:
         """Fly the game again by the actions of its row; it has to make the same row.
 
-        What does not repeat, flown by kernels or on the wall clock, its agent flies once more in the exact simulator, and
+        What does not repeat, of kernels or the wall clock, its agent flies once more in the exact simulator, and
         the title says so. Raises UserError.
         """
         from uavaccel.suites.evaluate_again import flight_again

@@ -34,24 +34,14 @@ from uavaccel.metrics.trajectory import quartiles
 from uavaccel.records import RunDirectory
 from uavaccel.rl.agents import DEFAULT, agent_name, origin_of
 from uavaccel.sim.recording import RECORDED
-from uavaccel.suites import plots
+from uavaccel.suites import experiment, plots
 from uavaccel.suites.dp1 import SIMILAR_STLC, Dp1, Dp1Config, Dp1Row, Game, summary_cells
-from uavaccel.suites.experiment import (
-    ClockSpeeds,
-    CommandNames,
-    Experiment,
-    GameRow,
-    ProfileName,
-    Timing,
-    distinct,
-    subset,
-    timing_of,
-)
+from uavaccel.suites.experiment import ClockSpeeds, CommandNames, Experiment, GameRow, ProfileName, Timing, subset
 from uavaccel.suites.flight import Flight
-from uavaccel.suites.parts import OUTCOMES, Part, SuiteOfRuns, fly_part, outcomes, part_run, part_suite, simulated_s
+from uavaccel.suites.parts import OUTCOMES, Part, Run, SuiteOfRuns, fly_part, outcomes
 from uavaccel.suites.registry import merged
 from uavaccel.suites.report import Report, Summary, finished, method_note, table_of
-from uavaccel.suites.suite import AnySuite, GameResult, SimpleCase, Suite
+from uavaccel.suites.suite import GameResult, SimpleCase, Suite
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -91,7 +81,7 @@ class AblationConfig(Experiment):
     @field_validator("variants")
     @classmethod
     def _distinct(cls, variants: tuple[Variant, ...]) -> tuple[Variant, ...]:
-        distinct(tuple(variant.name for variant in variants))
+        experiment.distinct(tuple(variant.name for variant in variants))
         return variants
 
     @property
@@ -358,19 +348,19 @@ class PolicyGrid(SuiteOfRuns[Any, Point]):
         for point in self.points(config):
             self.runs(config, point)
 
-    def runs(self, config: Any, case: Point) -> list[tuple[AnySuite, Any]]:
+    def runs(self, config: Any, case: Point) -> list[Run]:
         keys = {"agent": config.agent, "games": config.games, **config.evaluation.keys, **case.keys}
-        part = part_suite(Part(experiment=config.evaluation.experiment, keys=keys), config.seed)
+        part = Part(experiment=config.evaluation.experiment, keys=keys).resolve(config.seed)
         if part[0].name != "evaluate":
             raise UserError(f"evaluation.experiment = {config.evaluation.experiment}: is no evaluation")
         return [part]
 
-    def first(self, config: Any) -> tuple[AnySuite, Any]:
+    def first(self, config: Any) -> Run:
         """Return suite and configuration of the first evaluation, which represents all where they do not differ."""
         return self.runs(config, next(self.points(config)))[0]
 
     def cases(self, config: Any) -> Iterator[Point]:
-        typical_s = simulated_s(self.first(config))
+        typical_s = self.typical_s(config, next(self.points(config)))
         return (replace(point, typical_s=typical_s) for point in self.points(config))
 
     def provenance(self, config: Any) -> Mapping[str, object]:
@@ -379,9 +369,11 @@ class PolicyGrid(SuiteOfRuns[Any, Point]):
 
     def fly(self, config: Any, case: Point, opened: RunDirectory) -> GameResult:
         """Evaluate; the row has keys of the evaluation's summary, the arrays the outcome of each lane."""
-        summary = fly_part(opened, case.id, *self.runs(config, case)).summary
-        kept = {name: summary[name] for name in KEPT if name in self.row.__annotations__ and name in summary}
-        return GameResult({**case.labels, **kept}, outcomes(part_run(opened, case.id)))
+        report = fly_part(opened, case.id, *self.runs(config, case))
+        kept = {
+            name: report.summary[name] for name in KEPT if name in self.row.__annotations__ and name in report.summary
+        }
+        return GameResult({**case.labels, **subset(report.summary, *kept)}, outcomes(report.run))
 
 
 INFERENCE = Condition("inference", "inference_s", "s")
@@ -478,16 +470,17 @@ class Sweep(PolicyGrid):
 
     def cases(self, config: SweepConfig) -> Iterator[Point]:
         """Yield the evaluations to fly; conditions that change nothing are flown once, as trained."""
-        trained, *departed = [(point, *self.runs(config, point)[0]) for point in self.points(config)]
-        same = [point.id for point, _, evaluation in departed if evaluation == trained[2]]
-        for point, suite, evaluation in [trained, *departed]:
+        trained, *departed = [(point, self.runs(config, point)[0][1]) for point in self.points(config)]
+        same = [point.id for point, evaluation in departed if evaluation == trained[1]]
+        for point, evaluation in [trained, *departed]:
             if point.id not in same:
                 labels = {**point.labels, "same": same if point.id == AS_TRAINED else []}
-                yield Point(point.id, timing_of(evaluation), simulated_s((suite, evaluation)), point.keys, labels)
+                timing, typical_s = experiment.timing_of(evaluation), self.typical_s(config, point)
+                yield replace(point, timing=timing, typical_s=typical_s, labels=labels)
 
     def why_serial(self, config: SweepConfig) -> str:
         suite, evaluation = self.first(config)
-        on_wall = timing_of(evaluation) == "wall"
+        on_wall = experiment.timing_of(evaluation) == "wall"
         return "neighbours would spoil the measurement on the wall clock" if on_wall else suite.why_serial(evaluation)
 
     def summary(self, report: Report) -> Summary:
@@ -593,6 +586,9 @@ def conditions_of(summary: Summary) -> pd.DataFrame:
 # --- maps of robustness ---------------------------------------------------------------------------------------------
 
 
+Scale = Annotated[float, Field(ge=0.0, le=MOST_SCALE)]
+
+
 class RobustnessConfig(PolicyExperiment):
     """`suite: robustness`."""
 
@@ -603,7 +599,7 @@ class RobustnessConfig(PolicyExperiment):
     """The synchronous commands to fly with."""
     clock_speed: ClockSpeeds
     """ClockSpeeds to fly at: simulated seconds per wall second."""
-    latency_scale: Annotated[tuple[Annotated[float, Field(ge=0.0, le=MOST_SCALE)], ...], AfterValidator(distinct)]
+    latency_scale: Annotated[tuple[Scale, ...], AfterValidator(experiment.distinct)]
     """Factors of the latencies of the profile's model, flown in this order: put what matters most first."""
     games: Games = 100
     """Lanes flown in each cell."""

@@ -27,19 +27,9 @@ from uavaccel.records import RunDirectory
 from uavaccel.rl.config import LANE
 from uavaccel.suites import plots
 from uavaccel.suites.experiment import Experiment, GameRow, Row, subset
-from uavaccel.suites.parts import (
-    OUTCOMES,
-    Part,
-    SuiteOfRuns,
-    fly_part,
-    outcomes,
-    part_folder,
-    part_suite,
-    simulated_s,
-    train_part,
-)
+from uavaccel.suites.parts import OUTCOMES, Part, Run, SuiteOfRuns, fly_part, outcomes, part_folder, train_part
 from uavaccel.suites.report import Report, Summary, method_note, table_of
-from uavaccel.suites.suite import AnySuite, GameResult, SimpleCase
+from uavaccel.suites.suite import GameResult, SimpleCase
 
 Name = Annotated[str, Field(pattern=r"^[a-z0-9_]+$")]
 Keys = dict[str, Plain]
@@ -182,7 +172,7 @@ class Mediation(SuiteOfRuns[MediationConfig, PolicyCase]):
         sizes: dict[str, float] = {}
         for case in self.policies_of(config):
             if case.policy not in sizes:
-                sizes[case.policy] = simulated_s(*self.runs(config, case))
+                sizes[case.policy] = self.typical_s(config, case)
             yield replace(case, typical_s=sizes[case.policy])
 
     def parts(self, config: MediationConfig, case: PolicyCase, agent: str) -> dict[str, Part]:
@@ -199,13 +189,13 @@ class Mediation(SuiteOfRuns[MediationConfig, PolicyCase]):
             for flight, moved in config.flown().items()
         }
 
-    def runs(self, config: MediationConfig, case: PolicyCase) -> list[tuple[AnySuite, Any]]:
+    def runs(self, config: MediationConfig, case: PolicyCase) -> list[Run]:
         """Return a policy's training and flights; of one to be trained in another environment, its training alone."""
         agent = str(config.policies[case.policy].get("agent", "default"))
         parts = [*self.parts(config, case, agent).values()]
-        first: tuple[AnySuite, Any] = part_suite(parts[0], config.seed)
+        first = parts[0].resolve(config.seed)
         known = first[0].name != "train" or first[1].env_id == LANE
-        return [first, *(part_suite(part, config.seed) for part in parts[1:] if known)]
+        return [first, *(part.resolve(config.seed) for part in parts[1:] if known)]
 
     def may_grow(self, folder: Any) -> tuple[str, ...]:
         return ("seeds",)
@@ -219,7 +209,7 @@ class Mediation(SuiteOfRuns[MediationConfig, PolicyCase]):
         row: dict[str, Any] = {"policy": case.policy, "seed": case.seed, "successes": {}}
         arrays: dict[str, np.ndarray] = {}
         for name, part in self.parts(config, case, str(config.policies[case.policy].get("agent", own))).items():
-            place, run = f"{case.id}/{name}", part_suite(part, config.seed)
+            place, run = f"{case.id}/{name}", part.resolve(config.seed)
             if name == "training":
                 learned = train_part(opened, place, run).summary
                 row |= {f"trained_{key}": learned[key] for key in ("games", "successes")}

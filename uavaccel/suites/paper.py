@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, StringConstraints
@@ -22,10 +23,10 @@ from uavaccel.records import RunDirectory
 from uavaccel.resources import experiment
 from uavaccel.suites import claims, paper_results
 from uavaccel.suites.experiment import Experiment, GameRow, Row
-from uavaccel.suites.parts import Part, SuiteOfRuns, fly_part, part_run, part_suite, simulated_s
+from uavaccel.suites.parts import Part, Run, SuiteOfRuns, fly_part, part_run
 from uavaccel.suites.registry import open_run, suite_of
 from uavaccel.suites.report import Report, Summary, method_note, records, table_of
-from uavaccel.suites.suite import AnySuite, GameResult, SimpleCase
+from uavaccel.suites.suite import GameResult, SimpleCase
 
 PROFILES = ("airsim", "native")
 LEVEL = 0.05
@@ -98,11 +99,12 @@ class Paper(SuiteOfRuns[PaperConfig, SimpleCase]):
             training_run(config.with_run)
 
     def cases(self, config: PaperConfig) -> Iterator[SimpleCase]:
-        for name, part in config.parts.items():
-            yield SimpleCase(name, "virtual", simulated_s(*part_suite(part, config.seed)))
+        for name in config.parts:
+            case = SimpleCase(name, "virtual", 0.0)
+            yield replace(case, typical_s=self.typical_s(config, case))
 
-    def runs(self, config: PaperConfig, case: SimpleCase) -> list[tuple[AnySuite, Any]]:
-        return [part_suite(config.parts[case.id], config.seed)]
+    def runs(self, config: PaperConfig, case: SimpleCase) -> list[Run]:
+        return [config.parts[case.id].resolve(config.seed)]
 
     def status(self, rows: Sequence[Row]) -> str:
         return ""

@@ -12,7 +12,7 @@ from abc import abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any, TextIO, TypeAlias
 
 import numpy as np
 from pydantic import Field
@@ -22,13 +22,15 @@ from uavaccel.files import Plain, inside
 from uavaccel.forms import ArrayForm
 from uavaccel.limits import MOST_PROCESSES
 from uavaccel.records import RunDirectory
-from uavaccel.suites.experiment import Experiment, Row
+from uavaccel.suites.experiment import Row
 from uavaccel.suites.registry import configuration, find_suite, merged, open_run, read_mapping
 from uavaccel.suites.report import Report
 from uavaccel.suites.runner import run_suite, start_run
 from uavaccel.suites.suite import AnySuite, CaseType, ConfigType, Suite
 
 VISIBLE, EGL_DEVICE = "CUDA_VISIBLE_DEVICES", "MUJOCO_EGL_DEVICE_ID"
+Run: TypeAlias = tuple[AnySuite, Any]
+"""A run's suite and its configuration."""
 _place: TextIO | None = None  # among the GPUs, held as long as this process lives
 
 OUTCOMES = {
@@ -48,6 +50,12 @@ class Part(Config):
     keys: dict[str, Plain] = Field(default_factory=dict)
     """Values by dotted key, as for --set."""
 
+    def resolve(self, seed: int) -> Run:
+        """Return suite and configuration. Raises UserError."""
+        mapping, source = read_mapping(self.experiment)
+        suite = find_suite(mapping.get("suite"), source)
+        return suite, configuration(suite, merged(mapping, {"seed": seed, **self.keys}), source)
+
 
 class SuiteOfRuns(Suite[ConfigType, CaseType]):
     """A suite whose cases are runs of other suites, its parts."""
@@ -56,8 +64,12 @@ class SuiteOfRuns(Suite[ConfigType, CaseType]):
     unit = "cells"
 
     @abstractmethod
-    def runs(self, config: ConfigType, case: CaseType) -> Sequence[tuple[AnySuite, Any]]:
-        """Return suite and configuration of each run of a case. Raises UserError for invalid ones."""
+    def runs(self, config: ConfigType, case: CaseType) -> Sequence[Run]:
+        """Return the runs of a case. Raises UserError for invalid ones."""
+
+    def typical_s(self, config: ConfigType, case: CaseType) -> float:
+        """Estimate the simulated seconds of the runs of a case."""
+        return sum(game.simulated_s() for suite, run in self.runs(config, case) for game in suite.cases(run))
 
     def games(self, config: ConfigType, case: CaseType) -> int:
         return sum(suite.games(run, game) for suite, run in self.runs(config, case) for game in suite.cases(run))
@@ -82,19 +94,7 @@ class SuiteOfRuns(Suite[ConfigType, CaseType]):
         return f"{rows[-1]['case']} won {rows[-1]['successes']} of {rows[-1]['games']}"
 
 
-def simulated_s(*runs: tuple[AnySuite, Any]) -> float:
-    """Estimate the simulated seconds of runs, suite and configuration each."""
-    return sum(case.simulated_s() for suite, config in runs for case in suite.cases(config))
-
-
-def part_suite(part: Part, seed: int) -> tuple[AnySuite, Experiment]:
-    """Return the part's suite and configuration. Raises UserError."""
-    mapping, source = read_mapping(part.experiment)
-    suite = find_suite(mapping.get("suite"), source)
-    return suite, configuration(suite, merged(mapping, {"seed": seed, **part.keys}), source)
-
-
-def fly_part(run: RunDirectory, name: str, part: tuple[AnySuite, Experiment], pages: bool = True) -> Report:
+def fly_part(run: RunDirectory, name: str, part: Run, pages: bool = True) -> Report:
     """Fly what a part still lacks, and return its report, of which without `pages` summary.json alone is written."""
     suite, config = part
     manifest = {key: value for key, value in run.manifest().items() if key != "resumed"}
@@ -105,7 +105,7 @@ def fly_part(run: RunDirectory, name: str, part: tuple[AnySuite, Experiment], pa
     return report
 
 
-def train_part(run: RunDirectory, name: str, part: tuple[AnySuite, Experiment]) -> Report:
+def train_part(run: RunDirectory, name: str, part: Run) -> Report:
     """Fly a training, and return its report; its checkpoints, gigabytes of no use once it is over, are removed."""
     from uavaccel.suites.train import CHECKPOINTS
 

@@ -30,7 +30,7 @@ from uavaccel.resources import require
 from uavaccel.suites import plots
 from uavaccel.suites import realtime_report as told
 from uavaccel.suites.experiment import GameRow, Row, Timing, subset
-from uavaccel.suites.parts import Part, acquire_gpu, part_folder, part_suite, train_part
+from uavaccel.suites.parts import Part, acquire_gpu, part_folder, train_part
 from uavaccel.suites.realtime_config import OF_THE_CASES, RealtimeConfig
 from uavaccel.suites.report import Report, Summary, method_note, records
 from uavaccel.suites.suite import GameResult, SimpleCase, Suite
@@ -122,7 +122,7 @@ class Realtime(Suite[RealtimeConfig, Training]):
         _import_modules(config)
         for name, flight in config.flights.items():
             for agent, part in flight.trainings.items():
-                if (of := part_suite(part, config.seed)[0].name) != "train":
+                if (of := part.resolve(config.seed)[0].name) != "train":
                     raise UserError(f"flights.{name}.trainings.{agent}: {part.experiment} is of {of}, not of train")
         known = dict.fromkeys(case.cell for case in _evaluations(config))
         for pattern in config.cells:
@@ -146,7 +146,7 @@ class Realtime(Suite[RealtimeConfig, Training]):
         trained = dict.fromkeys((case.environment, case.agent) for case in self.cases(config) if not self.stage(case))
         for name, agent in trained:
             if name in config.flights:
-                suite, part = part_suite(config.flights[name].trainings[agent], config.seed)
+                suite, part = config.flights[name].trainings[agent].resolve(config.seed)
                 suite.provenance(part)
         return {}
 
@@ -347,16 +347,15 @@ def flown(config: RealtimeConfig, case: Training, run: RunDirectory) -> dict[str
 
     flight = config.flights[case.environment]
     if not isinstance(case, Evaluation):
-        part = flight.trainings[case.agent]
-        training: Any = part_suite(part, 0)[1]
-        acquire_gpu(training.device)
-        report = train_part(run, case.id, part_suite(part, config.seed + case.seed))
+        training = flight.trainings[case.agent].resolve(config.seed + case.seed)
+        acquire_gpu(training[1].device)
+        report = train_part(run, case.id, training)
         learned = {"steps": report.summary["commands"], "agent_sha256": report.summary["weights_sha256"]}
         return {**learned, "last_return": float(recent_mean(report.games["return"]).iloc[-1])}
     agent = str(part_folder(run, case.trained).resolve())
     keys = flight.evaluation.keys | {"agent": agent, "inference_s": case.latency_s, "task.mediation": {}}
     keys |= {f"task.{name}": getattr(case, name) for name in OF_THE_CASES}
-    evaluation: Any = part_suite(Part(experiment=flight.evaluation.experiment, keys=keys), config.seed)[1]
+    evaluation = Part(experiment=flight.evaluation.experiment, keys=keys).resolve(config.seed)[1]
     lanes = range(evaluation.first_lane, evaluation.first_lane + evaluation.games)
     with closing(GamesInBatch(evaluation, lanes)) as batch:
         won = [float(batch.game(lane).row["is_success"]) for lane in lanes]

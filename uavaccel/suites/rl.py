@@ -36,7 +36,7 @@ from uavaccel.metrics.success import Success
 from uavaccel.records import RunDirectory
 from uavaccel.rl.agents import DEFAULT, FLIGHT, SENSES
 from uavaccel.sim.lane.layout import LENGTH_M, Difficulty, sample_layout
-from uavaccel.suites import paper_results, plots
+from uavaccel.suites import experiment, paper_results, plots
 from uavaccel.suites.experiment import (
     ClockSpeeds,
     CommandNames,
@@ -44,25 +44,12 @@ from uavaccel.suites.experiment import (
     GameRow,
     Phases,
     ProfileName,
-    Row,
     Timing,
-    cumulative_wall_s,
     subset,
-    timed,
 )
-from uavaccel.suites.parts import (
-    OUTCOMES,
-    Part,
-    SuiteOfRuns,
-    fly_part,
-    outcomes,
-    part_folder,
-    part_suite,
-    simulated_s,
-    train_part,
-)
+from uavaccel.suites.parts import OUTCOMES, Part, Run, SuiteOfRuns, fly_part, outcomes, part_folder, train_part
 from uavaccel.suites.report import Report, Summary, method_note, table_of
-from uavaccel.suites.suite import AnySuite, GameResult, SimpleCase
+from uavaccel.suites.suite import GameResult, SimpleCase
 
 if TYPE_CHECKING:  # it loads what draws
     from matplotlib.axes import Axes
@@ -254,7 +241,7 @@ class Rl(SuiteOfRuns[RlConfig, TrainingCase]):
                 name = "-".join(filter(None, (*kind, f"seed{seed}", OF_EXACT if exact else "")))
                 case = TrainingCase(name, "virtual", 0.0, *cell, seed, exact)
                 if (exact, *kind) not in sizes:
-                    sizes[exact, *kind] = super().games(config, case), simulated_s(*self.runs(config, case))
+                    sizes[exact, *kind] = super().games(config, case), self.typical_s(config, case)
                 games, typical_s = sizes[exact, *kind]
                 yield replace(case, games=games, typical_s=typical_s)
 
@@ -277,9 +264,9 @@ class Rl(SuiteOfRuns[RlConfig, TrainingCase]):
     def renders(self, config: RlConfig) -> bool:
         return super().renders(config.model_copy(update={"seeds": 1}))
 
-    def runs(self, config: RlConfig, case: TrainingCase) -> list[tuple[AnySuite, Any]]:
+    def runs(self, config: RlConfig, case: TrainingCase) -> list[Run]:
         """Return the training of a case and the evaluations of its policy."""
-        return [part_suite(part, seed) for part, seed in parts_of(config, case).values()]
+        return [part.resolve(seed) for part, seed in parts_of(config, case).values()]
 
     def fly(self, config: RlConfig, case: TrainingCase, opened: RunDirectory) -> GameResult:
         """Train, unless a policy exists, and evaluate; the row has the summaries, the arrays each lane's outcome."""
@@ -291,20 +278,20 @@ class Rl(SuiteOfRuns[RlConfig, TrainingCase]):
         for name, (part, seed) in parts_of(config, case, agent).items():
             folder = part_folder(opened, place := f"{policy}/{name}")
             if name == "training":
-                report = train_part(opened, place, part_suite(part, seed))
+                report = train_part(opened, place, part.resolve(seed))
                 row["training"] = subset(report.summary, *TrainingResult.__annotations__)
-                host["training_s"] = (cumulative_wall_s(report.timings) or [0.0])[-1]
+                host["training_s"] = (experiment.cumulative_wall_s(report.timings) or [0.0])[-1]
                 continue
             if (folder / "config.yaml").is_file() and RunDirectory(folder).config().get("agent") != agent:
                 shutil.rmtree(folder)  # begun before the run was moved, it names its policy by another path
-            report, took = timed(partial(fly_part, opened, place, part_suite(part, seed), pages=False))
+            report, took = experiment.timed(partial(fly_part, opened, place, part.resolve(seed), pages=False))
             row["evaluations"].append(subset(report.summary, *EvaluationResult.__annotations__))
             flight = name.removeprefix("evaluation-")
             arrays |= {f"{flight}_{key}": values for key, values in outcomes(report.run).items()}
             host["evaluations_s"] += took["host_wall_s"]
         return GameResult(row, arrays, host)
 
-    def status(self, rows: Sequence[Row]) -> str:
+    def status(self, rows: Sequence[Any]) -> str:
         flown = rows[-1]["evaluations"][0]
         return f"{rows[-1]['case']} won {flown['successes']} of {flown['games']}"
 

@@ -26,7 +26,7 @@ from uavaccel.metrics.success import Success
 from uavaccel.records import RunDirectory
 from uavaccel.suites import train
 from uavaccel.suites.experiment import Experiment, GameRow, cumulative_wall_s, subset
-from uavaccel.suites.parts import SuiteOfRuns, fly_part, part_run, simulated_s
+from uavaccel.suites.parts import SuiteOfRuns, fly_part, part_run
 from uavaccel.suites.report import Report, Summary, method_note, summary_table
 from uavaccel.suites.suite import GameResult, SimpleCase
 from uavaccel.suites.train import RECENT, TrainConfig, Training, recent_mean
@@ -105,7 +105,7 @@ class Seeds(SuiteOfRuns[SeedsConfig, SeedCase]):
         return f"seed{row['seed']}"
 
     def cases(self, config: SeedsConfig) -> Iterator[SeedCase]:
-        typical_s = simulated_s((self.training, config.training))
+        typical_s = config.training.games * config.task.typical_s
         for seed in range(config.seed, config.seed + config.seeds):
             yield SeedCase(f"seed{seed}", config.task.timing, typical_s, seed)
 
