@@ -113,15 +113,14 @@ def test_curves_count_from_this_start_without_evaluations(tmp_path: Path, monkey
     monkeypatch.setattr(trainer, "MonotonicClock", lambda: SimpleNamespace(now_ns=lambda: int(next(now_s) * NS_PER_S)))
     earlier = won(*[False] * 50, *[True] * 3, *[False] * 90, *[True] * 7)  # of the last 100 ten
     rows = trainer.GameRows(tiny_config({"t_move_s": 0.5}), tmp_path, earlier)
-    stopwatch: Any = SimpleNamespace(spent_s=dict)
     info: dict[str, Any] = {
         "is_success": False, "distance_m": 7.0, "collision": None, "lane": 3, "commands": 16,
         "phase_s": {}, "host_phase_s": {},
     }  # fmt: skip
-    (first,) = rows.finished([Game(40, 1, info, -2.5, 0.25)], stopwatch)
+    (first,) = rows.finished([Game(40, 1, info, -2.5, 0.25)], {})
     with rows.clock_stopped():
         pass
-    rows.finished([Game(41, 0, info, 1.0, None, 0.5, 2.0)], stopwatch)
+    rows.finished([Game(41, 0, info, 1.0, None, 0.5, 2.0)], {})
     rows.close()
     assert (first.row["sim_time_s"], first.host["wall_s"]) == (8.0, 4.0)
     read = EventAccumulator(str(tmp_path / "tensorboard"))

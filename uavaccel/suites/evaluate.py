@@ -47,7 +47,7 @@ from uavaccel.sim.lane.layout import LENGTH_M, SPLIT_SIZE, WIDTH_M
 from uavaccel.suites import paper_results, plots
 from uavaccel.suites.experiment import Experiment, LaneRow, OutcomeRow, ReturnRow, Row, game_row, number_of, subset
 from uavaccel.suites.flight import Flight
-from uavaccel.suites.report import Report, disturbed_games, disturbed_words, summary_table
+from uavaccel.suites.report import Report, disturbed_games, source_of, summary_table
 from uavaccel.suites.suite import GameResult, SimpleCase, Suite
 from uavaccel.wire.image_api import lane_layout
 
@@ -277,7 +277,7 @@ class Evaluation(Suite[EvaluateConfig, Game]):
         ).format_map(summary)
 
     def source(self, report: Report) -> str:
-        return source_of([report])
+        return source([report])
 
     def page(self, report: Report) -> Iterator[Block | str]:
         """Yield the success, in the lane beside the paper's, with Figure 8; the games that were lost; the films."""
@@ -299,7 +299,7 @@ class Evaluation(Suite[EvaluateConfig, Game]):
             yield Table(("", "success [95 %]", "mean return", "games", "how"), [row])
         measure = "distance_m" if in_lane else "return"
         if len(lost := games[~games.is_success].sort_values(measure, kind="stable")):
-            yield from lost_games(report, lost.assign(end=ends(lost, config)))
+            yield from lost_games(report, lost)
         films = {name: (run.path / f"films/{name}.mp4", run.path / f"films/{name}.png") for name in ("best", "worst")}
         made = {name: both for name, both in films.items() if all(path.is_file() for path in both)}
         if made:
@@ -425,22 +425,18 @@ def how_flown(config: EvaluateConfig) -> str:
     return ", ".join([timing_provenance(config.task.timing), *filter(None, [by])])
 
 
-def source_of(reports: Sequence[Report]) -> str:
+def source(reports: Sequence[Report]) -> str:
     """Return where the numbers of these evaluations come from."""
     how = " and ".join(sorted({how_flown(report.config) for report in reports}))
-    games = listed(sorted({len(report.games) for report in reports}))
-    seeds = listed(sorted({report.config.seed for report in reports}))
-    disturbed = disturbed_words(pd.concat([report.games for report in reports]))
-    return " · ".join([f"{how} · {games} games each · seed {seeds}", *disturbed])
+    return source_of([f"{how} · {listed(sorted({len(report.games) for report in reports}))} games each"], reports)
 
 
 def survival_figure(reports: Sequence[Report]) -> Figure:
     """Plot the share of games that reached each distance, a line per evaluation in its 95 % Wilson interval."""
     alone = len(reports) == 1
-    figure, [axes] = plots.panels(1, "Distance travelled", 3.2, source="" if alone else source_of(reports))
-    flown = [
-        (agent_name(report.config.agent), flown_by(report.config.simulator, report.config.device)) for report in reports
-    ]
+    figure, [axes] = plots.panels(1, "Distance travelled", 3.2, source="" if alone else source(reports))
+    configs = [report.config for report in reports]
+    flown = [(agent_name(config.agent), flown_by(config.simulator, config.device)) for config in configs]
     names = [", ".join(filter(None, by)) for by in flown]
     for number, (report, name) in enumerate(zip(reports, names, strict=True)):
         label = name if names.count(name) == 1 else f"{name} ({report.run.path})"  # folders may share their last name
@@ -452,23 +448,15 @@ def survival_figure(reports: Sequence[Report]) -> Figure:
     return figure
 
 
-def ends(lost: pd.DataFrame, config: EvaluateConfig) -> pd.Series:
-    """Return how each game was lost, in words."""
-    task = config.task
-    out = (lost.commands >= task.max_commands) | (config.env_id == LANE)  # which is lost in no other way
-    words = [
-        f"hitting {hit}" if hit else "running out of commands" if no_more else "failing"
-        for hit, no_more in zip(lost.collision, out, strict=True)
-    ]
-    return pd.Series(words, lost.index)
-
-
 def lost_games(report: Report, lost: pd.DataFrame) -> Iterator[Block | str]:
     """Yield the games that were not won, what ended them, and their paths in the lane, the shortest flight first.
 
     The kernels record no path, and of a lane that is sampled anew with each game's conditions none is known.
     """
-    if report.config.env_id != LANE:
+    task, in_lane, hit = report.config.task, report.config.env_id == LANE, "hitting " + lost.collision.astype(str)
+    no_more = lost.commands >= (0 if in_lane else task.max_commands)  # a lane is lost in no other way
+    lost = lost.assign(end=hit.where(lost.collision.notna(), np.where(no_more, "running out of commands", "failing")))
+    if not in_lane:
         yield Heading("Lost games")
         yield f"The least return first. {SEEN}"
         yield Table.of(lost, {"game": "{game}", "return": "{return:.4g}", **HOW_LOST})
@@ -478,7 +466,7 @@ def lost_games(report: Report, lost: pd.DataFrame) -> Iterator[Block | str]:
     yield Heading("Lost lanes")
     yield f"Lost, the shortest flight first: lanes {', '.join([*named, *more])}. {SEEN}"
     drawn = lost[lost.path_m.notna()] if "path_m" in lost else lost.head(0)
-    if len(drawn) and report.config.task.randomise is None:
+    if len(drawn) and task.randomise is None:
         beyond = len(drawn) - MOST_PANELS
         more_below = f" {beyond} more are in the table below." if beyond > 0 else ""
         caption = f"Paths of the lost lanes, from above, by the positions at the ends of the commands.{more_below}"

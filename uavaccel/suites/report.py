@@ -7,7 +7,7 @@ scored games, `page` yields the blocks of the page.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -159,6 +159,12 @@ def source_line(games: Games) -> str:
     profiles = [f"{each} profile" for each in known(games, "profile")]
     seeds = [f"seed {each}" for each in known(games, "seed")]
     return " · ".join([*by_clock, *profiles, *seeds, *disturbed_words(games)])
+
+
+def source_of(told: Iterable[str], reports: Sequence[Report]) -> str:
+    """Return where the numbers of several runs come from: what is `told` of each, once, their seeds, disturbances."""
+    seeds = f"seed {', '.join(map(str, sorted({report.config.seed for report in reports})))}"
+    return " · ".join([" and ".join(sorted(set(told))), seeds, *disturbed_words(pd.concat([r.games for r in reports]))])
 
 
 def clock_words(timing: str) -> str:
