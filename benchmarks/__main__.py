@@ -14,9 +14,9 @@ from benchmarks import batch, images, kernels, speed
 from uavaccel.calibration.doctor import check_machine
 from uavaccel.cli.terminal import console
 from uavaccel.clock import calendar_time
+from uavaccel.config import MOST_SECONDS
 from uavaccel.errors import UsageError, UserError
 from uavaccel.files import check_new_file
-from uavaccel.limits import MOST_SECONDS
 from uavaccel.machine import describe_run
 
 Bench = Callable[[], Iterator[speed.Measurement]]

@@ -18,10 +18,9 @@ from uavaccel.kinematics import VelocityGoal
 from uavaccel.resources import asset
 from uavaccel.sim.camera.camera import Camera
 from uavaccel.sim.camera.gl import GlRenderer, describe_renderer
-from uavaccel.sim.lane.layout import sample_layout
-from uavaccel.sim.lane.scene import apply_layout
+from uavaccel.sim.flight import of_velocity
+from uavaccel.sim.lane import apply_layout, sample_layout
 from uavaccel.sim.profile import NATIVE
-from uavaccel.sim.vehicle.goal import of_velocity
 from uavaccel.sim.world import World
 from uavaccel.suites.lane_path import plan_path
 from uavaccel.units import NS_PER_S

@@ -11,23 +11,21 @@ from collections.abc import Callable, Iterator
 from contextlib import closing
 from functools import partial
 from statistics import median
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from benchmarks.speed import Measurement, elapsed_s
-from uavaccel.envs.flyable import CUDA
 from uavaccel.envs.kernel_batch import KernelBatch
-from uavaccel.envs.kernel_games import GameMaker
-from uavaccel.envs.kernel_plan import plan_of, slices_of
+from uavaccel.envs.kernel_games import GameMaker, plan_of, slices_of
 from uavaccel.envs.navigate import NavigateTask
 from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
-from uavaccel.envs.simulators import KERNELS, check_simulator
+from uavaccel.envs.simulators import CUDA, KERNELS, check_simulator
 from uavaccel.envs.task import Task
 from uavaccel.kernels import cpu, events, timeline
 from uavaccel.kernels import lanes as rows
 from uavaccel.kernels.fields import COLUMNS, DVS, ROWS, STATE
-from uavaccel.kernels.spans import make_scratch
+from uavaccel.kernels.pictures import make_scratch
 from uavaccel.machine import usable_cores
 from uavaccel.sim.clutter import Clutter
 from uavaccel.sim.profile import NATIVE
@@ -56,17 +54,7 @@ def bench_kernels() -> Iterator[Measurement]:
 # --- CPU ----------------------------------------------------------------------------------------------------------
 
 
-class Bare(NamedTuple):
-    """The arrays of one lane, without an environment around them."""
-
-    games: rows.Games
-    now: rows.Flights
-    view: cpu.View
-    plan: timeline.Command
-    clocks: timeline.Clocks
-
-
-def one_lane(task: LaneTask) -> Bare:
+def one_lane(task: LaneTask) -> cpu.Work:
     """Return a lane at the start of its first game."""
     maker = GameMaker(task)
     games, now = maker.rows(1), rows.flights(1)
@@ -82,7 +70,7 @@ def one_lane(task: LaneTask) -> Bare:
     cpu.CPU.observe_starts(games, first)
     clocks = timeline.clocks(1, task.frames_per_command)
     cpu.CPU.begin(first, first, view, games, now, plan, clocks)
-    return Bare(games, now, view, plan, clocks)
+    return cpu.Work(view, games, now, plan, clocks, make_scratch(), np.empty((ROWS, COLUMNS), np.uint8))
 
 
 def bench_on_cores() -> Iterator[Measurement]:
@@ -129,10 +117,10 @@ def _tick_s() -> float:
 
 def _seen_s() -> float:
     """Return the seconds of rendering a frame and of its events."""
-    bare, scratch, picture = one_lane(LaneTask()), make_scratch(), np.empty((ROWS, COLUMNS), np.uint8)
+    bare = one_lane(LaneTask())
 
     def look(number: int) -> None:
-        cpu.observe_events(0, bare.view, bare.games, bare.now, bare.plan, scratch, picture)
+        cpu.observe_events(0, bare)
 
     look(0)  # compiled
     return _each_s(look)
@@ -140,14 +128,15 @@ def _seen_s() -> float:
 
 def _picture_s() -> tuple[float, float]:
     """Return the seconds of rendering a gray image, and of the events of a given one."""
-    bare, scratch, picture = one_lane(LaneTask()), make_scratch(), np.empty((ROWS, COLUMNS), np.uint8)
+    bare = one_lane(LaneTask())
+    scratch, picture = bare.scratch, bare.picture
     camera = bare.games.cameras[0]
 
     def sample(number: int) -> None:
-        cpu.render_gray(0, bare.view.looks, bare.games, bare.now, bare.plan.tick_ns, scratch, picture)
+        cpu.render_gray(0, bare.cameras.looks, bare.games, bare.now, bare.plan.tick_ns, scratch, picture)
 
     def see(number: int) -> None:
-        cpu.see(0, picture, 0.002 * number, bare.view.pixels, bare.view.sensor, camera, 0)
+        cpu.see(0, picture, 0.002 * number, bare.cameras.pixels, bare.cameras.sensor, camera, 0)
 
     sample(0)  # compiled
     see(0)
@@ -221,7 +210,7 @@ def _round_s(lanes: int, task: Task | None = None, **keys: Any) -> float:
 
     task = task or LaneTask(**keys)
     flying = CudaLanes(task, lanes, th.device(CUDA), renews=False)
-    flying.seed(range(lanes))
+    flying.games.seed(range(lanes))
     flying.begin()
     shape = task.action_space().shape or ()
     actions = th.full((lanes, *shape), 0.1 if shape else AHEAD, device=CUDA)

@@ -14,13 +14,11 @@ import numpy as np
 
 from uavaccel.calibration.calibrate import TracingTransport
 from uavaccel.clock import MonotonicClock
-from uavaccel.commands import COMMANDS, VelocityGoal
-from uavaccel.commands.paths import velocities
+from uavaccel.commands import COMMANDS, VelocityGoal, velocities
 from uavaccel.sim.profile import NATIVE
 from uavaccel.sim.world import World
 from uavaccel.units import NS_PER_S
-from uavaccel.wire.client import Client
-from uavaccel.wire.session import Session, VirtualSession, WallSession
+from uavaccel.wire.session import Client, Session, VirtualSession, WallSession
 
 STEPS = 100_000
 REPEATS = 5

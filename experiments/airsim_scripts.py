@@ -28,9 +28,8 @@ from typing import Any
 
 import numpy as np
 
-from uavaccel.fly.messages import FILE_NAME as MESSAGES
+from uavaccel.fly.log import MESSAGES, TRAJECTORY
 from uavaccel.fly.options import THINK_S, FlightOptions
-from uavaccel.fly.trajectory import FILE_NAME as TRAJECTORY
 from uavaccel.fly.wall import recorded, serving
 from uavaccel.machine import describe_run
 

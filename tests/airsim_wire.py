@@ -9,11 +9,10 @@ from typing import Any
 import msgpack
 
 from tests.scenes import BLOCKS
-from uavaccel.sim.flight.pilot import DeferredReply
+from uavaccel.sim.objects import SceneObjects
 from uavaccel.sim.poses import Pose as ScenePose
 from uavaccel.sim.profile import NATIVE
-from uavaccel.sim.scene.objects import SceneObjects
-from uavaccel.sim.simulation import Simulation
+from uavaccel.sim.simulation import DeferredReply, Simulation
 from uavaccel.sim.world import World
 from uavaccel.wire import rpc
 from uavaccel.wire.api import Api

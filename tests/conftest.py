@@ -21,7 +21,7 @@ from uavaccel.cli import main as cli
 from uavaccel.errors import UserError
 from uavaccel.resources import asset
 from uavaccel.sim.camera import gl
-from uavaccel.sim.lane.layout import layout_from
+from uavaccel.sim.lane import layout_from
 from uavaccel.sim.profile import NATIVE
 from uavaccel.sim.world import World
 

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tests.simulating import simulate
-from uavaccel.sim.flight.pilot import DeferredReply
 from uavaccel.sim.profile import NATIVE, Profile
+from uavaccel.sim.simulation import DeferredReply
 from uavaccel.units import NS_PER_S
 from uavaccel.wire.api import Api
 

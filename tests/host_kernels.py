@@ -22,15 +22,15 @@ from numba import njit
 import uavaccel.envs
 import uavaccel.kernels
 from uavaccel.kernels import clutter_games, cpu, events, lane_clocks, lane_games, lanes
-from uavaccel.kernels.clutter_worlds import put_clutter
+from uavaccel.kernels.clutter_games import put_clutter
 from uavaccel.kernels.fields import COLOUR, COLUMNS, ROWS
-from uavaccel.kernels.spans import make_scratch
+from uavaccel.kernels.pictures import make_scratch
 from uavaccel.sim.clutter import sample_clutter
 
 SIZE = ROWS, COLUMNS
 ON_A_GPU = bool(os.environ.get("UAVACCEL_TEST_GPU"))
 SIGNED: dict[Any, Any] = {np.dtype(np.uint32): np.int32, np.dtype(np.uint64): np.int64}
-NAME, CLOCKS = "uavaccel.kernels.cuda", "uavaccel.kernels.cuda_clocks"
+NAME = "uavaccel.kernels.cuda"
 ABOVE = {
     "uavaccel.envs": ("cuda_clocks", "cuda_games", "cuda_view", "cuda_lanes", "cuda_batch"),
     "uavaccel.rl": ("patches",),
@@ -75,31 +75,6 @@ def launch(run: Callable[..., None]) -> Any:
     return Launch()
 
 
-class ClockKernels:
-    """The same of kernels/cuda_clocks: kernels/lane_clocks' functions, lane by lane."""
-
-    def __getattr__(self, name: str) -> Any:
-        return launch(getattr(type(self), f"run_{name}", None) or partial(_each_lane, getattr(lane_clocks, name)))
-
-    @staticmethod
-    def run_begin(which: Any, rows: Any, scales: Any, games: Any, *clocks: Any) -> None:
-        for lane in np.flatnonzero(which):
-            lane_clocks.begin(lane, rows[lane], scales[rows[lane]], games, *clocks)
-
-    @staticmethod
-    def run_reach(which: Any, sample: int, now: Any, timing: Any, clocks: Any, looking: Any, legs: Any) -> None:
-        looking[:] = 0
-        _each_lane(lane_clocks.reach, which, sample, now, timing, clocks, looking, legs)
-
-    @staticmethod
-    def run_keep(which: Any, now: Any, clocks: Any, to_shown: Any) -> None:
-        _each_lane(lane_clocks.save_shown, which & (to_shown >= 0), now, clocks)
-
-    @staticmethod
-    def run_turn(which: Any, now: Any, clocks: Any) -> None:
-        _each_lane(lane_clocks.turn_to_shown, which, now, clocks)
-
-
 def _each_lane(function: Callable[..., None], which: Any, *arguments: Any) -> None:
     for lane in np.flatnonzero(which):
         function(lane, *arguments)
@@ -107,7 +82,7 @@ def _each_lane(function: Callable[..., None], which: Any, *arguments: Any) -> No
 
 @njit(error_model="numpy")
 def _paint(lane: int, looks: Any, games: Any, now: Any, scratch: Any, gray: Any) -> None:
-    cpu.paint_gray(lane, looks, games, now, scratch, gray)
+    cpu.paint(lane, looks, games, now, scratch, gray)
 
 
 class Kernels:
@@ -118,7 +93,9 @@ class Kernels:
         self._levels: dict[int, Any] = {}  # sums of the picture that a lane has drawn last
 
     def __getattr__(self, name: str) -> Any:
-        work: Callable[..., None] = getattr(type(self), f"run_{name}")
+        work: Any = getattr(type(self), f"run_{name}", None)
+        if work is None:
+            return launch(partial(_each_lane, getattr(lane_clocks, name)))
         return launch(lambda which, *arguments: work(self, np.flatnonzero(which).tolist(), *arguments))
 
     def run_deal(self, which: Any, distribution: Any, deals: Any, games: Any) -> None:
@@ -136,6 +113,20 @@ class Kernels:
         for lane in which:
             lanes.begin(lane, rows[lane], games, now)
             lanes.refresh(games.parameters[rows[lane]], now.state[lane], now.body[lane])
+
+    def run_begin_clocks(self, which: Any, rows: Any, scales: Any, games: Any, *clocks: Any) -> None:
+        for lane in which:
+            lane_clocks.begin(lane, rows[lane], scales[rows[lane]], games, *clocks)
+
+    def run_reach(self, which: Any, sample: int, now: Any, timing: Any, clocks: Any, looking: Any, legs: Any) -> None:
+        looking[:] = 0
+        for lane in which:
+            lane_clocks.reach(lane, sample, now, timing, clocks, looking, legs)
+
+    def run_save_shown(self, which: Any, now: Any, clocks: Any, to_shown: Any) -> None:
+        for lane in which:
+            if to_shown[lane] >= 0:
+                lane_clocks.save_shown(lane, now, clocks)
 
     def run_command(self, which: Any, goals: Any, modes: Any, now: Any) -> None:
         for lane in which:
@@ -276,10 +267,6 @@ def host_kernels(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     module.__dict__.update(functions, Plan=Plan, SideStream=AtOnce, compiled=lambda nominal: Kernels())
     monkeypatch.setitem(sys.modules, NAME, module)
     monkeypatch.setattr(uavaccel.kernels, "cuda", module, raising=False)
-    clocks = ModuleType(CLOCKS)
-    clocks.__dict__["compiled"] = ClockKernels
-    monkeypatch.setitem(sys.modules, CLOCKS, clocks)
-    monkeypatch.setattr(uavaccel.kernels, "cuda_clocks", clocks, raising=False)
     monkeypatch.setattr(th.cuda, "Event", Immediate)
     _forget()
     monkeypatch.setattr(import_module("uavaccel.envs.cuda_batch"), "DEVICE", "cpu")

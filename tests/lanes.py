@@ -13,8 +13,7 @@ from gymnasium.vector import AutoresetMode
 from uavaccel.envs.arrays import select
 from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.values import Info
-from uavaccel.sim.lane.layout import HULL_RADIUS_M, LENGTH_M, WIDTH_M, LaneLayout
-from uavaccel.sim.lane.scene import object_name
+from uavaccel.sim.lane import HULL_RADIUS_M, LENGTH_M, WIDTH_M, LaneLayout, object_name
 
 
 def free_distance_m(layout: LaneLayout, y_m: float) -> float:

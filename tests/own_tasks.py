@@ -9,8 +9,8 @@ import numpy as np
 from gymnasium import spaces
 
 from uavaccel.envs.flight_env import FlightEnv
-from uavaccel.envs.task import AnyMoment, Task, distance
-from uavaccel.envs.values import Action, Course, Info, Number
+from uavaccel.envs.task import Task, distance
+from uavaccel.envs.values import Action, AnyMoment, Course, Info, Number
 from uavaccel.kinematics import BodyRatesGoal, Kinematics, VelocityGoal
 
 

@@ -28,7 +28,7 @@ def descendants(pid: int) -> set[int]:
 
 def servers(pid: int) -> set[int]:
     """Those below a process that serve a session in `wall`."""
-    return {descendant for descendant in descendants(pid) if "uavaccel.wire.server_process" in command_line(descendant)}
+    return {descendant for descendant in descendants(pid) if "uavaccel.wire.service" in command_line(descendant)}
 
 
 def command_line(pid: int) -> str:

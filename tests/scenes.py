@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from uavaccel.sim.lane.scene import object_name
+from uavaccel.sim.lane import object_name
 
 Scene = tuple[mujoco.MjModel, mujoco.MjData]
 ROWS, COLUMNS = 144, 256

@@ -8,7 +8,7 @@ from typing import Any
 from uavaccel.sim.profile import PROFILES
 from uavaccel.wire.api import Api
 from uavaccel.wire.server import Server
-from uavaccel.wire.server_process import ready_simulation
+from uavaccel.wire.service import ready_simulation
 
 
 @contextmanager

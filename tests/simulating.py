@@ -4,17 +4,31 @@ from __future__ import annotations
 
 from typing import Any
 
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from uavaccel.kinematics import VelocityGoal
-from uavaccel.sim.flight.pilot import DeferredReply
+from uavaccel.kinematics import Quaternion, Vector, VelocityGoal
+from uavaccel.sim.flight import of_velocity
+from uavaccel.sim.poses import HERE, LEVEL
 from uavaccel.sim.profile import NATIVE, Profile
-from uavaccel.sim.simulation import Simulation
-from uavaccel.sim.vehicle.goal import of_velocity
+from uavaccel.sim.simulation import DeferredReply, Simulation
 from uavaccel.sim.world import World
 
 NORTH, EAST = VelocityGoal((1.0, 0.0, 0.0)), VelocityGoal((0.0, 1.0, 0.0))
+
+
+def put_vehicle(
+    world: World, position_m: Vector, orientation_wxyz: Quaternion = LEVEL, velocity_m_s: Vector = HERE
+) -> None:
+    """Put a world's only vehicle somewhere, whose autopilot and rotors go on."""
+    world.check_place(position_m, orientation_wxyz)
+    mujoco.mj_resetData(world.model, world.data)
+    world.lead.put(position_m, orientation_wxyz, velocity_m_s)
+    world.lead.clear_contacts()
+    mujoco.mj_kinematics(world.model, world.data)
+    world.clearance.check_now()
+    world.failed = False
 
 
 _worlds: dict[Profile, World] = {}

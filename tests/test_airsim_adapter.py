@@ -9,8 +9,7 @@ import pytest
 
 from tests.airsim_client import MultirotorClient, RPCError
 from tests.serving import running_server
-from uavaccel.commands import COMMANDS, MissionClient, tcsc
-from uavaccel.commands.airsim_adapter import AirSimAdapter
+from uavaccel.commands import COMMANDS, AirSimAdapter, MissionClient, tcsc
 from uavaccel.kinematics import Kinematics, VelocityGoal
 from uavaccel.wire.session import open_session
 

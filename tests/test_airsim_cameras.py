@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from tests.airsim_wire import AirSimWire, level_pose, xyz
 from tests.scenes import BLOCKS, Pose, Seen, cast_from
 from uavaccel.wire import rpc
-from uavaccel.wire.cameras import Cameras, CameraSettings
-from uavaccel.wire.pictures import id_of_name
+from uavaccel.wire.pictures import Cameras, CameraSettings, id_of_name
 
 pytestmark = pytest.mark.opengl
 

@@ -20,9 +20,16 @@ from uavaccel.sim.profile import AIRSIM, NATIVE, Executor, Frames
 from uavaccel.sim.simulation import Simulation
 from uavaccel.suites import paper_results
 from uavaccel.wire.api import Api
-from uavaccel.wire.client import Client
-from uavaccel.wire.latency import QUANTILES, Latency, LatencyConfig, shipped_latency
-from uavaccel.wire.platform import FaultConfig, PlatformConfig, delays_ns
+from uavaccel.wire.latency import (
+    QUANTILES,
+    FaultConfig,
+    Latency,
+    LatencyConfig,
+    PlatformConfig,
+    delays_ns,
+    shipped_latency,
+)
+from uavaccel.wire.session import Client
 from uavaccel.wire.transport import VirtualTransport
 
 US, MS = 1_000, 1_000_000

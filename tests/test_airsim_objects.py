@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 
 from tests.airsim_wire import AirSimWire, level_pose, vector
 from uavaccel.resources import asset
+from uavaccel.sim.objects import SceneObjects, cast, matching
 from uavaccel.sim.profile import NATIVE
-from uavaccel.sim.scene.model import SPARES, airsim_spec, park_spares
-from uavaccel.sim.scene.objects import SceneObjects, cast, matching, restore_from
+from uavaccel.sim.scene import SPARES, airsim_spec, copy_objects, park_spares
 from uavaccel.sim.vehicle.vehicle import BODY
 from uavaccel.sim.world import World
 from uavaccel.wire import rpc
@@ -82,7 +82,7 @@ def test_objects_stay_what_they_are_in_a_model_with_more_vehicles(wire: AirSimWi
     spec.attach(other, frame=spec.worldbody.add_frame(pos=[0, 0, 50]), prefix="Other/")
     new = spec.compile()
     park_spares(new)
-    restore_from(wire.world.model, new)
+    copy_objects(wire.world.model, new)
     data = mujoco.MjData(new)
     assert cast(new, data, (0.0, 0.0, -10.0), NORTH, exclude=BODY).distance_m[0] == pytest.approx(9.5)
     data.qpos[:3] = 9.4, 0.0, 10.0

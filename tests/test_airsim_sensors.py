@@ -12,12 +12,21 @@ import pytest
 from tests.airsim_wire import AirSimWire, xyz
 from tests.scenes import Pose
 from uavaccel.kinematics import Kinematics
+from uavaccel.sim.earth import GeoPoint, atmosphere, geographic, local, magnetic_field_gauss
 from uavaccel.sim.poses import Pose as ScenePose
 from uavaccel.sim.profile import AIRSIM
-from uavaccel.sim.sensors.base import Drift, Truth
-from uavaccel.sim.sensors.earth import GeoPoint, atmosphere, geographic, local, magnetic_field_gauss
-from uavaccel.sim.sensors.field import Gps, GpsSettings, Imu, ImuSettings, Magnetometer, MagnetometerSettings
-from uavaccel.sim.sensors.ranging import LidarSettings, directions
+from uavaccel.sim.sensors import (
+    Drift,
+    Gps,
+    GpsSettings,
+    Imu,
+    ImuSettings,
+    LidarSettings,
+    Magnetometer,
+    MagnetometerSettings,
+    Truth,
+    directions,
+)
 from uavaccel.sim.world import World
 from uavaccel.wire import rpc
 from uavaccel.wire.api import CALLS

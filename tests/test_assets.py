@@ -16,11 +16,10 @@ from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
 from uavaccel.errors import UserError
 from uavaccel.kinematics import VelocityGoal
 from uavaccel.resources import asset
-from uavaccel.sim.lane.layout import Difficulty, layout_from, sample_layout
-from uavaccel.sim.lane.scene import named
+from uavaccel.sim.flight import of_velocity
+from uavaccel.sim.lane import Difficulty, layout_from, named, sample_layout
 from uavaccel.sim.profile import NATIVE
-from uavaccel.sim.scene.model import load_scene, physics_state
-from uavaccel.sim.vehicle.goal import of_velocity
+from uavaccel.sim.scene import load_scene, physics_state
 from uavaccel.sim.world import World
 from uavaccel.units import mujoco_to_ned
 
@@ -63,7 +62,7 @@ def test_a_scene_that_cannot_be_flown_is_one_line(
 ) -> None:
     (tmp_path / "quadrotor.xml").write_bytes(asset("mjcf/quadrotor.xml").read_bytes())
     (tmp_path / "mine.xml").write_text(text)
-    monkeypatch.setattr("uavaccel.sim.scene.model.asset", lambda name: tmp_path / Path(name).name)
+    monkeypatch.setattr("uavaccel.sim.scene.asset", lambda name: tmp_path / Path(name).name)
     with pytest.raises(UserError, match=rf"^{tmp_path / 'mine.xml'}: .*{said}") as caught:
         load_scene("mine", airsim=airsim)
     assert "\n" not in str(caught.value)
@@ -79,7 +78,7 @@ def test_the_ground_for_airsims_clients_reaches_the_horizon(tmp_path: Path, monk
       <geom name="beside" type="plane" size="100 50 1" material="uniform"/></worldbody></mujoco>"""
     (tmp_path / "quadrotor.xml").write_bytes(asset("mjcf/quadrotor.xml").read_bytes())
     (tmp_path / "mine.xml").write_text(plane)
-    monkeypatch.setattr("uavaccel.sim.scene.model.asset", lambda name: tmp_path / Path(name).name)
+    monkeypatch.setattr("uavaccel.sim.scene.asset", lambda name: tmp_path / Path(name).name)
     plain, wide = (load_scene("mine", airsim=airsim) for airsim in (False, True))
     for name in ("ground", "beside"):
         assert plain.geom(name).size[:2].tolist() == [100.0, 50.0]

@@ -263,7 +263,7 @@ def _nothing_flies() -> Iterator[None]:
         "uavaccel.calibration.calibrate.measure",
         "uavaccel.calibration.doctor.check_machine",
         "uavaccel.calibration.calibrate.check_agreement",
-        "uavaccel.calibration.advise.advise",
+        "uavaccel.calibration.calibrate.advise",
         "uavaccel.suites.evaluate_again.flight_of_agent",
         "benchmarks.__main__.check_machine",
         "uavaccel.wire.server.Server.serve",

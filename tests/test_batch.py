@@ -20,9 +20,9 @@ import uavaccel.envs  # noqa: F401 - registers
 from tests.lanes import SideBySide
 from tests.opengl import needs_opengl
 from tests.processes import descendants, left_after, state_of
-from uavaccel.envs import environment_processes
+from uavaccel.envs import environment_process
 from uavaccel.envs.batch import EnvironmentBatch
-from uavaccel.envs.environment_processes import BatchError
+from uavaccel.envs.environment_process import BatchError
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.errors import UserError
 from uavaccel.sim.camera import gl
@@ -138,7 +138,7 @@ def test_pictures_without_opengl_are_refused_at_once(monkeypatch: pytest.MonkeyP
 
 @pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
 def test_an_answer_comes_while_another_lane_stands_still(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(environment_processes, "POLL_S", 0.1)
+    monkeypatch.setattr(environment_process, "POLL_S", 0.1)
     with closing(EnvironmentBatch(ObstacleLane, 2, 2, observation="state")) as batch:
         batch.reset(seed=0)
         pids = batch.process_ids

@@ -20,10 +20,20 @@ from tests.golden import assert_as_recorded
 from tests.running import configured
 from tools.check_numbers import ROOT
 from tools.fit_gap_law import PREDICTED, fit, judged
-from uavaccel.calibration import advise as advice
 from uavaccel.calibration import calibrate, doctor
-from uavaccel.calibration.advise import SquareGame, advise, fly_square, policy_sentence, sentence
-from uavaccel.calibration.calibrate import Agreement, ClientEvent, Latencies, quantiles_us, record_trace
+from uavaccel.calibration import calibrate as advice
+from uavaccel.calibration.calibrate import (
+    Agreement,
+    ClientEvent,
+    Latencies,
+    SquareGame,
+    advise,
+    fly_square,
+    policy_sentence,
+    quantiles_us,
+    record_trace,
+    sentence,
+)
 from uavaccel.cli.main import app
 from uavaccel.commands import COMMANDS
 from uavaccel.errors import UserError
@@ -403,9 +413,9 @@ def test_commands_are_held_against_ideal_flight_and_real_time(monkeypatch: pytes
         apart_m = abs(unit_m * squares[:, None] - 0.1 * squares)
         expected = {"error_m": 9 * unit_m, "stlc": np.median((1 + np.exp(-apart_m)).mean(axis=1))}
         for name, value in expected.items():
-            assert of(found, command, name) == pytest.approx([value] * len(advice.CLOCK_SPEEDS))
-        assert of(found, command, "speedup") == pytest.approx([gain * speed for speed in advice.CLOCK_SPEEDS])
-        assert of(found, command, "clock_speed") == list(advice.CLOCK_SPEEDS)
+            assert of(found, command, name) == pytest.approx([value] * len(advice.ADVISED_SPEEDS))
+        assert of(found, command, "speedup") == pytest.approx([gain * speed for speed in advice.ADVISED_SPEEDS])
+        assert of(found, command, "clock_speed") == list(advice.ADVISED_SPEEDS)
     assert {seed for command, speed, seed, _ in asked[1:]} == {15, 16, 17, 18, 19}  # none of them another seed's
     latest_ns = {speed: t_th_ns for _, speed, _, t_th_ns in asked}
     assert (latest_ns[1.0], latest_ns[50.0], latest_ns[200.0]) == (3_000_000, 50_000_000, 100_000_000)

@@ -19,10 +19,9 @@ from uavaccel.resources import asset
 from uavaccel.sim.camera import gl, pixels
 from uavaccel.sim.camera.camera import Camera
 from uavaccel.sim.camera.view import HEIGHT, WIDTH
-from uavaccel.sim.lane.layout import layout_from, sample_layout
-from uavaccel.sim.lane.scene import apply_layout
+from uavaccel.sim.flight import of_velocity
+from uavaccel.sim.lane import apply_layout, layout_from, sample_layout
 from uavaccel.sim.profile import NATIVE
-from uavaccel.sim.vehicle.goal import of_velocity
 from uavaccel.sim.world import World
 
 EYE_AHEAD_M = 0.46

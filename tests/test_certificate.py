@@ -8,6 +8,7 @@ import re
 import signal
 import subprocess
 import sys
+import threading
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -196,6 +197,58 @@ def test_an_evaluation_that_was_interrupted_ends_with_the_same_bytes(call: int) 
     assert contents("part") == contents("whole")
 
 
+@pytest.mark.slow
+@pytest.mark.usefixtures("times")
+def test_processes_change_no_byte_interrupted_or_killed_too() -> None:
+    certify(Count, Drawing(), out="whole", **TIMES)
+    rows: list[object] = []
+
+    def interrupt(row: object) -> None:
+        rows.append(row)
+        if len(rows) == 7:
+            raise KeyboardInterrupt
+
+    with pytest.raises(Interrupted, match=r"^interrupted after 7 of 15 episodes; go on with it, in part, by --resume"):
+        certify(Count, Drawing(), out="part", jobs=2, told=interrupt, **TIMES)
+    certify(Count, Drawing(), out="part", jobs=2, resume=True, **TIMES)
+    assert contents("part") == contents("whole")
+    parent = os.getpid()
+
+    def end_worker(call: int) -> None:
+        if os.getpid() != parent:
+            os.kill(os.getpid(), signal.SIGKILL)
+
+    with pytest.raises(
+        UserError, match=r"^a worker process was killed, by its user or for memory; go on with --resume"
+    ):
+        certify(Count, Drawing(end_worker), out="lost", jobs=2, **TIMES)
+    certify(Count, Drawing(), out="lost", jobs=2, resume=True, **TIMES)
+    assert contents("lost") == contents("whole")
+
+
+@pytest.mark.parametrize(
+    ("policy", "jobs", "said"),
+    [
+        (same, 0, "--jobs 0: must be 1 or more"),
+        (same, 1.5, "--jobs 1.5: must be 1 or more"),
+        (same, 100_000, r"--jobs 100000: must be at most \d+ on this machine's \d+ cores"),
+        (
+            "tcp://127.0.0.1:1",
+            2,
+            "--jobs must be 1 with tcp://127.0.0.1:1: a server answers one client after the other",
+        ),
+        (
+            partial(print, threading.Lock()),
+            2,
+            "--jobs must be 1: the policy or the environment cannot be sent to anoth",
+        ),
+    ],
+)
+def test_processes_that_cannot_be_are_one_line(policy: Any, jobs: Any, said: str) -> None:
+    with pytest.raises(UsageError, match=f"^{said}"):
+        certify(Count, policy, jobs=jobs)
+
+
 KILLED = """
 import sys
 from uavaccel.realtime import certify
@@ -312,7 +365,7 @@ def test_an_episode_that_failed_forbids_a_certificate() -> None:
         ({"seed": -1}, "seed: must be 0 to "),
         ({"calibration": "none.json"}, "none.json: No such file"),
         ({"success": "won"}, "success = 'won': the last info of an episode has no such key; it has is_success, "),
-        ({"chunk": 0}, "chunk: must be a count of actions"),
+        ({"chunk": 0}, "chunk: must be 1 to 4,096 actions"),
         ({"env": "Nowhere-v0"}, "environment 'Nowhere-v0': Environment `Nowhere` doesn't exist"),
         ({"env": 7}, "env: must be the id of an environment, or a function that makes one, not 7"),
     ],
@@ -380,6 +433,9 @@ def test_a_policy_is_measured_and_certified_by_commands(capsys: pytest.CaptureFi
     assert (document["latencies"], document["real_time"]) == ([0, 2], {"command": "tcsc", "default_action": 0})
     with pytest.raises(UserError, match=r"^thinking.json: exists; take another --out$"):
         ran(f"timing measure {named}")
+    again = "--latency thinking.json --factor 2 --episodes 2 --set command=tcsc --jobs 2 --out again"
+    assert not ran(f"timing certify {named} {again}")
+    assert contents("again") == contents("certificate")
 
 
 @pytest.mark.parametrize(
@@ -412,7 +468,10 @@ def test_the_policy_that_ships_is_certified_in_its_environment() -> None:
     with pytest.raises(UserError, match=r"^default: flies uavaccel/ObstacleLane-v0, not CartPole-v1$"):
         ran("timing certify default CartPole-v1")
     keys = "--set env.timing=virtual --set env.command=adsc --set env.max_commands=2"
-    assert not ran(f"timing certify default uavaccel/ObstacleLane-v0 --episodes 1 --latency 0.1 {keys}")
+    named = f"timing certify default uavaccel/ObstacleLane-v0 --episodes 1 --latency 0.1 {keys}"
+    assert not ran(named)
+    assert not ran(f"{named} --jobs 2 --out again")
+    assert contents("again") == contents("certificate")
     document = json.loads(Path("certificate/certificate.json").read_text())
     assert document["policy"]["sha256"] == origin_of("default").sha256()
     assert [cell["latency_s"] for cell in document["cells"]] == [0, 0.1]

@@ -10,8 +10,7 @@ import pytest
 from tests.opengl import needs_opengl
 from uavaccel.draw.chase import ChaseView
 from uavaccel.sim.clutter import Clutter, sample_world
-from uavaccel.sim.lane.layout import sample_layout
-from uavaccel.sim.lane.scene import SUN_ELEVATION_RAD
+from uavaccel.sim.lane import SUN_ELEVATION_RAD, sample_layout
 
 
 def drone(picture: np.ndarray) -> np.ndarray:

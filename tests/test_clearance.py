@@ -13,12 +13,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from tests.simulating import put_vehicle
 from uavaccel.kinematics import VelocityGoal
-from uavaccel.sim.lane.layout import layout_from, sample_layout
+from uavaccel.sim.flight import of_velocity
+from uavaccel.sim.lane import layout_from, sample_layout
 from uavaccel.sim.profile import AIRSIM, NATIVE
 from uavaccel.sim.vehicle import clearance
 from uavaccel.sim.vehicle.clearance import Clearance
-from uavaccel.sim.vehicle.goal import of_velocity
 from uavaccel.sim.world import World
 
 
@@ -40,7 +41,11 @@ def flight(world: World, seed: int, height_m: float) -> tuple[bytes, int | None,
         world.lead.set_goal(of_velocity(VelocityGoal(velocity, height_m=-height_m * rng.uniform(0.2, 1.2))))
         for ticks in (165, 165, 170):
             world.advance(ticks)
-    return (world.samples().tobytes(), world.lead.collision_tick, getattr(world.lead.contact_log.first, "object", ""))
+    return (
+        world.recorder.rows().tobytes(),
+        world.lead.collision_tick,
+        getattr(world.lead.contact_log.first, "object", ""),
+    )
 
 
 @pytest.mark.slow
@@ -109,7 +114,7 @@ def test_no_flight_into_something_is_missed(target: str, speed_m_s: float, wind_
             rocket(world)
             world.lead.state["wind"] = wind_m_s * direction
             start = tuple(place - distance_m * direction)
-            world.place(start, turned_to(direction), tuple(speed_m_s * direction))
+            put_vehicle(world, start, turned_to(direction), tuple(speed_m_s * direction))
             for _ in range(400):
                 world.advance(1)
             ends.append(
@@ -179,7 +184,7 @@ def test_the_free_time_is_to_the_nearest_of_ground_walls_and_posts(
     """Distances in numpy; the hull fits into a ball of its own half diagonal. Within MuJoCo's own distance, too."""
     world = lane_world()
     world.set_lane(layout_from(POSTS, "test"))
-    world.place((north_m, east_m, -height_m), velocity_m_s=velocity_m_s)
+    put_vehicle(world, (north_m, east_m, -height_m), velocity_m_s=velocity_m_s)
     world.lead.state["wind"] = wind_m_s
     free_s = world.clearance.free_s(world.lead.parameters, world.lead.state)
     centres = np.array([[75.0, 5.1, 10.0], [75.0, -5.1, 10.0], [20.0, 0.3, 10.0], [40.0, 0.0, 10.0]])
@@ -228,7 +233,7 @@ def test_what_is_moved_is_seen_at_once() -> None:
         world.advance(40)
         assert world.model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_CONTACT
         if move == "vehicle":
-            world.place((12.0, 4.7, -10.0))
+            put_vehicle(world, (12.0, 4.7, -10.0))
         else:
             world.set_lane(layout_from({"obstacles": [{"x_m": 12.0, "y_m": 0.3, "radius_m": 0.4}]}, "test"))
         world.advance(2)

@@ -30,7 +30,7 @@ from uavaccel.clock import (
     timer_grain_ns,
     wait_for_sockets,
 )
-from uavaccel.draw.labels import in_words
+from uavaccel.draw.page import in_words
 from uavaccel.errors import UserError
 from uavaccel.suites import experiment
 from uavaccel.suites.experiment import cumulative_wall_s, over_all_starts, pace_of, timed

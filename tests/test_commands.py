@@ -12,9 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from uavaccel.commands import COMMANDS, VelocityGoal, adsc, tcsc
-from uavaccel.commands.paths import PATHS, velocities
-from uavaccel.commands.slices import check_times, samples_due, slice_of
+from uavaccel.commands import COMMANDS, PATHS, VelocityGoal, adsc, check_times, samples_due, slice_of, tcsc, velocities
 from uavaccel.kinematics import FlightGoal, Kinematics
 
 MS = 1_000_000
@@ -247,9 +245,9 @@ def test_paths_are_lists_of_velocities() -> None:
 
 def test_the_commands_bring_no_simulator_with_them() -> None:
     """They could drive a real AirSim: neither MuJoCo nor our simulation, wire or NumPy's accelerators come along."""
-    code = "import sys, uavaccel.commands, uavaccel.commands.paths; print(*sys.modules)"
+    code = "import sys, uavaccel.commands, uavaccel.commands; print(*sys.modules)"
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     loaded = set(result.stdout.split())
-    assert "uavaccel.commands.tcsc" in loaded
+    assert "uavaccel.commands" in loaded
     strangers = {"mujoco", "numba", "msgpack", "pydantic", "uavaccel.sim", "uavaccel.wire", "uavaccel.envs"}
     assert not {name for name in loaded for stranger in strangers if f"{name}.".startswith(f"{stranger}.")}

@@ -30,7 +30,7 @@ from uavaccel.envs.obstacle_lane import LaneTask
 from uavaccel.resources import asset
 from uavaccel.rl import agents
 from uavaccel.rl.policy import load_policy
-from uavaccel.sim.lane.layout import Difficulty, LaneFile
+from uavaccel.sim.lane import Difficulty, LaneFile
 from uavaccel.suites.session import RunRequest, configure
 from uavaccel.suites.train import TrainConfig
 

@@ -20,7 +20,7 @@ from uavaccel.commands import COMMANDS, SynchronousCommand
 from uavaccel.draw.page import Table
 from uavaccel.files import read_arrays
 from uavaccel.records import RunDirectory
-from uavaccel.sim.lane.layout import LENGTH_M
+from uavaccel.sim.lane import LENGTH_M
 from uavaccel.suites import dp2
 from uavaccel.suites.dp2 import Dp2, Dp2Config, Game
 from uavaccel.suites.experiment import subset

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from matplotlib.text import Text
 
-from uavaccel.draw import style
+from uavaccel.draw import page, style
 from uavaccel.suites import plots
 
 # --- trajectories in space -----------------------------------------------------------------------------------
@@ -85,9 +85,9 @@ def test_survival_reaches_to_the_lanes_end() -> None:
 
 
 def test_words_and_colours_of_all_figures() -> None:
-    assert [style.clock_label(clock) for clock in (1.0, 1.5, 100.0)] == ["1x", "1.5x", "100x"]
-    assert [style.rounds_label(rounds) for rounds in (1, 2, 24)] == ["1 round", "2 rounds", "24 rounds"]
-    assert style.command_name("adsc") == "ADSC"
+    assert [page.clock_label(clock) for clock in (1.0, 1.5, 100.0)] == ["1x", "1.5x", "100x"]
+    assert [page.rounds_label(rounds) for rounds in (1, 2, 24)] == ["1 round", "2 rounds", "24 rounds"]
+    assert page.command_name("adsc") == "ADSC"
     assert len(set(style.CYCLE)) == len(style.CYCLE)
     assert not set(style.CYCLE) & set(style.COMMAND_COLOUR.values()), "the commands' colours mean nothing else"
     assert (style.COMMAND_COLOUR["adsc"], style.COMMAND_COLOUR["tcsc"]) == (style.VERMILION, style.BLUE)

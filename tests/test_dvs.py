@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
 
-from uavaccel.metrics.dvs_ed import active_pixels, dvs_ed_percent
+from uavaccel.metrics.trajectory import active_pixels, dvs_ed_percent
 from uavaccel.vision import dvs
 from uavaccel.vision import dvs_kernels as kernels
 

@@ -17,9 +17,9 @@ from tests.running import configured, fly_into
 from uavaccel.config import validate
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.kinematics import VelocityGoal
-from uavaccel.sim.lane.layout import lane_seed, sample_layout
+from uavaccel.sim.flight import of_velocity
+from uavaccel.sim.lane import lane_seed, sample_layout
 from uavaccel.sim.profile import NATIVE
-from uavaccel.sim.vehicle.goal import of_velocity
 from uavaccel.sim.world import World
 from uavaccel.suites.dp2 import Dp2
 from uavaccel.suites.evaluate import EvaluateConfig, Evaluation

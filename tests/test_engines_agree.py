@@ -22,18 +22,18 @@ from hypothesis import strategies as st
 from tests.host_kernels import a_gpu, host_kernels  # noqa: F401 - fixtures
 from tests.lanes import SideBySide, assert_same, stored
 from tests.own_tasks import Post, Spin
-from uavaccel.envs import kernel_plan
+from uavaccel.envs import kernel_games
 from uavaccel.envs.arrays import mapped, select
 from uavaccel.envs.flight_env import FlightEnv
-from uavaccel.envs.flyable import CUDA, check_flyable
 from uavaccel.envs.gates import Gates
 from uavaccel.envs.hover import Hover
 from uavaccel.envs.kernel_batch import KernelBatch
 from uavaccel.envs.navigate import Navigate
 from uavaccel.envs.obstacle_lane import ObstacleLane
+from uavaccel.envs.simulators import CUDA, check_flyable
 from uavaccel.errors import UserError
-from uavaccel.kernels import latencies as wire
-from uavaccel.kernels.appearance import empty_scenes, fill_scene, read_appearance
+from uavaccel.kernels import timeline as wire
+from uavaccel.kernels.appearance import empty_scenes, fill_scenes, read_appearance
 from uavaccel.kernels.pictures import render_colour, render_depth, render_gray
 from uavaccel.resources import asset
 from uavaccel.sim.camera import gl
@@ -413,7 +413,7 @@ def kernels_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
     def set_lane(world: World, layout: Any) -> None:
         lay_out(world, layout)
         scenes = empty_scenes(1)
-        fill_scene(appearance, scenes, 0, layout)
+        fill_scenes(appearance, scenes, [0], [layout])
         vars(world)["scenes"] = scenes
 
     class Camera:
@@ -434,14 +434,14 @@ def kernels_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(World, "set_lane", set_lane)
     monkeypatch.setattr(World, "camera", lambda world, width, height: Camera(world))
     monkeypatch.setattr(gl, "check_process", lambda: None)
-    tables_of = kernel_plan._tables
+    tables_of = kernel_games._tables
 
     def tables(latency: Any) -> Any:
         made = tables_of(latency)
         made.tables_us[wire.FRAME] = FRAME_NS / 1e3
         return made
 
-    monkeypatch.setattr(kernel_plan, "_tables", tables)
+    monkeypatch.setattr(kernel_games, "_tables", tables)
     monkeypatch.setattr(Latency, "frame_ns", lambda _: FRAME_NS)
 
 

@@ -24,7 +24,7 @@ from tests.lanes import free_distance_m
 from tests.opengl import needs_opengl
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.envs.sensors import DEPTH_FAR_M
-from uavaccel.sim.lane.layout import Difficulty, lane_seed, sample_layout
+from uavaccel.sim.lane import Difficulty, lane_seed, sample_layout
 from uavaccel.vision.dvs_sensor import NEUTRAL_LEVEL
 
 NAME = "uavaccel/ObstacleLane-v0"

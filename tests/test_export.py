@@ -15,10 +15,10 @@ import torch as th
 
 from tests.learning import tiny_config
 from tests.running import configured
-from uavaccel.cli.results import export
+from uavaccel.cli.flights import export
 from uavaccel.config import Config
 from uavaccel.envs.sensors import ColourCamera, DepthCamera, blank_frame
-from uavaccel.envs.task import AT_REST
+from uavaccel.envs.values import AT_REST
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
 from uavaccel.rl.onnx_file import OnnxPolicy, described, example, reduced, write_onnx
@@ -205,7 +205,7 @@ def test_each_format_is_written_where_it_was_asked_for(
         return ((done, 25) for done in range(1, 26))
 
     monkeypatch.setattr("uavaccel.suites.report.write_tables", tables)
-    monkeypatch.setattr("uavaccel.export.minari_dataset.write_minari", dataset)
+    monkeypatch.setattr("uavaccel.export.write_minari", dataset)
     export(str(tmp_path / "run"), csv=tmp_path / "a", parquet=tmp_path / "b")
     assert capsys.readouterr().out.splitlines() == ["run: a as csv", "run: b as parquet"]
     monkeypatch.chdir(tmp_path)

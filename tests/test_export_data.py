@@ -18,13 +18,12 @@ from scipy.spatial.transform import Rotation
 from tests.golden import assert_as_recorded
 from tests.opengl import needs_opengl
 from tests.running import configured, fly_into
-from uavaccel.cli.results import export
+from uavaccel.cli.flights import export
 from uavaccel.config import Config
 from uavaccel.errors import UsageError, UserError
-from uavaccel.export import provenance_of
-from uavaccel.export.mcap_file import NED_IN_ENU, OPTICAL_IN_BODY, TOPICS, entries, event_columns
+from uavaccel.export import NED_IN_ENU, OPTICAL_IN_BODY, TOPICS, entries, event_columns
 from uavaccel.files import file_sha256, to_json
-from uavaccel.records import RunDirectory
+from uavaccel.records import RunDirectory, provenance_of
 from uavaccel.suites.dp1 import Dp1
 from uavaccel.suites.dp2 import Dp2
 from uavaccel.suites.evaluate import Evaluation, game_seed

@@ -33,11 +33,11 @@ from uavaccel.draw.panels import (
     follow,
     whole_lane,
 )
-from uavaccel.draw.pictures import Decisions, dvs_picture
+from uavaccel.draw.style import Decisions, dvs_picture
 from uavaccel.errors import UserError
 from uavaccel.files import UNFINISHED
 from uavaccel.sim.clutter import Clutter, ClutterLayout, sample_world
-from uavaccel.sim.lane.layout import sample_layout
+from uavaccel.sim.lane import sample_layout
 
 SAMPLES = 30
 TWICE = np.ones((2, 2, 1), np.uint8)

@@ -15,7 +15,7 @@ from uavaccel.draw import chase
 from uavaccel.draw.film import frames
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
-from uavaccel.sim.lane.layout import LaneLayout, sample_layout
+from uavaccel.sim.lane import LaneLayout, sample_layout
 from uavaccel.suites import evaluate_again
 from uavaccel.suites.dp1 import Dp1
 from uavaccel.suites.dp2 import Dp2

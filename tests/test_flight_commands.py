@@ -11,12 +11,11 @@ import pytest
 from tests.flying import FOR_EVER, STRAIGHT, call, fly, go_on, hovering, place, point
 from tests.simulating import world_of
 from uavaccel.kinematics import Kinematics, VelocityGoal
-from uavaccel.sim.flight.tasks import FollowPath, Land, RotateToYaw, check_lookahead
+from uavaccel.sim.earth import GeoPoint, ned_of
+from uavaccel.sim.flight import FollowPath, Land, RotateToYaw, check_lookahead, of_velocity
 from uavaccel.sim.profile import AIRSIM, NATIVE, Profile
-from uavaccel.sim.sensors.earth import GeoPoint, ned_of
 from uavaccel.sim.simulation import Simulation
 from uavaccel.sim.vehicle import autopilot
-from uavaccel.sim.vehicle.goal import of_velocity
 from uavaccel.wire import rpc
 from uavaccel.wire.session import open_session
 

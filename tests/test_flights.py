@@ -19,9 +19,8 @@ import pytest
 
 from tests.flying import FOR_EVER, STRAIGHT, point
 from uavaccel.errors import UserError
-from uavaccel.sim.flight.pilot import DeferredReply, Pilot
 from uavaccel.sim.profile import PROFILES
-from uavaccel.sim.simulation import Simulation
+from uavaccel.sim.simulation import DeferredReply, Pilot, Simulation
 from uavaccel.sim.world import World
 from uavaccel.units import euler_from_quaternion
 from uavaccel.wire.api import Api

@@ -16,12 +16,10 @@ import pytest
 
 from tests.golden import assert_as_recorded
 from uavaccel.errors import UserError
-from uavaccel.fly import command, film, runs
-from uavaccel.fly.command import FlyRequest, fly_script
-from uavaccel.fly.messages import DifferenceError
+from uavaccel.fly import command
+from uavaccel.fly.command import FlightResult, FlyRequest, _wait, check, fly_script
+from uavaccel.fly.log import DifferenceError, filming, write_trajectory
 from uavaccel.fly.options import FlightOptions, FlightSummary, found_settings
-from uavaccel.fly.runs import FlightResult, _wait, check
-from uavaccel.fly.trajectory import write_trajectory
 
 FLOWN: FlightSummary = {
     "simulated_s": 8.0, "wall_s": 0.5, "position_m": [1.0, -2.0, -10.126], "calls": 7, "finished": True,
@@ -122,33 +120,24 @@ def test_what_is_flown_and_said_is_as_recorded(
     assert_as_recorded("fly_command", "\n".join(text) + "\n")
 
 
-@pytest.mark.parametrize(("second_m", "differs"), [(1.0, False), (1.0 + 1e-15, True), (2.0, True)])
-def test_the_second_flight_is_held_against_the_first(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, second_m: float, differs: bool
-) -> None:
-    (first := tmp_path / "first").mkdir()
-    write_trajectory(first, np.arange(3), np.ones((3, 10)))
-    asked = FlightOptions(Path("script.py"), (), tmp_path / "again")
+def test_the_second_flight_is_held_against_the_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """To the byte, where both flew; a flight that a script's end or an interruption cut short is none."""
+    first, asked = tmp_path / "first", FlightOptions(Path("script.py"), (), tmp_path / "again")
     flown: list[tuple[FlightOptions, bool]] = []
-
-    def fly(options: FlightOptions, quiet: bool = False) -> FlightResult:
-        flown.append((options, quiet))
-        options.folder.mkdir()
-        write_trajectory(options.folder, np.arange(3), np.full((3, 10), second_m))
-        return FlightResult(0, {"finished": True})
-
-    monkeypatch.setattr(runs, "fly", fly)
-    if differs:
+    monkeypatch.setattr(command, "fly", lambda options, quiet: flown.append((options, quiet)) or ended)
+    ended = FlightResult(0, {"finished": True})
+    assert check(asked, first).status == 0, "neither flew"
+    for folder, place_m in ((first, 1.0), (asked.folder, 1.0)):
+        folder.mkdir()
+        write_trajectory(folder, np.arange(3), np.full((3, 10), place_m))
+    assert check(asked, first).status == 0
+    for place_m in (1.0 + 1e-15, 2.0):
+        write_trajectory(asked.folder, np.arange(3), np.full((3, 10), place_m))
         with pytest.raises(DifferenceError, match="the messages of both flights are equal, but the trajectories"):
             check(asked, first)
-    else:
-        assert check(asked, first).status == 0
-    assert flown == [(replace(asked, reference=first), True)]
-
-
-def test_flights_that_flew_nothing_are_equal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(runs, "fly", lambda options, quiet: FlightResult(0, {"finished": True}))
-    assert check(FlightOptions(Path("script.py"), (), tmp_path / "again"), tmp_path / "first").status == 0
+    ended = FlightResult(130, {"finished": False})
+    assert check(asked, first).interrupted
+    assert flown == [(replace(asked, reference=first), True)] * 5
 
 
 def test_settings_beside_the_script_come_before_those_of_the_home(
@@ -178,19 +167,11 @@ def test_a_request_of_a_flight_travels_whole(tmp_path: Path) -> None:
     assert FlightOptions.from_json(few.to_json()) == few
 
 
-@pytest.mark.parametrize(
-    ("timing", "given_s", "thinks_s"),
-    [
-        ("virtual", None, 0.001),
-        ("virtual", 0.0, 0.0),
-        ("virtual", 0.5, 0.5),
-        ("lockstep", None, 0.0),
-        ("lockstep", 0.25, 0.25),
-        ("wall", None, 0.0),
-    ],
-)
-def test_thinking_time_is_the_options_or_the_timings(timing: str, given_s: float | None, thinks_s: float) -> None:
-    assert FlightOptions(Path("a.py"), (), Path(), timing, think_s=given_s).thinks_s == thinks_s
+def test_thinking_time_is_the_options_or_the_timings() -> None:
+    for timing, own_s in (("virtual", 0.001), ("lockstep", 0.0), ("wall", 0.0)):
+        for given_s in (None, 0.0, 0.5):
+            options = FlightOptions(Path("a.py"), (), Path(), timing, think_s=given_s)
+            assert options.thinks_s == (own_s if given_s is None else given_s)
 
 
 def test_a_folder_is_taken_that_is_new_or_empty(asked: FlyRequest, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -203,53 +184,45 @@ def test_a_folder_is_taken_that_is_new_or_empty(asked: FlyRequest, monkeypatch: 
         fly_script(asked)
 
 
-@pytest.mark.parametrize(("ended", "status"), [(0, 0), (3, 3), (-9, 137), (-15, 143)])
-def test_a_process_ended_by_a_signal_has_a_shells_status(ended: int, status: int) -> None:
-    process: Any = SimpleNamespace(pid=0, poll=lambda: ended, wait=lambda *_: ended)
-    assert _wait(process, None) == status
+def test_a_process_ended_by_a_signal_has_a_shells_status_and_a_line(capsys: pytest.CaptureFixture[str]) -> None:
+    for ended, status in ((0, 0), (3, 3), (-9, 137), (-11, 139)):
+        process: Any = SimpleNamespace(pid=0, poll=lambda ended=ended: ended)
+        assert _wait(process, None) == status
+    killed, crashed = capsys.readouterr().err.splitlines()
+    assert killed == "uavaccel: error: the script's process was ended by SIGKILL"
+    assert crashed.endswith("was ended by SIGSEGV")
 
 
 # --- the film --------------------------------------------------------------------------------------------------------
 
 
-def test_a_frame_of_the_film_says_when_where_and_how_fast(monkeypatch: pytest.MonkeyPatch) -> None:
-    said: list[str] = []
-    monkeypatch.setattr(cv2, "putText", lambda frame, text, *how: said.append(text))
-    picture = np.zeros((360, 640, 3), np.uint8)
-    picture[..., 0], picture[0, 0, 1] = 200, 50
-    state = SimpleNamespace(time_ns=1_500_000_000, position_m=(1.0, -2.0, -3.5), linear_velocity_m_s=(3.0, 0.0, -4.0))
-    camera = SimpleNamespace(colour=lambda data: picture)
-    world = SimpleNamespace(camera=lambda width, height: camera, data=None)
-    simulation: Any = SimpleNamespace(world=world, kinematics=lambda: state)
-    frame = film._frame(simulation)
-    assert frame.shape == (384, 640, 3)
-    assert frame[0, 0].tolist() == [0, 50, 200]
-    assert frame[359, 639].tolist() == [0, 0, 200]
-    assert not frame[360:].any()
-    assert said == ["   1.50 s   1.0 -2.0 -3.5 m NED   5.0 m/s"]
-
-
 def test_the_film_runs_as_the_flight_did(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Twelve frames a second, of 640 x 360 pixels and a band of 24: 41 ticks of 2 ms are the nearest to a twelfth."""
-    made: list[Any] = []
-    ended: list[bool] = []
+    made, ended, said = list[Any](), list[bool](), list[str]()
 
     @contextmanager
     def movie(path: Path, size: tuple[int, int], frames_per_s: int) -> Iterator[Any]:
         made.append((path, size, frames_per_s))
         yield made.append
 
-    class World:
-        def watch(self, every: int, look: Any) -> Any:
-            made.append(every)
-            look(None)
-            return lambda: ended.append(True)
+    def watch(every: int, look: Any) -> Any:
+        made.append(every)
+        look(None)
+        return lambda: ended.append(True)
 
-    monkeypatch.setattr(film, "movie", movie)
-    monkeypatch.setattr(film, "_frame", lambda simulation: "a frame")
-    simulation: Any = SimpleNamespace(profile=SimpleNamespace(tick_ns=2_000_000))
-    world: Any = World()
-    with film.filming(simulation, world, tmp_path):
+    monkeypatch.setattr("uavaccel.draw.film.movie", movie)
+    monkeypatch.setattr(cv2, "putText", lambda frame, text, *how: said.append(text))
+    picture = np.zeros((360, 640, 3), np.uint8)
+    picture[..., 0], picture[0, 0, 1] = 200, 50
+    state = SimpleNamespace(time_ns=1_500_000_000, position_m=(1.0, -2.0, -3.5), linear_velocity_m_s=(3.0, 0.0, -4.0))
+    camera = SimpleNamespace(colour=lambda data: picture)
+    world = SimpleNamespace(camera=lambda width, height: camera, data=None, watch=watch)
+    profile = SimpleNamespace(tick_ns=2_000_000)
+    simulation: Any = SimpleNamespace(world=world, kinematics=lambda: state, profile=profile)
+    with filming(simulation, tmp_path):
         assert not ended
-    assert made == [(tmp_path / "film.mp4", (640, 384), 12), 41, "a frame"]
-    assert ended == [True]
+    first, every, frame = made
+    assert (first, every, ended) == ((tmp_path / "film.mp4", (640, 384), 12), 41, [True])
+    assert (frame.shape, frame[0, 0].tolist(), frame[359, 639].tolist()) == ((384, 640, 3), [0, 50, 200], [0, 0, 200])
+    assert not frame[360:].any()
+    assert said == ["   1.50 s   1.0 -2.0 -3.5 m NED   5.0 m/s"]

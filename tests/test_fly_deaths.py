@@ -42,7 +42,6 @@ def process_of(whole: subprocess.Popen[str], target: str) -> int:
     ("virtual", "parent", "INT", "", 130),
     ("virtual", "script", "STOP", "the script's process was stopped", 137),
     ("wall", "parent", "KILL", "the process that started this flight was killed", -9),
-    ("virtual", "script", "SEGV", "the script's process was ended by SIGSEGV", 139),
     ("wall", "server", "KILL", "the server's process was ended by SIGKILL; the script ends too", 1),
     ("wall", "server", "STOP", "the server's process was stopped; the script ends too", 1),
 ])  # fmt: skip

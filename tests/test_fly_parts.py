@@ -19,9 +19,8 @@ import numpy as np
 import pytest
 from gymnasium import spaces
 
-from uavaccel.fly import children, process, wall
-from uavaccel.fly.messages import FILE_NAME as MESSAGES
-from uavaccel.fly.messages import DifferenceError, MessageLog
+from uavaccel.fly import environment, process, simulated, wall
+from uavaccel.fly.log import MESSAGES, DifferenceError, MessageLog
 from uavaccel.fly.modules import Patches, named_module, of_a_script
 from uavaccel.fly.options import SUMMARY, FlightOptions, found_settings
 from uavaccel.fly.script import ScriptResult, run_script
@@ -59,7 +58,7 @@ def fly(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Any:
             made.append(how)
             return flight
 
-        monkeypatch.setattr(process, "_flight", make)
+        monkeypatch.setattr(simulated, "SimulatedFlight", make)
         monkeypatch.setattr("signal.signal", lambda *_: None)
         (tmp_path / "script.py").write_text("")
         status = process.fly(FlightOptions(tmp_path / "script.py", (), tmp_path, **options))
@@ -165,12 +164,10 @@ def test_calls_and_answers_are_logged_with_their_times(tmp_path: Path) -> None:
     ("text", "status", "said"),
     [
         ("import sys\nsys.exit()", 0, ""),
-        ("import sys\nsys.exit(0)", 0, ""),
         ("import sys\nsys.exit(7)", 7, ""),
         ("import sys\nsys.exit('no more')", 1, "no more\n"),
         ("raise SystemExit(True)", 1, ""),
-        ("import beside\nassert beside.HERE", 0, ""),
-        ("import sys\nassert __name__ == '__main__'\nassert sys.argv[1:] == ['a', 'b c']", 0, ""),
+        ("import beside, sys\nassert beside.HERE and (__name__, sys.argv[1:]) == ('__main__', ['a', 'b c'])", 0, ""),
     ],
 )
 def test_a_script_runs_as_python_runs_it(
@@ -201,25 +198,14 @@ def test_a_script_runs_as_python_runs_it(
     assert (outlived, capsys.readouterr().err) == ([True], said)
 
 
-@pytest.mark.parametrize(
-    ("text", "found"),
-    [
-        ('{"SettingsVersion": 1.2}', True),
-        ('{"ClockSpeed": 5, "theme": "dark"}', True),
-        ('{"SimMode": "Multirotor"}', True),
-        ('{"Vehicles": {}}', True),
-        ('{"theme": "dark"}', False),  # another program's
-        ("{}", False),
-        ('["ClockSpeed"]', False),
-        ("{", False),
-    ],
-)
-def test_settings_are_airsims_by_one_of_their_keys(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str, found: bool
-) -> None:
+def test_settings_are_airsims_by_one_of_their_keys(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("HOME", str(tmp_path / "home"))
-    (tmp_path / "settings.json").write_text(text)
-    assert found_settings(tmp_path / "script.py") == (tmp_path / "settings.json" if found else None)
+    beside = tmp_path / "settings.json"
+    mine = ('{"SettingsVersion": 1.2}', '{"ClockSpeed": 5, "theme": "dark"}', '{"SimMode": "Multirotor"}')
+    for text in (*mine, '{"Vehicles": {}}', '{"theme": "dark"}', "{}", '["ClockSpeed"]', "{"):
+        beside.write_text(text)
+        airsims = text in mine or "Vehicles" in text
+        assert found_settings(tmp_path / "script.py") == (beside if airsims else None)
 
 
 # --- a server of its own ---------------------------------------------------------------------------------------------
@@ -260,25 +246,23 @@ def test_a_flight_in_wall_time_starts_a_server_and_passes_on_warnings(
 # --- a script's programs ---------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("own", [None, "mine", os.pathsep.join(["mine", "yours"])])
-@pytest.mark.parametrize("port", [None, 8123])
+@pytest.mark.parametrize(("own", "port"), [(None, None), ("mine", 8123), (os.pathsep.join(["mine", "yours"]), 1)])
 def test_a_scripts_programs_find_our_client_first(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, own: str | None, port: int | None
 ) -> None:
-    monkeypatch.delenv(children.PORT, raising=False)
-    if own is None:
-        monkeypatch.delenv("PYTHONPATH", raising=False)
-    else:
+    monkeypatch.delenv(environment.PORT, raising=False)
+    monkeypatch.delenv("PYTHONPATH", raising=False)
+    if own is not None:
         monkeypatch.setenv("PYTHONPATH", own)
     before, path = dict(os.environ), list(sys.path)
-    with children.client_for_children(tmp_path, port):
+    with environment.client_for_children(tmp_path, port):
         first, *others = os.environ["PYTHONPATH"].split(os.pathsep)
         assert others == (own.split(os.pathsep) if own else [])
         assert [file.name for file in Path(first).iterdir()] == ["sitecustomize.py"]
-        assert os.environ[children.PORT] == ("" if port is None else "8123")
+        assert os.environ[environment.PORT] == ("" if port is None else str(port))
         assert sys.path == path
     assert (dict(os.environ), sys.path) == (before, path)
-    with children.client_for_children(None, port):
+    with environment.client_for_children(None, port):
         assert (dict(os.environ), sys.path) == (before, path)
 
 
@@ -286,9 +270,9 @@ def test_a_refusal_after_the_flight_is_ignored() -> None:
     """A pool's next process may still be refused while the flight is written."""
     handled = signal.getsignal(signal.SIGUSR2)
     try:
-        with children.ended_by_refusals(lambda: 0):
+        with environment.ended_by_refusals(lambda: 0):
             os.kill(os.getpid(), signal.SIGUSR2)
-            assert signal.getitimer(signal.ITIMER_REAL)[1] == children.POLL_S
+            assert signal.getitimer(signal.ITIMER_REAL)[1] == environment.POLL_S
         os.kill(os.getpid(), signal.SIGUSR2)  # which would end this process
         assert signal.getitimer(signal.ITIMER_REAL) == (0.0, 0.0)
     finally:

@@ -12,7 +12,7 @@ import pytest
 
 from tests.made_runs import line_arrays, line_row
 from uavaccel.cli.experiments import report_runs
-from uavaccel.cli.results import export
+from uavaccel.cli.flights import export
 from uavaccel.config import to_yaml, validate
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory

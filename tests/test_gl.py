@@ -134,7 +134,7 @@ def test_flying_needs_no_opengl() -> None:
     code = (
         "import sys\n"
         "from uavaccel.sim.world import World\nfrom uavaccel.sim.profile import NATIVE\n"
-        "from uavaccel.sim.lane.layout import sample_layout\n"
+        "from uavaccel.sim.lane import sample_layout\n"
         "world = World('lane', NATIVE); world.set_lane(sample_layout(0)); world.reset(); world.advance(10)\n"
         "assert not [name for name in sys.modules if name.startswith(('OpenGL', 'mujoco.egl', 'mujoco.osmesa'))]\n"
     )

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from uavaccel.envs.camera_client import CameraClient
-from uavaccel.envs.task import AT_REST
+from uavaccel.envs.values import AT_REST
 from uavaccel.vision.guard import GuardSettings, GuardState, Verdict, acquire, judge, mean_brightness
 from uavaccel.vision.perturb import (
     AutoExposure,

@@ -18,7 +18,7 @@ from uavaccel.sim.vehicle import hotloop
 
 ENTRY_POINTS: list[Any] = [
     *(entry_point._pyfunc for entry_point in hotloop.ENTRY_POINTS),  # type: ignore[attr-defined]
-    *(each.py_func for each in (*cpu.CPU, pictures._gray, pictures._colour, pictures._depth)),
+    *(each.py_func for each in (*cpu.CPU, pictures._render)),
 ]
 
 

@@ -13,7 +13,7 @@ from tools.mutate import imported
 PACKAGE = Path(__file__).parents[1] / "uavaccel"
 
 GROUND = {
-    *("units", "errors", "files", "limits", "config", "machine", "records", "forms", "own_code"),
+    *("units", "errors", "files", "config", "machine", "records", "forms", "own_code"),
     *("processes", "kinematics", "resources"),
 }
 # A room is a top-level module or package; beside itself it may import these rooms.

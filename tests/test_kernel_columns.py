@@ -15,11 +15,20 @@ from tests.test_kernel_looks import drawn_views, laid_out
 from uavaccel.kernels import events
 from uavaccel.kernels import fields as at
 from uavaccel.kernels.appearance import read_appearance
-from uavaccel.kernels.columns import MOST_INTERVALS, MOST_PIECES, Column, add_interval, fill_column, settle
+from uavaccel.kernels.faces import project
 from uavaccel.kernels.fields import Appearance
 from uavaccel.kernels.pictures import render_gray
-from uavaccel.kernels.project import project
-from uavaccel.kernels.quads import quad_lumas, quick_count, update_quad
+from uavaccel.kernels.quads import (
+    MOST_INTERVALS,
+    MOST_PIECES,
+    Column,
+    add_interval,
+    fill_column,
+    quad_lumas,
+    quick_count,
+    settle,
+    update_quad,
+)
 from uavaccel.resources import asset
 from uavaccel.vision.dvs import PRESETS, DvsParameters
 from uavaccel.vision.dvs_kernels import count_single_pixel

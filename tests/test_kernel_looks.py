@@ -18,15 +18,14 @@ from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.errors import UserError
 from uavaccel.kernels import fields as at
 from uavaccel.kernels import rays
-from uavaccel.kernels.appearance import empty_scenes, fill_scene, fill_scenes, mipmaps, read_appearance
+from uavaccel.kernels.appearance import empty_scenes, fill_scenes, mipmaps, read_appearance
+from uavaccel.kernels.faces import project
 from uavaccel.kernels.fields import Appearance, Scenes
 from uavaccel.kernels.pictures import render_colour, render_depth, render_gray
-from uavaccel.kernels.project import project
 from uavaccel.resources import asset
 from uavaccel.sim.camera.camera import Camera, make_cameras_with
 from uavaccel.sim.camera.pixels import luma_of
-from uavaccel.sim.lane.layout import Difficulty, LaneLayout, lane_seed, sample_layout
-from uavaccel.sim.lane.scene import apply_layout
+from uavaccel.sim.lane import Difficulty, LaneLayout, apply_layout, lane_seed, sample_layout
 from uavaccel.units import mujoco_to_ned, ned_to_mujoco, quaternion_mujoco_to_ned, quaternion_ned_to_mujoco
 from uavaccel.vision.dvs import PRESETS, init_state, make_sensor, step
 
@@ -146,7 +145,7 @@ def test_an_event_camera_sees_a_flight_as_in_opengl(appearance: Appearance, lane
             environment.step(action)
     poses = np.array([pose for pose, _ in Witness.seen])
     scenes = empty_scenes(1)
-    fill_scene(appearance, scenes, 0, sample_layout(lane_seed("evaluation", lane)))
+    fill_scenes(appearance, scenes, [0], [sample_layout(lane_seed("evaluation", lane))])
     places, quaternions = mujoco_to_ned(poses[:, :3]), quaternion_mujoco_to_ned(poses[:, 3:])
     ours = render_gray(appearance, scenes, np.zeros(len(poses), np.int32), places, quaternions)
     theirs = np.array([picture for _, picture in Witness.seen])
@@ -264,7 +263,7 @@ def test_textures_are_those_that_opengl_has(lane_scene: Scene, camera: Camera) -
 def test_refuses_what_it_cannot_draw(appearance: Appearance) -> None:
     scenes = empty_scenes(1)
     with pytest.raises(UserError, match=r"^scenery: .*'forest'"):
-        fill_scene(appearance, scenes, 0, replace(sample_layout(0), scenery="forest"))
+        fill_scenes(appearance, scenes, [0], [replace(sample_layout(0), scenery="forest")])
     for scene, says in (("blocks", "obstacle lane alone"), ("forest/lane", "geom 'trunk_")):
         with pytest.raises(UserError, match=says):
             read_appearance(mujoco.MjModel.from_xml_path(str(asset(f"mjcf/{scene}.xml"))))

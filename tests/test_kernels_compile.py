@@ -31,8 +31,8 @@ FLOWN: list[tuple[Any, dict[str, Any]]] = [
 
 
 @pytest.fixture
-def launched(host_kernels: None, monkeypatch: pytest.MonkeyPatch) -> set[tuple[str, str, Any]]:  # noqa: F811
-    """What is launched from now on: the module, the kernel's name there, and the types of its arguments."""
+def launched(host_kernels: None, monkeypatch: pytest.MonkeyPatch) -> set[tuple[str, Any]]:  # noqa: F811
+    """What is launched from now on: the kernel's name, and the types of its arguments."""
     pytest.importorskip("numba_cuda")
     from numba import cuda, types
     from numba.cuda.typing.typeof import typeof
@@ -49,28 +49,23 @@ def launched(host_kernels: None, monkeypatch: pytest.MonkeyPatch) -> set[tuple[s
             return types.NamedTuple([*map(type_of, argument)], type(argument))
         return typeof(argument)
 
-    found: set[tuple[str, str, Any]] = set()
+    found: set[tuple[str, Any]] = set()
+    made = host.Kernels.__getattr__
 
-    def recorded(kind: Any, module: str) -> None:
-        made = kind.__getattr__
+    def kernel(self: Any, name: str) -> Any:
+        def run(*arguments: Any) -> None:
+            found.add((name, tuple(map(type_of, arguments))))
+            made(self, name)[1](*arguments)
 
-        def kernel(self: Any, name: str) -> Any:
-            def run(*arguments: Any) -> None:
-                found.add((module, name, tuple(map(type_of, arguments))))
-                made(self, name)[1](*arguments)
+        return host.launch(run)
 
-            return host.launch(run)
-
-        monkeypatch.setattr(kind, "__getattr__", kernel)
-
-    recorded(host.Kernels, "cuda")
-    recorded(host.ClockKernels, "cuda_clocks")
+    monkeypatch.setattr(host.Kernels, "__getattr__", kernel)
     return found
 
 
 @pytest.mark.slow
 def test_every_kernel_compiles_for_a_gpu_where_there_is_none(
-    launched: set[tuple[str, str, Any]], monkeypatch: pytest.MonkeyPatch
+    launched: set[tuple[str, Any]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from uavaccel.envs.cuda_batch import CudaBatch
 
@@ -85,9 +80,8 @@ def test_every_kernel_compiles_for_a_gpu_where_there_is_none(
     from numba import cuda, types
 
     from uavaccel.kernels import cuda as kernels
-    from uavaccel.kernels import cuda_clocks as clocks
 
-    made: dict[str, Any] = {"cuda": kernels.compiled(GameMaker(Gates().task).nominal), "cuda_clocks": clocks.compiled()}
-    for module, name, arguments in sorted(launched, key=str):
-        function = getattr(made[module], name).py_func
+    made = kernels.compiled(GameMaker(Gates().task).nominal)
+    for name, arguments in sorted(launched, key=str):
+        function = getattr(made, name).py_func
         cuda.compile(function, types.void(*arguments), device=False, cc=COMPUTE_CAPABILITY, output="ptx", abi="numba")

@@ -16,7 +16,8 @@ from tests.lanes import free_distance_m
 from uavaccel.config import load_yaml, validate
 from uavaccel.errors import UserError
 from uavaccel.kinematics import VelocityGoal
-from uavaccel.sim.lane.layout import (
+from uavaccel.sim.flight import of_velocity
+from uavaccel.sim.lane import (
     LENGTH_M,
     MAX_OBSTACLES,
     SPLIT_SIZE,
@@ -31,7 +32,6 @@ from uavaccel.sim.lane.layout import (
     parse_lane,
     sample_layout,
 )
-from uavaccel.sim.vehicle.goal import of_velocity
 from uavaccel.sim.world import World
 from uavaccel.suites.lane_path import plan_path
 from uavaccel.wire.image_api import lane_layout

@@ -13,16 +13,17 @@ from tests.lanes import collision_object, free_distance_m
 from tests.scenes import COLUMNS, ROWS, Pose, Scene, cast_rays, object_names
 from uavaccel.errors import UserError
 from uavaccel.resources import asset
-from uavaccel.sim.lane.layout import (
+from uavaccel.sim.lane import (
     HULL_RADIUS_M,
     LENGTH_M,
     MAX_OBSTACLES,
     LaneLayout,
+    apply_layout,
     clearance_m,
     layout_from,
+    obstacle_geoms,
     sample_layout,
 )
-from uavaccel.sim.lane.scene import apply_layout, obstacle_geoms
 from uavaccel.sim.world import World
 
 START = Pose((0.0, 0.0, -10.0), (0.0, 0.0, 0.0))

@@ -22,11 +22,11 @@ from uavaccel.wire.latency import (
     Latency,
     LatencyConfig,
     LatencyModel,
+    PlatformConfig,
     after_wait,
     read_latency,
     shipped_latency,
 )
-from uavaccel.wire.platform import PlatformConfig
 from uavaccel.wire.transport import PendingCall
 
 MS = 1_000_000

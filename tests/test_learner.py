@@ -25,7 +25,7 @@ from uavaccel.rl.double_dqn import DeviceDQN, HostDQN
 from uavaccel.rl.learner import Game, StepStatistics, first_seed, learning_rhythm
 from uavaccel.rl.network import Adam, contrast
 from uavaccel.rl.policy import weights_sha256
-from uavaccel.rl.replay import Levels, Windows
+from uavaccel.rl.replay import Windows
 from uavaccel.suites.train import TrainConfig
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*CUDA is not available:UserWarning")
@@ -162,10 +162,7 @@ def config_of(lanes: int, options: dict[str, Any] | None = None, **keys: Any) ->
 def learning(lanes: int, options: dict[str, Any] | None = None, kind: Any = HostDQN, **keys: Any) -> tuple[Any, Any]:
     """A learner and its lanes; `kind` is HostDQN or DeviceDQN."""
     flown = TwoStates(lanes) if kind is HostDQN else OnDevice(lanes)
-    with pytest.MonkeyPatch.context() as patch:  # numbers are no patches of pictures
-        if kind is DeviceDQN:
-            patch.setattr("uavaccel.rl.patches.Patches", lambda *_: Levels())
-        return kind(config_of(lanes, options, **keys), flown), flown
+    return kind(config_of(lanes, options, **keys), flown), flown
 
 
 def train(learner: Any, games: int | None = None) -> list[Game]:

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from tests.learning import tiny_config, train_into
+from tests.learning import fly_here, tiny_config, train_into
 from tests.made_runs import STATE, trained, walls, won
 from uavaccel.envs.obstacle_lane import LaneTask
 from uavaccel.envs.stopwatch import PHASES
@@ -23,7 +23,8 @@ from uavaccel.units import NS_PER_S
 from uavaccel.wire.latency import shipped_latency
 
 
-def test_every_number_of_a_training(tmp_path: Path) -> None:
+def test_every_number_of_a_training(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    fly_here(monkeypatch.setattr)
     task = {**STATE, "timing": "virtual", "command": "adsc", "clock_speed": 20.0, "max_commands": 5}
     summary = train_into(tmp_path / "run", tiny_config(task, mirror=False, seed=9, games=3))
     run = RunDirectory(tmp_path / "run")

@@ -12,17 +12,17 @@ from scipy import stats
 from scipy.spatial import KDTree
 from scipy.stats import t
 
+from uavaccel.metrics.estimates import Success, covariance
 from uavaccel.metrics.intervals import (
     Proportion,
     bootstrap_interval,
     fisher_exact_p,
     mcnemar_exact,
     median_interval,
+    speedup_interval,
     student_quantile,
 )
-from uavaccel.metrics.speedup import combined_provenance, speedup_interval, timing_provenance
 from uavaccel.metrics.stlc import mean_stlc, stlc, stlc_matrix
-from uavaccel.metrics.success import Success, covariance
 from uavaccel.metrics.trajectory import (
     Trajectory,
     command_gaps_s,
@@ -32,6 +32,7 @@ from uavaccel.metrics.trajectory import (
     quartiles,
     trajectory,
 )
+from uavaccel.records import combined_provenance, timing_provenance
 
 
 def straight(duration_s: float, step_s: float = 0.05, speed_m_s: float = 1.0, offset_m: float = 0.0) -> Trajectory:

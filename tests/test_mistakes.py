@@ -13,7 +13,7 @@ import pytest
 
 from uavaccel import errors
 from uavaccel.config import validate
-from uavaccel.sim.lane.layout import layout_from
+from uavaccel.sim.lane import layout_from
 
 TABLE = Path(__file__).parent / "data/mistakes.txt"
 

@@ -13,12 +13,11 @@ import numpy as np
 import pytest
 from gymnasium import spaces
 
-from uavaccel.fly import old_gym, shims
-from uavaccel.fly.keyboard import Keyboard, parse_keys
-from uavaccel.fly.keys import key_modules
+from uavaccel.fly import environment, old_gym
+from uavaccel.fly.keys import Keyboard, key_modules, parse_keys
 from uavaccel.fly.modules import Patches, importing
 
-pytestmark = pytest.mark.skipif("gym" not in shims.old_modules(), reason="a gym is installed")
+pytestmark = pytest.mark.skipif("gym" not in environment.old_modules(), reason="a gym is installed")
 
 
 class Walk(old_gym.Env):
@@ -58,7 +57,7 @@ import gym.envs.registration as again
 found = again.register is register and gym.envs.registration is again
 """
     names: dict[str, Any] = {}
-    with importing(shims.old_modules(), {}):
+    with importing(environment.old_modules(), {}):
         exec("import gym\n" + text, names)
     assert names["found"]
     assert names["Box"] is spaces.Box
@@ -321,11 +320,11 @@ def test_a_window_is_shown_nowhere_and_waits_as_long_as_it_is_told() -> None:
     slept: list[float] = []
     window = cv2.imshow
     with Patches() as patches:
-        shims.supply_windows(patches, cv2, Keyboard(slept.append, lambda: sum(slept)))
+        environment.supply_windows(patches, cv2, Keyboard(slept.append, lambda: sum(slept)))
         assert cv2.imshow("camera", np.zeros((2, 2))) is None
         assert [cv2.waitKey(250), cv2.waitKeyEx(1500), cv2.waitKey(0), cv2.waitKey(-1)] == [-1] * 4
         assert slept == [0.25, 1.5, 0.1, 0.1]
-        shims.supply_windows(patches, cv2, Keyboard(slept.append, lambda: sum(slept), ("q", "esc", "left")))
+        environment.supply_windows(patches, cv2, Keyboard(slept.append, lambda: sum(slept), ("q", "esc", "left")))
         assert [cv2.waitKey(1), cv2.waitKey(0), cv2.waitKey(1), cv2.waitKey(0)] == [ord("q"), 27, -1, 81]
         assert cv2.waitKey(0) == -1
     assert cv2.imshow is window
@@ -337,7 +336,7 @@ def test_a_backend_that_draws_on_a_screen_is_not_chosen() -> None:
 
     before = mpl.get_backend()
     with Patches() as patches:
-        shims._supply_old_interfaces(patches, Keyboard(lambda seconds: None, lambda: 0.0))
+        environment._supply_old_interfaces(patches, Keyboard(lambda seconds: None, lambda: 0.0))
         mpl.use("TkAgg")
         plt.switch_backend("Qt5Agg")
         plt.plot([1, 2])
@@ -348,7 +347,7 @@ def test_a_backend_that_draws_on_a_screen_is_not_chosen() -> None:
 
 
 def test_images_of_old_scipy_are_red_first_and_rescaled(tmp_path: Path) -> None:
-    misc = shims.old_modules()["scipy.misc"]()
+    misc = environment.old_modules()["scipy.misc"]()
     red = np.zeros((2, 3, 3), np.uint8)
     red[..., 0] = 200
     misc.imsave(tmp_path / "red.png", red)
@@ -372,7 +371,7 @@ def test_old_names_of_numpy_mean_what_they_meant() -> None:
     there = ("frombuffer", "fromstring", "inf", "nan", "bool_", "float64", "complex128", "str_", "bytes_")
     vars(numpy).update({name: getattr(np, name) for name in (*there, "prod", "cumprod", "any", "all", "isin")})
     with Patches() as patches:
-        shims.supply_numpy(patches, numpy)
+        environment.supply_numpy(patches, numpy)
         assert (numpy.float, numpy.int, numpy.bool, numpy.object) == (float, int, bool, object)
         assert (numpy.bool8, numpy.float_, numpy.product, numpy.in1d) == (np.bool_, np.float64, np.prod, np.isin)
         assert (numpy.sometrue, numpy.alltrue, numpy.Inf, numpy.NINF) == (np.any, np.all, np.inf, -np.inf)

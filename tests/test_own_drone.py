@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 
 from uavaccel import VelocityGoal, open_session, resources, tcsc
 from uavaccel.errors import UserError
+from uavaccel.sim import flight as goals
 from uavaccel.sim.profile import NATIVE
 from uavaccel.sim.vehicle import autopilot
-from uavaccel.sim.vehicle import goal as goals
+from uavaccel.sim.vehicle.autopilot import Yaw
 from uavaccel.sim.vehicle.free_body import HUGE, free_step
-from uavaccel.sim.vehicle.goal import Yaw
 from uavaccel.sim.vehicle.quadrotor import parameters
 from uavaccel.sim.vehicle.vehicle import set_airframe
 from uavaccel.sim.world import FlightError, World
@@ -114,7 +114,7 @@ def test_a_drone_of_ones_own_flies_as_in_mujoco_or_is_refused(drone: Callable[..
         again = drone(inertial)
         np.testing.assert_allclose(fast, manoeuvre(again, again.lead.fly), rtol=0, atol=1e-9)
         again.lead.fly(1)  # MuJoCo's acceleration of the kick that was computed before
-        np.testing.assert_allclose(again.lead._gained[3:] * (1, -1, -1), expected, rtol=0, atol=1e-8)
+        np.testing.assert_allclose(again.lead.gained[3:] * (1, -1, -1), expected, rtol=0, atol=1e-8)
     assert 5 < flown < 15
     assert all('blocks.xml: body "quadrotor": ' in line and "\n" not in line for line in refused)
 

@@ -19,7 +19,7 @@ from tests.own_tasks import Post, PostTask
 from tests.test_docs import blocks_of
 from uavaccel.envs.hover import Hover, HoverTask
 from uavaccel.errors import UserError
-from uavaccel.sim.lane.layout import Difficulty
+from uavaccel.sim.lane import Difficulty
 
 ROOT = Path(__file__).parents[1]
 IDS = [name for name in gymnasium.registry if name.startswith("uavaccel/")]

@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from tests.simulating import put_vehicle
 from uavaccel.sim.profile import AIRSIM
 from uavaccel.sim.simulation import Simulation
 from uavaccel.sim.vehicle import autopilot
@@ -120,7 +121,7 @@ def replay(world: World, case: str) -> Flight:
     """Issue the case's commands at the ticks at which AirSim had them issued."""
     simulation = Simulation(world)
     simulation.reset(0, SETTLED_M)
-    world.place(SETTLED_M, velocity_m_s=SETTLED_M_S)
+    put_vehicle(world, SETTLED_M, velocity_m_s=SETTLED_M_S)
     if case == "A1_airstart_vel0":
         start_at_rest(world)
     simulation.lead.api_control = True
@@ -142,7 +143,7 @@ def start_at_rest(world: World) -> None:
     world.reset((0.0, 0.0, -10.0))
     for name in ("rotor_input", "rotor_lagged", "rotor_output", "z_integral"):
         world.lead.state[name] = 0
-    world.place((0.0, 0.0, -10.0))
+    put_vehicle(world, (0.0, 0.0, -10.0))
 
 
 def rms(errors: Array) -> float:

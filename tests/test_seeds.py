@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from uavaccel.metrics.equivalence import (
+from uavaccel.metrics.estimates import (
     Estimate,
     all_of,
     difference_estimate,
@@ -21,8 +21,7 @@ from uavaccel.metrics.equivalence import (
     ratio_estimate,
     within,
 )
-from uavaccel.metrics.intervals import Proportion
-from uavaccel.metrics.seeds import hierarchical_interval, permutation_p, sign_flip_p
+from uavaccel.metrics.intervals import Proportion, hierarchical_interval, permutation_p, sign_flip_p
 
 permutation_test: Any = stats.permutation_test  # its stubs know no plain lists
 games = st.lists(st.sampled_from([0.0, 1.0]), min_size=1, max_size=12)

@@ -17,15 +17,7 @@ from uavaccel.clock import VirtualClock
 from uavaccel.errors import UserError
 from uavaccel.wire.api import Api
 from uavaccel.wire.recorder import FILE_NAME
-from uavaccel.wire.service import (
-    PERIOD_NS,
-    ServeOptions,
-    ServerReport,
-    address_of,
-    clock_speed_of,
-    recordings_of,
-    simulation_of,
-)
+from uavaccel.wire.service import PERIOD_NS, ServeOptions, ServerReport, address_of, api_of
 from uavaccel.wire.settings import Settings
 
 pytestmark = pytest.mark.wall_clock
@@ -61,36 +53,31 @@ def rest_of(process: "subprocess.Popen[str]") -> list[str]:
     return [line for line in rest.splitlines() if not line.startswith(BUSY)]
 
 
-def port_of(process: "subprocess.Popen[str]") -> int:
-    return int(line_of(process).partition(":")[2].partition(":")[0].rpartition(":")[2])
+def port_of(process: "subprocess.Popen[str]", rest: str) -> int:
+    """The port in its first line, which ends so."""
+    line = line_of(process)
+    assert line.endswith(rest)
+    return int(line.partition(":")[2].partition(":")[0])
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="signals")
-def test_a_signal_ends_it_in_one_line(tmp_path: Path) -> None:
+def test_it_serves_settings_names_what_it_does_not_know_and_a_signal_ends_it(tmp_path: Path) -> None:
+    path = tmp_path / "settings.json"
+    path.write_text('{"ClockSpeed": 20, "ViewMode": "Fpv", "Vehicles": {"Drone1": {}}}')
     with (
-        serving("--clock", "20", "--recordings", str(tmp_path)) as process,
-        MultirotorClient(port=port_of(process)) as client,
+        serving("--settings", str(path), "--recordings", str(tmp_path / "there")) as process,
+        MultirotorClient(port=port_of(process, ": scene blocks, profile native, ClockSpeed 20\n")) as client,
     ):
         client.confirmConnection()
+        assert line_of(process) == (
+            "Drone1 hovers 10 m up; the clock runs and API control is off, as in AirSim; Ctrl-C stops\n"
+        )
+        assert line_of(process) == f"{path}: without effect here: ViewMode\n"
         assert not client.simIsPause()
-        assert "hovers 10 m up; the clock runs and API control is off" in line_of(process)
         client.enableApiControl(True)
         client.startRecording()
+        [recording] = (tmp_path / "there").glob(f"*/{FILE_NAME}")
+        assert line_of(process) == f"recording to {recording}\n"
         client.moveByVelocityAsync(1, 0, 0, 1).join()
-        os.kill(process.pid, signal.SIGTERM)  # SIGINT ends the one below
-        rest = rest_of(process)
-    assert process.returncode == 0
-    [recording] = tmp_path.glob(f"*/{FILE_NAME}")
-    said, stopped = rest
-    assert said == f"recording to {recording}"
-    assert stopped.startswith("stopped; requested 20x, achieved ")
-    assert len(recording.read_text().splitlines()) > 20  # closed with what had not been written yet
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="signals")
-def test_calls_that_nobody_knows_are_named_once_and_listed_at_the_end() -> None:
-    with serving() as process, MultirotorClient(port=port_of(process)) as client:
-        line_of(process)
         for _ in range(3):
             client.call_async("moveNowhere", 1).join()  # says nothing of its error, as AirSim's
         client.call_async("moveByVelocity", "fast", 0, 0, 1, 0, {}).join()
@@ -98,26 +85,22 @@ def test_calls_that_nobody_knows_are_named_once_and_listed_at_the_end() -> None:
         assert line_of(process) == "warning: moveNowhere is not known here\n"
         assert line_of(process) == "warning: moveByVelocity was refused: vx must be a number, not str\n"
         assert line_of(process) == "warning: move?[2J? is not known here\n"
-        os.kill(process.pid, signal.SIGINT)
-        lines = rest_of(process)
-    assert lines[1] == "  3 x moveNowhere is not known here"
-    assert len(lines) == 4
+        os.kill(process.pid, signal.SIGTERM)  # SIGINT ends the one below
+        stopped, first, *others = rest_of(process)
+    assert process.returncode == 0
+    assert stopped.startswith("stopped; requested 20x, achieved ")
+    assert (first, len(others)) == ("  3 x moveNowhere is not known here", 2)
+    assert len(recording.read_text().splitlines()) > 20  # closed with what had not been written yet
 
 
-def test_settings_are_read_and_what_is_without_effect_is_named(tmp_path: Path) -> None:
-    path = tmp_path / "settings.json"
-    path.write_text('{"ClockSpeed": 3, "ViewMode": "Fpv", "Vehicles": {"Drone1": {}}}')
-    with serving("--settings", str(path)) as process:
-        assert line_of(process).endswith(": scene blocks, profile native, ClockSpeed 3\n")
-        assert line_of(process).startswith("Drone1 hovers")
-        assert line_of(process) == f"{path}: without effect here: ViewMode\n"
-
-
-def test_a_machine_that_does_not_keep_up_says_so() -> None:
+def test_a_machine_that_does_not_keep_up_says_so_and_ctrl_c_ends_it() -> None:
     with serving("--clock", "10000") as process:
         lines = [line_of(process, with_busy=True) for _ in range(3)]
         assert lines[2].startswith(f"{BUSY}; requested 10000x, achieved ")
         assert "of wall time lost" in lines[2]
+        os.kill(process.pid, signal.SIGINT)
+        assert rest_of(process)[-1].startswith("stopped; requested 10000x")
+    assert process.returncode == 0
 
 
 def test_it_listens_beyond_this_machine_only_if_told_so_here() -> None:
@@ -129,20 +112,18 @@ def test_it_listens_beyond_this_machine_only_if_told_so_here() -> None:
     assert address_of(ServeOptions(host="127.0.0.2"), everywhere) == "127.0.0.2"
 
 
-def test_options_go_before_settings(tmp_path: Path) -> None:
-    settings = Settings.model_validate({"ClockSpeed": 5, "Recording": {"Folder": "there"}})
-    assert clock_speed_of(ServeOptions(), settings) == 5.0
-    assert clock_speed_of(ServeOptions(clock_speed=2.0), settings) == 2.0
-    assert recordings_of(ServeOptions(), settings) == Path("there")
-    assert recordings_of(ServeOptions(recordings=tmp_path), settings) == tmp_path
-    assert recordings_of(ServeOptions(), Settings()) == Path.home() / "Documents" / "AirSim"
-
-
-def test_wind_and_recorder_reach_the_simulation() -> None:
-    settings = Settings.model_validate({"Wind": {"X": 2}, "Recording": {"RecordInterval": 0.2}})
-    simulation = simulation_of(ServeOptions(clock_speed=1.0), settings)
-    assert simulation.world.lead.state["wind"].tolist() == [2.0, 0.0, 0.0]
-    assert simulation.profile.recorder_ticks == 100
+def test_options_go_before_settings_which_reach_the_simulation(tmp_path: Path) -> None:
+    (a_file := tmp_path / "file").touch()
+    given = {"ClockSpeed": 5, "Recording": {"Folder": str(a_file), "RecordInterval": 0.2}, "Wind": {"X": 2}}
+    settings = Settings.model_validate(given)
+    with pytest.raises(UserError, match=r"Recording\.Folder = .*file: is no folder"):
+        api_of(ServeOptions(), settings)
+    with pytest.raises(UserError, match=r"--recordings .*file: is no folder"):
+        api_of(ServeOptions(recordings=a_file), Settings())
+    for clock_speed, flown in ((None, 5.0), (2.0, 2.0)):
+        simulation = api_of(ServeOptions(recordings=tmp_path, clock_speed=clock_speed), settings).simulation
+        assert (simulation.clock_speed, simulation.profile.recorder_ticks) == (flown, 100)
+        assert simulation.world.lead.state["wind"].tolist() == [2.0, 0.0, 0.0]
 
 
 class AirSimServer(SimpleNamespace):
@@ -206,7 +187,7 @@ def test_a_recording_that_cannot_go_on_is_told_and_the_flight_does(
     def full() -> None:
         raise OSError("no space left")
 
-    monkeypatch.setattr(server.api.recorder, "keep", full)
+    monkeypatch.setattr(server.api.scenery.recorder, "keep", full)
     server.pass_time(PERIOD_NS)
     report.each_turn()
     assert capsys.readouterr().out == "warning: the recording ends here: no space left\n"

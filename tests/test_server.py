@@ -18,7 +18,7 @@ from tests.mutated import changed_bytes, mutated_calls, send
 from tests.serving import running_server
 from tests.simulating import simulate
 from uavaccel.errors import UserError
-from uavaccel.sim.flight.pilot import DeferredReply
+from uavaccel.sim.simulation import DeferredReply
 from uavaccel.wire import rpc
 from uavaccel.wire.api import Api
 from uavaccel.wire.server import Server
@@ -103,7 +103,7 @@ def test_a_deferred_answer_comes_when_due_and_the_last_one_first(running: Server
     with stranger(running) as connection:
         requests: list[Any] = [(1, "moveByVelocity", move), (2, "uavaccelContinueFor", [second_ns]), (3, "ping", [])]
         got = answers(connection, requests)
-    assert [message[:3] for message in got] == [[rpc.RESPONSE, number, None] for number in (3, 2, 1)]
+    assert [message[:3] for message in got] == [[1, number, None] for number in (3, 2, 1)]
     assert time_s(witness) - start_s == pytest.approx(1.0)
     witness.simPause(False)
 
@@ -111,17 +111,17 @@ def test_a_deferred_answer_comes_when_due_and_the_last_one_first(running: Server
 def test_errors_and_what_is_over_at_once_are_answered_in_turn(running: Server, witness: MultirotorClient) -> None:
     with stranger(running) as connection:
         first, second, third = answers(connection, [(7, "uavaccelContinueFor", [0]), (8, "fly", []), (9, "ping", [])])
-    assert (first[:3], len(first[3])) == ([rpc.RESPONSE, 7, None], 20)
+    assert (first[:3], len(first[3])) == ([1, 7, None], 20)
     assert second[1:] == [8, "rpclib: server could not find function 'fly' with argument count 0.", None]
-    assert third == [rpc.RESPONSE, 9, None, True]
+    assert third == [1, 9, None, True]
     witness.simPause(False)
 
 
 def test_a_notification_is_heeded_and_gets_no_answer(running: Server, witness: MultirotorClient) -> None:
     with stranger(running) as connection:
         for method in ("simPause", "fly"):
-            connection.sendall(msgpack.packb([rpc.NOTIFY, method, [True]]))
-        assert answers(connection, [(1, "ping", [])]) == [[rpc.RESPONSE, 1, None, True]]
+            connection.sendall(msgpack.packb([2, method, [True]]))
+        assert answers(connection, [(1, "ping", [])]) == [[1, 1, None, True]]
     assert witness.simIsPause()
     witness.simPause(False)
 
@@ -134,9 +134,9 @@ def test_an_answer_that_cannot_be_packed_is_an_error(
     late.resolve(None, 0)
     results = iter((1 << 80, object(), late, True))
     with monkeypatch.context() as patch, stranger(running) as connection:
-        patch.setattr(running.api.methods["ping"], "handler", lambda: next(results))
+        patch.setitem(running.api.handlers, "ping", lambda: next(results))
         *failed, good = answers(connection, [(number, "ping", []) for number in range(4)])
-    assert good == [rpc.RESPONSE, 3, None, True]
+    assert good == [1, 3, None, True]
     assert [number for _, number, text, _ in failed if "cannot be packed" in text] == [0, 1, 2]
 
 
@@ -172,9 +172,7 @@ def test_a_port_in_use_and_one_without_a_server_are_one_line() -> None:
     b"GET / HTTP/1.1\r\n\r\n",
     b"\xc1",
     b"\x91" * 100_000,
-    b"\xdd\xff\xff\xff\xff",
-    b"\xdb\xff\xff\xff\xff" + bytes(2 * rpc.MAX_MESSAGE_BYTES),  # the length is believed until it is too much
-    b"\xdf\xff\xff\xff\xff",
+    *(head + b"\xff" * 4 + bytes(2 << 20) for head in (b"\xdb", b"\xdd", b"\xdf")),  # believed until it is too much
     b"\x90",
     msgpack.packb([5, 1, "ping", []]),
     msgpack.packb([0, "id", "ping", []]),
@@ -248,7 +246,7 @@ def test_a_client_that_does_not_read_is_asked_for_nothing_more(
         made += 1
         return reply
 
-    monkeypatch.setattr(running.api.methods["uavaccelRecording"], "handler", recording)
+    monkeypatch.setitem(running.api.handlers, "uavaccelRecording", recording)
     with stranger(running) as connection:
         connection.sendall(rpc.pack_request(1, "uavaccelRecording", []) * 40)
         while made == 0:
@@ -260,22 +258,19 @@ def test_a_client_that_does_not_read_is_asked_for_nothing_more(
     assert made == 40
 
 
-def test_what_is_too_long_is_refused_in_words(running: Server, witness: MultirotorClient) -> None:
+def test_what_is_too_long_is_refused_in_words(
+    running: Server, witness: MultirotorClient, monkeypatch: pytest.MonkeyPatch
+) -> None:
     with stranger(running) as connection:
         with contextlib.suppress(ConnectionError):
             connection.sendall(rpc.pack_request(41, "ping", ["x" * (rpc.MAX_MESSAGE_BYTES + 1)]))
         refusal = rpc.pack_response(41, "a message may have 1 MiB, not more", None)
         assert receive(connection, len(refusal) + 1) == refusal
     with MultirotorClient(port=running.address[1]) as client:
-        running.api.methods["ping"].handler, ping = (
-            lambda: bytes(rpc.MAX_ANSWER_BYTES),
-            running.api.methods["ping"].handler,
-        )
-        try:
+        with monkeypatch.context() as patch:
+            patch.setitem(running.api.handlers, "ping", lambda: bytes(rpc.MAX_ANSWER_BYTES))
             with pytest.raises(RPCError, match="the answer has 64 MiB, more than 64: ask for less"):
                 client.ping()
-        finally:
-            running.api.methods["ping"].handler = ping
         assert client.ping()
 
 
@@ -326,20 +321,17 @@ def test_small_messages_leave_and_are_acknowledged_at_once(
 ) -> None:
     """Else a continue-for behind an un-joined command waits 40 ms for the acknowledgement of the command."""
     acknowledged: list[tuple[str, int]] = []
+    acknowledge = rpc.set_quick_ack
 
     def set_quick_ack(connection: socket.socket) -> None:
-        rpc.set_quick_ack(connection)
+        acknowledge(connection)
         acknowledged.append(connection.getpeername())
 
-    monkeypatch.setattr("uavaccel.wire.server.set_quick_ack", set_quick_ack)
+    monkeypatch.setattr(rpc, "set_quick_ack", set_quick_ack)
     assert all(witness.ping() for _ in range(5))
     assert acknowledged == [witness.address] * 5
     assert all(each.socket.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY) for each in running.connected)
-
-
-def test_both_ends_set_both_options(running: Server) -> None:
     with stranger(running) as connection:
         rpc.set_no_delay(connection)
-        assert connection.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
-        if hasattr(socket, "TCP_QUICKACK"):
-            assert connection.getsockopt(socket.IPPROTO_TCP, socket.TCP_QUICKACK)
+        for option in ("TCP_NODELAY", "TCP_QUICKACK"):
+            assert connection.getsockopt(socket.IPPROTO_TCP, getattr(socket, option))

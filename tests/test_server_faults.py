@@ -7,6 +7,7 @@ import math
 import os
 import select
 import signal
+import socket
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -22,9 +23,10 @@ from uavaccel.suites.dp1 import Dp1
 from uavaccel.suites.runner import MOST_RESTARTS, run_suite, start_run
 from uavaccel.suites.suite import GameResult
 from uavaccel.units import NS_PER_S
-from uavaccel.wire import server_watch
-from uavaccel.wire.server_watch import SILENCE_POLL_NS, STALL_NS, ServerGoneError, ServerSilence, WatchedServer
+from uavaccel.wire import rpc, transport
+from uavaccel.wire.rpc import ServerGoneError
 from uavaccel.wire.session import WallSession
+from uavaccel.wire.transport import SILENCE_POLL_NS, STALL_NS, SocketTransport, WatchedServer
 
 pytestmark = pytest.mark.wall_clock
 
@@ -65,10 +67,9 @@ def test_a_server_that_is_stopped_while_it_starts_is_noticed_at_once(monkeypatch
         stop(process.pid)
         return process
 
-    monkeypatch.setattr(server_watch, "start_python", start)
+    monkeypatch.setattr(transport, "start_python", start)
     monkeypatch.setattr(select, "select", lambda *_: ([], [], []))  # whatever a look takes
-    monkeypatch.setattr(server_watch, "START_S", math.inf)
-    monkeypatch.setattr(server_watch, "IDLE_START_S", math.inf)
+    monkeypatch.setattr(transport, "START_S", math.inf)
     with pytest.raises(ServerGoneError, match="did not answer"):
         WatchedServer({})
 
@@ -77,18 +78,14 @@ def test_a_server_that_is_stopped_while_it_starts_is_noticed_at_once(monkeypatch
 def test_a_silent_server_is_given_longer_while_it_computes(
     monkeypatch: pytest.MonkeyPatch, computes: bool, patient_s: int
 ) -> None:
-    """For up to a minute, as of a first picture on a loaded machine; of one that does nothing 2.5 s are enough."""
+    """For up to a minute, as of a first picture on a loaded machine; of one that does nothing 3 s are enough."""
     clock, cpu_s, killed = VirtualClock(), [0.0], list[bool]()
     process = SimpleNamespace(
         pid=0, poll=lambda: None, kill=lambda: killed.append(True), stdout=io.BytesIO(b'{"port": 7}')
     )
-    given = {
-        "start_python": lambda *_, **__: process,
-        "MonotonicClock": lambda: clock,
-        "cpu_time_s": lambda _: cpu_s[0],
-    }
-    for name, value in (given | {"is_stopped": lambda _: False}).items():
-        monkeypatch.setattr(server_watch, name, value)
+    monkeypatch.setattr(transport, "start_python", lambda *_, **__: process)
+    monkeypatch.setattr(transport, "MonotonicClock", lambda: clock)
+    monkeypatch.setattr("uavaccel.processes.stalls.cpu_time_s", lambda _: cpu_s[0])
     monkeypatch.setattr(select, "select", lambda *_: ([True], [], []))
     server = WatchedServer({})
     for _ in range(patient_s):
@@ -104,32 +101,37 @@ def test_a_silent_server_is_given_longer_while_it_computes(
 
 def test_a_long_command_is_no_silence_of_a_dead_server(monkeypatch: pytest.MonkeyPatch) -> None:
     """One of 2.5 s: at 1 s the server is asked whether it is there, and says so; its answer comes when it is due."""
-    clock, looks, answered = VirtualClock(), list[int](), False
+    clock, asked = VirtualClock(), list[int]()
+    monkeypatch.setattr(transport, "MonotonicClock", lambda: clock)
+    watch = SimpleNamespace(answered=lambda: asked.append(clock.now_ns()), check=lambda: asked.append(-1))
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        client: Any = SocketTransport(*listener.getsockname()[:2], watch=cast(WatchedServer, watch))
+        peer, _ = listener.accept()
+        command = client.send("moveByVelocity", (), blocking=False)
+        command.channel, command.expected_ns = "continue_for", 2_500_000_000
 
-    class Server:
-        def answered(self) -> None:
-            looks.append(clock.now_ns())
+        def answer(number: int) -> None:
+            peer.sendall(rpc.pack_response(number, None, True))
+            client._receive()
 
-        def check(self) -> None:
-            raise ServerGoneError("a server that answers is not suspected")
-
-    monkeypatch.setattr(server_watch, "MonotonicClock", lambda: clock)
-    silence = ServerSilence(cast(WatchedServer, Server()), lambda: lambda: answered)
-    clock.charge(SILENCE_POLL_NS)
-    silence.goes_on()
-    answered = True
-    clock.charge(STALL_NS)
-    assert silence.broken_ns([]) == 0
-    clock.charge(SILENCE_POLL_NS)
-    silence.goes_on()
-    clock.charge(STALL_NS)
-    assert silence.broken_ns([]) == 0
-    clock.sleep_until(2_500_000_000)
-    assert silence.broken_ns([2_500_000_000]) == 0
-    assert looks == [SILENCE_POLL_NS, 2 * SILENCE_POLL_NS + STALL_NS]
-    answered = False
-    clock.charge(2 * STALL_NS)
-    assert silence.broken_ns([2_500_000_000]) == 2 * STALL_NS
+        for number in (2, 3):
+            clock.charge(SILENCE_POLL_NS)
+            client._look()
+            clock.charge(STALL_NS)
+            answer(number)
+        clock.sleep_until(2_500_000_000)
+        answer(1)
+        assert (command.done, client.stalled_ns) == (True, 0)
+        assert asked == [SILENCE_POLL_NS, 2 * SILENCE_POLL_NS + STALL_NS]
+        late = client.send("uavaccelState", (), blocking=True)
+        clock.charge(2 * STALL_NS)
+        answer(4)
+        assert (late.done, client.stalled_ns) == (True, 2 * STALL_NS)
+        client._look()
+        client._look()
+        assert asked[2:] == [clock.now_ns(), -1], "it did not answer the ping: is its process there?"
+        client.close()
+        peer.close()
 
 
 def test_a_short_stop_is_seen_and_counted_once() -> None:
@@ -138,14 +140,14 @@ def test_a_short_stop_is_seen_and_counted_once() -> None:
     with WallSession("blocks", "native") as session:
         assert os.sched_getaffinity(0) | os.sched_getaffinity(session.server.pid) == cores
         client = session.start_game(50.0)
-        transport = client.transport
+        sent = client.transport
         stop(session.server.pid)
-        call = transport.send("simPause", (True,), blocking=True)
-        asked_ns = transport.clock.now_ns()
-        assert not transport.wait(call, asked_ns + 150_000_000)
+        call = sent.send("simPause", (True,), blocking=True)
+        asked_ns = sent.clock.now_ns()
+        assert not sent.wait(call, asked_ns + 150_000_000)
         os.kill(session.server.pid, signal.SIGCONT)
-        transport.wait(call)
-        assert 150_000_000 <= transport.stalled_ns <= transport.clock.now_ns() - call.sent_ns
+        sent.wait(call)
+        assert 150_000_000 <= sent.stalled_ns <= sent.clock.now_ns() - call.sent_ns
         assert client.speed()["lost_wall_ns"] == 0
     assert os.sched_getaffinity(0) == cores, "its own core is left to others again"
 

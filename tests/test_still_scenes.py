@@ -20,12 +20,11 @@ from uavaccel.envs.hover import Hover
 from uavaccel.envs.kernel_batch import KernelBatch
 from uavaccel.kernels import casting, tiles
 from uavaccel.kernels import scene as at
-from uavaccel.kernels.bodies import read_surroundings
+from uavaccel.kernels.bodies import read_scene, read_surroundings
 from uavaccel.kernels.fields import HALF_HEIGHT, HALF_WIDTH
 from uavaccel.kernels.scene import Scene
 from uavaccel.kernels.scene_touching import NOTHING, deepest_shape, nearest_shape
-from uavaccel.kernels.still import read_scene
-from uavaccel.sim.scene import model as scenes
+from uavaccel.sim import scene as scenes
 
 SEEN = np.array([1, 0, 1, 0, 1, 1], np.uint8)  # groups that the drone's camera may see
 HULL = (0.3418, 0.045)
@@ -38,8 +37,12 @@ def cast_all(scene: Any, origin: Any, rays: Any, distances: Any, items: Any, nor
     for ray in range(len(rays)):
         direction = rays[ray, 0], rays[ray, 1], rays[ray, 2]
         from_ = origin[0], origin[1], origin[2]
-        distances[ray], items[ray], normal = casting.cast(scene, 0, from_, direction, np.float32(FAR_M))
-        normals[ray, 0], normals[ray, 1], normals[ray, 2] = normal
+        distance, item = casting.first_met(scene, 0, from_, direction, np.float32(FAR_M))
+        distances[ray], items[ray] = distance, item
+        if item != NOTHING:
+            point = casting.along(from_, direction, distance)
+            normal = casting.normal_at(scene, 0, item, point, direction)
+            normals[ray, 0], normals[ray, 1], normals[ray, 2] = normal
 
 
 @njit(error_model="numpy")

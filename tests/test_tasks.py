@@ -24,8 +24,8 @@ from uavaccel.envs.gates import GatesTask
 from uavaccel.envs.hover import HoverTask
 from uavaccel.envs.sensors import DepthCamera, blank_frame
 from uavaccel.envs.stopwatch import Stopwatch
-from uavaccel.envs.task import AT_REST, Moment, Task
-from uavaccel.envs.values import Course
+from uavaccel.envs.task import Task
+from uavaccel.envs.values import AT_REST, Course, Moment
 from uavaccel.kinematics import Kinematics
 
 NEW = ("Hover", "Gates")

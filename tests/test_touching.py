@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.simulating import fly_velocity, go_to, simulate
+from tests.simulating import fly_velocity, go_to, put_vehicle, simulate
 from uavaccel.errors import UserError
 from uavaccel.kinematics import VelocityGoal
 from uavaccel.sim.poses import LEVEL
@@ -27,13 +27,13 @@ def dropped(profile: Profile, height_m: float) -> tuple[Simulation, Api]:
     simulation.lead.arm(False)
     simulation.world.lead.state["rotor_input"] = simulation.world.lead.state["rotor_lagged"] = 0.0
     simulation.world.lead.state["rotor_output"] = 0.0
-    simulation.world.place((0.0, 0.0, -height_m))
+    put_vehicle(simulation.world, (0.0, 0.0, -height_m))
     return simulation, Api(simulation)
 
 
 def test_in_the_lane_a_teleport_ends_a_collision() -> None:
     world = World("lane", NATIVE)
-    world.place((5.0, 4.0, -2.0), velocity_m_s=(0.0, 8.0, 0.0))
+    put_vehicle(world, (5.0, 4.0, -2.0), velocity_m_s=(0.0, 8.0, 0.0))
     assert world.advance(500) < 500
     assert world.lead.collision_tick is not None
     world.teleport(world.lead, (5.0, 0.0, -2.0), LEVEL, (0.0, 0.0, 0.0))
@@ -45,7 +45,7 @@ def test_in_the_lane_a_teleport_ends_a_collision() -> None:
 def test_the_velocity_is_that_of_the_path_while_contacts_push() -> None:
     """Midway between two drifts, whatever pushed: a central difference of the positions, tilted on the ground."""
     simulation, _ = dropped(NATIVE, 0.3)
-    simulation.world.place((0.0, 0.0, -0.3), (0.95, 0.3, 0.05, 0.0), (1.0, 0.5, 0.0))
+    put_vehicle(simulation.world, (0.0, 0.0, -0.3), (0.95, 0.3, 0.05, 0.0), (1.0, 0.5, 0.0))
     dt, positions, velocities, touching = NATIVE.tick_s, [], [], []
     for tick in range(300):
         go_to(simulation, tick)
@@ -81,8 +81,6 @@ def test_where_nothing_can_fly_nothing_is_put(place: Any, text: str) -> None:
         go_to(simulation, 300)
         if refused:
             with pytest.raises(UserError, match=text):
-                simulation.world.place(place)
-            with pytest.raises(UserError, match=text):
                 simulation.reset(simulation.wall_ns, place)
         go_to(simulation, 1000)
         ends.append(simulation.world.lead.kinematics())
@@ -92,7 +90,7 @@ def test_where_nothing_can_fly_nothing_is_put(place: Any, text: str) -> None:
 def test_the_ground_and_the_top_of_the_air_can_be_flown_from() -> None:
     simulation, _ = dropped(NATIVE, 1.0)
     for z_m in (0.0, -HULL_HALF_HEIGHT_M, -15_000.0, 122.0 - 20_000.0):
-        simulation.world.place((0.0, 0.0, z_m))
+        put_vehicle(simulation.world, (0.0, 0.0, z_m))
         go_to(simulation, simulation.world.tick + 1000)
         assert simulation.failure is None
         now = simulation.kinematics()
@@ -132,7 +130,7 @@ def test_what_touches_something_and_rests_has_landed(contacts: int, speed_m_s: f
 
 def test_what_was_touched_is_known_after_another_vehicle_came() -> None:
     world = World("blocks", NATIVE)
-    world.place((0.0, 0.0, -0.5))
+    put_vehicle(world, (0.0, 0.0, -0.5))
     world.lead.state["armed"] = 0
     world.advance(500)
     log = world.lead.contact_log

@@ -16,8 +16,8 @@ from scipy.spatial.transform import Rotation
 
 from uavaccel import units
 from uavaccel.errors import UserError
+from uavaccel.sim.earth import GeoPoint, geographic, local
 from uavaccel.sim.poses import Pose, from_degrees
-from uavaccel.sim.sensors.earth import GeoPoint, geographic, local
 from uavaccel.units import euler_from_quaternion
 from uavaccel.wire import rpc
 

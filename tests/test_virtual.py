@@ -13,15 +13,14 @@ from numpy.typing import NDArray
 
 from tests.simulating import world_of
 from uavaccel.clock import VirtualClock
-from uavaccel.commands import COMMANDS
-from uavaccel.commands.paths import SQUARE, TWO_FORWARD_ONE_BACK
+from uavaccel.commands import COMMANDS, SQUARE, TWO_FORWARD_ONE_BACK
 from uavaccel.kinematics import Vector, VelocityGoal
 from uavaccel.sim.profile import AIRSIM, NATIVE, Profile
 from uavaccel.sim.simulation import Simulation
 from uavaccel.wire.api import Api
-from uavaccel.wire.client import Client
 from uavaccel.wire.latency import QUANTILES, ZERO_LATENCY, Latency, LatencyConfig
 from uavaccel.wire.rpc import RpcError
+from uavaccel.wire.session import Client
 from uavaccel.wire.transport import VirtualTransport
 
 NASTY_US = (0.0, 1.0, 5.0, 20.0, 60.0, 150.0, 400.0, 2e3, 1e4, 5e4, 2e5, 1e6)

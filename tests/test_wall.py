@@ -11,13 +11,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from uavaccel.commands import COMMANDS
-from uavaccel.commands.paths import SQUARE
+from uavaccel.commands import COMMANDS, SQUARE
 from uavaccel.kinematics import VelocityGoal
 from uavaccel.sim.profile import NATIVE
-from uavaccel.wire import server_watch
-from uavaccel.wire.client import Client
-from uavaccel.wire.session import Session, VirtualSession, WallSession
+from uavaccel.wire import transport
+from uavaccel.wire.session import Client, Session, VirtualSession, WallSession
 
 pytestmark = pytest.mark.wall_clock
 
@@ -106,7 +104,7 @@ def test_a_join_is_never_early_and_a_cancelled_command_answers_false(session: Se
 
 
 def test_the_server_ends_with_its_session(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(server_watch, "END_S", 60.0)  # by itself, on however busy a machine
+    monkeypatch.setattr(transport, "END_S", 60.0)  # by itself, on however busy a machine
     session = WallSession("blocks", "native")
     session.start_game(1.0, SEED)
     session.close()

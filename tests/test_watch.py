@@ -14,8 +14,7 @@ import numpy as np
 import pytest
 
 from tests.opengl import needs_opengl
-from uavaccel.commands import COMMANDS, VelocityGoal
-from uavaccel.commands.paths import velocities
+from uavaccel.commands import COMMANDS, VelocityGoal, velocities
 from uavaccel.watch.replay import T_MOVE_S, Track, fly_side_by_side
 
 CHROMIUM = Path("/usr/bin/chromium")

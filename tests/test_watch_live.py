@@ -23,8 +23,8 @@ from uavaccel.cli.experiments import run_experiment
 from uavaccel.commands import COMMANDS, VelocityGoal
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.errors import UsageError
+from uavaccel.fly.command import fly
 from uavaccel.fly.options import FlightOptions
-from uavaccel.fly.runs import fly
 from uavaccel.records import RunDirectory
 from uavaccel.suites.dp1 import Dp1
 from uavaccel.suites.evaluate import Evaluation
@@ -34,8 +34,7 @@ from uavaccel.watch import beside
 from uavaccel.watch.beside import PageAddress, page_beside
 from uavaccel.watch.page import Moment
 from uavaccel.watch.sources import Live, Told
-from uavaccel.wire.broadcast import REFRESH_NS, heading
-from uavaccel.wire.page_protocol import FREE, PAGE
+from uavaccel.wire.broadcast import FREE, PAGE, REFRESH_NS, heading
 from uavaccel.wire.session import open_session
 
 POLL_S = 16 * 0.002  # 16 ticks, the whole number nearest to REFRESH_NS

@@ -13,8 +13,8 @@ from tests.running import configured, fly_into
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.errors import UsageError, UserError
 from uavaccel.files import read_arrays, to_json, write_arrays
+from uavaccel.fly.command import fly
 from uavaccel.fly.options import FlightOptions
-from uavaccel.fly.runs import fly
 from uavaccel.records import RunDirectory
 from uavaccel.rl.agents import make_agent
 from uavaccel.suites.evaluate import Evaluation, fly_lane

@@ -30,7 +30,7 @@ from uavaccel.watch.beside import PageAddress, page_beside
 from uavaccel.watch.page import Page
 from uavaccel.watch.replay import Track, recorded, script_track
 from uavaccel.watch.sources import Live, Replay, Told
-from uavaccel.wire.page_protocol import FREE, PAGE
+from uavaccel.wire.broadcast import FREE, PAGE
 
 # --- replays ---------------------------------------------------------------------------------------------------------
 

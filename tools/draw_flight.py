@@ -14,7 +14,7 @@ from PIL import Image
 
 from uavaccel.draw.film import FRAMES_PER_S, PANEL
 from uavaccel.draw.panels import enlarged, to_bgr
-from uavaccel.draw.pictures import Bgr, dvs_picture
+from uavaccel.draw.style import Bgr, dvs_picture
 from uavaccel.suites.flight import film_of, flight_of
 
 LARGEST = 1_000_000  # bytes

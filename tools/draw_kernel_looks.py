@@ -18,8 +18,7 @@ from uavaccel.kernels.appearance import empty_scenes, fill_scenes, read_appearan
 from uavaccel.kernels.pictures import render_colour, render_depth, render_gray
 from uavaccel.resources import asset
 from uavaccel.sim.camera.camera import Camera
-from uavaccel.sim.lane.layout import Difficulty, lane_seed, sample_layout
-from uavaccel.sim.lane.scene import apply_layout
+from uavaccel.sim.lane import Difficulty, apply_layout, lane_seed, sample_layout
 from uavaccel.sim.poses import Pose
 from uavaccel.suites import plots
 from uavaccel.units import ned_to_mujoco, quaternion_ned_to_mujoco

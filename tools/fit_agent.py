@@ -13,15 +13,13 @@ from typing import Any
 
 import numpy as np
 
-from uavaccel.commands import COMMANDS
-from uavaccel.commands.paths import SQUARE
+from uavaccel.commands import COMMANDS, SQUARE
 from uavaccel.config import dump_yaml
 from uavaccel.kinematics import Kinematics, VelocityGoal
 from uavaccel.sim.profile import PROFILES
 from uavaccel.suites import paper_results
-from uavaccel.wire.client import Client
 from uavaccel.wire.latency import LatencyConfig, shipped_latency
-from uavaccel.wire.session import open_session
+from uavaccel.wire.session import Client, open_session
 
 IMAGE_PROCESSING_S = 0.0032  # v2e of a 256 x 144 picture on one thread, measured; the paper's DVS is v2e
 PICTURES, T_MOVE_S, T_SAMPLE_S = 3, 1.0, 0.33  # of a command (section III-C1)

@@ -20,15 +20,13 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.stats import norm
 
-from uavaccel.config import dump_yaml
+from uavaccel.config import CommandName, dump_yaml
 from uavaccel.draw import style
-from uavaccel.limits import CommandName
 from uavaccel.metrics.stlc import mean_stlc
 from uavaccel.metrics.trajectory import Trajectory, trajectory
 from uavaccel.suites import plots
 from uavaccel.suites.dp1 import Dp1, Dp1Config, Game
-from uavaccel.wire.latency import QUANTILES, LatencyConfig
-from uavaccel.wire.platform import FrameConfig, PlatformConfig
+from uavaccel.wire.latency import QUANTILES, FrameConfig, LatencyConfig, PlatformConfig
 from uavaccel.wire.session import open_session
 
 ROUNDS = (1, 2, 4, 8, 16, 24)

@@ -39,7 +39,7 @@ from uavaccel.draw import style
 from uavaccel.metrics.intervals import RESAMPLES, TAILS
 from uavaccel.records import RunDirectory
 from uavaccel.sim.clutter import ASIDE_M
-from uavaccel.sim.lane.layout import HULL_RADIUS_M
+from uavaccel.sim.lane import HULL_RADIUS_M
 from uavaccel.suites.mediation import USUAL, Mediation
 from uavaccel.suites.realtime import Realtime
 from uavaccel.suites.registry import open_run

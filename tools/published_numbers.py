@@ -21,9 +21,8 @@ from tools.check_numbers import ROOT, Page
 from tools.fit_agent import agent_costs, command_wall_s
 from tools.fit_airsim import Parameters, model
 from uavaccel.config import parse_yaml, validate
-from uavaccel.metrics.equivalence import Estimate
-from uavaccel.metrics.intervals import TAILS, Proportion, fisher_exact_p
-from uavaccel.metrics.seeds import permutation_p
+from uavaccel.metrics.estimates import Estimate
+from uavaccel.metrics.intervals import TAILS, Proportion, fisher_exact_p, permutation_p
 from uavaccel.suites import claims, paper_results
 from uavaccel.suites.mediation import Contrast, Share, effect, share_of_loss
 from uavaccel.suites.paper import Claim, PaperConfig, read_claims, verdict

@@ -12,8 +12,7 @@ from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from uavaccel.commands import adsc, tcsc
-    from uavaccel.commands.airsim_adapter import AirSimAdapter
+    from uavaccel.commands import AirSimAdapter, adsc, tcsc
     from uavaccel.envs.flight_env import FlightEnv
     from uavaccel.envs.task import Task
     from uavaccel.errors import UserError
@@ -29,7 +28,7 @@ __all__ = [  # noqa: RUF022  what a program begins with, in its order
 ]  # fmt: skip
 
 _HOMES = {
-    "AirSimAdapter": "uavaccel.commands.airsim_adapter",
+    "AirSimAdapter": "uavaccel.commands",
     "FlightEnv": "uavaccel.envs.flight_env",
     "RunDirectory": "uavaccel.records",
     "Task": "uavaccel.envs.task",

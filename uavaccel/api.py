@@ -45,8 +45,7 @@ def make_vec(
     `simulator` is mujoco or kernels, by default the exact one, mujoco, on device cpu, and kernels on device cuda.
     Raises UserError as `make` does, and for a simulator or device that cannot fly the task, or that is missing.
     """
-    from uavaccel.envs.flyable import CPU
-    from uavaccel.envs.simulators import EXACT, KERNELS, make_batch
+    from uavaccel.envs.simulators import CPU, EXACT, KERNELS, make_batch
 
     simulator = simulator or (EXACT if device == CPU else KERNELS)
     return make_batch(_environment(task), num_envs, simulator, device, **_plain(keys))  # type: ignore[arg-type]

@@ -5,6 +5,9 @@ JSON: "3" is not a number, yes is not an integer, and a list may fill a tuple.
 
 YAML is read and written by rules that differ from PyYAML's own in four points: 1e-3 is a number, as in YAML 1.2; a date
 is text; a duplicate key in a mapping and tags such as !!binary, which no JSON has, are refused.
+
+The types of values, such as `Seconds`, have limits far beyond any use, within what numbers, clocks and machines can
+represent.
 """
 
 from __future__ import annotations
@@ -18,15 +21,47 @@ from copy import deepcopy
 from difflib import get_close_matches
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, TypeAlias, TypeVar, get_args, get_origin
+from typing import Annotated, Any, Literal, TypeAlias, TypeVar, get_args, get_origin
 
 import yaml
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 from pydantic_core import ErrorDetails
 from yaml.constructor import ConstructorError, SafeConstructor
 
 from uavaccel.errors import UsageError, UserError, suggestion
 from uavaccel.files import Plain, read_bounded
+from uavaccel.units import CLOCK_SPEEDS
+
+MOST_GAMES = 1_000_000
+MOST_ROUNDS = 100_000
+MOST_SPEED_M_S = 1_000.0
+MOST_HEIGHT_M = 4_000.0  # in the thinner air above, the quadrotor soon cannot hover
+MOST_SECONDS = 86_400.0
+MOST_LATENCY_US = 60e6
+MOST_SCALE = 1_000.0
+MOST_PROCESSES = 1_024
+MOST_LANES = 65_536  # over arrays
+MOST_SEEDS = 1 << 32
+
+CommandName = Annotated[
+    Literal["adsc", "tcsc"], BeforeValidator(lambda name: name.lower() if isinstance(name, str) else name)
+]
+"""In any case, as the paper and the pages have capitals; kept in lower case."""
+Seed = Annotated[int, Field(ge=0, lt=MOST_SEEDS)]
+"""A seed that NumPy's and torch's generators accept."""
+Count = Annotated[int, Field(ge=1, le=1_000_000)]
+Share = Annotated[float, Field(ge=0.0, le=1.0)]
+Games = Annotated[int, Field(ge=1, le=MOST_GAMES)]
+Processes = Annotated[int, Field(ge=1, le=MOST_PROCESSES)]
+Lanes = Annotated[int, Field(ge=1, le=MOST_LANES)]
+ClockSpeed = Annotated[float, Field(gt=0.0, ge=CLOCK_SPEEDS[0], le=CLOCK_SPEEDS[1])]
+Speed = Annotated[float, Field(gt=0.0, le=MOST_SPEED_M_S)]
+Velocity = Annotated[float, Field(ge=-MOST_SPEED_M_S, le=MOST_SPEED_M_S)]
+Height = Annotated[float, Field(gt=0.0, le=MOST_HEIGHT_M)]
+Seconds = Annotated[float, Field(gt=0.0, le=MOST_SECONDS)]
+Cost = Annotated[float, Field(ge=0.0, le=3_600.0)]
+"""A cost in seconds on a modelled wall clock."""
+LatencyUs = Annotated[float, Field(ge=0.0, le=MOST_LATENCY_US)]
 
 
 class Config(BaseModel):

@@ -149,6 +149,13 @@ def to_json(value: object, indent: int | None = None) -> str:
         return json.dumps(finite, sort_keys=True, allow_nan=False, indent=indent)
 
 
+def write_json(path: Path, value: object) -> Path:
+    """Write JSON, in lines that are indented, in place of what is there; returns the path."""
+    with replacing(path) as file:
+        file.write(f"{to_json(value, indent=1)}\n".encode())
+    return path
+
+
 def _plain(value: object) -> object:
     """Return mappings and numpy's values as the plain data of JSON."""
     if isinstance(value, Mapping):

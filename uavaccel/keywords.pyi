@@ -9,11 +9,11 @@ from typing import Any, Concatenate, Literal, ParamSpec, TypeVar, overload
 
 from uavaccel.config import Config
 from uavaccel.envs.flight_env import FlightEnv
-from uavaccel.envs.flyable import Device, Simulator
 from uavaccel.envs.gates import Gates, GatesTask
 from uavaccel.envs.hover import Hover, HoverTask
 from uavaccel.envs.navigate import Navigate, NavigateTask
 from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
+from uavaccel.envs.simulators import Device, Simulator
 from uavaccel.envs.task import Task
 from uavaccel.envs.values import Batch
 from uavaccel.records import RunDirectory

@@ -14,6 +14,7 @@ import json
 from collections.abc import Collection, Mapping
 from contextlib import suppress
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -305,3 +306,32 @@ def _is_more(there: Plain, here: Plain) -> bool:
     if isinstance(there, list) and isinstance(here, list):
         return bool(there) and (not here or set(there) < set(here))
     return int(there) < int(here)
+
+
+Provenance = Literal["measured", "modelled", "mixed"]
+
+
+def timing_provenance(timing: str) -> Provenance:
+    """Return "measured" for the machine's own clock, "modelled" for a simulated one (virtual, lockstep)."""
+    return "measured" if timing == "wall" else "modelled"
+
+
+def combined_provenance(*parts: Provenance) -> Provenance:
+    """Return the provenance of a number made of several: "mixed" unless all agree. Raises ValueError without parts."""
+    if not parts:
+        raise ValueError("a combined provenance needs at least one part")
+    return parts[0] if len(set(parts)) == 1 else "mixed"
+
+
+def provenance_of(run: RunDirectory, timing: str | None = None) -> dict[str, Plain]:
+    """Suite, seed, hash of config.yaml, the version that flew; with the game's `timing`, or the run's, what that is."""
+    config, versions = run.config(), run.manifest().get("versions") or {}
+    timing = timing or str((config.get("task") or {}).get("timing") or config.get("timing"))
+    return {
+        "suite": config.get("suite"),
+        "seed": config.get("seed", 0),
+        "config_sha256": file_sha256(run.path / "config.yaml"),
+        "timing": timing,
+        "numbers": timing_provenance(timing),
+        "uavaccel": versions.get("uavaccel"),
+    }

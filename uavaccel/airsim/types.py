@@ -67,10 +67,7 @@ class PositionControllerGains(_Gains):
 
 
 class GnssFixType(MsgpackMixin):
-    GNSS_FIX_NO_FIX = 0
-    GNSS_FIX_TIME_ONLY = 1
-    GNSS_FIX_2D_FIX = 2
-    GNSS_FIX_3D_FIX = 3
+    GNSS_FIX_NO_FIX, GNSS_FIX_TIME_ONLY, GNSS_FIX_2D_FIX, GNSS_FIX_3D_FIX = range(4)
 
 
 class RotorStates(MsgpackMixin):
@@ -137,43 +134,25 @@ class DistanceSensorData(MsgpackMixin):
 
 
 class ImageType:
-    """AirSim's types of image."""
+    """AirSim's types of image; DepthPlanar was DepthPlanner before 1.5."""
 
-    Scene = 0
-    DepthPlanar = 1
-    DepthPlanner = 1  # before 1.5
-    DepthPerspective = 2
-    DepthVis = 3
-    DisparityNormalized = 4
-    Segmentation = 5
-    SurfaceNormals = 6
-    Infrared = 7
-    OpticalFlow = 8
-    OpticalFlowVis = 9
+    Scene, DepthPlanar, DepthPerspective, DepthVis, DisparityNormalized, Segmentation, SurfaceNormals = range(7)
+    Infrared, OpticalFlow, OpticalFlowVis = range(7, 10)
+    DepthPlanner = DepthPlanar
 
 
 class DrivetrainType:
     """Whether the nose has to point in the direction of flight."""
 
-    MaxDegreeOfFreedom = 0
-    ForwardOnly = 1
+    MaxDegreeOfFreedom, ForwardOnly = range(2)
 
 
 class LandedState:
-    Landed = 0
-    Flying = 1
+    Landed, Flying = range(2)
 
 
 class WeatherParameter:
-    Rain = 0
-    Roadwetness = 1
-    Snow = 2
-    RoadSnow = 3
-    MapleLeaf = 4
-    RoadLeaf = 5
-    Dust = 6
-    Fog = 7
-    Enabled = 8
+    Rain, Roadwetness, Snow, RoadSnow, MapleLeaf, RoadLeaf, Dust, Fog, Enabled = range(9)
 
 
 class CollisionInfo(MsgpackMixin):

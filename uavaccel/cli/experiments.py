@@ -141,7 +141,7 @@ def run_experiment(
     """
     from uavaccel.cli.terminal import Progress
     from uavaccel.clock import MonotonicClock
-    from uavaccel.draw.labels import in_words
+    from uavaccel.draw.page import in_words
     from uavaccel.suites.session import planned, resumable
     from uavaccel.units import NS_PER_S
 
@@ -229,7 +229,7 @@ def evaluate_agent(request: RunRequest, against: Path | None, films: bool) -> No
 
 def film_extremes(run: RunDirectory) -> None:
     """Write films and contact sheets of the best game and the worst, for the report, where films can be made."""
-    from uavaccel.draw.pictures import check_films
+    from uavaccel.draw.style import check_films
     from uavaccel.envs.simulators import EXACT
     from uavaccel.suites.evaluate import Evaluation
     from uavaccel.suites.flight import film_game

@@ -18,11 +18,9 @@ import typer
 from typer.core import TyperGroup
 
 from uavaccel import __version__
-from uavaccel.cli.airsim import fly, serve
 from uavaccel.cli.experiments import evaluate, run, train
-from uavaccel.cli.machine import advise, bench, calibrate, doctor, init
-from uavaccel.cli.realtime import certify, measure
-from uavaccel.cli.results import export, watch
+from uavaccel.cli.flights import export, fly, serve, watch
+from uavaccel.cli.machine import advise, bench, calibrate, certify, doctor, init, measure
 from uavaccel.errors import UsageError, UserError, mistake_of
 from uavaccel.processes.stalls import guard_children
 

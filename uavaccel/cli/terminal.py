@@ -93,7 +93,7 @@ class Progress:
             self._console.print(self._text(), markup=False)
 
     def _text(self) -> str:
-        from uavaccel.draw.labels import in_words
+        from uavaccel.draw.page import in_words
         from uavaccel.units import NS_PER_S
 
         wall_s = max((self._clock.now_ns() - self._start_ns) / NS_PER_S, 1e-9)

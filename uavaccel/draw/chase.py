@@ -17,10 +17,9 @@ from numpy.typing import NDArray
 
 from uavaccel.sim.camera.camera import Lens, MountedCamera
 from uavaccel.sim.clutter import ClutterLayout, apply_clutter
-from uavaccel.sim.lane.layout import PLAIN, LaneLayout
-from uavaccel.sim.lane.scene import OBSTACLE_HALF_HEIGHT_M, apply_layout, sunlight
+from uavaccel.sim.lane import OBSTACLE_HALF_HEIGHT_M, LaneLayout, apply_layout, sunlight
 from uavaccel.sim.poses import Pose, from_degrees
-from uavaccel.sim.scene.model import DRONE_GROUP, QUADROTOR, scene_path
+from uavaccel.sim.scene import DRONE_GROUP, PLAIN, QUADROTOR, scene_path
 from uavaccel.units import euler_from_quaternion, ned_to_mujoco, quaternion_ned_to_mujoco
 
 EYE = Pose((-2.4, 0.0, -1.15), from_degrees(0.0, -20.0, 0.0))  # relative to the vehicle's position and heading

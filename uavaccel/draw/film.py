@@ -36,11 +36,11 @@ from uavaccel.draw.panels import (
     whole_lane,
     write,
 )
-from uavaccel.draw.pictures import VERMILION, Bgr, Decisions, dvs_picture
+from uavaccel.draw.style import VERMILION, Bgr, Decisions, bgr, dvs_picture
 from uavaccel.errors import UserError, naming
 from uavaccel.files import replacing
 from uavaccel.sim.clutter import ClutterLayout
-from uavaccel.sim.lane.layout import LaneLayout
+from uavaccel.sim.lane import LaneLayout
 
 FRAMES_PER_S = 12
 WIDTH, HEIGHT = 1280, 480
@@ -51,7 +51,7 @@ SECOND_ROW = 328  # pixels lower than the first; the lane is as much lower where
 MARGIN = 14  # pixels below the first row where there is no lane, above another
 HELD_S = 2.0  # seconds of film for which the frame of an impact is held
 
-IMPACT = VERMILION
+IMPACT = bgr(VERMILION)
 
 SHEET_COLUMNS, SHEET_ROWS, SHEET_GAP, SHEET_CAPTION = 5, 4, 10, 24
 THUMB = (256, 144)

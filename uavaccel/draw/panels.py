@@ -10,9 +10,9 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from uavaccel.draw.pictures import BLUE, GREEN, VERMILION, Bgr, Decisions
+from uavaccel.draw.style import BLUE, GREEN, VERMILION, Bgr, Decisions, bgr
 from uavaccel.sim.clutter import BOX, COS, HALF_X, HALF_Y, KIND, SIN, ClutterLayout, X, Y
-from uavaccel.sim.lane.layout import HULL_RADIUS_M, LENGTH_M, WIDTH_M, LaneLayout
+from uavaccel.sim.lane import HULL_RADIUS_M, LENGTH_M, WIDTH_M, LaneLayout
 
 PAPER, INK, FAINT = (255, 255, 255), (40, 40, 40), (120, 120, 120)
 
@@ -53,7 +53,7 @@ def write(
 
 
 GROUND, OUTSIDE, WALL = (240, 240, 240), (222, 222, 222), (110, 110, 110)
-OBSTACLE, TRACK, DRONE, GOAL = (70, 70, 70), BLUE, VERMILION, GREEN
+OBSTACLE, TRACK, DRONE, GOAL = (70, 70, 70), bgr(BLUE), bgr(VERMILION), bgr(GREEN)
 WALL_M = 0.25  # thickness on the map
 BEHIND = 0.25  # share of the near map that lies behind the drone
 IMPACT_PIXELS = 12  # half of the cross
@@ -178,7 +178,7 @@ def _disc(picture: Bgr, view: View, place_m: ArrayLike, radius_m: float, colour:
     cv2.circle(picture, (int(centre[0]), int(centre[1])), radius, colour, -1, cv2.LINE_AA, SUBPIXEL)
 
 
-TAKEN, UNTAKEN = BLUE, (200, 200, 200)
+TAKEN, UNTAKEN = TRACK, (200, 200, 200)
 LEAST = 0.1  # height of the worst action's bar, relative to the film's largest difference
 MARGIN, FOOT = 24, 40  # pixels above the bars for their values, and below for their headings
 

@@ -1,9 +1,10 @@
-"""The style shared by all figures: colour-blind-safe, rendered without a display, reproducible to the byte."""
+"""The look of figures, films and pages: colour-blind-safe, rendered without a display, reproducible to the byte."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from textwrap import fill
 from types import MappingProxyType
@@ -12,13 +13,10 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from uavaccel.draw.labels import clock_label as clock_label
-from uavaccel.draw.labels import command_at_clock as command_at_clock
-from uavaccel.draw.labels import command_name as command_name
-from uavaccel.draw.labels import rounds_label as rounds_label
 from uavaccel.files import replacing
+from uavaccel.resources import require
 
-if TYPE_CHECKING:  # matplotlib is loaded by what draws
+if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
@@ -175,3 +173,51 @@ def _ticks(low: float, high: float) -> list[float]:
 
     ticks = MaxNLocator(6, steps=(1, 2, 5, 10)).tick_values(low, high)
     return [float(tick) for tick in ticks if low + 0.08 * (high - low) <= tick <= high]
+
+
+Bgr = NDArray[np.uint8]  # (H, W, 3): blue, green, red, as OpenCV has them
+NO_EVENT = 246
+FULL_COLOUR_FROM = 3  # events per pixel
+
+
+def check_films() -> None:
+    """Raise UserError where no film can be made: without OpenGL, or without the extra `film`."""
+    from uavaccel.sim.camera.gl import describe_renderer
+
+    require("av", "MP4", "film")
+    require("cv2", "MP4", "film", "opencv-python-headless")
+    describe_renderer()
+
+
+def bgr(colour: str) -> tuple[int, int, int]:
+    """Return a colour such as #0072B2 as blue, green, red."""
+    red, green, blue = bytes.fromhex(colour[1:])
+    return blue, green, red
+
+
+def dvs_picture(on: NDArray[np.integer], off: NDArray[np.integer]) -> Bgr:
+    """Return event counts (H, W) as an image (H, W, 3): the more events, the deeper the colour."""
+    shade = np.minimum(on, FULL_COLOUR_FROM) * (FULL_COLOUR_FROM + 1) + np.minimum(off, FULL_COLOUR_FROM)
+    return np.asarray(np.take(_SHADES, shade, axis=0))
+
+
+_DEPTH = np.linspace(0.0, 1.0, FULL_COLOUR_FROM + 1)[:, None]
+_ON, _OFF = (_DEPTH * (np.array(bgr(colour)) - NO_EVENT) for colour in (BLUE, VERMILION))
+_SHADES = np.clip((NO_EVENT + _ON[:, None] + _OFF).reshape(-1, 3), 0, 255).astype(np.uint8)
+"""The colour of each pair of counts up to FULL_COLOUR_FROM, OFF varying fastest; (16, 3)."""
+
+
+@dataclass(frozen=True)
+class Decisions:
+    """The decisions of m commands: ratings of the actions (m, actions), the action taken (m,), and the observation.
+
+    `given` (m, planes, H, W) uint8 is the network's input, oldest plane first; None where it is no image. `rated_as`
+    says what the ratings are. Sample i of the film's n was taken during command `of_sample[i]`.
+    """
+
+    ratings: NDArray[np.float64]
+    taken: NDArray[np.int64]
+    headings_deg: tuple[float, ...]
+    of_sample: NDArray[np.int64]
+    rated_as: str
+    given: NDArray[np.uint8] | None = None

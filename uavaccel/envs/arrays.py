@@ -9,7 +9,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from uavaccel.envs.values import Number
+from uavaccel.envs.values import Number, Observation
 
 Tree: TypeAlias = Any
 """An array, or arrays in nested mappings, lists and tuples."""
@@ -83,7 +83,7 @@ def named_leaves(tree: Tree, name: str) -> dict[str, Any]:
 
 
 def select(tree: Tree, games: Any) -> Tree:
-    """Return the elements `games` (m,) of all arrays."""
+    """Return the elements `games` (m,) of all arrays; views of one game's, with None one game as a batch."""
     return mapped(lambda array: array[games], tree)
 
 
@@ -115,3 +115,13 @@ def stacked(courses: Sequence[Mapping[str, Any]]) -> dict[str, Tree]:
 def _columns(values: Number) -> Tree:
     """Turn an array (n, a, b) into a list of a lists of b arrays (n,)."""
     return values if values.ndim == 1 else [_columns(values[:, each]) for each in range(values.shape[1])]
+
+
+def stacked_observations(observations: Sequence[Observation]) -> Observation:
+    """Return several observations as a batch."""
+    return mapped(lambda *parts: np.stack(parts), *observations)
+
+
+def picture_of(observations: Observation) -> Observation:
+    """Return the pictures of observations that have the state beside them; others as they are."""
+    return observations["image"] if isinstance(observations, Mapping) else observations

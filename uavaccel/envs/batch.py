@@ -1,28 +1,105 @@
 """Vectorised environments of one task in the exact simulator, in several processes.
 
-Each environment flies as it would alone, to the last bit, and draws in its own process.
+`TurnBatch` is what learners fly, the kernels' too. In the exact simulator each environment flies as it would alone, to
+the last bit, and draws in its own process.
 """
 
 from __future__ import annotations
 
 import os
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
+from numpy import bool_, float64, int64
+from numpy.typing import NDArray
 
-from uavaccel.envs.checks import actions_of, autoreset_of, check_render_mode, make_task, whole_number
-from uavaccel.envs.environment_processes import BatchOptions, EnvironmentProcesses, SharedObservations, form_of
+from uavaccel.config import MOST_GAMES, MOST_PROCESSES
+from uavaccel.envs.arrays import mapped, select
+from uavaccel.envs.checks import actions_of, check_render_mode, make_task, seeds_of, whole_number
+from uavaccel.envs.environment_process import EnvironmentProcesses, observations_of
 from uavaccel.envs.flight_env import FlightEnv
-from uavaccel.envs.turn_batch import TurnBatch
-from uavaccel.envs.values import Actions, Answer, Info, Observation, Steps, copied, rows_of
+from uavaccel.envs.values import Actions, Answer, Batch, Info, Observation, Steps
 from uavaccel.errors import UserError
-from uavaccel.limits import MOST_GAMES, MOST_PROCESSES
 from uavaccel.machine import usable_cores
 from uavaccel.own_code import folder_of
 from uavaccel.sim.camera.gl import choose_backend
+from uavaccel.units import NS_PER_S
+
+
+def set_up(batch: Any, environment: type[FlightEnv[Any]], num_envs: int, mode: object, keys: Mapping[str, Any]) -> Any:
+    """Give a batch what Gymnasium's vectors have, and its task, which is returned. Raises UserError for wrong keys."""
+    batch.task = task = make_task(environment.task_class, keys, environment.__name__)
+    whole_number("num_envs", num_envs, MOST_GAMES)
+    if mode not in (known := [each.value for each in AutoresetMode]) and not isinstance(mode, AutoresetMode):
+        raise UserError(f"autoreset_mode = {mode!r} is unknown; there are {', '.join(known)}")
+    batch.num_envs, batch.metadata = num_envs, {**environment.metadata, "autoreset_mode": AutoresetMode(mode)}
+    batch.single_observation_space, batch.single_action_space = task.observation_space(), task.action_space()
+    batch.observation_space = batch_space(batch.single_observation_space, num_envs)
+    batch.action_space = batch_space(batch.single_action_space, num_envs)
+    return task
+
+
+class TurnBatch(Batch, ABC):
+    """A vector environment whose `step` is the start of a command in some environments and the wait for its end."""
+
+    # --- Gymnasium --------------------------------------------------------------------------------
+
+    def reset(
+        self, *, seed: int | Sequence[int | None] | None = None, options: Mapping[str, object] | None = None
+    ) -> tuple[Observation, Info]:
+        """Begin a game in every environment; environment i gets `seed` + i, or the i-th of several seeds."""
+        infos = self.reset_each(seeds_of(seed, self.num_envs), [options] * self.num_envs)
+        return self.observations(), self._merged(infos)
+
+    def step(self, actions: Actions) -> tuple[Observation, NDArray[float64], NDArray[bool_], NDArray[bool_], Info]:
+        """Fly one command in every environment."""
+        self.step_async(actions)
+        observations, rewards, terminated, truncated, infos = self.step_wait()
+        return observations, rewards, terminated, truncated, self._merged(infos)
+
+    def _merged(self, infos: Sequence[Info]) -> Info:
+        """Merge infos as Gymnasium's VectorEnv does: for each key an array of values, and a mask."""
+        merged: Info = {}
+        for slot, info in enumerate(infos):
+            merged = self._add_info(merged, info, slot)
+        return merged
+
+    # --- learners ---------------------------------------------------------------------------------
+
+    @abstractmethod
+    def reset_each(self, seeds: Sequence[int | None], options: Sequence[Mapping[str, object] | None]) -> list[Info]:
+        """Begin a game in every environment with its own seed and options; return the infos."""
+
+    @abstractmethod
+    def step_async(self, actions: Actions, slots: Sequence[int] | None = None) -> None:
+        """Start one command in each of `slots`, by default all, and return while they fly."""
+
+    @abstractmethod
+    def step_wait(self, slots: Sequence[int] | None = None) -> Steps:
+        """Wait for what `step_async` started in the same `slots`.
+
+        Returns observations, rewards, terminations, truncations and infos. With autoreset SAME_STEP the last info of a
+        finished game is in `final_info` and its last observation in `final_obs`.
+        """
+
+    @abstractmethod
+    def call_each(
+        self, name: str, arguments: Sequence[tuple[object, ...]], slots: Sequence[int] | None = None
+    ) -> list[Answer]:
+        """Call a method of `slots`, by default all, each with its own arguments; return the results."""
+
+    def charge_each(self, durations_ns: NDArray[int64]) -> None:
+        """In timing `virtual`, charge each environment (N,) for its agent's work since its last command."""
+        charged = durations_ns.nonzero()[0].tolist()
+        self.call_each("charge", [(durations_ns[slot] / NS_PER_S,) for slot in charged], charged)
+
+    @abstractmethod
+    def observations(self) -> Observation:
+        """Return the present observations of all environments."""
 
 
 class EnvironmentBatch(TurnBatch):
@@ -41,24 +118,21 @@ class EnvironmentBatch(TurnBatch):
         **keys: Any,
     ) -> None:
         self.render_mode = check_render_mode(keys.pop("render_mode", None))
-        task = make_task(environment.task_class, keys, environment.__name__)
-        _check(num_envs, processes, task.timing)
-        self.task, self.num_envs = task, num_envs
-        self.metadata = {**environment.metadata, "autoreset_mode": autoreset_of(autoreset_mode)}
-        self.single_observation_space = task.observation_space()
-        self.single_action_space = task.action_space()
-        self.observation_space = batch_space(self.single_observation_space, num_envs)
-        self.action_space = batch_space(self.single_action_space, num_envs)
+        task = set_up(self, environment, num_envs, autoreset_mode, keys)
+        if processes is not None:
+            whole_number("processes", processes, MOST_PROCESSES)
+        if task.timing == "wall" and num_envs > 1:
+            raise UserError("timing = 'wall': a batch flies in virtual or lockstep, neighbours would disturb the clock")
         if task.sensor().picture is not None:
             choose_backend()  # for all processes
-        self._observations = SharedObservations(form_of(self.single_observation_space, num_envs))
+        self._observations = observations_of(self.single_observation_space, num_envs)
         self.processes = min(processes or 2 * usable_cores(), num_envs)
-        options: BatchOptions = {
+        options = {
             "environment": f"{environment.__module__}:{environment.__qualname__}",
             "folder": str(folder) if (folder := folder_of(environment)) else None,
             "keys": {**task.model_dump(mode="json"), "render_mode": self.render_mode},
-            "memory": self._observations.descriptor,
-            "observations": self._observations.form,
+            "memory": self._observations.memory,
+            "form": self._observations.form,
             "autoreset": self.metadata["autoreset_mode"].value,
         }
         self._slots = EnvironmentProcesses(options, num_envs, self.processes)
@@ -80,14 +154,13 @@ class EnvironmentBatch(TurnBatch):
     def set_attr(self, name: str, values: object) -> None:
         """Set an attribute to one value or, from a list, to one for each environment."""
         each = values if isinstance(values, (list, tuple)) else [values] * self.num_envs
-        for slot, value in enumerate(each):
-            self.set_each(name, value, [slot])
+        self._slots.request_all("set_attribute", [(name, value) for value in each], range(self.num_envs))
 
     def close_extras(self, **_: object) -> None:
         """End the processes."""
         if hasattr(self, "_slots"):
             self._slots.close()
-            os.close(self._observations.descriptor)
+            os.close(self._observations.memory)
 
     def __del__(self) -> None:
         self.close()
@@ -111,8 +184,8 @@ class EnvironmentBatch(TurnBatch):
         rewards, terminated, truncated, infos, lasts = zip(*self._slots.answers(which), strict=True)
         for slot, info, last in zip(which, infos, lasts, strict=True):
             if last is not None:
-                info |= {"final_obs": copied(rows_of(self._observations.last, slot)), "final_info": last}
-        seen = rows_of(self._observations.present, which)
+                info |= {"final_obs": mapped(np.copy, select(self._observations.last, slot)), "final_info": last}
+        seen = select(self._observations.present, which)
         return seen, np.array(rewards), np.array(terminated), np.array(truncated), list(infos)
 
     def reset_each(self, seeds: Sequence[int | None], options: Sequence[Mapping[str, object] | None]) -> list[Info]:
@@ -134,21 +207,9 @@ class EnvironmentBatch(TurnBatch):
         slot = self._slots.first_answered()
         return slot, self._slots.answer(slot)
 
-    def set_each(self, name: str, value: object, slots: Sequence[int] | None = None) -> None:
-        """Set an attribute of `slots`, by default all, to a value."""
-        self._slots.request_all("set_attribute", [(name, value)] * len(self._all(slots)), self._all(slots))
-
     def observations(self) -> Observation:
         """Return the present observations of all environments."""
-        return copied(self._observations.present)
+        return mapped(np.copy, self._observations.present)
 
     def _all(self, slots: Sequence[int] | None) -> Sequence[int]:
         return range(self.num_envs) if slots is None else slots
-
-
-def _check(num_envs: int, processes: int | None, timing: str) -> None:
-    whole_number("num_envs", num_envs, MOST_GAMES)
-    if processes is not None:
-        whole_number("processes", processes, MOST_PROCESSES)
-    if timing == "wall" and num_envs > 1:
-        raise UserError("timing = 'wall': a batch flies in virtual or lockstep, neighbours would disturb the clock")

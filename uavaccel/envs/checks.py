@@ -1,18 +1,23 @@
-"""Checks of what callers of an environment, or of a batch, pass: keywords, actions, reset options and seeds."""
+"""Checks of what callers of an environment or a batch pass, and of the functions of a task of one's own."""
 
 from __future__ import annotations
 
+import json
+import math
 from collections.abc import Mapping, Sequence
-from typing import TypeVar
+from dataclasses import replace
+from numbers import Real
+from typing import Any, TypeVar, get_args
 
 import numpy as np
 from gymnasium import spaces
-from gymnasium.vector import AutoresetMode
 
 from uavaccel.config import validate
 from uavaccel.envs.task import Task
-from uavaccel.envs.values import Action, Actions
+from uavaccel.envs.values import AT_REST, Action, Actions, Moment
 from uavaccel.errors import UserError
+from uavaccel.kinematics import FlightGoal, Kinematics
+from uavaccel.own_code import errors_named, file_of
 
 TaskT = TypeVar("TaskT", bound=Task)
 RENDER_MODES = ["rgb_array"]
@@ -72,15 +77,6 @@ def whole_number(name: str, value: object, most: int) -> int:
     return int(value)
 
 
-def autoreset_of(mode: AutoresetMode | str) -> AutoresetMode:
-    """Return the mode of that name. Raises UserError for an unknown one."""
-    try:
-        return AutoresetMode(mode)
-    except ValueError:
-        known = ", ".join(each.value for each in AutoresetMode)
-        raise UserError(f"autoreset_mode = {mode!r} is unknown; there are {known}") from None
-
-
 def known_options(options: Mapping[str, object] | None, known: Sequence[str]) -> Mapping[str, object]:
     """Return the options of a reset. Raises UserError for no mapping, and for one that is not among the `known`."""
     if options is None:
@@ -110,3 +106,86 @@ def seeds_of(seed: int | Sequence[int | None] | None, count: int) -> list[int | 
     if len(seed) != count:
         raise UserError(f"reset: seed: {len(seed)} seeds for {count} environments")
     return [seed_of(each) for each in seed]
+
+
+class Functions:
+    """The functions of a task; what goes wrong in one is a UserError that names file, class and function."""
+
+    def __init__(self, task: Task) -> None:
+        self._task, self._file = task, file_of(type(task))
+
+    def __call__(self, name: str, *arguments: object) -> Any:
+        try:
+            with errors_named(self._file):
+                return getattr(self._task, name)(*arguments)
+        except UserError as error:
+            raise error if str(error).startswith(str(self._file)) else self.wrong(name, str(error)) from error
+        except Exception as error:  # of the call itself, as for a wrong number of arguments
+            raise self.wrong(name, f"{type(error).__name__}: {error}") from error
+
+    def mapping(self, name: str, *arguments: object) -> Mapping[str, Any]:
+        if not isinstance(returned := self(name, *arguments), Mapping):
+            raise self.wrong(name, f"returned {returned!r}: must be a mapping")
+        return returned
+
+    def wrong(self, name: str, what: str) -> UserError:
+        place = "" if self._file is None else f"{self._file}: "
+        return UserError(f"{place}{type(self._task).__name__}.{name.removeprefix('lane_')}: {what}")
+
+
+def check_functions(task: Task) -> None:
+    """Call each function of a task at the start of a game. Raises UserError for one that fails or returns nonsense."""
+    call, kind = Functions(task), type(task)
+    if kind.reward is Task.reward:
+        raise call.wrong("reward", "is missing: def reward(self, before, now), which returns a command's reward")
+    actions = call("action_space")
+    if not (isinstance(actions, spaces.Discrete) or (isinstance(actions, spaces.Box) and len(actions.shape) == 1)):
+        raise call.wrong("action_space", f"must return a Discrete, or a Box of shape (n,), not {actions!r}")
+    course = call.mapping("sample", np.random.default_rng(0), {})
+    try:
+        json.dumps(course)
+    except (TypeError, ValueError) as error:
+        raise call.wrong("sample", f"must return plain numbers, and lists and mappings of them: {error}") from error
+    call("lane_layout", course)
+    state = replace(AT_REST, position_m=(0.0, 0.0, -task.altitude_m))
+    _check_features(task, call, state, course)
+    actions.seed(0)
+    action = actions.sample()
+    goal = call("goal", action.astype(np.float64) if isinstance(actions, spaces.Box) else action)
+    if not isinstance(goal, get_args(FlightGoal)):
+        raise call.wrong("goal", f"must return a goal of uavaccel.kinematics, such as VelocityGoal, not {goal!r}")
+    begun = Moment(state, state.position_m, None, 0, course)
+    now = begun._replace(commands=1)
+    now = now._replace(course=call.mapping("advance", begun, now))
+    for name in ("success", "failure"):
+        if not isinstance(ended := call(name, now), bool | np.bool_):
+            raise call.wrong(name, f"returned {ended!r}: must be True or False")
+    check_reward(task, call("reward", begun, now))
+    call.mapping("info", now)
+
+
+def _check_features(task: Task, call: Functions, state: Kinematics, course: Mapping[str, Any]) -> None:
+    if task.observation != "state" and not task.also_state:
+        return
+    name = "fields" if type(task).features is Task.features else "features"
+    try:
+        numbers = np.asarray(call(name, state, course), np.float32)
+    except (TypeError, ValueError) as error:
+        said = str(error).partition(". ")[0]
+        raise call.wrong(name, f"must return numbers, in lists of equal length: {said}") from error
+    if not np.isfinite(numbers).all():
+        raise call.wrong(name, f"returned a number that is not finite: {numbers.tolist()}")
+    space = call("observation_space")
+    seen = np.concatenate([task.features(state, course)] * task.frames_per_command * task.history).shape
+    if task.observation == "state" and space.shape != seen:
+        raise call.wrong(name, f"observations are of shape {seen}, in observation_space of {space.shape}")
+
+
+def check_reward(task: Task, reward: Any) -> None:
+    """Raise UserError for a reward, or an array of rewards, that is no finite number."""
+    if isinstance(reward, np.ndarray):
+        wrong: list[Any] = reward[~np.isfinite(reward)].tolist()
+    else:
+        wrong = [] if isinstance(reward, Real) and math.isfinite(reward) else [reward]
+    if wrong:
+        raise Functions(task).wrong("reward", f"returned {wrong[0]!r}: must be a finite number")

@@ -13,15 +13,15 @@ import numpy as np
 import torch as th
 from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv
-from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from uavaccel.envs.arrays import mapped
-from uavaccel.envs.checks import ROUNDING, autoreset_of, make_task, seeds_of
+from uavaccel.envs.batch import set_up
+from uavaccel.envs.checks import ROUNDING, seeds_of
 from uavaccel.envs.cuda_games import SampledAhead
 from uavaccel.envs.cuda_lanes import CudaLanes
 from uavaccel.envs.flight_env import FlightEnv
-from uavaccel.envs.flyable import CUDA, check_flyable
+from uavaccel.envs.simulators import CUDA
 from uavaccel.envs.values import State
 from uavaccel.errors import UserError
 
@@ -51,17 +51,11 @@ class CudaBatch(VectorEnv[Any, Any, Any]):
         autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
         **keys: Any,
     ) -> None:
-        self.task: Any = make_task(environment.task_class, keys, environment.__name__)
-        check_flyable(self.task, num_envs, CUDA)
-        if autoreset_of(autoreset_mode) != AutoresetMode.SAME_STEP:
+        task = set_up(self, environment, num_envs, autoreset_mode, keys)
+        if self.metadata["autoreset_mode"] != AutoresetMode.SAME_STEP:
             raise UserError("autoreset_mode: with device = cuda it is SameStep")
-        self.num_envs, self.render_mode, self.device = num_envs, None, th.device(DEVICE)
-        self.metadata = {**environment.metadata, "autoreset_mode": AutoresetMode.SAME_STEP}
-        self.single_observation_space = self.task.observation_space()
-        self.single_action_space = self.task.action_space()
-        self.observation_space = batch_space(self.single_observation_space, num_envs)
-        self.action_space = batch_space(self.single_action_space, num_envs)
-        self._lanes = CudaLanes(self.task, num_envs, self.device, reports=True)
+        self.render_mode, self.device = None, th.device(DEVICE)
+        self._lanes = CudaLanes(task, num_envs, self.device, reports=True)
         self._fly = self._lanes.recorded_flight()
         self._actions = _Actions(self.single_action_space, num_envs, self.device)
         self._unread: deque[tuple[Any, th.Tensor, th.Tensor]] = deque()
@@ -99,7 +93,7 @@ class CudaBatch(VectorEnv[Any, Any, Any]):
         it: the error comes with a later step, and meanwhile its actions have been clipped.
         """
         lanes = self._lanes
-        if not lanes.has_begun:
+        if not lanes.games.has_games:
             raise UserError("reset the environments before their first step")
         self._fly(self._actions.checked(actions))
         self._read_an_earlier_step()
@@ -109,10 +103,10 @@ class CudaBatch(VectorEnv[Any, Any, Any]):
         ended = lanes.rewards.clone(), lanes.terminated.clone(), lanes.truncated.clone()
         return mapped(th.clone, lanes.observations), *ended, infos
 
-    def charge_each(self, durations_ns: NDArray[np.int64]) -> None:
+    def charge_each(self, durations_ns: NDArray[np.int64], phase: str = "inference") -> None:
         """In timing `virtual`, charge each environment (N,) for its agent's work since its last command."""
         if self._lanes.clocks is not None and self.task.timing == "virtual":
-            self._lanes.clocks.charge(th.as_tensor(durations_ns, device=self.device), "inference")
+            self._lanes.clocks.charge(th.as_tensor(durations_ns, device=self.device), phase)
 
     def _read_an_earlier_step(self) -> None:
         """Let games be sampled where they have begun, and check the actions, of the step some steps ago."""

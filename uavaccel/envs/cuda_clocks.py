@@ -12,11 +12,10 @@ import numpy as np
 import torch as th
 
 from uavaccel.envs.cuda_view import View
-from uavaccel.envs.kernel_plan import plan_of
+from uavaccel.envs.kernel_games import plan_of
 from uavaccel.envs.stopwatch import PHASES
 from uavaccel.envs.task import Task
 from uavaccel.kernels import cuda as kernels
-from uavaccel.kernels import cuda_clocks as clock_kernels
 from uavaccel.kernels import timeline
 from uavaccel.kernels.fields import STATE
 
@@ -38,7 +37,7 @@ class DeviceClocks:
         self._timing_tensors, self._timing = kernels.on_device(plan.timing, device)
         clocks = timeline.clocks(count, task.frames_per_command)
         self.tensors, self._clocks = kernels.on_device(clocks, device)
-        self._kernels, self._now, self._view, self._advance = clock_kernels.compiled(), now, view, advance
+        self._now, self._view, self._advance = now, view, advance
         self._count, self._hold_ticks = count, plan.hold_ticks
         rules = plan.timing.rules
         self.guards, self._stale = bool(rules[timeline.GUARDED]), bool(rules[timeline.STALE_POSE])
@@ -50,7 +49,9 @@ class DeviceClocks:
 
     def begin(self, renewed: th.Tensor, rows: th.Tensor, scales: th.Tensor, games: Any) -> None:
         """Start the clocks of games in `rows` (L,), with these latency scales, up to their first image."""
-        self._run("begin", renewed, kernels.shared(rows), kernels.shared(scales), games, self._timing, self._clocks)
+        self._run(
+            "begin_clocks", renewed, kernels.shared(rows), kernels.shared(scales), games, self._timing, self._clocks
+        )
 
     def show_start(self, renewed: th.Tensor) -> None:
         """Account for the first image, and prepare the simulation for the first command."""
@@ -108,13 +109,13 @@ class DeviceClocks:
             to_shown = th.zeros_like(self._legs)
             self._run("split", which, self._now, self._clocks, legs, kernels.shared(to_shown))
             self._advance(which, to_shown.clamp(min=0))
-            self._run("keep", which, self._now, self._clocks, kernels.shared(to_shown))
+            self._run("save_shown", which, self._now, self._clocks, kernels.shared(to_shown))
         self._advance(which, self._legs)
 
     def _swap_displayed_pose(self) -> None:
         """Swap the lanes' poses with those that images show; a second call restores both."""
         if self._stale:
-            self._run("turn", self._rendering, self._now, self._clocks)
+            self._run("turn_to_shown", self._rendering, self._now, self._clocks)
 
     def _brightness(self, which: th.Tensor) -> Any:
         """Return the sums of levels (L, 3) by which the guard judges images."""
@@ -124,4 +125,4 @@ class DeviceClocks:
 
     def _run(self, name: str, which: th.Tensor, *arguments: Any) -> None:
         grid = kernels.grid(self._count, kernels.FLYING_THREADS)
-        getattr(self._kernels, name)[grid](kernels.shared(which), *arguments)
+        getattr(self._view.kernels, name)[grid](kernels.shared(which), *arguments)

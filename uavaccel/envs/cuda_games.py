@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, TypeGuard
+from typing import Any
 
 import numpy as np
 import torch as th
@@ -28,7 +28,7 @@ from uavaccel.kernels import clutter_games, lane_games
 from uavaccel.kernels import cuda as kernels
 from uavaccel.kernels.fields import NO_APPEARANCE, Appearance
 from uavaccel.kernels.scene import Scene
-from uavaccel.sim.lane.layout import WIDTH_M, lane_seed
+from uavaccel.sim.lane import WIDTH_M, lane_seed
 from uavaccel.sim.pcg64 import stream_of
 from uavaccel.units import plain
 
@@ -72,29 +72,24 @@ class LaneGames:
 
 
 def games_of(task: Task, count: int, device: th.device) -> Dealt | SampledAhead:
-    """Return the games of a task's lanes, dealt on the device if they can be."""
-    if isinstance(task, NavigateTask) and _samples_as(task, NavigateTask):
+    """Return the games of a task's lanes, dealt on the device if they are sampled as the shipped tasks' are."""
+
+    def samples_as(kind: type[Task], *more: str) -> bool:
+        sampled = ("sample", "sample_conditions", "with_conditions", "layout", "lane_layout", "events_seed", *more)
+        return isinstance(task, kind) and all(getattr(type(task), name) is getattr(kind, name) for name in sampled)
+
+    if samples_as(NavigateTask):
         return DealtClutter(task, count, device)
-    return Dealt(task, count, device) if is_dealt(task) else SampledAhead(task, count, device)
-
-
-def is_dealt(task: Task) -> TypeGuard[LaneTask]:
-    """Return whether a task's games are lanes sampled as `LaneTask` samples them, under the same conditions."""
-    if not isinstance(task, LaneTask) or task.lane is not None or task.randomise is not None:
-        return False
-    return _samples_as(task, LaneTask, "wire_lane")
-
-
-def _samples_as(task: Task, kind: type[Task], *more: str) -> bool:
-    """Return whether a task samples its games as `kind` does."""
-    sampled = ("sample", "sample_conditions", "with_conditions", "layout", "lane_layout", "events_seed", *more)
-    return all(getattr(type(task), name) is getattr(kind, name) for name in sampled)
+    drawn = isinstance(task, LaneTask) and task.lane is None and task.randomise is None
+    return (
+        Dealt(task, count, device) if drawn and samples_as(LaneTask, "wire_lane") else SampledAhead(task, count, device)
+    )
 
 
 class Dealt(LaneGames):
     """Games of the obstacle lane that a kernel samples when they are needed; lane i flies row i."""
 
-    def __init__(self, task: LaneTask | NavigateTask, count: int, device: th.device) -> None:
+    def __init__(self, task: Task, count: int, device: th.device) -> None:
         super().__init__(task, count, device, 1)
         self._any = drawn = self.maker.sample(np.random.default_rng(0), 0)
         self.maker.write(drawn, self._host, 0)
@@ -108,9 +103,19 @@ class Dealt(LaneGames):
         self.has_games = False
 
     def _allocate_deals(self, task: Any) -> None:
+        of, numbers = task.difficulty, np.zeros(lane_games.NUMBERS)
         obstacles = len(self._any.layout) if self._any.layout is not None else 0
-        wearing = self.maker.looks.wearing if isinstance(self.maker.looks, Appearance) else NO_APPEARANCE.wearing
-        distribution = lane_games.Distribution(_numbers_of(task, obstacles), wearing)
+        numbers[lane_games.FIRST_SEED] = lane_seed(task.split, 0)
+        numbers[lane_games.PER_ROW] = of.obstacles_per_row
+        numbers[lane_games.ROWS] = obstacles // max(of.obstacles_per_row, 1)
+        numbers[lane_games.SLACK_M] = WIDTH_M - max(of.obstacles_per_row - 1, 0) * of.pitch_m
+        numbers[lane_games.PITCH_M], numbers[lane_games.VARIED] = of.pitch_m, of.texture_variation
+        low, high = of.light
+        numbers[lane_games.LIGHT_LOW], numbers[lane_games.LIGHT_SPAN] = low, high - low
+        numbers[lane_games.WIND_M_S], numbers[lane_games.LIT] = of.wind_m_s, task.observation != "state"
+        numbers[lane_games.NOISY_EVENTS] = task.events_seed(1)
+        looks = self.maker.looks if isinstance(self.maker.looks, Appearance) else NO_APPEARANCE
+        distribution = lane_games.Distribution(numbers, looks.wearing)
         self._memory, self._distribution = kernels.on_device(distribution, self.device)
         self._tensors, self._deals = kernels.on_device(lane_games.deals(self.count), self.device)
         self.starts = {"lane": self._tensors.indices}
@@ -175,7 +180,13 @@ class DealtClutter(Dealt):
     """Games of Navigate, dealt in the same way."""
 
     def _allocate_deals(self, task: Any) -> None:
-        distribution = clutter_games.Distribution(_numbers_of_goals(task), task.clutter.numbers())
+        numbers, (near_m, far_m) = np.zeros(clutter_games.NUMBERS), task.goal_m
+        numbers[clutter_games.FIRST_SEED] = lane_seed(task.split, 0)
+        numbers[clutter_games.NOISY_EVENTS] = task.events_seed(1)
+        numbers[clutter_games.NEAR_M], numbers[clutter_games.SPAN_M] = near_m, far_m - near_m
+        numbers[clutter_games.ASIDE_RAD] = math.radians(task.goal_bearing_deg)
+        numbers[clutter_games.ALTITUDE_M] = task.altitude_m
+        distribution = clutter_games.Distribution(numbers, task.clutter.numbers())
         self._memory, self._distribution = kernels.on_device(distribution, self.device)
         deals = clutter_games.deals(self.count, task.clutter.shapes)
         self._tensors, self._deals = kernels.on_device(deals, self.device)
@@ -188,32 +199,6 @@ class DealtClutter(Dealt):
     def found(self, lane: int, label: int) -> Drawn:
         """Return a lane's present game, by its label."""
         return self._any._replace(course={"world": label, "goal_m": self._tensors.goals[lane].tolist()})
-
-
-def _numbers_of_goals(task: NavigateTask) -> NDArray[np.float64]:
-    """Return a task's numbers for kernels/clutter_games.Distribution."""
-    numbers, (near_m, far_m) = np.zeros(clutter_games.NUMBERS), task.goal_m
-    numbers[clutter_games.FIRST_SEED] = lane_seed(task.split, 0)
-    numbers[clutter_games.NOISY_EVENTS] = task.events_seed(1)
-    numbers[clutter_games.NEAR_M], numbers[clutter_games.SPAN_M] = near_m, far_m - near_m
-    numbers[clutter_games.ASIDE_RAD] = math.radians(task.goal_bearing_deg)
-    numbers[clutter_games.ALTITUDE_M] = task.altitude_m
-    return numbers
-
-
-def _numbers_of(task: LaneTask, obstacles: int) -> NDArray[np.float64]:
-    """Return a task's numbers for kernels/lane_games.Distribution."""
-    of, numbers = task.difficulty, np.zeros(lane_games.NUMBERS)
-    numbers[lane_games.FIRST_SEED] = lane_seed(task.split, 0)
-    numbers[lane_games.PER_ROW] = of.obstacles_per_row
-    numbers[lane_games.ROWS] = obstacles // max(of.obstacles_per_row, 1)
-    numbers[lane_games.SLACK_M] = WIDTH_M - max(of.obstacles_per_row - 1, 0) * of.pitch_m
-    numbers[lane_games.PITCH_M], numbers[lane_games.VARIED] = of.pitch_m, of.texture_variation
-    low, high = of.light
-    numbers[lane_games.LIGHT_LOW], numbers[lane_games.LIGHT_SPAN] = low, high - low
-    numbers[lane_games.WIND_M_S], numbers[lane_games.LIT] = of.wind_m_s, task.observation != "state"
-    numbers[lane_games.NOISY_EVENTS] = task.events_seed(1)
-    return numbers
 
 
 class SampledAhead(LaneGames):
@@ -231,13 +216,10 @@ class SampledAhead(LaneGames):
         self.rows, self.arrays = self._on_device()
         self.available = th.zeros(count, dtype=th.int64, device=device)
         self._generators: list[Any] = [None] * count
-        self._games = [0] * count
+        self._games, self._written = [0] * count, [0] * count
         self._drawn: list[dict[int, Drawn]] = [{} for _ in range(count)]
         # State of the generator before each of these games, and the options that it was sampled with.
-        self._sampled_by: list[dict[int, tuple[Mapping[str, Any], Mapping[str, Any] | None]]] = [
-            {} for _ in range(count)
-        ]
-        self._written = [0] * count
+        self._sampled_by: list[dict[int, tuple[Any, Mapping[str, Any] | None]]] = [{} for _ in range(count)]
 
     @property
     def has_games(self) -> bool:
@@ -251,10 +233,9 @@ class SampledAhead(LaneGames):
     def seed(self, seeds: int | Sequence[int | None]) -> None:
         """Seed all lanes anew: lane i with the i-th of several seeds, or with a single seed plus i."""
         self._generators = self.generators(seeds)
-        for lane in range(self.count):
-            self._games[lane] = 0
-            self._drawn[lane].clear()
-            self._written[lane] = 0
+        self._games, self._written = [0] * self.count, [0] * self.count
+        for drawn in self._drawn:
+            drawn.clear()
         self.begun.zero_()
 
     def sample_games(self, options: Sequence[Mapping[str, Any] | None] | None = None) -> None:
@@ -273,10 +254,8 @@ class SampledAhead(LaneGames):
 
     def refill(self, begun: Sequence[int]) -> None:
         """Sample games until all rows are in use again, given how many games each lane has begun; transfer them."""
-        rows = [
-            self._draw(lane) for lane, count in enumerate(begun) for _ in range(self._written[lane], count - 1 + AHEAD)
-        ]
-        self._send(rows)
+        missing = [range(written, count - 1 + AHEAD) for written, count in zip(self._written, begun, strict=True)]
+        self._send([self._draw(lane) for lane, games in enumerate(missing) for _ in games])
 
     def begin(self, idle: th.Tensor, rows: th.Tensor) -> th.Tensor:
         """Return which `idle` lanes (L,) have a game to begin, count it as begun, and write its row to `rows` (L,)."""
@@ -292,15 +271,9 @@ class SampledAhead(LaneGames):
     def get_state(self, lane: int) -> State:
         """Return what a lane's running game and its next ones are sampled from."""
         flown, written = int(self.begun[lane]) - 1, self._written[lane]
-        games = self._games[lane] - (written - flown)
         generator, options = self._sampled_by[lane][flown]
-        return {
-            "drawn_by": json.dumps(generator),
-            "options": json.dumps(options, default=plain),
-            "flown": flown,
-            "written": written,
-            "games": games,
-        }
+        texts = {"drawn_by": json.dumps(generator), "options": json.dumps(options, default=plain)}
+        return {**texts, "flown": flown, "written": written, "games": self._games[lane] - (written - flown)}
 
     def set_state(self, lane: int, state: Mapping[str, Any]) -> None:
         """Sample the games of a state that `get_state` returned again."""

@@ -17,17 +17,16 @@ from uavaccel.envs.cuda_clocks import DeviceClocks
 from uavaccel.envs.cuda_games import games_of
 from uavaccel.envs.cuda_view import view_of
 from uavaccel.envs.flight_env import CONDITIONS
-from uavaccel.envs.flyable import CUDA, check_flyable, passes_together, profile_of
 from uavaccel.envs.judging import COLLISION, TICK, Flown, Judge, Running
-from uavaccel.envs.kernel_plan import plan_of, since_ns_of, slices_of
+from uavaccel.envs.kernel_games import plan_of, since_ns_of, slices_of
+from uavaccel.envs.simulators import CUDA, check_flyable, passes_together, profile_of
 from uavaccel.envs.stopwatch import PHASES
 from uavaccel.envs.task import Mediation
 from uavaccel.envs.values import Info, State
 from uavaccel.kernels import cuda as kernels
-from uavaccel.kernels import cuda_clocks as clock_kernels
 from uavaccel.kernels import lanes
 from uavaccel.kernels.fields import DVS, STATE
-from uavaccel.kernels.flight import TOUCHED
+from uavaccel.kernels.lanes import TOUCHED
 from uavaccel.kernels.recording import recorded
 from uavaccel.sim.vehicle.quadrotor import FLIGHT_DTYPE, KINEMATICS
 from uavaccel.units import NS_PER_S
@@ -71,70 +70,61 @@ class CudaLanes:
         self.view = view_of(task, self.games.maker, count, device, self.games.arrays, self._now_arrays, self._tick_ns)
         self.kind = self.view.kind
         self.judge = Judge(task, self.games.maker.surroundings, self._tick_ns, since_ns_of(task))
-        self.clocks = (
-            None
-            if passes_together(task)
-            else DeviceClocks(task, count, device, self.judge.modes, self._now_arrays, self.view, self._advance)
-        )
-        self.action_space = task.action_space()
+        self.clocks: DeviceClocks | None = None
+        if not passes_together(task):
+            of_lanes = self._now_arrays, self.view, self._advance
+            self.clocks = DeviceClocks(task, count, device, self.judge.modes, *of_lanes)
         self._allocate()
+        self._allocate_commands()
+
+    def _zeros(self, kind: th.dtype, *shape: int) -> th.Tensor:
+        return th.zeros((self.count, *shape), dtype=kind, device=self.device)
 
     def _allocate(self) -> None:
-        count, task, device = self.count, self.task, self.device
+        task, zeros = self.task, self._zeros
         self._flight = self.now.state.view(th.float64)  # (L, columns): FLIGHT_DTYPE as float64
         self._ticks_of = self.now.state.view(th.int64)
         blank, space, samples = task.sensor().blank, task.frames_space(), task.frames_per_command
-        kind = th.uint8 if blank.dtype == np.uint8 else th.float32
-        self.blank = th.tensor(blank, device=device)
-        self._pictures = self.blank.expand(samples, count, *blank.shape).clone()
-        seen: Any = th.zeros((count, *space.shape), dtype=kind, device=device)
+        self.blank = th.tensor(blank, device=self.device)
+        self._pictures = self.blank.expand(samples, self.count, *blank.shape).clone()
+        seen: Any = zeros(th.uint8 if blank.dtype == np.uint8 else th.float32, *space.shape)
         if task.also_state:
-            seen = {"image": seen, "state": th.zeros((count, task.told), device=device)}
-        self._rows, whole = (th.zeros(count, dtype=th.int64, device=device) for _ in range(2))
-        numbers = th.zeros((count, KINEMATICS), dtype=th.float64, device=device)
-        taken_ns = th.zeros((count, samples * task.history), dtype=th.int64, device=device)
+            seen = {"image": seen, "state": zeros(th.float32, task.told)}
+        self._rows, whole, numbers = zeros(th.int64), zeros(th.int64), zeros(th.float64, KINEMATICS)
+        taken_ns = zeros(th.int64, samples * task.history)
         running = Running({}, numbers, whole, numbers[:, :3], whole, whole, whole, taken_ns, seen)
         self.running: Running = mapped(th.clone, running)
-        self.going, self._renewed = (th.zeros(count, dtype=th.uint8, device=device) for _ in range(2))
-        self.rewards, self.returns = (th.zeros(count, dtype=th.float64, device=device) for _ in range(2))
-        self.terminated, self.truncated, self.success = (
-            th.zeros(count, dtype=th.bool, device=device) for _ in range(3)
-        )
-        self.ended = th.zeros((count, AT.columns), dtype=th.float64, device=device)
+        self.going, self._renewed = zeros(th.uint8), zeros(th.uint8)
+        self.rewards, self.returns, self._wall_ns = zeros(th.float64), zeros(th.float64), zeros(th.int64)
+        self.terminated, self.truncated, self.success = zeros(th.bool), zeros(th.bool), zeros(th.bool)
+        self.ended = zeros(th.float64, AT.columns)
         self.final_observations = mapped(th.clone, seen) if self.reports else self.observations
         self.final_info: dict[str, Any] = {}
-        self._allocate_commands()
 
     def _allocate_commands(self) -> None:
-        count, task, device = self.count, self.task, self.device
+        task, device, space = self.task, self.device, self.task.action_space()
         self.slices = slices_of(task)
         self._slice_wall_ns = th.tensor(np.cumsum(self.slices.wall_ns), device=device)
         self._ends = th.tensor(self.slices.gap_ticks + np.cumsum(self.slices.ticks), device=device)
         flown = self.slices.ticks.copy()
         flown[self.slices.acts_in] -= self.slices.late_ticks
         every = (*flown.tolist(), self.slices.gap_ticks, self.slices.late_ticks)
-        legs = [th.full((count,), ticks, device=device) for ticks in every]
+        legs = [th.full((self.count,), ticks, device=device) for ticks in every]
         *self._slice_ticks, self._gap_ticks, self._late_ticks = legs
         self._render_stream = kernels.SideStream()
-        concurrent = self.kind != STATE and self.clocks is None and not task.dvs_ticks
-        self._moments = [self._moment() for _ in self.slices.ticks if concurrent]
+        self._moments: list[tuple[th.Tensor, Any]] = []  # copies of the flights, rendered while the lanes fly on
+        if self.kind != STATE and self.clocks is None and not task.dvs_ticks:
+            states = [th.zeros_like(self.now.state) for _ in self.slices.ticks]
+            self._moments = [
+                (state, self._now_arrays._replace(state=kernels.shared(state, FLIGHT_DTYPE))) for state in states
+            ]
         self._mediated = task.mediation != Mediation()
         if self._mediated:
-            self._before, self._before_arrays = kernels.on_device(lanes.flights(count), device)
-            self._take = clock_kernels.compiled().take
+            self._before, self._before_arrays = kernels.on_device(lanes.flights(self.count), device)
             self._hold_ticks = plan_of(task, np.zeros(3), self.judge.modes, self.kind != STATE).hold_ticks
-        space = task.action_space()
-        self._modes = th.tensor(self.judge.modes, device=device)
-        self._goals = th.zeros((count, 4), dtype=th.float64, device=device)
-        kind = getattr(th, np.dtype(space.dtype).name)
-        self._actions = th.zeros((count, *(space.shape or ())), dtype=kind, device=device)
-        self._wall_ns = th.zeros(count, dtype=th.int64, device=device)
+        self._modes, self._goals = th.tensor(self.judge.modes, device=device), self._zeros(th.float64, 4)
+        self._actions = self._zeros(getattr(th, np.dtype(space.dtype).name), *(space.shape or ()))
         self._is_flight = th.tensor([phase == "simulation" for phase in PHASES], device=device)
-
-    def _moment(self) -> tuple[th.Tensor, Any]:
-        """Allocate a copy of the flights, to be rendered while the lanes fly on: states, and numba arrays."""
-        state = th.zeros_like(self.now.state)
-        return state, self._now_arrays._replace(state=kernels.shared(state, FLIGHT_DTYPE))
 
     @property
     def observations(self) -> Any:
@@ -143,18 +133,9 @@ class CudaLanes:
 
     # --- games ------------------------------------------------------------------------------------
 
-    def seed(self, seeds: int | Sequence[int | None]) -> None:
-        """Seed all lanes anew: lane i with the i-th of several seeds, or with a single seed plus i."""
-        self.games.seed(seeds)
-
-    @property
-    def has_begun(self) -> bool:
-        """Whether games have begun."""
-        return self.games.has_games
-
     def begin(self) -> None:
         """Sample and begin the first game of every lane."""
-        if not self.has_begun:
+        if not self.games.has_games:
             self.games.sample_games()
         self.going.zero_()
         self.renew(th.ones(self.count, dtype=th.bool, device=self.device))
@@ -163,7 +144,7 @@ class CudaLanes:
         """Begin the next games of lanes that are `idle` (L,) bool, where there are some."""
         renewed = self.games.begin(idle, self._rows)
         self._renewed.copy_(renewed.byte())
-        self._launch("begin", self._renewed, kernels.shared(self._rows), self.games.arrays, self._now_arrays)
+        self._launch(self.kernels.begin, self._renewed, kernels.shared(self._rows), self.games.arrays, self._now_arrays)
         starts = select(self.games.starts, self._rows)
         if self.games.starts.keys() != self.running.course.keys():
             self.running = self.running._replace(course=mapped(th.clone, starts))
@@ -226,8 +207,11 @@ class CudaLanes:
                 self._fly_recording_events(sample, self.task.dvs_ticks)
             else:
                 self._advance(self.going, ticks)
-                if self.kind != STATE:
-                    self._look_concurrently(sample)
+                if self.kind != STATE:  # what renders the lanes' present images while they fly on
+                    state, now = self._moments[sample]
+                    state.copy_(self.now.state)
+                    with self._render_stream.following():
+                        self.view.render(self.going, self._pictures[sample], now=now)
             states.append(self._flight[:, 1 : 1 + KINEMATICS].clone())
         self._render_stream.join()
         return states
@@ -241,24 +225,16 @@ class CudaLanes:
         self._advance(self.going, self._gap_ticks)
         if start_speed is not None:
             flights = self._before_arrays, start_speed, self.games.arrays, self._now_arrays
-            self._launch("resume", self.going, *flights)
+            self._launch(self.kernels.resume, self.going, *flights)
 
     def _begin_to_act(self) -> None:
         """Let the commands' goals act; only a gap lets position hold take over after them."""
-        goals = kernels.shared(self._goals), kernels.shared(self._modes)
+        goals = kernels.shared(self._goals), kernels.shared(self._modes), self._now_arrays
         if not self._mediated:
-            self._launch("command", self.going, *goals, self._now_arrays)
+            self._launch(self.kernels.command, self.going, *goals)
             return
         self._advance(self.going, self._late_ticks)
-        grid = kernels.grid(self.count, kernels.FLYING_THREADS)
-        self._take[grid](kernels.shared(self.going), self._hold_ticks, *goals, self._now_arrays)
-
-    def _look_concurrently(self, sample: int) -> None:
-        """Render the lanes' present images while they fly on."""
-        state, now = self._moments[sample]
-        state.copy_(self.now.state)
-        with self._render_stream.following():
-            self.view.render(self.going, self._pictures[sample], now=now)
+        self._launch(self.kernels.take, self.going, self._hold_ticks, *goals)
 
     def _fly_recording_events(self, sample: int, every: int) -> None:
         """Fly to a sample with an event camera that records a frame `every` so many ticks."""
@@ -288,20 +264,12 @@ class CudaLanes:
 
     def _advance(self, which: th.Tensor, ticks: th.Tensor) -> None:
         """Fly the lanes selected by `which` (L,) uint8 for `ticks` (L,) int64."""
-        grid = kernels.grid(self.count * self._threads, kernels.FLYING_THREADS)
-        self.kernels.fly[grid](
-            kernels.shared(which),
-            kernels.shared(ticks),
-            self.games.arrays,
-            self._now_arrays,
-            self.view.plan.hull,
-            self._threads,
-        )
+        flown = kernels.shared(ticks), self.games.arrays, self._now_arrays, self.view.plan.hull, self._threads
+        self._launch(self.kernels.fly, which, *flown, threads=self._threads)
 
-    def _launch(self, name: str, which: th.Tensor, *arguments: Any) -> None:
-        """Launch a kernel with one thread per lane."""
-        grid = kernels.grid(self.count, kernels.FLYING_THREADS)
-        getattr(self.kernels, name)[grid](kernels.shared(which), *arguments)
+    def _launch(self, kernel: Any, which: th.Tensor, *arguments: Any, threads: int = 1) -> None:
+        """Launch a kernel, with one thread per lane or more."""
+        kernel[kernels.grid(self.count * threads, kernels.FLYING_THREADS)](kernels.shared(which), *arguments)
 
     # --- after it ---------------------------------------------------------------------------------
 
@@ -363,16 +331,11 @@ class CudaLanes:
         outcome[:, AT.wall_ns], outcome[:, AT.reward] = self._wall_ns.double(), self.returns
         outcome[:, AT.label], outcome[:, AT.phase_ns :] = self.games.label.double(), self._phases_ns.double()
 
-    # --- saving, with the methods of Stable-Baselines3's VecEnv --------------------------------------
+    # --- saving -----------------------------------------------------------------------------------
 
     @property
     def num_envs(self) -> int:
         return self.count
-
-    def env_method(self, name: str, *arguments: Any, indices: Sequence[int] | None = None) -> list[Any]:
-        """Call `get_state`, or `set_state` with a state, of the lanes `indices`, by default all."""
-        which = range(self.count) if indices is None else indices
-        return [getattr(self, name)(lane, *arguments) for lane in which]
 
     def get_state(self, lane: int) -> State:
         """Return a lane's running game, and what its next ones are sampled from, for np.savez."""

@@ -8,9 +8,9 @@ from typing import Any
 
 import torch as th
 
-from uavaccel.envs.flyable import kind_of
 from uavaccel.envs.kernel_games import GameMaker
 from uavaccel.envs.sensors import blank_frame
+from uavaccel.envs.simulators import kind_of
 from uavaccel.envs.task import Task
 from uavaccel.kernels import cuda as kernels
 from uavaccel.kernels import events, tiles
@@ -27,23 +27,26 @@ class View(ABC):
     def __init__(
         self, task: Task, maker: GameMaker, count: int, device: th.device, games: Any, now: Any, tick_ns: int
     ) -> None:
-        self.kind, self._count, self._tick_ns = kind_of(task), count, tick_ns
-        self._kernels, self._games, self._now = kernels.compiled(maker.nominal), games, now
+        self.kind, self._count, self._device, self._tick_ns = kind_of(task), count, device, tick_ns
+        self.kernels, self._games, self._now = kernels.compiled(maker.nominal), games, now
         parameters, size = task.dvs_parameters, task.picture_size[::-1]
         frame = blank_frame("dvs", task.picture_size).shape[1:]
         self._size, self._frame, self._side = size, frame, size[0] // frame[0]
-        self.pixels, self._pixels = kernels.on_device(
-            events.pixels_of(count if self.kind == DVS else 0, parameters, size, frame), device
-        )
+        pixels = events.pixels_of(count if self.kind == DVS else 0, parameters, size, frame)
+        self.pixels, self._pixels = kernels.on_device(pixels, device)
         looks, looks_arrays = kernels.on_device(maker.looks, device)
-        sensor, sensor_arrays = kernels.on_device(
-            events.sensor_of(sample_pixels(parameters, size, task.dvs_seed)), device
-        )
+        draws = events.sensor_of(sample_pixels(parameters, size, task.dvs_seed))
+        sensor, sensor_arrays = kernels.on_device(draws, device)
         hull = th.tensor(maker.surroundings.hull, device=device)
         self.plan = kernels.Plan(
             kernels.shared(hull), looks_arrays.texels, looks_arrays.textures, looks_arrays, sensor_arrays
         )
-        self._memory = looks, sensor, hull  # keeps alive what the plan's numba arrays refer to
+        self._memory = [looks, sensor, hull]  # keeps alive what numba arrays refer to
+        self._allocate()
+
+    @abstractmethod
+    def _allocate(self) -> None:
+        """Allocate what the cameras of a kind need."""
 
     @abstractmethod
     def start(self, which: th.Tensor) -> None:
@@ -61,20 +64,23 @@ class View(ABC):
     def add_levels(self, which: th.Tensor, sums: th.Tensor) -> None:
         """Write the sums (L, 3) int64 of red, green and blue over the latest images, or of grey, then -1 twice."""
 
+    def _kernel(self, name: str, threads: int, per_block: int = kernels.SEEING_THREADS) -> Any:
+        """Return a kernel, to be launched with so many threads a lane."""
+        return getattr(self.kernels, name)[kernels.grid(self._count * threads, per_block)]
+
     def _finish(self, which: Any, now: Any) -> None:
-        per_lane = kernels.grid(self._count, kernels.FLYING_THREADS)
-        self._kernels.finish[per_lane](which, self._tick_ns, now, self._pixels)
+        self._kernel("finish", 1, kernels.FLYING_THREADS)(which, self._tick_ns, now, self._pixels)
 
 
 class SceneView(View):
     """Cameras in still scenes, by rays (kernels/casting), in pictures of any size."""
 
-    def __init__(
-        self, task: Task, maker: GameMaker, count: int, device: th.device, games: Any, now: Any, tick_ns: int
-    ) -> None:
-        super().__init__(task, maker, count, device, games, now, tick_ns)
-        self.sight, self._sight = kernels.on_device(tiles.sight_of(count, games.scenes.shapes.shape[1]), device)
-        self._gray = th.zeros((count if self.kind == DVS else 0, *self._size), dtype=th.uint8, device=device)
+    def _allocate(self) -> None:
+        sight = tiles.sight_of(self._count, self._games.scenes.shapes.shape[1])
+        memory, self._sight = kernels.on_device(sight, self._device)
+        self._memory.append(memory)
+        seen = self._count if self.kind == DVS else 0
+        self._gray = th.zeros((seen, *self._size), dtype=th.uint8, device=self._device)
 
     def start(self, which: th.Tensor) -> None:
         going, gray = self._look(which, self._now), kernels.shared(self._gray)
@@ -90,8 +96,7 @@ class SceneView(View):
             return
         seeing = kernels.shared(self._gray), self.plan.sensor, self._games, now, self._pixels
         blocks = -(-self._size[0] * self._size[1] // BLOCK_SIDE)
-        threads = kernels.grid(self._count * blocks, kernels.SEEING_THREADS)
-        self._kernels.cast_events[threads](going, self._tick_ns, *seeing)
+        self._kernel("cast_events", blocks)(going, self._tick_ns, *seeing)
         self._finish(going, now)
         if take:
             self._launch("take_frames", self._frame)(going, now, self._pixels, kernels.shared(frames[:, 0]))
@@ -99,8 +104,7 @@ class SceneView(View):
     def _look(self, which: th.Tensor, now: Any) -> Any:
         """Find what the cameras may see, and for event cameras what they see in grey; return the selected lanes."""
         going, seen = kernels.shared(which), (self.plan.appearance, self._games, now, self._sight)
-        a_lane = kernels.grid(self._count * kernels.DEALING_THREADS, kernels.DEALING_THREADS)
-        self._kernels.look[a_lane](going, self._size, *seen)
+        self._kernel("look", kernels.DEALING_THREADS, kernels.DEALING_THREADS)(going, self._size, *seen)
         if self.kind == DVS:
             self._launch("cast_gray", self._size)(going, *seen, kernels.shared(self._gray))
         return going
@@ -109,28 +113,25 @@ class SceneView(View):
         self.render(which, frames)
 
     def add_levels(self, which: th.Tensor, sums: th.Tensor) -> None:
-        """Raise NotImplementedError: what the guard judges is refused before (envs/flyable)."""
+        """Raise NotImplementedError: what the guard judges is refused before (envs/simulators)."""
         raise NotImplementedError
 
     def _launch(self, name: str, size: Sequence[int]) -> Any:
-        tiles = -(-size[0] // 4) * -(-size[1] // 8)
-        return getattr(self._kernels, name)[kernels.grid(self._count * tiles * kernels.WARP, kernels.SEEING_THREADS)]
+        return self._kernel(name, -(-size[0] // 4) * -(-size[1] // 8) * kernels.WARP)
 
 
 class LaneView(View):
     """Cameras in the obstacle lane, in pictures of 256 x 144: projection of the scenes' faces."""
 
-    def __init__(
-        self, task: Task, maker: GameMaker, count: int, device: th.device, games: Any, now: Any, tick_ns: int
-    ) -> None:
-        super().__init__(task, maker, count, device, games, now, tick_ns)
-        rendered = count if self.kind != STATE else 1
-        self._faces = th.zeros((rendered, kernels.SLOTS, FIELDS), device=device)
-        self._shown = th.zeros((rendered, ROWS, COLUMNS), dtype=th.int16, device=device)
+    def _allocate(self) -> None:
+        rendered = self._count if self.kind != STATE else 1
+        self._faces = th.zeros((rendered, kernels.SLOTS, FIELDS), device=self._device)
+        self._shown = th.zeros((rendered, ROWS, COLUMNS), dtype=th.int16, device=self._device)
 
     def start(self, which: th.Tensor) -> None:
         self._project(which, self._now)
-        self._launch_quads("start")(*self._looked_at(which), self.plan, self._games, self._now, self._pixels)
+        seen = self.plan, self._games, self._now, self._pixels
+        self._kernel("start", kernels.SEEING_THREADS_A_LANE)(*self._looked_at(which), *seen)
 
     def render(self, which: th.Tensor, frames: th.Tensor, take: bool = True, now: Any = None) -> None:
         now = now or self._now
@@ -140,8 +141,8 @@ class LaneView(View):
             return
         going, faces, shown = self._looked_at(which)
         seen = (faces, shown, self.plan, self._games, now, self._pixels, kernels.shared(frames[:, 0]))
-        self._launch_quads("see")(going, int(take), *seen)
-        self._launch_quads("see_noise")(going, self._tick_ns, int(take), *seen)
+        self._kernel("see", kernels.SEEING_THREADS_A_LANE)(going, int(take), *seen)
+        self._kernel("see_noise", kernels.SEEING_THREADS_A_LANE)(going, self._tick_ns, int(take), *seen)
         self._finish(going, now)
 
     def show(self, which: th.Tensor, frames: th.Tensor) -> None:
@@ -153,27 +154,20 @@ class LaneView(View):
         pictures = (*self._looked_at(which), self.plan, kernels.shared(sums))
         if self.kind == DVS:
             sums[:, 1:] = -1
-            self._launch_quads("add_grey")(*pictures)
+            self._kernel("add_grey", kernels.SEEING_THREADS_A_LANE)(*pictures)
             return
-        grid = kernels.grid(self._count * COLUMNS, kernels.COLUMN_THREADS)
-        self._kernels.add_colours[grid](*pictures)
+        self._kernel("add_colours", COLUMNS, kernels.COLUMN_THREADS)(*pictures)
 
     def _show(self, which: th.Tensor, frames: th.Tensor, now: Any) -> None:
         going, faces, shown = self._looked_at(which)
-        grid = kernels.grid(self._count * kernels.BLOCKS, kernels.SEEING_THREADS)
         picture = (faces, shown, self.plan, self._games, now, kernels.shared(frames))
-        self._kernels.show[grid](going, self.kind, self._tick_ns, *picture)
+        self._kernel("show", kernels.BLOCKS)(going, self.kind, self._tick_ns, *picture)
 
     def _project(self, which: th.Tensor, now: Any) -> None:
-        grid = kernels.grid(self._count * kernels.WARP, kernels.SEEING_THREADS)
         going, faces, shown = self._looked_at(which)
-        self._kernels.project[grid](going, self.kind != DEPTH, self.plan.appearance, self._games, now, faces)
-        grid = kernels.grid(self._count * COLUMNS, kernels.COLUMN_THREADS)
-        self._kernels.find[grid](going, faces, shown)
-
-    def _launch_quads(self, name: str) -> Any:
-        grid = kernels.grid(self._count * kernels.SEEING_THREADS_A_LANE, kernels.SEEING_THREADS)
-        return getattr(self._kernels, name)[grid]
+        seen = self.kind != DEPTH, self.plan.appearance, self._games, now, faces
+        self._kernel("project", kernels.WARP)(going, *seen)
+        self._kernel("find", COLUMNS, kernels.COLUMN_THREADS)(going, faces, shown)
 
     def _looked_at(self, which: th.Tensor) -> tuple[Any, Any, Any]:
         """Return the selected lanes, their faces, and the face that each pixel shows, as numba arrays."""

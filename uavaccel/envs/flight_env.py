@@ -18,25 +18,41 @@ from numpy.typing import NDArray
 
 from uavaccel.clock import MonotonicClock
 from uavaccel.commands import COMMANDS
-from uavaccel.envs.checks import RENDER_MODES, TaskT, check_render_mode, known_options, make_task, seed_of, within
-from uavaccel.envs.own_task import check_reward
+from uavaccel.envs.checks import (
+    RENDER_MODES,
+    TaskT,
+    check_render_mode,
+    check_reward,
+    known_options,
+    make_task,
+    seed_of,
+    within,
+)
 from uavaccel.envs.sensors import EventCamera
 from uavaccel.envs.stopwatch import Stopwatch
-from uavaccel.envs.task import Mediation, Moment, Task
-from uavaccel.envs.values import Action, Course, Frame, Info, Observation, State
+from uavaccel.envs.task import Mediation, Task, told_of
+from uavaccel.envs.values import Action, Course, Frame, Info, Moment, Observation, State
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Kinematics
 from uavaccel.sim.camera import gl
 from uavaccel.units import NS_PER_S, plain, seconds_to_ns
 
 if TYPE_CHECKING:  # a task can be made without what flies it
-    from uavaccel.envs.camera_client import FlightClient, FlightSample
+    from uavaccel.envs.camera_client import FlightClient, Sample
     from uavaccel.envs.observer import Observer
     from uavaccel.sim.recording import Recording
-    from uavaccel.wire.client import Client
     from uavaccel.wire.session import Session
 
 CONDITIONS: Final = "conditions"  # key in the course of a game with sampled conditions
+
+
+def sample_game(
+    task: Task, random: np.random.Generator, games: int, options: Mapping[str, object]
+) -> tuple[Course, np.random.SeedSequence]:
+    """Sample the next game of an environment that has had `games` before: its course, and the seed of its latencies."""
+    course, latencies = task.sample(random, options), np.random.SeedSequence(int(random.integers(2**63)))
+    conditions = task.sample_conditions(random, games)
+    return {**course, CONDITIONS: conditions} if conditions else course, latencies
 
 
 class FlightEnv(gymnasium.Env[Observation, Action], Generic[TaskT]):
@@ -85,10 +101,7 @@ class FlightEnv(gymnasium.Env[Observation, Action], Generic[TaskT]):
         options = known_options(options, self.task.reset_options)
         self._games, self._flown = self._games + 1 if seed is None else 1, []
         self._begun, self._options = self._next_game(), options
-        course = self.task.sample(self.np_random, options)
-        latencies = np.random.SeedSequence(int(self.np_random.integers(2**63)))
-        conditions = self.task.sample_conditions(self.np_random, self._games - 1)
-        self._start_game({**course, CONDITIONS: conditions} if conditions else course, latencies)
+        self._start_game(*sample_game(self.task, self.np_random, self._games - 1, options))
         return self._observation(), self._info()
 
     def step(self, action: Action) -> tuple[Observation, float, bool, bool, Info]:
@@ -199,33 +212,22 @@ class FlightEnv(gymnasium.Env[Observation, Action], Generic[TaskT]):
 
     # --- a game -----------------------------------------------------------------------------------
 
-    def _apply_conditions(self, course: Course) -> None:
-        """Let task, sensor and latency model follow the conditions of this game."""
-        before, task = self.episode_task, self.task.with_conditions(course.get(CONDITIONS, {}))
-        self.episode_task = task
-        if task.dvs_parameters != before.dvs_parameters:
-            self.sensor = task.sensor()
-        if task.latency.scale != before.latency.scale and self._session is not None:
-            self._session.set_latency(task.latency)
-
-    def _seed_noise(self, client: FlightClient, seed: int, start_ns: int) -> None:
-        """Seed the noise of this game's pictures and events."""
-        from uavaccel.vision.noise import ImageNoise
-
-        self._noise = client.noise = ImageNoise(self.episode_task.image_noise, seed, start_ns)
-        if isinstance(self.sensor, EventCamera):
-            self.sensor.noise_seed = self.episode_task.events_seed(seed)
-
-    def _opened(self) -> Session:
+    def _opened(self, course: Course) -> Session:
+        """Return the session; task, sensor and latency model follow the conditions of this game."""
         from uavaccel.wire.session import open_session
 
-        task = self.task
+        task, before = self.task, self.episode_task
         if self.sensor.picture is not None:
             gl.check_process()
         if self._session is None:
             self._session = open_session(task.timing, task.profile, task.scene, task.latency)
             if task.dvs_ticks and not task.blank_images:
                 self._session.watch(task.dvs_ticks, self._look)
+        self.episode_task = task = task.with_conditions(course.get(CONDITIONS, {}))
+        if task.dvs_parameters != before.dvs_parameters:
+            self.sensor = task.sensor()
+        if task.latency.scale != before.latency.scale:
+            self._session.set_latency(task.latency)
         return self._session
 
     def _look(self, time_ns: int) -> None:
@@ -244,24 +246,13 @@ class FlightEnv(gymnasium.Env[Observation, Action], Generic[TaskT]):
         """Return a state with the time since the game's start, from which a task and its sensor count."""
         return replace(state, time_ns=state.time_ns - self._began_ns)
 
-    def _connect(self, client: Client, start_ns: int) -> FlightClient:
-        """Wrap the client of a game that began at `start_ns` of its wall clock."""
-        from uavaccel.envs.camera_client import FlightClient
-
-        self._start_ns = start_ns
-        self._stopwatches = [Stopwatch(client.transport.clock)]
-        if self.task.report_host_times:
-            self._stopwatches.append(Stopwatch(MonotonicClock()))
-        self._client = FlightClient(client, self.sensor.picture, self._stopwatches, self.task.picture_size)
-        return self._client
-
     def _start_game(self, course: Course, latencies: np.random.SeedSequence) -> None:
+        from uavaccel.envs.camera_client import FlightClient
         from uavaccel.envs.observer import Game
-        from uavaccel.vision.noise import noise_seed
+        from uavaccel.vision.noise import ImageNoise, noise_seed
         from uavaccel.wire.rpc import RpcError
 
-        session, self._stopwatches = self._opened(), []
-        self._apply_conditions(course)
+        session, self._stopwatches = self._opened(course), []
         task = self.episode_task
         lane, height_m = task.layout(course), -task.altitude_m
         try:
@@ -269,8 +260,15 @@ class FlightEnv(gymnasium.Env[Observation, Action], Generic[TaskT]):
         except RpcError:
             task.lane_layout(course)  # raises UserError for what the server refused
             raise
-        client = self._connect(started, started.now_ns())
-        self._seed_noise(client, noise_seed(latencies), (start := client.kinematics()).time_ns)
+        self._start_ns = started.now_ns()
+        self._stopwatches = [Stopwatch(started.transport.clock)]
+        if task.report_host_times:
+            self._stopwatches.append(Stopwatch(MonotonicClock()))
+        client = FlightClient(started, self.sensor.picture, self._stopwatches, task.picture_size)
+        self._client, start, seed = client, client.kinematics(), noise_seed(latencies)
+        self._noise = client.noise = ImageNoise(task.image_noise, seed, start.time_ns)
+        if isinstance(self.sensor, EventCamera):
+            self.sensor.noise_seed = task.events_seed(seed)
         first, self._began_ns = client.read_sample(start), start.time_ns
         self._switch(None)
         state = self._in_game(first.state)
@@ -324,7 +322,7 @@ class FlightEnv(gymnasium.Env[Observation, Action], Generic[TaskT]):
         if before is not None and gap.start_speed is not None:
             self._session.resume(before, gap.start_speed)
 
-    def _observe(self, sample: FlightSample) -> Frame:
+    def _observe(self, sample: Sample) -> Frame:
         self._switch("image_processing")
         frame = self.sensor.blank
         if not self.task.blank_images:
@@ -347,19 +345,10 @@ class FlightEnv(gymnasium.Env[Observation, Action], Generic[TaskT]):
         return {"image": frames, "state": state if self._now.free else np.zeros_like(state)}
 
     def _info(self) -> Info:
-        now = self._now
-        info = {
-            "is_success": self.task.success(now),
-            "position_m": [float(each) for each in now.position_m],
-            "collision": now.collision,
-            "commands": now.commands,
-            "wall_s": (self._client.now_ns() - self._start_ns) / NS_PER_S if self._client else 0.0,
-            "phase_s": self._stopwatches[0].spent_s(),
-            **self.task.info(now),
-        }
-        if self.task.report_host_times:
-            info["host_phase_s"] = self._stopwatches[1].spent_s()
-        return info
+        wall_s = (self._client.now_ns() - self._start_ns) / NS_PER_S if self._client else 0.0
+        spent = {"wall_s": wall_s, "phase_s": self._stopwatches[0].spent_s()}
+        host = {"host_phase_s": self._stopwatches[1].spent_s()} if self.task.report_host_times else {}
+        return {**told_of(self.task, self._now), **spent, **self.task.info(self._now), **host}
 
     def _host_disturbances(self) -> Info:
         """Return the seconds of wall time that a finished game in `wall` lost, and for which its server stalled."""

@@ -8,12 +8,12 @@ from typing import Annotated, ClassVar, Self
 import numpy as np
 from pydantic import Field, model_validator
 
+from uavaccel.config import Height, Speed
 from uavaccel.envs.flight_env import FlightEnv
-from uavaccel.envs.task import AnyMoment, NotNegative, Positive, Task, distance, position_option
-from uavaccel.envs.values import Course, Number
+from uavaccel.envs.task import NotNegative, Positive, Task, distance, position_option
+from uavaccel.envs.values import AnyMoment, Course, Number
 from uavaccel.kinematics import Kinematics
-from uavaccel.limits import Height, Speed
-from uavaccel.sim.lane.layout import HULL_RADIUS_M, LENGTH_M, MAX_OBSTACLES, WIDTH_M
+from uavaccel.sim.lane import HULL_RADIUS_M, LENGTH_M, MAX_OBSTACLES, WIDTH_M
 
 POST_M = 0.2  # half the side of a post
 NEAREST_M = round(HULL_RADIUS_M + POST_M, 4)  # where a post would touch the vehicle at the start

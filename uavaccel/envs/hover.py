@@ -7,11 +7,11 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
+from uavaccel.config import Count, Speed
 from uavaccel.envs.flight_env import FlightEnv
-from uavaccel.envs.task import AnyMoment, Positive, Task, distance, position_option
-from uavaccel.envs.values import Course, Info, Number
+from uavaccel.envs.task import Positive, Task, distance, position_option
+from uavaccel.envs.values import AnyMoment, Course, Info, Number
 from uavaccel.kinematics import Kinematics
-from uavaccel.limits import Count, Speed
 
 
 class HoverTask(Task):

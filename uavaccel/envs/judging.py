@@ -6,8 +6,7 @@ So lanes on the CPU and on a GPU treat a task's functions alike, as `FlightEnv` 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -15,20 +14,18 @@ from typing import Any, NamedTuple
 import numpy as np
 from gymnasium import spaces
 
-from uavaccel.envs.actions import RAD
 from uavaccel.envs.arrays import cast, full, joined, mapped, namespace_of
-from uavaccel.envs.context_planes import NO_ACTION
-from uavaccel.envs.own_task import check_reward
+from uavaccel.envs.checks import check_reward
+from uavaccel.envs.sensors import NO_ACTION
 from uavaccel.envs.stopwatch import PHASES
-from uavaccel.envs.task import Collisions, Moments, Task
-from uavaccel.envs.values import Action, Info, Number
+from uavaccel.envs.task import RAD, Task
+from uavaccel.envs.values import Action, Collisions, Info, Moments, Number
 from uavaccel.errors import UserError
 from uavaccel.kernels.bodies import Surroundings
 from uavaccel.kinematics import AttitudeGoal, BodyRatesGoal, FlightGoal, Kinematics, VelocityGoal
 from uavaccel.own_code import file_of
-from uavaccel.sim.vehicle import goal as goals
-from uavaccel.sim.vehicle.autopilot import THROTTLE
-from uavaccel.sim.vehicle.goal import Goal, Yaw
+from uavaccel.sim import flight as goals
+from uavaccel.sim.vehicle.autopilot import THROTTLE, Goal, Yaw
 from uavaccel.sim.vehicle.quadrotor import FLIGHT_DTYPE, KINEMATICS, NEVER
 from uavaccel.units import NS_PER_S
 
@@ -36,45 +33,28 @@ from uavaccel.units import NS_PER_S
 class Running(NamedTuple):
     """What n running games carry from one command to the next: arrays (n, ...)."""
 
-    course: Mapping[str, Any]
-    """As in `Moments`."""
-    numbers: Number
-    """(n, KINEMATICS) float64: the state of the last sample, of those before a collision."""
-    time_ns: Number
-    """(n,) int64: its simulated time."""
-    position_m: Number
-    """(n, 3) float64: position or, after a collision, first contact; NED."""
-    collision: Number
-    """(n,) int64: index into the names of all that can be hit, -1 without a collision."""
-    commands: Number
-    """(n,) int64."""
-    actions: Number
-    """(n,) int64: the last discrete action, NO_ACTION before the first."""
-    taken_ns: Number
-    """(n, frames) int64: when the frames of the observation were taken."""
-    observations: Any
-    """(n, ...), or a mapping of such arrays."""
+    course: Mapping[str, Any]  # as in `Moments`
+    numbers: Number  # (n, KINEMATICS) float64: the state of the last sample, of those before a collision
+    time_ns: Number  # (n,) int64: its simulated time
+    position_m: Number  # (n, 3) float64: position or, after a collision, first contact; NED
+    collision: Number  # (n,) int64: index into the names of all that can be hit, -1 without a collision
+    commands: Number  # (n,) int64
+    actions: Number  # (n,) int64: the last discrete action, NO_ACTION before the first
+    taken_ns: Number  # (n, frames) int64: when the frames of the observation were taken
+    observations: Any  # (n, ...), or a mapping of such arrays
 
 
 class Flown(NamedTuple):
-    """How a command was flown in n games: arrays (n, ...)."""
+    """How a command was flown in n games, with S samples: arrays (n, ...)."""
 
-    numbers: Number
-    """(n, KINEMATICS) float64: the state at its end."""
-    tick: Number
-    """(n,) int64: the tick at its end."""
-    position_m: Number
-    """(n, 3) float64: as in `Running`."""
-    collision: Number
-    """(n,) int64: as in `Running`."""
-    ticks: Number
-    """(n, S) int64: ticks of its samples."""
-    taken: Number
-    """(n,) int64: number of samples before a collision."""
-    samples: Number
-    """(n, S, KINEMATICS) float64: the states of the samples."""
-    pictures: Number
-    """(n, S, ...): the frames of the samples, blank where there is none; not read with observation "state"."""
+    numbers: Number  # (n, KINEMATICS) float64: the state at its end
+    tick: Number  # (n,) int64: the tick at its end
+    position_m: Number  # (n, 3) float64: as in `Running`
+    collision: Number  # (n,) int64: as in `Running`
+    ticks: Number  # (n, S) int64: ticks of its samples
+    taken: Number  # (n,) int64: number of samples before a collision
+    samples: Number  # (n, S, KINEMATICS) float64: the states of the samples
+    pictures: Number  # (n, S, ...): their frames, blank where there is none; not read with observation "state"
 
 
 class Judged(NamedTuple):
@@ -99,7 +79,6 @@ class Judge:
         self.discrete = not isinstance(task.action_space(), spaces.Box)
         self._context, self._blank = task.context_planes(), task.sensor().blank
         self._sees_state = task.observation == "state" and not task.blank_images
-        self._own_features = type(task).features is not Task.features
         space = task.action_space()
         any_goal = self._goal(np.zeros((2, *(space.shape or ())), space.dtype), {})
         self.modes = np.array(_modes_of(any_goal))
@@ -120,8 +99,9 @@ class Judge:
 
     def _goal(self, actions: Action, keys: Mapping[str, Number]) -> Goal:
         task = self.task.model_copy(update=dict(keys)) if keys else self.task
-        with self._over_arrays("goal", actions):
-            return autopilot_goal(task.goal(actions if self.discrete else cast(actions, "float64").T))
+        given = actions if self.discrete else cast(actions, "float64").T
+        goal: Goal = self._over_arrays("goal", actions, lambda: autopilot_goal(task.goal(given)))
+        return goal
 
     # --- a game's beginning -----------------------------------------------------------------------
 
@@ -162,10 +142,13 @@ class Judge:
         frames = self._frames(before.course, flown, seen)
         pictures = before.observations["image"] if self.task.also_state else before.observations
         earlier = pictures[:, frames.shape[1] : frames.shape[1] * self.task.history]
-        numbers, time_ns = self._last_state(before, flown)
+        free, some, last = flown.collision < 0, flown.taken > 0, (flown.taken - 1).clip(0)
+        row = xp.arange(len(last), device=last.device)
+        numbers = xp.where(some[:, None], flown.samples[row, last], before.numbers)  # before a collision
+        time_ns = xp.where(some, flown.ticks[row, last] * self._tick_ns, before.time_ns)
         now = before._replace(
-            numbers=numbers,
-            time_ns=time_ns,
+            numbers=xp.where(free[:, None], flown.numbers, numbers),
+            time_ns=xp.where(free, flown.tick * self._tick_ns, time_ns),
             position_m=flown.position_m,
             collision=flown.collision,
             commands=before.commands + 1,
@@ -178,16 +161,6 @@ class Judge:
         now = now._replace(course=course, observations=seen)
         return now._replace(observations=self._beside_state(now)), judged
 
-    def _last_state(self, before: Running, flown: Flown) -> tuple[Number, Number]:
-        """Return states (n, KINEMATICS) and times (n,) of the last samples; of those before a collision."""
-        xp, free, some = namespace_of(flown.numbers), flown.collision < 0, flown.taken > 0
-        last = (flown.taken - 1).clip(0)
-        row = xp.arange(len(last), device=last.device)
-        numbers = xp.where(some[:, None], flown.samples[row, last], before.numbers)
-        time_ns = xp.where(some, flown.ticks[row, last] * self._tick_ns, before.time_ns)
-        present_ns = flown.tick * self._tick_ns
-        return xp.where(free[:, None], flown.numbers, numbers), xp.where(free, present_ns, time_ns)
-
     def moments(self, games: Running) -> Moments:
         """Return the games as the task's functions take them."""
         state, collision = kinematics_of(games.numbers, games.time_ns), Collisions(games.collision, self.objects)
@@ -196,17 +169,14 @@ class Judge:
     def _judge(self, before: Moments, flown: Moments) -> tuple[Mapping[str, Any], Judged]:
         """Judge a command as `FlightEnv.step` judges one."""
         task, like = self.task, flown.commands
-        with self._over_arrays("advance", like):
-            course = task.advance(before, flown)
+        course = self._over_arrays("advance", like, lambda: task.advance(before, flown))
         now = flown._replace(course=self._as_sampled(course, flown.course))
-        with self._over_arrays("success", like):
-            success = _flags(task.success(now), like)
-        with self._over_arrays("failure", like):
-            terminated = success | _flags(task.failure(now), like)
-        with self._over_arrays("reward", like):
-            reward = full(task.reward(before, now), like)
+        success = self._over_arrays("success", like, lambda: full(task.success(now), like) != 0)
+        failure = self._over_arrays("failure", like, lambda: full(task.failure(now), like) != 0)
+        reward = self._over_arrays("reward", like, lambda: full(task.reward(before, now), like))
         if isinstance(reward, np.ndarray):  # reading a tensor would wait for the GPU
             check_reward(task, reward)
+        terminated = success | failure
         truncated = ~terminated & (now.commands >= task.max_commands)
         return now.course, Judged(reward, success, terminated, truncated)
 
@@ -216,8 +186,12 @@ class Judge:
         if set(course) != set(before):
             raise UserError(f"{name}: its course must have the items that sample gives it: {', '.join(before)}")
 
+        def rank(array: Number) -> int:  # of flags, whole numbers, and others
+            kind = str(array.dtype)
+            return 2 if "float" in kind else 0 if "bool" in kind else 1
+
         def kept(old: Number, new: Number) -> Number:
-            if _rank(new := full(new, old)) > _rank(old):
+            if rank(new := full(new, old)) > rank(old):
                 raise UserError(f"{name}: a number of its course is {new.dtype}, and was sampled as {old.dtype}")
             return new
 
@@ -253,17 +227,18 @@ class Judge:
     ) -> Number:
         """Return the frames (n, ...) float32 of observation "state", or these in another shape."""
         state, shape = kinematics_of(numbers, time_ns), (len(numbers), *(shape or self._blank.shape))
-        like = numbers[:, 0]
+        like, own = numbers[:, 0], type(self.task).features is not Task.features
+
+        def frames() -> Number:
+            made: Any = self.task.features(state, course) if own else self.task.fields(state, course)
+            if not own:
+                made = [cast(full(number, like), "float64") for number in made]
+            is_listed = isinstance(made, list | tuple)
+            made = joined(made, like) if is_listed else namespace_of(like).moveaxis(made, -1, 0)
+            return cast(made, "float32").reshape(shape)
+
         with np.errstate(all="ignore"):  # what is computed after a collision is not shown
-            if not self._own_features:
-                with self._over_arrays("fields", like):
-                    fields = [cast(full(number, like), "float64") for number in self.task.fields(state, course)]
-                return cast(joined(fields, like), "float32").reshape(shape)
-            with self._over_arrays("features", like):
-                features: Any = self.task.features(state, course)
-                if isinstance(features, list | tuple):
-                    return cast(joined(features, like), "float32").reshape(shape)
-                return cast(namespace_of(like).moveaxis(features, -1, 0), "float32").reshape(shape)
+            return self._over_arrays("features" if own else "fields", like, frames)
 
     def _beside_state(self, games: Running) -> Number | Mapping[str, Number]:
         """Return the observations: frames, or with `also_state` a mapping of those and of states, 0 after a touch."""
@@ -275,7 +250,7 @@ class Judge:
         return {"image": games.observations, "state": xp.where(free, state, xp.zeros_like(state))}
 
     def _with_context(self, frames: Number, actions: Number, ages_ns: Number) -> Number:
-        """Return frames with the task's context planes (envs/context_planes) behind them."""
+        """Return frames with the task's context planes (envs/sensors) behind them."""
         if self._context is None:
             return frames
         return namespace_of(frames).concatenate([frames, self._context.observe_many(actions, ages_ns)], 1)
@@ -287,8 +262,7 @@ class Judge:
 
         `collision` is an index into `objects`; `phases_ns` (n, phases) is the wall time spent in each of PHASES.
         """
-        with self._over_arrays("info", wall_ns):
-            own = self.task.info(self.moments(games))
+        own = self._over_arrays("info", wall_ns, lambda: self.task.info(self.moments(games)))
         wall_s, phases_s = (cast(spent_ns, "float64") / NS_PER_S for spent_ns in (wall_ns, phases_ns))
         return {
             "is_success": success,
@@ -300,15 +274,14 @@ class Judge:
             **own,
         }
 
-    @contextmanager
-    def _over_arrays(self, name: str, like: Number) -> Iterator[None]:
+    def _over_arrays(self, name: str, like: Number, call: Callable[[], Any]) -> Any:
         """Call the task's function of that name with arrays such as `like`. Raises UserError where it takes none."""
         torch = None if isinstance(like, np.ndarray) else namespace_of(like)
         before = torch and torch.get_default_dtype()
         if torch is not None:  # so that a number times a flag is computed in double precision
             torch.set_default_dtype(torch.float64)
         try:
-            yield
+            return call()
         except UserError:
             raise
         except Exception as error:
@@ -346,22 +319,7 @@ def _modes_of(goal: Goal) -> tuple[int, int, int]:
     return goal.xy_mode, goal.z_mode, goal.yaw_mode
 
 
-def _flags(value: Number, like: Number) -> Number:
-    return full(value, like) != 0
-
-
-def _rank(array: Number) -> int:
-    """Return 0 for flags, 1 for whole numbers, 2 for others."""
-    name = str(array.dtype)
-    return 2 if "float" in name else 0 if "bool" in name else 1
-
-
-def _column(name: str) -> int:
-    """Return the column of a field of FLIGHT_DTYPE, all of whose numbers have eight bytes."""
-    fields = FLIGHT_DTYPE.fields
-    assert fields is not None
-    return int(fields[name][1]) // 8
-
-
-COLLISION, CONTACT = _column("collision_tick"), _column("contact_position")
-TICK = _column("tick")
+# Columns of FLIGHT_DTYPE, all of whose numbers have eight bytes.
+TICK, COLLISION, CONTACT = (
+    int((FLIGHT_DTYPE.fields or {})[name][1]) // 8 for name in ("tick", "collision_tick", "contact_position")
+)

@@ -13,29 +13,26 @@ from typing import Any
 import numpy as np
 from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode
-from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from uavaccel.clock import MonotonicClock
+from uavaccel.config import MOST_PROCESSES
 from uavaccel.envs.arrays import assign, mapped, named_leaves, one_of, select, stacked
-from uavaccel.envs.checks import actions_of, autoreset_of, make_task, whole_number
-from uavaccel.envs.context_planes import NO_ACTION
+from uavaccel.envs.batch import TurnBatch, set_up
+from uavaccel.envs.checks import actions_of, whole_number
 from uavaccel.envs.flight_env import CONDITIONS, FlightEnv
-from uavaccel.envs.flyable import CPU, check_flyable, kind_of, profile_of
-from uavaccel.envs.judging import Flown, Judge, Judged, Running
-from uavaccel.envs.kernel_games import Drawn, GameMaker, keys_of
-from uavaccel.envs.kernel_plan import plan_of, since_ns_of
-from uavaccel.envs.sensors import blank_frame
+from uavaccel.envs.judging import Flown, Judge, Running
+from uavaccel.envs.kernel_games import Drawn, GameMaker, keys_of, plan_of, since_ns_of
+from uavaccel.envs.sensors import NO_ACTION, blank_frame
+from uavaccel.envs.simulators import CPU, check_flyable, kind_of, profile_of
 from uavaccel.envs.stopwatch import PHASES
 from uavaccel.envs.task import Task
-from uavaccel.envs.turn_batch import TurnBatch
 from uavaccel.envs.values import Actions, Answer, Frame, Info, Observation, SavedState, State, Steps
 from uavaccel.errors import UserError
 from uavaccel.kernels import cpu, events, timeline
 from uavaccel.kernels import lanes as rows
 from uavaccel.kernels.fields import DVS, STATE
-from uavaccel.kernels.flight import TOUCHED
-from uavaccel.limits import MOST_PROCESSES
+from uavaccel.kernels.lanes import TOUCHED
 from uavaccel.machine import usable_cores
 from uavaccel.sim.vehicle.quadrotor import KINEMATICS
 from uavaccel.units import NS_PER_S, plain
@@ -57,18 +54,13 @@ class KernelBatch(TurnBatch):
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         **keys: object,
     ) -> None:
-        self.task: Task = make_task(environment.task_class, keys, environment.__name__)
+        self.task: Task = set_up(self, environment, num_envs, autoreset_mode, keys)
         check_flyable(self.task, num_envs, CPU)
         if threads is not None:
             whole_number("threads", threads, MOST_PROCESSES)
-        self.num_envs, self.render_mode = num_envs, None
-        self.metadata = {**environment.metadata, "autoreset_mode": autoreset_of(autoreset_mode)}
+        self.render_mode = None
         self._same_step = self.metadata["autoreset_mode"] == AutoresetMode.SAME_STEP
         self._next_step = self.metadata["autoreset_mode"] == AutoresetMode.NEXT_STEP
-        self.single_observation_space = self.task.observation_space()
-        self.single_action_space = self.task.action_space()
-        self.observation_space = batch_space(self.single_observation_space, num_envs)
-        self.action_space = batch_space(self.single_action_space, num_envs)
         self._maker = GameMaker(self.task)
         around = self._maker.surroundings
         self._judge = Judge(self.task, around, profile_of(self.task).tick_ns, since_ns_of(self.task))
@@ -140,9 +132,9 @@ class KernelBatch(TurnBatch):
         self._goals[which] = self._judge.goals(given, keys_of(self.task, [self._drawn[lane] for lane in which]))
         self._frames[which] = self._blank
         self._begun_ns = self._clock.now_ns()
-        going = which[~self._over[which]]
-        parts = [part for part in np.array_split(going, self._threads) if len(part)]
-        self._flying[int(which[0])] = [self._pool.submit(self._fly, part) for part in parts]
+        of_lanes = self._goals, self._view, self._rows, self._now, self._plan, self._clocks
+        seen, parts = (self._pictures, self._samples), self._parts(which[~self._over[which]])
+        self._flying[int(which[0])] = [self._pool.submit(cpu.CPU.fly, part, *of_lanes, *seen) for part in parts]
 
     def step_wait(self, slots: Sequence[int] | None = None) -> Steps:
         """As `TurnBatch` has it. Raises UserError where no command was started."""
@@ -159,8 +151,9 @@ class KernelBatch(TurnBatch):
         terminated, truncated = np.zeros(self.num_envs, bool), np.zeros(self.num_envs, bool)
         infos: dict[int, Info] = {}
         if len(going):
-            games, judged = self._finish_commands(going)
-            rewards[going], terminated[going], truncated[going] = (judged.reward, judged.terminated, judged.truncated)
+            games, judged = self._judge.after(select(self._running, going), self._flown(going), self._asked[going])
+            assign(self._running, going, games)
+            rewards[going], terminated[going], truncated[going] = judged.reward, judged.terminated, judged.truncated
             infos = dict(zip(going.tolist(), self._infos(going, games, judged.success), strict=True))
         self._autoreset(idle, going[terminated[going] | truncated[going]], infos)
         seen = select(self._running.observations, which)
@@ -208,14 +201,11 @@ class KernelBatch(TurnBatch):
 
     def _get_state(self, lane: int) -> State:
         """Return a lane's running game for np.savez: another batch of this task continues it to the same bytes."""
-        state: State = {"generator": json.dumps(self._generators[lane].bit_generator.state)}
         before, options = self._sampled_by[lane]
-        state |= {
-            "drawn_by": json.dumps(before),
-            "options": json.dumps(options, default=plain),
-            "games": self._games[lane],
-        }
-        return state | {name: array[lane].copy() for name, array in self._state_arrays().items()}
+        generators = {"generator": self._generators[lane].bit_generator.state, "drawn_by": before, "options": options}
+        texts = {name: json.dumps(each, default=plain) for name, each in generators.items()}
+        arrays = {name: array[lane].copy() for name, array in self._state_arrays().items()}
+        return {**texts, "games": self._games[lane], **arrays}
 
     def _set_state(self, lane: int, state: SavedState) -> Observation:
         """Restore a state that `_get_state` returned, and return the lane's observation."""
@@ -241,6 +231,10 @@ class KernelBatch(TurnBatch):
 
     # --- inside -----------------------------------------------------------------------------------
 
+    def _parts(self, lanes: NDArray[np.int64]) -> list[NDArray[np.int64]]:
+        """Divide lanes among the threads."""
+        return [part for part in np.array_split(lanes, self._threads) if len(part)]
+
     def _draw(self, lane: int, options: Mapping[str, object] | None = None) -> Drawn:
         self._sampled_by[lane] = self._generators[lane].bit_generator.state, options
         drawn = self._maker.sample(self._generators[lane], self._games[lane] - 1, options)
@@ -259,11 +253,8 @@ class KernelBatch(TurnBatch):
         drawn = [self._drawn[lane] for lane in lanes.tolist()]
         cpu.CPU.observe_starts(self._rows, lanes)
         self._clocks.scale[lanes] = [each.task.latency.scale for each in drawn]
-        for part in [
-            self._pool.submit(cpu.CPU.begin, each, each, self._view, self._rows, self._now, self._plan, self._clocks)
-            for each in np.array_split(lanes, self._threads)
-            if len(each)
-        ]:
+        of_lanes = self._view, self._rows, self._now, self._plan, self._clocks
+        for part in [self._pool.submit(cpu.CPU.begin, each, each, *of_lanes) for each in self._parts(lanes)]:
             part.result()
         self._over[lanes], self._host_s[lanes] = False, 0.0
         numbers, *_ = self._ends(lanes)
@@ -277,32 +268,15 @@ class KernelBatch(TurnBatch):
         if not self.task.sees_start or self._view.kind in (STATE, DVS):
             return None
         frames = np.empty((self.num_envs, 1, *self._blank.shape), self._blank.dtype)
-        cpu.CPU.show(lanes, self._view, self._rows, self._now, self._plan, frames)
+        cpu.CPU.show(lanes, self._view, self._rows, self._now, self._plan, self._clocks, frames)
         drawn: Frame = frames[lanes, 0]
         return drawn
 
-    def _fly(self, lanes: NDArray[np.int64]) -> None:
-        cpu.CPU.fly(
-            lanes,
-            self._goals,
-            self._view,
-            self._rows,
-            self._now,
-            self._plan,
-            self._clocks,
-            self._pictures,
-            self._samples,
-        )
-
-    def _finish_commands(self, lanes: NDArray[np.int64]) -> tuple[Running, Judged]:
-        """Judge the commands of these lanes and update their games; return both."""
-        clocks, tick = self._clocks, self._now.state["tick"][lanes]
+    def _flown(self, lanes: NDArray[np.int64]) -> Flown:
+        """Return how the commands of these lanes were flown."""
         numbers, position_m, collision = self._ends(lanes)
-        samples = clocks.ticks[lanes], clocks.taken[lanes], self._samples[lanes], self._frames[lanes]
-        flown = Flown(numbers, tick, position_m, collision, *samples)
-        games, judged = self._judge.after(select(self._running, lanes), flown, self._asked[lanes])
-        assign(self._running, lanes, games)
-        return games, judged
+        samples = self._clocks.ticks[lanes], self._clocks.taken[lanes], self._samples[lanes], self._frames[lanes]
+        return Flown(numbers, self._now.state["tick"][lanes], position_m, collision, *samples)
 
     def _ends(self, lanes: NDArray[np.int64]) -> tuple[Any, Any, Any]:
         """Return states, positions and collisions of these lanes (Judge.end)."""
@@ -315,14 +289,12 @@ class KernelBatch(TurnBatch):
         clock = self._clocks.row[lanes]
         wall_ns, phases_ns = clock[:, timeline.NOW] - clock[:, timeline.START], clock[:, timeline.FIRST_PHASE :]
         infos = self._judge.infos(games, won, wall_ns, phases_ns)
-        return [self._info(lane, one_of(infos, place)) for place, lane in enumerate(lanes.tolist())]
-
-    def _info(self, lane: int, info: Info) -> Info:
-        """Return a game's info with names and what differs from game to game."""
-        collision, drawn = info["collision"], self._drawn[lane]
-        info["collision"] = None if collision < 0 else self._judge.objects[collision]
-        if CONDITIONS in drawn.course:
-            info[CONDITIONS] = drawn.course[CONDITIONS]
-        if self.task.report_host_times:
-            info["host_phase_s"] = {**dict.fromkeys(PHASES, 0.0), "simulation": float(self._host_s[lane])}
-        return info
+        each = [one_of(infos, place) for place in range(len(lanes))]
+        for lane, info in zip(lanes.tolist(), each, strict=True):
+            collision, course = info["collision"], self._drawn[lane].course
+            info["collision"] = None if collision < 0 else self._judge.objects[collision]
+            if CONDITIONS in course:
+                info[CONDITIONS] = course[CONDITIONS]
+            if self.task.report_host_times:
+                info["host_phase_s"] = {**dict.fromkeys(PHASES, 0.0), "simulation": float(self._host_s[lane])}
+        return each

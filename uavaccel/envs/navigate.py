@@ -10,14 +10,14 @@ from typing import Annotated, ClassVar, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
+from uavaccel.config import Count, Height, Speed
 from uavaccel.envs.flight_env import FlightEnv
-from uavaccel.envs.task import AnyMoment, Positive, Task, distance
-from uavaccel.envs.values import Course, Info, Number
+from uavaccel.envs.task import Positive, Task, distance
+from uavaccel.envs.values import AnyMoment, Course, Info, Number
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Kinematics
-from uavaccel.limits import Count, Height, Speed
 from uavaccel.sim.clutter import ASIDE_M, NORTH_M, Clutter, ClutterLayout, sample_world
-from uavaccel.sim.lane.layout import SPLIT_SIZE, Split, lane_seed
+from uavaccel.sim.lane import SPLIT_SIZE, Split, lane_seed
 
 NEAR_M, FAR_M = 15.0, 2.0  # the distance that counts as 1, and the most that is told
 GOAL_MOST_M = 43.0

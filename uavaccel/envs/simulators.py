@@ -1,18 +1,128 @@
-"""The choice of a simulator for vectorised environments: the exact one, or kernels on the CPU or a GPU."""
+"""The choice of a simulator, the exact one or kernels on the CPU or a GPU, and which tasks the kernels can fly."""
 
 from __future__ import annotations
 
+from fractions import Fraction
 from functools import partial
 from importlib import import_module
-from typing import Any, get_args
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
+import numpy as np
+from gymnasium import spaces
+
+from uavaccel.config import MOST_GAMES
+from uavaccel.envs.arrays import cast, full, joined, stacked
+from uavaccel.envs.checks import whole_number
 from uavaccel.envs.flight_env import FlightEnv
-from uavaccel.envs.flyable import CPU, CUDA, Device, Simulator
-from uavaccel.envs.values import Batch
+from uavaccel.envs.sensors import PICTURE_SIZE
+from uavaccel.envs.task import Task
+from uavaccel.envs.values import Batch, Collisions, Moments
 from uavaccel.errors import UserError
+from uavaccel.kernels.fields import COLOUR, DEPTH, DVS, STATE
+from uavaccel.kinematics import FlightGoal, Kinematics
 from uavaccel.resources import require
+from uavaccel.sim.profile import Profile
+from uavaccel.sim.scene import PLAIN
+from uavaccel.units import exact
+from uavaccel.wire.latency import ZERO_LATENCY, LatencyConfig
 
+if TYPE_CHECKING:  # which compiles
+    from uavaccel.sim.clutter import Clutter
+
+# Largest numerator or denominator of a ClockSpeed: products with hours of nanoseconds must fit in 64 bits.
+MOST_DIGITS = 1_000_000
+
+KINDS = {"state": STATE, "dvs": DVS, "colour": COLOUR, "depth": DEPTH}
+
+Simulator = Literal["mujoco", "kernels"]
+"""The exact simulator, with MuJoCo and OpenGL, or lanes over arrays."""
+Device = Literal["cpu", "cuda"]
+"""Where lanes over arrays are flown."""
+CPU, CUDA = get_args(Device)
 EXACT, KERNELS = get_args(Simulator)
+
+
+def check_flyable(task: Task, lanes: int, device: str) -> None:
+    """Raise UserError for a task that only the exact simulator flies, or on "cuda" only the CPU."""
+    whole_number("num_envs", lanes, MOST_GAMES)
+    kind, size, scene = kind_of(task), task.picture_size, task.scene
+    digits = max(max(speed.as_integer_ratio()) for speed in (speed_of(task), exact(task.clock_speed)))
+    reasons = {
+        "timing wall needs a server of its own": task.timing == "wall",
+        "list_events needs single events, which the kernels do not keep": task.list_events,
+        f"difficulty.scenery = {task.scenery}: its looks are textured meshes; depth and state fly there": (
+            task.scenery != PLAIN and kind in (DVS, COLOUR)
+        ),
+        "scene = clutter needs a task with the key clutter, the distribution of its worlds": (
+            scene == "clutter" and clutter_of(task) is None
+        ),
+        f"picture_size = {list(size)}: the lane is rendered in [256, 144] only": (
+            scene == "lane" and size != PICTURE_SIZE and kind != STATE
+        ),
+        f"clock_speed = {task.clock_speed} has more digits than lanes' clocks": digits > MOST_DIGITS,
+    }
+    if why := next((reason for reason, holds in reasons.items() if holds), None):
+        raise UserError(f"simulator = kernels: {why}; use simulator = mujoco")
+    if not device.startswith(CUDA) or passes_together(task):
+        return
+    if task.dvs_ticks:
+        raise UserError(
+            "device = cuda: dvs_rate_hz needs command = tcsc, timing = lockstep and profile = native; use device = cpu"
+        )
+    if task.timing == "virtual" and kind in (DVS, COLOUR) and scene != "lane":
+        raise UserError(
+            "device = cuda: in timing = virtual event cameras and colour images need the guard, which a GPU has in the "
+            "lane only; use device = cpu"
+        )
+
+
+def kind_of(task: Task) -> int:
+    """Return what lanes observe: STATE, DVS, COLOUR or DEPTH."""
+    return STATE if task.blank_images else KINDS[task.observation]
+
+
+def clutter_of(task: Task) -> Clutter | None:
+    """Return the distribution that the worlds of a task's games are sampled from; None where all fly in one."""
+    return getattr(task, "clutter", None) if task.scene == "clutter" else None
+
+
+def passes_together(task: Task) -> bool:
+    """Return whether all lanes advance by the same ticks, since messages take no time."""
+    return (task.timing, task.profile, task.command) == ("lockstep", "native", "tcsc")
+
+
+def latency_of(task: Task) -> LatencyConfig:
+    """Return the latency model of the task; zero in lockstep."""
+    return task.latency if task.timing == "virtual" else ZERO_LATENCY
+
+
+def profile_of(task: Task) -> Profile:
+    """Return the profile of the task's simulation."""
+    return latency_of(task).platform.profile(task.profile, task.clock_speed)
+
+
+def speed_of(task: Task) -> Fraction:
+    """Return the simulated seconds per wall second that are reached."""
+    return latency_of(task).platform.executor().speed(exact(task.clock_speed), profile_of(task).tick_ns)
+
+
+def flies_over_arrays(task: Task) -> bool:
+    """Return whether the kernels can fly a task: its functions, too, compute with arrays as with numbers."""
+    space, like = task.action_space(), np.zeros(2)
+    none, actions = like.astype(np.int64), np.zeros((2, *(space.shape or ())), space.dtype)
+    state = Kinematics(none, *([like] * size for size in (3, 4, 3, 3, 3, 3)))  # type: ignore[arg-type]
+    try:
+        check_flyable(task, 1, CPU)
+        course = stacked([task.sample(np.random.default_rng(game), {}) for game in range(2)])
+        begun = Moments(state, list(state.position_m), Collisions(none - 1, ()), none, course)
+        goal = task.goal(cast(actions, "float64").T if isinstance(space, spaces.Box) else actions)
+        now = begun._replace(course=task.advance(begun, begun))
+        seen = task.fields(state, course) if type(task).features is Task.features else ()
+        numbers = [task.reward(begun, now), task.success(now), task.failure(now), *seen]
+        flat = joined([full(number, like) for number in numbers], like)
+        return isinstance(goal, get_args(FlightGoal)) and flat.shape[0] == 2 and set(now.course) == set(course)
+    except Exception:  # whatever own code does with an array that it did not expect
+        return False
 
 
 def make_batch(

@@ -9,33 +9,33 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple, Self, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, TypeAlias
 
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from uavaccel.commands.slices import check_times, samples_due
-from uavaccel.config import Config
-from uavaccel.envs.actions import SIZES, ActionKind, chosen, low_level_goal
-from uavaccel.envs.context_planes import ContextPlanes
+from uavaccel.commands import check_times, samples_due
+from uavaccel.config import ClockSpeed, CommandName, Config, Cost, Count, Height, Seconds, Seed, Speed
+from uavaccel.envs.arrays import constant
 from uavaccel.envs.sensors import (
     PICTURE_SIZE,
+    STATE_FIELDS,
     ColourCamera,
+    ContextPlanes,
     DepthCamera,
     EventCamera,
     Sensor,
     StateSensor,
     blank_frame,
-    state_fields,
-)  # fmt: skip
-from uavaccel.envs.values import Action, Course, Info, Number
+)
+from uavaccel.envs.values import AT_REST, Action, AnyMoment, Course, Info, Moment, Number
 from uavaccel.errors import UserError
-from uavaccel.kinematics import FlightGoal, Kinematics, Vector, VelocityGoal
-from uavaccel.limits import ClockSpeed, CommandName, Cost, Count, Height, Seconds, Seed, Speed
-from uavaccel.sim.lane.layout import PLAIN, LaneLayout
+from uavaccel.kinematics import AttitudeGoal, BodyRatesGoal, FlightGoal, Kinematics, MotorsGoal, Vector, VelocityGoal
+from uavaccel.sim.lane import LaneLayout
 from uavaccel.sim.profile import PROFILES
+from uavaccel.sim.scene import PLAIN
 from uavaccel.units import NS_PER_S
 from uavaccel.vision.dvs_sensor import PRESETS, DvsParameters, with_noise, with_thresholds
 from uavaccel.wire.latency import LatencyModel, of_the_profile
@@ -43,78 +43,24 @@ from uavaccel.wire.latency import LatencyModel, of_the_profile
 if TYPE_CHECKING:  # which compiles
     from uavaccel.sim.clutter import ClutterLayout
 
+ActionKind = Literal["velocity", "attitude", "rates", "motors"]
+SIZES: dict[ActionKind, int] = {"velocity": 3, "attitude": 4, "rates": 4, "motors": 4}
+"""Numbers of an action."""
+HOVER_THROTTLE = 0.5941
+"""Throttle that carries AirSim's generic quadrotor (1 kg, four rotors of 4.1794 N) 10 m above its default home."""
+RAD = math.pi / 180.0  # as in math.radians
+
+
+def throttle(share: Number) -> Number:
+    """Return the throttle, 0 to 1, of a share from -1 to 1: 0 carries the vehicle's weight."""
+    sinking, climbing = HOVER_THROTTLE * (1.0 + share), HOVER_THROTTLE + (1.0 - HOVER_THROTTLE) * share
+    return sinking * (share < 0.0) + climbing * (share >= 0.0)
+
+
 NotNegative = Annotated[float, Field(ge=0.0, le=1e6)]
 Positive = Annotated[float, Field(gt=0.0, le=1e6)]
 
 RATE_ROUNDING = 1e-4  # of a rate that is written with few digits, as 333.33
-AT_REST = Kinematics(0, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
-
-
-class Moment(NamedTuple):
-    """A game's state at its start or at the end of a command.
-
-    The functions of a task take the `Moment` of one game or the `Moments` of many: they compute with plain arithmetic,
-    which is the same for a float and for an array.
-    """
-
-    state: Kinematics
-    """State of the last sample, of those before a collision."""
-    position_m: Vector
-    """Position of the vehicle or, after a collision, of its first contact: NED."""
-    collision: str | None
-    """Name of the object it hit; None without a collision."""
-    commands: int
-    """Commands flown so far."""
-    course: Course
-    """The task's own variables, sampled at reset and updated by `advance`: plain numbers, lists and mappings."""
-
-    @property
-    def touched(self) -> bool:
-        return self.collision is not None
-
-    @property
-    def free(self) -> bool:
-        return self.collision is None
-
-
-class Collisions:
-    """What the vehicles of n games hit: `== "ground"` is an array (n,), as it is a bool for the name of one game's.
-
-    `index` (n,) is that of the name in `objects`, -1 without a collision, for which `touched` and `free` ask.
-    """
-
-    __hash__ = None  # type: ignore[assignment]
-
-    def __init__(self, index: Number, objects: tuple[str, ...]) -> None:
-        self.index, self.objects = index, objects
-
-    def __eq__(self, name: object) -> Number:
-        if not isinstance(name, str):
-            raise TypeError("a collision is compared with the name of an object; touched and free say if there is any")
-        return self.index == (self.objects.index(name) if name in self.objects else len(self.objects))
-
-    def __ne__(self, name: object) -> Number:
-        return ~(self == name)
-
-
-class Moments(NamedTuple):
-    """The state of n games: where `Moment` has a number, a NumPy array or a PyTorch tensor (n,)."""
-
-    state: Kinematics
-    position_m: Sequence[Number]
-    """Three arrays: north, east, down."""
-    collision: Collisions
-    commands: Number
-    course: Course
-    """A list of numbers in a game's course is a list of arrays here."""
-
-    @property
-    def touched(self) -> Number:
-        return self.collision.index >= 0
-
-    @property
-    def free(self) -> Number:
-        return self.collision.index < 0
 
 
 class Mediation(Config):
@@ -135,7 +81,6 @@ class Mediation(Config):
 
 
 AnyLayout: TypeAlias = "LaneLayout | ClutterLayout"
-AnyMoment: TypeAlias = Any  # a Moment or Moments; a user's task may handle only one of them
 
 
 class Task(Config):
@@ -222,40 +167,29 @@ class Task(Config):
     """Whether infos include `host_phase_s`, seconds measured on this machine's clock, which differ from run to run."""
 
     @model_validator(mode="after")
-    def _times_fit(self) -> Self:
-        profile = PROFILES[self.profile]
-        check_times(self.t_move_s, self.t_sample_s, profile.check_duration)
-        return self
-
-    @model_validator(mode="after")
-    def _events_come_from_a_dvs(self) -> Self:
-        if self.dvs_rate_hz is None and not self.list_events:
-            return self
-        if self.observation != "dvs" or self.timing == "wall":
-            raise ValueError("dvs_rate_hz and list_events need observation dvs, and timing virtual or lockstep")
-        period_s = (self.dvs_ticks or 0) * PROFILES[self.profile].tick_s
-        if period_s > self.t_sample_s * (1 + RATE_ROUNDING):
+    def _keys_fit(self) -> Self:
+        check_times(self.t_move_s, self.t_sample_s, PROFILES[self.profile].check_duration)
+        listed, size = self.dvs_rate_hz is not None or self.list_events, self.picture_size
+        wrong = {
+            "dvs_rate_hz and list_events need observation dvs, and timing virtual or lockstep": (
+                listed and (self.observation != "dvs" or self.timing == "wall")
+            ),
+            f"picture_size = {list(size)}: context planes need [256, 144]": (
+                size != PICTURE_SIZE and self.context_planes() is not None
+            ),
+            "also_state needs pictures, beside which the state is: observation dvs, colour or depth": (
+                self.also_state and self.observation == "state"
+            ),
+            "image_noise is of grey levels: it needs observation dvs or colour": (
+                self.image_noise and self.observation == "depth"
+            ),
+        }
+        if why := next((why for why, holds in wrong.items() if holds), None):
+            raise ValueError(why)
+        if (self.dvs_ticks or 0) * PROFILES[self.profile].tick_s > self.t_sample_s * (1 + RATE_ROUNDING):
             raise ValueError(
                 f"dvs_rate_hz = {self.dvs_rate_hz:g}: must give a frame in each sample of {self.t_sample_s:g} s"
             )
-        return self
-
-    @model_validator(mode="after")
-    def _context_fits_pictures(self) -> Self:
-        if self.picture_size != PICTURE_SIZE and self.context_planes() is not None:
-            raise ValueError(f"picture_size = {list(self.picture_size)}: context planes need [256, 144]")
-        return self
-
-    @model_validator(mode="after")
-    def _state_is_beside_pictures(self) -> Self:
-        if self.also_state and self.observation == "state":
-            raise ValueError("also_state needs pictures, beside which the state is: observation dvs, colour or depth")
-        return self
-
-    @model_validator(mode="after")
-    def _noise_is_of_pictures(self) -> Self:
-        if self.image_noise and self.observation == "depth":
-            raise ValueError("image_noise is of grey levels: it needs observation dvs or colour")
         return self
 
     @model_validator(mode="after")
@@ -339,7 +273,7 @@ class Task(Config):
         kind, size = self.observation, self.picture_size
         blank = self._blank_features() if kind == "state" else blank_frame(kind, size)
         context = self.context_planes()
-        planes = 0 if context is None else context.planes
+        planes = 0 if context is None else len(context.knows)
         shape = (self.frames_per_command * self.history * blank.shape[0] + planes, *blank.shape[1:])
         if blank.dtype == np.uint8:
             return spaces.Box(0, 255, shape, np.uint8)
@@ -350,8 +284,11 @@ class Task(Config):
         return None
 
     def fields(self, state: Kinematics, course: Course) -> Sequence[Number]:
-        """List the numbers of a frame of observation "state", for one state or for a `Kinematics` of arrays."""
-        return state_fields(state)
+        """List the numbers of a frame of observation "state", for one state or for a `Kinematics` of arrays.
+
+        They are position, attitude, velocity and body rate, in the units of `Kinematics`.
+        """
+        return [number for name in STATE_FIELDS for number in getattr(state, name)]
 
     def features(self, state: Kinematics, course: Course) -> NDArray[np.float32]:
         """Make a frame of observation "state"; a task's own may return lists of numbers, nested as its frames.
@@ -364,7 +301,7 @@ class Task(Config):
     # --- actions: by default a velocity ---------------------------------------------------------------
 
     def action_space(self) -> spaces.Space[Action]:
-        """Return the space of actions: shares, -1 to 1, of what `action` says (envs/actions)."""
+        """Return the space of actions: shares, -1 to 1, of what `action` says (envs/task)."""
         return spaces.Box(-1.0, 1.0, (SIZES[self.action],), np.float32)
 
     @property
@@ -382,15 +319,26 @@ class Task(Config):
 
         An action is an int or an array (k,) of float64; those of n games are an array (n,) or (k, n), numbers of the
         goal then arrays (n,), and of the task's keys those that are sampled for each game (`with_conditions`), too.
-        All actions ask for the same kind of goal.
+        All actions ask for the same kind of goal. Those of "attitude" are roll, pitch (nose up), yaw rate and throttle;
+        of "rates" roll, pitch and yaw rate and throttle, FRD; of "motors" front right, rear left, front left, rear
+        right (AirSim v1.8.1, SimpleFlightApi.hpp: commandRollPitchYawrateThrottle, commandAngleRatesThrottle,
+        commandMotorPWMs).
         """
         if self.action == "velocity":
             return self.velocity_goal(action)
-        return low_level_goal(self.action, action, self.tilt_deg, self.rate_deg_s)
+        first, second, third, fourth = action
+        tilt, rate = self.tilt_deg * RAD, self.rate_deg_s * RAD
+        if self.action == "attitude":
+            return AttitudeGoal(first * tilt, second * tilt, third * rate, throttle(fourth))
+        if self.action == "rates":
+            return BodyRatesGoal(first * rate, second * rate, third * rate, throttle(fourth))
+        return MotorsGoal(throttle(first), throttle(second), throttle(third), throttle(fourth))
 
     def velocity_goal(self, action: Action) -> VelocityGoal:
         """Return the velocity that an action asks for; one action or those of n games, as `goal` has them."""
-        north, east, down = action if self.directions is None else chosen(self.directions, action)
+        if self.directions is not None:
+            action = constant(np.array(self.directions), action)[action].T
+        north, east, down = action
         return VelocityGoal((north * self.speed_m_s, east * self.speed_m_s, down * self.speed_m_s), self.held_z_m)
 
     # --- a game ---------------------------------------------------------------------------------------
@@ -479,3 +427,10 @@ def distance(a: Sequence[Number], b: Sequence[Number]) -> Number:
     if isinstance(squared, np.ndarray):  # whose powers of 0.5 are not the square roots' bits on every processor
         return np.sqrt(squared)
     return math.sqrt(squared) if isinstance(squared, float) else squared.sqrt()
+
+
+def told_of(task: Task, now: Moment) -> Info:
+    """Return what infos say of a game's moment, beside the task's own items."""
+    place = [float(each) for each in now.position_m]
+    flown = {"position_m": place, "collision": now.collision, "commands": now.commands}
+    return {"is_success": task.success(now), **flown}

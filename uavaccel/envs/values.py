@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from gymnasium.vector import VectorEnv
 from numpy.typing import NDArray
+
+from uavaccel.kinematics import Kinematics, Vector
 
 Number: TypeAlias = Any
 """A number of one game, or those of n games: a NumPy array or PyTorch tensor (n,)."""
@@ -48,38 +50,75 @@ SavedState = Mapping[str, Any]
 Answer: TypeAlias = Any
 """Result of a method of an environment, or value of its attribute."""
 
-
-def batch_of(observation: Observation) -> Observation:
-    """Return one observation as a batch of one."""
-    if isinstance(observation, Mapping):
-        return {name: part[None] for name, part in observation.items()}
-    return observation[None]
+AT_REST = Kinematics(0, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
 
-def rows_of(observations: Observation, which: Any) -> Observation:
-    """Return the rows `which` of observations (n, ...): views for one, copies for several."""
-    if isinstance(observations, Mapping):
-        return {name: part[which] for name, part in observations.items()}
-    return observations[which]
+class Moment(NamedTuple):
+    """A game's state at its start or at the end of a command.
+
+    The functions of a task take the `Moment` of one game or the `Moments` of many: they compute with plain arithmetic,
+    which is the same for a float and for an array.
+    """
+
+    state: Kinematics
+    """State of the last sample, of those before a collision."""
+    position_m: Vector
+    """Position of the vehicle or, after a collision, of its first contact: NED."""
+    collision: str | None
+    """Name of the object it hit; None without a collision."""
+    commands: int
+    """Commands flown so far."""
+    course: Course
+    """The task's own variables, sampled at reset and updated by `advance`: plain numbers, lists and mappings."""
+
+    @property
+    def touched(self) -> bool:
+        return self.collision is not None
+
+    @property
+    def free(self) -> bool:
+        return self.collision is None
 
 
-def copied(observations: Observation) -> Observation:
-    """Return a copy."""
-    if isinstance(observations, Mapping):
-        return {name: part.copy() for name, part in observations.items()}
-    return observations.copy()
+class Collisions:
+    """What the vehicles of n games hit: `== "ground"` is an array (n,), as it is a bool for the name of one game's.
+
+    `index` (n,) is that of the name in `objects`, -1 without a collision, for which `touched` and `free` ask.
+    """
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def __init__(self, index: Number, objects: tuple[str, ...]) -> None:
+        self.index, self.objects = index, objects
+
+    def __eq__(self, name: object) -> Number:
+        if not isinstance(name, str):
+            raise TypeError("a collision is compared with the name of an object; touched and free say if there is any")
+        return self.index == (self.objects.index(name) if name in self.objects else len(self.objects))
+
+    def __ne__(self, name: object) -> Number:
+        return ~(self == name)
 
 
-def write(memory: Observation, observation: Observation) -> None:
-    """Write an observation over another one."""
-    for name in observation if isinstance(memory, Mapping) else ():
-        memory[name][...] = observation[name]
-    if not isinstance(memory, Mapping):
-        memory[...] = observation
+class Moments(NamedTuple):
+    """The state of n games: where `Moment` has a number, a NumPy array or a PyTorch tensor (n,)."""
+
+    state: Kinematics
+    position_m: Sequence[Number]
+    """Three arrays: north, east, down."""
+    collision: Collisions
+    commands: Number
+    course: Course
+    """A list of numbers in a game's course is a list of arrays here."""
+
+    @property
+    def touched(self) -> Number:
+        return self.collision.index >= 0
+
+    @property
+    def free(self) -> Number:
+        return self.collision.index < 0
 
 
-def stacked_observations(observations: Sequence[Observation]) -> Observation:
-    """Return several observations as a batch."""
-    if isinstance(observations[0], Mapping):
-        return {name: np.stack([each[name] for each in observations]) for name in observations[0]}
-    return np.stack(observations)
+AnyMoment: TypeAlias = Any
+"""A Moment or Moments; a user's task may handle only one of them."""

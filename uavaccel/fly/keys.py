@@ -1,6 +1,6 @@
 """Stand-ins for modules that read keys, if they are not installed: `keyboard`, `pynput`, `pygame`, `msvcrt`.
 
-They read the keys of uavaccel.fly.keyboard. A call that waits for a key returns Enter where none is to come.
+They read the keys of uavaccel.fly.keys. A call that waits for a key returns Enter where none is to come.
 """
 
 from __future__ import annotations
@@ -14,12 +14,19 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
 from importlib import import_module
+from math import inf
 from types import ModuleType, SimpleNamespace
 from typing import NamedTuple
 
-from uavaccel.fly.keyboard import KEY_S, NAMED, POLL_S, Keyboard, key_of
+from uavaccel.errors import UsageError
 from uavaccel.fly.modules import ModuleFinder, called_by_a_script
 
+POLL_S = 0.001  # what asking for a key costs the script, so that a loop that waits for one comes to an end
+KEY_S = 0.1  # after which a call that waits for a key returns where no more keys come
+HELD_S = 0.1
+NAMED = {"enter": 13, "esc": 27, "space": 32, "tab": 9, "left": 81, "up": 82, "right": 83, "down": 84}
+"""Keys that have names, and OpenCV's numbers for them."""
+ALIASES = {"return": "enter", "escape": "esc", " ": "space", "\n": "enter", "\r": "enter"}
 LIBRARIES = ("keyboard", "pynput", "pygame")
 ROOTS = (*LIBRARIES, "msvcrt")
 CONSTANTS = (
@@ -29,6 +36,90 @@ CONSTANTS = (
     *("RESIZABLE", "FULLSCREEN", "DOUBLEBUF", "HWSURFACE"),
 )
 """The names that `from pygame.locals import *` imports."""
+
+
+def key_of(name: object) -> str:
+    """Return our name of a key that a script names in another way."""
+    text = str(name) if len(str(name)) == 1 else str(name).lower().removesuffix(" arrow")
+    return ALIASES.get(text, text)
+
+
+def parse_keys(text: str | None) -> tuple[str, ...]:
+    """Return the keys in a text such as "w,w,space,q". Raises UsageError."""
+    keys = tuple(map(key_of, text.split(","))) if text else ()
+    for key in keys:
+        if len(key) != 1 and key not in NAMED:
+            raise UsageError(f"--keys {text}: {key!r} is no key; there are single characters, {', '.join(NAMED)}")
+    return keys
+
+
+class Keyboard:
+    """Presses `keys`; a script waits by `pass_time`, and `now_s` is its time. `thread` makes the script's threads."""
+
+    def __init__(
+        self,
+        pass_time: Callable[[float], object],
+        now_s: Callable[[], float],
+        keys: Sequence[str] = (),
+        thread: type[threading.Thread] = threading.Thread,
+    ) -> None:
+        self.pass_time, self.now_s, self.keys = pass_time, now_s, keys
+        self._thread = thread
+        self._place, self._noticed_s, self._told = 0, inf, False
+
+    def down(self) -> str | None:
+        if self._place < len(self.keys):
+            since_s = self.now_s() - self._noticed_s
+            if since_s < HELD_S:
+                return self.keys[self._place]
+            if since_s >= 2 * HELD_S:
+                self._place, self._noticed_s, self._told = self._place + 1, inf, False
+                return self.down()
+        return None
+
+    def is_down(self, name: object) -> bool:
+        """Return whether a key is down, which has been noticed then."""
+        if self.down() != key_of(name):
+            return False
+        self._noticed_s = min(self._noticed_s, self.now_s())
+        return True
+
+    def has_next(self) -> bool:
+        """Return whether a key is down that `next` has not returned."""
+        return self.down() is not None and not self._told
+
+    def next(self, timeout_s: float = inf) -> str | None:
+        """Wait for a key that has not been returned; None after the time, or at once where that is endless in vain."""
+        while not self.has_next():
+            if self._place == len(self.keys):
+                if timeout_s < inf:
+                    self.pass_time(timeout_s)
+                return None
+            if timeout_s <= 0:
+                return None
+            pause_s = min(timeout_s, max(POLL_S, self._noticed_s + 2 * HELD_S - self.now_s()))
+            self.pass_time(pause_s)
+            timeout_s -= pause_s
+        key = self.down()
+        self._told = self.is_down(key)
+        return key
+
+    def read(self) -> str:
+        """Wait for a key; Enter where no more keys come."""
+        if (key := self.next()) is None:
+            self.pass_time(KEY_S)
+        return key or "enter"
+
+    def listener(self, press: Callable[[str], object], release: Callable[[str], object]) -> threading.Thread:
+        """Return a thread of the script's that tells what is pressed and released until a call returns False."""
+
+        def tell() -> None:
+            while (key := self.next()) is not None and press(key) is not False:
+                self.pass_time(HELD_S)
+                if release(key) is False:
+                    return
+
+        return self._thread(target=tell, daemon=True)
 
 
 class Stub:
@@ -88,23 +179,21 @@ def key_modules(keyboard: Keyboard) -> Iterator[None]:
     Those of libraries do not: one may try an import and manage without it.
     """
 
+    def made(name: str) -> ModuleType:
+        if "." not in name:
+            keys = "only those of --keys are pressed" if keyboard.keys else "no key is ever pressed (--keys)"
+            why = "" if keyboard.keys else " is not installed"
+            print(f"uavaccel: {name}{why}: a stand-in takes its place, and {keys}", file=sys.stderr, flush=True)
+        module = StubModule(name)
+        vars(module).update(NAMES[name](keyboard) if name in NAMES else {})
+        return module
+
     def find(name: str) -> Callable[[], ModuleType] | None:
-        if name.partition(".")[0] in ROOTS and called_by_a_script({"importlib", "_frozen_importlib"}):
-            return partial(_made, name, keyboard)
-        return None
+        wanted = name.partition(".")[0] in ROOTS and called_by_a_script({"importlib", "_frozen_importlib"})
+        return partial(made, name) if wanted else None
 
     with ModuleFinder(find).finding(0 if keyboard.keys else len(sys.meta_path)):
         yield
-
-
-def _made(name: str, keyboard: Keyboard) -> ModuleType:
-    if "." not in name:
-        keys = "only those of --keys are pressed" if keyboard.keys else "no key is ever pressed (--keys)"
-        why = "" if keyboard.keys else " is not installed"
-        print(f"uavaccel: {name}{why}: a stand-in takes its place, and {keys}", file=sys.stderr, flush=True)
-    module = StubModule(name)
-    vars(module).update(NAMES[name](keyboard) if name in NAMES else {})
-    return module
 
 
 class Hooks:
@@ -224,8 +313,7 @@ class Events:
         self._keyboard.pass_time(POLL_S)
         return Pressed(self._keyboard)
 
-    def get_mods(self) -> int:
-        return 0
+    get_mods = staticmethod(int)
 
 
 def _event(kind: str, key: str) -> SimpleNamespace:
@@ -246,20 +334,18 @@ class Pressed(Stub):
 class Clock:
     """pygame.time.Clock: `tick` waits for the end of a frame."""
 
+    get_fps = staticmethod(float)
+
     def __init__(self, keyboard: Keyboard) -> None:
         self._sleep, self._now_s, self._ticked_s = keyboard.pass_time, keyboard.now_s, keyboard.now_s()
 
     def tick(self, framerate: float = 0) -> int:
         """Wait until 1 / `framerate` seconds after the last tick; returns the milliseconds since then."""
-        over_s = self._ticked_s + (1 / framerate if framerate else 0.0)
-        self._sleep(max(0.0, over_s - self._now_s()))
+        self._sleep(max(0.0, self._ticked_s + (1 / framerate if framerate else 0.0) - self._now_s()))
         before_s, self._ticked_s = self._ticked_s, self._now_s()
         return round(1000 * (self._ticked_s - before_s))
 
     tick_busy_loop = tick
-
-    def get_fps(self) -> float:
-        return 0.0
 
 
 class KeyCode(NamedTuple):
@@ -275,11 +361,10 @@ class KeyCode(NamedTuple):
         return cls(char)
 
 
-class NamedKey:
+class NamedKey(NamedTuple):
     """pynput's key without a character."""
 
-    def __init__(self, name: str) -> None:
-        self.name = name
+    name: str
 
     def __repr__(self) -> str:
         return f"Key.{self.name}"

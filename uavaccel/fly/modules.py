@@ -61,7 +61,6 @@ def _msgpackrpc() -> ModuleType:
 
 
 def named_module(name: str, **attributes: object) -> ModuleType:
-    """Return a module of this name with these attributes."""
     module = ModuleType(name)
     vars(module).update(attributes)
     return module
@@ -178,7 +177,6 @@ class Patches:
             self._undo.callback(setattr, owner, name, before)
 
     def undo(self, act: Callable[[], object]) -> None:
-        """Call a function at the end of the block."""
         self._undo.callback(act)
 
     def when_imported(self, name: str, act: Act) -> None:

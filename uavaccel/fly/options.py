@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from contextlib import suppress
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Self, TypedDict
@@ -79,13 +80,10 @@ class FlightOptions:
         return THINK_S[self.timing] if self.think_s is None else self.think_s
 
     def to_json(self) -> str:
-        return json.dumps(
-            {key: str(value) if isinstance(value, Path) else value for key, value in asdict(self).items()}
-        )
+        return json.dumps(asdict(self), default=str)
 
     @classmethod
     def from_json(cls, text: str) -> Self:
-        """Invert `to_json`."""
         values = json.loads(text)
         for field in fields(cls):
             if "Path" in str(field.type) and values[field.name] is not None:
@@ -94,18 +92,16 @@ class FlightOptions:
 
 
 def found_settings(script: Path) -> Path | None:
-    """Find the settings.json that AirSim would read, beside the script or in the user's documents; None without."""
-    places = (script.absolute().parent / NAME, Path.home() / AIRSIM)
-    return next((path for path in places if _is_airsims(path)), None)
+    """Find the settings.json that AirSim would read, beside the script or in the user's documents; None without.
 
-
-def _is_airsims(path: Path) -> bool:
-    """Return whether a file exists and has one of AirSim's keys: other programs use this file name too."""
+    It has one of AirSim's keys: other programs use this file name too.
+    """
     from uavaccel.errors import UserError  # here, as a script's process needs neither at its start
     from uavaccel.files import parse_json, read_bounded
 
-    try:
-        mapping = parse_json(read_bounded(path).decode("utf-8-sig"))
-    except (OSError, UserError, ValueError):
-        return False
-    return isinstance(mapping, dict) and bool(_KEYS & mapping.keys())
+    for path in (script.absolute().parent / NAME, Path.home() / AIRSIM):
+        with suppress(OSError, UserError, ValueError):
+            mapping = parse_json(read_bounded(path).decode("utf-8-sig"))
+            if isinstance(mapping, dict) and _KEYS & mapping.keys():
+                return path
+    return None

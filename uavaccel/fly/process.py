@@ -19,7 +19,8 @@ from types import FrameType, ModuleType
 from typing import TYPE_CHECKING
 
 from uavaccel.errors import UserError, mistake_of
-from uavaccel.fly.messages import DifferenceError, MessageLog
+from uavaccel.files import replacing, to_json
+from uavaccel.fly.log import DifferenceError, MessageLog
 from uavaccel.fly.modules import Patches
 from uavaccel.fly.options import DIFFERENCE, INTERRUPT_SEEN, SUMMARY, FlightOptions
 from uavaccel.fly.script import INTERRUPTED, checked_output, compiled, flush_output, unraisable
@@ -33,13 +34,29 @@ if TYPE_CHECKING:
 
 def main() -> None:
     options = FlightOptions.from_json(sys.argv[1])
-    end_with_parent(int(sys.argv[2]), lambda: _clear_away(options))
+
+    def clear_away() -> None:
+        """Remove the temporary folder when the starting process, which would do so, was killed."""
+        os.write(2, b"uavaccel: error: the process that started this flight was killed; the script ends too\n")
+        if options.scratch is not None:
+            shutil.rmtree(options.scratch, ignore_errors=True)
+
+    def interrupt(number: int, frame: FrameType | None) -> None:
+        """Interrupt the script at SIGTERM and Ctrl-C; the file INTERRUPT_SEEN tells the starting process of it."""
+        if options.scratch is not None:
+            (options.scratch / INTERRUPT_SEEN).touch()
+        signal.default_int_handler(signal.SIGINT, frame)
+
+    end_with_parent(int(sys.argv[2]), clear_away)
     for kind in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(kind, lambda number, frame: _interrupt(options, frame))
+        signal.signal(kind, interrupt)
     sys.unraisablehook = unraisable
     try:
         with checked_output():
-            status = _fly_or_differ(options)
+            status = fly(options)
+    except DifferenceError as error:
+        _write(options.folder / DIFFERENCE, f"{error}\n")
+        status = _complain(str(error), 1)
     except Exception as error:
         if (mistake := mistake_of(error)) is None:
             raise
@@ -48,28 +65,6 @@ def main() -> None:
         status = _complain("interrupted", INTERRUPTED)
     flush_output()
     sys.exit(status)
-
-
-def _fly_or_differ(options: FlightOptions) -> int:
-    try:
-        return fly(options)
-    except DifferenceError as error:
-        _write(options.folder / DIFFERENCE, f"{error}\n")
-        return _complain(str(error), 1)
-
-
-def _interrupt(options: FlightOptions, frame: FrameType | None) -> None:
-    """Interrupt the script at SIGTERM and at Ctrl-C; the file INTERRUPT_SEEN tells the starting process that it did."""
-    if options.scratch is not None:
-        (options.scratch / INTERRUPT_SEEN).touch()
-    signal.default_int_handler(signal.SIGINT, frame)
-
-
-def _clear_away(options: FlightOptions) -> None:
-    """Remove the temporary folder when the starting process, which would do so, was killed."""
-    os.write(2, b"uavaccel: error: the process that started this flight was killed; the script ends too\n")
-    if options.scratch is not None:
-        shutil.rmtree(options.scratch, ignore_errors=True)
 
 
 def _complain(text: str, status: int) -> int:
@@ -85,7 +80,15 @@ def fly(options: FlightOptions) -> int:
     given = 1.0 if settings is None else settings.clock_speed
     clock_speed = given if options.clock_speed is None else options.clock_speed
     log = MessageLog(options.folder, options.reference)
-    flight = _flight(options, settings, clock_speed, log)
+    flight: SimulatedFlight | WallFlight
+    if options.timing == "wall":
+        from uavaccel.fly.wall import WallFlight
+
+        flight = WallFlight(options, settings, clock_speed, log)
+    else:
+        from uavaccel.fly.simulated import SimulatedFlight
+
+        flight = SimulatedFlight(options, settings, clock_speed, log)
     with Patches() as patches:
         if options.seed is not None:
             _seed(options.seed, patches)
@@ -94,14 +97,9 @@ def fly(options: FlightOptions) -> int:
         signal.signal(kind, signal.SIG_IGN)
     flush_output()
     flight.end()
-    if outcome.status == INTERRUPTED and not outcome.finished:
-        log.close_file()  # it was not flown to the end of any reference
-    else:
-        log.close()
+    log.close(ended=outcome.finished or outcome.status != INTERRUPTED)
     chosen = {"clock_speed": clock_speed, "scene": options.scene}
     summary = {**chosen, "calls": log.calls, **outcome._asdict(), **flight.summary()}
-    from uavaccel.files import to_json
-
     _write(options.folder / SUMMARY, to_json(summary, indent=2) + "\n")
     return outcome.status
 
@@ -126,8 +124,6 @@ def _seed(seed: int, patches: Patches) -> None:
 
 def _write(path: Path, text: str) -> None:
     """Write the whole file or none: the starting process reads it."""
-    from uavaccel.files import replacing
-
     with replacing(path) as file:
         file.write(text.encode())
 
@@ -145,18 +141,6 @@ def settings_of(options: FlightOptions) -> Settings | None:
             raise
         print(f"uavaccel: warning: {error}; flown without", file=sys.stderr, flush=True)
         return None
-
-
-def _flight(
-    options: FlightOptions, settings: Settings | None, clock_speed: float, log: MessageLog
-) -> SimulatedFlight | WallFlight:
-    if options.timing == "wall":
-        from uavaccel.fly.wall import WallFlight
-
-        return WallFlight(options, settings, clock_speed, log)
-    from uavaccel.fly.simulated import SimulatedFlight
-
-    return SimulatedFlight(options, settings, clock_speed, log)
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import CodeType, ModuleType, TracebackType
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from uavaccel.clock import MonotonicClock
 from uavaccel.errors import UserError
@@ -54,17 +54,10 @@ def hide_frames_everywhere(patches: Patches) -> None:
     kind = traceback.TracebackException
     original: Callable[..., None] = kind.__init__
 
-    def init(
-        self: traceback.TracebackException,
-        exc_type: type[BaseException],
-        exc_value: BaseException,
-        exc_traceback: TracebackType | None,
-        **options: object,
-    ) -> None:
+    def init(self: Any, exc_type: Any, exc_value: Any, exc_traceback: TracebackType | None, **options: Any) -> None:
         hide_frames(exc_traceback)
-        if isinstance(exc_value, UserError):
-            exc_traceback = None
-        original(self, exc_type, exc_value, exc_traceback, **options)
+        shown = None if isinstance(exc_value, UserError) else exc_traceback
+        original(self, exc_type, exc_value, shown, **options)
 
     patches.set(kind, "__init__", init)
 
@@ -130,11 +123,17 @@ def _run(code: CodeType, path: Path, arguments: tuple[str, ...]) -> tuple[int, s
     try:
         exec(code, vars(main))
     except SystemExit as end:
-        return _status_of(end), None
+        if end.code is None or isinstance(end.code, int):
+            return end.code or 0, None
+        print(end.code, file=sys.stderr)
+        return 1, None
     except UserError:
         raise
     except Exception as error:
-        error.__traceback__ = _of_the_script(error.__traceback__, code.co_filename)
+        first = error.__traceback__
+        while first is not None and first.tb_frame.f_code.co_filename != code.co_filename:
+            first = first.tb_next
+        error.__traceback__ = first or error.__traceback__  # from the script's first frame on
         hide_ours(error)
         traceback.print_exception(error)
         if isinstance(error, TypeError) and ARRAY_AS_NUMBER in str(error):
@@ -154,21 +153,6 @@ def compiled(path: Path) -> CodeType:
     except (SyntaxError, ValueError) as error:
         line = f":{error.lineno}" if isinstance(error, SyntaxError) and error.lineno else ""
         raise UserError(f"{path}{line}: not Python: {error.args[0]}") from None
-
-
-def _of_the_script(trace: TracebackType | None, file: str) -> TracebackType | None:
-    """Return the traceback from the script's first frame on."""
-    first = trace
-    while first is not None and first.tb_frame.f_code.co_filename != file:
-        first = first.tb_next
-    return first or trace
-
-
-def _status_of(end: SystemExit) -> int:
-    if end.code is None or isinstance(end.code, int):
-        return end.code or 0
-    print(end.code, file=sys.stderr)
-    return 1
 
 
 class _Output(io.FileIO):

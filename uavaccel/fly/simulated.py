@@ -7,29 +7,69 @@ import sys
 from functools import cached_property
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from uavaccel.clock import MonotonicClock, VirtualClock, WallClock, datetime_module, time_module
-from uavaccel.fly.children import ended_by_refusals, refusal
-from uavaccel.fly.messages import MessageLog
+from uavaccel.fly.environment import ended_by_refusals, refusal, script_environment
+from uavaccel.fly.log import INTERVAL_NS, MessageLog, Trajectory, filming
 from uavaccel.fly.options import THINK_S, FlightOptions, FlightSummary
 from uavaccel.fly.script import FlightOver, ScriptResult, run_script
-from uavaccel.fly.shims import script_environment
 from uavaccel.fly.threads import SharedModules, ThreadModules, end_pools
 from uavaccel.fly.turns import TURN_POLL_NS, Turns
 from uavaccel.units import NS_PER_S
 
 if TYPE_CHECKING:
     from uavaccel.airsim.connection import Future
-    from uavaccel.fly.world import ScriptWorld
     from uavaccel.wire.rpc import Received
     from uavaccel.wire.settings import Settings
     from uavaccel.wire.transport import PendingCall
 
+KEEP_NS = 10 * NS_PER_S  # interval at which the recorder's bounded buffer is emptied
 READING_NS = 10_000  # what reading the clock costs the script, so that a loop that waits for a time ends
 # In `lockstep` so many calls since the last wait are free; each further one costs POLL_NS, so that a loop that waits
 # for a state ends.
 FREE_CALLS = 100
 POLL_NS = round(THINK_S["virtual"] * NS_PER_S)
 PATIENCE_NS = 3600 * NS_PER_S  # simulated wait that is reported: AirSim's commands have no time-out
+
+
+class ScriptWorld:
+    """A settled hover at time 0 of the script's clock, advanced to the clock's present. Raises UserError."""
+
+    def __init__(self, options: FlightOptions, settings: Settings, clock_speed: float, clock: VirtualClock) -> None:
+        from uavaccel.sim.world import World
+        from uavaccel.wire.api import Api
+        from uavaccel.wire.latency import ZERO_LATENCY, Latency, shipped_latency
+        from uavaccel.wire.transport import VirtualTransport, modelled_simulation
+
+        latency = ZERO_LATENCY if options.timing == "lockstep" else shipped_latency(options.profile)
+        draws = Latency(latency, np.random.SeedSequence(options.seed or 0))
+        profile = settings.recorder_of(latency.platform.profile(options.profile, clock_speed))
+        self.world = World(options.scene, profile, airsim=True)
+        settings.prepare(self.world)
+        self.simulation = modelled_simulation(self.world, clock_speed, draws)
+        self.api = Api(self.simulation, settings, recordings=options.folder / "recordings", say=warn)
+        self.api.refusals.say = warn
+        self.simulation.settle(0)
+        self.trajectory, tick_ns = Trajectory(), profile.tick_ns
+        self.trajectory.add(self.simulation.kinematics())
+        self.world.watch(INTERVAL_NS // tick_ns, lambda _: self.trajectory.add(self.simulation.kinematics()))
+        self.world.watch(KEEP_NS // tick_ns, lambda _: self.api.scenery.recorder.keep())
+        self.transport = VirtualTransport(self.api, clock, draws)
+        self.transport.catch_up()
+
+    def summary(self) -> FlightSummary:
+        """Return the simulated duration, the last position and what went wrong: SI units, NED."""
+        return {
+            "simulated_s": self.simulation.time_ns / NS_PER_S,
+            "position_m": list(self.simulation.kinematics().position_m),
+            "failure": self.simulation.failure,
+            "refused": self.api.refusals.lines(),
+        }
+
+
+def warn(line: str) -> None:
+    print(f"uavaccel: warning: {line}", file=sys.stderr, flush=True)
 
 
 class SimulatedFlight:
@@ -59,7 +99,6 @@ class SimulatedFlight:
         assert isinstance(self._clock, VirtualClock)
         machine = MonotonicClock()
         begun_ns = machine.now_ns()
-        from uavaccel.fly.world import ScriptWorld
         from uavaccel.wire.settings import Settings
 
         world = ScriptWorld(self._options, self._settings or Settings(), self._clock_speed, self._clock)
@@ -80,9 +119,7 @@ class SimulatedFlight:
             stack.enter_context(ended_by_refusals(lambda: self._log.calls))
             SharedModules(patches, self._turns, modules, clock)
             if options.film:
-                from uavaccel.fly.film import filming
-
-                stack.enter_context(filming(self._world.simulation, self._world.world, options.folder))
+                stack.enter_context(filming(self._world.simulation, options.folder))
             outcome = run_script(options.script, options.arguments, self._outlive)
             self._catch_up()  # to the end of the script's last wait
             return outcome._replace(wall_s=outcome.wall_s - self._made_s - client.spent_s)
@@ -93,7 +130,7 @@ class SimulatedFlight:
         if not self._has_world():
             return
         api = self._world.api
-        api.recorder.stop()
+        api.scenery.recorder.stop()
         self._world.trajectory.write(self._options.folder)
         if refused := api.refusals.lines():
             print("uavaccel: refused calls:", *refused, sep="\n  ", file=sys.stderr)
@@ -167,19 +204,14 @@ class SimulatedFlight:
 
         self._check_process()
         self._turns.check_thread()
-        self._think()
-        sent, world = [as_sent(value) for value in params], self._world
-        number = self._log.call(self._clock.now_ns(), world.simulation.time_ns, method, sent)
-        return world.transport.send(method, sent, blocking), number
-
-    def _think(self) -> None:
         if self._over:
             raise FlightOver
         self._stop_at_the_end()
-        self._clock.charge(self._think_ns)
         self._calls_since_wait += 1
-        if self._calls_since_wait > FREE_CALLS:
-            self._clock.charge(self._poll_ns)
+        self._clock.charge(self._think_ns + (self._poll_ns if self._calls_since_wait > FREE_CALLS else 0))
+        sent, world = [as_sent(value) for value in params], self._world
+        number = self._log.call(self._clock.now_ns(), world.simulation.time_ns, method, sent)
+        return world.transport.send(method, sent, blocking), number
 
     def _join(self, future: Future, call: PendingCall, number: int) -> None:
         self._check_process()
@@ -199,25 +231,21 @@ class SimulatedFlight:
             if patient_until_ns is not None and self._clock.now_ns() >= patient_until_ns:
                 patient_until_ns = None
                 if not world.simulation.paused:
-                    self._report_long_wait(call.method)
+                    position = " ".join(f"{metres:.1f}" for metres in world.simulation.kinematics().position_m)
+                    touch = world.world.lead.contact_log.latest
+                    where = f"{position} m" + (f", last touched {touch.object}" if touch else "")
+                    waited = f"the script has waited {PATIENCE_NS / NS_PER_S:g} simulated s for {call.method}"
+                    warn(f"{waited}; the vehicle is at {where}")
             else:
-                self._turns.wait_until(self._expected_ns(call))  # another thread's time has come
+                event_ns, now_ns = call.reply_wall_ns, self._clock.now_ns()
+                if event_ns is None:
+                    event_ns = world.simulation.next_event_wall_ns()
+                expected_ns = now_ns + TURN_POLL_NS if event_ns is None else max(now_ns, event_ns)
+                self._turns.wait_until(
+                    earliest(expected_ns, self._until_ns) or now_ns
+                )  # another thread's time has come
         call.value = as_received(call.value)
         self._log.answer(number, call.reply_wall_ns or 0, call.error, call.value)
-
-    def _expected_ns(self, call: PendingCall) -> int:
-        """Return when the answer arrives or may become due, or the flight ends."""
-        event_ns, now_ns = call.reply_wall_ns, self._clock.now_ns()
-        if event_ns is None:
-            event_ns = self._world.simulation.next_event_wall_ns()
-        expected_ns = now_ns + TURN_POLL_NS if event_ns is None else max(now_ns, event_ns)
-        return earliest(expected_ns, self._until_ns) or now_ns
-
-    def _report_long_wait(self, method: str) -> None:
-        from uavaccel.fly.world import warn
-
-        waited = f"the script has waited {PATIENCE_NS / NS_PER_S:g} simulated s for {method}"
-        warn(f"{waited}; the vehicle is at {self._world.whereabouts()}")
 
     def _outlive(self) -> None:
         """Wait for the script's other threads, except daemons, when its first one is done."""
@@ -239,5 +267,4 @@ class SimulatedFlight:
 
 
 def earliest(*times_ns: int | None) -> int | None:
-    """Return the earliest of those times that are not None."""
     return min((time_ns for time_ns in times_ns if time_ns is not None), default=None)

@@ -124,7 +124,8 @@ class SharedModules:
         patches.when_imported("multiprocessing.dummy", self._change_dummy)
         patches.when_imported("multiprocessing.pool", self._change_pool)
         patches.when_imported("asyncio.selector_events", self._change_loops)
-        patches.when_imported("sched", self._change_scheduler)
+        waiting = tuple(getattr(clock, name) for name in ("monotonic", "sleep"))
+        patches.when_imported("sched", lambda module: patches.set(module.scheduler.__init__, "__defaults__", waiting))
 
     def _is_for_a_script(self) -> bool:
         return self._turns.is_mine() and called_by_a_script()
@@ -167,10 +168,6 @@ class SharedModules:
             return names["ThreadPool"](*arguments, **options)
 
         self._patches.set(module, "ThreadPool", type("ThreadPool", (module.ThreadPool,), {"__new__": new}))
-
-    def _change_scheduler(self, module: ModuleType) -> None:
-        defaults = tuple(getattr(self._clock, name) for name in ("monotonic", "sleep"))
-        self._patches.set(module.scheduler.__init__, "__defaults__", defaults)
 
     def _change_loops(self, module: ModuleType) -> None:
         """Put the event loops of asyncio.selector_events that a script makes on its clock."""
@@ -222,19 +219,16 @@ class SimulatedSelector:
             return bool(ready)
 
         if timeout is not None and timeout <= 0:
-            self._let_others_run()
+            now_ns = self._turns.now_ns()
+            self._turns_since = self._turns_since + 1 if now_ns == self._stood_ns else 0
+            if self._turns_since > FREE_TURNS:
+                self._poll()
+            self._stood_ns = self._turns.now_ns()
+            self._turns.wait_until(self._stood_ns)
             happened()
         else:
             self._turns.until(happened, timeout, lambda: self._selector.select(None))
         return ready
-
-    def _let_others_run(self) -> None:
-        now_ns = self._turns.now_ns()
-        self._turns_since = self._turns_since + 1 if now_ns == self._stood_ns else 0
-        if self._turns_since > FREE_TURNS:
-            self._poll()
-        self._stood_ns = self._turns.now_ns()
-        self._turns.wait_until(self._stood_ns)
 
     def __getattr__(self, name: str) -> object:
         return getattr(self._selector, name)

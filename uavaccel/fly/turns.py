@@ -70,7 +70,6 @@ class Turns:
         return None if wake_ns == inf else int(wake_ns)
 
     def is_mine(self) -> bool:
-        """Return whether the calling thread takes turns."""
         return threading.get_ident() in self._threads
 
     def check_thread(self) -> None:
@@ -120,7 +119,6 @@ class Turns:
         self._threads.add(threading.get_ident())
 
     def end(self) -> None:
-        """End the calling thread's turns."""
         self._threads.discard(threading.get_ident())
         if self._waiting:
             self._following().begins.set()

@@ -12,7 +12,7 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
@@ -23,11 +23,10 @@ import numpy as np
 from uavaccel.airsim.connection import Future, SocketConnection, as_sent
 from uavaccel.clock import MonotonicClock, counted_time_module
 from uavaccel.errors import UserError
-from uavaccel.fly.messages import MessageLog
+from uavaccel.fly.environment import script_environment
+from uavaccel.fly.log import MessageLog, write_trajectory
 from uavaccel.fly.options import FlightOptions, FlightSummary
 from uavaccel.fly.script import FlightOver, ScriptResult, run_script
-from uavaccel.fly.shims import script_environment
-from uavaccel.fly.trajectory import write_trajectory
 from uavaccel.processes.lifetime import Watch, end_within, start_python
 from uavaccel.units import NS_PER_S
 from uavaccel.wire.rpc import LOOPBACK, Received
@@ -58,8 +57,7 @@ class LoggedConnection:
         self._start_ns = self._clock.now_ns()
 
     def call(self, method: str, *params: object) -> Received:
-        future = self.call_async(method, *params)
-        return future.get()
+        return self.call_async(method, *params).get()
 
     def call_async(self, method: str, *params: object) -> Future:
         if os.getpid() != self._pid:
@@ -130,8 +128,8 @@ class WallFlight:
 
     def end(self) -> None:
         """Write the trajectory that the server recorded."""
-        self._time_ns, poses = recorded(self._options.folder)
-        self._poses = poses
+        self._time_ns, self._poses = recorded(self._options.folder)
+        poses = self._poses
         speeds = np.gradient(poses[:, :3], self._time_ns / NS_PER_S, axis=0) if len(poses) > 1 else poses[:, :3] * 0
         write_trajectory(self._options.folder, self._time_ns, np.hstack([poses, speeds]))
 
@@ -173,10 +171,17 @@ def serving(
         line = lines.readline()
         if "listening on" not in line:
             raise UserError(f"the server did not start: {line.strip() or 'see above'}")
-        printer = threading.Thread(target=_print_warnings, args=(lines,), daemon=True)
+
+        def print_warnings() -> None:
+            for each in lines:
+                if each.startswith(("warning", "  ", "stopped")):
+                    print(f"uavaccel: {each.rstrip()}", file=sys.stderr, flush=True)
+
+        printer = threading.Thread(target=print_warnings, daemon=True)
         printer.start()
-        with _interrupted_by(signal.SIGUSR1) as interrupt:
-            watch = Watch(server, "the server's process", interrupt)
+        with _stopped_by(signal.SIGUSR1):
+            first = threading.main_thread().ident or 0
+            watch = Watch(server, "the server's process", lambda: signal.pthread_kill(first, signal.SIGUSR1))
             try:
                 yield Served(int(line.partition("listening on ")[2].partition(": scene")[0].rpartition(":")[2]), watch)
             finally:
@@ -187,24 +192,17 @@ def serving(
 
 
 @contextmanager
-def _interrupted_by(number: int) -> Iterator[Callable[[], None]]:
-    """A function for other threads that raises FlightOver in the main thread."""
-    first = threading.main_thread().ident or 0
-    before = signal.signal(number, _stop)
+def _stopped_by(number: int) -> Iterator[None]:
+    """Let a signal raise FlightOver in the main thread."""
+
+    def stop(*_: object) -> None:
+        raise FlightOver
+
+    before = signal.signal(number, stop)
     try:
-        yield lambda: signal.pthread_kill(first, number)
+        yield
     finally:
         signal.signal(number, before)
-
-
-def _stop(*_: object) -> None:
-    raise FlightOver
-
-
-def _print_warnings(lines: Iterator[str]) -> None:
-    for line in lines:
-        if line.startswith(("warning", "  ", "stopped")):
-            print(f"uavaccel: {line.rstrip()}", file=sys.stderr, flush=True)
 
 
 def recorded(folder: Path) -> tuple[np.ndarray, np.ndarray]:
@@ -224,10 +222,9 @@ def stopping_after(simulated_s: float | None, clock_speed: float) -> Iterator[No
     if simulated_s is None:
         yield
         return
-    before = signal.signal(signal.SIGALRM, _stop)
-    signal.setitimer(signal.ITIMER_REAL, simulated_s / clock_speed)
-    try:
-        yield
-    finally:
-        signal.setitimer(signal.ITIMER_REAL, 0)
-        signal.signal(signal.SIGALRM, before)
+    with _stopped_by(signal.SIGALRM):
+        signal.setitimer(signal.ITIMER_REAL, simulated_s / clock_speed)
+        try:
+            yield
+        finally:
+            signal.setitimer(signal.ITIMER_REAL, 0)

@@ -1,7 +1,7 @@
 """The appearance of a lane, read from its MuJoCo model as OpenGL receives it, and the visible geometry of layouts.
 
 Textures, materials, camera, sky, walls and ground come from the model, mipmaps are computed as glGenerateMipmap does.
-The layout determines obstacles, their textures and the sunlight, as in sim/lane/scene.py.
+The layout determines obstacles, their textures and the sunlight, as in sim/lane.py.
 """
 
 from __future__ import annotations
@@ -14,15 +14,22 @@ from numpy.typing import NDArray
 
 from uavaccel.errors import UserError
 from uavaccel.kernels import fields as at
-from uavaccel.kernels.bodies import KINDS
-from uavaccel.kernels.fields import NO_APPEARANCE, Appearance, Looks, Scenes
-from uavaccel.kernels.operands import Operand
+from uavaccel.kernels.bodies import KINDS, SOLIDS
+from uavaccel.kernels.fields import NO_APPEARANCE, Appearance, Looks, Operand, Scenes
+from uavaccel.kernels.fields import empty_scenes as empty_scenes
 from uavaccel.sim.camera.view import HEIGHT, WIDTH, far_m
-from uavaccel.sim.lane.layout import GROUND_TEXTURES, OBSTACLE_TEXTURES, PLAIN, WALL_TEXTURES, LaneLayout
-from uavaccel.sim.lane.scene import OBSTACLE_HALF_HEIGHT_M, obstacle_geoms, sunlight
-from uavaccel.sim.scene.model import DRONE_GROUP
+from uavaccel.sim.lane import (
+    GROUND_TEXTURES,
+    OBSTACLE_HALF_HEIGHT_M,
+    OBSTACLE_TEXTURES,
+    PLAIN,
+    WALL_TEXTURES,
+    LaneLayout,
+    obstacle_geoms,
+    sunlight,
+)
+from uavaccel.sim.scene import DRONE_GROUP
 
-Levels = list[NDArray[np.uint8]]
 WORN = (("obstacle", OBSTACLE_TEXTURES), ("wall", WALL_TEXTURES), ("ground", GROUND_TEXTURES))
 
 
@@ -33,10 +40,12 @@ def read_appearance(model: mujoco.MjModel, camera: str = "front_center") -> Appe
         raise UserError("simulator: kernels draws the obstacle lane alone; other scenes need simulator: mujoco")
     _check(model, obstacles)
     texels, textures, of_texture = _textures(model)
-    materials = np.zeros((model.nmat, 8), np.float32)
-    for index in range(model.nmat):
-        materials[index] = _material(model, index, of_texture)
-    fixed = [_solid(model, geom) for geom in _visible(model) if geom not in obstacles]
+    materials = _materials(model, of_texture)
+    fixed = [
+        [*model.geom_pos[geom], *model.geom_size[geom], KINDS[int(model.geom_type[geom])], model.geom_matid[geom]]
+        for geom in _visible(model)
+        if geom not in obstacles
+    ]
     wearing = np.zeros((3, 4), np.int32)
     for row, (kind, names) in zip(wearing, WORN, strict=True):
         row[: len(names)] = [model.material(f"{kind}_{name}").id for name in names]
@@ -53,23 +62,10 @@ def read_looks(model: mujoco.MjModel, size: tuple[int, int], depth: bool, camera
         return Looks(seen, light, *NO_APPEARANCE[:3])
     sun = _sun(model)
     texels, textures, of_texture = _textures(model)
-    materials = np.zeros((model.nmat, 8), np.float32)
-    for index in range(model.nmat):
-        materials[index] = _material(model, index, {-1: 0} | of_texture)
+    materials = _materials(model, {-1: 0} | of_texture)
     light[at.AMBIENT : at.DIFFUSE], light[at.DIFFUSE : at.TOWARDS] = model.light_ambient[sun], model.light_diffuse[sun]
     light[at.TOWARDS :] = -model.light_dir[sun] / np.linalg.norm(model.light_dir[sun])
     return Looks(seen, light, texels, textures, materials)
-
-
-def empty_scenes(lanes: int) -> Scenes:
-    """Allocate scenes for `lanes` lanes, to be filled by `fill_scenes` before they are rendered."""
-    solids = np.zeros((lanes, at.SOLIDS, 8), np.float32)
-    return Scenes(solids, np.zeros(lanes, np.int32), np.zeros((lanes, 9), np.float32))
-
-
-def fill_scene(appearance: Appearance, scenes: Scenes, lane: int, layout: LaneLayout) -> None:
-    """Write the geometry and light of one lane. Raises UserError for a scenery other than the plain one."""
-    fill_scenes(appearance, scenes, [lane], [layout])
 
 
 def fill_scenes(appearance: Appearance, scenes: Scenes, lanes: Sequence[int], layouts: Sequence[LaneLayout]) -> None:
@@ -106,7 +102,7 @@ def _check(model: mujoco.MjModel, obstacles: NDArray[np.int64]) -> None:
     for geom in _visible(model):
         name, kind = model.geom(geom).name, int(model.geom_type[geom])
         turned = not np.allclose(model.geom_quat[geom], (1, 0, 0, 0)) or model.geom_bodyid[geom] != 0
-        if geom not in obstacles and (kind not in KINDS or turned):
+        if geom not in obstacles and (KINDS.get(kind) not in SOLIDS or turned):
             raise UserError(f"geom {name!r}: simulator: kernels draws upright boxes, cylinders and planes of the world")
     _sun(model)
     if model.vis.quality.numslices != at.SLICES:
@@ -126,21 +122,16 @@ def _sun(model: mujoco.MjModel) -> int:
     return suns[0]
 
 
-def _solid(model: mujoco.MjModel, geom: int) -> list[float]:
-    return [*model.geom_pos[geom], *model.geom_size[geom], KINDS[int(model.geom_type[geom])], model.geom_matid[geom]]
-
-
-def _material(model: mujoco.MjModel, index: int, of_texture: dict[int, int]) -> list[float]:
-    texture = int(model.mat_texid[index, mujoco.mjtTextureRole.mjTEXROLE_RGB])
-    if texture not in of_texture:
-        raise UserError(f"material {model.material(index).name!r}: simulator: kernels draws 2d textures alone")
-    return [
-        *model.mat_rgba[index, :3],
-        of_texture[texture],
-        *model.mat_texrepeat[index],
-        model.mat_texuniform[index],
-        model.mat_emission[index],
-    ]
+def _materials(model: mujoco.MjModel, of_texture: dict[int, int]) -> NDArray[np.float32]:
+    """Return the materials (m, 8). Raises UserError for other textures than these."""
+    materials = np.zeros((model.nmat, 8), np.float32)
+    for index in range(model.nmat):
+        texture = int(model.mat_texid[index, mujoco.mjtTextureRole.mjTEXROLE_RGB])
+        if texture not in of_texture:
+            raise UserError(f"material {model.material(index).name!r}: simulator: kernels draws 2d textures alone")
+        how = *model.mat_texrepeat[index], model.mat_texuniform[index], model.mat_emission[index]
+        materials[index] = *model.mat_rgba[index, :3], of_texture[texture], *how
+    return materials
 
 
 def _camera(model: mujoco.MjModel, name: str, size: tuple[int, int] = (WIDTH, HEIGHT)) -> NDArray[np.float64]:
@@ -169,7 +160,8 @@ def _textures(model: mujoco.MjModel) -> tuple[NDArray[np.uint32], NDArray[np.int
         width = data.shape[1]
         if texture != skies[0]:
             of_texture[texture] = len(rows)
-            data = np.concatenate([_padded(level, width) for level in mipmaps(data)])
+            padded = (np.pad(level, ((0, 0), (0, width - level.shape[1]), (0, 0))) for level in mipmaps(data))
+            data = np.concatenate(list(padded))
         rows.append((base, width.bit_length() - 1))
         packed = data.astype(np.uint32) @ np.array([1, 1 << 8, 1 << 16], np.uint32)
         texels.append(packed.ravel())
@@ -190,7 +182,7 @@ def _texture_data(model: mujoco.MjModel, texture: int) -> NDArray[np.uint8]:
     return np.asarray(model.tex_data[address : address + 3 * width * height]).reshape(height, width, 3)
 
 
-def mipmaps(data: NDArray[np.uint8]) -> Levels:
+def mipmaps(data: NDArray[np.uint8]) -> list[NDArray[np.uint8]]:
     """Return all mipmap levels of a texture (height, width, 3) whose sides are powers of two.
 
     Neighbours are averaged across, then down, each time rounding halves up, as llvmpipe's glGenerateMipmap does.
@@ -204,7 +196,3 @@ def mipmaps(data: NDArray[np.uint8]) -> Levels:
             level = (level[0::2] + level[1::2] + 1) >> 1
         levels.append(level.astype(np.uint8))
     return levels
-
-
-def _padded(level: NDArray[np.uint8], width: int) -> NDArray[np.uint8]:
-    return np.pad(level, ((0, 0), (0, width - level.shape[1]), (0, 0)))

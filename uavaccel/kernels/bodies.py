@@ -1,33 +1,253 @@
-"""Collision geometry read from a scene's MuJoCo model: the vehicle's hull and the solids around it.
+"""Still geometry read from MuJoCo models: the vehicle's hull, and what stands around it, to touch and to see.
 
-Upright boxes, cylinders and planes are solids; a model with anything else is read as a `Scene`.
+Upright boxes, cylinders and planes are solids of a lane; a model with anything else is read as a `Scene`, in which
+every geom that cannot move is turned as it is.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.errors import UserError
-from uavaccel.kernels.clutter_worlds import put_clutter
+from uavaccel.kernels import scene as at
+from uavaccel.kernels.clutter_games import put_clutter
 from uavaccel.kernels.fields import BOX, CYLINDER, PLANE
 from uavaccel.kernels.lanes import Games
 from uavaccel.kernels.scene import GEOM, Scene
-from uavaccel.kernels.still import read_scene, touchable
 from uavaccel.kernels.touching import SOLID_FIELDS
 from uavaccel.sim.clutter import ClutterLayout
-from uavaccel.sim.lane.layout import MAX_OBSTACLES, LaneLayout
-from uavaccel.sim.lane.scene import OBSTACLE_HALF_HEIGHT_M, named, object_name, obstacle_geoms
+from uavaccel.sim.lane import (
+    APPEARANCE_GROUP,
+    BODIES_GROUP,
+    MAX_OBSTACLES,
+    OBSTACLE_HALF_HEIGHT_M,
+    LaneLayout,
+    named,
+    object_name,
+    obstacle_geoms,
+)
+from uavaccel.sim.scene import DRONE_GROUP
 from uavaccel.sim.vehicle.vehicle import BODY
 
+HIDDEN_GROUP = 3  # of collision geometry
+MOST_CELLS = 256 * 256
+LEAST_CELL_M = 0.25
+MOST_SHARE = 0.25  # of a grid's cells: a shape that covers more is in none of them, but always considered
+DEFAULT_RGBA = (0.5, 0.5, 0.5, 1.0)  # of a geom, which lets its material's through
+
+G = mujoco.mjtGeom
 KINDS = {
-    int(mujoco.mjtGeom.mjGEOM_BOX): BOX,
-    int(mujoco.mjtGeom.mjGEOM_CYLINDER): CYLINDER,
-    int(mujoco.mjtGeom.mjGEOM_PLANE): PLANE,
+    int(G.mjGEOM_PLANE): at.PLANE,
+    int(G.mjGEOM_BOX): at.BOX,
+    int(G.mjGEOM_SPHERE): at.CAPSULE,
+    int(G.mjGEOM_CAPSULE): at.CAPSULE,
+    int(G.mjGEOM_ELLIPSOID): at.ELLIPSOID,
+    int(G.mjGEOM_CYLINDER): at.CYLINDER,
+    int(G.mjGEOM_MESH): at.HULL,
+    int(G.mjGEOM_HFIELD): at.HEIGHTS,
 }
+
+Floats = NDArray[np.float64]
+
+
+def touchable(model: mujoco.MjModel) -> NDArray[np.int64]:
+    """Return the still geoms that the vehicle collides with."""
+    hull = model.geom_bodyid == model.body(BODY).id
+    types, affinities = model.geom_contype, model.geom_conaffinity
+    own_type, own_affinity = (int(np.bitwise_or.reduce(bits[hull])) for bits in (types, affinities))
+    meets = (types & own_affinity | affinities & own_type) != 0
+    return np.flatnonzero(_still(model) & meets)
+
+
+def visible(model: mujoco.MjModel, looks: bool = True) -> NDArray[np.int64]:
+    """Return the still geoms that cameras see; a scenery's looks stand for bodies unless depth is measured."""
+    hidden = (DRONE_GROUP, HIDDEN_GROUP, BODIES_GROUP if looks else APPEARANCE_GROUP)
+    return np.flatnonzero(_still(model) & ~np.isin(model.geom_group, hidden) & (model.geom_rgba[:, 3] > 0))
+
+
+def _still(model: mujoco.MjModel) -> NDArray[np.bool_]:
+    still: NDArray[np.bool_] = model.body_weldid[model.geom_bodyid] == 0
+    return still
+
+
+def read_scene(model: mujoco.MjModel, seen: bool = False, geoms: NDArray[np.int64] | None = None) -> Scene:
+    """Read a model's still geoms as a scene of one world: those to touch, or those to be `seen`.
+
+    Raises UserError for kinds of geoms that are none of MuJoCo's solids, and for geoms with a margin.
+    """
+    if geoms is None:
+        geoms = visible(model) if seen else touchable(model)
+    for geom in geoms.tolist():
+        if int(model.geom_type[geom]) not in KINDS:
+            raise UserError(f"simulator = kernels: {object_name(model, geom)} is of a kind that only mujoco knows")
+        if not seen and model.geom_margin[geom] != 0:
+            raise UserError(f"simulator = kernels: {object_name(model, geom)} has a margin; use mujoco")
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    rows, shared = _rows(model, data, geoms), {"vertices": np.zeros((0, 3)), "heights": np.zeros(0)}
+    meshes = rows[:, at.KIND] == at.HULL
+    if seen:
+        rows = np.concatenate([rows[~meshes], *(_triangles(model, row) for row in rows[meshes])])
+    else:
+        shared["vertices"] = _take_hulls(model, rows, meshes)
+    shared["heights"] = _take_heights(model, rows)
+    return _scene(rows, shared, np.float32 if seen else np.float64)
+
+
+def _rows(model: mujoco.MjModel, data: mujoco.MjData, geoms: NDArray[np.int64]) -> Floats:
+    """Return shapes (n, SHAPE_FIELDS), meshes as HULL without vertices; DATA holds the geom's data for now."""
+    rows = np.zeros((len(geoms), at.SHAPE_FIELDS))
+    rows[:, at.KIND] = [KINDS[kind] for kind in model.geom_type[geoms].tolist()]
+    rows[:, at.BOUND], rows[:, at.CENTRE : at.AXES] = model.geom_rbound[geoms], data.geom_xpos[geoms]
+    rows[:, at.AXES : at.HALF] = data.geom_xmat[geoms]
+    flat = np.isin(rows[:, at.KIND], (at.PLANE, at.BOX))
+    rows[:, at.RGB : at.DATA], rows[:, at.GEOM] = _colours(model, geoms, flat), geoms
+    rows[:, at.MATERIAL] = np.where(flat, model.geom_matid[geoms], -1)
+    rows[:, at.DATA] = model.geom_dataid[geoms]
+    kinds, sizes = rows[:, at.KIND], model.geom_size[geoms]
+    half = sizes.copy()
+    round_ = (kinds == at.CYLINDER) | (kinds == at.CAPSULE)
+    half[round_] = sizes[round_][:, [0, 0, 1]]
+    half[model.geom_type[geoms] == G.mjGEOM_SPHERE, 2] = 0.0
+    mesh = kinds == at.HULL
+    half[mesh] = model.geom_aabb[geoms[mesh], 3:]
+    middle = model.geom_aabb[geoms[mesh], :3]
+    axes = rows[mesh, at.AXES : at.HALF].reshape(-1, 3, 3)
+    rows[mesh, at.CENTRE : at.AXES] += np.einsum("nij,nj->ni", axes, middle)
+    rows[mesh, at.BOUND] = np.linalg.norm(half[mesh], axis=1)
+    rows[np.isin(kinds, (at.PLANE, at.HEIGHTS)), at.BOUND] = at.UNBOUNDED
+    rows[:, at.HALF : at.RGB] = half
+    return rows
+
+
+def _colours(model: mujoco.MjModel, geoms: NDArray[np.int64], flat: NDArray[np.bool_]) -> Floats:
+    """Return the geoms' colours (n, 3), 0 to 1, times their textures' means, except on `flat` ones, which show them."""
+    means, colours = np.ones((model.nmat, 3)), model.geom_rgba[geoms, :3].astype(np.float64)
+    for material in range(model.nmat):
+        texture = int(model.mat_texid[material, mujoco.mjtTextureRole.mjTEXROLE_RGB])
+        if texture >= 0 and model.tex_nchannel[texture] >= 3:
+            channels = int(model.tex_nchannel[texture])
+            size, first = int(model.tex_width[texture] * model.tex_height[texture]), int(model.tex_adr[texture])
+            texels = model.tex_data[first : first + size * channels].reshape(size, channels)
+            means[material] = texels[:, :3].mean(axis=0) / 255
+    material = model.geom_matid[geoms]
+    wearing = (material >= 0) & np.all(model.geom_rgba[geoms] == np.array(DEFAULT_RGBA, np.float32), axis=1)
+    colours[wearing] = model.mat_rgba[material[wearing], :3]
+    averaged = (material >= 0) & ~flat
+    colours[averaged] *= means[material[averaged]]
+    return colours
+
+
+def _take_hulls(model: mujoco.MjModel, rows: Floats, meshes: NDArray[np.bool_]) -> Floats:
+    """Return the vertices (v, 3) of the meshes' convex hulls, and let the shapes refer to them."""
+    vertices: list[Floats] = [np.zeros((0, 3))]
+    known: dict[int, tuple[int, int]] = {}
+    for row in np.flatnonzero(meshes):
+        mesh = int(rows[row, at.DATA])
+        if mesh not in known:
+            first, graph = int(model.mesh_vertadr[mesh]), int(model.mesh_graphadr[mesh])
+            own = np.arange(int(model.mesh_vertnum[mesh]))
+            if graph >= 0:  # of whose vertices these are the convex hull's
+                count = int(model.mesh_graph[graph])
+                own = np.asarray(model.mesh_graph[graph + 2 + count : graph + 2 + 2 * count], np.int64)
+            corners = model.mesh_vert[first + own] - model.geom_aabb[int(rows[row, at.GEOM]), :3]
+            known[mesh] = sum(map(len, vertices)), len(corners)
+            vertices.append(corners)
+        first, count = known[mesh]
+        rows[row, at.DATA], rows[row, at.COUNT] = first, count
+        rows[row, at.BOUND] = np.linalg.norm(np.concatenate(vertices)[first : first + count], axis=1).max()
+    return np.concatenate(vertices)
+
+
+def _triangles(model: mujoco.MjModel, mesh_row: Floats) -> Floats:
+    """Return the triangles (n, SHAPE_FIELDS) of a mesh."""
+    mesh, geom = int(mesh_row[at.DATA]), int(mesh_row[at.GEOM])
+    first, count = int(model.mesh_faceadr[mesh]), int(model.mesh_facenum[mesh])
+    own = model.mesh_vert[model.mesh_face[first : first + count] + model.mesh_vertadr[mesh]]
+    axes = mesh_row[at.AXES : at.HALF].reshape(3, 3)
+    corners = (own - model.geom_aabb[geom, :3]) @ axes.T + mesh_row[at.CENTRE : at.AXES]
+    middle = (corners.min(axis=1) + corners.max(axis=1)) / 2
+    rows = np.repeat(mesh_row[None], count, axis=0)
+    rows[:, at.KIND], rows[:, at.CENTRE : at.AXES] = at.TRIANGLE, middle
+    rows[:, at.BOUND] = np.linalg.norm(corners - middle[:, None], axis=2).max(axis=1)
+    rows[:, at.AXES : at.AXES + 3] = corners[:, 0] - middle
+    rows[:, at.AXES + 3 : at.AXES + 6] = corners[:, 1] - corners[:, 0]
+    rows[:, at.AXES + 6 : at.HALF] = corners[:, 2] - corners[:, 0]
+    return rows
+
+
+def _take_heights(model: mujoco.MjModel, rows: Floats) -> Floats:
+    """Return the heights of all height fields, m, and let the shapes refer to them."""
+    heights: list[Floats] = [np.zeros(0)]
+    for row in np.flatnonzero(rows[:, at.KIND] == at.HEIGHTS):
+        field = int(rows[row, at.DATA])
+        columns, lines = int(model.hfield_ncol[field]), int(model.hfield_nrow[field])
+        first, (*wide, tall, base) = int(model.hfield_adr[field]), model.hfield_size[field]
+        rows[row, at.DATA], rows[row, at.COUNT] = sum(map(len, heights)), columns
+        rows[row, at.LINES], rows[row, at.BASE] = lines, base
+        heights.append(model.hfield_data[first : first + columns * lines] * tall)
+        rows[row, at.HALF : at.RGB] = *wide, heights[-1].max()
+    return np.concatenate(heights)
+
+
+def _scene(rows: Floats, shared: dict[str, Floats], kind: Any) -> Scene:
+    """Lay out a grid, and list the shapes in its cells."""
+    reach = _spreads(rows)
+    upright, half = np.abs(rows[:, at.AXES + 8]) == 1.0, rows[:, at.HALF : at.RGB]
+    round_ = np.isin(rows[:, at.KIND], (at.CYLINDER, at.CAPSULE, at.ELLIPSOID))
+    wide = np.where(upright & round_, half[:, :2].max(axis=1), np.hypot(reach[:, 0], reach[:, 1]))
+    rows[:, at.REACH] = np.minimum(wide, rows[:, at.BOUND]) + at.LISTING_MARGIN_M
+    beside = np.isin(rows[:, at.KIND], (at.PLANE, at.HEIGHTS))
+    frame = _frame(rows[~beside], reach[~beside])
+    cells = np.prod(np.minimum(2 * reach[:, :2] / frame[at.CELL] + 1, frame[[at.COLUMNS, at.ROWS]]), axis=1)
+    beside |= cells > MOST_SHARE * frame[at.COLUMNS] * frame[at.ROWS] + 1
+    order = np.argsort(~beside, kind="stable")
+    frame[at.LOOSE], frame[at.SHAPES] = beside.sum(), len(rows)
+    entries = int(cells[~beside].sum()) + 4 * len(rows)
+    start = np.zeros((1, int(frame[at.COLUMNS] * frame[at.ROWS]) + 1), np.int32)
+    scene = Scene(
+        rows[order][None].astype(kind),
+        start,
+        np.zeros((1, entries), np.int32),
+        frame[None].astype(kind),
+        shared["vertices"].astype(kind),
+        shared["heights"].astype(kind),
+    )
+    needed = int(at.list_world(scene, 0))
+    return scene._replace(items=scene.items[:, :needed].copy())
+
+
+def _spreads(rows: Floats) -> Floats:
+    """Return `scene.spread_along` of every shape (n, 3); of planes and height fields a bound."""
+    half, axes = rows[:, at.HALF : at.RGB], rows[:, at.AXES : at.HALF].reshape(-1, 3, 3)
+    reach: Floats = np.einsum("nij,nj->ni", np.abs(axes), half)
+    reach[rows[:, at.KIND] == at.CAPSULE] += rows[rows[:, at.KIND] == at.CAPSULE, at.HALF][:, None]
+    flat = rows[:, at.KIND] == at.TRIANGLE
+    corner, one, two = (axes[flat, each] for each in range(3))
+    reach[flat] = np.abs(np.stack([corner, corner + one, corner + two])).max(axis=0)
+    return reach
+
+
+def _frame(rows: Floats, reach: Floats) -> Floats:
+    """Return the frame of a grid around these shapes."""
+    frame = np.zeros(at.FRAME_FIELDS)
+    middle = rows[:, at.CENTRE : at.AXES]
+    low, high = np.zeros(3), np.ones(3)
+    if len(rows):
+        low, high = (middle - reach).min(axis=0) - 0.01, (middle + reach).max(axis=0) + 0.01
+    wide = high - low
+    cells = min(max(at.CELLS_A_SHAPE * len(rows), 1.0), MOST_CELLS)
+    frame[at.CELL] = max(np.sqrt(wide[0] * wide[1] / cells), LEAST_CELL_M)
+    frame[at.COLUMNS], frame[at.ROWS] = np.ceil(wide[:2] / frame[at.CELL])
+    frame[[at.LEFT, at.LOW, at.BOTTOM]], frame[at.TOP] = low, high[2]
+    return frame
+
+
+SOLIDS = (BOX, CYLINDER, PLANE)  # kinds of what stands upright in a lane
 UPRIGHT = (1.0, 0.0, 0.0, 0.0)
 
 
@@ -102,7 +322,7 @@ def read_surroundings(model: mujoco.MjModel) -> Surroundings:
 def _solid(model: mujoco.MjModel, geom: int) -> NDArray[np.float64] | None:
     """Return a geom as a solid, None for one that is no upright box, cylinder or plane of the world itself."""
     kind = KINDS.get(int(model.geom_type[geom]))
-    if kind is None or tuple(model.geom_quat[geom]) != UPRIGHT or model.geom_bodyid[geom] != 0:
+    if kind not in SOLIDS or tuple(model.geom_quat[geom]) != UPRIGHT or model.geom_bodyid[geom] != 0:
         return None
     size = model.geom_size[geom].copy()
     if kind == CYLINDER:

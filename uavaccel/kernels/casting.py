@@ -33,11 +33,13 @@ from uavaccel.kernels.fields import (
     TEXTURE_ID,
     TOWARDS,
     UNIFORM,
+    Float,
+    Integer,
     Looks,
+    Vector,
 )  # fmt: skip
-from uavaccel.kernels.operands import Float, Vector, cross, dot
-from uavaccel.kernels.rays import Colour, Integer, level_of, lit, sky_index, texel_index
-from uavaccel.kernels.scene import Scene, Shape
+from uavaccel.kernels.rays import Colour, cross, dot, level_of, lit, minus, sky_index, texel_index
+from uavaccel.kernels.scene import Scene, Shape, into, triple
 from uavaccel.sim.camera.pixels import luma_of
 from uavaccel.sim.parts import part
 
@@ -61,23 +63,6 @@ def along(origin: Vector, direction: Vector, distance: Float) -> Vector:
     """Return the point at a distance along a ray."""
     x, y, z = origin
     return x + distance * direction[0], y + distance * direction[1], z + distance * direction[2]
-
-
-@part(error_model="numpy")
-def triple(shape: Shape, field: int) -> Vector:
-    """Return three fields of a shape from `field` on."""
-    return shape[field], shape[field + 1], shape[field + 2]
-
-
-@part(error_model="numpy")
-def into(shape: Shape, v: Vector) -> Vector:
-    """Turn a vector of the world into a shape's axes."""
-    a = at.AXES
-    return (
-        shape[a] * v[0] + shape[a + 3] * v[1] + shape[a + 6] * v[2],
-        shape[a + 1] * v[0] + shape[a + 4] * v[1] + shape[a + 7] * v[2],
-        shape[a + 2] * v[0] + shape[a + 5] * v[1] + shape[a + 8] * v[2],
-    )
 
 
 @part(error_model="numpy")
@@ -198,11 +183,6 @@ def corner_of(scene: Scene, shape: Shape, column: int, row: int, p: Vector) -> V
     wide, high = steps_of(shape)
     x, y = np.float32(column) * wide - shape[at.HALF], np.float32(row) * high - shape[at.HALF + 1]
     return x - p[0], y - p[1], height_of(scene, shape, column, row) - p[2]
-
-
-@part(error_model="numpy")
-def minus(a: Vector, b: Vector) -> Vector:
-    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 
 @part(error_model="numpy")
@@ -400,15 +380,6 @@ def first_met(scene: Scene, world: int, origin: Vector, direction: Vector, far_m
             return met
         place = row * columns + column
         first, last, listed = int(scene.start[world, place]), int(scene.start[world, place + 1]), True
-
-
-@part(error_model="numpy")
-def cast(scene: Scene, world: int, origin: Vector, direction: Vector, far_m: Float) -> tuple[Float, int, Vector]:
-    """Do as `first_met`, and return the normal there too, on the side from which the ray comes."""
-    distance, item = first_met(scene, world, origin, direction, far_m)
-    if item == NOTHING:
-        return distance, item, NONE
-    return distance, item, normal_at(scene, world, item, along(origin, direction, distance), direction)
 
 
 @part(error_model="numpy")

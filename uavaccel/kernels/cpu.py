@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numba import njit, types
 from numba.extending import overload
 
-from uavaccel.kernels import casting, events, timeline
-from uavaccel.kernels.fields import COLOUR, DEPTH, DVS, SEEN_FAR_M, STATE, Appearance, Looks
+from uavaccel.kernels import casting, events, pictures, timeline
+from uavaccel.kernels.fields import COLOUR, DEPTH, DVS, SEEN_FAR_M, STATE, Launchable, Looks, Operand
 from uavaccel.kernels.lane_clocks import save_shown, turn_to_shown
 from uavaccel.kernels.lanes import (
     EVENT_SEED,
@@ -23,9 +23,7 @@ from uavaccel.kernels.lanes import (
     resume,
     touched,
 )  # fmt: skip
-from uavaccel.kernels.operands import Launchable, Operand
-from uavaccel.kernels.project import project
-from uavaccel.kernels.spans import make_scratch, render_channels, render_depths, transpose_colour, transpose_gray
+from uavaccel.kernels.pictures import make_scratch
 from uavaccel.kernels.timeline import Clocks, Command
 from uavaccel.sim.parts import part
 from uavaccel.sim.vehicle.hotloop import sources
@@ -34,12 +32,7 @@ from uavaccel.vision.dvs_sensor import HOT_RATE_HZ
 from uavaccel.vision.guard import LUMA_WEIGHTS
 from uavaccel.vision.noise import LEAK_JITTER, READ_NOISE, SHOT_NOISE, fill_normal, fill_uniform
 
-
-@part
-def _observe_starts(games: Games, rows: Operand) -> None:
-    """Complete the initial states of games with their accelerations in the wind."""
-    for game in rows:
-        refresh(games.parameters[game], games.start[game], games.body[game])
+Size: TypeAlias = tuple[int, int]
 
 
 @part
@@ -48,15 +41,6 @@ def fill_thresholds(nominal: float, sigma: float, normal: Operand, out: Operand)
     for y in range(out.shape[0]):
         for x in range(out.shape[1]):
             out[y, x] = events.threshold(out[y, x], nominal, sigma, normal[y, x])
-
-
-@part(error_model="numpy")
-def add_read_noise(picture: Operand, sigma: float, seed: int, moment_ns: int) -> None:
-    """Add read noise to an image (values,) of 8-bit levels, in place (vision/noise)."""
-    drawn, deviation = np.empty(len(picture), np.float32), np.float32(sigma)
-    fill_normal(drawn, np.uint64(seed), np.uint64(moment_ns), READ_NOISE)
-    for value in range(len(picture)):
-        picture[value] = events.noisy(picture[value], deviation, drawn[value])
 
 
 @part(error_model="numpy")
@@ -189,55 +173,15 @@ def moment_ns(lane: int, now: Flights, tick_ns: int) -> int:
 
 
 @part(error_model="numpy")
-def project_lane(lane: int, appearance: Appearance, games: Games, now: Flights, sky: bool, scratch: Operand) -> None:
-    """Project what a lane's front camera sees to `scratch.faces`."""
-    state = now.state[lane]
-    project(appearance, games.scenes, now.game[lane], state.position, state.quaternion, sky, scratch.faces)
-
-
-@part(error_model="numpy")
 def add_camera_noise(lane: int, games: Games, now: Flights, tick_ns: int, picture: Operand) -> None:
-    """Add the read noise of a lane's camera to an image, in place."""
-    game = now.game[lane]
+    """Add the read noise of a lane's camera to an image of 8-bit levels, in place (vision/noise)."""
+    game, values = now.game[lane], picture.ravel()
     if games.cameras[game, events.READ] > 0.0:
-        seed, moment = games.seeds[game, PICTURE_SEED], moment_ns(lane, now, tick_ns)
-        add_read_noise(picture.ravel(), games.cameras[game, events.READ], seed, moment)
-
-
-def paint_gray(lane, looks, games, now, scratch, picture):  # type: ignore[no-untyped-def]
-    """Render what a lane's front camera sees in grey levels (rows, columns), without noise."""
-
-
-def paint_colour(lane, looks, games, now, scratch, picture):  # type: ignore[no-untyped-def]
-    """Do the same in red, green and blue (rows, columns, 3)."""
-
-
-def paint_depths(lane, looks, games, now, scratch, depths):  # type: ignore[no-untyped-def]
-    """Write the depths (rows, columns) of what a lane's front camera sees, metres."""
-
-
-@part(error_model="numpy")
-def gray_in_lane(lane: int, appearance: Appearance, games: Games, now: Flights, scratch: Operand, out: Operand) -> None:
-    project_lane(lane, appearance, games, now, True, scratch)
-    render_channels(appearance, scratch, False)
-    transpose_gray(scratch.channels, out)
-
-
-@part(error_model="numpy")
-def colour_in_lane(
-    lane: int, appearance: Appearance, games: Games, now: Flights, scratch: Operand, out: Operand
-) -> None:
-    project_lane(lane, appearance, games, now, True, scratch)
-    render_channels(appearance, scratch, True)
-    transpose_colour(scratch.channels, out)
-
-
-@part(error_model="numpy")
-def depths_in_lane(
-    lane: int, appearance: Appearance, games: Games, now: Flights, scratch: Operand, out: Operand
-) -> None:
-    project_lane(lane, appearance, games, now, False, scratch)
-    render_depths(scratch, out)
+        drawn, deviation = np.empty(len(values), np.float32), np.float32(games.cameras[game, events.READ])
+        moment = moment_ns(lane, now, tick_ns)
+        fill_normal(drawn, np.uint64(games.seeds[game, PICTURE_SEED]), np.uint64(moment), READ_NOISE)
+        for value in range(len(values)):
+            values[value] = events.noisy(values[value], deviation, drawn[value])
 
 
 @part(error_model="numpy")
@@ -271,22 +215,21 @@ def depths_in_scene(lane: int, looks: Looks, games: Games, now: Flights, scratch
             out[row, column] = casting.depth_at(games.scenes, world, looks, eye, row, column, out.shape)
 
 
-def _by_looks(in_lane: Any, in_scene: Any) -> Any:
-    """Return what chooses between renderers by the type of a lane's looks, for numba's `overload`."""
-
-    def choose(lane, looks, games, now, scratch, picture):  # type: ignore[no-untyped-def]
-        function = in_scene if looks.instance_class is Looks else in_lane
-        return lambda lane, looks, games, now, scratch, picture: function(lane, looks, games, now, scratch, picture)
-
-    return choose
+def paint(lane, looks, games, now, scratch, out):  # type: ignore[no-untyped-def]
+    """Render what a lane's front camera sees, without noise: the kind of image that `out` has room for."""
 
 
-for _function, _in_lane, _in_scene in (
-    (paint_gray, gray_in_lane, gray_in_scene),
-    (paint_colour, colour_in_lane, colour_in_scene),
-    (paint_depths, depths_in_lane, depths_in_scene),
-):
-    overload(_function)(_by_looks(_in_lane, _in_scene))
+@overload(paint)
+def _paint(lane, looks, games, now, scratch, out):  # type: ignore[no-untyped-def]
+    if looks.instance_class is Looks:
+        function = pictures.of_picture(out, gray_in_scene, colour_in_scene, depths_in_scene)
+        return lambda lane, looks, games, now, scratch, out: function(lane, looks, games, now, scratch, out)
+
+    def in_lane(lane, looks, games, now, scratch, out):  # type: ignore[no-untyped-def]
+        state = now.state[lane]
+        pictures.paint(looks, games.scenes, now.game[lane], state.position, state.quaternion, scratch, out)
+
+    return in_lane
 
 
 @part(error_model="numpy")
@@ -294,24 +237,17 @@ def render_gray(
     lane: int, looks: Operand, games: Games, now: Flights, tick_ns: int, scratch: Operand, picture: Operand
 ) -> None:
     """Render a lane's front camera in grey levels (rows, columns), with the camera's noise."""
-    paint_gray(lane, looks, games, now, scratch, picture)
+    paint(lane, looks, games, now, scratch, picture)
     add_camera_noise(lane, games, now, tick_ns, picture)
 
 
 @part(error_model="numpy")
 def render_colour(
-    lane: int,
-    looks: Operand,
-    games: Games,
-    now: Flights,
-    tick_ns: int,
-    scratch: Operand,
-    size: tuple[int, int],
-    frame: Operand,
+    lane: int, looks: Operand, games: Games, now: Flights, tick_ns: int, scratch: Operand, size: Size, frame: Operand
 ) -> None:
     """Render red, green and blue (3, rows, columns) of pictures of a size: means over blocks of pixels."""
     picture = np.empty((*size, 3), np.uint8)
-    paint_colour(lane, looks, games, now, scratch, picture)
+    paint(lane, looks, games, now, scratch, picture)
     add_camera_noise(lane, games, now, tick_ns, picture)
     side = size[0] // frame.shape[1]
     for channel in range(3):
@@ -326,11 +262,11 @@ def render_colour(
 
 @part(error_model="numpy")
 def render_depth(
-    lane: int, looks: Operand, games: Games, now: Flights, scratch: Operand, size: tuple[int, int], frame: Operand
+    lane: int, looks: Operand, games: Games, now: Flights, scratch: Operand, size: Size, frame: Operand
 ) -> None:
     """Render depth (1, rows, columns): means over blocks of pixels, with 0 to SEEN_FAR_M encoded as 0 to 255."""
     depths = np.empty(size, np.float32)
-    paint_depths(lane, looks, games, now, scratch, depths)
+    paint(lane, looks, games, now, scratch, depths)
     side = size[0] // frame.shape[1]
     for y in range(frame.shape[1]):
         for x in range(frame.shape[2]):
@@ -345,60 +281,42 @@ class View(NamedTuple):
     """The cameras of all lanes: kind of observation, rows and columns, looks, event sensor and its state."""
 
     kind: int
-    size: tuple[int, int]
+    size: Size
     looks: Operand
     sensor: Operand
     pixels: Operand
 
 
+class Work(NamedTuple):
+    """What a thread works with: cameras, games, flights, commands, and room of its own for a picture."""
+
+    cameras: View
+    games: Games
+    now: Flights
+    plan: Command
+    clocks: Clocks
+    scratch: Operand
+    picture: Operand
+
+
 @part(error_model="numpy")
-def observe_events(
-    lane: int, view: View, games: Games, now: Flights, plan: Command, scratch: Operand, picture: Operand
-) -> None:
+def observe_events(lane: int, work: Work) -> None:
     """Render a lane's front camera and update its event camera."""
+    view, games, now, tick_ns = work.cameras, work.games, work.now, work.plan.tick_ns
     game = now.game[lane]
-    render_gray(lane, view.looks, games, now, plan.tick_ns, scratch, picture)
-    time_s = moment_ns(lane, now, plan.tick_ns) * events.NS
-    see(lane, picture, time_s, view.pixels, view.sensor, games.cameras[game], games.seeds[game, EVENT_SEED])
+    render_gray(lane, view.looks, games, now, tick_ns, work.scratch, work.picture)
+    time_s = moment_ns(lane, now, tick_ns) * events.NS
+    see(lane, work.picture, time_s, view.pixels, view.sensor, games.cameras[game], games.seeds[game, EVENT_SEED])
 
 
 @part(error_model="numpy")
-def _start_lanes(
-    lanes: Operand, rows: Operand, view: View, games: Games, now: Flights, plan: Command, clocks: Clocks
-) -> None:
-    """Begin the games of `rows` in `lanes`."""
-    scratch, picture = make_scratch(), np.empty(view.size, np.uint8)
-    frame, timing = np.empty((3, *view.size), np.uint8), plan.timing
-    for place in range(len(lanes)):
-        lane, game = lanes[place], rows[place]
-        begin(lane, game, games, now)
-        row, scale = clocks.row[lane], clocks.scale[lane]
-        timeline.start(row, scale, timing, games.seeds[game, PICTURE_SEED])
-        clocks.brightness[lane] = np.nan
-        if view.kind == DVS:
-            render_gray(lane, view.looks, games, now, plan.tick_ns, scratch, picture)
-            start(lane, picture, view.pixels, view.sensor, games.cameras[game])
-        elif timing.rules[timeline.GUARDED]:
-            render_frame(lane, view, games, now, plan, scratch, frame)
-        suspect = bool(timing.rules[timeline.GUARDED]) and guard(lane, view, clocks, scratch)
-        timeline.show_start(row, scale, timing, suspect)
-
-
-@part(error_model="numpy")
-def render_frame(
-    lane: int, view: View, games: Games, now: Flights, plan: Command, scratch: Operand, frame: Operand
-) -> None:
+def render_frame(lane: int, work: Work, frame: Operand) -> None:
     """Render a lane's present frame, in colour or of depth; other kinds have none."""
+    view, games, now, scratch = work.cameras, work.games, work.now, work.scratch
     if view.kind == COLOUR:
-        render_colour(lane, view.looks, games, now, plan.tick_ns, scratch, view.size, frame)
+        render_colour(lane, view.looks, games, now, work.plan.tick_ns, scratch, view.size, frame)
     elif view.kind == DEPTH:
         render_depth(lane, view.looks, games, now, scratch, view.size, frame)
-
-
-@part(error_model="numpy")
-def guard(lane: int, view: View, clocks: Clocks, scratch: Operand) -> bool:
-    """Return whether the guard requests the latest image again (vision/guard), and remember its brightness."""
-    return timeline.is_suspect(lane, brightness(view.kind, view.looks, scratch), clocks)
 
 
 def brightness(kind: int, looks: Operand, scratch: Operand) -> float:  # type: ignore[empty-body]
@@ -424,41 +342,58 @@ def _brightness(kind, looks, scratch):  # type: ignore[no-untyped-def]
 
 
 @part(error_model="numpy")
-def fly_sample(
-    lane: int, ticks: int, view: View, games: Games, now: Flights, plan: Command, scratch: Operand, picture: Operand
-) -> bool:
+def guard(lane: int, work: Work) -> bool:
+    """Return whether the guard requests the latest image again (vision/guard), and remember its brightness."""
+    if work.plan.timing.rules[timeline.GUARDED] == 0:
+        return False
+    return timeline.is_suspect(lane, brightness(work.cameras.kind, work.cameras.looks, work.scratch), work.clocks)
+
+
+@part(error_model="numpy")
+def _start_lanes(
+    lanes: Operand, rows: Operand, view: View, games: Games, now: Flights, plan: Command, clocks: Clocks
+) -> None:
+    """Begin the games of `rows` in `lanes`."""
+    work = Work(view, games, now, plan, clocks, make_scratch(), np.empty(view.size, np.uint8))
+    frame, timing = np.empty((3, *view.size), np.uint8), plan.timing
+    for place in range(len(lanes)):
+        lane, game = lanes[place], rows[place]
+        begin(lane, game, games, now)
+        row, scale = clocks.row[lane], clocks.scale[lane]
+        timeline.start(row, scale, timing, games.seeds[game, PICTURE_SEED])
+        clocks.brightness[lane] = np.nan
+        if view.kind == DVS:
+            render_gray(lane, view.looks, games, now, plan.tick_ns, work.scratch, work.picture)
+            start(lane, work.picture, view.pixels, view.sensor, games.cameras[game])
+        elif timing.rules[timeline.GUARDED]:
+            render_frame(lane, work, frame)
+        timeline.show_start(row, scale, timing, guard(lane, work))
+
+
+@part(error_model="numpy")
+def fly_sample(lane: int, ticks: int, work: Work) -> bool:
     """Fly to a sample with the event camera recording; return whether it has a frame of the sample's own tick."""
-    left = ticks
-    while plan.event_ticks > 0 and view.kind == DVS:
+    games, now, plan, left = work.games, work.now, work.plan, ticks
+    while plan.event_ticks > 0 and work.cameras.kind == DVS:
         to_frame = plan.event_ticks - now.state[lane].tick % plan.event_ticks
         if to_frame > left or touched(lane, now):
             break
         fly(lane, to_frame, games, now, plan.hull)
         left -= to_frame
         if not touched(lane, now):
-            observe_events(lane, view, games, now, plan, scratch, picture)
+            observe_events(lane, work)
     fly(lane, left, games, now, plan.hull)
     return plan.event_ticks > 0 and now.state[lane].tick % plan.event_ticks == 0
 
 
 @part(error_model="numpy")
-def fly_to(
-    lane: int,
-    tick: int,
-    view: View,
-    games: Games,
-    now: Flights,
-    plan: Command,
-    clocks: Clocks,
-    scratch: Operand,
-    picture: Operand,
-) -> bool:
+def fly_to(lane: int, tick: int, work: Work) -> bool:
     """Do as `fly_sample` up to a tick, and store the pose that images show until Unreal's next frame."""
-    shown = clocks.row[lane, timeline.SHOWN]
-    if plan.timing.rules[timeline.STALE_POSE] and shown >= now.state[lane].tick:
-        fly_sample(lane, shown - now.state[lane].tick, view, games, now, plan, scratch, picture)
-        save_shown(lane, now, clocks)
-    return fly_sample(lane, tick - now.state[lane].tick, view, games, now, plan, scratch, picture)
+    now, shown = work.now, work.clocks.row[lane, timeline.SHOWN]
+    if work.plan.timing.rules[timeline.STALE_POSE] and shown >= now.state[lane].tick:
+        fly_sample(lane, shown - now.state[lane].tick, work)
+        save_shown(lane, now, work.clocks)
+    return fly_sample(lane, tick - now.state[lane].tick, work)
 
 
 @part
@@ -491,12 +426,12 @@ def _fly_lanes(
 
     Writes `frames` (L, S, ...) of the samples before a collision, and all states: `samples` (L, S, KINEMATICS).
     """
-    scratch, picture = make_scratch(), np.empty(view.size, np.uint8)
+    work = Work(view, games, now, plan, clocks, make_scratch(), np.empty(view.size, np.uint8))
     for lane in lanes:
         row, scale, timing = clocks.row[lane], clocks.scale[lane], plan.timing
         before, body = now.state[lane : lane + 1].copy(), now.body[lane : lane + 1].copy()
         tick = timeline.issue(row, scale, timing)
-        fly_to(lane, tick, view, games, now, plan, clocks, scratch, picture)
+        fly_to(lane, tick, work)
         if not np.isnan(plan.start_speed):
             resume(lane, 0, before, body, plan.start_speed, games, now)
         acts_ns, sample = row[timeline.DUE] + timing.rules[timeline.LATE_NS], 0
@@ -505,21 +440,19 @@ def _fly_lanes(
                 left_ns = acts_ns - tick * plan.tick_ns
                 if left_ns > 0:
                     tick = timeline.wait(row, scale, timing, left_ns)
-                    fly_to(lane, tick, view, games, now, plan, clocks, scratch, picture)
+                    fly_to(lane, tick, work)
                 command(lane, goals, plan.modes, now)
                 now.state[lane].hover_tick = tick + plan.hold_ticks
                 acts_ns = timeline.NEVER
             tick = timeline.reach(row, scale, timing, sample)
-            seen = fly_to(lane, tick, view, games, now, plan, clocks, scratch, picture)
+            seen = fly_to(lane, tick, work)
             take_state(lane, now, samples[lane, sample])
             hit, suspect = touched(lane, now), False
             if not hit:
                 clocks.ticks[lane, sample] = tick
                 if view.kind != STATE:
-                    frame = frames[lane, sample]
-                    observe_sample(lane, seen, view, games, now, plan, clocks, scratch, picture, frame)
-                    if timing.rules[timeline.GUARDED]:
-                        suspect = guard(lane, view, clocks, scratch)
+                    observe_sample(lane, seen, work, frames[lane, sample])
+                    suspect = guard(lane, work)
             timeline.leave(row, scale, timing, hit, suspect)
             sample += 1
         clocks.taken[lane] = sample - 1 if touched(lane, now) else sample
@@ -527,30 +460,20 @@ def _fly_lanes(
 
 
 @part(error_model="numpy")
-def observe_sample(
-    lane: int,
-    seen: bool,
-    view: View,
-    games: Games,
-    now: Flights,
-    plan: Command,
-    clocks: Clocks,
-    scratch: Operand,
-    picture: Operand,
-    frame: Operand,
-) -> None:
+def observe_sample(lane: int, seen: bool, work: Work, frame: Operand) -> None:
     """Write the frame of a sample; `seen` says that the event camera has recorded its tick already."""
+    is_dvs, stale = work.cameras.kind == DVS, work.plan.timing.rules[timeline.STALE_POSE]
     if not seen:
-        if plan.timing.rules[timeline.STALE_POSE]:
-            turn_to_shown(lane, now, clocks)
-        if view.kind == DVS:
-            observe_events(lane, view, games, now, plan, scratch, picture)
+        if stale:
+            turn_to_shown(lane, work.now, work.clocks)
+        if is_dvs:
+            observe_events(lane, work)
         else:
-            render_frame(lane, view, games, now, plan, scratch, frame)
-        if plan.timing.rules[timeline.STALE_POSE]:
-            turn_to_shown(lane, now, clocks)
-    if view.kind == DVS:
-        pop_events(lane, view.pixels, frame)
+            render_frame(lane, work, frame)
+        if stale:
+            turn_to_shown(lane, work.now, work.clocks)
+    if is_dvs:
+        pop_events(lane, work.cameras.pixels, frame)
 
 
 @part
@@ -562,21 +485,15 @@ def pop_events(lane: int, pixels: events.Pixels, frame: Operand) -> None:
             pixels.gathered[lane, y, x] = 0
 
 
-@part(error_model="numpy")
-def _show_lanes(lanes: Operand, view: View, games: Games, now: Flights, plan: Command, frames: Operand) -> None:
-    """Render the present frames (L, 1, ...) of `lanes`, in colour or of depth."""
-    scratch = make_scratch()
-    for lane in lanes:
-        render_frame(lane, view, games, now, plan, scratch, frames[lane, 0])
-
-
 class EntryPoints(NamedTuple):
     """The compiled functions, which release the GIL."""
 
     observe_starts: Launchable
+    """Completes the initial states of games with their accelerations in the wind."""
     begin: Launchable
     fly: Launchable
     show: Launchable
+    """Renders the present frames (L, 1, ...) of lanes, in colour or of depth."""
 
 
 def _compile(stamp: int) -> EntryPoints:
@@ -585,8 +502,8 @@ def _compile(stamp: int) -> EntryPoints:
 
     @entry_point
     def observe_starts(games, rows):  # type: ignore[no-untyped-def]
-        if stamp:
-            _observe_starts(games, rows)
+        for game in rows[: len(rows) * (stamp != 0)]:
+            refresh(games.parameters[game], games.start[game], games.body[game])
 
     @entry_point
     def start_lanes(lanes, rows, view, games, now, plan, clocks):  # type: ignore[no-untyped-def]
@@ -599,9 +516,10 @@ def _compile(stamp: int) -> EntryPoints:
             _fly_lanes(lanes, goals, view, games, now, plan, clocks, frames, samples)
 
     @entry_point
-    def show_lanes(lanes, view, games, now, plan, frames):  # type: ignore[no-untyped-def]
-        if stamp:
-            _show_lanes(lanes, view, games, now, plan, frames)
+    def show_lanes(lanes, view, games, now, plan, clocks, frames):  # type: ignore[no-untyped-def]
+        work = Work(view, games, now, plan, clocks, make_scratch(), np.empty(view.size, np.uint8))
+        for lane in lanes[: len(lanes) * (stamp != 0)]:
+            render_frame(lane, work, frames[lane, 0])
 
     return EntryPoints(observe_starts, start_lanes, fly_lanes, show_lanes)
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from uavaccel.kernels.fields import COLUMNS as WIDTH
 from uavaccel.kernels.fields import ROWS as HEIGHT
-from uavaccel.kernels.operands import Operand
+from uavaccel.kernels.fields import Operand
 from uavaccel.sim.parts import part, times
 from uavaccel.vision import dvs_kernels as pixel
 from uavaccel.vision.dvs import HOT_RATE_HZ, LIN_LOG, RELATIVE_INTENSITY, SHOT_NOISE_AT_WHITE, DvsParameters
@@ -129,30 +129,6 @@ def double_threshold(nominal: float, sigma: float, normal: np.float32) -> float:
 
 
 @part
-def leaked(
-    base: Operand, positive: Operand, camera: Operand, sensor: Operand, y: int, x: int, dt_s: float, normal: np.float32
-) -> Any:
-    """Return a pixel's memorised intensity after a frame's hot-pixel drift and leak."""
-    if camera[HOT] > 0.0 and sensor.heat[y, x] < camera[HOT]:
-        base = pixel.heated(base, positive, np.float32(dt_s * HOT_RATE_HZ))
-    if camera[LEAK] > 0.0:
-        jitter = pixel.jittered(np.float32(camera[JITTER]), normal)
-        rate_hz, factor = np.float32(camera[LEAK]), sensor.leak_factor[y, x]
-        base = pixel.leaked(base, positive, np.float32(dt_s), rate_hz, factor, jitter)
-    return base
-
-
-@part
-def shot(
-    camera: Operand, sensor: Operand, level: int, dt_s: float, positive: Operand, negative: Operand, draw: np.float32
-) -> int:
-    """Return a pixel's shot noise events in a frame, as `vision.dvs_kernels.shot` does."""
-    chance = camera[SHOT] / 2 * dt_s * sensor.dimming[level]
-    chance_on = pixel.shot_chance(chance, np.float32(camera[POSITIVE]), positive)
-    return pixel.shot(draw, chance_on, pixel.shot_chance(chance, np.float32(camera[NEGATIVE]), negative))
-
-
-@part
 def block_draws(camera: Operand, seed: int, index: int, block: int) -> tuple[Four, Four]:
     """Return random numbers of four pixels for a frame: normal for the leak, uniform for shot noise; 0 without them."""
     normals = draws = (np.float32(0.0), np.float32(0.0), np.float32(0.0), np.float32(0.0))
@@ -233,48 +209,27 @@ def update_pixel(
     Updates `base` (144, 256) and, unless it is empty, `filtered`. `draw` has the pixel's random numbers for this frame:
     for the leak, and for shot noise.
     """
-    positive = threshold(base[y, x], camera[POSITIVE], camera[SIGMA], sensor.up[y, x])
-    negative = threshold(base[y, x], camera[NEGATIVE], camera[SIGMA], sensor.down[y, x])
-    log = new_log(level, base, filtered, y, x, camera, sensor, dt_s)
-    before = leaked(base[y, x], positive, camera, sensor, y, x, dt_s, draw[0])
+    before = base[y, x]
+    positive = threshold(before, camera[POSITIVE], camera[SIGMA], sensor.up[y, x])
+    negative = threshold(before, camera[NEGATIVE], camera[SIGMA], sensor.down[y, x])
+    log = log_of(before, level, before if filtered.size == 0 else filtered[y, x], camera, sensor, dt_s)
+    if filtered.size != 0:
+        filtered[y, x] = log
+    if camera[HOT] > 0.0 and sensor.heat[y, x] < camera[HOT]:
+        before = pixel.heated(before, positive, np.float32(dt_s * HOT_RATE_HZ))
+    if camera[LEAK] > 0.0:
+        jitter, rate_hz = pixel.jittered(np.float32(camera[JITTER]), draw[0]), np.float32(camera[LEAK])
+        before = pixel.leaked(before, positive, np.float32(dt_s), rate_hz, sensor.leak_factor[y, x], jitter)
     signed = signed_count(log, before, positive, negative)
     base[y, x] = pixel.advanced(before, signed, positive, negative)
-    if camera[SHOT] > 0.0:
-        return signed + add_shot(level, camera, sensor, base, log, y, x, dt_s, positive, negative, draw[1])
+    if camera[SHOT] > 0.0:  # a pixel that fires memorises the present intensity
+        chance = camera[SHOT] / 2 * dt_s * sensor.dimming[level]
+        chance_on = pixel.shot_chance(chance, np.float32(camera[POSITIVE]), positive)
+        noise = pixel.shot(draw[1], chance_on, pixel.shot_chance(chance, np.float32(camera[NEGATIVE]), negative))
+        if noise != 0:
+            base[y, x] = log
+        return signed + (0 if noise == ON_AND_OFF else noise)
     return signed
-
-
-@part
-def new_log(
-    level: int, base: Operand, filtered: Operand, y: int, x: int, camera: Operand, sensor: Operand, dt_s: float
-) -> Any:
-    """Return a pixel's log intensity, and store it as the low-pass filter's output."""
-    if filtered.size == 0:
-        return log_of(base[y, x], level, base[y, x], camera, sensor, dt_s)
-    log = log_of(base[y, x], level, filtered[y, x], camera, sensor, dt_s)
-    filtered[y, x] = log
-    return log
-
-
-@part
-def add_shot(
-    level: int,
-    camera: Operand,
-    sensor: Operand,
-    base: Operand,
-    log: Operand,
-    y: int,
-    x: int,
-    dt_s: float,
-    positive: Operand,
-    negative: Operand,
-    draw: np.float32,
-) -> Any:
-    """Return a pixel's shot noise, ON minus OFF events; a pixel that fires memorises the present intensity."""
-    noise = shot(camera, sensor, level, dt_s, positive, negative, draw)
-    if noise != 0:
-        base[y, x] = log
-    return 0 if noise == ON_AND_OFF else noise
 
 
 @part

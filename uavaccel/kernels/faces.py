@@ -1,10 +1,11 @@
-"""Projection of a lane's surfaces into the camera's image, as faces: functions that are linear in column and row.
+"""Projection of a lane's boxes, cylinders and planes into the camera's image, as faces: textured and lit.
 
 A ray is d(column, row) = forward + right * x + up * y, of unit depth. It meets the plane N . (P - eye) = h, with N
 pointing outwards and h < 0, at depth 1/w with w = N . d / h; along a tangent T of the plane, T . (P - eye) = T . d / w.
 Therefore w, and the distance from each edge times w, are dot products of d with constant vectors.
 
-Computed in float64, stored as float32. Scalar functions, as in `kernels.rays`.
+Computed in float64, stored as float32. Scalar functions, as in `kernels.rays`. `project` processes a whole scene; on a
+GPU one thread per solid calls `project_solid`, each with rows of its own.
 """
 
 from __future__ import annotations
@@ -15,18 +16,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.kernels import fields as at
-from uavaccel.kernels.fields import Appearance, Scenes
-from uavaccel.kernels.operands import Vector, dot, plus
-from uavaccel.kernels.rays import Faces, touches
+from uavaccel.kernels.fields import Appearance, Scenes, Vector
+from uavaccel.kernels.rays import Faces, dot, plus, touches
 from uavaccel.sim.parts import part
 
 Floats = NDArray[np.floating]
 View = tuple[Vector, Vector, Vector, Vector]  # eye; the ray: per column, per row, of pixel (0, 0)
 Span = tuple[float, float]
+Look = tuple[Appearance, Scenes, int, int]  # with the lane and the material
+Block = tuple[Vector, Vector]  # a solid's middle from the eye, and its half size
 
 X, Y, Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
 APOTHEM, HALF_SIDE = math.cos(math.pi / at.SLICES), math.sin(math.pi / at.SLICES)  # of a prism of radius 1
 SKY_SHARE = 0.70  # distance of the sky in MuJoCo's renderer, as a share of the far plane's
+NONE = (0.0, 0.0, 0.0)
 
 
 @part(error_model="numpy")
@@ -60,9 +63,8 @@ def view_of(camera: Floats, position: Floats, quaternion: Floats) -> View:
     """Return eye and rays in MuJoCo's axes for a drone's pose, as `axes_of` takes it."""
     eye, right, up, back = axes_of(camera, position, quaternion)
     wide, high = camera[at.HALF_WIDTH], camera[at.HALF_HEIGHT]
-    none = (0.0, 0.0, 0.0)
-    per_column, per_row = plus(none, right, 2.0 * wide / at.COLUMNS), plus(none, up, -2.0 * high / at.ROWS)
-    corner = plus(plus(none, back, -1.0), right, wide / at.COLUMNS - wide)
+    per_column, per_row = plus(NONE, right, 2.0 * wide / at.COLUMNS), plus(NONE, up, -2.0 * high / at.ROWS)
+    corner = plus(plus(NONE, back, -1.0), right, wide / at.COLUMNS - wide)
     return eye, per_column, per_row, plus(corner, up, high - high / at.ROWS)
 
 
@@ -114,16 +116,15 @@ def put_face(
 
     `ts` and `ss` are its extents along the tangents t and s, relative to the eye, metres.
     """
-    per_w = plus((0.0, 0.0, 0.0), normal, 1.0 / h)
-    none = (0.0, 0.0, 0.0)
+    per_w = plus(NONE, normal, 1.0 / h)
     put(faces, row, at.W, view, per_w)
     put(faces, row, at.EDGES, view, plus(t, per_w, -ts[0]))
-    put(faces, row, at.EDGES + 3, view, plus(plus(none, per_w, ts[1]), t, -1.0))
+    put(faces, row, at.EDGES + 3, view, plus(plus(NONE, per_w, ts[1]), t, -1.0))
     put(faces, row, at.EDGES + 6, view, plus(s, per_w, -ss[0]))
-    put(faces, row, at.EDGES + 9, view, plus(plus(none, per_w, ss[1]), s, -1.0))
+    put(faces, row, at.EDGES + 9, view, plus(plus(NONE, per_w, ss[1]), s, -1.0))
     faces[row, at.EXTRA] = np.float32(0.0)
-    middle = plus(plus(plus(none, normal, h), t, 0.5 * (ts[0] + ts[1])), s, 0.5 * (ss[0] + ss[1]))
-    t_half, s_half = plus(none, t, 0.5 * (ts[1] - ts[0])), plus(none, s, 0.5 * (ss[1] - ss[0]))
+    middle = plus(plus(plus(NONE, normal, h), t, 0.5 * (ts[0] + ts[1])), s, 0.5 * (ss[0] + ss[1]))
+    t_half, s_half = plus(NONE, t, 0.5 * (ts[1] - ts[0])), plus(NONE, s, 0.5 * (ss[1] - ss[0]))
     bound(faces, row, view, middle, t_half, s_half)
     if faces[row, at.FIRST_COLUMN] > faces[row, at.LAST_COLUMN]:
         return False
@@ -138,23 +139,14 @@ def put_prism(faces: Faces, row: int, view: View, per_w: Vector, centre: Vector,
         angle = (side + 0.5) * 2.0 * math.pi / at.SLICES
         out = (math.cos(angle), math.sin(angle), 0.0)
         reach = radius * APOTHEM + dot(out, centre)
-        put(faces, row, 3 * side, view, plus(plus((0.0, 0.0, 0.0), per_w, reach), out, -1.0))
+        put(faces, row, 3 * side, view, plus(plus(NONE, per_w, reach), out, -1.0))
     faces[row, at.NEAREST_W] = np.float32(0.0)
 
 
 @part(error_model="numpy", inline=False)
-def put_light(
-    faces: Faces,
-    row: int,
-    appearance: Appearance,
-    scenes: Scenes,
-    lane: int,
-    material: int,
-    low: Vector,
-    high: Vector,
-    width: float,
-) -> None:
+def put_light(faces: Faces, row: int, look: Look, low: Vector, high: Vector, width: float) -> None:
     """Write a face's shading, from the vertex normals at its low and high end, which are `width` metres apart."""
+    appearance, scenes, lane, material = look
     sun = (scenes.lights[lane, at.TOWARDS], scenes.lights[lane, at.TOWARDS + 1], scenes.lights[lane, at.TOWARDS + 2])
     for channel in range(3):
         colour = appearance.materials[material, at.RGB + channel]
@@ -167,22 +159,117 @@ def put_light(
 
 
 @part(error_model="numpy", inline=False)
-def put_texture(
-    faces: Faces, row: int, appearance: Appearance, material: int, sizes: Span, across: Span, down: Span
-) -> None:
+def put_texture(faces: Faces, row: int, look: Look, half: Vector, across: Span, down: Span) -> None:
     """Write a face's texture mapping; `across` and `down` are texture coordinates at its edge and per metre.
 
-    `sizes` are the half sizes of the solid, with which a uniform texture repeats.
+    A uniform texture repeats with the `half` sizes of the solid.
     """
+    appearance, _, _, material = look
     texture = int(appearance.materials[material, at.TEXTURE_ID])
     faces[row, at.TEXTURE] = np.float32(texture)
     for place in range(2):
         repeat = float(appearance.materials[material, at.REPEAT + place])
         repeat = repeat if repeat > 0.0 else 1.0
-        if appearance.materials[material, at.UNIFORM] > 0.0 and sizes[place] > 0.0:
-            repeat *= sizes[place]
+        if appearance.materials[material, at.UNIFORM] > 0.0 and half[place] > 0.0:
+            repeat *= half[place]
         texels = repeat * (1 << appearance.textures[texture, at.LOG2_SIZE])
         edge, per_metre = across if place == 0 else down
         field = at.TU if place == 0 else at.TV
         faces[row, field] = np.float32(texels * per_metre)
         faces[row, field + 1] = np.float32(texels * edge)
+
+
+@part(error_model="numpy", inline=False)
+def put_side(faces: Faces, row: int, view: View, axis: int, towards: float, h: float, block: Block, look: Look) -> int:
+    """Write a box's side perpendicular to an axis, or a plane, and return the rows written: 0 if it is invisible."""
+    middle, half = block
+    normal = (towards if axis == 0 else 0.0, towards if axis == 1 else 0.0, towards if axis == 2 else 0.0)
+    t, s = (Y if axis == 0 else X), (Y if axis == 2 else Z)
+    t_middle, t_half = dot(t, middle), dot(t, half)
+    s_middle, s_half = dot(s, middle), dot(s, half)
+    ts, ss = (t_middle - t_half, t_middle + t_half), (s_middle - s_half, s_middle + s_half)
+    if not put_face(faces, row, view, normal, h, t, ts, s, ss):
+        return 0
+    put_light(faces, row, look, normal, normal, 1.0)
+    put_texture(faces, row, look, half, (0.0, 0.5 / t_half), (0.0, 0.5 / s_half))
+    return 1
+
+
+@part(error_model="numpy")
+def corner_of(side: int) -> Vector:
+    """Return the vertex normal at a corner of a cylinder's prism."""
+    angle = side * 2.0 * math.pi / at.SLICES
+    return math.cos(angle), math.sin(angle), 0.0
+
+
+@part(error_model="numpy", inline=False)
+def put_cylinder(faces: Faces, row: int, view: View, block: Block, look: Look) -> int:
+    """Write the prism that OpenGL draws for an upright cylinder, and return the rows written: a cap takes two."""
+    written, (middle, half) = 0, block
+    radius, tall = half[0], half[2]
+    ss = (middle[2] - tall, middle[2] + tall)
+    for side in range(at.SLICES):
+        low, high = corner_of(side), corner_of(side + 1)
+        angle = (side + 0.5) * 2.0 * math.pi / at.SLICES
+        normal = (math.cos(angle), math.sin(angle), 0.0)
+        t = (-normal[1], normal[0], 0.0)
+        h, t_middle = radius * APOTHEM + dot(normal, middle), dot(t, middle)
+        ts = (t_middle - radius * HALF_SIDE, t_middle + radius * HALF_SIDE)
+        if h < 0.0 and put_face(faces, row + written, view, normal, h, t, ts, Z, ss):
+            width = 2.0 * radius * HALF_SIDE
+            put_light(faces, row + written, look, low, high, width)
+            across = (side / at.SLICES, 1.0 / (at.SLICES * width))
+            put_texture(faces, row + written, look, half, across, (0.0, 0.5 / tall))
+            written += 1
+    towards, row = (1.0 if middle[2] < 0.0 else -1.0), row + written
+    h, normal = towards * middle[2] + tall, (0.0, 0.0, towards)
+    ts, ss = (middle[0] - radius, middle[0] + radius), (middle[1] - radius, middle[1] + radius)
+    if h >= 0.0 or not put_face(faces, row, view, normal, h, X, ts, Y, ss):
+        return written
+    faces[row, at.EXTRA] = np.float32(row + 1)
+    put_prism(faces, row + 1, view, plus(NONE, normal, 1.0 / h), middle, radius)
+    put_light(faces, row, look, normal, normal, 1.0)
+    put_texture(faces, row, look, half, (0.0, 0.5 / radius), (1.0, -0.5 / radius))  # it runs upwards
+    return written + 2
+
+
+@part(error_model="numpy", inline=False)
+def project_solid(
+    appearance: Appearance, scenes: Scenes, lane: int, solid: int, view: View, sky: bool, faces: Faces, row: int
+) -> int:
+    """Write a solid's faces from `row` on, and return the rows written: at most 3 for a box, 6 for a cylinder."""
+    eye, own = view[0], scenes.solids[lane, solid]
+    middle = own[0] - eye[0], own[1] - eye[1], own[2] - eye[2]
+    half = float(own[at.HALF_SIZE]), float(own[at.HALF_SIZE + 1]), float(own[at.HALF_SIZE + 2])
+    kind, block, look = int(own[at.KIND]), (middle, half), (appearance, scenes, lane, int(own[at.MATERIAL]))
+    if kind == at.CYLINDER:
+        return put_cylinder(faces, row, view, block, look)
+    written = 0
+    for axis in range(2 if kind == at.PLANE else 0, 3):
+        towards = 1.0 if middle[axis] < 0.0 else -1.0  # the side that faces the eye
+        height = half[axis] if kind != at.PLANE else 0.0
+        h = towards * middle[axis] + height
+        if h < 0.0 and (kind != at.PLANE or towards > 0.0):
+            written += put_side(faces, row + written, view, axis, towards, h, block, look)
+            if kind == at.PLANE and sky and written > 0:
+                faces[row, at.EXTRA] = np.float32(row + written)
+                sky_m = SKY_SHARE * appearance.camera[at.FAR_M]
+                put_prism(faces, row + written, view, (0.0, 0.0, 1.0 / h), NONE, sky_m)
+                written += 1
+    return written
+
+
+@part(error_model="numpy", inline=False)
+def project(
+    appearance: Appearance, scenes: Scenes, lane: int, position: Floats, quaternion: Floats, sky: bool, faces: Faces
+) -> int:
+    """Project a scene for a pose, NED in metres and wxyz, to `faces` (FACES, FIELDS), and return the rows in use.
+
+    With `sky` the ground ends at the sky, as in OpenGL's colour images; depth images have none.
+    """
+    view = view_of(appearance.camera, position, quaternion)
+    row = begin(appearance.camera, view, faces)
+    for solid in range(scenes.counts[lane]):
+        row += project_solid(appearance, scenes, lane, solid, view, sky, faces, row)
+    faces[0, at.COUNT] = np.float32(row)
+    return row

@@ -2,10 +2,21 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
+
+# What compiled functions take, whose types numba infers when it compiles them.
+Operand: TypeAlias = Any
+"""A NumPy array or, on a GPU, a numba array on a tensor's memory; a tuple of those; or a float32 or float64."""
+Launchable: TypeAlias = Any
+"""A compiled function, or a CUDA kernel, which takes its launch configuration in brackets first."""
+Float: TypeAlias = Any
+"""A float32 or float64: numba keeps a scalar's type."""
+Integer: TypeAlias = Any
+"""An int32: with a Python int numba would compute in 64 bits."""
+Vector: TypeAlias = tuple[Float, Float, Float]
 
 
 class Appearance(NamedTuple):
@@ -48,6 +59,12 @@ class Scenes(NamedTuple):
     """(L,): number of solids in use."""
     lights: NDArray[np.float32]
     """(L, 9): AMBIENT, DIFFUSE, and the direction TOWARDS the sun in MuJoCo's axes."""
+
+
+def empty_scenes(lanes: int) -> Scenes:
+    """Allocate scenes for `lanes` lanes, to be filled by `fill_scenes` before they are rendered."""
+    solids = np.zeros((lanes, SOLIDS, 8), np.float32)
+    return Scenes(solids, np.zeros(lanes, np.int32), np.zeros((lanes, 9), np.float32))
 
 
 STATE, DVS, COLOUR, DEPTH = range(4)  # kinds of observation

@@ -9,9 +9,8 @@ from __future__ import annotations
 import numpy as np
 
 from uavaccel.kernels import timeline
-from uavaccel.kernels.fields import COLUMNS, ROWS
+from uavaccel.kernels.fields import COLUMNS, ROWS, Operand
 from uavaccel.kernels.lanes import PICTURE_SEED, Flights, Games, command, touched
-from uavaccel.kernels.operands import Operand
 from uavaccel.kernels.timeline import Clocks, Timing
 from uavaccel.sim.parts import part
 from uavaccel.vision.guard import LUMA_WEIGHTS

@@ -1,6 +1,6 @@
 """Games of the obstacle lane sampled as arithmetic, in loops on the CPU or by CUDA kernels: no Python a game.
 
-Numbers are drawn in the order in which the environment and sim/lane/layout draw them, from NumPy's own streams
+Numbers are drawn in the order in which the environment and sim/lane draw them, from NumPy's own streams
 (sim/pcg64), so that a game is the one that the exact simulator flies. Only what differs from game to game is
 written; the rest of a row is that of any game of the task.
 """
@@ -13,10 +13,9 @@ from typing import NamedTuple
 import numpy as np
 
 from uavaccel.kernels import fields as at
+from uavaccel.kernels.fields import Operand
 from uavaccel.kernels.lanes import EVENT_SEED, PICTURE_SEED, Games
-from uavaccel.kernels.operands import Operand
-from uavaccel.sim.lane.layout import SPLIT_SIZE, WIDTH_M
-from uavaccel.sim.lane.scene import AMBIENT, DAYLIGHT, SUN_ELEVATION_RAD
+from uavaccel.sim.lane import AMBIENT, DAYLIGHT, SPLIT_SIZE, SUN_ELEVATION_RAD, WIDTH_M
 from uavaccel.sim.parts import part, times
 from uavaccel.sim.pcg64 import ONE, STREAM_FIELDS, below, first_word, pool_of, spawned, start, unit, word
 from uavaccel.vision.noise import APART
@@ -99,7 +98,7 @@ def deal_seeds(lane: int, deals: Operand, games: Games, noisy_events: bool) -> N
 
 @part
 def place_posts(lane: int, numbers: Operand, stream: Operand, games: Games) -> None:
-    """Place the posts of a lane, row by row from the start (sim/lane/layout)."""
+    """Place the posts of a lane, row by row from the start (sim/lane)."""
     per_row, solids = int(numbers[PER_ROW]), games.solids[lane]
     for row in range(int(numbers[ROWS])):
         first = row * per_row

@@ -13,19 +13,16 @@ The functions take and return scalars or tuples, allocate nothing and raise noth
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.kernels import fields as at
+from uavaccel.kernels.fields import Float, Integer, Vector
 from uavaccel.sim.parts import part
 
 Faces = NDArray[np.float32]  # (FACES, FIELDS): of one image; row 0 has its rays
 Textures = NDArray[np.int32]  # (n, 2)
 Texels = NDArray[np.uint32]  # (T,)
-Float = Any  # np.float32: numba keeps a scalar's type
-Integer = Any  # np.int32: with a Python int numba would compute in 64 bits
 Colour = tuple[Integer, Integer, Integer]
 
 ZERO, ONE, HALF = np.float32(0.0), np.float32(1.0), np.float32(0.5)
@@ -34,6 +31,27 @@ MOST_TEXELS = np.float32(8e6)  # float32 has all integers up to here
 # Squared distances between texels from which on a mipmap level is nearer than the one before.
 LEVEL_1, LEVEL_2, LEVEL_3, LEVEL_4, LEVEL_5, LEVEL_6, LEVEL_7 = (np.float32(2.0 ** (2 * n + 1)) for n in range(7))
 I0, I1, I2, I3, I4, I5, I8, I15, I16, BYTE = (np.int32(n) for n in (0, 1, 2, 3, 4, 5, 8, 15, 16, 255))
+
+
+@part(error_model="numpy")
+def dot(a: Vector, b: Vector) -> Float:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@part(error_model="numpy")
+def plus(a: Vector, b: Vector, times: Float) -> Vector:
+    """Return a + b * times."""
+    return a[0] + b[0] * times, a[1] + b[1] * times, a[2] + b[2] * times
+
+
+@part(error_model="numpy")
+def minus(a: Vector, b: Vector) -> Vector:
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+
+
+@part(error_model="numpy")
+def cross(a: Vector, b: Vector) -> Vector:
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
 @part(error_model="numpy")

@@ -31,24 +31,21 @@ def recording(graph: th.cuda.CUDAGraph) -> Iterator[None]:
 
 
 def recorded(work: Callable[[], None], device: th.device) -> Callable[[], None]:
-    """Return work that is recorded on a GPU, and done as it is elsewhere."""
-    return Recorded(work) if device.type == "cuda" else work
+    """Return work that makes the same calls on the same memory each time: on a GPU, once recorded as a CUDA graph."""
+    if device.type != "cuda":
+        return work
+    eager, graph = EAGER, th.cuda.CUDAGraph()
 
-
-class Recorded:
-    """Work that makes the same calls on the same memory each time: run directly at first, then as one CUDA graph."""
-
-    def __init__(self, work: Callable[[], None]) -> None:
-        self._work, self._eager = work, EAGER
-        self._graph: th.cuda.CUDAGraph | None = None
-
-    def __call__(self) -> None:
-        if self._eager:
-            self._eager -= 1
-            self._work()
+    def replay() -> None:
+        nonlocal eager
+        if eager > 0:
+            eager -= 1
+            work()
             return
-        if self._graph is None:
-            self._graph = th.cuda.CUDAGraph()
-            with recording(self._graph):
-                self._work()
-        self._graph.replay()
+        if eager == 0:
+            eager = -1
+            with recording(graph):
+                work()
+        graph.replay()
+
+    return replay

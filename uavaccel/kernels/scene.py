@@ -15,10 +15,11 @@ from numba import njit
 from numba.extending import overload
 from numpy.typing import NDArray
 
-from uavaccel.kernels.fields import BOX, CYLINDER, PLANE
+from uavaccel.kernels.fields import BOX as BOX
+from uavaccel.kernels.fields import CYLINDER, Vector
+from uavaccel.kernels.fields import PLANE as PLANE
 from uavaccel.sim.parts import part
 
-Vector: TypeAlias = tuple[Any, Any, Any]
 Shape: TypeAlias = NDArray[np.floating]
 
 ELLIPSOID, CAPSULE, TRIANGLE, HULL, HEIGHTS = range(3, 8)
@@ -76,11 +77,8 @@ def empty_scene(worlds: int, shapes: int, cells: int, items: int, seen: bool) ->
 
 def as_seen(scene: Scene) -> Scene:
     """Return the same shapes to see, in the same cells; for shapes that are no meshes."""
-    kind = np.float32
-    shapes, frame = scene.shapes.astype(kind), scene.frame.astype(kind)
-    return scene._replace(
-        shapes=shapes, frame=frame, vertices=scene.vertices.astype(kind), heights=scene.heights.astype(kind)
-    )
+    parts = ("shapes", "frame", "vertices", "heights")
+    return scene._replace(**{name: getattr(scene, name).astype(np.float32) for name in parts})
 
 
 @part
@@ -90,10 +88,20 @@ def world_of(scene: Scene, game: int) -> int:
 
 
 @part(error_model="numpy")
-def spread(shape: Shape) -> Vector:
-    """Return half the size of a shape's bounding box along the axes of the world."""
-    kind = int(shape[KIND])
-    return spread_along(shape, kind, 0), spread_along(shape, kind, 1), spread_along(shape, kind, 2)
+def triple(shape: Shape, field: int) -> Vector:
+    """Return three fields of a shape from `field` on."""
+    return shape[field], shape[field + 1], shape[field + 2]
+
+
+@part(error_model="numpy")
+def into(shape: Shape, v: Vector) -> Vector:
+    """Turn a vector of the world into a shape's axes."""
+    a = AXES
+    return (
+        shape[a] * v[0] + shape[a + 3] * v[1] + shape[a + 6] * v[2],
+        shape[a + 1] * v[0] + shape[a + 4] * v[1] + shape[a + 7] * v[2],
+        shape[a + 2] * v[0] + shape[a + 5] * v[1] + shape[a + 8] * v[2],
+    )
 
 
 @part(error_model="numpy")
@@ -166,7 +174,7 @@ def visit(scene: Scene, world: int, shape: int, place: bool) -> int:
     if row[BOUND] <= 0.0:
         return 0
     columns, rows, cell = int(frame[COLUMNS]), int(frame[ROWS]), frame[CELL]
-    wide, high, _ = spread(row)
+    wide, high = spread_along(row, int(row[KIND]), 0), spread_along(row, int(row[KIND]), 1)
     first_x, last_x = cell_range(row[CENTRE], wide + LISTING_MARGIN_M, frame[LEFT], cell, columns)
     first_y, last_y = cell_range(row[CENTRE + 1], high + LISTING_MARGIN_M, frame[LOW], cell, rows)
     half, found = 0.5 * cell + LISTING_MARGIN_M, 0
@@ -228,29 +236,6 @@ def sort_cell(scene: Scene, world: int, cell: int) -> None:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _list_world(scene, world):  # type: ignore[no-untyped-def]
-    return list_shapes(scene, world)
-
-
-def list_world(scene: Scene, world: int) -> int:
+def list_world(scene, world):  # type: ignore[no-untyped-def]
     """Do as `list_shapes`, called from Python."""
-    return int(_list_world(scene, world))
-
-
-__all__ = [
-    "AXES",
-    "BOX",
-    "CAPSULE",
-    "CYLINDER",
-    "ELLIPSOID",
-    "HEIGHTS",
-    "HULL",
-    "PLANE",
-    "TRIANGLE",
-    "Scene",
-    "as_seen",
-    "empty_scene",
-    "list_shapes",
-    "list_world",
-    "world_of",
-]
+    return list_shapes(scene, world)

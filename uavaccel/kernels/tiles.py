@@ -13,11 +13,10 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from uavaccel.kernels import scene as at
-from uavaccel.kernels.casting import EYE_FIELDS, HALF, HUGE, ONE, ZERO, Eye, into, minus, triple
-from uavaccel.kernels.fields import HALF_HEIGHT, HALF_WIDTH
-from uavaccel.kernels.operands import Float, Operand, Vector, dot, plus
-from uavaccel.kernels.rays import Integer
-from uavaccel.kernels.scene import Shape
+from uavaccel.kernels.casting import EYE_FIELDS, HALF, HUGE, ONE, ZERO, Eye
+from uavaccel.kernels.fields import HALF_HEIGHT, HALF_WIDTH, Float, Integer, Operand, Vector
+from uavaccel.kernels.rays import dot, minus, plus
+from uavaccel.kernels.scene import Shape, into, triple
 from uavaccel.sim.parts import part
 
 Box: TypeAlias = tuple[Vector, Vector, Vector, Vector]

@@ -1,6 +1,6 @@
 """The simulated wall clock of lanes over arrays: how long a client's calls take, and which ticks pass meanwhile.
 
-A game's clock is a row of integers. The functions replay the calls of commands/adsc and tcsc through wire/transport's
+A game's clock is a row of integers. The functions replay the calls of commands.py through wire/transport's
 `VirtualTransport` to sim/simulation, in order, without messages and without a flight: which ticks pass depends on the
 latencies alone. In `lockstep` all latencies are 0. The functions are scalar, for the CPU and a GPU.
 """
@@ -11,11 +11,75 @@ from typing import NamedTuple
 
 import numpy as np
 
-from uavaccel.kernels import latencies as wire
-from uavaccel.kernels.latencies import Latencies, fault_ns, sampled_ns, uniform, wait_class
-from uavaccel.kernels.operands import Operand
+from uavaccel.kernels.fields import Operand
 from uavaccel.sim.parts import part
+from uavaccel.vision import noise
 from uavaccel.vision.guard import GuardSettings
+
+MOVE, PAUSE, CONTINUE, CONTINUE_FOR, STATE, IMAGE, CALL = range(7)  # channels
+CHANNELS = ("move", "pause", "continue", "continue_for", "state", "image", "call")
+WAITS = 6  # no wait yet, and one for each of wire/latency's WAITS_MS
+REQUEST, REPLY = 0, len(CHANNELS) * WAITS  # first table of each direction
+ISSUE = 2 * REPLY
+TIMER, FRAME = ISSUE + 1, ISSUE + 2
+TABLES = ISSUE + 3
+_STEP_53 = 2.0**-53
+
+
+class Latencies(NamedTuple):
+    """The distributions of latencies, the same for all lanes."""
+
+    quantiles: Operand
+    """(Q,) float64: cumulative probabilities from 0 to 1."""
+    tables_us: Operand
+    """(TABLES, Q) float64: quantiles of requests by channel and wait, of replies likewise, of ISSUE, TIMER, FRAME."""
+    between_ns: Operand
+    """(WAITS - 2,) float64: bounds between classes of waits."""
+    faults: Operand
+    """(3,) float64: cumulative probabilities of the delays; all 0 without faults."""
+    delays_ns: Operand
+    """(4,) int64: delays of faulty messages; the last is 0, of all others."""
+
+
+@part
+def uniform(seed: int, number: int) -> float:
+    """Return the number-th random number of a seed, uniform in [0, 1)."""
+    a, b, _, _ = noise.words(seed, number, noise.LATENCY, 0)
+    high, low = np.int64(a) >> 5, np.int64(b) >> 6
+    return (high * 67108864.0 + low) * _STEP_53
+
+
+@part
+def sampled_ns(latencies: Latencies, table: int, share: float) -> int:
+    """Return the quantile of a table at a cumulative probability `share`, rounded to nanoseconds."""
+    at, us = latencies.quantiles, latencies.tables_us
+    last = at.shape[0] - 1
+    if us[table, last] == 0.0:
+        return 0
+    place = 0
+    while place < last - 1 and share >= at[place + 1]:
+        place += 1
+    slope = (us[table, place + 1] - us[table, place]) / (at[place + 1] - at[place])
+    return round(1e3 * (slope * (share - at[place]) + us[table, place]))
+
+
+@part
+def fault_ns(latencies: Latencies, share: float) -> int:
+    """Return the delay of a message by faults, at a cumulative probability `share`."""
+    place = 0
+    while place < 3 and share >= latencies.faults[place]:
+        place += 1
+    return int(latencies.delays_ns[place])
+
+
+@part
+def wait_class(latencies: Latencies, wait_ns: int) -> int:
+    """Return the class of tables to use after a command or continue-for that took `wait_ns`."""
+    place = 0
+    while place < WAITS - 2 and latencies.between_ns[place] < wait_ns:
+        place += 1
+    return place + 1
+
 
 DARKEST, MOST_CHANGE = GuardSettings().min_brightness, GuardSettings().max_change
 NEVER = 2**62
@@ -124,7 +188,7 @@ def draw(row: Operand, timing: Timing, table: int) -> int:
 @part
 def message(row: Operand, scale: float, timing: Timing, direction: int, channel: int) -> int:
     """Sample the next latency of a request or reply, with the lane's scale and faults, ns."""
-    spent = draw(row, timing, direction + channel * wire.WAITS + row[WAITED])
+    spent = draw(row, timing, direction + channel * WAITS + row[WAITED])
     spent = round(spent * scale)
     if timing.rules[FAULTS]:
         row[SAMPLED] += 1
@@ -135,7 +199,7 @@ def message(row: Operand, scale: float, timing: Timing, direction: int, channel:
 @part
 def with_frame(row: Operand, timing: Timing, asked_ns: int) -> int:
     """Return the time at which a frame requested at `asked_ns` is ready (sim/profile)."""
-    return asked_ns + draw(row, timing, wire.FRAME) if timing.rules[FRAME_NS] > 0 else asked_ns
+    return asked_ns + draw(row, timing, FRAME) if timing.rules[FRAME_NS] > 0 else asked_ns
 
 
 # --- the simulation (sim/simulation) ------------------------------------------------------------------
@@ -231,7 +295,7 @@ def run_to(row: Operand, timing: Timing, wall_ns: int) -> None:
 @part
 def ask(row: Operand, scale: float, timing: Timing, channel: int) -> None:
     """Send a request and run up to the moment at which it is handled."""
-    arrival = row[NOW] + message(row, scale, timing, wire.REQUEST, channel)
+    arrival = row[NOW] + message(row, scale, timing, REQUEST, channel)
     if timing.rules[STALL_NS] > 0 and row[UNANSWERED] == 1:
         arrival = max(arrival, min(row[MOVED] + timing.rules[STALL_NS], row[COMMAND_OVER]))
     run_to(row, timing, max(row[HANDLED], arrival))
@@ -241,8 +305,8 @@ def ask(row: Operand, scale: float, timing: Timing, channel: int) -> None:
 @part
 def answer(row: Operand, scale: float, timing: Timing, channel: int) -> None:
     """Wait for the reply."""
-    ready = with_frame(row, timing, row[HANDLED]) if channel == wire.IMAGE else row[HANDLED]
-    row[NOW] = max(row[NOW], ready + message(row, scale, timing, wire.REPLY, channel))
+    ready = with_frame(row, timing, row[HANDLED]) if channel == IMAGE else row[HANDLED]
+    row[NOW] = max(row[NOW], ready + message(row, scale, timing, REPLY, channel))
 
 
 @part
@@ -255,10 +319,10 @@ def call(row: Operand, scale: float, timing: Timing, channel: int) -> None:
 @part
 def move(row: Operand, scale: float, timing: Timing) -> None:
     """Send the command without waiting for its end; it takes effect at `TICK`."""
-    ask(row, scale, timing, wire.MOVE)
+    ask(row, scale, timing, MOVE)
     row[COMMAND_END], row[COMMAND_OVER] = row[TICK] + timing.rules[COMMAND_TICKS], NEVER
     row[MOVED], row[MOVE_REPLY], row[UNANSWERED] = row[HANDLED], NEVER, 1
-    row[NOW] += draw(row, timing, wire.ISSUE)
+    row[NOW] += draw(row, timing, ISSUE)
 
 
 @part
@@ -272,7 +336,7 @@ def join(row: Operand, scale: float, timing: Timing, deadline_ns: int) -> bool:
         run_to(row, timing, event_ns)
     if row[MOVE_REPLY] == NEVER:
         row[WAITED] = wait_class(timing.latencies, row[COMMAND_OVER] - row[MOVED])
-        row[MOVE_REPLY] = row[COMMAND_OVER] + message(row, scale, timing, wire.REPLY, wire.MOVE)
+        row[MOVE_REPLY] = row[COMMAND_OVER] + message(row, scale, timing, REPLY, MOVE)
     row[NOW] = max(row[NOW], min(row[MOVE_REPLY], deadline_ns))
     return row[MOVE_REPLY] <= deadline_ns
 
@@ -280,7 +344,7 @@ def join(row: Operand, scale: float, timing: Timing, deadline_ns: int) -> bool:
 @part
 def continue_for(row: Operand, scale: float, timing: Timing, duration_ns: int) -> None:
     """Run for a simulated duration or, in profile `airsim`, for the wall time that it takes, and pause."""
-    ask(row, scale, timing, wire.CONTINUE_FOR)
+    ask(row, scale, timing, CONTINUE_FOR)
     handled, rules = row[HANDLED], timing.rules
     let_run(row, handled)
     row[PERIOD_OVER] = NEVER
@@ -288,33 +352,33 @@ def continue_for(row: Operand, scale: float, timing: Timing, duration_ns: int) -
         row[PERIOD_END] = row[TICK] + nearest(duration_ns, rules[TICK_NS])
     else:
         timer = handled + nearest(duration_ns * rules[ASKED_UNDER], rules[ASKED])
-        timer += draw(row, timing, wire.TIMER)
+        timer += draw(row, timing, TIMER)
         row[PERIOD_TIMER] = max(timer, wall_due(row, timing, row[TICK] + 1))
     advance(row, timing, handled)
     while row[PERIOD_OVER] == NEVER:
         run_to(row, timing, next_event(row, timing))
     row[WAITED] = wait_class(timing.latencies, row[PERIOD_OVER] - handled)
-    reply = message(row, scale, timing, wire.REPLY, wire.CONTINUE_FOR)
+    reply = message(row, scale, timing, REPLY, CONTINUE_FOR)
     row[NOW] = max(row[NOW], row[PERIOD_OVER] + reply)
 
 
 @part
 def call_pause(row: Operand, scale: float, timing: Timing) -> None:
     """Call simPause(True)."""
-    ask(row, scale, timing, wire.PAUSE)
+    ask(row, scale, timing, PAUSE)
     pause(row, timing, row[HANDLED])
-    answer(row, scale, timing, wire.PAUSE)
+    answer(row, scale, timing, PAUSE)
 
 
 @part
 def call_run(row: Operand, scale: float, timing: Timing) -> None:
     """Call simPause(False)."""
-    ask(row, scale, timing, wire.CONTINUE)
+    ask(row, scale, timing, CONTINUE)
     let_run(row, row[HANDLED])
-    answer(row, scale, timing, wire.CONTINUE)
+    answer(row, scale, timing, CONTINUE)
 
 
-# --- the client (envs/flight_env, commands/adsc, commands/tcsc) ------------------------------------------
+# --- the client (envs/flight_env, commands.py) -----------------------------------------------------------
 
 
 @part
@@ -341,14 +405,14 @@ def start(row: Operand, scale: float, timing: Timing, seed: int) -> None:
     row[COMMAND_END], row[PERIOD_END], row[PERIOD_TIMER] = NEVER, NEVER, NEVER
     row[COMMAND_OVER], row[MOVE_REPLY] = NEVER, NEVER
     if timing.rules[LAYS_OUT]:
-        call(row, scale, timing, wire.CALL)
-    ask(row, scale, timing, wire.CALL)
+        call(row, scale, timing, CALL)
+    ask(row, scale, timing, CALL)
     pause(row, timing, row[HANDLED])
     row[TICK], row[SHOWN] = 0, -1
-    answer(row, scale, timing, wire.CALL)
+    answer(row, scale, timing, CALL)
     row[START] = row[NOW]
-    call(row, scale, timing, wire.STATE)
-    call(row, scale, timing, wire.CALL)
+    call(row, scale, timing, STATE)
+    call(row, scale, timing, CALL)
 
 
 @part
@@ -369,7 +433,7 @@ def request_image(row: Operand, scale: float, timing: Timing, suspect: bool) -> 
         return
     switch(row, RENDERING)
     for _ in range(2 if suspect else 1):
-        call(row, scale, timing, wire.IMAGE)
+        call(row, scale, timing, IMAGE)
     switch(row, SIMULATION)
 
 
@@ -381,7 +445,7 @@ def issue(row: Operand, scale: float, timing: Timing) -> int:
         wait(row, scale, timing, timing.rules[GAP_NS])
     row[ISSUED], row[PAUSED_NS], row[LAST] = row[NOW], 0, 0
     if timing.rules[IS_ADSC] == 0 and row[KNOWN] == 0:
-        call(row, scale, timing, wire.STATE)
+        call(row, scale, timing, STATE)
     row[DUE] = row[TICK] * timing.rules[TICK_NS]
     move(row, scale, timing)
     return int(row[TICK])
@@ -407,7 +471,7 @@ def reach(row: Operand, scale: float, timing: Timing, sample: int) -> int:
             wait(row, scale, timing, left)
             left = row[DUE] - row[TICK] * timing.rules[TICK_NS]
         row[LAST] = 1 if sample == timing.slices_ns.shape[0] - 1 else 0
-    call(row, scale, timing, wire.CALL)  # the client asks for collisions
+    call(row, scale, timing, CALL)  # the client asks for collisions
     return int(row[TICK])
 
 
@@ -422,7 +486,7 @@ def reach_adsc(row: Operand, scale: float, timing: Timing, sample: int) -> None:
         join(row, scale, timing, NEVER)
     row[PAUSED_AT] = row[NOW]
     call_pause(row, scale, timing)
-    call(row, scale, timing, wire.STATE)
+    call(row, scale, timing, STATE)
 
 
 @part

@@ -19,8 +19,7 @@ from numba import types
 from numba.extending import overload
 from numpy.typing import NDArray
 
-from uavaccel.kernels.fields import CYLINDER, PLANE
-from uavaccel.kernels.operands import Operand
+from uavaccel.kernels.fields import CYLINDER, PLANE, Operand
 from uavaccel.kernels.scene import world_of
 from uavaccel.kernels.scene_touching import NOTHING, Share, deepest_shape, nearest_shape
 from uavaccel.sim.parts import part
@@ -32,6 +31,8 @@ SEARCH_STEPS = 40
 SHRINK = 0.6180339887498949  # golden section
 
 Solids = NDArray[np.float64]
+Pair = tuple[float, float, float, float, Solids, float, float]
+"""A hull's offset and its axis, x and y each, from a solid; the solid; the hull's radius and half height."""
 
 ALL: Share = (0, 1)
 
@@ -116,37 +117,25 @@ def reach(along: float, length: float, radius_m: float, half_height_m: float) ->
 
 
 @part
-def gap_along(
-    u: float, v: float, x: float, y: float, ax: float, ay: float, solid: Solids, radius_m: float, half_m: float
-) -> float:
-    """Return the separation of hull and solid along (u, v), times its length; (x, y) is the hull's offset."""
+def gap_along(turned: bool, t: float, pair: Pair) -> float:
+    """Return the separation of hull and solid along (1, t), or (t, 1) where `turned`, times that vector's length."""
+    x, y, ax, ay, solid, radius_m, half_m = pair
+    u, v = (t, 1.0) if turned else (1.0, t)
     length = math.sqrt(u * u + v * v)
     half = solid[3] * length if solid[6] == CYLINDER else solid[3] * abs(u) + solid[4] * abs(v)
     return x * u + y * v - half - reach(ax * u + ay * v, length, radius_m, half_m)
 
 
-@part
-def gap_turned(
-    turned: bool, t: float, x: float, y: float, ax: float, ay: float, solid: Solids, radius_m: float, half_m: float
-) -> float:
-    """Return `gap_along` of (1, t), or of (t, 1) where `turned`."""
-    u, v = (t, 1.0) if turned else (1.0, t)
-    return gap_along(u, v, x, y, ax, ay, solid, radius_m, half_m)
-
-
 @part(inline=False)
-def widest_gap(
-    turned: bool, x: float, y: float, ax: float, ay: float, solid: Solids, radius_m: float, half_m: float
-) -> float:
-    """Return the largest `gap_turned` for t in [-1, 1], or the first positive one, which proves the bodies disjoint."""
+def widest_gap(turned: bool, pair: Pair) -> float:
+    """Return the largest `gap_along` for t in [-1, 1], or the first positive one, which proves the bodies disjoint."""
     low, high = -1.0, 1.0
-    best = gap_turned(turned, 0.0, x, y, ax, ay, solid, radius_m, half_m)
+    best = gap_along(turned, 0.0, pair)
     for _ in range(SEARCH_STEPS):
         if best > 0.0:
             break
         a, b = high - SHRINK * (high - low), low + SHRINK * (high - low)
-        left = gap_turned(turned, a, x, y, ax, ay, solid, radius_m, half_m)
-        right = gap_turned(turned, b, x, y, ax, ay, solid, radius_m, half_m)
+        left, right = gap_along(turned, a, pair), gap_along(turned, b, pair)
         best = max(best, left, right)
         if left > right:
             high = b
@@ -171,10 +160,9 @@ def separation(place: NDArray[np.float64], solid: Solids, radius_m: float, half_
         x, ax = -x, -ax
     if y < 0.0:
         y, ay = -y, -ay
-    ahead = widest_gap(False, x, y, ax, ay, solid, radius_m, half_height_m)
-    if ahead > 0.0:
-        return ahead
-    return max(above, ahead, widest_gap(True, x, y, ax, ay, solid, radius_m, half_height_m))
+    pair = x, y, ax, ay, solid, radius_m, half_height_m
+    ahead = widest_gap(False, pair)
+    return ahead if ahead > 0.0 else max(above, ahead, widest_gap(True, pair))
 
 
 @part

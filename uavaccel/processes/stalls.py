@@ -29,7 +29,6 @@ def cpu_time_s(pid: int) -> float | None:
 
 
 def is_stopped(pid: int) -> bool:
-    """Return whether a process has been stopped by a signal."""
     fields = _stat(pid)
     return fields is not None and fields[0] in "Tt"
 
@@ -81,7 +80,7 @@ class StallDetector:
             self._idle[pid] = self._idle.get(pid, 0) + 1 if idle else 0
         for pid in set(self._idle) - set(pids):  # nobody waits for it
             del self._idle[pid]
-        return [pid for pid in pids if self._idle[pid] >= (STOPPED_POLLS if is_stopped(pid) else polls)]
+        return [pid for pid in pids if self._idle[pid] >= (min(STOPPED_POLLS, polls) if is_stopped(pid) else polls)]
 
     def _worked(self, pid: int) -> bool:
         """Return whether a process has worked since the last poll, or may have."""
@@ -109,7 +108,6 @@ def guard_children(say: Callable[[str], object]) -> None:
 
 
 def end_stopped() -> None:
-    """End every process below this one that is stopped."""
     for pid in _stopped():
         _kill(pid)
 

@@ -7,15 +7,13 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from uavaccel.realtime.certificate import Certificate
-    from uavaccel.realtime.evaluation import certify
+    from uavaccel.realtime.evaluation import Certificate, certify
     from uavaccel.realtime.measuring import Measurement, measure
     from uavaccel.realtime.policies import Policy, RemotePolicy, load_policy
     from uavaccel.realtime.process import RealTimeProcess
     from uavaccel.realtime.server import PolicyServer, serve
     from uavaccel.realtime.thinking import Measured, ThinkingTime, lognormal, samples
-    from uavaccel.realtime.vector import RealTimeVector
-    from uavaccel.realtime.wrapper import RealTime
+    from uavaccel.realtime.wrapper import RealTime, RealTimeVector
 
 __all__ = [  # noqa: RUF022  what a program begins with, in its order
     "RealTime", "RealTimeVector", "RealTimeProcess", "ThinkingTime", "Measured", "lognormal", "samples",
@@ -26,12 +24,12 @@ __all__ = [  # noqa: RUF022  what a program begins with, in its order
 _HOMES = {
     "RealTime": "wrapper",
     "RealTimeProcess": "process",
-    "RealTimeVector": "vector",
+    "RealTimeVector": "wrapper",
     **dict.fromkeys(("Measured", "ThinkingTime", "lognormal", "samples"), "thinking"),
     **dict.fromkeys(("Policy", "RemotePolicy", "load_policy"), "policies"),
     **dict.fromkeys(("PolicyServer", "serve"), "server"),
     **dict.fromkeys(("Measurement", "measure"), "measuring"),
-    "Certificate": "certificate",
+    "Certificate": "evaluation",
     "certify": "evaluation",
 }
 

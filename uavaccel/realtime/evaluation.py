@@ -7,17 +7,22 @@ bytes of one that was not.
 
 from __future__ import annotations
 
+import hashlib
 import math
+import os
+import pickle
 import statistics
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import closing
-from dataclasses import dataclass
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager
+from dataclasses import dataclass, field
+from itertools import chain, groupby
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from uavaccel.errors import Interrupted, UserError
+from uavaccel.errors import Interrupted, UsageError, UserError
 from uavaccel.files import (
     Plain,
     append_line,
@@ -30,19 +35,160 @@ from uavaccel.files import (
     read_lines,
     replacing,
     to_json,
+    write_json,
 )
-from uavaccel.realtime.certificate import FACTORS, SECONDS, STEPS, Certificate, Row
+from uavaccel.metrics.intervals import Proportion, bootstrap_interval
+from uavaccel.processes.workers import check_count, on_this_machine
 from uavaccel.realtime.measuring import MOST_STEPS, MakesEnv, environment_identity, made, plain_or_text, versions_with
-from uavaccel.realtime.policies import ANSWER_S, Policy, load_policy
+from uavaccel.realtime.plant import counted
+from uavaccel.realtime.policies import ANSWER_S, TCP, Policy, load_policy
+from uavaccel.realtime.server import one_line
 from uavaccel.realtime.thinking import MOST_S, ThinkingTime, calibrated
 from uavaccel.realtime.wrapper import RealTime
+from uavaccel.resources import require
 from uavaccel.units import real, whole
+
+Row = dict[str, Plain]
+SHARE = 0.9  # of the score without latency that has to be left
+UNITS = SECONDS, FACTORS, STEPS = "seconds", "factors", "steps"
+"""What latencies are counted in; factors are those on the times of a calibration file."""
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """The result of an evaluation: what was evaluated, and by latency the score with its 95 % interval.
+
+    The score is the share of successes, in Wilson's interval, where the environment's infos tell them, else the mean
+    return, in a bootstrap's.
+    """
+
+    setup: Mapping[str, Plain]
+    rows: Sequence[Row]
+    document: dict[str, Plain] = field(init=False)
+    """What certificate.json holds."""
+
+    def __post_init__(self) -> None:
+        told = all("error" in row or row["success"] is not None for row in self.rows)
+        score, count = "success" if told else "return", self.setup["episodes"]
+        groups = (self.rows[at : at + count] for at in range(0, len(self.rows), count))
+        cells = [_cell(list(rows), score) for rows in groups]
+        lines = "".join(f"{to_json(row)}\n" for row in self.rows).encode()
+        found = {"score": score, "cells": cells, "holds": _holds(cells)}
+        object.__setattr__(self, "document", {**self.setup, **found, "rows_sha256": hashlib.sha256(lines).hexdigest()})
+
+    @property
+    def failed(self) -> int:
+        """How many episodes failed."""
+        return sum("error" in row for row in self.rows)
+
+    @property
+    def line(self) -> str:
+        """The certificate in one line."""
+        said, cells, holds = self.document, self.document["cells"], self.document["holds"]
+        policy, by = said["policy"], said["calibration"]
+        head = f"{policy['name']} in {said['environment']['id']}"
+        hashes = {"policy": policy["sha256"], **({"times": by["sha256"]} if by else {}), "rows": said["rows_sha256"]}
+        short = ", ".join(f"{name} {'of unknown hash' if of is None else of[:12]}" for name, of in hashes.items())
+        tail = f"{said['episodes']} episodes a latency from seed {said['seed']}; {short}"
+        if self.failed:
+            return f"{head}: no certificate: {self.failed} of {len(self.rows)} episodes failed; {tail}"
+        best, until = _scored(cells[0]["mean"], said["score"]), f"{1e3 * holds['latency_s']:.4g} ms"
+        until += f", {holds['latency']:g} times {by['file']}" if by else ""
+        if said["unit"] == STEPS:
+            until += f", {holds['latency']} step{'s' * (holds['latency'] != 1)}"
+        until += ", the longest tried" if holds["latency"] == cells[-1]["latency"] else ""
+        more = f"holds {SHARE:.0%} of its {said['score']} without latency, {best}, up to {until}"
+        return f"{head}: {more} ({tail})"
+
+    def table(self) -> tuple[list[str], list[list[str]]]:
+        """Return a header and a line for each latency."""
+        score = self.document["score"]
+        header = [self.setup["unit"], "median ms", score, "95 %", "failed"]
+        lines = []
+        for cell in self.document["cells"]:
+            known = ["-"] * 3
+            if cell["mean"] is not None:
+                ends = (_scored(cell[end], score) for end in ("low", "high"))
+                known = [f"{1e3 * cell['latency_s']:.4g}", _scored(cell["mean"], score), " to ".join(ends)]
+            lines.append([f"{cell['latency']:g}", *known, str(cell["errors"])])
+        return header, lines
+
+    def save(self, path: str | Path) -> Path:
+        """Write certificate.json."""
+        return write_json(Path(path), self.document)
+
+    def figure(self, path: str | Path) -> Path:
+        """Draw the score against latency, in its intervals. Raises UserError without Matplotlib."""
+        require("matplotlib", "the figure", "realtime")
+        from matplotlib.figure import Figure
+
+        figure = Figure((6.4, 4.0), dpi=150, layout="constrained")
+        axes = figure.add_subplot()
+        cells = [cell for cell in self.document["cells"] if cell["mean"] is not None]
+        at = [1e3 * cell["latency_s"] for cell in cells]
+        mean, low, high = ([cell[name] for cell in cells] for name in ("mean", "low", "high"))
+        off = [np.subtract(mean, low), np.subtract(high, mean)]
+        axes.errorbar(at, mean, off, fmt="o-", capsize=3)
+        if (least := self.document["holds"]["least"]) is not None:
+            axes.axhline(least, color="0.5", linestyle="--", label=f"{SHARE:.0%} of that without latency")
+            axes.legend(frameon=False)
+        score = self.document["score"]
+        axes.set(xlabel="latency, ms", ylabel="share of successes" if score == "success" else "return")
+        axes.set(**{"ylim": (-0.02, 1.02)} if score == "success" else {})
+        axes.set_title(f"{self.setup['policy']['name']} in {self.setup['environment']['id']}", fontsize=10)
+        with replacing(written := Path(path)) as file:
+            figure.savefig(file, format=written.suffix[1:] or "png", metadata={"Software": None})
+        return written
+
+
+def _cell(rows: Sequence[Row], score: str) -> Row:
+    """Return what is known of a latency's episodes."""
+    whole_rows = [row for row in rows if "error" not in row]
+    cell: Row = {"latency": rows[0]["latency"], "episodes": len(rows), "errors": len(rows) - len(whole_rows)}
+    if not whole_rows:
+        return cell | dict.fromkeys(("latency_s", "mean", "low", "high"))
+    values = [float(row[score]) for row in whole_rows]
+    if score == "success":
+        low, high = Proportion(round(sum(values)), len(values)).interval
+    else:
+        low, high = bootstrap_interval((values,), lambda each: np.asarray(each.mean(axis=-1)), seed=0)
+    latency_s = statistics.median(row["thinking_s"] for row in whole_rows)
+    return {**cell, "latency_s": latency_s, "mean": statistics.fmean(values), "low": low, "high": high}
+
+
+def _holds(cells: Sequence[Row]) -> Row:
+    """Return up to which latency, of those that were flown, the score stays near that of the first one.
+
+    `latency_s` is by the mean, `surely_s` by the low end of the interval; None where an episode failed.
+    """
+    if any(cell["errors"] for cell in cells):
+        return {"share": SHARE, **dict.fromkeys(("least", "latency", "latency_s", "surely_s"))}
+    best = cells[0]["mean"]
+    least = best - (1 - SHARE) * abs(best)
+    far = dict.fromkeys(("mean", "low"), cells[0])
+    for name in far:
+        for cell in cells[1:]:
+            if cell[name] < least:
+                break
+            far[name] = cell
+    held, surely = far["mean"], far["low"]
+    surely_s = surely["latency_s"] if surely["low"] >= least else None
+    of = {"latency": held["latency"], "latency_s": held["latency_s"], "surely_s": surely_s}
+    return {"share": SHARE, "least": least, **of}
+
+
+def _scored(value: float, score: str) -> str:
+    return f"{value:.1%}" if score == "success" else f"{value:.4g}"
+
 
 VERSION = 1
 USUAL: dict[str, list[float]] = {SECONDS: [0.0, 0.01, 0.02, 0.05, 0.1, 0.2], FACTORS: [0.0, 0.5, 1.0, 2.0, 4.0]}
 SUCCESS = ("is_success", "success")
 MOST_FAILURES = 3  # in a row
 MOST_EPISODES = 1_000_000
+Plan = Sequence[tuple[float, int]]
+"""Latency and seed of each episode."""
+PART = 5  # episodes that a worker process plays at once
 
 
 @dataclass
@@ -73,9 +219,7 @@ class Sweep:
 
     def __post_init__(self) -> None:
         for name, least, most in (("episodes", 1, MOST_EPISODES), ("seed", 0, (1 << 32) - MOST_EPISODES)):
-            if (count := whole(given := getattr(self, name))) is None or not least <= count <= most:
-                raise UserError(f"{name}: must be {least} to {most:,}, not {given!r}")
-            setattr(self, name, count)
+            setattr(self, name, counted(name, getattr(self, name), least, most))
         if self.delay_steps is not None and (self.latencies, self.calibration) != (None, None):
             raise UserError("delay_steps: is given beside seconds; leave out latencies and calibration, or this")
         self.unit = STEPS if self.delay_steps is not None else SECONDS if self.calibration is None else FACTORS
@@ -100,7 +244,7 @@ class Sweep:
             return {"delay_steps": latency}
         return {"latency_s": latency if self.source is None else Scaled(self.source, latency)}
 
-    def plan(self) -> list[tuple[float, int]]:
+    def plan(self) -> Plan:
         """Return the latency and the seed of each episode, in the order of the rows."""
         return [(latency, self.seed + number) for latency in self.latencies for number in range(self.episodes)]
 
@@ -126,6 +270,7 @@ def certify(
     resume: bool = False,
     trust: bool = False,
     answer_s: float = ANSWER_S,
+    jobs: int = 1,
     told: Callable[[Row], object] = lambda row: None,
     **real_time: Any,
 ) -> Certificate:
@@ -141,10 +286,15 @@ def certify(
 
     With `out`, a new folder, rows are on disk as they come, and `resume` goes on with it: whole rows stay, failed ones
     are played again. An episode in which the policy fails, as one whose server has ended, has a row with `error`.
-    `told` is called with each row.
+    `told` is called with each row. With `jobs` above 1 so many processes fly, with joblib, the same bytes: policy and
+    environment are sent to them, and an id that only this program has registered is unknown there.
 
-    Raises UserError for what does not fit, for a folder of another evaluation, and after three failures in a row.
+    Raises UserError for what does not fit, for a folder of another evaluation, after three failures in a row, and where
+    a process is lost.
     """
+    check_count(jobs)
+    if jobs > 1 and isinstance(policy, str) and policy.startswith(f"{TCP}:"):
+        raise UsageError(f"--jobs must be 1 with {policy}: a server answers one client after the other")
     sweep, folder = Sweep(latencies, calibration, delay_steps, episodes, seed, success), _Folder(out, resume)
     with closing(RealTime(made(env), latency_s=0.0, **real_time)) as flown:
         loaded = load_policy(policy, flown, trust, answer_s)
@@ -156,39 +306,77 @@ def certify(
             **sweep.setup(),
             "versions": versions_with(flown),
         }
-    with closing(loaded):
-        rows = folder.begin(setup, sweep.plan())
-        _play(env, loaded, sweep, rows, folder, told, real_time)
+    games = _Games(env, policy, sweep, real_time, Path.cwd())
+    with closing(loaded), _one_thread():
+        rows, plan = folder.begin(setup, sweep.plan()), sweep.plan()
+        left = plan[len(rows) :]
+        try:
+            for row in games.rows(loaded, left) if jobs == 1 else games.in_processes(jobs, left):
+                rows.append(row)
+                folder.append(row)
+                told(row)
+                if len(rows) >= MOST_FAILURES and all("error" in row for row in rows[-MOST_FAILURES:]):
+                    raise UserError(f"{row['error']}: {MOST_FAILURES} episodes in a row have failed{folder.more}")
+        except KeyboardInterrupt:
+            raise Interrupted(f"interrupted after {len(rows)} of {len(plan)} episodes{folder.more}") from None
     certificate = Certificate(setup, rows)
     if folder.path is not None:
         certificate.save(folder.path / "certificate.json")
     return certificate
 
 
-def _play(
-    env: MakesEnv,
-    policy: Policy,
-    sweep: Sweep,
-    rows: list[Row],
-    folder: _Folder,
-    told: Callable[[Row], object],
-    real_time: Mapping[str, Any],
-) -> None:
-    """Play the episodes that have no row yet, in an environment for each latency."""
-    plan = sweep.plan()
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """Let PyTorch, where it is loaded, compute in one thread: its results depend on their number."""
+    if (torch := sys.modules.get("torch")) is None:
+        yield
+        return
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
     try:
-        while len(rows) < len(plan):
-            latency = plan[len(rows)][0]
-            with closing(RealTime(made(env), **sweep.thinking(latency), **real_time)) as flown:
-                for seed in [seed for at, seed in plan[len(rows) :] if at == latency]:
-                    rows.append({"latency": latency, "seed": seed, **_episode(flown, policy, seed, sweep.success)})
-                    folder.append(rows[-1])
-                    told(rows[-1])
-                    if len(rows) >= MOST_FAILURES and all("error" in row for row in rows[-MOST_FAILURES:]):
-                        many = f"{MOST_FAILURES} episodes in a row have failed"
-                        raise UserError(f"{rows[-1]['error']}: {many}{folder.more}")
-    except KeyboardInterrupt:
-        raise Interrupted(f"interrupted after {len(rows)} of {len(plan)} episodes{folder.more}") from None
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
+@dataclass
+class _Games:
+    """What plays the episodes of a plan: in this process, or sent to others, which have its working directory."""
+
+    env: MakesEnv
+    policy: Any
+    sweep: Sweep
+    real_time: Mapping[str, Any]
+    folder: Path
+
+    def rows(self, policy: Policy | None, plan: Plan) -> Iterator[Row]:
+        """Play the episodes, in an environment for each latency; a policy that is loaded here was trusted before."""
+        for latency, games in groupby(plan, lambda game: game[0]):
+            with closing(RealTime(made(self.env), **self.sweep.thinking(latency), **self.real_time)) as flown:
+                policy = policy or load_policy(self.policy, flown, trust=True)
+                for _, seed in games:
+                    yield {"latency": latency, "seed": seed, **_episode(flown, policy, seed, self.sweep.success)}
+
+    def in_processes(self, jobs: int, plan: Plan) -> Iterator[Row]:
+        """Play the episodes in parallel, in their order."""
+        require("joblib", "jobs above 1", "realtime")
+        from cloudpickle import dumps  # which Gymnasium needs
+        from joblib import delayed
+
+        try:
+            packed = dumps(self)
+        except Exception as error:  # whatever a policy of anybody's raises
+            what = "the policy or the environment cannot be sent to another process"
+            raise UsageError(f"--jobs must be 1: {what}: {one_line(error)}") from error
+        calls = (delayed(_rows_in_worker)(packed, plan[at : at + PART]) for at in range(0, len(plan), PART))
+        return chain.from_iterable(on_this_machine(jobs, 1, calls))
+
+
+def _rows_in_worker(packed: bytes, plan: Plan) -> list[Row]:
+    """Play a part of the episodes, in the parent's working directory."""
+    games: _Games = pickle.loads(packed)
+    os.chdir(games.folder)
+    return list(games.rows(None, plan))
 
 
 def _episode(env: RealTime, policy: Policy, seed: int, success: str | None) -> Row:
@@ -232,7 +420,7 @@ class _Folder:
             check_new_folder(self.path, resume)
             self.rows = self.path / "rows.jsonl"
 
-    def begin(self, setup: Mapping[str, Plain], plan: Sequence[tuple[float, int]]) -> list[Row]:
+    def begin(self, setup: Mapping[str, Plain], plan: Plan) -> list[Row]:
         """Write the setup, or compare it with that which is there, and return the rows before the first failure.
 
         Raises UserError for another evaluation's folder, and for rows that are not those of the plan.
@@ -244,8 +432,7 @@ class _Folder:
         if not file.exists():
             if any(self.path.iterdir()):
                 raise UserError(f"{self.path}: no evaluation of a policy, but not empty; take another folder")
-            with replacing(file) as written:
-                written.write(f"{to_json(setup, indent=1)}\n".encode())
+            write_json(file, setup)
             return []
         begun, here = read_json(file), parse_json(to_json(setup))
         if other := [key for key in here if not isinstance(begun, dict) or begun.get(key) != here[key]]:
@@ -254,7 +441,9 @@ class _Folder:
         rows = read_lines(self.rows)
         failed = next((place for place, row in enumerate(rows) if "error" in row), len(rows))
         there = [(row.get("latency"), row.get("seed")) for row in rows]
-        if there != list(plan[: len(rows)]) or not all(map(_is_row, rows[:failed])):
+        numbers = [row.get(name) for row in rows[:failed] for name in ("return", "thinking_s")]
+        known = all(row.get("success") in (None, True, False) for row in rows)
+        if there != list(plan[: len(rows)]) or not known or None in map(real, numbers):
             raise UserError(f"{self.rows}: its rows are not those of this evaluation; take another folder")
         if failed < len(rows):
             with replacing(self.rows) as written:
@@ -264,9 +453,3 @@ class _Folder:
     def append(self, row: Row) -> None:
         if self.path is not None:
             append_line(self.rows, row)
-
-
-def _is_row(row: Row) -> bool:
-    """Return whether a row has what a certificate reads."""
-    numbers = (row.get("return"), row.get("thinking_s"))
-    return all(real(each) is not None for each in numbers) and row.get("success") in (None, True, False)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import torch as th
 
-from uavaccel.envs.turn_batch import TurnBatch
+from uavaccel.envs.batch import TurnBatch
 from uavaccel.resources import require
 
 Tensors = dict[str, Any]

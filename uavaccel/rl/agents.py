@@ -16,10 +16,11 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from uavaccel.envs.arrays import select
 from uavaccel.envs.conditions import OF_SENSOR
 from uavaccel.envs.obstacle_lane import LaneTask
 from uavaccel.envs.task import Task
-from uavaccel.envs.values import Action, Info, Observation, batch_of
+from uavaccel.envs.values import Action, Info, Observation
 from uavaccel.errors import UserError
 from uavaccel.files import file_sha256
 from uavaccel.own_code import errors_named, own_function
@@ -28,7 +29,7 @@ from uavaccel.realtime.policy_files import OnnxFile, PolicyFile, policy_file
 from uavaccel.resources import asset
 from uavaccel.rl.config import LANE, LearnerConfig, environment_class
 from uavaccel.rl.policy import MANIFEST, WEIGHTS, Policy, load_policy, observed_frames, read_manifest
-from uavaccel.sim.lane.layout import WIDTH_M
+from uavaccel.sim.lane import WIDTH_M
 
 if TYPE_CHECKING:
     from uavaccel.rl.network import QPolicy
@@ -56,7 +57,7 @@ class BatchAgent:
 
     def act(self, observation: Observation, info: Info) -> Action:
         """Return a discrete action as an int, a continuous one as an array."""
-        action = self.act_on(batch_of(observation))[0]
+        action = self.act_on(select(observation, None))[0]
         return action if np.ndim(action) else int(action)
 
 
@@ -84,7 +85,10 @@ class OffsetAgent:
         return self._east if error_m > 0 else self._west
 
 
-SENSES = (*("observation", "history", "knows", "blank_images", "dvs_preset", "dvs_seed"), *(*OF_SENSOR, "dvs_rate_hz"))
+SENSES = (
+    *("observation", "also_state", "picture_size", "history", "knows", "blank_images", "dvs_preset", "dvs_seed"),
+    *(*OF_SENSOR, "dvs_rate_hz"),
+)
 CLOCK = ("timing", "command", "clock_speed", "profile", "latency", "report_host_times")  # an evaluation has its own
 FLIGHT = ("t_move_s", "t_sample_s", "speed_m_s", "headings_deg", "altitude_m")
 
@@ -257,7 +261,7 @@ class PolicyFolder(Origin):
                 raise UserError(f"task: {others}: omit what they follow from")
             return
         was = f"{self.name} was trained with"
-        for key in ("observation", "history", "knows"):
+        for key in ("observation", "also_state", "picture_size", "history", "knows"):
             if getattr(task, key) != getattr(trained, key):
                 raise UserError(f"task.{key} = {getattr(task, key)!r}: {was} {getattr(trained, key)!r}")
         if (frames := observed_frames(task)) != (theirs := observed_frames(trained)):

@@ -27,8 +27,8 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepR
 from stable_baselines3.dqn.policies import DQNPolicy
 
 from uavaccel.clock import MonotonicClock
+from uavaccel.envs.batch import TurnBatch
 from uavaccel.envs.stopwatch import Stopwatch
-from uavaccel.envs.turn_batch import TurnBatch
 from uavaccel.envs.values import Action, Answer, Frame
 from uavaccel.errors import UserError
 from uavaccel.files import Plain

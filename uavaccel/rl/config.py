@@ -21,13 +21,12 @@ from pydantic import (
     model_validator,
 )
 
-from uavaccel.config import Config, KeyTree, validate
-from uavaccel.envs.flyable import Simulator, check_flyable
+from uavaccel.config import MOST_PROCESSES, Config, Cost, Count, Games, KeyTree, Lanes, Processes, Seed, validate
 from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
+from uavaccel.envs.simulators import Simulator, check_flyable
 from uavaccel.envs.task import Positive, Task
 from uavaccel.errors import UserError, suggestion
 from uavaccel.files import Plain
-from uavaccel.limits import MOST_PROCESSES, Cost, Count, Games, Lanes, Processes, Seed
 from uavaccel.machine import memory_bytes
 from uavaccel.own_code import module_of, own_class, own_module
 from uavaccel.resources import require
@@ -129,7 +128,7 @@ def _of_the_environment(task: Any, handler: ValidatorFunctionWrapHandler, info: 
         return handler(task)  # which refuses it
     made = task_class.model_validate_json(json.dumps(task), strict=True)
     if ":" in info.data["env_id"]:
-        from uavaccel.envs.own_task import check_functions
+        from uavaccel.envs.checks import check_functions
 
         check_functions(made)
     return made
@@ -210,13 +209,8 @@ class LearnerConfig(Config):
             raise ValueError(f"environments must be at most {MOST_PROCESSES}, a process each, with simulator mujoco")
         if self.simulator == "kernels":
             check_flyable(self.task, self.environments, self.device)
-        pictures = self.algorithm == DOUBLE_DQN and self.task.observation != "state" and isinstance(self.task, LaneTask)
-        if self.on_device and not pictures and self.algorithm != PPO:
-            raise ValueError(
-                "simulator kernels with device cuda needs algorithm ppo, or double_dqn and the lane's pictures"
-            )
-        if self.on_device and self.algorithm == PPO and self.task.timing != "lockstep":
-            raise ValueError("algorithm ppo with simulator kernels and device cuda needs timing lockstep")
+        if self.on_device and self.algorithm not in (PPO, DOUBLE_DQN):
+            raise ValueError(f"simulator kernels with device cuda needs algorithm {DOUBLE_DQN} or {PPO}")
         if self.on_device and self.turns > 1:
             raise ValueError("turns must be 1 with simulator kernels and device cuda: all lanes fly at once")
         if self.turns > self.environments:
@@ -235,11 +229,11 @@ class LearnerConfig(Config):
         for key in ("start_from", "mirrored_decisions"):
             if getattr(self, key) and self.algorithm != DOUBLE_DQN:
                 raise ValueError(f"{key} needs algorithm double_dqn, not {self.algorithm}")
-        if self.task.also_state and self.algorithm != PPO:
-            raise ValueError(f"task.also_state needs algorithm ppo, not {self.algorithm}")
+        if self.task.also_state and self.algorithm not in (PPO, DOUBLE_DQN):
+            raise ValueError(f"task.also_state needs algorithm {DOUBLE_DQN} or {PPO}, not {self.algorithm}")
         for key in ("mirror", "mirrored_decisions"):
             if getattr(self, key) and self.algorithm != PPO and not is_symmetric(self.task):
-                raise ValueError(f"{key} must be false: it needs pictures and headings symmetric about 0")
+                raise ValueError(f"{key} must be false: it needs pictures alone, and headings symmetric about 0")
         return self
 
     @classmethod
@@ -266,7 +260,7 @@ def is_symmetric(task: Task) -> bool:
     """Return whether an observation that is turned left to right is one of the task, too, by its actions' headings."""
     headings = getattr(task, "headings_deg", ())
     mirrored = {-heading for heading in headings} == set(headings)
-    return isinstance(task, LaneTask) and mirrored and task.observation != "state"
+    return isinstance(task, LaneTask) and mirrored and task.observation != "state" and not task.also_state
 
 
 class DqnOptions(Config):

@@ -27,9 +27,10 @@ from numpy.typing import NDArray
 from torch.nn import functional
 
 from uavaccel.clock import MonotonicClock
+from uavaccel.envs.arrays import assign, mapped, select
+from uavaccel.envs.batch import TurnBatch
 from uavaccel.envs.stopwatch import PHASES, Stopwatch
-from uavaccel.envs.turn_batch import TurnBatch
-from uavaccel.envs.values import Frame
+from uavaccel.envs.values import Observation
 from uavaccel.kernels.recording import recorded
 from uavaccel.rl.agents import first_policy
 from uavaccel.rl.config import DqnOptions, LearnerConfig
@@ -59,7 +60,7 @@ CHUNK = 8  # rounds that the host launches at once
 class Prepared(NamedTuple):
     """A batch that can be learned from (n,): s as the network sees it, a, the target, and the loss's weights."""
 
-    seen: th.Tensor
+    seen: Any
     actions: th.Tensor
     target: th.Tensor
     weights: th.Tensor
@@ -136,7 +137,7 @@ class DoubleDQN:
         counters = {name: getattr(self, name) for name in self.counters} | {"statistics": self.statistics.get_state()}
         return LearnerState(tensors, self.replay.get_state(), counters)
 
-    def set_state(self, state: LearnerState, observations: Frame) -> None:
+    def set_state(self, state: LearnerState, observations: Observation) -> None:
         """Restore what `get_state` returned; `observations` are the lanes' present ones."""
         self.policy.load_state_dict(state.tensors["policy"])
         self.policy.optimizer.load_state_dict(state.tensors["optimizer"])
@@ -165,12 +166,11 @@ class HostDQN(DoubleDQN):
         self.random = np.random.RandomState(config.seed)
         self.space = lanes.single_action_space
         self.space.seed(config.seed)
-        count, box = lanes.num_envs, lanes.single_observation_space
-        kind = th.uint8 if box.dtype == np.uint8 else th.float32
+        count = lanes.num_envs
         rows = max(self.options.buffer_size // count, 1)
-        self.replay = Replay(rows, count, box.shape or (), kind, self.device, keeps_ends=True)
+        self.replay = Replay(rows, count, lanes.single_observation_space, self.device, keeps_ends=True)
         self.sight = Levels()
-        self.observations: Frame | None = None
+        self.observations: Observation = None
         self.groups: list[NDArray[np.int64]] = np.array_split(np.arange(count), config.turns)
         self._next = 0  # group whose command starts next
         self._flying: deque[int] = deque()
@@ -187,12 +187,12 @@ class HostDQN(DoubleDQN):
     def begin(self) -> None:
         """See `Learner`."""
         if self.observations is None:
-            self._see(np.asarray(self.lanes.reset(seed=first_seed(self.config.seed))[0]))
+            self._see(self.lanes.reset(seed=first_seed(self.config.seed))[0])
 
-    def _see(self, observations: Frame) -> None:
+    def _see(self, observations: Observation) -> None:
         """Make room for a round that begins with these observations (lanes, ...)."""
-        count = len(observations)
-        self.observations, self._before, self._after = (observations.copy() for _ in range(3))
+        count = self.lanes.num_envs
+        self.observations, self._before, self._after = (mapped(np.array, observations) for _ in range(3))
         self._rewards, self._terminated, self._truncated = np.zeros(count), np.zeros(count, bool), np.zeros(count, bool)
 
     def advance(self) -> list[Game]:
@@ -214,27 +214,28 @@ class HostDQN(DoubleDQN):
         return self.steps % self._rhythm[0] == 0 and not self._parts and not self._flying
 
     def _start_command(self, group: int) -> None:
-        assert self.observations is not None
         lanes = self.groups[group]
         steps, self._charges[group] = self._charges[group], 0
         charge(self.lanes, self.config, steps / self.lanes.num_envs * self.config.learning_s, "learning", lanes)
-        self._actions[lanes] = self._decide(self.observations[lanes])
+        self._actions[lanes] = self._decide(lanes)
         self.lanes.step_async(self._actions[lanes], lanes.tolist())
         self._flying.append(group)
         self._next = (group + 1) % len(self.groups)
 
-    def _decide(self, observations: Frame) -> NDArray[np.int64]:
-        """Return actions (n,) for a group: with probability ε all of them at random."""
+    def _decide(self, lanes: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return actions (n,) for a group's lanes (n,): with probability ε all of them at random."""
         with self.stopwatch.phase("inference"):
             untrained = self.config.start_from is None and self.commands < self.options.learning_starts
             if untrained or self.random.rand() < self.exploration_rate:
-                return np.array([self.space.sample() for _ in observations])
+                return np.array([self.space.sample() for _ in lanes])
             with th.inference_mode():
-                seen = th.from_numpy(observations).to(self.device)
+                seen = mapped(self._on_device, select(self.observations, lanes))
                 return np.asarray(self.policy.q_net(seen).argmax(dim=1).cpu())
 
+    def _on_device(self, array: NDArray[Any]) -> th.Tensor:
+        return th.from_numpy(array).to(self.device)
+
     def _finish_command(self, group: int) -> list[Game]:
-        assert self.observations is not None
         lanes = self.groups[group]
         seen, rewards, terminated, truncated, infos = self.lanes.step_wait(lanes.tolist())
         self.commands += len(lanes)
@@ -243,12 +244,14 @@ class HostDQN(DoubleDQN):
             self.statistics.read(self.statistics.sums)
             games = [replace(game, loss=self.statistics.loss, mean_q=self.statistics.mean_q) for game in games]
         charge(self.lanes, self.config, self.config.inference_s, "inference", lanes)
-        self._before[lanes], self._acted[lanes] = self.observations[lanes], self._actions[lanes]
-        self._after[lanes], self.observations[lanes] = seen, seen
+        assign(self._before, lanes, select(self.observations, lanes))
+        assign(self._after, lanes, seen)
+        assign(self.observations, lanes, seen)
+        self._acted[lanes] = self._actions[lanes]
         self._rewards[lanes], self._terminated[lanes], self._truncated[lanes] = rewards, terminated, truncated
         for lane, info in zip(lanes, infos, strict=True):
             if "final_obs" in info:  # `seen` is the next game's first observation
-                self._after[lane] = info["final_obs"]
+                assign(self._after, lane, info["final_obs"])
         if group == len(self.groups) - 1 and self.games < self.config.games:
             self._store()
             self._schedule()
@@ -256,9 +259,7 @@ class HostDQN(DoubleDQN):
 
     def _store(self) -> None:
         columns = (self._before, self._acted, self._after, self._rewards, self._terminated, self._truncated)
-        before, actions, after, rewards, terminated, truncated = (
-            th.from_numpy(column).to(self.device) for column in columns
-        )
+        before, actions, after, rewards, terminated, truncated = mapped(self._on_device, columns)
         self.replay.start_round(before, actions)
         self.replay.end_round(rewards, terminated, truncated & ~terminated, th.ones_like(terminated), after)
 
@@ -333,7 +334,7 @@ class HostDQN(DoubleDQN):
         state.counters["actions"] = self.space.np_random.bit_generator.state
         return state
 
-    def set_state(self, state: LearnerState, observations: Frame) -> None:
+    def set_state(self, state: LearnerState, observations: Observation) -> None:
         """As `DoubleDQN` has it."""
         super().set_state(state, observations)
         set_generator(self.random, state.counters["random"])
@@ -357,13 +358,15 @@ class DeviceDQN(DoubleDQN):
 
         compute_the_same_each_time()
         super().__init__(config, lanes, lanes.device, recorded=True)
-        lanes.seed(first_seed(config.seed))
+        lanes.games.seed(first_seed(config.seed))
         self._at, device, count = AT, lanes.device, lanes.count
-        shape: Any = tuple(lanes.observations.shape[1:])
         rows = max(self.options.buffer_size // count, self.options.n_steps + 2)
-        self.replay = Replay(rows, count, shape, lanes.observations.dtype, device)
-        self.sight = Patches(shape, device)
+        self.replay = Replay(rows, count, config.task.observation_space(), device)
+        seen = lanes.observations
+        pictures = isinstance(seen, th.Tensor) and seen.dtype == th.uint8
+        self.sight = Patches(tuple(seen.shape[1:]), device) if pictures else Levels()
         self._nowhere = th.zeros(count, dtype=th.int64, device=device)
+        self._straight = th.zeros(count, dtype=th.bool, device=device)
         self._lane_numbers = th.arange(count, device=device)
         self._done = th.zeros((), dtype=th.float64, device=device)  # games so far
         self._epsilon = th.ones((), device=device)
@@ -387,7 +390,7 @@ class DeviceDQN(DoubleDQN):
 
     def begin(self) -> None:
         """See `Learner`; also sample the games after the first."""
-        if not self.lanes.has_begun:
+        if not self.lanes.games.has_games:
             self.lanes.begin()
             self.lanes.games.refill([1] * self.lanes.count)
 
@@ -457,7 +460,8 @@ class DeviceDQN(DoubleDQN):
         drawn = (th.rand(count, device=self.device) * actions).long().clamp(max=actions - 1)
         if at_random:
             return drawn
-        seen = self.sight.look(self.lanes.observations[None], self._nowhere, self._lane_numbers, self._nowhere)
+        now = select(self.lanes.observations, None)
+        seen = self.sight.look(now, self._nowhere, self._lane_numbers, self._straight)
         greedy = self.sight.rate(self.policy.q_net, seen).argmax(1)
         return th.where(th.rand(count, device=self.device) < self._epsilon, drawn, greedy)
 
@@ -515,7 +519,7 @@ class DeviceDQN(DoubleDQN):
         state.tensors["schedule"] = {"done": self._done, "epsilon": self._epsilon}
         return state
 
-    def set_state(self, state: LearnerState, observations: Frame) -> None:
+    def set_state(self, state: LearnerState, observations: Observation) -> None:
         """As `DoubleDQN` has it; the observations are restored with the lanes."""
         super().set_state(state, observations)
         self._done.copy_(state.tensors["schedule"]["done"])

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from gymnasium.vector.utils import batch_space
 
-from uavaccel.envs.batch import EnvironmentBatch
+from uavaccel.envs.arrays import stacked_observations
+from uavaccel.envs.batch import EnvironmentBatch, TurnBatch
 from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.simulators import EXACT
-from uavaccel.envs.turn_batch import TurnBatch
-from uavaccel.envs.values import Actions, Answer, Info, Observation, Steps, stacked_observations
+from uavaccel.envs.values import Actions, Answer, Info, Observation, Steps
 from uavaccel.rl.config import LearnerConfig
 
 

@@ -12,8 +12,8 @@ import numpy as np
 import torch as th
 from numpy.typing import NDArray
 
+from uavaccel.envs.batch import TurnBatch
 from uavaccel.envs.stopwatch import Stopwatch
-from uavaccel.envs.turn_batch import TurnBatch
 from uavaccel.envs.values import Info
 from uavaccel.files import Plain
 from uavaccel.rl.config import DOUBLE_DQN, PPO, LearnerConfig, check_options

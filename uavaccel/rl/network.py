@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from inspect import unwrap
 from itertools import pairwise
+from typing import Any
 
 import torch as th
 from gymnasium import spaces
 from torch import nn
 
+from uavaccel.envs.arrays import picture_of
 from uavaccel.vision.dvs_sensor import NEUTRAL_LEVEL
 
 HALF_CONTRAST = 24.0  # grey levels from neutral that are seen at half strength
@@ -45,20 +47,31 @@ class LaneFeatures(nn.Module):
 
 
 class QNetwork(nn.Module):
-    """Q(s, a) for all actions a: features of pictures (frames, rows, columns), or numbers as they are, dense layers."""
+    """Q(s, a) for all actions a: features of pictures (frames, rows, columns), or numbers as they are, dense layers.
 
-    def __init__(self, shape: Sequence[int], actions: int, channels: Sequence[int], hidden: Sequence[int]) -> None:
+    With `told`, so many numbers of the state beside pictures go to the dense layers as they are.
+    """
+
+    def __init__(
+        self, shape: Sequence[int], actions: int, channels: Sequence[int], hidden: Sequence[int], told: int = 0
+    ) -> None:
         super().__init__()
         self.features_extractor = LaneFeatures(shape, channels) if len(shape) == 3 else nn.Flatten()
-        width = getattr(self.features_extractor, "features_dim", th.Size(shape).numel())
+        width = getattr(self.features_extractor, "features_dim", th.Size(shape).numel()) + told
         layers: list[nn.Module] = []
         for before, after in pairwise((width, *hidden)):
             layers += [nn.Linear(before, after), nn.ReLU()]
         self.q_net = nn.Sequential(*layers, nn.Linear((width, *hidden)[-1], actions))
 
-    def forward(self, observations: th.Tensor) -> th.Tensor:
-        """Action values (n, actions) of observations (n, ...)."""
-        values: th.Tensor = self.q_net(self.features_extractor(observations.to(th.float32, copy=True)))
+    def forward(self, observations: Any) -> th.Tensor:
+        """Action values (n, actions) of observations (n, ...), or of a mapping of `image` and `state`."""
+        return self.rated(self.features_extractor(picture_of(observations).to(th.float32, copy=True)), observations)
+
+    def rated(self, features: th.Tensor, observations: Any) -> th.Tensor:
+        """Action values (n, actions) of features (n, features) of the observations' pictures."""
+        if isinstance(observations, Mapping):
+            features = th.cat([features, observations["state"]], 1)
+        values: th.Tensor = self.q_net(features)
         return values
 
 
@@ -68,16 +81,21 @@ class QPolicy(nn.Module):
     optimizer: th.optim.Optimizer
 
     def __init__(
-        self, space: spaces.Box, space_of_actions: spaces.Discrete, channels: Sequence[int], hidden: Sequence[int]
+        self,
+        space: spaces.Box | spaces.Dict,
+        space_of_actions: spaces.Discrete,
+        channels: Sequence[int],
+        hidden: Sequence[int],
     ) -> None:
         super().__init__()
         self.observation_space = space
+        told = space["state"].shape[0] if isinstance(space, spaces.Dict) else 0  # type: ignore[index]
         self.q_net, self.q_net_target = (
-            QNetwork(space.shape, int(space_of_actions.n), channels, hidden) for _ in range(2)
+            QNetwork(picture_of(space).shape, int(space_of_actions.n), channels, hidden, told) for _ in range(2)
         )
         self.q_net_target.load_state_dict(self.q_net.state_dict())
 
-    def values(self, observations: th.Tensor, turned: Sequence[int] | None = None) -> th.Tensor:
+    def values(self, observations: Any, turned: Sequence[int] | None = None) -> th.Tensor:
         """Action values (n, actions); with each action's mirror image `turned`, averaged over both views."""
         if turned is None:
             values: th.Tensor = self.q_net(observations)

@@ -56,7 +56,7 @@ class OnnxAgentFile(AgentFile):
 def _planes(task: Task) -> tuple[int, int]:
     """Return how many of an observation's planes are of pictures, and how many are context planes."""
     context = task.context_planes()
-    told = 0 if context is None else context.planes
+    told = 0 if context is None else len(context.knows)
     return int(task.frames_space().shape[0]) - told, told
 
 

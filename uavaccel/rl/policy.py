@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 from typing_extensions import TypedDict
 
 from uavaccel.config import validate
+from uavaccel.envs.arrays import mapped
 from uavaccel.envs.obstacle_lane import LaneTask
 from uavaccel.envs.task import Task
-from uavaccel.envs.values import Frame, Observation
+from uavaccel.envs.values import Observation
 from uavaccel.errors import UserError
 from uavaccel.files import ARRAYS_BYTES, Plain, file_sha256, open_bounded, parse_json, read_bounded, replacing, to_json
 from uavaccel.forms import check
@@ -66,15 +67,15 @@ class Policy:
 
             return greedy(self.network, observations)
         with th.inference_mode():
-            return np.asarray(self.values(th.from_numpy(observations)).argmax(dim=1).cpu())
+            return np.asarray(self.values(mapped(th.from_numpy, observations)).argmax(dim=1).cpu())
 
-    def values(self, observations: th.Tensor) -> th.Tensor:
+    def values(self, observations: Any) -> th.Tensor:
         """Return double_dqn's action values (n, actions), averaged over both views with `mirrored_decisions`."""
         device = next(self.network.parameters()).device
-        values: th.Tensor = self.network.values(observations.to(device), self.turned)
+        values: th.Tensor = self.network.values(mapped(lambda part: part.to(device), observations), self.turned)
         return values
 
-    def rate(self, observations: Frame) -> tuple[str, NDArray[np.float64]]:
+    def rate(self, observations: Observation) -> tuple[str, NDArray[np.float64]]:
         """Return the kind of a discrete policy's ratings, and these (n, actions) for observations (n, ...)."""
         import torch as th
 
@@ -83,7 +84,7 @@ class Policy:
 
             return ratings(self.network, observations)
         with th.inference_mode():
-            return "action values", self.values(th.from_numpy(observations)).cpu().numpy().astype(np.float64)
+            return "action values", self.values(mapped(th.from_numpy, observations)).cpu().numpy().astype(np.float64)
 
     @property
     def turned(self) -> list[int] | None:

@@ -24,10 +24,10 @@ from gymnasium import spaces
 from pydantic import Field
 from torch import nn
 
+from uavaccel.config import Count, Seed
 from uavaccel.envs.sensors import DEPTH_FAR_M
 from uavaccel.errors import UserError
 from uavaccel.kernels.recording import recorded
-from uavaccel.limits import Count, Seed
 from uavaccel.rl.config import PPOSettings
 from uavaccel.rl.network import Adam, contrast
 

@@ -9,8 +9,8 @@ import numpy as np
 import torch as th
 
 from uavaccel.clock import MonotonicClock
+from uavaccel.envs.batch import TurnBatch
 from uavaccel.envs.stopwatch import PHASES, Stopwatch
-from uavaccel.envs.turn_batch import TurnBatch
 from uavaccel.rl.config import LearnerConfig, PPOSettings
 from uavaccel.rl.learner import (
     Game,
@@ -22,6 +22,7 @@ from uavaccel.rl.learner import (
     first_seed,
 )
 from uavaccel.rl.ppo import PPO, ActorCritic, PPOOptions
+from uavaccel.units import NS_PER_S
 
 
 def options_of(config: LearnerConfig) -> PPOOptions:
@@ -54,6 +55,8 @@ class PPOTraining:
         self._games: HostGames | DeviceGames = HostGames(self, lanes) if self._on_host else DeviceGames(self, lanes)
         self._ppo = PPO(self._games, self.options)
         self._begun = False
+        self.seconds_of_learning = self.options.epochs * self.options.minibatches / lanes.num_envs * config.learning_s
+        """What a round's gradient steps cost each lane."""
         self.policy = self._ppo.policy if self._on_host else deepcopy(self._ppo.policy)
         """The network after the last round whose games were told."""
 
@@ -128,9 +131,7 @@ class HostGames:
 
     def pop(self) -> list[Game]:
         """Return the games that ended since the last call, and charge the lanes for what was learned since."""
-        learner = self._learner
-        steps = learner.options.epochs * learner.options.minibatches
-        charge(self._lanes, learner.config, steps / self.num_envs * learner.config.learning_s, "learning")
+        charge(self._lanes, self._learner.config, self._learner.seconds_of_learning, "learning")
         ended, self._ended = self._ended, []
         return ended
 
@@ -154,12 +155,17 @@ class DeviceGames:
             self._returns = th.tensor(self._learner.returns, dtype=th.float64, device=self.device)
         over, returns = terminated | truncated, self._returns + rewards
         self._unread.append((over, returns, infos["final_info"]))
+        self._charge(self._learner.config.inference_s, "inference")
         self._returns = th.where(over, 0.0, returns)
         return stepped
 
+    def _charge(self, duration_s: float, phase: str) -> None:
+        self._lanes.charge_each(np.full(self.num_envs, round(duration_s * NS_PER_S)), phase)
+
     def pop(self) -> list[Game]:
-        """Return the games that ended since the last call, up to the configured number."""
+        """Return the games that ended since the last call, up to the configured number, and charge as `HostGames`."""
         learner, games = self._learner, []
+        self._charge(learner.seconds_of_learning, "learning")
         ends = th.stack([over for over, _, _ in self._unread]).cpu().numpy()
         for (_, returns, infos), over in zip(self._unread, ends, strict=True):
             told = _on_host(infos) if over.any() else {}

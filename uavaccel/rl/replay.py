@@ -7,13 +7,14 @@ window that contains a truncation then has no weight, since its next observation
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 import torch as th
+from gymnasium import spaces
 from numpy.typing import NDArray
 
+from uavaccel.envs.arrays import mapped, named_leaves, picture_of
 from uavaccel.rl.network import QNetwork, contrast
 
 
@@ -35,33 +36,38 @@ class Windows(NamedTuple):
 
 
 class Replay:
-    """A ring of `rows` rounds of `lanes` lanes; `place` is the row in progress, `filled` ones before it are whole."""
+    """A ring of `rows` rounds of `lanes` lanes; `place` is the row in progress, `filled` ones before it are whole.
+
+    `space` is that of an observation: a Box, or a Dict of these, of which observations are mappings.
+    """
 
     def __init__(
-        self, rows: int, lanes: int, shape: Sequence[int], dtype: th.dtype, device: th.device, keeps_ends: bool = False
+        self, rows: int, lanes: int, space: spaces.Space[Any], device: th.device, keeps_ends: bool = False
     ) -> None:
         self.rows, self.lanes, self.device, self.keeps_ends = rows, lanes, device, keeps_ends
         self._most = rows if keeps_ends else rows - 1
         self._sums = th.float32 if keeps_ends else th.float64
-        # Uninitialised: gigabytes that are taken as they fill, and written before they are read.
-        self.observations = th.empty((rows, lanes, *shape), dtype=dtype, device=device)
-        self.next_observations = th.empty_like(self.observations) if keeps_ends else self.observations
+
+        def ring(box: Any) -> th.Tensor:  # uninitialised: gigabytes that are taken as they fill, written before read
+            kind = th.uint8 if box.dtype == np.uint8 else th.float32
+            return th.empty((rows, lanes, *box.shape), dtype=kind, device=device)
+
+        self.observations = mapped(ring, space)
+        self.next_observations = mapped(ring, space) if keeps_ends else self.observations
         self.actions = th.zeros((rows, lanes), dtype=th.int64, device=device)
         self.rewards, self.over, self.cut, self.flown = (th.zeros((rows, lanes), device=device) for _ in range(4))
         self.place, self.filled = (th.zeros(1, dtype=th.int64, device=device) for _ in range(2))
 
-    def start_round(self, observations: th.Tensor, actions: th.Tensor) -> None:
+    def start_round(self, observations: Any, actions: th.Tensor) -> None:
         """Store the observations (lanes, ...) and actions (lanes,) of the round in progress."""
-        self.observations.index_copy_(0, self.place, observations[None])
-        self.actions.index_copy_(0, self.place, actions[None])
+        self._write(self.observations, observations)
+        self._write(self.actions, actions)
+
+    def _write(self, rings: Any, values: Any) -> None:
+        mapped(lambda ring, each: ring.index_copy_(0, self.place, each[None]), rings, values)
 
     def end_round(
-        self,
-        rewards: th.Tensor,
-        terminated: th.Tensor,
-        truncated: th.Tensor,
-        flown: th.Tensor,
-        after: th.Tensor | None = None,
+        self, rewards: th.Tensor, terminated: th.Tensor, truncated: th.Tensor, flown: th.Tensor, after: Any = None
     ) -> None:
         """Store the results (lanes,) of the round in progress, `flown` by these lanes, and go on to the next row.
 
@@ -69,9 +75,9 @@ class Replay:
         """
         rows = ((self.rewards, rewards), (self.over, terminated), (self.cut, truncated), (self.flown, flown))
         for room, values in rows:
-            room.index_copy_(0, self.place, values.float()[None])
+            self._write(room, values.float())
         if after is not None:
-            self.next_observations.index_copy_(0, self.place, after[None])
+            self._write(self.next_observations, after)
         self.place.copy_((self.place + 1) % self.rows)
         self.filled.copy_((self.filled + 1).clamp(max=self._most))
 
@@ -108,18 +114,19 @@ class Replay:
     def get_state(self) -> dict[str, NDArray[Any]]:
         """Return its contents as arrays: the rows that are whole, or all once the ring is full."""
         filled = int(self.filled)
-        kept = {name: getattr(self, name)[: self.rows if filled == self._most else filled] for name in self._rings()}
+        kept = {name: ring[: self.rows if filled == self._most else filled] for name, ring in self._rings().items()}
         return {name: each.cpu().numpy() for name, each in {**kept, "place": self.place, "filled": self.filled}.items()}
 
     def set_state(self, state: dict[str, NDArray[Any]]) -> None:
         """Restore what `get_state` returned."""
-        for name in (*self._rings(), "place", "filled"):
+        for name, ring in {**self._rings(), "place": self.place, "filled": self.filled}.items():
             kept = th.from_numpy(state[name])
-            getattr(self, name)[: len(kept)].copy_(kept)
+            ring[: len(kept)].copy_(kept)
 
-    def _rings(self) -> tuple[str, ...]:
+    def _rings(self) -> dict[str, th.Tensor]:
         ends = ("next_observations",) if self.keeps_ends else ()
-        return "observations", *ends, "actions", "rewards", "over", "cut", "flown"
+        names = "observations", *ends, "actions", "rewards", "over", "cut", "flown"
+        return {key: ring for name in names for key, ring in named_leaves(getattr(self, name), name).items()}
 
 
 def discount_powers(gamma: float, n_steps: int, dtype: th.dtype) -> list[float]:
@@ -132,19 +139,22 @@ def discount_powers(gamma: float, n_steps: int, dtype: th.dtype) -> list[float]:
 class Levels:
     """Observations as networks see them in single precision: numbers, or grey levels that `contrast` changes."""
 
-    def look(self, ring: th.Tensor, row: th.Tensor, lane: th.Tensor, mirrored: th.Tensor) -> th.Tensor:
+    def look(self, rings: Any, row: th.Tensor, lane: th.Tensor, mirrored: th.Tensor) -> Any:
         """Return the input of the observations at `row` and `lane` (n,) of a ring (rows, lanes, ...).
 
         Pictures of those that are `mirrored` (n,) bool are turned left to right.
         """
-        seen = ring.flatten(0, 1).index_select(0, row * ring.shape[1] + lane)  # which copies whole observations
-        if seen.ndim != 4:
-            return seen
-        return contrast(th.where(mirrored[:, None, None, None], seen.flip(-1), seen).to(th.float32, copy=True))
 
-    def rate(self, network: QNetwork, seen: th.Tensor) -> th.Tensor:
+        def input_of(ring: th.Tensor) -> th.Tensor:
+            seen = ring.flatten(0, 1).index_select(0, row * ring.shape[1] + lane)  # which copies whole observations
+            if seen.ndim != 4:
+                return seen
+            return contrast(th.where(mirrored[:, None, None, None], seen.flip(-1), seen).to(th.float32, copy=True))
+
+        return mapped(input_of, rings)
+
+    def rate(self, network: QNetwork, seen: Any) -> th.Tensor:
         """Return the action values (n, actions) for an input."""
-        extractor = network.features_extractor
-        features = extractor.layers(seen) if seen.ndim == 4 else extractor(seen)  # type: ignore[operator]
-        values: th.Tensor = network.q_net(features)
-        return values
+        extractor, picture = network.features_extractor, picture_of(seen)
+        features = extractor.layers(picture) if picture.ndim == 4 else extractor(picture)  # type: ignore[operator]
+        return network.rated(features, seen)

@@ -17,13 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from uavaccel.config import Config
+from uavaccel.config import Config, Share
 from uavaccel.errors import UserError
-from uavaccel.limits import Share
-from uavaccel.sim.lane.scene import named
+from uavaccel.sim.lane import named
 from uavaccel.sim.parts import njit, part, times
 from uavaccel.sim.pcg64 import STREAM_FIELDS, pool_of, start, unit
-from uavaccel.sim.scene.model import refit_bounding_boxes
+from uavaccel.sim.scene import refit_bounding_boxes
 from uavaccel.sim.vehicle.hotloop import sources
 
 Numbers = NDArray[np.float64]
@@ -115,25 +114,6 @@ def sample_clutter(numbers: Any, stream: Any, goal_x: float, goal_y: float, rows
 @part
 def sample_shape(numbers: Any, stream: Any, goal_x: float, goal_y: float, row: Any) -> None:
     """Sample one shape, which takes DRAWS numbers of the stream, and park it if it reaches into start or goal."""
-    _sample_row(numbers, stream, row)
-    if not (_away(row, 0.0, 0.0, numbers[CLEAR_START]) and _away(row, goal_x, goal_y, numbers[CLEAR_GOAL])):
-        row[Z] = PARKED_Z_M
-
-
-@part
-def keep_gaps(numbers: Any, rows: Any) -> int:
-    """Park shapes that are too near to one before, and return how many stand."""
-    stand = 0
-    for number in range(min(int(numbers[SHAPES]), rows.shape[0])):
-        if rows[number, Z] > PARKED_Z_M and not _apart(rows, number, numbers[GAP]):
-            rows[number, Z] = PARKED_Z_M
-        stand += rows[number, Z] > PARKED_Z_M
-    return stand
-
-
-@part
-def _sample_row(numbers: Any, stream: Any, row: Any) -> None:
-    """Sample one shape."""
     share = unit(stream)
     kind = CAPSULE
     if share < numbers[SHARES]:
@@ -160,6 +140,19 @@ def _sample_row(numbers: Any, stream: Any, row: Any) -> None:
     if kind in (CYLINDER, CAPSULE):
         row[COS], row[SIN] = 1.0, 0.0
     row[GREY] = numbers[DARK] + times(numbers[BRIGHTER], unit(stream))
+    if not (_away(row, 0.0, 0.0, numbers[CLEAR_START]) and _away(row, goal_x, goal_y, numbers[CLEAR_GOAL])):
+        row[Z] = PARKED_Z_M
+
+
+@part
+def keep_gaps(numbers: Any, rows: Any) -> int:
+    """Park shapes that are too near to one before, and return how many stand."""
+    stand = 0
+    for number in range(min(int(numbers[SHAPES]), rows.shape[0])):
+        if rows[number, Z] > PARKED_Z_M and not _apart(rows, number, numbers[GAP]):
+            rows[number, Z] = PARKED_Z_M
+        stand += rows[number, Z] > PARKED_Z_M
+    return stand
 
 
 @part

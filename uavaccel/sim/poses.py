@@ -13,6 +13,7 @@ from uavaccel.errors import UserError
 from uavaccel.kinematics import Quaternion, Vector
 
 LEVEL: Quaternion = (1.0, 0.0, 0.0, 0.0)
+HERE: Vector = (0.0, 0.0, 0.0)
 
 
 class Pose(NamedTuple):

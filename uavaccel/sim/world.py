@@ -8,21 +8,18 @@ from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Quaternion, Vector
 from uavaccel.sim.clutter import ClutterLayout, apply_clutter
-from uavaccel.sim.lane.layout import PLAIN, LaneLayout
-from uavaccel.sim.lane.scene import apply_layout, object_name
-from uavaccel.sim.poses import DEEPEST_M, check_apart, check_bounds, check_name, check_wind
+from uavaccel.sim.lane import LaneLayout, apply_layout, object_name
+from uavaccel.sim.poses import DEEPEST_M, HERE, LEVEL, check_apart, check_bounds, check_name, check_wind
 from uavaccel.sim.profile import Profile
-from uavaccel.sim.scene.model import load_scene, physics_state, restore_physics, scene_path
-from uavaccel.sim.scene.objects import restore_from
+from uavaccel.sim.scene import PLAIN, copy_objects, load_scene, physics_state, restore_physics, scene_path
 from uavaccel.sim.vehicle import hotloop
 from uavaccel.sim.vehicle.clearance import Clearance
 from uavaccel.sim.vehicle.resting import beside_objects, depth, on_the_ground, stand
-from uavaccel.sim.vehicle.vehicle import HERE, LEVEL, AddedVehicle, Motion, Samples, Start, Vehicle
+from uavaccel.sim.vehicle.vehicle import AddedVehicle, Motion, Samples, Start, Vehicle
 from uavaccel.units import NS_PER_S
 
 if TYPE_CHECKING:
@@ -42,7 +39,7 @@ class FlightError(RuntimeError):
 class World:
     """A scene of assets/mjcf with its quadrotors, flown by SimpleFlight's cascade.
 
-    `airsim` prepares the scene for AirSim's clients (uavaccel.sim.scene.model). In the lane a vehicle freezes at its
+    `airsim` prepares the scene for AirSim's clients (uavaccel.sim.scene). In the lane a vehicle freezes at its
     first contact, which ends a game; in other scenes MuJoCo's contact forces act. Methods without a vehicle refer to
     the first one, `lead`.
     """
@@ -121,7 +118,13 @@ class World:
         Another scenery needs another MuJoCo model: cameras are made anew, and the vehicle continues its flight there.
         """
         if layout.scenery != self.scenery:
-            self._change_scenery(layout.scenery)
+            scene_path(self.scene, layout.scenery)  # raises UserError before anything changes
+            physics, carried = physics_state(self.model, self.data), self.lead.carry()
+            self.close()
+            self.scenery = layout.scenery
+            self._adopt(*self._build(self.vehicles))
+            restore_physics(self.model, self.data, physics)
+            self.lead.fly_on(carried)
         apply_layout(self.model, self.data, layout)
         self.lane = layout
         self.surroundings_changed()
@@ -133,15 +136,6 @@ class World:
         apply_clutter(self.model, self.data, layout)
         self.clutter = layout
         self.surroundings_changed()
-
-    def _change_scenery(self, scenery: str) -> None:
-        scene_path(self.scene, scenery)  # raises UserError before anything changes
-        physics, carried = physics_state(self.model, self.data), self.lead.carry()
-        self.close()
-        self.scenery = scenery
-        self._adopt(*self._build(self.vehicles))
-        restore_physics(self.model, self.data, physics)
-        self.lead.fly_on(carried)
 
     def surroundings_changed(self) -> None:
         """Note that objects of the model were moved, added or removed, or look different."""
@@ -179,7 +173,7 @@ class World:
         self.vehicles += new
         self.close()
         self._adopt(*made)
-        restore_from(before, self.model)
+        copy_objects(before, self.model)
         for old, kept in zip(self.vehicles, carried, strict=False):
             old.fly_on(kept)
         for vehicle in new:
@@ -204,7 +198,7 @@ class World:
         """
         start = self.lead.start if position_m is None else Start(position_m, orientation_wxyz)
         self.check_place(start.position_m, start.orientation_wxyz)
-        self.stop_recording()
+        self.recorder.stop()
         mujoco.mj_resetData(self.model, self.data)
         self._begin({vehicle: vehicle.start for vehicle in self.vehicles} | {self.lead: start}, 0)
         self.failed = False
@@ -223,20 +217,6 @@ class World:
         mujoco.mj_kinematics(self.model, self.data)
         self.clearance.check_now()
 
-    def place(self, position_m: Vector, orientation_wxyz: Quaternion = LEVEL, velocity_m_s: Vector = HERE) -> None:
-        """Put the first vehicle at a pose (NED, wxyz) without rotation; its autopilot and rotors continue.
-
-        Raises UserError, without moving it, for a position below the ground, in an object or above HIGHEST_M.
-        """
-        self.check_place(position_m, orientation_wxyz)
-        if len(self.vehicles) == 1:
-            mujoco.mj_resetData(self.model, self.data)
-        self.warnings[:] = 0
-        self.lead.put(position_m, orientation_wxyz, velocity_m_s)
-        self.lead.clear_contacts()
-        self._moved()
-        self.failed = False
-
     def teleport(
         self,
         vehicle: Vehicle,
@@ -249,7 +229,8 @@ class World:
         """Put a vehicle at a pose (NED of the world, wxyz), with its present velocity or the given one.
 
         A position below the ground is moved up to it, with `anywhere` one inside an object to the nearest outside.
-        Earlier contacts stay in the log (MultirotorPawnSimApi::setPose). Raises UserError as `place` does.
+        Earlier contacts stay in the log (MultirotorPawnSimApi::setPose). Raises UserError, without moving it, as
+        `check_place` does.
         """
         if not self.still:
             self.clearance.check_now()
@@ -280,7 +261,7 @@ class World:
     def check_place(
         self, position_m: Vector, orientation_wxyz: Quaternion = LEVEL, vehicle: Vehicle | None = None
     ) -> None:
-        """Raise UserError, as `place` does, for a pose where a vehicle cannot be."""
+        """Raise UserError for a pose where a vehicle cannot be: below the ground, in an object, or above HIGHEST_M."""
         vehicle = vehicle or self.lead
         check_bounds(position_m, float(vehicle.parameters["ground_altitude_m"]), self.still)
         if self.freeze_on_collision or self.still:  # contact forces cannot throw the vehicle
@@ -395,22 +376,7 @@ class World:
 
     # --- recording --------------------------------------------------------------------------------
 
-    @property
-    def recording(self) -> bool:
-        return self.recorder.active
-
     def start_recording(self) -> None:
         """Record samples into an emptied buffer, at this tick and then at the profile's interval."""
         self.recorder.start(self.tick)
         self.lead.rest(0)
-
-    def stop_recording(self) -> None:
-        self.recorder.stop()
-
-    def samples(self) -> NDArray[np.float64]:
-        """Return a copy of the recorded rows (n, 14): tick, position, wxyz, velocity, body rate."""
-        return self.recorder.rows()
-
-    def pop_samples(self) -> NDArray[np.float64]:
-        """Return the recorded rows as `samples` does, and empty the buffer; the recorder's interval continues."""
-        return self.recorder.take()

@@ -15,10 +15,18 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from uavaccel.metrics.equivalence import Estimate, all_of, exceeds, mean_estimate, opposite, ratio_estimate, within
+from uavaccel.metrics.estimates import (
+    Estimate,
+    Success,
+    all_of,
+    exceeds,
+    mean_estimate,
+    opposite,
+    ratio_estimate,
+    within,
+)
 from uavaccel.metrics.intervals import Proportion, bootstrap_interval, median_interval
-from uavaccel.metrics.success import Success
-from uavaccel.sim.lane.layout import LENGTH_M, Difficulty, sample_layout
+from uavaccel.sim.lane import LENGTH_M, Difficulty, sample_layout
 from uavaccel.suites import paper_results
 from uavaccel.suites.dp1 import CELL
 from uavaccel.suites.report import finished

@@ -13,18 +13,26 @@ import pandas as pd
 from pydantic import AfterValidator, Field, model_validator
 from typing_extensions import TypedDict
 
-from uavaccel.commands.paths import velocities
-from uavaccel.commands.slices import check_times
+from uavaccel.commands import check_times, velocities
+from uavaccel.config import MOST_HEIGHT_M, MOST_ROUNDS, Games, Seconds, Speed, Velocity
 from uavaccel.draw import style
-from uavaccel.draw.labels import clock_label, command_at_clock, command_name, metres, rounds_label
-from uavaccel.draw.page import Block, Heading, Picture, Table, unknown
+from uavaccel.draw.page import (
+    Block,
+    Heading,
+    Picture,
+    Table,
+    clock_label,
+    command_at_clock,
+    command_name,
+    metres,
+    rounds_label,
+    unknown,
+)
 from uavaccel.errors import UserError
 from uavaccel.forms import Count, Number, Positive, check
-from uavaccel.limits import MOST_HEIGHT_M, MOST_ROUNDS, Games, Seconds, Speed, Velocity
-from uavaccel.metrics.intervals import median_interval
-from uavaccel.metrics.speedup import combined_provenance, speedup_interval, timing_provenance
+from uavaccel.metrics.intervals import median_interval, speedup_interval
 from uavaccel.metrics.trajectory import Trajectory, command_gaps_s, distinct, mean_position_rmse
-from uavaccel.records import RunDirectory
+from uavaccel.records import RunDirectory, combined_provenance, timing_provenance
 from uavaccel.sim.profile import PROFILES
 from uavaccel.sim.recording import RECORDED
 from uavaccel.suites import experiment, plots

@@ -15,19 +15,29 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 from typing_extensions import TypedDict
 
-from uavaccel import limits
-from uavaccel.commands.slices import check_times, samples_due
+from uavaccel.commands import check_times, samples_due
+from uavaccel.config import MOST_HEIGHT_M, Seconds, Seed
+from uavaccel.config import Velocity as Component
 from uavaccel.draw import style
-from uavaccel.draw.labels import clock_label, command_name, metres, number
-from uavaccel.draw.page import Block, Column, Heading, Picture, Table, unknown
+from uavaccel.draw.page import (
+    Block,
+    Column,
+    Heading,
+    Picture,
+    Table,
+    clock_label,
+    command_name,
+    metres,
+    number,
+    unknown,
+)
 from uavaccel.envs.camera_client import EventClient, Sample
 from uavaccel.envs.task import rate_ticks
 from uavaccel.forms import ArrayForm, Count, NotNegative, Number, Positive
-from uavaccel.limits import Seconds, Seed
-from uavaccel.metrics.dvs_ed import dvs_ed_percent
-from uavaccel.metrics.speedup import timing_provenance
+from uavaccel.metrics.trajectory import dvs_ed_percent
+from uavaccel.records import timing_provenance
 from uavaccel.sim.camera.view import HEIGHT, WIDTH
-from uavaccel.sim.lane.layout import Lane
+from uavaccel.sim.lane import Lane
 from uavaccel.sim.profile import PROFILES
 from uavaccel.suites import plots
 from uavaccel.suites.experiment import FlightExperiment, Timing, named_seed, subset
@@ -51,7 +61,7 @@ POSES, EVENTS = ("position_m", "orientation_wxyz"), ("dvs_on", "dvs_off")
 LINEAR_PERCENT, LINEAR_M = 0.1, 0.001  # below, Figure 7 is linear, so that 0 has its place
 SHARE, STREAMS = 0.05, 20  # of the images that the guard's study perturbs; of images
 
-Velocity = tuple[limits.Velocity, limits.Velocity]
+Velocity = tuple[Component, Component]
 Arrays = dict[str, NDArray[Any]]
 OwnPath = Annotated[tuple[Velocity, ...], Field(min_length=1)]
 
@@ -64,7 +74,7 @@ class Dp2Config(FlightExperiment):
     """A seed, a seed with a difficulty, or a custom lane, written out or as the name of its YAML file."""
     path: Literal["planned"] | OwnPath = "planned"
     """planned: a collision-free path to the lane's end; or a list of velocities north and east, in m/s."""
-    height_m: Annotated[float, Field(lt=0.0, ge=-limits.MOST_HEIGHT_M)] = -10.0
+    height_m: Annotated[float, Field(lt=0.0, ge=-MOST_HEIGHT_M)] = -10.0
     """NED z at which the path starts, and which is held: -10 is 10 m up."""
     t_move_s: Seconds = 1.0
     """Simulated seconds of a command."""

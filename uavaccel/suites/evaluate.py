@@ -15,22 +15,28 @@ import pandas as pd
 from pydantic import Field, model_validator
 from typing_extensions import TypedDict
 
-from uavaccel.config import KeyTree
+from uavaccel.config import Cost, Games, KeyTree, Processes
 from uavaccel.draw import style
-from uavaccel.draw.labels import command_at_clock, command_name
-from uavaccel.draw.page import Block, Heading, Movie, Table, listed
-from uavaccel.envs.flyable import CUDA, Device, Simulator, check_flyable
+from uavaccel.draw.page import Block, Heading, Movie, Table, command_at_clock, command_name, listed
 from uavaccel.envs.obstacle_lane import LaneTask
-from uavaccel.envs.simulators import EXACT, KERNELS, check_names, check_simulator, flown_by
+from uavaccel.envs.simulators import (
+    CUDA,
+    EXACT,
+    KERNELS,
+    Device,
+    Simulator,
+    check_flyable,
+    check_names,
+    check_simulator,
+    flown_by,
+)
 from uavaccel.envs.values import Action, Info, Observation
 from uavaccel.errors import UserError
 from uavaccel.files import Plain
 from uavaccel.forms import Count, NotNegative, Number
-from uavaccel.limits import Cost, Games, Processes
+from uavaccel.metrics.estimates import Success
 from uavaccel.metrics.intervals import Proportion, mcnemar_exact
-from uavaccel.metrics.speedup import timing_provenance
-from uavaccel.metrics.success import Success
-from uavaccel.records import RunDirectory
+from uavaccel.records import RunDirectory, timing_provenance
 from uavaccel.resources import require
 from uavaccel.rl.agents import (
     DEFAULT,
@@ -43,7 +49,7 @@ from uavaccel.rl.agents import (
     reset_options,
 )
 from uavaccel.rl.config import ENVIRONMENTS, LANE, AnyTask, EnvId, environment_class, keys_with_task
-from uavaccel.sim.lane.layout import LENGTH_M, SPLIT_SIZE, WIDTH_M
+from uavaccel.sim.lane import LENGTH_M, SPLIT_SIZE, WIDTH_M
 from uavaccel.suites import paper_results, plots
 from uavaccel.suites.experiment import Experiment, LaneRow, OutcomeRow, ReturnRow, Row, game_row, number_of, subset
 from uavaccel.suites.flight import Flight

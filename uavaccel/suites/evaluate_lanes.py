@@ -24,11 +24,11 @@ from numpy.typing import NDArray
 
 from uavaccel.clock import MonotonicClock
 from uavaccel.config import validate
+from uavaccel.envs.arrays import select
 from uavaccel.envs.batch import EnvironmentBatch
 from uavaccel.envs.flight_env import FlightEnv
-from uavaccel.envs.flyable import CUDA
-from uavaccel.envs.simulators import KERNELS
-from uavaccel.envs.values import Action, Info, Observation, rows_of
+from uavaccel.envs.simulators import CUDA, KERNELS
+from uavaccel.envs.values import Action, Info, Observation
 from uavaccel.machine import usable_cores
 from uavaccel.own_code import folder_of, trusted_folder, trusting
 from uavaccel.rl.agents import Agent, BatchAgent, PolicyAgent, make_agent, reset_options
@@ -185,14 +185,14 @@ class LanesOnCores:
     def _decide(self, going: Places) -> NDArray[Any]:
         agent, space = self._agent, self._batch.single_action_space
         if not isinstance(agent, BatchAgent):
-            return np.array([agent.act(rows_of(self._seen, place), self._infos[place]) for place in going])
+            return np.array([agent.act(select(self._seen, place), self._infos[place]) for place in going])
         actions = np.zeros((len(self._lanes), *(space.shape or ())), space.dtype)
 
         def rate(block: tuple[Places, Places]) -> None:
             members, rows = block
             whole = np.full(BLOCK, members[0])  # the same work whatever lanes still fly
             whole[rows] = members
-            actions[members] = agent.act_on(rows_of(self._seen, whole))[rows]
+            actions[members] = agent.act_on(select(self._seen, whole))[rows]
 
         list(self._raters.map(rate, blocks(self._lanes, going)))
         return actions[going]
@@ -211,7 +211,7 @@ class LanesOnGpu:
 
         self._at, device, self._inference_s = AT, th.device(GPU), config.inference_s
         self._lanes = CudaLanes(config.task, len(lanes), device, renews=False)
-        self._lanes.seed([game_seed(config, lane) for lane in lanes])
+        self._lanes.games.seed([game_seed(config, lane) for lane in lanes])
         self._lanes.games.sample_games([reset_options(config.env_id, lane) for lane in lanes])
         self._lanes.begin()
         self._agent: Agent = make_agent(config.agent, config.task)
@@ -267,7 +267,7 @@ class LanesOnGpu:
 
     def _rate(self, act: Callable[[th.Tensor], th.Tensor]) -> None:
         """Let all lanes act, block by block, lanes whose games are over too: it is the same work in each round."""
-        chosen = [act(rows_of(self._lanes.observations, block)) for block in self._places]
+        chosen = [act(select(self._lanes.observations, block)) for block in self._places]
         self._actions.copy_(th.cat(chosen)[self._rows])
 
     def close(self) -> None:

@@ -14,11 +14,10 @@ from pydantic import AfterValidator
 from typing_extensions import TypedDict
 
 from uavaccel.clock import MonotonicClock
-from uavaccel.config import Config
-from uavaccel.draw.labels import in_words
+from uavaccel.config import ClockSpeed, CommandName, Config, Cost, Seed
+from uavaccel.draw.page import in_words
 from uavaccel.files import Plain
 from uavaccel.forms import Count, NotNegative, Number
-from uavaccel.limits import ClockSpeed, CommandName, Cost, Seed
 from uavaccel.units import NS_PER_S
 from uavaccel.wire.latency import LatencyModel
 

@@ -14,12 +14,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from uavaccel.errors import UsageError, UserError
 from uavaccel.files import inside
-from uavaccel.sim.lane.layout import LaneLayout
+from uavaccel.sim.lane import LaneLayout
 from uavaccel.units import NS_PER_S, to_ns
 
 if TYPE_CHECKING:  # they load what draws
     from uavaccel.draw.film import Film
-    from uavaccel.draw.pictures import Decisions
+    from uavaccel.draw.style import Decisions
     from uavaccel.sim.clutter import ClutterLayout
     from uavaccel.vision.dvs import DvsParameters
 
@@ -172,7 +172,7 @@ def film_game(
     number is unknown, and gives what is called after each. Raises UserError where nothing can draw, there is no such
     game, or it has no images.
     """
-    from uavaccel.draw.pictures import check_films
+    from uavaccel.draw.style import check_films
 
     check_films()
     from uavaccel.draw.film import write_contact_sheet, write_video

@@ -19,19 +19,26 @@ import numpy as np
 import pandas as pd
 from pydantic import AfterValidator, Field, field_validator
 
-from uavaccel.config import Config, parse_yaml, validate
+from uavaccel.config import MOST_SCALE, CommandName, Config, Games, parse_yaml, validate
 from uavaccel.draw import style
-from uavaccel.draw.labels import clock_label, command_at_clock, command_name
-from uavaccel.draw.page import Block, Column, Heading, Picture, Table, unknown
+from uavaccel.draw.page import (
+    Block,
+    Column,
+    Heading,
+    Picture,
+    Table,
+    clock_label,
+    command_at_clock,
+    command_name,
+    unknown,
+)
 from uavaccel.envs.conditions import CONDITIONS, Condition
 from uavaccel.errors import UsageError, UserError, suggestion
 from uavaccel.files import Plain
 from uavaccel.forms import Count, NotNegative, Number, Positive
-from uavaccel.limits import MOST_SCALE, CommandName, Games
 from uavaccel.metrics.intervals import Proportion, mcnemar_exact
-from uavaccel.metrics.speedup import timing_provenance
 from uavaccel.metrics.trajectory import quartiles
-from uavaccel.records import RunDirectory
+from uavaccel.records import RunDirectory, timing_provenance
 from uavaccel.rl.agents import DEFAULT, agent_name, origin_of
 from uavaccel.sim.recording import RECORDED
 from uavaccel.suites import experiment, plots

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.errors import UserError
-from uavaccel.sim.lane.layout import LENGTH_M, FloatArray, LaneLayout, clearance_m
+from uavaccel.sim.lane import LENGTH_M, FloatArray, LaneLayout, clearance_m
 
 GRAVITY_M_S2 = 9.80665
 VELOCITY_TO_TILT = 0.2 * np.pi / 5.5  # SimpleFlight's velocity gain times its tilt limit, rad per m/s

@@ -15,14 +15,13 @@ import pandas as pd
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from uavaccel.config import Config
+from uavaccel.config import Config, Games, Seed
 from uavaccel.draw import style
 from uavaccel.draw.page import Block, Column, Heading, Picture, Table
 from uavaccel.files import Plain
 from uavaccel.forms import Count
-from uavaccel.limits import Games, Seed
+from uavaccel.metrics.estimates import Success
 from uavaccel.metrics.intervals import RESAMPLES, TAILS, student_quantile
-from uavaccel.metrics.success import Success
 from uavaccel.records import RunDirectory
 from uavaccel.rl.config import LANE
 from uavaccel.suites import plots

@@ -17,10 +17,9 @@ from typing import Any, TextIO, TypeAlias
 import numpy as np
 from pydantic import Field
 
-from uavaccel.config import Config
+from uavaccel.config import MOST_PROCESSES, Config
 from uavaccel.files import Plain, inside
 from uavaccel.forms import ArrayForm
-from uavaccel.limits import MOST_PROCESSES
 from uavaccel.records import RunDirectory
 from uavaccel.suites.experiment import Row
 from uavaccel.suites.registry import configuration, find_suite, merged, open_run, read_mapping

@@ -8,12 +8,11 @@ from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeVar
 
 from uavaccel.commands import COMMANDS
+from uavaccel.config import CommandName, Seed
 from uavaccel.files import Plain
 from uavaccel.forms import Positive
 from uavaccel.kinematics import Vector, VelocityGoal
-from uavaccel.limits import CommandName, Seed
-from uavaccel.metrics.speedup import timing_provenance
-from uavaccel.records import RunDirectory
+from uavaccel.records import RunDirectory, timing_provenance
 from uavaccel.sim.profile import PROFILES
 from uavaccel.suites.experiment import FlightExperiment, GameRow, ProfileName, Timing
 from uavaccel.suites.suite import Suite
@@ -22,8 +21,7 @@ from uavaccel.units import NS_PER_S
 if TYPE_CHECKING:  # they load the simulation
     from uavaccel.sim.recording import Recording
     from uavaccel.suites.report import Report
-    from uavaccel.wire.client import Client
-    from uavaccel.wire.session import Session
+    from uavaccel.wire.session import Client, Session
 
 Role = Literal["reference", "lockstep", "game", "figure2"]
 

@@ -12,8 +12,7 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from uavaccel.draw import style
-from uavaccel.draw.labels import clock_label
-from uavaccel.draw.page import Table, unknown
+from uavaccel.draw.page import Table, clock_label, unknown
 from uavaccel.metrics.intervals import Proportion
 
 if TYPE_CHECKING:

@@ -18,14 +18,13 @@ import numpy as np
 import pandas as pd
 from pydantic import Discriminator, Field
 
+from uavaccel.config import CommandName, Seed
 from uavaccel.draw import style
 from uavaccel.draw.page import Block, Heading, Table
 from uavaccel.errors import UserError, suggestion
 from uavaccel.forms import ArrayForm, Count, NotNegative, Number, Positive
-from uavaccel.limits import CommandName, Seed
-from uavaccel.metrics.speedup import timing_provenance
 from uavaccel.own_code import own_module
-from uavaccel.records import RunDirectory
+from uavaccel.records import RunDirectory, timing_provenance
 from uavaccel.resources import require
 from uavaccel.suites import plots
 from uavaccel.suites import realtime_report as told

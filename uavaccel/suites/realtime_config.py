@@ -6,9 +6,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from uavaccel.config import Config
+from uavaccel.config import Config, Games, Seconds
 from uavaccel.draw.page import listed
-from uavaccel.limits import Games, Seconds
 from uavaccel.realtime.policies import TCP
 from uavaccel.suites.experiment import ClockSpeeds, CommandNames, Experiment
 from uavaccel.suites.parts import Part

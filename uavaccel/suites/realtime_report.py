@@ -10,9 +10,8 @@ import numpy as np
 import pandas as pd
 
 from uavaccel.draw import style
-from uavaccel.draw.labels import clock_label
-from uavaccel.draw.page import Column, Picture, Table, listed
-from uavaccel.metrics.seeds import hierarchical_interval
+from uavaccel.draw.page import Column, Picture, Table, clock_label, listed
+from uavaccel.metrics.intervals import hierarchical_interval
 from uavaccel.suites import plots
 from uavaccel.suites.report import Report
 

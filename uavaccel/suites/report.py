@@ -21,8 +21,7 @@ from uavaccel.draw import style
 from uavaccel.draw.page import KINDS, Heading, Listing, Paragraph, Picture, Table, fill, to_html, to_markdown
 from uavaccel.errors import UserError
 from uavaccel.files import Plain, inside, read_bounded, replacing
-from uavaccel.metrics.speedup import timing_provenance
-from uavaccel.records import RunDirectory
+from uavaccel.records import RunDirectory, timing_provenance
 from uavaccel.resources import require
 from uavaccel.suites.experiment import Row, pace_of
 

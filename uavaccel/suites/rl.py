@@ -20,22 +20,19 @@ import pandas as pd
 from pydantic import Field, model_validator
 from typing_extensions import TypedDict
 
-from uavaccel.config import Config
+from uavaccel.config import ClockSpeed, CommandName, Config, Games, Seed
 from uavaccel.draw import style
-from uavaccel.draw.labels import clock_label, command_name, in_words
 from uavaccel.draw.page import Block as PageBlock
-from uavaccel.draw.page import Column, Heading, Picture, Table, fill, listed
+from uavaccel.draw.page import Column, Heading, Picture, Table, clock_label, command_name, fill, in_words, listed
 from uavaccel.envs.simulators import EXACT
 from uavaccel.envs.stopwatch import PHASES
 from uavaccel.errors import UserError
 from uavaccel.forms import ArrayForm, Count, NotNegative, Positive
-from uavaccel.limits import ClockSpeed, CommandName, Games, Seed
-from uavaccel.metrics.intervals import Proportion, fisher_exact_p, mcnemar_exact
-from uavaccel.metrics.seeds import permutation_p, sign_flip_p
-from uavaccel.metrics.success import Success
+from uavaccel.metrics.estimates import Success
+from uavaccel.metrics.intervals import Proportion, fisher_exact_p, mcnemar_exact, permutation_p, sign_flip_p
 from uavaccel.records import RunDirectory
 from uavaccel.rl.agents import DEFAULT, FLIGHT, SENSES
-from uavaccel.sim.lane.layout import LENGTH_M, Difficulty, sample_layout
+from uavaccel.sim.lane import LENGTH_M, Difficulty, sample_layout
 from uavaccel.suites import experiment, paper_results, plots
 from uavaccel.suites.experiment import (
     ClockSpeeds,
@@ -567,8 +564,8 @@ def gap_s(cell: Flights) -> float:
     first = cell.iloc[0]
     if first.command == "tcsc":
         return 0.0
-    from uavaccel.envs.flyable import speed_of
     from uavaccel.envs.obstacle_lane import LaneTask
+    from uavaccel.envs.simulators import speed_of
 
     speed = speed_of(LaneTask(timing=first.timing, profile=first.profile, clock_speed=first.clock_speed))
     running_s = cell.wall_s.sum() - cell.rendering.sum()

@@ -10,7 +10,6 @@ from __future__ import annotations
 import atexit
 import os
 import threading
-import warnings
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, ExitStack, contextmanager
@@ -19,26 +18,23 @@ from functools import partial
 from itertools import groupby, islice
 from pathlib import Path
 
+from uavaccel.config import MOST_GAMES, MOST_PROCESSES
 from uavaccel.errors import UsageError, UserError
 from uavaccel.files import is_file_name, to_json
-from uavaccel.limits import MOST_GAMES, MOST_PROCESSES
-from uavaccel.machine import usable_cores
 from uavaccel.own_code import errors_named, file_of, trusted_folder, trusting
 from uavaccel.processes.lifetime import remove_orphaned_files, work_for_parent
+from uavaccel.processes.workers import LOKY, Delayed, check_count, on_this_machine
 from uavaccel.records import RunDirectory
 from uavaccel.resources import require
 from uavaccel.suites.experiment import Experiment, disturbances, timed, timing_of
 from uavaccel.suites.registry import own_folder, suite_of
 from uavaccel.suites.suite import AnySuite, Case, GameResult, OnGame, Opened
-from uavaccel.wire.server_watch import ServerGoneError
+from uavaccel.wire.rpc import ServerGoneError
 
-MOST_JOBS_PER_CORE = 8  # where more would take memory, and wait for each other
 MOST_RESTARTS = 3  # of the server in a game
-LOKY = "loky"
 PACKAGES = {"ray": "ray", "dask": "distributed"}
 ENGINES = (LOKY, *PACKAGES)
 AHEAD = 2  # batches per worker that a cluster is given at once
-Delayed = tuple[Callable[..., GameResult], tuple[object, ...], dict[str, object]]  # joblib's
 
 
 def check_engine(engine: str) -> None:
@@ -52,11 +48,7 @@ def check_engine(engine: str) -> None:
 def check_jobs(suite: AnySuite, config: Experiment, jobs: int, engine: str = LOKY) -> None:
     """Raise UsageError for a number of processes out of range, or that suite or timing exclude, or a bad engine."""
     check_engine(engine)
-    if jobs < 1:
-        raise UsageError(f"--jobs {jobs}: must be 1 or more")
-    most = MOST_JOBS_PER_CORE * usable_cores() if engine == LOKY else MOST_PROCESSES
-    if jobs > most:
-        raise UsageError(f"--jobs {jobs}: must be at most {most} on this machine's {usable_cores()} cores")
+    check_count(jobs, None if engine == LOKY else MOST_PROCESSES)
     if jobs > 1 and timing_of(config) == "wall":
         raise UsageError("--jobs must be 1 with timing wall: neighbours would spoil the measurement")
     if jobs > 1 and (why := suite.why_serial(config)):
@@ -138,7 +130,7 @@ def _games(
     suite: AnySuite, config: Experiment, run: RunDirectory, jobs: int, engine: str
 ) -> Iterator[tuple[Case, GameResult]]:
     """Fly the cases without a row, in their order, those that follow each other with a timing and a stage at a time."""
-    from uavaccel.envs.environment_processes import BatchError
+    from uavaccel.envs.environment_process import BatchError
 
     for (timing, _), group in groupby(_left(suite, config, run), lambda case: (case.timing, suite.stage(case))):
         cases = list(group)
@@ -219,35 +211,8 @@ def in_parallel(
     Workers that outlive the run, as Dask's may, call `leave` at its end. Raises UserError where a worker is lost.
     """
     if engine == LOKY:
-        return _on_this_machine(jobs, batch, calls)
-    return _on_cluster(engine, jobs, batch, calls, leave)
-
-
-def _on_this_machine(jobs: int, batch: int, calls: Iterable[Delayed]) -> Iterator[GameResult]:
-    from joblib import Parallel, parallel_config
-    from joblib.externals.loky.process_executor import TerminatedWorkerError
-
-    # workers end with this process from the start, before they import what takes seconds
-    bound = {"initializer": work_for_parent, "initargs": (os.getpid(),)}
-    with parallel_config(backend=LOKY, inner_max_num_threads=1, **bound):
-        ahead = f"{batch}*n_jobs"  # a longer queue would delay an interruption
-        games = Parallel(jobs, return_as="generator", pre_dispatch=ahead, batch_size=batch)(calls)
-        try:
-            for game in games:  # noqa: UP028  `yield from` would close them before, and loudly
-                yield game
-        except TerminatedWorkerError:
-            raise UserError(
-                "a worker process was killed, by its user or for memory; go on with --resume, perhaps with fewer --jobs"
-            ) from None
-        finally:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # of games that an interruption cancels
-                games.close()
-
-
-def _on_cluster(
-    engine: str, jobs: int, batch: int, calls: Iterable[Delayed], leave: Callable[[], None]
-) -> Iterator[GameResult]:
+        yield from on_this_machine(jobs, batch, calls)
+        return
     from joblib import Parallel, parallel_config
 
     clusters: dict[str, Callable[[int], AbstractContextManager[None]]] = {"ray": _ray, "dask": partial(_dask, leave)}

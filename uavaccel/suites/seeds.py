@@ -14,16 +14,14 @@ from typing import Annotated, Any, Literal, NotRequired
 from pydantic import Field, model_validator
 from typing_extensions import TypedDict
 
+from uavaccel.config import MOST_SEEDS, Games, Seed
 from uavaccel.draw.page import Block, Column, Table, fill, listed
 from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.task import Task
 from uavaccel.forms import Count, Number
-from uavaccel.limits import MOST_SEEDS, Games, Seed
-from uavaccel.metrics.equivalence import mean_estimate
+from uavaccel.metrics.estimates import Success, mean_estimate
 from uavaccel.metrics.intervals import Proportion
-from uavaccel.metrics.speedup import timing_provenance
-from uavaccel.metrics.success import Success
-from uavaccel.records import RunDirectory
+from uavaccel.records import RunDirectory, timing_provenance
 from uavaccel.suites import train
 from uavaccel.suites.experiment import Experiment, GameRow, cumulative_wall_s, subset
 from uavaccel.suites.parts import SuiteOfRuns, fly_part, part_run

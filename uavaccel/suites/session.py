@@ -17,9 +17,8 @@ from uavaccel.config import load_yaml, parse_override, schema
 from uavaccel.errors import Interrupted, UsageError, UserError, mistake_of
 from uavaccel.files import Plain, check_new_folder
 from uavaccel.machine import describe_run
-from uavaccel.metrics.speedup import timing_provenance
 from uavaccel.own_code import modules_in, trusting
-from uavaccel.records import RunDirectory, refuse_other_config
+from uavaccel.records import RunDirectory, refuse_other_config, timing_provenance
 from uavaccel.suites.experiment import Experiment, timing_of
 from uavaccel.suites.keys import KEYS
 from uavaccel.suites.registry import configuration, find_suite, is_file, is_task, merged, read_mapping, suite_of

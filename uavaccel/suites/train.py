@@ -12,21 +12,18 @@ import pandas as pd
 from pydantic import AfterValidator, Field, model_validator
 from typing_extensions import TypedDict
 
-from uavaccel.config import validate
+from uavaccel.config import MOST_GAMES, validate
+from uavaccel.config import Games as GameCount
 from uavaccel.draw import style
-from uavaccel.draw.labels import clock_label, command_name, in_words
-from uavaccel.draw.page import Block, Column, Table, fill, listed
-from uavaccel.envs.own_task import check_functions, flies_over_arrays
-from uavaccel.envs.simulators import EXACT, KERNELS
+from uavaccel.draw.page import Block, Column, Table, clock_label, command_name, fill, in_words, listed
+from uavaccel.envs.checks import check_functions
+from uavaccel.envs.simulators import EXACT, KERNELS, flies_over_arrays
 from uavaccel.envs.stopwatch import PHASES
 from uavaccel.errors import UserError
 from uavaccel.files import Plain, read_lines
 from uavaccel.forms import Count, NotNegative, Number, Positive, check, check_all
-from uavaccel.limits import MOST_GAMES
-from uavaccel.limits import Games as GameCount
 from uavaccel.metrics.intervals import Proportion
-from uavaccel.metrics.speedup import timing_provenance
-from uavaccel.records import RunDirectory
+from uavaccel.records import RunDirectory, timing_provenance
 from uavaccel.resources import require
 from uavaccel.rl.agents import first_policy, origin_of
 from uavaccel.rl.config import (

@@ -22,7 +22,7 @@ import torch as th
 
 from uavaccel.clock import MonotonicClock
 from uavaccel.config import validate
-from uavaccel.draw.labels import command_name
+from uavaccel.draw.page import command_name
 from uavaccel.envs.batch import EnvironmentBatch
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.errors import UserError

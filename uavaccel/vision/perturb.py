@@ -12,9 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from uavaccel.config import Config
+from uavaccel.config import Config, Share
 from uavaccel.forms import Positive
-from uavaccel.limits import Share
 from uavaccel.units import NS_PER_S
 from uavaccel.vision.guard import mean_brightness
 

@@ -38,7 +38,7 @@ from urllib.parse import urlsplit
 
 from uavaccel.errors import UsageError, UserError
 from uavaccel.processes.lifetime import Watch, end_with_parent, end_within, remove_orphaned_files, start_python
-from uavaccel.wire.page_protocol import PAGE
+from uavaccel.wire.broadcast import PAGE
 
 if TYPE_CHECKING:
     from viser import ViserServer

@@ -9,14 +9,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from uavaccel.commands import COMMANDS, VelocityGoal
-from uavaccel.commands.paths import velocities
-from uavaccel.draw.labels import clock_label, command_name
+from uavaccel.commands import COMMANDS, VelocityGoal, velocities
+from uavaccel.draw.page import clock_label, command_name
 from uavaccel.errors import UsageError, UserError
 from uavaccel.files import read_arrays, read_json, read_lines
-from uavaccel.fly.messages import FILE_NAME as MESSAGES
+from uavaccel.fly.log import MESSAGES, TRAJECTORY
 from uavaccel.fly.options import SUMMARY
-from uavaccel.fly.trajectory import FILE_NAME as TRAJECTORY
 from uavaccel.kinematics import Vector
 from uavaccel.suites.flight import Commands, Flight, flight_of
 from uavaccel.units import NS_PER_S, ned_to_mujoco, quaternion_ned_to_mujoco, seconds_to_ns, to_ns

@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from PIL import Image
 
-from uavaccel.draw.pictures import BLUE, VERMILION, dvs_picture
+from uavaccel.draw.style import BLUE, VERMILION, bgr, dvs_picture
 from uavaccel.kinematics import Vector
 from uavaccel.sim.camera.camera import Camera
 from uavaccel.sim.camera.view import HEIGHT, WIDTH
-from uavaccel.sim.lane.scene import APPEARANCE_GROUP
+from uavaccel.sim.lane import APPEARANCE_GROUP
 from uavaccel.units import ned_to_mujoco
 from uavaccel.vision.dvs import DvsState, init_state, luma, step
 from uavaccel.vision.dvs_sensor import DvsParameters, make_sensor
@@ -32,7 +32,11 @@ PLANE_M = 100.0  # half of a plane that MuJoCo draws without an end
 ROTOR_SECTIONS = 40
 SURROUNDINGS = "/surroundings"
 ZENITH, HORIZON = (120, 165, 215), (229, 238, 250)
-COMMANDED, THINKING, IDEAL = BLUE[::-1], VERMILION[::-1], (245, 245, 245)  # colours of paths: red, green, blue
+COMMANDED, THINKING, IDEAL = (
+    bgr(BLUE)[::-1],
+    bgr(VERMILION)[::-1],
+    (245, 245, 245),
+)  # colours of paths: red, green, blue
 ARROW, PLUMB, SHADOW = (240, 180, 0), (25, 30, 25), (48, 54, 46)
 PATH_WIDTH, PLUMB_WIDTH, IDEAL_WIDTH = 5.0, 1.5, 2.0  # pixels
 ARROW_M, LABEL_M, SHADOW_M, LIFT_M = 0.7, 0.55, 0.32, 0.02

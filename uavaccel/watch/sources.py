@@ -20,7 +20,7 @@ from uavaccel.units import NS_PER_S, ned_to_mujoco
 from uavaccel.watch.page import DroneState, Moment, Source
 from uavaccel.watch.replay import Track
 from uavaccel.watch.scene import Scene, pose_of
-from uavaccel.wire.page_protocol import FREE, MESSAGE_BYTES, Orders
+from uavaccel.wire.broadcast import FREE, MESSAGE_BYTES, Orders
 
 STEP_S = 0.05  # simulated, of a replay
 MOST_STOPS = 1000  # about, that a path is drawn through at once

@@ -17,14 +17,12 @@ from pathlib import Path
 from uavaccel.errors import UserError
 from uavaccel.sim.simulation import Simulation
 from uavaccel.wire import rpc
-from uavaccel.wire.calls import BoundCall, CallContext, Calls, Notices, Refusals, WireCall
+from uavaccel.wire.calls import Calls, Refusals, Say, Scenery, WireCall
 from uavaccel.wire.flight_api import AttitudeApi, FlightApi
 from uavaccel.wire.game_api import GameApi, RecordingApi, SimulatorApi
 from uavaccel.wire.image_api import CameraApi, ImageApi
 from uavaccel.wire.object_api import DetectionApi, ObjectApi, WorldApi
-from uavaccel.wire.recorder import Recorder
 from uavaccel.wire.rpc import Received
-from uavaccel.wire.scenery import Scenery
 from uavaccel.wire.sensor_api import SensorApi
 from uavaccel.wire.settings import Settings
 from uavaccel.wire.vehicle_api import VehicleApi, populate
@@ -46,54 +44,43 @@ class Api:
         settings: Settings | None = None,
         render: bool = True,
         recordings: Path | None = None,
-        say: Callable[[str], None] = lambda _: None,
+        say: Say = lambda _: None,
     ) -> None:
-        self.simulation = simulation
-        self.settings = settings or Settings()
+        self.simulation, self.settings = simulation, settings or Settings()
         populate(simulation, self.settings)
-        self.scenery = Scenery(simulation, self.settings, render)
-        self.notices = Notices(say)
-        self.recorder = Recorder(self.scenery, recordings, say)
+        self.scenery = Scenery(simulation, self.settings, render, recordings, say)
         self.refusals = Refusals()
-        self._context = CallContext(self.scenery, self.notices, self.recorder)
         self._logged: set[tuple[str, type[Exception]]] = set()
-        self.methods: dict[str, BoundCall] = {}
+        self.handlers: dict[str, Callable[..., object]] = {}
         for group in GROUPS:
-            self.methods |= group(self._context).bound()
+            self.handlers |= group(self.scenery).handlers()
 
     def call(self, method: str, params: Sequence[object], wall_ns: int) -> Received:
-        """Return the result of a call that is handled at `wall_ns`, or its `DeferredReply`. Raises rpc.RpcError.
-
-        The simulation must have been advanced to `wall_ns`.
-        """
-        bound = self.methods.get(method)
-        if bound is None:
+        """Return a call's result, or a DeferredReply. Raises rpc.RpcError with the text for the client."""
+        handler, call = self.handlers.get(method), CALLS.get(method)
+        if handler is None or call is None:
             self.refusals.add(method, "is not known here")
             raise rpc.unknown_method(method, len(params))
-        call = bound.call
         if not call.required <= len(params) <= call.most:
             raise self._refused(call, rpc.wrong_arity(method, call.most, len(params)))
-        self._context.wall_ns = wall_ns
+        self.scenery.wall_ns = wall_ns
         if self.simulation.trace.enabled:
             self.simulation.note(f"handle {method}", wall_ns)
         try:
-            return bound.handler(*call.arguments(params)) if params else bound.handler()
-        except Exception as error:  # fails this call alone, as in rpclib
-            raise self._refused(call, self._failed(method, params, error)) from error
+            return handler(*call.arguments(params)) if params else handler()
+        except (ValueError, UserError) as error:
+            raise self._refused(call, rpc.threw(method, len(params), str(error))) from error
+        except Exception as error:  # no mistake of the client; fails this call alone, as in rpclib
+            if (method, type(error)) not in self._logged:
+                self._logged.add((method, type(error)))
+                _LOG.error("%s failed", method, exc_info=error)
+            text = f"{type(error).__name__}: {error}"
+            raise self._refused(call, rpc.threw(method, len(params), text)) from error
 
     def _refused(self, call: WireCall, error: rpc.RpcError) -> rpc.RpcError:
         if call.joined:
             self.refusals.add(call.name, f"was refused: {error.reason}")
         return error
-
-    def _failed(self, method: str, params: Sequence[object], error: Exception) -> rpc.RpcError:
-        """Return the error for the client; log one that is not its mistake, once per method and exception."""
-        if isinstance(error, ValueError | UserError):
-            return rpc.threw(method, len(params), str(error))
-        if (method, type(error)) not in self._logged:
-            self._logged.add((method, type(error)))
-            _LOG.error("%s failed", method, exc_info=error)
-        return rpc.threw(method, len(params), f"{type(error).__name__}: {error}")
 
 
 OWN = "uavaccel"  # prefix of the calls that are not AirSim's
@@ -116,7 +103,6 @@ def sections() -> dict[str, list[WireCall]]:
 
 
 def page() -> str:
-    """Return the page in Markdown."""
     answers = [call.status for calls in sections().values() for call in calls]
     done, accepted, refused = (
         sum(answer.startswith(word) for answer in answers) for word in ("done", "accepted", "refused")

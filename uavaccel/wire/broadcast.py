@@ -13,20 +13,23 @@ import select
 import socket
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING, TypedDict
 from weakref import ReferenceType, WeakKeyDictionary, finalize, ref
 
-import mujoco
 import numpy as np
 
 from uavaccel.clock import MonotonicClock
 from uavaccel.kinematics import Vector
-from uavaccel.sim.simulation import Simulation
-from uavaccel.sim.vehicle import autopilot
-from uavaccel.sim.vehicle.vehicle import Vehicle
-from uavaccel.sim.world import World
 from uavaccel.units import NS_PER_S
-from uavaccel.wire.page_protocol import FREE, MESSAGE_BYTES, PAGE, Orders
 
+if TYPE_CHECKING:  # a command that opens a page needs none of them
+    from uavaccel.sim.simulation import Simulation
+    from uavaccel.sim.vehicle.vehicle import Vehicle
+    from uavaccel.sim.world import World
+
+PAGE = "UAVACCEL_WATCH_PAGE"
+"""The environment variable with the path of the page's Unix socket, which every process of a command inherits."""
+MESSAGE_BYTES = 1 << 16
 REFRESH_NS = 33_000_000  # simulated, between two refreshes
 SHORTEST_NS, UNSEEN_NS = (5_000_000, 200_000_000)  # of the machine's time, between two messages; where nobody looks
 UNWATCHED_REFRESHES = 10  # of a simulated clock, of which one is taken where nobody looks
@@ -34,6 +37,21 @@ MEASURED_NS = 10_000_000  # of the machine's time, between two refreshes at a fl
 SCENE_NS = 200_000_000  # the same between two scenes, of a script that moves objects all the time
 LATE_NS = 250_000_000  # a flight that is later than this for its pace is not hurried
 ANSWER_S = 5.0  # the longest wait for the page's first orders
+
+
+class Orders(TypedDict):
+    """The page's orders to a flight: `held` until it is told to go on, but for `refreshes` that are let pass."""
+
+    seen: bool
+    """Whether somebody looks at it: otherwise the page needs to hear now and then only that it flies."""
+    held: bool
+    pace: float | None
+    """Simulated seconds per second of the machine's; None for as fast as it flies."""
+    refreshes: int
+
+
+FREE: Orders = {"seen": False, "held": False, "pace": None, "refreshes": 0}
+"""Those of a flight that is not shown, or that nobody looks at."""
 
 
 def show_on_page(simulation: Simulation, may_pause: bool) -> None:
@@ -140,6 +158,8 @@ class Broadcast:
 
     def _show_scene(self) -> None:
         """Send the model, as it is at present, through a file that the page removes."""
+        import mujoco
+
         world = self._simulation.world
         self._shown_ns = self._clock.now_ns()
         model = np.zeros(mujoco.mj_sizeModel(world.model), np.uint8)
@@ -169,17 +189,13 @@ class Broadcast:
                 self._tell()  # where it is held
                 self._hear(None)
                 continue
-            now_ns, due_ns = self._clock.now_ns(), self._due_ns()
+            now_ns, due_ns, pace = self._clock.now_ns(), self._anchor_ns, self._orders["pace"]
+            if pace is not None:
+                due_ns += round((self._simulation.time_ns - self._anchor_time_ns) / pace)
             if now_ns - due_ns > LATE_NS:
                 self._anchor(now_ns)
             if due_ns <= now_ns or not self._hear((due_ns - now_ns) / NS_PER_S):
                 return
-
-    def _due_ns(self) -> int:
-        pace = self._orders["pace"]
-        if pace is None:
-            return self._anchor_ns
-        return self._anchor_ns + round((self._simulation.time_ns - self._anchor_time_ns) / pace)
 
     def _anchor(self, now_ns: int) -> None:
         self._anchor_ns, self._anchor_time_ns = now_ns, self._simulation.time_ns
@@ -223,6 +239,8 @@ _BROADCASTS: WeakKeyDictionary[World, ReferenceType[Broadcast]] = WeakKeyDiction
 
 def heading(vehicle: Vehicle) -> Vector | None:
     """Return where a vehicle's goal leads, NED: its velocity in m/s, or the way to its place in m; None of others."""
+    from uavaccel.sim.vehicle import autopilot
+
     state, towards = vehicle.state, [0.0, 0.0, 0.0]
     for axis, mode in enumerate((int(state["xy_mode"]), int(state["xy_mode"]), int(state["z_mode"]))):
         if mode == autopilot.VELOCITY:

@@ -5,7 +5,7 @@
         def set_wind(self, wind: Wind) -> None:
             self.simulation.world.set_wind(wind)
 
-The number of arguments, their coercion (uavaccel.wire.arguments), the call's latency, whether a client may overlook its
+The number of arguments, their coercion (uavaccel.wire.types), the call's latency, whether a client may overlook its
 refusal, and its line in docs/airsim-calls.md follow from the declaration.
 """
 
@@ -14,17 +14,24 @@ from __future__ import annotations
 import inspect
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
 from typing import ClassVar, TypeVar, get_type_hints
 
-from uavaccel.wire.arguments import coercion_of
+from uavaccel.kinematics import Kinematics
+from uavaccel.sim.objects import SceneObjects, matching
+from uavaccel.sim.simulation import Pilot, Simulation
+from uavaccel.sim.vehicle.vehicle import Vehicle
 from uavaccel.wire.latency import DEFAULT, Channel
+from uavaccel.wire.pictures import Cameras, Pictures, Segmentation, can_render
 from uavaccel.wire.recorder import Recorder
-from uavaccel.wire.scenery import Scenery
+from uavaccel.wire.settings import Settings
+from uavaccel.wire.types import coercion_of
 
 MOST_IGNORED = 16  # arguments of a call without effect
 Method = TypeVar("Method", bound=Callable[..., object])
 AnyChannel = Channel | Callable[[Sequence[object]], Channel]
+Say = Callable[[str], None]
 
 
 class WireCall:
@@ -81,28 +88,19 @@ def command(name: str, *, leaves_state: bool = False) -> Callable[[Method], Meth
 
 def without_effect(*names: str, answer: object = None, refused: str = "") -> list[WireCall]:
     """Declare calls that do nothing: they return `answer`, or raise why they are `refused`."""
-    return [_ignoring(name, answer, refused) for name in names]
 
+    def ignoring(name: str) -> Callable[..., object]:
+        def ignore(self: Calls, *ignored: object) -> object:
+            if refused:
+                self.scenery.say_once(f"{name}: refused: {refused}")
+                raise ValueError(f"{name} is not available: {refused}")
+            self.scenery.say_once(f"{name}: accepted, without effect")
+            return answer
 
-def _ignoring(name: str, answer: object, refused: str) -> WireCall:
-    def ignore(self: Calls, *ignored: object) -> object:
-        if refused:
-            self.notices.once(f"{name}: refused: {refused}")
-            raise ValueError(f"{name} is not available: {refused}")
-        self.notices.once(f"{name}: accepted, without effect")
-        return answer
+        return ignore
 
-    return WireCall(name, ignore, status=f"refused: {refused}" if refused else "accepted")
-
-
-@dataclass
-class CallContext:
-    """The state that all calls on one simulation share; `wall_ns` is when the present call is handled."""
-
-    scenery: Scenery
-    notices: Notices
-    recorder: Recorder
-    wall_ns: int = 0
+    status = f"refused: {refused}" if refused else "accepted"
+    return [WireCall(name, ignoring(name), status=status) for name in names]
 
 
 class Calls:
@@ -120,52 +118,135 @@ class Calls:
         declared = [member.wire_call for member in vars(cls).values() if hasattr(member, "wire_call")]
         cls.calls = {each.name: each for each in (*declared, *cls.ignored)}
 
-    def __init__(self, context: CallContext) -> None:
-        self.context = context
-        self.scenery, self.simulation = context.scenery, context.scenery.simulation
-        self.notices = context.notices
+    def __init__(self, scenery: Scenery) -> None:
+        self.scenery, self.simulation = scenery, scenery.simulation
 
     @property
     def wall_ns(self) -> int:
         """The wall time at which the present call is handled."""
-        return self.context.wall_ns
+        return self.scenery.wall_ns
 
-    def bound(self) -> dict[str, BoundCall]:
-        """Return the group's calls by wire name, bound to this object."""
-        return {name: BoundCall(each, each.method.__get__(self)) for name, each in self.calls.items()}
+    def handlers(self) -> dict[str, Callable[..., object]]:
+        return {name: each.method.__get__(self) for name, each in self.calls.items()}
 
 
-@dataclass
-class BoundCall:
-    """A call, and the bound method that answers it."""
+class Scenery:
+    """What all calls on one simulation share: vehicles, cameras, objects, pictures, each made at first use; recorder.
 
-    call: WireCall
-    handler: Callable[..., object]
+    `wall_ns` is when the present call is handled. With `render` False images are refused. `recordings` is the folder of
+    startRecording; `say` shows a line to the user.
+    """
+
+    def __init__(
+        self, simulation: Simulation, settings: Settings, render: bool, recordings: Path | None, say: Say
+    ) -> None:
+        self.simulation, self.settings, self.render = simulation, settings, render
+        self.wall_ns = 0
+        self._cameras: dict[int, Cameras] = {}
+        self._say, self._said = say, set[str]()
+        self.recorder = Recorder(self, recordings, say)
+
+    def say_once(self, line: str) -> None:
+        """Show the user a line, unless it was shown before."""
+        if line not in self._said:
+            self._said.add(line)
+            self._say(line)
+
+    def cameras(self, vehicle: str = "", external: bool = False) -> Cameras:
+        """Return the cameras of a vehicle or of the scene. Raises ValueError for an unknown vehicle either way."""
+        number = self.number_of(vehicle)
+        if external:
+            return self._external_cameras
+        if number not in self._cameras:
+            name = self.simulation.world.vehicles[number].name
+            given = self.settings.vehicles.get(name)
+            cameras = given.cameras if given else {}
+            self._cameras[number] = Cameras(self.settings.camera_defaults, cameras, carrier=number)
+        return self._cameras[number]
+
+    def number_of(self, name: str) -> int:
+        """Return the number of the vehicle with this name; "" is the first vehicle.
+
+        Raises ValueError, in AirSim's words, for an unknown name.
+        """
+        for number, vehicle in enumerate(self.simulation.world.vehicles):
+            if name in ("", vehicle.name):
+                return number
+        raise self._not_there(name)
+
+    def vehicle(self, name: str = "") -> Vehicle:
+        """Return the vehicle with this name. Raises ValueError as number_of does."""
+        return self.simulation.world.vehicles[self.number_of(name)]
+
+    def truth(self, vehicle: str = "") -> Kinematics:
+        """Return a vehicle's state in the world's frame. Raises ValueError as number_of does."""
+        return self.vehicle(vehicle).kinematics(self.simulation.time0_ns, in_world=True)
+
+    def pilot(self, name: str = "") -> Pilot:
+        """Return the pilot of a vehicle. Raises ValueError as number_of does."""
+        return self.simulation.pilots[self.number_of(name)]
+
+    def flying_pilot(self, name: str) -> Pilot:
+        """Return the pilot of a flying vehicle. Raises ValueError as number_of does, and in SimMode ComputerVision."""
+        if self.settings.flightless:
+            raise self._not_there(name)
+        return self.pilot(name)
+
+    def _not_there(self, name: str) -> ValueError:
+        known = ", ".join(f"'{known}'" for known in self._names())
+        return ValueError(
+            f"Vehicle API for '{name}' is not available. This could either because this is simulation"
+            f"-only API or this vehicle does not exist; there is {known}"
+        )
+
+    def _names(self) -> list[str]:
+        return [vehicle.name for vehicle in self.simulation.world.vehicles]
+
+    def named(self, name: str) -> list[str]:
+        """Return the objects, then the vehicles, with this name in any case."""
+        return [entry for entry in self._all_names() if entry.lower() == name.lower()]
+
+    def named_like(self, pattern: str) -> list[str]:
+        """List the objects, then the vehicles, whose whole name matches. Raises ValueError for a wrong pattern."""
+        return matching(pattern, self._all_names())
+
+    def _all_names(self) -> list[str]:
+        return [*self.objects.names(), *self._names()]
+
+    @cached_property
+    def _external_cameras(self) -> Cameras:
+        return Cameras(self.settings.camera_defaults, self.settings.external_cameras, external=True)
+
+    def forget(self) -> None:
+        """Forget objects, segmentation and pictures: the world has a new model."""
+        for name in ("objects", "segmentation", "pictures"):
+            self.__dict__.pop(name, None)
+
+    @cached_property
+    def objects(self) -> SceneObjects:
+        return SceneObjects(self.simulation.world)
+
+    @cached_property
+    def segmentation(self) -> Segmentation:
+        return Segmentation(self.simulation.world, self.objects)
+
+    @cached_property
+    def pictures(self) -> Pictures:
+        own = [lens for name in self._names() for lens in self.cameras(name).lenses()]
+        lenses = [lens for lens in (*own, *self._external_cameras.lenses()) if can_render(lens)]
+        largest = max(lens.width for lens in lenses), max(lens.height for lens in lenses)
+        return Pictures(self.simulation, largest, self.segmentation, self.render)
 
 
 MOST = 200  # kinds that are told apart: names and texts come from clients
 LONGEST = 300  # characters of a text
 
 
-class Notices:
-    """Lines that are shown once each by `say`."""
-
-    def __init__(self, say: Callable[[str], None]) -> None:
-        self.say = say
-        self._said: set[str] = set()
-
-    def once(self, line: str) -> None:
-        """Show a line, unless it was shown before."""
-        if line not in self._said:
-            self._said.add(line)
-            self.say(line)
-
-
 class Refusals:
     """Counts refused calls by method and reason; `say` shows a line at the first of each."""
 
     def __init__(self) -> None:
-        self.say: Callable[[str], None] = lambda line: None
+        self.say: Say = lambda line: None
         self._count: Counter[tuple[str, str]] = Counter()
 
     def add(self, method: str, reason: str) -> None:

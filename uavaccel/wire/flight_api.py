@@ -14,16 +14,26 @@ from typing import Annotated
 import numpy as np
 
 from uavaccel.kinematics import Kinematics, Vector
-from uavaccel.sim.flight.pilot import DeferredReply, Pilot
-from uavaccel.sim.flight.tasks import AT_REST_M_S, FollowPath, Land, MoveByManual, RotateToYaw, check_lookahead
-from uavaccel.sim.flight.tasks import facing as facing_along
-from uavaccel.sim.sensors.earth import GeoPoint, geographic, ned_of
-from uavaccel.sim.vehicle import goal as goals
-from uavaccel.sim.vehicle.autopilot import POSITION, THROTTLE
-from uavaccel.sim.vehicle.goal import RATE_MODE, STICKS, VALID, Goal, Sticks, Yaw
+from uavaccel.sim import flight as goals
+from uavaccel.sim.earth import GeoPoint, geographic, ned_of
+from uavaccel.sim.flight import (
+    AT_REST_M_S,
+    RATE_MODE,
+    STICKS,
+    VALID,
+    FollowPath,
+    Land,
+    MoveByManual,
+    RotateToYaw,
+    Sticks,
+    check_lookahead,
+)
+from uavaccel.sim.flight import facing as facing_along
+from uavaccel.sim.simulation import DeferredReply, Pilot
+from uavaccel.sim.vehicle.autopilot import POSITION, THROTTLE, Goal, Yaw
 from uavaccel.units import euler_from_quaternion
-from uavaccel.wire.arguments import Coordinate, VehicleName, YawMode, coordinate, flag, number, place
 from uavaccel.wire.calls import Calls, call, command
+from uavaccel.wire.types import Coordinate, VehicleName, YawMode, coordinate, flag, number, place
 
 FORWARD_ONLY = 1
 LONGEST_S = 1e9  # longer durations are cut to this: AirSim's clients send 3e38 for ever
@@ -35,19 +45,13 @@ LARGEST_GAIN = 1e3  # thousands of times SimpleFlight's gains
 STICK_NAMES = ("roll", "pitch", "throttle", "yaw")  # in the order of manual.Sticks
 
 
-def seconds(value: object, name: str) -> float:
-    """A duration in seconds, at most LONGEST_S."""
-    return min(number(value, name), LONGEST_S)
-
-
 def places(value: object, name: str) -> list[Vector]:
-    """A list of Vector3r in metres."""
     if not isinstance(value, list):
         raise ValueError(f"{name} must be a list of Vector3r")
     return [place(point, name) for point in value]
 
 
-Seconds = Annotated[float, seconds]
+Seconds = Annotated[float, lambda value, name: min(number(value, name), LONGEST_S)]
 
 
 class FlightApi(Calls, title="Flight"):
@@ -58,8 +62,7 @@ class FlightApi(Calls, title="Flight"):
     @command("takeoff")
     def takeoff(self, timeout_sec: float, vehicle: VehicleName = "") -> Answer:
         """Climb 2 m. Raises ValueError while the vehicle moves."""
-        pilot = self._taken(vehicle)
-        now = pilot.kinematics()
+        now = (pilot := self._taken(vehicle)).kinematics()
         if (speed := math.hypot(*now.linear_velocity_m_s)) > AT_REST_M_S:
             raise ValueError(f"Cannot perform takeoff because vehicle is already moving with velocity {speed:f} m/s")
         north, east, down = now.position_m
@@ -141,10 +144,8 @@ class FlightApi(Calls, title="Flight"):
         pilot = self._taken(vehicle)
         if timeout_sec <= 0:
             return True
-        heading = math.remainder(math.radians(yaw), 2 * math.pi)
-        place_m = pilot.kinematics().position_m
-        task = RotateToYaw(place_m, heading, math.radians(margin), timeout_sec)
-        return pilot.start(task, self.wall_ns)
+        place_m, heading = pilot.kinematics().position_m, math.remainder(math.radians(yaw), 2 * math.pi)
+        return pilot.start(RotateToYaw(place_m, heading, math.radians(margin), timeout_sec), self.wall_ns)
 
     @command("rotateByYawRate")
     def rotate_by_yaw_rate(self, yaw_rate: float, duration: Seconds, vehicle: VehicleName = "") -> Answer:
@@ -248,7 +249,6 @@ def turned(now: Kinematics, ahead: float, right: float) -> tuple[float, float]:
 
 
 def gains(value: object, name: str) -> Vector:
-    """The gains of three axes."""
     if not isinstance(value, list) or len(value) != 3:
         raise ValueError(f"{name} must be a list of three gains")
     a, b, c = (number(each, name) for each in value)
@@ -338,8 +338,9 @@ class AttitudeApi(Calls, title="Flight"):
         self.scenery.flying_pilot(vehicle).move_sticks(rcdata)
 
 
-def stick_map(sticks: Sticks) -> dict[str, object]:
-    """Return the fields of RCData that the sticks determine."""
-    valid = bool(sticks[VALID])
-    names = zip(STICK_NAMES, sticks[: len(STICK_NAMES)].tolist(), strict=True)
-    return {**dict(names), "switches": int(sticks[RATE_MODE]), "is_initialized": valid, "is_valid": valid}
+def rc_data_map(sticks: Sticks) -> dict[str, object]:
+    """Return the RCData of a vehicle, whose sticks are those of moveByRC."""
+    moved = dict(zip(STICK_NAMES, sticks[: len(STICK_NAMES)].tolist(), strict=True))
+    axes = {name: moved.get(name, 0.0) for name in ("pitch", "roll", "throttle", "yaw", "left_z", "right_z")}
+    how = {"switches": int(sticks[RATE_MODE]), "vendor_id": "", "is_initialized": (valid := bool(sticks[VALID]))}
+    return {"timestamp": 0, **axes, **how, "is_valid": valid}

@@ -7,18 +7,17 @@ error texts: AirSim v1.8.1, RpcLibServerBase.cpp.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Annotated, TypedDict
 
 from uavaccel.kinematics import Kinematics
-from uavaccel.sim.flight.pilot import DeferredReply
+from uavaccel.sim.simulation import DeferredReply
 from uavaccel.sim.world import START_M
-from uavaccel.wire.arguments import Coordinate, number
 from uavaccel.wire.calls import Calls, call, without_effect
 from uavaccel.wire.flight_api import LONGEST_S
 from uavaccel.wire.image_api import clutter_layout, lane_layout
-from uavaccel.wire.latency import Channel
 from uavaccel.wire.rpc import Received
+from uavaccel.wire.types import Coordinate, number
 
 FASTEST = 1e4  # ClockSpeed; ten times what one core can fly
 
@@ -63,7 +62,6 @@ class SpeedReport(TypedDict):
 class GameApi(Calls, title="Games"):
     @call("uavaccelState", "state")
     def state(self) -> list[float]:
-        """Return the present state (`encode_state`)."""
         return encode_state(self.simulation.kinematics())
 
     @call("uavaccelContinueFor", "continue_for")
@@ -78,7 +76,7 @@ class GameApi(Calls, title="Games"):
         """Start a game in a settled hover at a NED z, paused, recording, with API control; returns the state."""
         simulation, wall_ns = self.simulation, self.wall_ns
         simulation.set_clock_speed(clock_speed, wall_ns)
-        self.context.recorder.keep()
+        self.scenery.recorder.keep()
         simulation.records_game = True
         simulation.pause(wall_ns)
         simulation.reset(wall_ns, (START_M[0], START_M[1], height_m), recording=True)
@@ -176,23 +174,16 @@ FRAMES_PER_S, MOST_FRAMES = 60, 1e9
 
 def wall_seconds(value: object, name: str) -> float:
     """A duration in seconds, 0 or more, at most LONGEST_S."""
-    seconds = number(value, name)
-    if seconds < 0:
+    if (seconds := number(value, name)) < 0:
         raise ValueError(f"{name} must not be negative, not {seconds:g}")
     return min(seconds, LONGEST_S)
 
 
 def frame_count(value: object, name: str) -> float:
-    """A whole number of frames."""
     count = number(value, name)
     if count != int(count) or not 0 <= count <= MOST_FRAMES:
         raise ValueError(f"{name} must be a whole number from 0 to {MOST_FRAMES:g}, not {value}")
     return count
-
-
-def pause_channel(params: Sequence[object]) -> Channel:
-    """simPause's kind of latency: to pause or to continue."""
-    return "pause" if params and params[0] else "continue"
 
 
 class SimulatorApi(Calls, title="Connection and time"):
@@ -215,14 +206,11 @@ class SimulatorApi(Calls, title="Connection and time"):
     @call("reset")
     def reset(self) -> None:
         """Reset every vehicle; a recording continues, as in AirSim."""
-        self.context.recorder.go_through(lambda recording: self.simulation.reset(self.wall_ns, recording=recording))
+        self.scenery.recorder.go_through(lambda recording: self.simulation.reset(self.wall_ns, recording=recording))
 
-    @call("simPause", pause_channel)
+    @call("simPause", lambda params: "pause" if params and params[0] else "continue")
     def pause(self, is_paused: bool) -> None:
-        if is_paused:
-            self.simulation.pause(self.wall_ns)
-        else:
-            self.simulation.run(self.wall_ns)
+        (self.simulation.pause if is_paused else self.simulation.run)(self.wall_ns)
 
     @call("simIsPaused")
     def is_paused(self) -> bool:
@@ -243,15 +231,15 @@ class SimulatorApi(Calls, title="Connection and time"):
 class RecordingApi(Calls, title="Recording, drawing, messages"):
     @call("startRecording")
     def start(self) -> None:
-        self.context.recorder.start(self.wall_ns)
+        self.scenery.recorder.start(self.wall_ns)
 
     @call("stopRecording")
     def stop(self) -> None:
-        self.context.recorder.stop()
+        self.scenery.recorder.stop()
 
     @call("isRecording")
     def is_recording(self) -> bool:
-        return self.simulation.world.recording
+        return self.simulation.world.recorder.active
 
     ignored = (
         *without_effect(

@@ -16,19 +16,18 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from uavaccel.config import Config, validate
-from uavaccel.kinematics import Kinematics, Vector
+from uavaccel.kinematics import Kinematics
 from uavaccel.sim.camera.camera import Lens
 from uavaccel.sim.camera.pixels import png
 from uavaccel.sim.camera.view import HEIGHT, WIDTH, AnyImage
 from uavaccel.sim.clutter import Clutter, ClutterLayout, sample_world
-from uavaccel.sim.lane.layout import Difficulty, LaneLayout, layout_from, sample_layout
+from uavaccel.sim.lane import Difficulty, LaneLayout, layout_from, sample_layout
 from uavaccel.sim.poses import Pose
 from uavaccel.wire import types
-from uavaccel.wire.arguments import AnyPose, Truthy, VehicleName, whole
 from uavaccel.wire.calls import Calls, call, without_effect
-from uavaccel.wire.cameras import NARROWEST_DEG, SCENE, WIDEST_DEG, CameraMount, Cameras
-from uavaccel.wire.pictures import Pixels, known_type
+from uavaccel.wire.pictures import NARROWEST_DEG, SCENE, WIDEST_DEG, CameraMount, Cameras, Pixels, known_type
 from uavaccel.wire.rpc import MAX_ANSWER_BYTES, Received, bulk_bytes
+from uavaccel.wire.types import AnyPose, Truthy, VehicleName, whole
 
 NEAR_CM = 10.0  # GNearClippingPlane
 NO_LENS = "cameras here are pinholes; simSetCameraFov sets what they see"
@@ -53,17 +52,16 @@ class CameraApi(Calls, title="Cameras and images"):
         """Set the pose relative to the vehicle, FRD; parts that are NaN stay as they are."""
         mounted = self._named(camera_name, vehicle, external)
         position, orientation = pose
-        keep = [any(map(math.isnan, part)) for part in (position, orientation)]
+        before = mounted.mount
         mounted.mount = Pose(
-            mounted.mount.position_m if keep[0] else position,
-            mounted.mount.orientation_wxyz if keep[1] else orientation,
+            before.position_m if any(map(math.isnan, position)) else position,
+            before.orientation_wxyz if any(map(math.isnan, orientation)) else orientation,
         )
 
     @call("simSetCameraFov")
     def set_fov(
         self, camera_name: object, fov_degrees: float, vehicle: VehicleName = "", external: Truthy = False
     ) -> None:
-        """Set the horizontal field of view of all types of image."""
         mounted = self._named(camera_name, vehicle, external)
         if not NARROWEST_DEG <= fov_degrees <= WIDEST_DEG:
             raise ValueError(f"fov_degrees must be {NARROWEST_DEG:g} to {WIDEST_DEG:g}, not {fov_degrees:g}")
@@ -84,7 +82,7 @@ class CameraApi(Calls, title="Cameras and images"):
         if not isinstance(param_name, str) or param_name not in known:
             raise ValueError(f"no distortion parameter {param_name!r}; there are {', '.join(known)}")
         known[param_name] = value
-        self.notices.once("simSetDistortionParam: accepted; pictures stay undistorted")
+        self.scenery.say_once("simSetDistortionParam: accepted; pictures stay undistorted")
 
     def _named(self, camera: object, vehicle: str, external: bool) -> CameraMount:
         return self.scenery.cameras(vehicle, external).named(camera)
@@ -116,20 +114,13 @@ def projection(lens: Lens) -> NDArray[np.float64]:
 
 
 class ImageRequest(NamedTuple):
-    """One requested image; `camera_name` is the client's name for the camera."""
+    """One requested image; `camera_name` is the client's name for the camera. The type of image is not checked."""
 
     camera: CameraMount
     camera_name: str
     image_type: int
     pixels_as_float: bool
     compress: bool
-
-
-def image_requests(value: object, name: str) -> list[object]:
-    """A list of at most MOST_IMAGES requests."""
-    if not isinstance(value, list) or len(value) > MOST_IMAGES:
-        raise ValueError(f"{name} must be a list of at most {MOST_IMAGES} ImageRequest")
-    return value
 
 
 class ImageApi(Calls, title="Cameras and images"):
@@ -151,9 +142,11 @@ class ImageApi(Calls, title="Cameras and images"):
 
     @call("simGetImages", "image")
     def get_images(
-        self, requests: Annotated[list[object], image_requests], vehicle: VehicleName = "", external: Truthy = False
+        self, requests: object, vehicle: VehicleName = "", external: Truthy = False
     ) -> list[dict[str, object]]:
         """Return images of one moment; the response of one that cannot be drawn says why."""
+        if not isinstance(requests, list) or len(requests) > MOST_IMAGES:
+            raise ValueError(f"requests must be a list of at most {MOST_IMAGES} ImageRequest")
         cameras = self.scenery.cameras(vehicle, external)
         kinematics, room_bytes, responses = self.scenery.truth(vehicle), MAX_ANSWER_BYTES, []
         for request in [image_request(request, cameras) for request in requests]:
@@ -167,20 +160,29 @@ class ImageApi(Calls, title="Cameras and images"):
     def get_image(
         self, camera_name: object, image_type: int, vehicle: VehicleName = "", external: Truthy = False
     ) -> bytes:
-        """Return one image as PNG."""
         mounted = self.scenery.cameras(vehicle, external).named(camera_name)
-        return png(self.scenery.pictures.bgr(mounted, image_type)[..., ::-1])
+        return png(self.scenery.pictures.rgb(mounted, image_type))
 
     def _response(self, request: ImageRequest, kinematics: Kinematics) -> dict[str, object]:
-        image, message = self._drawn(request)
-        as_float, compress = request.pixels_as_float, request.compress
-        data = b"" if as_float or message else png(image[..., ::-1]) if compress else image.tobytes()
-        eye = request.camera.eye(Pose(kinematics.position_m, kinematics.orientation_wxyz))
+        camera, name, image_type, as_float, compress = request
+        image: Pixels
+        image, message, pictures = np.empty((0, 0), np.float32), "", self.scenery.pictures
+        try:
+            known_type(image_type)
+        except ValueError as error:
+            message = str(error)
+            if image_type in OPTICAL_FLOW:
+                self.scenery.say_once("simGetImages: images of types 8 and 9 (optical flow) are empty")
+        else:
+            image = (pictures.floats if as_float else pictures.rgb)(camera, image_type)
+        eye = camera.eye(Pose(kinematics.position_m, kinematics.orientation_wxyz))
+        carrier = self.simulation.world.vehicles[camera.carrier]
+        data = b"" if as_float or message else png(image) if compress else image[..., ::-1].tobytes()
         return {
             "image_data_uint8": data,
             "image_data_float": image.ravel() if as_float else [],
-            "camera_position": types.vector_map(self._local(request.camera, eye.position_m)),
-            "camera_name": request.camera_name,
+            "camera_position": types.vector_map(carrier.local(eye.position_m)),
+            "camera_name": name,
             "camera_orientation": types.quaternion_map(eye.orientation_wxyz),
             "time_stamp": types.stamp(kinematics.time_ns),
             "message": message,
@@ -188,23 +190,8 @@ class ImageApi(Calls, title="Cameras and images"):
             "compress": compress,
             "width": image.shape[1],
             "height": image.shape[0],
-            "image_type": request.image_type,
+            "image_type": image_type,
         }
-
-    def _local(self, camera: CameraMount, place_m: Vector) -> Vector:
-        return self.simulation.world.vehicles[camera.carrier].local(place_m)
-
-    def _drawn(self, request: ImageRequest) -> tuple[Pixels, str]:
-        """Return the picture and an empty text; or an empty picture and the reason."""
-        try:
-            known_type(request.image_type)
-        except ValueError as error:
-            if request.image_type in OPTICAL_FLOW:
-                self.notices.once("simGetImages: images of types 8 and 9 (optical flow) are empty")
-            return np.empty((0, 0), np.float32), str(error)
-        pictures = self.scenery.pictures
-        draw = pictures.floats if request.pixels_as_float else pictures.bgr
-        return draw(request.camera, request.image_type), ""
 
 
 def image_request(value: object, cameras: Cameras) -> ImageRequest:
@@ -245,6 +232,5 @@ def clutter_layout(world: Mapping[str, object]) -> ClutterLayout:
 
 
 def decode_image(reply: Received) -> AnyImage:
-    """Return the picture in a `raw_image` reply."""
     image: AnyImage = np.frombuffer(reply["data"], reply["dtype"]).reshape(reply["shape"])
     return image

@@ -1,5 +1,6 @@
 """The latency model of a simulated wall clock: how long messages take, drawn from measured quantiles.
 
+Its platform is the simulator's side: what ticks and frames cost, and the faults of its connection.
 A call costs a request (from the client being ready to send it to the server handling it) and a reply (from the call
 being handled, or due, to the client being ready again). A channel is a kind of call with its own quantiles. How fast
 either end responds depends on how long it slept before, so a channel may have quantiles for several waits.
@@ -10,7 +11,7 @@ from __future__ import annotations
 import math
 import zlib
 from bisect import bisect_left
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
@@ -24,15 +25,106 @@ from pydantic import (
     ValidatorFunctionWrapHandler,
     WrapValidator,
     field_validator,
+    model_validator,
 )
 
-from uavaccel.config import Config, load_yaml, validate
+from uavaccel.config import MOST_LATENCY_US, MOST_SCALE, Config, LatencyUs, Share, load_yaml, validate
 from uavaccel.errors import UserError, suggestion
-from uavaccel.limits import MOST_LATENCY_US, MOST_SCALE
 from uavaccel.resources import experiment
+from uavaccel.sim.profile import AIRSIM, PROFILES, Executor, Frames, Profile, airsim_variant
 from uavaccel.units import QUANTILES as QUANTILES
-from uavaccel.units import check_quantile_row, check_quantiles
-from uavaccel.wire.platform import FaultConfig, PlatformConfig, delays_ns
+from uavaccel.units import check_quantile_row, check_quantiles, seconds_to_ns
+
+RESENT_NS = 200_000_000  # Linux's least time-out before TCP sends a lost segment again (TCP_RTO_MIN)
+STALLED_NS = 40_000_000  # Linux's delayed acknowledgement, which Nagle's algorithm waits for (TCP_DELACK_MIN)
+
+
+class FrameConfig(Config):
+    """The model of Unreal's frames (uavaccel.sim.simulation)."""
+
+    hz: Annotated[float, Field(ge=0.0, le=1e5)] = 0.0
+    """Frames per wall second; with 0 an image is drawn when it is requested."""
+
+    @field_validator("hz")
+    @classmethod
+    def _comes_to_an_end(cls, hz: float) -> float:
+        if 0.0 < hz < 0.01:
+            raise ValueError("must be 0, or 0.01 or more")
+        return hz
+
+    stale_pose: bool = False
+    """Whether images show the pose of the last frame before a pause."""
+    after_continue: bool = False
+    """Whether the reply of a continue-for also waits for a frame, while the simulation is paused."""
+
+
+class FaultConfig(Config):
+    """The fractions of messages, in either direction, that suffer a fault."""
+
+    dropped: Share = 0.0
+    """Lost, and sent again after TCP's minimum time-out of 200 ms."""
+    stalled: Share = 0.0
+    """Held until a delayed acknowledgement comes, 40 ms."""
+    late: Share = 0.0
+    """Late by `late_us`."""
+    late_us: LatencyUs = 10_000.0
+    """Microseconds by which a late message comes later."""
+
+    @model_validator(mode="after")
+    def _at_most_all(self) -> FaultConfig:
+        if self.dropped + self.stalled + self.late > 1.0:
+            raise ValueError("dropped, stalled and late are fractions of all messages: together at most 1")
+        return self
+
+
+class PlatformConfig(Config):
+    """The simulator's side of a modelled wall clock; by default it costs nothing and has no faults."""
+
+    tick_us: LatencyUs = 0.0
+    """Wall time of a physics tick; the speed saturates at the tick's duration divided by it."""
+    integer_clock_speed: bool = False
+    """Whether a ClockSpeed above 1 loses its fraction, as in AirSim."""
+    stall_us: LatencyUs = 0.0
+    """Delay of a request that follows a command without a reply yet: 40 000 for AirSim's client on a connection with
+    Nagle's algorithm and delayed acknowledgements."""
+    frames: FrameConfig = FrameConfig()
+    """The game engine's frames, to which pictures and calls may have to wait."""
+    faults: FaultConfig = FaultConfig()
+    """Messages that come late or are lost."""
+    goal_timeout_s: Annotated[float, Field(gt=0.0, le=1e6)] = 0.06
+    """AirSim's api_goal_timeout: simulated time without a new goal after which position hold begins."""
+    exact_pauses: bool = False
+    """Whether a continue-for ends on the tick, as in the profile `native`, instead of by a wall timer."""
+    scalable_clock: bool = False
+    """Whether the clock is AirSim's ScalableClock: a loop of 3 ms of wall time, whose step grows with ClockSpeed."""
+
+    def profile(self, name: str, clock_speed: float) -> Profile:
+        """Return the profile of that name, modified by the keys above; `native` is not modified."""
+        if name != AIRSIM.name:
+            return PROFILES[name]
+        step = max(clock_speed, 1.0) if self.scalable_clock else 1.0
+        return airsim_variant(round(AIRSIM.tick_ns * step), seconds_to_ns(self.goal_timeout_s), self.exact_pauses)
+
+    def executor(self) -> Executor:
+        return Executor(round(self.tick_us * 1e3), self.integer_clock_speed)
+
+    def frame_ns(self) -> int:
+        """Return the period of the frames; 0 without frames."""
+        return round(1e9 / self.frames.hz) if self.frames.hz else 0
+
+    def new_frames(self, wait_ns: Callable[[], int]) -> Frames:
+        """Return the frames of one game; `wait_ns` draws how long a frame is waited for."""
+        return Frames(self.frame_ns(), self.frames.stale_pose, self.frames.after_continue, wait_ns)
+
+
+def delays_ns(faults: FaultConfig, generator: np.random.Generator) -> Iterator[int]:
+    """Yield the delays of a stream's messages; one number is drawn for each message."""
+    at = np.cumsum([faults.dropped, faults.stalled, faults.late])
+    delays = (RESENT_NS, STALLED_NS, round(faults.late_us * 1e3), 0)
+    while True:
+        for uniform in generator.random(1024):
+            yield delays[int(np.searchsorted(at, uniform, side="right"))]
+
 
 Channel = Literal["call", "pause", "continue", "move", "continue_for", "state", "image"]
 CHANNELS: tuple[Channel, ...] = get_args(Channel)
@@ -58,9 +150,8 @@ def _quantile_row(value: object) -> object:
     return tuple(value) if isinstance(value, list) else value
 
 
-QuantileRow = Annotated[
-    tuple[float, ...], BeforeValidator(_quantile_row, json_schema_input_type=tuple[float, ...] | float)
-]
+OfRow = BeforeValidator(_quantile_row, json_schema_input_type=tuple[float, ...] | float)
+QuantileRow = Annotated[tuple[float, ...], OfRow]
 Tables = dict[str, QuantileRow]  # microseconds at the quantiles, by channel
 
 
@@ -185,18 +276,12 @@ def _scaled(
     return result
 
 
-def _changes_what_ships(block: Mapping[str, object]) -> bool:
-    """Return whether a block only changes the shipped model: it has neither quantiles nor rows."""
-    rows = [block[direction] for direction in DIRECTIONS if direction in block]
-    return "quantiles" not in block and all(
-        isinstance(row, Mapping) and row and all(map(_is_number, row.values())) for row in rows
-    )
-
-
 def _from_block_or_file(value: object, validated: ValidatorFunctionWrapHandler, info: ValidationInfo) -> LatencyConfig:
     is_given = isinstance(value, str | Path | Mapping)
-    if isinstance(value, Mapping) and "profile" in info.data and _changes_what_ships(value):
-        value = _completed(value, of_the_profile(info.data).model_dump(mode="json"))
+    if isinstance(value, Mapping) and "profile" in info.data and "quantiles" not in value:
+        rows = [value[direction] for direction in DIRECTIONS if direction in value]
+        if all(isinstance(row, Mapping) and row and all(map(_is_number, row.values())) for row in rows):
+            value = _completed(value, of_the_profile(info.data).model_dump(mode="json"))  # it changes what ships
     if isinstance(value, str | Path):
         try:
             value = read_latency(Path(value))
@@ -224,9 +309,7 @@ class Latency:
     """Draws latencies in nanoseconds from one generator per channel, so that channels do not affect each other."""
 
     def __init__(self, config: LatencyConfig, seed: np.random.SeedSequence) -> None:
-        self.platform = config.platform
-        self._config = config
-        self._seed = seed
+        self.platform, self._config, self._seed = config.platform, config, seed
         self._streams: dict[tuple[str, str], Iterator[int]] = {}
         self._wait_ns: int | None = None
         self._faults = None if config.platform.faults == _NO_FAULTS else config.platform.faults
@@ -237,12 +320,10 @@ class Latency:
         self._wait_ns = wait_ns
 
     def request_ns(self, channel: str) -> int:
-        sampled_ns = self._draw("request", channel, self._config.request_us)
-        return round(sampled_ns * self._config.scale) + self._fault_ns("request")
+        return self._message_ns("request", channel, self._config.request_us)
 
     def reply_ns(self, channel: str) -> int:
-        sampled_ns = self._draw("reply", channel, self._config.reply_us)
-        return round(sampled_ns * self._config.scale) + self._fault_ns("reply")
+        return self._message_ns("reply", channel, self._config.reply_us)
 
     def issue_ns(self) -> int:
         return self._draw("issue", "", {"": self._config.issue_us})
@@ -255,14 +336,14 @@ class Latency:
         longest_us = 2 * self._config.platform.frame_ns() / 1e3
         return self._draw("frame", "", {"": tuple(longest_us * share for share in self._config.quantiles)})
 
-    def _fault_ns(self, direction: str) -> int:
-        """Return how long a fault of the connection delays the next message of a direction."""
-        faults, key = self._faults, ("fault", direction)
-        if faults is None:
-            return 0
-        if key not in self._streams:
-            self._streams[key] = delays_ns(faults, self._generator(f"fault {direction}"))
-        return next(self._streams[key])
+    def _message_ns(self, direction: str, channel: str, tables: Tables) -> int:
+        """Return how long the next message of a direction takes, faults of the connection included."""
+        taken_ns = round(self._draw(direction, channel, tables) * self._config.scale)
+        if self._faults is None:
+            return taken_ns
+        if (key := ("fault", direction)) not in self._streams:
+            self._streams[key] = delays_ns(self._faults, self._generator(f"fault {direction}"))
+        return taken_ns + next(self._streams[key])
 
     def _draw(self, kind: str, channel: str, tables: Tables) -> int:
         if self._config is ZERO_LATENCY:  # the fast path of millions of flights
@@ -276,7 +357,6 @@ class Latency:
         return next(stream)
 
     def _stream(self, name: str, table: Numbers) -> Iterator[int]:
-        """Yield one channel's latencies."""
         if not any(table):
             while True:
                 yield 0
@@ -286,6 +366,5 @@ class Latency:
             yield from np.rint(1e3 * np.interp(uniform, self._config.quantiles, table)).astype(int).tolist()
 
     def _generator(self, name: str) -> np.random.Generator:
-        """Return the generator of this name."""
         key = (*self._seed.spawn_key, zlib.crc32(name.encode()))
         return np.random.default_rng(np.random.SeedSequence(self._seed.entropy, spawn_key=key))

@@ -16,12 +16,14 @@ from numpy.typing import NDArray
 
 from uavaccel.kinematics import Vector
 from uavaccel.sim.camera.camera import Lens
+from uavaccel.sim.earth import GRAVITY_M_S2, GeoPoint, atmosphere, geographic, local
+from uavaccel.sim.objects import ASSETS, cast, sees
 from uavaccel.sim.poses import LONGEST_NAME, Pose
-from uavaccel.sim.scene.objects import ASSETS, cast, sees
-from uavaccel.sim.sensors.earth import GRAVITY_M_S2, GeoPoint, atmosphere, geographic, local
 from uavaccel.sim.vehicle.vehicle import BODY
 from uavaccel.wire import types
-from uavaccel.wire.arguments import (
+from uavaccel.wire.calls import Calls, Scenery, call, without_effect
+from uavaccel.wire.pictures import CameraMount, known_type
+from uavaccel.wire.types import (
     AnyPose,
     FinitePose,
     ObjectName,
@@ -33,9 +35,6 @@ from uavaccel.wire.arguments import (
     coordinate,
     finite,
 )
-from uavaccel.wire.calls import CallContext, Calls, call, without_effect
-from uavaccel.wire.cameras import CameraMount
-from uavaccel.wire.pictures import known_type
 from uavaccel.wire.vehicle_api import in_world_frame
 
 NAN = math.nan
@@ -51,7 +50,6 @@ class ObjectApi(Calls, title="Objects"):
 
     @call("simListSceneObjects")
     def listed(self, name_regex: ObjectName = ".*") -> list[str]:
-        """List the objects and vehicles whose names match."""
         return self.scenery.named_like(name_regex)
 
     @call("simGetObjectPose")
@@ -92,7 +90,7 @@ class ObjectApi(Calls, title="Objects"):
         name = self.scenery.objects.spawn(object_name, asset_name, pose, scale)
         self.scenery.segmentation.spawned(name)
         if physics_enabled:
-            self.notices.once("simSpawnObject: physics_enabled is without effect; objects stand still")
+            self.scenery.say_once("simSpawnObject: physics_enabled is without effect; objects stand still")
         return name
 
     @call("simDestroyObject")
@@ -138,13 +136,10 @@ class DetectionFilter:
     patterns: list[str] = field(default_factory=list)
     radius_m: float = DEFAULT_RADIUS_M
 
-    def matches(self, name: str) -> bool:
-        return any(fnmatch.fnmatchcase(name.lower(), pattern.lower()) for pattern in self.patterns)
-
 
 class DetectionApi(Calls, title="Objects"):
-    def __init__(self, context: CallContext) -> None:
-        super().__init__(context)
+    def __init__(self, scenery: Scenery) -> None:
+        super().__init__(scenery)
         self._filters: dict[tuple[str, bool, int, int], DetectionFilter] = defaultdict(DetectionFilter)
 
     @call("simAddDetectionFilterMeshName")
@@ -177,7 +172,12 @@ class DetectionApi(Calls, title="Objects"):
         mounted, found = self._filter(camera_name, image_type, vehicle, external)
         kinematics = self.scenery.truth(vehicle)
         eye = mounted.eye(Pose(kinematics.position_m, kinematics.orientation_wxyz))
-        names = [name for name in self.scenery.objects.names() if found.matches(name)]
+        patterns = [pattern.lower() for pattern in found.patterns]
+        names = [
+            name
+            for name in self.scenery.objects.names()
+            if any(fnmatch.fnmatchcase(name.lower(), pattern) for pattern in patterns)
+        ]
         seen = (self._detection(name, eye, mounted, image_type, found.radius_m) for name in names)
         return [one for one in seen if one is not None]
 
@@ -192,15 +192,14 @@ class DetectionApi(Calls, title="Objects"):
         self, name: str, eye: Pose, camera: CameraMount, image_type: int, radius_m: float
     ) -> dict[str, object] | None:
         objects = self.scenery.objects
-        pose = objects.pose(name) or Pose()
-        corners = objects.corners(name)
+        pose, corners = objects.pose(name) or Pose(), objects.corners(name)
+        inside = eye.inwards(corners)
         if np.linalg.norm(np.array(pose.position_m) - eye.position_m) > radius_m:
             return None
-        box = picture_box(eye.inwards(corners), camera.lens(image_type))
+        box = picture_box(inside, camera.lens(image_type))
         if box is None or not self._is_visible(name, corners, eye, camera):
             return None
         (left, top), (right, bottom) = box
-        inside = eye.inwards(corners)
         low, high = inside.min(axis=0).tolist(), inside.max(axis=0).tolist()
         return {
             "name": name,
@@ -211,8 +210,7 @@ class DetectionApi(Calls, title="Objects"):
         }
 
     def _is_visible(self, name: str, corners: NDArray[np.float64], eye: Pose, camera: CameraMount) -> bool:
-        world = self.simulation.world
-        middle = corners.mean(axis=0)
+        world, middle = self.simulation.world, corners.mean(axis=0)
         points = np.vstack([middle, middle + INSIDE * (corners - middle), middle + INSIDE / 2 * (corners - middle)])
         ways = points - np.array(eye.position_m)
         lengths = np.linalg.norm(ways, axis=1)
@@ -263,8 +261,8 @@ class WorldApi(Calls, title="World"):
     @call("simTestLineOfSightToPoint")
     def has_line_of_sight_to(self, point: Point, vehicle: VehicleName = "") -> bool:
         """Return whether the line of sight from the vehicle to a point is free."""
-        own = self.scenery.vehicle(vehicle).body
-        return self._sees(self.scenery.truth(vehicle).position_m, self._local(point), own)
+        here_m, own = self.scenery.truth(vehicle).position_m, self.scenery.vehicle(vehicle).body
+        return self._sees(here_m, self._local(point), own)
 
     @call("simTestLineOfSightBetweenPoints")
     def has_line_of_sight(self, point1: Point, point2: Point) -> bool:
@@ -286,10 +284,9 @@ class WorldApi(Calls, title="World"):
         """Return the lowest south-western and the highest north-eastern corner of all objects."""
         objects = self.scenery.objects
         corners = np.vstack([objects.corners(name) for name in objects.names()])
-        low, high = corners.min(axis=0), corners.max(axis=0)
-        lowest = geographic((float(low[0]), float(low[1]), float(high[2])), self.scenery.settings.home)
-        highest = geographic((float(high[0]), float(high[1]), float(low[2])), self.scenery.settings.home)
-        return [types.geo_map(lowest), types.geo_map(highest)]
+        low, high = corners.min(axis=0).tolist(), corners.max(axis=0).tolist()
+        extents = (low[0], low[1], high[2]), (high[0], high[1], low[2])
+        return [types.geo_map(geographic(place, self.scenery.settings.home)) for place in extents]
 
     ignored = (
         *without_effect("simSetTimeOfDay", "simEnableWeather", "simSetWeatherParameter"),

@@ -1,29 +1,143 @@
-"""Draws AirSim's types of image for one camera, at the moment of the call, and encodes them as files.
+"""A vehicle's cameras, AirSim's five and those of the settings; its types of image, drawn at the moment of the call.
 
-Sources: AirSim v1.8.1, docs/image_apis.md (what the numbers of each type mean), ImageCaptureBase.hpp (types),
-Examples/DataCollection/StereoImageGenerator.hpp (disparity); of segmentation IDs and their colours,
-AirBlueprintLib.cpp and docs/seg_rgbs.txt.
+Sources: AirSim v1.8.1, AirSimSettings.hpp (keys and defaults of cameras), FlyingPawn.cpp (their names),
+BP_FlyingPawn.uasset (their mounts), docs/image_apis.md (what the numbers of each type mean), ImageCaptureBase.hpp
+(types), Examples/DataCollection/StereoImageGenerator.hpp (disparity), AirBlueprintLib.cpp and docs/seg_rgbs.txt
+(segmentation IDs and their colours).
 """
 
 from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from enum import IntEnum
 from functools import cache
+from typing import Annotated
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from uavaccel.resources import asset
 from uavaccel.sim.camera.camera import FRONT_CENTER, Lens, MountedCamera
 from uavaccel.sim.camera.view import GeomImage, vehicle_pose
-from uavaccel.sim.scene.objects import SceneObjects, cast
+from uavaccel.sim.objects import SceneObjects, cast
+from uavaccel.sim.poses import Pose, from_degrees
+from uavaccel.sim.sensors import AirSimKeys
 from uavaccel.sim.simulation import Simulation
+from uavaccel.sim.vehicle.vehicle import Vehicle
 from uavaccel.sim.world import World
-from uavaccel.wire.cameras import CameraMount
+
+SCENE = 0
+MOUNTS = {
+    "front_center": FRONT_CENTER,
+    "front_right": Pose((0.46, 0.125, 0.0)),
+    "front_left": Pose((0.46, -0.125, 0.0)),
+    "bottom_center": Pose((0.0, 0.0, 0.12), from_degrees(0.0, -90.0, 0.0)),
+    "back_center": Pose((-0.46, 0.0, 0.0), from_degrees(0.0, 0.0, 180.0)),
+}
+ALIASES = {str(number): name for number, name in enumerate(MOUNTS)} | {"": "front_center", "fpv": "front_center"}
+DISTORTION = ("K1", "K2", "K3", "P1", "P2")
+Size = Annotated[int | None, Field(ge=1, le=8192)]
+NARROWEST_DEG, WIDEST_DEG = 0.1, 179.0  # fields of view that a projection can have
+
+
+class CaptureSettings(AirSimKeys):
+    """The lens for one type of image."""
+
+    image_type: Annotated[int, Field(ge=-1, le=9)] = SCENE
+    """AirSim's number of the type; -1 is the view of its window."""
+    width: Size = None
+    height: Size = None
+    fov_degrees: Annotated[float | None, Field(alias="FOV_Degrees", ge=NARROWEST_DEG, le=WIDEST_DEG)] = None
+
+
+class CameraSettings(AirSimKeys):
+    """A camera of settings.json, in metres FRD and degrees; keys that are left out change nothing."""
+
+    capture_settings: list[CaptureSettings] = Field(default_factory=list)
+    x: float | None = None
+    y: float | None = None
+    z: float | None = None
+    pitch: float | None = None
+    roll: float | None = None
+    yaw: float | None = None
+
+    def lenses(self, before: Mapping[int, Lens]) -> dict[int, Lens]:
+        """Return the lenses by image type, on the basis of the lenses `before`."""
+        lenses = dict(before)
+        for given in self.capture_settings:
+            lens = lenses.get(given.image_type, Lens())
+            size = given.width or lens.width, given.height or lens.height
+            lenses[given.image_type] = Lens(*size, given.fov_degrees or lens.fov_deg)
+        return lenses
+
+    def mount(self, before: Pose) -> Pose:
+        """Return the mount on the vehicle, on the basis of the mount `before`."""
+        given = zip((self.x, self.y, self.z), before.position_m, strict=True)
+        x, y, z = (old if new is None else new for new, old in given)
+        angles = (self.roll, self.pitch, self.yaw)
+        turned = any(angle is not None for angle in angles)
+        return Pose((x, y, z), from_degrees(*(a or 0.0 for a in angles)) if turned else before.orientation_wxyz)
+
+
+@dataclass
+class CameraMount:
+    """One camera: its lenses, and its mount on the vehicle number `carrier`, or in the world if it is `external`."""
+
+    name: str
+    mount: Pose
+    lenses: dict[int, Lens]
+    external: bool = False
+    carrier: int = 0
+    distortion: dict[str, float] = field(default_factory=lambda: dict.fromkeys(DISTORTION, 0.0))
+
+    def eye(self, vehicle: Pose) -> Pose:
+        """Return the camera's pose in the world, NED, for a pose of the vehicle."""
+        return self.mount if self.external else vehicle.of(self.mount)
+
+    def body(self, vehicles: Sequence[Vehicle]) -> str | None:
+        """Return the name of the body that carries it, through which its rays pass; None for an external camera."""
+        return None if self.external else vehicles[self.carrier].body
+
+    def lens(self, image_type: int) -> Lens:
+        return self.lenses.get(image_type, Lens())
+
+    def set_fov(self, fov_deg: float) -> None:
+        types = {SCENE, *range(10), *self.lenses}
+        self.lenses = {kind: self.lens(kind)._replace(fov_deg=fov_deg) for kind in types}
+
+
+class Cameras:
+    """Cameras by name: a vehicle's, or those of ExternalCameras. `defaults` apply to each `given` one."""
+
+    def __init__(
+        self, defaults: CameraSettings, given: Mapping[str, CameraSettings], external: bool = False, carrier: int = 0
+    ) -> None:
+        lenses, mounts = defaults.lenses({}), {} if external else MOUNTS
+        self._cameras = {each: CameraMount(each, at, dict(lenses), carrier=carrier) for each, at in mounts.items()}
+        for alias, settings in given.items():
+            name = ALIASES.get(alias, alias)
+            before = self._cameras.get(name) or CameraMount(name, Pose(), dict(lenses))
+            mount, own = settings.mount(before.mount), settings.lenses(before.lenses)
+            self._cameras[name] = CameraMount(name, mount, own, external, carrier)
+
+    def named(self, name: object) -> CameraMount:
+        """Return the camera of a client's name for it. Raises ValueError if there is none."""
+        found = self._cameras.get(ALIASES.get(str(name), str(name)))
+        if found is None:
+            numbers = {full: number for number, full in ALIASES.items() if number.isdecimal()}
+            known = [f"{full} ({numbers[full]})" if full in numbers else full for full in self._cameras]
+            raise ValueError(f"no camera '{name}'; there are {', '.join(known) or 'none'}")
+        return found
+
+    def lenses(self) -> list[Lens]:
+        """Return all lenses of all cameras."""
+        return [Lens(), *(lens for camera in self._cameras.values() for lens in camera.lenses.values())]
+
 
 Pixels = NDArray[np.uint8] | NDArray[np.float32]
 
@@ -54,9 +168,7 @@ class Pictures:
     def __init__(
         self, simulation: Simulation, largest: tuple[int, int], segmentation: Segmentation, render: bool
     ) -> None:
-        self._simulation = simulation
-        self._largest = largest
-        self._segmentation = segmentation
+        self._simulation, self._largest, self._segmentation = simulation, largest, segmentation
         self.render = render
 
     def floats(self, camera: CameraMount, image_type: int) -> NDArray[np.float32]:
@@ -64,15 +176,15 @@ class Pictures:
         kind, shown = known_type(image_type), self._shown()
         if kind in _DEPTHS:
             return self._depth(camera, kind, shown)
-        return (self.bgr(camera, kind)[..., 2] / np.float32(255)).astype(np.float32)
+        return (self.rgb(camera, kind)[..., 0] / np.float32(255)).astype(np.float32)
 
-    def bgr(self, camera: CameraMount, image_type: int) -> NDArray[np.uint8]:
-        """Return an image (height, width, 3) of blue, green and red."""
+    def rgb(self, camera: CameraMount, image_type: int) -> NDArray[np.uint8]:
+        """Return an image (height, width, 3) of red, green and blue."""
         kind, shown = known_type(image_type), self._shown()
         if kind == ImageType.SCENE:
-            return np.ascontiguousarray(self._pointed(camera, kind, shown).colour(shown)[..., ::-1])
+            return self._pointed(camera, kind, shown).colour(shown)
         if kind == ImageType.SEGMENTATION:
-            return np.ascontiguousarray(colours()[self._object_ids(camera, kind, shown)][..., ::-1])
+            return colours()[self._object_ids(camera, kind, shown)]
         if kind == ImageType.INFRARED:
             return _gray(self._object_ids(camera, kind, shown).astype(np.uint8))
         if kind == ImageType.SURFACE_NORMALS:
@@ -86,7 +198,7 @@ class Pictures:
         """Draw once, so that the first requested image takes no longer than others. Raises UserError without OpenGL."""
         front = CameraMount("front_center", FRONT_CENTER, {})
         for image_type in (ImageType.SCENE, ImageType.SEGMENTATION, ImageType.DEPTH_PERSPECTIVE):
-            self.bgr(front, image_type)
+            self.rgb(front, image_type)
 
     def _depth(self, camera: CameraMount, kind: ImageType, scene: mujoco.MjData) -> NDArray[np.float32]:
         """Return the depth image of a type: metres, or fractions from 0 to 1 for DEPTH_VIS and DISPARITY_NORMALIZED."""
@@ -116,7 +228,7 @@ class Pictures:
             hits = cast(world.model, scene, eye.position_m, directions.reshape(-1, 3), exclude=carrier)
             rgb = np.rint((hits.normals * (1.0, 1.0, -1.0) + 1.0) * 127.5).astype(np.uint8)
             rgb[hits.geoms < 0] = 0
-            picture[top : top + rows] = rgb.reshape(-1, lens.width, 3)[..., ::-1]
+            picture[top : top + rows] = rgb.reshape(-1, lens.width, 3)
         return picture
 
     def _pointed(self, camera: CameraMount, image_type: int, scene: mujoco.MjData) -> MountedCamera:
@@ -144,7 +256,6 @@ class Pictures:
 
 
 def can_render(lens: Lens) -> bool:
-    """Return whether a lens's pictures have at most MOST_PIXELS."""
     return lens.width * lens.height <= MOST_PIXELS
 
 
@@ -170,10 +281,10 @@ def _gray(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return np.repeat(image[..., None], 3, axis=2)
 
 
-def ppm(bgr: NDArray[np.uint8]) -> bytes:
-    """Return a portable pixmap of blue, green, red pixels (H, W, 3)."""
-    height, width = bgr.shape[:2]
-    return f"P6\n{width} {height}\n255\n".encode() + bgr[..., ::-1].tobytes()
+def ppm(rgb: NDArray[np.uint8]) -> bytes:
+    """Return a portable pixmap of red, green, blue pixels (H, W, 3)."""
+    height, width = rgb.shape[:2]
+    return f"P6\n{width} {height}\n255\n".encode() + rgb.tobytes()
 
 
 def pfm(numbers: NDArray[np.float32]) -> bytes:

@@ -10,7 +10,7 @@ import itertools
 import re
 from collections.abc import Callable
 from pathlib import Path
-from typing import IO
+from typing import IO, TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,9 @@ from uavaccel.sim.camera.pixels import png
 from uavaccel.units import NS_PER_S
 from uavaccel.wire import types
 from uavaccel.wire.pictures import known_type, pfm, ppm
-from uavaccel.wire.scenery import Scenery
+
+if TYPE_CHECKING:
+    from uavaccel.wire.calls import Scenery
 
 COLUMNS = ("VehicleName", "TimeStamp", "POS_X", "POS_Y", "POS_Z", "Q_W", "Q_X", "Q_Y", "Q_Z", "ImageFile")
 FILE_NAME = "airsim_rec.txt"
@@ -34,31 +36,23 @@ class Recorder:
 
     With a `folder`, the samples and the images that the settings list are written to a dated folder in it, which `say`
     names; without one the samples stay in the simulation's bounded buffer. Methods that write raise OSError, after
-    which the file is closed.
+    which the file is closed. Raises UserError, naming the key, for an image in the settings that cannot be taken.
     """
 
     def __init__(self, scenery: Scenery, folder: Path | None, say: Callable[[str], None]) -> None:
-        self._scenery = scenery
-        self._simulation = scenery.simulation
-        self._settings = scenery.settings.recording
-        self._check_cameras()
-        self._vehicle = scenery.settings.vehicle
-        self._folder = folder
-        self._say = say
+        self._scenery, self._simulation, self._folder, self._say = scenery, scenery.simulation, folder, say
+        self._settings, self._vehicle = scenery.settings.recording, scenery.settings.vehicle
+        for number, wanted in enumerate(self._settings.cameras):
+            try:
+                scenery.cameras().named(wanted.camera_name)
+                known_type(wanted.image_type)
+            except ValueError as error:
+                raise UserError(f"Recording.Cameras.{number}: {error}") from None
         self._file: IO[str] | None = None
         self._images: dict[int, str] = {}  # names of the files by tick
         self._last_pose: list[float] | None = None
         self._stop_watching: Callable[[], None] = lambda: None
         self._folders, self._counted_ns = 0, 0
-
-    def _check_cameras(self) -> None:
-        """Raise UserError, naming the key, for an image in the settings that cannot be taken."""
-        for number, wanted in enumerate(self._settings.cameras):
-            try:
-                self._scenery.cameras().named(wanted.camera_name)
-                known_type(wanted.image_type)
-            except ValueError as error:
-                raise UserError(f"Recording.Cameras.{number}: {error}") from None
 
     def start(self, wall_ns: int = 0) -> None:
         """Start a recording with a file of its own; stops a running one.
@@ -66,8 +60,12 @@ class Recorder:
         Raises ValueError for more than FOLDERS_AT_ONCE recordings in quick succession: one per wall second is allowed
         in the long run.
         """
-        if self._folder is not None:
-            self._count_folder(wall_ns)
+        if self._folder is not None:  # a client could fill the disk with a hundred folders per second
+            passed = (wall_ns - self._counted_ns) // NS_PER_S
+            self._folders, self._counted_ns = max(self._folders - passed, 0), self._counted_ns + passed * NS_PER_S
+            if self._folders >= FOLDERS_AT_ONCE:
+                raise ValueError("recordings are begun too often: each has a folder of its own; wait for a second")
+            self._folders += 1
         self.stop()
         if self._folder is not None:
             here = _new_folder(self._folder)
@@ -82,18 +80,9 @@ class Recorder:
             self.stop()
             raise
 
-    def _count_folder(self, wall_ns: int) -> None:
-        """Limit the rate of recordings: a client could fill the disk with a hundred folders per second."""
-        passed = (wall_ns - self._counted_ns) // NS_PER_S
-        self._folders = max(self._folders - passed, 0)
-        self._counted_ns += passed * NS_PER_S
-        if self._folders >= FOLDERS_AT_ONCE:
-            raise ValueError("recordings are begun too often: each has a folder of its own; wait for a second")
-        self._folders += 1
-
     def stop(self) -> None:
         """Stop the recording, and write all samples to the file."""
-        self._simulation.world.stop_recording()
+        self._simulation.world.recorder.stop()
         self._stop_watching()
         self._stop_watching = lambda: None
         self.keep()
@@ -105,9 +94,14 @@ class Recorder:
         """Write the samples to the file; to be called before the buffer is full or a reset empties it."""
         if self._file is None:
             return
-        rows = self._simulation.world.pop_samples()
+        lines, moved_only = [], self._settings.record_on_move
+        for row in self._simulation.world.recorder.take():
+            pose, before = row[1:8].tolist(), self._last_pose
+            self._last_pose = pose
+            if not (moved_only and pose == before):
+                lines.append(self._line(row))
         try:
-            self._file.writelines(self._line(row) for row in rows if self._is_new(row))
+            self._file.writelines(lines)
             self._file.flush()
         except OSError:
             self._file = None  # the flight continues without a recording
@@ -116,8 +110,8 @@ class Recorder:
     def go_through(self, reset: Callable[[bool], None]) -> None:
         """Call `reset` with whether there is a recording; a recording continues with a new grid of sampling times."""
         self.keep()
-        reset(self._simulation.world.recording)
-        if self._simulation.world.recording:
+        reset(self._simulation.world.recorder.active)
+        if self._simulation.world.recorder.active:
             self._watch()
 
     def _watch(self) -> None:
@@ -128,16 +122,16 @@ class Recorder:
             return
         self._images.clear()
         self._take_images(world.tick)
-        self._stop_watching = world.watch(self._simulation.profile.recorder_ticks, self._take_images_or_end, world.tick)
 
-    def _take_images_or_end(self, tick: int) -> None:
-        """Take the images; an error ends the recording of images, and not the flight."""
-        try:
-            self._take_images(tick)
-        except (OSError, ValueError, UserError) as error:
-            self._say(f"warning: the recording of images ends here: {error}")
-            self._stop_watching()
-            self._stop_watching = lambda: None
+        def take_or_end(tick: int) -> None:
+            try:
+                self._take_images(tick)
+            except (OSError, ValueError, UserError) as error:  # of the images, not of the flight
+                self._say(f"warning: the recording of images ends here: {error}")
+                self._stop_watching()
+                self._stop_watching = lambda: None
+
+        self._stop_watching = world.watch(self._simulation.profile.recorder_ticks, take_or_end, world.tick)
 
     def _take_images(self, tick: int) -> None:
         if self._file is None:
@@ -152,19 +146,12 @@ class Recorder:
             if wanted.pixels_as_float:
                 content = pfm(pictures.floats(camera, wanted.image_type))
             else:
-                bgr = pictures.bgr(camera, wanted.image_type)
-                content = png(bgr[..., ::-1]) if wanted.compress else ppm(bgr)
+                content = (png if wanted.compress else ppm)(pictures.rgb(camera, wanted.image_type))
             parts = (self._vehicle, camera.name, str(wanted.image_type), str(stamp))
             name = "_".join(["img", *(re.sub(r"[^\w-]", "_", part) for part in parts)]) + suffix
             (folder / name).write_bytes(content)
             names.append(name)
         self._images[tick] = ";".join(names)
-
-    def _is_new(self, row: NDArray[np.float64]) -> bool:
-        """Return whether a sample is to be written: RecordOnMove omits those whose pose has not changed."""
-        pose, before = row[1:8].tolist(), self._last_pose
-        self._last_pose = pose
-        return not (self._settings.record_on_move and pose == before)
 
     def _line(self, row: NDArray[np.float64]) -> str:
         """Return the line of one sample: columns 0 to 7 of `row` are tick, position in metres and wxyz orientation."""

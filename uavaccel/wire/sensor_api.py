@@ -5,27 +5,31 @@ Sources: AirSim v1.8.1, RpcLibAdaptorsBase.hpp (fields), VehicleApiBase.hpp (nam
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any, TypeVar
 
 import numpy as np
 
-from uavaccel.sim.sensors.base import AirSimKeys, Truth
-from uavaccel.sim.sensors.field import (
+from uavaccel.sim.sensors import (
+    AirSimKeys,
     Barometer,
     BarometerSettings,
+    DistanceSensor,
+    DistanceSettings,
     Gps,
     GpsSettings,
     Imu,
     ImuSettings,
+    Lidar,
+    LidarSettings,
     Magnetometer,
     MagnetometerSettings,
+    Truth,
 )
-from uavaccel.sim.sensors.ranging import DistanceSensor, DistanceSettings, Lidar, LidarSettings
 from uavaccel.wire import types
-from uavaccel.wire.arguments import VehicleName
-from uavaccel.wire.calls import CallContext, Calls, call
+from uavaccel.wire.calls import Calls, Scenery, call
 from uavaccel.wire.settings import SensorSettings
+from uavaccel.wire.types import VehicleName
 
 Kind = TypeVar("Kind")
 SENSORS: dict[type[AirSimKeys], Callable[[Any, int, str], object]] = {
@@ -45,47 +49,35 @@ DEFAULTS: dict[str, SensorSettings] = {
 }
 
 
-class Sensors:
-    """A vehicle's sensors by name: those `given`, or else the `defaults`, or else AirSim's four.
+class SensorApi(Calls, title="Sensors"):
+    """Calls about sensors; an empty name selects the first sensor of its kind.
 
-    `seed` determines their noise. Source of the four: AirSim v1.8.1, AirSimSettings.hpp (createDefaultSensorSettings).
+    A vehicle has the sensors of its settings, or else their defaults, or else AirSim's four (AirSimSettings.hpp,
+    createDefaultSensorSettings).
     """
 
-    def __init__(
-        self, given: Mapping[str, SensorSettings] | None, defaults: Mapping[str, SensorSettings] | None, seed: int
-    ) -> None:
-        chosen = given if given is not None else defaults if defaults is not None else DEFAULTS
-        self._sensors = {
-            name: SENSORS[type(settings)](settings, seed, name) for name, settings in chosen.items() if settings.enabled
-        }
+    def __init__(self, scenery: Scenery) -> None:
+        super().__init__(scenery)
+        self._sensors: dict[int, dict[str, object]] = {}
 
-    def named(self, kind: type[Kind], word: str, name: object) -> Kind:
-        """Return the sensor of a kind by its name, or the first for an empty one. Raises ValueError without any."""
+    def _named(self, kind: type[Kind], word: str, name: object, vehicle: str) -> Kind:
+        """Return the vehicle's sensor of a kind by its name. Raises ValueError without any."""
+        number, settings = self.scenery.number_of(vehicle), self.scenery.settings
+        if number not in self._sensors:
+            given = settings.vehicles.get(self.scenery.vehicle(vehicle).name)
+            own = given.sensors if given else None
+            chosen = next(each for each in (own, settings.default_sensors, DEFAULTS) if each is not None)
+            seed = settings.sensor_seed + number  # the noise of vehicles is independent
+            enabled = {own: sensor for own, sensor in chosen.items() if sensor.enabled}
+            self._sensors[number] = {own: SENSORS[type(each)](each, seed, own) for own, each in enabled.items()}
         if not isinstance(name, str):
             raise ValueError(f"a sensor's name must be a text, not {type(name).__name__}")
-        known = {own: sensor for own, sensor in self._sensors.items() if isinstance(sensor, kind)}
+        known = {own: sensor for own, sensor in self._sensors[number].items() if isinstance(sensor, kind)}
         found = next(iter(known.values()), None) if name == "" else known.get(name)
         if found is None:
             there = f"there is {', '.join(known)}" if known else "the settings' Sensors give none"
             raise ValueError(f"No {word} with name {name} exist on vehicle; {there}")
         return found
-
-
-class SensorApi(Calls, title="Sensors"):
-    """Calls about sensors; an empty name selects the first sensor of its kind."""
-
-    def __init__(self, context: CallContext) -> None:
-        super().__init__(context)
-        self._sensors: dict[int, Sensors] = {}
-
-    def _of(self, vehicle: str) -> Sensors:
-        """Return a vehicle's sensors, whose noise is independent of other vehicles'."""
-        number, settings = self.scenery.number_of(vehicle), self.scenery.settings
-        if number not in self._sensors:
-            given = settings.vehicles.get(self.scenery.vehicle(vehicle).name)
-            sensors = given.sensors if given else None
-            self._sensors[number] = Sensors(sensors, settings.default_sensors, settings.sensor_seed + number)
-        return self._sensors[number]
 
     def _truth(self, vehicle: str) -> Truth:
         profile, world = self.simulation.profile, self.simulation.world
@@ -102,8 +94,8 @@ class SensorApi(Calls, title="Sensors"):
 
     @call("getImuData")
     def imu(self, name: object = "", vehicle: VehicleName = "") -> dict[str, object]:
-        sensors, truth = self._of(vehicle), self._truth(vehicle)
-        reading = sensors.named(Imu, "imu", name).read(truth)
+        truth = self._truth(vehicle)
+        reading = self._named(Imu, "imu", name, vehicle).read(truth)
         return {
             "time_stamp": self._stamp(),
             "orientation": types.quaternion_map(truth.kinematics.orientation_wxyz),
@@ -113,7 +105,7 @@ class SensorApi(Calls, title="Sensors"):
 
     @call("getBarometerData")
     def barometer(self, name: object = "", vehicle: VehicleName = "") -> dict[str, object]:
-        reading = self._of(vehicle).named(Barometer, "barometer", name).read(self._truth(vehicle))
+        reading = self._named(Barometer, "barometer", name, vehicle).read(self._truth(vehicle))
         return {
             "time_stamp": self._stamp(),
             "altitude": reading.altitude_m,
@@ -124,7 +116,7 @@ class SensorApi(Calls, title="Sensors"):
     @call("getMagnetometerData")
     def magnetometer(self, name: object = "", vehicle: VehicleName = "") -> dict[str, object]:
         """Return the field in the body's frame; AirSim never fills the covariance."""
-        field = self._of(vehicle).named(Magnetometer, "magnetometer", name).read(self._truth(vehicle))
+        field = self._named(Magnetometer, "magnetometer", name, vehicle).read(self._truth(vehicle))
         return {
             "time_stamp": self._stamp(),
             "magnetic_field_body": types.vector_map(field),
@@ -134,7 +126,7 @@ class SensorApi(Calls, title="Sensors"):
     @call("getGpsData")
     def gps(self, name: object = "", vehicle: VehicleName = "") -> dict[str, object]:
         """Return the position fix; `time_utc` is in microseconds."""
-        reading = self._of(vehicle).named(Gps, "gps", name).read(self._truth(vehicle))
+        reading = self._named(Gps, "gps", name, vehicle).read(self._truth(vehicle))
         gnss = {
             "geo_point": types.geo_map(reading.place),
             "eph": reading.eph_m,
@@ -147,7 +139,7 @@ class SensorApi(Calls, title="Sensors"):
 
     @call("getDistanceSensorData")
     def distance(self, name: object = "", vehicle: VehicleName = "") -> dict[str, object]:
-        sensor = self._of(vehicle).named(DistanceSensor, "distance sensor", name)
+        sensor = self._named(DistanceSensor, "distance sensor", name, vehicle)
         world = self.simulation.world
         return {
             "time_stamp": self._stamp(),
@@ -160,7 +152,7 @@ class SensorApi(Calls, title="Sensors"):
     @call("getLidarData")
     def lidar(self, name: object = "", vehicle: VehicleName = "") -> dict[str, object]:
         """Return x, y, z of all points in one list; a single 0 stands for no points, as in AirSim."""
-        sensor = self._of(vehicle).named(Lidar, "lidar", name)
+        sensor = self._named(Lidar, "lidar", name, vehicle)
         world = self.simulation.world
         scan = sensor.read(self._truth(vehicle), world.model, world.data)
         points_m, carrier = scan.points_m, self.scenery.vehicle(vehicle)

@@ -14,15 +14,13 @@ import logging
 import selectors
 import socket
 from collections.abc import Callable
-from typing import IO, NamedTuple
+from typing import IO
 
 from uavaccel.clock import MonotonicClock, request_fine_timers, wait_for_sockets
 from uavaccel.errors import UserError
-from uavaccel.sim.flight.pilot import DeferredReply
-from uavaccel.sim.simulation import Simulation
+from uavaccel.sim.simulation import DeferredReply, Simulation
 from uavaccel.wire import rpc
 from uavaccel.wire.api import Api
-from uavaccel.wire.rpc import set_no_delay, set_quick_ack
 
 MOST_CLIENTS = 16
 READ_BYTES = 1 << 12
@@ -44,34 +42,27 @@ class Connection:
         self.request: bytes | None = None  # received, and waiting for its turn
         self.unsent = bytearray()
 
-    @property
     def asks(self) -> bool:
-        """Whether it has a request that can be served now."""
+        """Return whether it has a request that can be served now."""
         return self.request is not None and not self.unsent
 
 
-class Answer(NamedTuple):
-    """The answer to a request; a `DeferredReply` in it is due by now."""
+def packed(message_id: int, error: str | None, result: object) -> bytes:
+    """Return an answer's message; an error in place of a result that cannot be packed or is too long.
 
-    connection: Connection
-    message_id: int
-    error: str | None
-    result: object
-
-    def pack(self) -> bytes:
-        """Return the message; an error in place of a result that cannot be packed or is too long."""
-        result = self.result
-        try:
-            if isinstance(result, DeferredReply):
-                result = result.encode(result.value)
-            packed = rpc.pack_response(self.message_id, self.error, result)
-        except Exception as error:
-            _LOG.error("an answer cannot be packed", exc_info=error)
-            return rpc.pack_response(self.message_id, f"the answer cannot be packed: {error}", None)
-        if len(packed) <= rpc.MAX_ANSWER_BYTES:
-            return packed
-        text = f"the answer has {len(packed) >> 20} MiB, more than {rpc.MAX_ANSWER_BYTES >> 20}: ask for less"
-        return rpc.pack_response(self.message_id, text, None)
+    A `DeferredReply` in it is due by now.
+    """
+    try:
+        if isinstance(result, DeferredReply):
+            result = result.encode(result.value)
+        message = rpc.pack_response(message_id, error, result)
+    except Exception as failure:
+        _LOG.error("an answer cannot be packed", exc_info=failure)
+        return rpc.pack_response(message_id, f"the answer cannot be packed: {failure}", None)
+    if len(message) <= rpc.MAX_ANSWER_BYTES:
+        return message
+    text = f"the answer has {len(message) >> 20} MiB, more than {rpc.MAX_ANSWER_BYTES >> 20}: ask for less"
+    return rpc.pack_response(message_id, text, None)
 
 
 class Server:
@@ -100,7 +91,7 @@ class Server:
         if stop_at_eof is not None:
             self._selector.register(stop_at_eof, selectors.EVENT_READ)
         self.connected: list[Connection] = []
-        self._answers: list[Answer] = []
+        self._answers: list[tuple[Connection, int, str | None, object]] = []
         self._busy_until_ns = 0
         self._stopping = False
 
@@ -112,10 +103,17 @@ class Server:
         try:
             while not self._stopping:
                 self._receive(self._wake_ns(simulation))
-                self._wait_for_end(simulation)
+                # just before a command or continue-for ends, fly tick by tick: only the last one is left at its end
+                event = simulation.next_event_wall_ns(turns=False)
+                while event is not None and event - FINAL_NS < (now := self.clock.now_ns()) < event:
+                    simulation.advance_to(now)
                 simulation.advance_to(self.clock.now_ns())
                 self._flush()
-                self._serve_turns()
+                # one request of each client, and again while there are others, for TURNS_NS and the last turn
+                end_ns = self.clock.now_ns() + TURNS_NS
+                while (asking := [each for each in self.connected if each.asks()]) and self.clock.now_ns() < end_ns:
+                    for connection in asking:
+                        self._serve(connection)
                 each_turn()
         finally:
             self.close()
@@ -134,7 +132,7 @@ class Server:
     def _wake_ns(self, simulation: Simulation) -> int:
         """Return the wall time until which to sleep; in the past if it is time to poll."""
         now = self.clock.now_ns()
-        if now < self._busy_until_ns or any(connection.asks for connection in self.connected):
+        if now < self._busy_until_ns or any(connection.asks() for connection in self.connected):
             return now
         if simulation.paused:
             return now + IDLE_NS
@@ -142,12 +140,6 @@ class Server:
         # waking for every turn of a task would be polling
         event = simulation.next_event_wall_ns(turns=False)
         return wake if event is None else min(wake, event - SPIN_NS)
-
-    def _wait_for_end(self, simulation: Simulation) -> None:
-        """Just before a command or continue-for ends, fly tick by tick: only the last tick is left at its end."""
-        event = simulation.next_event_wall_ns(turns=False)
-        while event is not None and event - FINAL_NS < (now := self.clock.now_ns()) < event:
-            simulation.advance_to(now)
 
     # --- sockets ----------------------------------------------------------------------------------
 
@@ -168,16 +160,18 @@ class Server:
     def _accept(self) -> None:
         try:
             raw, _ = self._listener.accept()
-        except OSError:
-            return  # it has disconnected again
+        except OSError:  # it has disconnected again
+            return
         if len(self.connected) >= MOST_CLIENTS:
-            self.api.notices.once(f"warning: {MOST_CLIENTS} clients are connected, as many as may be; one was refused")
+            self.api.scenery.say_once(
+                f"warning: {MOST_CLIENTS} clients are connected, as many as may be; one was refused"
+            )
             raw.close()
             return
         try:
             raw.setblocking(False)
-            set_no_delay(raw)
-        except OSError:  # disconnected again
+            rpc.set_no_delay(raw)
+        except OSError:
             raw.close()
             return
         connection = Connection(raw)
@@ -187,7 +181,7 @@ class Server:
     def _read(self, connection: Connection) -> None:
         try:
             data = connection.socket.recv(READ_BYTES)
-            set_quick_ack(connection.socket)
+            rpc.set_quick_ack(connection.socket)
         except BlockingIOError:
             return
         except OSError:
@@ -201,8 +195,7 @@ class Server:
     def _take_next(self, connection: Connection, data: bytes = b"") -> None:
         """Take the next whole request out of a stream, extended by `data`; hang up where that is impossible."""
         try:
-            connection.framer.feed(data)
-            connection.request = connection.framer.next()
+            connection.request = connection.framer.next(data)
         except rpc.ProtocolError as error:
             self._hang_up(connection, error)
 
@@ -237,15 +230,9 @@ class Server:
 
     # --- requests ---------------------------------------------------------------------------------
 
-    def _serve_turns(self) -> None:
-        """Serve one request of each client, and again while there are others, for TURNS_NS and the last turn."""
-        end_ns = self.clock.now_ns() + TURNS_NS
-        while (asking := [each for each in self.connected if each.asks]) and self.clock.now_ns() < end_ns:
-            for connection in asking:
-                if connection.asks:  # still: it may have been disconnected
-                    self._serve(connection)
-
     def _serve(self, connection: Connection) -> None:
+        if not connection.asks():  # any more: it may have been disconnected
+            return
         message, connection.request = connection.request or b"", None
         try:
             request = rpc.unpack_request(message)
@@ -257,7 +244,7 @@ class Server:
         except rpc.RpcError as failure:
             result, error = None, str(failure)
         if request.message_id is not None:
-            answer = Answer(connection, request.message_id, error, result)
+            answer = connection, request.message_id, error, result
             if isinstance(result, DeferredReply) and result.due_wall_ns is None:
                 result.on_due = lambda _: self._answers.append(answer)
             else:
@@ -274,7 +261,7 @@ class Server:
         if not self._answers:
             return
         while self._answers:
-            answer = self._answers.pop()
-            answer.connection.unsent += answer.pack()
+            connection, number, error, result = self._answers.pop()
+            connection.unsent += packed(number, error, result)
         for connection in self.connected.copy():
             self._send(connection)

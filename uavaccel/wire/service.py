@@ -1,25 +1,34 @@
-"""A free-running server for AirSim's clients, until Ctrl-C: `uavaccel serve`."""
+"""A free-running server for AirSim's clients, until Ctrl-C (`uavaccel serve`), or for a session, until its input ends.
+
+    python -m uavaccel.wire.service '{"scene": "blocks", "profile": "native", "core": null, "parent": 1}'
+
+serves a session on a free loopback port, and prints one line of JSON, {"port": ...}, when it listens.
+"""
 
 from __future__ import annotations
 
 import gc
 import ipaddress
+import json
+import os
 import signal
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 from uavaccel.clock import MonotonicClock
 from uavaccel.errors import UserError
-from uavaccel.sim.profile import PROFILES
+from uavaccel.processes.lifetime import end_with_parent
+from uavaccel.sim.profile import PROFILES, Profile
 from uavaccel.sim.simulation import Simulation, Speed
+from uavaccel.sim.world import World
 from uavaccel.units import NS_PER_S
 from uavaccel.wire.api import Api
+from uavaccel.wire.broadcast import show_on_page
 from uavaccel.wire.game_api import FASTEST
 from uavaccel.wire.server import Server
-from uavaccel.wire.server_process import ready_simulation
 from uavaccel.wire.settings import Settings, read_settings
 
 PERIOD_NS = 2 * NS_PER_S  # interval of the reports on the achieved speed
@@ -39,19 +48,52 @@ class ServeOptions:
     recordings: Path | None = None
 
 
+def main() -> None:
+    """Serve a session."""
+    options = json.loads(sys.argv[1])
+    end_with_parent(options["parent"])
+    if options["core"] is not None:
+        os.sched_setaffinity(0, {options["core"]})
+    simulation = ready_simulation(options["scene"], PROFILES[options["profile"]])
+    simulation.pause(MonotonicClock().now_ns())
+    server = Server(Api(simulation), port=0, stop_at_eof=sys.stdin.buffer)
+    with suppress(BrokenPipeError):  # the session has gone: standard input has ended too
+        print(json.dumps({"port": server.address[1]}), flush=True)
+    server.serve()
+
+
+def ready_simulation(scene: str, profile: Profile, clock_speed: float = 1.0, airsim: bool = False) -> Simulation:
+    """Return a settled hover on the machine's clock, with everything compiled and loaded that could delay it later.
+
+    `airsim` prepares the scene for AirSim's clients (uavaccel.sim.scene).
+    """
+    world = World(scene, profile, airsim)
+    world.advance(1)  # compiles the hot loop, or loads it
+    world.reset()
+    gc.freeze()  # what is loaded by now stays; collecting it again would delay the clock
+    simulation = Simulation(world, clock_speed, MonotonicClock().now_ns(), profile.catch_up_wall_ns)
+    show_on_page(simulation, may_pause=False)
+    return simulation
+
+
 def serve(options: ServeOptions) -> None:
     """Listen, print the address, and serve until SIGINT or SIGTERM. Raises UserError with one line."""
     settings = read_settings(options.settings) if options.settings else Settings()
-    host, simulation = address_of(options, settings), simulation_of(options, settings)
-    recordings = recordings_of(options, settings)
-    try:
-        api = Api(simulation, settings, recordings=recordings, say=say)
+    host = address_of(options, settings)
+    api = api_of(options, settings)
+    try:  # draw once, so that no client's first image delays the clock
+        api.scenery.pictures.warm_up()
     except UserError as error:
-        raise UserError(f"{options.settings}: {error}") from None
-    render_once(api)
+        say(f"warning: there are no images: {error}")
+    gc.freeze()  # OpenGL's modules stay too: collecting them again and again would delay the clock
+    api.simulation.reset(MonotonicClock().now_ns())
+    api.simulation.settle(MonotonicClock().now_ns())  # the clock starts now
     server = Server(api, host, settings.api_server_port if options.port is None else options.port)
     if settings.recording.enabled:
-        start_recording(api)
+        try:
+            api.scenery.recorder.start(MonotonicClock().now_ns())
+        except (OSError, ValueError) as error:  # the latter for a name with a zero byte
+            raise UserError(f"the recording cannot be written: {error}") from None
     api.refusals.say = lambda line: say(f"warning: {line}")
     report = ServerReport(server)
     with stopped_by_signals(server):
@@ -64,14 +106,12 @@ def serve(options: ServeOptions) -> None:
 
 def address_of(options: ServeOptions, settings: Settings) -> str:
     """Return the address to listen on: beyond this machine only if the command line names it. Raises UserError."""
-    if options.host is not None:
-        return options.host
-    if not is_loopback(settings.address):
+    if options.host is None and not is_loopback(settings.address):
         raise UserError(
             f"{options.settings}: LocalHostIp = {settings.address!r} listens beyond this machine, where anybody may "
             f"fly the drone; if that is meant, add --host {settings.address}"
         )
-    return settings.address
+    return options.host or settings.address
 
 
 def is_loopback(host: str) -> bool:
@@ -82,84 +122,56 @@ def is_loopback(host: str) -> bool:
         return False
 
 
-def clock_speed_of(options: ServeOptions, settings: Settings) -> float:
-    """Return the requested ClockSpeed; the simulation refuses 0 and below. Raises UserError if it is too high."""
+def api_of(options: ServeOptions, settings: Settings) -> Api:
+    """Return the calls on a simulation of the scene, settled and running; options go before settings.
+
+    Raises UserError for a ClockSpeed that is too high, an unknown scene or profile, wrong settings, and a folder of
+    recordings that is a file.
+    """
     speed = settings.clock_speed if options.clock_speed is None else options.clock_speed
-    if speed > FASTEST:
+    if speed > FASTEST:  # the simulation refuses 0 and below
         raise UserError(f"ClockSpeed must be at most {FASTEST:g}, not {speed:g}")
-    return speed
-
-
-def simulation_of(options: ServeOptions, settings: Settings) -> Simulation:
-    """Return the simulation of the scene, settled and running. Raises UserError for an unknown scene or profile."""
-    clock_speed = clock_speed_of(options, settings)
     if options.profile not in PROFILES:
         raise UserError(f"--profile {options.profile}: there are {', '.join(PROFILES)}")
     profile = settings.recorder_of(PROFILES[options.profile])
-    simulation = ready_simulation(options.scene, profile, clock_speed, airsim=True)
+    simulation = ready_simulation(options.scene, profile, speed, airsim=True)
     settings.prepare(simulation.world)
-    return simulation
-
-
-def render_once(api: Api) -> None:
-    """Draw once, so that no client's first image delays the clock, which starts then; warn if nothing can draw."""
-    try:
-        api.scenery.pictures.warm_up()
-    except UserError as error:
-        say(f"warning: there are no images: {error}")
-    gc.freeze()  # OpenGL's modules stay too: collecting them again and again would delay the clock
-    api.simulation.reset(MonotonicClock().now_ns())
-    api.simulation.settle(MonotonicClock().now_ns())  # the clock starts now
-
-
-def recordings_of(options: ServeOptions, settings: Settings) -> Path:
-    """Return the folder of recordings. Raises UserError where a file has its name."""
-    given = options.recordings or (Path(settings.recording.folder) if settings.recording.folder else None)
-    folder = given or Path.home() / "Documents" / "AirSim"
+    named = Path(settings.recording.folder) if settings.recording.folder else None
+    folder = options.recordings or named or Path.home() / "Documents" / "AirSim"
     if folder.exists() and not folder.is_dir():
         where = "--recordings" if options.recordings else f"{options.settings}: Recording.Folder ="
         raise UserError(f"{where} {folder}: is no folder")
-    return folder
-
-
-def start_recording(api: Api) -> None:
-    """Record from the start, as Recording.Enabled requests. Raises UserError if that cannot be written."""
     try:
-        api.recorder.start(MonotonicClock().now_ns())
-    except (OSError, ValueError) as error:  # the latter for a name with a zero byte
-        raise UserError(f"the recording cannot be written: {error}") from None
+        return Api(simulation, settings, recordings=folder, say=say)
+    except UserError as error:
+        raise UserError(f"{options.settings}: {error}") from None
 
 
 def greet(server: Server, options: ServeOptions, settings: Settings) -> None:
     """Print where the server listens, and the state of its vehicles."""
     host, port = server.address
-    speed = float(server.api.simulation.clock_speed)
-    say(f"listening on {host}:{port}: scene {options.scene}, profile {options.profile}, ClockSpeed {speed:g}")
-    say(f"{waiting(server)}; the clock runs and API control is off, as in AirSim; Ctrl-C stops")
+    simulation = server.api.simulation
+    lead, *others = simulation.world.vehicles
+    listens = f"listening on {host}:{port}: scene {options.scene}, profile {options.profile}"
+    say(f"{listens}, ClockSpeed {float(simulation.clock_speed):g}")
+    how = "stands" if lead.start.idle else f"hovers {-lead.start.position_m[2]:g} m up"
+    more = f", {len(others)} more beside it" if others else ""
+    state = f"{lead.name} {'is a camera' if settings.flightless else how}{more}"
+    say(f"{state}; the clock runs and API control is off, as in AirSim; Ctrl-C stops")
     if not is_loopback(host):
         say(f"warning: whoever reaches {host}:{port} may fly the drone; AirSim's protocol has no password")
     if without_effect := settings.without_effect():
         say(f"{options.settings}: without effect here: {', '.join(without_effect)}")
 
 
-def waiting(server: Server) -> str:
-    """Return the initial state of the vehicles in words."""
-    vehicles = server.api.simulation.world.vehicles
-    lead = vehicles[0]
-    how = "stands" if lead.start.idle else f"hovers {-lead.start.position_m[2]:g} m up"
-    others = f", {len(vehicles) - 1} more beside it" if len(vehicles) > 1 else ""
-    return f"{lead.name} {'is a camera' if server.api.settings.flightless else how}{others}"
-
-
 @contextmanager
 def stopped_by_signals(server: Server) -> Iterator[None]:
     """Let SIGINT and SIGTERM stop the server after its present wake-up."""
-    kinds = (signal.SIGINT, signal.SIGTERM)
-    before = [signal.signal(kind, lambda *_: server.stop()) for kind in kinds]
+    before = {kind: signal.signal(kind, lambda *_: server.stop()) for kind in (signal.SIGINT, signal.SIGTERM)}
     try:
         yield
     finally:
-        for kind, handler in zip(kinds, before, strict=True):
+        for kind, handler in before.items():
             signal.signal(kind, handler)
 
 
@@ -178,22 +190,21 @@ class ServerReport:
     def each_turn(self) -> None:
         """To be called after every wake-up; cheap except once in PERIOD_NS."""
         if self._simulation.speed is not self._speed:  # a reset begins a new count
-            self._total = add(self._total, self._speed)
-            self._speed = self._simulation.speed
+            self._total, self._speed = self._sum(), self._simulation.speed
         if self._server.clock.now_ns() >= self._next_ns:
             self._next_ns = self._server.clock.now_ns() + PERIOD_NS
             self._each_period()
 
     def finish(self) -> None:
         """Close the recording, and print the achieved speed and the refused calls."""
-        self._upkeep(self._server.api.recorder.stop)
+        self._upkeep(self._server.api.scenery.recorder.stop)
         say(f"stopped; {self._text()}")
         for line in self._server.api.refusals.lines():
             say(f"  {line}")
 
     def _each_period(self) -> None:
-        self._upkeep(self._server.api.recorder.keep)
-        speed = add(self._total, self._speed)
+        self._upkeep(self._server.api.scenery.recorder.keep)
+        speed = self._sum()
         if speed.lost_wall_ns > max(2 * self._warned_of_lost_ns, speed.wall_ns * WORTH_TELLING):
             self._warned_of_lost_ns = speed.lost_wall_ns  # a few lines, however long it goes on
             say(f"warning: the machine does not keep up; {self._text()}")
@@ -210,14 +221,16 @@ class ServerReport:
         except OSError as error:
             say(f"warning: the recording ends here: {error}")
 
+    def _sum(self) -> Speed:
+        one, other = self._total, self._speed
+        lost_ns = one.lost_wall_ns + other.lost_wall_ns
+        return Speed(one.simulated_ns + other.simulated_ns, one.wall_ns + other.wall_ns, lost_ns)
+
     def _text(self) -> str:
-        speed = add(self._total, self._speed)
-        requested = float(self._simulation.clock_speed)
+        speed, requested = self._sum(), float(self._simulation.clock_speed)
         lost = f", {speed.lost_wall_ns / NS_PER_S:.3f} s of wall time lost" if speed.lost_wall_ns else ""
-        return (
-            f"requested {requested:g}x, achieved {speed.real_time_factor:.2f}x "
-            f"over {speed.wall_ns / NS_PER_S:.1f} s{lost}"
-        )
+        achieved = f"achieved {speed.real_time_factor:.2f}x over {speed.wall_ns / NS_PER_S:.1f} s"
+        return f"requested {requested:g}x, {achieved}{lost}"
 
 
 def say(text: str, end: str = "\n") -> None:
@@ -225,6 +238,5 @@ def say(text: str, end: str = "\n") -> None:
     print(text + ("\x1b[K" if sys.stdout.isatty() else ""), end=end, flush=True)
 
 
-def add(one: Speed, other: Speed) -> Speed:
-    simulated_ns, wall_ns = one.simulated_ns + other.simulated_ns, one.wall_ns + other.wall_ns
-    return Speed(simulated_ns, wall_ns, one.lost_wall_ns + other.lost_wall_ns)
+if __name__ == "__main__":
+    main()

@@ -18,15 +18,21 @@ from pydantic.alias_generators import to_pascal
 from uavaccel.config import validate
 from uavaccel.errors import UserError
 from uavaccel.files import parse_json, read_bounded
+from uavaccel.sim.earth import GeoPoint
 from uavaccel.sim.poses import STRONGEST_WIND_M_S
 from uavaccel.sim.profile import Profile
-from uavaccel.sim.sensors.base import AirSimKeys
-from uavaccel.sim.sensors.earth import GeoPoint
-from uavaccel.sim.sensors.field import BarometerSettings, GpsSettings, ImuSettings, MagnetometerSettings
-from uavaccel.sim.sensors.ranging import DistanceSettings, LidarSettings
+from uavaccel.sim.sensors import (
+    AirSimKeys,
+    BarometerSettings,
+    DistanceSettings,
+    GpsSettings,
+    ImuSettings,
+    LidarSettings,
+    MagnetometerSettings,
+)
 from uavaccel.sim.world import MOST_VEHICLES, VEHICLE, World
 from uavaccel.units import NS_PER_S, exact, ticks_exactly
-from uavaccel.wire.cameras import CameraSettings
+from uavaccel.wire.pictures import CameraSettings
 from uavaccel.wire.rpc import LOOPBACK, PORT
 
 SensorSettings = Annotated[

@@ -1,29 +1,101 @@
-"""The two transports from a client to a simulation: a socket, and in-process calls under a simulated wall clock."""
+"""The two transports from a client to a simulation: a socket, and in-process calls under a simulated wall clock.
+
+The socket's may watch the server's process: it starts it, sees whether it responds, and ends it in any state.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import json
+import os
+import select
 import socket
 import struct
+import subprocess
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 from uavaccel.clock import MonotonicClock, VirtualClock, WallClock, wait_for_sockets
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Kinematics
-from uavaccel.sim.flight.pilot import DeferredReply
-from uavaccel.sim.simulation import Simulation
+from uavaccel.processes.lifetime import end_within, single_core_rendering, start_python
+from uavaccel.processes.stalls import FIRST_POLLS, StallDetector
+from uavaccel.sim.simulation import DeferredReply, Simulation
 from uavaccel.sim.world import World
 from uavaccel.units import NS_PER_S
 from uavaccel.wire import rpc
 from uavaccel.wire.api import CALLS, Api
 from uavaccel.wire.broadcast import show_on_page
 from uavaccel.wire.latency import DEFAULT, Channel, Latency
-from uavaccel.wire.rpc import Received, RpcSocket
-from uavaccel.wire.server_watch import SILENCE_POLL_NS, ServerGoneError, ServerSilence, WatchedServer
+from uavaccel.wire.rpc import Received, ServerGoneError
 
+START_S = 600.0  # to compile the hot loop
+SILENT_POLLS = 2  # a server that is silent and uses no CPU for so many seconds has been stopped, or waits for ever
+BUSY_S = 60.0  # longest silence of a busy server: its first picture, drawn in software on a loaded machine
+END_S = 3.0
+SILENCE_POLL_NS = 1_000_000_000  # silence after which the server is pinged
+STALL_NS = 100_000_000  # a responsive server answers a ping sooner
 POLL_NS = 1_000_000
 AT_ONCE = {"pause", "continue", "state"}  # channels whose calls keep a server busy for microseconds
+
+
+class WatchedServer:
+    """A process of uavaccel.wire.service, listening on `port`. Raises ServerGoneError if it never listens."""
+
+    def __init__(self, options: dict[str, object]) -> None:
+        self._clock = MonotonicClock()
+        self._process = start_python(
+            *("-m", "uavaccel.wire.service", json.dumps({**options, "parent": os.getpid()})),
+            environment=single_core_rendering(),
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+        )
+        self.pid = self._process.pid
+        self.answered()
+        try:
+            self.port: int = json.loads(self._first_line())["port"]
+        except BaseException:
+            self._process.kill()  # it does not heed the end of its standard input before it listens
+            self.end()
+            raise
+
+    @property
+    def returncode(self) -> int | None:
+        return self._process.returncode
+
+    def answered(self) -> None:
+        """Count its silence from now on."""
+        self._detector, self._heard_ns = StallDetector(), self._clock.now_ns()
+
+    def check(self, idle_polls: int = SILENT_POLLS, busy_s: float = BUSY_S) -> None:
+        """Raise ServerGoneError if it has ended, is stopped, or was idle at so many calls, or silent for `busy_s`.
+
+        To be called about once a second while an answer is overdue.
+        """
+        status = self._process.poll()
+        if status is not None:
+            raise ServerGoneError(f"the server's process ended with status {status}")
+        silent_ns = self._clock.now_ns() - self._heard_ns
+        if self._detector.poll([self.pid], idle_polls) or silent_ns > busy_s * NS_PER_S:
+            self._process.kill()  # it would not end by itself
+            raise ServerGoneError(f"the server's process did not answer for {silent_ns / NS_PER_S:.1f} s")
+
+    def _first_line(self) -> bytes:
+        stdout = self._process.stdout
+        assert stdout is not None
+        while not select.select([stdout], [], [], 1.0)[0]:
+            self.check(FIRST_POLLS, START_S)
+        line = stdout.readline()
+        if not line:
+            raise ServerGoneError(f"the server's process ended with status {self._process.wait()} before it listened")
+        return line
+
+    def end(self) -> None:
+        """End it by closing its standard input, or by force."""
+        for pipe in (self._process.stdin, self._process.stdout):
+            if pipe is not None:
+                pipe.close()
+        end_within(self._process, END_S)
 
 
 class PendingCall:
@@ -56,7 +128,7 @@ class PendingCall:
 
 
 class KnownState:
-    """The paused simulation's state as far as one connection knows it; all clients of the connection share it.
+    """The paused simulation's `state` as far as one connection knows it; all clients of the connection share it.
 
     `exclusive` promises that no other connection runs the simulation. The state in which a continue-for left it then
     stays the present one until this connection sends a call that may change it, and need not be requested.
@@ -67,13 +139,11 @@ class KnownState:
         self.state: Kinematics | None = None
 
     def paused_at(self, state: Kinematics) -> None:
-        """Keep the state in which the simulation has been paused."""
         self.state = state if self.exclusive else None
 
     def sending(self, method: str) -> None:
         """Forget the state if the call that is about to be sent may change it."""
-        called = CALLS.get(method)
-        if called is None or not called.leaves_state:
+        if (called := CALLS.get(method)) is None or not called.leaves_state:
             self.state = None
 
 
@@ -114,9 +184,11 @@ class SocketTransport(Transport):
 
     def __init__(self, host: str, port: int, exclusive: bool = False, watch: WatchedServer | None = None) -> None:
         super().__init__(MonotonicClock(), exclusive)
-        self._silence = None if watch is None else ServerSilence(watch, self._ask)
+        self._watch = watch
+        self._ping: PendingCall | None = None
+        self._asked_ns = self._counted_ns = 0
         try:
-            self._rpc: RpcSocket[PendingCall] = RpcSocket(host, port)
+            self._rpc: rpc.RpcSocket[PendingCall] = rpc.RpcSocket(host, port)
         except ConnectionError as error:
             raise UserError(str(error)) from None
         if watch is not None:  # a wait without a deadline wakes now and then, which costs nothing otherwise
@@ -143,8 +215,11 @@ class SocketTransport(Transport):
 
     def wait(self, call: PendingCall, deadline_ns: int | None = None) -> bool:
         self._flush()
-        if call.expected_ns is not None:
-            self._poll_around(call, call.expected_ns, deadline_ns)
+        if (expected_ns := call.expected_ns) is not None:  # poll around it: a sleeping process wakes late
+            last_ns = expected_ns + POLL_NS if deadline_ns is None else min(expected_ns + POLL_NS, deadline_ns)
+            while not call.done and self.clock.now_ns() < last_ns:
+                if self._readable(min(expected_ns - POLL_NS, last_ns)):
+                    self._receive()
         while not call.done:
             if deadline_ns is None or self._readable(deadline_ns):
                 self._receive()
@@ -152,43 +227,51 @@ class SocketTransport(Transport):
                 return False
         return True
 
-    def _poll_around(self, call: PendingCall, expected_ns: int, deadline_ns: int | None) -> None:
-        """Poll around the expected time: a sleeping process wakes tens of microseconds late."""
-        last_ns = expected_ns + POLL_NS if deadline_ns is None else min(expected_ns + POLL_NS, deadline_ns)
-        wake_ns = expected_ns - POLL_NS
-        while not call.done and self.clock.now_ns() < last_ns:
-            if self._readable(min(wake_ns, last_ns)):
-                self._receive()
-
     def _readable(self, deadline_ns: int) -> bool:
         """Wait until something arrives, or for the deadline, or to ask a silent server whether it is there."""
         look_ns = self.clock.now_ns() + SILENCE_POLL_NS
-        if self._silence is None or deadline_ns < look_ns:
+        if self._watch is None or deadline_ns < look_ns:
             return bool(wait_for_sockets(self._rpc.selector, deadline_ns))
         if wait_for_sockets(self._rpc.selector, look_ns):
             return True
-        self._silence.goes_on()
+        self._look()
         return False
 
     def _receive(self) -> None:
         try:
             replies = list(self._rpc.receive())
         except BlockingIOError:  # nothing for SILENCE_POLL_NS
-            if self._silence is not None:
-                self._silence.goes_on()
+            self._look()
             return
         except ConnectionError as error:
             raise ServerGoneError(str(error)) from None
         for call, error_text, value in replies:
             call.done, call.error, call.value = True, error_text, value
-        if self._silence is not None:
-            due_ns = [reply.call.due_ns() for reply in replies]
-            self.stalled_ns += self._silence.broken_ns([due for due in due_ns if due is not None])
+        if self._watch is not None:
+            self._count_silence([reply.call.due_ns() for reply in replies])
 
-    def _ask(self) -> Callable[[], bool]:
-        """Ping the server; the returned function says whether it has answered."""
-        ping = self.send("ping", (), blocking=True)
-        return lambda: ping.done
+    def _look(self) -> None:
+        """Ping a watched server after SILENCE_POLL_NS of silence; later see whether its process has gone."""
+        if self._watch is not None and self._ping is not None:
+            self._watch.check()
+        elif self._watch is not None:
+            self._watch.answered()
+            self._ping, self._asked_ns = self.send("ping", (), blocking=True), self.clock.now_ns()
+
+    def _count_silence(self, due_ns: Sequence[int | None]) -> None:
+        """When answers arrive, add for how long the server had not responded; a server that only flies answers pings.
+
+        `due_ns` are the times at which these answers were due. No wall time is counted twice.
+        """
+        since = [due for due in due_ns if due is not None]
+        if self._ping is not None and self._ping.done:
+            self._ping = None
+            since.append(self._asked_ns)
+        now_ns = self.clock.now_ns()
+        silent_ns = now_ns - max(min(since, default=now_ns), self._counted_ns)
+        if silent_ns > STALL_NS:
+            self._counted_ns = now_ns
+            self.stalled_ns += silent_ns
 
     def close(self) -> None:
         with contextlib.suppress(OSError):

@@ -14,18 +14,17 @@ from typing import Annotated, NamedTuple
 
 from uavaccel.errors import UserError
 from uavaccel.kinematics import Quaternion, Vector
-from uavaccel.sim.flight.pilot import Pilot
-from uavaccel.sim.poses import APART_M, Pose, check_name
-from uavaccel.sim.sensors.earth import geographic
-from uavaccel.sim.simulation import Simulation
-from uavaccel.sim.vehicle.vehicle import HERE, AddedVehicle, Start
+from uavaccel.sim.earth import geographic
+from uavaccel.sim.poses import APART_M, HERE, Pose, check_name
+from uavaccel.sim.simulation import Pilot, Simulation
+from uavaccel.sim.vehicle.vehicle import AddedVehicle, Start
 from uavaccel.sim.world import START_M
 from uavaccel.units import euler_from_quaternion
 from uavaccel.wire import types
-from uavaccel.wire.arguments import AnyPose, FinitePose, VehicleName, place, pose
 from uavaccel.wire.calls import Calls, call
-from uavaccel.wire.flight_api import stick_map
-from uavaccel.wire.settings import Settings, VehicleSettings
+from uavaccel.wire.flight_api import rc_data_map
+from uavaccel.wire.settings import Settings
+from uavaccel.wire.types import AnyPose, FinitePose, VehicleName, place, pose
 
 FASTEST_M_S, FASTEST_RAD_S = 500.0, 100.0  # beyond these a tick's drag or turn is not a small change
 KIND = "simpleflight"
@@ -87,14 +86,14 @@ class VehicleApi(Calls, title="Vehicles"):
         if str(vehicle_type).lower() != KIND:
             raise ValueError(f"vehicle type {vehicle_type!r} is not available; there is SimpleFlight")
         there = [vehicle.place_m for vehicle in self.simulation.world.vehicles]
-        yaw_rad = euler_from_quaternion(pose.orientation_wxyz)[2]
-        start = standing(free_place(pose.position_m, there), yaw_rad)
+        north, east, down = pose.position_m[0], pose.position_m[1], min(pose.position_m[2], 0.0)
+        aside_m = room_m((north, east, down + STANDING_M), there)
+        start = standing((north, east + aside_m, down), euler_from_quaternion(pose.orientation_wxyz)[2])
         self.simulation.add_vehicles([AddedVehicle(vehicle_name, *start)])
         return True
 
     @call("simGetVehiclePose")
     def pose(self, vehicle: VehicleName = "") -> dict[str, dict[str, float]]:
-        """Return the vehicle's pose at the present tick."""
         return types.pose_map(self.scenery.pilot(vehicle).kinematics())
 
     @call("simSetVehiclePose")
@@ -104,8 +103,8 @@ class VehicleApi(Calls, title="Vehicles"):
         With `ignore_collision` a place inside an object becomes the nearest one outside; without it, it is refused.
         """
         pilot = self.scenery.pilot(vehicle)
-        place = in_world_frame(pilot, pose)
-        self.simulation.world.teleport(pilot.vehicle, *place, anywhere=bool(ignore_collision))
+        world = self.simulation.world
+        world.teleport(pilot.vehicle, *in_world_frame(pilot, pose), anywhere=bool(ignore_collision))
 
     @call("simGetGroundTruthKinematics")
     def kinematics(self, vehicle: VehicleName = "") -> dict[str, dict[str, float]]:
@@ -116,10 +115,9 @@ class VehicleApi(Calls, title="Vehicles"):
         self, state: Annotated[SettableKinematics, motion], ignore_collision: object, vehicle: VehicleName = ""
     ) -> None:
         """Set pose and velocities; the accelerations follow from them here."""
-        pilot = self.scenery.pilot(vehicle)
-        motion, anywhere = (state.velocity_m_s, state.rate_rad_s), bool(ignore_collision)
+        pilot, motion = self.scenery.pilot(vehicle), (state.velocity_m_s, state.rate_rad_s)
         place = in_world_frame(pilot, state.pose)
-        self.simulation.world.teleport(pilot.vehicle, *place, *motion, anywhere)
+        self.simulation.world.teleport(pilot.vehicle, *place, *motion, bool(ignore_collision))
 
     @call("getMultirotorState")
     def multirotor_state(self, vehicle: VehicleName = "") -> dict[str, object]:
@@ -127,12 +125,12 @@ class VehicleApi(Calls, title="Vehicles"):
         kinematics = pilot.kinematics()
         position_m = pilot.vehicle.in_world(kinematics.position_m)
         return {
-            "collision": types.no_collision_map(),  # AirSim never fills it here
+            "collision": no_collision(),  # AirSim never fills it here
             "kinematics_estimated": types.kinematics_map(kinematics),
             "gps_location": types.geo_map(geographic(position_m, self.scenery.settings.home)),
             "timestamp": types.stamp(kinematics.time_ns),
             "landed_state": 0 if pilot.vehicle.landed else 1,
-            "rc_data": types.rc_data_map() | stick_map(pilot.sticks),
+            "rc_data": rc_data_map(pilot.sticks),
         }
 
     @call("getRotorStates")
@@ -158,7 +156,7 @@ class VehicleApi(Calls, title="Vehicles"):
         """
         flown = self.scenery.vehicle(vehicle)
         touches = flown.contact_log
-        info = types.no_collision_map() | {"has_collided": touches.read(), "collision_count": touches.count}
+        info = no_collision() | {"has_collided": touches.read(), "collision_count": touches.count}
         if touch := touches.latest:
             info |= {"time_stamp": types.stamp(self.simulation.time_of(touch.tick))}
             info |= {"object_name": self.scenery.objects.name_of(touch.object)}
@@ -168,6 +166,13 @@ class VehicleApi(Calls, title="Vehicles"):
             info |= {"position": types.vector_map(flown.local(touch.position_m))}
             info |= {"impact_point": types.vector_map(flown.local(touch.impact_point_m))}
         return info
+
+
+def no_collision() -> dict[str, object]:
+    """Return the CollisionInfo of a vehicle that has not collided."""
+    places = {name: types.vector_map((0.0, 0.0, 0.0)) for name in ("normal", "impact_point", "position")}
+    what = {"object_name": "", "object_id": -1}
+    return {"has_collided": False, "penetration_depth": 0.0, "time_stamp": 0, **places, **what}
 
 
 STANDING_M = -0.045  # NED z of a vehicle that stands on the ground, where the player starts
@@ -187,7 +192,10 @@ def populate(simulation: Simulation, settings: Settings) -> None:
     try:
         for name, vehicle in settings.created():
             key = f".{name}"
-            start, origin_m = starting(vehicle)
+            start, origin_m = Start(START_M), HERE
+            if vehicle.placed:
+                place = (vehicle.x or 0.0, vehicle.y or 0.0, vehicle.z or 0.0)
+                start, origin_m = standing(place, math.radians(vehicle.yaw or 0.0))
             if aside_m := room_m(start.position_m, taken_m):
                 start = replace(start, position_m=east_of(start.position_m, aside_m))
                 origin_m = east_of(origin_m, aside_m)
@@ -218,23 +226,6 @@ def _check_names(settings: Settings) -> None:
             raise UserError(f"{key}: {error}") from None
 
 
-def starting(vehicle: VehicleSettings) -> tuple[Start, Vector]:
-    """Return the start of a vehicle in the world, and the origin of its frame."""
-    if not vehicle.placed:
-        return Start(START_M), HERE
-    place = (vehicle.x or 0.0, vehicle.y or 0.0, vehicle.z or 0.0)
-    return standing(place, math.radians(vehicle.yaw or 0.0))
-
-
-def free_place(place_m: Vector, taken_m: Sequence[Vector]) -> Vector:
-    """Return the given place, or the ground above it, or the next place to the east that is free of vehicles.
-
-    NED from the player's start; `taken_m` are the vehicles' places in the world.
-    """
-    north, east, down = place_m[0], place_m[1], min(place_m[2], 0.0)
-    return north, east + room_m((north, east, down + STANDING_M), taken_m), down
-
-
 def room_m(position_m: Vector, taken_m: Sequence[Vector]) -> float:
     """Return how far to the east of a position in the world, in m, the next one is that is free of vehicles."""
     aside_m = 0.0
@@ -244,7 +235,6 @@ def room_m(position_m: Vector, taken_m: Sequence[Vector]) -> float:
 
 
 def east_of(position_m: Vector, metres: float) -> Vector:
-    """Return the position so many metres to the east."""
     return position_m[0], position_m[1] + metres, position_m[2]
 
 

@@ -74,7 +74,7 @@ class Canvas:
     def leave(self) -> None:
         """Free it if no other camera draws with it; nothing is freed in a forked process."""
         self._users -= 1
-        if self._users > 0 or not gl.survives():
+        if self._users > 0 or gl.forked:
             return
         self._left()
         self.bind()
@@ -159,7 +159,10 @@ class Camera:
         self._canvas = Canvas.open(model, width, height)
         self._context, self._turns = self._canvas.context, self._canvas.turns
         self._is_open = True
-        _close_at_exit(self)
+        if not _open_cameras:  # before MuJoCo's own exit handler, which removes the display: last in, first out
+            atexit.unregister(_close_all)
+            atexit.register(_close_all)
+        _open_cameras.add(self)
 
     def _look_through(self, lens: Lens) -> None:
         self._lens, self.width, self.height = lens, lens.width, lens.height
@@ -264,14 +267,6 @@ class BlankCamera(Camera):
 
 
 _open_cameras: weakref.WeakSet[Camera] = weakref.WeakSet()
-
-
-def _close_at_exit(camera: Camera) -> None:
-    """Close before MuJoCo's own exit handler, which removes the display: handlers run last in, first out."""
-    if not _open_cameras:
-        atexit.unregister(_close_all)
-        atexit.register(_close_all)
-    _open_cameras.add(camera)
 
 
 def _close_all() -> None:

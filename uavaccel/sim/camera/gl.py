@@ -11,15 +11,13 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager, nullcontext, suppress
 from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING
+
+import mujoco
 
 from uavaccel.errors import UserError
-
-if TYPE_CHECKING:
-    import mujoco  # a third of a second, which who only asks for the renderer need not wait
 
 HEADLESS = ("egl", "osmesa")
 PROBE_TIMEOUT_S = 60.0  # drivers that hang were reported (google-deepmind/mujoco#3444)
@@ -29,7 +27,7 @@ SOFTWARE_RENDERERS = ("llvmpipe", "softpipe", "swrast", "software")
 _driver = threading.RLock()
 _in_thread = threading.local()  # .context: the current one
 _drawn = False  # whether this process, or one that it was forked from, has made a context
-_forked = False  # whether it was forked after that
+forked = False  # whether it was forked after that: then OpenGL's objects are not its own, and cannot be freed
 _found: GlRenderer | None = None  # of the last context of this process, or of the probe
 
 # MuJoCo and PyOpenGL use one backend per process, and a bad driver may crash: so probe in another process.
@@ -72,22 +70,19 @@ def make_context(width: int, height: int) -> tuple[mujoco.GLContext, GlRenderer]
             context = importlib.import_module(module).GLContext(width, height)
             _drawn = True
             bind(context)
-            _found = _current_renderer(backend)
+            from OpenGL import GL  # takes the platform of the first context, so imported after it
+
+            name = GL.glGetString(GL.GL_RENDERER)
+            if name is None:  # GLFW without a display makes a context that does not work
+                raise RuntimeError("the context draws nothing")
+            _found = _named(backend, name.decode())
             return context, _found
     except Exception as error:  # several libraries, each with exceptions of its own
+        reason = (str(error).strip() or "no reason given").splitlines()[0]
         raise UserError(
-            f"OpenGL does not work with MUJOCO_GL={backend} ({type(error).__name__}: {_first_line(error)}); "
+            f"OpenGL does not work with MUJOCO_GL={backend} ({type(error).__name__}: {reason}); "
             f"unset MUJOCO_GL, or install {PACKAGES} (Debian)"
         ) from error
-
-
-def _current_renderer(backend: str) -> GlRenderer:
-    from OpenGL import GL  # takes the platform of the first context, so imported after it
-
-    name = GL.glGetString(GL.GL_RENDERER)
-    if name is None:  # GLFW without a display makes a context that does not work
-        raise RuntimeError("the context draws nothing")
-    return _named(backend, name.decode())
 
 
 def _named(backend: str, name: str) -> GlRenderer:
@@ -99,7 +94,6 @@ def sample_textures_fast(context: mujoco.MjrContext) -> None:
 
     It is the nearest texel of the nearest mipmap; with at most one pixel per texel the picture is only crisper.
     """
-    import mujoco
     from OpenGL import GL
 
     for texture, kind in zip(context.texture[: context.ntexture], context.textureType, strict=False):
@@ -152,14 +146,9 @@ def bind(context: mujoco.GLContext) -> None:
         _in_thread.context = context
 
 
-def survives() -> bool:
-    """Return whether this process may free OpenGL's objects: not if it was forked from one that has rendered."""
-    return not _forked
-
-
 def check_process() -> None:
     """Raise UserError in a process that cannot render since its parent had rendered before the fork."""
-    if _forked:
+    if forked:
         raise UserError(
             "this process was forked from one that had drawn, and OpenGL does not survive that: start workers by "
             'spawn, as AsyncVectorEnv(..., context="spawn") or SubprocVecEnv(..., start_method="spawn")'
@@ -167,8 +156,8 @@ def check_process() -> None:
 
 
 def _note_fork() -> None:
-    global _forked
-    _forked = _drawn
+    global forked
+    forked = _drawn
 
 
 if hasattr(os, "register_at_fork"):
@@ -199,21 +188,16 @@ def choose_backend() -> str:
 
 @cache
 def _first_that_works() -> GlRenderer | None:
-    return next((found for backend in HEADLESS if (found := _tried(backend)) is not None), None)
-
-
-def _tried(backend: str) -> GlRenderer | None:
-    """Return the renderer with that backend; None if it does not work."""
-    environment = {**os.environ, "MUJOCO_GL": backend}
-    try:
-        command = [sys.executable, "-c", _PROBE]
-        probe = subprocess.run(
-            command, env=environment, capture_output=True, text=True, timeout=PROBE_TIMEOUT_S, check=True
-        )
-        return _named(backend, probe.stdout.splitlines()[-1])
-    except (OSError, subprocess.SubprocessError, IndexError):
-        return None
-
-
-def _first_line(error: Exception) -> str:
-    return (str(error).strip() or "no reason given").splitlines()[0]
+    """Return the renderer of the first backend that works, each tried in a process of its own; None without any."""
+    for backend in HEADLESS:
+        environment = {**os.environ, "MUJOCO_GL": backend}
+        with suppress(OSError, subprocess.SubprocessError, IndexError):
+            probe = subprocess.check_output(
+                [sys.executable, "-c", _PROBE],
+                stderr=subprocess.PIPE,
+                env=environment,
+                timeout=PROBE_TIMEOUT_S,
+                text=True,
+            )
+            return _named(backend, probe.splitlines()[-1])
+    return None

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.errors import UserError
-from uavaccel.sim.lane.scene import APPEARANCE_GROUP, BODIES_GROUP
+from uavaccel.sim.lane import APPEARANCE_GROUP, BODIES_GROUP
 from uavaccel.sim.poses import Pose
-from uavaccel.sim.scene.model import DRONE_GROUP
+from uavaccel.sim.scene import DRONE_GROUP
 from uavaccel.units import mujoco_to_ned, ned_to_mujoco, quaternion_mujoco_to_ned
 
 Image = NDArray[np.uint8]
@@ -47,26 +47,29 @@ class View:
         camera: str = "front_center",
         fov_deg: float = FOV_DEG,
     ) -> None:
-        self.model = model
-        self.half_width = float(np.tan(np.radians(fov_deg) / 2))  # of the picture, one metre ahead
-        self._half_height = self.half_width * height / width
-        self._camera = _fixed_camera(model, camera)
-        self._options = _options(model, self._camera.fixedcamid)
+        self.model, self._camera, self._options = model, mujoco.MjvCamera(), mujoco.MjvOption()
+        self._camera.type = mujoco.mjtCamera.mjCAMERA_FIXED
+        self._camera.fixedcamid = number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_CAMERA, camera)
+        if number < 0:
+            names = ", ".join(model.camera(index).name for index in range(model.ncam))
+            raise UserError(f"no camera {camera!r} in the scene; there is {names or 'none'}")
+        # for a camera on the drone everything except the drone, which is out of its view
+        self._options.geomgroup[DRONE_GROUP] = model.cam_bodyid[number] != model.body("quadrotor").id
         self.scene = mujoco.MjvScene(model, maxgeom=model.ngeom + 8)
         for flag, value in _RENDER_FLAGS.items():
             self.scene.flags[flag] = value
         self._as_ids = False
         self._show_appearance(True)
-        self._eye: Pose | None = None
-        self._resized = not self._models_own_view(width)
+        self.look_from(None, width, height, fov_deg)
         self._eyes = list(self.scene.camera)  # views of MuJoCo's own two, which it averages
 
     def look_from(self, eye: Pose | None, width: int, height: int, fov_deg: float) -> None:
         """Set the pose, NED, None for the camera's own, the size in pixels and the field of view."""
         self._eye = eye
-        self.half_width = float(np.tan(np.radians(fov_deg) / 2))
+        self.half_width = float(np.tan(np.radians(fov_deg) / 2))  # of the picture, one metre ahead
         self._half_height = self.half_width * height / width
-        self._resized = not self._models_own_view(width)
+        own = np.tan(np.radians(self.model.cam_fovy[self._camera.fixedcamid]) / 2)
+        self._resized = not abs(own / self._half_height - 1) * width < 1e-3  # a thousandth of a pixel
 
     def show_everything(self) -> None:
         """Make the drone visible too."""
@@ -76,14 +79,18 @@ class View:
         """Return the scene for the pose in `data.qpos`; with `as_ids` each geom has an unlit colour that encodes it."""
         mujoco.mj_kinematics(self.model, data)  # mj_step leaves the positions of the step's beginning
         mujoco.mj_camlight(self.model, data)
-        if self._eye is not None:
-            self._place_eye(data, self._eye)
+        if self._eye is not None:  # the model's camera is moved, which affects no physics and lasts until the next step
+            (forward, right, down), camera = self._eye.matrix().T, self._camera.fixedcamid
+            axes = np.stack([ned_to_mujoco(right), -ned_to_mujoco(down), -ned_to_mujoco(forward)], axis=1)
+            data.cam_xpos[camera], data.cam_xmat[camera] = ned_to_mujoco(self._eye.position_m), axes.ravel()
         if as_ids != self._as_ids:
             self.scene.flags[_ID_FLAGS] = self._as_ids = as_ids
             self._show_appearance(not as_ids)
         mujoco.mjv_updateScene(self.model, data, self._options, None, self._camera, _EVERYTHING, self.scene)
-        if self._resized:
-            self._set_field_of_view()
+        for eye in self._eyes if self._resized else ():
+            eye.frustum_width = eye.frustum_near * self.half_width
+            eye.frustum_top = eye.frustum_near * self._half_height
+            eye.frustum_bottom = -eye.frustum_top
         return self.scene
 
     def geoms(self, drawn: NDArray[np.integer]) -> GeomImage:
@@ -98,24 +105,6 @@ class View:
         """Show a scenery's looks, or its bodies instead."""
         self._options.geomgroup[APPEARANCE_GROUP] = on
         self._options.geomgroup[BODIES_GROUP] = not on
-
-    def _place_eye(self, data: mujoco.MjData, eye: Pose) -> None:
-        """Move the model's camera, which does not affect the physics and lasts until the next step."""
-        camera = self._camera.fixedcamid
-        forward, right, down = eye.matrix().T
-        axes = np.stack([ned_to_mujoco(right), -ned_to_mujoco(down), -ned_to_mujoco(forward)], axis=1)
-        data.cam_xpos[camera], data.cam_xmat[camera] = ned_to_mujoco(eye.position_m), axes.ravel()
-
-    def _models_own_view(self, width: int) -> bool:
-        """Return whether the model's own field of view is the one required, to a thousandth of a pixel."""
-        half_height = np.tan(np.radians(self.model.cam_fovy[self._camera.fixedcamid]) / 2)
-        return bool(abs(half_height / self._half_height - 1) * width < 1e-3)
-
-    def _set_field_of_view(self) -> None:
-        near = self._eyes[0].frustum_near
-        for eye in self._eyes:
-            eye.frustum_width = near * self.half_width
-            eye.frustum_top, eye.frustum_bottom = near * self._half_height, -near * self._half_height
 
 
 def vehicle_pose(data: mujoco.MjData, vehicle: int = 0) -> Pose:
@@ -152,20 +141,3 @@ def set_quality(model: mujoco.MjModel, width: int, height: int) -> None:
     quality = model.vis.quality
     quality.shadowsize = quality.offsamples = 0
     model.vis.global_.offwidth, model.vis.global_.offheight = width, height
-
-
-def _fixed_camera(model: mujoco.MjModel, camera: str) -> mujoco.MjvCamera:
-    view = mujoco.MjvCamera()
-    view.type = mujoco.mjtCamera.mjCAMERA_FIXED
-    view.fixedcamid = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_CAMERA, camera)
-    if view.fixedcamid < 0:
-        names = ", ".join(model.camera(index).name for index in range(model.ncam))
-        raise UserError(f"no camera {camera!r} in the scene; there is {names or 'none'}")
-    return view
-
-
-def _options(model: mujoco.MjModel, camera: int) -> mujoco.MjvOption:
-    """Show everything except, for a camera on the drone, the drone, which is out of its view."""
-    options = mujoco.MjvOption()
-    options.geomgroup[DRONE_GROUP] = model.cam_bodyid[camera] != model.body("quadrotor").id
-    return options

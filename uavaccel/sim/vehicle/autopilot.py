@@ -14,6 +14,8 @@ climbs; and in `moveByVelocityZ` the height goal takes part in the rotation of t
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -244,3 +246,31 @@ def settle(parameters_of: NDArray[np.void], flight: NDArray[np.void]) -> None:
     state["z_integral"] = gathered * error_m_s
     state["z_integral_mode"] = POSITION
     state["goal"][2] += error_m_s / reach_m_s if reach_m_s else 0.0
+
+
+class Yaw(NamedTuple):
+    """A heading in rad or, if `is_rate`, a yaw rate in rad/s (AirSim's YawMode)."""
+
+    value: float = 0.0
+    is_rate: bool = True
+
+    @property
+    def mode(self) -> int:
+        """The autopilot's mode of yaw."""
+        return RATE if self.is_rate else ANGLE
+
+
+STRAIGHT_ON = Yaw()
+
+
+@dataclass(frozen=True, slots=True)
+class Goal:
+    """A goal: `values` are x, y, z and yaw, with meanings by the modes; positions are NED in m."""
+
+    values: tuple[float, float, float, float]
+    xy_mode: int
+    z_mode: int
+    yaw_mode: int
+
+
+IDLE = Goal((0.0, -0.0, IDLE_THROTTLE, 0.0), TILT, THROTTLE, RATE)

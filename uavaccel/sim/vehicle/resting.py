@@ -9,11 +9,11 @@ from __future__ import annotations
 import mujoco
 
 from uavaccel.kinematics import Quaternion, Vector
-from uavaccel.sim.poses import DEEPEST_M
-from uavaccel.sim.scene.model import physics_state, restore_physics
+from uavaccel.sim.poses import DEEPEST_M, HERE
+from uavaccel.sim.scene import physics_state, restore_physics
 from uavaccel.sim.vehicle.clearance import PLANE
-from uavaccel.sim.vehicle.collisions import deepest_contact
-from uavaccel.sim.vehicle.vehicle import HERE, Vehicle
+from uavaccel.sim.vehicle.contacts import deepest_contact
+from uavaccel.sim.vehicle.vehicle import Vehicle
 
 GIVE_M = 1e-3  # more than contacts give under a vehicle, and less than a noticeable fall
 HALVINGS = 60
@@ -30,7 +30,7 @@ def stand(vehicle: Vehicle) -> None:
     def borne(height: float) -> bool:
         vehicle.set_pose((x, y, height), attitude)
         mujoco.mj_forward(vehicle.model, vehicle.data)
-        return vehicle.rises
+        return bool(vehicle.gained[2] >= 0.0)
 
     before, low, high = physics_state(vehicle.model, vehicle.data), z + GIVE_M, z - DEEPEST_M
     stands = borne(low) and not borne(high)

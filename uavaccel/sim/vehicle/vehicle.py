@@ -16,10 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.kinematics import Kinematics, Quaternion, Vector
+from uavaccel.sim.poses import HERE, LEVEL
 from uavaccel.sim.profile import Profile
 from uavaccel.sim.vehicle import autopilot, hotloop
-from uavaccel.sim.vehicle.collisions import ContactLog
-from uavaccel.sim.vehicle.goal import IDLE, Goal
+from uavaccel.sim.vehicle.autopilot import IDLE, Goal
+from uavaccel.sim.vehicle.contacts import ContactLog
 from uavaccel.sim.vehicle.quadrotor import FLIGHT_DTYPE, KINEMATICS, NEVER, PARAMETERS_DTYPE, Record, parameters
 from uavaccel.units import mujoco_to_ned, ned_to_mujoco, quaternion_ned_to_mujoco
 
@@ -65,8 +66,6 @@ class Samples:
 
 
 AT_REST_M_S = 0.05
-LEVEL = (1.0, 0.0, 0.0, 0.0)
-HERE = (0.0, 0.0, 0.0)
 BODY, SENSOR = "quadrotor", "collision"
 UNCOUNTED = -1.0  # contacts exist, but the hot loop has not counted them yet
 GAINS = (
@@ -146,7 +145,7 @@ class Vehicle:
         self.qvel = data.qvel[motion : motion + 6]
         self._force = data.qfrc_applied[motion : motion + 6]
         self._push = data.qfrc_constraint[motion : motion + 6]
-        self._gained = data.qacc[motion : motion + 6]
+        self.gained = data.qacc[motion : motion + 6]
         self._warm_start = data.qacc_warmstart[motion : motion + 6]
         self._contact = data.sensordata[sensor : sensor + 1]
         self.model, self.data = model, data
@@ -197,11 +196,6 @@ class Vehicle:
         """Whether the vehicle is in contact with something and at rest."""
         state = self.state
         return bool(state["contacts"]) and math.hypot(*state["velocity"].tolist()) < AT_REST_M_S
-
-    @property
-    def rises(self) -> bool:
-        """Whether the latest forces in MuJoCo accelerate it upwards, or not at all."""
-        return bool(self._gained[2] >= 0.0)
 
     def kinematics(self, origin_ns: int = 0, in_world: bool = False) -> Kinematics:
         """Return the state at the present tick, NED and FRD; `origin_ns` is the simulated time of tick 0."""
