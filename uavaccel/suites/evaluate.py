@@ -447,7 +447,10 @@ def survival_figure(reports: Sequence[Report]) -> Figure:
     for number, (report, name) in enumerate(zip(reports, names, strict=True)):
         label = name if names.count(name) == 1 else f"{name} ({report.run.path})"  # folders may share their last name
         colour = style.COMMAND_COLOUR[report.config.task.command] if alone else style.colour(number)
-        plots.survival_band(axes, report.games.distance_m, LENGTH_M, label=label, color=colour)
+        places, share = style.survival(report.games.distance_m, LENGTH_M)
+        won = [Proportion(left, len(places) - 1) for left in range(len(places) - 1, -1, -1)]
+        low, high = zip(*(each.interval for each in won), strict=True)
+        plots.band(axes, places, share, low, high, step=True, label=label, color=colour)
     axes.axvline(LENGTH_M, **style.LIMIT, label="end of the lane")
     axes.set(xlabel="distance north, m", ylabel="share of games that got there", ylim=(0.0, 1.05))
     style.legend(figure)
