@@ -212,6 +212,7 @@ bench nothing -> nothing; bench --soak-s -1 -> --soak-s; bench --soak-s nan -> -
 bench batch --lanes 0 -> --lanes
 bench hot-loop --out nowhere/bench.json -> --out; serve --clock 0 -> clock
 serve --clock nan -> clock; serve --port 99999 -> port; serve --port -1 -> port
+serve --speed 3 -> --speed; serve --clock fast -> --clock
 serve --host nowhere.invalid -> nowhere.invalid; serve --profile unreal -> profile; serve --scene moon -> moon
 serve --settings nowhere.json -> nowhere.json; serve --settings there.txt -> there.txt; doctor --all -> --all
 fly -> script; fly --seed -1 there.txt -> --seed; fly --seed 4294967296 there.txt -> --seed

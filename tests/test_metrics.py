@@ -32,7 +32,7 @@ from uavaccel.metrics.trajectory import (
     quartiles,
     trajectory,
 )
-from uavaccel.records import combined_provenance, timing_provenance
+from uavaccel.records import timing_provenance
 
 
 def straight(duration_s: float, step_s: float = 0.05, speed_m_s: float = 1.0, offset_m: float = 0.0) -> Trajectory:
@@ -93,8 +93,6 @@ def test_speedup_interval_holds_the_estimate_of_constant_baselines(wall_s: list[
 def test_provenance() -> None:
     assert timing_provenance("wall") == "measured"
     assert timing_provenance("virtual") == timing_provenance("lockstep") == "modelled"
-    assert combined_provenance("measured", "measured") == "measured"
-    assert combined_provenance("measured", "modelled") == "mixed"
 
 
 def test_bootstrap_repeats_by_seed_and_covers_the_mean() -> None:

@@ -22,7 +22,7 @@ from uavaccel.files import (
     ARRAYS_BYTES,
     LINES_BYTES,
     TEXT_BYTES,
-    append_line,
+    append_lines,
     file_sha256,
     inside,
     lock_of,
@@ -442,7 +442,7 @@ def test_a_file_outside_of_its_folder_is_refused(name: str, tmp_path: Path) -> N
 
 @pytest.mark.parametrize("case", ["../../x", "/tmp/x", "a/b", "..", "", "a\n", "a\0"])
 def test_a_row_whose_case_is_no_name_of_a_file_is_refused(run: RunDirectory, case: str) -> None:
-    append_line(run.path / "rows.jsonl", {"case": case})
+    append_lines(run.path / "rows.jsonl", [json.dumps({"case": case})])
     with pytest.raises(UserError, match=r"line 1: no game can be called .*: its name is that of a file"):
         RunDirectory(run.path)
 

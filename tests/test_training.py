@@ -22,15 +22,14 @@ from tests.running import configured
 from uavaccel.config import to_yaml
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.errors import UserError
-from uavaccel.files import append_line
+from uavaccel.files import append_lines, to_json
 from uavaccel.records import RunDirectory
 from uavaccel.resources import asset
 from uavaccel.rl import lanes
 from uavaccel.rl.agents import make_agent
-from uavaccel.rl.checkpoint import find_checkpoint
 from uavaccel.rl.double_dqn import HostDQN
 from uavaccel.rl.lanes import make_lanes, start_exact_lanes
-from uavaccel.rl.learner import make_learner
+from uavaccel.rl.learner import find_checkpoint, make_learner
 from uavaccel.rl.policy import load_policy, trained_with, weights_sha256
 from uavaccel.suites import trainer
 from uavaccel.suites.evaluate import EvaluateConfig, fly_game
@@ -206,7 +205,7 @@ def test_evaluations_are_due_after_every_so_many_games(tmp_path: Path) -> None:
         run: Any = SimpleNamespace(path=tmp_path / f"{every}-{done}")
         for earlier in sorted({1, done}) if done else []:
             run.path.mkdir(exist_ok=True)
-            append_line(run.path / EVALUATIONS, line | {"games": earlier})
+            append_lines(run.path / EVALUATIONS, [to_json(line | {"games": earlier})])
         waiting = Evaluations(tiny_config(STATE, mirror=False, games=8, evaluate_every_games=every), run)
         assert [each for each in range(9) if waiting.due(each)] == games, (every, done)
 

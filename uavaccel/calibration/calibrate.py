@@ -144,14 +144,16 @@ Quantiles = NDArray[np.float64]
 
 
 class ClientEvent(NamedTuple):
-    """An event at the client's end: `kind` is "call", "issued" (sent without waiting) or "return"."""
+    """An event at the client's end: `kind` is "call", "issued" (sent without waiting) or "return".
+
+    A `coalesced` call travels with the next one, and has no latency of its own.
+    """
 
     kind: str
     method: str
     channel: str
     wall_ns: int
     coalesced: bool = False
-    """Whether it travels with the next one."""
 
 
 class TracingTransport(Transport):
@@ -197,10 +199,7 @@ class Latencies:
             samples[after_wait(channel, wait_ns)].append(latency_ns)
 
     def gather(self, client: Iterable[ClientEvent], server: Iterable[tuple[str, int, int]]) -> None:
-        """Match the events of both ends; when the client was ready for the first call of a batch is not known.
-
-        A coalesced call travels with the next one, and has no latency of its own.
-        """
+        """Match the events of both ends; when the client was ready for the first call of a batch is not known."""
         times_ns: dict[str, list[int]] = defaultdict(list)  # of the server's events
         due_ns: int | None = None  # of a wall timer that is set
         for event, wall_ns, _ in server:

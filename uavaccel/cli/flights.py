@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable
+from contextlib import nullcontext
 from difflib import get_close_matches
-from functools import partial
 from itertools import chain
 from pathlib import Path
 from typing import Annotated
@@ -33,11 +33,11 @@ def serve(
     watch: Watch = False,
 ) -> None:
     """Serve a simulated drone to AirSim's clients until Ctrl-C."""
-    from uavaccel.watch.beside import PageAddress, page_beside
+    from uavaccel.watch.beside import page_beside
     from uavaccel.wire.service import ServeOptions
     from uavaccel.wire.service import serve as serve_clients
 
-    with page_beside(PageAddress() if watch else None, waits=False):
+    with page_beside(waits=False) if watch else nullcontext():
         serve_clients(ServeOptions(settings, clock, port, host, profile, scene, recordings))
 
 
@@ -82,7 +82,7 @@ def fly(
     from uavaccel.fly.command import FlyRequest, fly_script, parse_clocks
     from uavaccel.fly.keys import parse_keys
     from uavaccel.fly.options import FlightOptions
-    from uavaccel.watch.beside import PageAddress, page_beside
+    from uavaccel.watch.beside import page_beside
 
     flight = FlightOptions(
         script,
@@ -98,7 +98,7 @@ def fly(
         keys=parse_keys(keys),
         film=film,
     )
-    page = partial(page_beside, PageAddress()) if watch else None
+    page = page_beside if watch else None
     raise typer.Exit(fly_script(FlyRequest(flight, parse_clocks(clock), check, not no_settings, out, page)))
 
 

@@ -75,10 +75,9 @@ def advise(
 
     if not error > 0:
         raise UserError(f"--error {error:g}: must be above 0 metres")
-    if not 0.0 < thinking <= MOST_SECONDS:
-        raise UserError(f"--thinking {thinking:g}: must be above 0 and at most {MOST_SECONDS:g} seconds")
-    if not 0.0 < t_move <= MOST_SECONDS:
-        raise UserError(f"--t-move {t_move:g}: must be above 0 and at most {MOST_SECONDS:g} seconds")
+    for name, seconds in (("--thinking", thinking), ("--t-move", t_move)):
+        if not 0.0 < seconds <= MOST_SECONDS:
+            raise UserError(f"{name} {seconds:g}: must be above 0 and at most {MOST_SECONDS:g} seconds")
     PROFILES[profile].check_duration(t_move, "--t-move")
     model = shipped_latency(profile) if latency is None else read_latency(latency)
     found, rows = advised(model, profile, t_move, rounds), []

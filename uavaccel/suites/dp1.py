@@ -32,7 +32,7 @@ from uavaccel.errors import UserError
 from uavaccel.forms import Count, Number, Positive, check
 from uavaccel.metrics.intervals import median_interval, speedup_interval
 from uavaccel.metrics.trajectory import Trajectory, command_gaps_s, distinct, mean_position_rmse
-from uavaccel.records import RunDirectory, combined_provenance, timing_provenance
+from uavaccel.records import RunDirectory, timing_provenance
 from uavaccel.sim.profile import PROFILES
 from uavaccel.sim.recording import RECORDED
 from uavaccel.suites import experiment, plots
@@ -292,7 +292,7 @@ def summary_cells(scores: pd.DataFrame, seed: int) -> list[dict[str, Any]]:
             game = real.iloc[0]
             reference = reference_of(game, itself, command=game.command, games=len(real))
         if reference and len(own):
-            mixed = combined_provenance(provenance, reference["provenance"])
+            mixed = provenance if provenance == reference["provenance"] else "mixed"
             interval = None if itself else list(speedup_interval(real.wall_s, own.wall_s, seed))  # 1 by definition
         stlc, rmse_m, gaps_s = own.stlc, own.position_rmse_m, own.gap_s.explode().astype(float)
         found = {

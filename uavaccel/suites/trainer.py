@@ -26,13 +26,12 @@ from uavaccel.draw.page import command_name
 from uavaccel.envs.batch import EnvironmentBatch
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.errors import UserError
-from uavaccel.files import append_line, to_json
+from uavaccel.files import append_lines, to_json
 from uavaccel.records import RunDirectory
 from uavaccel.rl.agents import FLIGHT, evaluation_keys
-from uavaccel.rl.checkpoint import find_checkpoint, games_of, load_checkpoint, save_checkpoint
 from uavaccel.rl.config import learns_from_a_buffer
 from uavaccel.rl.lanes import make_lanes
-from uavaccel.rl.learner import Game, Learner, make_learner
+from uavaccel.rl.learner import Game, Learner, find_checkpoint, games_of, load_checkpoint, make_learner, save_checkpoint
 from uavaccel.rl.policy import export_policy, weights_sha256
 from uavaccel.sim.camera.camera import BlankCamera, make_cameras_with
 from uavaccel.suites.evaluate import EvaluateConfig
@@ -242,7 +241,7 @@ class Evaluations:
             "is_success": [row["is_success"] for row in rows],
             **({"distance_m": [row["distance_m"] for row in rows]} if "distance_m" in rows[0] else {}),
         }
-        append_line(self._run.file(EVALUATIONS), line)
+        append_lines(self._run.file(EVALUATIONS), [to_json(line)])
         self._done = learner.games
 
     def close(self) -> None:

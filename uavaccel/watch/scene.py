@@ -181,8 +181,7 @@ def geom_mesh(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh | None:
 def plane_picture(model: mujoco.MjModel, geom: int) -> NDArray[np.uint8]:
     """The whole of a plane: its texture as often as its material repeats it; its colour where it has none."""
     material = int(model.geom_matid[geom])
-    texture = _texture(model, material)
-    if texture is None:
+    if (texture := _texture(model, material)) is None:
         return np.tile(_colour(model, geom), (8, 8, 1))
     repeats = np.maximum(np.round(model.mat_texrepeat[material]), 1).astype(int)
     columns, rows = np.maximum(GROUND_PIXELS // repeats, 2).tolist()
