@@ -113,6 +113,7 @@ class Vehicle:
         contacts_act: bool = True,
     ) -> None:
         self.name, self.profile, self.start, self.prefix = name, profile, start, prefix
+        self.body = prefix + BODY  # its name in the model
         self.origin_m = origin_m
         self._samples, self._contacts_act = samples, contacts_act
         self._flight = np.zeros(1, FLIGHT_DTYPE)
@@ -122,11 +123,6 @@ class Vehicle:
         self._parameters = np.zeros(1, PARAMETERS_DTYPE)
         self._time_s = np.zeros(1)
         self.contact_log = ContactLog()
-
-    @property
-    def body(self) -> str:
-        """The name of its body in the model."""
-        return self.prefix + BODY
 
     def bind(self, model: mujoco.MjModel, data: mujoco.MjData, name_of: Callable[[int], str]) -> None:
         """Fly in this model instead of any previous one; `name_of` returns the name of what a geom belongs to."""
@@ -150,17 +146,14 @@ class Vehicle:
         self._contact = data.sensordata[sensor : sensor + 1]
         self.model, self.data = model, data
         self.contact_log.bind(model, data, self.body_id, name_of)
-        self.handles = self._addresses(model, data)
-        self._handles_pointer = self.handles.ctypes.data_as(ctypes.POINTER(ctypes.c_int64))
-
-    def _addresses(self, model: mujoco.MjModel, data: mujoco.MjData) -> NDArray[np.int64]:
-        """Return the addresses that the hot loop works on, in the order of hotloop.views."""
         arrays = (self.qpos, self.qvel, self._force, self._contact, self._push)
         records = (self._parameters, self._flight, self._samples.record, self._samples.buffer)
         own = [array.ctypes.data for array in (*arrays, *records)]
         fixed = [hotloop.mj_step_address(), model._address, data._address]
         free = [self._warm_start.ctypes.data, self._time_s.ctypes.data]
-        return np.array([*fixed, *own, len(self._samples.buffer), *free], np.int64)
+        # what the hot loop works on, in the order of hotloop.views
+        self.handles = np.array([*fixed, *own, len(self._samples.buffer), *free], np.int64)
+        self._handles_pointer = self.handles.ctypes.data_as(ctypes.POINTER(ctypes.c_int64))
 
     # --- state ------------------------------------------------------------------------------------
 
