@@ -252,8 +252,21 @@ class Vehicle:
             self.parameters[name] = gains[0]
 
     def set_airframe(self, mass_ratio: float, thrust_ratio: float) -> None:
-        """Scale its mass, and thrust and torque of its rotors, relative to its own."""
-        set_airframe(self.model, self._parameters, self._own_parameters, mass_ratio, thrust_ratio)
+        """Scale its mass and inertia, and thrust and torque of its rotors, relative to its own.
+
+        The autopilot keeps its gains. So does MuJoCo what it derives from the mass for contacts, since in the lane the
+        first contact ends a game.
+        """
+        model, own, body = self.model, self._own_parameters, self.body_id
+        for name in ("mass_kg", "inertia_kg_m2"):
+            self._parameters[name] = mass_ratio * own[name]
+        for name in ("max_thrust_n", "max_torque_n_m"):
+            self._parameters[name] = thrust_ratio * own[name]
+        mass_kg, inertia = self._parameters["mass_kg"][0], self._parameters["inertia_kg_m2"][0]
+        if model.body_mass[body] != mass_kg:
+            model.body_subtreemass[[0, body]] += mass_kg - model.body_mass[body]
+            model.body_mass[body], model.body_inertia[body] = mass_kg, inertia
+            model.dof_M0[:3], model.dof_M0[3:6] = mass_kg, inertia  # MuJoCo takes a free body's mass matrix from here
 
     # --- places -----------------------------------------------------------------------------------
 
@@ -362,25 +375,3 @@ class Vehicle:
     def rest(self, ticks: int) -> int:
         """Let ticks pass without moving."""
         return int(hotloop.ENTRY_POINTS.rest.ctypes(self._handles_pointer, ticks))
-
-
-def set_airframe(
-    model: mujoco.MjModel, parameters: NDArray[np.void], own: NDArray[np.void], mass_ratio: float, thrust_ratio: float
-) -> None:
-    """Set mass and inertia to `mass_ratio` times those of `own`, thrust and torque to `thrust_ratio` times.
-
-    Both records (1,) are of quadrotor.PARAMETERS_DTYPE; `parameters` and the model change in place. The autopilot keeps
-    its gains. So does MuJoCo what it derives from the mass for contacts, since in the lane the first contact ends a
-    game.
-    """
-    for name in ("mass_kg", "inertia_kg_m2"):
-        parameters[name] = mass_ratio * own[name]
-    for name in ("max_thrust_n", "max_torque_n_m"):
-        parameters[name] = thrust_ratio * own[name]
-    body = model.body(BODY).id
-    mass_kg, inertia = parameters["mass_kg"][0], parameters["inertia_kg_m2"][0]
-    if model.body_mass[body] == mass_kg:
-        return
-    model.body_subtreemass[[0, body]] += mass_kg - model.body_mass[body]
-    model.body_mass[body], model.body_inertia[body] = mass_kg, inertia
-    model.dof_M0[:3], model.dof_M0[3:6] = mass_kg, inertia  # MuJoCo takes a free body's mass matrix from here
