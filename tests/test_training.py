@@ -27,10 +27,9 @@ from uavaccel.records import RunDirectory
 from uavaccel.resources import asset
 from uavaccel.rl import lanes
 from uavaccel.rl.agents import make_agent
-from uavaccel.rl.checkpoint import find_checkpoint
 from uavaccel.rl.double_dqn import HostDQN
 from uavaccel.rl.lanes import make_lanes, start_exact_lanes
-from uavaccel.rl.learner import make_learner
+from uavaccel.rl.learner import find_checkpoint, make_learner
 from uavaccel.rl.policy import load_policy, trained_with, weights_sha256
 from uavaccel.suites import trainer
 from uavaccel.suites.evaluate import EvaluateConfig, fly_game

@@ -194,7 +194,7 @@ class Training(Suite[TrainConfig, SimpleCase]):
         """More games can be flown where there is a checkpoint to resume from."""
         if not (folder / CHECKPOINTS).is_dir():
             return ()
-        from uavaccel.rl.checkpoint import find_checkpoint
+        from uavaccel.rl.learner import find_checkpoint
 
         return ("games",) if find_checkpoint(folder / CHECKPOINTS) else ()
 

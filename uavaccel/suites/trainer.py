@@ -30,10 +30,9 @@ from uavaccel.errors import UserError
 from uavaccel.files import append_lines, to_json
 from uavaccel.records import RunDirectory
 from uavaccel.rl.agents import FLIGHT, evaluation_keys
-from uavaccel.rl.checkpoint import find_checkpoint, games_of, load_checkpoint, save_checkpoint
 from uavaccel.rl.config import learns_from_a_buffer
 from uavaccel.rl.lanes import make_lanes
-from uavaccel.rl.learner import Game, Learner, make_learner
+from uavaccel.rl.learner import Game, Learner, find_checkpoint, games_of, load_checkpoint, make_learner, save_checkpoint
 from uavaccel.rl.policy import export_policy, weights_sha256
 from uavaccel.sim.camera.camera import BlankCamera, make_cameras_with
 from uavaccel.suites.evaluate import EvaluateConfig
