@@ -198,7 +198,7 @@ def export(
             console.print(f"{onnx}: seen: {about['seen']}; actions: {actions}")
         written: list[Iterable[Path]] = []
         if csv is not None or parquet is not None:
-            from uavaccel.suites.tables import write_tables
+            from uavaccel.suites.report import write_tables
 
             tables = ((csv, "csv"), (parquet, "parquet"))
             written += [write_tables(open_run(source), folder, kind) for folder, kind in tables if folder is not None]
