@@ -282,7 +282,7 @@ def _write_episodes(
             steps = fly_again(run, config, environment, row)
             episode = file.create_group(f"episode_{number}")
             options = reset_options(config.env_id, number_of(row)).items()
-            numbers = {"id": number, "seed": game_seed(config, number_of(row))}
+            numbers: Json = {"id": number, "seed": game_seed(config, number_of(row))}
             numbers |= {f"options/{name}": value for name, value in options}
             episode.attrs.update(numbers | {"total_steps": len(steps)})
             for name, values in _columns(config, steps).items():
