@@ -72,7 +72,7 @@ class OutcomeRow(GameRow):
 
 
 class LaneRow(OutcomeRow):
-    """The row of a game in the obstacle lane, and of any game of a training."""
+    """The row of a game in the obstacle lane."""
 
     distance_m: Number
     lane: Count
@@ -86,12 +86,6 @@ def subset(row: Mapping[str, object], *keys: str) -> dict[str, Plain]:
 def named_seed(run_seed: int, name: str) -> np.random.SeedSequence:
     """Return the seed of a game by its name: the same in any subset of a run, and in any order."""
     return np.random.SeedSequence(run_seed, spawn_key=(zlib.crc32(name.encode()),))
-
-
-def with_lane(ended: Info, number: int) -> Info:
-    """Return an info with what environments without lanes lack: the game's number as its lane, metres north."""
-    known = {"lane": number} | ended
-    return known if "distance_m" in known else known | {"distance_m": ended["position_m"][0]}
 
 
 def number_of(row: Mapping[str, Plain]) -> int:

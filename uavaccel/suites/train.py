@@ -41,7 +41,7 @@ from uavaccel.suites import paper_results, plots
 from uavaccel.suites.experiment import Experiment
 from uavaccel.suites.host_time import cumulative_wall_s, over_all_starts
 from uavaccel.suites.report import Report, Summary, disturbed_games, disturbed_words, summary_table
-from uavaccel.suites.rows import LaneRow, Row
+from uavaccel.suites.rows import OutcomeRow, Row
 from uavaccel.suites.suite import GameResult, SimpleCase, Suite
 
 if TYPE_CHECKING:  # they load what draws, and PyTorch
@@ -79,9 +79,11 @@ class TrainConfig(LearnerConfig, Experiment):
 _Return = TypedDict("_Return", {"return": Number})  # a keyword of Python's
 
 
-class TrainRow(LaneRow, _Return):
-    """The row of a game of a training."""
+class TrainRow(OutcomeRow, _Return):
+    """The row of a game of a training; `lane` and `distance_m` where the task has them."""
 
+    lane: NotRequired[Count]
+    distance_m: NotRequired[Number]
     game: Count
     environment: Count
     exploration: NotNegative | None

@@ -39,7 +39,7 @@ from uavaccel.sim.camera.camera import BlankCamera, make_cameras_with
 from uavaccel.suites.evaluate import EvaluateConfig
 from uavaccel.suites.evaluate_lanes import GamesInBatch
 from uavaccel.suites.event_file import EventFile
-from uavaccel.suites.rows import Row, game_row, number_of, with_lane
+from uavaccel.suites.rows import Row, game_row, number_of
 from uavaccel.suites.suite import GameResult
 from uavaccel.suites.train import CHECKPOINTS, EVALUATIONS, RECENT, TrainConfig, TrainRow, evaluations, game_case
 from uavaccel.units import NS_PER_S
@@ -188,11 +188,9 @@ class GameRows:
 
     def _finished(self, game: Game, learning: Stopwatch) -> GameResult:
         wall_s = (self._clock.now_ns() - self._start_ns) / NS_PER_S
-        info = with_lane(game.info, game.number)
         row: TrainRow = {
-            **game_row("train", game_case(game.number), info, self._t_move_s),
-            "lane": info["lane"],
-            "distance_m": info["distance_m"],
+            **game_row("train", game_case(game.number), game.info, self._t_move_s),
+            **{key: game.info[key] for key in ("lane", "distance_m") if key in game.info},  # type: ignore[typeddict-item]
             "game": game.number,
             "environment": game.lane,
             "return": game.reward,
