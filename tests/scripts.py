@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import os
+import signal
 import sys
 import textwrap
+import threading
 from pathlib import Path
 from typing import NamedTuple
 
 import pytest
 
+from tests.processes import command_line, descendants
 from uavaccel.cli.main import main
 
 ROOT = Path(__file__).parents[1]
+PATIENCE_S = 240.0  # after which a flight that does not end is a failure
 
 
 class Flown(NamedTuple):
@@ -21,6 +25,13 @@ class Flown(NamedTuple):
     returncode: int
     stdout: str
     stderr: str
+
+
+def end_flights() -> None:
+    """Kill the scripts' processes that this one has started."""
+    for pid in descendants(os.getpid()):
+        if "uavaccel.fly.process" in command_line(pid):
+            os.kill(pid, signal.SIGKILL)
 
 
 class Folder:
@@ -41,6 +52,8 @@ class Folder:
         self._patch.setattr(sys, "argv", ["uavaccel", "fly", *words])
         self._patch.setenv("HOME", str(self.home))
         self._patch.chdir(ROOT)
+        late = threading.Timer(PATIENCE_S, end_flights)
+        late.start()
         kept = os.dup(0)
         (typed := self.path / "typed").write_text(answers)
         with typed.open() as file:
@@ -49,6 +62,7 @@ class Folder:
             with pytest.raises(SystemExit) as ended:
                 main()
         finally:
+            late.cancel()
             os.dup2(kept, 0)
             os.close(kept)
         assert isinstance(ended.value.code, int)
