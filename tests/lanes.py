@@ -10,8 +10,9 @@ import mujoco
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
+from uavaccel.envs.arrays import select
 from uavaccel.envs.flight_env import FlightEnv
-from uavaccel.envs.values import Info, select
+from uavaccel.envs.values import Info
 from uavaccel.sim.lane import HULL_RADIUS_M, LENGTH_M, WIDTH_M, LaneLayout, object_name
 
 

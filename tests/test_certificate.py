@@ -365,7 +365,7 @@ def test_an_episode_that_failed_forbids_a_certificate() -> None:
         ({"seed": -1}, "seed: must be 0 to "),
         ({"calibration": "none.json"}, "none.json: No such file"),
         ({"success": "won"}, "success = 'won': the last info of an episode has no such key; it has is_success, "),
-        ({"chunk": 0}, "chunk: must be a count of actions"),
+        ({"chunk": 0}, "chunk: must be 1 to 4,096 actions"),
         ({"env": "Nowhere-v0"}, "environment 'Nowhere-v0': Environment `Nowhere` doesn't exist"),
         ({"env": 7}, "env: must be the id of an environment, or a function that makes one, not 7"),
     ],

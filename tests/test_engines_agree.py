@@ -23,6 +23,7 @@ from tests.host_kernels import a_gpu, host_kernels  # noqa: F401 - fixtures
 from tests.lanes import SideBySide, assert_same, stored
 from tests.own_tasks import Post, Spin
 from uavaccel.envs import kernel_games
+from uavaccel.envs.arrays import mapped, select
 from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.gates import Gates
 from uavaccel.envs.hover import Hover
@@ -30,7 +31,6 @@ from uavaccel.envs.kernel_batch import KernelBatch
 from uavaccel.envs.navigate import Navigate
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.envs.simulators import CUDA, check_flyable
-from uavaccel.envs.values import mapped, select
 from uavaccel.errors import UserError
 from uavaccel.kernels import timeline as wire
 from uavaccel.kernels.appearance import empty_scenes, fill_scenes, read_appearance

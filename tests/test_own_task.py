@@ -9,11 +9,16 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import torch as th
 
 from tests.conftest import forget_own_code
+from tests.host_kernels import host_kernels  # noqa: F401 - a fixture
 from tests.running import fly_into, run_into
 from uavaccel.records import RunDirectory
 from uavaccel.rl.agents import make_agent
+from uavaccel.rl.double_dqn import DeviceDQN
+from uavaccel.rl.learner import Game
+from uavaccel.rl.policy import weights_sha256
 from uavaccel.suites.evaluate import Evaluation
 from uavaccel.suites.session import RunRequest, reading, schema_of
 from uavaccel.suites.train import CHECKPOINTS, Training
@@ -108,6 +113,21 @@ def test_both_simulators_train_it(task: str, algorithm: str, simulator: str, her
         assert (kept["env_id"], kept["task"]["near_m"]) == (f"post.py:{task}", 1.0)
     figures = {path.stem for path in (here / "run/figures").glob("*.png")}
     assert {"learning_games", "progress"} <= figures
+
+
+@pytest.mark.usefixtures("host_kernels")
+def test_double_dqn_learns_it_with_its_lanes_on_a_gpu(here: Path) -> None:
+    from uavaccel.envs.cuda_lanes import CudaLanes
+
+    with reading(RunRequest(yaml_of(here, "Post", "kernels"), {}, ["device=cuda"])) as (_, config):
+        learner = DeviceDQN(config, CudaLanes(config.task, 2, th.device("cpu")))
+        before = weights_sha256(learner.policy)
+        games: list[Game] = []
+        while len(games) < 6:
+            games += learner.advance()
+    th.use_deterministic_algorithms(False)
+    assert [game.number for game in games] == list(range(6))
+    assert weights_sha256(learner.policy) != before
 
 
 @pytest.mark.parametrize(("task", "kind"), [("Post", int), ("Free", float)])

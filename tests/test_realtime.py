@@ -279,13 +279,13 @@ HOVER: dict[str, Any] = {"timing": "virtual"}
         ({"clock_speed": "2"}, "clock_speed must be a finite number"),
         ({"clock_speed": 1e300}, "clock_speed must be 0.001 to 100000, not 1e"),
         ({"chunk": 2, "execute": 3}, "execute: must be at most chunk = 2, not 3"),
-        ({"chunk": 0}, "chunk: must be a count of actions, 1 to 4096, not 0"),
-        ({"chunk": 10**9}, "chunk: must be a count of actions, 1 to 4096, not 1"),
+        ({"chunk": 0}, "chunk: must be 1 to 4,096 actions, not 0"),
+        ({"chunk": 10**9}, "chunk: must be 1 to 4,096 actions, not 1"),
         ({"chunk": 3}, r"action: must be a chunk of 3, not of shape \(1,\)"),
         ({"default_action": [3.0]}, "default_action: .* is not in Box"),
         ({"default_action": "up"}, "default_action: 'up' is not in Box"),
         ({"period_s": 0}, "period_s: must be a number of seconds, 1e-9 to 1e6, not 0"),
-        ({"observe_actions": -1}, "observe_actions: must be a count of actions, 0 to 4096, not -1"),
+        ({"observe_actions": -1}, "observe_actions: must be 0 to 4,096 actions, not -1"),
     ],
 )
 def test_a_value_that_does_not_fit_is_one_line(keys: dict[str, Any], said: str) -> None:

@@ -244,7 +244,7 @@ def test_hundreds_of_sets_of_options_fly_what_a_second_simulation_does_or_are_re
     ("env", "said"),
     [
         (RealTime(Ticking(), 0.0, period_s=0.02), "RealTime is in real time already"),
-        (Physical(0, 0.01), "Physical.frame_skip: must be a count of physics steps, 1 or more, not 0"),
+        (Physical(0, 0.01), "Physical.frame_skip: must be 1 to 1,000,000,000 physics steps, not 0"),
         (Physical(5, float("nan")), r"Physical.model.opt.timestep: must be a number of seconds, .* not nan"),
     ],
 )

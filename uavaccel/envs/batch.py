@@ -18,10 +18,11 @@ from numpy import bool_, float64, int64
 from numpy.typing import NDArray
 
 from uavaccel.config import MOST_GAMES, MOST_PROCESSES
-from uavaccel.envs.checks import actions_of, autoreset_of, check_render_mode, make_task, seeds_of, whole_number
+from uavaccel.envs.arrays import mapped, select
+from uavaccel.envs.checks import actions_of, check_render_mode, make_task, seeds_of, whole_number
 from uavaccel.envs.environment_process import EnvironmentProcesses, observations_of
 from uavaccel.envs.flight_env import FlightEnv
-from uavaccel.envs.values import Actions, Answer, Batch, Info, Observation, Steps, mapped, select
+from uavaccel.envs.values import Actions, Answer, Batch, Info, Observation, Steps
 from uavaccel.errors import UserError
 from uavaccel.machine import usable_cores
 from uavaccel.own_code import folder_of
@@ -33,7 +34,9 @@ def set_up(batch: Any, environment: type[FlightEnv[Any]], num_envs: int, mode: o
     """Give a batch what Gymnasium's vectors have, and its task, which is returned. Raises UserError for wrong keys."""
     batch.task = task = make_task(environment.task_class, keys, environment.__name__)
     whole_number("num_envs", num_envs, MOST_GAMES)
-    batch.num_envs, batch.metadata = num_envs, {**environment.metadata, "autoreset_mode": autoreset_of(mode)}
+    if mode not in (known := [each.value for each in AutoresetMode]) and not isinstance(mode, AutoresetMode):
+        raise UserError(f"autoreset_mode = {mode!r} is unknown; there are {', '.join(known)}")
+    batch.num_envs, batch.metadata = num_envs, {**environment.metadata, "autoreset_mode": AutoresetMode(mode)}
     batch.single_observation_space, batch.single_action_space = task.observation_space(), task.action_space()
     batch.observation_space = batch_space(batch.single_observation_space, num_envs)
     batch.action_space = batch_space(batch.single_action_space, num_envs)

@@ -13,30 +13,33 @@ from numpy.typing import NDArray
 
 from uavaccel.envs.sensors import PICTURE_SIZE
 from uavaccel.envs.stopwatch import Stopwatch
-from uavaccel.kinematics import FlightGoal, Kinematics
+from uavaccel.kinematics import Kinematics
 from uavaccel.sim.camera.view import AnyImage
 from uavaccel.vision.guard import GuardSettings, GuardState, acquire
 from uavaccel.vision.noise import ImageNoise
 from uavaccel.vision.perturb import AutoExposure, PerturbationSettings, perturb_share
 from uavaccel.wire.game_api import Collision
 from uavaccel.wire.session import Client
-from uavaccel.wire.transport import PendingCall
 
 if TYPE_CHECKING:  # they load what is compiled, and the simulation
     from uavaccel.vision.dvs import Counts, DvsSensor, EventCounter
     from uavaccel.wire.session import Session
 
 
+NO_IMAGE = np.zeros((0, 0), np.uint8)
+
+
 class Sample(NamedTuple):
-    """A gathered sample: the state, its picture, and how often the picture was requested again."""
+    """A gathered sample: the state, its picture, how often that was requested again, and `Client.collision`."""
 
     state: Kinematics
     image: AnyImage
-    retries: int
+    retries: int = 0
+    collision: Collision | None = None
 
 
-class GuardedClient:
-    """Wraps `client` to take pictures of `kind` through the guard; a subclass defines what a sample is.
+class CameraClient:
+    """A `MissionClient` around `client` whose samples are states with pictures of `kind`, taken through the guard.
 
     Depths have no brightness and are not guarded. `perturbation` corrupts a share of the received pictures, `exposure`
     changes their brightness; by default both are off.
@@ -52,17 +55,23 @@ class GuardedClient:
         size: tuple[int, int] = PICTURE_SIZE,
     ) -> None:
         self.client = client
+        self.now_ns, self.kinematics, self.pause, self.run = client.now_ns, client.kinematics, client.pause, client.run
+        self.move_async, self.join, self.continue_for = client.move_async, client.join, client.continue_for
         self._kind, self._size = kind, size
         self._guard, self._guard_state = guard or GuardSettings(), GuardState()
         self._perturbation, self._exposure = perturbation, exposure
         self._ran_ns = 0  # wall time for which the simulation ran
         self._received = 0
 
-    def take(self, state: Kinematics) -> Sample:
+    @property
+    def clock_speed(self) -> float:
+        return self.client.clock_speed
+
+    def read_sample(self, state: Kinematics) -> Sample:
         """Take a picture of the present state; the simulation has to be paused."""
         self._ran_ns = round(state.time_ns / self.clock_speed)
         if self._kind == "depth":
-            return Sample(state, self._receive(), 0)
+            return Sample(state, self._receive())
         acquisition = acquire(self._guard_state, self._receive, self._guard)
         self._guard_state = acquisition.state
         return Sample(state, acquisition.image, acquisition.retries)
@@ -75,40 +84,6 @@ class GuardedClient:
         if self._perturbation is None:
             return image
         return perturb_share(image, self._perturbation, self._received)[0]
-
-    # --- the wrapped client -------------------------------------------------------------------------
-
-    @property
-    def clock_speed(self) -> float:
-        return self.client.clock_speed
-
-    def now_ns(self) -> int:
-        return self.client.now_ns()
-
-    def move_async(self, goal: FlightGoal, t_move_s: float) -> PendingCall:
-        return self.client.move_async(goal, t_move_s)
-
-    def join(self, future: PendingCall, deadline_ns: int | None = None) -> bool:
-        return self.client.join(future, deadline_ns)
-
-    def pause(self) -> None:
-        self.client.pause()
-
-    def run(self) -> None:
-        self.client.run()
-
-    def continue_for(self, duration_ns: int) -> Kinematics:
-        return self.client.continue_for(duration_ns)
-
-    def kinematics(self) -> Kinematics:
-        return self.client.kinematics()
-
-
-class CameraClient(GuardedClient):
-    """A `MissionClient` whose samples are states with pictures."""
-
-    def read_sample(self, state: Kinematics) -> Sample:
-        return self.take(state)
 
 
 class EventClient(CameraClient):
@@ -149,19 +124,8 @@ class EventClient(CameraClient):
         return both.astype(np.uint8 if both.max() < 256 else np.uint16).swapaxes(0, 1) if both.size else both
 
 
-NO_IMAGE = np.zeros((0, 0), np.uint8)
-
-
-class FlightSample(NamedTuple):
-    """A gathered sample; `collision` is that of Client.collision."""
-
-    state: Kinematics
-    image: AnyImage
-    collision: Collision | None
-
-
-class FlightClient(GuardedClient):
-    """Gathers flight samples, with pictures of `kind` unless that is None; `stopwatches` measure the rendering.
+class FlightClient(CameraClient):
+    """Gathers samples with pictures of `kind`, unless that is None, before a collision; `stopwatches` measure them.
 
     Noise is added after the guard, which sees pictures as they were rendered.
     """
@@ -170,19 +134,15 @@ class FlightClient(GuardedClient):
         self, client: Client, kind: str | None, stopwatches: Sequence[Stopwatch], size: tuple[int, int] = PICTURE_SIZE
     ) -> None:
         super().__init__(client, kind or "", size=size)
-        self.noise = ImageNoise()
-        self._wants_image = kind is not None
-        self._stopwatches = stopwatches
+        self.noise, self._stopwatches = ImageNoise(), stopwatches
 
-    def read_sample(self, state: Kinematics) -> FlightSample:
+    def read_sample(self, state: Kinematics) -> Sample:
         collision = self.client.collision()
-        image = NO_IMAGE
-        if self._wants_image and not collision:
-            self._switch("rendering")
-            image = self.noise.add(self.take(state).image, state.time_ns)
-            self._switch("simulation")
-        return FlightSample(state, image, collision)
-
-    def _switch(self, phase: str) -> None:
+        if collision or not self._kind:
+            return Sample(state, NO_IMAGE, collision=collision)
         for stopwatch in self._stopwatches:
-            stopwatch.switch(phase)
+            stopwatch.switch("rendering")
+        image = self.noise.add(super().read_sample(state).image, state.time_ns)
+        for stopwatch in self._stopwatches:
+            stopwatch.switch("simulation")
+        return Sample(state, image, collision=collision)

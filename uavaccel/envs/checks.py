@@ -11,7 +11,6 @@ from typing import Any, TypeVar, get_args
 
 import numpy as np
 from gymnasium import spaces
-from gymnasium.vector import AutoresetMode
 
 from uavaccel.config import validate
 from uavaccel.envs.task import Task
@@ -78,15 +77,6 @@ def whole_number(name: str, value: object, most: int) -> int:
     return int(value)
 
 
-def autoreset_of(mode: object) -> AutoresetMode:
-    """Return the mode of that name. Raises UserError for an unknown one."""
-    try:
-        return AutoresetMode(mode)
-    except ValueError:
-        known = ", ".join(each.value for each in AutoresetMode)
-        raise UserError(f"autoreset_mode = {mode!r} is unknown; there are {known}") from None
-
-
 def known_options(options: Mapping[str, object] | None, known: Sequence[str]) -> Mapping[str, object]:
     """Return the options of a reset. Raises UserError for no mapping, and for one that is not among the `known`."""
     if options is None:
@@ -133,6 +123,11 @@ class Functions:
         except Exception as error:  # of the call itself, as for a wrong number of arguments
             raise self.wrong(name, f"{type(error).__name__}: {error}") from error
 
+    def mapping(self, name: str, *arguments: object) -> Mapping[str, Any]:
+        if not isinstance(returned := self(name, *arguments), Mapping):
+            raise self.wrong(name, f"returned {returned!r}: must be a mapping")
+        return returned
+
     def wrong(self, name: str, what: str) -> UserError:
         place = "" if self._file is None else f"{self._file}: "
         return UserError(f"{place}{type(self._task).__name__}.{name.removeprefix('lane_')}: {what}")
@@ -146,12 +141,11 @@ def check_functions(task: Task) -> None:
     actions = call("action_space")
     if not (isinstance(actions, spaces.Discrete) or (isinstance(actions, spaces.Box) and len(actions.shape) == 1)):
         raise call.wrong("action_space", f"must return a Discrete, or a Box of shape (n,), not {actions!r}")
-    course = call("sample", np.random.default_rng(0), {})
+    course = call.mapping("sample", np.random.default_rng(0), {})
     try:
         json.dumps(course)
     except (TypeError, ValueError) as error:
         raise call.wrong("sample", f"must return plain numbers, and lists and mappings of them: {error}") from error
-    _mapping(call, "sample", course)
     call("lane_layout", course)
     state = replace(AT_REST, position_m=(0.0, 0.0, -task.altitude_m))
     _check_features(task, call, state, course)
@@ -162,18 +156,12 @@ def check_functions(task: Task) -> None:
         raise call.wrong("goal", f"must return a goal of uavaccel.kinematics, such as VelocityGoal, not {goal!r}")
     begun = Moment(state, state.position_m, None, 0, course)
     now = begun._replace(commands=1)
-    now = now._replace(course=_mapping(call, "advance", call("advance", begun, now)))
+    now = now._replace(course=call.mapping("advance", begun, now))
     for name in ("success", "failure"):
         if not isinstance(ended := call(name, now), bool | np.bool_):
             raise call.wrong(name, f"returned {ended!r}: must be True or False")
     check_reward(task, call("reward", begun, now))
-    _mapping(call, "info", call("info", now))
-
-
-def _mapping(call: Functions, name: str, returned: object) -> Mapping[str, Any]:
-    if not isinstance(returned, Mapping):
-        raise call.wrong(name, f"returned {returned!r}: must be a mapping")
-    return returned
+    call.mapping("info", now)
 
 
 def _check_features(task: Task, call: Functions, state: Kinematics, course: Mapping[str, Any]) -> None:
@@ -183,9 +171,8 @@ def _check_features(task: Task, call: Functions, state: Kinematics, course: Mapp
     try:
         numbers = np.asarray(call(name, state, course), np.float32)
     except (TypeError, ValueError) as error:
-        raise call.wrong(
-            name, f"must return numbers, in lists of equal length: {str(error).partition('. ')[0]}"
-        ) from error
+        said = str(error).partition(". ")[0]
+        raise call.wrong(name, f"must return numbers, in lists of equal length: {said}") from error
     if not np.isfinite(numbers).all():
         raise call.wrong(name, f"returned a number that is not finite: {numbers.tolist()}")
     space = call("observation_space")

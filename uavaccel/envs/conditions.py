@@ -84,11 +84,7 @@ class Ranges(Config):
         for name in self.shares:
             if name not in ranges:
                 raise ValueError(f"shares.{name}: there is no range of it; there are {', '.join(ranges) or 'none'}")
-        return self
-
-    @model_validator(mode="after")
-    def _something_is_drawn(self) -> Self:
-        if self.model_fields_set and not self.given():
+        if self.model_fields_set and not ranges:
             raise ValueError("needs a range of what is to be drawn, as wind_m_s: [0, 3]")
         return self
 

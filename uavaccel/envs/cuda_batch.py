@@ -15,13 +15,14 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv
 from numpy.typing import NDArray
 
+from uavaccel.envs.arrays import mapped
 from uavaccel.envs.batch import set_up
 from uavaccel.envs.checks import ROUNDING, seeds_of
 from uavaccel.envs.cuda_games import SampledAhead
 from uavaccel.envs.cuda_lanes import CudaLanes
 from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.simulators import CUDA
-from uavaccel.envs.values import State, mapped
+from uavaccel.envs.values import State
 from uavaccel.errors import UserError
 
 DEVICE = CUDA
@@ -102,10 +103,10 @@ class CudaBatch(VectorEnv[Any, Any, Any]):
         ended = lanes.rewards.clone(), lanes.terminated.clone(), lanes.truncated.clone()
         return mapped(th.clone, lanes.observations), *ended, infos
 
-    def charge_each(self, durations_ns: NDArray[np.int64]) -> None:
+    def charge_each(self, durations_ns: NDArray[np.int64], phase: str = "inference") -> None:
         """In timing `virtual`, charge each environment (N,) for its agent's work since its last command."""
         if self._lanes.clocks is not None and self.task.timing == "virtual":
-            self._lanes.clocks.charge(th.as_tensor(durations_ns, device=self.device), "inference")
+            self._lanes.clocks.charge(th.as_tensor(durations_ns, device=self.device), phase)
 
     def _read_an_earlier_step(self) -> None:
         """Let games be sampled where they have begun, and check the actions, of the step some steps ago."""

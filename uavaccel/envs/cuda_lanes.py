@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch as th
 
+from uavaccel.envs.arrays import assign_where, joined, mapped, named_leaves, one_of, select, stacked
 from uavaccel.envs.cuda_clocks import DeviceClocks
 from uavaccel.envs.cuda_games import games_of
 from uavaccel.envs.cuda_view import view_of
@@ -21,7 +22,7 @@ from uavaccel.envs.kernel_games import plan_of, since_ns_of, slices_of
 from uavaccel.envs.simulators import CUDA, check_flyable, passes_together, profile_of
 from uavaccel.envs.stopwatch import PHASES
 from uavaccel.envs.task import Mediation
-from uavaccel.envs.values import Info, State, assign_where, joined, mapped, named_leaves, one_of, select, stacked
+from uavaccel.envs.values import Info, State
 from uavaccel.kernels import cuda as kernels
 from uavaccel.kernels import lanes
 from uavaccel.kernels.fields import DVS, STATE

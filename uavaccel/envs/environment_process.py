@@ -31,8 +31,9 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 
 from uavaccel.clock import MonotonicClock
+from uavaccel.envs.arrays import assign, select
 from uavaccel.envs.flight_env import FlightEnv, environment_of
-from uavaccel.envs.values import Action, Answer, Info, Observation, assign, select
+from uavaccel.envs.values import Action, Answer, Info, Observation
 from uavaccel.errors import UserError
 from uavaccel.own_code import errors_named, file_of
 from uavaccel.processes.forks import CAN_FORK, WITHOUT_THREADS, Fork, Forks, fork_each

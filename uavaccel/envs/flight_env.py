@@ -38,12 +38,21 @@ from uavaccel.sim.camera import gl
 from uavaccel.units import NS_PER_S, plain, seconds_to_ns
 
 if TYPE_CHECKING:  # a task can be made without what flies it
-    from uavaccel.envs.camera_client import FlightClient, FlightSample
+    from uavaccel.envs.camera_client import FlightClient, Sample
     from uavaccel.envs.observer import Observer
     from uavaccel.sim.recording import Recording
     from uavaccel.wire.session import Session
 
 CONDITIONS: Final = "conditions"  # key in the course of a game with sampled conditions
+
+
+def sample_game(
+    task: Task, random: np.random.Generator, games: int, options: Mapping[str, object]
+) -> tuple[Course, np.random.SeedSequence]:
+    """Sample the next game of an environment that has had `games` before: its course, and the seed of its latencies."""
+    course, latencies = task.sample(random, options), np.random.SeedSequence(int(random.integers(2**63)))
+    conditions = task.sample_conditions(random, games)
+    return {**course, CONDITIONS: conditions} if conditions else course, latencies
 
 
 class FlightEnv(gymnasium.Env[Observation, Action], Generic[TaskT]):
@@ -92,10 +101,7 @@ class FlightEnv(gymnasium.Env[Observation, Action], Generic[TaskT]):
         options = known_options(options, self.task.reset_options)
         self._games, self._flown = self._games + 1 if seed is None else 1, []
         self._begun, self._options = self._next_game(), options
-        course = self.task.sample(self.np_random, options)
-        latencies = np.random.SeedSequence(int(self.np_random.integers(2**63)))
-        conditions = self.task.sample_conditions(self.np_random, self._games - 1)
-        self._start_game({**course, CONDITIONS: conditions} if conditions else course, latencies)
+        self._start_game(*sample_game(self.task, self.np_random, self._games - 1, options))
         return self._observation(), self._info()
 
     def step(self, action: Action) -> tuple[Observation, float, bool, bool, Info]:
@@ -316,7 +322,7 @@ class FlightEnv(gymnasium.Env[Observation, Action], Generic[TaskT]):
         if before is not None and gap.start_speed is not None:
             self._session.resume(before, gap.start_speed)
 
-    def _observe(self, sample: FlightSample) -> Frame:
+    def _observe(self, sample: Sample) -> Frame:
         self._switch("image_processing")
         frame = self.sensor.blank
         if not self.task.blank_images:

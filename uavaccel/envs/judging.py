@@ -14,11 +14,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from gymnasium import spaces
 
+from uavaccel.envs.arrays import cast, full, joined, mapped, namespace_of
 from uavaccel.envs.checks import check_reward
 from uavaccel.envs.sensors import NO_ACTION
 from uavaccel.envs.stopwatch import PHASES
 from uavaccel.envs.task import RAD, Task
-from uavaccel.envs.values import Action, Collisions, Info, Moments, Number, cast, full, joined, mapped, namespace_of
+from uavaccel.envs.values import Action, Collisions, Info, Moments, Number
 from uavaccel.errors import UserError
 from uavaccel.kernels.bodies import Surroundings
 from uavaccel.kinematics import AttitudeGoal, BodyRatesGoal, FlightGoal, Kinematics, VelocityGoal
@@ -32,45 +33,28 @@ from uavaccel.units import NS_PER_S
 class Running(NamedTuple):
     """What n running games carry from one command to the next: arrays (n, ...)."""
 
-    course: Mapping[str, Any]
-    """As in `Moments`."""
-    numbers: Number
-    """(n, KINEMATICS) float64: the state of the last sample, of those before a collision."""
-    time_ns: Number
-    """(n,) int64: its simulated time."""
-    position_m: Number
-    """(n, 3) float64: position or, after a collision, first contact; NED."""
-    collision: Number
-    """(n,) int64: index into the names of all that can be hit, -1 without a collision."""
-    commands: Number
-    """(n,) int64."""
-    actions: Number
-    """(n,) int64: the last discrete action, NO_ACTION before the first."""
-    taken_ns: Number
-    """(n, frames) int64: when the frames of the observation were taken."""
-    observations: Any
-    """(n, ...), or a mapping of such arrays."""
+    course: Mapping[str, Any]  # as in `Moments`
+    numbers: Number  # (n, KINEMATICS) float64: the state of the last sample, of those before a collision
+    time_ns: Number  # (n,) int64: its simulated time
+    position_m: Number  # (n, 3) float64: position or, after a collision, first contact; NED
+    collision: Number  # (n,) int64: index into the names of all that can be hit, -1 without a collision
+    commands: Number  # (n,) int64
+    actions: Number  # (n,) int64: the last discrete action, NO_ACTION before the first
+    taken_ns: Number  # (n, frames) int64: when the frames of the observation were taken
+    observations: Any  # (n, ...), or a mapping of such arrays
 
 
 class Flown(NamedTuple):
-    """How a command was flown in n games: arrays (n, ...)."""
+    """How a command was flown in n games, with S samples: arrays (n, ...)."""
 
-    numbers: Number
-    """(n, KINEMATICS) float64: the state at its end."""
-    tick: Number
-    """(n,) int64: the tick at its end."""
-    position_m: Number
-    """(n, 3) float64: as in `Running`."""
-    collision: Number
-    """(n,) int64: as in `Running`."""
-    ticks: Number
-    """(n, S) int64: ticks of its samples."""
-    taken: Number
-    """(n,) int64: number of samples before a collision."""
-    samples: Number
-    """(n, S, KINEMATICS) float64: the states of the samples."""
-    pictures: Number
-    """(n, S, ...): the frames of the samples, blank where there is none; not read with observation "state"."""
+    numbers: Number  # (n, KINEMATICS) float64: the state at its end
+    tick: Number  # (n,) int64: the tick at its end
+    position_m: Number  # (n, 3) float64: as in `Running`
+    collision: Number  # (n,) int64: as in `Running`
+    ticks: Number  # (n, S) int64: ticks of its samples
+    taken: Number  # (n,) int64: number of samples before a collision
+    samples: Number  # (n, S, KINEMATICS) float64: the states of the samples
+    pictures: Number  # (n, S, ...): their frames, blank where there is none; not read with observation "state"
 
 
 class Judged(NamedTuple):

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from uavaccel.clock import MonotonicClock
 from uavaccel.config import MOST_PROCESSES
+from uavaccel.envs.arrays import assign, mapped, named_leaves, one_of, select, stacked
 from uavaccel.envs.batch import TurnBatch, set_up
 from uavaccel.envs.checks import actions_of, whole_number
 from uavaccel.envs.flight_env import CONDITIONS, FlightEnv
@@ -26,22 +27,7 @@ from uavaccel.envs.sensors import NO_ACTION, blank_frame
 from uavaccel.envs.simulators import CPU, check_flyable, kind_of, profile_of
 from uavaccel.envs.stopwatch import PHASES
 from uavaccel.envs.task import Task
-from uavaccel.envs.values import (
-    Actions,
-    Answer,
-    Frame,
-    Info,
-    Observation,
-    SavedState,
-    State,
-    Steps,
-    assign,
-    mapped,
-    named_leaves,
-    one_of,
-    select,
-    stacked,
-)
+from uavaccel.envs.values import Actions, Answer, Frame, Info, Observation, SavedState, State, Steps
 from uavaccel.errors import UserError
 from uavaccel.kernels import cpu, events, timeline
 from uavaccel.kernels import lanes as rows

@@ -6,14 +6,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from uavaccel.commands import samples_due
 from uavaccel.envs.checks import known_options
-from uavaccel.envs.flight_env import CONDITIONS
+from uavaccel.envs.flight_env import CONDITIONS, sample_game
 from uavaccel.envs.sensors import PICTURE_SIZE
 from uavaccel.envs.simulators import clutter_of, kind_of, latency_of, profile_of, speed_of
 from uavaccel.envs.task import AnyLayout, Task
@@ -40,8 +40,7 @@ class Drawn(NamedTuple):
     """A sampled game before it begins."""
 
     course: Course
-    task: Task
-    """The task under the game's conditions."""
+    task: Task  # under the game's conditions
     layout: AnyLayout | None
     latencies: np.random.SeedSequence
 
@@ -60,26 +59,20 @@ class GameMaker:
         self.surroundings: Surroundings = read_surroundings(self._world.model)
         self.sees = kind_of(task) != STATE
         self.in_lane = task.scene == "lane" and task.picture_size == PICTURE_SIZE
-        self.looks = self._read_looks()
+        self.looks: Appearance | Looks = NO_LOOKS if clutter_of(task) else NO_APPEARANCE  # without images of that type
+        if self.sees and self.in_lane:
+            self.looks = read_appearance(self._world.model)
+        elif self.sees:
+            self.looks = read_looks(self._world.model, task.picture_size, task.observation == "depth")
         self.nominal = self._world.lead.parameters.copy()
         self._start = lru_cache(maxsize=64)(self._settled)
 
-    def _read_looks(self) -> Appearance | Looks:
-        """Return what images are rendered from; without images something of the same type."""
-        if self.sees and self.in_lane:
-            return read_appearance(self._world.model)
-        if self.sees:
-            return read_looks(self._world.model, self.task.picture_size, self.task.observation == "depth")
-        return NO_LOOKS if clutter_of(self.task) else NO_APPEARANCE
-
     def sample(self, random: np.random.Generator, games: int, options: Mapping[str, object] | None = None) -> Drawn:
         """Sample the next game of an environment that has had `games` before. Raises UserError for wrong options."""
-        course = self.task.sample(random, known_options(options, self.task.reset_options))
-        latencies = np.random.SeedSequence(int(random.integers(2**63)))
-        conditions = self.task.sample_conditions(random, games)
-        task = self.task.with_conditions(conditions)
-        layout = task.lane_layout(course)
-        return Drawn({**course, CONDITIONS: conditions} if conditions else course, task, layout, latencies)
+        known = known_options(options, self.task.reset_options)
+        course, latencies = sample_game(self.task, random, games, known)
+        task = self.task.with_conditions(course.get(CONDITIONS, {}))
+        return Drawn(course, task, task.lane_layout(course), latencies)
 
     def rows(self, count: int) -> Games:
         """Allocate rows for `count` games."""
@@ -106,9 +99,7 @@ class GameMaker:
         seed = noise_seed(drawn.latencies)
         games.seeds[row] = seed, task.events_seed(seed)
 
-    def _settled(
-        self, altitude_m: float, mass_ratio: float, thrust_ratio: float
-    ) -> tuple[np.void, np.void, NDArray[np.float64]]:
+    def _settled(self, altitude_m: float, mass_ratio: float, thrust_ratio: float) -> tuple[np.void, np.void, Any]:
         """Return parameters, state and body (BODY_FIELDS,) of a settled hover. Raises UserError if none is possible."""
         world = self._world
         world.lead.set_airframe(mass_ratio, thrust_ratio)
@@ -129,13 +120,10 @@ def keys_of(task: Task, games: Sequence[Drawn]) -> dict[str, NDArray[np.float64]
 class Slices(NamedTuple):
     """What is flown in each command where no message takes time (`passes_together`), S samples."""
 
-    ticks: NDArray[np.int64]
-    """(S,): ticks from each sample to the next, the first from the command's beginning."""
-    wall_ns: NDArray[np.int64]
-    """(S,): wall time that each takes in lockstep, the gap before a command with its first."""
+    ticks: NDArray[np.int64]  # (S,): from each sample to the next, the first from the command's beginning
+    wall_ns: NDArray[np.int64]  # (S,): that each takes in lockstep, the gap before a command with its first
     gap_ticks: int
-    acts_in: int
-    """The slice in which the command's goal begins to act, `late_ticks` after the slice's beginning."""
+    acts_in: int  # the slice in which the command's goal begins to act, `late_ticks` after the slice's beginning
     late_ticks: int
 
 
@@ -175,8 +163,7 @@ def plan_of(task: Task, hull: NDArray[np.float64], modes: NDArray[np.int64], pic
 
 def since_ns_of(task: Task) -> int:
     """Return the wall time, ns, for which ADSC flies on between a command's end and the next decision."""
-    rules = _rules(task, False)
-    return int(rules[timeline.PROCESSING_NS] * rules[timeline.IS_ADSC])
+    return round(task.image_processing_s * NS_PER_S) if (task.timing, task.command) == ("virtual", "adsc") else 0
 
 
 def timing_of(task: Task, pictures: bool) -> Timing:
@@ -184,10 +171,6 @@ def timing_of(task: Task, pictures: bool) -> Timing:
     due_ns = samples_due(task.t_move_s, task.t_sample_s)
     slices_ns = [later - earlier for earlier, later in pairwise([0, *due_ns])]
     offsets_ns = [round(each / float(task.clock_speed)) for each in due_ns]
-    return Timing(_rules(task, pictures), np.array(slices_ns), np.array(offsets_ns), _tables(latency_of(task)))
-
-
-def _rules(task: Task, pictures: bool) -> NDArray[np.int64]:
     profile, speed, asked = profile_of(task), speed_of(task), exact(task.clock_speed)
     latency, rules = latency_of(task), np.zeros(timeline.RULES, np.int64)
     platform, virtual = latency.platform, task.timing == "virtual"
@@ -207,7 +190,7 @@ def _rules(task: Task, pictures: bool) -> NDArray[np.int64]:
     rules[timeline.LATENCY] = virtual
     rules[timeline.FAULTS] = platform.faults != FaultConfig()
     rules[timeline.GAP_NS], rules[timeline.LATE_NS] = gap_of(task)
-    return rules
+    return Timing(rules, np.array(slices_ns), np.array(offsets_ns), _tables(latency))
 
 
 def _tables(latency: LatencyConfig) -> Latencies:

@@ -12,15 +12,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from uavaccel.envs.camera_client import FlightSample
+from uavaccel.envs.camera_client import NO_IMAGE, Sample
 from uavaccel.envs.task import Task
 from uavaccel.kinematics import Kinematics, Quaternion, Vector
 from uavaccel.sim.camera.view import HEIGHT, WIDTH
 from uavaccel.vision.dvs import EventCounter, make_sensor
 from uavaccel.vision.noise import ImageNoise
 from uavaccel.wire.session import Session
-
-NO_IMAGE = np.zeros((0, 0), np.uint8)
 
 
 class Game(NamedTuple):
@@ -43,7 +41,7 @@ class Observer:
     def game_begun(self, game: Game) -> None:
         """Called after `reset` has begun a game, before its first command."""
 
-    def sample_taken(self, sample: FlightSample, command: int) -> None:
+    def sample_taken(self, sample: Sample, command: int) -> None:
         """Called for each gathered sample, during command number `command`, from 0; with a collision it is the last."""
 
 
@@ -74,7 +72,7 @@ class Onlooker(Observer):
         image = game.picture(start.time_ns) if self.pictures else NO_IMAGE
         self.samples = [Seen(start.time_ns, image, start.position_m, start.orientation_wxyz, 0)]
 
-    def sample_taken(self, sample: FlightSample, command: int) -> None:
+    def sample_taken(self, sample: Sample, command: int) -> None:
         state, hit = sample.state, sample.collision
         time_ns, place, image = state.time_ns, state.position_m, NO_IMAGE
         if hit:

@@ -100,36 +100,30 @@ class LaneTask(Task):
         return headings
 
     @model_validator(mode="after")
-    def _leads_through(self) -> LaneTask:
-        if self.lane is not None and is_walled_off(self.lane.layout()):
-            raise ValueError(
-                f"lane: obstacles close it from wall to wall; the drone needs a gap above {2 * HULL_RADIUS_M:g} m"
-            )
-        return self
-
-    @model_validator(mode="after")
-    def _tells_beside_pictures(self) -> LaneTask:
-        if self.knows and self.observation == "state":
-            raise ValueError("knows needs pictures, beside which it is told: observation dvs, colour or depth")
-        if len(set(self.knows)) < len(self.knows):
-            raise ValueError("knows must not name one thing twice")
-        return self
-
-    @model_validator(mode="after")
-    def _actions_are_headings(self) -> Self:
-        if self.action != "velocity":
-            raise ValueError(f"action = {self.action}: the lane's actions are headings; Hover and Gates take it")
-        return self
-
-    @model_validator(mode="after")
-    def _ends_can_be_flown(self) -> LaneTask:
+    def _can_be_flown(self) -> Self:
+        ranges = {} if self.randomise is None else self.randomise.given()
+        wrong = {
+            f"lane: obstacles close it from wall to wall; the drone needs a gap above {2 * HULL_RADIUS_M:g} m": (
+                self.lane is not None and is_walled_off(self.lane.layout())
+            ),
+            "knows needs pictures, beside which it is told: observation dvs, colour or depth": (
+                self.knows and self.observation == "state"
+            ),
+            "knows must not name one thing twice": len(set(self.knows)) < len(self.knows),
+            f"action = {self.action}: the lane's actions are headings; Hover and Gates take it": (
+                self.action != "velocity"
+            ),
+            "randomise.latency_scale needs timing virtual: no other clock has modelled latencies": (
+                LATENCY in ranges and self.timing != "virtual"
+            ),
+            f"randomise needs drawn lanes for {', '.join(OF_DIFFICULTY)}: leave lane out": (
+                self.lane is not None and set(ranges) & set(OF_DIFFICULTY)
+            ),
+        }
+        if why := next((why for why, holds in wrong.items() if holds), None):
+            raise ValueError(why)
         if self.randomise is None:
             return self
-        ranges = self.randomise.given()
-        if LATENCY in ranges and self.timing != "virtual":
-            raise ValueError("randomise.latency_scale needs timing virtual: no other clock has modelled latencies")
-        if self.lane is not None and set(ranges) & set(OF_DIFFICULTY):
-            raise ValueError(f"randomise needs drawn lanes for {', '.join(OF_DIFFICULTY)}: leave lane out")
         for ends in corners(ranges, alone=not self.randomise.all_sampled):
             keys = self.model_dump(mode="json", exclude={"randomise", "lane"})
             extreme = keys_of(ends)

@@ -14,7 +14,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from uavaccel.envs.values import Course, Frame, Number, cast, constant, namespace_of
+from uavaccel.envs.arrays import cast, constant, namespace_of
+from uavaccel.envs.values import Course, Frame, Number
 from uavaccel.kinematics import Kinematics
 from uavaccel.sim.camera.view import HEIGHT, WIDTH, AnyImage
 from uavaccel.units import NS_PER_S
@@ -119,11 +120,6 @@ def blank_frame(picture: Literal["dvs", "colour", "depth"], size: tuple[int, int
     return np.full((planes, *rows_columns), NEUTRAL_LEVEL if picture == "dvs" else 0, np.uint8)
 
 
-def state_fields(state: Kinematics) -> list[Number]:
-    """List position, attitude, velocity and body rate, 13 numbers or arrays, in the units of `Kinematics`."""
-    return [number for name in STATE_FIELDS for number in getattr(state, name)]
-
-
 def _reduced(image: AnyImage, like: Frame) -> AnyImage:
     from uavaccel.sim.camera.pixels import quartered  # compiled
 
@@ -141,7 +137,9 @@ class ContextPlanes:
 
     `last_action`: the width is divided into one part per heading, the westernmost on the left; the part of the last
     heading is white. `frame_age`: one horizontal band for each of `frames`, the oldest on top, one grey level brighter
-    per 20 ms of simulated time that the frame is old.
+    per 20 ms of simulated time that the frame is old. Under latency the pictures alone do not say where the vehicle
+    will be when the next command acts; with these the task is Markov again (Katsikopoulos and Engelbrecht, IEEE TAC 48,
+    2003; Xiao et al., "Thinking while moving", ICLR 2020; the library rtgym). Mirroring works on them too.
     """
 
     def __init__(self, knows: Sequence[ContextKind], headings_deg: Sequence[float], frames: int) -> None:
@@ -153,11 +151,6 @@ class ContextPlanes:
         bands = np.array_split(np.arange(SIZE[0]), frames)
         self._frame_of_row = np.repeat(np.arange(frames), [len(rows) for rows in bands])
         self.start(0)
-
-    @property
-    def planes(self) -> int:
-        """Number of planes."""
-        return len(self.knows)
 
     def start(self, time_ns: int) -> None:
         """Begin a game at that simulated time: all frames are from its start, and there is no last action."""
@@ -178,14 +171,10 @@ class ContextPlanes:
     def observe_many(self, actions: Number, ages_ns: Number) -> Number:
         """Return the planes (n, planes, 36, 64) of n games: of their last actions (n,) and frames' ages (n, frames)."""
         xp, shown = namespace_of(actions), constant(self._action_planes, actions)[actions]
-        aged = age_levels(ages_ns)[:, constant(self._frame_of_row, actions)][:, :, None]
+        levels = NEUTRAL_LEVEL + (ages_ns // AGE_LEVEL_NS).clip(0, FULL_LEVEL - NEUTRAL_LEVEL)
+        aged = levels[:, constant(self._frame_of_row, actions)][:, :, None]
         both = {"last_action": shown, "frame_age": xp.broadcast_to(cast(aged, "uint8"), shown.shape)}
         return xp.stack([both[know] for know in self.knows], 1)
-
-
-def age_levels(ages_ns: Number) -> Number:
-    """Return the grey levels, 128 to 255, that `frame_age` shows for an array of ages in simulated ns."""
-    return NEUTRAL_LEVEL + (ages_ns // AGE_LEVEL_NS).clip(0, FULL_LEVEL - NEUTRAL_LEVEL)
 
 
 def _part(width: int, part: int, parts: int) -> slice:

@@ -11,11 +11,12 @@ import numpy as np
 from gymnasium import spaces
 
 from uavaccel.config import MOST_GAMES
+from uavaccel.envs.arrays import cast, full, joined, stacked
 from uavaccel.envs.checks import whole_number
 from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.sensors import PICTURE_SIZE
 from uavaccel.envs.task import Task
-from uavaccel.envs.values import Batch, Collisions, Moments, cast, full, joined, stacked
+from uavaccel.envs.values import Batch, Collisions, Moments
 from uavaccel.errors import UserError
 from uavaccel.kernels.fields import COLOUR, DEPTH, DVS, STATE
 from uavaccel.kinematics import FlightGoal, Kinematics

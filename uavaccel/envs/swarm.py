@@ -28,7 +28,6 @@ from uavaccel.sim.camera.view import vehicle_pose
 from uavaccel.sim.flight import velocity
 from uavaccel.sim.poses import HERE, LEVEL, check_apart
 from uavaccel.sim.profile import PROFILES
-from uavaccel.sim.vehicle.contacts import Contact
 from uavaccel.sim.vehicle.vehicle import AddedVehicle, Start, Vehicle
 from uavaccel.sim.world import World
 
@@ -40,13 +39,9 @@ ALONE_WITH = {
     "command": "tcsc",
     "profile": "native",
     "history": 1,
-    "blank_images": False,
-    "image_noise": 0.0,
     "dvs_rate_hz": None,
-    "dvs_shot_noise_hz": 0.0,
-    "dvs_leak_hz": 0.0,
-    "list_events": False,
-    "report_host_times": False,
+    **dict.fromkeys(("blank_images", "list_events", "report_host_times"), False),
+    **dict.fromkeys(("image_noise", "dvs_shot_noise_hz", "dvs_leak_hz"), 0.0),
 }
 """Keys of other tasks that several drones do not follow, and what they have to be."""
 AWAY_M = 500.0  # from the middle: where drones are whose games are over
@@ -201,9 +196,9 @@ class Swarm(ParallelEnv):  # type: ignore[misc]
         terminated = {agent: bool(task.success(now[agent]) or task.failure(now[agent])) for agent in flown}
         truncated = {agent: not terminated[agent] and now[agent].commands >= task.max_commands for agent in flown}
         told = {agent: self._observed(agent) for agent in flown}, rewards, terminated, truncated, self._infos()
-        self.agents = [agent for agent in flown if not (terminated[agent] or truncated[agent])]
         for agent in flown:
-            if agent not in self.agents:
+            if terminated[agent] or truncated[agent]:
+                self.agents.remove(agent)
                 self._send_away(agent)
         return told
 
@@ -240,15 +235,12 @@ class Swarm(ParallelEnv):  # type: ignore[misc]
         """Return where a drone is after a command; after a collision, where it first touched something."""
         vehicle, was = self._vehicle(agent), self._moments[agent]
         state, touch = vehicle.kinematics(in_world=True), vehicle.contact_log.first
-        place_m = state.position_m if touch is None else touch.position_m
-        return Moment(state, place_m, self._name_of(touch), was.commands + 1, was.course)
-
-    def _name_of(self, touch: Contact | None) -> str | None:
-        """Return the name of what was touched; the world's first vehicle has one of its own."""
-        assert self._world is not None
+        now = Moment(state, state.position_m, None, was.commands + 1, was.course)
         if touch is None:
-            return None
-        return self.possible_agents[0] if touch.object == self._world.lead.name else touch.object
+            return now
+        first = self._vehicle(self.possible_agents[0]).name  # which the world gave it
+        name = self.possible_agents[0] if touch.object == first else touch.object
+        return now._replace(position_m=touch.position_m, collision=name)
 
     def _send_away(self, agent: str) -> None:
         assert self._world is not None
@@ -261,31 +253,25 @@ class Swarm(ParallelEnv):  # type: ignore[misc]
     def _tell_of_others(self) -> None:
         """Put the others' places and velocities, less its own, into each drone's course."""
         for agent, now in self._moments.items():
-            others = []
-            for other in self.possible_agents:
-                if other == agent:
-                    continue
-                there = self._moments[other].state if other in self.agents else None
-                others.append([0.0] * 6 if there is None else beside(there, now.state))
+            others = [
+                beside(self._moments[other].state, now.state) if other in self.agents else [0.0] * 6
+                for other in self.possible_agents
+                if other != agent
+            ]
             self._moments[agent] = now._replace(course={**now.course, "others": others})
 
     def _observed(self, agent: str, begins: bool = False) -> Observation:
-        now, sensor = self._moments[agent], self._sensors[agent]
-        image = self._picture(agent, sensor.picture) if sensor.picture else sensor.blank
+        now, sensor, image = self._moments[agent], self._sensors[agent], None
+        if sensor.picture and self._world is not None:  # of the front camera, the others included
+            camera, data = self._world.mounted_camera(*self.task.picture_size), self._world.data
+            pose = vehicle_pose(data, self.possible_agents.index(agent))
+            camera.point(pose.of(FRONT_CENTER), Lens(*self.task.picture_size))
+            image = getattr(camera, sensor.picture)(data)
         see = sensor.reset if begins else sensor.frame
-        frame = see(now.state, image, now.course)
+        frame = see(now.state, sensor.blank if image is None else image, now.course)
         if not self.task.also_state:
             return frame
         return {"image": frame, "state": self.task.features(now.state, now.course).ravel()}
-
-    def _picture(self, agent: str, kind: str) -> Any:
-        """Draw what a drone's front camera sees, the others included."""
-        assert self._world is not None
-        width, height = self.task.picture_size
-        camera = self._world.mounted_camera(width, height)
-        pose = vehicle_pose(self._world.data, self.possible_agents.index(agent))
-        camera.point(pose.of(FRONT_CENTER), Lens(width, height))
-        return getattr(camera, kind)(self._world.data)
 
     def _infos(self) -> dict[str, Info]:
         flying = {agent: now for agent, now in self._moments.items() if agent in self.agents}
@@ -299,6 +285,4 @@ def beside(there: Kinematics, here: Kinematics) -> list[float]:
     return [other - own for pairs in (places, speeds) for other, own in pairs]
 
 
-def parallel_env(**keys: Any) -> Swarm:
-    """Make a swarm, by the name that PettingZoo's own modules have for it."""
-    return Swarm(**keys)
+parallel_env = Swarm  # as PettingZoo's own modules name what they make

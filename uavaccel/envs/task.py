@@ -7,8 +7,9 @@ the environment, and a few pure functions of what happened, each of which a subc
 from __future__ import annotations
 
 import math
+import operator
 from collections.abc import Mapping, Sequence
-from functools import lru_cache
+from functools import lru_cache, reduce
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, TypeAlias
 
 import numpy as np
@@ -18,8 +19,10 @@ from pydantic import Field, model_validator
 
 from uavaccel.commands import check_times, samples_due
 from uavaccel.config import ClockSpeed, CommandName, Config, Cost, Count, Height, Seconds, Seed, Speed
+from uavaccel.envs.arrays import constant
 from uavaccel.envs.sensors import (
     PICTURE_SIZE,
+    STATE_FIELDS,
     ColourCamera,
     ContextPlanes,
     DepthCamera,
@@ -27,9 +30,8 @@ from uavaccel.envs.sensors import (
     Sensor,
     StateSensor,
     blank_frame,
-    state_fields,
-)  # fmt: skip
-from uavaccel.envs.values import AT_REST, Action, AnyMoment, Course, Info, Moment, Number, constant
+)
+from uavaccel.envs.values import AT_REST, Action, AnyMoment, Course, Info, Moment, Number
 from uavaccel.errors import UserError
 from uavaccel.kinematics import AttitudeGoal, BodyRatesGoal, FlightGoal, Kinematics, MotorsGoal, Vector, VelocityGoal
 from uavaccel.sim.lane import LaneLayout
@@ -54,26 +56,6 @@ def throttle(share: Number) -> Number:
     """Return the throttle, 0 to 1, of a share from -1 to 1: 0 carries the vehicle's weight."""
     sinking, climbing = HOVER_THROTTLE * (1.0 + share), HOVER_THROTTLE + (1.0 - HOVER_THROTTLE) * share
     return sinking * (share < 0.0) + climbing * (share >= 0.0)
-
-
-def low_level_goal(kind: ActionKind, shares: Sequence[Number], tilt_deg: Number, rate_deg_s: Number) -> FlightGoal:
-    """Return the goal of four shares, -1 to 1, of the largest tilt, turn rate and throttle.
-
-    "attitude": roll, pitch (nose up), yaw rate, throttle; "rates": roll, pitch and yaw rate, throttle, all FRD;
-    "motors": front right, rear left, front left, rear right.
-    """
-    first, second, third, fourth = shares
-    tilt, rate = tilt_deg * RAD, rate_deg_s * RAD
-    if kind == "attitude":
-        return AttitudeGoal(first * tilt, second * tilt, third * rate, throttle(fourth))
-    if kind == "rates":
-        return BodyRatesGoal(first * rate, second * rate, third * rate, throttle(fourth))
-    return MotorsGoal(throttle(first), throttle(second), throttle(third), throttle(fourth))
-
-
-def chosen(table: Sequence[Vector], action: Number) -> Number:
-    """Return the columns of a table's row `action`, or with an array or tensor (n,) of rows: three arrays (n,)."""
-    return constant(np.array(table), action)[action].T
 
 
 NotNegative = Annotated[float, Field(ge=0.0, le=1e6)]
@@ -292,7 +274,7 @@ class Task(Config):
         kind, size = self.observation, self.picture_size
         blank = self._blank_features() if kind == "state" else blank_frame(kind, size)
         context = self.context_planes()
-        planes = 0 if context is None else context.planes
+        planes = 0 if context is None else len(context.knows)
         shape = (self.frames_per_command * self.history * blank.shape[0] + planes, *blank.shape[1:])
         if blank.dtype == np.uint8:
             return spaces.Box(0, 255, shape, np.uint8)
@@ -303,8 +285,11 @@ class Task(Config):
         return None
 
     def fields(self, state: Kinematics, course: Course) -> Sequence[Number]:
-        """List the numbers of a frame of observation "state", for one state or for a `Kinematics` of arrays."""
-        return state_fields(state)
+        """List the numbers of a frame of observation "state", for one state or for a `Kinematics` of arrays.
+
+        They are position, attitude, velocity and body rate, in the units of `Kinematics`.
+        """
+        return [number for name in STATE_FIELDS for number in getattr(state, name)]
 
     def features(self, state: Kinematics, course: Course) -> NDArray[np.float32]:
         """Make a frame of observation "state"; a task's own may return lists of numbers, nested as its frames.
@@ -335,15 +320,26 @@ class Task(Config):
 
         An action is an int or an array (k,) of float64; those of n games are an array (n,) or (k, n), numbers of the
         goal then arrays (n,), and of the task's keys those that are sampled for each game (`with_conditions`), too.
-        All actions ask for the same kind of goal.
+        All actions ask for the same kind of goal. Those of "attitude" are roll, pitch (nose up), yaw rate and throttle;
+        of "rates" roll, pitch and yaw rate and throttle, FRD; of "motors" front right, rear left, front left, rear
+        right (AirSim v1.8.1, SimpleFlightApi.hpp: commandRollPitchYawrateThrottle, commandAngleRatesThrottle,
+        commandMotorPWMs).
         """
         if self.action == "velocity":
             return self.velocity_goal(action)
-        return low_level_goal(self.action, action, self.tilt_deg, self.rate_deg_s)
+        first, second, third, fourth = action
+        tilt, rate = self.tilt_deg * RAD, self.rate_deg_s * RAD
+        if self.action == "attitude":
+            return AttitudeGoal(first * tilt, second * tilt, third * rate, throttle(fourth))
+        if self.action == "rates":
+            return BodyRatesGoal(first * rate, second * rate, third * rate, throttle(fourth))
+        return MotorsGoal(throttle(first), throttle(second), throttle(third), throttle(fourth))
 
     def velocity_goal(self, action: Action) -> VelocityGoal:
         """Return the velocity that an action asks for; one action or those of n games, as `goal` has them."""
-        north, east, down = action if self.directions is None else chosen(self.directions, action)
+        if self.directions is not None:
+            action = constant(np.array(self.directions), action)[action].T
+        north, east, down = action
         return VelocityGoal((north * self.speed_m_s, east * self.speed_m_s, down * self.speed_m_s), self.held_z_m)
 
     # --- a game ---------------------------------------------------------------------------------------
@@ -428,7 +424,8 @@ def position_option(options: Mapping[str, object], name: str, drawn: NDArray[np.
 
 def distance(a: Sequence[Number], b: Sequence[Number]) -> Number:
     """Return the metres between two positions, of one game or of many."""
-    squared = sum((here - there) * (here - there) for here, there in zip(a, b, strict=True))
+    squares = ((here - there) * (here - there) for here, there in zip(a, b, strict=True))
+    squared = reduce(operator.add, squares)  # Python 3.12's sum() rounds floats otherwise than arrays
     if isinstance(squared, np.ndarray):  # whose powers of 0.5 are not the square roots' bits on every processor
         return np.sqrt(squared)
     return math.sqrt(squared) if isinstance(squared, float) else squared.sqrt()

@@ -13,8 +13,8 @@ from gymnasium.vector.utils import batch_space
 
 from uavaccel.clock import positive_clock_speed
 from uavaccel.errors import UserError
-from uavaccel.realtime.plant import Action, Passed, Period, Plant, copied
-from uavaccel.units import CLOCK_SPEEDS, ceil_div, real, whole
+from uavaccel.realtime.plant import Action, Passed, Period, Plant, copied, counted
+from uavaccel.units import CLOCK_SPEEDS, ceil_div, real
 
 Command = Literal["adsc", "tcsc"]
 Meanwhile = Literal["hold", "default"]
@@ -70,10 +70,7 @@ class LoopOptions:
                 raise UserError(f"{name}: must be {' or '.join(map(repr, get_args(kind)))}, not {value!r}")
         self.execute = self.chunk if self.execute is None else self.execute
         for name, least in {"chunk": 1, "execute": 1, "early": 0, "observe_actions": 0, "observe_planned": 0}.items():
-            value = getattr(self, name)
-            if (count := whole(value)) is None or not least <= count <= MOST_ACTIONS:
-                raise UserError(f"{name}: must be a count of actions, {least} to {MOST_ACTIONS}, not {value!r}")
-            setattr(self, name, count)
+            setattr(self, name, counted(name, getattr(self, name), least, MOST_ACTIONS, " actions"))
         self._check_chunks()
         speed, (slowest, fastest) = real(self.clock_speed), CLOCK_SPEEDS
         self.speed = positive_clock_speed(self.clock_speed if speed is None else speed)
@@ -88,14 +85,13 @@ class LoopOptions:
             raise UserError(f"early: must be less than execute = {self.execute}, not {self.early}")
         if self.early and self.overlap:
             raise UserError("early, overlap: each says when the agent observes again; give one of them")
-        if self.ensemble is not None:
-            weight, given = real(self.ensemble), self.ensemble
-            if weight is None or not 0 <= weight < float("inf"):
-                raise UserError(f"ensemble: must be a number of 0 or more, such as 0.01, not {given!r}")
-            self.ensemble = weight
         for name in ("frozen_prefix", "ensemble"):
             if self.chunk == 1 and getattr(self, name) not in (False, None):
                 raise UserError(f"{name}: needs a chunk of 2 or more actions")
+        weight = real(self.ensemble)
+        if self.ensemble is not None and not (weight is not None and 0 <= weight < float("inf")):
+            raise UserError(f"ensemble: must be a number of 0 or more, such as 0.01, not {self.ensemble!r}")
+        self.ensemble = weight
 
     def action_space(self, single: spaces.Space[Any]) -> spaces.Space[Any]:
         """Return the space of a chunk of actions. Raises UserError for a space whose actions do not stack."""
@@ -104,8 +100,7 @@ class LoopOptions:
         if self.chunk == 1:
             return single
         if isinstance(single, spaces.Box) or (isinstance(single, spaces.Discrete) and single.start == 0):
-            stacked: spaces.Space[Any] = batch_space(single, self.chunk)
-            return stacked
+            return cast("spaces.Space[Any]", batch_space(single, self.chunk))
         raise UserError(f"chunk: actions of a {type(single).__name__} do not stack; use chunk=1")
 
     def idle_action(self, single: spaces.Space[Any]) -> Action:
@@ -205,12 +200,10 @@ class ControlLoop:
             passed = self.plant.advance(action, count)
             self._tick += count
             if before is not None:
-                total, ticks = before.reward + passed.reward, before.ticks + passed.ticks
-                passed = passed._replace(reward=total, ticks=ticks)
-            before = passed
-            left -= count
+                passed = passed._replace(reward=before.reward + passed.reward, ticks=before.ticks + passed.ticks)
+            before, left = passed, left - count
             if left == 0 or passed.over:
-                return before
+                return passed
 
     def planned(self, periods: int) -> list[Action]:
         """Return the actions at the beginnings of the next periods, as they are applied unless others arrive."""
@@ -228,8 +221,7 @@ class ControlLoop:
         actions = [chunk[since // period] for since, chunk in there]
         if len(actions) == 1:
             return actions[0], stays
-        assert options.ensemble is not None
-        weights = np.exp(-options.ensemble * np.arange(len(actions)))
+        weights = np.exp(-(options.ensemble or 0.0) * np.arange(len(actions)))
         mean = np.tensordot(weights / weights.sum(), np.asarray(actions, float), 1)
         return mean.astype(actions[0].dtype), stays
 

@@ -25,7 +25,7 @@ import numpy as np
 from uavaccel.errors import Interrupted, UsageError, UserError
 from uavaccel.files import (
     Plain,
-    append_line,
+    append_lines,
     check_new_folder,
     drop_cut_line,
     file_sha256,
@@ -35,10 +35,12 @@ from uavaccel.files import (
     read_lines,
     replacing,
     to_json,
+    write_json,
 )
 from uavaccel.metrics.intervals import Proportion, bootstrap_interval
 from uavaccel.processes.workers import check_count, on_this_machine
 from uavaccel.realtime.measuring import MOST_STEPS, MakesEnv, environment_identity, made, plain_or_text, versions_with
+from uavaccel.realtime.plant import counted
 from uavaccel.realtime.policies import ANSWER_S, TCP, Policy, load_policy
 from uavaccel.realtime.server import one_line
 from uavaccel.realtime.thinking import MOST_S, ThinkingTime, calibrated
@@ -113,9 +115,7 @@ class Certificate:
 
     def save(self, path: str | Path) -> Path:
         """Write certificate.json."""
-        with replacing(written := Path(path)) as file:
-            file.write(f"{to_json(self.document, indent=1)}\n".encode())
-        return written
+        return write_json(Path(path), self.document)
 
     def figure(self, path: str | Path) -> Path:
         """Draw the score against latency, in its intervals. Raises UserError without Matplotlib."""
@@ -146,7 +146,7 @@ def _cell(rows: Sequence[Row], score: str) -> Row:
     whole_rows = [row for row in rows if "error" not in row]
     cell: Row = {"latency": rows[0]["latency"], "episodes": len(rows), "errors": len(rows) - len(whole_rows)}
     if not whole_rows:
-        return {**cell, "latency_s": None, "mean": None, "low": None, "high": None}
+        return cell | dict.fromkeys(("latency_s", "mean", "low", "high"))
     values = [float(row[score]) for row in whole_rows]
     if score == "success":
         low, high = Proportion(round(sum(values)), len(values)).interval
@@ -162,7 +162,7 @@ def _holds(cells: Sequence[Row]) -> Row:
     `latency_s` is by the mean, `surely_s` by the low end of the interval; None where an episode failed.
     """
     if any(cell["errors"] for cell in cells):
-        return {"share": SHARE, "least": None, "latency": None, "latency_s": None, "surely_s": None}
+        return {"share": SHARE, **dict.fromkeys(("least", "latency", "latency_s", "surely_s"))}
     best = cells[0]["mean"]
     least = best - (1 - SHARE) * abs(best)
     far = dict.fromkeys(("mean", "low"), cells[0])
@@ -172,13 +172,9 @@ def _holds(cells: Sequence[Row]) -> Row:
                 break
             far[name] = cell
     held, surely = far["mean"], far["low"]
-    return {
-        "share": SHARE,
-        "least": least,
-        "latency": held["latency"],
-        "latency_s": held["latency_s"],
-        "surely_s": surely["latency_s"] if surely["low"] >= least else None,
-    }
+    surely_s = surely["latency_s"] if surely["low"] >= least else None
+    of = {"latency": held["latency"], "latency_s": held["latency_s"], "surely_s": surely_s}
+    return {"share": SHARE, "least": least, **of}
 
 
 def _scored(value: float, score: str) -> str:
@@ -223,9 +219,7 @@ class Sweep:
 
     def __post_init__(self) -> None:
         for name, least, most in (("episodes", 1, MOST_EPISODES), ("seed", 0, (1 << 32) - MOST_EPISODES)):
-            if (count := whole(given := getattr(self, name))) is None or not least <= count <= most:
-                raise UserError(f"{name}: must be {least} to {most:,}, not {given!r}")
-            setattr(self, name, count)
+            setattr(self, name, counted(name, getattr(self, name), least, most))
         if self.delay_steps is not None and (self.latencies, self.calibration) != (None, None):
             raise UserError("delay_steps: is given beside seconds; leave out latencies and calibration, or this")
         self.unit = STEPS if self.delay_steps is not None else SECONDS if self.calibration is None else FACTORS
@@ -438,8 +432,7 @@ class _Folder:
         if not file.exists():
             if any(self.path.iterdir()):
                 raise UserError(f"{self.path}: no evaluation of a policy, but not empty; take another folder")
-            with replacing(file) as written:
-                written.write(f"{to_json(setup, indent=1)}\n".encode())
+            write_json(file, setup)
             return []
         begun, here = read_json(file), parse_json(to_json(setup))
         if other := [key for key in here if not isinstance(begun, dict) or begun.get(key) != here[key]]:
@@ -448,7 +441,9 @@ class _Folder:
         rows = read_lines(self.rows)
         failed = next((place for place, row in enumerate(rows) if "error" in row), len(rows))
         there = [(row.get("latency"), row.get("seed")) for row in rows]
-        if there != list(plan[: len(rows)]) or not all(map(_is_row, rows[:failed])):
+        numbers = [row.get(name) for row in rows[:failed] for name in ("return", "thinking_s")]
+        known = all(row.get("success") in (None, True, False) for row in rows)
+        if there != list(plan[: len(rows)]) or not known or None in map(real, numbers):
             raise UserError(f"{self.rows}: its rows are not those of this evaluation; take another folder")
         if failed < len(rows):
             with replacing(self.rows) as written:
@@ -457,10 +452,4 @@ class _Folder:
 
     def append(self, row: Row) -> None:
         if self.path is not None:
-            append_line(self.rows, row)
-
-
-def _is_row(row: Row) -> bool:
-    """Return whether a row has what a certificate reads."""
-    numbers = (row.get("return"), row.get("thinking_s"))
-    return all(real(each) is not None for each in numbers) and row.get("success") in (None, True, False)
+            append_lines(self.rows, [to_json(row)])

@@ -13,13 +13,13 @@ import numpy as np
 
 from uavaccel.clock import calendar_time
 from uavaccel.errors import UserError
-from uavaccel.files import Plain, file_sha256, read_json, replacing, to_json
+from uavaccel.files import Plain, file_sha256, read_json, write_json
 from uavaccel.machine import host, version_of, versions
+from uavaccel.realtime.plant import counted
 from uavaccel.realtime.policies import ANSWER_S, load_policy
 from uavaccel.realtime.server import one_line
 from uavaccel.realtime.thinking import MEASURED, Measured
 from uavaccel.realtime.wrapper import RealTime
-from uavaccel.units import whole
 
 Env = gymnasium.Env[Any, Any]
 MakesEnv = str | Callable[[], Env]
@@ -47,14 +47,10 @@ class Measurement:
         """Write the calibration file, as `Measured.save` does, without the warm-up; under `measured` is the rest."""
         times = Measured()
         times.taken_ns = list(self.taken_ns)
-        written = times.save(
-            path, f"thinking times of {self.about['policy']['name']} in {self.about['environment']['id']}"
-        )
+        name = f"thinking times of {self.about['policy']['name']} in {self.about['environment']['id']}"
         measured = {"warm_up_us": [_us(each) for each in self.warm_up_ns], "drift_us": self.drift_us}
-        with replacing(written) as file:
-            document = {**read_json(written), "measured": {**self.about, **measured}}
-            file.write(f"{to_json(document, indent=1)}\n".encode())
-        return written
+        written = times.save(path, name)
+        return write_json(written, {**read_json(written), "measured": {**self.about, **measured}})
 
     def lines(self) -> Iterator[str]:
         """Yield what was measured, in words."""
@@ -91,9 +87,8 @@ def measure(
     first `warm_up` calls are kept apart. `real_time` are further arguments of `RealTime`. Raises UserError as these do,
     and for counts that do not fit.
     """
-    for name, given, least in (("steps", steps, 1), ("warm_up", warm_up, 0)):
-        if (count := whole(given)) is None or not least <= count <= MOST_STEPS:
-            raise UserError(f"{name}: must be {least} to {MOST_STEPS:,} calls, not {given!r}")
+    steps = counted("steps", steps, 1, MOST_STEPS, " calls")
+    warm_up = counted("warm_up", warm_up, 0, MOST_STEPS, " calls")
     inside = made(env)
     flown = RealTime(inside, latency_s=MEASURED, **real_time)
     loaded = load_policy(policy, flown, trust, answer_s)

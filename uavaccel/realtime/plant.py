@@ -14,10 +14,18 @@ from numpy.typing import NDArray
 from uavaccel.errors import UserError
 from uavaccel.units import NS_PER_S, exact, real, whole
 
+MOST_TICKS = 1_000_000_000  # of a control period
 Observation = Any
 Action = Any
 Period = tuple[Observation, SupportsFloat, bool, bool, dict[str, Any]]
 """The result of a control period, as Gymnasium's `step` returns it."""
+
+
+def counted(name: str, given: object, least: int, most: int, of: str = "") -> int:
+    """Return a whole number. Raises UserError, which begins with `name`, for any other and for one out of range."""
+    if (count := whole(given)) is None or not least <= count <= most:
+        raise UserError(f"{name}: must be {least} to {most:,}{of}, not {given!r}")
+    return count
 
 
 def copied(action: Action) -> Action:
@@ -76,7 +84,10 @@ class Plant:
     def __init__(self, env: gymnasium.Env[Any, Any], period_s: object, of: str = "") -> None:
         """`of` is the attribute of the environment inside that `period_s` is from, if any."""
         self._env, self._inside = env, cast(Any, env.unwrapped)
-        self.tick_ns = _period_ns(period_s, f"{type(self._inside).__name__}.{of}" if of else "period_s")
+        name, seconds = f"{type(self._inside).__name__}.{of}" if of else "period_s", real(period_s)
+        if seconds is None or not 1e-9 <= seconds <= 1e6:
+            raise UserError(f"{name}: must be a number of seconds, 1e-9 to 1e6, not {period_s!r}")
+        self.tick_ns = max(round(exact(seconds) * NS_PER_S), 1)
         self._counts = bool(of) and env is not self._inside
 
     def reset(self) -> None:
@@ -133,10 +144,8 @@ class MujocoPlant(Plant):
         inside: Any = env.unwrapped
         self._timestep_s = inside.model.opt.timestep
         super().__init__(env, self._timestep_s, "model.opt.timestep")
-        if (ticks := whole(inside.frame_skip)) is None or ticks < 1:
-            name = f"{type(inside).__name__}.frame_skip"
-            raise UserError(f"{name}: must be a count of physics steps, 1 or more, not {inside.frame_skip!r}")
-        self.period_ticks, self._ticks = ticks, 0
+        name = f"{type(inside).__name__}.frame_skip"
+        self.period_ticks, self._ticks = counted(name, inside.frame_skip, 1, MOST_TICKS, " physics steps"), 0
         self._has_clock = hasattr(getattr(inside, "data", None), "time")
         self._limits: list[Any] = [layer for layer in _layers(env) if isinstance(layer, TimeLimit)]
 
@@ -217,11 +226,3 @@ def _of_another_length(env: gymnasium.Env[Any, Any], made: str, asked: str) -> U
         f"period_s: a step of {env} has made {made} where {asked} had been asked for; "
         "give the simulated seconds of one, as in period_s=0.02"
     )
-
-
-def _period_ns(period_s: object, name: str) -> int:
-    """Return a period in nanoseconds. Raises UserError for anything else than 1 ns to 1e6 s."""
-    seconds = real(period_s)
-    if seconds is None or not 1e-9 <= seconds <= 1e6:
-        raise UserError(f"{name}: must be a number of seconds, 1e-9 to 1e6, not {period_s!r}")
-    return max(round(exact(seconds) * NS_PER_S), 1)
