@@ -32,9 +32,8 @@ from uavaccel.export import write_minari
 from uavaccel.kinematics import AttitudeGoal, BodyRatesGoal, MotorsGoal
 from uavaccel.rl.agents import make_agent, origin_of
 from uavaccel.rl.double_dqn import HostDQN
-from uavaccel.rl.network import contrast, turned_actions
+from uavaccel.rl.network import Levels, Windows, contrast, turned_actions
 from uavaccel.rl.policy import load_policy
-from uavaccel.rl.replay import Levels, Windows
 from uavaccel.suites.evaluate import Evaluation
 from uavaccel.suites.evaluate_again import environment_of, fly_again
 from uavaccel.suites.train import TrainConfig

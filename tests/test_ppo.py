@@ -23,8 +23,7 @@ from uavaccel.rl.adapters import TensorLoop
 from uavaccel.rl.learner import first_seed
 from uavaccel.rl.onnx_file import OnnxPolicy, described, example
 from uavaccel.rl.policy import load_policy, trained_with
-from uavaccel.rl.ppo import PPO, ActorCritic, PPOOptions
-from uavaccel.rl.ppo_training import PPOTraining
+from uavaccel.rl.ppo import PPO, ActorCritic, PPOOptions, PPOTraining
 from uavaccel.suites.evaluate import Evaluation
 from uavaccel.suites.evaluate_again import environment_of, fly_again
 from uavaccel.suites.runner import run_suite, start_run

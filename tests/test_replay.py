@@ -13,8 +13,7 @@ from gymnasium import spaces
 from torch.nn import functional
 
 from tests.host_kernels import host_kernels  # noqa: F401 - a fixture
-from uavaccel.rl.network import contrast
-from uavaccel.rl.replay import Levels, Replay, Windows
+from uavaccel.rl.network import Levels, Replay, Windows, contrast
 
 LANES, ROWS, GAMMA = 3, 11, 0.5
 CPU = th.device("cpu")

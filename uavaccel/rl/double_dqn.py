@@ -29,26 +29,24 @@ from torch.nn import functional
 from uavaccel.clock import MonotonicClock
 from uavaccel.envs.arrays import assign, mapped, select
 from uavaccel.envs.batch import TurnBatch
-from uavaccel.envs.stopwatch import PHASES, Stopwatch
+from uavaccel.envs.stopwatch import PHASES
 from uavaccel.envs.values import Observation
 from uavaccel.kernels.recording import recorded
 from uavaccel.rl.agents import first_policy
 from uavaccel.rl.config import DqnOptions, LearnerConfig
 from uavaccel.rl.learner import (
     Game,
+    Learner,
     LearnerState,
     StepStatistics,
-    charge,
     compute_the_same_each_time,
     falling,
-    finished_games,
     first_seed,
     learning_rhythm,
     plain_generator,
     set_generator,
 )
-from uavaccel.rl.network import Adam, turned_actions
-from uavaccel.rl.replay import Levels, Replay, Windows
+from uavaccel.rl.network import Adam, Levels, Replay, Windows, turned_actions
 from uavaccel.units import NS_PER_S
 
 if TYPE_CHECKING:
@@ -66,8 +64,8 @@ class Prepared(NamedTuple):
     weights: th.Tensor
 
 
-class DoubleDQN:
-    """What is learned; `policy` holds Q as `q_net`, Q' as `q_net_target`, and the optimizer."""
+class DoubleDQN(Learner):
+    """What is learned; `policy` holds Q as `q_net`, Q' as `q_net_target`."""
 
     counters: tuple[str, ...] = ("games", "updates", "returns")
     replay: Replay
@@ -75,26 +73,22 @@ class DoubleDQN:
 
     def __init__(self, config: LearnerConfig, lanes: Any, device: th.device, recorded: bool) -> None:
         """Make the networks; with `recorded`, gradient steps are recorded as graphs, with the optimizer in them."""
-        self.config, self.lanes, self.options, self.device = config, lanes, DqnOptions.of(config), device
-        self._recorded = recorded
+        super().__init__(config, lanes)
+        self.options, self.device, self._recorded = DqnOptions.of(config), device, recorded
         th.manual_seed(config.seed)
         self.policy = first_policy(config).to(device)
-        self.policy.optimizer = Adam(
-            self.policy.q_net.parameters(), self.options.learning_rate, fused=True, capturable=device.type == "cuda"
-        )
+        parameters, rate = self.policy.q_net.parameters(), self.options.learning_rate
+        self.optimizer = Adam(parameters, rate, fused=True, capturable=device.type == "cuda")
         self._make_rates_tensors()
         actions = range(int(config.task.action_space().n))
         turned = turned_actions(config.task.headings_deg) if config.mirror else list(actions)
         self._turned = th.tensor(turned, device=device)
-        self.games = self.updates = 0
-        self.returns: list[float] = []
-        self.holding = False
+        self.updates = 0
         self.statistics = StepStatistics(device)
-        self.stopwatch = Stopwatch(MonotonicClock())
 
     def _make_rates_tensors(self) -> None:
         """Let a graph read the learning rate where the schedule writes it."""
-        for group in self.policy.optimizer.param_groups if self._recorded else ():
+        for group in self.optimizer.param_groups if self._recorded else ():
             group["lr"] = th.tensor(float(group["lr"]), device=self.device)
 
     # --- a gradient step ---------------------------------------------------------------------------
@@ -115,10 +109,10 @@ class DoubleDQN:
         chosen = self.sight.rate(self.policy.q_net, batch.seen).gather(1, batch.actions[:, None])[:, 0]
         loss = (functional.smooth_l1_loss(chosen, batch.target, reduction="none") * batch.weights).mean()
         self.statistics.add(loss, chosen)
-        self.policy.optimizer.zero_grad(set_to_none=False)
+        self.optimizer.zero_grad(set_to_none=False)
         loss.backward()
         th.nn.utils.clip_grad_norm_(self.policy.q_net.parameters(), self.options.max_grad_norm)
-        self.policy.optimizer.step()
+        self.optimizer.step()
 
     def _copy_to_target(self) -> None:
         pairs = zip(self.policy.q_net.parameters(), self.policy.q_net_target.parameters(), strict=True)
@@ -128,25 +122,18 @@ class DoubleDQN:
     # --- going on after a stop ---------------------------------------------------------------------
 
     def get_state(self) -> LearnerState:
-        """Return networks, optimizer, replay buffer, counters and generators."""
-        tensors = {
-            "policy": self.policy.state_dict(),
-            "optimizer": self.policy.optimizer.state_dict(),
-            "torch": th.get_rng_state(),
-        }
-        counters = {name: getattr(self, name) for name in self.counters} | {"statistics": self.statistics.get_state()}
-        return LearnerState(tensors, self.replay.get_state(), counters)
+        """Return also replay buffer and statistics."""
+        state = super().get_state()
+        return LearnerState(
+            state.tensors, self.replay.get_state(), {**state.counters, "statistics": self.statistics.get_state()}
+        )
 
     def set_state(self, state: LearnerState, observations: Observation) -> None:
-        """Restore what `get_state` returned; `observations` are the lanes' present ones."""
-        self.policy.load_state_dict(state.tensors["policy"])
-        self.policy.optimizer.load_state_dict(state.tensors["optimizer"])
+        """See `Learner`."""
+        super().set_state(state, observations)
         self._make_rates_tensors()
-        th.set_rng_state(state.tensors["torch"].cpu())
         self.replay.set_state(state.arrays)
         self.statistics.set_state(state.counters["statistics"])
-        for name in self.counters:
-            setattr(self, name, state.counters[name])
 
 
 # --- lanes of the host -----------------------------------------------------------------------------------------
@@ -176,7 +163,6 @@ class HostDQN(DoubleDQN):
         self._flying: deque[int] = deque()
         self._actions, self._acted = np.zeros(count, np.int64), np.zeros(count, np.int64)
         self._charges = [0] * config.turns  # gradient steps that each group has yet to pay for
-        self.returns = [0.0] * count
         self.commands = self.steps = self.owed = 0
         self.exploration_rate = 0.0
         self._rhythm = learning_rhythm(config.commands_per_gradient_step, count)
@@ -209,14 +195,14 @@ class HostDQN(DoubleDQN):
         return self._finish_command(self._flying.popleft()) if all_fly or waits else []
 
     @property
-    def at_rest(self) -> bool:
+    def at_rest(self) -> bool:  # type: ignore[override]
         """Whether a checkpoint can be taken: no gradient step is pending and no lane flies."""
         return self.steps % self._rhythm[0] == 0 and not self._parts and not self._flying
 
     def _start_command(self, group: int) -> None:
         lanes = self.groups[group]
         steps, self._charges[group] = self._charges[group], 0
-        charge(self.lanes, self.config, steps / self.lanes.num_envs * self.config.learning_s, "learning", lanes)
+        self.charge(steps / self.lanes.num_envs * self.config.learning_s, "learning", lanes)
         self._actions[lanes] = self._decide(lanes)
         self.lanes.step_async(self._actions[lanes], lanes.tolist())
         self._flying.append(group)
@@ -239,11 +225,11 @@ class HostDQN(DoubleDQN):
         lanes = self.groups[group]
         seen, rewards, terminated, truncated, infos = self.lanes.step_wait(lanes.tolist())
         self.commands += len(lanes)
-        games = finished_games(self, rewards.tolist(), (terminated | truncated).tolist(), infos, lanes.tolist())
+        games = self.finished(rewards, terminated | truncated, infos, lanes.tolist())
         if games:
             self.statistics.read(self.statistics.sums)
             games = [replace(game, loss=self.statistics.loss, mean_q=self.statistics.mean_q) for game in games]
-        charge(self.lanes, self.config, self.config.inference_s, "inference", lanes)
+        self.charge(self.config.inference_s, "inference", lanes)
         assign(self._before, lanes, select(self.observations, lanes))
         assign(self._after, lanes, seen)
         assign(self.observations, lanes, seen)
@@ -266,7 +252,7 @@ class HostDQN(DoubleDQN):
     def _schedule(self) -> None:
         options, remaining = self.options, 1.0 - self.games / self.config.games
         rate = falling(options.learning_rate, self.config.final_learning_rate_share, remaining)
-        for group in self.policy.optimizer.param_groups:
+        for group in self.optimizer.param_groups:
             group["lr"] = group["lr"].fill_(rate) if self._recorded else rate
         self.exploration_rate = options.exploration_rate(remaining)
         self.steps += 1
@@ -328,14 +314,12 @@ class HostDQN(DoubleDQN):
         self.updates += steps
 
     def get_state(self) -> LearnerState:
-        """As `DoubleDQN` has it."""
         state = super().get_state()
         state.counters["random"] = plain_generator(self.random)
         state.counters["actions"] = self.space.np_random.bit_generator.state
         return state
 
     def set_state(self, state: LearnerState, observations: Observation) -> None:
-        """As `DoubleDQN` has it."""
         super().set_state(state, observations)
         set_generator(self.random, state.counters["random"])
         self.space.np_random.bit_generator.state = state.counters["actions"]
@@ -379,12 +363,12 @@ class DeviceDQN(DoubleDQN):
         self._clock = MonotonicClock()
 
     @property
-    def exploration_rate(self) -> float:
+    def exploration_rate(self) -> float:  # type: ignore[override]
         """Share of random actions."""
         return self.options.exploration_rate(1.0 - self.games / self.config.games)
 
     @property
-    def at_rest(self) -> bool:
+    def at_rest(self) -> bool:  # type: ignore[override]
         """Whether a checkpoint can be taken: the host has read all rounds that were flown."""
         return not self._unread
 
@@ -488,7 +472,7 @@ class DeviceDQN(DoubleDQN):
             th.where(over, options.exploration_final_eps, options.exploration_initial_eps + done * fall)
         )
         rate_now = falling(options.learning_rate, config.final_learning_rate_share, 1.0 - done)  # type: ignore[arg-type]
-        for group in self.policy.optimizer.param_groups:
+        for group in self.optimizer.param_groups:
             # Games beyond the configured number must not change the weights.
             group["lr"].copy_(th.where(done >= 1.0, 0.0, rate_now))
 
@@ -514,13 +498,11 @@ class DeviceDQN(DoubleDQN):
         return games
 
     def get_state(self) -> LearnerState:
-        """As `DoubleDQN` has it; a checkpoint saves the lanes' generators."""
         state = super().get_state()
         state.tensors["schedule"] = {"done": self._done, "epsilon": self._epsilon}
         return state
 
     def set_state(self, state: LearnerState, observations: Observation) -> None:
-        """As `DoubleDQN` has it; the observations are restored with the lanes."""
         super().set_state(state, observations)
         self._done.copy_(state.tensors["schedule"]["done"])
         self._epsilon.copy_(state.tensors["schedule"]["epsilon"])
