@@ -203,7 +203,9 @@ class GameRows:
         self._curves.add(game.number + 1, points)
         if self._wandb is not None:
             self._wandb.log(points, step=game.number + 1)
-        return GameResult(row, host={"wall_s": wall_s, "host_phase_s": info["host_phase_s"], "learner_s": learner_s})
+        return GameResult(
+            row, host={"wall_s": wall_s, "host_phase_s": game.info["host_phase_s"], "learner_s": learner_s}
+        )
 
 
 class Evaluations:
