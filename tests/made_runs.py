@@ -14,7 +14,7 @@ from tests.running import configured
 from uavaccel.config import validate
 from uavaccel.envs.obstacle_lane import LaneTask
 from uavaccel.envs.stopwatch import PHASES
-from uavaccel.files import append_line
+from uavaccel.files import append_lines, to_json
 from uavaccel.records import RunDirectory
 from uavaccel.rl.config import LearnerConfig
 from uavaccel.suites.dp1 import Dp1
@@ -174,7 +174,7 @@ def trained(
     for line in evaluations:
         won_lanes = [number < line["successes"] for number in range(len(line["lanes"]))]
         known = {"weights_sha256": "f00", "is_success": won_lanes, "distance_m": [1.0] * len(won_lanes)}
-        append_line(report.run.path / "evaluations.jsonl", known | line)
+        append_lines(report.run.path / "evaluations.jsonl", [to_json(known | line)])
     return report
 
 

@@ -59,24 +59,13 @@ def new_client(clock_speed: float, **platform: Any) -> Client:
 # --- ticks --------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("asked", "integer", "cost_us", "speed"),
-    [
-        (5, False, 48, Fraction(5)),  # 600 us a tick: the cost does not show
-        (100, False, 48, Fraction(125, 2)),  # 3 ms in 48 us
-        (100, False, 0, Fraction(100)),
-        (2.9, True, 0, Fraction(2)),  # static_cast<long long>
-        (0.5, True, 0, Fraction(1, 2)),  # below 1 AirSim shortens the step instead
-        (90.5, True, 50, Fraction(60)),
-    ],
-)
-def test_the_speed_saturates_where_a_tick_takes_its_cost(
-    asked: float, integer: bool, cost_us: int, speed: Fraction
-) -> None:
-    assert Executor(cost_us * US, integer).speed(Fraction(str(asked)), AIRSIM.tick_ns) == speed
-
-
-def test_lost_time_is_never_made_good() -> None:
+def test_the_speed_saturates_where_a_tick_takes_its_cost_and_never_makes_good() -> None:
+    """A tick of 3 ms in 48 us is 62.5x; the cast to an integer takes ClockSpeeds above 1 alone."""
+    for asked, integer, cost_us, speed in (
+        *((5, False, 48, 5), (100, False, 48, 62.5), (100, False, 0, 100)),
+        *((2.9, True, 0, 2), (0.5, True, 0, 0.5), (90.5, True, 50, 60)),
+    ):
+        assert Executor(cost_us * US, integer).speed(Fraction(str(asked)), AIRSIM.tick_ns) == speed
     simulation = simulate(100.0, AIRSIM, executor=Executor(48 * US))
     simulation.advance_to(480 * US - 1)
     assert simulation.world.tick == 9
@@ -103,45 +92,15 @@ def test_a_change_of_speed_keeps_what_a_tick_costs() -> None:
     assert go_to(simulation, 10) == 600 * US
 
 
-@pytest.mark.parametrize(
-    ("period_ns", "stale", "from_ns", "to_ns", "expected"),
-    [
-        (10, True, 0, 9, []),
-        (10, True, 0, 10, [10]),
-        (10, True, 10, 20, [20]),  # the one at 10 has been
-        (10, True, 9, 30, [10, 20, 30]),
-        (10, True, 11, 19, []),
-        (10, False, 0, 30, []),
-        (0, True, 0, 30, []),
-    ],
-)
-def test_the_game_ticks_once_at_each_frame(
-    period_ns: int, stale: bool, from_ns: int, to_ns: int, expected: list[int]
-) -> None:
-    assert list(Frames(period_ns, stale).ticks(from_ns, to_ns)) == expected
-
-
-@pytest.mark.parametrize(
-    ("period_ns", "after_continue", "image_ns", "continued_ns"),
-    [(10, True, 107, 107), (10, False, 107, 100), (0, True, 100, 100)],
-)
-def test_an_image_waits_for_a_frame_and_a_continue_for_where_it_shall(
-    period_ns: int, after_continue: bool, image_ns: int, continued_ns: int
-) -> None:
-    frames = Frames(period_ns, after_continue=after_continue, wait_ns=lambda: 7)
-    assert (frames.ready_ns(100), frames.continued(100)) == (image_ns, continued_ns)
-
-
-def test_the_pose_shown_is_a_copy_and_is_forgotten() -> None:
-    data = world_of(NATIVE).data
-    here, frames = data.qpos.copy(), Frames(10, stale_pose=True)
-    assert frames.scene(data) is data
-    frames.show(data)
-    data.qpos[0] += 5.0
-    assert frames.scene(data).qpos.tolist() == here.tolist()
-    frames.forget()
-    assert frames.scene(data) is data, "nothing is shown"
-    data.qpos[:] = here
+def test_the_game_ticks_once_at_each_frame_for_which_images_and_continue_fors_wait() -> None:
+    for period_ns, stale, from_ns, to_ns, expected in (
+        *((10, True, 0, 9, []), (10, True, 0, 10, [10]), (10, True, 10, 20, [20]), (10, True, 9, 30, [10, 20, 30])),
+        *((10, True, 11, 19, []), (10, False, 0, 30, []), (0, True, 0, 30, [])),
+    ):
+        assert list(Frames(period_ns, stale).ticks(from_ns, to_ns)) == expected
+    for period_ns, after_continue, waited in ((10, True, (107, 107)), (10, False, (107, 100)), (0, True, (100, 100))):
+        frames = Frames(period_ns, after_continue=after_continue, wait_ns=lambda: 7)
+        assert (frames.ready_ns(100), frames.continued(100)) == waited
 
 
 # --- the client's connection --------------------------------------------------------------------------------
@@ -239,35 +198,23 @@ def test_images_show_the_pose_of_the_last_frame_before_the_pause() -> None:
     shown = simulation.frames.scene(world.data).qpos.copy()
     assert np.array_equal(shown, world.data.qpos), "the world, which both flew, stands at the last frame now"
     assert not np.array_equal(paused, position(again))
-
-
-def test_a_new_game_has_shown_nothing_yet() -> None:
-    simulation = simulate(10.0, NATIVE, frames=Frames(16 * MS, stale_pose=True))
-    simulation.advance_to(20 * MS)
-    assert simulation.frames.scene(simulation.world.data) is not simulation.world.data
-    simulation.reset(20 * MS)
-    assert simulation.frames.scene(simulation.world.data) is simulation.world.data
+    simulation.reset(50 * MS)
+    assert simulation.frames.scene(world.data) is world.data, "a new game has shown nothing yet"
 
 
 # --- variants for ablations -----------------------------------------------------------------------------------------
 
 
-def test_the_platform_leaves_the_profiles_as_they_are() -> None:
+def test_the_scalable_clock_stretches_the_step_and_another_timeout_ends_goals() -> None:
+    """At 5x a step of 15 ms: the 20 ms loop falls on 30, the timeout beyond 60 on 75, the recorder on 60."""
     assert PlatformConfig().profile("airsim", 50.0) is AIRSIM
     assert PlatformConfig(scalable_clock=True).profile("native", 50.0) is NATIVE
-
-
-def test_the_scalable_clock_stretches_the_step() -> None:
-    """At 5x a step of 15 ms: the 20 ms loop falls on 30, the timeout beyond 60 on 75, the recorder on 60."""
     profile = PlatformConfig(scalable_clock=True).profile("airsim", 5.0)
     tick_ms = profile.tick_ns / MS
     assert tick_ms == 15
     loops = (profile.goal_period_ticks, profile.hover_after_ticks, profile.recorder_ticks)
     assert [loop * tick_ms for loop in loops] == [30, 75, 60]
     assert PlatformConfig(scalable_clock=True).profile("airsim", 0.5) is AIRSIM
-
-
-def test_another_goal_timeout() -> None:
     profile = PlatformConfig(goal_timeout_s=1.0).profile("airsim", 5.0)
     assert profile.hover_after_ticks == 334, "the first of the 3 ms beyond 1 s"
     assert (profile.tick_ns, profile.goal_period_ticks) == (AIRSIM.tick_ns, AIRSIM.goal_period_ticks)
@@ -374,7 +321,7 @@ def test_speedups_with_rendering_follow_from_the_frame_wait(clock_speed: float) 
     assert predicted == pytest.approx(PAPERS_FRAME_SPEEDUPS[clock_speed], rel=0.1)
 
 
-@pytest.mark.parametrize(("hz", "speedup"), [(30, 9.1), (45, 12.1), (60, 14.6), (90, 18.7), (120, 21.8)])
+@pytest.mark.parametrize(("hz", "speedup"), [(30, 9.1), (120, 21.8)])
 def test_speedup_at_100x_is_bound_by_the_frame_rate(hz: float, speedup: float) -> None:
     """What docs/results-paper.md says beside the prediction."""
     frames = {"platform": {"frames": {"hz": hz}}}

@@ -27,48 +27,45 @@ SCENES = sorted(path.name for path in asset("mjcf").glob("*.xml"))
 
 
 @pytest.mark.parametrize("name", SCENES)
-def test_a_scene_steps_without_a_warning(name: str) -> None:
+def test_a_scene_holds_the_drone_and_steps_without_a_warning(name: str) -> None:
     model = mujoco.MjModel.from_xml_path(str(asset(f"mjcf/{name}")))
     data = mujoco.MjData(model)
     mujoco.mj_step(model, data, nstep=200)
     assert not data.warning.number.any()
     assert data.time == pytest.approx(200 * model.opt.timestep)
-
-
-@pytest.mark.parametrize("name", SCENES)
-def test_a_scene_holds_the_drone_and_its_camera(name: str) -> None:
-    model = mujoco.MjModel.from_xml_path(str(asset(f"mjcf/{name}")))
     assert model.body("quadrotor").mass[0] == 1.0
     assert model.camera("front_center").pos.tolist() == [0.46, 0.0, 0.0]
     assert model.sensor("collision").dim[0] == 1
+    assert name in asset("mjcf/README.md").read_text(encoding="utf-8"), "with the sources of its numbers"
 
 
 INCLUDED = '<include file="quadrotor.xml"/>'
 
 
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("", "empty file"),
-        (f"<mujoco>{INCLUDED}", "XML parse error"),
-        (f'<mujoco>{INCLUDED}<worldbody><geom type="bax"/></worldbody></mujoco>', "invalid keyword: 'bax'.*line 1"),
-        ('<mujoco><include file="nowhere.xml"/></mujoco>', "nowhere.xml"),
-        ("<mujoco/>", "has no quadrotor: needs <include"),
-    ],
-)
-@pytest.mark.parametrize("airsim", [False, True])
-def test_a_scene_that_cannot_be_flown_is_one_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str, said: str, airsim: bool
-) -> None:
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Where scenes are looked for, with the quadrotor."""
     (tmp_path / "quadrotor.xml").write_bytes(asset("mjcf/quadrotor.xml").read_bytes())
-    (tmp_path / "mine.xml").write_text(text)
     monkeypatch.setattr("uavaccel.sim.scene.asset", lambda name: tmp_path / Path(name).name)
-    with pytest.raises(UserError, match=rf"^{tmp_path / 'mine.xml'}: .*{said}") as caught:
+    return tmp_path
+
+
+@pytest.mark.parametrize(("text", "said"), [
+    ("", "empty file"),
+    (f"<mujoco>{INCLUDED}", "XML parse error"),
+    (f'<mujoco>{INCLUDED}<worldbody><geom type="bax"/></worldbody></mujoco>', "invalid keyword: 'bax'.*line 1"),
+    ('<mujoco><include file="nowhere.xml"/></mujoco>', "nowhere.xml"),
+    ("<mujoco/>", "has no quadrotor: needs <include"),
+])  # fmt: skip
+@pytest.mark.parametrize("airsim", [False, True])
+def test_a_scene_that_cannot_be_flown_is_one_line(folder: Path, text: str, said: str, airsim: bool) -> None:
+    (folder / "mine.xml").write_text(text)
+    with pytest.raises(UserError, match=rf"^{folder / 'mine.xml'}: .*{said}") as caught:
         load_scene("mine", airsim=airsim)
     assert "\n" not in str(caught.value)
 
 
-def test_the_ground_for_airsims_clients_reaches_the_horizon(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_ground_for_airsims_clients_reaches_the_horizon(folder: Path) -> None:
     """Stretched 50 times over 200 m, a texture is 5000 times over 20 km; a uniform one counts per metre anyway."""
     plane = """
       <mujoco><include file="quadrotor.xml"/><asset><texture name="t" type="2d" builtin="checker" width="8" height="8"/>
@@ -76,9 +73,7 @@ def test_the_ground_for_airsims_clients_reaches_the_horizon(tmp_path: Path, monk
       <material name="uniform" texture="t" texrepeat="2 3" texuniform="true"/></asset><worldbody>
       <geom name="ground" type="plane" size="100 50 1" material="stretched"/>
       <geom name="beside" type="plane" size="100 50 1" material="uniform"/></worldbody></mujoco>"""
-    (tmp_path / "quadrotor.xml").write_bytes(asset("mjcf/quadrotor.xml").read_bytes())
-    (tmp_path / "mine.xml").write_text(plane)
-    monkeypatch.setattr("uavaccel.sim.scene.asset", lambda name: tmp_path / Path(name).name)
+    (folder / "mine.xml").write_text(plane)
     plain, wide = (load_scene("mine", airsim=airsim) for airsim in (False, True))
     for name in ("ground", "beside"):
         assert plain.geom(name).size[:2].tolist() == [100.0, 50.0]
@@ -88,15 +83,9 @@ def test_the_ground_for_airsims_clients_reaches_the_horizon(tmp_path: Path, monk
     assert wide.material("uniform").texrepeat.tolist() == [2.0, 3.0]
 
 
-def test_the_scenes_numbers_have_their_sources() -> None:
-    readme = asset("mjcf/README.md").read_text(encoding="utf-8")
-    assert all(name in readme for name in SCENES)
-
-
 # --- the lane in a wood -----------------------------------------------------------------------------------------------
 
 
-FOREST: dict[str, Any] = {"difficulty": {"scenery": "forest"}}
 PLACES_M = [(0.0, 0.0), (33.0, 1.0), (118.0, -2.0)]
 POSTS = [
     {"x_m": 12.0, "y_m": 1.0, "half_side_m": 0.4},
@@ -177,14 +166,9 @@ def test_a_vehicle_hits_the_same_when_the_scenery_changes() -> None:
                 world.lead.set_goal(of_velocity(VelocityGoal((2.0, 0.6, 0.0), -2.0)))
                 world.advance(1500)
         world.advance(20_000)
-        flown.append(
-            (
-                physics_state(world.model, world.data).tobytes(),
-                world.lead.collision_tick,
-                getattr(world.lead.contact_log.first, "object", ""),
-            )
-        )
-    assert flown[0][2]
+        touched = getattr(world.lead.contact_log.first, "object", "")
+        flown.append((touched, world.lead.collision_tick, physics_state(world.model, world.data).tobytes()))
+    assert flown[0][0]
     assert all(each == flown[0] for each in flown)
 
 

@@ -72,7 +72,7 @@ def test_a_baselines_learning_rate_falls_and_its_seed_draws() -> None:
     rates = []
     while learner.games < 8:
         assert len(learner.advance()) == 2
-        rates.append(learner.policy.optimizer.param_groups[0]["lr"])
+        rates.append(learner.optimizer.param_groups[0]["lr"])
     assert rates == pytest.approx([2e-3 * (0.1 + 0.9 * (1 - games / 9)) for games in (2, 4, 6, 8)])
     assert [game.number for game in learner.advance()] == [8]
     first, again, other = (weights_sha256(baseline("sb3_ppo", options, seed=seed).policy) for seed in (3, 3, 4))
@@ -177,7 +177,7 @@ from uavaccel.rl.learner import make_learner
 from uavaccel.rl.policy import make_policy
 from uavaccel.suites.train import TrainConfig
 import uavaccel.suites.trainer, uavaccel.suites.evaluate_lanes, uavaccel.suites.evaluate_again, uavaccel.rl.onnx_file
-import uavaccel.rl.adapters, uavaccel.rl.checkpoint
+import uavaccel.rl.adapters, uavaccel.rl.learner
 fly_here()
 hover = {"env_id": "uavaccel/Hover-v0", "algorithm": "ppo", "hidden": [8], "options": {"rollout": 8, "minibatches": 2}}
 for config in (tiny_config({"observation": "state"}, mirror=False), validate(TrainConfig, hover, "test")):

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
 import mujoco
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
@@ -31,21 +32,18 @@ class Touchy(Clearance):
 
 
 def flight(world: World, seed: int, height_m: float) -> tuple[bytes, int | None, str]:
-    """A reckless one of 40 s, as exact as can be."""
+    """A reckless one of 20 s, as exact as can be."""
     world.reset((0.0, 0.0, -height_m))
     world.start_recording()
     rng = np.random.default_rng(seed)
-    for _ in range(40):
+    for _ in range(20):
         heading, speed = rng.uniform(-1, 1), rng.choice([1.0, 3.0, 8.0])
         velocity = (speed * math.cos(heading), speed * math.sin(heading), 0.0)
         world.lead.set_goal(of_velocity(VelocityGoal(velocity, height_m=-height_m * rng.uniform(0.2, 1.2))))
         for ticks in (165, 165, 170):
             world.advance(ticks)
-    return (
-        world.recorder.rows().tobytes(),
-        world.lead.collision_tick,
-        getattr(world.lead.contact_log.first, "object", ""),
-    )
+    touched = getattr(world.lead.contact_log.first, "object", "")
+    return world.recorder.rows().tobytes(), world.lead.collision_tick, touched
 
 
 @pytest.mark.slow
@@ -55,7 +53,7 @@ def test_a_flight_is_the_same_with_contacts_looked_for_at_every_step(scene: str,
     worlds = [World(scene, profile), World(scene, profile)]  # type: ignore[arg-type]
     worlds[1].clearance = Touchy(worlds[1].model, worlds[1].data)
     collisions = []
-    for seed in range(3):
+    for seed in range(3 if scene == "lane" else 1):
         if scene == "lane":
             layout = sample_layout(seed)
             if seed % 2:
@@ -115,15 +113,10 @@ def test_no_flight_into_something_is_missed(target: str, speed_m_s: float, wind_
             world.lead.state["wind"] = wind_m_s * direction
             start = tuple(place - distance_m * direction)
             put_vehicle(world, start, turned_to(direction), tuple(speed_m_s * direction))
-            for _ in range(400):
-                world.advance(1)
-            ends.append(
-                (
-                    world.lead.collision_tick,
-                    getattr(world.lead.contact_log.first, "object", ""),
-                    world.lead.kinematics(),
-                )
-            )
+            for _ in range(100):
+                world.advance(4)
+            touched = getattr(world.lead.contact_log.first, "object", "")
+            ends.append((world.lead.collision_tick, touched, world.lead.kinematics()))
         world.clearance = usual
         assert ends[0] == ends[1]
         assert ends[0][0] is not None
@@ -134,7 +127,6 @@ def strongest_acceleration(gains: Any, airspeed_m_s: float) -> float:
     return float(clearance.strongest_acceleration(*[*craft, airspeed_m_s]))
 
 
-@settings(max_examples=200)
 @given(seed=st.integers(0, 2**32), speed_m_s=st.floats(0, 15), wind_m_s=st.floats(0, 20), height_m=st.floats(0.0, 60.0))
 def test_no_flight_accelerates_more_than_the_strongest(
     seed: int, speed_m_s: float, wind_m_s: float, height_m: float
@@ -153,7 +145,6 @@ def test_no_flight_accelerates_more_than_the_strongest(
     assert strongest_acceleration(gains, speed_m_s + wind_m_s) >= strongest
 
 
-@settings(max_examples=200)
 @given(distance_m=st.floats(1e-3, 50), speed_m_s=st.floats(0, 15), strongest=st.floats(1, 200))
 def test_nothing_arrives_before_its_time(distance_m: float, speed_m_s: float, strongest: float) -> None:
     """In steps of a thousandth of it: neither there yet, nor faster by more than a gust; and no time is given away."""
@@ -166,7 +157,6 @@ def test_nothing_arrives_before_its_time(distance_m: float, speed_m_s: float, st
     assert travelled[-1] > 0.999 * distance_m or gained[-1] > 0.999 * clearance.GUST_M_S
 
 
-@settings(max_examples=100)
 @given(
     north_m=st.floats(-5, 60),
     east_m=st.floats(-4.5, 4.5),
@@ -242,23 +232,19 @@ def test_what_is_moved_is_seen_at_once() -> None:
         )
 
 
-_worlds: list[World] = []
+@cache
+def made() -> tuple[World, dict[str, Any]]:
+    world = World("lane", NATIVE)
+    return world, {name: world.lead.parameters[name].copy() for name in ("min_throttle", "rate_gain")}
 
 
 def lane_world() -> World:
     """One for all examples, as made: it takes long to make."""
-    if not _worlds:
-        _worlds.append(World("lane", NATIVE))
-    parameters = _worlds[0].lead._parameters
-    assert parameters is not None
-    if not _as_made:
-        _as_made.append(parameters.copy())
-    parameters[:] = _as_made[0]
-    _worlds[0].lead.state["wind"] = 0.0
-    return _worlds[0]
-
-
-_as_made: list[NDArray[np.void]] = []
+    world, as_made = made()
+    for name, value in as_made.items():  # which `rocket` changes
+        world.lead.parameters[name] = value
+    world.lead.state["wind"] = 0.0
+    return world
 
 
 def test_a_reset_hovers_where_and_as_it_is_told(lane_world: World) -> None:

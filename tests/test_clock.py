@@ -30,9 +30,10 @@ from uavaccel.clock import (
     timer_grain_ns,
     wait_for_sockets,
 )
+from uavaccel.draw.page import in_words
 from uavaccel.errors import UserError
-from uavaccel.suites import host_time
-from uavaccel.suites.host_time import cumulative_wall_s, in_words, over_all_starts, pace_of, timed
+from uavaccel.suites import experiment
+from uavaccel.suites.experiment import cumulative_wall_s, over_all_starts, pace_of, timed
 
 TICKS_NS = (2_000_000, 3_000_000)
 LARGEST = 10**15  # nanoseconds: twelve days
@@ -96,16 +97,14 @@ def test_a_new_speed_goes_on_from_where_the_old_one_came_to() -> None:
     assert pacer.ticks_due(7_000_000) == 9 + 5, "a refused speed changes nothing"
 
 
-def test_a_virtual_clock_jumps_and_never_goes_back() -> None:
-    clock = VirtualClock(100)
-    clock.sleep_until(50)
-    assert clock.now_ns() == 100
-    clock.sleep_until(10**18)
-    clock.charge(5)
-    assert clock.now_ns() == 10**18 + 5
-
-
-def test_the_machines_clock_sleeps_long_enough_and_ignores_charges() -> None:
+def test_a_virtual_clock_jumps_the_machines_sleeps_long_enough() -> None:
+    """Neither goes back; the machine's ignores charges."""
+    virtual = VirtualClock(100)
+    virtual.sleep_until(50)
+    assert virtual.now_ns() == 100
+    virtual.sleep_until(10**18)
+    virtual.charge(5)
+    assert virtual.now_ns() == 10**18 + 5
     clock = MonotonicClock()
     start = clock.now_ns()
     clock.charge(10**15)
@@ -209,20 +208,11 @@ def timings(*readings_s: float | None) -> list[dict[str, float]]:
     return [{"host_wall_s": 99.0} | ({} if each is None else {"wall_s": each}) for each in readings_s]
 
 
-@pytest.mark.parametrize(("readings_s", "over_all_s"), [
-    ([], []),
-    ([None], []),
-    ([1.0, 3.0, 3.0], [1.0, 3.0, 3.0]),
-    ([1.0, None, 3.0, 2.0, 5.0, 0.5], [1.0, 3.0, 5.0, 8.0, 8.5]),  # it was resumed twice
-])  # fmt: skip
-def test_wall_time_goes_on_where_a_stopwatch_starts_again(
-    readings_s: list[float | None], over_all_s: list[float]
-) -> None:
-    assert cumulative_wall_s(timings(*readings_s)) == over_all_s
-
-
-def test_phases_of_all_starts_are_summed() -> None:
-    """Before its second start the run had simulated for 2 s and learned for 4 s."""
+def test_times_go_on_where_a_stopwatch_starts_again() -> None:
+    """Resumed twice; of phases, before its second start the run had simulated for 2 s and learned for 4 s."""
+    assert cumulative_wall_s([]) == cumulative_wall_s(timings(None)) == []
+    assert cumulative_wall_s(timings(1.0, 3.0, 3.0)) == [1.0, 3.0, 3.0]
+    assert cumulative_wall_s(timings(1.0, None, 3.0, 2.0, 5.0, 0.5)) == [1.0, 3.0, 5.0, 8.0, 8.5]
     readings = [{"simulation": 1.0, "learning": 2.0}, {"simulation": 2.0, "learning": 4.0}]
     again = [{"simulation": 0.5, "learning": 1.0}, {"simulation": 1.0, "learning": 4.5}]
     assert (over_all_starts([]), over_all_starts(readings)) == ({}, readings[-1])
@@ -248,6 +238,6 @@ def test_work_is_timed_by_the_machines_clock(monkeypatch: pytest.MonkeyPatch) ->
         clock.read_ns += 1_750_000_000
         return "done"
 
-    monkeypatch.setattr(host_time, "MonotonicClock", lambda: clock)
+    monkeypatch.setattr(experiment, "MonotonicClock", lambda: clock)
     monkeypatch.setattr("os.getloadavg", lambda: (0.5, 7.0, 8.0))
     assert timed(work) == ("done", {"host_wall_s": 1.75, "load": 0.5})

@@ -15,8 +15,8 @@ import torch as th
 from tests.learning import tiny_config, train_into
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
-from uavaccel.rl.checkpoint import find_checkpoint
 from uavaccel.rl.config import LearnerConfig
+from uavaccel.rl.learner import find_checkpoint
 from uavaccel.rl.policy import MANIFEST, WEIGHTS, load_policy
 from uavaccel.suites.train import CHECKPOINTS, TrainConfig
 

@@ -16,6 +16,7 @@ from torch.nn import functional
 import uavaccel.envs  # noqa: F401 - registers
 from tests.host_kernels import host_kernels  # noqa: F401 - a fixture
 from uavaccel.config import validate
+from uavaccel.envs.arrays import stacked_observations
 from uavaccel.envs.kernel_batch import KernelBatch
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.errors import UserError
@@ -59,7 +60,7 @@ def test_make_vec_says_which_simulator_flies() -> None:
 # --- the learner beside them, rounds as they are, none of them recorded ---------------------------------------------
 
 LEARNING_LANES = 2
-LEARNING = {
+LEARNING: dict[str, Any] = {
     "games": 8,
     "environments": LEARNING_LANES,
     "simulator": "kernels",
@@ -110,8 +111,13 @@ def learn(learner: Any, games: int) -> list[Game]:
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:.*CUDA is not available:UserWarning")
 @pytest.mark.usefixtures("at_once")
-def test_a_learner_goes_on_from_a_checkpoint_to_the_same_weights() -> None:
-    config = validate(TrainConfig, LEARNING, "test")
+@pytest.mark.parametrize(
+    "seen",
+    [{}, {"observation": "state"}, {"observation": "depth", "also_state": True}],
+    ids=["events", "state", "both"],
+)
+def test_a_learner_goes_on_from_a_checkpoint_to_the_same_weights(seen: dict[str, Any]) -> None:
+    config = validate(TrainConfig, {**LEARNING, "task": {**LEARNING["task"], **seen}, "mirror": not seen}, "test")
     learner = learner_of(config)
     first = weights_sha256(learner.policy)
     games = learn(learner, 1)
@@ -129,8 +135,8 @@ def test_a_learner_goes_on_from_a_checkpoint_to_the_same_weights() -> None:
 
     other = learner_of(config.model_copy(update={"seed": 1}))
     other.config = config
-    seen = [other.lanes.set_state(lane, state) for lane, state in enumerate(saved[1])]
-    other.set_state(saved[0], np.stack(seen))
+    now = [other.lanes.set_state(lane, state) for lane, state in enumerate(saved[1])]
+    other.set_state(saved[0], stacked_observations(now))
     again = learn(other, 8)
     assert len(again) > 1
     assert [(game.number, game.lane, game.reward) for game in again] == [

@@ -148,26 +148,27 @@ def found(pattern: str) -> list[tuple[str, str]]:
     ]
 
 
-@pytest.mark.parametrize(("page", "link"), sorted(set(found(r"\]\((?!https?:)([^)#]+)(?:#[^)]*)?\)"))))
-def test_links_lead_somewhere(page: str, link: str) -> None:
-    assert ((ROOT / page).parent / link).exists()
+def test_links_lead_to_and_names_are_of_what_is_there() -> None:
+    """Links, files, modules, and targets of make."""
+    links = {(page, link) for page, link in found(r"\]\((?!https?:)([^)#]+)(?:#[^)]*)?\)")}
+    files = {(page, file) for page, file in found(r"\b((?:uavaccel|tests|experiments|assets)/[\w/]+\.\w+)")}
+    names = {(page, name.replace(".", "/")) for page, name in found(r"(?m)(?:`|^::: )(uavaccel\.[a-z_.]+)(?:`|$)")}
+    targets = {target for _, target in found(r"(?m)(?:^|`)make (\w+)(?:`|$)")}
+    assert min(map(len, (links, files, names, targets))) > 3
+    assert [each for each in sorted(links) if not ((ROOT / each[0]).parent / each[1]).exists()] == []
+    assert [each for each in sorted(files) if not ("NAME" in each[1] or (ROOT / each[1]).exists())] == []
+    modules = {*(path.relative_to(ROOT).with_suffix("").as_posix() for path in ROOT.glob("uavaccel/**/*.py"))}
+    assert [each for each in sorted(names) if not (each[1] in modules or (ROOT / each[1]).is_dir())] == []
+    assert targets <= set(re.findall(r"(?m)^(\w+):", (ROOT / "Makefile").read_text(encoding="utf-8")))
 
 
-@pytest.mark.parametrize(("page", "file"), sorted(set(found(r"\b((?:uavaccel|tests|experiments|assets)/[\w/]+\.\w+)"))))
-def test_files_that_are_named_are_there(page: str, file: str) -> None:
-    assert "NAME" in file or (ROOT / file).exists()
-
-
-@pytest.mark.parametrize(("page", "line"), sorted(set(found(r"`(uavaccel [a-z][^`\n]*)`"))))
-def test_commands_within_the_text_parse(page: str, line: str) -> None:
+def test_commands_within_the_text_parse() -> None:
     """The command and its options exist; blocks of them are tests/test_docs.py's."""
-    parse(shlex.split(line.partition("#")[0])[1:])
-
-
-@pytest.mark.parametrize("name", sorted({name for _, name in found(r"(?m)(?:`|^::: )(uavaccel\.[a-z_.]+)(?:`|$)")}))
-def test_packages_and_modules_that_are_named_are_there(name: str) -> None:
-    path = ROOT / name.replace(".", "/")
-    assert path.is_dir() or path.with_suffix(".py").is_file()
+    for line in sorted({line for _, line in found(r"`(uavaccel [a-z][^`\n]*)`")}):
+        try:
+            parse(shlex.split(line.partition("#")[0])[1:])
+        except Exception as error:
+            raise AssertionError(line) from error
 
 
 def test_every_page_is_in_the_sites_navigation() -> None:
@@ -232,8 +233,3 @@ def test_the_way_of_a_command_goes_through_real_functions() -> None:
 def _defined(path: Path) -> set[str]:
     tree = ast.parse(path.read_text(encoding="utf-8"))
     return {node.name for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)}
-
-
-@pytest.mark.parametrize("target", sorted({target for _, target in found(r"(?m)(?:^|`)make (\w+)(?:`|$)")}))
-def test_make_has_its_targets(target: str) -> None:
-    assert re.search(rf"^{target}:", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)

@@ -65,15 +65,15 @@ def test_counts_are_numpys_floor_division_next_to_whole_thresholds(cutoff_hz: fl
     positive, negative = sensor.positive_threshold, sensor.negative_threshold
     log = rng.integers(0, 40, SHAPE).astype(positive.dtype) * positive
     log = np.nextafter(log, np.where(rng.random(SHAPE) < 0.5, np.inf, -np.inf).astype(log.dtype))
-    count = kernels.count_double if cutoff_hz else kernels.count_single
+    count = np.vectorize(kernels.count_double_pixel if cutoff_hz else kernels.count_single_pixel)
     expected = np.floor_divide(np.maximum(log, 0), positive) - np.floor_divide(np.maximum(-log, 0), negative)
     np.testing.assert_array_equal(count(log, np.zeros_like(log), positive, negative), expected)
 
 
 def test_a_quotient_that_is_rounded_up_counts_one_less() -> None:
-    change, threshold = np.array([[1.7825321262297023]]), np.array([[0.16204837511179113]])
+    change, threshold = 1.7825321262297023, 0.16204837511179113
     assert change / threshold == 11
-    assert kernels.count_double(change, np.zeros_like(change), threshold, threshold) == 10
+    assert kernels.count_double_pixel(change, 0.0, threshold, threshold) == 10
 
 
 @given(small_frames, st.sampled_from(["clean", "constructor"]), st.floats(1e-4, 1.0), st.integers(0, 99))

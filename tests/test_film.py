@@ -75,10 +75,10 @@ def test_a_frame_shows_camera_events_and_map() -> None:
 def test_what_a_frame_says(monkeypatch: pytest.MonkeyPatch) -> None:
     said: list[str] = []
     monkeypatch.setattr(films, "write", lambda page, text, *_, **__: said.append(text))
-    list(frames(flown(samples=3), frames_per_s=6))
+    list(frames(flown(samples=3)))
     assert said[0] == "A title"
-    # Two steps of 0.33 s in two sixths of a second.
-    assert said[-2:] == ["  0.33 s,   1.5 m, shown at 2.0x", "  0.66 s,   3.0 m, shown at 2.0x"]
+    # Two steps of 0.33 s in two twelfths of a second.
+    assert said[-2:] == ["  0.33 s,   1.5 m, shown at 4.0x", "  0.66 s,   3.0 m, shown at 4.0x"]
 
 
 def decided(of_sample: list[int], given: bool = True) -> Decisions:
@@ -135,8 +135,8 @@ def test_outside_of_a_lane_the_map_is_of_the_whole_flight(
 
 def test_an_impact_is_marked_and_held() -> None:
     film = replace(flown(samples=3), hit="obstacle_03")
-    plain, shown = list(frames(flown(samples=3), 10)), list(frames(film, 10))
-    assert len(shown) == 2 + 20
+    plain, shown = list(frames(flown(samples=3))), list(frames(film))
+    assert len(shown) == 2 + 24
     assert all(np.array_equal(a, b) for a, b in zip(shown[:2], plain, strict=False))
     assert all(np.array_equal(frame, shown[2]) for frame in shown[3:])
     assert shown[2][66, 200].tolist() == list(IMPACT)  # around the camera's picture
@@ -167,16 +167,16 @@ def test_more_events_have_a_deeper_colour(on: int, off: int, bgr: tuple[int, int
 
 def test_a_film_is_h264_that_decodes_to_what_was_drawn(tmp_path: Path) -> None:
     film = flown()
-    path = write_video(film, tmp_path / "films" / "one.mp4", frames_per_s=10)
+    path = write_video(film, tmp_path / "films" / "one.mp4")
     assert [file.name for file in path.parent.iterdir()] == ["one.mp4"]
     with av.open(str(path)) as file:
         stream = file.streams.video[0]
         context = stream.codec_context
         assert (context.name, context.pix_fmt, context.width, context.height) == ("h264", "yuv420p", 1280, 480)
-        assert (float(stream.average_rate or 0), stream.frames) == (10.0, SAMPLES)
+        assert (float(stream.average_rate or 0), stream.frames) == (12.0, SAMPLES)
         decoded = [frame.to_ndarray(format="bgr24") for frame in file.decode(stream)]
     assert len(decoded) == SAMPLES
-    for seen, drawn in zip(decoded, frames(film, 10), strict=True):
+    for seen, drawn in zip(decoded, frames(film), strict=True):
         difference = np.abs(seen.astype(int) - drawn)
         assert difference.mean() < 3
         for x in (600, 1000, 700):  # ON, OFF and paper: the decoder knows which colours were meant
@@ -184,7 +184,7 @@ def test_a_film_is_h264_that_decodes_to_what_was_drawn(tmp_path: Path) -> None:
     data = path.read_bytes()
     assert data.index(b"moov") < data.index(b"mdat")  # plays before it is all there
     assert len(data) < 10_000 * SAMPLES
-    assert write_video(film, tmp_path / "two.mp4", frames_per_s=10).read_bytes() == data
+    assert write_video(film, tmp_path / "two.mp4").read_bytes() == data
 
 
 def test_no_film_is_larger_than_the_largest_however_noisy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -34,89 +36,77 @@ def test_contexts_open_and_close_many_times(lane_scene: Scene) -> None:
 
 
 LOOK = """
-import mujoco, sys
-from uavaccel.resources import asset
-from uavaccel.sim.camera.camera import Camera
-model = mujoco.MjModel.from_xml_path(str(asset("mjcf/lane.xml")))
-camera, dropped = Camera(model), Camera(model, 32, 18)
-print(camera.colour(mujoco.MjData(model)).any())
-del dropped
-{end}
-"""
-
-
-def run_python(code: str, **environment: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-W", "error", "-c", code],
-        env={**os.environ, **environment},
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=300,
-    )
-
-
-@needs_opengl
-@pytest.mark.parametrize(
-    ("end", "status", "said"), [("", 0, ""), ("1 / 0", 1, "ZeroDivisionError: division by zero\n")]
-)
-def test_nothing_is_said_at_exit(end: str, status: int, said: str) -> None:
-    done = run_python(LOOK.format(end=end))
-    assert done.stdout == "True\n"
-    assert done.returncode == status
-    assert done.stderr.endswith(said)
-    assert done.stderr.count("Error") == said.count("Error")
-    assert "Exception ignored" not in done.stderr
-
-
-WORKERS = """
 import sys
-from joblib import Parallel, delayed
-sys.path.insert(0, {folder!r})
-from test_camera_worker import look
-if __name__ == "__main__":
-    print(Parallel(n_jobs=2)(delayed(look)(index) for index in range(3)))
-"""
-WORKER = """
 import mujoco
 from uavaccel.resources import asset
 from uavaccel.sim.camera.camera import Camera
+from uavaccel.sim.lane import sample_layout
+from uavaccel.sim.profile import NATIVE
+from uavaccel.sim.world import World
+world = World("lane", NATIVE)
+world.set_lane(sample_layout(0))
+world.advance(10)
+print([name for name in sys.modules if name.startswith(("OpenGL", "mujoco.egl", "mujoco.osmesa"))])
+camera, dropped = Camera(world.model), Camera(world.model, 32, 18)
+print(camera.colour(world.data).any())
+del dropped
+1 / 0
+"""
+
+
+@needs_opengl
+def test_flying_needs_no_opengl_and_nothing_is_said_of_it_at_exit() -> None:
+    environment = {name: value for name, value in os.environ.items() if name != "MUJOCO_GL"}
+    done = run_python("-W", "error", "-c", LOOK, env=environment)
+    assert done.stdout == "[]\nTrue\n"
+    assert done.returncode == 1
+    assert done.stderr.endswith("ZeroDivisionError: division by zero\n")
+    assert done.stderr.count("Error") == 1
+    assert "Exception ignored" not in done.stderr
+
+
+def run_python(*arguments: str, **options: Any) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([sys.executable, *arguments], capture_output=True, text=True, check=False, **options)
+
+
+WORKER = """
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 
 kept = []
 
 def look(index):
+    import mujoco
+    from uavaccel.resources import asset
+    from uavaccel.sim.camera.camera import Camera
     model = mujoco.MjModel.from_xml_path(str(asset("mjcf/lane.xml")))
     kept.append(Camera(model, 32, 18))
     return bool(kept[-1].colour(mujoco.MjData(model)).any())
+
+if __name__ == "__main__":
+    with ProcessPoolExecutor(1, get_context("spawn")) as pool:
+        print(*pool.map(look, range(2)))
 """
 
 
 @pytest.mark.slow
 @needs_opengl
-def test_workers_end_without_noise(tmp_path: os.PathLike[str]) -> None:
-    folder = os.fspath(tmp_path)
-    with open(os.path.join(folder, "test_camera_worker.py"), "w", encoding="utf-8") as module:
-        module.write(WORKER)
-    done = run_python(WORKERS.format(folder=folder))
-    assert done.stdout == "[True, True, True]\n"
-    assert done.stderr == ""
+def test_workers_end_without_noise(tmp_path: Path) -> None:
+    (tmp_path / "look.py").write_text(WORKER)
+    done = run_python("-W", "error", str(tmp_path / "look.py"))
+    assert (done.stdout, done.stderr) == ("True True\n", "")
 
 
-def test_without_opengl_one_line_names_the_packages(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv("MUJOCO_GL", raising=False)
-    monkeypatch.setattr(gl, "_first_that_works", lambda: None)
-    monkeypatch.setattr(sys, "platform", "linux")
-    with pytest.raises(UserError, match=r"libegl1 libegl-mesa0 libgl1-mesa-dri, or libosmesa6 \(Debian\)$"):
-        gl.make_context(8, 8)
-
-
-def test_images_that_are_switched_off(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_or_wrong_opengl_is_told_in_a_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    with monkeypatch.context() as patch:
+        patch.delenv("MUJOCO_GL", raising=False)
+        patch.setattr(gl, "_first_that_works", lambda: None)
+        patch.setattr(sys, "platform", "linux")
+        with pytest.raises(UserError, match=r"libegl1 libegl-mesa0 libgl1-mesa-dri, or libosmesa6 \(Debian\)$"):
+            gl.make_context(8, 8)
     monkeypatch.setenv("MUJOCO_GL", "off")
     with pytest.raises(UserError, match="MUJOCO_GL=off switches images off"):
         gl.choose_backend()
-
-
-def test_a_backend_that_does_not_work_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MUJOCO_GL", "egl")
     monkeypatch.setitem(sys.modules, "mujoco.egl", None)
     with pytest.raises(UserError, match=r"does not work with MUJOCO_GL=egl .*install libegl1"):
@@ -130,19 +120,6 @@ def test_a_probe_that_crashes_is_no_backend(monkeypatch: pytest.MonkeyPatch) -> 
     gl._first_that_works.cache_clear()
 
 
-def test_flying_needs_no_opengl() -> None:
-    code = (
-        "import sys\n"
-        "from uavaccel.sim.world import World\nfrom uavaccel.sim.profile import NATIVE\n"
-        "from uavaccel.sim.lane import sample_layout\n"
-        "world = World('lane', NATIVE); world.set_lane(sample_layout(0)); world.reset(); world.advance(10)\n"
-        "assert not [name for name in sys.modules if name.startswith(('OpenGL', 'mujoco.egl', 'mujoco.osmesa'))]\n"
-    )
-    environment = {name: value for name, value in os.environ.items() if name != "MUJOCO_GL"}
-    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-
-
 @needs_opengl
 def test_the_bench_measures_ours_and_the_bare_loop() -> None:
     ours, bare, ratio, renderer = frame_rates(rounds=1)
@@ -151,8 +128,7 @@ def test_the_bench_measures_ours_and_the_bare_loop() -> None:
 
 
 def test_a_missing_gl_is_one_line_wherever_mujoco_is_imported() -> None:
-    command = [sys.executable, "-m", "uavaccel", "run", "dp1", "--dry-run"]
-    done = subprocess.run(command, env={**os.environ, "MUJOCO_GL": "glsl"}, capture_output=True, text=True, check=False)
+    done = run_python("-m", "uavaccel", "run", "dp1", "--dry-run", env={**os.environ, "MUJOCO_GL": "glsl"})
     assert done.returncode == 1
     assert done.stderr.startswith("uavaccel: error: MUJOCO_GL=glsl does not work here")
     assert len(done.stderr.splitlines()) == 1

@@ -24,6 +24,7 @@ from uavaccel.sim.lane import (
     obstacle_geoms,
     sample_layout,
 )
+from uavaccel.sim.objects import SceneObjects
 from uavaccel.sim.world import World
 
 START = Pose((0.0, 0.0, -10.0), (0.0, 0.0, 0.0))
@@ -107,6 +108,14 @@ def test_a_layout_survives_the_reset_of_the_data(lane_scene: Scene) -> None:
     apply_layout(*lane_scene, one_post(30.0, 1.0))
     mujoco.mj_resetData(*lane_scene)
     assert touched(lane_scene, 29.5, 1.0) == "obstacle_00"
+
+
+def test_clients_find_the_obstacles_of_a_layout_alone(lane_world: World) -> None:
+    """Whatever stood there before."""
+    for layout, found in ((sample_layout(1), 28), (one_post(30.0, 1.0), 1)):
+        lane_world.set_lane(layout)
+        names = SceneObjects(lane_world).names()
+        assert names == [*("ground",), *(f"obstacle_{index:02d}" for index in range(found)), "wall_east", "wall_west"]
 
 
 def test_too_many_obstacles_and_other_scenes_are_refused(lane_scene: Scene) -> None:

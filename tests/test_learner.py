@@ -23,9 +23,8 @@ from uavaccel.rl.agents import first_policy
 from uavaccel.rl.config import check_algorithm
 from uavaccel.rl.double_dqn import DeviceDQN, HostDQN
 from uavaccel.rl.learner import Game, StepStatistics, first_seed, learning_rhythm
-from uavaccel.rl.network import Adam, contrast
+from uavaccel.rl.network import Adam, Windows, contrast
 from uavaccel.rl.policy import weights_sha256
-from uavaccel.rl.replay import Levels, Windows
 from uavaccel.suites.train import TrainConfig
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*CUDA is not available:UserWarning")
@@ -122,14 +121,12 @@ class OnDevice(TwoStates):
         self.observations = th.from_numpy(self._seen(range(lanes)))
         self.rewards, self.terminated, self.truncated = th.zeros(lanes), *(th.zeros(lanes).bool() for _ in range(2))
         self.going, self.ended = th.ones(lanes, dtype=th.uint8), th.zeros((lanes, AT.columns), dtype=th.float64)
-        self.returns, self.has_begun = np.zeros(lanes), False
-        self.games = SimpleNamespace(begun=th.zeros(lanes), refill=lambda begun: None)
-
-    def seed(self, seed: int) -> None:
-        self.seeds.append(seed)
+        self.returns = np.zeros(lanes)
+        self.games = SimpleNamespace(begun=th.zeros(lanes), seed=self.seeds.append, has_games=False)
+        self.games.refill = lambda begun: None
 
     def begin(self) -> None:
-        self.has_begun = True
+        self.games.has_games = True
 
     def fly(self, actions: th.Tensor) -> None:
         lanes = range(self.count)
@@ -162,10 +159,7 @@ def config_of(lanes: int, options: dict[str, Any] | None = None, **keys: Any) ->
 def learning(lanes: int, options: dict[str, Any] | None = None, kind: Any = HostDQN, **keys: Any) -> tuple[Any, Any]:
     """A learner and its lanes; `kind` is HostDQN or DeviceDQN."""
     flown = TwoStates(lanes) if kind is HostDQN else OnDevice(lanes)
-    with pytest.MonkeyPatch.context() as patch:  # numbers are no patches of pictures
-        if kind is DeviceDQN:
-            patch.setattr("uavaccel.rl.patches.Patches", lambda *_: Levels())
-        return kind(config_of(lanes, options, **keys), flown), flown
+    return kind(config_of(lanes, options, **keys), flown), flown
 
 
 def train(learner: Any, games: int | None = None) -> list[Game]:
@@ -293,7 +287,7 @@ def test_learning_rate_and_exploration_fall_with_the_games(kind: Any, fraction: 
         done = min(sum(each.over or each.truncated for lane in (0, 1) for each in lanes.flown(lane)) / 40, 1.0)
         expected = max(1.0 - 0.8 * done / fraction, 0.2) if fraction else 0.2
         assert learner.exploration_rate == pytest.approx(expected)
-        rate = float(learner.policy.optimizer.param_groups[0]["lr"])
+        rate = float(learner.optimizer.param_groups[0]["lr"])
         assert rate == pytest.approx(3e-4 * (1.0 - 0.98 * done) if done < 1.0 else 0.0) or games == 40
     assert rate == 0.0 or kind is HostDQN
 
@@ -374,7 +368,7 @@ def test_a_step_follows_the_gradient_worked_out_by_hand(limit: float) -> None:
     learner.replay = SimpleNamespace(observations=th.from_numpy(seen), next_observations=th.from_numpy(after))
     learner.sight, learner._turned = Plain(), th.tensor([1, 0])
     learner.policy = SimpleNamespace(q_net=online, q_net_target=target)
-    learner.policy.optimizer = th.optim.SGD(online.parameters(), lr=0.1)
+    learner.optimizer = th.optim.SGD(online.parameters(), lr=0.1)
     rewards, discounts = [3.0, -2.0, 0.1, 0.2], [0.5, 0.25, 0.0, 0.125]
     lanes, actions, mirrored = [0, 1, 2, 3], [0, 1, 0, 1], [True, False, True, False]
     rows = [th.tensor(each) for each in ([0, 1, 2, 3], [2, 3, 4, 5], lanes, actions)]

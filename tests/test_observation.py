@@ -32,9 +32,8 @@ from uavaccel.export import write_minari
 from uavaccel.kinematics import AttitudeGoal, BodyRatesGoal, MotorsGoal
 from uavaccel.rl.agents import make_agent, origin_of
 from uavaccel.rl.double_dqn import HostDQN
-from uavaccel.rl.network import contrast, turned_actions
+from uavaccel.rl.network import Levels, Windows, contrast, turned_actions
 from uavaccel.rl.policy import load_policy
-from uavaccel.rl.replay import Levels, Windows
 from uavaccel.suites.evaluate import Evaluation
 from uavaccel.suites.evaluate_again import environment_of, fly_again
 from uavaccel.suites.train import TrainConfig
@@ -196,6 +195,25 @@ def test_ppo_learns_from_both_and_its_games_are_exported(tmp_path: Path) -> None
         assert stored["image"].shape == (len(steps) + 1, 1, 18, 32)
         np.testing.assert_array_equal(stored["state"][0], steps[0].given["state"])
         assert file["episode_0/actions"].dtype == np.float32
+
+
+@needs_opengl
+@pytest.mark.usefixtures("trainings_here")
+def test_double_dqn_learns_from_both_and_its_decisions_are_shown(tmp_path: Path) -> None:
+    train_into(tmp_path / "run", tiny_config({"observation": "depth", "also_state": True}, games=2, mirror=False))
+    policy = load_policy(tmp_path / "run")
+    assert policy.manifest["observation_shape"] == {"image": [3, 36, 64], "state": [13]}
+    seen = {"image": np.zeros((2, 3, 36, 64), np.uint8), "state": np.eye(2, 13, dtype=np.float32)}
+    one, other = policy.rate(seen)[1]
+    assert (one != other).all(), "it reads the state"
+    config = configured("evaluate", "task.timing=lockstep", agent=str(tmp_path / "run"), games=1)
+    run = fly_into(tmp_path / "flown", Evaluation(), config)
+    (row,) = run.rows()
+    steps = fly_again(run, config, environment_of(config), row)
+    assert row["actions"] == [step.action for step in steps]
+    decisions = Evaluation().flight(Evaluation().report(run), row).decisions
+    assert decisions is not None
+    assert decisions.ratings.argmax(axis=1).tolist() == row["actions"]
 
 
 # --- event images -----------------------------------------------------------------------------------------------------

@@ -9,10 +9,15 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import torch as th
 
 from tests.conftest import forget_own_code
+from tests.host_kernels import host_kernels  # noqa: F401 - a fixture
 from tests.learning import fly_here
 from tests.running import fly_into
+from uavaccel.rl.double_dqn import DeviceDQN
+from uavaccel.rl.learner import Game
+from uavaccel.rl.policy import weights_sha256
 from uavaccel.suites.runner import run_suite, start_run
 from uavaccel.suites.session import RunRequest, reading, schema_of
 from uavaccel.suites.train import CHECKPOINTS, Training
@@ -120,6 +125,21 @@ def test_it_is_trained_and_flies_from_another_folder(
         flown = fly_into(here / "flown", evaluation, evaluated)
     actions = [row["actions"][0] for row in flown.rows()]
     assert all(isinstance(each if kind is int else each[0], kind) for each in actions)
+
+
+@pytest.mark.usefixtures("host_kernels")
+def test_double_dqn_learns_it_with_its_lanes_on_a_gpu(here: Path) -> None:
+    from uavaccel.envs.cuda_lanes import CudaLanes
+
+    with reading(RunRequest(yaml_of(here, "Post", "kernels"), {}, ["device=cuda"])) as (_, config):
+        learner = DeviceDQN(config, CudaLanes(config.task, 2, th.device("cpu")))
+        before = weights_sha256(learner.policy)
+        games: list[Game] = []
+        while len(games) < 6:
+            games += learner.advance()
+    th.use_deterministic_algorithms(False)
+    assert [game.number for game in games] == list(range(6))
+    assert weights_sha256(learner.policy) != before
 
 
 def test_resumed_it_ends_with_the_same_bytes(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -23,8 +23,7 @@ from uavaccel.rl.adapters import TensorLoop
 from uavaccel.rl.learner import first_seed
 from uavaccel.rl.onnx_file import OnnxPolicy, described, example
 from uavaccel.rl.policy import load_policy, trained_with
-from uavaccel.rl.ppo import PPO, ActorCritic, PPOOptions
-from uavaccel.rl.ppo_training import PPOTraining
+from uavaccel.rl.ppo import PPO, ActorCritic, PPOOptions, PPOTraining
 from uavaccel.suites.evaluate import Evaluation
 from uavaccel.suites.evaluate_again import environment_of, fly_again
 from uavaccel.suites.runner import run_suite, start_run
@@ -264,13 +263,15 @@ def test_lanes_pay_for_decisions_and_learning() -> None:
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("host_kernels")
-def test_a_batch_of_tensors_teaches_what_the_host_does() -> None:
+@pytest.mark.parametrize("clock", [{}, {"timing": "virtual", "command": "adsc", "clock_speed": 20.0}], ids=str)
+def test_a_batch_of_tensors_teaches_what_the_host_does(clock: dict[str, Any]) -> None:
     """Flight there is equal to the host's, and so are the games and the weights; its games are read once a round."""
     from uavaccel.envs.cuda_batch import CudaBatch
     from uavaccel.envs.kernel_batch import KernelBatch
 
-    config = hover(games=100)
-    keys: dict[str, Any] = {"max_commands": 6, "autoreset_mode": "SameStep"}
+    task = {"max_commands": 6, **clock}
+    config = hover(games=100, task=task)
+    keys: dict[str, Any] = {**task, "autoreset_mode": "SameStep"}
     made: list[Any] = []
     told = []
     for kind in (KernelBatch, CudaBatch):  # one after the other: PyTorch's generator is seeded where a learner is made

@@ -22,7 +22,7 @@ from uavaccel.files import (
     ARRAYS_BYTES,
     LINES_BYTES,
     TEXT_BYTES,
-    append_line,
+    append_lines,
     file_sha256,
     inside,
     lock_of,
@@ -122,6 +122,8 @@ def test_resume_with_another_configuration_names_what_differs(run: RunDirectory,
     for some, more in ((("a",), ("a", "b")), (("a", "b"), ())):  # none are all there are
         for cells in (some, more):
             resumed = RunDirectory.create(tmp_path / "cells", Chosen(cells=cells), {}, resume=True, may_grow=["cells"])
+        with pytest.raises(UserError, match=r"cells = .* and a run that goes on can only have more"):
+            RunDirectory.create(tmp_path / "cells", Chosen(cells=("c",)), {}, resume=True, may_grow=["cells"])
     assert resumed.config() == {"cells": []}
     with pytest.raises(UserError, match=r'cells = \["a"\]: \[\] were asked for before'):
         RunDirectory.create(tmp_path / "cells", Chosen(cells=("a",)), {}, resume=True, may_grow=["cells"])
@@ -442,7 +444,7 @@ def test_a_file_outside_of_its_folder_is_refused(name: str, tmp_path: Path) -> N
 
 @pytest.mark.parametrize("case", ["../../x", "/tmp/x", "a/b", "..", "", "a\n", "a\0"])
 def test_a_row_whose_case_is_no_name_of_a_file_is_refused(run: RunDirectory, case: str) -> None:
-    append_line(run.path / "rows.jsonl", {"case": case})
+    append_lines(run.path / "rows.jsonl", [json.dumps({"case": case})])
     with pytest.raises(UserError, match=r"line 1: no game can be called .*: its name is that of a file"):
         RunDirectory(run.path)
 

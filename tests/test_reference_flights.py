@@ -128,13 +128,13 @@ def replay(world: World, case: str) -> Flight:
     api = Api(simulation)
     options = (DRIVETRAIN | YAW_RATE).get(case, STRAIGHT)
     states = [world.lead.state.copy()]
+    stop = world.watch(1, lambda tick: states.append(world.lead.state.copy()))
     for event in events(case):
-        while world.tick < event.tick:
-            simulation.advance_to(simulation.pacer.wall_due(world.tick + 1))
-            states.append(world.lead.state.copy())
+        wall_ns = simulation.pacer.wall_due(event.tick)
+        simulation.advance_to(wall_ns)
         if event.kind == "cmd_issue":
-            wall_ns = simulation.pacer.wall_due(world.tick)
             api.call("moveByVelocity", (*event.velocity, T_MOVE_S[case], *options), wall_ns)
+    stop()
     return Flight(np.array(states), simulation.lead.log.ticks().astype(float))
 
 

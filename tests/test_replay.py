@@ -9,11 +9,11 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 import torch as th
+from gymnasium import spaces
 from torch.nn import functional
 
 from tests.host_kernels import host_kernels  # noqa: F401 - a fixture
-from uavaccel.rl.network import contrast
-from uavaccel.rl.replay import Levels, Replay, Windows
+from uavaccel.rl.network import Levels, Replay, Windows, contrast
 
 LANES, ROWS, GAMMA = 3, 11, 0.5
 CPU = th.device("cpu")
@@ -54,7 +54,7 @@ def flights(commands: int, idle: float) -> list[list[Flown]]:
 
 def filled(commands: int, keeps_ends: bool) -> tuple[Replay, list[list[Flown]]]:
     """A buffer, and what was flown by each lane; without ends a lane may be idle, and a round is being flown."""
-    buffer = Replay(ROWS, LANES, (1,), th.float32, CPU, keeps_ends)
+    buffer = Replay(ROWS, LANES, spaces.Box(-1.0, 1.0, (1,)), CPU, keeps_ends)
     flown = flights(commands, 0.0 if keeps_ends else 0.1)
     for row in zip(*flown, strict=True):
         seen, actions, rewards, over, cut, idle = (th.tensor(each) for each in zip(*row, strict=True))
@@ -117,7 +117,7 @@ def test_windows_are_those_of_a_plain_loop(commands: int, n_steps: int, keeps_en
 @pytest.mark.parametrize("commands", [5, ROWS + 4])
 def test_a_ring_is_put_back_and_goes_on(commands: int, keeps_ends: bool) -> None:
     buffer, _ = filled(commands, keeps_ends)
-    other = Replay(ROWS, LANES, (1,), th.float32, CPU, keeps_ends)
+    other = Replay(ROWS, LANES, spaces.Box(-1.0, 1.0, (1,)), CPU, keeps_ends)
     state = buffer.get_state()
     assert len(state["rewards"]) == min(commands, ROWS)
     other.set_state(state)

@@ -33,14 +33,11 @@ def events_per_s(grey: int, frames_per_s: int, duration_s: float = 1.0, **keys: 
 # --- from which numbers -------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("counter", "key", "expected"),
-    [
-        ("00000000 00000000 00000000 00000000", "00000000 00000000", "6627e8d5 e169c58d bc57ac4c 9b00dbd8"),
-        ("ffffffff ffffffff ffffffff ffffffff", "ffffffff ffffffff", "408f276d 41c83b0e a20bc7c6 6d5451fd"),
-        ("243f6a88 85a308d3 13198a2e 03707344", "a4093822 299f31d0", "d16cfe09 94fdcceb 5001e420 24126ea1"),
-    ],
-)
+@pytest.mark.parametrize(("counter", "key", "expected"), [
+    ("00000000 00000000 00000000 00000000", "00000000 00000000", "6627e8d5 e169c58d bc57ac4c 9b00dbd8"),
+    ("ffffffff ffffffff ffffffff ffffffff", "ffffffff ffffffff", "408f276d 41c83b0e a20bc7c6 6d5451fd"),
+    ("243f6a88 85a308d3 13198a2e 03707344", "a4093822 299f31d0", "d16cfe09 94fdcceb 5001e420 24126ea1"),
+])  # fmt: skip
 def test_random_numbers_are_those_of_philox(counter: str, key: str, expected: str) -> None:
     """Known answers of Random123 (kat_vectors, philox4x32 of 10 rounds); a frame and a seed have two words each."""
     block, low, high, stream = (int(word, 16) for word in counter.split())
@@ -91,15 +88,12 @@ def test_hot_pixels_fire_whatever_they_see_and_others_do_not() -> None:
     assert not events_per_s(0, 3).any()
 
 
-@pytest.mark.parametrize(
-    ("preset", "expected"),
-    [
-        ("clean", DvsParameters(0.4, 0.4, 0.06, 0.0, 0.5, 0.0, 0.0, 1.5, 0.0, 0.01)),
-        ("constructor", DvsParameters(0.4, 0.4, 0.09, 0.0, 0.6, 0.1, 0.1, 1.5, 0.0, 0.01)),
-        ("command_line", DvsParameters(0.4, 0.4, 0.09, 300.0, 0.51, 0.1, 0.1, 1.501, 0.0005, 0.01)),
-        ("noisy", DvsParameters(0.4, 0.4, 0.15, 30.0, 0.6, 0.1, 0.1, 6.5, 0.0, 0.01)),
-    ],
-)
+@pytest.mark.parametrize(("preset", "expected"), [
+    ("clean", DvsParameters(0.4, 0.4, 0.06, 0.0, 0.5, 0.0, 0.0, 1.5, 0.0, 0.01)),
+    ("constructor", DvsParameters(0.4, 0.4, 0.09, 0.0, 0.6, 0.1, 0.1, 1.5, 0.0, 0.01)),
+    ("command_line", DvsParameters(0.4, 0.4, 0.09, 300.0, 0.51, 0.1, 0.1, 1.501, 0.0005, 0.01)),
+    ("noisy", DvsParameters(0.4, 0.4, 0.15, 30.0, 0.6, 0.1, 0.1, 6.5, 0.0, 0.01)),
+])  # fmt: skip
 def test_noise_is_added_to_the_presets_own(preset: Any, expected: DvsParameters) -> None:
     """Rates are added to the preset's, thresholds and their spread multiplied; the rest stays the preset's."""
     task = LaneTask(

@@ -16,21 +16,20 @@ import numpy as np
 import pytest
 import torch as th
 
-from tests.learning import kill_at_row, side_by_side, tiny_config, train_into
+from tests.learning import side_by_side, tiny_config, train_into
 from tests.opengl import needs_opengl
 from tests.running import configured
 from uavaccel.config import to_yaml
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.errors import UserError
-from uavaccel.files import append_line
+from uavaccel.files import append_lines, to_json
 from uavaccel.records import RunDirectory
 from uavaccel.resources import asset
 from uavaccel.rl import lanes
 from uavaccel.rl.agents import make_agent
-from uavaccel.rl.checkpoint import find_checkpoint
 from uavaccel.rl.double_dqn import HostDQN
 from uavaccel.rl.lanes import make_lanes, start_exact_lanes
-from uavaccel.rl.learner import make_learner
+from uavaccel.rl.learner import find_checkpoint, make_learner
 from uavaccel.rl.policy import load_policy, trained_with, weights_sha256
 from uavaccel.suites import trainer
 from uavaccel.suites.evaluate import EvaluateConfig, fly_game
@@ -81,13 +80,15 @@ def test_adsc_does_not(tmp_path: Path) -> None:
 
 
 @needs_opengl
-def test_a_killed_training_ends_with_the_same_weights(tmp_path: Path) -> None:
-    config = tiny_config({"timing": "virtual"}, games=6)
-    kill_at_row(tmp_path / "killed", config, 5)
-    assert len(RunDirectory(tmp_path / "killed").rows()) == 5
-    assert checkpointed(tmp_path / "killed") == 4
-    assert train_into(tmp_path / "killed", config, resume=True) == train_into(tmp_path / "whole", config)
-    assert (tmp_path / "killed/rows.jsonl").read_bytes() == (tmp_path / "whole/rows.jsonl").read_bytes()
+@pytest.mark.parametrize("seen", [{}, {"observation": "depth", "also_state": True}], ids=["events", "depth, state"])
+def test_a_training_cut_short_ends_with_the_same_weights(tmp_path: Path, seen: dict[str, Any]) -> None:
+    config = tiny_config({"timing": "virtual", **seen}, games=6, mirror=not seen)
+    cut = start_run(Training(), config, tmp_path / "cut", {})
+    with pytest.raises(RuntimeError, match="stopped"):
+        run_suite(Training(), config, cut, on_game=stop_after(5))
+    assert (len(cut.rows()), checkpointed(cut.path)) == (5, 4)
+    assert train_into(cut.path, config, resume=True) == train_into(tmp_path / "whole", config)
+    assert (cut.path / "rows.jsonl").read_bytes() == (tmp_path / "whole/rows.jsonl").read_bytes()
 
 
 def checkpointed(run: Path) -> int:
@@ -204,7 +205,7 @@ def test_evaluations_are_due_after_every_so_many_games(tmp_path: Path) -> None:
         run: Any = SimpleNamespace(path=tmp_path / f"{every}-{done}")
         for earlier in sorted({1, done}) if done else []:
             run.path.mkdir(exist_ok=True)
-            append_line(run.path / EVALUATIONS, line | {"games": earlier})
+            append_lines(run.path / EVALUATIONS, [to_json(line | {"games": earlier})])
         waiting = Evaluations(tiny_config(STATE, mirror=False, games=8, evaluate_every_games=every), run)
         assert [each for each in range(9) if waiting.due(each)] == games, (every, done)
 
@@ -257,15 +258,15 @@ def test_evaluations_after_a_checkpoint_are_flown_again(tmp_path: Path, monkeypa
 def test_processes_learn_what_one_would(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Two of them, and two that fly in turns, stopped and resumed."""
     config = tiny_config(STATE, mirror=False, environments=2)
-    one = train_into(tmp_path / "one", config)
+    turns = tiny_config(STATE, mirror=False, environments=2, turns=2, games=8, checkpoint_games=3)
+    one, whole = train_into(tmp_path / "one", config), train_into(tmp_path / "whole", turns)
     assert {row["environment"] for row in RunDirectory(tmp_path / "one").rows()} == {0, 1}
     monkeypatch.setattr(trainer, "make_lanes", make_lanes)
     monkeypatch.setattr(lanes, "start_exact_lanes", start_exact_lanes)
     assert train_into(tmp_path / "processes", config) == one
-    turns = tiny_config(STATE, mirror=False, environments=2, turns=2, games=8, checkpoint_games=3)
     with pytest.raises(RuntimeError, match="stopped"):
         run_suite(Training(), turns, start_run(Training(), turns, tmp_path / "cut", {}), on_game=stop_after(7))
-    assert train_into(tmp_path / "cut", turns, resume=True) == train_into(tmp_path / "whole", turns)
+    assert train_into(tmp_path / "cut", turns, resume=True) == whole
 
 
 # --- schedules and records --------------------------------------------------------------------------------------

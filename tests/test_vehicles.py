@@ -19,7 +19,7 @@ from uavaccel.wire.api import Api
 from uavaccel.wire.settings import Settings
 
 ASIDE = {"X": 5, "Y": 5}
-MANY = 50
+MANY = 20
 
 
 def made(profile: Profile = NATIVE, render: bool = False, **settings: Any) -> Api:
@@ -164,34 +164,22 @@ def test_each_sees_through_its_own_cameras() -> None:
         assert told == pytest.approx([0.0, 0.0, 0.045 - height_m + 0.12], abs=1e-6)
 
 
-# --- poses and winds ------------------------------------------------------------------------------
-
-
-def test_newcomers_stand_on_the_ground_side_by_side() -> None:
-    """As Unreal adjusts what it spawns; of several at once one that is too near to another is refused with all."""
+def test_of_several_at_once_one_that_is_too_near_is_refused_with_all() -> None:
     api = hovering_alone()
-    for name in ("Second", "Third", "Fourth"):
-        call(api, "simAddVehicle", name, "SimpleFlight", pose(5.0, 0.2, 2.0))
-        assert call(api, "getMultirotorState", name)["landed_state"] == 0
-    stand = [vehicle.place_m for vehicle in api.simulation.world.vehicles[1:]]
-    np.testing.assert_allclose(stand, [(5.0, east, -0.045) for east in (0.2, 0.95, 1.7)], atol=2e-4)
+    call(api, "simAddVehicle", "Second", "SimpleFlight", pose(5.0, 0.2, 2.0))
     for near in ((5.0, 0.3, -0.2), (20.5, 0.0, -5.0)):
         far = AddedVehicle("Far", Start((20.0, 0.0, -5.0)))
         with pytest.raises(UserError, match=r"Near would start less than 0\.75 m from (Second|Far)"):
             api.simulation.add_vehicles([far, AddedVehicle("Near", Start(near))])
-    assert len(api.simulation.pilots) == len(api.simulation.world.vehicles) == 4
-
-
-# --- many -----------------------------------------------------------------------------------------
+    assert len(api.simulation.pilots) == len(api.simulation.world.vehicles) == 2
 
 
 def test_many_fly_and_the_last_command_wins() -> None:
-    world = World("blocks", NATIVE)
-    simulation = Simulation(world)
+    simulation = Simulation(World("blocks", NATIVE))
     places = [(-20.0 + 3 * (index % 10), -15.0 + 3 * (index // 10), -15.0) for index in range(1, MANY)]
     simulation.add_vehicles([AddedVehicle(f"V{index}", Start(place_m)) for index, place_m in enumerate(places)])
     api = Api(simulation, render=False)
-    names = [vehicle.name for vehicle in world.vehicles]
+    names = [vehicle.name for vehicle in simulation.world.vehicles]
     replies: dict[str, list[Any]] = {name: [] for name in names}
     for name in names:
         call(api, "enableApiControl", True, name)

@@ -31,7 +31,7 @@ from uavaccel.suites.evaluate import Evaluation
 from uavaccel.suites.session import RunRequest
 from uavaccel.suites.train import Training
 from uavaccel.watch import beside
-from uavaccel.watch.beside import PageAddress, page_beside
+from uavaccel.watch.beside import page_beside
 from uavaccel.watch.page import Moment
 from uavaccel.watch.sources import Live, Told
 from uavaccel.wire.broadcast import FREE, PAGE, REFRESH_NS, heading
@@ -228,7 +228,7 @@ def test_watching_changes_no_byte_of_runs_and_scripts(tmp_path: Path, monkeypatc
         return {str(file.relative_to(out)): file.read_bytes() for file in files}
 
     alone = all_bytes("alone", jobs=1)
-    with page_beside(PageAddress(port=18090)):
+    with page_beside(port=18090):
         watched = all_bytes("watched", jobs=2)
     assert PAGE not in os.environ
     assert len(alone) > 10

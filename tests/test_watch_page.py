@@ -210,16 +210,9 @@ class Recorded(Told):
 
     at_s, length_s = 0.0, 8.123
 
-    def __init__(self, scene: Scene | None) -> None:
-        super().__init__(scene)
-        self.sought: list[float] = []
-
     @property
     def progress_s(self) -> tuple[float, float]:
         return self.at_s, self.length_s
-
-    def seek(self, at_s: float) -> None:
-        self.sought.append(at_s)
 
 
 POSE = [1.0, 2.0, 3.0, 1.0, 0.0, 0.0, 0.0]
@@ -318,11 +311,11 @@ def test_a_recorded_flight_is_scrubbed_by_spectators_alone() -> None:
         for _ in range(pages.PICTURES_EVERY):
             opened.tell(MOMENT)
         assert (time.value, time.max) == (3.46, length_s)
-    assert source.sought == []
+    assert source.sought_s is None
     time.choose(1.25)
     for _ in range(pages.PICTURES_EVERY):
         opened.tell(MOMENT)
-    assert source.sought == [1.25]
+    assert source.sought_s == 1.25
     assert time.value == 3.46  # where the source is
 
 

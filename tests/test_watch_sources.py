@@ -26,7 +26,7 @@ from uavaccel.processes import lifetime
 from uavaccel.suites.flight import Flight
 from uavaccel.watch import beside
 from uavaccel.watch import page as pages
-from uavaccel.watch.beside import PageAddress, page_beside
+from uavaccel.watch.beside import page_beside
 from uavaccel.watch.page import Page
 from uavaccel.watch.replay import Track, recorded, script_track
 from uavaccel.watch.sources import Live, Replay, Told
@@ -106,7 +106,7 @@ def test_a_replay_that_is_scrubbed_stays_paused() -> None:
         server.added["Time"].choose(sought_s)
         page.update(1.0)
         said += [f"to {sought_s}: {numbers(replay.progress_s)}, held {replay.held}", *server.shown("/a path")]
-    replay.seek(1.0)  # from its end
+    replay.sought_s = 1.0  # from its end
     page.update(0.0)
     assert not replay.held
     assert_as_recorded("watch_scrubbed", "\n".join([*said, ""]))
@@ -326,7 +326,7 @@ def test_a_page_beside_a_command_is_there_while_it_flies(
     monkeypatch.setattr("sys.argv", ["uavaccel", "run", "a `b`"])
     monkeypatch.delenv(PAGE, raising=False)
     with reading, writing:
-        with page_beside(PageAddress("127.0.0.9", 8100), waits):
+        with page_beside(waits, 8100, "127.0.0.9"):
             (_, module, told), socket_path = asked[0], os.environ[PAGE]
             assert asked[1:] == []
             assert bool(select([reading], [], [], 0.0)[0]) == (opened and not waits)  # nobody has read that line
@@ -368,7 +368,7 @@ def test_a_page_that_dies_is_said_in_one_line(
     monkeypatch.setattr(beside, "Watch", watched)
     left = Path(tempfile.gettempdir(), f"uavaccel-watch-{2**22 + 1}-left")  # no process has that id
     left.mkdir()
-    with page_beside(PageAddress(port=18093), waits=False):
+    with page_beside(waits=False, port=18093):
         assert not left.exists()
         watches[0]._thread.join()
     assert capsys.readouterr().out.splitlines()[1:] == said
@@ -380,7 +380,7 @@ def test_a_page_that_does_not_open_is_said(monkeypatch: pytest.MonkeyPatch) -> N
     with open(os.devnull, "rb") as nothing:
         process = SimpleNamespace(stdout=nothing, terminate=lambda: None)
         monkeypatch.setattr(beside, "start_python", lambda *_, **__: contextlib.nullcontext(process))
-        with pytest.raises(UserError, match="could not be opened"), page_beside(PageAddress()):
+        with pytest.raises(UserError, match="could not be opened"), page_beside():
             pass
 
 
@@ -415,7 +415,7 @@ def test_the_square_is_flown_at_every_clock_speed_chosen(
     assert "thinks for 12.5 ms" in opened["title"]
     opened["source"].fly_at(5.0)
     opened["source"].update(0.1, True)
-    assert opened["flown"] == [(speed, (0.0125,), {"rounds": 1, "seed": 7}) for speed in (50.0, 5.0)]
+    assert opened["flown"] == [(speed, (), {"think_s": 0.0125, "rounds": 1, "seed": 7}) for speed in (50.0, 5.0)]
     assert opened["opened"] == opened["source"].begin  # who comes first has missed nothing
     assert opened["stopped"]
     assert capsys.readouterr().out == "watch at http://127.0.0.9:8123; Ctrl-C ends\n"

@@ -122,7 +122,7 @@ REFUSED: list[tuple[Callable[..., Any], Keys, str]] = [
         for keys, said in BATCHES
     ),
     *((reset, {"kind": kind, "options": options}, said) for kind, options, said in OPTIONS),
-    (partial(configured, "train", "task.also_state=true"), {}, "task.also_state needs algorithm ppo, not double_dqn"),
+    (partial(configured, "train", "task.also_state=true"), {}, "mirror must be false: it needs pictures alone, and"),
     (
         partial(configured, "dp2", "dvs_rate_hz=100"),
         {"timing": "wall"},

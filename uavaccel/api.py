@@ -143,12 +143,10 @@ def _overrides(keys: Mapping[str, Any]) -> list[str]:
 def _file_and_class(task: type) -> str:
     """Return "file.py:Class". Raises UserError for a class without a file of one's own."""
     file = file_of(task)
-    if file is None:
-        raise UserError(
-            f"{task.__name__}: is not in a file of your own: write it into one, or name a training that ships, as "
-            "hover_ppo"
-        )
-    return f"{file}:{task.__qualname__}"
+    if file is not None:
+        return f"{file}:{task.__qualname__}"
+    own = "is not in a file of your own: write it into one, or name a training that ships, as hover_ppo"
+    raise UserError(f"{task.__name__}: {own}")
 
 
 def _folder(source: str | Path | RunDirectory) -> str:

@@ -80,9 +80,7 @@ class Config(BaseModel):
         return _key_tree(cls)
 
 
-KeyTree: TypeAlias = dict[str, Any]
-"""Keys, and below each those of the mapping that it holds; for a list or a union those of all its members."""
-
+KeyTree: TypeAlias = dict[str, Any]  # keys, and below each those of what it holds
 _YAML_WORDS = {
     "list_type": "should be a list",
     "tuple_type": "should be a list",
@@ -181,8 +179,12 @@ def _explain(cls: type[Config], mapping: Mapping[str, object], error: Validation
     if first["type"] == "extra_forbidden":
         *above, unknown = first["loc"]
         return f"unknown key {key!r}; {suggested_key(cls.keys_of(mapping), above, str(unknown))}"
-    if length := _tuple_length(cls, first):
-        return f"{first['loc'][0]} = {reprlib.repr(first['input'])}: should be a list of {length}"
+    field = (
+        cls.model_fields.get(str(first["loc"][0])) if len(first["loc"]) == 1 + (first["type"] == "missing") else None
+    )
+    members = get_args(field.annotation) if field is not None and get_origin(field.annotation) is tuple else ()
+    if first["type"] in ("tuple_type", "too_long", "missing") and members and Ellipsis not in members:
+        return f"{first['loc'][0]} = {reprlib.repr(first['input'])}: should be a list of {len(members)}"
     if first["type"] == "missing" and isinstance(first["input"], list):
         whole = key.rpartition(".")[0]  # the key is that of the first value it lacks
         return f"{whole} = {reprlib.repr(first['input'])}: should have more values"
@@ -217,12 +219,11 @@ def _dotted(mapping: object, error: ErrorDetails) -> str:
     return ".".join([*parts, *map(str, error["loc"][len(above) :])])
 
 
-def _key_tree(model: type[BaseModel]) -> KeyTree:
-    below = {name: _models_in(field.annotation) for name, field in model.model_fields.items()}
-    return {
-        name: {key: inner for each in models for key, inner in _key_tree(each).items()}
-        for name, models in below.items()
-    }
+def _key_tree(annotation: object) -> KeyTree:
+    """Return the keys of a model, or of those in an annotation, of which a union has several."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return {name: _key_tree(field.annotation) for name, field in annotation.model_fields.items()}
+    return {name: tree for inner in get_args(annotation) for name, tree in _key_tree(inner).items()}
 
 
 def suggested_key(tree: KeyTree, path: Sequence[str | int], unknown: str) -> str:
@@ -242,44 +243,23 @@ def suggested_key(tree: KeyTree, path: Sequence[str | int], unknown: str) -> str
     return suggestion(unknown, list(here))
 
 
-def _models_in(annotation: object) -> list[type[BaseModel]]:
-    """Return the models of a field, of which a union has several."""
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return [annotation]
-    return [model for inner in get_args(annotation) for model in _models_in(inner)]
-
-
-def _tuple_length(cls: type[BaseModel], error: ErrorDetails) -> int | None:
-    """Return the length of the tuple in a field of `cls` that was given another number of values, or no list."""
-    depth = 2 if error["type"] == "missing" else 1
-    field = cls.model_fields.get(str(error["loc"][0])) if len(error["loc"]) == depth else None
-    if field is None or error["type"] not in ("tuple_type", "too_long", "missing"):
-        return None
-    members = get_args(field.annotation) if get_origin(field.annotation) is tuple else ()
-    return len(members) if members and Ellipsis not in members else None
-
-
 _FLOAT = "tag:yaml.org,2002:float"
 _TIMESTAMP = "tag:yaml.org,2002:timestamp"
 _NOT_PLAIN = {_TIMESTAMP, *(f"tag:yaml.org,2002:{kind}" for kind in ("binary", "omap", "pairs", "set"))}
 _EXPONENT_ALONE = re.compile(r"[-+]?[0-9]+[eE][-+]?[0-9]+$")
 
 
-def _resolvers() -> dict[str, list[tuple[str, re.Pattern[str]]]]:
-    rules = {
-        first: [(tag, pattern) for tag, pattern in rules if tag != _TIMESTAMP]
-        for first, rules in yaml.SafeLoader.yaml_implicit_resolvers.items()
-    }
-    for first in "-+0123456789":
-        rules.setdefault(first, []).append((_FLOAT, _EXPONENT_ALONE))
-    return rules
-
-
+_RESOLVERS = {
+    first: [(tag, pattern) for tag, pattern in rules if tag != _TIMESTAMP]
+    for first, rules in yaml.SafeLoader.yaml_implicit_resolvers.items()
+}
+for _first in "-+0123456789":
+    _RESOLVERS.setdefault(_first, []).append((_FLOAT, _EXPONENT_ALONE))
 MOST_VALUES = 1_000_000
 
 
 class _Rules(SafeConstructor):
-    yaml_implicit_resolvers = _resolvers()
+    yaml_implicit_resolvers = _RESOLVERS
     yaml_constructors = {  # noqa: RUF012  as PyYAML has it
         tag: construct for tag, construct in yaml.SafeLoader.yaml_constructors.items() if tag not in _NOT_PLAIN
     }
@@ -305,7 +285,7 @@ class _QuickLoader(_Rules, getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # ty
 
 
 class _Dumper(yaml.SafeDumper):
-    yaml_implicit_resolvers = _resolvers()
+    yaml_implicit_resolvers = _RESOLVERS
 
     def ignore_aliases(self, data: object) -> bool:
         return True  # a value that stands twice is written twice
@@ -331,10 +311,10 @@ def load_yaml(path: str | Path, shipped: bool = False) -> dict[str, Plain]:
     except UnicodeDecodeError as error:
         raise UserError(f"{path}: not UTF-8 text") from error
     value = parse_yaml(text, str(path), shipped)
-    if not isinstance(value, dict):
-        found = "nothing" if value is None else f"a {type(value).__name__}"
-        raise UserError(f"{path}: must be a mapping, lines of 'key: value', but holds {found}")
-    return value
+    if isinstance(value, dict):
+        return value
+    found = "nothing" if value is None else f"a {type(value).__name__}"
+    raise UserError(f"{path}: must be a mapping, lines of 'key: value', but holds {found}")
 
 
 def parse_yaml(text: str, source: str, shipped: bool = False) -> Plain:
@@ -359,17 +339,13 @@ def _read(text: str, shipped: bool) -> Plain:
 
 def _bounded(value: Plain, source: str) -> Plain:
     """Return the value. Raises UserError where aliases expand it beyond any reasonable size."""
-    pending, count = [value], 0
-    while pending:
+    pending = [value]
+    for _ in range(MOST_VALUES):
         each = pending.pop()
-        count += 1
-        if count > MOST_VALUES:
-            raise UserError(f"{source}: more than {MOST_VALUES:,} values, aliases counted each time")
-        if isinstance(each, dict):
-            pending.extend(each.values())
-        elif isinstance(each, list):
-            pending.extend(each)
-    return value
+        pending.extend(each.values() if isinstance(each, dict) else each if isinstance(each, list) else ())
+        if not pending:
+            return value
+    raise UserError(f"{source}: more than {MOST_VALUES:,} values, aliases counted each time")
 
 
 def dump_yaml(mapping: Mapping[str, object]) -> str:

@@ -23,7 +23,7 @@ from base64 import b64encode
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import gymnasium
 import numpy as np
@@ -32,7 +32,6 @@ from numpy.typing import NDArray
 
 from uavaccel.draw.style import dvs_picture
 from uavaccel.envs.arrays import stacked_observations
-from uavaccel.envs.values import Observation
 from uavaccel.errors import UserError, naming
 from uavaccel.files import UNFINISHED, inside, read_bounded, replacing, to_json
 from uavaccel.records import RunDirectory, provenance_of
@@ -42,16 +41,13 @@ from uavaccel.rl.config import ENVIRONMENTS
 from uavaccel.sim.camera.camera import FRONT_CENTER
 from uavaccel.sim.camera.pixels import png
 from uavaccel.sim.camera.view import HEIGHT, WIDTH
-from uavaccel.suites.evaluate import AnyRow, EvaluateConfig, Flyable, game_seed
+from uavaccel.suites.evaluate import AnyRow, EvaluateConfig, Step, game_seed
 from uavaccel.suites.evaluate_again import environment_of, evaluation_of, fly_again
+from uavaccel.suites.experiment import Row, number_of
 from uavaccel.suites.flight import Flight
 from uavaccel.suites.registry import suite_of
-from uavaccel.suites.rows import Row, number_of
 from uavaccel.suites.suite import choose_row
 from uavaccel.units import NS_PER_S
-
-if TYPE_CHECKING:
-    import h5py
 
 EVENT_RATE_HZ = 100.0  # of the event camera beside the agent's own, where a game is flown again
 FRAMES = (
@@ -113,8 +109,6 @@ TOPICS = {
 
 
 class Entry(NamedTuple):
-    """A message, and when it is."""
-
     time_ns: int
     topic: str
     message: Json
@@ -131,7 +125,11 @@ def write_mcap(run: RunDirectory, path: Path, case: str | None = None) -> Iterat
     suite = suite_of(run)
     report = suite.report(run)
     rows: list[Row] = list(report.rows) if case is None else [choose_row(suite, report, case)]
-    files = _files(run, path, rows)
+    if path.suffix == ".mcap" and len(rows) > 1:
+        raise UserError(f"--mcap {path}: {run.path} holds {len(rows)} games; take a folder, or one game by --case")
+    files = [path] if path.suffix == ".mcap" else [inside(path, f"{row['case']}.mcap") for row in rows]
+    for there in filter(Path.exists, files):
+        raise UserError(f"{there}: exists; take another --mcap")
     for row, file in zip(rows, files, strict=True):
         game = suite.flight(report, row, event_rate_hz=EVENT_RATE_HZ)
         try:
@@ -140,17 +138,6 @@ def write_mcap(run: RunDirectory, path: Path, case: str | None = None) -> Iterat
         except OSError as error:
             raise UserError(f"{file}: {error.strerror}") from error
         yield file
-
-
-def _files(run: RunDirectory, path: Path, rows: list[Row]) -> list[Path]:
-    """Return where each game goes. Raises UserError for one file of several games, and for a file that exists."""
-    if path.suffix == ".mcap" and len(rows) > 1:
-        raise UserError(f"--mcap {path}: {run.path} holds {len(rows)} games; take a folder, or one game by --case")
-    files = [path] if path.suffix == ".mcap" else [inside(path, f"{row['case']}.mcap") for row in rows]
-    there = next((file for file in files if file.exists()), None)
-    if there is not None:
-        raise UserError(f"{there}: exists; take another --mcap")
-    return files
 
 
 def _write_game(run: RunDirectory, row: Row, game: Flight, path: Path) -> None:
@@ -177,7 +164,19 @@ def _write_game(run: RunDirectory, row: Row, game: Flight, path: Path) -> None:
 
 def entries(row: Row, game: Flight) -> Iterator[Entry]:
     """Return all messages in the order of their time."""
-    topics = (_poses(game), _commands(game), _images(game), _events(game), _log(row, game))
+    asked = zip(game.commands.start_ns.tolist(), game.commands.velocity_m_s, strict=False)
+    seen = zip(game.image_ns.tolist(), game.images, strict=True)
+    log = [(0, INFO, f"{row['case']} begins")]
+    if game.collision:
+        log.append((game.collision[0], WARNING, f"hit {game.collision[1]}"))
+    own = {"name": "uavaccel", "file": "", "line": 0}
+    topics = (
+        _poses(game),
+        (Entry(at, "/drone/command", _velocity(at, velocity)) for at, velocity in asked),
+        (Entry(at, "/camera/front_center", _image(at, picture)) for at, picture in seen),
+        _events(game),
+        (Entry(at, "/log", _stamped(at, level=level, message=said, **own)) for at, level, said in log),
+    )
     return heapq.merge(*topics, key=lambda entry: entry.time_ns)
 
 
@@ -200,16 +199,6 @@ def _poses(game: Flight) -> Iterator[Entry]:
             yield Entry(at, "/drone/velocity", _velocity(at, game.velocity_m_s[i]))
 
 
-def _commands(game: Flight) -> Iterator[Entry]:
-    for at, asked in zip(game.commands.start_ns.tolist(), game.commands.velocity_m_s, strict=False):
-        yield Entry(at, "/drone/command", _velocity(at, asked))
-
-
-def _images(game: Flight) -> Iterator[Entry]:
-    for at, picture in zip(game.image_ns.tolist(), game.images, strict=True):
-        yield Entry(at, "/camera/front_center", _image(at, picture))
-
-
 def _events(game: Flight) -> Iterator[Entry]:
     for window in game.windows:
         at = window.time_ns
@@ -217,15 +206,6 @@ def _events(game: Flight) -> Iterator[Entry]:
             yield Entry(at, "/dvs/events", _stamped(at, frame_id="front_center", **event_columns(window.rows)))
         counts = window.per_pixel((HEIGHT, WIDTH))
         yield Entry(at, "/dvs/image", _image(at, dvs_picture(*counts)[..., ::-1]))
-
-
-def _log(row: Row, game: Flight) -> Iterator[Entry]:
-    lines = [(0, INFO, f"{row['case']} begins")]
-    if game.collision:
-        at, hit = game.collision
-        lines.append((at, WARNING, f"hit {hit}"))
-    for at, level, message in lines:
-        yield Entry(at, "/log", _stamped(at, level=level, message=message, name="uavaccel", file="", line=0))
 
 
 def _stamped(time_ns: int, **content: object) -> Json:
@@ -299,38 +279,29 @@ def _write_episodes(
 
     with closing(environment_of(config)) as environment, h5py.File(data / MAIN_FILE, "w", track_order=True) as file:
         for number, row in enumerate(rows):
+            steps = fly_again(run, config, environment, row)
             episode = file.create_group(f"episode_{number}")
-            episode.attrs["id"] = number
-            episode.attrs["seed"] = game_seed(config, number_of(row))
-            for name, value in reset_options(config.env_id, number_of(row)).items():
-                episode.attrs[f"options/{name}"] = value
-            _write_episode(run, config, environment, row, episode)
+            options = reset_options(config.env_id, number_of(row)).items()
+            numbers = {"id": number, "seed": game_seed(config, number_of(row))}
+            numbers |= {f"options/{name}": value for name, value in options}
+            episode.attrs.update(numbers | {"total_steps": len(steps)})
+            for name, values in _columns(config, steps).items():
+                packed = {"compression": "gzip", "shuffle": True} if name.startswith("observations") else {}
+                episode.create_dataset(name, data=values, **packed)
             yield number + 1, len(rows)
 
 
-def _write_episode(
-    run: RunDirectory, config: EvaluateConfig, environment: Flyable, row: AnyRow, episode: h5py.Group
-) -> None:
-    steps = fly_again(run, config, environment, row)
-    space = config.task.action_space()
-    columns = {
-        **_observed(stacked_observations([steps[0].given, *(step.observation for step in steps)])),
-        "actions": np.array([step.action for step in steps], space.dtype),
+def _columns(config: EvaluateConfig, steps: Sequence[Step]) -> dict[str, Any]:
+    """Return an episode's arrays by name; the observations of a mapping are below "observations/"."""
+    seen = stacked_observations([steps[0].given, *(step.observation for step in steps)])
+    parts = {f"observations/{name}": part for name, part in seen.items()} if isinstance(seen, Mapping) else {}
+    return {
+        **(parts or {"observations": seen}),
+        "actions": np.array([step.action for step in steps], config.task.action_space().dtype),
         "rewards": np.array([step.reward for step in steps], np.float64),
         "terminations": np.array([step.terminated for step in steps], bool),
         "truncations": np.array([step.truncated for step in steps], bool),
     }
-    for name, values in columns.items():
-        packed = {"compression": "gzip", "shuffle": True} if name.startswith("observations") else {}
-        episode.create_dataset(name, data=values, **packed)
-    episode.attrs["total_steps"] = len(steps)
-
-
-def _observed(observations: Observation) -> dict[str, Any]:
-    """Return observations by the name of their column; those of a mapping are below "observations/"."""
-    if isinstance(observations, Mapping):
-        return {f"observations/{name}": part for name, part in observations.items()}
-    return {"observations": observations}
 
 
 def _write_metadata(run: RunDirectory, config: EvaluateConfig, rows: list[AnyRow], data: Path, name: str) -> None:

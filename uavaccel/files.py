@@ -14,7 +14,7 @@ import sys
 import weakref
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from io import BufferedReader
 from pathlib import Path
 from typing import Any, BinaryIO, TypeAlias
@@ -64,13 +64,10 @@ def is_file_name(name: object) -> bool:
 def inside(folder: Path, name: str) -> Path:
     """Return the path of a file in a folder. Raises UserError if it would be elsewhere, also by a link."""
     path = folder / name
-    try:
-        is_inside = folder.resolve() in path.resolve().parents
-    except (OSError, RuntimeError, ValueError):  # links in a circle, a zero byte
-        is_inside = False
-    if not is_inside:
-        raise UserError(f"{name!r} would be a file outside of {folder}")
-    return path
+    with suppress(OSError, RuntimeError, ValueError):  # links in a circle, a zero byte
+        if folder.resolve() in path.resolve().parents:
+            return path
+    raise UserError(f"{name!r} would be a file outside of {folder}")
 
 
 @contextmanager
@@ -165,13 +162,8 @@ def _plain(value: object) -> object:
     raise TypeError(f"Object of type {type(value).__name__} is not JSON serializable")
 
 
-def append_line(path: Path, entry: Mapping[str, object]) -> None:
-    """Append a line of JSON; it is on disk on return."""
-    append_lines(path, [to_json(entry)])
-
-
 def append_lines(path: Path, lines: Sequence[str]) -> None:
-    """Append lines; they are on disk on return."""
+    """Append lines, such as those of `to_json`; they are on disk on return."""
     with naming(path), open(path, "ab", opener=_without_links) as file:
         file.write("".join(f"{line}\n" for line in lines).encode())
         file.flush()
@@ -179,37 +171,25 @@ def append_lines(path: Path, lines: Sequence[str]) -> None:
 
 
 def read_lines(path: Path) -> list[Plain]:
-    """Return the whole lines that `append_line` wrote, without a truncated or unfinished one; none without a file.
+    """Return the whole lines that `append_lines` wrote, without a truncated or unfinished one; none without a file.
 
     Raises UserError, naming the line, if one is not a JSON object.
     """
+    entries: list[Plain] = []
     try:
         with open_bounded(path, LINES_BYTES) as file:
-            return [_parse_line(line, f"{path}: line {number}") for number, line in _whole_lines(path, file)]
-    except FileNotFoundError:
-        return []
-
-
-def _whole_lines(path: Path, file: BinaryIO) -> Iterator[tuple[int, bytes]]:
-    for number in range(1, MOST_LINES + 2):
-        line = file.readline(LINE_BYTES)
-        if number > MOST_LINES or len(line) == LINE_BYTES:
-            raise UserError(
-                f"{path}: line {number}: at most {MOST_LINES:,} lines are read, of {LINE_BYTES:,} bytes each"
-            )
-        if not line.endswith(b"\n"):
-            return
-        yield number, line
-
-
-def _parse_line(line: bytes, where: str) -> dict[str, Plain]:
-    try:
-        entry = parse_json(line)
+            while (line := file.readline(LINE_BYTES)).endswith(b"\n") or len(line) == LINE_BYTES:
+                where = f"{path}: line {len(entries) + 1}"
+                if len(entries) == MOST_LINES or len(line) == LINE_BYTES:
+                    raise UserError(f"{where}: at most {MOST_LINES:,} lines are read, of {LINE_BYTES:,} bytes each")
+                entries.append(parse_json(line))
+                if not isinstance(entries[-1], dict):
+                    raise UserError(f"{where}: not a JSON object")
     except ValueError as error:
-        raise UserError(f"{where}: not JSON: {error}") from error
-    if not isinstance(entry, dict):
-        raise UserError(f"{where}: not a JSON object")
-    return entry
+        raise UserError(f"{path}: line {len(entries) + 1}: not JSON: {error}") from error
+    except FileNotFoundError:
+        pass
+    return entries
 
 
 def read_json(path: Path) -> Plain:

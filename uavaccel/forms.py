@@ -140,17 +140,16 @@ def _fault(array: np.ndarray, form: ArrayForm) -> str | None:
     """Return what is wrong with an array by itself."""
     kinds, size = form.kinds.rstrip("0123456789"), form.kinds.lstrip("abcdefghijklmnopqrstuvwxyz")
     if array.dtype.kind not in kinds or (size and array.dtype.itemsize != int(size)):
-        wanted = " or ".join(f"{_KINDS[kind]}" for kind in kinds)
+        wanted = " or ".join(_KINDS[kind] for kind in kinds)
         return f"is of {array.dtype}, not of {wanted}{size and f' of {size} byte'}"
     if array.dtype.kind == "f" and not np.isfinite(array).all():
         return "has numbers that are not finite"
     if array.dtype.kind == "f" and array.size and np.abs(array).max() > FAR:
         return f"has numbers beyond {FAR:g}"
-    if form.ascends and array.ndim == 1 and array.size:
-        if np.any(array[1:] < array[:-1]):
-            return "has to ascend"
-        if array[0] < 0 or array[-1] > LONGEST:
-            return f"has to begin at 0 or later and to end below {LONGEST:g}"
+    if form.ascends and array.ndim == 1 and np.any(array[1:] < array[:-1]):
+        return "has to ascend"
+    if form.ascends and array.ndim == 1 and array.size and (array[0] < 0 or array[-1] > LONGEST):
+        return f"has to begin at 0 or later and to end below {LONGEST:g}"
     return None
 
 

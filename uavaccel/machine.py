@@ -5,7 +5,9 @@ import platform
 import subprocess
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, version
+from typing import Any
 
 import uavaccel
 from uavaccel.files import Plain
@@ -57,16 +59,12 @@ def version_of(package: str) -> str | None:
 
 def _git() -> dict[str, Plain] | None:
     """Return the commit of the source tree, and whether tracked files differ from it; None outside a source tree."""
-    root = source_tree()
-    if root is None:
+    if (root := source_tree()) is None:
         return None
-
-    def git(*command: str) -> str:
-        done = subprocess.run(["git", "-C", root, *command], capture_output=True, text=True, check=True, timeout=30)
-        return done.stdout.strip()
-
+    commands = ("rev-parse", "HEAD"), ("status", "--porcelain", "--untracked-files=no")
+    how: dict[str, Any] = {"capture_output": True, "text": True, "check": True, "timeout": 30}
     try:
-        commit, changes = git("rev-parse", "HEAD"), git("status", "--porcelain", "--untracked-files=no")
+        commit, changes = (subprocess.run(["git", "-C", root, *each], **how).stdout.strip() for each in commands)
     except (OSError, subprocess.SubprocessError):
         return None
     return {"commit": commit, "dirty": bool(changes)}
@@ -85,9 +83,8 @@ def memory_bytes() -> int | None:
 
 
 def _cpu_model() -> str:
-    try:
-        with open("/proc/cpuinfo", encoding="utf-8") as lines:
-            models = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    except OSError:
-        models = []
-    return models[0] if models else platform.processor() or platform.machine()
+    with suppress(OSError), open("/proc/cpuinfo", encoding="utf-8") as lines:
+        for line in lines:
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    return platform.processor() or platform.machine()

@@ -81,16 +81,14 @@ def own_class(place: str, where: str, *bases: type) -> type[Any]:
 
     Raises UserError, beginning with `where`, as `own_module` does, and if it is none.
     """
-    name = place.partition(":")[2]
-    named = vars(own_module(module_of(place), where))
+    name, named = place.partition(":")[2], vars(own_module(module_of(place), where))
+    there = {each: value for each, value in named.items() if isinstance(value, type) and issubclass(value, bases)}
+    if name in there:
+        return there[name]
     none = f"{where}: names no {' or '.join(f'{base.__module__}.{base.__qualname__}' for base in bases)}"
-    if name not in named:
-        there = [each for each, value in named.items() if isinstance(value, type) and issubclass(value, bases)]
-        raise UserError(f"{none}: {module_of(place)} has no {name}; {suggestion(name, there)}")
-    found = named[name]
-    if not (isinstance(found, type) and issubclass(found, bases)):  # before anything is called
+    if name in named:
         raise UserError(f"{none}: {name} is none")
-    return found
+    raise UserError(f"{none}: {module_of(place)} has no {name}; {suggestion(name, list(there))}")
 
 
 def own_function(place: str, where: str) -> tuple[Callable[..., Any], Path]:
@@ -99,11 +97,10 @@ def own_function(place: str, where: str) -> tuple[Callable[..., Any], Path]:
     Raises UserError, beginning with `where`, as `own_module` does, and if it is none.
     """
     module, name = own_module(module_of(place), where), place.partition(":")[2]
-    found = getattr(module, name, None)
-    if not callable(found):
-        there = [each for each, value in vars(module).items() if callable(value) and not each.startswith("_")]
-        raise UserError(f"{where}: {module_of(place)} has no function {name}; {suggestion(name, there)}")
-    return found, Path(str(module.__file__)).resolve()
+    if callable(found := getattr(module, name, None)):
+        return found, Path(str(module.__file__)).resolve()
+    there = [each for each, value in vars(module).items() if callable(value) and not each.startswith("_")]
+    raise UserError(f"{where}: {module_of(place)} has no function {name}; {suggestion(name, there)}")
 
 
 def own_module(name: str, where: str) -> ModuleType:
@@ -201,10 +198,7 @@ def _files(folder: Path, name: str) -> list[Path]:
 
 
 def _digest(files: Sequence[Path]) -> str:
-    digest = hashlib.sha256()
-    for file in files:
-        digest.update(hashlib.sha256(read_bounded(file)).digest())
-    return digest.hexdigest()
+    return hashlib.sha256(b"".join(hashlib.sha256(read_bounded(file)).digest() for file in files)).hexdigest()
 
 
 def _note(file: Path) -> Path | None:
@@ -218,9 +212,18 @@ def _note(file: Path) -> Path | None:
 
 
 def is_trusted(file: Path, code: str, name: str | None = None) -> bool:
-    """Return whether a file with the hash `code`, that of the module `name`, may run; if told now, remember it."""
-    if any(modules is None or name in modules for _, modules in _trusted):
-        _remember(file, code)
+    """Return whether a file with the hash `code`, that of the module `name`, may run.
+
+    If told now, that is kept in mind, beyond this process where it can be written down.
+    """
+    told = any(modules is None or name in modules for _, modules in _trusted)
+    if told and _remembered(file) != code:
+        _here[file] = code
+        if (note := _note(file)) is not None:
+            with suppress(OSError, UserError):
+                note.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+                with replacing(note) as written:
+                    written.write(f"{code} {file}\n".encode(errors="surrogateescape"))
     return _remembered(file) == code
 
 
@@ -228,20 +231,6 @@ def _remembered(file: Path) -> str | None:
     """Return the hash of the code that was trusted last in this place."""
     if file in _here:
         return _here[file]
-    note = _note(file)
-    try:
-        return None if note is None else read_bounded(note).decode(errors="replace").partition(" ")[0]
-    except OSError:
-        return None
-
-
-def _remember(file: Path, code: str) -> None:
-    """Keep in mind that this code is trusted in this place, beyond this process where that can be written down."""
-    if _remembered(file) == code:
-        return
-    _here[file] = code
-    if (note := _note(file)) is not None:
-        with suppress(OSError, UserError):
-            note.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
-            with replacing(note) as written:
-                written.write(f"{code} {file}\n".encode(errors="surrogateescape"))
+    with suppress(OSError):
+        return (note := _note(file)) and read_bounded(note).decode(errors="replace").partition(" ")[0]
+    return None

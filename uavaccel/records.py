@@ -14,7 +14,6 @@ import json
 from collections.abc import Collection, Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
@@ -69,9 +68,8 @@ class RunDirectory:
 
         To continue, a truncated line is dropped, and `manifest` is added to the run's. As long as the result exists, no
         other process can continue the run. The keys `may_grow` may be more than the run's: a larger number, a list with
-        more in it, or an empty one, which is all there is. Raises
-        UserError if the folder exists and `resume` is False, if the run has another configuration, or if another
-        process is flying it.
+        more in it, or an empty one, which is all there is. Raises UserError if the folder exists and `resume` is False,
+        if the run has another configuration, or if another process is flying it.
         """
         path = Path(path)
         if path.exists() and not resume:
@@ -89,7 +87,10 @@ class RunDirectory:
             lock = _start(path, config)
         run = cls(path)
         run._lock = lock
-        run._add_manifest(manifest)
+        if (path / "manifest.json").exists():
+            first = run.manifest()
+            manifest = {**first, "resumed": [*first.get("resumed", []), manifest]}
+        run.write_json("manifest.json", manifest)
         return run
 
     def append_row(self, row: Mapping[str, object], on_disk: bool = True) -> None:
@@ -104,6 +105,15 @@ class RunDirectory:
         self._append("rows.jsonl", row, on_disk)
         self._done.add(str(row["case"]))
 
+    def append_timing(self, entry: Mapping[str, object], on_disk: bool = True) -> None:
+        """Append an entry to timing.jsonl: host times, loads, retries."""
+        self._append("timing.jsonl", entry, on_disk)
+
+    def _append(self, name: str, entry: Mapping[str, object], on_disk: bool) -> None:
+        self._waiting[name].append(to_json(entry))
+        if on_disk:
+            self.write_waiting()
+
     def write_waiting(self) -> None:
         """Put rows and timings that wait on disk."""
         for name, lines in self._waiting.items():
@@ -111,11 +121,6 @@ class RunDirectory:
                 self._refuse_gone()
                 self._waiting[name] = []
                 append_lines(self.path / name, lines)
-
-    def _append(self, name: str, entry: Mapping[str, object], on_disk: bool) -> None:
-        self._waiting[name].append(to_json(entry))
-        if on_disk:
-            self.write_waiting()
 
     def is_new(self) -> bool:
         """Return whether the run's folder holds nothing but what every run begins with."""
@@ -135,10 +140,6 @@ class RunDirectory:
         """Return the ids of the cases that have a row."""
         return set(self._done)
 
-    def append_timing(self, entry: Mapping[str, object], on_disk: bool = True) -> None:
-        """Append an entry to timing.jsonl: host times, loads, retries."""
-        self._append("timing.jsonl", entry, on_disk)
-
     def timings(self) -> list[dict[str, Plain]]:
         """Return every whole entry of timing.jsonl. Raises UserError for times that are no numbers."""
         entries = read_lines(self.path / "timing.jsonl")
@@ -156,18 +157,18 @@ class RunDirectory:
 
         Returns the keys of its row: `arrays`, their path in the run, and `arrays_sha256`, that file's hash.
         """
-        name = _arrays_name(case)
+        name = f"arrays/{case}.npz"
         write_arrays(self.file(name), arrays)
         return {"arrays": name, "arrays_sha256": file_sha256(self.path / name)}
 
     def load_arrays(self, row: Mapping[str, object]) -> dict[str, np.ndarray]:
         """Return the arrays of a row.
 
-        Raises UserError if the file is missing or damaged, is named after another case, has another hash than the row
-        says, or if the arrays have not the form of their suite's; rows of older versions have no hash.
+        Raises UserError if the file is missing, damaged, another case's or of another hash than the row's, which older
+        versions do not have, or if the arrays have not the form of their suite's.
         """
         name, wanted = str(row.get("arrays")), row.get("arrays_sha256")
-        if name != _arrays_name(str(row["case"])):
+        if name != f"arrays/{row['case']}.npz":
             raise UserError(f"{self.path / 'rows.jsonl'}: {row['case']}: has the arrays of another case, {name}")
         file = self.path / name
         arrays = read_arrays(file)
@@ -245,16 +246,6 @@ class RunDirectory:
         if not (self.path / "config.yaml").is_file():
             raise UserError(f"{self.path}: the run's folder, or its config.yaml, was deleted while it was flown")
 
-    def _add_manifest(self, manifest: Mapping[str, object]) -> None:
-        if (self.path / "manifest.json").exists():
-            first = self.manifest()
-            manifest = {**first, "resumed": [*first.get("resumed", []), manifest]}
-        self.write_json("manifest.json", manifest)
-
-
-def _arrays_name(case: str) -> str:
-    return f"arrays/{case}.npz"
-
 
 def _start(path: Path, config: Config) -> FolderLock:
     try:
@@ -290,14 +281,12 @@ def refuse_other_config(path: Path, config: Config, may_grow: Collection[str]) -
     other = [key for key in sorted(there.keys() | here.keys()) if there.get(key) != here.get(key)]
     both = [key for key in other if key in may_grow and key in there and key in here]
     grown = [key for key in both if _is_more(json.loads(there[key]), json.loads(here[key]))]
-    differing = [
-        f"{key} ({there.get(key, 'unset')} there, {here.get(key, 'unset')} here)" for key in other if key not in grown
-    ]
     if shrunk := [key for key in both if key not in grown]:
         said = [f"{key} = {here[key]}: {there[key]} were asked for before" for key in shrunk]
         raise UserError(f"{path}: {', '.join(said)}, and a run that goes on can only have more; leave it out to go on")
-    if differing:
-        raise UserError(f"{path}: has another configuration: {', '.join(differing)}; take another --out")
+    if left := [key for key in other if key not in grown]:
+        said = [f"{key} ({there.get(key, 'unset')} there, {here.get(key, 'unset')} here)" for key in left]
+        raise UserError(f"{path}: has another configuration: {', '.join(said)}; take another --out")
     return grown
 
 
@@ -308,19 +297,9 @@ def _is_more(there: Plain, here: Plain) -> bool:
     return int(there) < int(here)
 
 
-Provenance = Literal["measured", "modelled", "mixed"]
-
-
-def timing_provenance(timing: str) -> Provenance:
+def timing_provenance(timing: str) -> str:
     """Return "measured" for the machine's own clock, "modelled" for a simulated one (virtual, lockstep)."""
     return "measured" if timing == "wall" else "modelled"
-
-
-def combined_provenance(*parts: Provenance) -> Provenance:
-    """Return the provenance of a number made of several: "mixed" unless all agree. Raises ValueError without parts."""
-    if not parts:
-        raise ValueError("a combined provenance needs at least one part")
-    return parts[0] if len(set(parts)) == 1 else "mixed"
 
 
 def provenance_of(run: RunDirectory, timing: str | None = None) -> dict[str, Plain]:

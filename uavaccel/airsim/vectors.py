@@ -11,7 +11,7 @@ import math
 import operator
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, reduce
 from numbers import Real
 from pprint import pformat
 from typing import Self, dataclass_transform
@@ -84,7 +84,7 @@ class _Components(MsgpackMixin):
 
     def dot(self, other: Self) -> float:
         _alike(other, "dot", self)
-        return float(sum(map(operator.mul, self, other)))
+        return float(reduce(operator.add, map(operator.mul, self, other)))  # sum() rounds by the version of Python
 
     def get_length(self) -> float:
         return math.sqrt(self.dot(self))

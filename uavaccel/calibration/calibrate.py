@@ -77,9 +77,7 @@ def advise(latency: LatencyConfig, profile: str, t_move_s: float, rounds: int, s
     """
     rows: list[dict[str, Plain]] = []
     with VirtualSession("blocks", profile) as lockstep, VirtualSession("blocks", profile, latency) as session:
-
-        def t_th(clock_speed: float) -> int:
-            return PROFILES[profile].t_th_ns(T_TH_WALL_S, clock_speed, t_move_s)
+        t_th = partial(PROFILES[profile].t_th_ns, T_TH_WALL_S, t_sample_s=t_move_s)
 
         def games(command: str, clock_speed: float) -> tuple[list[Trajectory], float]:
             """Fly GAMES, and return their trajectories and their mean wall time."""
@@ -144,14 +142,16 @@ Quantiles = NDArray[np.float64]
 
 
 class ClientEvent(NamedTuple):
-    """An event at the client's end: `kind` is "call", "issued" (sent without waiting) or "return"."""
+    """An event at the client's end: `kind` is "call", "issued" (sent without waiting) or "return".
+
+    A `coalesced` call travels with the next one, and has no latency of its own.
+    """
 
     kind: str
     method: str
     channel: str
     wall_ns: int
     coalesced: bool = False
-    """Whether it travels with the next one."""
 
 
 class TracingTransport(Transport):
@@ -197,10 +197,7 @@ class Latencies:
             samples[after_wait(channel, wait_ns)].append(latency_ns)
 
     def gather(self, client: Iterable[ClientEvent], server: Iterable[tuple[str, int, int]]) -> None:
-        """Match the events of both ends; when the client was ready for the first call of a batch is not known.
-
-        A coalesced call travels with the next one, and has no latency of its own.
-        """
+        """Match the events of both ends; when the client was ready for the first call of a batch is not known."""
         times_ns: dict[str, list[int]] = defaultdict(list)  # of the server's events
         due_ns: int | None = None  # of a wall timer that is set
         for event, wall_ns, _ in server:

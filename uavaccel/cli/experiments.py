@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -177,15 +176,15 @@ def _page(plan: Plan) -> Callable[[], AbstractContextManager[object]]:
     if not plan.request.watch:
         return nullcontext
     from uavaccel.envs.simulators import KERNELS
-    from uavaccel.suites.engines import LOKY
-    from uavaccel.watch.beside import PageAddress, free_port, page_beside
+    from uavaccel.suites.runner import LOKY
+    from uavaccel.watch.beside import LOOPBACK, PORT, free_port, page_beside
 
     if getattr(plan.config, "simulator", None) == KERNELS:
         raise UsageError("--watch: the kernels fly numbers, without a scene to look at: --set simulator=mujoco")
     if plan.request.engine != LOKY:
         raise UsageError(f"--watch: sees flights of this machine only, none of a cluster: --engine {LOKY}")
-    free_port(PageAddress.host, PageAddress.port)
-    return partial(page_beside, PageAddress())
+    free_port(LOOPBACK, PORT)
+    return page_beside
 
 
 def report_run(run: RunDirectory) -> None:
@@ -201,10 +200,8 @@ def report_run(run: RunDirectory) -> None:
         show_table(table)
     cells = summary.get("cells", ())
     if lost := [cell["lost_wall_s"] for cell in cells if cell.get("lost_wall_s")]:
-        console.print(
-            f"warning: the machine did not keep up: {sum(lost):.3f} s of wall time lost "
-            f"in {len(lost)} of {len(cells)} cells"
-        )
+        share = f"{sum(lost):.3f} s of wall time lost in {len(lost)} of {len(cells)} cells"
+        console.print(f"warning: the machine did not keep up: {share}")
     for path in sorted((run.path / "figures").glob("*.png")):
         console.print(str(path))
     console.print(f"report: {run.path / 'report.html'}")

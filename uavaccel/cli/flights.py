@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable
+from contextlib import nullcontext
 from difflib import get_close_matches
-from functools import partial
 from itertools import chain
 from pathlib import Path
 from typing import Annotated
@@ -17,6 +17,10 @@ from uavaccel.cli.terminal import LINES, console, working
 from uavaccel.errors import UsageError
 from uavaccel.fly.options import THINK_S
 
+THINKS = (
+    "Wall seconds that the script thinks before each call; "
+    f"default: {THINK_S['virtual']:g} in virtual, {THINK_S['lockstep']:g} in lockstep."
+)
 LIKE = 0.8  # of letters that two options have in common, from which on one may be the other mistyped
 
 
@@ -33,11 +37,11 @@ def serve(
     watch: Watch = False,
 ) -> None:
     """Serve a simulated drone to AirSim's clients until Ctrl-C."""
-    from uavaccel.watch.beside import PageAddress, page_beside
+    from uavaccel.watch.beside import page_beside
     from uavaccel.wire.service import ServeOptions
     from uavaccel.wire.service import serve as serve_clients
 
-    with page_beside(PageAddress() if watch else None, waits=False):
+    with page_beside(waits=False) if watch else nullcontext():
         serve_clients(ServeOptions(settings, clock, port, host, profile, scene, recordings))
 
 
@@ -54,15 +58,7 @@ def fly(
         bool, option(None, "Fly twice; messages and trajectories must be equal to the byte.", "--check")
     ] = False,
     until: Annotated[float | None, option("S", "Stop after these simulated seconds, pauses included.", min=0.0)] = None,
-    think: Annotated[
-        float | None,
-        option(
-            "S",
-            "Wall seconds that the script thinks before each call; "
-            f"default: {THINK_S['virtual']:g} in virtual, {THINK_S['lockstep']:g} in lockstep.",
-            min=0.0,
-        ),
-    ] = None,
+    think: Annotated[float | None, option("S", THINKS, min=0.0)] = None,
     seed: Annotated[int | None, option("N", "Random seed of Python, NumPy, PyTorch and Gymnasium.")] = None,
     keys: Annotated[str | None, option("KEY,...", "Keys to press one after the other, as in w,w,space,q.")] = None,
     settings: Annotated[
@@ -82,7 +78,7 @@ def fly(
     from uavaccel.fly.command import FlyRequest, fly_script, parse_clocks
     from uavaccel.fly.keys import parse_keys
     from uavaccel.fly.options import FlightOptions
-    from uavaccel.watch.beside import PageAddress, page_beside
+    from uavaccel.watch.beside import page_beside
 
     flight = FlightOptions(
         script,
@@ -98,8 +94,8 @@ def fly(
         keys=parse_keys(keys),
         film=film,
     )
-    page = partial(page_beside, PageAddress()) if watch else None
-    raise typer.Exit(fly_script(FlyRequest(flight, parse_clocks(clock), check, not no_settings, out, page)))
+    asked = FlyRequest(flight, parse_clocks(clock), check, not no_settings, out, page_beside if watch else None)
+    raise typer.Exit(fly_script(asked))
 
 
 def _own(script: Path, arguments: list[str], options: list[str]) -> tuple[str, ...]:
@@ -202,7 +198,7 @@ def export(
             console.print(f"{onnx}: seen: {about['seen']}; actions: {actions}")
         written: list[Iterable[Path]] = []
         if csv is not None or parquet is not None:
-            from uavaccel.suites.tables import write_tables
+            from uavaccel.suites.report import write_tables
 
             tables = ((csv, "csv"), (parquet, "parquet"))
             written += [write_tables(open_run(source), folder, kind) for folder, kind in tables if folder is not None]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, Any
@@ -75,10 +76,9 @@ def advise(
 
     if not error > 0:
         raise UserError(f"--error {error:g}: must be above 0 metres")
-    if not 0.0 < thinking <= MOST_SECONDS:
-        raise UserError(f"--thinking {thinking:g}: must be above 0 and at most {MOST_SECONDS:g} seconds")
-    if not 0.0 < t_move <= MOST_SECONDS:
-        raise UserError(f"--t-move {t_move:g}: must be above 0 and at most {MOST_SECONDS:g} seconds")
+    for name, seconds in (("--thinking", thinking), ("--t-move", t_move)):
+        if not 0.0 < seconds <= MOST_SECONDS:
+            raise UserError(f"{name} {seconds:g}: must be above 0 and at most {MOST_SECONDS:g} seconds")
     PROFILES[profile].check_duration(t_move, "--t-move")
     model = shipped_latency(profile) if latency is None else read_latency(latency)
     found, rows = advised(model, profile, t_move, rounds), []
@@ -153,8 +153,6 @@ def init(
 
 def schema_text(suite: str) -> str:
     """Return the JSON schema of a suite's YAML files, or of the one that is named. Raises UserError."""
-    import json
-
     from uavaccel.suites.session import schema_of
 
     return json.dumps(schema_of(suite), indent=2, sort_keys=True) + "\n"

@@ -64,21 +64,18 @@ class Surface(TyperGroup):
         return super().resolve_command(ctx, args)
 
 
-def _group(**how: Any) -> typer.Typer:
-    return typer.Typer(pretty_exceptions_enable=False, rich_markup_mode=None, **how)
-
-
 def _add(command: Callable[..., None], group: typer.Typer, settings: dict[str, Any] | None = None, **how: Any) -> None:
     """Add a command; the first line of its docstring is what lists of commands say of it."""
     group.command(short_help=(command.__doc__ or "").partition("\n")[0], context_settings=settings, **how)(command)
 
 
-app = _group(cls=Surface, context_settings={"help_option_names": ["-h", "--help"]})
+PLAIN: dict[str, Any] = {"pretty_exceptions_enable": False, "rich_markup_mode": None}
+app = typer.Typer(cls=Surface, context_settings={"help_option_names": ["-h", "--help"]}, **PLAIN)
 for panel, commands in PANELS.items():
     for command in commands:  # what follows a script are its own arguments
         _add(command, app, {"allow_interspersed_args": command is not fly}, rich_help_panel=panel)
 _add(bench, app, OF_OTHERS, hidden=True)
-timing = _group()
+timing = typer.Typer(**PLAIN)
 for command in (advise, calibrate, measure, certify):
     _add(command, timing)
 ABOUT_TIMING = "Latency of messages: calibrate, advise; policies: measure, certify."
@@ -105,15 +102,17 @@ def main(before: Sequence[str] = ()) -> None:
     words = [*before, *sys.argv[1:]]
     _open_closed_streams()
     signal.signal(signal.SIGTERM, _as_ctrl_c)
-    guard_children(lambda line: _print(f"warning: {line}"))
+    guard_children(lambda line: _complain(f"warning: {line}"))
     try:
-        _check_threads()
+        threads = os.environ.get("NUMBA_NUM_THREADS", "1")
+        if threads.removeprefix("-").isdecimal() and int(threads) < 1:  # numba leaves alone what is no number
+            raise UserError(f"NUMBA_NUM_THREADS={threads}: must be at least 1; leave it unset for one per core")
         _refuse_empty(words)
         asks = words in ([], [TIMING])  # a group alone
         status = app([*words, "--help"] if asks else words, prog_name="uavaccel", standalone_mode=False)
         sys.stdout.flush()
     except (KeyboardInterrupt, typer.Abort):
-        status = _complain("interrupted", 130)
+        status = _complain("interrupted")
     except typer.Exit as error:
         status = error.exit_code
     except BrokenPipeError:  # nobody reads the output any more, as in `| head`
@@ -122,7 +121,10 @@ def main(before: Sequence[str] = ()) -> None:
         status = 0 if isinstance(end.__context__, BrokenPipeError) else end.code
     except Exception as error:
         status = _status_of(error)
-    _leave_unread_output()
+    try:
+        sys.stdout.flush()
+    except OSError:  # output that cannot be printed, of which the interpreter would complain at its end
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     sys.exit(status if isinstance(status, int) else 0)
 
 
@@ -142,41 +144,25 @@ def _as_ctrl_c(number: int, frame: FrameType | None) -> None:
     (handler if callable(handler) else signal.default_int_handler)(signal.SIGINT, frame)
 
 
-def _status_of(error: Exception) -> int:
+def _status_of(error: Any) -> int:
     """Print the line of a user's mistake, and return its exit status. Raises any other error."""
-    if hasattr(error, "format_message"):  # an error of the command line's library
-        return _complain(_usage(error), 2)
-    mistake = mistake_of(error)
-    if mistake is None:
+    if hasattr(error, "format_message"):  # of the command line's library
+        said = error.format_message()
+        if hasattr(error.__cause__, "errors"):  # pydantic's, of an option's value
+            first = error.__cause__.errors()[0]
+            said = f"{error.param.opts[0]} {first['input']}: {first['msg'].removeprefix('Input ').partition(',')[0]}"
+        return _complain(said, 2)
+    if (mistake := mistake_of(error)) is None:
         raise error
     return _complain(str(mistake), mistake.exit_status)
 
 
-def _usage(error: Any) -> str:
-    """Return what the command line's library says, with the option's value where that does not fit."""
-    if not hasattr(error.__cause__, "errors"):
-        return str(error.format_message())
-    (first, *_) = error.__cause__.errors()  # pydantic's
-    wanted = first["msg"].removeprefix("Input ").partition(",")[0]
-    return f"{error.param.opts[0]} {first['input']}: {wanted}"
-
-
-def _complain(message: str, status: int) -> int:
+def _complain(message: str, status: int = 130) -> int:
+    """Print one line on standard error, which may be closed, and return the status; that of no error is 130."""
     line = " ".join(message.split("\n"))
-    _print(f"error: {line}" if status != 130 else line)
-    return status
-
-
-def _print(line: str) -> None:
     with contextlib.suppress(OSError):
-        print(f"uavaccel: {line}", file=sys.stderr, flush=True)
-
-
-def _check_threads() -> None:
-    """Raise UserError for a number of threads at which numba could not be imported."""
-    with contextlib.suppress(ValueError):  # numba leaves alone what is no number
-        if int(given := os.environ.get("NUMBA_NUM_THREADS", "1")) < 1:
-            raise UserError(f"NUMBA_NUM_THREADS={given}: must be at least 1; leave it unset for one per core")
+        print(f"uavaccel: {'error: ' if status != 130 else ''}{line}", file=sys.stderr, flush=True)
+    return status
 
 
 def _open_closed_streams() -> None:
@@ -188,11 +174,3 @@ def _open_closed_streams() -> None:
                 os.dup2(descriptor, number)
             os.set_inheritable(number, True)  # to this program's processes
             setattr(sys, name, os.fdopen(number, "r" if number == 0 else "w"))
-
-
-def _leave_unread_output() -> None:
-    """Drop output that cannot be printed; otherwise the interpreter would complain about it at its end."""
-    try:
-        sys.stdout.flush()
-    except OSError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -10,14 +10,11 @@ from typing import Annotated, Any, get_type_hints
 import typer
 
 from uavaccel.resources import experiments
-from uavaccel.suites.keys import KEYS, Key
-
-Complete = Callable[[str], list[str]]
-"""The values that begin with what has been typed."""
+from uavaccel.suites.keys import KEYS
 
 
-def one_of(*values: str) -> Complete:
-    """Return the completion of an option that takes one of these values."""
+def one_of(*values: str) -> Callable[[str], list[str]]:
+    """Return the completion of an option that takes one of these values: those that begin with what has been typed."""
     return lambda incomplete: [value for value in values if value.startswith(incomplete)]
 
 
@@ -45,12 +42,8 @@ def option(shown: str | None, about: str, *declarations: str, **bounds: float) -
     return typer.Option(*declarations, **how, autocompletion=one_of(*words), callback=known)
 
 
-def _of_words(key: Key) -> Any:
-    return option(key.shown, f"{key.help}.")
-
-
-Timing = Annotated[str, _of_words(KEYS["timing"])]
-Profile = Annotated[str, _of_words(KEYS["profile"])]
+Timing = Annotated[str, option(KEYS["timing"].shown, f"{KEYS['timing'].help}.")]
+Profile = Annotated[str, option(KEYS["profile"].shown, f"{KEYS['profile'].help}.")]
 Scene = Annotated[str, option("NAME", "A scene of assets/mjcf.")]
 Latency = Annotated[Path | None, option("FILE", "Latencies, as calibrate writes them; default: those that ship.")]
 OF_TRUST = option(None, "Run the code that a run's folder or --set names, and remember that it may run.", "--trust")
@@ -60,29 +53,17 @@ Watch = Annotated[bool, OF_WATCH]
 SETS = "Set any key of the configuration; repeat for several."
 
 
-def _of_key(name: str, several: bool, about: str | None) -> Parameter:
-    """Return the option of a key of the configuration, which is None where it was not given."""
-    key = KEYS[name]
-    kind: Any = list[key.kind] if several else key.kind  # type: ignore[name-defined]
-    about = f"{about or key.help}{'; repeat for several' if several else ''}."
-    annotation = Annotated[kind | None, option(key.shown, about, key.option)]
-    return Parameter(name, Parameter.KEYWORD_ONLY, default=None, annotation=annotation)
-
-
-OF_A_REQUEST = [
-    Parameter(name, Parameter.KEYWORD_ONLY, default=default, annotation=Annotated[kind, shown])
-    for name, kind, default, shown in (
-        ("jobs", int, 1, option("N", "Processes that fly; must be 1 with --timing wall.")),
-        ("engine", str, "loky", option("loky|ray|dask", "What starts the --jobs.")),
-        ("out", Path | None, None, option("RUN_DIR", "New run directory; default: one in runs/.")),
-        ("resume", bool, False, option(None, "Go on with the run in --out, by its own configuration.", "--resume")),
-        ("trust", bool, False, OF_TRUST),
-        ("dry_run", bool, False, option(None, "Say what would be flown; fly nothing.", "--dry-run")),
-        ("overrides", list[str] | None, (), option("DOTTED.KEY=VALUE", SETS, "--set")),
-        ("watch", bool, False, OF_WATCH),
-    )
-]
-"""The options of every command that flies an experiment, by the fields of its RunRequest."""
+OF_A_REQUEST = (
+    ("jobs", int, 1, option("N", "Processes that fly; must be 1 with --timing wall.")),
+    ("engine", str, "loky", option("loky|ray|dask", "What starts the --jobs.")),
+    ("out", Path | None, None, option("RUN_DIR", "New run directory; default: one in runs/.")),
+    ("resume", bool, False, option(None, "Go on with the run in --out, by its own configuration.", "--resume")),
+    ("trust", bool, False, OF_TRUST),
+    ("dry_run", bool, False, option(None, "Say what would be flown; fly nothing.", "--dry-run")),
+    ("overrides", list[str] | None, (), option("DOTTED.KEY=VALUE", SETS, "--set")),
+    ("watch", bool, False, OF_WATCH),
+)
+"""The options of every command that flies an experiment: the field of its RunRequest, type, default, what is shown."""
 
 
 def requests(
@@ -93,8 +74,16 @@ def requests(
     These are an option for each of `keys`, which `several` may repeat, and those of every run. `games` is what the help
     of --games says.
     """
-    options = [_of_key(name, name in several, games if name == "games" else None) for name in keys]
-    options += OF_A_REQUEST
+    asked: list[tuple[str, Any, Any, Any]] = []
+    for name in keys:
+        key, again = KEYS[name], "; repeat for several" if name in several else ""
+        kind: Any = list[key.kind] if again else key.kind  # type: ignore[name-defined]
+        about = (name == "games" and games) or key.help
+        asked.append((name, kind | None, None, option(key.shown, f"{about}{again}.", key.option)))
+    options = [
+        Parameter(name, Parameter.KEYWORD_ONLY, default=default, annotation=Annotated[kind, shown])
+        for name, kind, default, shown in (*asked, *OF_A_REQUEST)
+    ]
 
     def decorate(function: Callable[..., None]) -> Callable[..., None]:
         def command(**given: Any) -> None:

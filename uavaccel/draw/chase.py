@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import product
 
 import cv2
 import mujoco
@@ -26,7 +27,7 @@ EYE = Pose((-2.4, 0.0, -1.15), from_degrees(0.0, -20.0, 0.0))  # relative to the
 FOV_DEG = 85.0
 FINER = 1.25  # supersampling factor: in software MuJoCo's antialiasing takes twice as long
 
-ARM_M, ROTOR_RADIUS_M = 0.16087, 0.1143  # quadrotor.xml's
+ROTORS_M, ROTOR_RADIUS_M = tuple(product((0.16087, -0.16087), repeat=2)), 0.1143  # quadrotor.xml's
 SHELL, ARMS, DARK = (0.93, 0.94, 0.96, 1.0), (0.75, 0.77, 0.8, 1.0), (0.1, 0.1, 0.11, 1.0)
 FRONT_ROTOR, REAR_ROTOR = (1.0, 0.38, 0.05, 0.85), (0.85, 0.88, 0.92, 0.7)
 SHADOW, TARGET = (0.0, 0.0, 0.0, 0.4), (0.0, 0.62, 0.45, 0.6)
@@ -90,7 +91,10 @@ def _model(
     """Compile a scene with the shadows, a target, and with the drone as this view shows it."""
     spec.visual.quality.numslices = 16  # round rotors
     _dress(spec.body(QUADROTOR))
-    _add_drone_shadow(spec.worldbody.add_body(name="drone_shadow", mocap=True))
+    shadow = spec.worldbody.add_body(name="drone_shadow", mocap=True)
+    for ahead, left in ROTORS_M:
+        _add(shadow, mujoco.mjtGeom.mjGEOM_CYLINDER, (ROTOR_RADIUS_M, 0.001, 0.0), (ahead, left, 0.0), SHADOW)
+    _add(shadow, mujoco.mjtGeom.mjGEOM_BOX, (0.12, 0.07, 0.001), (0.0, 0.0, 0.0), SHADOW)
     if lane:
         _add_post_shadows(spec.worldbody, lane, slope)
     if target_m is not None:
@@ -108,23 +112,14 @@ def _dress(drone: mujoco.MjsBody) -> None:
             geom.rgba = FRONT_ROTOR if geom.pos[0] > 0 else REAR_ROTOR
         else:
             geom.rgba = ARMS if geom.type == mujoco.mjtGeom.mjGEOM_CAPSULE else SHELL
-    for ahead in (ARM_M, -ARM_M):
-        for left in (ARM_M, -ARM_M):
-            _add(drone, mujoco.mjtGeom.mjGEOM_CYLINDER, (0.022, 0.02, 0.0), (ahead, left, 0.008), DARK)
+    for ahead, left in ROTORS_M:
+        _add(drone, mujoco.mjtGeom.mjGEOM_CYLINDER, (0.022, 0.02, 0.0), (ahead, left, 0.008), DARK)
     _add(drone, mujoco.mjtGeom.mjGEOM_ELLIPSOID, (0.1, 0.06, 0.035), (0.0, 0.0, 0.02), SHELL)
     _add(drone, mujoco.mjtGeom.mjGEOM_BOX, (0.03, 0.03, 0.02), (0.09, 0.0, -0.02), DARK)
     for left in (0.075, -0.075):
         _add(drone, mujoco.mjtGeom.mjGEOM_BOX, (0.11, 0.007, 0.007), (0.0, left, -0.1), DARK)
         for ahead in (0.05, -0.05):
             _add(drone, mujoco.mjtGeom.mjGEOM_BOX, (0.006, 0.006, 0.045), (ahead, left, -0.055), DARK)
-
-
-def _add_drone_shadow(body: mujoco.MjsBody) -> None:
-    for ahead in (ARM_M, -ARM_M):
-        for left in (ARM_M, -ARM_M):
-            size = ROTOR_RADIUS_M, 0.001, 0.0
-            _add(body, mujoco.mjtGeom.mjGEOM_CYLINDER, size, (ahead, left, 0.0), SHADOW)
-    _add(body, mujoco.mjtGeom.mjGEOM_BOX, (0.12, 0.07, 0.001), (0.0, 0.0, 0.0), SHADOW)
 
 
 def _add_post_shadows(world: mujoco.MjsBody, layout: LaneLayout, slope: NDArray[np.float64]) -> None:

@@ -94,34 +94,39 @@ class Film:
     @property
     def size(self) -> tuple[int, int]:
         """Width and height of its frames."""
-        return WIDTH, (HEIGHT if self.in_lane else NEAR_AT[1] + NEAR_SIZE[1] + MARGIN) + _lower(self)
+        return WIDTH, (HEIGHT if self.in_lane else NEAR_AT[1] + NEAR_SIZE[1] + MARGIN) + self.lower
+
+    @property
+    def lower(self) -> int:
+        """Pixels by which a second row lowers the lane."""
+        return SECOND_ROW if self.chase is not None or self.decisions is not None else 0
 
     def __len__(self) -> int:
         return len(self.time_s)
 
 
-def write_video(
-    film: Film, path: Path, frames_per_s: int = FRAMES_PER_S, written: Callable[[], object] = lambda: None
-) -> Path:
+def write_video(film: Film, path: Path, written: Callable[[], object] = lambda: None) -> Path:
     """Write an MP4 of the film's frames, whole or not at all, and return `path`; `written` is called after each frame.
 
     Raises UserError if it cannot be written.
     """
-    seconds = len(film) / frames_per_s + (HELD_S if film.hit else 0.0)
-    with movie(path, film.size, frames_per_s, seconds) as add:
-        for picture in frames(film, frames_per_s):
+    seconds = len(film) / FRAMES_PER_S + (HELD_S if film.hit else 0.0)
+    with movie(path, film.size, FRAMES_PER_S, seconds) as add:
+        for picture in frames(film):
             add(picture)
             written()
     return path
 
 
-def frames(film: Film, frames_per_s: int = FRAMES_PER_S) -> Iterator[Bgr]:
+def frames(film: Film) -> Iterator[Bgr]:
     """Yield the film's frames, in a lane (480, 1280, 3), (808, 1280, 3) with a second row, as images of `film.size`.
 
     There is one for each sample, and more of an impact.
     """
-    page, lower = _page(film), _lower(film)
-    lane_view, near_view, lane, ground = whole_lane(LANE_SIZE), around(_places(film), NEAR_SIZE), None, None
+    page, cameras = _page(film), [CAMERA_AT] if film.chase is None else [CAMERA_AT, _below(CAMERA_AT)]
+    target = [] if film.target_m is None else [film.target_m[:2]]
+    near_view = around(np.array([*film.position_m[:, :2], *target]), NEAR_SIZE)  # of the whole flight
+    lane_view, lane, ground = whole_lane(LANE_SIZE), None, None
     if film.in_lane:
         lane = draw_lane(film.layout, lane_view)
     else:
@@ -129,7 +134,7 @@ def frames(film: Film, frames_per_s: int = FRAMES_PER_S) -> Iterator[Bgr]:
         if film.target_m is not None:
             draw_target(ground, near_view, film.target_m)
     simulated_s = float(film.time_s[-1] - film.time_s[0])
-    playback = simulated_s * frames_per_s / max(len(film) - 1, 1)  # simulated seconds per second of film
+    playback = simulated_s * FRAMES_PER_S / max(len(film) - 1, 1)  # simulated seconds per second of film
     decided = lru_cache(maxsize=1)(partial(_decision, film.decisions))  # a command has several samples
     for i in range(len(film)):
         picture, track = page.copy(), film.position_m[: i + 1, :2]
@@ -147,27 +152,23 @@ def frames(film: Film, frames_per_s: int = FRAMES_PER_S) -> Iterator[Bgr]:
             paste(picture, panel, at)
         if hit:
             draw_impact(near, near_view, track[-1])
-            for x, y in (CAMERA_AT, *([_below(CAMERA_AT)] if film.chase is not None else [])):
+            for x, y in cameras:
                 cv2.rectangle(picture, (x + 2, y + 2), (x + PANEL[0] - 3, y + PANEL[1] - 3), IMPACT, 5)
         paste(picture, near, NEAR_AT)
         if lane is not None:
             whole = draw_track(lane.copy(), lane_view, track)
-            paste(picture, draw_impact(whole, lane_view, track[-1]) if hit else whole, (LANE_AT[0], LANE_AT[1] + lower))
-        yield from [picture] * (max(1, round(HELD_S * frames_per_s)) if hit else 1)
-
-
-def _lower(film: Film) -> int:
-    return SECOND_ROW if film.chase is not None or film.decisions is not None else 0
+            whole = draw_impact(whole, lane_view, track[-1]) if hit else whole
+            paste(picture, whole, (LANE_AT[0], LANE_AT[1] + film.lower))
+        yield from [picture] * (round(HELD_S * FRAMES_PER_S) if hit else 1)
 
 
 def _page(film: Film) -> Bgr:
     """Return what all frames share: the title, and the panels' captions."""
-    lower = _lower(film)
     page = blank(film.size)
     write(page, film.title, (12, 26), 0.62)
     names = [("camera", CAMERA_AT), ("DVS: ON blue, OFF red", DVS_AT), ("map", NEAR_AT)]
     if film.in_lane:
-        names.append(("the whole lane, start on the left", (LANE_AT[0], LANE_AT[1] + lower)))
+        names.append(("the whole lane, start on the left", (LANE_AT[0], LANE_AT[1] + film.lower)))
     if film.chase is not None:
         names.append(("from behind", _below(CAMERA_AT)))
     if film.decisions is not None:
@@ -211,11 +212,8 @@ def write_contact_sheet(film: Film, path: Path) -> Path:
         hit = film.hit if i == len(film) - 1 else ""
         write(sheet, f"{_moment(film, i)}{', hit' if hit else ''}", (x, y + 17), 0.5, IMPACT if hit else INK)
         paste(sheet, to_bgr(film.images[i], THUMB), (x, y + SHEET_CAPTION))
-        paste(
-            sheet,
-            enlarged(dvs_picture(film.on_events[i], film.off_events[i]), THUMB),
-            (x, y + SHEET_CAPTION + THUMB[1]),
-        )
+        events = enlarged(dvs_picture(film.on_events[i], film.off_events[i]), THUMB)
+        paste(sheet, events, (x, y + SHEET_CAPTION + THUMB[1]))
     path.parent.mkdir(parents=True, exist_ok=True)
     if not cv2.imwrite(str(path), sheet):
         raise UserError(f"{path}: cannot be written")
@@ -223,16 +221,9 @@ def write_contact_sheet(film: Film, path: Path) -> Path:
 
 
 def _moment(film: Film, i: int) -> str:
-    if film.target_m is not None:
-        off_m = float(np.linalg.norm(film.position_m[i] - film.target_m))
-        return f"{film.time_s[i]:6.2f} s, {off_m:5.1f} m to go"
-    return f"{film.time_s[i]:6.2f} s, {film.position_m[i, 0]:5.1f} m"
-
-
-def _places(film: Film) -> NDArray[np.float64]:
-    """Return the places (n, 2) that a map of the whole flight shows, north and east."""
-    target = [] if film.target_m is None else [film.target_m[:2]]
-    return np.array([*film.position_m[:, :2], *target])
+    if film.target_m is None:
+        return f"{film.time_s[i]:6.2f} s, {film.position_m[i, 0]:5.1f} m"
+    return f"{film.time_s[i]:6.2f} s, {np.linalg.norm(film.position_m[i] - film.target_m):5.1f} m to go"
 
 
 def poster(path: Path) -> bytes:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import math
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -206,20 +207,16 @@ def to_html(title: str, blocks: Sequence[Block]) -> str:
     """Return the page as one HTML file that embeds its style, script and pictures and needs no network."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
-    environment = Environment(
-        loader=PackageLoader("uavaccel.draw", ""),
-        autoescape=True,
-        keep_trailing_newline=True,
-        undefined=StrictUndefined,
-    )
-    environment.filters["data_url"] = _data_url
+    how: dict[str, Any] = {"autoescape": True, "keep_trailing_newline": True, "undefined": StrictUndefined}
+    environment = Environment(loader=PackageLoader("uavaccel.draw", ""), **how)
+    kind = {".mp4": "video/mp4"}
+    environment.filters["data_url"] = lambda path: _data_url(path.read_bytes(), kind.get(path.suffix, "image/png"))
     environment.filters["poster_url"] = _poster_url
     return environment.get_template("page.html.jinja").render(title=title, blocks=blocks)
 
 
-def _data_url(path: Path) -> str:
-    kind = "video/mp4" if path.suffix == ".mp4" else "image/png"
-    return f"data:{kind};base64,{base64.b64encode(path.read_bytes()).decode('ascii')}"
+def _data_url(content: bytes, kind: str) -> str:
+    return f"data:{kind};base64,{base64.b64encode(content).decode('ascii')}" if content else ""
 
 
 def _poster_url(path: Path) -> str:
@@ -227,11 +224,8 @@ def _poster_url(path: Path) -> str:
         from uavaccel.draw.film import poster  # with what reads films, of which most pages have none
     except ImportError:  # without the extra `film` the page shows the film's first frame
         return ""
-    picture = poster(path)
-    return f"data:image/jpeg;base64,{base64.b64encode(picture).decode('ascii')}" if picture else ""
+    return _data_url(poster(path), "image/jpeg")
 
 
 def _escape_markdown(text: str) -> str:
-    for character in "\\|*_<":
-        text = text.replace(character, "\\" + character)
-    return text
+    return re.sub(r"([\\|*_<])", r"\\\1", text)

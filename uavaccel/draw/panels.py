@@ -94,8 +94,7 @@ def follow(place_m: ArrayLike, size: tuple[int, int]) -> View:
     """Return the projection of the surroundings of a place, north up, as wide as the lane."""
     width, height = size
     scale = width / (WIDTH_M + 2 * WALL_M)
-    north = float(np.asarray(place_m)[0])
-    origin = np.array([width / 2, height * (1 - BEHIND) + north * scale])
+    origin = np.array([width / 2, height * (1 - BEHIND) + float(np.asarray(place_m)[0]) * scale])
     return View(size, origin, np.array([0.0, -scale]), np.array([scale, 0.0]))
 
 
@@ -116,9 +115,10 @@ def draw_lane(layout: LaneLayout | ClutterLayout | None, view: View) -> Bgr:
     """
     if not isinstance(layout, LaneLayout):
         picture = blank(view.size, GROUND)
-        for row in layout.rows[layout.standing] if layout else ():
-            outline = _outline(row)
-            cv2.fillPoly(picture, [view.pixels(outline)], OBSTACLE, cv2.LINE_AA, SUBPIXEL)
+        for row in layout.rows[layout.standing] if layout else ():  # a shape's outline from above
+            along, across = (CORNERS if int(row[KIND]) == BOX else ROUND).T * row[HALF_X : HALF_Y + 1, None]
+            north, west = row[X] + row[COS] * along - row[SIN] * across, row[Y] + row[SIN] * along + row[COS] * across
+            cv2.fillPoly(picture, [view.pixels(np.stack([north, -west], axis=1))], OBSTACLE, cv2.LINE_AA, SUBPIXEL)
         return picture
     picture = blank(view.size, OUTSIDE)
     half = WIDTH_M / 2
@@ -133,13 +133,6 @@ def draw_lane(layout: LaneLayout | ClutterLayout | None, view: View) -> Bgr:
         else:
             _box(picture, view, (x - half_width, x + half_width), (y - half_width, y + half_width), OBSTACLE)
     return picture
-
-
-def _outline(row: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return a shape of the clutter from above: places (n, 2), north and east."""
-    along, across = (CORNERS if int(row[KIND]) == BOX else ROUND).T * row[HALF_X : HALF_Y + 1, None]
-    x, y = row[X] + row[COS] * along - row[SIN] * across, row[Y] + row[SIN] * along + row[COS] * across
-    return np.stack([x, -y], axis=1)  # its y is the west
 
 
 def draw_target(picture: Bgr, view: View, place_m: ArrayLike) -> Bgr:

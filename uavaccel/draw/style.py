@@ -155,24 +155,21 @@ def space(axes: Axes3D, flights_m: Sequence[NDArray[np.float64]]) -> None:
     axes.view_init(elev=38, azim=-125)
     if not flights_m:
         return
+    from matplotlib.ticker import MaxNLocator
+
     points = np.concatenate(flights_m)
-    low, high = points.min(axis=0), points.max(axis=0)
-    half_m = max(float(np.max((high - low)[:2])), LEAST_SPAN_M) / 2 * 1.05
-    half_height_m = max(high[2] - low[2], LEAST_HEIGHT_SPAN_M) / 2
-    north, east, down = (low + high) / 2
+    least, most = points.min(axis=0), points.max(axis=0)
+    half_m = max(float(np.max((most - least)[:2])), LEAST_SPAN_M) / 2 * 1.05
+    half_height_m = max(most[2] - least[2], LEAST_HEIGHT_SPAN_M) / 2
+    north, east, down = (least + most) / 2
     axes.set(xlim=(north - half_m, north + half_m), ylim=(east - half_m, east + half_m))
     axes.set_zlim(-down - half_height_m, -down + half_height_m)
     axes.set_box_aspect((1, 1, 0.45))
-    for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
-        axis.set_ticks(_ticks(*axis.get_view_interval()))
-
-
-def _ticks(low: float, high: float) -> list[float]:
-    """Return two to six round numbers, none next to a corner, where the labels of two axes would overlap."""
-    from matplotlib.ticker import MaxNLocator
-
-    ticks = MaxNLocator(6, steps=(1, 2, 5, 10)).tick_values(low, high)
-    return [float(tick) for tick in ticks if low + 0.08 * (high - low) <= tick <= high]
+    for axis in (axes.xaxis, axes.yaxis, axes.zaxis):  # two to six round numbers
+        low, high = axis.get_view_interval()
+        ticks = MaxNLocator(6, steps=(1, 2, 5, 10)).tick_values(low, high)
+        corner = low + 0.08 * (high - low)  # up to which the labels of two axes would overlap
+        axis.set_ticks([float(tick) for tick in ticks if corner <= tick <= high])
 
 
 Bgr = NDArray[np.uint8]  # (H, W, 3): blue, green, red, as OpenCV has them

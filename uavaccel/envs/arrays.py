@@ -120,3 +120,8 @@ def _columns(values: Number) -> Tree:
 def stacked_observations(observations: Sequence[Observation]) -> Observation:
     """Return several observations as a batch."""
     return mapped(lambda *parts: np.stack(parts), *observations)
+
+
+def picture_of(observations: Observation) -> Observation:
+    """Return the pictures of observations that have the state beside them; others as they are."""
+    return observations["image"] if isinstance(observations, Mapping) else observations

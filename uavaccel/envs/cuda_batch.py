@@ -103,10 +103,10 @@ class CudaBatch(VectorEnv[Any, Any, Any]):
         ended = lanes.rewards.clone(), lanes.terminated.clone(), lanes.truncated.clone()
         return mapped(th.clone, lanes.observations), *ended, infos
 
-    def charge_each(self, durations_ns: NDArray[np.int64]) -> None:
+    def charge_each(self, durations_ns: NDArray[np.int64], phase: str = "inference") -> None:
         """In timing `virtual`, charge each environment (N,) for its agent's work since its last command."""
         if self._lanes.clocks is not None and self.task.timing == "virtual":
-            self._lanes.clocks.charge(th.as_tensor(durations_ns, device=self.device), "inference")
+            self._lanes.clocks.charge(th.as_tensor(durations_ns, device=self.device), phase)
 
     def _read_an_earlier_step(self) -> None:
         """Let games be sampled where they have begun, and check the actions, of the step some steps ago."""

@@ -7,8 +7,9 @@ the environment, and a few pure functions of what happened, each of which a subc
 from __future__ import annotations
 
 import math
+import operator
 from collections.abc import Mapping, Sequence
-from functools import lru_cache
+from functools import lru_cache, reduce
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, TypeAlias
 
 import numpy as np
@@ -423,7 +424,8 @@ def position_option(options: Mapping[str, object], name: str, drawn: NDArray[np.
 
 def distance(a: Sequence[Number], b: Sequence[Number]) -> Number:
     """Return the metres between two positions, of one game or of many."""
-    squared = sum((here - there) * (here - there) for here, there in zip(a, b, strict=True))
+    squares = ((here - there) * (here - there) for here, there in zip(a, b, strict=True))
+    squared = reduce(operator.add, squares)  # Python 3.12's sum() rounds floats otherwise than arrays
     if isinstance(squared, np.ndarray):  # whose powers of 0.5 are not the square roots' bits on every processor
         return np.sqrt(squared)
     return math.sqrt(squared) if isinstance(squared, float) else squared.sqrt()

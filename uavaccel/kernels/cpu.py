@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
-from numba import njit, types
+from numba import njit
 from numba.extending import overload
 
 from uavaccel.kernels import casting, events, pictures, timeline
@@ -28,7 +28,6 @@ from uavaccel.kernels.timeline import Clocks, Command
 from uavaccel.sim.parts import part
 from uavaccel.sim.vehicle.hotloop import sources
 from uavaccel.vision import dvs_kernels as dvs
-from uavaccel.vision.dvs_sensor import HOT_RATE_HZ
 from uavaccel.vision.guard import LUMA_WEIGHTS
 from uavaccel.vision.noise import LEAK_JITTER, READ_NOISE, SHOT_NOISE, fill_normal, fill_uniform
 
@@ -41,19 +40,6 @@ def fill_thresholds(nominal: float, sigma: float, normal: Operand, out: Operand)
     for y in range(out.shape[0]):
         for x in range(out.shape[1]):
             out[y, x] = events.threshold(out[y, x], nominal, sigma, normal[y, x])
-
-
-@part(error_model="numpy")
-def leak(base: Operand, positive: Operand, camera: Operand, sensor: Operand, seed: int, index: int, dt_s: float) -> Any:
-    """Return the memorised intensities (rows, columns) after a frame's hot-pixel drift and leak."""
-    if camera[events.HOT] > 0.0:
-        base = dvs.heat(base, positive, sensor.heat < camera[events.HOT], np.float32(dt_s * HOT_RATE_HZ))
-    if camera[events.LEAK] > 0.0:
-        normal = np.empty(base.shape, np.float32)
-        fill_normal(normal.ravel(), np.uint64(seed), np.uint64(index), LEAK_JITTER)
-        rate_hz, jitter = np.float32(camera[events.LEAK]), np.float32(camera[events.JITTER])
-        base = dvs.leak(base, positive, np.float32(dt_s), rate_hz, sensor.leak_factor, jitter, normal)
-    return base
 
 
 @part(error_model="numpy")
@@ -71,40 +57,6 @@ def after_dead_time(signed: Operand, camera: Operand, last_s: Operand, before_s:
 
 
 @part(error_model="numpy")
-def add_to_blocks(signed: Operand, gathered: Operand) -> None:
-    """Add signed counts (rows, columns) to those of their blocks: 4 x 4 pixels, or each pixel by itself."""
-    side = signed.shape[0] // gathered.shape[0]
-    for y in range(signed.shape[0]):
-        for x in range(signed.shape[1]):
-            gathered[y // side, x // side] += signed[y, x]
-
-
-@part(error_model="numpy")
-def add_shot_noise(
-    picture: Operand,
-    camera: Operand,
-    sensor: Operand,
-    maps: Operand,
-    log: Operand,
-    base: Operand,
-    gathered: Operand,
-    noise: Operand,
-) -> None:
-    """Add a frame's shot noise; `maps` are the thresholds, `noise` is seed, frame index and duration in s."""
-    seed, index, dt_s = noise
-    draws, side = np.empty(base.shape, np.float32), base.shape[0] // gathered.shape[0]
-    fill_uniform(draws.ravel(), np.uint64(seed), np.uint64(index), SHOT_NOISE)
-    chances = camera[events.SHOT] / 2 * dt_s * sensor.dimming
-    nominal = np.float32(camera[events.POSITIVE]), np.float32(camera[events.NEGATIVE])
-    on, off = dvs.shoot(picture, chances, draws, maps[0], maps[1], nominal)
-    for y in range(base.shape[0]):
-        for x in range(base.shape[1]):
-            if on[y, x] or off[y, x]:
-                base[y, x] = log[y, x]
-                gathered[y // side, x // side] += np.int32(on[y, x]) - np.int32(off[y, x])
-
-
-@part(error_model="numpy")
 def start(lane: int, picture: Operand, pixels: events.Pixels, sensor: Operand, camera: Operand) -> None:
     """Initialise a lane's event camera with a game's first frame, which causes no events."""
     for y in range(picture.shape[0]):
@@ -118,50 +70,38 @@ def start(lane: int, picture: Operand, pixels: events.Pixels, sensor: Operand, c
         pixels.last_s[lane] = -np.float32(camera[events.REFRACTORY])
 
 
-def logs_of(picture, filtered, sensor, weights):  # type: ignore[no-untyped-def]
-    """Return a frame's log intensities: float32, or float64 after the low-pass filter with last output `filtered`."""
-
-
-def counts_of(log, base, positive, negative):  # type: ignore[no-untyped-def]
-    """Return the signed counts in the precision of the log intensities."""
-
-
-@overload(logs_of)
-def _logs_of(picture, filtered, sensor, weights):  # type: ignore[no-untyped-def]
-    if filtered.dtype == types.float32:
-        return lambda picture, filtered, sensor, weights: dvs.look_up(picture, sensor.logs)
-    return lambda picture, filtered, sensor, weights: dvs.low_pass(picture, filtered, sensor.logs, weights)
-
-
-@overload(counts_of)
-def _counts_of(log, base, positive, negative):  # type: ignore[no-untyped-def]
-    function = dvs.count_single if log.dtype == types.float32 else dvs.count_double
-    return lambda log, base, positive, negative: function(log, base, positive, negative)
-
-
 @part(error_model="numpy")
 def see(
     lane: int, picture: Operand, time_s: float, pixels: events.Pixels, sensor: Operand, camera: Operand, seed: int
 ) -> None:
     """Update a lane's event camera for a frame (rows, columns) at `time_s`."""
     before_s, index = pixels.time_s[lane], pixels.clock[lane] + 1
-    base, low_passed, dt_s = pixels.base[lane], pixels.filtered.size > 0, time_s - before_s
-    positive, negative = np.empty_like(base), np.empty_like(base)
-    fill_thresholds(camera[events.POSITIVE], camera[events.SIGMA], sensor.up, positive)
-    fill_thresholds(camera[events.NEGATIVE], camera[events.SIGMA], sensor.down, negative)
-    weights = np.minimum(sensor.weights * (dt_s / camera[events.TAU]), 1.0)
-    log = logs_of(picture, pixels.filtered[lane] if low_passed else base, sensor, weights)
-    base = leak(base, positive, camera, sensor, seed, index, dt_s)
-    signed = counts_of(log, base, positive, negative)
+    base, gathered, dt_s = pixels.base[lane], pixels.gathered[lane], time_s - before_s
+    filtered = pixels.filtered[lane] if pixels.filtered.size > 0 else base
+    thresholds = np.empty_like(base), np.empty_like(base)
+    fill_thresholds(camera[events.POSITIVE], camera[events.SIGMA], sensor.up, thresholds[0])
+    fill_thresholds(camera[events.NEGATIVE], camera[events.SIGMA], sensor.down, thresholds[1])
+    none = 0, 0
+    normals = np.empty(base.shape if camera[events.LEAK] > 0.0 else none, np.float32)
+    fill_normal(normals.ravel(), np.uint64(seed), np.uint64(index), LEAK_JITTER)
+    draws = np.empty(base.shape if camera[events.SHOT] > 0.0 else none, np.float32)
+    fill_uniform(draws.ravel(), np.uint64(seed), np.uint64(index), SHOT_NOISE)
+    hot = sensor.heat < camera[events.HOT] if camera[events.HOT] > 0.0 else np.empty(none, np.bool_)
+    log, before, signed = dvs.count(
+        picture, (base, filtered), thresholds, hot, sensor.leak_factor, camera, sensor, normals, dt_s
+    )
     if pixels.last_s.size:
         signed = after_dead_time(signed, camera, pixels.last_s[lane], before_s, time_s)
-    base = dvs.advance_base(signed, base, positive, negative)
-    add_to_blocks(signed, pixels.gathered[lane])
-    if camera[events.SHOT] > 0.0:
-        noise = seed, index, dt_s
-        add_shot_noise(picture, camera, sensor, (positive, negative), log, base, pixels.gathered[lane], noise)
+    base, noise = dvs.memorise(picture, log, before, signed, thresholds, camera, sensor, draws, dt_s)
+    side = signed.shape[0] // gathered.shape[0]
+    for y in range(signed.shape[0]):
+        for x in range(signed.shape[1]):
+            gathered[y // side, x // side] += signed[y, x]
+    for y in range(noise.shape[0]):
+        for x in range(noise.shape[1]):
+            gathered[y // side, x // side] += 0 if noise[y, x] == dvs.ON_AND_OFF else noise[y, x]
     pixels.base[lane] = base
-    if low_passed:
+    if pixels.filtered.size > 0:
         pixels.filtered[lane] = log
     pixels.clock[lane], pixels.time_s[lane] = index, time_s
 

@@ -36,7 +36,7 @@ from uavaccel.kernels.scene import world_of
 from uavaccel.kernels.touching import NOTHING
 from uavaccel.sim.camera.pixels import luma_of
 from uavaccel.sim.vehicle.quadrotor import NEVER
-from uavaccel.vision.dvs_kernels import count_double_pixel
+from uavaccel.vision.dvs_kernels import count_double_pixel, signed_count
 from uavaccel.vision.dvs_sensor import BLOCK_SIDE, NEUTRAL_LEVEL
 from uavaccel.vision.noise import READ_NOISE, normal_block
 
@@ -57,7 +57,7 @@ def _signed_count(log, base, positive, negative):  # type: ignore[no-untyped-def
 
 
 for _function, _chosen in events.BY_TYPE:
-    overload(_function)(_signed_count if _function is events.signed_count else _chosen)
+    overload(_function)(_signed_count if _function is signed_count else _chosen)
 
 
 class Plan(NamedTuple):

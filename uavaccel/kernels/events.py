@@ -11,24 +11,36 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import types
 from numba.extending import overload
-from numpy.typing import NDArray
 
 from uavaccel.kernels.fields import COLUMNS as WIDTH
 from uavaccel.kernels.fields import ROWS as HEIGHT
 from uavaccel.kernels.fields import Operand
 from uavaccel.sim.parts import part, times
 from uavaccel.vision import dvs_kernels as pixel
-from uavaccel.vision.dvs import HOT_RATE_HZ, LIN_LOG, RELATIVE_INTENSITY, SHOT_NOISE_AT_WHITE, DvsParameters
-from uavaccel.vision.dvs_sensor import BLOCK_SIDE, MIN_THRESHOLD, NEUTRAL_LEVEL, Draws
+from uavaccel.vision.dvs import TABLES
+from uavaccel.vision.dvs_sensor import (
+    BLOCK_SIDE,
+    HOT,
+    HOT_RATE_HZ,
+    JITTER,
+    LEAK,
+    MIN_THRESHOLD,
+    NEGATIVE,
+    NEUTRAL_LEVEL,
+    POSITIVE,
+    SHOT,
+    SIGMA,
+    Draws,
+    DvsParameters,
+)
+from uavaccel.vision.dvs_sensor import CAMERA_FIELDS as CAMERA_FIELDS
+from uavaccel.vision.dvs_sensor import READ as READ
+from uavaccel.vision.dvs_sensor import REFRACTORY as REFRACTORY
+from uavaccel.vision.dvs_sensor import TAU as TAU
+from uavaccel.vision.dvs_sensor import camera_row as camera_row
 from uavaccel.vision.noise import LEAK_JITTER, SHOT_NOISE, normal_block, uniform_block
 
-# A lane's camera, float64 (CAMERA_FIELDS,): DVS parameters, and the standard deviation of its images' read noise.
-POSITIVE, NEGATIVE, SIGMA, TAU, LEAK, JITTER, SHOT, REFRACTORY, HOT, READ = range(10)
-CAMERA_FIELDS = 10
-
 NS = 1e-9
-
-ON_AND_OFF = 2
 
 Four = tuple[Any, Any, Any, Any]
 
@@ -64,8 +76,7 @@ class Sensor(NamedTuple):
 
 def sensor_of(draws: Draws) -> Sensor:
     """Return the sensor with these random numbers."""
-    dimming = (SHOT_NOISE_AT_WHITE - 1) * RELATIVE_INTENSITY + 1
-    return Sensor(draws.up, draws.down, draws.leak_factor, draws.heat, LIN_LOG, RELATIVE_INTENSITY, dimming)
+    return Sensor(draws.up, draws.down, draws.leak_factor, draws.heat, *TABLES)
 
 
 def pixels_of(
@@ -85,25 +96,6 @@ def pixels_of(
         np.zeros((lanes, *frame), np.int32),
         np.zeros(lanes, np.int64),
         np.zeros(lanes),
-    )
-
-
-def camera_row(parameters: DvsParameters, read_noise: float) -> NDArray[np.float64]:
-    """Return a lane's camera (CAMERA_FIELDS,)."""
-    tau_s = 1 / (np.pi * 2 * parameters.cutoff_hz) if parameters.cutoff_hz > 0 else 0.0
-    return np.array(
-        [
-            parameters.positive_threshold,
-            parameters.negative_threshold,
-            parameters.threshold_sigma,
-            tau_s,
-            parameters.leak_rate_hz,
-            parameters.leak_jitter_fraction,
-            parameters.shot_noise_rate_hz,
-            parameters.refractory_s,
-            parameters.hot_share,
-            read_noise,
-        ]
     )
 
 
@@ -145,51 +137,13 @@ def threshold(like: Operand, nominal: float, sigma: float, normal: np.float32) -
     return function(nominal, sigma, normal)
 
 
-def signed_count(log: Operand, base: Operand, positive: Operand, negative: Operand) -> np.int32:
-    """Return a pixel's signed event count in the precision of its log intensity."""
-    function = pixel.count_single_pixel if isinstance(log, np.float32) else pixel.count_double_pixel
-    return function(log, base, positive, negative)
-
-
-def log_of(like: Operand, level: int, before: Operand, camera: Operand, sensor: Operand, dt_s: float) -> Any:
-    """Return a pixel's log intensity: float32, or float64 after the low-pass filter, whose last output is `before`."""
-    function = single_log if isinstance(like, np.float32) else double_log
-    return function(level, before, camera, sensor, dt_s)
-
-
-@part
-def single_log(level: int, before: np.float32, camera: Operand, sensor: Operand, dt_s: float) -> np.float32:
-    """Return the log intensity without a low-pass filter."""
-    return sensor.logs[level]
-
-
-@part(error_model="numpy")
-def double_log(level: int, before: float, camera: Operand, sensor: Operand, dt_s: float) -> float:
-    """Return the log intensity after the low-pass filter."""
-    weight = min(sensor.weights[level] * (dt_s / camera[TAU]), 1.0)
-    return pixel.low_passed(before, np.float64(sensor.logs[level]), weight)
-
-
 def _threshold(like, nominal, sigma, normal):  # type: ignore[no-untyped-def]
     function = single_threshold if like == types.float32 else double_threshold
     return lambda like, nominal, sigma, normal: function(nominal, sigma, normal)
 
 
-def _signed_count(log, base, positive, negative):  # type: ignore[no-untyped-def]
-    function = pixel.count_single_pixel if log == types.float32 else pixel.count_double_pixel
-    return lambda log, base, positive, negative: function(log, base, positive, negative)
-
-
-def _log_of(like, level, before, camera, sensor, dt_s):  # type: ignore[no-untyped-def]
-    function = single_log if like == types.float32 else double_log
-    return lambda like, level, before, camera, sensor, dt_s: function(level, before, camera, sensor, dt_s)
-
-
-BY_TYPE = ((threshold, _threshold), (signed_count, _signed_count), (log_of, _log_of))
-"""Functions whose implementation depends on the precision, with what chooses it by type, for numba's `overload`."""
-
-for _function, _chosen in BY_TYPE:
-    overload(_function)(_chosen)
+overload(threshold)(_threshold)
+BY_TYPE = ((threshold, _threshold), *pixel.BY_TYPE)
 
 
 @part(error_model="numpy")
@@ -212,7 +166,7 @@ def update_pixel(
     before = base[y, x]
     positive = threshold(before, camera[POSITIVE], camera[SIGMA], sensor.up[y, x])
     negative = threshold(before, camera[NEGATIVE], camera[SIGMA], sensor.down[y, x])
-    log = log_of(before, level, before if filtered.size == 0 else filtered[y, x], camera, sensor, dt_s)
+    log = pixel.log_of(before, level, before if filtered.size == 0 else filtered[y, x], camera, sensor, dt_s)
     if filtered.size != 0:
         filtered[y, x] = log
     if camera[HOT] > 0.0 and sensor.heat[y, x] < camera[HOT]:
@@ -220,15 +174,13 @@ def update_pixel(
     if camera[LEAK] > 0.0:
         jitter, rate_hz = pixel.jittered(np.float32(camera[JITTER]), draw[0]), np.float32(camera[LEAK])
         before = pixel.leaked(before, positive, np.float32(dt_s), rate_hz, sensor.leak_factor[y, x], jitter)
-    signed = signed_count(log, before, positive, negative)
+    signed = pixel.signed_count(log, before, positive, negative)
     base[y, x] = pixel.advanced(before, signed, positive, negative)
     if camera[SHOT] > 0.0:  # a pixel that fires memorises the present intensity
-        chance = camera[SHOT] / 2 * dt_s * sensor.dimming[level]
-        chance_on = pixel.shot_chance(chance, np.float32(camera[POSITIVE]), positive)
-        noise = pixel.shot(draw[1], chance_on, pixel.shot_chance(chance, np.float32(camera[NEGATIVE]), negative))
+        noise = pixel.shot_noise(level, camera, sensor, positive, negative, draw[1], dt_s)
         if noise != 0:
             base[y, x] = log
-        return signed + (0 if noise == ON_AND_OFF else noise)
+        return signed + (0 if noise == pixel.ON_AND_OFF else noise)
     return signed
 
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache, partial
 from itertools import combinations
 from math import atan, comb, cos, pi, sin, sqrt
-from math import comb as choose
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -113,7 +112,7 @@ def mcnemar_exact(first: ArrayLike, second: ArrayLike) -> McNemar:
         raise ValueError(f"paired outcomes need one length, got {a.shape} and {b.shape}")
     only_first, only_second = int(np.sum(a & ~b)), int(np.sum(b & ~a))
     discordant = only_first + only_second
-    tail = sum(choose(discordant, wins) for wins in range(min(only_first, only_second) + 1))
+    tail = sum(comb(discordant, wins) for wins in range(min(only_first, only_second) + 1))
     return McNemar(only_first, only_second, min(1.0, 2 * tail / 2**discordant))
 
 
@@ -121,8 +120,8 @@ def fisher_exact_p(first: tuple[int, int], second: tuple[int, int]) -> float:
     """Return the two-sided p-value of Fisher's exact test that two ratios, (successes, games) each, are equal."""
     (won, games), (others_won, others) = first, second
     wins = won + others_won
-    ways = [choose(games, k) * choose(others, wins - k) for k in range(max(0, wins - others), min(games, wins) + 1)]
-    seen = choose(games, won) * choose(others, others_won)
+    ways = [comb(games, k) * comb(others, wins - k) for k in range(max(0, wins - others), min(games, wins) + 1)]
+    seen = comb(games, won) * comb(others, others_won)
     return sum(way for way in ways if way <= seen) / sum(ways)
 
 
@@ -154,7 +153,7 @@ def hierarchical_interval(samples: Sequence[ArrayLike], seed: int, resamples: in
 
     `samples` has an array (games,) for each training seed; seeds are resampled, then the games of each. The interval
     lies in the range of the values and has no width where all are equal: for shares of games won take
-    `success.Success`. For one seed it covers its games alone. Equal `seed` gives equal intervals. Raises
+    `estimates.Success`. For one seed it covers its games alone. Equal `seed` gives equal intervals. Raises
     ValueError without seeds, and for a seed without games.
     """
     values = [np.asarray(sample, dtype=np.float64) for sample in samples]

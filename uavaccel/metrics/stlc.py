@@ -14,7 +14,7 @@ nor lam; metres, seconds and lam = 0.5, the survey authors' own, are used here.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import pairwise
+from itertools import pairwise, product
 
 import numpy as np
 from numba import njit
@@ -91,14 +91,11 @@ def _temporal_similarity(games: Sequence[Trajectory], references: Sequence[Traje
     """Return Sim_T (games, references); flights share few time grids, so each pair of grids is computed once."""
     known: dict[tuple[bytes, bytes], float] = {}
     result = np.empty((len(games), len(references)))
-    game_keys = [game.time_s.tobytes() for game in games]
-    reference_keys = [reference.time_s.tobytes() for reference in references]
-    for i, j in np.ndindex(result.shape):
-        key = (game_keys[i], reference_keys[j])
-        if key not in known:
-            r, s = games[i].time_s, references[j].time_s
-            known[key] = _temporal_closeness(r, s) + _temporal_closeness(s, r)
-        result[i, j] = known[key]
+    times = [[(flight.time_s, flight.time_s.tobytes()) for flight in flights] for flights in (games, references)]
+    for (i, (r, r_key)), (j, (s, s_key)) in product(*map(enumerate, times)):
+        if (r_key, s_key) not in known:
+            known[r_key, s_key] = _temporal_closeness(r, s) + _temporal_closeness(s, r)
+        result[i, j] = known[r_key, s_key]
     return result
 
 

@@ -45,18 +45,12 @@ def position_rmse(reference: Trajectory, flight: Trajectory) -> float:
     if np.array_equal(reference.time_s[:shared], flight.time_s[:shared]):  # one grid: nothing to interpolate
         difference = flight.position_m[:shared] - reference.position_m[:shared]
     else:
-        difference = _difference_on_reference_grid(reference, flight)
+        inside = (reference.time_s >= flight.time_s[0]) & (reference.time_s <= flight.time_s[-1])
+        columns = [np.interp(reference.time_s[inside], flight.time_s, column) for column in flight.position_m.T]
+        difference = np.column_stack(columns) - reference.position_m[inside]
     if difference.size == 0:
         return float("nan")
     return float(np.sqrt(np.mean(np.einsum("ij,ij->i", difference, difference))))
-
-
-def _difference_on_reference_grid(reference: Trajectory, flight: Trajectory) -> FloatArray:
-    inside = (reference.time_s >= flight.time_s[0]) & (reference.time_s <= flight.time_s[-1])
-    grid = reference.time_s[inside]
-    columns = [np.interp(grid, flight.time_s, column) for column in flight.position_m.T]
-    difference: FloatArray = np.column_stack(columns) - reference.position_m[inside]
-    return difference
 
 
 def mean_position_rmse(
@@ -88,16 +82,10 @@ def distinct(flights: Sequence[Trajectory]) -> tuple[list[Trajectory], IndexArra
 
     Replicas of a native TCSC game are identical, so that whatever is computed per pair is computed once.
     """
-    seen: dict[tuple[bytes, bytes], int] = {}
-    unique: list[Trajectory] = []
-    index = np.empty(len(flights), dtype=np.intp)
-    for i, flight in enumerate(flights):
-        key = (flight.time_s.tobytes(), flight.position_m.tobytes())
-        if key not in seen:
-            seen[key] = len(unique)
-            unique.append(flight)
-        index[i] = seen[key]
-    return unique, index
+    keys = [(flight.time_s.tobytes(), flight.position_m.tobytes()) for flight in flights]
+    unique = dict(zip(reversed(keys), reversed(flights), strict=True))  # of each the first
+    places = {key: place for place, key in enumerate(dict.fromkeys(keys))}
+    return [unique[key] for key in places], np.array([places[key] for key in keys], np.intp)
 
 
 def mean_over_references(

@@ -25,7 +25,7 @@ import numpy as np
 from uavaccel.errors import Interrupted, UsageError, UserError
 from uavaccel.files import (
     Plain,
-    append_line,
+    append_lines,
     check_new_folder,
     drop_cut_line,
     file_sha256,
@@ -452,4 +452,4 @@ class _Folder:
 
     def append(self, row: Row) -> None:
         if self.path is not None:
-            append_line(self.rows, row)
+            append_lines(self.rows, [to_json(row)])

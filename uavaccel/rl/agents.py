@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
+from copy import copy
 from inspect import signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
@@ -28,11 +29,18 @@ from uavaccel.realtime.policies import fitting
 from uavaccel.realtime.policy_files import OnnxFile, PolicyFile, policy_file
 from uavaccel.resources import asset
 from uavaccel.rl.config import LANE, LearnerConfig, environment_class
-from uavaccel.rl.policy import MANIFEST, WEIGHTS, Policy, load_policy, observed_frames, read_manifest
+from uavaccel.rl.policy import MANIFEST, WEIGHTS, Policy, load_policy, make_policy, observed_frames, read_manifest
 from uavaccel.sim.lane import WIDTH_M
 
 if TYPE_CHECKING:
     from uavaccel.rl.network import QPolicy
+
+
+import json
+
+from uavaccel.envs.sensors import DEPTH_FAR_M, SIZE
+from uavaccel.files import parse_json
+from uavaccel.vision.dvs_sensor import BLOCK_SIDE, NEUTRAL_LEVEL
 
 DEFAULT = "default"
 STRAIGHT = "straight"
@@ -74,8 +82,7 @@ class OffsetAgent:
 
     def __init__(self, offset_m: float, task: LaneTask) -> None:
         headings = np.array(task.headings_deg)
-        self._offset_m = offset_m
-        self._ahead = int(np.argmin(abs(headings)))
+        self._offset_m, self._ahead = offset_m, int(np.argmin(abs(headings)))
         self._west, self._east = int(headings.argmin()), int(headings.argmax())
 
     def act(self, observation: Observation, info: Info) -> int:
@@ -85,7 +92,10 @@ class OffsetAgent:
         return self._east if error_m > 0 else self._west
 
 
-SENSES = (*("observation", "history", "knows", "blank_images", "dvs_preset", "dvs_seed"), *(*OF_SENSOR, "dvs_rate_hz"))
+SENSES = (
+    *("observation", "also_state", "picture_size", "history", "knows", "blank_images", "dvs_preset", "dvs_seed"),
+    *(*OF_SENSOR, "dvs_rate_hz"),
+)
 CLOCK = ("timing", "command", "clock_speed", "profile", "latency", "report_host_times")  # an evaluation has its own
 FLIGHT = ("t_move_s", "t_sample_s", "speed_m_s", "headings_deg", "altitude_m")
 
@@ -149,8 +159,6 @@ def origin_of(name: str) -> Origin:
     if name == STRAIGHT or name.startswith(OFFSET):
         return Baseline(name)
     if name.endswith(".onnx"):
-        from uavaccel.rl.onnx_agent import OnnxAgentFile
-
         return OnnxAgentFile(OnnxFile(name))
     if (file := policy_file(name)) is not None:
         return AgentFile(file)
@@ -165,12 +173,18 @@ def make_agent(name: str, task: Task) -> Agent:
 
 
 class Baseline(Origin):
-    """`straight` or `offset:METRES`, which was never trained."""
+    """`straight` or `offset:METRES`, which was never trained and needs no pictures."""
 
     env_id = LANE
 
+    def __init__(self, name: str) -> None:
+        super().__init__(name)
+        try:
+            self._offset_m = 0.0 if name == STRAIGHT else float(name.removeprefix(OFFSET))
+        except ValueError:
+            self._offset_m = math.nan
+
     def keys(self) -> dict[str, Any]:
-        """They need no pictures."""
         return {"observation": "state", "history": 1}
 
     def check(self, task: Task) -> None:
@@ -181,14 +195,6 @@ class Baseline(Origin):
         assert isinstance(task, LaneTask)
         return OffsetAgent(self._offset_m, task)
 
-    @property
-    def _offset_m(self) -> float:
-        """Metres east of the centre line at which it flies; NaN for what is no number."""
-        try:
-            return 0.0 if self.name == STRAIGHT else float(self.name.removeprefix(OFFSET))
-        except ValueError:
-            return math.nan
-
 
 class OwnFunction(Origin):
     """A function of one's own, `file.py:function` or `module:function`, of an observation, and of its info if it likes.
@@ -197,27 +203,24 @@ class OwnFunction(Origin):
     """
 
     file: Path
+    _actions: spaces.Space[Any]
 
     def __init__(self, name: str) -> None:
         super().__init__(name)
         self._function, self.file = own_function(name, f"agent {name!r}")
-
-    def make(self, task: Task) -> Agent:
-        return FunctionAgent(self._function, self.file, self.name, task.action_space())
-
-
-class FunctionAgent:
-    """Asks a function of one's own."""
-
-    def __init__(self, function: Callable[..., Action], file: Path, name: str, actions: spaces.Space[Any]) -> None:
-        self._function, self._file, self._name, self._actions = function, file, name, actions
-        needed = [each for each in signature(function).parameters.values() if each.default is each.empty]
+        needed = [each for each in signature(self._function).parameters.values() if each.default is each.empty]
         self._one = len(needed) == 1
 
+    def make(self, task: Task) -> Agent:
+        agent = copy(self)
+        agent._actions = task.action_space()
+        return agent
+
     def act(self, observation: Observation, info: Info) -> Action:
-        with errors_named(self._file, self._name):
+        """Ask the function."""
+        with errors_named(self.file, self.name):
             given = self._function(observation) if self._one else self._function(observation, info)
-        action = fitting(given, self._actions, self._name)
+        action = fitting(given, self._actions, self.name)
         return action if np.ndim(action) else int(action)
 
 
@@ -258,7 +261,7 @@ class PolicyFolder(Origin):
                 raise UserError(f"task: {others}: omit what they follow from")
             return
         was = f"{self.name} was trained with"
-        for key in ("observation", "history", "knows"):
+        for key in ("observation", "also_state", "picture_size", "history", "knows"):
             if getattr(task, key) != getattr(trained, key):
                 raise UserError(f"task.{key} = {getattr(task, key)!r}: {was} {getattr(trained, key)!r}")
         if (frames := observed_frames(task)) != (theirs := observed_frames(trained)):
@@ -282,22 +285,83 @@ def first_policy(config: LearnerConfig) -> QPolicy:
 
     Raises UserError if `start_from` is no policy, or if its network differs from the configuration's.
     """
-    from uavaccel.rl.policy import make_policy
-
     policy: QPolicy = make_policy(config)
-    if config.start_from is None:
-        return policy
-    started = load_policy(policy_folder(config.start_from))
-    try:
-        policy.load_state_dict(started.network.state_dict())
-    except RuntimeError as error:
-        raise UserError(
-            f"start_from = {config.start_from!r}: another network: channels, hidden, history, headings_deg and what is "
-            f"seen must be those of {policy_folder(config.start_from) / MANIFEST}"
-        ) from error
+    if config.start_from is not None:
+        folder = policy_folder(config.start_from)
+        started = load_policy(folder)
+        try:
+            policy.load_state_dict(started.network.state_dict())
+        except RuntimeError as error:
+            raise UserError(
+                f"start_from = {config.start_from!r}: another network: channels, hidden, history, headings_deg and "
+                f"what is seen must be those of {folder / MANIFEST}"
+            ) from error
     return policy
 
 
 def policy_folder(name: str) -> Path:
     """Return the folder of a policy: the one that ships for "default"; any other name is a path."""
     return asset("policies/default") if name == DEFAULT else Path(name)
+
+
+ENV_ID, TASK = "env_id", "task"
+"""The metadata of this project's own exports: the environment, and the keys of the training's task as JSON."""
+WHOLE = (SIZE[0] * BLOCK_SIDE, SIZE[1] * BLOCK_SIDE)
+
+
+class OnnxAgentFile(AgentFile):
+    """An ONNX file; those of `uavaccel export --onnx` say what they fly, and reduce whole pictures themselves."""
+
+    policy: OnnxFile
+
+    def __init__(self, policy: OnnxFile) -> None:
+        super().__init__(policy)
+        self.env_id = policy.metadata.get(ENV_ID)
+
+    def keys(self) -> dict[str, Any]:
+        if self.env_id is None:
+            return {}
+        try:
+            task = parse_json(self.policy.metadata[TASK])
+        except (KeyError, ValueError) as error:
+            raise UserError(f"{self.name}: its metadata have no {TASK} in JSON; export it anew") from error
+        return kept_keys(self.env_id, task if isinstance(task, Mapping) else {})
+
+    def forms(self, task: Task) -> Iterator[tuple[str, str, str]]:
+        (what, own, of_task), *actions = super().forms(task)
+        if self._reduces(task):
+            planes, told = _planes(task)
+            of_task = f"seen {(planes, *WHOLE)}, told {(told, *SIZE)}" if told else str((planes, *WHOLE))
+        yield what, own, of_task
+        yield from actions
+
+    def make(self, task: Task) -> Agent:
+        act_on = self.policy.load(task.observation_space(), task.action_space())
+        return BatchAgent((lambda seen: act_on(_whole(task, seen))) if self._reduces(task) else act_on)
+
+    def _reduces(self, task: Task) -> bool:
+        return self.env_id is not None and task.observation != "state"
+
+
+def _planes(task: Task) -> tuple[int, int]:
+    """Return how many of an observation's planes are of pictures, and how many are context planes."""
+    context = task.context_planes()
+    told = 0 if context is None else len(context.knows)
+    return int(task.frames_space().shape[0]) - told, told
+
+
+def _whole(task: Task, observations: NDArray[Any]) -> dict[str, NDArray[Any]]:
+    """Return the inputs of an exported file, whole pictures, that it reduces to `observations`."""
+    planes, told = _planes(task)
+    levels: NDArray[Any] = observations[:, :planes].astype(np.float32)
+    if task.observation == "dvs":
+        levels = (levels - NEUTRAL_LEVEL) / BLOCK_SIDE**2
+    elif task.observation == "depth":
+        levels = levels * (DEPTH_FAR_M / 255)
+    seen = levels.repeat(BLOCK_SIDE, axis=2).repeat(BLOCK_SIDE, axis=3)
+    return {"seen": seen, "told": observations[:, planes:].astype(np.float32)} if told else {"seen": seen}
+
+
+def metadata_of(env_id: str, task: Task) -> dict[str, str]:
+    """Return the metadata by which an exported file says what it flies."""
+    return {ENV_ID: env_id, TASK: json.dumps(task.model_dump(mode="json", exclude={"latency"}))}

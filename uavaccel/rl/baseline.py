@@ -26,20 +26,16 @@ from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
 from stable_baselines3.dqn.policies import DQNPolicy
 
-from uavaccel.clock import MonotonicClock
 from uavaccel.envs.batch import TurnBatch
-from uavaccel.envs.stopwatch import Stopwatch
 from uavaccel.envs.values import Action, Answer, Frame
 from uavaccel.errors import UserError
-from uavaccel.files import Plain
 from uavaccel.realtime.policy_files import NoOptimizer
 from uavaccel.rl.config import SB3, LearnerConfig
 from uavaccel.rl.learner import (
     Game,
+    Learner,
     LearnerState,
-    charge,
     falling,
-    finished_games,
     first_seed,
     learning_rhythm,
     plain_generator,
@@ -190,26 +186,23 @@ class BatchVecEnv(VecEnv):
 # --- learners -----------------------------------------------------------------------------------------------------
 
 
-class Baseline:
+class Baseline(Learner):
     """A stable-baselines3 algorithm that learns from lanes; `algorithm` is the library's own object."""
 
+    counters = ("games", "returns")
+
     def __init__(self, config: LearnerConfig, lanes: TurnBatch) -> None:
-        self.config, self.lanes, self.vector = config, lanes, BatchVecEnv(lanes)
-        self.games, self.returns = 0, [0.0] * lanes.num_envs
-        self.stopwatch = Stopwatch(MonotonicClock())
+        super().__init__(config, lanes)
+        self.vector = BatchVecEnv(lanes)
         self.algorithm = self._make(baseline_class(config.algorithm))
-        self._watch("train", "learning")
-        self._watch("predict", "inference")
-        self._callback = _Games(self)
-        self._begun = self.holding = False
+        self.policy, self.optimizer = self.algorithm.policy, self.algorithm.policy.optimizer
+        for method, phase in (("train", "learning"), ("predict", "inference")):
+            setattr(self.algorithm, method, self.stopwatch_of(phase, getattr(self.algorithm, method)))
+        self._callback, self._begun = _Games(self), False
         self.vector.seed(first_seed(config.seed))
 
     @property
-    def policy(self) -> BasePolicy:
-        return self.algorithm.policy
-
-    @property
-    def exploration_rate(self) -> float | None:
+    def exploration_rate(self) -> float | None:  # type: ignore[override]
         """Share of random actions; None for an algorithm that explores differently."""
         return getattr(self.algorithm, "exploration_rate", None)
 
@@ -219,10 +212,14 @@ class Baseline:
         logged = self.algorithm.logger.name_to_value.get("train/loss")
         return None if logged is None else float(logged)
 
-    @property
-    def at_rest(self) -> bool:
-        """See `Learner`: between two rollouts a checkpoint can always be taken."""
-        return True
+    def stopwatch_of(self, phase: str, work: Callable[..., object]) -> Callable[..., object]:
+        """Return work that is counted for a phase."""
+
+        def watched(*arguments: object, **keywords: object) -> object:
+            with self.stopwatch.phase(phase):
+                return work(*arguments, **keywords)
+
+        return watched
 
     def begin(self) -> None:
         """See `Learner`: here the algorithm resets the lanes itself."""
@@ -233,13 +230,14 @@ class Baseline:
         self.algorithm.learn(1, self._callback, log_interval=1 << 30, reset_num_timesteps=not self._begun)
         self._begun = True
         steps = getattr(self.algorithm, "gradient_steps", 0)
-        charge(self.lanes, self.config, steps / self.lanes.num_envs * self.config.learning_s, "learning")
+        self.charge(steps / self.lanes.num_envs * self.config.learning_s, "learning")
         return self._callback.finished
 
     def _make(self, base: type[BaseAlgorithm]) -> BaseAlgorithm:
         """Make the algorithm. Raises UserError for options that it rejects."""
         config, keywords = self.config, dict(self.config.options)
-        scheduled: Any = type(f"{base.__name__}ByGames", (_ByGames, base), {"remaining": staticmethod(self._remaining)})
+        remaining = lambda: 1.0 - self.games / config.games  # noqa: E731
+        scheduled: Any = type(f"{base.__name__}ByGames", (_ByGames, base), {"remaining": staticmethod(remaining)})
         if issubclass(base, OffPolicyAlgorithm):
             steps, gradient_steps = learning_rhythm(config.commands_per_gradient_step, config.environments)
             keywords = {"train_freq": steps, "gradient_steps": gradient_steps, **keywords}
@@ -260,65 +258,37 @@ class Baseline:
         algorithm.set_logger(Logger(None, []))
         return algorithm
 
-    def _remaining(self) -> float:
-        return 1.0 - self.games / self.config.games
-
-    def _watch(self, method: str, phase: str) -> None:
-        work: Callable[..., object] = getattr(self.algorithm, method)
-
-        def watched(*arguments: object, **keywords: object) -> object:
-            with self.stopwatch.phase(phase):
-                return work(*arguments, **keywords)
-
-        setattr(self.algorithm, method, watched)
-
     # --- going on after a stop --------------------------------------------------------------------
 
     def get_state(self) -> LearnerState:
-        """Return networks, optimizer, buffer, counters and generators."""
-        model = self.algorithm
-        tensors = {
-            "policy": model.policy.state_dict(),
-            "optimizer": model.policy.optimizer.state_dict(),
-            "torch": th.get_rng_state(),
-        }
-        counters: dict[str, Plain] = {name: getattr(model, name) for name in COUNTERS if hasattr(model, name)}
-        counters |= {"returns": self.returns, "games": self.games}
+        """Return also the replay buffer, if there is one, and the generators."""
+        state, model = super().get_state(), self.algorithm
+        counters = {name: getattr(model, name) for name in COUNTERS if hasattr(model, name)}
         counters["random"] = plain_generator(np.random.mtrand._rand)
         counters["actions"] = self.lanes.single_action_space.np_random.bit_generator.state
-        return LearnerState(tensors, self._buffer_state(), counters)
+        arrays, buffer = {}, getattr(model, "replay_buffer", None)
+        if buffer is not None:
+            filled = buffer.buffer_size if buffer.full else buffer.pos
+            arrays = {name: getattr(buffer, name)[:filled] for name in BUFFER}
+            arrays["place"] = np.array([buffer.pos, buffer.full])
+        return LearnerState(state.tensors, arrays, {**counters, **state.counters})
 
     def set_state(self, state: LearnerState, observations: Frame) -> None:
-        """Restore what `get_state` returned; `observations` are the lanes' present ones."""
+        """See `Learner`."""
+        super().set_state(state, observations)
         model: Any = self.algorithm
-        model.policy.load_state_dict(state.tensors["policy"])
-        model.policy.optimizer.load_state_dict(state.tensors["optimizer"])
-        self._set_buffer(state.arrays)
+        buffer = getattr(model, "replay_buffer", None)
+        if buffer is not None:
+            buffer.pos, buffer.full = int(state.arrays["place"][0]), bool(state.arrays["place"][1])
+            for name in BUFFER:
+                getattr(buffer, name)[: len(state.arrays[name])] = state.arrays[name]
         for name in COUNTERS:
             if name in state.counters:
                 setattr(model, name, state.counters[name])
-        self.returns, self.games = state.counters["returns"], state.counters["games"]
         model._last_obs, model._last_episode_starts = observations, np.zeros(self.lanes.num_envs, bool)
         set_generator(np.random.mtrand._rand, state.counters["random"])
         self.lanes.single_action_space.np_random.bit_generator.state = state.counters["actions"]
-        th.set_rng_state(state.tensors["torch"].cpu())
         self._begun = True
-
-    def _buffer_state(self) -> dict[str, NDArray[np.generic]]:
-        buffer = getattr(self.algorithm, "replay_buffer", None)
-        if buffer is None:
-            return {}
-        filled = buffer.buffer_size if buffer.full else buffer.pos
-        arrays = {name: getattr(buffer, name)[:filled] for name in BUFFER}
-        return arrays | {"place": np.array([buffer.pos, buffer.full])}
-
-    def _set_buffer(self, arrays: dict[str, NDArray[np.generic]]) -> None:
-        buffer = getattr(self.algorithm, "replay_buffer", None)
-        if buffer is None:
-            return
-        buffer.pos, buffer.full = int(arrays["place"][0]), bool(arrays["place"][1])
-        for name in BUFFER:
-            getattr(buffer, name)[: len(arrays[name])] = arrays[name]
 
 
 class _ByGames:
@@ -340,7 +310,7 @@ class _Games(BaseCallback):
 
     def _on_step(self) -> bool:
         learner, now = self.learner, self.locals
-        games = finished_games(learner, now["rewards"], now["dones"], now["infos"], range(learner.lanes.num_envs))
+        games = learner.finished(now["rewards"], now["dones"], now["infos"], range(learner.lanes.num_envs))
         self.finished += [replace(game, loss=learner.loss) for game in games]
-        charge(learner.lanes, learner.config, learner.config.inference_s, "inference")
+        learner.charge(learner.config.inference_s, "inference")
         return learner.games < learner.config.games

@@ -32,8 +32,6 @@ from uavaccel.own_code import module_of, own_class, own_module
 from uavaccel.resources import require
 
 if TYPE_CHECKING:
-    from stable_baselines3.common.base_class import BaseAlgorithm
-
     from uavaccel.envs.flight_env import FlightEnv
 
 DOUBLE_DQN, PPO = OWN = "double_dqn", "ppo"
@@ -209,13 +207,8 @@ class LearnerConfig(Config):
             raise ValueError(f"environments must be at most {MOST_PROCESSES}, a process each, with simulator mujoco")
         if self.simulator == "kernels":
             check_flyable(self.task, self.environments, self.device)
-        pictures = self.algorithm == DOUBLE_DQN and self.task.observation != "state" and isinstance(self.task, LaneTask)
-        if self.on_device and not pictures and self.algorithm != PPO:
-            raise ValueError(
-                "simulator kernels with device cuda needs algorithm ppo, or double_dqn and the lane's pictures"
-            )
-        if self.on_device and self.algorithm == PPO and self.task.timing != "lockstep":
-            raise ValueError("algorithm ppo with simulator kernels and device cuda needs timing lockstep")
+        if self.on_device and self.algorithm not in (PPO, DOUBLE_DQN):
+            raise ValueError(f"simulator kernels with device cuda needs algorithm {DOUBLE_DQN} or {PPO}")
         if self.on_device and self.turns > 1:
             raise ValueError("turns must be 1 with simulator kernels and device cuda: all lanes fly at once")
         if self.turns > self.environments:
@@ -234,11 +227,11 @@ class LearnerConfig(Config):
         for key in ("start_from", "mirrored_decisions"):
             if getattr(self, key) and self.algorithm != DOUBLE_DQN:
                 raise ValueError(f"{key} needs algorithm double_dqn, not {self.algorithm}")
-        if self.task.also_state and self.algorithm != PPO:
-            raise ValueError(f"task.also_state needs algorithm ppo, not {self.algorithm}")
+        if self.task.also_state and self.algorithm not in (PPO, DOUBLE_DQN):
+            raise ValueError(f"task.also_state needs algorithm {DOUBLE_DQN} or {PPO}, not {self.algorithm}")
         for key in ("mirror", "mirrored_decisions"):
             if getattr(self, key) and self.algorithm != PPO and not is_symmetric(self.task):
-                raise ValueError(f"{key} must be false: it needs pictures and headings symmetric about 0")
+                raise ValueError(f"{key} must be false: it needs pictures alone, and headings symmetric about 0")
         return self
 
     @classmethod
@@ -265,7 +258,7 @@ def is_symmetric(task: Task) -> bool:
     """Return whether an observation that is turned left to right is one of the task, too, by its actions' headings."""
     headings = getattr(task, "headings_deg", ())
     mirrored = {-heading for heading in headings} == set(headings)
-    return isinstance(task, LaneTask) and mirrored and task.observation != "state"
+    return isinstance(task, LaneTask) and mirrored and task.observation != "state" and not task.also_state
 
 
 class DqnOptions(Config):
@@ -322,13 +315,13 @@ def check_algorithm(config: LearnerConfig) -> None:
     Raises UserError for an unknown algorithm, one whose package is missing, an unknown option, and a replay buffer that
     does not fit into this machine's memory.
     """
-    stored = check_options(config)
+    key, stored = check_options(config)
     space, memory = config.task.observation_space(), memory_bytes()
     boxes = space.spaces.values() if config.task.also_state else [space]
     needed = stored * sum(math.prod(box.shape) * box.dtype.itemsize for box in boxes)
     if memory is not None and needed > memory and config.device == "cpu":
         raise UserError(
-            f"options of {config.algorithm}: {_size_key(config)}: "
+            f"options of {config.algorithm}: {key}: "
             f"{stored} observations take {needed / 1e9:.3g} GB; this machine has {memory / 1e9:.3g} GB"
         )
 
@@ -384,28 +377,21 @@ def learns_from_a_buffer(algorithm: str) -> bool:
     return algorithm in (DOUBLE_DQN, f"{SB3}dqn")
 
 
-def _size_key(config: LearnerConfig) -> str:
-    """Return the option that decides how many observations are stored."""
-    return {PPO: "rollout", f"{SB3}ppo": "n_steps", f"{SB3}a2c": "n_steps"}.get(config.algorithm, "buffer_size")
+def check_options(config: LearnerConfig) -> tuple[str, int]:
+    """Return how many observations the algorithm stores, and the option that decides it.
 
-
-def check_options(config: LearnerConfig) -> int:
-    """Return how many observations the algorithm stores. Raises UserError for an unknown algorithm or option."""
+    Raises UserError for an unknown algorithm or option.
+    """
     if config.algorithm == DOUBLE_DQN:
-        return DqnOptions.of(config).buffer_size
+        return "buffer_size", DqnOptions.of(config).buffer_size
     if config.algorithm == PPO:
-        return PPOSettings.of(config).rollout * config.environments
+        return "rollout", PPOSettings.of(config).rollout * config.environments
     if config.algorithm not in ALGORITHMS.split(", "):
         raise UserError(f"algorithm = {config.algorithm!r} is unknown; there are {ALGORITHMS}")
     require("stable_baselines3", f"algorithm = {config.algorithm!r}", "sb3", "stable-baselines3")
     from uavaccel.rl.baseline import baseline_class  # loads PyTorch
 
-    return _check_keywords(config, baseline_class(config.algorithm))
-
-
-def _check_keywords(config: LearnerConfig, algorithm: type[BaseAlgorithm]) -> int:
-    """Return how many observations a baseline stores. Raises UserError for an option that it does not have."""
-    known = inspect.signature(algorithm).parameters
+    known = inspect.signature(baseline_class(config.algorithm)).parameters
     for name, value in config.options.items():
         if name not in known or name in RESERVED:
             there = ", ".join(each for each in known if each not in RESERVED)
@@ -416,4 +402,4 @@ def _check_keywords(config: LearnerConfig, algorithm: type[BaseAlgorithm]) -> in
             )
     size = "buffer_size" if "buffer_size" in known else "n_steps"
     held = int(config.options.get(size, known[size].default))
-    return held if size == "buffer_size" else held * config.environments
+    return size, held if size == "buffer_size" else held * config.environments

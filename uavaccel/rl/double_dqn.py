@@ -27,27 +27,26 @@ from numpy.typing import NDArray
 from torch.nn import functional
 
 from uavaccel.clock import MonotonicClock
+from uavaccel.envs.arrays import assign, mapped, select
 from uavaccel.envs.batch import TurnBatch
-from uavaccel.envs.stopwatch import PHASES, Stopwatch
-from uavaccel.envs.values import Frame
+from uavaccel.envs.stopwatch import PHASES
+from uavaccel.envs.values import Observation
 from uavaccel.kernels.recording import recorded
 from uavaccel.rl.agents import first_policy
 from uavaccel.rl.config import DqnOptions, LearnerConfig
 from uavaccel.rl.learner import (
     Game,
+    Learner,
     LearnerState,
     StepStatistics,
-    charge,
     compute_the_same_each_time,
     falling,
-    finished_games,
     first_seed,
     learning_rhythm,
     plain_generator,
     set_generator,
 )
-from uavaccel.rl.network import Adam, turned_actions
-from uavaccel.rl.replay import Levels, Replay, Windows
+from uavaccel.rl.network import Adam, Levels, Replay, Windows, turned_actions
 from uavaccel.units import NS_PER_S
 
 if TYPE_CHECKING:
@@ -59,14 +58,14 @@ CHUNK = 8  # rounds that the host launches at once
 class Prepared(NamedTuple):
     """A batch that can be learned from (n,): s as the network sees it, a, the target, and the loss's weights."""
 
-    seen: th.Tensor
+    seen: Any
     actions: th.Tensor
     target: th.Tensor
     weights: th.Tensor
 
 
-class DoubleDQN:
-    """What is learned; `policy` holds Q as `q_net`, Q' as `q_net_target`, and the optimizer."""
+class DoubleDQN(Learner):
+    """What is learned; `policy` holds Q as `q_net`, Q' as `q_net_target`."""
 
     counters: tuple[str, ...] = ("games", "updates", "returns")
     replay: Replay
@@ -74,26 +73,22 @@ class DoubleDQN:
 
     def __init__(self, config: LearnerConfig, lanes: Any, device: th.device, recorded: bool) -> None:
         """Make the networks; with `recorded`, gradient steps are recorded as graphs, with the optimizer in them."""
-        self.config, self.lanes, self.options, self.device = config, lanes, DqnOptions.of(config), device
-        self._recorded = recorded
+        super().__init__(config, lanes)
+        self.options, self.device, self._recorded = DqnOptions.of(config), device, recorded
         th.manual_seed(config.seed)
         self.policy = first_policy(config).to(device)
-        self.policy.optimizer = Adam(
-            self.policy.q_net.parameters(), self.options.learning_rate, fused=True, capturable=device.type == "cuda"
-        )
+        parameters, rate = self.policy.q_net.parameters(), self.options.learning_rate
+        self.optimizer = Adam(parameters, rate, fused=True, capturable=device.type == "cuda")
         self._make_rates_tensors()
         actions = range(int(config.task.action_space().n))
         turned = turned_actions(config.task.headings_deg) if config.mirror else list(actions)
         self._turned = th.tensor(turned, device=device)
-        self.games = self.updates = 0
-        self.returns: list[float] = []
-        self.holding = False
+        self.updates = 0
         self.statistics = StepStatistics(device)
-        self.stopwatch = Stopwatch(MonotonicClock())
 
     def _make_rates_tensors(self) -> None:
         """Let a graph read the learning rate where the schedule writes it."""
-        for group in self.policy.optimizer.param_groups if self._recorded else ():
+        for group in self.optimizer.param_groups if self._recorded else ():
             group["lr"] = th.tensor(float(group["lr"]), device=self.device)
 
     # --- a gradient step ---------------------------------------------------------------------------
@@ -114,10 +109,10 @@ class DoubleDQN:
         chosen = self.sight.rate(self.policy.q_net, batch.seen).gather(1, batch.actions[:, None])[:, 0]
         loss = (functional.smooth_l1_loss(chosen, batch.target, reduction="none") * batch.weights).mean()
         self.statistics.add(loss, chosen)
-        self.policy.optimizer.zero_grad(set_to_none=False)
+        self.optimizer.zero_grad(set_to_none=False)
         loss.backward()
         th.nn.utils.clip_grad_norm_(self.policy.q_net.parameters(), self.options.max_grad_norm)
-        self.policy.optimizer.step()
+        self.optimizer.step()
 
     def _copy_to_target(self) -> None:
         pairs = zip(self.policy.q_net.parameters(), self.policy.q_net_target.parameters(), strict=True)
@@ -127,25 +122,18 @@ class DoubleDQN:
     # --- going on after a stop ---------------------------------------------------------------------
 
     def get_state(self) -> LearnerState:
-        """Return networks, optimizer, replay buffer, counters and generators."""
-        tensors = {
-            "policy": self.policy.state_dict(),
-            "optimizer": self.policy.optimizer.state_dict(),
-            "torch": th.get_rng_state(),
-        }
-        counters = {name: getattr(self, name) for name in self.counters} | {"statistics": self.statistics.get_state()}
-        return LearnerState(tensors, self.replay.get_state(), counters)
+        """Return also replay buffer and statistics."""
+        state = super().get_state()
+        return LearnerState(
+            state.tensors, self.replay.get_state(), {**state.counters, "statistics": self.statistics.get_state()}
+        )
 
-    def set_state(self, state: LearnerState, observations: Frame) -> None:
-        """Restore what `get_state` returned; `observations` are the lanes' present ones."""
-        self.policy.load_state_dict(state.tensors["policy"])
-        self.policy.optimizer.load_state_dict(state.tensors["optimizer"])
+    def set_state(self, state: LearnerState, observations: Observation) -> None:
+        """See `Learner`."""
+        super().set_state(state, observations)
         self._make_rates_tensors()
-        th.set_rng_state(state.tensors["torch"].cpu())
         self.replay.set_state(state.arrays)
         self.statistics.set_state(state.counters["statistics"])
-        for name in self.counters:
-            setattr(self, name, state.counters[name])
 
 
 # --- lanes of the host -----------------------------------------------------------------------------------------
@@ -165,18 +153,16 @@ class HostDQN(DoubleDQN):
         self.random = np.random.RandomState(config.seed)
         self.space = lanes.single_action_space
         self.space.seed(config.seed)
-        count, box = lanes.num_envs, lanes.single_observation_space
-        kind = th.uint8 if box.dtype == np.uint8 else th.float32
+        count = lanes.num_envs
         rows = max(self.options.buffer_size // count, 1)
-        self.replay = Replay(rows, count, box.shape or (), kind, self.device, keeps_ends=True)
+        self.replay = Replay(rows, count, lanes.single_observation_space, self.device, keeps_ends=True)
         self.sight = Levels()
-        self.observations: Frame | None = None
+        self.observations: Observation = None
         self.groups: list[NDArray[np.int64]] = np.array_split(np.arange(count), config.turns)
         self._next = 0  # group whose command starts next
         self._flying: deque[int] = deque()
         self._actions, self._acted = np.zeros(count, np.int64), np.zeros(count, np.int64)
         self._charges = [0] * config.turns  # gradient steps that each group has yet to pay for
-        self.returns = [0.0] * count
         self.commands = self.steps = self.owed = 0
         self.exploration_rate = 0.0
         self._rhythm = learning_rhythm(config.commands_per_gradient_step, count)
@@ -187,12 +173,12 @@ class HostDQN(DoubleDQN):
     def begin(self) -> None:
         """See `Learner`."""
         if self.observations is None:
-            self._see(np.asarray(self.lanes.reset(seed=first_seed(self.config.seed))[0]))
+            self._see(self.lanes.reset(seed=first_seed(self.config.seed))[0])
 
-    def _see(self, observations: Frame) -> None:
+    def _see(self, observations: Observation) -> None:
         """Make room for a round that begins with these observations (lanes, ...)."""
-        count = len(observations)
-        self.observations, self._before, self._after = (observations.copy() for _ in range(3))
+        count = self.lanes.num_envs
+        self.observations, self._before, self._after = (mapped(np.array, observations) for _ in range(3))
         self._rewards, self._terminated, self._truncated = np.zeros(count), np.zeros(count, bool), np.zeros(count, bool)
 
     def advance(self) -> list[Game]:
@@ -209,46 +195,49 @@ class HostDQN(DoubleDQN):
         return self._finish_command(self._flying.popleft()) if all_fly or waits else []
 
     @property
-    def at_rest(self) -> bool:
+    def at_rest(self) -> bool:  # type: ignore[override]
         """Whether a checkpoint can be taken: no gradient step is pending and no lane flies."""
         return self.steps % self._rhythm[0] == 0 and not self._parts and not self._flying
 
     def _start_command(self, group: int) -> None:
-        assert self.observations is not None
         lanes = self.groups[group]
         steps, self._charges[group] = self._charges[group], 0
-        charge(self.lanes, self.config, steps / self.lanes.num_envs * self.config.learning_s, "learning", lanes)
-        self._actions[lanes] = self._decide(self.observations[lanes])
+        self.charge(steps / self.lanes.num_envs * self.config.learning_s, "learning", lanes)
+        self._actions[lanes] = self._decide(lanes)
         self.lanes.step_async(self._actions[lanes], lanes.tolist())
         self._flying.append(group)
         self._next = (group + 1) % len(self.groups)
 
-    def _decide(self, observations: Frame) -> NDArray[np.int64]:
-        """Return actions (n,) for a group: with probability ε all of them at random."""
+    def _decide(self, lanes: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return actions (n,) for a group's lanes (n,): with probability ε all of them at random."""
         with self.stopwatch.phase("inference"):
             untrained = self.config.start_from is None and self.commands < self.options.learning_starts
             if untrained or self.random.rand() < self.exploration_rate:
-                return np.array([self.space.sample() for _ in observations])
+                return np.array([self.space.sample() for _ in lanes])
             with th.inference_mode():
-                seen = th.from_numpy(observations).to(self.device)
+                seen = mapped(self._on_device, select(self.observations, lanes))
                 return np.asarray(self.policy.q_net(seen).argmax(dim=1).cpu())
 
+    def _on_device(self, array: NDArray[Any]) -> th.Tensor:
+        return th.from_numpy(array).to(self.device)
+
     def _finish_command(self, group: int) -> list[Game]:
-        assert self.observations is not None
         lanes = self.groups[group]
         seen, rewards, terminated, truncated, infos = self.lanes.step_wait(lanes.tolist())
         self.commands += len(lanes)
-        games = finished_games(self, rewards.tolist(), (terminated | truncated).tolist(), infos, lanes.tolist())
+        games = self.finished(rewards, terminated | truncated, infos, lanes.tolist())
         if games:
             self.statistics.read(self.statistics.sums)
             games = [replace(game, loss=self.statistics.loss, mean_q=self.statistics.mean_q) for game in games]
-        charge(self.lanes, self.config, self.config.inference_s, "inference", lanes)
-        self._before[lanes], self._acted[lanes] = self.observations[lanes], self._actions[lanes]
-        self._after[lanes], self.observations[lanes] = seen, seen
+        self.charge(self.config.inference_s, "inference", lanes)
+        assign(self._before, lanes, select(self.observations, lanes))
+        assign(self._after, lanes, seen)
+        assign(self.observations, lanes, seen)
+        self._acted[lanes] = self._actions[lanes]
         self._rewards[lanes], self._terminated[lanes], self._truncated[lanes] = rewards, terminated, truncated
         for lane, info in zip(lanes, infos, strict=True):
             if "final_obs" in info:  # `seen` is the next game's first observation
-                self._after[lane] = info["final_obs"]
+                assign(self._after, lane, info["final_obs"])
         if group == len(self.groups) - 1 and self.games < self.config.games:
             self._store()
             self._schedule()
@@ -256,16 +245,14 @@ class HostDQN(DoubleDQN):
 
     def _store(self) -> None:
         columns = (self._before, self._acted, self._after, self._rewards, self._terminated, self._truncated)
-        before, actions, after, rewards, terminated, truncated = (
-            th.from_numpy(column).to(self.device) for column in columns
-        )
+        before, actions, after, rewards, terminated, truncated = mapped(self._on_device, columns)
         self.replay.start_round(before, actions)
         self.replay.end_round(rewards, terminated, truncated & ~terminated, th.ones_like(terminated), after)
 
     def _schedule(self) -> None:
         options, remaining = self.options, 1.0 - self.games / self.config.games
         rate = falling(options.learning_rate, self.config.final_learning_rate_share, remaining)
-        for group in self.policy.optimizer.param_groups:
+        for group in self.optimizer.param_groups:
             group["lr"] = group["lr"].fill_(rate) if self._recorded else rate
         self.exploration_rate = options.exploration_rate(remaining)
         self.steps += 1
@@ -327,14 +314,12 @@ class HostDQN(DoubleDQN):
         self.updates += steps
 
     def get_state(self) -> LearnerState:
-        """As `DoubleDQN` has it."""
         state = super().get_state()
         state.counters["random"] = plain_generator(self.random)
         state.counters["actions"] = self.space.np_random.bit_generator.state
         return state
 
-    def set_state(self, state: LearnerState, observations: Frame) -> None:
-        """As `DoubleDQN` has it."""
+    def set_state(self, state: LearnerState, observations: Observation) -> None:
         super().set_state(state, observations)
         set_generator(self.random, state.counters["random"])
         self.space.np_random.bit_generator.state = state.counters["actions"]
@@ -359,11 +344,13 @@ class DeviceDQN(DoubleDQN):
         super().__init__(config, lanes, lanes.device, recorded=True)
         lanes.games.seed(first_seed(config.seed))
         self._at, device, count = AT, lanes.device, lanes.count
-        shape: Any = tuple(lanes.observations.shape[1:])
         rows = max(self.options.buffer_size // count, self.options.n_steps + 2)
-        self.replay = Replay(rows, count, shape, lanes.observations.dtype, device)
-        self.sight = Patches(shape, device)
+        self.replay = Replay(rows, count, config.task.observation_space(), device)
+        seen = lanes.observations
+        pictures = isinstance(seen, th.Tensor) and seen.dtype == th.uint8
+        self.sight = Patches(tuple(seen.shape[1:]), device) if pictures else Levels()
         self._nowhere = th.zeros(count, dtype=th.int64, device=device)
+        self._straight = th.zeros(count, dtype=th.bool, device=device)
         self._lane_numbers = th.arange(count, device=device)
         self._done = th.zeros((), dtype=th.float64, device=device)  # games so far
         self._epsilon = th.ones((), device=device)
@@ -376,12 +363,12 @@ class DeviceDQN(DoubleDQN):
         self._clock = MonotonicClock()
 
     @property
-    def exploration_rate(self) -> float:
+    def exploration_rate(self) -> float:  # type: ignore[override]
         """Share of random actions."""
         return self.options.exploration_rate(1.0 - self.games / self.config.games)
 
     @property
-    def at_rest(self) -> bool:
+    def at_rest(self) -> bool:  # type: ignore[override]
         """Whether a checkpoint can be taken: the host has read all rounds that were flown."""
         return not self._unread
 
@@ -457,7 +444,8 @@ class DeviceDQN(DoubleDQN):
         drawn = (th.rand(count, device=self.device) * actions).long().clamp(max=actions - 1)
         if at_random:
             return drawn
-        seen = self.sight.look(self.lanes.observations[None], self._nowhere, self._lane_numbers, self._nowhere)
+        now = select(self.lanes.observations, None)
+        seen = self.sight.look(now, self._nowhere, self._lane_numbers, self._straight)
         greedy = self.sight.rate(self.policy.q_net, seen).argmax(1)
         return th.where(th.rand(count, device=self.device) < self._epsilon, drawn, greedy)
 
@@ -484,7 +472,7 @@ class DeviceDQN(DoubleDQN):
             th.where(over, options.exploration_final_eps, options.exploration_initial_eps + done * fall)
         )
         rate_now = falling(options.learning_rate, config.final_learning_rate_share, 1.0 - done)  # type: ignore[arg-type]
-        for group in self.policy.optimizer.param_groups:
+        for group in self.optimizer.param_groups:
             # Games beyond the configured number must not change the weights.
             group["lr"].copy_(th.where(done >= 1.0, 0.0, rate_now))
 
@@ -510,13 +498,11 @@ class DeviceDQN(DoubleDQN):
         return games
 
     def get_state(self) -> LearnerState:
-        """As `DoubleDQN` has it; a checkpoint saves the lanes' generators."""
         state = super().get_state()
         state.tensors["schedule"] = {"done": self._done, "epsilon": self._epsilon}
         return state
 
-    def set_state(self, state: LearnerState, observations: Frame) -> None:
-        """As `DoubleDQN` has it; the observations are restored with the lanes."""
+    def set_state(self, state: LearnerState, observations: Observation) -> None:
         super().set_state(state, observations)
         self._done.copy_(state.tensors["schedule"]["done"])
         self._epsilon.copy_(state.tensors["schedule"]["epsilon"])

@@ -40,17 +40,16 @@ class LanesHere(TurnBatch):
         self._actions |= dict(zip(self._all(slots), actions, strict=True))
 
     def step_wait(self, slots: Sequence[int] | None = None) -> Steps:
-        which = self._all(slots)
-        rewards, terminated, truncated, infos = zip(*(self._step(slot) for slot in which), strict=True)
+        steps = []
+        for slot in self._all(slots):
+            seen, reward, terminated, truncated, info = self._environments[slot].step(self._actions.pop(slot))
+            self._seen[slot] = seen
+            if terminated or truncated:
+                info = self._begin(slot) | {"final_info": info, "final_obs": seen}
+            steps.append((reward, terminated, truncated, info))
+        rewards, terminated, truncated, infos = zip(*steps, strict=True)
         ended = np.array(rewards, float), np.array(terminated, bool), np.array(truncated, bool)
-        return stacked_observations([self._seen[slot] for slot in which]), *ended, list(infos)
-
-    def _step(self, slot: int) -> tuple[float, bool, bool, Info]:
-        seen, reward, terminated, truncated, info = self._environments[slot].step(self._actions.pop(slot))
-        self._seen[slot] = seen
-        if terminated or truncated:
-            info = self._begin(slot) | {"final_info": info, "final_obs": seen}
-        return reward, terminated, truncated, info
+        return stacked_observations([self._seen[slot] for slot in self._all(slots)]), *ended, list(infos)
 
     def call_each(
         self, name: str, arguments: Sequence[tuple[object, ...]], slots: Sequence[int] | None = None

@@ -1,21 +1,37 @@
-"""The interface of learners, and what they share: finished games, charged time, schedules and saved states."""
+"""What learners share: finished games, charged time, schedules, and checkpoints.
+
+A resumed training reaches the same weights as one that was never interrupted. A checkpoint has the learner, all random
+generators and the running games as tensors, arrays and JSON, so that reading it runs no code. It is valid once its last
+file, state.json, exists.
+"""
 
 from __future__ import annotations
 
+import json
 import math
 import os
-from collections.abc import Sequence
+import shutil
+import zipfile
+import zlib
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any, Protocol
+from pathlib import Path
+from pickle import UnpicklingError
+from typing import Any
 
 import numpy as np
 import torch as th
 from numpy.typing import NDArray
 
+from uavaccel.clock import MonotonicClock
+from uavaccel.envs.arrays import stacked_observations
 from uavaccel.envs.batch import TurnBatch
 from uavaccel.envs.stopwatch import Stopwatch
-from uavaccel.envs.values import Info
-from uavaccel.files import Plain
+from uavaccel.envs.values import Info, State
+from uavaccel.errors import UserError, naming
+from uavaccel.files import Plain, open_bounded, parse_json, read_bounded, replacing
 from uavaccel.rl.config import DOUBLE_DQN, PPO, LearnerConfig, check_options
 
 
@@ -44,68 +60,70 @@ class LearnerState:
     counters: dict[str, Plain]
 
 
-class Learner(Protocol):
-    """Flies lanes and learns from the games."""
+class Learner(ABC):
+    """Flies lanes, a TurnBatch or those of a GPU, and learns from the games."""
 
-    config: LearnerConfig
-    games: int
-    returns: list[float]
-    """Rewards of the running games so far."""
-    stopwatch: Stopwatch
-    holding: bool
+    counters: tuple[str, ...] = ("games", "returns")
+    """Attributes that a checkpoint keeps."""
+    policy: Any
+    """The policy, a module with all networks."""
+    optimizer: th.optim.Optimizer
+    exploration_rate: Any = None
+    """Share of random actions; None if it explores differently."""
+    at_rest: Any = True
+    """Whether a checkpoint can be taken now."""
+    holding = False
     """Set while a checkpoint is due: the learner then finishes what is in flight, until it is `at_rest`."""
 
-    @property
-    def lanes(self) -> Any:
-        """The environments: a TurnBatch, or lanes on a GPU."""
-        ...
+    def __init__(self, config: LearnerConfig, lanes: Any) -> None:
+        self.config, self.lanes, self.games = config, lanes, 0
+        self.returns = [0.0] * config.environments
+        """Rewards of the running games so far."""
+        self.stopwatch = Stopwatch(MonotonicClock())
 
-    @property
-    def policy(self) -> th.nn.Module:
-        """The policy, with all networks."""
-        ...
-
-    @property
-    def exploration_rate(self) -> float | None:
-        """Share of random actions; None if it explores differently."""
-        ...
-
-    @property
-    def at_rest(self) -> bool:
-        """Whether a checkpoint can be taken now."""
-        ...
-
+    @abstractmethod
     def begin(self) -> None:
         """Start the first games unless games are running; this counts as start-up, not as training time."""
-        ...
 
+    @abstractmethod
     def advance(self) -> list[Game]:
         """Fly and learn a little further; returns the games that ended meanwhile."""
-        ...
 
-    def get_state(self) -> LearnerState: ...
+    def get_state(self) -> LearnerState:
+        """Return networks, optimizer, generator and counters."""
+        networks = {"policy": self.policy.state_dict(), "optimizer": self.optimizer.state_dict()}
+        kept = {name: getattr(self, name) for name in self.counters if hasattr(self, name)}
+        return LearnerState({**networks, "torch": th.get_rng_state()}, {}, kept)
 
     def set_state(self, state: LearnerState, observations: Any) -> None:
         """Restore what `get_state` returned; `observations` (lanes, ...) are the lanes' present ones."""
-        ...
+        self.policy.load_state_dict(state.tensors["policy"])
+        self.optimizer.load_state_dict(state.tensors["optimizer"])
+        th.set_rng_state(state.tensors["torch"].cpu())
+        for name in self.counters:
+            if name in state.counters:
+                setattr(self, name, state.counters[name])
 
+    def finished(self, rewards: Any, over: Any, infos: Sequence[Info], lanes: Sequence[int]) -> list[Game]:
+        """Add a step's rewards to the returns of `lanes`; returns the games that ended with it, by their last infos.
 
-def finished_games(
-    learner: Learner, rewards: Sequence[float], dones: Sequence[bool], infos: Sequence[Info], lanes: Sequence[int]
-) -> list[Game]:
-    """Add a step's rewards to the returns of `lanes`; returns the games that ended with it, by their last infos.
+        Games beyond the configured number are not counted.
+        """
+        games: list[Game] = []
+        for lane, reward, ends, info in zip(lanes, rewards.tolist(), over.tolist(), infos, strict=True):
+            self.returns[lane] += reward
+            if ends and self.games < self.config.games:
+                ended = info.get("final_info", info)
+                games.append(Game(self.games, lane, ended, self.returns[lane], self.exploration_rate))
+                self.returns[lane] = 0.0
+                self.games += 1
+        return games
 
-    Games beyond the configured number are not counted.
-    """
-    games: list[Game] = []
-    for lane, reward, done, info in zip(lanes, rewards, dones, infos, strict=True):
-        learner.returns[lane] += float(reward)
-        if done and learner.games < learner.config.games:
-            ended = info.get("final_info", info)
-            games.append(Game(learner.games, lane, ended, learner.returns[lane], learner.exploration_rate))
-            learner.returns[lane] = 0.0
-            learner.games += 1
-    return games
+    def charge(self, duration_s: float, phase: str, which: NDArray[np.int64] | None = None) -> None:
+        """In timing `virtual`, charge each of `which` lanes, by default all, for the agent's work."""
+        if self.config.task.timing == "virtual" and duration_s:
+            slots = list(range(self.lanes.num_envs)) if which is None else which.tolist()
+            self.lanes.call_each("charge", [(duration_s, phase)] * len(slots), slots)
 
 
 def learning_rhythm(commands_per_gradient_step: int, lanes: int) -> tuple[int, int]:
@@ -117,15 +135,6 @@ def learning_rhythm(commands_per_gradient_step: int, lanes: int) -> tuple[int, i
 def falling(start: float, final_share: float, remaining: float) -> float:
     """Fall linearly from `start` to `final_share` of it as `remaining` goes from 1 to 0."""
     return start * (final_share + (1.0 - final_share) * remaining)
-
-
-def charge(
-    lanes: TurnBatch, config: LearnerConfig, duration_s: float, phase: str, which: NDArray[np.int64] | None = None
-) -> None:
-    """In timing `virtual`, charge each of `which` lanes, by default all, for the agent's work."""
-    if config.task.timing == "virtual" and duration_s:
-        slots = list(range(lanes.num_envs)) if which is None else which.tolist()
-        lanes.call_each("charge", [(duration_s, phase)] * len(slots), slots)
 
 
 def compute_the_same_each_time() -> None:
@@ -159,7 +168,7 @@ def make_learner(config: LearnerConfig, lanes: Any) -> Learner:
 
         return DeviceDQN(config, lanes) if config.on_device else HostDQN(config, lanes)
     if config.algorithm == PPO:
-        from uavaccel.rl.ppo_training import PPOTraining
+        from uavaccel.rl.ppo import PPOTraining
 
         return PPOTraining(config, lanes)
     check_options(config)
@@ -202,3 +211,96 @@ class StepStatistics:
         """Restore what `get_state` returned."""
         self.sums.copy_(th.tensor(state["sums"], dtype=th.float64))
         self._read, self.loss, self.mean_q = state["read"], state["loss"], state["mean_q"]
+
+
+_COMPLETE = "state.json"
+MOST_BYTES = 1 << 40  # of a replay buffer
+DAMAGE = (
+    *(OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile, zlib.error, UnpicklingError),
+    *(AttributeError, IndexError, RuntimeError, TypeError),
+)
+"""Exceptions that reading damaged files of tensors, arrays and JSON raises."""
+
+
+def save_checkpoint(folder: Path, learner: Learner) -> None:
+    """Save the states of the learner and of its games, lane n's under "n."; older checkpoints are removed."""
+    checkpoint, state = folder / f"{learner.games:07d}", learner.get_state()
+    shutil.rmtree(checkpoint, ignore_errors=True)
+    checkpoint.mkdir(parents=True)
+    path = checkpoint / "learner.pt"
+    with naming(path), path.open("wb") as file:  # to a name torch would write with errors of its own
+        cuda_states = th.cuda.get_rng_state_all() if th.cuda.is_available() else []
+        th.save({**state.tensors, "cuda": cuda_states}, file)
+    games: list[State] = _call_each(learner.lanes, "get_state", [()] * learner.lanes.num_envs)
+    running = {f"{n}.{key}": each for n, game in enumerate(games) for key, each in game.items()}
+    for name, arrays in (("buffer.npz", state.arrays), ("games.npz", running)):
+        with naming(checkpoint / name), (checkpoint / name).open("wb") as file:
+            np.savez(file, **arrays)  # type: ignore[arg-type]
+    with replacing(checkpoint / _COMPLETE) as file:
+        file.write(json.dumps({"games": learner.games, "counters": state.counters}).encode())
+    for older in folder.iterdir():
+        if older != checkpoint:
+            shutil.rmtree(older)
+
+
+def find_checkpoint(folder: Path) -> Path | None:
+    """Return the newest complete checkpoint in `folder`; None without one."""
+    return max((state.parent for state in folder.glob(f"*/{_COMPLETE}")), default=None)
+
+
+def games_of(checkpoint: Path) -> int:
+    """Return how many games had been completed when the checkpoint was taken. Raises UserError if it is damaged."""
+    with _undamaged(checkpoint):
+        return int(_plain(checkpoint)["games"])
+
+
+def load_checkpoint(checkpoint: Path, learner: Learner) -> None:
+    """Restore learner, games and all generators. Raises UserError if it is damaged or has another number of lanes."""
+    with _undamaged(checkpoint):
+        plain, running = _plain(checkpoint), _read_arrays(checkpoint / "games.npz")
+        count = len({name.partition(".")[0] for name in running})
+        if learner.lanes.num_envs != count:
+            raise UserError(f"the checkpoint has {count} environments; go on with as many")
+        lanes: list[State] = [{} for _ in range(count)]
+        for name, array in running.items():
+            lane, _, key = name.partition(".")
+            lanes[int(lane)][key] = array
+        observations = stacked_observations(_call_each(learner.lanes, "set_state", [(each,) for each in lanes]))
+        with open_bounded(checkpoint / "learner.pt", MOST_BYTES) as file:
+            tensors = th.load(file, weights_only=True, map_location="cpu")
+        arrays = _read_arrays(checkpoint / "buffer.npz")
+        learner.set_state(LearnerState(tensors, arrays, plain["counters"]), observations)
+        for device, tensor in enumerate(tensors["cuda"]):
+            th.cuda.set_rng_state(tensor.cpu(), device)
+
+
+@contextmanager
+def _undamaged(checkpoint: Path) -> Iterator[None]:
+    """Turn errors of reading wrong contents into one line that says how to go on."""
+    try:
+        yield
+    except UserError:
+        raise
+    except DAMAGE as error:
+        older = [path.parent for path in checkpoint.parent.glob(f"*/{_COMPLETE}") if path.parent < checkpoint]
+        then = f"go on from {max(older).name}" if older else "begin the training anew"
+        raise UserError(
+            f"{checkpoint}: a damaged checkpoint ({type(error).__name__}); delete it and --resume to {then}"
+        ) from error
+
+
+def _plain(checkpoint: Path) -> dict[str, Any]:
+    plain: dict[str, Any] = parse_json(read_bounded(checkpoint / _COMPLETE).decode("utf-8"))
+    return plain
+
+
+def _read_arrays(path: Path) -> dict[str, NDArray[np.generic]]:
+    with open_bounded(path, MOST_BYTES) as file, np.load(file, allow_pickle=False) as arrays:
+        return dict(arrays)
+
+
+def _call_each(lanes: Any, name: str, arguments: Sequence[tuple[object, ...]]) -> list[Any]:
+    """Call a method of every environment of a batch, or with every lane of a GPU's."""
+    if isinstance(lanes, TurnBatch):
+        return lanes.call_each(name, arguments)
+    return [getattr(lanes, name)(lane, *argument) for lane, argument in enumerate(arguments)]

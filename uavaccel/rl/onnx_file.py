@@ -19,8 +19,8 @@ from uavaccel.envs.sensors import DEPTH_FAR_M, SIZE
 from uavaccel.errors import UserError
 from uavaccel.files import replacing
 from uavaccel.resources import require
+from uavaccel.rl.agents import metadata_of
 from uavaccel.rl.config import DOUBLE_DQN, PPO
-from uavaccel.rl.onnx_agent import metadata_of
 from uavaccel.rl.policy import Policy, observed_frames
 from uavaccel.vision.dvs_sensor import BLOCK_SIDE, NEUTRAL_LEVEL
 

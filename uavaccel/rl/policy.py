@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, wraps
 from pathlib import Path
 from pickle import UnpicklingError
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from gymnasium import spaces
@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 from typing_extensions import TypedDict
 
 from uavaccel.config import validate
+from uavaccel.envs.arrays import mapped
 from uavaccel.envs.obstacle_lane import LaneTask
 from uavaccel.envs.task import Task
-from uavaccel.envs.values import Frame, Observation
+from uavaccel.envs.values import Observation
 from uavaccel.errors import UserError
 from uavaccel.files import ARRAYS_BYTES, Plain, file_sha256, open_bounded, parse_json, read_bounded, replacing, to_json
 from uavaccel.forms import check
@@ -28,6 +29,8 @@ from uavaccel.rl.config import DOUBLE_DQN, PPO, LearnerConfig, check_options
 
 if TYPE_CHECKING:  # a manifest is read without PyTorch
     import torch as th
+
+R = TypeVar("R")
 
 WEIGHTS, MANIFEST = "policy.pt", "policy.json"
 _TARGET = "q_net_target."  # the target network, which only learning needs
@@ -66,15 +69,15 @@ class Policy:
 
             return greedy(self.network, observations)
         with th.inference_mode():
-            return np.asarray(self.values(th.from_numpy(observations)).argmax(dim=1).cpu())
+            return np.asarray(self.values(mapped(th.from_numpy, observations)).argmax(dim=1).cpu())
 
-    def values(self, observations: th.Tensor) -> th.Tensor:
+    def values(self, observations: Any) -> th.Tensor:
         """Return double_dqn's action values (n, actions), averaged over both views with `mirrored_decisions`."""
         device = next(self.network.parameters()).device
-        values: th.Tensor = self.network.values(observations.to(device), self.turned)
+        values: th.Tensor = self.network.values(mapped(lambda part: part.to(device), observations), self.turned)
         return values
 
-    def rate(self, observations: Frame) -> tuple[str, NDArray[np.float64]]:
+    def rate(self, observations: Observation) -> tuple[str, NDArray[np.float64]]:
         """Return the kind of a discrete policy's ratings, and these (n, actions) for observations (n, ...)."""
         import torch as th
 
@@ -83,7 +86,7 @@ class Policy:
 
             return ratings(self.network, observations)
         with th.inference_mode():
-            return "action values", self.values(th.from_numpy(observations)).cpu().numpy().astype(np.float64)
+            return "action values", self.values(mapped(th.from_numpy, observations)).cpu().numpy().astype(np.float64)
 
     @property
     def turned(self) -> list[int] | None:
@@ -101,7 +104,7 @@ def make_policy(config: LearnerConfig) -> Any:
 
         return QPolicy(space, actions, config.channels, config.hidden)
     if config.algorithm == PPO:
-        from uavaccel.rl.ppo_training import actor_of
+        from uavaccel.rl.ppo import actor_of
 
         return actor_of(config)
     from uavaccel.rl.baseline import make_baseline_policy
@@ -165,52 +168,29 @@ def trained_with(folder: Path) -> Mapping[str, Plain]:
     return trained
 
 
-def load_policy(path: Path) -> Policy:
-    """Load the policy in a run directory, or in any folder with its two files. The result is cached: do not modify it.
+def _by_stamps(read: Callable[[Path], R]) -> Callable[[Path], R]:
+    """Let a function of a policy's folder read it again only where a file has changed: a sweep asks in each case."""
 
-    Raises UserError if there is none, if it is damaged, or if its weights are not those that its manifest describes.
-    """
-    return _read_policy(path, _stamp(path / MANIFEST), _stamp(path / WEIGHTS))
+    @lru_cache(maxsize=4)
+    def cached(path: Path, *stamps: tuple[int, int] | None) -> R:
+        return read(path)
 
+    def stamp(file: Path) -> tuple[int, int] | None:
+        try:
+            found = file.stat()
+        except OSError:
+            return None
+        return found.st_mtime_ns, found.st_size
 
-def _stamp(file: Path) -> tuple[int, int] | None:
-    """Modification time and size of a file, by which the caches notice a change; None if there is no file."""
-    try:
-        found = file.stat()
-    except OSError:
-        return None
-    return found.st_mtime_ns, found.st_size
-
-
-@lru_cache(maxsize=4)  # a sweep asks for the same policy in each of its cases
-def _read_policy(path: Path, *stamps: tuple[int, int] | None) -> Policy:
-    manifest, config = _read_manifest(path, *stamps)
-    weights = _read_weights(path / WEIGHTS)
-    network = make_policy(config).eval()
-    target = {
-        _TARGET + name.removeprefix("q_net."): tensor for name, tensor in weights.items() if name.startswith("q_net.")
-    }
-    kinds = {name: tensor.dtype for name, tensor in network.state_dict().items()}
-    for name, tensor in weights.items():
-        if tensor.dtype != kinds.get(name, tensor.dtype):
-            raise UserError(f"{path / WEIGHTS}: {name} is of {tensor.dtype}; it should be of {kinds[name]}")
-    try:
-        network.load_state_dict({**weights, **target})
-    except RuntimeError as error:
-        raise UserError(f"{path / WEIGHTS}: does not fit the network of {MANIFEST}") from error
-    return Policy(network, config, manifest)
+    return wraps(read)(lambda path: cached(path, stamp(path / MANIFEST), stamp(path / WEIGHTS)))
 
 
+@_by_stamps
 def read_manifest(path: Path) -> tuple[Mapping[str, Plain], LearnerConfig]:
     """Read the manifest of the policy in a folder; returns it and the configuration of the training.
 
     Raises UserError if there is none, or if the file of weights has another hash than the manifest says.
     """
-    return _read_manifest(path, _stamp(path / MANIFEST), _stamp(path / WEIGHTS))
-
-
-@lru_cache(maxsize=4)
-def _read_manifest(path: Path, *stamps: tuple[int, int] | None) -> tuple[Mapping[str, Plain], LearnerConfig]:
     manifest = _parsed_manifest(path)
     wanted = manifest.get("weights_file_sha256")
     if wanted is not None and file_sha256(path / WEIGHTS) != wanted:
@@ -225,6 +205,27 @@ def _read_manifest(path: Path, *stamps: tuple[int, int] | None) -> tuple[Mapping
     except UserError as error:
         raise UserError(f"{path / MANIFEST}: {error}") from error
     return manifest, config
+
+
+@_by_stamps
+def load_policy(path: Path) -> Policy:
+    """Load the policy in a run directory, or in any folder with its two files. The result is cached: do not modify it.
+
+    Raises UserError if there is none, if it is damaged, or if its weights are not those that its manifest describes.
+    """
+    manifest, config = read_manifest(path)
+    weights, network = _read_weights(path / WEIGHTS), make_policy(config).eval()
+    kinds = {name: tensor.dtype for name, tensor in network.state_dict().items()}
+    for name, tensor in weights.items():
+        if tensor.dtype != kinds.get(name, tensor.dtype):
+            raise UserError(f"{path / WEIGHTS}: {name} is of {tensor.dtype}; it should be of {kinds[name]}")
+    online = {name: tensor for name, tensor in weights.items() if name.startswith("q_net.")}
+    target = {_TARGET + name.removeprefix("q_net."): tensor for name, tensor in online.items()}
+    try:
+        network.load_state_dict({**weights, **target})
+    except RuntimeError as error:
+        raise UserError(f"{path / WEIGHTS}: does not fit the network of {MANIFEST}") from error
+    return Policy(network, config, manifest)
 
 
 def _parsed_manifest(path: Path) -> Mapping[str, Plain]:

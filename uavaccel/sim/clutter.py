@@ -91,11 +91,11 @@ class Clutter(Config):
     def numbers(self) -> Numbers:
         """Return what `sample_clutter` takes (NUMBERS,)."""
         (small, large), (left, right), (low, high), (dark, bright) = self.half_m, NORTH_M, CENTRES_M, GREYS
-        ends = np.cumsum(self.shares()) / sum(self.shares())
+        ends = np.cumsum(self.shares())  # Python 3.12 changed how sum() rounds
         sizes = (small, large - small, low, high - low)
         area = (left, right - left, -ASIDE_M, 2 * ASIDE_M)
         clear = (self.clear_start_m, self.clear_goal_m)
-        return np.array([self.shapes, *area, *sizes, *ends[:3], *clear, dark, bright - dark, self.gap_m])
+        return np.array([self.shapes, *area, *sizes, *(ends[:3] / ends[3]), *clear, dark, bright - dark, self.gap_m])
 
 
 @part

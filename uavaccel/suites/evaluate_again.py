@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from uavaccel.config import validate
 from uavaccel.draw.page import command_at_clock
 from uavaccel.draw.style import Decisions
+from uavaccel.envs.arrays import picture_of, select
 from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.kernel_batch import KernelBatch
 from uavaccel.envs.observer import Onlooker, SecondEventCamera
@@ -30,8 +31,8 @@ from uavaccel.rl.agents import Agent, Baseline, PolicyAgent, make_agent, origin_
 from uavaccel.rl.config import LANE, environment_class
 from uavaccel.sim.profile import PROFILES
 from uavaccel.suites.evaluate import EvaluateConfig, Flyable, Step, ended, fly_lane, row_of
+from uavaccel.suites.experiment import number_of
 from uavaccel.suites.flight import Commands, Flight, Window, windows_of
-from uavaccel.suites.rows import number_of
 from uavaccel.units import NS_PER_S, to_ns
 
 KEPT_ONLY_BY_THE_RUN = ("arrays", "arrays_sha256", "path_m")
@@ -194,8 +195,8 @@ def _flight(
     else:
         more["windows"] = list(equal_windows(camera.events.pop_events(), int(time_ns[-1])))
     if isinstance(agent, PolicyAgent) and in_lane:
-        (named, *_), ratings = zip(*(agent.policy.rate(step.given[None]) for step in steps), strict=True)
-        given, taken = np.stack([step.given for step in steps]), np.array([step.action for step in steps])
+        (named, *_), ratings = zip(*(agent.policy.rate(select(step.given, None)) for step in steps), strict=True)
+        given, taken = np.stack([picture_of(step.given) for step in steps]), np.array([step.action for step in steps])
         seen = np.asarray(given, np.uint8) if given.ndim == 4 else None
         at = np.array(of_sample)
         more["decisions"] = Decisions(np.concatenate(ratings), taken, config.task.headings_deg, at, named, seen)

@@ -21,7 +21,15 @@ from numpy.typing import NDArray
 from uavaccel.sim.camera.pixels import luma
 from uavaccel.vision import dvs_kernels as kernels
 from uavaccel.vision import noise
-from uavaccel.vision.dvs_sensor import HOT_RATE_HZ, PRESETS, DvsParameters, DvsSensor, make_sensor, sensor_from_maps
+from uavaccel.vision.dvs_sensor import (
+    HOT_RATE_HZ,
+    PRESETS,
+    DvsParameters,
+    DvsSensor,
+    camera_row,
+    make_sensor,
+    sensor_from_maps,
+)
 
 __all__ = [
     "HOT_RATE_HZ",
@@ -61,24 +69,25 @@ class DvsState(NamedTuple):
     noise_seed: int
 
 
-class _FrameEvents(NamedTuple):
-    """The events of a frame, before the refractory period suppresses some of them."""
-
-    signed: Counts
-    stamps_s: NDArray[np.float32]
-    last_event_s: NDArray[np.float32]
-    refractory_s: np.float32  # -inf where it does not apply
-
-
-def _lin_log_table() -> NDArray[np.float32]:
-    intensity = np.arange(256, dtype=np.float64)
-    line = intensity * (math.log(LINEAR_UP_TO) / LINEAR_UP_TO)
-    log = np.where(intensity <= LINEAR_UP_TO, line, np.log(np.maximum(intensity, 1.0)))
-    return (np.round(log * 1e8) / 1e8).astype(np.float32)
-
-
-LIN_LOG = _lin_log_table()
+_INTENSITY = np.arange(256, dtype=np.float64)
+_LINE = _INTENSITY * (math.log(LINEAR_UP_TO) / LINEAR_UP_TO)
+_LOG = np.where(_INTENSITY <= LINEAR_UP_TO, _LINE, np.log(np.maximum(_INTENSITY, 1.0)))
+LIN_LOG = (np.round(_LOG * 1e8) / 1e8).astype(np.float32)
 RELATIVE_INTENSITY = (np.arange(256) + 20) / 275.0
+
+
+class Tables(NamedTuple):
+    """What a pixel's behaviour depends on, by grey level (256,)."""
+
+    logs: NDArray[np.float32]
+    """Log intensity."""
+    weights: Floats
+    """Speed of the low-pass filter."""
+    dimming: Floats
+    """Rate of shot noise relative to that of a black pixel."""
+
+
+TABLES = Tables(LIN_LOG, RELATIVE_INTENSITY, (SHOT_NOISE_AT_WHITE - 1) * RELATIVE_INTENSITY + 1)
 
 
 def init_state(sensor: DvsSensor, frame: Frame, t_s: float = 0.0, noise_seed: int = 0) -> DvsState:
@@ -147,77 +156,39 @@ def _advance(
     _check_frame(sensor, frame)
     if not t_s >= state.time_s:
         raise ValueError(f"a frame at {t_s} s cannot follow one at {state.time_s} s")
-    frame, dt_s, index = np.ascontiguousarray(frame), t_s - state.time_s, state.frame_index + 1
-    log = _photoreceptor(sensor.parameters, state.filtered_log, frame, dt_s)
-    base = _leaked(sensor, state.base_log, dt_s, state.noise_seed, index)
-    due = _due_events(sensor, state, log, base, t_s, listed)
-    kept, last_event_s = due.signed, due.last_event_s
-    if not math.isinf(due.refractory_s):
-        kept, last_event_s = kernels.drop_refractory(*due)
-    base = kernels.advance_base(kept, base, sensor.positive_threshold, sensor.negative_threshold)
-    on, off = np.maximum(kept, 0), np.maximum(-kept, 0)
-    shots = _shot_noise(sensor, frame, dt_s, state.noise_seed, index)
-    if shots is not None:  # a noisy pixel memorises the current intensity
-        on, off, base = on + shots[0], off + shots[1], np.where(shots[0] | shots[1], log, base)
-    events = _list_events(due, kept, shots) if listed else NO_EVENTS
-    return DvsState(base, log, last_event_s, t_s, index, state.noise_seed), on, off, events
-
-
-def _photoreceptor(parameters: DvsParameters, filtered_log: Floats, frame: Frame, dt_s: float) -> Floats:
-    if parameters.cutoff_hz <= 0:
-        return kernels.look_up(frame, LIN_LOG)
-    tau_s = 1 / (math.pi * 2 * parameters.cutoff_hz)
-    weights = np.minimum(RELATIVE_INTENSITY * (dt_s / tau_s), 1.0)
-    return kernels.low_pass(frame, filtered_log, LIN_LOG, weights)
-
-
-def _leaked(sensor: DvsSensor, base_log: Floats, dt_s: float, seed: int, index: int) -> Floats:
-    parameters, positive = sensor.parameters, sensor.positive_threshold
-    if sensor.hot is not None:
-        base_log = kernels.heat(base_log, positive, sensor.hot, np.float32(dt_s * HOT_RATE_HZ))
-    if parameters.leak_rate_hz <= 0:
-        return base_log
-    rate_hz, jitter = np.float32(parameters.leak_rate_hz), np.float32(parameters.leak_jitter_fraction)
-    draws = noise.normal(base_log.shape, seed, index, noise.LEAK_JITTER)
-    return kernels.leak(base_log, positive, np.float32(dt_s), rate_hz, sensor.leak_rate_factor, jitter, draws)
-
-
-def _due_events(
-    sensor: DvsSensor, state: DvsState, log: Floats, base: Floats, t_s: float, listed: bool
-) -> _FrameEvents:
-    count = kernels.count_single if log.dtype == np.float32 else kernels.count_double
-    signed = count(log, base, sensor.positive_threshold, sensor.negative_threshold)
-    stamp_count = int(max(1, signed.max(), -signed.min()))
-    refractory_s = sensor.parameters.refractory_s
-    if refractory_s <= (t_s - state.time_s) / stamp_count:  # v2e then suppresses nothing and stores no times
-        refractory_s = -math.inf
-    asked_for = listed or not math.isinf(refractory_s)
-    stamps_s = time_stamps(state.time_s, t_s, stamp_count) if asked_for else NO_STAMPS
-    return _FrameEvents(signed, stamps_s, state.last_event_s, np.float32(refractory_s))
-
-
-def _shot_noise(sensor: DvsSensor, frame: Frame, dt_s: float, seed: int, index: int) -> tuple[Mask, Mask] | None:
-    parameters = sensor.parameters
-    if parameters.shot_noise_rate_hz <= 0:
-        return None
-    draws = noise.uniform(frame.shape, seed, index, noise.SHOT_NOISE)
-    nominal = np.float32(parameters.positive_threshold), np.float32(parameters.negative_threshold)
+    parameters, seed, index = sensor.parameters, state.noise_seed, state.frame_index + 1
+    frame, dt_s, camera = np.ascontiguousarray(frame), t_s - state.time_s, camera_row(parameters)
+    normals, draws = np.empty((2, 0, 0), np.float32)
+    if parameters.leak_rate_hz > 0:
+        normals = noise.normal(frame.shape, seed, index, noise.LEAK_JITTER)
+    if parameters.shot_noise_rate_hz > 0:
+        draws = noise.uniform(frame.shape, seed, index, noise.SHOT_NOISE)
+    hot = np.empty((0, 0), np.bool_) if sensor.hot is None else sensor.hot
+    memory = state.base_log, state.filtered_log
     thresholds = sensor.positive_threshold, sensor.negative_threshold
-    return kernels.shoot(frame, shot_chances(parameters.shot_noise_rate_hz, dt_s), draws, *thresholds, nominal)
-
-
-def shot_chances(rate_hz: float, dt_s: float) -> NDArray[np.float64]:
-    """Return the probability (256,), by intensity, of a noise event of one polarity within a frame."""
-    return rate_hz / 2 * dt_s * ((SHOT_NOISE_AT_WHITE - 1) * RELATIVE_INTENSITY + 1)
-
-
-def _list_events(due: _FrameEvents, kept: Counts, shots: tuple[Mask, Mask] | None) -> Events:
-    events = np.empty((int(np.abs(kept).sum()), 4), np.float32)
-    kernels.list_events(*due, events)
-    if shots is None:
-        return events
-    noise = [_at_once(due.stamps_s[-1], mask, sign) for mask, sign in zip(shots, (1, -1), strict=True)]
-    return np.concatenate([events, *noise])
+    log, before, due = kernels.count(
+        frame, memory, thresholds, hot, sensor.leak_rate_factor, camera, TABLES, normals, dt_s
+    )
+    stamp_count = int(max(1, due.max(), -due.min()))
+    # v2e suppresses nothing and stores no times where frames follow each other more slowly
+    refractory_s = -math.inf if parameters.refractory_s <= dt_s / stamp_count else parameters.refractory_s
+    drops, kept, last_event_s = not math.isinf(refractory_s), due, state.last_event_s
+    stamps_s = time_stamps(state.time_s, t_s, stamp_count) if listed or drops else NO_STAMPS
+    suppressed = due, stamps_s, state.last_event_s, np.float32(refractory_s)
+    if drops:
+        kept, last_event_s = kernels.drop_refractory(*suppressed)
+    base, shots = kernels.memorise(frame, log, before, kept, thresholds, camera, TABLES, draws, dt_s)
+    on, off, events = np.maximum(kept, 0), np.maximum(-kept, 0), NO_EVENTS
+    if listed:
+        events = np.empty((int(np.abs(kept).sum()), 4), np.float32)
+        kernels.list_events(*suppressed, events)
+    if shots.size:
+        fired = (shots > 0, 1, on), ((shots < 0) | (shots == kernels.ON_AND_OFF), -1, off)
+        for mask, polarity, counts in fired:
+            counts += mask
+            if listed:
+                events = np.concatenate([events, _at_once(stamps_s[-1], mask, polarity)])
+    return DvsState(base, log, last_event_s, t_s, index, seed), on, off, events
 
 
 def _at_once(stamp_s: np.float32, mask: Mask, polarity: int) -> Events:

@@ -8,13 +8,28 @@ W). A signed count is +n for n ON events of a pixel and -n for n OFF events; no 
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+from numba import types
+from numba.extending import overload
 from numpy.typing import NDArray
 
 from uavaccel.sim.parts import njit, part, times
-from uavaccel.vision.dvs_sensor import BLOCK_SIDE, NEUTRAL_LEVEL
+from uavaccel.vision.dvs_sensor import (
+    BLOCK_SIDE,
+    HOT_RATE_HZ,
+    JITTER,
+    LEAK,
+    NEGATIVE,
+    NEUTRAL_LEVEL,
+    POSITIVE,
+    SHOT,
+    TAU,
+)
 
 ONE = np.float32(1.0)
+ON_AND_OFF = 2  # a pixel's shot noise of both polarities in one frame
 
 Float = float | np.float32  # float64 after a low-pass
 Floats = NDArray[np.floating]
@@ -95,79 +110,129 @@ def shot(draw: np.float32, chance_on: float, chance_off: float) -> np.int32:
     """Return a frame's noise for a random number in [0, 1): 1 for ON, -1 for OFF, 2 for one event of each."""
     on, off = draw > 1.0 - chance_on, draw < chance_off
     if on and off:
-        return np.int32(2)
+        return np.int32(ON_AND_OFF)
     return np.int32(on) - np.int32(off)
 
 
+@part(error_model="numpy")
+def shot_noise(
+    level: int, camera: Floats, tables: Any, positive: Float, negative: Float, draw: np.float32, dt_s: float
+) -> np.int32:
+    """Return a pixel's shot noise in a frame, as `shot` does."""
+    chance = camera[SHOT] / 2 * dt_s * tables.dimming[level]
+    chance_on = shot_chance(chance, np.float32(camera[POSITIVE]), positive)
+    return shot(draw, chance_on, shot_chance(chance, np.float32(camera[NEGATIVE]), negative))
+
+
+def log_of(like: Float, level: int, before: Float, camera: Floats, tables: Any, dt_s: float) -> Any:
+    """Return a pixel's log intensity: float32, or float64 after the low-pass filter, whose last output is `before`."""
+    function = single_log if isinstance(like, np.float32) else double_log
+    return function(level, before, camera, tables, dt_s)
+
+
+def signed_count(log: Float, base: Float, positive: Float, negative: Float) -> np.int32:
+    """Return a pixel's signed event count in the precision of its log intensity."""
+    function = count_single_pixel if isinstance(log, np.float32) else count_double_pixel
+    return function(log, base, positive, negative)  # type: ignore[arg-type]
+
+
+@part
+def single_log(level: int, before: np.float32, camera: Floats, tables: Any, dt_s: float) -> np.float32:
+    """Return the log intensity without a low-pass filter."""
+    log: np.float32 = tables.logs[level]
+    return log
+
+
+@part(error_model="numpy")
+def double_log(level: int, before: float, camera: Floats, tables: Any, dt_s: float) -> float:
+    """Return the log intensity after the low-pass filter."""
+    weight = min(tables.weights[level] * (dt_s / camera[TAU]), 1.0)
+    return low_passed(before, np.float64(tables.logs[level]), weight)
+
+
+def _log_of(like, level, before, camera, tables, dt_s):  # type: ignore[no-untyped-def]
+    function = single_log if like == types.float32 else double_log
+    return lambda like, level, before, camera, tables, dt_s: function(level, before, camera, tables, dt_s)
+
+
+def _signed_count(log, base, positive, negative):  # type: ignore[no-untyped-def]
+    function = count_single_pixel if log == types.float32 else count_double_pixel
+    return lambda log, base, positive, negative: function(log, base, positive, negative)
+
+
+BY_TYPE = ((log_of, _log_of), (signed_count, _signed_count))
+"""Functions whose implementation depends on the precision, with what chooses it by type, for numba's `overload`."""
+
+for _function, _chosen in BY_TYPE:
+    overload(_function)(_chosen)
+
+
 @njit(nogil=True, cache=True, error_model="numpy")
-def look_up(frame: Frame, table: Floats) -> Floats:
-    """Look up each intensity in a table (256,)."""
-    result = np.empty(frame.shape, table.dtype)
+def count(
+    frame: Frame,
+    memory: tuple[Floats, Floats],
+    thresholds: tuple[Floats, Floats],
+    hot: NDArray[np.bool_],
+    leak_factor: Floats,
+    camera: Floats,
+    tables: Any,
+    normals: Floats,
+    dt_s: float,
+) -> tuple[Floats, Floats, Counts]:
+    """Return log intensities, those memorised after hot pixels' drift and leak, and signed counts.
+
+    `memory` has the memorised intensities and the filter's last output, `tables` the arrays of dvs.Tables. `hot` is
+    empty without any, and the standard normal `normals` without a leak.
+    """
+    (base, filtered), (positive, negative) = memory, thresholds
+    log, before, signed = np.empty_like(base), base, np.empty(base.shape, np.int32)
     for y in range(frame.shape[0]):
         for x in range(frame.shape[1]):
-            result[y, x] = table[frame[y, x]]
-    return result
-
-
-@njit(nogil=True, cache=True, error_model="numpy")
-def low_pass(frame: Frame, filtered_log: Floats, log_table: Floats, weight_table: Floats) -> Floats:
-    """Return a first-order low-pass, whose weight depends on the intensity, after one step."""
-    result = np.empty_like(filtered_log)
+            log[y, x] = log_of(base[y, x], frame[y, x], filtered[y, x], camera, tables, dt_s)
+    if hot.size > 0 or camera[LEAK] > 0.0:
+        before = base.copy()
+        for y in range(frame.shape[0]):
+            for x in range(frame.shape[1]):
+                if hot.size > 0 and hot[y, x]:
+                    before[y, x] = heated(before[y, x], positive[y, x], np.float32(dt_s * HOT_RATE_HZ))
+                if camera[LEAK] > 0.0:
+                    jitter, rate_hz = jittered(np.float32(camera[JITTER]), normals[y, x]), np.float32(camera[LEAK])
+                    factor = leak_factor[y, x]
+                    before[y, x] = leaked(before[y, x], positive[y, x], np.float32(dt_s), rate_hz, factor, jitter)
     for y in range(frame.shape[0]):
         for x in range(frame.shape[1]):
-            level = frame[y, x]
-            result[y, x] = low_passed(filtered_log[y, x], log_table[level], weight_table[level])
-    return result
+            signed[y, x] = signed_count(log[y, x], before[y, x], positive[y, x], negative[y, x])
+    return log, before, signed
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def heat(base: Floats, positive: Floats, hot: NDArray[np.bool_], share: np.float32) -> Floats:
-    """Return the memorised intensities, those of hot pixels lowered by a share of their thresholds."""
-    result = base.copy()
-    for y in range(base.shape[0]):
-        for x in range(base.shape[1]):
-            if hot[y, x]:
-                result[y, x] = heated(base[y, x], positive[y, x], share)
-    return result
+def memorise(
+    frame: Frame,
+    log: Floats,
+    before: Floats,
+    signed: Counts,
+    thresholds: tuple[Floats, Floats],
+    camera: Floats,
+    tables: Any,
+    draws: Floats,
+    dt_s: float,
+) -> tuple[Floats, Counts]:
+    """Return the memorised log intensities after the events, and the shot noise, as `shot`, empty without any.
 
-
-@njit(nogil=True, cache=True, error_model="numpy")
-def leak(
-    base: Floats,
-    positive: Floats,
-    dt_s: np.float32,
-    rate_hz: np.float32,
-    factor: Floats,
-    jitter: np.float32,
-    normal: Floats,
-) -> Floats:
-    """Return the memorised intensities after a leak with jitter, from standard normal numbers."""
-    result = np.empty_like(base)
-    for y in range(base.shape[0]):
-        for x in range(base.shape[1]):
-            uneven = jittered(jitter, normal[y, x])
-            result[y, x] = leaked(base[y, x], positive[y, x], dt_s, rate_hz, factor[y, x], uneven)
-    return result
-
-
-@njit(nogil=True, cache=True, error_model="numpy")
-def count_single(log: Floats, base: Floats, positive: Floats, negative: Floats) -> Counts:
-    """Return the signed counts, computed in float32."""
-    signed = np.empty(log.shape, np.int32)
-    for y in range(log.shape[0]):
-        for x in range(log.shape[1]):
-            signed[y, x] = count_single_pixel(log[y, x], base[y, x], positive[y, x], negative[y, x])
-    return signed
-
-
-@njit(nogil=True, cache=True, error_model="numpy")
-def count_double(log: Floats, base: Floats, positive: Floats, negative: Floats) -> Counts:
-    """Return the signed counts, computed in float64."""
-    signed = np.empty(log.shape, np.int32)
-    for y in range(log.shape[0]):
-        for x in range(log.shape[1]):
-            signed[y, x] = count_double_pixel(log[y, x], base[y, x], positive[y, x], negative[y, x])
-    return signed
+    A pixel that fires by noise memorises the present intensity. `draws` are uniform in [0, 1), empty without noise.
+    """
+    positive, negative = thresholds
+    base, noise = np.empty_like(before), np.zeros(draws.shape, np.int32)
+    for y in range(signed.shape[0]):
+        for x in range(signed.shape[1]):
+            base[y, x] = advanced(before[y, x], signed[y, x], positive[y, x], negative[y, x])
+    for y in range(draws.shape[0]):
+        for x in range(draws.shape[1]):
+            up, down = positive[y, x], negative[y, x]
+            noise[y, x] = shot_noise(frame[y, x], camera, tables, up, down, draws[y, x], dt_s)
+            if noise[y, x] != 0:
+                base[y, x] = log[y, x]
+    return base, noise
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -183,36 +248,6 @@ def drop_refractory(
                     kept[y, x] += np.sign(signed[y, x])
                     last[y, x] = stamp
     return kept, last
-
-
-@njit(nogil=True, cache=True, error_model="numpy")
-def advance_base(signed: Counts, base: Floats, positive: Floats, negative: Floats) -> Floats:
-    """Return the memorised log intensities after the events."""
-    result = np.empty_like(base)
-    for y in range(signed.shape[0]):
-        for x in range(signed.shape[1]):
-            result[y, x] = advanced(base[y, x], signed[y, x], positive[y, x], negative[y, x])
-    return result
-
-
-@njit(nogil=True, cache=True, error_model="numpy")
-def shoot(
-    frame: Frame,
-    chances: Floats,
-    draws: Floats,
-    positive: Floats,
-    negative: Floats,
-    nominal: tuple[np.float32, np.float32],
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return masks of ON and OFF shot noise; `chances` (256,) are by intensity, `draws` in [0, 1)."""
-    on, off = np.empty(frame.shape, np.bool_), np.empty(frame.shape, np.bool_)
-    for y in range(frame.shape[0]):
-        for x in range(frame.shape[1]):
-            chance = chances[frame[y, x]]
-            chance_on = shot_chance(chance, nominal[0], positive[y, x])
-            noise = shot(draws[y, x], chance_on, shot_chance(chance, nominal[1], negative[y, x]))
-            on[y, x], off[y, x] = noise > 0, noise < 0 or noise == 2
-    return on, off
 
 
 @njit(nogil=True, cache=True, error_model="numpy")

@@ -83,6 +83,19 @@ def with_noise(
     )
 
 
+# A camera as compiled functions take it, float64 (CAMERA_FIELDS,): DVS parameters, and its read noise's deviation.
+POSITIVE, NEGATIVE, SIGMA, TAU, LEAK, JITTER, SHOT, REFRACTORY, HOT, READ = range(10)
+CAMERA_FIELDS = 10
+
+
+def camera_row(parameters: DvsParameters, read_noise: float = 0.0) -> NDArray[np.float64]:
+    """Return a camera's parameters (CAMERA_FIELDS,); TAU is the time constant of the low-pass filter, s, 0 for none."""
+    of, tau_s = parameters, 1 / (math.pi * 2 * parameters.cutoff_hz) if parameters.cutoff_hz > 0 else 0.0
+    thresholds = of.positive_threshold, of.negative_threshold, of.threshold_sigma
+    rates = of.leak_rate_hz, of.leak_jitter_fraction, of.shot_noise_rate_hz
+    return np.array([*thresholds, tau_s, *rates, of.refractory_s, of.hot_share, read_noise])
+
+
 class DvsSensor(NamedTuple):
     """One sensor: its parameters, and the sampled maps (H, W) of its pixels.
 

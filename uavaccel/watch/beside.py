@@ -25,9 +25,9 @@ import socket
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, redirect_stdout, suppress
-from dataclasses import dataclass
+from functools import partial
 from http import HTTPStatus
 from ipaddress import ip_address
 from pathlib import Path
@@ -44,8 +44,6 @@ if TYPE_CHECKING:
     from viser import ViserServer
     from websockets import Headers
 
-    from uavaccel.watch.replay import Track
-
 LOOPBACK = "127.0.0.1"
 PORT = 8080
 SCRATCH = "uavaccel-watch-"  # and the id of the process whose folder it is
@@ -60,41 +58,25 @@ SQUARE = (
 )
 
 
-@dataclass(frozen=True)
-class PageAddress:
-    """Where the page is; of ports the first that is free from `port` on."""
-
-    host: str = LOOPBACK
-    port: int = PORT
-
-
 @contextmanager
-def page_beside(address: PageAddress | None, waits: bool = True) -> Iterator[None]:
-    """Show what is flown in the `with` block, in this process and in those it starts; nothing without an address.
+def page_beside(waits: bool = True, port: int = PORT, host: str = LOOPBACK) -> Iterator[None]:
+    """Show what is flown in the `with` block, in this process and in those it starts, at the first free of the ports.
 
     With `waits` the block begins when a browser has opened the page, or after FIRST_SPECTATOR_S. Raises UserError if
     the page cannot be opened.
     """
-    if address is None:
-        yield
-        return
-    free_port(address.host, address.port)
+    free_port(host, port)
     remove_orphaned_files(Path(tempfile.gettempdir()), re.compile(rf"{SCRATCH}(\d+)-"))
 
     def tell() -> None:
         if process.poll() != -signal.SIGINT:  # at Ctrl-C, which both receive, it has every reason to end
             print(f"warning: {watch.lost}; the flight goes on, unwatched", flush=True)
 
-    prefix = f"{SCRATCH}{os.getpid()}-"
+    prefix, title = f"{SCRATCH}{os.getpid()}-", f"`uavaccel {shlex.join(sys.argv[1:]).replace('`', '')}`"
     with ExitStack() as ends:
         folder = ends.enter_context(tempfile.TemporaryDirectory(prefix=prefix, ignore_cleanup_errors=True))
-        options = {
-            "host": address.host,
-            "port": address.port,
-            "socket": str(Path(folder, "page")),
-            "title": f"`uavaccel {shlex.join(sys.argv[1:]).replace('`', '')}`",
-            "parent": os.getpid(),
-        }
+        path = str(Path(folder, "page"))
+        options = {"host": host, "port": port, "socket": path, "title": title, "parent": os.getpid()}
         command = ("-m", "uavaccel.watch.beside", json.dumps(options))
         process = ends.enter_context(start_python(*command, stdout=subprocess.PIPE, own_session=False))
         assert process.stdout is not None
@@ -105,10 +87,10 @@ def page_beside(address: PageAddress | None, waits: bool = True) -> Iterator[Non
         watch = Watch(process, "the page's process", tell)
         ends.callback(watch.end)
         begins = f"the flight begins when it is opened, or in {FIRST_SPECTATOR_S:g} s" if waits else "Ctrl-C ends"
-        print(f"watch at http://{address.host}:{json.loads(line)['port']}; {begins}", flush=True)
+        print(f"watch at http://{host}:{json.loads(line)['port']}; {begins}", flush=True)
         if waits:
             _line_within(process.stdout, FIRST_SPECTATOR_S)
-        os.environ[PAGE] = str(Path(folder, "page"))
+        os.environ[PAGE] = path
         yield
 
 
@@ -117,7 +99,6 @@ def _line_within(stream: IO[bytes], seconds: float) -> bytes:
 
 
 def main() -> None:
-    """Open the page that argv[1] says, until the parent ends."""
     options = json.loads(sys.argv[1])
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # it ends at Ctrl-C, which releases a flight that it holds
     folder = Path(options["socket"]).parent  # the parent's, and for this alone
@@ -126,15 +107,15 @@ def main() -> None:
     from uavaccel.watch.page import Page, head_of
     from uavaccel.watch.sources import Live
 
-    def tell(message: dict[str, object]) -> None:
+    def tell(**message: object) -> None:
         with suppress(OSError):  # the parent no longer reads
             print(json.dumps(message), flush=True)
 
     source = Live(Path(options["socket"]))
     server = open_server(options["host"], options["port"], head_of(options["title"]))
     told = Event()  # a tab of an earlier page may come back before the port is told
-    page = Page(server, source, options["title"], lambda: tell({"opened": told.wait()}))
-    tell({"port": server.get_port()})
+    page = Page(server, source, options["title"], lambda: tell(opened=told.wait()))
+    tell(port=server.get_port())
     told.set()
     page.run()
 
@@ -152,10 +133,7 @@ def show(
     from uavaccel.watch.sources import Replay
 
     clock_speed, think_s, seed = square
-
-    def fly_at(clock_speed: float) -> Sequence[Track]:
-        return fly_side_by_side(clock_speed, think_s, rounds=1, seed=seed)
-
+    fly_at = partial(fly_side_by_side, think_s=think_s, rounds=1, seed=seed)
     if run is not None:
         track = recorded(run, case, game)
         source, title = Replay([track]), track.flight.title
@@ -211,10 +189,8 @@ def is_ours(headers: Headers, host: str) -> bool:
 
     This machine has its own names, `host`, and any number, which no website can have.
     """
-    named, origins = headers.get_all("Host"), headers.get_all("Origin")
-    if len(named) != 1 or not {origin.lower() for origin in origins} <= {
-        f"{scheme}://{named[0]}".lower() for scheme in ("http", "https")
-    }:
+    named, origins = headers.get_all("Host"), {origin.lower() for origin in headers.get_all("Origin")}
+    if len(named) != 1 or not origins <= {f"{scheme}://{named[0].lower()}" for scheme in ("http", "https")}:
         return False
     own = socket.gethostname().lower()
     try:

@@ -80,23 +80,23 @@ STYLE = """
 
 
 class DroneState(NamedTuple):
-    """A drone at simulated time `time_s`; its pose (7,) is place in m and wxyz in MuJoCo's frame."""
+    """A drone at simulated time `time_s`; its pose (7,) is place in m and wxyz in MuJoCo's frame.
+
+    It was `commanded` on the way here if it was flying a command. `towards`, NED, is where its command leads, None
+    where that is no direction; `does` says in words what it does.
+    """
 
     time_s: float
     pose: Floats
     commanded: bool
-    """Whether it was flying a command on the way here."""
     towards: Vector | None
-    """NED, where its command leads; None where that is no direction."""
     does: str
-    """What it does, in words."""
 
 
 class Moment(NamedTuple):
-    """A state of drones that fly at once; `wall` is the wall clock in words."""
+    """A state of drones that fly at once; `wall` is the wall clock in words. Another `flight` begins the paths anew."""
 
     flight: object
-    """The paths begin anew where this is another value than before."""
     may_pause: bool
     clock_speed: float
     wall: str
@@ -107,32 +107,20 @@ class Source(ABC):
     """A flight, and its player: whether it is held, its pace, and the steps that it is still to make."""
 
     scene: Scene | None = None
-    held = False
-    pace: float | None = PACES[PACE]
-    """Simulated seconds per second; None for as fast as it flies."""
-    steps = 0
+    held, steps = False, 0
     step_hint: str
-    note = ""
-    """What is to be said of the flight, below its clocks."""
-    ideal_m: Mapping[str, Floats] = {}
-    """By drones' names, the path (n, 3) with which one's is compared, in MuJoCo's frame."""
-    ideal = ""
-    """Whose path that is."""
-    sought_s: float | None = None
-    """Where a spectator has gone, in seconds of a show at 1x."""
-    clock_speed: float | None = None
-    """Of a recorded flight; None of one that cannot begin anew."""
-    fly_at: Callable[[float], None] | None = None
-    """Flies it at another ClockSpeed."""
+    pace: float | None = PACES[PACE]  # simulated seconds per second; None for as fast as it flies
+    note = ""  # what is to be said of the flight, below its clocks
+    ideal_m: Mapping[str, Floats] = {}  # by drones' names, the path (n, 3) to compare with, in MuJoCo's frame
+    ideal = ""  # whose path that is
+    sought_s: float | None = None  # where a spectator has gone in a recorded flight, in seconds of a show at 1x
+    clock_speed: float | None = None  # of a recorded flight; None of one that cannot begin anew
+    fly_at: Callable[[float], None] | None = None  # flies it at another ClockSpeed
 
     @property
     def progress_s(self) -> tuple[float, float] | None:
         """How far a recorded flight is shown, and its length, in seconds of a show at 1x; None of one that is flown."""
         return None
-
-    def seek(self, at_s: float) -> None:
-        """Show a recorded flight from this place on."""
-        self.sought_s = at_s
 
     @abstractmethod
     def update(self, passed_s: float, seen: bool) -> Sequence[Moment]:
@@ -175,8 +163,7 @@ class Page:
         self._scrub: GuiSliderHandle[float] | None = None
         self._scrubbed_s = 0.0  # where the show has put the slider
         if (progress := source.progress_s) is not None:
-            self._scrub = gui.add_slider("Time", 0.0, round(progress[1], 2), SCRUB_S, 0.0)
-            self._scrubbed_s = self._scrub.value
+            self._scrub = gui.add_slider("Time", self._scrubbed_s, round(progress[1], 2), SCRUB_S, self._scrubbed_s)
         gui.add_html(legend(source.ideal))
         if (fly_at := source.fly_at) is not None:
             own = f"{source.clock_speed:g}x"
@@ -205,7 +192,8 @@ class Page:
     def update(self, passed_s: float) -> None:
         """Show what has happened in the last `passed_s` seconds, while somebody looks."""
         seen = bool(self._server.get_clients())
-        self._seek()
+        if self._scrub is not None and self._scrub.value != self._scrubbed_s:  # a spectator has moved the slider
+            self._source.sought_s = self._scrubbed_s = self._scrub.value
         moments = self._source.update(passed_s, seen)
         if not seen:
             self._flight = self._moment = None  # the path begins anew for whoever opens the page next
@@ -249,12 +237,6 @@ class Page:
         note = self._source.note or ("" if last.may_pause else WITHOUT_PAUSE)
         self._clocks.content = clock_table(last.clock_speed, last.wall, lines, note)
 
-    def _seek(self) -> None:
-        """Go where a spectator has moved the slider; a callback, in a thread, may find what the show has set since."""
-        if self._scrub is not None and self._scrub.value != self._scrubbed_s:
-            self._scrubbed_s = self._scrub.value
-            self._source.seek(self._scrubbed_s)
-
     def _change_scene(self, scene: Scene) -> None:
         first, self._scene, self._moment, self._flight = self._scene is None, scene, None, None
         show_surroundings(self._server, scene)
@@ -267,14 +249,13 @@ class Page:
         }
         if first:
             self._views.look_at(scene.centre_m, scene.reach_m, wide=not scene.follows)
-        first_body = next(iter(scene.bodies.values()))
+        self._no_images.visible, first_body = False, next(iter(scene.bodies.values()))
         try:
-            camera, said = make_camera(scene.model, WIDTH, HEIGHT), ""  # that of the first body
+            camera = make_camera(scene.model, WIDTH, HEIGHT)  # that of the first body
             seeing = [name for name, body in scene.bodies.items() if body == first_body]
             self._eyes = {name: Eyes(camera, scene.data, pose_of(scene.model, first_body)) for name in seeing}
         except UserError as error:
-            self._eyes, said = {}, f"No pictures: {error}"
-        self._no_images.content, self._no_images.visible = said, bool(said)
+            self._eyes, self._no_images.content, self._no_images.visible = {}, f"No pictures: {error}", True
         for name in self._images.keys() - self._eyes.keys():
             self._images.pop(name).remove()
         for name in self._eyes:

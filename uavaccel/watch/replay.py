@@ -70,7 +70,7 @@ class Track:
         return float(np.sqrt((apart**2).sum(axis=2).min(axis=1).max()))
 
     def command(self, time_s: float) -> int | None:
-        """The command that is flown at a simulated time; None between commands, while the client thinks."""
+        """The command that is flown at a simulated time; None while the client thinks."""
         begun = int(np.searchsorted(self.start_s, time_s, side="right")) - 1
         return begun if begun >= 0 and time_s < self.end_s[begun] else None
 
@@ -149,9 +149,8 @@ def script_track(folder: Path) -> Track:
         whole_s = max(known[-1][0], summary.get("script_s") or 0.0)
         marks = np.maximum.accumulate(np.array([(0.0, 0.0), *known, (whole_s, last_s)]))
 
-    moves = [
-        row for row in calls if row["method"] in CALLS and CALLS[row["method"]].channel_of(row["params"]) == "move"
-    ]
+    known_calls = (row for row in calls if row["method"] in CALLS)
+    moves = [row for row in known_calls if CALLS[row["method"]].channel_of(row["params"]) == "move"]
     answered_ns = {row["answer"]: row["wall_ns"] for row in messages if "answer" in row}
     wall_ns = [(row["wall_ns"], answered_ns.get(row["call"], np.inf)) for row in moves]
     start_s, end_s = np.interp(np.reshape(wall_ns, (-1, 2)) / NS_PER_S, marks[:, 0], marks[:, 1]).T

@@ -138,13 +138,10 @@ class Told:
         """Take what was sent; False once the flight's end of the socket is closed."""
         while True:
             try:
-                message = self.connection.recv(MESSAGE_BYTES)
-            except BlockingIOError:
-                return True
-            except OSError:
-                return False
-            if not message:
-                return False
+                if not (message := self.connection.recv(MESSAGE_BYTES)):
+                    return False
+            except OSError as error:
+                return isinstance(error, BlockingIOError)
             for kind, content in json.loads(message).items():
                 if kind == "scene":
                     self.scene = self._load(content)
@@ -153,9 +150,8 @@ class Told:
 
     def _load(self, content: Plain) -> Scene:
         """Load the scene that a flight has left in a file, and remove that."""
-        file = Path(content["model"])
-        model = mujoco.MjModel.from_binary_path(str(file))
-        file.unlink()
+        model = mujoco.MjModel.from_binary_path(content["model"])
+        Path(content["model"]).unlink()
         data = mujoco.MjData(model)
         data.qpos[:] = content["qpos"]
         mujoco.mj_kinematics(model, data)
@@ -207,20 +203,21 @@ class Live(Source):
         for world in self.worlds:
             world.moments = []
         for key, _ in self._selector.select(0):
-            if key.data is None:
-                self._accept()
+            if key.data is None:  # a flight that begins to tell of itself
+                connection, _ = self._socket.accept()
+                connection.setblocking(False)
+                self.worlds.append(Told(connection))
+                self._selector.register(connection, selectors.EVENT_READ, self.worlds[-1])
+                self.shown = self.shown or self.worlds[-1]
             elif not key.data.receive():
                 self._drop(key.data)
         self._silent_s = 0.0 if self.shown is not None and self.shown.moments else self._silent_s + passed_s
-        if self.shown is None or (self._silent_s > PATIENCE_S and not self.held):
-            speaking = next((world for world in self.worlds if world.moments), None)
-            if speaking is not None:
-                self.shown, self._silent_s = speaking, 0.0
+        speaking = [world for world in self.worlds if world.moments]
+        if speaking and (self.shown is None or (self._silent_s > PATIENCE_S and not self.held)):
+            self.shown, self._silent_s = speaking[0], 0.0
+        shown: Orders = {"seen": True, "held": self.held, "pace": self.pace, "refreshes": self.steps}
         for world in self.worlds:
-            obeys = seen and world is self.shown
-            world.order(
-                {"seen": True, "held": self.held, "pace": self.pace, "refreshes": self.steps} if obeys else FREE
-            )
+            world.order(shown if seen and world is self.shown else FREE)
         if self.shown is None:
             return []
         self.steps, self.scene = 0, self.shown.scene or self.scene
@@ -229,14 +226,6 @@ class Live(Source):
         stands = "Paused." if self.held and self._may_pause else "Its clock is paused, or its flight is over."
         self.note = stands if self._silent_s > SILENT_S else ""
         return moments
-
-    def _accept(self) -> None:
-        connection, _ = self._socket.accept()
-        connection.setblocking(False)
-        world = Told(connection)
-        self.worlds.append(world)
-        self._selector.register(connection, selectors.EVENT_READ, world)
-        self.shown = self.shown or world
 
     def _drop(self, world: Told) -> None:
         self._selector.unregister(world.connection)
