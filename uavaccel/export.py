@@ -43,9 +43,9 @@ from uavaccel.sim.camera.pixels import png
 from uavaccel.sim.camera.view import HEIGHT, WIDTH
 from uavaccel.suites.evaluate import AnyRow, EvaluateConfig, Step, game_seed
 from uavaccel.suites.evaluate_again import environment_of, evaluation_of, fly_again
+from uavaccel.suites.experiment import Row, number_of
 from uavaccel.suites.flight import Flight
 from uavaccel.suites.registry import suite_of
-from uavaccel.suites.rows import Row, number_of
 from uavaccel.suites.suite import choose_row
 from uavaccel.units import NS_PER_S
 

@@ -77,9 +77,7 @@ def advise(latency: LatencyConfig, profile: str, t_move_s: float, rounds: int, s
     """
     rows: list[dict[str, Plain]] = []
     with VirtualSession("blocks", profile) as lockstep, VirtualSession("blocks", profile, latency) as session:
-
-        def t_th(clock_speed: float) -> int:
-            return PROFILES[profile].t_th_ns(T_TH_WALL_S, clock_speed, t_move_s)
+        t_th = partial(PROFILES[profile].t_th_ns, T_TH_WALL_S, t_sample_s=t_move_s)
 
         def games(command: str, clock_speed: float) -> tuple[list[Trajectory], float]:
             """Fly GAMES, and return their trajectories and their mean wall time."""
