@@ -165,6 +165,8 @@ class Framer:
         Raises ProtocolError if it is invalid or too long.
         """
         self._kept += data
+        if not self._kept:  # as after most requests
+            return None
         try:
             self._scanner.feed(data)
             self._scanner.skip()
