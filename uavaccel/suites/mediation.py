@@ -92,6 +92,8 @@ class MediationConfig(Experiment):
     `experiment` names instead; beside `agent`, which names a policy that exists, keys of all its flights."""
     flights: Annotated[dict[Name, Factor], Field(min_length=1)]
     """What is moved in flight; each policy flies with every value, and as `evaluation` has it."""
+    only_flights: tuple[str, ...] = ()
+    """Names of the flights that are flown, such as usual and gap-2; by default all."""
     shares: tuple[Share, ...] = ()
     """Which cells' losses are compared; a flight is named FACTOR-VALUE or usual."""
     contrasts: tuple[Contrast, ...] = ()
@@ -101,7 +103,7 @@ class MediationConfig(Experiment):
     evaluation: Part = Part(experiment="evaluate")
     """How policies are flown: an experiment, and keys that differ from it."""
 
-    def flown(self) -> dict[str, Keys]:
+    def named_flights(self) -> dict[str, Keys]:
         """Return the keys of each flight by its name, that in which nothing is moved first."""
         cells = {
             f"{name}-{values[0]:g}": factor.also | dict(zip(factor.keys, values, strict=True))
@@ -110,9 +112,19 @@ class MediationConfig(Experiment):
         }
         return {USUAL: {}, **cells}
 
+    def flown(self) -> dict[str, Keys]:
+        """Return the keys of the flights that are flown by their names."""
+        flights, chosen = self.named_flights(), self.only_flights
+        return {name: keys for name, keys in flights.items() if not chosen or name in chosen}
+
     @model_validator(mode="after")
-    def _shares_are_of_cells(self) -> MediationConfig:
-        cells = {f"{policy}/{flight}" for policy in self.policies for flight in self.flown()}
+    def _flights_and_cells_have_names(self) -> MediationConfig:
+        flights = self.named_flights()
+        if unknown := [name for name in self.only_flights if name not in flights]:
+            raise ValueError(f"only_flights: {unknown[0]} is no flight; there are {', '.join(flights)}")
+        if self.only_flights and USUAL not in self.only_flights:
+            raise ValueError(f"only_flights: must have {USUAL}, with which others are compared")
+        cells = {f"{policy}/{flight}" for policy in self.policies for flight in flights}
         named = {
             "shares": [cell for share in self.shares for cell in (share.usual, share.whole, *share.parts)],
             "contrasts": [cell for contrast in self.contrasts for cell in (*contrast.without, *contrast.moved)],
@@ -329,7 +341,8 @@ class Mediation(SuiteOfRuns[MediationConfig, PolicyCase]):
 
     def lines(self, report: Report) -> Picture:
         """Draw success over the values of each factor, a panel each, a line for each policy."""
-        cells, flights = pd.DataFrame(report.summary["cells"]), report.config.flights
+        cells = pd.DataFrame(report.summary["cells"])
+        flights = {name: each for name, each in report.config.flights.items() if name in set(cells.factor)}
         figure, panels = plots.panels(len(flights), self.title(report), 2.2, sharey=True)
         for axes, (name, factor) in zip(panels, flights.items(), strict=True):
             for number, (policy, own) in enumerate(cells.groupby("policy", sort=False)):

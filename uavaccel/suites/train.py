@@ -38,7 +38,15 @@ from uavaccel.rl.config import (
 )
 from uavaccel.rl.policy import trained_with
 from uavaccel.suites import paper_results, plots
-from uavaccel.suites.experiment import Experiment, LaneRow, ReturnRow, Row, cumulative_wall_s, over_all_starts, subset
+from uavaccel.suites.experiment import (
+    Experiment,
+    OutcomeRow,
+    ReturnRow,
+    Row,
+    cumulative_wall_s,
+    over_all_starts,
+    subset,
+)
 from uavaccel.suites.report import Report, Summary, disturbed_games, source_of, summary_table
 from uavaccel.suites.suite import GameResult, SimpleCase, Suite
 
@@ -74,9 +82,11 @@ class TrainConfig(LearnerConfig, Experiment):
         return self
 
 
-class TrainRow(LaneRow, ReturnRow):
-    """The row of a game of a training."""
+class TrainRow(OutcomeRow, ReturnRow):
+    """The row of a game of a training; `lane` and `distance_m` where the task has them."""
 
+    lane: NotRequired[Count]
+    distance_m: NotRequired[Number]
     game: Count
     environment: Count
     exploration: NotNegative | None
