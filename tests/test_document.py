@@ -154,7 +154,7 @@ def test_links_lead_to_and_names_are_of_what_is_there() -> None:
     files = {(page, file) for page, file in found(r"\b((?:uavaccel|tests|experiments|assets)/[\w/]+\.\w+)")}
     names = {(page, name.replace(".", "/")) for page, name in found(r"(?m)(?:`|^::: )(uavaccel\.[a-z_.]+)(?:`|$)")}
     targets = {target for _, target in found(r"(?m)(?:^|`)make (\w+)(?:`|$)")}
-    assert min(map(len, (links, files, names, targets))) > 3
+    assert min(len(links), len(files), len(names), len(targets)) > 3
     assert [each for each in sorted(links) if not ((ROOT / each[0]).parent / each[1]).exists()] == []
     assert [each for each in sorted(files) if not ("NAME" in each[1] or (ROOT / each[1]).exists())] == []
     modules = {*(path.relative_to(ROOT).with_suffix("").as_posix() for path in ROOT.glob("uavaccel/**/*.py"))}
