@@ -15,7 +15,6 @@ from uavaccel.errors import UserError
 from uavaccel.resources import asset
 from uavaccel.sim.lane import (
     HULL_RADIUS_M,
-    LENGTH_M,
     MAX_OBSTACLES,
     LaneLayout,
     apply_layout,
@@ -60,13 +59,6 @@ def test_free_distance_is_where_mujoco_finds_the_contact(lane_scene: Scene, cyli
         for north, found in ((touch - 0.02, ""), (touch + 0.02, "obstacle_00")):
             assert touched(lane_scene, north, offset, z_m) == found
     assert touched(lane_scene, 30.0, 1.0, -20.2) == ""
-
-
-def test_free_distance_beside_everything() -> None:
-    layout = one_post(30.0, 1.0)
-    assert free_distance_m(layout, 1.0 + 0.4 + HULL_RADIUS_M + 0.001) == LENGTH_M
-    assert free_distance_m(layout, 1.0 + 0.4 + HULL_RADIUS_M - 0.001) < 30.0
-    assert free_distance_m(layout, -4.9) == free_distance_m(layout, 4.9) == 0.0
 
 
 def test_clearance_is_to_the_nearest_of_posts_and_walls() -> None:

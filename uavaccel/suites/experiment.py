@@ -132,7 +132,7 @@ class OutcomeRow(GameRow):
 
 
 class LaneRow(OutcomeRow):
-    """The row of a game in the obstacle lane, and of any game of a training."""
+    """The row of a game in the obstacle lane."""
 
     distance_m: Number
     lane: Count

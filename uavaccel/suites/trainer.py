@@ -182,11 +182,10 @@ class GameRows:
         return results
 
     def _finished(self, game: Game, learner_s: Mapping[str, float]) -> GameResult:
-        wall_s, info = (self._clock.now_ns() - self._start_ns) / NS_PER_S, game.info
+        wall_s = (self._clock.now_ns() - self._start_ns) / NS_PER_S
         row: TrainRow = {
-            **game_row("train", game_case(game.number), info, self._t_move_s),
-            "lane": info.get("lane", game.number),  # environments without lanes have neither
-            "distance_m": info["distance_m"] if "distance_m" in info else info["position_m"][0],
+            **game_row("train", game_case(game.number), game.info, self._t_move_s),
+            **{key: game.info[key] for key in ("lane", "distance_m") if key in game.info},  # type: ignore[typeddict-item]
             "game": game.number,
             "environment": game.lane,
             "return": game.reward,
@@ -204,7 +203,9 @@ class GameRows:
         self._curves.add(game.number + 1, points)
         if self._wandb is not None:
             self._wandb.log(points, step=game.number + 1)
-        return GameResult(row, host={"wall_s": wall_s, "host_phase_s": info["host_phase_s"], "learner_s": learner_s})
+        return GameResult(
+            row, host={"wall_s": wall_s, "host_phase_s": game.info["host_phase_s"], "learner_s": learner_s}
+        )
 
 
 class Evaluations:

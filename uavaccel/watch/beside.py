@@ -62,8 +62,7 @@ SQUARE = (
 def page_beside(waits: bool = True, port: int = PORT, host: str = LOOPBACK) -> Iterator[None]:
     """Show what is flown in the `with` block, in this process and in those it starts, at the first free of the ports.
 
-    With `waits` the block begins when a browser has opened the page, or after FIRST_SPECTATOR_S. Raises UserError if
-    the page cannot be opened.
+    With `waits` it begins once a browser has opened the page, or after FIRST_SPECTATOR_S. Raises UserError without one.
     """
     free_port(host, port)
     remove_orphaned_files(Path(tempfile.gettempdir()), re.compile(rf"{SCRATCH}(\d+)-"))

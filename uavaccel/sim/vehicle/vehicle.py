@@ -93,7 +93,7 @@ class AddedVehicle(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """How a vehicle moves at a tick: its flight state, and MuJoCo's pose, velocity, force and acceleration."""
+    """How a vehicle moves at a tick: its flight state, and MuJoCo's pose, velocity, forces and acceleration."""
 
     flight: NDArray[np.void]
     body: tuple[NDArray[np.float64], ...]
@@ -335,27 +335,23 @@ class Vehicle:
             self.qvel[:] = goal - half * np.concatenate(gained)
         self.refresh()
 
-    def carry(self) -> tuple[NDArray[np.float64], ...]:
-        """Return what of its flight is in the model, to be put by `fly_on` into the next one."""
-        return tuple(array.copy() for array in (self.qpos, self.qvel, self._force, self._push))
-
     def motion(self) -> Motion:
-        """Return how it moves at this tick, for `resume`."""
-        arrays = self.qpos, self.qvel, self._force, self._warm_start
+        """Return how it moves at this tick, for `resume` and for `fly_on`."""
+        arrays = self.qpos, self.qvel, self._force, self._push, self._warm_start
         return Motion(self._flight.copy(), tuple(array.copy() for array in arrays))
 
     def resume(self, motion: Motion, share: float) -> None:
         """Fly on from the present place as in `motion`, with `share` of its velocity and turn rate."""
-        tick, (pose, velocity, force, acceleration) = self.tick, motion.body
+        tick, (pose, velocity, force, _, acceleration) = self.tick, motion.body
         self._flight[:] = motion.flight
         self.field["tick"][0] = tick
         self.qpos[3:], self.qvel[:] = pose[3:], velocity * share
         self._force[:], self._warm_start[:] = force, acceleration
         self.refresh()
 
-    def fly_on(self, carried: tuple[NDArray[np.float64], ...]) -> None:
-        """Go on with the flight that `carry` returned."""
-        self.qpos[:], self.qvel[:], self._force[:], self._push[:] = carried
+    def fly_on(self, motion: Motion) -> None:
+        """Go on with the flight in the model that it was bound to last."""
+        self.qpos[:], self.qvel[:], self._force[:], self._push[:], _ = motion.body
 
     def refresh(self) -> None:
         """Update the flight state after MuJoCo's pose or velocity was changed from outside."""
