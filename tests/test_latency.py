@@ -152,7 +152,7 @@ def test_faults_of_requests_are_independent_of_replies() -> None:
 
 
 def test_calls_have_channels() -> None:
-    channels = {
+    channels: dict[str, list[tuple[str, list[Any]]]] = {
         "pause": [("simPause", [True])], "continue": [("simPause", [False])], "state": [("uavaccelState", [])],
         "move": [("moveByVelocity", []), ("moveByVelocityZ", [])], "continue_for": [("uavaccelContinueFor", [5])],
         "image": [("uavaccelImage", ["gray"]), ("simGetImages", [[]]), ("simGetImage", ["0", 0])],

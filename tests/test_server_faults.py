@@ -105,7 +105,7 @@ def test_a_long_command_is_no_silence_of_a_dead_server(monkeypatch: pytest.Monke
     monkeypatch.setattr(transport, "MonotonicClock", lambda: clock)
     watch = SimpleNamespace(answered=lambda: asked.append(clock.now_ns()), check=lambda: asked.append(-1))
     with socket.create_server(("127.0.0.1", 0)) as listener:
-        client: Any = SocketTransport(*listener.getsockname()[:2], watch=cast(WatchedServer, watch))
+        client: Any = SocketTransport("127.0.0.1", listener.getsockname()[1], watch=cast(WatchedServer, watch))
         peer, _ = listener.accept()
         command = client.send("moveByVelocity", (), blocking=False)
         command.channel, command.expected_ns = "continue_for", 2_500_000_000
