@@ -257,6 +257,6 @@ def test_a_camera_is_exposed_for_the_time_that_it_ran() -> None:
     exposure = AutoExposure()
     camera = CameraClient(client, guard=GuardSettings(max_retries=0), exposure=exposure)
     for time_ns in (0, S):
-        sample = camera.take(replace(AT_REST, time_ns=time_ns))
+        sample = camera.read_sample(replace(AT_REST, time_ns=time_ns))
     assert exposure.stops == pytest.approx(0.3)
     assert (sample.image == round(40 * 2**0.3)).all()
