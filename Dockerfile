@@ -9,9 +9,9 @@ RUN apt-get update \
 
 ARG DEVICE=cpu
 COPY . /src
+WORKDIR /src
 # PyTorch's own wheel on PyPI carries CUDA; with it goes the extra for the kernels on a GPU.
-RUN --mount=type=cache,target=/root/.cache/pip cd /src \
-    && if [ "$DEVICE" = cuda ]; then extra='[film,learn,gpu]'; \
+RUN --mount=type=cache,target=/root/.cache/pip if [ "$DEVICE" = cuda ]; then extra='[film,learn,gpu]'; \
        else extra='[film,learn]'; export PIP_EXTRA_INDEX_URL=https://download.pytorch.org/whl/cpu; fi \
     && pip install "$(grep '^torch==' constraints.txt)" \
     && pip install --constraint constraints.txt ".$extra"

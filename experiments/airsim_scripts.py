@@ -304,7 +304,7 @@ def judged(plan: Plan, refused: Sequence[str], path_m: float, images: int, end: 
     if plan.flies:
         shown.append(f"flew {path_m:.1f} m")
     if images >= 0 and plan.images:
-        shown.append(f"{images} {'call' if images == 1 else 'calls'} for images answered")
+        shown.append(f"{images} image {'call' if images == 1 else 'calls'}")
     if end and not plan.endless:
         return Result(False, ", ".join(["did not end", *shown]))
     happened = (not plan.flies or path_m >= FLOWN_M) and (not plan.images or images != 0)

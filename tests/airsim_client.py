@@ -11,6 +11,8 @@ from typing import Any, Self
 
 import msgpack
 
+MOVE = (0, {"is_rate": True, "yaw_or_rate": 0.0}, "")  # the last arguments of moveByVelocity and moveByVelocityZ
+
 
 class RPCError(Exception):
     """The server's error text."""
@@ -72,72 +74,21 @@ class MultirotorClient:
 
     # --- AirSim's names ---------------------------------------------------------------------------
 
+    def __getattr__(self, name: str) -> Any:
+        """AirSim's methods whose calls have their names: `moveByVelocityAsync` and the like return a future."""
+        if name.startswith("_"):
+            raise AttributeError(name)
+        if name.endswith("Async"):
+            return lambda *given: self.call_async(name.removesuffix("Async"), *given, *MOVE[len(given) - 4 :])
+        return lambda *given: _with_attributes(self.call(name, *given))
+
     def confirmConnection(self) -> None:
         assert self.ping()
         assert self.call("getServerVersion") >= 1
         assert self.call("getMinRequiredClientVersion") <= 1
 
-    def ping(self) -> bool:
-        return bool(self.call("ping"))
-
-    def reset(self) -> None:
-        self.call("reset")
-
-    def enableApiControl(self, is_enabled: bool, vehicle_name: str = "") -> None:
-        self.call("enableApiControl", is_enabled, vehicle_name)
-
-    def armDisarm(self, arm: bool, vehicle_name: str = "") -> bool:
-        return bool(self.call("armDisarm", arm, vehicle_name))
-
-    def simPause(self, is_paused: bool) -> None:
-        self.call("simPause", is_paused)
-
     def simIsPause(self) -> bool:
         return bool(self.call("simIsPaused"))
-
-    def simContinueForTime(self, seconds: float) -> None:
-        self.call("simContinueForTime", seconds)
-
-    def moveByVelocityAsync(
-        self,
-        vx: float,
-        vy: float,
-        vz: float,
-        duration: float,
-        drivetrain: int = 0,
-        yaw_mode: Any = None,
-        vehicle_name: str = "",
-    ) -> Future:
-        yaw_mode = yaw_mode or {"is_rate": True, "yaw_or_rate": 0.0}
-        return self.call_async("moveByVelocity", vx, vy, vz, duration, drivetrain, yaw_mode, vehicle_name)
-
-    def moveByVelocityZAsync(
-        self,
-        vx: float,
-        vy: float,
-        z: float,
-        duration: float,
-        drivetrain: int = 0,
-        yaw_mode: Any = None,
-        vehicle_name: str = "",
-    ) -> Future:
-        yaw_mode = yaw_mode or {"is_rate": True, "yaw_or_rate": 0.0}
-        return self.call_async("moveByVelocityZ", vx, vy, z, duration, drivetrain, yaw_mode, vehicle_name)
-
-    def getMultirotorState(self, vehicle_name: str = "") -> Any:
-        return _with_attributes(self.call("getMultirotorState", vehicle_name))
-
-    def simGetGroundTruthKinematics(self, vehicle_name: str = "") -> Any:
-        return _with_attributes(self.call("simGetGroundTruthKinematics", vehicle_name))
-
-    def startRecording(self) -> None:
-        self.call("startRecording")
-
-    def stopRecording(self) -> None:
-        self.call("stopRecording")
-
-    def isRecording(self) -> bool:
-        return bool(self.call("isRecording"))
 
 
 def _with_attributes(value: Any) -> Any:

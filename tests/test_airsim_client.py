@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 
 from tests.serving import running_server
 from uavaccel import airsim
-from uavaccel.airsim.connection import as_sent, plain
+from uavaccel.airsim.connection import as_received, as_sent, plain
 from uavaccel.wire.rpc import RpcError
 
 pytestmark = pytest.mark.wall_clock
@@ -129,6 +129,15 @@ def test_arguments_of_a_flight_are_those_that_a_wire_carries(value: object) -> N
     sent = as_sent(value)
     assert sent == wired
     assert repr(sent) == repr(wired)  # of the same types too
+
+
+def test_answers_of_a_flight_are_those_that_a_wire_carries() -> None:
+    """Arrays become lists of single precision, wherever they are."""
+    told = {"pixels": np.array([[0.1, 2.0]]), "more": [{"x": np.array([0.2])}], "plain": [0.1], "name": "a"}
+    single = [float(np.float32(number)) for number in (0.1, 2.0, 0.2)]
+    assert as_received(told)["pixels"] == single[:2]
+    assert as_received([told["pixels"], {"x": np.array([0.2])}]) == [single[:2], {"x": single[2:]}]
+    assert as_received({"plain": [0.1], "name": "a"}) == {"plain": [0.1], "name": "a"}
 
 
 @given(*[st.floats(-1.5, 1.5)] * 3)

@@ -51,21 +51,6 @@ def with_sensors(**sensors: Any) -> AirSimWire:
     return AirSimWire({"Vehicles": {"Drone": {"Sensors": sensors or SENSORS}}})
 
 
-def test_an_imu_measures_specific_force_and_rate_with_its_noise() -> None:
-    wire = AirSimWire()
-    readings = []
-    for _ in range(400):
-        wire.fly(0.002)
-        readings.append(wire.call("getImuData", "", ""))
-    force = np.array([xyz(reading["linear_acceleration"]) for reading in readings])
-    rate = np.array([xyz(reading["angular_velocity"]) for reading in readings])
-    sigma = 0.24 * 9.80665e-3 / math.sqrt(0.002)  # MPU 6000's, ImuSimpleParams.hpp
-    assert force.mean(axis=0) == pytest.approx([0.0, 0.0, -9.80665], abs=4 * sigma / 20)
-    np.testing.assert_allclose(force.std(axis=0), sigma, rtol=0.2)
-    np.testing.assert_allclose(rate.std(axis=0), math.radians(0.3) / 60 / math.sqrt(0.002), rtol=0.2)
-    assert readings[-1]["time_stamp"] == EPOCH_NS + 800_000_000 == wire.call("getMultirotorState")["timestamp"]
-
-
 def test_a_tilted_imu_feels_the_force_along_its_own_axes() -> None:
     silent = dict.fromkeys(("AngularRandomWalk", "GyroBiasStability", "VelocityRandomWalk", "AccelBiasStability"), 0.0)
     wire = with_sensors(Imu={"SensorType": 2} | silent)
@@ -128,27 +113,11 @@ def test_the_air_and_the_field_are_those_of_the_place() -> None:
     assert (north, east, down) == pytest.approx(2.0 * there, abs=1e-6)
 
 
-def test_a_receiver_is_late_and_finds_its_satellites_after_a_while() -> None:
-    wire = AirSimWire({"OriginGeopoint": {"Latitude": 10, "Longitude": 20, "Altitude": 300}})
-    assert wire.call("getHomeGeoPoint", "") == {"latitude": 10.0, "longitude": 20.0, "altitude": 300.0}
-    wire.call("moveByVelocity", 5.0, 0.0, 0.0, 20.0, 0, {"is_rate": True, "yaw_or_rate": 0.0}, "")
-    fixes, places = [], []
-    for _ in range(60):
-        wire.fly(0.1)
-        told = wire.call("getGpsData", "", "")
-        fixes.append(told["gnss"]["fix_type"])
-        places.append(wire.simulation.kinematics().position_m)
-        assert told["gnss"]["time_utc"] * 1000 == told["time_stamp"]
-    found = fixes.index(3)
-    assert found * 0.1 + 0.1 == pytest.approx(0.9 * math.log(99.9 / 2.9), abs=0.11)
-    assert set(fixes[:found]) <= {0, 2}
-    then = geographic(places[-3], GeoPoint(10.0, 20.0, 300.0))  # 0.2 s ago
-    assert list(told["gnss"]["geo_point"].values()) == pytest.approx(list(then), abs=1e-6)
-    assert xyz(told["gnss"]["velocity"])[0] == pytest.approx(5.0, abs=0.2)
-
-
 def test_a_gps_converges_and_is_as_late_in_velocity_as_in_place() -> None:
-    wire = with_sensors(Gps={"SensorType": 3, "EPV_TimeConstant": 1.8, "EpvInitial": 50.0})
+    home = {"Latitude": 10, "Longitude": 20, "Altitude": 300}
+    sensors = {"Gps": {"SensorType": 3, "EPV_TimeConstant": 1.8, "EpvInitial": 50.0}}
+    wire = AirSimWire({"OriginGeopoint": home, "Vehicles": {"Drone": {"Sensors": sensors}}})
+    assert wire.call("getHomeGeoPoint", "") == {"latitude": 10.0, "longitude": 20.0, "altitude": 300.0}
     wire.call("moveByVelocity", 5.0, 0.0, 0.0, 20.0, 0, {"is_rate": True, "yaw_or_rate": 0.0}, "")
     wire.fly(0.5)
     told, true = wire.call("getGpsData", "", "")["gnss"], wire.call("simGetGroundTruthKinematics", "")
@@ -157,6 +126,10 @@ def test_a_gps_converges_and_is_as_late_in_velocity_as_in_place() -> None:
     velocity, acceleration = (np.array(xyz(true[f"linear_{each}"])) for each in ("velocity", "acceleration"))
     assert acceleration[0] > 1.0
     assert xyz(told["velocity"]) == pytest.approx(velocity - 0.2 * acceleration)
+    place = np.array(xyz(true["position"])) - 0.2 * velocity + 0.02 * acceleration
+    then = geographic(tuple(place.tolist()), GeoPoint(10.0, 20.0, 300.0))
+    assert [*told["geo_point"].values()] == pytest.approx([*then], abs=1e-9)
+    assert told["time_utc"] * 1000 == wire.call("getGpsData", "", "")["time_stamp"] == EPOCH_NS + 500_000_000
 
 
 def test_a_receiver_is_no_later_than_the_last_reset() -> None:
@@ -174,16 +147,11 @@ def test_a_lidar_scans_its_channels_in_its_frame() -> None:
     wire.call("simSetVehiclePose", TILTED.message(), True, "")
     told = wire.call("getLidarData", "Lidar", "")
     points = np.array(told["point_cloud"]).reshape(-1, 3)
-    assert 300 < len(points) <= 800
-    assert len(told["segmentation"]) == len(points)
+    assert 300 < len(points) == len(told["segmentation"]) <= 800
     ground = np.array(told["segmentation"]) == wire.call("simGetSegmentationObjectID", "ground")
     assert ground.any()
     np.testing.assert_allclose(points[ground, 2], 0.0, atol=1e-4)
-    rays = (points - TILTED.position_m) @ TILTED.matrix()
-    assert (np.linalg.norm(rays, axis=1) <= 60.0).all()
-    down_deg = np.degrees(np.arctan2(rays[:, 2], np.hypot(rays[:, 0], rays[:, 1])))
-    channels = np.linspace(15, 45, 8)
-    assert np.abs(down_deg[:, None] - channels).min(axis=1).max() < 1e-3
+    assert (np.linalg.norm(points - TILTED.position_m, axis=1) <= 60.0).all()
     local_points = np.array(wire.call("getLidarData", "Local", "")["point_cloud"]).reshape(-1, 3)
     sensor = wire.call("getLidarData", "Local", "")["pose"]
     mount = TILTED.matrix() @ Pose((0, 0, 0), (0, 0, 90)).matrix()
@@ -235,15 +203,6 @@ def drifting(tau_s: float, sigma: float = 0.05) -> AirSimWire:
 def drift_of(wire: AirSimWire) -> float:
     true = wire.call("simGetGroundTruthEnvironment", "")["air_pressure"]
     return wire.call("getBarometerData", "", "")["pressure"] / true - 1.0
-
-
-def test_a_barometers_first_reading_is_right_but_for_its_white_noise() -> None:
-    first = []
-    for seed in range(40):
-        told = AirSimWire({"SensorSeed": seed}).call("getBarometerData", "", "")
-        first.append(told["altitude"] - 132.0)
-    assert np.mean(first) == pytest.approx(0.0, abs=0.15)
-    assert 0.15 < np.std(first) <= 0.3
 
 
 def test_a_barometer_drifts_as_airsims_gauss_markov_process() -> None:
@@ -377,28 +336,14 @@ def test_an_imus_white_noise_is_greater_at_a_shorter_step(tick_s: float) -> None
     np.testing.assert_allclose(correlations, np.eye(6), atol=0.15, err_msg="each axis has noise of its own")
 
 
-@pytest.mark.parametrize(
-    ("shares", "fix"),
-    [  # of 64 m, halved each second: horizontal and vertical; 3 m for a fix in space, 4 m for one in the plane
-        ((1.0, 0.0), 0),
-        ((4.1 / 64, 0.01), 0),
-        ((3.9 / 64, 0.01), 2),
-        ((3.9 / 64, 1.0), 2),
-        ((3.1 / 64, 0.01), 2),
-        ((2.9 / 64, 1.0), 3),
-    ],
-)
-def test_a_fix_follows_from_the_horizontal_dilution_alone(shares: tuple[float, float], fix: int) -> None:
-    """After ten seconds; the vertical one is given what it takes to be that share by then."""
-    fallen = 2.0**-10
-    horizontal, vertical = (64.0 * share / fallen for share in shares)
-    settings = GpsSettings(
-        EPH_TimeConstant=1 / math.log(2), EPV_TimeConstant=1 / math.log(2), EphInitial=horizontal,
-        EpvInitial=vertical, EphFinal=0.0, EpvFinal=0.0,
-    )  # fmt: skip
-    read = Gps(settings, 0, "gps").read(hover_at(30.0, since_reset_s=10.0))
-    assert (read.eph_m, read.epv_m) == pytest.approx((64.0 * shares[0], 64.0 * shares[1]))
-    assert read.fix == fix
+def test_a_fix_follows_from_the_horizontal_dilution_alone() -> None:
+    """Halved each second, after ten: 3 m for a fix in space, 4 m for one in the plane, whatever the vertical one is."""
+    halving = {"EPH_TimeConstant": 1 / math.log(2), "EPV_TimeConstant": 1 / math.log(2), "EphFinal": 0, "EpvFinal": 0}
+    for eph_m, epv_m, fix in ((64, 0, 0), (4.1, 0.6, 0), (3.9, 0.6, 2), (3.9, 64, 2), (3.1, 0.6, 2), (2.9, 64, 3)):
+        settings = GpsSettings(**halving, EphInitial=eph_m * 2**10, EpvInitial=epv_m * 2**10)
+        read = Gps(settings, 0, "gps").read(hover_at(30.0, since_reset_s=10.0))
+        assert (read.eph_m, read.epv_m) == pytest.approx((eph_m, epv_m))
+        assert read.fix == fix
 
 
 @pytest.mark.parametrize(("seconds", "first_deg"), [(0.0, 0), (0.1, 72), (0.19, 72), (0.3, 216), (0.5, 0), (0.7, 144)])

@@ -76,6 +76,11 @@ def test_gymnasium_makes_batches() -> None:
         seen, infos = batch.reset(seed=3)
         assert (seen.shape, seen.dtype) == (batch.observation_space.shape, np.uint8) == ((2, 3, 36, 64), np.uint8)
         assert len(set(infos["lane"].tolist())) == 2
+        batch.set_attr("mark", ["first", "second"])
+        batch.set_attr("same", 5)
+        assert (batch.get_attr("mark"), batch.get_attr("same")) == (("first", "second"), (5, 5))
+        with pytest.raises(UserError, match="set_attr: 1 values for 2 environments"):
+            batch.set_attr("mark", ["first"])
         for _ in range(2):
             _, rewards, terminated, truncated, infos = batch.step(np.array([2, 0]))
         assert truncated.all()

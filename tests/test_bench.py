@@ -15,7 +15,7 @@ import pytest
 from typer.testing import CliRunner
 
 import benchmarks.__main__ as bench
-from benchmarks import batch, images, kernels, speed
+from benchmarks import batch, images, speed
 from benchmarks.speed import Measurement
 from tests.opengl import needs_opengl
 from uavaccel.cli.main import app
@@ -171,56 +171,6 @@ def test_memory_that_processes_share_counts_once() -> None:
     assert batch.proportional_mib([2**22 + 1]) is None  # no such process
 
 
-# --- kernels ----------------------------------------------------------------------------------------------------------
-
-
-def round_s(lanes: int, **keys: Any) -> float:
-    """Return 1 ms for one lane without sight, 2 ms for more; 0.1 ms for each of 50 frames in colour, 0.3 of events."""
-    seen = keys.get("observation", "dvs")
-    if "t_sample_s" not in keys:
-        return {1: 0.001}.get(lanes, 0.002) if seen == "state" else 0.004
-    return 0.0001 + 50 * {"state": 0.0, "colour": 0.0001, "dvs": 0.0003}[seen]
-
-
-def test_commands_on_cores_are_held_against_flight_and_frames(given: Callable[..., None]) -> None:
-    """A command of a second has three frames."""
-    ticks_s, seen_s = iter([3e-6, 1e-6, 2e-6]), iter([0.02, 0.05, 0.03])
-    exact = SimpleNamespace(advance=lambda ticks: range(ticks)[999], close=lambda: None)
-    given(
-        *(kernels, 0.5), REPEATS=3, TICKS=1000, _tick_s=lambda: next(ticks_s), World=lambda *_: exact,
-        _picture_s=lambda: (0.004, 0.016), _seen_s=lambda: next(seen_s), _commands_s=round_s, CPU_LANES=(64, 128),
-    )  # fmt: skip
-    found = by_name(kernels.bench_on_cores())
-    assert numbers(found["kernels: flight, one thread"]) == pytest.approx((500_000, 2000.0))
-    assert numbers(found["kernels: picture and DVS"]) == pytest.approx((1 / 0.03, 250.0))
-    assert [found[f"kernels: {what}, one thread"].value for what in ("picture", "DVS")] == [250.0, 62.5]
-    for lanes in (64, 128):
-        expected = lanes / 0.004, lanes / (0.002 + 3 * 0.0003)
-        assert numbers(found[f"kernels: commands, {lanes} lanes"]) == pytest.approx(expected)
-
-
-@pytest.mark.parametrize(("frame_s", "bound_s"), [(0.0003, 0.002), (0.001, 0.003)])
-def test_commands_on_a_gpu_are_held_against_the_longer_part(
-    given: Callable[..., None], monkeypatch: pytest.MonkeyPatch, frame_s: float, bound_s: float
-) -> None:
-    torch = SimpleNamespace(cuda=SimpleNamespace(get_device_name=lambda: "a card"))
-    monkeypatch.setitem(sys.modules, "torch", torch)
-
-    def measured_s(lanes: int, clutter: Any = None, **keys: Any) -> float:
-        many = "t_sample_s" in keys and keys.get("observation", "dvs") == "dvs"
-        return 0.0001 + 50 * frame_s if many or clutter else round_s(lanes, **keys)
-
-    given(kernels, _round_s=measured_s)
-    found = by_name(kernels.bench_on_gpu())
-    for lanes in (512, 4096):
-        for name, value, bound in (
-            ("flight", 500 / 0.002, 500 / 0.001), ("picture and DVS", 50 / (0.0001 + 50 * frame_s), 50 / 0.0051),
-            ("commands", 1 / 0.004, 1 / bound_s),
-        ):  # fmt: skip
-            assert numbers(found[f"GPU: {name}, {lanes} lanes"]) == pytest.approx((lanes * value, lanes * bound))
-        assert found[f"GPU: a command of {lanes} lanes"].value == pytest.approx(4.0)  # ms
-
-
 @needs_opengl
 @pytest.mark.parametrize(("rate_hz", "pictures"), [(None, 3), (10.0, 12), (100.0, 100)])
 def test_pictures_are_those_that_the_event_camera_sees(rate_hz: float | None, pictures: int) -> None:
@@ -229,15 +179,3 @@ def test_pictures_are_those_that_the_event_camera_sees(rate_hz: float | None, pi
     environment.step(2)
     assert images.count_frames(environment) == pictures  # at 10 Hz two samples of the three fall between them
     environment.close()
-
-
-def test_frame_rates_are_of_the_best_pass_ratios_of_the_middle(given: Callable[..., None]) -> None:
-    """150 frames a pass; bare and ours took so many seconds."""
-    passes = iter([(3, 4), (1, 5), (2, 2)])
-    camera = nullcontext(SimpleNamespace(renderer="a card"))
-    given(images, Camera=lambda _: camera, _pass=lambda *_: tuple(seconds * 10**9 for seconds in next(passes)))
-    *found, card = images.frame_rates(3)
-    assert (found, str(card)) == ([75.0, 150.0, 0.75], "a card")
-    given(images, frame_rates=lambda: (90.0, 120.0, 0.7, SimpleNamespace(name="a card")))
-    frames, over = images.bench_camera()
-    assert (*numbers(frames), over.value) == (90.0, 120.0, 0.7)

@@ -28,7 +28,6 @@ from uavaccel.cli.terminal import columns_within
 from uavaccel.draw.page import Table
 from uavaccel.errors import Interrupted, UsageError, UserError
 from uavaccel.records import RunDirectory
-from uavaccel.rl.config import LANE
 from uavaccel.suites.keys import KEYS
 from uavaccel.suites.registry import SUITES, find_suite
 from uavaccel.suites.session import Plan, RunRequest, configure, planned, resumable, resumption_notes
@@ -455,37 +454,14 @@ def test_best_and_worst_game_are_filmed_under_their_names(
     assert ("exact simulator" in said[0]) == (simulator == "kernels")
 
 
-EVALUATED = [{"suite": "evaluate", "case": f"lane-{lane}", "is_success": True} for lane in (2, 3)]
-OF_ANOTHER = [{"suite": "dp2", "case": f"lane-{lane}"} for lane in (0, 1, 2)]
-HOVER = "uavaccel/Hover-v0"
+def test_a_run_is_reported_even_where_its_films_fail(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def breaks(run: RunDirectory) -> None:
+        assert not run.file("report.html").exists()
+        raise OSError("no room")
 
-
-@pytest.mark.parametrize(
-    ("rows", "env_id", "games", "comparable"),
-    [
-        *((EVALUATED, LANE, 3, True), (EVALUATED, LANE, 2, False), (EVALUATED, HOVER, 3, False)),
-        *((OF_ANOTHER, LANE, 3, False), ([], LANE, 3, False)),
-    ],
-)
-def test_evaluations_with_a_lane_in_common_are_compared(
-    monkeypatch: pytest.MonkeyPatch, rows: list[dict[str, Any]], env_id: str, games: int, comparable: bool
-) -> None:
-    """Which is found out before anything is flown."""
-    other = SimpleNamespace(path="other", rows=lambda: rows, config=lambda: {"env_id": env_id})
-    monkeypatch.setattr("uavaccel.suites.registry.open_run", lambda path: other)
-    cases = [SimpleNamespace(id=f"lane-{lane}") for lane in range(games)]
-    config = SimpleNamespace(model_dump=lambda mode: {"env_id": LANE})
-    plan = SimpleNamespace(suite=SimpleNamespace(name="evaluate"), cases=cases, config=config)
-    flown: list[RunRequest] = []
-
-    def run_experiment(request: RunRequest, check: Any, films: Any) -> None:
-        check(plan)
-        flown.append(request)
-
-    monkeypatch.setattr(experiments, "run_experiment", run_experiment)
-    if comparable:
-        experiments.evaluate_agent(RunRequest("evaluate"), Path("other"), films=False)
-    else:
-        with pytest.raises(UserError, match="is no evaluation of the same lanes"):
-            experiments.evaluate_agent(RunRequest("evaluate"), Path("other"), films=False)
-    assert bool(flown) == comparable
+    monkeypatch.setattr(experiments, "film_extremes", breaks)
+    keys = ["task.observation=state", "task.max_commands=1"]
+    request = RunRequest("evaluate", {"agent": "straight", "games": 1}, keys, out=tmp_path / "run", suite="evaluate")
+    with pytest.raises(OSError, match="no room"):
+        experiments.evaluate_agent(request, None, films=True)
+    assert (tmp_path / "run" / "report.html").is_file()

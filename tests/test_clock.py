@@ -30,9 +30,10 @@ from uavaccel.clock import (
     timer_grain_ns,
     wait_for_sockets,
 )
+from uavaccel.draw.page import in_words
 from uavaccel.errors import UserError
-from uavaccel.suites import host_time
-from uavaccel.suites.host_time import cumulative_wall_s, in_words, over_all_starts, pace_of, timed
+from uavaccel.suites import experiment
+from uavaccel.suites.experiment import cumulative_wall_s, over_all_starts, pace_of, timed
 
 TICKS_NS = (2_000_000, 3_000_000)
 LARGEST = 10**15  # nanoseconds: twelve days
@@ -237,6 +238,6 @@ def test_work_is_timed_by_the_machines_clock(monkeypatch: pytest.MonkeyPatch) ->
         clock.read_ns += 1_750_000_000
         return "done"
 
-    monkeypatch.setattr(host_time, "MonotonicClock", lambda: clock)
+    monkeypatch.setattr(experiment, "MonotonicClock", lambda: clock)
     monkeypatch.setattr("os.getloadavg", lambda: (0.5, 7.0, 8.0))
     assert timed(work) == ("done", {"host_wall_s": 1.75, "load": 0.5})

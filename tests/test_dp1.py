@@ -18,9 +18,9 @@ from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
 from uavaccel.suites import dp1
 from uavaccel.suites.dp1 import Dp1, Dp1Config, Game
+from uavaccel.suites.experiment import disturbances
 from uavaccel.suites.path_suite import fly_path
 from uavaccel.suites.registry import merged, read_mapping
-from uavaccel.suites.rows import disturbances
 from uavaccel.wire.session import VirtualSession, open_session
 
 

@@ -21,11 +21,12 @@ from uavaccel.draw.page import Table
 from uavaccel.files import read_arrays
 from uavaccel.records import RunDirectory
 from uavaccel.sim.lane import LENGTH_M
-from uavaccel.suites import dp2, guard_study
+from uavaccel.suites import dp2
 from uavaccel.suites.dp2 import Dp2, Dp2Config, Game
-from uavaccel.suites.rows import subset
+from uavaccel.suites.experiment import subset
 from uavaccel.suites.session import RunRequest
 from uavaccel.vision.perturb import PerturbationKind, PerturbationSettings, perturb_share
+from uavaccel.wire.image_api import lane_layout
 
 SHORT_PATH = "path=[[1, 0], [1, 0], [0.5, 0.8], [1, 0]]"
 SAMPLES = 13  # the start, and three of each command
@@ -209,7 +210,7 @@ def test_a_collision_ends_the_game_and_its_samples(command: str) -> None:
 
 def test_a_lane_of_ones_own_may_have_wind() -> None:
     lane = "lane={obstacles: [{x_m: 3.0, y_m: 0.0, half_side_m: 0.5}], wind_m_s: [1.0, 0.0, 0.5]}"
-    assert config_of(lane).layout().wind_m_s == (1.0, 0.0, 0.5)
+    assert lane_layout(config_of(lane).wire_lane).wind_m_s == (1.0, 0.0, 0.5)
 
 
 # --- reports: tests/test_reports.py has their numbers -----------------------------------------------------------
@@ -282,8 +283,8 @@ def sent_through(images: NDArray[np.uint8], share: float, retries: int, seed: in
 def test_the_guard_study_sums_up_streams_of_the_runs_own_images(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(guard_study, "SHARE", 0.4)
-    monkeypatch.setattr(guard_study, "STREAMS", 3)
+    monkeypatch.setattr(dp2, "SHARE", 0.4)
+    monkeypatch.setattr(dp2, "STREAMS", 3)
     levels = np.array([90, 94, 98, 130, 100, 100, 104, 70, 72, 74], np.uint8)
     colour = levels[:, None, None, None] + np.random.default_rng(0).integers(0, 60, (10, *SIZE, 3), np.uint8)
     calm = dp2_game("lockstep", "tcsc", 1.0, *[(0, 0.0)] * 9, COLOUR=colour)

@@ -16,10 +16,9 @@ from joblib._parallel_backends import ThreadingBackend
 from tests.running import configured
 from uavaccel.cli.experiments import run_experiment
 from uavaccel.errors import UserError
-from uavaccel.suites import engines, runner
+from uavaccel.suites import runner
 from uavaccel.suites.dp1 import Dp1
-from uavaccel.suites.engines import PACKAGES, check_engine, in_parallel
-from uavaccel.suites.runner import run_suite, start_run
+from uavaccel.suites.runner import PACKAGES, check_engine, in_parallel, run_suite, start_run
 from uavaccel.suites.session import RunRequest
 
 SMALL = ("clock_speed=[50]", "rounds=[1]", "t_move_s=[1]", "games=3")
@@ -38,7 +37,7 @@ def flown(path: Path, jobs: int, engine: str) -> dict[str, bytes]:
 def threads_as_ray(monkeypatch: pytest.MonkeyPatch) -> None:
     """Ray's place taken by threads: what is ours of an engine, without one."""
     register_parallel_backend("ray", ThreadingBackend)
-    monkeypatch.setattr(engines, "_ray", lambda jobs: nullcontext())
+    monkeypatch.setattr(runner, "_ray", lambda jobs: nullcontext())
     monkeypatch.setattr(runner, "check_engine", lambda engine: None)
 
 

@@ -16,7 +16,7 @@ import torch as th
 
 from tests import made_runs as made
 from tests.lanes import free_distance_m
-from tests.learning import tiny_config, train_into
+from tests.learning import fly_here, tiny_config, train_into
 from tests.made_runs import ended_at
 from tests.opengl import needs_opengl
 from tests.running import configured, fly_into, run_into
@@ -340,9 +340,8 @@ def test_the_policy_that_ships_flies_a_lane(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @needs_opengl
-def test_a_trainings_run_directory_is_an_agent_and_is_filmed(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_trainings_run_directory_is_an_agent_and_is_filmed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    fly_here(monkeypatch.setattr)
     training = tmp_path / "training"
     train_into(training, tiny_config({"max_commands": 4}, games=1))
     summary = evaluated(str(training), tmp_path / "run", "task.max_commands=3", games=1)

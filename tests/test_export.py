@@ -23,7 +23,7 @@ from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
 from uavaccel.rl.onnx_file import OnnxPolicy, described, example, reduced, write_onnx
 from uavaccel.rl.policy import Policy, make_policy
-from uavaccel.suites.tables import row_table, sample_tables, write_tables
+from uavaccel.suites.report import row_table, sample_tables, write_tables
 from uavaccel.vision.dvs_sensor import dvs_observation
 
 
@@ -204,7 +204,7 @@ def test_each_format_is_written_where_it_was_asked_for(
     def dataset(run: RunDirectory, folder: Path) -> Iterator[tuple[int, int]]:
         return ((done, 25) for done in range(1, 26))
 
-    monkeypatch.setattr("uavaccel.suites.tables.write_tables", tables)
+    monkeypatch.setattr("uavaccel.suites.report.write_tables", tables)
     monkeypatch.setattr("uavaccel.export.write_minari", dataset)
     export(str(tmp_path / "run"), csv=tmp_path / "a", parquet=tmp_path / "b")
     assert capsys.readouterr().out.splitlines() == ["run: a as csv", "run: b as parquet"]

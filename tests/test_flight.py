@@ -24,6 +24,7 @@ from uavaccel.suites.evaluate_again import equal_windows
 from uavaccel.suites.flight import Commands, Flight, Window, film_of
 from uavaccel.suites.suite import Suite
 from uavaccel.vision.dvs import PRESETS
+from uavaccel.wire.image_api import lane_layout
 
 MS = 1_000_000
 POSES: dict[str, Any] = {
@@ -107,7 +108,7 @@ def test_a_game_of_dp2_is_read_from_its_samples(
     assert flight.collision == (None if counted else (1250 * MS, "wall"))
     np.testing.assert_array_equal(flight.images, arrays["colour" if counted else "image"])
     assert isinstance(flight.lane, LaneLayout)
-    np.testing.assert_array_equal(flight.lane.x_m, config.layout().x_m)
+    np.testing.assert_array_equal(flight.lane.x_m, lane_layout(config.wire_lane).x_m)
     ends, counts = (
         [window.time_ns / 1e9 for window in flight.windows],
         [window.per_pixel((144, 256)) for window in flight.windows],

@@ -12,7 +12,7 @@ from tests.flying import FOR_EVER, STRAIGHT, call, fly, go_on, hovering, place, 
 from tests.simulating import world_of
 from uavaccel.kinematics import Kinematics, VelocityGoal
 from uavaccel.sim.earth import GeoPoint, ned_of
-from uavaccel.sim.flight import FollowPath, Land, RotateToYaw, check_lookahead, of_velocity
+from uavaccel.sim.flight import FollowPath, Land, RotateToYaw, check_lookahead, of_velocity, stick_goal
 from uavaccel.sim.profile import AIRSIM, NATIVE, Profile
 from uavaccel.sim.simulation import Simulation
 from uavaccel.sim.vehicle import autopilot
@@ -182,20 +182,13 @@ def test_a_landing_that_descends_ends_at_its_timeout(timeout_s: float, results: 
     assert [land.turn(moving(down_m_s=0.2), at_s).result for at_s in (0.98, 1.0, 1.02)] == results
 
 
-@pytest.mark.parametrize(
-    ("yaw_deg", "turning_rad_s", "to_deg", "expected", "result"),
-    [  # within 5 degrees it turns no further, and it has arrived once it turns by less than 0.01 rad/s
-        (24.0, 0.0, 30.0, (False, 30.0), None),
-        (36.0, 0.0, 30.0, (False, 30.0), None),
-        (26.0, 0.009, 30.0, (True, 0.0), True),
-        (34.0, -0.009, 30.0, (True, 0.0), True),
-        (30.0, 0.011, 30.0, (True, 0.0), None),
-        (30.0, -0.011, 30.0, (True, 0.0), None),
-        (178.0, 0.0, -178.0, (True, 0.0), True),
-        (-174.0, 0.0, 178.0, (False, 178.0), None),
-        (0.0, 0.0, 180.0, (False, 180.0), None),
-    ],
-)
+@pytest.mark.parametrize(("yaw_deg", "turning_rad_s", "to_deg", "expected", "result"), [
+    (24.0, 0.0, 30.0, (False, 30.0), None), (36.0, 0.0, 30.0, (False, 30.0), None),
+    (26.0, 0.009, 30.0, (True, 0.0), True), (34.0, -0.009, 30.0, (True, 0.0), True),
+    (30.0, 0.011, 30.0, (True, 0.0), None), (30.0, -0.011, 30.0, (True, 0.0), None),
+    (178.0, 0.0, -178.0, (True, 0.0), True), (-174.0, 0.0, 178.0, (False, 178.0), None),
+    (0.0, 0.0, 180.0, (False, 180.0), None),
+])  # fmt: skip
 def test_a_turn_arrives_within_its_margin_and_at_rest(
     yaw_deg: float, turning_rad_s: float, to_deg: float, expected: tuple[bool, float], result: bool | None
 ) -> None:
@@ -208,6 +201,22 @@ def test_a_turn_arrives_within_its_margin_and_at_rest(
     assert goal.values == pytest.approx((7.0, 8.0, -9.0, math.radians(to)))
     assert ended is result
     assert task.turn(now, 2.0).result is bool(result)
+
+
+def test_without_api_control_sticks_fly_forwards_and_to_the_right() -> None:
+    """By angles of up to pi / 5.5 or, with the switch, by rates as large; a throttle below idle idles."""
+    for switches, mode in ((0, autopilot.TILT), (1, autopilot.TILT_RATE)):
+        goal = stick_goal(np.array([0.5, 0.25, 0.0, -0.5, switches, 1.0]))
+        tilts = (0.5 * math.pi / 5.5, -0.25 * math.pi / 5.5)
+        assert goal.values == pytest.approx((*tilts, 0.1 / 1.5, -0.5 * math.pi))
+        assert (goal.xy_mode, goal.z_mode, goal.yaw_mode) == (mode, autopilot.THROTTLE, autopilot.RATE)
+    for stick, axis in (("pitch", 0), ("roll", 1)):
+        api = hovering()
+        call(api, "enableApiControl", False)
+        call(api, "moveByRC", {stick: 0.3, "throttle": 0.6, "is_valid": True})
+        go_on(api, 2.0)
+        assert place(api)[axis] > 1.0
+        assert abs(place(api)[1 - axis]) < 0.1
 
 
 def test_an_integral_gain_beats_wind_and_a_derivative_damps() -> None:

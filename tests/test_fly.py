@@ -6,9 +6,7 @@ import hashlib
 import json
 import random
 import re
-import subprocess
 import sys
-import textwrap
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -18,9 +16,11 @@ import numpy as np
 import pytest
 
 from tests.running import full_device
+from tests.scripts import Folder
 from uavaccel.airsim import MultirotorClient
 from uavaccel.airsim.connection import as_received
 from uavaccel.airsim.types import LandedState
+from uavaccel.cli.main import main
 from uavaccel.clock import datetime_module, time_module
 from uavaccel.errors import UserError
 from uavaccel.files import UNFINISHED
@@ -31,10 +31,10 @@ from uavaccel.fly.log import (
     TRAJECTORY,
     DifferenceError,
     MessageLog,
-    Trajectory,
     brief,
     equal,
     largest_difference_m,
+    write_states,
     write_trajectory,
 )
 from uavaccel.fly.modules import client_modules, importing
@@ -47,9 +47,6 @@ from uavaccel.units import NS_PER_S
 from uavaccel.wire.rpc import RpcError
 from uavaccel.wire.settings import Settings
 from uavaccel.wire.types import EPOCH_NS
-
-ROOT = Path(__file__).parents[1]
-
 
 FlightMaker = Callable[..., SimulatedFlight]
 
@@ -74,15 +71,9 @@ def client_of(flight: SimulatedFlight) -> MultirotorClient:
         return MultirotorClient()
 
 
-def script(folder: Path, text: str) -> Path:
-    path = folder / "script.py"
-    path.write_text(textwrap.dedent(text))
-    return path
-
-
-def fly(*arguments: str | Path) -> "subprocess.CompletedProcess[str]":
-    command = [sys.executable, "-m", "uavaccel", "fly", *map(str, arguments)]
-    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=600, check=False)
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Folder:
+    return Folder(tmp_path, monkeypatch, capfd)
 
 
 PACED = """
@@ -124,10 +115,10 @@ PACED = """
 
 
 @pytest.mark.slow
-def test_a_script_flies_twice_to_the_same_bytes(tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    exact = ("--think", "0", "--seed", "3", "--out", out)
-    done = fly("--check", *exact, script(tmp_path, PACED), "-a", "--", "--clock", "7")
+def test_a_script_flies_twice_to_the_same_bytes(folder: Folder) -> None:
+    out = folder.path / "out"
+    exact = ("--think", "0", "--seed", "3", "--out", str(out))
+    done = folder.fly(PACED, "--check", *exact, "--", "-a", "--clock", "7")
     assert done.returncode == 3, done.stderr  # the script's own
     assert "thinking" not in done.stdout
     lines = done.stdout.splitlines()
@@ -146,8 +137,8 @@ def test_a_script_flies_twice_to_the_same_bytes(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_several_clock_speeds_are_compared_with_the_first(tmp_path: Path) -> None:
-    path = script(tmp_path, """
+def test_several_clock_speeds_are_compared_with_the_first(folder: Folder) -> None:
+    text = """
         import airsim
         client = airsim.MultirotorClient()
         client.enableApiControl(True)
@@ -157,15 +148,15 @@ def test_several_clock_speeds_are_compared_with_the_first(tmp_path: Path) -> Non
         def fall():
             raise ValueError("down")
         fall()
-    """)  # fmt: skip
-    done = fly("--clock", "1,20", path)
+    """
+    done = folder.fly(text, "--clock", "1,20")
     first, second, sleeps = done.stdout.splitlines()
     assert first.startswith("clock 1: 2.05 simulated s in ")
     assert second.startswith("clock 20: 3.0")
     assert second.endswith(" m from 1x at equal times")
     assert sleeps.startswith("the script sleeps while the clock runs: its sleeps are wall time")
     assert done.returncode == 1
-    assert done.stderr.startswith(f'Traceback (most recent call last):\n  File "{path}", line 10, in <module>\n')
+    assert done.stderr.startswith(f'Traceback (most recent call last):\n  File "{folder.path}/script.py", line 10, in')
     assert done.stderr.endswith("ValueError: down\n")
     assert "uavaccel" not in done.stderr
 
@@ -182,8 +173,6 @@ def test_several_clock_speeds_are_compared_with_the_first(tmp_path: Path) -> Non
 def test_mistakes_are_one_line(
     arguments: list[str], text: str, status: int, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from uavaccel.cli.main import main
-
     monkeypatch.setattr(sys, "argv", ["uavaccel", "fly", *arguments])
     with pytest.raises(SystemExit) as ended:
         main()
@@ -381,9 +370,9 @@ def test_refused_commands_are_told_once(
 # --- imports -------------------------------------------------------------------------------------------------------
 
 
-def test_a_script_imports_our_client_and_its_own_clock(tmp_path: Path) -> None:
-    (tmp_path / "helper.py").write_text("from time import monotonic\nimport random\nseen = monotonic()\n")
-    path = script(tmp_path, """
+def test_a_script_imports_our_client_and_its_own_clock(folder: Folder) -> None:
+    folder.write("from time import monotonic\nimport random\nseen = monotonic()\n", "helper.py")
+    path = folder.write("""
         import airsim, cosysairsim, setup_path, helper, time, logging, sys, os
         from airsim.types import Vector3r
         import airsim.client
@@ -405,9 +394,9 @@ def test_a_script_imports_our_client_and_its_own_clock(tmp_path: Path) -> None:
         sys.modules.pop("helper", None)
 
 
-def test_no_python_is_one_line(tmp_path: Path) -> None:
+def test_no_python_is_one_line(folder: Folder) -> None:
     with pytest.raises(UserError, match=r"script\.py:2: not Python: "):
-        run_script(script(tmp_path, "import airsim\nclient = = 1\n"), ())
+        run_script(folder.write("import airsim\nclient = = 1\n"), ())
 
 
 def test_a_full_disk_is_said_at_every_later_message(tmp_path: Path) -> None:
@@ -425,10 +414,10 @@ def test_a_full_disk_is_said_at_every_later_message(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_full_disk_is_one_line(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    (out := tmp_path / "out").mkdir()
+def test_a_full_disk_is_one_line(folder: Folder, capfd: pytest.CaptureFixture[str]) -> None:
+    (out := folder.path / "out").mkdir()
     full_device(out / f"{SUMMARY}{UNFINISHED}")
-    flown = command.fly(FlightOptions(script(tmp_path, "print(end='')"), (), out))
+    flown = command.fly(FlightOptions(folder.write("print(end='')"), (), out))
     assert (flown.status, flown.summary) == (1, None)
     line = f"uavaccel: error: {out / SUMMARY}: No space left on device; make room\n"
     assert capfd.readouterr() == ("", line)
@@ -460,12 +449,12 @@ def test_a_trajectory_is_written_as_arrays_and_as_a_table(tmp_path: Path) -> Non
         assert kept["time_ns"].tolist() == time_ns.tolist()
         found = [kept[name].tolist() for name in ("position_m", "orientation_wxyz", "velocity_m_s")]
     assert found == [rows[:, columns].tolist() for columns in (slice(3), slice(3, 7), slice(7, 10))]
-    trajectory = Trajectory()
+    states = []
     for at_ns, row in zip(time_ns.tolist(), rows, strict=True):
         place, attitude, velocity = (tuple(row[part].tolist()) for part in (slice(3), slice(3, 7), slice(7, 10)))
-        trajectory.add(Kinematics(at_ns, place, attitude, velocity, (0.5, 0.5, 0.5)))
+        states.append(Kinematics(at_ns, place, attitude, velocity, (0.5, 0.5, 0.5)))
     (tmp_path / "added").mkdir()
-    trajectory.write(tmp_path / "added")
+    write_states(tmp_path / "added", states)
     assert equal(tmp_path / "added", tmp_path)
     header, _, last = (tmp_path / "trajectory.csv").read_text().splitlines()
     assert dict(zip(header.split(","), map(float, last.split(",")), strict=True))["q_w"] == 13.0
@@ -535,15 +524,15 @@ def test_a_flight_waits_for_threads_but_not_for_daemons(flight_in: FlightMaker, 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals")
 @pytest.mark.slow
-def test_an_interrupted_flight_keeps_what_was_flown(tmp_path: Path) -> None:
-    path = script(tmp_path, """
+def test_an_interrupted_flight_keeps_what_was_flown(folder: Folder) -> None:
+    text = """
         import airsim, os, signal
         client = airsim.MultirotorClient()
         client.enableApiControl(True)
         client.moveByVelocityAsync(1, 0, 0, 2).join()
         os.kill(os.getpid(), signal.SIGINT)
-    """)  # fmt: skip
-    done = fly("--out", tmp_path / "out", path)
+    """
+    done = folder.fly(text, "--out", str(folder.path / "out"))
     assert done.returncode == 130
     assert done.stdout.startswith("interrupted; 2.00 simulated s")
-    assert np.load(tmp_path / "out" / "trajectory.npz")["time_ns"][-1] == 2_000_000_000
+    assert np.load(folder.path / "out" / "trajectory.npz")["time_ns"][-1] == 2_000_000_000

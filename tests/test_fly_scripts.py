@@ -6,44 +6,20 @@ import json
 import os
 import subprocess
 import sys
-import textwrap
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from tests.scripts import ROOT, Folder
 from uavaccel.errors import UserError
 from uavaccel.fly.options import FlightOptions, found_settings
 from uavaccel.fly.process import settings_of
 
-ROOT = Path(__file__).parents[1]
-
-
-class Folder:
-    """A folder with a script, and a home without settings."""
-
-    def __init__(self, path: Path) -> None:
-        self.path, self.home = path, path / "home"
-        self.home.mkdir()
-
-    def write(self, text: str, name: str = "script.py") -> Path:
-        (self.path / name).write_text(textwrap.dedent(text))
-        return self.path / name
-
-    def fly(self, text: str, *options: str, answers: str = "") -> subprocess.CompletedProcess[str]:
-        """Fly a script's text; `options` before it, and "--" between them and its own arguments."""
-        own = options.index("--") if "--" in options else len(options)
-        script = self.write(text)
-        command = [sys.executable, "-m", "uavaccel", "fly", *options[:own], str(script), *options[own:]]
-        environment = {**os.environ, "HOME": str(self.home)}
-        return subprocess.run(
-            command, cwd=ROOT, env=environment, input=answers, capture_output=True, text=True, timeout=300
-        )
-
 
 @pytest.fixture
-def folder(tmp_path: Path) -> Folder:
-    return Folder(tmp_path)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Folder:
+    return Folder(tmp_path, monkeypatch, capfd)
 
 
 # --- the simulated clock -------------------------------------------------------------------------------------------
@@ -409,14 +385,14 @@ def test_a_script_of_airsim_1_1_flies(folder: Folder) -> None:
 
 
 def test_settings_that_were_found_and_do_not_fit_are_left_out(
-    folder: Folder, capsys: pytest.CaptureFixture[str]
+    folder: Folder, capfd: pytest.CaptureFixture[str]
 ) -> None:
     script, beside = folder.write("import airsim\n"), folder.path / "settings.json"
     beside.write_text(json.dumps({"SettingsVersion": 1.2, "SimMode": "Car"}))
     assert found_settings(script) == beside
     named = FlightOptions(script, (), folder.path, settings=beside)
     assert settings_of(replace(named, settings_found=True)) is None
-    warned = capsys.readouterr().err
+    warned = capfd.readouterr().err
     assert warned.startswith(f"uavaccel: warning: {beside}: ")
     assert warned.rstrip().endswith("flown without")
     with pytest.raises(UserError, match="SimMode"):

@@ -136,9 +136,14 @@ def test_a_wrong_array_is_a_line_that_names_file_and_array(tmp_path: Path, name:
 
 def test_times_that_fall_and_uncounted_commands_are_refused(tmp_path: Path) -> None:
     row, arrays = whole_game()
-    run = write(tmp_path / "falls", row, {**arrays, "time_s": arrays["time_s"][::-1]})
-    with pytest.raises(UserError, match="time_s: has to ascend"):
-        run.load_arrays(run.rows()[0])
+    for name, time_s, said in (
+        ("falls", arrays["time_s"][::-1], "has to ascend"),
+        ("early", arrays["time_s"] - 1.0, "has to begin at 0 or later"),
+        ("late", arrays["time_s"] + 2e9, r".* and to end below 1e\+09"),
+    ):
+        run = write(tmp_path / name, row, {**arrays, "time_s": time_s})
+        with pytest.raises(UserError, match=f"time_s: {said}"):
+            run.load_arrays(run.rows()[0])
     run = write(tmp_path / "counts", {**row, "commands": 99}, arrays)
     with pytest.raises(UserError, match=r"command_start_s: has the shape \(\d+,\), not \(99,\)"):
         run.load_arrays(run.rows()[0])

@@ -7,8 +7,8 @@ from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from itertools import permutations
-from types import SimpleNamespace
 from typing import Any
+from unittest.mock import Mock
 
 import cv2
 import numpy as np
@@ -249,14 +249,25 @@ def test_bright_pixels_saturate_and_colours_keep_their_order() -> None:
     assert image[0, 0, 0] < image[0, 0, 1] < image[0, 0, 2]
 
 
+def camera_of(*levels: int, **settings: Any) -> CameraClient:
+    """A camera at 10x that is given pictures of these levels, one after the other."""
+    images = map(level_image, levels)
+    return CameraClient(Mock(clock_speed=10.0, image=lambda kind, size: next(images)), **settings)
+
+
 def test_a_camera_is_exposed_for_the_time_that_it_ran() -> None:
     """At 10x a simulated second is a tenth of one: three tenths of a stop up, as the picture is half as bright."""
-    images = iter((level_image(80), level_image(40)))
-    unused = dict.fromkeys(("now_ns", "kinematics", "pause", "run", "continue_for", "join", "move_async"))
-    client: Any = SimpleNamespace(clock_speed=10.0, image=lambda kind, size: next(images), **unused)
     exposure = AutoExposure()
-    camera = CameraClient(client, guard=GuardSettings(max_retries=0), exposure=exposure)
+    camera = camera_of(80, 40, guard=GuardSettings(max_retries=0), exposure=exposure)
     for time_ns in (0, S):
         sample = camera.read_sample(replace(AT_REST, time_ns=time_ns))
     assert exposure.stops == pytest.approx(0.3)
     assert (sample.image == round(40 * 2**0.3)).all()
+
+
+def test_a_cameras_picture_is_compared_with_that_of_the_sample_before() -> None:
+    camera = camera_of(80, 120, 82, 120, 121)
+    samples = [camera.read_sample(AT_REST) for _ in range(2)]
+    assert [(int(sample.image[0, 0]), sample.retries) for sample in samples] == [(80, 0), (82, 1)]
+    depth = camera_of(80, 120, kind="depth")
+    assert [depth.read_sample(AT_REST).retries for _ in range(2)] == [0, 0]

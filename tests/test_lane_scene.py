@@ -15,7 +15,6 @@ from uavaccel.errors import UserError
 from uavaccel.resources import asset
 from uavaccel.sim.lane import (
     HULL_RADIUS_M,
-    LENGTH_M,
     MAX_OBSTACLES,
     LaneLayout,
     apply_layout,
@@ -24,6 +23,7 @@ from uavaccel.sim.lane import (
     obstacle_geoms,
     sample_layout,
 )
+from uavaccel.sim.objects import SceneObjects
 from uavaccel.sim.world import World
 
 START = Pose((0.0, 0.0, -10.0), (0.0, 0.0, 0.0))
@@ -59,13 +59,6 @@ def test_free_distance_is_where_mujoco_finds_the_contact(lane_scene: Scene, cyli
         for north, found in ((touch - 0.02, ""), (touch + 0.02, "obstacle_00")):
             assert touched(lane_scene, north, offset, z_m) == found
     assert touched(lane_scene, 30.0, 1.0, -20.2) == ""
-
-
-def test_free_distance_beside_everything() -> None:
-    layout = one_post(30.0, 1.0)
-    assert free_distance_m(layout, 1.0 + 0.4 + HULL_RADIUS_M + 0.001) == LENGTH_M
-    assert free_distance_m(layout, 1.0 + 0.4 + HULL_RADIUS_M - 0.001) < 30.0
-    assert free_distance_m(layout, -4.9) == free_distance_m(layout, 4.9) == 0.0
 
 
 def test_clearance_is_to_the_nearest_of_posts_and_walls() -> None:
@@ -107,6 +100,14 @@ def test_a_layout_survives_the_reset_of_the_data(lane_scene: Scene) -> None:
     apply_layout(*lane_scene, one_post(30.0, 1.0))
     mujoco.mj_resetData(*lane_scene)
     assert touched(lane_scene, 29.5, 1.0) == "obstacle_00"
+
+
+def test_clients_find_the_obstacles_of_a_layout_alone(lane_world: World) -> None:
+    """Whatever stood there before."""
+    for layout, found in ((sample_layout(1), 28), (one_post(30.0, 1.0), 1)):
+        lane_world.set_lane(layout)
+        names = SceneObjects(lane_world).names()
+        assert names == [*("ground",), *(f"obstacle_{index:02d}" for index in range(found)), "wall_east", "wall_west"]
 
 
 def test_too_many_obstacles_and_other_scenes_are_refused(lane_scene: Scene) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from tests.learning import tiny_config, train_into
+from tests.learning import fly_here, tiny_config, train_into
 from tests.made_runs import STATE, trained, walls, won
 from uavaccel.envs.obstacle_lane import LaneTask
 from uavaccel.envs.stopwatch import PHASES
@@ -23,7 +23,8 @@ from uavaccel.units import NS_PER_S
 from uavaccel.wire.latency import shipped_latency
 
 
-def test_every_number_of_a_training(tmp_path: Path) -> None:
+def test_every_number_of_a_training(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    fly_here(monkeypatch.setattr)
     task = {**STATE, "timing": "virtual", "command": "adsc", "clock_speed": 20.0, "max_commands": 5}
     summary = train_into(tmp_path / "run", tiny_config(task, mirror=False, seed=9, games=3))
     run = RunDirectory(tmp_path / "run")
@@ -113,15 +114,14 @@ def test_curves_count_from_this_start_without_evaluations(tmp_path: Path, monkey
     monkeypatch.setattr(trainer, "MonotonicClock", lambda: SimpleNamespace(now_ns=lambda: int(next(now_s) * NS_PER_S)))
     earlier = won(*[False] * 50, *[True] * 3, *[False] * 90, *[True] * 7)  # of the last 100 ten
     rows = trainer.GameRows(tiny_config({"t_move_s": 0.5}), tmp_path, earlier)
-    stopwatch: Any = SimpleNamespace(spent_s=dict)
     info: dict[str, Any] = {
         "is_success": False, "distance_m": 7.0, "collision": None, "lane": 3, "commands": 16,
         "phase_s": {}, "host_phase_s": {},
     }  # fmt: skip
-    (first,) = rows.finished([Game(40, 1, info, -2.5, 0.25)], stopwatch)
+    (first,) = rows.finished([Game(40, 1, info, -2.5, 0.25)], {})
     with rows.clock_stopped():
         pass
-    rows.finished([Game(41, 0, info, 1.0, None, 0.5, 2.0)], stopwatch)
+    rows.finished([Game(41, 0, info, 1.0, None, 0.5, 2.0)], {})
     rows.close()
     assert (first.row["sim_time_s"], first.host["wall_s"]) == (8.0, 4.0)
     read = EventAccumulator(str(tmp_path / "tensorboard"))

@@ -32,7 +32,6 @@ from uavaccel.metrics.trajectory import (
     quartiles,
     trajectory,
 )
-from uavaccel.records import timing_provenance
 
 
 def straight(duration_s: float, step_s: float = 0.05, speed_m_s: float = 1.0, offset_m: float = 0.0) -> Trajectory:
@@ -90,11 +89,6 @@ def test_speedup_interval_holds_the_estimate_of_constant_baselines(wall_s: list[
     assert low <= high <= 10.0 / min(wall_s) + 1e-9
 
 
-def test_provenance() -> None:
-    assert timing_provenance("wall") == "measured"
-    assert timing_provenance("virtual") == timing_provenance("lockstep") == "modelled"
-
-
 def test_bootstrap_repeats_by_seed_and_covers_the_mean() -> None:
     values = np.random.default_rng(7).normal(3.0, 1.0, 200)
     first = bootstrap_interval((values,), lambda v: v.mean(axis=-1), seed=1)
@@ -107,37 +101,12 @@ def test_identical_games_have_an_interval_of_zero_width() -> None:
     assert median_interval([2.0, 2.0, 2.0], seed=0) == (2.0, 2.0)
 
 
-@pytest.mark.parametrize(
-    ("successes", "low", "high"), [(23, 15.8, 32.2), (21, 14.2, 30.0), (30, 21.9, 39.6), (1, 0.2, 5.4), (0, 0.0, 3.7)]
-)
-def test_wilson_of_the_papers_table(successes: int, low: float, high: float) -> None:
-    assert np.multiply(Proportion(successes, 100).interval, 100) == pytest.approx([low, high], abs=0.06)
-
-
-@given(st.integers(1, 500), st.data())
-def test_wilson_holds_the_ratio(games: int, data: st.DataObject) -> None:
-    successes = data.draw(st.integers(0, games))
-    won = Proportion(successes, games)
-    low, high = won.interval
-    assert won.ratio == successes / games
-    assert 0.0 <= low <= won.ratio <= high <= 1.0
-
-
 def test_a_proportion_in_a_summary_and_in_words() -> None:
     won = Proportion.of({"games": 100, "successes": 23, "other": 1})
     low, high = won.interval
     counted = {"games": 100, "successes": 23, "success_ratio": 0.23}
     assert won.as_summary() == {**counted, "wilson_low": low, "wilson_high": high}
     assert (won.text(), won.text(0, 1)) == ("23.0% [16, 32]", "23% [15.8, 32.2]")
-
-
-def test_mcnemar_counts_discordant_games_only() -> None:
-    first = [True] * 10 + [True] * 6 + [False] * 4
-    second = [True] * 10 + [False] * 6 + [False] * 4
-    result = mcnemar_exact(first, second)
-    assert (result.only_first, result.only_second) == (6, 0)
-    assert result.p_value == pytest.approx(2 * 0.5**6)
-    assert mcnemar_exact(first, first).p_value == 1.0
 
 
 # --- what SciPy computes, which the package does without --------------------------------------------------------------
@@ -151,6 +120,7 @@ def test_intervals_and_exact_tests_are_scipys(outcomes: list[tuple[bool, bool]],
     (a, b), games = (int(first.sum()), int(second.sum())), len(outcomes)
     wilson = stats.binomtest(a, games).proportion_ci(method="wilson")
     assert Proportion(a, games).interval == pytest.approx((wilson.low, wilson.high), abs=1e-12)
+    assert 0.0 <= Proportion(a, games).interval[0] <= a / games <= Proportion(a, games).interval[1] <= 1.0
     found = mcnemar_exact(first, second)
     assert (found.only_first, found.only_second) == (int((first > second).sum()), int((second > first).sum()))
     decided = found.only_first + found.only_second
@@ -206,20 +176,11 @@ def test_identical_flights_score_exactly_two_for_every_lambda(flight: Trajectory
     assert stlc(*flight, *flight, lam) == 2.0
 
 
-@given(flights(), flights(), LAMBDAS)
-def test_symmetry_is_exact(r: Trajectory, s: Trajectory, lam: float) -> None:
-    assert stlc(*r, *s, lam) == stlc(*s, *r, lam)
-
-
 @settings(max_examples=200)
 @given(flights(), flights(), LAMBDAS)
 def test_equals_its_definition(r: Trajectory, s: Trajectory, lam: float) -> None:
     assert stlc(*r, *s, lam) == pytest.approx(brute_force(r, s, lam), abs=1e-12)
-
-
-@given(flights(), flights(), LAMBDAS)
-def test_lies_between_zero_and_two(r: Trajectory, s: Trajectory, lam: float) -> None:
-    assert 0.0 <= stlc(*r, *s, lam) <= 2.0
+    assert 0.0 <= stlc(*r, *s, lam) == stlc(*s, *r, lam) <= 2.0
 
 
 @pytest.mark.parametrize(("offset_m", "expected"), [(0.1, 1.905), (0.223, 1.800), (1.0, 1.368)])

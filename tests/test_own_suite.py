@@ -68,24 +68,24 @@ def test_rows_say_how_far_each_speed_goes_and_the_page_shows_it(home: Path) -> N
 
 
 @pytest.mark.slow
-def test_killed_and_resumed_it_ends_with_the_same_bytes(home: Path) -> None:
+def test_killed_and_resumed_it_ends_with_the_same_bytes(home: Path, here: Path, said: Callable[[str], str]) -> None:
     """Of the run in two processes, one process flies again what is left after a kill in the middle of a line."""
     yaml, out = home / "toy.yaml", shutil.copytree(home / "runs/toy", home / "runs/killed")
     whole = (out / "rows.jsonl").read_bytes()
     (out / "rows.jsonl").write_bytes(whole[: whole.index(b"\n") + 20])
     for name in ("timing.jsonl", "summary.json"):
         (out / name).unlink()
-    uavaccel(home.parent, "run", str(yaml), "--out", str(out), "--resume")
+    assert said(f"run {yaml} --out {out} --resume") == ""
     for name in MADE:
         assert (out / name).read_bytes() == (home / "runs/toy" / name).read_bytes()
 
 
 @pytest.mark.slow
-def test_a_report_finds_the_suite_from_any_folder(home: Path, tmp_path: Path) -> None:
+def test_a_report_finds_the_suite_from_any_folder(home: Path, here: Path, said: Callable[[str], str]) -> None:
     run = home / "runs/toy"
     before = (run / "summary.json").read_bytes()
     (run / "summary.json").unlink()
-    uavaccel(tmp_path, *REPORT[:-1], str(run))
+    assert said(f"{' '.join(REPORT[:-1])} {run} --trust") == ""
     assert (run / "summary.json").read_bytes() == before
 
 

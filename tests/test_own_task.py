@@ -13,13 +13,12 @@ import torch as th
 
 from tests.conftest import forget_own_code
 from tests.host_kernels import host_kernels  # noqa: F401 - a fixture
-from tests.running import fly_into, run_into
-from uavaccel.records import RunDirectory
-from uavaccel.rl.agents import make_agent
+from tests.learning import fly_here
+from tests.running import fly_into
 from uavaccel.rl.double_dqn import DeviceDQN
 from uavaccel.rl.learner import Game
 from uavaccel.rl.policy import weights_sha256
-from uavaccel.suites.evaluate import Evaluation
+from uavaccel.suites.runner import run_suite, start_run
 from uavaccel.suites.session import RunRequest, reading, schema_of
 from uavaccel.suites.train import CHECKPOINTS, Training
 
@@ -102,17 +101,30 @@ def yaml_of(here: Path, task: str, simulator: str = "mujoco") -> str:
 
 
 @pytest.mark.parametrize("simulator", ["mujoco", "kernels"])
-@pytest.mark.parametrize(("task", "algorithm"), [("Post", "double_dqn"), ("Free", "ppo")])
-def test_both_simulators_train_it(task: str, algorithm: str, simulator: str, here: Path) -> None:
+@pytest.mark.parametrize(("task", "algorithm", "kind"), [("Post", "double_dqn", int), ("Free", "ppo", float)])
+def test_it_is_trained_and_flies_from_another_folder(
+    task: str, algorithm: str, kind: type, simulator: str, here: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The learner follows from its actions; configuration and policy record what was trained."""
     with reading(RunRequest(yaml_of(here, task, simulator))) as (suite, config):
-        summary = run_into(here / "run", suite, config)
+        run = fly_into(here / "run", suite, config)
     assert config.algorithm == algorithm
-    assert (summary["games"], summary["weights_sha256"] is None) == (6, False)
-    for kept in (RunDirectory(here / "run").config(), json.loads((here / "run/policy.json").read_text())["config"]):
+    for kept in (run.config(), json.loads((here / "run/policy.json").read_text())["config"]):
         assert (kept["env_id"], kept["task"]["near_m"]) == (f"post.py:{task}", 1.0)
-    figures = {path.stem for path in (here / "run/figures").glob("*.png")}
-    assert {"learning_games", "progress"} <= figures
+    if simulator == "kernels":
+        summary = suite.report(run).write()
+        assert (summary["games"], summary["weights_sha256"] is None) == (6, False)
+        assert {"learning_games", "progress"} <= {path.stem for path in (here / "run/figures").glob("*.png")}
+        return
+    elsewhere = here / "elsewhere"
+    elsewhere.mkdir()
+    monkeypatch.chdir(elsewhere)
+    forget_own_code(monkeypatch)
+    with reading(RunRequest("evaluate", {"agent": "../run", "games": 2})) as (evaluation, evaluated):
+        assert (evaluation.name, evaluated.env_id) == ("evaluate", f"post.py:{task}")
+        flown = fly_into(here / "flown", evaluation, evaluated)
+    actions = [row["actions"][0] for row in flown.rows()]
+    assert all(isinstance(each if kind is int else each[0], kind) for each in actions)
 
 
 @pytest.mark.usefixtures("host_kernels")
@@ -130,27 +142,9 @@ def test_double_dqn_learns_it_with_its_lanes_on_a_gpu(here: Path) -> None:
     assert weights_sha256(learner.policy) != before
 
 
-@pytest.mark.parametrize(("task", "kind"), [("Post", int), ("Free", float)])
-def test_its_policy_flies_from_another_folder(
-    task: str, kind: type, here: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    with reading(RunRequest(yaml_of(here, task))) as (suite, config):
-        fly_into(here / "run", suite, config)
-    elsewhere = here / "elsewhere"
-    elsewhere.mkdir()
-    monkeypatch.chdir(elsewhere)
-    forget_own_code(monkeypatch)
-    with reading(RunRequest("evaluate", {"agent": "../run", "games": 2})) as (evaluation, evaluated):
-        assert evaluated.env_id == f"post.py:{task}"
-        run = fly_into(here / "flown", Evaluation(), evaluated)
-        make_agent("../run", evaluated.task)
-    assert evaluation.name == "evaluate"
-    actions = [row["actions"][0] for row in run.rows()]
-    assert all(isinstance(each if kind is int else each[0], kind) for each in actions)
-
-
-def test_resumed_it_ends_with_the_same_bytes(here: Path) -> None:
+def test_resumed_it_ends_with_the_same_bytes(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A checkpoint is taken on Ctrl-C; the rest is flown by another start."""
+    fly_here(monkeypatch.setattr)
     with reading(RunRequest(yaml_of(here, "Post"))) as (suite, config):
         whole = fly_into(here / "whole", suite, config)
         parts = here / "parts"
@@ -158,8 +152,6 @@ def test_resumed_it_ends_with_the_same_bytes(here: Path) -> None:
         def stop(case: Any, row: Any) -> None:
             if row["game"] == 2:
                 signal.raise_signal(signal.SIGINT)
-
-        from uavaccel.suites.runner import run_suite, start_run
 
         with pytest.raises(KeyboardInterrupt):
             run_suite(suite, config, start_run(suite, config, parts, {}), 1, stop)

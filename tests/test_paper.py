@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shutil
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -77,29 +78,31 @@ def rl_run(path: Path, *trainings: tuple[dict[str, str], dict[str, Any]]) -> str
     return str(path)
 
 
-@pytest.fixture
-def report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Report:
+@pytest.fixture(scope="module")
+def report(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Report]:
     """DP1 in which native's commands are not delayed more and more; DP2 under airsim alone, and trainings.
 
     Native's policies keep their success with ADSC at 5x, end far from obstacles, and are trained 3x as fast.
     """
-    delayed, prompt = trajectories(), trajectories(only("adsc", 50.0, command_gap_median_s=0.0))
+    folder, delayed = tmp_path_factory.mktemp("paper"), trajectories()
+    prompt = trajectories(only("adsc", 50.0, command_gap_median_s=0.0))
     made = {"dp1-airsim": delayed, "dp1-native": prompt, "dp2-airsim": images()}
-    for suite in (Dp1, Dp2):
-        monkeypatch.setattr(suite, "score", lambda _, report: made[report.run.path.name].scores)
-        monkeypatch.setattr(suite, "summary", lambda _, report: made[report.run.path.name].summary)
     native = {"adsc5": 0.23, "with_adsc": 0.1, "off_rows_m": 5.0, "speed5": 3.0}
     hopeless: dict[str, Any] = {"tcsc10": 0.0, "off_rows_m": 5.0}
     kinds = [(AIRSIM, {}), (NATIVE, native), *((kind, hopeless) for kind in OTHERS)]
-    run = RunDirectory.create(tmp_path / "run", config(*made, with_run=rl_run(tmp_path / "rl", *kinds)), {})
+    run = RunDirectory.create(folder / "run", config(*made, with_run=rl_run(folder / "rl", *kinds)), {})
     for name in made:
         run.append_row({"suite": "paper", "case": name, "cells": 1})
         part = RunDirectory.create(run.path / "parts" / name, configured(name[:3]), {})
         part.append_row(ROWS[name[:3]])
         part.write_bytes("figures/figure5_two_words.png", name.encode())
-    report = Paper().report(run)
-    report.write()
-    return report
+    with pytest.MonkeyPatch.context() as patch:
+        for suite in (Dp1, Dp2):
+            patch.setattr(suite, "score", lambda _, report: made[report.run.path.name].scores)
+            patch.setattr(suite, "summary", lambda _, report: made[report.run.path.name].summary)
+        report = Paper().report(run)
+        report.write()
+        yield report
 
 
 def test_each_profile_is_judged_by_its_own_runs(report: Report) -> None:
@@ -146,17 +149,19 @@ def test_airsims_hours_are_told_by_phase(report: Report) -> None:
     assert next(line for line in page if line.startswith("| 5x | 43.6 |")).split(" | ")[3] == "7.6"
 
 
-def test_parts_are_scored_once_for_the_same_games(report: Report, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_parts_are_scored_once_for_the_same_games(
+    report: Report, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def scored_again(*_: Any) -> Any:
         raise AssertionError("scored again")
 
     monkeypatch.setattr(Dp1, "score", scored_again)
     monkeypatch.setattr(Dp2, "score", scored_again)
-    assert Paper().report(report.run).summary == report.summary
-    part = RunDirectory(report.run.path / "parts/dp1-native")
-    part.append_row(line_row("game", "adsc", 5.0, 1, 0.0))
+    run = RunDirectory(shutil.copytree(report.run.path, tmp_path / "run"))
+    assert Paper().report(run).summary == report.summary
+    RunDirectory(run.path / "parts/dp1-native").append_row(line_row("game", "adsc", 5.0, 1, 0.0))
     with pytest.raises(AssertionError, match="scored again"):
-        assert Paper().report(report.run).summary
+        assert Paper().report(run).summary
 
 
 def test_rows_alone_decide_all_but_where_games_ended(report: Report) -> None:

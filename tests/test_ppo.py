@@ -188,7 +188,8 @@ def test_a_training_repeats_and_goes_on_to_the_same_weights(trained: RunDirector
         assert (tmp_path / name / "rows.jsonl").read_bytes() == (trained.path / "rows.jsonl").read_bytes(), name
     assert weights_of(RunDirectory(tmp_path / "other")) != weights_of(trained)
     rows = trained.rows()
-    assert [(row["lane"], row["exploration"]) for row in rows] == [(number, None) for number in range(6)]
+    assert [(row["game"], row["exploration"]) for row in rows] == [(number, None) for number in range(6)]
+    assert not any("lane" in row for row in rows), "which is the obstacle lane's"
     assert all(row["commands"] == 6 or row["is_success"] for row in rows)
     assert "modelled_real_time_s" not in trained.read_json("summary.json")
 

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.learning import tiny_config, train_into
+from tests.learning import fly_here, tiny_config, train_into
 from uavaccel.envs.conditions import Ranges
 from uavaccel.envs.kernel_batch import KernelBatch
 from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
@@ -175,6 +175,7 @@ def test_a_seed_begins_the_widening_anew() -> None:
 
 @pytest.mark.slow
 def test_rows_tell_the_conditions_also_after_an_interruption(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    fly_here(monkeypatch.setattr)
     task = {"observation": "state", "randomise": {"wind_m_s": [0, 6], "widen_over_games": 3}}
     config = tiny_config(task, mirror=False)
     train_into(tmp_path / "whole", config)

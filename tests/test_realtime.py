@@ -25,7 +25,7 @@ from uavaccel.processes import lifetime
 from uavaccel.realtime import Measured, RealTime, RealTimeProcess, ThinkingTime, lognormal, samples
 from uavaccel.realtime.control_loop import ControlLoop, LoopOptions
 from uavaccel.realtime.plant import plant_of
-from uavaccel.realtime.process import _portable, _Server
+from uavaccel.realtime.process import EnvironmentServer, portable
 from uavaccel.realtime.thinking import thinking_time
 from uavaccel.wire.latency import read_latency
 
@@ -433,8 +433,8 @@ def test_the_environments_process_steps_when_its_clock_says_so(
     env = Working(clock, works_ms)
     sent = [(time_ms, each if each is RESET else ("step", chosen(each))) for time_ms, each in messages]
     connection: Any = Messages(clock, (0, RESET), *sent)
-    server = _Server(connection, ControlLoop(plant_of(env, None), LoopOptions(**keys), env.action_space), env)
-    server._clock = clock  # type: ignore[assignment]
+    loop = ControlLoop(plant_of(env, None), LoopOptions(**keys), env.action_space)
+    server = EnvironmentServer(connection, loop, env, clock)
     told = []
     for _ in range(len(messages) + 1):
         name, *arguments = server.wait()
@@ -521,7 +521,7 @@ def test_in_a_process_of_its_own_an_environments_exception_arrives_whole() -> No
     ],
 )
 def test_an_exception_that_cannot_be_sent_is_told(error: Exception, sent: str) -> None:
-    assert repr(_portable(error)).startswith(sent)
+    assert repr(portable(error)).startswith(sent)
 
 
 @pytest.mark.wall_clock

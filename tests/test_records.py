@@ -122,6 +122,8 @@ def test_resume_with_another_configuration_names_what_differs(run: RunDirectory,
     for some, more in ((("a",), ("a", "b")), (("a", "b"), ())):  # none are all there are
         for cells in (some, more):
             resumed = RunDirectory.create(tmp_path / "cells", Chosen(cells=cells), {}, resume=True, may_grow=["cells"])
+        with pytest.raises(UserError, match=r"cells = .* and a run that goes on can only have more"):
+            RunDirectory.create(tmp_path / "cells", Chosen(cells=("c",)), {}, resume=True, may_grow=["cells"])
     assert resumed.config() == {"cells": []}
     with pytest.raises(UserError, match=r'cells = \["a"\]: \[\] were asked for before'):
         RunDirectory.create(tmp_path / "cells", Chosen(cells=("a",)), {}, resume=True, may_grow=["cells"])

@@ -180,15 +180,12 @@ def test_commands_end_and_position_hold_sets_in_at_airsims_ticks(fly: Callable[[
     assert flight.hover_ticks() == ticks_of(case, "hover_mode")
 
 
-@pytest.mark.parametrize(
-    ("t_move_s", "lasts_s"),
-    [
+def test_a_command_lasts_the_first_multiple_of_21_ms() -> None:
+    for t_move_s, lasts_s in (
         *[(0.1, 0.105), (0.2, 0.210), (0.5, 0.504), (1.0, 1.008), (5.0, 5.019), (6.0, 6.006), (10.0, 10.017)],
         *[(0.001, 0.021), (0.021, 0.021), (0.0211, 0.042), (0.105, 0.105), (0.33, 0.336)],
-    ],
-)
-def test_a_command_lasts_the_first_multiple_of_21_ms(t_move_s: float, lasts_s: float) -> None:
-    assert AIRSIM.command_ticks(t_move_s) * AIRSIM.tick_s == pytest.approx(lasts_s, abs=1e-12)
+    ):
+        assert AIRSIM.command_ticks(t_move_s) * AIRSIM.tick_s == pytest.approx(lasts_s, abs=1e-12)
 
 
 @pytest.mark.parametrize("gap_ticks", [0, 17, 20, 21, 34])
@@ -223,18 +220,6 @@ def test_squares_climb_and_turn_as_in_airsim(fly: Callable[[str], Flight]) -> No
     assert np.diff(heights).mean() == pytest.approx(-0.337, abs=5e-4)
     yaw = euler_from_quaternion(flight.state["quaternion"][ends[-1]])[2]
     assert np.degrees(yaw) == pytest.approx(27.65, abs=0.01)
-
-
-def test_a_velocity_step_has_airsims_shape(fly: Callable[[str], Flight]) -> None:
-    """1 m/s: 10, 50, 90 and 95 % at .216, .702, 1.845 and 2.358 s; at most 5.2 degrees of tilt."""
-    flight = fly("B_vx1_10s")
-    during = flight.state[: 3339 + 1]
-    speed = during["velocity"][:, 0]
-    reached_s = [float(np.argmax(speed >= share)) * AIRSIM.tick_s for share in (0.1, 0.5, 0.9, 0.95)]
-    assert reached_s == pytest.approx([0.216, 0.702, 1.845, 2.358], abs=AIRSIM.tick_s)
-    assert speed[-1] == pytest.approx(0.9942, abs=1e-4)
-    tilt = max(abs(euler_from_quaternion(q)[1]) for q in during["quaternion"])
-    assert np.degrees(tilt) == pytest.approx(5.2, abs=0.05)
 
 
 def test_the_quadrotor_is_airsims(world: World) -> None:

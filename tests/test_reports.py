@@ -6,6 +6,7 @@ in a change of it is to be read again.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -39,6 +40,7 @@ from uavaccel.records import RunDirectory
 from uavaccel.suites import dp1 as of_dp1
 from uavaccel.suites.evaluate import Evaluation
 from uavaccel.suites.grid import Ablation, Robustness, Sweep
+from uavaccel.suites.mediation import Mediation
 from uavaccel.suites.realtime import Realtime
 from uavaccel.suites.report import Report
 from uavaccel.suites.seeds import Seeds, SeedsConfig
@@ -443,6 +445,32 @@ def robustness(path: Path) -> Report:
     return mapped(path, adsc1=at_1x, adsc5=collapses, tcsc1=[0.975, 0.9, 0.8, -1.0], tcsc5=[0.3] * 4)
 
 
+def mediated(path: Path, policies: int) -> Report:
+    """Each policy wins half of what the one before wins, and less the slower it starts; the last has two trainings."""
+    names = [f"told_{n}" for n in range(policies)]
+    flights = {"start": {"label": "share", "keys": ["task.mediation.start_speed"], "values": [[-0.5], [0.25]]}}
+    shown = [f"policies={json.dumps({name: {} for name in names})}", f"flights={json.dumps(flights)}"]
+    rows = []
+    for number, name in enumerate([*names, names[-1]]):
+        won = {"usual": 16 >> number, "start--0.5": 4 >> number, "start-0.25": 8 >> number}
+        arrays: dict[str, Any] = {f"{flight}_is_success": np.arange(16) < count for flight, count in won.items()}
+        arrays |= {f"{flight}_distance_m": np.arange(16.0) for flight in won}
+        seed = int(number == policies)
+        row = {"case": f"{name}-seed{seed}", "policy": name, "seed": seed, "games": 16, "successes": won}
+        rows.append({**row, "arrays": arrays})
+    return run_of(path, Mediation(), configured("mediation_flight", *shown, "shares=[]", "contrasts=[]"), rows)
+
+
+def mediation_of_few(path: Path) -> Report:
+    """Lines over the values of a factor."""
+    return mediated(path, 2)
+
+
+def mediation_of_many(path: Path) -> Report:
+    """A map of policies and flights."""
+    return mediated(path, 8)
+
+
 # --- realtime, seeds ----------------------------------------------------------------------------------------------
 
 
@@ -497,7 +525,7 @@ MADE: tuple[Callable[[Path], Report], ...] = (
     *(dp1_cells, dp1_accelerated, dp1_equal, dp1_disturbed, dp1_failed, dp2_errors, dp2_disturbed, dp2_order),
     *(dp2_clouds, train_over, train_begun, train_progress, train_ppo, evaluate_exact, evaluate_kernels, evaluate_many),
     *(rl_table, rl_flights, rl_gaps, ablation_of_numbers, ablation_of_names, ablation_in_lockstep, sweep, robustness),
-    *(realtime, seeds),
+    *(mediation_of_few, mediation_of_many, realtime, seeds),
 )
 
 

@@ -14,9 +14,9 @@ from tests.opengl import needs_opengl
 from tests.running import configured, run_into
 from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
-from uavaccel.suites import gpu
+from uavaccel.suites import parts
 from uavaccel.suites.grid import Sweep
-from uavaccel.suites.parts import Part, part_suite
+from uavaccel.suites.parts import Part
 from uavaccel.suites.rl import Rl, RlConfig, collapse, over_gaps, parts_of
 
 pytestmark = pytest.mark.usefixtures("trainings_here")
@@ -121,7 +121,7 @@ def test_a_policy_is_flown_with_the_other_command_too(overrides: Any, flown: str
     found = []
     for case in Rl().cases(config):
         for name, (part, seed) in parts_of(config, case).items():
-            trained, made = name == "training", part_suite(part, seed)[1].model_dump()
+            trained, made = name == "training", part.resolve(seed)[1].model_dump()
             assert (made["inference_s"], made["task"]["difficulty"]["wind_m_s"]) == (0.03, 3.0)
             assert (made["task"]["t_move_s"], "learning_s" in part.keys) == ((0.8, True) if trained else (1.0, False))
             assert (seed, part.keys.get("agent")) == ((4, None) if trained else (0, "default"))
@@ -165,7 +165,7 @@ def test_shipped_experiments_count_the_games_of_all_parts(experiment: str, optio
     found = [Rl().games(config, case) for case in Rl().cases(config)]
     assert games in (found, len(found))
     for keys, seed in (({}, 3), ({"seed": 9}, 9)):
-        assert part_suite(Part(experiment="evaluate", keys=keys), 3)[1].seed == seed
+        assert Part(experiment="evaluate", keys=keys).resolve(3)[1].seed == seed
 
 
 @pytest.mark.slow
@@ -255,11 +255,11 @@ def taken(device: str, gpus: int, monkeypatch: pytest.MonkeyPatch) -> list[str |
     monkeypatch.setattr("torch.cuda.device_count", lambda: gpus)
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1, 2, 3, 4}, raising=False)
     monkeypatch.setattr(os, "sched_setaffinity", lambda _, share: cores.append(set(share)), raising=False)
-    monkeypatch.setattr(gpu, "_place", None)
-    for name in (gpu.VISIBLE, gpu.EGL_DEVICE):
+    monkeypatch.setattr(parts, "_place", None)
+    for name in (parts.VISIBLE, parts.EGL_DEVICE):
         monkeypatch.delenv(name, raising=False)
-    gpu.acquire_gpu(device)
-    return [os.environ.get(gpu.VISIBLE), os.environ.get(gpu.EGL_DEVICE), *map(str, cores)]
+    parts.acquire_gpu(device)
+    return [os.environ.get(parts.VISIBLE), os.environ.get(parts.EGL_DEVICE), *map(str, cores)]
 
 
 def test_each_process_takes_a_gpu_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -269,10 +269,10 @@ def test_each_process_takes_a_gpu_of_its_own(tmp_path: Path, monkeypatch: pytest
     held: list[Any] = []
     for expected in (first, second, first, second):
         assert taken("cuda", 2, monkeypatch) == expected
-        held.append(gpu._place)
+        held.append(parts._place)
     held[1].close()  # as at its process's end
     assert taken("cuda", 2, monkeypatch) == second
-    for file in (*held, gpu._place):
+    for file in (*held, parts._place):
         file.close()
     for device, count in (("cpu", 2), ("cuda:1", 2), ("cuda", 1)):
         assert taken(device, count, monkeypatch) == [None, None]
@@ -281,7 +281,7 @@ def test_each_process_takes_a_gpu_of_its_own(tmp_path: Path, monkeypatch: pytest
 def test_a_sweep_takes_a_gpu_for_flights_on_gpus_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[str] = []
     run: Any = object()
-    monkeypatch.setattr(gpu, "acquire_gpu", asked.append)
+    monkeypatch.setattr(parts, "acquire_gpu", asked.append)
     for device in ("cpu", "cuda"):
         keys = {"simulator": "kernels", "device": device}
         evaluation = {"experiment": "evaluate", "keys": keys}

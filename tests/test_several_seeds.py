@@ -14,8 +14,8 @@ from tests.running import configured, run_into
 from uavaccel.config import validate
 from uavaccel.errors import UsageError, UserError
 from uavaccel.records import RunDirectory
+from uavaccel.suites.experiment import Row
 from uavaccel.suites.parts import part_run
-from uavaccel.suites.rows import Row
 from uavaccel.suites.seeds import Seeds, SeedsConfig
 from uavaccel.suites.session import RunRequest, configure, planned
 from uavaccel.suites.train import TrainConfig
@@ -79,7 +79,7 @@ def test_an_option_makes_a_training_one_over_seeds(tmp_path: Path) -> None:
     assert (config.suite, config.seed, config.seeds) == ("seeds", 5, 3)
     assert config.training == configured("train", "task.speed_m_s=2", seed=5, games=4)
     with planned(RunRequest("train", {"seeds": 3, "games": 4}, out=tmp_path / "run")) as plan:
-        assert next(plan.lines()).startswith("12 games in 3 trainings (3 lockstep: modelled), ")
+        assert next(plan.lines()).startswith("12 games in 3 trainings (3 lockstep: modelled), 2,340 simulated s")
         RunDirectory.create(plan.out, plan.config, {})
     more = {"seeds": 4, "games": 6, "clock_speed": 1.0}
     again = configure(RunRequest(None, more, out=tmp_path / "run", resume=True, suite="train"))[1]

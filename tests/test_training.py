@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 import torch as th
 
-from tests.learning import kill_at_row, side_by_side, tiny_config, train_into
+from tests.learning import side_by_side, tiny_config, train_into
 from tests.opengl import needs_opengl
 from tests.running import configured
 from uavaccel.config import to_yaml
@@ -81,13 +81,14 @@ def test_adsc_does_not(tmp_path: Path) -> None:
 
 @needs_opengl
 @pytest.mark.parametrize("seen", [{}, {"observation": "depth", "also_state": True}], ids=["events", "depth, state"])
-def test_a_killed_training_ends_with_the_same_weights(tmp_path: Path, seen: dict[str, Any]) -> None:
+def test_a_training_cut_short_ends_with_the_same_weights(tmp_path: Path, seen: dict[str, Any]) -> None:
     config = tiny_config({"timing": "virtual", **seen}, games=6, mirror=not seen)
-    kill_at_row(tmp_path / "killed", config, 5)
-    assert len(RunDirectory(tmp_path / "killed").rows()) == 5
-    assert checkpointed(tmp_path / "killed") == 4
-    assert train_into(tmp_path / "killed", config, resume=True) == train_into(tmp_path / "whole", config)
-    assert (tmp_path / "killed/rows.jsonl").read_bytes() == (tmp_path / "whole/rows.jsonl").read_bytes()
+    cut = start_run(Training(), config, tmp_path / "cut", {})
+    with pytest.raises(RuntimeError, match="stopped"):
+        run_suite(Training(), config, cut, on_game=stop_after(5))
+    assert (len(cut.rows()), checkpointed(cut.path)) == (5, 4)
+    assert train_into(cut.path, config, resume=True) == train_into(tmp_path / "whole", config)
+    assert (cut.path / "rows.jsonl").read_bytes() == (tmp_path / "whole/rows.jsonl").read_bytes()
 
 
 def checkpointed(run: Path) -> int:
@@ -257,15 +258,15 @@ def test_evaluations_after_a_checkpoint_are_flown_again(tmp_path: Path, monkeypa
 def test_processes_learn_what_one_would(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Two of them, and two that fly in turns, stopped and resumed."""
     config = tiny_config(STATE, mirror=False, environments=2)
-    one = train_into(tmp_path / "one", config)
+    turns = tiny_config(STATE, mirror=False, environments=2, turns=2, games=8, checkpoint_games=3)
+    one, whole = train_into(tmp_path / "one", config), train_into(tmp_path / "whole", turns)
     assert {row["environment"] for row in RunDirectory(tmp_path / "one").rows()} == {0, 1}
     monkeypatch.setattr(trainer, "make_lanes", make_lanes)
     monkeypatch.setattr(lanes, "start_exact_lanes", start_exact_lanes)
     assert train_into(tmp_path / "processes", config) == one
-    turns = tiny_config(STATE, mirror=False, environments=2, turns=2, games=8, checkpoint_games=3)
     with pytest.raises(RuntimeError, match="stopped"):
         run_suite(Training(), turns, start_run(Training(), turns, tmp_path / "cut", {}), on_game=stop_after(7))
-    assert train_into(tmp_path / "cut", turns, resume=True) == train_into(tmp_path / "whole", turns)
+    assert train_into(tmp_path / "cut", turns, resume=True) == whole
 
 
 # --- schedules and records --------------------------------------------------------------------------------------

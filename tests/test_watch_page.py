@@ -417,3 +417,12 @@ def test_a_foreign_page_gets_nothing_and_a_deaf_one_is_dropped(monkeypatch: pyte
         deaf.close()
     finally:
         page.stop()
+
+
+def test_the_first_free_port_is_taken() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        assert beside.free_port("127.0.0.1", port) > port
+    assert beside.free_port("127.0.0.1", port) == port
+    with pytest.raises(UserError, match=r"at 127\.0\.0\.1: no port is free from 65536 on"):
+        beside.free_port("127.0.0.1", 1 << 16)

@@ -43,6 +43,7 @@ LANE: Table = [
     ({"dvs_preset": "foggy"}, "dvs_preset = 'foggy'"),
     ({"dvs_rate_hz": 300.0}, "does not divide the 500 steps per second of the physics; 250 does"),
     ({"dvs_rate_hz": 900.0}, "500 does"),
+    ({"dvs_rate_hz": 2.5}, "dvs_rate_hz = 2.5: must give a frame in each sample of 0.33 s"),
     ({"dvs_rate_hz": 100.0, "observation": "depth"}, "need observation dvs"),
     ({"dvs_rate_hz": 100.0, "timing": "wall"}, "timing virtual or lockstep"),
     ({"dvs_rate_hz": -1.0}, "dvs_rate_hz"),

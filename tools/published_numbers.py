@@ -515,14 +515,21 @@ ALONE = {
 }
 FROM_REST = ("gap_50x", "gap_100x", "gap_50x_long", "gap_100x_long", "start_50x", "start_50x_long")
 TEN = "10x's whole gap"
+METRES = "50x's metres a command, by commands of .3 s"
 SHOWN = (
     "50x's speed at the start",
     "the same, from rest with 1 000 commands a game",
+    "the rest of 50x's gap, at speed",
+    "the rest of 50x's gap, from rest",
+    METRES,
+    "50x's seconds a metre",
+    "pictures .96 s old",
     TEN,
     "5x's whole gap",
     "5x's whole gap, in trainings of 1 200 to 2 000 games",
     "100x's gap instead of 50x's",
     "100x's gap instead of 50x's, with 1 000 commands a game",
+    "100x's metres a command instead of 50x's, by commands of .42 s",
     "in flight, 50x's speed at the start",
     "in flight, the rest of 50x's gap",
     "in flight, pictures .96 s old",
@@ -533,6 +540,8 @@ ALONE_IN_TRAINING = {
     "commands of .3 s: 50x's metres": "metres_50x",
     "commands of .42 s: 100x's metres": "metres_100x",
     "5x's gap": "gap_5x",
+    "a gap of 1.2 s": "gap_1s",
+    "a gap of 2 s": "gap_2s",
     "10x's gap": "gap_10x",
     "its speed at the start alone": "start_10x",
     "its rest alone": "way_10x",
@@ -541,8 +550,9 @@ ALONE_IN_TRAINING = {
 OF_MEDIATION = (
     r"(?:gap of|after|[Aa]t|of|in|what|that of) 2 s\b|63 ms|of 1 s north at 1 m/s|lanes 0 to 99|gap of \.068 s",
     r"won, of 100|0 is at rest|`start_speed: 1`|\.3 s at full speed|3 000 games|300 (?:lanes|commands)|, of 300",
-    r"1 000 commands|Pictures \.96 s old|are\s+2\.08 s|win 41 %|23 of 100 games|under 18 conditions|150 m of obstacles",
-    r"20 (?:effects|trainings)|is \.062 of the velocity|leaves \+\.04 m/s\s+where ADSC's leaves −\.02|ClockSpeed 1,",
+    r"1 000 commands|Pictures \.96 s old|are\s+2\.08 s|win 41 %|23 of 100 games|150 m of obstacles",
+    r"(?:in )?all 18|first 74|15 trainings repeated",
+    r"21 effects|is \.062 of the velocity|leaves \+\.04 m/s\s+where ADSC's leaves −\.02|ClockSpeed 1,",
     r"second at 2 m/s|for 60 ms",
 )
 
@@ -559,8 +569,14 @@ def matrix() -> pd.DataFrame:
 
 def won_by(policy: str, flight: str = "gap-0.068") -> list[int]:
     """Return the games, of 300, that each training of a kind won in a flight, by default in real time."""
-    found: list[int] = matrix()[matrix().policy == policy][f"successes.{flight}"].tolist()
-    return found
+    flown = matrix()[matrix().policy == policy][f"successes.{flight}"].dropna()
+    return [int(count) for count in flown]
+
+
+def shares_won(policy: str, flight: str = "gap-0.068", words: str = "{:.0f} ({:.0f} to {:.0f})") -> str:
+    """Return mean, least and most of what trainings of a kind won in a flight, per cent."""
+    wins = np.array(won_by(policy, flight)) / 3
+    return words.format(wins.mean(), wins.min(), wins.max())
 
 
 @cache
@@ -581,46 +597,51 @@ def points(told: dict[str, Any]) -> str:
 
 def moved_in_training() -> Text:
     """Of the policies in docs/tables/mediation_matrix.csv, a row for each training."""
-    rows, found, wins = matrix(), effects(), won_by
+    rows, found, won = matrix(), effects(), shares_won
     shown = dict(found)
     for label in SHOWN:
         told = shown[label]
-        added, low, high = (f"{100 * told[name]:+.0f}".replace("-", "−") for name in ("effect", "low", "high"))
+        added, low, high = (signed(100 * told[name]) for name in ("effect", "low", "high"))
         ends = f"{100 * told['without']:.0f} % | {100 * told['moved']:.0f} % | {added} [{low}, {high}]"
         yield f"| {label} | {ends} | {told['trainings']} |"
     yield f"the start costs {points(found[0][1]).replace('points', 'points of success')}"
-    yield f"policies win {' and '.join(map(str, wins('start_50x')))} of 300 lanes in real time"
-    restored, slow = wins("way_50x"), wins("tcsc")
-    yield f"restored, {' and '.join(map(str, restored))}; with TCSC {counted(slow[:-1])} and {slow[-1]}."
-    yield f"| no gap | {counted(slow)} (this is TCSC) | {counted(wins('start_50x'))} |"
-    yield f"| 50x's gap of 3.57 s | {counted(restored)} | {counted(wins('gap_50x'))} |"
+    whole = "{1:.0f} to {2:.0f} %, on average {0:.0f} %"
+    yield f"policies win {won('start_50x', words=whole)}, of 300 lanes in real time"
+    yield f"restored, {won('way_50x', words=whole)}; with TCSC {won('tcsc', words=whole)}."
+    yield f"| no gap | {won('tcsc')}: this is TCSC | {won('start_50x')} |"
+    yield f"| 50x's gap of 3.57 s | {won('way_50x')} | {won('gap_50x')} |"
     for label, policy in ALONE_IN_TRAINING.items():
-        yield f"| {label} | {counted(wins(policy))} |"
-    kinds = rows.policy.nunique()
-    yield f"has {kinds} training conditions of 3 000 games"
-    third = in_words(len(rows) - 2 * kinds)
-    yield f"{len(rows)} of its {10 * kinds} policies, two seeds of all conditions and a third of {third}."
+        yield f"| {label} | {won(policy)} |"
+    kinds, matrix_rows = rows.policy.nunique(), rows["successes.way-0.712"].notna()
+    yield f"has {kinds} training conditions of 3 000 games, ten seeds each"
+    yield f"of the {len(rows)} policies {matrix_rows.sum()}, two or three of each condition and TCSC's ten"
     rested, real = (
-        [count / 3 for policy in FROM_REST for count in wins(policy, flight)] for flight in ("start-0.062", "gap-0.068")
+        [count / 3 for policy in FROM_REST for count in won_by(policy, flight)]
+        for flight in ("start-0.062", "gap-0.068")
     )
     yield f"The {in_words(len(FROM_REST))} kinds whose commands begin nearly at rest, {len(real)} trainings, win"
-    yield f"win {min(rested):.0f} to {max(rested):.0f} % from 50x's speed"
-    yield f"and {min(real):.0f} to {max(real):.0f} % in real time."
-    longer, own = (" and ".join(map(str, wins(policy))) for policy in ("start_50x_long", "gap_50x_long"))
+    yield f"win {np.mean(rested):.0f} % from 50x's speed and {np.mean(real):.0f} % in real time,"
+    yield f"in real time, none above {max(real):.0f} %."
+    longer, own = (won(policy, words="{:.0f} %") for policy in ("start_50x_long", "gap_50x_long"))
     yield f"the policies still win {longer}, with the gap {own}."
-    yield f"cover as little, and win {' and '.join(map(str, wins('metres_50x')))}."
-    at_speed, at_rest = (shown[f"the rest of 50x's gap, {where}"]["effect"] for where in ("at speed", "from rest"))
-    yield f"costs nothing at speed ({100 * at_speed:+.0f} points); from rest, {-100 * at_rest:.0f}."
-    yield f"a constant gap costs {-100 * shown[TEN]['effect']:.0f} points"
+    yield f"cover as little, and cost {points(shown[METRES])}"
+    yield f"a constant gap costs {points(shown[TEN])}"
     usual, old, gap, start, way, ten = (
-        f"{sum(wins('tcsc', flight)) / 9:.0f}"
+        won("tcsc", flight, "{:.0f} %")
         for flight in ("usual", "age-0.96", "gap-2", "start-0.062", "way-0.712", "gap-0.712")
     )
-    yield f"(.96 s: from {usual} to {old} %), then by the whole gap of 2 s ({gap} %)"
-    yield f"and by the speed of 50x ({start} %)."
-    yield f"The rest of 10x's gap alone ({way} %) loses what the whole gap of 10x ({ten} %) does not"
+    yield f"(.96 s: from {usual} to {old}), then by the whole gap of 2 s ({gap})"
+    yield f"by the speed of 50x ({start})."
+    yield f"The rest of 10x's gap alone ({way}) loses what the whole gap of 10x ({ten}) does not"
+    weak = shown["5x's whole gap, in trainings of 1 200 to 2 000 games"]
+    effect_of, low, high = (f"{100 * weak[name]:.0f}" for name in ("effect", "low", "high"))
+    yield f"In these {weak['trainings']} trainings 5x's gap raises success, by {effect_of} points [{low}, {high}]"
     for games in (1200, 1400, 1600, 1800, 2000):
-        yield f"| {games} | {counted(wins(f'weak_{games}'))} | {counted(wins(f'weak_5x_{games}'))} |"
+        yield f"| {games} | {won(f'weak_{games}')} | {won(f'weak_5x_{games}')} |"
+
+
+def signed(value: float) -> str:
+    return f"{value:+.0f}".replace("-", "\N{MINUS SIGN}")
 
 
 def parts_of_gaps() -> Text:
@@ -633,6 +654,8 @@ def parts_of_gaps() -> Text:
         yield f"| {row['clock_speed']:g}x | {gap} | {speed} | {metres} | {lasts} | {age} | {unseen} |"
     yield f"after 2 s the drone flies backwards at {short(-rows['tcsc', 2.0]['start_speed_m_s'], 2)} m/s."
     metres = next(row["metres_per_command"] for row in adsc if row["clock_speed"] == 50)
+    more = next(row["metres_per_command"] for row in adsc if row["clock_speed"] == 100)
+    yield f"Its commands advance {short(more, 2)} m instead of {short(metres, 2)},"
     yield f"at {short(metres, 2)} m a command, 300 commands end after {300 * metres:.0f} m"
 
 

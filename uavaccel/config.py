@@ -146,11 +146,7 @@ def _position(container: object, parts: list[str], source: str) -> str | int:
 
 
 def validate(cls: type[ConfigType], mapping: Mapping[str, object], source: str) -> ConfigType:
-    """Return an instance of `cls` from plain data.
-
-    Raises UserError: one line that names `source` (a file), the dotted key, the bad value and what would be
-    right.
-    """
+    """Return an instance of `cls` from plain data; UserError names `source`, key, value and what would be right."""
     try:
         return cls.model_validate_json(json.dumps(mapping), strict=True)
     except ValidationError as error:
@@ -301,8 +297,7 @@ class _Dumper(yaml.SafeDumper):
 def load_yaml(path: str | Path, shipped: bool = False) -> dict[str, Plain]:
     """Return the mapping in a YAML file; one that is `shipped` with the package is read by a quicker parser.
 
-    Raises UserError, naming the file and where possible the line, if it cannot be read, is not YAML, has a duplicate
-    key or is not a mapping.
+    Raises UserError, with the file and the line, if it cannot be read, is not YAML, no mapping, or has a key twice.
     """
     try:
         text = read_bounded(Path(path)).decode("utf-8")

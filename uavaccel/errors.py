@@ -38,8 +38,7 @@ _SYSTEM_REFUSES = {
 def mistake_of(error: BaseException) -> UserError | None:
     """Return the user's mistake behind an exception; None for an error of this program.
 
-    What the system refuses is the user's to mend: a full disk, a folder that is not writable, a name that is too long,
-    or a lack of memory.
+    What the system refuses is the user's to mend: a full disk, a folder that is not writable, a lack of memory.
     """
     if isinstance(error, UserError):
         return error

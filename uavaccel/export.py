@@ -43,9 +43,9 @@ from uavaccel.sim.camera.pixels import png
 from uavaccel.sim.camera.view import HEIGHT, WIDTH
 from uavaccel.suites.evaluate import AnyRow, EvaluateConfig, Step, game_seed
 from uavaccel.suites.evaluate_again import environment_of, evaluation_of, fly_again
+from uavaccel.suites.experiment import Row, number_of
 from uavaccel.suites.flight import Flight
 from uavaccel.suites.registry import suite_of
-from uavaccel.suites.rows import Row, number_of
 from uavaccel.suites.suite import choose_row
 from uavaccel.units import NS_PER_S
 
@@ -118,8 +118,7 @@ def write_mcap(run: RunDirectory, path: Path, case: str | None = None) -> Iterat
     """Write the games of a run, or that `case` alone, and give each file as it is written.
 
     `path` is a folder, in which a game is CASE.mcap, or, for one game, a file that ends in .mcap. One game is held in
-    memory at a time. Raises UserError where the run has no such game, a file exists or cannot be written, or the
-    package mcap is missing.
+    memory at a time. Raises UserError where there is no such game, mcap is missing, or a file exists or cannot be.
     """
     require("mcap", "--mcap", "export")  # better said before a game is flown again
     suite = suite_of(run)
@@ -282,7 +281,7 @@ def _write_episodes(
             steps = fly_again(run, config, environment, row)
             episode = file.create_group(f"episode_{number}")
             options = reset_options(config.env_id, number_of(row)).items()
-            numbers = {"id": number, "seed": game_seed(config, number_of(row))}
+            numbers: Json = {"id": number, "seed": game_seed(config, number_of(row))}
             numbers |= {f"options/{name}": value for name, value in options}
             episode.attrs.update(numbers | {"total_steps": len(steps)})
             for name, values in _columns(config, steps).items():

@@ -232,5 +232,6 @@ def _remembered(file: Path) -> str | None:
     if file in _here:
         return _here[file]
     with suppress(OSError):
-        return (note := _note(file)) and read_bounded(note).decode(errors="replace").partition(" ")[0]
+        if (note := _note(file)) is not None:
+            return read_bounded(note).decode(errors="replace").partition(" ")[0]
     return None

@@ -183,8 +183,7 @@ class RunDirectory:
     def file(self, name: str) -> Path:
         """Return the path of a file of the run, e.g. "figures/figure5.png", in a folder that exists.
 
-        Raises UserError if the run's own folder no longer exists, rather than starting a new one, and if the file
-        would be outside of it.
+        Raises UserError if the run's own folder no longer exists, and if the file would be outside of it.
         """
         self._refuse_gone()
         path = inside(self.path, name)

@@ -145,17 +145,14 @@ class SocketConnection:
                     return
                 self._read_by_somebody = True
             try:
-                self._receive(future, deadline_ns)
+                if not wait_for_sockets(self._rpc.selector, deadline_ns):
+                    raise TimeoutError(self._late(future))
+                for answered, error, result in self._rpc.receive():
+                    answered.answer(None if error is None else str(error), result)
             finally:
                 with self._state:
                     self._read_by_somebody = False
                     self._state.notify_all()
-
-    def _receive(self, future: Future, deadline_ns: int) -> None:
-        if not wait_for_sockets(self._rpc.selector, deadline_ns):
-            raise TimeoutError(self._late(future))
-        for answered, error, result in self._rpc.receive():
-            answered.answer(None if error is None else str(error), result)
 
     def _late(self, future: Future) -> str:
         return f"{future.method}: no answer within {self._timeout_ns / NS_PER_S:g} s"

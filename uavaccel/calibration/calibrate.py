@@ -72,14 +72,11 @@ def fly_square(
 def advise(latency: LatencyConfig, profile: str, t_move_s: float, rounds: int, seed: int = 0) -> pd.DataFrame:
     """Fly the square path with `rounds` rounds, and return a row for each of ADVISED_SPEEDS and command, ADSC first.
 
-    `error_m` is the games' median RMSE against the flight without latency, `stlc` and `speedup` are against ADSC at
-    ClockSpeed 1.
+    `error_m` is the median RMSE against the flight without latency, `stlc` and `speedup` are against ADSC at 1x.
     """
     rows: list[dict[str, Plain]] = []
     with VirtualSession("blocks", profile) as lockstep, VirtualSession("blocks", profile, latency) as session:
-
-        def t_th(clock_speed: float) -> int:
-            return PROFILES[profile].t_th_ns(T_TH_WALL_S, clock_speed, t_move_s)
+        t_th = partial(PROFILES[profile].t_th_ns, T_TH_WALL_S, t_sample_s=t_move_s)
 
         def games(command: str, clock_speed: float) -> tuple[list[Trajectory], float]:
             """Fly GAMES, and return their trajectories and their mean wall time."""
@@ -343,8 +340,7 @@ def _short(value: float) -> str:
 def check_agreement(latency: LatencyConfig, profile: str, games: int) -> Iterator[Agreement]:
     """Fly `games` of each command, ClockSpeed and T_move on both clocks, and yield the agreement of pauses and errors.
 
-    A pause is the simulated time in ms between two commands, an error the RMSE in cm of a game against the flight
-    without latency.
+    A pause is simulated ms between two commands, an error a game's RMSE in cm against the flight without latency.
     """
     with (
         WallSession("blocks", profile) as wall,

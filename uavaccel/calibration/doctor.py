@@ -63,11 +63,8 @@ def findings() -> Iterator[Finding]:
     yield Finding("host", f"{run['host']['platform']}, {run['host']['cpu_model']}")
     machine = check_machine()
     yield Finding("cores", f"{machine['cores']}, load {machine['load_1min']:.2f}")
-    yield Finding(
-        "timers",
-        f"a sleep ends {machine['timer_late_median_us']:.0f} us late (median), "
-        f"{machine['timer_late_p90_us']:.0f} us (90th percentile)",
-    )
+    late = "a sleep ends {timer_late_median_us:.0f} us late (median), {timer_late_p90_us:.0f} us (90th percentile)"
+    yield Finding("timers", late.format(**machine))
     yield Finding("timing", f"wall: {machine['verdict']}", machine["verdict"] != "quiet")
     yield hot_loop()
     yield renderer()

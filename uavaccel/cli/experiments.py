@@ -176,7 +176,7 @@ def _page(plan: Plan) -> Callable[[], AbstractContextManager[object]]:
     if not plan.request.watch:
         return nullcontext
     from uavaccel.envs.simulators import KERNELS
-    from uavaccel.suites.engines import LOKY
+    from uavaccel.processes.workers import LOKY
     from uavaccel.watch.beside import LOOPBACK, PORT, free_port, page_beside
 
     if getattr(plan.config, "simulator", None) == KERNELS:

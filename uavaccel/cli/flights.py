@@ -17,6 +17,10 @@ from uavaccel.cli.terminal import LINES, console, working
 from uavaccel.errors import UsageError
 from uavaccel.fly.options import THINK_S
 
+THINKS = (
+    "Wall seconds that the script thinks before each call; "
+    f"default: {THINK_S['virtual']:g} in virtual, {THINK_S['lockstep']:g} in lockstep."
+)
 LIKE = 0.8  # of letters that two options have in common, from which on one may be the other mistyped
 
 
@@ -54,15 +58,7 @@ def fly(
         bool, option(None, "Fly twice; messages and trajectories must be equal to the byte.", "--check")
     ] = False,
     until: Annotated[float | None, option("S", "Stop after these simulated seconds, pauses included.", min=0.0)] = None,
-    think: Annotated[
-        float | None,
-        option(
-            "S",
-            "Wall seconds that the script thinks before each call; "
-            f"default: {THINK_S['virtual']:g} in virtual, {THINK_S['lockstep']:g} in lockstep.",
-            min=0.0,
-        ),
-    ] = None,
+    think: Annotated[float | None, option("S", THINKS, min=0.0)] = None,
     seed: Annotated[int | None, option("N", "Random seed of Python, NumPy, PyTorch and Gymnasium.")] = None,
     keys: Annotated[str | None, option("KEY,...", "Keys to press one after the other, as in w,w,space,q.")] = None,
     settings: Annotated[
@@ -98,8 +94,8 @@ def fly(
         keys=parse_keys(keys),
         film=film,
     )
-    page = page_beside if watch else None
-    raise typer.Exit(fly_script(FlyRequest(flight, parse_clocks(clock), check, not no_settings, out, page)))
+    asked = FlyRequest(flight, parse_clocks(clock), check, not no_settings, out, page_beside if watch else None)
+    raise typer.Exit(fly_script(asked))
 
 
 def _own(script: Path, arguments: list[str], options: list[str]) -> tuple[str, ...]:
@@ -202,7 +198,7 @@ def export(
             console.print(f"{onnx}: seen: {about['seen']}; actions: {actions}")
         written: list[Iterable[Path]] = []
         if csv is not None or parquet is not None:
-            from uavaccel.suites.tables import write_tables
+            from uavaccel.suites.report import write_tables
 
             tables = ((csv, "csv"), (parquet, "parquet"))
             written += [write_tables(open_run(source), folder, kind) for folder, kind in tables if folder is not None]

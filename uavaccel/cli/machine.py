@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, Any
@@ -152,8 +153,6 @@ def init(
 
 def schema_text(suite: str) -> str:
     """Return the JSON schema of a suite's YAML files, or of the one that is named. Raises UserError."""
-    import json
-
     from uavaccel.suites.session import schema_of
 
     return json.dumps(schema_of(suite), indent=2, sort_keys=True) + "\n"

@@ -14,7 +14,7 @@ from rich.table import Table as RichTable
 
 if TYPE_CHECKING:
     from uavaccel.draw.page import Table
-    from uavaccel.suites.rows import Row
+    from uavaccel.suites.experiment import Row
     from uavaccel.suites.suite import AnySuite, Case
 
 console = Console(highlight=False, markup=False, soft_wrap=True)

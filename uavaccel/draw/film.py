@@ -69,10 +69,9 @@ class Film:
     """A game's n samples: times (n,), images (n, H, W) gray or (n, H, W, 3) RGB, DVS event counts (n, H, W), and
     positions NED (n, 3).
 
-    `title` names agent, speed and clock. The whole of a lane is below all else; elsewhere the map is of the whole
-    flight, with what is to be reached at `target_m` (3,). `chase` renders the view of a sample from behind, RGB, as
-    large as PANEL.
-    `hit` names the object of a collision at the last sample; empty if there was none.
+    The whole of a lane is below all else; elsewhere the map is of the whole flight, with what is to be reached at
+    `target_m` (3,). `chase` renders the view of a sample from behind, RGB, as large as PANEL. `hit` names the object of
+    a collision at the last sample; empty if there was none.
     """
 
     title: str
@@ -247,11 +246,9 @@ def movie(
 ) -> Iterator[Callable[[Bgr], None]]:
     """Yield a function that adds an image of `size` (width, height) to an MP4, which is written whole or not at all.
 
-    If it is known how long it will be, `seconds`, it has LARGEST bytes at most.
-
-    It is H.264 in 4:2:0 with the index in front, so that it plays from the first byte on, encoded in one thread and
-    without dates, so that equal films are equal files. Raises UserError where it cannot be written, at the end too if
-    the first error was caught.
+    If it is known how long it will be, `seconds`, it has LARGEST bytes at most. It is H.264 in 4:2:0 with the index
+    in front, so that it plays from the first byte on, encoded in one thread and without dates, so that equal films
+    are equal files. Raises UserError where it cannot be written, at the end too if the first error was caught.
     """
     import av  # FFmpeg is needed for films alone
 

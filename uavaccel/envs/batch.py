@@ -154,6 +154,8 @@ class EnvironmentBatch(TurnBatch):
     def set_attr(self, name: str, values: object) -> None:
         """Set an attribute to one value or, from a list, to one for each environment."""
         each = values if isinstance(values, (list, tuple)) else [values] * self.num_envs
+        if len(each) != self.num_envs:
+            raise UserError(f"set_attr: {len(each)} values for {self.num_envs} environments")
         self._slots.request_all("set_attribute", [(name, value) for value in each], range(self.num_envs))
 
     def close_extras(self, **_: object) -> None:

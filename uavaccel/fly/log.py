@@ -130,20 +130,11 @@ def _lines(path: Path) -> Iterator[str]:
 # --- trajectory, film ---------------------------------------------------------------------------------------------
 
 
-class Trajectory:
-    """The samples of one vehicle in the order of their times."""
-
-    def __init__(self) -> None:
-        self._rows: list[tuple[float, ...]] = []
-        self._time_ns: list[int] = []
-
-    def add(self, state: Kinematics) -> None:
-        self._time_ns.append(state.time_ns)
-        self._rows.append((*state.position_m, *state.orientation_wxyz, *state.linear_velocity_m_s))
-
-    def write(self, folder: Path) -> None:
-        rows = np.array(self._rows, np.float64).reshape(-1, 10)
-        write_trajectory(folder, np.array(self._time_ns, np.int64), rows)
+def write_states(folder: Path, states: Sequence[Kinematics]) -> None:
+    """Write the trajectory of one vehicle's states in the order of their times."""
+    rows = [(*each.position_m, *each.orientation_wxyz, *each.linear_velocity_m_s) for each in states]
+    time_ns = np.array([each.time_ns for each in states], np.int64)
+    write_trajectory(folder, time_ns, np.array(rows, np.float64).reshape(-1, 10))
 
 
 def write_trajectory(folder: Path, time_ns: NDArray[np.int64], rows: NDArray[np.float64]) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 
 from uavaccel.clock import MonotonicClock, VirtualClock, WallClock, datetime_module, time_module
 from uavaccel.fly.environment import ended_by_refusals, refusal, script_environment
-from uavaccel.fly.log import INTERVAL_NS, MessageLog, Trajectory, filming
+from uavaccel.fly.log import INTERVAL_NS, MessageLog, filming, write_states
 from uavaccel.fly.options import THINK_S, FlightOptions, FlightSummary
 from uavaccel.fly.script import FlightOver, ScriptResult, run_script
 from uavaccel.fly.threads import SharedModules, ThreadModules, end_pools
@@ -51,21 +51,11 @@ class ScriptWorld:
         self.api = Api(self.simulation, settings, recordings=options.folder / "recordings", say=warn)
         self.api.refusals.say = warn
         self.simulation.settle(0)
-        self.trajectory, tick_ns = Trajectory(), profile.tick_ns
-        self.trajectory.add(self.simulation.kinematics())
-        self.world.watch(INTERVAL_NS // tick_ns, lambda _: self.trajectory.add(self.simulation.kinematics()))
+        self.states, tick_ns = [self.simulation.kinematics()], profile.tick_ns
+        self.world.watch(INTERVAL_NS // tick_ns, lambda _: self.states.append(self.simulation.kinematics()))
         self.world.watch(KEEP_NS // tick_ns, lambda _: self.api.scenery.recorder.keep())
         self.transport = VirtualTransport(self.api, clock, draws)
         self.transport.catch_up()
-
-    def summary(self) -> FlightSummary:
-        """Return the simulated duration, the last position and what went wrong: SI units, NED."""
-        return {
-            "simulated_s": self.simulation.time_ns / NS_PER_S,
-            "position_m": list(self.simulation.kinematics().position_m),
-            "failure": self.simulation.failure,
-            "refused": self.api.refusals.lines(),
-        }
 
 
 def warn(line: str) -> None:
@@ -131,7 +121,7 @@ class SimulatedFlight:
             return
         api = self._world.api
         api.scenery.recorder.stop()
-        self._world.trajectory.write(self._options.folder)
+        write_states(self._options.folder, self._world.states)
         if refused := api.refusals.lines():
             print("uavaccel: refused calls:", *refused, sep="\n  ", file=sys.stderr)
 
@@ -139,7 +129,13 @@ class SimulatedFlight:
         """Return the flight's durations and its last position: SI units, NED; no position if no client connected."""
         summary: FlightSummary = {"simulated_s": 0.0, "position_m": None, "refused": []}
         if self._has_world():
-            summary = self._world.summary()
+            simulation = self._world.simulation
+            summary = {
+                "simulated_s": simulation.time_ns / NS_PER_S,
+                "position_m": list(simulation.kinematics().position_m),
+                "failure": simulation.failure,
+                "refused": self._world.api.refusals.lines(),
+            }
         return {
             **summary,
             "script_s": self._clock.now_ns() / NS_PER_S,

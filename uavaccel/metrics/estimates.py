@@ -97,9 +97,7 @@ def difference_estimate(first: Estimate, second: Estimate, correlation: float = 
 
 def ratio_estimate(first: Estimate, second: Estimate, correlation: float = 0.0) -> Estimate:
     """Return first / second with the interval that follows from theirs (MOVER-R: Donner and Zou, Stat. Methods Med.
-    Res. 21, 2012). Neither quantity can be negative; the upper end is infinite where the second may be 0.
-
-    Raises ValueError where the second is 0.
+    Res. 21, 2012). Neither is negative; the upper end is infinite where the second may be 0. Raises ValueError at 0.
     """
     (p, low_p, high_p), (q, low_q, high_q) = first, second
     if q <= 0.0:

@@ -153,7 +153,7 @@ def hierarchical_interval(samples: Sequence[ArrayLike], seed: int, resamples: in
 
     `samples` has an array (games,) for each training seed; seeds are resampled, then the games of each. The interval
     lies in the range of the values and has no width where all are equal: for shares of games won take
-    `success.Success`. For one seed it covers its games alone. Equal `seed` gives equal intervals. Raises
+    `estimates.Success`. For one seed it covers its games alone. Equal `seed` gives equal intervals. Raises
     ValueError without seeds, and for a seed without games.
     """
     values = [np.asarray(sample, dtype=np.float64) for sample in samples]

@@ -63,8 +63,7 @@ def _spatial_closeness(flights: Sequence[Trajectory], targets: Sequence[Trajecto
 def _distances_m(points: FloatArray, path: FloatArray) -> FloatArray:
     """Return the distance of each of `points` (n, 3) from the nearest point of `path` (m, 3).
 
-    A path moves at most its longest step from one point to the next, so that points on it which cannot be nearer than
-    the nearest yet are skipped.
+    From one point to the next a path moves at most its longest step: points that cannot be the nearest are skipped.
     """
     step_m, nearest = 1e-12, 0
     for j in range(1, len(path)):

@@ -15,7 +15,7 @@ from typing import Any
 
 import gymnasium
 
-from uavaccel.clock import MonotonicClock, Pacer
+from uavaccel.clock import MonotonicClock, Pacer, WallClock
 from uavaccel.errors import UserError
 from uavaccel.processes.lifetime import POLL_S, Patience, describe_end, work_for_parent
 from uavaccel.processes.stalls import is_stopped
@@ -103,13 +103,15 @@ def _end(connection: Connection, process: SpawnProcess) -> None:
     process.join()
 
 
-class _Server:
+class EnvironmentServer:
     """The side of the environment, which steps when a tick is due."""
 
-    def __init__(self, connection: Connection, loop: ControlLoop, env: gymnasium.Env[Any, Any]) -> None:
+    def __init__(
+        self, connection: Connection, loop: ControlLoop, env: gymnasium.Env[Any, Any], clock: WallClock | None = None
+    ) -> None:
         self._connection, self._loop, self._env = connection, loop, env
         self.extras = Extras(env.observation_space, env.action_space, loop.options)
-        self._clock = MonotonicClock()
+        self._clock = clock or MonotonicClock()
         self._pacer = Pacer(loop.options.speed, loop.plant.tick_ns)
         self._thinks = False  # the agent, about an observation that it has
         self._meanwhile: Passed | None = None
@@ -178,7 +180,7 @@ def _serve(connection: Connection, make_env: MakeEnv, options: LoopOptions, pare
     try:
         env = make_env()
         loop = ControlLoop(plant_of(env, options.period_s), options, env.action_space)
-        server = _Server(connection, loop, env)
+        server = EnvironmentServer(connection, loop, env)
         connection.send((server.extras.space, env.action_space, env.metadata, loop.plant.tick_ns))
         while True:
             name, *arguments = server.wait()
@@ -187,10 +189,10 @@ def _serve(connection: Connection, make_env: MakeEnv, options: LoopOptions, pare
         return
     except Exception as error:  # whatever an environment of anybody's raises
         with suppress(OSError):  # nobody listens any more
-            connection.send(_portable(error))
+            connection.send(portable(error))
 
 
-def _portable(error: Exception) -> Exception:
+def portable(error: Exception) -> Exception:
     """Return an exception as it is, or one with its type and message where it cannot be sent to another process."""
     if not isinstance(error, UserError):
         error.add_note("".join(traceback.format_exception(error)))

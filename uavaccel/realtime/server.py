@@ -52,6 +52,7 @@ DTYPES = ("bool", *(f"{kind}{bits}" for kind in ("int", "uint") for bits in (8, 
 DTYPES += ("float16", "float32", "float64")
 MOST_AXES = 16
 PATIENCE_S = 10.0  # for the rest of a frame that has begun
+END_S = 0.02  # within which a server that serves beside its program ends
 
 Parts = Mapping[str, NDArray[Any]]
 Spec = dict[str, dict[str, Any]]
@@ -219,7 +220,7 @@ class PolicyServer(socketserver.ThreadingTCPServer):
         self.address = f"tcp://{at}:{self.server_address[1]}"
 
     def __enter__(self) -> Self:
-        threading.Thread(target=self.serve_forever, daemon=True).start()
+        threading.Thread(target=self.serve_forever, args=(END_S,), daemon=True).start()
         return self
 
     def __exit__(self, *error: object) -> None:

@@ -365,38 +365,6 @@ def obstacle_geoms(model: mujoco.MjModel) -> NDArray[np.int64]:
     return named(model, "obstacle_")
 
 
-def _set_shapes(model: mujoco.MjModel, geoms: NDArray[np.int64], layout: LaneLayout) -> None:
-    half, tall = layout.half_width_m, np.full(len(layout), OBSTACLE_HALF_HEIGHT_M)
-    box, cylinder = int(mujoco.mjtGeom.mjGEOM_BOX), int(mujoco.mjtGeom.mjGEOM_CYLINDER)
-    model.geom_type[geoms] = np.where(layout.round, cylinder, box)
-    model.geom_size[geoms] = np.stack([half, np.where(layout.round, tall, half), tall], axis=1)
-    model.geom_aabb[geoms, 3:] = np.stack([half, half, tall], axis=1)
-    model.geom_rbound[geoms] = np.sqrt(half**2 * np.where(layout.round, 1, 2) + tall**2)
-
-
-def _set_positions(
-    model: mujoco.MjModel,
-    geoms: NDArray[np.int64],
-    x_m: NDArray[np.float64],
-    y_m: NDArray[np.float64],
-    z_m: float = -OBSTACLE_HALF_HEIGHT_M,
-) -> None:
-    model.geom_pos[geoms] = ned_to_mujoco(np.stack([x_m, y_m, np.full(len(geoms), z_m)], axis=1))
-
-
-def _set_materials(model: mujoco.MjModel, geoms: NDArray[np.int64], layout: LaneLayout) -> None:
-    materials = np.array([model.material(f"obstacle_{name}").id for name in OBSTACLE_TEXTURES])
-    model.geom_matid[geoms] = materials[layout.texture]
-    for wall in ("wall_west", "wall_east"):
-        model.geom(wall).matid = model.material(f"wall_{WALL_TEXTURES[layout.wall_texture]}").id
-    model.geom("ground").matid = model.material(f"ground_{GROUND_TEXTURES[layout.ground_texture]}").id
-
-
-def _set_light(model: mujoco.MjModel, layout: LaneLayout) -> None:
-    sun = model.light("sun")
-    sun.dir, sun.ambient, sun.diffuse = sunlight(layout)
-
-
 def sunlight(layout: LaneLayout) -> tuple[NDArray[np.float64], float, float]:
     """Return a lane's light: the sun's direction in MuJoCo's axes, the ambient and the diffuse level."""
     level, azimuth = np.cos(SUN_ELEVATION_RAD), layout.sun_azimuth_rad

@@ -99,9 +99,11 @@ class Pilot:
     def _accept(self, ticks: int, wall_ns: int) -> int:
         self.end(False, wall_ns)
         tick = self.vehicle.tick
-        self._simulation.begin_recording(self)
+        simulation = self._simulation
+        if self is simulation.lead and not self.log and simulation.records_game and simulation.world.recorder.active:
+            simulation.world.start_recording()  # whose t = 0 is this tick, that of the game's first command
         self.log.accept(tick, tick + ticks)
-        self._simulation.note("accept", wall_ns)
+        simulation.note("accept", wall_ns)
         return tick
 
     def turn(self, wall_ns: int) -> None:
@@ -463,11 +465,6 @@ class Simulation:
     def kinematics(self) -> Kinematics:
         """Return the first vehicle's state at the present tick, with the simulated time."""
         return self.world.lead.kinematics(self.time0_ns)
-
-    def begin_recording(self, pilot: Pilot) -> None:
-        """Restart an active recording at the first vehicle's first command, whose tick is the recording's t = 0."""
-        if self.records_game and pilot is self.lead and not pilot.log and self.world.recorder.active:
-            self.world.start_recording()
 
     def recording(self) -> Recording:
         """Return samples and commands since the first command after the last reset."""

@@ -119,12 +119,12 @@ class World:
         """
         if layout.scenery != self.scenery:
             scene_path(self.scene, layout.scenery)  # raises UserError before anything changes
-            physics, carried = physics_state(self.model, self.data), self.lead.carry()
+            physics, motion = physics_state(self.model, self.data), self.lead.motion()
             self.close()
             self.scenery = layout.scenery
             self._adopt(*self._build(self.vehicles))
             restore_physics(self.model, self.data, physics)
-            self.lead.fly_on(carried)
+            self.lead.fly_on(motion)
         apply_layout(self.model, self.data, layout)
         self.lane = layout
         self.surroundings_changed()
@@ -163,7 +163,7 @@ class World:
             self.check_place(start.position_m, start.orientation_wxyz)
             check_apart(name, start.position_m, places)
             places[name] = start.position_m
-        carried, wind = [old.carry() for old in self.vehicles], self.lead.state["wind"].copy()
+        motions, wind = [old.motion() for old in self.vehicles], self.lead.state["wind"].copy()
         ticks = self.tick
         new = [
             Vehicle(name, self.profile, start, Samples(self.profile.recorder_ticks, 0), f"{name}/", origin_m)
@@ -174,8 +174,8 @@ class World:
         self.close()
         self._adopt(*made)
         copy_objects(before, self.model)
-        for old, kept in zip(self.vehicles, carried, strict=False):
-            old.fly_on(kept)
+        for old, motion in zip(self.vehicles, motions, strict=False):
+            old.fly_on(motion)
         for vehicle in new:
             vehicle.state["wind"] = wind
             vehicle.parameters["ground_altitude_m"] = self.lead.parameters["ground_altitude_m"]

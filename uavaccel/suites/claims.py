@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from uavaccel.metrics.estimates import (
     Estimate,
-    Interval,
     Success,
     all_of,
     exceeds,
@@ -50,12 +49,7 @@ SAME_PLACE_M = 0.05  # within which the paper's images at 5x and 10x are (sectio
 # Margins of success over that at 1x. Alike are the margins of bioequivalence, 80 to 125 %: the paper's 21 to 23 lies
 # within, its 21 to 13 and 21 to 30 outside. A collapse keeps at most a third: the interval of 23 to 1 of 100 games
 # reaches to a quarter. In between lies a loss, such as 38 %.
-MARGINS: dict[str, Interval] = {
-    "collapse": (0.0, 1 / 3),
-    "loss": (1 / 3, 0.8),
-    "alike": (0.8, 1.25),
-    "gain": (1.25, np.inf),
-}
+MARGINS = {"collapse": (0.0, 1 / 3), "loss": (1 / 3, 0.8), "alike": (0.8, 1.25), "gain": (1.25, np.inf)}
 FLIES = 0.1  # success that a policy trained at 1x needs for a comparison
 
 
@@ -185,10 +179,7 @@ def longest(dp1: Flown, command: str) -> Estimate:
 
 
 def command_delay_grows(dp1: Flown) -> Finding:
-    """The gap before the next command, in simulated time the median over cells, grows with each ClockSpeed.
-
-    Cells are resampled, each with its gaps at both ClockSpeeds.
-    """
+    """The gap before the next command, simulated, the median over resampled cells, grows with each ClockSpeed."""
     gaps_ms = [1e3 * known(cells_of(dp1, "adsc", k).sort_values(CELL[2:]).command_gap_median_s) for k in clocks(dp1)]
     if len({len(gaps) for gaps in gaps_ms}) > 1:
         raise NoEvidence
@@ -309,10 +300,7 @@ def accelerated(dp1: Flown, error: float) -> Finding:
 
 
 def images(dp2: Flown, clock_speed: float) -> tuple[FloatArray, FloatArray]:
-    """Return the position errors, m, and DVS-ED, %, of TCSC's images at a ClockSpeed against those at 1x, (n,) each.
-
-    Raises NoEvidence without games there or at 1x, Undecided for fewer than LEAST_IMAGES images.
-    """
+    """Return the position errors, m, and DVS-ED, %, (n,) each, of TCSC's images at a ClockSpeed against those at 1x."""
     game = at(dp2.scores[dp2.scores.reference.notna()], "tcsc", clock_speed).iloc[-1]
     error_m, dvs_ed = known(game.position_error_m), known(game.dvs_ed_percent)
     enough(len(dvs_ed), LEAST_IMAGES, f"images at {clock_speed:g}x")
@@ -398,10 +386,7 @@ class Trainings(NamedTuple):
     def of(
         cls, rows: Iterable[Mapping[str, Any]], profile: str, arrays: Callable[[Any], Mapping[str, NDArray[Any]]]
     ) -> Trainings:
-        """Take those of a profile from a run's rows, and from what `arrays` returns of one: nothing of rows kept alone.
-
-        Without the arrays nothing is known of lanes, nor of where games ended.
-        """
+        """Take a profile's from rows, and lanes from what `arrays` returns of one: {} of rows that were kept alone."""
         cells, flown, lost = [], [], [pd.DataFrame()]
         kind = {"profile": profile, "timing": "virtual", "variant": ""}.items()
         for row in rows:
@@ -446,10 +431,7 @@ def games_won(cells: pd.DataFrame, of: str) -> Success:
 def command_s(
     rl: Trainings, command: str, clock_speed: float, phases: Sequence[str], least: int = LEAST_TRAININGS
 ) -> Estimate:
-    """Return the modelled wall seconds that some phases take per command, over trainings.
-
-    Raises Undecided for fewer than LEAST_GAMES games of them, or fewer than `least` trainings.
-    """
+    """Return the modelled wall seconds of some phases per command, over trainings. Raises Undecided for too few."""
     cells, of = at(rl.cells, command, clock_speed), f"of {command.upper()} at {clock_speed:g}x"
     phases_s = known([[phase_s[phase] for phase in phases] for phase_s in cells.phase_s]).sum(axis=1)
     if known(cells[["trained_games", "commands"]]).min() <= 0:
@@ -475,8 +457,7 @@ def share(success: Success) -> str:
 def ratio_within(
     margins: str, name: str, real: Success, other: Success, form: str = "{} v {}: {}", same_policies: bool = False
 ) -> Finding:
-    """Whether the success of other trainings over that of real ones, on the same lanes, lies within the MARGINS of this
-    name.
+    """Whether the success of other trainings over that of real ones, on the same lanes, lies within the named MARGINS.
 
     Raises Undecided where the real ones win too little to be compared, or so much that nothing could exceed them.
     """

@@ -36,11 +36,10 @@ from uavaccel.records import RunDirectory, timing_provenance
 from uavaccel.sim.profile import PROFILES
 from uavaccel.sim.recording import RECORDED
 from uavaccel.suites import experiment, plots
-from uavaccel.suites.experiment import FlightExperiment, Timing
+from uavaccel.suites.experiment import FlightExperiment, Timing, named_seed, subset
 from uavaccel.suites.flight import Flight
 from uavaccel.suites.path_suite import FlightCase, FlightRow, PathSuite, flight_row, fly_path, reference_of
 from uavaccel.suites.report import Report, Summary, disturbed_games, finished, method_note, warnings
-from uavaccel.suites.rows import named_seed, subset
 from uavaccel.suites.suite import GameResult
 from uavaccel.units import NS_PER_S
 
@@ -178,10 +177,7 @@ class Dp1(PathSuite[Dp1Config, Game]):
         return Flight.of(command_at_clock(game), game["clock_speed"], arrays, flown)
 
     def score(self, report: Report) -> pd.DataFrame:
-        """Add each game's likeness to real time, its error against the flight without latency, and its gaps.
-
-        Raises UserError for a run that has flown nothing but Figure 2 yet.
-        """
+        """Add each game's SCORES. Raises UserError for a run that has flown nothing but Figure 2 yet."""
         from joblib import Parallel, cpu_count, delayed
 
         games = report.games[report.games.role != "figure2"].sort_values([*CELL, "game"], kind="stable")
@@ -195,11 +191,10 @@ class Dp1(PathSuite[Dp1Config, Game]):
         return games[games.role != "lockstep"].join(found)
 
     def summary(self, report: Report) -> Summary:
-        """Return a cell for each command, ClockSpeed, T_move, number of rounds and timing.
+        """Return a cell for each CELL: medians over games of each game's mean over the references, itself left out.
 
-        Accuracies are medians over games of each game's mean over the references, itself left out; durations and wall
-        times are compared with the references' means; intervals are 95 % bootstrap intervals over games. Numbers that
-        cannot be known (no reference in the run, a lone reference) are None.
+        Durations and wall times are compared with the references' means; intervals are 95 % bootstrap intervals over
+        games. Numbers that cannot be known (no reference in the run, a lone reference) are None.
         """
         keys = subset(vars(report.config), "suite", "profile", "seed")
         return {**keys, "cells": summary_cells(report.scores, report.config.seed)}
@@ -292,8 +287,7 @@ def summary_cells(scores: pd.DataFrame, seed: int) -> list[dict[str, Any]]:
     for key, cell in scores.groupby(CELL):
         keys, own, itself = dict(zip(CELL, key, strict=True)), finished(cell), bool((cell.role == "reference").all())
         real = references.get(tuple(keys[name] for name in PATH), own.head(0))
-        provenance, disturbed = timing_provenance(keys["timing"]), disturbed_games(own)
-        reference, interval, mixed = None, None, None
+        provenance, reference, interval, mixed = timing_provenance(keys["timing"]), None, None, None
         if len(real):
             game = real.iloc[0]
             reference = reference_of(game, itself, command=game.command, games=len(real))
@@ -309,7 +303,7 @@ def summary_cells(scores: pd.DataFrame, seed: int) -> list[dict[str, Any]]:
             "provenance": provenance,
             "seed": seed,
             "reference": reference,
-            **({"disturbed_games": disturbed} if disturbed else {}),
+            **disturbed_games(own),
             "stlc_median": stlc.median(),
             "stlc_q25": stlc.quantile(0.25),
             "stlc_q75": stlc.quantile(0.75),
@@ -427,10 +421,7 @@ RUNNING: style.LineStyle = {"color": style.GREEN, "linewidth": 6, "solid_capstyl
 
 
 def trellis_figure(report: Report) -> Picture:
-    """Draw Figure 4 from the traces that the run recorded: TCSC first, as in the paper.
-
-    Time runs downwards by events, not to scale. Raises UserError for a damaged trace.
-    """
+    """Draw Figure 4 from the recorded traces, by events, not to scale. Raises UserError for a damaged trace."""
     traces: dict[str, Any] = {}
     for command in ("tcsc", "adsc"):
         name = f"traces/{command}.json"
@@ -460,8 +451,7 @@ def trellis_figure(report: Report) -> Picture:
 def messages(events: Sequence[str]) -> Iterator[tuple[int, int]]:
     """Yield the arrows between events by their places: from each call to its handling, and from there to its return.
 
-    Calls of one method are handled, and return, in order. A deferred reply leaves at the last "end" between handling
-    and return.
+    Those of one method come in order. A deferred reply leaves at the last "end" between handling and return.
     """
     places = pd.Series(range(len(events)), events).groupby(level=0).agg(list)
     for method in [event.removeprefix("call ") for event in places.index if event.startswith("call ")]:

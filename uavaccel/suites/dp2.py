@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import product
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
@@ -19,28 +19,37 @@ from uavaccel.commands import check_times, samples_due
 from uavaccel.config import MOST_HEIGHT_M, Seconds, Seed
 from uavaccel.config import Velocity as Component
 from uavaccel.draw import style
-from uavaccel.draw.page import Block, Heading, Picture, Table, clock_label, command_name, metres, number, unknown
+from uavaccel.draw.page import (
+    Block,
+    Column,
+    Heading,
+    Picture,
+    Table,
+    clock_label,
+    command_name,
+    metres,
+    number,
+    unknown,
+)
 from uavaccel.envs.camera_client import EventClient, Sample
 from uavaccel.envs.task import rate_ticks
 from uavaccel.forms import ArrayForm, Count, NotNegative, Number, Positive
 from uavaccel.metrics.trajectory import dvs_ed_percent
 from uavaccel.records import timing_provenance
 from uavaccel.sim.camera.view import HEIGHT, WIDTH
-from uavaccel.sim.lane import Lane, LaneLayout
+from uavaccel.sim.lane import Lane
 from uavaccel.sim.profile import PROFILES
 from uavaccel.suites import plots
-from uavaccel.suites.experiment import FlightExperiment, Timing
+from uavaccel.suites.experiment import FlightExperiment, Timing, named_seed, subset
 from uavaccel.suites.flight import Commands, Flight, Window, windows_of
-from uavaccel.suites.guard_study import study_guard
 from uavaccel.suites.lane_path import plan_path
 from uavaccel.suites.path_suite import FlightCase, FlightRow, PathSuite, flight_row, fly_path, reference_of
 from uavaccel.suites.report import Report, Summary, finished, method_note, warnings
-from uavaccel.suites.rows import named_seed, subset
 from uavaccel.suites.suite import GameResult
 from uavaccel.units import NS_PER_S, attitude_difference_rad, to_ns
+from uavaccel.vision import perturb
 from uavaccel.vision.dvs import PRESETS, count_events, luma, make_sensor
-from uavaccel.vision.guard import GuardSettings
-from uavaccel.vision.perturb import AutoExposure, PerturbationConfig
+from uavaccel.vision.guard import GuardSettings, GuardState, acquire
 from uavaccel.wire.image_api import lane_layout
 
 if TYPE_CHECKING:
@@ -50,11 +59,10 @@ ERRORS = ("position_error_m", "attitude_error_deg", "dvs_ed_percent")
 """Of each image against the one at the same place in the path of the same command's run at 1x."""
 POSES, EVENTS = ("position_m", "orientation_wxyz"), ("dvs_on", "dvs_off")
 LINEAR_PERCENT, LINEAR_M = 0.1, 0.001  # below, Figure 7 is linear, so that 0 has its place
+SHARE, STREAMS = 0.05, 20  # of the images that the guard's study perturbs; of images
 
 Velocity = tuple[Component, Component]
 Arrays = dict[str, NDArray[Any]]
-
-
 OwnPath = Annotated[tuple[Velocity, ...], Field(min_length=1)]
 
 
@@ -76,7 +84,7 @@ class Dp2Config(FlightExperiment):
     """Timing of the game at 1x that each command is compared with, unless the run flies that one anyway."""
     guard: GuardSettings = GuardSettings()
     """The check of an image's mean brightness, and what follows a rejection."""
-    perturbation: PerturbationConfig = PerturbationConfig()
+    perturbation: perturb.PerturbationConfig = perturb.PerturbationConfig()
     """Perturbation of the games' images; those that they are compared with stay clean."""
     auto_exposure: bool = False
     """A MODEL of a game engine's auto-exposure (uavaccel.vision.exposure), in every game; the paper switched it off."""
@@ -96,20 +104,17 @@ class Dp2Config(FlightExperiment):
                 raise ValueError("dvs_rate_hz needs timing and reference_timing virtual or lockstep")
         return self
 
+    @property
     def wire_lane(self) -> object:
-        """Return the lane as Client.set_lane takes it."""
+        """The lane as Client.set_lane takes it."""
         return self.lane if isinstance(self.lane, int) else self.lane.model_dump(mode="json")
-
-    def layout(self) -> LaneLayout:
-        """Return the places of the obstacles. Raises UserError where one stands at the start."""
-        return lane_layout(self.wire_lane())
 
     @cached_property
     def velocities(self) -> tuple[Velocity, ...]:
         """The velocity of each command, north and east in m/s. Raises UserError where no path is free."""
         if self.path != "planned":
             return self.path
-        return tuple(plan_path(self.layout(), -self.height_m, command_s=self.t_move_s))
+        return tuple(plan_path(lane_layout(self.wire_lane), -self.height_m, command_s=self.t_move_s))
 
     @property
     def slots(self) -> int:
@@ -161,12 +166,7 @@ class Game(FlightCase):
     planned_s: float
 
     def simulated_s(self) -> float:
-        """Return the simulated time of the commands, without gaps between them."""
         return self.planned_s
-
-    def seed(self, run_seed: int) -> np.random.SeedSequence:
-        """Return the game's own seed."""
-        return named_seed(run_seed, self.id)
 
 
 class Dp2(PathSuite[Dp2Config, Game]):
@@ -192,13 +192,13 @@ class Dp2(PathSuite[Dp2Config, Game]):
         return True
 
     def fly(self, config: Dp2Config, case: Game, opened: Session) -> GameResult:
-        seed, perturbation = case.seed(config.seed), None
-        client = opened.start_game(case.clock_speed, seed, config.wire_lane(), config.height_m)
+        seed, perturbation = named_seed(config.seed, case.id), None
+        client = opened.start_game(case.clock_speed, seed, config.wire_lane, config.height_m)
         if config.perturbation.share and case.role == "game":  # what it is compared with stays clean
             perturbation = config.perturbation.at(case.clock_speed, int(seed.generate_state(1)[0]))
         # in colour where colours may be perturbed, and once per run for the guard study
         kind = "colour" if case.role == "lockstep" or perturbation else "gray"
-        exposure = AutoExposure() if config.auto_exposure else None
+        exposure = perturb.AutoExposure() if config.auto_exposure else None
         with closing(EventClient(opened, client, kind, config.guard, perturbation, exposure)) as camera:
             if config.dvs_rate_hz is not None:
                 sensor = make_sensor(PRESETS[config.dvs_preset], (HEIGHT, WIDTH), config.sensor_seed)
@@ -256,7 +256,7 @@ class Dp2(PathSuite[Dp2Config, Game]):
             arrays["orientation_wxyz"],
             Commands(starts, ends, np.column_stack([flat, np.zeros(len(flat))])),
             scene="lane",
-            lane=config.layout(),
+            lane=lane_layout(config.wire_lane),
             image_ns=time_ns,
             images=arrays.get("colour", arrays["image"]),
             windows=windows,
@@ -266,9 +266,8 @@ class Dp2(PathSuite[Dp2Config, Game]):
     def score(self, report: Report) -> pd.DataFrame:
         """Return the finished games by command and ClockSpeed, with the ERRORS of their images as lists.
 
-        `reference` is the case of the run at 1x, `equal_poses` and `equal_counts` say whether poses and DVS counts are
-        those of the game without latency to the last bit; they are None where the run has no such game. Only three
-        games are held in memory at a time.
+        `reference` is the case of the run at 1x, `equal_poses` and `equal_counts` say whether these are those of the
+        game without latency to the last bit; None where there is none. Three games at a time are held in memory.
         """
         games, scores = finished(report.games), list[dict[str, Any]]()
         calm = next((observe(report, game) for game in games[games.role == "lockstep"].to_dict("records")), None)
@@ -287,8 +286,7 @@ class Dp2(PathSuite[Dp2Config, Game]):
     def summary(self, report: Report) -> Summary:
         """Return an entry for each command and ClockSpeed, and the guard study on the images that are in colour.
 
-        Errors are those of the images that a game shares with the same command's run at 1x: the images of a game that
-        collides end at its collision. Numbers that cannot be known are None.
+        Errors are of the images that a game, up to a collision, shares with the same command's at 1x; unknown is None.
         """
         config, games, cells = report.config, finished(report.games).set_index("case"), list[dict[str, Any]]()
         kept = ["command", "clock_speed", "t_move_s", "timing", "guard_retries", "collision", "distance_m"]
@@ -326,11 +324,7 @@ class Dp2(PathSuite[Dp2Config, Game]):
         return "; ".join(said.values()) or f"{len(report.games)} games, none of them accelerated and comparable with 1x"
 
     def overview(self, report: Report) -> Table:
-        cells = [
-            {"disturbed": None, **cell, "hit": (cell["collision"] or {}).get("object")}
-            for cell in report.summary["cells"]
-        ]
-        columns = {
+        columns: dict[str, Column] = {
             "command": "{command!u}",
             "ClockSpeed": "{clock_speed:g}x",
             "source": "{provenance}",
@@ -342,11 +336,11 @@ class Dp2(PathSuite[Dp2Config, Game]):
             "DVS counts equal": "{dvs_counts_equal_lockstep}",
             "guard retries": "{guard_retries}",
             "distance, m": "{distance_m:.1f}",
-            "hit": "{hit}",
+            "hit": lambda cell: (cell["collision"] or {}).get("object"),
             "simulated s a wall s": "{simulated_s_per_wall_s:.2f}",
             "disturbed": "{disturbed}",
         }
-        return Table.of(cells, columns)
+        return Table.of([{"disturbed": None, **cell} for cell in report.summary["cells"]], columns)
 
     def page(self, report: Report) -> Iterator[Block | str]:
         games, config, guard = report.games, report.config, report.summary["guard_study"]
@@ -373,10 +367,7 @@ class Dp2(PathSuite[Dp2Config, Game]):
 
 
 def fly_to_the_end(config: Dp2Config, case: Game, camera: EventClient) -> tuple[list[Sample], list[int], int, float]:
-    """Fly the path to its end or to a collision, and return samples, their indices, the commands and the wall time, s.
-
-    An index is 0 at the start, then the place in the path, the same in every game.
-    """
+    """Fly the path to its end or to a collision; return samples, their places in the path, the commands and wall s."""
     samples, indices, commands, slots = [camera.read_sample(camera.kinematics())], [0], 0, config.slots
     path = [(*velocity, 0.0) for velocity in config.velocities]
     start_ns, flights = fly_path(case, config, camera, path, config.t_move_s, config.t_sample_s)
@@ -421,12 +412,47 @@ def compare(seen: Arrays, at_1x: Arrays | None, calm: Arrays | None) -> dict[str
     return found
 
 
+def study_guard(images: NDArray[np.uint8], guard: GuardSettings, seed: int) -> dict[str, Any]:
+    """Count what the guard accepts (MODELLED) where a SHARE of a run's images (n, H, W, 3) is perturbed, by kind.
+
+    The images are sent STREAMS times, perturbed with another seed each time, as one stream has too few of each kind.
+    """
+    perturbed = [perturb.PerturbationSettings(SHARE, seed=seed + n) for n in range(STREAMS)]
+    by_kind: dict[str, Any] = {str(kind): {} for kind in perturb.PerturbationKind}
+    handed_on = dict[str, float]()
+    for name, used in {"off": GuardSettings(max_retries=0), "on": guard}.items():
+        sent = pd.concat(pass_guard(images, own, used) for own in perturbed)
+        handed_on[name] = float((sent.kind[sent.passed] != "").mean())
+        for kind, of_kind in by_kind.items():
+            passed = sent.passed[sent.kind == kind]
+            share = float(passed.mean()) if len(passed) else None
+            of_kind[name] = {"sent": len(passed), "passed": int(passed.sum()), "share_passed": share}
+    alarms = int((~pass_guard(images, perturb.PerturbationSettings(), guard).passed).sum())
+    found: dict[str, Any] = {"modelled": True, "images": len(images), "share": SHARE, "streams": STREAMS}
+    found |= {"by_kind": by_kind, "clean_false_alarms": alarms, "clean_retries": alarms}
+    return found | {"perturbed_share_handed_on": handed_on}
+
+
+def pass_guard(images: NDArray[np.uint8], perturbed: Any, guard: GuardSettings) -> pd.DataFrame:
+    """Return each image sent, also those requested again: its `kind` of perturbation or "", and whether it `passed`."""
+    state, kinds, passed = GuardState(), list[str](), list[bool]()
+
+    def receive(scene: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        image, kind = perturb.perturb_share(scene, perturbed, len(kinds))
+        kinds.append(kind or "")
+        return image
+
+    for scene in images:
+        _, state, retries, _ = acquire(state, partial(receive, scene), guard)
+        passed += [*[False] * retries, True]
+    return pd.DataFrame({"kind": kinds, "passed": passed})
+
+
 def images_figure(report: Report) -> Picture:
     """Draw Figure 7, position error over DVS-ED: a point an image, a panel a command."""
     scores, title = report.scores, "Position error and DVS-ED of each image"
-    images = scores[scores.reference.notna() & (scores.reference != scores.case)].sort_values(
-        ["command", "clock_speed"]
-    )
+    compared = scores[scores.reference.notna() & (scores.reference != scores.case)]
+    images = compared.sort_values(["command", "clock_speed"])
     nothing, clocks, seen = "no accelerated game to compare with a run at 1x", sorted(images.clock_speed.unique()), []
     figure, panels = plots.facets(images, "command", title, height_in=2.6, across=1, empty=nothing)
     most_m = max((max(errors, default=0.0) for errors in images.position_error_m), default=0.0)
@@ -443,13 +469,8 @@ def images_figure(report: Report) -> Picture:
                 size = (5.0 + 4.5 * place) ** 2
                 axes.scatter(0, 0, size, facecolors="none", edgecolors=[colour], linewidths=1.6, clip_on=False)
         handles, labels = axes.get_legend_handles_labels()
-        above: dict[str, Any] = {
-            "loc": "lower left",
-            "bbox_to_anchor": (-0.02, 1.0),
-            "alignment": "left",
-            "title_fontsize": 10,
-        }
-        axes.legend(handles[::-1], labels[::-1], title=command_name(command), ncols=3, **above)
+        above: dict[str, Any] = {"loc": "lower left", "bbox_to_anchor": (-0.02, 1.0), "alignment": "left", "ncols": 3}
+        axes.legend(handles[::-1], labels[::-1], title=command_name(command), title_fontsize=10, **above)
         axes.set_xscale("symlog", linthresh=LINEAR_PERCENT, linscale=0.6)
         axes.set_yscale("symlog", linthresh=LINEAR_M, linscale=0.6)
         axes.set(xlabel="DVS-ED, % of the pixels", xlim=(-0.4 * LINEAR_PERCENT, 100))

@@ -51,10 +51,9 @@ from uavaccel.rl.agents import (
 from uavaccel.rl.config import ENVIRONMENTS, LANE, AnyTask, EnvId, environment_class, keys_with_task
 from uavaccel.sim.lane import LENGTH_M, SPLIT_SIZE, WIDTH_M
 from uavaccel.suites import paper_results, plots
-from uavaccel.suites.experiment import Experiment
+from uavaccel.suites.experiment import Experiment, LaneRow, OutcomeRow, ReturnRow, Row, game_row, number_of, subset
 from uavaccel.suites.flight import Flight
-from uavaccel.suites.report import Report, disturbed_games, disturbed_words, summary_table
-from uavaccel.suites.rows import LaneRow, OutcomeRow, Row, game_row, number_of
+from uavaccel.suites.report import Report, disturbed_games, source_of, summary_table
 from uavaccel.suites.suite import GameResult, SimpleCase, Suite
 from uavaccel.wire.image_api import lane_layout
 
@@ -145,11 +144,7 @@ class EvaluateRow(LaneRow, Evaluated):
     """The row of a game in the obstacle lane."""
 
 
-# "return" is a word of Python's
-_Return = TypedDict("_Return", {"return": Number})
-
-
-class OtherRow(OutcomeRow, Evaluated, _Return):
+class OtherRow(OutcomeRow, Evaluated, ReturnRow):
     """The row of a game in another environment: its number, from which its seed follows, and the sum of its rewards."""
 
     game: Count
@@ -227,10 +222,7 @@ class Evaluation(Suite[EvaluateConfig, Game]):
         return config.task.observation != "state" and config.simulator != KERNELS
 
     def provenance(self, config: EvaluateConfig) -> Mapping[str, object]:
-        """Return the policy's hash and the simulator.
-
-        Raises UserError for a device that this machine does not have, and for weights that cannot be read.
-        """
+        """Return the policy's hash and the simulator. Raises UserError for unreadable weights or a missing device."""
         check_simulator(config.simulator, config.device)
         make_agent(config.agent, config.task)  # the weights too: nothing is written yet
         by = {"simulator": config.simulator, "device": config.device}
@@ -249,8 +241,8 @@ class Evaluation(Suite[EvaluateConfig, Game]):
     ) -> Flight:
         """Fly the game again by the actions of its row; it has to make the same row.
 
-        Where that cannot be, as the kernels or the machine's own clock have flown it, its agent flies once more in the
-        exact simulator, for a film, or where the kernels flew to be watched, and the title says so. Raises UserError.
+        What does not repeat, of kernels or the wall clock, its agent flies once more in the exact simulator, and
+        the title says so. Raises UserError.
         """
         from uavaccel.suites.evaluate_again import flight_again
 
@@ -259,13 +251,13 @@ class Evaluation(Suite[EvaluateConfig, Game]):
     def summary(self, report: Report) -> dict[str, Any]:
         """Return the success ratio with its 95 % Wilson interval, and the distances or the returns."""
         games, config, task = report.games, report.config, report.config.task
-        sim_time_s, wall_s, disturbed = float(games.sim_time_s.sum()), float(games.wall_s.sum()), disturbed_games(games)
+        sim_time_s, wall_s = float(games.sim_time_s.sum()), float(games.wall_s.sum())
         return {
-            **({"disturbed_games": disturbed} if disturbed else {}),
+            **disturbed_games(games),
             "suite": "evaluate",
             "agent": config.agent,
             **({} if config.env_id == LANE else {"env_id": config.env_id}),
-            **{key: getattr(task, key) for key in ("profile", "command", "clock_speed", "timing")},
+            **subset(vars(task), "profile", "command", "clock_speed", "timing"),
             "simulator": config.simulator,
             **({} if config.simulator == EXACT else {"device": config.device}),
             "seed": config.seed,
@@ -291,7 +283,7 @@ class Evaluation(Suite[EvaluateConfig, Game]):
         ).format_map(summary)
 
     def source(self, report: Report) -> str:
-        return source_of([report])
+        return source([report])
 
     def page(self, report: Report) -> Iterator[Block | str]:
         """Yield the success, in the lane beside the paper's, with Figure 8; the games that were lost; the films."""
@@ -313,7 +305,7 @@ class Evaluation(Suite[EvaluateConfig, Game]):
             yield Table(("", "success [95 %]", "mean return", "games", "how"), [row])
         measure = "distance_m" if in_lane else "return"
         if len(lost := games[~games.is_success].sort_values(measure, kind="stable")):
-            yield from lost_games(report, lost.assign(end=ends(lost, config)))
+            yield from lost_games(report, lost)
         films = {name: (run.path / f"films/{name}.mp4", run.path / f"films/{name}.png") for name in ("best", "worst")}
         made = {name: both for name, both in films.items() if all(path.is_file() for path in both)}
         if made:
@@ -411,10 +403,7 @@ def worlds_of(config: Mapping[str, Any]) -> tuple[str, str | None]:
 
 
 def outcomes_of(other: RunDirectory, config: Mapping[str, Any], cases: Container[str]) -> dict[str, bool]:
-    """Return whether another evaluation won its games of these cases of an evaluation of this configuration.
-
-    Raises UserError where it has none of them, or is of another environment or split.
-    """
+    """Return whether another evaluation won the games of these cases. Raises UserError where it flew no such games."""
     rows = [row for row in other.rows() if row.get("suite") == "evaluate" and row["case"] in cases]
     if not rows or worlds_of(other.config()) != worlds_of(config):
         games = "lanes" if worlds_of(config)[0] == LANE else "games"
@@ -423,10 +412,7 @@ def outcomes_of(other: RunDirectory, config: Mapping[str, Any], cases: Container
 
 
 def against(run: RunDirectory, other: RunDirectory) -> str:
-    """Return the difference on the games that both evaluations flew, paired, and McNemar's test of it, in words.
-
-    Raises as `outcomes_of`.
-    """
+    """Return in words the paired difference on the games that both evaluations flew. Raises as `outcomes_of`."""
     won, config = {row["case"]: row["is_success"] for row in run.rows()}, run.config()
     theirs = outcomes_of(other, config, won)
     first, second = [won[case] for case in theirs], list(theirs.values())
@@ -445,51 +431,41 @@ def how_flown(config: EvaluateConfig) -> str:
     return ", ".join([timing_provenance(config.task.timing), *filter(None, [by])])
 
 
-def source_of(reports: Sequence[Report]) -> str:
+def source(reports: Sequence[Report]) -> str:
     """Return where the numbers of these evaluations come from."""
     how = " and ".join(sorted({how_flown(report.config) for report in reports}))
-    games = listed(sorted({len(report.games) for report in reports}))
-    seeds = listed(sorted({report.config.seed for report in reports}))
-    disturbed = disturbed_words(pd.concat([report.games for report in reports]))
-    return " · ".join([f"{how} · {games} games each · seed {seeds}", *disturbed])
+    return source_of([f"{how} · {listed(sorted({len(report.games) for report in reports}))} games each"], reports)
 
 
 def survival_figure(reports: Sequence[Report]) -> Figure:
     """Plot the share of games that reached each distance, a line per evaluation in its 95 % Wilson interval."""
     alone = len(reports) == 1
-    figure, [axes] = plots.panels(1, "Distance travelled", 3.2, source="" if alone else source_of(reports))
-    flown = [
-        (agent_name(report.config.agent), flown_by(report.config.simulator, report.config.device)) for report in reports
-    ]
+    figure, [axes] = plots.panels(1, "Distance travelled", 3.2, source="" if alone else source(reports))
+    configs = [report.config for report in reports]
+    flown = [(agent_name(config.agent), flown_by(config.simulator, config.device)) for config in configs]
     names = [", ".join(filter(None, by)) for by in flown]
     for number, (report, name) in enumerate(zip(reports, names, strict=True)):
         label = name if names.count(name) == 1 else f"{name} ({report.run.path})"  # folders may share their last name
         colour = style.COMMAND_COLOUR[report.config.task.command] if alone else style.colour(number)
-        plots.survival_band(axes, report.games.distance_m, LENGTH_M, label=label, color=colour)
+        places, share = style.survival(report.games.distance_m, LENGTH_M)
+        won = [Proportion(left, len(places) - 1) for left in range(len(places) - 1, -1, -1)]
+        low, high = zip(*(each.interval for each in won), strict=True)
+        plots.band(axes, places, share, low, high, step=True, label=label, color=colour)
     axes.axvline(LENGTH_M, **style.LIMIT, label="end of the lane")
     axes.set(xlabel="distance north, m", ylabel="share of games that got there", ylim=(0.0, 1.05))
     style.legend(figure)
     return figure
 
 
-def ends(lost: pd.DataFrame, config: EvaluateConfig) -> pd.Series:
-    """Return how each game was lost, in words."""
-    task = config.task
-    out = (lost.commands >= task.max_commands) | (config.env_id == LANE)  # which is lost in no other way
-    words = [
-        f"hitting {hit}" if hit else "running out of commands" if no_more else "failing"
-        for hit, no_more in zip(lost.collision, out, strict=True)
-    ]
-    return pd.Series(words, lost.index)
-
-
 def lost_games(report: Report, lost: pd.DataFrame) -> Iterator[Block | str]:
-    """Yield the games that were not won with what ended them, and their paths in the lane, the shortest flight first.
+    """Yield the games that were not won, what ended them, and their paths in the lane, the shortest flight first.
 
-    No path can be drawn of what the kernels flew, which record none, nor where a lane is sampled anew with the
-    conditions of each game: its obstacles are not known afterwards.
+    The kernels record no path, and of a lane that is sampled anew with each game's conditions none is known.
     """
-    if report.config.env_id != LANE:
+    task, in_lane, hit = report.config.task, report.config.env_id == LANE, "hitting " + lost.collision.astype(str)
+    no_more = lost.commands >= (0 if in_lane else task.max_commands)  # a lane is lost in no other way
+    lost = lost.assign(end=hit.where(lost.collision.notna(), np.where(no_more, "running out of commands", "failing")))
+    if not in_lane:
         yield Heading("Lost games")
         yield f"The least return first. {SEEN}"
         yield Table.of(lost, {"game": "{game}", "return": "{return:.4g}", **HOW_LOST})
@@ -499,7 +475,7 @@ def lost_games(report: Report, lost: pd.DataFrame) -> Iterator[Block | str]:
     yield Heading("Lost lanes")
     yield f"Lost, the shortest flight first: lanes {', '.join([*named, *more])}. {SEEN}"
     drawn = lost[lost.path_m.notna()] if "path_m" in lost else lost.head(0)
-    if len(drawn) and report.config.task.randomise is None:
+    if len(drawn) and task.randomise is None:
         beyond = len(drawn) - MOST_PANELS
         more_below = f" {beyond} more are in the table below." if beyond > 0 else ""
         caption = f"Paths of the lost lanes, from above, by the positions at the ends of the commands.{more_below}"

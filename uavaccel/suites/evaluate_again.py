@@ -31,8 +31,8 @@ from uavaccel.rl.agents import Agent, Baseline, PolicyAgent, make_agent, origin_
 from uavaccel.rl.config import LANE, environment_class
 from uavaccel.sim.profile import PROFILES
 from uavaccel.suites.evaluate import EvaluateConfig, Flyable, Step, ended, fly_lane, row_of
+from uavaccel.suites.experiment import number_of
 from uavaccel.suites.flight import Commands, Flight, Window, windows_of
-from uavaccel.suites.rows import number_of
 from uavaccel.units import NS_PER_S, to_ns
 
 KEPT_ONLY_BY_THE_RUN = ("arrays", "arrays_sha256", "path_m")

@@ -34,8 +34,7 @@ from uavaccel.own_code import folder_of, trusted_folder, trusting
 from uavaccel.rl.agents import Agent, BatchAgent, PolicyAgent, make_agent, reset_options
 from uavaccel.rl.config import DOUBLE_DQN, PPO
 from uavaccel.suites.evaluate import AnyRow, EvaluateConfig, fly_game, game_seed, row_of
-from uavaccel.suites.host_time import timed
-from uavaccel.suites.rows import number_of
+from uavaccel.suites.experiment import number_of, timed
 from uavaccel.suites.suite import GameResult
 from uavaccel.units import NS_PER_S
 
@@ -72,10 +71,7 @@ class GamesInBatch:
         self._start_ns = self._clock.now_ns()
 
     def game(self, lane: int) -> GameResult:
-        """Wait for the game on a lane, and return it; its host times have `wall_s` since the first game began.
-
-        Raises BatchError where a process has ended.
-        """
+        """Wait for a lane's game, and return it with `wall_s` since the first one began. Raises BatchError."""
         while lane not in self._ended:
             self._ended |= {number_of(row): (row, host) for row, host in next(self._flown)}
         row, host = self._ended.pop(lane)
@@ -96,10 +92,7 @@ _evaluates: WeakKeyDictionary[FlightEnv[Any], tuple[EvaluateConfig, Agent]] = We
 
 
 def set_agent(environment: FlightEnv[Any], config: Mapping[str, object], folder: str | None) -> None:
-    """Load, in the environment's process, the agent that an evaluation's configuration, as plain data, names.
-
-    Own code that it names runs, also that in `folder`.
-    """
+    """Load, in the environment's process, the agent of an evaluation; its own code runs, also that in `folder`."""
     th.set_num_threads(1)
     with trusting(beside=None if folder is None else Path(folder)):
         checked = validate(EvaluateConfig, config, "evaluation")
@@ -210,10 +203,7 @@ class LanesOnCores:
 
 
 class LanesOnGpu:
-    """Lanes on a GPU, one game each, with rendering and decisions; the host reads the outcome of each command.
-
-    A round, the network's decisions in it, is recorded as one CUDA graph; other agents decide before it.
-    """
+    """Lanes on a GPU; the host reads the outcome of each command, whose round is recorded as one CUDA graph."""
 
     def __init__(self, config: EvaluateConfig, lanes: Sequence[int]) -> None:
         from uavaccel.envs.cuda_lanes import AT, CudaLanes

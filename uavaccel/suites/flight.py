@@ -125,29 +125,25 @@ def flight_of(
     `pictures` the flight has images, where the run keeps them or can fly its games again. Raises UserError if there is
     no such game.
     """
+    from uavaccel.config import validate
     from uavaccel.rl.agents import policy_folder  # they load what learns
+    from uavaccel.rl.config import LANE
     from uavaccel.rl.policy import MANIFEST
+    from uavaccel.suites.evaluate import EvaluateConfig, case_of, completed
+    from uavaccel.suites.evaluate_again import flight_of_agent
     from uavaccel.suites.registry import open_run, suite_of
     from uavaccel.suites.suite import choose_row
 
-    if (policy_folder(str(source)) / MANIFEST).is_file():
-        if game is not None:
-            raise UsageError(f"--game {game}: {source} is a policy, which flies a lane: --case lane-000007")
-        return _of_policy(str(source), case, pictures)
-    run = open_run(source)
-    suite = suite_of(run)
-    report = suite.report(run)
-    row = choose_row(suite, report, case, game)
-    return str(row["case"]), suite.flight(report, row, pictures=pictures)
-
-
-def _of_policy(policy: str, case: str | None, pictures: bool) -> tuple[str, Flight]:
-    from uavaccel.config import validate
-    from uavaccel.rl.config import LANE
-    from uavaccel.suites.evaluate import EvaluateConfig, case_of, completed
-    from uavaccel.suites.evaluate_again import flight_of_agent
-
-    config = validate(EvaluateConfig, completed({"agent": policy, "task": {"timing": "lockstep"}}), policy)
+    if not (policy_folder(str(source)) / MANIFEST).is_file():
+        run = open_run(source)
+        suite = suite_of(run)
+        report = suite.report(run)
+        row = choose_row(suite, report, case, game)
+        return str(row["case"]), suite.flight(report, row, pictures=pictures)
+    if game is not None:
+        raise UsageError(f"--game {game}: {source} is a policy, which flies a lane: --case lane-000007")
+    keys = completed({"agent": str(source), "task": {"timing": "lockstep"}})
+    config = validate(EvaluateConfig, keys, str(source))
     in_lane = config.env_id == LANE
     case = case or case_of(0, in_lane)
     number = re.fullmatch(r"lane-(\d+)" if in_lane else r"game-(\d+)", case)

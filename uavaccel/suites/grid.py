@@ -41,15 +41,14 @@ from uavaccel.metrics.trajectory import quartiles
 from uavaccel.records import RunDirectory, timing_provenance
 from uavaccel.rl.agents import DEFAULT, agent_name, origin_of
 from uavaccel.sim.recording import RECORDED
-from uavaccel.suites import plots
+from uavaccel.suites import experiment, plots
 from uavaccel.suites.dp1 import SIMILAR_STLC, Dp1, Dp1Config, Dp1Row, Game, summary_cells
-from uavaccel.suites.experiment import ClockSpeeds, CommandNames, Experiment, ProfileName, Timing, distinct, timing_of
+from uavaccel.suites.experiment import ClockSpeeds, CommandNames, Experiment, GameRow, ProfileName, Timing, subset
 from uavaccel.suites.flight import Flight
-from uavaccel.suites.parts import OUTCOMES, Part, SuiteOfRuns, fly_part, outcomes, part_run, part_suite, simulated_s
+from uavaccel.suites.parts import OUTCOMES, Part, Run, SuiteOfRuns, fly_part, outcomes
 from uavaccel.suites.registry import merged
 from uavaccel.suites.report import Report, Summary, finished, method_note, table_of
-from uavaccel.suites.rows import GameRow
-from uavaccel.suites.suite import AnySuite, GameResult, SimpleCase, Suite
+from uavaccel.suites.suite import GameResult, SimpleCase, Suite
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -89,7 +88,7 @@ class AblationConfig(Experiment):
     @field_validator("variants")
     @classmethod
     def _distinct(cls, variants: tuple[Variant, ...]) -> tuple[Variant, ...]:
-        distinct(tuple(variant.name for variant in variants))
+        experiment.distinct(tuple(variant.name for variant in variants))
         return variants
 
     @property
@@ -175,10 +174,9 @@ class Ablation(Suite[AblationConfig, VariantGame]):
         return pd.concat([self.dp1.score(self._under(report, name)) for name in report.games.variant.unique()])
 
     def summary(self, report: Report) -> Summary:
-        """Return an entry for each variant, command and ClockSpeed, with the games of all T_moves and rounds pooled.
+        """Return an entry for each variant, command and ClockSpeed, of all T_moves and rounds but those in lockstep.
 
-        Games in lockstep are left out. The speed-up is the mean over the T_moves of the most rounds, as in the paper.
-        Numbers that cannot be known are None.
+        The speed-up is the mean over the T_moves of the most rounds, as in the paper; what is unknown is None.
         """
         config, entries = report.config, []
         for variant in config.variants:
@@ -265,12 +263,10 @@ def band_figure(config: AblationConfig, entries: pd.DataFrame) -> Figure:
     for axes, (column, label) in zip(grid, PANELS.items(), strict=True):
         for command, own in entries.groupby("command"):
             look: style.LineStyle = {"color": style.COMMAND_COLOUR[str(command)]}
-            by_clock = own.groupby("clock_speed")[column]
+            by_clock, label_of = own.groupby("clock_speed")[column], f"{command_name(str(command))}, {first}"
             axes.fill_between(range(len(clocks)), by_clock.min(), by_clock.max(), alpha=0.3, linewidth=0, **look)
             line = own[own.variant == first].sort_values("clock_speed")
-            axes.plot(
-                range(len(clocks)), line[column], marker="o", label=f"{command_name(str(command))}, {first}", **look
-            )
+            axes.plot(range(len(clocks)), line[column], marker="o", label=label_of, **look)
         plots.clock_axis(axes, clocks)
         axes.set_title(label)
     style.legend(figure)
@@ -359,43 +355,36 @@ class PolicyGrid(SuiteOfRuns[Any, Point]):
         for point in self.points(config):
             self.runs(config, point)
 
-    def part(self, config: Any, point: Point) -> Part:
-        """Return the evaluation at a point."""
-        keys = {"agent": config.agent, "games": config.games, **config.evaluation.keys, **point.keys}
-        return Part(experiment=config.evaluation.experiment, keys=keys)
-
-    def runs(self, config: Any, case: Point) -> list[tuple[AnySuite, Any]]:
-        suite, evaluation = part_suite(self.part(config, case), config.seed)
-        if suite.name != "evaluate":
+    def runs(self, config: Any, case: Point) -> list[Run]:
+        keys = {"agent": config.agent, "games": config.games, **config.evaluation.keys, **case.keys}
+        part = Part(experiment=config.evaluation.experiment, keys=keys).resolve(config.seed)
+        if part[0].name != "evaluate":
             raise UserError(f"evaluation.experiment = {config.evaluation.experiment}: is no evaluation")
-        return [(suite, evaluation)]
+        return [part]
 
-    def first(self, config: Any) -> tuple[AnySuite, Any]:
+    def first(self, config: Any) -> Run:
         """Return suite and configuration of the first evaluation, which represents all where they do not differ."""
         return self.runs(config, next(self.points(config)))[0]
 
     def cases(self, config: Any) -> Iterator[Point]:
-        typical_s = simulated_s(*self.first(config))
+        typical_s = self.typical_s(config, next(self.points(config)))
         return (replace(point, typical_s=typical_s) for point in self.points(config))
 
     def provenance(self, config: Any) -> Mapping[str, object]:
         """Return the policy's hash. Raises UserError for a device that this machine does not have."""
-        suite, evaluation = self.first(config)
-        suite.provenance(evaluation)
-        return {"policy_sha256": origin_of(config.agent).sha256()}
+        return {**super().provenance(config), "policy_sha256": origin_of(config.agent).sha256()}
 
     def fly(self, config: Any, case: Point, opened: RunDirectory) -> GameResult:
         """Evaluate; the row has keys of the evaluation's summary, the arrays the outcome of each lane."""
-        summary = fly_part(opened, case.id, self.part(config, case), config.seed).summary
-        kept = {name: summary[name] for name in KEPT if name in self.row.__annotations__ and name in summary}
-        return GameResult({**case.labels, **kept}, outcomes(part_run(opened, case.id)))
+        report = fly_part(opened, case.id, *self.runs(config, case))
+        kept = {
+            name: report.summary[name] for name in KEPT if name in self.row.__annotations__ and name in report.summary
+        }
+        return GameResult({**case.labels, **subset(report.summary, *kept)}, outcomes(report.run))
 
 
 INFERENCE = Condition("inference", "inference_s", "s")
 """The condition that is a key of the evaluation, not of its task: how long a decision takes."""
-
-
-UNITS = {**CONDITIONS, INFERENCE.short: INFERENCE}
 
 
 def key_of(name: str) -> str:
@@ -488,16 +477,17 @@ class Sweep(PolicyGrid):
 
     def cases(self, config: SweepConfig) -> Iterator[Point]:
         """Yield the evaluations to fly; conditions that change nothing are flown once, as trained."""
-        trained, *departed = [(point, *self.runs(config, point)[0]) for point in self.points(config)]
-        same = [point.id for point, _, evaluation in departed if evaluation == trained[2]]
-        for point, suite, evaluation in [trained, *departed]:
+        trained, *departed = [(point, self.runs(config, point)[0][1]) for point in self.points(config)]
+        same = [point.id for point, evaluation in departed if evaluation == trained[1]]
+        for point, evaluation in [trained, *departed]:
             if point.id not in same:
                 labels = {**point.labels, "same": same if point.id == AS_TRAINED else []}
-                yield Point(point.id, timing_of(evaluation), simulated_s(suite, evaluation), point.keys, labels)
+                timing, typical_s = experiment.timing_of(evaluation), self.typical_s(config, point)
+                yield replace(point, timing=timing, typical_s=typical_s, labels=labels)
 
     def why_serial(self, config: SweepConfig) -> str:
         suite, evaluation = self.first(config)
-        on_wall = timing_of(evaluation) == "wall"
+        on_wall = experiment.timing_of(evaluation) == "wall"
         return "neighbours would spoil the measurement on the wall clock" if on_wall else suite.why_serial(evaluation)
 
     def summary(self, report: Report) -> Summary:
@@ -541,23 +531,17 @@ class Sweep(PolicyGrid):
 
     def overview(self, report: Report) -> Table:
         games = flown_in(report.games)
-        measure = (
-            {"median distance, m": "{distance_m_median:.1f}"}
-            if games == "lanes"
-            else {"mean return": "{return_mean:.4g}"}
-        )
-        return Table.of(
-            conditions_of(report.summary),
-            {
-                "condition": "{name}",
-                "value": "{text}",
-                "success": "{success_ratio:.1%}",
-                "95 % interval": "{wilson_low:.1%} to {wilson_high:.1%}",
-                games: "{successes} of {games}",
-                **measure,
-                "p": lambda cell: "" if unknown(cell["mcnemar_p"]) else f"{cell['mcnemar_p']:.2g}",
-            },
-        )
+        distance, mean = {"median distance, m": "{distance_m_median:.1f}"}, {"mean return": "{return_mean:.4g}"}
+        columns: dict[str, Column] = {
+            "condition": "{name}",
+            "value": "{text}",
+            "success": "{success_ratio:.1%}",
+            "95 % interval": "{wilson_low:.1%} to {wilson_high:.1%}",
+            games: "{successes} of {games}",
+            **(distance if games == "lanes" else mean),
+            "p": lambda cell: "" if unknown(cell["mcnemar_p"]) else f"{cell['mcnemar_p']:.2g}",
+        }
+        return Table.of(conditions_of(report.summary), columns)
 
     def page(self, report: Report) -> Iterator[Block | str]:
         """Yield success at each value, a panel per condition, and the same as a table."""
@@ -599,13 +583,17 @@ def usual_of(summary: Summary) -> list[Any]:
 
 def conditions_of(summary: Summary) -> pd.DataFrame:
     """Return the cells of a sweep's summary as a table, with the condition's name and unit and the value as a text."""
-    names = {"": "as trained"} | {name: f"{name}, {known.unit}" for name, known in UNITS.items() if known.unit}
+    known = [*CONDITIONS.values(), INFERENCE]
+    names = {"": "as trained"} | {each.short: f"{each.short}, {each.unit}" for each in known if each.unit}
     cells = table_of(summary["cells"])
     texts = [value_text(cell["value"]) if cell["condition"] else "" for cell in summary["cells"]]
     return cells.assign(name=cells.condition.replace(names), text=texts)
 
 
 # --- maps of robustness ---------------------------------------------------------------------------------------------
+
+
+Scale = Annotated[float, Field(ge=0.0, le=MOST_SCALE)]
 
 
 class RobustnessConfig(PolicyExperiment):
@@ -618,7 +606,7 @@ class RobustnessConfig(PolicyExperiment):
     """The synchronous commands to fly with."""
     clock_speed: ClockSpeeds
     """ClockSpeeds to fly at: simulated seconds per wall second."""
-    latency_scale: Annotated[tuple[Annotated[float, Field(ge=0.0, le=MOST_SCALE)], ...], AfterValidator(distinct)]
+    latency_scale: Annotated[tuple[Scale, ...], AfterValidator(experiment.distinct)]
     """Factors of the latencies of the profile's model, flown in this order: put what matters most first."""
     games: Games = 100
     """Lanes flown in each cell."""
@@ -672,8 +660,8 @@ class Robustness(PolicyGrid):
             above, below = max(line.index[~fallen], default=None), min(line.index[fallen], default=None)
             found = {"command": command, "clock_speed": clock_speed, "fitted": line.get(FITTED), "real_time": real_time}
             collapses.append(found | {"above": None if real_time is None else above, "below": below})
-        shared = {key: getattr(report.config, key) for key in ("agent", "profile", "seed")}
-        return {"suite": self.name, **shared, "cells": cells, "collapses": collapses}
+        shared = subset(vars(report.config), "suite", "agent", "profile", "seed")
+        return {**shared, "cells": cells, "collapses": collapses}
 
     def title(self, report: Report) -> str:
         return f"Success of {report.config.who} over latency and ClockSpeed"

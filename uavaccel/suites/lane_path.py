@@ -54,7 +54,8 @@ def plan_path(
     The hull stays `margin_m` away from everything. Raises UserError if no such path is found.
     """
     transition, input_response = _response(height_m, command_s / CHECKS_PER_COMMAND)
-    actions = SPEED_M_S * _directions()
+    headings = np.radians(HEADINGS_DEG)
+    actions = SPEED_M_S * np.stack([np.cos(headings), np.sin(headings)], axis=1)
     forced = actions[:, None, :, None] * input_response[None, :, None, :]  # (action, check, axis, 3)
     root = np.zeros(1, np.int64)
     beams = [_Beam(np.zeros((1, 2, 3)), np.zeros(1), root, root)]
@@ -62,22 +63,12 @@ def plan_path(
         beams.append(_extend(beams[-1], layout, margin_m, transition, forced, actions))
         arrived = np.flatnonzero(beams[-1].state[:, 0, 0] >= LENGTH_M)
         if len(arrived):
-            return [(float(north), float(east)) for north, east in actions[_trace(beams, int(arrived[0]))]]
+            path, taken = int(arrived[0]), list[VelocityCommand]()
+            for beam in reversed(beams[1:]):
+                north, east = actions[beam.action[path]].tolist()
+                path, taken = int(beam.parent[path]), [(north, east), *taken]
+            return taken
     raise UserError(f"no path through this lane keeps {margin_m:g} m from its obstacles: widen a gap or the spacing")
-
-
-def _trace(beams: list[_Beam], path: int) -> list[int]:
-    """Return the indices of the commands that led to a path of the last beam, in order."""
-    actions = []
-    for beam in reversed(beams[1:]):
-        actions.append(int(beam.action[path]))
-        path = int(beam.parent[path])
-    return actions[::-1]
-
-
-def _directions() -> FloatArray:
-    headings = np.radians(HEADINGS_DEG)
-    return np.stack([np.cos(headings), np.sin(headings)], axis=1)
 
 
 def _response(height_m: float, step_s: float) -> tuple[FloatArray, FloatArray]:
@@ -109,28 +100,17 @@ def _extend(
     """Append each command to each path, drop those too near to something, and keep the best of each cell."""
     free = (beam.state.reshape(-1, 3) @ transition).reshape(-1, 2, CHECKS_PER_COMMAND, 3).swapaxes(1, 2)
     flown = free[:, None] + forced
-    clearance = clearance_m(_nearby(layout, flown[..., 0]), flown[..., 0]).min(axis=2)
+    places, north = flown[..., 0], flown[..., 0, 0]
+    near = (layout.x_m > north.min() - 3.0) & (layout.x_m < north.max() + 3.0)
+    by_obstacle = ("x_m", "y_m", "half_width_m", "round", "texture")
+    nearby = replace(layout, **{name: getattr(layout, name)[near] for name in by_obstacle})
+    clearance = clearance_m(nearby, places).min(axis=2)
     parent, action = np.nonzero(clearance >= margin_m)
     closeness = np.maximum(AMPLE_CLEARANCE_M - clearance[parent, action], 0.0)
-    turn = np.abs(actions[action, 1])
     state = flown[parent, action, -1]
-    cost = beam.cost[parent] + closeness + 0.05 * turn
-    order = _best_of_each_cell(state, cost - state[:, 0, 0])
-    return _Beam(state[order], cost[order], parent[order], action[order])
-
-
-def _nearby(layout: LaneLayout, positions: FloatArray) -> LaneLayout:
-    """Reduce the layout to the obstacles near positions (..., 2)."""
-    near = (layout.x_m > positions[..., 0].min() - 3.0) & (layout.x_m < positions[..., 0].max() + 3.0)
-    return replace(
-        layout, x_m=layout.x_m[near], y_m=layout.y_m[near], half_width_m=layout.half_width_m[near],
-        round=layout.round[near], texture=layout.texture[near],
-    )  # fmt: skip
-
-
-def _best_of_each_cell(state: FloatArray, score: FloatArray) -> NDArray[np.int64]:
-    """Return at most BEAM_WIDTH indices, best first, one per cell of lateral position, velocity and progress."""
-    order = np.argsort(score, kind="stable")
-    cells = np.round(state[order][:, [1, 1, 0], [0, 1, 0]] / (0.25, 0.25, 1.0)) @ (1.0, 1e3, 1e6)
-    _, first = np.unique(cells, return_index=True)
-    return order[np.sort(first)[:BEAM_WIDTH]]
+    cost = beam.cost[parent] + closeness + 0.05 * np.abs(actions[action, 1])
+    # the best of each cell of lateral position, velocity and progress
+    best = np.argsort(cost - state[:, 0, 0], kind="stable")
+    cells = np.round(state[best][:, [1, 1, 0], [0, 1, 0]] / (0.25, 0.25, 1.0)) @ (1.0, 1e3, 1e6)
+    kept = best[np.sort(np.unique(cells, return_index=True)[1])[:BEAM_WIDTH]]
+    return _Beam(state[kept], cost[kept], parent[kept], action[kept])

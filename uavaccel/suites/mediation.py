@@ -6,7 +6,6 @@ and evaluations are runs of other suites below parts/, resumed where they stoppe
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, ClassVar, Literal, NotRequired
@@ -26,12 +25,10 @@ from uavaccel.metrics.intervals import RESAMPLES, TAILS, student_quantile
 from uavaccel.records import RunDirectory
 from uavaccel.rl.config import LANE
 from uavaccel.suites import plots
-from uavaccel.suites.experiment import Experiment
-from uavaccel.suites.parts import OUTCOMES, Part, SuiteOfRuns, fly_part, outcomes, part_folder, part_suite
+from uavaccel.suites.experiment import Experiment, GameRow, Row, subset
+from uavaccel.suites.parts import OUTCOMES, Part, Run, SuiteOfRuns, fly_part, outcomes, part_folder, train_part
 from uavaccel.suites.report import Report, Summary, method_note, table_of
-from uavaccel.suites.rows import GameRow, Row
-from uavaccel.suites.suite import AnySuite, GameResult, SimpleCase
-from uavaccel.suites.train import CHECKPOINTS
+from uavaccel.suites.suite import GameResult, SimpleCase
 
 Name = Annotated[str, Field(pattern=r"^[a-z0-9_]+$")]
 Keys = dict[str, Plain]
@@ -95,6 +92,8 @@ class MediationConfig(Experiment):
     `experiment` names instead; beside `agent`, which names a policy that exists, keys of all its flights."""
     flights: Annotated[dict[Name, Factor], Field(min_length=1)]
     """What is moved in flight; each policy flies with every value, and as `evaluation` has it."""
+    only_flights: tuple[str, ...] = ()
+    """Names of the flights that are flown, such as usual and gap-2; by default all."""
     shares: tuple[Share, ...] = ()
     """Which cells' losses are compared; a flight is named FACTOR-VALUE or usual."""
     contrasts: tuple[Contrast, ...] = ()
@@ -104,7 +103,7 @@ class MediationConfig(Experiment):
     evaluation: Part = Part(experiment="evaluate")
     """How policies are flown: an experiment, and keys that differ from it."""
 
-    def flown(self) -> dict[str, Keys]:
+    def named_flights(self) -> dict[str, Keys]:
         """Return the keys of each flight by its name, that in which nothing is moved first."""
         cells = {
             f"{name}-{values[0]:g}": factor.also | dict(zip(factor.keys, values, strict=True))
@@ -113,9 +112,19 @@ class MediationConfig(Experiment):
         }
         return {USUAL: {}, **cells}
 
+    def flown(self) -> dict[str, Keys]:
+        """Return the keys of the flights that are flown by their names."""
+        flights, chosen = self.named_flights(), self.only_flights
+        return {name: keys for name, keys in flights.items() if not chosen or name in chosen}
+
     @model_validator(mode="after")
-    def _shares_are_of_cells(self) -> MediationConfig:
-        cells = {f"{policy}/{flight}" for policy in self.policies for flight in self.flown()}
+    def _flights_and_cells_have_names(self) -> MediationConfig:
+        flights = self.named_flights()
+        if unknown := [name for name in self.only_flights if name not in flights]:
+            raise ValueError(f"only_flights: {unknown[0]} is no flight; there are {', '.join(flights)}")
+        if self.only_flights and USUAL not in self.only_flights:
+            raise ValueError(f"only_flights: must have {USUAL}, with which others are compared")
+        cells = {f"{policy}/{flight}" for policy in self.policies for flight in flights}
         named = {
             "shares": [cell for share in self.shares for cell in (share.usual, share.whole, *share.parts)],
             "contrasts": [cell for contrast in self.contrasts for cell in (*contrast.without, *contrast.moved)],
@@ -174,8 +183,7 @@ class Mediation(SuiteOfRuns[MediationConfig, PolicyCase]):
         sizes: dict[str, float] = {}
         for case in self.policies_of(config):
             if case.policy not in sizes:
-                runs = self.runs(config, case)
-                sizes[case.policy] = sum(game.simulated_s() for suite, run in runs for game in suite.cases(run))
+                sizes[case.policy] = self.typical_s(config, case)
             yield replace(case, typical_s=sizes[case.policy])
 
     def parts(self, config: MediationConfig, case: PolicyCase, agent: str) -> dict[str, Part]:
@@ -192,23 +200,16 @@ class Mediation(SuiteOfRuns[MediationConfig, PolicyCase]):
             for flight, moved in config.flown().items()
         }
 
-    def runs(self, config: MediationConfig, case: PolicyCase) -> list[tuple[AnySuite, Any]]:
+    def runs(self, config: MediationConfig, case: PolicyCase) -> list[Run]:
         """Return a policy's training and flights; of one to be trained in another environment, its training alone."""
         agent = str(config.policies[case.policy].get("agent", "default"))
         parts = [*self.parts(config, case, agent).values()]
-        first: tuple[AnySuite, Any] = part_suite(parts[0], config.seed)
+        first = parts[0].resolve(config.seed)
         known = first[0].name != "train" or first[1].env_id == LANE
-        return [first, *(part_suite(part, config.seed) for part in parts[1:] if known)]
+        return [first, *(part.resolve(config.seed) for part in parts[1:] if known)]
 
     def may_grow(self, folder: Any) -> tuple[str, ...]:
         return ("seeds",)
-
-    def provenance(self, config: MediationConfig) -> Mapping[str, Any]:
-        """Check that this machine has the devices of training and flights. Raises UserError."""
-        runs = self.runs(config, next(self.policies_of(config)))
-        for suite, run in (runs[0], runs[-1]):
-            suite.provenance(run)
-        return {}
 
     def renders(self, config: MediationConfig) -> bool:
         return any(suite.renders(run) for suite, run in self.runs(config, next(self.policies_of(config))))
@@ -219,12 +220,13 @@ class Mediation(SuiteOfRuns[MediationConfig, PolicyCase]):
         row: dict[str, Any] = {"policy": case.policy, "seed": case.seed, "successes": {}}
         arrays: dict[str, np.ndarray] = {}
         for name, part in self.parts(config, case, str(config.policies[case.policy].get("agent", own))).items():
-            report = fly_part(opened, f"{case.id}/{name}", part, config.seed, pages=False)
+            place, run = f"{case.id}/{name}", part.resolve(config.seed)
             if name == "training":
-                shutil.rmtree(own / CHECKPOINTS, ignore_errors=True)
-                row |= {f"trained_{key}": report.summary[key] for key in ("games", "successes")}
-                row["weights_sha256"] = report.summary["weights_sha256"]
+                learned = train_part(opened, place, run).summary
+                row |= {f"trained_{key}": learned[key] for key in ("games", "successes")}
+                row["weights_sha256"] = learned["weights_sha256"]
                 continue
+            report = fly_part(opened, place, run, pages=False)
             row["games"], row["successes"][name] = report.summary["games"], report.summary["successes"]
             arrays |= {f"{name}_{key}": values for key, values in outcomes(report.run).items()}
         return GameResult(row, arrays)
@@ -234,14 +236,14 @@ class Mediation(SuiteOfRuns[MediationConfig, PolicyCase]):
 
     def score(self, report: Report) -> pd.DataFrame:
         """Return a row for each policy and flight: `factor`, `value`, `won` (games,) bool, and `distance_m` or None."""
-        factors = {name: (*split_name(name), keys) for name, keys in report.config.flown().items()}
         cells = []
         for row in report.games.to_dict("records"):
             arrays = report.arrays(row)
-            for flight, (factor, value, _) in factors.items():
-                own = {"flight": flight, "factor": factor, "value": value, "won": arrays[f"{flight}_is_success"]}
-                own["distance_m"] = arrays.get(f"{flight}_distance_m")
-                cells.append({**{key: row[key] for key in ("policy", "seed")}, **own})
+            for flight in report.config.flown():
+                factor, _, value = flight.partition("-")
+                own = {"flight": flight, "factor": factor, "value": float(value) if value else None}
+                own |= {"won": arrays[f"{flight}_is_success"], "distance_m": arrays.get(f"{flight}_distance_m")}
+                cells.append(subset(row, "policy", "seed") | own)
         return table_of(cells)
 
     def summary(self, report: Report) -> Summary:
@@ -300,7 +302,7 @@ class Mediation(SuiteOfRuns[MediationConfig, PolicyCase]):
         return Table.of(report.summary["cells"], CELLS)
 
     def page(self, report: Report) -> Iterator[Block | str]:
-        yield self.figure(report)
+        yield self.map(report) if len(report.config.policies) > MOST_LINES else self.lines(report)
         if contrasts := report.summary["contrasts"]:
             yield Heading("Effects")
             yield Table.of(contrasts, EFFECTS)
@@ -317,10 +319,6 @@ class Mediation(SuiteOfRuns[MediationConfig, PolicyCase]):
             "compared training by training. Intervals are not corrected for their number."
         )
 
-    def figure(self, report: Report) -> Picture:
-        """Draw lines of a few policies, and of many a map."""
-        return self.map(report) if len(report.config.policies) > MOST_LINES else self.lines(report)
-
     def map(self, report: Report) -> Picture:
         """Draw the success of each policy, a row each, in each flight, a column each."""
         cells = pd.DataFrame(report.summary["cells"])
@@ -332,7 +330,8 @@ class Mediation(SuiteOfRuns[MediationConfig, PolicyCase]):
         for (row, column), ratio in np.ndenumerate(ratios):
             look: dict[str, Any] = {"ha": "center", "va": "center", "color": plots.ink_on(ratio), "fontsize": 8}
             axes.annotate(f"{100 * ratio:.0f}", (column, row), **look)
-        axes.set_xticks(range(ratios.shape[1]), [written(name) for name in ratios.columns], rotation=60, ha="right")
+        names = [name.replace("_", " ").replace("-", " ", 1).replace("-", "\N{MINUS SIGN}") for name in ratios.columns]
+        axes.set_xticks(range(len(names)), names, rotation=60, ha="right")
         trained = cells[cells.flight == USUAL].set_index("policy").seeds
         rows = [f"{str(name).replace('_', ' ')} ({len(trained[name])})" for name in ratios.index]
         axes.set_yticks(range(len(ratios)), rows, fontsize=8)
@@ -342,7 +341,8 @@ class Mediation(SuiteOfRuns[MediationConfig, PolicyCase]):
 
     def lines(self, report: Report) -> Picture:
         """Draw success over the values of each factor, a panel each, a line for each policy."""
-        cells, flights = pd.DataFrame(report.summary["cells"]), report.config.flights
+        cells = pd.DataFrame(report.summary["cells"])
+        flights = {name: each for name, each in report.config.flights.items() if name in set(cells.factor)}
         figure, panels = plots.panels(len(flights), self.title(report), 2.2, sharey=True)
         for axes, (name, factor) in zip(panels, flights.items(), strict=True):
             for number, (policy, own) in enumerate(cells.groupby("policy", sort=False)):
@@ -356,19 +356,6 @@ class Mediation(SuiteOfRuns[MediationConfig, PolicyCase]):
         style.legend(figure)
         caption = "Success with 95 % intervals; dotted, nothing is moved."
         return report.figure("mediation", figure, caption, f"Lines of success. {report.headline()}.")
-
-
-def written(flight: str) -> str:
-    """Return a flight's name as a label: `gap 2`, `start −0.584`."""
-    name, value = split_name(flight)
-    words = name.replace("_", " ")
-    return words if value is None else f"{words} {value:g}".replace("-", "\N{MINUS SIGN}")
-
-
-def split_name(flight: str) -> tuple[str, float | None]:
-    """Return factor and value of a flight's name."""
-    factor, _, value = flight.partition("-")
-    return factor, float(value) if value else None
 
 
 def share_of_loss(cells: Mapping[str, pd.DataFrame], share: Share, part: str) -> dict[str, float | None]:

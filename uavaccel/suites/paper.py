@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, StringConstraints
@@ -21,12 +22,11 @@ from uavaccel.metrics.intervals import fisher_exact_p
 from uavaccel.records import RunDirectory
 from uavaccel.resources import experiment
 from uavaccel.suites import claims, paper_results
-from uavaccel.suites.experiment import Experiment
-from uavaccel.suites.parts import Part, SuiteOfRuns, fly_part, part_run, part_suite, simulated_s
+from uavaccel.suites.experiment import Experiment, GameRow, Row
+from uavaccel.suites.parts import Part, Run, SuiteOfRuns, fly_part, part_run
 from uavaccel.suites.registry import open_run, suite_of
 from uavaccel.suites.report import Report, Summary, method_note, records, table_of
-from uavaccel.suites.rows import GameRow, Row
-from uavaccel.suites.suite import AnySuite, GameResult, SimpleCase
+from uavaccel.suites.suite import GameResult, SimpleCase
 
 PROFILES = ("airsim", "native")
 LEVEL = 0.05
@@ -99,17 +99,18 @@ class Paper(SuiteOfRuns[PaperConfig, SimpleCase]):
             training_run(config.with_run)
 
     def cases(self, config: PaperConfig) -> Iterator[SimpleCase]:
-        for name, part in config.parts.items():
-            yield SimpleCase(name, "virtual", simulated_s(*part_suite(part, config.seed)))
+        for name in config.parts:
+            case = SimpleCase(name, "virtual", 0.0)
+            yield replace(case, typical_s=self.typical_s(config, case))
 
-    def runs(self, config: PaperConfig, case: SimpleCase) -> list[tuple[AnySuite, Any]]:
-        return [part_suite(config.parts[case.id], config.seed)]
+    def runs(self, config: PaperConfig, case: SimpleCase) -> list[Run]:
+        return [config.parts[case.id].resolve(config.seed)]
 
     def status(self, rows: Sequence[Row]) -> str:
         return ""
 
     def fly(self, config: PaperConfig, case: SimpleCase, opened: RunDirectory) -> GameResult:
-        part = fly_part(opened, case.id, config.parts[case.id], config.seed)
+        part = fly_part(opened, case.id, *self.runs(config, case))
         flown(opened, case.id, part)
         return GameResult({"cells": len(part.summary["cells"])})
 
@@ -193,10 +194,7 @@ def training_run(path: str) -> RunDirectory:
 
 
 def flown(run: RunDirectory, name: str, report: Report | None = None) -> claims.Flown:
-    """Return what a part tells, from evidence/NAME.json where that is of its games and this version.
-
-    Else the part is scored, which takes long, unless its `report` has been, and the file is written.
-    """
+    """Return what a part tells, from evidence/NAME.json if that is of its games and this version; else it is scored."""
     part, file, kind = part_run(run, name), f"evidence/{name}.json", name.partition("-")[0]
     of = [__version__, *(file_sha256(part.path / kept) for kept in ("config.yaml", "rows.jsonl"))]
     kept = run.read_json(file) if report is None and (run.path / file).is_file() else {}
@@ -209,10 +207,7 @@ def flown(run: RunDirectory, name: str, report: Report | None = None) -> claims.
 
 
 def verdict(claim: Claim, evidence: Mapping[str, Any]) -> dict[str, str]:
-    """Return the verdict on a claim, and the number that decides it or the reason why nothing does.
-
-    It is pending until somebody has trained, and not flown where the run lacks its part.
-    """
+    """Return the verdict on a claim, and the number that decides it or the reason why nothing does."""
     lacking = {"value": "", "verdict": "pending" if "rl" in claim.decided_by else "not flown"}
     if any(kind not in evidence for kind in claim.decided_by):
         return lacking

@@ -38,24 +38,18 @@ def thinking_share() -> float:
 
 
 def phase_hours(clock_speed: float) -> tuple[float, float]:
-    """Return the hours of the paper's training in simulation and beside it, as `thinking_share` implies.
-
-    Raises KeyError for a ClockSpeed at which the paper gives no speed-up.
-    """
+    """Return the hours of the paper's training in simulation and beside it. Raises KeyError without its speed-up."""
     real_time_h, share = REAL_TIME_S / 3600, thinking_share()
     speedup = 1.0 if clock_speed == 1.0 else SIMULATION_SPEEDUP[clock_speed]
     return real_time_h / (1 + share) / speedup, real_time_h * share / (1 + share)
 
 
-def successes(profile: str, variant: str, command: str, clock_speed: float) -> int | None:
-    """Return the successes in 100 games, where the paper has them for the cell; its simulator was AirSim."""
-    if profile != "airsim" or variant:
-        return None
-    return SUCCESSES[command].get(clock_speed)
-
-
-def speedups(profile: str, variant: str, command: str, clock_speed: float) -> tuple[float | None, float | None]:
-    """Return the speed-ups of simulation alone and of the whole training, where the paper has them for the cell."""
-    if profile != "airsim" or variant or command != "tcsc":
-        return None, None
-    return SIMULATION_SPEEDUP.get(clock_speed), TRAINING_SPEEDUP.get(clock_speed)
+def of_training(profile: str, variant: str, command: str, clock_speed: float) -> dict[str, float | None]:
+    """Return successes in 100 games, and speed-ups of simulation and whole training; None where the paper has none."""
+    flown = profile == "airsim" and not variant
+    tcsc = flown and command == "tcsc"
+    return {
+        "paper_successes": SUCCESSES[command].get(clock_speed) if flown else None,
+        "paper_training_speedup": SIMULATION_SPEEDUP.get(clock_speed) if tcsc else None,
+        "paper_whole_training_speedup": TRAINING_SPEEDUP.get(clock_speed) if tcsc else None,
+    }

@@ -14,8 +14,7 @@ from uavaccel.forms import Positive
 from uavaccel.kinematics import Vector, VelocityGoal
 from uavaccel.records import RunDirectory, timing_provenance
 from uavaccel.sim.profile import PROFILES
-from uavaccel.suites.experiment import FlightExperiment, ProfileName, Timing
-from uavaccel.suites.rows import GameRow
+from uavaccel.suites.experiment import FlightExperiment, GameRow, ProfileName, Timing
 from uavaccel.suites.suite import Suite
 from uavaccel.units import NS_PER_S
 

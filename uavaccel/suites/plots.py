@@ -13,7 +13,6 @@ from numpy.typing import ArrayLike
 
 from uavaccel.draw import style
 from uavaccel.draw.page import Table, clock_label, unknown
-from uavaccel.metrics.intervals import Proportion
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -147,14 +146,6 @@ def log_axis(axes: Axes, which: str, form: str = "{:g}") -> None:
     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < 300.0 * low else (1.0,)))
     axis.set_major_formatter(lambda value, _: form.format(value))
     axis.set_minor_formatter(NullFormatter())
-
-
-def survival_band(axes: Axes, distances_m: ArrayLike, length_m: float, **look: Any) -> None:
-    """Plot the share of games (n,) that got beyond each distance, in its 95 % Wilson interval."""
-    places, share = style.survival(distances_m, length_m)
-    games = len(places) - 1
-    low, high = zip(*(Proportion(left, games).interval for left in range(games, -1, -1)), strict=True)
-    band(axes, places, share, low, high, step=True, **look)
 
 
 def time_unit(longest_s: float) -> str:

@@ -5,7 +5,6 @@ Agents are trained, then evaluated with weights from the run (realtime_agents.py
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, closing, nullcontext
 from dataclasses import dataclass
@@ -28,35 +27,17 @@ from uavaccel.own_code import own_module
 from uavaccel.records import RunDirectory, timing_provenance
 from uavaccel.resources import require
 from uavaccel.suites import plots
-from uavaccel.suites.experiment import Timing
-from uavaccel.suites.gpu import acquire_gpu
-from uavaccel.suites.parts import Part, fly_part, part_folder, part_suite
+from uavaccel.suites import realtime_report as told
+from uavaccel.suites.experiment import GameRow, Row, Timing, subset
+from uavaccel.suites.parts import Part, acquire_gpu, part_folder, train_part
 from uavaccel.suites.realtime_config import OF_THE_CASES, RealtimeConfig
-from uavaccel.suites.realtime_report import (
-    CELL,
-    COUNTS,
-    READING,
-    RETURNS,
-    TRAINING,
-    agreement,
-    agreement_figure,
-    cells_of,
-    ranking,
-    rankings_figure,
-    rankings_table,
-    results,
-    returns_figure,
-    tcsc_equal,
-    told,
-    up_to_which_speed,
-)
 from uavaccel.suites.report import Report, Summary, method_note, records
-from uavaccel.suites.rows import GameRow, Row
 from uavaccel.suites.suite import GameResult, SimpleCase, Suite
-from uavaccel.suites.train import CHECKPOINTS, recent_mean
+from uavaccel.suites.train import recent_mean
 
 EPISODE_S = 20.0  # simulated seconds of an evaluation's episode, about
 EVALUATION_SEED = 1_000_000  # episodes of an evaluation begin with others than those of trainings
+UNDER = ("timing", "latency_s", "clock_speed", "command")  # the conditions of an evaluation
 
 
 class TrainingRow(GameRow):
@@ -140,7 +121,7 @@ class Realtime(Suite[RealtimeConfig, Training]):
         _import_modules(config)
         for name, flight in config.flights.items():
             for agent, part in flight.trainings.items():
-                if (of := part_suite(part, config.seed)[0].name) != "train":
+                if (of := part.resolve(config.seed)[0].name) != "train":
                     raise UserError(f"flights.{name}.trainings.{agent}: {part.experiment} is of {of}, not of train")
         known = dict.fromkeys(case.cell for case in _evaluations(config))
         for pattern in config.cells:
@@ -151,8 +132,7 @@ class Realtime(Suite[RealtimeConfig, Training]):
 
     def cases(self, config: RealtimeConfig) -> Iterator[Training]:
         """Yield all trainings, then all evaluations. Under TCSC delays change nothing: one latency stands for all."""
-        every = _evaluations(config)
-        wanted = config.cells or ("*",)
+        wanted, every = config.cells or ("*",), _evaluations(config)
         evaluations = [case for case in every if any(fnmatchcase(case.cell, cell) for cell in wanted)]
         needed = {case.trained for case in evaluations}
         for environment, agent, seed in _flown(config):
@@ -165,7 +145,7 @@ class Realtime(Suite[RealtimeConfig, Training]):
         trained = dict.fromkeys((case.environment, case.agent) for case in self.cases(config) if not self.stage(case))
         for name, agent in trained:
             if name in config.flights:
-                suite, part = part_suite(config.flights[name].trainings[agent], config.seed)
+                suite, part = config.flights[name].trainings[agent].resolve(config.seed)
                 suite.provenance(part)
         return {}
 
@@ -221,16 +201,17 @@ class Realtime(Suite[RealtimeConfig, Training]):
 
     def summary(self, report: Report) -> Summary:
         config, games = report.config, report.games
-        cells = cells_of(report)
+        cells = told.cells_of(report)
         adsc = cells[cells.command == "adsc"].groupby(["environment", "latency_s"], sort=False)
+        rankings = [dict(zip(("environment", "latency_s"), at, strict=True)) | told.ranking(own) for at, own in adsc]
         return {
             "suite": "realtime",
             "seed": config.seed,
             "provenance": timing_provenance(config.timing),
             "cells": records(cells),
-            "rankings": [dict(zip(("environment", "latency_s"), key, strict=True)) | ranking(own) for key, own in adsc],
-            "tcsc_equal_at_every_clock_speed": tcsc_equal(report.scores),
-            "trainings": records(games[games.kind == "training"].reindex(columns=TRAINING)),
+            "rankings": rankings,
+            "tcsc_equal_at_every_clock_speed": told.tcsc_equal(report.scores),
+            "trainings": records(games[games.kind == "training"].reindex(columns=told.TRAINING)),
         }
 
     def title(self, report: Report) -> str:
@@ -239,12 +220,12 @@ class Realtime(Suite[RealtimeConfig, Training]):
     def headline(self, report: Report) -> str:
         """Return up to which ClockSpeed each ranking at the middle latency holds, and whether TCSC's returns do."""
         if len(report.summary["cells"]) == 1:
-            return told(report.summary["cells"][0])
+            return told.cell_in_words(report.summary["cells"][0])
         rankings, equal = report.summary["rankings"], report.summary["tcsc_equal_at_every_clock_speed"]
         rankings = [each for each in rankings if len(each["orders"][0]) > 1]
         latencies = sorted({each["latency_s"] for each in rankings})
         middle = latencies[len(latencies) // 2] if latencies else 0.0
-        said = [up_to_which_speed(each) for each in rankings if each["latency_s"] == middle]
+        said = [told.up_to_which_speed(each) for each in rankings if each["latency_s"] == middle]
         said = [f"with {1e3 * middle:g} ms to think, {'; '.join(said)}"] if said else []
         if equal is not None:
             said.append(f"under TCSC returns {'are the same to the bit' if equal else 'DIFFER'} at every ClockSpeed")
@@ -252,7 +233,7 @@ class Realtime(Suite[RealtimeConfig, Training]):
 
     def source(self, report: Report) -> str:
         cells = pd.DataFrame(report.summary["cells"])
-        counts = [f"{plots.span(cells[name], '{}')} {what}" for name, what in COUNTS.items()]
+        counts = [f"{plots.span(cells[name], '{}')} {what}" for name, what in told.COUNTS.items()]
         every = len({case.cell for case in _evaluations(report.config)})
         some = f" · {len(cells)} of {every} cells" if len(cells) < every else ""
         return f"{report.summary['provenance']} · {', '.join(counts)} a cell{some} · seed {report.summary['seed']}"
@@ -263,21 +244,21 @@ class Realtime(Suite[RealtimeConfig, Training]):
         own = cells[cells.command == "adsc"]
         latencies = sorted(own.latency_s.unique())
         shown = own.latency_s.isin([*latencies[:1], *latencies[len(latencies) // 2 :][:1]])
-        return Table.of(own[shown & (own.clock_speed == own.clock_speed.min())], RETURNS)
+        return Table.of(own[shown & (own.clock_speed == own.clock_speed.min())], told.RETURNS)
 
     def page(self, report: Report) -> Iterator[Block | str]:
         cells = pd.DataFrame(report.summary["cells"])
         several = [each for each in report.summary["rankings"] if len(each["clock_speeds"]) > 1]
         if (cells.command == "adsc").any():
-            yield returns_figure(report, cells)
+            yield told.returns_figure(report, cells)
         if several:
-            yield rankings_figure(report)
+            yield told.rankings_figure(report)
             yield Heading("How fast may one simulate before the ranking changes?")
-            yield rankings_table(several)
-        report.run.write_text("results.csv", results(report))
+            yield told.rankings_table(several)
+        report.run.write_text("results.csv", told.results(report))
         yield Heading("All cells")
-        yield Table.of(cells, RETURNS, folded="all returns")
-        yield method_note(READING)
+        yield Table.of(cells, told.RETURNS, folded="all returns")
+        yield method_note(told.READING)
 
     def compare(self, runs: Sequence[RunDirectory]) -> list[Path]:
         """Write a figure and agreement.json of a run on the simulated clock against one on the machine's, given in
@@ -287,12 +268,12 @@ class Realtime(Suite[RealtimeConfig, Training]):
         if set(reports) != {"virtual", "wall"}:
             raise UserError("realtime: compares a run with timing virtual and one with timing wall")
         modelled, measured = reports["virtual"], reports["wall"]
-        pairs = cells_of(modelled).merge(cells_of(measured), on=CELL, suffixes=("", "_measured"))
-        if pairs.empty:
+        both = told.cells_of(modelled), told.cells_of(measured)
+        if (pairs := both[0].merge(both[1], on=told.CELL, suffixes=("", "_measured"))).empty:
             raise UserError(f"{measured.run.path}: has no cell that {modelled.run.path} has too")
-        measured.run.write_json("agreement.json", agreement(pairs))
+        measured.run.write_json("agreement.json", told.agreement(pairs))
         source = f"modelled: {modelled.run.path.name}; measured: {measured.run.path.name}"
-        return [style.save(agreement_figure(pairs, source), measured.run.file("figures/agreement.png"))]
+        return [style.save(told.agreement_figure(pairs, source), measured.run.file("figures/agreement.png"))]
 
     def status(self, rows: Sequence[Row]) -> str:
         return str(rows[-1]["case"])
@@ -324,11 +305,8 @@ def _pairs(config: RealtimeConfig) -> list[tuple[str, str]]:
 def _flown(config: RealtimeConfig) -> list[tuple[str, str, int]]:
     """Return each flight or environment with each agent that flies it, and each training's seed."""
     flights = [(name, agent) for name, flight in config.flights.items() for agent in flight.trainings]
-    return [
-        (environment, agent, seed)
-        for environment, agent in [*flights, *_pairs(config)]
-        for seed in range(1 if config.agents[agent].policies else config.seeds)
-    ]
+    seeds = {name: range(1 if agent.policies else config.seeds) for name, agent in config.agents.items()}
+    return [(*pair, seed) for pair in [*flights, *_pairs(config)] for seed in seeds[pair[1]]]
 
 
 def _evaluations(config: RealtimeConfig) -> Iterator[Evaluation]:
@@ -359,11 +337,7 @@ def evaluated(config: RealtimeConfig, case: Evaluation, weights: Mapping[str, np
         seeds = range(EVALUATION_SEED + config.seed, EVALUATION_SEED + config.seed + config.episodes)
         met = [agents.fly_episode(env, actor, seed, delay_s if wall else 0.0) for seed in seeds]
     returns, delays_s, late_s = (list(each) for each in zip(*met, strict=True))
-    return {**_under(case), "returns": returns, "delays_s": delays_s, "late_s": max(late_s)}
-
-
-def _under(case: Evaluation) -> dict[str, Any]:
-    return {name: getattr(case, name) for name in ("timing", "latency_s", "clock_speed", "command")}
+    return subset(vars(case), *UNDER) | {"returns": returns, "delays_s": delays_s, "late_s": max(late_s)}
 
 
 def flown(config: RealtimeConfig, case: Training, run: RunDirectory) -> dict[str, Any]:
@@ -372,19 +346,17 @@ def flown(config: RealtimeConfig, case: Training, run: RunDirectory) -> dict[str
 
     flight = config.flights[case.environment]
     if not isinstance(case, Evaluation):
-        part = flight.trainings[case.agent]
-        training: Any = part_suite(part, 0)[1]
-        acquire_gpu(training.device)
-        report = fly_part(run, case.id, part, config.seed + case.seed, pages=False)
-        shutil.rmtree(report.run.path / CHECKPOINTS, ignore_errors=True)
+        training = flight.trainings[case.agent].resolve(config.seed + case.seed)
+        acquire_gpu(training[1].device)
+        report = train_part(run, case.id, training)
         learned = {"steps": report.summary["commands"], "agent_sha256": report.summary["weights_sha256"]}
         return {**learned, "last_return": float(recent_mean(report.games["return"]).iloc[-1])}
     agent = str(part_folder(run, case.trained).resolve())
     keys = flight.evaluation.keys | {"agent": agent, "inference_s": case.latency_s, "task.mediation": {}}
     keys |= {f"task.{name}": getattr(case, name) for name in OF_THE_CASES}
-    evaluation: Any = part_suite(Part(experiment=flight.evaluation.experiment, keys=keys), config.seed)[1]
+    evaluation = Part(experiment=flight.evaluation.experiment, keys=keys).resolve(config.seed)[1]
     lanes = range(evaluation.first_lane, evaluation.first_lane + evaluation.games)
     with closing(GamesInBatch(evaluation, lanes)) as batch:
         won = [float(batch.game(lane).row["is_success"]) for lane in lanes]
     delay_s = case.latency_s * case.clock_speed if case.command == "adsc" else 0.0
-    return {**_under(case), "returns": won, "delays_s": [delay_s] * len(won), "late_s": 0.0}
+    return subset(vars(case), *UNDER) | {"returns": won, "delays_s": [delay_s] * len(won), "late_s": 0.0}

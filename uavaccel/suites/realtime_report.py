@@ -62,18 +62,14 @@ def results(report: Report) -> str:
 
     `policies` are the first digits of the hashes of what was flown, training by training.
     """
-    cells, trainings = (
-        pd.DataFrame(report.summary["cells"]),
-        pd.DataFrame(report.summary["trainings"], columns=TRAINING),
+    cells = pd.DataFrame(report.summary["cells"])
+    trainings = pd.DataFrame(report.summary["trainings"], columns=TRAINING).sort_values(
+        ["environment", "agent", "seed"]
     )
-    hashes = {
-        key: " ".join(digest[:12] for digest in own.sort_values("seed").agent_sha256)
-        for key, own in trainings.groupby(["environment", "agent"])
-    }
-    trained = [
-        hashes.get((environment, report.config.trained_as(environment, agent)))
-        for environment, agent in zip(cells.environment, cells.agent, strict=True)
-    ]
+    trainings["digest"] = trainings.agent_sha256.str[:12]
+    hashes = trainings.groupby(["environment", "agent"]).digest.agg(" ".join).to_dict()
+    flown = zip(cells.environment, cells.agent, strict=True)
+    trained = [hashes.get((place, report.config.trained_as(place, agent))) for place, agent in flown]
     lines = cells.reindex(columns=RESULTS).assign(policies=trained).sort_values(CELL)
     text: str = lines.to_csv(index=False, float_format="%.6g", lineterminator="\n")
     return text
@@ -142,7 +138,7 @@ def agreement(pairs: pd.DataFrame) -> dict[str, Any]:
     }
 
 
-def told(cell: Mapping[str, Any]) -> str:
+def cell_in_words(cell: Mapping[str, Any]) -> str:
     """Return the result of a cell, as in "hopper-naive: return 70.2 (95 % interval 60 to 80) with 20 ms ..."."""
     of = "score" if cell.get("score_mean") is not None else "return"
     mean, low, high = (f"{cell[f'{of}_{name}']:.4g}" for name in ("mean", "low", "high"))
@@ -175,17 +171,14 @@ def rankings_table(rankings: Sequence[Mapping[str, Any]]) -> Table:
     def taus(ranking: Mapping[str, Any]) -> str:
         return ", ".join("-" if tau is None else f"{tau:.2f}" for tau in ranking["kendall_tau"][1:])
 
-    speeds = ", ".join(map(clock_label, rankings[0]["clock_speeds"][1:]))
-    return Table.of(
-        rankings,
-        {
-            "environment": "{environment}",
-            "latency, ms": _latency_ms,
-            "ranking holds up to": "{holds_to:g}x",
-            f"Kendall's tau at {speeds}": taus,
-            "first change": _first_change,
-        },
-    )
+    columns: dict[str, Column] = {
+        "environment": "{environment}",
+        "latency, ms": _latency_ms,
+        "ranking holds up to": "{holds_to:g}x",
+        f"Kendall's tau at {listed(map(clock_label, rankings[0]['clock_speeds'][1:]))}": taus,
+        "first change": _first_change,
+    }
+    return Table.of(rankings, columns)
 
 
 def _latency_ms(entry: Mapping[str, Any]) -> str:
@@ -193,19 +186,11 @@ def _latency_ms(entry: Mapping[str, Any]) -> str:
 
 
 def panels_figure(
-    cells: pd.DataFrame,
-    x: str,
-    y: str,
-    by: str,
-    title: str,
-    line: str = "-",
-    ends: Sequence[str] = (),
-    source: str = "",
+    cells: pd.DataFrame, x: str, y: str, by: str, title: str, line: str = "-", ends: Sequence[str] = (), **options: Any
 ) -> tuple[Figure, list[Axes]]:
     """Draw column `y` over `x`, a panel per environment and a line per value of `by`; `ends` are intervals' columns."""
     labels = cells[by].unique()
-    options = {"across": 2, "height_in": 2.4, "sharey": False, "source": source}
-    figure, panels = plots.facets(cells, "environment", title, **options)
+    figure, panels = plots.facets(cells, "environment", title, across=2, height_in=2.4, sharey=False, **options)
     for axes, name, own in panels:
         axes.set_title(name)
         for number, label in enumerate(labels):

@@ -18,8 +18,7 @@ from uavaccel.forms import RowForm
 from uavaccel.own_code import folder_of, look_also_in, own_class
 from uavaccel.records import RunDirectory
 from uavaccel.resources import experiment, experiments
-from uavaccel.suites.experiment import Experiment
-from uavaccel.suites.rows import GameRow
+from uavaccel.suites.experiment import Experiment, GameRow
 from uavaccel.suites.suite import AnySuite, CaseType, ConfigType, Suite
 
 # A line per suite; its module is imported on demand.
@@ -99,7 +98,12 @@ def find_suite(name: object, source: str) -> AnySuite:
     Raises UserError, which names `source`, if there is none, and if nobody has told to run its code.
     """
     if isinstance(name, str) and ":" in name:
-        return _own_suite(name, source)
+        where = f"{source}: suite = {name!r}"
+        own: type[AnySuite] = own_class(name, where, Suite)
+        try:
+            return _checked(own())
+        except (AttributeError, TypeError) as error:
+            raise UserError(f"{where}: names no uavaccel.suites.suite.Suite: {error}") from error
     if not isinstance(name, str) or name not in SUITES:
         found = "key 'suite' is missing" if name is None else f"suite = {name!r} is unknown"
         raise UserError(f"{source}: {found}; {suggestion(str(name), [*SUITES, 'module:name'])}")
@@ -135,15 +139,6 @@ def own_folder(suite: AnySuite, config: Experiment) -> Path | None:
     """Return the folder from which own code, a run's suite or its environment, is imported; None without any."""
     owners = (type(suite), getattr(config, "environment_class", None))
     return next((folder for owner in owners if owner and (folder := folder_of(owner))), None)
-
-
-def _own_suite(place: str, source: str) -> AnySuite:
-    where = f"{source}: suite = {place!r}"
-    suite: type[AnySuite] = own_class(place, where, Suite)
-    try:
-        return _checked(suite())
-    except (AttributeError, TypeError) as error:
-        raise UserError(f"{where}: names no uavaccel.suites.suite.Suite: {error}") from error
 
 
 def _checked(suite: AnySuite) -> AnySuite:

@@ -6,20 +6,24 @@ scored games, `page` yields the blocks of the page.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from uavaccel.config import dotted_keys, validate
 from uavaccel.draw import style
-from uavaccel.draw.page import KINDS, Block, Heading, Listing, Paragraph, Picture, Table, fill, to_html, to_markdown
+from uavaccel.draw.page import KINDS, Heading, Listing, Paragraph, Picture, Table, fill, to_html, to_markdown
 from uavaccel.errors import UserError
-from uavaccel.files import Plain, read_bounded
+from uavaccel.files import Plain, inside, read_bounded, replacing
 from uavaccel.records import RunDirectory, timing_provenance
-from uavaccel.suites.host_time import pace_of
+from uavaccel.resources import require
+from uavaccel.suites.experiment import Row, pace_of
 
 if TYPE_CHECKING:  # matplotlib is loaded by what draws
     from matplotlib.figure import Figure
@@ -32,6 +36,7 @@ Summary: TypeAlias = Mapping[str, Plain]
 
 MADE_BY = {"uavaccel": "uavaccel", "mujoco": "MuJoCo"}
 CLOCK = {"wall": "wall clock", "virtual": "virtual clock", "lockstep": "no latency"}
+WIDEST = 64  # numbers per line of an array that is exported; images are not
 
 
 class Report:
@@ -68,10 +73,7 @@ class Report:
         return self.suite.summary(self)
 
     def figure(self, name: str, figure: Figure, caption: str, alt: str, games: Games | None = None) -> Picture:
-        """Save a figure as figures/NAME.png, and return it as a block: its caption, and what is seen in it.
-
-        In a run on several clocks the caption ends with those of the `games` that the figure shows.
-        """
+        """Save a figure as figures/NAME.png, and return its block; of several clocks the caption names the games'."""
         timings = known(games, "timing") if games is not None else []
         if timings and self.games["timing"].nunique() > 1:
             clocks = " and ".join(map(clock_words, timings))
@@ -87,12 +89,17 @@ class Report:
         """Write summary.json, figures/, report.md and report.html. Raises UserError for damaged files."""
         self.write_summary()
         with style.project_style():
-            own = [_block(self.suite, block) for block in self.suite.page(self)]
+            own = [Paragraph(block) if isinstance(block, str) else block for block in self.suite.page(self)]
+        if wrong := [block for block in own if not isinstance(block, KINDS)]:
+            kinds = ", ".join(kind.__name__ for kind in KINDS)
+            raise TypeError(f"{type(self.suite).__name__}.page: {wrong[0]!r} is no block of a page: a text, {kinds}")
         source, versions = self.suite.source(self), self.run.manifest().get("versions", {})
         made_by = [f"{name} {versions[key]}" for key, name in MADE_BY.items() if key in versions]
         source = " · ".join([*filter(None, [source]), *made_by])
         told = [f"{said}." for said in [self.headline()] if said] + [source[:1].upper() + source[1:]] * bool(source)
-        blocks = [*map(Paragraph, told), *own, Heading("Provenance"), *_provenance(self.run)]
+        kept = [path for name in ("config.yaml", "manifest.json") if (path := self.run.path / name).is_file()]
+        texts = [Listing(read_bounded(path).decode("utf-8", errors="replace"), folded=path.name) for path in kept]
+        blocks = [*map(Paragraph, told), *own, Heading("Provenance"), *texts]
         title = self.suite.title(self)
         self.run.write_text("report.md", to_markdown(title, blocks, self.run.path))
         self.run.write_text("report.html", to_html(title, blocks))
@@ -148,7 +155,15 @@ def source_line(games: Games) -> str:
     """Return where the numbers of these games come from: clock, count, profile, seed, disturbances."""
     counts = games["timing"].value_counts().sort_index() if len(games) else {}
     by_clock = [f"{clock_words(timing)}: {n} game{'s' if n > 1 else ''}" for timing, n in counts.items()]
-    return " · ".join([*by_clock, *profiles_and_seeds(games), *disturbed_words(games)])
+    profiles = [f"{each} profile" for each in known(games, "profile")]
+    seeds = [f"seed {each}" for each in known(games, "seed")]
+    return " · ".join([*by_clock, *profiles, *seeds, *disturbed_words(games)])
+
+
+def source_of(told: Iterable[str], reports: Sequence[Report]) -> str:
+    """Return where the numbers of several runs come from: what is `told` of each, once, their seeds, disturbances."""
+    seeds = f"seed {', '.join(map(str, sorted({report.config.seed for report in reports})))}"
+    return " · ".join([" and ".join(sorted(set(told))), seeds, *disturbed_words(pd.concat([r.games for r in reports]))])
 
 
 def clock_words(timing: str) -> str:
@@ -156,26 +171,20 @@ def clock_words(timing: str) -> str:
     return f"{timing_provenance(timing)} ({CLOCK[timing]})"
 
 
-def profiles_and_seeds(games: Games) -> list[str]:
-    """Return the profiles and seeds of the games, as in "airsim profile", "seed 0"."""
-    profiles = [f"{each} profile" for each in known(games, "profile")]
-    return [*profiles, *(f"seed {each}" for each in known(games, "seed"))]
-
-
 def known(games: Games, name: str) -> list[Any]:
     """Return the distinct values of a column, sorted; none without such a column."""
     return sorted(games[name].dropna().unique().tolist()) if name in games else []
 
 
-def disturbed_games(games: Games) -> int:
-    """Return how many of the games are marked as disturbed."""
-    return int(games["disturbed"].eq(True).sum()) if "disturbed" in games else 0
+def disturbed_games(games: Games) -> dict[str, int]:
+    """Return how many of the games are marked as disturbed, as summaries have it; nothing where none is."""
+    count = int(games["disturbed"].eq(True).sum()) if "disturbed" in games else 0
+    return {"disturbed_games": count} if count else {}
 
 
 def disturbed_words(games: Games) -> list[str]:
     """Return a note of how many games were disturbed; none where no game was."""
-    count = disturbed_games(games)
-    return [f"{count} of {len(games)} games disturbed"] if count else []
+    return [f"{count} of {len(games)} games disturbed" for count in disturbed_games(games).values()]
 
 
 def warnings(games: Games) -> Iterator[str]:
@@ -184,7 +193,7 @@ def warnings(games: Games) -> Iterator[str]:
         yield f"Warning: {failed} games failed and are left out; rows.jsonl says why."
     if lost_s := float(finished(games).get("lost_wall_s", pd.Series(dtype=float)).sum()):
         yield f"Warning: the machine could not keep up and lost {lost_s:.3f} s of wall time."
-    if disturbed := disturbed_games(finished(games)):
+    for disturbed in disturbed_games(finished(games)).values():
         yield (
             f"Warning: {disturbed} games were disturbed: they lost wall time, or their server stalled or was started "
             "again; rows.jsonl says which."
@@ -203,16 +212,62 @@ def method_note(text: str) -> Paragraph:
     return Paragraph(text, folded="How this is measured")
 
 
-def _block(suite: Suite[Any, Any], block: object) -> Block:
-    if isinstance(block, str):
-        return Paragraph(block)
-    if not isinstance(block, KINDS):
-        kinds = ", ".join(kind.__name__ for kind in KINDS)
-        raise TypeError(f"{type(suite).__name__}.page: {block!r} is no block of a page: a text, {kinds}")
-    return block  # type: ignore[return-value]
+# --- tables for other programs --------------------------------------------------------------------------------------
 
 
-def _provenance(run: RunDirectory) -> Iterable[Block]:
-    for path in (run.path / "config.yaml", run.path / "manifest.json"):
-        if path.is_file():
-            yield Listing(read_bounded(path).decode("utf-8", errors="replace"), folded=path.name)
+def write_tables(run: RunDirectory, folder: Path, kind: str) -> Iterator[Path]:
+    """Write `rows` and, below `samples`, a table per game and length of its arrays, and yield each file written.
+
+    `kind` is csv, whose floats have the digits that are needed to read them back equal, or parquet. Raises UserError
+    where the run has no rows, the folder cannot be written, or pyarrow is missing.
+    """
+    if kind == "parquet":
+        require("pyarrow", "--parquet", "parquet")
+    rows = run.rows()
+    if not rows:
+        raise UserError(f"{run.path / 'rows.jsonl'}: holds no finished game")
+
+    def tables() -> Iterator[tuple[Path, pd.DataFrame]]:
+        yield folder / f"rows.{kind}", row_table(rows)
+        for row in rows:
+            for length, table in sample_tables(run.load_arrays(row) if "arrays" in row else {}):
+                yield inside(folder, f"samples/{row['case']}-{length}.{kind}"), table
+
+    try:
+        for path, table in tables():
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with replacing(path) as file:
+                table.to_csv(file, index=False) if kind == "csv" else table.to_parquet(file, index=False)
+            yield path
+    except OSError as error:
+        raise UserError(f"{folder}: {error.strerror}") from error
+
+
+def row_table(rows: Sequence[Row]) -> pd.DataFrame:
+    """Return a column per dotted key, with lists as JSON, all as texts where types differ, None where a key lacks."""
+    table = table_of([
+        {
+            key: json.dumps(value) if isinstance(value, list) else value
+            for key, value in dotted_keys(row).items()
+            if value != {}
+        }
+        for row in rows
+    ])  # fmt: skip
+    for name, column in table.items():
+        if len({type(value) for value in column if value is not None}) > 1:
+            texts = [value if value is None or isinstance(value, str) else json.dumps(value) for value in column]
+            table[name] = pd.Series(texts, dtype=object)
+    return table
+
+
+def sample_tables(arrays: Mapping[str, NDArray[Any]]) -> Iterator[tuple[int, pd.DataFrame]]:
+    """Yield the arrays (n, ...) of a game, but images, by length n: a column for each number, as position_m.0."""
+    lines = {name: array for name, array in arrays.items() if array.ndim and array.size and array[:1].size <= WIDEST}
+    for length in sorted({len(array) for array in lines.values()}):
+        columns: dict[str, NDArray[Any]] = {}
+        for name, array in lines.items():
+            if array.ndim == 1 and len(array) == length:
+                columns[name] = array
+            elif len(array) == length:
+                columns |= {f"{name}.{n}": column for n, column in enumerate(array.reshape(length, -1).T)}
+        yield length, pd.DataFrame(columns)

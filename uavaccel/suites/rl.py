@@ -28,19 +28,25 @@ from uavaccel.envs.simulators import EXACT
 from uavaccel.envs.stopwatch import PHASES
 from uavaccel.errors import UserError
 from uavaccel.forms import ArrayForm, Count, NotNegative, Positive
-from uavaccel.metrics.estimates import Estimate, Success
+from uavaccel.metrics.estimates import Success
 from uavaccel.metrics.intervals import Proportion, fisher_exact_p, mcnemar_exact, permutation_p, sign_flip_p
 from uavaccel.records import RunDirectory
 from uavaccel.rl.agents import DEFAULT, FLIGHT, SENSES
 from uavaccel.sim.lane import LENGTH_M, Difficulty, sample_layout
-from uavaccel.suites import paper_results, plots
-from uavaccel.suites.experiment import ClockSpeeds, CommandNames, Experiment, ProfileName, Timing
-from uavaccel.suites.host_time import cumulative_wall_s, timed
-from uavaccel.suites.parts import OUTCOMES, Part, SuiteOfRuns, fly_part, outcomes, part_folder, part_suite
+from uavaccel.suites import experiment, paper_results, plots
+from uavaccel.suites.experiment import (
+    ClockSpeeds,
+    CommandNames,
+    Experiment,
+    GameRow,
+    Phases,
+    ProfileName,
+    Timing,
+    subset,
+)
+from uavaccel.suites.parts import OUTCOMES, Part, Run, SuiteOfRuns, fly_part, outcomes, part_folder, train_part
 from uavaccel.suites.report import Report, Summary, method_note, table_of
-from uavaccel.suites.rows import GameRow, Phases, Row, subset
-from uavaccel.suites.suite import AnySuite, GameResult, SimpleCase
-from uavaccel.suites.train import CHECKPOINTS
+from uavaccel.suites.suite import GameResult, SimpleCase
 
 if TYPE_CHECKING:  # it loads what draws
     from matplotlib.axes import Axes
@@ -52,6 +58,7 @@ Flights: TypeAlias = pd.DataFrame
 KEY = ["variant", "profile", "timing", "command", "clock_speed"]
 """The conditions of a training; trainings that have them in common differ in their seed alone."""
 LEARNED = ("trained_games", "trained_successes", "weights_sha256")
+OTHER: dict[str, CommandName] = {"adsc": "tcsc", "tcsc": "adsc"}
 EVALUATION_SEED = 0  # the same lanes and latencies for every policy
 OF_EXACT = "exact"  # name of an evaluation in the exact simulator
 THINKING = re.compile(r"_?think_\d+ms$")  # suffix of variants that differ in the duration of a decision alone
@@ -180,7 +187,7 @@ class RlRow(GameRow):
 
 @dataclass(frozen=True)
 class TrainingCase(SimpleCase):
-    """A training and the evaluations of its policy, or, if `exact`, its policy's evaluation in the exact simulator.
+    """A training and its policy's evaluations, or, if `exact`, the policy's evaluation in the exact simulator.
 
     `timing` is virtual in all, so that cells run side by side whichever simulated clock they have.
     """
@@ -219,10 +226,9 @@ class Rl(SuiteOfRuns[RlConfig, TrainingCase]):
             )
 
     def cases(self, config: RlConfig) -> Iterator[TrainingCase]:
-        """Yield the cases seed by seed, so that an interrupted run has complete tables of fewer seeds.
+        """Yield the cases seed by seed, block by block, slow clocks first; then evaluations in the exact simulator.
 
-        Those of a seed are in the order of the blocks, slow clocks first. The evaluations in the exact simulator
-        follow, in the same order.
+        An interrupted run has complete tables of fewer seeds.
         """
         sizes: dict[tuple[object, ...], tuple[int, float]] = {}  # of trainings that differ in their seed alone
         for exact, seeds in ((False, config.seeds), (True, min(config.exact_seeds, config.seeds))):
@@ -232,9 +238,7 @@ class Rl(SuiteOfRuns[RlConfig, TrainingCase]):
                 name = "-".join(filter(None, (*kind, f"seed{seed}", OF_EXACT if exact else "")))
                 case = TrainingCase(name, "virtual", 0.0, *cell, seed, exact)
                 if (exact, *kind) not in sizes:
-                    parts = self.runs(config, case)
-                    games_s = [game.simulated_s() for suite, part in parts for game in suite.cases(part)]
-                    sizes[exact, *kind] = len(games_s), sum(games_s)
+                    sizes[exact, *kind] = super().games(config, case), self.typical_s(config, case)
                 games, typical_s = sizes[exact, *kind]
                 yield replace(case, games=games, typical_s=typical_s)
 
@@ -249,49 +253,42 @@ class Rl(SuiteOfRuns[RlConfig, TrainingCase]):
         return int(case.exact)
 
     def provenance(self, config: RlConfig) -> Mapping[str, Any]:
-        """Check that this machine has the devices of training and evaluation. Raises UserError."""
         try:
-            for suite, part in self.runs(config, next(self.cases(config)))[:2]:
-                suite.provenance(part)
+            return super().provenance(config)
         except UserError as error:
             raise UserError(f"{error}; without a GPU: uavaccel run rl_smoke") from error
-        return {}
 
     def renders(self, config: RlConfig) -> bool:
         return super().renders(config.model_copy(update={"seeds": 1}))
 
-    def runs(self, config: RlConfig, case: TrainingCase) -> list[tuple[AnySuite, Any]]:
+    def runs(self, config: RlConfig, case: TrainingCase) -> list[Run]:
         """Return the training of a case and the evaluations of its policy."""
-        return [part_suite(part, seed) for part, seed in parts_of(config, case).values()]
+        return [part.resolve(seed) for part, seed in parts_of(config, case).values()]
 
     def fly(self, config: RlConfig, case: TrainingCase, opened: RunDirectory) -> GameResult:
-        """Train, unless the case evaluates a policy that exists, and evaluate.
-
-        The row has the summaries of both, the arrays the outcome of each evaluated lane.
-        """
-        row: dict[str, Any] = {name: getattr(case.block, name) for name in ("variant", "profile", "timing")}
-        row |= {name: getattr(case, name) for name in ("command", "clock_speed", "seed")} | {"evaluations": []}
+        """Train, unless a policy exists, and evaluate; the row has the summaries, the arrays each lane's outcome."""
+        row = subset(vars(case.block), "variant", "profile", "timing")
+        row |= subset(vars(case), "command", "clock_speed", "seed") | {"evaluations": []}
         arrays: dict[str, np.ndarray] = {}
         host, policy = {"evaluations_s": 0.0}, case.id.removesuffix(f"-{OF_EXACT}")
         agent = str(part_folder(opened, f"{policy}/training").resolve())
         for name, (part, seed) in parts_of(config, case, agent).items():
             folder = part_folder(opened, place := f"{policy}/{name}")
-            begun = name != "training" and (folder / "config.yaml").is_file()
-            if begun and RunDirectory(folder).config().get("agent") != agent:
-                shutil.rmtree(folder)  # begun before the run was moved, it names its policy by another path
-            report, took = timed(partial(fly_part, opened, place, part, seed, pages=False))
             if name == "training":
-                shutil.rmtree(folder / CHECKPOINTS, ignore_errors=True)  # gigabytes, of no use once it is over
-                row["training"] = {key: report.summary[key] for key in TrainingResult.__annotations__}
-                host["training_s"] = (cumulative_wall_s(report.timings) or [0.0])[-1]
-            else:
-                row["evaluations"].append({key: report.summary[key] for key in EvaluationResult.__annotations__})
-                flight = name.removeprefix("evaluation-")
-                arrays |= {f"{flight}_{key}": values for key, values in outcomes(report.run).items()}
-                host["evaluations_s"] += took["host_wall_s"]
+                report = train_part(opened, place, part.resolve(seed))
+                row["training"] = subset(report.summary, *TrainingResult.__annotations__)
+                host["training_s"] = (experiment.cumulative_wall_s(report.timings) or [0.0])[-1]
+                continue
+            if (folder / "config.yaml").is_file() and RunDirectory(folder).config().get("agent") != agent:
+                shutil.rmtree(folder)  # begun before the run was moved, it names its policy by another path
+            report, took = experiment.timed(partial(fly_part, opened, place, part.resolve(seed), pages=False))
+            row["evaluations"].append(subset(report.summary, *EvaluationResult.__annotations__))
+            flight = name.removeprefix("evaluation-")
+            arrays |= {f"{flight}_{key}": values for key, values in outcomes(report.run).items()}
+            host["evaluations_s"] += took["host_wall_s"]
         return GameResult(row, arrays, host)
 
-    def status(self, rows: Sequence[Row]) -> str:
+    def status(self, rows: Sequence[Any]) -> str:
         flown = rows[-1]["evaluations"][0]
         return f"{rows[-1]['case']} won {flown['successes']} of {flown['games']}"
 
@@ -331,10 +328,7 @@ class Rl(SuiteOfRuns[RlConfig, TrainingCase]):
         return "Policies by the command and ClockSpeed of their training"
 
     def headline(self, report: Report) -> str:
-        """Return the success after the slowest and the fastest training of each kind.
-
-        Where all trainings are variants it is the gap from which on success collapses.
-        """
+        """Return the success after each kind's slowest and fastest training; of variants alone the collapse."""
         plain: dict[str, list[str]] = {}
         for cell in sorted(report.summary["pooled"], key=lambda cell: cell["clock_speed"]):
             if not cell["variant"]:
@@ -397,10 +391,6 @@ class Rl(SuiteOfRuns[RlConfig, TrainingCase]):
 # --- parts --------------------------------------------------------------------------------------------------------
 
 
-def other_command(command: str) -> CommandName:
-    return "adsc" if command == "tcsc" else "tcsc"
-
-
 def flight_name(command: str, clock_speed: float, real_time: float) -> str:
     """Return the name of an evaluation: the suffix of its folder, and the prefix of its arrays' names."""
     return command if clock_speed == real_time else f"{command}-{clock_speed:g}x"
@@ -409,8 +399,7 @@ def flight_name(command: str, clock_speed: float, real_time: float) -> str:
 def parts_of(config: RlConfig, case: TrainingCase, agent: str = DEFAULT) -> dict[str, tuple[Part, int]]:
     """Return the training of a case, and the evaluations of the policy `agent`, by folder, each with its seed.
 
-    Evaluations are in real time with the cell's own command, then the other, then both as trained, on the clock of the
-    training and with the policy's own observation.
+    Evaluations are in real time with the cell's own command, then the other, then with both as trained.
     """
     block, real_time = case.block, config.evaluation_clock_speed
     flown_in = {"task.timing": block.timing, "task.profile": block.profile}
@@ -427,7 +416,7 @@ def parts_of(config: RlConfig, case: TrainingCase, agent: str = DEFAULT) -> dict
     learned = {"games": config.games, **task, **block.training}
     parts = {"training": (part(config.training, case.command, case.clock_speed, learned), case.seed)}
     clocks = dict.fromkeys([real_time, case.clock_speed] if config.as_trained else [real_time])
-    commands = [case.command, other_command(case.command)] if config.interchange else [case.command]
+    commands = [case.command, OTHER[case.command]] if config.interchange else [case.command]
     for clock_speed, command in product(clocks, commands):
         name = f"evaluation-{flight_name(command, clock_speed, real_time)}"
         parts[name] = part(config.evaluation, command, clock_speed, keys), EVALUATION_SEED
@@ -449,7 +438,7 @@ def flights_of(rows: Iterable[Mapping[str, Any]], arrays_of: Callable[[Any], Map
     for row in rows:
         arrays, exact, evaluations = arrays_of(row), row.get("training") is None, row["evaluations"]
         learned = {} if exact else {**row["training"], **row["training"]["phase_s"]}
-        shared = {key: row[key] for key in (*KEY, "seed")} | {"exact": exact}
+        shared = subset(row, *KEY, "seed") | {"exact": exact}
         shared |= {f"trained_{name}": learned.get(name) for name in ("games", "successes")}
         shared |= {name: learned.get(name) for name in ("commands", "sim_time_s", "weights_sha256", *PHASES)}
         for number, flown in enumerate(evaluations):
@@ -471,14 +460,13 @@ def where(flights: Flights, **wanted: Any) -> Flights:
 
 def key_of(flights: Flights) -> dict[str, Any]:
     """Return the conditions that the trainings of some flights have in common."""
-    return {key: flights[key].iloc[0] for key in KEY}
+    return subset(flights.iloc[0], *KEY)
 
 
 def _success(flights: Flights) -> dict[str, Any]:
     """Return the success of all seeds together, with two 95 % intervals.
 
-    `wilson_low` and `wilson_high` are of the games of these very policies; `seeds_low` and `seeds_high` also cover what
-    trainings with other seeds would have given on other lanes (`Success.estimate`).
+    Wilson's is of the games of these very policies; that over seeds also covers other trainings on other lanes.
     """
     success = success_of(flights)
     low, high = success.estimate.interval
@@ -506,10 +494,17 @@ def _compare(some: Flights, others: Flights, *wanted: str, same_policies: bool =
     first, second = pd.concat(outcomes, axis=1, join="inner").to_numpy(bool).T
     pairs = mcnemar_exact(first, second)
     won = [Proportion.pooled(flights.success.tolist()) for flights in (some, others)]
+
+    def difference() -> dict[str, Any]:
+        one, other = some, others
+        if same_policies:  # of those that flew both ways
+            one, other = (own[own.seed.isin({*some.seed} & {*others.seed})].sort_values("seed") for own in (one, other))
+        return success_of(one).difference(success_of(other), same_policies)._asdict()
+
     tests: dict[str, Callable[[], Any]] = {
         "permutation_p": lambda: permutation_p(some.ratio, others.ratio),
         "sign_flip_p": lambda: sign_flip_p((some.set_index("seed").ratio - others.set_index("seed").ratio).dropna()),
-        "difference": lambda: _difference(some, others, same_policies)._asdict(),
+        "difference": difference,
         "fisher_p": lambda: fisher_exact_p(*((success.successes, success.games) for success in won)),
         "mcnemar_p": lambda: pairs.p_value if len(first) else None,
         "only_first": lambda: pairs.only_first,
@@ -520,25 +515,15 @@ def _compare(some: Flights, others: Flights, *wanted: str, same_policies: bool =
     return {name: tests[name]() for name in wanted}
 
 
-def _difference(some: Flights, others: Flights, same_policies: bool) -> Estimate:
-    """Return the difference of two successes; of the same policies, of those that flew both ways."""
-    if same_policies:
-        some, others = (
-            one[one.seed.isin(other.seed)].sort_values("seed") for one, other in ((some, others), (others, some))
-        )
-    return success_of(some).difference(success_of(others), same_policies)
-
-
 def _at_1x(cell: Flights, own: Flights, command: str) -> Flights:
     """Return the trainings with that command at 1x; none in lockstep, or where they were not run."""
     return where(where(own, **key_of(cell) | {"command": command, "clock_speed": 1.0}), timing="virtual")
 
 
 def times_of(cell: Flights, own: Flights) -> dict[str, Any]:
-    """Return the modelled seconds of the trainings of a cell, those of as many commands of ADSC at 1x, and speed-ups.
+    """Return the modelled seconds of a cell's trainings, those of as many commands of ADSC at 1x, and speed-ups.
 
-    Speed-ups are of a command's mean time, as trainings that learn differently fly games of different length, over that
-    of ADSC at 1x, as in the paper.
+    Speed-ups are of a command's mean time, as other trainings fly games of other length, over that of ADSC at 1x.
     """
     baseline, phase_s = _at_1x(cell, own, "adsc"), {phase: cell[phase].sum() for phase in PHASES}
     known, commands = len(baseline) > 0, cell.commands.sum()
@@ -557,8 +542,6 @@ def times_of(cell: Flights, own: Flights) -> dict[str, Any]:
 def summary_of_seeds(cell: Flights, own: Flights) -> dict[str, Any]:
     """Summarise all seeds of one training, compared with the same command at 1x and with the paper."""
     key = key_of(cell)
-    conditions = [key[name] for name in ("profile", "variant", "command", "clock_speed")]
-    simulation, whole = paper_results.speedups(*conditions)
     slow = _at_1x(cell, own, key["command"])
     return {
         **key,
@@ -566,20 +549,17 @@ def summary_of_seeds(cell: Flights, own: Flights) -> dict[str, Any]:
         "successes_by_seed": [success.successes for success in cell.success],
         **_success(cell),
         "trained_games": cell.trained_games.sum(),
-        "paper_successes": paper_results.successes(*conditions),
         **_compare(cell, slow[slow.clock_speed != key["clock_speed"]], *AGAINST),
         **times_of(cell, own),
         "gap_s": gap_s(cell),
-        "paper_training_speedup": simulation,
-        "paper_whole_training_speedup": whole,
+        **paper_results.of_training(key["profile"], key["variant"], key["command"], key["clock_speed"]),
     }
 
 
 def gap_s(cell: Flights) -> float:
-    """Return the mean gap (WHAT_A_GAP_IS) in the trainings of a cell, at the speed that the profile's platform reaches.
+    """Return the mean gap (WHAT_A_GAP_IS) in a cell's trainings, at the speed that the profile's platform reaches.
 
-    A few calls of a millisecond that ADSC makes in its pauses are counted too, and a command that a collision ends
-    early counts as a whole one.
+    A command that a collision ends early counts as a whole one, and ADSC's calls in a pause count too.
     """
     first = cell.iloc[0]
     if first.command == "tcsc":
@@ -594,8 +574,8 @@ def gap_s(cell: Flights) -> float:
 
 def interchange(group: Flights, clock_speed: float) -> Iterator[dict[str, Any]]:
     """Yield the comparison of the flights with either command at a ClockSpeed, if there are any."""
-    commands = group.command.iloc[0], other_command(group.command.iloc[0])
-    both = [where(group, **{"with": command, "at": clock_speed}) for command in commands]
+    command = group.command.iloc[0]
+    both = [where(group, **{"with": each, "at": clock_speed}) for each in (command, OTHER[command])]
     if all(map(len, both)):
         yield {
             **key_of(group),
@@ -607,10 +587,7 @@ def interchange(group: Flights, clock_speed: float) -> Iterator[dict[str, Any]]:
 
 
 def as_trained(group: Flights, trained: Flights) -> Iterator[dict[str, Any]]:
-    """Yield the comparison of flights at the training's ClockSpeed with those of trainings without the variant.
-
-    There is none where policies were flown in real time alone.
-    """
+    """Yield the comparison of flights at the training's ClockSpeed, if any, with those without the variant."""
     key = key_of(group)
     plain = where(trained, **key | {"variant": ""}) if key["variant"] else group[:0]
     own = {"with": key["command"], "at": key["clock_speed"]}
@@ -700,10 +677,7 @@ def draw_line(axes: Axes, cells: pd.DataFrame, places: Any, aside: float = 0.0, 
 
 
 def success_figure(report: Report, cells: pd.DataFrame) -> Picture:
-    """Draw success over ClockSpeed (the paper's Table I), the lines shifted aside a little; dots are seeds.
-
-    There is a line for each command, profile and variant, and the paper's own numbers for its profile.
-    """
+    """Draw success over ClockSpeed (Table I), the paper's own too, lines shifted a little; dots are seeds."""
     cells = cells.assign(kind=cells.profile + cells.timing + cells.variant).sort_values("clock_speed", kind="stable")
     clocks, kinds, lines = sorted(cells.clock_speed.unique()), cells.kind.unique(), []
     figure, [axes] = plots.panels(1, "Success by training", 3.4)
@@ -730,8 +704,7 @@ def success_figure(report: Report, cells: pd.DataFrame) -> Picture:
 def gaps_figure(report: Report, lines: Mapping[str, pd.DataFrame]) -> Picture:
     """Draw success over the gap between two commands, linear up to .1 s and logarithmic beyond; dots are seeds.
 
-    Only the dots of two seeds are drawn, since an interval over two spans nearly everything, and only the points of
-    cells that share a gap, as all of TCSC do: their intervals would hide one another.
+    The intervals of two seeds, which span nearly everything, and of cells with equal gaps are left out.
     """
     title = "Success in real time over the gap of the training"
     figure, [axes] = plots.panels(1, title, 3.4)
@@ -751,10 +724,7 @@ def gaps_figure(report: Report, lines: Mapping[str, pd.DataFrame]) -> Picture:
 
 
 def distances_figure(report: Report) -> Picture:
-    """Draw the share of games that got so far down the lane (the paper's Figure 8), a line per ClockSpeed.
-
-    Rows of obstacles are marked.
-    """
+    """Draw the share of games that got so far down the lane (Figure 8), a line per ClockSpeed; rows are marked."""
     flights = where(report.scores, exact=False, flight=0)
     flights, clocks = flights.assign(panel=flights.apply(panel_name, axis=1)), sorted(flights.clock_speed.unique())
     figure, panels = plots.facets(flights, "panel", "Distance travelled", across=2, height_in=2.4)
@@ -774,10 +744,7 @@ def distances_figure(report: Report) -> Picture:
 
 
 def time_figure(report: Report, cells: pd.DataFrame) -> Picture:
-    """Draw the time of a training, the mean of its seeds, by phase (the paper's Figure 9), a panel per command.
-
-    Phases are stacked bars, with rendering as part of the paper's simulation, the speed-ups over real time beside them.
-    """
+    """Draw the time of a training, the mean of its seeds, by phase (Figure 9), rendering as part of simulation."""
     phase_s = pd.DataFrame(cells.phase_s.tolist(), cells.index).div(cells.seeds.map(len), axis=0)
     phase_s.insert(0, "simulation (with rendering)", phase_s.pop("simulation") + phase_s.pop("rendering"))
     cells, unit = cells.sort_values(["panel", "clock_speed"], kind="stable"), plots.time_unit(phase_s.sum(axis=1).max())

@@ -1,4 +1,9 @@
-"""The runner: it flies the cases of a suite into a run directory, in order, in parallel where the timing allows."""
+"""The runner: it flies the cases of a suite into a run directory, in order, in parallel where the timing allows.
+
+Parallel games are flown by joblib's own processes (loky), or by clusters of Ray and Dask, whose workers read the run's
+folder: all of them must see it, and this package, under the same paths. Without a running cluster (RAY_ADDRESS,
+DASK_SCHEDULER_ADDRESS) a local one of this machine's processes is started, on loopback.
+"""
 
 from __future__ import annotations
 
@@ -6,8 +11,8 @@ import atexit
 import os
 import threading
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, ExitStack
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import replace
 from functools import partial
 from itertools import groupby, islice
@@ -18,24 +23,30 @@ from uavaccel.errors import UsageError, UserError
 from uavaccel.files import is_file_name, to_json
 from uavaccel.own_code import errors_named, file_of, trusted_folder, trusting
 from uavaccel.processes.lifetime import remove_orphaned_files, work_for_parent
-from uavaccel.processes.workers import LOKY, check_count
+from uavaccel.processes.workers import LOKY, Delayed, check_count, on_this_machine
 from uavaccel.records import RunDirectory
-from uavaccel.suites.engines import check_engine, in_parallel
-from uavaccel.suites.experiment import Experiment, timing_of
-from uavaccel.suites.host_time import timed
+from uavaccel.resources import require
+from uavaccel.suites.experiment import Experiment, disturbances, timed, timing_of
 from uavaccel.suites.registry import own_folder, suite_of
-from uavaccel.suites.rows import disturbances
 from uavaccel.suites.suite import AnySuite, Case, GameResult, OnGame, Opened
 from uavaccel.wire.rpc import ServerGoneError
 
 MOST_RESTARTS = 3  # of the server in a game
+PACKAGES = {"ray": "ray", "dask": "distributed"}
+ENGINES = (LOKY, *PACKAGES)
+AHEAD = 2  # batches per worker that a cluster is given at once
+
+
+def check_engine(engine: str) -> None:
+    """Raise UsageError for an unknown engine, UserError for one whose package is missing."""
+    if engine not in ENGINES:
+        raise UsageError(f"--engine {engine}: is unknown; there are {', '.join(ENGINES)}")
+    if engine in PACKAGES:
+        require(PACKAGES[engine], f"--engine {engine}", engine)
 
 
 def check_jobs(suite: AnySuite, config: Experiment, jobs: int, engine: str = LOKY) -> None:
-    """Raise UsageError for a number of processes that is out of range, or that the suite or its timing excludes.
-
-    Raises as `check_engine` does, too.
-    """
+    """Raise UsageError for a number of processes out of range, or that suite or timing exclude, or a bad engine."""
     check_engine(engine)
     check_count(jobs, None if engine == LOKY else MOST_PROCESSES)
     if jobs > 1 and timing_of(config) == "wall":
@@ -45,10 +56,7 @@ def check_jobs(suite: AnySuite, config: Experiment, jobs: int, engine: str = LOK
 
 
 def cases_of(suite: AnySuite, config: Experiment) -> list[Case]:
-    """Return all cases of a run.
-
-    Raises UserError for too many, for equal names, and for names that files cannot have.
-    """
+    """Return all cases. Raises UserError for too many, for equal names, and for names that files cannot have."""
     cases = list(islice(suite.cases(config), MOST_GAMES + 1))
     if len(cases) > MOST_GAMES:
         raise UserError(f"more than {MOST_GAMES} games in all: fewer games, or fewer values to combine")
@@ -58,19 +66,6 @@ def cases_of(suite: AnySuite, config: Experiment) -> list[Case]:
         if count > 1:
             raise UserError(f"{suite.name}: two cases are called {name!r}")
     return cases
-
-
-def _check_result(suite: AnySuite, case: Case, game: object) -> None:
-    """Raise UserError where a custom suite's `fly` returned no valid result."""
-    where = f"{suite.name}: fly of {case.id}"
-    if not isinstance(game, GameResult):
-        raise UserError(f"{where} returned a {type(game).__name__}, not a uavaccel.suites.suite.GameResult")
-    if not isinstance(game.row, dict) or game.row.get("case", case.id) != case.id:
-        raise UserError(f"{where}: its row has to be a mapping, of no other case")
-    try:
-        to_json({"row": game.row, "host": game.host})
-    except (TypeError, ValueError) as error:
-        raise UserError(f"{where}: its row is no JSON: {error}") from None
 
 
 def start_run(
@@ -97,8 +92,7 @@ def run_suite(
 
     Games on the machine's own clock are flown one by one, whatever `jobs`, since parallel games would disturb them.
     Where their server dies or hangs it is started again, and the game flown again; the key `restarts` of its row says
-    how often. `engine` is one of engines.ENGINES. `on_game` is called after each game. Raises UserError, and UsageError
-    as `check_jobs` does.
+    how often. `on_game` is called after each game. Raises UserError, and as `check_jobs` does.
     """
     check_jobs(suite, config, jobs, engine)
     remove_orphaned_files()
@@ -136,24 +130,25 @@ def _games(
     suite: AnySuite, config: Experiment, run: RunDirectory, jobs: int, engine: str
 ) -> Iterator[tuple[Case, GameResult]]:
     """Fly the cases without a row, in their order, those that follow each other with a timing and a stage at a time."""
-    for (timing, _), group in groupby(_left(suite, config, run), lambda case: (case.timing, suite.stage(case))):
-        cases = list(group)
-        if timing == "wall" or (jobs == 1 and engine == LOKY):
-            games = _one_by_one(suite, config, run, cases)
-        else:
-            games = _in_workers(suite, config, run, cases, jobs, engine)
-        yield from zip(cases, games, strict=True)
-
-
-def _one_by_one(suite: AnySuite, config: Experiment, run: RunDirectory, cases: Sequence[Case]) -> Iterator[GameResult]:
     from uavaccel.envs.environment_process import BatchError
 
-    try:
-        with _own_errors(config), suite.open(config, cases[0].timing, run) as opened:
-            for case in cases:
-                yield fly_case(suite, config, case, opened)
-    except BatchError as error:
-        raise UserError(f"{error}; go on with --resume") from error
+    for (timing, _), group in groupby(_left(suite, config, run), lambda case: (case.timing, suite.stage(case))):
+        cases = list(group)
+        if timing != "wall" and (jobs > 1 or engine != LOKY):
+            from joblib import delayed
+
+            folder = run.path.resolve()  # workers may have another working directory
+            place = own_folder(suite, config) or trusted_folder()
+            calls = (delayed(_fly_in_worker)(config, case, folder, place) for case in cases)
+            games = in_parallel(engine, jobs, suite.batch, calls, partial(_leave_in_worker, str(folder)))
+            yield from zip(cases, games, strict=True)
+            continue
+        try:
+            with _own_errors(config), suite.open(config, timing, run) as opened:
+                for case in cases:
+                    yield case, fly_case(suite, config, case, opened)
+        except BatchError as error:
+            raise UserError(f"{error}; go on with --resume") from error
 
 
 def _own_errors(config: Experiment) -> AbstractContextManager[None]:
@@ -162,25 +157,11 @@ def _own_errors(config: Experiment) -> AbstractContextManager[None]:
     return errors_named(environment and file_of(environment))
 
 
-def _in_workers(
-    suite: AnySuite, config: Experiment, run: RunDirectory, cases: Sequence[Case], jobs: int, engine: str
-) -> Iterator[GameResult]:
-    from joblib import delayed
-
-    folder = run.path.resolve()  # workers may have another working directory
-    place = own_folder(suite, config) or trusted_folder()
-    calls = (delayed(_fly_in_worker)(config, case, folder, place) for case in cases)
-    return in_parallel(engine, jobs, suite.batch, calls, partial(_leave_in_worker, str(folder)))
-
-
 _OPENED: dict[tuple[str, str], tuple[AnySuite, Opened, ExitStack]] = {}  # by the run's folder, and timing
 
 
 def _fly_in_worker(config: Experiment, case: Case, folder: Path, place: Path | None) -> GameResult:
-    """Fly a case in this worker process, which keeps what it opened; the parent handles Ctrl-C.
-
-    Own code runs, of the parent's working directory and of `place`: the parent has refused what it should not.
-    """
+    """Fly a case in this worker process, which keeps what it opened; own code runs, also of `place`."""
     key = (str(folder), case.timing)
     with trusting(beside=place), _own_errors(config):
         if key not in _OPENED:
@@ -204,8 +185,87 @@ def _leave_in_worker(folder: str) -> None:
 
 
 def fly_case(suite: AnySuite, config: Experiment, case: Case, opened: Opened) -> GameResult:
-    """Fly one case, and add the host's time and load to its result."""
+    """Fly a case, and add the host's time and load. Raises UserError where a custom suite's result is none."""
     game, host = timed(lambda: suite.fly(config, case, opened))
     if own_folder(suite, config) is not None:
-        _check_result(suite, case, game)
+        where = f"{suite.name}: fly of {case.id}"
+        if not isinstance(game, GameResult):
+            raise UserError(f"{where} returned a {type(game).__name__}, not a uavaccel.suites.suite.GameResult")
+        if not isinstance(game.row, dict) or game.row.get("case", case.id) != case.id:
+            raise UserError(f"{where}: its row has to be a mapping, of no other case")
+        try:
+            to_json({"row": game.row, "host": game.host})
+        except (TypeError, ValueError) as error:
+            raise UserError(f"{where}: its row is no JSON: {error}") from None
     return replace(game, host={**host, **game.host})
+
+
+# --- engines --------------------------------------------------------------------------------------------------------
+
+
+def in_parallel(
+    engine: str, jobs: int, batch: int, calls: Iterable[Delayed], leave: Callable[[], None] = lambda: None
+) -> Iterator[GameResult]:
+    """Yield the results of joblib's delayed calls, in order, from `jobs` workers that take `batch` calls at once.
+
+    Workers that outlive the run, as Dask's may, call `leave` at its end. Raises UserError where a worker is lost.
+    """
+    if engine == LOKY:
+        yield from on_this_machine(jobs, batch, calls)
+        return
+    from joblib import Parallel, parallel_config
+
+    clusters: dict[str, Callable[[int], AbstractContextManager[None]]] = {"ray": _ray, "dask": partial(_dask, leave)}
+    waiting = iter(calls)
+    with (
+        clusters[engine](jobs),
+        parallel_config(backend=engine, n_jobs=jobs),
+        Parallel(batch_size=batch) as parallel,  # which keeps its workers, with what they opened
+    ):
+        while submitted := list(islice(waiting, jobs * batch * AHEAD)):
+            try:
+                yield from parallel(submitted)
+            except Exception as error:
+                if type(error).__module__.partition(".")[0] not in PACKAGES.values():
+                    raise
+                raise UserError(
+                    f"a worker of {engine} was lost ({type(error).__name__}); go on with --resume"
+                ) from error
+
+
+@contextmanager
+def _ray(jobs: int) -> Iterator[None]:
+    """Join or start a cluster, whose worker processes are this run's own, and leave what they opened as they end."""
+    import ray
+    from ray.util.joblib import register_ray
+
+    register_ray()
+    own = {} if "RAY_ADDRESS" in os.environ else {"num_cpus": jobs, "_node_ip_address": "127.0.0.1"}
+    try:
+        ray.init(include_dashboard=False, log_to_driver=False, logging_level="error", **own)
+    except Exception as error:  # Ray has no class of errors for it
+        raise UserError(f"ray cannot be started or reached: {str(error).partition(chr(10))[0]}") from error
+    try:
+        yield
+    finally:
+        ray.shutdown()
+
+
+@contextmanager
+def _dask(leave: Callable[[], None], jobs: int) -> Iterator[None]:
+    """Join a cluster, whose workers outlive the run, or start one, which ends with it."""
+    from distributed import Client, LocalCluster, fire_and_forget
+
+    if address := os.environ.get("DASK_SCHEDULER_ADDRESS"):
+        with Client(address) as client:
+            try:
+                yield
+            finally:
+                for worker in client.nthreads():
+                    fire_and_forget(client.submit(leave, workers=[worker], pure=False))
+        return
+    cluster = LocalCluster(
+        n_workers=jobs, threads_per_worker=1, host="127.0.0.1", dashboard_address=None, silence_logs=50
+    )
+    with cluster, Client(cluster):
+        yield

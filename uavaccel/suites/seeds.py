@@ -23,11 +23,9 @@ from uavaccel.metrics.estimates import Success, mean_estimate
 from uavaccel.metrics.intervals import Proportion
 from uavaccel.records import RunDirectory, timing_provenance
 from uavaccel.suites import train
-from uavaccel.suites.experiment import Experiment
-from uavaccel.suites.host_time import cumulative_wall_s
-from uavaccel.suites.parts import SuiteOfRuns, fly_below, part_run, simulated_s
+from uavaccel.suites.experiment import Experiment, GameRow, cumulative_wall_s, subset
+from uavaccel.suites.parts import SuiteOfRuns, fly_part, part_run
 from uavaccel.suites.report import Report, Summary, method_note, summary_table
-from uavaccel.suites.rows import GameRow
 from uavaccel.suites.suite import GameResult, SimpleCase
 from uavaccel.suites.train import RECENT, TrainConfig, Training, recent_mean
 
@@ -105,7 +103,7 @@ class Seeds(SuiteOfRuns[SeedsConfig, SeedCase]):
         return f"seed{row['seed']}"
 
     def cases(self, config: SeedsConfig) -> Iterator[SeedCase]:
-        typical_s = simulated_s(self.training, config.training)
+        typical_s = config.training.games * config.task.typical_s
         for seed in range(config.seed, config.seed + config.seeds):
             yield SeedCase(f"seed{seed}", config.task.timing, typical_s, seed)
 
@@ -124,11 +122,11 @@ class Seeds(SuiteOfRuns[SeedsConfig, SeedCase]):
         return self.training.provenance(config.training)
 
     def fly(self, config: SeedsConfig, case: SeedCase, opened: RunDirectory) -> GameResult:
-        report = fly_below(opened, case.id, *self.runs(config, case)[0])
-        row = {name: report.summary[name] for name in ("seed", "games", "successes", "sim_time_s", "weights_sha256")}
+        report = fly_part(opened, case.id, *self.runs(config, case))
+        row = subset(report.summary, "seed", "games", "successes", "sim_time_s", "weights_sha256")
         row |= {name: float(recent_mean(report.games[column]).iloc[-1]) for name, column in RECENTLY.items()}
         if evaluated := report.summary.get("evaluations"):
-            row["evaluation"] = {name: evaluated[-1][name] for name in Evaluated.__annotations__}
+            row["evaluation"] = subset(evaluated[-1], *Evaluated.__annotations__)
             row["won"] = train.evaluations(report.run)[-1]["is_success"]
         return GameResult(row, host={"training_s": (cumulative_wall_s(report.timings) or [0.0])[-1]})
 
@@ -155,9 +153,7 @@ class Seeds(SuiteOfRuns[SeedsConfig, SeedCase]):
             name: {"mean": mean, "low": low, "high": high, "least": min(over[name]), "most": max(over[name])}
             for name, (mean, low, high) in estimates.items()
         }
-        conditions = {
-            name: getattr(report.config.task, name) for name in ("profile", "command", "clock_speed", "timing")
-        }
+        conditions = subset(vars(report.config.task), "profile", "command", "clock_speed", "timing")
         seeds = {"seed": report.config.seed, "seeds": len(trainings), "training_games": report.config.training.games}
         return {"suite": self.name, **conditions, **seeds, "trainings": trainings, "over_seeds": over_seeds}
 

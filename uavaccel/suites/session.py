@@ -19,11 +19,10 @@ from uavaccel.files import Plain, check_new_folder
 from uavaccel.machine import describe_run
 from uavaccel.own_code import modules_in, trusting
 from uavaccel.records import RunDirectory, refuse_other_config, timing_provenance
-from uavaccel.suites.engines import LOKY
 from uavaccel.suites.experiment import Experiment, timing_of
 from uavaccel.suites.keys import KEYS
 from uavaccel.suites.registry import configuration, find_suite, is_file, is_task, merged, read_mapping, suite_of
-from uavaccel.suites.runner import cases_of, check_jobs, run_suite, start_run
+from uavaccel.suites.runner import LOKY, cases_of, check_jobs, run_suite, start_run
 from uavaccel.suites.suite import AnySuite, Case, OnGame
 
 PART_OF = {"seeds": "train"}  # suites of whole runs, by the command that resumes them
@@ -116,10 +115,7 @@ def _of_the_run(request: RunRequest) -> tuple[dict[str, Plain], str]:
 
 
 def _place(suite: AnySuite, name: str, value: object) -> tuple[str, object]:
-    """Return the dotted key of an option, at the top of the configuration or in its task, and the value for that key.
-
-    Raises UsageError if the suite has no such key, or takes one value and was given several.
-    """
+    """Return the dotted key of an option, in the configuration or its task, and its value. Raises UsageError."""
     option = KEYS[name].option if name in KEYS else f"--{name}"
     for above in ((), ("task",), ("training",), ("training", "task")):
         fields, prefix = suite.config.model_fields, "".join(f"{key}." for key in above)

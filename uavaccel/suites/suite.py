@@ -20,8 +20,7 @@ from uavaccel.errors import UserError, suggestion
 from uavaccel.files import Plain
 from uavaccel.forms import ArrayForm, RowForm
 from uavaccel.records import RunDirectory
-from uavaccel.suites.experiment import Experiment
-from uavaccel.suites.rows import GameRow, Row
+from uavaccel.suites.experiment import Experiment, GameRow, Row
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -237,10 +236,7 @@ OnGame = Callable[[Case, Row], None]
 
 
 def choose_row(suite: AnySuite, report: Report, case: str | None = None, number: int | None = None) -> Row:
-    """Return a game's row by its case or its place in rows.jsonl, by default of the most interesting game.
-
-    Raises UserError if there is no such game.
-    """
+    """Return a game's row by its case or its place in rows.jsonl, by default the most interesting. Raises UserError."""
     rows: Sequence[Row] = report.rows
     if number is not None:
         if not 0 <= number < len(rows):

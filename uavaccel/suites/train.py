@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NotRequired
@@ -38,10 +38,16 @@ from uavaccel.rl.config import (
 )
 from uavaccel.rl.policy import trained_with
 from uavaccel.suites import paper_results, plots
-from uavaccel.suites.experiment import Experiment
-from uavaccel.suites.host_time import cumulative_wall_s, over_all_starts
-from uavaccel.suites.report import Report, Summary, disturbed_games, disturbed_words, summary_table
-from uavaccel.suites.rows import LaneRow, Row
+from uavaccel.suites.experiment import (
+    Experiment,
+    OutcomeRow,
+    ReturnRow,
+    Row,
+    cumulative_wall_s,
+    over_all_starts,
+    subset,
+)
+from uavaccel.suites.report import Report, Summary, disturbed_games, source_of, summary_table
 from uavaccel.suites.suite import GameResult, SimpleCase, Suite
 
 if TYPE_CHECKING:  # they load what draws, and PyTorch
@@ -76,12 +82,11 @@ class TrainConfig(LearnerConfig, Experiment):
         return self
 
 
-_Return = TypedDict("_Return", {"return": Number})  # a keyword of Python's
+class TrainRow(OutcomeRow, ReturnRow):
+    """The row of a game of a training; `lane` and `distance_m` where the task has them."""
 
-
-class TrainRow(LaneRow, _Return):
-    """The row of a game of a training."""
-
+    lane: NotRequired[Count]
+    distance_m: NotRequired[Number]
     game: Count
     environment: Count
     exploration: NotNegative | None
@@ -102,15 +107,6 @@ class EvaluationLine(TypedDict):
     distance_m: NotRequired[list[Number]]
 
 
-def _of_its_lanes(line: EvaluationLine) -> EvaluationLine:
-    lanes = len(line["lanes"])
-    if not lanes or {len(line["is_success"]), len(line.get("distance_m", line["lanes"]))} != {lanes}:
-        raise ValueError("lanes, is_success and distance_m should have one entry for each lane")
-    if line["successes"] != sum(line["is_success"]):
-        raise ValueError("successes should be the number of lanes won")
-    return line
-
-
 class RealTime(TypedDict):
     """What real_time.json holds: the modelled wall time of a command in real time."""
 
@@ -119,10 +115,7 @@ class RealTime(TypedDict):
 
 
 def completed(mapping: Mapping[str, Plain]) -> dict[str, Plain]:
-    """Return a training's mapping with what follows from its environment: what learns it, whether it is mirrored.
-
-    Of the obstacle lane both are the defaults.
-    """
+    """Return a training's mapping with what follows from its environment: its algorithm, whether it is mirrored."""
     if (task := _task_of(mapping)) is None or mapping.get("env_id", LANE) == LANE:
         return dict(mapping)
     algorithm = DOUBLE_DQN if is_discrete(task) else PPO
@@ -151,14 +144,14 @@ def first_settings(mapping: Mapping[str, Plain]) -> dict[str, Plain]:
     mapping = {"games": FIRST_GAMES, **completed(mapping)}
     if (task := _task_of(mapping)) is None:
         return mapping
-    numbers, over_arrays = task.observation == "state", flies_over_arrays(task)
-    learner: dict[str, Plain] = {"environments": 32 if over_arrays else 8}
-    if is_discrete(task):
-        learner = {"environments": 8, "options": {"learning_rate": 1e-3, "buffer_size": 50_000}}
+    numbers, over_arrays, discrete = task.observation == "state", flies_over_arrays(task), is_discrete(task)
+    first: dict[str, Plain] = {"simulator": KERNELS if over_arrays else EXACT, "checkpoint_games": 500}
+    first["environments"] = 32 if over_arrays and not discrete else 8
+    if discrete:
+        first["options"] = {"learning_rate": 1e-3, "buffer_size": 50_000}
     elif numbers:
-        learner["options"] = {"rollout": 32, "epochs": 5, "minibatches": 8, "learning_rate": 1e-3, "gamma": 0.97}
-    network = {"hidden": [64, 64]} if numbers else {}
-    return {"simulator": KERNELS if over_arrays else EXACT, **learner, **network, "checkpoint_games": 500, **mapping}
+        first["options"] = {"rollout": 32, "epochs": 5, "minibatches": 8, "learning_rate": 1e-3, "gamma": 0.97}
+    return first | ({"hidden": [64, 64]} if numbers else {}) | mapping
 
 
 def game_case(game: int) -> str:
@@ -249,17 +242,14 @@ class Training(Suite[TrainConfig, SimpleCase]):
         return f"success of the last {len(recent)}: {sum(recent) / len(recent):.0%}"
 
     def summary(self, report: Report) -> Summary:
-        """Return sums over all games, evaluations, and the weights of a training that is over.
-
-        Sums are Python's, to the last bit those in the rows of the suite `rl`.
-        """
+        """Return sums over all games, Python's, as the suite `rl` has them; evaluations; weights if it is over."""
         games, task = report.games, report.config.task
         trained, evaluated = trained_with(report.run.path), evaluations(report.run)
-        over, disturbed = trained.get("games") == len(games), disturbed_games(games)
+        over = trained.get("games") == len(games)
         summary = {
-            **({"disturbed_games": disturbed} if disturbed else {}),
+            **disturbed_games(games),
             "suite": "train",
-            **{name: getattr(task, name) for name in ("profile", "command", "clock_speed", "timing")},
+            **subset(vars(task), "profile", "command", "clock_speed", "timing"),
             "seed": report.config.seed,
             "games": len(games),
             "successes": sum(games.is_success.tolist()),
@@ -273,16 +263,11 @@ class Training(Suite[TrainConfig, SimpleCase]):
             check(RealTime, modelled, str(report.run.path / REAL_TIME))
             summary["modelled_real_time_s"] = summary["commands"] * modelled["command_s"]
             summary["modelled_real_time_how"] = modelled["how"]
-        if evaluated:
-            summary["evaluations"] = [
-                {
-                    **Proportion(line["successes"], len(line["lanes"])).as_summary(),
-                    "games": line["games"],
-                    "lanes": len(line["lanes"]),
-                    "distance_m_median": float(np.median(line["distance_m"])) if "distance_m" in line else None,
-                }
-                for line in evaluated
-            ]
+        for line in evaluated:
+            distance_m, lanes = line.get("distance_m"), len(line["lanes"])
+            told = Proportion(line["successes"], lanes).as_summary() | {"games": line["games"], "lanes": lanes}
+            told["distance_m_median"] = distance_m and float(np.median(distance_m))
+            summary.setdefault("evaluations", []).append(told)
         return summary
 
     def title(self, report: Report) -> str:
@@ -300,7 +285,7 @@ class Training(Suite[TrainConfig, SimpleCase]):
         return said if real_time_s is None else f"{said}; in real time they take {in_words(real_time_s)} (modelled)"
 
     def source(self, report: Report) -> str:
-        return _source([timing_provenance(report.config.task.timing)], [report])
+        return source_of([timing_provenance(report.config.task.timing)], [report])
 
     def page(self, report: Report) -> Iterator[Block | str]:
         summary, wall_s = report.summary, cumulative_wall_s(report.timings)
@@ -347,8 +332,17 @@ class Training(Suite[TrainConfig, SimpleCase]):
 
 def evaluations(run: RunDirectory) -> list[EvaluationLine]:
     """Return the lines of evaluations.jsonl, in order. Raises UserError, naming the line, for one of another form."""
+
+    def of_its_lanes(line: EvaluationLine) -> EvaluationLine:
+        lanes = len(line["lanes"])
+        if not lanes or {len(line["is_success"]), len(line.get("distance_m", line["lanes"]))} != {lanes}:
+            raise ValueError("lanes, is_success and distance_m should have one entry for each lane")
+        if line["successes"] != sum(line["is_success"]):
+            raise ValueError("successes should be the number of lanes won")
+        return line
+
     lines: list[EvaluationLine] = read_lines(run.path / EVALUATIONS)
-    check_all(Annotated[EvaluationLine, AfterValidator(_of_its_lanes)], lines, run.path / EVALUATIONS)
+    check_all(Annotated[EvaluationLine, AfterValidator(of_its_lanes)], lines, run.path / EVALUATIONS)
     return lines
 
 
@@ -365,13 +359,6 @@ def wall_times(report: Report) -> list[float]:
 
 def _label(report: Report) -> str:
     return f"{command_name(report.config.task.command)} {clock_label(report.config.task.clock_speed)}"
-
-
-def _source(told: Iterable[str], reports: Sequence[Report]) -> str:
-    """Return where numbers come from, each provenance once, and the seeds."""
-    seeds = listed(sorted({report.config.seed for report in reports}))
-    disturbed = disturbed_words(pd.concat([report.games for report in reports]))
-    return " · ".join([" and ".join(sorted(set(told))), f"seed {seeds}", *disturbed])
 
 
 def recent_mean(values: pd.Series) -> pd.Series:
@@ -394,7 +381,7 @@ def curves_figure(over: Literal["games", "wall clock"], reports: Sequence[Report
     shown = CURVES if several else {"is_success": CURVES["is_success"]}
     title = f"{'Success, return and length' if several else 'Success'} over the {over}"
     told = [timing_provenance(report.config.task.timing) if by_games else MEASURED for report in reports]
-    source, height_in = (_source(told, reports), 2.2) if several else ("", 3.0)
+    source, height_in = (source_of(told, reports), 2.2) if several else ("", 3.0)
     figure, panels = plots.panels(len(shown), title, height_in, across=1, source=source, sharex=True)
     last_s = 0.0
     for number, (key, group) in enumerate(alike.items()):
@@ -410,12 +397,7 @@ def curves_figure(over: Literal["games", "wall clock"], reports: Sequence[Report
             ]
             curves = [mean[RECENT - 1 if len(mean) > RECENT else 0 :] for mean in means]
             draw_mean(axes, curves, color=colour, **({"label": label} if axes is panels[0] else {}))
-        evaluated = []
-        for report, ends in zip(group, every, strict=True):
-            flown = [line for line in evaluations(report.run) if line["games"] <= len(report.games)]
-            success = [Proportion(line["successes"], len(line["lanes"])) for line in flown]
-            evaluated.append(pd.Series(success, [ends[line["games"] - 1] for line in flown], dtype=object))
-        draw_evaluated(panels[0], [seed for seed in evaluated if len(seed)], colour)
+        draw_evaluated(panels[0], group, every, colour)
     if by_games:
         panels[0].set_xlim(left=0)
     else:
@@ -445,8 +427,13 @@ def time_axis(panels: Sequence[Axes], longest_s: float) -> None:
         axes.minorticks_off()
 
 
-def draw_evaluated(axes: Axes, seeds: Sequence[pd.Series], colour: str) -> None:
-    """Draw evaluations, Proportions by place: of one seed points with intervals, of several the mean in their range."""
+def draw_evaluated(axes: Axes, reports: Sequence[Report], every: Sequence[Sequence[float]], colour: str) -> None:
+    """Draw evaluations at the `every` game's places: of one seed with intervals, of several the mean in their range."""
+    seeds = []
+    for report, ends in zip(reports, every, strict=True):
+        if flown := [line for line in evaluations(report.run) if line["games"] <= len(report.games)]:
+            success = [Proportion(line["successes"], len(line["lanes"])) for line in flown]
+            seeds.append(pd.Series(success, [ends[line["games"] - 1] for line in flown], dtype=object))
     ratios = [seed.map(lambda success: success.ratio) for seed in seeds]
     lanes = f"evaluated on {seeds[0].iloc[0].games} lanes" if seeds else ""
     line = {"color": colour, "linestyle": "--", "marker": "o", "markersize": 4}
@@ -459,10 +446,7 @@ def draw_evaluated(axes: Axes, seeds: Sequence[pd.Series], colour: str) -> None:
 
 
 def draw_mean(axes: Axes, curves: Sequence[pd.Series], **look: Any) -> None:
-    """Draw the mean of curves, at the places of any of them that lie within all, in the band of their range.
-
-    Where none does, those that ended sooner keep their last value, and those that began later have had their first.
-    """
+    """Draw the mean of curves, where all have values, in the band of their range; where none does, ends are held."""
     first, last = max(curve.index[0] for curve in curves), min(curve.index[-1] for curve in curves)
     places = np.unique(np.concatenate([curve.index for curve in curves]))
     at = places[(places >= first) & (places <= last)] if first <= last else places
@@ -471,10 +455,7 @@ def draw_mean(axes: Axes, curves: Sequence[pd.Series], **look: Any) -> None:
 
 
 def progress_figure(report: Report) -> Figure:
-    """Draw return, length, loss, mean Q and the share of random actions over the games, where the algorithm has them.
-
-    Points are single games, lines means of the last RECENT.
-    """
+    """Draw what the algorithm has of PROGRESS over the games: points are games, lines means of the last RECENT."""
     games = report.games.reindex(columns=list(PROGRESS)).astype(float).set_axis(range(1, len(report.games) + 1))
     games, colour = games.loc[:, np.isfinite(games).any()], style.COMMAND_COLOUR[report.config.task.command]
     figure, grid = plots.panels(games.shape[1], "Progress of the training", 1.5, across=2)
@@ -494,7 +475,7 @@ def progress_figure(report: Report) -> Figure:
 def phase_times(reports: Sequence[Report]) -> pd.DataFrame:
     """Return the seconds of each training by phase, summed over its lanes, and its `speed`, by its label.
 
-    They are of its simulated clock if it has one, else of the machine's. Equal labels are followed by the run's folder.
+    They are of its simulated clock if it has one, else of the machine's.
     """
     trainings = {}
     labels = [f"{_label(report)}\n{report.config.task.timing}, seed {report.config.seed}" for report in reports]
@@ -510,9 +491,7 @@ def phase_times(reports: Sequence[Report]) -> pd.DataFrame:
                 phase_s.update(entry["host_phase_s"])
             wall_s = wall_times(report)[-1]
         label += f"\n{report.run.path}" if labels.count(label) > 1 else ""
-        trainings[label] = {phase: phase_s[phase] for phase in PHASES} | {
-            "speed": report.summary["sim_time_s"] / wall_s
-        }
+        trainings[label] = subset(phase_s, *PHASES) | {"speed": report.summary["sim_time_s"] / wall_s}
     return pd.DataFrame.from_dict(trainings, orient="index")
 
 
@@ -520,7 +499,7 @@ def phases_figure(reports: Sequence[Report], trainings: pd.DataFrame) -> Figure:
     """Draw Figure 9: a bar of stacked phases per training, with the simulated seconds that a wall second brought."""
     clocks = {MODELLED if report.config.task.timing == "virtual" else BESIDE for report in reports}
     games, phases = listed(sorted({len(report.games) for report in reports})), trainings[list(PHASES)]
-    told = _source([f"{' and '.join(sorted(clocks))} · {games} games"], reports) if len(reports) > 1 else ""
+    told = source_of([f"{' and '.join(sorted(clocks))} · {games} games"], reports) if len(reports) > 1 else ""
     height_in = 0.6 + 0.55 * len(trainings)
     figure, [axes] = plots.panels(1, "Time of training by phase", height_in, source=told)
     notes = [f"{speed:.3g} simulated s\na wall s" for speed in trainings.speed]

@@ -9,7 +9,7 @@ from __future__ import annotations
 import signal
 import threading
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import copy_context
 from dataclasses import replace
@@ -25,7 +25,6 @@ from uavaccel.config import validate
 from uavaccel.draw.page import command_name
 from uavaccel.envs.batch import EnvironmentBatch
 from uavaccel.envs.obstacle_lane import ObstacleLane
-from uavaccel.envs.stopwatch import Stopwatch
 from uavaccel.errors import UserError
 from uavaccel.files import append_lines, to_json
 from uavaccel.records import RunDirectory
@@ -38,7 +37,7 @@ from uavaccel.sim.camera.camera import BlankCamera, make_cameras_with
 from uavaccel.suites.evaluate import EvaluateConfig
 from uavaccel.suites.evaluate_lanes import GamesInBatch
 from uavaccel.suites.event_file import EventFile
-from uavaccel.suites.rows import Row, game_row, number_of, with_lane
+from uavaccel.suites.experiment import Row, game_row, number_of
 from uavaccel.suites.suite import GameResult
 from uavaccel.suites.train import CHECKPOINTS, EVALUATIONS, RECENT, TrainConfig, TrainRow, evaluations, game_case
 from uavaccel.units import NS_PER_S
@@ -71,10 +70,7 @@ class Trainer:
         self._saved = self._learner.games
 
     def next_game(self) -> GameResult:
-        """Fly and learn until another game is over, and return it.
-
-        Raises KeyboardInterrupt on Ctrl-C, after saving a checkpoint.
-        """
+        """Fly and learn until another game is over, and return it; a checkpoint is saved before KeyboardInterrupt."""
         learner = self._learner
         while not self._finished:
             learner.holding = self._interrupted or learner.games - self._saved >= self._config.checkpoint_games
@@ -84,7 +80,8 @@ class Trainer:
                 self._saved = learner.games
                 if self._interrupted:
                     raise KeyboardInterrupt
-            self._finished.extend(self._rows.finished(learner.advance(), learner.stopwatch))
+            games = learner.advance()
+            self._finished.extend(self._rows.finished(games, learner.stopwatch.spent_s()))
             if self._evaluations.due(learner.games):
                 with self._rows.clock_stopped():
                     self._evaluations.fly(learner)
@@ -107,10 +104,7 @@ class Trainer:
 
 @contextmanager
 def open_trainer(config: TrainConfig, run: RunDirectory, begun: EnvironmentBatch | None = None) -> Iterator[Trainer]:
-    """Yield a trainer that saves a checkpoint on Ctrl-C or SIGTERM, unless another process handles these signals.
-
-    Its lanes are those of the batch `begun`, or new ones.
-    """
+    """Yield a trainer, on the lanes `begun` or new ones, that saves a checkpoint on Ctrl-C or SIGTERM where it may."""
     trainer = Trainer(config, run, begun)
     kinds = (signal.SIGINT, signal.SIGTERM) if threading.current_thread() is threading.main_thread() else ()
     heeded = {kind: before for kind in kinds if callable(before := signal.getsignal(kind))}
@@ -132,10 +126,7 @@ def export_learned(folder: Path, learner: Learner, config: TrainConfig) -> str:
 
 
 def drop_games_after_checkpoint(run: RunDirectory) -> None:
-    """Drop the rows and evaluations after the last checkpoint, since they will be flown again.
-
-    Raises UserError where rows from before the checkpoint are missing.
-    """
+    """Drop rows and evaluations after the last checkpoint, which are flown again. Raises UserError where rows lack."""
     checkpoint = find_checkpoint(run.path / CHECKPOINTS)
     games, rows = 0 if checkpoint is None else games_of(checkpoint), len(run.rows())
     if rows < games:
@@ -150,10 +141,7 @@ def drop_games_after_checkpoint(run: RunDirectory) -> None:
 
 
 class GameRows:
-    """Makes the rows of games, and writes their curves: TensorBoard's into the run's folder, and those of `wandb`.
-
-    `rows` are those of earlier starts. Raises UserError where Weights & Biases refuses the run.
-    """
+    """Makes the rows of games, after the `rows` of earlier starts, and writes curves for TensorBoard and `wandb`."""
 
     def __init__(self, config: TrainConfig, run: Path, rows: Sequence[Row]) -> None:
         self._t_move_s = config.task.t_move_s
@@ -161,7 +149,15 @@ class GameRows:
         self._simulated_s = 0.0
         self._clock = MonotonicClock()
         self._start_ns = self._clock.now_ns()
-        self._wandb = None if config.wandb is None else begin_wandb(config, run)
+        self._wandb: Any = None
+        if config.wandb is not None:  # a run for each start; its own settings say where it goes
+            import wandb
+
+            keys = config.model_dump(mode="json", exclude={"task": {"latency"}})
+            try:
+                self._wandb = wandb.init(project=config.wandb, name=str(run), dir=str(run), config=keys)
+            except wandb.Error as error:
+                raise UserError(f"wandb = {config.wandb!r}: {str(error).partition(chr(10))[0]}") from error
         self._curves = EventFile(run / "tensorboard")
 
     def close(self) -> None:
@@ -179,19 +175,17 @@ class GameRows:
         finally:
             self._start_ns += self._clock.now_ns() - begun_ns
 
-    def finished(self, games: Sequence[Game], learning: Stopwatch) -> list[GameResult]:
+    def finished(self, games: Sequence[Game], learner_s: Mapping[str, float]) -> list[GameResult]:
         """Return the rows of games, and times since this start of the training: wall, the lane's, the learner's."""
-        results = [self._finished(game, learning) for game in games]
+        results = [self._finished(game, learner_s) for game in games]
         self._curves.write_waiting()
         return results
 
-    def _finished(self, game: Game, learning: Stopwatch) -> GameResult:
+    def _finished(self, game: Game, learner_s: Mapping[str, float]) -> GameResult:
         wall_s = (self._clock.now_ns() - self._start_ns) / NS_PER_S
-        info = with_lane(game.info, game.number)
         row: TrainRow = {
-            **game_row("train", game_case(game.number), info, self._t_move_s),
-            "lane": info["lane"],
-            "distance_m": info["distance_m"],
+            **game_row("train", game_case(game.number), game.info, self._t_move_s),
+            **{key: game.info[key] for key in ("lane", "distance_m") if key in game.info},  # type: ignore[typeddict-item]
             "game": game.number,
             "environment": game.lane,
             "return": game.reward,
@@ -209,22 +203,9 @@ class GameRows:
         self._curves.add(game.number + 1, points)
         if self._wandb is not None:
             self._wandb.log(points, step=game.number + 1)
-        host = {"wall_s": wall_s, "host_phase_s": game.info["host_phase_s"], "learner_s": learning.spent_s()}
-        return GameResult(row, host=host)
-
-
-def begin_wandb(config: TrainConfig, run: Path) -> Any:
-    """Begin a run of Weights & Biases, one for each start of a training; its files are below the run's folder.
-
-    Its own settings say where it goes (WANDB_MODE=offline: nowhere). Raises UserError where it refuses.
-    """
-    import wandb
-
-    try:
-        keys = config.model_dump(mode="json", exclude={"task": {"latency"}})
-        return wandb.init(project=config.wandb, name=str(run), dir=str(run), config=keys)
-    except wandb.Error as error:
-        raise UserError(f"wandb = {config.wandb!r}: {str(error).partition(chr(10))[0]}") from error
+        return GameResult(
+            row, host={"wall_s": wall_s, "host_phase_s": game.info["host_phase_s"], "learner_s": learner_s}
+        )
 
 
 class Evaluations:
@@ -246,11 +227,8 @@ class Evaluations:
     def fly(self, learner: Learner) -> None:
         """Evaluate the greedy policy on every lane, and write the line."""
         folder = self._run.file(f"policies/{learner.games:07d}/policy.pt").parent
-        sha256 = export_learned(folder, learner, self._config)
-        config, lanes = (
-            evaluation_of(self._config, folder),
-            range(FIRST_LANE, FIRST_LANE + self._config.evaluation_games),
-        )
+        sha256, config = export_learned(folder, learner, self._config), evaluation_of(self._config, folder)
+        lanes = range(FIRST_LANE, FIRST_LANE + self._config.evaluation_games)
         if self._batch is None:
             self._batch = GamesInBatch(config, lanes)
         else:
@@ -291,8 +269,7 @@ def evaluation_of(config: TrainConfig, folder: Path) -> EvaluateConfig:
 def model_real_time(config: TrainConfig) -> dict[str, Any]:
     """Return the wall seconds of a command, from a short game straight ahead in an empty lane in the modelled AirSim.
 
-    Images, DVS, decisions and learning are charged to its wall clock, as the phases of the paper's Figure 9.
-    Algorithms without a replay buffer are charged no learning, as in training.
+    Images, DVS, decisions and, with a replay buffer, learning are charged to its wall clock, as in Figure 9.
     """
     task = config.task
     buffered = learns_from_a_buffer(config.algorithm)

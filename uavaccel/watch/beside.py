@@ -62,8 +62,7 @@ SQUARE = (
 def page_beside(waits: bool = True, port: int = PORT, host: str = LOOPBACK) -> Iterator[None]:
     """Show what is flown in the `with` block, in this process and in those it starts, at the first free of the ports.
 
-    With `waits` the block begins when a browser has opened the page, or after FIRST_SPECTATOR_S. Raises UserError if
-    the page cannot be opened.
+    With `waits` it begins once a browser has opened the page, or after FIRST_SPECTATOR_S. Raises UserError without one.
     """
     free_port(host, port)
     remove_orphaned_files(Path(tempfile.gettempdir()), re.compile(rf"{SCRATCH}(\d+)-"))
@@ -72,16 +71,11 @@ def page_beside(waits: bool = True, port: int = PORT, host: str = LOOPBACK) -> I
         if process.poll() != -signal.SIGINT:  # at Ctrl-C, which both receive, it has every reason to end
             print(f"warning: {watch.lost}; the flight goes on, unwatched", flush=True)
 
-    prefix = f"{SCRATCH}{os.getpid()}-"
+    prefix, title = f"{SCRATCH}{os.getpid()}-", f"`uavaccel {shlex.join(sys.argv[1:]).replace('`', '')}`"
     with ExitStack() as ends:
         folder = ends.enter_context(tempfile.TemporaryDirectory(prefix=prefix, ignore_cleanup_errors=True))
-        options = {
-            "host": host,
-            "port": port,
-            "socket": str(Path(folder, "page")),
-            "title": f"`uavaccel {shlex.join(sys.argv[1:]).replace('`', '')}`",
-            "parent": os.getpid(),
-        }
+        path = str(Path(folder, "page"))
+        options = {"host": host, "port": port, "socket": path, "title": title, "parent": os.getpid()}
         command = ("-m", "uavaccel.watch.beside", json.dumps(options))
         process = ends.enter_context(start_python(*command, stdout=subprocess.PIPE, own_session=False))
         assert process.stdout is not None
@@ -95,7 +89,7 @@ def page_beside(waits: bool = True, port: int = PORT, host: str = LOOPBACK) -> I
         print(f"watch at http://{host}:{json.loads(line)['port']}; {begins}", flush=True)
         if waits:
             _line_within(process.stdout, FIRST_SPECTATOR_S)
-        os.environ[PAGE] = str(Path(folder, "page"))
+        os.environ[PAGE] = path
         yield
 
 
@@ -112,15 +106,15 @@ def main() -> None:
     from uavaccel.watch.page import Page, head_of
     from uavaccel.watch.sources import Live
 
-    def tell(message: dict[str, object]) -> None:
+    def tell(**message: object) -> None:
         with suppress(OSError):  # the parent no longer reads
             print(json.dumps(message), flush=True)
 
     source = Live(Path(options["socket"]))
     server = open_server(options["host"], options["port"], head_of(options["title"]))
     told = Event()  # a tab of an earlier page may come back before the port is told
-    page = Page(server, source, options["title"], lambda: tell({"opened": told.wait()}))
-    tell({"port": server.get_port()})
+    page = Page(server, source, options["title"], lambda: tell(opened=told.wait()))
+    tell(port=server.get_port())
     told.set()
     page.run()
 

@@ -249,14 +249,13 @@ class Page:
         }
         if first:
             self._views.look_at(scene.centre_m, scene.reach_m, wide=not scene.follows)
-        first_body = next(iter(scene.bodies.values()))
+        self._no_images.visible, first_body = False, next(iter(scene.bodies.values()))
         try:
-            camera, said = make_camera(scene.model, WIDTH, HEIGHT), ""  # that of the first body
+            camera = make_camera(scene.model, WIDTH, HEIGHT)  # that of the first body
             seeing = [name for name, body in scene.bodies.items() if body == first_body]
             self._eyes = {name: Eyes(camera, scene.data, pose_of(scene.model, first_body)) for name in seeing}
         except UserError as error:
-            self._eyes, said = {}, f"No pictures: {error}"
-        self._no_images.content, self._no_images.visible = said, bool(said)
+            self._eyes, self._no_images.content, self._no_images.visible = {}, f"No pictures: {error}", True
         for name in self._images.keys() - self._eyes.keys():
             self._images.pop(name).remove()
         for name in self._eyes:

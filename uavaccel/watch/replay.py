@@ -126,8 +126,7 @@ def recorded(source: str | Path, case: str | None = None, game: int | None = Non
 def script_track(folder: Path) -> Track:
     """Return a script's flight, with the commands and both clocks of its messages.
 
-    A command ends where the script has its answer, which it only asks for with `join`, or at the next command. Raises
-    UserError if the flight is not whole.
+    A command ends with its answer, which a script only asks for with `join`, or at the next command. Raises UserError.
     """
     try:
         summary = read_json(folder / SUMMARY)
@@ -169,8 +168,7 @@ def script_track(folder: Path) -> Track:
 def fly_side_by_side(clock_speed: float, think_s: float, rounds: int, seed: int) -> list[Track]:
     """Fly a square under ADSC and TCSC, by a client that thinks `think_s` of wall time before each command.
 
-    In `virtual`, with the latencies that ship: the same flights for the same arguments. Nobody thinks before the first
-    command.
+    In `virtual`, with the latencies that ship: equal arguments, equal flights. Nobody thinks before the first command.
     """
     path, tracks = velocities("square", rounds), []
     with open_session("virtual", latency=shipped_latency()) as session:

@@ -92,14 +92,11 @@ def show_surroundings(server: ViserServer, scene: Scene) -> None:
     model, data = scene.model, scene.data
     server.scene.remove_by_name(SURROUNDINGS)
     server.scene.add_frame(SURROUNDINGS, show_axes=False)
-    fixed = [
-        geom
-        for geom in range(model.ngeom)
-        if not model.body_dofnum[model.geom_bodyid[geom]] and data.geom_xpos[geom][2] >= -DEEPEST_M
-    ]
+    stands = (model.body_dofnum[model.geom_bodyid] == 0) & (data.geom_xpos[:, 2] >= -DEEPEST_M)
+    fixed = np.flatnonzero(stands & np.isin(model.geom_group, SHOWN_GROUPS)).tolist()
     _show_solids(server, f"{SURROUNDINGS}/solids", model, fixed, data.geom_xpos, data.geom_xmat)
     for geom in fixed:
-        if model.geom_type[geom] == Geom.mjGEOM_PLANE and model.geom_group[geom] in SHOWN_GROUPS:
+        if model.geom_type[geom] == Geom.mjGEOM_PLANE:
             half_x, half_y = (float(half) or PLANE_M for half in model.geom_size[geom][:2])
             server.scene.add_image(
                 f"{SURROUNDINGS}/plane{geom}",
@@ -121,8 +118,6 @@ def _show_solids(
 
     by_colour: dict[tuple[int, ...], list[trimesh.Trimesh]] = {}
     for geom in geoms:
-        if model.geom_group[geom] not in SHOWN_GROUPS:
-            continue
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3] = turns[geom].reshape(3, 3), places[geom]
         for mesh, colour in _striped(model, geom):
@@ -227,21 +222,16 @@ class Drone:
         turns = np.zeros((model.ngeom, 9))
         for turn, quaternion in zip(turns, model.geom_quat, strict=True):
             mujoco.mju_quat2Mat(turn, quaternion)
-        own = np.flatnonzero(model.geom_bodyid == body).tolist()
+        own = np.flatnonzero((model.geom_bodyid == body) & np.isin(model.geom_group, SHOWN_GROUPS)).tolist()
         _show_solids(server, f"/{name}/body", model, own, model.geom_pos, turns)
         add.add_label(f"/{name}/name", name, position=(0.0, 0.0, LABEL_M))
         self._arrow = add.add_arrows(
             f"/{name} command", np.zeros((1, 2, 3)), ARROW, shaft_radius=0.025, head_radius=0.07, head_length=0.16
         )
         self._plumb = self._add_lines("plumb line", np.zeros((1, 2, 3)), PLUMB, PLUMB_WIDTH)
+        # Opaque, as what shines through would be the sky, not the ground's picture; without the sun's highlight.
         self._shadow = add.add_cylinder(
-            f"/{name} shadow",
-            SHADOW_M,
-            LIFT_M / 2,
-            SHADOW,  # opaque: what shines through would be the sky, not the ground's picture
-            material="toon3",  # without the sun's highlight
-            cast_shadow=False,
-            receive_shadow=False,
+            f"/{name} shadow", SHADOW_M, LIFT_M / 2, SHADOW, material="toon3", cast_shadow=False, receive_shadow=False
         )
 
     def begin(self, ideal_m: Floats | None) -> None:
@@ -294,12 +284,9 @@ class Drone:
             self._blocks[-1].colors = np.repeat(as_light(colours)[:, None], 2, axis=1)
 
     def _add_lines(self, name: str, points: Floats, colour: tuple[int, int, int], width: float) -> LineSegmentsHandle:
+        place, light = f"/{self._name} {name}", as_light(colour)
         return self._page.add_line_segments(
-            f"/{self._name} {name}",
-            points.astype(np.float32),
-            as_light(colour),
-            thickness=width,
-            thickness_units="screen",
+            place, points.astype(np.float32), light, thickness=width, thickness_units="screen"
         )
 
 

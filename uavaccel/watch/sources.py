@@ -150,9 +150,8 @@ class Told:
 
     def _load(self, content: Plain) -> Scene:
         """Load the scene that a flight has left in a file, and remove that."""
-        file = Path(content["model"])
-        model = mujoco.MjModel.from_binary_path(str(file))
-        file.unlink()
+        model = mujoco.MjModel.from_binary_path(content["model"])
+        Path(content["model"]).unlink()
         data = mujoco.MjData(model)
         data.qpos[:] = content["qpos"]
         mujoco.mj_kinematics(model, data)

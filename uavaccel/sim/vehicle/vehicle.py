@@ -93,7 +93,7 @@ class AddedVehicle(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """How a vehicle moves at a tick: its flight state, and MuJoCo's pose, velocity, force and acceleration."""
+    """How a vehicle moves at a tick: its flight state, and MuJoCo's pose, velocity, forces and acceleration."""
 
     flight: NDArray[np.void]
     body: tuple[NDArray[np.float64], ...]
@@ -113,6 +113,7 @@ class Vehicle:
         contacts_act: bool = True,
     ) -> None:
         self.name, self.profile, self.start, self.prefix = name, profile, start, prefix
+        self.body = prefix + BODY  # its name in the model
         self.origin_m = origin_m
         self._samples, self._contacts_act = samples, contacts_act
         self._flight = np.zeros(1, FLIGHT_DTYPE)
@@ -122,11 +123,6 @@ class Vehicle:
         self._parameters = np.zeros(1, PARAMETERS_DTYPE)
         self._time_s = np.zeros(1)
         self.contact_log = ContactLog()
-
-    @property
-    def body(self) -> str:
-        """The name of its body in the model."""
-        return self.prefix + BODY
 
     def bind(self, model: mujoco.MjModel, data: mujoco.MjData, name_of: Callable[[int], str]) -> None:
         """Fly in this model instead of any previous one; `name_of` returns the name of what a geom belongs to."""
@@ -150,17 +146,14 @@ class Vehicle:
         self._contact = data.sensordata[sensor : sensor + 1]
         self.model, self.data = model, data
         self.contact_log.bind(model, data, self.body_id, name_of)
-        self.handles = self._addresses(model, data)
-        self._handles_pointer = self.handles.ctypes.data_as(ctypes.POINTER(ctypes.c_int64))
-
-    def _addresses(self, model: mujoco.MjModel, data: mujoco.MjData) -> NDArray[np.int64]:
-        """Return the addresses that the hot loop works on, in the order of hotloop.views."""
         arrays = (self.qpos, self.qvel, self._force, self._contact, self._push)
         records = (self._parameters, self._flight, self._samples.record, self._samples.buffer)
         own = [array.ctypes.data for array in (*arrays, *records)]
         fixed = [hotloop.mj_step_address(), model._address, data._address]
         free = [self._warm_start.ctypes.data, self._time_s.ctypes.data]
-        return np.array([*fixed, *own, len(self._samples.buffer), *free], np.int64)
+        # what the hot loop works on, in the order of hotloop.views
+        self.handles = np.array([*fixed, *own, len(self._samples.buffer), *free], np.int64)
+        self._handles_pointer = self.handles.ctypes.data_as(ctypes.POINTER(ctypes.c_int64))
 
     # --- state ------------------------------------------------------------------------------------
 
@@ -259,8 +252,21 @@ class Vehicle:
             self.parameters[name] = gains[0]
 
     def set_airframe(self, mass_ratio: float, thrust_ratio: float) -> None:
-        """Scale its mass, and thrust and torque of its rotors, relative to its own."""
-        set_airframe(self.model, self._parameters, self._own_parameters, mass_ratio, thrust_ratio)
+        """Scale its mass and inertia, and thrust and torque of its rotors, relative to its own.
+
+        The autopilot keeps its gains. So does MuJoCo what it derives from the mass for contacts, since in the lane the
+        first contact ends a game.
+        """
+        model, own, body = self.model, self._own_parameters, self.body_id
+        for name in ("mass_kg", "inertia_kg_m2"):
+            self._parameters[name] = mass_ratio * own[name]
+        for name in ("max_thrust_n", "max_torque_n_m"):
+            self._parameters[name] = thrust_ratio * own[name]
+        mass_kg, inertia = self._parameters["mass_kg"][0], self._parameters["inertia_kg_m2"][0]
+        if model.body_mass[body] != mass_kg:
+            model.body_subtreemass[[0, body]] += mass_kg - model.body_mass[body]
+            model.body_mass[body], model.body_inertia[body] = mass_kg, inertia
+            model.dof_M0[:3], model.dof_M0[3:6] = mass_kg, inertia  # MuJoCo takes a free body's mass matrix from here
 
     # --- places -----------------------------------------------------------------------------------
 
@@ -329,27 +335,23 @@ class Vehicle:
             self.qvel[:] = goal - half * np.concatenate(gained)
         self.refresh()
 
-    def carry(self) -> tuple[NDArray[np.float64], ...]:
-        """Return what of its flight is in the model, to be put by `fly_on` into the next one."""
-        return tuple(array.copy() for array in (self.qpos, self.qvel, self._force, self._push))
-
     def motion(self) -> Motion:
-        """Return how it moves at this tick, for `resume`."""
-        arrays = self.qpos, self.qvel, self._force, self._warm_start
+        """Return how it moves at this tick, for `resume` and for `fly_on`."""
+        arrays = self.qpos, self.qvel, self._force, self._push, self._warm_start
         return Motion(self._flight.copy(), tuple(array.copy() for array in arrays))
 
     def resume(self, motion: Motion, share: float) -> None:
         """Fly on from the present place as in `motion`, with `share` of its velocity and turn rate."""
-        tick, (pose, velocity, force, acceleration) = self.tick, motion.body
+        tick, (pose, velocity, force, _, acceleration) = self.tick, motion.body
         self._flight[:] = motion.flight
         self.field["tick"][0] = tick
         self.qpos[3:], self.qvel[:] = pose[3:], velocity * share
         self._force[:], self._warm_start[:] = force, acceleration
         self.refresh()
 
-    def fly_on(self, carried: tuple[NDArray[np.float64], ...]) -> None:
-        """Go on with the flight that `carry` returned."""
-        self.qpos[:], self.qvel[:], self._force[:], self._push[:] = carried
+    def fly_on(self, motion: Motion) -> None:
+        """Go on with the flight in the model that it was bound to last."""
+        self.qpos[:], self.qvel[:], self._force[:], self._push[:], _ = motion.body
 
     def refresh(self) -> None:
         """Update the flight state after MuJoCo's pose or velocity was changed from outside."""
@@ -369,25 +371,3 @@ class Vehicle:
     def rest(self, ticks: int) -> int:
         """Let ticks pass without moving."""
         return int(hotloop.ENTRY_POINTS.rest.ctypes(self._handles_pointer, ticks))
-
-
-def set_airframe(
-    model: mujoco.MjModel, parameters: NDArray[np.void], own: NDArray[np.void], mass_ratio: float, thrust_ratio: float
-) -> None:
-    """Set mass and inertia to `mass_ratio` times those of `own`, thrust and torque to `thrust_ratio` times.
-
-    Both records (1,) are of quadrotor.PARAMETERS_DTYPE; `parameters` and the model change in place. The autopilot keeps
-    its gains. So does MuJoCo what it derives from the mass for contacts, since in the lane the first contact ends a
-    game.
-    """
-    for name in ("mass_kg", "inertia_kg_m2"):
-        parameters[name] = mass_ratio * own[name]
-    for name in ("max_thrust_n", "max_torque_n_m"):
-        parameters[name] = thrust_ratio * own[name]
-    body = model.body(BODY).id
-    mass_kg, inertia = parameters["mass_kg"][0], parameters["inertia_kg_m2"][0]
-    if model.body_mass[body] == mass_kg:
-        return
-    model.body_subtreemass[[0, body]] += mass_kg - model.body_mass[body]
-    model.body_mass[body], model.body_inertia[body] = mass_kg, inertia
-    model.dof_M0[:3], model.dof_M0[3:6] = mass_kg, inertia  # MuJoCo takes a free body's mass matrix from here
