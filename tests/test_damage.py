@@ -17,7 +17,7 @@ from uavaccel.errors import UserError
 from uavaccel.records import RunDirectory
 from uavaccel.rl.config import LearnerConfig
 from uavaccel.rl.learner import find_checkpoint
-from uavaccel.rl.policy import MANIFEST, WEIGHTS, load_policy
+from uavaccel.rl.policy import MANIFEST, WEIGHTS, load_policy, trained_with
 from uavaccel.suites.train import CHECKPOINTS, TrainConfig
 
 pytestmark = pytest.mark.usefixtures("trainings_here")
@@ -109,6 +109,16 @@ def write_weights(folder: Path, weights: Any) -> None:
     agree(folder)
 
 
+class Trap:
+    """Makes a file where it is unpickled."""
+
+    def __init__(self, file: Path) -> None:
+        self.file = file
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Path.touch, (self.file,)
+
+
 def weights_by(change: Callable[[th.Tensor], th.Tensor]) -> Callable[[Path], None]:
     """Weights that fit in all but what was done to each tensor."""
 
@@ -130,7 +140,10 @@ def cut_and_agreed(folder: Path) -> None:
     (cut_and_agreed, r"policy\.pt: "),
     (lambda folder: (folder / WEIGHTS).unlink(), r"policy\.pt: cannot be read: No such file"),
     (lambda folder: write_weights(folder, [1, 2]), r"policy\.pt: is no state dict of tensors alone"),
+    (lambda folder: write_weights(folder, {"trap": Trap(folder / "sprung")}), r"policy\.pt: is no state dict"),
+    (lambda folder: write_weights(folder, {0: th.zeros(1)}), r"policy\.pt: is no state dict of tensors alone"),
     (lambda folder: write_weights(folder, {}), r"policy\.pt: does not fit the network"),
+    (lambda folder: write_weights(folder, {"q_net.0.weight": th.zeros(1)}), r"policy\.pt: does not fit the network"),
     (weights_by(lambda tensor: tensor.to(th.int64)), r"policy\.pt: .* of torch\.int64; it should be of torch\.float32"),
     (weights_by(lambda tensor: tensor.to(th.complex64)), r"policy\.pt: .* is of torch\.complex64; it should be"),
     (weights_by(lambda tensor: tensor.to(th.float64)), r"policy\.pt: .* is of torch\.float64"),
@@ -140,6 +153,8 @@ def cut_and_agreed(folder: Path) -> None:
     (lambda folder: edit_config(folder, algorithm="sb3_ppo", options={"tempo": 1}),
      r"policy\.json: options of sb3_ppo: unknown key 'tempo'"),
     (lambda folder: cut(folder / MANIFEST), r"policy\.json: a damaged policy, not JSON"),
+    (lambda folder: (folder / MANIFEST).write_text("[" * 100_000), r"policy\.json: a damaged policy, .* too deeply"),
+    (lambda folder: (folder / MANIFEST).write_text("[]"), r"policy\.json: describes no policy"),
     (lambda folder: empty_json(folder / MANIFEST), r"policy\.json: describes no policy"),
     (lambda folder: edit_manifest(folder, config={"algorithm": "rl"}), r"algorithm = 'rl' is unknown"),
     (lambda folder: edit_manifest(folder, config={"hidden": "wide"}), r"policy\.json: hidden = 'wide'"),
@@ -150,3 +165,6 @@ def test_a_damaged_policy_is_one_line(copy: Path, damage: Callable[[Path], Any],
     with pytest.raises(UserError, match=said) as caught:
         load_policy(copy)
     assert "\n" not in str(caught.value)
+    assert not (copy / "sprung").exists(), "no code runs"
+    if "policy\\.json: d" in said or "a damaged" in said:
+        assert trained_with(copy) == {}, "and it says nothing about a training"

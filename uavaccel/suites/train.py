@@ -246,7 +246,7 @@ class Training(Suite[TrainConfig, SimpleCase]):
         games, task = report.games, report.config.task
         trained, evaluated = trained_with(report.run.path), evaluations(report.run)
         over = trained.get("games") == len(games)
-        summary = {
+        summary: dict[str, Any] = {
             **disturbed_games(games),
             "suite": "train",
             **subset(vars(task), "profile", "command", "clock_speed", "timing"),
@@ -264,8 +264,8 @@ class Training(Suite[TrainConfig, SimpleCase]):
             summary["modelled_real_time_s"] = summary["commands"] * modelled["command_s"]
             summary["modelled_real_time_how"] = modelled["how"]
         for line in evaluated:
-            distance_m, lanes = line.get("distance_m"), len(line["lanes"])
-            told = Proportion(line["successes"], lanes).as_summary() | {"games": line["games"], "lanes": lanes}
+            distance_m, won = line.get("distance_m"), Proportion(line["successes"], len(line["lanes"]))
+            told: dict[str, Any] = {**won.as_summary(), "games": line["games"], "lanes": won.games}
             told["distance_m_median"] = distance_m and float(np.median(distance_m))
             summary.setdefault("evaluations", []).append(told)
         return summary
