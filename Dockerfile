@@ -3,6 +3,8 @@
 ARG PYTHON=3.11
 FROM python:${PYTHON}-slim-bookworm
 
+# Debian keeps one version of a package.
+# hadolint ignore=DL3008
 RUN apt-get update \
     && apt-get install --yes --no-install-recommends libegl1 libegl-mesa0 libgl1-mesa-dri \
     && rm -rf /var/lib/apt/lists/*
@@ -17,8 +19,8 @@ RUN --mount=type=cache,target=/root/.cache/pip if [ "$DEVICE" = cuda ]; then ext
     && pip install --constraint constraints.txt ".$extra"
 
 ENV NVIDIA_DRIVER_CAPABILITIES=compute,graphics,utility
-RUN useradd --create-home uavaccel
-USER uavaccel
+RUN useradd --create-home --uid 1000 uavaccel
+USER 1000
 WORKDIR /home/uavaccel
 # Compiles the hot loop into numba's cache, and says at the build what the image lacks.
 RUN uavaccel doctor

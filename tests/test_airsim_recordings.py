@@ -63,6 +63,20 @@ def test_each_sample_has_its_images(tmp_path: Path) -> None:
     np.testing.assert_allclose(depth_m.ravel(), below["image_data_float"])
 
 
+def test_after_a_reset_each_sample_has_its_images_again(tmp_path: Path) -> None:
+    """On the new grid of sampling times, which begins with the reset."""
+    wire = recorder(tmp_path)
+    wire.call("startRecording")
+    wire.fly(0.12)
+    wire.call("reset")
+    wire.fly(0.11)
+    wire.call("stopRecording")
+    [made] = tmp_path.iterdir()
+    rows = [line.split("\t") for line in (made / "airsim_rec.txt").read_text().splitlines()[1:]]
+    assert [int(row[1]) - EPOCH_NS // 1_000_000 for row in rows] == [0, 50, 100, 120, 170, 220]
+    assert [row[-1].count(";") for row in rows] == [2] * 6
+
+
 def test_two_runs_write_the_same_bytes(tmp_path: Path) -> None:
     made = []
     for name in ("one", "other"):

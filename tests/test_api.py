@@ -149,6 +149,17 @@ def test_settings_name_the_vehicle() -> None:
     assert told["Vehicles"] == {"Drone1": {}}
 
 
+def test_a_vehicles_own_sensors_go_before_the_defaults_and_those_before_airsims() -> None:
+    imu = {"SensorType": 2}
+    for own, name in (({"Sensors": {"own": imu}}, "own"), ({}, "default")):
+        given = {"Vehicles": {"A": own}, "DefaultSensors": {"default": imu}}
+        api = new_api(settings=Settings.model_validate(given))
+        assert result_of(api, "getImuData", [name]) == result_of(api, "getImuData")
+        with pytest.raises(rpc.RpcError, match=f"No imu with name imu exist on vehicle; there is {name}"):
+            result_of(api, "getImuData", ["imu"])
+    assert result_of(new_api(), "getImuData", ["imu"])
+
+
 def rows_of(folder: Path) -> list[list[list[str]]]:
     """Lines and columns of every recording below `folder`, in the order in which they were made."""
     files = sorted(folder.glob(f"*/{FILE_NAME}"), key=lambda file: (len(file.parent.name), file))

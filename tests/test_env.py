@@ -210,7 +210,8 @@ def test_infos_are_json_and_the_same_twice() -> None:
 def test_events_are_neutral_before_anything_moved_and_kept_as_long_as_asked() -> None:
     with lane(history=2) as environment:
         start, first, second = fly(environment, [AHEAD, HARD_WEST])
-    assert (start.shape, start.dtype) == ((6, 36, 64), np.uint8)
+    assert start.shape == (6, 36, 64)
+    assert start.dtype == np.uint8
     assert (start == NEUTRAL_LEVEL).all()
     assert np.ptp(first) > 20
     np.testing.assert_array_equal(first[3:], second[:3])

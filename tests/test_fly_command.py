@@ -124,8 +124,13 @@ def test_the_second_flight_is_held_against_the_first(tmp_path: Path, monkeypatch
     """To the byte, where both flew; a flight that a script's end or an interruption cut short is none."""
     first, asked = tmp_path / "first", FlightOptions(Path("script.py"), (), tmp_path / "again")
     flown: list[tuple[FlightOptions, bool]] = []
-    monkeypatch.setattr(command, "fly", lambda options, quiet: flown.append((options, quiet)) or ended)
     ended = FlightResult(0, {"finished": True})
+
+    def fly(options: FlightOptions, quiet: bool = False) -> FlightResult:
+        flown.append((options, quiet))
+        return ended
+
+    monkeypatch.setattr(command, "fly", fly)
     assert check(asked, first).status == 0, "neither flew"
     for folder, place_m in ((first, 1.0), (asked.folder, 1.0)):
         folder.mkdir()

@@ -105,22 +105,17 @@ def test_a_seed_is_that_of_generators_that_are_made_without_one() -> None:
     assert len({*first}) == len(first)
 
 
-@pytest.mark.parametrize(
-    ("in_settings", "asked", "flown"),
-    [(None, None, 1.0), (None, 20.0, 20.0), (5.0, None, 5.0), (5.0, 20.0, 20.0), (5.0, 0.5, 0.5)],
-)
-def test_the_option_for_clock_speed_precedes_the_settings(
-    fly: Any, tmp_path: Path, in_settings: float | None, asked: float | None, flown: float
-) -> None:
-    (tmp_path / "settings.json").write_text(json.dumps({"SettingsVersion": 1.2, "ClockSpeed": in_settings or 1.0}))
-    settings = None if in_settings is None else tmp_path / "settings.json"
-    _, (_, read, clock_speed, _), kept = fly(
-        ScriptResult(0, True, 0.5), settings=settings, clock_speed=asked, scene="lane"
-    )
-    assert (clock_speed, kept["clock_speed"], kept["scene"]) == (flown, flown, "lane")
-    assert (read is None) == (in_settings is None)
-    expected = {"status": 0, "finished": True, "wall_s": 0.5, "simulated_s": 4.0, "position_m": None, "calls": 0}
-    assert {name: kept[name] for name in expected} == expected
+def test_the_option_for_clock_speed_precedes_the_settings(fly: Any, tmp_path: Path) -> None:
+    for in_settings, asked, flown in ((None, None, 1.0), (None, 20.0, 20.0), (5.0, None, 5.0), (5.0, 0.5, 0.5)):
+        given = {"SettingsVersion": 1.2, "ClockSpeed": in_settings or 1.0}
+        (tmp_path / "settings.json").write_text(json.dumps(given))
+        settings = None if in_settings is None else tmp_path / "settings.json"
+        outcome = ScriptResult(0, True, 0.5)
+        _, (_, read, clock_speed, _), kept = fly(outcome, settings=settings, clock_speed=asked, scene="lane")
+        assert (clock_speed, kept["clock_speed"], kept["scene"]) == (flown, flown, "lane")
+        assert (read is None) == (in_settings is None)
+        expected = {"status": 0, "finished": True, "wall_s": 0.5, "simulated_s": 4.0, "position_m": None, "calls": 0}
+        assert {name: kept[name] for name in expected} == expected
 
 
 @pytest.mark.parametrize(

@@ -146,6 +146,8 @@ def test_one_that_works_does_not_until_it_is_stopped(start: Start) -> None:
         pass
     found = [stalls.poll([pid]) for _ in range(STOPPED_POLLS)]
     assert found == [[]] * (STOPPED_POLLS - 1) + [[pid]]
+    impatient = StallDetector()
+    assert [impatient.poll([pid], 2) for _ in range(2)] == [[], [pid]], "who has less patience has it here too"
 
 
 def test_the_work_of_a_child_counts(start: Start) -> None:

@@ -70,7 +70,10 @@ def test_unknown_calls_and_numbers_of_arguments_are_refused_in_rpclibs_words() -
     wire = AirSimWire()
     unknown = "rpclib: server could not find function '{}' with argument count {}."
     arity = "rpclib: Function '{}' was called with an invalid number of arguments. Expected: {}, got: {}"
-    wrong = [("fly", [], unknown.format("fly", 0)), ("", [1, 2], unknown.format("", 2))]
+    wrong: list[tuple[str, list[Any], str]] = [
+        ("fly", [], unknown.format("fly", 0)),
+        ("", [1, 2], unknown.format("", 2)),
+    ]
     wrong += [("simPause", [], arity.format("simPause", 1, 0)), ("ping", [1], arity.format("ping", 0, 1))]
     wrong += [(name, [object()] * 99, arity.format(name, call.most, 99)) for name, call in CALLS.items()]
     for method, params, text in wrong:

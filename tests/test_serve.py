@@ -122,7 +122,7 @@ def test_options_go_before_settings_which_reach_the_simulation(tmp_path: Path) -
         api_of(ServeOptions(recordings=a_file), Settings())
     for clock_speed, flown in ((None, 5.0), (2.0, 2.0)):
         simulation = api_of(ServeOptions(recordings=tmp_path, clock_speed=clock_speed), settings).simulation
-        assert (simulation.clock_speed, simulation.profile.recorder_ticks) == (flown, 100)
+        assert (float(simulation.clock_speed), simulation.profile.recorder_ticks) == (flown, 100)
         assert simulation.world.lead.state["wind"].tolist() == [2.0, 0.0, 0.0]
 
 

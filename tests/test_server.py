@@ -172,7 +172,8 @@ def test_a_port_in_use_and_one_without_a_server_are_one_line() -> None:
     b"GET / HTTP/1.1\r\n\r\n",
     b"\xc1",
     b"\x91" * 100_000,
-    *(head + b"\xff" * 4 + bytes(2 << 20) for head in (b"\xdb", b"\xdd", b"\xdf")),  # believed until it is too much
+    # the lengths of these are believed until they are too much
+    *(head + b"\xff" * 4 + b"\x05" * (2 << 20) for head in (b"\xdb", b"\xdd", b"\xdf")),
     b"\x90",
     msgpack.packb([5, 1, "ping", []]),
     msgpack.packb([0, "id", "ping", []]),

@@ -76,13 +76,11 @@ def position_rmse_m(a: Arrays, b: Arrays) -> float:
 # --- accuracy ---------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("t_sample_s", [1.0, 0.33])
-@pytest.mark.parametrize("clock_speed", [0.5, 1, 1.5, 5, 10, 50, 100])
-def test_tcsc_in_native_loses_nothing_at_any_clock_speed(clock_speed: float, t_sample_s: float) -> None:
+def test_tcsc_in_native_loses_nothing_at_any_clock_speed() -> None:
     lockstep = fly(start(1.0), "tcsc")
-    for seed in range(3):
-        flown = fly(start(clock_speed, NASTY, seed), "tcsc", t_sample_s=t_sample_s)
-        assert equal(flown, lockstep)
+    for seed, clock_speed in enumerate((0.5, 1, 1.5, 10, 62.5, 100)):
+        for t_sample_s in (1.0, 0.33):
+            assert equal(fly(start(clock_speed, NASTY, seed), "tcsc", t_sample_s=t_sample_s), lockstep), clock_speed
 
 
 def test_adsc_error_grows_with_clock_speed() -> None:
@@ -182,7 +180,7 @@ speeds = st.sampled_from([0.1, 0.3333333, 1.5, 62.5, 100]) | st.floats(0.01, 200
 
 
 @given(speeds, latencies, st.sampled_from(sorted(COMMANDS)), st.sampled_from([(0.1, 0.1), (0.2, 0.066), (0.01, 0.002)]))
-@settings(max_examples=40)
+@settings(max_examples=25)
 def test_a_virtual_clock_never_spins_for_ever(
     clock_speed: float, latency: LatencyConfig, command: str, times_s: tuple[float, float]
 ) -> None:
@@ -192,7 +190,7 @@ def test_a_virtual_clock_never_spins_for_ever(
 
 
 @given(speeds, latencies, st.sampled_from(sorted(COMMANDS)))
-@settings(max_examples=40)
+@settings(max_examples=25)
 def test_nor_does_it_with_airsims_wall_timers(clock_speed: float, latency: LatencyConfig, command: str) -> None:
     """T_th is a tick at the least there: a shorter continue-for may not bring any."""
     client = bound(start(clock_speed, latency, profile=AIRSIM))

@@ -18,6 +18,7 @@ from uavaccel.commands import COMMANDS, VelocityGoal, velocities
 from uavaccel.watch.replay import T_MOVE_S, Track, fly_side_by_side
 
 CHROMIUM = Path("/usr/bin/chromium")
+NAMED = "all => all.every(each => each.ariaLabel || each.textContent.trim())"
 FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-sync"]
 FLAGS += ["--disable-background-networking", "--disable-component-update"]
 FLAGS += ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
@@ -123,6 +124,9 @@ def test_a_browser_pauses_steps_and_scrubs(tmp_path: Path) -> None:
             clocks = page.locator(".clocks")
             choose(page, "Shown at", "0.25x")  # a slow browser would miss the end, and its click on Pause begin anew
             assert page.title() == "ADSC and TCSC fly one square – uavaccel"
+            page.get_by_role("main").get_by_role("slider", name="Time, s").wait_for()
+            assert page.get_by_role("heading", level=1).inner_text() == page.title()
+            assert page.locator("button, img").evaluate_all(NAMED), "all have names for who hears the page"
             page.locator(".mantine-Slider-track").click(position={"x": 3, "y": 1})
             if SCREENSHOTS in os.environ:
                 page.wait_for_timeout(12_000)  # some of the path

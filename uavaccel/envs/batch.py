@@ -32,7 +32,7 @@ from uavaccel.units import NS_PER_S
 
 def set_up(batch: Any, environment: type[FlightEnv[Any]], num_envs: int, mode: object, keys: Mapping[str, Any]) -> Any:
     """Give a batch what Gymnasium's vectors have, and its task, which is returned. Raises UserError for wrong keys."""
-    batch.task = task = make_task(environment.task_class, keys, environment.__name__)
+    task = make_task(environment.task_class, keys, environment.__name__)
     whole_number("num_envs", num_envs, MOST_GAMES)
     if mode not in (known := [each.value for each in AutoresetMode]) and not isinstance(mode, AutoresetMode):
         raise UserError(f"autoreset_mode = {mode!r} is unknown; there are {', '.join(known)}")
@@ -118,7 +118,7 @@ class EnvironmentBatch(TurnBatch):
         **keys: Any,
     ) -> None:
         self.render_mode = check_render_mode(keys.pop("render_mode", None))
-        task = set_up(self, environment, num_envs, autoreset_mode, keys)
+        self.task = task = set_up(self, environment, num_envs, autoreset_mode, keys)
         if processes is not None:
             whole_number("processes", processes, MOST_PROCESSES)
         if task.timing == "wall" and num_envs > 1:

@@ -51,7 +51,7 @@ class CudaBatch(VectorEnv[Any, Any, Any]):
         autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
         **keys: Any,
     ) -> None:
-        task = set_up(self, environment, num_envs, autoreset_mode, keys)
+        self.task = task = set_up(self, environment, num_envs, autoreset_mode, keys)
         if self.metadata["autoreset_mode"] != AutoresetMode.SAME_STEP:
             raise UserError("autoreset_mode: with device = cuda it is SameStep")
         self.render_mode, self.device = None, th.device(DEVICE)

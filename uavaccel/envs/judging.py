@@ -320,6 +320,5 @@ def _modes_of(goal: Goal) -> tuple[int, int, int]:
 
 
 # Columns of FLIGHT_DTYPE, all of whose numbers have eight bytes.
-TICK, COLLISION, CONTACT = (
-    int((FLIGHT_DTYPE.fields or {})[name][1]) // 8 for name in ("tick", "collision_tick", "contact_position")
-)
+_FIELDS: Any = FLIGHT_DTYPE.fields
+TICK, COLLISION, CONTACT = (int(_FIELDS[name][1]) // 8 for name in ("tick", "collision_tick", "contact_position"))

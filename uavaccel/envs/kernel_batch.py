@@ -132,9 +132,9 @@ class KernelBatch(TurnBatch):
         self._goals[which] = self._judge.goals(given, keys_of(self.task, [self._drawn[lane] for lane in which]))
         self._frames[which] = self._blank
         self._begun_ns = self._clock.now_ns()
-        of_lanes = self._goals, self._view, self._rows, self._now, self._plan, self._clocks
-        seen, parts = (self._pictures, self._samples), self._parts(which[~self._over[which]])
-        self._flying[int(which[0])] = [self._pool.submit(cpu.CPU.fly, part, *of_lanes, *seen) for part in parts]
+        of_lanes: tuple[Any, ...] = self._goals, self._view, self._rows, self._now, self._plan, self._clocks
+        of_lanes, parts = (*of_lanes, self._pictures, self._samples), self._parts(which[~self._over[which]])
+        self._flying[int(which[0])] = [self._pool.submit(cpu.CPU.fly, part, *of_lanes) for part in parts]
 
     def step_wait(self, slots: Sequence[int] | None = None) -> Steps:
         """As `TurnBatch` has it. Raises UserError where no command was started."""
@@ -253,7 +253,7 @@ class KernelBatch(TurnBatch):
         drawn = [self._drawn[lane] for lane in lanes.tolist()]
         cpu.CPU.observe_starts(self._rows, lanes)
         self._clocks.scale[lanes] = [each.task.latency.scale for each in drawn]
-        of_lanes = self._view, self._rows, self._now, self._plan, self._clocks
+        of_lanes: tuple[Any, ...] = self._view, self._rows, self._now, self._plan, self._clocks
         for part in [self._pool.submit(cpu.CPU.begin, each, each, *of_lanes) for each in self._parts(lanes)]:
             part.result()
         self._over[lanes], self._host_s[lanes] = False, 0.0

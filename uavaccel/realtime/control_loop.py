@@ -100,7 +100,7 @@ class LoopOptions:
         if self.chunk == 1:
             return single
         if isinstance(single, spaces.Box) or (isinstance(single, spaces.Discrete) and single.start == 0):
-            return cast("spaces.Space[Any]", batch_space(single, self.chunk))
+            return batch_space(single, self.chunk)
         raise UserError(f"chunk: actions of a {type(single).__name__} do not stack; use chunk=1")
 
     def idle_action(self, single: spaces.Space[Any]) -> Action:

@@ -69,6 +69,8 @@ STYLE = """
 .clocks tr + tr td:only-child { opacity: 0.75 }
 .legend { padding-bottom: 0.6em }
 .legend span { display: inline-block; margin-right: 0.9em }
+:root { --mantine-color-dimmed: var(--mantine-color-text) !important }
+h1 { position: absolute; width: 1px; height: 1px; overflow: hidden; clip-path: inset(50%) }
 .legend i { display: inline-block; width: 1.2em; height: 0.4em; margin-right: 0.4em; vertical-align: middle;
   outline: 1px solid #888 }
 @media (max-width: 36em) {
@@ -76,6 +78,24 @@ STYLE = """
   .mantine-Paper-root:has(.clocks) { width: 100% !important; max-height: 50% !important }
   .mantine-Paper-root:has(.clocks) [style*="width: 20em"] { width: 100% !important }
 }
+"""
+# What viser's page lacks for who hears it: a heading, a landmark, and names.
+NAMES = """
+const NAMES = {
+  "[role=slider], [inputmode=decimal]": "Time, s", "img": "Camera image with its events",
+  "button[class*=close]": "Close", "button:has(svg)": "Connection and settings",
+};
+addEventListener("DOMContentLoaded", () => {
+  const header = document.body.insertAdjacentElement("afterbegin", document.createElement("header"));
+  header.appendChild(document.createElement("h1")).textContent = document.title;
+  new MutationObserver(() => {
+    document.getElementById("root").setAttribute("role", "main");
+    for (const [what, name] of Object.entries(NAMES))
+      for (const each of document.querySelectorAll(what))
+        if (!each.textContent.trim() && !each.ariaLabel) each.ariaLabel = name;
+    for (const each of document.querySelectorAll("div[aria-expanded]:not([role])")) each.setAttribute("role", "button");
+  }).observe(document.body, { childList: true, subtree: true });
+});
 """
 
 
@@ -335,9 +355,9 @@ def legend(ideal: str) -> str:
 
 
 def head_of(title: str) -> str:
-    """Return what the page's HTML has in its head: its title, the first sentence of this Markdown, and its style."""
+    """Return what the page's HTML has in its head: its title, the first sentence of this Markdown, style and names."""
     plain = re.sub("[`*]", "", title.partition(". ")[0].rstrip("."))
-    return f"<title>{html.escape(plain)} – uavaccel</title><style>{STYLE}</style>"
+    return f"<title>{html.escape(plain)} – uavaccel</title><style>{STYLE}</style><script>{NAMES}</script>"
 
 
 def chosen(menu: GuiDropdownHandle[str], known: Collection[str], otherwise: str) -> str:

@@ -57,30 +57,35 @@ class Api:
 
     def call(self, method: str, params: Sequence[object], wall_ns: int) -> Received:
         """Return a call's result, or a DeferredReply. Raises rpc.RpcError with the text for the client."""
-        handler, call = self.handlers.get(method), CALLS.get(method)
+        handler, call, count = self.handlers.get(method), CALLS.get(method), len(params)
         if handler is None or call is None:
             self.refusals.add(method, "is not known here")
-            raise rpc.unknown_method(method, len(params))
-        if not call.required <= len(params) <= call.most:
-            raise self._refused(call, rpc.wrong_arity(method, call.most, len(params)))
+            raise rpc.RpcError(f"rpclib: server could not find function '{method}' with argument count {count}.")
+        if not call.required <= count <= call.most:
+            wrong = f"Function '{method}' was called with an invalid number of arguments"
+            raise self._refused(call, f"rpclib: {wrong}. Expected: {call.most}, got: {count}")
         self.scenery.wall_ns = wall_ns
         if self.simulation.trace.enabled:
             self.simulation.note(f"handle {method}", wall_ns)
         try:
             return handler(*call.arguments(params)) if params else handler()
         except (ValueError, UserError) as error:
-            raise self._refused(call, rpc.threw(method, len(params), str(error))) from error
+            raise self._threw(call, count, str(error)) from error
         except Exception as error:  # no mistake of the client; fails this call alone, as in rpclib
             if (method, type(error)) not in self._logged:
                 self._logged.add((method, type(error)))
                 _LOG.error("%s failed", method, exc_info=error)
-            text = f"{type(error).__name__}: {error}"
-            raise self._refused(call, rpc.threw(method, len(params), text)) from error
+            raise self._threw(call, count, f"{type(error).__name__}: {error}") from error
 
-    def _refused(self, call: WireCall, error: rpc.RpcError) -> rpc.RpcError:
+    def _threw(self, call: WireCall, count: int, reason: str) -> rpc.RpcError:
+        threw = f"function '{call.name}' (called with {count} arg(s)) threw an exception"
+        return self._refused(call, f"rpclib: {threw}. The exception contained this information: {reason}.", reason)
+
+    def _refused(self, call: WireCall, text: str, reason: str = "") -> rpc.RpcError:
+        """Return the error for the client, in rpclib's words; count it if AirSim's client does not look at it."""
         if call.joined:
-            self.refusals.add(call.name, f"was refused: {error.reason}")
-        return error
+            self.refusals.add(call.name, f"was refused: {reason or text}")
+        return rpc.RpcError(text)
 
 
 OWN = "uavaccel"  # prefix of the calls that are not AirSim's

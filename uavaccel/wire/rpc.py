@@ -36,11 +36,7 @@ Call = TypeVar("Call")
 
 
 class RpcError(Exception):
-    """A failed call; its text is the client's error, `reason` the part that is not rpclib's phrase."""
-
-    def __init__(self, text: str, reason: str = "") -> None:
-        super().__init__(text)
-        self.reason = reason or text
+    """A failed call; its text is the client's error."""
 
 
 class ServerGoneError(ConnectionError):
@@ -125,27 +121,6 @@ def _pieces(packer: msgpack.Packer, value: object) -> Iterator[bytes]:
         yield packer.pack(value)
 
 
-# --- errors in the words of rpclib
-
-
-def unknown_method(method: str, count: int) -> RpcError:
-    return RpcError(f"rpclib: server could not find function '{method}' with argument count {count}.")
-
-
-def wrong_arity(method: str, expected: int, got: int) -> RpcError:
-    return RpcError(
-        f"rpclib: Function '{method}' was called with an invalid number of arguments. Expected: {expected}, got: {got}"
-    )
-
-
-def threw(method: str, count: int, message: str) -> RpcError:
-    return RpcError(
-        f"rpclib: function '{method}' (called with {count} arg(s)) threw an exception. "
-        f"The exception contained this information: {message}.",
-        reason=message,
-    )
-
-
 class Framer:
     """Cuts a client's stream into whole messages without unpacking any, so that half a message costs only its bytes.
 
@@ -165,6 +140,8 @@ class Framer:
         Raises ProtocolError if it is invalid or too long.
         """
         self._kept += data
+        if not self._kept:  # as after most requests
+            return None
         try:
             self._scanner.feed(data)
             self._scanner.skip()
