@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from contextlib import closing
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -32,14 +32,6 @@ PIXELS = SHAPE[0] * SHAPE[1]
 EXACT = replace(dvs.PRESETS["clean"], threshold_sigma=0.0)
 TIMES_S = np.array([0.0, 0.05, 0.4, 0.401, 1.0, 1.02])  # uneven
 
-NAMES = ("threshold_sigma", "cutoff_hz", "leak_rate_hz", "shot_noise_rate_hz", "refractory_s")
-V2E = {  # v2e's own settings (v2ecore/v2e_args.py; EventEmulator's constructor)
-    "constructor": (0.03, 0.0, 0.1, 0.0, 0.0),
-    "command_line": (0.03, 300.0, 0.01, 0.001, 0.0005),
-    "clean": (0.02, 0.0, 0.0, 0.0, 0.0),
-    "noisy": (0.05, 30.0, 0.1, 5.0, 0.0),
-}
-
 
 def grey(level: int) -> NDArray[np.uint8]:
     return np.full(SHAPE, level, np.uint8)
@@ -47,16 +39,6 @@ def grey(level: int) -> NDArray[np.uint8]:
 
 def lin_log(intensity: int) -> float:
     return intensity * math.log(20) / 20 if intensity <= 20 else math.log(intensity)
-
-
-def test_presets_are_v2es() -> None:
-    assert set(dvs.PRESETS) == set(V2E)
-    for name, values in V2E.items():
-        parameters = asdict(dvs.PRESETS[name])
-        assert tuple(parameters[key] for key in NAMES) == values
-        assert (parameters["positive_threshold"], parameters["negative_threshold"]) == (0.2, 0.2)
-        leaks = (parameters["leak_jitter_fraction"], parameters["leak_rate_spread_decades"])
-        assert leaks == ((0.1, 0.1) if parameters["leak_rate_hz"] else (0.0, 0.0))
 
 
 Event = tuple[float, int]

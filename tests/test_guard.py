@@ -29,7 +29,7 @@ from uavaccel.vision.perturb import (
     share_at,
 )
 
-AIRSIM = GuardSettings(accept_identical=False)
+NATIVE, AIRSIM = GuardSettings(), GuardSettings(accept_identical=False)
 
 
 def grey(level: float) -> NDArray[np.uint8]:
@@ -40,35 +40,27 @@ def camera(images: Iterable[NDArray]) -> Callable[[], NDArray]:
     return iter(images).__next__
 
 
-def test_first_image_needs_only_to_be_bright_enough() -> None:
-    assert acquire(GuardState(), camera([grey(10)])).reason is Verdict.STEADY
-    taken = acquire(GuardState(), camera([grey(9), grey(200)]))
-    assert (taken.image[0, 0, 0], taken.retries) == (200, 1)
-
-
-@pytest.mark.parametrize(("level", "verdict"), [(110, "steady"), (90, "steady"), (111, "retry"), (89, "retry")])
-def test_ten_percent_either_way_are_accepted(level: int, verdict: str) -> None:
-    assert judge(GuardState(100.0), grey(level), GuardSettings())[1] == verdict
-
-
-def test_a_perturbed_image_is_requested_again_and_the_next_accepted() -> None:
-    taken = acquire(GuardState(100.0), camera([grey(0), grey(160), grey(101)]))
-    assert (taken.image[0, 0, 0], taken.retries, taken.reason) == (101, 2, Verdict.STEADY)
-    assert taken.state.reference_brightness == pytest.approx(101.0)
-    assert taken.state.suspect is None
-
-
-def test_the_fallback_is_the_last_image_and_becomes_the_reference() -> None:
-    taken = acquire(GuardState(100.0), camera([grey(200), grey(201), grey(202), grey(203)]), AIRSIM)
-    assert (taken.image[0, 0, 0], taken.retries, taken.reason) == (203, 3, Verdict.EXHAUSTED)
-    assert acquire(taken.state, camera([grey(205)]), AIRSIM).retries == 0
-
-
-def test_identical_re_render_is_accepted_at_once_in_native_alone() -> None:
-    bright = [grey(200) for _ in range(4)]
-    native = acquire(GuardState(100.0), camera(bright))
-    assert (native.retries, native.reason) == (1, Verdict.IDENTICAL)
-    assert acquire(GuardState(100.0), camera(bright), AIRSIM).reason is Verdict.EXHAUSTED
+@pytest.mark.parametrize(
+    ("reference", "levels", "settings", "taken"),
+    [
+        (None, [10], NATIVE, (10, 0, Verdict.STEADY)),  # the first one needs only to be bright enough
+        (None, [9, 200], NATIVE, (200, 1, Verdict.STEADY)),
+        (100.0, [0, 160, 101], NATIVE, (101, 2, Verdict.STEADY)),
+        (100.0, [200, 201, 202, 203], AIRSIM, (203, 3, Verdict.EXHAUSTED)),
+        (203.0, [205], AIRSIM, (205, 0, Verdict.STEADY)),  # the fallback has become the reference
+        (100.0, [200, 200], NATIVE, (200, 1, Verdict.IDENTICAL)),
+        (100.0, [200] * 4, AIRSIM, (200, 3, Verdict.EXHAUSTED)),
+        (100.0, [200, 201, 200, 200], NATIVE, (200, 3, Verdict.IDENTICAL)),  # to the one just before alone
+        (100.0, [0], GuardSettings(max_retries=0), (0, 0, Verdict.EXHAUSTED)),
+    ],
+)
+def test_images_are_requested_until_one_is_accepted(
+    reference: float | None, levels: list[int], settings: GuardSettings, taken: tuple[int, int, Verdict]
+) -> None:
+    found = acquire(GuardState(reference), camera(map(grey, levels)), settings)
+    assert (found.image[0, 0, 0], found.retries, found.reason) == taken
+    assert found.state.reference_brightness == pytest.approx(taken[0])
+    assert (found.state.suspect, found.state.retries) == (None, 0)
 
 
 def test_a_reused_buffer_is_not_taken_for_an_identical_image() -> None:
@@ -81,26 +73,22 @@ def test_a_reused_buffer_is_not_taken_for_an_identical_image() -> None:
     assert acquire(GuardState(100.0), request).reason is Verdict.STEADY
 
 
-def test_an_image_is_identical_to_the_one_just_before_alone() -> None:
-    taken = acquire(GuardState(100.0), camera([grey(200), grey(201), grey(200), grey(200)]))
-    assert (taken.retries, taken.reason) == (3, Verdict.IDENTICAL)
+def test_an_image_of_the_same_brightness_is_not_identical() -> None:
     other = grey(200)
-    other[0, 0, 0] += 1  # of almost the same brightness
+    other[0, 0, 0] += 1
     taken = acquire(GuardState(100.0), camera([grey(200), other, grey(100)]))
     assert (taken.retries, taken.reason) == (2, Verdict.STEADY)
 
 
-def test_suspects_leave_the_reference_and_the_accepted_one_becomes_it() -> None:
-    state, verdict = judge(GuardState(100.0), grey(200), GuardSettings())
+def test_a_suspect_leaves_the_reference() -> None:
+    state, verdict = judge(GuardState(100.0), grey(200), NATIVE)
     assert (verdict, state.reference_brightness, state.retries) == (Verdict.RETRY, 100.0, 1)
-    state, verdict = judge(state, grey(200), GuardSettings())
-    assert (verdict, state.retries, state.suspect) == (Verdict.IDENTICAL, 0, None)
-    assert state.reference_brightness == pytest.approx(200.0)
 
 
 @pytest.mark.parametrize(
     ("settings", "level", "verdict"),
     [
+        *((NATIVE, level, "steady" if level in (90, 110) else "retry") for level in (89, 90, 110, 111)),
         (GuardSettings(max_change=0.5), 149, "steady"),
         (GuardSettings(max_change=0.5), 151, "retry"),
         (GuardSettings(max_change=0.5, min_brightness=60), 59, "retry"),
@@ -111,11 +99,6 @@ def test_suspects_leave_the_reference_and_the_accepted_one_becomes_it() -> None:
 def test_limits_are_relative_and_the_floor_is_absolute(settings: GuardSettings, level: int, verdict: str) -> None:
     reference = mean_brightness(grey(100))
     assert judge(GuardState(reference), grey(level), settings)[1] == verdict
-
-
-def test_without_retries_every_image_is_taken() -> None:
-    off = GuardSettings(max_retries=0)
-    assert acquire(GuardState(100.0), camera([grey(0)]), off).retries == 0
 
 
 @given(st.lists(st.integers(0, 255), min_size=1, max_size=40), st.integers(0, 4), st.booleans())
@@ -236,49 +219,26 @@ def level_image(level: int) -> np.ndarray:
     return np.full((4, 6), level, np.uint8)
 
 
-def test_the_first_image_is_taken_as_it_is_and_sets_the_aim() -> None:
-    exposure = AutoExposure()
-    assert (exposure.expose(level_image(80), 5 * S) == 80).all()
-    assert (exposure.expose(level_image(80), 9 * S) == 80).all()
-
-
-def test_an_image_counts_from_the_one_before_it() -> None:
-    """Ten a second: each goes 0.3 of a stop further."""
-    exposure = AutoExposure()
-    exposure.expose(level_image(200), 0)
-    reached = []
-    for tenth in range(1, 4):
-        exposure.expose(level_image(20), tenth * S // 10)
-        reached.append(exposure.stops)
-    assert reached == pytest.approx([0.3, 0.6, 0.9])
-
-
 @pytest.mark.parametrize(
-    ("level", "ran_s", "stops"),
+    ("seen", "stops"),  # levels and the seconds that ran before each
     [
-        (40, 0.1, 0.3),  # half as bright: one stop up at 3 stops per second
-        (40, 1.0, 1.0),  # and no further than that
-        (160, 0.1, -0.1),  # down at 1 stop per second
-        (160, 0.0, 0.0),  # a pause holds it
-        (5, 60.0, 2.0),  # 4 stops are more than there are
-        (0, 0.1, 0.3),  # night too
+        ([(80, 5), (80, 9)], 0.0),
+        ([(200, 0), (20, 0.1), (20, 0.2), (20, 0.3)], 0.9),  # each counts from the one before it
+        ([(80, 2), (40, 2.1)], 0.3),  # half as bright: one stop up at 3 stops per second
+        ([(80, 2), (40, 3)], 1.0),  # and no further than that
+        ([(80, 0), (40, 0.01)], 0.03),  # a second at 100x
+        ([(80, 2), (160, 2.1)], -0.1),  # down at 1 stop per second
+        ([(80, 2), (160, 2)], 0.0),  # a pause holds it
+        ([(80, 2), (5, 62)], 2.0),  # 4 stops are more than there are
+        ([(80, 2), (0, 2.1)], 0.3),  # night too
     ],
 )
-def test_it_follows_by_so_many_stops_per_second(level: int, ran_s: float, stops: float) -> None:
+def test_it_follows_by_so_many_stops_per_second(seen: list[tuple[int, float]], stops: float) -> None:
     exposure = AutoExposure()
-    exposure.expose(level_image(80), 2 * S)
-    image = exposure.expose(level_image(level), round((2 + ran_s) * S))
+    images = [exposure.expose(level_image(level), round(ran_s * S)) for level, ran_s in seen]
     assert exposure.stops == pytest.approx(stops)
-    assert (image == round(level * 2**stops)).all()
-
-
-def test_a_faster_clock_leaves_it_less_time() -> None:
-    """The same simulated second, at 1x and at 100x."""
-    slow, fast = AutoExposure(), AutoExposure()
-    for exposure, clock_speed in ((slow, 1), (fast, 100)):
-        exposure.expose(level_image(80), 0)
-        exposure.expose(level_image(40), S // clock_speed)
-    assert (slow.stops, fast.stops) == pytest.approx((1.0, 0.03))
+    assert (images[0] == seen[0][0]).all()
+    assert (images[-1] == round(seen[-1][0] * 2**stops)).all()
 
 
 def test_bright_pixels_saturate_and_colours_keep_their_order() -> None:

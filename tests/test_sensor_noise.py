@@ -64,15 +64,6 @@ def test_a_row_of_noise_begins_as_a_longer_one_does() -> None:
 # --- how much -----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("grey", "share"), [(0, 1 - 0.75 * 20 / 275), (255, 0.25)])
-@pytest.mark.parametrize("rate_hz", [0.5, 4.0])
-def test_shot_noise_makes_as_many_events_as_it_says(grey: int, share: float, rate_hz: float) -> None:
-    """Half of them ON, half OFF; v2e's share of intensity; a Poisson process's own scatter."""
-    seen = events_per_s(grey, 20, dvs_shot_noise_hz=rate_hz, dvs_spread_ratio=0.0)
-    for polarity in seen:
-        assert polarity.mean() == pytest.approx(rate_hz / 2 * share, rel=0.05)
-
-
 def test_leak_makes_on_events_alone() -> None:
     on, off = events_per_s(100, 10, 4.0, dvs_leak_hz=1.5, dvs_spread_ratio=0.0)
     assert not off.any()
@@ -102,12 +93,6 @@ def test_noise_is_added_to_the_presets_own(preset: Any, expected: DvsParameters)
     )  # fmt: skip
     assert astuple(task.dvs_parameters) == pytest.approx(astuple(expected))
     assert LaneTask(dvs_preset=preset).dvs_parameters == PRESETS[preset]
-
-
-def test_the_spread_of_thresholds_is_a_multiple_of_the_presets() -> None:
-    for ratio in (0.5, 3.0):
-        sensor = make_sensor(LaneTask(dvs_spread_ratio=ratio).dvs_parameters, SHAPE, 0)
-        assert sensor.positive_threshold.std() == pytest.approx(0.02 * ratio, rel=0.02)
 
 
 @pytest.mark.parametrize("shape", [SHAPE, (*SHAPE, 3)])

@@ -29,7 +29,6 @@ from uavaccel.kernels.fields import (
     LOG2_SIZE,
     PLANE,
     REPEAT,
-    SEEN_FAR_M,
     TEXTURE_ID,
     TOWARDS,
     UNIFORM,
@@ -40,7 +39,6 @@ from uavaccel.kernels.fields import (
 )  # fmt: skip
 from uavaccel.kernels.rays import Colour, cross, dot, level_of, lit, minus, sky_index, texel_index
 from uavaccel.kernels.scene import Scene, Shape, into, triple
-from uavaccel.sim.camera.pixels import luma_of
 from uavaccel.sim.parts import part
 
 Span: TypeAlias = tuple[Float, Float]
@@ -54,7 +52,6 @@ WIDER = np.float32(1.00001)  # of bounding spheres, for rounding
 CORNER = np.float32(1e-6)  # by which neighbouring triangles overlap, relative to their sides
 SKY, WHITE = np.float32(SKY_SHARE), np.int32(0xFFFFFF)
 EYE_FIELDS = 13
-LEVELS_A_M = np.float32(255.0) / SEEN_FAR_M
 NOTHING, NONE = -1, (ZERO, ZERO, ZERO)
 
 
@@ -63,12 +60,6 @@ def along(origin: Vector, direction: Vector, distance: Float) -> Vector:
     """Return the point at a distance along a ray."""
     x, y, z = origin
     return x + distance * direction[0], y + distance * direction[1], z + distance * direction[2]
-
-
-@part(error_model="numpy")
-def out_of(shape: Shape, v: Vector) -> Vector:
-    """Turn a vector from a shape's axes into the world's."""
-    return (dot(triple(shape, at.AXES), v), dot(triple(shape, at.AXES + 3), v), dot(triple(shape, at.AXES + 6), v))
 
 
 @part(error_model="numpy")
@@ -338,7 +329,8 @@ def normal_at(scene: Scene, world: int, item: int, point: Vector, direction: Vec
             normal = slope(scene, shape, p)
         elif kind != PLANE:
             normal = outwards(shape, kind, p)
-        normal = out_of(shape, normal)
+        a = at.AXES  # and back into those of the world
+        normal = dot(triple(shape, a), normal), dot(triple(shape, a + 3), normal), dot(triple(shape, a + 6), normal)
     scale = ONE / math.sqrt(max(dot(normal, normal), TINY))
     if dot(normal, direction) > ZERO:
         scale = -scale
@@ -458,22 +450,10 @@ def shade(shape: Shape, looks: Looks, normal: Vector, material: int) -> Vector:
 
 
 @part(error_model="numpy")
-def side_at(shape: Shape, point: Vector) -> tuple[int, Float]:
-    """Return the axis of the side of a box, or of a plane, at a point of it, and the side's place on the axis."""
-    if int(shape[at.KIND]) == PLANE:
-        return 2, ZERO
-    p = into(shape, minus(point, triple(shape, at.CENTRE)))
-    x, y, z = shape[at.HALF] - abs(p[0]), shape[at.HALF + 1] - abs(p[1]), shape[at.HALF + 2] - abs(p[2])
-    axis = 0 if x < y and x < z else (1 if y < z else 2)
-    half = shape[at.HALF + axis]
-    return axis, half if p[axis] > ZERO else -half
-
-
-@part(error_model="numpy")
 def texels_at(
     shape: Shape, looks: Looks, material: int, side: tuple[int, Float], eye: Eye, pixel: tuple[int, int], size: Any
 ) -> Span:
-    """Return where a pixel's ray meets the plane of a side, in texels of level 0 (kernels/faces.put_texture)."""
+    """Return where a pixel's ray meets the plane of a side (axis, place), in texels of level 0 (kernels/faces)."""
     (axis, place), (origin, axes, _) = side, eye
     ray, _ = ray_through(looks.camera, axes, pixel[0], pixel[1], size[0], size[1])
     p, d = into(shape, minus(origin, triple(shape, at.CENTRE))), into(shape, ray)
@@ -498,7 +478,12 @@ def coordinate(material: Shape, place: int, uniform: Float, half: Float, found: 
 @part(error_model="numpy")
 def texel_of(shape: Shape, looks: Looks, material: int, point: Vector, eye: Eye, pixel: Any, size: Any) -> Any:
     """Return the texel of a pixel, row and column, that shows a point of a plane or box; its quad has one level."""
-    side, (row, column) = side_at(shape, point), pixel
+    side, (row, column) = (2, ZERO), pixel
+    if int(shape[at.KIND]) != PLANE:
+        p = into(shape, minus(point, triple(shape, at.CENTRE)))
+        x, y, z = shape[at.HALF] - abs(p[0]), shape[at.HALF + 1] - abs(p[1]), shape[at.HALF + 2] - abs(p[2])
+        axis = 0 if x < y and x < z else (1 if y < z else 2)
+        side = axis, shape[at.HALF + axis] if p[axis] > ZERO else -shape[at.HALF + axis]
     texture = int(looks.materials[material, TEXTURE_ID])
     u, v = texels_at(shape, looks, material, side, eye, (row, column), size)
     u0, v0 = texels_at(shape, looks, material, side, eye, (row | 1, column & ~1), size)
@@ -531,16 +516,3 @@ def colour_at(scene: Scene, world: int, looks: Looks, eye: Eye, row: int, column
     ray, _ = ray_of(looks.camera, axes, row, column, size[0], size[1])
     met = first_met(scene, world, origin, ray, far_m * SKY)
     return colour_of(scene, world, looks, eye, (row, column), size, ray, met)
-
-
-@part(error_model="numpy")
-def gray_at(scene: Scene, world: int, looks: Looks, eye: Eye, row: int, column: int, size: tuple[int, int]) -> Any:
-    """Return a pixel's luma (0 to 255)."""
-    red, green, blue = colour_at(scene, world, looks, eye, row, column, size)
-    return luma_of(red, green, blue)
-
-
-@part(error_model="numpy")
-def depth_level(total: Float, number: int) -> int:
-    """Return the level of a depth frame's pixel from the sum of `number` depths; SEEN_FAR_M is 255."""
-    return round(total / np.float32(number) * LEVELS_A_M)

@@ -68,27 +68,20 @@ def put_in_both(rows: Any, number: int, scene: Scene, seen: Scene, world: int) -
             seen.shapes[world, shape, field] = scene.shapes[world, shape, field]
 
 
-@part(inline=False)
-def put_world(rows: Any, scene: Scene, seen: Scene, world: int) -> None:
-    """Write a layout (n, CLUTTER_FIELDS) into a world of a scene to touch, and if there are any, of one to see."""
-    for number in range(len(rows)):
-        put_in_both(rows, number, scene, seen, world)
-    list_shapes(scene, world)
-
-
 def _compile(stamp: int) -> Any:
     """Compile the entry point, or load it from numba's cache; `stamp` as in kernels/pictures."""
 
     @njit(cache=True, nogil=True)
     def put(rows, scene, seen, world):  # type: ignore[no-untyped-def]
-        if stamp:
-            put_world(rows, scene, seen, world)
+        for number in range(len(rows) * (stamp != 0)):
+            put_in_both(rows, number, scene, seen, world)
+        list_shapes(scene, world)
 
     return put
 
 
 put_clutter = _compile(sources(__name__))
-"""`put_clutter(rows, scene, seen, world)` does as `put_world`, called from Python."""
+"""`put_clutter(rows, scene, seen, world)` writes a layout (n, CLUTTER_FIELDS) into worlds to touch and to see."""
 
 
 # Numbers of a distribution, float64.

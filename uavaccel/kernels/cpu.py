@@ -25,6 +25,7 @@ from uavaccel.kernels.lanes import (
 )  # fmt: skip
 from uavaccel.kernels.pictures import make_scratch
 from uavaccel.kernels.timeline import Clocks, Command
+from uavaccel.sim.camera.pixels import luma_of
 from uavaccel.sim.parts import part
 from uavaccel.sim.vehicle.hotloop import sources
 from uavaccel.vision import dvs_kernels as dvs
@@ -129,7 +130,8 @@ def gray_in_scene(lane: int, looks: Looks, games: Games, now: Flights, scratch: 
     world, eye = casting.seen_by(lane, looks, games, now)
     for row in range(out.shape[0]):
         for column in range(out.shape[1]):
-            out[row, column] = casting.gray_at(games.scenes, world, looks, eye, row, column, out.shape)
+            red, green, blue = casting.colour_at(games.scenes, world, looks, eye, row, column, out.shape)
+            out[row, column] = luma_of(red, green, blue)
     scratch.bright[0] = out.mean()
 
 

@@ -62,30 +62,28 @@ def mask_of(threads):  # type: ignore[no-untyped-def]
 
 @overload(least_of_all)
 def _least_of_all(distance_m, threads):  # type: ignore[no-untyped-def]
-    return _shuffled_least
+    def shuffled(distance_m, threads):  # type: ignore[no-untyped-def]
+        mask, distance = mask_of(threads), threads // 2
+        while distance > 0:
+            distance_m = min(distance_m, cuda.shfl_xor_sync(mask, distance_m, distance))
+            distance //= 2
+        return distance_m
+
+    return shuffled
 
 
 @overload(deepest_of_all)
 def _deepest_of_all(found, depth_m, threads):  # type: ignore[no-untyped-def]
-    return _shuffled_deepest
+    def shuffled(found, depth_m, threads):  # type: ignore[no-untyped-def]
+        mask, distance = mask_of(threads), threads // 2
+        while distance > 0:
+            other, depth = (cuda.shfl_xor_sync(mask, found, distance), cuda.shfl_xor_sync(mask, depth_m, distance))
+            if depth < depth_m or (depth == depth_m and other > found):
+                found, depth_m = other, depth
+            distance //= 2
+        return found
 
-
-def _shuffled_least(distance_m, threads):  # type: ignore[no-untyped-def]
-    mask, distance = mask_of(threads), threads // 2
-    while distance > 0:
-        distance_m = min(distance_m, cuda.shfl_xor_sync(mask, distance_m, distance))
-        distance //= 2
-    return distance_m
-
-
-def _shuffled_deepest(found, depth_m, threads):  # type: ignore[no-untyped-def]
-    mask, distance = mask_of(threads), threads // 2
-    while distance > 0:
-        other, depth = (cuda.shfl_xor_sync(mask, found, distance), cuda.shfl_xor_sync(mask, depth_m, distance))
-        if depth < depth_m or (depth == depth_m and other > found):
-            found, depth_m = other, depth
-        distance //= 2
-    return found
+    return shuffled
 
 
 for _function, _chosen in touching.BY_TYPE:

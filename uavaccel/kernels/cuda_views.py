@@ -49,6 +49,7 @@ DEALING_THREADS = 128  # of a world of clutter, or of what a camera may see
 STEP_ENDS = tiles.STEPS + 1
 BOX_SLOTS, CYLINDER_SLOTS = 3, 6  # largest number of rows that a solid fills (kernels/faces)
 SLOTS = 1 + CYLINDER_SLOTS * at.SOLIDS
+LEVELS_A_M = np.float32(255.0) / at.SEEN_FAR_M
 
 
 def _signed_count(log, base, positive, negative):  # type: ignore[no-untyped-def]
@@ -487,7 +488,8 @@ def cast_depth(going, side, looks, games, now, sight, frames):  # type: ignore[n
         ray, scale = casting.ray_of(looks.camera, axes, y, x, rows, columns)
         far_m = far_m / scale if y < rows and x < columns else -ONE
         met = first_met(scene, world_of(scene, now.game[lane]), sight, lane, (y, x), origin, ray, far_m)
-        level = casting.depth_level(summed(min(met[0] * scale, at.SEEN_FAR_M), side), side * side)
+        depths = summed(min(met[0] * scale, at.SEEN_FAR_M), side)
+        level = round(depths / np.float32(side * side) * LEVELS_A_M)
     if (y | x) & (side - 1) == 0 and y < rows and x < columns:
         frames[lane, 0, divided(y, side), divided(x, side)] = level
 

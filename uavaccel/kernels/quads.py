@@ -247,20 +247,11 @@ def face_lumas(faces: Faces, face: Operand, texels: Texels, textures: Textures, 
 
 
 @njit(error_model="numpy")
-def sky_texel(faces: Faces, x: Float, y: Float, base: Integer, size: Integer) -> Integer:
-    """Return the index of a pixel's texel in the sky."""
-    return sky_index(
-        linear(faces, I0, at.RAYS, x, y),
-        linear(faces, I0, at.RAYS + 3, x, y),
-        linear(faces, I0, at.RAYS + 6, x, y),
-        base,
-        size,
-    )
-
-
-@njit(error_model="numpy")
-def plain_luma(texel: Integer) -> Integer:
-    """Return the luma of an unlit texel."""
+def sky_luma(faces: Faces, x: Float, y: Float, texels: Texels, base: Integer, size: Integer) -> Integer:
+    """Return the luma of a pixel's unlit texel in the sky."""
+    across, along = linear(faces, I0, at.RAYS, x, y), linear(faces, I0, at.RAYS + 3, x, y)
+    index = sky_index(across, along, linear(faces, I0, at.RAYS + 6, x, y), base, size)
+    texel = np.int32(texels[np.uint32(index)])
     red, green = np.int32(texel & BYTE), np.int32(np.int32(texel >> I8) & BYTE)
     return luma_of(red, green, np.int32(np.int32(texel >> I16) & BYTE))
 
@@ -270,11 +261,12 @@ def sky_lumas(faces: Faces, texels: Texels, textures: Textures, row: Integer, co
     """Return the luma of a quad's pixels in the sky."""
     x, y = np.float32(column), np.float32(row)
     base, size = textures[0, at.BASE], textures[0, at.LOG2_SIZE]
-    t00 = texels[np.uint32(sky_texel(faces, x, y, base, size))]
-    t01 = texels[np.uint32(sky_texel(faces, x + ONE, y, base, size))]
-    t10 = texels[np.uint32(sky_texel(faces, x, y + ONE, base, size))]
-    t11 = texels[np.uint32(sky_texel(faces, x + ONE, y + ONE, base, size))]
-    return (plain_luma(np.int32(t00)), plain_luma(np.int32(t01)), plain_luma(np.int32(t10)), plain_luma(np.int32(t11)))
+    return (
+        sky_luma(faces, x, y, texels, base, size),
+        sky_luma(faces, x + ONE, y, texels, base, size),
+        sky_luma(faces, x, y + ONE, texels, base, size),
+        sky_luma(faces, x + ONE, y + ONE, texels, base, size),
+    )
 
 
 @njit(error_model="numpy")

@@ -135,35 +135,23 @@ def sky_index(x: Float, y: Float, z: Float, base: Integer, log2_size: Integer) -
 
 
 @part(error_model="numpy")
-def quad_level(faces: Faces, face: Integer, textures: Textures, row: int, column: int) -> Integer:
-    """Return a face's mipmap level in the quad of a pixel."""
-    x, y = np.float32(column & ~1), np.float32(row | 1)
-    u, v = texels_at(faces, face, x, y)
-    u_x, v_x = texels_at(faces, face, x + ONE, y)
-    u_y, v_y = texels_at(faces, face, x, y - ONE)
-    last = textures[int(faces[face, at.TEXTURE]), at.LOG2_SIZE]
-    return level_of(u_x - u, v_x - v, u_y - u, v_y - v, last)
-
-
-@part(error_model="numpy")
-def sky_colour(faces: Faces, texels: Texels, textures: Textures, row: int, column: int) -> Colour:
-    """Return red, green and blue (0 to 255) of a pixel that shows the sky."""
+def colour_of(faces: Faces, face: Integer, texels: Texels, textures: Textures, row: int, column: int) -> Colour:
+    """Return red, green and blue (0 to 255) of a pixel that shows `face`, or the sky if that is 0."""
     x, y = np.float32(column), np.float32(row)
-    ray_x, ray_y = linear(faces, 0, at.RAYS, x, y), linear(faces, 0, at.RAYS + 3, x, y)
-    ray_z = linear(faces, 0, at.RAYS + 6, x, y)
-    index = sky_index(ray_x, ray_y, ray_z, textures[0, at.BASE], textures[0, at.LOG2_SIZE])
-    return lit(np.int32(texels[np.uint32(index)]), ONE, ONE, ONE)
-
-
-@part(error_model="numpy")
-def face_colour(
-    faces: Faces, face: Integer, level: Integer, texels: Texels, textures: Textures, row: int, column: int
-) -> Colour:
-    """Return red, green and blue (0 to 255) of a pixel that shows a face, from a mipmap level."""
-    x, y = np.float32(column), np.float32(row)
+    if face == 0:
+        ray_x, ray_y = linear(faces, 0, at.RAYS, x, y), linear(faces, 0, at.RAYS + 3, x, y)
+        ray_z = linear(faces, 0, at.RAYS + 6, x, y)
+        index = sky_index(ray_x, ray_y, ray_z, textures[0, at.BASE], textures[0, at.LOG2_SIZE])
+        return lit(np.int32(texels[np.uint32(index)]), ONE, ONE, ONE)
     texture = int(faces[face, at.TEXTURE])
+    base, size = textures[texture, at.BASE], textures[texture, at.LOG2_SIZE]
+    left, lower = np.float32(column & ~1), np.float32(row | 1)  # the quad's reference pixel
+    u0, v0 = texels_at(faces, face, left, lower)
+    u_x, v_x = texels_at(faces, face, left + ONE, lower)
+    u_y, v_y = texels_at(faces, face, left, lower - ONE)
+    level = level_of(u_x - u0, v_x - v0, u_y - u0, v_y - v0, size)
     u, v = texels_at(faces, face, x, y)
-    index = texel_index(u, v, level, textures[texture, at.BASE], textures[texture, at.LOG2_SIZE])
+    index = texel_index(u, v, level, base, size)
     along = linear(faces, face, at.ACROSS, x, y) / max(linear(faces, face, at.W, x, y), SHORTEST_W)
     return lit(
         np.int32(texels[np.uint32(index)]),
@@ -171,11 +159,3 @@ def face_colour(
         faces[face, at.COLOUR + 1] + faces[face, at.SLOPE + 1] * along,
         faces[face, at.COLOUR + 2] + faces[face, at.SLOPE + 2] * along,
     )
-
-
-@part(error_model="numpy")
-def colour_of(faces: Faces, face: Integer, texels: Texels, textures: Textures, row: int, column: int) -> Colour:
-    """Return red, green and blue (0 to 255) of a pixel that shows `face`, or the sky if that is 0."""
-    if face == 0:
-        return sky_colour(faces, texels, textures, row, column)
-    return face_colour(faces, face, quad_level(faces, face, textures, row, column), texels, textures, row, column)

@@ -202,25 +202,15 @@ def list_shapes(scene: Scene, world: int) -> int:
     needed = 0
     for shape in range(loose, shapes):
         needed += visit(scene, world, shape, False)
-    if not begin_cells(scene, world):
+    before, fits = 0, needed <= scene.items.shape[1]
+    for cell in range(len(start)):  # counts of shapes become the ends of cells
+        before += start[cell] if cell < len(start) - 1 else 0
+        start[cell] = before if fits else 0
+    if not fits:
         return needed
     for shape in range(shapes - 1, loose - 1, -1):
         visit(scene, world, shape, True)
     return needed
-
-
-@part(error_model="numpy")
-def begin_cells(scene: Scene, world: int) -> bool:
-    """Turn counts of shapes into the ends of cells; return whether all fit, else leave the cells empty."""
-    start, before = scene.start[world], 0
-    for cell in range(len(start) - 1):
-        before += start[cell]
-        start[cell] = before
-    start[len(start) - 1] = before
-    fits = before <= scene.items.shape[1]
-    for cell in range(0 if fits else len(start)):
-        start[cell] = 0
-    return bool(fits)
 
 
 @part(error_model="numpy")

@@ -288,14 +288,6 @@ def nearest_shape(scene: Scene, world: int, place: Any, share: Share) -> float:
 
 
 @part(error_model="numpy")
-def hull_of(shape: Shape, place: Any, radius_m: float, half_m: float) -> Hull:
-    """Return a hull at a pose (7,) in a shape's axes."""
-    w, i, j, k = place[3], place[4], place[5], place[6]
-    ax, ay, az = 2 * (i * k + w * j), 2 * (j * k - w * i), w * w - i * i - j * j + k * k
-    return seen_from(shape, place), into(shape, (ax, ay, az)), radius_m, half_m
-
-
-@part(error_model="numpy")
 def reach_of(hull: Hull, axis: int) -> float:
     """Return a hull's reach from its centre along an axis of the shape."""
     tilt = hull[1][axis]
@@ -341,7 +333,9 @@ def gap(scene: Scene, shape: Shape, hull: Hull, near_m: float, far_m: float) -> 
 @part(inline=False, error_model="numpy")
 def depth_in(scene: Scene, shape: Shape, place: Any, radius_m: float, half_m: float) -> float:
     """Return a negative number if a hull at a pose (7,) meets a shape, the lower the deeper, else inf."""
-    hull = hull_of(shape, place, radius_m, half_m)
+    w, i, j, k = place[3], place[4], place[5], place[6]
+    axis = 2 * (i * k + w * j), 2 * (j * k - w * i), w * w - i * i - j * j + k * k
+    hull = seen_from(shape, place), into(shape, axis), radius_m, half_m
     x, y, z = hull[0]
     reach_m = math.sqrt(radius_m * radius_m + half_m * half_m) + shape[at.BOUND]
     if x * x + y * y + z * z > reach_m * reach_m:

@@ -64,15 +64,6 @@ def sampled_ns(latencies: Latencies, table: int, share: float) -> int:
 
 
 @part
-def fault_ns(latencies: Latencies, share: float) -> int:
-    """Return the delay of a message by faults, at a cumulative probability `share`."""
-    place = 0
-    while place < 3 and share >= latencies.faults[place]:
-        place += 1
-    return int(latencies.delays_ns[place])
-
-
-@part
 def wait_class(latencies: Latencies, wait_ns: int) -> int:
     """Return the class of tables to use after a command or continue-for that took `wait_ns`."""
     place = 0
@@ -192,7 +183,10 @@ def message(row: Operand, scale: float, timing: Timing, direction: int, channel:
     spent = round(spent * scale)
     if timing.rules[FAULTS]:
         row[SAMPLED] += 1
-        spent += fault_ns(timing.latencies, uniform(row[SEED], row[SAMPLED]))
+        share, place = uniform(row[SEED], row[SAMPLED]), 0
+        while place < 3 and share >= timing.latencies.faults[place]:
+            place += 1
+        spent += timing.latencies.delays_ns[place]
     return spent
 
 
@@ -461,32 +455,26 @@ def wait(row: Operand, scale: float, timing: Timing, duration_ns: int) -> int:
 
 @part
 def reach(row: Operand, scale: float, timing: Timing, sample: int) -> int:
-    """Wait for a command's next sample and return its tick; `LAST` is then 1 if none follows."""
+    """Wait for a command's next sample and return its tick; `LAST` is then 1 if none follows.
+
+    ADSC waits until the sample is due, or the command's end is known, and then pauses.
+    """
+    last = sample == timing.slices_ns.shape[0] - 1
     if timing.rules[IS_ADSC]:
-        reach_adsc(row, scale, timing, sample)
+        deadline = NEVER if last else row[ISSUED] + row[PAUSED_NS] + timing.offsets_ns[sample]
+        row[LAST] = 1 if join(row, scale, timing, deadline) or last else 0
+        row[PAUSED_AT] = row[NOW]
+        call_pause(row, scale, timing)
+        call(row, scale, timing, STATE)
     else:
         row[DUE] += timing.slices_ns[sample]
         left = row[DUE] - row[TICK] * timing.rules[TICK_NS]
         while left > timing.rules[T_TH_NS]:
             wait(row, scale, timing, left)
             left = row[DUE] - row[TICK] * timing.rules[TICK_NS]
-        row[LAST] = 1 if sample == timing.slices_ns.shape[0] - 1 else 0
+        row[LAST] = 1 if last else 0
     call(row, scale, timing, CALL)  # the client asks for collisions
     return int(row[TICK])
-
-
-@part
-def reach_adsc(row: Operand, scale: float, timing: Timing, sample: int) -> None:
-    """Wait until the sample is due, or the command's end is known; then pause."""
-    row[LAST] = 1
-    if sample < timing.slices_ns.shape[0] - 1:
-        deadline = row[ISSUED] + row[PAUSED_NS] + timing.offsets_ns[sample]
-        row[LAST] = 1 if join(row, scale, timing, deadline) else 0
-    else:
-        join(row, scale, timing, NEVER)
-    row[PAUSED_AT] = row[NOW]
-    call_pause(row, scale, timing)
-    call(row, scale, timing, STATE)
 
 
 @part

@@ -6,12 +6,12 @@ of TorchRL's environments, in plain dictionaries of tensors, and `vec_env` that 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import torch as th
 
+from uavaccel.envs.arrays import assign, assign_where, mapped, select
 from uavaccel.envs.batch import TurnBatch
 from uavaccel.resources import require
 
@@ -49,32 +49,17 @@ class TensorLoop:
         seen, rewards, terminated, truncated, infos = self.batch.step(
             action if self.device.type == "cuda" else np.asarray(action)
         )
-        now = self._tensors(seen)
-        lost, cut = (th.as_tensor(each, device=self.device) for each in (terminated, truncated))
-        over = lost | cut
-        after = self._with_last(now, infos, over) if bool(over.any()) else now
-        reward = th.as_tensor(rewards, device=self.device).float()
-        told = {"reward": reward, "terminated": lost, "truncated": cut, "done": over}
+        now, lost, cut = self._tensors(seen), self._tensors(terminated), self._tensors(truncated)
+        over, after = lost | cut, now
+        if bool(over.any()):
+            after, last = mapped(th.clone, now), infos["final_obs"]
+            if self.device.type == "cuda":
+                assign_where(after, over, last)
+            for slot in th.nonzero(over)[:, 0].tolist() if self.device.type != "cuda" else ():
+                assign(after, slot, self._tensors(select(last, slot)))
+        told = {"reward": self._tensors(rewards).float(), "terminated": lost, "truncated": cut, "done": over}
         flown = {**data, "next": {"observation": after, **{name: each[:, None] for name, each in told.items()}}}
         return flown, {"observation": now}
 
-    def _tensors(self, observations: Any) -> Any:
-        if isinstance(observations, Mapping):
-            return {name: self._tensors(part) for name, part in observations.items()}
-        return th.as_tensor(observations, device=self.device)
-
-    def _with_last(self, now: Any, infos: Any, over: th.Tensor) -> Any:
-        """Return the observations, those of ended games replaced by their last."""
-        last = infos["final_obs"]
-        if isinstance(now, Mapping):
-            parts = {name: [each and each[name] for each in last] for name in now}
-            return {name: self._replaced(part, parts[name], over) for name, part in now.items()}
-        return self._replaced(now, last, over)
-
-    def _replaced(self, now: th.Tensor, last: Any, over: th.Tensor) -> th.Tensor:
-        if isinstance(last, th.Tensor):
-            return th.where(over.view(-1, *(1,) * (now.ndim - 1)), last, now)
-        after = now.clone()
-        for slot in th.nonzero(over)[:, 0].tolist():
-            after[slot] = th.as_tensor(last[slot])
-        return after
+    def _tensors(self, arrays: Any) -> Any:
+        return mapped(lambda part: th.as_tensor(part, device=self.device), arrays)

@@ -70,28 +70,24 @@ def baseline_class(name: str) -> type[BaseAlgorithm]:
     return found
 
 
-def policy_name(config: LearnerConfig) -> str:
-    """Return the name of the policy that fits the observations."""
-    return "MlpPolicy" if config.task.observation == "state" else "CnnPolicy"
-
-
-def policy_keywords(config: LearnerConfig) -> dict[str, object]:
-    """Return the keywords that make the policy the configured network."""
-    keywords: dict[str, object] = {"net_arch": list(config.hidden)}
-    if config.task.observation != "state":
-        keywords |= {
-            "normalize_images": False,  # the network reads grey levels
-            "features_extractor_class": Sb3Features,
-            "features_extractor_kwargs": {"channels": list(config.channels)},
-        }
-    return keywords
+def policy_of(config: LearnerConfig) -> tuple[str, dict[str, object]]:
+    """Return the name of the policy that fits the observations, and the keywords that make its network."""
+    if config.task.observation == "state":
+        return "MlpPolicy", {"net_arch": list(config.hidden)}
+    return "CnnPolicy", {
+        "net_arch": list(config.hidden),
+        "normalize_images": False,  # the network reads grey levels
+        "features_extractor_class": Sb3Features,
+        "features_extractor_kwargs": {"channels": list(config.channels)},
+    }
 
 
 def make_baseline_policy(config: LearnerConfig) -> BasePolicy:
     """Make an untrained policy, without an optimizer."""
-    make: Callable[..., BasePolicy] = baseline_class(config.algorithm).policy_aliases[policy_name(config)]
+    name, keywords = policy_of(config)
+    make: Callable[..., BasePolicy] = baseline_class(config.algorithm).policy_aliases[name]
     space, actions = config.task.observation_space(), config.task.action_space()
-    return make(space, actions, lambda _: 0.0, **policy_keywords(config) | {"optimizer_class": NoOptimizer})
+    return make(space, actions, lambda _: 0.0, **keywords | {"optimizer_class": NoOptimizer})
 
 
 def greedy(policy: BasePolicy, observations: Frame) -> NDArray[np.int64]:
@@ -243,15 +239,10 @@ class Baseline(Learner):
             keywords = {"train_freq": steps, "gradient_steps": gradient_steps, **keywords}
         if (rate := keywords.get("learning_rate")) is not None:
             keywords["learning_rate"] = partial(falling, float(rate), config.final_learning_rate_share)
-        layout = policy_keywords(config)
+        name, layout = policy_of(config)
         try:
             algorithm: BaseAlgorithm = scheduled(
-                policy_name(config),
-                self.vector,
-                policy_kwargs=layout,
-                seed=config.seed,
-                device=config.device,
-                **keywords,
+                name, self.vector, policy_kwargs=layout, seed=config.seed, device=config.device, **keywords
             )
         except (TypeError, ValueError, AssertionError) as error:
             raise UserError(f"options of {config.algorithm}: {error}") from error

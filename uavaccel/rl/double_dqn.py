@@ -239,15 +239,12 @@ class HostDQN(DoubleDQN):
             if "final_obs" in info:  # `seen` is the next game's first observation
                 assign(self._after, lane, info["final_obs"])
         if group == len(self.groups) - 1 and self.games < self.config.games:
-            self._store()
+            columns = (self._before, self._acted, self._after, self._rewards, self._terminated, self._truncated)
+            before, actions, after, reward, lost, cut = mapped(self._on_device, columns)
+            self.replay.start_round(before, actions)
+            self.replay.end_round(reward, lost, cut & ~lost, th.ones_like(lost), after)
             self._schedule()
         return games
-
-    def _store(self) -> None:
-        columns = (self._before, self._acted, self._after, self._rewards, self._terminated, self._truncated)
-        before, actions, after, rewards, terminated, truncated = mapped(self._on_device, columns)
-        self.replay.start_round(before, actions)
-        self.replay.end_round(rewards, terminated, truncated & ~terminated, th.ones_like(terminated), after)
 
     def _schedule(self) -> None:
         options, remaining = self.options, 1.0 - self.games / self.config.games
@@ -267,7 +264,10 @@ class HostDQN(DoubleDQN):
         """Take an equal part of the pending gradient steps, so that they are done before the next ones are due."""
         if self.owed and not self._parts:
             self._flights_left = self._rhythm[0] * len(self.groups)
-            self._parts.extend(self._parts_of(self.owed, self._flights_left))
+            self._parts.extend([self._prepare_batch, self._step] * self.owed)
+            if self.device.type == "cuda":  # where they are short, many to a part
+                shares = np.diff(np.linspace(0, self.owed, self._flights_left + 1).round().astype(int))
+                self._parts = deque(partial(self._steps_at_once, int(share)) for share in shares)
         if not self._parts:
             return
         with self.stopwatch.phase("learning"):
@@ -276,13 +276,6 @@ class HostDQN(DoubleDQN):
         self._flights_left -= 1
         if not self._parts:
             self.owed = 0
-
-    def _parts_of(self, steps: int, flights: int) -> list[Callable[[], None]]:
-        """Divide gradient steps into parts of about equal duration; on a GPU, where they are short, many to a part."""
-        if self.device.type != "cuda":
-            return [self._prepare_batch, self._step] * steps
-        shares = np.diff(np.linspace(0, steps, flights + 1).round().astype(int))
-        return [partial(self._steps_at_once, int(share)) for share in shares]
 
     def _sample(self, batches: int = 1) -> Windows:
         """Draw the windows of so many batches, half of each mirrored."""

@@ -73,8 +73,9 @@ def mean_brightness(image: Image) -> float:
 
 def judge(state: GuardState, image: Image, settings: GuardSettings) -> tuple[GuardState, Verdict]:
     """Return the new state and the verdict for a received image, without side effects; stored images are copies."""
-    brightness = mean_brightness(image)
-    if not _is_suspect(brightness, state.reference_brightness, settings):
+    brightness, reference = mean_brightness(image), state.reference_brightness
+    steady = reference is None or abs(brightness - reference) <= settings.max_change * reference
+    if steady and brightness >= settings.min_brightness:
         return GuardState(brightness), Verdict.STEADY
     if settings.accept_identical and state.suspect is not None and np.array_equal(image, state.suspect):
         return GuardState(brightness), Verdict.IDENTICAL
@@ -93,9 +94,3 @@ def acquire(
         state, verdict = judge(state, image, settings)
         if verdict is not Verdict.RETRY:
             return Acquisition(image, state, retries, verdict)
-
-
-def _is_suspect(brightness: float, reference: float | None, settings: GuardSettings) -> bool:
-    if brightness < settings.min_brightness:
-        return True
-    return reference is not None and abs(brightness - reference) > settings.max_change * reference

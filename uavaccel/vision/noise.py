@@ -7,7 +7,9 @@ threads and on a GPU. A block is four pixels in a row.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -87,18 +89,16 @@ def fill_normal(out: NDArray[np.float32], seed: Word, frame: Word, stream: int) 
             out[first + place] = four[place]
 
 
-def uniform(shape: tuple[int, ...], seed: int, frame: int, stream: int) -> NDArray[np.float32]:
-    """Return an array of uniform numbers in [0, 1); `seed` and `frame` are below 2**64."""
-    out = np.empty(shape, np.float32)
-    fill_uniform(out.ravel(), np.uint64(seed), np.uint64(frame), stream)
+def _filled(
+    fill: Callable[[NDArray[np.float32], Word, Word, int], None], shape: tuple[int, ...], *of: int
+) -> NDArray[np.float32]:
+    """Return an array of random numbers of a seed, a frame, both below 2**64, and a stream."""
+    out, (seed, frame, stream) = np.empty(shape, np.float32), of
+    fill(out.ravel(), np.uint64(seed), np.uint64(frame), stream)
     return out
 
 
-def normal(shape: tuple[int, ...], seed: int, frame: int, stream: int) -> NDArray[np.float32]:
-    """Return an array of standard normal numbers; `seed` and `frame` are below 2**64."""
-    out = np.empty(shape, np.float32)
-    fill_normal(out.ravel(), np.uint64(seed), np.uint64(frame), stream)
-    return out
+uniform, normal = partial(_filled, fill_uniform), partial(_filled, fill_normal)
 
 
 Image = NDArray[np.uint8]

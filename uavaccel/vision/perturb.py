@@ -92,35 +92,17 @@ def perturb(image: Image, kind: PerturbationKind, rng: np.random.Generator) -> I
     """Return a perturbed copy of a uint8 image (H, W, 3)."""
     if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 3:
         raise ValueError(f"an image must be uint8 (H, W, 3), not {image.dtype} of {image.shape}")
-    return _PERTURB[kind](image, rng)
-
-
-def _salt_and_pepper(image: Image, rng: np.random.Generator) -> Image:
+    if kind is PerturbationKind.EMPTY:
+        return np.zeros_like(image)
+    if kind is PerturbationKind.COLOURS:
+        return np.ascontiguousarray(image[:, :, CHANNEL_ORDERS[rng.integers(len(CHANNEL_ORDERS))]])
+    if kind is PerturbationKind.BRIGHTNESS:
+        gain = rng.uniform(*(DARKER if rng.random() < 0.5 else BRIGHTER))
+        return np.clip(np.round(image * gain), 0, 255).astype(np.uint8)
     noisy, draw = image.copy(), rng.random(image.shape[:2])
     noisy[draw < NOISY_PIXELS / 2] = 0
     noisy[draw > 1 - NOISY_PIXELS / 2] = 255
     return noisy
-
-
-def _brightness(image: Image, rng: np.random.Generator) -> Image:
-    gain = rng.uniform(*(DARKER if rng.random() < 0.5 else BRIGHTER))
-    return np.clip(np.round(image * gain), 0, 255).astype(np.uint8)
-
-
-def _colours(image: Image, rng: np.random.Generator) -> Image:
-    return np.ascontiguousarray(image[:, :, CHANNEL_ORDERS[rng.integers(len(CHANNEL_ORDERS))]])
-
-
-def _empty(image: Image, rng: np.random.Generator) -> Image:
-    return np.zeros_like(image)
-
-
-_PERTURB = {
-    PerturbationKind.SALT_AND_PEPPER: _salt_and_pepper,
-    PerturbationKind.BRIGHTNESS: _brightness,
-    PerturbationKind.COLOURS: _colours,
-    PerturbationKind.EMPTY: _empty,
-}
 
 
 class AutoExposure:
