@@ -57,7 +57,7 @@ def test_interrupted_twice_and_ended_in_parallel_it_has_equal_bytes(
             raise KeyboardInterrupt
         append(self, row, on_disk)
 
-    flew = []
+    flew: list[Any] = []
     for left[0] in (20, 32):
         with monkeypatch.context() as patch:
             patch.setattr(RunDirectory, "append_row", interrupted)

@@ -321,7 +321,7 @@ def test_a_training_goes_on_from_another_ones_weights(lockstep: RunDirectory) ->
     assert all(th.equal(weights[name], each) for name, each in started.policy.q_net_target.state_dict().items())
     assert not all(th.equal(weights[name], each) for name, each in first.policy.q_net.state_dict().items())
     shape = environment.single_observation_space.shape or ()
-    seen = np.random.default_rng(0).integers(0, 256, (64, *shape), dtype=np.uint8)
+    seen: Any = np.random.default_rng(0).integers(0, 256, (64, *shape), dtype=np.uint8)
     at_first = {learner: learner._decide(seen) for learner in (first, started)}
     greedy = {each: each.policy.values(th.from_numpy(seen)).argmax(1).numpy() for each in (first, started)}
     assert np.array_equal(at_first[started], greedy[started]), "it flies before it learns"

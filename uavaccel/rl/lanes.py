@@ -42,11 +42,11 @@ class LanesHere(TurnBatch):
     def step_wait(self, slots: Sequence[int] | None = None) -> Steps:
         steps = []
         for slot in self._all(slots):
-            seen, reward, terminated, truncated, info = self._environments[slot].step(self._actions.pop(slot))
+            seen, *flown, info = self._environments[slot].step(self._actions.pop(slot))
             self._seen[slot] = seen
-            if terminated or truncated:
+            if flown[1] or flown[2]:
                 info = self._begin(slot) | {"final_info": info, "final_obs": seen}
-            steps.append((reward, terminated, truncated, info))
+            steps.append((*flown, info))
         rewards, terminated, truncated, infos = zip(*steps, strict=True)
         ended = np.array(rewards, float), np.array(terminated, bool), np.array(truncated, bool)
         return stacked_observations([self._seen[slot] for slot in self._all(slots)]), *ended, list(infos)

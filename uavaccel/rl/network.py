@@ -104,7 +104,8 @@ class QPolicy(nn.Module):
         count = observations.shape[0]  # not len(): the exporter to ONNX would take it for fixed
         # not by a list as an index, which no graph could copy to a GPU
         back = th.stack([both[count:, action] for action in turned], dim=1)
-        return (both[:count] + back) / 2
+        mean: th.Tensor = (both[:count] + back) / 2
+        return mean
 
 
 def turned_actions(headings_deg: Sequence[float]) -> list[int]:
