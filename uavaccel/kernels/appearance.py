@@ -22,13 +22,12 @@ from uavaccel.sim.lane import (
     GROUND_TEXTURES,
     OBSTACLE_HALF_HEIGHT_M,
     OBSTACLE_TEXTURES,
-    PLAIN,
     WALL_TEXTURES,
     LaneLayout,
     obstacle_geoms,
     sunlight,
 )
-from uavaccel.sim.scene import DRONE_GROUP
+from uavaccel.sim.scene import DRONE_GROUP, PLAIN
 
 WORN = (("obstacle", OBSTACLE_TEXTURES), ("wall", WALL_TEXTURES), ("ground", GROUND_TEXTURES))
 

@@ -198,7 +198,7 @@ class Baseline(Learner):
         self.vector.seed(first_seed(config.seed))
 
     @property
-    def exploration_rate(self) -> float | None:  # type: ignore[override]
+    def exploration_rate(self) -> float | None:
         """Share of random actions; None for an algorithm that explores differently."""
         return getattr(self.algorithm, "exploration_rate", None)
 

@@ -195,7 +195,7 @@ class HostDQN(DoubleDQN):
         return self._finish_command(self._flying.popleft()) if all_fly or waits else []
 
     @property
-    def at_rest(self) -> bool:  # type: ignore[override]
+    def at_rest(self) -> bool:
         """Whether a checkpoint can be taken: no gradient step is pending and no lane flies."""
         return self.steps % self._rhythm[0] == 0 and not self._parts and not self._flying
 
@@ -356,12 +356,12 @@ class DeviceDQN(DoubleDQN):
         self._clock = MonotonicClock()
 
     @property
-    def exploration_rate(self) -> float:  # type: ignore[override]
+    def exploration_rate(self) -> float:
         """Share of random actions."""
         return self.options.exploration_rate(1.0 - self.games / self.config.games)
 
     @property
-    def at_rest(self) -> bool:  # type: ignore[override]
+    def at_rest(self) -> bool:
         """Whether a checkpoint can be taken: the host has read all rounds that were flown."""
         return not self._unread
 

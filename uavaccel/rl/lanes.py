@@ -47,8 +47,8 @@ class LanesHere(TurnBatch):
             if terminated or truncated:
                 info = self._begin(slot) | {"final_info": info, "final_obs": seen}
             steps.append((reward, terminated, truncated, info))
-        rewards, terminated, truncated, infos = zip(*steps, strict=True)
-        ended = np.array(rewards, float), np.array(terminated, bool), np.array(truncated, bool)
+        rewards, *ends, infos = zip(*steps, strict=True)
+        ended = np.array(rewards, float), *(np.array(each, bool) for each in ends)
         return stacked_observations([self._seen[slot] for slot in self._all(slots)]), *ended, list(infos)
 
     def call_each(

@@ -235,7 +235,7 @@ def save_checkpoint(folder: Path, learner: Learner) -> None:
     running = {f"{n}.{key}": each for n, game in enumerate(games) for key, each in game.items()}
     for name, arrays in (("buffer.npz", state.arrays), ("games.npz", running)):
         with naming(checkpoint / name), (checkpoint / name).open("wb") as file:
-            np.savez(file, **arrays)  # type: ignore[arg-type]
+            np.savez(file, **arrays)
     with replacing(checkpoint / _COMPLETE) as file:
         file.write(json.dumps({"games": learner.games, "counters": state.counters}).encode())
     for older in folder.iterdir():
