@@ -110,7 +110,7 @@ class Paper(SuiteOfRuns[PaperConfig, SimpleCase]):
         return ""
 
     def fly(self, config: PaperConfig, case: SimpleCase, opened: RunDirectory) -> GameResult:
-        part = fly_part(opened, case.id, *self.runs(config, case))
+        part = fly_part(opened, case.id, self.runs(config, case)[0])
         flown(opened, case.id, part)
         return GameResult({"cells": len(part.summary["cells"])})
 

@@ -122,7 +122,7 @@ class Seeds(SuiteOfRuns[SeedsConfig, SeedCase]):
         return self.training.provenance(config.training)
 
     def fly(self, config: SeedsConfig, case: SeedCase, opened: RunDirectory) -> GameResult:
-        report = fly_part(opened, case.id, *self.runs(config, case))
+        report = fly_part(opened, case.id, self.runs(config, case)[0])
         row = subset(report.summary, "seed", "games", "successes", "sim_time_s", "weights_sha256")
         row |= {name: float(recent_mean(report.games[column]).iloc[-1]) for name, column in RECENTLY.items()}
         if evaluated := report.summary.get("evaluations"):

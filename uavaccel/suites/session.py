@@ -18,11 +18,12 @@ from uavaccel.errors import Interrupted, UsageError, UserError, mistake_of
 from uavaccel.files import Plain, check_new_folder
 from uavaccel.machine import describe_run
 from uavaccel.own_code import modules_in, trusting
+from uavaccel.processes.workers import LOKY
 from uavaccel.records import RunDirectory, refuse_other_config, timing_provenance
 from uavaccel.suites.experiment import Experiment, timing_of
 from uavaccel.suites.keys import KEYS
 from uavaccel.suites.registry import configuration, find_suite, is_file, is_task, merged, read_mapping, suite_of
-from uavaccel.suites.runner import LOKY, cases_of, check_jobs, run_suite, start_run
+from uavaccel.suites.runner import cases_of, check_jobs, run_suite, start_run
 from uavaccel.suites.suite import AnySuite, Case, OnGame
 
 PART_OF = {"seeds": "train"}  # suites of whole runs, by the command that resumes them
