@@ -136,10 +136,10 @@ def test_a_soak_calls_at_its_rate_and_watches_memory(given: Callable[..., None])
     client = SimpleNamespace(
         run=lambda: None, kinematics=lambda: asked.append(1), speed=lambda: {"real_time_factor": 99.0}
     )
-    server = SimpleNamespace(memory_mib=lambda: next(memory))
+    server = SimpleNamespace(pid=7)
     session = nullcontext(SimpleNamespace(server=server, start_game=lambda *_: client))
     clock = SimpleNamespace(now_ns=lambda: 7, sleep_until=slept.append)
-    given(speed, WallSession=lambda *_: session, MonotonicClock=lambda: clock)
+    given(speed, WallSession=lambda *_: session, MonotonicClock=lambda: clock, resident_mib=lambda _: next(memory))
     assert [numbers(each) for each in speed.bench_soak(20.0, 5.0)] == [(99.0, 100.0), (67, 50)]
     assert len(asked) == 100
     assert slept == [7 + 200_000_000 * number for number in range(100)]

@@ -288,18 +288,23 @@ def test_a_batch_of_tensors_teaches_what_the_host_does(clock: dict[str, Any]) ->
 
 
 def test_a_loop_of_dictionaries_shows_last_and_first_frames() -> None:
-    seen, last = np.array([[1.0], [2.0]]), np.array([None, np.array([9.0])], object)
-    ends = np.array([False, True])
+    """Of games that go on, that are over, and that are cut short."""
+    seen, last = np.array([[1.0], [2.0], [3.0]]), np.array([None, np.array([9.0]), np.array([8.0])], object)
+    lost, cut = np.array([False, True, False]), np.array([False, False, True])
     batch = SimpleNamespace(
         reset=lambda seed: (seen, {}),
-        step=lambda action: (seen + action, np.array([0.5, 1.5]), ends, ~ends & ends, {"final_obs": last}),
+        step=lambda action: (seen + action, np.array([0.5, 1.5, 2.5]), lost, cut, {"final_obs": last}),
     )
     loop = TensorLoop(batch)
-    data, begun = loop.step_and_maybe_reset({**loop.reset(seed=3), "action": th.tensor([[10.0], [20.0]])})
-    assert data["observation"].tolist() == [[1.0], [2.0]]
-    assert data["next"]["observation"].tolist() == [[11.0], [9.0]]
-    assert begun["observation"].tolist() == [[11.0], [22.0]]
-    assert (data["next"]["reward"].tolist(), data["next"]["done"].tolist()) == ([[0.5], [1.5]], [[False], [True]])
+    data, begun = loop.step_and_maybe_reset({**loop.reset(seed=3), "action": th.tensor([[10.0], [20.0], [30.0]])})
+    assert data["observation"].tolist() == seen.tolist()
+    assert begun["observation"].tolist() == [[11.0], [22.0], [33.0]]
+    told = {name: data["next"][name][:, 0].tolist() for name in ("observation", "reward", "terminated", "truncated")}
+    assert told == {
+        "observation": [11.0, 9.0, 8.0], "reward": [0.5, 1.5, 2.5],
+        "terminated": lost.tolist(), "truncated": cut.tolist(),
+    }  # fmt: skip
+    assert data["next"]["done"][:, 0].tolist() == [False, True, True]
 
 
 @pytest.mark.parametrize(

@@ -124,7 +124,7 @@ class Command(NamedTuple):
     """Ticks between frames of the event camera; 0 if it records the samples alone."""
     tick_ns: int
     hull: Operand
-    """(3,) HULL_RADIUS, HULL_HALF_HEIGHT, HULL_REACH (kernels/flight)."""
+    """(3,) HULL_RADIUS, HULL_HALF_HEIGHT, HULL_REACH."""
     modes: Operand
     """(3,) int64: what the numbers of all goals are (kernels/lanes.command)."""
     hold_ticks: int

@@ -42,13 +42,13 @@ class LanesHere(TurnBatch):
     def step_wait(self, slots: Sequence[int] | None = None) -> Steps:
         steps = []
         for slot in self._all(slots):
-            seen, *flown, info = self._environments[slot].step(self._actions.pop(slot))
+            seen, reward, terminated, truncated, info = self._environments[slot].step(self._actions.pop(slot))
             self._seen[slot] = seen
-            if flown[1] or flown[2]:
+            if terminated or truncated:
                 info = self._begin(slot) | {"final_info": info, "final_obs": seen}
-            steps.append((*flown, info))
-        rewards, terminated, truncated, infos = zip(*steps, strict=True)
-        ended = np.array(rewards, float), np.array(terminated, bool), np.array(truncated, bool)
+            steps.append((reward, terminated, truncated, info))
+        rewards, *ends, infos = zip(*steps, strict=True)
+        ended = np.array(rewards, float), *(np.array(each, bool) for each in ends)
         return stacked_observations([self._seen[slot] for slot in self._all(slots)]), *ended, list(infos)
 
     def call_each(

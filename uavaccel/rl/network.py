@@ -100,7 +100,7 @@ class QPolicy(nn.Module):
         if turned is None:
             values: th.Tensor = self.q_net(observations)
             return values
-        both = self.q_net(th.cat([observations, observations.flip(-1)]))
+        both: th.Tensor = self.q_net(th.cat([observations, observations.flip(-1)]))
         count = observations.shape[0]  # not len(): the exporter to ONNX would take it for fixed
         # not by a list as an index, which no graph could copy to a GPU
         back = th.stack([both[count:, action] for action in turned], dim=1)

@@ -126,7 +126,7 @@ def shot_noise(
 
 def log_of(like: Float, level: int, before: Any, camera: Floats, tables: Any, dt_s: float) -> Any:
     """Return a pixel's log intensity: float32, or float64 after the low-pass filter, whose last output is `before`."""
-    function = single_log if isinstance(like, np.float32) else double_log
+    function: Any = single_log if isinstance(like, np.float32) else double_log
     return function(level, before, camera, tables, dt_s)
 
 
