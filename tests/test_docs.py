@@ -159,12 +159,16 @@ def make_model(file: Path) -> None:
 
 
 @pytest.fixture
-def reading(home: Callable[[str], Path], block: Block, monkeypatch: pytest.MonkeyPatch) -> None:
-    """In the block's folder, with nothing left of the modules that it makes."""
+def reading(home: Callable[[str], Path], block: Block, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """In the block's folder, with nothing left of the modules that it makes, before and afterwards."""
     monkeypatch.chdir(home(block.page) / block.folder)
     monkeypatch.setattr(sys, "path", [str(Path.cwd()), *sys.path])
     for title in {Path(block.title).stem for block in BLOCKS if block.title}:
         monkeypatch.delitem(sys.modules, title, raising=False)
+    yield
+    for name, module in [*sys.modules.items()]:
+        if str(getattr(module, "__file__", None) or "").startswith(str(Path.cwd())):
+            del sys.modules[name]
 
 
 def test_every_fence_is_a_block_of_a_known_kind() -> None:

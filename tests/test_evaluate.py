@@ -331,10 +331,11 @@ def test_senses_and_flight_alone_are_those_of_the_training(monkeypatch: pytest.M
         "dvs_seed": 5, "dvs_threshold_ratio": 1.5, "dvs_spread_ratio": 2.0, "dvs_shot_noise_hz": 3.0,
         "dvs_leak_hz": 0.5, "dvs_hot_pixels": 0.01, "image_noise": 4.0, "dvs_rate_hz": 100.0, "t_move_s": 0.8,
         "t_sample_s": 0.2, "speed_m_s": 1.5, "headings_deg": [-20.0, 20.0], "altitude_m": 3.0,
+        "also_state": True, "picture_size": [256, 144],
     }  # fmt: skip
     others = {"timing": "virtual", "command": "adsc", "clock_speed": 5.0, "max_commands": 9, "goal_reward": 2.0}
     task = LaneTask(**{**like_trained, **others, "observation": "dvs"})
-    monkeypatch.setattr(agents, "read_manifest", lambda folder: ({}, LearnerConfig(task=task)))
+    monkeypatch.setattr(agents, "read_manifest", lambda folder: ({}, LearnerConfig(task=task, mirror=False)))
     assert origin_of("a/policy").keys() == like_trained
     assert origin_of("straight").keys() == {"observation": "state", "history": 1}
 

@@ -322,7 +322,8 @@ def test_a_training_goes_on_from_another_ones_weights(lockstep: RunDirectory) ->
     assert not all(th.equal(weights[name], each) for name, each in first.policy.q_net.state_dict().items())
     shape = environment.single_observation_space.shape or ()
     seen: Any = np.random.default_rng(0).integers(0, 256, (64, *shape), dtype=np.uint8)
-    at_first = {learner: learner._decide(seen) for learner in (first, started)}
+    first.observations = started.observations = seen
+    at_first = {learner: learner._decide(np.arange(64)) for learner in (first, started)}
     greedy = {each: each.policy.values(th.from_numpy(seen)).argmax(1).numpy() for each in (first, started)}
     assert np.array_equal(at_first[started], greedy[started]), "it flies before it learns"
     assert not np.array_equal(at_first[first], greedy[first]), "at random"
