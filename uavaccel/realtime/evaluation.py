@@ -308,7 +308,8 @@ def certify(
         }
     games = _Games(env, policy, sweep, real_time, Path.cwd())
     with closing(loaded), _one_thread():
-        rows, plan = folder.begin(setup, sweep.plan()), sweep.plan()
+        plan = sweep.plan()
+        rows = folder.begin(setup, plan)
         left = plan[len(rows) :]
         try:
             for row in games.rows(loaded, left) if jobs == 1 else games.in_processes(jobs, left):
