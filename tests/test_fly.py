@@ -131,9 +131,9 @@ def test_a_script_flies_twice_to_the_same_bytes(folder: Folder) -> None:
     assert done.stderr.count("warning: moveNowhere is not known here") == 2  # once a flight
     summary = json.loads((out / "flight.json").read_text())
     assert summary["refused"] == ["1 x moveNowhere is not known here"]
-    arrays = np.load(out / "trajectory.npz")
-    assert arrays["time_ns"].tolist() == list(range(0, 2_000_000_001, 50_000_000))
-    assert 0.3 < arrays["position_m"][-1, 0] < 2.0
+    with np.load(out / "trajectory.npz") as arrays:
+        assert arrays["time_ns"].tolist() == list(range(0, 2_000_000_001, 50_000_000))
+        assert 0.3 < arrays["position_m"][-1, 0] < 2.0
 
 
 @pytest.mark.slow
@@ -535,4 +535,5 @@ def test_an_interrupted_flight_keeps_what_was_flown(folder: Folder) -> None:
     done = folder.fly(text, "--out", str(folder.path / "out"))
     assert done.returncode == 130
     assert done.stdout.startswith("interrupted; 2.00 simulated s")
-    assert np.load(folder.path / "out" / "trajectory.npz")["time_ns"][-1] == 2_000_000_000
+    with np.load(folder.path / "out" / "trajectory.npz") as arrays:
+        assert arrays["time_ns"][-1] == 2_000_000_000
