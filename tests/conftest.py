@@ -56,7 +56,7 @@ def signals_as_before() -> Iterator[None]:
 
 # Those that need the lanes' kernels, which take a minute of one core to compile on a fresh clone: one process does.
 KERNELS = re.compile(
-    r"test_(kernel_\w+|device|engines_agree|navigate|still_scenes|rl)\.py|\[docs/(kernels|tutorial|reference/python)|of_the_kernels"
+    r"test_(kernel_\w+|device|engines_agree|navigate|still_scenes|rl)\.py|\[docs/(extending|kernels|tutorial|reference/python)|of_the_kernels"
 )
 # The longest begin, or the last one would keep one core busy alone.
 FIRST = (

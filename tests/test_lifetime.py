@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from typing import Any
@@ -32,6 +33,18 @@ child = subprocess.Popen([sys.executable, "-c", sys.argv[1], str(os.getpid())], 
 print(child.pid, child.stdout.readline().decode(), flush=True)
 signal.pause()
 """
+
+
+def test_an_interrupt_that_a_destructor_loses_comes_again() -> None:
+    class Ends:
+        def __del__(self) -> None:
+            signal.raise_signal(signal.SIGTERM)
+
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    with lifetime.lost_interrupts_repeated():
+        Ends()
+        with pytest.raises(KeyboardInterrupt):
+            threading.Event().wait(60.0)
 
 
 def test_a_process_whose_parent_is_killed_ends() -> None:

@@ -104,6 +104,7 @@ def served(folder: Path) -> Iterator[str]:
             yield line.split()[2].rstrip(";")
         finally:
             process.terminate()
+            process.wait(60.0)
 
 
 @needs_opengl

@@ -22,6 +22,7 @@ from uavaccel.cli.experiments import evaluate, run, train
 from uavaccel.cli.flights import export, fly, serve, watch
 from uavaccel.cli.machine import advise, bench, calibrate, certify, doctor, init, measure
 from uavaccel.errors import UsageError, UserError, mistake_of
+from uavaccel.processes.lifetime import lost_interrupts_repeated
 from uavaccel.processes.stalls import guard_children
 
 PANELS: dict[str, tuple[Callable[..., None], ...]] = {
@@ -97,6 +98,7 @@ def surface(
     """Fast, time-controlled quadrotor simulation, and what the acceleration costs."""
 
 
+@lost_interrupts_repeated()
 def main(before: Sequence[str] = ()) -> None:
     """Run the command line, `before` and what was typed; a mistake is printed as one line, never as a traceback."""
     words = [*before, *sys.argv[1:]]

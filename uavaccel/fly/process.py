@@ -24,7 +24,7 @@ from uavaccel.fly.log import DifferenceError, MessageLog
 from uavaccel.fly.modules import Patches
 from uavaccel.fly.options import DIFFERENCE, INTERRUPT_SEEN, SUMMARY, FlightOptions
 from uavaccel.fly.script import INTERRUPTED, checked_output, compiled, flush_output, unraisable
-from uavaccel.processes.lifetime import end_with_parent
+from uavaccel.processes.lifetime import end_with_parent, lost_interrupts_repeated
 
 if TYPE_CHECKING:
     from uavaccel.fly.simulated import SimulatedFlight
@@ -52,7 +52,7 @@ def main() -> None:
         signal.signal(kind, interrupt)
     sys.unraisablehook = unraisable
     try:
-        with checked_output():
+        with lost_interrupts_repeated(), checked_output():
             status = fly(options)
     except DifferenceError as error:
         _write(options.folder / DIFFERENCE, f"{error}\n")

@@ -14,8 +14,8 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 Process = subprocess.Popen[bytes]
 POLL_S = 0.25
 STOPPED_S = 4.0  # a process that has been stopped for longer is not waited for
+REPEAT_S = 0.05  # longer than a destructor takes
 END_WITH_PARENT = "end with parent"  # name of the watching thread
 SHARED_MEMORY = Path("/dev/shm")
 OF_JOBLIB = re.compile(r"(?:sem\.loky-|joblib_memmapping_folder_)(\d+)[-_]")
@@ -126,6 +127,26 @@ class Watch:
             self._found.set()
             return self._tell()
         return None
+
+
+@contextmanager
+def lost_interrupts_repeated() -> Iterator[None]:
+    """Within this, a Ctrl-C or SIGTERM that meets a destructor or a weak reference's callback comes again after it.
+
+    What these raise, KeyboardInterrupt included, Python prints, and goes on.
+    """
+
+    def repeat(lost: sys.UnraisableHookArgs) -> None:
+        if lost.exc_type is KeyboardInterrupt:
+            threading.Timer(REPEAT_S, os.kill, (os.getpid(), signal.SIGTERM)).start()
+        else:
+            before(lost)
+
+    before, sys.unraisablehook = sys.unraisablehook, repeat
+    try:
+        yield
+    finally:
+        sys.unraisablehook = before
 
 
 def work_for_parent(parent: int) -> None:
