@@ -228,13 +228,28 @@ def test_declared_thinking_is_flown_through(flight_in: FlightMaker, tmp_path: Pa
         assert kept["time_ns"].tolist() == [*range(0, 450_000_000, 50_000_000)]  # two thoughts and a sleep
 
 
-def test_the_end_keeps_a_recording_and_refuses_what_comes_after(flight_in: FlightMaker, tmp_path: Path) -> None:
-    flight = flight_in(tmp_path)
+@pytest.mark.parametrize(
+    ("folder", "settings", "kept_in"),
+    [
+        ("out", {}, "out/recordings"),
+        ("scratch/flight", {}, "home/Documents/AirSim"),
+        ("scratch/flight", {"Recording": {"Folder": "home/mine"}}, "home/mine"),
+    ],
+    ids=["an own folder", "none", "none, but settings"],
+)
+def test_the_end_keeps_a_recording_and_refuses_what_comes_after(
+    folder: str, settings: Any, kept_in: str, flight_in: FlightMaker, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "scratch").mkdir()
+    flight = flight_in(tmp_path / folder, settings=settings, scratch=tmp_path / "scratch")
     client = client_of(flight)
     client.startRecording()
     flight.pass_time(0.5)
     flight.end()
-    [kept] = (tmp_path / "recordings").rglob("airsim_rec.txt")
+    [kept] = tmp_path.rglob("airsim_rec.txt")
+    assert kept.parents[1] == tmp_path / kept_in
     times = [line.split("\t")[1] for line in kept.read_text().splitlines()[1:]]
     assert int(times[-1]) - int(times[0]) >= 400  # milliseconds
     calls = flight._log.calls

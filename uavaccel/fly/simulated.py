@@ -48,7 +48,8 @@ class ScriptWorld:
         self.world = World(options.scene, profile, airsim=True)
         settings.prepare(self.world)
         self.simulation = modelled_simulation(self.world, clock_speed, draws)
-        self.api = Api(self.simulation, settings, recordings=options.folder / "recordings", say=warn)
+        recordings = options.folder / "recordings" if options.own_folder else settings.recordings
+        self.api = Api(self.simulation, settings, recordings=recordings, say=warn)
         self.api.refusals.say = warn
         self.simulation.settle(0)
         self.states, tick_ns = [self.simulation.kinematics()], profile.tick_ns

@@ -136,8 +136,7 @@ def api_of(options: ServeOptions, settings: Settings) -> Api:
     profile = settings.recorder_of(PROFILES[options.profile])
     simulation = ready_simulation(options.scene, profile, speed, airsim=True)
     settings.prepare(simulation.world)
-    named = Path(settings.recording.folder) if settings.recording.folder else None
-    folder = options.recordings or named or Path.home() / "Documents" / "AirSim"
+    folder = options.recordings or settings.recordings
     if folder.exists() and not folder.is_dir():
         where = "--recordings" if options.recordings else f"{options.settings}: Recording.Folder ="
         raise UserError(f"{where} {folder}: is no folder")

@@ -146,6 +146,11 @@ class Settings(AirSimKeys):
         """The address to listen on: an IP address or a host name."""
         return self.local_host_ip or LOOPBACK
 
+    @property
+    def recordings(self) -> Path:
+        """The folder of startRecording: Recording.Folder, or AirSim's own."""
+        return Path(self.recording.folder) if self.recording.folder else Path.home() / "Documents" / "AirSim"
+
     def recorder_of(self, profile: Profile) -> Profile:
         """Set a profile's recorder period. Raises UserError if an exact profile's tick does not divide it.
 
