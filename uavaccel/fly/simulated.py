@@ -40,16 +40,19 @@ class ScriptWorld:
         from uavaccel.sim.world import World
         from uavaccel.wire.api import Api
         from uavaccel.wire.latency import ZERO_LATENCY, Latency, shipped_latency
+        from uavaccel.wire.settings import naming_settings
         from uavaccel.wire.transport import VirtualTransport, modelled_simulation
 
         latency = ZERO_LATENCY if options.timing == "lockstep" else shipped_latency(options.profile)
         draws = Latency(latency, np.random.SeedSequence(options.seed or 0))
-        profile = settings.recorder_of(latency.platform.profile(options.profile, clock_speed))
+        with naming_settings(options.settings):
+            profile = settings.recorder_of(latency.platform.profile(options.profile, clock_speed))
         self.world = World(options.scene, profile, airsim=True)
         settings.prepare(self.world)
         self.simulation = modelled_simulation(self.world, clock_speed, draws)
         recordings = options.folder / "recordings" if options.own_folder else settings.recordings
-        self.api = Api(self.simulation, settings, recordings=recordings, say=warn)
+        with naming_settings(options.settings):
+            self.api = Api(self.simulation, settings, recordings=recordings, say=warn)
         self.api.refusals.say = warn
         self.simulation.settle(0)
         self.states, tick_ns = [self.simulation.kinematics()], profile.tick_ns
