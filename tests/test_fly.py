@@ -7,6 +7,7 @@ import json
 import random
 import re
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -293,6 +294,27 @@ def test_until_ends_what_has_no_end(flight_in: FlightMaker, tmp_path: Path) -> N
     assert flight.summary()["simulated_s"] == 8.0
 
 
+@pytest.mark.parametrize("timing", ["virtual", "wall"])
+def test_until_keeps_the_flight_of_a_script_that_catches_all(timing: str, folder: Folder) -> None:
+    text = """
+        import airsim, time
+        client = airsim.MultirotorClient()
+        while True:
+            try:
+                client.ping()
+                time.sleep(0.05)
+            except:
+                pass
+    """
+    out = folder.path / "out"
+    done = folder.fly(text, "--until", "0.5", "--timing", timing, "--out", str(out))
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("stopped by --until; 0.")
+    assert "uavaccel: the script catches every exception and does not end; it is ended here" in done.stderr
+    with np.load(out / "trajectory.npz") as kept:
+        assert len(kept["time_ns"]) >= 10
+
+
 def test_of_the_calls_since_a_wait_so_many_are_free(flight_in: FlightMaker, tmp_path: Path) -> None:
     flight = flight_in(tmp_path)
     client = client_of(flight)
@@ -493,7 +515,7 @@ def test_in_wall_time_the_trajectory_is_the_servers_recording(tmp_path: Path, mo
     assert flight.summary()["simulated_s"] == pytest.approx(0.1)
     timers: list[float] = []
     monkeypatch.setattr("signal.setitimer", lambda kind, seconds: timers.append(seconds))
-    with wall.stopping_after(20.0, 4.0):
+    with wall.stopping_after(20.0, 4.0, threading.Event()):
         pass
     assert timers == [5.0, 0.0]
 
