@@ -102,7 +102,7 @@ OLD_NAMES = {  # NumPy's names that 1.24 and 2.0 removed, and what they mean: Py
 GYM = ("gym", *(f"gym.{part}" for part in ("core", "envs", "error", "logger", "spaces", "utils")), "shimmy")
 GYM += ("gym.envs.registration", "gym.utils.seeding")
 NO_KEY = -1  # of cv2.waitKey
-WINDOWS = ("destroyAllWindows", "destroyWindow", "imshow", "moveWindow", "namedWindow", "resizeWindow")
+WINDOWS: tuple[str, ...] = ("destroyAllWindows", "destroyWindow", "imshow", "moveWindow", "namedWindow", "resizeWindow")
 WINDOWS += ("setMouseCallback", "setWindowProperty", "setWindowTitle", "startWindowThread")
 
 
