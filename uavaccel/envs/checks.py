@@ -109,6 +109,19 @@ def seeds_of(seed: int | Sequence[int | None] | None, count: int) -> list[int | 
     return [seed_of(each) for each in seed]
 
 
+def lanes_of(options: Mapping[str, object] | None, count: int) -> tuple[list[int], Mapping[str, object] | None]:
+    """Return which environments a reset is of, by Gymnasium's option reset_mask, and the other options.
+
+    Raises UserError for a mask that is no array of `count` truth values, of which one is true.
+    """
+    if not isinstance(options, Mapping) or "reset_mask" not in options:
+        return list(range(count)), options
+    mask = np.asarray(options["reset_mask"])
+    if mask.dtype != bool or mask.shape != (count,) or not mask.any():
+        raise UserError(f"reset: option reset_mask: must be {count} truth values, not all of them False")
+    return mask.nonzero()[0].tolist(), {key: value for key, value in options.items() if key != "reset_mask"}
+
+
 class Functions:
     """The functions of a task; what goes wrong in one is a UserError that names file, class and function."""
 
