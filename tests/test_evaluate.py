@@ -316,12 +316,15 @@ def test_a_trainings_run_directory_is_an_agent_and_is_filmed(tmp_path: Path, mon
 # --- keys of the task -------------------------------------------------------------------------------------------
 
 
-def test_an_agent_flies_with_what_it_was_trained_with() -> None:
+def test_an_agent_flies_with_what_it_was_trained_with(tmp_path: Path) -> None:
     trained = load_policy(asset("policies/default")).config.task
     task = configured("evaluate", "task.dvs_preset=noisy", "task.speed_m_s=1.5").task
     assert (task.dvs_preset, task.speed_m_s) == ("noisy", 1.5)
     kept = ("observation", "history", "dvs_seed", "t_move_s", "t_sample_s", "headings_deg", "altitude_m")
     assert {key: getattr(task, key) for key in kept} == {key: getattr(trained, key) for key in kept}
+    for more, timing in (("", "virtual"), ("task: {timing: lockstep}", "lockstep")):  # whatever it was trained under
+        (tmp_path / "own.yaml").write_text(f"suite: evaluate\n{more}\n")
+        assert configured(str(tmp_path / "own.yaml")).task.timing == timing
 
 
 def test_senses_and_flight_alone_are_those_of_the_training(monkeypatch: pytest.MonkeyPatch) -> None:

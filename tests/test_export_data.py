@@ -339,6 +339,8 @@ def test_a_game_of_the_kernels_is_flown_again_by_them(tmp_path: Path, monkeypatc
     assert [episode.actions.tolist() for episode in dataset.iterate_episodes()] == [
         row["actions"] for row in run.rows()
     ]
+    for episode in dataset.iterate_episodes():
+        assert len(np.unique(episode.observations, axis=0)) == 6, "each as it was, not as the batch went on"
     with pytest.raises(UserError, match="keeps no poses to log"):
         export(str(run.path), mcap=tmp_path / "logs")
 

@@ -448,6 +448,23 @@ def test_the_environments_process_steps_when_its_clock_says_so(
     assert clock.now_ns() == until_ms * MS
 
 
+def test_an_episode_begins_without_the_actions_of_the_one_before() -> None:
+    """As the agent observes them, on a simulated clock and in a process."""
+    clock, keys = VirtualClock(), {"observe_actions": 2}
+    env = Working(clock, 0)
+    loop = ControlLoop(plant_of(env, None), LoopOptions(**keys), env.action_space)
+    messages: Any = Messages(clock, (0, RESET), (20, ("step", one(0.5))), (60, RESET))
+    server, timed, told = EnvironmentServer(messages, loop, env, clock), RealTime(Counting(), 0.02, **keys), []
+    for _ in range(3):
+        name, *arguments = server.wait()
+        (answer, *_), own = (
+            getattr(server, name)(*arguments),
+            [timed.reset, lambda: timed.step(one(0.5))][name == "step"](),
+        )
+        told.append([(answer.observation if name == "step" else answer)[1:].tolist(), own[0][1:].tolist()])
+    assert told == [[[0.0, 0.0]] * 2, [[0.0, 0.5]] * 2, [[0.0, 0.0]] * 2]
+
+
 @pytest.mark.wall_clock
 @pytest.mark.slow
 def test_a_process_of_its_own_goes_on_by_the_machines_clock() -> None:

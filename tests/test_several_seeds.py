@@ -13,6 +13,7 @@ from tests.made_runs import run_of
 from tests.running import configured, run_into
 from uavaccel.config import validate
 from uavaccel.errors import UsageError, UserError
+from uavaccel.metrics.intervals import Proportion
 from uavaccel.records import RunDirectory
 from uavaccel.suites.experiment import Row
 from uavaccel.suites.parts import part_run
@@ -69,6 +70,8 @@ def test_an_interval_of_evaluations_covers_the_lanes(tmp_path: Path) -> None:
         found = summary["over_seeds"]["evaluation_success"]
         widths.append((found["mean"] - found["low"], found["high"] - found["mean"]))
         assert "won" not in summary["trainings"][0]
+        recent = summary["over_seeds"]["success_recent"]  # of twenty trainings of four games, not of a hundred
+        assert (recent["low"], recent["high"]) == pytest.approx(Proportion(40, 80).interval)
     assert widths[0] == pytest.approx([1.96 * (0.25 / 9) ** 0.5] * 2, rel=1e-4)
     assert widths[1] == pytest.approx([0.0688] * 2, abs=1e-3)
 
