@@ -429,7 +429,7 @@ def test_what_is_made_is_closed_and_a_program_keeps_its_threads() -> None:
     th.set_num_threads(2)
     try:
         measure(Closing, Noting(), steps=40, warm_up=0, seed=7)
-        assert (len(closed), begun, threads.pop()) == (1, [7, None], 2)  # of thirty steps each
+        assert (len(closed), begun[0], {*begun[1:]}, threads.pop()) == (1, 7, {None}, 2)  # of thirty steps at most
         certify(Closing, Noting(), [0.01], episodes=1)
         assert (len(set(closed)), threads, th.get_num_threads()) == (4, {1}, 2)  # one to look at, one for each latency
     finally:

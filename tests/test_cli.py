@@ -8,7 +8,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable
-from dataclasses import is_dataclass, replace
+from dataclasses import is_dataclass
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Annotated, Any, Literal, get_args, get_origin
@@ -465,4 +465,8 @@ def test_a_run_is_reported_even_where_its_films_fail(tmp_path: Path, monkeypatch
     with pytest.raises(OSError, match="no room"):
         experiments.evaluate_agent(request, None, films=True)
     assert (tmp_path / "run" / "report.html").is_file()
-    experiments.evaluate_agent(replace(request, out=tmp_path / "without"), None, films=False)
+    asked: list[Any] = []
+    monkeypatch.setattr(experiments, "run_experiment", lambda *how: asked.append(how[2]))
+    for films in (True, False):
+        experiments.evaluate_agent(request, None, films)
+    assert asked == [breaks, None]

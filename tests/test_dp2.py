@@ -141,7 +141,7 @@ def test_events_in_flight_are_of_one_sensor_whatever_the_seed(monkeypatch: pytes
         {tuple(found[4:]) for found in cameras(monkeypatch, *keys, f"sensor_seed={sensor}", seed=seed).values()}
         for sensor, seed in ((3, 0), (3, 9), (4, 0))
     )
-    assert (one == other, len(one), [each[1:] for each in one | another]) == (True, 1, [(5, 3), (5, 4)])
+    assert (one == other, len(one), {each[1:] for each in one | another}) == (True, 1, {(5, 3), (5, 4)})
 
 
 def test_a_late_sample_is_its_commands_last_one(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -5,6 +5,7 @@ What a browser would be shown is recorded as text (tests/golden.py).
 
 from __future__ import annotations
 
+import importlib
 import socket
 import threading
 from collections.abc import Sequence
@@ -395,9 +396,12 @@ def asked(port: int, *more: str, host: str = "") -> tuple[socket.socket, bytes]:
 @pytest.mark.filterwarnings("ignore:.control_layout:DeprecationWarning")  # of viser's newer versions
 def test_a_foreign_page_gets_nothing_and_a_deaf_one_is_dropped(monkeypatch: pytest.MonkeyPatch) -> None:
     viser = pytest.importorskip("viser")
+    servers = importlib.import_module("websockets.asyncio.server")
     monkeypatch.setattr(beside, "UNREAD_MS", 100)
+    serve = servers.serve
     page = beside.open_server("127.0.0.1", 18180, head_of("What flies."))
     try:
+        assert servers.serve is serve, "other servers are as they were"
         port = page.get_port()
         socket_of = (
             *("Upgrade: websocket", "Connection: Upgrade", "Sec-WebSocket-Version: 13"),
