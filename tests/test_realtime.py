@@ -156,6 +156,15 @@ def test_the_users_own_default_action_stays_as_it_is() -> None:
     assert applied(env, [[0.25]]) == [-0.5, -0.5, -0.5, 0.25]
 
 
+def test_a_step_that_somebody_has_put_in_stays_there() -> None:
+    """As profilers and recorders do, below a wrapper whose steps are counted."""
+    env, seen = Counting(), list[Any]()
+    step = env.step
+    env.step = lambda action: (seen.append(action), step(action))[1]  # type: ignore[method-assign]
+    assert applied(RealTime(gymnasium.Wrapper(env), 0.0), [[0.25], [0.5], [0.75]]) == [0.25, 0.5, 0.75]
+    assert len(seen) == 3
+
+
 @pytest.mark.parametrize(
     ("low", "high", "bounds"), [(1.0, 2.0, (0.0, 2.0)), (-3.0, -2.0, (-3.0, 0.0)), (-1.0, 1.0, (-1.0, 1.0))]
 )
