@@ -258,6 +258,11 @@ def test_a_flight_has_the_commands_of_its_path(tmp_path: Path) -> None:
     assert square.commands.velocity_m_s.tolist() == [[2, 0, 0], [0, 2, 0], [-2, 0, 0], [0, -2, 0]]
     assert square.commands.end_ns.tolist() == [second * 10**9 for second in (1, 2, 3, 4)]
     assert forward.commands.velocity_m_s.tolist() == [[2, 0, 0], [2, 0, 0], [-2, 0, 0]]
+    fell = line_row("game", "adsc", 50.0, 0, 0.1, commands=2, error="it fell")
+    arrays = made.line_arrays(fell)
+    arrays |= {f"command_{end}_s": arrays[f"command_{end}_s"][:2] for end in ("start", "end")}
+    report = made.run_of(tmp_path / "fell", Dp1(), config_of(), [fell | {"arrays": arrays}])
+    assert Dp1().flight(report, report.games.iloc[0]).commands.velocity_m_s.tolist() == [[1, 0, 0], [0, 1, 0]]
 
 
 @pytest.mark.parametrize(
