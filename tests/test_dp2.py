@@ -228,6 +228,8 @@ def test_a_collision_ends_the_game_and_its_samples(command: str) -> None:
 def test_a_lane_of_ones_own_may_have_wind() -> None:
     lane = "lane={obstacles: [{x_m: 3.0, y_m: 0.0, half_side_m: 0.5}], wind_m_s: [1.0, 0.0, 0.5]}"
     assert lane_layout(config_of(lane).wire_lane).wind_m_s == (1.0, 0.0, 0.5)
+    of_seed_3 = "lane={seed: 3, difficulty: {wind_m_s: 4.0}}"
+    assert np.linalg.norm(lane_layout(config_of(of_seed_3).wire_lane).wind_m_s) == pytest.approx(4.0)
 
 
 # --- reports: tests/test_reports.py has their numbers -----------------------------------------------------------

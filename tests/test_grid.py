@@ -165,5 +165,6 @@ def test_a_sweep_on_the_wall_clock_is_flown_in_one_process() -> None:
     wall = configured("sweep", *BLIND, "evaluation.keys={task.timing: wall}", sweep={"wind": [1]})
     assert "wall clock" in Sweep().why_serial(wall)
     assert Sweep().why_serial(configured("sweep", *BLIND, sweep={"wind": [1]})) == ""
+    assert Sweep().provenance(wall) == {"policy_sha256": None}, "a baseline's"
     assert Sweep().status([{"case": "wind-1", "successes": 1, "games": 2}]) == "wind-1 won 1 of 2"
     assert Sweep().games(wall, Point("", "virtual", 0.0, {}, {})) == 2
