@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from tests.opengl import needs_opengl
 from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.hover import Hover, HoverTask
+from uavaccel.envs.kernel_batch import KernelBatch
 from uavaccel.envs.navigate import Navigate
 from uavaccel.envs.observer import Game, Observer
 from uavaccel.envs.obstacle_lane import ObstacleLane
@@ -187,3 +188,15 @@ def test_a_saved_game_calls_nothing_but_what_games_are_flown_by() -> None:
         state = {**here.get_state(), "flown": json.dumps([["close"]])}
         with pytest.raises(UserError, match="a saved game: 'close' is no part of one"):
             here.set_state(state)
+
+
+def test_lanes_are_saved_in_a_game_at_its_end_and_with_their_options() -> None:
+    keys: dict[str, Any] = {"observation": "state", "max_commands": 2, "difficulty": {"first_row_m": 1.5}}
+    keys["randomise"] = {"wind_m_s": [8, 8], "widen_over_games": 4}
+    with closing(KernelBatch(ObstacleLane, 2, **keys)) as here, closing(KernelBatch(ObstacleLane, 2, **keys)) as there:
+        here.reset(seed=3, options={"lane": 7})
+        for _ in range(5):  # lane 7 has a post straight ahead
+            there.reset(seed=1)
+            for lane, state in enumerate(here.call_each("get_state", [()] * 2)):
+                there.call_each("set_state", [(through_a_file(state, "npz"),)], [lane])
+            assert repr(here.step([2, 2])) == repr(there.step([2, 2]))
