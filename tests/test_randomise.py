@@ -111,6 +111,8 @@ def test_a_vehicle_accelerates_as_its_thrust_over_its_mass() -> None:
         assert hover == pytest.approx(0.5935 * mass / thrust, rel=1e-3)
         craft = world.lead.parameters
         assert craft["max_torque_n_m"] / craft["max_thrust_n"] == pytest.approx(0.0555624 / 4.179446, rel=1e-4)
+        body = world.model.body("quadrotor")  # which MuJoCo steps near obstacles
+        assert [*body.mass, *body.subtreemass, *world.model.dof_M0[:3]] == pytest.approx([craft["mass_kg"]] * 5)
 
 
 @settings(max_examples=40)

@@ -13,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.opengl import needs_opengl
+from uavaccel.envs import observer
 from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.hover import Hover, HoverTask
 from uavaccel.envs.kernel_batch import KernelBatch
@@ -156,6 +157,22 @@ def test_whoever_looks_on_sees_the_game_from_its_beginning() -> None:
             here.step(action)
         there.set_state(here.get_state())
     assert looking[0].seen == looking[1].seen != []
+
+
+@needs_opengl
+def test_whoever_looks_on_begins_anew_with_each_game() -> None:
+    with closing(ObstacleLane(observation="state", t_sample_s=1.0, lane=POST)) as lane:
+        onlooker, camera = observer.Onlooker(pictures=False), observer.SecondEventCamera(lane.task, every_ticks=250)
+        for each in (onlooker, camera):
+            lane.add_observer(each)
+        lane.reset(seed=1)
+        while not lane.step(2)[2]:
+            pass
+        hit, frames = onlooker.hit, camera.events.frames
+        assert hit is not None
+        lane.reset()
+        lane.step(2)
+        assert (onlooker.hit, len(onlooker.samples), camera.events.frames - frames) == (None, 2, 2)
 
 
 @pytest.mark.parametrize("change", ["action", "charge", "seed", "task", "draws"])
