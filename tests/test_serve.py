@@ -113,12 +113,21 @@ def test_it_listens_beyond_this_machine_only_if_told_so_here() -> None:
     assert address_of(ServeOptions(host="127.0.0.2"), everywhere) == "127.0.0.2"
 
 
+UNEVEN = {"Recording": {"RecordInterval": 0.0501}}  # which the physics step does not divide
+
+
 def test_options_go_before_settings_which_reach_the_simulation(tmp_path: Path) -> None:
     (a_file := tmp_path / "file").touch()
     given = {"ClockSpeed": 5, "Recording": {"Folder": str(a_file), "RecordInterval": 0.2}, "Wind": {"X": 2}}
     settings = Settings.model_validate(given)
     with pytest.raises(UserError, match=r"Recording\.Folder = .*file: is no folder"):
         api_of(ServeOptions(), settings)
+    for wrong, line in (
+        (given | {"ClockSpeed": 2e4}, "ClockSpeed must be at most 10000"),
+        (UNEVEN, "Recording.Record"),
+    ):
+        with pytest.raises(UserError, match=rf"^my\.json: {line}"):
+            api_of(ServeOptions(Path("my.json")), Settings.model_validate(wrong))
     with pytest.raises(UserError, match=r"--recordings .*file: is no folder"):
         api_of(ServeOptions(recordings=a_file), Settings())
     for clock_speed, flown in ((None, 5.0), (2.0, 2.0)):
