@@ -342,6 +342,8 @@ def test_a_function_flies_once_it_is_trusted(here: Path) -> None:
         configured("evaluate", HOVER, agent="pilot.py:act")
     with trusting():
         origin_of("pilot.py:act")
+    with pytest.raises(UserError, match=r"^device = cuda: pilot.py:act decides game by game, on the CPU: take device"):
+        configured("evaluate", HOVER, "simulator=kernels", "device=cuda", agent="pilot.py:act")
     run = evaluated("pilot.py:steer", HOVER)
     assert [row["actions"] for row in run.rows()] == [[[0.0, 0.0, -1.0], [0.0, 0.0, 1.0], [0.0, 0.0, 1.0]]] * 2
     together = configured("evaluate", HOVER, "environments=2", *("task.max_commands=3",), agent="pilot:steer", games=2)

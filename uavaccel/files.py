@@ -114,7 +114,7 @@ def read_arrays(path: Path) -> dict[str, np.ndarray]:
     except TypeError as error:  # a single array
         raise UserError(f"{path}: cannot be read: is no .npz") from error
     except (OSError, EOFError, MemoryError, ValueError, zipfile.BadZipFile) as error:
-        raise UserError(f"{path}: cannot be read: {error}") from error
+        raise UserError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from error
 
 
 def file_sha256(path: Path) -> str:

@@ -227,7 +227,7 @@ class FlightEnv(gymnasium.Env[Observation, Action], Generic[TaskT]):
         if self.sensor.picture is not None:
             gl.check_process()
         if self._session is None:
-            self._session = open_session(task.timing, task.profile, task.scene, task.latency)
+            self._session = open_session(task.timing, task.profile, task.scene, before.latency)
             if task.dvs_ticks and not task.blank_images:
                 self._session.watch(task.dvs_ticks, self._look)
         self.episode_task = task = task.with_conditions(course.get(CONDITIONS, {}))
