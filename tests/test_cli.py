@@ -111,12 +111,12 @@ def test_the_shell_can_complete(words: str, completion: str) -> None:
     assert (done.returncode, done.stderr) == (0, "")
 
 
-@pytest.mark.parametrize("arguments", [[], ["init", "--schema", "train"]])
-def test_who_reads_no_further_than_the_head_is_told_nothing(arguments: list[str]) -> None:
+@pytest.mark.parametrize(("arguments", "unbuffered"), [([], ""), (["init", "--schema", "train"], "1")])
+def test_who_reads_no_further_than_the_head_is_told_nothing(arguments: list[str], unbuffered: str) -> None:
     reading, writing = os.pipe()
     os.close(reading)
     try:
-        done = uavaccel("-m", "uavaccel", *arguments, stdout=writing)
+        done = uavaccel("-m", "uavaccel", *arguments, stdout=writing, env={"PYTHONUNBUFFERED": unbuffered})
     finally:
         os.close(writing)
     assert (done.returncode, done.stderr) == (0, "")
@@ -465,3 +465,8 @@ def test_a_run_is_reported_even_where_its_films_fail(tmp_path: Path, monkeypatch
     with pytest.raises(OSError, match="no room"):
         experiments.evaluate_agent(request, None, films=True)
     assert (tmp_path / "run" / "report.html").is_file()
+    asked: list[Any] = []
+    monkeypatch.setattr(experiments, "run_experiment", lambda *how: asked.append(how[2]))
+    for films in (True, False):
+        experiments.evaluate_agent(request, None, films)
+    assert asked == [breaks, None]

@@ -36,7 +36,7 @@ from uavaccel.draw.panels import (
 from uavaccel.draw.style import Decisions, dvs_picture
 from uavaccel.errors import UserError
 from uavaccel.files import UNFINISHED
-from uavaccel.sim.clutter import Clutter, ClutterLayout, sample_world
+from uavaccel.sim.clutter import PARKED_Z_M, Clutter, ClutterLayout, Z, sample_world
 from uavaccel.sim.lane import sample_layout
 
 SAMPLES = 30
@@ -124,6 +124,10 @@ def test_outside_of_a_lane_the_map_is_of_the_whole_flight(
     ground = draw_target(draw_lane(world, near), near, (30.0, 10.0))
     assert (ground == OBSTACLE).all(axis=2).any() == (world is not None)
     assert np.array_equal(last[64:352, 1060:1268], draw_track(ground, near, film.position_m[:, :2]))
+    if world is not None:
+        parked = world.rows.copy()
+        parked[:, Z] = PARKED_Z_M
+        assert not (draw_lane(replace(world, rows=parked), near) == OBSTACLE).all(axis=2).any()
     column, row = near.pixels((30.0, 10.0)) >> 4
     assert column > 104 > 0 < row < 144  # north is up, east to the right
     assert first[64 + row, 1060 + column].tolist() == [*GOAL]

@@ -156,6 +156,15 @@ def test_the_users_own_default_action_stays_as_it_is() -> None:
     assert applied(env, [[0.25]]) == [-0.5, -0.5, -0.5, 0.25]
 
 
+def test_a_step_that_somebody_has_put_in_stays_there() -> None:
+    """As profilers and recorders do, below a wrapper whose steps are counted."""
+    env, seen = Counting(), list[Any]()
+    step = env.step
+    env.step = lambda action: (seen.append(action), step(action))[1]  # type: ignore[method-assign]
+    assert applied(RealTime(gymnasium.Wrapper(env), 0.0), [[0.25], [0.5], [0.75]]) == [0.25, 0.5, 0.75]
+    assert len(seen) == 3
+
+
 @pytest.mark.parametrize(
     ("low", "high", "bounds"), [(1.0, 2.0, (0.0, 2.0)), (-3.0, -2.0, (-3.0, 0.0)), (-1.0, 1.0, (-1.0, 1.0))]
 )
@@ -446,6 +455,23 @@ def test_the_environments_process_steps_when_its_clock_says_so(
     assert told == answers
     assert [round(each, 3) for each in env.applied] == applied
     assert clock.now_ns() == until_ms * MS
+
+
+def test_an_episode_begins_without_the_actions_of_the_one_before() -> None:
+    """As the agent observes them, on a simulated clock and in a process."""
+    clock, keys = VirtualClock(), {"observe_actions": 2}
+    env = Working(clock, 0)
+    loop = ControlLoop(plant_of(env, None), LoopOptions(**keys), env.action_space)
+    messages: Any = Messages(clock, (0, RESET), (20, ("step", one(0.5))), (60, RESET))
+    server, timed, told = EnvironmentServer(messages, loop, env, clock), RealTime(Counting(), 0.02, **keys), []
+    for _ in range(3):
+        name, *arguments = server.wait()
+        (answer, *_), own = (
+            getattr(server, name)(*arguments),
+            [timed.reset, lambda: timed.step(one(0.5))][name == "step"](),
+        )
+        told.append([(answer.observation if name == "step" else answer)[1:].tolist(), own[0][1:].tolist()])
+    assert told == [[[0.0, 0.0]] * 2, [[0.0, 0.5]] * 2, [[0.0, 0.0]] * 2]
 
 
 @pytest.mark.wall_clock

@@ -62,11 +62,12 @@ def port_of(process: "subprocess.Popen[str]", rest: str) -> int:
 
 def test_it_serves_settings_names_what_it_does_not_know_and_a_signal_ends_it(tmp_path: Path) -> None:
     path = tmp_path / "settings.json"
-    path.write_text('{"ClockSpeed": 20, "ViewMode": "Fpv", "Vehicles": {"Drone1": {}}}')
+    path.write_text('{"ApiServerPort": 41452, "ClockSpeed": 20, "ViewMode": "Fpv", "Vehicles": {"Drone1": {}}}')
     with (
         serving("--settings", str(path), "--recordings", str(tmp_path / "there")) as process,
-        MultirotorClient(port=port_of(process, ": scene blocks, profile native, ClockSpeed 20\n")) as client,
+        MultirotorClient(port=(port := port_of(process, ": scene blocks, profile native, ClockSpeed 20\n"))) as client,
     ):
+        assert port != 41452, "the option is 0: any that is free"
         client.confirmConnection()
         assert line_of(process) == (
             "Drone1 hovers 10 m up; the clock runs and API control is off, as in AirSim; Ctrl-C stops\n"

@@ -123,10 +123,9 @@ REFUSED: list[tuple[Callable[..., Any], Keys, str]] = [
     ),
     *((reset, {"kind": kind, "options": options}, said) for kind, options, said in OPTIONS),
     (partial(configured, "train", "task.also_state=true"), {}, "mirror must be false: it needs pictures alone, and"),
-    (
-        partial(configured, "dp2", "dvs_rate_hz=100"),
-        {"timing": "wall"},
-        "dvs_rate_hz needs timing and reference_timing",
+    *(
+        (partial(configured, "dp2", "dvs_rate_hz=100", *more), {"timing": timing}, "dvs_rate_hz needs timing and ref")
+        for timing, more in (("wall", ()), ("virtual", ("reference_timing=wall",)))
     ),
 ]
 
