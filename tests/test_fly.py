@@ -168,6 +168,7 @@ def test_several_clock_speeds_are_compared_with_the_first(folder: Folder) -> Non
     (["--clock", "0", "none.py"], "every ClockSpeed must be above 0", 2),
     (["--timing", "real", "none.py"], "'--timing': real: must be wall or virtual or lockstep", 2),
     (["--check", "--timing", "wall", "tests/scenes.py"], "--check flies one ClockSpeed twice", 2),
+    (["--check", "--clock", "1,2", "tests/scenes.py"], "--check flies one ClockSpeed twice", 2),
     (["--film", "tests/scenes.py"], "--film needs --out", 2),
     (["--think", "1", "--timing", "wall", "tests/scenes.py"], "--film and --think need --timing virtual", 2),
 ])  # fmt: skip
