@@ -154,7 +154,8 @@ def test_conditions_end_with_their_game_and_frames_between_samples_take_no_time(
         with closing(lane(observation="dvs", t_move_s=0.33, randomise=ranges, **keys)) as environment:
             for seed in (0, 1, 0):
                 environment.reset(seed=seed)
-                assert environment.sensor.counter.sensor.parameters == environment.episode_task.dvs_parameters
+                camera: Any = environment.sensor
+                assert camera.counter.sensor.parameters == environment.episode_task.dvs_parameters
                 info = environment.step(2)[4]
                 assert told.setdefault(seed, info) == info
     assert [len(told[seed].get("conditions", ())) for seed in (0, 1)] == [0, 2]
