@@ -122,6 +122,12 @@ def test_who_reads_no_further_than_the_head_is_told_nothing(arguments: list[str]
     assert (done.returncode, done.stderr) == (0, "")
 
 
+def test_what_is_complained_of_to_nobody_is_not_printed_elsewhere() -> None:
+    command = f"{sys.executable} -m uavaccel nonsense 2>&-"
+    done = subprocess.run(command, shell=True, cwd=ROOT, stdout=subprocess.PIPE, text=True, check=False)
+    assert (done.returncode, done.stdout) == (2, "")
+
+
 @pytest.mark.parametrize(
     ("line", "complaint"),
     [
