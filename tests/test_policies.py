@@ -176,6 +176,8 @@ def test_a_model_of_other_spaces_is_one_line() -> None:
         load_policy(th.nn.Linear(9, 2), REACH)(np.zeros(4))
     with pytest.raises(UserError, match=r"^Linear: gives \(1, 9\) numbers for 1 actions, each \(2,\)$"):
         load_policy(th.nn.Linear(4, 9), REACH)(np.zeros(4))
+    with pytest.raises(UserError, match=r"^Linear: gives numbers that are NaN or infinite$"):  # and no best rated one
+        load_policy(th.nn.Linear(4, 2), gymnasium.make("CartPole-v1"))(np.full(4, np.nan))
 
 
 def test_an_action_stays_what_it_is() -> None:

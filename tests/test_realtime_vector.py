@@ -148,6 +148,15 @@ OWN: dict[str, Any] = {"timing": "virtual", "command": "adsc", "clock_speed": 3.
 OWN |= {"latency": {"scale": 0.0}}
 
 
+def test_episodes_of_an_own_batch_begin_anew_by_a_mask() -> None:
+    keys: dict[str, Any] = {"latency_s": LATENCIES, "clock_speed": 3.0}
+    mode = AutoresetMode.DISABLED
+    batch = uavaccel.make_vec("hover", COUNT, simulator="kernels", autoreset_mode=mode, **OWN)
+    vector = RealTimeVector(batch, **keys)
+    actions = actions_of(vector.action_space)
+    assert together(vector, actions) == singly(partial(uavaccel.make, "hover", **OWN), keys, mode, actions)
+
+
 def batch_of(simulator: str) -> Any:
     if simulator == "device":
         return import_module("uavaccel.envs.cuda_batch").CudaBatch(Hover, 2, **OWN)  # which the fixture has exchanged
