@@ -321,13 +321,17 @@ def test_a_folder_that_was_deleted_is_not_begun_again(run: RunDirectory) -> None
     assert not run.path.exists()
 
 
-def test_a_run_has_one_process_that_flies_it(run: RunDirectory, tmp_path: Path) -> None:
+def test_a_run_has_one_process_that_flies_it(
+    run: RunDirectory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The lock goes with its process, even a killed one; within a process a run may be gone on with."""
     program = (
         "import sys\nfrom uavaccel.files import lock_of\nfrom pathlib import Path\n"
         "held = lock_of(Path(sys.argv[1]))\nprint('held', flush=True)\nsys.stdin.read()"
     )
     resume(run)
+    monkeypatch.chdir(tmp_path)
+    RunDirectory.create("run", Flight(), MANIFEST, resume=True)  # by whatever name
     command = [sys.executable, "-c", program, str(run.path)]
     refused = subprocess.run(command, input="", capture_output=True, text=True, check=False)
     assert "UserError" in refused.stderr

@@ -134,10 +134,9 @@ REFUSED: list[tuple[Callable[..., Any], Keys, str]] = [
         {},
         "task.also_state needs algorithm double_dqn or ppo, not sb3_dqn",
     ),
-    (
-        partial(configured, "dp2", "dvs_rate_hz=100"),
-        {"timing": "wall"},
-        "dvs_rate_hz needs timing and reference_timing",
+    *(
+        (partial(configured, "dp2", "dvs_rate_hz=100", *more), {"timing": timing}, "dvs_rate_hz needs timing and ref")
+        for timing, more in (("wall", ()), ("virtual", ("reference_timing=wall",)))
     ),
 ]
 
