@@ -321,6 +321,18 @@ def wrong(observation):
 
 def broken(observation):
     return observation.nothing
+
+def several(observation, info, more): ...
+
+class Counting:
+    def reset(self):
+        self.flown = 0
+
+    def __call__(self, observation):
+        self.flown += 1
+        return [0.0, 0.0, -0.25 * self.flown]
+
+counts = Counting()
 """
 
 
@@ -330,6 +342,8 @@ def test_a_function_flies_once_it_is_trusted(here: Path) -> None:
         configured("evaluate", HOVER, agent="pilot.py:act")
     with trusting():
         origin_of("pilot.py:act")
+    with pytest.raises(UserError, match=r"^device = cuda: pilot.py:act decides game by game, on the CPU: take device"):
+        configured("evaluate", HOVER, "simulator=kernels", "device=cuda", agent="pilot.py:act")
     run = evaluated("pilot.py:steer", HOVER)
     assert [row["actions"] for row in run.rows()] == [[[0.0, 0.0, -1.0], [0.0, 0.0, 1.0], [0.0, 0.0, 1.0]]] * 2
     together = configured("evaluate", HOVER, "environments=2", *("task.max_commands=3",), agent="pilot:steer", games=2)
@@ -337,12 +351,25 @@ def test_a_function_flies_once_it_is_trusted(here: Path) -> None:
     assert [row["actions"] for row in rows] == [row["actions"] for row in run.rows()]
 
 
+def test_what_remembers_begins_anew_with_each_game() -> None:
+    Path("pilot.py").write_text(PILOT)
+    with trusting():
+        rows = evaluated("pilot.py:counts", HOVER).rows()
+        assert [row["actions"] for row in rows] == [[[0.0, 0.0, -0.25], [0.0, 0.0, -0.5], [0.0, 0.0, -0.75]]] * 2
+        with pytest.raises(
+            UserError, match=r"^simulator = kernels: pilot\.py:counts has a reset, for a game at a time"
+        ):
+            configured("evaluate", HOVER, "simulator=kernels", "task.timing=lockstep", agent="pilot.py:counts")
+
+
 @pytest.mark.parametrize(
     ("function", "said"),
     [
         ("wrong", r"pilot:wrong: returned 7, where an action is \(3,\)"),
         ("broken", r"pilot:broken: .*pilot\.py:14: broken: AttributeError: .*"),
-        ("missing", r"agent 'pilot:missing': pilot has no function missing; known: act, steer, wrong, broken"),
+        ("missing", r"agent 'pilot:missing': pilot has no function missing; known: act, steer, wrong, broken, .*"),
+        ("several", r"agent 'pilot:several': must take an observation, or an observation and an info"),
+        ("Counting", r"agent 'pilot:Counting': Counting is a class: name a function, or an object of that class"),
     ],
 )
 def test_what_is_wrong_with_a_function_is_one_line(function: str, said: str) -> None:

@@ -188,6 +188,10 @@ def test_a_recording_goes_on_through_commands_and_resets(tmp_path: Path) -> None
     [[_, *rows]] = rows_of(tmp_path)
     times = [int(row[1]) - EPOCH_NS // MS for row in rows]
     assert times == sorted([*range(0, 450, 50), *range(400, 550, 50)])  # of the reset, the state before and after
+    result_of(api, "uavaccelStartGame", [1.0], 500 * MS)
+    result_of(api, "simPause", [False], 500 * MS)
+    result_of(api, "moveByVelocity", [1.0, 0.0, 0.0, 1.0, 0, YAW], 620 * MS)
+    assert api.simulation.recording().samples[0, 0] == 0, "a game counts from its first command again"
 
 
 @pytest.mark.parametrize("name", ["Drone\t1", "two\nlines", "a\u2028b", "a\x85b", "\0", "a/b", "a" * 257])

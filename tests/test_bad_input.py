@@ -206,6 +206,7 @@ timing calibrate --out nowhere/latency.yaml -> --out; timing calibrate --out the
 timing calibrate --check --games 0 -> --games; timing calibrate --check --profile unreal -> --profile
 timing calibrate --check --latency nowhere.yaml -> nowhere.yaml; timing advise --t-move 0 -> --t-move
 timing advise --t-move 0.333 -> --t-move: 0.333 s is not a positive multiple; timing advise --t-move nan -> --t-move
+timing advise --profile airsim --t-move 0.003 -> --t-move: 0.003 s is too short for the airsim profile
 timing advise --t-move 1e308 -> --t-move; timing advise --error 0 -> --error
 timing advise --error nan -> --error; timing advise --rounds 0 -> --rounds; timing advise --rounds 1001 -> --rounds
 timing advise --profile unreal -> --profile; timing advise --latency nowhere.yaml -> nowhere.yaml

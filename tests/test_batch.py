@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
 
-import uavaccel.envs  # noqa: F401 - registers
+import uavaccel.envs
 from tests.lanes import SideBySide
 from tests.opengl import needs_opengl
 from tests.processes import descendants, left_after, state_of
@@ -66,6 +66,23 @@ def test_a_batch_flies_as_single_environments_do(size: tuple[int, int], keys: di
             flown.step(actions)
             flown.charge(0.01 * number)
     assert len(flown.ends) >= lanes  # of them all, lost or cut off
+
+
+@pytest.mark.parametrize("simulator", ["mujoco", "kernels"])
+def test_a_mask_says_which_games_begin_anew(simulator: str) -> None:
+    batch: Any = uavaccel.make_vec("hover", 2, simulator=simulator, autoreset_mode="Disabled")  # type: ignore[call-overload]
+    with closing(batch), closing(uavaccel.make("hover")) as alone:
+        first, _ = batch.reset(seed=1)
+        aim = {"waypoint_m": [1.0, 0.0, -9.0]}
+        seen, infos = batch.reset(seed=1, options={"reset_mask": np.array([False, True]), **aim})
+        begun, _ = alone.reset(seed=2, options=aim)
+        assert seen.tolist() == [first[0].tolist(), begun.tolist()] != first.tolist()
+        assert infos["_commands"].tolist() == [False, True]
+        action = np.array([0.5, 0.0, -0.5], np.float32)
+        assert (batch.step(np.tile(action, (2, 1)))[0][1] == alone.step(action)[0]).all()
+        for wrong in ([True], [False, False], [1, 0], "yes"):
+            with pytest.raises(UserError, match=r"^reset: option reset_mask: must be 2 truth values"):
+                batch.reset(options={"reset_mask": wrong})
 
 
 @needs_opengl

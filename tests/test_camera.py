@@ -16,7 +16,7 @@ from uavaccel.errors import UserError
 from uavaccel.kinematics import VelocityGoal
 from uavaccel.resources import asset
 from uavaccel.sim.camera import gl, pixels
-from uavaccel.sim.camera.camera import Camera
+from uavaccel.sim.camera.camera import SKY_M, Camera, Lens
 from uavaccel.sim.camera.view import HEIGHT, WIDTH
 from uavaccel.sim.flight import of_velocity
 from uavaccel.sim.lane import apply_layout, layout_from, sample_layout
@@ -210,6 +210,17 @@ def test_worlds_that_look_alike_share_a_context_and_others_do_not(lane: Scene) -
             before = first.colour(data)
             np.testing.assert_array_equal(second.colour(scene), expected)
         np.testing.assert_array_equal(first.colour(data), before)
+
+
+@needs_opengl
+def test_a_canvas_has_room_for_the_highest_and_for_the_widest() -> None:
+    world = World("blocks", NATIVE)
+    for width, height, ground in ((96, 16, 13), (16, 96, 50)):
+        pointed = world.mounted_camera(width, height)
+        pointed.point(None, Lens(width, height))
+        assert (pointed.depth(world.data)[ground:] < SKY_M).all()  # from that row down, as wide as it is
+    assert (pointed.width_most, pointed.height_most) == (16, 96)
+    world.close()
 
 
 @needs_opengl

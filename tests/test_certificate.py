@@ -17,6 +17,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
+import torch as th
 from gymnasium import spaces
 from numpy.typing import NDArray
 
@@ -361,6 +362,7 @@ def test_an_episode_that_failed_forbids_a_certificate() -> None:
         ({"latencies": 0.1}, "latencies: must be numbers, 0 to 3600, not 0.1"),
         ({"delay_steps": [0.5]}, r"delay_steps: must be counts, 0 to 3600, not \[0.5\]"),
         ({"delay_steps": [1], "latencies": [1]}, "delay_steps: is given beside seconds; leave out latencies"),
+        ({"delay_steps": [1], "calibration": "none.json"}, "delay_steps: is given beside seconds; leave out latencies"),
         ({"episodes": 0}, "episodes: must be 1 to 1,000,000, not 0"),
         ({"seed": -1}, "seed: must be 0 to "),
         ({"calibration": "none.json"}, "none.json: No such file"),
@@ -405,6 +407,33 @@ def test_what_was_measured_is_replayed_without_the_warm_up() -> None:
 def test_a_count_that_does_not_fit_is_one_line(keys: dict[str, Any], said: str) -> None:
     with pytest.raises(UserError, match=f"^{said}"):
         measure(Count, same, **keys)
+
+
+def test_what_is_made_is_closed_and_a_program_keeps_its_threads() -> None:
+    """Each episode of a measurement begins with the policy's reset too; an evaluation is flown in one thread."""
+    closed, begun, threads = list[Any](), list[Any](), set[int]()
+
+    class Closing(Count):
+        def close(self) -> None:
+            closed.append(self)
+
+    class Noting:
+        def reset(self, seed: int | None) -> None:
+            begun.append(seed)
+
+        def __call__(self, seen: Any) -> Any:
+            threads.add(th.get_num_threads())
+            return seen
+
+    before = th.get_num_threads()
+    th.set_num_threads(2)
+    try:
+        measure(Closing, Noting(), steps=40, warm_up=0, seed=7)
+        assert (len(closed), begun[0], {*begun[1:]}, threads.pop()) == (1, 7, {None}, 2)  # of thirty steps at most
+        certify(Closing, Noting(), [0.01], episodes=1)
+        assert (len(set(closed)), threads, th.get_num_threads()) == (4, {1}, 2)  # one to look at, one for each latency
+    finally:
+        th.set_num_threads(before)
 
 
 # --- the commands -----------------------------------------------------------------------------------------------------

@@ -52,9 +52,9 @@ def test_the_drone_is_seen_from_behind_along_its_heading() -> None:
 
 @needs_opengl
 def test_the_drones_shadow_falls_away_from_the_sun() -> None:
-    """The drone's shadow lies as far to its side as the sun is low and the drone high."""
+    """It lies as far to its side as the sun is low and the drone high, and is turned as that is."""
     position_m = np.array([[3.0, 0.0, -2.0], [3.0, 0.0, -1.0]])
-    level = np.tile([1.0, 0.0, 0.0, 0.0], (2, 1))
+    level = np.array([[1.0, 0.0, 0.0, 0.0], [np.cos(0.3), 0.0, 0.0, np.sin(0.3)]])
     for azimuth_rad in (np.pi / 2, -np.pi / 2):  # the light comes across the lane
         layout = replace(sample_layout(3), sun_azimuth_rad=azimuth_rad)
         view = ChaseView("lane", layout, position_m, level, (256, 144))
@@ -62,8 +62,22 @@ def test_the_drones_shadow_falls_away_from_the_sun() -> None:
             view(number)
             north, west, _ = view._data.mocap_pos[0]
             assert north == pytest.approx(3.0)
+            np.testing.assert_allclose(view._data.mocap_quat[0], view._data.qpos[3:7], atol=1e-12)
             assert -west == pytest.approx(height_m * np.sign(np.sin(azimuth_rad)) / np.tan(SUN_ELEVATION_RAD))
         view.close()
+
+
+@needs_opengl
+def test_a_dark_lane_is_seen_in_daylight_and_a_scenery_as_it_is() -> None:
+    at, seen = (np.array([[3.0, 0.0, -2.0]]), np.array([[1.0, 0.0, 0.0, 0.0]])), []
+    lane = sample_layout(3)
+    for layout in (lane, replace(lane, light=0.1, scenery="forest")):
+        view = ChaseView("lane", layout, *at, (64, 36))
+        seen.append(view(0).astype(int))
+        view.close()
+    plain, forest = seen
+    assert (np.abs(forest - plain) > 20).mean() > 0.1
+    assert forest.mean() > 0.5 * plain.mean()
 
 
 @needs_opengl

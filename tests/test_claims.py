@@ -16,6 +16,7 @@ from uavaccel.envs.stopwatch import PHASES
 from uavaccel.metrics.intervals import fisher_exact_p
 from uavaccel.suites import claims
 from uavaccel.suites.claims import Trainings, training_phases
+from uavaccel.suites.dp1 import CELL
 from uavaccel.suites.paper import HOURS, PaperConfig, at_the_papers_n, read_claims, verdict, whole_hours
 from uavaccel.suites.parts import Part
 
@@ -347,6 +348,29 @@ BEYOND = "at most 3 cm; DVS-ED 5 % (median), above 3 % in 70.0% of the images, l
 )
 def test_findings_say_their_numbers(claim: str, changes: dict[str, Any], said: str) -> None:
     assert said in verdict(CLAIMS[claim], evidence(**changes))["value"]
+
+
+def test_games_that_failed_decide_nothing() -> None:
+    whole = trajectories()
+    failed = whole.scores.groupby(CELL).head(1).assign(error="it fell", stlc=np.nan)
+    told = claims.Flown(pd.concat([whole.scores.assign(error=None), failed]), whole.summary)
+    for claim in ("reference_near_2", "variance_grows", "tcsc_beats_adsc"):
+        assert verdict(CLAIMS[claim], {"dp1": told}) == verdict(CLAIMS[claim], {"dp1": whole})
+
+
+def test_policies_that_fly_twice_are_compared_each_with_itself() -> None:
+    """They differ among each other by more than the margins."""
+    wins, flown_with = range(16, 48, 4), ("tcsc", "adsc")
+    rows = [{"flown_with": name, "successes": n, "won": np.arange(100) < n} for name in flown_with for n in wins]
+    flown = pd.DataFrame(rows).assign(command="tcsc", clock_speed=1.0, games=100)
+    runs = {"rl": trained()._replace(interchange=flown)}
+    assert verdict(CLAIMS["policy_flies_with_both"], runs)["verdict"] == "holds"
+    assert (
+        verdict(CLAIMS["policy_flies_with_both"], {"rl": runs["rl"]._replace(interchange=flown.drop(columns="won"))})[
+            "verdict"
+        ]
+        == "undecided"
+    )
 
 
 def test_of_one_place_all_images_are_alike() -> None:

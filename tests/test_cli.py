@@ -111,15 +111,21 @@ def test_the_shell_can_complete(words: str, completion: str) -> None:
     assert (done.returncode, done.stderr) == (0, "")
 
 
-@pytest.mark.parametrize("arguments", [[], ["init", "--schema", "train"]])
-def test_who_reads_no_further_than_the_head_is_told_nothing(arguments: list[str]) -> None:
+@pytest.mark.parametrize(("arguments", "unbuffered"), [([], "1"), (["init", "--schema", "train"], "")])
+def test_who_reads_no_further_than_the_head_is_told_nothing(arguments: list[str], unbuffered: str) -> None:
     reading, writing = os.pipe()
     os.close(reading)
     try:
-        done = uavaccel("-m", "uavaccel", *arguments, stdout=writing)
+        done = uavaccel("-m", "uavaccel", *arguments, stdout=writing, env={"PYTHONUNBUFFERED": unbuffered})
     finally:
         os.close(writing)
     assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_what_is_complained_of_to_nobody_is_not_printed_elsewhere() -> None:
+    command = f"{sys.executable} -m uavaccel nonsense 2>&-"
+    done = subprocess.run(command, shell=True, cwd=ROOT, stdout=subprocess.PIPE, text=True, check=False)
+    assert (done.returncode, done.stdout) == (2, "")
 
 
 @pytest.mark.parametrize(
@@ -465,3 +471,8 @@ def test_a_run_is_reported_even_where_its_films_fail(tmp_path: Path, monkeypatch
     with pytest.raises(OSError, match="no room"):
         experiments.evaluate_agent(request, None, films=True)
     assert (tmp_path / "run" / "report.html").is_file()
+    asked: list[Any] = []
+    monkeypatch.setattr(experiments, "run_experiment", lambda *how: asked.append(how[2]))
+    for films in (True, False):
+        experiments.evaluate_agent(request, None, films)
+    assert asked == [breaks, None]

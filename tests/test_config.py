@@ -135,6 +135,13 @@ def test_plain_data_survives_yaml(mapping: dict[str, Any]) -> None:
     assert parse_yaml(dump_yaml(mapping), source="text") == mapping
 
 
+def test_what_is_done_to_a_value_that_was_read_is_not_read_again() -> None:
+    for _ in range(2):
+        read = parse_yaml("a: {b: [1]}", "my.yaml")
+        assert read == {"a": {"b": [1]}}
+        read["a"]["b"].append(2)
+
+
 def test_to_yaml_is_stable_readable_and_reads_back() -> None:
     flight = Flight(games=2, camera=Camera(rate_hz=1e-3))
     assert to_yaml(flight) == (

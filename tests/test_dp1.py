@@ -19,7 +19,7 @@ from uavaccel.records import RunDirectory
 from uavaccel.suites import dp1
 from uavaccel.suites.dp1 import Dp1, Dp1Config, Game
 from uavaccel.suites.experiment import disturbances
-from uavaccel.suites.path_suite import fly_path
+from uavaccel.suites.path_suite import flight_row, fly_path
 from uavaccel.suites.registry import merged, read_mapping
 from uavaccel.wire.session import VirtualSession, open_session
 
@@ -258,6 +258,11 @@ def test_a_flight_has_the_commands_of_its_path(tmp_path: Path) -> None:
     assert square.commands.velocity_m_s.tolist() == [[2, 0, 0], [0, 2, 0], [-2, 0, 0], [0, -2, 0]]
     assert square.commands.end_ns.tolist() == [second * 10**9 for second in (1, 2, 3, 4)]
     assert forward.commands.velocity_m_s.tolist() == [[2, 0, 0], [2, 0, 0], [-2, 0, 0]]
+    fell = line_row("game", "adsc", 50.0, 0, 0.1, commands=2, error="it fell")
+    arrays = made.line_arrays(fell)
+    arrays |= {f"command_{end}_s": arrays[f"command_{end}_s"][:2] for end in ("start", "end")}
+    report = made.run_of(tmp_path / "fell", Dp1(), config_of(), [fell | {"arrays": arrays}])
+    assert Dp1().flight(report, report.games.iloc[0]).commands.velocity_m_s.tolist() == [[1, 0, 0], [0, 1, 0]]
 
 
 @pytest.mark.parametrize(
@@ -270,6 +275,18 @@ def test_a_flight_has_the_commands_of_its_path(tmp_path: Path) -> None:
 )
 def test_a_measured_game_is_marked_by_what_disturbed_it(row: dict[str, Any], restarts: int, marks: Any) -> None:
     assert disturbances(row, restarts) == marks
+
+
+@pytest.mark.parametrize(("stalled_ns", "told"), [(0, {}), (1_500_000_000, {"stalled_wall_s": 1.5})])
+def test_a_row_tells_what_was_lost_and_stalled_in_seconds(stalled_ns: int, told: dict[str, float]) -> None:
+    speed = {"simulated_ns": 2 * 10**9, "real_time_factor": 4.0, "lost_wall_ns": 250_000_000, "failure": "it fell"}
+    recording = SimpleNamespace(commands=np.array([[0, 3], [3, 700]]), tick_ns=2_000_000)
+    client: Any = SimpleNamespace(speed=lambda: speed, recording=lambda: recording)
+    client.transport = SimpleNamespace(stalled_ns=stalled_ns)
+    row, _ = flight_row(Game("game", "adsc", 4.0, "wall", 1.0, 1, 0, "square"), config_of(), client, 0.5)
+    times = {"wall_s": 0.5, "sim_time_s": 2.0, "duration_s": 1.4, "lost_wall_s": 0.25}
+    assert {name: value for name, value in row.items() if name.endswith("_s")} == times | told
+    assert (row["error"], row["real_time_factor"]) == ("it fell", 4.0)
 
 
 @pytest.mark.parametrize(

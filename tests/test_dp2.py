@@ -88,14 +88,22 @@ def test_games_are_compared_with_a_clean_one_at_1x(overrides: list[str], options
 
 
 def cameras(monkeypatch: pytest.MonkeyPatch, *overrides: str, **options: Any) -> dict[str, Any]:
-    """What each game's camera is made with, by its case: kind of images, guard, perturbation, exposure."""
+    """What each game's camera is made with, by its case: kind of images, guard, perturbation, exposure, DVS."""
     asked: list[Any] = []
 
-    def camera(*settings: Any) -> Any:
-        asked.append(settings[2:])
-        raise InterruptedError
+    class Camera:
+        def __init__(self, *settings: Any) -> None:
+            asked.append([*settings[2:]])
 
-    monkeypatch.setattr(dp2, "EventClient", camera)
+        def count(self, sensor: Any, every_ticks: int, noise_seed: int) -> None:
+            asked[-1] += [float(np.asarray(sensor.positive_threshold).ravel()[0]), every_ticks, noise_seed]
+
+        def kinematics(self) -> Any:
+            raise InterruptedError
+
+        close = kinematics
+
+    monkeypatch.setattr(dp2, "EventClient", Camera)
     session: Any = SimpleNamespace(start_game=lambda *_: None)
     config = config_of(*overrides, command=["tcsc"], **options)
     cases = list(Dp2().cases(config))
@@ -125,6 +133,15 @@ def test_without_perturbation_images_are_gray(exposed: bool, monkeypatch: pytest
     found = cameras(monkeypatch, f"auto_exposure={str(exposed).lower()}", "clock_speed=[1, 50]").values()
     assert [settings[0] for settings in found] == ["colour", "gray", "gray"]
     assert [(settings[2], settings[3] is not None) for settings in found] == [(None, exposed)] * 3
+
+
+def test_events_in_flight_are_of_one_sensor_whatever_the_seed(monkeypatch: pytest.MonkeyPatch) -> None:
+    keys = "dvs_rate_hz=100", "dvs_preset=noisy", "clock_speed=[1, 50]"
+    one, other, another = (
+        {tuple(found[4:]) for found in cameras(monkeypatch, *keys, f"sensor_seed={sensor}", seed=seed).values()}
+        for sensor, seed in ((3, 0), (3, 9), (4, 0))
+    )
+    assert (one == other, len(one), {each[1:] for each in one | another}) == (True, 1, {(5, 3), (5, 4)})
 
 
 def test_a_late_sample_is_its_commands_last_one(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -211,6 +228,8 @@ def test_a_collision_ends_the_game_and_its_samples(command: str) -> None:
 def test_a_lane_of_ones_own_may_have_wind() -> None:
     lane = "lane={obstacles: [{x_m: 3.0, y_m: 0.0, half_side_m: 0.5}], wind_m_s: [1.0, 0.0, 0.5]}"
     assert lane_layout(config_of(lane).wire_lane).wind_m_s == (1.0, 0.0, 0.5)
+    of_seed_3 = "lane={seed: 3, difficulty: {wind_m_s: 4.0}}"
+    assert np.linalg.norm(lane_layout(config_of(of_seed_3).wire_lane).wind_m_s) == pytest.approx(4.0)
 
 
 # --- reports: tests/test_reports.py has their numbers -----------------------------------------------------------

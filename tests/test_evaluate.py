@@ -35,6 +35,7 @@ from uavaccel.rl.lanes import make_lanes
 from uavaccel.rl.learner import make_learner
 from uavaccel.rl.policy import MANIFEST, Policy, export_policy, load_policy, make_policy
 from uavaccel.sim.lane import lane_seed, sample_layout
+from uavaccel.suites import evaluate_again
 from uavaccel.suites.evaluate import EvaluateConfig, Evaluation, against, game_seed, row_of
 from uavaccel.suites.evaluate_again import flight_of_agent
 from uavaccel.suites.flight import film_game, film_of
@@ -316,12 +317,15 @@ def test_a_trainings_run_directory_is_an_agent_and_is_filmed(tmp_path: Path, mon
 # --- keys of the task -------------------------------------------------------------------------------------------
 
 
-def test_an_agent_flies_with_what_it_was_trained_with() -> None:
+def test_an_agent_flies_with_what_it_was_trained_with(tmp_path: Path) -> None:
     trained = load_policy(asset("policies/default")).config.task
     task = configured("evaluate", "task.dvs_preset=noisy", "task.speed_m_s=1.5").task
     assert (task.dvs_preset, task.speed_m_s) == ("noisy", 1.5)
     kept = ("observation", "history", "dvs_seed", "t_move_s", "t_sample_s", "headings_deg", "altitude_m")
     assert {key: getattr(task, key) for key in kept} == {key: getattr(trained, key) for key in kept}
+    for more, timing in (("", "virtual"), ("task: {timing: lockstep}", "lockstep")):  # whatever it was trained under
+        (tmp_path / "own.yaml").write_text(f"suite: evaluate\n{more}\n")
+        assert configured(str(tmp_path / "own.yaml")).task.timing == timing
 
 
 def test_senses_and_flight_alone_are_those_of_the_training(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -378,6 +382,25 @@ def test_an_agent_that_cannot_fly_is_refused_at_once(
         evaluate_agent(request(agent, tmp_path / "run", *overrides, games=1), None, False)
     assert re.fullmatch(said, str(caught.value)), "one line"
     assert not (tmp_path / "run").exists()
+
+
+def test_measured_flights_are_filmed_by_the_events_of_messages(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Which a baseline may be given; what else it would see is no film where it was measured."""
+    made: list[str] = []
+
+    def make(**task: Any) -> Any:
+        made.append(task["observation"])
+        return SimpleNamespace(close=lambda: None)
+
+    monkeypatch.setattr(evaluate_again, "environment_class", lambda env_id: make)
+    monkeypatch.setattr(evaluate_again, "_flight", lambda *_: None)
+    config = configured("evaluate", agent="straight", timing="wall")
+    for pictures in (True, False):
+        flight_of_agent(config, 0, pictures)
+    assert made == ["dvs", "state"]
+    monkeypatch.setattr(evaluate_again, "origin_of", lambda agent: None)  # no baseline
+    with pytest.raises(UserError, match="timing = 'wall': of state there is no film; take virtual or lockstep"):
+        flight_of_agent(config, 0)
 
 
 # --- reports: tests/test_reports.py has their numbers -----------------------------------------------------------

@@ -6,6 +6,7 @@ import os
 import re
 import signal
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -123,6 +124,21 @@ def test_the_bundled_policy_flies_on_a_gpu_as_on_cores(tmp_path: Path) -> None:
     )
     assert [row["actions"] for row in gpu] == [row["actions"] for row in cores]
     assert [row["distance_m"] for row in gpu] == pytest.approx([row["distance_m"] for row in cores], abs=1e-9)
+
+
+def test_wall_times_count_from_where_the_games_began(monkeypatch: pytest.MonkeyPatch) -> None:
+    now_s = iter((500.0, 502.5, 504.0))
+    clock = SimpleNamespace(now_ns=lambda: int(next(now_s) * 1e9))
+    monkeypatch.setattr(evaluate_lanes, "MonotonicClock", lambda: clock)
+    monkeypatch.setattr(evaluate_lanes, "over_arrays", lambda *_: ([*ended] for ended in ([], LATER, FIRST)))
+    batch = GamesInBatch(configured("evaluate", KERNELS, LOCKSTEP, agent="straight"), [7, 8])
+    games = [batch.game(lane) for lane in (7, 8)]  # the second has ended before
+    batch.close()
+    assert [(game.row["lane"], game.host["wall_s"]) for game in games] == [(7, 2.5), (8, 4.0)]
+    assert [game.next_is_ready for game in games] == [True, False]
+
+
+LATER, FIRST = ([({"lane": lane}, {"host_wall_s": 1.0})] for lane in (8, 7))
 
 
 def test_a_lanes_place_among_others_depends_on_it_alone() -> None:

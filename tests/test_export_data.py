@@ -307,8 +307,9 @@ def test_a_dataset_says_of_each_episode_and_of_itself_what_it_is(straight: RunDi
         config.replace("agent: straight", "agent: offset:0.5"),
         (straight.path / "rows.jsonl").read_text(),
     )
+    (tmp_path / "a/lane-v3.unfinished/data").mkdir(parents=True)  # of an export that was killed
     for above in ("a", "b"):
-        (tmp_path / above).mkdir()
+        (tmp_path / above).mkdir(exist_ok=True)
         export(renamed, minari=tmp_path / above / "lane-v3")
     data, rows = tmp_path / "a/lane-v3/data", straight.rows()
     for name in ("metadata.json", "main_data.hdf5"):  # the same run is the same dataset
@@ -370,7 +371,9 @@ def test_refusals_are_one_clear_line(straight: RunDirectory, dp1: RunDirectory, 
     (tmp_path / "there-v0").mkdir()
     (tmp_path / "there.mcap").write_text("")
     flown = straight.rows()[0]
-    row, case = json.dumps(flown) + "\n", dp1.rows()[0]["case"]
+    row, (case, second) = json.dumps(flown) + "\n", [row["case"] for row in dp1.rows()][:2]
+    (tmp_path / "some").mkdir()
+    (tmp_path / f"some/{second}.mcap").write_text("mine")
     learned = dict.fromkeys(("exploration", "loss", "mean_q")) | {"game": 0, "environment": 0, "return": 0.0}
     game = json.dumps({**flown, "suite": "train", "case": "game-0000000", **learned}) + "\n"
     empty = other_run(tmp_path / "empty", "suite: evaluate\n")
@@ -385,14 +388,15 @@ def test_refusals_are_one_clear_line(straight: RunDirectory, dp1: RunDirectory, 
         (wall, {"mcap": logs}, "never repeats, and this needs the games"),
         (wall, {"minari": dataset}, "never repeats, and --minari"),
         (training, {"mcap": logs}, "a run of train keeps no flights"),
-        (training, {"minari": dataset}, "a run of train keeps no actions --minari"),
-        (many, {"minari": dataset}, "a run of dp1 keeps no actions"),
+        (training, {"minari": dataset}, "--minari needs the actions of an evaluation.s run, and this is one of train"),
+        (many, {"minari": dataset}, "and this is one of dp1"),
         (one, {"minari": tmp_path / "there-v0"}, "there-v0: exists"),
         (one, {"minari": tmp_path / "lane"}, "named NAME-vNUMBER"),
         (one, {"minari": tmp_path / "there.mcap/lane-v0"}, r"there\.mcap"),
         (many, {"mcap": tmp_path / "all.mcap"}, "take a folder, or one game by --case"),
         (many, {"mcap": tmp_path / "there.mcap", "case": case}, r"there\.mcap: exists"),
         (many, {"mcap": tmp_path / "there.mcap/logs"}, r"there\.mcap"),
+        (many, {"mcap": tmp_path / "some"}, rf"{second}\.mcap: exists"),
         (many, {"mcap": logs, "case": "tcsc-k2"}, "--case tcsc-k2: not in"),
     ):
         with pytest.raises(UserError, match=said) as refused:
@@ -400,8 +404,9 @@ def test_refusals_are_one_clear_line(straight: RunDirectory, dp1: RunDirectory, 
         assert "\n" not in str(refused.value)
     with pytest.raises(UsageError, match="--case: goes with --mcap"):
         export(one, minari=dataset, case="lane-000000")
-    left = {"there-v0", "there.mcap", "empty", "wall", "training"}
+    left = {"there-v0", "there.mcap", "empty", "wall", "training", "some"}
     assert {path.name for path in tmp_path.iterdir()} == left
+    assert [path.read_text() for path in (tmp_path / "some").iterdir()] == ["mine"]
 
 
 def test_a_missing_package_is_named(dp1: RunDirectory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

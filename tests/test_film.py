@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -14,6 +15,7 @@ import pytest
 from tests.running import full_device
 from uavaccel.draw import film as films
 from uavaccel.draw.film import IMPACT, Film, frames, movie, poster, write_contact_sheet, write_video
+from uavaccel.draw.page import Movie, to_html
 from uavaccel.draw.panels import (
     DRONE,
     GOAL,
@@ -36,7 +38,7 @@ from uavaccel.draw.panels import (
 from uavaccel.draw.style import Decisions, dvs_picture
 from uavaccel.errors import UserError
 from uavaccel.files import UNFINISHED
-from uavaccel.sim.clutter import Clutter, ClutterLayout, sample_world
+from uavaccel.sim.clutter import PARKED_Z_M, Clutter, ClutterLayout, Z, sample_world
 from uavaccel.sim.lane import sample_layout
 
 SAMPLES = 30
@@ -124,6 +126,10 @@ def test_outside_of_a_lane_the_map_is_of_the_whole_flight(
     ground = draw_target(draw_lane(world, near), near, (30.0, 10.0))
     assert (ground == OBSTACLE).all(axis=2).any() == (world is not None)
     assert np.array_equal(last[64:352, 1060:1268], draw_track(ground, near, film.position_m[:, :2]))
+    if world is not None:
+        parked = world.rows.copy()
+        parked[:, Z] = PARKED_Z_M
+        assert not (draw_lane(replace(world, rows=parked), near) == OBSTACLE).all(axis=2).any()
     column, row = near.pixels((30.0, 10.0)) >> 4
     assert column > 104 > 0 < row < 144  # north is up, east to the right
     assert first[64 + row, 1060 + column].tolist() == [*GOAL]
@@ -197,13 +203,19 @@ def test_no_film_is_larger_than_the_largest_however_noisy(tmp_path: Path, monkey
         assert len(list(file.decode(video=0))) == 60
 
 
-def test_a_films_poster_is_its_middle_frame(tmp_path: Path) -> None:
+def test_a_films_poster_is_its_middle_frame(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     film = flown()
     path = write_video(film, tmp_path / "one.mp4")
     picture = cv2.imdecode(np.frombuffer(poster(path), np.uint8), cv2.IMREAD_COLOR)
     assert picture is not None
     drawn = [cv2.resize(frame, (960, 360), interpolation=cv2.INTER_AREA).astype(int) for frame in frames(film)]
     assert np.argmin([np.abs(frame - picture).mean() for frame in drawn]) in range(13, 18)
+    page = to_html("A page.", [Movie(path, path, "A film.")])
+    for missing in ("av", "uavaccel.draw.film"):  # without the extra `film` a browser shows the first frame
+        with monkeypatch.context() as patch:
+            patch.setitem(sys.modules, missing, None)
+            bare = to_html("A page.", [Movie(path, path, "A film.")])
+        assert ("poster=" in page, "poster=" in bare, "<video" in bare) == (True, False, True)
     path.write_bytes(b"no film")
     assert poster(path) == b""
 

@@ -7,6 +7,7 @@ import json
 import random
 import re
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -167,6 +168,7 @@ def test_several_clock_speeds_are_compared_with_the_first(folder: Folder) -> Non
     (["--clock", "0", "none.py"], "every ClockSpeed must be above 0", 2),
     (["--timing", "real", "none.py"], "'--timing': real: must be wall or virtual or lockstep", 2),
     (["--check", "--timing", "wall", "tests/scenes.py"], "--check flies one ClockSpeed twice", 2),
+    (["--check", "--clock", "1,2", "tests/scenes.py"], "--check flies one ClockSpeed twice", 2),
     (["--film", "tests/scenes.py"], "--film needs --out", 2),
     (["--think", "1", "--timing", "wall", "tests/scenes.py"], "--film and --think need --timing virtual", 2),
 ])  # fmt: skip
@@ -228,13 +230,28 @@ def test_declared_thinking_is_flown_through(flight_in: FlightMaker, tmp_path: Pa
         assert kept["time_ns"].tolist() == [*range(0, 450_000_000, 50_000_000)]  # two thoughts and a sleep
 
 
-def test_the_end_keeps_a_recording_and_refuses_what_comes_after(flight_in: FlightMaker, tmp_path: Path) -> None:
-    flight = flight_in(tmp_path)
+@pytest.mark.parametrize(
+    ("folder", "settings", "kept_in"),
+    [
+        ("out", {}, "out/recordings"),
+        ("scratch/flight", {}, "home/Documents/AirSim"),
+        ("scratch/flight", {"Recording": {"Folder": "home/mine"}}, "home/mine"),
+    ],
+    ids=["an own folder", "none", "none, but settings"],
+)
+def test_the_end_keeps_a_recording_and_refuses_what_comes_after(
+    folder: str, settings: Any, kept_in: str, flight_in: FlightMaker, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "scratch").mkdir()
+    flight = flight_in(tmp_path / folder, settings=settings, scratch=tmp_path / "scratch")
     client = client_of(flight)
     client.startRecording()
     flight.pass_time(0.5)
     flight.end()
-    [kept] = (tmp_path / "recordings").rglob("airsim_rec.txt")
+    [kept] = tmp_path.rglob("airsim_rec.txt")
+    assert kept.parents[1] == tmp_path / kept_in
     times = [line.split("\t")[1] for line in kept.read_text().splitlines()[1:]]
     assert int(times[-1]) - int(times[0]) >= 400  # milliseconds
     calls = flight._log.calls
@@ -251,7 +268,8 @@ def test_the_scripts_clock_starts_at_a_date_and_moves_by_reading(flight_in: Flig
     time.sleep(90)
     assert time.strftime("%M:%S", time.gmtime()) == "01:30"
     present = datetime_module(flight.epoch_now_ns).datetime
-    assert present.now(datetime.UTC).isoformat()[:19] == "2020-01-01T00:01:30"
+    now = present.now(datetime.UTC)
+    assert (now.isoformat()[:19], now.tzinfo) == ("2020-01-01T00:01:30", datetime.UTC)
     assert present.utcnow() - present(2020, 1, 1) > datetime.timedelta(seconds=90)
 
 
@@ -278,15 +296,46 @@ def test_until_ends_what_has_no_end(flight_in: FlightMaker, tmp_path: Path) -> N
     assert flight.summary()["simulated_s"] == 8.0
 
 
+@pytest.mark.parametrize("timing", ["virtual", "wall"])
+def test_until_keeps_the_flight_of_a_script_that_catches_all(timing: str, folder: Folder) -> None:
+    text = """
+        import airsim, time
+        client = airsim.MultirotorClient()
+        while True:
+            try:
+                client.ping()
+                time.sleep(0.05)
+            except:
+                pass
+    """
+    out = folder.path / "out"
+    done = folder.fly(text, "--until", "0.5", "--timing", timing, "--out", str(out))
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("stopped by --until; 0.")
+    assert "uavaccel: the script catches every exception and does not end; it is ended here" in done.stderr
+    with np.load(out / "trajectory.npz") as kept:
+        assert len(kept["time_ns"]) >= 10
+
+
+def test_a_command_is_waited_for_once(flight_in: FlightMaker, tmp_path: Path) -> None:
+    flight = flight_in(tmp_path)
+    command = client_of(flight).hoverAsync()
+    answers = [command.get() for _ in range(2)]
+    flight._log.close()
+    lines = (tmp_path / MESSAGES).read_text().splitlines()
+    assert (answers, len([line for line in lines if "answer" in line])) == ([False] * 2, 1)
+
+
 def test_of_the_calls_since_a_wait_so_many_are_free(flight_in: FlightMaker, tmp_path: Path) -> None:
     flight = flight_in(tmp_path)
     client = client_of(flight)
-    client.moveByVelocityAsync(1, 0, 0, 1).join()
-    begun_s = flight.summary()["script_s"]
-    for free, calls in ((True, FREE_CALLS), (False, 1)):
-        for _ in range(calls):
-            client.ping()
-        assert (flight.summary()["script_s"] == begun_s) == free
+    for wait in (client.moveByVelocityAsync(1, 0, 0, 1).join, lambda: flight.pass_time(0.5)):
+        wait()
+        begun_s = flight.summary()["script_s"]
+        for free, calls in ((True, FREE_CALLS), (False, 1)):
+            for _ in range(calls):
+                client.ping()
+            assert (flight.summary()["script_s"] == begun_s) == free
 
 
 def test_a_flight_in_virtual_time_is_charged_latencies(flight_in: FlightMaker, tmp_path: Path) -> None:
@@ -478,7 +527,7 @@ def test_in_wall_time_the_trajectory_is_the_servers_recording(tmp_path: Path, mo
     assert flight.summary()["simulated_s"] == pytest.approx(0.1)
     timers: list[float] = []
     monkeypatch.setattr("signal.setitimer", lambda kind, seconds: timers.append(seconds))
-    with wall.stopping_after(20.0, 4.0):
+    with wall.stopping_after(20.0, 4.0, threading.Event()):
         pass
     assert timers == [5.0, 0.0]
 

@@ -15,6 +15,7 @@ from uavaccel.cli.experiments import report_runs
 from uavaccel.cli.flights import export
 from uavaccel.config import to_yaml, validate
 from uavaccel.errors import UserError
+from uavaccel.forms import ArrayForm, RowForm
 from uavaccel.records import RunDirectory
 from uavaccel.suites.dp1 import Dp1
 from uavaccel.suites.evaluate import Evaluation
@@ -132,6 +133,16 @@ def test_a_wrong_array_is_a_line_that_names_file_and_array(tmp_path: Path, name:
     run = write(tmp_path / "run", row, arrays if changed is None else {**arrays, "position_m": changed})
     with pytest.raises(UserError, match=rf"{row['case']}\.npz: {row['case']}: .*{said}"):
         run.load_arrays(run.rows()[0])
+
+
+def test_a_length_is_that_of_all_arrays_of_one_name(tmp_path: Path) -> None:
+    """Two evaluations of a policy may have another number of lanes, each of them one."""
+    form = RowForm(dict, arrays={"*_lane": ArrayForm("i", ("n",)), "*_won": ArrayForm("b", ("n",))})
+    arrays = {f"{name}_lane": np.arange(n) for name, n in (("tcsc", 2), ("exact", 3))}
+    arrays |= {"tcsc_won": np.ones(2, bool), "exact_won": np.ones(3, bool)}
+    form.check_arrays(arrays, {"case": "a"}, "a.npz")
+    with pytest.raises(UserError, match=r"exact_won: has the shape \(2,\), not \(3,\)"):
+        form.check_arrays(arrays | {"exact_won": np.ones(2, bool)}, {"case": "a"}, "a.npz")
 
 
 def test_times_that_fall_and_uncounted_commands_are_refused(tmp_path: Path) -> None:

@@ -37,6 +37,8 @@ def test_a_variant_changes_its_keys_and_nothing_else() -> None:
     assert slow.latency.reply_us["move"] == tuple(2 * each for each in plain.latency.reply_us["move"])
     assert slow.model_dump(exclude={"latency"}) == plain.model_dump(exclude={"latency"})
     assert slow.latency.platform == plain.latency.platform
+    named = configured("ablation", BASE, "base.seed=9", seed=4, variants=[{"name": "a"}, {"name": "b"}])
+    assert Ablation().dp1_of(named, "a") == plain, "the seed is the run's"
 
 
 SHIPPED = [experiment("ablation.yaml"), *sorted(experiment("ablations").glob("*.yaml"))]
@@ -112,6 +114,9 @@ def test_every_shipped_condition_can_be_flown() -> None:
     }
     assert len({case.id for case in flown} | {*same}) == sum(map(len, config.sweep.values()))
     assert {case.labels["same"] == [] for case in flown} == {True}
+    lit = configured("sweep", "agent=straight", sweep={"light": [0.5, [0.2, 0.6]]})
+    _, *levels = (point.keys for point in Sweep().points(lit))
+    assert [[*keys.values()] for keys in levels] == [[[0.5, 0.5]], [[0.2, 0.6]]], "a range is taken as it is"
 
 
 def test_the_page_has_the_table_of_conditions() -> None:
@@ -131,6 +136,8 @@ def test_a_sweep_is_around_the_options_of_evaluate(tmp_path: Path) -> None:
     assert part["difficulty"]["light"] == [0.5, 0.5]
     with pytest.raises(UsageError, match="twice"):
         sweep_agent(request, ["wind=2", "wind=4"], None)
+    with pytest.raises(UsageError, match=r"sweep.yaml: --sweep windy: is unknown; did you mean 'wind'"):
+        configured("sweep", sweep={"windy": [1]})
     with pytest.raises(UsageError, match="--against"):
         sweep_agent(request, ["wind=2"], tmp_path)
 
@@ -158,5 +165,6 @@ def test_a_sweep_on_the_wall_clock_is_flown_in_one_process() -> None:
     wall = configured("sweep", *BLIND, "evaluation.keys={task.timing: wall}", sweep={"wind": [1]})
     assert "wall clock" in Sweep().why_serial(wall)
     assert Sweep().why_serial(configured("sweep", *BLIND, sweep={"wind": [1]})) == ""
+    assert Sweep().provenance(wall) == {"policy_sha256": None}, "a baseline's"
     assert Sweep().status([{"case": "wind-1", "successes": 1, "games": 2}]) == "wind-1 won 1 of 2"
     assert Sweep().games(wall, Point("", "virtual", 0.0, {}, {})) == 2

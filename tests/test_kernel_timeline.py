@@ -78,6 +78,7 @@ COSTLY = {**constant({"tick_us": 3000.0}), "timer_us": [0.0, 6000.0]}
     [
         *((command, profile, {}) for command in ("adsc", "tcsc") for profile in ("native", "airsim")),
         ("tcsc", "airsim", {"latency": COSTLY}),
+        ("tcsc", "airsim", {"latency": constant({"frames": {"hz": 60.0, "after_continue": True}})}),
         ("adsc", "native", {"latency": FAULTY}),
         ("tcsc", "native", {"latency": FAULTY}),
     ],

@@ -48,6 +48,7 @@ LATE, DELAYED = (Trajectory(straight(10).time_s + by_s, straight(10).position_m)
         (straight(5), straight(5, offset_m=0.25), 0.25),
         (straight(5), straight(9), 0.0),  # up to the shorter one's end
         (straight(9), straight(5), 0.0),
+        (straight(9), straight(5, step_s=0.051), 0.0),
         *((straight(6), straight(6, step_s=step_s), 0.0) for step_s in (0.051, 0.02, 0.3)),
         (straight(10), DELAYED, 0.12),
         (straight(10), LATE, float("nan")),
@@ -75,6 +76,7 @@ def test_distinct_keeps_order_and_counts_bytes_not_values() -> None:
     unique, index = distinct(flights)
     assert [flight.time_s.size for flight in unique] == [21, 41]
     assert index.tolist() == [0, 1, 0, 1]
+    assert len(distinct([straight(10), DELAYED])[0]) == 2, "the same places at other times"
 
 
 def test_gaps_and_quartiles() -> None:

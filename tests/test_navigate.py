@@ -53,7 +53,10 @@ def test_mujoco_has_the_shapes_where_the_layout_has_them() -> None:
     import mujoco
 
     world, made = World("clutter", PROFILES["native"]), sample_world(3, Clutter(), GOAL_M)
+    world.set_clutter(sample_world(4, Clutter(shapes=200), GOAL_M))  # of which nothing is left
     world.set_clutter(made)
+    gone = [world.model.geom(f"clutter_{number:03}") for number in range(len(made), 256)]
+    assert {(float(geom.pos[2]), float(geom.rgba[3])) for geom in gone} == {(at.PARKED_Z_M, 0.0)}
     for name, row in zip(range(len(made)), made.rows, strict=True):
         geom = world.data.geom(f"clutter_{name:03}")
         assert np.allclose(geom.xmat.reshape(3, 3)[:2, 0], row[[at.COS, at.SIN]], atol=1e-12)

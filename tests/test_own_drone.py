@@ -49,6 +49,15 @@ def test_a_scene_of_ones_own_is_flown_in_and_touched(warehouse: str) -> None:
         assert touched["has_collided"]
         assert touched["object_name"] == "shelf"
         assert 11.0 < end.position_m[0] < 11.5  # its near side less the hull's radius
+        assert len(np.unique(client.image("gray", (32, 18)))) > 1, "a picture, without any material"
+
+
+def test_a_scene_in_which_other_things_move_is_refused(warehouse: str) -> None:
+    file = resources.asset(f"mjcf/{warehouse}.xml")
+    door = '<body name="door"><joint type="hinge"/><geom size="1" pos="0 9 9"/></body></worldbody>'
+    file.write_text(file.read_text().replace("</worldbody>", door))
+    with pytest.raises(UserError, match=r'warehouse\.xml: body "door": has joints'):
+        World(warehouse, NATIVE)
 
 
 SHIPPED = '<inertial pos="0 0 0" mass="1" diaginertia="0.0067211874 0.0080406871 0.014278876"/>'

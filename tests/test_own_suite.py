@@ -18,7 +18,7 @@ import pytest
 from tests.running import run_into
 from uavaccel import VelocityGoal, open_session, tcsc
 from uavaccel.errors import UserError
-from uavaccel.own_code import folder_of, trusting
+from uavaccel.own_code import folder_of, own_function, trusting
 from uavaccel.suites.registry import find_suite
 from uavaccel.suites.session import RunRequest, reading
 
@@ -210,6 +210,28 @@ def test_own_code_is_trusted_once_until_it_changes(
     (here / "foreign.py").rename(here / "elsewhere/foreign.py")
     (here / "run/manifest.json").write_text(json.dumps({"own_code": str(here / "elsewhere")}))
     assert "no module 'foreign' in" in said("run --report . --trust")
+
+
+def test_code_runs_once_it_is_trusted_also_without_a_home(
+    here: Path, said: Callable[[str], str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    foreign_run(here, ".")
+    (here / "foreign.py").write_text(FOREIGN)
+    (here / "state").touch()
+    monkeypatch.setenv("XDG_STATE_HOME", str(here / "state"))
+    assert "it ran" in said("run --report run --trust")
+
+
+def test_projects_of_one_process_may_have_modules_of_one_name(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """That beside the YAML file goes before that of the working directory."""
+    monkeypatch.setattr("sys.path", [*sys.path])
+    said = []
+    for name in ("", "theirs", ""):
+        (here / name).mkdir(exist_ok=True)
+        (here / name / "same_name.py").write_text(f"def act():\n    return {name!r}\n")
+        with trusting(beside=here / name):
+            said.append(own_function("same_name:act", "agent")[0]())
+    assert said == ["", "theirs", ""]
 
 
 WRONG = """

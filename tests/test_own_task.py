@@ -232,8 +232,14 @@ def test_a_file_without_one_task_is_one_line(file: str, line: str, here: Path, s
     ("def fields(self, state, course): return [1, [2, 3]]", "Post.fields: must return numbers, in lists of equal"),
     ("def observation_space(self): return Box(0, 1, (3,))", "Post.fields: observations are of shape (5,), in"),
     ("def sample(self, random, options): return {'a': {1}}", "Post.sample: must return plain numbers"),
-    ("def action_space(self): return 4", "Post.action_space: must return a Discrete, or a Box"),
+    ("def fields(self, state, course): return []", "Post.fields: returned no numbers"),
+    ("def fields(self, state, course): return [1e300]", "Post.fields: returned a number that is not finite: [inf]"),
+    ("def reward(self, before, now): return __import__('numpy').ones(1)", "Post.reward: returned array("),
+    ("def info(self, now): return {'commands': 'few'}", "Post.info: 'commands' is an item of all tasks"),
+    ("def action_space(self): return 4", "Post.action_space: must return a Discrete that begins with 0, or a Box"),
+    ("def action_space(self): return Discrete(4, start=1)", "Post.action_space: must return a Discrete that begins"),
     ("def goal(self, action): return 4", "Post.goal: must return a goal of uavaccel.kinematics"),
+    ("speed_m_s: object = float('nan')", "Post.goal: must be of finite numbers, not VelocityGoal("),
     ("def advance(self, before, now): pass", "Post.advance: returned None: must be a mapping"),
     ("def layout(self, course): return {'obstacles': [{'x': 1}]}", "Post.layout: lane: unknown key 'obstacles.0.x'"),
 ])  # fmt: skip
@@ -243,18 +249,19 @@ def test_a_function_with_a_mistake_is_named(function: str, line: str, here: Path
 
 
 @pytest.mark.parametrize("simulator", ["mujoco", "kernels"])
-@pytest.mark.parametrize(("wrong", "line"), [
-    ("return 1 / (3 - now.commands)", "ZeroDivisionError: division by zero"),
-    ("return now.commands * float('nan') ** (now.commands > 1)", "returned nan: must be a finite number"),
+@pytest.mark.parametrize(("function", "line"), [
+    ("reward(self, before, now): return 1 / (3 - now.commands)", "ZeroDivisionError: division by zero"),
+    ("reward(self, before, now): return float('nan') ** (now.commands > 1)", "returned nan: must be a finite number"),
+    ("fields(self, state, course): return [state.time_ns * 1e300 * 1e300]", "returned a number that is not"),
 ])  # fmt: skip
 def test_a_mistake_in_flight_is_one_line(
-    wrong: str, line: str, simulator: str, here: Path, said: Callable[[str], str]
+    function: str, line: str, simulator: str, here: Path, said: Callable[[str], str]
 ) -> None:
     """Also in a process of its own; arrays divide by zero without an error, to a number that is not finite."""
-    here.joinpath("post.py").write_text(POST.replace("return self.far_m(before)", f"{wrong}\n        return 0 *"))
+    here.joinpath("post.py").write_text(f"{POST}\n    def {function}\n")
     error = said(f"train {yaml_of(here, 'Post', simulator)} --out run")
     assert f"{here}/post.py" in error
-    assert "Post.reward" in error
+    assert f"Post.{function.partition('(')[0]}" in error
     assert line in error or simulator == "kernels"
 
 
@@ -263,3 +270,7 @@ def test_actions_want_their_algorithm(here: Path, said: Callable[[str], str]) ->
         line = said(f"train {yaml_of(here, task)} --dry-run --set algorithm={algorithm} --set options={{}}")
         assert line.startswith(f"own.yaml: algorithm {algorithm} does not learn post.py:{task}, whose actions are ")
         assert line.endswith(f"it needs algorithm {needed}")
+    wide = MORE.replace("Free", "Wide").replace("Task.action_space(self)", "Box(-3.0, 3.0, (3,))")
+    (here / "wide.py").write_text(f"{POST}{wide}")
+    (here / "wide.yaml").write_text("suite: train\ntask: wide.py:Wide\n")
+    assert said("train wide.yaml --dry-run").startswith("wide.yaml: algorithm ppo learns actions from -1 to 1, which ")

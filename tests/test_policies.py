@@ -61,9 +61,10 @@ def test_a_model_of_stable_baselines3_acts_in_any_environment(algorithm: str, en
 @pytest.mark.parametrize("kind", ["module", "file"])
 @pytest.mark.parametrize("env", [REACH, PICK, PARTS], ids=["vector", "discrete", "dictionary"])
 def test_a_module_of_pytorch_acts_on_batches_of_one(env: Space, kind: str) -> None:
-    """Vectors are clipped to their bounds, and of ratings the best is taken; so it is as a TorchScript file."""
+    """Nothing is dropped out, vectors are clipped, of ratings the best is taken; so it is as a TorchScript file."""
     th.manual_seed(0)
-    module = Sum() if env is PARTS else th.nn.Linear(4, 3 if env is PICK else 2)
+    layer = th.nn.Linear(4, 3 if env is PICK else 2)
+    module = Sum() if env is PARTS else th.nn.Sequential(th.nn.Dropout(0.9), layer)
     if kind == "file":
         scripted(module)
     policy = load_policy(module if kind == "module" else "policy.pt", env, trust=True)
@@ -72,10 +73,12 @@ def test_a_module_of_pytorch_acts_on_batches_of_one(env: Space, kind: str) -> No
         seen = env.observation_space.sample()
         parts = seen if isinstance(seen, dict) else {"": seen}
         tensors = {name: th.as_tensor(part[None], dtype=th.float32) for name, part in parts.items()}
+        action = policy(seen)
+        module.eval()
         with th.no_grad():
             answer = module(tensors.get("", tensors))[0].numpy()
         expected = 2 + answer.argmax() if env is PICK else np.clip(answer, -0.5, 0.5)
-        np.testing.assert_array_equal(policy(seen), expected)
+        np.testing.assert_array_equal(action, expected)
         assert env.action_space.contains(policy(seen))
 
 
@@ -173,6 +176,8 @@ def test_a_model_of_other_spaces_is_one_line() -> None:
         load_policy(th.nn.Linear(9, 2), REACH)(np.zeros(4))
     with pytest.raises(UserError, match=r"^Linear: gives \(1, 9\) numbers for 1 actions, each \(2,\)$"):
         load_policy(th.nn.Linear(4, 9), REACH)(np.zeros(4))
+    with pytest.raises(UserError, match=r"^Linear: gives numbers that are NaN or infinite$"):  # and no best rated one
+        load_policy(th.nn.Linear(4, 2), gymnasium.make("CartPole-v1"))(np.full(4, np.nan))
 
 
 def test_an_action_stays_what_it_is() -> None:

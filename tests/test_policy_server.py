@@ -10,6 +10,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -405,6 +406,24 @@ def test_a_client_of_anybodys_neither_ends_a_server_nor_holds_it_up() -> None:
             assert (answer.kind, answer.entries["line"][: len(said)]) == ("error", said)
         np.testing.assert_array_equal(acting(server.address), SEEN[:2])
         silent.close()
+
+
+def test_a_policy_is_asked_by_one_client_at_a_time() -> None:
+    inside, at_once = list[int](), set[int]()
+
+    def policy(seen: Any) -> Any:
+        inside.append(1)
+        at_once.add(len(inside))
+        threading.Event().wait(0.02)
+        inside.pop()
+        return seen[:2]
+
+    with PolicyServer(policy) as server, ThreadPoolExecutor(3) as pool:
+        clients = [RemotePolicy(server.address, Spaces()) for _ in range(3)]
+        for client, action in zip(clients, pool.map(lambda client: client(SEEN), clients), strict=True):
+            np.testing.assert_array_equal(action, SEEN[:2])
+            client.close()
+    assert at_once == {1}
 
 
 def test_a_port_that_is_taken_is_one_line() -> None:

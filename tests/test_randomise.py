@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.learning import fly_here, tiny_config, train_into
+from tests.opengl import needs_opengl
 from uavaccel.envs.conditions import Ranges
 from uavaccel.envs.kernel_batch import KernelBatch
 from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
@@ -47,6 +48,7 @@ def test_a_seed_draws_the_same_lane_under_any_conditions() -> None:
     assert set(drawn["conditions"]) == set(RANGES)
     assert all(RANGES[name][0] <= value <= RANGES[name][1] for name, value in drawn["conditions"].items())
     assert with_ranges.reset(seed=5)[1] == drawn  # whatever was flown before
+    assert with_ranges.reset(seed=5, options={"lane": drawn["lane"]})[1] == drawn  # and whether it is asked for
     assert with_ranges.reset()[1]["conditions"] != drawn["conditions"]
 
 
@@ -68,11 +70,13 @@ def test_a_drawn_condition_flies_as_the_key_of_its_name(name: str, value: float,
         keys = {"latency": {**LaneTask().latency.model_dump(mode="json"), "scale": value}}
 
     def flown(**keys: Any) -> np.ndarray[Any, Any]:
-        environment = lane(clock_speed=20.0, t_move_s=0.5, t_sample_s=0.5, **keys)
-        environment.reset(seed=1)
-        seen = [environment.step(action)[0] for action in (2, 3, 3, 1)]
-        environment.close()
-        return np.stack(seen)
+        environment, seen = lane(clock_speed=20.0, t_move_s=0.5, t_sample_s=0.5, **keys), []
+        for _ in range(2):  # the second time in a session of its own
+            environment.reset(seed=1)
+            seen.append(np.stack([environment.step(action)[0] for action in (2, 3, 3, 1)]))
+            environment.close()
+        np.testing.assert_array_equal(*seen)
+        return seen[0]
 
     drawn = flown(randomise={name: [value, value]})
     np.testing.assert_array_equal(drawn, flown(**keys))
@@ -109,6 +113,8 @@ def test_a_vehicle_accelerates_as_its_thrust_over_its_mass() -> None:
         assert hover == pytest.approx(0.5935 * mass / thrust, rel=1e-3)
         craft = world.lead.parameters
         assert craft["max_torque_n_m"] / craft["max_thrust_n"] == pytest.approx(0.0555624 / 4.179446, rel=1e-4)
+        body = world.model.body("quadrotor")  # which MuJoCo steps near obstacles
+        assert [*body.mass, *body.subtreemass, *world.model.dof_M0[:3]] == pytest.approx([craft["mass_kg"]] * 5)
 
 
 @settings(max_examples=40)
@@ -138,6 +144,21 @@ def test_a_share_of_the_conditions_is_drawn_and_the_others_stay() -> None:
         light = conditions.get("light")
         assert task.difficulty.light == ((0.7, 1.0) if light is None else (light, light))
     environment.close()
+
+
+@needs_opengl
+def test_conditions_end_with_their_game_and_frames_between_samples_take_no_time() -> None:
+    ranges = {"latency_scale": [9, 9], "dvs_threshold_ratio": [3, 3], "share": 0.5}
+    told: dict[int, Any] = {}
+    for keys in ({}, {"dvs_rate_hz": 20.0}):
+        with closing(lane(observation="dvs", t_move_s=0.33, randomise=ranges, **keys)) as environment:
+            for seed in (0, 1, 0):
+                environment.reset(seed=seed)
+                camera: Any = environment.sensor
+                assert camera.counter.sensor.parameters == environment.episode_task.dvs_parameters
+                info = environment.step(2)[4]
+                assert told.setdefault(seed, info) == info
+    assert [len(told[seed].get("conditions", ())) for seed in (0, 1)] == [0, 2]
 
 
 def test_a_condition_may_have_a_share_of_its_own() -> None:

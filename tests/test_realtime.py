@@ -156,6 +156,20 @@ def test_the_users_own_default_action_stays_as_it_is() -> None:
     assert applied(env, [[0.25]]) == [-0.5, -0.5, -0.5, 0.25]
 
 
+def test_a_step_that_somebody_has_put_in_stays_there() -> None:
+    """As profilers and recorders do, below a wrapper whose steps are counted."""
+    env, seen = Counting(), list[Any]()
+    own = env.step
+
+    def step(action: Any) -> Any:
+        seen.append(action)
+        return own(action)
+
+    env.step = step  # type: ignore[method-assign]
+    assert applied(RealTime(gymnasium.Wrapper(env), 0.0), [[0.25], [0.5], [0.75]]) == [0.25, 0.5, 0.75]
+    assert len(seen) == 3
+
+
 @pytest.mark.parametrize(
     ("low", "high", "bounds"), [(1.0, 2.0, (0.0, 2.0)), (-3.0, -2.0, (-3.0, 0.0)), (-1.0, 1.0, (-1.0, 1.0))]
 )
@@ -446,6 +460,20 @@ def test_the_environments_process_steps_when_its_clock_says_so(
     assert told == answers
     assert [round(each, 3) for each in env.applied] == applied
     assert clock.now_ns() == until_ms * MS
+
+
+def test_an_episode_begins_without_the_actions_of_the_one_before() -> None:
+    """As the agent observes them, on a simulated clock and in a process."""
+    clock, timed = VirtualClock(), RealTime(Counting(), 0.02, observe_actions=2)
+    env, latest = Working(clock, 0), [timed.reset()[0], timed.step(one(0.5))[0], timed.reset()[0]]
+    loop = ControlLoop(plant_of(env, None), LoopOptions(observe_actions=2), env.action_space)
+    messages: Any = Messages(clock, (0, RESET), (20, ("step", one(0.5))), (60, RESET))
+    server = EnvironmentServer(messages, loop, env, clock)
+    for _ in range(3):
+        name, *arguments = server.wait()
+        told = getattr(server, name)(*arguments)[0]
+        latest.append(told.observation if name == "step" else told)
+    assert [each[1:].tolist() for each in latest] == [[0.0, 0.0], [0.0, 0.5], [0.0, 0.0]] * 2
 
 
 @pytest.mark.wall_clock

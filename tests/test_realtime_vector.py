@@ -6,6 +6,7 @@ from collections.abc import Callable
 from copy import deepcopy
 from functools import partial
 from importlib import import_module
+from types import SimpleNamespace
 from typing import Any
 
 import gymnasium
@@ -21,6 +22,7 @@ from tests.host_kernels import host_kernels  # noqa: F401 - a fixture
 from uavaccel.envs.hover import Hover
 from uavaccel.errors import UserError
 from uavaccel.realtime import RealTime, RealTimeVector, ThinkingTime, lognormal
+from uavaccel.realtime.thinking import thinking_generator
 
 COUNT, STEPS, SEED = 3, 25, 40
 LATENCIES = [0.0, 0.01, 0.03, 0.12]
@@ -146,6 +148,15 @@ OWN: dict[str, Any] = {"timing": "virtual", "command": "adsc", "clock_speed": 3.
 OWN |= {"latency": {"scale": 0.0}}
 
 
+def test_episodes_of_an_own_batch_begin_anew_by_a_mask() -> None:
+    keys: dict[str, Any] = {"latency_s": LATENCIES, "clock_speed": 3.0}
+    mode = AutoresetMode.DISABLED
+    batch = uavaccel.make_vec("hover", COUNT, simulator="kernels", autoreset_mode=mode, **OWN)
+    vector = RealTimeVector(batch, **keys)
+    actions = actions_of(vector.action_space)
+    assert together(vector, actions) == singly(partial(uavaccel.make, "hover", **OWN), keys, mode, actions)
+
+
 def batch_of(simulator: str) -> Any:
     if simulator == "device":
         return import_module("uavaccel.envs.cuda_batch").CudaBatch(Hover, 2, **OWN)  # which the fixture has exchanged
@@ -183,6 +194,45 @@ def test_a_batch_with_clocks_of_its_own_is_charged_as_one_is(simulator: str) -> 
                     observation, _ = single.reset()
                 np.testing.assert_allclose(np.asarray(observations[place]), observation, rtol=0, atol=1e-6)
         vector.close()
+
+
+class Clocks(gymnasium.vector.VectorEnv[Any, Any, Any]):
+    """A batch with clocks of its own, of which the first environment ends in every second step."""
+
+    num_envs = 2
+    metadata = {"autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012
+    task = SimpleNamespace(timing="virtual", command="adsc", clock_speed=1.0)
+
+    def __init__(self) -> None:
+        self.charged_ns: list[list[int]] = []
+
+    def charge_each(self, durations_ns: NDArray[np.int64]) -> None:
+        self.charged_ns.append(durations_ns.tolist())
+
+    def reset(self, **_: Any) -> Any:
+        return np.zeros((2, 1)), {}
+
+    def step(self, actions: Any) -> Any:
+        ends = np.array([len(self.charged_ns) % 2 == 0, False])
+        return np.zeros((2, 1)), np.zeros(2), ends, np.zeros(2, bool), {}
+
+
+class Chance(ThinkingTime):
+    def sample_ns(self, generator: np.random.Generator) -> int:
+        return int(generator.integers(1, 10**9))
+
+
+def test_every_reset_begins_with_thoughts_drawn_by_the_seeds_of_each() -> None:
+    """Also where an episode has ended in the step before, and would have begun in the next."""
+    batch = Clocks()
+    vector = RealTimeVector(batch, Chance())
+    for _ in range(2):
+        vector.reset(seed=SEED)
+        for _ in range(2):
+            vector.step(None)
+    generators = [thinking_generator(SEED + place) for place in range(2)]
+    thoughts_ns = [[Chance().sample_ns(generator) for generator in generators] for _ in range(2)]
+    assert batch.charged_ns == 2 * thoughts_ns
 
 
 @pytest.mark.parametrize(

@@ -287,14 +287,15 @@ def test_arrays_read_back_equal_and_equal_arrays_are_equal_bytes(
 
 
 def test_missing_and_damaged_arrays_are_named(run: RunDirectory) -> None:
-    with pytest.raises(UserError, match=r"a\.npz: cannot be read"):
+    mend = r"delete the row's line and --resume the run$"
+    with pytest.raises(UserError, match=rf"a\.npz: cannot be read: No such file or directory; {mend}"):
         run.load_arrays({"case": "a", "arrays": "arrays/a.npz"})
     row = {"case": "a", **run.save_arrays("a", {"time_s": np.zeros(100)})}
     name = row["arrays"]
     whole = (run.path / name).read_bytes()
     for damaged in (whole[:100], whole.replace(bytes(8), b"damaged!", 1), b""):
         (run.path / name).write_bytes(damaged)
-        with pytest.raises(UserError, match=r"a\.npz: cannot be read"):
+        with pytest.raises(UserError, match=rf"a\.npz: cannot be read: .*{mend}"):
             run.load_arrays(row)
 
 
@@ -320,13 +321,17 @@ def test_a_folder_that_was_deleted_is_not_begun_again(run: RunDirectory) -> None
     assert not run.path.exists()
 
 
-def test_a_run_has_one_process_that_flies_it(run: RunDirectory, tmp_path: Path) -> None:
+def test_a_run_has_one_process_that_flies_it(
+    run: RunDirectory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The lock goes with its process, even a killed one; within a process a run may be gone on with."""
     program = (
         "import sys\nfrom uavaccel.files import lock_of\nfrom pathlib import Path\n"
         "held = lock_of(Path(sys.argv[1]))\nprint('held', flush=True)\nsys.stdin.read()"
     )
     resume(run)
+    monkeypatch.chdir(tmp_path)
+    RunDirectory.create("run", Flight(), MANIFEST, resume=True)  # by whatever name
     command = [sys.executable, "-c", program, str(run.path)]
     refused = subprocess.run(command, input="", capture_output=True, text=True, check=False)
     assert "UserError" in refused.stderr

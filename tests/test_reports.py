@@ -409,6 +409,13 @@ def ablation_in_lockstep(path: Path) -> Report:
     return ablated(path, alone, "none", "late", times_clock_speed=False)
 
 
+def test_a_speed_up_lacks_where_one_of_its_cells_has_no_reference(tmp_path: Path) -> None:
+    rows = variant_rows("late", "none")[6:18]  # of "late" the paths of 24 rounds
+    assert [row["role"] for row in (rows[0], rows.pop(6))] == ["reference"] * 2
+    entries = ablated(tmp_path / "run", rows, "late", "none").summary["entries"]
+    assert [np.isnan(entry["effective_speedup"]) for entry in entries] == [False, True, True]
+
+
 def sweep(path: Path) -> Report:
     """The wind of 0 is as trained; 6 m/s and the light are not flown yet."""
     outcomes = {"as-trained": [1, 1, 1, 1, 1, 1, 1, 0], "wind-3": [1, 1, 0, 0, 0, 0, 0, 1]}
@@ -443,6 +450,11 @@ def robustness(path: Path) -> Report:
     """Success collapses below half of that in real time."""
     at_1x, collapses = [0.9, 0.8, 0.8, 0.75], [0.9, 0.9, 0.5, 0.3]
     return mapped(path, adsc1=at_1x, adsc5=collapses, tcsc1=[0.975, 0.9, 0.8, -1.0], tcsc5=[0.3] * 4)
+
+
+def test_what_recovers_at_a_higher_latency_has_collapsed(tmp_path: Path) -> None:
+    *_, found = mapped(tmp_path / "run", adsc1=[0.9, 0.8, 0.8, 0.7], adsc5=[0.9, 0.8, 0.3, 0.5]).summary["collapses"]
+    assert (found["clock_speed"], found["above"], found["below"]) == (5.0, 1.0, 2.0)
 
 
 def mediated(path: Path, policies: int) -> Report:

@@ -13,8 +13,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.opengl import needs_opengl
+from uavaccel.envs import observer
 from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.hover import Hover, HoverTask
+from uavaccel.envs.kernel_batch import KernelBatch
 from uavaccel.envs.navigate import Navigate
 from uavaccel.envs.observer import Game, Observer
 from uavaccel.envs.obstacle_lane import ObstacleLane
@@ -157,6 +159,22 @@ def test_whoever_looks_on_sees_the_game_from_its_beginning() -> None:
     assert looking[0].seen == looking[1].seen != []
 
 
+@needs_opengl
+def test_whoever_looks_on_begins_anew_with_each_game() -> None:
+    with closing(ObstacleLane(observation="state", t_sample_s=1.0, lane=POST)) as lane:
+        onlooker, camera = observer.Onlooker(pictures=False), observer.SecondEventCamera(lane.task, every_ticks=250)
+        for each in (onlooker, camera):
+            lane.add_observer(each)
+        lane.reset(seed=1)
+        while not lane.step(2)[2]:
+            pass
+        hit, frames = onlooker.hit, camera.events.frames
+        assert hit is not None
+        lane.reset()
+        lane.step(2)
+        assert (onlooker.hit, len(onlooker.samples), camera.events.frames - frames) == (None, 2, 2)
+
+
 @pytest.mark.parametrize("change", ["action", "charge", "seed", "task", "draws"])
 def test_a_game_that_comes_out_differently_is_one_clear_line(change: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """So is one after which another game would come, as a task draws more numbers than it did."""
@@ -187,3 +205,15 @@ def test_a_saved_game_calls_nothing_but_what_games_are_flown_by() -> None:
         state = {**here.get_state(), "flown": json.dumps([["close"]])}
         with pytest.raises(UserError, match="a saved game: 'close' is no part of one"):
             here.set_state(state)
+
+
+def test_lanes_are_saved_in_a_game_at_its_end_and_with_their_options() -> None:
+    keys: dict[str, Any] = {"observation": "state", "max_commands": 2, "difficulty": {"first_row_m": 1.5}}
+    keys["randomise"] = {"wind_m_s": [8, 8], "widen_over_games": 4}
+    with closing(KernelBatch(ObstacleLane, 2, **keys)) as here, closing(KernelBatch(ObstacleLane, 2, **keys)) as there:
+        here.reset(seed=3, options={"lane": 7})
+        for _ in range(5):  # lane 7 has a post straight ahead
+            there.reset(seed=1)
+            for lane, state in enumerate(here.call_each("get_state", [()] * 2)):
+                there.call_each("set_state", [(through_a_file(state, "npz"),)], [lane])
+            assert repr(here.step([2, 2])) == repr(there.step([2, 2]))

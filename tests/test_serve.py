@@ -62,11 +62,12 @@ def port_of(process: "subprocess.Popen[str]", rest: str) -> int:
 
 def test_it_serves_settings_names_what_it_does_not_know_and_a_signal_ends_it(tmp_path: Path) -> None:
     path = tmp_path / "settings.json"
-    path.write_text('{"ClockSpeed": 20, "ViewMode": "Fpv", "Vehicles": {"Drone1": {}}}')
+    path.write_text('{"ApiServerPort": 41452, "ClockSpeed": 20, "ViewMode": "Fpv", "Vehicles": {"Drone1": {}}}')
     with (
         serving("--settings", str(path), "--recordings", str(tmp_path / "there")) as process,
-        MultirotorClient(port=port_of(process, ": scene blocks, profile native, ClockSpeed 20\n")) as client,
+        MultirotorClient(port=(port := port_of(process, ": scene blocks, profile native, ClockSpeed 20\n"))) as client,
     ):
+        assert port != 41452, "the option is 0: any that is free"
         client.confirmConnection()
         assert line_of(process) == (
             "Drone1 hovers 10 m up; the clock runs and API control is off, as in AirSim; Ctrl-C stops\n"
@@ -112,12 +113,21 @@ def test_it_listens_beyond_this_machine_only_if_told_so_here() -> None:
     assert address_of(ServeOptions(host="127.0.0.2"), everywhere) == "127.0.0.2"
 
 
+UNEVEN = {"Recording": {"RecordInterval": 0.0501}}  # which the physics step does not divide
+
+
 def test_options_go_before_settings_which_reach_the_simulation(tmp_path: Path) -> None:
     (a_file := tmp_path / "file").touch()
     given = {"ClockSpeed": 5, "Recording": {"Folder": str(a_file), "RecordInterval": 0.2}, "Wind": {"X": 2}}
     settings = Settings.model_validate(given)
     with pytest.raises(UserError, match=r"Recording\.Folder = .*file: is no folder"):
         api_of(ServeOptions(), settings)
+    for wrong, line in (
+        (given | {"ClockSpeed": 2e4}, "ClockSpeed must be at most 10000"),
+        (UNEVEN, "Recording.Record"),
+    ):
+        with pytest.raises(UserError, match=rf"^my\.json: {line}"):
+            api_of(ServeOptions(Path("my.json")), Settings.model_validate(wrong))
     with pytest.raises(UserError, match=r"--recordings .*file: is no folder"):
         api_of(ServeOptions(recordings=a_file), Settings())
     for clock_speed, flown in ((None, 5.0), (2.0, 2.0)):

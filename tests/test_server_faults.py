@@ -149,6 +149,8 @@ def test_a_short_stop_is_seen_and_counted_once() -> None:
         os.kill(session.server.pid, signal.SIGCONT)
         sent.wait(call)
         assert 150_000_000 <= sent.stalled_ns <= sent.clock.now_ns() - call.sent_ns
+        sent.stalled_ns = 10**18
+        assert session.start_game(50.0).transport.stalled_ns < 10**18, "a game counts its own"
         assert client.speed()["lost_wall_ns"] == 0
     assert os.sched_getaffinity(0) == cores, "its own core is left to others again"
 

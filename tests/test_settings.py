@@ -63,10 +63,12 @@ def test_defaults_are_airsims(tmp_path: Path) -> None:
     ({"Vehicles": {"A": {"X": "near"}}}, "Vehicles.A.X = 'near'"),
     ({"Recording": {"RecordInterval": 1e300}}, "Recording.RecordInterval = 1e+300: must be 0, or between 1e-12"),
     ({"DefaultSensors": {"eye": {"SensorType": 6, "UpdateFrequency": 1e308}}}, "DefaultSensors.eye.UpdateFrequency"),
-    ({"ClockSpeed": 1e-300}, "ClockSpeed = 1e-300: must be 0, or between 1e-12 and 1e+12 in size"),
+    ({"ClockSpeed": 1e-300}, "ClockSpeed = 1e-300: should be greater than or equal to 0.001"),
     ({"SensorSeed": 10**400}, "SensorSeed = "),
     ({"Recording": {"RecordInterval": -1}}, "Recording.RecordInterval = -1"),
     ({"Wind": {"X": "strong"}}, "Wind.X = 'strong'"),
+    ({"Wind": {"X": 1000}}, "Wind = {'X': 1000}: must be at most 100 m/s, not 1000"),
+    ({"ClockSpeed": 1e6}, "ClockSpeed = 1000000.0: should be less than or equal to 100000"),
     ([1], "settings should be a mapping in braces, not list"),
     ('{"ClockSpeed": 5,}', "not JSON: "),
     ('{"ClockSpeed": NaN}', "ClockSpeed"),
@@ -98,10 +100,3 @@ def test_an_interval_that_the_step_does_not_divide() -> None:
     with pytest.raises(UserError, match=r"Recording\.RecordInterval: 0\.033 s .* 0\.032 and 0\.034 s are"):
         settings.recorder_of(NATIVE)
     assert settings.recorder_of(AIRSIM).recorder_ticks == 12  # AirSim waits for more than the interval
-
-
-def test_a_wind_that_nothing_withstands_is_refused() -> None:
-    from tests.simulating import world_of
-
-    with pytest.raises(UserError, match="Wind must be at most 100 m/s, not 1000"):
-        Settings.model_validate({"Wind": {"X": 1000}}).prepare(world_of(NATIVE))

@@ -13,12 +13,13 @@ from tests.made_runs import run_of
 from tests.running import configured, run_into
 from uavaccel.config import validate
 from uavaccel.errors import UsageError, UserError
+from uavaccel.metrics.intervals import Proportion
 from uavaccel.records import RunDirectory
 from uavaccel.suites.experiment import Row
 from uavaccel.suites.parts import part_run
 from uavaccel.suites.seeds import Seeds, SeedsConfig
 from uavaccel.suites.session import RunRequest, configure, planned
-from uavaccel.suites.train import TrainConfig
+from uavaccel.suites.train import TrainConfig, Training
 
 TRAINING = tiny_config({"observation": "state"}, mirror=False)
 SAME = ("config.yaml", "rows.jsonl", "summary.json", "policy.pt", "policy.json")
@@ -69,6 +70,8 @@ def test_an_interval_of_evaluations_covers_the_lanes(tmp_path: Path) -> None:
         found = summary["over_seeds"]["evaluation_success"]
         widths.append((found["mean"] - found["low"], found["high"] - found["mean"]))
         assert "won" not in summary["trainings"][0]
+        recent = summary["over_seeds"]["success_recent"]  # of twenty trainings of four games, not of a hundred
+        assert (recent["low"], recent["high"]) == pytest.approx(Proportion(40, 80).interval)
     assert widths[0] == pytest.approx([1.96 * (0.25 / 9) ** 0.5] * 2, rel=1e-4)
     assert widths[1] == pytest.approx([0.0688] * 2, abs=1e-3)
 
@@ -78,6 +81,9 @@ def test_an_option_makes_a_training_one_over_seeds(tmp_path: Path) -> None:
     config = configured("train", "task.speed_m_s=2", seeds=3, seed=5, games=4)
     assert (config.suite, config.seed, config.seeds) == ("seeds", 5, 3)
     assert config.training == configured("train", "task.speed_m_s=2", seed=5, games=4)
+    assert Seeds().provenance(config) == Training().provenance(config.training) != {}
+    with pytest.raises(UserError, match="algorithm = 'sb3_sac' is unknown"):
+        configured("train", "algorithm=sb3_sac", seeds=3)
     with planned(RunRequest("train", {"seeds": 3, "games": 4}, out=tmp_path / "run")) as plan:
         assert next(plan.lines()).startswith("12 games in 3 trainings (3 lockstep: modelled), 2,340 simulated s")
         RunDirectory.create(plan.out, plan.config, {})

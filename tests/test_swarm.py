@@ -57,8 +57,11 @@ def test_a_drone_far_from_others_flies_as_it_does_alone() -> None:
     actions = np.random.default_rng(2).uniform(-1.0, 1.0, (6, 3)).astype(np.float32)
     alone = Hover(altitude_m=5.0, speed_m_s=2.0)
     alone.reset(seed=0, options={"waypoint_m": [50.0, 0.0, -5.0]})
+    starts_m = [[0.0, 0.0, -5.0], [40.0, 9.0, -5.0], [0.0, 30.0, -5.0]]
     with closing(Swarm(drones=3, altitude_m=5.0)) as drones:
-        drones.reset(options=IN_LINE | {"starts_m": [[0.0, 0.0, -5.0], [40.0, 9.0, -5.0], [0.0, 30.0, -5.0]]})
+        drones.reset(options=IN_LINE)
+        _, infos = drones.reset(options=IN_LINE | {"starts_m": starts_m})
+        np.testing.assert_allclose([info["position_m"] for info in infos.values()], starts_m)
         for action in actions:
             seen = alone.step(action)[0]
             others = drones.step({"drone_0": action, "drone_1": STAY, "drone_2": STAY})[0]

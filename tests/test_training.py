@@ -131,14 +131,20 @@ def test_a_training_names_the_weights_that_it_starts_from() -> None:
     }
 
 
-def test_a_training_that_is_over_goes_on_for_more_games(tmp_path: Path) -> None:
-    run, short = tmp_path / "run", tiny_config(STATE, mirror=False)
+def test_a_training_that_is_over_goes_on_for_more_games(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It computes in its own number of threads, and Ctrl-C is the program's again."""
+    run, short = tmp_path / "run", tiny_config(STATE, mirror=False, torch_threads=3)
+    threads, ctrl_c = list[int](), signal.getsignal(signal.SIGINT)
+    monkeypatch.setattr(th, "set_num_threads", threads.append)
     over = train_into(run, short)
-    assert train_into(run, short, resume=True) == over
+    assert (threads[0], signal.getsignal(signal.SIGINT)) == (3, ctrl_c)
+    (run / "policy.json").unlink()  # killed after the last row, before the policy was written
+    for _ in range(2):
+        assert train_into(run, short, resume=True) == over
     with pytest.raises(UserError, match="games = 3: 4 were asked for before, and a run that goes on can only have"):
-        train_into(run, tiny_config(STATE, mirror=False, games=3), resume=True)
+        train_into(run, short.model_copy(update={"games": 3}), resume=True)
     before, kept = (run / "rows.jsonl").read_bytes().splitlines(), checkpointed(run)
-    assert train_into(run, tiny_config(STATE, mirror=False, games=7), resume=True)["games"] == 7
+    assert train_into(run, short.model_copy(update={"games": 7}), resume=True)["games"] == 7
     assert (run / "rows.jsonl").read_bytes().splitlines()[:kept] == before[:kept]
     assert RunDirectory(run).config()["games"] == 7
     unsaved = tiny_config(STATE, mirror=False, games=2, checkpoint_games=9)

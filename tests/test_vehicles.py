@@ -92,7 +92,8 @@ def test_who_leads() -> None:
     """The first by the alphabet as in AirSim, or who is watched; who is not created is not there."""
     settings = Settings.model_validate({"Vehicles": {"Z": {}, "B": ASIDE}})
     assert settings.vehicle == "B"
-    watched = {"Vehicles": {"Z": {"IsFpvVehicle": True}, "B": ASIDE, "A": {"AutoCreate": False}}}
+    absent = {"AutoCreate": False, "IsFpvVehicle": True}
+    watched = {"Vehicles": {"A": absent, "Z": {"IsFpvVehicle": True}, "B": ASIDE}}
     assert Settings.model_validate(watched).vehicle == "Z"
     assert [name for name, _ in Settings.model_validate(watched).created()] == ["B", "Z"]
 

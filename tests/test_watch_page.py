@@ -5,6 +5,7 @@ What a browser would be shown is recorded as text (tests/golden.py).
 
 from __future__ import annotations
 
+import importlib
 import socket
 import threading
 from collections.abc import Sequence
@@ -151,9 +152,9 @@ def test_events_are_of_what_passed_since_the_last_image(monkeypatch: pytest.Monk
         return state, np.ones((HEIGHT, WIDTH), int), np.zeros((HEIGHT, WIDTH), int)
 
     monkeypatch.setattr(scenes, "step", step)
-    for time_s in (5.0, 5.0, 5.1, 5.2, 9.0, 9.125, 2.0, 2.25):
+    for time_s in (5.0, 5.0, 5.1, 5.2, 9.0, 9.125, 2.0, 2.125, 2.375):
         picture = eyes.render(np.arange(1.0, 8.0), time_s)
-    assert stepped == pytest.approx([0.1, 0.2, 0.125])
+    assert stepped == pytest.approx([0.1, 0.2, 0.125, 0.125])
     assert (picture.shape, picture[0, 0].tolist()) == ((2 * HEIGHT, WIDTH, 3), [0, 0, 0])
     assert picture[-1, 0, 2] > picture[-1, 0, 0]  # ON is blue, as browsers have it
     assert data.qpos.tolist() == [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 0.0]
@@ -344,6 +345,9 @@ def test_drones_see_from_their_own_places_every_third_update(monkeypatch: pytest
         other = STATE._replace(time_s=7.0, pose=np.array([2.0, *POSE[1:]]))
         opened.tell(MOMENT._replace(drones=[STATE._replace(time_s=time_s), other]))
     assert images() == {"a: camera, events": (POSE, 5.0), "c: camera, events": ([2.0, *POSE[1:]], 7.0)}
+    opened.source.scene = Scene(first.model, first.data, {"c": first.bodies["a"]}, np.zeros(3))
+    opened.tell(MOMENT)
+    assert list(images()) == ["c: camera, events"], "no picture of a drone that is gone"
 
 
 # --- who may look ----------------------------------------------------------------------------------------------------
@@ -392,9 +396,12 @@ def asked(port: int, *more: str, host: str = "") -> tuple[socket.socket, bytes]:
 @pytest.mark.filterwarnings("ignore:.control_layout:DeprecationWarning")  # of viser's newer versions
 def test_a_foreign_page_gets_nothing_and_a_deaf_one_is_dropped(monkeypatch: pytest.MonkeyPatch) -> None:
     viser = pytest.importorskip("viser")
+    servers = importlib.import_module("websockets.asyncio.server")
     monkeypatch.setattr(beside, "UNREAD_MS", 100)
+    serve = servers.serve
     page = beside.open_server("127.0.0.1", 18180, head_of("What flies."))
     try:
+        assert servers.serve is serve, "other servers are as they were"
         port = page.get_port()
         socket_of = (
             *("Upgrade: websocket", "Connection: Upgrade", "Sec-WebSocket-Version: 13"),

@@ -12,6 +12,7 @@ from itertools import pairwise
 from typing import Any, NamedTuple, Protocol, TypeAlias, TypeVar
 
 from uavaccel.clock import MonotonicClock
+from uavaccel.errors import UserError
 from uavaccel.kinematics import FlightGoal, Kinematics, Quaternion, Vector, airsim_command
 from uavaccel.kinematics import VelocityGoal as VelocityGoal
 from uavaccel.units import NS_PER_S, seconds_to_ns
@@ -66,7 +67,9 @@ TAIL = 0.05
 
 
 def slice_of(t_move_ns: int, t_sample_ns: int) -> int:
-    """Return T_wakeup = min(T_move, T_sample), with a rest shorter than TAIL included."""
+    """Return T_wakeup = min(T_move, T_sample), with a rest shorter than TAIL included. Raises UserError for none."""
+    if t_sample_ns <= 0:
+        raise UserError("t_sample_s: must be 1e-9 s or more")
     return t_move_ns if t_move_ns - t_sample_ns < TAIL * t_sample_ns else t_sample_ns
 
 

@@ -97,7 +97,9 @@ def own_function(place: str, where: str) -> tuple[Callable[..., Any], Path]:
     Raises UserError, beginning with `where`, as `own_module` does, and if it is none.
     """
     module, name = own_module(module_of(place), where), place.partition(":")[2]
-    if callable(found := getattr(module, name, None)):
+    if isinstance(found := getattr(module, name, None), type):
+        raise UserError(f"{where}: {name} is a class: name a function, or an object of that class")
+    if callable(found):
         return found, Path(str(module.__file__)).resolve()
     there = [each for each, value in vars(module).items() if callable(value) and not each.startswith("_")]
     raise UserError(f"{where}: {module_of(place)} has no function {name}; {suggestion(name, there)}")

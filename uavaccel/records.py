@@ -171,7 +171,10 @@ class RunDirectory:
         if name != f"arrays/{row['case']}.npz":
             raise UserError(f"{self.path / 'rows.jsonl'}: {row['case']}: has the arrays of another case, {name}")
         file = self.path / name
-        arrays = read_arrays(file)
+        try:
+            arrays = read_arrays(file)
+        except UserError as error:
+            raise UserError(f"{error}; delete the row's line and --resume the run") from None
         if wanted is not None and file_sha256(file) != wanted:
             raise UserError(
                 f"{file}: is not the file of its row: another hash; delete the row's line and --resume the run"

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from uavaccel.config import MOST_GAMES, MOST_PROCESSES
 from uavaccel.envs.arrays import mapped, select
-from uavaccel.envs.checks import actions_of, check_render_mode, make_task, seeds_of, whole_number
+from uavaccel.envs.checks import actions_of, check_render_mode, lanes_of, make_task, seeds_of, whole_number
 from uavaccel.envs.environment_process import EnvironmentProcesses, observations_of
 from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.values import Actions, Answer, Batch, Info, Observation, Steps
@@ -51,9 +51,14 @@ class TurnBatch(Batch, ABC):
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: Mapping[str, object] | None = None
     ) -> tuple[Observation, Info]:
-        """Begin a game in every environment; environment i gets `seed` + i, or the i-th of several seeds."""
-        infos = self.reset_each(seeds_of(seed, self.num_envs), [options] * self.num_envs)
-        return self.observations(), self._merged(infos)
+        """Begin a game in every environment; environment i gets `seed` + i, or the i-th of several seeds.
+
+        With the option `reset_mask`, truth values (N,), in those alone.
+        """
+        seeds, (which, others) = seeds_of(seed, self.num_envs), lanes_of(options, self.num_envs)
+        begun = self.reset_each([seeds[slot] for slot in which], [others] * len(which), which)
+        infos = dict(zip(which, begun, strict=True))
+        return self.observations(), self._merged([infos.get(slot, {}) for slot in range(self.num_envs)])
 
     def step(self, actions: Actions) -> tuple[Observation, NDArray[float64], NDArray[bool_], NDArray[bool_], Info]:
         """Fly one command in every environment."""
@@ -71,8 +76,13 @@ class TurnBatch(Batch, ABC):
     # --- learners ---------------------------------------------------------------------------------
 
     @abstractmethod
-    def reset_each(self, seeds: Sequence[int | None], options: Sequence[Mapping[str, object] | None]) -> list[Info]:
-        """Begin a game in every environment with its own seed and options; return the infos."""
+    def reset_each(
+        self,
+        seeds: Sequence[int | None],
+        options: Sequence[Mapping[str, object] | None],
+        slots: Sequence[int] | None = None,
+    ) -> list[Info]:
+        """Begin a game in each of `slots`, by default all, with its own seed and options; return the infos."""
 
     @abstractmethod
     def step_async(self, actions: Actions, slots: Sequence[int] | None = None) -> None:
@@ -190,9 +200,14 @@ class EnvironmentBatch(TurnBatch):
         seen = select(self._observations.present, which)
         return seen, np.array(rewards), np.array(terminated), np.array(truncated), list(infos)
 
-    def reset_each(self, seeds: Sequence[int | None], options: Sequence[Mapping[str, object] | None]) -> list[Info]:
-        """Begin a game in every environment with its own seed and options; returns the infos."""
-        return self._slots.request_all("reset", list(zip(seeds, options, strict=True)), range(self.num_envs))
+    def reset_each(
+        self,
+        seeds: Sequence[int | None],
+        options: Sequence[Mapping[str, object] | None],
+        slots: Sequence[int] | None = None,
+    ) -> list[Info]:
+        """As `TurnBatch` has it."""
+        return self._slots.request_all("reset", list(zip(seeds, options, strict=True)), self._all(slots))
 
     def call_each(
         self, name: str, arguments: Sequence[tuple[object, ...]], slots: Sequence[int] | None = None

@@ -5,15 +5,16 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import astuple, replace
 from numbers import Real
 from typing import Any, TypeVar, get_args
 
 import numpy as np
 from gymnasium import spaces
+from numpy.typing import NDArray
 
 from uavaccel.config import validate
-from uavaccel.envs.task import Task
+from uavaccel.envs.task import Task, told_of
 from uavaccel.envs.values import AT_REST, Action, Actions, Moment
 from uavaccel.errors import UserError
 from uavaccel.kinematics import FlightGoal, Kinematics
@@ -108,6 +109,19 @@ def seeds_of(seed: int | Sequence[int | None] | None, count: int) -> list[int | 
     return [seed_of(each) for each in seed]
 
 
+def lanes_of(options: Mapping[str, object] | None, count: int) -> tuple[list[int], Mapping[str, object] | None]:
+    """Return which environments a reset is of, by Gymnasium's option reset_mask, and the other options.
+
+    Raises UserError for a mask that is no array of `count` truth values, of which one is true.
+    """
+    if not isinstance(options, Mapping) or "reset_mask" not in options:
+        return list(range(count)), options
+    mask = np.asarray(options["reset_mask"])
+    if mask.dtype != bool or mask.shape != (count,) or not mask.any():
+        raise UserError(f"reset: option reset_mask: must be {count} truth values, not all of them False")
+    return mask.nonzero()[0].tolist(), {key: value for key, value in options.items() if key != "reset_mask"}
+
+
 class Functions:
     """The functions of a task; what goes wrong in one is a UserError that names file, class and function."""
 
@@ -139,8 +153,10 @@ def check_functions(task: Task) -> None:
     if kind.reward is Task.reward:
         raise call.wrong("reward", "is missing: def reward(self, before, now), which returns a command's reward")
     actions = call("action_space")
-    if not (isinstance(actions, spaces.Discrete) or (isinstance(actions, spaces.Box) and len(actions.shape) == 1)):
-        raise call.wrong("action_space", f"must return a Discrete, or a Box of shape (n,), not {actions!r}")
+    numbered = isinstance(actions, spaces.Discrete) and actions.start == 0
+    if not (numbered or (isinstance(actions, spaces.Box) and len(actions.shape) == 1)):
+        what = "a Discrete that begins with 0, or a Box of shape (n,)"
+        raise call.wrong("action_space", f"must return {what}, not {actions!r}")
     course = call.mapping("sample", np.random.default_rng(0), {})
     try:
         json.dumps(course)
@@ -154,6 +170,13 @@ def check_functions(task: Task) -> None:
     goal = call("goal", action.astype(np.float64) if isinstance(actions, spaces.Box) else action)
     if not isinstance(goal, get_args(FlightGoal)):
         raise call.wrong("goal", f"must return a goal of uavaccel.kinematics, such as VelocityGoal, not {goal!r}")
+    numbers = [number for number in astuple(goal) if number is not None]
+    try:
+        finite = bool(np.isfinite(np.hstack(numbers).astype(float)).all())
+    except (TypeError, ValueError):  # which are no numbers
+        finite = False
+    if not finite:
+        raise call.wrong("goal", f"must be of finite numbers, not {goal}")
     begun = Moment(state, state.position_m, None, 0, course)
     now = begun._replace(commands=1)
     now = now._replace(course=call.mapping("advance", begun, now))
@@ -161,31 +184,44 @@ def check_functions(task: Task) -> None:
         if not isinstance(ended := call(name, now), bool | np.bool_):
             raise call.wrong(name, f"returned {ended!r}: must be True or False")
     check_reward(task, call("reward", begun, now))
-    call.mapping("info", now)
+    if taken := {*told_of(task, now), "wall_s", "phase_s", "host_phase_s"} & {*call.mapping("info", now)}:
+        raise call.wrong("info", f"{min(taken)!r} is an item of all tasks: name yours otherwise")
 
 
 def _check_features(task: Task, call: Functions, state: Kinematics, course: Mapping[str, Any]) -> None:
     if task.observation != "state" and not task.also_state:
         return
-    name = "fields" if type(task).features is Task.features else "features"
+    name = features_name(task)
     try:
-        numbers = np.asarray(call(name, state, course), np.float32)
+        with np.errstate(over="ignore"):
+            numbers = np.asarray(call(name, state, course), np.float32)
     except (TypeError, ValueError) as error:
         said = str(error).partition(". ")[0]
         raise call.wrong(name, f"must return numbers, in lists of equal length: {said}") from error
-    if not np.isfinite(numbers).all():
-        raise call.wrong(name, f"returned a number that is not finite: {numbers.tolist()}")
+    if not numbers.size:
+        raise call.wrong(name, "returned no numbers")
+    check_features(task, numbers, numbers.shape)
     space = call("observation_space")
     seen = np.concatenate([task.features(state, course)] * task.frames_per_command * task.history).shape
     if task.observation == "state" and space.shape != seen:
         raise call.wrong(name, f"observations are of shape {seen}, in observation_space of {space.shape}")
 
 
-def check_reward(task: Task, reward: Any) -> None:
-    """Raise UserError for a reward, or an array of rewards, that is no finite number."""
-    if isinstance(reward, np.ndarray):
-        wrong: list[Any] = reward[~np.isfinite(reward)].tolist()
-    else:
-        wrong = [] if isinstance(reward, Real) and math.isfinite(reward) else [reward]
-    if wrong:
-        raise Functions(task).wrong("reward", f"returned {wrong[0]!r}: must be a finite number")
+def features_name(task: Task) -> str:
+    """Return the name of the function that says what is observed of the state."""
+    return "fields" if type(task).features is Task.features else "features"
+
+
+def check_features(task: Task, numbers: NDArray[np.float32], shape: tuple[int, ...]) -> None:
+    """Raise UserError for a frame of the state that is of another shape, or has numbers that are not finite."""
+    if numbers.shape != shape:
+        raise Functions(task).wrong(features_name(task), f"returned the shape {numbers.shape}, and {shape} before")
+    if not np.isfinite(numbers).all():
+        what = f"returned a number that is not finite: {numbers.tolist()}"
+        raise Functions(task).wrong(features_name(task), what)
+
+
+def check_reward(task: Task, reward: object) -> None:
+    """Raise UserError for a reward that is no finite number."""
+    if not (isinstance(reward, Real) and math.isfinite(reward)):
+        raise Functions(task).wrong("reward", f"returned {reward!r}: must be a finite number")

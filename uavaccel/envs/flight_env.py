@@ -20,7 +20,9 @@ from uavaccel.clock import MonotonicClock
 from uavaccel.commands import COMMANDS
 from uavaccel.envs.checks import (
     RENDER_MODES,
+    Functions,
     TaskT,
+    check_features,
     check_render_mode,
     check_reward,
     known_options,
@@ -106,12 +108,17 @@ class FlightEnv(gymnasium.Env[Observation, Action], Generic[TaskT]):
 
     def step(self, action: Action) -> tuple[Observation, float, bool, bool, Info]:
         """Fly one command. Raises UserError before the first `reset`, and for an action outside the space."""
+        from uavaccel.wire.rpc import RpcError
+
         if self._client is None:
             raise UserError("reset the environment before its first step")
         action, before = within(self.action_space, action), self._now
         self._flown.append(("step", plain(action)))
         self._switch("simulation")
-        now = self._fly(self._client, action)
+        try:
+            now = self._fly(self._client, action)
+        except RpcError as error:  # what the server refused of a goal
+            raise Functions(self.task).wrong("goal", str(error)) from error
         self._switch(None)
         self._now = now._replace(course=self.task.advance(before, now))
         success = self.task.success(self._now)
@@ -220,7 +227,7 @@ class FlightEnv(gymnasium.Env[Observation, Action], Generic[TaskT]):
         if self.sensor.picture is not None:
             gl.check_process()
         if self._session is None:
-            self._session = open_session(task.timing, task.profile, task.scene, task.latency)
+            self._session = open_session(task.timing, task.profile, task.scene, before.latency)
             if task.dvs_ticks and not task.blank_images:
                 self._session.watch(task.dvs_ticks, self._look)
         self.episode_task = task = task.with_conditions(course.get(CONDITIONS, {}))
@@ -257,9 +264,9 @@ class FlightEnv(gymnasium.Env[Observation, Action], Generic[TaskT]):
         lane, height_m = task.layout(course), -task.altitude_m
         try:
             started = session.start_game(task.clock_speed, latencies, lane=lane, height_m=height_m)
-        except RpcError:
+        except RpcError as error:
             task.lane_layout(course)  # raises UserError for what the server refused
-            raise
+            raise Functions(task).wrong("altitude_m", str(error)) from error
         self._start_ns = started.now_ns()
         self._stopwatches = [Stopwatch(started.transport.clock)]
         if task.report_host_times:
@@ -274,7 +281,7 @@ class FlightEnv(gymnasium.Env[Observation, Action], Generic[TaskT]):
         state = self._in_game(first.state)
         self._now = Moment(state, state.position_m, None, 0, course)
         frame = self.sensor.reset(state, first.image, course)
-        seen = frame if task.sees_start and not task.blank_images else self.sensor.blank
+        seen = self._checked(frame) if task.sees_start and not task.blank_images else self.sensor.blank
         self._frames.extend([seen] * (self._frames.maxlen or 0))
         if self._context is not None:
             self._context.start(state.time_ns)
@@ -326,10 +333,15 @@ class FlightEnv(gymnasium.Env[Observation, Action], Generic[TaskT]):
         self._switch("image_processing")
         frame = self.sensor.blank
         if not self.task.blank_images:
-            frame = self.sensor.frame(sample.state, sample.image, self._now.course)
+            frame = self._checked(self.sensor.frame(sample.state, sample.image, self._now.course))
         if self.task.timing == "virtual" and self._client is not None:
             self._client.client.transport.clock.charge(round(self.task.image_processing_s * NS_PER_S))
         self._switch("simulation")
+        return frame
+
+    def _checked(self, frame: Frame) -> Frame:
+        if self.task.observation == "state":
+            check_features(self.task, frame, self.sensor.blank.shape)
         return frame
 
     def _switch(self, phase: str | None) -> None:
@@ -341,8 +353,11 @@ class FlightEnv(gymnasium.Env[Observation, Action], Generic[TaskT]):
         frames = np.concatenate([*self._frames, *context])
         if not self.task.also_state:
             return frames
-        state = self.task.features(self._now.state, self._now.course).ravel()
-        return {"image": frames, "state": state if self._now.free else np.zeros_like(state)}
+        state = np.zeros(self.observation_space["state"].shape, np.float32)
+        if self._now.free:
+            state = np.asarray(self.task.features(self._now.state, self._now.course), np.float32).ravel()
+            check_features(self.task, state, self.observation_space["state"].shape)
+        return {"image": frames, "state": state}
 
     def _info(self) -> Info:
         wall_s = (self._client.now_ns() - self._start_ns) / NS_PER_S if self._client else 0.0

@@ -15,7 +15,7 @@ import numpy as np
 from gymnasium import spaces
 
 from uavaccel.envs.arrays import cast, full, joined, mapped, namespace_of
-from uavaccel.envs.checks import check_reward
+from uavaccel.envs.checks import Functions, check_features, check_reward
 from uavaccel.envs.sensors import NO_ACTION
 from uavaccel.envs.stopwatch import PHASES
 from uavaccel.envs.task import RAD, Task
@@ -95,7 +95,10 @@ class Judge:
         if _modes_of(goal) != tuple(self.modes):
             raise UserError(f"{type(self.task).__name__}.goal: all actions must ask for the same kind of goal")
         like = cast(actions if self.discrete else actions[:, 0], "float64")
-        return joined([full(number, like) for number in goal.values], like)
+        numbers = joined([full(number, like) for number in goal.values], like)
+        if isinstance(numbers, np.ndarray) and not np.isfinite(numbers).all():  # nothing waits for a GPU
+            raise Functions(self.task).wrong("goal", "returned a number that is not finite")
+        return numbers
 
     def _goal(self, actions: Action, keys: Mapping[str, Number]) -> Goal:
         task = self.task.model_copy(update=dict(keys)) if keys else self.task
@@ -110,7 +113,7 @@ class Judge:
         xp, frames = namespace_of(numbers), self.task.frames_per_command * self.task.history
         none = cast(xp.zeros_like(numbers[:, 0]), "int64")
         if self._sees_state and self.task.sees_start:
-            pictures = self._features(course, numbers, none)
+            pictures = self._finite(self._features(course, numbers, none))
         elif pictures is None:
             level, shape = int(self._blank.flat[0]), (len(none), *self._blank.shape)
             pictures = xp.full(shape, level, dtype=getattr(xp, self._blank.dtype.name), device=none.device)
@@ -174,8 +177,9 @@ class Judge:
         success = self._over_arrays("success", like, lambda: full(task.success(now), like) != 0)
         failure = self._over_arrays("failure", like, lambda: full(task.failure(now), like) != 0)
         reward = self._over_arrays("reward", like, lambda: full(task.reward(before, now), like))
-        if isinstance(reward, np.ndarray):  # reading a tensor would wait for the GPU
-            check_reward(task, reward)
+        if isinstance(reward, np.ndarray):
+            for wrong in reward[~np.isfinite(reward)][:1]:
+                check_reward(task, float(wrong))
         terminated = success | failure
         truncated = ~terminated & (now.commands >= task.max_commands)
         return now.course, Judged(reward, success, terminated, truncated)
@@ -220,7 +224,7 @@ class Judge:
             shown = self._features(course, flown.samples[:, sample], flown.ticks[:, sample] * self._tick_ns)
             which = seen[:, sample].reshape(-1, *(1,) * self._blank.ndim)
             frames.append(xp.where(which, shown, xp.zeros_like(shown)))
-        return xp.concatenate(frames, 1)
+        return self._finite(xp.concatenate(frames, 1))
 
     def _features(
         self, course: Mapping[str, Any], numbers: Number, time_ns: Number, shape: tuple[int, ...] | None = None
@@ -247,7 +251,14 @@ class Judge:
         state = self._features(games.course, games.numbers, games.time_ns, (-1,))
         free = (games.collision < 0)[:, None]
         xp = namespace_of(state)
-        return {"image": games.observations, "state": xp.where(free, state, xp.zeros_like(state))}
+        return {"image": games.observations, "state": self._finite(xp.where(free, state, xp.zeros_like(state)))}
+
+    def _finite(self, seen: Number) -> Number:
+        """Return what is observed of states (n, ...). Raises UserError for a number of an array that is not finite."""
+        if isinstance(seen, np.ndarray):
+            for wrong in seen[~np.isfinite(seen).all(tuple(range(1, seen.ndim)))][:1]:
+                check_features(self.task, wrong, wrong.shape)
+        return seen
 
     def _with_context(self, frames: Number, actions: Number, ages_ns: Number) -> Number:
         """Return frames with the task's context planes (envs/sensors) behind them."""

@@ -105,15 +105,25 @@ class KernelBatch(TurnBatch):
 
     # --- learners ---------------------------------------------------------------------------------
 
-    def reset_each(self, seeds: Sequence[int | None], options: Sequence[Mapping[str, object] | None]) -> list[Info]:
-        """Begin a game in every environment, with its own seed and options, and return the infos."""
-        for lane, seed in enumerate(seeds):
+    def reset_each(
+        self,
+        seeds: Sequence[int | None],
+        options: Sequence[Mapping[str, object] | None],
+        slots: Sequence[int] | None = None,
+    ) -> list[Info]:
+        """As `TurnBatch` has it. Raises UserError where the first reset is not of all environments."""
+        which = range(self.num_envs) if slots is None else slots
+        if len(which) < self.num_envs and not self._drawn:
+            raise UserError("reset: option reset_mask: reset all environments first")
+        for lane, seed in zip(which, seeds, strict=True):
             if seed is not None or lane not in self._generators:
                 self._generators[lane] = seeding.np_random(seed)[0]
             self._games[lane] = self._games[lane] + 1 if seed is None else 1
-        self._drawn = [self._draw(lane, options[lane]) for lane in range(self.num_envs)]
-        self._running = self._blank_games()
-        return self._begin(np.arange(self.num_envs))
+        drawn = {lane: self._draw(lane, own) for lane, own in zip(which, options, strict=True)}
+        self._drawn = [drawn[lane] if lane in drawn else self._drawn[lane] for lane in range(self.num_envs)]
+        if len(which) == self.num_envs:
+            self._running = self._blank_games()
+        return self._begin(np.array(which))
 
     def _blank_games(self) -> Running:
         """Return arrays for the games in `_drawn`."""

@@ -102,7 +102,8 @@ OLD_NAMES = {  # NumPy's names that 1.24 and 2.0 removed, and what they mean: Py
 GYM = ("gym", *(f"gym.{part}" for part in ("core", "envs", "error", "logger", "spaces", "utils")), "shimmy")
 GYM += ("gym.envs.registration", "gym.utils.seeding")
 NO_KEY = -1  # of cv2.waitKey
-WINDOWS = ("destroyAllWindows", "destroyWindow", "imshow", "moveWindow", "namedWindow", "resizeWindow")
+WINDOWS: tuple[str, ...] = ("destroyAllWindows", "destroyWindow", "imshow", "moveWindow", "namedWindow", "resizeWindow")
+WINDOWS += ("setMouseCallback", "setWindowProperty", "setWindowTitle", "startWindowThread")
 
 
 @contextmanager
@@ -215,10 +216,29 @@ def supply_windows(patches: Patches, cv2: ModuleType, keyboard: Keyboard) -> Non
             return NO_KEY
         return NAMED.get(key) or ord(key)
 
-    for name in WINDOWS:
-        patches.set(cv2, name, _nothing)
-    for name, wait in (("waitKey", wait_key), ("waitKeyEx", wait_key), ("pollKey", lambda: wait_key(1))):
-        patches.set(cv2, name, wait)
+    sliders: dict[tuple[str, str], int] = {}  # the position of each trackbar, by its name and its window's
+
+    def create_trackbar(
+        name: str, window: str, value: int | None, count: int, onChange: object = None, **options: object
+    ) -> None:
+        sliders[name, window] = min(max(value or 0, 0), count)
+
+    def set_trackbar(name: str, window: str, position: int) -> None:
+        sliders[name, window] = position
+
+    supplied = {
+        **dict.fromkeys(WINDOWS, _nothing),
+        "waitKey": wait_key,
+        "waitKeyEx": wait_key,
+        "pollKey": lambda: wait_key(1),
+        "createTrackbar": create_trackbar,
+        "setTrackbarPos": set_trackbar,
+        "getTrackbarPos": lambda name, window: sliders.get((name, window), -1),
+        "getWindowProperty": lambda window, property: 1.0,  # it is there, and visible
+        "selectROI": lambda *arguments, **options: (0, 0, 0, 0),  # cancelled
+    }
+    for name, replacement in supplied.items():
+        patches.set(cv2, name, replacement)
 
 
 def old_modules() -> Modules:

@@ -79,6 +79,11 @@ class FlightOptions:
         """The wall time that is charged before each call."""
         return THINK_S[self.timing] if self.think_s is None else self.think_s
 
+    @property
+    def own_folder(self) -> bool:
+        """Whether recordings go into the flight's folder: it is kept, or the flight is a second one to compare."""
+        return self.reference is not None or self.scratch is None or self.scratch not in self.folder.parents
+
     def to_json(self) -> str:
         return json.dumps(asdict(self), default=str)
 

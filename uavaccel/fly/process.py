@@ -13,6 +13,7 @@ import random
 import shutil
 import signal
 import sys
+import threading
 from collections.abc import Callable
 from pathlib import Path
 from types import FrameType, ModuleType
@@ -23,7 +24,15 @@ from uavaccel.files import replacing, to_json
 from uavaccel.fly.log import DifferenceError, MessageLog
 from uavaccel.fly.modules import Patches
 from uavaccel.fly.options import DIFFERENCE, INTERRUPT_SEEN, SUMMARY, FlightOptions
-from uavaccel.fly.script import INTERRUPTED, checked_output, compiled, flush_output, unraisable
+from uavaccel.fly.script import (
+    INTERRUPTED,
+    FlightOver,
+    ScriptResult,
+    checked_output,
+    compiled,
+    flush_output,
+    unraisable,
+)
 from uavaccel.processes.lifetime import end_with_parent, lost_interrupts_repeated
 
 if TYPE_CHECKING:
@@ -89,19 +98,36 @@ def fly(options: FlightOptions) -> int:
         from uavaccel.fly.simulated import SimulatedFlight
 
         flight = SimulatedFlight(options, settings, clock_speed, log)
+
+    def finish(outcome: ScriptResult) -> int:
+        """Write what was flown, which nothing interrupts."""
+        for kind in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(kind, signal.SIG_IGN)
+        flush_output()
+        flight.end()
+        log.close(ended=outcome.finished or outcome.status != INTERRUPTED)
+        chosen = {"clock_speed": clock_speed, "scene": options.scene}
+        summary = {**chosen, "calls": log.calls, **outcome._asdict(), **flight.summary()}
+        _write(options.folder / SUMMARY, to_json(summary, indent=2) + "\n")
+        return outcome.status
+
+    def end_within(wall_s: float) -> None:
+        """End this process from within a script that does not let it end."""
+        status = 1
+        try:
+            if threading.current_thread() is threading.main_thread():
+                status = finish(ScriptResult(0, False, wall_s - flight.unflown_s))
+        except UserError as error:
+            _complain(f"error: {error}", 1)
+        finally:
+            os._exit(status)
+
     with Patches() as patches:
+        patches.set(FlightOver, "end", staticmethod(end_within))
         if options.seed is not None:
             _seed(options.seed, patches)
         outcome = flight.run()
-    for kind in (signal.SIGINT, signal.SIGTERM):  # nothing interrupts writing what was flown
-        signal.signal(kind, signal.SIG_IGN)
-    flush_output()
-    flight.end()
-    log.close(ended=outcome.finished or outcome.status != INTERRUPTED)
-    chosen = {"clock_speed": clock_speed, "scene": options.scene}
-    summary = {**chosen, "calls": log.calls, **outcome._asdict(), **flight.summary()}
-    _write(options.folder / SUMMARY, to_json(summary, indent=2) + "\n")
-    return outcome.status
+    return finish(outcome)
 
 
 def _seed(seed: int, patches: Patches) -> None:

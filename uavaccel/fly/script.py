@@ -65,18 +65,22 @@ def hide_frames_everywhere(patches: Patches) -> None:
 class FlightOver(BaseException):
     """Ends the script at the end of its flight; a BaseException, which its `except Exception` does not catch.
 
-    Every call raises it from then on. The process of a script that catches it again and again is ended.
+    Every call raises it from then on. The process of a script that catches it again and again is ended by `end`, which
+    first writes what was flown.
     """
 
     MOST = 1000
     raised = 0
+    end: Callable[[float], None] = staticmethod(lambda wall_s: os._exit(1))
+    clock, begun_ns = MonotonicClock(), 0  # of the script
 
     def __init__(self) -> None:
         FlightOver.raised += 1
         if FlightOver.raised > self.MOST:
+            FlightOver.raised = 0  # of what ends it
             flush_output()
             print("uavaccel: the script catches every exception and does not end; it is ended here", file=sys.stderr)
-            os._exit(1)
+            FlightOver.end((self.clock.now_ns() - self.begun_ns) / NS_PER_S)
 
 
 def unraisable(event: sys.UnraisableHookArgs) -> None:
@@ -102,8 +106,8 @@ def run_script(path: Path, arguments: tuple[str, ...], outlive: Callable[[], Non
 
     Raises UserError if the file cannot be read or is not Python.
     """
-    code, clock, error = compiled(path), MonotonicClock(), None
-    begun_ns = clock.now_ns()
+    code, clock, error = compiled(path), FlightOver.clock, None
+    begun_ns = FlightOver.begun_ns = clock.now_ns()
     try:
         (status, error), finished = _run(code, path, arguments), True
         outlive()

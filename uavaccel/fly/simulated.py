@@ -40,15 +40,19 @@ class ScriptWorld:
         from uavaccel.sim.world import World
         from uavaccel.wire.api import Api
         from uavaccel.wire.latency import ZERO_LATENCY, Latency, shipped_latency
+        from uavaccel.wire.settings import naming_settings
         from uavaccel.wire.transport import VirtualTransport, modelled_simulation
 
         latency = ZERO_LATENCY if options.timing == "lockstep" else shipped_latency(options.profile)
         draws = Latency(latency, np.random.SeedSequence(options.seed or 0))
-        profile = settings.recorder_of(latency.platform.profile(options.profile, clock_speed))
+        with naming_settings(options.settings):
+            profile = settings.recorder_of(latency.platform.profile(options.profile, clock_speed))
         self.world = World(options.scene, profile, airsim=True)
         settings.prepare(self.world)
         self.simulation = modelled_simulation(self.world, clock_speed, draws)
-        self.api = Api(self.simulation, settings, recordings=options.folder / "recordings", say=warn)
+        recordings = options.folder / "recordings" if options.own_folder else settings.recordings
+        with naming_settings(options.settings):
+            self.api = Api(self.simulation, settings, recordings=recordings, say=warn)
         self.api.refusals.say = warn
         self.simulation.settle(0)
         self.states, tick_ns = [self.simulation.kinematics()], profile.tick_ns
@@ -82,6 +86,7 @@ class SimulatedFlight:
         self._made_s = 0.0  # wall time that making the simulation took
         self._over = False
         self._turns = Turns(self._clock, self._until_ns)
+        self._stack = contextlib.ExitStack()  # what is around the script
         self._is_child = False
 
     @cached_property
@@ -98,25 +103,31 @@ class SimulatedFlight:
     def _has_world(self) -> bool:
         return "_world" in vars(self)
 
+    @property
+    def unflown_s(self) -> float:
+        """The wall time of the script that making the simulation and its client took."""
+        return self._made_s + self._client.spent_s
+
     def run(self) -> ScriptResult:
         """Run the script in its environment. Raises UserError."""
         modules, options = ThreadModules(self._turns), self._options
         clock = time_module(self.epoch_now_ns, self.pass_time)
         in_scripts = {"time": clock, "datetime": datetime_module(self.epoch_now_ns)} | modules.in_scripts()
-        with contextlib.ExitStack() as stack:
+        with self._stack as stack:
             environment = script_environment(self._connect, in_scripts, options, None, self._forked)
-            patches, client = stack.enter_context(environment)
+            patches, self._client = stack.enter_context(environment)
             stack.enter_context(ended_by_refusals(lambda: self._log.calls))
             SharedModules(patches, self._turns, modules, clock)
             if options.film:
                 stack.enter_context(filming(self._world.simulation, options.folder))
             outcome = run_script(options.script, options.arguments, self._outlive)
             self._catch_up()  # to the end of the script's last wait
-            return outcome._replace(wall_s=outcome.wall_s - self._made_s - client.spent_s)
+            return outcome._replace(wall_s=outcome.wall_s - self.unflown_s)
 
     def end(self) -> None:
         """Write the trajectory, and print which calls were refused. Later calls, of destructors, raise FlightOver."""
         self._over = True
+        self._stack.close()  # it is open where the script did not let it end
         if not self._has_world():
             return
         api = self._world.api
@@ -212,6 +223,8 @@ class SimulatedFlight:
     def _join(self, future: Future, call: PendingCall, number: int) -> None:
         self._check_process()
         self._turns.check_thread()
+        if self._over:
+            raise FlightOver
         self._wait(call, number)
         future.answer(call.error, call.value)  # an error has been reported as a refusal
 

@@ -12,8 +12,8 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -46,14 +46,14 @@ class LoggedConnection:
     """A connection over TCP that logs its messages with the wall time since the start of the flight.
 
     A forked process, whose log is abandoned, opens a connection of its own. Calls raise FlightOver once the server has
-    gone.
+    gone, or the flight is `over`.
     """
 
-    def __init__(self, port: int, timeout_s: float, log: MessageLog, watch: Watch) -> None:
+    def __init__(self, port: int, timeout_s: float, log: MessageLog, watch: Watch, over: threading.Event) -> None:
         self._open = partial(SocketConnection, LOOPBACK, port, timeout_s)
         self._connection, self._pid = self._open(), os.getpid()
         self._log, self._clock, self._lock = log, MonotonicClock(), threading.Lock()
-        self._watch = watch
+        self._watch, self._over = watch, over
         self._start_ns = self._clock.now_ns()
 
     def call(self, method: str, *params: object) -> Received:
@@ -78,8 +78,8 @@ class LoggedConnection:
 
     @contextmanager
     def _ending(self) -> Iterator[None]:
-        """End the flight if a call finds that the server has gone."""
-        if self._watch.lost:
+        """End the flight if a call finds that it is over, or that the server has gone."""
+        if self._watch.lost or self._over.is_set():
             raise FlightOver
         try:
             yield
@@ -98,36 +98,43 @@ class LoggedConnection:
 class WallFlight:
     """Runs a script against a server: two processes on the machine's clock."""
 
+    unflown_s = 0.0
+
     def __init__(self, options: FlightOptions, settings: Settings | None, clock_speed: float, log: MessageLog) -> None:
         self._options, self._clock_speed, self._log = options, clock_speed, log
         self._settings = None if settings is None else options.settings
         self._slept_s = 0.0
+        self._over = threading.Event()
+        self._watch: Watch | None = None
+        self._stack = ExitStack()  # what is around the script
 
     def run(self) -> ScriptResult:
         """Run the script against a server, for `until_s` at most. Raises UserError."""
         options = self._options
-        with serving(options, self._clock_speed, settings=self._settings) as served:
+        with self._stack as stack:
+            served = stack.enter_context(serving(options, self._clock_speed, settings=self._settings))
+            self._watch = served.watch
             recorder = SocketConnection(LOOPBACK, served.port, ANSWER_S)
             recorder.call("startRecording")
 
             def connect(host: str, port_of_airsim: int, timeout_s: float) -> LoggedConnection:
-                return LoggedConnection(served.port, timeout_s, self._log, served.watch)
+                return LoggedConnection(served.port, timeout_s, self._log, served.watch, self._over)
 
             clock = {"time": counted_time_module(self._slept)}
-            with (
-                script_environment(connect, clock, options, served.port, self._log.abandon),
-                stopping_after(options.until_s, self._clock_speed),
-            ):
-                outcome = run_script(options.script, options.arguments)
-        if served.watch.lost:
-            raise UserError(f"{served.watch.lost}; the script ends too")
-        return outcome
+            stack.enter_context(script_environment(connect, clock, options, served.port, self._log.abandon))
+            stack.enter_context(stopping_after(options.until_s, self._clock_speed, self._over))
+            return run_script(options.script, options.arguments)
 
     def _slept(self, seconds: float) -> None:
+        if self._over.is_set():
+            raise FlightOver
         self._slept_s += seconds
 
     def end(self) -> None:
-        """Write the trajectory that the server recorded."""
+        """Write the trajectory that the server recorded. Raises UserError if the server has gone."""
+        self._stack.close()  # it is open where the script did not let it end
+        if self._watch is not None and self._watch.lost:
+            raise UserError(f"{self._watch.lost}; the script ends too")
         self._time_ns, self._poses = recorded(self._options.folder)
         poses = self._poses
         speeds = np.gradient(poses[:, :3], self._time_ns / NS_PER_S, axis=0) if len(poses) > 1 else poses[:, :3] * 0
@@ -192,10 +199,11 @@ def serving(
 
 
 @contextmanager
-def _stopped_by(number: int) -> Iterator[None]:
-    """Let a signal raise FlightOver in the main thread."""
+def _stopped_by(number: int, act: Callable[[], object] = lambda: None) -> Iterator[None]:
+    """Let a signal call `act` and raise FlightOver in the main thread."""
 
     def stop(*_: object) -> None:
+        act()
         raise FlightOver
 
     before = signal.signal(number, stop)
@@ -217,12 +225,12 @@ def recorded(folder: Path) -> tuple[np.ndarray, np.ndarray]:
 
 
 @contextmanager
-def stopping_after(simulated_s: float | None, clock_speed: float) -> Iterator[None]:
-    """Raise FlightOver in the `with` block once wall time times ClockSpeed reaches `simulated_s`."""
+def stopping_after(simulated_s: float | None, clock_speed: float, over: threading.Event) -> Iterator[None]:
+    """Raise FlightOver in the `with` block, and set `over`, once wall time times ClockSpeed reaches `simulated_s`."""
     if simulated_s is None:
         yield
         return
-    with _stopped_by(signal.SIGALRM):
+    with _stopped_by(signal.SIGALRM, over.set):
         signal.setitimer(signal.ITIMER_REAL, simulated_s / clock_speed)
         try:
             yield

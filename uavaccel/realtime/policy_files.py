@@ -93,6 +93,8 @@ def actions_of(answer: Any, count: int, space: Space, name: str) -> NDArray[Any]
     Vectors are clipped to the bounds of their space. Raises UserError for an answer of another shape.
     """
     answer = np.atleast_1d(np.asarray(answer))
+    if not np.isfinite(answer).all():
+        raise UserError(f"{name}: gives numbers that are NaN or infinite")
     taken: NDArray[Any]
     if isinstance(space, spaces.Discrete):
         if answer.shape == (count, space.n) and space.n > 1:
@@ -101,7 +103,7 @@ def actions_of(answer: Any, count: int, space: Space, name: str) -> NDArray[Any]
         taken, last = answer.astype(np.int64), space.start + space.n - 1
         fits = len(answer) == count and bool(((answer >= space.start) & (answer <= last)).all())
     elif isinstance(space, spaces.Box):
-        fits = answer.shape == (count, *space.shape) and bool(np.isfinite(answer).all())
+        fits = answer.shape == (count, *space.shape)
         taken = np.asarray(np.clip(answer, space.low, space.high) if fits else answer, space.dtype)
     else:
         raise UserError(f"{name}: flies one of a number of actions, or a Box of them, not {space}")

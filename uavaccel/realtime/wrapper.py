@@ -265,13 +265,18 @@ class _OwnClocks(VectorWrapper[Any, Any, Any, Any]):
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Begin an episode in every environment; environment i gets `seed` + i, or the i-th of several seeds."""
-        seeds = range(seed, seed + self.num_envs) if isinstance(seed, int) else seed
-        for place, own in enumerate(seeds or ()):
-            if own is not None:
+        """Begin an episode in every environment; environment i gets `seed` + i, or the i-th of several seeds.
+
+        With the option `reset_mask`, truth values (N,), in those alone.
+        """
+        begun = self.env.reset(seed=cast(Any, seed), options=options)
+        seeds = range(seed, seed + self.num_envs) if isinstance(seed, int | np.integer) else seed
+        which = (options or {}).get("reset_mask", np.ones(self.num_envs, bool))
+        for place in np.flatnonzero(which):
+            if seeds is not None and (own := seeds[place]) is not None:
                 self._generators[place], self._taken[place] = thinking_generator(own), AHEAD
-        self._going[:] = True
-        return self.env.reset(seed=cast(Any, seed), options=options)
+        self._going[which] = True
+        return begun
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         """Charge the thinking times, then step; infos gain `thinking_s` and `meanwhile_s` (N,), on the host."""

@@ -27,6 +27,7 @@ from uavaccel.files import file_sha256
 from uavaccel.own_code import errors_named, own_function
 from uavaccel.realtime.policies import fitting
 from uavaccel.realtime.policy_files import OnnxFile, PolicyFile, policy_file
+from uavaccel.realtime.server import begin
 from uavaccel.resources import asset
 from uavaccel.rl.config import LANE, LearnerConfig, environment_class
 from uavaccel.rl.policy import MANIFEST, WEIGHTS, Policy, load_policy, make_policy, observed_frames, read_manifest
@@ -162,6 +163,8 @@ def origin_of(name: str) -> Origin:
         return OnnxAgentFile(OnnxFile(name))
     if (file := policy_file(name)) is not None:
         return AgentFile(file)
+    if name.endswith(".py"):
+        raise UserError(f"agent {name!r}: name its function, as in {name}:act")
     return OwnFunction(name) if ":" in name else PolicyFolder(name)
 
 
@@ -199,7 +202,8 @@ class Baseline(Origin):
 class OwnFunction(Origin):
     """A function of one's own, `file.py:function` or `module:function`, of an observation, and of its info if it likes.
 
-    It returns an element of the action space. Of its errors, one line names file and line.
+    It returns an element of the action space. If it has a `reset`, that is called before a game, with its seed if it
+    takes one. Of its errors, one line names file and line.
     """
 
     file: Path
@@ -208,13 +212,24 @@ class OwnFunction(Origin):
     def __init__(self, name: str) -> None:
         super().__init__(name)
         self._function, self.file = own_function(name, f"agent {name!r}")
-        needed = [each for each in signature(self._function).parameters.values() if each.default is each.empty]
-        self._one = len(needed) == 1
+        self._one = _takes(self._function, 1)
+        if not self._one and not _takes(self._function, 2):
+            raise UserError(f"agent {name!r}: must take an observation, or an observation and an info")
 
     def make(self, task: Task) -> Agent:
         agent = copy(self)
         agent._actions = task.action_space()
         return agent
+
+    @property
+    def remembers(self) -> bool:
+        """Whether it has a `reset`, and may not fly several games at a time."""
+        return hasattr(self._function, "reset")
+
+    def reset(self, seed: int) -> None:
+        """Begin a game."""
+        with errors_named(self.file, self.name):
+            begin(self._function, seed)
 
     def act(self, observation: Observation, info: Info) -> Action:
         """Ask the function."""
@@ -222,6 +237,16 @@ class OwnFunction(Origin):
             given = self._function(observation) if self._one else self._function(observation, info)
         action = fitting(given, self._actions, self.name)
         return action if np.ndim(action) else int(action)
+
+
+def _takes(function: Callable[..., Any], count: int) -> bool:
+    try:
+        signature(function).bind(*range(count))
+    except TypeError:
+        return False
+    except ValueError:  # NumPy's functions do not say
+        return count == 1
+    return True
 
 
 class AgentFile(Origin):

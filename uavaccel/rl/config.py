@@ -224,6 +224,11 @@ class LearnerConfig(Config):
                 f"algorithm {self.algorithm} does not learn {self.env_id}, whose actions are {actions}: it needs "
                 f"algorithm {needed}"
             )
+        space = self.task.action_space()
+        if isinstance(space, spaces.Box) and not ((space.low == -1.0).all() and (space.high == 1.0).all()):
+            raise ValueError(
+                f"algorithm {PPO} learns actions from -1 to 1, which {self.env_id}.goal scales, not {space}"
+            )
         for key in ("start_from", "mirrored_decisions"):
             if getattr(self, key) and self.algorithm != DOUBLE_DQN:
                 raise ValueError(f"{key} needs algorithm double_dqn, not {self.algorithm}")

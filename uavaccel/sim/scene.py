@@ -168,6 +168,7 @@ RIGHT = 'needs <inertial pos="0 0 0" mass="..." diaginertia="..."/>'
 def check_airframes(model: mujoco.MjModel, spec: mujoco.MjSpec, names: Sequence[str]) -> None:
     """Raise ValueError, which names body and attribute, for a quadrotor of `names` that cannot be flown exactly.
 
+    So it does for any other body that can move: flights between contacts do not step it.
     `spec` is that of the first one's scene. A full inertia without products is written about the body's axes in the
     model, where MuJoCo has it about axes of its own order.
     """
@@ -184,6 +185,8 @@ def check_airframes(model: mujoco.MjModel, spec: mujoco.MjSpec, names: Sequence[
                 f'body "{name}": joints, gravity, gravcomp, damping, a fluid or constraints act on it; it is '
                 f'flown as one body with a freejoint, without these, under gravity="{_text(GRAVITY_M_S2)}"'
             )
+    if len(moving := np.setdiff1d(model.dof_bodyid, bodies)):
+        raise ValueError(f'body "{model.body(int(moving[0])).name}": has joints, but only drones move here')
 
 
 def _align(model: mujoco.MjModel, body: int, name: str) -> bool:

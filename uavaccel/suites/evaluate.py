@@ -36,6 +36,7 @@ from uavaccel.files import Plain
 from uavaccel.forms import Count, NotNegative, Number
 from uavaccel.metrics.estimates import Success
 from uavaccel.metrics.intervals import Proportion, mcnemar_exact
+from uavaccel.realtime.server import begin
 from uavaccel.records import RunDirectory, timing_provenance
 from uavaccel.resources import require
 from uavaccel.rl.agents import (
@@ -180,6 +181,8 @@ class Evaluation(Suite[EvaluateConfig, Game]):
         check_names(config.simulator, config.device)
         if config.device == CUDA and isinstance(origin, OwnFunction):
             raise UserError(f"device = cuda: {config.agent} decides game by game, on the CPU: take device = cpu")
+        if config.simulator == KERNELS and isinstance(origin, OwnFunction) and origin.remembers:
+            raise UserError(f"simulator = kernels: {config.agent} has a reset, for a game at a time: take mujoco")
         if config.simulator == KERNELS:
             check_flyable(config.task, 1, config.device)
 
@@ -346,7 +349,9 @@ class Step(NamedTuple):
 
 def fly_lane(config: EvaluateConfig, environment: Flyable, agent: Agent, lane: int) -> Iterator[Step]:
     """Fly a game, and yield its commands; equal seed and lane give equal games."""
-    observation, info = environment.reset(seed=game_seed(config, lane), options=reset_options(config.env_id, lane))
+    seed = game_seed(config, lane)
+    observation, info = environment.reset(seed=seed, options=reset_options(config.env_id, lane))
+    begin(agent, seed)
     over = False
     while not over:
         environment.charge(config.inference_s)

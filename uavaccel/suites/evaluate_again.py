@@ -44,7 +44,7 @@ def evaluation_of(run: RunDirectory, what: str) -> EvaluateConfig:
     """Return the configuration of an evaluation that repeats. Raises UserError for `wall` and for other suites."""
     suite = run.config().get("suite")
     if suite != "evaluate":
-        raise UserError(f"{run.path}: a run of {suite} keeps no actions {what}; evaluate a policy, and take that")
+        raise UserError(f"{run.path}: {what} needs the actions of an evaluation's run, and this is one of {suite}")
     config = validate(EvaluateConfig, run.config(), str(run.path / "config.yaml"))
     refuse_wall(run, config, what)
     return config

@@ -29,7 +29,7 @@ from uavaccel.wire.api import Api
 from uavaccel.wire.broadcast import show_on_page
 from uavaccel.wire.game_api import FASTEST
 from uavaccel.wire.server import Server
-from uavaccel.wire.settings import Settings, read_settings
+from uavaccel.wire.settings import Settings, naming_settings, read_settings
 
 PERIOD_NS = 2 * NS_PER_S  # interval of the reports on the achieved speed
 WORTH_TELLING = 0.005  # fraction of lost wall time that is reported
@@ -128,23 +128,23 @@ def api_of(options: ServeOptions, settings: Settings) -> Api:
     Raises UserError for a ClockSpeed that is too high, an unknown scene or profile, wrong settings, and a folder of
     recordings that is a file.
     """
-    speed = settings.clock_speed if options.clock_speed is None else options.clock_speed
-    if speed > FASTEST:  # the simulation refuses 0 and below
-        raise UserError(f"ClockSpeed must be at most {FASTEST:g}, not {speed:g}")
+    chosen = options.clock_speed
+    speed = settings.clock_speed if chosen is None else chosen
+    with naming_settings(options.settings if chosen is None else None):
+        if speed > FASTEST:  # the simulation refuses 0 and below
+            raise UserError(f"ClockSpeed must be at most {FASTEST:g}, not {speed:g}")
     if options.profile not in PROFILES:
         raise UserError(f"--profile {options.profile}: there are {', '.join(PROFILES)}")
-    profile = settings.recorder_of(PROFILES[options.profile])
+    with naming_settings(options.settings):
+        profile = settings.recorder_of(PROFILES[options.profile])
     simulation = ready_simulation(options.scene, profile, speed, airsim=True)
     settings.prepare(simulation.world)
-    named = Path(settings.recording.folder) if settings.recording.folder else None
-    folder = options.recordings or named or Path.home() / "Documents" / "AirSim"
+    folder = options.recordings or settings.recordings
     if folder.exists() and not folder.is_dir():
         where = "--recordings" if options.recordings else f"{options.settings}: Recording.Folder ="
         raise UserError(f"{where} {folder}: is no folder")
-    try:
+    with naming_settings(options.settings):
         return Api(simulation, settings, recordings=folder, say=say)
-    except UserError as error:
-        raise UserError(f"{options.settings}: {error}") from None
 
 
 def greet(server: Server, options: ServeOptions, settings: Settings) -> None:

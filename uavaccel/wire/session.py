@@ -52,6 +52,7 @@ class Client:
     def __init__(self, transport: Transport, clock_speed: float = 1.0) -> None:
         self.transport = transport
         self.clock_speed = float(clock_speed)
+        self._moving: PendingCall | None = None
 
     def call(self, method: str, *params: object) -> Received:
         """Call any method of the wire, and wait for its result."""
@@ -70,6 +71,7 @@ class Client:
         stands = self.transport.known.state is not None  # sending it at once would gain nothing
         call = self.transport.send(method, params, blocking=False, coalesced=stands)
         call.expected_ns = self._wall_after(t_move_s * NS_PER_S)
+        self._moving = call
         return call
 
     def join(self, future: PendingCall, deadline_ns: int | None = None) -> bool:
@@ -89,6 +91,8 @@ class Client:
         call.expected_ns = self._wall_after(duration_ns)
         self.transport.wait(call)
         state = decode_state(call.result())
+        if self._moving is not None:
+            self._moving.result()  # nobody joins TCSC's command; one that was refused has been answered by now
         self.transport.known.paused_at(state)
         return state
 

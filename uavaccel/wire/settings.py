@@ -7,15 +7,16 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from math import floor, hypot
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
-from pydantic import BaseModel, Field
+from pydantic import BaseModel, Field, model_validator
 from pydantic.alias_generators import to_pascal
 
-from uavaccel.config import validate
+from uavaccel.config import ClockSpeed, validate
 from uavaccel.errors import UserError
 from uavaccel.files import parse_json, read_bounded
 from uavaccel.sim.earth import GeoPoint
@@ -50,6 +51,12 @@ class WindSettings(AirSimKeys):
     x: float = 0.0
     y: float = 0.0
     z: float = 0.0
+
+    @model_validator(mode="after")
+    def _bearable(self) -> Self:
+        if not (speed := hypot(self.x, self.y, self.z)) <= STRONGEST_WIND_M_S:
+            raise ValueError(f"must be at most {STRONGEST_WIND_M_S:g} m/s, not {speed:g}")
+        return self
 
 
 class RecordedImage(AirSimKeys):
@@ -103,7 +110,7 @@ class Settings(AirSimKeys):
 
     sim_mode: Literal["Multirotor", "ComputerVision", ""] = "Multirotor"
     clock_type: Literal["SteppableClock", ""] = ""
-    clock_speed: Annotated[float, Field(gt=0.0)] = 1.0
+    clock_speed: ClockSpeed = 1.0
     local_host_ip: str = ""
     api_server_port: Annotated[int, Field(ge=0, le=65535)] = PORT
     enable_rpc: Literal[True] = True
@@ -146,6 +153,11 @@ class Settings(AirSimKeys):
         """The address to listen on: an IP address or a host name."""
         return self.local_host_ip or LOOPBACK
 
+    @property
+    def recordings(self) -> Path:
+        """The folder of startRecording: Recording.Folder, or AirSim's own."""
+        return Path(self.recording.folder) if self.recording.folder else Path.home() / "Documents" / "AirSim"
+
     def recorder_of(self, profile: Profile) -> Profile:
         """Set a profile's recorder period. Raises UserError if an exact profile's tick does not divide it.
 
@@ -159,11 +171,8 @@ class Settings(AirSimKeys):
         return replace(profile, recorder_ticks=ticks)
 
     def prepare(self, world: World) -> None:
-        """Set the wind and the altitude of a world. Raises UserError for a wind that is too strong for the physics."""
-        wind = (self.wind.x, self.wind.y, self.wind.z)
-        if not hypot(*wind) <= STRONGEST_WIND_M_S:
-            raise UserError(f"Wind must be at most {STRONGEST_WIND_M_S:g} m/s, not {hypot(*wind):g}")
-        world.lead.state["wind"] = wind
+        """Set the wind and the altitude of a world."""
+        world.lead.state["wind"] = (self.wind.x, self.wind.y, self.wind.z)
         world.lead.parameters["ground_altitude_m"] = self.origin_geopoint.altitude
 
     def without_effect(self) -> list[str]:
@@ -174,6 +183,15 @@ class Settings(AirSimKeys):
         """Return the answer of getSettingsString: the given settings, with the ClockSpeed that is in effect."""
         given = self.model_dump(mode="json", by_alias=True, exclude_unset=True)
         return json.dumps({"SimMode": "Multirotor", **given, "ClockSpeed": clock_speed})
+
+
+@contextmanager
+def naming_settings(path: Path | None) -> Iterator[None]:
+    """Name the file in a UserError of settings that were read, and do not fit what they are used with."""
+    try:
+        yield
+    except UserError as error:
+        raise UserError(f"{path}: {error}" if path else str(error)) from None
 
 
 def read_settings(path: Path) -> Settings:

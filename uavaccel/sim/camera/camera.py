@@ -104,7 +104,8 @@ def appearance(model: mujoco.MjModel) -> bytes:
     digest = hashlib.blake2b(repr((model.vis.quality, model.vis.map, float(model.stat.extent))).encode())
     plane = model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE
     of_planes = model.geom_matid[plane]  # a lane's ground changes, but not how its textures repeat
-    repeats = model.mat_texrepeat[of_planes], model.mat_texuniform[of_planes], of_planes >= 0
+    has = of_planes >= 0
+    repeats = model.mat_texrepeat[of_planes[has]], model.mat_texuniform[of_planes[has]], has
     for array in (model.geom_size[plane], model.geom_dataid[plane], *repeats):
         digest.update(np.ascontiguousarray(array).tobytes())
     for name in sorted(dir(model)):
