@@ -54,9 +54,11 @@ def signals_as_before() -> Iterator[None]:
         signal.signal(kind, handler)
 
 
-# Those that need the lanes' kernels, which take a minute of one core to compile on a fresh clone: one process does.
+# Those that need the lanes' kernels, which take minutes of one core to compile on a fresh clone, and those of a GPU on
+# the host, which are compiled in each process: one process does.
 KERNELS = re.compile(
-    r"test_(kernel_\w+|device|engines_agree|navigate|still_scenes|rl)\.py|\[docs/(extending|kernels|tutorial|reference/python)|of_the_kernels"
+    r"test_(kernel_\w+|device|engines_agree|navigate|still_scenes|rl|evaluate_lanes|own_task|realtime_vector|ppo)\.py"
+    r"|\[docs/(extending|kernels|tutorial|reference/python)|of_the_kernels"
 )
 # The longest begin, or the last one would keep one core busy alone.
 FIRST = (
@@ -68,7 +70,6 @@ FIRST = (
     "test_training",
     "test_fly_scripts",
     "test_evaluate",
-    "test_evaluate_lanes",
     "test_python",
     "test_reports",
     "test_killed_at_random",
