@@ -70,8 +70,9 @@ def test_the_drones_shadow_falls_away_from_the_sun() -> None:
 @needs_opengl
 def test_a_dark_lane_is_seen_in_daylight_and_a_scenery_as_it_is() -> None:
     at, seen = (np.array([[3.0, 0.0, -2.0]]), np.array([[1.0, 0.0, 0.0, 0.0]])), []
-    for keys in ({}, {"light": 0.1, "scenery": "forest"}):
-        view = ChaseView("lane", replace(sample_layout(3), **keys), *at, (64, 36))
+    lane = sample_layout(3)
+    for layout in (lane, replace(lane, light=0.1, scenery="forest")):
+        view = ChaseView("lane", layout, *at, (64, 36))
         seen.append(view(0).astype(int))
         view.close()
     plain, forest = seen

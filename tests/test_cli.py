@@ -111,7 +111,7 @@ def test_the_shell_can_complete(words: str, completion: str) -> None:
     assert (done.returncode, done.stderr) == (0, "")
 
 
-@pytest.mark.parametrize(("arguments", "unbuffered"), [([], ""), (["init", "--schema", "train"], "1")])
+@pytest.mark.parametrize(("arguments", "unbuffered"), [([], "1"), (["init", "--schema", "train"], "")])
 def test_who_reads_no_further_than_the_head_is_told_nothing(arguments: list[str], unbuffered: str) -> None:
     reading, writing = os.pipe()
     os.close(reading)
@@ -120,6 +120,12 @@ def test_who_reads_no_further_than_the_head_is_told_nothing(arguments: list[str]
     finally:
         os.close(writing)
     assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_what_is_complained_of_to_nobody_is_not_printed_elsewhere() -> None:
+    command = f"{sys.executable} -m uavaccel nonsense 2>&-"
+    done = subprocess.run(command, shell=True, cwd=ROOT, stdout=subprocess.PIPE, text=True, check=False)
+    assert (done.returncode, done.stdout) == (2, "")
 
 
 @pytest.mark.parametrize(

@@ -256,7 +256,6 @@ def test_an_evaluation_is_logged_with_its_collision(tmp_path: Path) -> None:
         said = [message["message"] for _, message in log.messages["/log"]]
         assert said[0] == f"{row['case']} begins"
         assert said[1:] == ([f"hit {row['collision']}"] if row["collision"] else [])
-        assert log.messages["/log"][-1][0] <= log.messages["/drone/pose"][-1][0]
         assert sum(message["count"] for _, message in log.messages["/dvs/events"]) > 0
 
 
@@ -341,8 +340,6 @@ def test_a_game_of_the_kernels_is_flown_again_by_them(tmp_path: Path, monkeypatc
     assert [episode.actions.tolist() for episode in dataset.iterate_episodes()] == [
         row["actions"] for row in run.rows()
     ]
-    for episode in dataset.iterate_episodes():
-        assert len(np.unique(episode.observations, axis=0)) == 6, "each as it was, not as the batch went on"
     with pytest.raises(UserError, match="keeps no poses to log"):
         export(str(run.path), mcap=tmp_path / "logs")
 

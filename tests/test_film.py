@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -14,6 +15,7 @@ import pytest
 from tests.running import full_device
 from uavaccel.draw import film as films
 from uavaccel.draw.film import IMPACT, Film, frames, movie, poster, write_contact_sheet, write_video
+from uavaccel.draw.page import Movie, to_html
 from uavaccel.draw.panels import (
     DRONE,
     GOAL,
@@ -201,13 +203,19 @@ def test_no_film_is_larger_than_the_largest_however_noisy(tmp_path: Path, monkey
         assert len(list(file.decode(video=0))) == 60
 
 
-def test_a_films_poster_is_its_middle_frame(tmp_path: Path) -> None:
+def test_a_films_poster_is_its_middle_frame(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     film = flown()
     path = write_video(film, tmp_path / "one.mp4")
     picture = cv2.imdecode(np.frombuffer(poster(path), np.uint8), cv2.IMREAD_COLOR)
     assert picture is not None
     drawn = [cv2.resize(frame, (960, 360), interpolation=cv2.INTER_AREA).astype(int) for frame in frames(film)]
     assert np.argmin([np.abs(frame - picture).mean() for frame in drawn]) in range(13, 18)
+    page = to_html("A page.", [Movie(path, path, "A film.")])
+    for missing in ("av", "uavaccel.draw.film"):  # without the extra `film` a browser shows the first frame
+        with monkeypatch.context() as patch:
+            patch.setitem(sys.modules, missing, None)
+            bare = to_html("A page.", [Movie(path, path, "A film.")])
+        assert ("poster=" in page, "poster=" in bare, "<video" in bare) == (True, False, True)
     path.write_bytes(b"no film")
     assert poster(path) == b""
 

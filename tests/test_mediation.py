@@ -140,6 +140,11 @@ def test_policies_of_another_task_and_ones_with_their_own_flights_are_flown(tmp_
     assert [config["task"]["mediation"]["gap_s"] for config in flown] == [0.4, 0.4]
 
 
+def test_a_policy_that_exists_has_one_flight_whatever_the_seed() -> None:
+    cases = [case.id for case in Mediation().policies_of(small(seed=3, seeds=2))]
+    assert cases == ["blind-seed3", "small-seed3", "brief-seed3", "small-seed4", "brief-seed4"]
+
+
 @pytest.mark.parametrize("experiment", ["mediation", "mediation_flight", "mediation_law"])
 def test_shipped_mediations_can_be_flown(experiment: str) -> None:
     config = configured(experiment)

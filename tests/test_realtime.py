@@ -159,8 +159,13 @@ def test_the_users_own_default_action_stays_as_it_is() -> None:
 def test_a_step_that_somebody_has_put_in_stays_there() -> None:
     """As profilers and recorders do, below a wrapper whose steps are counted."""
     env, seen = Counting(), list[Any]()
-    step = env.step
-    env.step = lambda action: (seen.append(action), step(action))[1]  # type: ignore[method-assign]
+    own = env.step
+
+    def step(action: Any) -> Any:
+        seen.append(action)
+        return own(action)
+
+    env.step = step  # type: ignore[method-assign]
     assert applied(RealTime(gymnasium.Wrapper(env), 0.0), [[0.25], [0.5], [0.75]]) == [0.25, 0.5, 0.75]
     assert len(seen) == 3
 
@@ -459,19 +464,16 @@ def test_the_environments_process_steps_when_its_clock_says_so(
 
 def test_an_episode_begins_without_the_actions_of_the_one_before() -> None:
     """As the agent observes them, on a simulated clock and in a process."""
-    clock, keys = VirtualClock(), {"observe_actions": 2}
-    env = Working(clock, 0)
-    loop = ControlLoop(plant_of(env, None), LoopOptions(**keys), env.action_space)
+    clock, timed = VirtualClock(), RealTime(Counting(), 0.02, observe_actions=2)
+    env, latest = Working(clock, 0), [timed.reset()[0], timed.step(one(0.5))[0], timed.reset()[0]]
+    loop = ControlLoop(plant_of(env, None), LoopOptions(observe_actions=2), env.action_space)
     messages: Any = Messages(clock, (0, RESET), (20, ("step", one(0.5))), (60, RESET))
-    server, timed, told = EnvironmentServer(messages, loop, env, clock), RealTime(Counting(), 0.02, **keys), []
+    server = EnvironmentServer(messages, loop, env, clock)
     for _ in range(3):
         name, *arguments = server.wait()
-        (answer, *_), own = (
-            getattr(server, name)(*arguments),
-            [timed.reset, lambda: timed.step(one(0.5))][name == "step"](),
-        )
-        told.append([(answer.observation if name == "step" else answer)[1:].tolist(), own[0][1:].tolist()])
-    assert told == [[[0.0, 0.0]] * 2, [[0.0, 0.5]] * 2, [[0.0, 0.0]] * 2]
+        told = getattr(server, name)(*arguments)[0]
+        latest.append(told.observation if name == "step" else told)
+    assert [each[1:].tolist() for each in latest] == [[0.0, 0.0], [0.0, 0.5], [0.0, 0.0]] * 2
 
 
 @pytest.mark.wall_clock

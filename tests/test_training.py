@@ -134,10 +134,10 @@ def test_a_training_names_the_weights_that_it_starts_from() -> None:
 def test_a_training_that_is_over_goes_on_for_more_games(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """It computes in its own number of threads, and Ctrl-C is the program's again."""
     run, short = tmp_path / "run", tiny_config(STATE, mirror=False, torch_threads=3)
-    threads, before = list[int](), signal.getsignal(signal.SIGINT)
+    threads, ctrl_c = list[int](), signal.getsignal(signal.SIGINT)
     monkeypatch.setattr(th, "set_num_threads", threads.append)
     over = train_into(run, short)
-    assert (threads[0], signal.getsignal(signal.SIGINT)) == (3, before)
+    assert (threads[0], signal.getsignal(signal.SIGINT)) == (3, ctrl_c)
     (run / "policy.json").unlink()  # killed after the last row, before the policy was written
     for _ in range(2):
         assert train_into(run, short, resume=True) == over

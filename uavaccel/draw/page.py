@@ -222,9 +222,10 @@ def _data_url(content: bytes, kind: str) -> str:
 def _poster_url(path: Path) -> str:
     try:
         from uavaccel.draw.film import poster  # with what reads films, of which most pages have none
+
+        return _data_url(poster(path), "image/jpeg")
     except ImportError:  # without the extra `film` the page shows the film's first frame
         return ""
-    return _data_url(poster(path), "image/jpeg")
 
 
 def _escape_markdown(text: str) -> str:

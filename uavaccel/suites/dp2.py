@@ -87,7 +87,7 @@ class Dp2Config(FlightExperiment):
     perturbation: perturb.PerturbationConfig = perturb.PerturbationConfig()
     """Perturbation of the games' images; those that they are compared with stay clean."""
     auto_exposure: bool = False
-    """A MODEL of a game engine's auto-exposure (uavaccel.vision.exposure), in every game; the paper switched it off."""
+    """A MODEL of a game engine's auto-exposure (uavaccel.vision.perturb), in every game; the paper switched it off."""
     dvs_preset: Literal["clean", "constructor", "command_line", "noisy"] = "clean"
     """v2e's parameters of the DVS that the report applies to the images."""
     dvs_rate_hz: Positive | None = None
