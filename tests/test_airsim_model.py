@@ -29,7 +29,7 @@ from uavaccel.wire.latency import (
     delays_ns,
     shipped_latency,
 )
-from uavaccel.wire.session import Client
+from uavaccel.wire.session import Client, open_session
 from uavaccel.wire.transport import VirtualTransport
 
 US, MS = 1_000, 1_000_000
@@ -215,6 +215,10 @@ def test_the_scalable_clock_stretches_the_step_and_another_timeout_ends_goals() 
     loops = (profile.goal_period_ticks, profile.hover_after_ticks, profile.recorder_ticks)
     assert [loop * tick_ms for loop in loops] == [30, 75, 60]
     assert PlatformConfig(scalable_clock=True).profile("airsim", 0.5) is AIRSIM
+    latency = LatencyConfig(platform=PlatformConfig(scalable_clock=True))
+    with open_session("virtual", "airsim", latency=latency) as session:
+        ticks_ns = [session.start_game(clock_speed).recording().tick_ns for clock_speed in (1.0, 5.0, 1.0)]
+    assert ticks_ns == [3 * MS, 15 * MS, 3 * MS]
     profile = PlatformConfig(goal_timeout_s=1.0).profile("airsim", 5.0)
     assert profile.hover_after_ticks == 334, "the first of the 3 ms beyond 1 s"
     assert (profile.tick_ns, profile.goal_period_ticks) == (AIRSIM.tick_ns, AIRSIM.goal_period_ticks)

@@ -168,6 +168,7 @@ def test_several_clock_speeds_are_compared_with_the_first(folder: Folder) -> Non
     (["--clock", "0", "none.py"], "every ClockSpeed must be above 0", 2),
     (["--timing", "real", "none.py"], "'--timing': real: must be wall or virtual or lockstep", 2),
     (["--check", "--timing", "wall", "tests/scenes.py"], "--check flies one ClockSpeed twice", 2),
+    (["--check", "--clock", "1,2", "tests/scenes.py"], "--check flies one ClockSpeed twice", 2),
     (["--film", "tests/scenes.py"], "--film needs --out", 2),
     (["--think", "1", "--timing", "wall", "tests/scenes.py"], "--film and --think need --timing virtual", 2),
 ])  # fmt: skip
@@ -267,7 +268,8 @@ def test_the_scripts_clock_starts_at_a_date_and_moves_by_reading(flight_in: Flig
     time.sleep(90)
     assert time.strftime("%M:%S", time.gmtime()) == "01:30"
     present = datetime_module(flight.epoch_now_ns).datetime
-    assert present.now(datetime.UTC).isoformat()[:19] == "2020-01-01T00:01:30"
+    now = present.now(datetime.UTC)
+    assert (now.isoformat()[:19], now.tzinfo) == ("2020-01-01T00:01:30", datetime.UTC)
     assert present.utcnow() - present(2020, 1, 1) > datetime.timedelta(seconds=90)
 
 
@@ -315,15 +317,25 @@ def test_until_keeps_the_flight_of_a_script_that_catches_all(timing: str, folder
         assert len(kept["time_ns"]) >= 10
 
 
+def test_a_command_is_waited_for_once(flight_in: FlightMaker, tmp_path: Path) -> None:
+    flight = flight_in(tmp_path)
+    command = client_of(flight).hoverAsync()
+    answers = [command.get() for _ in range(2)]
+    flight._log.close()
+    lines = (tmp_path / MESSAGES).read_text().splitlines()
+    assert (answers, len([line for line in lines if "answer" in line])) == ([False] * 2, 1)
+
+
 def test_of_the_calls_since_a_wait_so_many_are_free(flight_in: FlightMaker, tmp_path: Path) -> None:
     flight = flight_in(tmp_path)
     client = client_of(flight)
-    client.moveByVelocityAsync(1, 0, 0, 1).join()
-    begun_s = flight.summary()["script_s"]
-    for free, calls in ((True, FREE_CALLS), (False, 1)):
-        for _ in range(calls):
-            client.ping()
-        assert (flight.summary()["script_s"] == begun_s) == free
+    for wait in (client.moveByVelocityAsync(1, 0, 0, 1).join, lambda: flight.pass_time(0.5)):
+        wait()
+        begun_s = flight.summary()["script_s"]
+        for free, calls in ((True, FREE_CALLS), (False, 1)):
+            for _ in range(calls):
+                client.ping()
+            assert (flight.summary()["script_s"] == begun_s) == free
 
 
 def test_a_flight_in_virtual_time_is_charged_latencies(flight_in: FlightMaker, tmp_path: Path) -> None:

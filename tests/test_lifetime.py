@@ -220,3 +220,10 @@ def test_a_watch_kills_what_stays_stopped_and_tells_once(
     watch._thread.join()
     assert (watch.lost, told, process.killed) == (lost, ["gone"], True)
     assert watch.is_lost_soon()
+
+
+def test_mesa_draws_on_one_core_unless_the_user_says_how_many(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("LP_NUM_THREADS", raising=False)
+    assert lifetime.single_core_rendering() == {"LP_NUM_THREADS": "0"}
+    monkeypatch.setenv("LP_NUM_THREADS", "3")
+    assert lifetime.single_core_rendering() == {"LP_NUM_THREADS": "3"}

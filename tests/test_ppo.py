@@ -33,15 +33,21 @@ WANTED = np.array([0.5, -0.3])
 
 
 class Toy:
-    """Games of a few steps, in which the action near WANTED is best; the picture shows the game's sign."""
+    """Games of a few steps, in which the action near WANTED is best; the picture shows the game's sign.
 
-    def __init__(self, count: int = 16, steps: int = 4, observation: spaces.Space[Any] | None = None) -> None:
-        self.num_envs, self._steps = count, steps
+    Those of the first `cut` environments are truncated.
+    """
+
+    def __init__(
+        self, count: int = 16, steps: int = 4, observation: spaces.Space[Any] | None = None, cut: int = 0
+    ) -> None:
+        self.num_envs, self._steps, self.cut = count, steps, np.arange(count) < cut
         self.single_action_space = spaces.Box(-1.0, 1.0, (2,), np.float32)
         picture = spaces.Box(0, 255, (1, 12, 12), np.uint8)
         both = spaces.Dict({"image": picture, "state": spaces.Box(-np.inf, np.inf, (1,), np.float32)})
         self.single_observation_space: Any = both if observation is None else observation
         self.flown: list[np.ndarray] = []
+        self.rewards: list[np.ndarray] = []
 
     def reset(self, *, seed: int) -> tuple[Any, dict[str, Any]]:
         self._random, self._count = np.random.default_rng(seed), 0
@@ -58,7 +64,8 @@ class Toy:
         self._count += 1
         over = np.full(self.num_envs, self._count % self._steps == 0)
         infos = {"final_info": {"is_success": reward > -0.05}} if over.any() else {}
-        return self._show(), reward, over, np.zeros_like(over), infos
+        self.rewards.append(reward)
+        return self._show(), reward, over & ~self.cut, over & self.cut, infos
 
 
 def options(**keys: Any) -> PPOOptions:
@@ -103,11 +110,17 @@ def test_the_noise_of_the_actions_falls_where_it_is_limited() -> None:
 
 
 def test_advantages_are_sums_of_discounted_surprises() -> None:
-    """A(t) is the sum over k of (gamma lambda)^k times the surprise of step t + k, up to the game's end."""
-    ppo = PPO(Toy(count=4, steps=3), options(commands=64, rollout=8, minibatches=1, gamma=0.9, smoothing=0.8))
+    """A(t) is the sum over k of (gamma lambda)^k times the surprise of step t + k, up to the game's end.
+
+    What a game that is cut short would still have brought is the value of what was seen last, of a lost one nothing.
+    """
+    ppo = PPO(
+        toy := Toy(count=4, steps=3, cut=2), options(commands=64, rollout=8, minibatches=1, gamma=0.9, smoothing=0.8)
+    )
     next(ppo.learn())
     rewards, values, going = (part.numpy().astype(float) for part in (ppo._rewards, ppo._values, ppo._going))
     assert going[:, 0].tolist() == [1, 1, 0, 1, 1, 0, 1, 1]
+    np.testing.assert_allclose(rewards, toy.rewards[:8] + 0.9 * values * (1.0 - going) * toy.cut, atol=1e-6)
     last = th.tensor(0.0)
     with th.no_grad():  # the value of what is seen after the rollout; the gradient step came later
         ppo._estimate()

@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.learning import fly_here, tiny_config, train_into
+from tests.opengl import needs_opengl
 from uavaccel.envs.conditions import Ranges
 from uavaccel.envs.kernel_batch import KernelBatch
 from uavaccel.envs.obstacle_lane import LaneTask, ObstacleLane
@@ -47,6 +48,7 @@ def test_a_seed_draws_the_same_lane_under_any_conditions() -> None:
     assert set(drawn["conditions"]) == set(RANGES)
     assert all(RANGES[name][0] <= value <= RANGES[name][1] for name, value in drawn["conditions"].items())
     assert with_ranges.reset(seed=5)[1] == drawn  # whatever was flown before
+    assert with_ranges.reset(seed=5, options={"lane": drawn["lane"]})[1] == drawn  # and whether it is asked for
     assert with_ranges.reset()[1]["conditions"] != drawn["conditions"]
 
 
@@ -142,6 +144,21 @@ def test_a_share_of_the_conditions_is_drawn_and_the_others_stay() -> None:
         light = conditions.get("light")
         assert task.difficulty.light == ((0.7, 1.0) if light is None else (light, light))
     environment.close()
+
+
+@needs_opengl
+def test_conditions_end_with_their_game_and_frames_between_samples_take_no_time() -> None:
+    ranges = {"latency_scale": [9, 9], "dvs_threshold_ratio": [3, 3], "share": 0.5}
+    told: dict[int, Any] = {}
+    for keys in ({}, {"dvs_rate_hz": 20.0}):
+        with closing(lane(observation="dvs", t_move_s=0.33, randomise=ranges, **keys)) as environment:
+            for seed in (0, 1, 0):
+                environment.reset(seed=seed)
+                camera: Any = environment.sensor
+                assert camera.counter.sensor.parameters == environment.episode_task.dvs_parameters
+                info = environment.step(2)[4]
+                assert told.setdefault(seed, info) == info
+    assert [len(told[seed].get("conditions", ())) for seed in (0, 1)] == [0, 2]
 
 
 def test_a_condition_may_have_a_share_of_its_own() -> None:

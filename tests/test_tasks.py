@@ -22,11 +22,13 @@ from uavaccel.envs.checks import within
 from uavaccel.envs.flight_env import FlightEnv
 from uavaccel.envs.gates import GatesTask
 from uavaccel.envs.hover import HoverTask
+from uavaccel.envs.obstacle_lane import LaneTask
 from uavaccel.envs.sensors import DepthCamera, blank_frame
 from uavaccel.envs.stopwatch import Stopwatch
 from uavaccel.envs.task import Task
 from uavaccel.envs.values import AT_REST, Course, Moment
 from uavaccel.kinematics import Kinematics
+from uavaccel.sim.lane import LaneLayout
 
 NEW = ("Hover", "Gates")
 STILL = np.zeros(3, np.float32)
@@ -37,6 +39,16 @@ def moment(position_m: tuple[float, float, float], course: Course, commands: int
 
 
 # --- the lane -------------------------------------------------------------------------------------------------------
+
+
+def test_a_lane_of_ones_own_is_the_layout_wherever_it_is_flown() -> None:
+    class Own(LaneTask):
+        def wire_lane(self, index: int) -> dict[str, object]:
+            return {"obstacles": [{"x_m": 10.0 + index, "y_m": 0.0, "radius_m": 0.5}]}
+
+    found = Own().lane_layout({"lane": 3})
+    assert isinstance(found, LaneLayout)
+    assert (found.x_m.tolist(), found.round.tolist()) == ([13.0], [True])
 
 
 def test_beside_pictures_gates_are_to_be_seen() -> None:

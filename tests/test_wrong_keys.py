@@ -47,6 +47,8 @@ LANE: Table = [
     ({"dvs_rate_hz": 100.0, "observation": "depth"}, "need observation dvs"),
     ({"dvs_rate_hz": 100.0, "timing": "wall"}, "timing virtual or lockstep"),
     ({"dvs_rate_hz": -1.0}, "dvs_rate_hz"),
+    ({"list_events": True, "observation": "depth"}, "need observation dvs"),
+    ({"knows": ["frame_age"], "picture_size": [64, 36]}, "context planes need [256, 144]"),
     ({"knows": ["last_action"], "observation": "state"}, "knows needs pictures"),
     ({"knows": ["last_action", "last_action"]}, "must not name one thing twice"),
     ({"knows": ["last_acton"]}, "last_acton"),
@@ -91,6 +93,9 @@ BATCHES: Table = [
     ({"simulator": "kernels", "render_mode": "rgb_array"}, "render_mode: needs simulator = mujoco"),
     ({"simulator": "kernels", "timing": "wall"}, "simulator = kernels: timing wall"),
     ({"simulator": "kernels", "clock_speed": 1.23456789}, "clock_speed = 1.23456789 has more digits"),
+    ({"simulator": "kernels", "list_events": True}, "list_events needs single events"),
+    ({"simulator": "kernels", "difficulty": {"scenery": "forest"}}, "its looks are textured meshes"),
+    ({"simulator": "kernels", "picture_size": [64, 36]}, "the lane is rendered in [256, 144] only"),
 ]
 OPTIONS: list[tuple[type[Any], Any, str]] = [
     (ObstacleLane, {"lanes": 3}, "reset: unknown option 'lanes'; known: lane"),
@@ -123,6 +128,12 @@ REFUSED: list[tuple[Callable[..., Any], Keys, str]] = [
     ),
     *((reset, {"kind": kind, "options": options}, said) for kind, options, said in OPTIONS),
     (partial(configured, "train", "task.also_state=true"), {}, "mirror must be false: it needs pictures alone, and"),
+    (partial(configured, "train", "turns=999"), {}, "turns must be at most environments: 999 of"),
+    (
+        partial(configured, "train", "task.also_state=true", "mirror=false", "algorithm=sb3_dqn"),
+        {},
+        "task.also_state needs algorithm double_dqn or ppo, not sb3_dqn",
+    ),
     *(
         (partial(configured, "dp2", "dvs_rate_hz=100", *more), {"timing": timing}, "dvs_rate_hz needs timing and ref")
         for timing, more in (("wall", ()), ("virtual", ("reference_timing=wall",)))
