@@ -31,7 +31,7 @@ class ThreeCommands:
         self.charged: list[Any] = []
         self._commands = 0
 
-    def reset_each(self, seeds: Any, options: Any) -> list[dict[str, Any]]:
+    def reset_each(self, seeds: Any, options: Any, slots: Any = None) -> list[dict[str, Any]]:
         self._random = np.random.default_rng(seeds[0])
         return [{}] * self.num_envs
 

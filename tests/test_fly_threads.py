@@ -15,6 +15,7 @@ import multiprocessing.pool
 import queue
 import re
 import sched
+import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -395,6 +396,28 @@ def event_loops(s: Script) -> None:
         await after(3)
 
     asyncio.run(tasks())
+
+
+@program
+def sockets(s: Script) -> None:
+    """Who waits for data, or for who connects, leaves the others their turns; a time-out is the script's time."""
+    with socket.create_server(("127.0.0.1", 0)) as server, socket.socket(type=socket.SOCK_DGRAM) as receiver:
+        receiver.bind(("127.0.0.1", 0))
+        receiver.settimeout(UNIT_S)
+
+        def answer() -> None:
+            s.units(1)
+            with server.accept()[0] as accepted:
+                s.say(accepted.recv(9))
+                s.units(1)
+                accepted.sendall(b"pong")
+
+        [thread] = s.start(answer)
+        with socket.create_connection(server.getsockname()) as connection:
+            connection.sendall(b"ping")
+            s.say(connection.recv_into(bytearray(9)))
+            s.ask(partial(receiver.recvfrom, 9))
+        thread.join()
 
 
 @program

@@ -107,12 +107,14 @@ def write_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
 def read_arrays(path: Path) -> dict[str, np.ndarray]:
     """Return the arrays of an .npz. Raises UserError if it is missing or damaged, or unpacks beyond ARRAYS_BYTES."""
     try:
-        with open_bounded(path, ARRAYS_BYTES) as file, np.load(file, allow_pickle=False) as arrays:
-            if sum(member.file_size for member in arrays.zip.infolist()) > ARRAYS_BYTES:
-                raise UserError(f"{path}: unpacks to more than {ARRAYS_BYTES:,} bytes")
-            return dict(arrays)
-    except TypeError as error:  # a single array
-        raise UserError(f"{path}: cannot be read: is no .npz") from error
+        with open_bounded(path, ARRAYS_BYTES) as file:
+            if not zipfile.is_zipfile(file):
+                raise ValueError("is no .npz, or only a part of one")
+            file.seek(0)
+            with np.load(file, allow_pickle=False) as arrays:
+                if sum(member.file_size for member in arrays.zip.infolist()) > ARRAYS_BYTES:
+                    raise UserError(f"{path}: unpacks to more than {ARRAYS_BYTES:,} bytes")
+                return dict(arrays)
     except (OSError, EOFError, MemoryError, ValueError, zipfile.BadZipFile) as error:
         raise UserError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from error
 

@@ -223,6 +223,8 @@ class SimulatedFlight:
     def _join(self, future: Future, call: PendingCall, number: int) -> None:
         self._check_process()
         self._turns.check_thread()
+        if self._over:
+            raise FlightOver
         self._wait(call, number)
         future.answer(call.error, call.value)  # an error has been reported as a refusal
 

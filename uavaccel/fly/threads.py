@@ -10,6 +10,7 @@ import _thread
 import concurrent.futures
 import logging
 import queue
+import select
 import selectors
 import sys
 import threading
@@ -20,11 +21,12 @@ from typing import TYPE_CHECKING, Any
 from uavaccel.clock import changed
 from uavaccel.fly.modules import Patches, called_by_a_script
 from uavaccel.fly.script import FlightOver
-from uavaccel.fly.turns import Lock, Thread, Turns, bound
+from uavaccel.fly.turns import FOREIGN_S, Lock, Thread, Turns, bound
 from uavaccel.units import NS_PER_S
 
 if TYPE_CHECKING:
     import asyncio
+    import socket
 
 FREE_TURNS = 100  # of a loop while the clock is paused; each further one reads the clock, so that polling ends
 LOCKS = ("_RLock", "Condition", "Semaphore", "BoundedSemaphore", "Event", "Barrier", "Timer")
@@ -124,6 +126,7 @@ class SharedModules:
         patches.when_imported("multiprocessing.dummy", self._change_dummy)
         patches.when_imported("multiprocessing.pool", self._change_pool)
         patches.when_imported("asyncio.selector_events", self._change_loops)
+        patches.when_imported("socket", self._change_sockets)
         waiting = tuple(getattr(clock, name) for name in ("monotonic", "sleep"))
         patches.when_imported("sched", lambda module: patches.set(module.scheduler.__init__, "__defaults__", waiting))
 
@@ -182,6 +185,26 @@ class SharedModules:
             return original(loop, SimulatedSelector(selector, turns, clock.monotonic))
 
         self._patches.set(module.BaseSelectorEventLoop, "__init__", init)
+
+    def _change_sockets(self, module: ModuleType) -> None:
+        """Let a script's other threads run while one waits for data on a socket; its time-out is simulated."""
+        turns = self._turns
+
+        def waiting(original: Callable[..., object]) -> Callable[..., object]:
+            def receive(connection: socket.socket, *arguments: object, **options: object) -> object:
+                def has_data(wait_s: float = 0.0) -> bool:
+                    return bool(select.select([connection], [], [], wait_s)[0])
+
+                timeout_s = connection.gettimeout()
+                in_turns = turns.running and timeout_s != 0 and self._is_for_a_script()
+                if in_turns and not turns.until(has_data, timeout_s, lambda: has_data(FOREIGN_S)):
+                    raise TimeoutError("timed out")
+                return original(connection, *arguments, **options)
+
+            return receive
+
+        for name in ("accept", "recv", "recv_into", "recvfrom"):
+            self._patches.set(module.socket, name, waiting(getattr(module.socket, name)))
 
     def _leave_ends_unsaid(self, module: ModuleType) -> None:
         """Keep a pool or an event loop from logging the end of the flight, an exception in its workers."""

@@ -29,8 +29,13 @@ class LanesHere(TurnBatch):
         self._seen: dict[int, Observation] = {}
         self._actions: dict[int, Any] = {}
 
-    def reset_each(self, seeds: Sequence[int | None], options: Sequence[Mapping[str, object] | None]) -> list[Info]:
-        return [self._begin(slot, seeds[slot], options[slot]) for slot in range(self.num_envs)]
+    def reset_each(
+        self,
+        seeds: Sequence[int | None],
+        options: Sequence[Mapping[str, object] | None],
+        slots: Sequence[int] | None = None,
+    ) -> list[Info]:
+        return [self._begin(*each) for each in zip(self._all(slots), seeds, options, strict=True)]
 
     def _begin(self, slot: int, seed: int | None = None, options: Mapping[str, object] | None = None) -> Info:
         self._seen[slot], info = self._environments[slot].reset(seed=seed, options=options)
