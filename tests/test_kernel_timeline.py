@@ -145,7 +145,8 @@ def test_ages_are_those_at_the_collision() -> None:
 def test_a_games_latency_scale_is_that_of_its_messages() -> None:
     walls = []
     for keys in ({"randomise": {"latency_scale": [2.5, 2.5]}}, {"latency": constant(scale=2.5)}, {}):
-        task = {"observation": "state", "timing": "virtual", "clock_speed": 10.0, "latency": constant(), **keys}
+        task: dict[str, Any] = {"observation": "state", "timing": "virtual", "clock_speed": 10.0}
+        task |= {"latency": constant(), **keys}
         with closing(KernelBatch(ObstacleLane, 1, **task)) as batch:
             batch.reset(seed=1)
             walls.append(float(batch.step([2])[4]["wall_s"][0]))
