@@ -280,9 +280,9 @@ def test_another_evaluation_does_not_go_on_in_its_folder() -> None:
     certify(Count, same, [0.01], episodes=2, out="out")
     with pytest.raises(UserError, match=r"^out: exists; take another --out, or --resume"):
         certify(Count, same, [0.01], episodes=2, out="out")
-    with pytest.raises(UserError, match=r"^out: is another evaluation, with another episodes, latencies; take another"):
+    with pytest.raises(UserError, match=r"^out: is another evaluation: other episodes, latencies; take another"):
         certify(Count, same, [0.02], episodes=3, out="out", resume=True)
-    with pytest.raises(UserError, match=r"^out: is another evaluation, with another policy, real_time; take another"):
+    with pytest.raises(UserError, match=r"^out: is another evaluation: other policy, real_time; take another"):
         certify(Count, Drawing(), [0.01], episodes=2, out="out", resume=True, clock_speed=2)
     Path("other").mkdir()
     Path("other/mine.txt").touch()
@@ -537,3 +537,6 @@ def test_a_certificate_is_what_its_rows_say() -> None:
     certificate = Certificate({**setup, "unit": "seconds", "episodes": 10, "seed": 0}, rows)
     assert certificate.document["holds"]["latency_s"] == 0.1  # what comes after the first that does not hold is not
     assert "policy of unknown hash" in certificate.line
+    lost = Certificate(certificate.setup, [row | {"success": False} for row in rows])
+    assert ": no certificate: without latency no episode is a success; 10 episodes a latency" in lost.line
+    assert lost.document["holds"]["latency_s"] is None

@@ -342,6 +342,9 @@ def test_senses_and_flight_alone_are_those_of_the_training(monkeypatch: pytest.M
     monkeypatch.setattr(agents, "read_manifest", lambda folder: ({}, LearnerConfig(task=task, mirror=False)))
     assert origin_of("a/policy").keys() == like_trained
     assert origin_of("straight").keys() == {"observation": "state", "history": 1}
+    hover = {"speed_m_s": 3.0, "hold_s": 1.0, **others, "latency": {}, "profile": "airsim", "report_host_times": True}
+    kept = {"speed_m_s": 3.0, "hold_s": 1.0, "max_commands": 9, "goal_reward": 2.0}
+    assert agents.kept_keys("uavaccel/Hover-v0", hover) == kept, "elsewhere all but the clock"
 
 
 @needs_opengl

@@ -75,7 +75,7 @@ def test_a_drawn_condition_flies_as_the_key_of_its_name(name: str, value: float,
             environment.reset(seed=1)
             seen.append(np.stack([environment.step(action)[0] for action in (2, 3, 3, 1)]))
             environment.close()
-        np.testing.assert_array_equal(*seen)
+        np.testing.assert_array_equal(seen[0], seen[1])
         return seen[0]
 
     drawn = flown(randomise={name: [value, value]})

@@ -82,8 +82,9 @@ def test_an_option_makes_a_training_one_over_seeds(tmp_path: Path) -> None:
     assert (config.suite, config.seed, config.seeds) == ("seeds", 5, 3)
     assert config.training == configured("train", "task.speed_m_s=2", seed=5, games=4)
     assert Seeds().provenance(config) == Training().provenance(config.training) != {}
+    (tmp_path / "own.yaml").write_text("suite: seeds\nseeds: 3\ntraining: {algorithm: sb3_sac}\n")
     with pytest.raises(UserError, match="algorithm = 'sb3_sac' is unknown"):
-        configured("train", "algorithm=sb3_sac", seeds=3)
+        configured(str(tmp_path / "own.yaml"))
     with planned(RunRequest("train", {"seeds": 3, "games": 4}, out=tmp_path / "run")) as plan:
         assert next(plan.lines()).startswith("12 games in 3 trainings (3 lockstep: modelled), 2,340 simulated s")
         RunDirectory.create(plan.out, plan.config, {})

@@ -212,7 +212,7 @@ def features_name(task: Task) -> str:
     return "fields" if type(task).features is Task.features else "features"
 
 
-def check_features(task: Task, numbers: NDArray[np.float32], shape: tuple[int, ...]) -> None:
+def check_features(task: Task, numbers: NDArray[Any], shape: tuple[int, ...]) -> None:
     """Raise UserError for a frame of the state that is of another shape, or has numbers that are not finite."""
     if numbers.shape != shape:
         raise Functions(task).wrong(features_name(task), f"returned the shape {numbers.shape}, and {shape} before")

@@ -78,7 +78,7 @@ class FlightEnv(gymnasium.Env[Observation, Action], Generic[TaskT]):
         self.render_mode = check_render_mode(render_mode)
         self.observation_space = self.task.observation_space()
         self.action_space = self.task.action_space()
-        self.sensor = self.task.sensor()
+        self.sensor, self._told = self.task.sensor(), self.task.told
         self._context = self.task.context_planes()
         self._command = COMMANDS[self.task.command]
         self._frames: deque[Frame] = deque(maxlen=self.task.frames_per_command * self.task.history)
@@ -353,10 +353,10 @@ class FlightEnv(gymnasium.Env[Observation, Action], Generic[TaskT]):
         frames = np.concatenate([*self._frames, *context])
         if not self.task.also_state:
             return frames
-        state = np.zeros(self.observation_space["state"].shape, np.float32)
+        state = np.zeros(self._told, np.float32)
         if self._now.free:
             state = np.asarray(self.task.features(self._now.state, self._now.course), np.float32).ravel()
-            check_features(self.task, state, self.observation_space["state"].shape)
+            check_features(self.task, state, (self._told,))
         return {"image": frames, "state": state}
 
     def _info(self) -> Info:

@@ -73,7 +73,7 @@ class Certificate:
         groups = (self.rows[at : at + count] for at in range(0, len(self.rows), count))
         cells = [_cell(list(rows), score) for rows in groups]
         lines = "".join(f"{to_json(row)}\n" for row in self.rows).encode()
-        found = {"score": score, "cells": cells, "holds": _holds(cells)}
+        found = {"score": score, "cells": cells, "holds": _holds(cells, score)}
         object.__setattr__(self, "document", {**self.setup, **found, "rows_sha256": hashlib.sha256(lines).hexdigest()})
 
     @property
@@ -92,6 +92,8 @@ class Certificate:
         tail = f"{said['episodes']} episodes a latency from seed {said['seed']}; {short}"
         if self.failed:
             return f"{head}: no certificate: {self.failed} of {len(self.rows)} episodes failed; {tail}"
+        if holds["latency"] is None:
+            return f"{head}: no certificate: without latency no episode is a success; {tail}"
         best, until = _scored(cells[0]["mean"], said["score"]), f"{1e3 * holds['latency_s']:.4g} ms"
         until += f", {holds['latency']:g} times {by['file']}" if by else ""
         if said["unit"] == STEPS:
@@ -156,12 +158,13 @@ def _cell(rows: Sequence[Row], score: str) -> Row:
     return {**cell, "latency_s": latency_s, "mean": statistics.fmean(values), "low": low, "high": high}
 
 
-def _holds(cells: Sequence[Row]) -> Row:
+def _holds(cells: Sequence[Row], score: str) -> Row:
     """Return up to which latency, of those that were flown, the score stays near that of the first one.
 
-    `latency_s` is by the mean, `surely_s` by the low end of the interval; None where an episode failed.
+    `latency_s` is by the mean, `surely_s` by the low end of the interval; None where an episode failed, and where there
+    is no success to be left.
     """
-    if any(cell["errors"] for cell in cells):
+    if any(cell["errors"] for cell in cells) or (score == "success" and not cells[0]["mean"]):
         return {"share": SHARE, **dict.fromkeys(("least", "latency", "latency_s", "surely_s"))}
     best = cells[0]["mean"]
     least = best - (1 - SHARE) * abs(best)
@@ -437,7 +440,7 @@ class _Folder:
             return []
         begun, here = read_json(file), parse_json(to_json(setup))
         if other := [key for key in here if not isinstance(begun, dict) or begun.get(key) != here[key]]:
-            raise UserError(f"{self.path}: is another evaluation, with another {', '.join(other)}; take another folder")
+            raise UserError(f"{self.path}: is another evaluation: other {', '.join(other)}; take another folder")
         drop_cut_line(self.rows)
         rows = read_lines(self.rows)
         failed = next((place for place, row in enumerate(rows) if "error" in row), len(rows))

@@ -207,16 +207,16 @@ def plant_of(env: gymnasium.Env[Any, Any], period_s: float | None) -> Plant:
     )
 
 
-def refuse_real_time_in(env: gymnasium.Env[Any, Any]) -> None:
+def refuse_real_time_in(env: Any) -> None:
     """Raise UserError for an environment that is in real time already: a second thinking time would hide the first."""
     for name in (type(layer).__name__ for layer in _layers(env) if getattr(layer, "keeps_real_time", False)):
         raise UserError(f"{name} is in real time already; give one wrapper the whole latency_s")
 
 
-def _layers(env: gymnasium.Env[Any, Any]) -> Iterator[Any]:
+def _layers(env: Any) -> Iterator[Any]:
     """Yield an environment's wrappers, the outer one first, and what they wrap."""
     yield env
-    while isinstance(env, gymnasium.Wrapper):
+    while isinstance(env, gymnasium.Wrapper | gymnasium.vector.VectorWrapper):
         env = env.env
         yield env
 

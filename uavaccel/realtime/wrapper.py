@@ -182,8 +182,10 @@ class RealTimeVector(VectorWrapper[Any, Any, Any, Any]):
     on their device. `gymnasium.make_vec(ID, 8, wrappers=[partial(RealTime, latency_s=0.05)])` makes the same.
 
     In a step each environment takes its own simulated time. Raises UserError for arguments that do not fit, and for a
-    vector whose environments it cannot reach.
+    vector whose environments it cannot reach, or that is in real time already.
     """
+
+    keeps_real_time = True
 
     def __init__(
         self,
@@ -202,6 +204,7 @@ class RealTimeVector(VectorWrapper[Any, Any, Any, Any]):
             )
         given: dict[str, Any] = {"latency_s": latency_s, "command": command, "clock_speed": clock_speed}
         given |= {"delay_steps": delay_steps, **keys}
+        refuse_real_time_in(envs)
         inside, kinds = envs.unwrapped, (SyncVectorEnv, AsyncVectorEnv)
         kind = next((kind for kind in kinds if isinstance(inside, kind)), None)
         if isinstance(inside, HasWallClocks):
@@ -272,7 +275,7 @@ class _OwnClocks(VectorWrapper[Any, Any, Any, Any]):
         begun = self.env.reset(seed=cast(Any, seed), options=options)
         seeds = range(seed, seed + self.num_envs) if isinstance(seed, int | np.integer) else seed
         which = (options or {}).get("reset_mask", np.ones(self.num_envs, bool))
-        for place in np.flatnonzero(which):
+        for place in np.flatnonzero(which).tolist():
             if seeds is not None and (own := seeds[place]) is not None:
                 self._generators[place], self._taken[place] = thinking_generator(own), AHEAD
         self._going[which] = True

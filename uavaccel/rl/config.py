@@ -224,8 +224,8 @@ class LearnerConfig(Config):
                 f"algorithm {self.algorithm} does not learn {self.env_id}, whose actions are {actions}: it needs "
                 f"algorithm {needed}"
             )
-        space = self.task.action_space()
-        if isinstance(space, spaces.Box) and not ((space.low == -1.0).all() and (space.high == 1.0).all()):
+        space: Any = self.task.action_space()
+        if not discrete and not ((space.low == -1.0).all() and (space.high == 1.0).all()):
             raise ValueError(
                 f"algorithm {PPO} learns actions from -1 to 1, which {self.env_id}.goal scales, not {space}"
             )
