@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import hashlib
+import shutil
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 import pytest
+import yaml
 
 from tests.running import configured, fly_into
 from tests.test_realtime_suite import short_rollouts  # noqa: F401 - a fixture
@@ -85,6 +87,21 @@ def test_cells_can_be_flown_in_parts(smoke: RunDirectory, tmp_path: Path) -> Non
     assert results(more) == results(Realtime().report(smoke))
     assert " of 32 cells" not in Realtime().source(more)
     assert " · 3 of 32 cells · " in source
+
+
+@pytest.mark.slow
+def test_flights_go_on_where_there_is_no_gpu_to_train(smoke: RunDirectory, tmp_path: Path) -> None:
+    """Once they are trained; before that it is one line."""
+    keys = "flights.hover.trainings.naive.keys.device=cuda"
+    with pytest.raises(UserError, match=r"^device = 'cuda': "):
+        flown(tmp_path / "new", keys, "cells=[hover-naive-*]")
+    there = Path(shutil.copytree(smoke.path, tmp_path / "run"))
+    config = load_yaml(there / "config.yaml")
+    config["flights"]["hover"]["trainings"]["naive"]["keys"]["device"] = "cuda"
+    (there / "config.yaml").write_text(yaml.safe_dump(config, sort_keys=False))
+    lines = (there / "rows.jsonl").read_text().splitlines(keepends=True)
+    (there / "rows.jsonl").write_text("".join(line for line in lines if "hover-naive-s0-adsc-50ms-1x" not in line))
+    assert sorted(flown(there, keys, resume=True).rows(), key=str) == sorted(smoke.rows(), key=str)
 
 
 @pytest.mark.slow

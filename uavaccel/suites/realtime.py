@@ -140,15 +140,6 @@ class Realtime(Suite[RealtimeConfig, Training]):
                 yield Training(name, "virtual", 0.0, environment, agent, seed)
         yield from evaluations
 
-    def provenance(self, config: RealtimeConfig) -> Mapping[str, object]:
-        """Check that this machine has what the trainings of flights need. Raises UserError."""
-        trained = dict.fromkeys((case.environment, case.agent) for case in self.cases(config) if not self.stage(case))
-        for name, agent in trained:
-            if name in config.flights:
-                suite, part = config.flights[name].trainings[agent].resolve(config.seed)
-                suite.provenance(part)
-        return {}
-
     def stage(self, case: Training) -> int:
         return int(isinstance(case, Evaluation))
 
@@ -348,6 +339,7 @@ def flown(config: RealtimeConfig, case: Training, run: RunDirectory) -> dict[str
     if not isinstance(case, Evaluation):
         training = flight.trainings[case.agent].resolve(config.seed + case.seed)
         acquire_gpu(training[1].device)
+        training[0].provenance(training[1])  # without that device it is one line
         report = train_part(run, case.id, training)
         learned = {"steps": report.summary["commands"], "agent_sha256": report.summary["weights_sha256"]}
         return {**learned, "last_return": float(recent_mean(report.games["return"]).iloc[-1])}
