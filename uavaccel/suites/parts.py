@@ -105,9 +105,14 @@ def fly_part(run: RunDirectory, name: str, part: Run, pages: bool = True) -> Rep
 
 
 def train_part(run: RunDirectory, name: str, part: Run) -> Report:
-    """Fly a training, and return its report; its checkpoints, gigabytes of no use once it is over, are removed."""
+    """Fly a training, and return its report; its checkpoints, gigabytes of no use once it is over, are removed.
+
+    Raises UserError where its device is missing.
+    """
     from uavaccel.suites.train import CHECKPOINTS
 
+    suite, config = part
+    suite.provenance(config)
     report = fly_part(run, name, part, pages=False)
     shutil.rmtree(report.run.path / CHECKPOINTS, ignore_errors=True)
     return report

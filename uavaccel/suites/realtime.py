@@ -339,7 +339,6 @@ def flown(config: RealtimeConfig, case: Training, run: RunDirectory) -> dict[str
     if not isinstance(case, Evaluation):
         training = flight.trainings[case.agent].resolve(config.seed + case.seed)
         acquire_gpu(training[1].device)
-        training[0].provenance(training[1])  # without that device it is one line
         report = train_part(run, case.id, training)
         learned = {"steps": report.summary["commands"], "agent_sha256": report.summary["weights_sha256"]}
         return {**learned, "last_return": float(recent_mean(report.games["return"]).iloc[-1])}
