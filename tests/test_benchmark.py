@@ -184,3 +184,8 @@ def test_what_does_not_fit_is_one_line(override: str, said: str) -> None:
     with pytest.raises(UserError, match=said) as caught:
         Realtime().check(configured("benchmark_smoke", *NO_FLIGHTS, override))
     assert "\n" not in str(caught.value)
+
+
+def test_of_very_many_cells_some_are_named() -> None:
+    with pytest.raises(UserError, match=r"none is called hoper-\*; known: navigate-naive.*, \.\.\. \(396 in all\)$"):
+        Realtime().check(configured("benchmark_v1", "cells=[hoper-*]"))

@@ -4,7 +4,10 @@ import difflib
 import errno
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
+from itertools import islice
 from pathlib import Path
+
+MOST_LISTED = 60  # known words that a mistake is answered with
 
 
 class UserError(Exception):
@@ -64,6 +67,8 @@ def naming(path: Path) -> Iterator[None]:
 
 
 def suggestion(word: str, known: Collection[str]) -> str:
-    """Suggest what an unknown word may mean: a known one that is close to it, or all of them."""
-    close = difflib.get_close_matches(word, known, n=1)
-    return f"did you mean {close[0]!r}?" if close else f"known: {', '.join(known)}"
+    """Suggest what an unknown word may mean: a known one that is close to it, or all of them, or some of very many."""
+    if close := difflib.get_close_matches(word, known, n=1):
+        return f"did you mean {close[0]!r}?"
+    listed = [*known] if len(known) <= MOST_LISTED else [*islice(known, 3), f"... ({len(known)} in all)"]
+    return f"known: {', '.join(listed)}"
