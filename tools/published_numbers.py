@@ -497,7 +497,7 @@ def benchmark_says() -> Text:
     table = pd.read_csv(TABLES / f"{BENCHMARK}.csv").set_index(["environment", "agent", "latency_s", "clock_speed"])
     config = configure(RunRequest(BENCHMARK))[1]
     cells = dict.fromkeys(case.cell for case in Realtime().cases(config) if isinstance(case, Evaluation))
-    yield f"{len(table)} of its {len(cells)} cells"
+    yield f"All {len(table)} cells" if len(table) == len(cells) else f"{len(table)} of its {len(cells)} cells"
     for task, agent in dict.fromkeys((*cell.split("-")[:2],) for cell in cells):
         if (task, agent, *DELAYS[0]) in table.index:
             scores = (short(table.score_mean[(task, agent, *at)], 2) for at in DELAYS)
