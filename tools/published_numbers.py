@@ -163,8 +163,8 @@ def readme_says() -> Text:
 
 
 def results_paper() -> Page:
-    says = (headline, table_1, table_1_bullets, claims_table, notes_on_table_1, on_test_lanes, interchanged, times, gaps, one_changed)
-    more = (what_helps, the_model, what_was_fitted)
+    says = (headline, table_1, table_1_bullets, claims_table, notes_on_table_1, on_test_lanes, interchanged, times)
+    more = (gaps, one_changed, what_helps, the_model, what_was_fitted)
     return Page((text for of in (*says, *more) for text in of()), SETTINGS)
 
 
@@ -249,7 +249,8 @@ def on_test_lanes() -> Text:
     keys = ["profile", "command", "clock_speed", "seed"]
     both = own.merge(where(trainings("rl_table1"), flight=0), on=keys, suffixes=("", "_before"))
     same = both.weights_sha256 == both.weights_sha256_before
-    yield f"equal to the bit ({same.sum()} of the {len(both)} that Table I has), and flown on {own.won.iloc[0].size} lanes"
+    equal = f"equal to the bit ({same.sum()} of the {len(both)} that Table I has)"
+    yield f"{equal}, and flown on {own.won.iloc[0].size} lanes"
     successes = {
         key: Success.on_lanes(flown.sort_values("seed").won.tolist())
         for key, flown in own.groupby(["profile", "clock_speed", "command"])
