@@ -12,7 +12,10 @@ from types import ModuleType
 from typing import Any
 
 import pytest
+from numba import njit
 
+from uavaccel.envs.gates import Gates
+from uavaccel.envs.kernel_games import GameMaker
 from uavaccel.kernels import cpu, pictures
 from uavaccel.sim.vehicle import hotloop
 
@@ -49,11 +52,36 @@ def test_the_number_changes_with_any_file_that_is_reached(tmp_path: Path, monkey
     assert hotloop.sources("uavaccel.sim.loop") == numbers[-1]
 
 
+def closed_over(function: Any) -> dict[str, Any]:
+    cells = zip(function.__code__.co_freevars, function.__closure__, strict=True)
+    return {name: cell.cell_contents for name, cell in cells}
+
+
 @pytest.mark.parametrize("function", ENTRY_POINTS, ids=lambda function: function.__qualname__)
 def test_every_entry_point_closes_over_it(function: Any) -> None:
-    closed = dict(zip(function.__code__.co_freevars, function.__closure__, strict=True))
-    [number] = [closed[name].cell_contents for name in ("sources", "stamp") if name in closed]
-    assert number == hotloop.sources(function.__module__)
+    closed = closed_over(function)
+    assert [closed[name] for name in ("sources", "stamp") if name in closed] == [hotloop.sources(function.__module__)]
+
+
+def test_a_stamped_function_computes_the_same() -> None:
+    factor = 3.0
+
+    def times(number: float, more: float = 1.0) -> float:
+        return number * factor + more
+
+    for function in (times, hotloop.stamped(times, 7), njit(hotloop.stamped(times, 7))):
+        assert (function(2.0), function(2.0, 4.0)) == (7.0, 10.0)
+    assert closed_over(hotloop.stamped(times, 7)) == {"factor": 3.0, "sources": 7}
+
+
+def test_every_kernel_of_a_gpu_closes_over_it() -> None:
+    pytest.importorskip("numba_cuda")
+    from uavaccel.kernels import cuda
+
+    kernels = vars(cuda.compiled(GameMaker(Gates().task).nominal))
+    number = hotloop.sources(cuda.__name__)
+    assert {closed_over(kernel.py_func)["sources"] for kernel in kernels.values()} == {number}
+    assert "uavaccel.kernels.tiles" in hotloop._reached(cuda.__name__, {})
 
 
 def test_what_the_hot_loop_computes_is_reached() -> None:
