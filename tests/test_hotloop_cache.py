@@ -1,18 +1,20 @@
 """Cached machine code is that of the sources that it was compiled from, in whatever file they are.
 
 numba looks for changes in the file of an entry point, and in the values that this closes over: a number of all files
-that its code comes from is one of them.
+that its code comes from is one of them. Processes that start at once share the files of machine code.
 """
 
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 import pytest
 from numba import njit
+from numba.core.caching import IndexDataCacheFile
 
 from uavaccel.envs.gates import Gates
 from uavaccel.envs.kernel_games import GameMaker
@@ -88,3 +90,30 @@ def test_what_the_hot_loop_computes_is_reached() -> None:
     reached = hotloop._reached(hotloop.__name__, {})
     for name in ("autopilot", "free_body", "quadrotor"):
         assert f"uavaccel.sim.vehicle.{name}" in reached
+
+
+def meanwhile(writer: IndexDataCacheFile, call: Callable[[], object]) -> None:
+    """Let another process do something just before the writer's code is in its file."""
+    save = writer._save_data
+    writer._save_data = lambda name, code: (call(), save(name, code))
+
+
+def test_no_code_of_older_sources_is_loaded_while_new_is_saved(tmp_path: Path) -> None:
+    def opened(stamp: int) -> IndexDataCacheFile:
+        return IndexDataCacheFile(str(tmp_path), "loop", stamp)
+
+    opened(1).save("fly", "older")
+    writer, seen = opened(2), []
+    meanwhile(writer, lambda: seen.append(opened(2).load("fly")))
+    writer.save("fly", "newer")
+    assert (seen, opened(2).load("fly")) == ([None], "newer")
+    assert len([*tmp_path.glob("*.nbc")]) == 1
+
+
+def test_functions_saved_at_once_are_not_taken_for_each_other(tmp_path: Path) -> None:
+    one, two, later = (IndexDataCacheFile(str(tmp_path), "loop", 1) for _ in range(3))
+    one._load_index = two._load_index = dict  # both have looked when there was none
+    meanwhile(one, lambda: two.save("rest", "code of rest"))
+    one.save("fly", "code of fly")
+    for name in ("fly", "rest"):
+        assert later.load(name) in (None, f"code of {name}")

@@ -17,6 +17,7 @@ import numpy as np
 import torch as th
 from numba import cuda, types
 from numba.cuda import libdevice
+from numba.cuda.core import caching
 from numba.cuda.extending import overload
 from numba.np.numpy_support import from_dtype
 
@@ -36,7 +37,7 @@ from uavaccel.kernels.lanes import NEXT_CHECK, TOUCHED, fly_ticks
 from uavaccel.kernels.scene import LOOSE, add_to, sort_cell, visit
 from uavaccel.kernels.touching import around, deepest_of_all, least_of_all
 from uavaccel.sim.clutter import DRAWS, GAP, keep_gaps, sample_shape
-from uavaccel.sim.parts import times
+from uavaccel.sim.parts import save_apart, times
 from uavaccel.sim.pcg64 import STREAM_FIELDS, advance
 from uavaccel.sim.vehicle.hotloop import sources, stamped
 from uavaccel.sim.vehicle.quadrotor import FLIGHT_DTYPE, PARAMETERS_DTYPE
@@ -46,6 +47,8 @@ FLYING_WARPS = 2  # per multiprocessor: a quarter of its registers, which leaves
 PARAMETERS, FLIGHT = from_dtype(PARAMETERS_DTYPE), from_dtype(FLIGHT_DTYPE)
 
 SIGNED = {np.dtype(np.uint32): np.int32, np.dtype(np.uint64): np.int64}  # PyTorch computes with signed integers
+
+caching.IndexDataCacheFile.save = save_apart
 
 
 @overload(times)
