@@ -12,6 +12,8 @@ represent.
 
 from __future__ import annotations
 
+import ast
+import inspect
 import json
 import re
 import reprlib
@@ -20,8 +22,10 @@ from contextlib import suppress
 from copy import deepcopy
 from difflib import get_close_matches
 from functools import lru_cache
+from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeAlias, TypeVar, get_args, get_origin
+from textwrap import dedent
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, TypeVar, get_args, get_origin
 
 import yaml
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
@@ -31,6 +35,11 @@ from yaml.constructor import ConstructorError, SafeConstructor
 from uavaccel.errors import UsageError, UserError, suggestion
 from uavaccel.files import Plain, read_bounded
 from uavaccel.units import CLOCK_SPEEDS
+
+if TYPE_CHECKING:
+    from pydantic import GetJsonSchemaHandler
+    from pydantic.json_schema import JsonSchemaValue
+    from pydantic_core import CoreSchema
 
 MOST_GAMES = 1_000_000
 MOST_ROUNDS = 100_000
@@ -70,9 +79,16 @@ class Config(BaseModel):
     A docstring below a field is that field's description in the JSON schema.
     """
 
-    model_config = ConfigDict(
-        extra="forbid", frozen=True, allow_inf_nan=False, validate_default=True, use_attribute_docstrings=True
-    )
+    # With use_attribute_docstrings the source of each class would be read at every program's start.
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, validate_default=True)
+
+    @classmethod
+    def __get_pydantic_json_schema__(cls, core_schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
+        made = handler(core_schema)
+        properties = handler.resolve_ref_schema(made).get("properties", {})
+        for name, text in _field_docstrings(cls).items():
+            properties.get(name, {}).setdefault("description", text)
+        return made
 
     @classmethod
     def keys_of(cls, mapping: Mapping[str, Any]) -> KeyTree:
@@ -172,6 +188,19 @@ def to_yaml(config: Config) -> str:
 def schema(cls: type[Config]) -> dict[str, Plain]:
     """Return the JSON schema of a configuration's YAML, for editors."""
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **cls.model_json_schema()}
+
+
+def _field_docstrings(cls: type[Config]) -> dict[str, str]:
+    """Return what stands below the fields of a class and of those that it is derived from."""
+    found: dict[str, str] = {}
+    for each in [each for each in cls.__mro__[::-1] if issubclass(each, Config)]:
+        with suppress(OSError, TypeError):  # its source is not there
+            [definition] = ast.parse(dedent(inspect.getsource(each))).body
+            for pair in pairwise(getattr(definition, "body", [])):
+                match pair:
+                    case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str(text))):
+                        found[name] = inspect.cleandoc(text)
+    return found
 
 
 def _leading(error: ValidationError) -> ErrorDetails:
