@@ -10,13 +10,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cached_property
+from pathlib import Path
 from typing import Any, ParamSpec, Protocol, TypeVar, overload
+from uuid import uuid4
 
 import numba
 import numpy as np
 from llvmlite import binding, ir
 from numba import extending, types
-from numba.core import compiler
+from numba.core import caching, compiler
 from numba.core.base import BaseContext
 from numba.core.codegen import CPUCodeLibrary, JITCodeLibrary
 from numba.core.imputils import lower_constant
@@ -199,3 +201,23 @@ def times(a: Real, b: Real) -> Real:
 @extending.overload(times)
 def _on_cpu(a, b):  # type: ignore[no-untyped-def]  # numba compares its signature with the lambda's
     return lambda a, b: a * b
+
+
+# --- code on disk ---------------------------------------------------------------------------------------------------
+
+
+def save_apart(self: caching.IndexDataCacheFile, key: object, code: object) -> None:
+    """Save code in a file of its own, and then the index that tells of it.
+
+    numba tells of it first, under a number that is free in the index that it has read. Of many processes that start at
+    once, one could load code of older sources, or of another specialisation that was given the same number meanwhile.
+    """
+    if not self._load_index():  # there is none, or it is of older sources
+        for old in Path(self._cache_path).glob(self._index_name.removesuffix("nbi") + "*.nbc"):
+            old.unlink(missing_ok=True)
+    name = self._data_name(uuid4().int)
+    self._save_data(name, code)
+    self._save_index({**self._load_index(), key: name})
+
+
+caching.IndexDataCacheFile.save = save_apart

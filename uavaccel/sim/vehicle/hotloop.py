@@ -15,12 +15,13 @@ and the poses equal AirSim's to rounding, while contacts, images and poses stay 
 
 from __future__ import annotations
 
-import ast
 import ctypes
 import math
+import re
 import sys
 import zlib
 from pathlib import Path
+from types import CellType, FunctionType
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import mujoco
@@ -42,7 +43,7 @@ if TYPE_CHECKING:
 
     Intrinsic = tuple[types.Type, Callable[..., ir.Value]]  # numba's: a signature, and what writes the code
 
-PACKAGE = __name__.partition(".")[0] + "."
+FROM_OURS = re.compile(rf"^\s*from ({__name__.partition('.')[0]}\.[\w.]+) import (\([^)]*\)|.*)", re.MULTILINE)
 
 # One row of the recorder: tick, position, quaternion, velocity, body rate.
 SAMPLE_COLUMNS = 1 + 3 + 4 + 3 + 3
@@ -347,16 +348,18 @@ def _compile(sources: int) -> EntryPoints:
 
 
 def _reached(module: str, found: dict[str, Path]) -> dict[str, Path]:
-    """Collect the package's files that a module imports, directly or indirectly."""
+    """Collect the package's files that a module imports, directly or indirectly.
+
+    Imports are found as text: parsing the files would take a good part of a program's start.
+    """
     file = Path(sys.modules[module].__file__ or "")
     if file.name == "__init__.py" or module in found:  # packages hold no code of the loop's
         return found
     found[module] = file
-    for node in ast.walk(ast.parse(file.read_bytes())):
-        if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith(PACKAGE):
-            for name in (node.module, *(f"{node.module}.{alias.name}" for alias in node.names)):
-                if name in sys.modules:
-                    _reached(name, found)
+    for source, names in FROM_OURS.findall(file.read_text("utf-8")):
+        for name in (source, *(f"{source}.{word}" for word in re.findall(r"\w+", names))):
+            if name in sys.modules:
+                _reached(name, found)
     return found
 
 
@@ -364,6 +367,14 @@ def sources(module: str) -> int:
     """Return a checksum, never 0, of the package's code that a module depends on."""
     files = _reached(module, {})
     return zlib.crc32(b"".join(files[module].read_bytes() for module in sorted(files))) | 1
+
+
+def stamped(function: Callable[..., object], sources: int) -> Callable[..., object]:
+    """Return a function for numba to compile that closes over `sources` too, though nothing in it reads them."""
+    code = function.__code__
+    closure = *(function.__closure__ or ()), CellType(sources)
+    code = code.replace(co_freevars=(*code.co_freevars, "sources"))
+    return FunctionType(code, function.__globals__, function.__name__, function.__defaults__, closure)
 
 
 ENTRY_POINTS = _compile(sources(__name__))
