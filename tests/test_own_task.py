@@ -207,12 +207,13 @@ def test_an_unknown_key_is_looked_for_at_every_level(key: str, hint: str, said: 
 def test_unknown_keys_of_ones_own_task_are_found_too(here: Path, said: Callable[[str], str]) -> None:
     for key, hint in {"near_m": "task.near_m", "task.near": "near_m", "task.rollout": "options.rollout"}.items():
         line = said(f"train {yaml_of(here, 'Free')} --dry-run --set {key}=1")
-        assert line == f"own.yaml: unknown key '{key}'; did you mean '{hint}'?"
+        assert line == f"--set: unknown key '{key}'; did you mean '{hint}'?"
 
 
 @pytest.mark.parametrize(("file", "line"), [
     ("", "task 'mine.py': has no class of a task"),
     ("x = 1\ny = x / 0\n", "task 'mine.py': HERE/mine.py:2: ZeroDivisionError: division by zero"),
+    ("import sys\nsys.exit(3)\n", "task 'mine.py': HERE/mine.py:2: SystemExit: 3"),
     ("def x(:\n", "task 'mine.py': HERE/mine.py:1: SyntaxError: invalid syntax"),
     ("import no_such_module\n", "task 'mine.py': HERE/mine.py:1: ModuleNotFoundError: No module named"),
     (BARE, "task 'mine.py:Mine': Mine has no task_class"),

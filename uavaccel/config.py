@@ -161,12 +161,19 @@ def _position(container: object, parts: list[str], source: str) -> str | int:
     raise UserError(f"{source}: no {part!r} in {'.'.join(parts[:-1])}, which holds {held}")
 
 
-def validate(cls: type[ConfigType], mapping: Mapping[str, object], source: str) -> ConfigType:
-    """Return an instance of `cls` from plain data; UserError names `source`, key, value and what would be right."""
+def validate(
+    cls: type[ConfigType], mapping: Mapping[str, object], source: str, given: Mapping[str, str] | None = None
+) -> ConfigType:
+    """Return an instance of `cls` from plain data; UserError names `source`, key, value and what would be right.
+
+    `given` names, by dotted key, the options that gave values in place of `source`.
+    """
     try:
         return cls.model_validate_json(json.dumps(mapping), strict=True)
     except ValidationError as error:
-        raise UserError(f"{source}: {_explain(cls, mapping, error)}") from error
+        key = _dotted(mapping, _leading(error))
+        options = (option for own, option in (given or {}).items() if f"{key}.".startswith(f"{own}."))
+        raise UserError(f"{next(options, source)}: {_explain(cls, mapping, error)}") from error
     except UserError as error:  # raised by a validator
         raise type(error)(f"{source}: {error}") from error
     except (TypeError, ValueError) as error:
@@ -196,10 +203,14 @@ def _field_docstrings(cls: type[Config]) -> dict[str, str]:
     return found
 
 
-def _explain(cls: type[Config], mapping: Mapping[str, object], error: ValidationError) -> str:
+def _leading(error: ValidationError) -> ErrorDetails:
     """Return the most helpful error: an unknown key, which may be why another is missing, or the innermost one."""
     errors = error.errors(include_url=False)
-    first = min(errors, key=lambda each: (each["type"] != "extra_forbidden", -len(each["loc"])))
+    return min(errors, key=lambda each: (each["type"] != "extra_forbidden", -len(each["loc"])))
+
+
+def _explain(cls: type[Config], mapping: Mapping[str, object], error: ValidationError) -> str:
+    first = _leading(error)
     key = _dotted(mapping, first)
     if first["type"] == "extra_forbidden":
         *above, unknown = first["loc"]
