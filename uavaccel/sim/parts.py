@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import cached_property
 from pathlib import Path
-from typing import ParamSpec, Protocol, TypeVar, overload
+from typing import Any, ParamSpec, Protocol, TypeVar, overload
 from uuid import uuid4
 
 import numba
@@ -23,6 +23,7 @@ from numba.core.base import BaseContext
 from numba.core.codegen import CPUCodeLibrary, JITCodeLibrary
 from numba.core.imputils import lower_constant
 from numba.core.registry import CPUDispatcher
+from numba.core.typing import Signature
 from numba.extending import models, register_model
 
 P = ParamSpec("P")
@@ -114,6 +115,12 @@ class Part(CPUDispatcher):
         self.targetctx.insert_user_function(result.entry_point, result.fndesc, [result.library])
         self.overloads[tuple(result.signature.args)] = result
 
+    def get_call_template(self, args: tuple[types.Type, ...], kws: dict[str, types.Type]) -> tuple[object, ...]:
+        """Compile for integers, not for each constant that is passed: an entry point folds constants anyway."""
+        named = {name: types.unliteral(each) for name, each in kws.items()}
+        template: tuple[object, ...] = super().get_call_template(tuple(map(types.unliteral, args)), named)
+        return template
+
     def __call__(self, *arguments: object, **named: object) -> object:
         return self._alone(*arguments, **named)
 
@@ -121,6 +128,42 @@ class Part(CPUDispatcher):
     def _alone(self) -> Callable[..., object]:
         options = {name: value for name, value in self.targetoptions.items() if name != "nopython"}
         return njit(**options)(self.py_func)
+
+
+class _ChosenType(PartType):
+    """The type of what `chosen_by_types` makes."""
+
+    def _of(self, args: tuple[types.Type, ...]) -> PartType:
+        chosen: PartType = self.dispatcher.choose(*args)._numba_type_
+        return chosen
+
+    def get_call_type(self, context: object, args: tuple[types.Type, ...], kws: dict[str, types.Type]) -> object:
+        return self._of(args).get_call_type(context, args, kws)
+
+    def get_overload(self, sig: Signature) -> object:
+        return self._of(sig.args).get_overload(sig)
+
+
+register_model(_ChosenType)(models.OpaqueModel)
+
+
+class _Chosen:
+    is_compiling = False  # which numba asks of dispatchers
+
+    def __init__(self, choose: Callable[..., object]) -> None:
+        self.choose = choose
+
+    @property
+    def _numba_type_(self) -> _ChosenType:
+        return _ChosenType(self)
+
+
+def chosen_by_types(choose: Callable[..., object]) -> Any:
+    """Decorate a function of numba's types of arguments that returns the part to call with them: a `Part` as they are.
+
+    numba's own `overload` compiles what it chooses by itself, with all that this calls.
+    """
+    return _Chosen(choose)
 
 
 @overload
