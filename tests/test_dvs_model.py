@@ -259,7 +259,7 @@ def test_every_frame_between_two_samples_counts(rate_hz: float, commands: int, s
             blocks = (on - off).reshape(36, 4, 64, 4).sum(axis=(1, 3))
             images.append(np.clip(128 + blocks, 0, 255))
             start = end
-    times = {"t_move_s": ticks * TICK_S, "t_sample_s": samples[0] * TICK_S}
+    times: dict[str, Any] = {"t_move_s": ticks * TICK_S, "t_sample_s": samples[0] * TICK_S}
     with closing(ObstacleLane(dvs_rate_hz=rate_hz, list_events=True, **times)) as environment:
         environment.reset(seed=0, options={"lane": LANE})
         seen = np.concatenate([environment.step(AHEAD)[0] for _ in range(commands)])

@@ -1,5 +1,7 @@
 """Parts of compiled functions compute what numba's own functions do, within others and from Python."""
 
+from typing import Any
+
 import numpy as np
 from numba import njit, types
 
@@ -70,4 +72,5 @@ def test_a_part_is_compiled_for_types_and_may_be_chosen_by_them() -> None:
     """Not for each constant that it is called with."""
     assert of_constants(3.0) == (9.0, 81.0)
     assert of_constants(3) == (-18.0, -18.0)
-    assert len(power.overloads) == 2  # of real numbers and of whole ones
+    specialised: Any = power
+    assert len(specialised.overloads) == 2  # of real numbers and of whole ones
