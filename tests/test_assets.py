@@ -65,6 +65,16 @@ def test_a_scene_that_cannot_be_flown_is_one_line(folder: Path, text: str, said:
     assert "\n" not in str(caught.value)
 
 
+def test_a_name_that_spawned_objects_have_is_refused(folder: Path) -> None:
+    """Their geoms stand by without contacts, as one of the scene must not."""
+    (folder / "mine.xml").write_text(
+        f'<mujoco>{INCLUDED}<worldbody><geom name="spare_car" size="1"/></worldbody></mujoco>'
+    )
+    assert load_scene("mine").geom("spare_car").contype[0] == 1
+    with pytest.raises(UserError, match=r'mine\.xml: geom "spare_car": names with "spare_"'):
+        load_scene("mine", airsim=True)
+
+
 def test_the_ground_for_airsims_clients_reaches_the_horizon(folder: Path) -> None:
     """Stretched 50 times over 200 m, a texture is 5000 times over 20 km; a uniform one counts per metre anyway."""
     plane = """

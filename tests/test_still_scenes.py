@@ -18,12 +18,14 @@ from tests.clutter import KINDS, clutter
 from tests.lanes import SideBySide
 from uavaccel.envs.hover import Hover
 from uavaccel.envs.kernel_batch import KernelBatch
+from uavaccel.errors import UserError
 from uavaccel.kernels import casting, tiles
 from uavaccel.kernels import scene as at
 from uavaccel.kernels.bodies import read_scene, read_surroundings
 from uavaccel.kernels.fields import HALF_HEIGHT, HALF_WIDTH
 from uavaccel.kernels.scene import Scene
 from uavaccel.kernels.scene_touching import NOTHING, deepest_shape, nearest_shape
+from uavaccel.resources import asset
 from uavaccel.sim import scene as scenes
 
 SEEN = np.array([1, 0, 1, 0, 1, 1], np.uint8)  # groups that the drone's camera may see
@@ -201,10 +203,53 @@ def test_flights_among_turned_shapes_are_the_exact_simulators() -> None:
 
 def test_a_world_knows_its_shapes_by_name() -> None:
     model = mujoco.MjModel.from_xml_string(clutter(1))
-    around = read_surroundings(model)
+    around = read_surroundings(model, "blocks")
     assert isinstance(around.scene, Scene)
     assert sorted(around.names) == sorted(model.geom(geom).name for geom in range(model.ngeom) if geom in still(model))
 
 
 def still(model: mujoco.MjModel) -> set[int]:
     return set(np.flatnonzero(model.geom_bodyid == 0).tolist())
+
+
+DRONE = asset("mjcf/quadrotor.xml").read_text()
+
+
+def own_world(things: str, drone: str = DRONE, rest: str = "") -> mujoco.MjModel:
+    xml = f'<mujoco><include file="quadrotor.xml"/><worldbody>{things}</worldbody>{rest}</mujoco>'
+    return mujoco.MjModel.from_xml_string(xml, {"quadrotor.xml": drone.encode()})
+
+
+def test_what_may_be_touched_is_what_mujoco_lets_touch() -> None:
+    """Whatever its name and the body that it belongs to; layouts place nothing in a world of one's own."""
+    ghosts = '<contact><exclude body1="ghost" body2="quadrotor"/></contact>'
+    things = """<geom name="clutter_a" size="1"/><geom name="obstacle_b" type="box" size="1 1 1"/>
+    <geom name="looks" size="1" contype="0" conaffinity="0"/><geom name="others" size="1" contype="2" conaffinity="2"/>
+    <body name="ghost"><geom name="through" size="1"/><body euler="0 30 0"><geom name="inner" size="1"/></body></body>
+    <body name="hand" mocap="true"><geom name="put" size="1"/></body>"""
+    around = read_surroundings(own_world(things, rest=ghosts), "blocks")
+    assert sorted(around.names) == ["clutter_a", "inner", "obstacle_b", "put"]
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ('<geom name="post"', '<geom name="post" margin="0.1"'),
+        ('<geom name="post"', '<geom name="post" gap="0.1"'),
+        ('<geom name="quadrotor_hull"', '<geom name="quadrotor_hull" margin="0.1"'),
+        ('<geom name="quadrotor_hull"', '<geom size="0.1" pos="0 0 0.2"/><geom name="quadrotor_hull"'),
+        ('<geom name="quadrotor_hull"', '<body><geom size="0.1" mass="0"/></body><geom name="quadrotor_hull"'),
+        ('<geom name="quadrotor_hull"', '<geom name="quadrotor_hull" pos="0.1 0 0"'),
+        ('<geom name="quadrotor_hull"', '<geom name="quadrotor_hull" euler="90 0 0"'),
+        ('type="cylinder" size="0.3418 0.045"', 'type="box" size="0.3 0.3 0.05"'),
+        ("<sensor>", '<contact><pair geom1="post" geom2="quadrotor_hull"/></contact><sensor>'),
+        ("<sensor>", '<option><flag override="enable"/></option><sensor>'),
+        ("<sensor>", '<option><flag contact="disable"/></option><sensor>'),
+    ],
+)
+def test_hulls_and_contacts_that_mujoco_alone_has_are_refused(old: str, new: str) -> None:
+    post = '<geom name="post" type="box" size="1 1 1" pos="5 0 0"/>'
+    assert read_surroundings(own_world(post), "blocks").names == ("post",)
+    assert old in post + DRONE
+    with pytest.raises(UserError, match=r"^simulator = kernels: .*; use simulator = mujoco$"):
+        read_surroundings(own_world(post.replace(old, new), DRONE.replace(old, new)), "blocks")

@@ -56,11 +56,13 @@ Floats = NDArray[np.float64]
 
 def touchable(model: mujoco.MjModel) -> NDArray[np.int64]:
     """Return the still geoms that the vehicle collides with."""
-    hull = model.geom_bodyid == model.body(BODY).id
+    vehicle = model.body(BODY).id
+    hull = model.geom_bodyid == vehicle
     types, affinities = model.geom_contype, model.geom_conaffinity
     own_type, own_affinity = (int(np.bitwise_or.reduce(bits[hull])) for bits in (types, affinities))
     meets = (types & own_affinity | affinities & own_type) != 0
-    return np.flatnonzero(_still(model) & meets)
+    excluded = [pair for pair in map(divmod, model.exclude_signature, [1 << 16] * model.nexclude) if vehicle in pair]
+    return np.flatnonzero(_still(model) & meets & ~np.isin(model.geom_bodyid, excluded))
 
 
 def visible(model: mujoco.MjModel, looks: bool = True) -> NDArray[np.int64]:
@@ -70,22 +72,20 @@ def visible(model: mujoco.MjModel, looks: bool = True) -> NDArray[np.int64]:
 
 
 def _still(model: mujoco.MjModel) -> NDArray[np.bool_]:
-    still: NDArray[np.bool_] = model.body_weldid[model.geom_bodyid] == 0
+    still: NDArray[np.bool_] = model.body_rootid[model.geom_bodyid] != model.body(BODY).id
     return still
 
 
 def read_scene(model: mujoco.MjModel, seen: bool = False, geoms: NDArray[np.int64] | None = None) -> Scene:
     """Read a model's still geoms as a scene of one world: those to touch, or those to be `seen`.
 
-    Raises UserError for kinds of geoms that are none of MuJoCo's solids, and for geoms with a margin.
+    Raises UserError for kinds of geoms that are none of MuJoCo's solids.
     """
     if geoms is None:
         geoms = visible(model) if seen else touchable(model)
     for geom in geoms.tolist():
         if int(model.geom_type[geom]) not in KINDS:
             raise UserError(f"simulator = kernels: {object_name(model, geom)} is of a kind that only mujoco knows")
-        if not seen and model.geom_margin[geom] != 0:
-            raise UserError(f"simulator = kernels: {object_name(model, geom)} has a margin; use mujoco")
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     rows, shared = _rows(model, data, geoms), {"vertices": np.zeros((0, 3)), "heights": np.zeros(0)}
@@ -291,32 +291,51 @@ class Surroundings(NamedTuple):
         return count + len(self.fixed)
 
 
-def read_surroundings(model: mujoco.MjModel) -> Surroundings:
-    """Read a model's collision geometry. Raises UserError for moving bodies, and as `read_scene` does."""
-    vehicle, obstacles = model.body(BODY).id, obstacle_geoms(model)
-    if np.any(~np.isin(model.body_weldid, (0, vehicle))):
-        raise UserError("simulator = kernels: flies one vehicle among things that stand still; use mujoco")
-    colliding = (model.geom_contype | model.geom_conaffinity) > 0
-    (hull,) = np.flatnonzero(colliding & (model.geom_bodyid == vehicle))
+def read_surroundings(model: mujoco.MjModel, scene: str) -> Surroundings:
+    """Read the collision geometry of a scene's model, whose layouts place obstacles in a lane or clutter.
+
+    Raises UserError for a hull or contacts that only MuJoCo has, and as `read_scene` does.
+    """
+    still, none = touchable(model), np.zeros(0, int)
+    obstacles = obstacle_geoms(model) if scene == "lane" else none
+    clutter = named(model, "clutter_") if scene == "clutter" else none
+    hull = _hull(model, still)
     radius, half_height = model.geom_size[hull, :2]
-    measures = np.array([radius, half_height, np.linalg.norm(model.geom_pos[hull]) + model.geom_rbound[hull]])
-    still, clutter = touchable(model), named(model, "clutter_")
+    measures = np.array([radius, half_height, model.geom_rbound[hull]])
     if len(clutter):
-        scene = read_scene(model, geoms=np.setdiff1d(still, clutter))
-        names = tuple(object_name(model, int(geom)) for geom in (*scene.shapes[0, :, GEOM], *clutter))
-        return Surroundings(np.zeros((0, SOLID_FIELDS)), names, (), measures, scene)
+        world = read_scene(model, geoms=np.setdiff1d(still, clutter))
+        names = tuple(object_name(model, int(geom)) for geom in (*world.shapes[0, :, GEOM], *clutter))
+        return Surroundings(np.zeros((0, SOLID_FIELDS)), names, (), measures, world)
     fixed = np.setdiff1d(still, obstacles)
     solids = [_solid(model, geom) for geom in fixed.tolist()]
     if any(solid is None for solid in solids):
-        scene = read_scene(model, geoms=still)
-        names = tuple(object_name(model, int(geom)) for geom in scene.shapes[0, :, GEOM])
-        return Surroundings(np.zeros((0, SOLID_FIELDS)), names, (), measures, scene)
+        world = read_scene(model, geoms=still)
+        names = tuple(object_name(model, int(geom)) for geom in world.shapes[0, :, GEOM])
+        return Surroundings(np.zeros((0, SOLID_FIELDS)), names, (), measures, world)
     return Surroundings(
         np.array(solids).reshape(-1, SOLID_FIELDS),
         tuple(object_name(model, geom) for geom in fixed.tolist()),
         tuple(object_name(model, int(geom)) for geom in obstacles[:MAX_OBSTACLES]),
         measures,
     )
+
+
+def _hull(model: mujoco.MjModel, still: NDArray[np.int64]) -> int:
+    """Return the vehicle's hull. Raises UserError for one that only MuJoCo flies, or lets touch what is `still`."""
+    vehicle, use = model.body(BODY).id, "use simulator = mujoco"
+    own = ~_still(model) & ((model.geom_contype | model.geom_conaffinity) > 0)
+    hull, *others = np.flatnonzero(own).tolist()
+    upright = not model.geom_pos[hull].any() and tuple(model.geom_quat[hull]) == UPRIGHT
+    if others or model.geom_bodyid[hull] != vehicle or not upright or model.geom_type[hull] != G.mjGEOM_CYLINDER:
+        raise UserError(f"simulator = kernels: a drone touches with one upright cylinder at its origin alone; {use}")
+    for geom in (hull, *still.tolist()):
+        if model.geom_margin[geom] or model.geom_gap[geom]:
+            raise UserError(f"simulator = kernels: {object_name(model, geom)} has a margin or a gap; {use}")
+    overridden = model.opt.enableflags & mujoco.mjtEnableBit.mjENBL_OVERRIDE
+    switched_off = model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_CONTACT
+    if model.npair or overridden or switched_off:
+        raise UserError(f"simulator = kernels: contact pairs, or options that override or disable contacts; {use}")
+    return hull
 
 
 def _solid(model: mujoco.MjModel, geom: int) -> NDArray[np.float64] | None:

@@ -82,6 +82,9 @@ def airsim_spec(scene: Path) -> mujoco.MjSpec:
     path = own if own.exists() else scene
     plain, spec = mujoco.MjModel.from_xml_path(str(path)), mujoco.MjSpec.from_file(str(path))
     wide: set[str] = set()
+    for geom in spec.geoms:
+        if geom.name.startswith(SPARE):
+            raise ValueError(f'geom "{geom.name}": names with "{SPARE}" are those of spare geoms; give it another')
     for geom in spec.worldbody.geoms:  # planes extend to the horizon; their textures keep their scale
         if geom.type == mujoco.mjtGeom.mjGEOM_PLANE:
             times = GROUND_HALF_M / geom.size[0]
@@ -184,6 +187,11 @@ def check_airframes(model: mujoco.MjModel, spec: mujoco.MjSpec, names: Sequence[
             raise ValueError(
                 f'body "{name}": joints, gravity, gravcomp, damping, a fluid or constraints act on it; it is '
                 f'flown as one body with a freejoint, without these, under gravity="{_text(GRAVITY_M_S2)}"'
+            )
+        if not np.any((model.geom_contype | model.geom_conaffinity)[model.geom_bodyid == body]):
+            raise ValueError(
+                f'body "{name}": none of its geoms has contacts: one needs contype="1" conaffinity="1", which a '
+                "<default> of the scene may have changed"
             )
     if len(moving := np.setdiff1d(model.dof_bodyid, bodies)):
         raise ValueError(f'body "{model.body(int(moving[0])).name}": has joints, but only drones move here')
