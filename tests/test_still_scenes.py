@@ -21,7 +21,8 @@ from uavaccel.envs.kernel_batch import KernelBatch
 from uavaccel.errors import UserError
 from uavaccel.kernels import casting, tiles
 from uavaccel.kernels import scene as at
-from uavaccel.kernels.bodies import read_scene, read_surroundings
+from uavaccel.kernels.appearance import read_looks
+from uavaccel.kernels.bodies import read_scene, read_surroundings, visible
 from uavaccel.kernels.fields import HALF_HEIGHT, HALF_WIDTH
 from uavaccel.kernels.scene import Scene
 from uavaccel.kernels.scene_touching import NOTHING, deepest_shape, nearest_shape
@@ -253,3 +254,47 @@ def test_hulls_and_contacts_that_mujoco_alone_has_are_refused(old: str, new: str
     assert old in post + DRONE
     with pytest.raises(UserError, match=r"^simulator = kernels: .*; use simulator = mujoco$"):
         read_surroundings(own_world(post.replace(old, new), DRONE.replace(old, new)), "blocks")
+
+
+SUN = '<light directional="true" dir="0.3 0.2 -1" specular="0 0 0"/>'
+POST = '<geom name="post" type="box" size="1 1 1" pos="5 0 0" material="paint"/>'
+LOOKS = """<visual><headlight active="0"/><map znear="0.01"/></visual><statistic extent="10"/>
+<asset><texture type="skybox" builtin="flat" width="8" height="8"/>
+<texture name="checks" type="2d" builtin="checker" width="8" height="8"/>
+<material name="paint" rgba="0.9 0.1 0.1 1"/><material name="tiles" texture="checks"/></asset>"""
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ('rgba="0.9 0.1 0.1 1"', 'rgba="0.9 0.1 0.1 0.5"', "post has an alpha < 1"),
+        ('box" size="1 1 1" pos="5 0 0" material="paint"', 'plane" size="0 5 1" material="tiles"', "give post a size"),
+        ('dir="0.3', 'mode="targetbody" target="quadrotor" dir="0.3', "a sun that stands still"),
+        ("<camera", SUN + "<camera", "one directional light"),
+        ('znear="0.01"', 'znear="0.1"', "znear x extent is 1 m"),
+        ("<camera", '<camera mode="track"', "a fixed camera of the drone"),
+        ("<camera", '<camera projection="orthographic"', "a fixed camera of the drone"),
+        ('fovy="58.7155"', 'sensorsize="1 1" focal="1 1" resolution="1 1"', "a fixed camera of the drone"),
+    ],
+)
+def test_looks_that_rays_do_not_have_are_refused(old: str, new: str, said: str) -> None:
+    texts = (SUN + POST, DRONE, LOOKS)
+    assert any(old in text for text in texts)
+    read_looks(own_world(*texts), (64, 36), depth=False)
+    things, drone, looks = (text.replace(old, new) for text in texts)
+    with pytest.raises(UserError, match=f"simulator: kernels draws .*{said}"):
+        read_looks(own_world(things, drone, looks), (64, 36), depth=False)
+
+
+def test_a_sun_in_a_turned_body_shines_from_there() -> None:
+    turned = f'<body euler="40 0 70">{SUN}</body>'
+    light = read_looks(own_world(turned, rest=LOOKS), (64, 36), depth=False).light
+    model = own_world(turned, rest=LOOKS)
+    expected = np.zeros(3)
+    mujoco.mju_rotVecQuat(expected, model.light_dir[0], model.body_quat[model.light_bodyid[0]])
+    np.testing.assert_allclose(light[6:], -expected, atol=1e-6)
+
+
+def test_what_its_material_makes_invisible_is_not_seen() -> None:
+    model = own_world(POST + '<geom name="other" size="1"/>', rest=LOOKS.replace("0.1 1", "0.1 0"))
+    assert [model.geom(geom).name for geom in visible(model)] == ["other"]

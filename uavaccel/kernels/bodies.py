@@ -68,7 +68,15 @@ def touchable(model: mujoco.MjModel) -> NDArray[np.int64]:
 def visible(model: mujoco.MjModel, looks: bool = True) -> NDArray[np.int64]:
     """Return the still geoms that cameras see; a scenery's looks stand for bodies unless depth is measured."""
     hidden = (DRONE_GROUP, HIDDEN_GROUP, BODIES_GROUP if looks else APPEARANCE_GROUP)
-    return np.flatnonzero(_still(model) & ~np.isin(model.geom_group, hidden) & (model.geom_rgba[:, 3] > 0))
+    return np.flatnonzero(_still(model) & ~np.isin(model.geom_group, hidden) & (worn(model)[:, 3] > 0))
+
+
+def worn(model: mujoco.MjModel) -> Floats:
+    """Return the geoms' colours (n, 4), 0 to 1: their own, or their materials' in place of the default one."""
+    colours, material = model.geom_rgba.astype(np.float64), model.geom_matid
+    wearing = (material >= 0) & np.all(model.geom_rgba == np.array(DEFAULT_RGBA, np.float32), axis=1)
+    colours[wearing] = model.mat_rgba[material[wearing]]
+    return colours
 
 
 def _still(model: mujoco.MjModel) -> NDArray[np.bool_]:
@@ -126,7 +134,7 @@ def _rows(model: mujoco.MjModel, data: mujoco.MjData, geoms: NDArray[np.int64]) 
 
 def _colours(model: mujoco.MjModel, geoms: NDArray[np.int64], flat: NDArray[np.bool_]) -> Floats:
     """Return the geoms' colours (n, 3), 0 to 1, times their textures' means, except on `flat` ones, which show them."""
-    means, colours = np.ones((model.nmat, 3)), model.geom_rgba[geoms, :3].astype(np.float64)
+    means, colours = np.ones((model.nmat, 3)), worn(model)[geoms, :3]
     for material in range(model.nmat):
         texture = int(model.mat_texid[material, mujoco.mjtTextureRole.mjTEXROLE_RGB])
         if texture >= 0 and model.tex_nchannel[texture] >= 3:
@@ -135,8 +143,6 @@ def _colours(model: mujoco.MjModel, geoms: NDArray[np.int64], flat: NDArray[np.b
             texels = model.tex_data[first : first + size * channels].reshape(size, channels)
             means[material] = texels[:, :3].mean(axis=0) / 255
     material = model.geom_matid[geoms]
-    wearing = (material >= 0) & np.all(model.geom_rgba[geoms] == np.array(DEFAULT_RGBA, np.float32), axis=1)
-    colours[wearing] = model.mat_rgba[material[wearing], :3]
     averaged = (material >= 0) & ~flat
     colours[averaged] *= means[material[averaged]]
     return colours
