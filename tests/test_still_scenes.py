@@ -272,6 +272,7 @@ LOOKS = """<visual><headlight active="0"/><map znear="0.01"/></visual><statistic
         ('dir="0.3', 'mode="targetbody" target="quadrotor" dir="0.3', "a sun that stands still"),
         ("<camera", SUN + "<camera", "one directional light"),
         ('znear="0.01"', 'znear="0.1"', "znear x extent is 1 m"),
+        ('name="front_center"', 'name="front"', "a fixed camera of the drone"),
         ("<camera", '<camera mode="track"', "a fixed camera of the drone"),
         ("<camera", '<camera projection="orthographic"', "a fixed camera of the drone"),
         ('fovy="58.7155"', 'sensorsize="1 1" focal="1 1" resolution="1 1"', "a fixed camera of the drone"),

@@ -164,8 +164,8 @@ def _materials(model: mujoco.MjModel, of_texture: dict[int, int]) -> NDArray[np.
 
 
 def _camera(model: mujoco.MjModel, name: str, size: tuple[int, int] = (WIDTH, HEIGHT)) -> NDArray[np.float64]:
-    camera = model.camera(name).id
-    fixed = model.cam_mode[camera] == mujoco.mjtCamLight.mjCAMLIGHT_FIXED
+    camera = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_CAMERA, name)
+    fixed = camera >= 0 and model.cam_mode[camera] == mujoco.mjtCamLight.mjCAMLIGHT_FIXED
     own = model.cam_bodyid[camera] == model.body(BODY).id and not model.cam_sensorsize[camera].any()
     if not (fixed and own) or model.cam_projection[camera] != mujoco.mjtProjection.mjPROJ_PERSPECTIVE:
         raise UserError(f"camera {name!r}: simulator: kernels draws what a fixed camera of the drone sees, with a fovy")
