@@ -299,3 +299,18 @@ def test_a_sun_in_a_turned_body_shines_from_there() -> None:
 def test_what_its_material_makes_invisible_is_not_seen() -> None:
     model = own_world(POST + '<geom name="other" size="1"/>', rest=LOOKS.replace("0.1 1", "0.1 0"))
     assert [model.geom(geom).name for geom in visible(model)] == ["other"]
+
+
+def test_a_thin_plate_is_touched_where_mujoco_finds_it_touched() -> None:
+    """At its rim by tilted drones, and not by level ones of any heading just above it."""
+    model = own_world('<geom name="plate" type="box" size="3 3 0.001" pos="0 0 1"/>')
+    scene, data, count = read_surroundings(model, "blocks").scene, kinematic(model), 60
+    poses, found, bounds = poses_at_touch(model, data, 3, count), np.zeros(count, np.int64), np.zeros(count)
+    touch_all(scene, poses, *HULL, found, bounds)
+    touched = [bool(contacts(model, data, pose)) for pose in poses]
+    assert 0 < sum(touched) < count
+    assert (found != NOTHING).tolist() == touched
+    half = np.linspace(-1.5, 1.5, count)
+    poses[:, 2:] = np.stack([half * 0 + 1.047, np.cos(half), half * 0, half * 0, np.sin(half)], axis=1)
+    touch_all(scene, poses, *HULL, found, bounds)
+    assert np.all(found == NOTHING)

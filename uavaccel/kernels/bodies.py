@@ -1,7 +1,7 @@
 """Still geometry read from MuJoCo models: the vehicle's hull, and what stands around it, to touch and to see.
 
-Upright boxes, cylinders and planes are solids of a lane; a model with anything else is read as a `Scene`, in which
-every geom that cannot move is turned as it is.
+Upright boxes, cylinders and planes are solids of a lane; any other scene is read as a `Scene`, in which every geom that
+cannot move is turned as it is.
 """
 
 from __future__ import annotations
@@ -302,24 +302,19 @@ def read_surroundings(model: mujoco.MjModel, scene: str) -> Surroundings:
 
     Raises UserError for a hull or contacts that only MuJoCo has, and as `read_scene` does.
     """
-    still, none = touchable(model), np.zeros(0, int)
-    obstacles = obstacle_geoms(model) if scene == "lane" else none
-    clutter = named(model, "clutter_") if scene == "clutter" else none
+    still = touchable(model)
     hull = _hull(model, still)
     radius, half_height = model.geom_size[hull, :2]
     measures = np.array([radius, half_height, model.geom_rbound[hull]])
-    if len(clutter):
+    if scene != "lane":
+        clutter = named(model, "clutter_") if scene == "clutter" else still[:0]
         world = read_scene(model, geoms=np.setdiff1d(still, clutter))
         names = tuple(object_name(model, int(geom)) for geom in (*world.shapes[0, :, GEOM], *clutter))
         return Surroundings(np.zeros((0, SOLID_FIELDS)), names, (), measures, world)
+    obstacles = obstacle_geoms(model)
     fixed = np.setdiff1d(still, obstacles)
-    solids = [_solid(model, geom) for geom in fixed.tolist()]
-    if any(solid is None for solid in solids):
-        world = read_scene(model, geoms=still)
-        names = tuple(object_name(model, int(geom)) for geom in world.shapes[0, :, GEOM])
-        return Surroundings(np.zeros((0, SOLID_FIELDS)), names, (), measures, world)
     return Surroundings(
-        np.array(solids).reshape(-1, SOLID_FIELDS),
+        np.array([_solid(model, geom) for geom in fixed.tolist()]).reshape(-1, SOLID_FIELDS),
         tuple(object_name(model, geom) for geom in fixed.tolist()),
         tuple(object_name(model, int(geom)) for geom in obstacles[:MAX_OBSTACLES]),
         measures,
@@ -344,11 +339,14 @@ def _hull(model: mujoco.MjModel, still: NDArray[np.int64]) -> int:
     return hull
 
 
-def _solid(model: mujoco.MjModel, geom: int) -> NDArray[np.float64] | None:
-    """Return a geom as a solid, None for one that is no upright box, cylinder or plane of the world itself."""
+def _solid(model: mujoco.MjModel, geom: int) -> Floats:
+    """Return a geom of a lane as a solid. Raises UserError for one that is none."""
     kind = KINDS.get(int(model.geom_type[geom]))
     if kind not in SOLIDS or tuple(model.geom_quat[geom]) != UPRIGHT or model.geom_bodyid[geom] != 0:
-        return None
+        raise UserError(
+            f"simulator = kernels: {object_name(model, geom)}: a lane has upright boxes, cylinders and planes of the "
+            "world; use simulator = mujoco"
+        )
     size = model.geom_size[geom].copy()
     if kind == CYLINDER:
         size = np.array([size[0], size[0], size[1]])
