@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import closing
+from contextlib import closing, contextmanager
 from copy import deepcopy
 from typing import Any
 
@@ -20,10 +20,30 @@ from uavaccel.envs.arrays import stacked_observations
 from uavaccel.envs.kernel_batch import KernelBatch
 from uavaccel.envs.obstacle_lane import ObstacleLane
 from uavaccel.errors import UserError
+from uavaccel.kernels.recording import recorded
 from uavaccel.rl.double_dqn import DeviceDQN
 from uavaccel.rl.learner import Game
 from uavaccel.rl.policy import weights_sha256
 from uavaccel.suites.train import TrainConfig
+
+
+def test_no_graph_is_replayed_before_its_recording_is_over(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Recording goes on on a stream of its own, where PyTorch resets the random numbers that a replay draws."""
+    said: list[str] = []
+
+    @contextmanager
+    def graph(_: object) -> Iterator[None]:
+        said.append("record")
+        yield
+        said.append("end")
+
+    monkeypatch.setattr(th.cuda, "CUDAGraph", type("Graph", (), {"replay": lambda _: said.append("replay")}))
+    monkeypatch.setattr(th.cuda, "graph", graph)
+    monkeypatch.setattr(th.cuda, "synchronize", lambda: said.append("wait"))
+    work = recorded(lambda: said.append("work"), th.device("cuda"))
+    for _ in range(4):
+        work()
+    assert " ".join(said) == "work work wait record work end wait replay replay"
 
 
 @pytest.mark.usefixtures("host_kernels")

@@ -199,11 +199,11 @@ def test_noise_depends_on_the_seed_and_not_on_the_sensors(seed: int) -> None:
 # --- faster than the samples ------------------------------------------------------------------------------------------
 
 
-LANE, TICK_S, SAMPLES = 3, 0.002, (165, 330, 500)  # ticks of a command's samples
+LANE, TICK_S = 3, 0.002
 AHEAD = 2
 
 
-def frames_of(commands: int, every: int) -> dict[int, NDArray[np.uint8]]:
+def frames_of(commands: int, ticks: int, every: int) -> dict[int, NDArray[np.uint8]]:
     """The gray pictures of every so many ticks of a flight straight ahead, taken without the environment."""
     world = World("lane", NATIVE)
     world.set_lane(sample_layout(lane_seed("training", LANE)))
@@ -213,9 +213,9 @@ def frames_of(commands: int, every: int) -> dict[int, NDArray[np.uint8]]:
     for command in range(commands):
         world.lead.set_goal(of_velocity(VelocityGoal((1.0, 0.0, 0.0), -2.0)))
         world.lead.hold_from(None)
-        for tick in range(every, SAMPLES[-1] + 1, every):
+        for tick in range(every, ticks + 1, every):
             world.advance(every)
-            frames[command * SAMPLES[-1] + tick] = camera.gray(world.data)
+            frames[command * ticks + tick] = camera.gray(world.data)
     world.close()
     return frames
 
@@ -243,22 +243,24 @@ class Pixels:
 
 @needs_opengl
 @pytest.mark.slow
-@pytest.mark.parametrize(("rate_hz", "commands"), [(500.0, 1), (100.0, 2)])
-def test_every_frame_between_two_samples_counts(rate_hz: float, commands: int) -> None:
-    every = round(1 / (rate_hz * TICK_S))
-    frames = frames_of(commands, every)
+@pytest.mark.parametrize(("rate_hz", "commands", "samples"), [(500.0, 1, (50, 100, 150)), (100.0, 2, (165, 330, 500))])
+def test_every_frame_between_two_samples_counts(rate_hz: float, commands: int, samples: tuple[int, ...]) -> None:
+    """With a command's samples in ticks."""
+    every, ticks = round(1 / (rate_hz * TICK_S)), samples[-1]
+    frames = frames_of(commands, ticks, every)
     pixels, images = Pixels(frames[0]), []
     events_on = events_off = 0
-    for first in range(0, commands * SAMPLES[-1], SAMPLES[-1]):
+    for first in range(0, commands * ticks, ticks):
         start = first
-        for end in (first + sample for sample in SAMPLES):
+        for end in (first + sample for sample in samples):
             counts = [pixels.count(frames[tick]) for tick in range(start + every, end + 1, every)]
             on, off = (np.sum(each, axis=0) for each in zip(*counts, strict=True))
             events_on, events_off = events_on + on.sum(), events_off + off.sum()
             blocks = (on - off).reshape(36, 4, 64, 4).sum(axis=(1, 3))
             images.append(np.clip(128 + blocks, 0, 255))
             start = end
-    with closing(ObstacleLane(dvs_rate_hz=rate_hz, list_events=True)) as environment:
+    times = {"t_move_s": ticks * TICK_S, "t_sample_s": samples[0] * TICK_S}
+    with closing(ObstacleLane(dvs_rate_hz=rate_hz, list_events=True, **times)) as environment:
         environment.reset(seed=0, options={"lane": LANE})
         seen = np.concatenate([environment.step(AHEAD)[0] for _ in range(commands)])
         events = environment.pop_events()
@@ -267,7 +269,7 @@ def test_every_frame_between_two_samples_counts(rate_hz: float, commands: int) -
     assert ((events[:, 3] > 0).sum(), (events[:, 3] < 0).sum()) == (events_on, events_off)
     assert (np.diff(events[:, 0]) >= 0).all()
     assert len(np.unique(events[:, 0])) > 100 * commands  # stamps of their own, not those of the samples
-    assert 0.0 < events[0, 0] <= events[-1, 0] <= commands
+    assert 0.0 < events[0, 0] <= events[-1, 0] <= commands * ticks * TICK_S
 
 
 @needs_opengl

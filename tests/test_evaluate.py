@@ -16,7 +16,7 @@ import torch as th
 
 from tests import made_runs as made
 from tests.lanes import free_distance_m
-from tests.learning import fly_here, tiny_config, train_into
+from tests.learning import fly_here, side_by_side, tiny_config, train_into
 from tests.made_runs import ended_at
 from tests.opengl import needs_opengl
 from tests.running import configured, fly_into, run_into
@@ -31,7 +31,6 @@ from uavaccel.resources import asset
 from uavaccel.rl import agents
 from uavaccel.rl.agents import OffsetAgent, origin_of
 from uavaccel.rl.config import LearnerConfig
-from uavaccel.rl.lanes import make_lanes
 from uavaccel.rl.learner import make_learner
 from uavaccel.rl.policy import MANIFEST, Policy, export_policy, load_policy, make_policy
 from uavaccel.sim.lane import lane_seed, sample_layout
@@ -244,7 +243,7 @@ def test_a_decision_takes_wall_time_and_lost_games_keep_their_path(tmp_path: Pat
 def test_an_exported_policy_acts_as_the_model(tmp_path: Path, task: dict[str, Any], keys: dict[str, Any]) -> None:
     headings = [30.0, -60.0, 0.0, 60.0, -30.0]  # the policy's actions, in this order
     config = tiny_config(task | {"headings_deg": headings}, **keys)
-    environment = make_lanes(config)
+    environment = side_by_side(config)
     learner = make_learner(config, environment)
     export_policy(tmp_path, learner.policy, config, {"games": 0})
     policy = load_policy(tmp_path)

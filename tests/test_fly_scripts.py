@@ -126,7 +126,7 @@ CHILDREN = """
     if __name__ == "__main__":
         client = airsim.MultirotorClient()
         kind = multiprocessing.get_context(sys.argv[1])
-        with kind.Pool(2) as pool:
+        with kind.Pool(1) as pool:
             print(pool.map(squares, range(3)))
         child = subprocess.run([sys.executable, "child.py"], cwd=sys.argv[2], capture_output=True, text=True)
         print(child.returncode, child.stdout.strip() + child.stderr.strip(), flush=True)
@@ -211,19 +211,7 @@ def test_programs_of_a_script_find_what_it_finds_and_others_nothing(folder: Fold
     assert done.stdout.splitlines()[:3] == ["", "[97 98] <class 'float'> False ''", "False"], done.stderr
 
 
-# --- answers and keys ----------------------------------------------------------------------------------------------
-
-
-def test_answers_come_from_standard_input_for_both_flights_of_a_check(folder: Folder) -> None:
-    text = """
-        import airsim
-        client = airsim.MultirotorClient()
-        for _ in range(3):
-            client.simPrintLogMessage("read ", input("name? "))
-    """
-    done = folder.fly(text, "--check", answers="one\ntwo\n")
-    assert done.stdout.splitlines()[:3] == ["name? one", "name? two", "name? "], done.stderr
-    assert done.stdout.splitlines()[-1].startswith("checked: flown twice")
+# --- keys ----------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("options", "ends"), [(["--keys", "c,c,x"], "c c"), (["--until", "2"], "stopped by")])
@@ -278,7 +266,7 @@ def test_an_interrupted_check_says_that_it_did_not_check(folder: Folder) -> None
         import os, pathlib, signal, airsim
         airsim.MultirotorClient().ping()
         flown = pathlib.Path(__file__).with_name("flown")
-        if flown.exists() or "now" in os.environ:
+        if flown.exists():
             os.kill(os.getpid(), signal.SIGINT)
         flown.touch()
     """
@@ -286,8 +274,8 @@ def test_an_interrupted_check_says_that_it_did_not_check(folder: Folder) -> None
     assert done.returncode == 130
     assert done.stdout.splitlines()[-1] == "not checked: the second flight did not come to its end"
     assert "differ" not in done.stderr
-    done = folder.fly(text, "--check")  # the first one is
-    assert (done.returncode, len(done.stdout.splitlines())) == (130, 1)
+    done = folder.fly("import os, signal\nos.kill(os.getpid(), signal.SIGINT)", "--check")  # the first one is
+    assert (done.returncode, done.stdout) == (130, "interrupted; no client connected, nothing was flown\n")
 
 
 # --- what scripts import -------------------------------------------------------------------------------------------

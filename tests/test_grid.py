@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from tests.running import configured, fly_into, run_into
 from uavaccel.cli.experiments import sweep_agent
 from uavaccel.config import validate
 from uavaccel.envs.conditions import CONDITIONS
-from uavaccel.errors import UsageError
+from uavaccel.errors import UsageError, UserError
 from uavaccel.records import RunDirectory
 from uavaccel.resources import experiment
 from uavaccel.suites.dp1 import Dp1, Dp1Config
@@ -140,6 +141,8 @@ def test_a_sweep_is_around_the_options_of_evaluate(tmp_path: Path) -> None:
         configured("sweep", sweep={"windy": [1]})
     with pytest.raises(UsageError, match="--against"):
         sweep_agent(request, ["wind=2"], tmp_path)
+    with pytest.raises(UserError, match="--sweep latency: changes nothing in timing lockstep"):
+        sweep_agent(replace(request, options={**options, "timing": "lockstep"}), ["latency=1,2"], None)
 
 
 # --- robustness maps ----------------------------------------------------------------------------------------------

@@ -139,7 +139,8 @@ class Seen:
 def test_runs_killed_at_random_end_with_the_same_bytes(name: str, tmp_path: Path) -> None:
     choose, said = random.Random(name), tmp_path / "said"
     start_ns = CLOCK.now_ns()
-    assert begin(RUNS[name].arguments, tmp_path / "whole", said).wait(ENDS_S) == 0, said.read_text()
+    alone = RUNS[name].arguments.replace(" --jobs 2", "")
+    assert begin(alone, tmp_path / "whole", said).wait(ENDS_S) == 0, said.read_text()
     whole_s = (CLOCK.now_ns() - start_ns) / NS_PER_S
     same = repeatable if name == "wall" else contents
     seen = Seen()

@@ -1,9 +1,9 @@
 """Parts of compiled functions compute what numba's own functions do, within others and from Python."""
 
 import numpy as np
-from numba import njit
+from numba import njit, types
 
-from uavaccel.sim.parts import part
+from uavaccel.sim.parts import chosen_by_types, part
 
 
 @part
@@ -41,3 +41,33 @@ def test_parts_are_linked_into_the_function_that_calls_them() -> None:
 
     assert of_parts(values) == (added(values) + added(values[::2])) + values[0] / 3.0
     assert summed(values) == added(values)
+
+
+@part
+def power(value: float, times: int) -> float:
+    raised = 1.0
+    for _ in range(times):
+        raised *= value
+    return raised
+
+
+@part
+def of_whole(value, times):  # type: ignore[no-untyped-def]
+    return power(value, 2) - power(value, 3)
+
+
+@chosen_by_types
+def chosen(value, times):  # type: ignore[no-untyped-def]
+    return of_whole if isinstance(value, types.Integer) else power
+
+
+@njit
+def of_constants(value):  # type: ignore[no-untyped-def]
+    return chosen(value, 2), chosen(value, 4)
+
+
+def test_a_part_is_compiled_for_types_and_may_be_chosen_by_them() -> None:
+    """Not for each constant that it is called with."""
+    assert of_constants(3.0) == (9.0, 81.0)
+    assert of_constants(3) == (-18.0, -18.0)
+    assert len(power.overloads) == 2  # of real numbers and of whole ones

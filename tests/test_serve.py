@@ -54,7 +54,8 @@ def rest_of(process: "subprocess.Popen[str]") -> list[str]:
 
 
 def port_of(process: "subprocess.Popen[str]", rest: str) -> int:
-    """The port in its first line, which ends so."""
+    """The port in the line below that of its page, which ends so."""
+    assert line_of(process).startswith("watch at http://127.0.0.1:")
     line = line_of(process)
     assert line.endswith(rest)
     return int(line.partition(":")[2].partition(":")[0])
@@ -64,7 +65,7 @@ def test_it_serves_settings_names_what_it_does_not_know_and_a_signal_ends_it(tmp
     path = tmp_path / "settings.json"
     path.write_text('{"ApiServerPort": 41452, "ClockSpeed": 20, "ViewMode": "Fpv", "Vehicles": {"Drone1": {}}}')
     with (
-        serving("--settings", str(path), "--recordings", str(tmp_path / "there")) as process,
+        serving("--settings", str(path), "--recordings", str(tmp_path / "there"), "--watch") as process,
         MultirotorClient(port=(port := port_of(process, ": scene blocks, profile native, ClockSpeed 20\n"))) as client,
     ):
         assert port != 41452, "the option is 0: any that is free"

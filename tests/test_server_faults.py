@@ -30,7 +30,7 @@ from uavaccel.wire.transport import SILENCE_POLL_NS, STALL_NS, SocketTransport, 
 
 pytestmark = pytest.mark.wall_clock
 
-SMALL = ("reference_games=1", "t_move_s=[0.1]", "rounds=[1]", "games=2", "clock_speed=[50]")
+SMALL = ("reference_games=1", "command=[tcsc]", "t_move_s=[0.1]", "rounds=[1]", "games=2", "clock_speed=[50]")
 
 
 @pytest.fixture

@@ -91,17 +91,11 @@ def test_an_installed_wheel_runs_trains_flies_and_watches(site: Path, tmp_path: 
     (tmp_path / "script.py").write_text(SCRIPT)
     grid = "run dp1 --clock 50 --games 1 --timing virtual --set reference_games=1 --set rounds=[1] --set t_move_s=[1.0]"
     small = "--set environments=2 --set turns=1 --set task.max_commands=3 --set task.observation=state"
+    flying = {f"{grid} --out path": "report: path/report.html", "fly script.py": "north 1.2"}
+    learning = {f"train --games 2 {small} --set mirror=false --out learned": "report: learned/report.html"}
+    learning["evaluate learned --games 1 --out evaluated"] = "without films: MP4: needs av: pip install"
     before = sorted(site.rglob("*"))
-    for missing, commands in (
-        ([*OF_EXTRAS, "torch"], {f"{grid} --out path": "report: path/report.html", "fly script.py": "north 1.2"}),
-        (
-            OF_EXTRAS,
-            {
-                f"train --games 2 {small} --set mirror=false --out learned": "report: learned/report.html",
-                "evaluate learned --games 1 --out evaluated": "without films: MP4: needs av: pip install",
-            },
-        ),
-    ):
+    for missing, commands in (([*OF_EXTRAS, "torch"], flying), (OF_EXTRAS, learning)):
         with program(site, tmp_path, missing, "-c", ONE_AFTER_ANOTHER, *commands) as process:
             output = process.communicate()[0]
         assert process.returncode == 0, output

@@ -2,7 +2,9 @@
 
     uavaccel run mediation_law --jobs 8 --out runs/mediation-law
     uavaccel run realtime_law --jobs 8 --out runs/realtime-law
-    python -m tools.fit_gap_law runs/mediation-law runs/realtime-law docs/figures/gap_law.png > docs/tables/gap_law.csv
+    python -m tools.fit_gap_law runs/mediation-law runs/realtime-law docs/figures/gap_law.png > law.csv
+
+A table that this has written stands for the runs that it is of: `docs/tables/gap_law.csv runs/more FIGURE`.
 
 The largest gap of a condition is the one at which success has dropped by five points below that without a gap, between
 flown gaps by linear interpolation. It is at least the last gap where success never drops (`below_s` is inf), and below
@@ -141,12 +143,15 @@ def of_others(run: RunDirectory) -> Iterator[dict[str, Any]]:
         yield {"condition": name, "task": task, **times, **measured(gaps_s, returns / returns[0].mean())}
 
 
-def conditions(folders: list[Path]) -> pd.DataFrame:
-    """Return a row for each condition of the runs: its times, its success without a gap, and its largest gap."""
-    runs = [open_run(folder) for folder in folders]
-    return pd.DataFrame(
-        row for run in runs for row in (of_drones if run.config()["suite"] == Mediation.name else of_others)(run)
-    )
+def conditions(sources: list[Path]) -> pd.DataFrame:
+    """Return a row for each condition of runs and tables: its times, its success without a gap, and its largest gap."""
+    tables = [pd.read_csv(path) if path.suffix == ".csv" else of_run(open_run(path)) for path in sources]
+    return pd.concat(tables, ignore_index=True)
+
+
+def of_run(run: RunDirectory) -> pd.DataFrame:
+    """Return the conditions of a run."""
+    return pd.DataFrame((of_drones if run.config()["suite"] == Mediation.name else of_others)(run))
 
 
 def judged(table: pd.DataFrame) -> pd.DataFrame:

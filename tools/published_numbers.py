@@ -21,7 +21,7 @@ from tools.check_numbers import ROOT, Page
 from tools.fit_agent import agent_costs, command_wall_s
 from tools.fit_airsim import Parameters, model
 from uavaccel.config import parse_yaml, validate
-from uavaccel.metrics.estimates import Estimate
+from uavaccel.metrics.estimates import Estimate, Success
 from uavaccel.metrics.intervals import TAILS, Proportion, fisher_exact_p, permutation_p
 from uavaccel.suites import claims, paper_results
 from uavaccel.suites.mediation import Contrast, Share, effect, share_of_loss
@@ -65,6 +65,13 @@ def rows_of(name: str) -> list[dict[str, Any]]:
 def trainings(name: str) -> pd.DataFrame:
     """Return the flights of the policies of a table; of lanes and distances nothing is known."""
     return flights_of(rows_of(name), lambda row: {})
+
+
+@cache
+def test_lanes() -> pd.DataFrame:
+    """Return the flights of Table I's policies on lanes of the test split, with their outcomes by lane."""
+    table = pd.read_csv(TABLES / "rl_test_lanes.csv", dtype={"won": str})
+    return table.assign(won=table.won.map(lambda won: np.array([*won], np.int64)))
 
 
 def policies(table: str, command: str, clock_speed: float, variant: str = "", profile: str = "airsim") -> pd.DataFrame:
@@ -156,8 +163,8 @@ def readme_says() -> Text:
 
 
 def results_paper() -> Page:
-    says = (headline, table_1, table_1_bullets, claims_table, notes_on_table_1, interchanged, times, gaps, one_changed)
-    more = (what_helps, the_model, what_was_fitted)
+    says = (headline, table_1, table_1_bullets, claims_table, notes_on_table_1, on_test_lanes, interchanged, times)
+    more = (gaps, one_changed, what_helps, the_model, what_was_fitted)
     return Page((text for of in (*says, *more) for text in of()), SETTINGS)
 
 
@@ -233,6 +240,34 @@ def notes_on_table_1() -> Text:
     yield f"ADSC's ten seeds win {', '.join(most)} and {last} at 1 to 100x"
     (pair,) = {tuple(won(flown(policies("rl_table1", "tcsc", k, profile="native")))[:2]) for k in CLOCKS}
     yield f"TCSC's seeds 0 and 1 win {pair[0]} and {pair[1]} of 300 at each."
+
+
+def on_test_lanes() -> Text:
+    """In real time, with the command of the training, and its difference from the other one's."""
+    own = test_lanes().query("command == `with`")
+    yield f"The first {in_words(own.seed.nunique())} seeds"
+    keys = ["profile", "command", "clock_speed", "seed"]
+    both = own.merge(where(trainings("rl_table1"), flight=0), on=keys, suffixes=("", "_before"))
+    same = both.weights_sha256 == both.weights_sha256_before
+    equal = f"equal to the bit ({same.sum()} of the {len(both)} that Table I has)"
+    yield f"{equal}, and flown on {own.won.iloc[0].size} lanes"
+    successes = {
+        key: Success.on_lanes(flown.sort_values("seed").won.tolist())
+        for key, flown in own.groupby(["profile", "clock_speed", "command"])
+    }
+    for clock in CLOCKS:
+        tcsc, adsc = (successes["airsim", clock, command] for command in ("tcsc", "adsc"))
+        low, high = (f"{100 * each:+.1f}".replace("-", "−") for each in tcsc.difference(adsc).interval)
+        differs = f"{100 * tcsc.difference(adsc).value:+.1f} [{low}, {high}]".replace("-", "−")
+        yield f"| {clock:g}x | {over_seeds(tcsc.estimate)} | {over_seeds(adsc.estimate)} | {differs} |"
+    apart = (
+        abs(success.pooled.ratio - success_of(flown(policies("rl_table1", command, clock))).pooled.ratio)
+        for (profile, clock, command), success in successes.items()
+        if profile == "airsim"
+    )
+    yield f"by more than {100 * max(apart):.1f} points"
+    native = [100 * success.pooled.ratio for (profile, *_), success in successes.items() if profile == "native"]
+    yield f"under `native` all win {min(native):.0f} to {max(native):.0f} %"
 
 
 def interchanged() -> Text:
@@ -497,7 +532,7 @@ def benchmark_says() -> Text:
     table = pd.read_csv(TABLES / f"{BENCHMARK}.csv").set_index(["environment", "agent", "latency_s", "clock_speed"])
     config = configure(RunRequest(BENCHMARK))[1]
     cells = dict.fromkeys(case.cell for case in Realtime().cases(config) if isinstance(case, Evaluation))
-    yield f"{len(table)} of its {len(cells)} cells"
+    yield f"All {len(table)} cells" if len(table) == len(cells) else f"{len(table)} of its {len(cells)} cells"
     for task, agent in dict.fromkeys((*cell.split("-")[:2],) for cell in cells):
         if (task, agent, *DELAYS[0]) in table.index:
             scores = (short(table.score_mean[(task, agent, *at)], 2) for at in DELAYS)

@@ -12,6 +12,8 @@ represent.
 
 from __future__ import annotations
 
+import ast
+import inspect
 import json
 import re
 import reprlib
@@ -20,8 +22,10 @@ from contextlib import suppress
 from copy import deepcopy
 from difflib import get_close_matches
 from functools import lru_cache
+from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeAlias, TypeVar, get_args, get_origin
+from textwrap import dedent
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, TypeVar, get_args, get_origin
 
 import yaml
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
@@ -31,6 +35,11 @@ from yaml.constructor import ConstructorError, SafeConstructor
 from uavaccel.errors import UsageError, UserError, suggestion
 from uavaccel.files import Plain, read_bounded
 from uavaccel.units import CLOCK_SPEEDS
+
+if TYPE_CHECKING:
+    from pydantic import GetJsonSchemaHandler
+    from pydantic.json_schema import JsonSchemaValue
+    from pydantic_core import CoreSchema
 
 MOST_GAMES = 1_000_000
 MOST_ROUNDS = 100_000
@@ -70,9 +79,16 @@ class Config(BaseModel):
     A docstring below a field is that field's description in the JSON schema.
     """
 
-    model_config = ConfigDict(
-        extra="forbid", frozen=True, allow_inf_nan=False, validate_default=True, use_attribute_docstrings=True
-    )
+    # With use_attribute_docstrings the source of each class would be read at every program's start.
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, validate_default=True)
+
+    @classmethod
+    def __get_pydantic_json_schema__(cls, core_schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
+        made = handler(core_schema)
+        properties = handler.resolve_ref_schema(made).get("properties", {})
+        for name, text in _field_docstrings(cls).items():
+            properties.get(name, {}).setdefault("description", text)
+        return made
 
     @classmethod
     def keys_of(cls, mapping: Mapping[str, Any]) -> KeyTree:
@@ -145,12 +161,19 @@ def _position(container: object, parts: list[str], source: str) -> str | int:
     raise UserError(f"{source}: no {part!r} in {'.'.join(parts[:-1])}, which holds {held}")
 
 
-def validate(cls: type[ConfigType], mapping: Mapping[str, object], source: str) -> ConfigType:
-    """Return an instance of `cls` from plain data; UserError names `source`, key, value and what would be right."""
+def validate(
+    cls: type[ConfigType], mapping: Mapping[str, object], source: str, given: Mapping[str, str] | None = None
+) -> ConfigType:
+    """Return an instance of `cls` from plain data; UserError names `source`, key, value and what would be right.
+
+    `given` names, by dotted key, the options that gave values in place of `source`.
+    """
     try:
         return cls.model_validate_json(json.dumps(mapping), strict=True)
     except ValidationError as error:
-        raise UserError(f"{source}: {_explain(cls, mapping, error)}") from error
+        key = _dotted(mapping, _leading(error))
+        options = (option for own, option in (given or {}).items() if f"{key}.".startswith(f"{own}."))
+        raise UserError(f"{next(options, source)}: {_explain(cls, mapping, error)}") from error
     except UserError as error:  # raised by a validator
         raise type(error)(f"{source}: {error}") from error
     except (TypeError, ValueError) as error:
@@ -167,10 +190,27 @@ def schema(cls: type[Config]) -> dict[str, Plain]:
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **cls.model_json_schema()}
 
 
-def _explain(cls: type[Config], mapping: Mapping[str, object], error: ValidationError) -> str:
+def _field_docstrings(cls: type[Config]) -> dict[str, str]:
+    """Return what stands below the fields of a class and of those that it is derived from."""
+    found: dict[str, str] = {}
+    for each in [each for each in cls.__mro__[::-1] if issubclass(each, Config)]:
+        with suppress(OSError, TypeError):  # its source is not there
+            [definition] = ast.parse(dedent(inspect.getsource(each))).body
+            for pair in pairwise(getattr(definition, "body", [])):
+                match pair:
+                    case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str(text))):
+                        found[name] = inspect.cleandoc(text)
+    return found
+
+
+def _leading(error: ValidationError) -> ErrorDetails:
     """Return the most helpful error: an unknown key, which may be why another is missing, or the innermost one."""
     errors = error.errors(include_url=False)
-    first = min(errors, key=lambda each: (each["type"] != "extra_forbidden", -len(each["loc"])))
+    return min(errors, key=lambda each: (each["type"] != "extra_forbidden", -len(each["loc"])))
+
+
+def _explain(cls: type[Config], mapping: Mapping[str, object], error: ValidationError) -> str:
+    first = _leading(error)
     key = _dotted(mapping, first)
     if first["type"] == "extra_forbidden":
         *above, unknown = first["loc"]

@@ -154,7 +154,7 @@ def errors_named(file: Path | None, where: str = "") -> Iterator[None]:
         yield
     except UserError:
         raise
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         frames = [(frame.f_code, line) for frame, line in walk_tb(error.__traceback__)]
         own = [(code, line) for code, line in frames if Path(code.co_filename) == file]
         if isinstance(error, SyntaxError) and Path(error.filename or "") == file:

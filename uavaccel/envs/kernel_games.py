@@ -59,7 +59,7 @@ class GameMaker:
         self.surroundings: Surroundings = read_surroundings(self._world.model, task.scene)
         self.sees = kind_of(task) != STATE
         self.in_lane = task.scene == "lane" and task.picture_size == PICTURE_SIZE
-        self.looks: Appearance | Looks = NO_LOOKS if clutter_of(task) else NO_APPEARANCE  # without images of that type
+        self.looks: Appearance | Looks = NO_APPEARANCE if self.surroundings.scene is None else NO_LOOKS
         if self.sees and self.in_lane:
             self.looks = read_appearance(self._world.model)
         elif self.sees:
@@ -76,12 +76,13 @@ class GameMaker:
 
     def rows(self, count: int) -> Games:
         """Allocate rows for `count` games."""
-        scene, clutter = self.surroundings.scene, clutter_of(self.task)
-        seen = read_scene(self._world.model, seen=True) if self.sees and not self.in_lane and not clutter else None
+        scene, clutter, seen = self.surroundings.scene, clutter_of(self.task), None
         if scene is not None and clutter:
             scene, seen = clutter_worlds(clutter, scene, count)
-            if not self.sees:
-                seen = empty_scene(0, 0, 0, 0, seen=True)
+        elif self.sees and not self.in_lane:
+            seen = read_scene(self._world.model, seen=True)
+        if scene is not None and not self.sees:
+            seen = empty_scene(0, 0, 0, 0, seen=True)
         return game_rows(count, self.surroundings.most if scene is None else scene, seen)
 
     def write(self, drawn: Drawn, games: Games, row: int) -> None:

@@ -6,7 +6,6 @@ from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numba import njit
-from numba.extending import overload
 
 from uavaccel.kernels import casting, events, pictures, timeline
 from uavaccel.kernels.fields import COLOUR, DEPTH, DVS, SEEN_FAR_M, STATE, Launchable, Looks, Operand
@@ -26,7 +25,7 @@ from uavaccel.kernels.lanes import (
 from uavaccel.kernels.pictures import make_scratch
 from uavaccel.kernels.timeline import Clocks, Command
 from uavaccel.sim.camera.pixels import luma_of
-from uavaccel.sim.parts import part
+from uavaccel.sim.parts import chosen_by_types, part
 from uavaccel.sim.vehicle.hotloop import sources
 from uavaccel.vision import dvs_kernels as dvs
 from uavaccel.vision.guard import LUMA_WEIGHTS
@@ -53,7 +52,9 @@ def after_dead_time(signed: Operand, camera: Operand, last_s: Operand, before_s:
     for number in range(most):
         stamps_s[number] = events.stamp(before_s, time_s, most, number)
     kept, last = dvs.drop_refractory(signed, stamps_s, last_s, np.float32(camera[events.REFRACTORY]))
-    last_s[:] = last
+    for y in range(last.shape[0]):
+        for x in range(last.shape[1]):
+            last_s[y, x] = last[y, x]
     return kept
 
 
@@ -98,12 +99,12 @@ def see(
     for y in range(signed.shape[0]):
         for x in range(signed.shape[1]):
             gathered[y // side, x // side] += signed[y, x]
+            pixels.base[lane, y, x] = base[y, x]
+            if pixels.filtered.size > 0:
+                pixels.filtered[lane, y, x] = log[y, x]
     for y in range(noise.shape[0]):
         for x in range(noise.shape[1]):
             gathered[y // side, x // side] += 0 if noise[y, x] == dvs.ON_AND_OFF else noise[y, x]
-    pixels.base[lane] = base
-    if pixels.filtered.size > 0:
-        pixels.filtered[lane] = log
     pixels.clock[lane], pixels.time_s[lane] = index, time_s
 
 
@@ -157,21 +158,18 @@ def depths_in_scene(lane: int, looks: Looks, games: Games, now: Flights, scratch
             out[row, column] = casting.depth_at(games.scenes, world, looks, eye, row, column, out.shape)
 
 
+@part(error_model="numpy")
+def paint_in_lane(lane: int, looks: Operand, games: Games, now: Flights, scratch: Operand, out: Operand) -> None:
+    state = now.state[lane]
+    pictures.paint(looks, games.scenes, now.game[lane], state.position, state.quaternion, scratch, out)
+
+
+@chosen_by_types
 def paint(lane, looks, games, now, scratch, out):  # type: ignore[no-untyped-def]
     """Render what a lane's front camera sees, without noise: the kind of image that `out` has room for."""
-
-
-@overload(paint)
-def _paint(lane, looks, games, now, scratch, out):  # type: ignore[no-untyped-def]
-    if looks.instance_class is Looks:
-        function = pictures.of_picture(out, gray_in_scene, colour_in_scene, depths_in_scene)
-        return lambda lane, looks, games, now, scratch, out: function(lane, looks, games, now, scratch, out)
-
-    def in_lane(lane, looks, games, now, scratch, out):  # type: ignore[no-untyped-def]
-        state = now.state[lane]
-        pictures.paint(looks, games.scenes, now.game[lane], state.position, state.quaternion, scratch, out)
-
-    return in_lane
+    if looks.instance_class is not Looks:
+        return paint_in_lane
+    return pictures.of_picture(out, gray_in_scene, colour_in_scene, depths_in_scene)
 
 
 @part(error_model="numpy")
@@ -261,12 +259,8 @@ def render_frame(lane: int, work: Work, frame: Operand) -> None:
         render_depth(lane, view.looks, games, now, scratch, view.size, frame)
 
 
-def brightness(kind: int, looks: Operand, scratch: Operand) -> float:  # type: ignore[empty-body]
-    """Return the mean luma of the latest image, without noise."""
-
-
 @part(error_model="numpy")
-def brightness_in_lane(kind: int, scratch: Operand) -> float:
+def brightness_in_lane(kind: int, looks: Operand, scratch: Operand) -> float:
     bright = 0.0
     if kind == DVS:
         bright = scratch.channels[0].mean()
@@ -276,11 +270,15 @@ def brightness_in_lane(kind: int, scratch: Operand) -> float:
     return bright
 
 
-@overload(brightness)
-def _brightness(kind, looks, scratch):  # type: ignore[no-untyped-def]
-    if looks.instance_class is Looks:
-        return lambda kind, looks, scratch: scratch.bright[0]
-    return lambda kind, looks, scratch: brightness_in_lane(kind, scratch)
+@part(error_model="numpy")
+def brightness_in_scene(kind: int, looks: Operand, scratch: Operand) -> float:
+    return float(scratch.bright[0])
+
+
+@chosen_by_types
+def brightness(kind, looks, scratch):  # type: ignore[no-untyped-def]
+    """Return the mean luma of the latest image, without noise."""
+    return brightness_in_scene if looks.instance_class is Looks else brightness_in_lane
 
 
 @part(error_model="numpy")

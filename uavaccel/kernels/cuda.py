@@ -17,6 +17,7 @@ import numpy as np
 import torch as th
 from numba import cuda, types
 from numba.cuda import libdevice
+from numba.cuda.core import caching
 from numba.cuda.extending import overload
 from numba.np.numpy_support import from_dtype
 
@@ -36,8 +37,9 @@ from uavaccel.kernels.lanes import NEXT_CHECK, TOUCHED, fly_ticks
 from uavaccel.kernels.scene import LOOSE, add_to, sort_cell, visit
 from uavaccel.kernels.touching import around, deepest_of_all, least_of_all
 from uavaccel.sim.clutter import DRAWS, GAP, keep_gaps, sample_shape
-from uavaccel.sim.parts import times
+from uavaccel.sim.parts import save_apart, times
 from uavaccel.sim.pcg64 import STREAM_FIELDS, advance
+from uavaccel.sim.vehicle.hotloop import sources, stamped
 from uavaccel.sim.vehicle.quadrotor import FLIGHT_DTYPE, PARAMETERS_DTYPE
 
 FLYING_THREADS = 32  # per thread block
@@ -45,6 +47,8 @@ FLYING_WARPS = 2  # per multiprocessor: a quarter of its registers, which leaves
 PARAMETERS, FLIGHT = from_dtype(PARAMETERS_DTYPE), from_dtype(FLIGHT_DTYPE)
 
 SIGNED = {np.dtype(np.uint32): np.int32, np.dtype(np.uint64): np.int64}  # PyTorch computes with signed integers
+
+caching.IndexDataCacheFile.save = save_apart
 
 
 @overload(times)
@@ -319,12 +323,13 @@ KERNELS = (
 )
 LIMITS = {"see": 72, "look": 64, "cast_depth": 64, "cast_colour": 80, "cast_gray": 64, "cast_events": 64}
 """Registers per thread: fewer of them let more threads wait for memory at the same time."""
+SOURCES = sources(__name__)  # of which numba notices changes of this file and of kernels/cuda_views alone
 
 
 def compiled(nominal: Operand) -> Any:
     """Return the kernels by name, compiled or from numba's cache; `nominal` is a record of PARAMETERS_DTYPE."""
     warnings.filterwarnings("ignore", message=".*under-utilization")  # expected with few lanes
-    named = {each.__name__: each for each in (*KERNELS, flying(nominal))}
+    named = {each.__name__: stamped(each, SOURCES) for each in (*KERNELS, flying(nominal))}
     made = {name: cuda.jit(each, cache=True, max_registers=LIMITS.get(name)) for name, each in named.items()}
     return SimpleNamespace(**made)
 

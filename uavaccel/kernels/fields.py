@@ -116,4 +116,4 @@ NO_APPEARANCE = Appearance(
 """Stands for the appearance of lanes that render no images: empty arrays of the same types."""
 
 NO_LOOKS = Looks(np.zeros(16), np.zeros(9, np.float32), *NO_APPEARANCE[:3])
-"""The same for lanes in scenes with clutter."""
+"""The same for lanes in scenes of shapes of any kind."""

@@ -15,7 +15,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit, types
-from numba.extending import overload
 from numpy.typing import NDArray
 
 from uavaccel.kernels import fields as at
@@ -36,7 +35,7 @@ from uavaccel.kernels.rays import (
     texel_index,
 )
 from uavaccel.sim.camera.pixels import luma_of
-from uavaccel.sim.parts import part
+from uavaccel.sim.parts import chosen_by_types, part
 from uavaccel.sim.vehicle.hotloop import sources
 
 HUGE = np.float32(1e30)
@@ -311,18 +310,10 @@ def of_picture(out: Any, gray: Any, colour: Any, depths: Any) -> Any:
     return depths if out.dtype == types.float32 else (colour if out.ndim == 3 else gray)
 
 
+@chosen_by_types
 def paint(appearance, scenes, lane, place, quaternion, scratch, out):  # type: ignore[no-untyped-def]
     """Render the kind of image that `out` has room for."""
-
-
-@overload(paint)
-def _paint(appearance, scenes, lane, place, quaternion, scratch, out):  # type: ignore[no-untyped-def]
-    function = of_picture(out, paint_gray, paint_colour, paint_depths)
-
-    def chosen(appearance, scenes, lane, place, quaternion, scratch, out):  # type: ignore[no-untyped-def]
-        function(appearance, scenes, lane, place, quaternion, scratch, out)
-
-    return chosen
+    return of_picture(out, paint_gray, paint_colour, paint_depths)
 
 
 def _compile(stamp: int) -> Launchable:

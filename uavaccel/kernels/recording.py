@@ -17,6 +17,10 @@ def recording(graph: th.cuda.CUDAGraph) -> Iterator[None]:
 
     Garbage is collected before and not meanwhile: a graph or memory that is freed while another graph is recorded
     invalidates the recording (PyTorch's pull request 161037).
+
+    What is launched afterwards waits for the stream of the recording. On it PyTorch before 2.13 sets the place in the
+    sequence of random numbers, which all graphs read, to 0 (CUDAGeneratorState::capture_prologue). On a GPU that others
+    keep busy this could come after the graph's own place was set, and the graph then drew the first numbers again.
     """
     th.cuda.synchronize()
     gc.collect()
@@ -25,6 +29,7 @@ def recording(graph: th.cuda.CUDAGraph) -> Iterator[None]:
     try:
         with th.cuda.graph(graph):
             yield
+        th.cuda.synchronize()
     finally:
         if collects:
             gc.enable()

@@ -10,17 +10,20 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cached_property
-from typing import ParamSpec, Protocol, TypeVar, overload
+from pathlib import Path
+from typing import Any, ParamSpec, Protocol, TypeVar, overload
+from uuid import uuid4
 
 import numba
 import numpy as np
 from llvmlite import binding, ir
 from numba import extending, types
-from numba.core import compiler
+from numba.core import caching, compiler
 from numba.core.base import BaseContext
 from numba.core.codegen import CPUCodeLibrary, JITCodeLibrary
 from numba.core.imputils import lower_constant
 from numba.core.registry import CPUDispatcher
+from numba.core.typing import Signature
 from numba.extending import models, register_model
 
 P = ParamSpec("P")
@@ -112,6 +115,12 @@ class Part(CPUDispatcher):
         self.targetctx.insert_user_function(result.entry_point, result.fndesc, [result.library])
         self.overloads[tuple(result.signature.args)] = result
 
+    def get_call_template(self, args: tuple[types.Type, ...], kws: dict[str, types.Type]) -> tuple[object, ...]:
+        """Compile for integers, not for each constant that is passed: an entry point folds constants anyway."""
+        named = {name: types.unliteral(each) for name, each in kws.items()}
+        template: tuple[object, ...] = super().get_call_template(tuple(map(types.unliteral, args)), named)
+        return template
+
     def __call__(self, *arguments: object, **named: object) -> object:
         return self._alone(*arguments, **named)
 
@@ -119,6 +128,42 @@ class Part(CPUDispatcher):
     def _alone(self) -> Callable[..., object]:
         options = {name: value for name, value in self.targetoptions.items() if name != "nopython"}
         return njit(**options)(self.py_func)
+
+
+class _ChosenType(PartType):
+    """The type of what `chosen_by_types` makes."""
+
+    def _of(self, args: tuple[types.Type, ...]) -> PartType:
+        chosen: PartType = self.dispatcher.choose(*args)._numba_type_
+        return chosen
+
+    def get_call_type(self, context: object, args: tuple[types.Type, ...], kws: dict[str, types.Type]) -> object:
+        return self._of(args).get_call_type(context, args, kws)
+
+    def get_overload(self, sig: Signature) -> object:
+        return self._of(sig.args).get_overload(sig)
+
+
+register_model(_ChosenType)(models.OpaqueModel)
+
+
+class _Chosen:
+    is_compiling = False  # which numba asks of dispatchers
+
+    def __init__(self, choose: Callable[..., object]) -> None:
+        self.choose = choose
+
+    @property
+    def _numba_type_(self) -> _ChosenType:
+        return _ChosenType(self)
+
+
+def chosen_by_types(choose: Callable[..., object]) -> Any:
+    """Decorate a function of numba's types of arguments that returns the part to call with them: a `Part` as they are.
+
+    numba's own `overload` compiles what it chooses by itself, with all that this calls.
+    """
+    return _Chosen(choose)
 
 
 @overload
@@ -156,3 +201,23 @@ def times(a: Real, b: Real) -> Real:
 @extending.overload(times)
 def _on_cpu(a, b):  # type: ignore[no-untyped-def]  # numba compares its signature with the lambda's
     return lambda a, b: a * b
+
+
+# --- code on disk ---------------------------------------------------------------------------------------------------
+
+
+def save_apart(self: caching.IndexDataCacheFile, key: object, code: object) -> None:
+    """Save code in a file of its own, and then the index that tells of it.
+
+    numba tells of it first, under a number that is free in the index that it has read. Of many processes that start at
+    once, one could load code of older sources, or of another specialisation that was given the same number meanwhile.
+    """
+    if not self._load_index():  # there is none, or it is of older sources
+        for old in Path(self._cache_path).glob(self._index_name.removesuffix("nbi") + "*.nbc"):
+            old.unlink(missing_ok=True)
+    name = self._data_name(uuid4().int)
+    self._save_data(name, code)
+    self._save_index({**self._load_index(), key: name})
+
+
+caching.IndexDataCacheFile.save = save_apart

@@ -463,6 +463,9 @@ class Sweep(PolicyGrid):
             if task and key.partition(".")[0] not in keys:
                 there = suggestion(name, [*known, INFERENCE.short])
                 raise UserError(f"--sweep {name}: {evaluation.env_id} has no {task}{key}; {there}")
+            on_clock = key.partition(".")[0] in ("latency", INFERENCE.key)
+            if on_clock and experiment.timing_of(evaluation) == "lockstep":
+                raise UserError(f"--sweep {name}: changes nothing in timing lockstep, which has no latencies")
         super().check(config)
 
     def points(self, config: SweepConfig) -> Iterator[Point]:

@@ -81,13 +81,21 @@ def merged(
     return apply_overrides(result, (NAMED.sub(f"{CLASS}=", override) for override in overrides))
 
 
-def configuration(suite: Suite[ConfigType, CaseType], mapping: Mapping[str, Plain], source: str) -> ConfigType:
-    """Return a suite's checked configuration from a YAML's mapping, omitted keys completed. Raises UserError."""
+def configuration(
+    suite: Suite[ConfigType, CaseType],
+    mapping: Mapping[str, Plain],
+    source: str,
+    given: Mapping[str, str] | None = None,
+) -> ConfigType:
+    """Return a suite's checked configuration from a YAML's mapping, omitted keys completed.
+
+    Raises UserError, which names `source` or what has `given` a key, as `validate` does.
+    """
     if "env_id" in suite.config.model_fields:
         from uavaccel.rl.config import with_env_id  # loads Gymnasium
 
         mapping = with_env_id(mapping)
-    config = validate(suite.config, suite.complete(mapping), source)
+    config = validate(suite.config, suite.complete(mapping), source, given)
     suite.check(config)
     return config
 

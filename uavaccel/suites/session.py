@@ -81,14 +81,16 @@ def reading(request: RunRequest) -> Iterator[tuple[AnySuite, Any]]:
             mapping = first_settings(mapping)
         mapping = {**mapping, **quick_keys(request, suite)}
         seeds = options.pop("seeds", None) if suite.name == "train" else None
-        keys = dict(_place(suite, name, value) for name, value in options.items())
-        config = configuration(suite, merged(mapping, keys, request.overrides), source)
+        places = {_option(name): _place(suite, name, value) for name, value in options.items()}
+        given = {dotted: option for option, (dotted, _) in places.items()}
+        given |= {parse_override(override)[0]: "--set" for override in request.overrides}
+        config = configuration(suite, merged(mapping, dict(places.values()), request.overrides), source, given)
         if seeds is None:
             yield suite, config
         else:
             over_seeds = {"seed": config.seed, "seeds": seeds, "training": config.model_dump(mode="json")}
             suite = find_suite("seeds", source)
-            yield suite, configuration(suite, over_seeds, source)
+            yield suite, configuration(suite, over_seeds, source, {"seeds": "--seeds"})
 
 
 def quick_keys(request: RunRequest, suite: AnySuite) -> Mapping[str, object]:
@@ -115,9 +117,13 @@ def _of_the_run(request: RunRequest) -> tuple[dict[str, Plain], str]:
     return load_yaml(out / "config.yaml"), str(out)
 
 
+def _option(name: str) -> str:
+    return KEYS[name].option if name in KEYS else f"--{name}"
+
+
 def _place(suite: AnySuite, name: str, value: object) -> tuple[str, object]:
     """Return the dotted key of an option, in the configuration or its task, and its value. Raises UsageError."""
-    option = KEYS[name].option if name in KEYS else f"--{name}"
+    option = _option(name)
     for above in ((), ("task",), ("training",), ("training", "task")):
         fields, prefix = suite.config.model_fields, "".join(f"{key}." for key in above)
         for key in above:

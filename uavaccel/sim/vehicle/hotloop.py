@@ -21,6 +21,7 @@ import re
 import sys
 import zlib
 from pathlib import Path
+from types import CellType, FunctionType
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import mujoco
@@ -366,6 +367,14 @@ def sources(module: str) -> int:
     """Return a checksum, never 0, of the package's code that a module depends on."""
     files = _reached(module, {})
     return zlib.crc32(b"".join(files[module].read_bytes() for module in sorted(files))) | 1
+
+
+def stamped(function: Callable[..., object], sources: int) -> Callable[..., object]:
+    """Return a function for numba to compile that closes over `sources` too, though nothing in it reads them."""
+    code = function.__code__
+    closure = *(function.__closure__ or ()), CellType(sources)
+    code = code.replace(co_freevars=(*code.co_freevars, "sources"))
+    return FunctionType(code, function.__globals__, function.__name__, function.__defaults__, closure)
 
 
 ENTRY_POINTS = _compile(sources(__name__))
