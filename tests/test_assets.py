@@ -56,6 +56,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (f'<mujoco>{INCLUDED}<worldbody><geom type="bax"/></worldbody></mujoco>', "invalid keyword: 'bax'.*line 1"),
     ('<mujoco><include file="nowhere.xml"/></mujoco>', "nowhere.xml"),
     ("<mujoco/>", "has no quadrotor: needs <include"),
+    (f'<mujoco>{INCLUDED}<worldbody><geom name="far" size="1" pos="1e300 0 0"/></worldbody></mujoco>', 'geom "far": '),
 ])  # fmt: skip
 @pytest.mark.parametrize("airsim", [False, True])
 def test_a_scene_that_cannot_be_flown_is_one_line(folder: Path, text: str, said: str, airsim: bool) -> None:
@@ -65,6 +66,16 @@ def test_a_scene_that_cannot_be_flown_is_one_line(folder: Path, text: str, said:
     assert "\n" not in str(caught.value)
 
 
+def test_a_name_that_spawned_objects_have_is_refused(folder: Path) -> None:
+    """Their geoms stand by without contacts, as one of the scene must not."""
+    (folder / "mine.xml").write_text(
+        f'<mujoco>{INCLUDED}<worldbody><geom name="spare_car" size="1"/></worldbody></mujoco>'
+    )
+    assert load_scene("mine").geom("spare_car").contype[0] == 1
+    with pytest.raises(UserError, match=r'mine\.xml: geom "spare_car": names with "spare_"'):
+        load_scene("mine", airsim=True)
+
+
 def test_the_ground_for_airsims_clients_reaches_the_horizon(folder: Path) -> None:
     """Stretched 50 times over 200 m, a texture is 5000 times over 20 km; a uniform one counts per metre anyway."""
     plane = """
@@ -72,12 +83,14 @@ def test_the_ground_for_airsims_clients_reaches_the_horizon(folder: Path) -> Non
       <material name="stretched" texture="t" texrepeat="50 20"/>
       <material name="uniform" texture="t" texrepeat="2 3" texuniform="true"/></asset><worldbody>
       <geom name="ground" type="plane" size="100 50 1" material="stretched"/>
-      <geom name="beside" type="plane" size="100 50 1" material="uniform"/></worldbody></mujoco>"""
+      <geom name="beside" type="plane" size="100 50 1" material="uniform"/>
+      <geom name="endless" type="plane" size="0 0 1"/></worldbody></mujoco>"""
     (folder / "mine.xml").write_text(plane)
     plain, wide = (load_scene("mine", airsim=airsim) for airsim in (False, True))
     for name in ("ground", "beside"):
         assert plain.geom(name).size[:2].tolist() == [100.0, 50.0]
         assert wide.geom(name).size[:2].tolist() == [10_000.0, 5_000.0]
+    assert wide.geom("endless").size[:2].tolist() == [0.0, 0.0]
     assert plain.material("stretched").texrepeat.tolist() == [50.0, 20.0]
     assert wide.material("stretched").texrepeat.tolist() == [5_000.0, 2_000.0]
     assert wide.material("uniform").texrepeat.tolist() == [2.0, 3.0]

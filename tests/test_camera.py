@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Iterator
 from typing import Any
 
@@ -122,6 +123,15 @@ def test_the_field_of_view_is_horizontal(posts: mujoco.MjModel, width: int, heig
     focal = width / 2 / np.tan(np.radians(fov_deg) / 2)
     assert cube.any(axis=0).sum() == pytest.approx(2.0 / POST_FACE_M * focal, abs=1.0)
     assert cube.any(axis=1).sum() == pytest.approx(2.0 / POST_FACE_M * focal, abs=1.0)
+
+
+@needs_opengl
+def test_pictures_have_a_drones_own_field_of_view(posts: mujoco.MjModel) -> None:
+    narrow = copy.copy(posts)
+    narrow.cam_fovy[:] = 40.0
+    with Camera(narrow, 128, 72) as camera:
+        cube = camera.segmentation(mujoco.MjData(narrow)) == narrow.geom("post").id
+    assert cube.any(axis=1).sum() == pytest.approx(2.0 / POST_FACE_M * 36 / np.tan(np.radians(20.0)), abs=1.0)
 
 
 @needs_opengl

@@ -18,12 +18,15 @@ from tests.clutter import KINDS, clutter
 from tests.lanes import SideBySide
 from uavaccel.envs.hover import Hover
 from uavaccel.envs.kernel_batch import KernelBatch
+from uavaccel.errors import UserError
 from uavaccel.kernels import casting, tiles
 from uavaccel.kernels import scene as at
-from uavaccel.kernels.bodies import read_scene, read_surroundings
+from uavaccel.kernels.appearance import read_looks
+from uavaccel.kernels.bodies import read_scene, read_surroundings, visible
 from uavaccel.kernels.fields import HALF_HEIGHT, HALF_WIDTH
 from uavaccel.kernels.scene import Scene
 from uavaccel.kernels.scene_touching import NOTHING, deepest_shape, nearest_shape
+from uavaccel.resources import asset
 from uavaccel.sim import scene as scenes
 
 SEEN = np.array([1, 0, 1, 0, 1, 1], np.uint8)  # groups that the drone's camera may see
@@ -201,10 +204,113 @@ def test_flights_among_turned_shapes_are_the_exact_simulators() -> None:
 
 def test_a_world_knows_its_shapes_by_name() -> None:
     model = mujoco.MjModel.from_xml_string(clutter(1))
-    around = read_surroundings(model)
+    around = read_surroundings(model, "blocks")
     assert isinstance(around.scene, Scene)
     assert sorted(around.names) == sorted(model.geom(geom).name for geom in range(model.ngeom) if geom in still(model))
 
 
 def still(model: mujoco.MjModel) -> set[int]:
     return set(np.flatnonzero(model.geom_bodyid == 0).tolist())
+
+
+DRONE = asset("mjcf/quadrotor.xml").read_text()
+
+
+def own_world(things: str, drone: str = DRONE, rest: str = "") -> mujoco.MjModel:
+    xml = f'<mujoco><include file="quadrotor.xml"/><worldbody>{things}</worldbody>{rest}</mujoco>'
+    return mujoco.MjModel.from_xml_string(xml, {"quadrotor.xml": drone.encode()})
+
+
+def test_what_may_be_touched_is_what_mujoco_lets_touch() -> None:
+    """Whatever its name and the body that it belongs to; layouts place nothing in a world of one's own."""
+    ghosts = '<contact><exclude body1="ghost" body2="quadrotor"/></contact>'
+    things = """<geom name="clutter_a" size="1"/><geom name="obstacle_b" type="box" size="1 1 1"/>
+    <geom name="looks" size="1" contype="0" conaffinity="0"/><geom name="others" size="1" contype="2" conaffinity="2"/>
+    <body name="ghost"><geom name="through" size="1"/><body euler="0 30 0"><geom name="inner" size="1"/></body></body>
+    <body name="hand" mocap="true"><geom name="put" size="1"/></body>"""
+    around = read_surroundings(own_world(things, rest=ghosts), "blocks")
+    assert sorted(around.names) == ["clutter_a", "inner", "obstacle_b", "put"]
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ('<geom name="post"', '<geom name="post" margin="0.1"'),
+        ('<geom name="post"', '<geom name="post" gap="0.1"'),
+        ('<geom name="quadrotor_hull"', '<geom name="quadrotor_hull" margin="0.1"'),
+        ('<geom name="quadrotor_hull"', '<geom size="0.1" pos="0 0 0.2"/><geom name="quadrotor_hull"'),
+        ('<geom name="quadrotor_hull"', '<body><geom size="0.1" mass="0"/></body><geom name="quadrotor_hull"'),
+        ('<geom name="quadrotor_hull"', '<geom name="quadrotor_hull" pos="0.1 0 0"'),
+        ('<geom name="quadrotor_hull"', '<geom name="quadrotor_hull" euler="90 0 0"'),
+        ('type="cylinder" size="0.3418 0.045"', 'type="box" size="0.3 0.3 0.05"'),
+        ("<sensor>", '<contact><pair geom1="post" geom2="quadrotor_hull"/></contact><sensor>'),
+        ("<sensor>", '<option><flag override="enable"/></option><sensor>'),
+        ("<sensor>", '<option><flag contact="disable"/></option><sensor>'),
+    ],
+)
+def test_hulls_and_contacts_that_mujoco_alone_has_are_refused(old: str, new: str) -> None:
+    post = '<geom name="post" type="box" size="1 1 1" pos="5 0 0"/>'
+    assert read_surroundings(own_world(post), "blocks").names == ("post",)
+    assert old in post + DRONE
+    with pytest.raises(UserError, match=r"^simulator = kernels: .*; use simulator = mujoco$"):
+        read_surroundings(own_world(post.replace(old, new), DRONE.replace(old, new)), "blocks")
+
+
+SUN = '<light directional="true" dir="0.3 0.2 -1" specular="0 0 0"/>'
+POST = '<geom name="post" type="box" size="1 1 1" pos="5 0 0" material="paint"/>'
+LOOKS = """<visual><headlight active="0"/><map znear="0.01"/></visual><statistic extent="10"/>
+<asset><texture type="skybox" builtin="flat" width="8" height="8"/>
+<texture name="checks" type="2d" builtin="checker" width="8" height="8"/>
+<material name="paint" rgba="0.9 0.1 0.1 1"/><material name="tiles" texture="checks"/></asset>"""
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ('rgba="0.9 0.1 0.1 1"', 'rgba="0.9 0.1 0.1 0.5"', "post has an alpha < 1"),
+        ('box" size="1 1 1" pos="5 0 0" material="paint"', 'plane" size="0 5 1" material="tiles"', "give post a size"),
+        ('dir="0.3', 'mode="targetbody" target="quadrotor" dir="0.3', "a sun that stands still"),
+        ("<camera", SUN + "<camera", "one directional light"),
+        ('znear="0.01"', 'znear="0.1"', "znear x extent is 1 m"),
+        ('name="front_center"', 'name="front"', "a fixed camera of the drone"),
+        ("<camera", '<camera mode="track"', "a fixed camera of the drone"),
+        ("<camera", '<camera projection="orthographic"', "a fixed camera of the drone"),
+        ('fovy="58.7155"', 'sensorsize="1 1" focal="1 1" resolution="1 1"', "a fixed camera of the drone"),
+    ],
+)
+def test_looks_that_rays_do_not_have_are_refused(old: str, new: str, said: str) -> None:
+    texts = (SUN + POST, DRONE, LOOKS)
+    assert any(old in text for text in texts)
+    read_looks(own_world(*texts), (64, 36), depth=False)
+    things, drone, looks = (text.replace(old, new) for text in texts)
+    with pytest.raises(UserError, match=f"simulator: kernels draws .*{said}"):
+        read_looks(own_world(things, drone, looks), (64, 36), depth=False)
+
+
+def test_a_sun_in_a_turned_body_shines_from_there() -> None:
+    turned = f'<body euler="40 0 70">{SUN}</body>'
+    light = read_looks(own_world(turned, rest=LOOKS), (64, 36), depth=False).light
+    model = own_world(turned, rest=LOOKS)
+    expected = np.zeros(3)
+    mujoco.mju_rotVecQuat(expected, model.light_dir[0], model.body_quat[model.light_bodyid[0]])
+    np.testing.assert_allclose(light[6:], -expected, atol=1e-6)
+
+
+def test_what_its_material_makes_invisible_is_not_seen() -> None:
+    model = own_world(POST + '<geom name="other" size="1"/>', rest=LOOKS.replace("0.1 1", "0.1 0"))
+    assert [model.geom(geom).name for geom in visible(model)] == ["other"]
+
+
+def test_a_thin_plate_is_touched_where_mujoco_finds_it_touched() -> None:
+    """At its rim by tilted drones, and not by level ones of any heading just above it."""
+    model = own_world('<geom name="plate" type="box" size="3 3 0.001" pos="0 0 1"/>')
+    scene, data, count = read_surroundings(model, "blocks").scene, kinematic(model), 60
+    poses, found, bounds = poses_at_touch(model, data, 3, count), np.zeros(count, np.int64), np.zeros(count)
+    touch_all(scene, poses, *HULL, found, bounds)
+    touched = [bool(contacts(model, data, pose)) for pose in poses]
+    assert 0 < sum(touched) < count
+    assert (found != NOTHING).tolist() == touched
+    half = np.linspace(-1.5, 1.5, count)
+    poses[:, 2:] = np.stack([half * 0 + 1.047, np.cos(half), half * 0, half * 0, np.sin(half)], axis=1)
+    touch_all(scene, poses, *HULL, found, bounds)
+    assert np.all(found == NOTHING)

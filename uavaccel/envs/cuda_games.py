@@ -57,7 +57,8 @@ class LaneGames:
     def _on_device(self) -> tuple[Any, Any]:
         """Copy the rows to the device; what is seen of clutter has the cells of what is touched."""
         both = kernels.on_device(self._host, self.device)
-        if not isinstance(self._host.solids, Scene) or self._host.scenes.start is not self._host.solids.start:
+        touched, seen = self._host.solids, self._host.scenes
+        if not (isinstance(touched, Scene) and isinstance(seen, Scene) and seen.start is touched.start):
             return both
         tensors, arrays = (
             games._replace(scenes=games.scenes._replace(start=games.solids.start, items=games.solids.items))

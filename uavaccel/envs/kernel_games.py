@@ -56,7 +56,7 @@ class GameMaker:
     def __init__(self, task: Task) -> None:
         self.task = task
         self._world = World(task.scene, profile_of(task))
-        self.surroundings: Surroundings = read_surroundings(self._world.model)
+        self.surroundings: Surroundings = read_surroundings(self._world.model, task.scene)
         self.sees = kind_of(task) != STATE
         self.in_lane = task.scene == "lane" and task.picture_size == PICTURE_SIZE
         self.looks: Appearance | Looks = NO_APPEARANCE if self.surroundings.scene is None else NO_LOOKS

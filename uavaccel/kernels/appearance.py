@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from uavaccel.errors import UserError
 from uavaccel.kernels import fields as at
-from uavaccel.kernels.bodies import KINDS, SOLIDS
+from uavaccel.kernels.bodies import KINDS, SOLIDS, visible, worn
 from uavaccel.kernels.fields import NO_APPEARANCE, Appearance, Looks, Operand, Scenes
 from uavaccel.kernels.fields import empty_scenes as empty_scenes
 from uavaccel.sim.camera.view import HEIGHT, WIDTH, far_m
@@ -24,11 +24,14 @@ from uavaccel.sim.lane import (
     OBSTACLE_TEXTURES,
     WALL_TEXTURES,
     LaneLayout,
+    object_name,
     obstacle_geoms,
     sunlight,
 )
 from uavaccel.sim.scene import DRONE_GROUP, PLAIN
+from uavaccel.sim.vehicle.vehicle import BODY
 
+NEAREST_M = 0.5  # up to which OpenGL may clip what rays see
 WORN = (("obstacle", OBSTACLE_TEXTURES), ("wall", WALL_TEXTURES), ("ground", GROUND_TEXTURES))
 
 
@@ -57,13 +60,21 @@ def read_looks(model: mujoco.MjModel, size: tuple[int, int], depth: bool, camera
     Raises UserError for colours that would not be OpenGL's.
     """
     seen, light = _camera(model, camera, size), np.zeros(9, np.float32)
+    if seen[at.NEAR_M] > NEAREST_M:
+        raise UserError(
+            f"simulator: kernels draws what is near, but znear x extent is {seen[at.NEAR_M]:.2g} m in this scene: "
+            f'let <visual><map znear="..."/></visual> make it at most {NEAREST_M} m'
+        )
     if depth:
         return Looks(seen, light, *NO_APPEARANCE[:3])
-    sun = _sun(model)
+    sun, data = _sun(model), mujoco.MjData(model)
     texels, textures, of_texture = _textures(model)
     materials = _materials(model, {-1: 0} | of_texture)
+    _check_worn(model, materials)
+    mujoco.mj_kinematics(model, data)
+    shining = data.xmat[model.light_bodyid[sun]].reshape(3, 3) @ model.light_dir[sun]
     light[at.AMBIENT : at.DIFFUSE], light[at.DIFFUSE : at.TOWARDS] = model.light_ambient[sun], model.light_diffuse[sun]
-    light[at.TOWARDS :] = -model.light_dir[sun] / np.linalg.norm(model.light_dir[sun])
+    light[at.TOWARDS :] = -shining / np.linalg.norm(shining)
     return Looks(seen, light, texels, textures, materials)
 
 
@@ -108,14 +119,33 @@ def _check(model: mujoco.MjModel, obstacles: NDArray[np.int64]) -> None:
         raise UserError(f"simulator: kernels draws cylinders with {at.SLICES} slices")
 
 
+def _check_worn(model: mujoco.MjModel, materials: NDArray[np.float32]) -> None:
+    """Raise UserError for what is half transparent, and for textures on planes without an end."""
+    colours = worn(model)
+    for geom in visible(model).tolist():
+        material, endless = model.geom_matid[geom], not model.geom_size[geom, :2].all()
+        textured = material >= 0 and materials[material, at.TEXTURE_ID] > 0
+        if colours[geom, 3] < 1:
+            raise UserError(
+                f"simulator: kernels draws nothing transparent: {object_name(model, geom)} has an alpha < 1"
+            )
+        if textured and endless and model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_PLANE:
+            raise UserError(
+                f"simulator: kernels draws textures on finite planes: give {object_name(model, geom)} a size"
+            )
+
+
 def _sun(model: mujoco.MjModel) -> int:
     """Return the only light of a model. Raises UserError for others, and for gloss."""
+    of_drone = model.body_rootid[model.light_bodyid] == model.body(BODY).id
     suns = [light for light in range(model.nlight) if model.light_active[light]]
     headlight = model.vis.headlight
     if len(suns) != 1 or model.light_type[suns[0]] != mujoco.mjtLightType.mjLIGHT_DIRECTIONAL:
         raise UserError("simulator: kernels draws with one directional light, the sun")
     if headlight.active and np.any([headlight.ambient, headlight.diffuse, headlight.specular]):
         raise UserError("simulator: kernels draws without a headlight: let it be black")
+    if model.light_mode[suns[0]] != mujoco.mjtCamLight.mjCAMLIGHT_FIXED or of_drone[suns[0]]:
+        raise UserError("simulator: kernels draws with a sun that stands still: let it be of the world, and fixed")
     if np.any(model.light_specular[suns]) or np.any(model.mat_reflectance):
         raise UserError("simulator: kernels draws without gloss")
     return suns[0]
@@ -134,7 +164,11 @@ def _materials(model: mujoco.MjModel, of_texture: dict[int, int]) -> NDArray[np.
 
 
 def _camera(model: mujoco.MjModel, name: str, size: tuple[int, int] = (WIDTH, HEIGHT)) -> NDArray[np.float64]:
-    camera = model.camera(name).id
+    camera = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_CAMERA, name)
+    fixed = camera >= 0 and model.cam_mode[camera] == mujoco.mjtCamLight.mjCAMLIGHT_FIXED
+    own = model.cam_bodyid[camera] == model.body(BODY).id and not model.cam_sensorsize[camera].any()
+    if not (fixed and own) or model.cam_projection[camera] != mujoco.mjtProjection.mjPROJ_PERSPECTIVE:
+        raise UserError(f"camera {name!r}: simulator: kernels draws what a fixed camera of the drone sees, with a fovy")
     high = float(np.tan(np.radians(model.cam_fovy[camera]) / 2))
     wide = high * WIDTH / HEIGHT  # the same for pictures of all sizes, as in sim/camera/view
     if size[0] * HEIGHT != size[1] * WIDTH:

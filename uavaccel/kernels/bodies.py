@@ -1,7 +1,7 @@
 """Still geometry read from MuJoCo models: the vehicle's hull, and what stands around it, to touch and to see.
 
-Upright boxes, cylinders and planes are solids of a lane; a model with anything else is read as a `Scene`, in which
-every geom that cannot move is turned as it is.
+Upright boxes, cylinders and planes are solids of a lane; any other scene is read as a `Scene`, in which every geom that
+cannot move is turned as it is.
 """
 
 from __future__ import annotations
@@ -56,36 +56,44 @@ Floats = NDArray[np.float64]
 
 def touchable(model: mujoco.MjModel) -> NDArray[np.int64]:
     """Return the still geoms that the vehicle collides with."""
-    hull = model.geom_bodyid == model.body(BODY).id
+    vehicle = model.body(BODY).id
+    hull = model.geom_bodyid == vehicle
     types, affinities = model.geom_contype, model.geom_conaffinity
     own_type, own_affinity = (int(np.bitwise_or.reduce(bits[hull])) for bits in (types, affinities))
     meets = (types & own_affinity | affinities & own_type) != 0
-    return np.flatnonzero(_still(model) & meets)
+    excluded = [pair for pair in map(divmod, model.exclude_signature, [1 << 16] * model.nexclude) if vehicle in pair]
+    return np.flatnonzero(_still(model) & meets & ~np.isin(model.geom_bodyid, excluded))
 
 
 def visible(model: mujoco.MjModel, looks: bool = True) -> NDArray[np.int64]:
     """Return the still geoms that cameras see; a scenery's looks stand for bodies unless depth is measured."""
     hidden = (DRONE_GROUP, HIDDEN_GROUP, BODIES_GROUP if looks else APPEARANCE_GROUP)
-    return np.flatnonzero(_still(model) & ~np.isin(model.geom_group, hidden) & (model.geom_rgba[:, 3] > 0))
+    return np.flatnonzero(_still(model) & ~np.isin(model.geom_group, hidden) & (worn(model)[:, 3] > 0))
+
+
+def worn(model: mujoco.MjModel) -> Floats:
+    """Return the geoms' colours (n, 4), 0 to 1: their own, or their materials' in place of the default one."""
+    colours, material = model.geom_rgba.astype(np.float64), model.geom_matid
+    wearing = (material >= 0) & np.all(model.geom_rgba == np.array(DEFAULT_RGBA, np.float32), axis=1)
+    colours[wearing] = model.mat_rgba[material[wearing]]
+    return colours
 
 
 def _still(model: mujoco.MjModel) -> NDArray[np.bool_]:
-    still: NDArray[np.bool_] = model.body_weldid[model.geom_bodyid] == 0
+    still: NDArray[np.bool_] = model.body_rootid[model.geom_bodyid] != model.body(BODY).id
     return still
 
 
 def read_scene(model: mujoco.MjModel, seen: bool = False, geoms: NDArray[np.int64] | None = None) -> Scene:
     """Read a model's still geoms as a scene of one world: those to touch, or those to be `seen`.
 
-    Raises UserError for kinds of geoms that are none of MuJoCo's solids, and for geoms with a margin.
+    Raises UserError for kinds of geoms that are none of MuJoCo's solids.
     """
     if geoms is None:
         geoms = visible(model) if seen else touchable(model)
     for geom in geoms.tolist():
         if int(model.geom_type[geom]) not in KINDS:
             raise UserError(f"simulator = kernels: {object_name(model, geom)} is of a kind that only mujoco knows")
-        if not seen and model.geom_margin[geom] != 0:
-            raise UserError(f"simulator = kernels: {object_name(model, geom)} has a margin; use mujoco")
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     rows, shared = _rows(model, data, geoms), {"vertices": np.zeros((0, 3)), "heights": np.zeros(0)}
@@ -126,7 +134,7 @@ def _rows(model: mujoco.MjModel, data: mujoco.MjData, geoms: NDArray[np.int64]) 
 
 def _colours(model: mujoco.MjModel, geoms: NDArray[np.int64], flat: NDArray[np.bool_]) -> Floats:
     """Return the geoms' colours (n, 3), 0 to 1, times their textures' means, except on `flat` ones, which show them."""
-    means, colours = np.ones((model.nmat, 3)), model.geom_rgba[geoms, :3].astype(np.float64)
+    means, colours = np.ones((model.nmat, 3)), worn(model)[geoms, :3]
     for material in range(model.nmat):
         texture = int(model.mat_texid[material, mujoco.mjtTextureRole.mjTEXROLE_RGB])
         if texture >= 0 and model.tex_nchannel[texture] >= 3:
@@ -135,8 +143,6 @@ def _colours(model: mujoco.MjModel, geoms: NDArray[np.int64], flat: NDArray[np.b
             texels = model.tex_data[first : first + size * channels].reshape(size, channels)
             means[material] = texels[:, :3].mean(axis=0) / 255
     material = model.geom_matid[geoms]
-    wearing = (material >= 0) & np.all(model.geom_rgba[geoms] == np.array(DEFAULT_RGBA, np.float32), axis=1)
-    colours[wearing] = model.mat_rgba[material[wearing], :3]
     averaged = (material >= 0) & ~flat
     colours[averaged] *= means[material[averaged]]
     return colours
@@ -291,39 +297,56 @@ class Surroundings(NamedTuple):
         return count + len(self.fixed)
 
 
-def read_surroundings(model: mujoco.MjModel) -> Surroundings:
-    """Read a model's collision geometry. Raises UserError for moving bodies, and as `read_scene` does."""
-    vehicle, obstacles = model.body(BODY).id, obstacle_geoms(model)
-    if np.any(~np.isin(model.body_weldid, (0, vehicle))):
-        raise UserError("simulator = kernels: flies one vehicle among things that stand still; use mujoco")
-    colliding = (model.geom_contype | model.geom_conaffinity) > 0
-    (hull,) = np.flatnonzero(colliding & (model.geom_bodyid == vehicle))
+def read_surroundings(model: mujoco.MjModel, scene: str) -> Surroundings:
+    """Read the collision geometry of a scene's model, whose layouts place obstacles in a lane or clutter.
+
+    Raises UserError for a hull or contacts that only MuJoCo has, and as `read_scene` does.
+    """
+    still = touchable(model)
+    hull = _hull(model, still)
     radius, half_height = model.geom_size[hull, :2]
-    measures = np.array([radius, half_height, np.linalg.norm(model.geom_pos[hull]) + model.geom_rbound[hull]])
-    still, clutter = touchable(model), named(model, "clutter_")
-    if len(clutter):
-        scene = read_scene(model, geoms=np.setdiff1d(still, clutter))
-        names = tuple(object_name(model, int(geom)) for geom in (*scene.shapes[0, :, GEOM], *clutter))
-        return Surroundings(np.zeros((0, SOLID_FIELDS)), names, (), measures, scene)
+    measures = np.array([radius, half_height, model.geom_rbound[hull]])
+    if scene != "lane":
+        clutter = named(model, "clutter_") if scene == "clutter" else still[:0]
+        world = read_scene(model, geoms=np.setdiff1d(still, clutter))
+        names = tuple(object_name(model, int(geom)) for geom in (*world.shapes[0, :, GEOM], *clutter))
+        return Surroundings(np.zeros((0, SOLID_FIELDS)), names, (), measures, world)
+    obstacles = obstacle_geoms(model)
     fixed = np.setdiff1d(still, obstacles)
-    solids = [_solid(model, geom) for geom in fixed.tolist()]
-    if any(solid is None for solid in solids):
-        scene = read_scene(model, geoms=still)
-        names = tuple(object_name(model, int(geom)) for geom in scene.shapes[0, :, GEOM])
-        return Surroundings(np.zeros((0, SOLID_FIELDS)), names, (), measures, scene)
     return Surroundings(
-        np.array(solids).reshape(-1, SOLID_FIELDS),
+        np.array([_solid(model, geom) for geom in fixed.tolist()]).reshape(-1, SOLID_FIELDS),
         tuple(object_name(model, geom) for geom in fixed.tolist()),
         tuple(object_name(model, int(geom)) for geom in obstacles[:MAX_OBSTACLES]),
         measures,
     )
 
 
-def _solid(model: mujoco.MjModel, geom: int) -> NDArray[np.float64] | None:
-    """Return a geom as a solid, None for one that is no upright box, cylinder or plane of the world itself."""
+def _hull(model: mujoco.MjModel, still: NDArray[np.int64]) -> int:
+    """Return the vehicle's hull. Raises UserError for one that only MuJoCo flies, or lets touch what is `still`."""
+    vehicle, use = model.body(BODY).id, "use simulator = mujoco"
+    own = ~_still(model) & ((model.geom_contype | model.geom_conaffinity) > 0)
+    hull, *others = np.flatnonzero(own).tolist()
+    upright = not model.geom_pos[hull].any() and tuple(model.geom_quat[hull]) == UPRIGHT
+    if others or model.geom_bodyid[hull] != vehicle or not upright or model.geom_type[hull] != G.mjGEOM_CYLINDER:
+        raise UserError(f"simulator = kernels: a drone touches with one upright cylinder at its origin alone; {use}")
+    for geom in (hull, *still.tolist()):
+        if model.geom_margin[geom] or model.geom_gap[geom]:
+            raise UserError(f"simulator = kernels: {object_name(model, geom)} has a margin or a gap; {use}")
+    overridden = model.opt.enableflags & mujoco.mjtEnableBit.mjENBL_OVERRIDE
+    switched_off = model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_CONTACT
+    if model.npair or overridden or switched_off:
+        raise UserError(f"simulator = kernels: contact pairs, or options that override or disable contacts; {use}")
+    return hull
+
+
+def _solid(model: mujoco.MjModel, geom: int) -> Floats:
+    """Return a geom of a lane as a solid. Raises UserError for one that is none."""
     kind = KINDS.get(int(model.geom_type[geom]))
     if kind not in SOLIDS or tuple(model.geom_quat[geom]) != UPRIGHT or model.geom_bodyid[geom] != 0:
-        return None
+        raise UserError(
+            f"simulator = kernels: {object_name(model, geom)}: a lane has upright boxes, cylinders and planes of the "
+            "world; use simulator = mujoco"
+        )
     size = model.geom_size[geom].copy()
     if kind == CYLINDER:
         size = np.array([size[0], size[0], size[1]])

@@ -24,6 +24,7 @@ ROUNDS = 64
 ENOUGH = 1e-13  # relative: what the square of a distance can still lose
 NOTHING_M = 1e-12
 FLAT = 1e-20  # of a triangle: the square of the sine of its angle
+UPRIGHT = 1e-20  # of a direction: less of it beside a hull's axis is rounding, and may be along that axis
 NO_CELL = -1
 O = (0.0, 0.0, 0.0)  # noqa: E741
 
@@ -37,7 +38,7 @@ def farthest_of_hull(hull: Hull, d: Vector) -> Vector:
     flat = plus(flat, axis, -dot(axis, flat))  # again, for directions that are along the axis but for rounding
     length = math.sqrt(dot(flat, flat))
     point = plus(centre, axis, half if lift >= 0.0 else -half)
-    return plus(point, flat, radius / length) if length > 1e-300 else point
+    return plus(point, flat, radius / length) if length > UPRIGHT * abs(lift) else point
 
 
 @part(error_model="numpy")

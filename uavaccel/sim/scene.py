@@ -21,6 +21,7 @@ from uavaccel.resources import asset
 
 PLAIN = "plain"  # the scenery of assets/mjcf/NAME.xml; others have a folder there
 QUADROTOR = "quadrotor"
+TOUCH = "collision"  # its sensor of contacts
 DRONE_GROUP = 1  # of quadrotor.xml's visible geoms, which its own camera does not render
 OTHERS_GROUP = 2  # of other quadrotors' visible geoms
 SPARE = "spare_"  # prefix of the names of geoms for spawned objects
@@ -82,8 +83,11 @@ def airsim_spec(scene: Path) -> mujoco.MjSpec:
     path = own if own.exists() else scene
     plain, spec = mujoco.MjModel.from_xml_path(str(path)), mujoco.MjSpec.from_file(str(path))
     wide: set[str] = set()
+    for geom in spec.geoms:
+        if geom.name.startswith(SPARE):
+            raise ValueError(f'geom "{geom.name}": names with "{SPARE}" are those of spare geoms; give it another')
     for geom in spec.worldbody.geoms:  # planes extend to the horizon; their textures keep their scale
-        if geom.type == mujoco.mjtGeom.mjGEOM_PLANE:
+        if geom.type == mujoco.mjtGeom.mjGEOM_PLANE and geom.size[0] > 0 and geom.size[1] > 0:  # others have no end
             times = GROUND_HALF_M / geom.size[0]
             geom.size = [GROUND_HALF_M, GROUND_HALF_M * geom.size[1] / geom.size[0], GROUND_HALF_M]
             material = spec.material(geom.material)
@@ -185,6 +189,24 @@ def check_airframes(model: mujoco.MjModel, spec: mujoco.MjSpec, names: Sequence[
                 f'body "{name}": joints, gravity, gravcomp, damping, a fluid or constraints act on it; it is '
                 f'flown as one body with a freejoint, without these, under gravity="{_text(GRAVITY_M_S2)}"'
             )
+        if not np.any((model.geom_contype | model.geom_conaffinity)[model.geom_bodyid == body]):
+            raise ValueError(
+                f'body "{name}": none of its geoms has contacts: one needs contype="1" conaffinity="1", which a '
+                "<default> of the scene may have changed"
+            )
+        sensor = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SENSOR, name.removesuffix(QUADROTOR) + TOUCH)
+        if sensor < 0 or model.sensor_type[sensor] != mujoco.mjtSensor.mjSENS_CONTACT or model.sensor_dim[sensor] != 1:
+            raise ValueError(
+                f'sensor "{TOUCH}": is missing or another: '
+                f'needs <contact name="{TOUCH}" body1="{QUADROTOR}" num="1" data="found"/>'
+            )
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    for geom in np.flatnonzero(~(np.abs(data.geom_xpos) < mujoco.mjMAXVAL).all(axis=1)).tolist():
+        name = model.geom(geom).name or model.body(int(model.geom_bodyid[geom])).name
+        raise ValueError(
+            f'geom "{name}": is at "{_text(data.geom_xpos[geom])}", where nothing can be: mend pos or quat'
+        )
     if len(moving := np.setdiff1d(model.dof_bodyid, bodies)):
         raise ValueError(f'body "{model.body(int(moving[0])).name}": has joints, but only drones move here')
 

@@ -34,7 +34,7 @@ _EVERYTHING = int(mujoco.mjtCatBit.mjCAT_ALL)
 
 
 class View:
-    """The scene in front of a camera of the model; `fov_deg` is horizontal at any width, as in AirSim.
+    """The scene in front of a camera of the model; `fov_deg` is horizontal at any width, by default the camera's own.
 
     Raises UserError if the model has no such camera.
     """
@@ -45,7 +45,7 @@ class View:
         width: int = WIDTH,
         height: int = HEIGHT,
         camera: str = "front_center",
-        fov_deg: float = FOV_DEG,
+        fov_deg: float | None = None,
     ) -> None:
         self.model, self._camera, self._options = model, mujoco.MjvCamera(), mujoco.MjvOption()
         self._camera.type = mujoco.mjtCamera.mjCAMERA_FIXED
@@ -53,14 +53,16 @@ class View:
         if number < 0:
             names = ", ".join(model.camera(index).name for index in range(model.ncam))
             raise UserError(f"no camera {camera!r} in the scene; there is {names or 'none'}")
+        self.fov_deg = own_fov_deg(model, number) if fov_deg is None else fov_deg
         # for a camera on the drone everything except the drone, which is out of its view
+        self._options.sitegroup[:] = 0  # marks of MJCF, not things; their ids are not geoms'
         self._options.geomgroup[DRONE_GROUP] = model.cam_bodyid[number] != model.body("quadrotor").id
         self.scene = mujoco.MjvScene(model, maxgeom=model.ngeom + 8)
         for flag, value in _RENDER_FLAGS.items():
             self.scene.flags[flag] = value
         self._as_ids = False
         self._show_appearance(True)
-        self.look_from(None, width, height, fov_deg)
+        self.look_from(None, width, height, self.fov_deg)
         self._eyes = list(self.scene.camera)  # views of MuJoCo's own two, which it averages
 
     def look_from(self, eye: Pose | None, width: int, height: int, fov_deg: float) -> None:
@@ -113,6 +115,13 @@ def vehicle_pose(data: mujoco.MjData, vehicle: int = 0) -> Pose:
     x, y, z = mujoco_to_ned(place).tolist()
     w, i, j, k = quaternion_mujoco_to_ned(attitude).tolist()
     return Pose((x, y, z), (w, i, j, k))
+
+
+def own_fov_deg(model: mujoco.MjModel, camera: int) -> float:
+    """Return how wide a camera's pictures of WIDTH x HEIGHT are: FOV_DEG if within a thousandth of a pixel."""
+    half_width = float(np.tan(np.radians(model.cam_fovy[camera]) / 2)) * WIDTH / HEIGHT
+    is_airsims = abs(half_width / np.tan(np.radians(FOV_DEG) / 2) - 1) * WIDTH < 1e-3
+    return FOV_DEG if is_airsims else float(np.degrees(2 * np.arctan(half_width)))
 
 
 def far_m(model: mujoco.MjModel) -> float:

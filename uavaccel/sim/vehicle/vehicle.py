@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from uavaccel.kinematics import Kinematics, Quaternion, Vector
 from uavaccel.sim.poses import HERE, LEVEL
 from uavaccel.sim.profile import Profile
+from uavaccel.sim.scene import QUADROTOR, TOUCH
 from uavaccel.sim.vehicle import autopilot, hotloop
 from uavaccel.sim.vehicle.autopilot import IDLE, Goal
 from uavaccel.sim.vehicle.contacts import ContactLog
@@ -66,7 +67,7 @@ class Samples:
 
 
 AT_REST_M_S = 0.05
-BODY, SENSOR = "quadrotor", "collision"
+BODY = QUADROTOR
 UNCOUNTED = -1.0  # contacts exist, but the hot loop has not counted them yet
 GAINS = (
     *("position_gain", "velocity_gain", "z_integral_gain", "angle_gain", "rate_gain"),
@@ -135,7 +136,7 @@ class Vehicle:
             self._default_gains = {name: self._parameters[name].copy() for name in GAINS}
         joint = model.joint(int(model.body_jntadr[body.id]))
         place, motion = int(joint.qposadr[0]), int(joint.dofadr[0])
-        sensor = int(model.sensor(self.prefix + SENSOR).adr[0])
+        sensor = int(model.sensor(self.prefix + TOUCH).adr[0])
         self.body_id = int(body.id)
         self.qpos = data.qpos[place : place + 7]
         self.qvel = data.qvel[motion : motion + 6]
