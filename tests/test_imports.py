@@ -47,7 +47,6 @@ HEAVY = {
     *("tensorboard", "torch"),
 }
 MODULES = sorted(PACKAGE.rglob("*.py"))
-IMPORTS = {path: list(imported(path)) for path in MODULES}
 CLOCK = PACKAGE / "clock.py"
 
 
@@ -61,9 +60,9 @@ def name_of(path: Path) -> str:
 
 def test_imports_point_downwards_and_only_the_clock_knows_time() -> None:
     faults = []
-    for path, imports in IMPORTS.items():
+    for path in MODULES:
         allowed = ROOMS[room_of(path)] | {room_of(path)}  # a new room needs its place in ROOMS
-        for line, name in imports:
+        for line, name in imported(path):
             top, other, *_ = [*name.split("."), ""]
             if (top == "uavaccel" and other in ROOMS.keys() - allowed) or (top == "time" and path != CLOCK):
                 faults.append(f"{name_of(path)}:{line}: must not import {name}")
@@ -133,7 +132,7 @@ def test_modules_of_the_world_do_not_import_in_circles() -> None:
     """Imports for types alone count too."""
     files = {name_of(path).removesuffix(".py"): path for path in MODULES if room_of(path) == "sim"}
     left = {
-        name: {other for _, found in IMPORTS[path] for other in candidates(found) if other in files} - {name}
+        name: {other for _, found in imported(path) for other in candidates(found) if other in files} - {name}
         for name, path in files.items()
     }
     while free := [name for name, needs in left.items() if not needs & left.keys()]:
