@@ -16,7 +16,7 @@ import mujoco
 import numpy as np
 import pytest
 import torch as th
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from tests.host_kernels import a_gpu, host_kernels  # noqa: F401 - fixtures
@@ -445,11 +445,20 @@ def kernels_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Latency, "frame_ns", lambda _: FRAME_NS)
 
 
+HOLD_TO_COME: Keys = {
+    "mediation": {"gap_s": 0.3, "image_age_s": 0.25, "start_speed": 0.0},
+    "t_move_s": 0.3,
+    "t_sample_s": 0.3,
+    "max_commands": 5,
+}
+"""Position hold sets in between the end of a gap, whose motion is undone, and the command that comes late."""
+
 FIXTURES = settings(suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow], deadline=None)
 
 
 @pytest.mark.slow
 @settings(FIXTURES, max_examples=16)
+@example(Case(ObstacleLane, {**HOLD_TO_COME, "observation": "state"}, seed=0, commands=3, noise=0.5, work_s=0.0))
 @given(cases())
 @pytest.mark.usefixtures("a_gpu")
 def test_games_are_the_same_in_all_simulators(case: Case) -> None:

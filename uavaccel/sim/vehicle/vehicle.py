@@ -342,10 +342,14 @@ class Vehicle:
         return Motion(self._flight.copy(), tuple(array.copy() for array in arrays))
 
     def resume(self, motion: Motion, share: float) -> None:
-        """Fly on from the present place as in `motion`, with `share` of its velocity and turn rate."""
-        tick, (pose, velocity, force, _, acceleration) = self.tick, motion.body
+        """Fly on from the present place as in `motion`, with `share` of its velocity and turn rate.
+
+        Position hold sets in when the commands of meanwhile have said, if that is still to come.
+        """
+        now, (pose, velocity, force, _, acceleration) = self._flight.copy(), motion.body
         self._flight[:] = motion.flight
-        self.field["tick"][0] = tick
+        for name in ("tick", "hover_tick"):
+            self.field[name][0] = now[name][0]
         self.qpos[3:], self.qvel[:] = pose[3:], velocity * share
         self._force[:], self._warm_start[:] = force, acceleration
         self.refresh()
