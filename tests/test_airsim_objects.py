@@ -16,8 +16,7 @@ from tests.airsim_wire import AirSimWire, level_pose, vector
 from uavaccel.resources import asset
 from uavaccel.sim.objects import SceneObjects, cast, matching
 from uavaccel.sim.profile import NATIVE
-from uavaccel.sim.scene import SPARES, airsim_spec, copy_objects, park_spares
-from uavaccel.sim.vehicle.vehicle import BODY
+from uavaccel.sim.scene import QUADROTOR, SPARES, airsim_spec, copy_objects, park_spares
 from uavaccel.sim.world import World
 from uavaccel.wire import rpc
 from uavaccel.wire.pictures import colours
@@ -84,7 +83,7 @@ def test_objects_stay_what_they_are_in_a_model_with_more_vehicles(wire: AirSimWi
     park_spares(new)
     copy_objects(wire.world.model, new)
     data = mujoco.MjData(new)
-    assert cast(new, data, (0.0, 0.0, -10.0), NORTH, exclude=BODY).distance_m[0] == pytest.approx(9.5)
+    assert cast(new, data, (0.0, 0.0, -10.0), NORTH, exclude=QUADROTOR).distance_m[0] == pytest.approx(9.5)
     data.qpos[:3] = 9.4, 0.0, 10.0
     mujoco.mj_forward(new, data)
     assert data.ncon > 0
@@ -100,7 +99,7 @@ def test_the_scene_fits_airsims_scripts() -> None:
         beside = np.array([-way[1], way[0], 0.0]) / length_m
         for aside_m in (-5.0, 0.0, 5.0):
             place = start + aside_m * beside
-            hits = cast(world.model, world.data, place, way[None] / length_m, length_m, exclude=BODY)
+            hits = cast(world.model, world.data, place, way[None] / length_m, length_m, exclude=QUADROTOR)
             assert hits.geoms[0] == -1
     assert {"OrangeBall", "PulsingCone", "Cylinder5_2"} < set(SceneObjects(world).names())
     low = SceneObjects(world).corners("PulsingCone")[:, 2].max()

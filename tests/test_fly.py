@@ -85,7 +85,7 @@ PACED = """
 
     client = airsim.MultirotorClient()
     client.confirmConnection()
-    client.simPrintLogMessage("read ", input("name? "))
+    client.simPrintLogMessage("read ", input("name? ") + input("more? "))
     client.enableApiControl(True)
     client.simPause(True)
     for step in range(4):
@@ -124,7 +124,7 @@ def test_a_script_flies_twice_to_the_same_bytes(folder: Folder) -> None:
     assert done.returncode == 3, done.stderr  # the script's own
     assert "thinking" not in done.stdout
     lines = done.stdout.splitlines()
-    assert "name? one" in lines
+    assert {"name? one", "more? "} < {*lines}  # nothing is typed after the last answer
     paused = [int(line) for line in lines if line.isdigit()]
     assert [time_ns - EPOCH_NS for time_ns in paused] == [250_000_000, 500_000_000, 750_000_000, 1_000_000_000]
     assert "['-a', '--clock', '7'] 2020 __main__ True True" in lines

@@ -67,13 +67,6 @@ def trainings(name: str) -> pd.DataFrame:
     return flights_of(rows_of(name), lambda row: {})
 
 
-@cache
-def test_lanes() -> pd.DataFrame:
-    """Return the flights of Table I's policies on lanes of the test split, with their outcomes by lane."""
-    table = pd.read_csv(TABLES / "rl_test_lanes.csv", dtype={"won": str})
-    return table.assign(won=table.won.map(lambda won: np.array([*won], np.int64)))
-
-
 def policies(table: str, command: str, clock_speed: float, variant: str = "", profile: str = "airsim") -> pd.DataFrame:
     """Return the flights of the policies of one training, seed by seed."""
     keys = {"command": command, "clock_speed": clock_speed, "variant": variant, "profile": profile}
@@ -244,7 +237,8 @@ def notes_on_table_1() -> Text:
 
 def on_test_lanes() -> Text:
     """In real time, with the command of the training, and its difference from the other one's."""
-    own = test_lanes().query("command == `with`")
+    own = pd.read_csv(TABLES / "rl_test_lanes.csv", dtype={"won": str}).query("command == `with`")
+    own = own.assign(won=own.won.map(lambda won: np.array([*won], np.int64)))
     yield f"The first {in_words(own.seed.nunique())} seeds"
     keys = ["profile", "command", "clock_speed", "seed"]
     both = own.merge(where(trainings("rl_table1"), flight=0), on=keys, suffixes=("", "_before"))
@@ -257,9 +251,8 @@ def on_test_lanes() -> Text:
     }
     for clock in CLOCKS:
         tcsc, adsc = (successes["airsim", clock, command] for command in ("tcsc", "adsc"))
-        low, high = (f"{100 * each:+.1f}".replace("-", "−") for each in tcsc.difference(adsc).interval)
-        differs = f"{100 * tcsc.difference(adsc).value:+.1f} [{low}, {high}]".replace("-", "−")
-        yield f"| {clock:g}x | {over_seeds(tcsc.estimate)} | {over_seeds(adsc.estimate)} | {differs} |"
+        more, low, high = (f"{100 * each:+.1f}".replace("-", "−") for each in tcsc.difference(adsc))
+        yield f"| {clock:g}x | {over_seeds(tcsc.estimate)} | {over_seeds(adsc.estimate)} | {more} [{low}, {high}] |"
     apart = (
         abs(success.pooled.ratio - success_of(flown(policies("rl_table1", command, clock))).pooled.ratio)
         for (profile, clock, command), success in successes.items()

@@ -28,8 +28,7 @@ from uavaccel.sim.lane import (
     obstacle_geoms,
     sunlight,
 )
-from uavaccel.sim.scene import DRONE_GROUP, PLAIN
-from uavaccel.sim.vehicle.vehicle import BODY
+from uavaccel.sim.scene import DRONE_GROUP, PLAIN, QUADROTOR
 
 NEAREST_M = 0.5  # up to which OpenGL may clip what rays see
 WORN = (("obstacle", OBSTACLE_TEXTURES), ("wall", WALL_TEXTURES), ("ground", GROUND_TEXTURES))
@@ -137,7 +136,7 @@ def _check_worn(model: mujoco.MjModel, materials: NDArray[np.float32]) -> None:
 
 def _sun(model: mujoco.MjModel) -> int:
     """Return the only light of a model. Raises UserError for others, and for gloss."""
-    of_drone = model.body_rootid[model.light_bodyid] == model.body(BODY).id
+    of_drone = model.body_rootid[model.light_bodyid] == model.body(QUADROTOR).id
     suns = [light for light in range(model.nlight) if model.light_active[light]]
     headlight = model.vis.headlight
     if len(suns) != 1 or model.light_type[suns[0]] != mujoco.mjtLightType.mjLIGHT_DIRECTIONAL:
@@ -166,7 +165,7 @@ def _materials(model: mujoco.MjModel, of_texture: dict[int, int]) -> NDArray[np.
 def _camera(model: mujoco.MjModel, name: str, size: tuple[int, int] = (WIDTH, HEIGHT)) -> NDArray[np.float64]:
     camera = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_CAMERA, name)
     fixed = camera >= 0 and model.cam_mode[camera] == mujoco.mjtCamLight.mjCAMLIGHT_FIXED
-    own = model.cam_bodyid[camera] == model.body(BODY).id and not model.cam_sensorsize[camera].any()
+    own = model.cam_bodyid[camera] == model.body(QUADROTOR).id and not model.cam_sensorsize[camera].any()
     if not (fixed and own) or model.cam_projection[camera] != mujoco.mjtProjection.mjPROJ_PERSPECTIVE:
         raise UserError(f"camera {name!r}: simulator: kernels draws what a fixed camera of the drone sees, with a fovy")
     high = float(np.tan(np.radians(model.cam_fovy[camera]) / 2))

@@ -30,8 +30,7 @@ from uavaccel.sim.lane import (
     object_name,
     obstacle_geoms,
 )
-from uavaccel.sim.scene import DRONE_GROUP
-from uavaccel.sim.vehicle.vehicle import BODY
+from uavaccel.sim.scene import DRONE_GROUP, QUADROTOR
 
 HIDDEN_GROUP = 3  # of collision geometry
 MOST_CELLS = 256 * 256
@@ -56,7 +55,7 @@ Floats = NDArray[np.float64]
 
 def touchable(model: mujoco.MjModel) -> NDArray[np.int64]:
     """Return the still geoms that the vehicle collides with."""
-    vehicle = model.body(BODY).id
+    vehicle = model.body(QUADROTOR).id
     hull = model.geom_bodyid == vehicle
     types, affinities = model.geom_contype, model.geom_conaffinity
     own_type, own_affinity = (int(np.bitwise_or.reduce(bits[hull])) for bits in (types, affinities))
@@ -80,7 +79,7 @@ def worn(model: mujoco.MjModel) -> Floats:
 
 
 def _still(model: mujoco.MjModel) -> NDArray[np.bool_]:
-    still: NDArray[np.bool_] = model.body_rootid[model.geom_bodyid] != model.body(BODY).id
+    still: NDArray[np.bool_] = model.body_rootid[model.geom_bodyid] != model.body(QUADROTOR).id
     return still
 
 
@@ -323,7 +322,7 @@ def read_surroundings(model: mujoco.MjModel, scene: str) -> Surroundings:
 
 def _hull(model: mujoco.MjModel, still: NDArray[np.int64]) -> int:
     """Return the vehicle's hull. Raises UserError for one that only MuJoCo flies, or lets touch what is `still`."""
-    vehicle, use = model.body(BODY).id, "use simulator = mujoco"
+    vehicle, use = model.body(QUADROTOR).id, "use simulator = mujoco"
     own = ~_still(model) & ((model.geom_contype | model.geom_conaffinity) > 0)
     hull, *others = np.flatnonzero(own).tolist()
     upright = not model.geom_pos[hull].any() and tuple(model.geom_quat[hull]) == UPRIGHT

@@ -19,7 +19,7 @@ from uavaccel.sim.camera.camera import Lens
 from uavaccel.sim.earth import GRAVITY_M_S2, GeoPoint, atmosphere, geographic, local
 from uavaccel.sim.objects import ASSETS, cast, sees
 from uavaccel.sim.poses import LONGEST_NAME, Pose
-from uavaccel.sim.vehicle.vehicle import BODY
+from uavaccel.sim.scene import QUADROTOR
 from uavaccel.wire import types
 from uavaccel.wire.calls import Calls, Scenery, call, without_effect
 from uavaccel.wire.pictures import CameraMount, known_type
@@ -266,7 +266,7 @@ class WorldApi(Calls, title="World"):
 
     @call("simTestLineOfSightBetweenPoints")
     def has_line_of_sight(self, point1: Point, point2: Point) -> bool:
-        return self._sees(self._local(point1), self._local(point2), BODY)
+        return self._sees(self._local(point1), self._local(point2), QUADROTOR)
 
     def _sees(self, start_m: Vector, end_m: Vector, exclude: str) -> bool:
         world = self.simulation.world

@@ -67,7 +67,6 @@ class Samples:
 
 
 AT_REST_M_S = 0.05
-BODY = QUADROTOR
 UNCOUNTED = -1.0  # contacts exist, but the hot loop has not counted them yet
 GAINS = (
     *("position_gain", "velocity_gain", "z_integral_gain", "angle_gain", "rate_gain"),
@@ -114,7 +113,7 @@ class Vehicle:
         contacts_act: bool = True,
     ) -> None:
         self.name, self.profile, self.start, self.prefix = name, profile, start, prefix
-        self.body = prefix + BODY  # its name in the model
+        self.body = prefix + QUADROTOR  # its name in the model
         self.origin_m = origin_m
         self._samples, self._contacts_act = samples, contacts_act
         self._flight = np.zeros(1, FLIGHT_DTYPE)
