@@ -74,7 +74,7 @@ def by_lane(name: str) -> pd.DataFrame:
 
 def arrays_of(row: dict[str, Any]) -> dict[str, Any]:
     """Return the outcomes by lane of a row of Table I, as its run keeps them; a lane that was won ends with it."""
-    arrays = {}
+    arrays: dict[str, Any] = {}
     keys = {key: row[key] for key in ("profile", "command", "clock_speed", "seed")}
     for flight in where(by_lane("rl_test_lanes"), **keys).to_dict("records"):
         name, won = flight_name(flight["with"], flight["at"], 1.0), flight["won"]
@@ -319,7 +319,9 @@ def the_learner() -> Text:
     others = [without[variant, "tcsc"].low for variant in ("no_mirror", "constant_rate", "target_each_10000")]
     yield f"by each of the other three changes at most {-100 * min(others):.1f}, by the ends of the intervals"
     *most, last = won(learner("no_mirror", "adsc"))
-    yield f"win {counted(most)} and {last} of 300, {costs('no_mirror', 'adsc')} fewer"
+    before = won(learner("", "adsc"))
+    yield f"win {counted(most)} and {last} of 300 instead of {min(before)} to {max(before)},"
+    yield f"{max(before)}, {costs('no_mirror', 'adsc')} fewer."
     certain = sum(each.low > 0 or each.high < 0 for (variant, _), each in without.items() if variant)
     yield f"{in_words(certain).capitalize()} of the ten intervals exclude 0"
 
@@ -519,7 +521,7 @@ def what_was_fitted() -> Text:
 
 SETTINGS = (
     r"[Aa]gents that think for \.2 s|with \.[24] s of thinking",
-    r"of 300|Figures? \d|23 successes to 1|gap of 1\.17 s|47\.8 ms, ADSC|T_move (?:\.2 and )?1 s",
+    r"of 300|Figures? \d|23 successes to 1|gap of 1\.17 s|agent's 47\.8 ms|T_move (?:\.2 and )?1 s",
     r"per cent of 3 000 lanes|hours of 5 000 games|gaps of 1\.2 m and rows 7 m apart",
     r"(?<![\d.])(?:1|5|10|50|100)x",
     r"(?<![\d.])1 to 100x|1, 5 and 10x|50 and 100x|5 and 10x|5, 10, 50 and 100x",
