@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import nullcontext
+from contextlib import contextmanager
 from functools import partial
 from importlib import import_module
 from types import ModuleType
@@ -45,17 +45,24 @@ class Plan(NamedTuple):
     sensor: Any
 
 
-class AtOnce:
-    """`SideStream` of a device that does at once what it is told."""
+class Late:
+    """`SideStream` of a device that does nothing on it before the current one waits for it: as late as one can be."""
+
+    current: list[Callable[[], None]] | None = None
 
     def __init__(self, priority: int = 0) -> None:
-        pass
+        self._left: list[Callable[[], None]] = []
 
-    def following(self) -> Any:
-        return nullcontext()
+    @contextmanager
+    def following(self) -> Iterator[None]:
+        Late.current = self._left
+        yield
+        Late.current = None
 
     def join(self) -> None:
-        pass
+        for run in self._left:
+            run()
+        self._left.clear()
 
 
 class Immediate:
@@ -66,11 +73,17 @@ class Immediate:
 
 
 def launch(run: Callable[..., None]) -> Any:
-    """`kernel[grid](...)` runs."""
+    """`kernel[grid](...)` runs, on the present stream."""
+
+    def start(*arguments: Any) -> None:
+        if Late.current is None:
+            run(*arguments)
+        else:
+            Late.current.append(partial(run, *arguments))
 
     class Launch:
         def __getitem__(self, grid: Any) -> Callable[..., None]:
-            return run
+            return start
 
     return Launch()
 
@@ -264,7 +277,7 @@ def host_kernels(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """`CudaLanes` and `CudaBatch` on "cpu"."""
     module = ModuleType(NAME)
     functions = {"shared": shared, "on_device": on_device, "stream": lambda: None, "__getattr__": _size}
-    module.__dict__.update(functions, Plan=Plan, SideStream=AtOnce, compiled=lambda nominal: Kernels())
+    module.__dict__.update(functions, Plan=Plan, SideStream=Late, compiled=lambda nominal: Kernels())
     monkeypatch.setitem(sys.modules, NAME, module)
     monkeypatch.setattr(uavaccel.kernels, "cuda", module, raising=False)
     monkeypatch.setattr(th.cuda, "Event", Immediate)
