@@ -112,12 +112,12 @@ class CudaLanes:
         legs = [th.full((self.count,), ticks, device=device) for ticks in every]
         *self._slice_ticks, self._gap_ticks, self._late_ticks = legs
         self._render_stream = kernels.SideStream()
-        self._moments: list[tuple[th.Tensor, th.Tensor, Any]] = []  # of flights, rendered while the lanes fly on
+        self._moments: list[tuple[th.Tensor, Any]] = []  # copies of the flights, rendered while the lanes fly on
         if self.kind != STATE and self.clocks is None and not task.dvs_ticks:
-            for _ in self.slices.ticks:
-                state, watch = th.zeros_like(self.now.state), th.zeros_like(self.now.watch)
-                kept = {"state": kernels.shared(state, FLIGHT_DTYPE), "watch": kernels.shared(watch)}
-                self._moments.append((state, watch, self._now_arrays._replace(**kept)))
+            states = [th.zeros_like(self.now.state) for _ in self.slices.ticks]
+            self._moments = [
+                (state, self._now_arrays._replace(state=kernels.shared(state, FLIGHT_DTYPE))) for state in states
+            ]
         self._mediated = task.mediation != Mediation()
         if self._mediated:
             self._before, self._before_arrays = kernels.on_device(lanes.flights(self.count), device)
@@ -214,9 +214,8 @@ class CudaLanes:
             else:
                 self._advance(self.going, ticks)
                 if self.kind != STATE:  # what renders the lanes' present images while they fly on
-                    state, watch, now = self._moments[sample]
+                    state, now = self._moments[sample]
                     state.copy_(self.now.state)
-                    watch.copy_(self.now.watch)
                     with self._render_stream.following():
                         self.view.render(self.going, self._pictures[sample], now=now)
             states.append(self._flight[:, 1 : 1 + KINEMATICS].clone())

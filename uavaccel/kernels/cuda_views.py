@@ -17,7 +17,7 @@ from uavaccel.kernels import fields as at
 from uavaccel.kernels.faces import begin as begin_faces
 from uavaccel.kernels.faces import project_solid, view_of
 from uavaccel.kernels.fields import Operand
-from uavaccel.kernels.lanes import EVENT_SEED, PICTURE_SEED, TOUCHED
+from uavaccel.kernels.lanes import EVENT_SEED, PICTURE_SEED
 from uavaccel.kernels.quads import (
     BELOW,
     MOST_INTERVALS,
@@ -33,7 +33,6 @@ from uavaccel.kernels.quads import (
 )
 from uavaccel.kernels.rays import ONE, colour_of, linear
 from uavaccel.kernels.scene import world_of
-from uavaccel.kernels.touching import NOTHING
 from uavaccel.sim.camera.pixels import luma_of
 from uavaccel.sim.vehicle.quadrotor import NEVER
 from uavaccel.vision.dvs_kernels import count_double_pixel, signed_count
@@ -276,7 +275,7 @@ def see(going, take, faces, shown, plan, games, now, pixels, frames):  # type: i
     lane, y, x = pixels_of_thread()
     if lane >= np.uintp(len(going)) or going[lane] == 0:
         return
-    if now.watch[lane, TOUCHED] != NOTHING:
+    if now.state[lane].collision_tick != NEVER:
         if take != 0 and x % BLOCK_SIDE == 0:
             frames[lane, np.uintp(y // BLOCK_SIDE), np.uintp(x // BLOCK_SIDE)] = NEUTRAL_LEVEL
         return
@@ -298,7 +297,7 @@ def see(going, take, faces, shown, plan, games, now, pixels, frames):  # type: i
 def see_noise(going, tick_ns, take, faces, shown, plan, games, now, pixels, frames):  # type: ignore[no-untyped-def]
     """Do as `see` for cameras with noise or low-pass filter, in a kernel apart: it needs more registers."""
     lane, y, x = pixels_of_thread()
-    if lane >= np.uintp(len(going)) or going[lane] == 0 or now.watch[lane, TOUCHED] != NOTHING:
+    if lane >= np.uintp(len(going)) or going[lane] == 0 or now.state[lane].collision_tick != NEVER:
         return
     game = now.game[lane]
     camera, seeds = camera_of(games, game), games.seeds[game]
