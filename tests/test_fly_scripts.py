@@ -282,6 +282,27 @@ def test_an_interrupted_check_says_that_it_did_not_check(folder: Folder) -> None
     assert (done.returncode, done.stdout) == (130, "interrupted; no client connected, nothing was flown\n")
 
 
+def test_what_is_called_at_exit_may_still_fly(folder: Folder) -> None:
+    text = """
+        import airsim, atexit
+        client = airsim.MultirotorClient()
+        client.enableApiControl(True)
+
+        @atexit.register
+        def last():
+            print("last")
+
+        atexit.register(lambda: 1 / 0)
+        atexit.register(lambda duration: print(client.hoverAsync().get(), client.ping()), duration=1)
+        atexit.unregister(atexit.register(print, "never"))
+        print("first")
+    """
+    done = folder.fly(text)
+    assert done.stdout.splitlines()[:3] == ["first", "False True", "last"]
+    assert done.stderr.splitlines()[-1] == "ZeroDivisionError: division by zero"
+    assert "uavaccel" not in done.stderr
+
+
 # --- what scripts import -------------------------------------------------------------------------------------------
 
 
