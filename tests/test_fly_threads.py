@@ -452,10 +452,10 @@ def servers(s: Script) -> None:
     with socketserver.TCPServer(("127.0.0.1", 0), Handler) as server:
         [thread] = s.start(server.serve_forever)
         s.units(1)
-        with socket.create_connection(server.server_address) as connection:
+        with socket.create_connection(server.socket.getsockname()) as connection:
             connection.sendall(b"ping\n")
             s.say(connection.recv(9))
-        s.say(server.shutdown())
+        server.shutdown()
         thread.join()
 
 

@@ -58,7 +58,7 @@ def gpu(device: str) -> dict[str, Plain]:
     if not th.cuda.is_available():
         return {}
     found = th.cuda.get_device_properties(device)
-    versions = {"cuda": th.version.cuda, "cudnn": th.backends.cudnn.version()}
+    versions = {"cuda": th.version.cuda, "cudnn": th.backends.cudnn.version()}  # type: ignore[no-untyped-call]
     return {"gpu": {"name": found.name, "uuid": str(found.uuid), **versions}}
 
 
