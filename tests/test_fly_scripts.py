@@ -152,7 +152,7 @@ REFUSED = "it cannot share a simulated clock: fly the script with --timing wall"
 @pytest.mark.slow
 def test_processes_of_a_script_share_the_server(folder: Folder) -> None:
     folder.write(CHILD, "child.py")
-    shared = folder.fly(CHILDREN, "--timing", "wall", "--", "spawn", str(folder.path))
+    shared = folder.fly(CHILDREN, "--timing", "wall", "--", "fork", str(folder.path))
     assert shared.stdout.splitlines()[:-1] == ["[0, 1, 4]", "0 True", "0", "True"], shared.stderr
 
 
@@ -176,6 +176,8 @@ def test_a_script_does_not_wait_for_a_process_that_was_refused(folder: Folder, h
     """A pool starts its processes again and again; a queue's reader does not hear that nobody writes any more."""
     text = """
         import airsim, multiprocessing, sys
+        from uavaccel.fly import environment
+        environment.POLL_S = 0.1  # seldom enough for this machine
 
         def flies(*queues):
             airsim.MultirotorClient()

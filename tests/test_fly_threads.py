@@ -296,14 +296,16 @@ def queues(s: Script) -> None:
     thread.join()
 
 
+def unless_two(s: Script, units: float) -> float:
+    s.units(units)
+    if units == 2:
+        raise ValueError("two")
+    return units
+
+
 @program
 def executors(s: Script) -> None:
-    def wait(units: float) -> float:
-        s.units(units)
-        if units == 2:
-            raise ValueError("two")
-        return units
-
+    wait = partial(unless_two, s)
     with ThreadPoolExecutor(3) as pool:
         s.ask(lambda: list(pool.map(wait, (3, 1, 4))), lambda: list(pool.map(wait, (1, 2, 3))))
         futures = [pool.submit(wait, units) for units in (6, 0, 3)]
@@ -312,6 +314,12 @@ def executors(s: Script) -> None:
         s.ask(
             partial(slow.result, 0.01), lambda: list(as_completed([slow], 0.01)), slow.running, slow.cancel, slow.result
         )
+
+
+@program
+def waits_for_futures(s: Script) -> None:
+    wait = partial(unless_two, s)
+    with ThreadPoolExecutor(3) as pool:
         failed = pool.submit(wait, 2)
         failed.add_done_callback(lambda future: s.say("callback", future is failed))
         s.ask(failed.result, lambda: type(failed.exception()), failed.done)
@@ -329,18 +337,26 @@ def executors(s: Script) -> None:
     s.ask(lambda: type(broken.submit(abs, 1).exception()).__name__)
 
 
+def quotient(s: Script, units: float) -> float:
+    s.units(units)
+    return 6 / (units - 2)
+
+
 @program
 def pools(s: Script) -> None:
-    def wait(units: float) -> float:
-        s.units(units)
-        return 6 / (units - 2)
-
+    wait = partial(quotient, s)
     with s.shared.pool(3, s.say, ("begun",)) as pool:
         s.ask(partial(pool.map, wait, (5, 1, 3)), lambda: list(pool.imap(wait, (5, 1, 3))))
         s.ask(lambda: list(pool.imap_unordered(wait, (5, 1, 3))), partial(pool.starmap, pow, [(2, 3), (3, 2)]))
         s.ask(
             partial(pool.apply, int, ("11",), {"base": 2}), partial(pool.map, wait, (1, 2)), partial(pool.map, abs, [])
         )
+
+
+@program
+def results_of_pools(s: Script) -> None:
+    wait = partial(quotient, s)
+    with s.shared.pool(3) as pool:
         for units in ((4, 3), (1, 2)):
             told: list[Any] = []
             result = pool.map_async(
@@ -349,6 +365,10 @@ def pools(s: Script) -> None:
             s.ask(partial(result.get, timeout=0.01), result.ready, result.successful, result.wait, result.ready)
             s.ask(result.successful, result.get, partial(list, told))
         s.ask(lambda: pool.apply_async(wait, (3,)).get(LATER_S), lambda: next(pool.imap(wait, [8])))
+
+
+@program
+def ends_of_pools(s: Script) -> None:
     for end, each in (("close", 1), ("terminate", 1)):
         ended: list[int] = []
         pool = s.shared.pool(1)

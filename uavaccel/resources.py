@@ -4,6 +4,7 @@ A wheel has both folders inside the package; in a source tree, installed editabl
 """
 
 import json
+from functools import cache
 from importlib.metadata import PackageNotFoundError, distribution
 from importlib.resources import files
 from importlib.util import find_spec
@@ -65,6 +66,7 @@ def experiment(name: str) -> Path:
     return _find("experiments", name)
 
 
+@cache
 def experiments() -> dict[str, str]:
     """Return the experiments that ship by name, as `uavaccel run` takes them, and what each is: its first comment."""
     texts = {path.stem: path.read_text("utf-8") for path in sorted(_folder("experiments").glob("*.yaml"))}

@@ -187,8 +187,9 @@ class Evaluation(Suite[EvaluateConfig, Game]):
             check_flyable(config.task, 1, config.device)
 
     def cases(self, config: EvaluateConfig) -> Iterator[Game]:
+        timing, typical_s = config.task.timing, config.task.typical_s
         for lane in range(config.first_lane, config.first_lane + config.games):
-            yield Game(case_of(lane, config.env_id == LANE), config.task.timing, config.task.typical_s, lane)
+            yield Game(case_of(lane, config.env_id == LANE), timing, typical_s, lane)
 
     def may_grow(self, folder: Path) -> tuple[str, ...]:
         return ("games",)

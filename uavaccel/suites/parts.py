@@ -66,12 +66,17 @@ class SuiteOfRuns(Suite[ConfigType, CaseType]):
     def runs(self, config: ConfigType, case: CaseType) -> Sequence[Run]:
         """Return the runs of a case. Raises UserError for invalid ones."""
 
-    def typical_s(self, config: ConfigType, case: CaseType) -> float:
-        """Estimate the simulated seconds of the runs of a case."""
-        return sum(game.simulated_s() for suite, run in self.runs(config, case) for game in suite.cases(run))
+    def size(self, config: ConfigType, case: CaseType) -> tuple[int, float]:
+        """Count the games of the runs of a case, and estimate their simulated seconds."""
+        games, seconds = 0, 0.0
+        for suite, run in self.runs(config, case):
+            for game in suite.cases(run):
+                games += suite.games(run, game)
+                seconds += game.simulated_s()
+        return games, seconds
 
     def games(self, config: ConfigType, case: CaseType) -> int:
-        return sum(suite.games(run, game) for suite, run in self.runs(config, case) for game in suite.cases(run))
+        return self.size(config, case)[0]
 
     def renders(self, config: ConfigType) -> bool:
         return any(suite.renders(run) for case in self.cases(config) for suite, run in self.runs(config, case))

@@ -180,8 +180,9 @@ class Training(Suite[TrainConfig, SimpleCase]):
             first_policy(config)
 
     def cases(self, config: TrainConfig) -> Iterator[SimpleCase]:
+        timing, typical_s = config.task.timing, config.task.typical_s
         for game in range(config.games):  # lane and environment of each come out of the training
-            yield SimpleCase(game_case(game), config.task.timing, config.task.typical_s)
+            yield SimpleCase(game_case(game), timing, typical_s)
 
     def may_grow(self, folder: Path) -> tuple[str, ...]:
         """More games can be flown where there is a checkpoint to resume from."""
