@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cached_property
+from importlib import import_module
 from pathlib import Path
 from typing import Any, ParamSpec, Protocol, TypeVar, overload
 from uuid import uuid4
@@ -25,9 +26,16 @@ from numba.core.imputils import lower_constant
 from numba.core.registry import CPUDispatcher
 from numba.core.typing import Signature
 from numba.extending import models, register_model
+from numba.np import linalg
 
 P = ParamSpec("P")
 R = TypeVar("R", covariant=True)
+
+# numba asks for SciPy's BLAS when it loads its functions on arrays, which takes a quarter of a second, and again where
+# one of them needs it.
+_ask, linalg.ensure_blas = linalg.ensure_blas, lambda: None
+import_module("numba.np.arraymath")
+linalg.ensure_blas = _ask
 
 
 class Compiled(Protocol[P, R]):
