@@ -159,11 +159,17 @@ class Kernels:
             self._levels[lane] = self._scratch.channels[0].sum()
             cpu.start(lane, self._picture, pixels, plan.sensor, games.cameras[now.game[lane]])
 
-    def run_see_noise(
-        self, which: Any, tick_ns: int, take: int, faces: Any, shown: Any, plan: Any, *of_lanes: Any
-    ) -> None:
+    def run_see(self, which: Any, take: int, faces: Any, shown: Any, plan: Any, *of_lanes: Any) -> None:
+        self._see(which, 1, take, True, plan, *of_lanes)
+
+    def run_see_noise(self, which: Any, tick_ns: int, take: int, faces: Any, shown: Any, *of_lanes: Any) -> None:
+        self._see(which, tick_ns, take, False, *of_lanes)
+
+    def _see(self, which: Any, tick_ns: int, take: int, plain: bool, plan: Any, *of_lanes: Any) -> None:
         games, now, pixels, frames = of_lanes
         for lane in which:
+            if events.is_plain(games.cameras[now.game[lane]], pixels.filtered.size) != plain:
+                continue
             if take:
                 frames[lane] = 128
             if lanes.touched(lane, now):
@@ -240,7 +246,7 @@ class Kernels:
     def run_nothing(self, which: Any, *_: Any) -> None:
         """What draws, or sees, does."""
 
-    run_project = run_find = run_finish = run_see = run_look = run_nothing
+    run_project = run_find = run_finish = run_look = run_nothing
 
 
 def shared(tensor: th.Tensor, dtype: Any = None) -> Any:

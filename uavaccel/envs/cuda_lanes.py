@@ -67,7 +67,7 @@ class CudaLanes:
         self.now, self._now_arrays = kernels.on_device(lanes.flights(count), device)
         self._tick_ns = profile_of(task).tick_ns
         self._threads = kernels.threads_a_lane(count, device)
-        self.view = view_of(task, self.games.maker, count, device, self.games.arrays, self._now_arrays, self._tick_ns)
+        self.view = view_of(task, self.games, self._now_arrays, self._tick_ns)
         self.kind = self.view.kind
         self.judge = Judge(task, self.games.maker.surroundings, self._tick_ns, since_ns_of(task))
         self.clocks: DeviceClocks | None = None

@@ -252,13 +252,6 @@ def noisy_pair(levels, camera, sensor, base, filtered, noise, y, x, dt_s):  # ty
 
 
 @cuda.jit(device=True)
-def is_plain(camera, pixels):  # type: ignore[no-untyped-def]
-    """Return whether a camera has neither noise nor a low-pass filter."""
-    quiet = camera[events.LEAK] <= 0.0 and camera[events.SHOT] <= 0.0 and camera[events.HOT] <= 0.0
-    return quiet and camera[events.READ] <= 0.0 and pixels.filtered.size == 0
-
-
-@cuda.jit(device=True)
 def add_to_block(total, take, lane, y, x, pixels, frames):  # type: ignore[no-untyped-def]
     """Add the events of this thread and its neighbour to their block; if `take`, move its sum to `frames`."""
     total = np.int32(total + cuda.shfl_xor_sync(WHOLE_WARP, total, 1))
@@ -280,7 +273,7 @@ def see(going, take, faces, shown, plan, games, now, pixels, frames):  # type: i
             frames[lane, np.uintp(y // BLOCK_SIDE), np.uintp(x // BLOCK_SIDE)] = NEUTRAL_LEVEL
         return
     camera = camera_of(games, now.game[lane])
-    if not is_plain(camera, pixels):
+    if not events.is_plain(camera, pixels.filtered.size):
         return
     own, base, total = faces[lane], pixels.base, np.int32(0)
     for half in range(2):
@@ -301,7 +294,7 @@ def see_noise(going, tick_ns, take, faces, shown, plan, games, now, pixels, fram
         return
     game = now.game[lane]
     camera, seeds = camera_of(games, game), games.seeds[game]
-    if is_plain(camera, pixels):
+    if events.is_plain(camera, pixels.filtered.size):
         return
     base, total, moment_ns = pixels.base[lane], np.int32(0), now.state[lane].tick * tick_ns
     filtered = pixels.filtered[lane] if pixels.filtered.size else pixels.filtered[0:0, 0]
